@@ -1,0 +1,142 @@
+//! What is played: strokes, the two bursts each consists of, and what they mean on a line, tick for tick.
+//!
+//! A stroke is one excursion of one pin: an up burst and the down burst that undoes it. This is the only
+//! definition; the host's compiler makes strokes, the controller plays them, and tests compare both
+//! through [`Stroke::ticks`].
+
+use crate::tick::Tick;
+use serde::{Deserialize, Serialize};
+
+/// Motors, and so lines, of the array.
+pub const MOTORS: usize = 24;
+
+/// Which way a pulse moves the pin.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum Direction {
+    /// Towards the finger: the line is high for the first 20 % of each pulse period.
+    Up,
+    /// Away from it: high for the first 80 %.
+    Down,
+}
+
+/// What one line does in one tick.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Line {
+    /// Low for the whole pulse period. A static high does not exist: it would leave DC on the piezo.
+    Off,
+    /// One pulse.
+    Pulse(Direction),
+}
+
+/// A train of pulses in one direction, one per tick.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Burst {
+    /// The tick of the first pulse.
+    pub start: Tick,
+    /// Which way it moves the pin.
+    pub direction: Direction,
+    /// How many pulses, and so ticks.
+    pub pulses: u16,
+}
+
+impl Burst {
+    /// The first tick after the last pulse.
+    #[must_use]
+    pub fn end(&self) -> Tick {
+        self.start + u64::from(self.pulses)
+    }
+}
+
+/// One excursion of one pin. Valid when it holds `up + up_pulses <= down` (see [`crate::limits::check`]).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Stroke {
+    /// 0..24, `4 * row + column`.
+    pub motor: u8,
+    /// Start of the up burst.
+    pub up: Tick,
+    /// Pulses of the up burst.
+    pub up_pulses: u16,
+    /// Start of the down burst.
+    pub down: Tick,
+    /// Pulses of the down burst.
+    pub down_pulses: u16,
+}
+
+impl Stroke {
+    /// The first tick after the stroke: the pin is at rest again, by definition.
+    #[must_use]
+    pub fn end(&self) -> Tick {
+        self.down + u64::from(self.down_pulses)
+    }
+
+    /// The up burst and the down burst.
+    #[must_use]
+    pub fn bursts(&self) -> [Burst; 2] {
+        [
+            Burst { start: self.up, direction: Direction::Up, pulses: self.up_pulses },
+            Burst { start: self.down, direction: Direction::Down, pulses: self.down_pulses },
+        ]
+    }
+
+    /// What the stroke's line does in every tick from its first pulse to its last.
+    pub fn ticks(&self) -> impl Iterator<Item = (Tick, Line)> + use<> {
+        let [up, down] = self.bursts();
+        (up.start.0..self.end().0).map(move |tick| {
+            let line = if tick < up.end().0 {
+                Line::Pulse(Direction::Up)
+            } else if tick < down.start.0 {
+                Line::Off
+            } else {
+                Line::Pulse(Direction::Down)
+            };
+            (Tick(tick), line)
+        })
+    }
+}
+
+/// The states of all lines in one tick: bit `m` is motor `m`. A motor is never in both masks.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub struct Lines {
+    /// Lines that carry an up pulse.
+    pub up: u32,
+    /// Lines that carry a down pulse.
+    pub down: u32,
+}
+
+impl Lines {
+    /// Every line low.
+    pub const OFF: Self = Self { up: 0, down: 0 };
+
+    /// What motor `m`'s line does.
+    #[must_use]
+    pub fn line(&self, motor: u8) -> Line {
+        match (self.up >> motor & 1, self.down >> motor & 1) {
+            (0, 0) => Line::Off,
+            (_, 0) => Line::Pulse(Direction::Up),
+            _ => Line::Pulse(Direction::Down),
+        }
+    }
+
+    /// The mask of one direction.
+    pub fn mask_mut(&mut self, direction: Direction) -> &mut u32 {
+        match direction {
+            Direction::Up => &mut self.up,
+            Direction::Down => &mut self.down,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stroke_says_what_every_tick_carries() {
+        let stroke = Stroke { motor: 3, up: Tick(10), up_pulses: 2, down: Tick(14), down_pulses: 3 };
+        let lines: heapless::Vec<_, 16> = stroke.ticks().map(|(tick, line)| (tick.0, line)).collect();
+        let (up, down) = (Line::Pulse(Direction::Up), Line::Pulse(Direction::Down));
+        let off = Line::Off;
+        assert_eq!(lines, [(10, up), (11, up), (12, off), (13, off), (14, down), (15, down), (16, down)]);
+        assert_eq!(stroke.end(), Tick(17));
+    }
+}

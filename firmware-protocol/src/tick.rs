@@ -1,0 +1,85 @@
+//! Device time: the pulse period of 1/85 000 s, counted.
+//!
+//! In memory a tick has 64 bits and never wraps. On the wire it has 32 and is read back as a signed
+//! distance from a tick the reader knows ([`WireTick::near`]): that is the one place where ticks widen.
+
+use core::ops::{Add, Sub};
+use serde::{Deserialize, Serialize};
+
+/// Ticks in a second: the pulse rate of the paper's drivers (85 kHz).
+pub const TICK_HZ: u32 = 85_000;
+
+/// A count of pulse periods on the device's clock.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Tick(pub u64);
+
+impl Tick {
+    /// Where every controller's clock starts: half a minute before the 32-bit wrap, so that each
+    /// longer run crosses it and the wrap is never a rare event.
+    pub const BOOT: Self = Self((1 << 32) - 30 * TICK_HZ as u64);
+
+    /// The low 32 bits, as sent.
+    #[must_use]
+    pub const fn wire(self) -> WireTick {
+        #[expect(clippy::cast_possible_truncation, reason = "the low half is what the wire carries")]
+        WireTick((self.0 as u32).to_le_bytes())
+    }
+
+    /// `self - earlier`, signed.
+    #[must_use]
+    pub const fn since(self, earlier: Self) -> i64 {
+        self.0.wrapping_sub(earlier.0).cast_signed()
+    }
+}
+
+impl Add<u64> for Tick {
+    type Output = Self;
+    fn add(self, ticks: u64) -> Self {
+        Self(self.0 + ticks)
+    }
+}
+
+impl Sub for Tick {
+    type Output = u64;
+    /// The ticks from `rhs` to `self`, 0 if `rhs` is later.
+    fn sub(self, rhs: Self) -> u64 {
+        self.0.saturating_sub(rhs.0)
+    }
+}
+
+/// The low 32 bits of a [`Tick`], little-endian, as they stand on the wire.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct WireTick(pub [u8; 4]);
+
+impl WireTick {
+    /// The tick nearest to `now` that has these low bits.
+    #[must_use]
+    pub const fn near(self, now: Tick) -> Tick {
+        #[expect(clippy::cast_possible_truncation, reason = "a distance is taken modulo 2^32")]
+        let distance = u32::from_le_bytes(self.0).wrapping_sub(now.0 as u32).cast_signed();
+        Tick(now.0.saturating_add_signed(distance as i64))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_wire_tick_widens_across_the_wrap_both_ways() {
+        let wrap = 1u64 << 32;
+        for now in [Tick(wrap - 5), Tick(wrap), Tick(wrap + 7), Tick(9 * wrap - 1), Tick::BOOT] {
+            for distance in [-(1i64 << 30), -100, -1, 0, 1, 64, 1 << 30] {
+                let tick = Tick(now.0.wrapping_add_signed(distance));
+                assert_eq!(tick.wire().near(now), tick);
+                assert_eq!(tick.since(now), distance);
+            }
+        }
+    }
+
+    #[test]
+    fn a_run_of_half_a_minute_crosses_the_wrap() {
+        assert_eq!(Tick::BOOT.0 + 30 * u64::from(TICK_HZ), 1 << 32);
+    }
+}
