@@ -4,7 +4,7 @@
 //! stroke as planned; rates are pulses begun in any sliding second, counted by [`OnTime`].
 
 use crate::stroke::{MOTORS, Stroke};
-use crate::tick::TICK_HZ;
+use crate::tick::{TICK_HZ, Tick};
 use serde::{Deserialize, Serialize};
 
 /// Up pulses of one stroke at the most: 407 µm, the paper's motors' useful travel.
@@ -100,4 +100,151 @@ pub fn check(stroke: &Stroke) -> Result<(), Refusal> {
         return Err(Refusal::Unbalanced);
     }
     Ok(())
+}
+
+/// Ticks of a bucket of the on-time account: a second has 68 of them.
+const BUCKET: u64 = 1_250;
+/// A second and the bucket being filled.
+const BUCKETS: usize = TICK_HZ as usize / BUCKET as usize + 1;
+
+/// Counts pulses per motor against [`OnTimeLimits`].
+///
+/// A stroke counts from its first pulse until a second after its last one, so no sliding second ever holds
+/// more than the limit; it may refuse one stroke and 15 ms early.
+#[derive(Debug)]
+pub struct OnTime {
+    limits: OnTimeLimits,
+    /// Number of the bucket being filled.
+    bucket: u64,
+    ended: [[u16; MOTORS]; BUCKETS],
+    charged: [u32; MOTORS],
+}
+
+impl OnTime {
+    /// An empty account at `now`.
+    #[must_use]
+    pub fn new(now: Tick) -> Self {
+        let bucket = now.0 / BUCKET;
+        Self { limits: OnTimeLimits::NONE, bucket, ended: [[0; MOTORS]; BUCKETS], charged: [0; MOTORS] }
+    }
+
+    /// Sets the limits; what is charged stays.
+    pub fn set_limits(&mut self, limits: OnTimeLimits) {
+        self.limits = limits;
+    }
+
+    /// Charges a stroke of `pulses` that begins at `now`.
+    ///
+    /// # Errors
+    /// The limit it would break; nothing is charged then.
+    pub fn begin(&mut self, now: Tick, motor: usize, pulses: u32) -> Result<(), Refusal> {
+        self.forget(now);
+        let first = motor - motor % MOTORS_PER_RAIL;
+        let rail: u32 = self.charged[first..first + MOTORS_PER_RAIL].iter().sum();
+        if self.charged[motor] + pulses > self.limits.motor {
+            return Err(Refusal::MotorOnTime);
+        }
+        if rail + pulses > self.limits.rail {
+            return Err(Refusal::RailOnTime);
+        }
+        self.charged[motor] += pulses;
+        Ok(())
+    }
+
+    /// A stroke charged with `charged` pulses has ended at `now` after `played` of them.
+    pub fn end(&mut self, now: Tick, motor: usize, charged: u32, played: u32) {
+        self.forget(now);
+        let ended = &mut self.ended[self.bucket as usize % BUCKETS][motor];
+        *ended = ended.saturating_add(u16::try_from(played).unwrap_or(u16::MAX));
+        self.charged[motor] = (self.charged[motor] + played).saturating_sub(charged);
+    }
+
+    /// Takes what is a second old off the account.
+    fn forget(&mut self, now: Tick) {
+        let bucket = now.0 / BUCKET;
+        let steps = (bucket - self.bucket).min(BUCKETS as u64);
+        for step in 1..=steps {
+            let old = &mut self.ended[(bucket - steps + step) as usize % BUCKETS];
+            for (charged, ended) in self.charged.iter_mut().zip(old) {
+                *charged = charged.saturating_sub(u32::from(core::mem::take(ended)));
+            }
+        }
+        self.bucket = bucket;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+    use super::*;
+    use proptest::prelude::*;
+
+    const GOOD: Stroke = Stroke { motor: 0, up: Tick(100), up_pulses: 10, down: Tick(110), down_pulses: 10 };
+
+    #[test]
+    fn each_limit_of_a_stroke_has_its_edge() {
+        assert_eq!(check(&GOOD), Ok(()));
+        assert_eq!(check(&Stroke { motor: 23, ..GOOD }), Ok(()));
+        assert_eq!(check(&Stroke { motor: 24, ..GOOD }), Err(Refusal::Motor));
+        assert_eq!(check(&Stroke { up_pulses: 0, ..GOOD }), Err(Refusal::UpPulses));
+        let long = Stroke { up_pulses: 3000, down: Tick(9000), down_pulses: 3000, ..GOOD };
+        assert_eq!(check(&long), Ok(()));
+        let longer = Stroke { up_pulses: 3001, down_pulses: 3001, ..long };
+        assert_eq!(check(&longer), Err(Refusal::UpPulses));
+        assert_eq!(check(&Stroke { down: Tick(109), ..GOOD }), Err(Refusal::Bursts));
+        assert_eq!(check(&Stroke { down_pulses: 13, ..GOOD }), Ok(()));
+        assert_eq!(check(&Stroke { down_pulses: 14, ..GOOD }), Err(Refusal::Unbalanced));
+        assert_eq!(check(&Stroke { down_pulses: 6, ..GOOD }), Err(Refusal::Unbalanced));
+    }
+
+    #[test]
+    fn corrections_are_thirty_percent_and_at_least_one() {
+        for planned in 0..=u16::MAX {
+            let exact = u32::from(planned) * 3 / 10;
+            assert_eq!(u32::from(correction(planned)), exact.max(1));
+        }
+    }
+
+    proptest! {
+        /// The account against a plain list of pulses: no sliding second holds more than the limits.
+        #[test]
+        fn no_sliding_second_breaks_a_limit(strokes in prop::collection::vec((0usize..6, 0u64..2000, 1u32..400), 1..300)) {
+            let limits = OnTimeLimits { motor: 2_000, rail: 5_000 };
+            let mut account = OnTime::new(Tick(0));
+            account.set_limits(limits);
+            let (mut now, mut bursts, mut refused) = (0, std::vec::Vec::new(), 0);
+            for (motor, wait, count) in strokes {
+                now += wait;
+                if account.begin(Tick(now), motor, count).is_err() {
+                    refused += 1;
+                    continue;
+                }
+                bursts.push((motor, now, now + u64::from(count)));
+                now += u64::from(count);
+                account.end(Tick(now), motor, count, count);
+            }
+            let mut played = 0;
+            for &(_, _, end) in &bursts {
+                let mut second = [0; 6];
+                for &(motor, from, to) in &bursts {
+                    second[motor] += to.min(end).saturating_sub(from.max(end.saturating_sub(85_000)));
+                }
+                prop_assert!(second.iter().all(|&pulses| pulses <= limits.motor.into()));
+                prop_assert!(second.iter().sum::<u64>() <= limits.rail.into());
+                played = played.max(second.iter().sum());
+            }
+            prop_assert!(refused == 0 || played > 1_500);
+        }
+    }
+
+    #[test]
+    fn after_a_second_of_rest_the_account_is_empty() {
+        let mut account = OnTime::new(Tick(0));
+        account.set_limits(OnTimeLimits { motor: 100, rail: 600 });
+        assert_eq!(account.begin(Tick(0), 5, 100), Ok(()));
+        account.end(Tick(100), 5, 100, 100);
+        assert_eq!(account.begin(Tick(84_000), 5, 1), Err(Refusal::MotorOnTime));
+        assert_eq!(account.begin(Tick(100 + 85_000 + BUCKET), 5, 100), Ok(()));
+        assert_eq!(account.begin(Tick(1 << 40), 4, 100), Ok(()));
+    }
 }

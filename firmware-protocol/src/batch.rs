@@ -1,0 +1,341 @@
+//! The packed lists inside messages: strokes of a batch, items of an amendment.
+//!
+//! A stroke is `head | varint up | [varint up_pulses] | varint held | [varint correction]`, where `head`
+//! is the motor (bits 0–4), "as many up pulses as the stroke before" (bit 5) and "as many down as up
+//! pulses" (bit 6); `up` counts from the stroke before, or from the batch's base tick; `held` counts from
+//! the up burst's end to the down burst; `correction` is `down - up` pulses, zigzag. An amendment is
+//! `head | varint up (zigzag) | varint pulses` with the burst's direction (down = 1) in bit 5 of `head`.
+//! Varints are LEB128 of at most 5 bytes. What cannot be read whole is [`Malformed`].
+
+use crate::stroke::{Direction, Stroke};
+use crate::tick::Tick;
+
+/// Strokes in one batch at the most: as many as a verdict's mask has bits.
+pub const MAX_BATCH: usize = 64;
+/// Bytes of packed items in one message at the most: what its longest header leaves.
+pub const BATCH_BYTES: usize = 232;
+
+const MOTOR: u8 = 0x1f;
+const SAME_PULSES: u8 = 0x20;
+const BALANCED: u8 = 0x40;
+const AMENDS_DOWN: u8 = 0x20;
+
+/// A packed list ends inside an item, or an item has a number out of range.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Malformed;
+
+/// No room for one more item, or it does not follow its predecessor in time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Full;
+
+/// Packs items into a byte buffer; what does not fit leaves no trace.
+#[derive(Debug)]
+pub struct Packer<const N: usize> {
+    bytes: [u8; N],
+    len: usize,
+    items: usize,
+    base: Tick,
+    at: Tick,
+    pulses: u16,
+}
+
+impl<const N: usize> Packer<N> {
+    /// An empty list whose ticks count from `base`.
+    #[must_use]
+    pub fn new(base: Tick) -> Self {
+        Self { bytes: [0; N], len: 0, items: 0, base, at: base, pulses: 0 }
+    }
+
+    /// The tick from which the first item counts.
+    #[must_use]
+    pub fn base(&self) -> Tick {
+        self.base
+    }
+
+    /// The packed bytes.
+    #[must_use]
+    pub fn bytes(&self) -> &[u8] {
+        &self.bytes[..self.len]
+    }
+
+    /// How many items it holds.
+    #[must_use]
+    pub fn items(&self) -> usize {
+        self.items
+    }
+
+    /// Appends a stroke. Its up burst must not begin before the last one's, nor end after its down burst begins.
+    ///
+    /// # Errors
+    /// [`Full`] when it does not fit; the list is as before.
+    pub fn stroke(&mut self, stroke: &Stroke) -> Result<(), Full> {
+        let Ok(up) = u32::try_from(stroke.up.since(self.at)) else { return Err(Full) };
+        let held = stroke.down.since(stroke.up + u64::from(stroke.up_pulses));
+        let Ok(held) = u32::try_from(held) else { return Err(Full) };
+        let mut item = Item::new(stroke.motor & MOTOR);
+        item.varint(up);
+        if self.items > 0 && stroke.up_pulses == self.pulses {
+            item.bytes[0] |= SAME_PULSES;
+        } else {
+            item.varint(stroke.up_pulses.into());
+        }
+        item.varint(held);
+        if stroke.down_pulses == stroke.up_pulses {
+            item.bytes[0] |= BALANCED;
+        } else {
+            item.varint(zigzag(i32::from(stroke.down_pulses) - i32::from(stroke.up_pulses)));
+        }
+        self.append(&item)?;
+        (self.at, self.pulses) = (stroke.up, stroke.up_pulses);
+        Ok(())
+    }
+
+    /// Appends an amendment.
+    ///
+    /// # Errors
+    /// [`Full`] when it does not fit; the list is as before.
+    pub fn amendment(&mut self, amendment: &Amendment) -> Result<(), Full> {
+        let Ok(up) = i32::try_from(amendment.up.since(self.at)) else { return Err(Full) };
+        let down = if amendment.direction == Direction::Down { AMENDS_DOWN } else { 0 };
+        let mut item = Item::new((amendment.motor & MOTOR) | down);
+        item.varint(zigzag(up));
+        item.varint(amendment.pulses.into());
+        self.append(&item)?;
+        self.at = amendment.up;
+        Ok(())
+    }
+
+    fn append(&mut self, item: &Item) -> Result<(), Full> {
+        let end = self.len + item.len;
+        if self.items == MAX_BATCH || end > N {
+            return Err(Full);
+        }
+        self.bytes[self.len..end].copy_from_slice(&item.bytes[..item.len]);
+        self.len = end;
+        self.items += 1;
+        Ok(())
+    }
+}
+
+/// One item being packed: a head and at most four varints.
+struct Item {
+    bytes: [u8; 21],
+    len: usize,
+}
+
+impl Item {
+    fn new(head: u8) -> Self {
+        let mut bytes = [0; 21];
+        bytes[0] = head;
+        Self { bytes, len: 1 }
+    }
+
+    fn varint(&mut self, mut value: u32) {
+        while value >= 0x80 {
+            self.bytes[self.len] = value as u8 | 0x80;
+            self.len += 1;
+            value >>= 7;
+        }
+        self.bytes[self.len] = value as u8;
+        self.len += 1;
+    }
+}
+
+const fn zigzag(value: i32) -> u32 {
+    (value << 1 ^ value >> 31).cast_unsigned()
+}
+
+const fn unzigzag(value: u32) -> i32 {
+    (value >> 1).cast_signed() ^ -(value & 1).cast_signed()
+}
+
+/// Reads packed items one by one.
+#[derive(Clone, Debug)]
+struct Unpacker<'a> {
+    bytes: &'a [u8],
+    at: Tick,
+}
+
+impl Unpacker<'_> {
+    fn byte(&mut self) -> Result<u8, Malformed> {
+        let (&byte, rest) = self.bytes.split_first().ok_or(Malformed)?;
+        self.bytes = rest;
+        Ok(byte)
+    }
+
+    fn varint(&mut self) -> Result<u32, Malformed> {
+        let mut value = 0u64;
+        for shift in [0, 7, 14, 21, 28] {
+            let byte = self.byte()?;
+            value |= u64::from(byte & 0x7f) << shift;
+            if byte & 0x80 == 0 {
+                return u32::try_from(value).map_err(|_| Malformed);
+            }
+        }
+        Err(Malformed)
+    }
+
+    fn pulses(&mut self) -> Result<u16, Malformed> {
+        u16::try_from(self.varint()?).map_err(|_| Malformed)
+    }
+}
+
+/// The strokes of a batch, in order. After an error it ends.
+#[derive(Clone, Debug)]
+pub struct Strokes<'a> {
+    rest: Unpacker<'a>,
+    pulses: u16,
+}
+
+impl<'a> Strokes<'a> {
+    /// Reads `bytes` as strokes that count from `base`.
+    #[must_use]
+    pub fn new(base: Tick, bytes: &'a [u8]) -> Self {
+        Self { rest: Unpacker { bytes, at: base }, pulses: 0 }
+    }
+
+    fn read(&mut self) -> Result<Stroke, Malformed> {
+        let head = self.rest.byte()?;
+        let up = self.rest.at + u64::from(self.rest.varint()?);
+        let up_pulses = if head & SAME_PULSES != 0 { self.pulses } else { self.rest.pulses()? };
+        let down = up + u64::from(up_pulses) + u64::from(self.rest.varint()?);
+        let correction = if head & BALANCED != 0 { 0 } else { unzigzag(self.rest.varint()?) };
+        let down_pulses = i64::from(up_pulses) + i64::from(correction);
+        let down_pulses = u16::try_from(down_pulses).map_err(|_| Malformed)?;
+        (self.rest.at, self.pulses) = (up, up_pulses);
+        Ok(Stroke { motor: head & MOTOR, up, up_pulses, down, down_pulses })
+    }
+}
+
+impl Iterator for Strokes<'_> {
+    type Item = Result<Stroke, Malformed>;
+    fn next(&mut self) -> Option<Self::Item> {
+        if self.rest.bytes.is_empty() {
+            return None;
+        }
+        let stroke = self.read();
+        if stroke.is_err() {
+            self.rest.bytes = &[];
+        }
+        Some(stroke)
+    }
+}
+
+/// A new count of pulses for one burst of a queued stroke.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Amendment {
+    /// The stroke's motor.
+    pub motor: u8,
+    /// The stroke's up tick: with the motor, its name.
+    pub up: Tick,
+    /// Which of its bursts.
+    pub direction: Direction,
+    /// How many pulses it shall have, absolute.
+    pub pulses: u16,
+}
+
+/// The items of an amendment message. After an error it ends.
+#[derive(Clone, Debug)]
+pub struct Amendments<'a>(Unpacker<'a>);
+
+impl<'a> Amendments<'a> {
+    /// Reads `bytes` as amendments that count from `base`.
+    #[must_use]
+    pub fn new(base: Tick, bytes: &'a [u8]) -> Self {
+        Self(Unpacker { bytes, at: base })
+    }
+
+    fn read(&mut self) -> Result<Amendment, Malformed> {
+        let head = self.0.byte()?;
+        let up = Tick(self.0.at.0.wrapping_add_signed(unzigzag(self.0.varint()?).into()));
+        self.0.at = up;
+        let direction = if head & AMENDS_DOWN != 0 { Direction::Down } else { Direction::Up };
+        Ok(Amendment { motor: head & MOTOR, up, direction, pulses: self.0.pulses()? })
+    }
+}
+
+impl Iterator for Amendments<'_> {
+    type Item = Result<Amendment, Malformed>;
+    fn next(&mut self) -> Option<Self::Item> {
+        if self.0.bytes.is_empty() {
+            return None;
+        }
+        let item = self.read();
+        if item.is_err() {
+            self.0.bytes = &[];
+        }
+        Some(item)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+    use super::*;
+    use proptest::prelude::*;
+    use std::vec::Vec;
+
+    fn stroke() -> impl Strategy<Value = Stroke> {
+        (0u8..32, 0u64..1 << 31, any::<u16>(), 0u64..1 << 31, any::<u16>()).prop_map(
+            |(motor, up, up_pulses, held, down_pulses)| {
+                let up = Tick(up);
+                Stroke { motor, up, up_pulses, down: up + u64::from(up_pulses) + held, down_pulses }
+            },
+        )
+    }
+
+    proptest! {
+        #[test]
+        fn strokes_come_back_as_packed(mut strokes in prop::collection::vec(stroke(), 0..20)) {
+            strokes.sort_by_key(|stroke| stroke.up);
+            let mut packer = Packer::<400>::new(Tick(0));
+            for stroke in &strokes {
+                packer.stroke(stroke).unwrap();
+            }
+            let back: Result<Vec<_>, _> = Strokes::new(Tick(0), packer.bytes()).collect();
+            prop_assert_eq!(back.unwrap(), strokes);
+        }
+
+        #[test]
+        fn amendments_come_back_as_packed(items in prop::collection::vec((0u8..32, 0u64..1 << 30, any::<bool>(), any::<u16>()), 0..20)) {
+            let mut packer = Packer::<400>::new(Tick(1 << 29));
+            let items: Vec<_> = items.into_iter().map(|(motor, up, down, pulses)| Amendment {
+                motor, up: Tick(up), pulses, direction: if down { Direction::Down } else { Direction::Up },
+            }).collect();
+            for item in &items {
+                packer.amendment(item).unwrap();
+            }
+            let back: Result<Vec<_>, _> = Amendments::new(Tick(1 << 29), packer.bytes()).collect();
+            prop_assert_eq!(back.unwrap(), items);
+        }
+
+        #[test]
+        fn any_bytes_end(bytes in prop::collection::vec(any::<u8>(), 0..250)) {
+            prop_assert!(Strokes::new(Tick(0), &bytes).count() <= bytes.len());
+            prop_assert!(Amendments::new(Tick(0), &bytes).count() <= bytes.len());
+        }
+    }
+
+    #[test]
+    fn a_steady_stroke_takes_four_bytes() {
+        let mut packer = Packer::<64>::new(Tick(0));
+        for motor in 0..3 {
+            let up = Tick(59 * u64::from(motor));
+            let stroke = Stroke { motor, up, up_pulses: 147, down: up + 708, down_pulses: 147 };
+            packer.stroke(&stroke).unwrap();
+        }
+        assert_eq!(packer.bytes().len(), 6 + 4 + 4);
+    }
+
+    #[test]
+    fn what_does_not_fit_leaves_no_trace() {
+        let mut packer = Packer::<8>::new(Tick(100));
+        let stroke = Stroke { motor: 1, up: Tick(100), up_pulses: 147, down: Tick(300), down_pulses: 147 };
+        assert_eq!(packer.stroke(&stroke), Ok(()));
+        let packed = packer.bytes().to_vec();
+        assert_eq!(packer.stroke(&Stroke { up_pulses: 7, ..stroke }), Err(Full));
+        assert_eq!(packer.stroke(&Stroke { up: Tick(99), ..stroke }), Err(Full));
+        assert_eq!(packer.stroke(&Stroke { down: Tick(200), ..stroke }), Err(Full));
+        assert_eq!(packer.bytes(), packed);
+    }
+}

@@ -1,0 +1,718 @@
+//! The device's whole behaviour as a sans-IO state machine: bytes and ticks in, line states and bytes out.
+//!
+//! The firmware and the mock are thin shells around [`Controller`]. A shell calls [`Controller::receive`]
+//! with what arrived, [`Controller::poll`] as time passes, [`Controller::render`] to learn the lines ahead
+//! of now (by [`HORIZON`] ticks at the most) and [`Controller::transmit`] for what to send. While
+//! [`Controller::forced_off`] it holds all lines low whatever was rendered.
+//!
+//! The one invariant: what a line does follows from the queued slots alone, and a slot is only changed
+//! ahead of the rendered end. So whatever is cut, flushed or amended, the count of pulses played is known.
+//! The rules are in the crate's documentation.
+
+mod pool;
+mod reports;
+
+use crate::batch::{Amendment, Amendments, BATCH_BYTES, MAX_BATCH, Strokes};
+use crate::frame::{self, Decoder, FrameError, MAX_FRAME};
+use crate::limits::{self, MAX_TRAVEL, OnTime, OnTimeLimits, Refusal};
+use crate::message::{
+    Cause, Counters, Cut, DeviceHello, DeviceMessage, HostMessage, Op, Report, State, Status,
+};
+use crate::stroke::{Direction, Line, Lines, MOTORS, Stroke};
+use crate::tick::{TICK_HZ, Tick, WireTick};
+pub use pool::POOL;
+use pool::{Kind, Pool, Slot};
+pub use reports::REPORTS;
+use reports::{RESERVE, Reports};
+
+/// Ticks rendered ahead of now at the most (a DMA block). What begins before the rendered end is late.
+pub const HORIZON: u32 = 64;
+/// How far ahead a stroke may lie.
+const FARTHEST: i64 = 1 << 30;
+/// The longest lease.
+const MAX_LEASE: u32 = 10 * TICK_HZ;
+/// Onsets of plays that have been queued and not begun, at the most.
+const MARKS: usize = 8;
+
+/// Who a controller is: what its shell knows and the handshake tells.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Identity {
+    /// Firmware version: major, minor, patch.
+    pub firmware: [u8; 3],
+    /// Hash of the build.
+    pub build: [u8; 4],
+    /// Random at every boot.
+    pub boot: u32,
+    /// [`DeviceHello::SIMULATED`] and so on.
+    pub features: u32,
+}
+
+/// A stretch of ticks in which no line changes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Run {
+    /// The lines in each of its ticks.
+    pub lines: Lines,
+    /// How many ticks.
+    pub ticks: u32,
+}
+
+/// What waits to be sent, besides reports.
+#[derive(Debug, Default)]
+struct Pending {
+    hello: bool,
+    no_session: bool,
+    status: bool,
+    telemetry: Option<(WireTick, [i32; MOTORS])>,
+}
+
+/// The controller of one array.
+#[derive(Debug)]
+pub struct Controller {
+    identity: Identity,
+    decoder: Decoder,
+    session: Option<u32>,
+    token: u16,
+    epoch: u16,
+    refusal: Option<Refusal>,
+    next_seq: u16,
+    pending: Pending,
+    reports: Reports,
+    last_cut: Option<Cut>,
+
+    state: State,
+    cause: Cause,
+    /// Where a return ends.
+    then: State,
+    position_known: bool,
+    owed: [u16; MOTORS],
+    /// Net pulses moved since armed with the pins at rest.
+    travel: [i16; MOTORS],
+    lease: u32,
+    heard: Tick,
+    now: Tick,
+    counters: Counters,
+
+    pool: Pool,
+    marks: heapless::Deque<Tick, MARKS>,
+    on_time: OnTime,
+    rendered: Tick,
+    lines: Lines,
+    /// Per motor, when its line changes next.
+    changes: [Tick; MOTORS],
+    /// What was rendered before an e-stop reaches to here.
+    off_until: Tick,
+}
+
+const NEVER: Tick = Tick(u64::MAX);
+
+impl Controller {
+    /// A controller that has just started: lines off, position unknown, clock at [`Tick::BOOT`].
+    #[must_use]
+    pub fn new(identity: Identity) -> Self {
+        Self::starting_at(identity, Tick::BOOT)
+    }
+
+    /// Like [`Self::new`] with another start of the clock: for tests of long runs.
+    #[must_use]
+    pub fn starting_at(identity: Identity, now: Tick) -> Self {
+        Self {
+            identity,
+            decoder: Decoder::default(),
+            session: None,
+            token: 0,
+            epoch: 0,
+            refusal: None,
+            next_seq: 0,
+            pending: Pending::default(),
+            reports: Reports::new(),
+            last_cut: None,
+            state: State::Disarmed,
+            cause: Cause::Boot,
+            then: State::Disarmed,
+            position_known: false,
+            owed: [0; MOTORS],
+            travel: [0; MOTORS],
+            lease: MAX_LEASE,
+            heard: now,
+            now,
+            counters: Counters::default(),
+            pool: Pool::new(),
+            marks: heapless::Deque::new(),
+            on_time: OnTime::new(now),
+            rendered: now,
+            lines: Lines::OFF,
+            changes: [NEVER; MOTORS],
+            off_until: now,
+        }
+    }
+
+    /// What it is doing.
+    #[must_use]
+    pub fn state(&self) -> State {
+        self.state
+    }
+
+    /// Why.
+    #[must_use]
+    pub fn cause(&self) -> Cause {
+        self.cause
+    }
+
+    /// What it has counted since boot.
+    #[must_use]
+    pub fn counters(&self) -> Counters {
+        self.counters
+    }
+
+    /// The first tick that is not rendered yet.
+    #[must_use]
+    pub fn rendered(&self) -> Tick {
+        self.rendered
+    }
+
+    /// Down pulses a motor's pin is owed after an e-stop or a fault.
+    #[must_use]
+    pub fn owed(&self, motor: u8) -> u16 {
+        self.owed.get(usize::from(motor)).copied().unwrap_or(0)
+    }
+
+    /// Whether the shell must hold all lines low at `now`, whatever was rendered for it.
+    #[must_use]
+    pub fn forced_off(&self, now: Tick) -> bool {
+        self.state == State::Faulted || now < self.off_until
+    }
+
+    /// The lines from the rendered end on, for `max` ticks or until a line changes.
+    pub fn render(&mut self, max: u32) -> Run {
+        let mut change = NEVER;
+        for motor in 0..MOTORS {
+            if self.changes[motor] <= self.rendered {
+                self.step(motor);
+            }
+            change = change.min(self.changes[motor]);
+        }
+        let ticks = (change - self.rendered).min(max.into());
+        self.rendered = self.rendered + ticks;
+        Run { lines: self.lines, ticks: ticks as u32 }
+    }
+
+    /// Brings one line to the rendered end: what its slots say about that tick.
+    fn step(&mut self, motor: usize) {
+        let now = self.rendered;
+        let (line, until) = loop {
+            let index = self.pool.queues[motor].cursor;
+            let Some(slot) = self.pool.get_mut(index) else { break (Line::Off, NEVER) };
+            let stroke = slot.stroke;
+            if slot.kind == Kind::Play && slot.charged.is_none() && stroke.up <= now {
+                let pulses = u32::from(stroke.up_pulses) + u32::from(stroke.down_pulses);
+                match self.on_time.begin(now, motor, pulses) {
+                    Ok(()) => slot.charged = Some(pulses),
+                    Err(reason) => {
+                        slot.kind = Kind::Void;
+                        slot.stroke = Stroke { up_pulses: 0, down: stroke.up, down_pulses: 0, ..stroke };
+                        self.counters.refused += 2;
+                        self.report(Report::Refused { motor: motor as u8, up: stroke.up.wire(), reason });
+                        continue;
+                    }
+                }
+            }
+            if let Some(present) = slot.at(now) {
+                break present;
+            }
+            if let Some(charged) = slot.charged {
+                let played = u32::from(stroke.up_pulses) + u32::from(stroke.down_pulses);
+                self.on_time.end(now, motor, charged, played);
+            }
+            self.pool.advance(motor);
+        };
+        let bit = 1 << motor;
+        self.lines.up &= !bit;
+        self.lines.down &= !bit;
+        if let Line::Pulse(direction) = line {
+            *self.lines.mask_mut(direction) |= bit;
+        }
+        self.changes[motor] = until;
+    }
+
+    /// Takes bytes from the host, in any chunks.
+    pub fn receive(&mut self, now: Tick, mut bytes: &[u8]) {
+        self.poll(now);
+        // The decoder is lent out while a message borrowed from it is handled.
+        let mut decoder = core::mem::take(&mut self.decoder);
+        while let Some(body) = decoder.next(&mut bytes) {
+            let message = body.and_then(|body| match postcard::take_from_bytes(body) {
+                Ok((message, [])) => Ok(message),
+                _ => Err(FrameError::Malformed),
+            });
+            match message {
+                Ok(message) => self.handle(message),
+                Err(FrameError::Version(_)) => self.pending.hello = true,
+                Err(_) => self.counters.bad_frames += 1,
+            }
+        }
+        self.decoder = decoder;
+    }
+
+    /// Lets time pass: what lies before `now` has been played; a lease may expire. Call it at least once per block.
+    pub fn poll(&mut self, now: Tick) {
+        self.now = self.now.max(now);
+        self.settle(self.now);
+        let listening = self.state == State::Armed || self.state == State::Returning;
+        if listening && self.now - self.heard > self.lease.into() {
+            self.disarm(Cause::Lease);
+        }
+    }
+
+    /// The cable was pulled or the port closed: return and disarm, forget the session.
+    pub fn link_lost(&mut self, now: Tick) {
+        self.poll(now);
+        self.disarm(Cause::LinkLost);
+        self.session = None;
+        self.pending = Pending::default();
+        self.decoder.reset();
+    }
+
+    /// A fault of its own: all lines off at once, latched.
+    pub fn fault(&mut self, now: Tick, cause: Cause) {
+        self.poll(now);
+        self.off(cause);
+    }
+
+    /// Displacements of all pins in 0.01 µm, sampled at `tick`: sent while armed, an unsent older sample is replaced.
+    pub fn telemetry(&mut self, tick: Tick, y: [i32; MOTORS]) {
+        if self.session.is_some() && matches!(self.state, State::Armed | State::Returning) {
+            self.pending.telemetry = Some((tick.wire(), y));
+        }
+    }
+
+    /// Writes the next frame to send into `out` and returns its length; 0 when there is none.
+    pub fn transmit(&mut self, now: Tick, out: &mut [u8; MAX_FRAME]) -> usize {
+        self.now = self.now.max(now);
+        let pending = &mut self.pending;
+        let message = if core::mem::take(&mut pending.hello) {
+            DeviceMessage::Hello(self.hello())
+        } else if core::mem::take(&mut pending.no_session) {
+            DeviceMessage::NoSession
+        } else if core::mem::take(&mut pending.status) {
+            DeviceMessage::Status(self.status())
+        } else if self.session.is_none() {
+            return 0;
+        } else if let Some((number, report)) = self.reports.next(self.now) {
+            DeviceMessage::Report { number, report }
+        } else if let Some((tick, y)) = pending.telemetry.take() {
+            DeviceMessage::Telemetry { tick, y }
+        } else {
+            return 0;
+        };
+        // Every message fits a frame; `messages_fit` in the tests shows it.
+        frame::encode(&message, out).unwrap_or(0)
+    }
+
+    fn hello(&self) -> DeviceHello {
+        DeviceHello {
+            session: self.session.unwrap_or(0),
+            firmware: self.identity.firmware,
+            build: self.identity.build,
+            boot: self.identity.boot,
+            motors: MOTORS as u8,
+            tick_hz: TICK_HZ,
+            pool: POOL as u16,
+            horizon: HORIZON as u8,
+            max_up_pulses: limits::MAX_UP_PULSES,
+            limits: OnTimeLimits::NONE,
+            features: self.identity.features,
+            tick: self.now.0,
+            epoch: self.epoch,
+            reports: self.reports.made(),
+            last_cut: self.last_cut,
+        }
+    }
+
+    fn status(&self) -> Status {
+        Status {
+            token: self.token,
+            tick: self.now.wire(),
+            epoch: self.epoch,
+            refusal: self.refusal,
+            next_seq: self.next_seq,
+            credits: self.pool.free(),
+            reports: self.reports.made(),
+            state: self.state,
+            cause: self.cause,
+            position_known: self.position_known,
+            owed: self.owed_in_all(),
+            counters: self.counters,
+        }
+    }
+
+    fn owed_in_all(&self) -> u32 {
+        self.owed.iter().map(|&owed| u32::from(owed)).sum()
+    }
+
+    fn report(&mut self, report: Report) {
+        if !self.reports.push(report) {
+            self.counters.reports_lost += 1;
+        }
+    }
+
+    fn handle(&mut self, message: HostMessage<'_>) {
+        if let HostMessage::Hello { session } = message {
+            self.open(session);
+            return;
+        }
+        if self.session.is_none() {
+            self.pending.no_session = true;
+            return;
+        }
+        self.heard = self.now;
+        self.pending.status = true;
+        match message {
+            HostMessage::Hello { .. } => {}
+            HostMessage::Ping { token, seen } => {
+                self.token = token;
+                self.reports.seen(seen, self.now);
+            }
+            HostMessage::Control { epoch, seen, op } => {
+                self.reports.seen(seen, self.now);
+                if newer(epoch, self.epoch) {
+                    self.epoch = epoch;
+                    self.next_seq = 0;
+                    self.refusal = self.perform(op).err();
+                }
+            }
+            HostMessage::Strokes { epoch, seq, seen, onset, base, batch } => {
+                self.reports.seen(seen, self.now);
+                let room = self.reports.free() > RESERVE && (!onset || !self.marks.is_full());
+                if epoch == self.epoch && seq == self.next_seq && room {
+                    self.strokes(seq, onset, base.near(self.now), batch);
+                }
+            }
+            HostMessage::Amend { epoch, generation, base, items } => {
+                if epoch != self.epoch || items.len() > BATCH_BYTES {
+                    return;
+                }
+                for item in Amendments::new(base.near(self.now), items) {
+                    if item.ok().and_then(|item| self.amend(generation, &item)).is_none() {
+                        self.counters.amendments_ignored += 1;
+                    }
+                }
+            }
+        }
+    }
+
+    fn open(&mut self, session: u32) {
+        self.pending.hello = true;
+        self.heard = self.now;
+        if self.session == Some(session) {
+            return;
+        }
+        self.disarm(Cause::NewHost);
+        self.session = Some(session);
+        self.epoch = self.epoch.wrapping_add(1);
+        self.next_seq = 0;
+        self.refusal = None;
+        self.reports.clear();
+    }
+
+    fn perform(&mut self, op: Op) -> Result<(), Refusal> {
+        match op {
+            Op::Arm { assume_rest, lease, limits } => self.arm(assume_rest, lease, limits),
+            Op::Disarm(cause) => {
+                self.disarm(cause);
+                Ok(())
+            }
+            Op::Stop => {
+                if self.state == State::Armed {
+                    self.cut(Cause::Stop, State::Armed);
+                }
+                Ok(())
+            }
+            Op::EStop => {
+                self.off(Cause::EStop);
+                Ok(())
+            }
+            Op::Reset => {
+                if self.state == State::Faulted {
+                    (self.state, self.cause) = (State::Disarmed, Cause::Request);
+                }
+                Ok(())
+            }
+            Op::Move { motor, direction, pulses } => self.shift(motor, direction, pulses),
+        }
+    }
+
+    fn arm(&mut self, assume_rest: bool, lease: u32, limits: OnTimeLimits) -> Result<(), Refusal> {
+        if self.state != State::Disarmed {
+            return Err(Refusal::State);
+        }
+        if assume_rest {
+            self.position_known = true;
+            self.owed = [0; MOTORS];
+            self.travel = [0; MOTORS];
+        }
+        if !self.position_known {
+            return Err(Refusal::PositionUnknown);
+        }
+        self.lease = lease.min(MAX_LEASE);
+        self.on_time.set_limits(OnTimeLimits::NONE.min(limits));
+        self.cause = Cause::Request;
+        self.state = State::Armed;
+        let owed = self.owed_in_all();
+        if owed > 0 {
+            for motor in 0..MOTORS {
+                let pulses = core::mem::take(&mut self.owed[motor]);
+                if pulses > 0 {
+                    self.queue_own(motor as u8, Direction::Down, pulses);
+                }
+            }
+            (self.state, self.then) = (State::Returning, State::Armed);
+            self.report_cut(Cause::Request, true, 0, owed, self.rendered);
+        }
+        Ok(())
+    }
+
+    /// A burst at the rendered end that belongs to no play. The queue is empty, so there is a slot.
+    fn queue_own(&mut self, motor: u8, direction: Direction, pulses: u16) {
+        let at = self.rendered;
+        let stroke = match direction {
+            Direction::Up => {
+                Stroke { motor, up: at, up_pulses: pulses, down: at + u64::from(pulses), down_pulses: 0 }
+            }
+            Direction::Down => Stroke { motor, up: at, up_pulses: 0, down: at, down_pulses: pulses },
+        };
+        self.queue(Slot::new(stroke, Kind::Own));
+    }
+
+    fn queue(&mut self, slot: Slot) -> bool {
+        let motor = usize::from(slot.stroke.motor);
+        let idle = self.pool.current(motor).is_none();
+        let queued = self.pool.push(slot);
+        if idle && queued {
+            self.changes[motor] = slot.stroke.up;
+        }
+        queued
+    }
+
+    fn shift(&mut self, motor: u8, direction: Direction, pulses: u16) -> Result<(), Refusal> {
+        if self.state != State::Armed || !self.pool.is_empty() {
+            return Err(Refusal::State);
+        }
+        let travel = self.travel.get_mut(usize::from(motor)).ok_or(Refusal::Motor)?;
+        let signed = if direction == Direction::Up { i32::from(pulses) } else { -i32::from(pulses) };
+        let sum = i32::from(*travel) + signed;
+        if sum.unsigned_abs() > MAX_TRAVEL.into() {
+            return Err(Refusal::Travel);
+        }
+        *travel = sum as i16;
+        if pulses > 0 {
+            self.queue_own(motor, direction, pulses);
+        }
+        Ok(())
+    }
+
+    fn disarm(&mut self, cause: Cause) {
+        match self.state {
+            State::Armed => self.cut(cause, State::Disarmed),
+            State::Returning => (self.then, self.cause) = (State::Disarmed, cause),
+            State::Disarmed | State::Faulted => {}
+        }
+    }
+
+    /// Cuts what runs at the rendered end, flushes the queue and plays down what pins are owed.
+    fn cut(&mut self, cause: Cause, then: State) {
+        let at = self.rendered;
+        let (mut flushed, mut owed) = (0, 0);
+        for motor in 0..MOTORS {
+            let index = self.pool.queues[motor].cursor;
+            let Some(slot) = self.pool.get_mut(index) else { continue };
+            self.travel[motor] -= slot.shift_undone(at).cast_signed();
+            let begun = slot.begun(at);
+            if begun {
+                owed += u32::from(slot.cut_at(at));
+            }
+            let strokes = self.pool.flush(motor, begun);
+            flushed += strokes;
+            self.counters.dropped += 2 * u64::from(strokes);
+            self.changes[motor] = at;
+        }
+        self.finish_cut(cause, true, flushed, owed, at);
+        (self.state, self.then) = (State::Returning, then);
+        self.settle(self.now);
+    }
+
+    /// E-stop and faults: nothing is played after the tick that is being played now.
+    fn off(&mut self, cause: Cause) {
+        if self.state == State::Faulted {
+            return;
+        }
+        let at = self.now + 1;
+        self.settle(at);
+        let mut flushed = 0;
+        for motor in 0..MOTORS {
+            while let Some(slot) = self.pool.pop(motor) {
+                let [up, down] = slot.played_before(at);
+                if let Some(charged) = slot.charged {
+                    let played = u32::from(up) + u32::from(down);
+                    self.on_time.end(self.rendered, motor, charged, played);
+                }
+                self.travel[motor] -= slot.shift_undone(at).cast_signed();
+                let begun = slot.begun(at);
+                if begun {
+                    self.owed[motor] = self.owed[motor].saturating_add(slot.owed_at(at));
+                }
+                if slot.kind == Kind::Play {
+                    let bursts = u64::from(begun) + u64::from(begun && slot.stroke.down < at);
+                    self.counters.played += bursts;
+                    self.counters.dropped += 2 - bursts;
+                    self.counters.pulses += u64::from(up) + u64::from(down);
+                    flushed += u16::from(!begun);
+                }
+            }
+            self.changes[motor] = NEVER;
+        }
+        self.lines = Lines::OFF;
+        self.off_until = self.rendered;
+        self.state = State::Faulted;
+        self.finish_cut(cause, false, flushed, self.owed_in_all(), at);
+    }
+
+    fn finish_cut(&mut self, cause: Cause, returns: bool, flushed: u16, owed: u32, at: Tick) {
+        while self.marks.back().is_some_and(|&mark| mark >= at) {
+            self.marks.pop_back();
+        }
+        self.cause = cause;
+        self.report_cut(cause, returns, flushed, owed, at);
+    }
+
+    fn report_cut(&mut self, cause: Cause, returns: bool, flushed: u16, owed: u32, at: Tick) {
+        let cut = Cut { cause, at: at.wire(), returns, flushed, owed };
+        self.last_cut = Some(cut);
+        self.report(Report::Cut(cut));
+        self.pending.status = true;
+    }
+
+    /// Books what lies before `now`, in the order of time.
+    fn settle(&mut self, now: Tick) {
+        while let Some(&mark) = self.marks.front().filter(|&&mark| mark <= now) {
+            self.settle_strokes(mark);
+            self.marks.pop_front();
+            self.report(Report::Onset { tick: mark.wire(), counters: self.counters });
+        }
+        self.settle_strokes(now);
+        if self.state == State::Returning && self.pool.is_empty() {
+            self.state = self.then;
+            self.pending.status = true;
+        }
+    }
+
+    fn settle_strokes(&mut self, now: Tick) {
+        for motor in 0..MOTORS {
+            while self.pool.head(motor).is_some_and(|slot| slot.stroke.end() <= now) {
+                let Some(slot) = self.pool.pop(motor) else { break };
+                if slot.kind != Kind::Play {
+                    continue;
+                }
+                let played = [slot.stroke.up_pulses, slot.stroke.down_pulses];
+                self.counters.played += 2;
+                self.counters.pulses += u64::from(played[0]) + u64::from(played[1]);
+                if !slot.cut {
+                    let changed =
+                        played.iter().zip(slot.planned).filter(|&(&played, planned)| played != planned);
+                    self.counters.amended += changed.count() as u64;
+                }
+            }
+        }
+    }
+
+    /// Takes the next frame of the ordered stream.
+    fn strokes(&mut self, seq: u16, onset: bool, base: Tick, batch: &[u8]) {
+        let (mut count, mut soonest) = (0, if onset { base } else { NEVER });
+        for stroke in Strokes::new(base, batch) {
+            let Ok(stroke) = stroke else {
+                self.counters.bad_frames += 1;
+                return;
+            };
+            soonest = soonest.min(stroke.up);
+            count += 1;
+        }
+        if count > MAX_BATCH {
+            self.counters.bad_frames += 1;
+            return;
+        }
+        self.next_seq = seq.wrapping_add(1);
+        let rendered = self.rendered.wire();
+        if onset && self.state == State::Armed {
+            if soonest < self.rendered {
+                self.report(Report::OnsetRefused { seq, rendered });
+                return;
+            }
+            // Room was checked by the caller.
+            let _ = self.marks.push_back(base);
+        }
+        let (mut late, mut refused, mut reason) = (0u64, 0u64, None);
+        for (i, stroke) in Strokes::new(base, batch).flatten().enumerate() {
+            match self.accept(&stroke) {
+                Ok(true) => {}
+                Ok(false) => late |= 1 << i,
+                Err(refusal) => {
+                    refused |= 1 << i;
+                    reason = reason.or(Some(refusal));
+                }
+            }
+        }
+        self.counters.late += 2 * u64::from(late.count_ones());
+        self.counters.refused += 2 * u64::from(refused.count_ones());
+        if late | refused != 0 {
+            self.report(Report::Verdict { seq, late, refused, reason, rendered });
+        }
+    }
+
+    /// Queues a stroke; `Ok(false)` if it is late.
+    fn accept(&mut self, stroke: &Stroke) -> Result<bool, Refusal> {
+        if self.state != State::Armed {
+            return Err(Refusal::NotArmed);
+        }
+        limits::check(stroke)?;
+        if stroke.up < self.rendered {
+            return Ok(false);
+        }
+        if stroke.down.since(self.now) > FARTHEST {
+            return Err(Refusal::TooFar);
+        }
+        if self.pool.end(stroke.motor.into()).is_some_and(|end| stroke.up < end) {
+            return Err(Refusal::Overlap);
+        }
+        if self.queue(Slot::new(*stroke, Kind::Play)) { Ok(true) } else { Err(Refusal::PoolFull) }
+    }
+
+    /// Changes the count of a burst that is not rendered yet; `None` if that cannot be.
+    fn amend(&mut self, generation: u16, item: &Amendment) -> Option<()> {
+        let index = self.pool.find(item.motor.into(), item.up)?;
+        let slot = self.pool.get(index)?;
+        let room_after = self.pool.get(slot.next).map_or(NEVER, |next| next.stroke.up);
+        let rendered = self.rendered;
+        let slot = self.pool.get_mut(index)?;
+        let half = usize::from(item.direction == Direction::Down);
+        let burst = slot.stroke.bursts()[half];
+        let room = if half == 0 { slot.stroke.down } else { room_after };
+        let newest = slot.generation[half].is_none_or(|old| newer(generation, old));
+        let fits = limits::within_correction(slot.planned[half], item.pulses)
+            && burst.start + u64::from(item.pulses) <= room
+            && (half == 1 || (1..=limits::MAX_UP_PULSES).contains(&item.pulses));
+        if self.state != State::Armed || slot.kind != Kind::Play || burst.start < rendered || !newest || !fits
+        {
+            return None;
+        }
+        slot.generation[half] = Some(generation);
+        match item.direction {
+            Direction::Up => slot.stroke.up_pulses = item.pulses,
+            Direction::Down => slot.stroke.down_pulses = item.pulses,
+        }
+        Some(())
+    }
+}
+
+/// Whether `a` comes after `b`, as numbers that wrap.
+fn newer(a: u16, b: u16) -> bool {
+    (1..0x8000).contains(&a.wrapping_sub(b))
+}

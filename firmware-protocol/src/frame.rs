@@ -1,0 +1,190 @@
+//! Frames: how a message becomes bytes between two zeros, and back.
+//!
+//! ```text
+//! message      version u8 | body (postcard) | CRC-32/ISO-HDLC of both, little-endian
+//! on the wire  COBS(message) | 0x00
+//! ```
+//! At most [`MAX_FRAME`] bytes with the delimiter. The decoder takes arbitrary chunks; whatever arrives,
+//! it answers with a message or a [`FrameError`], and is in step again after the next zero.
+
+use crc::{CRC_32_ISO_HDLC, Crc};
+use serde::Serialize;
+
+/// The protocol's version: the first byte of every message, in every version.
+pub const PROTOCOL: u8 = 1;
+/// Version, body and CRC at the most: one COBS block.
+const MAX_MESSAGE: usize = 254;
+const CRC_LEN: usize = 4;
+/// A frame on the wire at the most: COBS code byte, message, delimiter.
+pub const MAX_FRAME: usize = 1 + MAX_MESSAGE + 1;
+/// Bytes of a frame that are not its body.
+pub const FRAME_OVERHEAD: usize = 1 + 1 + CRC_LEN + 1;
+
+const FULL: postcard::Error = postcard::Error::SerializeBufferFull;
+const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
+
+/// Why bytes between two zeros are not a message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FrameError {
+    /// More than [`MAX_FRAME`] bytes without a zero.
+    TooLong,
+    /// Not COBS, or shorter than a version and a CRC.
+    Malformed,
+    /// The CRC does not fit.
+    Crc,
+    /// Whole, but of another protocol version: this one.
+    Version(u8),
+}
+
+/// Writes `body` as a frame to the start of `out` and returns its length.
+///
+/// # Errors
+/// If the body is too long for a frame or `out` is shorter than the frame.
+pub fn encode(body: &impl Serialize, out: &mut [u8]) -> Result<usize, postcard::Error> {
+    let mut message = [0; MAX_MESSAGE];
+    message[0] = PROTOCOL;
+    let body_len = postcard::to_slice(body, &mut message[1..MAX_MESSAGE - CRC_LEN])?.len();
+    let end = 1 + body_len;
+    let crc = CRC.checksum(&message[..end]).to_le_bytes();
+    message[end..end + CRC_LEN].copy_from_slice(&crc);
+    let len = cobs::try_encode(&message[..end + CRC_LEN], out).map_err(|_| FULL)?;
+    *out.get_mut(len).ok_or(FULL)? = 0;
+    Ok(len + 1)
+}
+
+/// Cuts a byte stream into messages.
+#[derive(Debug)]
+pub struct Decoder {
+    buffer: [u8; MAX_FRAME],
+    len: usize,
+    overflow: bool,
+}
+
+impl Default for Decoder {
+    fn default() -> Self {
+        Self { buffer: [0; MAX_FRAME], len: 0, overflow: false }
+    }
+}
+
+impl Decoder {
+    /// Takes `bytes` up to the next delimiter and returns what was before it, the body of a message or
+    /// an error; `None` when `bytes` is used up. Call it until then. Nothing between two zeros is no error.
+    pub fn next<'a>(&'a mut self, bytes: &mut &[u8]) -> Option<Result<&'a [u8], FrameError>> {
+        loop {
+            let zero = bytes.iter().position(|&byte| byte == 0);
+            let (chunk, rest) = bytes.split_at(zero.unwrap_or(bytes.len()));
+            *bytes = rest.get(1..).unwrap_or_default();
+            let end = self.len + chunk.len();
+            match self.buffer.get_mut(self.len..end) {
+                Some(room) if !self.overflow => {
+                    room.copy_from_slice(chunk);
+                    self.len = end;
+                }
+                _ => self.overflow = true,
+            }
+            zero?;
+            let (len, overflow) = (self.len, self.overflow);
+            (self.len, self.overflow) = (0, false);
+            if overflow {
+                return Some(Err(FrameError::TooLong));
+            }
+            if len > 0 {
+                return Some(message(&mut self.buffer[..len]));
+            }
+        }
+    }
+
+    /// Forgets a frame begun: the line was cut.
+    pub fn reset(&mut self) {
+        *self = Self::default();
+    }
+}
+
+fn message(encoded: &mut [u8]) -> Result<&[u8], FrameError> {
+    let len = cobs::decode_in_place(encoded).map_err(|_| FrameError::Malformed)?;
+    let (message, crc) = encoded[..len].split_last_chunk::<CRC_LEN>().ok_or(FrameError::Malformed)?;
+    let (&version, body) = message.split_first().ok_or(FrameError::Malformed)?;
+    if CRC.checksum(message) != u32::from_le_bytes(*crc) {
+        return Err(FrameError::Crc);
+    }
+    if version != PROTOCOL {
+        return Err(FrameError::Version(version));
+    }
+    Ok(body)
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+    use super::*;
+    use proptest::prelude::*;
+    use std::vec::Vec;
+
+    fn frame(body: &[u8]) -> Vec<u8> {
+        let mut out = [0; MAX_FRAME];
+        let len = encode(&body, &mut out).unwrap();
+        out[..len].to_vec()
+    }
+
+    #[test]
+    fn the_longest_body_fits_and_one_more_byte_does_not() {
+        let mut out = [0; MAX_FRAME];
+        // A byte slice is its length (2 bytes from 128 on) and its bytes.
+        let longest = MAX_MESSAGE - 1 - CRC_LEN - 2;
+        assert_eq!(encode(&&[7u8; 300][..longest], &mut out), Ok(MAX_FRAME));
+        assert!(encode(&&[7u8; 300][..=longest], &mut out).is_err());
+        assert!(encode(&&[7u8; 20][..], &mut out[..10]).is_err());
+    }
+
+    #[test]
+    fn another_version_is_told_by_its_number() {
+        let mut message = std::vec![9, 1, 2, 3];
+        message.extend(CRC.checksum(&message).to_le_bytes());
+        let mut bytes = [0; 20];
+        cobs::encode(&message, &mut bytes);
+        assert_eq!(Decoder::default().next(&mut &bytes[..]), Some(Err(FrameError::Version(9))));
+    }
+
+    proptest! {
+        #[test]
+        fn any_chunks_give_the_same_frames(bodies in prop::collection::vec(prop::collection::vec(any::<u8>(), 0..200), 1..5), chunk in 1usize..40) {
+            let stream: Vec<u8> = bodies.iter().flat_map(|body| frame(body)).collect();
+            let mut decoder = Decoder::default();
+            let mut seen = Vec::new();
+            for mut piece in stream.chunks(chunk) {
+                while let Some(body) = decoder.next(&mut piece) {
+                    let (bytes, rest) = postcard::take_from_bytes::<&[u8]>(body.unwrap()).unwrap();
+                    prop_assert!(rest.is_empty());
+                    seen.push(bytes.to_vec());
+                }
+            }
+            prop_assert_eq!(seen, bodies);
+        }
+
+        #[test]
+        fn noise_never_panics_and_the_next_frame_after_a_zero_is_read(noise in prop::collection::vec(any::<u8>(), 0..600)) {
+            let mut decoder = Decoder::default();
+            let mut bytes = noise.clone();
+            bytes.push(0);
+            bytes.extend(frame(&[1, 2, 3]));
+            let (mut bytes, mut last) = (&bytes[..], None);
+            while let Some(body) = decoder.next(&mut bytes) {
+                last = Some(body.map(<[u8]>::to_vec));
+            }
+            prop_assert_eq!(last, Some(Ok(std::vec![3, 1, 2, 3])));
+        }
+
+        #[test]
+        fn a_flipped_bit_is_noticed(bit in 0usize..8 * 30) {
+            let mut bytes = frame(&[0x55; 20]);
+            let last = bytes.len() - 1;
+            let bit = bit % (8 * last);
+            bytes[bit / 8] ^= 1 << (bit % 8);
+            bytes.push(0);
+            let mut bytes = &bytes[..];
+            while let Some(body) = Decoder::default().next(&mut bytes) {
+                prop_assert!(body.is_err());
+            }
+        }
+    }
+}

@@ -1,0 +1,36 @@
+//! placeholder
+pub mod port;
+
+use firmware_protocol::limits::OnTimeLimits;
+use port::{Notices, Orders};
+use std::io;
+use std::thread::JoinHandle;
+
+/// What the streamer is told once, at its start.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Settings {
+    /// How far ahead of now the controller is kept fed, ms.
+    pub lead_ms: f64,
+    /// Silence after which the controller returns pins and disarms, ms; at least the lead + 50.
+    pub lease_ms: f64,
+    /// A site's on-time limits.
+    pub limits: OnTimeLimits,
+}
+
+/// Which real-time means the system granted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct Realtime {
+    /// The thread runs under SCHED_FIFO.
+    pub fifo: bool,
+    /// The process's memory is locked.
+    pub mlock: bool,
+}
+
+/// Starts the streamer's thread.
+///
+/// # Errors
+/// If the system gives no descriptors or no thread.
+pub fn spawn(_settings: Settings) -> io::Result<(Orders, Notices, Realtime, JoinHandle<()>)> {
+    let (_port, orders, notices) = port::port()?;
+    Ok((orders, notices, Realtime::default(), std::thread::spawn(|| {})))
+}
