@@ -60,6 +60,21 @@ pub struct Decoder {
     overflow: bool,
 }
 
+impl core::fmt::Display for FrameError {
+    fn fmt(&self, out: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::TooLong => out.write_str("a frame without an end"),
+            Self::Malformed => out.write_str("a frame that cannot be read"),
+            Self::Crc => out.write_str("a frame whose CRC does not fit"),
+            Self::Version(version) => {
+                write!(out, "protocol version {version}, this side speaks {PROTOCOL}")
+            }
+        }
+    }
+}
+
+impl core::error::Error for FrameError {}
+
 impl Default for Decoder {
     fn default() -> Self {
         Self { buffer: [0; MAX_FRAME], len: 0, overflow: false }
