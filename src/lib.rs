@@ -1,1 +1,5 @@
 //! placeholder
+pub mod array;
+pub mod draw;
+pub mod motor;
+pub mod units;
