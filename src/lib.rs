@@ -2,4 +2,6 @@
 pub mod array;
 pub mod draw;
 pub mod motor;
+pub mod pattern;
+pub mod strokes;
 pub mod units;
