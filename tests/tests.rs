@@ -8,6 +8,8 @@ mod patterns;
 /// The simulated shafts: scatter, end stops, telemetry, and times a month away.
 mod plant;
 /// From patterns to strokes: exact ticks, repeats and cuts, invariants on random patterns.
+mod rig;
+mod streaming;
 mod strokes;
 
 /// Lets `assert_no_alloc` see every allocation of the tests.

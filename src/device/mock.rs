@@ -172,7 +172,8 @@ impl Mock {
     fn render(&mut self, until: Tick) {
         while self.controller.rendered() - self.now + u64::from(BLOCK) <= u64::from(HORIZON) {
             let quiet = matches!(self.controller.state(), State::Disarmed | State::Faulted);
-            let block = if quiet { (until - self.controller.rendered()).max(BLOCK.into()) } else { BLOCK.into() };
+            let block =
+                if quiet { (until - self.controller.rendered()).max(BLOCK.into()) } else { BLOCK.into() };
             let end = self.controller.rendered() + block;
             while self.controller.rendered() < end {
                 let max = (end - self.controller.rendered()).min(u32::MAX.into());

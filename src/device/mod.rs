@@ -72,7 +72,9 @@ pub enum DeviceError {
     #[error("serial port {0}: not there; plug the board in, or see `ls /dev/serial/by-id`")]
     NotThere(PathBuf),
     /// No access.
-    #[error("serial port {0}: permission denied; join the group that owns it (often `dialout`) and log in again")]
+    #[error(
+        "serial port {0}: permission denied; join the group that owns it (often `dialout`) and log in again"
+    )]
     Denied(PathBuf),
     /// Another program has it.
     #[error("serial port {0}: in use by another program; stop that one first")]

@@ -91,11 +91,16 @@ fn serve(mut mock: WallMock, master: &OwnedFd, stop: &OwnedFd) {
         let now = HostInstant::now();
         let controller = mock.mock.controller();
         let quiet = matches!(controller.state(), State::Disarmed | State::Faulted) && unsent.is_empty();
-        let wait_ms = if !plugged { HUNG_UP_MS } else if quiet { 1000 } else { 1 };
+        let wait_ms = if !plugged {
+            HUNG_UP_MS
+        } else if quiet {
+            1000
+        } else {
+            1
+        };
         let timeout = Timespec { tv_sec: wait_ms / 1000, tv_nsec: wait_ms % 1000 * 1_000_000 };
         // A terminal that nobody has open is always "ready": then only the bell is waited for.
-        let mut ready =
-            [PollFd::new(stop, PollFlags::IN), PollFd::new(master, PollFlags::IN)];
+        let mut ready = [PollFd::new(stop, PollFlags::IN), PollFd::new(master, PollFlags::IN)];
         let watched = if plugged { 2 } else { 1 };
         let _ = poll(&mut ready[..watched], Some(&timeout));
         if !ready[0].revents().is_empty() {

@@ -81,9 +81,8 @@ impl Clock {
         let good = || samples().filter(|sample| sample.half_ns <= 1.5 * shortest + 20_000.0);
         let Some(origin) = good().max_by_key(|sample| sample.at).or(last.as_ref()).copied() else { return };
         // The device was somewhere within the tick it told: on average half a tick on.
-        let point = |sample: &Sample| {
-            (ns_between(origin.at, sample.at), sample.tick.since(origin.tick) as f64 + 0.5)
-        };
+        let point =
+            |sample: &Sample| (ns_between(origin.at, sample.at), sample.tick.since(origin.tick) as f64 + 0.5);
         let count = good().count() as f64;
         let mean_t = good().map(|sample| point(sample).0).sum::<f64>() / count;
         let mean_k = good().map(|sample| point(sample).1).sum::<f64>() / count;

@@ -5,7 +5,9 @@ use crate::units::HostInstant;
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer, Strokes};
 use firmware_protocol::frame::{self, Decoder, FrameError, MAX_FRAME};
 use firmware_protocol::limits::Refusal;
-use firmware_protocol::message::{Counters, Cut, DeviceHello, DeviceMessage, HostMessage, Op, Report, Status};
+use firmware_protocol::message::{
+    Counters, Cut, DeviceHello, DeviceMessage, HostMessage, Op, Report, Status,
+};
 use firmware_protocol::stroke::{MOTORS, Stroke};
 use firmware_protocol::tick::Tick;
 use std::collections::VecDeque;
