@@ -70,7 +70,8 @@
 //! # Limits
 //! Kept whatever the host does ([`limits`]): up pulses of a stroke, the balance of its bursts, the distance of
 //! corrections, the travel of moves, on-time per motor and rail, pool and ring sizes. A stroke that breaks one
-//! is refused and reported; an on-time limit is checked when the stroke begins.
+//! is refused and reported; an on-time limit is checked when the stroke begins, for a move when it is asked for.
+//! An amendment of a stroke that has begun is charged too, and ignored if it breaks one.
 
 #![no_std]
 #![forbid(unsafe_code)]

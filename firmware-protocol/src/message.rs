@@ -185,7 +185,7 @@ pub struct DeviceHello {
     pub tick: u64,
     /// The present epoch.
     pub epoch: u16,
-    /// The number of reports made so far; the session's first has the next number.
+    /// The number of the last report before this session's: its first has the next number.
     pub reports: u16,
     /// The last cut since boot, for a host that lost the link before it could read of it.
     pub last_cut: Option<Cut>,
