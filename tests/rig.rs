@@ -1,7 +1,7 @@
 //! The rig of the streaming tests: a rehearsal whose lines are recorded and compared with compiled strokes.
 
 use firmware_protocol::controller::Run;
-use firmware_protocol::stroke::{Line as Pulse, MOTORS, Stroke};
+use firmware_protocol::stroke::{Direction, Line as Pulse, Lines, MOTORS, Stroke};
 use firmware_protocol::tick::Tick;
 use meissner::pattern::Pattern;
 use meissner::plant::PlantConfig;
@@ -10,6 +10,74 @@ use meissner::stream::{Line, Rehearsal, Settings};
 use meissner::strokes::Strokes;
 use std::ops::{Deref, DerefMut};
 use std::time::Duration;
+
+pub(crate) const OFF: Lines = Lines::OFF;
+
+/// A line that loses, repeats, delays, reorders and damages.
+pub(crate) fn bad_line() -> Line {
+    Line {
+        loss: 0.05,
+        repeat: 0.05,
+        corrupt: 0.05,
+        delay: Duration::from_micros(300),
+        jitter: Duration::from_millis(2),
+    }
+}
+
+/// A pattern of the repository.
+pub(crate) fn pattern(name: &str) -> Pattern {
+    shipped().into_iter().find(|pattern| pattern.name() == name).unwrap()
+}
+
+pub(crate) fn outcomes(notices: &[Notice]) -> Vec<&Outcome> {
+    let ended = notices.iter().filter_map(|notice| match notice {
+        Notice::Ended { outcome, .. } => Some(outcome),
+        _ => None,
+    });
+    ended.collect()
+}
+
+pub(crate) fn into_outcomes(notices: Vec<Notice>) -> Vec<Outcome> {
+    let ended = notices.into_iter().filter_map(|notice| match notice {
+        Notice::Ended { outcome, .. } => Some(outcome),
+        _ => None,
+    });
+    ended.collect()
+}
+
+/// Every planned burst has exactly one fate.
+pub(crate) fn assert_closed(outcome: &Outcome) {
+    let bursts = outcome.bursts;
+    assert_eq!(bursts.planned, bursts.played + bursts.late + bursts.dropped + bursts.refused, "{outcome:?}");
+}
+
+/// What the lines carried.
+#[derive(Debug, Default)]
+pub(crate) struct OnTheLines {
+    /// Trains of pulses of one direction.
+    pub(crate) count: u64,
+    pub(crate) pulses: u64,
+    /// Up less down, per motor.
+    pub(crate) net: [i64; MOTORS],
+}
+
+pub(crate) fn bursts_on_the_lines(trace: &[(Tick, Run)]) -> OnTheLines {
+    let mut sum = OnTheLines::default();
+    let mut last = [Pulse::Off; MOTORS];
+    for (_, run) in trace {
+        for (motor, last) in (0u8..).zip(&mut last) {
+            let line = run.lines.line(motor);
+            if let Pulse::Pulse(direction) = line {
+                sum.count += u64::from(line != *last);
+                sum.pulses += u64::from(run.ticks);
+                let sign = if direction == Direction::Up { 1 } else { -1 };
+                sum.net[usize::from(motor)] += sign * i64::from(run.ticks);
+            }
+            *last = line;
+        }
+    }
+    sum
+}
 
 /// All patterns of the repository.
 pub(crate) fn shipped() -> Vec<Pattern> {

@@ -18,7 +18,7 @@ pub enum HostMessage<'a> {
     },
     /// Keeps the lease, asks for a status.
     Ping {
-        /// Comes back in the status.
+        /// Comes back in the status; not 0.
         token: u16,
         /// Reports read so far, all before it included.
         seen: u16,
@@ -201,7 +201,7 @@ impl DeviceHello {
 /// How the device stands: acknowledgement, clock, credits and counters in one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Status {
-    /// Of the last `Ping`.
+    /// Of the last `Ping`, in the first status after it; else 0. So its round trip is known.
     pub token: u16,
     /// Now.
     pub tick: WireTick,

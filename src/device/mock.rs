@@ -145,10 +145,10 @@ impl Mock {
         self.controller.receive(self.now, &self.to_controller);
         self.to_controller.clear();
         loop {
-            self.render(until);
             let quiet = matches!(self.controller.state(), State::Disarmed | State::Faulted);
             // Nothing can happen in a quiet controller until bytes come: all of it in one go.
             let end = if quiet { until } else { until.min(self.now + u64::from(BLOCK)) };
+            self.render(end);
             while self.now < end {
                 self.play(end - self.now);
             }
@@ -168,15 +168,17 @@ impl Mock {
         }
     }
 
-    /// Renders whole blocks, within the horizon; far ahead while the controller is quiet.
-    fn render(&mut self, until: Tick) {
-        while self.controller.rendered() - self.now + u64::from(BLOCK) <= u64::from(HORIZON) {
-            let quiet = matches!(self.controller.state(), State::Disarmed | State::Faulted);
-            let block =
-                if quiet { (until - self.controller.rendered()).max(BLOCK.into()) } else { BLOCK.into() };
-            let end = self.controller.rendered() + block;
-            while self.controller.rendered() < end {
-                let max = (end - self.controller.rendered()).min(u32::MAX.into());
+    /// Renders whole blocks, within the horizon and at least up to `end`.
+    fn render(&mut self, end: Tick) {
+        loop {
+            let rendered = self.controller.rendered();
+            let block = u64::from(BLOCK).max(end - rendered);
+            if rendered >= end && rendered + block > self.now + u64::from(HORIZON) {
+                break;
+            }
+            let block_end = rendered + block;
+            while self.controller.rendered() < block_end {
+                let max = (block_end - self.controller.rendered()).min(u32::MAX.into());
                 self.ahead.push_back(self.controller.render(max as u32));
             }
         }

@@ -665,7 +665,7 @@ impl Session {
             _ => self.ping_every.min(DOUBT_EVERY),
         };
         self.ping_due = now + every;
-        self.token = self.token.wrapping_add(1);
+        self.token = self.token.wrapping_add(1).max(1);
         (self.pinged, self.last_ping) = (Some(now), now);
         written(&HostMessage::Ping { token: self.token, seen: self.seen }, out)
     }

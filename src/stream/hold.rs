@@ -115,7 +115,7 @@ impl Motor {
             let next = self.queue.get(index / 2 + 1);
             // Without a next stroke in sight, one may still come right behind this one.
             let room = next.map_or(planned.into(), |next| next.stroke.up - stroke.down);
-            (position, 0, room)
+            (position, 1, room)
         };
         let (low, high) =
             (planned.saturating_sub(correction(planned)), planned.saturating_add(correction(planned)));

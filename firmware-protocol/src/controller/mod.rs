@@ -299,7 +299,9 @@ impl Controller {
         } else if self.session.is_none() {
             return 0;
         } else if core::mem::take(&mut pending.status) {
-            DeviceMessage::Status(self.status())
+            let status = self.status();
+            self.token = 0;
+            DeviceMessage::Status(status)
         } else if let Some((number, report)) = self.reports.next(self.now) {
             DeviceMessage::Report { number, report }
         } else if let Some((tick, y)) = pending.telemetry.take() {
