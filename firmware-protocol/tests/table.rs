@@ -307,6 +307,21 @@ fn a_stop_of_24_motors_takes_one_burst_at_the_most_and_stays_armed() {
 }
 
 type Made = (&'static str, fn(Shell) -> Bench);
+#[test]
+fn a_pin_held_for_longer_than_16_bits_of_ticks_is_returned_and_owed() {
+    for (event, down) in [(Op::Stop, true), (Op::EStop, false)] {
+        let mut bench = Bench::armed(FIRMWARE);
+        let held = stroke(3, bench.now + 100, 50, 100_000, 50);
+        bench.strokes(&[held]);
+        bench.run(70_000);
+        bench.control(event);
+        bench.run(40_000);
+        assert_eq!(bench.net(3), if down { 0 } else { 50 });
+        assert_eq!(bench.owed(), if down { 0 } else { 50 });
+        assert_eq!(bench.device.counters().pulses, bench.total());
+    }
+}
+
 /// The states a controller can be in, by name.
 const STATES: [Made; 7] = [
     ("fresh", |shell| {
