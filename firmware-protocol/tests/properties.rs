@@ -27,7 +27,7 @@ enum Op {
     Ping,
     Arm {
         assume_rest: bool,
-        lease: u16,
+        lease: u32,
         tight: bool,
     },
     Disarm,
@@ -84,23 +84,27 @@ fn sent(corrected: bool) -> impl Strategy<Value = Sent> {
 }
 
 fn strokes(corrected: bool) -> impl Strategy<Value = Op> {
-    (any::<bool>(), -5i16..300, prop::collection::vec(sent(corrected), 0..12))
+    (
+        any::<bool>(),
+        prop_oneof![4 => 0i16..300, 1 => -40i16..0],
+        prop::collection::vec(sent(corrected), 0..12),
+    )
         .prop_map(|(onset, from, strokes)| Op::Strokes { onset, from, strokes })
 }
 
 /// What leaves a stroke its balance and a pin its rest.
 fn tame(corrected: bool) -> impl Strategy<Value = Op> {
     prop_oneof![
-        12 => (0u16..300).prop_map(Op::Run),
+        24 => (0u16..300).prop_map(Op::Run),
         1 => Just(Op::Pause),
         1 => (1u32..4).prop_map(Op::Hello),
         2 => Just(Op::Ping),
-        5 => (1u16.., any::<bool>()).prop_map(|(lease, tight)| Op::Arm { assume_rest: false, lease, tight }),
+        5 => (1u32..300_000, any::<bool>()).prop_map(|(lease, tight)| Op::Arm { assume_rest: false, lease, tight }),
         1 => Just(Op::Disarm),
         2 => Just(Op::Stop),
         2 => Just(Op::EStop),
         3 => Just(Op::Reset),
-        14 => strokes(corrected),
+        24 => strokes(corrected),
         2 => Just(Op::Again),
         1 => Just(Op::LinkLost),
         1 => Just(Op::Fault),
@@ -114,9 +118,9 @@ fn wild() -> impl Strategy<Value = Op> {
     let direction = prop::sample::select(vec![Direction::Up, Direction::Down]);
     prop_oneof![
         20 => tame(true),
-        1 => (1u16.., any::<bool>()).prop_map(|(lease, tight)| Op::Arm { assume_rest: true, lease, tight }),
+        1 => (1u32..300_000, any::<bool>()).prop_map(|(lease, tight)| Op::Arm { assume_rest: true, lease, tight }),
         2 => (0u8..26, direction, pulses).prop_map(|(motor, direction, pulses)| Op::Move { motor, direction, pulses }),
-        8 => (any::<prop::sample::Index>(), 0u16..6, any::<bool>(), -20i16..20)
+        8 => (any::<prop::sample::Index>(), 0u16..6, any::<bool>(), -9i16..10)
             .prop_map(|(pick, generation, down, change)| Op::Amend { pick, generation, down, change }),
         2 => (0u16..4, 0u16..4, any::<u16>(), any::<bool>(), any::<[u8; 4]>(), bytes())
             .prop_map(|(epoch, seq, seen, onset, base, batch)| Op::WildStrokes { epoch, seq, seen, onset, base, batch }),
@@ -197,7 +201,7 @@ impl World {
             Op::Arm { assume_rest, lease, tight } => {
                 let (state, owed) = (bench.device.state(), bench.owed());
                 let limits = if tight { OnTimeLimits { motor: 300, rail: 700 } } else { OnTimeLimits::NONE };
-                bench.control(arm(assume_rest, lease.into(), limits));
+                bench.control(arm(assume_rest, lease, limits));
                 if state == State::Disarmed && bench.device.state() == State::Returning {
                     self.own += owed;
                     self.arming = true;
@@ -230,8 +234,9 @@ impl World {
                 self.send(bytes);
             }
             Op::Amend { pick, generation, down, change } => {
-                if !self.strokes.is_empty() {
-                    let stroke = *pick.get(&self.strokes);
+                let recent = &self.strokes[self.strokes.len().saturating_sub(12)..];
+                if !recent.is_empty() {
+                    let stroke = *pick.get(recent);
                     let direction = if down { Direction::Down } else { Direction::Up };
                     let pulses = if down { stroke.down_pulses } else { stroke.up_pulses };
                     bench.amend(generation, &stroke, direction, pulses.saturating_add_signed(change));
@@ -308,7 +313,7 @@ fn config(cases: u32) -> ProptestConfig {
 }
 
 proptest! {
-    #![proptest_config(config(150))]
+    #![proptest_config(config(400))]
 
     /// Balanced strokes, no moves, no forgiven debts: a pin that is not at rest is owed exactly what it is up.
     #[test]
