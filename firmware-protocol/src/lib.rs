@@ -24,9 +24,10 @@
 //!
 //! # The ordered stream
 //! `Strokes` frames carry strokes packed in batches ([`batch`]), numbered from 0 in each epoch. The device
-//! takes the frame it waits for (`next_seq`), ignores repeated and early ones, and answers each valid frame
-//! with a `Status` that acknowledges all before `next_seq` and tells the free stroke slots (`credits`). The
-//! host sends no more strokes than credits, and goes back to the first unacknowledged frame after a time.
+//! takes the frame it waits for (`next_seq`), keeps the next 8 that come before their turn, ignores repeated
+//! ones, and answers each valid frame with a `Status` that acknowledges all before `next_seq`, names the early
+//! ones it keeps, and tells the free stroke slots (`credits`). The host sends no more strokes than credits, no
+//! frame beyond the 8, and after a time sends again what is neither acknowledged nor kept.
 //! A stroke is accepted, refused or dropped whole. What a frame was not taken for is told by a `Verdict`;
 //! a frame without one was taken as it was.
 //!

@@ -211,6 +211,8 @@ pub struct Status {
     pub refusal: Option<Refusal>,
     /// The next frame of the ordered stream it waits for: acknowledges all before it.
     pub next_seq: u16,
+    /// Bit i: frame `next_seq + 1 + i` has come early and is kept.
+    pub early: u8,
     /// Free stroke slots, after all frames before `next_seq`.
     pub credits: u16,
     /// Reports made so far.

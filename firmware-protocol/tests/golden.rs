@@ -32,6 +32,7 @@ const STATUS: Status = Status {
     epoch: 2,
     refusal: None,
     next_seq: 300,
+    early: 5,
     credits: 1024,
     reports: 5,
     state: State::Armed,
@@ -149,31 +150,31 @@ fn from_the_device() {
         (DeviceMessage::NoSession, "0701012813c52f00"),
         (
             DeviceMessage::Status(STATUS),
-            "0601028104ff04fe7f0209ac028008050101010f01a60203040506070809b095fc2f00",
+            "0601028104ff04fe7f020aac02058008050101010f01a6020304050607080981eb467200",
         ),
         (
             status(State::Disarmed, Cause::Boot, Some(Refusal::PositionUnknown)),
-            "0601028104ff0bfe7f02010aac028008050102010f01a60203040506070809a86fed9100",
+            "0601028104ff0cfe7f02010aac02058008050102010f01a602030405060708094060f90500",
         ),
         (
             status(State::Returning, Cause::LinkLost, Some(Refusal::State)),
-            "0601028104ff0efe7f02010bac028008050207010f01a602030405060708091b96976800",
+            "0601028104ff0ffe7f02010bac02058008050207010f01a602030405060708092b213e0600",
         ),
         (
             status(State::Returning, Cause::NewHost, Some(Refusal::Travel)),
-            "0601028104ff0efe7f02010cac028008050208010f01a60203040506070809bde5a3ae00",
+            "0601028104ff0ffe7f02010cac02058008050208010f01a602030405060708094672a94800",
         ),
         (
             status(State::Faulted, Cause::EStop, None),
-            "0601028104ff04fe7f0209ac028008050305010f01a602030405060708098b3b2b0e00",
+            "0601028104ff04fe7f020aac02058008050305010f01a60203040506070809ba45915300",
         ),
         (
             status(State::Faulted, Cause::Starved, None),
-            "0601028104ff04fe7f0209ac028008050309010f01a602030405060708097082919400",
+            "0601028104ff04fe7f020aac02058008050309010f01a6020304050607080941fc2bc900",
         ),
         (
             status(State::Faulted, Cause::Panic, Some(Refusal::Malformed)),
-            "0601028104ff0efe7f02010dac02800805030a010f01a60203040506070809c68a973600",
+            "0601028104ff0ffe7f02010dac0205800805030a010f01a60203040506070809e5a5202a00",
         ),
         (
             report(Report::Verdict {
@@ -238,6 +239,7 @@ fn messages_fit() {
         epoch: u16::MAX,
         refusal: Some(reason),
         next_seq: u16::MAX,
+        early: u8::MAX,
         credits: u16::MAX,
         reports: u16::MAX,
         owed: u32::MAX,

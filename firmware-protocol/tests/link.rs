@@ -2,7 +2,7 @@
 
 use crate::bench::{Bench, FIRMWARE, SHELLS, frame, pack, stroke};
 use firmware_protocol::batch::MAX_BATCH;
-use firmware_protocol::controller::{POOL, REPORTS};
+use firmware_protocol::controller::{EARLY, POOL, REPORTS};
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{Cause, DeviceMessage, HostMessage, Op, Report, State};
 use firmware_protocol::stroke::{Direction, Stroke};
@@ -40,15 +40,40 @@ fn repeated_frames_are_taken_once() {
 }
 
 #[test]
-fn frames_out_of_order_and_after_a_gap_wait_for_the_missing_one() {
+fn frames_out_of_order_and_after_a_gap_are_kept_until_the_missing_one_comes() {
     let mut bench = Bench::armed(FIRMWARE);
     let (sent, frames) = three(&bench);
-    for (i, next_seq) in [(1, 0), (2, 0), (0, 1), (2, 1), (1, 2), (0, 2), (2, 3)] {
+    for (i, next_seq, early) in [(2, 0, 0b10), (2, 0, 0b10), (1, 0, 0b11), (0, 3, 0), (1, 3, 0)] {
         bench.bytes(&frames[i]);
-        assert_eq!(bench.status().next_seq, next_seq);
+        assert_eq!((bench.status().next_seq, bench.status().early), (next_seq, early));
     }
     bench.run(500);
     assert_eq!(bench.bursts(1), sent.iter().flat_map(Stroke::bursts).collect::<Vec<_>>());
+}
+
+#[test]
+fn a_frame_too_early_to_be_kept_is_ignored() {
+    let mut bench = Bench::armed(FIRMWARE);
+    let late = |bench: &Bench, seq| {
+        let up = bench.now + 10_000 + u64::from(seq) * 100;
+        strokes(bench, bench.epoch, seq, &[stroke(2, up, 7, 6, 7)])
+    };
+    for seq in [EARLY as u16, EARLY as u16 + 1, u16::MAX] {
+        let frame = late(&bench, seq);
+        bench.bytes(&frame);
+    }
+    assert_eq!((bench.status().next_seq, bench.status().early), (0, 1 << (EARLY - 1)));
+    for seq in 0..EARLY as u16 {
+        let frame = late(&bench, seq);
+        bench.bytes(&frame);
+    }
+    assert_eq!((bench.status().next_seq, bench.status().early), (EARLY as u16 + 1, 0));
+    // A new epoch knows nothing of frames kept in the old one.
+    let frame = late(&bench, EARLY as u16 + 3);
+    bench.bytes(&frame);
+    assert_eq!(bench.status().early, 0b10);
+    bench.control(Op::Stop);
+    assert_eq!((bench.status().next_seq, bench.status().early), (0, 0));
 }
 
 #[test]
@@ -99,7 +124,7 @@ fn the_sequence_and_the_epoch_wrap() {
     let next = stroke(1, bench.now + 100, 7, 6, 7);
     let stale = strokes(&bench, bench.epoch, 2, &[next]);
     bench.bytes(&stale);
-    bench.bytes(&strokes(&bench, bench.epoch, 4, &[next]));
+    bench.bytes(&strokes(&bench, bench.epoch, 13, &[next]));
     assert_eq!((bench.status().next_seq, bench.status().credits), (3, POOL as u16));
     bench.strokes(&[next]);
     assert_eq!((bench.status().next_seq, bench.status().credits), (4, POOL as u16 - 1));

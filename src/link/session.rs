@@ -3,6 +3,7 @@
 use crate::link::Clock;
 use crate::units::HostInstant;
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer, Strokes};
+use firmware_protocol::controller::{EARLY, REPORTS};
 use firmware_protocol::frame::{self, Decoder, FrameError, MAX_FRAME};
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{
@@ -13,8 +14,8 @@ use firmware_protocol::tick::Tick;
 use std::collections::VecDeque;
 use std::time::Duration;
 
-/// Frames sent and not acknowledged, at the most.
-const WINDOW: usize = 16;
+/// Frames sent and not acknowledged, at the most: the one waited for and those the device keeps.
+const WINDOW: usize = 1 + EARLY;
 /// A lost frame is noticed after a few round trips, within these bounds.
 const RETRY: (Duration, Duration) = (Duration::from_millis(3), Duration::from_millis(50));
 /// Round trips asked for at once after the handshake, to set the clock.
@@ -159,6 +160,8 @@ struct Batch {
     last_sent: HostInstant,
     /// To be sent (again).
     due: bool,
+    /// The device has it, but not those before it.
+    kept: bool,
     again: bool,
 }
 
@@ -247,7 +250,7 @@ impl Session {
             seen: 0,
             made: 0,
             stale: 0,
-            verdicts: VecDeque::with_capacity(firmware_protocol::controller::REPORTS),
+            verdicts: VecDeque::with_capacity(REPORTS),
             token: 0,
             pinged: None,
             last_ping: HostInstant::default(),
@@ -323,7 +326,17 @@ impl Session {
         let strokes = Packer::new(base);
         let seq = self.next_seq;
         let last_sent = HostInstant::default();
-        Batch { seq, onset, strokes, len: 0, first_sent: None, last_sent, due: true, again: false }
+        Batch {
+            seq,
+            onset,
+            strokes,
+            len: 0,
+            first_sent: None,
+            last_sent,
+            due: true,
+            kept: false,
+            again: false,
+        }
     }
 
     /// How many strokes the device's credits still allow.
@@ -473,6 +486,10 @@ impl Session {
             if status.next_seq.wrapping_sub(self.acked) < u16::MAX / 2 {
                 self.acked = status.next_seq;
                 self.credits = status.credits.into();
+                for batch in &mut self.window {
+                    let early = batch.seq.wrapping_sub(status.next_seq).wrapping_sub(1);
+                    batch.kept |= usize::from(early) < EARLY && status.early >> early & 1 == 1;
+                }
             }
         }
         tell(Event::Status { status, tick });
@@ -609,25 +626,29 @@ impl Session {
         self.next_ping(now, out, tell)
     }
 
-    /// The next frame of strokes: goes back to the first without an answer after a time.
+    /// The next frame of strokes that the device has not got: new, or sent in vain.
     fn next_batch(&mut self, now: HostInstant, out: &mut [u8; MAX_FRAME]) -> Option<usize> {
         if self.control.is_some() {
             return None;
         }
         let (epoch, seen, retry, acked) = (self.epoch, self.seen, self.retry_after(), self.acked);
-        let waiting = |batch: &Batch| batch.seq.wrapping_sub(acked) < u16::MAX / 2;
-        let first = self.window.iter().find(|batch| waiting(batch))?;
-        let overdue = !first.due && now.since(first.last_sent) >= retry;
-        let mut out_now = 0;
-        for batch in self.window.iter_mut().filter(|batch| waiting(batch)) {
-            if overdue && !batch.due {
+        let mut on_the_way = 0;
+        let mut next = None;
+        for batch in &mut self.window {
+            if batch.kept || batch.seq.wrapping_sub(acked) > u16::MAX / 2 {
+                continue;
+            }
+            if !batch.due && now.since(batch.last_sent) >= retry {
                 (batch.due, batch.again) = (true, true);
             }
-            out_now += if batch.due { 0 } else { batch.len };
+            if !batch.due {
+                on_the_way += batch.len;
+            } else if next.is_none() {
+                next = Some(batch);
+            }
         }
-        let budget = self.window_bytes.saturating_sub(out_now);
-        let next = self.window.iter_mut().filter(|batch| waiting(batch)).find(|batch| batch.due)?;
-        if out_now > 0 && budget < MAX_FRAME {
+        let next = next?;
+        if on_the_way > 0 && on_the_way + MAX_FRAME > self.window_bytes {
             return None;
         }
         let (seq, onset, base) = (next.seq, next.onset, next.strokes.base().wire());

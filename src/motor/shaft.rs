@@ -107,6 +107,12 @@ impl Default for Shaft {
 }
 
 impl Shaft {
+    /// Back to rest at 0, without giving memory up.
+    pub fn reset(&mut self) {
+        self.base_um = 0.0;
+        self.ramps.clear();
+    }
+
     /// Adds the next ramp, which must not begin before the end of the last. One that goes on where the
     /// last ended, at the same speed, prolongs it. From now on nothing may be asked before its start.
     pub fn push(&mut self, ramp: Ramp) {

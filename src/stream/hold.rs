@@ -143,8 +143,8 @@ pub(super) struct Hold {
     sampled: Option<Tick>,
     /// Bursts and pulses of strokes forgotten since the device's counters were last heard.
     unheard: (u64, u64),
-    /// Samples before this still show motion from before the last reset.
-    valid_from: Tick,
+    /// Samples before this still show motion from before the last cut; none if pins are not at rest yet.
+    valid_from: Option<Tick>,
 }
 
 impl Hold {
@@ -153,21 +153,24 @@ impl Hold {
             motors: std::array::from_fn(|_| Motor::new()),
             sampled: None,
             unheard: (0, 0),
-            valid_from: Tick(0),
+            valid_from: None,
         }
     }
 
-    /// All pins are at rest at `tick`, nothing is queued. Where they really are, telemetry tells.
-    pub(super) fn reset(&mut self, tick: Tick) {
+    /// What was queued is flushed, pins are being returned: what telemetry shows until they are at rest means nothing.
+    pub(super) fn cut(&mut self) {
         for motor in &mut self.motors {
-            let variance = motor.variance;
             motor.queue.clear();
             (motor.modelled, motor.settled, motor.net) = (0, 0, 0);
-            motor.shaft = Shaft::default();
-            motor.variance = variance;
+            motor.shaft.reset();
         }
         self.sampled = None;
-        self.valid_from = tick + WINDOW;
+        self.valid_from = None;
+    }
+
+    /// At `tick` the device takes strokes: after a cut all pins are at rest. Where they really are, telemetry tells.
+    pub(super) fn at_rest(&mut self, tick: Tick) {
+        self.valid_from = self.valid_from.or(Some(tick + WINDOW));
     }
 
     /// Nothing is owed and nothing was moved: the person says all pins are at rest.
@@ -213,7 +216,7 @@ impl Hold {
 
     /// Displacements in 0.01 µm.
     pub(super) fn telemetry(&mut self, tick: Tick, y: &[i32; MOTORS]) {
-        if tick < self.valid_from || self.sampled.is_some_and(|last| tick <= last) {
+        if self.valid_from.is_none_or(|from| tick < from) || self.sampled.is_some_and(|last| tick <= last) {
             return;
         }
         self.sampled = Some(tick);

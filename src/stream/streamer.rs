@@ -119,7 +119,7 @@ impl Streamer {
         }
         self.in_flight = false;
         self.status = None;
-        self.hold.reset(Tick(0));
+        self.hold.cut();
         if let Some((ticket, _)) = self.closing.take() {
             self.closed = true;
             answer(ticket, Ok(()), tell);
@@ -410,6 +410,7 @@ impl Streamer {
                 if !matches!(cut.cause, Cause::Stop | Cause::Request) {
                     self.cut_all(End::Stopped, cause_text(cut.cause));
                 }
+                self.hold.cut();
                 self.snapshot_due = now;
             }
             Event::StrokeRefused { motor, up, reason } => {
@@ -427,6 +428,9 @@ impl Streamer {
     fn status(&mut self, now: HostInstant, status: Status, tick: Tick) {
         let before = self.status.replace((status, tick)).map(|(status, _)| status);
         self.hold.heard();
+        if status.state == State::Armed {
+            self.hold.at_rest(tick);
+        }
         let changed = before.is_none_or(|before| {
             (before.state, before.cause, before.position_known, before.owed)
                 != (status.state, status.cause, status.position_known, status.owed)
@@ -442,10 +446,6 @@ impl Streamer {
         }
         if !armed && self.controls.is_empty() {
             self.cut_all(End::Stopped, cause_text(status.cause));
-        }
-        if status.state == State::Armed && before.is_none_or(|before| before.state != State::Armed) {
-            // All pins have come to rest by the device's own count.
-            self.hold.reset(tick);
         }
     }
 

@@ -9,6 +9,7 @@
 //! ahead of the rendered end. So whatever is cut, flushed or amended, the count of pulses played is known.
 //! The rules are in the crate's documentation.
 
+mod early;
 mod pool;
 mod reports;
 
@@ -20,6 +21,8 @@ use crate::message::{
 };
 use crate::stroke::{Direction, Line, Lines, MOTORS, Stroke};
 use crate::tick::{TICK_HZ, Tick, WireTick};
+pub use early::EARLY;
+use early::Early;
 pub use pool::POOL;
 use pool::{Kind, Pool, Slot};
 pub use reports::REPORTS;
@@ -75,6 +78,7 @@ pub struct Controller {
     epoch: u16,
     refusal: Option<Refusal>,
     next_seq: u16,
+    early: Early,
     pending: Pending,
     reports: Reports,
     last_cut: Option<Cut>,
@@ -123,6 +127,7 @@ impl Controller {
             epoch: 0,
             refusal: None,
             next_seq: 0,
+            early: Early::default(),
             pending: Pending::default(),
             reports: Reports::new(),
             last_cut: None,
@@ -340,6 +345,7 @@ impl Controller {
             epoch: self.epoch,
             refusal: self.refusal,
             next_seq: self.next_seq,
+            early: self.early.mask(self.next_seq),
             credits: self.pool.free(),
             reports: self.reports.made(),
             state: self.state,
@@ -386,14 +392,14 @@ impl Controller {
                 if newer(epoch, self.epoch) {
                     self.epoch = epoch;
                     self.next_seq = 0;
+                    self.early.clear();
                     self.refusal = self.perform(op).err();
                 }
             }
             HostMessage::Strokes { epoch, seq, seen, onset, base, batch } => {
                 self.reports.seen(seen, self.now);
-                let room = self.reports.free() > RESERVE && (!onset || !self.marks.is_full());
-                if epoch == self.epoch && seq == self.next_seq && room {
-                    self.strokes(seq, onset, base.near(self.now), batch);
+                if epoch == self.epoch {
+                    self.stream(seq, onset, base.near(self.now), batch);
                 }
             }
             HostMessage::Amend { epoch, generation, base, items } => {
@@ -419,6 +425,7 @@ impl Controller {
         self.session = Some(session);
         self.epoch = self.epoch.wrapping_add(1);
         self.next_seq = 0;
+        self.early.clear();
         self.refusal = None;
         self.reports.clear();
         self.marks.clear();
@@ -637,6 +644,27 @@ impl Controller {
                 }
             }
         }
+    }
+
+    /// Takes a frame of the ordered stream if it is its turn, and those kept that follow it.
+    fn stream(&mut self, seq: u16, onset: bool, base: Tick, batch: &[u8]) {
+        if seq != self.next_seq {
+            self.early.keep(self.next_seq, seq, onset, base, batch);
+        } else if self.has_room(onset) {
+            self.strokes(seq, onset, base, batch);
+        }
+        while let Some(frame) = self.early.take(self.next_seq) {
+            // Without room it is forgotten, and comes again.
+            if !self.has_room(frame.onset) {
+                break;
+            }
+            self.strokes(frame.seq, frame.onset, frame.base, &frame.batch);
+        }
+    }
+
+    /// Whether a frame's reports and its mark would find a place.
+    fn has_room(&self, onset: bool) -> bool {
+        self.reports.free() > RESERVE && (!onset || !self.marks.is_full())
     }
 
     /// Takes the next frame of the ordered stream.

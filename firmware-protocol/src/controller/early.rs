@@ -1,0 +1,47 @@
+//! Frames of the ordered stream that came before their turn: kept, so that a lost frame costs one round trip.
+
+use crate::batch::BATCH_BYTES;
+use crate::tick::Tick;
+
+/// Frames kept at the most: those that follow the one waited for.
+pub const EARLY: usize = 8;
+
+/// A frame of strokes, as it came.
+#[derive(Debug)]
+pub(super) struct Frame {
+    pub(super) seq: u16,
+    pub(super) onset: bool,
+    pub(super) base: Tick,
+    pub(super) batch: heapless::Vec<u8, BATCH_BYTES>,
+}
+
+#[derive(Debug, Default)]
+pub(super) struct Early(heapless::Vec<Frame, EARLY>);
+
+impl Early {
+    /// Keeps a frame if it is one of the [`EARLY`] behind `next` and not kept yet.
+    pub(super) fn keep(&mut self, next: u16, seq: u16, onset: bool, base: Tick, batch: &[u8]) {
+        let ahead = usize::from(seq.wrapping_sub(next));
+        if !(1..=EARLY).contains(&ahead) || self.0.iter().any(|kept| kept.seq == seq) {
+            return;
+        }
+        if let Ok(batch) = heapless::Vec::from_slice(batch) {
+            // There is room: at most one frame is kept for each of the `EARLY` numbers.
+            let _ = self.0.push(Frame { seq, onset, base, batch });
+        }
+    }
+
+    pub(super) fn take(&mut self, seq: u16) -> Option<Frame> {
+        let at = self.0.iter().position(|kept| kept.seq == seq)?;
+        Some(self.0.swap_remove(at))
+    }
+
+    /// Bit i: frame `next + 1 + i` is kept.
+    pub(super) fn mask(&self, next: u16) -> u8 {
+        self.0.iter().fold(0, |mask, kept| mask | 1 << (kept.seq.wrapping_sub(next).wrapping_sub(1) % 8))
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.0.clear();
+    }
+}
