@@ -105,7 +105,7 @@ impl WallMock {
     /// If the plant's settings are out of range.
     pub fn new(plant: &PlantConfig, now: HostInstant) -> Result<Self, DeviceError> {
         let boot = RandomState::new().build_hasher().finish() as u32;
-        Ok(Self { mock: Mock::new(plant.clone(), boot)?, started: now })
+        Ok(Self { mock: Mock::new(*plant, boot)?, started: now })
     }
 
     /// Takes in what was written, runs up to `now` and hands out what the controller sent.

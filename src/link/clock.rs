@@ -39,6 +39,8 @@ struct Fit {
     phase: f64,
     /// Ticks per ns.
     rate: f64,
+    /// The rate was fitted, not assumed.
+    measured: bool,
     /// Error at `at`, ns.
     error_ns: f64,
     /// Error of the rate, relative.
@@ -87,7 +89,7 @@ impl Clock {
         let mean_t = good().map(|sample| point(sample).0).sum::<f64>() / count;
         let mean_k = good().map(|sample| point(sample).1).sum::<f64>() / count;
         let span = good().map(|sample| -point(sample).0).fold(0.0, f64::max);
-        let (mut rate, mut rate_error) = (NOMINAL, UNKNOWN_DRIFT);
+        let (mut rate, mut rate_error, mut measured) = (NOMINAL, UNKNOWN_DRIFT, false);
         if span >= MIN_SPAN_NS {
             let (mut sum_tk, mut sum_tt) = (0.0, 0.0);
             for sample in good() {
@@ -97,14 +99,15 @@ impl Clock {
             }
             let slope = sum_tk / sum_tt;
             if (slope / NOMINAL - 1.0).abs() <= MAX_DRIFT {
-                rate = slope;
+                (rate, measured) = (slope, true);
                 rate_error = (shortest + 0.5 / NOMINAL) / sum_tt.sqrt();
             }
         }
         // With a fitted rate the whole line is used; without, the newest good point.
-        let phase = if rate == NOMINAL { 0.5 } else { mean_k - rate * mean_t };
+        let phase = if measured { mean_k - rate * mean_t } else { 0.5 };
         let error_ns = shortest + 0.5 / NOMINAL;
-        self.fit = Some(Fit { at: origin.at, tick: origin.tick, phase, rate, error_ns, rate_error });
+        self.fit =
+            Some(Fit { at: origin.at, tick: origin.tick, phase, rate, measured, error_ns, rate_error });
     }
 
     /// The device's tick at a host instant.
@@ -134,7 +137,7 @@ impl Clock {
     /// The device's rate against nominal, ppm, once it is measured.
     #[must_use]
     pub fn drift_ppm(&self) -> Option<f64> {
-        self.fit.filter(|fit| fit.rate != NOMINAL).map(|fit| (fit.rate / NOMINAL - 1.0) * 1e6)
+        self.fit.filter(|fit| fit.measured).map(|fit| (fit.rate / NOMINAL - 1.0) * 1e6)
     }
 }
 

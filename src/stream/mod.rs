@@ -6,7 +6,6 @@
 //! allocate, lock, log or wait on anybody ([`port`]).
 
 mod active;
-mod feed;
 mod hold;
 pub mod port;
 mod rehearse;

@@ -397,7 +397,7 @@ pub struct Notices {
 
 impl Notices {
     /// The oldest notice.
-    pub fn next(&mut self) -> Option<Notice> {
+    pub fn pop(&mut self) -> Option<Notice> {
         self.ring.pop().ok()
     }
 
@@ -441,7 +441,7 @@ pub fn port() -> std::io::Result<(Port, Orders, Notices)> {
 
 impl Port {
     /// The oldest order.
-    pub fn next(&mut self) -> Option<Order> {
+    pub fn pop(&mut self) -> Option<Order> {
         self.orders.pop().ok()
     }
 

@@ -102,7 +102,7 @@ impl Rehearsal {
         };
         let mut new = Self {
             streamer: Streamer::new(settings),
-            mock: Mock::new(plant.clone(), seed as u32)?,
+            mock: Mock::new(*plant, seed as u32)?,
             now: HostInstant::from_ns(1_000_000_000),
             to_device: direction(0x5eed),
             to_host: direction(0xfeed),

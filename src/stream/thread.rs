@@ -84,7 +84,7 @@ impl Loop {
 
     fn orders(&mut self, now: HostInstant) {
         self.port.silence();
-        while let Some(order) = self.port.next() {
+        while let Some(order) = self.port.pop() {
             let Self { port, streamer, .. } = self;
             match order.job {
                 Job::Connect(device) => {

@@ -1,0 +1,196 @@
+//! What the device says, and what it means for the plays.
+
+use crate::link::{Event, LostReason, Verdict};
+use crate::stream::active::{Active, FIRST_MARGIN, Phase};
+use crate::stream::port::{End, LateCause, LatePolicy, Notice, Onset, Refused};
+use crate::stream::streamer::{IDLE_PING, Streamer, Tell, answer, cause_text, ticks};
+use crate::units::HostInstant;
+use firmware_protocol::message::{Cause, Counters, Op, State, Status};
+use firmware_protocol::stroke::Stroke;
+use firmware_protocol::tick::{TICK_HZ, Tick};
+use std::time::Duration;
+
+impl Streamer {
+    /// Takes bytes from the device.
+    pub fn receive(&mut self, now: HostInstant, bytes: &[u8], tell: Tell<'_>) {
+        let Some(session) = &mut self.session else { return };
+        let events = &mut self.events;
+        session.receive(now, bytes, &mut |event| events.push_back(event));
+        self.drain(now, tell);
+    }
+
+    pub(super) fn drain(&mut self, now: HostInstant, tell: Tell<'_>) {
+        while let Some(event) = self.events.pop_front() {
+            self.event(now, event, tell);
+        }
+    }
+
+    fn event(&mut self, now: HostInstant, event: Event, tell: Tell<'_>) {
+        match event {
+            Event::Opened(hello) => {
+                tell(Notice::Connected(hello));
+                if self.latched {
+                    self.control(now, 0, Op::EStop, tell);
+                }
+            }
+            Event::Lost(reason) => {
+                let reason = lost_text(reason);
+                self.disconnect(now, reason, tell);
+                tell(Notice::Disconnected { reason, device: None });
+            }
+            Event::Control(result) => {
+                self.in_flight = false;
+                if let Some(done) = self.controls.pop_front() {
+                    if result.is_err() {
+                        self.cut_all(End::Stopped, "the device refused the command before it");
+                    }
+                    answer(done.ticket, result.map_err(Refused::Device), tell);
+                }
+                self.snapshot_due = now;
+            }
+            Event::Status { status, tick } => self.status(now, status, tick),
+            Event::Stroke(stroke, verdict) => self.verdict(now, &stroke, verdict, tell),
+            Event::OnsetRefused { rendered } => self.onset_refused(now, rendered),
+            Event::OnsetTaken => {
+                if let Some(active) = self.plays.iter_mut().find(|active| active.phase == Phase::Offered) {
+                    active.phase = Phase::Streaming;
+                }
+            }
+            Event::Onset { tick, counters } => self.onset(tick, counters, tell),
+            Event::Cut { cut, .. } => {
+                if !matches!(cut.cause, Cause::Stop | Cause::Request) {
+                    self.cut_all(End::Stopped, cause_text(cut.cause));
+                }
+                self.hold.cut();
+                self.snapshot_due = now;
+            }
+            Event::StrokeRefused { motor, up, reason } => {
+                self.hold.refused(motor, up);
+                if let Some(active) = self.owner(up) {
+                    active.refused();
+                    let id = active.play.id;
+                    tell(Notice::StrokeRefused { id, motor, up, reason });
+                }
+            }
+            Event::Telemetry { tick, y } => self.hold.telemetry(tick, &y),
+        }
+    }
+
+    fn status(&mut self, now: HostInstant, status: Status, tick: Tick) {
+        let before = self.status.replace((status, tick)).map(|(status, _)| status);
+        self.hold.heard();
+        if status.state == State::Armed {
+            self.hold.at_rest(tick);
+        }
+        let changed = before.is_none_or(|before| {
+            (before.state, before.cause, before.position_known, before.owed)
+                != (status.state, status.cause, status.position_known, status.owed)
+        });
+        if !changed {
+            return;
+        }
+        self.snapshot_due = now;
+        let armed = matches!(status.state, State::Armed | State::Returning);
+        let lease = Duration::from_secs_f64(self.settings.lease_ms / 1000.0);
+        if let Some(session) = &mut self.session {
+            session.ping_every(if armed { lease / 5 } else { IDLE_PING }, now);
+        }
+        if !armed && self.controls.is_empty() {
+            self.cut_all(End::Stopped, cause_text(status.cause));
+        }
+    }
+
+    /// The play that a stroke which goes up at `up` belongs to.
+    fn owner(&mut self, up: Tick) -> Option<&mut Active> {
+        self.plays
+            .iter_mut()
+            .rev()
+            .find(|active| active.phase != Phase::Waiting && active.onset.is_some_and(|onset| onset <= up))
+    }
+
+    fn verdict(&mut self, now: HostInstant, stroke: &Stroke, verdict: Verdict, tell: Tell<'_>) {
+        let earliest = ticks(FIRST_MARGIN);
+        let sent_tick = |sent| self.tick_at(sent).unwrap_or_default();
+        let cause = match verdict {
+            Verdict::Late { again: true, .. } => LateCause::Link,
+            Verdict::Late { sent, .. } if sent_tick(sent) + earliest > stroke.up => LateCause::Host,
+            _ => LateCause::Link,
+        };
+        let Some(active) = self.owner(stroke.up) else { return };
+        active.undecided = active.undecided.saturating_sub(1);
+        let (id, steered) = (active.play.id, !active.play.open_loop);
+        let (motor, up) = (stroke.motor, stroke.up);
+        match verdict {
+            Verdict::Accepted => self.hold.accepted(stroke, steered),
+            Verdict::Refused(reason) => {
+                active.refused();
+                tell(Notice::StrokeRefused { id, motor, up, reason });
+            }
+            Verdict::Late { rendered, .. } => self.late(now, stroke, rendered, cause, tell),
+        }
+    }
+
+    /// A stroke could not be played any more when `free` was the first tick that could.
+    pub(super) fn late(
+        &mut self,
+        now: HostInstant,
+        stroke: &Stroke,
+        free: Tick,
+        cause: LateCause,
+        tell: Tell<'_>,
+    ) {
+        let late_ms = (free - stroke.up) as f64 / f64::from(TICK_HZ) * 1000.0;
+        let Some(active) = self.owner(stroke.up) else { return };
+        active.late(late_ms, cause);
+        let (id, policy, cut) = (active.play.id, active.play.late, active.cut.is_some());
+        tell(Notice::Late { id, motor: stroke.motor, up: stroke.up, late_ms, cause });
+        if policy == LatePolicy::Abort && !cut {
+            self.cut_all(End::Aborted, "late strokes");
+            self.abort(now, tell);
+        }
+    }
+
+    fn onset_refused(&mut self, now: HostInstant, rendered: Tick) {
+        let longest = Duration::from_secs_f64(self.settings.lead_ms / 1000.0).max(FIRST_MARGIN * 32);
+        let Some(active) = self.plays.iter_mut().find(|active| active.phase == Phase::Offered) else {
+            return;
+        };
+        active.phase = Phase::Waiting;
+        active.undecided = 0;
+        active.onset = None;
+        active.margin *= 2;
+        if active.is_fixed() || active.margin > longest {
+            active.late_as_a_whole();
+            active.cut = active.cut.or(Some((End::Aborted, "the onset could not be kept")));
+        }
+        self.fed = rendered;
+        self.snapshot_due = now;
+    }
+
+    fn onset(&mut self, tick: Tick, counters: Counters, tell: Tell<'_>) {
+        let Some(session) = &self.session else { return };
+        let clock = session.clock();
+        let Some(active) = self.plays.iter_mut().find(|active| active.onset == Some(tick)) else { return };
+        let at = clock.instant_of(tick).unwrap_or_default();
+        let onset = Onset {
+            requested: active.requested.unwrap_or(tick),
+            actual: tick,
+            at,
+            uncertainty_ns: clock.uncertainty(at).unwrap_or_default().as_nanos() as u64,
+            latency_ns: at.since(active.ordered).as_nanos() as u64,
+        };
+        active.began(onset, counters);
+        tell(Notice::Began { id: active.play.id, onset });
+    }
+}
+
+fn lost_text(reason: LostReason) -> &'static str {
+    match reason {
+        LostReason::NoAnswer => "the device does not answer",
+        LostReason::Restarted => "the device has restarted",
+        LostReason::Version => {
+            "the device speaks another protocol version: update its firmware or this daemon"
+        }
+        LostReason::WrongArray => "the device's motors or tick rate are not this array's",
+    }
+}

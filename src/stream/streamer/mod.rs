@@ -1,0 +1,271 @@
+//! The deciding part of the streamer: orders, controls, what the device says, and the ends of plays.
+//!
+//! Orders are taken in `orders`, what the device says in `events`, strokes are fed ahead in `feed`, and plays end
+//! in `ends`. Invariant: each play that was taken ends with exactly one
+//! [`Notice::Ended`], and each order that asks for an answer gets exactly one.
+
+mod ends;
+mod events;
+mod feed;
+mod orders;
+
+use crate::link::{Event, LineRate, Session};
+use crate::stream::Settings;
+use crate::stream::active::Active;
+use crate::stream::hold::Hold;
+use crate::stream::port::{End, Notice, QUEUE, Refused, Snapshot};
+use crate::units::HostInstant;
+use firmware_protocol::frame::MAX_FRAME;
+use firmware_protocol::message::{Cause, Counters, Op, State, Status};
+use firmware_protocol::stroke::MOTORS;
+use firmware_protocol::tick::{TICK_HZ, Tick};
+use std::collections::VecDeque;
+use std::time::Duration;
+
+/// Controls that wait for the one before them, at the most.
+const CONTROLS: usize = 8;
+/// How long an answer may take.
+const ANSWER_WITHIN: Duration = Duration::from_secs(1);
+/// While something is going on the streamer looks this often.
+const BUSY_EVERY: Duration = Duration::from_millis(1);
+const SNAPSHOT_EVERY: Duration = Duration::from_millis(100);
+/// Keep-alives when nothing is armed.
+const IDLE_PING: Duration = Duration::from_secs(1);
+
+/// Says what happened.
+pub(super) type Tell<'a> = &'a mut dyn FnMut(Notice);
+
+/// What an order came to: refused or done at once, or waiting for the device.
+type Taken = Result<Option<Op>, Refused>;
+
+pub(super) fn ticks(duration: Duration) -> u64 {
+    (duration.as_nanos() * u128::from(TICK_HZ) / 1_000_000_000) as u64
+}
+
+fn ticks_of_ms(ms: f64) -> u64 {
+    (ms * f64::from(TICK_HZ) / 1000.0).round() as u64
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Waiting {
+    ticket: u64,
+    op: Op,
+    since: HostInstant,
+}
+
+/// The streamer of one device.
+#[derive(Debug)]
+pub struct Streamer {
+    pub(super) settings: Settings,
+    pub(super) session: Option<Session>,
+    events: VecDeque<Event>,
+    /// The device's last word and the tick of it.
+    status: Option<(Status, Tick)>,
+    /// An e-stop was ordered and not reset: also kept for a device that comes later.
+    latched: bool,
+    /// Controls to send, the first is being sent.
+    controls: VecDeque<Waiting>,
+    in_flight: bool,
+    pub(super) plays: VecDeque<Active>,
+    pub(super) hold: Hold,
+    /// Up to where the device is fed.
+    pub(super) fed: Tick,
+    /// The last stroke had to wait for credits.
+    pub(super) short_of_credits: bool,
+    closing: Option<(u64, HostInstant)>,
+    closed: bool,
+    snapshot_due: HostInstant,
+}
+
+impl Streamer {
+    /// A streamer without a device.
+    #[must_use]
+    pub fn new(settings: Settings) -> Self {
+        Self {
+            settings,
+            session: None,
+            events: VecDeque::with_capacity(4096),
+            status: None,
+            latched: false,
+            controls: VecDeque::with_capacity(CONTROLS),
+            in_flight: false,
+            plays: VecDeque::with_capacity(2 * QUEUE + 2),
+            hold: Hold::new(),
+            fed: Tick(0),
+            short_of_credits: false,
+            closing: None,
+            closed: false,
+            snapshot_due: HostInstant::default(),
+        }
+    }
+
+    /// A device was opened; `id` is a random number.
+    pub fn connect(&mut self, now: HostInstant, id: u32, rate: LineRate, tell: Tell<'_>) {
+        self.disconnect(now, "another device was opened", tell);
+        self.session = Some(Session::new(id, rate, now));
+    }
+
+    /// The device is gone: plays end, with what is known of them.
+    pub fn disconnect(&mut self, now: HostInstant, cause: &'static str, tell: Tell<'_>) {
+        let Some(session) = self.session.take() else { return };
+        self.cut_all(End::Stopped, cause);
+        let counters = self.status.map(|(status, tick)| {
+            let lost = session.clock().tick_at(now).unwrap_or(tick);
+            let (bursts, pulses) = self.hold.played_unheard(tick, lost);
+            let counters = status.counters;
+            Counters { played: counters.played + bursts, pulses: counters.pulses + pulses, ..counters }
+        });
+        let wire = session.traffic().bytes_out;
+        let (rest_um, _) = self.hold.rest_error_um(self.status.map_or(Tick(0), |(_, tick)| tick));
+        self.close_all(counters, wire, rest_um, tell);
+        while let Some(waiting) = self.controls.pop_front() {
+            answer(waiting.ticket, Err(Refused::NoDevice), tell);
+        }
+        self.in_flight = false;
+        self.status = None;
+        self.hold.cut();
+        if let Some((ticket, _)) = self.closing.take() {
+            self.closed = true;
+            answer(ticket, Ok(()), tell);
+        }
+        self.snapshot_due = now;
+    }
+
+    /// Whether the order to shut down has been carried out.
+    #[must_use]
+    pub fn is_closed(&self) -> bool {
+        self.closed
+    }
+
+    /// Whether a session is wanted: `false` when there is none or it is over.
+    #[must_use]
+    pub fn is_connected(&self) -> bool {
+        self.session.is_some()
+    }
+
+    /// The device's tick at `now`.
+    #[must_use]
+    pub fn tick_at(&self, now: HostInstant) -> Option<Tick> {
+        self.session.as_ref().and_then(|session| session.clock().tick_at(now))
+    }
+
+    pub(super) fn state(&self) -> State {
+        match &self.status {
+            _ if self.latched => State::Faulted,
+            Some((status, _)) => status.state,
+            None => State::Disarmed,
+        }
+    }
+
+    /// Does what is due at `now`. Call it after [`Self::receive`] and [`Self::order`], before [`Self::transmit`].
+    pub fn step(&mut self, now: HostInstant, tell: Tell<'_>) {
+        self.next_control();
+        self.expire(now, tell);
+        if let Some(tick) = self.tick_at(now) {
+            self.feed(now, tick, tell);
+            self.correct(tick);
+            self.finish(tick, tell);
+        } else if self.session.is_none() {
+            self.close_all(None, 0, [0.0; MOTORS], tell);
+        }
+        self.close(now, tell);
+        if now >= self.snapshot_due {
+            let playing = !self.plays.is_empty() || self.state() == State::Returning;
+            let far = if playing { SNAPSHOT_EVERY } else { IDLE_PING };
+            self.snapshot_due = now + far;
+            tell(Notice::Snapshot(self.snapshot(now)));
+        }
+    }
+
+    fn correct(&mut self, tick: Tick) {
+        let idle = self.in_flight || self.state() != State::Armed;
+        let Some(session) = self.session.as_mut().filter(|_| !idle) else { return };
+        self.hold.correct(tick, |item| session.amend(item));
+    }
+
+    fn snapshot(&self, now: HostInstant) -> Snapshot {
+        let open = self.session.as_ref().filter(|session| session.is_open());
+        let tick = self.tick_at(now).unwrap_or_default();
+        let traffic = self.session.as_ref().map(Session::traffic).unwrap_or_default();
+        let (rest_error_um, source) = self.hold.rest_error_um(tick);
+        let status = self.status.map(|(status, _)| status);
+        let running = self.plays.iter().rev().find(|active| {
+            active.cut.is_none() && active.started().is_some_and(|onset| onset.actual <= tick)
+        });
+        let played = |active: &Active| {
+            let since = active.onset.map_or(0, |onset| tick - onset);
+            (active.play.id, since as f64 / f64::from(TICK_HZ))
+        };
+        let pool = firmware_protocol::controller::POOL as u32;
+        let lead = (self.fed - tick) as f64 / f64::from(TICK_HZ) * 1000.0;
+        Snapshot {
+            at: now,
+            connected: open.is_some(),
+            state: self.state(),
+            cause: if self.latched {
+                Cause::EStop
+            } else {
+                status.map_or(Cause::Boot, |status| status.cause)
+            },
+            position_known: status.is_some_and(|status| status.position_known),
+            owed: status.map_or(0, |status| status.owed),
+            tick,
+            clock_uncertainty_us: open
+                .and_then(|session| session.clock().uncertainty(now))
+                .map_or(f64::INFINITY, |uncertainty| uncertainty.as_nanos() as f64 / 1000.0),
+            play: running.map(played),
+            in_device: status.map_or(0, |status| pool.saturating_sub(status.credits.into())),
+            lead_ms: if self.short_of_credits { lead } else { self.settings.lead_ms },
+            rest_error_um,
+            source,
+            bytes_out: traffic.bytes_out,
+            bytes_in: traffic.bytes_in,
+            retransmitted: traffic.again,
+        }
+    }
+
+    /// Writes the next frame that is due into `out` and returns its length; 0 when none is.
+    pub fn transmit(&mut self, now: HostInstant, out: &mut [u8; MAX_FRAME], tell: Tell<'_>) -> usize {
+        let Some(session) = &mut self.session else { return 0 };
+        let events = &mut self.events;
+        let len = session.transmit(now, out, &mut |event| events.push_back(event));
+        self.drain(now, tell);
+        len
+    }
+
+    /// When [`Self::step`] is due, if nothing happens before.
+    #[must_use]
+    pub fn wake_at(&self, now: HostInstant) -> HostInstant {
+        let quiet = self.plays.is_empty()
+            && self.controls.is_empty()
+            && self.closing.is_none()
+            && self.state() != State::Returning;
+        let Some(session) = &self.session else { return now + Duration::from_secs(3600) };
+        let next = session.wake_at(now).min(self.snapshot_due);
+        if quiet && session.is_open() { next } else { next.min(now + BUSY_EVERY) }
+    }
+}
+
+fn answer(ticket: u64, result: Result<(), Refused>, tell: Tell<'_>) {
+    if ticket != 0 {
+        tell(Notice::Answer { ticket, result });
+    }
+}
+
+/// A cause as events, receipts and the API name it.
+#[must_use]
+pub fn cause_text(cause: Cause) -> &'static str {
+    match cause {
+        Cause::Boot => "boot",
+        Cause::Request => "request",
+        Cause::Stop => "stop",
+        Cause::Shutdown => "shutdown",
+        Cause::Abort => "abort",
+        Cause::EStop => "estop",
+        Cause::Lease => "lease",
+        Cause::LinkLost => "link-lost",
+        Cause::NewHost => "new-host",
+        Cause::Starved => "starved",
+        Cause::Panic => "panic",
+    }
+}

@@ -1,0 +1,216 @@
+//! Orders: which can be taken now, and the commands they become, one at a time.
+
+use crate::link::Session;
+use crate::stream::active::{Active, FIRST_MARGIN};
+use crate::stream::port::{At, End, Job, Notice, Order, Play, QUEUE, Refused};
+use crate::stream::streamer::{
+    ANSWER_WITHIN, CONTROLS, Streamer, Taken, Tell, Waiting, answer, ticks, ticks_of_ms,
+};
+use crate::units::HostInstant;
+use firmware_protocol::message::{Cause, Op, State, Status};
+use firmware_protocol::stroke::MOTORS;
+use firmware_protocol::tick::Tick;
+use std::time::Duration;
+
+impl Streamer {
+    /// Takes an order. [`Job::Connect`] is not for here: the thread opens the session.
+    pub fn order(&mut self, now: HostInstant, order: Order, tell: Tell<'_>) {
+        let ticket = order.ticket;
+        let taken = match order.job {
+            Job::Connect(_) => Ok(None),
+            Job::Play(play) => match self.play(now, play) {
+                Ok(()) => Ok(None),
+                Err((refused, play)) => {
+                    // It goes back as it came: memory is not given up here.
+                    let (id, outcome) = Active::new(play, now, None).close(None, 0, [0.0; MOTORS]);
+                    answer(ticket, Err(refused), tell);
+                    tell(Notice::Ended { id, outcome });
+                    return;
+                }
+            },
+            Job::Stop => self.stop(),
+            Job::EStop => self.emergency_stop(now, tell),
+            Job::Reset => self.reset(),
+            Job::Arm { assume_rest } => self.arm(assume_rest),
+            Job::Disarm => self.disarm(),
+            Job::Shutdown => {
+                self.closing = Some((ticket, now));
+                self.cut_all(End::Stopped, "shutdown");
+                if self.session.is_some() {
+                    self.control(now, 0, Op::Disarm(Cause::Shutdown), tell);
+                }
+                return;
+            }
+        };
+        match taken {
+            Ok(Some(op)) => self.control(now, ticket, op, tell),
+            Ok(None) => answer(ticket, Ok(()), tell),
+            Err(refused) => answer(ticket, Err(refused), tell),
+        }
+        self.snapshot_due = now;
+    }
+
+    fn ready(&self) -> Result<(), Refused> {
+        if self.latched {
+            return Err(Refused::Faulted);
+        }
+        let session = self.session.as_ref().filter(|session| session.is_open());
+        let (Some(_), Some((status, _))) = (session, &self.status) else { return Err(Refused::NoDevice) };
+        match status.state {
+            State::Faulted => Err(Refused::Faulted),
+            _ => Ok(()),
+        }
+    }
+
+    /// Whether the device takes strokes, or will when what it returns now is back.
+    fn takes_plays(&self) -> Result<(), Refused> {
+        self.ready()?;
+        let ordered = self.controls.iter().rev().find_map(|waiting| match waiting.op {
+            Op::Arm { .. } => Some(true),
+            Op::Disarm(_) => Some(false),
+            _ => None,
+        });
+        let state = self.state();
+        let returns_armed = state == State::Returning
+            && matches!(self.status, Some((Status { cause: Cause::Stop | Cause::Request, .. }, _)));
+        match ordered {
+            Some(true) => Ok(()),
+            None if state == State::Armed || returns_armed => Ok(()),
+            _ if state == State::Returning => Err(Refused::Returning),
+            _ => Err(Refused::Disarmed),
+        }
+    }
+
+    fn play(&mut self, now: HostInstant, play: Box<Play>) -> Result<(), (Refused, Box<Play>)> {
+        match self.place(now, &play) {
+            Err(refused) => Err((refused, play)),
+            Ok(requested) => {
+                if play.replace && self.plays.iter().any(|active| active.cut.is_none()) {
+                    self.cut_all(End::Stopped, "replaced");
+                    self.controls.push_back(Waiting { ticket: 0, op: Op::Stop, since: now });
+                }
+                self.plays.push_back(Active::new(play, now, requested));
+                Ok(())
+            }
+        }
+    }
+
+    /// Whether a play can be queued, and the onset it asks for.
+    fn place(&self, now: HostInstant, play: &Play) -> Result<Option<Tick>, Refused> {
+        self.takes_plays()?;
+        let (Some(session), Some(tick)) = (&self.session, self.tick_at(now)) else {
+            return Err(Refused::NoDevice);
+        };
+        let queued = || self.plays.iter().filter(|active| active.cut.is_none() && !play.replace);
+        let held = self.plays.len() > 2 * QUEUE || self.controls.len() == CONTROLS;
+        if queued().count() > QUEUE || held {
+            return Err(Refused::QueueFull);
+        }
+        let last = queued().next_back();
+        if last.is_some_and(|last| last.play.strokes.end().is_none()) {
+            return Err(Refused::BehindEndless);
+        }
+        let requested = match play.at {
+            At::Next => return Ok(None),
+            At::Tick(tick) => tick,
+            At::After(ns) => session
+                .clock()
+                .tick_at(now + Duration::from_nanos(ns))
+                .map(|at| at.max(tick + ticks(FIRST_MARGIN)))
+                .ok_or(Refused::NoDevice)?,
+        };
+        if requested < tick + ticks(FIRST_MARGIN) || requested.since(tick) > 1 << 30 {
+            return Err(Refused::TooSoon);
+        }
+        // A play that has no onset yet follows the one before it: its end is not known better than this.
+        let free = queued().fold(tick, |free, active| {
+            active.end().unwrap_or(free + ticks(FIRST_MARGIN) + active.play.strokes.end().unwrap_or(0))
+        });
+        if requested < free {
+            return Err(Refused::Overlaps);
+        }
+        Ok(Some(requested))
+    }
+
+    fn stop(&mut self) -> Taken {
+        self.ready()?;
+        self.cut_all(End::Stopped, "stop");
+        Ok(Some(Op::Stop))
+    }
+
+    fn disarm(&mut self) -> Taken {
+        self.ready()?;
+        self.cut_all(End::Stopped, "disarm");
+        Ok(Some(Op::Disarm(Cause::Request)))
+    }
+
+    fn arm(&mut self, assume_rest: bool) -> Taken {
+        self.ready()?;
+        // A command begins a new epoch: it must not get between a play and its strokes for nothing.
+        match self.state() {
+            State::Armed => return Ok(None),
+            State::Returning => return Err(Refused::Returning),
+            State::Disarmed | State::Faulted => {}
+        }
+        if assume_rest {
+            self.hold.forget_drift();
+        }
+        let lease = ticks_of_ms(self.settings.lease_ms) as u32;
+        Ok(Some(Op::Arm { assume_rest, lease, limits: self.settings.limits }))
+    }
+
+    fn emergency_stop(&mut self, now: HostInstant, tell: Tell<'_>) -> Taken {
+        self.latched = true;
+        self.cut_all(End::Stopped, "estop");
+        // It overtakes whatever waits.
+        while let Some(waiting) = self.controls.pop_front() {
+            answer(waiting.ticket, Err(Refused::Faulted), tell);
+        }
+        self.in_flight = false;
+        self.snapshot_due = now;
+        Ok(self.session.is_some().then_some(Op::EStop))
+    }
+
+    fn reset(&mut self) -> Taken {
+        let faulted = self.state() == State::Faulted;
+        self.latched = false;
+        let open = self.session.as_ref().is_some_and(Session::is_open);
+        Ok((open && faulted).then_some(Op::Reset))
+    }
+
+    pub(super) fn control(&mut self, now: HostInstant, ticket: u64, op: Op, tell: Tell<'_>) {
+        if self.controls.len() == CONTROLS {
+            answer(ticket, Err(Refused::Timeout), tell);
+            return;
+        }
+        self.controls.push_back(Waiting { ticket, op, since: now });
+        self.next_control();
+    }
+
+    /// Ends everything because of a play: return, disarm.
+    pub(super) fn abort(&mut self, now: HostInstant, tell: Tell<'_>) {
+        self.control(now, 0, Op::Disarm(Cause::Abort), tell);
+    }
+
+    /// Whether no command is on its way.
+    pub(super) fn may_feed(&self) -> bool {
+        self.controls.is_empty()
+    }
+
+    pub(super) fn next_control(&mut self) {
+        let Some(session) = self.session.as_mut().filter(|session| session.is_open()) else { return };
+        if let (false, Some(first)) = (self.in_flight, self.controls.front()) {
+            self.in_flight = true;
+            session.command(first.op);
+        }
+    }
+
+    /// Tells who asked that no answer came in time; the control itself is repeated until it is answered.
+    pub(super) fn expire(&mut self, now: HostInstant, tell: Tell<'_>) {
+        for waiting in &mut self.controls {
+            if now.since(waiting.since) >= ANSWER_WITHIN {
+                answer(std::mem::take(&mut waiting.ticket), Err(Refused::Timeout), tell);
+            }
+        }
+    }
+}
