@@ -1,0 +1,71 @@
+//! Random draws that depend on what they are for and on nothing else.
+//!
+//! A draw is a function of its key (a seed, and what the draw is for: a motor and a tick, a receptor and
+//! a spike), not of how many draws came before. So leaving one out, or asking in another order or on
+//! another thread, changes no other. ChaCha8 turns the key into bits, Box–Muller by `libm` turns the bits
+//! into a normal deviate; no step depends on the machine.
+//!
+//! Invariant: the same key gives the same bits, for ever and everywhere; the golden values hold it to that.
+
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+
+/// The standard normal deviate that belongs to `key`.
+#[must_use]
+pub fn normal(key: [u64; 4]) -> f64 {
+    let mut seed = [0; 32];
+    for (bytes, word) in seed.chunks_exact_mut(8).zip(key) {
+        bytes.copy_from_slice(&word.to_le_bytes());
+    }
+    let mut bits = ChaCha8Rng::from_seed(seed);
+    // In (0, 1], so that the logarithm is finite; the angle in [0, 1) turns.
+    let radius = uniform(bits.next_u64()) + f64::EPSILON / 2.0;
+    let turns = uniform(bits.next_u64());
+    (-2.0 * libm::log(radius)).sqrt() * libm::cos(std::f64::consts::TAU * turns)
+}
+
+/// A multiple of 2⁻⁵³ in [0, 1).
+#[expect(clippy::cast_precision_loss, reason = "53 bits fit")]
+fn uniform(bits: u64) -> f64 {
+    (bits >> 11) as f64 * (f64::EPSILON / 2.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Computed by a second implementation of ChaCha8, in another language.
+    #[test]
+    fn golden_values_never_change() {
+        for (key, bits) in [
+            ([0; 4], 0xbfd9_e456_6e2a_4b69_u64),
+            ([1, 2, 3, 4], 0xbff4_ff87_c6d2_6b67),
+            ([u64::MAX; 4], 0xbff4_601e_dd26_a168),
+        ] {
+            assert_eq!(normal(key).to_bits(), bits, "{key:?}: {}", normal(key));
+        }
+    }
+
+    #[test]
+    fn mean_sd_and_neighbouring_keys() {
+        const N: u32 = 40_000;
+        let draws: Vec<f64> = (0..u64::from(N)).map(|i| normal([7, i % 24, i / 24, 1])).collect();
+        let n = f64::from(N);
+        let mean = draws.iter().sum::<f64>() / n;
+        let variance = draws.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / n;
+        let covariance = draws.windows(2).map(|w| w[0] * w[1]).sum::<f64>() / n;
+        // Four standard errors each.
+        assert!(mean.abs() < 4.0 / n.sqrt(), "{mean}");
+        assert!((variance - 1.0).abs() < 4.0 * (2.0 / n).sqrt(), "{variance}");
+        assert!(covariance.abs() < 4.0 / n.sqrt(), "{covariance}");
+    }
+
+    #[test]
+    fn the_order_of_asking_does_not_matter() {
+        let keys: Vec<[u64; 4]> = (0..100).map(|i| [3, i, i * i, 0]).collect();
+        let forwards: Vec<f64> = keys.iter().map(|&key| normal(key)).collect();
+        let mut backwards: Vec<f64> = keys.iter().rev().map(|&key| normal(key)).collect();
+        backwards.reverse();
+        assert_eq!(forwards, backwards);
+    }
+}

@@ -1,0 +1,212 @@
+//! A shaft's displacement, exactly, from the ramps of its commanded position.
+//!
+//! `y(t) = (1/W) ∫ r` over the last W = 365.5 ticks. A ramp's share in that integral is a polynomial in whole
+//! half ticks counted from the ramp's own start, so it is an integer before it is multiplied by the ramp's
+//! rate: it costs no precision however late it is. A ramp that ended W ago is added to a base and forgotten.
+//!
+//! Streaming: ramps are pushed in order of time, and nothing is asked about instants before the start of
+//! the newest. That bounds the memory: one pulse is the shortest ramp, so [`MAX_RAMPS`] fill the window.
+
+use super::WINDOW_HALF_TICKS;
+use crate::units::UM_PER_PULSE;
+use firmware_protocol::stroke::Direction;
+use firmware_protocol::tick::Tick;
+use std::collections::VecDeque;
+
+/// Ramps that can matter at once: one per tick of the window, the one at its far edge, the newest.
+const MAX_RAMPS: usize = WINDOW_HALF_TICKS as usize / 2 + 3;
+
+const WINDOW: i64 = WINDOW_HALF_TICKS.cast_signed();
+
+/// An instant of device time in half ticks: all breaks of the model are multiples of one.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub struct HalfTick(pub u64);
+
+impl From<Tick> for HalfTick {
+    fn from(tick: Tick) -> Self {
+        Self(2 * tick.0)
+    }
+}
+
+impl HalfTick {
+    /// Half ticks from `earlier` to here, signed.
+    const fn since(self, earlier: Self) -> i64 {
+        self.0.wrapping_sub(earlier.0).cast_signed()
+    }
+}
+
+/// A stretch of constant speed of the commanded position.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ramp {
+    /// When it begins.
+    pub start: Tick,
+    /// How long it lasts.
+    pub ticks: u32,
+    /// Speed, positive towards the finger: [`UM_PER_PULSE`] times a gain.
+    pub um_per_tick: f64,
+}
+
+impl Ramp {
+    /// So many pulses from `start` on, played with a gain; 1 is the ideal motor.
+    #[must_use]
+    pub fn new(start: Tick, ticks: u32, direction: Direction, gain: f64) -> Self {
+        let um_per_tick = match direction {
+            Direction::Up => UM_PER_PULSE * gain,
+            Direction::Down => -UM_PER_PULSE * gain,
+        };
+        Self { start, ticks, um_per_tick }
+    }
+
+    /// The first tick after the ramp.
+    #[must_use]
+    pub fn end(&self) -> Tick {
+        self.start + u64::from(self.ticks)
+    }
+
+    fn half_ticks(&self) -> i64 {
+        2 * i64::from(self.ticks)
+    }
+
+    fn travel_um(&self) -> f64 {
+        f64::from(self.ticks) * self.um_per_tick
+    }
+
+    /// Half ticks of the ramp that are over, `after` half ticks after its start.
+    fn done(&self, after: i64) -> i64 {
+        after.clamp(0, self.half_ticks())
+    }
+
+    /// The ramp's share in the displacement, `after` half ticks after its start, µm: the mean over the window
+    /// of what it has travelled. Before the window it did `before`; inside it runs on until it ends.
+    #[expect(clippy::cast_precision_loss, reason = "below 2^44")]
+    fn share_um(&self, after: i64) -> f64 {
+        let before = self.done(after - WINDOW);
+        let left = self.half_ticks() - before;
+        if left == 0 {
+            return self.travel_um();
+        }
+        let inside = after.clamp(0, WINDOW);
+        let done = inside.min(left);
+        let twice_area = 2 * WINDOW * before + done * (2 * inside - done);
+        // Half for the doubled area, half for the half ticks.
+        self.um_per_tick * (twice_area as f64 / (4 * WINDOW) as f64)
+    }
+}
+
+/// The state of one shaft: where it rested before the window, and the ramps since.
+#[derive(Debug)]
+pub struct Shaft {
+    base_um: f64,
+    ramps: VecDeque<Ramp>,
+}
+
+impl Default for Shaft {
+    fn default() -> Self {
+        Self { base_um: 0.0, ramps: VecDeque::with_capacity(MAX_RAMPS) }
+    }
+}
+
+impl Shaft {
+    /// Adds the next ramp, which must not begin before the end of the last. One that goes on where the
+    /// last ended, at the same speed, prolongs it. From now on nothing may be asked before its start.
+    pub fn push(&mut self, ramp: Ramp) {
+        debug_assert!(self.ramps.back().is_none_or(|last| last.end() <= ramp.start), "{ramp:?} out of order");
+        if ramp.ticks == 0 {
+            return;
+        }
+        while let Some(oldest) = self.ramps.front()
+            && ramp.start.since(oldest.end()) * 2 >= WINDOW
+        {
+            self.base_um += oldest.travel_um();
+            self.ramps.pop_front();
+        }
+        if let Some(last) = self.ramps.back_mut()
+            && last.end() == ramp.start
+            && last.um_per_tick.to_bits() == ramp.um_per_tick.to_bits()
+            && let Some(ticks) = last.ticks.checked_add(ramp.ticks)
+        {
+            last.ticks = ticks;
+        } else {
+            self.ramps.push_back(ramp);
+        }
+        debug_assert!(self.ramps.len() <= MAX_RAMPS);
+    }
+
+    /// The commanded position r, µm.
+    #[must_use]
+    #[expect(clippy::cast_precision_loss, reason = "a ramp's half ticks")]
+    pub fn position_um(&self, at: HalfTick) -> f64 {
+        self.ramps.iter().fold(self.base_um, |sum, ramp| {
+            sum + ramp.um_per_tick * (ramp.done(at.since(ramp.start.into())) as f64 / 2.0)
+        })
+    }
+
+    /// The displacement y: the mean of r over the window that ends `at`, µm.
+    #[must_use]
+    pub fn displacement_um(&self, at: HalfTick) -> f64 {
+        self.ramps.iter().fold(self.base_um, |sum, ramp| sum + ramp.share_um(at.since(ramp.start.into())))
+    }
+
+    /// dy/dt = (r(t) - r(t - W)) / W, µm per tick. Linear between the starts and ends of ramps and W after each.
+    #[must_use]
+    #[expect(clippy::cast_precision_loss, reason = "a ramp's half ticks")]
+    pub fn velocity_um_per_tick(&self, at: HalfTick) -> f64 {
+        let change = self.ramps.iter().fold(0.0, |sum, ramp| {
+            let after = at.since(ramp.start.into());
+            sum + ramp.um_per_tick * (ramp.done(after) - ramp.done(after - WINDOW)) as f64
+        });
+        change / WINDOW as f64
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn up(start: u64, ticks: u32) -> Ramp {
+        Ramp::new(Tick(start), ticks, Direction::Up, 1.0)
+    }
+
+    fn down(start: u64, ticks: u32) -> Ramp {
+        Ramp::new(Tick(start), ticks, Direction::Down, 1.0)
+    }
+
+    #[test]
+    fn a_shaft_moves_as_the_mean_of_its_ramps_and_comes_back_to_exactly_zero() {
+        let mut shaft = Shaft::default();
+        shaft.push(up(100, 100));
+        assert_eq!(shaft.displacement_um(HalfTick(200)), 0.0);
+        // The integral of a ramp of 100 ticks, 60 ticks in: 60²/2 of 365.5.
+        let expected = UM_PER_PULSE * 60.0 * 60.0 / 2.0 / 365.5;
+        assert!((shaft.displacement_um(HalfTick(320)) - expected).abs() < 1e-12);
+        let travel = 100.0 * UM_PER_PULSE;
+        assert_eq!(shaft.displacement_um(HalfTick(400 + WINDOW_HALF_TICKS)), travel);
+        assert_eq!(shaft.position_um(HalfTick(300)), travel / 2.0);
+        assert_eq!(shaft.position_um(HalfTick(401)), travel);
+        shaft.push(down(1000, 100));
+        assert_eq!(shaft.displacement_um(HalfTick(2200 + WINDOW_HALF_TICKS)), 0.0);
+        assert_eq!(shaft.velocity_um_per_tick(HalfTick(2200 + WINDOW_HALF_TICKS)), 0.0);
+        // 100 years on.
+        assert_eq!(shaft.displacement_um(HalfTick(2 * 85_000 * 3_155_760_000)), 0.0);
+    }
+
+    #[test]
+    fn a_ramp_in_pieces_is_one_ramp() {
+        let (mut whole, mut pieces) = (Shaft::default(), Shaft::default());
+        whole.push(up(10, 500));
+        (0..500).for_each(|tick| pieces.push(up(10 + tick, 1)));
+        let at = HalfTick(1021);
+        assert_eq!(whole.displacement_um(at).to_bits(), pieces.displacement_um(at).to_bits());
+    }
+
+    #[test]
+    fn the_shortest_ramps_fill_the_window_and_no_more() {
+        let mut shaft = Shaft::default();
+        let room = shaft.ramps.capacity();
+        for tick in 0..10_000 {
+            shaft.push(if tick % 2 == 0 { up(tick, 1) } else { down(tick, 1) });
+        }
+        assert!(shaft.ramps.len() <= MAX_RAMPS && shaft.ramps.capacity() == room);
+        assert!((shaft.displacement_um(HalfTick(20_000)) - UM_PER_PULSE / 2.0).abs() < 1e-3);
+    }
+}

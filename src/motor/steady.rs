@@ -1,0 +1,146 @@
+//! What a drive comes to in the steady state: the curve the paper measured as its Fig. 3.
+//!
+//! The ideal figure is a closed form. The square wave with limited slope is a trapezoid, odd about its mean
+//! and repeating after T, so a window of W sees only W mod T of it, and sees most of it when it is
+//! centred on a plateau: half the peak to peak is the integral from -x to x of the trapezoid about its
+//! mean, over W. The played figure is that of the drive with its edges at ticks, walked piece by piece.
+//!
+//! Invariant: both figures are exact up to f64; neither is sampled.
+
+use super::{HalfTick, MotorError, Ramp, Shaft, SquareWave, WINDOW_HALF_TICKS};
+use crate::units::UM_PER_PULSE;
+use firmware_protocol::stroke::Direction;
+use firmware_protocol::tick::{TICK_HZ, Tick};
+use serde::Serialize;
+use std::collections::BTreeSet;
+
+/// Periods watched for the played figure. Tick rounding makes the wave drift through its possible shapes;
+/// this many show them for every frequency but a few near ratios of small numbers.
+const PERIODS: usize = 1024;
+
+/// A drive's steady state.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct SteadyState {
+    /// Displacement, peak to peak, before anything is rounded to pulses and ticks.
+    pub peak_to_peak_um: f64,
+    /// Pulses per burst, as [`SquareWave::pulses`].
+    pub pulses: u32,
+    /// Displacement between the highest and the lowest point, as played.
+    pub played_peak_to_peak_um: f64,
+    /// Whether the frequency leaves too little room for the amplitude: the square becomes a triangle.
+    pub saturated: bool,
+}
+
+impl SteadyState {
+    /// The steady state of a drive of `amplitude_um` peak to peak.
+    ///
+    /// # Errors
+    /// The first argument that is out of range.
+    pub fn of(frequency_hz: f64, amplitude_um: f64) -> Result<Self, MotorError> {
+        let wave = SquareWave::new(frequency_hz, amplitude_um, 0.0)?;
+        Ok(Self {
+            peak_to_peak_um: ideal(frequency_hz, amplitude_um),
+            pulses: wave.pulses(),
+            played_peak_to_peak_um: played(&wave),
+            saturated: wave.pulses() < wave.wanted_pulses(),
+        })
+    }
+}
+
+/// `(2/W)(A x - v max(0, x - p)²)`: half-window x, half-plateau p, slope v; times in ticks.
+#[expect(clippy::cast_precision_loss, reason = "731")]
+fn ideal(frequency_hz: f64, amplitude_um: f64) -> f64 {
+    let window = WINDOW_HALF_TICKS as f64 / 2.0;
+    let period = f64::from(TICK_HZ) / frequency_hz;
+    let reached = amplitude_um.min(UM_PER_PULSE * period / 2.0);
+    let plateau = (period / 2.0 - reached / UM_PER_PULSE) / 2.0;
+    let cycles = window / period;
+    let seen = (cycles - cycles.floor()) * period / 2.0;
+    // A window of T - w sees what one of w sees, the other way round.
+    let seen = seen.min(period / 2.0 - seen);
+    2.0 / window * (reached * seen - UM_PER_PULSE * (seen - plateau).max(0.0).powi(2))
+}
+
+fn played(wave: &SquareWave) -> f64 {
+    let rest = wave.half_period_ticks().saturating_sub(wave.wanted_pulses().into());
+    if rest >= WINDOW_HALF_TICKS.div_ceil(2) {
+        // Every plateau outlasts the window.
+        return f64::from(wave.wanted_pulses()) * UM_PER_PULSE;
+    }
+    let settled = HalfTick(2 * wave.edge(0) + WINDOW_HALF_TICKS);
+    let mut shaft = Shaft::default();
+    let mut breaks = BTreeSet::new();
+    let mut range = Range::default();
+    for excursion in wave.excursions().take(PERIODS) {
+        for (start, direction) in [(excursion.up, Direction::Up), (excursion.down, Direction::Down)] {
+            let ramp = Ramp::new(Tick(start), excursion.pulses, direction, 1.0);
+            let ends = [HalfTick::from(ramp.start), ramp.end().into()];
+            while let Some(at) = breaks.pop_first() {
+                if at > ends[0] {
+                    breaks.insert(at);
+                    break;
+                }
+                if at >= settled {
+                    range.piece_to(at, &shaft);
+                }
+            }
+            shaft.push(ramp);
+            breaks.extend(ends);
+            breaks.extend(ends.map(|end| HalfTick(end.0 + WINDOW_HALF_TICKS)));
+        }
+    }
+    range.highest - range.lowest
+}
+
+/// The highest and lowest displacement over the pieces walked so far.
+#[derive(Default)]
+struct Range {
+    /// Where the last piece ended: instant, displacement, velocity.
+    last: Option<(HalfTick, f64, f64)>,
+    lowest: f64,
+    highest: f64,
+}
+
+impl Range {
+    /// Takes in the piece from the last break to the one `at`: its ends, and its vertex if that lies between.
+    #[expect(clippy::cast_precision_loss, reason = "a distance of breaks")]
+    fn piece_to(&mut self, at: HalfTick, shaft: &Shaft) {
+        let (y, velocity) = (shaft.displacement_um(at), shaft.velocity_um_per_tick(at));
+        match self.last {
+            None => (self.lowest, self.highest) = (y, y),
+            Some((from, y0, velocity0)) if velocity0 * velocity < 0.0 => {
+                let ticks = (at.0 - from.0) as f64 / 2.0;
+                self.take(y0 + velocity0 * ticks * velocity0 / (velocity0 - velocity) / 2.0);
+            }
+            Some(_) => {}
+        }
+        self.take(y);
+        self.last = Some((at, y, velocity));
+    }
+
+    fn take(&mut self, y: f64) {
+        self.lowest = self.lowest.min(y);
+        self.highest = self.highest.max(y);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_full_speed_triangle_at_300_hz_is_a_few_micrometres() {
+        let steady = SteadyState::of(300.0, 400.0).unwrap();
+        assert!((steady.peak_to_peak_um - 3.07).abs() < 0.005, "{steady:?}");
+        assert!(steady.saturated && steady.pulses == 141);
+    }
+
+    #[test]
+    fn a_slow_drive_is_played_as_asked_in_whole_pulses() {
+        let steady = SteadyState::of(10.0, 9.5).unwrap();
+        assert!((steady.peak_to_peak_um - 9.5).abs() < 1e-12 && !steady.saturated && steady.pulses == 70);
+        assert!((steady.played_peak_to_peak_um - 9.5).abs() < 1e-12);
+        assert_eq!(SteadyState::of(1e-300, 1e6).unwrap().pulses, 7_368_421);
+        assert_eq!(SteadyState::of(60.0, 0.0).unwrap().played_peak_to_peak_um, 0.0);
+    }
+}

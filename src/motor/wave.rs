@@ -1,0 +1,164 @@
+//! The one rule that turns a drive into edges at ticks and pulses between them.
+//!
+//! A drive is a square wave, up first. Each edge is computed from its number, never from the edge before,
+//! so the millionth is as exact as the first. The `f64` result, in the order of operations written here,
+//! is the definition: streamer, plant and simulator get the same ticks because they all ask here.
+//!
+//! Invariant: an excursion's up and down bursts have the same number of pulses and do not overlap.
+
+use super::{MAX_AMPLITUDE_UM, MAX_FREQUENCY_HZ, MotorError};
+use crate::units::UM_PER_PULSE;
+use firmware_protocol::tick::TICK_HZ;
+
+/// A square-wave drive of one motor, in ticks of its own time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SquareWave {
+    frequency_hz: f64,
+    phase: f64,
+    pulses: u32,
+}
+
+/// One period of a drive: an up burst and the down burst that undoes it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Excursion {
+    /// Start of the up burst.
+    pub up: u64,
+    /// Start of the down burst.
+    pub down: u64,
+    /// Pulses of either.
+    pub pulses: u32,
+}
+
+impl Excursion {
+    /// The first tick after the down burst.
+    #[must_use]
+    pub const fn end(&self) -> u64 {
+        self.down + self.pulses as u64
+    }
+}
+
+impl SquareWave {
+    /// A drive of `amplitude_um` peak to peak whose edge 0 lies `phase` cycles after its time 0.
+    ///
+    /// # Errors
+    /// The first argument that is out of range.
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "the cast is the floor; at most 7.4e6"
+    )]
+    pub fn new(frequency_hz: f64, amplitude_um: f64, phase: f64) -> Result<Self, MotorError> {
+        if !(frequency_hz > 0.0 && frequency_hz <= MAX_FREQUENCY_HZ) {
+            return Err(MotorError::Frequency { hz: frequency_hz });
+        }
+        if !(0.0..=MAX_AMPLITUDE_UM).contains(&amplitude_um) {
+            return Err(MotorError::Amplitude { um: amplitude_um });
+        }
+        if !(0.0..1.0).contains(&phase) {
+            return Err(MotorError::Phase { cycles: phase });
+        }
+        let pulses = (amplitude_um / UM_PER_PULSE + 0.5) as u32;
+        Ok(Self { frequency_hz, phase, pulses })
+    }
+
+    /// The pulses the amplitude asks for, whether or not the frequency leaves room for them.
+    #[must_use]
+    pub const fn wanted_pulses(&self) -> u32 {
+        self.pulses
+    }
+
+    /// The pulses every excursion has: what is wanted, or else what fits into half a period of whole ticks.
+    /// (Now and then, where the edges round that way, a saturated excursion has one more.)
+    #[must_use]
+    pub fn pulses(&self) -> u32 {
+        u32::try_from(self.half_period_ticks()).map_or(self.pulses, |room| room.min(self.pulses))
+    }
+
+    /// Half a period in whole ticks, rounded down; the billionth lets one that is whole but for the
+    /// rounding of `f64` be whole.
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "the cast is the floor, and saturates"
+    )]
+    pub(super) fn half_period_ticks(&self) -> u64 {
+        (f64::from(TICK_HZ) / 2.0 / self.frequency_hz + 1e-9) as u64
+    }
+
+    /// The tick of edge `h`; even edges go up, odd edges down.
+    #[must_use]
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        clippy::cast_precision_loss,
+        reason = "the cast is the floor, and saturates; 2^53 edges last 3 000 years"
+    )]
+    pub fn edge(&self, h: u64) -> u64 {
+        (((h as f64 / 2.0 + self.phase) * f64::from(TICK_HZ)) / self.frequency_hz + 0.5) as u64
+    }
+
+    /// The drive's excursions from its beginning on, without end.
+    #[must_use]
+    pub fn excursions(self) -> Excursions {
+        Excursions { wave: self, h: 0, up: self.edge(0) }
+    }
+}
+
+/// The excursions of a drive in order of time. It never ends: who asks knows when to stop.
+#[derive(Clone, Debug)]
+pub struct Excursions {
+    wave: SquareWave,
+    h: u64,
+    /// Edge `h`: the next excursion's first edge is this one's last.
+    up: u64,
+}
+
+impl Iterator for Excursions {
+    type Item = Excursion;
+
+    #[inline]
+    #[expect(clippy::cast_possible_truncation, reason = "not above the pulses wanted")]
+    fn next(&mut self) -> Option<Excursion> {
+        let (up, down, next_up) = (self.up, self.wave.edge(self.h + 1), self.wave.edge(self.h + 2));
+        self.h += 2;
+        self.up = next_up;
+        let pulses = u64::from(self.wave.pulses).min(down - up).min(next_up - down) as u32;
+        Some(Excursion { up, down, pulses })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_slow_drive_plays_what_is_asked_and_a_fast_one_what_fits() {
+        let slow = SquareWave::new(60.0, 20.0, 0.0).unwrap();
+        assert_eq!((slow.wanted_pulses(), slow.pulses()), (147, 147));
+        let first: Vec<_> = slow.excursions().take(2).collect();
+        assert_eq!(first[0], Excursion { up: 0, down: 708, pulses: 147 });
+        assert_eq!(first[1], Excursion { up: 1417, down: 2125, pulses: 147 });
+        let fast = SquareWave::new(300.0, 80.0, 0.0).unwrap();
+        assert_eq!((fast.wanted_pulses(), fast.pulses()), (589, 141));
+        assert!(fast.excursions().take(1000).all(|e| (141..=142).contains(&e.pulses)));
+        let fastest = SquareWave::new(42_500.0, 80.0, 0.0).unwrap();
+        assert!(fastest.excursions().take(1000).all(|e| e.pulses == 1 && e.end() == e.up + 2));
+    }
+
+    #[test]
+    fn what_cannot_be_driven_is_refused_in_one_line() {
+        let refused = [
+            SquareWave::new(0.0, 1.0, 0.0),
+            SquareWave::new(42_500.1, 1.0, 0.0),
+            SquareWave::new(f64::NAN, 1.0, 0.0),
+            SquareWave::new(60.0, -1.0, 0.0),
+            SquareWave::new(60.0, f64::INFINITY, 0.0),
+            SquareWave::new(60.0, 1.0, 1.0),
+            SquareWave::new(60.0, 1.0, f64::NAN),
+        ];
+        for wave in refused {
+            let line = wave.unwrap_err().to_string();
+            assert!(line.contains("must be") && !line.contains('\n'), "{line}");
+        }
+    }
+}

@@ -1,0 +1,194 @@
+//! From a pattern to strokes at device ticks, one at a time, for as long as it plays.
+//!
+//! Each motor has a lane that walks its drives in order of time, repeat after repeat; the strokes come out
+//! merged in order of (up tick, motor). Edges are those of [`SquareWave`](crate::motor::SquareWave), computed
+//! from their number in pattern time, so a stroke is as exact after a month as in the first second. Nothing
+//! is allocated after [`Strokes::new`]. A stroke exists only if its down burst has ended by its drive's `stop_s`,
+//! by the end of the pattern's run, and by the end asked for. Nothing here knows a clock, a wire or a correction.
+//!
+//! Invariant: strokes of a motor do not overlap, each takes down what it took up, each is within the
+//! controller's limits. Every stroke is checked against that on its way out.
+
+mod lane;
+
+use crate::pattern::{MAX_SECONDS, Pattern};
+use crate::units::seconds_to_ticks;
+use firmware_protocol::limits::{self, Refusal};
+use firmware_protocol::stroke::{MOTORS, Stroke};
+use firmware_protocol::tick::Tick;
+use lane::{Lane, NEVER};
+
+/// Why a pattern cannot be played, or not on.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum StrokesError {
+    /// A length that is no length.
+    #[error("{seconds} s: must be at least 0 and at most {MAX_SECONDS} s")]
+    Seconds {
+        /// As asked for.
+        seconds: f64,
+    },
+    /// A drive no motor can play.
+    #[error("a drive of motor {motor}: {source}")]
+    Drive {
+        /// Whose drive.
+        motor: u8,
+        /// What is wrong with it.
+        source: crate::motor::MotorError,
+    },
+    /// Our bug: a stroke outside the controller's limits.
+    #[error("internal error, nothing more is played: {stroke:?} breaks the limit {refusal:?}")]
+    Limit {
+        /// The stroke.
+        stroke: Stroke,
+        /// The limit.
+        refusal: Refusal,
+    },
+    /// Our bug: a stroke that does not undo itself.
+    #[error("internal error, nothing more is played: {stroke:?} does not end where it began")]
+    Unbalanced {
+        /// The stroke.
+        stroke: Stroke,
+    },
+    /// Our bug: a stroke before the end of the last on its motor, or before the last that was given out.
+    #[error("internal error, nothing more is played: {stroke:?} is out of order")]
+    Order {
+        /// The stroke.
+        stroke: Stroke,
+    },
+}
+
+/// The strokes of a pattern. After an error it gives out nothing more.
+#[derive(Clone, Debug)]
+pub struct Strokes {
+    lanes: Vec<Lane>,
+    /// When each lane's next stroke goes up, in pattern time; [`NEVER`] if there is none.
+    ups: [u64; MOTORS],
+    end: Option<u64>,
+    onset: Tick,
+    /// Up tick and motor of the last stroke given out.
+    last: (Tick, u8),
+    /// Until when each motor is busy.
+    busy: [Tick; MOTORS],
+}
+
+impl Strokes {
+    /// The strokes of `pattern`, beginning at tick 0 until [`Self::begin`] says otherwise. `seconds` cuts it, or
+    /// repeats it if it has a duration. Without `seconds` a pattern with a duration is played once; one
+    /// without goes on until its last drive stops, for ever if one has no `stop_s`.
+    ///
+    /// # Errors
+    /// If `seconds` is no length.
+    pub fn new(pattern: &Pattern, seconds: Option<f64>) -> Result<Self, StrokesError> {
+        if let Some(seconds) = seconds
+            && !(0.0..=MAX_SECONDS).contains(&seconds)
+        {
+            return Err(StrokesError::Seconds { seconds });
+        }
+        let mut stops = pattern.drives().iter().map(|drive| drive.stop_s);
+        let last_stop = stops.try_fold(0.0, |last: f64, stop| stop.map(|stop| last.max(stop)));
+        let end = seconds.or(pattern.duration_s()).or(last_stop).map(seconds_to_ticks);
+        let lanes =
+            (0..MOTORS as u8).map(|motor| Lane::of(motor, pattern, end)).filter_map(Result::transpose);
+        let mut strokes = Self {
+            lanes: lanes.collect::<Result<_, _>>()?,
+            ups: [NEVER; MOTORS],
+            end,
+            onset: Tick(0),
+            last: (Tick(0), 0),
+            busy: [Tick(0); MOTORS],
+        };
+        strokes.begin(Tick(0));
+        Ok(strokes)
+    }
+
+    /// Starts, or starts again, with pattern time 0 at `onset`.
+    pub fn begin(&mut self, onset: Tick) {
+        for (lane, up) in self.lanes.iter_mut().zip(&mut self.ups) {
+            *up = lane.begin();
+        }
+        self.onset = onset;
+        self.last = (onset, 0);
+        self.busy = [onset; MOTORS];
+    }
+
+    /// How long it plays, in ticks from the onset; `None`: without end.
+    #[must_use]
+    pub const fn end(&self) -> Option<u64> {
+        self.end
+    }
+
+    fn check(&mut self, stroke: Stroke) -> Result<Stroke, StrokesError> {
+        limits::check(&stroke).map_err(|refusal| StrokesError::Limit { stroke, refusal })?;
+        if stroke.up_pulses != stroke.down_pulses {
+            return Err(StrokesError::Unbalanced { stroke });
+        }
+        let busy = &mut self.busy[usize::from(stroke.motor)];
+        let place = (stroke.up, stroke.motor);
+        if stroke.up < *busy || place < self.last {
+            return Err(StrokesError::Order { stroke });
+        }
+        *busy = stroke.end();
+        self.last = place;
+        Ok(stroke)
+    }
+}
+
+impl Iterator for Strokes {
+    type Item = Result<Stroke, StrokesError>;
+
+    #[inline]
+    fn next(&mut self) -> Option<Self::Item> {
+        // Lanes are in order of motor, so of equal ticks the first is the one of the lower motor.
+        let (mut first, mut earliest) = (0, NEVER);
+        for (index, &up) in self.ups[..self.lanes.len()].iter().enumerate() {
+            if up < earliest {
+                (first, earliest) = (index, up);
+            }
+        }
+        if earliest == NEVER {
+            return None;
+        }
+        let lane = &mut self.lanes[first];
+        let stroke = lane.stroke(self.onset);
+        self.ups[first] = lane.advance();
+        let checked = self.check(stroke);
+        if checked.is_err() {
+            self.ups = [NEVER; MOTORS];
+        }
+        Some(checked)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pattern::Drive;
+
+    fn one_pin() -> Strokes {
+        let drive = Drive {
+            motor: 5,
+            frequency_hz: 60.0,
+            amplitude_um: 80.0,
+            phase: 0.0,
+            start_s: None,
+            stop_s: None,
+        };
+        let pattern = Pattern::new("test", Some(1.0), vec![drive], toml::Table::new()).unwrap();
+        Strokes::new(&pattern, None).unwrap()
+    }
+
+    #[test]
+    fn what_would_harm_comes_out_as_an_error_and_ends_it() {
+        let good = one_pin().next().unwrap().unwrap();
+        let refused = |stroke| one_pin().check(stroke).unwrap_err();
+        assert!(matches!(refused(Stroke { motor: 24, ..good }), StrokesError::Limit { .. }));
+        assert!(matches!(refused(Stroke { down_pulses: 588, ..good }), StrokesError::Unbalanced { .. }));
+        let mut strokes = one_pin();
+        strokes.check(good).unwrap();
+        assert!(matches!(strokes.check(good), Err(StrokesError::Order { .. })));
+        strokes.busy[5] = Tick(1 << 40);
+        assert!(strokes.next().unwrap().is_err() && strokes.next().is_none());
+        strokes.begin(Tick(9));
+        assert_eq!(strokes.next().unwrap().unwrap().up, Tick(9));
+    }
+}
