@@ -2,6 +2,8 @@
 //!
 //! placeholder
 
+pub mod mock;
+
 use std::path::PathBuf;
 use std::str::FromStr;
 
@@ -51,6 +53,20 @@ impl std::fmt::Display for Spec {
 /// An open device.
 #[derive(Debug)]
 pub enum Device {}
+
+impl Device {
+    /// How it is reached: `mock`, `pty`, `serial`.
+    #[must_use]
+    pub fn kind(&self) -> &'static str {
+        match *self {}
+    }
+
+    /// The simulated plant's truth, if it is simulated in this process.
+    #[must_use]
+    pub fn truth(&self) -> Option<std::sync::Arc<mock::Truth>> {
+        match *self {}
+    }
+}
 
 /// Why a device could not be opened.
 #[derive(Debug, thiserror::Error)]

@@ -34,3 +34,26 @@ pub fn spawn(_settings: Settings) -> io::Result<(Orders, Notices, Realtime, Join
     let (_port, orders, notices) = port::port()?;
     Ok((orders, notices, Realtime::default(), std::thread::spawn(|| {})))
 }
+
+/// What a run in virtual time came to.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct VirtualRun {
+    /// Where the pins rested.
+    pub rest: crate::plant::RestStats,
+    /// The bursts.
+    pub bursts: port::Bursts,
+    /// Bytes sent to the device.
+    pub wire_bytes: u64,
+}
+
+/// Placeholder.
+#[must_use]
+pub fn virtual_run(
+    _pattern: &crate::pattern::Pattern,
+    _seconds: f64,
+    _plant: &crate::plant::PlantConfig,
+    _settings: &Settings,
+    _open_loop: bool,
+) -> VirtualRun {
+    VirtualRun::default()
+}
