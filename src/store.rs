@@ -124,14 +124,15 @@ pub struct List {
 pub struct Store {
     library: BTreeMap<String, Stored>,
     dir: Option<PathBuf>,
+    make_dir: bool,
 }
 
 impl Store {
-    /// The library and a directory.
+    /// The library and a directory, which is made when something is first stored in it if `make_dir` says so.
     ///
     /// # Errors
     /// A file of the library that does not parse, which a test excludes.
-    pub fn new(dir: Option<PathBuf>) -> Result<Self, StoreError> {
+    pub fn new(dir: Option<PathBuf>, make_dir: bool) -> Result<Self, StoreError> {
         let mut library = BTreeMap::new();
         for file in LIBRARY.files() {
             let path = file.path();
@@ -140,16 +141,15 @@ impl Store {
                 library.insert(stored.pattern.name().to_owned(), stored);
             }
         }
-        Ok(Self { library, dir })
+        Ok(Self { library, dir, make_dir })
     }
 
-    /// Whether the directory can be read: its first error, if not.
+    /// Whether the directory can be read.
     ///
     /// # Errors
     /// If it cannot.
     pub fn check_dir(&self) -> Result<(), StoreError> {
-        let Some(dir) = &self.dir else { return Ok(()) };
-        fs::read_dir(dir).map(drop).map_err(|source| StoreError::Io { path: dir.clone(), source })
+        self.file_names().map(drop)
     }
 
     /// The pattern of that name, if it is part of the library: without a look at the disk.
@@ -221,6 +221,9 @@ impl Store {
             return Err(StoreError::NoDirectory);
         };
         let new = !path.exists();
+        if self.make_dir {
+            fs::create_dir_all(dir).map_err(|source| StoreError::Io { path: dir.clone(), source })?;
+        }
         write(dir, &path, text.as_bytes()).map_err(|source| StoreError::Io { path, source })?;
         Ok((stored, new))
     }
@@ -235,7 +238,10 @@ impl Store {
 
     fn file_names(&self) -> Result<Vec<String>, StoreError> {
         let Some(dir) = &self.dir else { return Ok(Vec::new()) };
-        let entries = fs::read_dir(dir).map_err(|source| StoreError::Io { path: dir.clone(), source })?;
+        let entries = match fs::read_dir(dir) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound && self.make_dir => return Ok(Vec::new()),
+            entries => entries.map_err(|source| StoreError::Io { path: dir.clone(), source })?,
+        };
         let mut names: Vec<String> = entries
             .filter_map(|entry| {
                 entry.ok()?.file_name().into_string().ok()?.strip_suffix(".toml").map(str::to_owned)
@@ -312,7 +318,6 @@ fn read(path: &Path) -> Result<Vec<u8>, StoreError> {
 /// Writes beside the file and renames, so that a crash leaves the old file or the new one.
 fn write(dir: &Path, path: &Path, bytes: &[u8]) -> io::Result<()> {
     use std::os::unix::fs::PermissionsExt;
-    fs::create_dir_all(dir)?;
     let mut file = tempfile::Builder::new().prefix(".import-").tempfile_in(dir)?;
     file.as_file().set_permissions(fs::Permissions::from_mode(0o644))?;
     file.write_all(bytes)?;
@@ -329,7 +334,7 @@ mod tests {
 
     fn store() -> (tempfile::TempDir, Store) {
         let dir = tempfile::tempdir().unwrap();
-        let store = Store::new(Some(dir.path().to_owned())).unwrap();
+        let store = Store::new(Some(dir.path().to_owned()), false).unwrap();
         (dir, store)
     }
 
@@ -391,11 +396,25 @@ mod tests {
     #[test]
     fn a_directory_that_cannot_be_read_is_a_line() {
         let file = tempfile::NamedTempFile::new().unwrap();
-        let store = Store::new(Some(file.path().to_owned())).unwrap();
+        let store = Store::new(Some(file.path().to_owned()), false).unwrap();
         assert!(store.check_dir().unwrap_err().to_string().contains(&file.path().display().to_string()));
         assert_eq!(store.list().errors.len(), 1);
         assert!(matches!(store.put("my-edge", TEXT), Err(StoreError::Io { .. })));
-        assert!(matches!(Store::new(None).unwrap().put("my-edge", TEXT), Err(StoreError::NoDirectory)));
+        assert!(matches!(
+            Store::new(None, false).unwrap().put("my-edge", TEXT),
+            Err(StoreError::NoDirectory)
+        ));
+    }
+
+    #[test]
+    fn a_directory_of_our_own_is_made_when_it_is_needed() {
+        let outer = tempfile::tempdir().unwrap();
+        let dir = outer.path().join("a/b");
+        assert_eq!(Store::new(Some(dir.clone()), false).unwrap().list().errors.len(), 1);
+        let store = Store::new(Some(dir.clone()), true).unwrap();
+        assert!(store.check_dir().is_ok() && store.list().errors.is_empty() && !dir.exists());
+        store.put("my-edge", TEXT).unwrap();
+        assert!(store.get("my-edge").is_ok());
     }
 
     #[test]

@@ -121,7 +121,7 @@ fn report(
     begun: Instant,
 ) -> Result<Report> {
     let truth = hosted.truth().context("internal error: the mock has no shafts")?.rest();
-    let pattern = Store::new(None)?.get(PATTERN)?.pattern;
+    let pattern = Store::new(None, false)?.get(PATTERN)?.pattern;
     let seconds = request.seconds.unwrap_or_default();
     let open = virtual_run(&pattern, seconds, &config.mock, &config.settings, true);
     let wire = receipt.wire.unwrap_or(Wire::new(0, 0));

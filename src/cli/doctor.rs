@@ -168,9 +168,13 @@ fn timers(wake_up: &WakeUp) -> Finding {
 fn daemon(findings: &mut Vec<Finding>, status: Result<Status, ClientError>) {
     let status = match status {
         Ok(status) => status,
+        Err(ClientError::NoDaemon { socket, .. }) => {
+            let found = format!("none answers at {}", socket.display());
+            let advice = "start one with `meissner daemon`, or name its socket with --socket";
+            return findings.push(Finding::new("daemon", Level::Fail, found, advice));
+        }
         Err(error) => {
-            findings.push(Finding::new("daemon", Level::Fail, error.to_string(), "see above"));
-            return;
+            return findings.push(Finding::new("daemon", Level::Fail, error.to_string(), "see its log"));
         }
     };
     let found = format!("version {}, pid {}", status.version, status.pid);

@@ -154,14 +154,13 @@ impl Daemon {
     /// # Errors
     /// What is missing, and what to do.
     pub fn start(config: &Config) -> Result<Self, DaemonError> {
-        let dir = match &config.patterns {
-            PatternsDir::Configured(dir) | PatternsDir::Default(dir) => Some(dir.clone()),
-            PatternsDir::None => None,
+        let (dir, make_dir) = match &config.patterns {
+            PatternsDir::Configured(dir) => (Some(dir.clone()), false),
+            PatternsDir::Default(dir) => (Some(dir.clone()), true),
+            PatternsDir::None => (None, false),
         };
-        let store = Store::new(dir)?;
-        if matches!(config.patterns, PatternsDir::Configured(_)) {
-            store.check_dir()?;
-        }
+        let store = Store::new(dir, make_dir)?;
+        store.check_dir()?;
         let bound = Bound::new(&config.socket)?;
         let (orders, notices, realtime, streamer) =
             stream::spawn(config.settings).map_err(system("streamer's thread"))?;
