@@ -56,7 +56,9 @@ fn patterns_are_listed_shown_and_imported() {
 fn the_motor_needs_no_daemon() {
     let steady =
         document(meissner().args(["motor", "--frequency-hz", "60", "--amplitude-um", "80", "--json"]));
-    assert!((steady["peak_to_peak_um"].as_f64().unwrap() - 68.706).abs() < 0.001 && steady["saturated"] == false);
+    assert!(
+        (steady["peak_to_peak_um"].as_f64().unwrap() - 68.706).abs() < 0.001 && steady["saturated"] == false
+    );
     assert_eq!(steady["pulses"], 589);
     for hz in ["-60", "0", "NaN"] {
         let line = complaint(meissner().args(["motor", "--frequency-hz", hz, "--amplitude-um", "80"]));

@@ -48,7 +48,8 @@ fn used(text: &str) -> BTreeSet<String> {
             match path.strip_prefix('{') {
                 // Nested braces do not matter: what follows them at worst names a room too many.
                 Some(group) => {
-                    rooms.extend(group.split('}').next().unwrap().split(',').map(|part| word(part.trim())))
+                    let parts = group.split('}').next().unwrap_or_default().split(',');
+                    rooms.extend(parts.map(|part| word(part.trim())));
                 }
                 None => drop(rooms.insert(word(path))),
             }

@@ -6,7 +6,7 @@
 //! Invariant: nothing is sent twice.
 
 use super::progress::Progress;
-use super::{Onset, Plain, Play, say, say_json, text};
+use super::{Onset, Plain, Play, give, text};
 use crate::api::{ArmRequest, PlayRequest, Played, Status};
 use crate::client::{Client, Events, escape};
 use crate::record::{Event, Receipt};
@@ -25,11 +25,7 @@ pub(super) fn arm(plain: &Plain, assume_rest: bool) -> Result<ExitCode> {
 }
 
 fn stands(plain: &Plain, status: &Status) -> Result<ExitCode> {
-    if plain.output.json {
-        say_json(status)?;
-    } else {
-        say(&format!("{} ({})", status.state, status.cause))?;
-    }
+    give(plain.output.json, status, || format!("{} ({})", status.state, status.cause))?;
     Ok(ExitCode::SUCCESS)
 }
 
@@ -53,22 +49,14 @@ pub(super) fn play(play: &Play) -> Result<ExitCode> {
     let json = play.plain.output.json;
     if !play.wait {
         let played: Played = client.post("/v1/play", &request)?;
-        if json {
-            say_json(&played)?;
-        } else {
-            say(&format!("play {}: {}", played.id, play.name))?;
-        }
+        give(json, &played, || format!("play {}: {}", played.id, play.name))?;
         return Ok(ExitCode::SUCCESS);
     }
     let mut events = client.events()?;
     let Played { id } = client.post("/v1/play", &request)?;
     let mut progress = Progress::new(length(&mut client, &request)?, json);
     let receipt = follow(&mut client, &mut events, id, &mut progress)?;
-    if json {
-        say_json(&receipt)?;
-    } else {
-        say(&text::receipt(&receipt))?;
-    }
+    give(json, &receipt, || text::receipt(&receipt))?;
     Ok(if receipt.all_played() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 

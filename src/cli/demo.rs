@@ -6,7 +6,7 @@
 //! Invariant: it exits with 0 only if every planned burst was played.
 
 use super::progress::Progress;
-use super::{control, say, say_json, text};
+use super::{control, give, text};
 use crate::api::{ArmRequest, PlayRequest, Played, Status};
 use crate::client::Client;
 use crate::config::{Config, PatternsDir};
@@ -80,11 +80,7 @@ pub(super) fn run(seconds: f64, open_loop: bool, json: bool) -> Result<ExitCode>
     let receipt = play(&mut client, &request, json)?;
     let report = report(&config, &hosted, &status, &request, &receipt, begun)?;
     hosted.stop()?;
-    if json {
-        say_json(&report)?
-    } else {
-        say(&summary(&report))?
-    }
+    give(json, &report, || summary(&report))?;
     Ok(if receipt.all_played() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 

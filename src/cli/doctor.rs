@@ -5,7 +5,7 @@
 //!
 //! Invariant: every finding that is not `ok` says what to do.
 
-use super::{Plain, say, say_json, text};
+use super::{Plain, give, text};
 use crate::api::Status;
 use crate::client::{Client, ClientError};
 use crate::units::HostInstant;
@@ -78,11 +78,7 @@ pub(super) fn run(plain: &Plain) -> Result<ExitCode> {
     daemon(&mut findings, Client::new(&plain.place.path())?.get("/v1/status"));
     let ok = findings.iter().all(|finding| finding.level != Level::Fail);
     let report = Report { ok, wake_up, findings };
-    if plain.output.json {
-        say_json(&report)?
-    } else {
-        say(&lines(&report.findings))?
-    }
+    give(plain.output.json, &report, || lines(&report.findings))?;
     Ok(if ok { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 

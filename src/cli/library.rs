@@ -5,7 +5,7 @@
 //!
 //! Invariant: a file that is too large or not a file is not read into memory.
 
-use super::{Plain, say, say_json, text};
+use super::{Plain, give, say, say_json, text};
 use crate::api::Imported;
 use crate::client::escape;
 use crate::motor::SteadyState;
@@ -44,11 +44,7 @@ pub(super) fn list(plain: &Plain) -> Result<ExitCode> {
 
 pub(super) fn show(plain: &Plain, name: &str) -> Result<ExitCode> {
     let shown: Value = plain.client()?.get(&format!("/v1/patterns/{}", escape(name)))?;
-    if plain.output.json {
-        say_json(&shown)?
-    } else {
-        say(&text::pattern(&shown))?
-    }
+    give(plain.output.json, &shown, || text::pattern(&shown))?;
     Ok(ExitCode::SUCCESS)
 }
 

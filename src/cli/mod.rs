@@ -298,6 +298,11 @@ fn say(text: &str) -> Result<()> {
     Ok(writeln!(io::stdout(), "{text}")?)
 }
 
+/// Prints the answer: as a document, or as text.
+fn give(json: bool, document: &impl Serialize, text: impl FnOnce() -> String) -> Result<()> {
+    if json { say_json(document) } else { say(&text()) }
+}
+
 /// Prints the document of `--json`, on one line.
 fn say_json(document: &impl Serialize) -> Result<()> {
     say(&serde_json::to_string(document).context("internal error: no JSON")?)

@@ -4,7 +4,7 @@
 //!
 //! Invariant: they change nothing.
 
-use super::{Plain, say, say_json, text};
+use super::{Plain, give, say, say_json, text};
 use crate::api::Status;
 use crate::record::{Event, Receipt};
 use anyhow::Result;
@@ -15,11 +15,7 @@ pub(super) fn status(plain: &Plain, watch: bool) -> Result<ExitCode> {
     let mut client = plain.client()?;
     if !watch {
         let status: Status = client.get("/v1/status")?;
-        if plain.output.json {
-            say_json(&status)?
-        } else {
-            say(&text::status(&status))?
-        }
+        give(plain.output.json, &status, || text::status(&status))?;
         return Ok(ExitCode::SUCCESS);
     }
     let mut events = client.events()?;
@@ -44,7 +40,7 @@ pub(super) fn status(plain: &Plain, watch: bool) -> Result<ExitCode> {
 pub(super) fn events(plain: &Plain) -> Result<ExitCode> {
     let mut events = plain.client()?.events()?;
     while let Some(event) = events.next(None)? {
-        if plain.output.json { say_json(&event)? } else { say(&text::event(&event))? }
+        give(plain.output.json, &event, || text::event(&event))?;
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -52,10 +48,6 @@ pub(super) fn events(plain: &Plain) -> Result<ExitCode> {
 pub(super) fn receipt(plain: &Plain, id: Option<u64>) -> Result<ExitCode> {
     let id = id.map_or_else(|| "last".to_owned(), |id| id.to_string());
     let receipt: Receipt = plain.client()?.get(&format!("/v1/plays/{id}"))?;
-    if plain.output.json {
-        say_json(&receipt)?
-    } else {
-        say(&text::receipt(&receipt))?
-    }
+    give(plain.output.json, &receipt, || text::receipt(&receipt))?;
     Ok(ExitCode::SUCCESS)
 }

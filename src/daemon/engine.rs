@@ -294,7 +294,7 @@ fn log(event: &Event) {
             info!(kind = device.kind, firmware = device.firmware, boot = device.boot, "device connected");
         }
         Event::Disconnected { reason } => {
-            warn!("device disconnected: {reason}; it is tried again every second")
+            warn!("device disconnected: {reason}; it is tried again every second");
         }
         Event::Ended { receipt } if receipt.state == PlayState::Done => {
             info!(id = receipt.id, pattern = receipt.pattern, "play done");
