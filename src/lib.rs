@@ -7,6 +7,7 @@ pub mod config;
 pub mod daemon;
 pub mod device;
 pub mod draw;
+pub mod link;
 pub mod motor;
 pub mod pattern;
 pub mod plant;

@@ -22,6 +22,8 @@ mod plant;
 /// What the README and the example configuration say is true.
 mod readme;
 /// From patterns to strokes: exact ticks, repeats and cuts, invariants on random patterns.
+mod rig;
+mod streaming;
 mod strokes;
 
 /// Lets `assert_no_alloc` see every allocation of the tests.

@@ -26,7 +26,7 @@ const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 /// Why bytes between two zeros are not a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameError {
-    /// More than [`MAX_FRAME`] bytes without a zero.
+    /// More than [`MAX_FRAME`] bytes, the zero included.
     TooLong,
     /// Not COBS, or shorter than a version and a CRC.
     Malformed,
@@ -55,14 +55,29 @@ pub fn encode(body: &impl Serialize, out: &mut [u8]) -> Result<usize, postcard::
 /// Cuts a byte stream into messages.
 #[derive(Debug)]
 pub struct Decoder {
-    buffer: [u8; MAX_FRAME],
+    buffer: [u8; MAX_FRAME - 1],
     len: usize,
     overflow: bool,
 }
 
+impl core::fmt::Display for FrameError {
+    fn fmt(&self, out: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::TooLong => out.write_str("a frame without an end"),
+            Self::Malformed => out.write_str("a frame that cannot be read"),
+            Self::Crc => out.write_str("a frame whose CRC does not fit"),
+            Self::Version(version) => {
+                write!(out, "protocol version {version}, this side speaks {PROTOCOL}")
+            }
+        }
+    }
+}
+
+impl core::error::Error for FrameError {}
+
 impl Default for Decoder {
     fn default() -> Self {
-        Self { buffer: [0; MAX_FRAME], len: 0, overflow: false }
+        Self { buffer: [0; MAX_FRAME - 1], len: 0, overflow: false }
     }
 }
 

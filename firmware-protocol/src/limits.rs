@@ -9,6 +9,8 @@ use serde::{Deserialize, Serialize};
 
 /// Up pulses of one stroke at the most: 407 µm, the paper's motors' useful travel.
 pub const MAX_UP_PULSES: u16 = 3_000;
+/// Down pulses of one stroke at the most, however it is corrected.
+pub const MAX_DOWN_PULSES: u16 = MAX_UP_PULSES + correction(MAX_UP_PULSES);
 /// Net pulses by which moves may take a pin from where it was armed.
 pub const MAX_TRAVEL: u16 = 3_000;
 /// Motors that share a 30 V supply (a rail).
@@ -40,7 +42,7 @@ pub enum Refusal {
     UpPulses,
     /// The up burst runs into the down burst.
     Bursts,
-    /// The down burst undoes the up burst by more than a correction too little or too much.
+    /// The down burst has no pulses, or undoes the up burst by more than a correction too little or too much.
     Unbalanced,
     /// The stroke begins before the one queued before it on the same motor has ended.
     Overlap,
@@ -96,7 +98,8 @@ pub fn check(stroke: &Stroke) -> Result<(), Refusal> {
     if stroke.up + u64::from(stroke.up_pulses) > stroke.down {
         return Err(Refusal::Bursts);
     }
-    if !within_correction(stroke.up_pulses, stroke.down_pulses) {
+    // Without a down burst, strokes could follow each other as one endless up burst.
+    if stroke.down_pulses == 0 || !within_correction(stroke.up_pulses, stroke.down_pulses) {
         return Err(Refusal::Unbalanced);
     }
     Ok(())
@@ -162,14 +165,14 @@ impl OnTime {
     /// Takes what is a second old off the account.
     fn forget(&mut self, now: Tick) {
         let bucket = now.0 / BUCKET;
-        let steps = (bucket - self.bucket).min(BUCKETS as u64);
+        let steps = bucket.saturating_sub(self.bucket).min(BUCKETS as u64);
         for step in 1..=steps {
             let old = &mut self.ended[(bucket - steps + step) as usize % BUCKETS];
             for (charged, ended) in self.charged.iter_mut().zip(old) {
                 *charged = charged.saturating_sub(u32::from(core::mem::take(ended)));
             }
         }
-        self.bucket = bucket;
+        self.bucket = self.bucket.max(bucket);
     }
 }
 

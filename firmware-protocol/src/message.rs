@@ -18,7 +18,7 @@ pub enum HostMessage<'a> {
     },
     /// Keeps the lease, asks for a status.
     Ping {
-        /// Comes back in the status.
+        /// Comes back in the status; not 0.
         token: u16,
         /// Reports read so far, all before it included.
         seen: u16,
@@ -185,7 +185,7 @@ pub struct DeviceHello {
     pub tick: u64,
     /// The present epoch.
     pub epoch: u16,
-    /// The number of reports made so far; the session's first has the next number.
+    /// The number of the last report before this session's: its first has the next number.
     pub reports: u16,
     /// The last cut since boot, for a host that lost the link before it could read of it.
     pub last_cut: Option<Cut>,
@@ -201,7 +201,7 @@ impl DeviceHello {
 /// How the device stands: acknowledgement, clock, credits and counters in one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Status {
-    /// Of the last `Ping`.
+    /// Of the last `Ping`, in the first status after it; else 0. So its round trip is known.
     pub token: u16,
     /// Now.
     pub tick: WireTick,

@@ -69,6 +69,12 @@ impl Stroke {
         self.down + u64::from(self.down_pulses)
     }
 
+    /// Pulses of both bursts.
+    #[must_use]
+    pub fn pulses(&self) -> u32 {
+        u32::from(self.up_pulses) + u32::from(self.down_pulses)
+    }
+
     /// The up burst and the down burst.
     #[must_use]
     pub fn bursts(&self) -> [Burst; 2] {

@@ -35,8 +35,9 @@ impl Tick {
 
 impl Add<u64> for Tick {
     type Output = Self;
+    /// The tick `ticks` later; the count ends after seven million years and stays there.
     fn add(self, ticks: u64) -> Self {
-        Self(self.0 + ticks)
+        Self(self.0.saturating_add(ticks))
     }
 }
 

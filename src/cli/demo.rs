@@ -15,7 +15,7 @@ use crate::device::Spec;
 use crate::record::{Receipt, Wire};
 use crate::store::Store;
 use crate::stream::port::{Bursts, Pulses};
-use crate::stream::{Realtime, virtual_run};
+use crate::stream::{Realtime, rehearse};
 use anyhow::{Context, Result, bail};
 use serde::Serialize;
 use std::process::ExitCode;
@@ -119,7 +119,7 @@ fn report(
     let truth = hosted.truth().context("internal error: the mock has no shafts")?.rest();
     let pattern = Store::new(None, false)?.get(PATTERN)?.pattern;
     let seconds = request.seconds.unwrap_or_default();
-    let open = virtual_run(&pattern, seconds, &config.mock, &config.settings, true);
+    let open = rehearse(&pattern, request.seconds, &config.mock, config.settings, true)?;
     let wire = receipt.wire.unwrap_or(Wire::new(0, 0));
     Ok(Report {
         pattern: receipt.pattern.clone(),
@@ -132,7 +132,7 @@ fn report(
         wire: WireReport {
             bytes_to_device: wire.bytes_to_device,
             bytes_per_burst: wire.bytes_per_burst,
-            bytes_per_burst_open_loop: Wire::new(open.wire_bytes, open.bursts.planned).bytes_per_burst,
+            bytes_per_burst_open_loop: Wire::new(open.outcome.wire_bytes, open.outcome.bursts.planned).bytes_per_burst,
         },
         onset_latency_ms: receipt.onset_latency_ms,
         lead_ms: status.lead_ms,

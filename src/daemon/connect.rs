@@ -46,7 +46,7 @@ fn run(spec: &Spec, plant: &PlantConfig, engine: &Engine, words: &Receiver<Word>
                 if *spec == Spec::Auto && kind == "mock" {
                     warn!("no board was found: using the mock, no real pin moves; name one with --device");
                 } else {
-                    info!("opened {spec} ({kind})");
+                    info!("opened {kind}");
                 }
                 match engine.connect(Box::new(device)) {
                     Ok(()) => match words.recv() {

@@ -44,7 +44,7 @@ pub const fn cause_name(cause: Cause) -> &'static str {
 /// Which device is connected.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DeviceInfo {
-    /// How it is reached: `mock`, `pty`, `serial`.
+    /// How it is reached: `mock`, `pty:PATH`, `serial:PATH`.
     pub kind: String,
     /// Firmware version.
     pub firmware: String,

@@ -45,7 +45,7 @@ pub struct Totals {
 /// Keeps the record.
 #[derive(Debug, Default)]
 pub struct Recorder {
-    kind: &'static str,
+    kind: String,
     hello: Option<DeviceHello>,
     snapshot: Option<Snapshot>,
     /// Ordered, but not answered yet.
@@ -72,7 +72,7 @@ impl Recorder {
     }
 
     /// How the next device is reached.
-    pub fn reached_by(&mut self, kind: &'static str) {
+    pub fn reached_by(&mut self, kind: String) {
         self.kind = kind;
     }
 
@@ -83,7 +83,7 @@ impl Recorder {
             Notice::Connected(hello) => {
                 self.totals.connects += 1;
                 self.hello = Some(*hello);
-                Some(Event::Connected { device: DeviceInfo::new(self.kind, hello) })
+                Some(Event::Connected { device: DeviceInfo::new(&self.kind, hello) })
             }
             Notice::Disconnected { reason, .. } => {
                 self.hello = None;
@@ -160,7 +160,7 @@ impl Recorder {
     /// The connected device.
     #[must_use]
     pub fn device(&self) -> Option<DeviceInfo> {
-        self.hello.as_ref().map(|hello| DeviceInfo::new(self.kind, hello))
+        self.hello.as_ref().map(|hello| DeviceInfo::new(&self.kind, hello))
     }
 
     /// The last snapshot.

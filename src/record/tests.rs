@@ -144,7 +144,7 @@ fn the_state_without_a_device_says_so_but_an_estop_is_latched() {
     assert_eq!(recorder.standing().0, "no-device");
     recorder.take(&Notice::Snapshot(snapshot(false, State::Faulted, None)));
     assert_eq!(recorder.standing(), ("faulted", "request", "unknown"));
-    recorder.reached_by("mock");
+    recorder.reached_by("mock".to_owned());
     let event = recorder.take(&Notice::Connected(hello())).unwrap();
     let json = serde_json::to_value(&event).unwrap();
     assert_eq!((&json["event"], &json["device"]["kind"]), (&"connected".into(), &"mock".into()));

@@ -1,10 +1,22 @@
-//! placeholder
+//! The streamer: keeps the controller fed, corrects strokes from telemetry, and accounts for every burst.
+//!
+//! [`Streamer`] decides, sans-IO: it is told the time, orders and bytes, and says what to send and what has
+//! happened; it never sleeps, reads a clock or touches a port. `thread` runs it in real time around a device,
+//! [`rehearse`] in virtual time around the mock: same code, same answers. In real time its loop does not
+//! allocate, lock, log or wait on anybody ([`port`]).
+
+mod active;
+mod feed;
+mod hold;
 pub mod port;
+mod rehearse;
+mod streamer;
+mod thread;
 
 use firmware_protocol::limits::OnTimeLimits;
-use port::{Notices, Orders};
-use std::io;
-use std::thread::JoinHandle;
+pub use rehearse::{Line, Rehearsal, RehearseError, Rehearsed, rehearse};
+pub use streamer::{Streamer, cause_text};
+pub use thread::spawn;
 
 /// What the streamer is told once, at its start.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -17,6 +29,13 @@ pub struct Settings {
     pub limits: OnTimeLimits,
 }
 
+impl Default for Settings {
+    /// 100 ms ahead: stock kernels stall for 25 ms.
+    fn default() -> Self {
+        Self { lead_ms: 100.0, lease_ms: 300.0, limits: OnTimeLimits::NONE }
+    }
+}
+
 /// Which real-time means the system granted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct Realtime {
@@ -24,36 +43,4 @@ pub struct Realtime {
     pub fifo: bool,
     /// The process's memory is locked.
     pub mlock: bool,
-}
-
-/// Starts the streamer's thread.
-///
-/// # Errors
-/// If the system gives no descriptors or no thread.
-pub fn spawn(_settings: Settings) -> io::Result<(Orders, Notices, Realtime, JoinHandle<()>)> {
-    let (_port, orders, notices) = port::port()?;
-    Ok((orders, notices, Realtime::default(), std::thread::spawn(|| {})))
-}
-
-/// What a run in virtual time came to.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct VirtualRun {
-    /// Where the pins rested.
-    pub rest: crate::plant::RestStats,
-    /// The bursts.
-    pub bursts: port::Bursts,
-    /// Bytes sent to the device.
-    pub wire_bytes: u64,
-}
-
-/// Placeholder.
-#[must_use]
-pub fn virtual_run(
-    _pattern: &crate::pattern::Pattern,
-    _seconds: f64,
-    _plant: &crate::plant::PlantConfig,
-    _settings: &Settings,
-    _open_loop: bool,
-) -> VirtualRun {
-    VirtualRun::default()
 }

@@ -117,7 +117,9 @@ pub enum Refused {
     #[error("the onset asked for is too soon or already past: choose a later one")]
     TooSoon,
     /// The onset asked for lies within the play before it.
-    #[error("the onset asked for lies before the end of the plays queued: choose a later one, or use --replace")]
+    #[error(
+        "the onset asked for lies before the end of the plays queued: choose a later one, or use --replace"
+    )]
     Overlaps,
     /// The device refused the command.
     #[error("the device refused: {}", refusal_text(*.0))]

@@ -12,7 +12,7 @@
 mod pool;
 mod reports;
 
-use crate::batch::{Amendment, Amendments, BATCH_BYTES, MAX_BATCH, Strokes};
+use crate::batch::{Amendment, Amendments, MAX_BATCH, Strokes};
 use crate::frame::{self, Decoder, FrameError, MAX_FRAME};
 use crate::limits::{self, MAX_TRAVEL, OnTime, OnTimeLimits, Refusal};
 use crate::message::{
@@ -176,7 +176,8 @@ impl Controller {
         self.owed.get(usize::from(motor)).copied().unwrap_or(0)
     }
 
-    /// Whether the shell must hold all lines low at `now`, whatever was rendered for it.
+    /// Whether the shell must hold all lines low from `now` on, whatever was rendered. The tick that was
+    /// being played when it became so is booked as played.
     #[must_use]
     pub fn forced_off(&self, now: Tick) -> bool {
         self.state == State::Faulted || now < self.off_until
@@ -184,6 +185,10 @@ impl Controller {
 
     /// The lines from the rendered end on, for `max` ticks or until a line changes.
     pub fn render(&mut self, max: u32) -> Run {
+        if max == 0 {
+            // A line is brought to a tick only together with rendering it: until then the tick can be amended.
+            return Run { lines: self.lines, ticks: 0 };
+        }
         let mut change = NEVER;
         for motor in 0..MOTORS {
             if self.changes[motor] <= self.rendered {
@@ -204,9 +209,8 @@ impl Controller {
             let Some(slot) = self.pool.get_mut(index) else { break (Line::Off, NEVER) };
             let stroke = slot.stroke;
             if slot.kind == Kind::Play && slot.charged.is_none() && stroke.up <= now {
-                let pulses = u32::from(stroke.up_pulses) + u32::from(stroke.down_pulses);
-                match self.on_time.begin(now, motor, pulses) {
-                    Ok(()) => slot.charged = Some(pulses),
+                match self.on_time.begin(now, motor, stroke.pulses()) {
+                    Ok(()) => slot.charged = Some(stroke.pulses()),
                     Err(reason) => {
                         slot.kind = Kind::Void;
                         slot.stroke = Stroke { up_pulses: 0, down: stroke.up, down_pulses: 0, ..stroke };
@@ -219,9 +223,8 @@ impl Controller {
             if let Some(present) = slot.at(now) {
                 break present;
             }
-            if let Some(charged) = slot.charged {
-                let played = u32::from(stroke.up_pulses) + u32::from(stroke.down_pulses);
-                self.on_time.end(now, motor, charged, played);
+            if let Some(charged) = slot.charged.take() {
+                self.on_time.end(now, motor, charged, stroke.pulses());
             }
             self.pool.advance(motor);
         };
@@ -256,7 +259,7 @@ impl Controller {
     /// Lets time pass: what lies before `now` has been played; a lease may expire. Call it at least once per block.
     pub fn poll(&mut self, now: Tick) {
         self.now = self.now.max(now);
-        self.settle(self.now);
+        self.settle();
         let listening = self.state == State::Armed || self.state == State::Returning;
         if listening && self.now - self.heard > self.lease.into() {
             self.disarm(Cause::Lease);
@@ -293,10 +296,12 @@ impl Controller {
             DeviceMessage::Hello(self.hello())
         } else if core::mem::take(&mut pending.no_session) {
             DeviceMessage::NoSession
-        } else if core::mem::take(&mut pending.status) {
-            DeviceMessage::Status(self.status())
         } else if self.session.is_none() {
             return 0;
+        } else if core::mem::take(&mut pending.status) {
+            let status = self.status();
+            self.token = 0;
+            DeviceMessage::Status(status)
         } else if let Some((number, report)) = self.reports.next(self.now) {
             DeviceMessage::Report { number, report }
         } else if let Some((tick, y)) = pending.telemetry.take() {
@@ -323,7 +328,7 @@ impl Controller {
             features: self.identity.features,
             tick: self.now.0,
             epoch: self.epoch,
-            reports: self.reports.made(),
+            reports: self.reports.read(),
             last_cut: self.last_cut,
         }
     }
@@ -364,6 +369,10 @@ impl Controller {
             self.pending.no_session = true;
             return;
         }
+        if matches!(message, HostMessage::Strokes { batch, .. } if !readable(batch)) {
+            self.counters.bad_frames += 1;
+            return;
+        }
         self.heard = self.now;
         self.pending.status = true;
         match message {
@@ -388,7 +397,7 @@ impl Controller {
                 }
             }
             HostMessage::Amend { epoch, generation, base, items } => {
-                if epoch != self.epoch || items.len() > BATCH_BYTES {
+                if epoch != self.epoch {
                     return;
                 }
                 for item in Amendments::new(base.near(self.now), items) {
@@ -412,6 +421,7 @@ impl Controller {
         self.next_seq = 0;
         self.refusal = None;
         self.reports.clear();
+        self.marks.clear();
     }
 
     fn perform(&mut self, op: Op) -> Result<(), Refusal> {
@@ -462,7 +472,7 @@ impl Controller {
             for motor in 0..MOTORS {
                 let pulses = core::mem::take(&mut self.owed[motor]);
                 if pulses > 0 {
-                    self.queue_own(motor as u8, Direction::Down, pulses);
+                    self.queue_own(motor as u8, Direction::Down, pulses, None);
                 }
             }
             (self.state, self.then) = (State::Returning, State::Armed);
@@ -472,7 +482,7 @@ impl Controller {
     }
 
     /// A burst at the rendered end that belongs to no play. The queue is empty, so there is a slot.
-    fn queue_own(&mut self, motor: u8, direction: Direction, pulses: u16) {
+    fn queue_own(&mut self, motor: u8, direction: Direction, pulses: u16, charged: Option<u32>) {
         let at = self.rendered;
         let stroke = match direction {
             Direction::Up => {
@@ -480,7 +490,7 @@ impl Controller {
             }
             Direction::Down => Stroke { motor, up: at, up_pulses: 0, down: at, down_pulses: pulses },
         };
-        self.queue(Slot::new(stroke, Kind::Own));
+        self.queue(Slot { charged, ..Slot::new(stroke, Kind::Own) });
     }
 
     fn queue(&mut self, slot: Slot) -> bool {
@@ -488,7 +498,8 @@ impl Controller {
         let idle = self.pool.current(motor).is_none();
         let queued = self.pool.push(slot);
         if idle && queued {
-            self.changes[motor] = slot.stroke.up;
+            // The line may still have to come to the rendered end, where the last stroke was over.
+            self.changes[motor] = self.changes[motor].min(slot.stroke.up);
         }
         queued
     }
@@ -503,9 +514,11 @@ impl Controller {
         if sum.unsigned_abs() > MAX_TRAVEL.into() {
             return Err(Refusal::Travel);
         }
-        *travel = sum as i16;
         if pulses > 0 {
-            self.queue_own(motor, direction, pulses);
+            let charge = u32::from(pulses);
+            self.on_time.begin(self.rendered, motor.into(), charge)?;
+            *travel = sum as i16;
+            self.queue_own(motor, direction, pulses, Some(charge));
         }
         Ok(())
     }
@@ -537,16 +550,16 @@ impl Controller {
         }
         self.finish_cut(cause, true, flushed, owed, at);
         (self.state, self.then) = (State::Returning, then);
-        self.settle(self.now);
+        self.settle();
     }
 
-    /// E-stop and faults: nothing is played after the tick that is being played now.
+    /// E-stop and faults: nothing is played after the tick that is being played now, if there is one.
     fn off(&mut self, cause: Cause) {
         if self.state == State::Faulted {
             return;
         }
-        let at = self.now + 1;
-        self.settle(at);
+        let at = (self.now + 1).min(self.rendered);
+        self.settle_strokes(at);
         let mut flushed = 0;
         for motor in 0..MOTORS {
             while let Some(slot) = self.pool.pop(motor) {
@@ -577,9 +590,7 @@ impl Controller {
     }
 
     fn finish_cut(&mut self, cause: Cause, returns: bool, flushed: u16, owed: u32, at: Tick) {
-        while self.marks.back().is_some_and(|&mark| mark >= at) {
-            self.marks.pop_back();
-        }
+        self.marks.retain(|&mark| mark < at);
         self.cause = cause;
         self.report_cut(cause, returns, flushed, owed, at);
     }
@@ -591,8 +602,9 @@ impl Controller {
         self.pending.status = true;
     }
 
-    /// Books what lies before `now`, in the order of time.
-    fn settle(&mut self, now: Tick) {
+    /// Books what was played before now, in the order of time. What is not rendered was not played.
+    fn settle(&mut self) {
+        let now = self.now.min(self.rendered);
         while let Some(&mark) = self.marks.front().filter(|&&mark| mark <= now) {
             self.settle_strokes(mark);
             self.marks.pop_front();
@@ -609,6 +621,9 @@ impl Controller {
         for motor in 0..MOTORS {
             while self.pool.head(motor).is_some_and(|slot| slot.stroke.end() <= now) {
                 let Some(slot) = self.pool.pop(motor) else { break };
+                if let Some(charged) = slot.charged {
+                    self.on_time.end(self.rendered, motor, charged, slot.stroke.pulses());
+                }
                 if slot.kind != Kind::Play {
                     continue;
                 }
@@ -626,23 +641,11 @@ impl Controller {
 
     /// Takes the next frame of the ordered stream.
     fn strokes(&mut self, seq: u16, onset: bool, base: Tick, batch: &[u8]) {
-        let (mut count, mut soonest) = (0, if onset { base } else { NEVER });
-        for stroke in Strokes::new(base, batch) {
-            let Ok(stroke) = stroke else {
-                self.counters.bad_frames += 1;
-                return;
-            };
-            soonest = soonest.min(stroke.up);
-            count += 1;
-        }
-        if count > MAX_BATCH {
-            self.counters.bad_frames += 1;
-            return;
-        }
         self.next_seq = seq.wrapping_add(1);
         let rendered = self.rendered.wire();
         if onset && self.state == State::Armed {
-            if soonest < self.rendered {
+            // No stroke begins before the base it counts from.
+            if base < self.rendered {
                 self.report(Report::OnsetRefused { seq, rendered });
                 return;
             }
@@ -698,18 +701,33 @@ impl Controller {
         let newest = slot.generation[half].is_none_or(|old| newer(generation, old));
         let fits = limits::within_correction(slot.planned[half], item.pulses)
             && burst.start + u64::from(item.pulses) <= room
-            && (half == 1 || (1..=limits::MAX_UP_PULSES).contains(&item.pulses));
+            && (1..=[limits::MAX_UP_PULSES, limits::MAX_DOWN_PULSES][half]).contains(&item.pulses);
         if self.state != State::Armed || slot.kind != Kind::Play || burst.start < rendered || !newest || !fits
         {
             return None;
         }
-        slot.generation[half] = Some(generation);
+        let mut stroke = slot.stroke;
         match item.direction {
-            Direction::Up => slot.stroke.up_pulses = item.pulses,
-            Direction::Down => slot.stroke.down_pulses = item.pulses,
+            Direction::Up => stroke.up_pulses = item.pulses,
+            Direction::Down => stroke.down_pulses = item.pulses,
         }
+        if let Some(charged) = &mut slot.charged
+            && stroke.pulses() > *charged
+        {
+            self.on_time.begin(rendered, item.motor.into(), stroke.pulses() - *charged).ok()?;
+            *charged = stroke.pulses();
+        }
+        slot.generation[half] = Some(generation);
+        slot.stroke = stroke;
         Some(())
     }
+}
+
+/// Whether `batch` can be read to its end and a verdict has a bit for each of its strokes.
+fn readable(batch: &[u8]) -> bool {
+    let mut strokes = Strokes::new(Tick(0), batch);
+    let whole = strokes.by_ref().take(MAX_BATCH).all(|stroke| stroke.is_ok());
+    whole && strokes.next().is_none()
 }
 
 /// Whether `a` comes after `b`, as numbers that wrap.

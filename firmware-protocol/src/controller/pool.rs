@@ -69,9 +69,9 @@ impl Slot {
         self.stroke.up < tick || (self.kind == Kind::Own && self.stroke.up_pulses == 0)
     }
 
-    /// Pulses that a move takes a pin up by and that cutting it at `tick` gives back.
+    /// Pulses that a move takes a pin up by and that cutting it at `tick` gives back, once.
     pub(super) fn shift_undone(&self, tick: Tick) -> u16 {
-        let undone = self.kind == Kind::Own && tick < self.stroke.bursts()[0].end();
+        let undone = self.kind == Kind::Own && !self.cut && tick < self.stroke.bursts()[0].end();
         if undone { self.stroke.up_pulses } else { 0 }
     }
 
@@ -256,8 +256,8 @@ impl Pool {
     pub(super) fn find(&self, motor: usize, up: Tick) -> Option<u16> {
         let mut index = self.queues.get(motor)?.cursor;
         while let Some(slot) = self.get(index) {
-            if slot.stroke.up == up {
-                return Some(index);
+            if slot.stroke.up >= up {
+                return (slot.stroke.up == up).then_some(index);
             }
             index = slot.next;
         }

@@ -42,6 +42,11 @@ impl Reports {
         self.made
     }
 
+    /// Number of the last report that nobody waits for: the next is the oldest kept or yet to be made.
+    pub(super) fn read(&self) -> u16 {
+        self.made.wrapping_sub(self.ring.len() as u16)
+    }
+
     pub(super) fn free(&self) -> usize {
         REPORTS - self.ring.len()
     }

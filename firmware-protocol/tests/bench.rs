@@ -1,0 +1,323 @@
+//! A shell around the controller, as thin as the firmware's: it renders in blocks, holds the lines low while
+//! `forced_off`, and writes down every pulse. Time moves by [`Bench::tick`] alone; an event reaches the
+//! controller during the tick `now`, whose lines are out already (except in [`MOCK`]).
+
+use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
+use firmware_protocol::controller::{Controller, HORIZON, Identity};
+use firmware_protocol::frame::{Decoder, MAX_FRAME, encode};
+use firmware_protocol::limits::OnTimeLimits;
+use firmware_protocol::message::{Cause, DeviceMessage, HostMessage, Op, Report, State, Status};
+use firmware_protocol::stroke::{Burst, Direction, Line, Lines, MOTORS, Stroke};
+use firmware_protocol::tick::{TICK_HZ, Tick};
+use std::collections::VecDeque;
+
+/// How a shell renders: blocks of `block` ticks, up to `ahead` ticks from now.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Shell {
+    pub(crate) ahead: u64,
+    pub(crate) block: u64,
+}
+
+/// Two DMA blocks of half the horizon.
+pub(crate) const FIRMWARE: Shell = Shell { ahead: HORIZON as u64, block: 32 };
+/// The tick being played and no more.
+pub(crate) const TIGHT: Shell = Shell { ahead: 1, block: 1 };
+/// Bytes first, then the ticks up to now: an event comes when nothing is rendered ahead.
+pub(crate) const MOCK: Shell = Shell { ahead: 0, block: 1 };
+pub(crate) const SHELLS: [Shell; 3] = [FIRMWARE, TIGHT, MOCK];
+
+/// The lease that [`Bench::arm`] asks for.
+pub(crate) const LEASE: u32 = 2 * TICK_HZ;
+
+pub(crate) struct Bench {
+    pub(crate) device: Controller,
+    pub(crate) now: u64,
+    start: u64,
+    shell: Shell,
+    ahead: VecDeque<Lines>,
+    log: Vec<(u64, Lines)>,
+    decoder: Decoder,
+    /// All that the device has sent.
+    pub(crate) inbox: Vec<DeviceMessage>,
+    pub(crate) epoch: u16,
+    pub(crate) seq: u16,
+    /// Number of the last report read; sent as `seen` while `reading`.
+    pub(crate) seen: u16,
+    pub(crate) reading: bool,
+}
+
+pub(crate) fn stroke(motor: u8, up: u64, pulses: u16, hold: u64, down_pulses: u16) -> Stroke {
+    Stroke { motor, up: Tick(up), up_pulses: pulses, down: Tick(up + u64::from(pulses) + hold), down_pulses }
+}
+
+pub(crate) fn burst(start: u64, direction: Direction, pulses: u64) -> Burst {
+    Burst { start: Tick(start), direction, pulses: u16::try_from(pulses).expect("a burst") }
+}
+
+/// `message` as a frame.
+pub(crate) fn frame(message: &HostMessage<'_>) -> Vec<u8> {
+    let mut out = [0; MAX_FRAME];
+    let len = encode(message, &mut out).expect("a message that fits");
+    out[..len].to_vec()
+}
+
+/// Strokes packed for a batch that counts from `base`.
+pub(crate) fn pack(base: u64, strokes: &[Stroke]) -> Packer<BATCH_BYTES> {
+    let mut packer = Packer::new(Tick(base));
+    for stroke in strokes {
+        packer.stroke(stroke).expect("room for a stroke");
+    }
+    packer
+}
+
+impl Bench {
+    pub(crate) fn new(shell: Shell) -> Self {
+        Self::starting_at(shell, Tick::BOOT)
+    }
+
+    pub(crate) fn starting_at(shell: Shell, start: Tick) -> Self {
+        let mut bench = Self {
+            device: Controller::starting_at(Identity { boot: 7, ..Identity::default() }, start),
+            now: start.0,
+            start: start.0,
+            shell,
+            ahead: VecDeque::new(),
+            log: Vec::new(),
+            decoder: Decoder::default(),
+            inbox: Vec::new(),
+            epoch: 0,
+            seq: 0,
+            seen: 0,
+            reading: true,
+        };
+        bench.fill(bench.now + shell.ahead);
+        if shell.ahead > 0 {
+            bench.play();
+        }
+        bench
+    }
+
+    /// A bench that is armed with every pin at rest.
+    pub(crate) fn armed(shell: Shell) -> Self {
+        let mut bench = Self::new(shell);
+        bench.hello(1);
+        bench.arm(true);
+        assert_eq!(bench.device.state(), State::Armed);
+        bench
+    }
+
+    fn fill(&mut self, to: u64) {
+        while self.device.rendered().0 < to {
+            let run = self.device.render((to - self.device.rendered().0) as u32);
+            assert!(run.ticks > 0, "rendering makes progress");
+            self.ahead.extend((0..run.ticks).map(|_| run.lines));
+        }
+        assert!(self.device.rendered() - Tick(self.now) <= u64::from(HORIZON));
+    }
+
+    /// The lines go out for the tick `now`.
+    fn play(&mut self) {
+        let rendered = self.ahead.pop_front().expect("a rendered tick");
+        let lines = if self.device.forced_off(Tick(self.now)) { Lines::OFF } else { rendered };
+        assert_eq!(lines.up & lines.down, 0, "a line in both masks");
+        assert_eq!((lines.up | lines.down) >> MOTORS, 0, "a line that does not exist");
+        if lines != Lines::OFF {
+            self.log.push((self.now, lines));
+        }
+    }
+
+    /// One tick passes.
+    pub(crate) fn tick(&mut self) {
+        if self.shell.ahead == 0 {
+            self.fill(self.now + 1);
+            self.play();
+        }
+        self.now += 1;
+        if (self.now - self.start).is_multiple_of(self.shell.block) {
+            self.device.poll(Tick(self.now));
+            self.fill(self.now + self.shell.ahead);
+            self.drain();
+        }
+        if self.shell.ahead > 0 {
+            self.play();
+        }
+    }
+
+    pub(crate) fn run(&mut self, ticks: u64) {
+        for _ in 0..ticks {
+            self.tick();
+        }
+    }
+
+    pub(crate) fn run_to(&mut self, tick: u64) {
+        while self.now < tick {
+            self.tick();
+        }
+    }
+
+    /// Runs until the controller has returned and every stroke is booked.
+    pub(crate) fn settle(&mut self) {
+        self.run(100);
+        while self.device.state() == State::Returning {
+            self.tick();
+        }
+    }
+
+    /// What the device sends now.
+    pub(crate) fn drain(&mut self) {
+        loop {
+            let mut out = [0; MAX_FRAME];
+            let len = self.device.transmit(Tick(self.now), &mut out);
+            if len == 0 {
+                return;
+            }
+            let mut bytes = &out[..len];
+            let body = self.decoder.next(&mut bytes).expect("a whole frame").expect("a valid frame");
+            let message: DeviceMessage = postcard::from_bytes(body).expect("a message");
+            if let DeviceMessage::Hello(hello) = message {
+                (self.epoch, self.seq, self.seen) = (hello.epoch, 0, hello.reports);
+            }
+            if let DeviceMessage::Report { number, .. } = message
+                && number == self.seen.wrapping_add(1)
+            {
+                self.seen = number;
+            }
+            self.inbox.push(message);
+        }
+    }
+
+    pub(crate) fn bytes(&mut self, bytes: &[u8]) {
+        self.device.receive(Tick(self.now), bytes);
+        self.drain();
+    }
+
+    pub(crate) fn send(&mut self, message: &HostMessage<'_>) {
+        self.bytes(&frame(message));
+    }
+
+    pub(crate) fn seen(&self) -> u16 {
+        if self.reading { self.seen } else { 0 }
+    }
+
+    pub(crate) fn hello(&mut self, session: u32) {
+        self.send(&HostMessage::Hello { session });
+    }
+
+    pub(crate) fn ping(&mut self, token: u16) {
+        self.send(&HostMessage::Ping { token, seen: self.seen() });
+    }
+
+    pub(crate) fn control(&mut self, op: Op) {
+        self.epoch = self.epoch.wrapping_add(1);
+        self.seq = 0;
+        self.send(&HostMessage::Control { epoch: self.epoch, seen: self.seen(), op });
+    }
+
+    pub(crate) fn arm(&mut self, assume_rest: bool) {
+        self.control(arm(assume_rest, LEASE, OnTimeLimits::NONE));
+    }
+
+    pub(crate) fn limited(shell: Shell, motor: u32, rail: u32) -> Self {
+        let mut bench = Self::new(shell);
+        bench.hello(1);
+        bench.control(arm(true, 10 * TICK_HZ, OnTimeLimits { motor, rail }));
+        bench
+    }
+
+    /// The next frame of the stream.
+    pub(crate) fn frame(&mut self, onset: bool, base: u64, batch: &[u8]) {
+        let (epoch, seq, seen) = (self.epoch, self.seq, self.seen());
+        self.send(&HostMessage::Strokes { epoch, seq, seen, onset, base: Tick(base).wire(), batch });
+        self.seq = self.status().next_seq;
+    }
+
+    pub(crate) fn strokes(&mut self, strokes: &[Stroke]) {
+        let base = strokes[0].up.0;
+        self.frame(false, base, pack(base, strokes).bytes());
+    }
+
+    pub(crate) fn onset(&mut self, base: u64, strokes: &[Stroke]) {
+        self.frame(true, base, pack(base, strokes).bytes());
+    }
+
+    pub(crate) fn amend(&mut self, generation: u16, stroke: &Stroke, direction: Direction, pulses: u16) {
+        let mut packer = Packer::<BATCH_BYTES>::new(stroke.up);
+        packer.amendment(&Amendment { motor: stroke.motor, up: stroke.up, direction, pulses }).expect("room");
+        let (epoch, base) = (self.epoch, stroke.up.wire());
+        self.send(&HostMessage::Amend { epoch, generation, base, items: packer.bytes() });
+    }
+
+    /// The last status.
+    pub(crate) fn status(&self) -> Status {
+        let last = self.inbox.iter().rev().find_map(|message| match message {
+            DeviceMessage::Status(status) => Some(*status),
+            _ => None,
+        });
+        last.expect("a status")
+    }
+
+    /// Every report, once, in order.
+    pub(crate) fn reports(&self) -> Vec<Report> {
+        let (mut reports, mut last) = (Vec::new(), None::<u16>);
+        for message in &self.inbox {
+            if let DeviceMessage::Report { number, report } = message
+                && last.is_none_or(|last| last.wrapping_add(1) == *number)
+            {
+                reports.push(*report);
+                last = Some(*number);
+            }
+        }
+        reports
+    }
+
+    pub(crate) fn last_report(&self) -> Report {
+        *self.reports().last().expect("a report")
+    }
+
+    /// What the motor's line did in every tick that had a pulse.
+    pub(crate) fn pulses(&self, motor: u8) -> impl Iterator<Item = (u64, Direction)> + '_ {
+        self.log.iter().filter_map(move |(tick, lines)| match lines.line(motor) {
+            Line::Pulse(direction) => Some((*tick, direction)),
+            Line::Off => None,
+        })
+    }
+
+    /// The same as bursts.
+    pub(crate) fn bursts(&self, motor: u8) -> Vec<Burst> {
+        let mut bursts: Vec<Burst> = Vec::new();
+        for (tick, direction) in self.pulses(motor) {
+            match bursts.last_mut() {
+                Some(last) if last.end() == Tick(tick) && last.direction == direction => last.pulses += 1,
+                _ => bursts.push(burst(tick, direction, 1)),
+            }
+        }
+        bursts
+    }
+
+    /// Up pulses less down pulses so far.
+    pub(crate) fn net(&self, motor: u8) -> i64 {
+        self.pulses(motor).map(|(_, direction)| if direction == Direction::Up { 1 } else { -1 }).sum()
+    }
+
+    /// Pulses on all lines so far.
+    pub(crate) fn total(&self) -> u64 {
+        self.log.iter().map(|(_, lines)| u64::from((lines.up | lines.down).count_ones())).sum()
+    }
+
+    /// The last tick with a pulse.
+    pub(crate) fn last_pulse(&self) -> Option<u64> {
+        self.log.last().map(|(tick, _)| *tick)
+    }
+
+    pub(crate) fn owed(&self) -> u64 {
+        (0..MOTORS as u8).map(|motor| u64::from(self.device.owed(motor))).sum()
+    }
+
+    pub(crate) fn is(&self, state: State, cause: Cause) {
+        assert_eq!((self.device.state(), self.device.cause()), (state, cause), "at {}", self.now);
+    }
+}
+
+pub(crate) fn arm(assume_rest: bool, lease: u32, limits: OnTimeLimits) -> Op {
+    Op::Arm { assume_rest, lease, limits }
+}

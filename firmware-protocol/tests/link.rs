@@ -1,0 +1,410 @@
+//! What a bad line, a restart or a careless host does to the stream: nothing that was not asked for, once.
+
+use crate::bench::{Bench, FIRMWARE, SHELLS, frame, pack, stroke};
+use firmware_protocol::batch::MAX_BATCH;
+use firmware_protocol::controller::{POOL, REPORTS};
+use firmware_protocol::limits::Refusal;
+use firmware_protocol::message::{Cause, DeviceMessage, HostMessage, Op, Report, State};
+use firmware_protocol::stroke::{Direction, Stroke};
+use firmware_protocol::tick::{TICK_HZ, Tick};
+
+/// A frame of the stream with everything in it chosen.
+fn strokes(bench: &Bench, epoch: u16, seq: u16, strokes: &[Stroke]) -> Vec<u8> {
+    let base = strokes.first().map_or(bench.now, |stroke| stroke.up.0);
+    let batch = pack(base, strokes);
+    let (seen, base) = (bench.seen(), Tick(base).wire());
+    frame(&HostMessage::Strokes { epoch, seq, seen, onset: false, base, batch: batch.bytes() })
+}
+
+fn control(epoch: u16, op: Op) -> Vec<u8> {
+    frame(&HostMessage::Control { epoch, seen: 0, op })
+}
+
+/// Three frames of a stroke each.
+fn three(bench: &Bench) -> ([Stroke; 3], [Vec<u8>; 3]) {
+    let three = [0, 1, 2].map(|k| stroke(1, bench.now + 200 + 50 * k, 7, 6, 7));
+    (three, [0, 1, 2].map(|k| strokes(bench, bench.epoch, k, &[three[usize::from(k)]])))
+}
+
+#[test]
+fn repeated_frames_are_taken_once() {
+    let mut bench = Bench::armed(FIRMWARE);
+    let (sent, frames) = three(&bench);
+    for bytes in frames.iter().flat_map(|frame| [frame; 3]).chain(&frames) {
+        bench.bytes(bytes);
+    }
+    assert_eq!((bench.status().next_seq, bench.status().credits), (3, POOL as u16 - 3));
+    bench.run(500);
+    assert_eq!(bench.bursts(1), sent.iter().flat_map(Stroke::bursts).collect::<Vec<_>>());
+    assert_eq!((bench.reports(), bench.device.counters().refused), (vec![], 0));
+}
+
+#[test]
+fn frames_out_of_order_and_after_a_gap_wait_for_the_missing_one() {
+    let mut bench = Bench::armed(FIRMWARE);
+    let (sent, frames) = three(&bench);
+    for (i, next_seq) in [(1, 0), (2, 0), (0, 1), (2, 1), (1, 2), (0, 2), (2, 3)] {
+        bench.bytes(&frames[i]);
+        assert_eq!(bench.status().next_seq, next_seq);
+    }
+    bench.run(500);
+    assert_eq!(bench.bursts(1), sent.iter().flat_map(Stroke::bursts).collect::<Vec<_>>());
+}
+
+#[test]
+fn frames_of_another_epoch_are_acknowledged_and_ignored() {
+    let mut bench = Bench::armed(FIRMWARE);
+    let (_, frames) = three(&bench);
+    bench.bytes(&frames[0]);
+    bench.control(Op::Stop);
+    // What was on its way when the stop was sent.
+    let answers = bench.inbox.len();
+    bench.bytes(&frames[1]);
+    bench.bytes(&frames[0]);
+    assert_eq!(bench.inbox.len(), answers + 2);
+    for epoch in [bench.epoch.wrapping_add(1), bench.epoch.wrapping_add(0x8000)] {
+        bench.bytes(&strokes(&bench, epoch, 0, &[stroke(1, bench.now + 200, 7, 6, 7)]));
+    }
+    assert_eq!((bench.status().next_seq, bench.status().credits), (0, POOL as u16));
+    bench.run(500);
+    assert_eq!(bench.total(), 0);
+    assert_eq!((bench.device.counters().dropped, bench.device.counters().refused), (2, 0));
+}
+
+#[test]
+fn a_repeated_or_older_control_does_nothing() {
+    let mut bench = Bench::armed(FIRMWARE);
+    bench.control(Op::Move { motor: 1, direction: Direction::Up, pulses: 10 });
+    for epoch in [0, 1, 2, 0x7fff, 0x8000].map(|back| bench.epoch.wrapping_sub(back)) {
+        bench.run(100);
+        bench.bytes(&control(epoch, Op::Move { motor: 1, direction: Direction::Up, pulses: 10 }));
+        bench.bytes(&control(epoch, Op::Disarm(Cause::Shutdown)));
+        assert_eq!((bench.status().epoch, bench.status().refusal), (bench.epoch, None));
+    }
+    bench.is(State::Armed, Cause::Request);
+    assert_eq!(bench.net(1), 10);
+    // As far ahead as counts as ahead.
+    bench.bytes(&control(bench.epoch.wrapping_add(0x7fff), Op::EStop));
+    bench.is(State::Faulted, Cause::EStop);
+}
+
+#[test]
+fn the_sequence_and_the_epoch_wrap() {
+    let mut bench = Bench::armed(FIRMWARE);
+    for round in 0..65_536u32 + 3 {
+        assert_eq!(u32::from(bench.seq), round % 65_536);
+        bench.frame(false, bench.now, &[]);
+        bench.inbox.drain(..bench.inbox.len() - 1);
+    }
+    let next = stroke(1, bench.now + 100, 7, 6, 7);
+    let stale = strokes(&bench, bench.epoch, 2, &[next]);
+    bench.bytes(&stale);
+    bench.bytes(&strokes(&bench, bench.epoch, 4, &[next]));
+    assert_eq!((bench.status().next_seq, bench.status().credits), (3, POOL as u16));
+    bench.strokes(&[next]);
+    assert_eq!((bench.status().next_seq, bench.status().credits), (4, POOL as u16 - 1));
+
+    let first = bench.epoch;
+    for _ in 0..65_536u32 + 3 {
+        bench.control(Op::Reset);
+        assert_eq!((bench.status().epoch, bench.status().next_seq), (bench.epoch, 0));
+        bench.inbox.drain(..bench.inbox.len() - 1);
+    }
+    assert_eq!(bench.epoch, first.wrapping_add(3));
+    bench.run(200);
+    assert_eq!(bench.bursts(1), next.bursts());
+}
+
+/// The numbers of the reports sent since.
+fn numbers(bench: &mut Bench) -> Vec<u16> {
+    let numbers = bench.inbox.iter().filter_map(|message| match message {
+        DeviceMessage::Report { number, .. } => Some(*number),
+        _ => None,
+    });
+    let numbers = numbers.collect();
+    bench.inbox.clear();
+    numbers
+}
+
+#[test]
+fn a_report_is_repeated_every_ten_ms_of_a_host_that_is_heard_until_it_is_seen() {
+    let mut bench = Bench::armed(FIRMWARE);
+    bench.reading = false;
+    for motor in [24, 25] {
+        bench.strokes(&[stroke(motor, bench.now + 500, 7, 6, 7)]);
+    }
+    assert_eq!(numbers(&mut bench), [1, 2]);
+    let repeat = u64::from(TICK_HZ) / 100;
+    bench.run(repeat - 1);
+    bench.ping(1);
+    assert_eq!(numbers(&mut bench), []);
+    bench.tick();
+    // Not by itself: a host that is silent has no use for it.
+    bench.drain();
+    assert_eq!(numbers(&mut bench), []);
+    bench.ping(2);
+    assert_eq!(numbers(&mut bench), [1, 2]);
+    bench.run(repeat);
+    bench.send(&HostMessage::Ping { token: 3, seen: 1 });
+    assert_eq!(numbers(&mut bench), [2]);
+    // Numbers that were never sent say nothing.
+    bench.run(repeat);
+    bench.send(&HostMessage::Ping { token: 3, seen: 3 });
+    bench.send(&HostMessage::Ping { token: 3, seen: 0x9000 });
+    assert_eq!(numbers(&mut bench), [2]);
+    bench.send(&HostMessage::Ping { token: 3, seen: 2 });
+    bench.run(repeat);
+    bench.ping(4);
+    assert_eq!((bench.status().reports, numbers(&mut bench)), (2, vec![]));
+}
+
+#[test]
+fn a_full_ring_takes_no_strokes_and_loses_the_newest_report() {
+    let mut bench = Bench::armed(FIRMWARE);
+    bench.reading = false;
+    let kept = REPORTS as u16 - 4;
+    let at = bench.now + 50_000;
+    for _ in 0..kept + 3 {
+        bench.strokes(&[stroke(24, at, 7, 6, 7)]);
+    }
+    assert_eq!((bench.status().next_seq, bench.status().reports), (kept, kept));
+    assert_eq!(bench.device.counters().refused, 2 * u64::from(kept));
+    // What does not come from the stream has four places, then it is lost and counted.
+    let waiting = bench.seq;
+    for lost in [0, 0, 0, 0, 1, 2] {
+        bench.control(Op::Stop);
+        assert_eq!(bench.status().counters.reports_lost, lost);
+    }
+    assert_eq!((waiting, bench.status().reports), (kept, REPORTS as u16));
+    // A host that reads has them all, in order, and is taken from again.
+    bench.reading = true;
+    bench.run(850);
+    bench.ping(1);
+    assert_eq!(bench.seen, REPORTS as u16);
+    assert_eq!(bench.reports().len(), REPORTS);
+    let next = stroke(1, bench.now + 100, 7, 6, 7);
+    bench.strokes(&[next]);
+    bench.run(200);
+    assert_eq!(bench.bursts(1), next.bursts());
+}
+
+#[test]
+fn the_numbers_of_reports_wrap() {
+    let mut bench = Bench::armed(FIRMWARE);
+    let bad = stroke(24, bench.now + 100, 7, 6, 7);
+    for round in 1..65_536u32 + 40 {
+        bench.strokes(&[bad]);
+        assert_eq!((u32::from(bench.seen), bench.status().reports), (round % 65_536, bench.seen));
+        bench.inbox.drain(..bench.inbox.len() - 2);
+    }
+    assert_eq!(bench.device.counters().reports_lost, 0);
+}
+
+#[test]
+fn before_a_hello_every_frame_is_answered_with_no_session_and_does_nothing() {
+    let mut bench = Bench::new(FIRMWARE);
+    let frames = [
+        frame(&HostMessage::Ping { token: 1, seen: 0 }),
+        control(1, crate::bench::arm(true, 85_000, firmware_protocol::limits::OnTimeLimits::NONE)),
+        control(2, Op::EStop),
+        strokes(&bench, 0, 0, &[stroke(1, bench.now + 100, 7, 6, 7)]),
+        frame(&HostMessage::Amend { epoch: 0, generation: 1, base: Tick(0).wire(), items: &[] }),
+    ];
+    for bytes in &frames {
+        bench.inbox.clear();
+        bench.bytes(bytes);
+        assert_eq!(bench.inbox, [DeviceMessage::NoSession]);
+    }
+    bench.is(State::Disarmed, Cause::Boot);
+    // And again once the link was lost.
+    let mut bench = Bench::armed(FIRMWARE);
+    bench.strokes(&[stroke(1, bench.now + 70, 90, 6, 90)]);
+    bench.run(80);
+    bench.device.link_lost(Tick(bench.now));
+    bench.inbox.clear();
+    bench.settle();
+    assert_eq!(bench.inbox, []);
+    bench.ping(1);
+    assert_eq!(bench.inbox, [DeviceMessage::NoSession]);
+    assert_eq!(bench.net(1), 0);
+}
+
+#[test]
+fn the_same_session_again_changes_nothing_and_skips_no_report() {
+    let mut bench = Bench::armed(FIRMWARE);
+    let next = stroke(1, bench.now + 100, 7, 6, 7);
+    bench.strokes(&[next]);
+    bench.strokes(&[stroke(24, bench.now + 100, 7, 6, 7)]);
+    let epoch = bench.epoch;
+    bench.hello(1);
+    let Some(DeviceMessage::Hello(hello)) = bench.inbox.last().copied() else { panic!("a hello") };
+    assert_eq!((hello.session, hello.epoch, hello.reports, hello.boot), (1, epoch, 0, 7));
+    bench.is(State::Armed, Cause::Request);
+    bench.run(200);
+    assert_eq!(bench.bursts(1), next.bursts());
+}
+
+#[test]
+fn a_new_session_starts_with_clean_reports_and_an_epoch_of_its_own() {
+    let mut bench = Bench::armed(FIRMWARE);
+    let (_, frames) = three(&bench);
+    bench.bytes(&frames[0]);
+    bench.onset(bench.now + 5_000, &[]);
+    bench.run(180);
+    // An onset that is rendered and has not passed belongs to the old host as well.
+    bench.onset(bench.device.rendered().0, &[]);
+    bench.run(32);
+    let old = bench.epoch;
+    bench.hello(2);
+    let Some(DeviceMessage::Hello(hello)) =
+        bench.inbox.iter().rev().find(|message| matches!(message, DeviceMessage::Hello(_)))
+    else {
+        panic!("a hello")
+    };
+    assert_eq!((hello.session, hello.epoch), (2, old + 1));
+    assert_eq!(hello.last_cut.map(|cut| (cut.cause, cut.flushed)), Some((Cause::NewHost, 0)));
+    bench.inbox.clear();
+    bench.bytes(&frames[1]);
+    bench.settle();
+    bench.is(State::Disarmed, Cause::NewHost);
+    bench.run(6_000);
+    assert_eq!((bench.reports(), bench.net(1)), (vec![], 0));
+    // Armed by the new host, old frames stay ignored.
+    bench.arm(false);
+    bench.bytes(&frames[1]);
+    assert_eq!((bench.status().next_seq, bench.status().state), (0, State::Armed));
+}
+
+/// A whole frame of another protocol version.
+fn foreign(version: u8) -> Vec<u8> {
+    let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
+    let mut message = vec![version, 200, 0, 1];
+    message.extend(crc.checksum(&message).to_le_bytes());
+    let mut bytes = vec![0; 20];
+    let len = cobs::encode(&message, &mut bytes);
+    bytes.truncate(len + 1);
+    bytes
+}
+
+#[test]
+fn another_version_is_answered_with_a_hello() {
+    for version in [0, 2, 255] {
+        let mut bench = Bench::new(FIRMWARE);
+        bench.bytes(&foreign(version));
+        assert!(matches!(bench.inbox[..], [DeviceMessage::Hello(hello)] if hello.session == 0));
+        assert_eq!(bench.device.counters().bad_frames, 0);
+    }
+    // This version, but no message: not read to its last byte, or an unknown one.
+    let mut bench = Bench::armed(FIRMWARE);
+    bench.inbox.clear();
+    bench.bytes(&foreign(1));
+    assert_eq!((bench.inbox.len(), bench.device.counters().bad_frames), (0, 1));
+}
+
+#[test]
+fn what_cannot_be_read_is_counted_and_as_if_never_sent() {
+    let mut bench = Bench::armed(FIRMWARE);
+    let (_, frames) = three(&bench);
+    let mut damaged = frames[0].clone();
+    // Not to a zero, which would make two frames of it.
+    let at = damaged.iter().rposition(|&byte| byte > 1).unwrap();
+    damaged[at] ^= 1;
+    let cut_short = [&frames[0][..6], &[0]].concat();
+    let too_long = [vec![1; 600], vec![0]].concat();
+    let mut crowd = Vec::new();
+    for k in 0..MAX_BATCH as u64 + 1 {
+        // Motor 0: up 1 tick after the last, as many pulses, held 20, balanced.
+        crowd.extend_from_slice(if k == 0 { &[0x40, 1, 1, 20] } else { &[0x60, 1, 20] });
+    }
+    let in_a_frame = |batch: &[u8]| {
+        let (epoch, base) = (bench.epoch, Tick(bench.now).wire());
+        frame(&HostMessage::Strokes { epoch, seq: 0, seen: 0, onset: true, base, batch })
+    };
+    let (crowd, half) = (in_a_frame(&crowd), in_a_frame(&[0x40, 1]));
+    bench.inbox.clear();
+    for (i, bytes) in [damaged, cut_short, too_long, crowd, half].iter().enumerate() {
+        bench.bytes(bytes);
+        assert_eq!(bench.device.counters().bad_frames, i as u64 + 1);
+    }
+    assert_eq!(bench.inbox, []);
+    // In step again at once.
+    bench.bytes(&frames[0]);
+    assert_eq!((bench.status().next_seq, bench.status().credits), (1, POOL as u16 - 1));
+}
+
+#[test]
+fn a_frame_may_have_256_bytes_and_no_more() {
+    let mut bench = Bench::armed(FIRMWARE);
+    // A valid CRC does not help what is one byte too long.
+    for (len, bad_frames) in [(254 - 5, 0), (254 - 4, 1)] {
+        let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
+        // Of a version that is only answered with a hello.
+        // With a zero in its middle COBS makes it one byte longer.
+        let mut message = vec![9; 1 + len];
+        message[100] = 0;
+        message.extend(crc.checksum(&message).to_le_bytes());
+        let mut bytes = vec![0; 300];
+        let encoded = cobs::encode(&message, &mut bytes);
+        bytes.truncate(encoded + 1);
+        assert_eq!(bytes.len() as u64, 256 + bad_frames);
+        bench.bytes(&bytes);
+        assert_eq!(bench.device.counters().bad_frames, bad_frames, "{} bytes", bytes.len());
+    }
+}
+
+#[test]
+fn bytes_come_in_any_chunks_and_a_lost_link_forgets_the_half_frame() {
+    let mut bench = Bench::armed(FIRMWARE);
+    let (_, frames) = three(&bench);
+    for byte in frames.concat() {
+        bench.bytes(&[byte]);
+    }
+    assert_eq!(bench.status().next_seq, 3);
+    bench.bytes(&frames.concat()[..20]);
+    bench.device.link_lost(Tick(bench.now));
+    bench.hello(3);
+    assert_eq!(bench.device.counters().bad_frames, 0);
+    assert!(bench.inbox.iter().any(|m| matches!(m, DeviceMessage::Hello(hello) if hello.session == 3)));
+}
+
+#[test]
+fn strokes_amendments_and_cuts_cross_the_wrap_of_the_wire_tick() {
+    for shell in SHELLS {
+        for before in (0..260).step_by(5) {
+            let start = (1 << 32) - 400;
+            let mut bench = Bench::starting_at(shell, Tick(start));
+            bench.hello(1);
+            bench.arm(true);
+            let first = stroke(1, (1 << 32) - before, 100, 60, 100);
+            bench.onset(first.up.0, &[first, stroke(2, first.up.0 + 10, 9, 50, 9)]);
+            bench.amend(1, &first, Direction::Down, 110);
+            bench.run(900);
+            let mut expected = first.bursts();
+            expected[1].pulses = 110;
+            assert_eq!(bench.bursts(1), expected);
+            assert_eq!((bench.net(2), bench.device.counters().amended), (0, 1));
+            assert!(matches!(bench.reports()[..], [Report::Onset { tick, .. }] if tick == first.up.wire()));
+            // Before now, however the low bits look.
+            bench.strokes(&[first]);
+            assert_eq!(bench.device.counters().late, 2);
+        }
+    }
+}
+
+#[test]
+fn a_stroke_from_half_the_range_ahead_is_too_far_and_from_behind_it_is_late() {
+    let mut bench = Bench::armed(FIRMWARE);
+    for (distance, late, refused) in
+        [((1i64 << 30) - 100, 0, 0), (1 << 30, 0, 2), ((1 << 31) - 1, 0, 2), (-(1 << 31), 2, 0), (-1, 2, 0)]
+    {
+        let before = bench.device.counters();
+        bench.strokes(&[stroke(1, bench.now.wrapping_add_signed(distance), 7, 6, 7)]);
+        let after = bench.device.counters();
+        assert_eq!((after.late - before.late, after.refused - before.refused), (late, refused), "{distance}");
+    }
+    let far = bench
+        .reports()
+        .into_iter()
+        .filter(|report| matches!(report, Report::Verdict { reason: Some(Refusal::TooFar), .. }));
+    assert_eq!(far.count(), 2);
+}

@@ -1,0 +1,360 @@
+//! Whatever is asked in whatever order: no line does what no stroke says, and every pulse is accounted for.
+
+use crate::bench::{Bench, FIRMWARE, MOCK, Shell, TIGHT, arm, frame, pack, stroke};
+use firmware_protocol::controller::POOL;
+use firmware_protocol::limits::{MAX_DOWN_PULSES, MAX_TRAVEL, OnTimeLimits};
+use firmware_protocol::message::{Cause, DeviceMessage, HostMessage, Op as Command, State};
+use firmware_protocol::stroke::{Direction, MOTORS, Stroke};
+use firmware_protocol::tick::{Tick, WireTick};
+use proptest::prelude::*;
+use proptest::test_runner::RngSeed;
+
+#[derive(Clone, Copy, Debug)]
+struct Sent {
+    motor: u8,
+    /// After the one before, on whatever motor.
+    after: u16,
+    pulses: u16,
+    hold: u16,
+    correction: i8,
+}
+
+#[derive(Clone, Debug)]
+enum Op {
+    Run(u16),
+    Pause,
+    Hello(u32),
+    Ping,
+    Arm {
+        assume_rest: bool,
+        lease: u32,
+        tight: bool,
+    },
+    Disarm,
+    Stop,
+    EStop,
+    Reset,
+    Move {
+        motor: u8,
+        direction: Direction,
+        pulses: u16,
+    },
+    /// So many ticks after the rendered end (or before).
+    Strokes {
+        onset: bool,
+        from: i16,
+        strokes: Vec<Sent>,
+    },
+    /// Of a stroke sent before.
+    Amend {
+        pick: prop::sample::Index,
+        generation: u16,
+        down: bool,
+        change: i16,
+    },
+    /// The last frame again.
+    Again,
+    LinkLost,
+    Fault,
+    Noise(Vec<u8>),
+    WildStrokes {
+        epoch: u16,
+        seq: u16,
+        seen: u16,
+        onset: bool,
+        base: [u8; 4],
+        batch: Vec<u8>,
+    },
+    WildAmend {
+        generation: u16,
+        base: [u8; 4],
+        items: Vec<u8>,
+    },
+    WildControl {
+        epoch: u16,
+        lease: u32,
+    },
+}
+
+fn sent(corrected: bool) -> impl Strategy<Value = Sent> {
+    let pulses = prop_oneof![8 => 1u16..60, 1 => 2_900u16..3_002];
+    let correction = if corrected { -3..4i8 } else { 0..1i8 };
+    (0u8..26, 0u16..120, pulses, 0u16..100, correction)
+        .prop_map(|(motor, after, pulses, hold, correction)| Sent { motor, after, pulses, hold, correction })
+}
+
+fn strokes(corrected: bool) -> impl Strategy<Value = Op> {
+    (
+        any::<bool>(),
+        prop_oneof![4 => 0i16..300, 1 => -40i16..0],
+        prop::collection::vec(sent(corrected), 0..12),
+    )
+        .prop_map(|(onset, from, strokes)| Op::Strokes { onset, from, strokes })
+}
+
+/// What leaves a stroke its balance and a pin its rest.
+fn tame(corrected: bool) -> impl Strategy<Value = Op> {
+    prop_oneof![
+        24 => (0u16..300).prop_map(Op::Run),
+        1 => Just(Op::Pause),
+        1 => (1u32..4).prop_map(Op::Hello),
+        2 => Just(Op::Ping),
+        5 => (1u32..300_000, any::<bool>()).prop_map(|(lease, tight)| Op::Arm { assume_rest: false, lease, tight }),
+        1 => Just(Op::Disarm),
+        2 => Just(Op::Stop),
+        2 => Just(Op::EStop),
+        3 => Just(Op::Reset),
+        24 => strokes(corrected),
+        2 => Just(Op::Again),
+        1 => Just(Op::LinkLost),
+        1 => Just(Op::Fault),
+        1 => prop::collection::vec(any::<u8>(), 0..300).prop_map(Op::Noise),
+    ]
+}
+
+fn wild() -> impl Strategy<Value = Op> {
+    let bytes = || prop::collection::vec(any::<u8>(), 0..60);
+    let pulses = 0u16..7_000;
+    let direction = prop::sample::select(vec![Direction::Up, Direction::Down]);
+    prop_oneof![
+        20 => tame(true),
+        1 => (1u32..300_000, any::<bool>()).prop_map(|(lease, tight)| Op::Arm { assume_rest: true, lease, tight }),
+        2 => (0u8..26, direction, pulses).prop_map(|(motor, direction, pulses)| Op::Move { motor, direction, pulses }),
+        8 => (any::<prop::sample::Index>(), 0u16..6, any::<bool>(), -9i16..10)
+            .prop_map(|(pick, generation, down, change)| Op::Amend { pick, generation, down, change }),
+        2 => (0u16..4, 0u16..4, any::<u16>(), any::<bool>(), any::<[u8; 4]>(), bytes())
+            .prop_map(|(epoch, seq, seen, onset, base, batch)| Op::WildStrokes { epoch, seq, seen, onset, base, batch }),
+        1 => (any::<u16>(), any::<[u8; 4]>(), bytes())
+            .prop_map(|(generation, base, items)| Op::WildAmend { generation, base, items }),
+        1 => (any::<u16>(), any::<u32>()).prop_map(|(epoch, lease)| Op::WildControl { epoch, lease }),
+    ]
+}
+
+/// A bench and the book a bystander keeps of it.
+struct World {
+    bench: Bench,
+    last_frame: Vec<u8>,
+    strokes: Vec<Stroke>,
+    accepted: u64,
+    refused_in_frames: u64,
+    /// Pulses of returns after an e-stop, and whether one is being played.
+    own: u64,
+    arming: bool,
+}
+
+impl World {
+    fn new(shell: Shell) -> Self {
+        let bench = Bench::armed(shell);
+        Self {
+            bench,
+            last_frame: vec![],
+            strokes: vec![],
+            accepted: 0,
+            refused_in_frames: 0,
+            own: 0,
+            arming: false,
+        }
+    }
+
+    /// Free slots, if there is a session.
+    fn credits(&mut self) -> Option<u16> {
+        // Noise may have left half a frame.
+        self.bench.bytes(&[0]);
+        self.bench.ping(0);
+        match self.bench.inbox.iter().rev().find(|m| !matches!(m, DeviceMessage::Report { .. })) {
+            Some(DeviceMessage::Status(status)) => Some(status.credits),
+            _ => None,
+        }
+    }
+
+    fn send(&mut self, bytes: Vec<u8>) {
+        let (before, refused) = (self.credits(), self.bench.device.counters().refused);
+        self.bench.bytes(&bytes);
+        if let (Some(before), Some(after)) = (before, self.credits()) {
+            self.accepted += u64::from(before - after);
+            self.refused_in_frames += self.bench.device.counters().refused - refused;
+        }
+        self.bench.seq = self.bench.inbox.iter().rev().find_map(next_seq).unwrap_or(0);
+        self.last_frame = bytes;
+    }
+
+    fn off(&mut self, off: impl FnOnce(&mut Bench)) {
+        let latched = self.bench.device.state() == State::Faulted;
+        // A return that ends with this very tick is over.
+        self.bench.device.poll(Tick(self.bench.now));
+        let arming = self.arming && self.bench.device.state() == State::Returning;
+        off(&mut self.bench);
+        if arming && !latched && self.bench.device.state() == State::Faulted {
+            self.own -= self.bench.owed();
+        }
+        self.arming = false;
+        self.bench.tick();
+    }
+
+    fn apply(&mut self, op: Op) {
+        let bench = &mut self.bench;
+        match op {
+            Op::Run(ticks) => bench.run(ticks.into()),
+            Op::Pause => bench.run(90_000),
+            Op::Hello(session) => bench.hello(session),
+            Op::Ping => bench.ping(1),
+            Op::Arm { assume_rest, lease, tight } => {
+                let (state, owed) = (bench.device.state(), bench.owed());
+                let limits = if tight { OnTimeLimits { motor: 300, rail: 700 } } else { OnTimeLimits::NONE };
+                bench.control(arm(assume_rest, lease, limits));
+                if state == State::Disarmed && bench.device.state() == State::Returning {
+                    self.own += owed;
+                    self.arming = true;
+                }
+            }
+            Op::Disarm => bench.control(Command::Disarm(Cause::Shutdown)),
+            Op::Stop => bench.control(Command::Stop),
+            Op::EStop => self.off(|bench| bench.control(Command::EStop)),
+            Op::Fault => self.off(|bench| bench.device.fault(Tick(bench.now), Cause::Starved)),
+            Op::Reset => bench.control(Command::Reset),
+            Op::Move { motor, direction, pulses } => {
+                bench.control(Command::Move { motor, direction, pulses });
+            }
+            Op::Strokes { onset, from, strokes } => {
+                let base = bench.device.rendered().0.wrapping_add_signed(from.into());
+                let mut up = base;
+                let strokes: Vec<Stroke> = strokes
+                    .iter()
+                    .map(|sent| {
+                        up += u64::from(sent.after);
+                        let down = sent.pulses.saturating_add_signed(sent.correction.into());
+                        stroke(sent.motor, up, sent.pulses, sent.hold.into(), down)
+                    })
+                    .collect();
+                let batch = pack(base, &strokes);
+                let (epoch, seq, seen) = (bench.epoch, bench.seq, bench.seen());
+                let (base, batch) = (Tick(base).wire(), batch.bytes());
+                let bytes = frame(&HostMessage::Strokes { epoch, seq, seen, onset, base, batch });
+                self.strokes.extend(&strokes);
+                self.send(bytes);
+            }
+            Op::Amend { pick, generation, down, change } => {
+                let recent = &self.strokes[self.strokes.len().saturating_sub(12)..];
+                if !recent.is_empty() {
+                    let stroke = *pick.get(recent);
+                    let direction = if down { Direction::Down } else { Direction::Up };
+                    let pulses = if down { stroke.down_pulses } else { stroke.up_pulses };
+                    bench.amend(generation, &stroke, direction, pulses.saturating_add_signed(change));
+                }
+            }
+            Op::Again => self.send(self.last_frame.clone()),
+            Op::LinkLost => bench.device.link_lost(Tick(bench.now)),
+            Op::Noise(bytes) => bench.bytes(&bytes),
+            Op::WildStrokes { epoch, seq, seen, onset, base, batch } => {
+                let (epoch, seq) = (bench.epoch.wrapping_sub(epoch), bench.seq.wrapping_add(seq));
+                let base = WireTick(base);
+                self.send(frame(&HostMessage::Strokes { epoch, seq, seen, onset, base, batch: &batch }));
+            }
+            Op::WildAmend { generation, base, items } => {
+                let epoch = bench.epoch;
+                bench.send(&HostMessage::Amend { epoch, generation, base: WireTick(base), items: &items });
+            }
+            Op::WildControl { epoch, lease } => {
+                let op = arm(false, lease, OnTimeLimits::NONE);
+                bench.send(&HostMessage::Control { epoch, seen: 0, op });
+                bench.hello(u32::from(epoch) + 10);
+            }
+        }
+        self.arming &= self.bench.device.state() == State::Returning;
+    }
+
+    /// Disarms and waits: all lines are off, all slots free, every burst and pulse booked.
+    fn end(&mut self, moves: bool) {
+        let session = 1_000;
+        self.bench.bytes(&[0]);
+        if self.bench.device.state() == State::Armed || self.bench.device.state() == State::Returning {
+            self.bench.hello(session);
+            assert_ne!(self.bench.device.state(), State::Armed);
+            self.bench.settle();
+            assert_eq!(self.bench.device.state(), State::Disarmed);
+        }
+        self.bench.hello(session);
+        self.bench.run(100);
+        let total = self.bench.total();
+        self.bench.run(3_000);
+        assert_eq!(self.bench.total(), total, "a line is on");
+        assert_eq!(self.credits(), Some(POOL as u16));
+        let counters = self.bench.device.counters();
+        let refused = counters.refused - self.refused_in_frames;
+        assert_eq!(2 * self.accepted, counters.played + counters.dropped + refused);
+        if moves {
+            assert!(counters.pulses <= total);
+        } else {
+            assert_eq!(counters.pulses + self.own, total);
+        }
+    }
+}
+
+fn next_seq(message: &DeviceMessage) -> Option<u16> {
+    match message {
+        DeviceMessage::Status(status) => Some(status.next_seq),
+        DeviceMessage::Hello(_) => Some(0),
+        _ => None,
+    }
+}
+
+fn shells() -> impl Strategy<Value = Shell> {
+    prop::sample::select(vec![FIRMWARE, FIRMWARE, TIGHT, MOCK])
+}
+
+/// The same cases in every run.
+fn config(cases: u32) -> ProptestConfig {
+    ProptestConfig {
+        cases,
+        failure_persistence: None,
+        rng_seed: RngSeed::Fixed(85_000),
+        ..ProptestConfig::default()
+    }
+}
+
+proptest! {
+    #![proptest_config(config(400))]
+
+    /// Balanced strokes, no moves, no forgiven debts: a pin that is not at rest is owed exactly what it is up.
+    #[test]
+    fn every_pin_returns(shell in shells(), ops in prop::collection::vec(tame(false), 1..80)) {
+        let mut world = World::new(shell);
+        for op in ops {
+            world.apply(op);
+            let state = world.bench.device.state();
+            let out = (0..MOTORS as u8).filter(|&motor| world.bench.net(motor) != i64::from(world.bench.device.owed(motor)));
+            // Faulted or disarmed, nothing is under way.
+            prop_assert!(matches!(state, State::Armed | State::Returning) || out.count() == 0, "{state:?}");
+        }
+        world.end(false);
+        for motor in 0..MOTORS as u8 {
+            prop_assert_eq!(world.bench.net(motor), i64::from(world.bench.device.owed(motor)));
+            for burst in world.bench.bursts(motor) {
+                prop_assert!(burst.pulses <= 3_000);
+            }
+        }
+    }
+
+    /// Everything at once, corrected, amended, moved and malformed.
+    #[test]
+    fn nothing_wild_gets_through(shell in shells(), ops in prop::collection::vec(wild(), 1..80)) {
+        let mut world = World::new(shell);
+        let moves = ops.iter().any(|op| matches!(op, Op::Move { .. } | Op::Arm { assume_rest: true, .. }));
+        let moved = if moves { 4 * MAX_TRAVEL } else { 0 };
+        for op in ops {
+            let (state, total) = (world.bench.device.state(), world.bench.total());
+            let running = matches!(op, Op::Run(_) | Op::Pause);
+            world.apply(op);
+            // The tick being played when the fault came is the last.
+            if running && matches!(state, State::Faulted | State::Disarmed) {
+                prop_assert_eq!(world.bench.total(), total, "{:?}", state);
+            }
+        }
+        world.end(moves);
+        for motor in 0..MOTORS as u8 {
+            for burst in world.bench.bursts(motor) {
+                prop_assert!(burst.pulses <= MAX_DOWN_PULSES + moved);
+            }
+        }
+    }
+}

@@ -1,0 +1,182 @@
+//! The streamer's thread: runs [`Streamer`] in real time around a device.
+//!
+//! SCHED_FIFO, and locked memory, where the system allows it. The loop reads the clock, moves bytes and
+//! sleeps until the next thing is due, bytes arrive or an order comes; it decides nothing. In it nothing is
+//! allocated, locked, logged or waited for: what owns memory goes back through the port.
+
+use crate::device::Device;
+use crate::stream::port::{Job, Notice, Notices, Orders, Port, port};
+use crate::stream::{Realtime, Settings, Streamer};
+use crate::units::HostInstant;
+use firmware_protocol::frame::MAX_FRAME;
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::mm::{MlockAllFlags, mlockall};
+use std::hash::{BuildHasher, RandomState};
+use std::io;
+use std::ops::Range;
+use std::thread::JoinHandle;
+use std::time::Duration;
+use thread_priority::{
+    RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
+};
+
+/// Above ordinary programs and below the kernel's own threads.
+const FIFO_PRIORITY: u8 = 50;
+/// Turns of reading and writing per wake-up, at the most: a device that never falls silent must not hold up orders.
+const TURNS: usize = 32;
+
+/// Starts the streamer's thread; tells which real-time means the system granted.
+///
+/// # Errors
+/// If the system gives no descriptors or no thread.
+pub fn spawn(settings: Settings) -> io::Result<(Orders, Notices, Realtime, JoinHandle<()>)> {
+    let (port, orders, notices) = port()?;
+    let (tell, told) = crossbeam_channel::bounded(1);
+    let thread = std::thread::Builder::new().name("streamer".into()).spawn(move || {
+        // Pages are locked as they are touched: what is never used costs nothing.
+        let mlock = mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE | MlockAllFlags::ONFAULT).is_ok();
+        let _ = tell.send(Realtime { fifo: request_fifo(), mlock });
+        Loop::new(settings, port).run();
+    })?;
+    let realtime = told.recv().unwrap_or_default();
+    Ok((orders, notices, realtime, thread))
+}
+
+fn request_fifo() -> bool {
+    let Ok(value) = ThreadPriorityValue::try_from(FIFO_PRIORITY) else { return false };
+    let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
+    let thread = thread_priority::thread_native_id();
+    thread_priority::set_thread_priority_and_policy(thread, ThreadPriority::Crossplatform(value), policy)
+        .is_ok()
+}
+
+struct Loop {
+    port: Port,
+    streamer: Streamer,
+    device: Option<Box<Device>>,
+    /// The frame being written, and what is left of it.
+    frame: [u8; MAX_FRAME],
+    unsent: Range<usize>,
+    /// Makes session numbers.
+    random: RandomState,
+}
+
+impl Loop {
+    fn new(settings: Settings, port: Port) -> Self {
+        let streamer = Streamer::new(settings);
+        Self { port, streamer, device: None, frame: [0; MAX_FRAME], unsent: 0..0, random: RandomState::new() }
+    }
+
+    fn run(mut self) {
+        while !self.streamer.is_closed() {
+            let now = HostInstant::now();
+            self.orders(now);
+            self.exchange();
+            self.port.announce();
+            self.sleep();
+        }
+        if let Some(device) = self.device.take() {
+            self.port.tell(Notice::Disconnected { reason: "shutdown", device: Some(device) });
+        }
+        self.port.tell(Notice::Bye);
+        self.port.announce();
+    }
+
+    fn orders(&mut self, now: HostInstant) {
+        self.port.silence();
+        while let Some(order) = self.port.next() {
+            let Self { port, streamer, .. } = self;
+            match order.job {
+                Job::Connect(device) => {
+                    self.give_back("another device was opened");
+                    let rate = device.rate();
+                    let id = self.random.hash_one(now.as_ns()) as u32;
+                    self.unsent = 0..0;
+                    self.device = Some(device);
+                    let Self { port, streamer, .. } = self;
+                    streamer.connect(now, id, rate, &mut |notice| port.tell(notice));
+                }
+                _ => streamer.order(now, order, &mut |notice| port.tell(notice)),
+            }
+        }
+    }
+
+    /// Moves bytes until there are none: an answer is acted upon in the wake-up that brought it.
+    fn exchange(&mut self) {
+        for _ in 0..TURNS {
+            let now = HostInstant::now();
+            let Self { port, streamer, .. } = self;
+            let tell = &mut |notice| port.tell(notice);
+            streamer.step(now, tell);
+            let moved = match self.write(now).and_then(|wrote| Ok(wrote | self.read(now)?)) {
+                Ok(moved) => moved,
+                Err(_) => {
+                    let Self { port, streamer, .. } = self;
+                    streamer.disconnect(now, "the device was unplugged", &mut |notice| port.tell(notice));
+                    false
+                }
+            };
+            if self.device.is_some() && !self.streamer.is_connected() {
+                self.give_back("the device is gone");
+            }
+            if !moved {
+                break;
+            }
+        }
+    }
+
+    fn write(&mut self, now: HostInstant) -> io::Result<bool> {
+        let Self { port, streamer, device: Some(device), .. } = self else { return Ok(false) };
+        let mut wrote = false;
+        loop {
+            if self.unsent.is_empty() {
+                self.unsent = 0..streamer.transmit(now, &mut self.frame, &mut |notice| port.tell(notice));
+            }
+            if self.unsent.is_empty() {
+                return Ok(wrote);
+            }
+            let len = device.write(&self.frame[self.unsent.clone()])?;
+            if len == 0 {
+                return Ok(wrote);
+            }
+            self.unsent.start += len;
+            wrote = true;
+        }
+    }
+
+    fn read(&mut self, now: HostInstant) -> io::Result<bool> {
+        let Self { port, streamer, device: Some(device), .. } = self else { return Ok(false) };
+        let mut bytes = [0; 1024];
+        let mut moved = false;
+        loop {
+            let len = device.read(now, &mut bytes)?;
+            if len == 0 {
+                return Ok(moved);
+            }
+            streamer.receive(now, &bytes[..len], &mut |notice| port.tell(notice));
+            moved = true;
+        }
+    }
+
+    fn give_back(&mut self, reason: &'static str) {
+        if let Some(device) = self.device.take() {
+            self.unsent = 0..0;
+            self.port.tell(Notice::Disconnected { reason, device: Some(device) });
+        }
+    }
+
+    fn sleep(&self) {
+        let now = HostInstant::now();
+        let wait = self.streamer.wake_at(now).since(now).max(Duration::from_micros(1));
+        let timeout = Timespec { tv_sec: wait.as_secs() as i64, tv_nsec: wait.subsec_nanos().into() };
+        let orders = PollFd::from_borrowed_fd(self.port.wake(), PollFlags::IN);
+        // An early return, by a signal, only means an idle turn.
+        let _ = match self.device.as_ref().and_then(|device| device.wake()) {
+            Some(device) => {
+                let out = if self.unsent.is_empty() { PollFlags::IN } else { PollFlags::IN | PollFlags::OUT };
+                poll(&mut [orders, PollFd::from_borrowed_fd(device, out)], Some(&timeout))
+            }
+            None => poll(&mut [orders], Some(&timeout)),
+        };
+    }
+}
