@@ -32,7 +32,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     };
     let hosted = Daemon::start(&config)?.host()?;
     let mut client = Client::new(&config.socket)?;
-    while client.get::<Status>("/v1/status")?.device.is_none() {
+    while !client.get::<Status>("/v1/status")?.is_connected() {
         thread::sleep(Duration::from_millis(5));
     }
     print("timer wake-up, 1 ms", wake_ups());

@@ -5,7 +5,7 @@
 //!
 //! Invariant: a problem's code, once published, keeps its meaning and its HTTP status.
 
-use crate::record::{DeviceInfo, Running};
+use crate::record::{DeviceInfo, NO_DEVICE, Running};
 use crate::stream::port::{ErrorSource, LatePolicy, Refused};
 use firmware_protocol::limits::Refusal;
 use serde::de::DeserializeOwned;
@@ -330,6 +330,14 @@ pub struct Status {
     pub version: String,
     /// The daemon's process.
     pub pid: u32,
+}
+
+impl Status {
+    /// Whether a device has said who it is and how it stands: before, it takes no orders.
+    #[must_use]
+    pub fn is_connected(&self) -> bool {
+        self.device.is_some() && self.state != NO_DEVICE && self.tick.is_some()
+    }
 }
 
 /// The answer to `PUT /v1/patterns/NAME`.

@@ -53,7 +53,7 @@ impl Daemon {
     fn wait_for_device(&mut self) {
         let mut client = self.client();
         let begun = Instant::now();
-        while !client.get::<Status>("/v1/status").is_ok_and(|status| status.device.is_some()) {
+        while !client.get::<Status>("/v1/status").is_ok_and(|status| status.is_connected()) {
             let ended = self.child.try_wait().unwrap();
             assert!(ended.is_none() && begun.elapsed() < PATIENCE, "no device ({ended:?}):\n{}", self.log());
             thread::sleep(Duration::from_millis(10));

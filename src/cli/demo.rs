@@ -89,7 +89,7 @@ fn connected(client: &mut Client) -> Result<Status> {
     let begun = Instant::now();
     loop {
         let status: Status = client.get("/v1/status")?;
-        if status.device.is_some() {
+        if status.is_connected() {
             return Ok(status);
         }
         if begun.elapsed() > PATIENCE {
@@ -132,7 +132,8 @@ fn report(
         wire: WireReport {
             bytes_to_device: wire.bytes_to_device,
             bytes_per_burst: wire.bytes_per_burst,
-            bytes_per_burst_open_loop: Wire::new(open.outcome.wire_bytes, open.outcome.bursts.planned).bytes_per_burst,
+            bytes_per_burst_open_loop: Wire::new(open.outcome.wire_bytes, open.outcome.bursts.planned)
+                .bytes_per_burst,
         },
         onset_latency_ms: receipt.onset_latency_ms,
         lead_ms: status.lead_ms,
