@@ -140,6 +140,7 @@ impl Rig {
         self.mock.take_trace();
         self.order(Job::Play(Box::new(play)));
         let outcome = self.run_to_end(id, Duration::from_secs_f64(seconds + 2.0)).expect("it ends");
+        assert_eq!(outcome.bursts.played, outcome.bursts.planned, "{}: {outcome:?}", pattern.name());
         compiled.begin(outcome.onset.expect("it began").actual);
         let strokes: Vec<_> = compiled.map(Result::unwrap).collect();
         assert_lines(&self.mock.take_trace(), &strokes);

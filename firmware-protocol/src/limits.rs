@@ -74,7 +74,7 @@ pub struct OnTimeLimits {
 }
 
 impl OnTimeLimits {
-    /// Every tick a pulse on every motor.
+    /// Every tick a pulse on every motor: no limit.
     pub const NONE: Self = Self { motor: TICK_HZ, rail: MOTORS_PER_RAIL as u32 * TICK_HZ };
 
     /// The lower of both, limit by limit.
@@ -113,7 +113,8 @@ const BUCKETS: usize = TICK_HZ as usize / BUCKET as usize + 1;
 /// Counts pulses per motor against [`OnTimeLimits`].
 ///
 /// A stroke counts from its first pulse until a second after its last one, so no sliding second ever holds
-/// more than the limit; it may refuse one stroke and 15 ms early.
+/// more than the limit; it may refuse one stroke and 15 ms early. A limit of [`OnTimeLimits::NONE`] is off: a line
+/// that never rests is allowed then.
 #[derive(Debug)]
 pub struct OnTime {
     limits: OnTimeLimits,
@@ -144,10 +145,11 @@ impl OnTime {
         self.forget(now);
         let first = motor - motor % MOTORS_PER_RAIL;
         let rail: u32 = self.charged[first..first + MOTORS_PER_RAIL].iter().sum();
-        if self.charged[motor] + pulses > self.limits.motor {
+        let off = OnTimeLimits::NONE;
+        if self.limits.motor < off.motor && self.charged[motor] + pulses > self.limits.motor {
             return Err(Refusal::MotorOnTime);
         }
-        if rail + pulses > self.limits.rail {
+        if self.limits.rail < off.rail && rail + pulses > self.limits.rail {
             return Err(Refusal::RailOnTime);
         }
         self.charged[motor] += pulses;

@@ -88,7 +88,7 @@ impl Motor {
     }
 
     /// Lets the model follow all bursts that begin before `tick`, and forgets strokes that are over.
-    fn follow(&mut self, tick: Tick) {
+    fn follow(&mut self, tick: Tick, unheard: &mut (u64, u64)) {
         while let Some(next) = self.queue.get(self.modelled / 2) {
             let burst = next.burst(self.modelled % 2);
             if burst.start >= tick {
@@ -97,7 +97,11 @@ impl Motor {
             self.shaft.push(Ramp::new(burst.start, burst.pulses.into(), burst.direction, 1.0));
             self.modelled += 1;
         }
-        while self.modelled >= 2 && self.queue.front().is_some_and(|first| first.stroke.end() <= tick) {
+        while let Some(first) = self.queue.front().filter(|first| first.stroke.end() <= tick)
+            && self.modelled >= 2
+        {
+            unheard.0 += 2;
+            unheard.1 += u64::from(first.stroke.pulses());
             self.pop();
         }
     }
@@ -137,13 +141,20 @@ pub(super) struct Hold {
     motors: [Motor; MOTORS],
     /// When the last telemetry was sampled.
     sampled: Option<Tick>,
+    /// Bursts and pulses of strokes forgotten since the device's counters were last heard.
+    unheard: (u64, u64),
     /// Samples before this still show motion from before the last reset.
     valid_from: Tick,
 }
 
 impl Hold {
     pub(super) fn new() -> Self {
-        Self { motors: std::array::from_fn(|_| Motor::new()), sampled: None, valid_from: Tick(0) }
+        Self {
+            motors: std::array::from_fn(|_| Motor::new()),
+            sampled: None,
+            unheard: (0, 0),
+            valid_from: Tick(0),
+        }
     }
 
     /// All pins are at rest at `tick`, nothing is queued. Where they really are, telemetry tells.
@@ -186,13 +197,18 @@ impl Hold {
         }
     }
 
-    /// Bursts, and their pulses, of the strokes that end after `from` and have begun by `to`.
-    pub(super) fn played_between(&self, from: Tick, to: Tick) -> (u64, u64) {
+    /// The device has told its counters.
+    pub(super) fn heard(&mut self) {
+        self.unheard = (0, 0);
+    }
+
+    /// Bursts and pulses played since the device's counters were heard at `heard`, if the link was lost at `lost`:
+    /// what had begun by then the device has brought to its end.
+    pub(super) fn played_unheard(&self, heard: Tick, lost: Tick) -> (u64, u64) {
         let queued = self.motors.iter().flat_map(|motor| &motor.queue).map(|queued| queued.stroke);
-        let played = queued.filter(|stroke| stroke.end() > from && stroke.up < to);
-        played.fold((0, 0), |(bursts, pulses), stroke| {
-            (bursts + 2, pulses + u64::from(stroke.up_pulses) + u64::from(stroke.down_pulses))
-        })
+        let played = queued.filter(|stroke| stroke.end() > heard && stroke.up < lost);
+        played
+            .fold(self.unheard, |(bursts, pulses), stroke| (bursts + 2, pulses + u64::from(stroke.pulses())))
     }
 
     /// Displacements in 0.01 µm.
@@ -202,7 +218,7 @@ impl Hold {
         }
         self.sampled = Some(tick);
         for (motor, &y) in self.motors.iter_mut().zip(y) {
-            motor.follow(tick);
+            motor.follow(tick, &mut self.unheard);
             motor.offset_um = f64::from(y) * 0.01 - motor.shaft.displacement_um(HalfTick::from(tick));
             motor.variance = 0.0;
         }
@@ -213,7 +229,7 @@ impl Hold {
         let fresh = self.sampled.is_some_and(|sampled| now - sampled <= STALE);
         for (motor, index) in self.motors.iter_mut().zip(0..) {
             if !fresh {
-                motor.follow(Tick(now.0.saturating_sub(STALE)));
+                motor.follow(Tick(now.0.saturating_sub(STALE)), &mut self.unheard);
             }
             while let Some(queued) = motor.queue.get(motor.settled / 2).copied() {
                 let half = motor.settled % 2;

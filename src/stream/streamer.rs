@@ -107,7 +107,7 @@ impl Streamer {
         self.cut_all(End::Stopped, cause);
         let counters = self.status.map(|(status, tick)| {
             let lost = session.clock().tick_at(now).unwrap_or(tick);
-            let (bursts, pulses) = self.hold.played_between(tick, lost);
+            let (bursts, pulses) = self.hold.played_unheard(tick, lost);
             let counters = status.counters;
             Counters { played: counters.played + bursts, pulses: counters.pulses + pulses, ..counters }
         });
@@ -286,6 +286,12 @@ impl Streamer {
 
     fn arm(&mut self, assume_rest: bool) -> Taken {
         self.ready()?;
+        // A command begins a new epoch: it must not get between a play and its strokes for nothing.
+        match self.state() {
+            State::Armed => return Ok(None),
+            State::Returning => return Err(Refused::Returning),
+            State::Disarmed | State::Faulted => {}
+        }
         if assume_rest {
             self.hold.forget_drift();
         }
@@ -306,9 +312,10 @@ impl Streamer {
     }
 
     fn reset(&mut self) -> Taken {
+        let faulted = self.state() == State::Faulted;
         self.latched = false;
         let open = self.session.as_ref().is_some_and(Session::is_open);
-        Ok(open.then_some(Op::Reset))
+        Ok((open && faulted).then_some(Op::Reset))
     }
 
     fn control(&mut self, now: HostInstant, ticket: u64, op: Op, tell: Tell<'_>) {
@@ -419,6 +426,7 @@ impl Streamer {
 
     fn status(&mut self, now: HostInstant, status: Status, tick: Tick) {
         let before = self.status.replace((status, tick)).map(|(status, _)| status);
+        self.hold.heard();
         let changed = before.is_none_or(|before| {
             (before.state, before.cause, before.position_known, before.owed)
                 != (status.state, status.cause, status.position_known, status.owed)
