@@ -94,10 +94,10 @@ fn a_killed_daemons_socket_is_taken_over() {
     assert!(killed.socket().exists());
     let line = complaint(killed.meissner().arg("status"));
     assert!(line.contains("no daemon answers"), "{line}");
-    let socket = format!("socket = {:?}\n", killed.socket());
     let mut next = std::process::Command::new(env!("CARGO_BIN_EXE_meissner"))
         .args(["daemon", "--device", "mock", "--socket"])
         .arg(killed.socket())
+        .stderr(std::process::Stdio::null())
         .spawn()
         .unwrap();
     let answers = (0..2000).any(|_| {
@@ -106,7 +106,7 @@ fn a_killed_daemons_socket_is_taken_over() {
     });
     let _ = next.kill();
     let _ = next.wait();
-    assert!(answers, "{socket}");
+    assert!(answers);
 }
 
 #[test]

@@ -258,7 +258,10 @@ impl Inner {
             other => self.recorder.take(other),
         };
         if let Some(event) = event {
-            log(&event);
+            // At the end it is the daemon that lets go.
+            if !(self.closing && matches!(event, Event::Disconnected { .. })) {
+                log(&event);
+            }
             if let Some(events) = &self.events {
                 // Nobody listens: nothing is lost.
                 let _ = events.send(event);
