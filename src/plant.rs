@@ -109,7 +109,7 @@ pub struct Sample {
 }
 
 /// The simulated array.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct Plant {
     config: PlantConfig,
     start: Tick,

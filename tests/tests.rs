@@ -1,12 +1,26 @@
 //! The integration tests, one binary, a module per theme.
 #![expect(clippy::unwrap_used, reason = "a test that panics has failed")]
 
+/// The local API of a real daemon: commands, receipts, events, problems, the end.
+mod api;
+/// What people and scripts get wrong: one line with what, where, what to do; nothing moves.
+mod bad_input;
+/// The command line against a real daemon.
+mod cli;
+/// More clients than there are places, and clients that do not listen.
+mod client_limits;
+/// A real daemon in a directory of its own, for the others.
+mod harness;
+/// The order of the rooms.
+mod layers;
 /// The motor model and the plant against the reference figures.
 mod models;
 /// Pattern files: what is refused and how it is said; the shipped library.
 mod patterns;
 /// The simulated shafts: scatter, end stops, telemetry, and times a month away.
 mod plant;
+/// What the README and the example configuration say is true.
+mod readme;
 /// From patterns to strokes: exact ticks, repeats and cuts, invariants on random patterns.
 mod rig;
 mod streaming;

@@ -94,7 +94,7 @@ impl Ramp {
 }
 
 /// The state of one shaft: where it rested before the window, and the ramps since.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct Shaft {
     base_um: f64,
     ramps: VecDeque<Ramp>,

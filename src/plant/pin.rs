@@ -28,7 +28,7 @@ const fn draw_word(direction: Direction) -> u64 {
 const ASYMMETRY_WORD: u64 = 2;
 
 /// A pin and its motor.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub(super) struct Pin {
     pub(super) shaft: Shaft,
     pub(super) rest: RestStats,

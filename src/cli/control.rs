@@ -1,0 +1,95 @@
+//! Commands that change something: play, stop, estop, reset, arm, disarm.
+//!
+//! They send one request and print what it came to. `play --wait` listens before it asks, so that no event of
+//! its play can be missed; what a slow terminal misses, it asks for.
+//!
+//! Invariant: nothing is sent twice.
+
+use super::progress::Progress;
+use super::{Onset, Plain, Play, give, text};
+use crate::api::{ArmRequest, PlayRequest, Played, Status};
+use crate::client::{Client, Events, escape};
+use crate::record::{Event, Receipt};
+use anyhow::{Result, bail};
+use serde_json::{Value, json};
+use std::process::ExitCode;
+
+pub(super) fn command(plain: &Plain, name: &str) -> Result<ExitCode> {
+    let status: Status = plain.client()?.post(&format!("/v1/{name}"), &json!({}))?;
+    stands(plain, &status)
+}
+
+pub(super) fn arm(plain: &Plain, assume_rest: bool) -> Result<ExitCode> {
+    let status: Status = plain.client()?.post("/v1/arm", &ArmRequest { assume_rest })?;
+    stands(plain, &status)
+}
+
+fn stands(plain: &Plain, status: &Status) -> Result<ExitCode> {
+    give(plain.output.json, status, || format!("{} ({})", status.state, status.cause))?;
+    Ok(ExitCode::SUCCESS)
+}
+
+pub(super) fn play(play: &Play) -> Result<ExitCode> {
+    let mut client = play.plain.client()?;
+    let (at_tick, at_ms) = match play.at {
+        None => (None, None),
+        Some(Onset::Tick(tick)) => (Some(tick), None),
+        Some(Onset::AfterMs(ms)) => (None, Some(ms)),
+    };
+    let request = PlayRequest {
+        pattern: play.name.clone(),
+        seconds: play.seconds,
+        at_tick,
+        at_ms,
+        boot: None,
+        late: play.late.into(),
+        replace: play.replace,
+        open_loop: play.open_loop,
+    };
+    let json = play.plain.output.json;
+    if !play.wait {
+        let played: Played = client.post("/v1/play", &request)?;
+        give(json, &played, || format!("play {}: {}", played.id, play.name))?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    let mut events = client.events()?;
+    let Played { id } = client.post("/v1/play", &request)?;
+    let mut progress = Progress::new(length(&mut client, &request)?, json);
+    let receipt = follow(&mut client, &mut events, id, &mut progress)?;
+    give(json, &receipt, || text::receipt(&receipt))?;
+    Ok(if receipt.all_played() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+fn length(client: &mut Client, request: &PlayRequest) -> Result<Option<f64>> {
+    if request.seconds.is_some() {
+        return Ok(request.seconds);
+    }
+    let shown: Value = client.get(&format!("/v1/patterns/{}", escape(&request.pattern)))?;
+    Ok(shown["pattern"]["duration_s"].as_f64())
+}
+
+/// Waits for the end of a play.
+pub(super) fn follow(
+    client: &mut Client,
+    events: &mut Events,
+    id: u64,
+    progress: &mut Progress,
+) -> Result<Receipt> {
+    let ended = loop {
+        let Some(event) = events.next(None)? else {
+            bail!("the daemon ended while play {id} was running: see its log");
+        };
+        match event {
+            Event::Ended { receipt } if receipt.id == id => break *receipt,
+            Event::Lost { .. } | Event::Lagged { .. } => {
+                let receipt: Receipt = client.get(&format!("/v1/plays/{id}"))?;
+                if receipt.state.is_over() {
+                    break receipt;
+                }
+            }
+            other => progress.show(id, &other)?,
+        }
+    };
+    progress.finish();
+    Ok(ended)
+}

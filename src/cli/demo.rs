@@ -1,0 +1,195 @@
+//! The demo: a daemon with a simulated device in this process, a client of its socket, and a shipped edge.
+//!
+//! It goes the whole way a pattern goes: socket, store, streamer, link, controller, shafts. What the shafts really
+//! did is read from the simulation; the comparison without the loop is the same array in virtual time.
+//!
+//! Invariant: it exits with 0 only if every planned burst was played.
+
+use super::progress::Progress;
+use super::{control, give, text};
+use crate::api::{ArmRequest, PlayRequest, Played, Status};
+use crate::client::Client;
+use crate::config::{Config, PatternsDir};
+use crate::daemon::{Daemon, Hosted};
+use crate::device::Spec;
+use crate::record::{Receipt, Wire};
+use crate::store::Store;
+use crate::stream::port::{Bursts, Pulses};
+use crate::stream::{Realtime, rehearse};
+use anyhow::{Context, Result, bail};
+use serde::Serialize;
+use std::process::ExitCode;
+use std::thread;
+use std::time::{Duration, Instant};
+
+const PATTERN: &str = "edge-45";
+/// How long the mock may take to answer the handshake.
+const PATIENCE: Duration = Duration::from_secs(5);
+
+#[derive(Debug, Serialize)]
+struct Report {
+    pattern: String,
+    seconds: f64,
+    device: String,
+    state: &'static str,
+    cause: Option<String>,
+    bursts: Bursts,
+    pulses: Pulses,
+    wire: WireReport,
+    onset_latency_ms: Option<f64>,
+    lead_ms: f64,
+    rest_error_um: RestReport,
+    realtime: Realtime,
+    duration_s: f64,
+}
+
+#[derive(Debug, Serialize)]
+struct WireReport {
+    bytes_to_device: u64,
+    bytes_per_burst: Option<f64>,
+    bytes_per_burst_open_loop: Option<f64>,
+}
+
+#[derive(Debug, Serialize)]
+struct RestReport {
+    open_loop_rms: f64,
+    /// Null with `--open-loop`.
+    closed_loop_rms: Option<f64>,
+    max: f64,
+}
+
+pub(super) fn run(seconds: f64, open_loop: bool, json: bool) -> Result<ExitCode> {
+    let begun = Instant::now();
+    let dir =
+        tempfile::tempdir().context("no temporary directory: set TMPDIR to one that can be written to")?;
+    let config = Config {
+        device: Spec::Mock,
+        socket: dir.path().join("demo.sock"),
+        patterns: PatternsDir::None,
+        ..Config::default()
+    };
+    let hosted = Daemon::start(&config)?.host()?;
+    let mut client = Client::new(&config.socket)?;
+    let status = connected(&mut client)?;
+    let request = PlayRequest {
+        pattern: PATTERN.to_owned(),
+        seconds: Some(seconds),
+        open_loop,
+        ..PlayRequest::default()
+    };
+    let receipt = play(&mut client, &request, json)?;
+    let report = report(&config, &hosted, &status, &request, &receipt, begun)?;
+    hosted.stop()?;
+    give(json, &report, || summary(&report))?;
+    Ok(if receipt.all_played() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// The daemon's status once the mock has answered.
+fn connected(client: &mut Client) -> Result<Status> {
+    let begun = Instant::now();
+    loop {
+        let status: Status = client.get("/v1/status")?;
+        if status.is_connected() {
+            return Ok(status);
+        }
+        if begun.elapsed() > PATIENCE {
+            bail!("internal error: the simulated device does not answer");
+        }
+        thread::sleep(Duration::from_millis(5));
+    }
+}
+
+fn play(client: &mut Client, request: &PlayRequest, json: bool) -> Result<Receipt> {
+    let mut events = client.events()?;
+    // Simulated shafts are at rest.
+    let _: Status = client.post("/v1/arm", &ArmRequest { assume_rest: true })?;
+    let Played { id } = client.post("/v1/play", request)?;
+    let mut progress = Progress::new(request.seconds, json);
+    control::follow(client, &mut events, id, &mut progress)
+}
+
+fn report(
+    config: &Config,
+    hosted: &Hosted,
+    status: &Status,
+    request: &PlayRequest,
+    receipt: &Receipt,
+    begun: Instant,
+) -> Result<Report> {
+    let truth = hosted.truth().context("internal error: the mock has no shafts")?.rest();
+    let pattern = Store::new(None, false)?.get(PATTERN)?.pattern;
+    let seconds = request.seconds.unwrap_or_default();
+    let open = rehearse(&pattern, request.seconds, &config.mock, config.settings, true)?;
+    let wire = receipt.wire.unwrap_or(Wire::new(0, 0));
+    Ok(Report {
+        pattern: receipt.pattern.clone(),
+        seconds,
+        device: status.device.as_ref().map(|device| device.kind.clone()).unwrap_or_default(),
+        state: receipt.state.name(),
+        cause: receipt.cause.clone(),
+        bursts: receipt.bursts.unwrap_or_default(),
+        pulses: receipt.pulses.unwrap_or_default(),
+        wire: WireReport {
+            bytes_to_device: wire.bytes_to_device,
+            bytes_per_burst: wire.bytes_per_burst,
+            bytes_per_burst_open_loop: Wire::new(open.outcome.wire_bytes, open.outcome.bursts.planned)
+                .bytes_per_burst,
+        },
+        onset_latency_ms: receipt.onset_latency_ms,
+        lead_ms: status.lead_ms,
+        rest_error_um: RestReport {
+            open_loop_rms: open.rest.rms_um(),
+            closed_loop_rms: (!request.open_loop).then(|| truth.rms_um()),
+            max: truth.max_abs_um,
+        },
+        realtime: hosted.realtime(),
+        duration_s: begun.elapsed().as_secs_f64(),
+    })
+}
+
+fn summary(report: &Report) -> String {
+    let Report { bursts, pulses, wire, rest_error_um, realtime, .. } = report;
+    let figure = |figure: Option<f64>| figure.map_or_else(|| "-".to_owned(), |figure| format!("{figure:.2}"));
+    let cause = report.cause.as_ref().map_or_else(String::new, |cause| format!(" ({cause})"));
+    let yes = |granted| if granted { "yes" } else { "no" };
+    text::pairs(&[
+        (
+            "pattern",
+            format!(
+                "{}, {} s on the {}: {}{cause}",
+                report.pattern, report.seconds, report.device, report.state
+            ),
+        ),
+        (
+            "bursts",
+            format!(
+                "{} planned: {} played, {} late, {} dropped, {} refused; {} amended",
+                bursts.planned, bursts.played, bursts.late, bursts.dropped, bursts.refused, bursts.amended
+            ),
+        ),
+        ("pulses", format!("{} planned, {} played", pulses.planned, pulses.played)),
+        (
+            "wire",
+            format!(
+                "{} bytes, {} per burst; {} without the loop",
+                wire.bytes_to_device,
+                figure(wire.bytes_per_burst),
+                figure(wire.bytes_per_burst_open_loop)
+            ),
+        ),
+        (
+            "onset",
+            format!("{} ms after the order, lead {} ms", figure(report.onset_latency_ms), report.lead_ms),
+        ),
+        (
+            "rest error",
+            format!(
+                "{} um rms, {:.2} um without the loop; {:.2} um at worst",
+                figure(rest_error_um.closed_loop_rms),
+                rest_error_um.open_loop_rms,
+                rest_error_um.max
+            ),
+        ),
+        ("real time", format!("SCHED_FIFO {}, memory locked {}", yes(realtime.fifo), yes(realtime.mlock))),
+    ])
+}

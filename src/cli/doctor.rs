@@ -1,0 +1,223 @@
+//! The doctor: what of this machine and its daemon could keep a pattern from being played in time.
+//!
+//! It asks for the real-time means the streamer asks for, measures for a second how late timers wake a thread, and
+//! asks the daemon how its device is. It arms nothing and moves nothing.
+//!
+//! Invariant: every finding that is not `ok` says what to do.
+
+use super::{Plain, give, text};
+use crate::api::Status;
+use crate::client::{Client, ClientError};
+use crate::units::HostInstant;
+use anyhow::Result;
+use rustix::mm::{MlockAllFlags, mlockall};
+use rustix::thread::{ClockId, Timespec, clock_nanosleep_absolute};
+use serde::Serialize;
+use std::process::ExitCode;
+use std::thread;
+use std::time::Duration;
+use thread_priority::unix::{
+    RealtimeThreadSchedulePolicy, ThreadSchedulePolicy, set_thread_priority_and_policy, thread_native_id,
+};
+use thread_priority::{ThreadPriority, ThreadPriorityValue};
+
+/// How long and how often wake-ups are measured.
+const WAKE_UPS: usize = 1000;
+const PERIOD: Duration = Duration::from_millis(1);
+/// Any real-time priority will do for the question whether there is one.
+const PRIORITY: u8 = 20;
+/// A clock less certain than this makes `--at` worthless.
+const CLOCK_US: f64 = 500.0;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+enum Level {
+    Ok,
+    /// It plays, but perhaps not in time, or not as it is.
+    Warn,
+    /// It does not play.
+    Fail,
+}
+
+#[derive(Debug, Serialize)]
+struct Finding {
+    what: &'static str,
+    level: Level,
+    found: String,
+    /// What to do; empty if nothing.
+    advice: String,
+}
+
+impl Finding {
+    fn new(what: &'static str, level: Level, found: impl Into<String>, advice: &str) -> Self {
+        let advice = if level == Level::Ok { String::new() } else { advice.to_owned() };
+        Self { what, level, found: found.into(), advice }
+    }
+}
+
+/// How late timers woke a thread.
+#[derive(Clone, Copy, Debug, Serialize)]
+struct WakeUp {
+    p50_us: f64,
+    p99_us: f64,
+    p999_us: f64,
+    max_us: f64,
+}
+
+#[derive(Debug, Serialize)]
+struct Report {
+    ok: bool,
+    wake_up: WakeUp,
+    findings: Vec<Finding>,
+}
+
+pub(super) fn run(plain: &Plain) -> Result<ExitCode> {
+    // On a thread of its own, whose priority goes with it.
+    let (fifo, wake_up) = thread::spawn(|| (take_fifo(), measure())).join().unwrap_or((false, WakeUp::NONE));
+    let mut findings = vec![fifo_finding(fifo), memory(), timers(&wake_up)];
+    daemon(&mut findings, Client::new(&plain.place.path())?.get("/v1/status"));
+    let ok = findings.iter().all(|finding| finding.level != Level::Fail);
+    let report = Report { ok, wake_up, findings };
+    give(plain.output.json, &report, || lines(&report.findings))?;
+    Ok(if ok { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+fn lines(findings: &[Finding]) -> String {
+    let line = |finding: &Finding| {
+        let mark = match finding.level {
+            Level::Ok => "ok",
+            Level::Warn => "warn",
+            Level::Fail => "FAIL",
+        };
+        let advice = if finding.advice.is_empty() { String::new() } else { format!(": {}", finding.advice) };
+        vec![mark.to_owned(), finding.what.to_owned(), format!("{}{advice}", finding.found)]
+    };
+    text::columns(&[], findings.iter().map(line))
+}
+
+fn take_fifo() -> bool {
+    let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
+    let Ok(priority) = ThreadPriorityValue::try_from(PRIORITY) else { return false };
+    set_thread_priority_and_policy(thread_native_id(), ThreadPriority::Crossplatform(priority), policy)
+        .is_ok()
+}
+
+fn fifo_finding(fifo: bool) -> Finding {
+    let (level, found) = if fifo { (Level::Ok, "granted") } else { (Level::Warn, "not granted") };
+    let advice =
+        "give the daemon LimitRTPRIO=60 (systemd) or an rtprio limit (limits.conf); strokes may come late";
+    Finding::new("SCHED_FIFO", level, found, advice)
+}
+
+fn memory() -> Finding {
+    let flags = MlockAllFlags::CURRENT | MlockAllFlags::FUTURE | MlockAllFlags::ONFAULT;
+    let (level, found) = match mlockall(flags) {
+        Ok(()) => (Level::Ok, "granted".to_owned()),
+        Err(errno) => (Level::Warn, format!("not granted ({errno})")),
+    };
+    let advice = "give the daemon LimitMEMLOCK=infinity (systemd) or a memlock limit (limits.conf)";
+    Finding::new("mlockall", level, found, advice)
+}
+
+impl WakeUp {
+    const NONE: Self = Self { p50_us: f64::NAN, p99_us: f64::NAN, p999_us: f64::NAN, max_us: f64::NAN };
+}
+
+fn measure() -> WakeUp {
+    let begun = HostInstant::now();
+    let mut late_us: Vec<f64> = (1..=WAKE_UPS)
+        .filter_map(|count| {
+            let wanted = begun + PERIOD * u32::try_from(count).ok()?;
+            sleep_until(wanted);
+            Some(HostInstant::now().since(wanted).as_secs_f64() * 1e6)
+        })
+        .collect();
+    late_us.sort_by(f64::total_cmp);
+    let at = |per_mille: usize| {
+        late_us.get((late_us.len() * per_mille / 1000).min(late_us.len().saturating_sub(1)))
+    };
+    let at = |per_mille| at(per_mille).copied().unwrap_or(f64::NAN);
+    WakeUp { p50_us: at(500), p99_us: at(990), p999_us: at(999), max_us: at(1000) }
+}
+
+fn sleep_until(wanted: HostInstant) {
+    let seconds = (wanted.as_ns() / 1_000_000_000).cast_signed();
+    let time = Timespec { tv_sec: seconds, tv_nsec: (wanted.as_ns() % 1_000_000_000).cast_signed() };
+    // Interrupted by a signal, it measures a wake-up that was early: 0.
+    let _ = clock_nanosleep_absolute(ClockId::Monotonic, &time);
+}
+
+fn timers(wake_up: &WakeUp) -> Finding {
+    let WakeUp { p50_us, p99_us, p999_us, max_us } = wake_up;
+    let found =
+        format!("late by {p50_us:.0} us (p50), {p99_us:.0} (p99), {p999_us:.0} (p99.9), {max_us:.0} (max)");
+    // Half the default lead: beyond it, a second stall in a row is late.
+    let level = if *max_us < 50_000.0 { Level::Ok } else { Level::Warn };
+    Finding::new(
+        "timers",
+        level,
+        found,
+        "raise lead_ms above twice the worst, or use a machine with less beside it",
+    )
+}
+
+fn daemon(findings: &mut Vec<Finding>, status: Result<Status, ClientError>) {
+    let status = match status {
+        Ok(status) => status,
+        Err(ClientError::NoDaemon { socket, .. }) => {
+            let found = format!("none answers at {}", socket.display());
+            let advice = "start one with `meissner daemon`, or name its socket with --socket";
+            return findings.push(Finding::new("daemon", Level::Fail, found, advice));
+        }
+        Err(error) => {
+            return findings.push(Finding::new("daemon", Level::Fail, error.to_string(), "see its log"));
+        }
+    };
+    let found = format!("version {}, pid {}", status.version, status.pid);
+    let same = status.version == env!("CARGO_PKG_VERSION");
+    let level = if same { Level::Ok } else { Level::Warn };
+    findings.push(Finding::new("daemon", level, found, "restart it: this program has another version"));
+    let Some(device) = &status.device else {
+        findings.push(Finding::new(
+            "device",
+            Level::Fail,
+            "none",
+            "plug it in; the daemon's log says what it looks for",
+        ));
+        return;
+    };
+    let found = format!("{}, firmware {}", device.kind, device.firmware);
+    let level = if device.simulated { Level::Warn } else { Level::Ok };
+    findings.push(Finding::new(
+        "device",
+        level,
+        found,
+        "it is simulated, no real pin moves: name one with --device",
+    ));
+    let state = format!("{} ({}), position {}", status.state, status.cause, status.position);
+    findings.push(match (status.state.as_str(), status.position.as_str()) {
+        ("faulted", _) => Finding::new(
+            "state",
+            Level::Fail,
+            state,
+            "find out why, then `meissner reset` and `meissner arm`",
+        ),
+        ("disarmed", "unknown") => Finding::new(
+            "state",
+            Level::Warn,
+            state,
+            "see that all pins are at rest, then `meissner arm --assume-rest`",
+        ),
+        ("disarmed", _) => Finding::new("state", Level::Warn, state, "`meissner arm` before you play"),
+        _ => Finding::new("state", Level::Ok, state, ""),
+    });
+    let uncertainty_us = status.clock_uncertainty_us.unwrap_or(f64::INFINITY);
+    let level = if uncertainty_us < CLOCK_US { Level::Ok } else { Level::Warn };
+    let found = format!("known to {uncertainty_us:.1} us");
+    findings.push(Finding::new(
+        "clock",
+        level,
+        found,
+        "onsets asked for with --at are no better; see the cable and the load",
+    ));
+}

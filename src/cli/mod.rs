@@ -1,0 +1,331 @@
+//! The command line: what is asked for, and where the answer goes.
+//!
+//! Each command is a function that prints its answer on stdout: with `--json` one document and nothing else. Logs
+//! and bars go to stderr. A command that fails prints one line, `meissner: what, where, what to do`, and exits
+//! with 1; one that cannot be understood exits with 2. Nothing is decided here that a script could not decide
+//! through the API.
+//!
+//! Invariant: names and flags are stable; a command that is not built does not exist.
+
+mod control;
+mod demo;
+mod doctor;
+mod library;
+mod progress;
+mod text;
+mod watch;
+
+use crate::api::Late;
+use crate::client::Client;
+use crate::config::{self, Config};
+use crate::daemon::{self, Daemon};
+use crate::device::Spec;
+use anyhow::{Context, Result};
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use serde::Serialize;
+use std::io::{self, IsTerminal, Write};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::str::FromStr;
+use tracing_subscriber::EnvFilter;
+
+/// Real-time driver daemon for piezo pin-array tactile displays.
+#[derive(Debug, Parser)]
+#[command(name = "meissner", version)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Daemon, simulated device and client in one process: plays a shipped edge and sums it up
+    Demo {
+        /// How long it plays
+        #[arg(long, value_name = "S", default_value_t = 5.0, allow_negative_numbers = true)]
+        seconds: f64,
+        /// No corrections from telemetry
+        #[arg(long)]
+        open_loop: bool,
+        #[command(flatten)]
+        output: Output,
+    },
+    /// Drive a device for the clients of a socket, until SIGTERM
+    Daemon {
+        /// Configuration file (TOML)
+        #[arg(long, value_name = "F")]
+        config: Option<PathBuf>,
+        /// auto, mock, pty or serial:PATH
+        #[arg(long, value_name = "DEVICE")]
+        device: Option<Spec>,
+        #[command(flatten)]
+        place: Place,
+    },
+    /// Play a pattern, behind what is queued
+    Play(Play),
+    /// End the running play and clear the queue; stays armed
+    Stop(Plain),
+    /// All lines off at once, latched until `reset`
+    Estop(Plain),
+    /// Leave an emergency stop or fault: disarmed
+    Reset(Plain),
+    /// Take strokes from now on
+    Arm {
+        /// Take every pin as being at rest: only after looking
+        #[arg(long)]
+        assume_rest: bool,
+        #[command(flatten)]
+        plain: Plain,
+    },
+    /// Return pins, motors off
+    Disarm(Plain),
+    /// All patterns
+    List(Plain),
+    /// A pattern: its motors, drives and warnings
+    Show {
+        /// Its name
+        name: String,
+        #[command(flatten)]
+        plain: Plain,
+    },
+    /// Store a pattern file with the daemon, under the name in it
+    Import {
+        /// The file (TOML)
+        file: PathBuf,
+        #[command(flatten)]
+        plain: Plain,
+    },
+    /// How everything stands
+    Status {
+        /// Again at every change
+        #[arg(long)]
+        watch: bool,
+        #[command(flatten)]
+        plain: Plain,
+    },
+    /// What happens, as it happens; with --json one document per line
+    Events(Plain),
+    /// What came of a play
+    Receipt {
+        /// Its id; without it, the last one
+        id: Option<u64>,
+        #[command(flatten)]
+        plain: Plain,
+    },
+    /// What a drive comes to in the steady state, by the motor model
+    Motor {
+        /// Its frequency
+        #[arg(long, value_name = "F", allow_negative_numbers = true)]
+        frequency_hz: f64,
+        /// Its amplitude, peak to peak
+        #[arg(long, value_name = "A", allow_negative_numbers = true)]
+        amplitude_um: f64,
+        #[command(flatten)]
+        output: Output,
+    },
+    /// Look for what could keep this machine from playing
+    Doctor(Plain),
+}
+
+#[derive(Debug, Args)]
+struct Play {
+    /// Which pattern
+    name: String,
+    /// Cuts it, or repeats it if it has a duration
+    #[arg(long, value_name = "S", allow_negative_numbers = true)]
+    seconds: Option<f64>,
+    /// A tick of the device's clock, or so many ms after the order
+    #[arg(long, value_name = "TICK|+MS")]
+    at: Option<Onset>,
+    /// What to do when strokes come late
+    #[arg(long, value_enum, default_value_t = Policy::Drop)]
+    late: Policy,
+    /// Stop what runs and clear the queue first
+    #[arg(long)]
+    replace: bool,
+    /// No corrections from telemetry
+    #[arg(long)]
+    open_loop: bool,
+    /// Wait for its end and sum it up; exit 1 if not all was played
+    #[arg(long)]
+    wait: bool,
+    #[command(flatten)]
+    plain: Plain,
+}
+
+/// What a client command needs.
+#[derive(Debug, Args)]
+struct Plain {
+    #[command(flatten)]
+    place: Place,
+    #[command(flatten)]
+    output: Output,
+}
+
+#[derive(Debug, Args)]
+struct Place {
+    /// The daemon's socket [default: $MEISSNER_SOCKET, else $XDG_RUNTIME_DIR/meissner.sock, else
+    /// /run/meissner/meissner.sock]
+    #[arg(long, value_name = "PATH")]
+    socket: Option<PathBuf>,
+}
+
+impl Place {
+    fn path(&self) -> PathBuf {
+        self.socket.clone().unwrap_or_else(config::default_socket)
+    }
+}
+
+#[derive(Clone, Copy, Debug, Args)]
+struct Output {
+    /// One JSON document on stdout and nothing else
+    #[arg(long)]
+    json: bool,
+}
+
+impl Plain {
+    fn client(&self) -> Result<Client> {
+        Ok(Client::new(&self.place.path())?)
+    }
+}
+
+/// `--at`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Onset {
+    Tick(u64),
+    AfterMs(f64),
+}
+
+impl FromStr for Onset {
+    type Err = &'static str;
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        match text.strip_prefix('+') {
+            Some(ms) => {
+                ms.parse().map(Self::AfterMs).map_err(|_| "after the + a number of milliseconds is wanted")
+            }
+            None => {
+                text.parse().map(Self::Tick).map_err(|_| "a tick (a whole number), or + and milliseconds")
+            }
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Policy {
+    /// Drop them whole and go on
+    Drop,
+    /// End the play
+    Abort,
+}
+
+impl From<Policy> for Late {
+    fn from(policy: Policy) -> Self {
+        match policy {
+            Policy::Drop => Self::Drop,
+            Policy::Abort => Self::Abort,
+        }
+    }
+}
+
+/// Runs the program.
+#[must_use]
+pub fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let level = if matches!(cli.command, Command::Daemon { .. }) { "info" } else { "warn" };
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(level));
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(io::stderr)
+        .with_ansi(io::stderr().is_terminal())
+        .with_target(false)
+        .init();
+    match run(cli.command) {
+        Ok(code) => code,
+        // Whoever read the output has seen enough.
+        Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
+        Err(error) => {
+            // If stderr is gone too, nobody is left to tell.
+            let _ = writeln!(io::stderr(), "meissner: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn is_broken_pipe(error: &anyhow::Error) -> bool {
+    error.downcast_ref::<io::Error>().is_some_and(|error| error.kind() == io::ErrorKind::BrokenPipe)
+}
+
+fn run(command: Command) -> Result<ExitCode> {
+    match command {
+        Command::Demo { seconds, open_loop, output } => demo::run(seconds, open_loop, output.json),
+        Command::Daemon { config, device, place } => serve(config, device, place),
+        Command::Play(play) => control::play(&play),
+        Command::Stop(plain) => control::command(&plain, "stop"),
+        Command::Estop(plain) => control::command(&plain, "estop"),
+        Command::Reset(plain) => control::command(&plain, "reset"),
+        Command::Arm { assume_rest, plain } => control::arm(&plain, assume_rest),
+        Command::Disarm(plain) => control::command(&plain, "disarm"),
+        Command::List(plain) => library::list(&plain),
+        Command::Show { name, plain } => library::show(&plain, &name),
+        Command::Import { file, plain } => library::import(&plain, &file),
+        Command::Status { watch, plain } => watch::status(&plain, watch),
+        Command::Events(plain) => watch::events(&plain),
+        Command::Receipt { id, plain } => watch::receipt(&plain, id),
+        Command::Motor { frequency_hz, amplitude_um, output } => {
+            library::motor(frequency_hz, amplitude_um, output.json)
+        }
+        Command::Doctor(plain) => doctor::run(&plain),
+    }
+}
+
+fn serve(config: Option<PathBuf>, device: Option<Spec>, place: Place) -> Result<ExitCode> {
+    let mut settings = config.map_or_else(|| Ok(Config::default()), |file| Config::read(&file))?;
+    if let Some(device) = device {
+        settings.device = device;
+    }
+    if let Some(socket) = place.socket {
+        settings.socket = socket;
+    }
+    daemon::runtime()?.block_on(async {
+        let end = daemon::told_to_end()?;
+        Daemon::start(&settings)?.run(end).await
+    })?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Prints a line, or many.
+fn say(text: &str) -> Result<()> {
+    Ok(writeln!(io::stdout(), "{text}")?)
+}
+
+/// Prints the answer: as a document, or as text.
+fn give(json: bool, document: &impl Serialize, text: impl FnOnce() -> String) -> Result<()> {
+    if json { say_json(document) } else { say(&text()) }
+}
+
+/// Prints the document of `--json`, on one line.
+fn say_json(document: &impl Serialize) -> Result<()> {
+    say(&serde_json::to_string(document).context("internal error: no JSON")?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn an_onset_is_a_tick_or_a_delay() {
+        assert_eq!("4294967296".parse(), Ok(Onset::Tick(1 << 32)));
+        assert_eq!("+12.5".parse(), Ok(Onset::AfterMs(12.5)));
+        assert!(
+            "soon".parse::<Onset>().is_err()
+                && "+".parse::<Onset>().is_err()
+                && "-3".parse::<Onset>().is_err()
+        );
+    }
+}

@@ -1,0 +1,102 @@
+//! Progress of a play: a bar on a terminal, plain lines in a pipe.
+//!
+//! The bar goes to stderr and is gone at the end; lines go to stdout, one when it begins, one for every second
+//! of it and one for each late or refused stroke (the first ten). With `--json` there are no lines, and a bar only if
+//! stderr is a terminal.
+//!
+//! Invariant: nothing here changes what is played.
+
+use super::say;
+use crate::record::Event;
+use anyhow::Result;
+use indicatif::{ProgressBar, ProgressStyle};
+use std::io::{self, IsTerminal};
+
+/// Late and refused strokes that get a line.
+const LINES: u32 = 10;
+
+#[derive(Debug)]
+pub(super) struct Progress {
+    bar: Option<ProgressBar>,
+    lines: bool,
+    second: u64,
+    late: u32,
+    refused: u32,
+}
+
+impl Progress {
+    /// Of a play of so many seconds, or without end.
+    pub(super) fn new(seconds: Option<f64>, json: bool) -> Self {
+        let bar = io::stderr().is_terminal().then(|| bar(seconds));
+        Self { lines: !json && bar.is_none(), bar, second: 0, late: 0, refused: 0 }
+    }
+
+    pub(super) fn show(&mut self, id: u64, event: &Event) -> Result<()> {
+        match event {
+            Event::State { play: Some(play), .. } if play.id == id => self.at(play.played_s),
+            Event::Began { id: of, onset } if *of == id => {
+                self.line(|| format!("play {id} began at tick {}", onset.actual_tick))
+            }
+            Event::Late { id: of, stroke } if *of == id => {
+                self.late += 1;
+                let told = self.late <= LINES;
+                self.count(told, || {
+                    format!("late by {:.1} ms: motor {}, {:?}", stroke.late_ms, stroke.motor, stroke.cause)
+                })
+            }
+            Event::Refused { id: of, stroke } if *of == id => {
+                self.refused += 1;
+                let told = self.refused <= LINES;
+                self.count(told, || format!("refused: motor {}, {}", stroke.motor, stroke.reason))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Takes the bar away.
+    pub(super) fn finish(&self) {
+        if let Some(bar) = &self.bar {
+            bar.finish_and_clear();
+        }
+    }
+
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "seconds that have passed")]
+    fn at(&mut self, played_s: f64) -> Result<()> {
+        if let Some(bar) = &self.bar {
+            bar.set_position((played_s * 1000.0) as u64);
+            return Ok(());
+        }
+        let second = played_s as u64;
+        if second > self.second {
+            self.second = second;
+            let (late, refused) = (self.late, self.refused);
+            return self.line(|| format!("{second} s, {late} strokes late, {refused} refused"));
+        }
+        Ok(())
+    }
+
+    fn count(&self, told: bool, line: impl FnOnce() -> String) -> Result<()> {
+        if let Some(bar) = &self.bar {
+            bar.set_message(format!("{} late, {} refused", self.late, self.refused));
+        }
+        if told { self.line(line) } else { Ok(()) }
+    }
+
+    fn line(&self, line: impl FnOnce() -> String) -> Result<()> {
+        if self.lines { say(&line()) } else { Ok(()) }
+    }
+}
+
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "a length, checked by the daemon"
+)]
+fn bar(seconds: Option<f64>) -> ProgressBar {
+    let (bar, template) = match seconds {
+        Some(seconds) => (ProgressBar::new((seconds * 1000.0) as u64), "{wide_bar} {pos:>6}/{len} ms {msg}"),
+        None => (ProgressBar::no_length(), "{spinner} {pos:>6} ms {msg}"),
+    };
+    let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
+    bar.with_style(style).with_message("0 late, 0 refused")
+}

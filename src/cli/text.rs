@@ -1,0 +1,190 @@
+//! What people read: receipts, status and patterns as text.
+//!
+//! Only words and columns; every figure is one of the JSON's.
+//!
+//! Invariant: no line depends on the terminal.
+
+use crate::api::Status;
+use crate::array::{COLUMNS, ROWS};
+use crate::record::{Event, Receipt};
+use comfy_table::presets::{NOTHING, UTF8_FULL};
+use comfy_table::{CellAlignment, Table};
+use serde_json::Value;
+use std::fmt::Write;
+
+/// Two columns, the left one names.
+pub(super) fn pairs(pairs: &[(&str, String)]) -> String {
+    let width = pairs.iter().map(|(name, _)| name.len()).max().unwrap_or_default();
+    let lines = pairs.iter().map(|(name, value)| format!("{name:<width$}  {value}"));
+    lines.collect::<Vec<_>>().join("\n")
+}
+
+/// A table without lines, with or without a head.
+pub(super) fn columns(head: &[&str], rows: impl IntoIterator<Item = Vec<String>>) -> String {
+    let mut table = Table::new();
+    table.load_style(NOTHING).add_rows(rows);
+    if !head.is_empty() {
+        table.set_header(head);
+    }
+    for column in table.column_iter_mut() {
+        column.set_padding((0, 2));
+    }
+    table.trim_fmt()
+}
+
+pub(super) fn receipt(receipt: &Receipt) -> String {
+    let cause = receipt.cause.as_ref().map_or_else(String::new, |cause| format!(" ({cause})"));
+    let mut lines = vec![
+        ("play", format!("{} of {}", receipt.id, receipt.pattern)),
+        ("state", format!("{}{cause}", receipt.state.name())),
+    ];
+    if let (Some(onset), Some(ms)) = (&receipt.onset, receipt.onset_latency_ms) {
+        lines.push(("onset", format!("tick {}, {ms:.2} ms after the order", onset.actual_tick)));
+    }
+    if let Some(bursts) = &receipt.bursts {
+        let text = format!(
+            "{} planned: {} played, {} late, {} dropped, {} refused; {} amended",
+            bursts.planned, bursts.played, bursts.late, bursts.dropped, bursts.refused, bursts.amended
+        );
+        lines.push(("bursts", text));
+    }
+    if let Some(pulses) = &receipt.pulses {
+        lines.push(("pulses", format!("{} planned, {} played", pulses.planned, pulses.played)));
+    }
+    let late = &receipt.lateness.counts;
+    if late.host + late.link + late.device > 0 {
+        let text = format!(
+            "{} by the host, {} by the link, {} by the device; at worst {:.1} ms",
+            late.host, late.link, late.device, late.worst_ms
+        );
+        lines.push(("late strokes", text));
+    }
+    if let Some(wire) = &receipt.wire {
+        let per_burst =
+            wire.bytes_per_burst.map_or_else(String::new, |bytes| format!(", {bytes:.2} per burst"));
+        lines.push(("wire", format!("{} bytes to the device{per_burst}", wire.bytes_to_device)));
+    }
+    if let Some(errors) = &receipt.rest_error_um {
+        let worst = errors.iter().fold(0.0_f32, |worst, error| worst.max(error.abs()));
+        lines.push(("rest error", format!("{worst:.2} um at worst, as estimated")));
+    }
+    pairs(&lines)
+}
+
+pub(super) fn status(status: &Status) -> String {
+    let device = status.device.as_ref().map_or_else(
+        || "none".to_owned(),
+        |device| format!("{}, firmware {} ({})", device.kind, device.firmware, device.build),
+    );
+    let play = status.play.as_ref().map_or_else(
+        || "nothing".to_owned(),
+        |play| format!("{} of {}, {:.1} s", play.id, play.pattern, play.played_s),
+    );
+    let mut lines = vec![
+        ("state", format!("{} ({})", status.state, status.cause)),
+        ("position", status.position.clone()),
+        ("device", device),
+        ("plays", play),
+    ];
+    if !status.queued.is_empty() {
+        let waiting = status.queued.iter().map(|play| format!("{} of {}", play.id, play.pattern));
+        lines.push(("queued", waiting.collect::<Vec<_>>().join(", ")));
+    }
+    if let (Some(tick), Some(uncertainty_us)) = (status.tick, status.clock_uncertainty_us) {
+        lines.push(("tick", format!("{tick}, known to {uncertainty_us:.1} us")));
+    }
+    lines.push(("lead", format!("{} ms, lease {} ms", status.lead_ms, status.lease_ms)));
+    pairs(&lines)
+}
+
+/// An event on one line.
+pub(super) fn event(event: &Event) -> String {
+    match event {
+        Event::State { state, cause, position, tick, play } => {
+            let play = play
+                .as_ref()
+                .map_or_else(String::new, |play| format!(", play {} {:.1} s", play.id, play.played_s));
+            format!("state: {state} ({cause}), position {position}, tick {tick}{play}")
+        }
+        Event::Connected { device } => format!("connected: {}, firmware {}", device.kind, device.firmware),
+        Event::Disconnected { reason } => format!("disconnected: {reason}"),
+        Event::Queued { id, pattern, .. } => format!("queued: {id} of {pattern}"),
+        Event::Began { id, onset } => format!("began: {id} at tick {}", onset.actual_tick),
+        Event::Late { id, stroke } => {
+            format!("late: {id}, motor {}, by {:.1} ms, {:?}", stroke.motor, stroke.late_ms, stroke.cause)
+        }
+        Event::Refused { id, stroke } => format!("refused: {id}, motor {}, {}", stroke.motor, stroke.reason),
+        Event::Ended { receipt } => {
+            let cause = receipt.cause.as_ref().map_or_else(String::new, |cause| format!(" ({cause})"));
+            format!("ended: {} {}{cause}", receipt.id, receipt.state.name())
+        }
+        Event::Lost { notices } => format!("lost: {notices} notices"),
+        Event::Lagged { events } => format!("lagged: {events} events"),
+    }
+}
+
+/// A pattern as the daemon shows it: the array as one looks down on it, fingertip up, then the drives.
+pub(super) fn pattern(shown: &Value) -> String {
+    let pattern = &shown["pattern"];
+    let none = Vec::new();
+    let drives = pattern["drive"].as_array().unwrap_or(&none);
+    let mut text = pattern["name"].as_str().unwrap_or_default().to_owned();
+    // Writing to a string does not fail.
+    let _ = match pattern["duration_s"].as_f64() {
+        Some(seconds) => writeln!(text, ", {seconds} s, {} drives", drives.len()),
+        None => writeln!(text, ", endless, {} drives", drives.len()),
+    };
+    let mut table = Table::new();
+    table.load_style(UTF8_FULL);
+    for row in 0..ROWS {
+        table.add_row((0..COLUMNS).map(|column| cell(COLUMNS * row + column, drives)));
+    }
+    for column in table.column_iter_mut() {
+        column.set_cell_alignment(CellAlignment::Center);
+    }
+    let _ = writeln!(text, "{table}");
+    let head = ["motor", "frequency_hz", "amplitude_um", "phase", "start_s", "stop_s"];
+    let row = |drive: &Value| head.iter().map(|key| figure(&drive[*key])).collect::<Vec<_>>();
+    text.push_str(&columns(&head, drives.iter().map(row)));
+    for warning in shown["warnings"].as_array().unwrap_or(&none) {
+        let _ = write!(text, "\nwarning: {}", warning.as_str().unwrap_or_default());
+    }
+    text
+}
+
+fn cell(motor: u8, drives: &[Value]) -> String {
+    let mut of_motor = drives.iter().filter(|drive| drive["motor"] == motor);
+    let Some(first) = of_motor.next() else { return format!("{motor}\n\n") };
+    let more = match of_motor.count() {
+        0 => String::new(),
+        more => format!(" +{more}"),
+    };
+    format!("{motor}\n{} Hz\n{} um{more}", figure(&first["frequency_hz"]), figure(&first["amplitude_um"]))
+}
+
+fn figure(value: &Value) -> String {
+    if value.is_null() { "-".to_owned() } else { value.to_string() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn a_pattern_shows_every_motor_and_every_drive() {
+        let drive = json!({"motor": 9, "frequency_hz": 60.0, "amplitude_um": 80.0, "phase": 0.25});
+        let text = pattern(
+            &json!({"pattern": {"name": "a", "duration_s": 5.0, "drive": [drive, drive]}, "warnings": ["w"]}),
+        );
+        for part in ["a, 5.0 s, 2 drives", "60.0 Hz", "80.0 um +1", "23", "0.25", "warning: w"] {
+            assert!(text.contains(part) || text.contains(&part.replace("5.0 s", "5 s")), "{part}: {text}");
+        }
+    }
+
+    #[test]
+    fn a_receipt_that_has_not_begun_shows_no_figures() {
+        let text = receipt(&Receipt::new(3, "edge-45", "", None));
+        assert_eq!(text, "play   3 of edge-45\nstate  queued");
+    }
+}

@@ -1,0 +1,315 @@
+//! A client of the daemon: one kept-alive HTTP/1.1 connection over its Unix socket, and event streams.
+//!
+//! Calls block; each connection has a small runtime of its own. It knows addresses and JSON, not what commands
+//! mean. A call that takes longer than [`PATIENCE`] fails; an event stream waits for as long as there is one.
+//!
+//! Invariant: the display of a [`ClientError`] is one line that says what to do.
+
+use crate::api::Problem;
+use crate::record::Event;
+use http_body_util::{BodyExt, Full, Limited};
+use hyper::body::{Bytes, Incoming};
+use hyper::client::conn::http1::{SendRequest, handshake};
+use hyper::header::{CONTENT_TYPE, HOST};
+use hyper::{Method, Request, Response};
+use hyper_util::rt::TokioIo;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+use tokio::net::UnixStream;
+use tokio::runtime::{Builder, Runtime};
+
+/// How long an answer may take: longer than the daemon waits for the device.
+pub const PATIENCE: Duration = Duration::from_secs(5);
+/// Bytes of an answer, or of one event, at the most.
+const MAX_ANSWER: usize = 16 << 20;
+
+/// What a call can come to.
+#[derive(Debug, thiserror::Error)]
+pub enum ClientError {
+    /// Nobody answers.
+    #[error("no daemon answers at {}: start one with `meissner daemon`", .socket.display())]
+    NoDaemon {
+        /// Where.
+        socket: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// Somebody may not.
+    #[error("{}: {source}; see that you may use the socket (its group), or choose another with --socket", .socket.display())]
+    Connect {
+        /// Where.
+        socket: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The daemon says no.
+    #[error(transparent)]
+    Problem(#[from] Problem),
+    /// The connection broke.
+    #[error("{}: the daemon hung up: see its log", .socket.display())]
+    HungUp {
+        /// Where.
+        socket: PathBuf,
+        /// What HTTP said.
+        source: Option<hyper::Error>,
+    },
+    /// It takes too long.
+    #[error("{}: no answer within {} s: see the daemon's log", .socket.display(), PATIENCE.as_secs())]
+    Slow {
+        /// Where.
+        socket: PathBuf,
+    },
+    /// Something else answers there, or another version.
+    #[error("{}: not an answer of this version's daemon: {what}; restart it, or choose another with --socket", .socket.display())]
+    Answer {
+        /// Where.
+        socket: PathBuf,
+        /// What is odd about it.
+        what: String,
+    },
+    /// No runtime.
+    #[error("cannot start: {0}")]
+    Runtime(#[source] io::Error),
+}
+
+/// A connection to the daemon.
+#[derive(Debug)]
+pub struct Client {
+    socket: PathBuf,
+    runtime: Runtime,
+    sender: Option<SendRequest<Full<Bytes>>>,
+}
+
+impl Client {
+    /// A client of the daemon at `socket`. It connects at the first call, and again if the daemon hung up.
+    ///
+    /// # Errors
+    /// If the system has no means for it.
+    pub fn new(socket: &Path) -> Result<Self, ClientError> {
+        let runtime = Builder::new_current_thread().enable_all().build().map_err(ClientError::Runtime)?;
+        Ok(Self { socket: socket.to_owned(), runtime, sender: None })
+    }
+
+    /// `GET`.
+    ///
+    /// # Errors
+    /// See [`ClientError`].
+    pub fn get<T: DeserializeOwned>(&mut self, path: &str) -> Result<T, ClientError> {
+        self.call(Method::GET, path, Bytes::new())
+    }
+
+    /// `POST` of a JSON document.
+    ///
+    /// # Errors
+    /// See [`ClientError`].
+    pub fn post<T: DeserializeOwned>(&mut self, path: &str, body: &impl Serialize) -> Result<T, ClientError> {
+        let body = serde_json::to_vec(body).map_err(|error| self.odd(&error))?;
+        self.call(Method::POST, path, body.into())
+    }
+
+    /// `PUT` of a text.
+    ///
+    /// # Errors
+    /// See [`ClientError`].
+    pub fn put<T: DeserializeOwned>(&mut self, path: &str, text: String) -> Result<T, ClientError> {
+        self.call(Method::PUT, path, text.into())
+    }
+
+    fn call<T: DeserializeOwned>(
+        &mut self,
+        method: Method,
+        path: &str,
+        body: Bytes,
+    ) -> Result<T, ClientError> {
+        let (socket, sender) = (&self.socket, &mut self.sender);
+        let answer = self.runtime.block_on(async {
+            let exchange = async {
+                // A connection that was idle for long may have been closed; nothing was sent on it then.
+                if sender.as_mut().is_none_or(|sender| sender.is_closed()) {
+                    *sender = Some(connect(socket).await?);
+                }
+                let Some(sender) = sender.as_mut() else { return Err(hung_up(socket, None)) };
+                sender.ready().await.map_err(|source| hung_up(socket, Some(source)))?;
+                let request = request(method, path, body);
+                let response = sender.send_request(request).await;
+                read_all(socket, response.map_err(|source| hung_up(socket, Some(source)))?).await
+            };
+            let slow = |_| Err(ClientError::Slow { socket: socket.clone() });
+            tokio::time::timeout(PATIENCE, exchange).await.unwrap_or_else(slow)
+        });
+        if answer.is_err() {
+            self.sender = None;
+        }
+        let (good, bytes) = answer?;
+        if good {
+            return serde_json::from_slice(&bytes).map_err(|error| self.odd(&error));
+        }
+        Err(serde_json::from_slice::<Problem>(&bytes).map_or_else(|error| self.odd(&error), Into::into))
+    }
+
+    fn odd(&self, error: &serde_json::Error) -> ClientError {
+        ClientError::Answer { socket: self.socket.clone(), what: error.to_string() }
+    }
+
+    /// Listens to events on a connection of its own. What happens after this has returned is heard.
+    ///
+    /// # Errors
+    /// See [`ClientError`].
+    pub fn events(&self) -> Result<Events, ClientError> {
+        let runtime = Builder::new_current_thread().enable_all().build().map_err(ClientError::Runtime)?;
+        let socket = self.socket.clone();
+        let response = runtime.block_on(async {
+            let mut sender = connect(&socket).await?;
+            let request = request(Method::GET, "/v1/events", Bytes::new());
+            let slow = |_| Err(ClientError::Slow { socket: socket.clone() });
+            let response = async {
+                let response = sender.send_request(request).await;
+                let response = response.map_err(|source| hung_up(&socket, Some(source)))?;
+                if response.status().is_success() {
+                    return Ok(response);
+                }
+                let (_, bytes) = read_all(&socket, response).await?;
+                let problem = serde_json::from_slice::<Problem>(&bytes);
+                Err(problem.map_or_else(
+                    |error| ClientError::Answer { socket: socket.clone(), what: error.to_string() },
+                    Into::into,
+                ))
+            };
+            tokio::time::timeout(PATIENCE, response).await.unwrap_or_else(slow)
+        })?;
+        Ok(Events { socket, runtime, body: response.into_body(), rest: Vec::new() })
+    }
+}
+
+async fn connect(socket: &Path) -> Result<SendRequest<Full<Bytes>>, ClientError> {
+    let stream = UnixStream::connect(socket).await.map_err(|source| {
+        let socket = socket.to_owned();
+        match source.kind() {
+            io::ErrorKind::NotFound | io::ErrorKind::ConnectionRefused => {
+                ClientError::NoDaemon { socket, source }
+            }
+            _ => ClientError::Connect { socket, source },
+        }
+    })?;
+    let (sender, connection) =
+        handshake(TokioIo::new(stream)).await.map_err(|source| hung_up(socket, Some(source)))?;
+    // Its errors come out of the requests too.
+    tokio::spawn(connection);
+    Ok(sender)
+}
+
+fn hung_up(socket: &Path, source: Option<hyper::Error>) -> ClientError {
+    ClientError::HungUp { socket: socket.to_owned(), source }
+}
+
+fn request(method: Method, path: &str, body: Bytes) -> Request<Full<Bytes>> {
+    let request = Request::builder().method(method).uri(path).header(HOST, "localhost");
+    let request = request.header(CONTENT_TYPE, "application/json");
+    request.body(Full::new(body)).expect("paths are made of checked parts")
+}
+
+async fn read_all(socket: &Path, response: Response<Incoming>) -> Result<(bool, Bytes), ClientError> {
+    let good = response.status().is_success();
+    let body = Limited::new(response.into_body(), MAX_ANSWER).collect().await;
+    let body = body.map_err(|error| match error.downcast::<hyper::Error>() {
+        Ok(source) => hung_up(socket, Some(*source)),
+        Err(error) => ClientError::Answer { socket: socket.to_owned(), what: error.to_string() },
+    })?;
+    Ok((good, body.to_bytes()))
+}
+
+/// A part of an address: what is no letter, digit or `-` is escaped.
+#[must_use]
+pub fn escape(part: &str) -> String {
+    let plain = |byte: u8| byte.is_ascii_alphanumeric() || byte == b'-';
+    let escaped = |byte: u8| if plain(byte) { char::from(byte).to_string() } else { format!("%{byte:02X}") };
+    part.bytes().map(escaped).collect()
+}
+
+/// Events as they come.
+#[derive(Debug)]
+pub struct Events {
+    socket: PathBuf,
+    runtime: Runtime,
+    body: Incoming,
+    rest: Vec<u8>,
+}
+
+impl Events {
+    /// Waits for the next event; `None` when the daemon ends. After `patience` without one: `Slow`.
+    ///
+    /// # Errors
+    /// If the connection broke or what came is no event.
+    pub fn next(&mut self, patience: Option<Duration>) -> Result<Option<Event>, ClientError> {
+        loop {
+            while let Some(end) = self.rest.windows(2).position(|pair| pair == b"\n\n") {
+                let block: Vec<u8> = self.rest.drain(..end + 2).collect();
+                let lines = block.split(|&byte| byte == b'\n');
+                let data = lines.filter_map(|line| line.strip_prefix(b"data:")).collect::<Vec<_>>().concat();
+                // Comments keep the connection alive; they carry nothing.
+                if !data.is_empty() {
+                    let event = serde_json::from_slice(&data);
+                    return event.map(Some).map_err(|error| self.odd(error.to_string()));
+                }
+            }
+            if self.rest.len() > MAX_ANSWER {
+                return Err(self.odd("an event without end".to_owned()));
+            }
+            let frame = async {
+                let frame = self.body.frame();
+                match patience {
+                    Some(patience) => tokio::time::timeout(patience, frame).await,
+                    None => Ok(frame.await),
+                }
+            };
+            match self.runtime.block_on(frame) {
+                Err(_) => return Err(ClientError::Slow { socket: self.socket.clone() }),
+                Ok(None) => return Ok(None),
+                Ok(Some(Err(source))) => return Err(hung_up(&self.socket, Some(source))),
+                Ok(Some(Ok(frame))) => self.rest.extend(frame.data_ref().into_iter().flatten()),
+            }
+        }
+    }
+
+    fn odd(&self, what: String) -> ClientError {
+        ClientError::Answer { socket: self.socket.clone(), what }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn without_a_daemon_it_says_how_to_start_one() {
+        let dir = tempfile::tempdir().unwrap();
+        let socket = dir.path().join("none.sock");
+        let mut client = Client::new(&socket).unwrap();
+        let line = client.get::<serde_json::Value>("/v1/status").unwrap_err().to_string();
+        assert_eq!(
+            line,
+            format!("no daemon answers at {}: start one with `meissner daemon`", socket.display())
+        );
+        assert!(matches!(client.events(), Err(ClientError::NoDaemon { .. })));
+    }
+
+    #[test]
+    fn what_hangs_up_at_once_is_said() {
+        let dir = tempfile::tempdir().unwrap();
+        let socket = dir.path().join("rude.sock");
+        let listener = std::os::unix::net::UnixListener::bind(&socket).unwrap();
+        let rude = std::thread::spawn(move || drop(listener.accept().unwrap()));
+        let error = Client::new(&socket).unwrap().get::<serde_json::Value>("/v1/status").unwrap_err();
+        assert!(matches!(error, ClientError::HungUp { .. }), "{error:?}");
+        rude.join().unwrap();
+    }
+
+    #[test]
+    fn a_name_cannot_change_an_address() {
+        assert_eq!(escape("edge-45"), "edge-45");
+        assert_eq!(escape("../x y/é"), "%2E%2E%2Fx%20y%2F%C3%A9");
+    }
+}

@@ -1,0 +1,335 @@
+//! The daemon's configuration: a TOML file, every key optional, and the rules for what is not in it.
+//!
+//! It says which device to use, where clients connect, where patterns lie, how far ahead to feed and what a
+//! site's limits are. The array itself cannot be configured yet: the motors' wiring is the controller's.
+//! Nothing is opened here but the file.
+//!
+//! Invariant: a [`Config`] that was read is within the ranges written here; an unknown key is an error at its line.
+
+use crate::device::Spec;
+use crate::plant::{Plant, PlantConfig, PlantError};
+use crate::stream::Settings;
+use firmware_protocol::limits::OnTimeLimits;
+use firmware_protocol::tick::Tick;
+use serde::Deserialize;
+use std::env;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+use toml::de::DeTable;
+
+/// The lead without configuration, ms: stock kernels stall for 25 ms.
+pub const DEFAULT_LEAD_MS: f64 = 100.0;
+/// Leads that make sense, ms.
+pub const LEAD_MS: std::ops::RangeInclusive<f64> = 5.0..=1000.0;
+/// The lease is at least the lead and so much, ms.
+pub const MIN_LEASE_OVER_LEAD_MS: f64 = 50.0;
+/// The lease without configuration is the lead and so much, ms.
+pub const DEFAULT_LEASE_OVER_LEAD_MS: f64 = 200.0;
+/// The longest lease a controller takes, ms.
+pub const MAX_LEASE_MS: f64 = 10_000.0;
+/// Bytes of a configuration file at the most.
+const MAX_BYTES: u64 = 1 << 20;
+
+const KEYS: [&str; 7] = ["device", "socket", "patterns_dir", "lead_ms", "lease_ms", "limits", "mock"];
+const LIMIT_KEYS: [&str; 2] = ["motor_pulses_per_s", "rail_pulses_per_s"];
+const MOCK_KEYS: [&str; 7] =
+    ["seed", "gain_sd", "asymmetry_sd", "transient_gain", "end_stop_um", "telemetry_hz", "telemetry_age_ms"];
+
+/// What the daemon is told.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Config {
+    /// Which device to use.
+    pub device: Spec,
+    /// Where clients connect.
+    pub socket: PathBuf,
+    /// The site's own patterns.
+    pub patterns: PatternsDir,
+    /// For the streamer.
+    pub settings: Settings,
+    /// How the mock's motors are.
+    pub mock: PlantConfig,
+}
+
+/// The directory of the site's own patterns.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum PatternsDir {
+    /// Named by the configuration: it must be there.
+    Configured(PathBuf),
+    /// The user's or the service's: made when something is first stored in it.
+    Default(PathBuf),
+    /// There is none.
+    None,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            device: Spec::default(),
+            socket: default_socket(),
+            patterns: default_patterns(),
+            settings: Settings {
+                lead_ms: DEFAULT_LEAD_MS,
+                lease_ms: DEFAULT_LEAD_MS + DEFAULT_LEASE_OVER_LEAD_MS,
+                limits: OnTimeLimits::NONE,
+            },
+            mock: PlantConfig::default(),
+        }
+    }
+}
+
+/// A configuration that was refused.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// The file cannot be read.
+    #[error("{}: {source}; name a readable file with --config", .file.display())]
+    Read {
+        /// The file.
+        file: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// Not TOML, or a value of the wrong type.
+    #[error("{}{}: {message}", .file.display(), line_text(.line))]
+    Text {
+        /// The file.
+        file: PathBuf,
+        /// The line, from 1.
+        line: Option<usize>,
+        /// What is wrong with it.
+        message: String,
+    },
+    /// A key nobody knows.
+    #[error("{}:{line}: unknown key `{key}`: did you mean `{nearest}`?", .file.display())]
+    UnknownKey {
+        /// The file.
+        file: PathBuf,
+        /// Its line, from 1.
+        line: usize,
+        /// The key.
+        key: String,
+        /// The nearest there is.
+        nearest: &'static str,
+    },
+    /// A number out of its range.
+    #[error("{}: `{key}` is {found}: must be {range}", .file.display())]
+    Range {
+        /// The file.
+        file: PathBuf,
+        /// Its key.
+        key: &'static str,
+        /// What it is.
+        found: f64,
+        /// What it may be.
+        range: String,
+    },
+    /// The mock's settings.
+    #[error("{}: {source}", .file.display())]
+    Mock {
+        /// The file.
+        file: PathBuf,
+        /// Which and why.
+        source: PlantError,
+    },
+}
+
+#[expect(clippy::ref_option, reason = "as thiserror hands it over")]
+fn line_text(line: &Option<usize>) -> String {
+    line.map_or_else(String::new, |line| format!(":{line}"))
+}
+
+#[derive(Deserialize)]
+struct File {
+    device: Option<String>,
+    socket: Option<PathBuf>,
+    patterns_dir: Option<PathBuf>,
+    lead_ms: Option<f64>,
+    lease_ms: Option<f64>,
+    #[serde(default)]
+    limits: Limits,
+    #[serde(default)]
+    mock: PlantConfig,
+}
+
+#[derive(Default, Deserialize)]
+struct Limits {
+    motor_pulses_per_s: Option<u32>,
+    rail_pulses_per_s: Option<u32>,
+}
+
+impl Config {
+    /// Reads a configuration file.
+    ///
+    /// # Errors
+    /// The first thing that is wrong with it, in one line.
+    pub fn read(file: &Path) -> Result<Self, ConfigError> {
+        let wrong = |source| ConfigError::Read { file: file.to_owned(), source };
+        let bytes = fs::metadata(file).map_err(wrong)?.len();
+        if bytes > MAX_BYTES {
+            return Err(wrong(io::Error::other(format!("{bytes} bytes are too many for a configuration"))));
+        }
+        Self::parse(&fs::read_to_string(file).map_err(wrong)?, file)
+    }
+
+    /// Reads a configuration's text; `file` is what errors call it.
+    ///
+    /// # Errors
+    /// The first thing that is wrong with it, in one line.
+    pub fn parse(text: &str, file: &Path) -> Result<Self, ConfigError> {
+        let wrong = |error: toml::de::Error| ConfigError::Text {
+            file: file.to_owned(),
+            line: error.span().map(|span| line_at(text, span.start)),
+            message: error.message().lines().collect::<Vec<_>>().join("; "),
+        };
+        let table = DeTable::parse(text).map_err(wrong)?;
+        check_keys(table.get_ref(), &KEYS, text, file)?;
+        for (name, known) in [("limits", &LIMIT_KEYS[..]), ("mock", &MOCK_KEYS)] {
+            if let Some(section) = table.get_ref().get(name).and_then(|value| value.get_ref().as_table()) {
+                check_keys(section, known, text, file)?;
+            }
+        }
+        toml::from_str::<File>(text).map_err(wrong)?.check(file)
+    }
+}
+
+fn line_at(text: &str, offset: usize) -> usize {
+    1 + text.bytes().take(offset).filter(|&byte| byte == b'\n').count()
+}
+
+fn check_keys(
+    table: &DeTable<'_>,
+    known: &[&'static str],
+    text: &str,
+    file: &Path,
+) -> Result<(), ConfigError> {
+    let unknown = table.keys().filter(|key| !known.contains(&key.get_ref().as_ref()));
+    let Some(key) = unknown.min_by_key(|key| key.span().start) else { return Ok(()) };
+    let piece: String = key.get_ref().chars().take(64).collect();
+    let nearest = known.iter().min_by_key(|known| strsim::damerau_levenshtein(known, &piece));
+    Err(ConfigError::UnknownKey {
+        file: file.to_owned(),
+        line: line_at(text, key.span().start),
+        key: piece.escape_debug().to_string(),
+        nearest: nearest.copied().unwrap_or_default(),
+    })
+}
+
+impl File {
+    fn check(self, file: &Path) -> Result<Config, ConfigError> {
+        let range = |key, found, good: bool, range: &dyn Fn() -> String| {
+            if good {
+                Ok(())
+            } else {
+                Err(ConfigError::Range { file: file.to_owned(), key, found, range: range() })
+            }
+        };
+        let device = match self.device.as_deref().map(str::parse::<Spec>) {
+            None => Spec::default(),
+            Some(Ok(device)) => device,
+            Some(Err(error)) => {
+                let message = error.to_string();
+                return Err(ConfigError::Text { file: file.to_owned(), line: None, message });
+            }
+        };
+        let lead_ms = self.lead_ms.unwrap_or(DEFAULT_LEAD_MS);
+        let lead_range = || format!("{} to {} ms", LEAD_MS.start(), LEAD_MS.end());
+        range("lead_ms", lead_ms, LEAD_MS.contains(&lead_ms), &lead_range)?;
+        let lease_ms = self.lease_ms.unwrap_or(lead_ms + DEFAULT_LEASE_OVER_LEAD_MS);
+        let least = lead_ms + MIN_LEASE_OVER_LEAD_MS;
+        let lease_range =
+            || format!("{least} to {MAX_LEASE_MS} ms, at least lead_ms + {MIN_LEASE_OVER_LEAD_MS}");
+        range("lease_ms", lease_ms, (least..=MAX_LEASE_MS).contains(&lease_ms), &lease_range)?;
+        let none = OnTimeLimits::NONE;
+        let motor = self.limits.motor_pulses_per_s.unwrap_or(none.motor);
+        let rail = self.limits.rail_pulses_per_s.unwrap_or(none.rail);
+        for (key, found, most) in
+            [("limits.motor_pulses_per_s", motor, none.motor), ("limits.rail_pulses_per_s", rail, none.rail)]
+        {
+            range(key, found.into(), (1..=most).contains(&found), &|| format!("1 to {most} pulses/s"))?;
+        }
+        Plant::new(self.mock, Tick(0))
+            .map_err(|source| ConfigError::Mock { file: file.to_owned(), source })?;
+        Ok(Config {
+            device,
+            socket: self.socket.unwrap_or_else(default_socket),
+            patterns: self.patterns_dir.map_or_else(default_patterns, PatternsDir::Configured),
+            settings: Settings { lead_ms, lease_ms, limits: OnTimeLimits { motor, rail } },
+            mock: self.mock,
+        })
+    }
+}
+
+/// A variable that is set and not empty.
+fn variable(name: &str) -> Option<PathBuf> {
+    env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from)
+}
+
+/// Where clients connect if nobody says: `$MEISSNER_SOCKET`, else `$XDG_RUNTIME_DIR/meissner.sock`, else
+/// `/run/meissner/meissner.sock`.
+#[must_use]
+pub fn default_socket() -> PathBuf {
+    variable("MEISSNER_SOCKET")
+        .or_else(|| variable("XDG_RUNTIME_DIR").map(|dir| dir.join("meissner.sock")))
+        .unwrap_or_else(|| PathBuf::from("/run/meissner/meissner.sock"))
+}
+
+/// systemd's `$STATE_DIRECTORY` for the service, else the user's data directory.
+fn default_patterns() -> PatternsDir {
+    variable("STATE_DIRECTORY")
+        .map(|dir| dir.join("patterns"))
+        .or_else(|| variable("XDG_DATA_HOME").map(|dir| dir.join("meissner/patterns")))
+        .or_else(|| variable("HOME").map(|dir| dir.join(".local/share/meissner/patterns")))
+        .map_or(PatternsDir::None, PatternsDir::Default)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(text: &str) -> Result<Config, String> {
+        Config::parse(text, Path::new("m.toml")).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn an_empty_file_is_the_default() {
+        assert_eq!(parse("").unwrap(), Config::default());
+        assert_eq!(Config::default().settings.lease_ms, 300.0);
+    }
+
+    #[test]
+    fn every_key_is_read() {
+        let text = "device = \"pty\"\nsocket = \"/s\"\npatterns_dir = \"/p\"\nlead_ms = 50\nlease_ms = 100.0\n\
+                    [limits]\nmotor_pulses_per_s = 40000\nrail_pulses_per_s = 90000\n[mock]\nseed = 3\ngain_sd = 0.0\n";
+        let config = parse(text).unwrap();
+        assert_eq!((config.device, config.socket), (Spec::Pty, "/s".into()));
+        assert_eq!(config.patterns, PatternsDir::Configured("/p".into()));
+        let limits = OnTimeLimits { motor: 40_000, rail: 90_000 };
+        assert_eq!(config.settings, Settings { lead_ms: 50.0, lease_ms: 100.0, limits });
+        assert_eq!(config.mock, PlantConfig { seed: 3, gain_sd: 0.0, ..PlantConfig::default() });
+        assert_eq!(parse("lead_ms = 50").unwrap().settings.lease_ms, 250.0);
+    }
+
+    #[test]
+    fn what_is_wrong_is_one_line_with_its_place() {
+        for (text, says) in [
+            ("\nlaed_ms = 5", "m.toml:2: unknown key `laed_ms`: did you mean `lead_ms`?"),
+            ("[mock]\nsede = 1", "m.toml:2: unknown key `sede`: did you mean `seed`?"),
+            ("[limits]\n\nmotor = 1", "m.toml:3: unknown key `motor`: did you mean `motor_pulses_per_s`?"),
+            ("lead_ms = 4", "`lead_ms` is 4: must be 5 to 1000 ms"),
+            ("lead_ms = nan", "`lead_ms` is NaN"),
+            ("lease_ms = 149", "`lease_ms` is 149: must be 150 to"),
+            ("limits.rail_pulses_per_s = 0", "`limits.rail_pulses_per_s` is 0"),
+            ("limits = 3", "m.toml:1: invalid type"),
+            ("mock.gain_sd = -1.0", "mock.gain_sd is -1"),
+            ("device = \"uart\"", "device `uart`: not one of"),
+            ("device = 3", "m.toml:1: invalid type"),
+            ("lead_ms = ", "m.toml:1: "),
+        ] {
+            let line = parse(text).unwrap_err();
+            assert!(line.contains(says) && !line.contains('\n'), "{text}: {line}");
+        }
+        assert!(
+            Config::read(Path::new("/nonexistent/m.toml")).unwrap_err().to_string().contains("/nonexistent")
+        );
+    }
+}

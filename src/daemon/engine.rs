@@ -1,0 +1,326 @@
+//! The engine: every order to the streamer goes out here, every notice comes in here.
+//!
+//! It matches answers to the calls that wait for them, keeps the record and publishes events. Handlers and the
+//! connector share it behind a lock that is held for microseconds and never across a wait. It decides nothing
+//! about motors: the streamer and the controller do.
+//!
+//! Bounds: the order ring (a full one is [`Code::Busy`]), [`EVENTS`] for a slow listener (then it lags), what
+//! [`Recorder`] keeps, and one waiting ticket per order in the ring.
+//!
+//! Invariant: a play is in the record before the streamer can speak of it.
+
+use super::connect::Word;
+use crate::api::{Code, MotorStatus, PlayRequest, Problem, Status, Waiting};
+use crate::device::Device;
+use crate::device::mock::Truth;
+use crate::record::{Event, PlayState, Receipt, Recorder};
+use crate::store::Stored;
+use crate::stream::Settings;
+use crate::stream::port::{At, Job, Notice, Notices, Order, Orders, Play, Refused};
+use crate::strokes::Strokes;
+use crate::units::HostInstant;
+use firmware_protocol::tick::Tick;
+use std::collections::HashMap;
+use std::io;
+use std::os::fd::{AsFd, OwnedFd};
+use std::sync::{Arc, Mutex, MutexGuard};
+use std::time::Duration;
+use tokio::io::Interest;
+use tokio::io::unix::AsyncFd;
+use tokio::sync::{broadcast, oneshot};
+use tracing::{error, info, warn};
+
+/// Events a listener may be behind.
+pub(super) const EVENTS: usize = 1024;
+/// How long the streamer may take to answer.
+const PATIENCE: Duration = Duration::from_secs(1);
+/// Shutting down it waits for the device for a second itself.
+const LAST_PATIENCE: Duration = Duration::from_millis(1500);
+
+/// A call that waits for its answer.
+#[derive(Debug)]
+struct Ticket {
+    reply: oneshot::Sender<Result<(), Refused>>,
+    play: Option<u64>,
+}
+
+#[derive(Debug)]
+pub(super) struct Inner {
+    pub(super) recorder: Recorder,
+    orders: Orders,
+    last_ticket: u64,
+    last_play: u64,
+    waiting: HashMap<u64, Ticket>,
+    truth: Option<Arc<Truth>>,
+    connector: Option<crossbeam_channel::Sender<Word>>,
+    /// `None` once the daemon ends: listeners get what was published before, then the end.
+    events: Option<broadcast::Sender<Event>>,
+    closing: bool,
+}
+
+/// See the module.
+#[derive(Debug)]
+pub(super) struct Engine {
+    settings: Settings,
+    inner: Mutex<Inner>,
+}
+
+impl Engine {
+    pub(super) fn new(orders: Orders, settings: Settings) -> Self {
+        let inner = Inner {
+            recorder: Recorder::default(),
+            orders,
+            last_ticket: 0,
+            last_play: 0,
+            waiting: HashMap::new(),
+            truth: None,
+            connector: None,
+            events: Some(broadcast::channel(EVENTS).0),
+            closing: false,
+        };
+        Self { settings, inner: Mutex::new(inner) }
+    }
+
+    pub(super) fn lock(&self) -> MutexGuard<'_, Inner> {
+        self.inner.lock().expect("nothing panics under this lock")
+    }
+
+    /// Tells the engine where to send devices that come back.
+    pub(super) fn hire(&self, connector: crossbeam_channel::Sender<Word>) {
+        self.lock().connector = Some(connector);
+    }
+
+    /// Hands a device to the streamer; gives it back if the order ring is full.
+    pub(super) fn connect(&self, device: Box<Device>) -> Result<(), Box<Device>> {
+        let mut inner = self.lock();
+        inner.recorder.reached_by(device.kind());
+        inner.truth = device.truth();
+        inner.orders.send(Order { ticket: 0, job: Job::Connect(device) }).map_err(|order| match order.job {
+            Job::Connect(device) => device,
+            _ => unreachable!("a ring gives back what it was given"),
+        })
+    }
+
+    /// The simulated plant's truth.
+    pub(super) fn truth(&self) -> Option<Arc<Truth>> {
+        self.lock().truth.clone()
+    }
+
+    /// Orders something and waits for the answer.
+    pub(super) async fn order(&self, job: Job) -> Result<(), Problem> {
+        let reply = self.send(job, None)?;
+        answer(reply, PATIENCE).await
+    }
+
+    /// Orders a play and waits for its being taken.
+    pub(super) async fn play(&self, request: &PlayRequest, stored: &Stored) -> Result<u64, Problem> {
+        let strokes = Strokes::new(&stored.pattern, request.seconds)
+            .map_err(|error| Problem::new(Code::BadRequest, format!("`seconds`: {error}")))?;
+        self.check_boot(request.boot)?;
+        let at = match (request.at_tick, request.at_ms) {
+            (Some(tick), _) => At::Tick(Tick(tick)),
+            (None, Some(ms)) => At::After(nanoseconds(ms)),
+            (None, None) => At::Next,
+        };
+        let PlayRequest { late, replace, open_loop, .. } = *request;
+        let (id, reply) = {
+            let mut inner = self.lock();
+            inner.last_play += 1;
+            let id = inner.last_play;
+            inner.recorder.offer(Receipt::new(id, stored.pattern.name(), &stored.sha256, request.seconds));
+            let play = Box::new(Play { id, strokes, at, late: late.into(), replace, open_loop });
+            let sent = inner.send(Job::Play(play), Some(id));
+            if sent.is_err() {
+                inner.recorder.answered(id, false);
+            }
+            (id, sent?)
+        };
+        answer(reply, PATIENCE).await.map(|()| id)
+    }
+
+    fn check_boot(&self, asked: Option<u32>) -> Result<(), Problem> {
+        let now = self.lock().recorder.device().map(|device| device.boot);
+        match (asked, now) {
+            (Some(asked), Some(now)) if asked != now => {
+                let detail =
+                    format!("`boot` is {asked}, but the device has restarted as {now}: read its tick again");
+                Err(Problem::new(Code::StaleBoot, detail))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn send(&self, job: Job, play: Option<u64>) -> Result<oneshot::Receiver<Result<(), Refused>>, Problem> {
+        self.lock().send(job, play)
+    }
+
+    /// Refuses further orders and has pins returned and motors switched off.
+    pub(super) async fn shut_down(&self) {
+        let reply = self.send(Job::Shutdown, None);
+        self.lock().closing = true;
+        match reply {
+            Ok(reply) => {
+                if let Err(problem) = answer(reply, LAST_PATIENCE).await {
+                    warn!("shutting down: {problem}");
+                }
+            }
+            Err(problem) => error!("shutting down: {problem}"),
+        }
+    }
+
+    /// Ends the streams of all listeners.
+    pub(super) fn hush(&self) {
+        self.lock().events = None;
+    }
+
+    /// Everything from now on, and how things stand now.
+    pub(super) fn listen(&self) -> Option<(Event, broadcast::Receiver<Event>)> {
+        let inner = self.lock();
+        let receiver = inner.events.as_ref()?.subscribe();
+        Some((inner.recorder.state(HostInstant::now()), receiver))
+    }
+
+    /// Takes in notices until the streamer ends.
+    pub(super) async fn pump(self: Arc<Self>, mut notices: Notices) -> io::Result<()> {
+        let bell = bell(&notices)?;
+        loop {
+            bell.readable().await?.clear_ready();
+            // Silenced before it is drained: what comes in between rings again.
+            notices.silence();
+            while let Some(notice) = notices.next() {
+                if matches!(notice, Notice::Bye) {
+                    return Ok(());
+                }
+                self.lock().take(notice);
+            }
+        }
+    }
+
+    /// `GET /v1/status`.
+    pub(super) fn status(&self) -> Status {
+        let inner = self.lock();
+        let recorder = &inner.recorder;
+        let (state, cause, position) = recorder.standing();
+        let clock = recorder.clock(HostInstant::now());
+        let snapshot = recorder.snapshot();
+        let motor = |rest_error_um: &f32| MotorStatus {
+            rest_error_um: *rest_error_um,
+            source: snapshot.map(|snapshot| snapshot.source).unwrap_or_default(),
+        };
+        let playing = snapshot.filter(|snapshot| snapshot.play.is_some());
+        Status {
+            state: state.to_owned(),
+            cause: cause.to_owned(),
+            position: position.to_owned(),
+            device: recorder.device(),
+            play: recorder.running(),
+            queued: recorder
+                .queued()
+                .map(|receipt| Waiting { id: receipt.id, pattern: receipt.pattern.clone() })
+                .collect(),
+            tick: clock.map(|(tick, _)| tick.0),
+            clock_uncertainty_us: clock.map(|(_, uncertainty_us)| uncertainty_us),
+            lead_ms: playing.map_or(self.settings.lead_ms, |snapshot| snapshot.lead_ms),
+            lease_ms: self.settings.lease_ms,
+            motors: snapshot.map(|at| at.rest_error_um.iter().map(motor).collect()).unwrap_or_default(),
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            pid: std::process::id(),
+        }
+    }
+}
+
+impl Inner {
+    fn send(
+        &mut self,
+        job: Job,
+        play: Option<u64>,
+    ) -> Result<oneshot::Receiver<Result<(), Refused>>, Problem> {
+        // An emergency stop is passed on whatever else is going on.
+        if self.closing && !matches!(job, Job::EStop) {
+            return Err(Problem::new(Code::ShuttingDown, "the daemon is ending: start it again"));
+        }
+        self.last_ticket += 1;
+        let ticket = self.last_ticket;
+        if self.orders.send(Order { ticket, job }).is_err() {
+            return Err(Problem::new(
+                Code::Busy,
+                "too many orders wait for the device: try again in a moment",
+            ));
+        }
+        let (reply, receiver) = oneshot::channel();
+        self.waiting.insert(ticket, Ticket { reply, play });
+        Ok(receiver)
+    }
+
+    fn take(&mut self, notice: Notice) {
+        let event = match &notice {
+            Notice::Answer { ticket, result } => self.answered(*ticket, *result),
+            other => self.recorder.take(other),
+        };
+        if let Some(event) = event {
+            // At the end it is the daemon that lets go.
+            if !(self.closing && matches!(event, Event::Disconnected { .. })) {
+                log(&event);
+            }
+            if let Some(events) = &self.events {
+                // Nobody listens: nothing is lost.
+                let _ = events.send(event);
+            }
+        }
+        if let Notice::Disconnected { device, .. } = notice {
+            // Gone once per connection, and the connector empties its channel: it cannot be full.
+            if let Some(connector) = &self.connector {
+                let _ = connector.try_send(Word::Gone(device));
+            }
+        }
+    }
+
+    fn answered(&mut self, ticket: u64, result: Result<(), Refused>) -> Option<Event> {
+        let ticket = self.waiting.remove(&ticket)?;
+        // The client may have hung up meanwhile.
+        let _ = ticket.reply.send(result);
+        self.recorder.answered(ticket.play?, result.is_ok())
+    }
+}
+
+async fn answer(reply: oneshot::Receiver<Result<(), Refused>>, patience: Duration) -> Result<(), Problem> {
+    match tokio::time::timeout(patience, reply).await {
+        Ok(Ok(result)) => result.map_err(Problem::from),
+        // The ticket stays, so that a late answer still reaches the record.
+        Ok(Err(_)) | Err(_) => Err(Refused::Timeout.into()),
+    }
+}
+
+fn log(event: &Event) {
+    match event {
+        Event::Connected { device } => {
+            info!(kind = device.kind, firmware = device.firmware, boot = device.boot, "device connected");
+        }
+        Event::Disconnected { reason } => {
+            warn!("device disconnected: {reason}; it is tried again every second");
+        }
+        Event::Ended { receipt } if receipt.state == PlayState::Done => {
+            info!(id = receipt.id, pattern = receipt.pattern, "play done");
+        }
+        Event::Ended { receipt } => {
+            let cause = receipt.cause.as_deref().unwrap_or_default();
+            info!(id = receipt.id, pattern = receipt.pattern, cause, "play {}", receipt.state.name());
+        }
+        Event::Lost { notices } => warn!(notices, "too slow for the streamer: events are missing"),
+        _ => {}
+    }
+}
+
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked: 0 to an hour")]
+fn nanoseconds(ms: f64) -> u64 {
+    (ms * 1e6) as u64
+}
+
+/// The notices' descriptor, as tokio watches it.
+#[expect(
+    deprecated,
+    reason = "the other constructor is unsafe; an owned descriptor stays open while it is watched"
+)]
+fn bell(notices: &Notices) -> io::Result<AsyncFd<OwnedFd>> {
+    AsyncFd::with_interest(notices.as_fd().try_clone_to_owned()?, Interest::READABLE)
+}

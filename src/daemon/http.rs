@@ -1,0 +1,294 @@
+//! The API's routes: requests in, orders to the engine and answers out.
+//!
+//! Everything but home is here as the design names it. What touches the disk runs on a blocking thread, so that an
+//! emergency stop never waits for one. Every error, also of an unknown route, is `application/problem+json`.
+//!
+//! Invariant: who changed something is in the log before it happens.
+
+use super::engine::Engine;
+use super::metrics;
+use crate::api::{self, ArmRequest, Code, Imported, MAX_BODY, PlayRequest, Played, Problem, Status};
+use crate::pattern::Warning;
+use crate::record::{Event, Receipt};
+use crate::store::{Store, StoreError, Stored};
+use crate::stream::port::Job;
+use axum::body::Body;
+use axum::extract::rejection::PathRejection;
+use axum::extract::{Extension, Path, State};
+use axum::http::header::CONTENT_TYPE;
+use axum::http::{Method, StatusCode, Uri};
+use axum::response::sse::{self, Sse};
+use axum::response::{IntoResponse, Response};
+use axum::routing::{get, post};
+use axum::{Json, Router};
+use futures_util::stream::{self, Stream, StreamExt};
+use http_body_util::BodyExt;
+use serde_json::{Value, json};
+use std::convert::Infallible;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::net::UnixStream;
+use tokio_stream::wrappers::BroadcastStream;
+use tokio_stream::wrappers::errors::BroadcastStreamRecvError;
+use tracing::info;
+
+/// How long a request's body may take.
+const BODY_PATIENCE: Duration = Duration::from_secs(10);
+/// What is read of a body that is too large, so that its sender comes to read the answer.
+const SWALLOWED: usize = 32 << 20;
+
+/// Who a client is.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Peer {
+    pub(super) pid: i32,
+    pub(super) uid: u32,
+}
+
+impl Peer {
+    /// As the kernel says; -1 and nobody if it does not.
+    pub(super) fn of(stream: &UnixStream) -> Self {
+        let unknown = Self { pid: -1, uid: u32::MAX };
+        stream.peer_cred().map_or(unknown, |cred| Self { pid: cred.pid().unwrap_or(-1), uid: cred.uid() })
+    }
+}
+
+/// A problem as a response.
+#[derive(Debug)]
+pub(super) struct Reply(pub(super) Problem);
+
+impl From<Problem> for Reply {
+    fn from(problem: Problem) -> Self {
+        Self(problem)
+    }
+}
+
+impl From<StoreError> for Reply {
+    fn from(error: StoreError) -> Self {
+        let code = match &error {
+            StoreError::Unknown { .. } => Code::NotFound,
+            StoreError::Pattern(_) | StoreError::Name { .. } | StoreError::NotText { .. } => Code::BadPattern,
+            StoreError::InLibrary { .. } => Code::Exists,
+            StoreError::NoDirectory | StoreError::Io { .. } => Code::Store,
+        };
+        Self(Problem::new(code, error.to_string()))
+    }
+}
+
+impl IntoResponse for Reply {
+    fn into_response(self) -> Response {
+        let status = StatusCode::from_u16(self.0.status).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
+        let mut response = (status, Json(self.0)).into_response();
+        let kind = axum::http::HeaderValue::from_static("application/problem+json");
+        response.headers_mut().insert(CONTENT_TYPE, kind);
+        response
+    }
+}
+
+/// What handlers work on.
+#[derive(Clone, Debug)]
+pub(super) struct App {
+    pub(super) engine: Arc<Engine>,
+    pub(super) store: Arc<Store>,
+}
+
+type Answer<T> = Result<T, Reply>;
+
+pub(super) fn router(app: App) -> Router {
+    Router::new()
+        .route("/v1/play", post(play))
+        .route("/v1/stop", post(stop))
+        .route("/v1/estop", post(estop))
+        .route("/v1/reset", post(reset))
+        .route("/v1/arm", post(arm))
+        .route("/v1/disarm", post(disarm))
+        .route("/v1/status", get(status))
+        .route("/v1/patterns", get(list))
+        .route("/v1/patterns/{name}", get(show).put(import))
+        .route("/v1/plays/{id}", get(receipt))
+        .route("/v1/events", get(events))
+        .route("/v1/metrics", get(metrics_text))
+        .fallback(no_route)
+        .method_not_allowed_fallback(no_method)
+        .with_state(app)
+}
+
+async fn no_route(uri: Uri) -> Reply {
+    let path: String = uri.path().chars().take(100).collect();
+    Reply(Problem::new(
+        Code::NotFound,
+        format!("there is no {path}: addresses begin with /v1/, see the API's documentation"),
+    ))
+}
+
+async fn no_method(method: Method, uri: Uri) -> Reply {
+    let path: String = uri.path().chars().take(100).collect();
+    Reply(Problem::new(
+        Code::MethodNotAllowed,
+        format!("{path} does not take {method}: see the API's documentation"),
+    ))
+}
+
+/// The whole body, within its bounds.
+async fn read(mut body: Body) -> Answer<Vec<u8>> {
+    let collect = async {
+        let (mut bytes, mut length) = (Vec::new(), 0);
+        while let Some(frame) = body.frame().await {
+            let frame = frame
+                .map_err(|error| Problem::new(Code::BadRequest, format!("the body broke off: {error}")))?;
+            let data = frame.into_data().unwrap_or_default();
+            length += data.len();
+            if length <= MAX_BODY {
+                bytes.extend_from_slice(&data);
+            } else if length > SWALLOWED {
+                break;
+            }
+        }
+        if length > MAX_BODY {
+            let detail = format!("the body is larger than {MAX_BODY} bytes: send less");
+            return Err(Problem::new(Code::TooLarge, detail));
+        }
+        Ok(bytes)
+    };
+    let slow = |_| Err(Problem::new(Code::Slow, "the body did not arrive within 10 s: send it faster"));
+    Ok(tokio::time::timeout(BODY_PATIENCE, collect).await.unwrap_or_else(slow)?)
+}
+
+fn path<T>(path: Result<Path<T>, PathRejection>) -> Answer<T> {
+    let bad =
+        |error: PathRejection| Problem::new(Code::BadRequest, format!("the address: {}", error.body_text()));
+    Ok(path.map(|Path(part)| part).map_err(bad)?)
+}
+
+/// Runs what may take a disk's time beside the runtime's thread.
+async fn beside<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Answer<T> {
+    let failed = |error| Problem::new(Code::Store, format!("internal error: {error}"));
+    Ok(tokio::task::spawn_blocking(work).await.map_err(failed)?)
+}
+
+async fn find(store: &Arc<Store>, name: &str) -> Answer<Stored> {
+    if let Some(stored) = store.library(name) {
+        return Ok(stored.clone());
+    }
+    let (store, name) = (Arc::clone(store), name.to_owned());
+    Ok(beside(move || store.get(&name)).await??)
+}
+
+async fn play(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+    body: Body,
+) -> Answer<(StatusCode, Json<Played>)> {
+    let request = PlayRequest::parse(&read(body).await?)?;
+    let stored = find(&app.store, &request.pattern).await?;
+    info!(pid = peer.pid, uid = peer.uid, pattern = request.pattern, "play");
+    let id = app.engine.play(&request, &stored).await?;
+    Ok((StatusCode::ACCEPTED, Json(Played { id })))
+}
+
+async fn command(app: &App, peer: Peer, what: &str, job: Job) -> Answer<Json<Status>> {
+    info!(pid = peer.pid, uid = peer.uid, "{what}");
+    app.engine.order(job).await?;
+    Ok(Json(app.engine.status()))
+}
+
+async fn stop(State(app): State<App>, Extension(peer): Extension<Peer>, body: Body) -> Answer<Json<Status>> {
+    api::parse_empty(&read(body).await?)?;
+    command(&app, peer, "stop", Job::Stop).await
+}
+
+/// Whatever its body holds: this is no moment to argue.
+async fn estop(State(app): State<App>, Extension(peer): Extension<Peer>) -> Answer<Json<Status>> {
+    command(&app, peer, "estop", Job::EStop).await
+}
+
+async fn reset(State(app): State<App>, Extension(peer): Extension<Peer>, body: Body) -> Answer<Json<Status>> {
+    api::parse_empty(&read(body).await?)?;
+    command(&app, peer, "reset", Job::Reset).await
+}
+
+async fn arm(State(app): State<App>, Extension(peer): Extension<Peer>, body: Body) -> Answer<Json<Status>> {
+    let ArmRequest { assume_rest } = ArmRequest::parse(&read(body).await?)?;
+    let what = if assume_rest { "arm, assuming rest" } else { "arm" };
+    command(&app, peer, what, Job::Arm { assume_rest }).await
+}
+
+async fn disarm(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+    body: Body,
+) -> Answer<Json<Status>> {
+    api::parse_empty(&read(body).await?)?;
+    command(&app, peer, "disarm", Job::Disarm).await
+}
+
+async fn status(State(app): State<App>) -> Json<Status> {
+    Json(app.engine.status())
+}
+
+async fn list(State(app): State<App>) -> Answer<Response> {
+    Ok(Json(beside(move || app.store.list()).await?).into_response())
+}
+
+async fn show(State(app): State<App>, name: Result<Path<String>, PathRejection>) -> Answer<Json<Value>> {
+    let Stored { pattern, sha256, library } = find(&app.store, &path(name)?).await?;
+    let warnings = texts(&pattern.warnings());
+    Ok(Json(json!({"pattern": pattern, "sha256": sha256, "library": library, "warnings": warnings})))
+}
+
+fn texts(warnings: &[Warning]) -> Vec<String> {
+    warnings.iter().map(ToString::to_string).collect()
+}
+
+async fn import(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+    name: Result<Path<String>, PathRejection>,
+    body: Body,
+) -> Answer<(StatusCode, Json<Imported>)> {
+    let name = path(name)?;
+    let text = String::from_utf8(read(body).await?)
+        .map_err(|_| Problem::new(Code::BadPattern, "not UTF-8 text: write patterns as TOML in UTF-8"))?;
+    info!(pid = peer.pid, uid = peer.uid, "import {name:?}");
+    let (stored, new) = beside(move || app.store.put(&name, &text)).await??;
+    let Stored { pattern, sha256, .. } = stored;
+    let status = if new { StatusCode::CREATED } else { StatusCode::OK };
+    let warnings = texts(&pattern.warnings());
+    Ok((status, Json(Imported { name: pattern.name().to_owned(), sha256, warnings })))
+}
+
+async fn receipt(State(app): State<App>, id: Result<Path<String>, PathRejection>) -> Answer<Json<Receipt>> {
+    let id = path(id)?;
+    let inner = app.engine.lock();
+    let found = match id.parse() {
+        Ok(id) => inner.recorder.receipt(id),
+        Err(_) if id == "last" => inner.recorder.last(),
+        Err(_) => {
+            let detail = "a play's id is a number, or `last`: see `meissner status`";
+            return Err(Problem::new(Code::BadRequest, detail).into());
+        }
+    };
+    let none = || {
+        let detail =
+            if id == "last" { "nothing was played yet".to_owned() } else { format!("there is no play {id}") };
+        Problem::new(Code::NotFound, format!("{detail}: play something, or see `meissner receipt`"))
+    };
+    Ok(Json(found.cloned().ok_or_else(none)?))
+}
+
+async fn events(State(app): State<App>) -> Answer<Sse<impl Stream<Item = Result<sse::Event, Infallible>>>> {
+    let gone = || Problem::new(Code::ShuttingDown, "the daemon is ending: start it again");
+    let (now, receiver) = app.engine.listen().ok_or_else(gone)?;
+    let later = BroadcastStream::new(receiver).map(|event| {
+        event.unwrap_or_else(|BroadcastStreamRecvError::Lagged(events)| Event::Lagged { events })
+    });
+    let all = stream::once(async { now }).chain(later);
+    Ok(Sse::new(all.map(|event| {
+        let data = serde_json::to_string(&event).unwrap_or_default();
+        Ok(sse::Event::default().event(event.name()).data(data))
+    })))
+}
+
+async fn metrics_text(State(app): State<App>) -> Response {
+    let text = metrics::text(&app.engine.lock().recorder);
+    ([(CONTENT_TYPE, "text/plain; version=0.0.4")], text).into_response()
+}

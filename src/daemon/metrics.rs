@@ -1,0 +1,120 @@
+//! Figures for Prometheus: the record's sums as text.
+//!
+//! Every family is written at every scrape, also when it is zero. Rates are the scraper's business.
+//!
+//! Invariant: a name, once published, keeps its meaning and unit.
+
+use crate::record::{NO_DEVICE, Recorder};
+use std::fmt::{Display, Write};
+
+const STATES: [&str; 5] = ["disarmed", "armed", "returning", "faulted", NO_DEVICE];
+
+struct Text(String);
+
+impl Text {
+    fn family<const N: usize>(
+        &mut self,
+        name: &str,
+        kind: &str,
+        help: &str,
+        values: [(&str, &dyn Display); N],
+    ) {
+        // Writing to a string does not fail.
+        let _ = writeln!(self.0, "# HELP meissner_{name} {help}\n# TYPE meissner_{name} {kind}");
+        for (labels, value) in values {
+            let _ = writeln!(self.0, "meissner_{name}{labels} {value}");
+        }
+    }
+}
+
+/// The whole text.
+pub(super) fn text(recorder: &Recorder) -> String {
+    let totals = recorder.totals();
+    let (state, ..) = recorder.standing();
+    let snapshot = recorder.snapshot();
+    let mut text = Text(String::with_capacity(4096));
+    let labels = STATES.map(|name| format!("{{state=\"{name}\"}}"));
+    let is = STATES.map(|name| u8::from(name == state));
+    let states =
+        std::array::from_fn::<_, { STATES.len() }, _>(|i| (labels[i].as_str(), &is[i] as &dyn Display));
+    text.family("state", "gauge", "1 for the state it is in.", states);
+    let [done, stopped, aborted] = &totals.plays;
+    let plays: [(_, &dyn Display); 3] =
+        [("{end=\"done\"}", done), ("{end=\"stopped\"}", stopped), ("{end=\"aborted\"}", aborted)];
+    text.family("plays_total", "counter", "Plays that ended.", plays);
+    let bursts = &totals.bursts;
+    let fates: [(_, &dyn Display); 4] = [
+        ("{fate=\"played\"}", &bursts.played),
+        ("{fate=\"late\"}", &bursts.late),
+        ("{fate=\"dropped\"}", &bursts.dropped),
+        ("{fate=\"refused\"}", &bursts.refused),
+    ];
+    text.family("bursts_total", "counter", "Planned bursts of ended plays, by what became of them.", fates);
+    text.family(
+        "bursts_amended_total",
+        "counter",
+        "Bursts played with a corrected count.",
+        [("", &bursts.amended)],
+    );
+    text.family("pulses_total", "counter", "Pulses played.", [("", &totals.pulses.played)]);
+    let late = &totals.lateness;
+    let causes: [(_, &dyn Display); 3] = [
+        ("{cause=\"host\"}", &late.host),
+        ("{cause=\"link\"}", &late.link),
+        ("{cause=\"device\"}", &late.device),
+    ];
+    text.family("late_strokes_total", "counter", "Strokes that came late, by cause.", causes);
+    text.family("late_worst_ms", "gauge", "The latest stroke since the start.", [("", &late.worst_ms)]);
+    text.family("queued_plays", "gauge", "Plays that wait.", [("", &recorder.queued().count())]);
+    text.family(
+        "play_bytes_total",
+        "counter",
+        "Bytes sent to the device by ended plays.",
+        [("", &totals.wire_bytes)],
+    );
+    text.family("connects_total", "counter", "Devices connected.", [("", &totals.connects)]);
+    text.family(
+        "notices_lost_total",
+        "counter",
+        "Notices the daemon was too slow for.",
+        [("", &totals.lost)],
+    );
+    let of = |figure: fn(&crate::stream::port::Snapshot) -> u64| snapshot.map_or(0, figure);
+    text.family(
+        "sent_bytes",
+        "gauge",
+        "Bytes sent since the device was connected.",
+        [("", &of(|at| at.bytes_out))],
+    );
+    text.family("received_bytes", "gauge", "Bytes received since then.", [("", &of(|at| at.bytes_in))]);
+    text.family(
+        "retransmitted_frames",
+        "gauge",
+        "Frames sent again since then.",
+        [("", &of(|at| at.retransmitted))],
+    );
+    let uncertainty = snapshot.map_or(f64::NAN, |at| at.clock_uncertainty_us);
+    text.family(
+        "clock_uncertainty_us",
+        "gauge",
+        "How well the device's clock is known.",
+        [("", &uncertainty)],
+    );
+    text.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_line_is_a_comment_or_a_sample() {
+        let text = text(&Recorder::default());
+        assert!(text.contains("meissner_state{state=\"no-device\"} 1\n"));
+        assert!(text.contains("meissner_bursts_total{fate=\"late\"} 0\n"));
+        for line in text.lines() {
+            let sample = line.starts_with("meissner_") && line.split(' ').count() == 2;
+            assert!(sample || line.starts_with("# HELP ") || line.starts_with("# TYPE "), "{line}");
+        }
+    }
+}

@@ -1,0 +1,164 @@
+//! The daemon's place in the file system: one socket, one lock beside it.
+//!
+//! The lock (`SOCKET.lock`, flock) decides between daemons that start at the same time and goes with its process,
+//! however that ends; its file stays, because removing it would race. A socket file that nobody answers is
+//! replaced. No directories are made.
+//!
+//! Invariant: while a [`Bound`] lives, no other daemon is bound to its path.
+
+use rustix::fs::{FlockOperation, flock};
+use std::fs::{self, File, OpenOptions, Permissions};
+use std::io::{self, Read, Write};
+use std::os::unix::fs::{FileTypeExt, OpenOptionsExt, PermissionsExt};
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::path::{Path, PathBuf};
+
+/// Owner and group may connect: membership of the group is the right to drive the motors.
+const MODE: u32 = 0o660;
+
+/// Why there is no socket.
+#[derive(Debug, thiserror::Error)]
+pub enum SocketError {
+    /// Another daemon.
+    #[error("a daemon is running on {}{}: stop it, or choose another with --socket", .socket.display(), pid_text(*.pid))]
+    Taken {
+        /// Where.
+        socket: PathBuf,
+        /// Its process, if it is known.
+        pid: Option<i32>,
+    },
+    /// Some other file.
+    #[error("{} is not a socket: remove it, or choose another with --socket", .socket.display())]
+    NotASocket {
+        /// Where.
+        socket: PathBuf,
+    },
+    /// The directory or the permissions.
+    #[error("{}: {source}; see that its directory exists and may be written to, or choose another with --socket", .path.display())]
+    Io {
+        /// Where.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+}
+
+fn pid_text(pid: Option<i32>) -> String {
+    pid.map_or_else(String::new, |pid| format!(" (pid {pid})"))
+}
+
+/// A socket that clients can connect to. Dropped, its file is removed.
+#[derive(Debug)]
+pub(super) struct Bound {
+    pub(super) listener: UnixListener,
+    socket: PathBuf,
+    _lock: File,
+}
+
+impl Bound {
+    pub(super) fn new(socket: &Path) -> Result<Self, SocketError> {
+        let lock = lock(socket)?;
+        clear(socket)?;
+        let wrong = |source| SocketError::Io { path: socket.to_owned(), source };
+        // Until the mode is set, the umask's mode holds, which lets nobody else in unless it was told to.
+        let listener = UnixListener::bind(socket).map_err(wrong)?;
+        let bound = Self { listener, socket: socket.to_owned(), _lock: lock };
+        fs::set_permissions(socket, Permissions::from_mode(MODE)).map_err(wrong)?;
+        bound.listener.set_nonblocking(true).map_err(wrong)?;
+        Ok(bound)
+    }
+}
+
+impl Drop for Bound {
+    fn drop(&mut self) {
+        // Already gone: nothing left to do.
+        let _ = fs::remove_file(&self.socket);
+    }
+}
+
+fn lock(socket: &Path) -> Result<File, SocketError> {
+    let mut path = socket.as_os_str().to_owned();
+    path.push(".lock");
+    let path = PathBuf::from(path);
+    let wrong = |source| SocketError::Io { path: path.clone(), source };
+    let mut options = OpenOptions::new();
+    options.read(true).write(true).create(true).truncate(false).mode(0o644);
+    let mut file = options.open(&path).map_err(wrong)?;
+    match flock(&file, FlockOperation::NonBlockingLockExclusive) {
+        Ok(()) => {}
+        Err(rustix::io::Errno::WOULDBLOCK) => {
+            let mut pid = String::new();
+            // Only for the message.
+            let _ = (&mut file).take(16).read_to_string(&mut pid);
+            return Err(SocketError::Taken { socket: socket.to_owned(), pid: pid.trim().parse().ok() });
+        }
+        Err(errno) => return Err(wrong(errno.into())),
+    }
+    let write = |file: &mut File| {
+        file.set_len(0)?;
+        writeln!(file, "{}", std::process::id())
+    };
+    write(&mut file).map_err(wrong)?;
+    Ok(file)
+}
+
+/// Removes a stale socket. The lock is held: whoever answers here has lost or never had one.
+fn clear(socket: &Path) -> Result<(), SocketError> {
+    let wrong = |source| SocketError::Io { path: socket.to_owned(), source };
+    match fs::symlink_metadata(socket) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
+        Err(error) => return Err(wrong(error)),
+        Ok(found) if !found.file_type().is_socket() => {
+            return Err(SocketError::NotASocket { socket: socket.to_owned() });
+        }
+        Ok(_) => {}
+    }
+    if let Ok(stream) = UnixStream::connect(socket) {
+        let peer = rustix::net::sockopt::socket_peercred(&stream).ok();
+        let pid = peer.map(|peer| peer.pid.as_raw_nonzero().get());
+        return Err(SocketError::Taken { socket: socket.to_owned(), pid });
+    }
+    fs::remove_file(socket).map_err(wrong)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_daemon_at_a_time_and_its_socket_goes_with_it() {
+        let dir = tempfile::tempdir().unwrap();
+        let socket = dir.path().join("m.sock");
+        let first = Bound::new(&socket).unwrap();
+        assert_eq!(fs::metadata(&socket).unwrap().permissions().mode() & 0o777, MODE);
+        let line = Bound::new(&socket).unwrap_err().to_string();
+        assert!(line.contains(&format!("(pid {})", std::process::id())), "{line}");
+        assert!(socket.exists(), "the refused one left the first one's socket alone");
+        drop(first);
+        assert!(!socket.exists());
+        Bound::new(&socket).unwrap();
+    }
+
+    #[test]
+    fn a_stale_socket_is_replaced_and_another_file_is_not() {
+        let dir = tempfile::tempdir().unwrap();
+        let socket = dir.path().join("m.sock");
+        let listener = UnixListener::bind(&socket).unwrap();
+        let taken = Bound::new(&socket).unwrap_err();
+        assert!(
+            matches!(taken, SocketError::Taken { pid: Some(_), .. }),
+            "it answers, though it has no lock"
+        );
+        drop(listener);
+        drop(Bound::new(&socket).unwrap());
+        fs::write(&socket, "precious").unwrap();
+        assert!(matches!(Bound::new(&socket), Err(SocketError::NotASocket { .. })));
+        assert_eq!(fs::read_to_string(&socket).unwrap(), "precious");
+    }
+
+    #[test]
+    fn a_missing_directory_is_said() {
+        let line = Bound::new(Path::new("/nonexistent/m.sock")).unwrap_err().to_string();
+        assert!(line.contains("/nonexistent/m.sock") && line.contains("--socket"), "{line}");
+    }
+}

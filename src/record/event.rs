@@ -1,0 +1,178 @@
+//! Events: what the daemon tells whoever listens, as it happens.
+//!
+//! One enum, which the daemon writes and the client reads. An event says what changed, not all that is known: a
+//! listener that missed some reads status and receipts.
+//!
+//! Invariant: [`Event::name`] is the `event` key of its JSON.
+
+use super::receipt::{LateStroke, OnsetRecord, Receipt, RefusedStroke};
+use firmware_protocol::message::{Cause, DeviceHello, State};
+use serde::{Deserialize, Serialize};
+
+/// The state when no device answers and no emergency stop is latched.
+pub const NO_DEVICE: &str = "no-device";
+
+/// The controller's state as the API calls it.
+#[must_use]
+pub const fn state_name(state: State) -> &'static str {
+    match state {
+        State::Disarmed => "disarmed",
+        State::Armed => "armed",
+        State::Returning => "returning",
+        State::Faulted => "faulted",
+    }
+}
+
+/// Why it is in its state, as the API calls it.
+#[must_use]
+pub const fn cause_name(cause: Cause) -> &'static str {
+    match cause {
+        Cause::Boot => "boot",
+        Cause::Request => "request",
+        Cause::Stop => "stop",
+        Cause::Shutdown => "shutdown",
+        Cause::Abort => "abort",
+        Cause::EStop => "estop",
+        Cause::Lease => "lease",
+        Cause::LinkLost => "link-lost",
+        Cause::NewHost => "new-host",
+        Cause::Starved => "starved",
+        Cause::Panic => "panic",
+    }
+}
+
+/// Which device is connected.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct DeviceInfo {
+    /// How it is reached: `mock`, `pty:PATH`, `serial:PATH`.
+    pub kind: String,
+    /// Firmware version.
+    pub firmware: String,
+    /// Hash of the firmware's build.
+    pub build: String,
+    /// Random at every boot; a tick belongs to a boot.
+    pub boot: u32,
+    /// Whether the shafts are simulated.
+    pub simulated: bool,
+}
+
+impl DeviceInfo {
+    /// What a device said of itself, reached by `kind`.
+    #[must_use]
+    pub fn new(kind: &str, hello: &DeviceHello) -> Self {
+        let [major, minor, patch] = hello.firmware;
+        Self {
+            kind: kind.to_owned(),
+            firmware: format!("{major}.{minor}.{patch}"),
+            build: format!("{:08x}", u32::from_be_bytes(hello.build)),
+            boot: hello.boot,
+            simulated: hello.features & DeviceHello::SIMULATED != 0,
+        }
+    }
+}
+
+/// The running play.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Running {
+    /// Its id.
+    pub id: u64,
+    /// Its pattern.
+    pub pattern: String,
+    /// How long it has played, s.
+    pub played_s: f64,
+}
+
+/// Something that happened.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "event", rename_all = "kebab-case")]
+pub enum Event {
+    /// How everything stands: on change, ten times a second while something is played, and first of all.
+    State {
+        /// As in the status.
+        state: String,
+        /// Why.
+        cause: String,
+        /// `known` or `unknown`.
+        position: String,
+        /// The device's clock.
+        tick: u64,
+        /// The running play.
+        play: Option<Running>,
+    },
+    /// A device answered the handshake.
+    Connected {
+        /// Which.
+        device: DeviceInfo,
+    },
+    /// The device is gone.
+    Disconnected {
+        /// Why.
+        reason: String,
+    },
+    /// A play was taken.
+    Queued {
+        /// Its id.
+        id: u64,
+        /// Its pattern.
+        pattern: String,
+        /// How long it will play; null: as long as the pattern lasts.
+        seconds: Option<f64>,
+    },
+    /// A play has begun.
+    Began {
+        /// Its id.
+        id: u64,
+        /// When.
+        onset: OnsetRecord,
+    },
+    /// A stroke came late and was dropped whole.
+    Late {
+        /// The play's id.
+        id: u64,
+        /// Which and why.
+        #[serde(flatten)]
+        stroke: LateStroke,
+    },
+    /// A stroke was refused.
+    Refused {
+        /// The play's id.
+        id: u64,
+        /// Which and why.
+        #[serde(flatten)]
+        stroke: RefusedStroke,
+    },
+    /// A play is over.
+    Ended {
+        /// What came of it.
+        receipt: Box<Receipt>,
+    },
+    /// Notices from the streamer were lost: events are missing here, the receipts' counts are right.
+    Lost {
+        /// How many.
+        notices: u64,
+    },
+    /// This listener was too slow.
+    Lagged {
+        /// Events it did not get.
+        events: u64,
+    },
+}
+
+impl Event {
+    /// The name under which it is sent.
+    #[must_use]
+    pub const fn name(&self) -> &'static str {
+        match self {
+            Self::State { .. } => "state",
+            Self::Connected { .. } => "connected",
+            Self::Disconnected { .. } => "disconnected",
+            Self::Queued { .. } => "queued",
+            Self::Began { .. } => "began",
+            Self::Late { .. } => "late",
+            Self::Refused { .. } => "refused",
+            Self::Ended { .. } => "ended",
+            Self::Lost { .. } => "lost",
+            Self::Lagged { .. } => "lagged",
+        }
+    }
+}

@@ -1,0 +1,247 @@
+//! The record: what the streamer reported, kept as receipts, figures and events.
+//!
+//! A [`Recorder`] is fed every [`Notice`] and what the daemon was asked to play. It reads no clock and sends
+//! nothing; whoever owns it passes the events on. Plays that are queued or running are all kept (the streamer
+//! bounds them), finished ones are the last [`KEPT`].
+//!
+//! Invariant: every play that was taken is in the record exactly once, until [`KEPT`] later ones have ended.
+
+mod event;
+mod receipt;
+
+pub use event::{DeviceInfo, Event, NO_DEVICE, Running, cause_name, state_name};
+pub use receipt::{LISTED, LateStroke, LatenessRecord, OnsetRecord, PlayState, Receipt, RefusedStroke, Wire};
+
+use crate::stream::port::{Bursts, LateCause, Lateness, Notice, Outcome, Pulses, Snapshot, refusal_text};
+use crate::units::HostInstant;
+use firmware_protocol::message::{DeviceHello, State};
+use firmware_protocol::tick::{TICK_HZ, Tick};
+use std::collections::VecDeque;
+
+/// Receipts of finished plays kept, at the most.
+pub const KEPT: usize = 1000;
+/// What a crystal may be off by: added to the clock's uncertainty for the time since the last snapshot.
+const DRIFT: f64 = 100e-6;
+
+/// Sums since the daemon's start.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Totals {
+    /// Plays that ended: done, stopped, aborted.
+    pub plays: [u64; 3],
+    /// Bursts of ended plays.
+    pub bursts: Bursts,
+    /// Pulses of ended plays.
+    pub pulses: Pulses,
+    /// Late strokes of ended plays.
+    pub lateness: Lateness,
+    /// Bytes sent while plays ran.
+    pub wire_bytes: u64,
+    /// Notices the daemon was too slow for.
+    pub lost: u64,
+    /// Devices connected.
+    pub connects: u64,
+}
+
+/// Keeps the record.
+#[derive(Debug, Default)]
+pub struct Recorder {
+    kind: String,
+    hello: Option<DeviceHello>,
+    snapshot: Option<Snapshot>,
+    /// Ordered, but not answered yet.
+    offered: Vec<Receipt>,
+    /// Queued and running, in the order they were taken.
+    live: Vec<Receipt>,
+    finished: VecDeque<Receipt>,
+    totals: Totals,
+}
+
+impl Recorder {
+    /// A play is about to be ordered.
+    pub fn offer(&mut self, receipt: Receipt) {
+        self.offered.push(receipt);
+    }
+
+    /// The streamer took the play, or not.
+    pub fn answered(&mut self, id: u64, taken: bool) -> Option<Event> {
+        let at = self.offered.iter().position(|receipt| receipt.id == id)?;
+        let receipt = self.offered.remove(at);
+        let event = Event::Queued { id, pattern: receipt.pattern.clone(), seconds: receipt.seconds };
+        taken.then(|| self.live.push(receipt))?;
+        Some(event)
+    }
+
+    /// How the next device is reached.
+    pub fn reached_by(&mut self, kind: String) {
+        self.kind = kind;
+    }
+
+    /// Takes in what happened; an [`Notice::Answer`] is its owner's business and tells nothing here.
+    pub fn take(&mut self, notice: &Notice) -> Option<Event> {
+        match notice {
+            Notice::Answer { .. } | Notice::Bye => None,
+            Notice::Connected(hello) => {
+                self.totals.connects += 1;
+                self.hello = Some(*hello);
+                Some(Event::Connected { device: DeviceInfo::new(&self.kind, hello) })
+            }
+            Notice::Disconnected { reason, .. } => {
+                self.hello = None;
+                Some(Event::Disconnected { reason: (*reason).to_owned() })
+            }
+            Notice::Snapshot(snapshot) => {
+                self.snapshot = Some(*snapshot);
+                Some(self.state(snapshot.at))
+            }
+            Notice::Began { id, onset } => {
+                self.live_mut(*id)?.began(*onset);
+                Some(Event::Began { id: *id, onset: (*onset).into() })
+            }
+            Notice::Late { id, motor, up, late_ms, cause } => {
+                Some(self.late(*id, *motor, *up, *late_ms, *cause))
+            }
+            Notice::StrokeRefused { id, motor, up, reason } => {
+                let reason = refusal_text(*reason);
+                if let Some(receipt) = self.live_mut(*id) {
+                    receipt.refused(*motor, *up, reason);
+                }
+                let stroke = RefusedStroke { motor: *motor, tick: up.0, reason: reason.to_owned() };
+                Some(Event::Refused { id: *id, stroke })
+            }
+            Notice::Ended { id, outcome } => self.ended(*id, outcome),
+            Notice::Lost(notices) => {
+                self.totals.lost += notices;
+                Some(Event::Lost { notices: *notices })
+            }
+        }
+    }
+
+    fn live_mut(&mut self, id: u64) -> Option<&mut Receipt> {
+        self.live.iter_mut().find(|receipt| receipt.id == id)
+    }
+
+    fn late(&mut self, id: u64, motor: u8, up: Tick, late_ms: f64, cause: LateCause) -> Event {
+        let stroke = LateStroke { motor, tick: up.0, late_ms, cause };
+        if let Some(receipt) = self.live_mut(id) {
+            receipt.lateness.add(stroke);
+        }
+        Event::Late { id, stroke }
+    }
+
+    fn ended(&mut self, id: u64, outcome: &Outcome) -> Option<Event> {
+        let at = self.live.iter().position(|receipt| receipt.id == id)?;
+        let mut receipt = self.live.remove(at);
+        receipt.ended(outcome);
+        self.totals.add(outcome);
+        if self.finished.len() == KEPT {
+            self.finished.pop_front();
+        }
+        self.finished.push_back(receipt.clone());
+        Some(Event::Ended { receipt: Box::new(receipt) })
+    }
+
+    /// The play of that id.
+    #[must_use]
+    pub fn receipt(&self, id: u64) -> Option<&Receipt> {
+        self.live.iter().chain(&self.finished).find(|receipt| receipt.id == id)
+    }
+
+    /// The play that was ordered last.
+    #[must_use]
+    pub fn last(&self) -> Option<&Receipt> {
+        self.live.iter().chain(&self.finished).max_by_key(|receipt| receipt.id)
+    }
+
+    /// Plays that wait, in their order.
+    pub fn queued(&self) -> impl Iterator<Item = &Receipt> {
+        self.live.iter().filter(|receipt| receipt.state == PlayState::Queued)
+    }
+
+    /// The connected device.
+    #[must_use]
+    pub fn device(&self) -> Option<DeviceInfo> {
+        self.hello.as_ref().map(|hello| DeviceInfo::new(&self.kind, hello))
+    }
+
+    /// The last snapshot.
+    #[must_use]
+    pub const fn snapshot(&self) -> Option<&Snapshot> {
+        self.snapshot.as_ref()
+    }
+
+    /// Sums since the start.
+    #[must_use]
+    pub const fn totals(&self) -> &Totals {
+        &self.totals
+    }
+
+    /// The device's clock at `now` and how well it is known, µs: the last estimate, carried on at the nominal
+    /// rate, since an idle streamer publishes none.
+    #[must_use]
+    pub fn clock(&self, now: HostInstant) -> Option<(Tick, f64)> {
+        let snapshot = self.snapshot.as_ref().filter(|snapshot| snapshot.connected)?;
+        let since = now.since(snapshot.at);
+        let ticks = since.as_nanos() * u128::from(TICK_HZ) / 1_000_000_000;
+        let ticks = u64::try_from(ticks).unwrap_or(u64::MAX);
+        let uncertainty_us = snapshot.clock_uncertainty_us + since.as_secs_f64() * 1e6 * DRIFT;
+        Some((Tick(snapshot.tick.0.saturating_add(ticks)), uncertainty_us))
+    }
+
+    /// State, cause and position as the API calls them.
+    #[must_use]
+    pub fn standing(&self) -> (&'static str, &'static str, &'static str) {
+        match &self.snapshot {
+            Some(at) if at.connected || at.state == State::Faulted => {
+                let position = if at.connected && at.position_known { "known" } else { "unknown" };
+                (state_name(at.state), cause_name(at.cause), position)
+            }
+            _ => (NO_DEVICE, NO_DEVICE, "unknown"),
+        }
+    }
+
+    /// The running play.
+    #[must_use]
+    pub fn running(&self) -> Option<Running> {
+        let receipt = self.live.iter().find(|receipt| receipt.state == PlayState::Running)?;
+        let played = self.snapshot.as_ref().and_then(|snapshot| snapshot.play);
+        let played_s = played.filter(|(id, _)| *id == receipt.id).map_or(0.0, |(_, played_s)| played_s);
+        Some(Running { id: receipt.id, pattern: receipt.pattern.clone(), played_s })
+    }
+
+    /// How everything stands, as an event.
+    #[must_use]
+    pub fn state(&self, now: HostInstant) -> Event {
+        let (state, cause, position) = self.standing();
+        Event::State {
+            state: state.to_owned(),
+            cause: cause.to_owned(),
+            position: position.to_owned(),
+            tick: self.clock(now).map_or(0, |(tick, _)| tick.0),
+            play: self.running(),
+        }
+    }
+}
+
+impl Totals {
+    fn add(&mut self, outcome: &Outcome) {
+        self.plays[outcome.end as usize] += 1;
+        let (sum, bursts) = (&mut self.bursts, &outcome.bursts);
+        sum.planned += bursts.planned;
+        sum.played += bursts.played;
+        sum.late += bursts.late;
+        sum.dropped += bursts.dropped;
+        sum.refused += bursts.refused;
+        sum.amended += bursts.amended;
+        self.pulses.planned += outcome.pulses.planned;
+        self.pulses.played += outcome.pulses.played;
+        let (sum, lateness) = (&mut self.lateness, &outcome.lateness);
+        sum.host += lateness.host;
+        sum.link += lateness.link;
+        sum.device += lateness.device;
+        sum.worst_ms = sum.worst_ms.max(lateness.worst_ms);
+        self.wire_bytes += outcome.wire_bytes;
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,191 @@
+use super::*;
+use crate::pattern::Pattern;
+use crate::stream::port::{At, End, LatePolicy, Onset, Play};
+use crate::strokes::Strokes;
+use firmware_protocol::limits::{OnTimeLimits, Refusal};
+use firmware_protocol::message::Cause;
+use firmware_protocol::stroke::MOTORS;
+
+fn hello() -> DeviceHello {
+    DeviceHello {
+        session: 1,
+        firmware: [0, 1, 2],
+        build: [0xde, 0xad, 0xbe, 0xef],
+        boot: 7,
+        motors: 24,
+        tick_hz: TICK_HZ,
+        pool: 1024,
+        horizon: 64,
+        max_up_pulses: 3000,
+        limits: OnTimeLimits::NONE,
+        features: DeviceHello::SIMULATED,
+        tick: Tick::BOOT.0,
+        epoch: 0,
+        reports: 0,
+        last_cut: None,
+    }
+}
+
+fn snapshot(connected: bool, state: State, play: Option<(u64, f64)>) -> Snapshot {
+    Snapshot {
+        at: HostInstant::from_ns(1_000_000_000),
+        connected,
+        state,
+        cause: Cause::Request,
+        position_known: true,
+        owed: 0,
+        tick: Tick(1000),
+        clock_uncertainty_us: 10.0,
+        play,
+        in_device: 0,
+        lead_ms: 100.0,
+        rest_error_um: [0.0; MOTORS],
+        source: crate::stream::port::ErrorSource::None,
+        bytes_out: 0,
+        bytes_in: 0,
+        retransmitted: 0,
+    }
+}
+
+fn onset() -> Onset {
+    let tick = Tick(2000);
+    Onset {
+        requested: tick,
+        actual: tick,
+        at: HostInstant::from_ns(5),
+        uncertainty_ns: 9,
+        latency_ns: 4_000_000,
+    }
+}
+
+fn ended(id: u64, end: End) -> Notice {
+    let pattern = Pattern::new("nothing", Some(1.0), Vec::new(), toml::Table::new()).unwrap();
+    let strokes = Strokes::new(&pattern, None).unwrap();
+    let play = Play { id, strokes, at: At::Next, late: LatePolicy::Drop, replace: false, open_loop: false };
+    let outcome = Outcome {
+        end,
+        cause: (end != End::Done).then_some("stop"),
+        onset: Some(onset()),
+        bursts: Bursts { planned: 10, played: 6, late: 2, dropped: 2, refused: 0, amended: 1 },
+        pulses: Pulses { planned: 100, played: 60 },
+        lateness: Lateness { host: 1, ..Lateness::default() },
+        wire_bytes: 55,
+        rest_error_um: [0.5; MOTORS],
+        play: Box::new(play),
+    };
+    Notice::Ended { id, outcome }
+}
+
+fn take(recorder: &mut Recorder, id: u64) {
+    recorder.offer(Receipt::new(id, "edge-45", "00ff", Some(5.0)));
+    assert!(matches!(recorder.answered(id, true), Some(Event::Queued { .. })));
+}
+
+#[test]
+fn a_play_goes_from_queued_to_its_receipt() {
+    let mut recorder = Recorder::default();
+    take(&mut recorder, 1);
+    take(&mut recorder, 2);
+    assert_eq!(recorder.queued().map(|receipt| receipt.id).collect::<Vec<_>>(), [1, 2]);
+    let event = recorder.take(&Notice::Began { id: 1, onset: onset() }).unwrap();
+    assert_eq!(event.name(), "began");
+    recorder.take(&Notice::Snapshot(snapshot(true, State::Armed, Some((1, 0.25)))));
+    assert_eq!(recorder.running().unwrap().played_s, 0.25);
+    assert_eq!(recorder.receipt(1).unwrap().state, PlayState::Running);
+    assert_eq!(recorder.queued().count(), 1);
+    recorder.take(&Notice::Late { id: 1, motor: 3, up: Tick(7), late_ms: 1.5, cause: LateCause::Host });
+    let up = Tick(8);
+    recorder.take(&Notice::StrokeRefused { id: 1, motor: 3, up, reason: Refusal::MotorOnTime });
+    let Some(Event::Ended { receipt }) = recorder.take(&ended(1, End::Stopped)) else { panic!() };
+    assert_eq!(Some(&*receipt), recorder.receipt(1));
+    assert_eq!((receipt.state, receipt.cause.as_deref()), (PlayState::Stopped, Some("stop")));
+    assert_eq!((receipt.lateness.strokes.len(), receipt.refusals.len()), (1, 1));
+    assert_eq!(receipt.wire.unwrap().bytes_per_burst, Some(5.5));
+    assert_eq!(receipt.onset_latency_ms, Some(4.0));
+    assert_eq!(recorder.last().unwrap().id, 2);
+    assert!(recorder.running().is_none());
+    assert_eq!(recorder.totals().plays, [0, 1, 0]);
+    let json = serde_json::to_value(&receipt).unwrap();
+    assert_eq!((&json["lateness"]["host"], &json["onset"]["actual_tick"]), (&1.into(), &2000.into()));
+    assert_eq!(serde_json::from_value::<Receipt>(json).unwrap(), *receipt);
+}
+
+#[test]
+fn a_play_that_was_not_taken_leaves_nothing() {
+    let mut recorder = Recorder::default();
+    recorder.offer(Receipt::new(1, "a", "", None));
+    assert!(recorder.receipt(1).is_none(), "not before it is taken");
+    assert_eq!(recorder.answered(1, false), None);
+    assert!(recorder.last().is_none());
+    assert!(recorder.take(&ended(1, End::Done)).is_none());
+}
+
+#[test]
+fn receipts_and_lists_are_bounded() {
+    let mut recorder = Recorder::default();
+    for id in 1..=KEPT as u64 + 5 {
+        take(&mut recorder, id);
+        for _ in 0..LISTED + 1 {
+            recorder.take(&Notice::Late { id, motor: 3, up: Tick(7), late_ms: 1.0, cause: LateCause::Link });
+        }
+        assert_eq!(recorder.receipt(id).unwrap().lateness.counts.link, LISTED as u64 + 1);
+        recorder.take(&ended(id, End::Done));
+    }
+    assert_eq!(recorder.finished.len(), KEPT);
+    assert!(recorder.receipt(5).is_none());
+    assert_eq!(recorder.receipt(6).unwrap().lateness.strokes.len(), LISTED);
+}
+
+#[test]
+fn the_state_without_a_device_says_so_but_an_estop_is_latched() {
+    let mut recorder = Recorder::default();
+    assert_eq!(recorder.standing(), ("no-device", "no-device", "unknown"));
+    recorder.take(&Notice::Snapshot(snapshot(false, State::Disarmed, None)));
+    assert_eq!(recorder.standing().0, "no-device");
+    recorder.take(&Notice::Snapshot(snapshot(false, State::Faulted, None)));
+    assert_eq!(recorder.standing(), ("faulted", "request", "unknown"));
+    recorder.reached_by("mock".to_owned());
+    let event = recorder.take(&Notice::Connected(hello())).unwrap();
+    let json = serde_json::to_value(&event).unwrap();
+    assert_eq!((&json["event"], &json["device"]["kind"]), (&"connected".into(), &"mock".into()));
+    assert_eq!(
+        (&json["device"]["firmware"], &json["device"]["build"]),
+        (&"0.1.2".into(), &"deadbeef".into())
+    );
+    recorder.take(&Notice::Disconnected { reason: "unplugged", device: None });
+    assert!(recorder.device().is_none());
+}
+
+#[test]
+fn the_clock_is_carried_on_between_snapshots() {
+    let mut recorder = Recorder::default();
+    recorder.take(&Notice::Snapshot(snapshot(true, State::Armed, None)));
+    let (tick, uncertainty_us) = recorder.clock(HostInstant::from_ns(3_000_000_000)).unwrap();
+    assert_eq!(tick, Tick(1000 + 170_000));
+    assert!((uncertainty_us - 210.0).abs() < 1e-6);
+    recorder.take(&Notice::Snapshot(snapshot(false, State::Armed, None)));
+    assert!(recorder.clock(HostInstant::from_ns(0)).is_none());
+}
+
+#[test]
+fn every_events_name_is_its_json_tag() {
+    let stroke = LateStroke { motor: 1, tick: 2, late_ms: 3.0, cause: LateCause::Host };
+    let refused = RefusedStroke { motor: 1, tick: 2, reason: "x".to_owned() };
+    let recorder = Recorder::default();
+    for event in [
+        recorder.state(HostInstant::from_ns(0)),
+        Event::Connected { device: DeviceInfo::new("mock", &hello()) },
+        Event::Disconnected { reason: String::new() },
+        Event::Queued { id: 1, pattern: String::new(), seconds: None },
+        Event::Began { id: 1, onset: onset().into() },
+        Event::Late { id: 1, stroke },
+        Event::Refused { id: 1, stroke: refused },
+        Event::Ended { receipt: Box::new(Receipt::new(1, "a", "", None)) },
+        Event::Lost { notices: 1 },
+        Event::Lagged { events: 1 },
+    ] {
+        let json = serde_json::to_value(&event).unwrap();
+        assert_eq!(json["event"], event.name());
+        assert_eq!(serde_json::from_value::<Event>(json).unwrap(), event);
+    }
+}

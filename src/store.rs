@@ -1,0 +1,428 @@
+//! The pattern store: the library that is part of the program, and a directory of the site's own patterns.
+//!
+//! The directory is read again at every request, so a file dropped in by hand is there at once; a `get` reads
+//! one file, a `list` at most [`MAX_FILES`]. Patterns of the library cannot be overwritten or shadowed. It
+//! plays nothing and knows no client; calls block for as long as the disk takes.
+//!
+//! Invariant: a file of the directory is replaced whole or not at all, and only by one that parses and bears
+//! the file's name.
+
+use crate::pattern::{MAX_FILE_BYTES, Pattern, PatternError};
+use include_dir::{Dir, include_dir};
+use rustix::fs::OFlags;
+use serde::Serialize;
+use sha2::{Digest, Sha256};
+use std::collections::BTreeMap;
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Read, Write};
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::{Path, PathBuf};
+
+static LIBRARY: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/patterns");
+
+/// Files of the directory that are looked at, at the most.
+pub const MAX_FILES: usize = 10_000;
+/// Names offered in place of an unknown one, at the most.
+const OFFERED: usize = 3;
+
+/// What the store cannot do.
+#[derive(Debug, thiserror::Error)]
+pub enum StoreError {
+    /// No pattern of that name.
+    #[error("no pattern is called {}{}; `meissner list` shows all", quote(.name), offer(.nearest))]
+    Unknown {
+        /// As asked for.
+        name: String,
+        /// The nearest names there are.
+        nearest: Vec<String>,
+    },
+    /// A pattern that does not parse.
+    #[error(transparent)]
+    Pattern(#[from] PatternError),
+    /// The file's name and the name in it differ.
+    #[error("{}: `name` is `{inside}`: must be the name it is stored under; change one of them", quote(.name))]
+    Name {
+        /// The name it was to be stored under.
+        name: String,
+        /// The name in the text.
+        inside: String,
+    },
+    /// The library is read-only.
+    #[error("`{name}` is part of the library and cannot be overwritten: choose another name")]
+    InLibrary {
+        /// Its name.
+        name: String,
+    },
+    /// A file that is no text.
+    #[error("{}: not UTF-8 text: write patterns as TOML in UTF-8", .path.display())]
+    NotText {
+        /// The file.
+        path: PathBuf,
+    },
+    /// No directory to write to.
+    #[error("there is no pattern directory: set patterns_dir in the daemon's configuration")]
+    NoDirectory,
+    /// The disk or the permissions.
+    #[error("{}: {source}; see that it exists and the daemon may use it", .path.display())]
+    Io {
+        /// Where.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+}
+
+fn quote(name: &str) -> String {
+    let shown: String = name.chars().take(64).flat_map(char::escape_debug).collect();
+    format!("`{shown}`")
+}
+
+fn offer(nearest: &[String]) -> String {
+    match nearest {
+        [] => String::new(),
+        names => format!(": did you mean `{}`?", names.join("`, `")),
+    }
+}
+
+/// A pattern and the hash of the bytes it was read from.
+#[derive(Clone, Debug)]
+pub struct Stored {
+    /// The pattern.
+    pub pattern: Pattern,
+    /// SHA-256 of its file.
+    pub sha256: String,
+    /// Whether it is part of the library.
+    pub library: bool,
+}
+
+/// A line of a list.
+#[derive(Clone, Debug, Serialize)]
+pub struct Entry {
+    /// Its name.
+    pub name: String,
+    /// Whether it is part of the library.
+    pub library: bool,
+    /// How long one run lasts; null: endless.
+    pub duration_s: Option<f64>,
+    /// How many drives it has.
+    pub drives: usize,
+    /// SHA-256 of its file.
+    pub sha256: String,
+}
+
+/// Everything there is.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct List {
+    /// Sorted by name.
+    pub patterns: Vec<Entry>,
+    /// What could not be read, a line each.
+    pub errors: Vec<String>,
+}
+
+/// The store.
+#[derive(Debug)]
+pub struct Store {
+    library: BTreeMap<String, Stored>,
+    dir: Option<PathBuf>,
+    make_dir: bool,
+}
+
+impl Store {
+    /// The library and a directory, which is made when something is first stored in it if `make_dir` says so.
+    ///
+    /// # Errors
+    /// A file of the library that does not parse, which a test excludes.
+    pub fn new(dir: Option<PathBuf>, make_dir: bool) -> Result<Self, StoreError> {
+        let mut library = BTreeMap::new();
+        for file in LIBRARY.files() {
+            let path = file.path();
+            if path.extension().is_some_and(|extension| extension == "toml") {
+                let stored = parse(file.contents(), path, true)?;
+                library.insert(stored.pattern.name().to_owned(), stored);
+            }
+        }
+        Ok(Self { library, dir, make_dir })
+    }
+
+    /// Whether the directory can be read.
+    ///
+    /// # Errors
+    /// If it cannot.
+    pub fn check_dir(&self) -> Result<(), StoreError> {
+        self.file_names().map(drop)
+    }
+
+    /// The pattern of that name, if it is part of the library: without a look at the disk.
+    #[must_use]
+    pub fn library(&self, name: &str) -> Option<&Stored> {
+        self.library.get(name)
+    }
+
+    /// The pattern of that name.
+    ///
+    /// # Errors
+    /// If there is none (with the nearest names), or its file is no pattern of that name.
+    pub fn get(&self, name: &str) -> Result<Stored, StoreError> {
+        if let Some(stored) = self.library(name) {
+            return Ok(stored.clone());
+        }
+        let path = self.path(name).ok_or_else(|| self.unknown(name))?;
+        match read(&path) {
+            Err(StoreError::Io { source, .. }) if source.kind() == io::ErrorKind::NotFound => {
+                Err(self.unknown(name))
+            }
+            Err(other) => Err(other),
+            Ok(bytes) => named(name, parse(&bytes, &path, false)?),
+        }
+    }
+
+    /// All patterns, and a line for each file that is none.
+    #[must_use]
+    pub fn list(&self) -> List {
+        let mut list = List::default();
+        list.patterns.extend(self.library.values().map(Stored::entry));
+        let names = self.file_names().unwrap_or_else(|error| {
+            list.errors.push(error.to_string());
+            Vec::new()
+        });
+        if names.len() == MAX_FILES {
+            list.errors.push(format!("only the first {MAX_FILES} files of the pattern directory were read"));
+        }
+        for name in names {
+            if self.library.contains_key(&name) {
+                list.errors
+                    .push(format!("{name}.toml: `{name}` is part of the library: rename the file's pattern"));
+                continue;
+            }
+            match self.get(&name) {
+                Ok(stored) => list.patterns.push(stored.entry()),
+                // Removed since the names were read, or no name a pattern can have.
+                Err(StoreError::Unknown { .. }) => {
+                    list.errors.push(format!("{}: not a pattern's name: a-z, 0-9 and - only", quote(&name)));
+                }
+                Err(error) => list.errors.push(error.to_string()),
+            }
+        }
+        list.patterns.sort_by(|a, b| a.name.cmp(&b.name));
+        list
+    }
+
+    /// Stores a pattern under its name, in place of an older one of that name. Says whether it is a new name.
+    ///
+    /// # Errors
+    /// If it is no pattern of that name, belongs to the library, or cannot be written.
+    pub fn put(&self, name: &str, text: &str) -> Result<(Stored, bool), StoreError> {
+        if self.library.contains_key(name) {
+            return Err(StoreError::InLibrary { name: name.to_owned() });
+        }
+        let stored = parse(text.as_bytes(), Path::new(&format!("{name}.toml")), false)?;
+        let stored = named(name, stored)?;
+        let (Some(dir), Some(path)) = (&self.dir, self.path(name)) else {
+            return Err(StoreError::NoDirectory);
+        };
+        let new = !path.exists();
+        if self.make_dir {
+            fs::create_dir_all(dir).map_err(|source| StoreError::Io { path: dir.clone(), source })?;
+        }
+        write(dir, &path, text.as_bytes()).map_err(|source| StoreError::Io { path, source })?;
+        Ok((stored, new))
+    }
+
+    /// The file a name belongs to; `None` for what is no name, so that none leads out of the directory.
+    fn path(&self, name: &str) -> Option<PathBuf> {
+        let letter = |byte: u8| byte.is_ascii_lowercase() || byte.is_ascii_digit() || byte == b'-';
+        let good = (1..=64).contains(&name.len()) && name.bytes().all(letter);
+        good.then_some(())?;
+        Some(self.dir.as_ref()?.join(format!("{name}.toml")))
+    }
+
+    fn file_names(&self) -> Result<Vec<String>, StoreError> {
+        let Some(dir) = &self.dir else { return Ok(Vec::new()) };
+        let entries = match fs::read_dir(dir) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound && self.make_dir => return Ok(Vec::new()),
+            entries => entries.map_err(|source| StoreError::Io { path: dir.clone(), source })?,
+        };
+        let mut names: Vec<String> = entries
+            .filter_map(|entry| {
+                entry.ok()?.file_name().into_string().ok()?.strip_suffix(".toml").map(str::to_owned)
+            })
+            // Editors and our own writer leave such files for a moment.
+            .filter(|name| !name.starts_with('.'))
+            .take(MAX_FILES)
+            .collect();
+        names.sort_unstable();
+        Ok(names)
+    }
+
+    fn unknown(&self, name: &str) -> StoreError {
+        let mut names = self.file_names().unwrap_or_default();
+        names.extend(self.library.keys().cloned());
+        // Only the beginning is compared: the measure takes time and memory for each letter.
+        let asked: String = name.chars().take(64).collect();
+        let mut near: Vec<_> = names
+            .into_iter()
+            .map(|name| (strsim::jaro_winkler(&name, &asked), name))
+            .filter(|(likeness, _)| *likeness > 0.7)
+            .collect();
+        near.sort_by(|a, b| b.0.total_cmp(&a.0).then_with(|| a.1.cmp(&b.1)));
+        let nearest = near.into_iter().take(OFFERED).map(|(_, name)| name).collect();
+        StoreError::Unknown { name: name.to_owned(), nearest }
+    }
+}
+
+impl Stored {
+    fn entry(&self) -> Entry {
+        Entry {
+            name: self.pattern.name().to_owned(),
+            library: self.library,
+            duration_s: self.pattern.duration_s(),
+            drives: self.pattern.drives().len(),
+            sha256: self.sha256.clone(),
+        }
+    }
+}
+
+fn named(name: &str, stored: Stored) -> Result<Stored, StoreError> {
+    if stored.pattern.name() == name {
+        return Ok(stored);
+    }
+    Err(StoreError::Name { name: name.to_owned(), inside: stored.pattern.name().to_owned() })
+}
+
+fn parse(bytes: &[u8], path: &Path, library: bool) -> Result<Stored, StoreError> {
+    let text = std::str::from_utf8(bytes).map_err(|_| StoreError::NotText { path: path.to_owned() })?;
+    let pattern = Pattern::parse(text, &path.display().to_string())?;
+    Ok(Stored { pattern, sha256: hex(&Sha256::digest(bytes)), library })
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// The file's bytes, one more than a pattern may have at the most. A pipe in place of a file does not block.
+fn read(path: &Path) -> Result<Vec<u8>, StoreError> {
+    let read = || {
+        let mut options = OpenOptions::new();
+        options.read(true).custom_flags(OFlags::NONBLOCK.bits().cast_signed());
+        let file = options.open(path)?;
+        if !file.metadata()?.is_file() {
+            return Err(io::Error::other("not a regular file"));
+        }
+        let mut bytes = Vec::new();
+        file.take(MAX_FILE_BYTES as u64 + 1).read_to_end(&mut bytes)?;
+        Ok(bytes)
+    };
+    read().map_err(|source| StoreError::Io { path: path.to_owned(), source })
+}
+
+/// Writes beside the file and renames, so that a crash leaves the old file or the new one.
+fn write(dir: &Path, path: &Path, bytes: &[u8]) -> io::Result<()> {
+    use std::os::unix::fs::PermissionsExt;
+    let mut file = tempfile::Builder::new().prefix(".import-").tempfile_in(dir)?;
+    file.as_file().set_permissions(fs::Permissions::from_mode(0o644))?;
+    file.write_all(bytes)?;
+    file.as_file().sync_all()?;
+    file.persist(path).map_err(|error| error.error)?;
+    File::open(dir)?.sync_all()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TEXT: &str = "format = 1\nname = \"my-edge\"\nduration_s = 1.0\n";
+
+    fn store() -> (tempfile::TempDir, Store) {
+        let dir = tempfile::tempdir().unwrap();
+        let store = Store::new(Some(dir.path().to_owned()), false).unwrap();
+        (dir, store)
+    }
+
+    #[test]
+    fn what_is_put_is_there_and_can_be_replaced() {
+        let (dir, store) = store();
+        let (stored, new) = store.put("my-edge", TEXT).unwrap();
+        assert!(new && stored.sha256.len() == 64);
+        assert_eq!(store.get("my-edge").unwrap().sha256, stored.sha256);
+        let (other, new) = store.put("my-edge", &format!("# changed\n{TEXT}")).unwrap();
+        assert!(!new && other.sha256 != stored.sha256);
+        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1, "no temporary file is left");
+    }
+
+    #[test]
+    fn a_file_dropped_in_by_hand_shows_up_and_a_bad_one_is_a_line() {
+        let (dir, store) = store();
+        fs::write(dir.path().join("my-edge.toml"), TEXT).unwrap();
+        fs::write(dir.path().join("other.toml"), TEXT).unwrap();
+        fs::write(dir.path().join("bad.toml"), "format = 1\nnane = \"bad\"\n").unwrap();
+        fs::create_dir(dir.path().join("folder.toml")).unwrap();
+        fs::write(dir.path().join("Upper.toml"), TEXT).unwrap();
+        fs::write(dir.path().join("binary.toml"), [0xff, 0xfe]).unwrap();
+        let list = store.list();
+        assert!(list.patterns.iter().any(|entry| entry.name == "my-edge" && !entry.library));
+        assert_eq!(list.errors.len(), 5, "{:?}", list.errors);
+        assert!(list.errors.iter().all(|line| !line.contains('\n')));
+        assert!(list.errors.iter().any(|line| line.contains("bad.toml:2") && line.contains("`name`")));
+    }
+
+    #[test]
+    fn an_unknown_name_offers_the_nearest_and_no_name_leads_out() {
+        let (dir, store) = store();
+        fs::write(dir.path().join("my-edge.toml"), TEXT).unwrap();
+        let line = store.get("my-egde").unwrap_err().to_string();
+        assert!(line.contains("did you mean `my-edge`"), "{line}");
+        for name in ["../my-edge", "", "a/b", "my-edge.toml", "\n", &"x".repeat(100_000)] {
+            let line = store.get(name).unwrap_err();
+            assert!(matches!(line, StoreError::Unknown { .. }));
+            assert!(!line.to_string().contains('\n') && line.to_string().len() < 400);
+        }
+        assert!(matches!(store.put("../x", TEXT), Err(StoreError::Name { .. })));
+    }
+
+    #[test]
+    fn what_is_no_pattern_of_that_name_is_not_stored() {
+        let (dir, store) = store();
+        assert!(matches!(store.put("edge", TEXT), Err(StoreError::Name { .. })));
+        let error = store.put("edge", "name = 3").unwrap_err();
+        assert!(error.to_string().starts_with("edge.toml:"), "{error}");
+        let large = "#".repeat(MAX_FILE_BYTES + 1);
+        assert!(store.put("edge", &large).unwrap_err().to_string().contains("too many"));
+        fs::write(dir.path().join("edge.toml"), &large).unwrap();
+        assert!(store.get("edge").unwrap_err().to_string().contains("too many"));
+        fs::remove_file(dir.path().join("edge.toml")).unwrap();
+        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 0);
+    }
+
+    #[test]
+    fn a_directory_that_cannot_be_read_is_a_line() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let store = Store::new(Some(file.path().to_owned()), false).unwrap();
+        assert!(store.check_dir().unwrap_err().to_string().contains(&file.path().display().to_string()));
+        assert_eq!(store.list().errors.len(), 1);
+        assert!(matches!(store.put("my-edge", TEXT), Err(StoreError::Io { .. })));
+        assert!(matches!(
+            Store::new(None, false).unwrap().put("my-edge", TEXT),
+            Err(StoreError::NoDirectory)
+        ));
+    }
+
+    #[test]
+    fn a_directory_of_our_own_is_made_when_it_is_needed() {
+        let outer = tempfile::tempdir().unwrap();
+        let dir = outer.path().join("a/b");
+        assert_eq!(Store::new(Some(dir.clone()), false).unwrap().list().errors.len(), 1);
+        let store = Store::new(Some(dir.clone()), true).unwrap();
+        assert!(store.check_dir().is_ok() && store.list().errors.is_empty() && !dir.exists());
+        store.put("my-edge", TEXT).unwrap();
+        assert!(store.get("my-edge").is_ok());
+    }
+
+    #[test]
+    fn the_library_is_read_only() {
+        let (_dir, store) = store();
+        for name in store.library.keys() {
+            assert!(matches!(store.put(name, TEXT), Err(StoreError::InLibrary { .. })));
+            assert!(store.get(name).unwrap().library);
+        }
+    }
+}

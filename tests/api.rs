@@ -1,0 +1,215 @@
+use crate::harness::{Daemon, assert_accounts, problem};
+use meissner::api::MAX_BODY;
+use meissner::client::{Client, Events};
+use meissner::record::{Event, PlayState};
+use rustix::process::Signal;
+use serde_json::{Value, json};
+use std::time::Duration;
+
+const PATIENCE: Option<Duration> = Some(Duration::from_secs(20));
+
+fn next(events: &mut Events, wanted: impl Fn(&Event) -> bool) -> Event {
+    loop {
+        let event = events.next(PATIENCE).unwrap().expect("the stream goes on");
+        if wanted(&event) {
+            return event;
+        }
+    }
+}
+
+fn play(client: &mut Client, request: &Value) -> u64 {
+    client.post::<Value>("/v1/play", request).unwrap()["id"].as_u64().unwrap()
+}
+
+#[test]
+fn the_status_is_complete_from_the_start() {
+    let daemon = Daemon::start();
+    let status: Value = daemon.client().get("/v1/status").unwrap();
+    assert_eq!((&status["state"], &status["position"]), (&"disarmed".into(), &"unknown".into()));
+    assert_eq!(status["device"]["kind"], "mock");
+    assert!(status["tick"].as_u64().unwrap() > 1 << 31);
+    assert!(status["play"].is_null() && status["queued"].as_array().unwrap().is_empty());
+    assert_eq!((&status["lead_ms"], &status["lease_ms"]), (&100.0.into(), &300.0.into()));
+    assert_eq!(status["motors"].as_array().unwrap().len(), 24);
+}
+
+#[test]
+fn nothing_is_played_before_a_person_has_armed() {
+    let daemon = Daemon::start();
+    let mut client = daemon.client();
+    let refused = problem(client.post("/v1/play", &json!({"pattern": "edge-45"})));
+    assert_eq!((refused.code.as_str(), refused.status), ("disarmed", 409));
+    let refused = problem(client.post("/v1/arm", &json!({})));
+    assert_eq!((refused.code.as_str(), refused.status), ("position-unknown", 409));
+    assert!(refused.detail.contains("--assume-rest"));
+    let status: Value = client.post("/v1/arm", &json!({"assume_rest": true})).unwrap();
+    assert_eq!((&status["state"], &status["position"]), (&"armed".into(), &"known".into()));
+    assert_eq!(problem(client.get("/v1/plays/last")).code, "not-found");
+}
+
+#[test]
+fn a_play_is_told_as_it_happens_and_has_a_receipt() {
+    let daemon = Daemon::start();
+    let mut client = daemon.armed();
+    let mut events = client.events().unwrap();
+    assert!(
+        matches!(events.next(PATIENCE).unwrap(), Some(Event::State { .. })),
+        "how things stand comes first"
+    );
+    let id = play(&mut client, &json!({"pattern": "edge-45", "seconds": 0.5}));
+    next(&mut events, |event| matches!(event, Event::Queued { id: of, .. } if *of == id));
+    next(&mut events, |event| matches!(event, Event::Began { id: of, .. } if *of == id));
+    next(&mut events, |event| matches!(event, Event::State { play: Some(play), .. } if play.id == id));
+    let Event::Ended { receipt } = next(&mut events, |event| matches!(event, Event::Ended { .. })) else {
+        unreachable!()
+    };
+    assert_eq!((receipt.id, receipt.state), (id, PlayState::Done));
+    let receipt: Value = client.get(&format!("/v1/plays/{id}")).unwrap();
+    assert_eq!(receipt, client.get::<Value>("/v1/plays/last").unwrap());
+    assert_accounts(&receipt);
+    assert_eq!((&receipt["pattern"], &receipt["seconds"]), (&"edge-45".into(), &0.5.into()));
+    assert_eq!(receipt["pattern_sha256"].as_str().unwrap().len(), 64);
+    assert!(receipt["onset"]["actual_tick"].as_u64() >= receipt["onset"]["requested_tick"].as_u64());
+    assert!(receipt["onset_latency_ms"].as_f64().unwrap() > 0.0);
+    assert!(receipt["wire"]["bytes_to_device"].as_u64().unwrap() > 0);
+    assert_eq!(receipt["rest_error_um"].as_array().unwrap().len(), 24);
+}
+
+#[test]
+fn plays_queue_and_the_queue_is_bounded() {
+    let daemon = Daemon::start();
+    let mut client = daemon.armed();
+    let long = json!({"pattern": "edge-45", "seconds": 60.0});
+    let running = play(&mut client, &long);
+    let waiting: Vec<u64> = (0..16).map(|_| play(&mut client, &long)).collect();
+    let refused = problem(client.post("/v1/play", &long));
+    assert_eq!((refused.code.as_str(), refused.status), ("queue-full", 429));
+    let receipt: Value = client.get(&format!("/v1/plays/{}", waiting[15])).unwrap();
+    assert!(receipt["state"] == "queued" && receipt["bursts"].is_null());
+    let mut events = client.events().unwrap();
+    let instead = play(&mut client, &json!({"pattern": "pin-60", "replace": true}));
+    next(&mut events, |event| matches!(event, Event::Began { id, .. } if *id == instead));
+    for id in waiting.into_iter().chain([running]) {
+        let receipt: Value = client.get(&format!("/v1/plays/{id}")).unwrap();
+        assert_eq!(receipt["state"], "stopped", "{receipt}");
+    }
+    let refused = problem(client.post("/v1/play", &long));
+    assert_eq!((refused.code.as_str(), refused.status), ("behind-endless", 409));
+    let status: Value = client.post("/v1/stop", &json!({})).unwrap();
+    assert_ne!(status["state"], "disarmed");
+    next(&mut events, |event| matches!(event, Event::Ended { receipt } if receipt.id == instead));
+    assert_accounts(&client.get(&format!("/v1/plays/{running}")).unwrap());
+}
+
+#[test]
+fn an_emergency_stop_is_latched() {
+    let daemon = Daemon::start();
+    let mut client = daemon.armed();
+    let mut events = client.events().unwrap();
+    let id = play(&mut client, &json!({"pattern": "all-in-phase"}));
+    next(&mut events, |event| matches!(event, Event::Began { .. }));
+    let status: Value = client.post("/v1/estop", &json!({})).unwrap();
+    assert_eq!((&status["state"], &status["cause"]), (&"faulted".into(), &"estop".into()));
+    next(&mut events, |event| matches!(event, Event::Ended { receipt } if receipt.id == id));
+    assert_eq!(client.get::<Value>("/v1/plays/last").unwrap()["state"], "stopped");
+    assert_eq!(problem(client.post("/v1/play", &json!({"pattern": "edge-45"}))).code, "faulted");
+    let status: Value = client.post("/v1/reset", &json!({})).unwrap();
+    assert_eq!(status["state"], "disarmed");
+}
+
+#[test]
+fn an_onset_can_be_asked_for_by_tick_and_by_delay() {
+    let daemon = Daemon::start();
+    let mut client = daemon.armed();
+    let mut events = client.events().unwrap();
+    let tick = client.get::<Value>("/v1/status").unwrap()["tick"].as_u64().unwrap() + 85_000;
+    let id = play(&mut client, &json!({"pattern": "edge-45", "seconds": 0.2, "at_tick": tick}));
+    next(&mut events, |event| matches!(event, Event::Ended { receipt } if receipt.id == id));
+    let receipt: Value = client.get(&format!("/v1/plays/{id}")).unwrap();
+    assert_eq!(receipt["onset"]["requested_tick"], tick);
+    let id = play(&mut client, &json!({"pattern": "edge-45", "seconds": 0.2, "at_ms": 200.0}));
+    next(&mut events, |event| matches!(event, Event::Ended { receipt } if receipt.id == id));
+    let refused = problem(client.post("/v1/play", &json!({"pattern": "edge-45", "at_tick": 5})));
+    assert_eq!((refused.code.as_str(), refused.status), ("too-soon", 409));
+    let refused =
+        problem(client.post("/v1/play", &json!({"pattern": "edge-45", "at_tick": tick, "boot": 0})));
+    assert_eq!((refused.code.as_str(), refused.status), ("stale-boot", 409));
+}
+
+#[test]
+fn patterns_are_listed_shown_and_stored() {
+    let daemon = Daemon::start();
+    let mut client = daemon.client();
+    let text = "format = 1\nname = \"mine\"\n[[drive]]\nmotor = 3\nfrequency_hz = 300.0\namplitude_um = 80\n";
+    let imported: Value = client.put("/v1/patterns/mine", text.to_owned()).unwrap();
+    assert!(imported["warnings"][0].as_str().unwrap().contains("saturated"));
+    let shown: Value = client.get("/v1/patterns/mine").unwrap();
+    assert_eq!((&shown["pattern"]["drive"][0]["motor"], &shown["library"]), (&3.into(), &false.into()));
+    assert_eq!(shown["sha256"], imported["sha256"]);
+    let list: Value = client.get("/v1/patterns").unwrap();
+    let names: Vec<_> = list["patterns"].as_array().unwrap().iter().map(|entry| &entry["name"]).collect();
+    assert!(names.contains(&&"mine".into()) && names.contains(&&"edge-45".into()), "{list}");
+    assert_eq!(problem(client.put("/v1/patterns/edge-45", text.to_owned())).code, "exists");
+    let refused = problem(client.put("/v1/patterns/other", text.to_owned()));
+    assert_eq!((refused.code.as_str(), refused.status), ("bad-pattern", 422));
+}
+
+#[test]
+fn every_error_is_a_problem() {
+    let daemon = Daemon::start();
+    let mut client = daemon.client();
+    assert_eq!(problem(client.get("/v1/nothing")).code, "not-found");
+    assert_eq!(problem(client.get("/")).code, "not-found");
+    assert_eq!(problem(client.get("/v1/patterns/%FF")).code, "bad-request");
+    assert_eq!(problem(client.get("/v1/plays/soon")).code, "bad-request");
+    assert_eq!(problem(client.get("/v1/plays/99")).code, "not-found");
+    assert_eq!(problem(client.put("/v1/status", String::new())).code, "method-not-allowed");
+    assert_eq!(problem(client.put("/v1/patterns/x", "#".repeat(MAX_BODY + 1))).code, "too-large");
+    let refused = problem(client.post("/v1/play", &json!({"patern": "edge-45"})));
+    assert!(refused.code == "bad-request" && refused.detail.contains("did you mean `pattern`?"));
+    let refused = problem(client.post("/v1/play", &json!({"pattern": "edge-45", "seconds": -1})));
+    assert!(refused.code == "bad-request" && refused.detail.contains("`seconds`"), "{refused:?}");
+    let refused = problem(client.post("/v1/stop", &json!({"now": true})));
+    assert!(refused.detail.contains("`now`"));
+    let answer = daemon.raw(
+        b"POST /v1/play HTTP/1.1\r\nhost: x\r\ncontent-length: 9\r\nconnection: close\r\n\r\n{\"pattern",
+    );
+    assert!(answer.contains("application/problem+json") && answer.contains("bad-request"), "{answer}");
+}
+
+#[test]
+fn metrics_count_what_was_played() {
+    let daemon = Daemon::start();
+    let mut client = daemon.armed();
+    let mut events = client.events().unwrap();
+    play(&mut client, &json!({"pattern": "edge-45", "seconds": 0.2}));
+    next(&mut events, |event| matches!(event, Event::Ended { .. }));
+    let text = daemon.raw(b"GET /v1/metrics HTTP/1.1\r\nhost: x\r\nconnection: close\r\n\r\n");
+    assert!(text.contains("meissner_plays_total{end=\"done\"} 1\n"), "{text}");
+    assert!(text.contains("meissner_state{state=\"armed\"} 1\n"), "{text}");
+}
+
+#[test]
+fn told_to_end_it_ends_streams_and_takes_its_socket_along() {
+    let mut daemon = Daemon::start();
+    let mut client = daemon.armed();
+    let mut events = client.events().unwrap();
+    play(&mut client, &json!({"pattern": "all-in-phase"}));
+    next(&mut events, |event| matches!(event, Event::Began { .. }));
+    daemon.signal(Signal::TERM);
+    let Event::Ended { receipt } = next(&mut events, |event| matches!(event, Event::Ended { .. })) else {
+        unreachable!()
+    };
+    assert_eq!(receipt.state, PlayState::Stopped);
+    while events.next(PATIENCE).unwrap().is_some() {}
+    assert!(daemon.wait().success());
+    assert!(!daemon.socket().exists());
+}
+
+#[test]
+fn who_changed_something_is_in_the_log() {
+    let daemon = Daemon::start();
+    let _client = daemon.armed();
+    let line = format!("pid={}", std::process::id());
+    assert!(daemon.log().lines().any(|log| log.contains("arm") && log.contains(&line)), "{}", daemon.log());
+}

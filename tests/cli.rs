@@ -1,0 +1,138 @@
+use crate::harness::{Daemon, assert_accounts, complaint, document, meissner, printed, write_pattern};
+use serde_json::json;
+
+#[test]
+fn a_play_is_ordered_waited_for_and_summed_up() {
+    let daemon = Daemon::start();
+    assert!(complaint(daemon.meissner().args(["play", "edge-45"])).contains("meissner arm"));
+    assert!(printed(daemon.meissner().args(["arm", "--assume-rest"])).starts_with("armed"));
+    let text = printed(daemon.meissner().args(["play", "edge-45", "--seconds", "0.3", "--wait"]));
+    assert!(text.contains("play 2 began at tick") && text.contains("state       done"), "{text}");
+    let receipt = document(daemon.meissner().args(["receipt", "--json"]));
+    assert_accounts(&receipt);
+    let played = document(daemon.meissner().args(["play", "pin-60", "--at", "+1", "--json"]));
+    assert_eq!(played["id"], 3);
+    printed(daemon.meissner().arg("stop"));
+    assert!(printed(daemon.meissner().arg("estop")).starts_with("faulted"));
+    assert!(complaint(daemon.meissner().args(["play", "pin-60"])).contains("meissner reset"));
+    assert!(printed(daemon.meissner().arg("reset")).starts_with("disarmed"));
+    let status = document(daemon.meissner().args(["status", "--json"]));
+    assert_eq!(status["state"], "disarmed");
+}
+
+#[test]
+fn a_play_that_was_cut_exits_with_1() {
+    let daemon = Daemon::start();
+    let mut client = daemon.armed();
+    let waiting = std::thread::spawn({
+        let mut command = daemon.meissner();
+        move || {
+            command.args(["play", "pin-60", "--wait", "--json"]).assert().code(1).get_output().stdout.clone()
+        }
+    });
+    let playing = |status: serde_json::Value| !status["play"].is_null();
+    while !playing(client.get("/v1/status").unwrap()) {
+        std::thread::sleep(std::time::Duration::from_millis(10));
+    }
+    let _: serde_json::Value = client.post("/v1/stop", &json!({})).unwrap();
+    let receipt: serde_json::Value = serde_json::from_slice(&waiting.join().unwrap()).unwrap();
+    assert_eq!(receipt["state"], "stopped");
+    assert_accounts(&receipt);
+}
+
+#[test]
+fn patterns_are_listed_shown_and_imported() {
+    let daemon = Daemon::start();
+    assert!(printed(daemon.meissner().arg("list")).contains("edge-45"));
+    assert!(printed(daemon.meissner().args(["show", "edge-45"])).contains("60.0 Hz"));
+    write_pattern(&daemon.path("f.toml"), "mine", "");
+    let imported = document(daemon.meissner().args(["import", "f.toml", "--json"]));
+    assert_eq!(imported["name"], "mine");
+    let shown = document(daemon.meissner().args(["show", "mine", "--json"]));
+    assert_eq!(shown["sha256"], imported["sha256"]);
+}
+
+#[test]
+fn the_motor_needs_no_daemon() {
+    let steady =
+        document(meissner().args(["motor", "--frequency-hz", "60", "--amplitude-um", "80", "--json"]));
+    assert!(
+        (steady["peak_to_peak_um"].as_f64().unwrap() - 68.706).abs() < 0.001 && steady["saturated"] == false
+    );
+    assert_eq!(steady["pulses"], 589);
+    for hz in ["-60", "0", "NaN"] {
+        let line = complaint(meissner().args(["motor", "--frequency-hz", hz, "--amplitude-um", "80"]));
+        assert!(line.contains("frequency"), "{line}");
+    }
+}
+
+#[test]
+fn without_a_daemon_every_client_command_says_so() {
+    for command in ["stop", "estop", "reset", "arm", "disarm", "list", "status", "events", "receipt"] {
+        let line = complaint(meissner().arg(command));
+        assert!(
+            line.contains("no daemon answers at /nonexistent/m.sock: start one with `meissner daemon`"),
+            "{line}"
+        );
+    }
+    let line = complaint(meissner().args(["stop", "--socket", "/nowhere/s"]));
+    assert!(line.contains("/nowhere/s"), "--socket goes before the environment: {line}");
+}
+
+#[test]
+fn what_cannot_be_understood_exits_with_2() {
+    for arguments in [
+        &["paly"][..],
+        &["play"],
+        &["play", "x", "--at", "soon"],
+        &["play", "x", "--late", "never"],
+        &["daemon", "--device", "uart"],
+        &["stop", "--now"],
+        &["home"],
+    ] {
+        meissner().args(arguments).assert().code(2);
+    }
+}
+
+#[test]
+fn the_doctor_measures_and_says_what_keeps_it_from_playing() {
+    let output = meissner().args(["doctor", "--json"]).assert().code(1).get_output().stdout.clone();
+    let report: serde_json::Value = serde_json::from_slice(&output).unwrap();
+    assert!(report["wake_up"]["p50_us"].as_f64().unwrap() > 0.0 && report["ok"] == false);
+    let daemon = Daemon::start();
+    let report = document(daemon.meissner().args(["doctor", "--json"]));
+    let findings = report["findings"].as_array().unwrap();
+    for what in ["SCHED_FIFO", "mlockall", "timers", "daemon", "device", "state", "clock"] {
+        let finding = findings.iter().find(|finding| finding["what"] == what).unwrap();
+        assert_eq!(finding["level"] == "ok", finding["advice"] == "", "{finding}");
+    }
+}
+
+#[test]
+fn the_demo_plays_an_edge_and_accounts_for_it() {
+    let mut command = meissner();
+    // Late strokes on a busy machine are no failure of this test: what counts is that they are counted.
+    let output = command.args(["demo", "--seconds", "1", "--json"]).output().unwrap();
+    let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_accounts(&report);
+    let all_played = report["bursts"]["played"] == report["bursts"]["planned"];
+    assert_eq!(output.status.success(), all_played, "{report}");
+    assert_eq!((&report["pattern"], &report["device"]), (&"edge-45".into(), &"mock".into()));
+    assert_eq!((&report["seconds"], &report["lead_ms"]), (&1.0.into(), &100.0.into()));
+    for (group, figure) in [
+        ("pulses", "planned"),
+        ("pulses", "played"),
+        ("wire", "bytes_to_device"),
+        ("wire", "bytes_per_burst"),
+        ("wire", "bytes_per_burst_open_loop"),
+        ("rest_error_um", "open_loop_rms"),
+        ("rest_error_um", "closed_loop_rms"),
+        ("rest_error_um", "max"),
+    ] {
+        assert!(report[group][figure].as_f64().unwrap() > 0.0, "{group}.{figure}: {report}");
+    }
+    assert!(
+        report["onset_latency_ms"].as_f64().unwrap() > 0.0 && report["duration_s"].as_f64().unwrap() > 1.0
+    );
+    assert!(report["realtime"]["fifo"].is_boolean() && report["realtime"]["mlock"].is_boolean());
+}

@@ -1,0 +1,41 @@
+use crate::harness::{Daemon, problem};
+use meissner::api::MAX_CLIENTS;
+use meissner::client::Client;
+use meissner::record::Event;
+use serde_json::{Value, json};
+use std::time::Duration;
+
+#[test]
+fn the_65th_client_is_told_so_and_the_others_go_on() {
+    let daemon = Daemon::start();
+    let mut clients: Vec<Client> = (0..MAX_CLIENTS).map(|_| daemon.client()).collect();
+    for client in &mut clients {
+        client.get::<Value>("/v1/status").unwrap();
+    }
+    for _ in 0..3 {
+        let refused = problem(daemon.client().get("/v1/status"));
+        assert_eq!((refused.code.as_str(), refused.status), ("too-many-clients", 503));
+    }
+    for client in &mut clients {
+        client.get::<Value>("/v1/status").unwrap();
+    }
+    clients.pop();
+    let lets_in = |_| {
+        std::thread::sleep(Duration::from_millis(5));
+        daemon.client().get::<Value>("/v1/status").is_ok()
+    };
+    assert!((0..2000).any(lets_in), "a place that was left is free again");
+}
+
+#[test]
+fn a_listener_that_does_not_read_holds_nobody_up() {
+    let daemon = Daemon::start();
+    let mut client = daemon.armed();
+    let _deaf: Vec<_> = (0..8).map(|_| client.events().unwrap()).collect();
+    let mut events = client.events().unwrap();
+    for _ in 0..50 {
+        let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.01})).unwrap();
+        while !matches!(events.next(Some(Duration::from_secs(20))).unwrap(), Some(Event::Ended { .. })) {}
+    }
+    client.get::<Value>("/v1/status").unwrap();
+}

@@ -1,0 +1,179 @@
+use assert_cmd::Command;
+use meissner::api::{Problem, Status};
+use meissner::client::{Client, ClientError};
+use serde_json::{Value, json};
+use std::fs::{self, File};
+use std::io::{Read, Write};
+use std::os::unix::net::UnixStream;
+use std::path::{Path, PathBuf};
+use std::process::{Child, ExitStatus, Stdio};
+use std::thread;
+use std::time::{Duration, Instant};
+use tempfile::TempDir;
+
+/// For whatever must happen some time: far longer than it takes on a slow machine.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+/// A real daemon on the mock, in a directory of its own; gone with this.
+pub(crate) struct Daemon {
+    child: Child,
+    dir: TempDir,
+}
+
+impl Daemon {
+    /// One whose device is connected.
+    pub(crate) fn start() -> Self {
+        Self::with("")
+    }
+
+    /// One with these lines at the head of its configuration.
+    pub(crate) fn with(config: &str) -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        fs::create_dir(dir.path().join("patterns")).unwrap();
+        let patterns = dir.path().join("patterns");
+        let config = format!("patterns_dir = {patterns:?}\n{config}");
+        fs::write(dir.path().join("meissner.toml"), config).unwrap();
+        let log = File::create(dir.path().join("log")).unwrap();
+        let child = std::process::Command::new(env!("CARGO_BIN_EXE_meissner"))
+            .args(["daemon", "--device", "mock", "--config"])
+            .arg(dir.path().join("meissner.toml"))
+            .env("MEISSNER_SOCKET", dir.path().join("m.sock"))
+            .env_remove("RUST_LOG")
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(log)
+            .spawn()
+            .unwrap();
+        let mut daemon = Self { child, dir };
+        daemon.wait_for_device();
+        daemon
+    }
+
+    fn wait_for_device(&mut self) {
+        let mut client = self.client();
+        let begun = Instant::now();
+        while !client.get::<Status>("/v1/status").is_ok_and(|status| status.is_connected()) {
+            let ended = self.child.try_wait().unwrap();
+            assert!(ended.is_none() && begun.elapsed() < PATIENCE, "no device ({ended:?}):\n{}", self.log());
+            thread::sleep(Duration::from_millis(10));
+        }
+    }
+
+    pub(crate) fn path(&self, name: &str) -> PathBuf {
+        self.dir.path().join(name)
+    }
+
+    pub(crate) fn socket(&self) -> PathBuf {
+        self.path("m.sock")
+    }
+
+    pub(crate) fn log(&self) -> String {
+        fs::read_to_string(self.path("log")).unwrap()
+    }
+
+    pub(crate) fn client(&self) -> Client {
+        Client::new(&self.socket()).unwrap()
+    }
+
+    /// A client of an armed daemon.
+    pub(crate) fn armed(&self) -> Client {
+        let mut client = self.client();
+        let _: Status = client.post("/v1/arm", &json!({"assume_rest": true})).unwrap();
+        client
+    }
+
+    /// The command line, speaking to this daemon.
+    pub(crate) fn meissner(&self) -> Command {
+        let mut command = meissner();
+        command.env("MEISSNER_SOCKET", self.socket()).current_dir(self.dir.path());
+        command
+    }
+
+    /// Sends a request that asks for the connection's end, and reads until then.
+    pub(crate) fn raw(&self, bytes: &[u8]) -> String {
+        let mut stream = UnixStream::connect(self.socket()).unwrap();
+        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        stream.write_all(bytes).unwrap();
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).unwrap();
+        answer
+    }
+
+    pub(crate) fn signal(&self, signal: rustix::process::Signal) {
+        let pid = rustix::process::Pid::from_child(&self.child);
+        rustix::process::kill_process(pid, signal).unwrap();
+    }
+
+    /// Waits until it has ended.
+    pub(crate) fn wait(&mut self) -> ExitStatus {
+        let begun = Instant::now();
+        loop {
+            if let Some(status) = self.child.try_wait().unwrap() {
+                return status;
+            }
+            assert!(begun.elapsed() < PATIENCE, "it does not end:\n{}", self.log());
+            thread::sleep(Duration::from_millis(10));
+        }
+    }
+}
+
+impl Drop for Daemon {
+    fn drop(&mut self) {
+        if self.child.try_wait().is_ok_and(|ended| ended.is_none()) {
+            let _ = self.child.kill();
+            let _ = self.child.wait();
+        }
+        if thread::panicking() {
+            eprintln!("the daemon's log:\n{}", fs::read_to_string(self.path("log")).unwrap_or_default());
+        }
+    }
+}
+
+/// The command line, without a daemon.
+pub(crate) fn meissner() -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_meissner"));
+    command.env_remove("RUST_LOG").env("MEISSNER_SOCKET", "/nonexistent/m.sock").timeout(PATIENCE);
+    command
+}
+
+/// What a command said when it failed: exit 1 and one line on stderr.
+pub(crate) fn complaint(command: &mut Command) -> String {
+    let output = command.assert().failure().code(1).get_output().clone();
+    let line = String::from_utf8(output.stderr).unwrap();
+    assert!(line.starts_with("meissner: ") && line.trim_end().lines().count() == 1, "{line}");
+    assert!(output.stdout.is_empty(), "{:?}", output.stdout);
+    line
+}
+
+/// What a command printed when it succeeded.
+pub(crate) fn printed(command: &mut Command) -> String {
+    String::from_utf8(command.assert().success().get_output().stdout.clone()).unwrap()
+}
+
+/// The one document a command printed when it succeeded.
+pub(crate) fn document(command: &mut Command) -> Value {
+    serde_json::from_str(&printed(command)).unwrap()
+}
+
+/// The problem a call came to.
+pub(crate) fn problem(answer: Result<Value, ClientError>) -> Problem {
+    match answer {
+        Err(ClientError::Problem(problem)) => {
+            assert!(!problem.detail.contains('\n') && !problem.detail.is_empty());
+            problem
+        }
+        other => panic!("{other:?}"),
+    }
+}
+
+/// `planned = played + late + dropped + refused`, and something was planned.
+pub(crate) fn assert_accounts(receipt: &Value) {
+    let of = |fate: &str| receipt["bursts"][fate].as_u64().unwrap();
+    assert_eq!(of("planned"), of("played") + of("late") + of("dropped") + of("refused"), "{receipt}");
+    assert!(of("planned") > 0, "{receipt}");
+}
+
+/// Writes a pattern file.
+pub(crate) fn write_pattern(path: &Path, name: &str, drives: &str) {
+    fs::write(path, format!("format = 1\nname = \"{name}\"\n{drives}")).unwrap();
+}

@@ -1,0 +1,50 @@
+use meissner::config::{Config, PatternsDir};
+use meissner::device::Spec;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// The example holds every key, commented with its meaning, at its default.
+#[test]
+fn the_example_configuration_is_the_default() {
+    let file = root().join("deploy/meissner.toml");
+    let mut config = Config::read(&file).unwrap();
+    let default = Config::default();
+    assert_eq!(config.patterns, PatternsDir::Configured(PathBuf::from("/var/lib/meissner/patterns")));
+    assert_eq!(config.socket, PathBuf::from("/run/meissner/meissner.sock"));
+    assert_eq!(config.device, Spec::Auto);
+    (config.patterns, config.socket) = (default.patterns.clone(), default.socket.clone());
+    assert_eq!(config, default);
+}
+
+/// The blocks of the README that begin with ```sh, in order, in one shell that stops at the first failure.
+///
+/// A block is run from the root with the built program on the path as `meissner`, and with `cargo run --release --`
+/// and a bare `cargo test` standing for it and for nothing: both were built and run already. What is not to be run
+/// is marked with another word than `sh`.
+#[test]
+fn every_command_of_the_readme_works() {
+    let Ok(text) = fs::read_to_string(root().join("README.md")) else { return };
+    let blocks = text.split("```sh\n").skip(1).filter_map(|rest| rest.split("```").next());
+    let dir = tempfile::tempdir().unwrap();
+    let program = Path::new(env!("CARGO_BIN_EXE_meissner"));
+    let head = "set -euo pipefail\ntrap 'kill $(jobs -p) 2>/dev/null || true; wait' EXIT\n\
+                cargo() { case \"$1\" in run) shift; while [ \"$1\" != -- ]; do shift; done; shift; meissner \"$@\";; \
+                test) ;; *) command cargo \"$@\";; esac; }\n";
+    let script: String = std::iter::once(head).chain(blocks).collect();
+    let path = format!("{}:{}", program.parent().unwrap().display(), std::env::var("PATH").unwrap());
+    let output = Command::new("bash")
+        .args(["-c", &script])
+        .current_dir(root())
+        .env("PATH", path)
+        .env("MEISSNER_SOCKET", dir.path().join("m.sock"))
+        .env("XDG_DATA_HOME", dir.path())
+        .env_remove("STATE_DIRECTORY")
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{script}\n{}", String::from_utf8_lossy(&output.stderr));
+}
