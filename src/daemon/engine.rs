@@ -187,7 +187,7 @@ impl Engine {
             bell.readable().await?.clear_ready();
             // Silenced before it is drained: what comes in between rings again.
             notices.silence();
-            while let Some(notice) = notices.next() {
+            while let Some(notice) = notices.pop() {
                 if matches!(notice, Notice::Bye) {
                     return Ok(());
                 }
