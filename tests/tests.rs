@@ -21,9 +21,11 @@ mod patterns;
 mod plant;
 /// What the README and the example configuration say is true.
 mod readme;
-/// From patterns to strokes: exact ticks, repeats and cuts, invariants on random patterns.
+/// A streamer and a mock in virtual time whose lines are compared with compiled strokes.
 mod rig;
+/// The streamer against the mock: tick for tick, over bad lines, through stalls, stops and pulled cables.
 mod streaming;
+/// From patterns to strokes: exact ticks, repeats and cuts, invariants on random patterns.
 mod strokes;
 
 /// Lets `assert_no_alloc` see every allocation of the tests.

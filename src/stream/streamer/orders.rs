@@ -50,14 +50,11 @@ impl Streamer {
         self.snapshot_due = now;
     }
 
+    /// Whether commands can be given: they wait for a handshake that is under way.
     fn ready(&self) -> Result<(), Refused> {
-        if self.latched {
-            return Err(Refused::Faulted);
-        }
-        let session = self.session.as_ref().filter(|session| session.is_open());
-        let (Some(_), Some((status, _))) = (session, &self.status) else { return Err(Refused::NoDevice) };
-        match status.state {
-            State::Faulted => Err(Refused::Faulted),
+        match (&self.session, self.state()) {
+            (None, _) if !self.latched => Err(Refused::NoDevice),
+            (_, State::Faulted) => Err(Refused::Faulted),
             _ => Ok(()),
         }
     }
