@@ -28,6 +28,15 @@ impl Daemon {
 
     /// One with these lines at the head of its configuration.
     pub(crate) fn with(config: &str) -> Self {
+        Self::spawn("mock", config)
+    }
+
+    /// One that drives this device.
+    pub(crate) fn on(device: &str) -> Self {
+        Self::spawn(device, "")
+    }
+
+    fn spawn(device: &str, config: &str) -> Self {
         let dir = tempfile::tempdir().unwrap();
         fs::create_dir(dir.path().join("patterns")).unwrap();
         let patterns = dir.path().join("patterns");
@@ -35,7 +44,7 @@ impl Daemon {
         fs::write(dir.path().join("meissner.toml"), config).unwrap();
         let log = File::create(dir.path().join("log")).unwrap();
         let child = std::process::Command::new(env!("CARGO_BIN_EXE_meissner"))
-            .args(["daemon", "--device", "mock", "--config"])
+            .args(["daemon", "--device", device, "--config"])
             .arg(dir.path().join("meissner.toml"))
             .env("MEISSNER_SOCKET", dir.path().join("m.sock"))
             .env_remove("RUST_LOG")

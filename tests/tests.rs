@@ -19,6 +19,8 @@ mod models;
 mod patterns;
 /// The simulated shafts: scatter, end stops, telemetry, and times a month away.
 mod plant;
+/// A whole session through a pseudo-terminal and the serial transport; the daemon ended and killed in mid-play.
+mod pty;
 /// What the README and the example configuration say is true.
 mod readme;
 /// A streamer and a mock in virtual time whose lines are compared with compiled strokes.

@@ -108,6 +108,11 @@ impl WallMock {
         Ok(Self { mock: Mock::new(*plant, boot)?, started: now })
     }
 
+    /// The mock itself.
+    pub fn mock(&mut self) -> &mut Mock {
+        &mut self.mock
+    }
+
     /// Takes in what was written, runs up to `now` and hands out what the controller sent.
     fn read(&mut self, now: HostInstant, bytes: &mut [u8]) -> usize {
         let ns = now.since(self.started).as_nanos() as u64;

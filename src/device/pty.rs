@@ -26,7 +26,7 @@ pub struct PtyMock {
     path: PathBuf,
     stop: Arc<OwnedFd>,
     truth: Arc<Truth>,
-    thread: Option<JoinHandle<()>>,
+    thread: Option<JoinHandle<WallMock>>,
 }
 
 impl PtyMock {
@@ -67,6 +67,17 @@ impl PtyMock {
         &self.path
     }
 
+    /// Ends the thread and gives the mock back as it stands: `None` if the thread has panicked.
+    #[must_use]
+    pub fn unwrap_mock(mut self) -> Option<WallMock> {
+        self.end()
+    }
+
+    fn end(&mut self) -> Option<WallMock> {
+        let _ = rustix::io::write(&self.stop, &1u64.to_ne_bytes());
+        self.thread.take()?.join().ok()
+    }
+
     /// What the shafts really did.
     #[must_use]
     pub fn truth(&self) -> Arc<Truth> {
@@ -76,14 +87,11 @@ impl PtyMock {
 
 impl Drop for PtyMock {
     fn drop(&mut self) {
-        let _ = rustix::io::write(&self.stop, &1u64.to_ne_bytes());
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
-        }
+        self.end();
     }
 }
 
-fn serve(mut mock: WallMock, master: &OwnedFd, stop: &OwnedFd) {
+fn serve(mut mock: WallMock, master: &OwnedFd, stop: &OwnedFd) -> WallMock {
     let (mut bytes, mut unsent) = ([0; 4096], 0..0);
     let mut outgoing = [0; 4096];
     let mut plugged = false;
@@ -104,7 +112,7 @@ fn serve(mut mock: WallMock, master: &OwnedFd, stop: &OwnedFd) {
         let watched = if plugged { 2 } else { 1 };
         let _ = poll(&mut ready[..watched], Some(&timeout));
         if !ready[0].revents().is_empty() {
-            return;
+            return mock;
         }
         loop {
             match rustix::io::read(master, &mut bytes) {
