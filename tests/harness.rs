@@ -14,7 +14,7 @@ use tempfile::TempDir;
 /// For whatever must happen some time: far longer than it takes on a slow machine.
 const PATIENCE: Duration = Duration::from_secs(20);
 
-/// A real daemon on the mock, in a directory of its own; gone with this.
+/// A real daemon on a simulated device, in a directory of its own; gone with this.
 pub(crate) struct Daemon {
     child: Child,
     dir: TempDir,
@@ -23,11 +23,16 @@ pub(crate) struct Daemon {
 impl Daemon {
     /// One whose device is connected.
     pub(crate) fn start() -> Self {
-        Self::with("")
+        Self::on("mock")
     }
 
-    /// One with these lines at the head of its configuration.
-    pub(crate) fn with(config: &str) -> Self {
+    /// One on this device. Its lease is long, so that a stall of a busy test machine does not disarm.
+    pub(crate) fn on(device: &str) -> Self {
+        Self::with(device, "lease_ms = 5000\n")
+    }
+
+    /// One on this device, with these lines in its configuration.
+    pub(crate) fn with(device: &str, config: &str) -> Self {
         let dir = tempfile::tempdir().unwrap();
         fs::create_dir(dir.path().join("patterns")).unwrap();
         let patterns = dir.path().join("patterns");
@@ -35,7 +40,7 @@ impl Daemon {
         fs::write(dir.path().join("meissner.toml"), config).unwrap();
         let log = File::create(dir.path().join("log")).unwrap();
         let child = std::process::Command::new(env!("CARGO_BIN_EXE_meissner"))
-            .args(["daemon", "--device", "mock", "--config"])
+            .args(["daemon", "--device", device, "--config"])
             .arg(dir.path().join("meissner.toml"))
             .env("MEISSNER_SOCKET", dir.path().join("m.sock"))
             .env_remove("RUST_LOG")
