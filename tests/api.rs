@@ -4,6 +4,7 @@ use meissner::client::{Client, Events};
 use meissner::record::{Event, PlayState};
 use rustix::process::Signal;
 use serde_json::{Value, json};
+use std::thread;
 use std::time::Duration;
 
 const PATIENCE: Option<Duration> = Some(Duration::from_secs(20));
@@ -29,7 +30,7 @@ fn the_status_is_complete_from_the_start() {
     assert_eq!(status["device"]["kind"], "mock");
     assert!(status["tick"].as_u64().unwrap() > 1 << 31);
     assert!(status["play"].is_null() && status["queued"].as_array().unwrap().is_empty());
-    assert_eq!((&status["lead_ms"], &status["lease_ms"]), (&100.0.into(), &300.0.into()));
+    assert_eq!((&status["lead_ms"], &status["lease_ms"]), (&100.0.into(), &5000.0.into()));
     assert_eq!(status["motors"].as_array().unwrap().len(), 24);
 }
 
@@ -45,6 +46,17 @@ fn nothing_is_played_before_a_person_has_armed() {
     let status: Value = client.post("/v1/arm", &json!({"assume_rest": true})).unwrap();
     assert_eq!((&status["state"], &status["position"]), (&"armed".into(), &"known".into()));
     assert_eq!(problem(client.get("/v1/plays/last")).code, "not-found");
+}
+
+/// The lease counts from the arming, not from the last keep-alive of an idle second before it.
+#[test]
+fn a_device_that_was_idle_stays_armed() {
+    let daemon = Daemon::with("mock", "lease_ms = 500\n");
+    thread::sleep(Duration::from_millis(1_800));
+    let mut client = daemon.armed();
+    thread::sleep(Duration::from_millis(300));
+    let status: Value = client.get("/v1/status").unwrap();
+    assert_eq!(status["state"], "armed", "{status}");
 }
 
 #[test]

@@ -1,4 +1,5 @@
 use crate::harness::{Daemon, assert_accounts, complaint, document, meissner, printed, write_pattern};
+use rustix::process::Signal;
 use serde_json::json;
 
 #[test]
@@ -38,6 +39,36 @@ fn a_play_that_was_cut_exits_with_1() {
     let receipt: serde_json::Value = serde_json::from_slice(&waiting.join().unwrap()).unwrap();
     assert_eq!(receipt["state"], "stopped");
     assert_accounts(&receipt);
+}
+
+#[test]
+fn a_session_over_a_pseudo_terminal() {
+    let mut daemon = Daemon::on("pty");
+    assert!(
+        document(daemon.meissner().args(["status", "--json"]))["device"]["kind"]
+            .as_str()
+            .unwrap()
+            .starts_with("pty:")
+    );
+    printed(daemon.meissner().args(["arm", "--assume-rest"]));
+    // Whatever of it comes late on a busy machine: it is counted.
+    daemon.meissner().args(["play", "edge-45", "--seconds", "0.5", "--wait"]).output().unwrap();
+    let receipt = document(daemon.meissner().args(["receipt", "--json"]));
+    assert_eq!(receipt["state"], "done", "{receipt}");
+    assert_accounts(&receipt);
+    printed(daemon.meissner().args(["play", "wave"]));
+    daemon.signal(Signal::TERM);
+    assert!(daemon.wait().success() && !daemon.socket().exists(), "{}", daemon.log());
+}
+
+#[test]
+fn a_daemon_killed_in_mid_play_can_be_started_again() {
+    let mut daemon = Daemon::on("pty");
+    let _client = daemon.armed();
+    printed(daemon.meissner().args(["play", "wave"]));
+    daemon.signal(Signal::KILL);
+    assert!(!daemon.wait().success());
+    assert!(complaint(daemon.meissner().arg("stop")).contains("no daemon answers"));
 }
 
 #[test]

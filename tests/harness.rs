@@ -14,7 +14,7 @@ use tempfile::TempDir;
 /// For whatever must happen some time: far longer than it takes on a slow machine.
 const PATIENCE: Duration = Duration::from_secs(20);
 
-/// A real daemon on the mock, in a directory of its own; gone with this.
+/// A real daemon on a simulated device, in a directory of its own; gone with this.
 pub(crate) struct Daemon {
     child: Child,
     dir: TempDir,
@@ -23,20 +23,16 @@ pub(crate) struct Daemon {
 impl Daemon {
     /// One whose device is connected.
     pub(crate) fn start() -> Self {
-        Self::with("")
+        Self::on("mock")
     }
 
-    /// One with these lines at the head of its configuration.
-    pub(crate) fn with(config: &str) -> Self {
-        Self::spawn("mock", config)
-    }
-
-    /// One that drives this device.
+    /// One on this device. Its lease is long, so that a stall of a busy test machine does not disarm.
     pub(crate) fn on(device: &str) -> Self {
-        Self::spawn(device, "")
+        Self::with(device, "lease_ms = 5000\n")
     }
 
-    fn spawn(device: &str, config: &str) -> Self {
+    /// One on this device, with these lines in its configuration.
+    pub(crate) fn with(device: &str, config: &str) -> Self {
         let dir = tempfile::tempdir().unwrap();
         fs::create_dir(dir.path().join("patterns")).unwrap();
         let patterns = dir.path().join("patterns");

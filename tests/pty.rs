@@ -34,7 +34,7 @@ fn a_session_over_a_terminal_plays_and_accounts() {
 /// A daemon on a board of ours in mid-play, its pins half way.
 fn in_mid_play() -> (PtyMock, Daemon) {
     let board = board();
-    let daemon = Daemon::on(&format!("serial:{}", board.path().display()));
+    let daemon = Daemon::with(&format!("serial:{}", board.path().display()), "lease_ms = 600\n");
     let mut client = daemon.armed();
     let _: serde_json::Value =
         client.post("/v1/play", &json!({"pattern": "all-in-phase", "seconds": 60})).unwrap();
@@ -77,7 +77,7 @@ fn a_daemon_killed_in_mid_play_leaves_a_board_that_returns_the_pins() {
 fn a_daemon_that_hangs_in_mid_play_leaves_a_board_that_returns_the_pins() {
     let (board, daemon) = in_mid_play();
     daemon.signal(Signal::STOP);
-    sleep(Duration::from_millis(800));
+    sleep(Duration::from_millis(1500));
     daemon.signal(Signal::KILL);
     assert_returned(board, &[Cause::Lease]);
 }
