@@ -1,11 +1,17 @@
 //! The streamer against the mock in virtual time: what comes out of the lines is what was compiled.
 
 use crate::rig::{self, Rig, bad_line};
+use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::message::State;
+use firmware_protocol::tick::Tick;
+use meissner::device::mock::Mock;
+use meissner::link::LineRate;
 use meissner::pattern::{Drive, Pattern};
 use meissner::plant::PlantConfig;
-use meissner::stream::port::{At, End, Job, LateCause, LatePolicy, Notice, Refused};
-use meissner::stream::{Line, Settings, rehearse};
+use meissner::stream::port::{At, End, Job, LateCause, LatePolicy, Notice, Order, Play, Refused};
+use meissner::stream::{Line, Settings, Streamer, rehearse};
+use meissner::strokes::Strokes;
+use meissner::units::HostInstant;
 use proptest::prelude::*;
 use std::time::Duration;
 
@@ -257,6 +263,65 @@ fn an_onset_asked_for_is_kept_to_the_tick_or_refused() {
     let began = |notice: &Notice| matches!(notice, Notice::Began { id: 1, onset } if onset.actual == at);
     let refused = |notice: &Notice| matches!(notice, Notice::Answer { result: Err(Refused::TooSoon), .. });
     assert!(notices.iter().any(began) && notices.iter().any(refused), "{notices:?}");
+}
+
+#[test]
+fn the_streamer_allocates_nothing_while_it_plays() {
+    let mut mock = Mock::new(PlantConfig::default(), 1).unwrap();
+    let mut streamer = Streamer::new(Settings::default());
+    let mut notices = Vec::with_capacity(10_000);
+    let (mut now, mut frame) = (HostInstant::from_ns(0), [0; MAX_FRAME]);
+    let mut bytes = [0; 4096];
+    let (id, rate) = (1, LineRate(800_000));
+    streamer.connect(now, id, rate, &mut |notice| notices.push(notice));
+    for ms in 0..4000u64 {
+        now = HostInstant::from_ns(ms * 1_000_000);
+        let job = match ms {
+            100 => Some(Job::Arm { assume_rest: true }),
+            200 | 1000 => {
+                let strokes = Strokes::new(&wild(), Some(if ms == 200 { 0.5 } else { 5.0 })).unwrap();
+                let (at, late) = (At::Next, LatePolicy::Drop);
+                Some(Job::Play(Box::new(Play {
+                    id: ms,
+                    strokes,
+                    at,
+                    late,
+                    replace: false,
+                    open_loop: false,
+                })))
+            }
+            2000 => Some(Job::Stop),
+            2500 => Some(Job::EStop),
+            3000 => Some(Job::Reset),
+            3500 => Some(Job::Arm { assume_rest: false }),
+            _ => None,
+        };
+        mock.run(Tick::BOOT + ms * 85);
+        let len = mock.read(&mut bytes);
+        let mut to_device = [0; 16 * MAX_FRAME];
+        let mut end = 0;
+        assert_no_alloc::assert_no_alloc(|| {
+            let tell = &mut |notice| notices.push(notice);
+            if let Some(job) = job {
+                streamer.order(now, Order { ticket: ms, job }, tell);
+            }
+            streamer.receive(now, &bytes[..len], tell);
+            streamer.step(now, tell);
+            while end + MAX_FRAME <= to_device.len() {
+                let len = streamer.transmit(now, &mut frame, tell);
+                if len == 0 {
+                    break;
+                }
+                to_device[end..end + len].copy_from_slice(&frame[..len]);
+                end += len;
+            }
+        });
+        mock.write(&to_device[..end]);
+    }
+    let ended = rig::outcomes(&notices);
+    assert_eq!(ended.iter().map(|outcome| outcome.end).collect::<Vec<_>>(), [End::Done, End::Stopped]);
+    assert!(ended.iter().all(|outcome| outcome.bursts.amended > 0));
+    assert!(!notices.iter().any(|notice| matches!(notice, Notice::Answer { result: Err(_), .. })));
 }
 
 #[derive(Clone, Debug)]

@@ -113,12 +113,11 @@ impl WallMock {
         &mut self.mock
     }
 
-    /// Takes in what was written, runs up to `now` and hands out what the controller sent.
-    fn read(&mut self, now: HostInstant, bytes: &mut [u8]) -> usize {
+    /// Takes in what was written and runs up to `now`.
+    fn run(&mut self, now: HostInstant) {
         let ns = now.since(self.started).as_nanos() as u64;
         let ticks = u128::from(ns) * u128::from(TICK_HZ) / 1_000_000_000;
         self.mock.run(Tick::BOOT + ticks as u64);
-        self.mock.read(bytes)
     }
 }
 
@@ -186,7 +185,10 @@ impl Device {
     /// The device is gone.
     pub fn read(&mut self, now: HostInstant, bytes: &mut [u8]) -> io::Result<usize> {
         match self {
-            Self::Mock(mock) => Ok(mock.read(now, bytes)),
+            Self::Mock(mock) => {
+                mock.run(now);
+                Ok(mock.mock.read(bytes))
+            }
             Self::Pty(port, _) | Self::Serial(port) => port.read(bytes),
         }
     }

@@ -96,7 +96,6 @@ fn serve(mut mock: WallMock, master: &OwnedFd, stop: &OwnedFd) -> WallMock {
     let mut outgoing = [0; 4096];
     let mut plugged = false;
     loop {
-        let now = HostInstant::now();
         let controller = mock.mock.controller();
         let quiet = matches!(controller.state(), State::Disarmed | State::Faulted) && unsent.is_empty();
         let wait_ms = if !plugged {
@@ -133,10 +132,11 @@ fn serve(mut mock: WallMock, master: &OwnedFd, stop: &OwnedFd) -> WallMock {
                 }
             }
         }
+        // Also when nobody reads: the controller must notice that it hears nothing.
+        mock.run(HostInstant::now());
         loop {
             if unsent.is_empty() {
-                let len = mock.read(now.max(HostInstant::now()), &mut outgoing);
-                unsent = 0..len;
+                unsent = 0..mock.mock.read(&mut outgoing);
             }
             if unsent.is_empty() || !plugged {
                 break;
