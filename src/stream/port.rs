@@ -1,7 +1,8 @@
 //! What goes into the streamer's thread and what comes out: orders and notices, through bounded rings.
 //!
-//! The thread never waits for either side. A full order ring gives the order back to the caller; a full
-//! notice ring loses the newest notice and counts it ([`Notice::Lost`] follows when there is room).
+//! The thread never waits for either side. A full order ring gives the order back to the caller; a notice ring
+//! that is nearly full loses single late strokes and snapshots first, and counts what it lost
+//! ([`Notice::Lost`] follows when there is room). Receipts count every burst all the same.
 //! Everything that owns memory goes back out to be dropped.
 
 use crate::device::Device;
@@ -20,6 +21,8 @@ pub const QUEUE: usize = 16;
 /// Orders and notices that wait, at the most.
 const ORDERS: usize = 64;
 const NOTICES: usize = 4096;
+/// Places that single late strokes, refusals and snapshots leave free for answers and the ends of plays.
+const RESERVED: usize = 1024;
 
 /// Something to do; the answer comes as [`Notice::Answer`] with the same ticket.
 #[derive(Debug)]
@@ -458,10 +461,14 @@ impl Port {
 
     /// Tells the listener, who is woken by [`Self::announce`].
     pub fn tell(&mut self, notice: Notice) {
-        if self.lost > 0 && self.notices.push(Notice::Lost(self.lost)).is_ok() {
+        // What comes in crowds must not push out what comes once.
+        let crowd =
+            matches!(notice, Notice::Late { .. } | Notice::StrokeRefused { .. } | Notice::Snapshot(_));
+        let room = self.notices.slots() > if crowd { RESERVED } else { 1 };
+        if room && self.lost > 0 && self.notices.push(Notice::Lost(self.lost)).is_ok() {
             self.lost = 0;
         }
-        if self.lost > 0 || self.notices.push(notice).is_err() {
+        if !room || self.notices.push(notice).is_err() {
             self.lost += 1;
         }
         self.unannounced = true;

@@ -100,13 +100,14 @@ impl Session {
         if ahead < u16::MAX / 2 {
             self.made = status.reports;
         }
+        let mut answered = None;
         if status.epoch == self.epoch {
             if let Some(control) = self.control.take_if(|control| control.sent.is_some()) {
                 if matches!(control.op, Op::Arm { .. }) {
                     self.ping_due = now;
                 }
                 self.stale = status.reports;
-                tell(Event::Control(status.refusal.map_or(Ok(()), Err)));
+                answered = Some(status.refusal.map_or(Ok(()), Err));
             }
             // An old status, overtaken by a newer one, acknowledges nothing new.
             if status.next_seq.wrapping_sub(self.acked) < u16::MAX / 2 {
@@ -119,6 +120,9 @@ impl Session {
             }
         }
         tell(Event::Status { status, tick });
+        if let Some(answer) = answered {
+            tell(Event::Control(answer));
+        }
         self.conclude(now, tell);
     }
 

@@ -44,9 +44,10 @@ impl Streamer {
                     if result.is_err() {
                         self.cut_all(End::Stopped, "the device refused the command before it");
                     }
+                    // Who reads the answer finds everything as it stands after it.
+                    tell(Notice::Snapshot(self.snapshot(now)));
                     answer(done.ticket, result.map_err(Refused::Device), tell);
                 }
-                self.snapshot_due = now;
             }
             Event::Status { status, tick } => self.status(now, status, tick),
             Event::Stroke(stroke, verdict) => self.verdict(now, &stroke, verdict, tell),
