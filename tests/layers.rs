@@ -46,16 +46,39 @@ fn used(text: &str) -> BTreeSet<String> {
         for (at, _) in text.match_indices(start) {
             let path = &text[at + start.len()..];
             match path.strip_prefix('{') {
-                // Nested braces do not matter: what follows them at worst names a room too many.
-                Some(group) => {
-                    let parts = group.split('}').next().unwrap_or_default().split(',');
-                    rooms.extend(parts.map(|part| word(part.trim())));
-                }
+                Some(group) => rooms.extend(top_level(group).iter().map(|part| word(part.trim()))),
                 None => drop(rooms.insert(word(path))),
             }
         }
     }
     rooms
+}
+
+/// The parts of a braced list, up to its closing brace; what is in braces within stays with its part.
+fn top_level(group: &str) -> Vec<&str> {
+    let (mut depth, mut from, mut parts) = (0, 0, Vec::new());
+    for (at, c) in group.char_indices() {
+        match c {
+            '{' => depth += 1,
+            '}' if depth == 0 => {
+                parts.push(&group[from..at]);
+                break;
+            }
+            '}' => depth -= 1,
+            ',' if depth == 0 => {
+                parts.push(&group[from..at]);
+                from = at + 1;
+            }
+            _ => {}
+        }
+    }
+    parts
+}
+
+#[test]
+fn rooms_are_found_in_nested_lists() {
+    let rooms = used("use crate::{stream::{port::{A, B}, C}, daemon, cli::D};\nuse crate::link;");
+    assert_eq!(rooms.into_iter().collect::<Vec<_>>(), ["cli", "daemon", "link", "stream"]);
 }
 
 fn code(path: &Path) -> String {

@@ -110,7 +110,11 @@ impl DerefMut for Rig {
 
 impl Rig {
     pub(crate) fn new(line: Line, seed: u64) -> Self {
-        let mut rehearsal = Rehearsal::new(&PlantConfig::default(), Settings::default(), line, seed).unwrap();
+        Self::with(Settings::default(), line, seed)
+    }
+
+    pub(crate) fn with(settings: Settings, line: Line, seed: u64) -> Self {
+        let mut rehearsal = Rehearsal::new(&PlantConfig::default(), settings, line, seed).unwrap();
         rehearsal.mock.record();
         Self { rehearsal, plays: 0 }
     }

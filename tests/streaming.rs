@@ -2,6 +2,7 @@
 
 use crate::rig::{self, Rig, bad_line};
 use firmware_protocol::frame::MAX_FRAME;
+use firmware_protocol::limits::OnTimeLimits;
 use firmware_protocol::message::State;
 use firmware_protocol::tick::Tick;
 use meissner::device::mock::Mock;
@@ -130,6 +131,65 @@ fn plays_follow_each_other_without_a_gap() {
     assert!(ended.iter().all(|o| o.bursts.played == o.bursts.planned && o.pulses.played == o.pulses.planned));
     // 30 periods each; the last stroke of one ends at or before the onset of the next.
     assert_eq!(ended.iter().map(|o| o.bursts.planned).collect::<Vec<_>>(), [60; 4]);
+}
+
+#[test]
+fn a_slow_link_opens_arms_and_plays_exactly() {
+    for ms in [5, 20] {
+        let line = Line { delay: ms * MS, jitter: 2 * MS, ..Line::default() };
+        let mut rig = Rig::new(line, 21);
+        rig.arm();
+        let outcome = rig.play_exactly(&rig::pattern("wave"), 5.0);
+        assert_eq!((outcome.end, outcome.bursts.late), (End::Done, 0), "{ms} ms one way");
+    }
+}
+
+#[test]
+fn an_armed_idle_device_keeps_its_clock_known() {
+    let mut rig = Rig::new(Line::default(), 22);
+    rig.arm();
+    for _ in 0..20 {
+        rig.run(137 * MS);
+        let (known, true_tick) = (rig.streamer.tick_at(rig.now()).unwrap(), rig.mock.now());
+        assert!(known.since(true_tick).abs() < 50, "{} ticks off", known.since(true_tick));
+    }
+}
+
+#[test]
+fn an_arm_that_timed_out_does_not_come_to_life_when_the_link_is_back() {
+    let mut rig = Rig::new(Line::default(), 23);
+    rig.run(500 * MS);
+    rig.set_line(Line { loss: 1.0, ..Line::default() });
+    rig.run(5 * MS);
+    rig.order(Job::Arm { assume_rest: true });
+    rig.run(300 * MS);
+    rig.set_line(Line { delay: 900 * MS, ..Line::default() });
+    rig.run(1100 * MS);
+    rig.set_line(Line::default());
+    rig.run(2000 * MS);
+    let timeout = |notice: &Notice| matches!(notice, Notice::Answer { result: Err(_), .. });
+    assert!(rig.take_notices().iter().any(timeout));
+    assert_eq!(rig.mock.controller().state(), State::Disarmed);
+}
+
+#[test]
+fn a_site_limit_that_refuses_thousands_of_strokes_holds_no_play_up() {
+    let settings =
+        Settings { limits: OnTimeLimits { motor: 2_000, ..OnTimeLimits::NONE }, ..Settings::default() };
+    let mut rig = Rig::with(settings, Line::default(), 24);
+    rig.arm();
+    for _ in 0..8 {
+        let play = rig.play(&wild(), Some(0.4));
+        rig.order(Job::Play(Box::new(play)));
+    }
+    rig.run(6000 * MS);
+    let outcomes = rig::into_outcomes(rig.take_notices());
+    assert_eq!(outcomes.len(), 8);
+    let played: u64 = outcomes.iter().map(|outcome| outcome.bursts.played).sum();
+    assert!(outcomes.iter().all(|outcome| outcome.end == End::Done));
+    assert!(outcomes.iter().map(|outcome| outcome.bursts.refused).sum::<u64>() > 1000);
+    outcomes.iter().for_each(rig::assert_closed);
+    assert_eq!(played, rig.mock.controller().counters().played);
 }
 
 /// Plays with a stall of the host in the middle; its outcome, and the strokes told to be late.
@@ -303,7 +363,7 @@ fn the_streamer_allocates_nothing_while_it_plays() {
         assert_no_alloc::assert_no_alloc(|| {
             let tell = &mut |notice| notices.push(notice);
             if let Some(job) = job {
-                streamer.order(now, Order { ticket: ms, job }, tell);
+                streamer.order(now, Order { ticket: ms, given: now, job }, tell);
             }
             streamer.receive(now, &bytes[..len], tell);
             streamer.step(now, tell);
@@ -408,8 +468,12 @@ proptest! {
             let answers = notices.iter().filter(|n| matches!(n, Notice::Answer { ticket: t, .. } if *t == ticket));
             prop_assert_eq!(answers.count(), 1, "ticket {}", ticket);
         }
+        let mut ended: Vec<_> = notices.iter().filter_map(|notice| match notice {
+            Notice::Ended { id, .. } => Some(*id),
+            Notice::Returned(play) => Some(play.id),
+            _ => None,
+        }).collect();
         let outcomes = rig::into_outcomes(notices);
-        let mut ended: Vec<_> = outcomes.iter().map(|outcome| outcome.play.id).collect();
         ended.sort_unstable();
         prop_assert_eq!(ended, plays);
         for outcome in &outcomes {

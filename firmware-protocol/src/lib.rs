@@ -38,8 +38,9 @@
 //! # Reports
 //! `Verdict`, `OnsetRefused`, `Onset`, `Cut` and `Refused` must not be lost: they are numbered, and sent
 //! again 10 ms later, when the host is heard, until the host's `seen` includes them. A `Status` tells how
-//! many there are, so the host knows whether it has them all. 32 are kept; `Strokes` are not taken while 4
-//! or fewer places are free; beyond that the newest is lost and counted.
+//! many there are, so the host knows whether it has them all. 32 are kept. While 12 or fewer places are free,
+//! `Strokes` are not taken and `Refused` is only counted, so that `Onset` and `Cut` find a place; when there is
+//! none the newest is lost and counted.
 //!
 //! # Outside the stream
 //! `Control` (arm, disarm, stop, e-stop, reset, move) carries the epoch it begins and is repeated until a

@@ -187,7 +187,7 @@ fn a_report_is_repeated_every_ten_ms_of_a_host_that_is_heard_until_it_is_seen() 
 fn a_full_ring_takes_no_strokes_and_loses_the_newest_report() {
     let mut bench = Bench::armed(FIRMWARE);
     bench.reading = false;
-    let kept = REPORTS as u16 - 4;
+    let kept = REPORTS as u16 - 12;
     let at = bench.now + 50_000;
     for _ in 0..kept + 3 {
         bench.strokes(&[stroke(24, at, 7, 6, 7)]);

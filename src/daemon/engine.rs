@@ -95,10 +95,12 @@ impl Engine {
         let mut inner = self.lock();
         inner.recorder.reached_by(device.kind());
         inner.truth = device.truth();
-        inner.orders.send(Order { ticket: 0, job: Job::Connect(device) }).map_err(|order| match order.job {
-            Job::Connect(device) => device,
-            _ => unreachable!("a ring gives back what it was given"),
-        })
+        inner.orders.send(Order { ticket: 0, given: HostInstant::now(), job: Job::Connect(device) }).map_err(
+            |order| match order.job {
+                Job::Connect(device) => device,
+                _ => unreachable!("a ring gives back what it was given"),
+            },
+        )
     }
 
     /// The simulated plant's truth.
@@ -241,7 +243,7 @@ impl Inner {
         }
         self.last_ticket += 1;
         let ticket = self.last_ticket;
-        if self.orders.send(Order { ticket, job }).is_err() {
+        if self.orders.send(Order { ticket, given: HostInstant::now(), job }).is_err() {
             return Err(Problem::new(
                 Code::Busy,
                 "too many orders wait for the device: try again in a moment",

@@ -49,7 +49,7 @@ pub(super) async fn serve(listener: UnixListener, router: Router, mut closing: w
                 clients.spawn(attend(stream, router.clone(), closing.clone()));
             }
             Ok((stream, _)) if turned_away.len() < TURNED_AWAY => {
-                turned_away.spawn(turn_away(stream));
+                turned_away.spawn(turn_away(stream, router.clone()));
             }
             Ok(_) => warn!("far too many clients: one was hung up on"),
             Err(error) => {
@@ -87,8 +87,14 @@ async fn attend(stream: UnixStream, router: Router, mut closing: watch::Receiver
     }
 }
 
-async fn turn_away(stream: UnixStream) {
-    let service = service_fn(|_: Request<Incoming>| async {
+/// Says that there is no place. An emergency stop needs none.
+async fn turn_away(stream: UnixStream, router: Router) {
+    let peer = Peer::of(&stream);
+    let service = service_fn(async |mut request: Request<Incoming>| {
+        if request.uri().path() == "/v1/estop" {
+            request.extensions_mut().insert(peer);
+            return router.clone().oneshot(request).await;
+        }
         let detail =
             format!("{MAX_CLIENTS} clients are connected already: close one, or try again in a moment");
         Ok::<_, Infallible>(http::Reply(Problem::new(Code::TooManyClients, detail)).into_response())

@@ -153,6 +153,12 @@ impl Mock {
         self.controller.receive(self.now, &self.to_controller);
         self.to_controller.clear();
         self.pass(until);
+        // A status that is sent now tells the tick of now, not of some block on the way.
+        self.send();
+        while let Some(sample) = self.plant.telemetry() {
+            self.controller.telemetry(sample.tick, sample.y);
+            self.send();
+        }
         if let Ok(mut rest) = self.truth.rest.try_lock() {
             for (all, new) in rest.iter_mut().zip(self.plant.take_rest_stats()) {
                 all.merge(&new);
@@ -170,10 +176,6 @@ impl Mock {
                 self.play(end - self.now);
             }
             self.controller.poll(self.now);
-            while let Some(sample) = self.plant.telemetry() {
-                self.controller.telemetry(sample.tick, sample.y);
-            }
-            self.send();
             if self.now >= until {
                 break;
             }

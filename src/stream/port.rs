@@ -29,6 +29,8 @@ const RESERVED: usize = 1024;
 pub struct Order {
     /// Names the answer; 0 if none is wanted.
     pub ticket: u64,
+    /// When it was given: a play, an arm or a reset that waited for a second is not carried out any more.
+    pub given: HostInstant,
     /// What to do.
     pub job: Job,
 }
@@ -359,6 +361,8 @@ pub enum Notice {
         /// Why.
         reason: Refusal,
     },
+    /// A play that was refused, to be dropped outside the thread.
+    Returned(Box<Play>),
     /// A play is over.
     Ended {
         /// Which.
@@ -383,8 +387,11 @@ impl Orders {
     /// Hands an order to the thread and wakes it.
     ///
     /// # Errors
-    /// Gives the order back if the ring is full.
+    /// Gives the order back if the ring is full. An emergency stop always finds a place that others may not take.
     pub fn send(&mut self, order: Order) -> Result<(), Order> {
+        if self.ring.slots() <= 1 && !matches!(order.job, Job::EStop) {
+            return Err(order);
+        }
         self.ring.push(order).map_err(|rtrb::PushError::Full(order)| order)?;
         ring_bell(&self.wake);
         Ok(())

@@ -144,7 +144,7 @@ impl Rehearsal {
     pub fn order(&mut self, job: Job) -> u64 {
         self.tickets += 1;
         let notices = &mut self.notices;
-        let order = Order { ticket: self.tickets, job };
+        let order = Order { ticket: self.tickets, given: self.now, job };
         self.streamer.order(self.now, order, &mut |notice| notices.push(notice));
         self.tickets
     }

@@ -2,7 +2,8 @@
 //!
 //! SCHED_FIFO, and locked memory, where the system allows it. The loop reads the clock, moves bytes and
 //! sleeps until the next thing is due, bytes arrive or an order comes; it decides nothing. In it nothing is
-//! allocated, locked, logged or waited for: what owns memory goes back through the port.
+//! allocated, locked, logged or waited for, but for a session's memory when a device comes or goes: what
+//! owns memory goes back through the port.
 
 use crate::device::Device;
 use crate::stream::port::{Job, Notice, Notices, Orders, Port, port};
@@ -24,6 +25,8 @@ use thread_priority::{
 const FIFO_PRIORITY: u8 = 50;
 /// Turns of reading and writing per wake-up, at the most: a device that never falls silent must not hold up orders.
 const TURNS: usize = 32;
+/// Reads per turn, at the most, for the same reason.
+const READS: usize = 16;
 
 /// Starts the streamer's thread; tells which real-time means the system granted.
 ///
@@ -88,38 +91,40 @@ impl Loop {
             let Self { port, streamer, .. } = self;
             match order.job {
                 Job::Connect(device) => {
-                    self.give_back("another device was opened");
                     let rate = device.rate();
                     let id = self.random.hash_one(now.as_ns()) as u32;
                     self.unsent = 0..0;
-                    self.device = Some(device);
+                    let old = self.device.replace(device);
                     let Self { port, streamer, .. } = self;
                     streamer.connect(now, id, rate, &mut |notice| port.tell(notice));
+                    let reason = streamer.take_lost();
+                    if let (Some(reason), Some(old)) = (reason, old) {
+                        port.tell(Notice::Disconnected { reason, device: Some(old) });
+                    }
                 }
                 _ => streamer.order(now, order, &mut |notice| port.tell(notice)),
             }
         }
     }
 
-    /// Moves bytes until there are none: an answer is acted upon in the wake-up that brought it.
+    /// Reads, decides and writes until nothing is left to say: an answer is acted upon in the wake-up that brought it.
     fn exchange(&mut self) {
         for _ in 0..TURNS {
             let now = HostInstant::now();
-            let Self { port, streamer, .. } = self;
-            let tell = &mut |notice| port.tell(notice);
-            streamer.step(now, tell);
-            let moved = match self.write(now).and_then(|wrote| Ok(wrote | self.read(now)?)) {
-                Ok(moved) => moved,
-                Err(_) => {
-                    let Self { port, streamer, .. } = self;
-                    streamer.disconnect(now, "the device was unplugged", &mut |notice| port.tell(notice));
-                    false
-                }
-            };
-            if self.device.is_some() && !self.streamer.is_connected() {
-                self.give_back("the device is gone");
+            // What the device says first: after a stall it may have ended the play long ago.
+            let wrote = self.read(now).and_then(|()| {
+                let Self { port, streamer, .. } = self;
+                streamer.step(now, &mut |notice| port.tell(notice));
+                self.write(now)
+            });
+            if wrote.is_err() {
+                let Self { port, streamer, .. } = self;
+                streamer.disconnect(now, "the device was unplugged", &mut |notice| port.tell(notice));
             }
-            if !moved {
+            if let Some(reason) = self.streamer.take_lost() {
+                self.give_back(reason);
+            }
+            if !wrote.unwrap_or(false) {
                 break;
             }
         }
@@ -144,18 +149,17 @@ impl Loop {
         }
     }
 
-    fn read(&mut self, now: HostInstant) -> io::Result<bool> {
-        let Self { port, streamer, device: Some(device), .. } = self else { return Ok(false) };
+    fn read(&mut self, now: HostInstant) -> io::Result<()> {
+        let Self { port, streamer, device: Some(device), .. } = self else { return Ok(()) };
         let mut bytes = [0; 1024];
-        let mut moved = false;
-        loop {
+        for _ in 0..READS {
             let len = device.read(now, &mut bytes)?;
             if len == 0 {
-                return Ok(moved);
+                break;
             }
             streamer.receive(now, &bytes[..len], &mut |notice| port.tell(notice));
-            moved = true;
         }
+        Ok(())
     }
 
     fn give_back(&mut self, reason: &'static str) {

@@ -220,7 +220,11 @@ impl Controller {
                         slot.kind = Kind::Void;
                         slot.stroke = Stroke { up_pulses: 0, down: stroke.up, down_pulses: 0, ..stroke };
                         self.counters.refused += 2;
-                        self.report(Report::Refused { motor: motor as u8, up: stroke.up.wire(), reason });
+                        if self.reports.free() > RESERVE {
+                            self.report(Report::Refused { motor: motor as u8, up: stroke.up.wire(), reason });
+                        } else {
+                            self.counters.reports_lost += 1;
+                        }
                         continue;
                     }
                 }

@@ -1,15 +1,15 @@
 //! The reports the host has not seen yet: a bounded ring, repeated until seen.
 //!
-//! A full ring loses the newest report and counts it. Frames of strokes are taken only while it has
-//! [`RESERVE`] free places, so that only a host that does not read can bring that about.
+//! A full ring loses the newest report and counts it. Frames of strokes are taken, and single refusals reported,
+//! only while more than [`RESERVE`] places are free: onsets and cuts find one as long as the host reads at all.
 
 use crate::message::Report;
 use crate::tick::{TICK_HZ, Tick};
 
 /// Unseen reports at the most.
 pub const REPORTS: usize = 32;
-/// Places kept free for what does not come from frames of strokes.
-pub(super) const RESERVE: usize = 4;
+/// Places kept free for the onsets that may be queued, and for cuts.
+pub(super) const RESERVE: usize = 12;
 /// A report is repeated after this many ticks, when the host is heard again.
 const REPEAT: u64 = TICK_HZ as u64 / 100;
 

@@ -91,11 +91,17 @@ impl Session {
     fn status(&mut self, now: HostInstant, status: Status, tell: &mut dyn FnMut(Event)) {
         let Some(host_tick) = self.clock.tick_at(now) else { return };
         let tick = status.tick.near(host_tick);
-        if let Some(sent) = self.pinged.take_if(|_| status.token == self.token) {
+        let (token, sent) = self.pinged[usize::from(status.token) % self.pinged.len()];
+        if status.token != 0 && token == status.token {
             self.clock.round_trip(sent, tick, now);
             self.round_trip = (self.round_trip * 7 + now.since(sent)) / 8;
             self.first_pings += 1;
         }
+        if tick < self.newest {
+            // Overtaken by a later one, which has said all this and more.
+            return;
+        }
+        self.newest = tick;
         let ahead = status.reports.wrapping_sub(self.made);
         if ahead < u16::MAX / 2 {
             self.made = status.reports;
@@ -109,14 +115,11 @@ impl Session {
                 self.stale = status.reports;
                 answered = Some(status.refusal.map_or(Ok(()), Err));
             }
-            // An old status, overtaken by a newer one, acknowledges nothing new.
-            if status.next_seq.wrapping_sub(self.acked) < u16::MAX / 2 {
-                self.acked = status.next_seq;
-                self.credits = status.credits.into();
-                for batch in &mut self.window {
-                    let early = batch.seq.wrapping_sub(status.next_seq).wrapping_sub(1);
-                    batch.kept |= usize::from(early) < EARLY && status.early >> early & 1 == 1;
-                }
+            self.acked = status.next_seq;
+            self.credits = status.credits.into();
+            for batch in &mut self.window {
+                let early = batch.seq.wrapping_sub(status.next_seq).wrapping_sub(1);
+                batch.kept = usize::from(early) < EARLY && status.early >> early & 1 == 1;
             }
         }
         tell(Event::Status { status, tick });

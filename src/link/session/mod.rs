@@ -22,6 +22,8 @@ const WINDOW: usize = 1 + EARLY;
 const RETRY: (Duration, Duration) = (Duration::from_millis(3), Duration::from_millis(50));
 /// Round trips asked for at once after the handshake, to set the clock.
 const FIRST_PINGS: u32 = 8;
+/// Pings that may be on their way at once and still be told apart.
+const PINGS: usize = 64;
 const FIRST_PING_EVERY: Duration = Duration::from_millis(2);
 /// The device is lost when so many pings in a row, over so long, bring no answer.
 const DEAF_PINGS: u32 = 5;
@@ -53,20 +55,29 @@ pub enum Verdict {
 }
 
 /// Why a session ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LostReason {
     /// No answer to the handshake, or to pings.
-    #[error("the device does not answer")]
     NoAnswer,
     /// It has forgotten the session.
-    #[error("the device has restarted")]
     Restarted,
     /// It speaks another protocol.
-    #[error("the device speaks another protocol version: update its firmware or this daemon")]
     Version,
     /// It is not the array this daemon drives.
-    #[error("the device's motors or tick rate are not this array's")]
     WrongArray,
+}
+
+impl LostReason {
+    /// The same in words.
+    #[must_use]
+    pub fn text(self) -> &'static str {
+        match self {
+            Self::NoAnswer => "the device does not answer",
+            Self::Restarted => "the device has restarted",
+            Self::Version => "the device speaks another protocol version: update its firmware or this daemon",
+            Self::WrongArray => "the device's motors or tick rate are not this array's",
+        }
+    }
 }
 
 /// What the device said.
@@ -209,14 +220,16 @@ pub struct Session {
     seen: u16,
     /// Reports made, as far as known.
     made: u16,
+    /// The tick of the newest status.
+    newest: Tick,
     /// Verdicts up to this number belong to an epoch that is over.
     stale: u16,
     /// Verdicts that came before the acknowledgement.
     verdicts: VecDeque<Report>,
 
     token: u16,
-    /// When the ping was sent that waits for its answer.
-    pinged: Option<HostInstant>,
+    /// The last pings and when they were sent: an answer may come after later ones have left.
+    pinged: [(u16, HostInstant); PINGS],
     last_ping: HostInstant,
     ping_due: HostInstant,
     ping_every: Duration,
@@ -251,10 +264,11 @@ impl Session {
             generation: 0,
             seen: 0,
             made: 0,
+            newest: Tick(0),
             stale: 0,
             verdicts: VecDeque::with_capacity(REPORTS),
             token: 0,
-            pinged: None,
+            pinged: [(0, HostInstant::default()); PINGS],
             last_ping: HostInstant::default(),
             ping_due: now,
             ping_every: Duration::from_secs(1),
@@ -289,10 +303,10 @@ impl Session {
         self.control.is_none() && self.seen == self.made
     }
 
-    /// Whether every stroke pushed has its verdict.
+    /// Whether the handshake is done and the session not over: commands can be sent.
     #[must_use]
-    pub fn is_drained(&self) -> bool {
-        self.window.is_empty() && self.open_batch.is_none()
+    pub fn is_greeted(&self) -> bool {
+        self.phase == Phase::Open
     }
 
     /// Keeps the lease with a ping at least this often.

@@ -21,7 +21,7 @@ impl Session {
     ) -> usize {
         let len = match self.phase {
             Phase::Opening => self.next_hello(now, out, tell),
-            Phase::Open => self.next_frame(now, out, tell),
+            Phase::Open => self.next_frame(now, out),
             Phase::Over => 0,
         };
         self.traffic.bytes_out += len as u64;
@@ -48,12 +48,7 @@ impl Session {
         1 + written(&HostMessage::Hello { session: self.id }, &mut out[1..])
     }
 
-    fn next_frame(
-        &mut self,
-        now: HostInstant,
-        out: &mut [u8; MAX_FRAME],
-        tell: &mut dyn FnMut(Event),
-    ) -> usize {
+    fn next_frame(&mut self, now: HostInstant, out: &mut [u8; MAX_FRAME]) -> usize {
         let (epoch, seen, retry) = (self.epoch, self.seen, self.retry_after());
         if let Some(control) = &mut self.control
             && control.sent.is_none_or(|sent| now.since(sent) >= retry)
@@ -73,7 +68,7 @@ impl Session {
         if let Some(len) = self.next_batch(now, out) {
             return len;
         }
-        self.next_ping(now, out, tell)
+        self.next_ping(now, out)
     }
 
     /// The next frame of strokes that the device has not got: new, or sent in vain.
@@ -85,7 +80,7 @@ impl Session {
         let mut on_the_way = 0;
         let mut next = None;
         for batch in &mut self.window {
-            if batch.kept || batch.seq.wrapping_sub(acked) > u16::MAX / 2 {
+            if batch.kept || is_before(batch.seq, acked) {
                 continue;
             }
             if !batch.due && now.since(batch.last_sent) >= retry {
@@ -112,17 +107,16 @@ impl Session {
         Some(len)
     }
 
-    fn next_ping(
-        &mut self,
-        now: HostInstant,
-        out: &mut [u8; MAX_FRAME],
-        tell: &mut dyn FnMut(Event),
-    ) -> usize {
-        if now < self.ping_due {
-            return 0;
-        }
-        if self.unanswered >= DEAF_PINGS && now.since(self.first_unanswered) >= DEAF_FOR {
+    /// Gives the device up if it has not answered for too long.
+    pub fn listen(&mut self, now: HostInstant, tell: &mut dyn FnMut(Event)) {
+        let deaf = self.unanswered >= DEAF_PINGS && now.since(self.first_unanswered) >= DEAF_FOR;
+        if self.phase == Phase::Open && deaf {
             self.lose(LostReason::NoAnswer, tell);
+        }
+    }
+
+    fn next_ping(&mut self, now: HostInstant, out: &mut [u8; MAX_FRAME]) -> usize {
+        if now < self.ping_due {
             return 0;
         }
         if self.unanswered == 0 {
@@ -137,7 +131,8 @@ impl Session {
         };
         self.ping_due = now + every;
         self.token = self.token.wrapping_add(1).max(1);
-        (self.pinged, self.last_ping) = (Some(now), now);
+        self.pinged[usize::from(self.token) % self.pinged.len()] = (self.token, now);
+        self.last_ping = now;
         written(&HostMessage::Ping { token: self.token, seen: self.seen }, out)
     }
 
@@ -150,7 +145,9 @@ impl Session {
             Phase::Over => now + Duration::from_secs(1),
             Phase::Open => {
                 let control = self.control.as_ref().map(|c| c.sent.map_or(now, |sent| sent + retry));
-                let frames = self.window.front().map(|batch| match batch.first_sent {
+                let mut missing =
+                    self.window.iter().filter(|batch| !batch.kept && !is_before(batch.seq, self.acked));
+                let frames = missing.next().map(|batch| match batch.first_sent {
                     Some(_) => batch.last_sent + retry,
                     None => now,
                 });
@@ -158,6 +155,11 @@ impl Session {
             }
         }
     }
+}
+
+/// Whether `a` comes before `b`, as numbers that wrap.
+fn is_before(a: u16, b: u16) -> bool {
+    a.wrapping_sub(b) > u16::MAX / 2
 }
 
 fn written(message: &HostMessage<'_>, out: &mut [u8]) -> usize {

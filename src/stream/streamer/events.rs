@@ -1,6 +1,6 @@
 //! What the device says, and what it means for the plays.
 
-use crate::link::{Event, LostReason, Verdict};
+use crate::link::{Event, Verdict};
 use crate::stream::active::{Active, FIRST_MARGIN, Phase};
 use crate::stream::port::{End, LateCause, LatePolicy, Notice, Onset, Refused};
 use crate::stream::streamer::{IDLE_PING, Streamer, Tell, answer, cause_text, ticks};
@@ -34,14 +34,13 @@ impl Streamer {
                 }
             }
             Event::Lost(reason) => {
-                let reason = lost_text(reason);
-                self.disconnect(now, reason, tell);
-                tell(Notice::Disconnected { reason, device: None });
+                self.disconnect(now, reason.text(), tell);
             }
             Event::Control(result) => {
                 self.in_flight = false;
                 if let Some(done) = self.controls.pop_front() {
                     if result.is_err() {
+                        self.wants_armed = false;
                         self.cut_all(End::Stopped, "the device refused the command before it");
                     }
                     // Who reads the answer finds everything as it stands after it.
@@ -97,6 +96,7 @@ impl Streamer {
             session.ping_every(if armed { lease / 5 } else { IDLE_PING }, now);
         }
         if !armed && self.controls.is_empty() {
+            self.wants_armed = false;
             self.cut_all(End::Stopped, cause_text(status.cause));
         }
     }
@@ -182,16 +182,5 @@ impl Streamer {
         };
         active.began(onset, counters);
         tell(Notice::Began { id: active.play.id, onset });
-    }
-}
-
-fn lost_text(reason: LostReason) -> &'static str {
-    match reason {
-        LostReason::NoAnswer => "the device does not answer",
-        LostReason::Restarted => "the device has restarted",
-        LostReason::Version => {
-            "the device speaks another protocol version: update its firmware or this daemon"
-        }
-        LostReason::WrongArray => "the device's motors or tick rate are not this array's",
     }
 }

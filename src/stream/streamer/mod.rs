@@ -66,6 +66,9 @@ pub struct Streamer {
     /// Controls to send, the first is being sent.
     controls: VecDeque<Waiting>,
     in_flight: bool,
+    /// What the last command leads to: armed or not.
+    wants_armed: bool,
+    lost: Option<&'static str>,
     pub(super) plays: VecDeque<Active>,
     pub(super) hold: Hold,
     /// Up to where the device is fed.
@@ -89,6 +92,8 @@ impl Streamer {
             latched: false,
             controls: VecDeque::with_capacity(CONTROLS),
             in_flight: false,
+            wants_armed: false,
+            lost: None,
             plays: VecDeque::with_capacity(2 * QUEUE + 2),
             hold: Hold::new(),
             fed: Tick(0),
@@ -108,6 +113,8 @@ impl Streamer {
     /// The device is gone: plays end, with what is known of them.
     pub fn disconnect(&mut self, now: HostInstant, cause: &'static str, tell: Tell<'_>) {
         let Some(session) = self.session.take() else { return };
+        self.lost = Some(cause);
+        self.wants_armed = false;
         self.cut_all(End::Stopped, cause);
         let counters = self.status.map(|(status, tick)| {
             let lost = session.clock().tick_at(now).unwrap_or(tick);
@@ -137,10 +144,9 @@ impl Streamer {
         self.closed
     }
 
-    /// Whether a session is wanted: `false` when there is none or it is over.
-    #[must_use]
-    pub fn is_connected(&self) -> bool {
-        self.session.is_some()
+    /// Why the device was lost, once.
+    pub fn take_lost(&mut self) -> Option<&'static str> {
+        self.lost.take()
     }
 
     /// The device's tick at `now`.
@@ -159,6 +165,11 @@ impl Streamer {
 
     /// Does what is due at `now`. Call it after [`Self::receive`] and [`Self::order`], before [`Self::transmit`].
     pub fn step(&mut self, now: HostInstant, tell: Tell<'_>) {
+        if let Some(session) = &mut self.session {
+            let events = &mut self.events;
+            session.listen(now, &mut |event| events.push_back(event));
+        }
+        self.drain(now, tell);
         self.next_control();
         self.expire(now, tell);
         if let Some(tick) = self.tick_at(now) {

@@ -7,8 +7,7 @@ use crate::stream::streamer::{
     ANSWER_WITHIN, CONTROLS, Streamer, Taken, Tell, Waiting, answer, ticks, ticks_of_ms,
 };
 use crate::units::HostInstant;
-use firmware_protocol::message::{Cause, Op, State, Status};
-use firmware_protocol::stroke::MOTORS;
+use firmware_protocol::message::{Cause, Op, State};
 use firmware_protocol::tick::Tick;
 use std::time::Duration;
 
@@ -16,15 +15,21 @@ impl Streamer {
     /// Takes an order. [`Job::Connect`] is not for here: the thread opens the session.
     pub fn order(&mut self, now: HostInstant, order: Order, tell: Tell<'_>) {
         let ticket = order.ticket;
+        // Whoever gave it has been told by now that nothing came of it.
+        let stale = now.since(order.given) >= ANSWER_WITHIN;
         let taken = match order.job {
             Job::Connect(_) => Ok(None),
+            Job::Play(play) if stale => {
+                answer(ticket, Err(Refused::Timeout), tell);
+                tell(Notice::Returned(play));
+                return;
+            }
+            Job::Arm { .. } | Job::Reset if stale => Err(Refused::Timeout),
             Job::Play(play) => match self.play(now, play) {
                 Ok(()) => Ok(None),
                 Err((refused, play)) => {
-                    // It goes back as it came: memory is not given up here.
-                    let (id, outcome) = Active::new(play, now, None).close(None, 0, [0.0; MOTORS]);
                     answer(ticket, Err(refused), tell);
-                    tell(Notice::Ended { id, outcome });
+                    tell(Notice::Returned(play));
                     return;
                 }
             },
@@ -35,6 +40,7 @@ impl Streamer {
             Job::Disarm => self.disarm(),
             Job::Shutdown => {
                 self.closing = Some((ticket, now));
+                self.wants_armed = false;
                 self.cut_all(End::Stopped, "shutdown");
                 if self.session.is_some() {
                     self.control(now, 0, Op::Disarm(Cause::Shutdown), tell);
@@ -59,21 +65,12 @@ impl Streamer {
         }
     }
 
-    /// Whether the device takes strokes, or will when what it returns now is back.
+    /// Whether the device takes strokes, or will when the commands given are carried out.
     fn takes_plays(&self) -> Result<(), Refused> {
         self.ready()?;
-        let ordered = self.controls.iter().rev().find_map(|waiting| match waiting.op {
-            Op::Arm { .. } => Some(true),
-            Op::Disarm(_) => Some(false),
-            _ => None,
-        });
-        let state = self.state();
-        let returns_armed = state == State::Returning
-            && matches!(self.status, Some((Status { cause: Cause::Stop | Cause::Request, .. }, _)));
-        match ordered {
-            Some(true) => Ok(()),
-            None if state == State::Armed || returns_armed => Ok(()),
-            _ if state == State::Returning => Err(Refused::Returning),
+        match self.state() {
+            _ if self.wants_armed => Ok(()),
+            State::Returning => Err(Refused::Returning),
             _ => Err(Refused::Disarmed),
         }
     }
@@ -131,12 +128,16 @@ impl Streamer {
 
     fn stop(&mut self) -> Taken {
         self.ready()?;
+        if self.controls.len() == CONTROLS {
+            return Err(Refused::Returning);
+        }
         self.cut_all(End::Stopped, "stop");
         Ok(Some(Op::Stop))
     }
 
     fn disarm(&mut self) -> Taken {
         self.ready()?;
+        self.wants_armed = false;
         self.cut_all(End::Stopped, "disarm");
         Ok(Some(Op::Disarm(Cause::Request)))
     }
@@ -145,10 +146,12 @@ impl Streamer {
         self.ready()?;
         // A command begins a new epoch: it must not get between a play and its strokes for nothing.
         match self.state() {
-            State::Armed => return Ok(None),
-            State::Returning => return Err(Refused::Returning),
-            State::Disarmed | State::Faulted => {}
+            State::Armed if self.wants_armed => return Ok(None),
+            State::Armed | State::Returning if !self.wants_armed => return Err(Refused::Returning),
+            State::Returning => return Ok(None),
+            _ => {}
         }
+        self.wants_armed = true;
         if assume_rest {
             self.hold.forget_drift();
         }
@@ -158,6 +161,7 @@ impl Streamer {
 
     fn emergency_stop(&mut self, now: HostInstant, tell: Tell<'_>) -> Taken {
         self.latched = true;
+        self.wants_armed = false;
         self.cut_all(End::Stopped, "estop");
         // It overtakes whatever waits.
         while let Some(waiting) = self.controls.pop_front() {
@@ -171,11 +175,18 @@ impl Streamer {
     fn reset(&mut self) -> Taken {
         let faulted = self.state() == State::Faulted;
         self.latched = false;
-        let open = self.session.as_ref().is_some_and(Session::is_open);
+        let open = self.session.as_ref().is_some_and(Session::is_greeted);
         Ok((open && faulted).then_some(Op::Reset))
     }
 
     pub(super) fn control(&mut self, now: HostInstant, ticket: u64, op: Op, tell: Tell<'_>) {
+        if matches!(op, Op::Disarm(_)) {
+            // It makes whatever waits pointless, and must not wait behind it.
+            while self.controls.len() > usize::from(self.in_flight) {
+                let Some(waiting) = self.controls.pop_back() else { break };
+                answer(waiting.ticket, Err(Refused::Returning), tell);
+            }
+        }
         if self.controls.len() == CONTROLS {
             answer(ticket, Err(Refused::Timeout), tell);
             return;
@@ -186,6 +197,7 @@ impl Streamer {
 
     /// Ends everything because of a play: return, disarm.
     pub(super) fn abort(&mut self, now: HostInstant, tell: Tell<'_>) {
+        self.wants_armed = false;
         self.control(now, 0, Op::Disarm(Cause::Abort), tell);
     }
 
@@ -195,18 +207,32 @@ impl Streamer {
     }
 
     pub(super) fn next_control(&mut self) {
-        let Some(session) = self.session.as_mut().filter(|session| session.is_open()) else { return };
+        let Some(session) = self.session.as_mut().filter(|session| session.is_greeted()) else { return };
         if let (false, Some(first)) = (self.in_flight, self.controls.front()) {
             self.in_flight = true;
             session.command(first.op);
         }
     }
 
-    /// Tells who asked that no answer came in time; the control itself is repeated until it is answered.
+    /// Tells who asked that no answer came in time. What was not sent is not sent any more; what was is repeated until it
+    /// is answered, but for an arm: nobody expects that later.
     pub(super) fn expire(&mut self, now: HostInstant, tell: Tell<'_>) {
-        for waiting in &mut self.controls {
-            if now.since(waiting.since) >= ANSWER_WITHIN {
-                answer(std::mem::take(&mut waiting.ticket), Err(Refused::Timeout), tell);
+        let in_flight = usize::from(self.in_flight);
+        while let Some(waiting) = self.controls.get(in_flight).copied() {
+            if now.since(waiting.since) < ANSWER_WITHIN {
+                break;
+            }
+            self.controls.remove(in_flight);
+            self.wants_armed &= !matches!(waiting.op, Op::Arm { .. });
+            answer(waiting.ticket, Err(Refused::Timeout), tell);
+        }
+        let (Some(first), Some(session)) = (self.controls.front_mut(), &mut self.session) else { return };
+        if now.since(first.since) >= ANSWER_WITHIN {
+            answer(std::mem::take(&mut first.ticket), Err(Refused::Timeout), tell);
+            if matches!(first.op, Op::Arm { .. }) {
+                first.op = Op::Disarm(Cause::Request);
+                self.wants_armed = false;
+                session.command(first.op);
             }
         }
     }
