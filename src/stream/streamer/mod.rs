@@ -78,6 +78,8 @@ pub struct Streamer {
     closing: Option<(u64, HostInstant)>,
     closed: bool,
     snapshot_due: HostInstant,
+    /// Whether the last snapshot said that a device is there.
+    told_open: bool,
 }
 
 impl Streamer {
@@ -101,6 +103,7 @@ impl Streamer {
             closing: None,
             closed: false,
             snapshot_due: HostInstant::default(),
+            told_open: false,
         }
     }
 
@@ -180,7 +183,9 @@ impl Streamer {
             self.close_all(None, 0, [0.0; MOTORS], tell);
         }
         self.close(now, tell);
-        if now >= self.snapshot_due {
+        let open = self.session.as_ref().is_some_and(Session::is_open);
+        if now >= self.snapshot_due || open != self.told_open {
+            self.told_open = open;
             let playing = !self.plays.is_empty() || self.state() == State::Returning;
             let far = if playing { SNAPSHOT_EVERY } else { IDLE_PING };
             self.snapshot_due = now + far;
