@@ -120,6 +120,7 @@ impl From<Refused> for Problem {
             Refused::QueueFull => Code::QueueFull,
             Refused::BehindEndless => Code::BehindEndless,
             Refused::TooSoon => Code::TooSoon,
+            Refused::TooFar => Code::BadRequest,
             Refused::Overlaps => Code::Overlaps,
             Refused::Device(Refusal::PositionUnknown) => Code::PositionUnknown,
             Refused::Device(_) => Code::DeviceRefused,

@@ -194,9 +194,9 @@ fn a_full_ring_takes_no_strokes_and_loses_the_newest_report() {
     }
     assert_eq!((bench.status().next_seq, bench.status().reports), (kept, kept));
     assert_eq!(bench.device.counters().refused, 2 * u64::from(kept));
-    // What does not come from the stream has four places, then it is lost and counted.
+    // Onsets and cuts have twelve places, then they are lost and counted.
     let waiting = bench.seq;
-    for lost in [0, 0, 0, 0, 1, 2] {
+    for lost in [0; 12].into_iter().chain([1, 2]) {
         bench.control(Op::Stop);
         assert_eq!(bench.status().counters.reports_lost, lost);
     }

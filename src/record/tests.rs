@@ -37,7 +37,6 @@ fn snapshot(connected: bool, state: State, play: Option<(u64, f64)>) -> Snapshot
         tick: Tick(1000),
         clock_uncertainty_us: 10.0,
         play,
-        in_device: 0,
         lead_ms: 100.0,
         rest_error_um: [0.0; MOTORS],
         source: crate::stream::port::ErrorSource::None,

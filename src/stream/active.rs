@@ -119,10 +119,11 @@ impl Active {
         }
     }
 
-    /// Its onset came too late: nothing of it was taken.
-    pub(super) fn late_as_a_whole(&mut self) {
+    /// Its onset came too late by so much: nothing of it was taken.
+    pub(super) fn late_as_a_whole(&mut self, late_ms: f64) {
         self.late_strokes = self.planned_strokes;
         self.lateness.link = self.planned_strokes;
+        self.lateness.worst_ms = late_ms;
     }
 
     pub(super) fn refused(&mut self) {

@@ -63,8 +63,13 @@ struct Motor {
 
 impl Motor {
     fn new() -> Self {
+        let nothing = Stroke { motor: 0, up: Tick(0), up_pulses: 0, down: Tick(0), down_pulses: 0 };
+        let mut queue = VecDeque::with_capacity(POOL + 64);
+        // Touched once: memory is locked page by page, and the first touch must not fall into a play.
+        queue.resize(queue.capacity(), Queued { stroke: nothing, planned: [0; 2], steered: false });
+        queue.clear();
         Self {
-            queue: VecDeque::with_capacity(POOL + 64),
+            queue,
             modelled: 0,
             settled: 0,
             net: 0,

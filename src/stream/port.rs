@@ -121,6 +121,9 @@ pub enum Refused {
     /// The onset asked for cannot be kept.
     #[error("the onset asked for is too soon or already past: choose a later one")]
     TooSoon,
+    /// The onset asked for is further ahead than the protocol reaches.
+    #[error("the onset asked for is more than an hour and a half ahead: choose a sooner one")]
+    TooFar,
     /// The onset asked for lies within the play before it.
     #[error(
         "the onset asked for lies before the end of the plays queued: choose a later one, or use --replace"
@@ -293,8 +296,6 @@ pub struct Snapshot {
     pub clock_uncertainty_us: f64,
     /// The running play's id and how long it has played, s.
     pub play: Option<(u64, f64)>,
-    /// Strokes that wait in the device.
-    pub in_device: u32,
     /// Lead that is really reached, ms: less than asked for if the device's credits do not allow it.
     pub lead_ms: f64,
     /// Estimated rest error per motor, µm.
@@ -442,7 +443,12 @@ pub fn port() -> std::io::Result<(Port, Orders, Notices)> {
     let flags = EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK;
     let (orders_wake, notices_wake) = (Arc::new(eventfd(0, flags)?), Arc::new(eventfd(0, flags)?));
     let (to_thread, orders) = rtrb::RingBuffer::new(ORDERS);
-    let (notices, from_thread) = rtrb::RingBuffer::new(NOTICES);
+    let (mut notices, mut from_thread) = rtrb::RingBuffer::new(NOTICES);
+    // Touched once: memory is locked page by page, and the first touch must not fall into a play.
+    for _ in 0..NOTICES {
+        let _ = notices.push(Notice::Bye);
+    }
+    while from_thread.pop().is_ok() {}
     let caller = Orders { ring: to_thread, wake: Arc::clone(&orders_wake) };
     let listener = Notices { ring: from_thread, wake: Arc::clone(&notices_wake) };
     let port = Port { orders, notices, orders_wake, notices_wake, lost: 0, unannounced: false };

@@ -157,8 +157,6 @@ pub struct Traffic {
     pub bytes_in: u64,
     /// Frames sent again.
     pub again: u64,
-    /// Frames received that could not be read.
-    pub bad: u64,
 }
 
 /// A frame of strokes from its first stroke to its verdict.

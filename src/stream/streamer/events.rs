@@ -10,6 +10,9 @@ use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::{TICK_HZ, Tick};
 use std::time::Duration;
 
+/// A frame that left so long before its stroke was sent in time: if the stroke came late, the link was slow.
+const IN_TIME: Duration = Duration::from_millis(3);
+
 impl Streamer {
     /// Takes bytes from the device.
     pub fn receive(&mut self, now: HostInstant, bytes: &[u8], tell: Tell<'_>) {
@@ -110,7 +113,7 @@ impl Streamer {
     }
 
     fn verdict(&mut self, now: HostInstant, stroke: &Stroke, verdict: Verdict, tell: Tell<'_>) {
-        let earliest = ticks(FIRST_MARGIN);
+        let earliest = ticks(IN_TIME);
         let sent_tick = |sent| self.tick_at(sent).unwrap_or_default();
         let cause = match verdict {
             Verdict::Late { again: true, .. } => LateCause::Link,
@@ -156,12 +159,14 @@ impl Streamer {
         let Some(active) = self.plays.iter_mut().find(|active| active.phase == Phase::Offered) else {
             return;
         };
+        let late = active.onset.map_or(0, |onset| rendered - onset);
+        let late_ms = late as f64 / f64::from(TICK_HZ) * 1000.0;
         active.phase = Phase::Waiting;
         active.undecided = 0;
         active.onset = None;
         active.margin *= 2;
         if active.is_fixed() || active.margin > longest {
-            active.late_as_a_whole();
+            active.late_as_a_whole(late_ms);
             active.cut = active.cut.or(Some((End::Aborted, "the onset could not be kept")));
         }
         self.fed = rendered;

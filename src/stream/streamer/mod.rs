@@ -212,7 +212,6 @@ impl Streamer {
             let since = active.onset.map_or(0, |onset| tick - onset);
             (active.play.id, since as f64 / f64::from(TICK_HZ))
         };
-        let pool = firmware_protocol::controller::POOL as u32;
         let lead = (self.fed - tick) as f64 / f64::from(TICK_HZ) * 1000.0;
         Snapshot {
             at: now,
@@ -230,7 +229,6 @@ impl Streamer {
                 .and_then(|session| session.clock().uncertainty(now))
                 .map_or(f64::INFINITY, |uncertainty| uncertainty.as_nanos() as f64 / 1000.0),
             play: running.map(played),
-            in_device: status.map_or(0, |status| pool.saturating_sub(status.credits.into())),
             lead_ms: if self.short_of_credits { lead } else { self.settings.lead_ms },
             rest_error_um,
             source,

@@ -11,6 +11,9 @@ use firmware_protocol::message::{Cause, Op, State};
 use firmware_protocol::tick::Tick;
 use std::time::Duration;
 
+/// How far ahead an onset may lie: half of what a stroke may, so that every wire tick is read as it was meant.
+const FARTHEST: u64 = 1 << 29;
+
 impl Streamer {
     /// Takes an order. [`Job::Connect`] is not for here: the thread opens the session.
     pub fn order(&mut self, now: HostInstant, order: Order, tell: Tell<'_>) {
@@ -113,8 +116,11 @@ impl Streamer {
                 .map(|at| at.max(tick + ticks(FIRST_MARGIN)))
                 .ok_or(Refused::NoDevice)?,
         };
-        if requested < tick + ticks(FIRST_MARGIN) || requested.since(tick) > 1 << 30 {
+        if requested < tick + ticks(FIRST_MARGIN) {
             return Err(Refused::TooSoon);
+        }
+        if requested - tick > FARTHEST {
+            return Err(Refused::TooFar);
         }
         // A play that has no onset yet follows the one before it: its end is not known better than this.
         let free = queued().fold(tick, |free, active| {
