@@ -93,6 +93,8 @@ fn plays(client: &mut Client) -> Result<Vec<f64>, Box<dyn Error>> {
     let request = PlayRequest { pattern: "pin-60".to_owned(), seconds: Some(0.05), ..PlayRequest::default() };
     let mut us = Vec::new();
     while us.len() < PLAYS {
+        // Armed and idle for a while, as between two trials: other whiles, so that no rhythm helps.
+        thread::sleep(Duration::from_millis(us.len() as u64 * 7 % 90));
         let _: Value = client.post("/v1/play", &request)?;
         while !matches!(events.next(PATIENCE)?, None | Some(Event::Ended { .. })) {}
         let receipt: Receipt = client.get("/v1/plays/last")?;

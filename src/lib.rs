@@ -2,7 +2,7 @@
 //!
 //! A [`pattern`] is a TOML file: which pins of the [`array`] vibrate, at which frequency, amplitude and phase, and
 //! when. The [`store`] keeps the shipped ones and a site's own. A person says `meissner play edge-45`: the [`cli`]
-//! hands it over by [`client`] to the [`daemon`], whose requests and answers are defined in [`api`].
+//! hands it over by [`client`] to the [`daemon`]. Requests, the status and errors are defined in [`api`].
 //!
 //! The daemon compiles the pattern to [`strokes`]: excursions of one pin, an up burst and the down burst that
 //! undoes it, each at an exact tick of 1/85 000 s. A stroke is defined once, in `firmware_protocol`, for everybody
@@ -10,16 +10,16 @@
 //!
 //! The [`stream`] is the heart. Its thread takes the play through a bounded ring, chooses an onset a few
 //! milliseconds ahead, and keeps the controller fed 100 ms ahead of now through the [`link`], which makes a
-//! reliable, ordered stream out of frames that may get lost, and estimates the device's clock in [`units`] that
-//! cannot be mixed up. Telemetry comes back the same way; from it the streamer corrects each burst shortly before
-//! it begins, so that shafts keep their rest position.
+//! reliable, ordered stream out of frames that may get lost, and estimates the device's clock ([`link::Clock`], in
+//! [`units`] that cannot be mixed up). Telemetry comes back the same way; from it the streamer corrects each burst
+//! shortly before it begins, within `firmware_protocol::limits`, so that shafts keep their rest position.
 //!
 //! A [`device`] is whatever a controller can be reached through: a serial port, or the mock. The controller is the
 //! same code in both, `firmware_protocol::controller`: it plays ticks, guards the limits, and returns the pins when
 //! it is told to stop or no longer hears its host. On the mock its lines go to the [`plant`], 24 shafts after the
 //! [`motor`] model with the scatter that was measured on real ones ([`draw`] makes it repeatable).
 //!
-//! What happened comes out as notices; [`record`] makes receipts and events of them, for clients and the log. In the
+//! What happened comes out as notices; [`record`] makes of them the receipts and events that clients and the log see. In the
 //! end every burst of every play was played, late, dropped or refused, and the receipt says which.
 //!
 //! Tests run streamer, link, controller and plant in virtual time ([`stream::Rehearsal`]): same code, no clock.

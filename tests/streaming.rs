@@ -75,6 +75,7 @@ fn the_wire_carries_a_burst_in_less_than_six_bytes() {
     rig.arm();
     let outcome = rig.play_exactly(&rig::pattern("all-in-phase"), 20.0);
     let bytes = outcome.wire_bytes as f64 / outcome.bursts.planned as f64;
+    println!("{bytes:.2} bytes per burst");
     assert!(bytes <= 6.0, "{bytes} bytes per burst");
 }
 

@@ -27,7 +27,7 @@ pub(super) enum Phase {
 pub(super) struct Active {
     pub(super) play: Box<Play>,
     pub(super) phase: Phase,
-    /// When the order was taken.
+    /// When the order was given.
     pub(super) ordered: HostInstant,
     /// Pattern time 0, once it is chosen.
     pub(super) onset: Option<Tick>,

@@ -28,7 +28,7 @@ impl Streamer {
                 return;
             }
             Job::Arm { .. } | Job::Reset if stale => Err(Refused::Timeout),
-            Job::Play(play) => match self.play(now, play) {
+            Job::Play(play) => match self.play(now, order.given, play) {
                 Ok(()) => Ok(None),
                 Err((refused, play)) => {
                     answer(ticket, Err(refused), tell);
@@ -78,7 +78,12 @@ impl Streamer {
         }
     }
 
-    fn play(&mut self, now: HostInstant, play: Box<Play>) -> Result<(), (Refused, Box<Play>)> {
+    fn play(
+        &mut self,
+        now: HostInstant,
+        given: HostInstant,
+        play: Box<Play>,
+    ) -> Result<(), (Refused, Box<Play>)> {
         match self.place(now, &play) {
             Err(refused) => Err((refused, play)),
             Ok(requested) => {
@@ -86,7 +91,7 @@ impl Streamer {
                     self.cut_all(End::Stopped, "replaced");
                     self.controls.push_back(Waiting { ticket: 0, op: Op::Stop, since: now });
                 }
-                self.plays.push_back(Active::new(play, now, requested));
+                self.plays.push_back(Active::new(play, given, requested));
                 Ok(())
             }
         }

@@ -5,16 +5,21 @@
 //! ([`Notice::Lost`] follows when there is room). Receipts count every burst all the same.
 //! Everything that owns memory goes back out to be dropped.
 
+mod outcome;
+mod refused;
+
 use crate::device::Device;
 use crate::strokes::Strokes;
 use crate::units::HostInstant;
 use firmware_protocol::limits::Refusal;
-use firmware_protocol::message::{Cause, DeviceHello, State};
-use firmware_protocol::stroke::MOTORS;
+use firmware_protocol::message::DeviceHello;
 use firmware_protocol::tick::Tick;
 use rustix::event::{EventfdFlags, eventfd};
 use rustix::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::sync::Arc;
+
+pub use outcome::{Bursts, End, ErrorSource, LateCause, Lateness, Onset, Outcome, Pulses, Snapshot};
+pub use refused::{Refused, refusal_text};
 
 /// Plays that wait behind the running one, at the most.
 pub const QUEUE: usize = 16;
@@ -95,219 +100,6 @@ pub struct Play {
     pub replace: bool,
     /// No corrections from telemetry.
     pub open_loop: bool,
-}
-
-/// Why an order was not carried out.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum Refused {
-    /// No device is connected.
-    #[error("no device is connected: plug it in, or see `meissner status`")]
-    NoDevice,
-    /// The controller is not armed.
-    #[error("the motors are disarmed: run `meissner arm` first")]
-    Disarmed,
-    /// Emergency stop or fault is latched.
-    #[error("an emergency stop or fault is latched: find out why, then `meissner reset` and `meissner arm`")]
-    Faulted,
-    /// Pins are being returned.
-    #[error("pins are being returned: try again in a moment")]
-    Returning,
-    /// `QUEUE` plays wait.
-    #[error("16 plays are queued already: wait, or `meissner stop`")]
-    QueueFull,
-    /// The play before it has no end.
-    #[error("the play before it has no end: stop it, or use --replace")]
-    BehindEndless,
-    /// The onset asked for cannot be kept.
-    #[error("the onset asked for is too soon or already past: choose a later one")]
-    TooSoon,
-    /// The onset asked for is further ahead than the protocol reaches.
-    #[error("the onset asked for is more than an hour and a half ahead: choose a sooner one")]
-    TooFar,
-    /// The onset asked for lies within the play before it.
-    #[error(
-        "the onset asked for lies before the end of the plays queued: choose a later one, or use --replace"
-    )]
-    Overlaps,
-    /// The device refused the command.
-    #[error("the device refused: {}", refusal_text(*.0))]
-    Device(Refusal),
-    /// The device did not answer in time.
-    #[error("the device does not answer: check its cable and power")]
-    Timeout,
-}
-
-/// A refusal in words for a person.
-#[must_use]
-pub fn refusal_text(refusal: Refusal) -> &'static str {
-    match refusal {
-        Refusal::NotArmed => "it is not armed",
-        Refusal::Motor => "there is no such motor",
-        Refusal::UpPulses => "a stroke of no or more than 3000 pulses",
-        Refusal::Bursts => "a stroke's bursts overlap",
-        Refusal::Unbalanced => "a stroke does not come back to rest",
-        Refusal::Overlap => "two strokes of one motor overlap",
-        Refusal::TooFar => "it lies too far ahead",
-        Refusal::PoolFull => "no free stroke slot",
-        Refusal::MotorOnTime => "a motor's on-time limit",
-        Refusal::RailOnTime => "a rail's on-time limit",
-        Refusal::PositionUnknown => {
-            "it does not know where the pins are; see that all are at rest, then `meissner arm --assume-rest`"
-        }
-        Refusal::State => "not in its present state",
-        Refusal::Travel => "a move beyond the travel limit",
-        Refusal::Malformed => "it could not read it",
-    }
-}
-
-/// What came of a play: how its bursts (halves of strokes) ended.
-/// At the end `planned = played + late + dropped + refused`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-pub struct Bursts {
-    /// Handed to the link, or late before they could be.
-    pub planned: u64,
-    /// Played, whole or cut.
-    pub played: u64,
-    /// Too late to be played.
-    pub late: u64,
-    /// Flushed by a stop, a fault or a lost link.
-    pub dropped: u64,
-    /// Against a limit.
-    pub refused: u64,
-    /// Played with a corrected count.
-    pub amended: u64,
-}
-
-/// Pulses of a play.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-pub struct Pulses {
-    /// Of the planned bursts.
-    pub planned: u64,
-    /// As the device counted them.
-    pub played: u64,
-}
-
-/// Where a late stroke lost its time.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum LateCause {
-    /// The streamer woke up too late.
-    Host,
-    /// Sent in time, but it took the link too long.
-    Link,
-    /// The device gave no credits in time.
-    Device,
-}
-
-/// The late strokes of a play.
-#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct Lateness {
-    /// Strokes by cause.
-    pub host: u64,
-    /// Strokes by cause.
-    pub link: u64,
-    /// Strokes by cause.
-    pub device: u64,
-    /// The latest, ms.
-    pub worst_ms: f64,
-}
-
-/// How a play ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum End {
-    /// All of it was streamed and is over.
-    Done,
-    /// By a stop, replace, disarm, e-stop, lost link.
-    Stopped,
-    /// By late strokes under [`LatePolicy::Abort`], or an onset that could not be kept.
-    Aborted,
-}
-
-/// When a play began.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Onset {
-    /// The tick first asked for.
-    pub requested: Tick,
-    /// The tick at which the device began it.
-    pub actual: Tick,
-    /// The same on `CLOCK_MONOTONIC`.
-    pub at: HostInstant,
-    /// How well that is known, ns.
-    pub uncertainty_ns: u64,
-    /// From the order to the onset, ns.
-    pub latency_ns: u64,
-}
-
-/// A finished play.
-#[derive(Debug)]
-pub struct Outcome {
-    /// How it ended.
-    pub end: End,
-    /// Why, unless it is done.
-    pub cause: Option<&'static str>,
-    /// When it began; `None` if it never did.
-    pub onset: Option<Onset>,
-    /// Its bursts.
-    pub bursts: Bursts,
-    /// Its pulses.
-    pub pulses: Pulses,
-    /// Its late strokes.
-    pub lateness: Lateness,
-    /// Bytes of the frames sent to the device while it ran, all overhead included.
-    pub wire_bytes: u64,
-    /// Estimated rest error of each motor at the end, µm.
-    pub rest_error_um: [f32; MOTORS],
-    /// The play itself, to be dropped outside the thread.
-    pub play: Box<Play>,
-}
-
-/// Where the estimate of a rest error comes from.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum ErrorSource {
-    /// Nothing is known.
-    #[default]
-    None,
-    /// Measured by telemetry.
-    Telemetry,
-    /// Dead reckoning from the bursts played.
-    DeadReckoning,
-}
-
-/// How everything stands, published on change and ten times a second while something is played.
-#[derive(Clone, Copy, Debug)]
-pub struct Snapshot {
-    /// When this was true.
-    pub at: HostInstant,
-    /// Whether a device answers.
-    pub connected: bool,
-    /// The controller's state; [`State::Faulted`] also when the daemon latched an e-stop without a device.
-    pub state: State,
-    /// Why.
-    pub cause: Cause,
-    /// Whether the device knows where the pins are.
-    pub position_known: bool,
-    /// Down pulses owed.
-    pub owed: u32,
-    /// The device's clock, estimated for `at`.
-    pub tick: Tick,
-    /// How well it is known, µs.
-    pub clock_uncertainty_us: f64,
-    /// The running play's id and how long it has played, s.
-    pub play: Option<(u64, f64)>,
-    /// Lead that is really reached, ms: less than asked for if the device's credits do not allow it.
-    pub lead_ms: f64,
-    /// Estimated rest error per motor, µm.
-    pub rest_error_um: [f32; MOTORS],
-    /// Where the estimate comes from.
-    pub source: ErrorSource,
-    /// Bytes sent to and received from the device since it was connected.
-    pub bytes_out: u64,
-    /// Bytes received.
-    pub bytes_in: u64,
-    /// Frames sent again.
-    pub retransmitted: u64,
 }
 
 /// What happened.

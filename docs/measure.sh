@@ -1,0 +1,52 @@
+#!/usr/bin/env bash
+# The figures of docs/measurements.md that need no benchmark harness: twenty demos idle and twenty beside four busy
+# loops, and what an idle daemon costs. Prints one line each. Usage: docs/measure.sh [demos|idle]
+set -euo pipefail
+cd "$(dirname "$0")/.."
+cargo build --release --quiet
+meissner=target/release/meissner
+
+demos() { # what it is called
+    local sum
+    sum=$(for _ in $(seq 20); do "$meissner" demo --seconds 5 --json || true; done | python3 -c '
+import json, sys
+runs = [json.loads(line) for line in sys.stdin]
+bursts = {key: sum(run["bursts"][key] for run in runs) for key in ("planned", "played", "late")}
+with_late = sum(run["bursts"]["late"] > 0 for run in runs)
+onset = max(run["onset_latency_ms"] or 0 for run in runs)
+rest = max(run["rest_error_um"]["closed_loop_rms"] or 0 for run in runs)
+print(len(runs), "demos:", bursts, "with late bursts:", with_late, "longest onset: %.1f ms" % onset,
+      "rest error at most %.1f um rms" % rest)')
+    echo "$1: $sum"
+}
+
+idle() {
+    local dir pid before after
+    dir=$(mktemp -d)
+    XDG_DATA_HOME=$dir "$meissner" daemon --device mock --socket "$dir/m.sock" 2>/dev/null &
+    pid=$!
+    sleep 2
+    before=$(awk '{print $14 + $15}' "/proc/$pid/stat")
+    sleep 30
+    after=$(awk '{print $14 + $15}' "/proc/$pid/stat")
+    echo "idle daemon: $((after - before)) of 3000 clock ticks in 30 s, $(awk '/VmRSS/ {print $2}' "/proc/$pid/status") kB resident"
+    kill "$pid"
+    wait "$pid"
+    rm -r "$dir"
+}
+
+if [ "${1-}" != idle ]; then
+    demos "quiet machine"
+    busy=()
+    for _ in 1 2 3 4; do
+        (while :; do :; done) &
+        busy+=($!)
+    done
+    trap 'kill "${busy[@]}" 2>/dev/null || true' EXIT
+    demos "beside four busy loops"
+    kill "${busy[@]}"
+    trap - EXIT
+fi
+if [ "${1-}" != demos ]; then
+    idle
+fi

@@ -1,0 +1,157 @@
+//! What came of a play, and how everything stands: the figures that receipts and the status are made of.
+
+use crate::stream::port::Play;
+use crate::units::HostInstant;
+use firmware_protocol::message::{Cause, State};
+use firmware_protocol::stroke::MOTORS;
+use firmware_protocol::tick::Tick;
+
+/// What came of a play: how its bursts (halves of strokes) ended.
+/// At the end `planned = played + late + dropped + refused`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct Bursts {
+    /// Handed to the link, or late before they could be.
+    pub planned: u64,
+    /// Played, whole or cut.
+    pub played: u64,
+    /// Too late to be played.
+    pub late: u64,
+    /// Flushed by a stop, a fault or a lost link.
+    pub dropped: u64,
+    /// Against a limit.
+    pub refused: u64,
+    /// Played with a corrected count.
+    pub amended: u64,
+}
+
+/// Pulses of a play.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct Pulses {
+    /// Of the planned bursts.
+    pub planned: u64,
+    /// As the device counted them.
+    pub played: u64,
+}
+
+/// Where a late stroke lost its time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum LateCause {
+    /// The streamer woke up too late.
+    Host,
+    /// Sent in time, but it took the link too long.
+    Link,
+    /// The device gave no credits in time.
+    Device,
+}
+
+/// The late strokes of a play.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Lateness {
+    /// Strokes by cause.
+    pub host: u64,
+    /// Strokes by cause.
+    pub link: u64,
+    /// Strokes by cause.
+    pub device: u64,
+    /// The latest, ms.
+    pub worst_ms: f64,
+}
+
+/// How a play ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum End {
+    /// All of it was streamed and is over.
+    Done,
+    /// By a stop, replace, disarm, e-stop, lost link.
+    Stopped,
+    /// By late strokes under [`LatePolicy::Abort`], or an onset that could not be kept.
+    Aborted,
+}
+
+/// When a play began.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Onset {
+    /// The tick first asked for.
+    pub requested: Tick,
+    /// The tick at which the device began it.
+    pub actual: Tick,
+    /// The same on `CLOCK_MONOTONIC`.
+    pub at: HostInstant,
+    /// How well that is known, ns.
+    pub uncertainty_ns: u64,
+    /// From the order to the onset, ns.
+    pub latency_ns: u64,
+}
+
+/// A finished play.
+#[derive(Debug)]
+pub struct Outcome {
+    /// How it ended.
+    pub end: End,
+    /// Why, unless it is done.
+    pub cause: Option<&'static str>,
+    /// When it began; `None` if it never did.
+    pub onset: Option<Onset>,
+    /// Its bursts.
+    pub bursts: Bursts,
+    /// Its pulses.
+    pub pulses: Pulses,
+    /// Its late strokes.
+    pub lateness: Lateness,
+    /// Bytes of the frames sent to the device while it ran, all overhead included.
+    pub wire_bytes: u64,
+    /// Estimated rest error of each motor at the end, µm.
+    pub rest_error_um: [f32; MOTORS],
+    /// The play itself, to be dropped outside the thread.
+    pub play: Box<Play>,
+}
+
+/// Where the estimate of a rest error comes from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ErrorSource {
+    /// Nothing is known.
+    #[default]
+    None,
+    /// Measured by telemetry.
+    Telemetry,
+    /// Dead reckoning from the bursts played.
+    DeadReckoning,
+}
+
+/// How everything stands, published on change and ten times a second while something is played.
+#[derive(Clone, Copy, Debug)]
+pub struct Snapshot {
+    /// When this was true.
+    pub at: HostInstant,
+    /// Whether a device answers.
+    pub connected: bool,
+    /// The controller's state; [`State::Faulted`] also when the daemon latched an e-stop without a device.
+    pub state: State,
+    /// Why.
+    pub cause: Cause,
+    /// Whether the device knows where the pins are.
+    pub position_known: bool,
+    /// Down pulses owed.
+    pub owed: u32,
+    /// The device's clock, estimated for `at`.
+    pub tick: Tick,
+    /// How well it is known, µs.
+    pub clock_uncertainty_us: f64,
+    /// The running play's id and how long it has played, s.
+    pub play: Option<(u64, f64)>,
+    /// Lead that is really reached, ms: less than asked for if the device's credits do not allow it.
+    pub lead_ms: f64,
+    /// Estimated rest error per motor, µm.
+    pub rest_error_um: [f32; MOTORS],
+    /// Where the estimate comes from.
+    pub source: ErrorSource,
+    /// Bytes sent to and received from the device since it was connected.
+    pub bytes_out: u64,
+    /// Bytes received.
+    pub bytes_in: u64,
+    /// Frames sent again.
+    pub retransmitted: u64,
+}

@@ -1,0 +1,66 @@
+//! Why an order was not carried out, in words for a person.
+
+use firmware_protocol::limits::Refusal;
+
+/// Why an order was not carried out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Refused {
+    /// No device is connected.
+    #[error("no device is connected: plug it in, or see `meissner status`")]
+    NoDevice,
+    /// The controller is not armed.
+    #[error("the motors are disarmed: run `meissner arm` first")]
+    Disarmed,
+    /// Emergency stop or fault is latched.
+    #[error("an emergency stop or fault is latched: find out why, then `meissner reset` and `meissner arm`")]
+    Faulted,
+    /// Pins are being returned.
+    #[error("pins are being returned: try again in a moment")]
+    Returning,
+    /// `QUEUE` plays wait.
+    #[error("16 plays are queued already: wait, or `meissner stop`")]
+    QueueFull,
+    /// The play before it has no end.
+    #[error("the play before it has no end: stop it, or use --replace")]
+    BehindEndless,
+    /// The onset asked for cannot be kept.
+    #[error("the onset asked for is too soon or already past: choose a later one")]
+    TooSoon,
+    /// The onset asked for is further ahead than the protocol reaches.
+    #[error("the onset asked for is more than an hour and a half ahead: choose a sooner one")]
+    TooFar,
+    /// The onset asked for lies within the play before it.
+    #[error(
+        "the onset asked for lies before the end of the plays queued: choose a later one, or use --replace"
+    )]
+    Overlaps,
+    /// The device refused the command.
+    #[error("the device refused: {}", refusal_text(*.0))]
+    Device(Refusal),
+    /// The device did not answer in time.
+    #[error("the device does not answer: check its cable and power")]
+    Timeout,
+}
+
+/// A refusal in words for a person.
+#[must_use]
+pub fn refusal_text(refusal: Refusal) -> &'static str {
+    match refusal {
+        Refusal::NotArmed => "it is not armed",
+        Refusal::Motor => "there is no such motor",
+        Refusal::UpPulses => "a stroke of no or more than 3000 pulses",
+        Refusal::Bursts => "a stroke's bursts overlap",
+        Refusal::Unbalanced => "a stroke does not come back to rest",
+        Refusal::Overlap => "two strokes of one motor overlap",
+        Refusal::TooFar => "it lies too far ahead",
+        Refusal::PoolFull => "no free stroke slot",
+        Refusal::MotorOnTime => "a motor's on-time limit",
+        Refusal::RailOnTime => "a rail's on-time limit",
+        Refusal::PositionUnknown => {
+            "it does not know where the pins are; see that all are at rest, then `meissner arm --assume-rest`"
+        }
+        Refusal::State => "not in its present state",
+        Refusal::Travel => "a move beyond the travel limit",
+        Refusal::Malformed => "it could not read it",
+    }
+}
