@@ -10,23 +10,26 @@
 //! The rules are in the crate's documentation.
 
 mod early;
+mod ends;
+mod lines;
 mod pool;
 mod reports;
+mod stream;
 
-use crate::batch::{Amendment, Amendments, MAX_BATCH, Strokes};
+use crate::batch::Amendments;
 use crate::frame::{self, Decoder, FrameError, MAX_FRAME};
 use crate::limits::{self, MAX_TRAVEL, OnTime, OnTimeLimits, Refusal};
 use crate::message::{
     Cause, Counters, Cut, DeviceHello, DeviceMessage, HostMessage, Op, Report, State, Status,
 };
-use crate::stroke::{Direction, Line, Lines, MOTORS, Stroke};
+use crate::stroke::{Direction, Lines, MOTORS, Stroke};
 use crate::tick::{TICK_HZ, Tick, WireTick};
 pub use early::EARLY;
 use early::Early;
 pub use pool::POOL;
 use pool::{Kind, Pool, Slot};
 pub use reports::REPORTS;
-use reports::{RESERVE, Reports};
+use reports::Reports;
 
 /// Ticks rendered ahead of now at the most (a DMA block). What begins before the rendered end is late.
 pub const HORIZON: u32 = 64;
@@ -188,64 +191,6 @@ impl Controller {
         self.state == State::Faulted || now < self.off_until
     }
 
-    /// The lines from the rendered end on, for `max` ticks or until a line changes.
-    pub fn render(&mut self, max: u32) -> Run {
-        if max == 0 {
-            // A line is brought to a tick only together with rendering it: until then the tick can be amended.
-            return Run { lines: self.lines, ticks: 0 };
-        }
-        let mut change = NEVER;
-        for motor in 0..MOTORS {
-            if self.changes[motor] <= self.rendered {
-                self.step(motor);
-            }
-            change = change.min(self.changes[motor]);
-        }
-        let ticks = (change - self.rendered).min(max.into());
-        self.rendered = self.rendered + ticks;
-        Run { lines: self.lines, ticks: ticks as u32 }
-    }
-
-    /// Brings one line to the rendered end: what its slots say about that tick.
-    fn step(&mut self, motor: usize) {
-        let now = self.rendered;
-        let (line, until) = loop {
-            let index = self.pool.queues[motor].cursor;
-            let Some(slot) = self.pool.get_mut(index) else { break (Line::Off, NEVER) };
-            let stroke = slot.stroke;
-            if slot.kind == Kind::Play && slot.charged.is_none() && stroke.up <= now {
-                match self.on_time.begin(now, motor, stroke.pulses()) {
-                    Ok(()) => slot.charged = Some(stroke.pulses()),
-                    Err(reason) => {
-                        slot.kind = Kind::Void;
-                        slot.stroke = Stroke { up_pulses: 0, down: stroke.up, down_pulses: 0, ..stroke };
-                        self.counters.refused += 2;
-                        if self.reports.free() > RESERVE {
-                            self.report(Report::Refused { motor: motor as u8, up: stroke.up.wire(), reason });
-                        } else {
-                            self.counters.reports_lost += 1;
-                        }
-                        continue;
-                    }
-                }
-            }
-            if let Some(present) = slot.at(now) {
-                break present;
-            }
-            if let Some(charged) = slot.charged.take() {
-                self.on_time.end(now, motor, charged, stroke.pulses());
-            }
-            self.pool.advance(motor);
-        };
-        let bit = 1 << motor;
-        self.lines.up &= !bit;
-        self.lines.down &= !bit;
-        if let Line::Pulse(direction) = line {
-            *self.lines.mask_mut(direction) |= bit;
-        }
-        self.changes[motor] = until;
-    }
-
     /// Takes bytes from the host, in any chunks.
     pub fn receive(&mut self, now: Tick, mut bytes: &[u8]) {
         self.poll(now);
@@ -379,7 +324,7 @@ impl Controller {
             self.pending.no_session = true;
             return;
         }
-        if matches!(message, HostMessage::Strokes { batch, .. } if !readable(batch)) {
+        if matches!(message, HostMessage::Strokes { batch, .. } if !stream::readable(batch)) {
             self.counters.bad_frames += 1;
             return;
         }
@@ -533,233 +478,6 @@ impl Controller {
         }
         Ok(())
     }
-
-    fn disarm(&mut self, cause: Cause) {
-        match self.state {
-            State::Armed => self.cut(cause, State::Disarmed),
-            State::Returning => (self.then, self.cause) = (State::Disarmed, cause),
-            State::Disarmed | State::Faulted => {}
-        }
-    }
-
-    /// Cuts what runs at the rendered end, flushes the queue and plays down what pins are owed.
-    fn cut(&mut self, cause: Cause, then: State) {
-        let at = self.rendered;
-        let (mut flushed, mut owed) = (0, 0);
-        for motor in 0..MOTORS {
-            let index = self.pool.queues[motor].cursor;
-            let Some(slot) = self.pool.get_mut(index) else { continue };
-            self.travel[motor] -= slot.shift_undone(at).cast_signed();
-            let begun = slot.begun(at);
-            if begun {
-                owed += u32::from(slot.cut_at(at));
-            }
-            let strokes = self.pool.flush(motor, begun);
-            flushed += strokes;
-            self.counters.dropped += 2 * u64::from(strokes);
-            self.changes[motor] = at;
-        }
-        self.finish_cut(cause, true, flushed, owed, at);
-        (self.state, self.then) = (State::Returning, then);
-        self.settle();
-    }
-
-    /// E-stop and faults: nothing is played after the tick that is being played now, if there is one.
-    fn off(&mut self, cause: Cause) {
-        if self.state == State::Faulted {
-            return;
-        }
-        let at = (self.now + 1).min(self.rendered);
-        self.settle_strokes(at);
-        let mut flushed = 0;
-        for motor in 0..MOTORS {
-            while let Some(slot) = self.pool.pop(motor) {
-                let [up, down] = slot.played_before(at);
-                if let Some(charged) = slot.charged {
-                    let played = u32::from(up) + u32::from(down);
-                    self.on_time.end(self.rendered, motor, charged, played);
-                }
-                self.travel[motor] -= slot.shift_undone(at).cast_signed();
-                let begun = slot.begun(at);
-                if begun {
-                    self.owed[motor] = self.owed[motor].saturating_add(slot.owed_at(at));
-                }
-                if slot.kind == Kind::Play {
-                    let bursts = u64::from(begun) + u64::from(begun && slot.stroke.down < at);
-                    self.counters.played += bursts;
-                    self.counters.dropped += 2 - bursts;
-                    self.counters.pulses += u64::from(up) + u64::from(down);
-                    flushed += u16::from(!begun);
-                }
-            }
-            self.changes[motor] = NEVER;
-        }
-        self.lines = Lines::OFF;
-        self.off_until = self.rendered;
-        self.state = State::Faulted;
-        self.finish_cut(cause, false, flushed, self.owed_in_all(), at);
-    }
-
-    fn finish_cut(&mut self, cause: Cause, returns: bool, flushed: u16, owed: u32, at: Tick) {
-        self.marks.retain(|&mark| mark < at);
-        self.cause = cause;
-        self.report_cut(cause, returns, flushed, owed, at);
-    }
-
-    fn report_cut(&mut self, cause: Cause, returns: bool, flushed: u16, owed: u32, at: Tick) {
-        let cut = Cut { cause, at: at.wire(), returns, flushed, owed };
-        self.last_cut = Some(cut);
-        self.report(Report::Cut(cut));
-        self.pending.status = true;
-    }
-
-    /// Books what was played before now, in the order of time. What is not rendered was not played.
-    fn settle(&mut self) {
-        let now = self.now.min(self.rendered);
-        while let Some(&mark) = self.marks.front().filter(|&&mark| mark <= now) {
-            self.settle_strokes(mark);
-            self.marks.pop_front();
-            self.report(Report::Onset { tick: mark.wire(), counters: self.counters });
-        }
-        self.settle_strokes(now);
-        if self.state == State::Returning && self.pool.is_empty() {
-            self.state = self.then;
-            self.pending.status = true;
-        }
-    }
-
-    fn settle_strokes(&mut self, now: Tick) {
-        for motor in 0..MOTORS {
-            while self.pool.head(motor).is_some_and(|slot| slot.stroke.end() <= now) {
-                let Some(slot) = self.pool.pop(motor) else { break };
-                if let Some(charged) = slot.charged {
-                    self.on_time.end(self.rendered, motor, charged, slot.stroke.pulses());
-                }
-                if slot.kind != Kind::Play {
-                    continue;
-                }
-                let played = [slot.stroke.up_pulses, slot.stroke.down_pulses];
-                self.counters.played += 2;
-                self.counters.pulses += u64::from(played[0]) + u64::from(played[1]);
-                if !slot.cut {
-                    let changed =
-                        played.iter().zip(slot.planned).filter(|&(&played, planned)| played != planned);
-                    self.counters.amended += changed.count() as u64;
-                }
-            }
-        }
-    }
-
-    /// Takes a frame of the ordered stream if it is its turn, and those kept that follow it.
-    fn stream(&mut self, seq: u16, onset: bool, base: Tick, batch: &[u8]) {
-        if seq != self.next_seq {
-            self.early.keep(self.next_seq, seq, onset, base, batch);
-        } else if self.has_room(onset) {
-            self.strokes(seq, onset, base, batch);
-        }
-        while let Some(frame) = self.early.take(self.next_seq) {
-            // Without room it is forgotten, and comes again.
-            if !self.has_room(frame.onset) {
-                break;
-            }
-            self.strokes(frame.seq, frame.onset, frame.base, &frame.batch);
-        }
-    }
-
-    /// Whether a frame's reports and its mark would find a place.
-    fn has_room(&self, onset: bool) -> bool {
-        self.reports.free() > RESERVE && (!onset || !self.marks.is_full())
-    }
-
-    /// Takes the next frame of the ordered stream.
-    fn strokes(&mut self, seq: u16, onset: bool, base: Tick, batch: &[u8]) {
-        self.next_seq = seq.wrapping_add(1);
-        let rendered = self.rendered.wire();
-        if onset && self.state == State::Armed {
-            // No stroke begins before the base it counts from.
-            if base < self.rendered {
-                self.report(Report::OnsetRefused { seq, rendered });
-                return;
-            }
-            // Room was checked by the caller.
-            let _ = self.marks.push_back(base);
-        }
-        let (mut late, mut refused, mut reason) = (0u64, 0u64, None);
-        for (i, stroke) in Strokes::new(base, batch).flatten().enumerate() {
-            match self.accept(&stroke) {
-                Ok(true) => {}
-                Ok(false) => late |= 1 << i,
-                Err(refusal) => {
-                    refused |= 1 << i;
-                    reason = reason.or(Some(refusal));
-                }
-            }
-        }
-        self.counters.late += 2 * u64::from(late.count_ones());
-        self.counters.refused += 2 * u64::from(refused.count_ones());
-        if late | refused != 0 {
-            self.report(Report::Verdict { seq, late, refused, reason, rendered });
-        }
-    }
-
-    /// Queues a stroke; `Ok(false)` if it is late.
-    fn accept(&mut self, stroke: &Stroke) -> Result<bool, Refusal> {
-        if self.state != State::Armed {
-            return Err(Refusal::NotArmed);
-        }
-        limits::check(stroke)?;
-        if stroke.up < self.rendered {
-            return Ok(false);
-        }
-        if stroke.down.since(self.now) > FARTHEST {
-            return Err(Refusal::TooFar);
-        }
-        if self.pool.end(stroke.motor.into()).is_some_and(|end| stroke.up < end) {
-            return Err(Refusal::Overlap);
-        }
-        if self.queue(Slot::new(*stroke, Kind::Play)) { Ok(true) } else { Err(Refusal::PoolFull) }
-    }
-
-    /// Changes the count of a burst that is not rendered yet; `None` if that cannot be.
-    fn amend(&mut self, generation: u16, item: &Amendment) -> Option<()> {
-        let index = self.pool.find(item.motor.into(), item.up)?;
-        let slot = self.pool.get(index)?;
-        let room_after = self.pool.get(slot.next).map_or(NEVER, |next| next.stroke.up);
-        let rendered = self.rendered;
-        let slot = self.pool.get_mut(index)?;
-        let half = usize::from(item.direction == Direction::Down);
-        let burst = slot.stroke.bursts()[half];
-        let room = if half == 0 { slot.stroke.down } else { room_after };
-        let newest = slot.generation[half].is_none_or(|old| newer(generation, old));
-        let fits = limits::within_correction(slot.planned[half], item.pulses)
-            && burst.start + u64::from(item.pulses) <= room
-            && (1..=[limits::MAX_UP_PULSES, limits::MAX_DOWN_PULSES][half]).contains(&item.pulses);
-        if self.state != State::Armed || slot.kind != Kind::Play || burst.start < rendered || !newest || !fits
-        {
-            return None;
-        }
-        let mut stroke = slot.stroke;
-        match item.direction {
-            Direction::Up => stroke.up_pulses = item.pulses,
-            Direction::Down => stroke.down_pulses = item.pulses,
-        }
-        if let Some(charged) = &mut slot.charged
-            && stroke.pulses() > *charged
-        {
-            self.on_time.begin(rendered, item.motor.into(), stroke.pulses() - *charged).ok()?;
-            *charged = stroke.pulses();
-        }
-        slot.generation[half] = Some(generation);
-        slot.stroke = stroke;
-        Some(())
-    }
-}
-
-/// Whether `batch` can be read to its end and a verdict has a bit for each of its strokes.
-fn readable(batch: &[u8]) -> bool {
-    let mut strokes = Strokes::new(Tick(0), batch);
-    let whole = strokes.by_ref().take(MAX_BATCH).all(|stroke| stroke.is_ok());
-    whole && strokes.next().is_none()
 }
 
 /// Whether `a` comes after `b`, as numbers that wrap.

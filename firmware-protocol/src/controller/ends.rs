@@ -1,0 +1,125 @@
+//! How strokes end: played and booked, cut and returned, or switched off with a debt.
+
+use crate::controller::pool::Kind;
+use crate::controller::{Controller, NEVER};
+use crate::message::{Cause, Cut, Report, State};
+use crate::stroke::{Lines, MOTORS};
+use crate::tick::Tick;
+
+impl Controller {
+    pub(super) fn disarm(&mut self, cause: Cause) {
+        match self.state {
+            State::Armed => self.cut(cause, State::Disarmed),
+            State::Returning => (self.then, self.cause) = (State::Disarmed, cause),
+            State::Disarmed | State::Faulted => {}
+        }
+    }
+
+    /// Cuts what runs at the rendered end, flushes the queue and plays down what pins are owed.
+    pub(super) fn cut(&mut self, cause: Cause, then: State) {
+        let at = self.rendered;
+        let (mut flushed, mut owed) = (0, 0);
+        for motor in 0..MOTORS {
+            let index = self.pool.queues[motor].cursor;
+            let Some(slot) = self.pool.get_mut(index) else { continue };
+            self.travel[motor] -= slot.shift_undone(at).cast_signed();
+            let begun = slot.begun(at);
+            if begun {
+                owed += u32::from(slot.cut_at(at));
+            }
+            let strokes = self.pool.flush(motor, begun);
+            flushed += strokes;
+            self.counters.dropped += 2 * u64::from(strokes);
+            self.changes[motor] = at;
+        }
+        self.finish_cut(cause, true, flushed, owed, at);
+        (self.state, self.then) = (State::Returning, then);
+        self.settle();
+    }
+
+    /// E-stop and faults: nothing is played after the tick that is being played now, if there is one.
+    pub(super) fn off(&mut self, cause: Cause) {
+        if self.state == State::Faulted {
+            return;
+        }
+        let at = (self.now + 1).min(self.rendered);
+        self.settle_strokes(at);
+        let mut flushed = 0;
+        for motor in 0..MOTORS {
+            while let Some(slot) = self.pool.pop(motor) {
+                let [up, down] = slot.played_before(at);
+                if let Some(charged) = slot.charged {
+                    let played = u32::from(up) + u32::from(down);
+                    self.on_time.end(self.rendered, motor, charged, played);
+                }
+                self.travel[motor] -= slot.shift_undone(at).cast_signed();
+                let begun = slot.begun(at);
+                if begun {
+                    self.owed[motor] = self.owed[motor].saturating_add(slot.owed_at(at));
+                }
+                if slot.kind == Kind::Play {
+                    let bursts = u64::from(begun) + u64::from(begun && slot.stroke.down < at);
+                    self.counters.played += bursts;
+                    self.counters.dropped += 2 - bursts;
+                    self.counters.pulses += u64::from(up) + u64::from(down);
+                    flushed += u16::from(!begun);
+                }
+            }
+            self.changes[motor] = NEVER;
+        }
+        self.lines = Lines::OFF;
+        self.off_until = self.rendered;
+        self.state = State::Faulted;
+        self.finish_cut(cause, false, flushed, self.owed_in_all(), at);
+    }
+
+    fn finish_cut(&mut self, cause: Cause, returns: bool, flushed: u16, owed: u32, at: Tick) {
+        self.marks.retain(|&mark| mark < at);
+        self.cause = cause;
+        self.report_cut(cause, returns, flushed, owed, at);
+    }
+
+    pub(super) fn report_cut(&mut self, cause: Cause, returns: bool, flushed: u16, owed: u32, at: Tick) {
+        let cut = Cut { cause, at: at.wire(), returns, flushed, owed };
+        self.last_cut = Some(cut);
+        self.report(Report::Cut(cut));
+        self.pending.status = true;
+    }
+
+    /// Books what was played before now, in the order of time. What is not rendered was not played.
+    pub(super) fn settle(&mut self) {
+        let now = self.now.min(self.rendered);
+        while let Some(&mark) = self.marks.front().filter(|&&mark| mark <= now) {
+            self.settle_strokes(mark);
+            self.marks.pop_front();
+            self.report(Report::Onset { tick: mark.wire(), counters: self.counters });
+        }
+        self.settle_strokes(now);
+        if self.state == State::Returning && self.pool.is_empty() {
+            self.state = self.then;
+            self.pending.status = true;
+        }
+    }
+
+    fn settle_strokes(&mut self, now: Tick) {
+        for motor in 0..MOTORS {
+            while self.pool.head(motor).is_some_and(|slot| slot.stroke.end() <= now) {
+                let Some(slot) = self.pool.pop(motor) else { break };
+                if let Some(charged) = slot.charged {
+                    self.on_time.end(self.rendered, motor, charged, slot.stroke.pulses());
+                }
+                if slot.kind != Kind::Play {
+                    continue;
+                }
+                let played = [slot.stroke.up_pulses, slot.stroke.down_pulses];
+                self.counters.played += 2;
+                self.counters.pulses += u64::from(played[0]) + u64::from(played[1]);
+                if !slot.cut {
+                    let changed =
+                        played.iter().zip(slot.planned).filter(|&(&played, planned)| played != planned);
+                    self.counters.amended += changed.count() as u64;
+                }
+            }
+        }
+    }
+}

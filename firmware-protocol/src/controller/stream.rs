@@ -1,0 +1,123 @@
+//! The ordered stream of strokes, and amendments beside it.
+
+use crate::batch::{Amendment, MAX_BATCH, Strokes};
+use crate::controller::pool::{Kind, Slot};
+use crate::controller::reports::RESERVE;
+use crate::controller::{Controller, FARTHEST, NEVER, newer};
+use crate::limits::{self, Refusal};
+use crate::message::{Report, State};
+use crate::stroke::{Direction, Stroke};
+use crate::tick::Tick;
+
+impl Controller {
+    /// Takes a frame of the ordered stream if it is its turn, and those kept that follow it.
+    pub(super) fn stream(&mut self, seq: u16, onset: bool, base: Tick, batch: &[u8]) {
+        if seq != self.next_seq {
+            self.early.keep(self.next_seq, seq, onset, base, batch);
+        } else if self.has_room(onset) {
+            self.strokes(seq, onset, base, batch);
+        }
+        while let Some(frame) = self.early.take(self.next_seq) {
+            // Without room it is forgotten, and comes again.
+            if !self.has_room(frame.onset) {
+                break;
+            }
+            self.strokes(frame.seq, frame.onset, frame.base, &frame.batch);
+        }
+    }
+
+    /// Whether a frame's reports and its mark would find a place.
+    fn has_room(&self, onset: bool) -> bool {
+        self.reports.free() > RESERVE && (!onset || !self.marks.is_full())
+    }
+
+    /// Takes the next frame of the ordered stream.
+    fn strokes(&mut self, seq: u16, onset: bool, base: Tick, batch: &[u8]) {
+        self.next_seq = seq.wrapping_add(1);
+        let rendered = self.rendered.wire();
+        if onset && self.state == State::Armed {
+            // No stroke begins before the base it counts from.
+            if base < self.rendered {
+                self.report(Report::OnsetRefused { seq, rendered });
+                return;
+            }
+            // Room was checked by the caller.
+            let _ = self.marks.push_back(base);
+        }
+        let (mut late, mut refused, mut reason) = (0u64, 0u64, None);
+        for (i, stroke) in Strokes::new(base, batch).flatten().enumerate() {
+            match self.accept(&stroke) {
+                Ok(true) => {}
+                Ok(false) => late |= 1 << i,
+                Err(refusal) => {
+                    refused |= 1 << i;
+                    reason = reason.or(Some(refusal));
+                }
+            }
+        }
+        self.counters.late += 2 * u64::from(late.count_ones());
+        self.counters.refused += 2 * u64::from(refused.count_ones());
+        if late | refused != 0 {
+            self.report(Report::Verdict { seq, late, refused, reason, rendered });
+        }
+    }
+
+    /// Queues a stroke; `Ok(false)` if it is late.
+    fn accept(&mut self, stroke: &Stroke) -> Result<bool, Refusal> {
+        if self.state != State::Armed {
+            return Err(Refusal::NotArmed);
+        }
+        limits::check(stroke)?;
+        if stroke.up < self.rendered {
+            return Ok(false);
+        }
+        if stroke.down.since(self.now) > FARTHEST {
+            return Err(Refusal::TooFar);
+        }
+        if self.pool.end(stroke.motor.into()).is_some_and(|end| stroke.up < end) {
+            return Err(Refusal::Overlap);
+        }
+        if self.queue(Slot::new(*stroke, Kind::Play)) { Ok(true) } else { Err(Refusal::PoolFull) }
+    }
+
+    /// Changes the count of a burst that is not rendered yet; `None` if that cannot be.
+    pub(super) fn amend(&mut self, generation: u16, item: &Amendment) -> Option<()> {
+        let index = self.pool.find(item.motor.into(), item.up)?;
+        let slot = self.pool.get(index)?;
+        let room_after = self.pool.get(slot.next).map_or(NEVER, |next| next.stroke.up);
+        let rendered = self.rendered;
+        let slot = self.pool.get_mut(index)?;
+        let half = usize::from(item.direction == Direction::Down);
+        let burst = slot.stroke.bursts()[half];
+        let room = if half == 0 { slot.stroke.down } else { room_after };
+        let newest = slot.generation[half].is_none_or(|old| newer(generation, old));
+        let fits = limits::within_correction(slot.planned[half], item.pulses)
+            && burst.start + u64::from(item.pulses) <= room
+            && (1..=[limits::MAX_UP_PULSES, limits::MAX_DOWN_PULSES][half]).contains(&item.pulses);
+        if self.state != State::Armed || slot.kind != Kind::Play || burst.start < rendered || !newest || !fits
+        {
+            return None;
+        }
+        let mut stroke = slot.stroke;
+        match item.direction {
+            Direction::Up => stroke.up_pulses = item.pulses,
+            Direction::Down => stroke.down_pulses = item.pulses,
+        }
+        if let Some(charged) = &mut slot.charged
+            && stroke.pulses() > *charged
+        {
+            self.on_time.begin(rendered, item.motor.into(), stroke.pulses() - *charged).ok()?;
+            *charged = stroke.pulses();
+        }
+        slot.generation[half] = Some(generation);
+        slot.stroke = stroke;
+        Some(())
+    }
+}
+
+/// Whether `batch` can be read to its end and a verdict has a bit for each of its strokes.
+pub(super) fn readable(batch: &[u8]) -> bool {
+    let mut strokes = Strokes::new(Tick(0), batch);
+    let whole = strokes.by_ref().take(MAX_BATCH).all(|stroke| stroke.is_ok());
+    whole && strokes.next().is_none()
+}
