@@ -25,6 +25,8 @@ mod pty;
 mod readme;
 /// A streamer and a mock in virtual time whose lines are compared with compiled strokes.
 mod rig;
+/// A session and a controller over a line that loses: one verdict per stroke.
+mod session;
 /// The streamer against the mock: tick for tick, over bad lines, through stalls, stops and pulled cables.
 mod streaming;
 /// From patterns to strokes: exact ticks, repeats and cuts, invariants on random patterns.

@@ -123,6 +123,10 @@ impl Session {
                 batch.kept = usize::from(early) < EARLY && status.early >> early & 1 == 1;
             }
         }
+        if self.seen != self.made {
+            // A report is missing: it is repeated to a host that is heard.
+            self.ask();
+        }
         tell(Event::Status { status, tick });
         if let Some(answer) = answered {
             tell(Event::Control(answer));
