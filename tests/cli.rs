@@ -8,11 +8,11 @@ fn a_play_is_ordered_waited_for_and_summed_up() {
     assert!(complaint(daemon.meissner().args(["play", "edge-45"])).contains("meissner arm"));
     assert!(printed(daemon.meissner().args(["arm", "--assume-rest"])).starts_with("armed"));
     let text = printed(daemon.meissner().args(["play", "edge-45", "--seconds", "0.3", "--wait"]));
-    assert!(text.contains("play 2 began at tick") && text.contains("state       done"), "{text}");
+    assert!(text.contains("play 1 began at tick") && text.contains("state       done"), "{text}");
     let receipt = document(daemon.meissner().args(["receipt", "--json"]));
     assert_accounts(&receipt);
     let played = document(daemon.meissner().args(["play", "pin-60", "--at", "+1", "--json"]));
-    assert_eq!(played["id"], 3);
+    assert_eq!(played["id"], 2, "refused plays take no id");
     printed(daemon.meissner().arg("stop"));
     assert!(printed(daemon.meissner().arg("estop")).starts_with("faulted"));
     assert!(complaint(daemon.meissner().args(["play", "pin-60"])).contains("meissner reset"));
@@ -91,10 +91,12 @@ fn the_motor_needs_no_daemon() {
         (steady["peak_to_peak_um"].as_f64().unwrap() - 68.706).abs() < 0.001 && steady["saturated"] == false
     );
     assert_eq!(steady["pulses"], 589);
-    for hz in ["-60", "0", "NaN"] {
+    for hz in ["-60", "0", "NaN", "inf"] {
         let line = complaint(meissner().args(["motor", "--frequency-hz", hz, "--amplitude-um", "80"]));
         assert!(line.contains("frequency"), "{line}");
     }
+    let line = complaint(meissner().args(["motor", "--frequency-hz", "60", "--amplitude-um", "inf"]));
+    assert!(line.contains("amplitude"), "{line}");
 }
 
 #[test]
@@ -117,6 +119,12 @@ fn what_cannot_be_understood_exits_with_2() {
         &["play"],
         &["play", "x", "--at", "soon"],
         &["play", "x", "--late", "never"],
+        &["play", "x", "--seconds", "nan"],
+        &["play", "x", "--seconds", "inf"],
+        &["play", "x", "--seconds", "-1"],
+        &["play", "x", "--at", "+nan"],
+        &["play", "x", "--at", "+inf"],
+        &["demo", "--seconds", "nan"],
         &["daemon", "--device", "uart"],
         &["stop", "--now"],
         &["home"],

@@ -9,7 +9,7 @@
 use rustix::fs::{FlockOperation, flock};
 use std::fs::{self, File, OpenOptions, Permissions};
 use std::io::{self, Read, Write};
-use std::os::unix::fs::{FileTypeExt, OpenOptionsExt, PermissionsExt};
+use std::os::unix::fs::{FileTypeExt, MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
 
@@ -52,6 +52,8 @@ fn pid_text(pid: Option<i32>) -> String {
 pub(super) struct Bound {
     pub(super) listener: UnixListener,
     socket: PathBuf,
+    /// Which file it made there.
+    file: Option<(u64, u64)>,
     _lock: File,
 }
 
@@ -62,7 +64,8 @@ impl Bound {
         let wrong = |source| SocketError::Io { path: socket.to_owned(), source };
         // Until the mode is set, the umask's mode holds, which lets nobody else in unless it was told to.
         let listener = UnixListener::bind(socket).map_err(wrong)?;
-        let bound = Self { listener, socket: socket.to_owned(), _lock: lock };
+        let file = identity(socket);
+        let bound = Self { listener, socket: socket.to_owned(), file, _lock: lock };
         fs::set_permissions(socket, Permissions::from_mode(MODE)).map_err(wrong)?;
         bound.listener.set_nonblocking(true).map_err(wrong)?;
         Ok(bound)
@@ -71,9 +74,16 @@ impl Bound {
 
 impl Drop for Bound {
     fn drop(&mut self) {
-        // Already gone: nothing left to do.
-        let _ = fs::remove_file(&self.socket);
+        // What somebody else has put there since is theirs; if it is gone, nothing is left to do.
+        if self.file.is_some() && identity(&self.socket) == self.file {
+            let _ = fs::remove_file(&self.socket);
+        }
     }
+}
+
+/// Device and inode.
+fn identity(path: &Path) -> Option<(u64, u64)> {
+    fs::symlink_metadata(path).ok().map(|found| (found.dev(), found.ino()))
 }
 
 fn lock(socket: &Path) -> Result<File, SocketError> {
@@ -136,7 +146,11 @@ mod tests {
         assert!(socket.exists(), "the refused one left the first one's socket alone");
         drop(first);
         assert!(!socket.exists());
-        Bound::new(&socket).unwrap();
+        let second = Bound::new(&socket).unwrap();
+        fs::remove_file(&socket).unwrap();
+        fs::write(&socket, "precious").unwrap();
+        drop(second);
+        assert!(socket.exists(), "what it did not make it does not remove");
     }
 
     #[test]
