@@ -11,10 +11,12 @@ use crate::plant::{Plant, PlantConfig, PlantError};
 use crate::stream::Settings;
 use firmware_protocol::limits::OnTimeLimits;
 use firmware_protocol::tick::Tick;
+use rustix::fs::OFlags;
 use serde::Deserialize;
 use std::env;
-use std::fs;
-use std::io;
+use std::fs::OpenOptions;
+use std::io::{self, Read};
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 use toml::de::DeTable;
 
@@ -164,11 +166,9 @@ impl Config {
     /// The first thing that is wrong with it, in one line.
     pub fn read(file: &Path) -> Result<Self, ConfigError> {
         let wrong = |source| ConfigError::Read { file: file.to_owned(), source };
-        let bytes = fs::metadata(file).map_err(wrong)?.len();
-        if bytes > MAX_BYTES {
-            return Err(wrong(io::Error::other(format!("{bytes} bytes are too many for a configuration"))));
-        }
-        Self::parse(&fs::read_to_string(file).map_err(wrong)?, file)
+        let bytes = read_regular(file, MAX_BYTES).map_err(wrong)?;
+        let text = String::from_utf8(bytes).map_err(|_| wrong(io::Error::other("not UTF-8 text")))?;
+        Self::parse(&text, file)
     }
 
     /// Reads a configuration's text; `file` is what errors call it.
@@ -190,6 +190,21 @@ impl Config {
         }
         toml::from_str::<File>(text).map_err(wrong)?.check(file)
     }
+}
+
+/// The file's bytes, at most so many. A pipe or a device in place of a file is refused without waiting for it.
+pub(crate) fn read_regular(path: &Path, most: u64) -> io::Result<Vec<u8>> {
+    let mut options = OpenOptions::new();
+    let file = options.read(true).custom_flags(OFlags::NONBLOCK.bits().cast_signed()).open(path)?;
+    if !file.metadata()?.is_file() {
+        return Err(io::Error::other("is not a regular file"));
+    }
+    let mut bytes = Vec::new();
+    file.take(most + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > most {
+        return Err(io::Error::other(format!("more than {most} bytes")));
+    }
+    Ok(bytes)
 }
 
 fn line_at(text: &str, offset: usize) -> usize {
@@ -327,6 +342,14 @@ mod tests {
         ] {
             let line = parse(text).unwrap_err();
             assert!(line.contains(says) && !line.contains('\n'), "{text}: {line}");
+        }
+        for (file, says) in [
+            ("/dev/zero", "is not a regular file"),
+            ("/", "is not a regular file"),
+            ("/proc/self/exe", "more than"),
+        ] {
+            let line = Config::read(Path::new(file)).unwrap_err().to_string();
+            assert!(line.contains(says) && !line.contains('\n'), "{line}");
         }
         assert!(
             Config::read(Path::new("/nonexistent/m.toml")).unwrap_err().to_string().contains("/nonexistent")

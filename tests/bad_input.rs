@@ -45,9 +45,11 @@ fn ten_megabytes_are_refused_without_being_kept() {
 
 #[test]
 fn a_file_that_is_none_is_a_line() {
-    for (path, says) in
-        [("/nonexistent/p.toml", "/nonexistent/p.toml"), ("/", "not a file"), ("/dev/zero", "not a file")]
-    {
+    for (path, says) in [
+        ("/nonexistent/p.toml", "/nonexistent/p.toml"),
+        ("/", "not a regular file"),
+        ("/dev/zero", "not a regular file"),
+    ] {
         let line = complaint(meissner().args(["import", path]));
         assert!(line.contains(says), "{line}");
     }

@@ -1,6 +1,7 @@
 use crate::harness::{Daemon, assert_accounts, complaint, document, meissner, printed, write_pattern};
 use rustix::process::Signal;
 use serde_json::json;
+use std::io::{BufRead, BufReader};
 
 #[test]
 fn a_play_is_ordered_waited_for_and_summed_up() {
@@ -59,6 +60,65 @@ fn a_session_over_a_pseudo_terminal() {
     printed(daemon.meissner().args(["play", "wave"]));
     daemon.signal(Signal::TERM);
     assert!(daemon.wait().success() && !daemon.socket().exists(), "{}", daemon.log());
+}
+
+#[test]
+fn a_log_that_nobody_reads_stops_nothing() {
+    let mut daemon = Daemon::unheard();
+    daemon.armed();
+    printed(daemon.meissner().args(["play", "wave"]));
+    printed(daemon.meissner().arg("stop"));
+    assert!(printed(daemon.meissner().arg("estop")).starts_with("faulted"));
+    printed(daemon.meissner().arg("reset"));
+    daemon.signal(Signal::TERM);
+    assert!(daemon.wait().success() && !daemon.socket().exists());
+}
+
+#[test]
+fn a_closed_terminal_ends_the_daemon_like_sigterm() {
+    let mut daemon = Daemon::start();
+    daemon.armed();
+    printed(daemon.meissner().args(["play", "wave"]));
+    daemon.signal(Signal::HUP);
+    assert!(daemon.wait().success() && !daemon.socket().exists(), "{}", daemon.log());
+}
+
+/// `play --wait` of an endless pattern whose first lines somebody else reads.
+fn waiting(daemon: &Daemon) -> (std::process::Child, BufReader<std::process::ChildStdout>) {
+    let mut child = std::process::Command::new(env!("CARGO_BIN_EXE_meissner"))
+        .args(["play", "pin-60", "--wait"])
+        .env("MEISSNER_SOCKET", daemon.socket())
+        .stdout(std::process::Stdio::piped())
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(child.stdout.take().unwrap());
+    let mut line = String::new();
+    lines.read_line(&mut line).unwrap();
+    assert!(line.contains("began"), "{line}");
+    (child, lines)
+}
+
+#[test]
+fn a_result_does_not_depend_on_who_reads_it() {
+    let daemon = Daemon::start();
+    daemon.armed();
+    let (mut child, lines) = waiting(&daemon);
+    drop(lines);
+    printed(daemon.meissner().arg("stop"));
+    assert_eq!(child.wait().unwrap().code(), Some(1), "it was cut");
+}
+
+#[test]
+fn leaving_a_play_says_that_it_goes_on() {
+    let daemon = Daemon::start();
+    let mut client = daemon.armed();
+    let (child, _lines) = waiting(&daemon);
+    rustix::process::kill_process(rustix::process::Pid::from_child(&child), Signal::INT).unwrap();
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(130));
+    assert_eq!(output.stderr, b"still playing: `meissner stop` ends it\n");
+    assert!(!client.get::<serde_json::Value>("/v1/status").unwrap()["play"].is_null());
 }
 
 #[test]
