@@ -64,7 +64,7 @@ fn a_bad_configuration_keeps_the_daemon_from_starting() {
         ("lead_ms = 2\n", "`lead_ms` is 2: must be 5 to 1000 ms"),
         ("lease_ms = 120\n", "`lease_ms` is 120: must be 150"),
         ("device = \"uart\"\n", "device `uart`"),
-        ("patterns_dir = \"/nonexistent\"\n", "/nonexistent: No such file"),
+        ("patterns_dir = \"/nonexistent\"\n", "m.toml: `patterns_dir`: /nonexistent: No such file"),
         ("patterns_dir = \"/dev/null\"\n", "/dev/null: Not a directory"),
         ("socket = \"/nonexistent/m.sock\"\n", "/nonexistent/m.sock"),
     ] {

@@ -17,10 +17,10 @@ mod watch;
 
 use crate::api::Late;
 use crate::client::Client;
-use crate::config::{self, Config};
-use crate::daemon::{self, Daemon};
+use crate::config::{self, Config, PatternsDir};
+use crate::daemon::{self, Daemon, DaemonError};
 use crate::device::Spec;
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, anyhow};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use serde::Serialize;
@@ -319,7 +319,7 @@ fn run(command: Command) -> Result<ExitCode> {
 }
 
 fn serve(config: Option<PathBuf>, device: Option<Spec>, place: Place) -> Result<ExitCode> {
-    let mut settings = config.map_or_else(|| Ok(Config::default()), |file| Config::read(&file))?;
+    let mut settings = config.as_ref().map_or_else(|| Ok(Config::default()), |file| Config::read(file))?;
     if let Some(device) = device {
         settings.device = device;
     }
@@ -328,7 +328,15 @@ fn serve(config: Option<PathBuf>, device: Option<Spec>, place: Place) -> Result<
     }
     daemon::runtime()?.block_on(async {
         let end = daemon::told_to_end()?;
-        Daemon::start(&settings)?.run(end).await
+        let daemon = Daemon::start(&settings).map_err(|error| match (error, &config) {
+            (DaemonError::Store(error), Some(file))
+                if matches!(settings.patterns, PatternsDir::Configured(_)) =>
+            {
+                anyhow!("{}: `patterns_dir`: {error}", file.display())
+            }
+            (error, _) => error.into(),
+        })?;
+        anyhow::Ok(daemon.run(end).await?)
     })?;
     Ok(ExitCode::SUCCESS)
 }

@@ -45,7 +45,7 @@ pub(super) type Reply = oneshot::Receiver<Result<(), Refused>>;
 /// A call that waits for its answer.
 #[derive(Debug)]
 struct Ticket {
-    reply: oneshot::Sender<Result<(), Refused>>,
+    replies: Vec<oneshot::Sender<Result<(), Refused>>>,
     given: HostInstant,
     play: Option<u64>,
 }
@@ -55,6 +55,7 @@ pub(super) struct Inner {
     pub(super) recorder: Recorder,
     orders: Orders,
     last_ticket: u64,
+    last_estop: u64,
     last_play: u64,
     waiting: HashMap<u64, Ticket>,
     truth: Option<Arc<Truth>>,
@@ -77,6 +78,7 @@ impl Engine {
             recorder: Recorder::default(),
             orders,
             last_ticket: 0,
+            last_estop: 0,
             last_play: 0,
             waiting: HashMap::new(),
             truth: None,
@@ -250,14 +252,25 @@ impl Inner {
         self.last_ticket += 1;
         let (ticket, given) = (self.last_ticket, HostInstant::now());
         self.forget(given);
+        let (reply, receiver) = oneshot::channel();
+        let estop = matches!(job, Job::EStop);
         if self.orders.send(Order { ticket, given, job }).is_err() {
+            if estop {
+                // Only another emergency stop can have taken the last place: its answer is for both.
+                if let Some(ticket) = self.waiting.get_mut(&self.last_estop) {
+                    ticket.replies.push(reply);
+                }
+                return Ok(receiver);
+            }
             return Err(Problem::new(
                 Code::Busy,
                 "too many orders wait for the device: try again in a moment",
             ));
         }
-        let (reply, receiver) = oneshot::channel();
-        self.waiting.insert(ticket, Ticket { reply, given, play });
+        if estop {
+            self.last_estop = ticket;
+        }
+        self.waiting.insert(ticket, Ticket { replies: vec![reply], given, play });
         Ok(receiver)
     }
 
@@ -301,8 +314,10 @@ impl Inner {
 
     fn answered(&mut self, ticket: u64, result: Result<(), Refused>) -> Option<Event> {
         let ticket = self.waiting.remove(&ticket)?;
-        // The client may have hung up meanwhile.
-        let _ = ticket.reply.send(result);
+        for reply in ticket.replies {
+            // The client may have hung up meanwhile.
+            let _ = reply.send(result);
+        }
         self.settle(ticket.play?, result.is_ok())
     }
 }
@@ -352,4 +367,33 @@ fn nanoseconds(ms: f64) -> u64 {
 )]
 fn bell(notices: &Notices) -> io::Result<AsyncFd<OwnedFd>> {
     AsyncFd::with_interest(notices.as_fd().try_clone_to_owned()?, Interest::READABLE)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::stream::port::port;
+
+    #[test]
+    fn a_full_ring_is_busy_for_all_but_an_emergency_stop() {
+        let (mut port, orders, _notices) = port().unwrap();
+        let engine = Engine::new(orders, Settings::default());
+        let mut waiting = 0;
+        let busy = loop {
+            match engine.order(Job::Stop) {
+                Ok(_) => waiting += 1,
+                Err(problem) => break problem,
+            }
+        };
+        assert_eq!(busy.code, "busy");
+        let mut first = engine.order(Job::EStop).unwrap();
+        let mut second = engine.order(Job::EStop).unwrap();
+        for _ in 0..waiting {
+            assert!(matches!(port.pop().unwrap().job, Job::Stop));
+        }
+        let estop = port.pop().unwrap();
+        assert!(matches!(estop.job, Job::EStop) && port.pop().is_none());
+        engine.lock().take(Notice::Answer { ticket: estop.ticket, result: Ok(()) });
+        assert_eq!((first.try_recv(), second.try_recv()), (Ok(Ok(())), Ok(Ok(()))));
+    }
 }

@@ -6,6 +6,7 @@
 //!
 //! Invariant: while a [`Bound`] lives, no other daemon is bound to its path.
 
+use crate::client::MAX_SOCKET_PATH;
 use rustix::fs::{FlockOperation, flock};
 use std::fs::{self, File, OpenOptions, Permissions};
 use std::io::{self, Read, Write};
@@ -30,6 +31,12 @@ pub enum SocketError {
     /// Some other file.
     #[error("{} is not a socket: remove it, or choose another with --socket", .socket.display())]
     NotASocket {
+        /// Where.
+        socket: PathBuf,
+    },
+    /// More than the system takes.
+    #[error("{}: a socket's path has at most {MAX_SOCKET_PATH} bytes: choose a shorter one with --socket", .socket.display())]
+    TooLong {
         /// Where.
         socket: PathBuf,
     },
@@ -59,6 +66,9 @@ pub(super) struct Bound {
 
 impl Bound {
     pub(super) fn new(socket: &Path) -> Result<Self, SocketError> {
+        if socket.as_os_str().len() > MAX_SOCKET_PATH {
+            return Err(SocketError::TooLong { socket: socket.to_owned() });
+        }
         let lock = lock(socket)?;
         clear(socket)?;
         let wrong = |source| SocketError::Io { path: socket.to_owned(), source };
@@ -171,7 +181,9 @@ mod tests {
     }
 
     #[test]
-    fn a_missing_directory_is_said() {
+    fn a_missing_directory_and_a_long_path_are_said() {
+        let long = Bound::new(Path::new(&format!("/tmp/{}", "x".repeat(103)))).unwrap_err().to_string();
+        assert!(long.contains("at most 107 bytes: choose a shorter one"), "{long}");
         let line = Bound::new(Path::new("/nonexistent/m.sock")).unwrap_err().to_string();
         assert!(line.contains("/nonexistent/m.sock") && line.contains("--socket"), "{line}");
     }
