@@ -1,7 +1,8 @@
 use crate::harness::{Daemon, assert_accounts, complaint, document, meissner, printed, write_pattern};
+use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 use rustix::process::Signal;
 use serde_json::json;
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Write};
 
 #[test]
 fn a_play_is_ordered_waited_for_and_summed_up() {
@@ -64,14 +65,24 @@ fn a_session_over_a_pseudo_terminal() {
 
 #[test]
 fn a_log_that_nobody_reads_stops_nothing() {
-    let mut daemon = Daemon::unheard();
-    daemon.armed();
-    printed(daemon.meissner().args(["play", "wave"]));
-    printed(daemon.meissner().arg("stop"));
-    assert!(printed(daemon.meissner().arg("estop")).starts_with("faulted"));
-    printed(daemon.meissner().arg("reset"));
-    daemon.signal(Signal::TERM);
-    assert!(daemon.wait().success() && !daemon.socket().exists());
+    let (reader, closed) = std::io::pipe().unwrap();
+    drop(reader);
+    let (_reader, mut full) = std::io::pipe().unwrap();
+    // The flag belongs to the pipe: the daemon gets it as it was.
+    let flags = fcntl_getfl(&full).unwrap();
+    fcntl_setfl(&full, flags | OFlags::NONBLOCK).unwrap();
+    while full.write(&[b'.'; 4096]).is_ok() {}
+    fcntl_setfl(&full, flags).unwrap();
+    for stderr in [closed, full] {
+        let mut daemon = Daemon::logging_to(stderr);
+        daemon.armed();
+        printed(daemon.meissner().args(["play", "wave"]));
+        printed(daemon.meissner().arg("stop"));
+        assert!(printed(daemon.meissner().arg("estop")).starts_with("faulted"));
+        printed(daemon.meissner().arg("reset"));
+        daemon.signal(Signal::TERM);
+        assert!(daemon.wait().success() && !daemon.socket().exists());
+    }
 }
 
 #[test]
@@ -141,6 +152,18 @@ fn patterns_are_listed_shown_and_imported() {
     assert_eq!(imported["name"], "mine");
     let shown = document(daemon.meissner().args(["show", "mine", "--json"]));
     assert_eq!(shown["sha256"], imported["sha256"]);
+}
+
+#[test]
+fn a_log_filter_that_is_none_is_said() {
+    let daemon = |filter: &str| {
+        let mut command = meissner();
+        // It starts, says what it has to say, and finds no directory for its socket.
+        command.args(["daemon", "--device", "mock"]).env("RUST_LOG", filter);
+        String::from_utf8(command.assert().code(1).get_output().stderr.clone()).unwrap()
+    };
+    assert_eq!(daemon("meissner=loud").matches("RUST_LOG is no filter").count(), 1);
+    assert!(!daemon("").contains("RUST_LOG"));
 }
 
 #[test]

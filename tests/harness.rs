@@ -38,13 +38,11 @@ impl Daemon {
         Self::spawn(dir, device, config, log.into())
     }
 
-    /// One whose log nobody can read.
-    pub(crate) fn unheard() -> Self {
-        let (reader, writer) = std::io::pipe().unwrap();
-        drop(reader);
+    /// One whose log goes elsewhere.
+    pub(crate) fn logging_to(stderr: impl Into<Stdio>) -> Self {
         let dir = tempfile::tempdir().unwrap();
         File::create(dir.path().join("log")).unwrap();
-        Self::spawn(dir, "mock", "lease_ms = 5000\n", writer.into())
+        Self::spawn(dir, "mock", "lease_ms = 5000\n", stderr.into())
     }
 
     fn spawn(dir: TempDir, device: &str, config: &str, stderr: Stdio) -> Self {

@@ -271,6 +271,9 @@ fn start_log(level: &str) {
     }
 }
 
+/// Bytes a pipe takes at once (PIPE_BUF).
+const ATOMIC: usize = 4096;
+
 /// Stderr as the log's end: a line that nobody takes is lost, and never waited for, complained about or a reason to
 /// stop. An emergency stop must work whoever reads the log.
 struct Log;
@@ -281,7 +284,8 @@ impl Write for Log {
         let mut ready = [PollFd::new(&stderr, PollFlags::OUT)];
         let now = Timespec { tv_sec: 0, tv_nsec: 0 };
         if poll(&mut ready, Some(&now)).is_ok() && ready[0].revents() == PollFlags::OUT {
-            let _ = stderr.lock().write_all(line);
+            // A pipe that is ready takes so many without waiting.
+            let _ = stderr.lock().write_all(&line[..line.len().min(ATOMIC)]);
         }
         Ok(line.len())
     }

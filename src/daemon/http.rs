@@ -250,7 +250,7 @@ async fn import(
     let name = path(name)?;
     let text = String::from_utf8(read(body).await?)
         .map_err(|_| Problem::new(Code::BadPattern, "not UTF-8 text: write patterns as TOML in UTF-8"))?;
-    info!(pid = peer.pid, uid = peer.uid, "import {name:?}");
+    info!(pid = peer.pid, uid = peer.uid, "import {:?}", name.chars().take(100).collect::<String>());
     let (stored, new) = beside(move || app.store.put(&name, &text)).await??;
     let Stored { pattern, sha256, .. } = stored;
     let status = if new { StatusCode::CREATED } else { StatusCode::OK };
