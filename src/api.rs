@@ -8,9 +8,10 @@
 use crate::record::{DeviceInfo, NO_DEVICE, Running};
 use crate::stream::port::{ErrorSource, LatePolicy, Refused};
 use firmware_protocol::limits::Refusal;
-use serde::de::DeserializeOwned;
-use serde::{Deserialize, Serialize};
+use serde::de::{DeserializeOwned, MapAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::{Map, Value};
+use std::fmt;
 
 /// Bytes of a request's body at the most.
 pub const MAX_BODY: usize = 1 << 20;
@@ -254,10 +255,41 @@ fn quote(text: &str) -> String {
     format!("`{shown}`")
 }
 
+/// An object, and a key that is in its text twice.
+struct Keys {
+    object: Map<String, Value>,
+    twice: Option<String>,
+}
+
+impl<'de> Deserialize<'de> for Keys {
+    fn deserialize<D: Deserializer<'de>>(source: D) -> Result<Self, D::Error> {
+        struct Pairs;
+        impl<'de> Visitor<'de> for Pairs {
+            type Value = Keys;
+            fn expecting(&self, text: &mut fmt::Formatter<'_>) -> fmt::Result {
+                text.write_str("an object")
+            }
+            fn visit_map<A: MapAccess<'de>>(self, mut pairs: A) -> Result<Keys, A::Error> {
+                let mut keys = Keys { object: Map::new(), twice: None };
+                while let Some((key, value)) = pairs.next_entry::<String, Value>()? {
+                    if keys.object.insert(key.clone(), value).is_some() {
+                        keys.twice = Some(key);
+                    }
+                }
+                Ok(keys)
+            }
+        }
+        source.deserialize_map(Pairs)
+    }
+}
+
 fn object(body: &[u8], known: &[&str]) -> Result<Map<String, Value>, Problem> {
-    let object: Map<String, Value> = serde_json::from_slice(body).map_err(|error| {
+    let Keys { object, twice } = serde_json::from_slice(body).map_err(|error| {
         bad(format!("the body is not a JSON object: {error}; see the API's documentation"))
     })?;
+    if let Some(key) = twice {
+        return Err(bad(format!("{} is there twice: leave one out", quote(&key))));
+    }
     let nearest = |unknown: &str| {
         let piece: String = unknown.chars().take(64).collect();
         known.iter().min_by_key(|known| strsim::damerau_levenshtein(known, &piece))
@@ -274,7 +306,14 @@ fn object(body: &[u8], known: &[&str]) -> Result<Map<String, Value>, Problem> {
 /// Takes a key; null is the same as absent.
 fn key<T: DeserializeOwned>(object: &mut Map<String, Value>, key: &str) -> Result<Option<T>, Problem> {
     let value = object.remove(key).unwrap_or_default();
-    serde_json::from_value(value).map_err(|error| bad(format!("`{key}`: {error}")))
+    serde_json::from_value(value).map_err(|error| bad(format!("`{key}`: {}", in_words(&error))))
+}
+
+/// What serde says, without the names of our types.
+fn in_words(error: &serde_json::Error) -> String {
+    let line = error.to_string().replace("expected f64", "expected a number");
+    let line = line.replace("expected u32", &format!("expected a whole number from 0 to {}", u32::MAX));
+    line.replace("expected u64", &format!("expected a whole number from 0 to {}", u64::MAX))
 }
 
 /// `202` to `POST /v1/play`.
@@ -369,7 +408,10 @@ mod tests {
         for (text, says) in [
             (r#"{"pattern":"a","secnods":2}"#, "unknown key `secnods`: did you mean `seconds`?"),
             (r#"{"seconds":2}"#, "`pattern` is missing"),
-            (r#"{"pattern":"a","seconds":"2"}"#, "`seconds`: invalid type"),
+            (r#"{"pattern":"a","seconds":"2"}"#, "`seconds`: invalid type: string \"2\", expected a number"),
+            (r#"{"pattern":"a","boot":-1}"#, "expected a whole number from 0 to 4294967295"),
+            (r#"{"pattern":"a","at_tick":1.5}"#, "expected a whole number from 0 to 18446744073709551615"),
+            (r#"{"pattern":"a","seconds":1,"pattern":"b"}"#, "`pattern` is there twice: leave one out"),
             (r#"{"pattern":"a","late":"never"}"#, "`late`: unknown variant"),
             (r#"{"pattern":"a","at_ms":-1}"#, "`at_ms` is -1"),
             (r#"{"pattern":"a","at_ms":1,"at_tick":1}"#, "exclude"),

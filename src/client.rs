@@ -26,6 +26,9 @@ pub const PATIENCE: Duration = Duration::from_secs(5);
 /// Bytes of an answer, or of one event, at the most.
 const MAX_ANSWER: usize = 16 << 20;
 
+/// Bytes of a socket's path at the most: what `sun_path` holds.
+pub const MAX_SOCKET_PATH: usize = 107;
+
 /// What a call can come to.
 #[derive(Debug, thiserror::Error)]
 pub enum ClientError {
@@ -44,6 +47,12 @@ pub enum ClientError {
         socket: PathBuf,
         /// What the system said.
         source: io::Error,
+    },
+    /// More than the system takes.
+    #[error("{}: a socket's path has at most {MAX_SOCKET_PATH} bytes: choose a shorter one with --socket", .socket.display())]
+    TooLong {
+        /// Where.
+        socket: PathBuf,
     },
     /// The daemon says no.
     #[error(transparent)]
@@ -188,6 +197,7 @@ async fn connect(socket: &Path) -> Result<SendRequest<Full<Bytes>>, ClientError>
     let stream = UnixStream::connect(socket).await.map_err(|source| {
         let socket = socket.to_owned();
         match source.kind() {
+            _ if socket.as_os_str().len() > MAX_SOCKET_PATH => ClientError::TooLong { socket },
             io::ErrorKind::NotFound | io::ErrorKind::ConnectionRefused => {
                 ClientError::NoDaemon { socket, source }
             }
@@ -294,6 +304,8 @@ mod tests {
             format!("no daemon answers at {}: start one with `meissner daemon`", socket.display())
         );
         assert!(matches!(client.events(), Err(ClientError::NoDaemon { .. })));
+        let long = Client::new(&dir.path().join("x".repeat(107))).unwrap().events().unwrap_err();
+        assert!(matches!(long, ClientError::TooLong { .. }), "{long}");
     }
 
     #[test]

@@ -11,10 +11,12 @@ use crate::plant::{Plant, PlantConfig, PlantError};
 use crate::stream::Settings;
 use firmware_protocol::limits::OnTimeLimits;
 use firmware_protocol::tick::Tick;
+use rustix::fs::OFlags;
 use serde::Deserialize;
 use std::env;
-use std::fs;
-use std::io;
+use std::fs::OpenOptions;
+use std::io::{self, Read};
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 use toml::de::DeTable;
 
@@ -164,11 +166,9 @@ impl Config {
     /// The first thing that is wrong with it, in one line.
     pub fn read(file: &Path) -> Result<Self, ConfigError> {
         let wrong = |source| ConfigError::Read { file: file.to_owned(), source };
-        let bytes = fs::metadata(file).map_err(wrong)?.len();
-        if bytes > MAX_BYTES {
-            return Err(wrong(io::Error::other(format!("{bytes} bytes are too many for a configuration"))));
-        }
-        Self::parse(&fs::read_to_string(file).map_err(wrong)?, file)
+        let bytes = read_regular(file, MAX_BYTES).map_err(wrong)?;
+        let text = String::from_utf8(bytes).map_err(|_| wrong(io::Error::other("not UTF-8 text")))?;
+        Self::parse(&text, file)
     }
 
     /// Reads a configuration's text; `file` is what errors call it.
@@ -179,17 +179,46 @@ impl Config {
         let wrong = |error: toml::de::Error| ConfigError::Text {
             file: file.to_owned(),
             line: error.span().map(|span| line_at(text, span.start)),
-            message: error.message().lines().collect::<Vec<_>>().join("; "),
+            message: in_words(error.message()),
         };
         let table = DeTable::parse(text).map_err(wrong)?;
         check_keys(table.get_ref(), &KEYS, text, file)?;
         for (name, known) in [("limits", &LIMIT_KEYS[..]), ("mock", &MOCK_KEYS)] {
-            if let Some(section) = table.get_ref().get(name).and_then(|value| value.get_ref().as_table()) {
-                check_keys(section, known, text, file)?;
-            }
+            let Some(value) = table.get_ref().get(name) else { continue };
+            let Some(section) = value.get_ref().as_table() else {
+                return Err(ConfigError::Text {
+                    file: file.to_owned(),
+                    line: Some(line_at(text, value.span().start)),
+                    message: format!("`{name}` must be a table: write [{name}] and its keys below"),
+                });
+            };
+            check_keys(section, known, text, file)?;
         }
         toml::from_str::<File>(text).map_err(wrong)?.check(file)
     }
+}
+
+/// The file's bytes, at most so many. A pipe or a device in place of a file is refused without waiting for it.
+pub(crate) fn read_regular(path: &Path, most: u64) -> io::Result<Vec<u8>> {
+    let mut options = OpenOptions::new();
+    let file = options.read(true).custom_flags(OFlags::NONBLOCK.bits().cast_signed()).open(path)?;
+    if !file.metadata()?.is_file() {
+        return Err(io::Error::other("is not a regular file"));
+    }
+    let mut bytes = Vec::new();
+    file.take(most + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > most {
+        return Err(io::Error::other(format!("more than {most} bytes")));
+    }
+    Ok(bytes)
+}
+
+/// What serde and TOML say, on one line and without the names of our types.
+fn in_words(message: &str) -> String {
+    let line = message.lines().collect::<Vec<_>>().join("; ").replace("expected f64", "expected a number");
+    let line = line.replace("expected path string", "expected a path in quotes");
+    let line = line.replace("expected u32", &format!("expected a whole number from 0 to {}", u32::MAX));
+    line.replace("expected u64", &format!("expected a whole number from 0 to {}", i64::MAX))
 }
 
 fn line_at(text: &str, offset: usize) -> usize {
@@ -231,6 +260,12 @@ impl File {
                 return Err(ConfigError::Text { file: file.to_owned(), line: None, message });
             }
         };
+        for (key, path) in [("socket", &self.socket), ("patterns_dir", &self.patterns_dir)] {
+            if path.as_ref().is_some_and(|path| path.as_os_str().is_empty()) {
+                let message = format!("`{key}` is empty: name one, or leave the key out");
+                return Err(ConfigError::Text { file: file.to_owned(), line: None, message });
+            }
+        }
         let lead_ms = self.lead_ms.unwrap_or(DEFAULT_LEAD_MS);
         let lead_range = || format!("{} to {} ms", LEAD_MS.start(), LEAD_MS.end());
         range("lead_ms", lead_ms, LEAD_MS.contains(&lead_ms), &lead_range)?;
@@ -319,7 +354,14 @@ mod tests {
             ("lead_ms = nan", "`lead_ms` is NaN"),
             ("lease_ms = 149", "`lease_ms` is 149: must be 150 to"),
             ("limits.rail_pulses_per_s = 0", "`limits.rail_pulses_per_s` is 0"),
-            ("limits = 3", "m.toml:1: invalid type"),
+            ("limits = 3", "m.toml:1: `limits` must be a table"),
+            ("\nmock = []", "m.toml:2: `mock` must be a table"),
+            ("lead_ms = \"5\"", "m.toml:1: invalid type: string \"5\", expected a number"),
+            ("limits.motor_pulses_per_s = -1", "expected a whole number from 0 to 4294967295"),
+            ("mock.seed = -1", "expected a whole number from 0 to 9223372036854775807"),
+            ("socket = 1", "expected a path in quotes"),
+            ("patterns_dir = \"\"", "m.toml: `patterns_dir` is empty"),
+            ("socket = \"\"", "m.toml: `socket` is empty"),
             ("mock.gain_sd = -1.0", "mock.gain_sd is -1"),
             ("device = \"uart\"", "device `uart`: not one of"),
             ("device = 3", "m.toml:1: invalid type"),
@@ -327,6 +369,14 @@ mod tests {
         ] {
             let line = parse(text).unwrap_err();
             assert!(line.contains(says) && !line.contains('\n'), "{text}: {line}");
+        }
+        for (file, says) in [
+            ("/dev/zero", "is not a regular file"),
+            ("/", "is not a regular file"),
+            ("/proc/self/exe", "more than"),
+        ] {
+            let line = Config::read(Path::new(file)).unwrap_err().to_string();
+            assert!(line.contains(says) && !line.contains('\n'), "{line}");
         }
         assert!(
             Config::read(Path::new("/nonexistent/m.toml")).unwrap_err().to_string().contains("/nonexistent")

@@ -45,9 +45,11 @@ fn ten_megabytes_are_refused_without_being_kept() {
 
 #[test]
 fn a_file_that_is_none_is_a_line() {
-    for (path, says) in
-        [("/nonexistent/p.toml", "/nonexistent/p.toml"), ("/", "not a file"), ("/dev/zero", "not a file")]
-    {
+    for (path, says) in [
+        ("/nonexistent/p.toml", "/nonexistent/p.toml"),
+        ("/", "not a regular file"),
+        ("/dev/zero", "not a regular file"),
+    ] {
         let line = complaint(meissner().args(["import", path]));
         assert!(line.contains(says), "{line}");
     }
@@ -62,7 +64,7 @@ fn a_bad_configuration_keeps_the_daemon_from_starting() {
         ("lead_ms = 2\n", "`lead_ms` is 2: must be 5 to 1000 ms"),
         ("lease_ms = 120\n", "`lease_ms` is 120: must be 150"),
         ("device = \"uart\"\n", "device `uart`"),
-        ("patterns_dir = \"/nonexistent\"\n", "/nonexistent: No such file"),
+        ("patterns_dir = \"/nonexistent\"\n", "m.toml: `patterns_dir`: /nonexistent: No such file"),
         ("patterns_dir = \"/dev/null\"\n", "/dev/null: Not a directory"),
         ("socket = \"/nonexistent/m.sock\"\n", "/nonexistent/m.sock"),
     ] {

@@ -1,6 +1,8 @@
 use crate::harness::{Daemon, assert_accounts, complaint, document, meissner, printed, write_pattern};
+use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 use rustix::process::Signal;
 use serde_json::json;
+use std::io::{BufRead, BufReader, Write};
 
 #[test]
 fn a_play_is_ordered_waited_for_and_summed_up() {
@@ -8,11 +10,11 @@ fn a_play_is_ordered_waited_for_and_summed_up() {
     assert!(complaint(daemon.meissner().args(["play", "edge-45"])).contains("meissner arm"));
     assert!(printed(daemon.meissner().args(["arm", "--assume-rest"])).starts_with("armed"));
     let text = printed(daemon.meissner().args(["play", "edge-45", "--seconds", "0.3", "--wait"]));
-    assert!(text.contains("play 2 began at tick") && text.contains("state       done"), "{text}");
+    assert!(text.contains("play 1 began at tick") && text.contains("state       done"), "{text}");
     let receipt = document(daemon.meissner().args(["receipt", "--json"]));
     assert_accounts(&receipt);
     let played = document(daemon.meissner().args(["play", "pin-60", "--at", "+1", "--json"]));
-    assert_eq!(played["id"], 3);
+    assert_eq!(played["id"], 2, "refused plays take no id");
     printed(daemon.meissner().arg("stop"));
     assert!(printed(daemon.meissner().arg("estop")).starts_with("faulted"));
     assert!(complaint(daemon.meissner().args(["play", "pin-60"])).contains("meissner reset"));
@@ -62,6 +64,75 @@ fn a_session_over_a_pseudo_terminal() {
 }
 
 #[test]
+fn a_log_that_nobody_reads_stops_nothing() {
+    let (reader, closed) = std::io::pipe().unwrap();
+    drop(reader);
+    let (_reader, mut full) = std::io::pipe().unwrap();
+    // The flag belongs to the pipe: the daemon gets it as it was.
+    let flags = fcntl_getfl(&full).unwrap();
+    fcntl_setfl(&full, flags | OFlags::NONBLOCK).unwrap();
+    while full.write(&[b'.'; 4096]).is_ok() {}
+    fcntl_setfl(&full, flags).unwrap();
+    for stderr in [closed, full] {
+        let mut daemon = Daemon::logging_to(stderr);
+        daemon.armed();
+        printed(daemon.meissner().args(["play", "wave"]));
+        printed(daemon.meissner().arg("stop"));
+        assert!(printed(daemon.meissner().arg("estop")).starts_with("faulted"));
+        printed(daemon.meissner().arg("reset"));
+        daemon.signal(Signal::TERM);
+        assert!(daemon.wait().success() && !daemon.socket().exists());
+    }
+}
+
+#[test]
+fn a_closed_terminal_ends_the_daemon_like_sigterm() {
+    let mut daemon = Daemon::start();
+    daemon.armed();
+    printed(daemon.meissner().args(["play", "wave"]));
+    daemon.signal(Signal::HUP);
+    assert!(daemon.wait().success() && !daemon.socket().exists(), "{}", daemon.log());
+}
+
+/// `play --wait` of an endless pattern whose first lines somebody else reads.
+fn waiting(daemon: &Daemon) -> (std::process::Child, BufReader<std::process::ChildStdout>) {
+    let mut child = std::process::Command::new(env!("CARGO_BIN_EXE_meissner"))
+        .args(["play", "pin-60", "--wait"])
+        .env("MEISSNER_SOCKET", daemon.socket())
+        .stdout(std::process::Stdio::piped())
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(child.stdout.take().unwrap());
+    let mut line = String::new();
+    lines.read_line(&mut line).unwrap();
+    assert!(line.contains("began"), "{line}");
+    (child, lines)
+}
+
+#[test]
+fn a_result_does_not_depend_on_who_reads_it() {
+    let daemon = Daemon::start();
+    daemon.armed();
+    let (mut child, lines) = waiting(&daemon);
+    drop(lines);
+    printed(daemon.meissner().arg("stop"));
+    assert_eq!(child.wait().unwrap().code(), Some(1), "it was cut");
+}
+
+#[test]
+fn leaving_a_play_says_that_it_goes_on() {
+    let daemon = Daemon::start();
+    let mut client = daemon.armed();
+    let (child, _lines) = waiting(&daemon);
+    rustix::process::kill_process(rustix::process::Pid::from_child(&child), Signal::INT).unwrap();
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(130));
+    assert_eq!(output.stderr, b"still playing: `meissner stop` ends it\n");
+    assert!(!client.get::<serde_json::Value>("/v1/status").unwrap()["play"].is_null());
+}
+
+#[test]
 fn a_daemon_killed_in_mid_play_can_be_started_again() {
     let mut daemon = Daemon::on("pty");
     let _client = daemon.armed();
@@ -84,6 +155,18 @@ fn patterns_are_listed_shown_and_imported() {
 }
 
 #[test]
+fn a_log_filter_that_is_none_is_said() {
+    let daemon = |filter: &str| {
+        let mut command = meissner();
+        // It starts, says what it has to say, and finds no directory for its socket.
+        command.args(["daemon", "--device", "mock"]).env("RUST_LOG", filter);
+        String::from_utf8(command.assert().code(1).get_output().stderr.clone()).unwrap()
+    };
+    assert_eq!(daemon("meissner=loud").matches("RUST_LOG is no filter").count(), 1);
+    assert!(!daemon("").contains("RUST_LOG"));
+}
+
+#[test]
 fn the_motor_needs_no_daemon() {
     let steady =
         document(meissner().args(["motor", "--frequency-hz", "60", "--amplitude-um", "80", "--json"]));
@@ -91,10 +174,12 @@ fn the_motor_needs_no_daemon() {
         (steady["peak_to_peak_um"].as_f64().unwrap() - 68.706).abs() < 0.001 && steady["saturated"] == false
     );
     assert_eq!(steady["pulses"], 589);
-    for hz in ["-60", "0", "NaN"] {
+    for hz in ["-60", "0", "NaN", "inf"] {
         let line = complaint(meissner().args(["motor", "--frequency-hz", hz, "--amplitude-um", "80"]));
         assert!(line.contains("frequency"), "{line}");
     }
+    let line = complaint(meissner().args(["motor", "--frequency-hz", "60", "--amplitude-um", "inf"]));
+    assert!(line.contains("amplitude"), "{line}");
 }
 
 #[test]
@@ -117,6 +202,12 @@ fn what_cannot_be_understood_exits_with_2() {
         &["play"],
         &["play", "x", "--at", "soon"],
         &["play", "x", "--late", "never"],
+        &["play", "x", "--seconds", "nan"],
+        &["play", "x", "--seconds", "inf"],
+        &["play", "x", "--seconds", "-1"],
+        &["play", "x", "--at", "+nan"],
+        &["play", "x", "--at", "+inf"],
+        &["demo", "--seconds", "nan"],
         &["daemon", "--device", "uart"],
         &["stop", "--now"],
         &["home"],

@@ -34,11 +34,22 @@ impl Daemon {
     /// One on this device, with these lines in its configuration.
     pub(crate) fn with(device: &str, config: &str) -> Self {
         let dir = tempfile::tempdir().unwrap();
+        let log = File::create(dir.path().join("log")).unwrap();
+        Self::spawn(dir, device, config, log.into())
+    }
+
+    /// One whose log goes elsewhere.
+    pub(crate) fn logging_to(stderr: impl Into<Stdio>) -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        File::create(dir.path().join("log")).unwrap();
+        Self::spawn(dir, "mock", "lease_ms = 5000\n", stderr.into())
+    }
+
+    fn spawn(dir: TempDir, device: &str, config: &str, stderr: Stdio) -> Self {
         fs::create_dir(dir.path().join("patterns")).unwrap();
         let patterns = dir.path().join("patterns");
         let config = format!("patterns_dir = {patterns:?}\n{config}");
         fs::write(dir.path().join("meissner.toml"), config).unwrap();
-        let log = File::create(dir.path().join("log")).unwrap();
         let child = std::process::Command::new(env!("CARGO_BIN_EXE_meissner"))
             .args(["daemon", "--device", device, "--config"])
             .arg(dir.path().join("meissner.toml"))
@@ -46,7 +57,7 @@ impl Daemon {
             .env_remove("RUST_LOG")
             .stdin(Stdio::null())
             .stdout(Stdio::null())
-            .stderr(log)
+            .stderr(stderr)
             .spawn()
             .unwrap();
         let mut daemon = Self { child, dir };

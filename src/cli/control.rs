@@ -9,10 +9,14 @@ use super::progress::Progress;
 use super::{Onset, Plain, Play, give, text};
 use crate::api::{ArmRequest, PlayRequest, Played, Status};
 use crate::client::{Client, Events, escape};
+use crate::daemon;
 use crate::record::{Event, Receipt};
 use anyhow::{Result, bail};
 use serde_json::{Value, json};
-use std::process::ExitCode;
+use std::io::{self, Write};
+use std::process::{self, ExitCode};
+use std::thread;
+use tokio::signal::unix::{SignalKind, signal};
 
 pub(super) fn command(plain: &Plain, name: &str) -> Result<ExitCode> {
     let status: Status = plain.client()?.post(&format!("/v1/{name}"), &json!({}))?;
@@ -21,6 +25,9 @@ pub(super) fn command(plain: &Plain, name: &str) -> Result<ExitCode> {
 
 pub(super) fn arm(plain: &Plain, assume_rest: bool) -> Result<ExitCode> {
     let status: Status = plain.client()?.post("/v1/arm", &ArmRequest { assume_rest })?;
+    if !matches!(status.state.as_str(), "armed" | "returning") {
+        bail!("not armed: {} ({}); see `meissner status` and the daemon's log", status.state, status.cause);
+    }
     stands(plain, &status)
 }
 
@@ -53,11 +60,26 @@ pub(super) fn play(play: &Play) -> Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     }
     let mut events = client.events()?;
+    leave_on_interrupt()?;
     let Played { id } = client.post("/v1/play", &request)?;
     let mut progress = Progress::new(length(&mut client, &request)?, json);
     let receipt = follow(&mut client, &mut events, id, &mut progress)?;
     give(json, &receipt, || text::receipt(&receipt))?;
     Ok(if receipt.all_played() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// Ends this process at Ctrl-C, and says what that does not end.
+fn leave_on_interrupt() -> Result<()> {
+    let runtime = daemon::runtime()?;
+    let mut interrupt = runtime.block_on(async { signal(SignalKind::interrupt()) })?;
+    thread::Builder::new().name("interrupt".into()).spawn(move || {
+        if runtime.block_on(interrupt.recv()).is_some() {
+            // If stderr is gone, nobody is left to tell.
+            let _ = writeln!(io::stderr(), "still playing: `meissner stop` ends it");
+            process::exit(130);
+        }
+    })?;
+    Ok(())
 }
 
 fn length(client: &mut Client, request: &PlayRequest) -> Result<Option<f64>> {

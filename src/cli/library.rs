@@ -8,6 +8,7 @@
 use super::{Plain, give, say, say_json, text};
 use crate::api::Imported;
 use crate::client::escape;
+use crate::config;
 use crate::motor::SteadyState;
 use crate::pattern::{MAX_FILE_BYTES, Pattern};
 use anyhow::{Context, Result, bail};
@@ -53,12 +54,13 @@ pub(super) fn import(plain: &Plain, file: &Path) -> Result<ExitCode> {
     let found = fs::metadata(file).with_context(|| format!("{place}: cannot be read; name a pattern file"));
     let found = found.map_err(flat)?;
     if !found.is_file() {
-        bail!("{place}: not a file: name a pattern file");
+        bail!("{place}: is not a regular file: name a pattern file");
     }
     if found.len() > MAX_FILE_BYTES as u64 {
         bail!("{place}: {} bytes are too many: a pattern file has at most {MAX_FILE_BYTES}", found.len());
     }
-    let text = fs::read(file).with_context(|| format!("{place}: cannot be read; see that you may"));
+    let text = config::read_regular(file, MAX_FILE_BYTES as u64)
+        .with_context(|| format!("{place}: cannot be read; see that you may"));
     let Ok(text) = String::from_utf8(text.map_err(flat)?) else {
         bail!("{place}: not UTF-8 text: write patterns as TOML in UTF-8");
     };

@@ -17,16 +17,19 @@ mod watch;
 
 use crate::api::Late;
 use crate::client::Client;
-use crate::config::{self, Config};
-use crate::daemon::{self, Daemon};
+use crate::config::{self, Config, PatternsDir};
+use crate::daemon::{self, Daemon, DaemonError};
 use crate::device::Spec;
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, anyhow};
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use serde::Serialize;
+use std::env;
 use std::io::{self, IsTerminal, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::str::FromStr;
+use tracing::warn;
 use tracing_subscriber::EnvFilter;
 
 /// Real-time driver daemon for piezo pin-array tactile displays.
@@ -42,7 +45,7 @@ enum Command {
     /// Daemon, simulated device and client in one process: plays a shipped edge and sums it up
     Demo {
         /// How long it plays
-        #[arg(long, value_name = "S", default_value_t = 5.0, allow_negative_numbers = true)]
+        #[arg(long, value_name = "S", default_value_t = 5.0, allow_negative_numbers = true, value_parser = positive)]
         seconds: f64,
         /// No corrections from telemetry
         #[arg(long)]
@@ -132,7 +135,7 @@ struct Play {
     /// Which pattern
     name: String,
     /// Cuts it, or repeats it if it has a duration
-    #[arg(long, value_name = "S", allow_negative_numbers = true)]
+    #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = positive)]
     seconds: Option<f64>,
     /// A tick of the device's clock, or so many ms after the order
     #[arg(long, value_name = "TICK|+MS")]
@@ -146,7 +149,7 @@ struct Play {
     /// No corrections from telemetry
     #[arg(long)]
     open_loop: bool,
-    /// Wait for its end and sum it up; exit 1 if not all was played
+    /// Wait for its end and sum it up; exit 1 if not all was played. Ctrl-C ends the waiting (exit 130), not the play
     #[arg(long)]
     wait: bool,
     #[command(flatten)]
@@ -189,6 +192,12 @@ impl Plain {
     }
 }
 
+/// A finite number, not negative. How much is too much, the daemon says.
+fn positive(text: &str) -> Result<f64, &'static str> {
+    let number = text.parse().ok().filter(|number: &f64| number.is_finite() && *number >= 0.0);
+    number.ok_or("a number is wanted, 0 or more")
+}
+
 /// `--at`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Onset {
@@ -201,7 +210,8 @@ impl FromStr for Onset {
     fn from_str(text: &str) -> Result<Self, Self::Err> {
         match text.strip_prefix('+') {
             Some(ms) => {
-                ms.parse().map(Self::AfterMs).map_err(|_| "after the + a number of milliseconds is wanted")
+                let wrong = "after the + a number of milliseconds is wanted, 0 or more";
+                positive(ms).map(Self::AfterMs).map_err(|_| wrong)
             }
             None => {
                 text.parse().map(Self::Tick).map_err(|_| "a tick (a whole number), or + and milliseconds")
@@ -232,13 +242,7 @@ impl From<Policy> for Late {
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
     let level = if matches!(cli.command, Command::Daemon { .. }) { "info" } else { "warn" };
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(level));
-    tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_writer(io::stderr)
-        .with_ansi(io::stderr().is_terminal())
-        .with_target(false)
-        .init();
+    start_log(level);
     match run(cli.command) {
         Ok(code) => code,
         // Whoever read the output has seen enough.
@@ -248,6 +252,46 @@ pub fn main() -> ExitCode {
             let _ = writeln!(io::stderr(), "meissner: {error}");
             ExitCode::FAILURE
         }
+    }
+}
+
+fn start_log(level: &str) {
+    let asked = env::var_os("RUST_LOG").filter(|asked| !asked.is_empty());
+    let filter = asked.as_ref().map(|asked| EnvFilter::try_new(asked.to_string_lossy()));
+    let refused = matches!(filter, Some(Err(_)));
+    tracing_subscriber::fmt()
+        .with_env_filter(filter.and_then(Result::ok).unwrap_or_else(|| EnvFilter::new(level)))
+        .with_writer(|| Log)
+        .log_internal_errors(false)
+        .with_ansi(io::stderr().is_terminal())
+        .with_target(false)
+        .init();
+    if refused {
+        warn!("RUST_LOG is no filter: write for example RUST_LOG=debug; it is taken as `{level}`");
+    }
+}
+
+/// Bytes a pipe takes at once (PIPE_BUF).
+const ATOMIC: usize = 4096;
+
+/// Stderr as the log's end: a line that nobody takes is lost, and never waited for, complained about or a reason to
+/// stop. An emergency stop must work whoever reads the log.
+struct Log;
+
+impl Write for Log {
+    fn write(&mut self, line: &[u8]) -> io::Result<usize> {
+        let stderr = io::stderr();
+        let mut ready = [PollFd::new(&stderr, PollFlags::OUT)];
+        let now = Timespec { tv_sec: 0, tv_nsec: 0 };
+        if poll(&mut ready, Some(&now)).is_ok() && ready[0].revents() == PollFlags::OUT {
+            // A pipe that is ready takes so many without waiting.
+            let _ = stderr.lock().write_all(&line[..line.len().min(ATOMIC)]);
+        }
+        Ok(line.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
     }
 }
 
@@ -279,7 +323,7 @@ fn run(command: Command) -> Result<ExitCode> {
 }
 
 fn serve(config: Option<PathBuf>, device: Option<Spec>, place: Place) -> Result<ExitCode> {
-    let mut settings = config.map_or_else(|| Ok(Config::default()), |file| Config::read(&file))?;
+    let mut settings = config.as_ref().map_or_else(|| Ok(Config::default()), |file| Config::read(file))?;
     if let Some(device) = device {
         settings.device = device;
     }
@@ -288,7 +332,15 @@ fn serve(config: Option<PathBuf>, device: Option<Spec>, place: Place) -> Result<
     }
     daemon::runtime()?.block_on(async {
         let end = daemon::told_to_end()?;
-        Daemon::start(&settings)?.run(end).await
+        let daemon = Daemon::start(&settings).map_err(|error| match (error, &config) {
+            (DaemonError::Store(error), Some(file))
+                if matches!(settings.patterns, PatternsDir::Configured(_)) =>
+            {
+                anyhow!("{}: `patterns_dir`: {error}", file.display())
+            }
+            (error, _) => error.into(),
+        })?;
+        anyhow::Ok(daemon.run(end).await?)
     })?;
     Ok(ExitCode::SUCCESS)
 }
@@ -298,9 +350,12 @@ fn say(text: &str) -> Result<()> {
     Ok(writeln!(io::stdout(), "{text}")?)
 }
 
-/// Prints the answer: as a document, or as text.
+/// Prints the answer: as a document, or as text. Whether it was good does not depend on who has read it.
 fn give(json: bool, document: &impl Serialize, text: impl FnOnce() -> String) -> Result<()> {
-    if json { say_json(document) } else { say(&text()) }
+    match if json { say_json(document) } else { say(&text()) } {
+        Err(error) if is_broken_pipe(&error) => Ok(()),
+        said => said,
+    }
 }
 
 /// Prints the document of `--json`, on one line.
@@ -326,6 +381,9 @@ mod tests {
             "soon".parse::<Onset>().is_err()
                 && "+".parse::<Onset>().is_err()
                 && "-3".parse::<Onset>().is_err()
+                && "+-3".parse::<Onset>().is_err()
+                && "+nan".parse::<Onset>().is_err()
+                && "+inf".parse::<Onset>().is_err()
         );
     }
 }

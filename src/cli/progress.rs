@@ -6,7 +6,7 @@
 //!
 //! Invariant: nothing here changes what is played.
 
-use super::say;
+use super::{is_broken_pipe, say};
 use crate::record::Event;
 use anyhow::Result;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -75,15 +75,20 @@ impl Progress {
         Ok(())
     }
 
-    fn count(&self, told: bool, line: impl FnOnce() -> String) -> Result<()> {
+    fn count(&mut self, told: bool, line: impl FnOnce() -> String) -> Result<()> {
         if let Some(bar) = &self.bar {
             bar.set_message(format!("{} late, {} refused", self.late, self.refused));
         }
         if told { self.line(line) } else { Ok(()) }
     }
 
-    fn line(&self, line: impl FnOnce() -> String) -> Result<()> {
-        if self.lines { say(&line()) } else { Ok(()) }
+    fn line(&mut self, line: impl FnOnce() -> String) -> Result<()> {
+        match if self.lines { say(&line()) } else { Ok(()) } {
+            // Whoever read has seen enough; the play goes on, and its result counts.
+            Err(error) if is_broken_pipe(&error) => self.lines = false,
+            said => return said,
+        }
+        Ok(())
     }
 }
 

@@ -40,7 +40,12 @@ pub(super) fn status(plain: &Plain, watch: bool) -> Result<ExitCode> {
 pub(super) fn events(plain: &Plain) -> Result<ExitCode> {
     let mut events = plain.client()?.events()?;
     while let Some(event) = events.next(None)? {
-        give(plain.output.json, &event, || text::event(&event))?;
+        // Not `give`: when nobody reads any more, it is over.
+        if plain.output.json {
+            say_json(&event)?;
+        } else {
+            say(&text::event(&event))?;
+        }
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -5,7 +5,7 @@
 //! about motors: the streamer and the controller do.
 //!
 //! Bounds: the order ring (a full one is [`Code::Busy`]), [`EVENTS`] for a slow listener (then it lags), what
-//! [`Recorder`] keeps, and one waiting ticket per order in the ring.
+//! [`Recorder`] keeps, and the tickets of the last [`LOST`].
 //!
 //! Invariant: a play is in the record before the streamer can speak of it.
 
@@ -23,7 +23,7 @@ use firmware_protocol::tick::Tick;
 use std::collections::HashMap;
 use std::io;
 use std::os::fd::{AsFd, OwnedFd};
-use std::sync::{Arc, Mutex, MutexGuard};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::io::Interest;
 use tokio::io::unix::AsyncFd;
@@ -34,13 +34,19 @@ use tracing::{error, info, warn};
 pub(super) const EVENTS: usize = 1024;
 /// How long the streamer may take to answer.
 const PATIENCE: Duration = Duration::from_secs(1);
+/// After this long no answer comes any more: an order that waited for a second is not carried out.
+const LOST: Duration = Duration::from_secs(10);
 /// Shutting down it waits for the device for a second itself.
 const LAST_PATIENCE: Duration = Duration::from_millis(1500);
+
+/// Where an answer comes.
+pub(super) type Reply = oneshot::Receiver<Result<(), Refused>>;
 
 /// A call that waits for its answer.
 #[derive(Debug)]
 struct Ticket {
-    reply: oneshot::Sender<Result<(), Refused>>,
+    replies: Vec<oneshot::Sender<Result<(), Refused>>>,
+    given: HostInstant,
     play: Option<u64>,
 }
 
@@ -49,6 +55,7 @@ pub(super) struct Inner {
     pub(super) recorder: Recorder,
     orders: Orders,
     last_ticket: u64,
+    last_estop: u64,
     last_play: u64,
     waiting: HashMap<u64, Ticket>,
     truth: Option<Arc<Truth>>,
@@ -71,6 +78,7 @@ impl Engine {
             recorder: Recorder::default(),
             orders,
             last_ticket: 0,
+            last_estop: 0,
             last_play: 0,
             waiting: HashMap::new(),
             truth: None,
@@ -82,7 +90,8 @@ impl Engine {
     }
 
     pub(super) fn lock(&self) -> MutexGuard<'_, Inner> {
-        self.inner.lock().expect("nothing panics under this lock")
+        // Nothing panics under this lock; if something did, an emergency stop would have to go through all the same.
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Tells the engine where to send devices that come back.
@@ -108,10 +117,9 @@ impl Engine {
         self.lock().truth.clone()
     }
 
-    /// Orders something and waits for the answer.
-    pub(super) async fn order(&self, job: Job) -> Result<(), Problem> {
-        let reply = self.send(job, None)?;
-        answer(reply, PATIENCE).await
+    /// Orders something.
+    pub(super) fn order(&self, job: Job) -> Result<Reply, Problem> {
+        self.send(job, None)
     }
 
     /// Orders a play and waits for its being taken.
@@ -133,11 +141,11 @@ impl Engine {
             let play = Box::new(Play { id, strokes, at, late: late.into(), replace, open_loop });
             let sent = inner.send(Job::Play(play), Some(id));
             if sent.is_err() {
-                inner.recorder.answered(id, false);
+                inner.settle(id, false);
             }
             (id, sent?)
         };
-        answer(reply, PATIENCE).await.map(|()| id)
+        answer(reply).await.map(|()| id)
     }
 
     fn check_boot(&self, asked: Option<u32>) -> Result<(), Problem> {
@@ -152,7 +160,7 @@ impl Engine {
         }
     }
 
-    fn send(&self, job: Job, play: Option<u64>) -> Result<oneshot::Receiver<Result<(), Refused>>, Problem> {
+    fn send(&self, job: Job, play: Option<u64>) -> Result<Reply, Problem> {
         self.lock().send(job, play)
     }
 
@@ -162,7 +170,7 @@ impl Engine {
         self.lock().closing = true;
         match reply {
             Ok(reply) => {
-                if let Err(problem) = answer(reply, LAST_PATIENCE).await {
+                if let Err(problem) = within(LAST_PATIENCE, reply).await {
                     warn!("shutting down: {problem}");
                 }
             }
@@ -193,7 +201,11 @@ impl Engine {
                 if matches!(notice, Notice::Bye) {
                     return Ok(());
                 }
-                self.lock().take(notice);
+                let (event, quiet) = self.lock().take(notice);
+                // After it is passed on, and outside of the lock: the log may be slow.
+                if let Some(event) = event.filter(|_| !quiet) {
+                    log(&event);
+                }
             }
         }
     }
@@ -232,42 +244,45 @@ impl Engine {
 }
 
 impl Inner {
-    fn send(
-        &mut self,
-        job: Job,
-        play: Option<u64>,
-    ) -> Result<oneshot::Receiver<Result<(), Refused>>, Problem> {
+    fn send(&mut self, job: Job, play: Option<u64>) -> Result<Reply, Problem> {
         // An emergency stop is passed on whatever else is going on.
         if self.closing && !matches!(job, Job::EStop) {
             return Err(Problem::new(Code::ShuttingDown, "the daemon is ending: start it again"));
         }
         self.last_ticket += 1;
-        let ticket = self.last_ticket;
-        if self.orders.send(Order { ticket, given: HostInstant::now(), job }).is_err() {
+        let (ticket, given) = (self.last_ticket, HostInstant::now());
+        self.forget(given);
+        let (reply, receiver) = oneshot::channel();
+        let estop = matches!(job, Job::EStop);
+        if self.orders.send(Order { ticket, given, job }).is_err() {
+            if estop {
+                // Only another emergency stop can have taken the last place: its answer is for both.
+                if let Some(ticket) = self.waiting.get_mut(&self.last_estop) {
+                    ticket.replies.push(reply);
+                }
+                return Ok(receiver);
+            }
             return Err(Problem::new(
                 Code::Busy,
                 "too many orders wait for the device: try again in a moment",
             ));
         }
-        let (reply, receiver) = oneshot::channel();
-        self.waiting.insert(ticket, Ticket { reply, play });
+        if estop {
+            self.last_estop = ticket;
+        }
+        self.waiting.insert(ticket, Ticket { replies: vec![reply], given, play });
         Ok(receiver)
     }
 
-    fn take(&mut self, notice: Notice) {
+    /// What is to be told of a notice, and whether it is no news for the log.
+    fn take(&mut self, notice: Notice) -> (Option<Event>, bool) {
         let event = match &notice {
             Notice::Answer { ticket, result } => self.answered(*ticket, *result),
             other => self.recorder.take(other),
         };
-        if let Some(event) = event {
-            // At the end it is the daemon that lets go.
-            if !(self.closing && matches!(event, Event::Disconnected { .. })) {
-                log(&event);
-            }
-            if let Some(events) = &self.events {
-                // Nobody listens: nothing is lost.
-                let _ = events.send(event);
-            }
+        if let (Some(event), Some(events)) = (&event, &self.events) {
+            // Nobody listens: nothing is lost.
+            let _ = events.send(event.clone());
         }
         if let Notice::Disconnected { device, .. } = notice {
             // Gone once per connection, and the connector empties its channel: it cannot be full.
@@ -275,17 +290,44 @@ impl Inner {
                 let _ = connector.try_send(Word::Gone(device));
             }
         }
+        // At the end it is the daemon that lets go.
+        let quiet = self.closing && matches!(event, Some(Event::Disconnected { .. }));
+        (event, quiet)
+    }
+
+    /// A play was taken or not; an id that was not used names the next one.
+    fn settle(&mut self, id: u64, taken: bool) -> Option<Event> {
+        if !taken && id == self.last_play {
+            self.last_play -= 1;
+        }
+        self.recorder.answered(id, taken)
+    }
+
+    /// Lets go of tickets whose answers were lost.
+    fn forget(&mut self, now: HostInstant) {
+        let lost = self.waiting.extract_if(|_, ticket| now.since(ticket.given) > LOST);
+        let plays: Vec<u64> = lost.filter_map(|(_, ticket)| ticket.play).collect();
+        for id in plays {
+            self.recorder.answered(id, false);
+        }
     }
 
     fn answered(&mut self, ticket: u64, result: Result<(), Refused>) -> Option<Event> {
         let ticket = self.waiting.remove(&ticket)?;
-        // The client may have hung up meanwhile.
-        let _ = ticket.reply.send(result);
-        self.recorder.answered(ticket.play?, result.is_ok())
+        for reply in ticket.replies {
+            // The client may have hung up meanwhile.
+            let _ = reply.send(result);
+        }
+        self.settle(ticket.play?, result.is_ok())
     }
 }
 
-async fn answer(reply: oneshot::Receiver<Result<(), Refused>>, patience: Duration) -> Result<(), Problem> {
+/// Waits for an answer.
+pub(super) async fn answer(reply: Reply) -> Result<(), Problem> {
+    within(PATIENCE, reply).await
+}
+
+async fn within(patience: Duration, reply: Reply) -> Result<(), Problem> {
     match tokio::time::timeout(patience, reply).await {
         Ok(Ok(result)) => result.map_err(Problem::from),
         // The ticket stays, so that a late answer still reaches the record.
@@ -325,4 +367,33 @@ fn nanoseconds(ms: f64) -> u64 {
 )]
 fn bell(notices: &Notices) -> io::Result<AsyncFd<OwnedFd>> {
     AsyncFd::with_interest(notices.as_fd().try_clone_to_owned()?, Interest::READABLE)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::stream::port::port;
+
+    #[test]
+    fn a_full_ring_is_busy_for_all_but_an_emergency_stop() {
+        let (mut port, orders, _notices) = port().unwrap();
+        let engine = Engine::new(orders, Settings::default());
+        let mut waiting = 0;
+        let busy = loop {
+            match engine.order(Job::Stop) {
+                Ok(_) => waiting += 1,
+                Err(problem) => break problem,
+            }
+        };
+        assert_eq!(busy.code, "busy");
+        let mut first = engine.order(Job::EStop).unwrap();
+        let mut second = engine.order(Job::EStop).unwrap();
+        for _ in 0..waiting {
+            assert!(matches!(port.pop().unwrap().job, Job::Stop));
+        }
+        let estop = port.pop().unwrap();
+        assert!(matches!(estop.job, Job::EStop) && port.pop().is_none());
+        engine.lock().take(Notice::Answer { ticket: estop.ticket, result: Ok(()) });
+        assert_eq!((first.try_recv(), second.try_recv()), (Ok(Ok(())), Ok(Ok(()))));
+    }
 }

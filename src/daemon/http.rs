@@ -3,13 +3,13 @@
 //! Everything but home is here as the design names it. What touches the disk runs on a blocking thread, so that an
 //! emergency stop never waits for one. Every error, also of an unknown route, is `application/problem+json`.
 //!
-//! Invariant: who changed something is in the log before it happens.
+//! Invariant: who changed something is in the log before they get their answer.
 
-use super::engine::Engine;
+use super::engine::{self, Engine};
 use super::metrics;
 use crate::api::{self, ArmRequest, Code, Imported, MAX_BODY, PlayRequest, Played, Problem, Status};
 use crate::pattern::Warning;
-use crate::record::{Event, Receipt};
+use crate::record::{Event, KEPT, Receipt};
 use crate::store::{Store, StoreError, Stored};
 use crate::stream::port::Job;
 use axum::body::Body;
@@ -186,8 +186,10 @@ async fn play(
 }
 
 async fn command(app: &App, peer: Peer, what: &str, job: Job) -> Answer<Json<Status>> {
+    let reply = app.engine.order(job);
+    // Not before: no order waits for the log.
     info!(pid = peer.pid, uid = peer.uid, "{what}");
-    app.engine.order(job).await?;
+    engine::answer(reply?).await?;
     Ok(Json(app.engine.status()))
 }
 
@@ -248,7 +250,7 @@ async fn import(
     let name = path(name)?;
     let text = String::from_utf8(read(body).await?)
         .map_err(|_| Problem::new(Code::BadPattern, "not UTF-8 text: write patterns as TOML in UTF-8"))?;
-    info!(pid = peer.pid, uid = peer.uid, "import {name:?}");
+    info!(pid = peer.pid, uid = peer.uid, "import {:?}", name.chars().take(100).collect::<String>());
     let (stored, new) = beside(move || app.store.put(&name, &text)).await??;
     let Stored { pattern, sha256, .. } = stored;
     let status = if new { StatusCode::CREATED } else { StatusCode::OK };
@@ -268,9 +270,12 @@ async fn receipt(State(app): State<App>, id: Result<Path<String>, PathRejection>
         }
     };
     let none = || {
-        let detail =
-            if id == "last" { "nothing was played yet".to_owned() } else { format!("there is no play {id}") };
-        Problem::new(Code::NotFound, format!("{detail}: play something, or see `meissner receipt`"))
+        let detail = if id == "last" {
+            "nothing was played yet: play something first".to_owned()
+        } else {
+            format!("there is no play {id}: only the last {KEPT} that ended are kept; see `meissner receipt`")
+        };
+        Problem::new(Code::NotFound, detail)
     };
     Ok(Json(found.cloned().ok_or_else(none)?))
 }

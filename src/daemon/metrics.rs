@@ -81,16 +81,21 @@ pub(super) fn text(recorder: &Recorder) -> String {
     );
     let of = |figure: fn(&crate::stream::port::Snapshot) -> u64| snapshot.map_or(0, figure);
     text.family(
-        "sent_bytes",
-        "gauge",
-        "Bytes sent since the device was connected.",
+        "sent_bytes_total",
+        "counter",
+        "Bytes sent; begins again when a device is connected.",
         [("", &of(|at| at.bytes_out))],
     );
-    text.family("received_bytes", "gauge", "Bytes received since then.", [("", &of(|at| at.bytes_in))]);
     text.family(
-        "retransmitted_frames",
-        "gauge",
-        "Frames sent again since then.",
+        "received_bytes_total",
+        "counter",
+        "Bytes received; begins again with it.",
+        [("", &of(|at| at.bytes_in))],
+    );
+    text.family(
+        "retransmitted_frames_total",
+        "counter",
+        "Frames sent again; begins again with it.",
         [("", &of(|at| at.retransmitted))],
     );
     let uncertainty = snapshot.map_or(f64::NAN, |at| at.clock_uncertainty_us);
@@ -100,6 +105,8 @@ pub(super) fn text(recorder: &Recorder) -> String {
         "How well the device's clock is known.",
         [("", &uncertainty)],
     );
+    let lead = snapshot.map_or(f64::NAN, |at| at.lead_ms);
+    text.family("lead_ms", "gauge", "How far ahead of now the device is fed.", [("", &lead)]);
     text.0
 }
 

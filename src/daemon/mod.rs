@@ -132,18 +132,28 @@ pub fn runtime() -> Result<Runtime, DaemonError> {
     builder.enable_all().max_blocking_threads(DISK_THREADS).build().map_err(system("event queue"))
 }
 
-/// Resolves at SIGTERM or SIGINT. From the call on, not from the first wait, they no longer kill.
+/// Whether whoever started this process wanted it to outlive its terminal.
+fn ignores_hangup() -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    ignored.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).is_some_and(|mask| mask & 1 != 0)
+}
+
+/// Resolves at SIGTERM, SIGINT or, unless it was started by nohup, SIGHUP (a closed terminal). From the call on, not from the first wait, they no longer kill.
 ///
 /// # Errors
 /// If the system has no means for it.
 pub fn told_to_end() -> Result<impl Future<Output = ()>, DaemonError> {
     let wrong = system("signal handler");
+    let nohup = ignores_hangup();
     let mut term = signal(SignalKind::terminate()).map_err(&wrong)?;
     let mut int = signal(SignalKind::interrupt()).map_err(&wrong)?;
+    let mut hangup = signal(SignalKind::hangup()).map_err(&wrong)?;
     Ok(async move {
         tokio::select! {
             _ = term.recv() => info!("SIGTERM: ending"),
             _ = int.recv() => info!("SIGINT: ending"),
+            _ = hangup.recv(), if !nohup => info!("SIGHUP: ending"),
         }
     })
 }

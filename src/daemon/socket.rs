@@ -6,10 +6,11 @@
 //!
 //! Invariant: while a [`Bound`] lives, no other daemon is bound to its path.
 
+use crate::client::MAX_SOCKET_PATH;
 use rustix::fs::{FlockOperation, flock};
 use std::fs::{self, File, OpenOptions, Permissions};
 use std::io::{self, Read, Write};
-use std::os::unix::fs::{FileTypeExt, OpenOptionsExt, PermissionsExt};
+use std::os::unix::fs::{FileTypeExt, MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
 
@@ -33,6 +34,12 @@ pub enum SocketError {
         /// Where.
         socket: PathBuf,
     },
+    /// More than the system takes.
+    #[error("{}: a socket's path has at most {MAX_SOCKET_PATH} bytes: choose a shorter one with --socket", .socket.display())]
+    TooLong {
+        /// Where.
+        socket: PathBuf,
+    },
     /// The directory or the permissions.
     #[error("{}: {source}; see that its directory exists and may be written to, or choose another with --socket", .path.display())]
     Io {
@@ -52,17 +59,23 @@ fn pid_text(pid: Option<i32>) -> String {
 pub(super) struct Bound {
     pub(super) listener: UnixListener,
     socket: PathBuf,
+    /// Which file it made there.
+    file: Option<(u64, u64)>,
     _lock: File,
 }
 
 impl Bound {
     pub(super) fn new(socket: &Path) -> Result<Self, SocketError> {
+        if socket.as_os_str().len() > MAX_SOCKET_PATH {
+            return Err(SocketError::TooLong { socket: socket.to_owned() });
+        }
         let lock = lock(socket)?;
         clear(socket)?;
         let wrong = |source| SocketError::Io { path: socket.to_owned(), source };
         // Until the mode is set, the umask's mode holds, which lets nobody else in unless it was told to.
         let listener = UnixListener::bind(socket).map_err(wrong)?;
-        let bound = Self { listener, socket: socket.to_owned(), _lock: lock };
+        let file = identity(socket);
+        let bound = Self { listener, socket: socket.to_owned(), file, _lock: lock };
         fs::set_permissions(socket, Permissions::from_mode(MODE)).map_err(wrong)?;
         bound.listener.set_nonblocking(true).map_err(wrong)?;
         Ok(bound)
@@ -71,9 +84,16 @@ impl Bound {
 
 impl Drop for Bound {
     fn drop(&mut self) {
-        // Already gone: nothing left to do.
-        let _ = fs::remove_file(&self.socket);
+        // What somebody else has put there since is theirs; if it is gone, nothing is left to do.
+        if self.file.is_some() && identity(&self.socket) == self.file {
+            let _ = fs::remove_file(&self.socket);
+        }
     }
+}
+
+/// Device and inode.
+fn identity(path: &Path) -> Option<(u64, u64)> {
+    fs::symlink_metadata(path).ok().map(|found| (found.dev(), found.ino()))
 }
 
 fn lock(socket: &Path) -> Result<File, SocketError> {
@@ -136,7 +156,11 @@ mod tests {
         assert!(socket.exists(), "the refused one left the first one's socket alone");
         drop(first);
         assert!(!socket.exists());
-        Bound::new(&socket).unwrap();
+        let second = Bound::new(&socket).unwrap();
+        fs::remove_file(&socket).unwrap();
+        fs::write(&socket, "precious").unwrap();
+        drop(second);
+        assert!(socket.exists(), "what it did not make it does not remove");
     }
 
     #[test]
@@ -157,7 +181,9 @@ mod tests {
     }
 
     #[test]
-    fn a_missing_directory_is_said() {
+    fn a_missing_directory_and_a_long_path_are_said() {
+        let long = Bound::new(Path::new(&format!("/tmp/{}", "x".repeat(103)))).unwrap_err().to_string();
+        assert!(long.contains("at most 107 bytes: choose a shorter one"), "{long}");
         let line = Bound::new(Path::new("/nonexistent/m.sock")).unwrap_err().to_string();
         assert!(line.contains("/nonexistent/m.sock") && line.contains("--socket"), "{line}");
     }

@@ -6,7 +6,7 @@
 //! Invariant: [`Event::name`] is the `event` key of its JSON.
 
 use super::receipt::{LateStroke, OnsetRecord, Receipt, RefusedStroke};
-use firmware_protocol::message::{Cause, DeviceHello, State};
+use firmware_protocol::message::{DeviceHello, State};
 use serde::{Deserialize, Serialize};
 
 /// The state when no device answers and no emergency stop is latched.
@@ -20,24 +20,6 @@ pub const fn state_name(state: State) -> &'static str {
         State::Armed => "armed",
         State::Returning => "returning",
         State::Faulted => "faulted",
-    }
-}
-
-/// Why it is in its state, as the API calls it.
-#[must_use]
-pub const fn cause_name(cause: Cause) -> &'static str {
-    match cause {
-        Cause::Boot => "boot",
-        Cause::Request => "request",
-        Cause::Stop => "stop",
-        Cause::Shutdown => "shutdown",
-        Cause::Abort => "abort",
-        Cause::EStop => "estop",
-        Cause::Lease => "lease",
-        Cause::LinkLost => "link-lost",
-        Cause::NewHost => "new-host",
-        Cause::Starved => "starved",
-        Cause::Panic => "panic",
     }
 }
 

@@ -9,9 +9,10 @@
 mod event;
 mod receipt;
 
-pub use event::{DeviceInfo, Event, NO_DEVICE, Running, cause_name, state_name};
+pub use event::{DeviceInfo, Event, NO_DEVICE, Running, state_name};
 pub use receipt::{LISTED, LateStroke, LatenessRecord, OnsetRecord, PlayState, Receipt, RefusedStroke, Wire};
 
+use crate::stream::cause_text;
 use crate::stream::port::{Bursts, LateCause, Lateness, Notice, Outcome, Pulses, Snapshot, refusal_text};
 use crate::units::HostInstant;
 use firmware_protocol::message::{DeviceHello, State};
@@ -193,7 +194,7 @@ impl Recorder {
         match &self.snapshot {
             Some(at) if at.connected || at.state == State::Faulted => {
                 let position = if at.connected && at.position_known { "known" } else { "unknown" };
-                (state_name(at.state), cause_name(at.cause), position)
+                (state_name(at.state), cause_text(at.cause), position)
             }
             _ => (NO_DEVICE, NO_DEVICE, "unknown"),
         }
