@@ -71,10 +71,12 @@ impl Loop {
     }
 
     fn run(mut self) {
-        while !self.streamer.is_closed() {
-            let now = HostInstant::now();
-            self.orders(now);
+        loop {
+            self.orders(HostInstant::now());
             self.exchange();
+            if self.streamer.is_closed() {
+                break;
+            }
             self.port.announce();
             self.sleep();
         }
