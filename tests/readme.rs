@@ -48,3 +48,20 @@ fn every_command_of_the_readme_works() {
         .unwrap();
     assert!(output.status.success(), "{script}\n{}", String::from_utf8_lossy(&output.stderr));
 }
+
+/// What the documents link to within the project is there.
+#[test]
+fn every_link_leads_somewhere() {
+    let mut links = 0;
+    for document in ["README.md", "docs/decisions.md", "docs/measurements.md"] {
+        let file = root().join(document);
+        let text = fs::read_to_string(&file).unwrap();
+        for target in text.split("](").skip(1).filter_map(|rest| rest.split(')').next()) {
+            if !target.contains("://") {
+                links += 1;
+                assert!(file.parent().unwrap().join(target).exists(), "{document} links to {target}");
+            }
+        }
+    }
+    assert!(links > 4);
+}
