@@ -20,8 +20,6 @@ use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 use toml::de::DeTable;
 
-/// The lead without configuration, ms: stock kernels stall for 25 ms.
-pub const DEFAULT_LEAD_MS: f64 = 100.0;
 /// Leads that make sense, ms.
 pub const LEAD_MS: std::ops::RangeInclusive<f64> = 5.0..=1000.0;
 /// The lease is at least the lead and so much, ms.
@@ -70,11 +68,7 @@ impl Default for Config {
             device: Spec::default(),
             socket: default_socket(),
             patterns: default_patterns(),
-            settings: Settings {
-                lead_ms: DEFAULT_LEAD_MS,
-                lease_ms: DEFAULT_LEAD_MS + DEFAULT_LEASE_OVER_LEAD_MS,
-                limits: OnTimeLimits::NONE,
-            },
+            settings: Settings::default(),
             mock: PlantConfig::default(),
         }
     }
@@ -266,7 +260,7 @@ impl File {
                 return Err(ConfigError::Text { file: file.to_owned(), line: None, message });
             }
         }
-        let lead_ms = self.lead_ms.unwrap_or(DEFAULT_LEAD_MS);
+        let lead_ms = self.lead_ms.unwrap_or(Settings::default().lead_ms);
         let lead_range = || format!("{} to {} ms", LEAD_MS.start(), LEAD_MS.end());
         range("lead_ms", lead_ms, LEAD_MS.contains(&lead_ms), &lead_range)?;
         let lease_ms = self.lease_ms.unwrap_or(lead_ms + DEFAULT_LEASE_OVER_LEAD_MS);

@@ -8,7 +8,7 @@
 //! it answers with a message or a [`FrameError`], and is in step again after the next zero.
 
 use crc::{CRC_32_ISO_HDLC, Crc};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// The protocol's version: the first byte of every message, in every version.
 pub const PROTOCOL: u8 = 1;
@@ -50,6 +50,17 @@ pub fn encode(body: &impl Serialize, out: &mut [u8]) -> Result<usize, postcard::
     let len = cobs::try_encode(&message[..end + CRC_LEN], out).map_err(|_| FULL)?;
     *out.get_mut(len).ok_or(FULL)? = 0;
     Ok(len + 1)
+}
+
+/// Reads a body cut out by [`Decoder::next`] as a message, to its last byte.
+///
+/// # Errors
+/// What the decoder found, or [`FrameError::Malformed`].
+pub fn read<'a, M: Deserialize<'a>>(body: Result<&'a [u8], FrameError>) -> Result<M, FrameError> {
+    match postcard::take_from_bytes(body?) {
+        Ok((message, [])) => Ok(message),
+        _ => Err(FrameError::Malformed),
+    }
 }
 
 /// Cuts a byte stream into messages.

@@ -8,24 +8,18 @@
 use super::{Plain, give, text};
 use crate::api::Status;
 use crate::client::{Client, ClientError};
+use crate::stream::Realtime;
 use crate::units::HostInstant;
 use anyhow::Result;
-use rustix::mm::{MlockAllFlags, mlockall};
 use rustix::thread::{ClockId, Timespec, clock_nanosleep_absolute};
 use serde::Serialize;
 use std::process::ExitCode;
 use std::thread;
 use std::time::Duration;
-use thread_priority::unix::{
-    RealtimeThreadSchedulePolicy, ThreadSchedulePolicy, set_thread_priority_and_policy, thread_native_id,
-};
-use thread_priority::{ThreadPriority, ThreadPriorityValue};
 
 /// How long and how often wake-ups are measured.
 const WAKE_UPS: usize = 1000;
 const PERIOD: Duration = Duration::from_millis(1);
-/// Any real-time priority will do for the question whether there is one.
-const PRIORITY: u8 = 20;
 /// A clock less certain than this makes `--at` worthless.
 const CLOCK_US: f64 = 500.0;
 
@@ -73,8 +67,10 @@ struct Report {
 
 pub(super) fn run(plain: &Plain) -> Result<ExitCode> {
     // On a thread of its own, whose priority goes with it.
-    let (fifo, wake_up) = thread::spawn(|| (take_fifo(), measure())).join().unwrap_or((false, WakeUp::NONE));
-    let mut findings = vec![fifo_finding(fifo), memory(), timers(&wake_up)];
+    let measured = thread::spawn(|| (Realtime::request(), measure())).join();
+    let (realtime, wake_up) = measured.unwrap_or((Realtime::default(), WakeUp::NONE));
+    let mut findings = Vec::from(rights(realtime));
+    findings.push(timers(&wake_up));
     daemon(&mut findings, Client::new(&plain.place.path())?.get("/v1/status"));
     let ok = findings.iter().all(|finding| finding.level != Level::Fail);
     let report = Report { ok, wake_up, findings };
@@ -95,28 +91,15 @@ fn lines(findings: &[Finding]) -> String {
     text::columns(&[], findings.iter().map(line))
 }
 
-fn take_fifo() -> bool {
-    let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
-    let Ok(priority) = ThreadPriorityValue::try_from(PRIORITY) else { return false };
-    set_thread_priority_and_policy(thread_native_id(), ThreadPriority::Crossplatform(priority), policy)
-        .is_ok()
-}
-
-fn fifo_finding(fifo: bool) -> Finding {
-    let (level, found) = if fifo { (Level::Ok, "granted") } else { (Level::Warn, "not granted") };
+fn rights(realtime: Realtime) -> [Finding; 2] {
+    let granted = |granted| if granted { (Level::Ok, "granted") } else { (Level::Warn, "not granted") };
+    let (level, found) = granted(realtime.fifo);
     let advice =
         "give the daemon LimitRTPRIO=60 (systemd) or an rtprio limit (limits.conf); strokes may come late";
-    Finding::new("SCHED_FIFO", level, found, advice)
-}
-
-fn memory() -> Finding {
-    let flags = MlockAllFlags::CURRENT | MlockAllFlags::FUTURE | MlockAllFlags::ONFAULT;
-    let (level, found) = match mlockall(flags) {
-        Ok(()) => (Level::Ok, "granted".to_owned()),
-        Err(errno) => (Level::Warn, format!("not granted ({errno})")),
-    };
+    let fifo = Finding::new("SCHED_FIFO", level, found, advice);
+    let (level, found) = granted(realtime.mlock);
     let advice = "give the daemon LimitMEMLOCK=infinity (systemd) or a memlock limit (limits.conf)";
-    Finding::new("mlockall", level, found, advice)
+    [fifo, Finding::new("mlockall", level, found, advice)]
 }
 
 impl WakeUp {

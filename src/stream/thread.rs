@@ -17,9 +17,10 @@ use std::io;
 use std::ops::Range;
 use std::thread::JoinHandle;
 use std::time::Duration;
-use thread_priority::{
-    RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
+use thread_priority::unix::{
+    RealtimeThreadSchedulePolicy, ThreadSchedulePolicy, set_thread_priority_and_policy, thread_native_id,
 };
+use thread_priority::{ThreadPriority, ThreadPriorityValue};
 
 /// Above ordinary programs and below the kernel's own threads.
 const FIFO_PRIORITY: u8 = 50;
@@ -36,21 +37,26 @@ pub fn spawn(settings: Settings) -> io::Result<(Orders, Notices, Realtime, JoinH
     let (port, orders, notices) = port()?;
     let (tell, told) = crossbeam_channel::bounded(1);
     let thread = std::thread::Builder::new().name("streamer".into()).spawn(move || {
-        // Pages are locked as they are touched: what is never used costs nothing.
-        let mlock = mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE | MlockAllFlags::ONFAULT).is_ok();
-        let _ = tell.send(Realtime { fifo: request_fifo(), mlock });
+        let _ = tell.send(Realtime::request());
         Loop::new(settings, port).run();
     })?;
     let realtime = told.recv().unwrap_or_default();
     Ok((orders, notices, realtime, thread))
 }
 
-fn request_fifo() -> bool {
-    let Ok(value) = ThreadPriorityValue::try_from(FIFO_PRIORITY) else { return false };
-    let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
-    let thread = thread_priority::thread_native_id();
-    thread_priority::set_thread_priority_and_policy(thread, ThreadPriority::Crossplatform(value), policy)
-        .is_ok()
+impl Realtime {
+    /// Asks for SCHED_FIFO for the calling thread, and for locked memory for the process.
+    #[must_use]
+    pub fn request() -> Self {
+        // Pages are locked as they are touched: what is never used costs nothing.
+        let mlock = mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE | MlockAllFlags::ONFAULT).is_ok();
+        let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
+        let fifo = ThreadPriorityValue::try_from(FIFO_PRIORITY).is_ok_and(|value| {
+            let priority = ThreadPriority::Crossplatform(value);
+            set_thread_priority_and_policy(thread_native_id(), priority, policy).is_ok()
+        });
+        Self { fifo, mlock }
+    }
 }
 
 struct Loop {

@@ -197,11 +197,7 @@ impl Controller {
         // The decoder is lent out while a message borrowed from it is handled.
         let mut decoder = core::mem::take(&mut self.decoder);
         while let Some(body) = decoder.next(&mut bytes) {
-            let message = body.and_then(|body| match postcard::take_from_bytes(body) {
-                Ok((message, [])) => Ok(message),
-                _ => Err(FrameError::Malformed),
-            });
-            match message {
+            match frame::read(body) {
                 Ok(message) => self.handle(message),
                 Err(FrameError::Version(_)) => self.pending.hello = true,
                 Err(_) => self.counters.bad_frames += 1,

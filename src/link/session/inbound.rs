@@ -8,7 +8,7 @@ use crate::link::session::{Event, LostReason, Phase, Session, Verdict};
 use crate::units::HostInstant;
 use firmware_protocol::batch::Strokes;
 use firmware_protocol::controller::EARLY;
-use firmware_protocol::frame::FrameError;
+use firmware_protocol::frame::{self, FrameError};
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{DeviceHello, DeviceMessage, Op, Report, Status};
 use firmware_protocol::stroke::MOTORS;
@@ -20,11 +20,7 @@ impl Session {
         self.traffic.bytes_in += bytes.len() as u64;
         let mut decoder = std::mem::take(&mut self.decoder);
         while let Some(body) = decoder.next(&mut bytes) {
-            let message = body.and_then(|body| match postcard::take_from_bytes(body) {
-                Ok((message, [])) => Ok(message),
-                _ => Err(FrameError::Malformed),
-            });
-            match message {
+            match frame::read(body) {
                 Ok(message) if self.phase != Phase::Over => self.handle(now, message, tell),
                 Ok(_) => {}
                 Err(FrameError::Version(_)) => self.lose(LostReason::Version, tell),
