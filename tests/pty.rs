@@ -1,14 +1,16 @@
-use crate::harness::{Daemon, printed};
+use crate::harness::{Daemon, complaint, printed};
 use crate::rig::{OFF, bursts_on_the_lines};
 use firmware_protocol::message::{Cause, State};
+use meissner::api::Status;
 use meissner::device::{PtyMock, WallMock};
 use meissner::plant::PlantConfig;
 use meissner::record::Receipt;
 use meissner::units::HostInstant;
 use rustix::process::Signal;
 use serde_json::json;
+use std::os::unix::fs::symlink;
 use std::thread::sleep;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// A board of our own at the far end of a terminal: it outlives the daemon, and tells what its lines did.
 fn board() -> PtyMock {
@@ -81,4 +83,39 @@ fn a_daemon_that_hangs_in_mid_play_leaves_a_board_that_returns_the_pins() {
     sleep(Duration::from_millis(1500));
     daemon.signal(Signal::KILL);
     assert_returned(board, &[Cause::Lease]);
+}
+
+/// Pulled out in mid-play and plugged in again: the daemon comes back by itself, disarmed, to the board at the same name.
+#[test]
+fn a_board_that_is_plugged_in_again_is_found_and_disarmed() {
+    let dir = tempfile::tempdir().unwrap();
+    let name = dir.path().join("board");
+    let first = board();
+    symlink(first.path(), &name).unwrap();
+    let daemon = Daemon::on(&format!("serial:{}", name.display()));
+    let mut client = daemon.armed();
+    let _: serde_json::Value = client.post("/v1/play", &json!({"pattern": "wave"})).unwrap();
+    let until = |wanted: &dyn Fn(&Status) -> bool| {
+        let begun = Instant::now();
+        while !wanted(&daemon.client().get("/v1/status").unwrap()) {
+            assert!(begun.elapsed() < Duration::from_secs(20), "{}", daemon.log());
+            sleep(Duration::from_millis(20));
+        }
+    };
+    until(&|status| status.play.is_some());
+    drop(first);
+    until(&|status| !status.is_connected());
+    let receipt: Receipt = client.get("/v1/plays/last").unwrap();
+    assert_eq!(receipt.cause.as_deref(), Some("the device was unplugged"));
+    let bursts = receipt.bursts.unwrap();
+    assert_eq!(bursts.planned, bursts.played + bursts.late + bursts.dropped + bursts.refused);
+
+    let second = board();
+    std::fs::remove_file(&name).unwrap();
+    symlink(second.path(), &name).unwrap();
+    until(&|status| status.is_connected() && status.state == "disarmed");
+    let refused = complaint(daemon.meissner().args(["play", "wave"]));
+    assert!(refused.contains("disarmed"), "{refused}");
+    let mut wall = second.unwrap_mock().unwrap();
+    assert!(wall.mock().take_trace().iter().all(|(_, run)| run.lines == OFF));
 }
