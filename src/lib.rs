@@ -1,6 +1,6 @@
 //! What happens to a pattern, from file to motor.
 //!
-//! A [`pattern`] is a TOML file: which pins of the [`array`] vibrate, at which frequency, amplitude and phase, and
+//! A [`pattern`] is a TOML file: which pins of the [`array`](mod@array) vibrate, at which frequency, amplitude and phase, and
 //! when. The [`store`] keeps the shipped ones and a site's own. A person says `meissner play edge-45`: the [`cli`]
 //! hands it over by [`client`] to the [`daemon`]. Requests, the status and errors are defined in [`api`].
 //!

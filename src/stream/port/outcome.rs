@@ -66,7 +66,7 @@ pub enum End {
     Done,
     /// By a stop, replace, disarm, e-stop, lost link.
     Stopped,
-    /// By late strokes under [`LatePolicy::Abort`], or an onset that could not be kept.
+    /// By late strokes under `LatePolicy::Abort`, or an onset that could not be kept.
     Aborted,
 }
 
