@@ -21,6 +21,8 @@ mod patterns;
 mod plant;
 /// A whole session through a pseudo-terminal and the serial transport; the daemon ended and killed in mid-play.
 mod pty;
+/// Orders that cross each other, the device's word, and the end of a lease: nothing comes to life that is over.
+mod races;
 /// What the README and the example configuration say is true.
 mod readme;
 /// A streamer and a mock in virtual time whose lines are compared with compiled strokes.

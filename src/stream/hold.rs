@@ -200,6 +200,14 @@ impl Hold {
     pub(super) fn refused(&mut self, motor: u8, up: Tick) {
         let Some(motor) = self.motors.get_mut(usize::from(motor)) else { return };
         if let Some(at) = motor.queue.iter().position(|queued| queued.stroke.up == up) {
+            if motor.modelled > 2 * at {
+                // The model has gone up already: it comes down as planned, and so does `net`.
+                motor.queue[at].steered = false;
+                return;
+            }
+            for half in 0..motor.settled.saturating_sub(2 * at).min(2) {
+                motor.net -= signed(motor.queue[at].burst(half));
+            }
             let stroke = &mut motor.queue[at].stroke;
             (stroke.up_pulses, stroke.down_pulses) = (0, 0);
         }

@@ -26,6 +26,8 @@ use thread_priority::{ThreadPriority, ThreadPriorityValue};
 const FIFO_PRIORITY: u8 = 50;
 /// Turns of reading and writing per wake-up, at the most: a device that never falls silent must not hold up orders.
 const TURNS: usize = 32;
+/// A port that takes nothing for so long is gone.
+const STUCK_FOR: Duration = Duration::from_millis(500);
 /// Reads per turn, at the most, for the same reason.
 const READS: usize = 16;
 
@@ -66,6 +68,8 @@ struct Loop {
     /// The frame being written, and what is left of it.
     frame: [u8; MAX_FRAME],
     unsent: Range<usize>,
+    /// Since when the port takes nothing.
+    stuck_since: Option<HostInstant>,
     /// Makes session numbers.
     random: RandomState,
 }
@@ -73,7 +77,15 @@ struct Loop {
 impl Loop {
     fn new(settings: Settings, port: Port) -> Self {
         let streamer = Streamer::new(settings);
-        Self { port, streamer, device: None, frame: [0; MAX_FRAME], unsent: 0..0, random: RandomState::new() }
+        Self {
+            port,
+            streamer,
+            device: None,
+            frame: [0; MAX_FRAME],
+            unsent: 0..0,
+            stuck_since: None,
+            random: RandomState::new(),
+        }
     }
 
     fn run(mut self) {
@@ -101,7 +113,7 @@ impl Loop {
                 Job::Connect(device) => {
                     let rate = device.rate();
                     let id = self.random.hash_one(now.as_ns()) as u32;
-                    self.unsent = 0..0;
+                    (self.unsent, self.stuck_since) = (0..0, None);
                     let old = self.device.replace(device);
                     let Self { port, streamer, .. } = self;
                     streamer.connect(now, id, rate, &mut |notice| port.tell(notice));
@@ -150,8 +162,11 @@ impl Loop {
             }
             let len = device.write(&self.frame[self.unsent.clone()])?;
             if len == 0 {
-                return Ok(wrote);
+                let since = *self.stuck_since.get_or_insert(now);
+                let stuck = now.since(since) >= STUCK_FOR;
+                return if stuck { Err(io::ErrorKind::TimedOut.into()) } else { Ok(wrote) };
             }
+            self.stuck_since = None;
             self.unsent.start += len;
             wrote = true;
         }
@@ -172,14 +187,16 @@ impl Loop {
 
     fn give_back(&mut self, reason: &'static str) {
         if let Some(device) = self.device.take() {
-            self.unsent = 0..0;
+            (self.unsent, self.stuck_since) = (0..0, None);
             self.port.tell(Notice::Disconnected { reason, device: Some(device) });
         }
     }
 
     fn sleep(&self) {
         let now = HostInstant::now();
-        let wait = self.streamer.wake_at(now).since(now).max(Duration::from_micros(1));
+        // While a frame waits to be taken nothing else can be sent: what is due does not matter then.
+        let least = if self.unsent.is_empty() { Duration::from_micros(1) } else { Duration::from_millis(1) };
+        let wait = self.streamer.wake_at(now).since(now).max(least);
         let timeout = Timespec { tv_sec: wait.as_secs() as i64, tv_nsec: wait.subsec_nanos().into() };
         let orders = PollFd::from_borrowed_fd(self.port.wake(), PollFlags::IN);
         // An early return, by a signal, only means an idle turn.

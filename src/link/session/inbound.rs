@@ -56,6 +56,10 @@ impl Session {
                         self.made = number;
                     }
                     self.report(now, number, report, tell);
+                    // The mark moves along, or numbers that have wrapped would count as before it.
+                    if self.stale.wrapping_sub(number) >= u16::MAX / 2 {
+                        self.stale = number;
+                    }
                     self.conclude(now, tell);
                 }
             }

@@ -93,7 +93,8 @@ impl Session {
             }
         }
         let next = next?;
-        if on_the_way > 0 && on_the_way + MAX_FRAME > self.window_bytes {
+        // What is missing must not wait for what comes after it.
+        if !next.again && on_the_way > 0 && on_the_way + MAX_FRAME > self.window_bytes {
             return None;
         }
         let (seq, onset, base) = (next.seq, next.onset, next.strokes.base().wire());

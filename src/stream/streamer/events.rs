@@ -49,6 +49,13 @@ impl Streamer {
                     // Who reads the answer finds everything as it stands after it.
                     tell(Notice::Snapshot(self.snapshot(now)));
                     answer(done.ticket, result.map_err(Refused::Device), tell);
+                    // It may have been disarmed while the command was on its way.
+                    if let (true, Some((status, _))) = (self.controls.is_empty(), self.status)
+                        && !matches!(status.state, State::Armed | State::Returning)
+                    {
+                        self.wants_armed = false;
+                        self.cut_all(End::Stopped, cause_text(status.cause));
+                    }
                 }
             }
             Event::Status { status, tick } => self.status(now, status, tick),
@@ -61,7 +68,8 @@ impl Streamer {
             }
             Event::Onset { tick, counters } => self.onset(tick, counters, tell),
             Event::Cut { cut, .. } => {
-                if !matches!(cut.cause, Cause::Stop | Cause::Request) {
+                // A report of what was cut before the device was armed again says nothing of what is played now.
+                if !matches!(cut.cause, Cause::Stop | Cause::Request) && self.state() != State::Armed {
                     self.cut_all(End::Stopped, cause_text(cut.cause));
                 }
                 self.hold.cut();

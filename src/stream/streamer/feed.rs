@@ -59,6 +59,12 @@ impl Streamer {
                 if onset > horizon {
                     break;
                 }
+                if previous_end.is_some_and(|end| onset < end) {
+                    // The play before it began later than could be known when this one was taken.
+                    active.cut = Some((End::Aborted, "the onset could not be kept"));
+                    active.onset = None;
+                    continue;
+                }
                 active.offer(onset, wire);
                 if let Some(session) = &mut self.session {
                     session.begin(onset);

@@ -134,6 +134,7 @@ impl Streamer {
         self.in_flight = false;
         self.status = None;
         self.hold.cut();
+        (self.fed, self.short_of_credits) = (Tick(0), false);
         if let Some((ticket, _)) = self.closing.take() {
             self.closed = true;
             answer(ticket, Ok(()), tell);

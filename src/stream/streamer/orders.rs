@@ -17,9 +17,9 @@ const FARTHEST: u64 = 1 << 29;
 impl Streamer {
     /// Takes an order. [`Job::Connect`] is not for here: the thread opens the session.
     pub fn order(&mut self, now: HostInstant, order: Order, tell: Tell<'_>) {
-        let ticket = order.ticket;
+        let Order { ticket, given, .. } = order;
         // Whoever gave it has been told by now that nothing came of it.
-        let stale = now.since(order.given) >= ANSWER_WITHIN;
+        let stale = now.since(given) >= ANSWER_WITHIN;
         let taken = match order.job {
             Job::Connect(_) => Ok(None),
             Job::Play(play) if stale => {
@@ -28,7 +28,7 @@ impl Streamer {
                 return;
             }
             Job::Arm { .. } | Job::Reset if stale => Err(Refused::Timeout),
-            Job::Play(play) => match self.play(now, order.given, play) {
+            Job::Play(play) => match self.play(now, given, play) {
                 Ok(()) => Ok(None),
                 Err((refused, play)) => {
                     answer(ticket, Err(refused), tell);
@@ -52,7 +52,7 @@ impl Streamer {
             }
         };
         match taken {
-            Ok(Some(op)) => self.control(now, ticket, op, tell),
+            Ok(Some(op)) => self.control(given, ticket, op, tell),
             Ok(None) => answer(ticket, Ok(()), tell),
             Err(refused) => answer(ticket, Err(refused), tell),
         }
@@ -160,6 +160,7 @@ impl Streamer {
             State::Armed if self.wants_armed => return Ok(None),
             State::Armed | State::Returning if !self.wants_armed => return Err(Refused::Returning),
             State::Returning => return Ok(None),
+            _ if self.wants_armed => return Err(Refused::Returning),
             _ => {}
         }
         self.wants_armed = true;
@@ -190,7 +191,7 @@ impl Streamer {
         Ok((open && faulted).then_some(Op::Reset))
     }
 
-    pub(super) fn control(&mut self, now: HostInstant, ticket: u64, op: Op, tell: Tell<'_>) {
+    pub(super) fn control(&mut self, given: HostInstant, ticket: u64, op: Op, tell: Tell<'_>) {
         if matches!(op, Op::Disarm(_)) {
             // It makes whatever waits pointless, and must not wait behind it.
             while self.controls.len() > usize::from(self.in_flight) {
@@ -202,7 +203,7 @@ impl Streamer {
             answer(ticket, Err(Refused::Timeout), tell);
             return;
         }
-        self.controls.push_back(Waiting { ticket, op, since: now });
+        self.controls.push_back(Waiting { ticket, op, since: given });
         self.next_control();
     }
 
@@ -225,17 +226,24 @@ impl Streamer {
         }
     }
 
-    /// Tells who asked that no answer came in time. What was not sent is not sent any more; what was is repeated until it
-    /// is answered, but for an arm: nobody expects that later.
+    /// Tells who asked that no answer came in time. An arm or reset that waits is not sent any more, an arm that was
+    /// sent is followed by a disarm: nobody expects them later. All else is sent until it is answered.
     pub(super) fn expire(&mut self, now: HostInstant, tell: Tell<'_>) {
-        let in_flight = usize::from(self.in_flight);
-        while let Some(waiting) = self.controls.get(in_flight).copied() {
-            if now.since(waiting.since) < ANSWER_WITHIN {
-                break;
+        let mut index = usize::from(self.in_flight);
+        while let Some(waiting) =
+            self.controls.get_mut(index).filter(|it| now.since(it.since) >= ANSWER_WITHIN)
+        {
+            answer(std::mem::take(&mut waiting.ticket), Err(Refused::Timeout), tell);
+            let op = waiting.op;
+            if !matches!(op, Op::Arm { .. } | Op::Reset) {
+                index += 1;
+                continue;
             }
-            self.controls.remove(in_flight);
-            self.wants_armed &= !matches!(waiting.op, Op::Arm { .. });
-            answer(waiting.ticket, Err(Refused::Timeout), tell);
+            self.controls.remove(index);
+            if matches!(op, Op::Arm { .. }) {
+                self.wants_armed = false;
+                self.cut_all(End::Stopped, "not armed in time");
+            }
         }
         let (Some(first), Some(session)) = (self.controls.front_mut(), &mut self.session) else { return };
         if now.since(first.since) >= ANSWER_WITHIN {
@@ -244,6 +252,7 @@ impl Streamer {
                 first.op = Op::Disarm(Cause::Request);
                 self.wants_armed = false;
                 session.command(first.op);
+                self.cut_all(End::Stopped, "not armed in time");
             }
         }
     }
