@@ -79,7 +79,7 @@ pub struct Streamer {
     closed: bool,
     snapshot_due: HostInstant,
     /// Whether the last snapshot said that a device is there.
-    told_open: bool,
+    told_there: bool,
 }
 
 impl Streamer {
@@ -103,7 +103,7 @@ impl Streamer {
             closing: None,
             closed: false,
             snapshot_due: HostInstant::default(),
-            told_open: false,
+            told_there: false,
         }
     }
 
@@ -159,6 +159,11 @@ impl Streamer {
         self.session.as_ref().and_then(|session| session.clock().tick_at(now))
     }
 
+    /// Whether a device has said how it stands.
+    fn is_there(&self) -> bool {
+        self.status.is_some() && self.session.as_ref().is_some_and(Session::is_greeted)
+    }
+
     pub(super) fn state(&self) -> State {
         match &self.status {
             _ if self.latched => State::Faulted,
@@ -184,9 +189,9 @@ impl Streamer {
             self.close_all(None, 0, [0.0; MOTORS], tell);
         }
         self.close(now, tell);
-        let open = self.session.as_ref().is_some_and(Session::is_open);
-        if now >= self.snapshot_due || open != self.told_open {
-            self.told_open = open;
+        let there = self.is_there();
+        if now >= self.snapshot_due || there != self.told_there {
+            self.told_there = there;
             let playing = !self.plays.is_empty() || self.state() == State::Returning;
             let far = if playing { SNAPSHOT_EVERY } else { IDLE_PING };
             self.snapshot_due = now + far;
@@ -216,7 +221,7 @@ impl Streamer {
         let lead = (self.fed - tick) as f64 / f64::from(TICK_HZ) * 1000.0;
         Snapshot {
             at: now,
-            connected: open.is_some(),
+            connected: self.is_there(),
             state: self.state(),
             cause: if self.latched {
                 Cause::EStop
