@@ -1,3 +1,5 @@
+//! The recorder, fed with notices: what it says of plays, devices and bad times.
+
 use super::*;
 use crate::pattern::Pattern;
 use crate::stream::port::{At, End, LatePolicy, Onset, Play};
