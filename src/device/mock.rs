@@ -99,12 +99,6 @@ impl Mock {
         &self.controller
     }
 
-    /// The shafts.
-    #[must_use]
-    pub fn plant(&self) -> &Plant {
-        &self.plant
-    }
-
     /// The first tick not played.
     #[must_use]
     pub fn now(&self) -> Tick {

@@ -35,7 +35,6 @@ fn snapshot(connected: bool, state: State, play: Option<(u64, f64)>) -> Snapshot
         state,
         cause: Cause::Request,
         position_known: true,
-        owed: 0,
         tick: Tick(1000),
         clock_uncertainty_us: 10.0,
         play,

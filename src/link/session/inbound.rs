@@ -81,7 +81,6 @@ impl Session {
         self.epoch = hello.epoch;
         (self.seen, self.made, self.stale) = (hello.reports, hello.reports, hello.reports);
         self.credits = 0;
-        self.hello = Some(hello);
         // The hello's tick widens those of the first statuses; its round trip counts for little.
         let sent = self.last_sent.unwrap_or(now);
         self.clock.round_trip(sent, Tick(hello.tick), now);

@@ -134,8 +134,6 @@ pub struct Snapshot {
     pub cause: Cause,
     /// Whether the device knows where the pins are.
     pub position_known: bool,
-    /// Down pulses owed.
-    pub owed: u32,
     /// The device's clock, estimated for `at`.
     pub tick: Tick,
     /// How well it is known, µs.

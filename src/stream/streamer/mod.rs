@@ -229,7 +229,6 @@ impl Streamer {
                 status.map_or(Cause::Boot, |status| status.cause)
             },
             position_known: status.is_some_and(|status| status.position_known),
-            owed: status.map_or(0, |status| status.owed),
             tick,
             clock_uncertainty_us: open
                 .and_then(|session| session.clock().uncertainty(now))
