@@ -39,6 +39,8 @@ pub mod motor;
 pub mod pattern;
 pub mod plant;
 pub mod record;
+pub mod simulate;
+pub mod skin;
 pub mod store;
 pub mod stream;
 pub mod strokes;

@@ -3,12 +3,14 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The rooms, lowest first. Those of one line do not use each other.
-const ROOMS: [&[&str]; 14] = [
+const ROOMS: [&[&str]; 16] = [
     &["units"],
     &["draw"],
     &["array", "motor"],
     &["pattern"],
     &["strokes"],
+    &["skin"],
+    &["simulate"],
     &["link", "plant"],
     &["device"],
     &["stream"],

@@ -1,0 +1,5 @@
+//! From drives and receptors to spikes.
+
+mod scene;
+
+pub use scene::Scene;
