@@ -15,6 +15,8 @@ mod harness;
 mod layers;
 /// The motor model and the plant against the reference figures.
 mod models;
+/// A second, slow simulator written from the equations alone, for the fast one to be compared with.
+mod oracle;
 /// Pattern files: what is refused and how it is said; the shipped library.
 mod patterns;
 /// The simulated shafts: scatter, end stops, telemetry, and times a month away.
