@@ -256,3 +256,26 @@ fn a_graze_is_called_doubtful() {
     assert!(clear.spikes[0].t_s < clear.doubtful_from_s, "{clear:?}");
     assert!(compare(&[clear], &[Vec::new()], 1e-9).is_err());
 }
+
+#[test]
+fn a_drive_starts_after_its_start_and_ends_by_its_stop() {
+    // 10 pulses, a period of 1000 ticks, up first at a quarter of it; it starts at tick 850.
+    let drive = |frequency_hz, stop_tick: f64| Drive {
+        motor: 0,
+        frequency_hz,
+        amplitude_um: 9.5 / 7.0,
+        phase: 0.25,
+        start_s: 0.01,
+        stop_s: Some(stop_tick / 85_000.0),
+    };
+    let half_ticks = |drive: Drive| -> Vec<_> {
+        bursts(&drive, 1.0).iter().map(|burst| (burst.start, burst.end, burst.direction)).collect()
+    };
+    let first = [(2200, 2220, 1), (3200, 3220, -1)];
+    let second = [(4200, 4220, 1), (5200, 5220, -1)];
+    assert_eq!(half_ticks(drive(85.0, 1609.0)), []);
+    assert_eq!(half_ticks(drive(85.0, 2609.0)), first);
+    assert_eq!(half_ticks(drive(85.0, 2610.0)), [first, second].concat());
+    // 17 ticks a period: edges at ticks 4, 13 and 21 after the start; of 10 pulses 8 fit.
+    assert_eq!(half_ticks(drive(5_000.0, 872.0)), [(1708, 1724, 1), (1726, 1742, -1)]);
+}
