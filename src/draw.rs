@@ -9,6 +9,7 @@
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
+use rand_distr::{Distribution, StandardNormal};
 
 /// The standard normal deviate that belongs to `key`.
 #[must_use]
@@ -22,6 +23,28 @@ pub fn normal(key: [u64; 4]) -> f64 {
     let radius = uniform(bits.next_u64()) + f64::EPSILON / 2.0;
     let turns = uniform(bits.next_u64());
     (-2.0 * libm::log(radius)).sqrt() * libm::cos(std::f64::consts::TAU * turns)
+}
+
+/// A stream of standard normal deviates: the n-th depends on the key and on n alone.
+#[derive(Clone, Debug)]
+pub struct Normals(ChaCha8Rng);
+
+impl Normals {
+    /// The stream that belongs to a seed and, say, a receptor.
+    #[must_use]
+    pub fn new(seed: u64, stream: u64) -> Self {
+        let mut bits = ChaCha8Rng::seed_from_u64(seed);
+        bits.set_stream(stream);
+        Self(bits)
+    }
+
+    /// The next one.
+    #[must_use]
+    #[inline]
+    #[expect(clippy::should_implement_trait, reason = "it never ends")]
+    pub fn next(&mut self) -> f64 {
+        StandardNormal.sample(&mut self.0)
+    }
 }
 
 /// A multiple of 2⁻⁵³ in [0, 1).

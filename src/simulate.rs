@@ -1,5 +1,232 @@
-//! From drives and receptors to spikes.
+//! From what the motors do to the spikes of the skin's receptors.
+//!
+//! A [`Scene`] says which motors are driven and how, where the receptors lie and what they are made of. Its drives
+//! become strokes by the rule that the streamer plays by, the strokes become [breaks](breaks) of the motors'
+//! velocities, and between breaks a receptor's input is a straight line. From there two ways lead to spikes:
+//!
+//! - **exact**: from break to break in closed form (`membrane`), eight receptors abreast (`exact`); where a
+//!   threshold may be reached, one by one (`neuron`). No time step anywhere.
+//! - **stepped**: a fixed step (`stepped`) over the velocities on a grid (`sampler`), by forward Euler as the paper does it, or by
+//!   the exact propagator of the leak.
+//!
+//! Both draw the same noise, so they can be compared spike by spike. What need not be computed is not: motors at rest, receptors
+//! out of reach or provably silent (`silent`), a state that repeats itself (`cycle`), and with an [`Evaluator`] the
+//! receptors that a change does not reach. [`choose`] finds the cheapest method for an error that is allowed.
+//!
+//! What is known to be missing: there is no low-pass before the membrane, so that above about 50 Hz the model is more
+//! sensitive than recordings are; the skin has no mechanics; rectification, depth and reset are our reading of the literature.
+//!
+//! Invariant: the answer for a receptor depends on the scene alone: not on threads, on the width of vectors, on
+//! the order of receptors, or on what is skipped.
 
+mod breaks;
+mod choose;
+mod cycle;
+mod engine;
+mod evaluator;
+mod exact;
+mod lanes;
+mod membrane;
+mod neuron;
+mod sampler;
 mod scene;
+mod silent;
+mod stepped;
 
-pub use scene::Scene;
+pub use choose::{Choice, choose};
+pub use evaluator::Evaluator;
+pub use scene::{Scene, SceneError};
+
+use breaks::HALF_TICKS_PER_S;
+use engine::Member;
+use serde::Serialize;
+use std::ops::RangeInclusive;
+
+/// Steps, µs.
+pub const STEP_US: RangeInclusive<u32> = 1..=1_000_000;
+
+/// How a scene is simulated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Method {
+    /// Event driven, in closed form.
+    Exact,
+    /// By a fixed step.
+    Stepped(Stepping),
+}
+
+/// A way to step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Stepping {
+    /// The step, within [`STEP_US`].
+    pub step_us: u32,
+    /// What is done in a step.
+    pub integrator: Integrator,
+    /// Of what numbers.
+    pub precision: Precision,
+}
+
+/// What is done in a step.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Integrator {
+    /// The paper's eq. 2: input and leak as they are at the step's start, a spike at its end.
+    Euler,
+    /// The leak exactly, the input by its mean, crossings within the step.
+    #[default]
+    Propagator,
+}
+
+/// What numbers a stepped method computes with.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Precision {
+    /// Single precision.
+    #[default]
+    F32,
+    /// Double precision.
+    F64,
+}
+
+/// What is kept.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Keep {
+    /// Every spike.
+    Spikes,
+    /// How many.
+    Rates,
+}
+
+/// How to simulate, and what for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Options {
+    /// The method.
+    pub method: Method,
+    /// What is kept.
+    pub keep: Keep,
+    /// Whether what need not be computed is left out; the answer is the same.
+    pub skip: bool,
+}
+
+impl Options {
+    /// Spikes by a method.
+    #[must_use]
+    pub const fn spikes(method: Method) -> Self {
+        Self { method, keep: Keep::Spikes, skip: true }
+    }
+
+    /// Rates by a method.
+    #[must_use]
+    pub const fn rates(method: Method) -> Self {
+        Self { method, keep: Keep::Rates, skip: true }
+    }
+}
+
+/// A method that cannot simulate a scene.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum MethodError {
+    /// A step out of range.
+    #[error("a step of {step_us} us: must be {} to {} us", STEP_US.start(), STEP_US.end())]
+    Step {
+        /// As asked for.
+        step_us: u32,
+    },
+    /// Euler overshoots.
+    #[error(
+        "forward Euler is unstable with a step of {step_us} us at tau_s = {tau_s}: beyond tau it overshoots, \
+         beyond 2 tau it grows without end; take a smaller step, or the propagator"
+    )]
+    Unstable {
+        /// As asked for.
+        step_us: u32,
+        /// The membrane's time constant.
+        tau_s: f64,
+    },
+    /// An error that cannot be allowed.
+    #[error("a rate error of {error_hz}: must be a number of impulses/s, above 0")]
+    RateError {
+        /// As asked for.
+        error_hz: f64,
+    },
+}
+
+impl Method {
+    /// Whether the method can simulate the scene.
+    ///
+    /// # Errors
+    /// If its step is out of range, or unstable.
+    pub fn check(&self, scene: &Scene) -> Result<(), MethodError> {
+        let Self::Stepped(Stepping { step_us, integrator, .. }) = *self else { return Ok(()) };
+        if !STEP_US.contains(&step_us) {
+            return Err(MethodError::Step { step_us });
+        }
+        let tau_s = scene.model().tau_s;
+        if integrator == Integrator::Euler && f64::from(step_us) * 1e-6 > tau_s {
+            return Err(MethodError::Unstable { step_us, tau_s });
+        }
+        Ok(())
+    }
+}
+
+/// The answer to a scene.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Answer {
+    /// Spikes of each receptor with `0 <= t < duration_s`.
+    pub counts: Vec<u64>,
+    /// Their times, if they were kept.
+    pub spikes_s: Option<Vec<Vec<f64>>>,
+    /// What was not computed.
+    pub skipped: Skipped,
+}
+
+impl Answer {
+    /// Each receptor's impulses per second; 0 in a scene without duration.
+    #[must_use]
+    pub fn rates_hz(&self, scene: &Scene) -> Vec<f64> {
+        self.counts.iter().map(|&count| rate_hz(count, scene)).collect()
+    }
+}
+
+fn rate_hz(count: u64, scene: &Scene) -> f64 {
+    if count == 0 { 0.0 } else { count as f64 / scene.duration_s() }
+}
+
+/// What was not computed, each for a reason that makes the answer exact.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Skipped {
+    /// Without a stroke: their input is 0.
+    pub motors_at_rest: u32,
+    /// Their weight counts as 0 at every receptor.
+    pub motors_out_of_reach: u32,
+    /// No moving motor has a weight there: the membrane stays at rest, below the least threshold.
+    pub receptors_out_of_reach: u64,
+    /// Even without cancellation their input cannot take them to their first threshold.
+    pub receptors_below_threshold: u64,
+    /// Receptor-seconds after a state that had been there before, bit by bit.
+    pub repeated_receptor_s: f64,
+    /// Not reached by what changed since the last evaluation.
+    pub receptors_reused: u64,
+}
+
+/// Simulates a scene. `progress` hears now and then which part is done, on any thread.
+///
+/// # Errors
+/// If the method cannot simulate the scene.
+pub fn simulate(
+    scene: &Scene,
+    options: &Options,
+    progress: &(dyn Fn(f64) + Sync),
+) -> Result<Answer, MethodError> {
+    options.method.check(scene)?;
+    let receptors: Vec<u32> = (0..scene.receptors().len() as u32).collect();
+    let mut counts = vec![0; receptors.len()];
+    let mut spikes = vec![Vec::new(); if options.keep == Keep::Spikes { receptors.len() } else { 0 }];
+    let skipped = engine::run(scene, &receptors, options, progress, |(number, count, mut half_ticks)| {
+        counts[number as usize] = count;
+        if let Some(spikes) = spikes.get_mut(number as usize) {
+            half_ticks.iter_mut().for_each(|at| *at /= HALF_TICKS_PER_S);
+            *spikes = half_ticks;
+        }
+    });
+    let spikes_s = (options.keep == Keep::Spikes).then_some(spikes);
+    Ok(Answer { counts, spikes_s, skipped })
+}

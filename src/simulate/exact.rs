@@ -1,0 +1,454 @@
+//! The exact method: from break to break, eight receptors abreast.
+//!
+//! Each lane is one receptor and goes only from break to break of the motors that reach it, so what it does depends
+//! on nothing but its own motors: not on its neighbours, nor on how many lanes the processor has. A lane that
+//! might reach its threshold within a piece leaves the vector and is crossed by [`Neuron`].
+//!
+//! Weights are rounded to whole numbers of 37 bits. Times D, which is whole too, every sum of inputs is
+//! a whole number below 2⁵³: exact in `f64` in whatever order, and 0 when all is at rest. What that costs is
+//! a third of what ignoring weights below 10⁻¹⁰ does.
+//!
+//! Invariant: the lanes' arithmetic is the same at every vector width.
+
+use super::Member;
+use super::breaks::Break;
+use super::cycle::{Cycle, Look, Periods};
+use super::lanes::bits;
+use super::membrane::{LEAST_THRESHOLD, Membrane, SERIES, SERIES_ENDS, SHORT, SHORT_SERIES_ENDS};
+use super::neuron::{Instant, Neuron, Piece};
+use crate::draw::Normals;
+use crate::skin::Rectify;
+use firmware_protocol::stroke::MOTORS;
+use pulp::{Arch, Simd, WithSimd};
+
+/// Receptors of a group.
+pub(super) const LANES: usize = 8;
+/// Bits of a weight, so that 24 motors at full speed at the largest weight stay below 2⁵³.
+const WEIGHT_BITS: i32 = 37;
+
+type Lanes = [f64; LANES];
+
+/// The state of up to eight receptors.
+#[derive(Debug)]
+pub(super) struct Group {
+    /// Of each motor, whole numbers.
+    weights: [Lanes; MOTORS],
+    /// Motors that reach any of them, a bit each.
+    motors: u32,
+    gain: Lanes,
+    /// The start of each lane's piece; the input there and its slope; the membrane.
+    at: Lanes,
+    v: Lanes,
+    k: Lanes,
+    p: Lanes,
+    resting: Lanes,
+    last_at: Lanes,
+    last_offset: Lanes,
+    receptors: Vec<Receptor>,
+    /// Of the scene.
+    end: f64,
+    cycle: Option<Cycle>,
+    again: Option<Again>,
+}
+
+/// What a lane keeps outside the vectors.
+#[derive(Debug)]
+struct Receptor {
+    noise: Option<Normals>,
+    spikes: Vec<Instant>,
+    /// How many spikes there were when the state was kept.
+    marked: usize,
+    count: u64,
+}
+
+/// The state relative to an instant, without what does not change.
+#[derive(Debug, PartialEq)]
+pub(super) struct Snapshot([Lanes; 7]);
+
+/// Long before the scene, so that nothing is lowered or refractory.
+const NEVER: f64 = -1e300;
+
+impl Group {
+    pub(super) fn new(members: Vec<Member>, membrane: &Membrane, periods: Option<&Periods>, end: f64) -> Self {
+        assert!(members.len() <= LANES);
+        let mut group = Self {
+            weights: [[0.0; LANES]; MOTORS],
+            motors: 0,
+            gain: [0.0; LANES],
+            at: [0.0; LANES],
+            v: [0.0; LANES],
+            k: [0.0; LANES],
+            p: [0.0; LANES],
+            // A lane without a receptor never reaches it.
+            resting: [f64::INFINITY; LANES],
+            last_at: [NEVER; LANES],
+            last_offset: [0.0; LANES],
+            receptors: Vec::with_capacity(members.len()),
+            end,
+            cycle: None,
+            again: None,
+        };
+        for (lane, member) in members.into_iter().enumerate() {
+            let largest = member.weights.iter().copied().fold(0.0, f64::max);
+            if largest > 0.0 {
+                let scale = WEIGHT_BITS - 1 - libm::ilogb(largest);
+                for (motor, &weight) in member.weights.iter().enumerate() {
+                    let whole = libm::scalbn(weight, scale).round();
+                    group.weights[motor][lane] = whole;
+                    group.motors |= u32::from(whole > 0.0) << motor;
+                }
+                group.gain[lane] = libm::scalbn(membrane.gain, -scale);
+            }
+            group.resting[lane] = member.resting;
+            group.receptors.push(Receptor { noise: member.noise, spikes: Vec::new(), marked: 0, count: 0 });
+        }
+        group.cycle = periods.and_then(|periods| Cycle::new(periods, group.motors, end));
+        group
+    }
+
+    /// Through a block of breaks; `keep` says whether spikes are kept or only counted.
+    pub(super) fn run(&mut self, arch: Arch, membrane: &Membrane, mut breaks: &[Break], keep: bool) {
+        while let Some(cycle) = &self.cycle
+            && self.again.is_none()
+        {
+            let before = breaks.partition_point(|found| found.at < cycle.next);
+            if before == breaks.len() {
+                break;
+            }
+            let (now, rest) = breaks.split_at(before);
+            // While a repetition is looked for, spikes are kept: they are what is repeated.
+            arch.dispatch(Run { group: self, membrane, breaks: now, until: None, keep: true });
+            breaks = rest;
+            self.look(keep);
+        }
+        if self.again.is_none() {
+            let keep = keep || self.cycle.is_some();
+            arch.dispatch(Run { group: self, membrane, breaks, until: None, keep });
+        }
+    }
+
+    /// Whether more breaks would change anything.
+    pub(super) const fn goes_on(&self) -> bool {
+        self.again.is_none()
+    }
+
+    fn look(&mut self, keep: bool) {
+        let Some(mut cycle) = self.cycle.take() else { return };
+        let from = cycle.next;
+        let relative = |lanes: &Lanes| lanes.map(|at| at - from);
+        let lanes = [relative(&self.at), self.v, self.k, self.p, self.resting, relative(&self.last_at), self.last_offset];
+        match cycle.look(Snapshot(lanes)) {
+            Look::New => self.cycle = Some(cycle),
+            Look::Kept => {
+                for receptor in &mut self.receptors {
+                    if !keep {
+                        receptor.spikes.clear();
+                    }
+                    receptor.marked = receptor.spikes.len();
+                }
+                self.cycle = Some(cycle);
+            }
+            Look::Again(length) => self.again = Some(Again { from, length }),
+            Look::GivenUp => {}
+        }
+    }
+
+    /// To the scene's end. For each receptor: how many spikes before it, and the spikes if they were kept; and
+    /// how many half ticks of how many receptors were repeated.
+    pub(super) fn finish(mut self, arch: Arch, membrane: &Membrane, keep: bool) -> (Vec<(u64, Vec<f64>)>, f64) {
+        let until = self.end;
+        if self.again.is_none() {
+            let keep = keep || self.cycle.is_some();
+            arch.dispatch(Run { group: &mut self, membrane, breaks: &[], until: Some(until), keep });
+        }
+        let repeated = self.again.as_ref().map_or(0.0, |again| (until - again.from) * self.receptors.len() as f64);
+        let again = self.again;
+        let trains = self.receptors.into_iter().map(|receptor| receptor.into_train(again.as_ref(), until, keep));
+        (trains.collect(), repeated)
+    }
+}
+
+/// A repetition that was found: what happened in the last `length` before `from` happens again and again.
+#[derive(Clone, Copy, Debug)]
+struct Again {
+    from: f64,
+    length: f64,
+}
+
+impl Receptor {
+    fn into_train(self, again: Option<&Again>, until: f64, keep: bool) -> (u64, Vec<f64>) {
+        let Self { mut count, spikes, marked, .. } = self;
+        let mut times: Vec<f64> = if keep { spikes.iter().map(Instant::half_ticks).collect() } else { Vec::new() };
+        if let Some(again) = again {
+            let spikes = &spikes[marked..];
+            // Those of a repetition lie before its end, so all but the last repetition are whole.
+            let whole = ((until - again.from) / again.length).floor();
+            if !keep {
+                count += whole as u64 * spikes.len() as u64;
+            }
+            let mut number = if keep { 1.0 } else { whole + 1.0 };
+            while number <= whole + 1.0 {
+                for spike in spikes {
+                    let at = Instant { at: spike.at + number * again.length, ..*spike }.half_ticks();
+                    if at < until {
+                        count += 1;
+                        if keep {
+                            times.push(at);
+                        }
+                    }
+                }
+                number += 1.0;
+            }
+        }
+        (count, times)
+    }
+}
+
+struct Run<'r> {
+    group: &'r mut Group,
+    membrane: &'r Membrane,
+    breaks: &'r [Break],
+    until: Option<f64>,
+    keep: bool,
+}
+
+impl WithSimd for Run<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        match self.membrane.rectify {
+            Rectify::Half => self.rectified::<S, HALF>(simd),
+            Rectify::Full => self.rectified::<S, FULL>(simd),
+            Rectify::Signed => self.rectified::<S, SIGNED>(simd),
+        }
+    }
+}
+
+const HALF: u8 = 0;
+const FULL: u8 = 1;
+const SIGNED: u8 = 2;
+
+impl Run<'_> {
+    #[inline(always)]
+    fn rectified<S: Simd, const RECTIFY: u8>(self, simd: S) {
+        let width = S::F64_LANES.min(LANES);
+        for first in (0..LANES).step_by(width) {
+            if first >= self.group.receptors.len() {
+                break;
+            }
+            let mut vectors = Vectors::<S, RECTIFY>::load(simd, self.membrane, self.group, first);
+            for found in self.breaks {
+                if self.group.motors >> found.motor & 1 == 0 {
+                    continue;
+                }
+                let weight = load::<S>(&self.group.weights[usize::from(found.motor)], first);
+                let mine = simd.greater_than_f64s(weight, simd.splat_f64s(0.0));
+                vectors.advance(self.group, found.at, mine, self.keep);
+                vectors.k = simd.mul_add_f64s(weight, simd.splat_f64s(found.bend), vectors.k);
+            }
+            if let Some(until) = self.until {
+                let all = simd.less_than_f64s(vectors.resting, simd.splat_f64s(f64::INFINITY));
+                vectors.advance(self.group, until, all, self.keep);
+            }
+            vectors.store(self.group);
+        }
+    }
+}
+
+#[inline(always)]
+fn load<S: Simd>(lanes: &Lanes, first: usize) -> S::f64s {
+    S::as_simd_f64s(&lanes[first..first + S::F64_LANES]).0[0]
+}
+
+#[inline(always)]
+fn store<S: Simd>(lanes: &mut Lanes, first: usize, values: S::f64s) {
+    S::as_mut_simd_f64s(&mut lanes[first..first + S::F64_LANES]).0[0] = values;
+}
+
+/// The lanes in the processor's registers.
+struct Vectors<'m, S: Simd, const RECTIFY: u8> {
+    simd: S,
+    membrane: &'m Membrane,
+    first: usize,
+    gain: S::f64s,
+    at: S::f64s,
+    v: S::f64s,
+    k: S::f64s,
+    p: S::f64s,
+    resting: S::f64s,
+    last_at: S::f64s,
+    last_offset: S::f64s,
+}
+
+impl<'m, S: Simd, const RECTIFY: u8> Vectors<'m, S, RECTIFY> {
+    #[inline(always)]
+    fn load(simd: S, membrane: &'m Membrane, group: &Group, first: usize) -> Self {
+        Self {
+            simd,
+            membrane,
+            first,
+            gain: load::<S>(&group.gain, first),
+            at: load::<S>(&group.at, first),
+            v: load::<S>(&group.v, first),
+            k: load::<S>(&group.k, first),
+            p: load::<S>(&group.p, first),
+            resting: load::<S>(&group.resting, first),
+            last_at: load::<S>(&group.last_at, first),
+            last_offset: load::<S>(&group.last_offset, first),
+        }
+    }
+
+    #[inline(always)]
+    fn store(&self, group: &mut Group) {
+        let first = self.first;
+        store::<S>(&mut group.at, first, self.at);
+        store::<S>(&mut group.v, first, self.v);
+        store::<S>(&mut group.k, first, self.k);
+        store::<S>(&mut group.p, first, self.p);
+        store::<S>(&mut group.resting, first, self.resting);
+        store::<S>(&mut group.last_at, first, self.last_at);
+        store::<S>(&mut group.last_offset, first, self.last_offset);
+    }
+
+    /// Takes the lanes of `mine` to `to`.
+    #[inline(always)]
+    fn advance(&mut self, group: &mut Group, to: f64, mine: S::m64s, keep: bool) {
+        let simd = self.simd;
+        let splat = |value| simd.splat_f64s(value);
+        let zero = splat(0.0);
+        let to = splat(to);
+        let length = simd.sub_f64s(to, self.at);
+        let x = simd.mul_f64s(length, splat(self.membrane.rate));
+        let phi2 = self.phi2(x, mine);
+        let phi1 = simd.negate_mul_add_f64s(x, phi2, splat(1.0));
+        let rise = simd.mul_f64s(self.k, length);
+        let v = simd.add_f64s(self.v, rise);
+        let whole = simd.mul_f64s(length, simd.mul_add_f64s(rise, phi2, simd.mul_f64s(self.v, phi1)));
+        let input = self.rectified(v, whole, mine);
+        let leak = simd.mul_f64s(self.p, simd.mul_f64s(x, phi1));
+        let p = simd.mul_add_f64s(self.gain, input, simd.sub_f64s(self.p, leak));
+
+        // Might the threshold be reached? The membrane is below where it would be without a leak under the
+        // largest input, the threshold above where it is at the start.
+        let largest = match RECTIFY {
+            FULL => simd.max_f64s(simd.abs_f64s(self.v), simd.abs_f64s(v)),
+            _ => simd.max_f64s(simd.max_f64s(self.v, v), zero),
+        };
+        let charge = simd.mul_f64s(simd.mul_f64s(self.gain, length), largest);
+        let top = simd.add_f64s(simd.max_f64s(self.p, zero), charge);
+        let since = simd.sub_f64s(simd.sub_f64s(self.at, self.last_at), self.last_offset);
+        let lowered = simd.negate_mul_add_f64s(splat(self.membrane.recovery), since, splat(self.membrane.depth));
+        let threshold = simd.sub_f64s(self.resting, simd.max_f64s(lowered, zero));
+        let threshold = simd.max_f64s(threshold, splat(LEAST_THRESHOLD));
+        // A margin for the rounding of all this.
+        let reached = simd.greater_than_or_equal_f64s(simd.mul_f64s(top, splat(1.0 + 1e-9)), threshold);
+        let free = simd.greater_than_or_equal_f64s(
+            simd.mul_f64s(simd.add_f64s(since, length), splat(1.0 + 1e-9)),
+            splat(self.membrane.refractory),
+        );
+        let long = simd.greater_than_f64s(x, splat(SERIES_ENDS));
+        let hot = simd.and_m64s(mine, simd.or_m64s(long, simd.and_m64s(reached, free)));
+        if bits(hot, S::F64_LANES) != 0 {
+            self.cross(group, to, hot, p, mine, keep);
+        } else {
+            self.p = simd.select_f64s(mine, p, self.p);
+        }
+        self.v = simd.select_f64s(mine, v, self.v);
+        self.at = simd.select_f64s(mine, to, self.at);
+    }
+
+    #[inline(always)]
+    fn phi2(&self, x: S::f64s, mine: S::m64s) -> S::f64s {
+        let simd = self.simd;
+        let sum = |terms: &[f64], x| {
+            let (last, rest) = terms.split_last().expect("a series has terms");
+            rest.iter().rev().fold(simd.splat_f64s(*last), |sum, &term| simd.mul_add_f64s(sum, x, simd.splat_f64s(term)))
+        };
+        let short = sum(&SERIES[..SHORT], x);
+        let longer = simd.greater_than_f64s(x, simd.splat_f64s(SHORT_SERIES_ENDS));
+        if bits(simd.and_m64s(mine, longer), S::F64_LANES) != 0 {
+            // Beyond the series' end it only must not overflow: such lanes leave the vector.
+            let x = simd.min_f64s(x, simd.splat_f64s(SERIES_ENDS));
+            return simd.select_f64s(longer, sum(&SERIES, x), short);
+        }
+        short
+    }
+
+    /// The leaky integral of the rectified input over the piece, that of the input itself being `whole`.
+    #[inline(always)]
+    fn rectified(&self, v: S::f64s, whole: S::f64s, mine: S::m64s) -> S::f64s {
+        if RECTIFY == SIGNED {
+            return whole;
+        }
+        let simd = self.simd;
+        let zero = simd.splat_f64s(0.0);
+        let crossing = simd.less_than_f64s(simd.mul_f64s(self.v, v), zero);
+        let (before, after) = (simd.greater_than_f64s(self.v, zero), simd.greater_than_f64s(v, zero));
+        let positive = simd.or_m64s(before, after);
+        let mut half = simd.select_f64s(positive, whole, zero);
+        if bits(simd.and_m64s(mine, crossing), S::F64_LANES) != 0 {
+            // From the change of sign to the end the input is `k s`: the triangle that is left alone
+            // when it rises, and taken off when it falls.
+            let rest = simd.div_f64s(v, self.k);
+            let x = simd.mul_f64s(rest, simd.splat_f64s(self.membrane.rate));
+            let crosses = simd.and_m64s(mine, crossing);
+            let triangle = simd.mul_f64s(simd.mul_f64s(v, rest), self.phi2(x, crosses));
+            let other = simd.select_f64s(before, simd.sub_f64s(whole, triangle), triangle);
+            half = simd.select_f64s(crossing, other, half);
+        }
+        match RECTIFY {
+            FULL => simd.sub_f64s(simd.add_f64s(half, half), whole),
+            _ => half,
+        }
+    }
+
+    /// Takes hot lanes through the piece one by one, and the other ones of `mine` to `p`.
+    #[inline(always)]
+    fn cross(&mut self, group: &mut Group, to: S::f64s, hot: S::m64s, p: S::f64s, mine: S::m64s, keep: bool) {
+        let simd = self.simd;
+        let spill = |values| {
+            let mut lanes = [0.0; LANES];
+            store::<S>(&mut lanes, 0, values);
+            lanes
+        };
+        let (at, v, k) = (spill(self.at), spill(self.v), spill(self.k));
+        let length = spill(simd.sub_f64s(to, self.at));
+        let (old_p, resting) = (spill(self.p), spill(self.resting));
+        let (last_at, last_offset) = (spill(self.last_at), spill(self.last_offset));
+        self.p = simd.select_f64s(mine, p, self.p);
+        let until = group.end;
+        let numbers = load::<S>(&NUMBERS, 0);
+        let mut left = bits(hot, S::F64_LANES);
+        while left != 0 {
+            let lane = left.trailing_zeros() as usize;
+            left &= left - 1;
+            let receptor = &mut group.receptors[self.first + lane];
+            let piece =
+                Piece { at: at[lane], length: length[lane], v: v[lane], k: k[lane], gain: group.gain[self.first + lane] };
+            let mut neuron = Neuron {
+                p: old_p[lane],
+                resting: resting[lane],
+                last: Instant { at: last_at[lane], offset: last_offset[lane] },
+            };
+            neuron.cross(self.membrane, &piece, |instant| {
+                // A piece is closed by its end, a scene is not.
+                if instant.half_ticks() < until {
+                    receptor.count += 1;
+                    if keep {
+                        receptor.spikes.push(instant);
+                    }
+                }
+                self.membrane.draw(receptor.noise.as_mut())
+            });
+            let this = simd.equal_f64s(numbers, simd.splat_f64s(lane as f64));
+            let put = |new, old| simd.select_f64s(this, simd.splat_f64s(new), old);
+            self.p = put(neuron.p, self.p);
+            self.resting = put(neuron.resting, self.resting);
+            self.last_at = put(neuron.last.at, self.last_at);
+            self.last_offset = put(neuron.last.offset, self.last_offset);
+        }
+    }
+}
+
+const NUMBERS: Lanes = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0];

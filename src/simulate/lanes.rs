@@ -1,0 +1,134 @@
+//! Vectors of `f32` or `f64`, as wide as the processor has them.
+//!
+//! A few names on top of `pulp`, so that the stepped method is written once for both precisions. Products are
+//! added with one rounding (`mul_add`) everywhere: the same bits at every width and on every machine.
+//!
+//! Invariant: no operation here mixes lanes.
+
+use pulp::{Simd, bytemuck};
+
+/// Numbers a vector can hold.
+pub(super) trait Number: Copy + Default + Send + Sync + 'static {
+    type Vector<S: Simd>: Copy;
+
+    fn of(value: f64) -> Self;
+    fn wide(self) -> f64;
+    /// Lanes of a vector.
+    fn width<S: Simd>() -> usize;
+    fn splat<S: Simd>(simd: S, value: Self) -> Self::Vector<S>;
+    fn load<S: Simd>(lanes: &[Self]) -> Self::Vector<S>;
+    fn store<S: Simd>(lanes: &mut [Self], vector: Self::Vector<S>);
+    fn add<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
+    fn sub<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
+    fn mul_add<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>, c: Self::Vector<S>) -> Self::Vector<S>;
+    fn max<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
+    fn min<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
+    fn div<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
+    fn abs<S: Simd>(simd: S, a: Self::Vector<S>) -> Self::Vector<S>;
+    /// `a` in the lanes of `bits`, `b` in the others.
+    fn choose<S: Simd>(simd: S, bits: u32, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
+    /// Bits of the lanes in which `a >= b`, the first lane's lowest.
+    fn at_least<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> u32;
+}
+
+/// A mask as bits, that of the first lane lowest. (`Simd::first_true_m64s` of pulp 0.22 takes AVX-512 masks from
+/// the wrong end.)
+#[inline(always)]
+pub(super) fn bits<M: bytemuck::NoUninit>(mask: M, lanes: usize) -> u32 {
+    let bytes = bytemuck::bytes_of(&mask);
+    // A bit a lane (or the only lane's truth), or as many bytes a lane as the number has, all ones or zeros.
+    match *bytes {
+        [byte] => byte.into(),
+        [low, high] => u32::from(low) | u32::from(high) << 8,
+        _ => {
+            let step = bytes.len() / lanes;
+            (0..lanes).fold(0, |bits, lane| bits | u32::from(bytes[step * lane] & 1) << lane)
+        }
+    }
+}
+
+macro_rules! number {
+    ($number:ident, $vector:ident, $lanes:ident, $load:ident, $store:ident, $splat:ident, $add:ident,
+     $sub:ident, $mul_add:ident, $max:ident, $min:ident, $div:ident, $abs:ident, $at_least:ident, $equal:ident, $select:ident) => {
+        impl Number for $number {
+            type Vector<S: Simd> = S::$vector;
+
+            #[inline(always)]
+            fn of(value: f64) -> Self {
+                value as $number
+            }
+            #[inline(always)]
+            fn wide(self) -> f64 {
+                self.into()
+            }
+            #[inline(always)]
+            fn width<S: Simd>() -> usize {
+                S::$lanes
+            }
+            #[inline(always)]
+            fn splat<S: Simd>(simd: S, value: Self) -> S::$vector {
+                simd.$splat(value)
+            }
+            #[inline(always)]
+            fn load<S: Simd>(lanes: &[Self]) -> S::$vector {
+                S::$load(&lanes[..S::$lanes]).0[0]
+            }
+            #[inline(always)]
+            fn store<S: Simd>(lanes: &mut [Self], vector: S::$vector) {
+                S::$store(&mut lanes[..S::$lanes]).0[0] = vector;
+            }
+            #[inline(always)]
+            fn add<S: Simd>(simd: S, a: S::$vector, b: S::$vector) -> S::$vector {
+                simd.$add(a, b)
+            }
+            #[inline(always)]
+            fn sub<S: Simd>(simd: S, a: S::$vector, b: S::$vector) -> S::$vector {
+                simd.$sub(a, b)
+            }
+            #[inline(always)]
+            fn mul_add<S: Simd>(simd: S, a: S::$vector, b: S::$vector, c: S::$vector) -> S::$vector {
+                simd.$mul_add(a, b, c)
+            }
+            #[inline(always)]
+            fn max<S: Simd>(simd: S, a: S::$vector, b: S::$vector) -> S::$vector {
+                simd.$max(a, b)
+            }
+            #[inline(always)]
+            fn min<S: Simd>(simd: S, a: S::$vector, b: S::$vector) -> S::$vector {
+                simd.$min(a, b)
+            }
+            #[inline(always)]
+            fn div<S: Simd>(simd: S, a: S::$vector, b: S::$vector) -> S::$vector {
+                simd.$div(a, b)
+            }
+            #[inline(always)]
+            fn abs<S: Simd>(simd: S, a: S::$vector) -> S::$vector {
+                simd.$abs(a)
+            }
+            #[inline(always)]
+            fn choose<S: Simd>(simd: S, bits: u32, a: S::$vector, b: S::$vector) -> S::$vector {
+                // A lane's own bit, as a number that is exact.
+                let mut own = [0.0; 16];
+                let mut lane = 0;
+                while lane < S::$lanes {
+                    own[lane] = (bits >> lane & 1) as $number;
+                    lane += 1;
+                }
+                simd.$select(simd.$equal(Self::load::<S>(&own), simd.$splat(1.0)), a, b)
+            }
+            #[inline(always)]
+            fn at_least<S: Simd>(simd: S, a: S::$vector, b: S::$vector) -> u32 {
+                bits(simd.$at_least(a, b), S::$lanes)
+            }
+        }
+    };
+}
+
+number!(
+    f64, f64s, F64_LANES, as_simd_f64s, as_mut_simd_f64s, splat_f64s, add_f64s, sub_f64s, mul_add_f64s, max_f64s, min_f64s,
+    div_f64s, abs_f64s, greater_than_or_equal_f64s, equal_f64s, select_f64s
+);
+number!(
+    f32, f32s, F32_LANES, as_simd_f32s, as_mut_simd_f32s, splat_f32s, add_f32s, sub_f32s, mul_add_f32s, max_f32s, min_f32s,
+    div_f32s, abs_f32s, greater_than_or_equal_f32s, equal_f32s, select_f32s
+);

@@ -1,0 +1,112 @@
+//! The membrane's closed form between breaks, and the threshold above it.
+//!
+//! Over a piece of length L on which the input is `v + k s`, a leaky membrane with rate r goes from P to
+//! `P - P x φ1 + gain L (v φ1 + k L φ2)`, where `x = r L`, `φ2(x) = (x - 1 + e^-x) / x²`, `φ1(x) = 1 - x φ2(x)`
+//! `= (1 - e^-x) / x`. Written so, nothing cancels, however small x: a leak of 10⁶ s leaves the leak-free
+//! polynomial.
+//!
+//! Time is counted in half ticks, input in half pulses weighted by the receptive field.
+//!
+//! Invariant: lengths are measured from a piece's own start, never from the scene's.
+
+use super::breaks::HALF_TICKS_PER_S;
+use crate::motor::WINDOW_HALF_TICKS;
+use crate::skin::{RaModel, Rectify};
+use crate::units::UM_PER_PULSE;
+
+/// The threshold never falls below this.
+pub(super) const LEAST_THRESHOLD: f64 = 0.05;
+
+/// `RaModel` in the simulator's units.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Membrane {
+    pub(super) rectify: Rectify,
+    /// 1/τ, per half tick.
+    pub(super) rate: f64,
+    /// Depolarisation per half tick by an input of one half pulse at weight 1.
+    pub(super) gain: f64,
+    /// Half ticks.
+    pub(super) refractory: f64,
+    /// By how much the threshold is lowered right after a spike, and what it regains of that per half tick.
+    pub(super) depth: f64,
+    /// For how long it is lowered, half ticks.
+    pub(super) lowering: f64,
+    pub(super) recovery: f64,
+    pub(super) noise_sd: f64,
+}
+
+impl Membrane {
+    pub(super) fn of(model: &RaModel) -> Self {
+        let lowered = model.hyperexcitability_s > 0.0;
+        let hyperexcitability = model.hyperexcitability_s * HALF_TICKS_PER_S;
+        Self {
+            rectify: model.rectify,
+            rate: 1.0 / (model.tau_s * HALF_TICKS_PER_S),
+            gain: model.alpha_per_um * UM_PER_PULSE / 2.0 / WINDOW_HALF_TICKS as f64,
+            refractory: model.refractory_s * HALF_TICKS_PER_S,
+            depth: if lowered { model.hyperexcitability_depth } else { 0.0 },
+            lowering: hyperexcitability,
+            recovery: if lowered { model.hyperexcitability_depth / hyperexcitability } else { 0.0 },
+            noise_sd: model.noise_sd,
+        }
+    }
+
+    /// The threshold `since` half ticks after the last spike; `resting` is 1 and its noise.
+    #[inline(always)]
+    pub(super) fn threshold(&self, resting: f64, since: f64) -> f64 {
+        (resting - (self.depth - self.recovery * since).max(0.0)).max(LEAST_THRESHOLD)
+    }
+
+    /// The membrane after `length` from `p`, under the rectified input `v + k s`. `gain` includes the
+    /// scale of the weights.
+    #[inline(always)]
+    pub(super) fn after(&self, p: f64, gain: f64, v: f64, k: f64, length: f64) -> f64 {
+        let x = self.rate * length;
+        let phi2 = phi2(x);
+        let phi1 = (-x).mul_add(phi2, 1.0);
+        let input = length * v.mul_add(phi1, (k * length) * phi2);
+        gain.mul_add(input, p - p * (x * phi1))
+    }
+}
+
+/// Beyond this, φ2 is not summed up but computed from `expm1`.
+pub(super) const SERIES_ENDS: f64 = 1.0;
+/// Up to this the first 7 terms of the series do, to 10⁻¹⁸.
+pub(super) const SHORT_SERIES_ENDS: f64 = 1.0 / 64.0;
+
+/// The series of φ2: `(-1)^n / (n + 2)!`.
+pub(super) const SERIES: [f64; 17] = {
+    let mut terms = [0.5; 17];
+    let mut n = 1;
+    while n < terms.len() {
+        terms[n] = -terms[n - 1] / (n + 2) as f64;
+        n += 1;
+    }
+    terms
+};
+/// Terms of the short series.
+pub(super) const SHORT: usize = 7;
+
+/// `(x - 1 + e^-x) / x²`, to a few units in the last place for every x ≥ 0.
+#[inline(always)]
+pub(super) fn phi2(x: f64) -> f64 {
+    if x <= SHORT_SERIES_ENDS {
+        // Summed by pairs: whoever solves for a crossing waits for it.
+        let pair = |n: usize| SERIES[n + 1].mul_add(x, SERIES[n]);
+        let square = x * x;
+        let tail = SERIES[6].mul_add(square, pair(4));
+        tail.mul_add(square, pair(2)).mul_add(square, pair(0))
+    } else if x <= SERIES_ENDS {
+        SERIES.iter().rev().fold(0.0, |sum, term| sum * x + term)
+    } else {
+        (x + libm::expm1(-x)) / (x * x)
+    }
+}
+
+impl Membrane {
+    /// The resting threshold of the next inter-spike interval.
+    #[inline(always)]
+    pub(super) fn draw(&self, noise: Option<&mut crate::draw::Normals>) -> f64 {
+        noise.map_or(1.0, |noise| 1.0 + self.noise_sd * noise.next().clamp(-8.0, 8.0))
+    }
+}
