@@ -2,4 +2,4 @@
 
 mod scene;
 
-pub use scene::Scene;
+pub use scene::{MAX_JSON_BYTES, MAX_TOML_BYTES, Place, Problem, Scene, SceneError};

@@ -27,6 +27,8 @@ mod races;
 mod readme;
 /// A streamer and a mock in virtual time whose lines are compared with compiled strokes.
 mod rig;
+/// Scene files: what is refused and how it is said.
+mod scenes;
 /// A session and a controller over a line that loses: one verdict per stroke.
 mod session;
 /// The streamer against the mock: tick for tick, over bad lines, through stalls, stops and pulled cables.
