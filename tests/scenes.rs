@@ -1,4 +1,4 @@
-use meissner::simulate::{Problem, Scene};
+use meissner::simulate::{MAX_JSON_BYTES, MAX_TOML_BYTES, Problem, Scene};
 use meissner::skin::{RaModel, Rectify, population};
 use proptest::prelude::*;
 use serde_json::{Value, json};
@@ -255,11 +255,13 @@ fn long_and_deep_files_are_refused_or_read() {
 
 #[test]
 fn a_file_has_a_largest_size() {
-    let large = " ".repeat((256 << 20) + 1);
-    for file in ["a.json", "a.toml"] {
-        let error = Scene::read(&large, file).unwrap_err();
+    for (file, most) in [("a.json", MAX_JSON_BYTES), ("a.toml", MAX_TOML_BYTES)] {
+        let error = Scene::read(&" ".repeat(most + 1), file).unwrap_err();
         assert!(matches!(error.problem, Problem::TooLarge { .. }), "{error}");
-        assert!(error.to_string().starts_with(&format!("{file}: 268435457 bytes are too many")), "{error}");
+        assert!(
+            error.to_string().starts_with(&format!("{file}: {} bytes are too many", most + 1)),
+            "{error}"
+        );
     }
 }
 
