@@ -13,7 +13,7 @@ pub use population::{LOWER_PER_CM2, PAD_LENGTH_MM, PAD_WIDTH_MM, UPPER_PER_CM2, 
 use crate::array;
 use serde::{Deserialize, Serialize};
 
-// Where the numbers come from: [P] is the paper, Gwak, Park & Kim; [L] other literature; [C] our own choice.
+// Where the numbers come from: (P) is the paper, Gwak, Park & Kim; (L) other literature; (C) our own choice.
 
 /// A weight below this counts as 0: beyond 7.46 mm at the default width a pin is not felt.
 pub const LEAST_WEIGHT: f64 = 1e-10;
@@ -43,7 +43,7 @@ pub enum Rectify {
 
 impl Rectify {
     /// The α at which a receptor under a pin fires once per cycle from 10 µm (zero to peak) of a 40 Hz sine on,
-    /// without noise: near the thresholds recorded of RA afferents [L]. The three figures are computed by us.
+    /// without noise: near the thresholds recorded of RA afferents (L). The three figures are computed by us.
     #[must_use]
     pub const fn default_alpha_per_um(self) -> f64 {
         match self {
@@ -54,18 +54,18 @@ impl Rectify {
     }
 }
 
-/// Membrane time constant, s [P].
+/// Membrane time constant, s (P).
 pub const TAU_S: f64 = 0.044;
-/// Refractory period, s [P].
+/// Refractory period, s (P).
 pub const REFRACTORY_S: f64 = 0.001;
-/// Hyperexcitability after a spike, s [P].
+/// Hyperexcitability after a spike, s (P).
 pub const HYPEREXCITABILITY_S: f64 = 0.044;
-/// By how much it lowers the threshold at first [C]: the paper does not print it.
+/// By how much it lowers the threshold at first (C): the paper does not print it.
 pub const HYPEREXCITABILITY_DEPTH: f64 = 0.3;
-/// Width of a receptive field, mm [L]: from field areas of 5.5 mm² at 50 µm and 22.4 mm² at 500 µm of indentation
+/// Width of a receptive field, mm (L): from field areas of 5.5 mm² at 50 µm and 22.4 mm² at 500 µm of indentation
 /// (Vega-Bermudez & Johnson 1999). That sensitivity varies over the field through α is the paper's.
 pub const SIGMA_MM: f64 = 1.1;
-/// SD of the threshold noise of a population [P]. That it is drawn once per interval is [C]: a draw per time
+/// SD of the threshold noise of a population (P). That it is drawn once per interval is (C): a draw per time
 /// step would make the answer depend on the step.
 pub const POPULATION_NOISE_SD: f64 = 0.05;
 

@@ -10,13 +10,13 @@ use super::Position;
 use crate::draw;
 use std::f64::consts::PI;
 
-/// The pad along y, mm [C]: a fingertip's.
+/// The pad along y, mm (C): a fingertip's.
 pub const PAD_LENGTH_MM: f64 = 24.0;
-/// The pad along x, mm [C].
+/// The pad along x, mm (C).
 pub const PAD_WIDTH_MM: f64 = 18.0;
-/// Receptors in the upper half (y ≥ 0), per cm² [P].
+/// Receptors in the upper half (y ≥ 0), per cm² (P).
 pub const UPPER_PER_CM2: f64 = 140.0;
-/// Receptors in the lower half, per cm² [P].
+/// Receptors in the lower half, per cm² (P).
 pub const LOWER_PER_CM2: f64 = 40.0;
 
 /// Sets these draws apart from others of the same seed; 0 to 2 are the plant's.
