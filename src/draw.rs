@@ -14,15 +14,23 @@ use rand_distr::{Distribution, StandardNormal};
 /// The standard normal deviate that belongs to `key`.
 #[must_use]
 pub fn normal(key: [u64; 4]) -> f64 {
+    let [radius, turns] = uniform(key);
+    // In (0, 1], so that the logarithm is finite; the angle in [0, 1) turns.
+    let radius = radius + f64::EPSILON / 2.0;
+    (-2.0 * libm::log(radius)).sqrt() * libm::cos(std::f64::consts::TAU * turns)
+}
+
+/// Two numbers uniform in [0, 1), multiples of 2⁻⁵³, that belong to `key`. [`normal`] of the same key is made of
+/// the same two: who needs both gives them different keys.
+#[must_use]
+#[expect(clippy::cast_precision_loss, reason = "53 bits fit")]
+pub fn uniform(key: [u64; 4]) -> [f64; 2] {
     let mut seed = [0; 32];
     for (bytes, word) in seed.chunks_exact_mut(8).zip(key) {
         bytes.copy_from_slice(&word.to_le_bytes());
     }
     let mut bits = ChaCha8Rng::from_seed(seed);
-    // In (0, 1], so that the logarithm is finite; the angle in [0, 1) turns.
-    let radius = uniform(bits.next_u64()) + f64::EPSILON / 2.0;
-    let turns = uniform(bits.next_u64());
-    (-2.0 * libm::log(radius)).sqrt() * libm::cos(std::f64::consts::TAU * turns)
+    [bits.next_u64(), bits.next_u64()].map(|bits| (bits >> 11) as f64 * (f64::EPSILON / 2.0))
 }
 
 /// A stream of standard normal deviates: the n-th depends on the key and on n alone.
@@ -47,12 +55,6 @@ impl Normals {
     }
 }
 
-/// A multiple of 2⁻⁵³ in [0, 1).
-#[expect(clippy::cast_precision_loss, reason = "53 bits fit")]
-fn uniform(bits: u64) -> f64 {
-    (bits >> 11) as f64 * (f64::EPSILON / 2.0)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -66,6 +68,18 @@ mod tests {
             ([u64::MAX; 4], 0xbff4_601e_dd26_a168),
         ] {
             assert_eq!(normal(key).to_bits(), bits, "{key:?}: {}", normal(key));
+        }
+    }
+
+    /// By the same second implementation.
+    #[test]
+    fn golden_uniform_values_never_change() {
+        for (key, bits) in [
+            ([0; 4], [0x3fea_c80b_f125_fde0_u64, 0x3fe4_34a1_23fd_170b]),
+            ([1, 2, 3, 4], [0x3fb0_fbf7_e8ae_2430, 0x3fd6_18b0_1fea_1f4c]),
+            ([u64::MAX; 4], [0x3fd1_559f_9352_4868, 0x3fd9_3e19_e55e_980c]),
+        ] {
+            assert_eq!(uniform(key).map(f64::to_bits), bits, "{key:?}: {:?}", uniform(key));
         }
     }
 

@@ -38,6 +38,7 @@ pub mod link;
 pub mod motor;
 pub mod pattern;
 pub mod plant;
+mod quote;
 pub mod record;
 pub mod simulate;
 pub mod skin;

@@ -15,6 +15,7 @@ mod file;
 pub use error::{PatternError, Place, Problem};
 
 use crate::motor::{MotorError, SquareWave};
+use crate::quote::quote;
 use crate::units::{UM_PER_PULSE, seconds_to_ticks};
 use error::Fault;
 use firmware_protocol::stroke::MOTORS;
@@ -62,7 +63,8 @@ impl Drive {
         SquareWave::new(self.frequency_hz, self.amplitude_um, self.phase)
     }
 
-    fn start(&self) -> f64 {
+    /// When its own time 0 is.
+    pub(crate) fn start(&self) -> f64 {
         self.start_s.unwrap_or(0.0)
     }
 
@@ -183,7 +185,7 @@ impl Pattern {
         let letters =
             |name: &str| name.bytes().all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'-');
         if !(1..=64).contains(&self.name.len()) || !letters(&self.name) {
-            return Err(Fault::key("name", Problem::Name { found: error::quote(&self.name) }));
+            return Err(Fault::key("name", Problem::Name { found: quote(&self.name) }));
         }
         if let Some(found) = self.duration_s
             && !(found <= MAX_SECONDS && seconds_to_ticks(found) > 0)
@@ -200,26 +202,28 @@ impl Pattern {
         if let Some(key) = error::date_in(&self.provenance) {
             return Err(Fault::key("provenance", Problem::Date { key }));
         }
-        self.check_overlaps()
-    }
-
-    /// Two drives of a motor may follow each other but not overlap.
-    fn check_overlaps(&self) -> Result<(), Fault> {
-        let mut order: Vec<usize> = (0..self.drives.len()).collect();
-        order.sort_by(|&a, &b| {
-            let (a, b) = (&self.drives[a], &self.drives[b]);
-            a.motor.cmp(&b.motor).then(a.start().total_cmp(&b.start()))
-        });
-        for pair in order.windows(2) {
-            let (first, second) = (&self.drives[pair[0]], &self.drives[pair[1]]);
-            if first.motor == second.motor && first.stop_s.is_none_or(|stop| stop > second.start()) {
-                let problem =
-                    Problem::Overlap { motor: second.motor, other: pair[0] + 1, start_s: second.start() };
-                return Err(Fault::key("motor", problem).in_drive(pair[1]));
-            }
+        if let Some((first, second)) = overlap(&self.drives) {
+            let Drive { motor, .. } = self.drives[second];
+            let problem = Problem::Overlap { motor, other: first + 1, start_s: self.drives[second].start() };
+            return Err(Fault::key("motor", problem).in_drive(second));
         }
         Ok(())
     }
+}
+
+/// Two drives of one motor of which the second begins before the first has stopped, by their indices. Drives of
+/// a motor may follow each other but not overlap.
+pub(crate) fn overlap(drives: &[Drive]) -> Option<(usize, usize)> {
+    let mut order: Vec<usize> = (0..drives.len()).collect();
+    order.sort_by(|&a, &b| {
+        let (a, b) = (&drives[a], &drives[b]);
+        a.motor.cmp(&b.motor).then(a.start().total_cmp(&b.start()))
+    });
+    let overlapping = |pair: &&[usize]| {
+        let (first, second) = (&drives[pair[0]], &drives[pair[1]]);
+        first.motor == second.motor && first.stop_s.is_none_or(|stop| stop > second.start())
+    };
+    order.windows(2).find(overlapping).map(|pair| (pair[0], pair[1]))
 }
 
 /// A drive whose frequency leaves too little room for its amplitude: it plays, but smaller.

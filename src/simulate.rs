@@ -35,7 +35,7 @@ mod stepped;
 
 pub use choose::{Choice, choose};
 pub use evaluator::Evaluator;
-pub use scene::{Scene, SceneError};
+pub use scene::{MAX_JSON_BYTES, MAX_TOML_BYTES, Place, Problem, Scene, SceneError};
 
 use breaks::HALF_TICKS_PER_S;
 use engine::Member;

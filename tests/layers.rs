@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 /// The rooms, lowest first. Those of one line do not use each other.
 const ROOMS: [&[&str]; 16] = [
-    &["units"],
+    &["quote", "units"],
     &["draw"],
     &["array", "motor"],
     &["pattern"],

@@ -29,8 +29,12 @@ mod races;
 mod readme;
 /// A streamer and a mock in virtual time whose lines are compared with compiled strokes.
 mod rig;
+/// Scene files: what is refused and how it is said.
+mod scenes;
 /// A session and a controller over a line that loses: one verdict per stroke.
 mod session;
+/// Simulated spikes against another program's and the oracle's.
+mod simulate;
 /// The streamer against the mock: tick for tick, over bad lines, through stalls, stops and pulled cables.
 mod streaming;
 /// From patterns to strokes: exact ticks, repeats and cuts, invariants on random patterns.

@@ -122,7 +122,9 @@ impl Iterator for Excursions {
         let (up, down, next_up) = (self.up, self.wave.edge(self.h + 1), self.wave.edge(self.h + 2));
         self.h += 2;
         self.up = next_up;
-        let pulses = u64::from(self.wave.pulses).min(down - up).min(next_up - down) as u32;
+        // Edges beyond all time saturate: nothing comes after them that could be in the way.
+        let room = if next_up == u64::MAX { u64::MAX } else { next_up - down };
+        let pulses = u64::from(self.wave.pulses).min(down - up).min(room) as u32;
         Some(Excursion { up, down, pulses })
     }
 }

@@ -6,6 +6,7 @@
 //! Invariant: the display of a [`PatternError`] holds no line break.
 
 use super::{FORMAT, MAX_DRIVES, MAX_FILE_BYTES};
+use crate::quote::quote;
 use std::fmt;
 
 /// A pattern that was refused.
@@ -105,14 +106,6 @@ impl Fault {
         let drive = self.drive.map(|index| index + 1);
         PatternError { place: Place { file: file.to_owned(), line, drive }, problem: self.problem }
     }
-}
-
-/// Text from a file, fit to stand in a line.
-pub(super) fn quote(text: &str) -> String {
-    const SHOWN: usize = 64;
-    let cut = if text.chars().nth(SHOWN).is_some() { "..." } else { "" };
-    let shown: String = text.chars().take(SHOWN).flat_map(char::escape_debug).collect();
-    format!("`{shown}{cut}`")
 }
 
 /// The key of the first date in a table, if there is one: what made a pattern does not depend on when.

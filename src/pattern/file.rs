@@ -5,8 +5,9 @@
 //!
 //! Invariant: no key is ignored; an unknown one is refused with the nearest known one.
 
-use super::error::{self, Fault};
+use super::error::Fault;
 use super::{Drive, FORMAT, MAX_DRIVES, MAX_FILE_BYTES, Pattern, PatternError, Problem};
+use crate::quote;
 use firmware_protocol::stroke::MOTORS;
 use serde::Deserialize;
 use toml::Spanned;
@@ -89,11 +90,8 @@ impl<'t> Table<'t> {
         // The map is sorted by key; the first mistake is the first in the file.
         let unknown = self.table.keys().filter(|key| !known.contains(&key.get_ref().as_ref()));
         let Some(key) = unknown.min_by_key(|key| key.span().start) else { return Ok(()) };
-        // Measured on a piece: a key may be as long as the file, and the measure takes memory for each letter.
-        let piece: String = key.get_ref().chars().take(64).collect();
-        let distance = |known: &&&str| strsim::damerau_levenshtein(known, &piece);
-        let nearest = known.iter().min_by_key(distance).copied().unwrap_or_default();
-        let problem = Problem::UnknownKey { key: error::quote(key.get_ref()), nearest };
+        let nearest = quote::nearest(known, key.get_ref());
+        let problem = Problem::UnknownKey { key: quote::quote(key.get_ref()), nearest };
         Err(Fault::offset(key.span().start, problem))
     }
 

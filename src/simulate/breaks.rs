@@ -53,6 +53,11 @@ impl Breaks<'_> {
     pub(super) const fn motor(&self) -> u8 {
         self.motor
     }
+
+    /// About how many there are in a second.
+    pub(super) const fn per_s(&self) -> f64 {
+        self.per_s
+    }
 }
 
 impl Iterator for Breaks<'_> {
@@ -70,7 +75,8 @@ impl Iterator for Breaks<'_> {
             self.ahead = 2;
         }
         let leading = self.ahead.checked_sub(1).map(|last| self.behind[self.behind.len() - 1 - last]);
-        let trailing = self.behind.front().map(|found| Break { at: found.at + WINDOW, bend: -found.bend, ..*found });
+        let trailing =
+            self.behind.front().map(|found| Break { at: found.at + WINDOW, bend: -found.bend, ..*found });
         if let Some(leading) = leading
             && trailing.is_none_or(|trailing| leading.at <= trailing.at)
         {
@@ -145,6 +151,11 @@ impl<'s> Blocks<'s> {
             (motor, first)
         });
         Self { motors: motors.collect(), reached: 0.0, end, length }
+    }
+
+    /// Up to where blocks were given out, half ticks.
+    pub(super) const fn reached(&self) -> f64 {
+        self.reached
     }
 
     /// The next block, in place of the last; false if there is none. Breaks of one instant are in order of motor.

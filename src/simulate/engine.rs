@@ -45,16 +45,22 @@ pub(super) fn run(
     receptors: &[u32],
     options: &Options,
     progress: &(dyn Fn(f64) + Sync),
+    give: impl FnMut(Train),
+) -> Skipped {
+    run_on(Arch::new(), scene, receptors, options, progress, give)
+}
+
+/// The same by the vectors of a processor of our choice.
+pub(super) fn run_on(
+    arch: Arch,
+    scene: &Scene,
+    receptors: &[u32],
+    options: &Options,
+    progress: &(dyn Fn(f64) + Sync),
     mut give: impl FnMut(Train),
 ) -> Skipped {
-    let work = Work {
-        scene,
-        options,
-        progress,
-        arch: Arch::new(),
-        membrane: Membrane::of(scene.model()),
-        end: end(scene.duration_s()),
-    };
+    let work =
+        Work { scene, options, arch, membrane: Membrane::of(scene.model()), end: end(scene.duration_s()) };
     let mut skipped = Skipped::default();
     let moving = of_scene(scene).iter().fold(0, |moving, breaks| moving | 1_u32 << breaks.motor());
     skipped.motors_at_rest = MOTORS as u32 - moving.count_ones();
@@ -73,9 +79,10 @@ pub(super) fn run(
 fn by_place(scene: &Scene, receptors: &[u32]) -> Vec<u32> {
     let places = scene.receptors();
     let range = |of: fn(&skin::Position) -> f64| {
-        receptors.iter().map(|&number| of(&places[number as usize])).fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| {
-            (low.min(x), high.max(x))
-        })
+        receptors
+            .iter()
+            .map(|&number| of(&places[number as usize]))
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)))
     };
     let (x, y) = (range(|place| place.x_mm), range(|place| place.y_mm));
     let key = |number: &u32| {
@@ -92,7 +99,6 @@ fn by_place(scene: &Scene, receptors: &[u32]) -> Vec<u32> {
 struct Work<'w> {
     scene: &'w Scene,
     options: &'w Options,
-    progress: &'w (dyn Fn(f64) + Sync),
     arch: Arch,
     membrane: Membrane,
     end: f64,
@@ -110,7 +116,11 @@ impl Work<'_> {
     ) -> u32 {
         let mut members: Vec<_> = numbers.iter().map(|&number| self.member(number, moving)).collect();
         let reaching = members.iter().fold(0, |reaching, member| {
-            member.weights.iter().enumerate().fold(reaching, |all, (motor, &weight)| all | u32::from(weight > 0.0) << motor)
+            member
+                .weights
+                .iter()
+                .enumerate()
+                .fold(reaching, |all, (motor, &weight)| all | u32::from(weight > 0.0) << motor)
         });
         if self.options.skip {
             members.retain(|member| {
@@ -150,7 +160,9 @@ impl Work<'_> {
     fn silent(&self, members: &mut Vec<Member>) -> Vec<u32> {
         let step = match self.options.method {
             Method::Exact => 0.0,
-            Method::Stepped(Stepping { step_us, integrator: Integrator::Propagator, .. }) => half_ticks(step_us),
+            Method::Stepped(Stepping { step_us, integrator: Integrator::Propagator, .. }) => {
+                half_ticks(step_us)
+            }
             // Euler samples the input, so that an integral of the input does not bound it.
             Method::Stepped(_) => return Vec::new(),
         };
@@ -175,12 +187,19 @@ impl Work<'_> {
     }
 
     /// The receptor-seconds that were repetitions.
-    fn exact(&self, members: Vec<Member>, progress: &(dyn Fn(f64) + Sync), give: &mut impl FnMut(Train)) -> f64 {
+    fn exact(
+        &self,
+        members: Vec<Member>,
+        progress: &(dyn Fn(f64) + Sync),
+        give: &mut impl FnMut(Train),
+    ) -> f64 {
         let keep = self.options.keep == Keep::Spikes;
         let noiseless = self.options.skip && self.scene.model().noise_sd == 0.0;
         let periods = noiseless.then(|| cycle::periods(self.scene.drives(), self.end));
         let (numbers, mut groups): (Vec<_>, Vec<_>) = grouped(members, exact::LANES)
-            .map(|(numbers, members)| (numbers, exact::Group::new(members, &self.membrane, periods.as_ref(), self.end)))
+            .map(|(numbers, members)| {
+                (numbers, exact::Group::new(members, &self.membrane, periods.as_ref(), self.end))
+            })
             .unzip();
         let mut blocks = Blocks::new(of_scene(self.scene), self.end);
         let mut block = Vec::new();
@@ -193,7 +212,10 @@ impl Work<'_> {
         let mut repeated = 0.0;
         for (numbers, (trains, half_ticks)) in numbers.into_iter().zip(trains) {
             repeated += half_ticks;
-            numbers.into_iter().zip(trains).for_each(|(number, (count, spikes))| give((number, count, spikes)));
+            numbers
+                .into_iter()
+                .zip(trains)
+                .for_each(|(number, (count, spikes))| give((number, count, spikes)));
         }
         repeated / HALF_TICKS_PER_S
     }
@@ -235,7 +257,10 @@ impl Work<'_> {
             progress(first as f64 / steps as f64);
         }
         for (numbers, group) in numbers.into_iter().zip(groups) {
-            numbers.into_iter().zip(group.into_trains()).for_each(|(number, (count, spikes))| give((number, count, spikes)));
+            numbers
+                .into_iter()
+                .zip(group.into_trains())
+                .for_each(|(number, (count, spikes))| give((number, count, spikes)));
         }
     }
 }

@@ -69,7 +69,12 @@ pub(super) struct Snapshot([Lanes; 7]);
 const NEVER: f64 = -1e300;
 
 impl Group {
-    pub(super) fn new(members: Vec<Member>, membrane: &Membrane, periods: Option<&Periods>, end: f64) -> Self {
+    pub(super) fn new(
+        members: Vec<Member>,
+        membrane: &Membrane,
+        periods: Option<&Periods>,
+        end: f64,
+    ) -> Self {
         assert!(members.len() <= LANES);
         let mut group = Self {
             weights: [[0.0; LANES]; MOTORS],
@@ -136,7 +141,15 @@ impl Group {
         let Some(mut cycle) = self.cycle.take() else { return };
         let from = cycle.next;
         let relative = |lanes: &Lanes| lanes.map(|at| at - from);
-        let lanes = [relative(&self.at), self.v, self.k, self.p, self.resting, relative(&self.last_at), self.last_offset];
+        let lanes = [
+            relative(&self.at),
+            self.v,
+            self.k,
+            self.p,
+            self.resting,
+            relative(&self.last_at),
+            self.last_offset,
+        ];
         match cycle.look(Snapshot(lanes)) {
             Look::New => self.cycle = Some(cycle),
             Look::Kept => {
@@ -155,15 +168,22 @@ impl Group {
 
     /// To the scene's end. For each receptor: how many spikes before it, and the spikes if they were kept; and
     /// how many half ticks of how many receptors were repeated.
-    pub(super) fn finish(mut self, arch: Arch, membrane: &Membrane, keep: bool) -> (Vec<(u64, Vec<f64>)>, f64) {
+    pub(super) fn finish(
+        mut self,
+        arch: Arch,
+        membrane: &Membrane,
+        keep: bool,
+    ) -> (Vec<(u64, Vec<f64>)>, f64) {
         let until = self.end;
         if self.again.is_none() {
             let keep = keep || self.cycle.is_some();
             arch.dispatch(Run { group: &mut self, membrane, breaks: &[], until: Some(until), keep });
         }
-        let repeated = self.again.as_ref().map_or(0.0, |again| (until - again.from) * self.receptors.len() as f64);
+        let repeated =
+            self.again.as_ref().map_or(0.0, |again| (until - again.from) * self.receptors.len() as f64);
         let again = self.again;
-        let trains = self.receptors.into_iter().map(|receptor| receptor.into_train(again.as_ref(), until, keep));
+        let trains =
+            self.receptors.into_iter().map(|receptor| receptor.into_train(again.as_ref(), until, keep));
         (trains.collect(), repeated)
     }
 }
@@ -178,7 +198,8 @@ struct Again {
 impl Receptor {
     fn into_train(self, again: Option<&Again>, until: f64, keep: bool) -> (u64, Vec<f64>) {
         let Self { mut count, spikes, marked, .. } = self;
-        let mut times: Vec<f64> = if keep { spikes.iter().map(Instant::half_ticks).collect() } else { Vec::new() };
+        let mut times: Vec<f64> =
+            if keep { spikes.iter().map(Instant::half_ticks).collect() } else { Vec::new() };
         if let Some(again) = again {
             let spikes = &spikes[marked..];
             // Those of a repetition lie before its end, so all but the last repetition are whole.
@@ -338,7 +359,8 @@ impl<'m, S: Simd, const RECTIFY: u8> Vectors<'m, S, RECTIFY> {
         let charge = simd.mul_f64s(simd.mul_f64s(self.gain, length), largest);
         let top = simd.add_f64s(simd.max_f64s(self.p, zero), charge);
         let since = simd.sub_f64s(simd.sub_f64s(self.at, self.last_at), self.last_offset);
-        let lowered = simd.negate_mul_add_f64s(splat(self.membrane.recovery), since, splat(self.membrane.depth));
+        let lowered =
+            simd.negate_mul_add_f64s(splat(self.membrane.recovery), since, splat(self.membrane.depth));
         let threshold = simd.sub_f64s(self.resting, simd.max_f64s(lowered, zero));
         let threshold = simd.max_f64s(threshold, splat(LEAST_THRESHOLD));
         // A margin for the rounding of all this.
@@ -363,7 +385,9 @@ impl<'m, S: Simd, const RECTIFY: u8> Vectors<'m, S, RECTIFY> {
         let simd = self.simd;
         let sum = |terms: &[f64], x| {
             let (last, rest) = terms.split_last().expect("a series has terms");
-            rest.iter().rev().fold(simd.splat_f64s(*last), |sum, &term| simd.mul_add_f64s(sum, x, simd.splat_f64s(term)))
+            rest.iter()
+                .rev()
+                .fold(simd.splat_f64s(*last), |sum, &term| simd.mul_add_f64s(sum, x, simd.splat_f64s(term)))
         };
         let short = sum(&SERIES[..SHORT], x);
         let longer = simd.greater_than_f64s(x, simd.splat_f64s(SHORT_SERIES_ENDS));
@@ -424,8 +448,13 @@ impl<'m, S: Simd, const RECTIFY: u8> Vectors<'m, S, RECTIFY> {
             let lane = left.trailing_zeros() as usize;
             left &= left - 1;
             let receptor = &mut group.receptors[self.first + lane];
-            let piece =
-                Piece { at: at[lane], length: length[lane], v: v[lane], k: k[lane], gain: group.gain[self.first + lane] };
+            let piece = Piece {
+                at: at[lane],
+                length: length[lane],
+                v: v[lane],
+                k: k[lane],
+                gain: group.gain[self.first + lane],
+            };
             let mut neuron = Neuron {
                 p: old_p[lane],
                 resting: resting[lane],

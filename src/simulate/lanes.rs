@@ -20,7 +20,12 @@ pub(super) trait Number: Copy + Default + Send + Sync + 'static {
     fn store<S: Simd>(lanes: &mut [Self], vector: Self::Vector<S>);
     fn add<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
     fn sub<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
-    fn mul_add<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>, c: Self::Vector<S>) -> Self::Vector<S>;
+    fn mul_add<S: Simd>(
+        simd: S,
+        a: Self::Vector<S>,
+        b: Self::Vector<S>,
+        c: Self::Vector<S>,
+    ) -> Self::Vector<S>;
     fn max<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
     fn min<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
     fn div<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
@@ -49,13 +54,13 @@ pub(super) fn bits<M: bytemuck::NoUninit>(mask: M, lanes: usize) -> u32 {
 
 macro_rules! number {
     ($number:ident, $vector:ident, $lanes:ident, $load:ident, $store:ident, $splat:ident, $add:ident,
-     $sub:ident, $mul_add:ident, $max:ident, $min:ident, $div:ident, $abs:ident, $at_least:ident, $equal:ident, $select:ident) => {
+     $sub:ident, $mul_add:ident, $max:ident, $min:ident, $div:ident, $abs:ident, $at_least:ident, $equal:ident, $select:ident, $of:expr) => {
         impl Number for $number {
             type Vector<S: Simd> = S::$vector;
 
             #[inline(always)]
             fn of(value: f64) -> Self {
-                value as $number
+                $of(value)
             }
             #[inline(always)]
             fn wide(self) -> f64 {
@@ -125,10 +130,40 @@ macro_rules! number {
 }
 
 number!(
-    f64, f64s, F64_LANES, as_simd_f64s, as_mut_simd_f64s, splat_f64s, add_f64s, sub_f64s, mul_add_f64s, max_f64s, min_f64s,
-    div_f64s, abs_f64s, greater_than_or_equal_f64s, equal_f64s, select_f64s
+    f64,
+    f64s,
+    F64_LANES,
+    as_simd_f64s,
+    as_mut_simd_f64s,
+    splat_f64s,
+    add_f64s,
+    sub_f64s,
+    mul_add_f64s,
+    max_f64s,
+    min_f64s,
+    div_f64s,
+    abs_f64s,
+    greater_than_or_equal_f64s,
+    equal_f64s,
+    select_f64s,
+    |value| value
 );
 number!(
-    f32, f32s, F32_LANES, as_simd_f32s, as_mut_simd_f32s, splat_f32s, add_f32s, sub_f32s, mul_add_f32s, max_f32s, min_f32s,
-    div_f32s, abs_f32s, greater_than_or_equal_f32s, equal_f32s, select_f32s
+    f32,
+    f32s,
+    F32_LANES,
+    as_simd_f32s,
+    as_mut_simd_f32s,
+    splat_f32s,
+    add_f32s,
+    sub_f32s,
+    mul_add_f32s,
+    max_f32s,
+    min_f32s,
+    div_f32s,
+    abs_f32s,
+    greater_than_or_equal_f32s,
+    equal_f32s,
+    select_f32s,
+    |value: f64| value as f32
 );

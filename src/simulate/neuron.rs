@@ -57,7 +57,12 @@ pub(super) struct Neuron {
 impl Neuron {
     /// Goes to the end of a piece; `spike` is told of each spike and draws the next resting threshold.
     #[inline(always)]
-    pub(super) fn cross(&mut self, membrane: &Membrane, piece: &Piece, mut spike: impl FnMut(Instant) -> f64) {
+    pub(super) fn cross(
+        &mut self,
+        membrane: &Membrane,
+        piece: &Piece,
+        mut spike: impl FnMut(Instant) -> f64,
+    ) {
         let Piece { at, length, v, k, gain } = *piece;
         // Where the input changes sign.
         let zero = if membrane.rectify == Rectify::Signed { f64::NAN } else { -v / k };
@@ -73,7 +78,8 @@ impl Neuron {
             }
             // Where the threshold rises from its floor.
             if self.resting - membrane.depth < LEAST_THRESHOLD {
-                let cut = membrane.lowering * (1.0 - (self.resting - LEAST_THRESHOLD) / membrane.depth) - since;
+                let cut =
+                    membrane.lowering * (1.0 - (self.resting - LEAST_THRESHOLD) / membrane.depth) - since;
                 if cut > from && cut < to {
                     to = cut;
                 }

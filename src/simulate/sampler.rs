@@ -37,7 +37,12 @@ impl Motion {
 
     fn pass(&mut self, at: f64, bend: f64) {
         let length = at - self.at;
-        *self = Self { at, sum: self.sum_after(length), d: self.d + self.slope * length, slope: self.slope + bend };
+        *self = Self {
+            at,
+            sum: self.sum_after(length),
+            d: self.d + self.slope * length,
+            slope: self.slope + bend,
+        };
     }
 }
 
@@ -60,7 +65,13 @@ impl<'s> Sampler<'s> {
     }
 
     /// The samples of the steps from `first` on: a row for each motor, half pulses, filled up to whole tiles.
-    pub(super) fn fill<T: Number>(&mut self, arch: Arch, first: u64, rows: &mut [Vec<T>; MOTORS], steps: usize) {
+    pub(super) fn fill<T: Number>(
+        &mut self,
+        arch: Arch,
+        first: u64,
+        rows: &mut [Vec<T>; MOTORS],
+        steps: usize,
+    ) {
         let padded = steps.next_multiple_of(TILE);
         for row in rows.iter_mut() {
             row.clear();

@@ -62,8 +62,9 @@ impl Charges {
 
     /// What is left to come until the end, as if each motor went on as it does.
     pub(super) fn finish(&mut self, end: f64) {
-        let breaks: Vec<_> =
-            (0..MOTORS as u8).map(|motor| Break { at: end.max(self.motors[usize::from(motor)].at), bend: 0.0, motor }).collect();
+        let breaks: Vec<_> = (0..MOTORS as u8)
+            .map(|motor| Break { at: end.max(self.motors[usize::from(motor)].at), bend: 0.0, motor })
+            .collect();
         self.feed(&breaks);
     }
 

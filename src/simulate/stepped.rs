@@ -316,7 +316,8 @@ impl<T: Number, S: Simd, const WITHIN: bool> Step<T, S, WITHIN> {
         let free = T::mul_add(simd, T::sub(simd, self.refractory, before.since), self.per_length, self.zero);
         let free = T::min(simd, T::max(simd, free, self.zero), one);
         let low = self.threshold(before.resting, before.since);
-        let climb = T::sub(simd, self.threshold(before.resting, T::add(simd, before.since, self.length)), low);
+        let climb =
+            T::sub(simd, self.threshold(before.resting, T::add(simd, before.since, self.length)), low);
         let rise = T::sub(simd, end, before.p);
         // At the end of refractoriness, if it is above the threshold there; else where the lines meet.
         let gap = T::sub(simd, low, before.p);
