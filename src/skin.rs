@@ -113,7 +113,12 @@ impl RaModel {
 pub fn weight(receptor: Position, motor: u8, sigma_mm: f64) -> f64 {
     let [x_mm, y_mm] = array::position_mm(motor);
     let (dx, dy) = (receptor.x_mm - x_mm, receptor.y_mm - y_mm);
-    let weight = libm::exp(-(dx * dx + dy * dy) / (2.0 * sigma_mm * sigma_mm));
+    let exponent = (dx * dx + dy * dy) / (2.0 * sigma_mm * sigma_mm);
+    // Most pins are out of reach of most receptors: that needs no exponential.
+    if exponent > 24.0 {
+        return 0.0;
+    }
+    let weight = libm::exp(-exponent);
     if weight < LEAST_WEIGHT { 0.0 } else { weight }
 }
 

@@ -171,7 +171,7 @@ impl Work<'_> {
         let mut block = Vec::new();
         let mut silent: Vec<usize> = (0..members.len()).collect();
         // Whoever has been found to fire needs no bound: often all of them, after the first block.
-        while !silent.is_empty() && blocks.next_into(&mut block) {
+        while !silent.is_empty() && blocks.next_by_motor(&mut block) {
             charges.feed(&block);
             silent.retain(|&index| !charges.reaches(&members[index].weights, members[index].threshold()));
         }

@@ -10,6 +10,7 @@ use pulp::{Simd, bytemuck};
 /// Numbers a vector can hold.
 pub(super) trait Number: Copy + Default + Send + Sync + 'static {
     type Vector<S: Simd>: Copy;
+    type Mask<S: Simd>: Copy;
 
     fn of(value: f64) -> Self;
     fn wide(self) -> f64;
@@ -30,10 +31,17 @@ pub(super) trait Number: Copy + Default + Send + Sync + 'static {
     fn min<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
     fn div<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
     fn abs<S: Simd>(simd: S, a: Self::Vector<S>) -> Self::Vector<S>;
-    /// `a` in the lanes of `bits`, `b` in the others.
-    fn choose<S: Simd>(simd: S, bits: u32, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
-    /// Bits of the lanes in which `a >= b`, the first lane's lowest.
-    fn at_least<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> u32;
+    fn at_least<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Mask<S>;
+    fn both<S: Simd>(simd: S, a: Self::Mask<S>, b: Self::Mask<S>) -> Self::Mask<S>;
+    fn either<S: Simd>(simd: S, a: Self::Mask<S>, b: Self::Mask<S>) -> Self::Mask<S>;
+    fn select<S: Simd>(
+        simd: S,
+        mask: Self::Mask<S>,
+        a: Self::Vector<S>,
+        b: Self::Vector<S>,
+    ) -> Self::Vector<S>;
+    /// The mask's lanes, a bit each, the first lane's lowest.
+    fn bits<S: Simd>(mask: Self::Mask<S>) -> u32;
 }
 
 /// A mask as bits, that of the first lane lowest. (`Simd::first_true_m64s` of pulp 0.22 takes AVX-512 masks from
@@ -53,10 +61,12 @@ pub(super) fn bits<M: bytemuck::NoUninit>(mask: M, lanes: usize) -> u32 {
 }
 
 macro_rules! number {
-    ($number:ident, $vector:ident, $lanes:ident, $load:ident, $store:ident, $splat:ident, $add:ident,
-     $sub:ident, $mul_add:ident, $max:ident, $min:ident, $div:ident, $abs:ident, $at_least:ident, $equal:ident, $select:ident, $of:expr) => {
+    ($number:ident, $vector:ident, $mask:ident, $lanes:ident, $load:ident, $store:ident, $splat:ident, $add:ident,
+     $sub:ident, $mul_add:ident, $max:ident, $min:ident, $div:ident, $abs:ident, $at_least:ident, $and:ident, $or:ident,
+     $select:ident, $of:expr) => {
         impl Number for $number {
             type Vector<S: Simd> = S::$vector;
+            type Mask<S: Simd> = S::$mask;
 
             #[inline(always)]
             fn of(value: f64) -> Self {
@@ -111,19 +121,24 @@ macro_rules! number {
                 simd.$abs(a)
             }
             #[inline(always)]
-            fn choose<S: Simd>(simd: S, bits: u32, a: S::$vector, b: S::$vector) -> S::$vector {
-                // A lane's own bit, as a number that is exact.
-                let mut own = [0.0; 16];
-                let mut lane = 0;
-                while lane < S::$lanes {
-                    own[lane] = (bits >> lane & 1) as $number;
-                    lane += 1;
-                }
-                simd.$select(simd.$equal(Self::load::<S>(&own), simd.$splat(1.0)), a, b)
+            fn at_least<S: Simd>(simd: S, a: S::$vector, b: S::$vector) -> S::$mask {
+                simd.$at_least(a, b)
             }
             #[inline(always)]
-            fn at_least<S: Simd>(simd: S, a: S::$vector, b: S::$vector) -> u32 {
-                bits(simd.$at_least(a, b), S::$lanes)
+            fn both<S: Simd>(simd: S, a: S::$mask, b: S::$mask) -> S::$mask {
+                simd.$and(a, b)
+            }
+            #[inline(always)]
+            fn either<S: Simd>(simd: S, a: S::$mask, b: S::$mask) -> S::$mask {
+                simd.$or(a, b)
+            }
+            #[inline(always)]
+            fn select<S: Simd>(simd: S, mask: S::$mask, a: S::$vector, b: S::$vector) -> S::$vector {
+                simd.$select(mask, a, b)
+            }
+            #[inline(always)]
+            fn bits<S: Simd>(mask: S::$mask) -> u32 {
+                bits(mask, S::$lanes)
             }
         }
     };
@@ -132,6 +147,7 @@ macro_rules! number {
 number!(
     f64,
     f64s,
+    m64s,
     F64_LANES,
     as_simd_f64s,
     as_mut_simd_f64s,
@@ -144,13 +160,15 @@ number!(
     div_f64s,
     abs_f64s,
     greater_than_or_equal_f64s,
-    equal_f64s,
+    and_m64s,
+    or_m64s,
     select_f64s,
     |value| value
 );
 number!(
     f32,
     f32s,
+    m32s,
     F32_LANES,
     as_simd_f32s,
     as_mut_simd_f32s,
@@ -163,7 +181,8 @@ number!(
     div_f32s,
     abs_f32s,
     greater_than_or_equal_f32s,
-    equal_f32s,
+    and_m32s,
+    or_m32s,
     select_f32s,
     |value: f64| value as f32
 );

@@ -77,51 +77,70 @@ impl<'s> Sampler<'s> {
             row.clear();
             row.resize(padded, T::default());
         }
-        let (step, sample, sums) = (self.step, self.sample, &mut self.sums);
         for (breaks, next, motion) in &mut self.motors {
             let row = &mut rows[usize::from(breaks.motor())][..steps];
+            let sums = &mut self.sums;
             sums.clear();
             sums.resize(steps + 1, 0.0);
-            let time = |index: usize| (first as f64 + index as f64) * step;
-            let mut from = 0;
-            // From break to break, so that the loop over the samples between is plain.
-            while from <= steps {
-                while let Some(found) = next.take_if(|found| found.at <= time(from)) {
-                    motion.pass(found.at, found.bend);
-                    *next = breaks.next();
-                }
-                let until = next.map_or(f64::INFINITY, |next| next.at);
-                // About where the next break is; then exactly.
-                let mut to = ((until / step - first as f64) as usize).clamp(from + 1, steps + 1);
-                while to > from + 1 && time(to - 1) >= until {
-                    to -= 1;
-                }
-                while to <= steps && time(to) < until {
-                    to += 1;
-                }
-                let motion = *motion;
-                let begin = first as f64;
-                let plain = &mut sums[from..to];
-                arch.dispatch(|| {
-                    for (index, sum) in plain.iter_mut().enumerate() {
-                        let length = (begin + (from + index) as f64) * step - motion.at;
-                        *sum = match sample {
-                            Sample::Start => motion.d + motion.slope * length,
-                            Sample::Mean => motion.sum_after(length),
-                        };
+            let (step, sample) = (self.step, self.sample);
+            arch.dispatch(
+                #[inline(always)]
+                || {
+                    walk(breaks, next, motion, first as f64, step, sample, sums);
+                    match sample {
+                        Sample::Start => {
+                            row.iter_mut().zip(&*sums).for_each(|(d, &sample)| *d = T::of(sample))
+                        }
+                        Sample::Mean => {
+                            let per_step = 1.0 / step;
+                            for (d, pair) in row.iter_mut().zip(sums.windows(2)) {
+                                *d = T::of((pair[1] - pair[0]) * per_step);
+                            }
+                        }
                     }
-                });
-                from = to;
-            }
-            match sample {
-                Sample::Start => row.iter_mut().zip(&*sums).for_each(|(d, &sample)| *d = T::of(sample)),
-                Sample::Mean => {
-                    let per_step = 1.0 / step;
-                    for (d, pair) in row.iter_mut().zip(sums.windows(2)) {
-                        *d = T::of((pair[1] - pair[0]) * per_step);
-                    }
-                }
-            }
+                },
+            );
         }
+    }
+}
+
+/// D, or its integral, at the grid's instants from `first` on. From break to break, so that the loop over the
+/// samples between is plain.
+#[inline(always)]
+fn walk(
+    breaks: &mut Breaks<'_>,
+    next: &mut Option<Break>,
+    motion: &mut Motion,
+    first: f64,
+    step: f64,
+    sample: Sample,
+    samples: &mut [f64],
+) {
+    let time = |index: usize| (first + f64::from(index as u32)) * step;
+    let per_step = 1.0 / step;
+    let mut from = 0;
+    while from < samples.len() {
+        while let Some(found) = next.take_if(|found| found.at <= time(from)) {
+            motion.pass(found.at, found.bend);
+            *next = breaks.next();
+        }
+        let until = next.map_or(f64::INFINITY, |next| next.at);
+        // About where the next break is; then exactly.
+        let mut to = ((until * per_step - first) as usize).clamp(from + 1, samples.len());
+        while to > from + 1 && time(to - 1) >= until {
+            to -= 1;
+        }
+        while to < samples.len() && time(to) < until {
+            to += 1;
+        }
+        let Motion { at, sum, d, slope } = *motion;
+        for (index, value) in samples[from..to].iter_mut().enumerate() {
+            let length = (first + f64::from((from + index) as u32)) * step - at;
+            *value = match sample {
+                Sample::Start => d + slope * length,
+                Sample::Mean => sum + length * (d + 0.5 * slope * length),
+            };
+        }
+        from = to;
     }
 }

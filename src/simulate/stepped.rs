@@ -161,7 +161,7 @@ impl<T: Number> Run<'_, T> {
                 let inputs = inputs(simd, block, group, first, tile);
                 for (index, input) in inputs.into_iter().take(block.steps - tile).enumerate() {
                     let (after, hot) = step.take(&lanes, input);
-                    lanes = if hot == 0 {
+                    lanes = if T::bits::<S>(hot) == 0 {
                         after
                     } else {
                         let number = block.first + (tile + index) as u64;
@@ -243,7 +243,7 @@ impl<T: Number, S: Simd, const WITHIN: bool> Step<T, S, WITHIN> {
 
     /// The lanes after a step without a spike, and which of them may have had one.
     #[inline(always)]
-    fn take(&self, lanes: &Lanes<T, S>, input: T::Vector<S>) -> (Lanes<T, S>, u32) {
+    fn take(&self, lanes: &Lanes<T, S>, input: T::Vector<S>) -> (Lanes<T, S>, T::Mask<S>) {
         let simd = self.simd;
         let charged = T::mul_add(simd, input, self.charge, lanes.p);
         let p = T::mul_add(simd, lanes.p, self.leak, charged);
@@ -253,7 +253,7 @@ impl<T: Number, S: Simd, const WITHIN: bool> Step<T, S, WITHIN> {
         let tested = if WITHIN { lanes.since } else { since };
         let threshold = self.threshold(lanes.resting, tested);
         let top = if WITHIN { T::max(simd, lanes.p, p) } else { p };
-        let hot = T::at_least(simd, top, threshold) & T::at_least(simd, since, self.refractory);
+        let hot = T::both(simd, T::at_least(simd, top, threshold), T::at_least(simd, since, self.refractory));
         (Lanes { p, since, resting: lanes.resting }, hot)
     }
 
@@ -267,7 +267,7 @@ impl<T: Number, S: Simd, const WITHIN: bool> Step<T, S, WITHIN> {
         before: &Lanes<T, S>,
         mut after: Lanes<T, S>,
         input: T::Vector<S>,
-        mut hot: u32,
+        hot: T::Mask<S>,
     ) -> Lanes<T, S> {
         let simd = self.simd;
         let spill = |vector| {
@@ -275,24 +275,21 @@ impl<T: Number, S: Simd, const WITHIN: bool> Step<T, S, WITHIN> {
             T::store::<S>(&mut lanes, vector);
             lanes
         };
-        let part = if WITHIN { self.crossing(before, after.p) } else { T::splat(simd, T::of(1.0)) };
+        let (part, spiked) =
+            if WITHIN { self.crossing(before, after.p, hot) } else { (T::splat(simd, T::of(1.0)), hot) };
         let rest = T::sub(simd, T::splat(simd, T::of(1.0)), part);
         let p = T::mul_add(simd, T::mul_add(simd, rest, self.charge, self.zero), input, self.zero);
         let since = T::mul_add(simd, rest, self.length, self.zero);
+        after.p = T::select(simd, spiked, p, after.p);
+        after.since = T::select(simd, spiked, since, after.since);
         let parts = spill(part);
         let mut resting = spill(after.resting);
-        let mut spiked = 0;
-        while hot != 0 {
-            let lane = hot.trailing_zeros() as usize;
-            hot &= hot - 1;
-            // More than the whole step: not in this one.
-            let part = parts[lane].wide();
-            if part > 1.0 {
-                continue;
-            }
-            spiked |= 1 << lane;
+        let mut left = T::bits::<S>(spiked);
+        while left != 0 {
+            let lane = left.trailing_zeros() as usize;
+            left &= left - 1;
             let receptor = &mut receptors[lane];
-            let at = (number as f64 + part) * block.model.length;
+            let at = (number as f64 + parts[lane].wide()) * block.model.length;
             if at < block.until {
                 receptor.count += 1;
                 if block.keep {
@@ -301,16 +298,19 @@ impl<T: Number, S: Simd, const WITHIN: bool> Step<T, S, WITHIN> {
             }
             resting[lane] = T::of(block.membrane.draw(receptor.noise.as_mut()));
         }
-        after.p = T::choose(simd, spiked, p, after.p);
-        after.since = T::choose(simd, spiked, since, after.since);
         after.resting = T::load::<S>(&resting);
         after
     }
 
     /// The part of the step after which the membrane, on a straight line to `end`, reaches the threshold for the
-    /// first time; more than 1 if it does not.
+    /// first time; and in which of the `hot` lanes it does.
     #[inline(always)]
-    fn crossing(&self, before: &Lanes<T, S>, end: T::Vector<S>) -> T::Vector<S> {
+    fn crossing(
+        &self,
+        before: &Lanes<T, S>,
+        end: T::Vector<S>,
+        hot: T::Mask<S>,
+    ) -> (T::Vector<S>, T::Mask<S>) {
         let simd = self.simd;
         let one = T::splat(simd, T::of(1.0));
         let free = T::mul_add(simd, T::sub(simd, self.refractory, before.since), self.per_length, self.zero);
@@ -323,10 +323,9 @@ impl<T: Number, S: Simd, const WITHIN: bool> Step<T, S, WITHIN> {
         let gap = T::sub(simd, low, before.p);
         let closing = T::sub(simd, rise, climb);
         let early = T::at_least(simd, T::mul_add(simd, closing, free, self.zero), gap);
-        let late = T::at_least(simd, closing, gap) & !early;
+        let late = T::at_least(simd, closing, gap);
         let meets = T::min(simd, T::max(simd, T::div(simd, gap, closing), free), one);
-        let never = T::add(simd, one, one);
-        T::choose(simd, early, free, T::choose(simd, late, meets, never))
+        (T::select(simd, early, free, meets), T::both(simd, hot, T::either(simd, early, late)))
     }
 
     #[inline(always)]
