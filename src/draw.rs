@@ -48,7 +48,7 @@ impl Normals {
 
     /// The next one.
     #[must_use]
-    #[inline]
+    #[inline(always)]
     #[expect(clippy::should_implement_trait, reason = "it never ends")]
     pub fn next(&mut self) -> f64 {
         StandardNormal.sample(&mut self.0)

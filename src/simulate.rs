@@ -37,6 +37,7 @@ pub use choose::{Choice, choose};
 pub use evaluator::Evaluator;
 pub use scene::{MAX_JSON_BYTES, MAX_TOML_BYTES, Place, Problem, Scene, SceneError};
 
+use crate::skin::LEAST_WEIGHT;
 use breaks::HALF_TICKS_PER_S;
 use engine::Member;
 use serde::Serialize;
@@ -97,7 +98,7 @@ pub enum Keep {
 }
 
 /// How to simulate, and what for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Options {
     /// The method.
     pub method: Method,
@@ -105,19 +106,26 @@ pub struct Options {
     pub keep: Keep,
     /// Whether what need not be computed is left out; the answer is the same.
     pub skip: bool,
+    /// Weights below this count as 0. [`LEAST_WEIGHT`] is the model's; a search may take more, as
+    /// [`SEARCH_LEAST_WEIGHT`]: then fewer receptors feel a change.
+    pub least_weight: f64,
 }
+
+/// Weights that a search may leave out: a pin is felt up to 4.1 mm. That moves rates by less than the
+/// noise between two populations does (`cargo bench --bench simulate` prints by how much).
+pub const SEARCH_LEAST_WEIGHT: f64 = 1e-3;
 
 impl Options {
     /// Spikes by a method.
     #[must_use]
     pub const fn spikes(method: Method) -> Self {
-        Self { method, keep: Keep::Spikes, skip: true }
+        Self { method, keep: Keep::Spikes, skip: true, least_weight: LEAST_WEIGHT }
     }
 
     /// Rates by a method.
     #[must_use]
     pub const fn rates(method: Method) -> Self {
-        Self { method, keep: Keep::Rates, skip: true }
+        Self { method, keep: Keep::Rates, ..Self::spikes(method) }
     }
 }
 

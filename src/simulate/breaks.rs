@@ -140,6 +140,9 @@ pub(super) struct Blocks<'s> {
     reached: f64,
     end: f64,
     length: f64,
+    given: u32,
+    /// A block that was made before.
+    listed: Option<Vec<Break>>,
     sorter: Sorter,
 }
 
@@ -151,7 +154,38 @@ impl<'s> Blocks<'s> {
             let first = motor.next();
             (motor, first)
         });
-        Self { motors: motors.collect(), reached: 0.0, end, length, sorter: Sorter::default() }
+        Self {
+            motors: motors.collect(),
+            given: 0,
+            listed: None,
+            reached: 0.0,
+            end,
+            length,
+            sorter: Sorter::default(),
+        }
+    }
+
+    /// One block of breaks that go up to `end`, motor by motor.
+    pub(super) fn single(block: Vec<Break>, end: f64) -> Self {
+        Self {
+            motors: Vec::new(),
+            given: 0,
+            listed: Some(block),
+            reached: 0.0,
+            end,
+            length: end,
+            sorter: Sorter::default(),
+        }
+    }
+
+    /// How many blocks were given out.
+    pub(super) const fn given(&self) -> u32 {
+        self.given
+    }
+
+    /// Whether all blocks were given out.
+    pub(super) fn done(&self) -> bool {
+        self.reached >= self.end
     }
 
     /// Up to where blocks were given out, half ticks.
@@ -159,7 +193,7 @@ impl<'s> Blocks<'s> {
         self.reached
     }
 
-    /// The next block, in place of the last; false if there is none. Breaks are in order of time, those of one
+    /// The next block, in place of the last; false, and the last is left, if there is none. Breaks are in order of time, those of one
     /// instant in order of motor.
     pub(super) fn next_into(&mut self, block: &mut Vec<Break>) -> bool {
         let from = self.reached;
@@ -172,11 +206,15 @@ impl<'s> Blocks<'s> {
 
     /// The same without the order: motor by motor, each in order of time.
     pub(super) fn next_by_motor(&mut self, block: &mut Vec<Break>) -> bool {
-        block.clear();
-        if self.reached >= self.end {
+        if self.done() {
             return false;
         }
+        block.clear();
         self.reached = (self.reached + self.length).min(self.end);
+        self.given += 1;
+        if let Some(listed) = self.listed.take() {
+            *block = listed;
+        }
         for (breaks, next) in &mut self.motors {
             while let Some(found) = next.take_if(|found| found.at < self.reached) {
                 block.push(found);

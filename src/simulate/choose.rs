@@ -8,7 +8,7 @@
 
 use super::breaks::{HALF_TICKS_PER_S, of_scene};
 use super::engine;
-use super::{Integrator, Keep, Method, MethodError, Options, Precision, Scene, Stepping};
+use super::{Integrator, Method, MethodError, Options, Precision, Scene, Stepping};
 use crate::motor::WINDOW_HALF_TICKS;
 use crate::skin;
 
@@ -94,7 +94,7 @@ pub fn choose(scene: &Scene, error_hz: f64) -> Result<Choice, MethodError> {
 /// Counts of some receptors, at their numbers.
 fn counts(scene: &Scene, receptors: &[u32], method: Method) -> Vec<u64> {
     let mut counts = vec![0; scene.receptors().len()];
-    let options = Options { method, keep: Keep::Rates, skip: true };
+    let options = Options::rates(method);
     engine::run(scene, receptors, &options, &|_| (), |(number, count, _)| counts[number as usize] = count);
     counts
 }

@@ -6,7 +6,7 @@
 //!
 //! Invariant: the answer for a receptor depends on the scene and its number, not on tiles, blocks or threads.
 
-use super::breaks::{Blocks, HALF_TICKS_PER_S, end, of_scene};
+use super::breaks::{Blocks, Break, HALF_TICKS_PER_S, end, of_scene};
 use super::cycle;
 use super::exact;
 use super::lanes::Number;
@@ -122,6 +122,7 @@ impl Work<'_> {
                 .enumerate()
                 .fold(reaching, |all, (motor, &weight)| all | u32::from(weight > 0.0) << motor)
         });
+        let mut only = None;
         if self.options.skip {
             members.retain(|member| {
                 let reached = member.weights.iter().any(|&weight| weight > 0.0);
@@ -131,15 +132,20 @@ impl Work<'_> {
                 }
                 reached
             });
-            let silent = self.silent(&mut members);
+            let (silent, block) = self.silent(&mut members);
+            only = block;
             skipped.receptors_below_threshold += silent.len() as u64;
             silent.into_iter().for_each(|number| give((number, 0, Vec::new())));
         }
+        let blocks = only.map_or_else(
+            || Blocks::new(of_scene(self.scene), self.end),
+            |block| Blocks::single(block, self.end),
+        );
         match self.options.method {
-            Method::Exact => skipped.repeated_receptor_s += self.exact(members, progress, give),
+            Method::Exact => skipped.repeated_receptor_s += self.exact(blocks, members, progress, give),
             Method::Stepped(stepping) => match stepping.precision {
-                Precision::F32 => self.stepped::<f32>(stepping, members, progress, give),
-                Precision::F64 => self.stepped::<f64>(stepping, members, progress, give),
+                Precision::F32 => self.stepped::<f32>(blocks, stepping, members, progress, give),
+                Precision::F64 => self.stepped::<f64>(blocks, stepping, members, progress, give),
             },
         }
         reaching
@@ -148,23 +154,27 @@ impl Work<'_> {
     fn member(&self, number: u32, moving: u32) -> Member {
         let model = self.scene.model();
         let place = self.scene.receptors()[number as usize];
+        let least = self.options.least_weight;
         let weight = |motor: usize| {
-            if moving >> motor & 1 == 1 { skin::weight(place, motor as u8, model.sigma_mm) } else { 0.0 }
+            let moves = moving >> motor & 1 == 1;
+            let weight = if moves { skin::weight(place, motor as u8, model.sigma_mm) } else { 0.0 };
+            if weight < least { 0.0 } else { weight }
         };
         let mut noise = (model.noise_sd > 0.0).then(|| Normals::new(self.scene.seed(), number.into()));
         let resting = self.membrane.draw(noise.as_mut());
         Member { number, weights: std::array::from_fn(weight), resting, noise }
     }
 
-    /// Takes out those that cannot reach their threshold; gives their numbers.
-    fn silent(&self, members: &mut Vec<Member>) -> Vec<u32> {
+    /// Takes out those that cannot reach their threshold; gives their numbers, and the scene's breaks if
+    /// they were a single block.
+    fn silent(&self, members: &mut Vec<Member>) -> (Vec<u32>, Option<Vec<Break>>) {
         let step = match self.options.method {
             Method::Exact => 0.0,
             Method::Stepped(Stepping { step_us, integrator: Integrator::Propagator, .. }) => {
                 half_ticks(step_us)
             }
             // Euler samples the input, so that an integral of the input does not bound it.
-            Method::Stepped(_) => return Vec::new(),
+            Method::Stepped(_) => return (Vec::new(), None),
         };
         let mut charges = Charges::new(&self.membrane, step);
         let mut blocks = Blocks::new(of_scene(self.scene), self.end);
@@ -175,6 +185,7 @@ impl Work<'_> {
             charges.feed(&block);
             silent.retain(|&index| !charges.reaches(&members[index].weights, members[index].threshold()));
         }
+        let single = blocks.done() && (blocks.given() == 1);
         charges.finish(self.end);
         silent.retain(|&index| !charges.reaches(&members[index].weights, members[index].threshold()));
         let numbers = silent.iter().map(|&index| members[index].number).collect();
@@ -183,12 +194,13 @@ impl Work<'_> {
             index += 1;
             silent.binary_search(&(index - 1)).is_err()
         });
-        numbers
+        (numbers, single.then_some(block))
     }
 
     /// The receptor-seconds that were repetitions.
     fn exact(
         &self,
+        mut blocks: Blocks<'_>,
         members: Vec<Member>,
         progress: &(dyn Fn(f64) + Sync),
         give: &mut impl FnMut(Train),
@@ -201,7 +213,6 @@ impl Work<'_> {
                 (numbers, exact::Group::new(members, &self.membrane, periods.as_ref(), self.end))
             })
             .unzip();
-        let mut blocks = Blocks::new(of_scene(self.scene), self.end);
         let mut block = Vec::new();
         while groups.iter().any(exact::Group::goes_on) && blocks.next_into(&mut block) {
             groups.par_iter_mut().for_each(|group| group.run(self.arch, &self.membrane, &block, keep));
@@ -222,6 +233,7 @@ impl Work<'_> {
 
     fn stepped<T: Number>(
         &self,
+        blocks: Blocks<'_>,
         stepping: Stepping,
         members: Vec<Member>,
         progress: &(dyn Fn(f64) + Sync),
@@ -236,8 +248,8 @@ impl Work<'_> {
         let (numbers, mut groups): (Vec<_>, Vec<_>) = grouped(members, stepped::LANES)
             .map(|(numbers, members)| (numbers, stepped::Group::<T>::new(members)))
             .unzip();
-        let mut sampler = Sampler::new(of_scene(self.scene), length, sample);
-        let mut rows: [Vec<T>; MOTORS] = Default::default();
+        let mut sampler = Sampler::new(blocks, length, sample);
+        let mut rows = Vec::new();
         let steps = (self.end / length).ceil() as u64;
         let mut first = 0;
         while first < steps && !groups.is_empty() {

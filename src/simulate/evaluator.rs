@@ -38,8 +38,11 @@ impl Evaluator {
         if scene == self.scene {
             return Ok(Skipped { receptors_reused: self.counts.len() as u64, ..Skipped::default() });
         }
-        let sigma_mm = scene.model().sigma_mm;
-        let reached = |number: &u32| skin::weight(scene.receptors()[*number as usize], motor, sigma_mm) > 0.0;
+        let (sigma_mm, least) = (scene.model().sigma_mm, self.options.least_weight);
+        let reached = |number: &u32| {
+            let weight = skin::weight(scene.receptors()[*number as usize], motor, sigma_mm);
+            weight > 0.0 && weight >= least
+        };
         let changed: Vec<u32> = (0..self.counts.len() as u32).filter(reached).collect();
         let counts = &mut self.counts;
         let mut skipped = engine::run(&scene, &changed, &self.options, &|_| (), |(number, count, _)| {

@@ -107,6 +107,9 @@ impl Membrane {
     /// The resting threshold of the next inter-spike interval.
     #[inline(always)]
     pub(super) fn draw(&self, noise: Option<&mut crate::draw::Normals>) -> f64 {
-        noise.map_or(1.0, |noise| 1.0 + self.noise_sd * noise.next().clamp(-8.0, 8.0))
+        match noise {
+            Some(noise) => 1.0 + self.noise_sd * noise.next().clamp(-8.0, 8.0),
+            None => 1.0,
+        }
     }
 }

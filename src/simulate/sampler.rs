@@ -5,7 +5,7 @@
 //!
 //! Invariant: a sample does not depend on how many are asked for at a time.
 
-use super::breaks::{Break, Breaks};
+use super::breaks::{Blocks, Break};
 use super::lanes::Number;
 use super::stepped::TILE;
 use firmware_protocol::stroke::MOTORS;
@@ -20,127 +20,126 @@ pub(super) enum Sample {
     Mean,
 }
 
-/// One motor between two breaks.
-#[derive(Clone, Copy, Debug, Default)]
+/// A number for each motor.
+pub(super) type Row<T> = [T; MOTORS];
+
+/// All motors between two breaks: since when, the integral of D until then, D, and its slope.
+#[derive(Clone, Debug, Default)]
 struct Motion {
-    at: f64,
-    /// The integral of D until then, D, and its slope.
-    sum: f64,
-    d: f64,
-    slope: f64,
+    at: Row<f64>,
+    sum: Row<f64>,
+    d: Row<f64>,
+    slope: Row<f64>,
 }
 
 impl Motion {
-    fn sum_after(&self, length: f64) -> f64 {
-        self.sum + length * (self.d + 0.5 * self.slope * length)
+    fn pass(&mut self, found: &Break) {
+        let motor = usize::from(found.motor);
+        let length = found.at - self.at[motor];
+        let (d, slope) = (self.d[motor], self.slope[motor]);
+        self.at[motor] = found.at;
+        self.sum[motor] += length * (d + 0.5 * slope * length);
+        self.d[motor] = d + slope * length;
+        self.slope[motor] = slope + found.bend;
     }
 
-    fn pass(&mut self, at: f64, bend: f64) {
-        let length = at - self.at;
-        *self = Self {
-            at,
-            sum: self.sum_after(length),
-            d: self.d + self.slope * length,
-            slope: self.slope + bend,
-        };
+    #[inline(always)]
+    fn sums(&self, time: f64) -> Row<f64> {
+        let mut sums = [0.0; MOTORS];
+        for motor in 0..MOTORS {
+            let length = time - self.at[motor];
+            sums[motor] = self.sum[motor] + length * (self.d[motor] + 0.5 * self.slope[motor] * length);
+        }
+        sums
+    }
+
+    #[inline(always)]
+    fn velocities(&self, time: f64) -> Row<f64> {
+        let mut velocities = [0.0; MOTORS];
+        for motor in 0..MOTORS {
+            velocities[motor] = self.d[motor] + self.slope[motor] * (time - self.at[motor]);
+        }
+        velocities
     }
 }
 
 pub(super) struct Sampler<'s> {
-    motors: Vec<(Breaks<'s>, Option<Break>, Motion)>,
+    blocks: Blocks<'s>,
+    block: Vec<Break>,
+    /// The next break of the block.
+    next: usize,
+    motion: Motion,
+    /// Integrals at the last instant that was sampled.
+    before: Row<f64>,
     /// Half ticks of a step.
     step: f64,
     sample: Sample,
-    /// One motor's samples, before they are rounded.
-    sums: Vec<f64>,
 }
 
 impl<'s> Sampler<'s> {
-    pub(super) fn new(motors: Vec<Breaks<'s>>, step: f64, sample: Sample) -> Self {
-        let motors = motors.into_iter().map(|mut breaks| {
-            let first = breaks.next();
-            (breaks, first, Motion::default())
-        });
-        Self { motors: motors.collect(), step, sample, sums: Vec::new() }
+    pub(super) fn new(blocks: Blocks<'s>, step: f64, sample: Sample) -> Self {
+        Self {
+            blocks,
+            block: Vec::new(),
+            next: 0,
+            motion: Motion::default(),
+            before: [0.0; MOTORS],
+            step,
+            sample,
+        }
     }
 
-    /// The samples of the steps from `first` on: a row for each motor, half pulses, filled up to whole tiles.
-    pub(super) fn fill<T: Number>(
-        &mut self,
-        arch: Arch,
-        first: u64,
-        rows: &mut [Vec<T>; MOTORS],
-        steps: usize,
-    ) {
-        let padded = steps.next_multiple_of(TILE);
-        for row in rows.iter_mut() {
-            row.clear();
-            row.resize(padded, T::default());
-        }
-        for (breaks, next, motion) in &mut self.motors {
-            let row = &mut rows[usize::from(breaks.motor())][..steps];
-            let sums = &mut self.sums;
-            sums.clear();
-            sums.resize(steps + 1, 0.0);
-            let (step, sample) = (self.step, self.sample);
-            arch.dispatch(
-                #[inline(always)]
-                || {
-                    walk(breaks, next, motion, first as f64, step, sample, sums);
-                    match sample {
+    /// The samples of `steps` steps from number `first` on, half pulses; filled up to whole tiles. Steps are asked
+    /// for in their order.
+    pub(super) fn fill<T: Number>(&mut self, arch: Arch, first: u64, rows: &mut Vec<Row<T>>, steps: usize) {
+        rows.clear();
+        arch.dispatch(
+            #[inline(always)]
+            || {
+                for index in 0..steps {
+                    let number = first + index as u64;
+                    let row = match self.sample {
                         Sample::Start => {
-                            row.iter_mut().zip(&*sums).for_each(|(d, &sample)| *d = T::of(sample))
+                            let time = number as f64 * self.step;
+                            self.pass_to(time);
+                            self.motion.velocities(time)
                         }
                         Sample::Mean => {
-                            let per_step = 1.0 / step;
-                            for (d, pair) in row.iter_mut().zip(sums.windows(2)) {
-                                *d = T::of((pair[1] - pair[0]) * per_step);
+                            let time = (number + 1) as f64 * self.step;
+                            self.pass_to(time);
+                            let sums = self.motion.sums(time);
+                            let per_step = 1.0 / self.step;
+                            let mut means = [0.0; MOTORS];
+                            for motor in 0..MOTORS {
+                                means[motor] = (sums[motor] - self.before[motor]) * per_step;
                             }
+                            self.before = sums;
+                            means
                         }
-                    }
-                },
-            );
-        }
+                    };
+                    rows.push(row.map(T::of));
+                }
+            },
+        );
+        rows.resize(steps.next_multiple_of(TILE), [T::default(); MOTORS]);
     }
-}
 
-/// D, or its integral, at the grid's instants from `first` on. From break to break, so that the loop over the
-/// samples between is plain.
-#[inline(always)]
-fn walk(
-    breaks: &mut Breaks<'_>,
-    next: &mut Option<Break>,
-    motion: &mut Motion,
-    first: f64,
-    step: f64,
-    sample: Sample,
-    samples: &mut [f64],
-) {
-    let time = |index: usize| (first + f64::from(index as u32)) * step;
-    let per_step = 1.0 / step;
-    let mut from = 0;
-    while from < samples.len() {
-        while let Some(found) = next.take_if(|found| found.at <= time(from)) {
-            motion.pass(found.at, found.bend);
-            *next = breaks.next();
+    /// Passes the breaks up to `time`.
+    #[inline(always)]
+    fn pass_to(&mut self, time: f64) {
+        loop {
+            while let Some(found) = self.block.get(self.next) {
+                if found.at > time {
+                    return;
+                }
+                self.motion.pass(found);
+                self.next += 1;
+            }
+            // The block's breaks are passed; those of the next one may be due, too.
+            if self.blocks.reached() > time || !self.blocks.next_into(&mut self.block) {
+                return;
+            }
+            self.next = 0;
         }
-        let until = next.map_or(f64::INFINITY, |next| next.at);
-        // About where the next break is; then exactly.
-        let mut to = ((until * per_step - first) as usize).clamp(from + 1, samples.len());
-        while to > from + 1 && time(to - 1) >= until {
-            to -= 1;
-        }
-        while to < samples.len() && time(to) < until {
-            to += 1;
-        }
-        let Motion { at, sum, d, slope } = *motion;
-        for (index, value) in samples[from..to].iter_mut().enumerate() {
-            let length = (first + f64::from((from + index) as u32)) * step - at;
-            *value = match sample {
-                Sample::Start => d + slope * length,
-                Sample::Mean => sum + length * (d + 0.5 * slope * length),
-            };
-        }
-        from = to;
     }
 }

@@ -11,7 +11,7 @@
 
 use super::lanes::Number;
 use super::membrane::{LEAST_THRESHOLD, Membrane};
-use super::{Integrator, Member};
+use super::{Integrator, Member, sampler};
 use crate::draw::Normals;
 use crate::skin::Rectify;
 use firmware_protocol::stroke::MOTORS;
@@ -121,8 +121,8 @@ impl<T: Number> Group<T> {
 pub(super) struct Block<'b, T> {
     pub(super) model: &'b StepModel,
     pub(super) membrane: &'b Membrane,
-    /// Whole tiles, the last filled up.
-    pub(super) inputs: &'b [Vec<T>; MOTORS],
+    /// A row of velocities for each step; whole tiles, the last filled up.
+    pub(super) inputs: &'b [sampler::Row<T>],
     pub(super) first: u64,
     pub(super) steps: usize,
     pub(super) until: f64,
@@ -187,13 +187,14 @@ fn inputs<T: Number, S: Simd>(
 ) -> [T::Vector<S>; TILE] {
     let zero = T::splat(simd, T::default());
     let mut sums = [zero; TILE];
+    let rows = block.inputs[tile..].first_chunk::<TILE>().expect("inputs are whole tiles");
     let mut left = group.motors;
     while left != 0 {
         let motor = left.trailing_zeros() as usize;
         left &= left - 1;
         let weights = T::load::<S>(&group.weights[motor][first..]);
-        let row = block.inputs[motor][tile..].first_chunk::<TILE>().expect("rows are whole tiles");
-        sums = array::from_fn(|step| T::mul_add(simd, weights, T::splat(simd, row[step]), sums[step]));
+        sums =
+            array::from_fn(|step| T::mul_add(simd, weights, T::splat(simd, rows[step][motor]), sums[step]));
     }
     match block.model.rectify {
         Rectify::Half => array::from_fn(|step| T::max(simd, sums[step], zero)),

@@ -1,0 +1,94 @@
+//! What a second of skin costs: 24 motors at 60 Hz and 80 um with random phases, 306 receptors, noise.
+//!
+//! Exact and stepped, on one core and on two, and once more after one motor has changed. Before criterion's
+//! figures it prints what is not a time: how many spikes, and what a search's coarser reach does to the rates.
+
+use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
+use meissner::pattern::Drive;
+use meissner::simulate::{
+    Evaluator, Integrator, Method, Options, Precision, SEARCH_LEAST_WEIGHT, Scene, Stepping, simulate,
+};
+use rayon::{ThreadPool, ThreadPoolBuilder};
+use std::hint::black_box;
+use std::time::Duration;
+
+fn scene() -> Scene {
+    Scene::read(include_str!("../scenes/sixty-hertz.toml"), "sixty-hertz.toml").expect("it is shipped")
+}
+
+fn threads(count: usize) -> ThreadPool {
+    ThreadPoolBuilder::new().num_threads(count).build().expect("threads can be started")
+}
+
+fn stepped(precision: Precision) -> Method {
+    Method::Stepped(Stepping { step_us: 200, integrator: Integrator::Propagator, precision })
+}
+
+fn whole(criterion: &mut Criterion) {
+    let scene = scene();
+    let euler = Stepping { step_us: 200, integrator: Integrator::Euler, precision: Precision::F32 };
+    let methods = [
+        ("exact", Method::Exact),
+        ("stepped_f32_200us", stepped(Precision::F32)),
+        ("stepped_f64_200us", stepped(Precision::F64)),
+        ("euler_f32_200us", Method::Stepped(euler)),
+    ];
+    let mut group = criterion.benchmark_group("second");
+    group.measurement_time(Duration::from_secs(5));
+    for (name, method) in methods {
+        let spikes = simulate(&scene, &Options::spikes(method), &|_| ()).expect("the scene can be simulated");
+        println!("{name}: {} spikes, skipped {:?}", spikes.counts.iter().sum::<u64>(), spikes.skipped);
+        for cores in [1, 2] {
+            let pool = threads(cores);
+            group.bench_function(format!("{name}/{cores}_core"), |bencher| {
+                pool.install(|| bencher.iter(|| simulate(black_box(&scene), &Options::spikes(method), &|_| ())));
+            });
+        }
+    }
+    let off = Options { skip: false, ..Options::spikes(Method::Exact) };
+    group.bench_function("exact_without_skipping/1_core", |bencher| {
+        threads(1).install(|| bencher.iter(|| simulate(black_box(&scene), &off, &|_| ())));
+    });
+    group.finish();
+}
+
+/// One motor after the other gets another frequency: the mean over the 24.
+fn changed(criterion: &mut Criterion) {
+    let scene = scene();
+    let search = Options { least_weight: SEARCH_LEAST_WEIGHT, ..Options::rates(Method::Exact) };
+    let rates = |options| simulate(&scene, &options, &|_| ()).expect("the scene can be simulated").rates_hz(&scene);
+    let (all, near) = (rates(Options::rates(Method::Exact)), rates(search));
+    let squares: f64 = all.iter().zip(&near).map(|(all, near)| (all - near).powi(2)).sum();
+    println!("a search's reach moves rates by {:.2} impulses/s RMS", (squares / all.len() as f64).sqrt());
+    let mut group = criterion.benchmark_group("changed");
+    group.measurement_time(Duration::from_secs(5));
+    let pool = threads(1);
+    for (name, options) in [
+        ("exact", Options::rates(Method::Exact)),
+        ("exact_searching", search),
+        ("stepped_searching", Options { least_weight: SEARCH_LEAST_WEIGHT, ..Options::rates(stepped(Precision::F32)) }),
+    ] {
+        group.bench_function(format!("{name}/whole"), |bencher| {
+            pool.install(|| bencher.iter(|| simulate(black_box(&scene), &options, &|_| ())));
+        });
+        let evaluator = Evaluator::new(scene.clone(), options).expect("the scene can be simulated");
+        let mut motor = 0;
+        group.bench_function(format!("{name}/one_motor"), |bencher| {
+            pool.install(|| {
+                bencher.iter_batched_ref(
+                    || {
+                        motor = (motor + 1) % 24;
+                        let drive = *scene.drives().iter().find(|drive| drive.motor == motor).expect("all are driven");
+                        (evaluator.clone(), Drive { frequency_hz: 63.0, ..drive })
+                    },
+                    |(evaluator, drive)| evaluator.set_motor(drive.motor, &[*drive]),
+                    BatchSize::SmallInput,
+                );
+            });
+        });
+    }
+    group.finish();
+}
+
+criterion_group!(benches, whole, changed);
+criterion_main!(benches);
