@@ -11,8 +11,14 @@ mod choose;
 mod cli;
 /// More clients than there are places, and clients that do not listen.
 mod client_limits;
+/// The stepped methods come to the exact one as the step shrinks.
+mod convergence;
+/// Changes of single motors against fresh simulations.
+mod evaluator;
 /// A real daemon in a directory of its own, for the others.
 mod harness;
+/// The same bits whatever the threads, the order of receptors, the blocks, and what is skipped.
+mod independence;
 /// The order of the rooms.
 mod layers;
 /// The motor model and the plant against the reference figures.
