@@ -21,13 +21,14 @@ pub(super) type Periods = [Option<u64>; MOTORS];
 
 /// Those of a scene's drives until `end`, half ticks.
 pub(super) fn periods(drives: &[Drive], end: f64) -> Periods {
-    let mut periods = [Some(0); MOTORS];
-    for motor in 0..MOTORS {
+    std::array::from_fn(|motor| {
         let mut drives = drives.iter().filter(|drive| usize::from(drive.motor) == motor);
-        let Some(drive) = drives.next() else { continue };
-        periods[motor] = if drives.next().is_some() { None } else { period(drive, end) };
-    }
-    periods
+        match (drives.next(), drives.next()) {
+            (None, _) => Some(0),
+            (Some(drive), None) => period(drive, end),
+            (Some(_), Some(_)) => None,
+        }
+    })
 }
 
 /// In ticks: the least time after which each edge before `end` has another one of its kind.
