@@ -41,7 +41,9 @@ fn whole(criterion: &mut Criterion) {
         for cores in [1, 2] {
             let pool = threads(cores);
             group.bench_function(format!("{name}/{cores}_core"), |bencher| {
-                pool.install(|| bencher.iter(|| simulate(black_box(&scene), &Options::spikes(method), &|_| ())));
+                pool.install(|| {
+                    bencher.iter(|| simulate(black_box(&scene), &Options::spikes(method), &|_| ()))
+                });
             });
         }
     }
@@ -56,7 +58,8 @@ fn whole(criterion: &mut Criterion) {
 fn changed(criterion: &mut Criterion) {
     let scene = scene();
     let search = Options { least_weight: SEARCH_LEAST_WEIGHT, ..Options::rates(Method::Exact) };
-    let rates = |options| simulate(&scene, &options, &|_| ()).expect("the scene can be simulated").rates_hz(&scene);
+    let rates =
+        |options| simulate(&scene, &options, &|_| ()).expect("the scene can be simulated").rates_hz(&scene);
     let (all, near) = (rates(Options::rates(Method::Exact)), rates(search));
     let squares: f64 = all.iter().zip(&near).map(|(all, near)| (all - near).powi(2)).sum();
     println!("a search's reach moves rates by {:.2} impulses/s RMS", (squares / all.len() as f64).sqrt());
@@ -66,7 +69,10 @@ fn changed(criterion: &mut Criterion) {
     for (name, options) in [
         ("exact", Options::rates(Method::Exact)),
         ("exact_searching", search),
-        ("stepped_searching", Options { least_weight: SEARCH_LEAST_WEIGHT, ..Options::rates(stepped(Precision::F32)) }),
+        (
+            "stepped_searching",
+            Options { least_weight: SEARCH_LEAST_WEIGHT, ..Options::rates(stepped(Precision::F32)) },
+        ),
     ] {
         group.bench_function(format!("{name}/whole"), |bencher| {
             pool.install(|| bencher.iter(|| simulate(black_box(&scene), &options, &|_| ())));
@@ -78,7 +84,11 @@ fn changed(criterion: &mut Criterion) {
                 bencher.iter_batched_ref(
                     || {
                         motor = (motor + 1) % 24;
-                        let drive = *scene.drives().iter().find(|drive| drive.motor == motor).expect("all are driven");
+                        let drive = *scene
+                            .drives()
+                            .iter()
+                            .find(|drive| drive.motor == motor)
+                            .expect("all are driven");
                         (evaluator.clone(), Drive { frequency_hz: 63.0, ..drive })
                     },
                     |(evaluator, drive)| evaluator.set_motor(drive.motor, &[*drive]),

@@ -32,6 +32,8 @@ mod sampler;
 mod scene;
 mod silent;
 mod stepped;
+#[cfg(test)]
+mod tests;
 
 pub use choose::{Choice, choose};
 pub use evaluator::Evaluator;

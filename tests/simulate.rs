@@ -39,7 +39,7 @@ fn the_exact_method_gives_the_reference_spikes() {
 }
 
 /// A scene of the oracle's as one of ours, and the noise in it as the oracle wants it.
-fn both(mut scene: oracle::Scene, noise_sd: f64, seed: u64) -> (oracle::Scene, Scene) {
+pub(crate) fn both(mut scene: oracle::Scene, noise_sd: f64, seed: u64) -> (oracle::Scene, Scene) {
     let drives = scene.drives.iter().map(|drive| Drive {
         motor: drive.motor as u8,
         frequency_hz: drive.frequency_hz,

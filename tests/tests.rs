@@ -5,12 +5,20 @@
 mod api;
 /// What people and scripts get wrong: one line with what, where, what to do; nothing moves.
 mod bad_input;
+/// A method chosen for an allowed error keeps to it.
+mod choose;
 /// The command line against a real daemon.
 mod cli;
 /// More clients than there are places, and clients that do not listen.
 mod client_limits;
+/// The stepped methods come to the exact one as the step shrinks.
+mod convergence;
+/// Changes of single motors against fresh simulations.
+mod evaluator;
 /// A real daemon in a directory of its own, for the others.
 mod harness;
+/// The same bits whatever the threads, the order of receptors, the blocks, and what is skipped.
+mod independence;
 /// The order of the rooms.
 mod layers;
 /// The motor model and the plant against the reference figures.
@@ -25,6 +33,8 @@ mod plant;
 mod pty;
 /// Orders that cross each other, the device's word, and the end of a lease: nothing comes to life that is over.
 mod races;
+/// Random numbers and scenes for the simulator's tests.
+mod random;
 /// What the README and the example configuration say is true.
 mod readme;
 /// A streamer and a mock in virtual time whose lines are compared with compiled strokes.

@@ -266,3 +266,86 @@ impl Sorter {
         std::mem::swap(block, &mut self.sorted);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pattern::Drive;
+    use crate::skin::{RaModel, Rectify};
+
+    /// Of all kinds: slow, fast, faster than the window, one after the other.
+    fn scene() -> Scene {
+        let drive = |motor, frequency_hz, amplitude_um| Drive {
+            motor,
+            frequency_hz,
+            amplitude_um,
+            phase: 0.1 * f64::from(motor),
+            start_s: None,
+            stop_s: None,
+        };
+        let drives = vec![
+            drive(0, 3.7, 120.0),
+            drive(1, 61.0, 80.0),
+            drive(2, 233.0, 80.0),
+            drive(3, 4321.0, 2.0),
+            drive(4, 42_500.0, 2.0),
+            Drive { start_s: Some(0.3), ..drive(5, 100.0, 80.0) },
+            Drive { stop_s: Some(0.2), ..drive(5, 200.0, 20.0) },
+            drive(6, 50.0, 0.01),
+        ];
+        Scene::new(0.5, 0, drives, vec![], RaModel::default_for(Rectify::Half, 0.0)).unwrap()
+    }
+
+    #[test]
+    fn breaks_are_in_order_and_leave_every_motor_at_rest() {
+        let scene = scene();
+        let motors = of_scene(&scene);
+        // The last moves by less than a pulse.
+        assert_eq!(motors.iter().map(Breaks::motor).collect::<Vec<_>>(), [0, 1, 2, 3, 4, 5]);
+        for breaks in motors {
+            let (motor, per_s) = (breaks.motor(), breaks.per_s());
+            let (mut at, mut d, mut slope, mut count) = (0.0, 0.0_f64, 0.0, 0.0);
+            for found in breaks {
+                assert!(found.at >= at && found.at.fract() == 0.0 && found.motor == motor, "{found:?}");
+                d += slope * (found.at - at);
+                slope += found.bend;
+                at = found.at;
+                count += 1.0;
+                // Half pulses: no more than the window holds at full speed.
+                assert!(d.fract() == 0.0 && d.abs() <= WINDOW && slope.abs() <= 2.0, "{found:?}: {d}");
+            }
+            assert_eq!((d, slope), (0.0, 0.0), "motor {motor}");
+            assert!(count > 0.0 && count <= 0.5 * per_s + 8.0, "motor {motor}: {count} breaks");
+        }
+    }
+
+    #[test]
+    fn blocks_hold_the_same_breaks_in_the_same_order_however_long_they_are() {
+        let scene = scene();
+        let end = end(scene.duration_s());
+        let mut expected: Vec<_> =
+            of_scene(&scene).into_iter().flatten().filter(|found| found.at < end).collect();
+        expected.sort_by(|a, b| a.at.total_cmp(&b.at).then(a.motor.cmp(&b.motor)));
+        for length in [None, Some(1.0), Some(731.5), Some(10_000.0), Some(1e9)] {
+            let mut blocks = Blocks::new(of_scene(&scene), end);
+            blocks.length = length.unwrap_or(blocks.length);
+            let (mut found, mut block, mut reached) = (Vec::new(), Vec::new(), 0.0);
+            while blocks.next_into(&mut block) {
+                assert!(block.iter().all(|found| found.at >= reached && found.at < blocks.reached()));
+                reached = blocks.reached();
+                found.append(&mut block);
+            }
+            assert_eq!(reached, end);
+            assert!(found == expected, "{length:?}");
+        }
+    }
+
+    #[test]
+    fn what_lies_before_the_end_lies_before_it_in_seconds() {
+        for duration_s in [0.0, 0.1, 0.3, 1.0, 1.1, 7.7e8, 1e9, 1e-6] {
+            let end = end(duration_s);
+            assert!(end <= 0.0 || end.next_down() / HALF_TICKS_PER_S < duration_s, "{duration_s}");
+            assert!((end - duration_s * HALF_TICKS_PER_S).abs() <= 4.0 * f64::EPSILON * end, "{duration_s}");
+        }
+    }
+}

@@ -21,13 +21,14 @@ pub(super) type Periods = [Option<u64>; MOTORS];
 
 /// Those of a scene's drives until `end`, half ticks.
 pub(super) fn periods(drives: &[Drive], end: f64) -> Periods {
-    let mut periods = [Some(0); MOTORS];
-    for motor in 0..MOTORS {
+    std::array::from_fn(|motor| {
         let mut drives = drives.iter().filter(|drive| usize::from(drive.motor) == motor);
-        let Some(drive) = drives.next() else { continue };
-        periods[motor] = if drives.next().is_some() { None } else { period(drive, end) };
-    }
-    periods
+        match (drives.next(), drives.next()) {
+            (None, _) => Some(0),
+            (Some(drive), None) => period(drive, end),
+            (Some(_), Some(_)) => None,
+        }
+    })
 }
 
 /// In ticks: the least time after which each edge before `end` has another one of its kind.
@@ -126,4 +127,55 @@ fn least_common_multiple(a: u64, b: u64) -> Option<u64> {
     }
     // Beyond this the common period is longer than any scene.
     (a / x).checked_mul(b).filter(|&common| common < 1 << 50)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn drive(motor: u8, frequency_hz: f64) -> Drive {
+        Drive { motor, frequency_hz, amplitude_um: 80.0, phase: 0.3, start_s: None, stop_s: None }
+    }
+
+    fn of(drive: Drive, seconds: f64) -> Option<u64> {
+        periods(&[drive], seconds * 170_000.0)[usize::from(drive.motor)]
+    }
+
+    #[test]
+    fn a_period_is_the_least_that_repeats_to_the_tick() {
+        assert_eq!(of(drive(3, 60.0), 10.0), Some(4250));
+        assert_eq!(of(drive(3, 50.0), 10.0), Some(1700));
+        assert_eq!(of(drive(3, 85_000.0 / 1700.5), 10.0), Some(3401));
+        assert_eq!(of(drive(3, 60.0 * std::f64::consts::PI), 10.0), None);
+        // Not even three of them.
+        assert_eq!(of(drive(3, 60.0), 0.14), None);
+        assert_eq!(of(Drive { amplitude_um: 0.01, ..drive(3, 60.0) }, 10.0), Some(0));
+        assert_eq!(of(Drive { start_s: Some(0.1), ..drive(3, 60.0) }, 10.0), None);
+        assert_eq!(of(Drive { stop_s: Some(5.0), ..drive(3, 60.0) }, 10.0), None);
+        let end = 10.0 * 170_000.0;
+        let periods = periods(&[drive(0, 60.0), drive(1, 50.0), drive(1, 50.0)], end);
+        assert_eq!((periods[0], periods[1], periods[2]), (Some(4250), None, Some(0)));
+    }
+
+    #[test]
+    fn a_group_repeats_with_the_motors_that_reach_it() {
+        let end = 10.0 * 170_000.0;
+        let periods = periods(&[drive(0, 60.0), drive(1, 50.0), drive(2, 61.803_398)], end);
+        assert_eq!(periods[2], None);
+        let period = |motors, end| Cycle::new(&periods, motors, end).map(|cycle| cycle.period);
+        assert_eq!(period(0b01, end), Some(8500.0));
+        assert_eq!(period(0b11, end), Some(17_000.0));
+        assert_eq!(period(0b111, end), None);
+        assert_eq!(period(0b1000, end), None);
+        assert_eq!(period(0b11, 60_000.0), None);
+    }
+
+    #[test]
+    fn a_period_shorter_than_the_window_is_taken_several_times() {
+        let mut periods = [Some(0); MOTORS];
+        periods[0] = Some(100);
+        let cycle = Cycle::new(&periods, 1, 1e6).unwrap();
+        // At the first look at 3200 half ticks the window holds nothing from before the first period.
+        assert_eq!((cycle.period, cycle.next), (1600.0, 3200.0));
+    }
 }

@@ -46,7 +46,7 @@ impl Evaluator {
         let changed: Vec<u32> = (0..self.counts.len() as u32).filter(reached).collect();
         let counts = &mut self.counts;
         let mut skipped = engine::run(&scene, &changed, &self.options, &|_| (), |(number, count, _)| {
-            counts[number as usize] = count
+            counts[number as usize] = count;
         });
         skipped.receptors_reused = (self.counts.len() - changed.len()) as u64;
         self.scene = scene;

@@ -113,3 +113,76 @@ impl Membrane {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::skin::TAU_S;
+
+    /// Computed with 400 digits.
+    #[test]
+    fn phi2_is_right_to_a_few_units_in_the_last_place() {
+        for (x, expected) in [
+            (0.0, 0.5),
+            (1e-300, 0.5),
+            (1e-12, 0.499_999_999_999_833_36),
+            (0.001, 0.499_833_374_991_668_1),
+            (0.015624999999999997, 0.497_405_974_152_830_94),
+            (0.015625, 0.497_405_974_152_830_94),
+            (0.015625000000000007, 0.497_405_974_152_830_94),
+            (0.1, 0.483_741_803_595_957_3),
+            (0.5, 0.426_122_638_850_533_7),
+            (0.9999999999999999, 0.367_879_441_171_442_33),
+            (1.0, 0.367_879_441_171_442_33),
+            (1.0000000000000002, 0.367_879_441_171_442_3),
+            (1.5, 0.321_391_182_288_191),
+            (3.0, 0.227_754_118_707_540_45),
+            (10.0, 0.090_000_453_999_297_62),
+            (100.0, 0.0099),
+            (1000.0, 0.000_999),
+            (1e9, 9.999_999_99e-10),
+        ] {
+            let found: f64 = phi2(x);
+            assert!((found - expected).abs() < 4.0 * f64::EPSILON * expected, "{x}: {found} {expected}");
+        }
+    }
+
+    #[test]
+    fn a_piece_may_be_cut_anywhere() {
+        for tau_s in [1e-4, TAU_S, 1e6] {
+            let model = RaModel { tau_s, ..RaModel::default_for(Rectify::Half, 0.0) };
+            let membrane = Membrane::of(&model);
+            let (p, v, k, length) = (0.3, 200.0, -0.3, 500.0);
+            let whole = membrane.after(p, membrane.gain, v, k, length);
+            for cut in [0.0, 1e-9, 3.0, 250.0, 499.0, 500.0] {
+                let middle = membrane.after(p, membrane.gain, v, k, cut);
+                let found = membrane.after(middle, membrane.gain, v + k * cut, k, length - cut);
+                assert!((found - whole).abs() < 1e-14, "{tau_s} {cut}: {found} {whole}");
+            }
+        }
+    }
+
+    #[test]
+    fn without_input_the_membrane_decays_and_without_leak_it_integrates() {
+        let model = RaModel::default_for(Rectify::Half, 0.0);
+        let membrane = Membrane::of(&model);
+        let tau = TAU_S * HALF_TICKS_PER_S;
+        assert!((membrane.after(1.0, membrane.gain, 0.0, 0.0, tau) - (-1.0_f64).exp()).abs() < 1e-15);
+        // 1 um of displacement is alpha.
+        let endless = Membrane::of(&RaModel { tau_s: 1e9, ..model });
+        let half_pulses = WINDOW_HALF_TICKS as f64 * 2.0 / UM_PER_PULSE / 100.0;
+        let found = endless.after(0.0, endless.gain, half_pulses, 0.0, 100.0);
+        assert!((found / model.alpha_per_um - 1.0).abs() < 1e-9, "{found}");
+    }
+
+    #[test]
+    fn the_threshold_is_lowered_after_a_spike_and_never_below_its_least() {
+        let membrane = Membrane::of(&RaModel::default_for(Rectify::Half, 0.0));
+        assert_eq!(membrane.threshold(1.0, 0.0), 0.7);
+        assert!((membrane.threshold(1.0, membrane.lowering / 2.0) - 0.85).abs() < 1e-15);
+        assert_eq!(membrane.threshold(1.0, membrane.lowering * 1.001), 1.0);
+        assert_eq!(membrane.threshold(0.2, 0.0), LEAST_THRESHOLD);
+        let never = Membrane { lowering: 0.0, depth: 0.0, recovery: 0.0, ..membrane };
+        assert_eq!(never.threshold(1.0, 0.0), 1.0);
+    }
+}

@@ -219,3 +219,119 @@ impl Line {
         self.low + self.climb * s
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::skin::RaModel;
+
+    fn membrane(depth: f64) -> Membrane {
+        let model = RaModel::default_for(Rectify::Half, 0.0);
+        Membrane::of(&RaModel { hyperexcitability_depth: depth, ..model })
+    }
+
+    /// The offsets of the spikes in a piece, and the state after it.
+    fn cross(membrane: &Membrane, piece: &Piece, p: f64, resting: f64) -> (Vec<f64>, Neuron) {
+        let mut neuron = Neuron { p, resting, last: Instant { at: -1e300, offset: 0.0 } };
+        let mut spikes = Vec::new();
+        neuron.cross(membrane, piece, |instant| {
+            spikes.push(instant.offset);
+            resting
+        });
+        (spikes, neuron)
+    }
+
+    fn piece(membrane: &Membrane, v: f64, k: f64, length: f64) -> Piece {
+        Piece { at: 1000.0, length, v, k, gain: membrane.gain }
+    }
+
+    #[test]
+    fn touching_counts_and_missing_by_a_hair_does_not() {
+        let membrane = membrane(0.0);
+        for (p, v, k, length) in
+            [(0.2, 300.0, -0.5, 599.0), (0.9, 500.0, -1.0, 490.0), (0.0, 70.0, -0.1, 690.0)]
+        {
+            let piece = piece(&membrane, v, k, length);
+            // Where the derivative is 0.
+            let first = membrane.gain * v - membrane.rate * p;
+            let curve = membrane.gain * k - membrane.rate * first;
+            let top = -libm::log1p(first * membrane.rate / curve) / membrane.rate;
+            assert!(top > 0.0 && top < length);
+            let highest = membrane.after(p, piece.gain, v, k, top);
+            let (spikes, _) = cross(&membrane, &piece, p, highest);
+            assert_eq!(spikes.len(), 1, "{p}");
+            // Around its top the membrane is flat.
+            assert!((spikes[0] - top).abs() < 1e-3 * length, "{} instead of {top}", spikes[0]);
+            let (spikes, after) = cross(&membrane, &piece, p, highest * (1.0 + 1e-14));
+            assert!(spikes.is_empty(), "{p}");
+            assert_eq!(after.p, membrane.after(p, piece.gain, v, k, length));
+        }
+    }
+
+    #[test]
+    fn a_crossing_at_the_end_of_a_piece_is_in_it_and_not_in_the_next() {
+        let membrane = membrane(0.3);
+        let piece = piece(&membrane, 100.0, 0.2, 300.0);
+        let threshold = membrane.after(0.5, piece.gain, piece.v, piece.k, piece.length);
+        let (spikes, mut after) = cross(&membrane, &piece, 0.5, threshold);
+        assert_eq!(spikes.len(), 1);
+        assert!((spikes[0] - piece.length).abs() < 1e-9);
+        assert!(after.p.abs() < 1e-9);
+        let next = Piece { at: piece.at + piece.length, v: 160.0, length: 100.0, ..piece };
+        after.cross(&membrane, &next, |instant| panic!("{instant:?}"));
+        // Just out of reach: the next piece begins with the spike.
+        let (spikes, mut after) = cross(&membrane, &piece, 0.5, threshold * (1.0 + 1e-12));
+        assert!(spikes.is_empty());
+        let mut spikes = Vec::new();
+        after.cross(&membrane, &next, |instant| {
+            spikes.push(instant);
+            1.0
+        });
+        assert_eq!(spikes.len(), 1);
+        assert!(spikes[0].at == next.at && spikes[0].offset < 1e-6, "{spikes:?}");
+    }
+
+    #[test]
+    fn a_threshold_that_is_reached_already_fires_at_once() {
+        let membrane = membrane(0.0);
+        let piece = piece(&membrane, -10.0, 0.0, 300.0);
+        assert_eq!(cross(&membrane, &piece, 1.0, 1.0).0, [0.0]);
+        assert!(cross(&membrane, &piece, 1.0_f64.next_down(), 1.0).0.is_empty());
+    }
+
+    #[test]
+    fn refractoriness_holds_spikes_back_to_its_end() {
+        let membrane = membrane(0.3);
+        let piece = piece(&membrane, 1e6, 0.0, 1000.0);
+        let (spikes, _) = cross(&membrane, &piece, 0.0, 1.0);
+        // So much input that the threshold is always reached before.
+        assert_eq!(spikes.len(), 6);
+        for pair in spikes.windows(2) {
+            assert!((pair[1] - pair[0] - membrane.refractory).abs() < 1e-9, "{spikes:?}");
+        }
+    }
+
+    #[test]
+    fn input_counts_by_its_sign_on_both_sides_of_a_change() {
+        for (rectify, v, k) in [
+            (Rectify::Half, -100.0, 1.0),
+            (Rectify::Half, 100.0, -1.0),
+            (Rectify::Full, -100.0, 1.0),
+            (Rectify::Full, 100.0, -1.0),
+        ] {
+            let membrane = Membrane { rectify, ..membrane(0.0) };
+            let piece = piece(&membrane, v, k, 300.0);
+            let (spikes, found) = cross(&membrane, &piece, 0.1, 1e9);
+            assert!(spikes.is_empty());
+            let part = |p, v: f64, k: f64, length| match rectify {
+                Rectify::Full if v + k * length / 2.0 < 0.0 => membrane.after(p, piece.gain, -v, -k, length),
+                Rectify::Half if v + k * length / 2.0 < 0.0 => {
+                    membrane.after(p, piece.gain, 0.0, 0.0, length)
+                }
+                _ => membrane.after(p, piece.gain, v, k, length),
+            };
+            let expected = part(part(0.1, v, k, 100.0), 0.0, k, 200.0);
+            assert!((found.p - expected).abs() < 1e-15, "{rectify:?} {v}: {} {expected}", found.p);
+        }
+    }
+}

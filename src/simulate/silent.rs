@@ -12,8 +12,10 @@ use super::membrane::Membrane;
 use crate::skin::Rectify;
 use firmware_protocol::stroke::MOTORS;
 
-/// For rounding, here and in the simulation; `f32` needs most of it.
+/// For rounding, here and in the simulation.
 const MARGIN: f64 = 1.001;
+/// What a step in `f32` may round a membrane up by, relative to it: two roundings, twice over.
+const STEP_ROUNDING: f64 = 4.0 * (f32::EPSILON / 2.0) as f64;
 
 #[derive(Clone, Copy, Debug, Default)]
 struct Charge {
@@ -37,7 +39,10 @@ impl Charges {
     /// `step`: half ticks of a step, 0 for the exact method. A step's input counts as if it came all at its end,
     /// so that less of it has leaked than should have.
     pub(super) fn new(membrane: &Membrane, step: f64) -> Self {
-        let gain = membrane.gain * MARGIN * libm::exp(membrane.rate * step);
+        let x = membrane.rate * step;
+        // What is rounded up in each step leaks away as the membrane does: what stays is that of 1/x steps.
+        let rounding = if step > 0.0 { 1.0 + STEP_ROUNDING / x } else { 1.0 };
+        let gain = membrane.gain * MARGIN * rounding * libm::exp(x);
         Self { motors: [Charge::default(); MOTORS], rate: membrane.rate, rectify: membrane.rectify, gain }
     }
 
@@ -72,5 +77,96 @@ impl Charges {
     pub(super) fn reaches(&self, weights: &[f64; MOTORS], resting: f64) -> bool {
         let charge: f64 = weights.iter().zip(&self.motors).map(|(weight, motor)| weight * motor.most).sum();
         self.gain * charge >= resting
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Scene;
+    use super::super::breaks::{Blocks, end, of_scene};
+    use super::*;
+    use crate::draw::uniform;
+    use crate::pattern::Drive;
+    use crate::skin::RaModel;
+
+    fn scene(seed: u64, rectify: Rectify) -> (Scene, [f64; MOTORS]) {
+        let draw = |n: u64, low: f64, high: f64| low + (high - low) * uniform([seed, n, 0, 1 << 34])[0];
+        let motors = 1 + seed % 5;
+        let drives = (0..motors).map(|motor| Drive {
+            motor: motor as u8,
+            frequency_hz: draw(motor, 0.1, 5.7).exp(),
+            amplitude_um: draw(100 + motor, 5.0, 150.0),
+            phase: draw(200 + motor, 0.0, 1.0),
+            start_s: None,
+            stop_s: (motor == 0).then(|| draw(300, 0.1, 0.5)),
+        });
+        let mut model = RaModel::default_for(rectify, 0.0);
+        model.tau_s = draw(400, -7.0, 0.0).exp();
+        let weights =
+            std::array::from_fn(|m| if m < motors as usize { draw(500 + m as u64, 0.0, 1.0) } else { 0.0 });
+        (Scene::new(0.4, 0, drives.collect(), vec![], model).unwrap(), weights)
+    }
+
+    fn breaks(scene: &Scene) -> Vec<Break> {
+        let (mut all, mut block) = (Vec::new(), Vec::new());
+        let mut blocks = Blocks::new(of_scene(scene), end(scene.duration_s()));
+        while blocks.next_into(&mut block) {
+            all.append(&mut block);
+        }
+        all
+    }
+
+    /// The membrane that never fires, followed by small parts of each piece: its highest value.
+    fn highest(scene: &Scene, weights: &[f64; MOTORS], membrane: &Membrane) -> f64 {
+        let (mut at, mut v, mut k, mut p, mut most) = (0.0, 0.0_f64, 0.0_f64, 0.0_f64, 0.0_f64);
+        let last = Break { at: end(scene.duration_s()), bend: 0.0, motor: 0 };
+        for found in breaks(scene).into_iter().chain([last]) {
+            let part = (found.at - at) / 50.0;
+            for index in 0..50 {
+                let (from, to) = (f64::from(index), f64::from(index + 1));
+                let (from, to) = (v + k * (part * from), v + k * (part * to));
+                let g = |v: f64| match membrane.rectify {
+                    Rectify::Half => v.max(0.0),
+                    Rectify::Full => v.abs(),
+                    Rectify::Signed => v,
+                };
+                let slope = if part > 0.0 { (g(to) - g(from)) / part } else { 0.0 };
+                p = membrane.after(p, membrane.gain, g(from), slope, part);
+                most = most.max(p);
+            }
+            v += k * (found.at - at);
+            k += weights[usize::from(found.motor)] * found.bend;
+            at = found.at;
+        }
+        most
+    }
+
+    #[test]
+    fn the_bound_is_never_below_the_highest_membrane_nor_far_above_that_of_one_motor() {
+        let mut near = 0;
+        for seed in 0..100 {
+            for rectify in [Rectify::Half, Rectify::Full, Rectify::Signed] {
+                let (scene, weights) = scene(seed, rectify);
+                let membrane = Membrane::of(scene.model());
+                let most = highest(&scene, &weights, &membrane);
+                for step in [0.0, 17.0, 850.0] {
+                    let mut charges = Charges::new(&membrane, step);
+                    charges.feed(&breaks(&scene));
+                    charges.finish(end(scene.duration_s()));
+                    assert!(charges.reaches(&weights, most), "seed {seed}, {rectify:?}");
+                    near += u32::from(step == 0.0 && !charges.reaches(&weights, 1.1 * most));
+                }
+            }
+        }
+        // It is of use, too.
+        assert!(near > 30, "{near}");
+    }
+
+    #[test]
+    fn a_motor_at_rest_charges_nothing() {
+        let membrane = Membrane::of(&RaModel::default_for(Rectify::Half, 0.0));
+        let mut charges = Charges::new(&membrane, 0.0);
+        charges.finish(1e6);
+        assert!(!charges.reaches(&[1.0; MOTORS], 1e-300));
     }
 }

@@ -1,0 +1,167 @@
+//! Of the parts that need what is private: vectors of every width, and the samples of velocities.
+
+use super::breaks::{HALF_TICKS_PER_S, of_scene};
+use super::engine::run_on;
+use super::sampler::{Sample, Sampler};
+use super::{Integrator, Keep, Method, Options, Precision, Scene, Stepping};
+use crate::draw::uniform;
+use crate::motor::{HalfTick, Ramp, Shaft, WINDOW_HALF_TICKS};
+use crate::pattern::Drive;
+use crate::skin::{RaModel, Rectify, population};
+use crate::units::UM_PER_PULSE;
+use firmware_protocol::stroke::{Direction, MOTORS};
+use firmware_protocol::tick::Tick;
+use pulp::Arch;
+
+/// A finger's receptors over some motors at whatever they do.
+fn scene(seed: u64) -> Scene {
+    let draw = |n: u64, low: f64, high: f64| low + (high - low) * uniform([seed, n, 0, 1 << 33])[0];
+    let motors = (0..24).filter(|&motor| draw(motor, 0.0, 1.0) < 0.4);
+    let drives = motors.map(|motor| Drive {
+        motor: motor as u8,
+        frequency_hz: draw(100 + motor, 1.0, 300.0),
+        amplitude_um: draw(200 + motor, 5.0, 150.0),
+        phase: draw(300 + motor, 0.0, 1.0),
+        start_s: (motor % 3 == 0).then_some(0.1),
+        stop_s: (motor % 4 == 0).then_some(0.9),
+    });
+    let rectify = [Rectify::Half, Rectify::Full, Rectify::Signed][seed as usize % 3];
+    let mut model = RaModel::default_for(rectify, [0.0, 0.05][seed as usize % 2]);
+    model.tau_s = draw(400, 0.01, 0.1);
+    let receptors = population(seed).into_iter().step_by(7).collect();
+    Scene::new(1.3, seed, drives.collect(), receptors, model).unwrap()
+}
+
+/// All that this processor has.
+fn widths() -> Vec<Arch> {
+    let mut widths = vec![Arch::Scalar];
+    #[cfg(target_arch = "x86_64")]
+    {
+        widths.extend(pulp::x86::V3::try_new().map(Arch::V3));
+        widths.extend(pulp::x86::V4::try_new().map(Arch::V4));
+    }
+    widths
+}
+
+/// Trains by number of the receptor, bit by bit.
+fn bits(arch: Arch, scene: &Scene, method: Method) -> Vec<(u32, u64, Vec<u64>)> {
+    let all: Vec<u32> = (0..scene.receptors().len() as u32).collect();
+    let options = Options { method, keep: Keep::Spikes, skip: true };
+    let mut trains = Vec::new();
+    run_on(arch, scene, &all, &options, &|_| (), |(number, count, half_ticks)| {
+        trains.push((number, count, half_ticks.into_iter().map(f64::to_bits).collect()));
+    });
+    trains.sort();
+    trains
+}
+
+#[test]
+fn the_width_of_vectors_changes_nothing() {
+    let mut methods = vec![Method::Exact];
+    for integrator in [Integrator::Euler, Integrator::Propagator] {
+        for precision in [Precision::F32, Precision::F64] {
+            methods.push(Method::Stepped(Stepping { step_us: 330, integrator, precision }));
+        }
+    }
+    for seed in 0..12 {
+        let scene = scene(seed);
+        for &method in &methods {
+            let scalar = bits(Arch::Scalar, &scene, method);
+            assert!(scalar.iter().any(|(_, count, _)| *count > 0));
+            for arch in widths() {
+                assert!(bits(arch, &scene, method) == scalar, "seed {seed}, {method:?}, {arch:?}");
+            }
+        }
+    }
+}
+
+/// Rows of samples, asked for so many at a time.
+fn samples(scene: &Scene, step: f64, sample: Sample, steps: usize, at_a_time: usize) -> Vec<Vec<f64>> {
+    let mut sampler = Sampler::new(of_scene(scene), step, sample);
+    let mut rows: [Vec<f64>; MOTORS] = Default::default();
+    let mut all = vec![Vec::new(); MOTORS];
+    for first in (0..steps).step_by(at_a_time) {
+        let count = at_a_time.min(steps - first);
+        sampler.fill(Arch::new(), first as u64, &mut rows, count);
+        all.iter_mut().zip(&rows).for_each(|(all, row)| all.extend_from_slice(&row[..count]));
+    }
+    all
+}
+
+#[test]
+fn samples_do_not_depend_on_how_many_are_asked_for() {
+    for (seed, sample) in [(1, Sample::Start), (2, Sample::Mean), (3, Sample::Start), (4, Sample::Mean)] {
+        for step in [5.1, 85.0, 1700.0, 30_000.0] {
+            let (scene, steps) = (scene(seed), 300_000 / step as usize);
+            let whole = samples(&scene, step, sample, steps, steps);
+            for at_a_time in [1, 8, 37, 256] {
+                assert!(
+                    samples(&scene, step, sample, steps, at_a_time) == whole,
+                    "{seed} {step} {at_a_time}"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn the_mean_velocity_is_what_the_shaft_moves_in_a_step() {
+    for seed in 0..6 {
+        let scene = scene(seed);
+        let (step, steps) = (85_u64, 2400);
+        let found = samples(&scene, step as f64, Sample::Mean, steps, 100);
+        let um = UM_PER_PULSE / 2.0 / WINDOW_HALF_TICKS as f64 * step as f64;
+        for drive in scene.drives() {
+            let start = (drive.start() * 85_000.0).round() as u64;
+            let stop = drive.stop_s.map_or(u64::MAX, |stop| (stop * 85_000.0).round() as u64);
+            let end = scene.duration_s() * HALF_TICKS_PER_S / 2.0;
+            let strokes = drive
+                .wave()
+                .unwrap()
+                .excursions()
+                .take_while(|stroke| start + stroke.end() <= stop && ((start + stroke.up) as f64) < end);
+            let mut ramps = strokes
+                .flat_map(|stroke| {
+                    [(stroke.up, Direction::Up), (stroke.down, Direction::Down)]
+                        .map(|(tick, direction)| Ramp::new(Tick(start + tick), stroke.pulses, direction, 1.0))
+                })
+                .peekable();
+            let (mut shaft, mut before) = (Shaft::default(), 0.0);
+            for (index, &mean) in found[usize::from(drive.motor)].iter().enumerate() {
+                let at = HalfTick((index as u64 + 1) * step);
+                while let Some(ramp) = ramps.next_if(|ramp| HalfTick::from(ramp.start) <= at) {
+                    shaft.push(ramp);
+                }
+                let y = shaft.displacement_um(at);
+                assert!((mean * um - (y - before)).abs() < 1e-9, "{drive:?}, step {index}: {mean} {y}");
+                before = y;
+            }
+        }
+    }
+}
+
+/// Two strokes in the first 0.12 s of a second.
+#[test]
+fn samples_at_rest_are_zero() {
+    let drive = Drive {
+        motor: 5,
+        frequency_hz: 17.3,
+        amplitude_um: 33.0,
+        phase: 0.123,
+        start_s: Some(0.01),
+        stop_s: Some(0.13),
+    };
+    let model = RaModel::default_for(Rectify::Half, 0.0);
+    let scene = Scene::new(1.0, 0, vec![drive], vec![], model).unwrap();
+    for sample in [Sample::Start, Sample::Mean] {
+        for step in [13.6, 85.0, 100.3] {
+            let steps = (HALF_TICKS_PER_S / step) as usize;
+            let rows = samples(&scene, step, sample, steps, 64);
+            let at = |s: f64| (s * HALF_TICKS_PER_S / step) as usize;
+            assert!(rows[5][..at(0.01)].iter().all(|&d| d == 0.0), "{sample:?}, {step}");
+            assert!(rows[5][at(0.01)..at(0.13)].iter().any(|&d| d != 0.0));
+            assert!(rows[5][at(0.15)..].iter().all(|&d| d == 0.0), "{sample:?}, {step}");
+            assert!(rows.iter().enumerate().all(|(motor, row)| motor == 5 || row.iter().all(|&d| d == 0.0)));
+        }
+    }
+}
