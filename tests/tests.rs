@@ -9,6 +9,8 @@ mod bad_input;
 mod cli;
 /// More clients than there are places, and clients that do not listen.
 mod client_limits;
+/// Scenes at the edges of what a scene may be, by every method: each has one right answer.
+mod extremes;
 /// A real daemon in a directory of its own, for the others.
 mod harness;
 /// The order of the rooms.

@@ -42,7 +42,7 @@ fn period(drive: &Drive, end: f64) -> Option<u64> {
     let ends = (end / 2.0) as u64;
     (1..=MULTIPLES).find_map(|cycles| {
         let ticks = wave.edge(2 * cycles) - wave.edge(0);
-        if 3 * ticks > ends {
+        if ticks > ends / 3 {
             return None;
         }
         // The first few decide nearly always; then all.
