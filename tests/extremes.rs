@@ -11,6 +11,7 @@ mod events;
 mod receptors;
 mod refusals;
 mod sizes;
+mod unfixed;
 
 use crate::oracle;
 use meissner::array;
