@@ -1,7 +1,7 @@
 //! From what the motors do to the spikes of the skin's receptors.
 //!
 //! A [`Scene`] says which motors are driven and how, where the receptors lie and what they are made of. Its drives
-//! become strokes by the rule that the streamer plays by, the strokes become [breaks](breaks) of the motors'
+//! become strokes by the rule that the streamer plays by, the strokes become breaks (`breaks`) of the motors'
 //! velocities, and between breaks a receptor's input is a straight line. From there two ways lead to spikes:
 //!
 //! - **exact**: from break to break in closed form (`membrane`), eight receptors abreast (`exact`); where a
@@ -151,6 +151,19 @@ pub enum MethodError {
         /// The membrane's time constant.
         tau_s: f64,
     },
+    /// Single precision cannot count so many steps.
+    #[error(
+        "f32 counts {COUNTABLE} steps since a spike, and {key} is {steps:.0} steps of {step_us} us: take a \
+         larger step, or f64"
+    )]
+    Precision {
+        /// Which time is too long.
+        key: &'static str,
+        /// How many steps it is.
+        steps: f64,
+        /// As asked for.
+        step_us: u32,
+    },
     /// An error that cannot be allowed.
     #[error("a rate error of {error_hz}: must be a number of impulses/s, above 0")]
     RateError {
@@ -159,19 +172,33 @@ pub enum MethodError {
     },
 }
 
+/// Steps that `f32` counts one by one.
+const COUNTABLE: f64 = 8_388_608.0;
+
 impl Method {
     /// Whether the method can simulate the scene.
     ///
     /// # Errors
     /// If its step is out of range, or unstable.
     pub fn check(&self, scene: &Scene) -> Result<(), MethodError> {
-        let Self::Stepped(Stepping { step_us, integrator, .. }) = *self else { return Ok(()) };
+        let Self::Stepped(Stepping { step_us, integrator, precision }) = *self else { return Ok(()) };
         if !STEP_US.contains(&step_us) {
             return Err(MethodError::Step { step_us });
         }
         let tau_s = scene.model().tau_s;
         if integrator == Integrator::Euler && f64::from(step_us) * 1e-6 > tau_s {
             return Err(MethodError::Unstable { step_us, tau_s });
+        }
+        let steps = |time_s: f64| time_s * 1e6 / f64::from(step_us);
+        if precision == Precision::F32 && steps(scene.duration_s()) > COUNTABLE {
+            let model = scene.model();
+            for (key, time_s) in
+                [("refractory_s", model.refractory_s), ("hyperexcitability_s", model.hyperexcitability_s)]
+            {
+                if steps(time_s) > COUNTABLE {
+                    return Err(MethodError::Precision { key, steps: steps(time_s), step_us });
+                }
+            }
         }
         Ok(())
     }

@@ -49,17 +49,3 @@ fn the_chosen_method_errs_by_what_is_allowed() {
     assert!(figures.worst <= 2.0, "{figures:?}");
     assert!(2 * figures.exact < figures.scenes, "{figures:?}");
 }
-
-/// More of the same, in disjoint sets: `cargo test --release -- --ignored --nocapture chosen`.
-#[test]
-#[ignore = "takes minutes; prints figures"]
-fn the_chosen_method_errs_by_what_is_allowed_on_many_scenes() {
-    for set in 1..=5 {
-        for populations in [0.0, 0.5, 1.0] {
-            println!(
-                "set {set}, {populations} populations: {:?}",
-                figures(1000 * set..1000 * set + 200, populations)
-            );
-        }
-    }
-}

@@ -198,7 +198,6 @@ fn a_repetition_is_found_and_changes_nothing() {
 }
 
 #[test]
-#[ignore = "the watch never finds a group of less than eight: the lanes without a receptor stay behind"]
 fn a_repetition_is_found_however_few_there_are() {
     every_rectification_repeats(1);
 }

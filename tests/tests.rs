@@ -15,6 +15,8 @@ mod client_limits;
 mod convergence;
 /// Changes of single motors against fresh simulations.
 mod evaluator;
+/// Scenes at the edges of what a scene may be, by every method: each has one right answer.
+mod extremes;
 /// A real daemon in a directory of its own, for the others.
 mod harness;
 /// The same bits whatever the threads, the order of receptors, the blocks, and what is skipped.

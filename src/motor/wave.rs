@@ -30,10 +30,10 @@ pub struct Excursion {
 }
 
 impl Excursion {
-    /// The first tick after the down burst.
+    /// The first tick after the down burst; beyond all time, where that is.
     #[must_use]
     pub const fn end(&self) -> u64 {
-        self.down + self.pulses as u64
+        self.down.saturating_add(self.pulses as u64)
     }
 }
 

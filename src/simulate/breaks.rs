@@ -109,7 +109,8 @@ pub(super) fn of_scene(scene: &Scene) -> Vec<Breaks<'_>> {
             let start = seconds_to_ticks(drive.start_s.unwrap_or(0.0));
             let stop = drive.stop_s.map_or(u64::MAX, seconds_to_ticks);
             let strokes = wave.excursions().take_while(move |excursion| {
-                start.saturating_add(excursion.end()) <= stop && half_ticks(Tick(start + excursion.up)) < end
+                start.saturating_add(excursion.end()) <= stop
+                    && half_ticks(Tick(start.saturating_add(excursion.up))) < end
             });
             ramps = Box::new(ramps.chain(strokes.flat_map(move |excursion| {
                 [(excursion.up, Direction::Up), (excursion.down, Direction::Down)].map(|(tick, direction)| {
@@ -123,12 +124,15 @@ pub(super) fn of_scene(scene: &Scene) -> Vec<Breaks<'_>> {
     (0..MOTORS as u8).filter_map(of_motor).collect()
 }
 
-/// The end of a scene, half ticks. It need not be a whole number. What lies before it lies before `duration_s`
-/// in seconds, too, whichever way either was rounded.
+/// The end of a scene, half ticks. It need not be a whole number. What lies before it, and only that,
+/// lies before `duration_s` in seconds, too, whichever way either was rounded.
 pub(super) fn end(duration_s: f64) -> f64 {
     let mut end = duration_s * HALF_TICKS_PER_S;
     while end > 0.0 && end.next_down() / HALF_TICKS_PER_S >= duration_s {
         end = end.next_down();
+    }
+    while end / HALF_TICKS_PER_S < duration_s {
+        end = end.next_up();
     }
     end
 }

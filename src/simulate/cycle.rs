@@ -1,12 +1,12 @@
 //! When a receptor's state repeats, so that what follows need not be computed again.
 //!
-//! Without noise, and with drives that repeat to the tick, a group of receptors whose whole state is at one multiple of the common
+//! Without noise, and with drives that repeat to the tick, a receptor whose whole state is at one multiple of the common
 //! period what it was at an earlier one, bit by bit, goes on as it went on then. Whether that happens is watched
 //! as Brent does for cycles of any function: the state is compared with one kept, which is renewed at each power of 2.
 //!
 //! Invariant: states are compared relative to their own multiple of the period, and all of their bits.
 
-use super::exact::Snapshot;
+use super::exact::LANES;
 use crate::motor::WINDOW_HALF_TICKS;
 use crate::pattern::Drive;
 use firmware_protocol::stroke::MOTORS;
@@ -15,6 +15,11 @@ use firmware_protocol::stroke::MOTORS;
 const PATIENCE: u64 = 1024;
 /// How long a period may be looked for in multiples of a drive's own.
 const MULTIPLES: u64 = 2048;
+
+/// Numbers of a state.
+const PARTS: usize = 7;
+/// A lane's state, instants relative to when it is looked at.
+pub(super) type State = [f64; PARTS];
 
 /// The periods of the motors of a scene, in ticks; 0: at rest; none: the motor does not repeat to the tick.
 pub(super) type Periods = [Option<u64>; MOTORS];
@@ -43,7 +48,7 @@ fn period(drive: &Drive, end: f64) -> Option<u64> {
     let ends = (end / 2.0) as u64;
     (1..=MULTIPLES).find_map(|cycles| {
         let ticks = wave.edge(2 * cycles) - wave.edge(0);
-        if 3 * ticks > ends {
+        if ticks > ends / 3 {
             return None;
         }
         // The first few decide nearly always; then all.
@@ -52,29 +57,30 @@ fn period(drive: &Drive, end: f64) -> Option<u64> {
     })
 }
 
-/// The watch over a group.
+/// The watch over the lanes of a group.
 #[derive(Debug)]
 pub(super) struct Cycle {
     /// Half ticks.
     period: f64,
-    /// The next multiple at which the state is looked at.
+    /// The next multiple at which the states are looked at.
     pub(super) next: f64,
-    kept: Option<(f64, Snapshot)>,
+    /// The states kept, and when they were.
+    kept: [State; LANES],
+    kept_at: f64,
     count: u64,
     renewed: u64,
 }
 
-/// What a look at the state came to.
-#[derive(Debug, PartialEq)]
-pub(super) enum Look {
-    /// Not seen before.
-    New,
-    /// Not seen before, and kept to be compared with.
-    Kept,
-    /// The state of so many half ticks ago.
-    Again(f64),
-    /// It is not worth to go on looking.
-    GivenUp,
+/// What a look at the states came to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Look {
+    /// Lanes that are as they were, a bit each, and how many half ticks ago.
+    pub(super) again: u32,
+    pub(super) ago: f64,
+    /// Whether these are now the states to be compared with.
+    pub(super) kept: bool,
+    /// Whether it is not worth to look any more.
+    pub(super) given_up: bool,
 }
 
 impl Cycle {
@@ -95,28 +101,31 @@ impl Cycle {
         // So long that whatever the window still holds of the beginning is gone at the second multiple.
         let period = common * WINDOW_HALF_TICKS.div_ceil(common);
         let period = 2.0 * period as f64;
-        (4.0 * period < end).then_some(Self { period, next: 2.0 * period, kept: None, count: 0, renewed: 0 })
+        let cycle = Self {
+            period,
+            next: 2.0 * period,
+            kept: [[f64::NAN; PARTS]; LANES],
+            kept_at: 0.0,
+            count: 0,
+            renewed: 0,
+        };
+        (4.0 * period < end).then_some(cycle)
     }
 
-    /// Looks at the state at [`Self::next`].
-    pub(super) fn look(&mut self, snapshot: Snapshot) -> Look {
+    /// Looks at the states at [`Self::next`].
+    pub(super) fn look(&mut self, states: &[State; LANES]) -> Look {
         let now = self.next;
         self.next += self.period;
         self.count += 1;
-        if let Some((at, kept)) = &self.kept
-            && *kept == snapshot
-        {
-            return Look::Again(now - at);
+        // No state equals that of NaN with which it begins.
+        let again = (0..LANES).filter(|&lane| states[lane] == self.kept[lane]);
+        let again = again.fold(0, |lanes, lane| lanes | 1 << lane);
+        let ago = now - self.kept_at;
+        let kept = self.count > 2 * self.renewed;
+        if kept {
+            (self.renewed, self.kept, self.kept_at) = (self.count, *states, now);
         }
-        if self.count > PATIENCE {
-            return Look::GivenUp;
-        }
-        if self.count > 2 * self.renewed {
-            self.renewed = self.count;
-            self.kept = Some((now, snapshot));
-            return Look::Kept;
-        }
-        Look::New
+        Look { again, ago, kept, given_up: self.count > PATIENCE }
     }
 }
 

@@ -59,8 +59,12 @@ pub(super) fn run_on(
     progress: &(dyn Fn(f64) + Sync),
     mut give: impl FnMut(Train),
 ) -> Skipped {
-    let work =
-        Work { scene, options, arch, membrane: Membrane::of(scene.model()), end: end(scene.duration_s()) };
+    let end = end(scene.duration_s());
+    let horizon = match options.method {
+        Method::Exact => end,
+        Method::Stepped(Stepping { step_us, .. }) => (end / half_ticks(step_us)).ceil() * half_ticks(step_us),
+    };
+    let work = Work { scene, options, arch, membrane: Membrane::of(scene.model()), end, horizon };
     let mut skipped = Skipped::default();
     let moving = of_scene(scene).iter().fold(0, |moving, breaks| moving | 1_u32 << breaks.motor());
     skipped.motors_at_rest = MOTORS as u32 - moving.count_ones();
@@ -102,6 +106,8 @@ struct Work<'w> {
     arch: Arch,
     membrane: Membrane,
     end: f64,
+    /// Up to where it is computed: the last step is a whole one.
+    horizon: f64,
 }
 
 impl Work<'_> {
@@ -138,8 +144,8 @@ impl Work<'_> {
             silent.into_iter().for_each(|number| give((number, 0, Vec::new())));
         }
         let blocks = only.map_or_else(
-            || Blocks::new(of_scene(self.scene), self.end),
-            |block| Blocks::single(block, self.end),
+            || Blocks::new(of_scene(self.scene), self.horizon),
+            |block| Blocks::single(block, self.horizon),
         );
         match self.options.method {
             Method::Exact => skipped.repeated_receptor_s += self.exact(blocks, members, progress, give),
@@ -177,7 +183,7 @@ impl Work<'_> {
             Method::Stepped(_) => return (Vec::new(), None),
         };
         let mut charges = Charges::new(&self.membrane, step);
-        let mut blocks = Blocks::new(of_scene(self.scene), self.end);
+        let mut blocks = Blocks::new(of_scene(self.scene), self.horizon);
         let mut block = Vec::new();
         let mut silent: Vec<usize> = (0..members.len()).collect();
         // Whoever has been found to fire needs no bound: often all of them, after the first block.
@@ -186,7 +192,7 @@ impl Work<'_> {
             silent.retain(|&index| !charges.reaches(&members[index].weights, members[index].threshold()));
         }
         let single = blocks.done() && (blocks.given() == 1);
-        charges.finish(self.end);
+        charges.finish(self.horizon);
         silent.retain(|&index| !charges.reaches(&members[index].weights, members[index].threshold()));
         let numbers = silent.iter().map(|&index| members[index].number).collect();
         let mut index = 0;

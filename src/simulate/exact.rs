@@ -12,7 +12,7 @@
 
 use super::Member;
 use super::breaks::Break;
-use super::cycle::{Cycle, Look, Periods};
+use super::cycle::{Cycle, Periods};
 use super::lanes::bits;
 use super::membrane::{LEAST_THRESHOLD, Membrane, SERIES, SERIES_ENDS, SHORT, SHORT_SERIES_ENDS};
 use super::neuron::{Instant, Neuron, Piece};
@@ -48,7 +48,6 @@ pub(super) struct Group {
     /// Of the scene.
     end: f64,
     cycle: Option<Cycle>,
-    again: Option<Again>,
 }
 
 /// What a lane keeps outside the vectors.
@@ -59,11 +58,9 @@ struct Receptor {
     /// How many spikes there were when the state was kept.
     marked: usize,
     count: u64,
+    /// If what is to come is a repetition.
+    again: Option<Again>,
 }
-
-/// The state relative to an instant, without what does not change.
-#[derive(Debug, PartialEq)]
-pub(super) struct Snapshot([Lanes; 7]);
 
 /// Long before the scene, so that nothing is lowered or refractory.
 const NEVER: f64 = -1e300;
@@ -91,7 +88,6 @@ impl Group {
             receptors: Vec::with_capacity(members.len()),
             end,
             cycle: None,
-            again: None,
         };
         for (lane, member) in members.into_iter().enumerate() {
             let largest = member.weights.iter().copied().fold(0.0, f64::max);
@@ -105,7 +101,13 @@ impl Group {
                 group.gain[lane] = libm::scalbn(membrane.gain, -scale);
             }
             group.resting[lane] = member.resting;
-            group.receptors.push(Receptor { noise: member.noise, spikes: Vec::new(), marked: 0, count: 0 });
+            group.receptors.push(Receptor {
+                noise: member.noise,
+                spikes: Vec::new(),
+                marked: 0,
+                count: 0,
+                again: None,
+            });
         }
         group.cycle = periods.and_then(|periods| Cycle::new(periods, group.motors, end));
         group
@@ -113,57 +115,60 @@ impl Group {
 
     /// Through a block of breaks; `keep` says whether spikes are kept or only counted.
     pub(super) fn run(&mut self, arch: Arch, membrane: &Membrane, mut breaks: &[Break], keep: bool) {
-        while let Some(cycle) = &self.cycle
-            && self.again.is_none()
-        {
+        while let Some(cycle) = &self.cycle {
             let before = breaks.partition_point(|found| found.at < cycle.next);
             if before == breaks.len() {
                 break;
             }
             let (now, rest) = breaks.split_at(before);
-            // While a repetition is looked for, spikes are kept: they are what is repeated.
-            arch.dispatch(Run { group: self, membrane, breaks: now, until: None, keep: true });
+            self.pass(arch, membrane, now, None, keep);
             breaks = rest;
-            self.look(keep);
+            self.look(membrane, keep);
         }
-        if self.again.is_none() {
-            let keep = keep || self.cycle.is_some();
-            arch.dispatch(Run { group: self, membrane, breaks, until: None, keep });
-        }
+        self.pass(arch, membrane, breaks, None, keep);
+    }
+
+    fn pass(&mut self, arch: Arch, membrane: &Membrane, breaks: &[Break], until: Option<f64>, keep: bool) {
+        // While a repetition is looked for, spikes are kept: they are what is repeated.
+        let keep = keep || self.cycle.is_some();
+        arch.dispatch(Run { group: self, membrane, breaks, until, keep });
     }
 
     /// Whether more breaks would change anything.
-    pub(super) const fn goes_on(&self) -> bool {
-        self.again.is_none()
+    pub(super) fn goes_on(&self) -> bool {
+        self.receptors.iter().any(|receptor| receptor.again.is_none())
     }
 
-    fn look(&mut self, keep: bool) {
+    /// Looks for lanes that repeat themselves, and takes them out.
+    fn look(&mut self, membrane: &Membrane, keep: bool) {
         let Some(mut cycle) = self.cycle.take() else { return };
         let from = cycle.next;
-        let relative = |lanes: &Lanes| lanes.map(|at| at - from);
-        let lanes = [
-            relative(&self.at),
-            self.v,
-            self.k,
-            self.p,
-            self.resting,
-            relative(&self.last_at),
-            self.last_offset,
-        ];
-        match cycle.look(Snapshot(lanes)) {
-            Look::New => self.cycle = Some(cycle),
-            Look::Kept => {
-                for receptor in &mut self.receptors {
-                    if !keep {
-                        receptor.spikes.clear();
-                    }
-                    receptor.marked = receptor.spikes.len();
-                }
-                self.cycle = Some(cycle);
+        let matters = 1.0 + membrane.refractory.max(membrane.lowering);
+        let states = std::array::from_fn(|lane| {
+            let (at, last_at, last_offset) = (self.at[lane], self.last_at[lane], self.last_offset[lane]);
+            // A spike after which nothing is lowered or refractory any more is as good as none.
+            let over = (at - last_at) - last_offset > matters;
+            let (last_at, last_offset) = if over { (0.0, 0.0) } else { (last_at - from, last_offset) };
+            [at - from, self.v[lane], self.k[lane], self.p[lane], self.resting[lane], last_at, last_offset]
+        });
+        let look = cycle.look(&states);
+        for (lane, receptor) in self.receptors.iter_mut().enumerate() {
+            if receptor.again.is_some() {
+                continue;
             }
-            Look::Again(length) => self.again = Some(Again { from, length }),
-            Look::GivenUp => {}
+            if look.again >> lane & 1 == 1 {
+                receptor.again = Some(Again { from, length: look.ago });
+                // Like a lane without a receptor from now on.
+                self.resting[lane] = f64::INFINITY;
+                self.weights.iter_mut().for_each(|weights| weights[lane] = 0.0);
+            } else if look.kept || look.given_up {
+                if !keep {
+                    receptor.spikes.clear();
+                }
+                receptor.marked = receptor.spikes.len();
+            }
         }
+        self.cycle = (!look.given_up && self.goes_on()).then_some(cycle);
     }
 
     /// To the scene's end. For each receptor: how many spikes before it, and the spikes if they were kept; and
@@ -175,15 +180,11 @@ impl Group {
         keep: bool,
     ) -> (Vec<(u64, Vec<f64>)>, f64) {
         let until = self.end;
-        if self.again.is_none() {
-            let keep = keep || self.cycle.is_some();
-            arch.dispatch(Run { group: &mut self, membrane, breaks: &[], until: Some(until), keep });
-        }
+        self.pass(arch, membrane, &[], Some(until), keep);
         let repeated =
-            self.again.as_ref().map_or(0.0, |again| (until - again.from) * self.receptors.len() as f64);
-        let again = self.again;
-        let trains =
-            self.receptors.into_iter().map(|receptor| receptor.into_train(again.as_ref(), until, keep));
+            self.receptors.iter().filter_map(|receptor| receptor.again).map(|again| until - again.from);
+        let repeated = repeated.sum();
+        let trains = self.receptors.into_iter().map(|receptor| receptor.into_train(until, keep));
         (trains.collect(), repeated)
     }
 }
@@ -196,8 +197,8 @@ struct Again {
 }
 
 impl Receptor {
-    fn into_train(self, again: Option<&Again>, until: f64, keep: bool) -> (u64, Vec<f64>) {
-        let Self { mut count, spikes, marked, .. } = self;
+    fn into_train(self, until: f64, keep: bool) -> (u64, Vec<f64>) {
+        let Self { mut count, spikes, marked, again, .. } = self;
         let mut times: Vec<f64> =
             if keep { spikes.iter().map(Instant::half_ticks).collect() } else { Vec::new() };
         if let Some(again) = again {

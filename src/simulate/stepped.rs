@@ -22,7 +22,7 @@ use std::array;
 pub(super) const LANES: usize = 16;
 /// Steps whose input is summed at once: as many vectors as stay in registers.
 pub(super) const TILE: usize = 8;
-/// Since the last spike, when there was none; half ticks.
+/// Steps since the last spike, when there was none.
 const NEVER: f64 = 1e30;
 
 type Row<T> = [T; LANES];
@@ -37,8 +37,10 @@ pub(super) struct StepModel {
     /// What leaks of the membrane, and what is added per unit of input.
     leak: f64,
     charge: f64,
+    /// Steps.
     refractory: f64,
     depth: f64,
+    /// Per step.
     recovery: f64,
 }
 
@@ -57,9 +59,9 @@ impl StepModel {
             length,
             leak,
             charge,
-            refractory: membrane.refractory,
+            refractory: membrane.refractory / length,
             depth: membrane.depth,
-            recovery: membrane.recovery,
+            recovery: membrane.recovery * length,
         }
     }
 }
@@ -70,7 +72,7 @@ pub(super) struct Group<T> {
     weights: [Row<T>; MOTORS],
     motors: u32,
     p: Row<T>,
-    /// Half ticks since the last spike.
+    /// Steps since the last spike: counted, not summed up, they are whole but for the part after the spike.
     since: Row<T>,
     resting: Row<T>,
     receptors: Vec<Receptor>,
@@ -161,12 +163,22 @@ impl<T: Number> Run<'_, T> {
                 let inputs = inputs(simd, block, group, first, tile);
                 for (index, input) in inputs.into_iter().take(block.steps - tile).enumerate() {
                     let (after, hot) = step.take(&lanes, input);
-                    lanes = if T::bits::<S>(hot) == 0 {
-                        after
-                    } else {
+                    let before = std::mem::replace(&mut lanes, after);
+                    if T::bits::<S>(hot) != 0 {
                         let number = block.first + (tile + index) as u64;
-                        step.spikes(block, &mut group.receptors[first..], number, &lanes, after, input, hot)
-                    };
+                        let (part, spiked) = step.crossing(&before, lanes.p, hot);
+                        step.reset(&mut lanes, part, spiked, input);
+                        let parts = spill::<T, S>(part);
+                        let mut resting = spill::<T, S>(lanes.resting);
+                        let mut left = T::bits::<S>(spiked);
+                        while left != 0 {
+                            let lane = left.trailing_zeros() as usize;
+                            left &= left - 1;
+                            let at = (number as f64 + parts[lane].wide()) * block.model.length;
+                            resting[lane] = T::of(group.receptors[first + lane].spike(block, at));
+                        }
+                        lanes.resting = T::load::<S>(&resting);
+                    }
                 }
             }
             T::store::<S>(&mut group.p[first..], lanes.p);
@@ -203,6 +215,27 @@ fn inputs<T: Number, S: Simd>(
     }
 }
 
+#[inline(always)]
+fn spill<T: Number, S: Simd>(vector: T::Vector<S>) -> Row<T> {
+    let mut lanes = [T::default(); LANES];
+    T::store::<S>(&mut lanes, vector);
+    lanes
+}
+
+impl Receptor {
+    /// Counts a spike; draws the next resting threshold.
+    #[inline(always)]
+    fn spike<T>(&mut self, block: &Block<'_, T>, at: f64) -> f64 {
+        if at < block.until {
+            self.count += 1;
+            if block.keep {
+                self.spikes.push(at);
+            }
+        }
+        block.membrane.draw(self.noise.as_mut())
+    }
+}
+
 /// Receptors in the processor's registers.
 struct Lanes<T: Number, S: Simd> {
     p: T::Vector<S>,
@@ -216,12 +249,13 @@ struct Step<T: Number, S: Simd, const WITHIN: bool> {
     zero: T::Vector<S>,
     charge: T::Vector<S>,
     leak: T::Vector<S>,
-    length: T::Vector<S>,
-    per_length: T::Vector<S>,
+    one: T::Vector<S>,
     recovery: T::Vector<S>,
     depth: T::Vector<S>,
     least: T::Vector<S>,
     refractory: T::Vector<S>,
+    /// What counts as the end of refractoriness at a step's end: a step that divides it does so but for rounding.
+    nearly_refractory: T::Vector<S>,
 }
 
 impl<T: Number, S: Simd, const WITHIN: bool> Step<T, S, WITHIN> {
@@ -233,12 +267,12 @@ impl<T: Number, S: Simd, const WITHIN: bool> Step<T, S, WITHIN> {
             zero: splat(0.0),
             charge: splat(model.charge),
             leak: splat(-model.leak),
-            length: splat(model.length),
-            per_length: splat(1.0 / model.length),
+            one: splat(1.0),
             recovery: splat(-model.recovery),
             depth: splat(model.depth),
             least: splat(LEAST_THRESHOLD),
-            refractory: splat(model.refractory * (1.0 - 1e-6)),
+            refractory: splat(model.refractory),
+            nearly_refractory: splat(model.refractory * (1.0 - 1e-6)),
         }
     }
 
@@ -248,59 +282,28 @@ impl<T: Number, S: Simd, const WITHIN: bool> Step<T, S, WITHIN> {
         let simd = self.simd;
         let charged = T::mul_add(simd, input, self.charge, lanes.p);
         let p = T::mul_add(simd, lanes.p, self.leak, charged);
-        let since = T::add(simd, lanes.since, self.length);
+        let since = T::add(simd, lanes.since, self.one);
         // The threshold rises with the time since the spike. Euler tests it at the step's end; where a crossing
         // within the step is looked for, it is lowest at the start.
         let tested = if WITHIN { lanes.since } else { since };
         let threshold = self.threshold(lanes.resting, tested);
         let top = if WITHIN { T::max(simd, lanes.p, p) } else { p };
-        let hot = T::both(simd, T::at_least(simd, top, threshold), T::at_least(simd, since, self.refractory));
+        let hot = T::both(
+            simd,
+            T::at_least(simd, top, threshold),
+            T::at_least(simd, since, self.nearly_refractory),
+        );
         (Lanes { p, since, resting: lanes.resting }, hot)
     }
 
-    /// The spikes of a step's hot lanes, one by one.
+    /// The lanes that spiked begin anew with what is left of the step.
     #[inline(always)]
-    fn spikes(
-        &self,
-        block: &Block<'_, T>,
-        receptors: &mut [Receptor],
-        number: u64,
-        before: &Lanes<T, S>,
-        mut after: Lanes<T, S>,
-        input: T::Vector<S>,
-        hot: T::Mask<S>,
-    ) -> Lanes<T, S> {
+    fn reset(&self, lanes: &mut Lanes<T, S>, part: T::Vector<S>, spiked: T::Mask<S>, input: T::Vector<S>) {
         let simd = self.simd;
-        let spill = |vector| {
-            let mut lanes = [T::default(); LANES];
-            T::store::<S>(&mut lanes, vector);
-            lanes
-        };
-        let (part, spiked) =
-            if WITHIN { self.crossing(before, after.p, hot) } else { (T::splat(simd, T::of(1.0)), hot) };
-        let rest = T::sub(simd, T::splat(simd, T::of(1.0)), part);
-        let p = T::mul_add(simd, T::mul_add(simd, rest, self.charge, self.zero), input, self.zero);
-        let since = T::mul_add(simd, rest, self.length, self.zero);
-        after.p = T::select(simd, spiked, p, after.p);
-        after.since = T::select(simd, spiked, since, after.since);
-        let parts = spill(part);
-        let mut resting = spill(after.resting);
-        let mut left = T::bits::<S>(spiked);
-        while left != 0 {
-            let lane = left.trailing_zeros() as usize;
-            left &= left - 1;
-            let receptor = &mut receptors[lane];
-            let at = (number as f64 + parts[lane].wide()) * block.model.length;
-            if at < block.until {
-                receptor.count += 1;
-                if block.keep {
-                    receptor.spikes.push(at);
-                }
-            }
-            resting[lane] = T::of(block.membrane.draw(receptor.noise.as_mut()));
-        }
-        after.resting = T::load::<S>(&resting);
-        after
+        let rest = T::sub(simd, self.one, part);
+        let charge = T::mul_add(simd, rest, self.charge, self.zero);
+        lanes.p = T::select(simd, spiked, T::mul_add(simd, charge, input, self.zero), lanes.p);
+        lanes.since = T::select(simd, spiked, rest, lanes.since);
     }
 
     /// The part of the step after which the membrane, on a straight line to `end`, reaches the threshold for the
@@ -313,19 +316,20 @@ impl<T: Number, S: Simd, const WITHIN: bool> Step<T, S, WITHIN> {
         hot: T::Mask<S>,
     ) -> (T::Vector<S>, T::Mask<S>) {
         let simd = self.simd;
-        let one = T::splat(simd, T::of(1.0));
-        let free = T::mul_add(simd, T::sub(simd, self.refractory, before.since), self.per_length, self.zero);
-        let free = T::min(simd, T::max(simd, free, self.zero), one);
+        if !WITHIN {
+            return (self.one, hot);
+        }
+        let free = T::sub(simd, self.refractory, before.since);
+        let free = T::min(simd, T::max(simd, free, self.zero), self.one);
         let low = self.threshold(before.resting, before.since);
-        let climb =
-            T::sub(simd, self.threshold(before.resting, T::add(simd, before.since, self.length)), low);
+        let climb = T::sub(simd, self.threshold(before.resting, T::add(simd, before.since, self.one)), low);
         let rise = T::sub(simd, end, before.p);
         // At the end of refractoriness, if it is above the threshold there; else where the lines meet.
         let gap = T::sub(simd, low, before.p);
         let closing = T::sub(simd, rise, climb);
         let early = T::at_least(simd, T::mul_add(simd, closing, free, self.zero), gap);
         let late = T::at_least(simd, closing, gap);
-        let meets = T::min(simd, T::max(simd, T::div(simd, gap, closing), free), one);
+        let meets = T::min(simd, T::max(simd, T::div(simd, gap, closing), free), self.one);
         (T::select(simd, early, free, meets), T::both(simd, hot, T::either(simd, early, late)))
     }
 
