@@ -155,7 +155,7 @@ fn stepping(asked: &Simulate) -> Option<Stepping> {
     let implied = asked.step_us.is_some() || asked.integrator.is_some() || asked.precision.is_some();
     if asked.method == Some(Name::Exact) && implied {
         let message = "the exact method has no step, integrator or precision: leave them out, or take \
-                       --method stepped\n";
+                       --method stepped";
         Cli::command().error(ErrorKind::ArgumentConflict, message).exit();
     }
     let integrator = match asked.integrator {
