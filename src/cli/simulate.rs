@@ -136,7 +136,7 @@ pub(super) fn run(asked: &Simulate) -> Result<ExitCode> {
     }
     let keep = if asked.rates_only { Keep::Rates } else { Keep::Spikes };
     let meter = Meter::new();
-    let answer = simulate(&scene, &Options { method, keep, skip: true }, &|part| meter.at(part))?;
+    let answer = simulate(&scene, &Options { keep, ..Options::spikes(method) }, &|part| meter.at(part))?;
     meter.finish();
     let document = Document {
         how,
