@@ -22,6 +22,9 @@
 //! What happened comes out as notices; [`record`] makes of them the receipts and events that clients and the log see. In the
 //! end every burst of every play was played, late, dropped or refused, and the receipt says which.
 //!
+//! What the [`skin`] makes of a pattern is computed offline: [`simulate`] takes a scene of drives and receptors to
+//! spikes, exactly or by a step, and [`report`] says what each way of doing so costs and by how much it errs.
+//!
 //! Tests run streamer, link, controller and plant in virtual time ([`stream::Rehearsal`]): same code, no clock.
 //! Rooms are listed lowest first in `tests/layers.rs`; a room uses only what stands before it. [`config`] is read
 //! once, at the daemon's start.
@@ -40,6 +43,7 @@ pub mod pattern;
 pub mod plant;
 mod quote;
 pub mod record;
+pub mod report;
 pub mod simulate;
 pub mod skin;
 pub mod store;

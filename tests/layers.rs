@@ -15,7 +15,7 @@ const ROOMS: [&[&str]; 16] = [
     &["device"],
     &["stream"],
     &["record"],
-    &["store", "api", "config"],
+    &["store", "api", "config", "report"],
     &["client"],
     &["daemon"],
     &["cli"],

@@ -39,6 +39,8 @@ mod races;
 mod random;
 /// What the README and the example configuration say is true.
 mod readme;
+/// `simulate` and `tradeoff`: documents, mistakes, the comparison of methods and its plot; the shipped scenes.
+mod report;
 /// A streamer and a mock in virtual time whose lines are compared with compiled strokes.
 mod rig;
 /// Scene files: what is refused and how it is said.

@@ -12,6 +12,7 @@ mod demo;
 mod doctor;
 mod library;
 mod progress;
+mod simulate;
 mod text;
 mod watch;
 
@@ -20,12 +21,12 @@ use crate::client::Client;
 use crate::config::{self, Config, PatternsDir};
 use crate::daemon::{self, Daemon, DaemonError};
 use crate::device::Spec;
-use anyhow::{Context, Result, anyhow};
+use anyhow::{Result, anyhow};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use serde::Serialize;
 use std::env;
-use std::io::{self, IsTerminal, Write};
+use std::io::{self, BufWriter, IsTerminal, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::str::FromStr;
@@ -126,6 +127,10 @@ enum Command {
         #[command(flatten)]
         output: Output,
     },
+    /// What the skin's receptors make of a scene: spikes and rates
+    Simulate(simulate::Simulate),
+    /// Time and error of every way to simulate a scene, measured on this machine
+    Tradeoff(simulate::Compare),
     /// Look for what could keep this machine from playing
     Doctor(Plain),
 }
@@ -318,6 +323,8 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Motor { frequency_hz, amplitude_um, output } => {
             library::motor(frequency_hz, amplitude_um, output.json)
         }
+        Command::Simulate(asked) => simulate::run(&asked),
+        Command::Tradeoff(asked) => simulate::tradeoff(&asked),
         Command::Doctor(plain) => doctor::run(&plain),
     }
 }
@@ -358,9 +365,12 @@ fn give(json: bool, document: &impl Serialize, text: impl FnOnce() -> String) ->
     }
 }
 
-/// Prints the document of `--json`, on one line.
+/// Prints the document of `--json`, on one line, while it is made: it may be as large as a simulation's spikes.
 fn say_json(document: &impl Serialize) -> Result<()> {
-    say(&serde_json::to_string(document).context("internal error: no JSON")?)
+    let mut out = BufWriter::new(io::stdout().lock());
+    serde_json::to_writer(&mut out, document).map_err(io::Error::from)?;
+    out.write_all(b"\n")?;
+    Ok(out.flush()?)
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! Progress of a play: a bar on a terminal, plain lines in a pipe.
+//! Progress of a play: a bar on a terminal, plain lines in a pipe. Of a computation: a bar, if it lasts.
 //!
 //! The bar goes to stderr and is gone at the end; lines go to stdout, one when it begins, one for every second
 //! of it and one for each late or refused stroke (the first ten). With `--json` there are no lines, and a bar only if
@@ -11,6 +11,44 @@ use crate::record::Event;
 use anyhow::Result;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::{self, IsTerminal};
+use std::time::{Duration, Instant};
+
+/// What is done sooner needs no bar.
+const SHORT: Duration = Duration::from_secs(1);
+/// Parts of a computation's bar.
+const PARTS: f64 = 1000.0;
+
+/// Progress of a computation: a bar on a terminal, once it has lasted a second.
+#[derive(Debug)]
+pub(super) struct Meter {
+    bar: Option<ProgressBar>,
+    begun: Instant,
+}
+
+impl Meter {
+    pub(super) fn new() -> Self {
+        let bar = || {
+            let style = ProgressStyle::with_template("{wide_bar} {percent:>3} %");
+            ProgressBar::new(PARTS as u64).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
+        };
+        Self { bar: io::stderr().is_terminal().then(bar), begun: Instant::now() }
+    }
+
+    /// So much of it is done, 0 to 1.
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped")]
+    pub(super) fn at(&self, part: f64) {
+        if let Some(bar) = self.bar.as_ref().filter(|_| self.begun.elapsed() > SHORT) {
+            bar.set_position((part.clamp(0.0, 1.0) * PARTS) as u64);
+        }
+    }
+
+    /// Takes the bar away.
+    pub(super) fn finish(&self) {
+        if let Some(bar) = self.bar.as_ref().filter(|_| self.begun.elapsed() > SHORT) {
+            bar.finish_and_clear();
+        }
+    }
+}
 
 /// Late and refused strokes that get a line.
 const LINES: u32 = 10;

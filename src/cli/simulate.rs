@@ -1,0 +1,299 @@
+//! Commands that simulate the skin: simulate and tradeoff. They ask no daemon.
+//!
+//! Invariant: a scene that is too large or not a file is not read into memory; what a plot is written to is replaced
+//! whole or not at all.
+
+use super::progress::Meter;
+use super::{Cli, Output, give, text};
+use crate::config;
+use crate::report::{self, Count, How, Reason, Tradeoff};
+use crate::simulate::{
+    Answer, Integrator, Keep, MAX_JSON_BYTES, Method, Options, Precision, Scene, Stepping, choose, simulate,
+};
+use anyhow::{Result, anyhow, bail};
+use clap::error::ErrorKind;
+use clap::{Args, CommandFactory, ValueEnum};
+use serde::Serialize;
+use std::fs::Permissions;
+use std::io::{self, Read, Write};
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::Instant;
+use tempfile::NamedTempFile;
+
+/// The step when none is given, µs.
+const STEP_US: u32 = 200;
+
+#[derive(Debug, Args)]
+pub(super) struct Simulate {
+    /// The scene: a TOML or JSON file, or - for stdin
+    scene: PathBuf,
+    /// How; a step, integrator or precision means stepped, else it is exact
+    #[arg(long, value_enum)]
+    method: Option<Name>,
+    /// The step [default: 200]
+    #[arg(long, value_name = "N")]
+    step_us: Option<u32>,
+    /// What is done in a step [default: propagator]
+    #[arg(long, value_enum)]
+    integrator: Option<By>,
+    /// What it is computed with [default: f32]
+    #[arg(long, value_enum)]
+    precision: Option<In>,
+    /// Choose the cheapest method whose rates err by at most so many impulses/s, RMS over receptors
+    #[arg(
+        long,
+        value_name = "X",
+        allow_negative_numbers = true,
+        conflicts_with_all = ["method", "step_us", "integrator", "precision"]
+    )]
+    max_rate_error: Option<f64>,
+    /// Count spikes, and do not keep their times
+    #[arg(long)]
+    rates_only: bool,
+    #[command(flatten)]
+    output: Output,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Name {
+    /// From event to event, without a step
+    Exact,
+    /// By a fixed step
+    Stepped,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum By {
+    /// Forward, as the paper does it
+    Euler,
+    /// The leak exactly
+    Propagator,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum In {
+    /// Single precision
+    F32,
+    /// Double precision
+    F64,
+}
+
+#[derive(Debug, Args)]
+pub(super) struct Compare {
+    /// The scene: a TOML or JSON file, or - for stdin [default: 24 motors at 60 Hz, 306 receptors, 1 s]
+    scene: Option<PathBuf>,
+    /// Draw time against error into this file (SVG)
+    #[arg(long, value_name = "FILE")]
+    plot: Option<PathBuf>,
+    #[command(flatten)]
+    output: Output,
+}
+
+/// The document of `simulate --json`.
+#[derive(Debug, Serialize)]
+struct Document<'a> {
+    #[serde(flatten)]
+    how: How,
+    chosen: Option<Chosen>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    spikes_s: Option<&'a [Vec<f64>]>,
+    rates_hz: Vec<f64>,
+    skipped: Vec<Reason>,
+    /// Of the simulation, and of the choice if there was one.
+    wall_s: f64,
+}
+
+/// What `--max-rate-error` found out.
+#[derive(Clone, Copy, Debug, Serialize)]
+struct Chosen {
+    estimated_rate_error_hz: f64,
+    sampled: usize,
+}
+
+pub(super) fn run(asked: &Simulate) -> Result<ExitCode> {
+    let stepping = stepping(asked);
+    let scene = read(&asked.scene)?;
+    let begun = Instant::now();
+    let (method, chosen) = match asked.max_rate_error {
+        None => (stepping.map_or(Method::Exact, Method::Stepped), None),
+        Some(error_hz) => {
+            let choice = choose(&scene, error_hz)?;
+            let (estimated_rate_error_hz, sampled) = (choice.estimated_rate_error_hz, choice.sampled);
+            (choice.method, Some(Chosen { estimated_rate_error_hz, sampled }))
+        }
+    };
+    let how = How::from(method);
+    if let (Some(chosen), false) = (chosen, asked.output.json) {
+        // If stderr is gone, the answer names the method too.
+        let _ = writeln!(
+            io::stderr(),
+            "chosen: {how}, estimated to err by {:.3} impulses/s RMS (from {} receptors)",
+            chosen.estimated_rate_error_hz,
+            chosen.sampled
+        );
+    }
+    let keep = if asked.rates_only { Keep::Rates } else { Keep::Spikes };
+    let meter = Meter::new();
+    let answer = simulate(&scene, &Options { keep, ..Options::spikes(method) }, &|part| meter.at(part))?;
+    meter.finish();
+    let document = Document {
+        how,
+        chosen,
+        spikes_s: answer.spikes_s.as_deref(),
+        rates_hz: answer.rates_hz(&scene),
+        skipped: report::reasons(&answer.skipped),
+        wall_s: begun.elapsed().as_secs_f64(),
+    };
+    give(asked.output.json, &document, || summary(&scene, &answer, &document))?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The step that was asked for, if one was. Contradictions are usage errors.
+fn stepping(asked: &Simulate) -> Option<Stepping> {
+    let implied = asked.step_us.is_some() || asked.integrator.is_some() || asked.precision.is_some();
+    if asked.method == Some(Name::Exact) && implied {
+        let message = "the exact method has no step, integrator or precision: leave them out, or take \
+                       --method stepped";
+        Cli::command().error(ErrorKind::ArgumentConflict, message).exit();
+    }
+    let integrator = match asked.integrator {
+        Some(By::Euler) => Integrator::Euler,
+        Some(By::Propagator) => Integrator::Propagator,
+        None => Integrator::default(),
+    };
+    let precision = match asked.precision {
+        Some(In::F32) => Precision::F32,
+        Some(In::F64) => Precision::F64,
+        None => Precision::default(),
+    };
+    let step_us = asked.step_us.unwrap_or(STEP_US);
+    (implied || asked.method == Some(Name::Stepped)).then_some(Stepping { step_us, integrator, precision })
+}
+
+/// Reads a scene from a file, or from stdin.
+fn read(file: &Path) -> Result<Scene> {
+    let (name, bytes) = if file == Path::new("-") {
+        let mut bytes = Vec::new();
+        let read = io::stdin().lock().take(MAX_JSON_BYTES as u64 + 1).read_to_end(&mut bytes);
+        ("stdin".to_owned(), read.map(|_| bytes))
+    } else {
+        (file.to_string_lossy().into_owned(), config::read_regular(file, MAX_JSON_BYTES as u64))
+    };
+    let place = name.escape_debug();
+    let bytes = bytes
+        .map_err(|error| anyhow!("{place}: cannot be read; name a scene file, or - for stdin ({error})"))?;
+    let Ok(text) = String::from_utf8(bytes) else {
+        bail!("{place}: not UTF-8 text: write scenes as TOML or JSON in UTF-8");
+    };
+    Ok(Scene::read(&text, &name)?)
+}
+
+fn summary(scene: &Scene, answer: &Answer, document: &Document<'_>) -> String {
+    let rates = &document.rates_hz;
+    let mean = rates.iter().sum::<f64>() / rates.len().max(1) as f64;
+    let (least, most) =
+        rates.iter().fold((f64::INFINITY, 0.0_f64), |(least, most), &rate| (least.min(rate), most.max(rate)));
+    let rate = if rates.is_empty() {
+        "-".to_owned()
+    } else {
+        format!("{mean:.1} impulses/s in the mean, {least:.1} to {most:.1}")
+    };
+    let mut lines = vec![
+        ("receptors", format!("{}, for {} s", rates.len(), scene.duration_s())),
+        ("method", document.how.to_string()),
+        ("spikes", answer.counts.iter().sum::<u64>().to_string()),
+        ("rate", rate),
+        ("wall time", format!("{:.3} s", document.wall_s)),
+    ];
+    if document.skipped.is_empty() {
+        lines.push(("skipped", "nothing".to_owned()));
+        return text::pairs(&lines);
+    }
+    let row = |reason: &Reason| {
+        let count = match reason.count {
+            Count::Number(number) => number.to_string(),
+            Count::Seconds(seconds) => format!("{seconds:.3}"),
+        };
+        vec![reason.what.replace('_', " "), count, reason.why.to_owned()]
+    };
+    let skipped = text::columns(&["skipped", "count", "why"], document.skipped.iter().map(row));
+    format!("{}\n\n{skipped}", text::pairs(&lines))
+}
+
+pub(super) fn tradeoff(asked: &Compare) -> Result<ExitCode> {
+    let scene = match &asked.scene {
+        Some(file) => read(file)?,
+        None => Scene::read(report::SIXTY_HERTZ, "sixty-hertz.toml")?,
+    };
+    // A place that cannot be written to is said before the work.
+    let plot = asked.plot.as_deref().map(beside).transpose()?;
+    let meter = Meter::new();
+    let tradeoff = report::tradeoff(&scene, &|part| meter.at(part))?;
+    meter.finish();
+    if let Some((mut beside, file)) = plot {
+        let svg = report::plot(&tradeoff)?;
+        let written = beside.write_all(svg.as_bytes()).and_then(|()| Ok(beside.persist(file).map(drop)?));
+        written.map_err(|error| cannot_write(file, &error))?;
+    }
+    give(asked.output.json, &tradeoff, || table(&tradeoff))?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// A new file in the place of another one.
+fn beside(file: &Path) -> Result<(NamedTempFile, &Path)> {
+    if file.is_dir() {
+        bail!("{}: is a directory: name a file to be written", file.display().to_string().escape_debug());
+    }
+    let dir = file.parent().filter(|dir| !dir.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let new = tempfile::Builder::new().permissions(Permissions::from_mode(0o666)).tempfile_in(dir);
+    Ok((new.map_err(|error| cannot_write(file, &error))?, file))
+}
+
+fn cannot_write(file: &Path, error: &io::Error) -> anyhow::Error {
+    let place = file.to_string_lossy();
+    let cause =
+        error.get_ref().and_then(std::error::Error::source).map_or(error.to_string(), ToString::to_string);
+    anyhow!(
+        "{}: cannot be written; see that the directory is there and you may ({cause})",
+        place.escape_debug()
+    )
+}
+
+fn table(tradeoff: &Tradeoff) -> String {
+    let figure = |figure: Option<f64>, digits: usize| {
+        figure.map_or_else(|| "-".to_owned(), |figure| format!("{figure:.digits$}"))
+    };
+    let head =
+        ["method", "us/receptor/s", "matched", "error us", "rate RMS", "rate bias", "cost error", "front"];
+    let row = |row: &report::Row| {
+        let front = match (row.unstable, row.pareto) {
+            (true, _) => "unstable",
+            (_, true) => "*",
+            _ => "",
+        };
+        vec![
+            row.how.to_string(),
+            figure(row.us_per_receptor_s, 2),
+            figure(row.spikes_matched_share, 4),
+            figure(row.mean_error_us, 1),
+            figure(row.rate_rms_hz, 3),
+            figure(row.rate_bias, 5),
+            figure(row.cost_error_hz, 3),
+            front.to_owned(),
+        ]
+    };
+    let scene = format!(
+        "{} receptors for {} s, {} spikes; the exact method took {:.3} s; rates and cost in impulses/s",
+        tradeoff.receptors, tradeoff.duration_s, tradeoff.spikes, tradeoff.exact_wall_s
+    );
+    let mut lines = vec![scene, text::columns(&head, tradeoff.rows.iter().map(row))];
+    lines.push(format!("Euler is unstable above {} us (tau).", tradeoff.euler_unstable_above_us));
+    if let Some(left_out) = &tradeoff.left_out {
+        let steps: Vec<_> = left_out.steps_us.iter().map(ToString::to_string).collect();
+        lines.push(format!("Left out: {} us, {}.", steps.join(", "), left_out.why));
+    }
+    lines.push(tradeoff.recommendation.clone());
+    lines.join("\n")
+}

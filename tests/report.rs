@@ -1,0 +1,337 @@
+use crate::harness::{complaint, document, meissner, printed};
+use meissner::report::{How, SIXTY_HERTZ, STEPS_US, matching, plot, tradeoff};
+use meissner::simulate::{MAX_TOML_BYTES, Method, Options, Scene, simulate};
+use serde_json::{Value, json};
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+use tempfile::TempDir;
+
+/// Two pins, one receptor between them, one on the edge's end, one out of reach.
+const SMALL: &str = r#"
+duration_s = 0.1
+seed = 3
+receptors = [{ x_mm = 0, y_mm = 1.45 }, { x_mm = -1.5, y_mm = 1.2 }, { x_mm = 8.5, y_mm = -7 }]
+receptor = { noise_sd = 0.05 }
+[[drives]]
+motor = 9
+frequency_hz = 80
+amplitude_um = 80
+[[drives]]
+motor = 10
+frequency_hz = 120
+amplitude_um = 80
+phase = 0.3
+"#;
+
+fn scene(text: &str) -> (TempDir, PathBuf) {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("small.toml");
+    fs::write(&file, text).unwrap();
+    (dir, file)
+}
+
+fn simulated(arguments: &[&str]) -> Value {
+    let (_dir, file) = scene(SMALL);
+    document(meissner().arg("simulate").arg(file).args(arguments).arg("--json"))
+}
+
+fn numbers(value: &Value) -> Vec<f64> {
+    serde_json::from_value(value.clone()).unwrap()
+}
+
+#[test]
+fn the_exact_method_is_the_default_and_its_document_complete() {
+    let found = simulated(&[]);
+    let mut keys: Vec<_> = found.as_object().unwrap().keys().collect();
+    keys.sort_unstable();
+    let mut wanted = [
+        "method",
+        "step_us",
+        "integrator",
+        "precision",
+        "chosen",
+        "spikes_s",
+        "rates_hz",
+        "skipped",
+        "wall_s",
+    ];
+    wanted.sort_unstable();
+    assert_eq!(keys, wanted);
+    assert_eq!(found["method"], "exact");
+    for key in ["step_us", "integrator", "precision", "chosen"] {
+        assert!(found[key].is_null(), "{key}");
+    }
+    let spikes: Vec<Vec<f64>> = serde_json::from_value(found["spikes_s"].clone()).unwrap();
+    let rates: Vec<f64> = spikes.iter().map(|train| train.len() as f64 / 0.1).collect();
+    assert_eq!(numbers(&found["rates_hz"]), rates);
+    let answer =
+        simulate(&Scene::read(SMALL, "small.toml").unwrap(), &Options::spikes(Method::Exact), &|_| ());
+    assert_eq!(spikes, answer.unwrap().spikes_s.unwrap());
+    assert!(spikes[0].len() > 3 && spikes[2].is_empty());
+    let skipped = found["skipped"].as_array().unwrap();
+    let count = |what: &str| skipped.iter().find(|entry| entry["what"] == what).unwrap()["count"].clone();
+    assert_eq!((count("motors_at_rest"), count("receptors_out_of_reach")), (json!(22), json!(1)));
+    for entry in skipped {
+        assert!(entry["why"].as_str().unwrap().len() > 20 && entry["count"] != 0, "{entry}");
+    }
+    assert!(found["wall_s"].as_f64().unwrap() > 0.0);
+}
+
+#[test]
+fn a_step_an_integrator_or_a_precision_means_stepped() {
+    let how = |arguments: &[&str]| {
+        let found = simulated(arguments);
+        assert_eq!(found["method"], "stepped");
+        (found["step_us"].clone(), found["integrator"].clone(), found["precision"].clone())
+    };
+    let how_it_is =
+        |step: u32, integrator: &str, precision: &str| (json!(step), json!(integrator), json!(precision));
+    assert_eq!(how(&["--method", "stepped"]), how_it_is(200, "propagator", "f32"));
+    assert_eq!(how(&["--step-us", "50"]), how_it_is(50, "propagator", "f32"));
+    assert_eq!(how(&["--integrator", "euler"]), how_it_is(200, "euler", "f32"));
+    assert_eq!(how(&["--precision", "f64", "--step-us", "7"]), how_it_is(7, "propagator", "f64"));
+}
+
+#[test]
+fn rates_without_spikes_are_the_same_rates() {
+    for arguments in [&["--rates-only"][..], &["--rates-only", "--step-us", "100"]] {
+        let found = simulated(arguments);
+        assert!(found.get("spikes_s").is_none());
+        assert_eq!(found["rates_hz"], simulated(&arguments[1..])["rates_hz"]);
+    }
+}
+
+#[test]
+fn an_error_that_is_allowed_chooses_a_method_and_says_which() {
+    let found = simulated(&["--max-rate-error", "20"]);
+    assert!(found["chosen"]["estimated_rate_error_hz"].as_f64().unwrap() <= 20.0);
+    assert_eq!(found["chosen"]["sampled"], 3);
+    let (_dir, file) = scene(SMALL);
+    let output = meissner().arg("simulate").arg(&file).args(["--max-rate-error", "20"]).output().unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(said.starts_with("chosen: ") && said.lines().count() == 1, "{said}");
+    let method = said.strip_prefix("chosen: ").unwrap().split(',').next().unwrap();
+    assert!(String::from_utf8(output.stdout).unwrap().contains(method));
+}
+
+#[test]
+fn people_get_a_summary() {
+    let (_dir, file) = scene(SMALL);
+    let text = printed(meissner().arg("simulate").arg(&file));
+    for part in
+        ["receptors  3, for 0.1 s", "method     exact", "impulses/s in the mean", "motors at rest", "22"]
+    {
+        assert!(text.contains(part), "{part}: {text}");
+    }
+    let empty = "duration_s = 0\nreceptors = []\n";
+    let text = printed(meissner().args(["simulate", "-"]).write_stdin(empty));
+    assert!(text.contains("receptors  0, for 0 s") && text.contains("rate       -"), "{text}");
+}
+
+#[test]
+fn a_scene_may_come_by_stdin_in_either_language() {
+    let json = serde_json::to_string(&toml::from_str::<toml::Table>(SMALL).unwrap()).unwrap();
+    for text in [SMALL, &json] {
+        let found = document(meissner().args(["simulate", "-", "--json"]).write_stdin(text));
+        assert_eq!(found["spikes_s"], simulated(&[])["spikes_s"]);
+    }
+    let line = complaint(meissner().args(["simulate", "-"]).write_stdin("duration_s = -1\nreceptors = []"));
+    assert!(line.contains("stdin: `duration_s` is -1"), "{line}");
+}
+
+#[test]
+fn what_cannot_be_simulated_is_one_line() {
+    let (dir, file) = scene(SMALL);
+    let file = file.to_str().unwrap();
+    for (arguments, says) in [
+        (&["nowhere.toml"][..], "nowhere.toml: cannot be read; name a scene file"),
+        (&[dir.path().to_str().unwrap()], "is not a regular file"),
+        (&["a\nb"], "a\\nb: cannot be read"),
+        (&[file, "--step-us", "0"], "a step of 0 us: must be 1 to 1000000 us"),
+        (&[file, "--step-us", "44001", "--integrator", "euler"], "unstable with a step of 44001 us"),
+        (&[file, "--max-rate-error", "-1"], "a rate error of -1"),
+        (&[file, "--max-rate-error", "nan"], "a rate error of NaN"),
+    ] {
+        let line = complaint(meissner().arg("simulate").args(arguments));
+        assert!(line.contains(says), "{line}");
+    }
+    fs::write(dir.path().join("latin"), b"\xe9").unwrap();
+    assert!(complaint(meissner().arg("simulate").arg(dir.path().join("latin"))).contains("not UTF-8 text"));
+    File::create(dir.path().join("l.toml")).unwrap().set_len(MAX_TOML_BYTES as u64 + 1).unwrap();
+    assert!(complaint(meissner().arg("tradeoff").arg(dir.path().join("l.toml"))).contains("too many"));
+}
+
+#[test]
+fn contradictions_are_usage_errors() {
+    for arguments in [
+        &["simulate"][..],
+        &["simulate", "x", "--method", "quick"],
+        &["simulate", "x", "--method", "exact", "--step-us", "5"],
+        &["simulate", "x", "--method", "exact", "--precision", "f32"],
+        &["simulate", "x", "--max-rate-error", "1", "--method", "exact"],
+        &["simulate", "x", "--max-rate-error", "1", "--step-us", "5"],
+        &["simulate", "x", "--max-rate-error", "1", "--integrator", "euler"],
+        &["simulate", "x", "--max-rate-error", "1", "--precision", "f64"],
+        &["simulate", "x", "--step-us", "0.5"],
+        &["tradeoff", "x", "--method", "exact"],
+    ] {
+        meissner().args(arguments).assert().code(2);
+    }
+}
+
+/// Euler is beyond tau from 2000 us on.
+fn fast_membrane() -> String {
+    SMALL.replace("noise_sd = 0.05", "tau_s = 0.0015, alpha_per_um = 0.1")
+}
+
+#[test]
+fn the_tradeoff_has_a_row_for_every_method_and_step() {
+    let (dir, file) = scene(&fast_membrane());
+    let svg = dir.path().join("plot.svg");
+    fs::write(&svg, "old").unwrap();
+    let found = document(meissner().arg("tradeoff").arg(&file).arg("--json").arg("--plot").arg(&svg));
+    let rows = found["rows"].as_array().unwrap();
+    assert_eq!(rows.len(), 1 + 4 * STEPS_US.len());
+    assert!(found["left_out"].is_null());
+    let exact = &rows[0];
+    assert_eq!((&exact["method"], &exact["spikes_matched_share"]), (&json!("exact"), &json!(1.0)));
+    for key in ["mean_error_us", "rate_rms_hz", "rate_bias", "cost_error_hz"] {
+        assert_eq!(exact[key], 0.0, "{key}");
+    }
+    assert!(
+        exact["us_per_receptor_s"].as_f64().unwrap() > 0.0 && found["exact_wall_s"].as_f64().unwrap() > 0.0
+    );
+    for integrator in ["euler", "propagator"] {
+        for precision in ["f32", "f64"] {
+            for step_us in STEPS_US {
+                let of = |row: &&Value| {
+                    (&row["integrator"], &row["precision"]) == (&json!(integrator), &json!(precision))
+                        && row["step_us"] == step_us
+                };
+                let row = rows.iter().find(of).unwrap();
+                let unstable = integrator == "euler" && step_us > 1500;
+                assert_eq!(row["unstable"], unstable, "{row}");
+                assert_eq!(row["rate_rms_hz"].is_number(), !unstable, "{row}");
+                assert_eq!(row["us_per_receptor_s"].is_number(), !unstable, "{row}");
+                assert_eq!(row["reason"].is_string(), unstable, "{row}");
+            }
+        }
+    }
+    assert!((found["euler_unstable_above_us"].as_f64().unwrap() - 1500.0).abs() < 1e-6);
+    let place = |row: &Value| row["us_per_receptor_s"].as_f64().zip(row["rate_rms_hz"].as_f64());
+    let places: Vec<_> = rows.iter().filter_map(place).collect();
+    for row in rows {
+        let beaten = |(time, error)| places.iter().any(|other| other.0 < time && other.1 <= error);
+        assert_eq!(row["pareto"] == true, place(row).is_some_and(|place| !beaten(place)), "{row}");
+    }
+    assert!(found["recommendation"].as_str().unwrap().starts_with("Take the "));
+    let drawn = fs::read_to_string(&svg).unwrap();
+    assert!(drawn.starts_with("<svg"), "{drawn}");
+    let left: Vec<_> = fs::read_dir(dir.path()).unwrap().collect();
+    assert_eq!(left.len(), 2, "no temporary file is left");
+
+    let text = printed(meissner().arg("tradeoff").arg(&file));
+    assert!(text.contains("propagator in f64 at 5000 us") && text.contains("Euler is unstable above 1500"));
+}
+
+#[test]
+fn a_plot_that_cannot_be_written_is_one_line() {
+    let (dir, file) = scene(SMALL);
+    for (plot, says) in [("nowhere/a.svg", "nowhere/a.svg: cannot be written"), (".", "is a directory")] {
+        let mut command = meissner();
+        command.current_dir(dir.path()).arg("tradeoff").arg(&file).args(["--plot", plot]);
+        let line = complaint(&mut command);
+        assert!(line.contains(says), "{line}");
+    }
+}
+
+#[test]
+fn the_finer_the_step_the_smaller_the_error() {
+    let found = tradeoff(&Scene::read(SMALL, "small.toml").unwrap(), &|part| {
+        assert!((0.0..=1.0).contains(&part), "{part}");
+    })
+    .unwrap();
+    let error = |step_us| {
+        let of = |how: &How| how.step_us == Some(step_us) && how.names() == Some(("propagator", "f64"));
+        found.rows.iter().find(|row| of(&row.how)).unwrap().mean_error_us.unwrap()
+    };
+    assert!(error(1) < 1.0 && error(1) < error(1000), "{} {}", error(1), error(1000));
+    assert!(found.cost_hz.is_some() && found.spikes > 0);
+}
+
+#[test]
+fn expensive_steps_are_left_out_and_named() {
+    let text = SMALL.replace("0.1\nseed", "250\nseed").replace("8.5, y_mm = -7", "-8.5, y_mm = -7");
+    let mut scene = Scene::read(&text, "small.toml").unwrap();
+    // Nothing moves: what is left is quick.
+    for motor in [9, 10] {
+        scene = scene.with_motor(motor, &[]).unwrap();
+    }
+    let found = tradeoff(&scene, &|_| ()).unwrap();
+    assert_eq!(found.left_out.unwrap().steps_us, [1]);
+    assert_eq!(found.rows.len(), 1 + 4 * (STEPS_US.len() - 1));
+    assert!(found.rows.iter().all(|row| row.spikes_matched_share.is_none() && row.rate_bias.is_none()));
+}
+
+#[test]
+fn the_plot_is_the_same_for_the_same_figures_and_says_what_it_shows() {
+    let mut found = tradeoff(&Scene::read(SMALL, "small.toml").unwrap(), &|_| ()).unwrap();
+    let svg = plot(&found).unwrap();
+    assert_eq!(svg, plot(&found).unwrap());
+    for label in [
+        "euler f32",
+        "euler f64",
+        "propagator f32",
+        "propagator f64",
+        "exact",
+        "5000 us",
+        "200 us",
+        "drawn at",
+    ] {
+        assert!(svg.contains(label), "{label}");
+    }
+    found.rows.clear();
+    assert!(plot(&found).unwrap().starts_with("<svg"), "nothing to draw is drawn");
+    let nothing = Scene::read("duration_s = 0\nreceptors = []", "-").unwrap();
+    let nothing = tradeoff(&nothing, &|_| ()).unwrap();
+    assert!(nothing.recommendation.contains("nothing to compare"));
+    plot(&nothing).unwrap();
+}
+
+#[test]
+fn spikes_are_matched_in_order_one_to_one_within_a_millisecond() {
+    for (expected, found, count, sum_s) in [
+        (&[][..], &[][..], 0, 0.0),
+        (&[0.1], &[], 0, 0.0),
+        (&[0.1, 0.2], &[0.1, 0.2], 2, 0.0),
+        (&[0.1, 0.2], &[0.1005, 0.1995], 2, 0.001),
+        (&[0.1], &[0.1011], 0, 0.0),
+        // One spike too many, one missing, two for one, one for two.
+        (&[0.1, 0.3], &[0.1, 0.2, 0.3], 2, 0.0),
+        (&[0.1, 0.2, 0.3], &[0.1, 0.3], 2, 0.0),
+        (&[0.1], &[0.0995, 0.1], 1, 0.0005),
+        (&[0.0995, 0.1], &[0.1], 1, 0.0005),
+        // As many as can be, although the middle ones are nearer.
+        (&[0.1, 0.1015], &[0.1008, 0.1024], 2, 0.0017),
+    ] {
+        let (matched, distance) = matching(expected, found);
+        assert_eq!(matched, count, "{expected:?} {found:?}");
+        assert!((distance - sum_s).abs() < 1e-12, "{expected:?} {found:?}: {distance}");
+    }
+}
+
+#[test]
+fn every_shipped_scene_is_read_and_simulated() {
+    let mut found = 0;
+    for entry in fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes")).unwrap() {
+        let file = entry.unwrap().path();
+        let scene = Scene::read(&fs::read_to_string(&file).unwrap(), file.to_str().unwrap()).unwrap();
+        let answer = simulate(&scene, &Options::rates(Method::Exact), &|_| ()).unwrap();
+        assert!(answer.counts.iter().any(|&count| count > 0), "{}", file.display());
+        found += 1;
+    }
+    let readme = include_str!("../README.md");
+    let example = readme.split("```toml\n").find(|block| block.starts_with("duration_s")).unwrap();
+    Scene::read(example.split("```").next().unwrap(), "README.md").unwrap();
+    assert!(found >= 2 && SIXTY_HERTZ.contains("population"));
+}
