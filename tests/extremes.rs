@@ -10,8 +10,8 @@ mod drives;
 mod events;
 mod receptors;
 mod refusals;
-mod sizes;
 mod regressions;
+mod sizes;
 
 use crate::oracle;
 use meissner::array;
@@ -89,7 +89,7 @@ fn spikes(scene: &Scene, method: Method) -> Vec<Vec<f64>> {
     let unskipped = simulate(scene, &Options { skip: false, ..options }, &|_| ()).unwrap();
     assert_eq!(unskipped.spikes_s.as_ref(), Some(&trains), "{method:?}: skipping changes spikes");
     for skip in [true, false] {
-        let rates = simulate(scene, &Options { method, keep: Keep::Rates, skip }, &|_| ()).unwrap();
+        let rates = simulate(scene, &Options { skip, ..Options::rates(method) }, &|_| ()).unwrap();
         assert_eq!((rates.spikes_s, rates.counts), (None, counts.clone()), "{method:?}: rates only");
     }
     let least_s = match method {

@@ -1,6 +1,6 @@
 //! Of the parts that need what is private: vectors of every width, and the samples of velocities.
 
-use super::breaks::{HALF_TICKS_PER_S, of_scene};
+use super::breaks::{Blocks, HALF_TICKS_PER_S, of_scene};
 use super::engine::run_on;
 use super::sampler::{Sample, Sampler};
 use super::{Integrator, Keep, Method, Options, Precision, Scene, Stepping};
@@ -46,7 +46,7 @@ fn widths() -> Vec<Arch> {
 /// Trains by number of the receptor, bit by bit.
 fn bits(arch: Arch, scene: &Scene, method: Method) -> Vec<(u32, u64, Vec<u64>)> {
     let all: Vec<u32> = (0..scene.receptors().len() as u32).collect();
-    let options = Options { method, keep: Keep::Spikes, skip: true };
+    let options = Options::spikes(method);
     let mut trains = Vec::new();
     run_on(arch, scene, &all, &options, &|_| (), |(number, count, half_ticks)| {
         trains.push((number, count, half_ticks.into_iter().map(f64::to_bits).collect()));
@@ -77,13 +77,15 @@ fn the_width_of_vectors_changes_nothing() {
 
 /// Rows of samples, asked for so many at a time.
 fn samples(scene: &Scene, step: f64, sample: Sample, steps: usize, at_a_time: usize) -> Vec<Vec<f64>> {
-    let mut sampler = Sampler::new(of_scene(scene), step, sample);
-    let mut rows: [Vec<f64>; MOTORS] = Default::default();
+    let mut sampler = Sampler::new(Blocks::new(of_scene(scene), steps as f64 * step), step, sample);
+    let mut rows = Vec::new();
     let mut all = vec![Vec::new(); MOTORS];
     for first in (0..steps).step_by(at_a_time) {
         let count = at_a_time.min(steps - first);
         sampler.fill(Arch::new(), first as u64, &mut rows, count);
-        all.iter_mut().zip(&rows).for_each(|(all, row)| all.extend_from_slice(&row[..count]));
+        for row in &rows[..count] {
+            all.iter_mut().zip(row).for_each(|(all, &velocity)| all.push(velocity));
+        }
     }
     all
 }

@@ -144,7 +144,7 @@ fn a_month_in_steps() {
     let of = |duration_s| scene(duration_s, &[drive(9, 0.01, 80.0)], &[under(9)], model);
     for method in propagator(250_000) {
         let count = |duration_s| {
-            let options = Options { method, keep: Keep::Rates, skip: false };
+            let options = Options { skip: false, ..Options::rates(method) };
             simulate(&of(duration_s), &options, &|_| ()).unwrap().counts[0]
         };
         assert!(count(3600.0) > 0 && count(MONTH_S) == 720 * count(3600.0), "{method:?}");
@@ -152,7 +152,7 @@ fn a_month_in_steps() {
     // Four hours in steps short enough for Euler to see every stroke.
     for method in stepped(5_000) {
         let found = |duration_s| {
-            let options = Options { method, keep: Keep::Spikes, skip: true };
+            let options = Options::spikes(method);
             simulate(&of(duration_s), &options, &|_| ()).unwrap().spikes_s.unwrap().remove(0)
         };
         let (hour, four) = (found(3600.0), found(14_400.0));
