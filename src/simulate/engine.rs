@@ -120,7 +120,8 @@ impl Work<'_> {
         progress: &(dyn Fn(f64) + Sync),
         give: &mut impl FnMut(Train),
     ) -> u32 {
-        let mut members: Vec<_> = numbers.iter().map(|&number| self.member(number, moving)).collect();
+        let mut members: Vec<_> =
+            numbers.par_iter().with_min_len(64).map(|&number| self.member(number, moving)).collect();
         let reaching = members.iter().fold(0, |reaching, member| {
             member
                 .weights

@@ -13,7 +13,7 @@
 use super::Member;
 use super::breaks::Break;
 use super::cycle::{Cycle, Periods};
-use super::lanes::bits;
+use super::lanes::{Aligned, bits};
 use super::membrane::{LEAST_THRESHOLD, Membrane, SERIES, SERIES_ENDS, SHORT, SHORT_SERIES_ENDS};
 use super::neuron::{Instant, Neuron, Piece};
 use crate::draw::Normals;
@@ -25,8 +25,10 @@ use pulp::{Arch, Simd, WithSimd};
 pub(super) const LANES: usize = 8;
 /// Bits of a weight, so that 24 motors at full speed at the largest weight stay below 2⁵³.
 const WEIGHT_BITS: i32 = 37;
+/// Breaks looked through at a time: their numbers fit a byte.
+const CHUNK: usize = 256;
 
-type Lanes = [f64; LANES];
+type Lanes = Aligned<[f64; LANES]>;
 
 /// The state of up to eight receptors.
 #[derive(Debug)]
@@ -74,17 +76,17 @@ impl Group {
     ) -> Self {
         assert!(members.len() <= LANES);
         let mut group = Self {
-            weights: [[0.0; LANES]; MOTORS],
+            weights: [Aligned([0.0; LANES]); MOTORS],
             motors: 0,
-            gain: [0.0; LANES],
-            at: [0.0; LANES],
-            v: [0.0; LANES],
-            k: [0.0; LANES],
-            p: [0.0; LANES],
+            gain: Aligned([0.0; LANES]),
+            at: Aligned([0.0; LANES]),
+            v: Aligned([0.0; LANES]),
+            k: Aligned([0.0; LANES]),
+            p: Aligned([0.0; LANES]),
             // A lane without a receptor never reaches it.
-            resting: [f64::INFINITY; LANES],
-            last_at: [NEVER; LANES],
-            last_offset: [0.0; LANES],
+            resting: Aligned([f64::INFINITY; LANES]),
+            last_at: Aligned([NEVER; LANES]),
+            last_offset: Aligned([0.0; LANES]),
             receptors: Vec::with_capacity(members.len()),
             end,
             cycle: None,
@@ -260,14 +262,21 @@ impl Run<'_> {
                 break;
             }
             let mut vectors = Vectors::<S, RECTIFY>::load(simd, self.membrane, self.group, first);
-            for found in self.breaks {
-                if self.group.motors >> found.motor & 1 == 0 {
-                    continue;
+            for breaks in self.breaks.chunks(CHUNK) {
+                // Those that are felt, first: which ones they are cannot be predicted, so nothing branches on it.
+                let mut felt = [0_u8; CHUNK];
+                let mut count = 0;
+                for (index, found) in breaks.iter().enumerate() {
+                    felt[count] = index as u8;
+                    count += (self.group.motors >> found.motor & 1) as usize;
                 }
-                let weight = load::<S>(&self.group.weights[usize::from(found.motor)], first);
-                let mine = simd.greater_than_f64s(weight, simd.splat_f64s(0.0));
-                vectors.advance(self.group, found.at, mine, self.keep);
-                vectors.k = simd.mul_add_f64s(weight, simd.splat_f64s(found.bend), vectors.k);
+                for &index in &felt[..count] {
+                    let found = &breaks[usize::from(index)];
+                    let weight = load::<S>(&self.group.weights[usize::from(found.motor)], first);
+                    let mine = simd.greater_than_f64s(weight, simd.splat_f64s(0.0));
+                    vectors.advance(self.group, found.at, mine, self.keep);
+                    vectors.k = simd.mul_add_f64s(weight, simd.splat_f64s(found.bend), vectors.k);
+                }
             }
             if let Some(until) = self.until {
                 let all = simd.less_than_f64s(vectors.resting, simd.splat_f64s(f64::INFINITY));
@@ -433,13 +442,13 @@ impl<'m, S: Simd, const RECTIFY: u8> Vectors<'m, S, RECTIFY> {
     fn cross(&mut self, group: &mut Group, to: S::f64s, hot: S::m64s, p: S::f64s, mine: S::m64s, keep: bool) {
         let simd = self.simd;
         let spill = |values| {
-            let mut lanes = [0.0; LANES];
+            let mut lanes = Aligned([0.0; LANES]);
             store::<S>(&mut lanes, 0, values);
             lanes
         };
         let (at, v, k) = (spill(self.at), spill(self.v), spill(self.k));
         let length = spill(simd.sub_f64s(to, self.at));
-        let (old_p, resting) = (spill(self.p), spill(self.resting));
+        let (old_p, end, resting) = (spill(self.p), spill(p), spill(self.resting));
         let (last_at, last_offset) = (spill(self.last_at), spill(self.last_offset));
         self.p = simd.select_f64s(mine, p, self.p);
         let until = group.end;
@@ -455,6 +464,7 @@ impl<'m, S: Simd, const RECTIFY: u8> Vectors<'m, S, RECTIFY> {
                 v: v[lane],
                 k: k[lane],
                 gain: group.gain[self.first + lane],
+                end: (length[lane] * self.membrane.rate <= SERIES_ENDS).then_some(end[lane]),
             };
             let mut neuron = Neuron {
                 p: old_p[lane],
@@ -481,4 +491,4 @@ impl<'m, S: Simd, const RECTIFY: u8> Vectors<'m, S, RECTIFY> {
     }
 }
 
-const NUMBERS: Lanes = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0];
+const NUMBERS: Lanes = Aligned([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);

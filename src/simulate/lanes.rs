@@ -6,6 +6,27 @@
 //! Invariant: no operation here mixes lanes.
 
 use pulp::{Simd, bytemuck};
+use std::ops::{Deref, DerefMut};
+
+/// Lanes in memory, so placed that no vector straddles two cache lines.
+#[derive(Clone, Copy, Debug)]
+#[repr(align(64))]
+pub(super) struct Aligned<T>(pub(super) T);
+
+impl<T> Deref for Aligned<T> {
+    type Target = T;
+    #[inline(always)]
+    fn deref(&self) -> &T {
+        &self.0
+    }
+}
+
+impl<T> DerefMut for Aligned<T> {
+    #[inline(always)]
+    fn deref_mut(&mut self) -> &mut T {
+        &mut self.0
+    }
+}
 
 /// Numbers a vector can hold.
 pub(super) trait Number: Copy + Default + Send + Sync + 'static {

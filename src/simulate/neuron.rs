@@ -25,6 +25,8 @@ pub(super) struct Piece {
     pub(super) k: f64,
     /// Of the membrane, with the scale of the weights.
     pub(super) gain: f64,
+    /// The membrane at the end, were there no spike, if that is known.
+    pub(super) end: Option<f64>,
 }
 
 /// An instant: so far after a break.
@@ -63,7 +65,7 @@ impl Neuron {
         piece: &Piece,
         mut spike: impl FnMut(Instant) -> f64,
     ) {
-        let Piece { at, length, v, k, gain } = *piece;
+        let Piece { at, length, v, k, gain, .. } = *piece;
         // Where the input changes sign.
         let zero = if membrane.rectify == Rectify::Signed { f64::NAN } else { -v / k };
         let mut from = 0.0;
@@ -94,8 +96,11 @@ impl Neuron {
                 Rectify::Half => (0.0, 0.0),
             };
             let stretch = Stretch { membrane, gain, p: self.p, g, slope, length: to - from };
+            let uncut = from == 0.0 && to == length;
+            let end = piece.end.filter(|_| uncut).unwrap_or_else(|| stretch.after(to - from));
             if from >= refractory_ends
                 && let Some(offset) = stretch.first_crossing(
+                    end,
                     membrane.threshold(self.resting, since + from),
                     membrane.threshold(self.resting, since + to),
                 )
@@ -109,7 +114,7 @@ impl Neuron {
                 }
                 continue;
             }
-            self.p = stretch.after(to - from);
+            self.p = end;
             if to >= length {
                 return;
             }
@@ -134,9 +139,10 @@ impl Stretch<'_> {
         self.membrane.after(self.p, self.gain, self.g, self.slope, length)
     }
 
-    /// The first offset at which the membrane reaches a threshold that goes from `low` to `high`.
+    /// The first offset at which the membrane reaches a threshold that goes from `low` to `high`; at the end it is at
+    /// `end`.
     #[inline(always)]
-    fn first_crossing(&self, low: f64, high: f64) -> Option<f64> {
+    fn first_crossing(&self, end: f64, low: f64, high: f64) -> Option<f64> {
         let start = self.p - low;
         if start >= 0.0 {
             return Some(0.0);
@@ -145,7 +151,7 @@ impl Stretch<'_> {
             return None;
         }
         let climb = (high - low) / self.length;
-        let end = self.after(self.length) - high;
+        let end = end - high;
         let rate = self.membrane.rate;
         // The derivative is `first + curve (1 - e^-rs) / r`: it begins at `first` and bends one way.
         let first = self.gain * self.g - rate * self.p - climb;

@@ -9,7 +9,7 @@
 //!
 //! Invariant: a lane's arithmetic depends on nothing but its receptor, whatever the vector's width.
 
-use super::lanes::Number;
+use super::lanes::{Aligned, Number};
 use super::membrane::{LEAST_THRESHOLD, Membrane};
 use super::{Integrator, Member, sampler};
 use crate::draw::Normals;
@@ -25,7 +25,7 @@ pub(super) const TILE: usize = 8;
 /// Steps since the last spike, when there was none.
 const NEVER: f64 = 1e30;
 
-type Row<T> = [T; LANES];
+type Row<T> = Aligned<[T; LANES]>;
 
 /// What a step does to every receptor.
 #[derive(Clone, Copy, Debug)]
@@ -89,12 +89,12 @@ impl<T: Number> Group<T> {
     pub(super) fn new(members: Vec<Member>) -> Self {
         assert!(members.len() <= LANES);
         let mut group = Self {
-            weights: [[T::default(); LANES]; MOTORS],
+            weights: [Aligned([T::default(); LANES]); MOTORS],
             motors: 0,
-            p: [T::default(); LANES],
-            since: [T::of(NEVER); LANES],
+            p: Aligned([T::default(); LANES]),
+            since: Aligned([T::of(NEVER); LANES]),
             // A lane without a receptor never reaches it.
-            resting: [T::of(f64::INFINITY); LANES],
+            resting: Aligned([T::of(f64::INFINITY); LANES]),
             receptors: Vec::with_capacity(members.len()),
         };
         for (lane, member) in members.into_iter().enumerate() {
@@ -177,7 +177,7 @@ impl<T: Number> Run<'_, T> {
                             let at = (number as f64 + parts[lane].wide()) * block.model.length;
                             resting[lane] = T::of(group.receptors[first + lane].spike(block, at));
                         }
-                        lanes.resting = T::load::<S>(&resting);
+                        lanes.resting = T::load::<S>(&*resting);
                     }
                 }
             }
@@ -217,8 +217,8 @@ fn inputs<T: Number, S: Simd>(
 
 #[inline(always)]
 fn spill<T: Number, S: Simd>(vector: T::Vector<S>) -> Row<T> {
-    let mut lanes = [T::default(); LANES];
-    T::store::<S>(&mut lanes, vector);
+    let mut lanes = Aligned([T::default(); LANES]);
+    T::store::<S>(&mut *lanes, vector);
     lanes
 }
 
