@@ -248,7 +248,7 @@ mod tests {
     }
 
     fn piece(membrane: &Membrane, v: f64, k: f64, length: f64) -> Piece {
-        Piece { at: 1000.0, length, v, k, gain: membrane.gain }
+        Piece { at: 1000.0, length, v, k, gain: membrane.gain, end: None }
     }
 
     #[test]
