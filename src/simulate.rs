@@ -5,7 +5,7 @@
 //! velocities, and between breaks a receptor's input is a straight line. From there two ways lead to spikes:
 //!
 //! - **exact**: from break to break in closed form (`membrane`), eight receptors abreast (`exact`); where a
-//!   threshold may be reached, one by one (`neuron`). No time step anywhere.
+//!   threshold may be reached, one by one, and the crossing is solved for (`neuron`). No time step anywhere.
 //! - **stepped**: a fixed step (`stepped`) over the velocities on a grid (`sampler`), by forward Euler as the paper does it, or by
 //!   the exact propagator of the leak.
 //!
@@ -16,8 +16,8 @@
 //! What is known to be missing: there is no low-pass before the membrane, so that above about 50 Hz the model is more
 //! sensitive than recordings are; the skin has no mechanics; rectification, depth and reset are our reading of the literature.
 //!
-//! Invariant: the answer for a receptor depends on the scene alone: not on threads, on the width of vectors, on
-//! the order of receptors, or on what is skipped.
+//! Invariant: the answer for a receptor depends on what the scene says of it, on the method, and on its number, which
+//! keys its noise: not on threads, the width of vectors, other receptors, or what is skipped.
 
 mod breaks;
 mod choose;
@@ -179,7 +179,7 @@ impl Method {
     /// Whether the method can simulate the scene.
     ///
     /// # Errors
-    /// If its step is out of range, or unstable.
+    /// If its step is out of range, unstable, or too short for what `f32` can count.
     pub fn check(&self, scene: &Scene) -> Result<(), MethodError> {
         let Self::Stepped(Stepping { step_us, integrator, precision }) = *self else { return Ok(()) };
         if !STEP_US.contains(&step_us) {

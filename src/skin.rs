@@ -65,6 +65,10 @@ pub const HYPEREXCITABILITY_DEPTH: f64 = 0.3;
 /// Width of a receptive field, mm (L): from field areas of 5.5 mm² at 50 µm and 22.4 mm² at 500 µm of indentation
 /// (Vega-Bermudez & Johnson 1999). That sensitivity varies over the field through α is the paper's.
 pub const SIGMA_MM: f64 = 1.1;
+/// The threshold never falls below this, in units of the resting one: our choice.
+pub const LEAST_THRESHOLD: f64 = 0.05;
+/// Draws of the threshold noise are cut at so many SD: our choice.
+pub const NOISE_LIMIT_SD: f64 = 8.0;
 /// SD of the threshold noise of a population (P). That it is drawn once per interval is (C): a draw per time
 /// step would make the answer depend on the step.
 pub const POPULATION_NOISE_SD: f64 = 0.05;
@@ -107,6 +111,9 @@ impl RaModel {
     }
 }
 
+/// The exponent beyond which a weight is below [`LEAST_WEIGHT`] for certain: above its logarithm, 23.03.
+const FARTHEST: f64 = 24.0;
+
 /// How much of a motor's velocity a receptor feels: `exp(-d²/2σ²)` of its distance d to the pin; below
 /// [`LEAST_WEIGHT`] exactly 0. `libm`'s exponential, because two machines must agree.
 #[must_use]
@@ -115,7 +122,7 @@ pub fn weight(receptor: Position, motor: u8, sigma_mm: f64) -> f64 {
     let (dx, dy) = (receptor.x_mm - x_mm, receptor.y_mm - y_mm);
     let exponent = (dx * dx + dy * dy) / (2.0 * sigma_mm * sigma_mm);
     // Most pins are out of reach of most receptors: that needs no exponential.
-    if exponent > 24.0 {
+    if exponent > FARTHEST {
         return 0.0;
     }
     let weight = libm::exp(-exponent);
@@ -125,6 +132,11 @@ pub fn weight(receptor: Position, motor: u8, sigma_mm: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn beyond_the_farthest_nothing_is_felt() {
+        assert!(libm::exp(-FARTHEST) < LEAST_WEIGHT);
+    }
 
     #[test]
     fn a_pin_is_felt_fully_under_it_less_beside_it_and_not_far_away() {

@@ -17,7 +17,7 @@ use crate::oracle;
 use meissner::array;
 use meissner::draw::Normals;
 use meissner::pattern::Drive;
-use meissner::simulate::{Integrator, Keep, Method, Options, Precision, Scene, Stepping, simulate};
+use meissner::simulate::{Integrator, Method, Options, Precision, Scene, Stepping, simulate};
 use meissner::skin::{Position, RaModel, Rectify};
 
 /// No spikes.

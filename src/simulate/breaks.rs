@@ -97,7 +97,7 @@ fn half_ticks(tick: Tick) -> f64 {
 pub(super) fn of_scene(scene: &Scene) -> Vec<Breaks<'_>> {
     let end = end(scene.duration_s());
     let mut drives: Vec<_> = scene.drives().iter().filter(|drive| drive.amplitude_um > 0.0).collect();
-    drives.sort_by(|a, b| a.start_s.unwrap_or(0.0).total_cmp(&b.start_s.unwrap_or(0.0)));
+    drives.sort_by(|a, b| a.start().total_cmp(&b.start()));
     let of_motor = |motor: u8| {
         let mut per_s = 0.0;
         let mut ramps: Ramps<'_> = Box::new(std::iter::empty());
@@ -107,7 +107,7 @@ pub(super) fn of_scene(scene: &Scene) -> Vec<Breaks<'_>> {
                 continue;
             }
             per_s += 8.0 * drive.frequency_hz;
-            let start = seconds_to_ticks(drive.start_s.unwrap_or(0.0));
+            let start = seconds_to_ticks(drive.start());
             let stop = drive.stop_s.map_or(u64::MAX, seconds_to_ticks);
             let strokes = wave.excursions().take_while(move |excursion| {
                 start.saturating_add(excursion.end()) <= stop

@@ -10,7 +10,6 @@ use super::breaks::{HALF_TICKS_PER_S, of_scene};
 use super::engine;
 use super::{Integrator, Method, MethodError, Options, Precision, Scene, Stepping};
 use crate::motor::WINDOW_HALF_TICKS;
-use crate::skin;
 
 /// A method chosen for a scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -30,7 +29,8 @@ const SAMPLE: usize = 64;
 /// By how much the error on a sample, not on all, must stay below what is allowed.
 const ROOM: f64 = 1.3;
 
-/// What a method costs, ns: measured by `cargo bench --bench simulate`. Only the ratios matter.
+/// What a method costs, ns: fitted to the totals of `cargo bench --bench simulate` with and without spikes. Only
+/// the ratios matter.
 const NS_PER_BREAK: f64 = 2.0;
 const NS_PER_EXACT_SPIKE: f64 = 150.0;
 const NS_PER_STEP: f64 = 1.2;
@@ -75,6 +75,10 @@ pub fn choose(scene: &Scene, error_hz: f64) -> Result<Choice, MethodError> {
             break;
         }
         let method = stepped(step_us);
+        // A step may be too short for what f32 can count.
+        if method.check(scene).is_err() {
+            continue;
+        }
         let found = counts(scene, &sample, method);
         let squares: f64 = sample
             .iter()
@@ -101,11 +105,9 @@ fn counts(scene: &Scene, receptors: &[u32], method: Method) -> Vec<u64> {
 
 /// About how many breaks some receptors go through.
 fn breaks(scene: &Scene, receptors: &[u32]) -> f64 {
-    let sigma_mm = scene.model().sigma_mm;
+    let options = Options::rates(Method::Exact);
     let of_motor = |breaks: &super::breaks::Breaks<'_>| {
-        let reached = |number: &&u32| {
-            skin::weight(scene.receptors()[**number as usize], breaks.motor(), sigma_mm) > 0.0
-        };
+        let reached = |number: &&u32| engine::weight(scene, &options, **number, breaks.motor()) > 0.0;
         let window = WINDOW_HALF_TICKS as f64 / HALF_TICKS_PER_S;
         breaks.per_s() * (scene.duration_s() + window) * receptors.iter().filter(reached).count() as f64
     };

@@ -62,7 +62,9 @@ pub(super) fn run_on(
     let end = end(scene.duration_s());
     let horizon = match options.method {
         Method::Exact => end,
-        Method::Stepped(Stepping { step_us, .. }) => (end / half_ticks(step_us)).ceil() * half_ticks(step_us),
+        Method::Stepped(Stepping { step_us, .. }) => {
+            (end / step_half_ticks(step_us)).ceil() * step_half_ticks(step_us)
+        }
     };
     let work = Work { scene, options, arch, membrane: Membrane::of(scene.model()), end, horizon };
     let mut skipped = Skipped::default();
@@ -77,6 +79,12 @@ pub(super) fn run_on(
     }
     skipped.motors_out_of_reach = (moving & !reaching).count_ones();
     skipped
+}
+
+/// How much of a motor a receptor feels under these options.
+pub(super) fn weight(scene: &Scene, options: &Options, number: u32, motor: u8) -> f64 {
+    let weight = skin::weight(scene.receptors()[number as usize], motor, scene.model().sigma_mm);
+    if weight < options.least_weight { 0.0 } else { weight }
 }
 
 /// Receptors in an order in which neighbours follow each other: by the interleaved bits of their places.
@@ -160,12 +168,9 @@ impl Work<'_> {
 
     fn member(&self, number: u32, moving: u32) -> Member {
         let model = self.scene.model();
-        let place = self.scene.receptors()[number as usize];
-        let least = self.options.least_weight;
         let weight = |motor: usize| {
             let moves = moving >> motor & 1 == 1;
-            let weight = if moves { skin::weight(place, motor as u8, model.sigma_mm) } else { 0.0 };
-            if weight < least { 0.0 } else { weight }
+            if moves { weight(self.scene, self.options, number, motor as u8) } else { 0.0 }
         };
         let mut noise = (model.noise_sd > 0.0).then(|| Normals::new(self.scene.seed(), number.into()));
         let resting = self.membrane.draw(noise.as_mut());
@@ -178,7 +183,7 @@ impl Work<'_> {
         let step = match self.options.method {
             Method::Exact => 0.0,
             Method::Stepped(Stepping { step_us, integrator: Integrator::Propagator, .. }) => {
-                half_ticks(step_us)
+                step_half_ticks(step_us)
             }
             // Euler samples the input, so that an integral of the input does not bound it.
             Method::Stepped(_) => return (Vec::new(), None),
@@ -246,7 +251,7 @@ impl Work<'_> {
         progress: &(dyn Fn(f64) + Sync),
         give: &mut impl FnMut(Train),
     ) {
-        let length = half_ticks(stepping.step_us);
+        let length = step_half_ticks(stepping.step_us);
         let model = StepModel::new(&self.membrane, stepping.integrator, length);
         let sample = match stepping.integrator {
             Integrator::Euler => Sample::Start,
@@ -287,7 +292,7 @@ impl Work<'_> {
 impl Member {
     /// The threshold of its first interval.
     fn threshold(&self) -> f64 {
-        self.resting.max(super::membrane::LEAST_THRESHOLD)
+        self.resting.max(skin::LEAST_THRESHOLD)
     }
 }
 
@@ -301,6 +306,6 @@ fn grouped(members: Vec<Member>, lanes: usize) -> impl Iterator<Item = (Vec<u32>
 }
 
 /// A step in half ticks, rounded once.
-fn half_ticks(step_us: u32) -> f64 {
-    f64::from(step_us) * 17.0 / 100.0
+fn step_half_ticks(step_us: u32) -> f64 {
+    f64::from(step_us) * HALF_TICKS_PER_S / 1e6
 }

@@ -8,7 +8,6 @@
 use super::engine;
 use super::{MethodError, Options, Scene, SceneError, Skipped, rate_hz};
 use crate::pattern::Drive;
-use crate::skin;
 
 /// A scene and the answer to it.
 #[derive(Clone, Debug)]
@@ -29,25 +28,28 @@ impl Evaluator {
         Ok(Self { scene, options, counts })
     }
 
-    /// Replaces all drives of one motor, and simulates what that changes. `drives` are of that motor.
+    /// Replaces all drives of one motor, and simulates what that changes. Whatever motor `drives`
+    /// name, they become this one's.
     ///
     /// # Errors
     /// If the drives are not those of a scene; then nothing changes.
     pub fn set_motor(&mut self, motor: u8, drives: &[Drive]) -> Result<Skipped, SceneError> {
         let scene = self.scene.with_motor(motor, drives)?;
-        if scene == self.scene {
+        let of_motor = |scene: &Scene| {
+            scene.drives().iter().filter(|drive| drive.motor == motor).copied().collect::<Vec<_>>()
+        };
+        if of_motor(&scene) == of_motor(&self.scene) {
+            self.scene = scene;
             return Ok(Skipped { receptors_reused: self.counts.len() as u64, ..Skipped::default() });
         }
-        let (sigma_mm, least) = (scene.model().sigma_mm, self.options.least_weight);
-        let reached = |number: &u32| {
-            let weight = skin::weight(scene.receptors()[*number as usize], motor, sigma_mm);
-            weight > 0.0 && weight >= least
-        };
+        let reached = |number: &u32| engine::weight(&scene, &self.options, *number, motor) > 0.0;
         let changed: Vec<u32> = (0..self.counts.len() as u32).filter(reached).collect();
         let counts = &mut self.counts;
         let mut skipped = engine::run(&scene, &changed, &self.options, &|_| (), |(number, count, _)| {
             counts[number as usize] = count;
         });
+        // They may reach the receptors that were not simulated.
+        skipped.motors_out_of_reach = 0;
         skipped.receptors_reused = (self.counts.len() - changed.len()) as u64;
         self.scene = scene;
         Ok(skipped)

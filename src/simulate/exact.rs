@@ -14,10 +14,10 @@ use super::Member;
 use super::breaks::Break;
 use super::cycle::{Cycle, Periods};
 use super::lanes::{Aligned, bits};
-use super::membrane::{LEAST_THRESHOLD, Membrane, SERIES, SERIES_ENDS, SHORT, SHORT_SERIES_ENDS};
+use super::membrane::{Membrane, SERIES, SERIES_ENDS, SHORT, SHORT_SERIES_ENDS};
 use super::neuron::{Instant, Neuron, Piece};
 use crate::draw::Normals;
-use crate::skin::Rectify;
+use crate::skin::{LEAST_THRESHOLD, Rectify};
 use firmware_protocol::stroke::MOTORS;
 use pulp::{Arch, Simd, WithSimd};
 

@@ -10,12 +10,10 @@
 //! Invariant: lengths are measured from a piece's own start, never from the scene's.
 
 use super::breaks::HALF_TICKS_PER_S;
+use crate::draw::Normals;
 use crate::motor::WINDOW_HALF_TICKS;
-use crate::skin::{RaModel, Rectify};
+use crate::skin::{LEAST_THRESHOLD, NOISE_LIMIT_SD, RaModel, Rectify};
 use crate::units::UM_PER_PULSE;
-
-/// The threshold never falls below this.
-pub(super) const LEAST_THRESHOLD: f64 = 0.05;
 
 /// `RaModel` in the simulator's units.
 #[derive(Clone, Copy, Debug)]
@@ -48,6 +46,15 @@ impl Membrane {
             lowering: hyperexcitability,
             recovery: if lowered { model.hyperexcitability_depth / hyperexcitability } else { 0.0 },
             noise_sd: model.noise_sd,
+        }
+    }
+
+    /// The resting threshold of the next inter-spike interval.
+    #[inline(always)]
+    pub(super) fn draw(&self, noise: Option<&mut Normals>) -> f64 {
+        match noise {
+            Some(noise) => 1.0 + self.noise_sd * noise.next().clamp(-NOISE_LIMIT_SD, NOISE_LIMIT_SD),
+            None => 1.0,
         }
     }
 
@@ -100,17 +107,6 @@ pub(super) fn phi2(x: f64) -> f64 {
         SERIES.iter().rev().fold(0.0, |sum, term| sum * x + term)
     } else {
         (x + libm::expm1(-x)) / (x * x)
-    }
-}
-
-impl Membrane {
-    /// The resting threshold of the next inter-spike interval.
-    #[inline(always)]
-    pub(super) fn draw(&self, noise: Option<&mut crate::draw::Normals>) -> f64 {
-        match noise {
-            Some(noise) => 1.0 + self.noise_sd * noise.next().clamp(-8.0, 8.0),
-            None => 1.0,
-        }
     }
 }
 

@@ -9,8 +9,8 @@
 //!
 //! Invariant: every offset lies within the piece and is measured from its start.
 
-use super::membrane::{LEAST_THRESHOLD, Membrane};
-use crate::skin::Rectify;
+use super::membrane::Membrane;
+use crate::skin::{LEAST_THRESHOLD, Rectify};
 
 /// A crossing is solved until it moves by less than this, half ticks: 6 fs.
 const SOLVED: f64 = 1e-9;

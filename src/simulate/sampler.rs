@@ -10,6 +10,7 @@ use super::lanes::Number;
 use super::stepped::TILE;
 use firmware_protocol::stroke::MOTORS;
 use pulp::Arch;
+use std::array;
 
 /// Which velocity a step is given.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -45,21 +46,15 @@ impl Motion {
 
     #[inline(always)]
     fn sums(&self, time: f64) -> Row<f64> {
-        let mut sums = [0.0; MOTORS];
-        for motor in 0..MOTORS {
+        array::from_fn(|motor| {
             let length = time - self.at[motor];
-            sums[motor] = self.sum[motor] + length * (self.d[motor] + 0.5 * self.slope[motor] * length);
-        }
-        sums
+            self.sum[motor] + length * (self.d[motor] + 0.5 * self.slope[motor] * length)
+        })
     }
 
     #[inline(always)]
     fn velocities(&self, time: f64) -> Row<f64> {
-        let mut velocities = [0.0; MOTORS];
-        for motor in 0..MOTORS {
-            velocities[motor] = self.d[motor] + self.slope[motor] * (time - self.at[motor]);
-        }
-        velocities
+        array::from_fn(|motor| self.d[motor] + self.slope[motor] * (time - self.at[motor]))
     }
 }
 
@@ -109,10 +104,7 @@ impl<'s> Sampler<'s> {
                             self.pass_to(time);
                             let sums = self.motion.sums(time);
                             let per_step = 1.0 / self.step;
-                            let mut means = [0.0; MOTORS];
-                            for motor in 0..MOTORS {
-                                means[motor] = (sums[motor] - self.before[motor]) * per_step;
-                            }
+                            let means = array::from_fn(|motor| (sums[motor] - self.before[motor]) * per_step);
                             self.before = sums;
                             means
                         }

@@ -2,6 +2,7 @@
 //!
 //! A scene is read from a TOML or JSON file (`file`) or put together by [`Scene::new`]. Its drives may be faster and
 //! larger than a pattern's: a model has no current limit. What comes of it is the simulator's business.
+//! All receptors of a scene are of one model.
 //!
 //! Invariant: a [`Scene`] that exists has been checked; every number in it is finite and within its range, and
 //! no two drives of a motor overlap.

@@ -10,10 +10,10 @@
 //! Invariant: a lane's arithmetic depends on nothing but its receptor, whatever the vector's width.
 
 use super::lanes::{Aligned, Number};
-use super::membrane::{LEAST_THRESHOLD, Membrane};
+use super::membrane::Membrane;
 use super::{Integrator, Member, sampler};
 use crate::draw::Normals;
-use crate::skin::Rectify;
+use crate::skin::{LEAST_THRESHOLD, Rectify};
 use firmware_protocol::stroke::MOTORS;
 use pulp::{Arch, Simd, WithSimd};
 use std::array;

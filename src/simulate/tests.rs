@@ -3,7 +3,7 @@
 use super::breaks::{Blocks, HALF_TICKS_PER_S, of_scene};
 use super::engine::run_on;
 use super::sampler::{Sample, Sampler};
-use super::{Integrator, Keep, Method, Options, Precision, Scene, Stepping};
+use super::{Integrator, Method, Options, Precision, Scene, Stepping};
 use crate::draw::uniform;
 use crate::motor::{HalfTick, Ramp, Shaft, WINDOW_HALF_TICKS};
 use crate::pattern::Drive;
@@ -33,14 +33,13 @@ fn scene(seed: u64) -> Scene {
 }
 
 /// All that this processor has.
+/// Those of this processor that are not scalar.
 fn widths() -> Vec<Arch> {
-    let mut widths = vec![Arch::Scalar];
     #[cfg(target_arch = "x86_64")]
-    {
-        widths.extend(pulp::x86::V3::try_new().map(Arch::V3));
-        widths.extend(pulp::x86::V4::try_new().map(Arch::V4));
-    }
-    widths
+    let widths = [pulp::x86::V3::try_new().map(Arch::V3), pulp::x86::V4::try_new().map(Arch::V4)];
+    #[cfg(not(target_arch = "x86_64"))]
+    let widths = [Some(Arch::new())];
+    widths.into_iter().flatten().collect()
 }
 
 /// Trains by number of the receptor, bit by bit.

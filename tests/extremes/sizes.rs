@@ -4,7 +4,7 @@ use super::{
     NONE, as_the_oracle, assert_close, beside, drive, exact, methods, model, propagator, scene, spikes,
     stepped, under,
 };
-use meissner::simulate::{Keep, Method, Options, Skipped, choose, simulate};
+use meissner::simulate::{Method, Options, Skipped, choose, simulate};
 use meissner::skin::{Position, RaModel, Rectify};
 
 #[test]
