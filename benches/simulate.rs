@@ -42,7 +42,7 @@ fn whole(criterion: &mut Criterion) {
             let pool = threads(cores);
             group.bench_function(format!("{name}/{cores}_core"), |bencher| {
                 pool.install(|| {
-                    bencher.iter(|| simulate(black_box(&scene), &Options::spikes(method), &|_| ()))
+                    bencher.iter(|| simulate(black_box(&scene), &Options::spikes(method), &|_| ()));
                 });
             });
         }
