@@ -262,8 +262,8 @@ fn table(tradeoff: &Tradeoff, plot: Option<&Path>) -> String {
     );
     let mut lines = vec![scene, text::columns(&head, tradeoff.rows.iter().map(row))];
     lines.push(format!(
-        "Cost ({} by the exact method): mean impulse rate of the receptors within {REACH_MM} mm of the edge minus that \
-         of the others (what an optimiser will maximise); the edge is {LENGTH_MM} mm long, at 45 degrees through the \
+        "Cost (exact: {}): mean impulse rate of the receptors within {REACH_MM} mm of the edge minus that \
+         of the others (what the optimiser will maximise); the edge is {LENGTH_MM} mm long, at 45 degrees through the \
          array's middle; - if one side is empty.",
         figure(tradeoff.cost_hz, 3)
     ));
