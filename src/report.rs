@@ -3,6 +3,7 @@
 //! [`tradeoff`] runs a scene by every method and step and compares each with the exact one: spike by spike, receptor
 //! by receptor (`compare`), and by the cost that an optimiser would see (`edge`). [`plot`] draws it, [`reasons`]
 //! says why what was skipped need not be computed. Nothing is decided for anybody: the recommendation is a sentence.
+//! The table that people read is laid out in `cli::simulate`.
 //!
 //! Invariant: errors depend on the scene alone; times, and with them the front and the recommendation, on the machine.
 
@@ -13,6 +14,7 @@ mod plot;
 mod reasons;
 
 pub use compare::{MATCH_S, matching};
+pub use edge::{LENGTH_MM, REACH_MM};
 pub use how::How;
 pub use plot::{PlotError, plot};
 pub use reasons::{Count, Reason, reasons};
@@ -47,7 +49,8 @@ pub struct Tradeoff {
     pub duration_s: f64,
     /// The membrane's time constant.
     pub tau_s: f64,
-    /// Beyond tau forward Euler overshoots.
+    /// 2 tau: with a longer step forward Euler grows without end. It is refused from tau on: between the two the
+    /// membrane overshoots and alternates in sign.
     pub euler_unstable_above_us: f64,
     /// By the exact method.
     pub spikes: u64,
@@ -82,9 +85,9 @@ pub struct Row {
     pub rate_bias: Option<f64>,
     /// Difference in cost.
     pub cost_error_hz: Option<f64>,
-    /// The method cannot be used; then there are no figures.
+    /// Refused because the step is too long for forward Euler.
     pub unstable: bool,
-    /// Why not.
+    /// Why the method was refused, if it was; then there are no figures.
     pub reason: Option<String>,
     /// No other row is faster and errs no more, and none errs less and is as fast.
     pub pareto: bool,
@@ -111,22 +114,26 @@ pub fn tradeoff(scene: &Scene, progress: &(dyn Fn(f64) + Sync)) -> Result<Tradeo
     let methods = stepped(&steps);
     let all = methods.len() as f64 + 1.0;
 
+    let receptor_s = receptors as f64 * scene.duration_s();
     let (exact, exact_wall_s) = timed(scene, Method::Exact, &|part| progress(part / all))?;
     let reference = Reference::new(scene, exact);
-    let mut rows = vec![row(scene, Method::Exact, exact_wall_s, &reference.difference(reference.answer()))];
+    let itself = reference.difference(reference.answer());
+    let mut rows = vec![row(Method::Exact, receptor_s, Ok((exact_wall_s, itself)))];
     for (index, method) in methods.into_iter().enumerate() {
         let done = |part: f64| progress((index as f64 + 1.0 + part) / all);
-        rows.push(match timed(scene, method, &done) {
-            Ok((answer, wall_s)) => row(scene, method, wall_s, &reference.difference(&answer)),
-            Err(error) => refused(method, &error),
-        });
+        let run = timed(scene, method, &done);
+        rows.push(row(
+            method,
+            receptor_s,
+            run.map(|(answer, wall_s)| (wall_s, reference.difference(&answer))),
+        ));
     }
     mark_front(&mut rows);
     Ok(Tradeoff {
         receptors,
         duration_s: scene.duration_s(),
         tau_s: scene.model().tau_s,
-        euler_unstable_above_us: scene.model().tau_s * 1e6,
+        euler_unstable_above_us: scene.model().tau_s * 2e6,
         spikes: reference.spikes(),
         cost_hz: reference.cost_hz(),
         exact_wall_s,
@@ -169,33 +176,20 @@ fn timed(
     }
 }
 
-fn row(scene: &Scene, method: Method, wall_s: f64, difference: &Difference) -> Row {
-    let receptor_s = scene.receptors().len() as f64 * scene.duration_s();
+/// A method's row: what it took and how it differs, or why it was refused.
+fn row(method: Method, receptor_s: f64, run: Result<(f64, Difference), MethodError>) -> Row {
+    let (wall_s, difference) = run.unwrap_or_default();
+    let error = run.err();
     Row {
         how: method.into(),
-        us_per_receptor_s: (receptor_s > 0.0).then(|| wall_s * 1e6 / receptor_s),
+        us_per_receptor_s: (error.is_none() && receptor_s > 0.0).then(|| wall_s * 1e6 / receptor_s),
         spikes_matched_share: difference.matched_share,
         mean_error_us: difference.mean_error_us,
         rate_rms_hz: difference.rate_rms_hz,
         rate_bias: difference.rate_bias,
         cost_error_hz: difference.cost_error_hz,
-        unstable: false,
-        reason: None,
-        pareto: false,
-    }
-}
-
-fn refused(method: Method, error: &MethodError) -> Row {
-    Row {
-        how: method.into(),
-        us_per_receptor_s: None,
-        spikes_matched_share: None,
-        mean_error_us: None,
-        rate_rms_hz: None,
-        rate_bias: None,
-        cost_error_hz: None,
-        unstable: true,
-        reason: Some(error.to_string()),
+        unstable: matches!(error, Some(MethodError::Unstable { .. })),
+        reason: error.map(|error| error.to_string()),
         pareto: false,
     }
 }
@@ -262,9 +256,24 @@ mod tests {
         let stepping =
             |step_us| Stepping { step_us, integrator: Integrator::Propagator, precision: Precision::F32 };
         let method = step_us.map_or(Method::Exact, |step_us| Method::Stepped(stepping(step_us)));
-        let mut row = refused(method, &MethodError::Step { step_us: 0 });
-        (row.us_per_receptor_s, row.rate_rms_hz, row.unstable) = (Some(time), Some(error), false);
-        row
+        let difference = Difference { rate_rms_hz: Some(error), ..Difference::default() };
+        row(method, 1e6, Ok((time, difference)))
+    }
+
+    fn refused(error: MethodError) -> Row {
+        row(Method::Exact, 1e6, Err(error))
+    }
+
+    #[test]
+    fn every_refusal_has_a_reason_and_only_eulers_is_unstable() {
+        let counting = MethodError::Precision { key: "refractory_s", steps: 1e9, step_us: 1 };
+        for (error, unstable) in
+            [(counting, false), (MethodError::Unstable { step_us: 50_000, tau_s: 0.044 }, true)]
+        {
+            let row = refused(error);
+            assert_eq!((row.unstable, row.reason.clone()), (unstable, Some(error.to_string())));
+            assert_eq!((row.place(), row.pareto), (None, false));
+        }
     }
 
     #[test]
@@ -278,7 +287,7 @@ mod tests {
             at(Some(500), 11.0, 3.0),
             at(Some(1000), 2.0, 9.0),
         ];
-        rows.push(refused(Method::Exact, &MethodError::Step { step_us: 0 }));
+        rows.push(refused(MethodError::Step { step_us: 0 }));
         mark_front(&mut rows);
         let front: Vec<_> = rows.iter().filter(|row| row.pareto).map(|row| row.how.step_us).collect();
         assert_eq!(front, [None, Some(100), Some(200), Some(1000)]);
@@ -293,7 +302,7 @@ mod tests {
     fn where_no_step_is_good_enough_the_exact_method_is_recommended() {
         let said = recommendation(&[at(None, 3.0, 0.0), at(Some(1), 90.0, 0.0), at(Some(500), 1.0, 1.1)]);
         assert!(said.starts_with("Take the exact method"), "{said}");
-        let said = recommendation(&[refused(Method::Exact, &MethodError::Step { step_us: 0 })]);
+        let said = recommendation(&[refused(MethodError::Step { step_us: 0 })]);
         assert!(said.contains("nothing to compare"), "{said}");
         let said = recommendation(&[at(None, 3.0, 0.0), at(Some(500), 1.5, 0.0)]);
         assert!(said.ends_with("us: 0 impulses/s RMS at 0.50 of the exact method's time."), "{said}");

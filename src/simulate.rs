@@ -41,6 +41,7 @@ pub use scene::{MAX_JSON_BYTES, MAX_TOML_BYTES, Place, Problem, Scene, SceneErro
 
 use crate::skin::LEAST_WEIGHT;
 use breaks::HALF_TICKS_PER_S;
+use clap::ValueEnum;
 use engine::Member;
 use serde::Serialize;
 use std::ops::RangeInclusive;
@@ -69,7 +70,7 @@ pub struct Stepping {
 }
 
 /// What is done in a step.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Integrator {
     /// The paper's eq. 2: input and leak as they are at the step's start, a spike at its end.
@@ -80,7 +81,7 @@ pub enum Integrator {
 }
 
 /// What numbers a stepped method computes with.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Precision {
     /// Single precision.

@@ -1,6 +1,6 @@
 use crate::harness::{complaint, document, meissner, printed};
-use meissner::report::{How, SIXTY_HERTZ, STEPS_US, matching, plot, tradeoff};
-use meissner::simulate::{MAX_TOML_BYTES, Method, Options, Scene, simulate};
+use meissner::report::{How, STEPS_US, matching, plot, tradeoff};
+use meissner::simulate::{Integrator, MAX_TOML_BYTES, Method, Options, Precision, Scene, simulate};
 use serde_json::{Value, json};
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
@@ -217,7 +217,7 @@ fn the_tradeoff_has_a_row_for_every_method_and_step() {
             }
         }
     }
-    assert!((found["euler_unstable_above_us"].as_f64().unwrap() - 1500.0).abs() < 1e-6);
+    assert!((found["euler_unstable_above_us"].as_f64().unwrap() - 3000.0).abs() < 1e-6);
     let place = |row: &Value| row["us_per_receptor_s"].as_f64().zip(row["rate_rms_hz"].as_f64());
     let places: Vec<_> = rows.iter().filter_map(place).collect();
     for row in rows {
@@ -230,8 +230,36 @@ fn the_tradeoff_has_a_row_for_every_method_and_step() {
     let left: Vec<_> = fs::read_dir(dir.path()).unwrap().collect();
     assert_eq!(left.len(), 2, "no temporary file is left");
 
-    let text = printed(meissner().arg("tradeoff").arg(&file));
-    assert!(text.contains("propagator in f64 at 5000 us") && text.contains("Euler is unstable above 1500"));
+    let text = printed(meissner().arg("tradeoff").arg(&file).arg("--plot").arg(&svg));
+    for part in
+        ["propagator in f64 at 5000 us", "between tau (0.0015 s) and 2 tau", "within 1.5 mm of the edge"]
+    {
+        assert!(text.contains(part), "{part}: {text}");
+    }
+    assert_eq!(
+        text.matches("Refused: forward Euler is unstable with a step of 2000 us").count(),
+        1,
+        "{text}"
+    );
+    assert!(text.trim_end().ends_with(&format!("\nplot  {}", svg.display())), "{text}");
+}
+
+/// A membrane and times for which `f32` cannot count the steps, and no step is too long for Euler.
+#[test]
+fn a_refusal_that_is_not_eulers_is_not_called_unstable() {
+    let text =
+        SMALL.replace("0.1\nseed", "100\nseed").replace("noise_sd = 0.05", "hyperexcitability_s = 1e9");
+    let mut scene = Scene::read(&text, "small.toml").unwrap();
+    for motor in [9, 10] {
+        scene = scene.with_motor(motor, &[]).unwrap();
+    }
+    let found = tradeoff(&scene, &|_| ()).unwrap();
+    let refused: Vec<_> = found.rows.iter().filter(|row| row.reason.is_some()).collect();
+    assert!(!refused.is_empty());
+    for row in refused {
+        assert!(!row.unstable && row.reason.as_ref().unwrap().contains("f32 counts"), "{row:?}");
+        assert_eq!((row.how.precision, row.rate_rms_hz), (Some(Precision::F32), None));
+    }
 }
 
 #[test]
@@ -252,7 +280,10 @@ fn the_finer_the_step_the_smaller_the_error() {
     })
     .unwrap();
     let error = |step_us| {
-        let of = |how: &How| how.step_us == Some(step_us) && how.names() == Some(("propagator", "f64"));
+        let of = |how: &How| {
+            how.step_us == Some(step_us)
+                && (how.integrator, how.precision) == (Some(Integrator::Propagator), Some(Precision::F64))
+        };
         found.rows.iter().find(|row| of(&row.how)).unwrap().mean_error_us.unwrap()
     };
     assert!(error(1) < 1.0 && error(1) < error(1000), "{} {}", error(1), error(1000));
@@ -333,5 +364,5 @@ fn every_shipped_scene_is_read_and_simulated() {
     let readme = include_str!("../README.md");
     let example = readme.split("```toml\n").find(|block| block.starts_with("duration_s")).unwrap();
     Scene::read(example.split("```").next().unwrap(), "README.md").unwrap();
-    assert!(found >= 2 && SIXTY_HERTZ.contains("population"));
+    assert!(found >= 2);
 }

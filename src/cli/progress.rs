@@ -1,4 +1,5 @@
-//! Progress of a play: a bar on a terminal, plain lines in a pipe. Of a computation: a bar, if it lasts.
+//! Progress of a play: a bar on a terminal, plain lines in a pipe. Of a computation: a bar, if it lasts,
+//! or a spinner.
 //!
 //! The bar goes to stderr and is gone at the end; lines go to stdout, one when it begins, one for every second
 //! of it and one for each late or refused stroke (the first ten). With `--json` there are no lines, and a bar only if
@@ -15,36 +16,55 @@ use std::time::{Duration, Instant};
 
 /// What is done sooner needs no bar.
 const SHORT: Duration = Duration::from_secs(1);
+/// A spinner turns so often.
+const TURN: Duration = Duration::from_millis(100);
 /// Parts of a computation's bar.
 const PARTS: f64 = 1000.0;
 
-/// Progress of a computation: a bar on a terminal, once it has lasted a second.
-#[derive(Debug)]
-pub(super) struct Meter {
-    bar: Option<ProgressBar>,
-    begun: Instant,
+/// Computes something that says how far it is; on a terminal under a bar, once it has lasted a second.
+pub(super) fn metered<T>(work: impl FnOnce(&(dyn Fn(f64) + Sync)) -> T) -> T {
+    let style = ProgressStyle::with_template("{wide_bar} {percent:>3} %");
+    let meter = Meter::new(|| {
+        ProgressBar::new(PARTS as u64).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
+    });
+    let begun = Instant::now();
+    work(&|part| {
+        if begun.elapsed() > SHORT {
+            meter.at(part);
+        }
+    })
 }
 
+/// Computes something that does not say how far it is; on a terminal beside a spinner.
+pub(super) fn waiting<T>(what: &'static str, work: impl FnOnce() -> T) -> T {
+    let meter = Meter::new(|| ProgressBar::new_spinner().with_message(what));
+    if let Some(bar) = &meter.0 {
+        bar.enable_steady_tick(TURN);
+    }
+    work()
+}
+
+/// A bar on a terminal, gone when this is dropped: at the end, or at an error.
+#[derive(Debug)]
+struct Meter(Option<ProgressBar>);
+
 impl Meter {
-    pub(super) fn new() -> Self {
-        let bar = || {
-            let style = ProgressStyle::with_template("{wide_bar} {percent:>3} %");
-            ProgressBar::new(PARTS as u64).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
-        };
-        Self { bar: io::stderr().is_terminal().then(bar), begun: Instant::now() }
+    fn new(bar: impl FnOnce() -> ProgressBar) -> Self {
+        Self(io::stderr().is_terminal().then(bar))
     }
 
     /// So much of it is done, 0 to 1.
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped")]
-    pub(super) fn at(&self, part: f64) {
-        if let Some(bar) = self.bar.as_ref().filter(|_| self.begun.elapsed() > SHORT) {
+    fn at(&self, part: f64) {
+        if let Some(bar) = &self.0 {
             bar.set_position((part.clamp(0.0, 1.0) * PARTS) as u64);
         }
     }
+}
 
-    /// Takes the bar away.
-    pub(super) fn finish(&self) {
-        if let Some(bar) = self.bar.as_ref().filter(|_| self.begun.elapsed() > SHORT) {
+impl Drop for Meter {
+    fn drop(&mut self) {
+        if let Some(bar) = &self.0 {
             bar.finish_and_clear();
         }
     }

@@ -3,10 +3,9 @@
 //! Invariant: a scene that is too large or not a file is not read into memory; what a plot is written to is replaced
 //! whole or not at all.
 
-use super::progress::Meter;
-use super::{Cli, Output, give, text};
+use super::{Cli, Output, give, progress, text};
 use crate::config;
-use crate::report::{self, Count, How, Reason, Tradeoff};
+use crate::report::{self, Count, How, LENGTH_MM, REACH_MM, Reason, Tradeoff};
 use crate::simulate::{
     Answer, Integrator, Keep, MAX_JSON_BYTES, Method, Options, Precision, Scene, Stepping, choose, simulate,
 };
@@ -37,10 +36,10 @@ pub(super) struct Simulate {
     step_us: Option<u32>,
     /// What is done in a step [default: propagator]
     #[arg(long, value_enum)]
-    integrator: Option<By>,
+    integrator: Option<Integrator>,
     /// What it is computed with [default: f32]
     #[arg(long, value_enum)]
-    precision: Option<In>,
+    precision: Option<Precision>,
     /// Choose the cheapest method whose rates err by at most so many impulses/s, RMS over receptors
     #[arg(
         long,
@@ -62,22 +61,6 @@ enum Name {
     Exact,
     /// By a fixed step
     Stepped,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum By {
-    /// Forward, as the paper does it
-    Euler,
-    /// The leak exactly
-    Propagator,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum In {
-    /// Single precision
-    F32,
-    /// Double precision
-    F64,
 }
 
 #[derive(Debug, Args)]
@@ -119,7 +102,7 @@ pub(super) fn run(asked: &Simulate) -> Result<ExitCode> {
     let (method, chosen) = match asked.max_rate_error {
         None => (stepping.map_or(Method::Exact, Method::Stepped), None),
         Some(error_hz) => {
-            let choice = choose(&scene, error_hz)?;
+            let choice = progress::waiting("choosing a method", || choose(&scene, error_hz))?;
             let (estimated_rate_error_hz, sampled) = (choice.estimated_rate_error_hz, choice.sampled);
             (choice.method, Some(Chosen { estimated_rate_error_hz, sampled }))
         }
@@ -135,9 +118,8 @@ pub(super) fn run(asked: &Simulate) -> Result<ExitCode> {
         );
     }
     let keep = if asked.rates_only { Keep::Rates } else { Keep::Spikes };
-    let meter = Meter::new();
-    let answer = simulate(&scene, &Options { keep, ..Options::spikes(method) }, &|part| meter.at(part))?;
-    meter.finish();
+    let options = Options { keep, ..Options::spikes(method) };
+    let answer = progress::metered(|at| simulate(&scene, &options, at))?;
     let document = Document {
         how,
         chosen,
@@ -158,16 +140,8 @@ fn stepping(asked: &Simulate) -> Option<Stepping> {
                        --method stepped";
         Cli::command().error(ErrorKind::ArgumentConflict, message).exit();
     }
-    let integrator = match asked.integrator {
-        Some(By::Euler) => Integrator::Euler,
-        Some(By::Propagator) => Integrator::Propagator,
-        None => Integrator::default(),
-    };
-    let precision = match asked.precision {
-        Some(In::F32) => Precision::F32,
-        Some(In::F64) => Precision::F64,
-        None => Precision::default(),
-    };
+    let integrator = asked.integrator.unwrap_or_default();
+    let precision = asked.precision.unwrap_or_default();
     let step_us = asked.step_us.unwrap_or(STEP_US);
     (implied || asked.method == Some(Name::Stepped)).then_some(Stepping { step_us, integrator, precision })
 }
@@ -216,7 +190,7 @@ fn summary(scene: &Scene, answer: &Answer, document: &Document<'_>) -> String {
             Count::Number(number) => number.to_string(),
             Count::Seconds(seconds) => format!("{seconds:.3}"),
         };
-        vec![reason.what.replace('_', " "), count, reason.why.to_owned()]
+        vec![reason.what.replace('_', " "), count, reason.why.to_string()]
     };
     let skipped = text::columns(&["skipped", "count", "why"], document.skipped.iter().map(row));
     format!("{}\n\n{skipped}", text::pairs(&lines))
@@ -229,15 +203,13 @@ pub(super) fn tradeoff(asked: &Compare) -> Result<ExitCode> {
     };
     // A place that cannot be written to is said before the work.
     let plot = asked.plot.as_deref().map(beside).transpose()?;
-    let meter = Meter::new();
-    let tradeoff = report::tradeoff(&scene, &|part| meter.at(part))?;
-    meter.finish();
+    let tradeoff = progress::metered(|at| report::tradeoff(&scene, at))?;
     if let Some((mut beside, file)) = plot {
         let svg = report::plot(&tradeoff)?;
         let written = beside.write_all(svg.as_bytes()).and_then(|()| Ok(beside.persist(file).map(drop)?));
         written.map_err(|error| cannot_write(file, &error))?;
     }
-    give(asked.output.json, &tradeoff, || table(&tradeoff))?;
+    give(asked.output.json, &tradeoff, || table(&tradeoff, asked.plot.as_deref()))?;
     Ok(ExitCode::SUCCESS)
 }
 
@@ -261,17 +233,17 @@ fn cannot_write(file: &Path, error: &io::Error) -> anyhow::Error {
     )
 }
 
-fn table(tradeoff: &Tradeoff) -> String {
+fn table(tradeoff: &Tradeoff, plot: Option<&Path>) -> String {
     let figure = |figure: Option<f64>, digits: usize| {
         figure.map_or_else(|| "-".to_owned(), |figure| format!("{figure:.digits$}"))
     };
     let head =
         ["method", "us/receptor/s", "matched", "error us", "rate RMS", "rate bias", "cost error", "front"];
     let row = |row: &report::Row| {
-        let front = match (row.unstable, row.pareto) {
-            (true, _) => "unstable",
-            (_, true) => "*",
-            _ => "",
+        let front = match (&row.reason, row.pareto) {
+            (Some(_), _) => "refused",
+            (None, true) => "*",
+            (None, false) => "",
         };
         vec![
             row.how.to_string(),
@@ -289,11 +261,31 @@ fn table(tradeoff: &Tradeoff) -> String {
         tradeoff.receptors, tradeoff.duration_s, tradeoff.spikes, tradeoff.exact_wall_s
     );
     let mut lines = vec![scene, text::columns(&head, tradeoff.rows.iter().map(row))];
-    lines.push(format!("Euler is unstable above {} us (tau).", tradeoff.euler_unstable_above_us));
+    lines.push(format!(
+        "Cost (exact: {}): mean impulse rate of the receptors within {REACH_MM} mm of the edge minus that \
+         of the others (what the optimiser will maximise); the edge is {LENGTH_MM} mm long, at 45 degrees through the \
+         array's middle; - if one side is empty.",
+        figure(tradeoff.cost_hz, 3)
+    ));
+    // Rows may share a reason: Euler's is the same in f32 and f64.
+    for reason in tradeoff.rows.iter().filter_map(|row| row.reason.as_ref()) {
+        let line = format!("Refused: {reason}.");
+        if !lines.contains(&line) {
+            lines.push(line);
+        }
+    }
+    if tradeoff.rows.iter().any(|row| row.unstable) {
+        lines.push(format!(
+            "Explicit Euler alternates in sign between tau ({} s) and 2 tau and grows without end above 2 tau; it is \
+             refused above tau.",
+            tradeoff.tau_s
+        ));
+    }
     if let Some(left_out) = &tradeoff.left_out {
         let steps: Vec<_> = left_out.steps_us.iter().map(ToString::to_string).collect();
         lines.push(format!("Left out: {} us, {}.", steps.join(", "), left_out.why));
     }
     lines.push(tradeoff.recommendation.clone());
+    lines.extend(plot.map(|file| format!("plot  {}", file.to_string_lossy().escape_debug())));
     lines.join("\n")
 }

@@ -38,7 +38,7 @@ pub(super) struct Reference<'s> {
 }
 
 /// By how much an answer differs. Figures that have no meaning are none.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Difference {
     pub(super) matched_share: Option<f64>,
     pub(super) mean_error_us: Option<f64>,

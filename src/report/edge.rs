@@ -7,10 +7,12 @@
 
 use crate::skin::Position;
 
-/// The edge's half length along each axis: 12 mm at 45°.
-const HALF_MM: f64 = 6.0 * std::f64::consts::FRAC_1_SQRT_2;
+/// How long the edge is, mm.
+pub const LENGTH_MM: f64 = 12.0;
 /// How far from the edge a receptor still counts as on it, mm.
-const REACH_MM: f64 = 1.5;
+pub const REACH_MM: f64 = 1.5;
+/// Half its length along each axis: it runs at 45°.
+const HALF_MM: f64 = LENGTH_MM / 2.0 * std::f64::consts::FRAC_1_SQRT_2;
 
 /// Whether a receptor is on the edge.
 pub(super) fn is_on(at: Position) -> bool {

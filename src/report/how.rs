@@ -3,6 +3,7 @@
 //! Invariant: the exact method has no step, no integrator and no precision.
 
 use crate::simulate::{Integrator, Method, Precision, Stepping};
+use clap::ValueEnum;
 use serde::Serialize;
 use std::fmt;
 
@@ -22,18 +23,14 @@ pub struct How {
 impl How {
     /// The integrator and precision as one writes them.
     #[must_use]
-    pub const fn names(&self) -> Option<(&'static str, &'static str)> {
-        let (Some(integrator), Some(precision)) = (self.integrator, self.precision) else { return None };
-        let integrator = match integrator {
-            Integrator::Euler => "euler",
-            Integrator::Propagator => "propagator",
-        };
-        let precision = match precision {
-            Precision::F32 => "f32",
-            Precision::F64 => "f64",
-        };
-        Some((integrator, precision))
+    pub fn names(&self) -> Option<(String, String)> {
+        Some((name(&self.integrator?), name(&self.precision?)))
     }
+}
+
+/// As on the command line, and in documents.
+fn name(value: &impl ValueEnum) -> String {
+    value.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
 }
 
 impl From<Method> for How {
