@@ -46,6 +46,9 @@ use engine::Member;
 use serde::Serialize;
 use std::ops::RangeInclusive;
 
+/// Spikes that are kept at the most: 2 to 4 GiB.
+pub const MOST_SPIKES: u64 = 1 << 28;
+
 /// Steps, µs.
 pub const STEP_US: RangeInclusive<u32> = 1..=1_000_000;
 
@@ -165,6 +168,9 @@ pub enum MethodError {
         /// As asked for.
         step_us: u32,
     },
+    /// More spikes than are kept.
+    #[error("more than {MOST_SPIKES} spikes: keep only their rates (--rates-only), or shorten the scene")]
+    TooManySpikes,
     /// An error that cannot be allowed.
     #[error("a rate error of {error_hz}: must be a number of impulses/s, above 0")]
     RateError {
@@ -248,7 +254,7 @@ pub struct Skipped {
 /// Simulates a scene. `progress` hears now and then which part is done, on any thread.
 ///
 /// # Errors
-/// If the method cannot simulate the scene.
+/// If the method cannot simulate the scene, or if there are more spikes than are kept.
 pub fn simulate(
     scene: &Scene,
     options: &Options,
@@ -264,7 +270,7 @@ pub fn simulate(
             half_ticks.iter_mut().for_each(|at| *at /= HALF_TICKS_PER_S);
             *spikes = half_ticks;
         }
-    });
+    })?;
     let spikes_s = (options.keep == Keep::Spikes).then_some(spikes);
     Ok(Answer { counts, spikes_s, skipped })
 }

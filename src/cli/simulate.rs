@@ -13,7 +13,7 @@ use anyhow::{Result, anyhow, bail};
 use clap::error::ErrorKind;
 use clap::{Args, CommandFactory, ValueEnum};
 use serde::Serialize;
-use std::fs::Permissions;
+use std::fs::{self, Permissions};
 use std::io::{self, Read, Write};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
@@ -215,8 +215,9 @@ pub(super) fn tradeoff(asked: &Compare) -> Result<ExitCode> {
 
 /// A new file in the place of another one.
 fn beside(file: &Path) -> Result<(NamedTempFile, &Path)> {
-    if file.is_dir() {
-        bail!("{}: is a directory: name a file to be written", file.display().to_string().escape_debug());
+    // A device or a pipe would be replaced, not written to; so would a link.
+    if fs::symlink_metadata(file).is_ok_and(|found| !found.is_file()) {
+        bail!("{}: is not a plain file: name one to be written", file.display().to_string().escape_debug());
     }
     let dir = file.parent().filter(|dir| !dir.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let new = tempfile::Builder::new().permissions(Permissions::from_mode(0o666)).tempfile_in(dir);

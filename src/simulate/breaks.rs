@@ -11,6 +11,7 @@
 
 use super::scene::Scene;
 use crate::motor::{Ramp, WINDOW_HALF_TICKS};
+use crate::pattern::Drive;
 use crate::units::{UM_PER_PULSE, seconds_to_ticks};
 use firmware_protocol::stroke::{Direction, MOTORS};
 use firmware_protocol::tick::{TICK_HZ, Tick};
@@ -46,7 +47,7 @@ pub(super) struct Breaks<'s> {
     behind: VecDeque<Break>,
     /// How many of `behind`, from the back, the leading edge has yet to pass.
     ahead: usize,
-    /// About how many there are in a second.
+    /// At most about so many in a second.
     per_s: f64,
 }
 
@@ -55,7 +56,7 @@ impl Breaks<'_> {
         self.motor
     }
 
-    /// About how many there are in a second.
+    /// At most about so many in a second.
     pub(super) const fn per_s(&self) -> f64 {
         self.per_s
     }
@@ -99,27 +100,29 @@ pub(super) fn of_scene(scene: &Scene) -> Vec<Breaks<'_>> {
     let mut drives: Vec<_> = scene.drives().iter().filter(|drive| drive.amplitude_um > 0.0).collect();
     drives.sort_by(|a, b| a.start().total_cmp(&b.start()));
     let of_motor = |motor: u8| {
-        let mut per_s = 0.0;
-        let mut ramps: Ramps<'_> = Box::new(std::iter::empty());
-        for drive in drives.iter().filter(|drive| drive.motor == motor) {
-            let Ok(wave) = drive.wave() else { continue };
-            if wave.wanted_pulses() == 0 {
-                continue;
-            }
-            per_s += 8.0 * drive.frequency_hz;
-            let start = seconds_to_ticks(drive.start());
-            let stop = drive.stop_s.map_or(u64::MAX, seconds_to_ticks);
-            let strokes = wave.excursions().take_while(move |excursion| {
-                start.saturating_add(excursion.end()) <= stop
-                    && half_ticks(Tick(start.saturating_add(excursion.up))) < end
-            });
-            ramps = Box::new(ramps.chain(strokes.flat_map(move |excursion| {
-                [(excursion.up, Direction::Up), (excursion.down, Direction::Down)].map(|(tick, direction)| {
-                    Ramp::new(Tick(start.saturating_add(tick)), excursion.pulses, direction, 1.0)
+        let moves = |drive: &&Drive| drive.wave().is_ok_and(|wave| wave.wanted_pulses() > 0);
+        let drives: Vec<_> =
+            drives.iter().copied().filter(|drive| drive.motor == motor).filter(moves).collect();
+        // One at a time: the fastest bounds them all.
+        let per_s = drives.iter().map(|drive| 8.0 * drive.frequency_hz).fold(0.0, f64::max);
+        let ramps = drives.into_iter().filter_map(|drive| Some((drive, drive.wave().ok()?))).flat_map(
+            move |(drive, wave)| {
+                let start = seconds_to_ticks(drive.start());
+                let stop = drive.stop_s.map_or(u64::MAX, seconds_to_ticks);
+                let strokes = wave.excursions().take_while(move |excursion| {
+                    start.saturating_add(excursion.end()) <= stop
+                        && half_ticks(Tick(start.saturating_add(excursion.up))) < end
+                });
+                strokes.flat_map(move |excursion| {
+                    [(excursion.up, Direction::Up), (excursion.down, Direction::Down)].map(
+                        |(tick, direction)| {
+                            Ramp::new(Tick(start.saturating_add(tick)), excursion.pulses, direction, 1.0)
+                        },
+                    )
                 })
-            })));
-        }
-        let breaks = Breaks { motor, ramps, behind: VecDeque::new(), ahead: 0, per_s };
+            },
+        );
+        let breaks = Breaks { motor, ramps: Box::new(ramps), behind: VecDeque::new(), ahead: 0, per_s };
         (per_s > 0.0).then_some(breaks)
     };
     (0..MOTORS as u8).filter_map(of_motor).collect()

@@ -1,6 +1,6 @@
 //! The cheapest method whose error is allowed, found on the scene itself.
 //!
-//! A sample of the receptors that fire is simulated exactly and by the propagator with ever smaller steps, until
+//! A sample of the receptors that may fire is simulated exactly and by the propagator with ever smaller steps, until
 //! the error on the sample leaves room for the sample's own uncertainty. What a method costs on the whole scene is
 //! counted in breaks, steps and spikes; when the exact method costs less than the step that would do, it is taken.
 //!
@@ -50,17 +50,19 @@ pub fn choose(scene: &Scene, error_hz: f64) -> Result<Choice, MethodError> {
     let stepped = |step_us| {
         Method::Stepped(Stepping { step_us, integrator: Integrator::Propagator, precision: Precision::F32 })
     };
-    // Who fires at all: those that a coarse step leaves silent hardly err at a finer one.
     let (sample, share) = if all.len() <= SAMPLE {
         (all, 1.0)
     } else {
-        let coarse = counts(scene, &all, stepped(1000));
-        let mut firing: Vec<u32> = all.into_iter().filter(|&number| coarse[number as usize] > 0).collect();
-        let share = firing.len() as f64 / scene.receptors().len() as f64;
-        firing.sort_by_key(|&number| scattered(number));
-        firing.truncate(SAMPLE);
-        (firing, share)
+        // Whoever is silent at the coarsest step is silent at every other and errs at none.
+        let mut audible = engine::audible(scene, &all, &Options::rates(stepped(STEPS_US[0])));
+        let share = audible.len() as f64 / all.len() as f64;
+        audible.sort_by_key(|&number| scattered(number));
+        audible.truncate(SAMPLE);
+        (audible, share)
     };
+    if sample.is_empty() {
+        return Ok(Choice { method: Method::Exact, estimated_rate_error_hz: 0.0, sampled: 0 });
+    }
     let exact = counts(scene, &sample, Method::Exact);
     let of_sample = |counts: &[u64]| sample.iter().map(|&number| counts[number as usize]).sum::<u64>() as f64;
     let whole = sample.len() == scene.receptors().len();
@@ -99,7 +101,10 @@ pub fn choose(scene: &Scene, error_hz: f64) -> Result<Choice, MethodError> {
 fn counts(scene: &Scene, receptors: &[u32], method: Method) -> Vec<u64> {
     let mut counts = vec![0; scene.receptors().len()];
     let options = Options::rates(method);
-    engine::run(scene, receptors, &options, &|_| (), |(number, count, _)| counts[number as usize] = count);
+    let ran = engine::run(scene, receptors, &options, &|_| (), |(number, count, _)| {
+        counts[number as usize] = count;
+    });
+    ran.expect("no spikes are kept, so there are never too many");
     counts
 }
 

@@ -15,7 +15,7 @@ use super::sampler::{Sample, Sampler};
 use super::scene::Scene;
 use super::silent::Charges;
 use super::stepped::{self, Block, StepModel, TILE};
-use super::{Integrator, Keep, Method, Options, Precision, Skipped, Stepping};
+use super::{Integrator, Keep, MOST_SPIKES, Method, MethodError, Options, Precision, Skipped, Stepping};
 use crate::draw::Normals;
 use crate::skin;
 use firmware_protocol::stroke::MOTORS;
@@ -46,7 +46,7 @@ pub(super) fn run(
     options: &Options,
     progress: &(dyn Fn(f64) + Sync),
     give: impl FnMut(Train),
-) -> Skipped {
+) -> Result<Skipped, MethodError> {
     run_on(Arch::new(), scene, receptors, options, progress, give)
 }
 
@@ -58,27 +58,35 @@ pub(super) fn run_on(
     options: &Options,
     progress: &(dyn Fn(f64) + Sync),
     mut give: impl FnMut(Train),
-) -> Skipped {
-    let end = end(scene.duration_s());
-    let horizon = match options.method {
-        Method::Exact => end,
-        Method::Stepped(Stepping { step_us, .. }) => {
-            (end / step_half_ticks(step_us)).ceil() * step_half_ticks(step_us)
-        }
-    };
-    let work = Work { scene, options, arch, membrane: Membrane::of(scene.model()), end, horizon };
+) -> Result<Skipped, MethodError> {
+    let work = Work::new(arch, scene, options);
     let mut skipped = Skipped::default();
     let moving = of_scene(scene).iter().fold(0, |moving, breaks| moving | 1_u32 << breaks.motor());
     skipped.motors_at_rest = MOTORS as u32 - moving.count_ones();
     let order = by_place(scene, receptors);
-    let mut reaching = 0;
+    let (mut reaching, mut kept) = (0, 0);
     let tiles = order.len().div_ceil(RECEPTORS).max(1) as f64;
     for (index, tile) in order.chunks(RECEPTORS).enumerate() {
         let part = |done: f64| progress((index as f64 + done) / tiles);
-        reaching |= work.tile(tile, moving, &mut skipped, &part, &mut give);
+        reaching |= work.tile(tile, moving, &mut skipped, &part, &mut |train: Train| {
+            kept += train.2.len() as u64;
+            give(train);
+        })?;
+        within_bounds(kept)?;
     }
     skipped.motors_out_of_reach = (moving & !reaching).count_ones();
-    skipped
+    Ok(skipped)
+}
+
+/// The receptors that are not proven silent, so that a method may find spikes there.
+pub(super) fn audible(scene: &Scene, receptors: &[u32], options: &Options) -> Vec<u32> {
+    let work = Work::new(Arch::new(), scene, options);
+    let moving = of_scene(scene).iter().fold(0, |moving, breaks| moving | 1_u32 << breaks.motor());
+    let members = receptors.iter().map(|&number| work.member(number, moving));
+    let mut members: Vec<_> =
+        members.filter(|member| member.weights.iter().any(|&weight| weight > 0.0)).collect();
+    work.silent(&mut members);
+    members.into_iter().map(|member| member.number).collect()
 }
 
 /// How much of a motor a receptor feels under these options.
@@ -118,7 +126,18 @@ struct Work<'w> {
     horizon: f64,
 }
 
-impl Work<'_> {
+impl<'w> Work<'w> {
+    fn new(arch: Arch, scene: &'w Scene, options: &'w Options) -> Self {
+        let end = end(scene.duration_s());
+        let horizon = match options.method {
+            Method::Exact => end,
+            Method::Stepped(Stepping { step_us, .. }) => {
+                (end / step_half_ticks(step_us)).ceil() * step_half_ticks(step_us)
+            }
+        };
+        Self { scene, options, arch, membrane: Membrane::of(scene.model()), end, horizon }
+    }
+
     /// Simulates a tile; says which motors reach it.
     fn tile(
         &self,
@@ -127,7 +146,7 @@ impl Work<'_> {
         skipped: &mut Skipped,
         progress: &(dyn Fn(f64) + Sync),
         give: &mut impl FnMut(Train),
-    ) -> u32 {
+    ) -> Result<u32, MethodError> {
         let mut members: Vec<_> =
             numbers.par_iter().with_min_len(64).map(|&number| self.member(number, moving)).collect();
         let reaching = members.iter().fold(0, |reaching, member| {
@@ -157,13 +176,13 @@ impl Work<'_> {
             |block| Blocks::single(block, self.horizon),
         );
         match self.options.method {
-            Method::Exact => skipped.repeated_receptor_s += self.exact(blocks, members, progress, give),
+            Method::Exact => skipped.repeated_receptor_s += self.exact(blocks, members, progress, give)?,
             Method::Stepped(stepping) => match stepping.precision {
-                Precision::F32 => self.stepped::<f32>(blocks, stepping, members, progress, give),
-                Precision::F64 => self.stepped::<f64>(blocks, stepping, members, progress, give),
+                Precision::F32 => self.stepped::<f32>(blocks, stepping, members, progress, give)?,
+                Precision::F64 => self.stepped::<f64>(blocks, stepping, members, progress, give)?,
             },
         }
-        reaching
+        Ok(reaching)
     }
 
     fn member(&self, number: u32, moving: u32) -> Member {
@@ -216,7 +235,10 @@ impl Work<'_> {
         members: Vec<Member>,
         progress: &(dyn Fn(f64) + Sync),
         give: &mut impl FnMut(Train),
-    ) -> f64 {
+    ) -> Result<f64, MethodError> {
+        if members.is_empty() {
+            return Ok(0.0);
+        }
         let keep = self.options.keep == Keep::Spikes;
         let noiseless = self.options.skip && self.scene.model().noise_sd == 0.0;
         let periods = noiseless.then(|| cycle::periods(self.scene.drives(), self.end));
@@ -229,6 +251,11 @@ impl Work<'_> {
         while groups.iter().any(exact::Group::goes_on) && blocks.next_into(&mut block) {
             groups.par_iter_mut().for_each(|group| group.run(self.arch, &self.membrane, &block, keep));
             progress(blocks.reached() / self.end);
+            within_bounds(groups.iter().map(exact::Group::kept).sum())?;
+        }
+        // What is repeated is not written out before it is known to be little enough.
+        if keep {
+            within_bounds(groups.iter().map(exact::Group::to_keep).sum())?;
         }
         let trains: Vec<_> =
             groups.into_par_iter().map(|group| group.finish(self.arch, &self.membrane, keep)).collect();
@@ -240,7 +267,7 @@ impl Work<'_> {
                 .zip(trains)
                 .for_each(|(number, (count, spikes))| give((number, count, spikes)));
         }
-        repeated / HALF_TICKS_PER_S
+        Ok(repeated / HALF_TICKS_PER_S)
     }
 
     fn stepped<T: Number>(
@@ -250,7 +277,7 @@ impl Work<'_> {
         members: Vec<Member>,
         progress: &(dyn Fn(f64) + Sync),
         give: &mut impl FnMut(Train),
-    ) {
+    ) -> Result<(), MethodError> {
         let length = step_half_ticks(stepping.step_us);
         let model = StepModel::new(&self.membrane, stepping.integrator, length);
         let sample = match stepping.integrator {
@@ -279,6 +306,7 @@ impl Work<'_> {
             groups.par_iter_mut().for_each(|group| group.run(self.arch, &block));
             first += count;
             progress(first as f64 / steps as f64);
+            within_bounds(groups.iter().map(stepped::Group::kept).sum())?;
         }
         for (numbers, group) in numbers.into_iter().zip(groups) {
             numbers
@@ -286,7 +314,13 @@ impl Work<'_> {
                 .zip(group.into_trains())
                 .for_each(|(number, (count, spikes))| give((number, count, spikes)));
         }
+        Ok(())
     }
+}
+
+/// Whether so many spikes can be kept.
+fn within_bounds(spikes: u64) -> Result<(), MethodError> {
+    if spikes > MOST_SPIKES { Err(MethodError::TooManySpikes) } else { Ok(()) }
 }
 
 impl Member {

@@ -45,9 +45,10 @@ impl Evaluator {
         let reached = |number: &u32| engine::weight(&scene, &self.options, *number, motor) > 0.0;
         let changed: Vec<u32> = (0..self.counts.len() as u32).filter(reached).collect();
         let counts = &mut self.counts;
-        let mut skipped = engine::run(&scene, &changed, &self.options, &|_| (), |(number, count, _)| {
+        let ran = engine::run(&scene, &changed, &self.options, &|_| (), |(number, count, _)| {
             counts[number as usize] = count;
         });
+        let mut skipped = ran.expect("no spikes are kept, so there are never too many");
         // They may reach the receptors that were not simulated.
         skipped.motors_out_of_reach = 0;
         skipped.receptors_reused = (self.counts.len() - changed.len()) as u64;

@@ -136,6 +136,21 @@ impl Group {
         arch.dispatch(Run { group: self, membrane, breaks, until, keep });
     }
 
+    /// Spikes in memory.
+    pub(super) fn kept(&self) -> u64 {
+        self.receptors.iter().map(|receptor| receptor.spikes.len() as u64).sum()
+    }
+
+    /// Spikes there will be about, with what is repeated.
+    pub(super) fn to_keep(&self) -> u64 {
+        let repeated = |receptor: &Receptor| {
+            let again = receptor.again?;
+            let spikes = receptor.spikes.len() - receptor.marked;
+            Some(spikes as f64 * (self.end - again.from) / again.length)
+        };
+        self.kept() + self.receptors.iter().filter_map(repeated).sum::<f64>() as u64
+    }
+
     /// Whether more breaks would change anything.
     pub(super) fn goes_on(&self) -> bool {
         self.receptors.iter().any(|receptor| receptor.again.is_none())
@@ -205,13 +220,14 @@ impl Receptor {
             if keep { spikes.iter().map(Instant::half_ticks).collect() } else { Vec::new() };
         if let Some(again) = again {
             let spikes = &spikes[marked..];
-            // Those of a repetition lie before its end, so all but the last repetition are whole.
+            // Those of a repetition lie before its end: so many repetitions are whole. What is known of a lane is known
+            // up to its last break, which lies somewhat before `from`: so two more may reach into the scene.
             let whole = ((until - again.from) / again.length).floor();
             if !keep {
                 count += whole as u64 * spikes.len() as u64;
             }
             let mut number = if keep { 1.0 } else { whole + 1.0 };
-            while number <= whole + 1.0 {
+            while number <= whole + 2.0 {
                 for spike in spikes {
                     let at = Instant { at: spike.at + number * again.length, ..*spike }.half_ticks();
                     if at < until {

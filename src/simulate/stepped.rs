@@ -113,6 +113,11 @@ impl<T: Number> Group<T> {
         arch.dispatch(Run { group: self, block: run });
     }
 
+    /// Spikes in memory.
+    pub(super) fn kept(&self) -> u64 {
+        self.receptors.iter().map(|receptor| receptor.spikes.len() as u64).sum()
+    }
+
     /// For each receptor: how many spikes, and their times in half ticks.
     pub(super) fn into_trains(self) -> impl Iterator<Item = (u64, Vec<f64>)> {
         self.receptors.into_iter().map(|receptor| (receptor.count, receptor.spikes))

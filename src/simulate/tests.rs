@@ -49,7 +49,8 @@ fn bits(arch: Arch, scene: &Scene, method: Method) -> Vec<(u32, u64, Vec<u64>)> 
     let mut trains = Vec::new();
     run_on(arch, scene, &all, &options, &|_| (), |(number, count, half_ticks)| {
         trains.push((number, count, half_ticks.into_iter().map(f64::to_bits).collect()));
-    });
+    })
+    .unwrap();
     trains.sort();
     trains
 }

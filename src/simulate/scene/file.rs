@@ -26,6 +26,7 @@ pub const MAX_JSON_BYTES: usize = 256 << 20;
 pub const MAX_TOML_BYTES: usize = 16 << 20;
 
 pub(super) fn read(text: &str, file: &str) -> Result<Scene, Fault> {
+    let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     let ends_in =
         |ending| std::path::Path::new(file).extension().is_some_and(|e| e.eq_ignore_ascii_case(ending));
     let json = ends_in("json") || (!ends_in("toml") && text.trim_start().starts_with('{'));
