@@ -24,6 +24,8 @@ use rayon::prelude::*;
 
 /// Receptors of a tile.
 const RECEPTORS: usize = 4096;
+/// Breaks of a motor after which it is asked for the first time who is silent: eight strokes.
+const FEW: usize = 64;
 /// Steps of a block.
 const STEPS: u64 = 256 * TILE as u64;
 
@@ -211,10 +213,17 @@ impl<'w> Work<'w> {
         let mut blocks = Blocks::new(of_scene(self.scene), self.horizon);
         let mut block = Vec::new();
         let mut silent: Vec<usize> = (0..members.len()).collect();
-        // Whoever has been found to fire needs no bound: often all of them, after the first block.
+        // Whoever may fire needs no bound any more: often all of them, after a few strokes of each motor.
         while !silent.is_empty() && blocks.next_by_motor(&mut block) {
-            charges.feed(&block);
-            silent.retain(|&index| !charges.reaches(&members[index].weights, members[index].threshold()));
+            for part in [0..FEW, FEW..usize::MAX] {
+                for breaks in block.chunk_by(|a, b| a.motor == b.motor) {
+                    charges.feed(&breaks[part.start.min(breaks.len())..part.end.min(breaks.len())]);
+                }
+                silent.retain(|&index| !charges.reaches(&members[index].weights, members[index].threshold()));
+                if silent.is_empty() {
+                    break;
+                }
+            }
         }
         let single = blocks.done() && (blocks.given() == 1);
         charges.finish(self.horizon);
