@@ -4,10 +4,12 @@
 //! figures it prints what is not a time: how many spikes, and what a search's coarser reach does to the rates.
 
 use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
+use meissner::array;
 use meissner::pattern::Drive;
 use meissner::simulate::{
     Evaluator, Integrator, Method, Options, Precision, SEARCH_LEAST_WEIGHT, Scene, Stepping, simulate,
 };
+use meissner::skin::Position;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::hint::black_box;
 use std::time::Duration;
@@ -47,10 +49,30 @@ fn whole(criterion: &mut Criterion) {
             });
         }
     }
-    let off = Options { skip: false, ..Options::spikes(Method::Exact) };
-    group.bench_function("exact_without_skipping/1_core", |bencher| {
-        threads(1).install(|| bencher.iter(|| simulate(black_box(&scene), &off, &|_| ())));
-    });
+    group.finish();
+}
+
+/// Receptors near their pins only: looking for what can be skipped finds nothing, and should cost next to nothing.
+fn nothing_to_skip(criterion: &mut Criterion) {
+    let place = |number: u32| {
+        let [x_mm, y_mm] = array::position_mm((number % 24) as u8);
+        // Up to 0.6 mm beside the pin, in all directions.
+        let (turns, beside_mm) = (f64::from(number) * 0.618, 0.6 * f64::from(number) / 306.0);
+        let (sin, cos) = (turns * std::f64::consts::TAU).sin_cos();
+        Position { x_mm: x_mm + beside_mm * cos, y_mm: y_mm + beside_mm * sin }
+    };
+    let (standard, receptors) = (scene(), (0..306).map(place).collect());
+    let scene =
+        Scene::new(1.0, 0, standard.drives().to_vec(), receptors, *standard.model()).expect("it is one");
+    let mut group = criterion.benchmark_group("nothing_to_skip");
+    group.measurement_time(Duration::from_secs(8));
+    let pool = threads(1);
+    for (name, skip) in [("looked_for", true), ("not_looked_for", false)] {
+        let options = Options { skip, ..Options::spikes(Method::Exact) };
+        group.bench_function(name, |bencher| {
+            pool.install(|| bencher.iter(|| simulate(black_box(&scene), &options, &|_| ())));
+        });
+    }
     group.finish();
 }
 
@@ -100,5 +122,5 @@ fn changed(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, whole, changed);
+criterion_group!(benches, whole, nothing_to_skip, changed);
 criterion_main!(benches);
