@@ -60,15 +60,15 @@ pub fn choose(scene: &Scene, error_hz: f64) -> Result<Choice, MethodError> {
         audible.truncate(SAMPLE);
         (audible, share)
     };
+    let by_exact = Choice { method: Method::Exact, estimated_rate_error_hz: 0.0, sampled: sample.len() };
     if sample.is_empty() {
-        return Ok(Choice { method: Method::Exact, estimated_rate_error_hz: 0.0, sampled: 0 });
+        return Ok(by_exact);
     }
     let exact = counts(scene, &sample, Method::Exact);
-    let of_sample = |counts: &[u64]| sample.iter().map(|&number| counts[number as usize]).sum::<u64>() as f64;
     let whole = sample.len() == scene.receptors().len();
-    // All that fire, from what the sample does.
-    let scale = if whole { 1.0 } else { share * scene.receptors().len() as f64 / sample.len().max(1) as f64 };
-    let spikes = of_sample(&exact) * scale;
+    // All that may fire, from what the sample does.
+    let scale = if whole { 1.0 } else { share * scene.receptors().len() as f64 / sample.len() as f64 };
+    let spikes = exact.iter().sum::<u64>() as f64 * scale;
     let exact_ns = breaks(scene, &sample) * scale * NS_PER_BREAK + spikes * NS_PER_EXACT_SPIKE;
     for step_us in STEPS_US {
         let steps = scene.duration_s() * 1e6 / f64::from(step_us) * sample.len() as f64 * scale;
@@ -88,13 +88,13 @@ pub fn choose(scene: &Scene, error_hz: f64) -> Result<Choice, MethodError> {
             .sum();
         // The sample may have missed the spike or two by which the others err.
         let missed = if whole { 0.0 } else { 2.0 };
-        let mean = (squares + missed) / sample.len().max(1) as f64 * share;
+        let mean = (squares + missed) / sample.len() as f64 * share;
         let estimate = if scene.duration_s() > 0.0 { mean.sqrt() / scene.duration_s() } else { 0.0 };
         if estimate * if whole { 1.0 } else { ROOM } <= error_hz {
             return Ok(Choice { method, estimated_rate_error_hz: estimate, sampled: sample.len() });
         }
     }
-    Ok(Choice { method: Method::Exact, estimated_rate_error_hz: 0.0, sampled: sample.len() })
+    Ok(by_exact)
 }
 
 /// Counts of some receptors, at their numbers.

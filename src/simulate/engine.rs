@@ -63,7 +63,7 @@ pub(super) fn run_on(
 ) -> Result<Skipped, MethodError> {
     let work = Work::new(arch, scene, options);
     let mut skipped = Skipped::default();
-    let moving = of_scene(scene).iter().fold(0, |moving, breaks| moving | 1_u32 << breaks.motor());
+    let moving = moving(scene);
     skipped.motors_at_rest = MOTORS as u32 - moving.count_ones();
     let order = by_place(scene, receptors);
     let (mut reaching, mut kept) = (0, 0);
@@ -83,12 +83,16 @@ pub(super) fn run_on(
 /// The receptors that are not proven silent, so that a method may find spikes there.
 pub(super) fn audible(scene: &Scene, receptors: &[u32], options: &Options) -> Vec<u32> {
     let work = Work::new(Arch::new(), scene, options);
-    let moving = of_scene(scene).iter().fold(0, |moving, breaks| moving | 1_u32 << breaks.motor());
+    let moving = moving(scene);
     let members = receptors.iter().map(|&number| work.member(number, moving));
-    let mut members: Vec<_> =
-        members.filter(|member| member.weights.iter().any(|&weight| weight > 0.0)).collect();
+    let mut members: Vec<_> = members.filter(|member| member.motors() != 0).collect();
     work.silent(&mut members);
     members.into_iter().map(|member| member.number).collect()
+}
+
+/// The motors that play a stroke, a bit each.
+fn moving(scene: &Scene) -> u32 {
+    of_scene(scene).iter().fold(0, |moving, breaks| moving | 1 << breaks.motor())
 }
 
 /// How much of a motor a receptor feels under these options.
@@ -151,17 +155,11 @@ impl<'w> Work<'w> {
     ) -> Result<u32, MethodError> {
         let mut members: Vec<_> =
             numbers.par_iter().with_min_len(64).map(|&number| self.member(number, moving)).collect();
-        let reaching = members.iter().fold(0, |reaching, member| {
-            member
-                .weights
-                .iter()
-                .enumerate()
-                .fold(reaching, |all, (motor, &weight)| all | u32::from(weight > 0.0) << motor)
-        });
+        let reaching = members.iter().fold(0, |reaching, member| reaching | member.motors());
         let mut only = None;
         if self.options.skip {
             members.retain(|member| {
-                let reached = member.weights.iter().any(|&weight| weight > 0.0);
+                let reached = member.motors() != 0;
                 if !reached {
                     skipped.receptors_out_of_reach += 1;
                     give((member.number, 0, Vec::new()));
@@ -333,6 +331,12 @@ fn within_bounds(spikes: u64) -> Result<(), MethodError> {
 }
 
 impl Member {
+    /// The moving motors that reach it, a bit each.
+    fn motors(&self) -> u32 {
+        let reaches = self.weights.iter().enumerate();
+        reaches.fold(0, |motors, (motor, &weight)| motors | u32::from(weight > 0.0) << motor)
+    }
+
     /// The threshold of its first interval.
     fn threshold(&self) -> f64 {
         self.resting.max(skin::LEAST_THRESHOLD)

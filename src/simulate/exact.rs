@@ -5,8 +5,8 @@
 //! might reach its threshold within a piece leaves the vector and is crossed by [`Neuron`].
 //!
 //! Weights are rounded to whole numbers of 37 bits. Times D, which is whole too, every sum of inputs is
-//! a whole number below 2⁵³: exact in `f64` in whatever order, and 0 when all is at rest. What that costs is
-//! a third of what ignoring weights below 10⁻¹⁰ does.
+//! a whole number below 2⁵³: exact in `f64` in whatever order, and 0 when all is at rest. What is rounded off is
+//! less than what ignoring weights below 10⁻¹⁰ leaves out.
 //!
 //! Invariant: the lanes' arithmetic is the same at every vector width.
 
@@ -27,6 +27,10 @@ pub(super) const LANES: usize = 8;
 const WEIGHT_BITS: i32 = 37;
 /// Breaks looked through at a time: their numbers fit a byte.
 const CHUNK: usize = 256;
+
+/// Spikes a group buffers while it looks for a repetition and none need be kept. Beyond, it stops looking: counting
+/// rates takes no more memory the longer the scene.
+pub(super) const MOST_BUFFERED: u64 = 1 << 14;
 
 type Lanes = Aligned<[f64; LANES]>;
 
@@ -132,8 +136,13 @@ impl Group {
 
     fn pass(&mut self, arch: Arch, membrane: &Membrane, breaks: &[Break], until: Option<f64>, keep: bool) {
         // While a repetition is looked for, spikes are kept: they are what is repeated.
-        let keep = keep || self.cycle.is_some();
-        arch.dispatch(Run { group: self, membrane, breaks, until, keep });
+        let buffers = !keep && self.cycle.is_some();
+        arch.dispatch(Run { group: self, membrane, breaks, until, keep: keep || buffers });
+        if buffers && self.kept() > MOST_BUFFERED {
+            self.cycle = None;
+            let going_on = self.receptors.iter_mut().filter(|receptor| receptor.again.is_none());
+            going_on.for_each(|receptor| receptor.spikes = Vec::new());
+        }
     }
 
     /// Spikes in memory.

@@ -1,7 +1,10 @@
 //! Of the parts that need what is private: vectors of every width, and the samples of velocities.
 
-use super::breaks::{Blocks, HALF_TICKS_PER_S, of_scene};
-use super::engine::run_on;
+use super::breaks::{Blocks, HALF_TICKS_PER_S, end, of_scene};
+use super::cycle::periods;
+use super::engine::{Member, run_on};
+use super::exact::{Group, MOST_BUFFERED};
+use super::membrane::Membrane;
 use super::sampler::{Sample, Sampler};
 use super::{Integrator, Method, Options, Precision, Scene, Stepping};
 use crate::draw::uniform;
@@ -166,4 +169,38 @@ fn samples_at_rest_are_zero() {
             assert!(rows.iter().enumerate().all(|(motor, row)| motor == 5 || row.iter().all(|&d| d == 0.0)));
         }
     }
+}
+
+/// A state that never repeats within the scene: what is buffered meanwhile stays within its bound.
+#[test]
+fn counting_rates_buffers_no_more_the_longer_the_scene() {
+    let drive = |motor, frequency_hz| Drive {
+        motor,
+        frequency_hz,
+        amplitude_um: 80.0,
+        phase: 0.0,
+        start_s: None,
+        stop_s: None,
+    };
+    let model = RaModel { alpha_per_um: 1e6, refractory_s: 1e-4, ..RaModel::default_for(Rectify::Half, 0.0) };
+    // They repeat together after 10 s.
+    let scene = Scene::new(60.0, 0, vec![drive(9, 10.0), drive(10, 10.1)], Vec::new(), model).unwrap();
+    let (membrane, end) = (Membrane::of(scene.model()), end(scene.duration_s()));
+    let mut weights = [0.0; MOTORS];
+    (weights[9], weights[10]) = (1.0, 0.5);
+    let member = Member { number: 0, weights, resting: 1.0, noise: None };
+    let periods = periods(scene.drives(), end);
+    let mut group = Group::new(vec![member], &membrane, Some(&periods), end);
+    let mut blocks = Blocks::new(of_scene(&scene), end);
+    let (mut block, mut most) = (Vec::new(), 0);
+    while blocks.next_into(&mut block) {
+        // As a scene of many blocks.
+        for part in block.chunks(64) {
+            group.run(Arch::new(), &membrane, part, false);
+            most = most.max(group.kept());
+        }
+    }
+    assert!(most > 1000 && most <= MOST_BUFFERED, "{most}");
+    let (trains, _) = group.finish(Arch::new(), &membrane, false);
+    assert!(trains[0].0 > MOST_BUFFERED && trains[0].1.is_empty());
 }
