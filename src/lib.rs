@@ -37,6 +37,7 @@ pub mod config;
 pub mod daemon;
 pub mod device;
 pub mod draw;
+mod keyed;
 pub mod link;
 pub mod motor;
 pub mod pattern;

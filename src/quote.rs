@@ -31,6 +31,12 @@ pub(crate) fn one_line(message: &str) -> String {
     shown + cut
 }
 
+/// A number, short also if it is very large or very small.
+pub(crate) fn figure(number: f64) -> String {
+    let plain = number == 0.0 || !number.is_finite() || (1e-6..1e16).contains(&number.abs());
+    if plain { number.to_string() } else { format!("{number:e}") }
+}
+
 /// The known key that is nearest to one that is not.
 pub(crate) fn nearest<'k>(known: &[&'k str], key: &str) -> &'k str {
     // Measured on a piece: a key may be as long as the file, and the measure takes memory for each letter.

@@ -35,9 +35,11 @@ mod stepped;
 #[cfg(test)]
 mod tests;
 
+pub use crate::keyed::{Mistake, Place};
 pub use choose::{Choice, choose};
 pub use evaluator::Evaluator;
-pub use scene::{MAX_JSON_BYTES, MAX_TOML_BYTES, Place, Problem, Scene, SceneError};
+pub use scene::{MAX_JSON_BYTES, MAX_TOML_BYTES, Problem, Scene, SceneError};
+pub(crate) use scene::{RawReceptor, check_model};
 
 use crate::skin::LEAST_WEIGHT;
 use breaks::HALF_TICKS_PER_S;

@@ -5,13 +5,13 @@ use std::path::{Path, PathBuf};
 /// The rooms, lowest first. Those of one line do not use each other.
 const ROOMS: [&[&str]; 16] = [
     &["quote", "units"],
-    &["draw"],
+    &["draw", "keyed"],
     &["array", "motor"],
     &["pattern"],
     &["strokes"],
     &["skin"],
     &["simulate"],
-    &["link", "plant"],
+    &["optimise", "link", "plant"],
     &["device"],
     &["stream"],
     &["record"],

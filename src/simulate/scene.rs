@@ -9,15 +9,19 @@
 
 mod error;
 mod file;
+mod receptor;
 
-pub use error::{Place, Problem, SceneError};
+pub use error::{Problem, SceneError};
 pub use file::{MAX_JSON_BYTES, MAX_TOML_BYTES};
+pub(crate) use receptor::{RawReceptor, check_model};
 
+use crate::keyed::in_range;
 use crate::motor::MotorError;
 use crate::pattern::{self, Drive};
 use crate::skin::{Position, RaModel};
 use error::Fault;
 use firmware_protocol::stroke::MOTORS;
+use receptor::seconds;
 
 /// A checked scene.
 #[derive(Clone, Debug, PartialEq)]
@@ -41,7 +45,9 @@ impl Scene {
         receptors: Vec<Position>,
         model: RaModel,
     ) -> Result<Self, SceneError> {
-        Self { duration_s, seed, drives, receptors, model }.checked().map_err(Fault::built)
+        Self { duration_s, seed, drives, receptors, model }
+            .checked()
+            .map_err(|fault| SceneError::new(fault, None))
     }
 
     /// The scene with all drives of one motor replaced; `drives` must be of that motor.
@@ -52,7 +58,7 @@ impl Scene {
         let mut scene = self.clone();
         scene.drives.retain(|drive| drive.motor != motor);
         scene.drives.extend(drives.iter().map(|drive| Drive { motor, ..*drive }));
-        scene.checked().map_err(Fault::built)
+        scene.checked().map_err(|fault| SceneError::new(fault, None))
     }
 
     /// Reads a scene file; `file` is what errors call it. A name that ends in `.json` or `.toml` says what it is;
@@ -61,7 +67,7 @@ impl Scene {
     /// # Errors
     /// The first thing that is wrong with it, in one line.
     pub fn read(text: &str, file: &str) -> Result<Self, SceneError> {
-        file::read(text, file).and_then(Self::checked).map_err(|fault| fault.at(file))
+        file::read(text, file).and_then(Self::checked).map_err(|fault| SceneError::new(fault, Some(file)))
     }
 
     /// How long is watched. It only ends the observation: every burst that starts before it exists.
@@ -115,15 +121,6 @@ impl Scene {
     }
 }
 
-fn in_range(key: &'static str, found: f64, good: bool, range: &'static str) -> Result<(), Fault> {
-    if good { Ok(()) } else { Err(Fault::key(key, Problem::Range { found, range })) }
-}
-
-/// Times of a scene reach to 30 years: `f64` seconds still tell ticks apart.
-fn seconds(key: &'static str, found: f64) -> Result<(), Fault> {
-    in_range(key, found, (0.0..=1e9).contains(&found), "0 to 1000000000 s")
-}
-
 /// What a motor's number must be, also where it does not fit the number's type.
 const MOTOR_RANGE: &str = "0 to 23";
 
@@ -146,20 +143,6 @@ fn check_drive(drive: &Drive) -> Result<(), Fault> {
         }
         _ => Ok(()),
     }
-}
-
-/// The ranges leave room for experiments; within them no step of the model overflows.
-fn check_model(model: &RaModel) -> Result<(), Fault> {
-    let RaModel { alpha_per_um, tau_s, refractory_s, noise_sd, sigma_mm, .. } = *model;
-    let (lasting_s, depth) = (model.hyperexcitability_s, model.hyperexcitability_depth);
-    in_range("alpha_per_um", alpha_per_um, (0.0..=1e15).contains(&alpha_per_um), "0 to 1e15 per um")?;
-    in_range("tau_s", tau_s, (1e-9..=1e9).contains(&tau_s), "1e-9 to 1e9 s")?;
-    // One spike per refractory period at the most: its least bounds the spikes of a scene.
-    in_range("refractory_s", refractory_s, (1e-5..=1e9).contains(&refractory_s), "1e-5 to 1e9 s")?;
-    seconds("hyperexcitability_s", lasting_s)?;
-    in_range("hyperexcitability_depth", depth, (0.0..=1.0).contains(&depth), "0 to 1")?;
-    in_range("sigma_mm", sigma_mm, (1e-3..=1e6).contains(&sigma_mm), "0.001 to 1000000 mm")?;
-    in_range("noise_sd", noise_sd, (0.0..=1e6).contains(&noise_sd), "0 to 1000000")
 }
 
 #[cfg(test)]

@@ -1,23 +1,20 @@
 //! Reading a scene file, TOML or JSON, into one and the same scene.
 //!
-//! Serde reads what may be a million receptors without a tree in between (JSON) and says the way to what is wrong;
-//! its messages are put into our words here. What is within a type but out of range is not refused here but by
+//! Serde reads what may be a million receptors without a tree in between (JSON), through `keyed`. What is within a type but out of range is not refused here but by
 //! the scene's own check, which serves built scenes too.
 //!
 //! Invariant: no key is ignored but `spikes_s` and `promised_spikes`, with which reference scenes tell their answers.
 
-use super::error::{Fault, Problem, figure};
-use super::{MOTOR_RANGE, Scene};
+use super::error::{Fault, Problem};
+use super::{MOTOR_RANGE, RawReceptor, Scene};
+use crate::keyed::{Keyed, from_json, from_toml};
 use crate::pattern::Drive;
-use crate::quote::{nearest, one_line, quote};
-use crate::skin::{self, Position, RaModel, Rectify};
+use crate::quote::figure;
+use crate::skin::{self, Position};
 use firmware_protocol::stroke::MOTORS;
-use serde::de::value::MapAccessDeserializer;
-use serde::de::{Error, IgnoredAny, MapAccess, Unexpected, Visitor};
+use serde::de::{Error, IgnoredAny, Unexpected, Visitor};
 use serde::{Deserialize, Deserializer};
-use serde_path_to_error::{Path, Segment};
 use std::fmt;
-use std::marker::PhantomData;
 
 /// Bytes of a JSON scene at the most: some millions of receptors, which are held once and without their text.
 pub const MAX_JSON_BYTES: usize = 256 << 20;
@@ -37,100 +34,8 @@ pub(super) fn read(text: &str, file: &str) -> Result<Scene, Fault> {
     if text.len() > most {
         return Err(Fault::whole(None, Problem::TooLarge { bytes: text.len(), language, most, advice }));
     }
-    let Keyed(raw) = if json { from_json(text) } else { from_toml(text) }?;
+    let Keyed(raw): Keyed<RawScene> = if json { from_json(text, wanted) } else { from_toml(text, wanted) }?;
     raw.scene()
-}
-
-fn from_json(text: &str) -> Result<Keyed<RawScene>, Fault> {
-    let mut source = serde_json::Deserializer::from_str(text);
-    let scene = serde_path_to_error::deserialize(&mut source).map_err(|error| {
-        let (path, error) = (error.path().clone(), error.into_inner());
-        let out_of_range = error.to_string().starts_with("number out of range");
-        if error.is_data() || out_of_range {
-            data(&path, Some(error.line()), without_place(&error).as_str())
-        } else {
-            json_syntax(&error)
-        }
-    })?;
-    source.end().map_err(|error| json_syntax(&error))?;
-    Ok(scene)
-}
-
-fn json_syntax(error: &serde_json::Error) -> Fault {
-    let message = format!("{} (column {})", one_line(&without_place(error)), error.column());
-    Fault::whole(Some(error.line()), Problem::Syntax { language: "JSON", message })
-}
-
-/// What is wrong; the line is told elsewhere.
-fn without_place(error: &serde_json::Error) -> String {
-    let mut message = error.to_string();
-    let place = format!(" at line {} column {}", error.line(), error.column());
-    message.truncate(message.strip_suffix(&place).map_or(message.len(), str::len));
-    message
-}
-
-fn from_toml(text: &str) -> Result<Keyed<RawScene>, Fault> {
-    let line = |error: &toml::de::Error| {
-        let start = error.span()?.start;
-        Some(1 + text.bytes().take(start).filter(|&byte| byte == b'\n').count())
-    };
-    let source = toml::Deserializer::parse(text).map_err(|error| {
-        let message = one_line(error.message());
-        Fault::whole(line(&error), Problem::Syntax { language: "TOML", message })
-    })?;
-    serde_path_to_error::deserialize(source)
-        .map_err(|error| data(error.path(), line(error.inner()), error.inner().message()))
-}
-
-/// Serde's message in our words.
-fn data(path: &Path, line: Option<usize>, message: &str) -> Fault {
-    let mut keys: Vec<String> = path
-        .iter()
-        .map(|segment| match segment {
-            Segment::Seq { index } => format!("[{index}]"),
-            Segment::Map { key } => format!(".{key}"),
-            Segment::Enum { .. } | Segment::Unknown => String::new(),
-        })
-        .collect();
-    // Of a key that is itself what is wrong, the path may have it or not.
-    let mut named = |key: &str, stays: bool| {
-        keys.pop_if(|last| last.strip_prefix('.') == Some(key));
-        if stays {
-            keys.push(format!(".{key}"));
-        }
-    };
-    let field = |kind: &str| message.strip_prefix(kind)?.strip_suffix('`');
-    let problem = if let Some((key, known)) =
-        message.strip_prefix("unknown field `").and_then(|rest| rest.rsplit_once("`, expected "))
-    {
-        named(key, false);
-        let known: Vec<&str> = known.split('`').skip(1).step_by(2).collect();
-        Problem::UnknownKey { key: quote(key), nearest: nearest(&known, key).to_owned() }
-    } else if let Some(key) = field("missing field `") {
-        named(key, true);
-        Problem::Missing { wanted: wanted(key) }
-    } else if let Some(key) = field("duplicate field `") {
-        named(key, true);
-        Problem::Twice
-    } else {
-        Problem::Value { message: in_words(message) }
-    };
-    let path = one_line(keys.concat().trim_start_matches('.'));
-    Fault { line: line.filter(|&line| line > 0), path, problem }
-}
-
-fn in_words(message: &str) -> String {
-    let mistyped = message.strip_prefix("invalid type: ").or_else(|| message.strip_prefix("invalid value: "));
-    let Some((found, wanted)) = mistyped.and_then(|rest| rest.rsplit_once(", expected ")) else {
-        return one_line(message);
-    };
-    let wanted = match wanted {
-        "f64" => "a number",
-        "u64" => "a whole number, 0 or more",
-        "a sequence" => "a list",
-        other => other,
-    };
-    format!("is {}: must be {wanted}", one_line(found))
 }
 
 fn wanted(key: &str) -> &'static str {
@@ -140,25 +45,6 @@ fn wanted(key: &str) -> &'static str {
         "frequency_hz" => "a frequency, above 0 and at most 42500 Hz",
         "amplitude_um" => "an amplitude, 0 to 1000000 um peak to peak",
         _ => "a place on the skin, in mm from the array's middle",
-    }
-}
-
-/// A struct that is written with its keys. What serde derives would also take a list of its values.
-struct Keyed<T>(T);
-
-impl<'de, T: Deserialize<'de>> Deserialize<'de> for Keyed<T> {
-    fn deserialize<D: Deserializer<'de>>(source: D) -> Result<Self, D::Error> {
-        struct Keys<T>(PhantomData<T>);
-        impl<'de, T: Deserialize<'de>> Visitor<'de> for Keys<T> {
-            type Value = Keyed<T>;
-            fn expecting(&self, text: &mut fmt::Formatter<'_>) -> fmt::Result {
-                text.write_str("a table of keys and values")
-            }
-            fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Keyed<T>, A::Error> {
-                T::deserialize(MapAccessDeserializer::new(map)).map(Keyed)
-            }
-        }
-        source.deserialize_map(Keys(PhantomData))
     }
 }
 
@@ -199,20 +85,6 @@ struct RawPopulation {
     seed: u64,
 }
 
-#[derive(Default, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct RawReceptor {
-    #[serde(default, deserialize_with = "rectify")]
-    rectify: Rectify,
-    alpha_per_um: Option<f64>,
-    tau_s: Option<f64>,
-    refractory_s: Option<f64>,
-    hyperexcitability_s: Option<f64>,
-    hyperexcitability_depth: Option<f64>,
-    sigma_mm: Option<f64>,
-    noise_sd: Option<f64>,
-}
-
 impl RawScene {
     fn scene(self) -> Result<Scene, Fault> {
         let (receptors, noise_sd) = match (self.receptors, self.population) {
@@ -233,22 +105,6 @@ impl RawScene {
             receptors,
             model: self.receptor.map_or_else(RawReceptor::default, |Keyed(raw)| raw).model(noise_sd),
         })
-    }
-}
-
-impl RawReceptor {
-    fn model(self, noise_sd: f64) -> RaModel {
-        let usual = RaModel::default_for(self.rectify, noise_sd);
-        RaModel {
-            rectify: self.rectify,
-            alpha_per_um: self.alpha_per_um.unwrap_or(usual.alpha_per_um),
-            tau_s: self.tau_s.unwrap_or(usual.tau_s),
-            refractory_s: self.refractory_s.unwrap_or(usual.refractory_s),
-            hyperexcitability_s: self.hyperexcitability_s.unwrap_or(usual.hyperexcitability_s),
-            hyperexcitability_depth: self.hyperexcitability_depth.unwrap_or(usual.hyperexcitability_depth),
-            sigma_mm: self.sigma_mm.unwrap_or(usual.sigma_mm),
-            noise_sd: self.noise_sd.unwrap_or(noise_sd),
-        }
     }
 }
 
@@ -285,23 +141,4 @@ fn motor<'de, D: Deserializer<'de>>(source: D) -> Result<u8, D::Error> {
         }
     }
     source.deserialize_any(Whole)
-}
-
-fn rectify<'de, D: Deserializer<'de>>(source: D) -> Result<Rectify, D::Error> {
-    struct Word;
-    impl Visitor<'_> for Word {
-        type Value = Rectify;
-        fn expecting(&self, text: &mut fmt::Formatter<'_>) -> fmt::Result {
-            text.write_str("\"half\", \"full\" or \"signed\"")
-        }
-        fn visit_str<E: Error>(self, found: &str) -> Result<Rectify, E> {
-            match found {
-                "half" => Ok(Rectify::Half),
-                "full" => Ok(Rectify::Full),
-                "signed" => Ok(Rectify::Signed),
-                _ => Err(E::custom(format_args!("is {}: must be half, full or signed", quote(found)))),
-            }
-        }
-    }
-    source.deserialize_str(Word)
 }
