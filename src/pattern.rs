@@ -182,9 +182,7 @@ impl Pattern {
     }
 
     fn check(&self) -> Result<(), Fault> {
-        let letters =
-            |name: &str| name.bytes().all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'-');
-        if !(1..=64).contains(&self.name.len()) || !letters(&self.name) {
+        if !is_name(&self.name) {
             return Err(Fault::key("name", Problem::Name { found: quote(&self.name) }));
         }
         if let Some(found) = self.duration_s
@@ -209,6 +207,12 @@ impl Pattern {
         }
         Ok(())
     }
+}
+
+/// Whether a pattern, or a target, may be called that: 1 to 64 of a-z, 0-9 and -.
+pub(crate) fn is_name(name: &str) -> bool {
+    let letter = |b: u8| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'-';
+    (1..=64).contains(&name.len()) && name.bytes().all(letter)
 }
 
 /// Two drives of one motor of which the second begins before the first has stopped, by their indices. Drives of

@@ -1,24 +1,23 @@
 //! What the methods of the simulator are worth: time against error, measured on this machine.
 //!
 //! [`tradeoff`] runs a scene by every method and step and compares each with the exact one: spike by spike, receptor
-//! by receptor (`compare`), and by the cost that an optimiser would see (`edge`). [`plot`] draws it, [`reasons`]
+//! by receptor (`compare`), and by the cost that an optimiser would see, on the target [`YARDSTICK`]. [`plot`] draws it, [`reasons`]
 //! says why what was skipped need not be computed. Nothing is decided for anybody: the recommendation is a sentence.
 //! The table that people read is laid out in `cli::simulate`.
 //!
 //! Invariant: errors depend on the scene alone; times, and with them the front and the recommendation, on the machine.
 
 mod compare;
-mod edge;
 mod how;
 mod plot;
 mod reasons;
 
 pub use compare::{MATCH_S, matching};
-pub use edge::{LENGTH_MM, REACH_MM};
 pub use how::How;
 pub use plot::{PlotError, plot};
 pub use reasons::{Count, Reason, reasons};
 
+use crate::optimise::{Sides, YARDSTICK, shipped};
 use crate::simulate::{
     Answer, Integrator, Method, MethodError, Options, Precision, Scene, Stepping, simulate,
 };
@@ -54,8 +53,7 @@ pub struct Tradeoff {
     pub euler_unstable_above_us: f64,
     /// By the exact method.
     pub spikes: u64,
-    /// By the exact method: mean rate of the receptors on the edge minus that of the others; none if there are
-    /// only ones or only others.
+    /// By the exact method: on the target [`YARDSTICK`]; none if the receptors are all on the edge, or none of them is.
     pub cost_hz: Option<f64>,
     /// What the exact method takes.
     pub exact_wall_s: f64,
@@ -144,6 +142,12 @@ pub fn tradeoff(scene: &Scene, progress: &(dyn Fn(f64) + Sync)) -> Result<Tradeo
             why: format!("more than {MOST_STEPS:e} steps x receptors take too long"),
         }),
     })
+}
+
+/// Which receptors of the scene are on the yardstick.
+fn sides(scene: &Scene) -> Sides {
+    let target = shipped(YARDSTICK).expect("it is shipped, as a test shows");
+    Sides::of(&target.frames()[0].shape, target.reach_mm(), scene.receptors())
 }
 
 fn stepped(steps: &[u32]) -> Vec<Method> {

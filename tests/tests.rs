@@ -53,6 +53,8 @@ mod simulate;
 mod streaming;
 /// From patterns to strokes: exact ticks, repeats and cuts, invariants on random patterns.
 mod strokes;
+/// Target files: what is refused and how it is said; shapes, sides, frames; the shipped targets.
+mod targets;
 
 /// Lets `assert_no_alloc` see every allocation of the tests.
 #[cfg(debug_assertions)]

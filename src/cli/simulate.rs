@@ -5,7 +5,8 @@
 
 use super::{Cli, Output, give, progress, text};
 use crate::config;
-use crate::report::{self, Count, How, LENGTH_MM, REACH_MM, Reason, Tradeoff};
+use crate::optimise::YARDSTICK;
+use crate::report::{self, Count, How, Reason, Tradeoff};
 use crate::simulate::{
     Answer, Integrator, Keep, MAX_JSON_BYTES, Method, Options, Precision, Scene, Stepping, choose, simulate,
 };
@@ -263,9 +264,9 @@ fn table(tradeoff: &Tradeoff, plot: Option<&Path>) -> String {
     );
     let mut lines = vec![scene, text::columns(&head, tradeoff.rows.iter().map(row))];
     lines.push(format!(
-        "Cost (exact: {}): mean impulse rate of the receptors within {REACH_MM} mm of the edge minus that \
-         of the others (what the optimiser will maximise); the edge is {LENGTH_MM} mm long, at 45 degrees through the \
-         array's middle; - if one side is empty.",
+        "Cost (exact: {}): mean impulse rate of the receptors within 1.5 mm of the edge minus that of the others \
+         (what the optimiser will maximise); the edge is the target `{YARDSTICK}`, 12 mm long, at 45 degrees through \
+         the array's middle; - if one side is empty.",
         figure(tradeoff.cost_hz, 3)
     ));
     // Rows may share a reason: Euler's is the same in f32 and f64.

@@ -5,7 +5,7 @@
 //!
 //! Invariant: an answer does not differ from itself.
 
-use super::edge;
+use crate::optimise::Sides;
 use crate::simulate::{Answer, Scene};
 
 /// Spikes further apart are not the same spike: the model's refractory period.
@@ -35,6 +35,7 @@ pub fn matching(expected: &[f64], found: &[f64]) -> (u64, f64) {
 pub(super) struct Reference<'s> {
     scene: &'s Scene,
     answer: Answer,
+    sides: Sides,
 }
 
 /// By how much an answer differs. Figures that have no meaning are none.
@@ -48,9 +49,9 @@ pub(super) struct Difference {
 }
 
 impl<'s> Reference<'s> {
-    /// `answer` is the exact one, with its spikes.
-    pub(super) const fn new(scene: &'s Scene, answer: Answer) -> Self {
-        Self { scene, answer }
+    /// `answer` is the exact one, with its spikes; the cost is that of the yardstick.
+    pub(super) fn new(scene: &'s Scene, answer: Answer) -> Self {
+        Self { scene, answer, sides: super::sides(scene) }
     }
 
     pub(super) const fn answer(&self) -> &Answer {
@@ -62,7 +63,7 @@ impl<'s> Reference<'s> {
     }
 
     pub(super) fn cost_hz(&self) -> Option<f64> {
-        edge::cost_hz(self.scene.receptors(), &self.answer.rates_hz(self.scene))
+        self.sides.cost_hz(&self.answer.rates_hz(self.scene))
     }
 
     pub(super) fn difference(&self, answer: &Answer) -> Difference {
@@ -74,7 +75,7 @@ impl<'s> Reference<'s> {
         let (exact, found) = (self.answer.rates_hz(self.scene), answer.rates_hz(self.scene));
         let squares: f64 = exact.iter().zip(&found).map(|(exact, found)| (found - exact).powi(2)).sum();
         let (spikes, of_answer) = (self.spikes(), answer.counts.iter().sum::<u64>());
-        let cost_hz = edge::cost_hz(self.scene.receptors(), &found);
+        let cost_hz = self.sides.cost_hz(&found);
         Difference {
             matched_share: (spikes > 0).then(|| matched as f64 / spikes as f64),
             mean_error_us: (matched > 0).then(|| sum_s / matched as f64 * 1e6),

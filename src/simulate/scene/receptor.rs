@@ -6,11 +6,11 @@ use crate::keyed::{Fault, Mistake, in_range};
 use crate::quote::quote;
 use crate::skin::{RaModel, Rectify};
 use serde::de::{Error, Visitor};
-use serde::{Deserialize, Deserializer};
+use serde::{Deserialize, Deserializer, Serialize};
 use std::fmt;
 
 /// The keys of `[receptor]`.
-#[derive(Default, Deserialize)]
+#[derive(Default, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct RawReceptor {
     #[serde(default, deserialize_with = "rectify")]
@@ -37,6 +37,22 @@ impl RawReceptor {
             hyperexcitability_depth: self.hyperexcitability_depth.unwrap_or(usual.hyperexcitability_depth),
             sigma_mm: self.sigma_mm.unwrap_or(usual.sigma_mm),
             noise_sd: self.noise_sd.unwrap_or(noise_sd),
+        }
+    }
+}
+
+/// Every key is there.
+impl From<RaModel> for RawReceptor {
+    fn from(model: RaModel) -> Self {
+        Self {
+            rectify: model.rectify,
+            alpha_per_um: Some(model.alpha_per_um),
+            tau_s: Some(model.tau_s),
+            refractory_s: Some(model.refractory_s),
+            hyperexcitability_s: Some(model.hyperexcitability_s),
+            hyperexcitability_depth: Some(model.hyperexcitability_depth),
+            sigma_mm: Some(model.sigma_mm),
+            noise_sd: Some(model.noise_sd),
         }
     }
 }

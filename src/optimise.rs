@@ -1,0 +1,47 @@
+//! Patterns that make receptors feel a shape: what is to be felt, and by what a pattern is judged.
+//!
+//! A [`Target`] is a [`Shape`] on the skin, read from a TOML file (`target`): an edge, a disc, dots, a Braille character
+//! (`braille`), a grating, each at rest or in motion; a moving one is cut into [`Frame`]s. [`Sides`] parts a population's
+//! receptors into those that should fire, because they lie within reach of the shape, and the others. The cost is the
+//! difference of the two mean rates; a pattern is the better, the higher it is.
+//!
+//! Some targets are shipped ([`LIBRARY`]); the one called [`YARDSTICK`] is what methods are compared on.
+//!
+//! Invariant: which receptors are on a shape depends on the shape, the reach and their places alone, bit for bit on
+//! every machine.
+
+mod braille;
+mod shape;
+mod sides;
+mod target;
+
+pub use shape::Shape;
+pub use sides::Sides;
+pub use target::{Frame, MAX_BYTES, MAX_FRAMES, MAX_POINTS, Problem, Target, TargetError};
+
+use include_dir::{Dir, include_dir};
+
+/// The shipped target files, as they are.
+pub static LIBRARY: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/targets");
+
+/// The shipped target by which patterns are commonly judged: an edge at 45°, 12 mm long, through the array's middle.
+pub const YARDSTICK: &str = "edge-45";
+
+/// The shipped target of that name.
+#[must_use]
+#[expect(clippy::missing_panics_doc, reason = "it does not happen: a test reads them all")]
+pub fn shipped(name: &str) -> Option<Target> {
+    let file = LIBRARY.get_file(format!("{name}.toml"))?;
+    let text = file.contents_utf8().expect("targets are text");
+    Some(Target::read(text, &file.path().to_string_lossy()).expect("shipped targets are good"))
+}
+
+/// What the shipped targets are called, in order.
+#[must_use]
+pub fn shipped_names() -> Vec<&'static str> {
+    let paths = LIBRARY.files().map(include_dir::File::path);
+    let toml = paths.filter(|path| path.extension().is_some_and(|extension| extension == "toml"));
+    let mut names: Vec<_> = toml.filter_map(|path| path.file_stem()?.to_str()).collect();
+    names.sort_unstable();
+    names
+}

@@ -1,0 +1,430 @@
+//! Targets: what is to be felt, where and for how long, and on whose finger it is tried.
+//!
+//! A target is read from a TOML file (`file`). It says a shape, how far around it receptors should fire, the amplitude
+//! that all motors share, a population of receptors and their model, and perhaps a motion. The shape is then as
+//! given in the middle of the motion; a motion is cut into frames, in each of which the shape stands still.
+//!
+//! Invariant: a [`Target`] that exists has been checked: its numbers are within their ranges, its points lie on the pad
+//! in every frame, and in every frame some receptors of its population are within reach and some are not.
+
+mod error;
+mod file;
+
+pub use error::{Problem, TargetError};
+pub use file::{MAX_BYTES, MAX_POINTS};
+
+use super::shape::{self, Shape};
+use super::sides::Sides;
+use crate::array::PITCH_MM;
+use crate::keyed::{self, Mistake, in_range};
+use crate::pattern::{self, AMPLITUDE_UM, MAX_SECONDS};
+use crate::quote::quote;
+use crate::simulate::{RawReceptor, check_model};
+use crate::skin::{self, PAD_LENGTH_MM, RaModel};
+use error::{Fault, number};
+use std::ops::RangeInclusive;
+use toml::{Table, Value};
+
+/// Frames of a motion at the most: each is optimised on its own.
+pub const MAX_FRAMES: u8 = 64;
+/// Between frames of its own choosing a motion goes on by no more than this, mm: half the way to the next pin.
+const STEP_MM: f64 = PITCH_MM / 2.0;
+/// What is closer than this runs together, mm: between two pins there must be one that is still.
+const FINEST_MM: f64 = 2.0 * PITCH_MM;
+/// Lengths that differ by less are the same, mm.
+const SAME_MM: f64 = 1e-9;
+
+/// A checked target.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Target {
+    name: String,
+    shape: Shape,
+    reach_mm: f64,
+    amplitude_um: f64,
+    duration_s: f64,
+    population_seed: u64,
+    model: RaModel,
+    motion: Option<Motion>,
+    frames: Vec<Frame>,
+}
+
+/// How the shape moves.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Motion {
+    speed_mm_s: f64,
+    direction_deg: f64,
+    turn_deg_s: f64,
+    frames: u8,
+}
+
+/// A time for which the shape stands still.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Frame {
+    /// Where the shape is in the frame's middle.
+    pub shape: Shape,
+    /// When the frame begins; none if the target does not move at all.
+    pub start_s: Option<f64>,
+    /// When the next begins, or the motion ends.
+    pub stop_s: Option<f64>,
+}
+
+impl Target {
+    /// Reads a target file; `file` is what errors call it.
+    ///
+    /// # Errors
+    /// The first thing that is wrong with it, in one line.
+    pub fn read(text: &str, file: &str) -> Result<Self, TargetError> {
+        file::read(text).map_err(|fault| TargetError::new(fault, Some(file)))
+    }
+
+    /// The target on receptors elsewhere: another population.
+    ///
+    /// # Errors
+    /// If in some frame none of them is within reach, or all are, or if a file could not hold the seed.
+    pub fn with_population_seed(&self, population_seed: u64) -> Result<Self, TargetError> {
+        Self { population_seed, ..self.clone() }.checked().map_err(|fault| TargetError::new(fault, None))
+    }
+
+    /// The target by another amplitude, µm peak to peak.
+    ///
+    /// # Errors
+    /// If it is beyond what a pattern may have.
+    pub fn with_amplitude_um(&self, amplitude_um: f64) -> Result<Self, TargetError> {
+        Self { amplitude_um, ..self.clone() }.checked().map_err(|fault| TargetError::new(fault, None))
+    }
+
+    /// Its name: 1 to 64 of a-z, 0-9 and -.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// A receptor no further than this from the shape is ON.
+    #[must_use]
+    pub const fn reach_mm(&self) -> f64 {
+        self.reach_mm
+    }
+
+    /// Of all motors, peak to peak.
+    #[must_use]
+    pub const fn amplitude_um(&self) -> f64 {
+        self.amplitude_um
+    }
+
+    /// How long the motion lasts, or, of a target at rest, the pattern made for it.
+    #[must_use]
+    pub const fn duration_s(&self) -> f64 {
+        self.duration_s
+    }
+
+    /// Which population of receptors it is tried on.
+    #[must_use]
+    pub const fn population_seed(&self) -> u64 {
+        self.population_seed
+    }
+
+    /// What the receptors are made of.
+    #[must_use]
+    pub const fn model(&self) -> &RaModel {
+        &self.model
+    }
+
+    /// The frames in order, at least one. Of a target at rest there is one, without times.
+    #[must_use]
+    pub fn frames(&self) -> &[Frame] {
+        &self.frames
+    }
+
+    /// The target as a table, with every key: [`Self::read`] makes an equal target of it. A segment is written as
+    /// one, a Braille character as its dots.
+    #[must_use]
+    #[expect(clippy::missing_panics_doc, reason = "it does not happen")]
+    pub fn definition(&self) -> Table {
+        let mut table = definition_of(&self.shape);
+        let mut put = |key: &str, value: Value| table.insert(key.to_owned(), value);
+        put("name", self.name.as_str().into());
+        put("reach_mm", self.reach_mm.into());
+        put("amplitude_um", self.amplitude_um.into());
+        let seed = i64::try_from(self.population_seed).expect("the seed was checked");
+        put("population", Table::from_iter([("seed".to_owned(), seed.into())]).into());
+        let receptor = Table::try_from(RawReceptor::from(self.model)).expect("a word and numbers");
+        put("receptor", receptor.into());
+        let duration_s = ("duration_s", self.duration_s.into());
+        match self.motion {
+            None => put(duration_s.0, duration_s.1),
+            Some(Motion { speed_mm_s, direction_deg, turn_deg_s, frames }) => {
+                let keys = [
+                    duration_s,
+                    ("speed_mm_s", speed_mm_s.into()),
+                    ("direction_deg", direction_deg.into()),
+                    ("turn_deg_s", turn_deg_s.into()),
+                    ("frames", i64::from(frames).into()),
+                ];
+                put(
+                    "motion",
+                    keys.into_iter().map(|(key, value)| (key.to_owned(), value)).collect::<Table>().into(),
+                )
+            }
+        };
+        table
+    }
+
+    /// What is allowed but cannot be felt as meant: finer than the array, or faster than its frames.
+    #[must_use]
+    pub fn warnings(&self) -> Vec<String> {
+        let mut warnings = Vec::new();
+        let mut finer = |what: &str, mm: f64, advice: &str| {
+            if mm < FINEST_MM - SAME_MM {
+                warnings.push(format!(
+                    "{what} {} mm apart run together: the array shows what is two pin pitches apart, \
+                     {FINEST_MM} mm; {advice}",
+                    number(mm)
+                ));
+            }
+        };
+        match &self.shape {
+            Shape::Dots(dots) => {
+                let pairs = dots
+                    .iter()
+                    .enumerate()
+                    .flat_map(|(at, &a)| dots[at + 1..].iter().map(move |&b| shape::distance(a, b)));
+                finer("dots", pairs.fold(f64::INFINITY, f64::min), "move them apart");
+            }
+            Shape::Grating { period_mm, .. } => finer("lines", *period_mm, "raise period_mm"),
+            Shape::Polyline(_) | Shape::Disc { .. } => {}
+        }
+        if let Some(motion) = &self.motion {
+            let step_mm = motion.path_mm(&self.shape, self.duration_s) / f64::from(motion.frames);
+            if step_mm > PITCH_MM + SAME_MM {
+                warnings.push(format!(
+                    "the shape moves by up to {} mm from frame to frame, more than a pin pitch, {PITCH_MM} mm: \
+                     it will be felt to jump; slow it down{}",
+                    number(step_mm),
+                    if motion.frames < MAX_FRAMES { ", or raise motion.frames" } else { "" }
+                ));
+            }
+        }
+        warnings
+    }
+
+    /// All but where its points lie, which a file has its own words for.
+    fn checked(self) -> Result<Self, Fault> {
+        if !pattern::is_name(&self.name) {
+            return Err(Fault::key("name", Problem::Name { found: quote(&self.name) }));
+        }
+        check_shape(&self.shape)?;
+        within("reach_mm", self.reach_mm, &(0.0..=PAD_LENGTH_MM), "0 to 24 mm")?;
+        within("amplitude_um", self.amplitude_um, &AMPLITUDE_UM, "0 to 400 um")?;
+        match self.motion {
+            None => seconds(self.duration_s),
+            Some(motion) => motion.check(self.duration_s).map_err(|fault| fault.within("motion")),
+        }?;
+        let seed = self.population_seed;
+        in_range("population.seed", seed as f64, i64::try_from(seed).is_ok(), "0 to 9223372036854775807")?;
+        check_model(&self.model).map_err(|fault| fault.within("receptor"))?;
+        self.check_sides()?;
+        Ok(self)
+    }
+
+    fn check_sides(&self) -> Result<(), Fault> {
+        let (receptors, reach_mm) = (skin::population(self.population_seed), self.reach_mm);
+        for (index, frame) in self.frames.iter().enumerate() {
+            let sides = Sides::of(&frame.shape, reach_mm, &receptors);
+            let (of, frame) = (receptors.len(), self.frame_number(index));
+            let problem = match (sides.on_count(), sides.off_count()) {
+                (0, _) => Problem::NoneOn { of, frame, reach_mm },
+                (_, 0) => Problem::AllOn { of, frame, reach_mm },
+                _ => continue,
+            };
+            return Err(Fault::key("reach_mm", problem));
+        }
+        Ok(())
+    }
+
+    /// Which frame it is, from 1, and of how many, if there are several.
+    fn frame_number(&self, index: usize) -> Option<(usize, usize)> {
+        (self.frames.len() > 1).then(|| (index + 1, self.frames.len()))
+    }
+}
+
+impl Motion {
+    fn check(&self, duration_s: f64) -> Result<(), keyed::Fault<Mistake>> {
+        seconds(duration_s)?;
+        within("speed_mm_s", self.speed_mm_s, &(-1e3..=1e3), "-1000 to 1000 mm/s")?;
+        within("direction_deg", self.direction_deg, &(-360.0..=360.0), "-360 to 360 degrees")?;
+        within("turn_deg_s", self.turn_deg_s, &(-36e3..=36e3), "-36000 to 36000 degrees/s")
+    }
+
+    /// How far a point of the shape goes at the most, mm; along the arc, so that a full turn is not nothing.
+    fn path_mm(&self, shape: &Shape, duration_s: f64) -> f64 {
+        let turning_mm_s = self.turn_deg_s.abs().to_radians() * shape.extent_mm();
+        (self.speed_mm_s.abs() + turning_mm_s) * duration_s
+    }
+
+    /// So many frames that from one to the next no point moves by more than half a pin pitch.
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped")]
+    fn enough_frames(&self, shape: &Shape, duration_s: f64) -> u8 {
+        let frames = ((self.path_mm(shape, duration_s) - SAME_MM) / STEP_MM).ceil();
+        frames.clamp(1.0, f64::from(MAX_FRAMES)) as u8
+    }
+
+    fn frames(&self, shape: &Shape, duration_s: f64) -> Vec<Frame> {
+        let time_s = |frame: f64| frame / f64::from(self.frames) * duration_s;
+        let frame = |number: u8| {
+            let number = f64::from(number);
+            let from_middle_s = time_s(number + 0.5) - duration_s / 2.0;
+            let [x, y] = shape::direction(self.direction_deg);
+            let way_mm = self.speed_mm_s * from_middle_s;
+            Frame {
+                shape: shape.moved([x * way_mm, y * way_mm], self.turn_deg_s * from_middle_s),
+                start_s: Some(time_s(number)),
+                stop_s: Some(time_s(number + 1.0)),
+            }
+        };
+        (0..self.frames).map(frame).collect()
+    }
+}
+
+fn check_shape(shape: &Shape) -> Result<(), keyed::Fault<Mistake>> {
+    match *shape {
+        Shape::Polyline(_) | Shape::Dots(_) => Ok(()),
+        Shape::Disc { radius_mm, .. } => within("radius_mm", radius_mm, &(0.0..=PAD_LENGTH_MM), "0 to 24 mm"),
+        Shape::Grating { period_mm, angle_deg, offset_mm } => {
+            within("period_mm", period_mm, &(0.1..=1e3), "0.1 to 1000 mm")?;
+            within("angle_deg", angle_deg, &(-360.0..=360.0), "-360 to 360 degrees")?;
+            within("offset_mm", offset_mm, &(-1e3..=1e3), "-1000 to 1000 mm")
+        }
+    }
+}
+
+/// How long a pattern or a motion lasts.
+fn seconds(found: f64) -> Result<(), keyed::Fault<Mistake>> {
+    within("duration_s", found, &(0.001..=MAX_SECONDS), "0.001 to 100000000 s")
+}
+
+fn within(
+    key: &str,
+    found: f64,
+    wanted: &RangeInclusive<f64>,
+    range: &'static str,
+) -> Result<(), keyed::Fault<Mistake>> {
+    in_range(key, found, wanted.contains(&found), range)
+}
+
+/// The keys of a shape.
+fn definition_of(shape: &Shape) -> Table {
+    let point = |&[x, y]: &[f64; 2]| Value::Array(vec![x.into(), y.into()]);
+    let points = |points: &[[f64; 2]]| ("points", Value::Array(points.iter().map(point).collect()));
+    let (word, keys) = match shape {
+        Shape::Polyline(ends) if ends.len() == 2 => ("segment", vec![points(ends)]),
+        Shape::Polyline(corners) => ("polyline", vec![points(corners)]),
+        Shape::Dots(dots) => ("dots", vec![points(dots)]),
+        Shape::Disc { center_mm, radius_mm } => {
+            ("disc", vec![("center_mm", point(center_mm)), ("radius_mm", (*radius_mm).into())])
+        }
+        &Shape::Grating { period_mm, angle_deg, offset_mm } => {
+            let keys = [("period_mm", period_mm), ("angle_deg", angle_deg), ("offset_mm", offset_mm)];
+            ("grating", keys.map(|(key, value)| (key, value.into())).into())
+        }
+    };
+    let keys = keys.into_iter().chain([("shape", word.into())]);
+    keys.map(|(key, value)| (key.to_owned(), value)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(rest: &str) -> Target {
+        Target::read(&format!("name = \"t\"\n{rest}"), "t.toml").unwrap()
+    }
+
+    const EDGE: &str = "shape = \"segment\"\npoints = [[-3, 0], [3, 0]]\n";
+
+    #[test]
+    fn a_target_at_rest_is_one_frame_without_times() {
+        let target = read(EDGE);
+        let shape = Shape::Polyline(vec![[-3.0, 0.0], [3.0, 0.0]]);
+        assert_eq!(target.frames(), [Frame { shape, start_s: None, stop_s: None }]);
+        assert_eq!((target.reach_mm(), target.amplitude_um(), target.duration_s()), (1.5, 80.0, 5.0));
+        assert_eq!((target.population_seed(), target.model().noise_sd), (0, skin::POPULATION_NOISE_SD));
+    }
+
+    #[test]
+    fn frames_are_the_shape_at_their_middle_times() {
+        let target = read(&format!(
+            "{EDGE}motion = {{ duration_s = 2, speed_mm_s = 2, direction_deg = 90, turn_deg_s = 90, frames = 2 }}"
+        ));
+        let times: Vec<_> = target.frames().iter().map(|frame| (frame.start_s, frame.stop_s)).collect();
+        assert_eq!(times, [(Some(0.0), Some(1.0)), (Some(1.0), Some(2.0))]);
+        // Half a second before the middle, and half a second after: turned by 45 degrees and 1 mm away.
+        for (frame, sign) in target.frames().iter().zip([-1.0, 1.0]) {
+            let [x, y] = shape::direction(45.0).map(|part| 3.0 * part);
+            let expected = [[-x, -sign * y + sign], [x, sign * y + sign]];
+            for (&found, expected) in frame.shape.points().iter().zip(expected) {
+                assert!(shape::distance(found, expected) < 1e-12, "{found:?} {expected:?}");
+            }
+        }
+    }
+
+    /// 2.9 mm/s are two half pitches a second; the ends of an edge of 6 mm go 3π mm in half a turn.
+    #[test]
+    fn there_are_frames_enough_for_half_a_pitch_each_and_not_one_more() {
+        for (motion, frames) in [
+            ("duration_s = 2, speed_mm_s = 2.9", 4),
+            ("duration_s = 2, speed_mm_s = -2.9001", 5),
+            ("duration_s = 1, turn_deg_s = 180", 7),
+            ("duration_s = 1, turn_deg_s = 36000", 64),
+            ("duration_s = 1", 1),
+        ] {
+            let target = read(&format!("{EDGE}motion = {{ {motion} }}"));
+            assert_eq!(target.frames().len(), frames, "{motion}");
+            assert_eq!(target.warnings().len(), usize::from(frames == 64), "{motion}");
+        }
+        let disc = read("shape = \"disc\"\nradius_mm = 2\nmotion = { duration_s = 1, turn_deg_s = 180 }");
+        assert_eq!(disc.frames().len(), 5);
+        let grating =
+            read("shape = \"grating\"\nperiod_mm = 9\nmotion = { duration_s = 1, turn_deg_s = 180 }");
+        assert_eq!(grating.frames().len(), 26);
+    }
+
+    #[test]
+    fn what_the_array_cannot_show_is_warned_of() {
+        let line = |rest: &str| read(rest).warnings().concat();
+        assert_eq!(
+            line("shape = \"dots\"\npoints = [[0, 0], [9, 0], [3, 4]]"),
+            "dots 5 mm apart run together: the array shows what is two pin pitches apart, 5.8 mm; move them apart"
+        );
+        assert!(line("shape = \"grating\"\nperiod_mm = 5.7").starts_with("lines 5.7 mm apart run together"));
+        let jumps = "motion = { duration_s = 1, speed_mm_s = 5.9, frames = 2 }";
+        assert_eq!(
+            line(&format!("{EDGE}{jumps}")),
+            "the shape moves by up to 2.95 mm from frame to frame, more than a pin pitch, 2.9 mm: it will be felt \
+             to jump; slow it down, or raise motion.frames"
+        );
+        for fine in [
+            "shape = \"braille\"\ncharacter = \"y\"",
+            "shape = \"grating\"\nperiod_mm = 5.8",
+            &format!("{EDGE}{}", jumps.replace("5.9", "5.8")),
+        ] {
+            assert_eq!(line(fine), "");
+        }
+    }
+
+    #[test]
+    fn variants_are_checked() {
+        let target = read(EDGE);
+        assert_eq!(target.with_amplitude_um(30.0).unwrap().amplitude_um(), 30.0);
+        assert_eq!(target.with_population_seed(7).unwrap().population_seed(), 7);
+        let line = target.with_amplitude_um(f64::NAN).unwrap_err().to_string();
+        assert_eq!(line, "`amplitude_um` is NaN: must be 0 to 400 um");
+        let line = target.with_population_seed(u64::MAX).unwrap_err().to_string();
+        assert_eq!(line, "`population.seed` is 1.8446744073709552e19: must be 0 to 9223372036854775807");
+        // A place on the skin that has a receptor in one population and none in the other.
+        let at = skin::population(1)[0];
+        let rest = format!("shape = \"dots\"\npoints = [[{}, {}]]\nreach_mm = 0.01\n", at.x_mm, at.y_mm);
+        let narrow = read(&format!("{rest}population.seed = 1"));
+        let line = narrow.with_population_seed(2).unwrap_err().to_string();
+        assert!(line.starts_with("`reach_mm` is 0.01: none of the 306 receptors"), "{line}");
+    }
+}
