@@ -47,13 +47,15 @@ mod rig;
 mod scenes;
 /// A session and a controller over a line that loses: one verdict per stroke.
 mod session;
+/// Shapes and sides against slow ways to the same: samples of an outline, pairs of receptors.
+mod shapes;
 /// Simulated spikes against another program's and the oracle's.
 mod simulate;
 /// The streamer against the mock: tick for tick, over bad lines, through stalls, stops and pulled cables.
 mod streaming;
 /// From patterns to strokes: exact ticks, repeats and cuts, invariants on random patterns.
 mod strokes;
-/// Target files: what is refused and how it is said; shapes, sides, frames; the shipped targets.
+/// Target files: what is refused and how it is said; the shipped targets.
 mod targets;
 
 /// Lets `assert_no_alloc` see every allocation of the tests.

@@ -29,13 +29,13 @@ pub enum Problem {
     Mistake(Mistake),
     #[error("is {found}: must be 1 to 64 of a-z, 0-9 and -")]
     Name { found: String },
-    #[error("belongs to shape = {of}, and this is a {shape}: leave it out, or change `shape`")]
+    #[error("is a key of shape = {of}, and this is a {shape}: leave it out, or change `shape`")]
     Foreign { of: &'static str, shape: &'static str },
     #[error("is a list of {count}: must be {wanted}")]
     Count { count: usize, wanted: &'static str },
     #[error("is {found}: must be a letter a to z, or a six-dot Braille character, U+2801 to U+283F")]
     Character { found: String },
-    #[error("does not go with `[motion]`, which has its own: leave it out")]
+    #[error("is there, and `[motion]` has its own: leave it out")]
     DurationOfMotion,
     /// Of a Braille character it is a dot; frames are told as which of how many, if there are several.
     #[error(
