@@ -36,7 +36,7 @@ mod stepped;
 mod tests;
 
 pub use choose::{Choice, choose};
-pub use evaluator::Evaluator;
+pub use evaluator::{Evaluator, Trial};
 pub use scene::{MAX_JSON_BYTES, MAX_TOML_BYTES, Place, Problem, Scene, SceneError};
 
 use crate::skin::LEAST_WEIGHT;

@@ -7,7 +7,7 @@
 //! Invariant: no key is ignored but `spikes_s` and `promised_spikes`, with which reference scenes tell their answers.
 
 use super::error::{Fault, Problem, figure};
-use super::{MOTOR_RANGE, Scene};
+use super::{MOTOR_RANGE, NO_GAINS, Scene};
 use crate::pattern::Drive;
 use crate::quote::{nearest, one_line, quote};
 use crate::skin::{self, Position, RaModel, Rectify};
@@ -18,6 +18,7 @@ use serde::{Deserialize, Deserializer};
 use serde_path_to_error::{Path, Segment};
 use std::fmt;
 use std::marker::PhantomData;
+use std::sync::Arc;
 
 /// Bytes of a JSON scene at the most: some millions of receptors, which are held once and without their text.
 pub const MAX_JSON_BYTES: usize = 256 << 20;
@@ -230,7 +231,8 @@ impl RawScene {
             duration_s: self.duration_s,
             seed: self.seed,
             drives: self.drives.into_iter().map(drive).collect(),
-            receptors,
+            receptors: Arc::new(receptors),
+            gains: NO_GAINS,
             model: self.receptor.map_or_else(RawReceptor::default, |Keyed(raw)| raw).model(noise_sd),
         })
     }
