@@ -37,7 +37,7 @@ mod tests;
 
 pub use crate::keyed::{Mistake, Place};
 pub use choose::{Choice, choose};
-pub use evaluator::Evaluator;
+pub use evaluator::{Evaluator, Trial};
 pub use scene::{MAX_JSON_BYTES, MAX_TOML_BYTES, Problem, Scene, SceneError};
 pub(crate) use scene::{RawReceptor, check_model};
 

@@ -1,9 +1,12 @@
-//! A scene changed motor by motor has the answer of one simulated afresh.
+//! A scene changed motor by motor has the answer of one simulated afresh, and so has one that is only tried.
 
 use crate::random::Random;
 use meissner::pattern::Drive;
-use meissner::simulate::{Evaluator, Integrator, Method, Options, Precision, Scene, Stepping, simulate};
-use meissner::skin::{Position, RaModel, Rectify};
+use meissner::simulate::{
+    Evaluator, Integrator, Method, Options, Precision, SEARCH_LEAST_WEIGHT, Scene, Stepping, simulate,
+};
+use meissner::skin::{LEAST_WEIGHT, Position, RaModel, Rectify};
+use rayon::prelude::*;
 
 fn methods() -> [Method; 3] {
     let stepped = |integrator, precision| Method::Stepped(Stepping { step_us: 500, integrator, precision });
@@ -57,6 +60,81 @@ fn any_sequence_of_changes_ends_where_a_fresh_simulation_does() {
         }
         assert!(reused > 0, "seed {seed}");
     }
+}
+
+/// A random scene of 0.4 s and an evaluator of it, now with and now without noise, gains, and a coarser reach.
+fn evaluated(seed: u64) -> (Random, Evaluator, Options) {
+    let mut random = Random::new(seed);
+    let scene = random.scene(0.7);
+    let model = RaModel { noise_sd: [0.0, 0.05][seed as usize % 2], ..*scene.model() };
+    let (drives, receptors) = (scene.drives().to_vec(), scene.receptors().to_vec());
+    let mut scene = Scene::new(0.4, seed, drives, receptors, model).unwrap();
+    if random.chance(0.3) {
+        scene = scene.with_gains(&std::array::from_fn(|_| random.between(0.8, 1.2))).unwrap();
+    }
+    let method = methods()[seed as usize % 3];
+    let least_weight = if random.chance(0.5) { SEARCH_LEAST_WEIGHT } else { LEAST_WEIGHT };
+    let options = Options { least_weight, ..Options::rates(method) };
+    (random, Evaluator::new(scene, options).unwrap(), options)
+}
+
+/// Drives with some motors changed: another drive, none, one that does not move.
+fn tried(random: &mut Random, drives: &[Drive]) -> Vec<Drive> {
+    let mut drives = drives.to_vec();
+    for _ in 0..random.below(4) {
+        let motor = random.below(24) as u8;
+        let now = drives.iter().copied().find(|drive| drive.motor == motor);
+        drives.retain(|drive| drive.motor != motor);
+        match random.below(4) {
+            0 => drives.push(Drive { amplitude_um: 0.0, ..random.drive(motor) }),
+            _ => drives.extend(changed(random, motor, now)),
+        }
+    }
+    drives
+}
+
+#[test]
+fn a_trial_comes_to_what_a_fresh_simulation_does_and_changes_nothing() {
+    for seed in 0..24 {
+        let (mut random, mut evaluator, options) = evaluated(seed);
+        let mut spared = false;
+        for _ in 0..6 {
+            let (scene, counts) = (evaluator.scene().clone(), evaluator.counts().to_vec());
+            let candidates: Vec<_> = (0..4).map(|_| tried(&mut random, scene.drives())).collect();
+            // Several threads at once.
+            let mut trials: Vec<_> =
+                candidates.par_iter().map(|drives| evaluator.trial(drives).unwrap()).collect();
+            assert_eq!((evaluator.scene(), evaluator.counts()), (&scene, &counts[..]));
+            for (trial, drives) in trials.iter().zip(&candidates) {
+                let expected = afresh(&scene.with_drives(drives.clone()).unwrap(), &options);
+                assert_eq!(trial.drives(), drives);
+                assert_eq!(trial.counts(), expected, "seed {seed}");
+                assert!(trial.changed().all(|(number, count)| expected[number as usize] == count));
+                assert_eq!(trial.changed().count(), trial.simulated());
+                spared |= (1..counts.len()).contains(&trial.simulated());
+            }
+            let accepted = trials.swap_remove(random.below(4));
+            let (drives, counts) = (accepted.drives().to_vec(), accepted.counts());
+            evaluator.accept(accepted);
+            assert_eq!((evaluator.scene().drives(), evaluator.counts()), (&drives[..], &counts[..]));
+            // What was tried of the scene as it was before is not what it comes to now.
+            let late = trials.swap_remove(0);
+            let drives = late.drives().to_vec();
+            evaluator.accept(late);
+            assert_eq!(evaluator.counts(), afresh(&scene.with_drives(drives).unwrap(), &options));
+        }
+        assert!(spared || evaluator.counts().len() < 30, "seed {seed}");
+    }
+}
+
+#[test]
+fn drives_in_another_order_or_the_same_are_not_simulated() {
+    let (_, evaluator, _) = evaluated(1);
+    let mut drives = evaluator.scene().drives().to_vec();
+    drives.reverse();
+    assert_eq!(evaluator.trial(&drives).unwrap().simulated(), 0);
+    drives[0].frequency_hz = 1e6;
+    assert!(evaluator.trial(&drives).unwrap_err().to_string().contains("drives[0]"));
 }
 
 #[test]

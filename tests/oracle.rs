@@ -49,7 +49,12 @@ pub(crate) struct Train {
 
 /// What each receptor does, in their order.
 pub(crate) fn spikes(scene: &Scene) -> Vec<Train> {
-    (0..scene.receptors.len()).map(|receptor| train(scene, receptor)).collect()
+    spikes_with_gains(scene, &[1.0; MOTORS])
+}
+
+/// The same if each motor moves by its gain times as much.
+pub(crate) fn spikes_with_gains(scene: &Scene, gains: &[f64; MOTORS]) -> Vec<Train> {
+    (0..scene.receptors.len()).map(|receptor| train(scene, gains, receptor)).collect()
 }
 
 /// Compares up to what is promised; how many spikes that were. One that `expected` itself knows less well than
@@ -135,10 +140,11 @@ struct Piece {
 }
 
 /// All pieces of a receptor's input until `horizon_s`.
-fn pieces(scene: &Scene, receptor: (f64, f64), horizon_s: f64) -> Vec<Piece> {
+fn pieces(scene: &Scene, gains: &[f64; MOTORS], receptor: (f64, f64), horizon_s: f64) -> Vec<Piece> {
     // At a break: by how much the slope of which motor's `r(t) - r(t-W)` changes, half pulses per half tick.
     let mut breaks: BTreeMap<i64, Vec<(usize, i64)>> = BTreeMap::from([(0, Vec::new())]);
-    let weights: Vec<f64> = (0..MOTORS).map(|m| pin_weight(receptor, m, scene.model.sigma_mm)).collect();
+    let weights: Vec<f64> =
+        (0..MOTORS).map(|m| gains[m] * pin_weight(receptor, m, scene.model.sigma_mm)).collect();
     for drive in scene.drives.iter().filter(|drive| weights[drive.motor] > 0.0) {
         for Burst { start, end, direction } in bursts(drive, horizon_s) {
             breaks.entry(start).or_default().push((drive.motor, direction));
@@ -280,12 +286,12 @@ fn threshold(model: &Model, offset: f64, last: Option<Last>, t_s: f64) -> (f64, 
     }
 }
 
-fn train(scene: &Scene, receptor: usize) -> Train {
+fn train(scene: &Scene, gains: &[f64; MOTORS], receptor: usize) -> Train {
     let model = &scene.model;
     let offsets = scene.offsets.get(receptor).map_or(&[][..], Vec::as_slice);
     let mut train = Train { spikes: Vec::new(), doubtful_from_s: f64::INFINITY };
     let (mut p, mut last) = (0.0, None::<Last>);
-    for piece in pieces(scene, scene.receptors[receptor], scene.duration_s + END_SLACK_S) {
+    for piece in pieces(scene, gains, scene.receptors[receptor], scene.duration_s + END_SLACK_S) {
         let zero_s = piece.from_s - piece.u / piece.slope;
         let mut t = piece.from_s;
         while t < piece.to_s {

@@ -13,10 +13,12 @@ mod cli;
 mod client_limits;
 /// The stepped methods come to the exact one as the step shrinks.
 mod convergence;
-/// Changes of single motors against fresh simulations.
+/// Trials and changes of single motors against fresh simulations.
 mod evaluator;
 /// Scenes at the edges of what a scene may be, by every method: each has one right answer.
 mod extremes;
+/// Motors that move by more or less than they should.
+mod gains;
 /// A real daemon in a directory of its own, for the others.
 mod harness;
 /// The same bits whatever the threads, the order of receptors, the blocks, and what is skipped.

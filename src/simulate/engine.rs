@@ -95,10 +95,12 @@ fn moving(scene: &Scene) -> u32 {
     of_scene(scene).iter().fold(0, |moving, breaks| moving | 1 << breaks.motor())
 }
 
-/// How much of a motor a receptor feels under these options.
+/// How much of a motor a receptor feels under these options. The model is linear in a motor's displacement, so that its
+/// gain may be taken for the receptor's: its velocity stays the whole number with which everything is exact. What counts
+/// as 0 does so without the gain.
 pub(super) fn weight(scene: &Scene, options: &Options, number: u32, motor: u8) -> f64 {
     let weight = skin::weight(scene.receptors()[number as usize], motor, scene.model().sigma_mm);
-    if weight < options.least_weight { 0.0 } else { weight }
+    if weight < options.least_weight { 0.0 } else { weight * scene.gains()[usize::from(motor)] }
 }
 
 /// Receptors in an order in which neighbours follow each other: by the interleaved bits of their places.

@@ -1,20 +1,36 @@
 //! A scene evaluated again and again with some of its motors changed: the optimiser's case.
 //!
-//! Only the receptors that the changed motors reach are simulated again. What a receptor does depends on nothing but
-//! the motors that reach it, so the others' answers are what a whole simulation would give, bit by bit.
+//! A [`Trial`] is what the scene would come to with other drives. Only the receptors that feel a motor whose drives
+//! differ are simulated again. What a receptor does depends on nothing but the motors that reach it, so the others'
+//! answers are what a whole simulation would give, bit by bit. Trials change nothing: several threads may make them of
+//! one evaluator, and one of them, or none, is accepted.
 //!
 //! Invariant: [`Evaluator::counts`] is always the answer to [`Evaluator::scene`].
 
 use super::engine;
-use super::{MethodError, Options, Scene, SceneError, Skipped, rate_hz};
+use super::{Keep, MethodError, Options, Scene, SceneError, Skipped, rate_hz};
 use crate::pattern::Drive;
+use firmware_protocol::stroke::MOTORS;
+use std::sync::Arc;
 
 /// A scene and the answer to it.
 #[derive(Clone, Debug)]
 pub struct Evaluator {
     scene: Scene,
     options: Options,
-    counts: Vec<u64>,
+    /// Shared with the trials made of it, by which they are known.
+    counts: Arc<Vec<u64>>,
+}
+
+/// A scene with other drives than an [`Evaluator`]'s, and what of the answer that changes.
+#[derive(Clone, Debug)]
+#[must_use]
+pub struct Trial {
+    scene: Scene,
+    /// The counts of the scene it was made of.
+    from: Arc<Vec<u64>>,
+    changed: Vec<(u32, u64)>,
+    skipped: Skipped,
 }
 
 impl Evaluator {
@@ -23,9 +39,34 @@ impl Evaluator {
     /// # Errors
     /// If the method cannot simulate the scene.
     pub fn new(scene: Scene, options: Options) -> Result<Self, MethodError> {
-        let options = Options { keep: super::Keep::Rates, ..options };
-        let counts = super::simulate(&scene, &options, &|_| ())?.counts;
+        let options = Options { keep: Keep::Rates, ..options };
+        let counts = Arc::new(super::simulate(&scene, &options, &|_| ())?.counts);
         Ok(Self { scene, options, counts })
+    }
+
+    /// What the scene would come to with these drives in place of all of its own.
+    ///
+    /// # Errors
+    /// If the drives are not those of a scene.
+    pub fn trial(&self, drives: &[Drive]) -> Result<Trial, SceneError> {
+        Ok(self.tried(self.scene.with_drives(drives.to_vec())?))
+    }
+
+    /// Makes a trial's scene the scene. A trial that was not made of the scene as it is now is simulated again.
+    pub fn accept(&mut self, trial: Trial) {
+        let trial = if Arc::ptr_eq(&trial.from, &self.counts) {
+            trial
+        } else {
+            // Its drives were checked, and whether they are a scene's depends on nothing else.
+            let drives = trial.scene.drives().to_vec();
+            self.tried(self.scene.with_drives(drives).expect("the drives were checked"))
+        };
+        let Trial { scene, from, changed, .. } = trial;
+        self.scene = scene;
+        // Nobody copies what nobody else has.
+        drop(from);
+        let counts = Arc::make_mut(&mut self.counts);
+        changed.into_iter().for_each(|(number, count)| counts[number as usize] = count);
     }
 
     /// Replaces all drives of one motor, and simulates what that changes. Whatever motor `drives`
@@ -34,26 +75,35 @@ impl Evaluator {
     /// # Errors
     /// If the drives are not those of a scene; then nothing changes.
     pub fn set_motor(&mut self, motor: u8, drives: &[Drive]) -> Result<Skipped, SceneError> {
-        let scene = self.scene.with_motor(motor, drives)?;
-        let of_motor = |scene: &Scene| {
-            scene.drives().iter().filter(|drive| drive.motor == motor).copied().collect::<Vec<_>>()
+        let trial = self.tried(self.scene.with_motor(motor, drives)?);
+        let skipped = trial.skipped;
+        self.accept(trial);
+        Ok(skipped)
+    }
+
+    /// A trial of a scene that differs in its drives alone.
+    fn tried(&self, scene: Scene) -> Trial {
+        let differs = |motor: &u8| {
+            let of_motor = |drive: &&Drive| drive.motor == *motor;
+            !self.scene.drives().iter().filter(of_motor).eq(scene.drives().iter().filter(of_motor))
         };
-        if of_motor(&scene) == of_motor(&self.scene) {
-            self.scene = scene;
-            return Ok(Skipped { receptors_reused: self.counts.len() as u64, ..Skipped::default() });
+        let motors: Vec<u8> = (0..MOTORS as u8).filter(differs).collect();
+        let feels = |number: &u32| {
+            motors.iter().any(|&motor| engine::weight(&scene, &self.options, *number, motor) > 0.0)
+        };
+        let receptors: Vec<u32> = (0..self.counts.len() as u32).filter(feels).collect();
+        let mut changed = Vec::with_capacity(receptors.len());
+        let mut skipped = Skipped::default();
+        if !receptors.is_empty() {
+            let ran = engine::run(&scene, &receptors, &self.options, &|_| (), |(number, count, _)| {
+                changed.push((number, count));
+            });
+            skipped = ran.expect("no spikes are kept, so there are never too many");
         }
-        let reached = |number: &u32| engine::weight(&scene, &self.options, *number, motor) > 0.0;
-        let changed: Vec<u32> = (0..self.counts.len() as u32).filter(reached).collect();
-        let counts = &mut self.counts;
-        let ran = engine::run(&scene, &changed, &self.options, &|_| (), |(number, count, _)| {
-            counts[number as usize] = count;
-        });
-        let mut skipped = ran.expect("no spikes are kept, so there are never too many");
         // They may reach the receptors that were not simulated.
         skipped.motors_out_of_reach = 0;
-        skipped.receptors_reused = (self.counts.len() - changed.len()) as u64;
-        self.scene = scene;
-        Ok(skipped)
+        skipped.receptors_reused = (self.counts.len() - receptors.len()) as u64;
+        Trial { scene, from: Arc::clone(&self.counts), changed, skipped }
     }
 
     /// The scene as it is now.
@@ -72,5 +122,32 @@ impl Evaluator {
     #[must_use]
     pub fn rates_hz(&self) -> Vec<f64> {
         self.counts.iter().map(|&count| rate_hz(count, &self.scene)).collect()
+    }
+}
+
+impl Trial {
+    /// The drives that were tried.
+    #[must_use]
+    pub fn drives(&self) -> &[Drive] {
+        self.scene.drives()
+    }
+
+    /// How many receptors were simulated.
+    #[must_use]
+    pub fn simulated(&self) -> usize {
+        self.changed.len()
+    }
+
+    /// Those receptors' numbers and spikes, in no particular order. Some may have as many as before.
+    pub fn changed(&self) -> impl Iterator<Item = (u32, u64)> {
+        self.changed.iter().copied()
+    }
+
+    /// Spikes of each receptor, of those that were not simulated, too.
+    #[must_use]
+    pub fn counts(&self) -> Vec<u64> {
+        let mut counts = Vec::clone(&self.from);
+        self.changed().for_each(|(number, count)| counts[number as usize] = count);
+        counts
     }
 }

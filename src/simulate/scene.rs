@@ -2,7 +2,8 @@
 //!
 //! A scene is read from a TOML or JSON file (`file`) or put together by [`Scene::new`]. Its drives may be faster and
 //! larger than a pattern's: a model has no current limit. What comes of it is the simulator's business.
-//! All receptors of a scene are of one model.
+//! All receptors of a scene are of one model. What a motor does may be scaled by a gain, which no file has. Receptors are
+//! shared between the scenes that are made of one another: an optimiser makes thousands.
 //!
 //! Invariant: a [`Scene`] that exists has been checked; every number in it is finite and within its range, and
 //! no two drives of a motor overlap.
@@ -22,6 +23,7 @@ use crate::skin::{Position, RaModel};
 use error::Fault;
 use firmware_protocol::stroke::MOTORS;
 use receptor::seconds;
+use std::sync::Arc;
 
 /// A checked scene.
 #[derive(Clone, Debug, PartialEq)]
@@ -29,9 +31,14 @@ pub struct Scene {
     duration_s: f64,
     seed: u64,
     drives: Vec<Drive>,
-    receptors: Vec<Position>,
+    /// Shared, not copied, by scenes that differ in something else.
+    receptors: Arc<Vec<Position>>,
     model: RaModel,
+    gains: [f64; MOTORS],
 }
+
+/// Every motor as the model has it.
+const NO_GAINS: [f64; MOTORS] = [1.0; MOTORS];
 
 impl Scene {
     /// Makes a scene of its parts.
@@ -45,9 +52,19 @@ impl Scene {
         receptors: Vec<Position>,
         model: RaModel,
     ) -> Result<Self, SceneError> {
-        Self { duration_s, seed, drives, receptors, model }
+        let receptors = Arc::new(receptors);
+        Self { duration_s, seed, drives, receptors, model, gains: NO_GAINS }
             .checked()
             .map_err(|fault| SceneError::new(fault, None))
+    }
+
+    /// The scene with other drives. Only they are checked: it takes no longer the more receptors there are.
+    ///
+    /// # Errors
+    /// The first thing that is wrong with them, by the key it would have in a file.
+    pub fn with_drives(&self, drives: Vec<Drive>) -> Result<Self, SceneError> {
+        check_drives(&drives).map_err(|fault| SceneError::new(fault, None))?;
+        Ok(Self { drives, ..self.clone() })
     }
 
     /// The scene with all drives of one motor replaced; `drives` must be of that motor.
@@ -55,10 +72,32 @@ impl Scene {
     /// # Errors
     /// The first thing that is wrong with it, by the key it would have in a file.
     pub fn with_motor(&self, motor: u8, drives: &[Drive]) -> Result<Self, SceneError> {
-        let mut scene = self.clone();
-        scene.drives.retain(|drive| drive.motor != motor);
-        scene.drives.extend(drives.iter().map(|drive| Drive { motor, ..*drive }));
-        scene.checked().map_err(|fault| SceneError::new(fault, None))
+        let mut changed: Vec<_> = self.drives.iter().filter(|drive| drive.motor != motor).copied().collect();
+        changed.extend(drives.iter().map(|drive| Drive { motor, ..*drive }));
+        self.with_drives(changed)
+    }
+
+    /// The scene with every motor's travel times its gain, 0 to 10: of 1, nothing changes; of 0, the motor rests. So it
+    /// can be asked what is left of a pattern on motors that scatter by 10 %.
+    ///
+    /// # Errors
+    /// The first gain that is out of range.
+    pub fn with_gains(&self, gains: &[f64; MOTORS]) -> Result<Self, SceneError> {
+        for (motor, &gain) in gains.iter().enumerate() {
+            in_range("gains", gain, (0.0..=10.0).contains(&gain), "0 to 10").map_err(|fault| {
+                SceneError::new(Fault { path: format!("gains[{motor}]"), ..fault.into() }, None)
+            })?;
+        }
+        Ok(Self { gains: *gains, ..self.clone() })
+    }
+
+    /// The scene with its receptors elsewhere, as under a finger that has moved. The n-th of them keeps the n-th's noise.
+    ///
+    /// # Errors
+    /// The first place that is out of range.
+    pub fn with_receptors(&self, receptors: Vec<Position>) -> Result<Self, SceneError> {
+        check_receptors(&receptors).map_err(|fault| SceneError::new(fault, None))?;
+        Ok(Self { receptors: Arc::new(receptors), ..self.clone() })
     }
 
     /// Reads a scene file; `file` is what errors call it. A name that ends in `.json` or `.toml` says what it is;
@@ -100,22 +139,15 @@ impl Scene {
         &self.model
     }
 
+    /// By what each motor's travel is multiplied.
+    pub(super) const fn gains(&self) -> &[f64; MOTORS] {
+        &self.gains
+    }
+
     fn checked(self) -> Result<Self, Fault> {
         seconds("duration_s", self.duration_s)?;
-        for (index, drive) in self.drives.iter().enumerate() {
-            check_drive(drive).map_err(|fault| fault.within(&format!("drives[{index}]")))?;
-        }
-        if let Some((first, second)) = pattern::overlap(&self.drives) {
-            let later = &self.drives[second];
-            let problem = Problem::Overlap { motor: later.motor, other: first, start_s: later.start() };
-            return Err(Fault::key("motor", problem).within(&format!("drives[{second}]")));
-        }
-        for (index, at) in self.receptors.iter().enumerate() {
-            for (key, found) in [("x_mm", at.x_mm), ("y_mm", at.y_mm)] {
-                in_range(key, found, found.abs() <= 1e6, "-1000000 to 1000000 mm")
-                    .map_err(|fault| fault.within(&format!("receptors[{index}]")))?;
-            }
-        }
+        check_drives(&self.drives)?;
+        check_receptors(&self.receptors)?;
         check_model(&self.model).map_err(|fault| fault.within("receptor"))?;
         Ok(self)
     }
@@ -123,6 +155,26 @@ impl Scene {
 
 /// What a motor's number must be, also where it does not fit the number's type.
 const MOTOR_RANGE: &str = "0 to 23";
+
+fn check_drives(drives: &[Drive]) -> Result<(), Fault> {
+    for (index, drive) in drives.iter().enumerate() {
+        check_drive(drive).map_err(|fault| fault.within(&format!("drives[{index}]")))?;
+    }
+    let Some((first, second)) = pattern::overlap(drives) else { return Ok(()) };
+    let later = &drives[second];
+    let problem = Problem::Overlap { motor: later.motor, other: first, start_s: later.start() };
+    Err(Fault::key("motor", problem).within(&format!("drives[{second}]")))
+}
+
+fn check_receptors(receptors: &[Position]) -> Result<(), Fault> {
+    for (index, at) in receptors.iter().enumerate() {
+        for (key, found) in [("x_mm", at.x_mm), ("y_mm", at.y_mm)] {
+            in_range(key, found, found.abs() <= 1e6, "-1000000 to 1000000 mm")
+                .map_err(|fault| fault.within(&format!("receptors[{index}]")))?;
+        }
+    }
+    Ok(())
+}
 
 fn check_drive(drive: &Drive) -> Result<(), Fault> {
     in_range("motor", drive.motor.into(), usize::from(drive.motor) < MOTORS, MOTOR_RANGE)?;
@@ -181,5 +233,31 @@ mod tests {
         assert_eq!(line, "`receptor.tau_s` is NaN: must be 1e-9 to 1e9 s");
         let line = Scene::new(f64::INFINITY, 0, vec![], vec![], model).unwrap_err().to_string();
         assert_eq!(line, "`duration_s` is inf: must be 0 to 1000000000 s");
+    }
+
+    #[test]
+    fn what_is_changed_of_a_scene_is_checked_and_the_rest_stays() {
+        let scene = scene(vec![DRIVE], RaModel::default_for(Rectify::Half, 0.05)).unwrap();
+        let mut gains = [1.0; MOTORS];
+        assert_eq!(scene.with_gains(&gains).unwrap(), scene);
+        for wrong in [-0.1, 10.1, f64::NAN, f64::INFINITY] {
+            gains[23] = wrong;
+            let line = scene.with_gains(&gains).unwrap_err().to_string();
+            assert_eq!(line, format!("`gains[23]` is {wrong}: must be 0 to 10"));
+        }
+        gains[23] = 10.0;
+        let scene = scene.with_gains(&gains).unwrap();
+        let place = |x_mm| vec![Position { x_mm, y_mm: 2.0 }; 2];
+        let line = scene.with_receptors(place(f64::NAN)).unwrap_err().to_string();
+        assert_eq!(line, "`receptors[0].x_mm` is NaN: must be -1000000 to 1000000 mm");
+        let moved = scene.with_receptors(place(1.0)).unwrap();
+        assert_eq!((moved.receptors(), moved.gains()), (&place(1.0)[..], &gains));
+        let line = moved.with_drives(vec![DRIVE, DRIVE]).unwrap_err().to_string();
+        assert!(line.starts_with("`drives[1].motor`: motor 3 is still driven by drives[0]"), "{line}");
+        let at_rest = moved.with_drives(vec![]).unwrap();
+        assert_eq!(
+            (at_rest.drives().len(), at_rest.receptors(), at_rest.gains()),
+            (0, moved.receptors(), &gains)
+        );
     }
 }

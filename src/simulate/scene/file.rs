@@ -6,7 +6,7 @@
 //! Invariant: no key is ignored but `spikes_s` and `promised_spikes`, with which reference scenes tell their answers.
 
 use super::error::{Fault, Problem};
-use super::{MOTOR_RANGE, RawReceptor, Scene};
+use super::{MOTOR_RANGE, NO_GAINS, RawReceptor, Scene};
 use crate::keyed::{Keyed, from_json, from_toml};
 use crate::pattern::Drive;
 use crate::quote::figure;
@@ -15,6 +15,7 @@ use firmware_protocol::stroke::MOTORS;
 use serde::de::{Error, IgnoredAny, Unexpected, Visitor};
 use serde::{Deserialize, Deserializer};
 use std::fmt;
+use std::sync::Arc;
 
 /// Bytes of a JSON scene at the most: some millions of receptors, which are held once and without their text.
 pub const MAX_JSON_BYTES: usize = 256 << 20;
@@ -102,7 +103,8 @@ impl RawScene {
             duration_s: self.duration_s,
             seed: self.seed,
             drives: self.drives.into_iter().map(drive).collect(),
-            receptors,
+            receptors: Arc::new(receptors),
+            gains: NO_GAINS,
             model: self.receptor.map_or_else(RawReceptor::default, |Keyed(raw)| raw).model(noise_sd),
         })
     }
