@@ -11,10 +11,15 @@
 //! every machine.
 
 mod braille;
+mod moves;
+pub mod objective;
+pub mod point;
+pub mod search;
 mod shape;
 mod sides;
 mod target;
 
+pub use point::Point;
 pub use shape::Shape;
 pub use sides::Sides;
 pub use target::{Frame, MAX_BYTES, MAX_FRAMES, MAX_POINTS, Problem, Target, TargetError};
@@ -26,6 +31,16 @@ pub static LIBRARY: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/targets");
 
 /// The shipped target by which patterns are commonly judged: an edge at 45°, 12 mm long, through the array's middle.
 pub const YARDSTICK: &str = "edge-45";
+
+/// What a search may choose from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Setting {
+    /// Motors may be off; 5 to 150 Hz.
+    #[default]
+    Default,
+    /// The paper's: every motor vibrates; 5 to 300 Hz.
+    AlwaysOn,
+}
 
 /// The shipped target of that name.
 #[must_use]
