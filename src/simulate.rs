@@ -1,7 +1,7 @@
 //! From what the motors do to the spikes of the skin's receptors.
 //!
 //! A [`Scene`] says which motors are driven and how, where the receptors lie and what they are made of. Its drives
-//! become strokes by the rule that the streamer plays by, the strokes become breaks (`breaks`) of the motors'
+//! become strokes by the rule that the streamer plays by, the strokes become breaks (`breaks`, kept in `track`) of the motors'
 //! velocities, and between breaks a receptor's input is a straight line. From there two ways lead to spikes:
 //!
 //! - **exact**: from break to break in closed form (`membrane`), eight receptors abreast (`exact`); where a
@@ -34,6 +34,7 @@ mod silent;
 mod stepped;
 #[cfg(test)]
 mod tests;
+mod track;
 
 pub use crate::keyed::{Mistake, Place};
 pub use choose::{Choice, choose};
@@ -42,7 +43,7 @@ pub use scene::{MAX_JSON_BYTES, MAX_TOML_BYTES, Problem, Scene, SceneError};
 pub(crate) use scene::{RawReceptor, check_model};
 
 use crate::skin::LEAST_WEIGHT;
-use breaks::HALF_TICKS_PER_S;
+use breaks::{HALF_TICKS_PER_S, end};
 use clap::ValueEnum;
 use engine::Member;
 use serde::Serialize;
@@ -229,6 +230,21 @@ impl Answer {
     #[must_use]
     pub fn rates_hz(&self, scene: &Scene) -> Vec<f64> {
         self.counts.iter().map(|&count| rate_hz(count, scene)).collect()
+    }
+}
+
+/// A step in half ticks, rounded once.
+fn step_half_ticks(step_us: u32) -> f64 {
+    f64::from(step_us) * HALF_TICKS_PER_S / 1e6
+}
+
+/// Up to where a scene is computed, half ticks: the last step is a whole one.
+fn horizon(duration_s: f64, method: Method) -> f64 {
+    match method {
+        Method::Exact => end(duration_s),
+        Method::Stepped(Stepping { step_us, .. }) => {
+            (end(duration_s) / step_half_ticks(step_us)).ceil() * step_half_ticks(step_us)
+        }
     }
 }
 

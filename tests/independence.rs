@@ -124,6 +124,38 @@ fn blocks_change_nothing() {
     }
 }
 
+/// Breaks and samples are kept for all of a scene if they are few; the same scene watched for longer has too many.
+#[test]
+fn whether_breaks_and_samples_are_kept_changes_nothing() {
+    let drive = |motor, frequency_hz| Drive {
+        motor,
+        frequency_hz,
+        amplitude_um: 80.0,
+        phase: 0.3,
+        start_s: None,
+        stop_s: None,
+    };
+    let drives = vec![drive(9, 61.3), drive(10, 4321.0), drive(13, 170.0)];
+    let receptors: Vec<_> =
+        (0..20).map(|i| Position { x_mm: -1.5 + 0.1 * f64::from(i), y_mm: 1.0 }).collect();
+    let finely = |precision| Stepping { step_us: 10, integrator: Integrator::Propagator, precision };
+    for method in [
+        Method::Exact,
+        Method::Stepped(finely(Precision::F32)),
+        Method::Stepped(Stepping { step_us: 5, ..finely(Precision::F32) }),
+    ] {
+        let until = |duration_s| {
+            let model = RaModel::default_for(Rectify::Half, 0.05);
+            let scene = Scene::new(duration_s, 3, drives.clone(), receptors.clone(), model).unwrap();
+            let trains = spikes(&scene, method).spikes_s.unwrap().into_iter();
+            trains.map(|train| train.into_iter().filter(|&t| t < 0.7).collect()).collect()
+        };
+        let (kept, made): (Vec<Vec<f64>>, Vec<Vec<f64>>) = (until(0.7), until(2.5));
+        assert!(kept.iter().all(|train| train.len() > 10));
+        assert_eq!(kept, made, "{method:?}");
+    }
+}
+
 /// With and without what can be left out; what was.
 fn both_ways(scene: &Scene, method: Method) -> Skipped {
     let options = Options::spikes(method);

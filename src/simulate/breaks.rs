@@ -9,11 +9,11 @@
 //!
 //! Invariant: breaks are in order of time, whatever the size of the blocks.
 
-use super::scene::Scene;
+use super::track::Track;
 use crate::motor::{Ramp, WINDOW_HALF_TICKS};
 use crate::pattern::Drive;
 use crate::units::{UM_PER_PULSE, seconds_to_ticks};
-use firmware_protocol::stroke::{Direction, MOTORS};
+use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::{TICK_HZ, Tick};
 use rayon::prelude::*;
 use std::collections::VecDeque;
@@ -47,18 +47,26 @@ pub(super) struct Breaks<'s> {
     behind: VecDeque<Break>,
     /// How many of `behind`, from the back, the leading edge has yet to pass.
     ahead: usize,
-    /// At most about so many in a second.
-    per_s: f64,
 }
 
-impl Breaks<'_> {
-    pub(super) const fn motor(&self) -> u8 {
-        self.motor
-    }
-
-    /// At most about so many in a second.
-    pub(super) const fn per_s(&self) -> f64 {
-        self.per_s
+impl<'s> Breaks<'s> {
+    /// The breaks of a motor's drives, which are in order of time, up to those of the last stroke before `end`, half ticks.
+    pub(super) fn new(motor: u8, drives: &'s [Drive], end: f64) -> Self {
+        let waves = drives.iter().filter_map(|drive| Some((drive, drive.wave().ok()?)));
+        let ramps = waves.flat_map(move |(drive, wave)| {
+            let start = seconds_to_ticks(drive.start());
+            let stop = drive.stop_s.map_or(u64::MAX, seconds_to_ticks);
+            let strokes = wave.excursions().take_while(move |excursion| {
+                start.saturating_add(excursion.end()) <= stop
+                    && half_ticks(Tick(start.saturating_add(excursion.up))) < end
+            });
+            strokes.flat_map(move |excursion| {
+                [(excursion.up, Direction::Up), (excursion.down, Direction::Down)].map(|(tick, direction)| {
+                    Ramp::new(Tick(start.saturating_add(tick)), excursion.pulses, direction, 1.0)
+                })
+            })
+        });
+        Self { motor, ramps: Box::new(ramps), behind: VecDeque::new(), ahead: 0 }
     }
 }
 
@@ -94,40 +102,6 @@ fn half_ticks(tick: Tick) -> f64 {
     2.0 * tick.0 as f64
 }
 
-/// The breaks of the scene's strokes, motor by motor; motors that never move have none.
-pub(super) fn of_scene(scene: &Scene) -> Vec<Breaks<'_>> {
-    let end = end(scene.duration_s());
-    let mut drives: Vec<_> = scene.drives().iter().filter(|drive| drive.amplitude_um > 0.0).collect();
-    drives.sort_by(|a, b| a.start().total_cmp(&b.start()));
-    let of_motor = |motor: u8| {
-        let moves = |drive: &&Drive| drive.wave().is_ok_and(|wave| wave.wanted_pulses() > 0);
-        let drives: Vec<_> =
-            drives.iter().copied().filter(|drive| drive.motor == motor).filter(moves).collect();
-        // One at a time: the fastest bounds them all.
-        let per_s = drives.iter().map(|drive| 8.0 * drive.frequency_hz).fold(0.0, f64::max);
-        let ramps = drives.into_iter().filter_map(|drive| Some((drive, drive.wave().ok()?))).flat_map(
-            move |(drive, wave)| {
-                let start = seconds_to_ticks(drive.start());
-                let stop = drive.stop_s.map_or(u64::MAX, seconds_to_ticks);
-                let strokes = wave.excursions().take_while(move |excursion| {
-                    start.saturating_add(excursion.end()) <= stop
-                        && half_ticks(Tick(start.saturating_add(excursion.up))) < end
-                });
-                strokes.flat_map(move |excursion| {
-                    [(excursion.up, Direction::Up), (excursion.down, Direction::Down)].map(
-                        |(tick, direction)| {
-                            Ramp::new(Tick(start.saturating_add(tick)), excursion.pulses, direction, 1.0)
-                        },
-                    )
-                })
-            },
-        );
-        let breaks = Breaks { motor, ramps: Box::new(ramps), behind: VecDeque::new(), ahead: 0, per_s };
-        (per_s > 0.0).then_some(breaks)
-    };
-    (0..MOTORS as u8).filter_map(of_motor).collect()
-}
-
 /// The end of a scene, half ticks. It need not be a whole number. What lies before it, and only that,
 /// lies before `duration_s` in seconds, too, whichever way either was rounded.
 pub(super) fn end(duration_s: f64) -> f64 {
@@ -141,59 +115,62 @@ pub(super) fn end(duration_s: f64) -> f64 {
     end
 }
 
-/// The breaks of all motors, block by block.
+/// The breaks of some motors, block by block.
 pub(super) struct Blocks<'s> {
-    motors: Vec<(Breaks<'s>, Option<Break>)>,
+    motors: Vec<Source<'s>>,
     /// How far the blocks go that were given out, half ticks.
     reached: f64,
     end: f64,
     length: f64,
-    given: u32,
-    /// A block that was made before.
-    listed: Option<Vec<Break>>,
     sorter: Sorter,
 }
 
+/// Where a motor's breaks come from.
+enum Source<'s> {
+    /// What is left of its list.
+    List(&'s [Break]),
+    /// Breaks and the next of them: there are too many for a list.
+    Made(Breaks<'s>, Option<Break>),
+}
+
+impl<'s> Source<'s> {
+    fn of(track: &'s Track) -> Self {
+        track.list().map_or_else(
+            || {
+                let mut breaks = track.breaks();
+                let first = breaks.next();
+                Self::Made(breaks, first)
+            },
+            Self::List,
+        )
+    }
+
+    /// Those before an instant, onto the end of a block.
+    fn take_before(&mut self, end: f64, block: &mut Vec<Break>) {
+        match self {
+            Self::List(list) => {
+                let (before, rest) = list.split_at(list.partition_point(|found| found.at < end));
+                block.extend_from_slice(before);
+                *list = rest;
+            }
+            Self::Made(breaks, next) => {
+                while let Some(found) = next.take_if(|found| found.at < end) {
+                    block.push(found);
+                    *next = breaks.next();
+                }
+            }
+        }
+    }
+}
+
 impl<'s> Blocks<'s> {
-    pub(super) fn new(motors: Vec<Breaks<'s>>, end: f64) -> Self {
-        let per_s: f64 = motors.iter().map(|motor| motor.per_s).sum();
+    pub(super) fn new(tracks: impl Iterator<Item = &'s Track>, end: f64) -> Self {
+        let tracks: Vec<_> = tracks.collect();
+        let per_s: f64 = tracks.iter().map(|track| track.per_s()).sum();
         let length = (BLOCK / per_s * HALF_TICKS_PER_S).max(2.0 * WINDOW);
-        let motors = motors.into_iter().map(|mut motor| {
-            let first = motor.next();
-            (motor, first)
-        });
-        Self {
-            motors: motors.collect(),
-            given: 0,
-            listed: None,
-            reached: 0.0,
-            end,
-            length,
-            sorter: Sorter::default(),
-        }
-    }
-
-    /// One block of breaks that go up to `end`, motor by motor.
-    pub(super) fn single(block: Vec<Break>, end: f64) -> Self {
-        Self {
-            motors: Vec::new(),
-            given: 0,
-            listed: Some(block),
-            reached: 0.0,
-            end,
-            length: end,
-            sorter: Sorter::default(),
-        }
-    }
-
-    /// How many blocks were given out.
-    pub(super) const fn given(&self) -> u32 {
-        self.given
-    }
-
-    /// Whether all blocks were given out.
-    pub(super) fn done(&self) -> bool {
-        self.reached >= self.end
+        // What comes before the receptors can be shared out is a tenth of the work: share that, too.
+        let motors = tracks.into_par_iter().map(Source::of).collect();
+        Self { motors, reached: 0.0, end, length, sorter: Sorter::default() }
     }
 
     /// Up to where blocks were given out, half ticks.
@@ -205,42 +182,23 @@ impl<'s> Blocks<'s> {
     /// instant in order of motor.
     pub(super) fn next_into(&mut self, block: &mut Vec<Break>) -> bool {
         let from = self.reached;
-        if !self.next_by_motor(block) {
-            return false;
-        }
-        self.sorter.sort(block, from, self.reached);
-        true
-    }
-
-    /// The same without the order: motor by motor, each in order of time.
-    pub(super) fn next_by_motor(&mut self, block: &mut Vec<Break>) -> bool {
-        if self.done() {
+        if from >= self.end {
             return false;
         }
         block.clear();
-        self.reached = (self.reached + self.length).min(self.end);
-        self.given += 1;
-        if let Some(listed) = self.listed.take() {
-            *block = listed;
-        }
-        let reached = self.reached;
-        let take = |(breaks, next): &mut (Breaks<'_>, Option<Break>), block: &mut Vec<Break>| {
-            while let Some(found) = next.take_if(|found| found.at < reached) {
-                block.push(found);
-                *next = breaks.next();
-            }
-        };
-        if self.motors.len() <= 2 {
-            self.motors.iter_mut().for_each(|motor| take(motor, block));
+        let reached = (from + self.length).min(self.end);
+        self.reached = reached;
+        if self.motors.iter().all(|source| matches!(source, Source::List(_))) {
+            self.motors.iter_mut().for_each(|source| source.take_before(reached, block));
         } else {
-            // What comes before the receptors can be shared out is a tenth of the work: share that, too.
-            let each = self.motors.par_iter_mut().map(|motor| {
+            let each = self.motors.par_iter_mut().map(|source| {
                 let mut block = Vec::new();
-                take(motor, &mut block);
+                source.take_before(reached, &mut block);
                 block
             });
             each.collect::<Vec<_>>().iter().for_each(|found| block.extend_from_slice(found));
         }
+        self.sorter.sort(block, from, reached);
         true
     }
 }
@@ -289,9 +247,11 @@ impl Sorter {
 
 #[cfg(test)]
 mod tests {
+    use super::super::track::{Tracks, of_scene};
+    use super::super::{Method, Scene};
     use super::*;
-    use crate::pattern::Drive;
     use crate::skin::{RaModel, Rectify};
+    use std::sync::Arc;
 
     /// Of all kinds: slow, fast, faster than the window, one after the other.
     fn scene() -> Scene {
@@ -316,14 +276,23 @@ mod tests {
         Scene::new(0.5, 0, drives, vec![], RaModel::default_for(Rectify::Half, 0.0)).unwrap()
     }
 
+    fn tracks() -> Tracks {
+        of_scene(&scene(), Method::Exact)
+    }
+
     #[test]
     fn breaks_are_in_order_and_leave_every_motor_at_rest() {
-        let scene = scene();
-        let motors = of_scene(&scene);
+        let tracks = tracks();
         // The last moves by less than a pulse.
-        assert_eq!(motors.iter().map(Breaks::motor).collect::<Vec<_>>(), [0, 1, 2, 3, 4, 5]);
-        for breaks in motors {
-            let (motor, per_s) = (breaks.motor(), breaks.per_s());
+        assert_eq!(
+            tracks.iter().flatten().map(|track| track.motor()).collect::<Vec<_>>(),
+            [0, 1, 2, 3, 4, 5]
+        );
+        for track in tracks.iter().flatten() {
+            let (motor, per_s, breaks) = (track.motor(), track.per_s(), track.breaks());
+            // The fastest ones have no list.
+            assert!(track.list().is_none_or(|list| breaks.eq(list.iter().copied())));
+            let breaks = track.breaks();
             let (mut at, mut d, mut slope, mut count) = (0.0, 0.0_f64, 0.0, 0.0);
             for found in breaks {
                 assert!(found.at >= at && found.at.fract() == 0.0 && found.motor == motor, "{found:?}");
@@ -341,14 +310,19 @@ mod tests {
 
     #[test]
     fn blocks_hold_the_same_breaks_in_the_same_order_however_long_they_are() {
-        let scene = scene();
-        let end = end(scene.duration_s());
-        let mut expected: Vec<_> =
-            of_scene(&scene).into_iter().flatten().filter(|found| found.at < end).collect();
+        let (tracks, end) = (tracks(), end(scene().duration_s()));
+        let all = tracks.iter().flatten().flat_map(|track| track.breaks());
+        let mut expected: Vec<_> = all.filter(|found| found.at < end).collect();
         expected.sort_by(|a, b| a.at.total_cmp(&b.at).then(a.motor.cmp(&b.motor)));
         for length in [None, Some(1.0), Some(731.5), Some(10_000.0), Some(1e9)] {
-            let mut blocks = Blocks::new(of_scene(&scene), end);
+            let mut blocks = Blocks::new(tracks.iter().flatten().map(Arc::as_ref), end);
             blocks.length = length.unwrap_or(blocks.length);
+            // Some from lists, some not.
+            for (source, track) in blocks.motors.iter_mut().zip(tracks.iter().flatten()).step_by(2) {
+                let mut breaks = track.breaks();
+                let first = breaks.next();
+                *source = Source::Made(breaks, first);
+            }
             let (mut found, mut block, mut reached) = (Vec::new(), Vec::new(), 0.0);
             while blocks.next_into(&mut block) {
                 assert!(block.iter().all(|found| found.at >= reached && found.at < blocks.reached()));

@@ -6,10 +6,12 @@
 //!
 //! Invariant: the choice depends on the scene and the error alone, never on a clock.
 
-use super::breaks::{HALF_TICKS_PER_S, of_scene};
+use super::breaks::HALF_TICKS_PER_S;
 use super::engine;
+use super::track::{Track, of_scene};
 use super::{Integrator, Method, MethodError, Options, Precision, Scene, Stepping};
 use crate::motor::WINDOW_HALF_TICKS;
+use std::sync::Arc;
 
 /// A method chosen for a scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -111,12 +113,12 @@ fn counts(scene: &Scene, receptors: &[u32], method: Method) -> Vec<u64> {
 /// About how many breaks some receptors go through.
 fn breaks(scene: &Scene, receptors: &[u32]) -> f64 {
     let options = Options::rates(Method::Exact);
-    let of_motor = |breaks: &super::breaks::Breaks<'_>| {
-        let reached = |number: &&u32| engine::weight(scene, &options, **number, breaks.motor()) > 0.0;
+    let of_motor = |track: &Arc<Track>| {
+        let reached = |number: &&u32| engine::weight(scene, &options, **number, track.motor()) > 0.0;
         let window = WINDOW_HALF_TICKS as f64 / HALF_TICKS_PER_S;
-        breaks.per_s() * (scene.duration_s() + window) * receptors.iter().filter(reached).count() as f64
+        track.per_s() * (scene.duration_s() + window) * receptors.iter().filter(reached).count() as f64
     };
-    of_scene(scene).iter().map(of_motor).sum()
+    of_scene(scene, Method::Exact).iter().flatten().map(of_motor).sum()
 }
 
 /// A receptor's place in an order that has nothing to do with its number.

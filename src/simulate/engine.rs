@@ -6,26 +6,30 @@
 //!
 //! Invariant: the answer for a receptor depends on the scene and its number, not on tiles, blocks or threads.
 
-use super::breaks::{Blocks, Break, HALF_TICKS_PER_S, end, of_scene};
+use super::breaks::{Blocks, HALF_TICKS_PER_S, end};
 use super::cycle;
 use super::exact;
 use super::lanes::Number;
 use super::membrane::Membrane;
-use super::sampler::{Sample, Sampler};
 use super::scene::Scene;
-use super::silent::Charges;
+use super::silent::Bound;
 use super::stepped::{self, Block, StepModel, TILE};
-use super::{Integrator, Keep, MOST_SPIKES, Method, MethodError, Options, Precision, Skipped, Stepping};
+use super::track::{self, Column, Track, Tracks};
+use super::{
+    Integrator, Keep, MOST_SPIKES, Method, MethodError, Options, Precision, Skipped, Stepping,
+    step_half_ticks,
+};
 use crate::draw::Normals;
 use crate::skin;
 use firmware_protocol::stroke::MOTORS;
 use pulp::Arch;
 use rayon::prelude::*;
+use std::sync::Arc;
 
 /// Receptors of a tile.
 const RECEPTORS: usize = 4096;
-/// Breaks of a motor after which it is asked for the first time who is silent: eight strokes.
-const FEW: usize = 64;
+/// Breaks of a motor after which it is asked who is silent: first after eight strokes, which often is enough.
+const ASKED_AFTER: [usize; 3] = [64, 4096, usize::MAX];
 /// Steps of a block.
 const STEPS: u64 = 256 * TILE as u64;
 
@@ -61,38 +65,19 @@ pub(super) fn run_on(
     progress: &(dyn Fn(f64) + Sync),
     mut give: impl FnMut(Train),
 ) -> Result<Skipped, MethodError> {
-    let work = Work::new(arch, scene, options);
-    let mut skipped = Skipped::default();
-    let moving = moving(scene);
-    skipped.motors_at_rest = MOTORS as u32 - moving.count_ones();
-    let order = by_place(scene, receptors);
-    let (mut reaching, mut kept) = (0, 0);
-    let tiles = order.len().div_ceil(RECEPTORS).max(1) as f64;
-    for (index, tile) in order.chunks(RECEPTORS).enumerate() {
-        let part = |done: f64| progress((index as f64 + done) / tiles);
-        reaching |= work.tile(tile, moving, &mut skipped, &part, &mut |train: Train| {
-            kept += train.2.len() as u64;
-            give(train);
-        })?;
-        within_bounds(kept)?;
-    }
-    skipped.motors_out_of_reach = (moving & !reaching).count_ones();
-    Ok(skipped)
+    let tracks = track::of_scene(scene, options.method);
+    let work = Work { arch, ..Work::new(scene, options, &tracks, &[]) };
+    work.run(&by_place(scene, receptors), progress, &mut give)
 }
 
 /// The receptors that are not proven silent, so that a method may find spikes there.
 pub(super) fn audible(scene: &Scene, receptors: &[u32], options: &Options) -> Vec<u32> {
-    let work = Work::new(Arch::new(), scene, options);
-    let moving = moving(scene);
-    let members = receptors.iter().map(|&number| work.member(number, moving));
+    let tracks = track::of_scene(scene, options.method);
+    let work = Work::new(scene, options, &tracks, &[]);
+    let members = receptors.iter().map(|&number| work.member(number));
     let mut members: Vec<_> = members.filter(|member| member.motors() != 0).collect();
     work.silent(&mut members);
     members.into_iter().map(|member| member.number).collect()
-}
-
-/// The motors that play a stroke, a bit each.
-fn moving(scene: &Scene) -> u32 {
-    of_scene(scene).iter().fold(0, |moving, breaks| moving | 1 << breaks.motor())
 }
 
 /// How much of a motor a receptor feels under these options. The model is linear in a motor's displacement, so that its
@@ -104,7 +89,7 @@ pub(super) fn weight(scene: &Scene, options: &Options, number: u32, motor: u8) -
 }
 
 /// Receptors in an order in which neighbours follow each other: by the interleaved bits of their places.
-fn by_place(scene: &Scene, receptors: &[u32]) -> Vec<u32> {
+pub(super) fn by_place(scene: &Scene, receptors: &[u32]) -> Vec<u32> {
     let places = scene.receptors();
     let range = |of: fn(&skin::Position) -> f64| {
         receptors
@@ -124,41 +109,76 @@ fn by_place(scene: &Scene, receptors: &[u32]) -> Vec<u32> {
     order
 }
 
-struct Work<'w> {
+pub(super) struct Work<'w> {
     scene: &'w Scene,
     options: &'w Options,
     arch: Arch,
     membrane: Membrane,
     end: f64,
-    /// Up to where it is computed: the last step is a whole one.
-    horizon: f64,
+    tracks: [Option<&'w Track>; MOTORS],
+    /// The motors that have a track, a bit each.
+    moving: u32,
+    /// Members as they are when all motors move, at their numbers; empty if they are made anew.
+    kept: &'w [Member],
 }
 
 impl<'w> Work<'w> {
-    fn new(arch: Arch, scene: &'w Scene, options: &'w Options) -> Self {
-        let end = end(scene.duration_s());
-        let horizon = match options.method {
-            Method::Exact => end,
-            Method::Stepped(Stepping { step_us, .. }) => {
-                (end / step_half_ticks(step_us)).ceil() * step_half_ticks(step_us)
-            }
-        };
-        Self { scene, options, arch, membrane: Membrane::of(scene.model()), end, horizon }
+    pub(super) fn new(
+        scene: &'w Scene,
+        options: &'w Options,
+        tracks: &'w Tracks,
+        kept: &'w [Member],
+    ) -> Self {
+        let (membrane, end) = (Membrane::of(scene.model()), end(scene.duration_s()));
+        let tracks = std::array::from_fn(|motor| tracks[motor].as_deref());
+        Self { scene, options, arch: Arch::new(), membrane, end, tracks, moving: 0, kept }.counted()
+    }
+
+    /// The same with other tracks of some motors.
+    pub(super) fn with(mut self, tracks: &'w [(u8, Option<Arc<Track>>)]) -> Self {
+        tracks.iter().for_each(|(motor, track)| self.tracks[usize::from(*motor)] = track.as_deref());
+        self.counted()
+    }
+
+    fn counted(self) -> Self {
+        let moving = self.tracks.iter().flatten().fold(0, |moving, track| moving | 1 << track.motor());
+        Self { moving, ..self }
+    }
+
+    /// Simulates some receptors, in order of place.
+    pub(super) fn run(
+        &self,
+        order: &[u32],
+        progress: &(dyn Fn(f64) + Sync),
+        give: &mut impl FnMut(Train),
+    ) -> Result<Skipped, MethodError> {
+        let motors_at_rest = MOTORS as u32 - self.moving.count_ones();
+        let mut skipped = Skipped { motors_at_rest, ..Skipped::default() };
+        let (mut reaching, mut kept) = (0, 0);
+        let tiles = order.len().div_ceil(RECEPTORS).max(1) as f64;
+        for (index, tile) in order.chunks(RECEPTORS).enumerate() {
+            let part = |done: f64| progress((index as f64 + done) / tiles);
+            reaching |= self.tile(tile, &mut skipped, &part, &mut |train: Train| {
+                kept += train.2.len() as u64;
+                give(train);
+            })?;
+            within_bounds(kept)?;
+        }
+        skipped.motors_out_of_reach = (self.moving & !reaching).count_ones();
+        Ok(skipped)
     }
 
     /// Simulates a tile; says which motors reach it.
     fn tile(
         &self,
         numbers: &[u32],
-        moving: u32,
         skipped: &mut Skipped,
         progress: &(dyn Fn(f64) + Sync),
         give: &mut impl FnMut(Train),
     ) -> Result<u32, MethodError> {
         let mut members: Vec<_> =
-            numbers.par_iter().with_min_len(64).map(|&number| self.member(number, moving)).collect();
-        let reaching = members.iter().fold(0, |reaching, member| reaching | member.motors());
-        let mut only = None;
+            numbers.par_iter().with_min_len(64).map(|&number| self.member(number)).collect();
+        let reaching = felt(&members);
         if self.options.skip {
             members.retain(|member| {
                 let reached = member.motors() != 0;
@@ -168,79 +188,83 @@ impl<'w> Work<'w> {
                 }
                 reached
             });
-            let (silent, block) = self.silent(&mut members);
-            only = block;
+            let silent = self.silent(&mut members);
             skipped.receptors_below_threshold += silent.len() as u64;
             silent.into_iter().for_each(|number| give((number, 0, Vec::new())));
         }
-        let blocks = only.map_or_else(
-            || Blocks::new(of_scene(self.scene), self.horizon),
-            |block| Blocks::single(block, self.horizon),
-        );
         match self.options.method {
-            Method::Exact => skipped.repeated_receptor_s += self.exact(blocks, members, progress, give)?,
+            Method::Exact => skipped.repeated_receptor_s += self.exact(members, progress, give)?,
             Method::Stepped(stepping) => match stepping.precision {
-                Precision::F32 => self.stepped::<f32>(blocks, stepping, members, progress, give)?,
-                Precision::F64 => self.stepped::<f64>(blocks, stepping, members, progress, give)?,
+                Precision::F32 => self.stepped::<f32>(stepping, members, progress, give)?,
+                Precision::F64 => self.stepped::<f64>(stepping, members, progress, give)?,
             },
         }
         Ok(reaching)
     }
 
-    fn member(&self, number: u32, moving: u32) -> Member {
-        let model = self.scene.model();
+    fn member(&self, number: u32) -> Member {
+        let moves = |motor: usize| self.moving >> motor & 1 == 1;
+        let mut member = self.kept.get(number as usize).cloned().unwrap_or_else(|| self.anew(number, moves));
+        for (motor, weight) in member.weights.iter_mut().enumerate() {
+            *weight = if moves(motor) { *weight } else { 0.0 };
+        }
+        member
+    }
+
+    /// A member with its weights of some motors.
+    pub(super) fn anew(&self, number: u32, of: impl Fn(usize) -> bool) -> Member {
         let weight = |motor: usize| {
-            let moves = moving >> motor & 1 == 1;
-            if moves { weight(self.scene, self.options, number, motor as u8) } else { 0.0 }
+            if of(motor) { weight(self.scene, self.options, number, motor as u8) } else { 0.0 }
         };
-        let mut noise = (model.noise_sd > 0.0).then(|| Normals::new(self.scene.seed(), number.into()));
+        let noisy = self.scene.model().noise_sd > 0.0;
+        let mut noise = noisy.then(|| Normals::new(self.scene.seed(), number.into()));
         let resting = self.membrane.draw(noise.as_mut());
         Member { number, weights: std::array::from_fn(weight), resting, noise }
     }
 
-    /// Takes out those that cannot reach their threshold; gives their numbers, and the scene's breaks if
-    /// they were a single block.
-    fn silent(&self, members: &mut Vec<Member>) -> (Vec<u32>, Option<Vec<Break>>) {
+    /// Takes out those that cannot reach their threshold; gives their numbers.
+    fn silent(&self, members: &mut Vec<Member>) -> Vec<u32> {
         let step = match self.options.method {
             Method::Exact => 0.0,
             Method::Stepped(Stepping { step_us, integrator: Integrator::Propagator, .. }) => {
                 step_half_ticks(step_us)
             }
             // Euler samples the input, so that an integral of the input does not bound it.
-            Method::Stepped(_) => return (Vec::new(), None),
+            Method::Stepped(_) => return Vec::new(),
         };
-        let mut charges = Charges::new(&self.membrane, step);
-        let mut blocks = Blocks::new(of_scene(self.scene), self.horizon);
-        let mut block = Vec::new();
+        let bound = Bound::new(&self.membrane, step);
         let mut silent: Vec<usize> = (0..members.len()).collect();
         // Whoever may fire needs no bound any more: often all of them, after a few strokes of each motor.
-        while !silent.is_empty() && blocks.next_by_motor(&mut block) {
-            for part in [0..FEW, FEW..usize::MAX] {
-                for breaks in block.chunk_by(|a, b| a.motor == b.motor) {
-                    charges.feed(&breaks[part.start.min(breaks.len())..part.end.min(breaks.len())]);
-                }
-                silent.retain(|&index| !charges.reaches(&members[index].weights, members[index].threshold()));
-                if silent.is_empty() {
-                    break;
-                }
+        for breaks in ASKED_AFTER {
+            if silent.is_empty() {
+                break;
             }
+            let feel = silent.iter().fold(0, |feel, &index| feel | members[index].motors());
+            let mut charges = [0.0; MOTORS];
+            charges.par_iter_mut().zip(self.tracks_of(feel)).with_min_len(4).for_each(|(charge, track)| {
+                *charge = track.map_or(0.0, |track| track.charge(&bound, breaks));
+            });
+            silent.retain(|&index| {
+                !bound.reaches(&charges, &members[index].weights, members[index].threshold())
+            });
         }
-        let single = blocks.done() && (blocks.given() == 1);
-        charges.finish(self.horizon);
-        silent.retain(|&index| !charges.reaches(&members[index].weights, members[index].threshold()));
         let numbers = silent.iter().map(|&index| members[index].number).collect();
         let mut index = 0;
         members.retain(|_| {
             index += 1;
             silent.binary_search(&(index - 1)).is_err()
         });
-        (numbers, single.then_some(block))
+        numbers
+    }
+
+    /// The tracks of some motors, a bit each.
+    fn tracks_of(&self, motors: u32) -> [Option<&'w Track>; MOTORS] {
+        std::array::from_fn(|motor| self.tracks[motor].filter(|_| motors >> motor & 1 == 1))
     }
 
     /// The receptor-seconds that were repetitions.
     fn exact(
         &self,
-        mut blocks: Blocks<'_>,
         members: Vec<Member>,
         progress: &(dyn Fn(f64) + Sync),
         give: &mut impl FnMut(Train),
@@ -248,6 +272,8 @@ impl<'w> Work<'w> {
         if members.is_empty() {
             return Ok(0.0);
         }
+        let tracks = self.tracks_of(felt(&members));
+        let mut blocks = Blocks::new(tracks.into_iter().flatten(), self.end);
         let keep = self.options.keep == Keep::Spikes;
         let noiseless = self.options.skip && self.scene.model().noise_sd == 0.0;
         let periods = noiseless.then(|| cycle::periods(self.scene.drives(), self.end));
@@ -281,7 +307,6 @@ impl<'w> Work<'w> {
 
     fn stepped<T: Number>(
         &self,
-        blocks: Blocks<'_>,
         stepping: Stepping,
         members: Vec<Member>,
         progress: &(dyn Fn(f64) + Sync),
@@ -289,24 +314,23 @@ impl<'w> Work<'w> {
     ) -> Result<(), MethodError> {
         let length = step_half_ticks(stepping.step_us);
         let model = StepModel::new(&self.membrane, stepping.integrator, length);
-        let sample = match stepping.integrator {
-            Integrator::Euler => Sample::Start,
-            Integrator::Propagator => Sample::Mean,
-        };
+        let tracks = self.tracks_of(felt(&members));
         let (numbers, mut groups): (Vec<_>, Vec<_>) = grouped(members, stepped::LANES)
             .map(|(numbers, members)| (numbers, stepped::Group::<T>::new(members)))
             .unzip();
-        let mut sampler = Sampler::new(blocks, length, sample);
-        let mut rows = Vec::new();
+        // What comes before the receptors can be shared out is a tenth of the work: share that, too.
+        let columns = tracks.into_par_iter().with_min_len(4).map(|track| track.and_then(Column::<T>::of));
+        let mut columns: Vec<_> = columns.collect();
         let steps = (self.end / length).ceil() as u64;
         let mut first = 0;
         while first < steps && !groups.is_empty() {
             let count = (steps - first).min(STEPS);
-            sampler.fill(self.arch, first, &mut rows, count as usize);
+            columns.par_iter_mut().flatten().for_each(|column| column.go_to(first, count as usize));
+            let inputs = std::array::from_fn(|motor| columns[motor].as_ref().map_or(&[][..], Column::now));
             let block = Block {
                 model: &model,
                 membrane: &self.membrane,
-                inputs: &rows,
+                inputs: &inputs,
                 first,
                 steps: count as usize,
                 until: self.end,
@@ -327,6 +351,11 @@ impl<'w> Work<'w> {
     }
 }
 
+/// The motors that somebody feels, a bit each.
+fn felt(members: &[Member]) -> u32 {
+    members.iter().fold(0, |felt, member| felt | member.motors())
+}
+
 /// Whether so many spikes can be kept.
 fn within_bounds(spikes: u64) -> Result<(), MethodError> {
     if spikes > MOST_SPIKES { Err(MethodError::TooManySpikes) } else { Ok(()) }
@@ -334,7 +363,7 @@ fn within_bounds(spikes: u64) -> Result<(), MethodError> {
 
 impl Member {
     /// The moving motors that reach it, a bit each.
-    fn motors(&self) -> u32 {
+    pub(super) fn motors(&self) -> u32 {
         let reaches = self.weights.iter().enumerate();
         reaches.fold(0, |motors, (motor, &weight)| motors | u32::from(weight > 0.0) << motor)
     }
@@ -352,9 +381,4 @@ fn grouped(members: Vec<Member>, lanes: usize) -> impl Iterator<Item = (Vec<u32>
         let group: Vec<_> = members.by_ref().take(lanes).collect();
         (!group.is_empty()).then(|| (group.iter().map(|member| member.number).collect(), group))
     })
-}
-
-/// A step in half ticks, rounded once.
-fn step_half_ticks(step_us: u32) -> f64 {
-    f64::from(step_us) * HALF_TICKS_PER_S / 1e6
 }

@@ -7,10 +7,12 @@
 //!
 //! Invariant: [`Evaluator::counts`] is always the answer to [`Evaluator::scene`].
 
-use super::engine;
+use super::engine::{self, Member, Work};
+use super::track::{self, MOST_KEPT, Track, Tracks};
 use super::{Keep, MethodError, Options, Scene, SceneError, Skipped, rate_hz};
 use crate::pattern::Drive;
 use firmware_protocol::stroke::MOTORS;
+use rayon::prelude::*;
 use std::sync::Arc;
 
 /// A scene and the answer to it.
@@ -20,6 +22,17 @@ pub struct Evaluator {
     options: Options,
     /// Shared with the trials made of it, by which they are known.
     counts: Arc<Vec<u64>>,
+    tracks: Tracks,
+    finger: Arc<Finger>,
+}
+
+/// What is known of the receptors whatever the motors do.
+#[derive(Debug)]
+struct Finger {
+    /// In order of place, each with the motors it feels, a bit each.
+    order: Vec<(u32, u32)>,
+    /// At their numbers; empty if they would take too much memory.
+    members: Vec<Member>,
 }
 
 /// A scene with other drives than an [`Evaluator`]'s, and what of the answer that changes.
@@ -29,6 +42,8 @@ pub struct Trial {
     scene: Scene,
     /// The counts of the scene it was made of.
     from: Arc<Vec<u64>>,
+    /// The motors that changed.
+    tracks: Vec<(u8, Option<Arc<Track>>)>,
     changed: Vec<(u32, u64)>,
     skipped: Skipped,
 }
@@ -40,8 +55,14 @@ impl Evaluator {
     /// If the method cannot simulate the scene.
     pub fn new(scene: Scene, options: Options) -> Result<Self, MethodError> {
         let options = Options { keep: Keep::Rates, ..options };
-        let counts = Arc::new(super::simulate(&scene, &options, &|_| ())?.counts);
-        Ok(Self { scene, options, counts })
+        options.method.check(&scene)?;
+        let tracks = track::of_scene(&scene, options.method);
+        let finger = Arc::new(Finger::new(&scene, &options, &tracks));
+        let work = Work::new(&scene, &options, &tracks, &finger.members);
+        let numbers: Vec<_> = finger.order.iter().map(|&(number, _)| number).collect();
+        let mut counts = vec![0; numbers.len()];
+        work.run(&numbers, &|_| (), &mut |(number, count, _)| counts[number as usize] = count)?;
+        Ok(Self { scene, options, counts: Arc::new(counts), tracks, finger })
     }
 
     /// What the scene would come to with these drives in place of all of its own.
@@ -61,8 +82,9 @@ impl Evaluator {
             let drives = trial.scene.drives().to_vec();
             self.tried(self.scene.with_drives(drives).expect("the drives were checked"))
         };
-        let Trial { scene, from, changed, .. } = trial;
+        let Trial { scene, from, tracks, changed, .. } = trial;
         self.scene = scene;
+        tracks.into_iter().for_each(|(motor, track)| self.tracks[usize::from(motor)] = track);
         // Nobody copies what nobody else has.
         drop(from);
         let counts = Arc::make_mut(&mut self.counts);
@@ -87,23 +109,22 @@ impl Evaluator {
             let of_motor = |drive: &&Drive| drive.motor == *motor;
             !self.scene.drives().iter().filter(of_motor).eq(scene.drives().iter().filter(of_motor))
         };
-        let motors: Vec<u8> = (0..MOTORS as u8).filter(differs).collect();
-        let feels = |number: &u32| {
-            motors.iter().any(|&motor| engine::weight(&scene, &self.options, *number, motor) > 0.0)
-        };
-        let receptors: Vec<u32> = (0..self.counts.len() as u32).filter(feels).collect();
+        let track = |motor| (motor, Track::new(&scene, self.options.method, motor).map(Arc::new));
+        let tracks: Vec<_> = (0..MOTORS as u8).filter(differs).map(track).collect();
+        let differing = tracks.iter().fold(0, |motors, (motor, _)| motors | 1 << motor);
+        let feeling = self.finger.order.iter().filter(|(_, feels)| feels & differing != 0);
+        let receptors: Vec<u32> = feeling.map(|&(number, _)| number).collect();
         let mut changed = Vec::with_capacity(receptors.len());
         let mut skipped = Skipped::default();
         if !receptors.is_empty() {
-            let ran = engine::run(&scene, &receptors, &self.options, &|_| (), |(number, count, _)| {
-                changed.push((number, count));
-            });
+            let work = Work::new(&scene, &self.options, &self.tracks, &self.finger.members).with(&tracks);
+            let ran = work.run(&receptors, &|_| (), &mut |(number, count, _)| changed.push((number, count)));
             skipped = ran.expect("no spikes are kept, so there are never too many");
         }
         // They may reach the receptors that were not simulated.
         skipped.motors_out_of_reach = 0;
         skipped.receptors_reused = (self.counts.len() - receptors.len()) as u64;
-        Trial { scene, from: Arc::clone(&self.counts), changed, skipped }
+        Trial { scene, from: Arc::clone(&self.counts), tracks, changed, skipped }
     }
 
     /// The scene as it is now.
@@ -122,6 +143,20 @@ impl Evaluator {
     #[must_use]
     pub fn rates_hz(&self) -> Vec<f64> {
         self.counts.iter().map(|&count| rate_hz(count, &self.scene)).collect()
+    }
+}
+
+impl Finger {
+    fn new(scene: &Scene, options: &Options, tracks: &Tracks) -> Self {
+        let work = Work::new(scene, options, tracks, &[]);
+        let numbers: Vec<_> = (0..scene.receptors().len() as u32).collect();
+        let member = |number: u32| work.anew(number, |_| true);
+        let feels = |number| (number, member(number).motors());
+        let order = engine::by_place(scene, &numbers).into_par_iter().with_min_len(64).map(feels).collect();
+        let few = numbers.len() * size_of::<Member>() <= MOST_KEPT;
+        let members =
+            if few { numbers.into_par_iter().with_min_len(64).map(member).collect() } else { Vec::new() };
+        Self { order, members }
     }
 }
 

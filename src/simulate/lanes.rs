@@ -5,8 +5,10 @@
 //!
 //! Invariant: no operation here mixes lanes.
 
+use super::track::Samples;
 use pulp::{Simd, bytemuck};
 use std::ops::{Deref, DerefMut};
+use std::sync::OnceLock;
 
 /// Lanes in memory, so placed that no vector straddles two cache lines.
 #[derive(Clone, Copy, Debug)]
@@ -35,6 +37,8 @@ pub(super) trait Number: Copy + Default + Send + Sync + 'static {
 
     fn of(value: f64) -> Self;
     fn wide(self) -> f64;
+    /// Where a motor's samples are kept.
+    fn kept(samples: &Samples) -> &OnceLock<Vec<Self>>;
     /// Lanes of a vector.
     fn width<S: Simd>() -> usize;
     fn splat<S: Simd>(simd: S, value: Self) -> Self::Vector<S>;
@@ -84,7 +88,7 @@ pub(super) fn bits<M: bytemuck::NoUninit>(mask: M, lanes: usize) -> u32 {
 macro_rules! number {
     ($number:ident, $vector:ident, $mask:ident, $lanes:ident, $load:ident, $store:ident, $splat:ident, $add:ident,
      $sub:ident, $mul_add:ident, $max:ident, $min:ident, $div:ident, $abs:ident, $at_least:ident, $and:ident, $or:ident,
-     $select:ident, $of:expr) => {
+     $select:ident, $kept:ident, $of:expr) => {
         impl Number for $number {
             type Vector<S: Simd> = S::$vector;
             type Mask<S: Simd> = S::$mask;
@@ -96,6 +100,9 @@ macro_rules! number {
             #[inline(always)]
             fn wide(self) -> f64 {
                 self.into()
+            }
+            fn kept(samples: &Samples) -> &OnceLock<Vec<Self>> {
+                &samples.$kept
             }
             #[inline(always)]
             fn width<S: Simd>() -> usize {
@@ -184,6 +191,7 @@ number!(
     and_m64s,
     or_m64s,
     select_f64s,
+    double,
     |value| value
 );
 number!(
@@ -205,5 +213,6 @@ number!(
     and_m32s,
     or_m32s,
     select_f32s,
+    single,
     |value: f64| value as f32
 );

@@ -20,6 +20,72 @@ const STEP_ROUNDING: f64 = 4.0 * (f32::EPSILON / 2.0) as f64;
 /// What of a membrane leaks in a part of a piece.
 const LEAK: f64 = 0.01;
 
+/// What the highest charges are computed with, and compared with a threshold.
+#[derive(Debug)]
+pub(super) struct Bound {
+    rate: f64,
+    rectify: Rectify,
+    gain: f64,
+}
+
+impl Bound {
+    /// `step`: half ticks of a step, 0 for the exact method. A step's input counts as if it came all at its end,
+    /// so that less of it has leaked than should have.
+    pub(super) fn new(membrane: &Membrane, step: f64) -> Self {
+        let x = membrane.rate * step;
+        // What is rounded up in each step leaks away as the membrane does: what stays is that of 1/x steps.
+        let rounding = if step > 0.0 { 1.0 + STEP_ROUNDING / x } else { 1.0 };
+        let gain = membrane.gain * MARGIN * rounding * libm::exp(x);
+        Self { rate: membrane.rate, rectify: membrane.rectify, gain }
+    }
+
+    /// The highest charge that a motor's breaks leave on a membrane at weight 1; with an `end`, also what comes after
+    /// them until then, as if the motor went on as it does.
+    pub(super) fn charge(&self, breaks: impl Iterator<Item = Break>, end: Option<f64>) -> f64 {
+        let mut charge = Charge::default();
+        for found in breaks {
+            self.pass(&mut charge, found.at);
+            charge.slope += found.bend;
+        }
+        if let Some(end) = end {
+            let end = end.max(charge.at);
+            self.pass(&mut charge, end);
+        }
+        charge.most
+    }
+
+    fn pass(&self, motor: &mut Charge, at: f64) {
+        let length = at - motor.at;
+        let end = motor.d + motor.slope * length;
+        // In parts so short that next to nothing leaks in one: between its ends the membrane is not above what
+        // it would be without that leak.
+        let parts = (self.rate * length / LEAK).ceil().clamp(1.0, 256.0);
+        let part = length / parts;
+        let x = self.rate * part;
+        for _ in 0..parts as u32 {
+            let d = motor.d + motor.slope * part;
+            // The trapezoid of the positive parts holds the area between the axis and the line.
+            let area = match self.rectify {
+                Rectify::Full => 0.5 * part * (motor.d.abs() + d.abs()),
+                _ => 0.5 * part * (motor.d.max(0.0) + d.max(0.0)),
+            };
+            motor.most = motor.most.max(motor.now + area);
+            // 1 / (1 + x + x²/2) is never below e^-x.
+            motor.now = motor.now / (1.0 + x * (1.0 + 0.5 * x)) + area;
+            motor.d = d;
+        }
+        // Whole again, whatever the parts were.
+        (motor.at, motor.d) = (at, end);
+    }
+
+    /// Whether a receptor can reach its first threshold under these charges of the motors.
+    pub(super) fn reaches(&self, charges: &[f64; MOTORS], weights: &[f64; MOTORS], resting: f64) -> bool {
+        let charge: f64 = weights.iter().zip(charges).map(|(weight, charge)| weight * charge).sum();
+        self.gain * charge >= resting
+    }
+}
+
+/// A membrane under one motor, from break to break.
 #[derive(Clone, Copy, Debug, Default)]
 struct Charge {
     at: f64,
@@ -29,77 +95,16 @@ struct Charge {
     most: f64,
 }
 
-/// The highest charge each motor can leave on a membrane at weight 1.
-#[derive(Debug)]
-pub(super) struct Charges {
-    motors: [Charge; MOTORS],
-    rate: f64,
-    rectify: Rectify,
-    gain: f64,
-}
-
-impl Charges {
-    /// `step`: half ticks of a step, 0 for the exact method. A step's input counts as if it came all at its end,
-    /// so that less of it has leaked than should have.
-    pub(super) fn new(membrane: &Membrane, step: f64) -> Self {
-        let x = membrane.rate * step;
-        // What is rounded up in each step leaks away as the membrane does: what stays is that of 1/x steps.
-        let rounding = if step > 0.0 { 1.0 + STEP_ROUNDING / x } else { 1.0 };
-        let gain = membrane.gain * MARGIN * rounding * libm::exp(x);
-        Self { motors: [Charge::default(); MOTORS], rate: membrane.rate, rectify: membrane.rectify, gain }
-    }
-
-    pub(super) fn feed(&mut self, breaks: &[Break]) {
-        for found in breaks {
-            let motor = &mut self.motors[usize::from(found.motor)];
-            let length = found.at - motor.at;
-            let end = motor.d + motor.slope * length;
-            // In parts so short that next to nothing leaks in one: between its ends the membrane is not above what
-            // it would be without that leak.
-            let parts = (self.rate * length / LEAK).ceil().clamp(1.0, 256.0);
-            let part = length / parts;
-            let x = self.rate * part;
-            for _ in 0..parts as u32 {
-                let d = motor.d + motor.slope * part;
-                // The trapezoid of the positive parts holds the area between the axis and the line.
-                let area = match self.rectify {
-                    Rectify::Full => 0.5 * part * (motor.d.abs() + d.abs()),
-                    _ => 0.5 * part * (motor.d.max(0.0) + d.max(0.0)),
-                };
-                motor.most = motor.most.max(motor.now + area);
-                // 1 / (1 + x + x²/2) is never below e^-x.
-                motor.now = motor.now / (1.0 + x * (1.0 + 0.5 * x)) + area;
-                motor.d = d;
-            }
-            // Whole again, whatever the parts were.
-            (motor.at, motor.d) = (found.at, end);
-            motor.slope += found.bend;
-        }
-    }
-
-    /// What is left to come until the end, as if each motor went on as it does.
-    pub(super) fn finish(&mut self, end: f64) {
-        let breaks: Vec<_> = (0..MOTORS as u8)
-            .map(|motor| Break { at: end.max(self.motors[usize::from(motor)].at), bend: 0.0, motor })
-            .collect();
-        self.feed(&breaks);
-    }
-
-    /// Whether a receptor can reach its first threshold, by what was fed until now.
-    pub(super) fn reaches(&self, weights: &[f64; MOTORS], resting: f64) -> bool {
-        let charge: f64 = weights.iter().zip(&self.motors).map(|(weight, motor)| weight * motor.most).sum();
-        self.gain * charge >= resting
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use super::super::Scene;
-    use super::super::breaks::{Blocks, end, of_scene};
+    use super::super::breaks::{Blocks, end};
+    use super::super::track::{Tracks, of_scene};
+    use super::super::{Method, Scene};
     use super::*;
     use crate::draw::uniform;
     use crate::pattern::Drive;
     use crate::skin::RaModel;
+    use std::sync::Arc;
 
     fn scene(seed: u64, rectify: Rectify) -> (Scene, [f64; MOTORS]) {
         let draw = |n: u64, low: f64, high: f64| low + (high - low) * uniform([seed, n, 0, 1 << 34])[0];
@@ -119,9 +124,14 @@ mod tests {
         (Scene::new(0.4, 0, drives.collect(), vec![], model).unwrap(), weights)
     }
 
+    fn tracks(scene: &Scene) -> Tracks {
+        of_scene(scene, Method::Exact)
+    }
+
     fn breaks(scene: &Scene) -> Vec<Break> {
         let (mut all, mut block) = (Vec::new(), Vec::new());
-        let mut blocks = Blocks::new(of_scene(scene), end(scene.duration_s()));
+        let tracks = tracks(scene);
+        let mut blocks = Blocks::new(tracks.iter().flatten().map(Arc::as_ref), end(scene.duration_s()));
         while blocks.next_into(&mut block) {
             all.append(&mut block);
         }
@@ -162,11 +172,11 @@ mod tests {
                 let membrane = Membrane::of(scene.model());
                 let most = highest(&scene, &weights, &membrane);
                 for step in [0.0, 17.0, 850.0] {
-                    let mut charges = Charges::new(&membrane, step);
-                    charges.feed(&breaks(&scene));
-                    charges.finish(end(scene.duration_s()));
-                    assert!(charges.reaches(&weights, most), "seed {seed}, {rectify:?}");
-                    near += u32::from(step == 0.0 && !charges.reaches(&weights, 1.1 * most));
+                    let bound = Bound::new(&membrane, step);
+                    let charges = tracks(&scene)
+                        .map(|track| track.map_or(0.0, |track| track.charge(&bound, usize::MAX)));
+                    assert!(bound.reaches(&charges, &weights, most), "seed {seed}, {rectify:?}");
+                    near += u32::from(step == 0.0 && !bound.reaches(&charges, &weights, 1.1 * most));
                 }
             }
         }
@@ -175,10 +185,16 @@ mod tests {
     }
 
     #[test]
-    fn a_motor_at_rest_charges_nothing() {
-        let membrane = Membrane::of(&RaModel::default_for(Rectify::Half, 0.0));
-        let mut charges = Charges::new(&membrane, 0.0);
-        charges.finish(1e6);
-        assert!(!charges.reaches(&[1.0; MOTORS], 1e-300));
+    fn a_motor_at_rest_charges_nothing_and_fewer_breaks_no_more() {
+        let bound = Bound::new(&Membrane::of(&RaModel::default_for(Rectify::Half, 0.0)), 0.0);
+        assert_eq!(bound.charge(std::iter::empty(), Some(1e6)), 0.0);
+        for seed in 0..20 {
+            for track in tracks(&scene(seed, Rectify::Half).0).iter().flatten() {
+                let few = [1, 8, 64].map(|breaks| track.charge(&bound, breaks));
+                let all = track.charge(&bound, usize::MAX);
+                assert!(few.is_sorted() && few[2] <= all, "{few:?} {all}");
+                assert_eq!(track.charge(&bound, 1), all);
+            }
+        }
     }
 }

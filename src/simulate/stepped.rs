@@ -11,7 +11,7 @@
 
 use super::lanes::{Aligned, Number};
 use super::membrane::Membrane;
-use super::{Integrator, Member, sampler};
+use super::{Integrator, Member};
 use crate::draw::Normals;
 use crate::skin::{LEAST_THRESHOLD, Rectify};
 use firmware_protocol::stroke::MOTORS;
@@ -128,8 +128,8 @@ impl<T: Number> Group<T> {
 pub(super) struct Block<'b, T> {
     pub(super) model: &'b StepModel,
     pub(super) membrane: &'b Membrane,
-    /// A row of velocities for each step; whole tiles, the last filled up.
-    pub(super) inputs: &'b [sampler::Row<T>],
+    /// Of each motor that reaches anybody, its velocity in each step; whole tiles, the last filled up.
+    pub(super) inputs: &'b [&'b [T]; MOTORS],
     pub(super) first: u64,
     pub(super) steps: usize,
     pub(super) until: f64,
@@ -204,14 +204,13 @@ fn inputs<T: Number, S: Simd>(
 ) -> [T::Vector<S>; TILE] {
     let zero = T::splat(simd, T::default());
     let mut sums = [zero; TILE];
-    let rows = block.inputs[tile..].first_chunk::<TILE>().expect("inputs are whole tiles");
     let mut left = group.motors;
     while left != 0 {
         let motor = left.trailing_zeros() as usize;
         left &= left - 1;
         let weights = T::load::<S>(&group.weights[motor][first..]);
-        sums =
-            array::from_fn(|step| T::mul_add(simd, weights, T::splat(simd, rows[step][motor]), sums[step]));
+        let input = block.inputs[motor][tile..].first_chunk::<TILE>().expect("inputs are whole tiles");
+        sums = array::from_fn(|step| T::mul_add(simd, weights, T::splat(simd, input[step]), sums[step]));
     }
     match block.model.rectify {
         Rectify::Half => array::from_fn(|step| T::max(simd, sums[step], zero)),

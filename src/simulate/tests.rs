@@ -1,11 +1,11 @@
 //! Of the parts that need what is private: vectors of every width, and the samples of velocities.
 
-use super::breaks::{Blocks, HALF_TICKS_PER_S, end, of_scene};
+use super::breaks::{Blocks, HALF_TICKS_PER_S, end};
 use super::cycle::periods;
 use super::engine::{Member, run_on};
 use super::exact::{Group, MOST_BUFFERED};
 use super::membrane::Membrane;
-use super::sampler::{Sample, Sampler};
+use super::track::{Track, of_scene};
 use super::{Integrator, Method, Options, Precision, Scene, Stepping};
 use crate::draw::uniform;
 use crate::motor::{HalfTick, Ramp, Shaft, WINDOW_HALF_TICKS};
@@ -15,6 +15,7 @@ use crate::units::UM_PER_PULSE;
 use firmware_protocol::stroke::{Direction, MOTORS};
 use firmware_protocol::tick::Tick;
 use pulp::Arch;
+use std::sync::Arc;
 
 /// A finger's receptors over some motors at whatever they do.
 fn scene(seed: u64) -> Scene {
@@ -78,31 +79,48 @@ fn the_width_of_vectors_changes_nothing() {
     }
 }
 
-/// Rows of samples, asked for so many at a time.
-fn samples(scene: &Scene, step: f64, sample: Sample, steps: usize, at_a_time: usize) -> Vec<Vec<f64>> {
-    let mut sampler = Sampler::new(Blocks::new(of_scene(scene), steps as f64 * step), step, sample);
-    let mut rows = Vec::new();
-    let mut all = vec![Vec::new(); MOTORS];
-    for first in (0..steps).step_by(at_a_time) {
-        let count = at_a_time.min(steps - first);
-        sampler.fill(Arch::new(), first as u64, &mut rows, count);
-        for row in &rows[..count] {
-            all.iter_mut().zip(row).for_each(|(all, &velocity)| all.push(velocity));
+/// A way to step whose samples are those of an integrator.
+fn stepping(step_us: u32, integrator: Integrator) -> Method {
+    Method::Stepped(Stepping { step_us, integrator, precision: Precision::F64 })
+}
+
+/// Each motor's samples, asked for so many at a time; none of a motor at rest.
+fn samples(scene: &Scene, method: Method, steps: usize, at_a_time: usize) -> Vec<Vec<f64>> {
+    let of_track = |track: &Option<Arc<Track>>| {
+        let Some(track) = track else { return Vec::new() };
+        let mut sampler = track.sampler().unwrap();
+        let (mut all, mut samples) = (Vec::new(), Vec::<f64>::new());
+        for first in (0..steps).step_by(at_a_time) {
+            let count = at_a_time.min(steps - first);
+            sampler.fill(first as u64, count, &mut samples);
+            all.extend_from_slice(&samples[..count]);
         }
-    }
-    all
+        all
+    };
+    of_scene(scene, method).iter().map(of_track).collect()
 }
 
 #[test]
 fn samples_do_not_depend_on_how_many_are_asked_for() {
-    for (seed, sample) in [(1, Sample::Start), (2, Sample::Mean), (3, Sample::Start), (4, Sample::Mean)] {
-        for step in [5.1, 85.0, 1700.0, 30_000.0] {
-            let (scene, steps) = (scene(seed), 300_000 / step as usize);
-            let whole = samples(&scene, step, sample, steps, steps);
+    for (seed, integrator) in [
+        (1, Integrator::Euler),
+        (2, Integrator::Propagator),
+        (3, Integrator::Euler),
+        (4, Integrator::Propagator),
+    ] {
+        for step_us in [30, 500, 10_000, 176_471] {
+            let (scene, method) = (scene(seed), stepping(step_us, integrator));
+            let steps = (scene.duration_s() * 1e6 / f64::from(step_us)).ceil() as usize;
+            let whole = samples(&scene, method, steps, steps);
             for at_a_time in [1, 8, 37, 256] {
+                let found = samples(&scene, method, steps, at_a_time);
+                assert!(found == whole, "{seed} {step_us} {at_a_time}");
+            }
+            // And those that are kept are the same.
+            for (track, expected) in of_scene(&scene, method).iter().zip(&whole) {
+                let kept = track.as_ref().map_or(&[][..], |track| track.samples::<f64>().unwrap());
                 assert!(
-                    samples(&scene, step, sample, steps, at_a_time) == whole,
-                    "{seed} {step} {at_a_time}"
+                    kept[..expected.len()] == **expected && kept[expected.len()..].iter().all(|&d| d == 0.0)
                 );
             }
         }
@@ -114,7 +132,7 @@ fn the_mean_velocity_is_what_the_shaft_moves_in_a_step() {
     for seed in 0..6 {
         let scene = scene(seed);
         let (step, steps) = (85_u64, 2400);
-        let found = samples(&scene, step as f64, Sample::Mean, steps, 100);
+        let found = samples(&scene, stepping(500, Integrator::Propagator), steps, 100);
         let um = UM_PER_PULSE / 2.0 / WINDOW_HALF_TICKS as f64 * step as f64;
         for drive in scene.drives() {
             let start = (drive.start() * 85_000.0).round() as u64;
@@ -158,14 +176,14 @@ fn samples_at_rest_are_zero() {
     };
     let model = RaModel::default_for(Rectify::Half, 0.0);
     let scene = Scene::new(1.0, 0, vec![drive], vec![], model).unwrap();
-    for sample in [Sample::Start, Sample::Mean] {
-        for step in [13.6, 85.0, 100.3] {
-            let steps = (HALF_TICKS_PER_S / step) as usize;
-            let rows = samples(&scene, step, sample, steps, 64);
-            let at = |s: f64| (s * HALF_TICKS_PER_S / step) as usize;
-            assert!(rows[5][..at(0.01)].iter().all(|&d| d == 0.0), "{sample:?}, {step}");
+    for integrator in [Integrator::Euler, Integrator::Propagator] {
+        for step_us in [80, 500, 590] {
+            let steps = 1_000_000 / step_us as usize;
+            let rows = samples(&scene, stepping(step_us, integrator), steps, 64);
+            let at = |s: f64| (s * 1e6 / f64::from(step_us)) as usize;
+            assert!(rows[5][..at(0.01)].iter().all(|&d| d == 0.0), "{integrator:?}, {step_us}");
             assert!(rows[5][at(0.01)..at(0.13)].iter().any(|&d| d != 0.0));
-            assert!(rows[5][at(0.15)..].iter().all(|&d| d == 0.0), "{sample:?}, {step}");
+            assert!(rows[5][at(0.15)..].iter().all(|&d| d == 0.0), "{integrator:?}, {step_us}");
             assert!(rows.iter().enumerate().all(|(motor, row)| motor == 5 || row.iter().all(|&d| d == 0.0)));
         }
     }
@@ -191,7 +209,8 @@ fn counting_rates_buffers_no_more_the_longer_the_scene() {
     let member = Member { number: 0, weights, resting: 1.0, noise: None };
     let periods = periods(scene.drives(), end);
     let mut group = Group::new(vec![member], &membrane, Some(&periods), end);
-    let mut blocks = Blocks::new(of_scene(&scene), end);
+    let tracks = of_scene(&scene, Method::Exact);
+    let mut blocks = Blocks::new(tracks.iter().flatten().map(Arc::as_ref), end);
     let (mut block, mut most) = (Vec::new(), 0);
     while blocks.next_into(&mut block) {
         // As a scene of many blocks.
