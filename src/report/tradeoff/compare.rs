@@ -5,7 +5,7 @@
 //!
 //! Invariant: an answer does not differ from itself.
 
-use super::edge;
+use crate::report::edge;
 use crate::simulate::{Answer, Scene};
 
 /// Spikes further apart are not the same spike: the model's refractory period.
