@@ -17,6 +17,8 @@ mod convergence;
 mod evaluator;
 /// Scenes at the edges of what a scene may be, by every method: each has one right answer.
 mod extremes;
+/// `report`: figures against the models, the page, places that cannot be written to.
+mod figures;
 /// A real daemon in a directory of its own, for the others.
 mod harness;
 /// The same bits whatever the threads, the order of receptors, the blocks, and what is skipped.

@@ -15,6 +15,7 @@ use crate::motor::{MotorError, SquareWave, SteadyState, WINDOW_HALF_TICKS};
 use crate::plant::{Plant, PlantConfig};
 use firmware_protocol::stroke::{Direction, Lines, MOTORS};
 use firmware_protocol::tick::{TICK_HZ, Tick};
+use plotters::chart::SeriesLabelPosition;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::fmt::Write;
@@ -131,6 +132,7 @@ fn plot(rows: &[Row]) -> Result<String, FiguresError> {
             name: "amplitude, um peak to peak",
             scale: Scale { from: LEAST_UM, to: 500.0, logarithmic: true },
         },
+        legend: SeriesLabelPosition::UpperRight,
         series: series.collect::<Result<_, MotorError>>()?,
     };
     Ok(draw(&chart)?)

@@ -27,6 +27,8 @@ pub(super) struct Chart<'a> {
     pub(super) title: &'a str,
     pub(super) x: Axis<'a>,
     pub(super) y: Axis<'a>,
+    /// Where the curves leave room for their names.
+    pub(super) legend: SeriesLabelPosition,
     pub(super) series: Vec<Series>,
 }
 
@@ -153,7 +155,7 @@ pub(super) fn draw(chart: &Chart<'_>) -> Result<String, PlotError> {
         }
         context
             .configure_series_labels()
-            .position(SeriesLabelPosition::UpperRight)
+            .position(chart.legend.clone())
             .background_style(WHITE)
             .border_style(RGBColor(200, 200, 200))
             .draw()

@@ -16,6 +16,7 @@ use crate::simulate::{Method, Options, Scene, simulate};
 use crate::skin::{POPULATION_NOISE_SD, Position, RaModel, Rectify};
 use crate::units::UM_PER_PULSE;
 use firmware_protocol::tick::TICK_HZ;
+use plotters::chart::SeriesLabelPosition;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::fmt::Write;
@@ -264,6 +265,7 @@ fn by_amplitude_plot(rows: &[Row]) -> Result<String, FiguresError> {
             scale: Scale { from: 0.0, to: *AMPLITUDE_UM.end(), logarithmic: false },
         },
         y: Axis { name: RATE, scale: rate_scale(rows) },
+        legend: SeriesLabelPosition::LowerRight,
         series: FREQUENCIES_HZ.map(curve).into(),
     };
     Ok(draw(&chart)?)
@@ -282,12 +284,13 @@ fn by_frequency_plot(rows: &[Row]) -> Result<String, FiguresError> {
         title: "Rate against frequency, under one pin",
         x: Axis { name: "frequency, Hz", scale: Scale { from: 0.0, to: 300.0, logarithmic: false } },
         y: Axis { name: RATE, scale: rate_scale(rows) },
+        legend: SeriesLabelPosition::UpperRight,
         series: AMPLITUDES_UM.map(curve).into(),
     };
     Ok(draw(&chart)?)
 }
 
-/// From 0 to the next fifty, with room for the legend.
+/// From 0 to the next fifty.
 fn rate_scale(rows: &[Row]) -> Scale {
     let highest = rows.iter().map(|row| row.rate_hz).fold(0.0, f64::max);
     Scale { from: 0.0, to: (highest / 50.0).ceil().max(1.0) * 50.0, logarithmic: false }

@@ -1,11 +1,12 @@
 //! A pattern cut into stretches in which the same drives run.
 //!
 //! A drive that starts or stops ends a stretch and begins the next. Neighbours in which the same motors do the same are
-//! one. Drives of amplitude 0 are off and in none.
+//! one. Drives of amplitude 0 are off and in none. Times of the same tick are the same time.
 //!
 //! Invariant: stretches follow each other without a gap, from 0 to the pattern's end; no motor is twice in one.
 
 use crate::pattern::Drive;
+use crate::units::seconds_to_ticks;
 
 /// A time in which the same drives run.
 #[derive(Clone, Debug, PartialEq)]
@@ -30,11 +31,13 @@ pub fn stretches(drives: &[Drive], duration_s: Option<f64>) -> Vec<Stretch> {
     bounds.extend([0.0, end]);
     bounds.retain(|&at| at <= end);
     bounds.sort_by(f64::total_cmp);
-    bounds.dedup();
+    bounds.dedup_by_key(|at| seconds_to_ticks(*at));
 
     let mut found: Vec<Stretch> = Vec::new();
     for pair in bounds.windows(2) {
-        let runs = |drive: &&Drive| begins(drive) <= pair[0] && ends(drive) >= pair[1];
+        let [from, to] = [pair[0], pair[1]].map(seconds_to_ticks);
+        let runs =
+            |drive: &&Drive| seconds_to_ticks(begins(drive)) <= from && seconds_to_ticks(ends(drive)) >= to;
         let running: Vec<Drive> = drives.iter().filter(runs).copied().collect();
         let stop_s = Some(pair[1]).filter(|stop| stop.is_finite());
         match found.last_mut() {
@@ -87,5 +90,8 @@ mod tests {
         assert_eq!(found.len(), 2);
         let found = stretches(&[drive(0, None, Some(1.0)), drive(1, None, None)], None);
         assert_eq!((found.len(), found[1].stop_s), (2, None));
+        // 0.1 + 0.2 is a little more than 0.3.
+        let found = stretches(&[drive(0, None, Some(0.1 + 0.2)), drive(1, Some(0.3), Some(0.5))], None);
+        assert_eq!(found.iter().map(motors).collect::<Vec<_>>(), [[0], [1]]);
     }
 }
