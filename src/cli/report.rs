@@ -1,7 +1,7 @@
 //! The command report: figures and a page, written into a directory. It asks no daemon.
 //!
-//! A pattern is named as in the library; what has a slash or ends in `.toml` is a file. Everything that can be wrong with what
-//! was asked is said before the work. The page is written last, so that what it names is there.
+//! A pattern is named as in the library; what has a slash or ends in `.toml` is a file. Everything that can be wrong
+//! with what was asked is said before the work. The page is written last, so that what it names is there.
 //!
 //! Invariant: a file that is too large or not a file is not read into memory.
 

@@ -1,8 +1,8 @@
 //! What a motor reaches of the amplitude that is asked for: the paper's Fig. 3.
 //!
 //! Lines are the model in closed form. Points are measured on the simulated plant, whose bursts scatter, through its
-//! telemetry: four pins play each amplitude, the loop open. Of each cycle the top counts minus the mean of the bottoms before
-//! and after it, read where the model has them: a pin that wanders does not seem to vibrate more for it.
+//! telemetry: four pins play each amplitude, the loop open. Of each cycle the top counts minus the mean of the bottoms
+//! before and after it, read where the model has them: a pin that wanders does not seem to vibrate more for it.
 //!
 //! Invariant: a measurement is made of telemetry alone, in its quantum.
 
@@ -86,7 +86,7 @@ pub(super) fn section(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Ampli
          standard deviation of {} cycles of the simulated plant (seed {SEED}, gain of each burst scattered by 10 %, no \
          closed loop, end stops out of reach), read from its telemetry at {SAMPLES_HZ} Hz in steps of 0.01 µm after the \
          transient; a cycle is its top minus the mean of the bottoms beside it, at the model's instants. Where the model \
-         moves by {WORTH_UM} µm or more, measured is {} of it in the mean and off by {} % at worst. What is below \
+         moves by {WORTH_UM} µm or more, measured is {} times that in the mean, and off by {} % at worst. What is below \
          {LEAST_UM} µm is drawn there; the model's null at 232.6 Hz is that of a moving average, not of a motor.",
         AMPLITUDES_UM.map(number).join(", "),
         CYCLES * usize::from(array::COLUMNS),

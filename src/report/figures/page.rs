@@ -57,13 +57,15 @@ impl Section {
         caption: &str,
         command: &str,
     ) {
+        // Who does not see it hears what it is; the rest is in the caption, for everybody.
+        let alt = escape(caption.split_inclusive(". ").next().unwrap_or_default().trim_end());
         let (caption, command) = (escape(caption), escape(command));
         let numbers = csv
             .as_ref()
             .map_or_else(String::new, |_| format!(" Numbers: <a href=\"{name}.csv\">{name}.csv</a>."));
         let _ = writeln!(
             self.html,
-            "<figure>\n<img src=\"{name}.svg\" alt=\"{caption}\"/>\n<figcaption>{caption}{numbers} Command: \
+            "<figure>\n<img src=\"{name}.svg\" alt=\"{alt}\"/>\n<figcaption>{caption}{numbers} Command: \
              <code>{command}</code></figcaption>\n</figure>"
         );
         self.files.push(File { name: format!("{name}.svg"), text: svg });

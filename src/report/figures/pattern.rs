@@ -118,8 +118,9 @@ fn summary(pattern: &Pattern, figures: &PatternFigures) -> String {
         many => format!(", {many} stretches"),
     };
     let most = if figures.stretches == 1 { "" } else { " in the busiest stretch" };
+    let drives = if figures.drives == 1 { "drive" } else { "drives" };
     format!(
-        "{length}, {} drives{stretches}; {} pulses/s in all{most}.",
+        "{length}, {} {drives}{stretches}; {} pulses/s in all{most}.",
         figures.drives,
         number(figures.pulses_per_s)
     )

@@ -208,7 +208,7 @@ fn remark(plateau: &Plateau) -> String {
     format!(
         "The paper remarks that the amplitude does not affect much. At {} Hz the rate changes by less than {} % between \
          {} and {} µm ({} to {} impulses/s); the drive saturates from {} µm on, beyond which the motor does the same \
-         whatever is asked. Below it matters: at {} µm the rate is {} impulses/s.",
+         whatever is asked. Below that range it matters: at {} µm the rate is {} impulses/s.",
         number(frequency_hz),
         number(SAME * 100.0),
         number(from_um),
