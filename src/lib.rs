@@ -23,8 +23,9 @@
 //! end every burst of every play was played, late, dropped or refused, and the receipt says which.
 //!
 //! What the [`skin`] makes of a pattern is computed offline: [`simulate`] takes a scene of drives and receptors to
-//! spikes, exactly or by a step, and [`report`] says what each way of doing so costs and by how much it errs.
-//! What one is to feel is a target, a shape on the skin; [`optimise`] says how well a pattern tells it from its surroundings.
+//! spikes, exactly or by a step, and [`report`] says what each way of doing so costs and by how much it errs, and draws
+//! what motors and skin make of a pattern.
+//! What one is to feel is a target, a shape on the skin; [`optimise`] finds the pattern that tells it best from its surroundings.
 //!
 //! Tests run streamer, link, controller and plant in virtual time ([`stream::Rehearsal`]): same code, no clock.
 //! Rooms are listed lowest first in `tests/layers.rs`; a room uses only what stands before it. [`config`] is read

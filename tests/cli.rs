@@ -147,6 +147,8 @@ fn patterns_are_listed_shown_and_imported() {
     let daemon = Daemon::start();
     assert!(printed(daemon.meissner().arg("list")).contains("edge-45"));
     assert!(printed(daemon.meissner().args(["show", "edge-45"])).contains("60.0 Hz"));
+    let sweep = printed(daemon.meissner().args(["show", "sweep"]));
+    assert!(sweep.contains("fingertip, 0 to 0.25 s\n") && sweep.contains("and 2 more stretches"), "{sweep}");
     write_pattern(&daemon.path("f.toml"), "mine", "");
     let imported = document(daemon.meissner().args(["import", "f.toml", "--json"]));
     assert_eq!(imported["name"], "mine");

@@ -19,6 +19,8 @@ mod evaluator;
 mod extremes;
 /// Motors that move by more or less than they should.
 mod gains;
+/// `report`: figures against the models, the page, places that cannot be written to.
+mod figures;
 /// A real daemon in a directory of its own, for the others.
 mod harness;
 /// The same bits whatever the threads, the order of receptors, the blocks, and what is skipped.

@@ -49,7 +49,8 @@ pub(super) fn show(plain: &Plain, name: &str) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-pub(super) fn import(plain: &Plain, file: &Path) -> Result<ExitCode> {
+/// Reads a pattern file: the pattern, and its text.
+pub(super) fn read(file: &Path) -> Result<(Pattern, String)> {
     let place = file.display();
     let found = fs::metadata(file).with_context(|| format!("{place}: cannot be read; name a pattern file"));
     let found = found.map_err(flat)?;
@@ -64,7 +65,11 @@ pub(super) fn import(plain: &Plain, file: &Path) -> Result<ExitCode> {
     let Ok(text) = String::from_utf8(text.map_err(flat)?) else {
         bail!("{place}: not UTF-8 text: write patterns as TOML in UTF-8");
     };
-    let pattern = Pattern::parse(&text, &place.to_string())?;
+    Ok((Pattern::parse(&text, &place.to_string())?, text))
+}
+
+pub(super) fn import(plain: &Plain, file: &Path) -> Result<ExitCode> {
+    let (pattern, text) = read(file)?;
     let imported: Imported =
         plain.client()?.put(&format!("/v1/patterns/{}", escape(pattern.name())), text)?;
     if plain.output.json {

@@ -10,8 +10,10 @@
 mod control;
 mod demo;
 mod doctor;
+mod files;
 mod library;
 mod progress;
+mod report;
 mod simulate;
 mod text;
 mod watch;
@@ -131,6 +133,8 @@ enum Command {
     Simulate(simulate::Simulate),
     /// Time and error of every way to simulate a scene, measured on this machine
     Tradeoff(simulate::Compare),
+    /// Figures of the models and of patterns, as SVG and CSV, and a page that shows them
+    Report(report::Report),
     /// Look for what could keep this machine from playing
     Doctor(Plain),
 }
@@ -325,6 +329,7 @@ fn run(command: Command) -> Result<ExitCode> {
         }
         Command::Simulate(asked) => simulate::run(&asked),
         Command::Tradeoff(asked) => simulate::tradeoff(&asked),
+        Command::Report(asked) => report::run(&asked),
         Command::Doctor(plain) => doctor::run(&plain),
     }
 }

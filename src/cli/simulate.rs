@@ -1,9 +1,8 @@
 //! Commands that simulate the skin: simulate and tradeoff. They ask no daemon.
 //!
-//! Invariant: a scene that is too large or not a file is not read into memory; what a plot is written to is replaced
-//! whole or not at all.
+//! Invariant: a scene that is too large or not a file is not read into memory.
 
-use super::{Cli, Output, give, progress, text};
+use super::{Cli, Output, files, give, progress, text};
 use crate::config;
 use crate::optimise::YARDSTICK;
 use crate::report::{self, Count, How, Reason, Tradeoff};
@@ -14,13 +13,10 @@ use anyhow::{Result, anyhow, bail};
 use clap::error::ErrorKind;
 use clap::{Args, CommandFactory, ValueEnum};
 use serde::Serialize;
-use std::fs::{self, Permissions};
 use std::io::{self, Read, Write};
-use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
-use tempfile::NamedTempFile;
 
 /// The step when none is given, µs.
 const STEP_US: u32 = 200;
@@ -203,36 +199,13 @@ pub(super) fn tradeoff(asked: &Compare) -> Result<ExitCode> {
         None => Scene::read(report::SIXTY_HERTZ, "sixty-hertz.toml")?,
     };
     // A place that cannot be written to is said before the work.
-    let plot = asked.plot.as_deref().map(beside).transpose()?;
+    let plot = asked.plot.as_deref().map(files::beside).transpose()?;
     let tradeoff = progress::metered(|at| report::tradeoff(&scene, at))?;
-    if let Some((mut beside, file)) = plot {
-        let svg = report::plot(&tradeoff)?;
-        let written = beside.write_all(svg.as_bytes()).and_then(|()| Ok(beside.persist(file).map(drop)?));
-        written.map_err(|error| cannot_write(file, &error))?;
+    if let Some(plot) = plot {
+        plot.write(&report::plot(&tradeoff)?)?;
     }
     give(asked.output.json, &tradeoff, || table(&tradeoff, asked.plot.as_deref()))?;
     Ok(ExitCode::SUCCESS)
-}
-
-/// A new file in the place of another one.
-fn beside(file: &Path) -> Result<(NamedTempFile, &Path)> {
-    // A device or a pipe would be replaced, not written to; so would a link.
-    if fs::symlink_metadata(file).is_ok_and(|found| !found.is_file()) {
-        bail!("{}: is not a plain file: name one to be written", file.display().to_string().escape_debug());
-    }
-    let dir = file.parent().filter(|dir| !dir.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let new = tempfile::Builder::new().permissions(Permissions::from_mode(0o666)).tempfile_in(dir);
-    Ok((new.map_err(|error| cannot_write(file, &error))?, file))
-}
-
-fn cannot_write(file: &Path, error: &io::Error) -> anyhow::Error {
-    let place = file.to_string_lossy();
-    let cause =
-        error.get_ref().and_then(std::error::Error::source).map_or(error.to_string(), ToString::to_string);
-    anyhow!(
-        "{}: cannot be written; see that the directory is there and you may ({cause})",
-        place.escape_debug()
-    )
 }
 
 fn table(tradeoff: &Tradeoff, plot: Option<&Path>) -> String {

@@ -6,7 +6,9 @@
 
 use crate::api::Status;
 use crate::array::{COLUMNS, ROWS};
+use crate::pattern::Drive;
 use crate::record::{Event, Receipt};
+use crate::report::figures::stretches;
 use comfy_table::presets::{NOTHING, UTF8_FULL};
 use comfy_table::{CellAlignment, Table};
 use serde_json::Value;
@@ -123,26 +125,34 @@ pub(super) fn event(event: &Event) -> String {
     }
 }
 
+/// Maps of a pattern at the most; what else it does is in the list of its drives.
+const MAPS: usize = 4;
+
 /// A pattern as the daemon shows it: the array as one looks down on it, fingertip up, then the drives.
 pub(super) fn pattern(shown: &Value) -> String {
     let pattern = &shown["pattern"];
     let none = Vec::new();
     let drives = pattern["drive"].as_array().unwrap_or(&none);
     let mut text = pattern["name"].as_str().unwrap_or_default().to_owned();
+    let duration_s = pattern["duration_s"].as_f64();
     // Writing to a string does not fail.
-    let _ = match pattern["duration_s"].as_f64() {
+    let _ = match duration_s {
         Some(seconds) => writeln!(text, ", {seconds} s, {} drives", drives.len()),
         None => writeln!(text, ", endless, {} drives", drives.len()),
     };
-    let mut table = Table::new();
-    table.load_style(UTF8_FULL);
-    for row in 0..ROWS {
-        table.add_row((0..COLUMNS).map(|column| cell(COLUMNS * row + column, drives)));
+    let parsed: Vec<Drive> = drives.iter().filter_map(drive).collect();
+    let stretches = stretches(&parsed, duration_s);
+    for stretch in stretches.iter().take(MAPS) {
+        let when = match (stretches.len(), stretch.stop_s) {
+            (1, _) => String::new(),
+            (_, Some(stop_s)) => format!(", {} to {stop_s} s", stretch.start_s),
+            (_, None) => format!(", from {} s on", stretch.start_s),
+        };
+        let _ = writeln!(text, "fingertip{when}\n{}", map(&stretch.drives));
     }
-    for column in table.column_iter_mut() {
-        column.set_cell_alignment(CellAlignment::Center);
+    if let more @ 1.. = stretches.len().saturating_sub(MAPS) {
+        let _ = writeln!(text, "and {more} more stretches, see below");
     }
-    let _ = writeln!(text, "{table}");
     let head = ["motor", "frequency_hz", "amplitude_um", "phase", "start_s", "stop_s"];
     let row = |drive: &Value| head.iter().map(|key| figure(&drive[*key])).collect::<Vec<_>>();
     text.push_str(&columns(&head, drives.iter().map(row)));
@@ -152,14 +162,33 @@ pub(super) fn pattern(shown: &Value) -> String {
     text
 }
 
-fn cell(motor: u8, drives: &[Value]) -> String {
-    let mut of_motor = drives.iter().filter(|drive| drive["motor"] == motor);
-    let Some(first) = of_motor.next() else { return format!("{motor}\n\n") };
-    let more = match of_motor.count() {
-        0 => String::new(),
-        more => format!(" +{more}"),
+/// The array, what each motor does in its cell; `.` is off.
+fn map(drives: &[Drive]) -> String {
+    let cell = |motor: u8| match drives.iter().find(|drive| drive.motor == motor) {
+        Some(drive) => format!("{motor}\n{:?} Hz\n{:?} um", drive.frequency_hz, drive.amplitude_um),
+        None => format!("{motor}\n.\n"),
     };
-    format!("{motor}\n{} Hz\n{} um{more}", figure(&first["frequency_hz"]), figure(&first["amplitude_um"]))
+    let mut table = Table::new();
+    table.load_style(UTF8_FULL);
+    for row in 0..ROWS {
+        table.add_row((0..COLUMNS).map(|column| cell(COLUMNS * row + column)));
+    }
+    for column in table.column_iter_mut() {
+        column.set_cell_alignment(CellAlignment::Center);
+    }
+    table.to_string()
+}
+
+/// A drive as the daemon shows it.
+fn drive(shown: &Value) -> Option<Drive> {
+    Some(Drive {
+        motor: shown["motor"].as_u64()?.try_into().ok()?,
+        frequency_hz: shown["frequency_hz"].as_f64()?,
+        amplitude_um: shown["amplitude_um"].as_f64()?,
+        phase: shown["phase"].as_f64()?,
+        start_s: shown["start_s"].as_f64(),
+        stop_s: shown["stop_s"].as_f64(),
+    })
 }
 
 fn figure(value: &Value) -> String {
@@ -171,15 +200,36 @@ mod tests {
     use super::*;
     use serde_json::json;
 
+    fn shown(drives: &Value) -> String {
+        pattern(&json!({"pattern": {"name": "a", "duration_s": 5.0, "drive": drives}, "warnings": ["w"]}))
+    }
+
     #[test]
     fn a_pattern_shows_every_motor_and_every_drive() {
-        let drive = json!({"motor": 9, "frequency_hz": 60.0, "amplitude_um": 80.0, "phase": 0.25});
-        let text = pattern(
-            &json!({"pattern": {"name": "a", "duration_s": 5.0, "drive": [drive, drive]}, "warnings": ["w"]}),
-        );
-        for part in ["a, 5.0 s, 2 drives", "60.0 Hz", "80.0 um +1", "23", "0.25", "warning: w"] {
-            assert!(text.contains(part) || text.contains(&part.replace("5.0 s", "5 s")), "{part}: {text}");
+        let drive =
+            |motor: u8| json!({"motor": motor, "frequency_hz": 60.0, "amplitude_um": 80.0, "phase": 0.25});
+        let text = shown(&json!([drive(9), drive(10)]));
+        for part in ["a, 5", " s, 2 drives\nfingertip\n", "0.25", "warning: w"] {
+            assert!(text.contains(part), "{part}: {text}");
         }
+        let count = |what: &str| text.matches(what).count();
+        assert_eq!((count("60.0 Hz"), count("80.0 um"), count(" . ")), (2, 2, 22), "{text}");
+        let at = |what: &str| text.find(what).unwrap();
+        assert!(at(" 0 ") < at(" 23 ") && at(" 23 ") < at("0.25"), "the map, then the drives: {text}");
+    }
+
+    #[test]
+    fn a_pattern_of_many_stretches_shows_the_first_ones_and_says_so() {
+        let drive = |n: u8| {
+            let start_s = f64::from(n) / 2.0;
+            json!({"motor": n, "frequency_hz": 60.0, "amplitude_um": 80.0, "phase": 0.0, "start_s": start_s,
+                   "stop_s": start_s + 0.5})
+        };
+        let text = shown(&(0..6).map(drive).collect());
+        assert!(text.contains("fingertip, 0 to 0.5 s") && text.contains("fingertip, 1.5 to 2 s"), "{text}");
+        assert_eq!(text.matches("fingertip").count(), 4);
+        // Six drives, and nothing after them.
+        assert!(text.contains("and 3 more stretches, see below"), "{text}");
     }
 
     #[test]

@@ -1,0 +1,125 @@
+//! The command report: figures and a page, written into a directory. It asks no daemon.
+//!
+//! A pattern is named as in the library; what has a slash or ends in `.toml` is a file. Everything that can be wrong
+//! with what was asked is said before the work. The page is written last, so that what it names is there.
+//!
+//! Invariant: a file that is too large or not a file is not read into memory.
+
+use super::{Output, files, give, library, progress, text};
+use crate::report::figures::{self, Figures, INDEX, Subject};
+use crate::store::Store;
+use anyhow::{Result, bail};
+use clap::Args;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::Instant;
+
+#[derive(Debug, Args)]
+pub(super) struct Report {
+    /// Names of the library, or pattern files [default: all of the library]
+    #[arg(value_name = "PATTERN")]
+    patterns: Vec<String>,
+    /// Where to write; made if it is not there
+    #[arg(long, value_name = "DIR", default_value = "report")]
+    out: PathBuf,
+    #[command(flatten)]
+    output: Output,
+}
+
+/// The document of `report --json`.
+#[derive(Debug, Serialize)]
+struct Document<'a> {
+    out: String,
+    /// Names within `out`.
+    files: Vec<&'a str>,
+    figures: &'a Figures,
+    wall_s: f64,
+}
+
+pub(super) fn run(asked: &Report) -> Result<ExitCode> {
+    let subjects = subjects(&asked.patterns)?;
+    files::directory(&asked.out)?;
+    let page = files::beside(&asked.out.join(INDEX))?;
+    let begun = Instant::now();
+    let report = progress::metered(|at| figures::report(&subjects, at))?;
+    for file in &report.files {
+        files::beside(&asked.out.join(&file.name))?.write(&file.text)?;
+    }
+    page.write(&report.page)?;
+    let names = report.files.iter().map(|file| file.name.as_str());
+    let document = Document {
+        out: asked.out.to_string_lossy().into_owned(),
+        files: names.chain([INDEX]).collect(),
+        figures: &report.figures,
+        wall_s: begun.elapsed().as_secs_f64(),
+    };
+    give(asked.output.json, &document, || summary(&asked.out, &document))?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The patterns that were asked for, in that order; all of the library if none was.
+fn subjects(asked: &[String]) -> Result<Vec<Subject>> {
+    let store = Store::new(None, false)?;
+    let all = || store.list().patterns.into_iter().map(|entry| entry.name).collect();
+    let asked = if asked.is_empty() { all() } else { asked.to_vec() };
+    let mut subjects: Vec<Subject> = Vec::new();
+    for argument in asked {
+        let file = Path::new(&argument);
+        let subject = if argument.contains('/') || argument.ends_with(".toml") {
+            let (pattern, _) = library::read(file)?;
+            let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            Subject { pattern, argument: name }
+        } else {
+            Subject { pattern: store.get(&argument)?.pattern, argument }
+        };
+        if subjects.iter().any(|other| other.pattern.name() == subject.pattern.name()) {
+            bail!("`{}` is the name of two patterns: leave one out, or rename it", subject.pattern.name());
+        }
+        subjects.push(subject);
+    }
+    Ok(subjects)
+}
+
+fn summary(out: &Path, document: &Document<'_>) -> String {
+    let Figures { amplitude, rate, patterns } = document.figures;
+    let mut lines = vec![
+        ("page", out.join(INDEX).to_string_lossy().escape_debug().to_string()),
+        ("files", document.files.len().to_string()),
+        (
+            "amplitude",
+            format!(
+                "measured is {:.3} of the model in the mean, off by {:.1} % at worst",
+                amplitude.measured_over_model,
+                amplitude.worst_deviation * 100.0
+            ),
+        ),
+    ];
+    for plateau in rate.by_amplitude.iter().filter(|plateau| plateau.frequency_hz == 60.0) {
+        let line = format!(
+            "at {} Hz it changes by less than 10 % from {} to {} um",
+            plateau.frequency_hz, plateau.from_um, plateau.to_um
+        );
+        lines.push(("rate", line));
+    }
+    for peak in &rate.by_frequency {
+        let line = format!(
+            "highest at {} Hz for {} um: {:.0} impulses/s",
+            peak.frequency_hz, peak.amplitude_um, peak.rate_hz
+        );
+        lines.push(("", line));
+    }
+    lines.push(("wall time", format!("{:.1} s", document.wall_s)));
+    let head = ["pattern", "drives", "stretches", "pulses/s", "mean rate", "highest"];
+    let row = |pattern: &figures::PatternFigures| {
+        vec![
+            pattern.name.clone(),
+            pattern.drives.to_string(),
+            pattern.stretches.to_string(),
+            format!("{:.0}", pattern.pulses_per_s),
+            format!("{:.1}", pattern.mean_rate_hz),
+            format!("{:.1}", pattern.highest_rate_hz),
+        ]
+    };
+    format!("{}\n\n{}", text::pairs(&lines), text::columns(&head, patterns.iter().map(row)))
+}

@@ -1,0 +1,114 @@
+//! A drawing of circles and words, as an SVG: what a chart does not draw.
+//!
+//! Coordinates are pixels from the upper left corner. Numbers are written with two decimals.
+//!
+//! Invariant: words are escaped and elements closed, so that every drawing is well formed.
+
+use std::fmt::Write;
+
+/// Text as it stands in SVG and HTML, in attributes too.
+pub(super) fn escape(text: &str) -> String {
+    let mut escaped = String::with_capacity(text.len());
+    for c in text.chars() {
+        match c {
+            '&' => escaped.push_str("&amp;"),
+            '<' => escaped.push_str("&lt;"),
+            '>' => escaped.push_str("&gt;"),
+            '"' => escaped.push_str("&quot;"),
+            '\'' => escaped.push_str("&#39;"),
+            // No control character but these is allowed there, escaped or not.
+            c if c.is_control() && !matches!(c, '\n' | '\t') => escaped.push('\u{fffd}'),
+            c => escaped.push(c),
+        }
+    }
+    escaped
+}
+
+/// Where a word begins.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Anchor {
+    Start,
+    Middle,
+}
+
+/// A drawing in the making.
+#[derive(Debug)]
+pub(super) struct Drawing {
+    width: f64,
+    height: f64,
+    elements: String,
+}
+
+/// How a closed shape is painted, in CSS colours.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Paint<'a> {
+    pub(super) fill: &'a str,
+    pub(super) stroke: &'a str,
+}
+
+impl Drawing {
+    pub(super) const fn new(width: f64, height: f64) -> Self {
+        Self { width, height, elements: String::new() }
+    }
+
+    pub(super) fn circle(&mut self, (x, y): (f64, f64), radius: f64, paint: Paint<'_>) {
+        self.ellipse((x, y), (radius, radius), paint);
+    }
+
+    pub(super) fn ellipse(&mut self, (x, y): (f64, f64), (rx, ry): (f64, f64), paint: Paint<'_>) {
+        let Paint { fill, stroke } = paint;
+        self.element(&format!(
+            r#"<ellipse cx="{x:.2}" cy="{y:.2}" rx="{rx:.2}" ry="{ry:.2}" fill="{fill}" stroke="{stroke}"/>"#
+        ));
+    }
+
+    pub(super) fn rectangle(&mut self, (x, y): (f64, f64), (width, height): (f64, f64), paint: Paint<'_>) {
+        let Paint { fill, stroke } = paint;
+        self.element(&format!(
+            r#"<rect x="{x:.2}" y="{y:.2}" width="{width:.2}" height="{height:.2}" fill="{fill}" stroke="{stroke}"/>"#
+        ));
+    }
+
+    pub(super) fn words(&mut self, (x, y): (f64, f64), size: u32, anchor: Anchor, color: &str, words: &str) {
+        let anchor = match anchor {
+            Anchor::Start => "start",
+            Anchor::Middle => "middle",
+        };
+        let words = escape(words);
+        self.element(&format!(
+            r#"<text x="{x:.2}" y="{y:.2}" font-size="{size}" text-anchor="{anchor}" fill="{color}">{words}</text>"#
+        ));
+    }
+
+    fn element(&mut self, element: &str) {
+        self.elements.push_str(element);
+        self.elements.push('\n');
+    }
+
+    /// The text of an SVG file.
+    pub(super) fn finish(self) -> String {
+        let Self { width, height, elements } = self;
+        let mut svg = String::new();
+        // Writing to a string does not fail.
+        let _ = writeln!(
+            svg,
+            r#"<svg width="{width:.0}" height="{height:.0}" viewBox="0 0 {width:.0} {height:.0}" xmlns="http://www.w3.org/2000/svg" font-family="sans-serif">"#
+        );
+        let _ = writeln!(svg, r##"<rect width="100%" height="100%" fill="#ffffff"/>"##);
+        svg + &elements + "</svg>\n"
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_cannot_leave_their_element() {
+        let mut drawing = Drawing::new(10.0, 20.0);
+        drawing.words((1.0, 2.0), 9, Anchor::Middle, "#000", "</text><script>\"&'\u{1}");
+        let svg = drawing.finish();
+        assert!(svg.contains("&lt;/text&gt;&lt;script&gt;&quot;&amp;&#39;\u{fffd}</text>"), "{svg}");
+        assert!(svg.starts_with("<svg ") && svg.ends_with("</svg>\n"));
+    }
+}

@@ -1,0 +1,369 @@
+use crate::harness::{complaint, document, meissner, printed, write_pattern};
+use meissner::motor::SteadyState;
+use meissner::pattern::{Drive, Pattern};
+use meissner::report::figures::{AMPLITUDES_UM, INDEX, Report, Subject, report};
+use meissner::simulate::{Method, Options, Scene, simulate};
+use meissner::skin::{POPULATION_NOISE_SD, Position, RaModel, Rectify, population};
+use meissner::store::Store;
+use serde_json::Value;
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::Path;
+use std::sync::OnceLock;
+
+/// The whole library's, made once.
+fn library() -> &'static Report {
+    static REPORT: OnceLock<Report> = OnceLock::new();
+    REPORT.get_or_init(|| {
+        let store = Store::new(None, false).unwrap();
+        let names = store.list().patterns.into_iter().map(|entry| entry.name);
+        let subject = |name: String| Subject { pattern: store.get(&name).unwrap().pattern, argument: name };
+        report(&names.map(subject).collect::<Vec<_>>(), &|_| ()).unwrap()
+    })
+}
+
+fn file<'r>(report: &'r Report, name: &str) -> &'r str {
+    &report.files.iter().find(|file| file.name == name).unwrap_or_else(|| panic!("no {name}")).text
+}
+
+/// The numbers of a CSV file with this head.
+fn rows<const N: usize>(csv: &str, head: &str) -> Vec<[f64; N]> {
+    let (found, rows) = csv.split_once('\n').unwrap();
+    assert_eq!(found, head);
+    let row = |line: &str| {
+        let numbers: Vec<f64> = line.split(',').map(|number| number.parse().unwrap()).collect();
+        numbers.try_into().unwrap()
+    };
+    rows.lines().map(row).collect()
+}
+
+/// Every element is closed where it was opened, attributes are quoted, nothing unescaped stands in between.
+fn assert_well_formed(name: &str, text: &str) {
+    let mut open = Vec::new();
+    let mut rest = text.strip_prefix("<!DOCTYPE html>\n").unwrap_or(text);
+    while let Some(start) = rest.find('<') {
+        let end = start + rest[start..].find('>').unwrap_or_else(|| panic!("{name}: a tag has no end"));
+        let (before, tag) = (&rest[..start], &rest[start + 1..end]);
+        rest = &rest[end + 1..];
+        for words in [before, tag] {
+            let entities = words.split('&').skip(1).all(|entity| {
+                ["amp;", "lt;", "gt;", "quot;", "#39;"].iter().any(|known| entity.starts_with(known))
+            });
+            assert!(entities, "{name}: {words:?}");
+        }
+        assert!(!before.contains('>') && tag.matches('"').count() % 2 == 0, "{name}: {before:?} <{tag}>");
+        if let Some(element) = tag.strip_prefix('/') {
+            assert_eq!(open.pop(), Some(element), "{name}");
+        } else if !tag.ends_with('/') {
+            open.push(tag.split_whitespace().next().unwrap());
+        }
+    }
+    assert!(open.is_empty() && rest.trim().is_empty(), "{name}: {open:?} is not closed");
+}
+
+/// What a page links to: places in it, and files beside it.
+fn links(page: &str) -> BTreeSet<&str> {
+    let of =
+        |attribute: &'static str| page.split(attribute).skip(1).filter_map(|rest| rest.split('"').next());
+    of("href=\"").chain(of("src=\"")).collect()
+}
+
+/// Of a page and its files: links resolve, everything is linked and well formed, and nothing comes from elsewhere.
+fn assert_page(page: &str, files: &[(&str, &str)]) {
+    assert_well_formed(INDEX, page);
+    let links = links(page);
+    for link in &links {
+        let resolved = match link.strip_prefix('#') {
+            Some(id) => page.contains(&format!("<section id=\"{id}\">")),
+            None => files.iter().any(|(name, _)| name == link),
+        };
+        assert!(resolved, "{link} leads nowhere");
+    }
+    for (name, text) in files {
+        assert!(links.contains(name), "{name} is not linked");
+        if name.ends_with(".svg") {
+            assert!(text.starts_with("<svg ") && text.contains("xmlns="), "{name}");
+            assert_well_formed(name, text);
+        }
+    }
+    assert!(!page.contains("<script") && !page.contains("://") && !page.contains("@import"));
+    assert_eq!(page.matches("<figure>").count(), page.matches("<code>meissner report").count());
+    assert_eq!(page.matches("<figure>").count(), page.matches("<figcaption>").count());
+}
+
+fn parts(report: &Report) -> Vec<(&str, &str)> {
+    report.files.iter().map(|file| (&*file.name, &*file.text)).collect()
+}
+
+#[test]
+fn the_library_s_page_has_a_section_for_every_pattern() {
+    let report = library();
+    assert_page(&report.page, &parts(report));
+    for pattern in &report.figures.patterns {
+        for part in ["motors.svg", "rates.svg", "rates.csv"] {
+            file(report, &format!("pattern-{}-{part}", pattern.name));
+        }
+        assert!(report.page.contains(&format!("<h2>Pattern {}</h2>", pattern.name)));
+        let command = format!("<code>meissner report {}</code>", pattern.name);
+        assert_eq!(report.page.matches(&command).count(), 2, "{command}");
+    }
+    assert_eq!(report.figures.patterns.len(), 5);
+    let sweep = file(report, "pattern-sweep-motors.svg");
+    assert_eq!((sweep.matches("<ellipse").count(), sweep.matches(">60 Hz<").count()), (6 * 24, 24));
+    let edge = report.figures.patterns.iter().find(|pattern| pattern.name == "edge-45").unwrap();
+    // Four pins, sixty times a second, 589 pulses up and as many down.
+    assert_eq!((edge.pulses_per_s, edge.stretches, edge.drives), (4.0 * 60.0 * 589.0 * 2.0, 1, 4));
+}
+
+#[test]
+fn the_amplitude_is_the_model_s_and_the_plant_scatters_around_it() {
+    let head = "frequency_hz,amplitude_um,model_um,measured_um,measured_sd_um";
+    let found = rows::<5>(file(library(), "amplitude.csv"), head);
+    let figures = library().figures.amplitude;
+    assert_eq!((found.len(), found.len() % AMPLITUDES_UM.len()), (figures.points, 0));
+    assert!(found.len() >= 100 && found[0][0] == 1.0 && found.last().unwrap()[0] == 300.0);
+    for [hz, um, model_um, measured_um, sd_um] in found {
+        assert_eq!(model_um, SteadyState::of(hz, um).unwrap().peak_to_peak_um);
+        // The mean of 80 cycles: half a deviation is more than four standard errors.
+        assert!((measured_um - model_um).abs() < 0.5 * sd_um, "{hz} Hz, {um} um: {measured_um} +- {sd_um}");
+        if hz <= 10.0 {
+            // A cycle is the mean of an up and a down burst, each off by 10 %.
+            assert!((sd_um / um - 0.1 / 2_f64.sqrt()).abs() < 0.025, "{hz} Hz, {um} um: {sd_um}");
+        }
+        // No motor is silent: also where the model is.
+        assert!(sd_um > 0.02 * model_um && sd_um > 0.1, "{hz} Hz, {um} um: {sd_um}");
+    }
+    assert!(
+        (figures.measured_over_model - 1.0).abs() < 0.01 && figures.worst_deviation < 0.05,
+        "{figures:?}"
+    );
+    let svg = file(library(), "amplitude.svg");
+    assert!(svg.matches("<circle").count() >= figures.points);
+}
+
+/// The rate of one receptor under a pin, mean of many.
+fn rate_hz(frequency_hz: f64, amplitude_um: f64) -> f64 {
+    let drive = Drive { motor: 9, frequency_hz, amplitude_um, phase: 0.0, start_s: None, stop_s: None };
+    let model = RaModel::default_for(Rectify::Half, POPULATION_NOISE_SD);
+    let under = Position { x_mm: -1.45, y_mm: 1.45 };
+    let scene = Scene::new(1.0, 77, vec![drive], vec![under; 32], model).unwrap();
+    let rates = simulate(&scene, &Options::rates(Method::Exact), &|_| ()).unwrap().rates_hz(&scene);
+    rates.iter().sum::<f64>() / 32.0
+}
+
+#[test]
+fn the_rate_against_frequency_is_the_simulator_s_and_peaks_where_it_should() {
+    let found =
+        rows::<4>(file(library(), "rate-frequency.csv"), "amplitude_um,frequency_hz,rate_hz,rate_sd_hz");
+    let at = |hz: f64| found.iter().find(|row| row[0] == 80.0 && row[1] == hz).unwrap()[2];
+    // Computed by another program.
+    let expected = [23, 46, 95, 149, 202, 251, 268, 262, 243, 209, 122, 31, 0, 40].map(f64::from);
+    let frequencies = [5, 10, 20, 30, 40, 50, 60, 70, 80, 100, 150, 200, 233, 300].map(f64::from);
+    for (hz, expected) in frequencies.into_iter().zip(expected) {
+        assert!((at(hz) - expected).abs() <= 3.0, "{hz} Hz: {} instead of {expected}", at(hz));
+    }
+    assert!(found.iter().all(|row| row[3] < 5.0));
+    let [low, high] = library().figures.rate.by_frequency[..] else { panic!() };
+    assert!((low.amplitude_um, high.amplitude_um) == (30.0, 80.0));
+    assert!((86.0..=116.0).contains(&low.frequency_hz) && (low.rate_hz - 154.0).abs() < 3.0, "{low:?}");
+    assert!((57.0..=63.0).contains(&high.frequency_hz) && (high.rate_hz - 268.0).abs() < 3.0, "{high:?}");
+    for peak in [low, high] {
+        let of_amplitude = || found.iter().filter(|row| row[0] == peak.amplitude_um);
+        assert!(of_amplitude().all(|row| row[2] <= peak.rate_hz + 1e-4));
+        let near = of_amplitude().filter(|row| (peak.from_hz..=peak.to_hz).contains(&row[1]));
+        assert!(near.clone().count() > 10 && near.clone().all(|row| row[2] >= 0.97 * peak.rate_hz - 1e-4));
+        assert!(library().page.contains(&format!("the rate is highest at {} Hz", peak.frequency_hz)));
+    }
+}
+
+#[test]
+fn the_page_says_where_the_amplitude_does_not_matter_and_it_is_so() {
+    let head = "frequency_hz,amplitude_um,rate_hz,rate_sd_hz";
+    let found = rows::<4>(file(library(), "rate-amplitude.csv"), head);
+    let plateaus = &library().figures.rate.by_amplitude;
+    assert_eq!(found.len(), plateaus.len() * 80);
+    for plateau in plateaus {
+        let rates = |from: f64, to: f64| {
+            let within =
+                move |row: &&[f64; 4]| row[0] == plateau.frequency_hz && (from..=to).contains(&row[1]);
+            let rates = || found.iter().filter(within).map(|row| row[2]);
+            (rates().fold(f64::INFINITY, f64::min), rates().fold(0.0, f64::max))
+        };
+        let (lowest, highest) = rates(plateau.from_um, plateau.to_um);
+        assert!((lowest - plateau.lowest_hz).abs() < 1e-4 && (highest - plateau.highest_hz).abs() < 1e-4);
+        assert!(lowest > 0.0 && highest - lowest < 0.1 * highest, "{plateau:?}");
+        // A step more on either side, and it changes by more.
+        for (from, to) in [(plateau.from_um - 5.0, plateau.to_um), (plateau.from_um, plateau.to_um + 5.0)] {
+            let (lowest, highest) = rates(from, to);
+            assert!(highest - lowest >= 0.0999 * highest || to > 400.0, "{plateau:?}");
+        }
+    }
+    let sixty = plateaus.iter().find(|plateau| plateau.frequency_hz == 60.0).unwrap();
+    // The drive saturates at 96 um; a little below, the triangle's tip is all that is missing.
+    assert!((60.0..96.0).contains(&sixty.from_um) && sixty.to_um == 400.0, "{sixty:?}");
+    assert!((sixty.saturated_from_um - 11_535.7 / 120.0).abs() < 0.01);
+    let sentence = format!("less than 10 % between {} and 400 µm", sixty.from_um);
+    assert!(library().page.contains(&sentence));
+    assert!(include_str!("../README.md").contains(&format!("At 60 Hz it does from {} µm on", sixty.from_um)));
+    for (hz, um) in [(60.0, 80.0), (100.0, 30.0), (30.0, 150.0)] {
+        let row = found.iter().find(|row| (row[0], row[1]) == (hz, um)).unwrap();
+        assert!((row[2] - rate_hz(hz, um)).abs() < 3.0, "{row:?}: {}", rate_hz(hz, um));
+    }
+}
+
+#[test]
+fn a_pattern_s_rates_are_those_of_its_scene() {
+    let rows = rows::<3>(file(library(), "pattern-edge-45-rates.csv"), "x_mm,y_mm,rate_hz");
+    let drives = Store::new(None, false).unwrap().get("edge-45").unwrap().pattern.drives().to_vec();
+    let model = RaModel::default_for(Rectify::Half, POPULATION_NOISE_SD);
+    let scene = Scene::new(1.0, 0, drives, population(0), model).unwrap();
+    let rates = simulate(&scene, &Options::rates(Method::Exact), &|_| ()).unwrap().rates_hz(&scene);
+    assert_eq!(rows.len(), 306);
+    for ([x_mm, y_mm, found], (at, rate)) in rows.into_iter().zip(scene.receptors().iter().zip(&rates)) {
+        assert!((x_mm - at.x_mm).abs() < 1e-4 && (y_mm - at.y_mm).abs() < 1e-4 && found == *rate);
+    }
+    let edge = library().figures.patterns.iter().find(|pattern| pattern.name == "edge-45").unwrap();
+    assert!((edge.mean_rate_hz - rates.iter().sum::<f64>() / 306.0).abs() < 1e-9);
+    let sweep = library().figures.patterns.iter().find(|pattern| pattern.name == "sweep").unwrap();
+    assert_eq!((sweep.watched_s, edge.watched_s), (1.5, 1.0));
+}
+
+/// A pattern of this text, alone.
+fn of(text: &str) -> Report {
+    let pattern = Pattern::parse(text, "test.toml").unwrap();
+    report(&[Subject { pattern, argument: "<odd & \"name\">.toml".into() }], &|_| ()).unwrap()
+}
+
+#[test]
+fn what_a_pattern_s_file_says_cannot_break_the_page() {
+    let report = of(r#"
+        format = 1
+        name = "odd"
+        duration_s = 0.05
+        [[drive]]
+        motor = 0
+        frequency_hz = 300
+        amplitude_um = 400
+        [[drive]]
+        motor = 1
+        frequency_hz = 0.1
+        amplitude_um = 0
+        [provenance]
+        method = "</td><script>alert('x')</script>&amp;"
+        "<b>" = ["a", 1, 2.5]
+        [provenance.robustness]
+        other_fingers_hz = [181.5, 190.5, 170]
+        one_mm_off_hz = 150.125
+        "#);
+    assert_page(&report.page, &parts(&report));
+    assert!(report.page.contains("&lt;/td&gt;&lt;script&gt;alert(&#39;x&#39;)&lt;/script&gt;&amp;amp;"));
+    for cells in [
+        "<td>other fingers hz</td><td>181.5, 190.5, 170</td><td>180.7</td><td>170</td><td>190.5</td>",
+        "<td>one mm off hz</td><td>150.1</td><td></td>",
+        // A triangle of 141 pulses each way.
+        "<td>0</td><td>300</td><td>400</td><td>3.1",
+        "<td>84600</td>",
+    ] {
+        assert!(report.page.contains(cells), "{cells}: {}", report.page);
+    }
+    let figures = &report.figures.patterns[0];
+    assert_eq!((figures.watched_s, figures.stretches, figures.pulses_per_s), (0.05, 1, 84_600.0));
+}
+
+#[test]
+fn many_stretches_and_none() {
+    let report = of("format = 1\nname = \"nothing\"");
+    assert_page(&report.page, &parts(&report));
+    assert_eq!((report.figures.patterns[0].stretches, report.figures.patterns[0].highest_rate_hz), (1, 0.0));
+    let drive = |n: u32| {
+        let start = f64::from(n) * 0.01;
+        format!(
+            "[[drive]]\nmotor = {}\nfrequency_hz = 250\namplitude_um = 20\nstart_s = {start}\nstop_s = {}\n",
+            n % 24,
+            start + 0.01
+        )
+    };
+    let drives: String = (0..40).map(drive).collect();
+    let report = of(&format!("format = 1\nname = \"many\"\n{drives}"));
+    assert_page(&report.page, &parts(&report));
+    let figures = &report.figures.patterns[0];
+    assert_eq!(figures.stretches, 40);
+    assert!((figures.watched_s - 0.4).abs() < 1e-9);
+    assert_eq!(file(&report, "pattern-many-motors.svg").matches("<ellipse").count(), 16 * 24);
+    assert!(report.page.contains("24 more are in the table"));
+}
+
+fn bytes(dir: &Path) -> Vec<(String, Vec<u8>)> {
+    let entries = fs::read_dir(dir).unwrap().map(|entry| entry.unwrap());
+    let mut files: Vec<_> = entries
+        .map(|entry| (entry.file_name().into_string().unwrap(), fs::read(entry.path()).unwrap()))
+        .collect();
+    files.sort();
+    files
+}
+
+#[test]
+fn the_command_writes_what_it_says_and_the_same_again() {
+    let dir = tempfile::tempdir().unwrap();
+    fs::create_dir(dir.path().join("elsewhere")).unwrap();
+    write_pattern(&dir.path().join("elsewhere/mine.toml"), "mine", "");
+    let run = |out: &str| {
+        let mut command = meissner();
+        command
+            .current_dir(dir.path())
+            .args(["report", "edge-45", "elsewhere/mine.toml"])
+            .args(["--out", out]);
+        command
+    };
+    let said: Value = document(run("new/one").arg("--json"));
+    let written = bytes(&dir.path().join("new/one"));
+    let mut names: Vec<&str> = written.iter().map(|(name, _)| &**name).collect();
+    let mut listed: Vec<&str> =
+        said["files"].as_array().unwrap().iter().map(|name| name.as_str().unwrap()).collect();
+    assert_eq!((said["out"].as_str(), *listed.last().unwrap()), (Some("new/one"), INDEX));
+    names.sort_unstable();
+    listed.sort_unstable();
+    assert_eq!(names, listed);
+    assert!(said["wall_s"].as_f64().unwrap() > 0.0);
+    assert_eq!(said["figures"]["patterns"][1]["name"], "mine");
+    assert!(said["figures"]["rate"]["by_frequency"][1]["frequency_hz"].as_f64().unwrap() > 50.0);
+
+    let page = fs::read_to_string(dir.path().join("new/one").join(INDEX)).unwrap();
+    assert!(page.contains("id=\"pattern-edge-45\"") && page.contains("id=\"pattern-mine\""));
+    assert!(page.contains("<code>meissner report mine.toml</code>") && !page.contains("elsewhere"));
+    // Over older files, by one thread, and with a bystander.
+    fs::create_dir(dir.path().join("two")).unwrap();
+    fs::write(dir.path().join("two").join(INDEX), "old").unwrap();
+    let text = printed(run("two").env("RAYON_NUM_THREADS", "1"));
+    assert!(text.contains("two/index.html") && text.contains("edge-45"), "{text}");
+    assert!(bytes(&dir.path().join("two")) == written, "two runs differ");
+}
+
+#[test]
+fn what_cannot_be_reported_or_written_is_said_before_the_work() {
+    let dir = tempfile::tempdir().unwrap();
+    let report =
+        |arguments: &[&str]| complaint(meissner().current_dir(dir.path()).arg("report").args(arguments));
+    let line = report(&["edge-54"]);
+    assert!(line.contains("no pattern is called `edge-54`: did you mean `edge-45`"), "{line}");
+    let line = report(&["edge-45", "edge-45"]);
+    assert!(line.contains("`edge-45` is the name of two patterns"), "{line}");
+    let line = report(&["missing.toml"]);
+    assert!(line.contains("missing.toml: cannot be read"), "{line}");
+    write_pattern(&dir.path().join("bad.toml"), "bad", "nane = 1\n");
+    let line = report(&["bad.toml"]);
+    assert!(line.contains("bad.toml:3") && line.contains("did you mean `name`"), "{line}");
+    assert!(!dir.path().join("report").exists(), "nothing is made before the patterns are read");
+
+    let line = report(&["--out", "bad.toml"]);
+    assert!(line.contains("bad.toml: is not a directory"), "{line}");
+    let line = report(&["--out", "bad.toml/below"]);
+    assert!(line.contains("bad.toml/below: cannot be made"), "{line}");
+    let line = report(&["--out", "/proc"]);
+    assert!(line.contains("/proc/index.html: cannot be written"), "{line}");
+    fs::create_dir_all(dir.path().join("taken").join(INDEX)).unwrap();
+    let line = report(&["--out", "taken"]);
+    assert!(line.contains("taken/index.html: is not a plain file"), "{line}");
+    assert_eq!(fs::read_dir(dir.path().join("taken")).unwrap().count(), 1, "nothing is left behind");
+    meissner().args(["report", "--outt", "x"]).assert().code(2);
+}
