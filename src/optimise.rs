@@ -12,14 +12,16 @@
 
 mod braille;
 mod moves;
-pub mod objective;
-pub mod point;
-pub mod search;
+mod objective;
+mod point;
+mod search;
 mod shape;
 mod sides;
 mod target;
 
-pub use point::Point;
+pub use objective::{Fidelity, Objective, Score, Standing, Tried};
+pub use point::{Point, Space, Vibration};
+pub use search::{Brief, Ended, Found, Limit, Spent, Step, search};
 pub use shape::Shape;
 pub use sides::Sides;
 pub use target::{Frame, MAX_BYTES, MAX_FRAMES, MAX_POINTS, Problem, Target, TargetError};

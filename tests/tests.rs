@@ -17,10 +17,10 @@ mod convergence;
 mod evaluator;
 /// Scenes at the edges of what a scene may be, by every method: each has one right answer.
 mod extremes;
-/// Motors that move by more or less than they should.
-mod gains;
 /// `report`: figures against the models, the page, places that cannot be written to.
 mod figures;
+/// Motors that move by more or less than they should.
+mod gains;
 /// A real daemon in a directory of its own, for the others.
 mod harness;
 /// The same bits whatever the threads, the order of receptors, the blocks, and what is skipped.

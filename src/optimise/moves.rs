@@ -12,7 +12,8 @@ const SPREAD: u8 = 6;
 const OCTAVE: f64 = 2.0;
 
 /// One motor elsewhere: off, at frequencies over the whole range (`jitter`, 0 to 1, shifts them), or in unison with a
-/// neighbour; with the largest unison around also a quarter or half a cycle apart, to cancel it where it spreads.
+/// neighbour; with the largest unison around also a quarter or half a cycle apart, to cancel it where it spreads; and
+/// where it is, but an eighth of a cycle earlier and later.
 pub(super) fn elsewhere(point: &Point, motor: usize, space: &Space, jitter: f64) -> Vec<Point> {
     let phase = point.0[motor].map_or(0.0, Vibration::phase);
     let mut found = Vec::new();
@@ -23,13 +24,16 @@ pub(super) fn elsewhere(point: &Point, motor: usize, space: &Space, jitter: f64)
         Some(space.vibration(space.frequency_hz((f64::from(part) + jitter) / f64::from(SPREAD)), phase))
     }));
     if let Some(vibration) = point.0[motor].filter(|_| space.phases) {
-        found.extend([-0.125, 0.125].map(|step| Some(space.vibration(vibration.frequency_hz(), phase + step))));
+        found.extend(
+            [-0.125, 0.125].map(|step| Some(space.vibration(vibration.frequency_hz(), phase + step))),
+        );
     }
     let mut around: Vec<(usize, Vibration)> = Vec::new();
     for neighbour in neighbours(motor) {
         let Some(vibration) = point.0[neighbour] else { continue };
         if !around.iter().any(|(_, other)| other.decihertz == vibration.decihertz) {
-            let size = point.0.iter().flatten().filter(|other| other.decihertz == vibration.decihertz).count();
+            let size =
+                point.0.iter().flatten().filter(|other| other.decihertz == vibration.decihertz).count();
             around.push((size, vibration));
         }
     }
@@ -49,7 +53,13 @@ pub(super) fn elsewhere(point: &Point, motor: usize, space: &Space, jitter: f64)
 
 /// Motors in unison at another frequency: by `radius` of it higher or lower, by twice that, and, if `merge`, at that of
 /// each other unison less than an octave away.
-pub(super) fn together(point: &Point, motors: &[usize], space: &Space, radius: f64, merge: bool) -> Vec<Point> {
+pub(super) fn together(
+    point: &Point,
+    motors: &[usize],
+    space: &Space,
+    radius: f64,
+    merge: bool,
+) -> Vec<Point> {
     let frequency_hz = point.0[motors[0]].map_or(0.0, Vibration::frequency_hz);
     let mut found: Vec<f64> =
         [-2.0, -1.0, 1.0, 2.0].map(|step| frequency_hz * libm::exp(step * radius)).to_vec();
@@ -58,39 +68,8 @@ pub(super) fn together(point: &Point, motors: &[usize], space: &Space, radius: f
         let near = |hz: &f64| hz.max(frequency_hz) < OCTAVE * hz.min(frequency_hz);
         found.extend(others.map(Vibration::frequency_hz).filter(near));
     }
-    let at = |hz: f64| {
-        point.with(motors, |vibration| vibration.map(|old| space.vibration(hz, old.phase())))
-    };
+    let at = |hz: f64| point.with(motors, |vibration| vibration.map(|old| space.vibration(hz, old.phase())));
     found.into_iter().map(at).collect()
-}
-
-/// One motor's frequency and phase, each a little lower and higher: `radius` of the frequency, and as much of a
-/// quarter cycle as `radius` is of [`WIDE`].
-pub(super) fn aside(point: &Point, motor: usize, space: &Space, radius: f64) -> Vec<(Axis, [Point; 2])> {
-    let Some(_) = point.0[motor] else { return Vec::new() };
-    let alone = point.0.iter().flatten().filter(|v| v.decihertz == point.0[motor].unwrap().decihertz).count() == 1;
-    let axes = [Axis::Frequency, Axis::Phase];
-    let axes = axes.into_iter().filter(|axis| if *axis == Axis::Phase { space.phases } else { alone });
-    axes.map(|axis| (axis, [-radius, radius].map(|step| shifted(point, &[(motor, axis, step)], space)))).collect()
-}
-
-/// A free variable of a motor.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Axis {
-    Frequency,
-    Phase,
-}
-
-/// The point with motors shifted along their axes: a step of 0.1 is 10 % of the frequency or a quarter of a cycle.
-pub(super) fn shifted(point: &Point, steps: &[(usize, Axis, f64)], space: &Space) -> Point {
-    let mut shifted = *point;
-    for &(motor, axis, step) in steps {
-        shifted.0[motor] = shifted.0[motor].map(|old| match axis {
-            Axis::Frequency => space.vibration(old.frequency_hz() * libm::exp(step), old.phase()),
-            Axis::Phase => Vibration { percent: space.vibration(0.0, old.phase() + 2.5 * step).percent, ..old },
-        });
-    }
-    shifted
 }
 
 /// The motors around a motor, up to eight.

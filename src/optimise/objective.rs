@@ -6,13 +6,12 @@
 //!
 //! Invariant: a [`Standing`]'s score is that of its point, whichever way it was reached.
 
-use super::{Point, Sides, Target};
-use crate::simulate::{Evaluator, MethodError, Options, Scene, SceneError, Trial};
+use super::{Point, Shape, Sides, Target};
+use crate::simulate::{
+    Evaluator, Integrator, Method, MethodError, Options, Precision, Scene, Stepping, Trial,
+};
 use crate::skin::{self, LEAST_WEIGHT, Position};
 use rayon::prelude::*;
-
-use super::Shape;
-use crate::simulate::{Integrator, Method, Precision, Stepping};
 
 /// How well a cost is simulated: what a search may do with less.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -30,7 +29,8 @@ impl Fidelity {
     pub const FULL: Self = Self { duration_s: 1.0, step_us: None, least_weight: LEAST_WEIGHT };
 
     fn options(self) -> Options {
-        let stepping = |step_us| Stepping { step_us, integrator: Integrator::Propagator, precision: Precision::F32 };
+        let stepping =
+            |step_us| Stepping { step_us, integrator: Integrator::Propagator, precision: Precision::F32 };
         let method = self.step_us.map_or(Method::Exact, |step_us| Method::Stepped(stepping(step_us)));
         Options { least_weight: self.least_weight, ..Options::rates(method) }
     }
@@ -70,15 +70,16 @@ impl Objective {
     /// The cost of a shape for the populations of some seeds; those without receptors of both kinds are left out.
     /// `noise_seed` keys the thresholds.
     ///
-    /// # Errors
-    /// If such a scene cannot be; of a checked target it can, unless the duration is none.
+    /// # Panics
+    /// If the fidelity's duration is none that a scene can have.
+    #[must_use]
     pub fn new(
         target: &Target,
         shape: &Shape,
         populations: &[u64],
         noise_seed: u64,
         fidelity: Fidelity,
-    ) -> Result<Self, SceneError> {
+    ) -> Self {
         let (mut receptors, mut kinds, mut counts) = (Vec::<Position>::new(), Vec::new(), Vec::new());
         for &seed in populations {
             let places = skin::population(seed);
@@ -89,8 +90,9 @@ impl Objective {
                 receptors.extend(places);
             }
         }
-        let scene = Scene::new(fidelity.duration_s, noise_seed, Vec::new(), receptors, *target.model())?;
-        Ok(Self { scene, options: fidelity.options(), amplitude_um: target.amplitude_um(), kinds, counts })
+        let scene = Scene::new(fidelity.duration_s, noise_seed, Vec::new(), receptors, *target.model());
+        let scene = scene.expect("a checked target is made of what a scene is made of");
+        Self { scene, options: fidelity.options(), amplitude_um: target.amplitude_um(), kinds, counts }
     }
 
     /// Simulates a point as a whole.
@@ -122,7 +124,8 @@ impl Objective {
             spikes[population][usize::from(on)] += count;
         }
         let mean = |side: usize| {
-            let rates = spikes.iter().zip(&self.counts).map(|(spikes, of)| spikes[side] as f64 / of[side] as f64);
+            let rates =
+                spikes.iter().zip(&self.counts).map(|(spikes, of)| spikes[side] as f64 / of[side] as f64);
             rates.sum::<f64>() / (self.counts.len().max(1) as f64 * self.duration_s())
         };
         Score { on_hz: mean(1), off_hz: mean(0) }

@@ -82,7 +82,8 @@ impl Space {
     pub fn of_drives(&self, drives: &[Drive]) -> Point {
         Point(std::array::from_fn(|motor| {
             let of_motor = |drive: &&Drive| usize::from(drive.motor) == motor && drive.amplitude_um > 0.0;
-            let vibration = drives.iter().find(of_motor).map(|drive| self.vibration(drive.frequency_hz, drive.phase));
+            let vibration =
+                drives.iter().find(of_motor).map(|drive| self.vibration(drive.frequency_hz, drive.phase));
             let fastest = || (!self.may_be_off).then(|| self.vibration(f64::INFINITY, 0.0));
             vibration.or_else(fastest)
         }))
@@ -137,7 +138,11 @@ impl Point {
 
     /// The point with some motors doing something else.
     #[must_use]
-    pub(super) fn with(mut self, motors: &[usize], change: impl Fn(Option<Vibration>) -> Option<Vibration>) -> Self {
+    pub(super) fn with(
+        mut self,
+        motors: &[usize],
+        change: impl Fn(Option<Vibration>) -> Option<Vibration>,
+    ) -> Self {
         for &motor in motors {
             self.0[motor] = change(self.0[motor]);
         }
