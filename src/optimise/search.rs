@@ -139,7 +139,7 @@ const DESCENT: [Stage; 3] = [
 /// Repeated until it finds nothing better.
 const POLISH: Stage = Stage { fidelity: FINE, rounds: &[Far, Near { radius: 0.05, halvings: 3 }] };
 /// Starts besides the first.
-const RESTARTS: u8 = 2;
+const RESTARTS: u8 = 4;
 
 /// Sets the search's draws apart from others of the same seed.
 const SEARCH_WORD: u64 = 5;
