@@ -11,6 +11,8 @@
 //! every machine.
 
 mod braille;
+mod judge;
+mod make;
 mod moves;
 mod objective;
 mod point;
@@ -19,14 +21,18 @@ mod shape;
 mod sides;
 mod target;
 
+pub use judge::{Circumstances, HELD_OUT, Robustness, Verdict, WATCHED_S, judge, pulses_per_s, robustness};
+pub use make::{Budget, Made, MakeError, Progress, ROBUST_POPULATIONS, Request, make, populations};
 pub use objective::{Fidelity, Objective, Score, Standing, Tried};
 pub use point::{Point, Space, Vibration};
-pub use search::{Brief, Ended, Found, Limit, Spent, Step, search};
+pub use search::{Brief, Ended, Found, Limit, Spent, Step, resume, search};
 pub use shape::Shape;
 pub use sides::Sides;
 pub use target::{Frame, MAX_BYTES, MAX_FRAMES, MAX_POINTS, Problem, Target, TargetError};
 
+use clap::ValueEnum;
 use include_dir::{Dir, include_dir};
+use serde::Serialize;
 
 /// The shipped target files, as they are.
 pub static LIBRARY: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/targets");
@@ -35,13 +41,26 @@ pub static LIBRARY: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/targets");
 pub const YARDSTICK: &str = "edge-45";
 
 /// What a search may choose from.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, ValueEnum)]
+#[serde(rename_all = "snake_case")]
+#[value(rename_all = "snake_case")]
 pub enum Setting {
     /// Motors may be off; 5 to 150 Hz.
     #[default]
     Default,
     /// The paper's: every motor vibrates; 5 to 300 Hz.
     AlwaysOn,
+}
+
+impl Setting {
+    /// As it is written.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Default => "default",
+            Self::AlwaysOn => "always_on",
+        }
+    }
 }
 
 /// The shipped target of that name.

@@ -12,6 +12,7 @@ mod demo;
 mod doctor;
 mod files;
 mod library;
+mod optimise;
 mod progress;
 mod report;
 mod simulate;
@@ -131,6 +132,8 @@ enum Command {
     },
     /// What the skin's receptors make of a scene: spikes and rates
     Simulate(simulate::Simulate),
+    /// The pattern that makes a target felt
+    Optimise(optimise::Optimise),
     /// Time and error of every way to simulate a scene, measured on this machine
     Tradeoff(simulate::Compare),
     /// Figures of the models and of patterns, as SVG and CSV, and a page that shows them
@@ -328,6 +331,7 @@ fn run(command: Command) -> Result<ExitCode> {
             library::motor(frequency_hz, amplitude_um, output.json)
         }
         Command::Simulate(asked) => simulate::run(&asked),
+        Command::Optimise(asked) => optimise::run(&asked),
         Command::Tradeoff(asked) => simulate::tradeoff(&asked),
         Command::Report(asked) => report::run(&asked),
         Command::Doctor(plain) => doctor::run(&plain),

@@ -8,10 +8,11 @@
 //! Invariant: nothing here changes what is played.
 
 use super::{is_broken_pipe, say};
+use crate::optimise;
 use crate::record::Event;
 use anyhow::Result;
 use indicatif::{ProgressBar, ProgressStyle};
-use std::io::{self, IsTerminal};
+use std::io::{self, IsTerminal, Write};
 use std::time::{Duration, Instant};
 
 /// What is done sooner needs no bar.
@@ -42,6 +43,45 @@ pub(super) fn waiting<T>(what: &'static str, work: impl FnOnce() -> T) -> T {
         bar.enable_steady_tick(TURN);
     }
     work()
+}
+
+/// How a search stands: beside a spinner on a terminal, else a line every second, on stderr.
+#[derive(Debug)]
+pub(super) struct Search {
+    meter: Meter,
+    lines: bool,
+    told: Instant,
+}
+
+impl Search {
+    pub(super) fn new(json: bool) -> Self {
+        let meter = Meter::new(ProgressBar::new_spinner);
+        Self { lines: !json && meter.0.is_none(), meter, told: Instant::now() }
+    }
+
+    pub(super) fn show(&mut self, progress: &optimise::Progress) {
+        let now = Instant::now();
+        if now.duration_since(self.told) < if self.lines { SHORT } else { TURN } {
+            return;
+        }
+        self.told = now;
+        let optimise::Progress { frame, frames, spent, score } = progress;
+        let of = if *frames > 1 { format!("frame {} of {frames}, ", frame + 1) } else { String::new() };
+        let line = format!(
+            "{of}{} evaluations: {:.1} impulses/s, {:.1} ON, {:.1} OFF",
+            spent.evaluations,
+            score.cost_hz(),
+            score.on_hz,
+            score.off_hz
+        );
+        if let Some(bar) = &self.meter.0 {
+            bar.set_message(line);
+            bar.tick();
+        } else if self.lines {
+            // Whoever does not listen need not hear it.
+            let _ = writeln!(io::stderr(), "{line}");
+        }
+    }
 }
 
 /// A bar on a terminal, gone when this is dropped: at the end, or at an error.

@@ -6,7 +6,8 @@
 //!
 //! Invariant: a [`Standing`]'s score is that of its point, whichever way it was reached.
 
-use super::{Point, Shape, Sides, Target};
+use super::{Frame, Point, Sides, Target};
+use crate::pattern::Drive;
 use crate::simulate::{
     Evaluator, Integrator, Method, MethodError, Options, Precision, Scene, Stepping, Trial,
 };
@@ -60,6 +61,8 @@ pub struct Objective {
     scene: Scene,
     options: Options,
     amplitude_um: f64,
+    /// From when to when a point is played: once and for ever, or for a frame's time again and again.
+    times: Vec<(Option<f64>, Option<f64>)>,
     /// Of each receptor: its population, and whether it is within reach.
     kinds: Vec<(usize, bool)>,
     /// Of each population: how many are OFF and ON.
@@ -67,15 +70,16 @@ pub struct Objective {
 }
 
 impl Objective {
-    /// The cost of a shape for the populations of some seeds; those without receptors of both kinds are left out.
-    /// `noise_seed` keys the thresholds.
+    /// The cost of a frame for the populations of some seeds; those without receptors of both kinds are left out.
+    /// `noise_seed` keys the thresholds. A frame that ends is repeated: what its end costs, because a stroke that does not
+    /// fit into it is not played, is part of the cost.
     ///
     /// # Panics
     /// If the fidelity's duration is none that a scene can have.
     #[must_use]
     pub fn new(
         target: &Target,
-        shape: &Shape,
+        frame: &Frame,
         populations: &[u64],
         noise_seed: u64,
         fidelity: Fidelity,
@@ -83,7 +87,7 @@ impl Objective {
         let (mut receptors, mut kinds, mut counts) = (Vec::<Position>::new(), Vec::new(), Vec::new());
         for &seed in populations {
             let places = skin::population(seed);
-            let sides = Sides::of(shape, target.reach_mm(), &places);
+            let sides = Sides::of(&frame.shape, target.reach_mm(), &places);
             if sides.on_count() > 0 && sides.off_count() > 0 {
                 kinds.extend(sides.on().iter().map(|&on| (counts.len(), on)));
                 counts.push([sides.off_count(), sides.on_count()]);
@@ -92,7 +96,16 @@ impl Objective {
         }
         let scene = Scene::new(fidelity.duration_s, noise_seed, Vec::new(), receptors, *target.model());
         let scene = scene.expect("a checked target is made of what a scene is made of");
-        Self { scene, options: fidelity.options(), amplitude_um: target.amplitude_um(), kinds, counts }
+        let times = match frame.start_s.zip(frame.stop_s) {
+            None => vec![(None, None)],
+            Some((start_s, stop_s)) => {
+                let begins = |number: u32| (stop_s - start_s) * f64::from(number);
+                let numbers = (0..).take_while(|&number| begins(number) < fidelity.duration_s);
+                numbers.map(|number| (Some(begins(number)), Some(begins(number + 1)))).collect()
+            }
+        };
+        let (options, amplitude_um) = (fidelity.options(), target.amplitude_um());
+        Self { scene, options, amplitude_um, times, kinds, counts }
     }
 
     /// Simulates a point as a whole.
@@ -100,7 +113,7 @@ impl Objective {
     /// # Errors
     /// If the method cannot simulate the target's receptors.
     pub fn at(&self, point: Point) -> Result<Standing<'_>, MethodError> {
-        let scene = self.scene.with_drives(point.drives(self.amplitude_um, None, None));
+        let scene = self.scene.with_drives(self.drives(&point));
         let scene = scene.expect("a space has no drives that a scene has not");
         let evaluator = Evaluator::new(scene, self.options)?;
         Ok(Standing { objective: self, point, score: self.score(evaluator.counts()), evaluator })
@@ -116,6 +129,11 @@ impl Objective {
     #[must_use]
     pub const fn duration_s(&self) -> f64 {
         self.scene.duration_s()
+    }
+
+    fn drives(&self, point: &Point) -> Vec<Drive> {
+        let played = |&(start_s, stop_s)| point.drives(self.amplitude_um, start_s, stop_s);
+        self.times.iter().flat_map(played).collect()
     }
 
     fn score(&self, counts: &[u64]) -> Score {
@@ -176,8 +194,10 @@ impl<'o> Standing<'o> {
     #[must_use]
     pub fn try_all(&self, points: Vec<Point>) -> Vec<Tried> {
         let tried = |point: Point| {
-            let drives = point.drives(self.objective.amplitude_um, None, None);
-            let trial = self.evaluator.trial(&drives).expect("a space has no drives that a scene has not");
+            let trial = self
+                .evaluator
+                .trial(&self.objective.drives(&point))
+                .expect("a space has no drives that a scene has not");
             Tried { point, score: self.objective.score(&trial.counts()), receptors: trial.simulated(), trial }
         };
         points.into_par_iter().map(tried).collect()

@@ -20,11 +20,10 @@
 //!
 //! Invariant: what is found depends on the brief, the start and the number of evaluations: not on threads or clocks.
 
-use super::Shape;
-use super::Target;
 use super::moves;
 use super::objective::{Fidelity, Objective, Score, Standing, Tried};
 use super::point::{Point, Space};
+use super::{Frame, Target};
 use crate::draw;
 use crate::simulate::MethodError;
 use firmware_protocol::stroke::MOTORS;
@@ -35,10 +34,10 @@ use std::time::Instant;
 /// What is searched for.
 #[derive(Clone, Debug)]
 pub struct Brief<'b> {
-    /// Its reach, amplitude and receptors; the shape is told apart, because that of a moving target differs by frame.
+    /// Its reach, amplitude and receptors.
     pub target: &'b Target,
-    /// What one is to feel.
-    pub shape: &'b Shape,
+    /// Which of its frames.
+    pub frame: &'b Frame,
     /// Seeds of the populations over which the cost is the mean.
     pub populations: &'b [u64],
     /// Of the thresholds' noise.
@@ -155,24 +154,40 @@ pub fn search(
     limit: Limit,
     watch: &mut dyn FnMut(Spent, Score) -> ControlFlow<()>,
 ) -> Result<Found, MethodError> {
-    let mut walk = Walk {
-        brief,
-        limit,
-        watch,
-        spent: Spent::default(),
-        trace: Vec::new(),
-        ended: None,
-        draws: 0,
-        pass: 0,
-    };
-    let (mut point, mut score) = walk.pass(start, f64::NEG_INFINITY)?.unwrap_or((start, Score::default()));
+    begin(brief, start, limit, watch, &DESCENT)
+}
+
+/// Searches on from a point that is good already: what is found is no worse than that.
+///
+/// # Errors
+/// If the method cannot simulate the target's receptors.
+pub fn resume(
+    brief: &Brief<'_>,
+    point: Point,
+    limit: Limit,
+    watch: &mut dyn FnMut(Spent, Score) -> ControlFlow<()>,
+) -> Result<Found, MethodError> {
+    begin(brief, point, limit, watch, &[])
+}
+
+fn begin(
+    brief: &Brief<'_>,
+    start: Point,
+    limit: Limit,
+    watch: &mut dyn FnMut(Spent, Score) -> ControlFlow<()>,
+    descent: &[Stage],
+) -> Result<Found, MethodError> {
+    let (spent, trace) = (Spent::default(), Vec::new());
+    let mut walk = Walk { brief, limit, watch, spent, trace, ended: None, draws: 0, pass: 0, best: None };
+    let first = walk.pass(start, descent, f64::NEG_INFINITY)?;
+    let (mut point, mut score) = first.unwrap_or((start, Score::default()));
     for pass in 1..=RESTARTS {
         if walk.over() {
             break;
         }
-        walk.pass = pass;
+        (walk.pass, walk.best) = (pass, Some(score));
         let elsewhere = brief.space.random(draw_seed(brief.seed, pass));
-        if let Some(better) = walk.pass(elsewhere, score.cost_hz())? {
+        if let Some(better) = walk.pass(elsewhere, &DESCENT, score.cost_hz())? {
             (point, score) = better;
         }
     }
@@ -194,6 +209,8 @@ struct Walk<'w> {
     ended: Option<Ended>,
     draws: u64,
     pass: u8,
+    /// Of the passes before.
+    best: Option<Score>,
 }
 
 /// Where a stage stands, and where it has been: nothing is tried twice.
@@ -203,31 +220,36 @@ struct Ground<'g> {
 }
 
 impl Walk<'_> {
-    /// From a start up, if it gets above `cost_hz`; a first pass also if it is cut short.
-    fn pass(&mut self, start: Point, cost_hz: f64) -> Result<Option<(Point, Score)>, MethodError> {
-        let (mut point, mut score) = (start, Score::default());
-        for stage in &DESCENT {
+    /// From a start up; none if after its descent it is no better than `cost_hz`, or was cut short before.
+    fn pass(
+        &mut self,
+        start: Point,
+        descent: &[Stage],
+        cost_hz: f64,
+    ) -> Result<Option<(Point, Score)>, MethodError> {
+        let mut here = (start, Score { on_hz: cost_hz, off_hz: 0.0 });
+        for stage in descent {
             if self.over() {
-                return Ok((self.pass == 0).then_some((point, score)));
+                return Ok((self.pass == 0).then_some(here));
             }
-            (point, score) = self.stage(stage, point)?;
+            here = self.stage(stage, here.0)?;
         }
-        if score.cost_hz() <= cost_hz {
+        if !descent.is_empty() && here.1.cost_hz() <= cost_hz {
             return Ok(None);
         }
         while !self.over() {
-            let before = score;
-            (point, score) = self.stage(&POLISH, point)?;
-            if score.cost_hz() <= before.cost_hz() {
+            let before = here.1.cost_hz();
+            here = self.stage(&POLISH, here.0)?;
+            if here.1.cost_hz() <= before {
                 break;
             }
         }
-        Ok(Some((point, score)))
+        Ok(Some(here))
     }
 
     fn stage(&mut self, stage: &Stage, point: Point) -> Result<(Point, Score), MethodError> {
-        let Brief { target, shape, populations, noise_seed, .. } = *self.brief;
-        let objective = Objective::new(target, shape, populations, noise_seed, stage.fidelity);
+        let Brief { target, frame, populations, noise_seed, .. } = *self.brief;
+        let objective = Objective::new(target, frame, populations, noise_seed, stage.fidelity);
         let mut ground = Ground { standing: objective.at(point)?, seen: HashSet::from([point]) };
         self.spend(objective.receptors(), &objective);
         self.note(&ground);
@@ -319,7 +341,9 @@ impl Walk<'_> {
     }
 
     fn tell(&mut self, ground: &Ground<'_>) {
-        if (self.watch)(self.spent, ground.standing.score()).is_break() {
+        let here = ground.standing.score();
+        let best = self.best.filter(|best| best.cost_hz() > here.cost_hz());
+        if (self.watch)(self.spent, best.unwrap_or(here)).is_break() {
             self.ended.get_or_insert(Ended::Interrupted);
         }
     }

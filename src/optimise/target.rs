@@ -23,6 +23,7 @@ use crate::quote::quote;
 use crate::simulate::{RawReceptor, check_model};
 use crate::skin::{self, PAD_LENGTH_MM, RaModel};
 use error::{Fault, number};
+pub(super) use motion::LONGEST_S;
 use motion::Motion;
 use std::ops::RangeInclusive;
 use toml::{Table, Value};

@@ -5,13 +5,16 @@
 //!
 //! Invariant: frames follow each other without a gap, from 0 to the motion's end, and each is as long as the others.
 
-use super::{Frame, MAX_FRAMES, SAME_MM, seconds, within};
+use super::{Frame, MAX_FRAMES, SAME_MM, within};
 use crate::array::PITCH_MM;
 use crate::keyed::{Fault, Mistake};
 use crate::optimise::shape::{Shape, direction};
 
 /// Between frames of its own choosing a motion goes on by no more than this, mm: half the way to the next pin.
 const STEP_MM: f64 = PITCH_MM / 2.0;
+
+/// The longest motion: it is simulated as a whole, and every spike of it is kept.
+pub(in crate::optimise) const LONGEST_S: f64 = 20.0;
 
 /// How the shape moves.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,7 +27,7 @@ pub(super) struct Motion {
 
 impl Motion {
     pub(super) fn check(&self, duration_s: f64) -> Result<(), Fault<Mistake>> {
-        seconds(duration_s)?;
+        within("duration_s", duration_s, &(0.001..=LONGEST_S), "0.001 to 20 s")?;
         within("speed_mm_s", self.speed_mm_s, &(-1e3..=1e3), "-1000 to 1000 mm/s")?;
         within("direction_deg", self.direction_deg, &(-360.0..=360.0), "-360 to 360 degrees")?;
         within("turn_deg_s", self.turn_deg_s, &(-36e3..=36e3), "-36000 to 36000 degrees/s")

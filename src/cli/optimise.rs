@@ -1,0 +1,284 @@
+//! The command optimise: from a target to a pattern file. It asks no daemon.
+//!
+//! A target is named as the shipped ones are; what has a slash or ends in `.toml` is a file. Everything that can be wrong
+//! with what was asked is said before the work. Ctrl-C ends the search, not the program: the best so far is judged and
+//! written. With `-o` the pattern is written there and summed up on stdout; without, it goes to stdout itself and
+//! the summary to stderr.
+//!
+//! Invariant: what was there before under the pattern's name is replaced only by a whole pattern.
+
+use super::progress::Search;
+use super::{Output, files, is_broken_pipe, library, say, say_json, text};
+use crate::config;
+use crate::daemon;
+use crate::optimise::{
+    Budget, Ended, MAX_BYTES, Made, Request, Robustness, Setting, Target, make, populations, shipped,
+    shipped_names,
+};
+use crate::pattern;
+use crate::quote::nearest;
+use anyhow::{Result, anyhow, bail};
+use clap::Args;
+use serde::Serialize;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+use std::process::{self, ExitCode};
+use std::str::FromStr;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::Instant;
+use tokio::signal::unix::{SignalKind, signal};
+
+#[derive(Debug, Args)]
+pub(super) struct Optimise {
+    /// Name of a shipped target, or a target file (TOML)
+    target: String,
+    /// Where to write the pattern; its name is the file's [default: stdout]
+    #[arg(short = 'o', long = "out", value_name = "PATTERN")]
+    file: Option<PathBuf>,
+    /// Of the search
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
+    seed: u64,
+    /// What may be chosen: motors may be off, 5 to 150 Hz; or always on, 5 to 300 Hz
+    #[arg(long, value_enum, default_value_t)]
+    setting: Setting,
+    /// At most so many evaluations (for each frame of a moving target; or a list, N,N,...), or about so many seconds in all [default: until nothing improves]
+    #[arg(long, value_name = "N|Ns", default_value = "", hide_default_value = true)]
+    budget: Limit,
+    /// For the mean over eight populations of receptors in place of one
+    #[arg(long)]
+    robust: bool,
+    /// Begin with what a pattern file does, and improve on it
+    #[arg(long, value_name = "PATTERN")]
+    resume: Option<PathBuf>,
+    #[command(flatten)]
+    output: Output,
+}
+
+/// `--budget`.
+#[derive(Clone, Debug)]
+struct Limit(Budget);
+
+impl FromStr for Limit {
+    type Err = &'static str;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let wrong = "evaluations (500, or a number for each frame: 500,300), or seconds (1.5s)";
+        if text.is_empty() {
+            return Ok(Self(Budget::Enough));
+        }
+        if let Some(seconds) = text.strip_suffix('s') {
+            return super::positive(seconds).map(|seconds| Self(Budget::Seconds(seconds))).map_err(|_| wrong);
+        }
+        let each: Result<Vec<u64>, _> = text.split(',').map(str::parse).collect();
+        each.map(|each| Self(Budget::Evaluations(each))).map_err(|_| wrong)
+    }
+}
+
+/// The document of `optimise --json`.
+#[derive(Debug, Serialize)]
+struct Document<'a> {
+    target: &'a str,
+    /// The file, if one was written.
+    file: Option<String>,
+    setting: Setting,
+    seed: u64,
+    robust: bool,
+    /// Seeds of the populations it was made for.
+    populations: Vec<u64>,
+    /// Of each frame.
+    evaluations: Vec<u64>,
+    receptor_s: f64,
+    ended: &'static str,
+    cost_hz: f64,
+    on_hz: f64,
+    off_hz: f64,
+    auc: f64,
+    pulses_per_s: f64,
+    robustness: &'a Robustness,
+    warnings: Vec<String>,
+    /// The pattern file's text.
+    pattern: String,
+    wall_s: f64,
+}
+
+pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
+    let begun = Instant::now();
+    let target = target(&asked.target)?;
+    let start = asked.resume.as_deref().map(library::read).transpose()?;
+    let request = Request {
+        setting: asked.setting,
+        seed: asked.seed,
+        robust: asked.robust,
+        budget: asked.budget.0.clone(),
+        start: start.map(|(pattern, _)| pattern.drives().to_vec()),
+    };
+    let (name, place) = match &asked.file {
+        Some(file) => (name(file)?, Some(files::beside(file)?)),
+        None => (target.name().to_owned(), None),
+    };
+    let told = told_to_stop()?;
+    let mut shown = Search::new(asked.output.json);
+    let made = make(&target, &name, &request, &mut |progress| {
+        shown.show(&progress);
+        if told.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    })?;
+    drop(shown);
+    let text = made.pattern.to_toml();
+    if let Some(place) = place {
+        place.write(&text)?;
+    }
+    let spent = made.spent();
+    let document = Document {
+        target: target.name(),
+        file: asked.file.as_ref().map(|file| file.to_string_lossy().into_owned()),
+        setting: asked.setting,
+        seed: asked.seed,
+        robust: asked.robust,
+        populations: populations(&target, asked.robust),
+        evaluations: made.found.iter().map(|found| found.spent.evaluations).collect(),
+        receptor_s: spent.receptor_s,
+        ended: match made.ended() {
+            Ended::Converged => "converged",
+            Ended::Limit => "budget",
+            Ended::Interrupted => "interrupted",
+        },
+        cost_hz: made.verdict.score.cost_hz(),
+        on_hz: made.verdict.score.on_hz,
+        off_hz: made.verdict.score.off_hz,
+        auc: made.verdict.auc,
+        pulses_per_s: made.pulses_per_s,
+        robustness: &made.robustness,
+        warnings: target.warnings(),
+        pattern: text,
+        wall_s: begun.elapsed().as_secs_f64(),
+    };
+    let said = match (asked.output.json, &asked.file) {
+        (true, _) => say_json(&document),
+        (false, Some(_)) => say(&summary(&target, &document, &made)),
+        (false, None) => {
+            eprintln!("{}", summary(&target, &document, &made));
+            say(document.pattern.trim_end())
+        }
+    };
+    said.or_else(|error| if is_broken_pipe(&error) { Ok(()) } else { Err(error) })?;
+    // As a shell has it of what Ctrl-C ended.
+    Ok(if made.ended() == Ended::Interrupted { ExitCode::from(130) } else { ExitCode::SUCCESS })
+}
+
+/// Reads a target from a file, or takes a shipped one.
+fn target(argument: &str) -> Result<Target> {
+    if argument.contains('/') || argument.ends_with(".toml") {
+        let place = argument.escape_debug();
+        let bytes = config::read_regular(Path::new(argument), MAX_BYTES as u64)
+            .map_err(|error| anyhow!("{place}: cannot be read; name a target file ({error})"))?;
+        let Ok(text) = String::from_utf8(bytes) else {
+            bail!("{place}: not UTF-8 text: write targets as TOML in UTF-8");
+        };
+        return Ok(Target::read(&text, argument)?);
+    }
+    shipped(argument).ok_or_else(|| {
+        let nearest = nearest(&shipped_names(), argument);
+        anyhow!(
+            "no target is called `{}`: did you mean `{nearest}`? A file's name has a slash or ends in .toml",
+            argument.escape_debug()
+        )
+    })
+}
+
+/// The name of a pattern that is written to a file: the store wants them to be the same.
+fn name(file: &Path) -> Result<String> {
+    let stem = file.file_stem().and_then(|stem| stem.to_str()).filter(|stem| pattern::is_name(stem));
+    stem.map(str::to_owned).ok_or_else(|| {
+        let place = file.to_string_lossy();
+        anyhow!("{}: is no pattern's name: 1 to 64 of a-z, 0-9 and -, then .toml", place.escape_debug())
+    })
+}
+
+/// From now on Ctrl-C is a wish, once; the second time it is an order.
+fn told_to_stop() -> Result<Arc<AtomicBool>> {
+    let told = Arc::new(AtomicBool::new(false));
+    let runtime = daemon::runtime()?;
+    let mut interrupts = {
+        let _within = runtime.enter();
+        signal(SignalKind::interrupt())?
+    };
+    let flag = Arc::clone(&told);
+    thread::spawn(move || {
+        runtime.block_on(async {
+            while interrupts.recv().await.is_some() {
+                if flag.swap(true, Ordering::Relaxed) {
+                    process::exit(130);
+                }
+            }
+        });
+    });
+    Ok(told)
+}
+
+fn summary(target: &Target, document: &Document<'_>, made: &Made) -> String {
+    let range = |costs: &[f64]| {
+        let mean = costs.iter().sum::<f64>() / costs.len().max(1) as f64;
+        let least = costs.iter().fold(f64::INFINITY, |least, &cost| least.min(cost));
+        format!("{mean:.1} in the mean, {least:.1} at worst")
+    };
+    let Robustness { held_out_hz, gain_90_percent_hz, gain_110_percent_hz, shifted_1_mm_hz, .. } =
+        document.robustness;
+    let Robustness { half_hz, full_hz, signed_hz, .. } = document.robustness;
+    let ended = match made.ended() {
+        Ended::Converged => "nothing improves any more",
+        Ended::Limit => "the budget is used up",
+        Ended::Interrupted => "interrupted; this is the best so far",
+    };
+    let evaluations: u64 = document.evaluations.iter().sum();
+    let of =
+        |seeds: usize| if seeds == 1 { "1 population".to_owned() } else { format!("{seeds} populations") };
+    let mut lines = vec![
+        (
+            "target",
+            format!("{}, {} um, reach {} mm", target.name(), target.amplitude_um(), target.reach_mm()),
+        ),
+        (
+            "search",
+            format!(
+                "{evaluations} evaluations, {:.0} receptor-seconds, {:.1} s: {ended}",
+                document.receptor_s, document.wall_s
+            ),
+        ),
+        (
+            "cost",
+            format!(
+                "{:.1} impulses/s on {}: {:.1} ON, {:.1} OFF; AUC {:.3}",
+                document.cost_hz,
+                of(document.populations.len()),
+                document.on_hz,
+                document.off_hz,
+                document.auc
+            ),
+        ),
+        (
+            "held out",
+            if held_out_hz.is_empty() {
+                "-".to_owned()
+            } else {
+                format!("{} on {}", range(held_out_hz), of(held_out_hz.len()))
+            },
+        ),
+        ("gain", format!("{gain_90_percent_hz:.1} at 90 %, {gain_110_percent_hz:.1} at 110 %")),
+        ("1 mm off", range(shifted_1_mm_hz)),
+        ("receptors", format!("{half_hz:.1} half, {full_hz:.1} full, {signed_hz:.1} signed")),
+        ("drive", format!("{:.0} pulses/s", document.pulses_per_s)),
+    ];
+    if document.cost_hz <= 0.0 {
+        let why = if target.amplitude_um() == 0.0 {
+            "at 0 um no pin moves"
+        } else {
+            "nothing tells the shape from its surroundings"
+        };
+        lines.push(("note", format!("{why}: the pattern will not be felt as meant")));
+    }
+    lines.extend(document.warnings.iter().map(|warning| ("warning", warning.clone())));
+    lines.extend(document.file.iter().map(|file| ("written", file.escape_debug().to_string())));
+    text::pairs(&lines)
+}
