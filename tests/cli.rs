@@ -146,7 +146,7 @@ fn a_daemon_killed_in_mid_play_can_be_started_again() {
 fn patterns_are_listed_shown_and_imported() {
     let daemon = Daemon::start();
     assert!(printed(daemon.meissner().arg("list")).contains("edge-45"));
-    assert!(printed(daemon.meissner().args(["show", "edge-45"])).contains("60.0 Hz"));
+    assert!(printed(daemon.meissner().args(["show", "pin-60"])).contains("60.0 Hz"));
     let sweep = printed(daemon.meissner().args(["show", "sweep"]));
     assert!(sweep.contains("fingertip, 0 to 0.25 s\n") && sweep.contains("and 2 more stretches"), "{sweep}");
     write_pattern(&daemon.path("f.toml"), "mine", "");

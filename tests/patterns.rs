@@ -160,5 +160,8 @@ fn every_shipped_pattern_is_sound_and_moves() {
         names.push(pattern.name().to_owned());
     }
     names.sort();
-    assert_eq!(names, ["all-in-phase", "edge-45", "pin-60", "sweep", "wave"]);
+    // What was made by hand; the rest is made for targets (see `library`).
+    for name in ["all-in-phase", "pin-60", "sweep", "wave"] {
+        assert!(names.contains(&name.to_owned()), "{name}");
+    }
 }

@@ -27,8 +27,12 @@ mod harness;
 mod independence;
 /// The order of the rooms.
 mod layers;
+/// The library: made again byte for byte, and worth what it says.
+mod library;
 /// The motor model and the plant against the reference figures.
 mod models;
+/// `optimise`: files and documents, budgets, interruptions, mistakes.
+mod optimise;
 /// A second, slow simulator written from the equations alone, for the fast one to be compared with.
 mod oracle;
 /// Pattern files: what is refused and how it is said; the shipped library.

@@ -1,0 +1,175 @@
+use crate::harness::{complaint, document, meissner, printed};
+use assert_cmd::cargo::CommandCargoExt;
+use meissner::pattern::Pattern;
+use rustix::process::{Pid, Signal, kill_process};
+use serde_json::{Value, json};
+use std::fs;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+fn parsed(file: &Path) -> Pattern {
+    Pattern::parse(&fs::read_to_string(file).unwrap(), "made.toml").unwrap()
+}
+
+fn evaluations(pattern: &Pattern) -> String {
+    let each = pattern.provenance()["evaluations"].as_array().unwrap().clone();
+    each.iter().map(ToString::to_string).collect::<Vec<_>>().join(",")
+}
+
+#[test]
+fn the_document_is_complete_and_its_pattern_is_the_file() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("my-dot.toml");
+    let run =
+        |more: &[&str]| document(meissner().args(["optimise", "dot", "--budget", "60", "--json"]).args(more));
+    let found = run(&["-o", file.to_str().unwrap()]);
+    let text = fs::read_to_string(&file).unwrap();
+    assert_eq!(found["pattern"], text);
+    let mut keys: Vec<_> = found.as_object().unwrap().keys().map(String::as_str).collect();
+    keys.sort_unstable();
+    let wanted = "auc cost_hz ended evaluations file off_hz on_hz pattern populations pulses_per_s receptor_s robust \
+                  robustness seed setting target wall_s warnings";
+    assert_eq!(keys, wanted.split_whitespace().collect::<Vec<_>>());
+    assert_eq!(
+        (&found["ended"], &found["setting"], &found["seed"]),
+        (&json!("budget"), &json!("default"), &json!(0))
+    );
+    // The pattern is called as its file; its figures are the document's.
+    let pattern = parsed(&file);
+    assert_eq!((pattern.name(), pattern.duration_s()), ("my-dot", Some(5.0)));
+    for key in ["cost_hz", "on_hz", "off_hz", "auc", "pulses_per_s", "receptor_s"] {
+        assert_eq!(found[key].as_f64(), pattern.provenance()[key].as_float(), "{key}");
+    }
+    assert!(found["evaluations"][0].as_u64().unwrap() >= 60);
+    assert_eq!(
+        found["on_hz"].as_f64().unwrap() - found["off_hz"].as_f64().unwrap(),
+        found["cost_hz"].as_f64().unwrap()
+    );
+    // Without -o the pattern goes to stdout, under the target's name, and the summary to stderr.
+    let output = meissner().args(["optimise", "dot", "--budget", "60"]).output().unwrap();
+    let (out, err) = (String::from_utf8(output.stdout).unwrap(), String::from_utf8(output.stderr).unwrap());
+    assert_eq!(out, text.replace("\"my-dot\"", "\"dot\""));
+    for word in ["cost", "held out", "gain", "1 mm off", "receptors", "drive", "the budget is used up"] {
+        assert!(err.contains(word), "{word}: {err}");
+    }
+}
+
+#[test]
+fn the_same_command_makes_the_same_bytes_whatever_the_threads_and_so_does_a_budget_in_seconds() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("made.toml");
+    let make = |threads: &str, arguments: &[&str]| {
+        let mut command = meissner();
+        command
+            .env("RAYON_NUM_THREADS", threads)
+            .args(["optimise", "two-dots", "-o"])
+            .arg(&file)
+            .args(arguments);
+        printed(&mut command);
+        fs::read_to_string(&file).unwrap()
+    };
+    let once = make("1", &["--budget", "300", "--setting", "always_on", "--seed", "7"]);
+    assert!(once == make("2", &["--budget", "300", "--setting", "always_on", "--seed", "7"]));
+    assert!(once != make("2", &["--budget", "300", "--setting", "always_on", "--seed", "8"]));
+    assert_eq!(parsed(&file).drives().len(), 24);
+    let timed = make("2", &["--budget", "0.3s"]);
+    let reached = evaluations(&parsed(&file));
+    assert!(timed == make("1", &["--budget", &reached]), "{reached} evaluations");
+}
+
+#[test]
+fn a_resumed_pattern_is_no_worse_and_says_where_it_began() {
+    let dir = tempfile::tempdir().unwrap();
+    let (first, second) = (dir.path().join("first.toml"), dir.path().join("second.toml"));
+    printed(meissner().args(["optimise", "edge-90", "--budget", "150", "-o"]).arg(&first));
+    let resume = || {
+        let mut command = meissner();
+        command
+            .args(["optimise", "edge-90", "--budget", "250", "--resume"])
+            .arg(&first)
+            .arg("-o")
+            .arg(&second);
+        printed(&mut command);
+        fs::read_to_string(&second).unwrap()
+    };
+    let text = resume();
+    let cost = |file: &Path| parsed(file).provenance()["cost_hz"].as_float().unwrap();
+    // The search sees a little less than what is stored.
+    assert!(cost(&second) > 0.99 * cost(&first), "{} after {}", cost(&second), cost(&first));
+    let start = parsed(&second).provenance()["start"].as_array().unwrap().clone();
+    assert_eq!(start.len(), parsed(&first).drives().len());
+    assert!(text == resume());
+}
+
+/// The first frames are searched, then Ctrl-C: what there is is judged, written, and can be made again.
+#[test]
+fn ctrl_c_keeps_the_best_so_far() {
+    let dir = tempfile::tempdir().unwrap();
+    let (file, again) = (dir.path().join("made.toml"), dir.path().join("again").join("made.toml"));
+    fs::create_dir(again.parent().unwrap()).unwrap();
+    let mut child = Command::cargo_bin("meissner")
+        .unwrap()
+        .args(["optimise", "moving-edge", "--robust", "--setting", "always_on", "-o"])
+        .arg(&file)
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut line = String::new();
+    BufReader::new(child.stderr.take().unwrap()).read_line(&mut line).unwrap();
+    assert!(line.contains("evaluations") && line.contains("ON") && line.contains("OFF"), "{line}");
+    kill_process(Pid::from_child(&child), Signal::INT).unwrap();
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+    let pattern = parsed(&file);
+    let reached = evaluations(&pattern);
+    assert!(reached.split(',').count() == 9 && reached.ends_with(",0"), "{reached}");
+    let arguments =
+        ["optimise", "moving-edge", "--robust", "--setting", "always_on", "--budget", &reached, "-o"];
+    printed(meissner().args(arguments).arg(&again));
+    assert!(fs::read(&file).unwrap() == fs::read(&again).unwrap(), "{reached}");
+}
+
+#[test]
+fn what_cannot_be_is_one_line_before_the_work() {
+    let dir = tempfile::tempdir().unwrap();
+    let place = |name: &str| dir.path().join(name).to_str().unwrap().to_owned();
+    fs::write(place("wrong.toml"), "name = \"a\"\nshape = \"disk\"\n").unwrap();
+    fs::write(place("off.toml"), "name = \"a\"\nshape = \"dots\"\npoints = [[8, 11]]\n").unwrap();
+    let line = |arguments: &[&str]| complaint(meissner().arg("optimise").args(arguments));
+    assert!(line(&["egde-45"]).contains("did you mean `edge-45`"));
+    assert!(line(&["./edge-45"]).contains("cannot be read; name a target file"));
+    assert!(line(&[&place("wrong.toml")]).contains("wrong.toml:2: `shape`"));
+    assert!(line(&[&place("off.toml")]).contains("off.toml:3: `points"));
+    assert!(line(&["dot", "-o", &place("My Dot.toml")]).contains("is no pattern's name"));
+    assert!(line(&["dot", "-o", &place("no/where.toml")]).contains("cannot be written"));
+    assert!(line(&["dot", "--resume", &place("none.toml")]).contains("none.toml: cannot be read"));
+    for usage in [
+        ["--budget", "some"],
+        ["--budget", "-1"],
+        ["--budget", "1,,2"],
+        ["--setting", "off"],
+        ["--seed", "-1"],
+    ] {
+        assert_eq!(
+            meissner().args(["optimise", "dot"]).args(usage).output().unwrap().status.code(),
+            Some(2),
+            "{usage:?}"
+        );
+    }
+}
+
+#[test]
+fn at_no_amplitude_it_says_that_nothing_will_be_felt() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("still.toml");
+    fs::write(&file, "name = \"still\"\nshape = \"disc\"\nradius_mm = 2\namplitude_um = 0\n").unwrap();
+    let out = dir.path().join("out.toml");
+    let said = printed(meissner().arg("optimise").arg(&file).arg("-o").arg(&out));
+    assert!(said.contains("at 0 um no pin moves") && said.contains("0.0 impulses/s on 1 population: 0.0 ON, 0.0 OFF"), "{said}");
+    let found: Value = document(meissner().arg("optimise").arg(&file).arg("--json"));
+    assert_eq!(
+        (&found["cost_hz"], &found["auc"], &found["ended"]),
+        (&json!(0.0), &json!(0.5), &json!("converged"))
+    );
+}
