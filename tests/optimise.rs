@@ -166,7 +166,11 @@ fn at_no_amplitude_it_says_that_nothing_will_be_felt() {
     fs::write(&file, "name = \"still\"\nshape = \"disc\"\nradius_mm = 2\namplitude_um = 0\n").unwrap();
     let out = dir.path().join("out.toml");
     let said = printed(meissner().arg("optimise").arg(&file).arg("-o").arg(&out));
-    assert!(said.contains("at 0 um no pin moves") && said.contains("0.0 impulses/s on 1 population: 0.0 ON, 0.0 OFF"), "{said}");
+    assert!(
+        said.contains("at 0 um no pin moves")
+            && said.contains("0.0 impulses/s on 1 population: 0.0 ON, 0.0 OFF"),
+        "{said}"
+    );
     let found: Value = document(meissner().arg("optimise").arg(&file).arg("--json"));
     assert_eq!(
         (&found["cost_hz"], &found["auc"], &found["ended"]),

@@ -238,7 +238,7 @@ fn table(tradeoff: &Tradeoff, plot: Option<&Path>) -> String {
     let mut lines = vec![scene, text::columns(&head, tradeoff.rows.iter().map(row))];
     lines.push(format!(
         "Cost (exact: {}): mean impulse rate of the receptors within 1.5 mm of the edge minus that of the others \
-         (what the optimiser will maximise); the edge is the target `{YARDSTICK}`, 12 mm long, at 45 degrees through \
+         (what `meissner optimise` maximises); the edge is the target `{YARDSTICK}`, 12 mm long, at 45 degrees through \
          the array's middle; - if one side is empty.",
         figure(tradeoff.cost_hz, 3)
     ));
