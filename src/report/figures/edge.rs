@@ -35,8 +35,8 @@ const SEED: u64 = 0;
 const SETTING: Setting = Setting::AlwaysOn;
 /// Amplitudes that are compared, µm.
 const AMPLITUDES_UM: [f64; 6] = [20.0, 30.0, 40.0, 60.0, 80.0, 120.0];
-/// Evaluations for each of these: a descent and most of what restarts add (the cost is within 1 % of what no limit finds).
-const EVALUATIONS: u64 = 3_000;
+/// Evaluations for each of these: a descent and one restart. The cost is then within 1 % of what no limit finds.
+const EVALUATIONS: u64 = 2_000;
 /// What the paper finds near the edge, Hz.
 const PAPER_HZ: f64 = 60.0;
 /// Near that, Hz: at 80 µm a receptor under a pin fires there within 3 % of its most.
