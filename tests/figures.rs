@@ -12,6 +12,7 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 use std::sync::OnceLock;
+use std::time::Duration;
 
 /// The whole library's, made once.
 fn library() -> &'static Report {
@@ -455,7 +456,9 @@ fn the_command_writes_what_it_says_and_the_same_again() {
         command
             .current_dir(dir.path())
             .args(["report", "edge-45", "elsewhere/mine.toml"])
-            .args(["--out", out]);
+            .args(["--out", out])
+            // It searches, and tests are built for debugging.
+            .timeout(Duration::from_secs(200));
         command
     };
     let said: Value = document(run("new/one").arg("--json"));

@@ -1,8 +1,9 @@
 //! The paper's Fig. 4: an edge to be felt, the motors before and after the search has tuned them, and what receptors make of both.
 //!
 //! The search sees costs at several fidelities and begins again several times; what is shown here is one yardstick. Every
-//! point it went to is simulated again, exactly, and the best of them by that is the one shown. The paper tunes all
-//! motors at one amplitude and finds near 60 Hz along the edge; the same for other amplitudes says how far that holds.
+//! point that was the best of its fidelity when the search came to it is simulated again, exactly, and the best of them by
+//! that is the one shown. The paper tunes all motors at one amplitude and finds near 60 Hz along the edge; the same for
+//! other amplitudes says how far that holds. It depends on no pattern, so a program makes it once.
 //!
 //! Invariant: every cost on the page is that of [`Fidelity::FULL`].
 
@@ -28,6 +29,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::fmt::Write;
 use std::ops::{ControlFlow, RangeInclusive};
+use std::sync::OnceLock;
 
 /// Of the start and the search's draws, and of the thresholds' noise.
 const SEED: u64 = 0;
@@ -35,8 +37,8 @@ const SEED: u64 = 0;
 const SETTING: Setting = Setting::AlwaysOn;
 /// Amplitudes that are compared, µm.
 const AMPLITUDES_UM: [f64; 6] = [20.0, 30.0, 40.0, 60.0, 80.0, 120.0];
-/// Evaluations for each of these: a descent and one restart. The cost is then within 1 % of what no limit finds.
-const EVALUATIONS: u64 = 2_000;
+/// Evaluations for each of these: a descent and part of a restart. The cost is then within 1 % of what no limit finds.
+const EVALUATIONS: u64 = 1_500;
 /// What the paper finds near the edge, Hz.
 const PAPER_HZ: f64 = 60.0;
 /// Near that, Hz: at 80 µm a receptor under a pin fires there within 3 % of its most.
@@ -108,6 +110,11 @@ struct Record {
 
 /// Searches, draws, and says what it comes to.
 pub(super) fn section(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Edge), FiguresError> {
+    static MADE: OnceLock<Result<(Section, Edge), FiguresError>> = OnceLock::new();
+    MADE.get_or_init(|| make(progress)).clone()
+}
+
+fn make(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Edge), FiguresError> {
     let parts = Parts::new(AMPLITUDES_UM.len() + 1, progress);
     let target = shipped(YARDSTICK).expect("the yardstick is shipped");
     let near = near(&target);
@@ -220,10 +227,27 @@ fn exactly(target: &Target) -> Objective {
 /// The points of a trace that are better than all before them, the start among them.
 fn records(target: &Target, trace: &[Step], near: &[u8]) -> Result<Vec<Record>, FiguresError> {
     let objective = exactly(target);
-    let scores = trace.par_iter().map(|step| Ok(objective.at(step.point)?.score()));
+    // What the search saw, and how well: costs of different durations are not compared.
+    let mut seen: Vec<(f64, f64)> = Vec::new();
+    let best = |step: &&Step| {
+        let (duration_s, cost_hz) = (step.duration_s, step.score.cost_hz());
+        match seen.iter_mut().find(|seen| seen.0 == duration_s) {
+            Some((_, best_hz)) if cost_hz <= *best_hz => false,
+            Some((_, best_hz)) => {
+                *best_hz = cost_hz;
+                true
+            }
+            None => {
+                seen.push((duration_s, cost_hz));
+                true
+            }
+        }
+    };
+    let steps: Vec<&Step> = trace.iter().filter(best).collect();
+    let scores = steps.par_iter().map(|step| Ok(objective.at(step.point)?.score()));
     let scores = scores.collect::<Result<Vec<Score>, FiguresError>>()?;
     let mut records: Vec<Record> = Vec::new();
-    for (step, score) in trace.iter().zip(scores) {
+    for (step, score) in steps.into_iter().zip(scores) {
         if records.last().is_none_or(|best| score.cost_hz() > best.score.cost_hz()) {
             let (evaluations, point) = (step.spent.evaluations, step.point);
             records.push(Record { evaluations, point, score, near_hz: near_hz(&point, near) });
@@ -444,7 +468,7 @@ fn amplitudes_plot(rows: &[ByAmplitude]) -> Result<String, FiguresError> {
                 line: found,
             },
             Series {
-                name: format!("{PAPER_HZ} Hz, the paper's"),
+                name: format!("the paper: {PAPER_HZ} Hz"),
                 line: vec![(0.0, PAPER_HZ), (most_um, PAPER_HZ)],
                 points: Vec::new(),
             },
