@@ -82,7 +82,7 @@ fn subjects(asked: &[String]) -> Result<Vec<Subject>> {
 }
 
 fn summary(out: &Path, document: &Document<'_>) -> String {
-    let Figures { amplitude, rate, patterns } = document.figures;
+    let Figures { amplitude, rate, edge, patterns } = document.figures;
     let mut lines = vec![
         ("page", out.join(INDEX).to_string_lossy().escape_debug().to_string()),
         ("files", document.files.len().to_string()),
@@ -109,6 +109,11 @@ fn summary(out: &Path, document: &Document<'_>) -> String {
         );
         lines.push(("", line));
     }
+    let line = format!(
+        "{}: the cost goes from {:.1} to {:.1} impulses/s, the motors near it to {} Hz",
+        edge.target, edge.before.cost_hz, edge.after.cost_hz, edge.near_after_hz
+    );
+    lines.push(("edge", line));
     lines.push(("wall time", format!("{:.1} s", document.wall_s)));
     let head = ["pattern", "drives", "stretches", "pulses/s", "mean rate", "highest"];
     let row = |pattern: &figures::PatternFigures| {

@@ -1,21 +1,26 @@
 //! Maps: the array with what each motor does, and the pad with what each receptor sends.
 //!
-//! Both are seen as one looks down on the array, fingertip up. An array has a panel per stretch of a pattern. A [`Pad`]
-//! can be drawn upon before it is finished.
+//! Both are seen as one looks down on the array, fingertip up. Panels stand beside each other under titles of their own, all
+//! on one colour scale: what looks alike is alike. On a pad the shape to be felt may be drawn, and the receptors that
+//! should feel it ringed.
 //!
 //! Invariant: every motor has its place in every panel, whether it moves or not.
 
 use super::color::{color, ink};
-use super::stretches::Stretch;
 use super::svg::{Anchor, Drawing, Paint};
 use super::table::number;
 use crate::array::{self, COLUMNS, ROWS};
+use crate::pattern::Drive;
 use crate::skin::{PAD_LENGTH_MM, PAD_WIDTH_MM, Position};
 use firmware_protocol::stroke::MOTORS;
 
 const INK: &str = "#222222";
 const FAINT: &str = "#bbbbbb";
+/// Of the shape to be felt and of what belongs to it: not on the colour scale, and seen by who sees no red or green.
+const AIMED: &str = "#d55e00";
 const NONE: &str = "none";
+/// Which way is up, above a map that needs no other title.
+pub(super) const FINGERTIP: &str = "fingertip";
 
 /// Between neighbouring motors, px.
 const PITCH: f64 = 72.0;
@@ -36,25 +41,28 @@ fn place(frequency_hz: f64) -> f64 {
     (frequency_hz / low).ln() / (high / low).ln()
 }
 
-/// The array during each stretch: a circle per motor, coloured by frequency, with frequency and phase; off is hollow.
-pub(super) fn motors(stretches: &[Stretch]) -> String {
+/// What the motors do at a time, or in a stretch of it.
+#[derive(Clone, Debug)]
+pub(super) struct Panel<'a> {
+    pub(super) title: String,
+    /// One of a motor at the most.
+    pub(super) drives: &'a [Drive],
+}
+
+/// The array in each panel: a circle per motor, coloured by frequency, with frequency and phase; off is hollow.
+pub(super) fn motors(panels: &[Panel<'_>]) -> String {
     let (width, height) = (PITCH * f64::from(COLUMNS) + 24.0, PITCH * f64::from(ROWS) + HEAD + 12.0);
-    let across = stretches.len().clamp(1, ACROSS);
-    let down = stretches.len().div_ceil(across);
+    let across = panels.len().clamp(1, ACROSS);
+    let down = panels.len().div_ceil(across);
     let size = (width * across as f64 + BAR.0, (height * down as f64).max(BAR.1 + 80.0));
     let mut drawing = Drawing::new(size.0, size.1);
-    for (index, stretch) in stretches.iter().enumerate() {
+    for (index, panel) in panels.iter().enumerate() {
         let corner = (width * (index % across) as f64, height * (index / across) as f64);
-        let title = match (stretches.len(), stretch.stop_s) {
-            (1, _) => "fingertip".to_owned(),
-            (_, Some(stop_s)) => format!("{} to {} s", number(stretch.start_s), number(stop_s)),
-            (_, None) => format!("from {} s on", number(stretch.start_s)),
-        };
-        drawing.words((corner.0 + width / 2.0, corner.1 + 28.0), 15, Anchor::Middle, INK, &title);
+        drawing.words((corner.0 + width / 2.0, corner.1 + 28.0), 15, Anchor::Middle, INK, &panel.title);
         for motor in 0..MOTORS as u8 {
             let x = corner.0 + 12.0 + PITCH * (f64::from(array::column(motor)) + 0.5);
             let y = corner.1 + HEAD + PITCH * (f64::from(array::row(motor)) + 0.5);
-            let Some(drive) = stretch.drives.iter().find(|drive| drive.motor == motor) else {
+            let Some(drive) = panel.drives.iter().find(|drive| drive.motor == motor) else {
                 drawing.circle((x, y), RADIUS, Paint { fill: NONE, stroke: FAINT });
                 drawing.words((x, y + 4.0), 11, Anchor::Middle, FAINT, &motor.to_string());
                 continue;
@@ -89,56 +97,88 @@ fn bar(drawing: &mut Drawing, (x, y): (f64, f64), unit: &str, marks: &[(f64, Str
     }
 }
 
-/// Pixels per mm of skin.
-const PER_MM: f64 = 20.0;
-/// Around the pad, px.
+/// Pixels per mm of skin: of one pad or two, and of more, which are then no wider together.
+const PER_MM: (f64, f64) = (20.0, 12.0);
+/// Around a pad, px.
 const MARGIN: f64 = 30.0;
+/// A pin, a receptor and the ring around one, mm in radius.
+const SIZES_MM: [f64; 3] = [0.45, 0.225, 0.34];
 
-/// The finger's pad, its pins, and receptors on it.
-#[derive(Debug)]
-pub(super) struct Pad {
-    drawing: Drawing,
+/// A finger's pad with its pins, and receptors on it.
+#[derive(Clone, Debug)]
+pub(super) struct Pad<'a> {
+    pub(super) title: String,
+    pub(super) receptors: &'a [Position],
+    /// Of each, impulses/s; without, they are all grey.
+    pub(super) rates_hz: Option<&'a [f64]>,
+    /// What is to be felt there.
+    pub(super) aim: Option<Aim<'a>>,
 }
 
-impl Pad {
-    /// The ellipse and the 24 pins.
-    pub(super) fn new() -> Self {
-        let (width, height) = (PAD_WIDTH_MM * PER_MM, PAD_LENGTH_MM * PER_MM);
-        let mut drawing = Drawing::new(width + 2.0 * MARGIN + BAR.0, height + HEAD + MARGIN);
-        let middle = Self::place(Position { x_mm: 0.0, y_mm: 0.0 });
-        drawing.words((middle.0, 28.0), 15, Anchor::Middle, INK, "fingertip");
-        drawing.ellipse(middle, (width / 2.0, height / 2.0), Paint { fill: "#f4f4f4", stroke: INK });
+/// What is to be felt.
+#[derive(Clone, Debug)]
+pub(super) struct Aim<'a> {
+    /// Lines from point to point, mm; of one point it is a dot.
+    pub(super) outline: Vec<Vec<[f64; 2]>>,
+    /// Of each receptor, whether it should feel it.
+    pub(super) on: &'a [bool],
+}
+
+/// Pads beside each other, with one colour bar if any has rates.
+pub(super) fn pads(pads: &[Pad<'_>]) -> String {
+    let per_mm = if pads.len() > 2 { PER_MM.1 } else { PER_MM.0 };
+    let (width, height) = (PAD_WIDTH_MM * per_mm, PAD_LENGTH_MM * per_mm);
+    let rates = || pads.iter().filter_map(|pad| pad.rates_hz).flatten();
+    let highest = rates().fold(0.0_f64, |highest, &rate| highest.max(rate));
+    // Whole fifties, so that the marks are round.
+    let top_hz = (highest / 50.0).ceil().max(1.0) * 50.0;
+    let bar_width = if rates().next().is_some() { BAR.0 + 6.0 } else { 0.0 };
+    let step = width + MARGIN;
+    let (all, tall) = (MARGIN + step * pads.len() as f64 + bar_width, height + HEAD + MARGIN);
+    let mut drawing = Drawing::new(all, if bar_width > 0.0 { tall.max(BAR.1 + HEAD + 60.0) } else { tall });
+    for (index, pad) in pads.iter().enumerate() {
+        let middle = (MARGIN + step * index as f64 + width / 2.0, HEAD + height / 2.0);
+        pad.draw(&mut drawing, middle, per_mm, top_hz);
+    }
+    if bar_width > 0.0 {
+        let marks = [0.0, 0.2, 0.4, 0.6, 0.8, 1.0].map(|part| (part, number(part * top_hz)));
+        bar(&mut drawing, (all - BAR.0, HEAD + 40.0), "impulses/s", &marks);
+    }
+    drawing.finish()
+}
+
+impl Pad<'_> {
+    fn draw(&self, drawing: &mut Drawing, middle: (f64, f64), per_mm: f64, top_hz: f64) {
+        let place = |[x_mm, y_mm]: [f64; 2]| (middle.0 + x_mm * per_mm, middle.1 - y_mm * per_mm);
+        let half_mm @ [half_width, half_length] = [PAD_WIDTH_MM / 2.0, PAD_LENGTH_MM / 2.0];
+        let [pin, dot, ring] = SIZES_MM.map(|mm| mm * per_mm);
+        drawing.words((middle.0, 28.0), 15, Anchor::Middle, INK, &self.title);
+        let [rx, ry] = half_mm.map(|mm| mm * per_mm);
+        drawing.ellipse(middle, (rx, ry), Paint { fill: "#f4f4f4", stroke: INK });
         for motor in 0..MOTORS as u8 {
-            let [x_mm, y_mm] = array::position_mm(motor);
-            drawing.circle(Self::place(Position { x_mm, y_mm }), 9.0, Paint { fill: NONE, stroke: FAINT });
+            drawing.circle(place(array::position_mm(motor)), pin, Paint { fill: NONE, stroke: FAINT });
         }
-        Self { drawing }
-    }
-
-    /// Where a place on the skin is drawn, px.
-    pub(super) fn place(at: Position) -> (f64, f64) {
-        let x = MARGIN + (PAD_WIDTH_MM / 2.0 + at.x_mm) * PER_MM;
-        let y = HEAD + (PAD_LENGTH_MM / 2.0 - at.y_mm) * PER_MM;
-        (x, y)
-    }
-
-    /// Receptors as dots coloured by rate, and the colour bar. Rates are impulses/s.
-    pub(super) fn rates(&mut self, receptors: &[Position], rates_hz: &[f64]) {
-        let highest = rates_hz.iter().fold(0.0_f64, |highest, &rate| highest.max(rate));
-        // Whole fifties, so that the marks are round.
-        let top = (highest / 50.0).ceil().max(1.0) * 50.0;
-        for (&at, rate) in receptors.iter().zip(rates_hz) {
-            let fill = color(rate / top);
-            self.drawing.circle(Self::place(at), 4.5, Paint { fill: &fill, stroke: NONE });
+        for (index, at) in self.receptors.iter().enumerate() {
+            let fill =
+                self.rates_hz.map_or_else(|| "#777777".to_owned(), |rates| color(rates[index] / top_hz));
+            let at = place([at.x_mm, at.y_mm]);
+            drawing.circle(at, dot, Paint { fill: &fill, stroke: NONE });
+            if self.aim.as_ref().is_some_and(|aim| aim.on[index]) {
+                drawing.circle(at, ring, Paint { fill: NONE, stroke: AIMED });
+            }
         }
-        let marks = [0.0, 0.2, 0.4, 0.6, 0.8, 1.0].map(|part| (part, number(part * top)));
-        let x = PAD_WIDTH_MM * PER_MM + 2.0 * MARGIN + 6.0;
-        bar(&mut self.drawing, (x, HEAD + 40.0), "impulses/s", &marks);
-    }
-
-    /// The text of an SVG file.
-    pub(super) fn finish(self) -> String {
-        self.drawing.finish()
+        // A disc may reach beyond the pad, but not into the next one. A line's end on the pad's edge is rounded.
+        let beyond =
+            |&[x_mm, y_mm]: &[f64; 2]| x_mm.abs() > half_width + 1e-6 || y_mm.abs() > half_length + 1e-6;
+        let outline = self.aim.iter().flat_map(|aim| &aim.outline);
+        for line in outline.flat_map(|line| line.split(beyond)) {
+            let line: Vec<(f64, f64)> = line.iter().copied().map(place).collect();
+            match line[..] {
+                [] => {}
+                [at] => drawing.circle(at, ring, Paint { fill: AIMED, stroke: NONE }),
+                _ => drawing.line(&line, 2.5, AIMED),
+            }
+        }
     }
 }
 
@@ -157,22 +197,45 @@ mod tests {
             start_s: None,
             stop_s: None,
         };
-        let stretch = Stretch { start_s: 0.0, stop_s: Some(1.0), drives: vec![drive] };
-        let svg = motors(&[stretch.clone(), stretch]);
+        let drives = [drive];
+        let panel = |title: &str| Panel { title: title.to_owned(), drives: &drives };
+        let svg = motors(&[panel("before"), panel("<after>")]);
         assert_eq!((svg.matches("<ellipse").count(), svg.matches(">60 Hz<").count()), (48, 2));
         assert_eq!(svg.matches(r#"fill="none""#).count(), 46);
-        assert!(svg.contains(">0.25<") && svg.contains(">0 to 1 s<"));
-        let (low, high) = (Position { x_mm: 0.0, y_mm: -1.0 }, Position { x_mm: 0.0, y_mm: 1.0 });
-        assert!(Pad::place(high).1 < Pad::place(low).1);
+        assert!(svg.contains(">0.25<") && svg.contains(">before<") && svg.contains(">&lt;after&gt;<"));
         assert_eq!((place(5.0), place(300.0)), (0.0, 1.0));
     }
 
+    /// Where the ellipses of a drawing are, and what they are filled with.
+    fn ellipses(svg: &str) -> Vec<(f64, f64, &str)> {
+        let of = |element: &'_ str, key: &str| element.find(key).map(|at| at + key.len()).unwrap();
+        let word =
+            |element: &'_ str, key: &str| element[of(element, key)..].find('"').unwrap() + of(element, key);
+        svg.lines()
+            .filter(|line| line.starts_with("<ellipse"))
+            .map(|line| {
+                let value = |key: &str| &line[of(line, key)..word(line, key)];
+                (value("cx=\"").parse().unwrap(), value("cy=\"").parse().unwrap(), value("fill=\""))
+            })
+            .collect()
+    }
+
     #[test]
-    fn a_pad_shows_every_receptor() {
-        let mut pad = Pad::new();
-        pad.rates(&[Position { x_mm: 0.0, y_mm: 0.0 }; 3], &[0.0, 10.0, 120.0]);
-        let svg = pad.finish();
-        assert_eq!(svg.matches("<ellipse").count(), 1 + 24 + 3);
-        assert!(svg.contains(">150<") && svg.contains(&color(0.8)));
+    fn pads_show_every_receptor_on_one_scale_with_what_is_to_be_felt() {
+        let receptors = [0.0, 1.0, -2.0].map(|y_mm| Position { x_mm: 0.0, y_mm });
+        let pad = |rates_hz, aim| Pad { title: "t".to_owned(), receptors: &receptors, rates_hz, aim };
+        let svg = pads(&[pad(Some(&[0.0, 10.0, 120.0]), None), pad(Some(&[0.0, 60.0, 0.0]), None)]);
+        let found = ellipses(&svg);
+        assert_eq!(found.len(), 2 * (1 + 24 + 3));
+        assert!(svg.contains(">150<"));
+        // Up is towards the fingertip.
+        let [_, high, low] = found[25..28] else { panic!() };
+        assert!(high.1 < low.1 && high.0 == low.0);
+        assert_eq!((low.2, found[28 + 26].2), (&*color(0.8), &*color(0.4)));
+
+        let outline = vec![vec![[0.0, 0.0]], vec![[-1.0, 0.0], [1.0, 0.0], [99.0, 0.0], [2.0, 0.0]]];
+        let svg = pads(&[pad(None, Some(Aim { outline, on: &[true, false, true] }))]);
+        assert_eq!(ellipses(&svg).len(), 1 + 24 + 3 + 2 + 2, "two are ringed, two are dots");
+        assert_eq!((svg.matches("<polyline").count(), svg.matches("impulses/s").count()), (1, 0));
     }
 }

@@ -1,7 +1,7 @@
 //! The report: figures of the models, a section for each pattern, and a page that holds them together.
 //!
-//! First what the paper drew of a motor (`amplitude`) and what it says of amplitude and frequency (`rate`), then each
-//! pattern (`pattern`). A part makes a section: words, drawings (`chart` for curves, `map` for array and pad), numbers as
+//! First what the paper drew of a motor (`amplitude`), what it says of amplitude and frequency (`rate`), and the edge it
+//! tuned the motors to (`edge`), then each pattern (`pattern`). A part makes a section: words, drawings (`chart` for curves, `map` for array and pad), numbers as
 //! CSV, tables (`table`); `page` makes one page of all. Another figure is another function that gives a section and what
 //! it comes to. Files come out as texts: who asked writes them.
 //!
@@ -10,6 +10,7 @@
 mod amplitude;
 mod chart;
 mod color;
+mod edge;
 mod map;
 mod page;
 mod pattern;
@@ -17,15 +18,19 @@ mod rate;
 mod stretches;
 mod svg;
 mod table;
+mod target;
 
 pub use amplitude::{AMPLITUDES_UM, Amplitude};
+pub use edge::{ByAmplitude, Edge, Others};
 pub use page::{File, INDEX};
 pub use pattern::PatternFigures;
 pub use rate::{Peak, Plateau, Rate};
 pub use stretches::{Stretch, stretches};
+pub use target::{FrameFigures, TargetFigures, Verdict};
 
 use super::PlotError;
 use crate::motor::MotorError;
+use crate::optimise::TargetError;
 use crate::pattern::Pattern;
 use crate::plant::PlantError;
 use crate::simulate::{MethodError, SceneError};
@@ -59,6 +64,8 @@ pub struct Figures {
     pub amplitude: Amplitude,
     /// Impulse rate against amplitude and frequency.
     pub rate: Rate,
+    /// An edge, optimised.
+    pub edge: Edge,
     /// Each pattern.
     pub patterns: Vec<PatternFigures>,
 }
@@ -77,6 +84,8 @@ pub enum FiguresError {
     Scene(#[from] SceneError),
     #[error("internal error: {0}")]
     Method(#[from] MethodError),
+    #[error("internal error: {0}")]
+    Target(#[from] TargetError),
 }
 
 /// Makes a report on these patterns. `progress` hears now and then which part is done, on any thread.
@@ -85,23 +94,26 @@ pub enum FiguresError {
 /// If a figure cannot be made, which is our own mistake.
 pub fn report(subjects: &[Subject], progress: &(dyn Fn(f64) + Sync)) -> Result<Report, FiguresError> {
     // What each part takes, by how long it takes on a common machine.
-    const AMPLITUDE: f64 = 0.3;
-    const RATE: f64 = 0.3;
+    const AMPLITUDE: f64 = 0.05;
+    const RATE: f64 = 0.05;
+    const EDGE: f64 = 0.8;
     let (mut sections, mut patterns) = (Vec::new(), Vec::new());
     let (section, amplitude) = amplitude::section(&|part| progress(AMPLITUDE * part))?;
     sections.push(section);
     let (section, rate) = rate::section(&|part| progress(AMPLITUDE + RATE * part))?;
     sections.push(section);
-    let each = (1.0 - AMPLITUDE - RATE) / subjects.len().max(1) as f64;
+    let (section, edge) = edge::section(&|part| progress(AMPLITUDE + RATE + EDGE * part))?;
+    sections.push(section);
+    let each = (1.0 - AMPLITUDE - RATE - EDGE) / subjects.len().max(1) as f64;
     for (index, subject) in subjects.iter().enumerate() {
-        let done = |part| progress(AMPLITUDE + RATE + each * (index as f64 + part));
+        let done = |part| progress(AMPLITUDE + RATE + EDGE + each * (index as f64 + part));
         let (section, figures) = pattern::section(subject, &done)?;
         sections.push(section);
         patterns.push(figures);
     }
     let page = page::page(&sections);
     let files = sections.into_iter().flat_map(|section| section.files).collect();
-    Ok(Report { files, page, figures: Figures { amplitude, rate, patterns } })
+    Ok(Report { files, page, figures: Figures { amplitude, rate, edge, patterns } })
 }
 
 /// Counts parts that are done, on any thread.

@@ -1,4 +1,4 @@
-//! A drawing of circles and words, as an SVG: what a chart does not draw.
+//! A drawing of circles, lines and words, as an SVG: what a chart does not draw.
 //!
 //! Coordinates are pixels from the upper left corner. Numbers are written with two decimals.
 //!
@@ -66,6 +66,14 @@ impl Drawing {
         let Paint { fill, stroke } = paint;
         self.element(&format!(
             r#"<rect x="{x:.2}" y="{y:.2}" width="{width:.2}" height="{height:.2}" fill="{fill}" stroke="{stroke}"/>"#
+        ));
+    }
+
+    /// An open line from point to point.
+    pub(super) fn line(&mut self, points: &[(f64, f64)], width: f64, color: &str) {
+        let points = points.iter().map(|(x, y)| format!("{x:.2},{y:.2}")).collect::<Vec<_>>().join(" ");
+        self.element(&format!(
+            r#"<polyline points="{points}" fill="none" stroke="{color}" stroke-width="{width}" stroke-linecap="round"/>"#
         ));
     }
 

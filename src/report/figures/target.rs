@@ -1,0 +1,173 @@
+//! What a pattern was made for, and how well it comes to it.
+//!
+//! A pattern made for a target keeps it in its provenance, under [`DEFINITION`]. Receptors within reach of the target
+//! should fire and the others should not; how far they do, is said of rates that somebody else has simulated. Of a
+//! target that moves each frame is judged by the spikes in its own time.
+//!
+//! Invariant: a verdict depends on the rates it is given and on where the receptors are, and on no word of the maker's.
+
+use super::map::Aim;
+use crate::optimise::{Frame, Sides, Target};
+use crate::skin::Position;
+use serde::Serialize;
+use toml::Table;
+
+/// The key of the provenance that holds the target's every key.
+const DEFINITION: &str = "definition";
+/// Frames that are drawn at the most.
+const DRAWN: usize = 4;
+
+/// What a pattern comes to for the target it was made for.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct TargetFigures {
+    /// What the target is called.
+    pub name: String,
+    /// Every frame that was watched as a whole; of a target at rest there is one.
+    pub frames: Vec<FrameFigures>,
+}
+
+/// A frame, and what comes of it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct FrameFigures {
+    /// When it begins; none if the target does not move.
+    pub start_s: Option<f64>,
+    /// When it ends.
+    pub stop_s: Option<f64>,
+    /// What the rates are worth.
+    #[serde(flatten)]
+    pub verdict: Verdict,
+}
+
+/// What rates are worth.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Verdict {
+    /// Mean rate of the receptors within reach, impulses/s.
+    pub on_hz: f64,
+    /// Mean rate of the others, impulses/s.
+    pub off_hz: f64,
+    /// The difference of the two.
+    pub cost_hz: f64,
+    /// How likely one within reach fires more than one of the others.
+    pub auc: f64,
+}
+
+impl Verdict {
+    /// None if all receptors are on one side.
+    pub(super) fn of(sides: &Sides, rates_hz: &[f64]) -> Option<Self> {
+        Some(Self {
+            on_hz: sides.on_hz(rates_hz)?,
+            off_hz: sides.off_hz(rates_hz)?,
+            cost_hz: sides.cost_hz(rates_hz)?,
+            auc: sides.auc(rates_hz)?,
+        })
+    }
+}
+
+/// The target a pattern was made for, if its provenance holds one that reads.
+pub(super) fn made_for(provenance: &Table) -> Option<Target> {
+    let text = toml::to_string(provenance.get(DEFINITION)?.as_table()?).ok()?;
+    Target::read(&text, DEFINITION).ok()
+}
+
+/// A frame with the rates in its time.
+#[derive(Clone, Debug)]
+pub(super) struct Watched<'t> {
+    pub(super) frame: &'t Frame,
+    pub(super) sides: Sides,
+    pub(super) rates_hz: Vec<f64>,
+    pub(super) verdict: Verdict,
+}
+
+impl<'t> Watched<'t> {
+    /// A frame, if there are receptors on both sides.
+    pub(super) fn new(
+        target: &Target,
+        frame: &'t Frame,
+        receptors: &[Position],
+        rates_hz: Vec<f64>,
+    ) -> Option<Self> {
+        let sides = Sides::of(&frame.shape, target.reach_mm(), receptors);
+        let verdict = Verdict::of(&sides, &rates_hz)?;
+        Some(Self { frame, sides, rates_hz, verdict })
+    }
+
+    pub(super) fn aim(&self) -> Aim<'_> {
+        Aim { outline: self.frame.shape.outline(), on: self.sides.on() }
+    }
+
+    pub(super) const fn figures(&self) -> FrameFigures {
+        FrameFigures { start_s: self.frame.start_s, stop_s: self.frame.stop_s, verdict: self.verdict }
+    }
+}
+
+/// The frames of a moving target that end by `watched_s`, each with the rates from its beginning to its end.
+pub(super) fn frames<'t>(
+    target: &'t Target,
+    receptors: &[Position],
+    spikes_s: &[Vec<f64>],
+    watched_s: f64,
+) -> Vec<Watched<'t>> {
+    let watched = |frame: &'t Frame| {
+        let (start_s, stop_s) = (frame.start_s?, frame.stop_s.filter(|stop_s| *stop_s <= watched_s)?);
+        let rate = |spikes_s: &Vec<f64>| {
+            let before = |time_s: f64| spikes_s.partition_point(|spike_s| *spike_s < time_s);
+            (before(stop_s) - before(start_s)) as f64 / (stop_s - start_s)
+        };
+        Watched::new(target, frame, receptors, spikes_s.iter().map(rate).collect())
+    };
+    target.frames().iter().filter_map(watched).collect()
+}
+
+/// Which of so many frames are drawn: the first, the last and two between, or all if they are no more than that.
+pub(super) fn drawn(frames: usize) -> Vec<usize> {
+    match frames.checked_sub(1) {
+        Some(last) if last >= DRAWN => (0..DRAWN).map(|part| (part * last + 1) / (DRAWN - 1)).collect(),
+        _ => (0..frames).collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::optimise::shipped;
+    use crate::skin::population;
+
+    #[test]
+    fn the_first_the_last_and_two_between_are_drawn() {
+        for (frames, indices) in
+            [(0, &[][..]), (1, &[0]), (4, &[0, 1, 2, 3]), (5, &[0, 1, 3, 4]), (64, &[0, 21, 42, 63])]
+        {
+            assert_eq!(drawn(frames), indices);
+        }
+    }
+
+    #[test]
+    fn a_target_is_read_back_from_where_it_is_kept() {
+        let target = shipped("rotating-edge").unwrap();
+        let kept = Table::from_iter([(DEFINITION.to_owned(), target.definition().into())]);
+        assert_eq!(made_for(&kept), Some(target));
+        for bad in ["", "definition = 1", "definition = { name = \"a\" }"] {
+            assert_eq!(made_for(&bad.parse().unwrap()), None, "{bad}");
+        }
+    }
+
+    #[test]
+    fn a_frame_has_the_spikes_of_its_own_time() {
+        let target = shipped("moving-edge").unwrap();
+        let receptors = population(0);
+        let count = target.frames().len();
+        let edges = |n: usize| target.frames()[n].start_s.unwrap();
+        // One spike at each frame's very beginning, but two in the second.
+        let mut train: Vec<f64> = (0..count).map(edges).collect();
+        train.insert(2, edges(1) + 1e-6);
+        let spikes_s = vec![train; receptors.len()];
+        let found = frames(&target, &receptors, &spikes_s, 1.0);
+        assert_eq!(found.len(), count);
+        for (index, watched) in found.iter().enumerate() {
+            let expected = if index == 1 { 2.0 } else { 1.0 } * count as f64;
+            assert!(watched.rates_hz.iter().all(|rate| (rate - expected).abs() < 1e-6));
+            assert_eq!((watched.verdict.cost_hz, watched.verdict.auc), (0.0, 0.5));
+        }
+        assert_eq!(frames(&target, &receptors, &spikes_s, 0.5 * edges(1)).len(), 0);
+    }
+}
