@@ -21,7 +21,9 @@ use std::time::Instant;
 /// As a search looks first: cheap.
 const GLANCE: Fidelity = Fidelity { duration_s: 0.25, step_us: Some(500), least_weight: 1e-2 };
 /// A fifth of what three sweeps of a coordinate search spend, receptor-seconds; asserted below.
-const FIFTH: Limit = Limit::ReceptorSeconds(15_000.0);
+const FIFTH: Limit = Limit::ReceptorSeconds(14_000.0);
+/// Evaluations by which a search has ended by itself: four times what the yardstick takes.
+const MOST: u64 = 20_000;
 const MOTORS: usize = 24;
 
 fn yardstick() -> Target {
@@ -150,17 +152,27 @@ fn the_same_bits_on_one_thread_and_on_two() {
 fn a_shorter_search_is_the_beginning_of_a_longer_one() {
     let (target, space) = (yardstick(), Setting::Default.space());
     let limited = |most| found(&target, &space, 4, space.random(4), Limit::Evaluations(most));
-    let longest = limited(1800);
-    for most in [0, 1, 2, 300, 1000, 1799] {
+    let longest = limited(1400);
+    for most in [0, 1, 300, 1200] {
         let shorter = limited(most);
         assert_eq!(shorter.ended, Ended::Limit);
         assert!(shorter.spent.evaluations >= most);
         assert_same(&shorter, &limited(shorter.spent.evaluations));
         assert_eq!(shorter.trace, longest.trace[..shorter.trace.len()]);
-        // All in the first pass: where it stood is what it found.
-        assert_eq!(shorter.point, shorter.trace.last().map_or(space.random(4), |step| step.point));
+        if most <= 300 {
+            // All in the first pass: where it stood is what it found.
+            assert_eq!(shorter.point, shorter.trace.last().map_or(space.random(4), |step| step.point));
+        } else {
+            assert_eq!(shorter.point, best(&shorter));
+        }
     }
     assert!(limited(0).trace.is_empty());
+}
+
+/// Of all passes, as it was seen in a second's look.
+fn best(found: &Found) -> Point {
+    let fine = found.trace.iter().filter(|step| step.duration_s == 1.0);
+    fine.max_by(|a, b| a.score.cost_hz().total_cmp(&b.score.cost_hz())).unwrap().point
 }
 
 #[test]
@@ -215,11 +227,11 @@ const fn everywhere(decihertz: u16) -> Point {
     Point([Some(Vibration { decihertz, percent: 0 }); MOTORS])
 }
 
-/// Ends by itself, and no cost on the way is worse than the start's.
-fn converged(target: &Target, space: &Space, start: Point, most: u64) -> Found {
-    let found = found(target, space, 0, start, Limit::Evaluations(most));
+/// Ends by itself, and within a stage no step is for the worse.
+fn converged(target: &Target, space: &Space, start: Point) -> Found {
+    let found = found(target, space, 0, start, Limit::Evaluations(MOST));
     assert_eq!(found.ended, Ended::Converged, "{:?}", found.spent);
-    assert!(found.spent.evaluations < most && found.spent.receptor_s.is_finite());
+    assert!(found.spent.receptor_s.is_finite());
     never_falls(&found.trace);
     found
 }
@@ -230,8 +242,9 @@ fn where_nothing_moves_the_search_ends() {
     let still = yardstick().with_amplitude_um(0.0).unwrap();
     for setting in [Setting::Default, Setting::AlwaysOn] {
         let space = setting.space();
-        let found = converged(&still, &space, space.random(0), 20_000);
-        assert_eq!((found.point, found.trace.len()), (space.random(0), 7), "no step is taken");
+        let found = converged(&still, &space, space.random(0));
+        // Three stages from each of five starts, and one look around: no step is taken.
+        assert_eq!((found.point, found.trace.len()), (space.random(0), 16));
         assert!(found.trace.iter().all(|step| step.score == Score::default()));
     }
 }
@@ -241,7 +254,7 @@ fn where_nothing_moves_the_search_ends() {
 fn where_nothing_is_felt_the_search_ends() {
     let weak = yardstick().with_amplitude_um(0.05).unwrap();
     let space = Space { phases: false, ..Setting::AlwaysOn.space() };
-    let found = converged(&weak, &space, everywhere(600), 20_000);
+    let found = converged(&weak, &space, everywhere(600));
     assert!(found.trace.iter().all(|step| step.score == Score::default()));
     assert_eq!(found.point, everywhere(600));
 }
@@ -249,14 +262,14 @@ fn where_nothing_is_felt_the_search_ends() {
 /// At the null of the receptors' window the cost does not change with small steps; larger ones find the way out.
 #[test]
 fn out_of_the_null_and_off_a_ridge() {
-    let (target, space) = (yardstick(), Setting::AlwaysOn.space());
+    let target = yardstick();
+    let space = Space { phases: false, ..Setting::AlwaysOn.space() };
     let objective = Objective::new(&target, &target.frames()[0].shape, &[0], 0, GLANCE);
     let size = |decihertz: &u16| objective.at(everywhere(*decihertz)).unwrap().score();
     let silent = (2300..2360).find(|decihertz| size(decihertz) == Score::default()).unwrap();
     for start in [silent, 600] {
         let before = size(&start).cost_hz();
-        let found = found(&target, &space, 0, everywhere(start), Limit::ReceptorSeconds(6000.0));
-        never_falls(&found.trace);
+        let found = converged(&target, &space, everywhere(start));
         let hz = exact_hz(&target, 0, found.point);
         assert!(hz > 120.0 && hz > before, "from {start}: {hz}");
     }
@@ -271,8 +284,7 @@ fn a_single_receptor_is_enough() {
     let target = like_yardstick(&format!("reach_mm = {}", f64::midpoint(distances[0], distances[1])));
     assert_eq!(Sides::of(&shape, target.reach_mm(), &places).on_count(), 1);
     let space = Setting::Default.space();
-    let found = found(&target, &space, 0, space.random(0), Limit::ReceptorSeconds(6000.0));
-    never_falls(&found.trace);
+    let found = converged(&target, &space, space.random(0));
     assert!(exact_hz(&target, 0, found.point) > 120.0);
 }
 
@@ -284,8 +296,7 @@ fn two_equal_optima_are_both_found() {
         "t.toml",
     );
     let (target, space) = (dots.unwrap(), Setting::Default.space());
-    let found = found(&target, &space, 0, space.random(0), Limit::ReceptorSeconds(12_000.0));
-    never_falls(&found.trace);
+    let found = converged(&target, &space, space.random(0));
     let places = skin::population(0);
     let drives = found.point.drives(target.amplitude_um(), None, None);
     let scene = Scene::new(1.0, 9, drives, places.clone(), *target.model()).unwrap();
@@ -301,13 +312,11 @@ fn two_equal_optima_are_both_found() {
 fn to_convergence_and_again() {
     let target = shipped("dot").unwrap();
     let space = Space { phases: false, ..Setting::Default.space() };
-    let found = converged(&target, &space, space.random(0), 20_000);
+    let found = converged(&target, &space, space.random(0));
     assert_eq!(found.trace.iter().map(|step| step.pass).max(), Some(4));
-    let ends = found.trace.iter().filter(|step| step.duration_s == 1.0);
-    let best = ends.max_by(|a, b| a.score.cost_hz().total_cmp(&b.score.cost_hz())).unwrap();
-    assert_eq!(found.point, best.point);
+    assert_eq!(found.point, best(&found));
     // From where it ended there is nowhere to go.
-    let again = converged(&target, &space, found.point, 20_000);
+    let again = converged(&target, &space, found.point);
     let fine = |found: &Found| {
         let shape = &target.frames()[0].shape;
         let fidelity = Fidelity { duration_s: 1.0, step_us: Some(500), least_weight: 1e-3 };
@@ -341,7 +350,7 @@ fn lies_in(space: &Space, point: &Point) -> bool {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(24) })]
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(16) })]
 
     #[test]
     fn a_search_stays_in_its_space((space, start) in spaces().prop_flat_map(point_of), seed in 0_u64..1000) {
