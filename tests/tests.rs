@@ -53,6 +53,8 @@ mod report;
 mod rig;
 /// Scene files: what is refused and how it is said.
 mod scenes;
+/// The search: the paper's frequencies, a coordinate search's price, threads, budgets, flat places, its space.
+mod search;
 /// A session and a controller over a line that loses: one verdict per stroke.
 mod session;
 /// Shapes and sides against slow ways to the same: samples of an outline, pairs of receptors.
