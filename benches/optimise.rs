@@ -50,7 +50,7 @@ impl<'j> Job<'j> {
     fn brief(&self) -> Brief<'_> {
         Brief {
             target: self.target,
-            shape: &self.target.frames()[0].shape,
+            frame: &self.target.frames()[0],
             populations: &self.seed,
             noise_seed: 0,
             space: self.space.clone(),
@@ -71,9 +71,9 @@ impl<'j> Job<'j> {
     }
 
     fn exact_hz(&self, point: Point) -> f64 {
-        let Brief { target, shape, populations, .. } = self.brief();
+        let Brief { target, frame, populations, .. } = self.brief();
         let of_noise = |&noise: &u64| {
-            let objective = Objective::new(target, shape, populations, noise, Fidelity::FULL);
+            let objective = Objective::new(target, frame, populations, noise, Fidelity::FULL);
             objective.at(point).expect("the method can").score().cost_hz()
         };
         mean(&NOISE_SEEDS.each_ref().map(of_noise))

@@ -64,7 +64,7 @@ fn every_target_has_its_pattern_and_every_pattern_says_what_it_is_worth() {
         let made_for = Circumstances::plain(populations(&target, true), target.population_seed());
         let verdict = judge(&target, pattern.drives(), &made_for).unwrap().unwrap();
         let found = [verdict.score.cost_hz(), verdict.score.on_hz, verdict.score.off_hz, verdict.auc];
-        assert_eq!(found, ["cost_hz", "on_hz", "off_hz", "auc"].map(stored), "{name}");
+        assert_eq!(found, ["cost", "on_hz", "off_hz", "auc"].map(stored), "{name}");
         assert_eq!(pulses_per_s(&pattern).unwrap(), stored("pulses_per_s"), "{name}");
         // What it is worth to fingers it was not made for.
         let held_out = provenance["robustness"]["held_out_hz"].as_array().unwrap();
@@ -84,7 +84,7 @@ fn robustness_is_what_is_found_again() {
         let stored = pattern.provenance()["robustness"].clone();
         assert_eq!(toml::Value::try_from(&found).unwrap(), stored, "{name}");
         // The receptors it was made for are half-rectifying ones; more travel is more spikes.
-        assert_eq!(found.half_hz, pattern.provenance()["cost_hz"].as_float().unwrap());
+        assert_eq!(found.half_hz, pattern.provenance()["cost"].as_float().unwrap());
         assert!(found.gain_90_percent_hz < found.half_hz && found.half_hz < found.gain_110_percent_hz);
         // A finger that is off feels less of it in the mean; one way it may meet more receptors.
         assert!(found.shifted_1_mm_hz.iter().all(|&cost| cost > 0.0));

@@ -38,7 +38,8 @@ fn the_document_is_complete_and_its_pattern_is_the_file() {
     // The pattern is called as its file; its figures are the document's.
     let pattern = parsed(&file);
     assert_eq!((pattern.name(), pattern.duration_s()), ("my-dot", Some(5.0)));
-    for key in ["cost_hz", "on_hz", "off_hz", "auc", "pulses_per_s", "receptor_s"] {
+    assert_eq!(found["cost_hz"].as_f64(), pattern.provenance()["cost"].as_float());
+    for key in ["on_hz", "off_hz", "auc", "pulses_per_s", "receptor_s"] {
         assert_eq!(found[key].as_f64(), pattern.provenance()[key].as_float(), "{key}");
     }
     assert!(found["evaluations"][0].as_u64().unwrap() >= 60);
@@ -94,7 +95,7 @@ fn a_resumed_pattern_is_no_worse_and_says_where_it_began() {
         fs::read_to_string(&second).unwrap()
     };
     let text = resume();
-    let cost = |file: &Path| parsed(file).provenance()["cost_hz"].as_float().unwrap();
+    let cost = |file: &Path| parsed(file).provenance()["cost"].as_float().unwrap();
     // The search sees a little less than what is stored.
     assert!(cost(&second) > 0.99 * cost(&first), "{} after {}", cost(&second), cost(&first));
     let start = parsed(&second).provenance()["start"].as_array().unwrap().clone();

@@ -31,9 +31,9 @@ fn yardstick() -> Target {
 }
 
 fn brief<'b>(target: &'b Target, space: &Space, seed: &'b u64) -> Brief<'b> {
-    let shape = &target.frames()[0].shape;
+    let frame = &target.frames()[0];
     let populations = std::slice::from_ref(seed);
-    Brief { target, shape, populations, noise_seed: 0, space: space.clone(), seed: *seed }
+    Brief { target, frame, populations, noise_seed: 0, space: space.clone(), seed: *seed }
 }
 
 fn go_on(_: Spent, _: Score) -> ControlFlow<()> {
@@ -48,9 +48,9 @@ fn found(target: &Target, space: &Space, seed: u64, start: Point, limit: Limit) 
 
 /// By the model's own method, with noise that the search has not met.
 fn exact_hz(target: &Target, seed: u64, point: Point) -> f64 {
-    let shape = &target.frames()[0].shape;
+    let frame = &target.frames()[0];
     let of_noise = |noise| {
-        Objective::new(target, shape, &[seed], noise, Fidelity::FULL).at(point).unwrap().score().cost_hz()
+        Objective::new(target, frame, &[seed], noise, Fidelity::FULL).at(point).unwrap().score().cost_hz()
     };
     [101, 102].map(of_noise).iter().sum::<f64>() / 2.0
 }
@@ -88,7 +88,7 @@ fn motors_near_the_edge_come_to_the_receptors_best_frequency() {
 /// Three sweeps over the motors, each with 24 frequencies; and the receptor-seconds they take.
 fn by_coordinates(target: &Target, seed: u64, start: Point, space: &Space) -> (Point, f64) {
     let fidelity = Fidelity { duration_s: 1.0, step_us: Some(100), least_weight: 1e-3 };
-    let objective = Objective::new(target, &target.frames()[0].shape, &[seed], 0, fidelity);
+    let objective = Objective::new(target, &target.frames()[0], &[seed], 0, fidelity);
     let mut standing = objective.at(start).unwrap();
     let mut receptor_s = objective.receptors() as f64;
     for motor in (0..3).flat_map(|_| 0..MOTORS) {
@@ -264,7 +264,7 @@ fn where_nothing_is_felt_the_search_ends() {
 fn out_of_the_null_and_off_a_ridge() {
     let target = yardstick();
     let space = Space { phases: false, ..Setting::AlwaysOn.space() };
-    let objective = Objective::new(&target, &target.frames()[0].shape, &[0], 0, GLANCE);
+    let objective = Objective::new(&target, &target.frames()[0], &[0], 0, GLANCE);
     let size = |decihertz: &u16| objective.at(everywhere(*decihertz)).unwrap().score();
     let silent = (2300..2360).find(|decihertz| size(decihertz) == Score::default()).unwrap();
     for start in [silent, 600] {
@@ -318,9 +318,9 @@ fn to_convergence_and_again() {
     // From where it ended there is nowhere to go.
     let again = converged(&target, &space, found.point);
     let fine = |found: &Found| {
-        let shape = &target.frames()[0].shape;
+        let frame = &target.frames()[0];
         let fidelity = Fidelity { duration_s: 1.0, step_us: Some(500), least_weight: 1e-3 };
-        Objective::new(&target, shape, &[0], 0, fidelity).at(found.point).unwrap().score().cost_hz()
+        Objective::new(&target, frame, &[0], 0, fidelity).at(found.point).unwrap().score().cost_hz()
     };
     assert!(fine(&again) >= 0.99 * fine(&found));
 }
@@ -374,7 +374,7 @@ proptest! {
         populations in prop::collection::vec(0_u64..100, 1..3),
     ) {
         let target = yardstick();
-        let objective = Objective::new(&target, &target.frames()[0].shape, &populations, 1, GLANCE);
+        let objective = Objective::new(&target, &target.frames()[0], &populations, 1, GLANCE);
         let mut standing = objective.at(points.pop().unwrap()).unwrap();
         // Besides those from anywhere one that differs in a motor.
         let mut near = *standing.point();
@@ -395,9 +395,9 @@ proptest! {
         noise_seed in 0_u64..100,
     ) {
         let target = yardstick();
-        let shape = &target.frames()[0].shape;
+        let frame = &target.frames()[0];
         let fidelity = Fidelity { duration_s: 0.2, ..Fidelity::FULL };
-        let score = Objective::new(&target, shape, &populations, noise_seed, fidelity).at(point).unwrap().score();
+        let score = Objective::new(&target, frame, &populations, noise_seed, fidelity).at(point).unwrap().score();
         // One scene of all populations: each receptor has noise of its own.
         let places: Vec<Vec<Position>> = populations.iter().map(|&seed| skin::population(seed)).collect();
         let drives = point.drives(target.amplitude_um(), None, None);
@@ -407,7 +407,7 @@ proptest! {
         let mut sum_hz = 0.0;
         for places in &places {
             let (rates_hz, others) = rest.split_at(places.len());
-            sum_hz += Sides::of(shape, target.reach_mm(), places).cost_hz(rates_hz).unwrap();
+            sum_hz += Sides::of(&frame.shape, target.reach_mm(), places).cost_hz(rates_hz).unwrap();
             rest = others;
         }
         let mean_hz = sum_hz / places.len() as f64;

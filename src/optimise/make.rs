@@ -210,7 +210,7 @@ fn provenance(target: &Target, request: &Request, made: &Made) -> Table {
     let evaluations: Vec<Value> = made.found.iter().map(|found| whole(found.spent.evaluations)).collect();
     put("evaluations", evaluations.into());
     put("receptor_s", made.spent().receptor_s.into());
-    put("cost_hz", made.verdict.score.cost_hz().into());
+    put("cost", made.verdict.score.cost_hz().into());
     put("on_hz", made.verdict.score.on_hz.into());
     put("off_hz", made.verdict.score.off_hz.into());
     put("auc", made.verdict.auc.into());

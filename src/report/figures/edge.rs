@@ -209,7 +209,7 @@ fn near_hz(point: &Point, motors: &[u8]) -> f64 {
 fn found(target: &Target, limit: Limit) -> Result<Found, FiguresError> {
     let brief = Brief {
         target,
-        shape: &target.frames()[0].shape,
+        frame: &target.frames()[0],
         populations: &[target.population_seed()],
         noise_seed: SEED,
         space: SETTING.space(),
@@ -220,8 +220,7 @@ fn found(target: &Target, limit: Limit) -> Result<Found, FiguresError> {
 }
 
 fn exactly(target: &Target) -> Objective {
-    let shape = &target.frames()[0].shape;
-    Objective::new(target, shape, &[target.population_seed()], SEED, Fidelity::FULL)
+    Objective::new(target, &target.frames()[0], &[target.population_seed()], SEED, Fidelity::FULL)
 }
 
 /// The points of a trace that are better than all before them, the start among them.
