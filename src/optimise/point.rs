@@ -32,7 +32,7 @@ pub struct Space {
     pub decihertz: RangeInclusive<u16>,
     /// Whether a motor may be off.
     pub may_be_off: bool,
-    /// Whether phases are free; else they stay as they are at the start.
+    /// Whether phases are free; else a motor keeps the one it starts with, 0 if it starts off.
     pub phases: bool,
 }
 
