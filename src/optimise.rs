@@ -1,14 +1,18 @@
-//! Patterns that make receptors feel a shape: what is to be felt, and by what a pattern is judged.
+//! Patterns that make receptors feel a shape: what is to be felt, the search for it, and what the outcome is worth.
 //!
 //! A [`Target`] is a [`Shape`] on the skin, read from a TOML file (`target`): an edge, a disc, dots, a Braille character
 //! (`braille`), a grating, each at rest or in motion; a moving one is cut into [`Frame`]s. [`Sides`] parts a population's
 //! receptors into those that should fire, because they lie within reach of the shape, and the others. The cost is the
 //! difference of the two mean rates; a pattern is the better, the higher it is.
 //!
+//! What may be chosen is a [`Point`] of a [`Space`]: who vibrates, how fast, and when. An [`Objective`] scores points by
+//! simulation; [`search()`] goes from one to better ones (`moves` says where to). [`make()`] does so for every frame
+//! and writes the pattern; [`judge()`] and [`robustness()`] say what it is worth, also where it was not made for.
+//!
 //! Some targets are shipped ([`LIBRARY`]); the one called [`YARDSTICK`] is what methods are compared on.
 //!
-//! Invariant: which receptors are on a shape depends on the shape, the reach and their places alone, bit for bit on
-//! every machine.
+//! Invariant: which receptors are on a shape, and which pattern is made for it, depends on what is asked alone, bit for
+//! bit on every machine.
 
 mod braille;
 mod judge;

@@ -7,10 +7,14 @@
 //!
 //! Invariant: every cost on the page is that of [`Fidelity::FULL`].
 
+mod amplitudes;
+
+pub use amplitudes::ByAmplitude;
+
 use super::chart::{Axis, Chart, Point as Mark, Scale, Series, draw};
 use super::map::{FINGERTIP, Pad, Panel, motors, pads};
 use super::page::Section;
-use super::table::{number, table};
+use super::table::number;
 use super::target::{Verdict, Watched};
 use super::{FiguresError, Parts};
 use crate::array;
@@ -21,9 +25,7 @@ use crate::optimise::{
 };
 use crate::simulate::{Method, Options, Scene, simulate};
 use crate::skin::{Position, population};
-use crate::units::UM_PER_PULSE;
 use firmware_protocol::stroke::MOTORS;
-use firmware_protocol::tick::TICK_HZ;
 use plotters::chart::SeriesLabelPosition;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -35,10 +37,6 @@ use std::sync::OnceLock;
 const SEED: u64 = 0;
 /// The paper's: every motor vibrates.
 const SETTING: Setting = Setting::AlwaysOn;
-/// Amplitudes that are compared, µm.
-const AMPLITUDES_UM: [f64; 6] = [20.0, 30.0, 40.0, 60.0, 80.0, 120.0];
-/// Evaluations for each of these: a descent and part of a restart. The cost is then within 1 % of what no limit finds.
-const EVALUATIONS: u64 = 1_500;
 /// What the paper finds near the edge, Hz.
 const PAPER_HZ: f64 = 60.0;
 /// Near that, Hz: at 80 µm a receptor under a pin fires there within 3 % of its most.
@@ -84,21 +82,6 @@ pub struct Others {
     pub faster_reach_um: f64,
 }
 
-/// What the search comes to at an amplitude.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct ByAmplitude {
-    /// Of all motors.
-    pub amplitude_um: f64,
-    /// The median frequency of the motors within reach.
-    pub near_hz: f64,
-    /// The cost.
-    pub cost_hz: f64,
-    /// The cost if these motors and all in unison with them vibrated at 60 Hz.
-    pub cost_at_60_hz: f64,
-    /// From here on the drive is saturated at this amplitude, Hz.
-    pub saturated_from_hz: f64,
-}
-
 /// A point better than all before.
 #[derive(Clone, Copy, Debug)]
 struct Record {
@@ -115,7 +98,7 @@ pub(super) fn section(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Edge)
 }
 
 fn make(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Edge), FiguresError> {
-    let parts = Parts::new(AMPLITUDES_UM.len() + 1, progress);
+    let parts = Parts::new(amplitudes::AMPLITUDES_UM.len() + 1, progress);
     let target = shipped(YARDSTICK).expect("the yardstick is shipped");
     let near = near(&target);
     let found = found(&target, Limit::Evaluations(u64::MAX))?;
@@ -124,8 +107,8 @@ fn make(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Edge), FiguresError
     let (Some(first), Some(last)) = (found.trace.first(), records.last()) else {
         unreachable!("a search without a limit goes somewhere")
     };
-    let by_amplitude = AMPLITUDES_UM.par_iter().map(|&amplitude_um| {
-        let row = by_amplitude(&target.with_amplitude_um(amplitude_um)?, &near)?;
+    let by_amplitude = amplitudes::AMPLITUDES_UM.par_iter().map(|&amplitude_um| {
+        let row = amplitudes::at(&target.with_amplitude_um(amplitude_um)?, &near)?;
         parts.done();
         Ok(row)
     });
@@ -178,10 +161,10 @@ fn make(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Edge), FiguresError
     put("edge-rates", pads(&both), Some(numbers), about_rates(&figures));
     let end = figures.evaluations;
     put("edge-cost", cost_plot(&records, end)?, Some(cost_csv(&records, end)), about_cost(&figures));
-    let numbers = amplitudes_csv(&figures.by_amplitude);
-    let caption = about_amplitudes(&figures.by_amplitude);
-    put("edge-amplitudes", amplitudes_plot(&figures.by_amplitude)?, Some(numbers), caption);
-    section.table("The search at other amplitudes", &amplitudes_table(&figures.by_amplitude));
+    let numbers = amplitudes::csv(&figures.by_amplitude);
+    let caption = amplitudes::about(&figures.by_amplitude);
+    put("edge-amplitudes", amplitudes::plot(&figures.by_amplitude)?, Some(numbers), caption);
+    section.table("The search at other amplitudes", &amplitudes::in_rows(&figures.by_amplitude));
     Ok((section, figures))
 }
 
@@ -253,24 +236,6 @@ fn records(target: &Target, trace: &[Step], near: &[u8]) -> Result<Vec<Record>, 
         }
     }
     Ok(records)
-}
-
-fn by_amplitude(target: &Target, near: &[u8]) -> Result<ByAmplitude, FiguresError> {
-    let point = found(target, Limit::Evaluations(EVALUATIONS))?.point;
-    let mut at_60 = point;
-    let tuned = |vibration: &Vibration| in_unison(&point, near, *vibration);
-    for vibration in at_60.0.iter_mut().flatten().filter(|vibration| tuned(vibration)) {
-        *vibration = SETTING.space().vibration(PAPER_HZ, vibration.phase());
-    }
-    let objective = exactly(target);
-    let amplitude_um = target.amplitude_um();
-    Ok(ByAmplitude {
-        amplitude_um,
-        near_hz: near_hz(&point, near),
-        cost_hz: objective.at(point)?.score().cost_hz(),
-        cost_at_60_hz: objective.at(at_60)?.score().cost_hz(),
-        saturated_from_hz: UM_PER_PULSE * f64::from(TICK_HZ) / 2.0 / amplitude_um,
-    })
 }
 
 /// Whether one of these motors has the same frequency.
@@ -366,21 +331,6 @@ fn about_cost(figures: &Edge) -> String {
     )
 }
 
-fn about_amplitudes(rows: &[ByAmplitude]) -> String {
-    let (near, away): (Vec<_>, Vec<_>) = rows.iter().partition(|row| NEAR_PAPER_HZ.contains(&row.near_hz));
-    let list = |rows: &[&ByAmplitude], none: &str| {
-        let words =
-            |row: &&ByAmplitude| format!("{} Hz at {} µm", number(row.near_hz), number(row.amplitude_um));
-        if rows.is_empty() { none.to_owned() } else { rows.iter().map(words).collect::<Vec<_>>().join(", ") }
-    };
-    format!(
-        "Median frequency of the motors within reach of the edge against the amplitude of all motors, each after {EVALUATIONS} \
-         evaluations. Near the 60 Hz of the paper: {}. Not near it: {}.",
-        list(&near, "none"),
-        list(&away, "none"),
-    )
-}
-
 fn rates_csv(receptors: &[Position], before: &Watched<'_>, after: &Watched<'_>) -> String {
     let mut csv = String::from("x_mm,y_mm,on,before_hz,after_hz\n");
     for (index, Position { x_mm, y_mm }) in receptors.iter().enumerate() {
@@ -437,56 +387,4 @@ fn cost_plot(records: &[Record], end: u64) -> Result<String, FiguresError> {
 fn fifties(lowest: f64, highest: f64) -> Scale {
     let to = (highest / 50.0).ceil().max(1.0) * 50.0;
     Scale { from: (lowest / 50.0).floor() * 50.0, to, logarithmic: false }
-}
-
-fn amplitudes_csv(rows: &[ByAmplitude]) -> String {
-    let mut csv = String::from("amplitude_um,near_median_hz,cost_hz,cost_at_60_hz,saturated_from_hz\n");
-    for ByAmplitude { amplitude_um, near_hz, cost_hz, cost_at_60_hz, saturated_from_hz } in rows {
-        let _ =
-            writeln!(csv, "{amplitude_um},{near_hz},{cost_hz:.4},{cost_at_60_hz:.4},{saturated_from_hz:.4}");
-    }
-    csv
-}
-
-fn amplitudes_plot(rows: &[ByAmplitude]) -> Result<String, FiguresError> {
-    let found: Vec<(f64, f64)> = rows.iter().map(|row| (row.amplitude_um, row.near_hz)).collect();
-    let most_um = rows.iter().fold(0.0_f64, |most, row| most.max(row.amplitude_um)) + 20.0;
-    let highest = rows.iter().fold(PAPER_HZ, |highest, row| highest.max(row.near_hz));
-    let chart = Chart {
-        title: "Frequency of the motors near the edge, after the search",
-        x: Axis {
-            name: "amplitude asked for, um peak to peak",
-            scale: Scale { from: 0.0, to: most_um, logarithmic: false },
-        },
-        y: Axis { name: "median frequency, Hz", scale: fifties(0.0, highest) },
-        legend: SeriesLabelPosition::LowerRight,
-        series: vec![
-            Series {
-                name: "found".to_owned(),
-                points: found.iter().map(|&(x, y)| Mark { x, y, sd: 0.0 }).collect(),
-                line: found,
-            },
-            Series {
-                name: format!("the paper: {PAPER_HZ} Hz"),
-                line: vec![(0.0, PAPER_HZ), (most_um, PAPER_HZ)],
-                points: Vec::new(),
-            },
-        ],
-    };
-    Ok(draw(&chart)?)
-}
-
-fn amplitudes_table(rows: &[ByAmplitude]) -> String {
-    let head = [
-        "amplitude, µm",
-        "median frequency near the edge, Hz",
-        "cost, impulses/s",
-        "cost with these at 60 Hz, impulses/s",
-        "drive saturates from, Hz",
-    ];
-    let row = |row: &ByAmplitude| {
-        let ByAmplitude { amplitude_um, near_hz, cost_hz, cost_at_60_hz, saturated_from_hz } = *row;
-        [amplitude_um, near_hz, cost_hz, cost_at_60_hz, saturated_from_hz].map(number).to_vec()
-    };
-    table(&head, rows.iter().map(row))
 }
