@@ -155,7 +155,7 @@ const BAD: [(&str, &str, &str); 36] = [
         "",
         "bad.toml:14: `motion.duration_s` is missing: add how long the motion lasts, in s",
     ),
-    ("duration_s = 1", "duration_s = 0", "bad.toml:15: `motion.duration_s` is 0: must be 0.001 to 20 s"),
+    ("duration_s = 1", "duration_s = 0", "bad.toml:15: `motion.duration_s` is 0: must be 0.01 to 20 s"),
     (
         "speed_mm_s = 6",
         "speed_mm_s = inf",
@@ -180,6 +180,11 @@ const BAD: [(&str, &str, &str); 36] = [
     ),
     ("frames = 8", "frames = 0", "bad.toml:19: `motion.frames` is 0: must be 1 to 64"),
     ("frames = 8", "frames = 65", "bad.toml:19: `motion.frames` is 65: must be 1 to 64"),
+    (
+        "duration_s = 1",
+        "duration_s = 0.05",
+        "bad.toml:19: `motion.frames` is 8: must be so few that each lasts 0.01 s or longer",
+    ),
 ];
 
 #[test]

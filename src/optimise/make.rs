@@ -5,8 +5,8 @@
 //! says all that is needed to make the same bytes again: the target, the setting, the seed, the number of evaluations
 //! and, if there was one, the start.
 //!
-//! Invariant: the same target and request make the same pattern, whatever the threads; so does the request with
-//! the evaluations that the provenance names.
+//! Invariant: a request with the evaluations that the provenance names makes the same bytes again, whatever the threads;
+//! so does the request itself, if neither a clock nor a person ended it.
 
 use super::judge::{Circumstances, Robustness, Verdict, judge, pulses_per_s, robustness};
 use super::{Brief, Ended, Found, Frame, Limit, Point, Score, Setting, Space, Spent, Target, resume, search};
@@ -28,7 +28,8 @@ pub enum Budget {
     /// As much as it takes: until nothing improves any more.
     #[default]
     Enough,
-    /// So many evaluations at the most for each frame; the last number is that of all further frames.
+    /// About so many evaluations for each frame: the batch that reaches it is the last. The last number is that of all
+    /// further frames.
     Evaluations(Vec<u64>),
     /// About so many seconds, shared out evenly over the frames.
     Seconds(f64),
@@ -137,6 +138,7 @@ pub fn make(
     let begun = Instant::now();
     let frames = target.frames();
     let (mut found, mut drives) = (Vec::<Found>::new(), Vec::new());
+    let mut starts = request.start.as_ref().map(|_| Vec::new());
     let mut interrupted = false;
     for (number, frame) in frames.iter().enumerate() {
         let brief = Brief {
@@ -154,7 +156,11 @@ pub fn make(
         };
         let mut told = |spent, score| watch(Progress { frame: number, frames: frames.len(), spent, score });
         let before = found.last().map(|found| found.point);
-        let this = match request.start.as_deref().map(|start| at(start, frame, &space)).or(before) {
+        let start = request.start.as_deref().map(|start| at(start, frame, &space));
+        if let Some((starts, start)) = starts.as_mut().zip(start) {
+            starts.extend(start.drives(target.amplitude_um(), frame.start_s, frame.stop_s));
+        }
+        let this = match start.or(before) {
             Some(start) => resume(&brief, start, limit, &mut told)?,
             None => search(&brief, space.random(request.seed), limit, &mut told)?,
         };
@@ -164,11 +170,16 @@ pub fn make(
     }
     let made_for = Circumstances::plain(populations, noise_seed);
     let verdict = judge(target, &drives, &made_for)?;
-    let verdict = verdict.unwrap_or(Verdict { score: Score::default(), auc: 0.5 });
+    let verdict = verdict.expect("a checked target has receptors of both kinds");
     let robustness = robustness(target, &drives, &made_for)?;
     let pattern = Pattern::new(name, Some(target.duration_s()), drives.clone(), Table::new())?;
     let mut made = Made { pulses_per_s: pulses_per_s(&pattern)?, pattern, found, verdict, robustness };
-    made.pattern = Pattern::new(name, Some(target.duration_s()), drives, provenance(target, request, &made))?;
+    made.pattern = Pattern::new(
+        name,
+        Some(target.duration_s()),
+        drives,
+        provenance(target, request, &made, starts.as_deref()),
+    )?;
     Ok(made)
 }
 
@@ -198,7 +209,7 @@ fn at(start: &[Drive], frame: &Frame, space: &Space) -> Point {
 }
 
 /// All that is needed to make it again, and what came of it.
-fn provenance(target: &Target, request: &Request, made: &Made) -> Table {
+fn provenance(target: &Target, request: &Request, made: &Made, starts: Option<&[Drive]>) -> Table {
     let mut table = Table::new();
     let mut put = |key: &str, value: Value| table.insert(key.to_owned(), value);
     put("target", target.name().into());
@@ -217,8 +228,9 @@ fn provenance(target: &Target, request: &Request, made: &Made) -> Table {
     put("pulses_per_s", made.pulses_per_s.into());
     put("definition", target.definition().into());
     put("robustness", Table::try_from(&made.robustness).expect("numbers and lists of numbers").into());
-    if let Some(start) = &request.start {
-        let start: Vec<Value> = start.iter().map(|drive| Value::try_from(drive).expect("numbers")).collect();
+    // Not as it was read: what was taken of it is the same points again, and bounded.
+    if let Some(starts) = starts {
+        let start: Vec<Value> = starts.iter().map(|drive| Value::try_from(drive).expect("numbers")).collect();
         put("start", start.into());
     }
     table
@@ -226,5 +238,5 @@ fn provenance(target: &Target, request: &Request, made: &Made) -> Table {
 
 /// A number that TOML may hold: seeds beyond are refused where they are read.
 fn whole(number: u64) -> Value {
-    Value::Integer(i64::try_from(number).unwrap_or(i64::MAX))
+    Value::Integer(i64::try_from(number).expect("seeds beyond are refused where they are read"))
 }

@@ -52,7 +52,7 @@ pub(super) fn elsewhere(point: &Point, motor: usize, space: &Space, jitter: f64)
 }
 
 /// Motors in unison at another frequency: by `radius` of it higher or lower, by twice that, and, if `merge`, at that of
-/// each other unison less than an octave away.
+/// each other unison less than an octave away, in step with it and against it.
 pub(super) fn together(
     point: &Point,
     motors: &[usize],
@@ -61,14 +61,19 @@ pub(super) fn together(
     merge: bool,
 ) -> Vec<Point> {
     let frequency_hz = point.0[motors[0]].map_or(0.0, Vibration::frequency_hz);
-    let mut found: Vec<f64> =
-        [-2.0, -1.0, 1.0, 2.0].map(|step| frequency_hz * libm::exp(step * radius)).to_vec();
+    let mut found: Vec<(f64, f64)> =
+        [-2.0, -1.0, 1.0, 2.0].map(|step| (frequency_hz * libm::exp(step * radius), 0.0)).to_vec();
     if merge {
         let others = point.unisons().into_iter().filter_map(|other| point.0[other[0]]);
         let near = |hz: &f64| hz.max(frequency_hz) < OCTAVE * hz.min(frequency_hz);
-        found.extend(others.map(Vibration::frequency_hz).filter(near));
+        let shifts: &[f64] = if space.phases { &[0.0, 0.5] } else { &[0.0] };
+        for hz in others.map(Vibration::frequency_hz).filter(near) {
+            found.extend(shifts.iter().map(|&shift| (hz, shift)));
+        }
     }
-    let at = |hz: f64| point.with(motors, |vibration| vibration.map(|old| space.vibration(hz, old.phase())));
+    let at = |(hz, shift): (f64, f64)| {
+        point.with(motors, |vibration| vibration.map(|old| space.vibration(hz, old.phase() + shift)))
+    };
     found.into_iter().map(at).collect()
 }
 

@@ -1,8 +1,8 @@
 //! The search: from a start to the point whose cost cannot be raised any more, by a subgradient method on blocks.
 //!
 //! The paper names a subgradient method and prints no more of it. Taken literally, with a difference of the cost for
-//! every motor's frequency and diminishing steps, it gets stuck (`cargo bench --bench optimise` shows where), for three
-//! reasons; each has its remedy here, and each remedy its source.
+//! every motor's frequency and diminishing steps, it creeps far below (`cargo bench --bench optimise` shows where), for
+//! three reasons; each has its remedy here, and each remedy its source.
 //!
 //! - *The cost has ridges.* Motors of one frequency add up on the skin, and beat as soon as one of them departs, by
 //!   however little: on such a ridge every single difference is negative. So motors that vibrate in unison are one block,
@@ -25,7 +25,7 @@ use super::objective::{Fidelity, Objective, Score, Standing, Tried};
 use super::point::{Point, Space};
 use super::{Frame, Target};
 use crate::draw;
-use crate::simulate::MethodError;
+use crate::simulate::{MethodError, SEARCH_LEAST_WEIGHT};
 use firmware_protocol::stroke::MOTORS;
 use std::collections::HashSet;
 use std::ops::ControlFlow;
@@ -126,8 +126,8 @@ struct Stage {
 
 const STEP_US: Option<u32> = Some(500);
 const COARSE: Fidelity = Fidelity { duration_s: 0.25, step_us: STEP_US, least_weight: 1e-2 };
-const MIDDLE: Fidelity = Fidelity { duration_s: 0.5, step_us: STEP_US, least_weight: 1e-3 };
-const FINE: Fidelity = Fidelity { duration_s: 1.0, step_us: STEP_US, least_weight: 1e-3 };
+const MIDDLE: Fidelity = Fidelity { duration_s: 0.5, step_us: STEP_US, least_weight: SEARCH_LEAST_WEIGHT };
+const FINE: Fidelity = Fidelity { duration_s: 1.0, ..MIDDLE };
 
 /// From a start to the neighbourhood of a maximum.
 const DESCENT: [Stage; 3] = [
@@ -137,6 +137,8 @@ const DESCENT: [Stage; 3] = [
 ];
 /// Repeated until it finds nothing better.
 const POLISH: Stage = Stage { fidelity: FINE, rounds: &[Far, Near { radius: 0.05, halvings: 3 }] };
+/// A descent that ends further below the best, as a share of it, is not polished.
+const HOPELESS: f64 = 0.1;
 /// Starts besides the first.
 const RESTARTS: u8 = 4;
 
@@ -220,7 +222,7 @@ struct Ground<'g> {
 }
 
 impl Walk<'_> {
-    /// From a start up; none if after its descent it is no better than `cost_hz`, or was cut short before.
+    /// From a start up; none if it comes to no more than `cost_hz`, or is cut short before that can be said.
     fn pass(
         &mut self,
         start: Point,
@@ -234,7 +236,7 @@ impl Walk<'_> {
             }
             here = self.stage(stage, here.0)?;
         }
-        if !descent.is_empty() && here.1.cost_hz() <= cost_hz {
+        if !descent.is_empty() && here.1.cost_hz() <= cost_hz - HOPELESS * cost_hz.abs() {
             return Ok(None);
         }
         while !self.over() {
@@ -244,7 +246,7 @@ impl Walk<'_> {
                 break;
             }
         }
-        Ok(Some(here))
+        Ok(Some(here).filter(|(_, score)| self.pass == 0 || score.cost_hz() > cost_hz))
     }
 
     fn stage(&mut self, stage: &Stage, point: Point) -> Result<(Point, Score), MethodError> {
@@ -342,7 +344,9 @@ impl Walk<'_> {
 
     fn tell(&mut self, ground: &Ground<'_>) {
         let here = ground.standing.score();
-        let best = self.best.filter(|best| best.cost_hz() > here.cost_hz());
+        // A coarser look is no match for a finer one.
+        let alike = ground.standing.objective().duration_s() == FINE.duration_s;
+        let best = self.best.filter(|best| !alike || best.cost_hz() > here.cost_hz());
         if (self.watch)(self.spent, best.unwrap_or(here)).is_break() {
             self.ended.get_or_insert(Ended::Interrupted);
         }

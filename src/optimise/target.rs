@@ -16,13 +16,14 @@ pub use file::{MAX_BYTES, MAX_POINTS};
 
 use super::shape::{self, Shape};
 use super::sides::Sides;
-use crate::array::PITCH_MM;
+use crate::array::{self, PITCH_MM};
 use crate::keyed::{self, Mistake, in_range};
 use crate::pattern::{self, AMPLITUDE_UM, MAX_SECONDS};
 use crate::quote::quote;
 use crate::simulate::{RawReceptor, check_model};
 use crate::skin::{self, PAD_LENGTH_MM, RaModel};
 use error::{Fault, number};
+use firmware_protocol::stroke::MOTORS;
 pub(super) use motion::LONGEST_S;
 use motion::Motion;
 use std::ops::RangeInclusive;
@@ -184,6 +185,21 @@ impl Target {
             }
             Shape::Grating { period_mm, .. } => finer("lines", *period_mm, "raise period_mm"),
             Shape::Polyline(_) | Shape::Disc { .. } => {}
+        }
+        let points = self.frames.iter().flat_map(|frame| frame.shape.points());
+        let from_pins = |&at: &[f64; 2]| {
+            let pins = (0..MOTORS as u8).map(array::position_mm);
+            pins.map(|pin| shape::distance(at, pin)).fold(f64::INFINITY, f64::min)
+        };
+        let farthest = points.map(|at| (from_pins(at), at)).max_by(|a, b| a.0.total_cmp(&b.0));
+        if let Some((mm, [x, y])) = farthest.filter(|(mm, _)| *mm > PITCH_MM) {
+            warnings.push(format!(
+                "the point ({}, {}) is {} mm from the nearest pin: nothing moves the skin there; the pins stand within \
+                 4.35 mm of the middle across the finger and 7.25 mm along it",
+                number(*x),
+                number(*y),
+                number(mm)
+            ));
         }
         if let Some(motion) = &self.motion {
             let step_mm = motion.path_mm(&self.shape, self.duration_s) / f64::from(motion.frames);

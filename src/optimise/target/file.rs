@@ -238,6 +238,8 @@ impl RawMotion {
             Some(count) => {
                 let frames = u8::try_from(count).ok().filter(|frames| (1..=MAX_FRAMES).contains(frames));
                 in_range("frames", count as f64, frames.is_some(), "1 to 64")?;
+                let enough = u64::from(Motion::most_frames(duration_s)) >= count;
+                in_range("frames", count as f64, enough, "so few that each lasts 0.01 s or longer")?;
                 frames.unwrap_or(MAX_FRAMES)
             }
         };

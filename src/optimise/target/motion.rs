@@ -16,6 +16,9 @@ const STEP_MM: f64 = PITCH_MM / 2.0;
 /// The longest motion: it is simulated as a whole, and every spike of it is kept.
 pub(in crate::optimise) const LONGEST_S: f64 = 20.0;
 
+/// The shortest frame: a stroke or two, and a bound on how often a search repeats it.
+const SHORTEST_FRAME_S: f64 = 0.01;
+
 /// How the shape moves.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Motion {
@@ -27,7 +30,7 @@ pub(super) struct Motion {
 
 impl Motion {
     pub(super) fn check(&self, duration_s: f64) -> Result<(), Fault<Mistake>> {
-        within("duration_s", duration_s, &(0.001..=LONGEST_S), "0.001 to 20 s")?;
+        within("duration_s", duration_s, &(SHORTEST_FRAME_S..=LONGEST_S), "0.01 to 20 s")?;
         within("speed_mm_s", self.speed_mm_s, &(-1e3..=1e3), "-1000 to 1000 mm/s")?;
         within("direction_deg", self.direction_deg, &(-360.0..=360.0), "-360 to 360 degrees")?;
         within("turn_deg_s", self.turn_deg_s, &(-36e3..=36e3), "-36000 to 36000 degrees/s")
@@ -43,7 +46,13 @@ impl Motion {
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped")]
     pub(super) fn enough_frames(&self, shape: &Shape, duration_s: f64) -> u8 {
         let frames = ((self.path_mm(shape, duration_s) - SAME_MM) / STEP_MM).ceil();
-        frames.clamp(1.0, f64::from(MAX_FRAMES)) as u8
+        frames.clamp(1.0, f64::from(Self::most_frames(duration_s))) as u8
+    }
+
+    /// So many frames that none is too short.
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped")]
+    pub(super) fn most_frames(duration_s: f64) -> u8 {
+        (duration_s / SHORTEST_FRAME_S + 1e-9).clamp(1.0, f64::from(MAX_FRAMES)) as u8
     }
 
     pub(super) fn frames(&self, shape: &Shape, duration_s: f64) -> Vec<Frame> {
@@ -101,6 +110,7 @@ mod tests {
             ("duration_s = 1, turn_deg_s = 180", 7),
             ("duration_s = 1, turn_deg_s = 36000", 64),
             ("duration_s = 1", 1),
+            ("duration_s = 0.07, speed_mm_s = 100, frames = 7", 7),
         ] {
             let target = read(&format!("{EDGE}motion = {{ {motion} }}"));
             assert_eq!(target.frames().len(), frames, "{motion}");
