@@ -2,7 +2,8 @@
 //!
 //! [`tradeoff`] says what each way to simulate a scene costs and by how much it errs, on this machine (`tradeoff`);
 //! [`reasons`] says why what was skipped need not be computed. [`figures`] draws what the paper drew and a section for
-//! each pattern: what its motors do, and what the skin makes of it. Nothing is computed here that a model does not compute; nothing is read or written.
+//! each pattern: what its motors do, and what the skin makes of it. All is computed by the models and the search; nothing is
+//! read or written.
 //!
 //! Invariant: errors and figures depend on what is asked alone; only times, and what follows from them, on the machine.
 
