@@ -8,8 +8,10 @@
 //! Invariant: the same target and request make the same pattern, whatever the threads; so does the request with
 //! the evaluations that the provenance names.
 
-use super::judge::{Circumstances, Robustness, Verdict, judge, pulses_per_s, robustness};
-use super::{Brief, Ended, Found, Frame, Limit, Point, Score, Setting, Space, Spent, Target, resume, search};
+use super::judge::{Circumstances, Robustness, judge, pulses_per_s, robustness};
+use super::{
+    Brief, Ended, Found, Frame, Limit, Point, Score, Setting, Space, Spent, Target, Verdict, resume, search,
+};
 use crate::pattern::{Drive, Pattern, PatternError};
 use crate::simulate::MethodError;
 use crate::strokes::StrokesError;
@@ -164,7 +166,7 @@ pub fn make(
     }
     let made_for = Circumstances::plain(populations, noise_seed);
     let verdict = judge(target, &drives, &made_for)?;
-    let verdict = verdict.unwrap_or(Verdict { score: Score::default(), auc: 0.5 });
+    let verdict = verdict.unwrap_or(Verdict { on_hz: 0.0, off_hz: 0.0, cost_hz: 0.0, auc: 0.5 });
     let robustness = robustness(target, &drives, &made_for)?;
     let pattern = Pattern::new(name, Some(target.duration_s()), drives.clone(), Table::new())?;
     let mut made = Made { pulses_per_s: pulses_per_s(&pattern)?, pattern, found, verdict, robustness };
@@ -210,9 +212,9 @@ fn provenance(target: &Target, request: &Request, made: &Made) -> Table {
     let evaluations: Vec<Value> = made.found.iter().map(|found| whole(found.spent.evaluations)).collect();
     put("evaluations", evaluations.into());
     put("receptor_s", made.spent().receptor_s.into());
-    put("cost", made.verdict.score.cost_hz().into());
-    put("on_hz", made.verdict.score.on_hz.into());
-    put("off_hz", made.verdict.score.off_hz.into());
+    put("cost", made.verdict.cost_hz.into());
+    put("on_hz", made.verdict.on_hz.into());
+    put("off_hz", made.verdict.off_hz.into());
     put("auc", made.verdict.auc.into());
     put("pulses_per_s", made.pulses_per_s.into());
     put("definition", target.definition().into());

@@ -60,6 +60,19 @@ pub struct Frame {
     pub stop_s: Option<f64>,
 }
 
+impl Frame {
+    /// Each receptor's rate in the frame's time, from its spikes in order; none if the frame has no times.
+    #[must_use]
+    pub fn rates_hz(&self, spikes_s: &[Vec<f64>]) -> Option<Vec<f64>> {
+        let (start_s, stop_s) = (self.start_s?, self.stop_s?);
+        let rate_hz = |spikes_s: &Vec<f64>| {
+            let before = |time_s: f64| spikes_s.partition_point(|spike_s| *spike_s < time_s);
+            (before(stop_s) - before(start_s)) as f64 / (stop_s - start_s)
+        };
+        Some(spikes_s.iter().map(rate_hz).collect())
+    }
+}
+
 impl Target {
     /// Reads a target file; `file` is what errors call it.
     ///
