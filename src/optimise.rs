@@ -25,13 +25,13 @@ mod shape;
 mod sides;
 mod target;
 
-pub use judge::{Circumstances, HELD_OUT, Robustness, Verdict, WATCHED_S, judge, pulses_per_s, robustness};
+pub use judge::{Circumstances, HELD_OUT, Robustness, WATCHED_S, judge, pulses_per_s, robustness};
 pub use make::{Budget, Made, MakeError, Progress, ROBUST_POPULATIONS, Request, make, populations};
 pub use objective::{Fidelity, Objective, Score, Standing, Tried};
 pub use point::{Point, Space, Vibration};
 pub use search::{Brief, Ended, Found, Limit, Spent, Step, resume, search};
 pub use shape::Shape;
-pub use sides::Sides;
+pub use sides::{Sides, Verdict};
 pub use target::{Frame, MAX_BYTES, MAX_FRAMES, MAX_POINTS, Problem, Target, TargetError};
 
 use clap::ValueEnum;

@@ -40,7 +40,7 @@ pub use crate::keyed::{Mistake, Place};
 pub use choose::{Choice, choose};
 pub use evaluator::{Evaluator, Trial};
 pub use scene::{MAX_JSON_BYTES, MAX_TOML_BYTES, Problem, Scene, SceneError};
-pub(crate) use scene::{RawReceptor, check_model};
+pub(crate) use scene::{MOST_ALPHA_PER_UM, RawReceptor, check_model};
 
 use crate::skin::LEAST_WEIGHT;
 use breaks::{HALF_TICKS_PER_S, end};

@@ -63,7 +63,7 @@ fn every_target_has_its_pattern_and_every_pattern_says_what_it_is_worth() {
         assert!(request(&pattern).robust);
         let made_for = Circumstances::plain(populations(&target, true), target.population_seed());
         let verdict = judge(&target, pattern.drives(), &made_for).unwrap().unwrap();
-        let found = [verdict.score.cost_hz(), verdict.score.on_hz, verdict.score.off_hz, verdict.auc];
+        let found = [verdict.cost_hz, verdict.on_hz, verdict.off_hz, verdict.auc];
         assert_eq!(found, ["cost", "on_hz", "off_hz", "auc"].map(stored), "{name}");
         assert_eq!(pulses_per_s(&pattern).unwrap(), stored("pulses_per_s"), "{name}");
         // What it is worth to fingers it was not made for.

@@ -12,8 +12,8 @@ use super::{Output, files, is_broken_pipe, library, say, say_json, text};
 use crate::config;
 use crate::daemon;
 use crate::optimise::{
-    Budget, Ended, MAX_BYTES, Made, Request, Robustness, Setting, Target, make, populations, shipped,
-    shipped_names,
+    Budget, Ended, MAX_BYTES, Made, Request, Robustness, Setting, Target, Verdict, make, populations,
+    shipped, shipped_names,
 };
 use crate::pattern;
 use crate::quote::nearest;
@@ -91,10 +91,8 @@ struct Document<'a> {
     evaluations: Vec<u64>,
     receptor_s: f64,
     ended: &'static str,
-    cost_hz: f64,
-    on_hz: f64,
-    off_hz: f64,
-    auc: f64,
+    #[serde(flatten)]
+    verdict: Verdict,
     pulses_per_s: f64,
     robustness: &'a Robustness,
     warnings: Vec<String>,
@@ -144,10 +142,7 @@ pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
             Ended::Limit => "budget",
             Ended::Interrupted => "interrupted",
         },
-        cost_hz: made.verdict.score.cost_hz(),
-        on_hz: made.verdict.score.on_hz,
-        off_hz: made.verdict.score.off_hz,
-        auc: made.verdict.auc,
+        verdict: made.verdict,
         pulses_per_s: made.pulses_per_s,
         robustness: &made.robustness,
         warnings: target.warnings(),
@@ -250,11 +245,11 @@ fn summary(target: &Target, document: &Document<'_>, made: &Made) -> String {
             "cost",
             format!(
                 "{:.1} impulses/s on {}: {:.1} ON, {:.1} OFF; AUC {:.3}",
-                document.cost_hz,
+                document.verdict.cost_hz,
                 of(document.populations.len()),
-                document.on_hz,
-                document.off_hz,
-                document.auc
+                document.verdict.on_hz,
+                document.verdict.off_hz,
+                document.verdict.auc
             ),
         ),
         (
@@ -270,7 +265,7 @@ fn summary(target: &Target, document: &Document<'_>, made: &Made) -> String {
         ("receptors", format!("{half_hz:.1} half, {full_hz:.1} full, {signed_hz:.1} signed")),
         ("drive", format!("{:.0} pulses/s", document.pulses_per_s)),
     ];
-    if document.cost_hz <= 0.0 {
+    if document.verdict.cost_hz <= 0.0 {
         let why = if target.amplitude_um() == 0.0 {
             "at 0 um no pin moves"
         } else {

@@ -4,12 +4,12 @@
 //! receptors are ON that lie within reach of the shape then; what a frame leaves behind is felt in the next.
 //!
 //! Invariant: for a target at rest, on the populations and noise of an [`Objective`](super::Objective), the verdict's
-//! score is that objective's at [`Fidelity::FULL`](super::Fidelity::FULL).
+//! rates are that objective's at [`Fidelity::FULL`](super::Fidelity::FULL).
 
 use super::target::LONGEST_S;
-use super::{Score, Sides, Target};
+use super::{Sides, Target, Verdict};
 use crate::pattern::{Drive, Pattern};
-use crate::simulate::{Method, MethodError, Options, Scene, simulate};
+use crate::simulate::{MOST_ALPHA_PER_UM, Method, MethodError, Options, Scene, simulate};
 use crate::skin::{self, Position, RaModel, Rectify};
 use crate::strokes::{Strokes, StrokesError};
 use firmware_protocol::stroke::MOTORS;
@@ -42,15 +42,6 @@ pub struct Circumstances {
     pub shift_mm: [f64; 2],
 }
 
-/// What came of it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Verdict {
-    /// The mean rates.
-    pub score: Score,
-    /// How well one receptor tells ON from OFF ([`Sides::auc`]), in the mean.
-    pub auc: f64,
-}
-
 /// What a pattern is worth in circumstances that differ from those it was made for: costs, impulses/s.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Robustness {
@@ -78,7 +69,7 @@ impl Circumstances {
     }
 }
 
-/// Judges drives made for a target; none if no population has receptors of both kinds in every frame.
+/// Judges drives made for a target, in the mean over populations and frames; none if no population has receptors of both kinds in every frame.
 ///
 /// # Errors
 /// If the drives cannot be simulated.
@@ -87,53 +78,53 @@ pub fn judge(
     drives: &[Drive],
     circumstances: &Circumstances,
 ) -> Result<Option<Verdict>, MethodError> {
-    let windows: Vec<_> =
-        target.frames().iter().map(|frame| (&frame.shape, frame.start_s, frame.stop_s)).collect();
-    let (mut receptors, mut sides) = (Vec::<Position>::new(), Vec::<Vec<Sides>>::new());
+    let frames = target.frames();
+    let mut felt: Vec<(Vec<Position>, Vec<Sides>)> = Vec::new();
     for &seed in &circumstances.populations {
         let places = skin::population(seed);
-        let of_frames: Vec<_> =
-            windows.iter().map(|(shape, ..)| Sides::of(shape, target.reach_mm(), &places)).collect();
-        if of_frames.iter().all(|sides| sides.on_count() > 0 && sides.off_count() > 0) {
-            sides.push(of_frames);
+        let sides: Vec<_> =
+            frames.iter().map(|frame| Sides::of(&frame.shape, target.reach_mm(), &places)).collect();
+        if sides.iter().all(|sides| sides.on_count() > 0 && sides.off_count() > 0) {
             let [x, y] = circumstances.shift_mm;
-            receptors.extend(places.iter().map(|at| Position { x_mm: at.x_mm + x, y_mm: at.y_mm + y }));
+            let shifted = places.iter().map(|at| Position { x_mm: at.x_mm + x, y_mm: at.y_mm + y });
+            felt.push((shifted.collect(), sides));
         }
     }
-    if sides.is_empty() {
+    if felt.is_empty() {
         return Ok(None);
     }
     let model = model(target.model(), circumstances.rectify);
-    let each = receptors.len() / sides.len();
-    let moving = windows.iter().any(|(_, start_s, _)| start_s.is_some());
+    let moving = frames.iter().any(|frame| frame.start_s.is_some());
     let duration_s = if moving { target.duration_s() } else { WATCHED_S };
-    let scene = Scene::new(duration_s, circumstances.noise_seed, drives.to_vec(), receptors, model)
-        .and_then(|scene| scene.with_gains(&[circumstances.gain; MOTORS]));
-    let scene = scene.expect("a target's receptors and a pattern's drives make a scene");
     let options = if moving { Options::spikes(Method::Exact) } else { Options::rates(Method::Exact) };
-    let answer = simulate(&scene, &options, &|_| ())?;
-    let mut sum = Verdict { score: Score::default(), auc: 0.0 };
-    for (population, of_frames) in sides.iter().enumerate() {
-        let mine = population * each..(population + 1) * each;
-        for ((_, start_s, stop_s), sides) in windows.iter().zip(of_frames) {
-            let (start_s, stop_s) = (start_s.unwrap_or(0.0), stop_s.unwrap_or(duration_s));
-            let rate_hz = |receptor: usize| {
-                let count = answer.spikes_s.as_ref().map_or(answer.counts[receptor], |spikes| {
-                    spikes[receptor].iter().filter(|&&at| (start_s..stop_s).contains(&at)).count() as u64
-                });
-                count as f64 / (stop_s - start_s)
-            };
-            let rates: Vec<f64> = mine.clone().map(rate_hz).collect();
-            let figures = (sides.on_hz(&rates), sides.off_hz(&rates), sides.auc(&rates));
-            let (Some(on_hz), Some(off_hz), Some(auc)) = figures else { continue };
-            sum.score.on_hz += on_hz;
-            sum.score.off_hz += off_hz;
-            sum.auc += auc;
+    // Of what moves every spike is kept: one population at a time, each with noise of its own.
+    let at_a_time = if moving { 1 } else { felt.len() };
+    let (mut on_hz, mut off_hz, mut auc) = (0.0, 0.0, 0.0);
+    for (number, felt) in felt.chunks(at_a_time).enumerate() {
+        let receptors = felt.iter().flat_map(|(places, _)| places.iter().copied()).collect();
+        let noise_seed = circumstances.noise_seed.wrapping_add(number as u64);
+        let scene = Scene::new(duration_s, noise_seed, drives.to_vec(), receptors, model)
+            .and_then(|scene| scene.with_gains(&[circumstances.gain; MOTORS]));
+        let scene = scene.expect("a target's receptors and a pattern's drives make a scene");
+        let answer = simulate(&scene, &options, &|_| ())?;
+        let whole_hz = answer.rates_hz(&scene);
+        for (population, (places, sides)) in felt.iter().enumerate() {
+            let mine = population * places.len()..(population + 1) * places.len();
+            for (frame, sides) in frames.iter().zip(sides) {
+                let in_frame =
+                    answer.spikes_s.as_ref().and_then(|spikes_s| frame.rates_hz(&spikes_s[mine.clone()]));
+                let rates_hz = in_frame.unwrap_or_else(|| whole_hz[mine.clone()].to_vec());
+                let verdict = sides.verdict(&rates_hz).expect("populations without both kinds were left out");
+                on_hz += verdict.on_hz;
+                off_hz += verdict.off_hz;
+                auc += verdict.auc;
+            }
         }
     }
-    let all = (sides.len() * windows.len()) as f64;
-    let score = Score { on_hz: sum.score.on_hz / all, off_hz: sum.score.off_hz / all };
-    Ok(Some(Verdict { score, auc: sum.auc / all }))
+    let all = (felt.len() * frames.len()) as f64;
+    // The cost is that of the means, which a mean of costs is but for rounding.
+    let (on_hz, off_hz) = (on_hz / all, off_hz / all);
+    Ok(Some(Verdict { on_hz, off_hz, cost_hz: on_hz - off_hz, auc: auc / all }))
 }
 
 /// Tries drives made for a target in all the circumstances of [`Robustness`]. Populations that lack receptors of a
@@ -148,13 +139,13 @@ pub fn robustness(
 ) -> Result<Robustness, MethodError> {
     let cost_hz = |circumstances: &Circumstances| {
         let verdict = judge(target, drives, circumstances)?;
-        Ok(verdict.map_or(0.0, |verdict| verdict.score.cost_hz()))
+        Ok(verdict.map_or(0.0, |verdict| verdict.cost_hz))
     };
     let mut held_out_hz = Vec::new();
     for number in 0..HELD_OUT {
         let seed = target.population_seed().wrapping_add(HELD_OUT_FROM + number);
         if let Some(verdict) = judge(target, drives, &Circumstances::plain(vec![seed], seed))? {
-            held_out_hz.push(verdict.score.cost_hz());
+            held_out_hz.push(verdict.cost_hz);
         }
     }
     let gained = |gain| cost_hz(&Circumstances { gain, ..made_for.clone() });
@@ -204,5 +195,7 @@ pub fn pulses_per_s(pattern: &Pattern) -> Result<f64, StrokesError> {
 fn model(of: &RaModel, rectify: Option<Rectify>) -> RaModel {
     let Some(rectify) = rectify.filter(|&rectify| rectify != of.rectify) else { return *of };
     let sensitivity = of.alpha_per_um / of.rectify.default_alpha_per_um();
-    RaModel { rectify, alpha_per_um: sensitivity * rectify.default_alpha_per_um(), ..*of }
+    // No more than a model may have.
+    let alpha_per_um = (sensitivity * rectify.default_alpha_per_um()).min(MOST_ALPHA_PER_UM);
+    RaModel { rectify, alpha_per_um, ..*of }
 }

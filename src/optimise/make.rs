@@ -8,8 +8,10 @@
 //! Invariant: a request with the evaluations that the provenance names makes the same bytes again, whatever the threads;
 //! so does the request itself, if neither a clock nor a person ended it.
 
-use super::judge::{Circumstances, Robustness, Verdict, judge, pulses_per_s, robustness};
-use super::{Brief, Ended, Found, Frame, Limit, Point, Score, Setting, Space, Spent, Target, resume, search};
+use super::judge::{Circumstances, Robustness, judge, pulses_per_s, robustness};
+use super::{
+    Brief, Ended, Found, Frame, Limit, Point, Score, Setting, Space, Spent, Target, Verdict, resume, search,
+};
 use crate::pattern::{Drive, Pattern, PatternError};
 use crate::simulate::MethodError;
 use crate::strokes::StrokesError;
@@ -221,9 +223,9 @@ fn provenance(target: &Target, request: &Request, made: &Made, starts: Option<&[
     let evaluations: Vec<Value> = made.found.iter().map(|found| whole(found.spent.evaluations)).collect();
     put("evaluations", evaluations.into());
     put("receptor_s", made.spent().receptor_s.into());
-    put("cost", made.verdict.score.cost_hz().into());
-    put("on_hz", made.verdict.score.on_hz.into());
-    put("off_hz", made.verdict.score.off_hz.into());
+    put("cost", made.verdict.cost_hz.into());
+    put("on_hz", made.verdict.on_hz.into());
+    put("off_hz", made.verdict.off_hz.into());
     put("auc", made.verdict.auc.into());
     put("pulses_per_s", made.pulses_per_s.into());
     put("definition", target.definition().into());

@@ -7,12 +7,26 @@
 
 use super::Shape;
 use crate::skin::Position;
+use serde::Serialize;
 
 /// Which receptors are ON: within reach of a shape.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Sides {
     on: Vec<bool>,
     count: usize,
+}
+
+/// What rates are worth.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Verdict {
+    /// Mean rate of the receptors ON, impulses/s.
+    pub on_hz: f64,
+    /// Mean rate of those OFF, impulses/s.
+    pub off_hz: f64,
+    /// The difference of the two: the higher, the better.
+    pub cost_hz: f64,
+    /// How well one receptor tells ON from OFF ([`Sides::auc`]).
+    pub auc: f64,
 }
 
 impl Sides {
@@ -92,6 +106,20 @@ impl Sides {
             off_below += off;
         }
         Some(halves as f64 / (2.0 * on as f64 * off as f64))
+    }
+
+    /// All of it; none if a side is empty.
+    ///
+    /// # Panics
+    /// If there are not as many rates as receptors.
+    #[must_use]
+    pub fn verdict(&self, rates_hz: &[f64]) -> Option<Verdict> {
+        Some(Verdict {
+            on_hz: self.on_hz(rates_hz)?,
+            off_hz: self.off_hz(rates_hz)?,
+            cost_hz: self.cost_hz(rates_hz)?,
+            auc: self.auc(rates_hz)?,
+        })
     }
 
     fn mean(&self, side: bool, count: usize, rates_hz: &[f64]) -> Option<f64> {

@@ -33,6 +33,8 @@ use toml::{Table, Value};
 pub const MAX_FRAMES: u8 = 64;
 /// What is closer than this runs together, mm: between two pins there must be one that is still.
 const FINEST_MM: f64 = 2.0 * PITCH_MM;
+/// The shortest refractory period of receptors that feel a motion, s: half the model's.
+const LEAST_REFRACTORY_S: f64 = 0.0005;
 /// Lengths that differ by less are the same, mm.
 const SAME_MM: f64 = 1e-9;
 
@@ -59,6 +61,19 @@ pub struct Frame {
     pub start_s: Option<f64>,
     /// When the next begins, or the motion ends.
     pub stop_s: Option<f64>,
+}
+
+impl Frame {
+    /// Each receptor's rate in the frame's time, from its spikes in order; none if the frame has no times.
+    #[must_use]
+    pub fn rates_hz(&self, spikes_s: &[Vec<f64>]) -> Option<Vec<f64>> {
+        let (start_s, stop_s) = (self.start_s?, self.stop_s?);
+        let rate_hz = |spikes_s: &Vec<f64>| {
+            let before = |time_s: f64| spikes_s.partition_point(|spike_s| *spike_s < time_s);
+            (before(stop_s) - before(start_s)) as f64 / (stop_s - start_s)
+        };
+        Some(spikes_s.iter().map(rate_hz).collect())
+    }
 }
 
 impl Target {
@@ -230,6 +245,12 @@ impl Target {
         let seed = self.population_seed;
         in_range("population.seed", seed as f64, i64::try_from(seed).is_ok(), "0 to 9223372036854775807")?;
         check_model(&self.model).map_err(|fault| fault.within("receptor"))?;
+        if self.motion.is_some() {
+            // Every spike of a moving target is kept: this and the longest motion bound them.
+            let (key, refractory_s) = ("receptor.refractory_s", self.model.refractory_s);
+            let range = "0.0005 s or longer where there is a motion";
+            in_range(key, refractory_s, refractory_s >= LEAST_REFRACTORY_S, range)?;
+        }
         self.check_sides()?;
         Ok(self)
     }

@@ -14,7 +14,7 @@ mod receptor;
 
 pub use error::{Problem, SceneError};
 pub use file::{MAX_JSON_BYTES, MAX_TOML_BYTES};
-pub(crate) use receptor::{RawReceptor, check_model};
+pub(crate) use receptor::{MOST_ALPHA_PER_UM, RawReceptor, check_model};
 
 use crate::keyed::in_range;
 use crate::motor::MotorError;

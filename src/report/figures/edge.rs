@@ -15,13 +15,13 @@ use super::chart::{Axis, Chart, Point as Mark, Scale, Series, draw};
 use super::map::{FINGERTIP, Pad, Panel, motors, pads};
 use super::page::Section;
 use super::table::number;
-use super::target::{Verdict, Watched};
+use super::target::Watched;
 use super::{FiguresError, Parts};
 use crate::array;
 use crate::motor::SteadyState;
 use crate::optimise::{
-    Brief, Fidelity, Found, Limit, Objective, Point, Score, Setting, Step, Target, Vibration, YARDSTICK,
-    search, shipped,
+    Brief, Fidelity, Found, Limit, Objective, Point, Score, Setting, Step, Target, Verdict, Vibration,
+    YARDSTICK, search, shipped,
 };
 use crate::simulate::{Method, Options, Scene, simulate};
 use crate::skin::{Position, population};

@@ -26,7 +26,7 @@ pub use page::{File, INDEX};
 pub use pattern::PatternFigures;
 pub use rate::{Peak, Plateau, Rate};
 pub use stretches::{Stretch, stretches};
-pub use target::{FrameFigures, TargetFigures, Verdict};
+pub use target::{FrameFigures, TargetFigures};
 
 use super::PlotError;
 use crate::motor::MotorError;

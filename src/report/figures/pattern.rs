@@ -14,7 +14,7 @@ use super::table::{number, provenance, robustness, table};
 use super::target::{self, TargetFigures, Watched};
 use super::{FiguresError, Subject};
 use crate::motor::{MotorError, SteadyState};
-use crate::optimise::{Frame, Target};
+use crate::optimise::{Frame, Target, Verdict};
 use crate::pattern::{Drive, Pattern};
 use crate::simulate::{Keep, Method, Options, Scene, simulate};
 use crate::skin::{POPULATION_NOISE_SD, Position, RaModel, Rectify, population};
@@ -222,7 +222,7 @@ fn moves(target: &Target) -> bool {
 
 /// What the drawn target is, and what the drawn rates are worth, in a sentence.
 fn verdict(target: &Target, watched: &Watched<'_>) -> String {
-    let target::Verdict { on_hz, off_hz, cost_hz, auc } = watched.verdict;
+    let Verdict { on_hz, off_hz, cost_hz, auc } = watched.verdict;
     format!(
         " Orange: the target, and rings around the {} receptors within {} mm of it. They have {} impulses/s in the mean, \
          the others {}: the cost is {}, and one of them has a higher rate than one of the others with a probability \
@@ -274,7 +274,7 @@ fn frames(
     section.figure(&format!("pattern-{name}-frames"), pads(&shown), Some(numbers), &caption, command);
     let head = ["from, s", "to, s", "ON, impulses/s", "OFF, impulses/s", "cost, impulses/s", "AUC"];
     let row = |watched: &Watched<'_>| {
-        let target::Verdict { on_hz, off_hz, cost_hz, auc } = watched.verdict;
+        let Verdict { on_hz, off_hz, cost_hz, auc } = watched.verdict;
         let mut row = vec![time(watched.frame.start_s), time(watched.frame.stop_s)];
         row.extend([on_hz, off_hz, cost_hz, auc].map(number));
         row

@@ -7,7 +7,7 @@
 //! Invariant: a verdict depends on the rates it is given and on where the receptors are, and on no word of the maker's.
 
 use super::map::Aim;
-use crate::optimise::{Frame, Sides, Target};
+use crate::optimise::{Frame, Sides, Target, Verdict};
 use crate::skin::Position;
 use serde::Serialize;
 use toml::Table;
@@ -38,31 +38,6 @@ pub struct FrameFigures {
     pub verdict: Verdict,
 }
 
-/// What rates are worth.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Verdict {
-    /// Mean rate of the receptors within reach, impulses/s.
-    pub on_hz: f64,
-    /// Mean rate of the others, impulses/s.
-    pub off_hz: f64,
-    /// The difference of the two.
-    pub cost_hz: f64,
-    /// How likely one within reach fires more than one of the others.
-    pub auc: f64,
-}
-
-impl Verdict {
-    /// None if all receptors are on one side.
-    pub(super) fn of(sides: &Sides, rates_hz: &[f64]) -> Option<Self> {
-        Some(Self {
-            on_hz: sides.on_hz(rates_hz)?,
-            off_hz: sides.off_hz(rates_hz)?,
-            cost_hz: sides.cost_hz(rates_hz)?,
-            auc: sides.auc(rates_hz)?,
-        })
-    }
-}
-
 /// The target a pattern was made for, if its provenance holds one that reads.
 pub(super) fn made_for(provenance: &Table) -> Option<Target> {
     let text = toml::to_string(provenance.get(DEFINITION)?.as_table()?).ok()?;
@@ -87,7 +62,7 @@ impl<'t> Watched<'t> {
         rates_hz: Vec<f64>,
     ) -> Option<Self> {
         let sides = Sides::of(&frame.shape, target.reach_mm(), receptors);
-        let verdict = Verdict::of(&sides, &rates_hz)?;
+        let verdict = sides.verdict(&rates_hz)?;
         Some(Self { frame, sides, rates_hz, verdict })
     }
 
@@ -108,12 +83,8 @@ pub(super) fn frames<'t>(
     watched_s: f64,
 ) -> Vec<Watched<'t>> {
     let watched = |frame: &'t Frame| {
-        let (start_s, stop_s) = (frame.start_s?, frame.stop_s.filter(|stop_s| *stop_s <= watched_s)?);
-        let rate = |spikes_s: &Vec<f64>| {
-            let before = |time_s: f64| spikes_s.partition_point(|spike_s| *spike_s < time_s);
-            (before(stop_s) - before(start_s)) as f64 / (stop_s - start_s)
-        };
-        Watched::new(target, frame, receptors, spikes_s.iter().map(rate).collect())
+        frame.stop_s.filter(|stop_s| *stop_s <= watched_s)?;
+        Watched::new(target, frame, receptors, frame.rates_hz(spikes_s)?)
     };
     target.frames().iter().filter_map(watched).collect()
 }

@@ -62,11 +62,19 @@ pub(super) fn seconds(key: &str, found: f64) -> Result<(), Fault<Mistake>> {
     in_range(key, found, (0.0..=1e9).contains(&found), "0 to 1000000000 s")
 }
 
+/// The largest α, per µm.
+pub(crate) const MOST_ALPHA_PER_UM: f64 = 1e15;
+
 /// The ranges leave room for experiments; within them no step of the model overflows.
 pub(crate) fn check_model(model: &RaModel) -> Result<(), Fault<Mistake>> {
     let RaModel { alpha_per_um, tau_s, refractory_s, noise_sd, sigma_mm, .. } = *model;
     let (lasting_s, depth) = (model.hyperexcitability_s, model.hyperexcitability_depth);
-    in_range("alpha_per_um", alpha_per_um, (0.0..=1e15).contains(&alpha_per_um), "0 to 1e15 per um")?;
+    in_range(
+        "alpha_per_um",
+        alpha_per_um,
+        (0.0..=MOST_ALPHA_PER_UM).contains(&alpha_per_um),
+        "0 to 1e15 per um",
+    )?;
     in_range("tau_s", tau_s, (1e-9..=1e9).contains(&tau_s), "1e-9 to 1e9 s")?;
     // One spike per refractory period at the most: its least bounds the spikes of a scene.
     in_range("refractory_s", refractory_s, (1e-5..=1e9).contains(&refractory_s), "1e-5 to 1e9 s")?;
