@@ -1,6 +1,6 @@
 //! The command optimise: from a target to a pattern file. It asks no daemon.
 //!
-//! A target is named as the shipped ones are; what has a slash or ends in `.toml` is a file. Everything that can be wrong
+//! A target is named as the shipped ones are, or is a file. Everything that can be wrong
 //! with what was asked is said before the work. Ctrl-C ends the search, not the program: the best so far is judged and
 //! written. With `-o` the pattern is written there and summed up on stdout; without, it goes to stdout itself and
 //! the summary to stderr.
@@ -9,7 +9,6 @@
 
 use super::progress::Search;
 use super::{Output, files, is_broken_pipe, library, say, say_json, text};
-use crate::config;
 use crate::daemon;
 use crate::optimise::{
     Budget, Ended, MAX_BYTES, Made, Request, Robustness, Setting, Target, Verdict, make, populations,
@@ -17,7 +16,7 @@ use crate::optimise::{
 };
 use crate::pattern;
 use crate::quote::nearest;
-use anyhow::{Result, anyhow, bail};
+use anyhow::{Result, anyhow};
 use clap::Args;
 use serde::Serialize;
 use std::ops::ControlFlow;
@@ -164,13 +163,8 @@ pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
 
 /// Reads a target from a file, or takes a shipped one.
 fn target(argument: &str) -> Result<Target> {
-    if argument.contains('/') || argument.ends_with(".toml") {
-        let place = argument.escape_debug();
-        let bytes = config::read_regular(Path::new(argument), MAX_BYTES as u64)
-            .map_err(|error| anyhow!("{place}: cannot be read; name a target file ({error})"))?;
-        let Ok(text) = String::from_utf8(bytes) else {
-            bail!("{place}: not UTF-8 text: write targets as TOML in UTF-8");
-        };
+    if files::is_file(argument) {
+        let text = files::text(Path::new(argument), MAX_BYTES as u64, "target")?;
         return Ok(Target::read(&text, argument)?);
     }
     shipped(argument).ok_or_else(|| {
