@@ -115,13 +115,13 @@ fn summary(out: &Path, document: &Document<'_>) -> String {
     );
     lines.push(("edge", line));
     lines.push(("wall time", format!("{:.1} s", document.wall_s)));
-    let head = ["pattern", "drives", "stretches", "pulses/s", "mean rate", "highest"];
+    let head = ["pattern", "drives", "stretches", "busiest pulses/s", "mean rate", "highest"];
     let row = |pattern: &figures::PatternFigures| {
         vec![
             pattern.name.clone(),
             pattern.drives.to_string(),
             pattern.stretches.to_string(),
-            format!("{:.0}", pattern.pulses_per_s),
+            format!("{:.0}", pattern.busiest_pulses_per_s),
             format!("{:.1}", pattern.mean_rate_hz),
             format!("{:.1}", pattern.highest_rate_hz),
         ]
