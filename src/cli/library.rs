@@ -10,10 +10,11 @@ use crate::api::Imported;
 use crate::client::escape;
 use crate::motor::SteadyState;
 use crate::pattern::{MAX_FILE_BYTES, Pattern};
-use anyhow::Result;
+use anyhow::{Result, bail};
 use serde_json::Value;
 use std::path::Path;
 use std::process::ExitCode;
+use toml::Table;
 
 pub(super) fn list(plain: &Plain) -> Result<ExitCode> {
     let list: Value = plain.client()?.get("/v1/patterns")?;
@@ -50,6 +51,10 @@ pub(super) fn show(plain: &Plain, name: &str) -> Result<ExitCode> {
 /// Reads a pattern file: the pattern, and its text.
 pub(super) fn read(file: &Path) -> Result<(Pattern, String)> {
     let text = files::text(file, MAX_FILE_BYTES as u64, "pattern")?;
+    // A target has no format: to ask for one would lead astray.
+    if text.parse::<Table>().is_ok_and(|table| table.contains_key("shape") && !table.contains_key("format")) {
+        bail!("{}: this is a target: make a pattern of it with `meissner optimise`", files::shown(file));
+    }
     Ok((Pattern::parse(&text, &file.to_string_lossy())?, text))
 }
 

@@ -16,9 +16,10 @@ use crate::optimise::{
 };
 use crate::pattern;
 use crate::quote::nearest;
-use anyhow::{Result, anyhow};
+use anyhow::{Result, anyhow, bail};
 use clap::Args;
 use serde::Serialize;
+use std::fs;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::{self, ExitCode};
@@ -42,9 +43,9 @@ pub(super) struct Optimise {
     /// What may be chosen: motors may be off, 5 to 150 Hz; or always on, 5 to 300 Hz
     #[arg(long, value_enum, default_value_t)]
     setting: Setting,
-    /// At most so many evaluations (for each frame of a moving target; or a list, N,N,...), or about so many seconds in all [default: until nothing improves]
-    #[arg(long, value_name = "N|Ns", default_value = "", hide_default_value = true)]
-    budget: Limit,
+    /// About so many evaluations (for each frame of a moving target; or a list, N,N,...), or seconds in all (Ns) [default: until nothing improves]
+    #[arg(long, value_name = "N|Ns")]
+    budget: Option<Limit>,
     /// For the mean over eight populations of receptors in place of one
     #[arg(long)]
     robust: bool,
@@ -64,9 +65,6 @@ impl FromStr for Limit {
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
         let wrong = "evaluations (500, or a number for each frame: 500,300), or seconds (1.5s)";
-        if text.is_empty() {
-            return Ok(Self(Budget::Enough));
-        }
         if let Some(seconds) = text.strip_suffix('s') {
             return super::positive(seconds).map(|seconds| Self(Budget::Seconds(seconds))).map_err(|_| wrong);
         }
@@ -103,12 +101,15 @@ struct Document<'a> {
 pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
     let begun = Instant::now();
     let target = target(&asked.target)?;
+    if let Some(file) = asked.file.as_deref().filter(|file| is_itself(&asked.target, file)) {
+        bail!("{}: is the target itself; write the pattern to another file", files::shown(file));
+    }
     let start = asked.resume.as_deref().map(library::read).transpose()?;
     let request = Request {
         setting: asked.setting,
         seed: asked.seed,
         robust: asked.robust,
-        budget: asked.budget.0.clone(),
+        budget: asked.budget.clone().map_or(Budget::Enough, |limit| limit.0),
         start: start.map(|(pattern, _)| pattern.drives().to_vec()),
     };
     let (name, place) = match &asked.file {
@@ -174,6 +175,12 @@ fn target(argument: &str) -> Result<Target> {
             argument.escape_debug()
         )
     })
+}
+
+/// Whether a file that is to be written is the one the target was read from, by whatever way.
+fn is_itself(target: &str, file: &Path) -> bool {
+    let found = |file: &Path| fs::canonicalize(file).ok();
+    files::is_file(target) && found(file).is_some_and(|file| Some(file) == found(Path::new(target)))
 }
 
 /// The name of a pattern that is written to a file: the store wants them to be the same.
