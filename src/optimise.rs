@@ -9,7 +9,7 @@
 //! simulation; [`search()`] goes from one to better ones (`moves` says where to). [`make()`] does so for every frame
 //! and writes the pattern; [`judge()`] and [`robustness()`] say what it is worth, also where it was not made for.
 //!
-//! Some targets are shipped ([`LIBRARY`]); the one called [`YARDSTICK`] is what methods are compared on.
+//! Some targets are [`shipped`]; the one called [`YARDSTICK`] is what methods are compared on.
 //!
 //! Invariant: which receptors are on a shape, and which pattern is made for it, depends on what is asked alone, bit for
 //! bit on every machine.
@@ -39,7 +39,7 @@ use include_dir::{Dir, include_dir};
 use serde::Serialize;
 
 /// The shipped target files, as they are.
-pub static LIBRARY: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/targets");
+static LIBRARY: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/targets");
 
 /// The shipped target by which patterns are commonly judged: an edge at 45°, 12 mm long, through the array's middle.
 pub const YARDSTICK: &str = "edge-45";
@@ -54,17 +54,6 @@ pub enum Setting {
     Default,
     /// The paper's: every motor vibrates; 5 to 300 Hz.
     AlwaysOn,
-}
-
-impl Setting {
-    /// As it is written.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Default => "default",
-            Self::AlwaysOn => "always_on",
-        }
-    }
 }
 
 /// The shipped target of that name.

@@ -29,7 +29,7 @@ const OFFERED: usize = 3;
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
     /// No pattern of that name.
-    #[error("no pattern is called {}{}; `meissner list` shows all", quote(.name), offer(.nearest))]
+    #[error("no pattern is called {}{} `meissner list` shows all", quote(.name), offer(.nearest))]
     Unknown {
         /// As asked for.
         name: String,
@@ -79,7 +79,7 @@ fn quote(name: &str) -> String {
 
 fn offer(nearest: &[String]) -> String {
     match nearest {
-        [] => String::new(),
+        [] => ";".to_owned(),
         names => format!(": did you mean `{}`?", names.join("`, `")),
     }
 }
@@ -371,6 +371,9 @@ mod tests {
         fs::write(dir.path().join("my-edge.toml"), TEXT).unwrap();
         let line = store.get("my-egde").unwrap_err().to_string();
         assert!(line.contains("did you mean `my-edge`"), "{line}");
+        assert!(line.ends_with("`? `meissner list` shows all"), "{line}");
+        let line = store.get("0").unwrap_err().to_string();
+        assert_eq!(line, "no pattern is called `0`; `meissner list` shows all");
         for name in ["../my-edge", "", "a/b", "my-edge.toml", "\n", &"x".repeat(100_000)] {
             let line = store.get(name).unwrap_err();
             assert!(matches!(line, StoreError::Unknown { .. }));

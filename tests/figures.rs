@@ -118,7 +118,7 @@ fn the_library_s_page_has_a_section_for_every_pattern() {
     assert_eq!((sweep.matches("<ellipse").count(), sweep.matches(">60 Hz<").count()), (6 * 24, 24));
     let pin = report.figures.patterns.iter().find(|pattern| pattern.name == "pin-60").unwrap();
     // Sixty times a second, 589 pulses up and as many down.
-    assert_eq!((pin.pulses_per_s, pin.stretches, pin.drives), (60.0 * 589.0 * 2.0, 1, 1));
+    assert_eq!((pin.busiest_pulses_per_s, pin.stretches, pin.drives), (60.0 * 589.0 * 2.0, 1, 1));
 }
 
 #[test]
@@ -347,7 +347,7 @@ fn what_a_pattern_s_file_says_cannot_break_the_page() {
         assert!(report.page.contains(cells), "{cells}: {}", report.page);
     }
     let figures = &report.figures.patterns[0];
-    assert_eq!((figures.watched_s, figures.stretches, figures.pulses_per_s), (0.05, 1, 84_600.0));
+    assert_eq!((figures.watched_s, figures.stretches, figures.busiest_pulses_per_s), (0.05, 1, 84_600.0));
     assert_eq!(figures.target, None);
 }
 
@@ -384,7 +384,7 @@ fn a_pattern_made_for_a_target_is_judged_by_it() {
     assert_eq!(svg.matches("<polyline").count(), 1);
     assert_eq!(svg.matches("<ellipse").count(), 1 + 24 + receptors.len() + sides.on_count());
     assert!(
-        report.page.contains("population seed 3")
+        report.page.contains("population and noise seed 3")
             && !parts(&report).iter().any(|part| part.0.contains("frames"))
     );
 }
@@ -500,6 +500,9 @@ fn what_cannot_be_reported_or_written_is_said_before_the_work() {
     assert!(line.contains("no pattern is called `edge-54`: did you mean `edge-45`"), "{line}");
     let line = report(&["edge-45", "edge-45"]);
     assert!(line.contains("`edge-45` is the name of two patterns"), "{line}");
+    fs::write(dir.path().join("target.toml"), "name = \"a\"\nshape = \"disc\"\nradius_mm = 2\n").unwrap();
+    let line = report(&["target.toml"]);
+    assert!(line.contains("target.toml: this is a target: make a pattern of it with"), "{line}");
     let line = report(&["missing.toml"]);
     assert!(line.contains("missing.toml: cannot be read"), "{line}");
     write_pattern(&dir.path().join("bad.toml"), "bad", "nane = 1\n");

@@ -26,7 +26,7 @@ fn made(name: &str) -> (Pattern, Target) {
 fn request(pattern: &Pattern) -> Request {
     let provenance = pattern.provenance();
     let whole = |value: &toml::Value| value.as_integer().unwrap().try_into().unwrap();
-    assert_eq!(provenance["setting"].as_str(), Some(Setting::Default.name()));
+    assert_eq!(provenance["setting"].as_str(), Some("default"));
     Request {
         setting: Setting::Default,
         seed: whole(&provenance["seed"]),

@@ -145,7 +145,19 @@ fn what_cannot_be_is_one_line_before_the_work() {
     assert!(line(&["dot", "-o", &place("My Dot.toml")]).contains("is no pattern's name"));
     assert!(line(&["dot", "-o", &place("no/where.toml")]).contains("cannot be written"));
     assert!(line(&["dot", "--resume", &place("none.toml")]).contains("none.toml: cannot be read"));
+    // However it is called.
+    let text = "name = \"a\"\nshape = \"dots\"\npoints = [[0, 0]]\n";
+    fs::write(place("itself.toml"), text).unwrap();
+    for other in [place("itself.toml"), place("./itself.toml")] {
+        let found = line(&[&place("itself.toml"), "-o", &other]);
+        assert!(
+            found.ends_with("itself.toml: is the target itself; write the pattern to another file"),
+            "{found}"
+        );
+    }
+    assert_eq!(fs::read_to_string(place("itself.toml")).unwrap(), text);
     for usage in [
+        ["--budget", ""],
         ["--budget", "some"],
         ["--budget", "-1"],
         ["--budget", "1,,2"],

@@ -1,10 +1,14 @@
-//! Files that a command writes: beside their place first, then renamed into it.
+//! Files that a command reads, and those it writes: beside their place first, then renamed into it.
+//!
+//! What has a slash or ends in `.toml` is a file; other words are names of what is shipped.
 //!
 //! Whether a place can be written to is found out before the work, by making the file beside it. A place that is a
 //! device, a pipe or a link is refused: it would be replaced, not written to.
 //!
-//! Invariant: what is there already is replaced whole or not at all.
+//! Invariant: what is there already is replaced whole or not at all; what is too large or not a file is not read into
+//! memory.
 
+use crate::config;
 use anyhow::{Result, anyhow, bail};
 use std::fs::{self, Permissions};
 use std::io::{self, Write};
@@ -17,6 +21,25 @@ use tempfile::NamedTempFile;
 pub(super) struct Beside {
     new: NamedTempFile,
     place: PathBuf,
+}
+
+/// Whether an argument is a file rather than a name.
+pub(super) fn is_file(argument: &str) -> bool {
+    argument.contains('/') || argument.ends_with(".toml")
+}
+
+/// The text of a file of a kind, at most so many bytes.
+pub(super) fn text(place: &Path, most: u64, kind: &str) -> Result<String> {
+    let at = shown(place);
+    if let Ok(found) = fs::metadata(place)
+        && found.is_file()
+        && found.len() > most
+    {
+        bail!("{at}: {} bytes are too many: a {kind} file has at most {most}", found.len());
+    }
+    let bytes = config::read_regular(place, most)
+        .map_err(|error| anyhow!("{at}: cannot be read; name a {kind} file ({error})"))?;
+    String::from_utf8(bytes).map_err(|_| anyhow!("{at}: not UTF-8 text: write {kind}s as TOML in UTF-8"))
 }
 
 /// Makes a new file beside a place.
@@ -47,7 +70,8 @@ pub(super) fn directory(dir: &Path) -> Result<()> {
         .map_err(|error| anyhow!("{}: cannot be made; see that you may ({error})", shown(dir)))
 }
 
-fn shown(place: &Path) -> String {
+/// A place on one line.
+pub(super) fn shown(place: &Path) -> String {
     place.to_string_lossy().escape_debug().to_string()
 }
 

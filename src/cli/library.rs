@@ -3,19 +3,18 @@
 //! `import` checks the file itself first, so that a mistake is named by file and line; the daemon checks again.
 //! `motor` asks no daemon.
 //!
-//! Invariant: a file that is too large or not a file is not read into memory.
+//! Invariant: the daemon is asked to store only what has been read and checked here.
 
-use super::{Plain, give, say, say_json, text};
+use super::{Plain, files, give, say, say_json, text};
 use crate::api::Imported;
 use crate::client::escape;
-use crate::config;
 use crate::motor::SteadyState;
 use crate::pattern::{MAX_FILE_BYTES, Pattern};
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use serde_json::Value;
-use std::fs;
 use std::path::Path;
 use std::process::ExitCode;
+use toml::Table;
 
 pub(super) fn list(plain: &Plain) -> Result<ExitCode> {
     let list: Value = plain.client()?.get("/v1/patterns")?;
@@ -51,21 +50,12 @@ pub(super) fn show(plain: &Plain, name: &str) -> Result<ExitCode> {
 
 /// Reads a pattern file: the pattern, and its text.
 pub(super) fn read(file: &Path) -> Result<(Pattern, String)> {
-    let place = file.display();
-    let found = fs::metadata(file).with_context(|| format!("{place}: cannot be read; name a pattern file"));
-    let found = found.map_err(flat)?;
-    if !found.is_file() {
-        bail!("{place}: is not a regular file: name a pattern file");
+    let text = files::text(file, MAX_FILE_BYTES as u64, "pattern")?;
+    // A target has no format: to ask for one would lead astray.
+    if text.parse::<Table>().is_ok_and(|table| table.contains_key("shape") && !table.contains_key("format")) {
+        bail!("{}: this is a target: make a pattern of it with `meissner optimise`", files::shown(file));
     }
-    if found.len() > MAX_FILE_BYTES as u64 {
-        bail!("{place}: {} bytes are too many: a pattern file has at most {MAX_FILE_BYTES}", found.len());
-    }
-    let text = config::read_regular(file, MAX_FILE_BYTES as u64)
-        .with_context(|| format!("{place}: cannot be read; see that you may"));
-    let Ok(text) = String::from_utf8(text.map_err(flat)?) else {
-        bail!("{place}: not UTF-8 text: write patterns as TOML in UTF-8");
-    };
-    Ok((Pattern::parse(&text, &place.to_string())?, text))
+    Ok((Pattern::parse(&text, &file.to_string_lossy())?, text))
 }
 
 pub(super) fn import(plain: &Plain, file: &Path) -> Result<ExitCode> {
@@ -81,11 +71,6 @@ pub(super) fn import(plain: &Plain, file: &Path) -> Result<ExitCode> {
         say(&format!("warning: {warning}"))?;
     }
     Ok(ExitCode::SUCCESS)
-}
-
-/// An error and its cause on one line.
-fn flat(error: anyhow::Error) -> anyhow::Error {
-    anyhow::anyhow!("{error} ({})", error.root_cause())
 }
 
 pub(super) fn motor(frequency_hz: f64, amplitude_um: f64, json: bool) -> Result<ExitCode> {

@@ -1,6 +1,6 @@
 //! The command optimise: from a target to a pattern file. It asks no daemon.
 //!
-//! A target is named as the shipped ones are; what has a slash or ends in `.toml` is a file. Everything that can be wrong
+//! A target is named as the shipped ones are, or is a file. Everything that can be wrong
 //! with what was asked is said before the work. Ctrl-C ends the search, not the program: the best so far is judged and
 //! written. With `-o` the pattern is written there and summed up on stdout; without, it goes to stdout itself and
 //! the summary to stderr.
@@ -9,7 +9,6 @@
 
 use super::progress::Search;
 use super::{Output, files, is_broken_pipe, library, say, say_json, text};
-use crate::config;
 use crate::daemon;
 use crate::optimise::{
     Budget, Ended, MAX_BYTES, Made, Request, Robustness, Setting, Target, Verdict, make, populations,
@@ -20,6 +19,7 @@ use crate::quote::nearest;
 use anyhow::{Result, anyhow, bail};
 use clap::Args;
 use serde::Serialize;
+use std::fs;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::{self, ExitCode};
@@ -43,9 +43,9 @@ pub(super) struct Optimise {
     /// What may be chosen: motors may be off, 5 to 150 Hz; or always on, 5 to 300 Hz
     #[arg(long, value_enum, default_value_t)]
     setting: Setting,
-    /// At most so many evaluations (for each frame of a moving target; or a list, N,N,...), or about so many seconds in all [default: until nothing improves]
-    #[arg(long, value_name = "N|Ns", default_value = "", hide_default_value = true)]
-    budget: Limit,
+    /// About so many evaluations (for each frame of a moving target; or a list, N,N,...), or seconds in all (Ns) [default: until nothing improves]
+    #[arg(long, value_name = "N|Ns")]
+    budget: Option<Limit>,
     /// For the mean over eight populations of receptors in place of one
     #[arg(long)]
     robust: bool,
@@ -65,9 +65,6 @@ impl FromStr for Limit {
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
         let wrong = "evaluations (500, or a number for each frame: 500,300), or seconds (1.5s)";
-        if text.is_empty() {
-            return Ok(Self(Budget::Enough));
-        }
         if let Some(seconds) = text.strip_suffix('s') {
             return super::positive(seconds).map(|seconds| Self(Budget::Seconds(seconds))).map_err(|_| wrong);
         }
@@ -104,12 +101,15 @@ struct Document<'a> {
 pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
     let begun = Instant::now();
     let target = target(&asked.target)?;
+    if let Some(file) = asked.file.as_deref().filter(|file| is_itself(&asked.target, file)) {
+        bail!("{}: is the target itself; write the pattern to another file", files::shown(file));
+    }
     let start = asked.resume.as_deref().map(library::read).transpose()?;
     let request = Request {
         setting: asked.setting,
         seed: asked.seed,
         robust: asked.robust,
-        budget: asked.budget.0.clone(),
+        budget: asked.budget.clone().map_or(Budget::Enough, |limit| limit.0),
         start: start.map(|(pattern, _)| pattern.drives().to_vec()),
     };
     let (name, place) = match &asked.file {
@@ -164,13 +164,8 @@ pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
 
 /// Reads a target from a file, or takes a shipped one.
 fn target(argument: &str) -> Result<Target> {
-    if argument.contains('/') || argument.ends_with(".toml") {
-        let place = argument.escape_debug();
-        let bytes = config::read_regular(Path::new(argument), MAX_BYTES as u64)
-            .map_err(|error| anyhow!("{place}: cannot be read; name a target file ({error})"))?;
-        let Ok(text) = String::from_utf8(bytes) else {
-            bail!("{place}: not UTF-8 text: write targets as TOML in UTF-8");
-        };
+    if files::is_file(argument) {
+        let text = files::text(Path::new(argument), MAX_BYTES as u64, "target")?;
         return Ok(Target::read(&text, argument)?);
     }
     shipped(argument).ok_or_else(|| {
@@ -180,6 +175,12 @@ fn target(argument: &str) -> Result<Target> {
             argument.escape_debug()
         )
     })
+}
+
+/// Whether a file that is to be written is the one the target was read from, by whatever way.
+fn is_itself(target: &str, file: &Path) -> bool {
+    let found = |file: &Path| fs::canonicalize(file).ok();
+    files::is_file(target) && found(file).is_some_and(|file| Some(file) == found(Path::new(target)))
 }
 
 /// The name of a pattern that is written to a file: the store wants them to be the same.

@@ -1,9 +1,9 @@
 //! The command report: figures and a page, written into a directory. It asks no daemon.
 //!
-//! A pattern is named as in the library; what has a slash or ends in `.toml` is a file. Everything that can be wrong
+//! A pattern is named as in the library, or is a file. Everything that can be wrong
 //! with what was asked is said before the work. The page is written last, so that what it names is there.
 //!
-//! Invariant: a file that is too large or not a file is not read into memory.
+//! Invariant: no two patterns of a report have the same name.
 
 use super::{Output, files, give, library, progress, text};
 use crate::report::figures::{self, Figures, INDEX, Subject};
@@ -66,7 +66,7 @@ fn subjects(asked: &[String]) -> Result<Vec<Subject>> {
     let mut subjects: Vec<Subject> = Vec::new();
     for argument in asked {
         let file = Path::new(&argument);
-        let subject = if argument.contains('/') || argument.ends_with(".toml") {
+        let subject = if files::is_file(&argument) {
             let (pattern, _) = library::read(file)?;
             let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
             Subject { pattern, argument: name }
@@ -115,13 +115,13 @@ fn summary(out: &Path, document: &Document<'_>) -> String {
     );
     lines.push(("edge", line));
     lines.push(("wall time", format!("{:.1} s", document.wall_s)));
-    let head = ["pattern", "drives", "stretches", "pulses/s", "mean rate", "highest"];
+    let head = ["pattern", "drives", "stretches", "busiest pulses/s", "mean rate", "highest"];
     let row = |pattern: &figures::PatternFigures| {
         vec![
             pattern.name.clone(),
             pattern.drives.to_string(),
             pattern.stretches.to_string(),
-            format!("{:.0}", pattern.pulses_per_s),
+            format!("{:.0}", pattern.busiest_pulses_per_s),
             format!("{:.1}", pattern.mean_rate_hz),
             format!("{:.1}", pattern.highest_rate_hz),
         ]

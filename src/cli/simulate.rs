@@ -3,13 +3,12 @@
 //! Invariant: a scene that is too large or not a file is not read into memory.
 
 use super::{Cli, Output, files, give, progress, text};
-use crate::config;
 use crate::optimise::YARDSTICK;
 use crate::report::{self, Count, How, Reason, Tradeoff};
 use crate::simulate::{
     Answer, Integrator, Keep, MAX_JSON_BYTES, Method, Options, Precision, Scene, Stepping, choose, simulate,
 };
-use anyhow::{Result, anyhow, bail};
+use anyhow::{Result, anyhow};
 use clap::error::ErrorKind;
 use clap::{Args, CommandFactory, ValueEnum};
 use serde::Serialize;
@@ -145,20 +144,14 @@ fn stepping(asked: &Simulate) -> Option<Stepping> {
 
 /// Reads a scene from a file, or from stdin.
 fn read(file: &Path) -> Result<Scene> {
-    let (name, bytes) = if file == Path::new("-") {
-        let mut bytes = Vec::new();
-        let read = io::stdin().lock().take(MAX_JSON_BYTES as u64 + 1).read_to_end(&mut bytes);
-        ("stdin".to_owned(), read.map(|_| bytes))
-    } else {
-        (file.to_string_lossy().into_owned(), config::read_regular(file, MAX_JSON_BYTES as u64))
-    };
-    let place = name.escape_debug();
-    let bytes = bytes
-        .map_err(|error| anyhow!("{place}: cannot be read; name a scene file, or - for stdin ({error})"))?;
-    let Ok(text) = String::from_utf8(bytes) else {
-        bail!("{place}: not UTF-8 text: write scenes as TOML or JSON in UTF-8");
-    };
-    Ok(Scene::read(&text, &name)?)
+    if file != Path::new("-") {
+        let text = files::text(file, MAX_JSON_BYTES as u64, "scene")?;
+        return Ok(Scene::read(&text, &file.to_string_lossy())?);
+    }
+    let mut text = String::new();
+    let read = io::stdin().lock().take(MAX_JSON_BYTES as u64 + 1).read_to_string(&mut text);
+    read.map_err(|error| anyhow!("stdin: cannot be read; pipe a scene in UTF-8 ({error})"))?;
+    Ok(Scene::read(&text, "stdin")?)
 }
 
 fn summary(scene: &Scene, answer: &Answer, document: &Document<'_>) -> String {

@@ -217,7 +217,7 @@ fn provenance(target: &Target, request: &Request, made: &Made, starts: Option<&[
     put("target", target.name().into());
     put("method", "subgradient".into());
     put("model", MODEL.into());
-    put("setting", request.setting.name().into());
+    put("setting", Value::try_from(request.setting).expect("a word"));
     put("seed", whole(request.seed));
     put("robust", request.robust.into());
     let evaluations: Vec<Value> = made.found.iter().map(|found| whole(found.spent.evaluations)).collect();

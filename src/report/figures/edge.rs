@@ -5,7 +5,7 @@
 //! that is the one shown. The paper tunes all motors at one amplitude and finds near 60 Hz along the edge; the same for
 //! other amplitudes says how far that holds. It depends on no pattern, so a program makes it once.
 //!
-//! Invariant: every cost on the page is that of [`Fidelity::FULL`].
+//! Invariant: every cost in this section is that of [`Fidelity::FULL`].
 
 mod amplitudes;
 
@@ -93,6 +93,7 @@ struct Record {
 
 /// Searches, draws, and says what it comes to.
 pub(super) fn section(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Edge), FiguresError> {
+    // It depends on nothing, and one who reports many times, as tests do, need not search for it again.
     static MADE: OnceLock<Result<(Section, Edge), FiguresError>> = OnceLock::new();
     MADE.get_or_init(|| make(progress)).clone()
 }
@@ -213,17 +214,9 @@ fn records(target: &Target, trace: &[Step], near: &[u8]) -> Result<Vec<Record>, 
     let mut seen: Vec<(f64, f64)> = Vec::new();
     let best = |step: &&Step| {
         let (duration_s, cost_hz) = (step.duration_s, step.score.cost_hz());
-        match seen.iter_mut().find(|seen| seen.0 == duration_s) {
-            Some((_, best_hz)) if cost_hz <= *best_hz => false,
-            Some((_, best_hz)) => {
-                *best_hz = cost_hz;
-                true
-            }
-            None => {
-                seen.push((duration_s, cost_hz));
-                true
-            }
-        }
+        let best = seen.iter().all(|seen| seen.0 != duration_s || cost_hz > seen.1);
+        seen.push((duration_s, cost_hz));
+        best
     };
     let steps: Vec<&Step> = trace.iter().filter(best).collect();
     let scores = steps.par_iter().map(|step| Ok(objective.at(step.point)?.score()));

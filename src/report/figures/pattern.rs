@@ -29,6 +29,9 @@ const SEED: u64 = 0;
 const STEADY_S: f64 = 1.0;
 /// For how long any pattern is watched at the most, s.
 const LONGEST_S: f64 = 10.0;
+/// Why a cost of the report and one of the provenance differ.
+const ONE_POPULATION: &str =
+    " This is on one population; the provenance's cost is the mean over those the pattern was made for.";
 /// Maps of a pattern at the most.
 const MAPS: usize = 16;
 
@@ -42,7 +45,7 @@ pub struct PatternFigures {
     /// Stretches in which different drives run.
     pub stretches: usize,
     /// Pulses per second of all motors, in the stretch that has most.
-    pub pulses_per_s: f64,
+    pub busiest_pulses_per_s: f64,
     /// For how long the receptors were watched.
     pub watched_s: f64,
     /// Mean rate of the receptors, impulses/s.
@@ -69,7 +72,7 @@ pub(super) fn section(
         name: pattern.name().to_owned(),
         drives: pattern.drives().len(),
         stretches: stretches.len(),
-        pulses_per_s: stretches
+        busiest_pulses_per_s: stretches
             .iter()
             .map(|stretch| stretch.drives.iter().map(|drive| reached.pulses_per_s(drive)).sum())
             .fold(0.0, f64::max),
@@ -100,7 +103,7 @@ pub(super) fn section(
         || format!("population and noise seed {SEED}, indentation only"),
         |target| {
             let seed = target.population_seed();
-            format!("those of its target {}, population seed {seed}, noise seed {SEED}", target.name())
+            format!("those of its target {}, population and noise seed {seed}", target.name())
         },
     );
     // A shape that moves is drawn where it is in each frame, below.
@@ -128,7 +131,7 @@ pub(super) fn section(
         section.table("Motors", &drives(pattern.drives(), &reached));
     }
     if let Some(table) = robustness(pattern.provenance()) {
-        section.table("Robustness, as its maker says", &table);
+        section.table("Robustness (from the provenance)", &table);
     }
     if let Some(table) = provenance(pattern.provenance()) {
         section.table("Provenance", &table);
@@ -147,7 +150,7 @@ fn summary(pattern: &Pattern, figures: &PatternFigures) -> String {
     format!(
         "{length}, {} {drives}{stretches}; {} pulses/s in all{most}.",
         figures.drives,
-        number(figures.pulses_per_s)
+        number(figures.busiest_pulses_per_s)
     )
 }
 
@@ -184,7 +187,8 @@ impl Felt {
         let moves = target.is_some_and(moves);
         let most = if stretches.len() == 1 && !moves { STEADY_S } else { LONGEST_S };
         let watched_s = run_s(stretches).min(most);
-        let receptors = population(target.map_or(SEED, Target::population_seed));
+        // As the maker does: a target's population seeds the noise too.
+        let seed = target.map_or(SEED, Target::population_seed);
         let model = target.map_or_else(
             || RaModel::default_for(Rectify::Half, POPULATION_NOISE_SD),
             |target| *target.model(),
@@ -192,7 +196,7 @@ impl Felt {
         // In a pattern a stroke exists only if it has ended by the pattern's end; in a scene, by its drive's.
         let stop_s = |drive: &Drive| drive.stop_s.or(pattern.duration_s());
         let drives = pattern.drives().iter().map(|drive| Drive { stop_s: stop_s(drive), ..*drive }).collect();
-        let scene = Scene::new(watched_s, SEED, drives, receptors, model)?;
+        let scene = Scene::new(watched_s, seed, drives, population(seed), model)?;
         let keep = if moves { Keep::Spikes } else { Keep::Rates };
         let answer = simulate(&scene, &Options { keep, ..Options::rates(Method::Exact) }, progress)?;
         let rates_hz = answer.rates_hz(&scene);
@@ -226,7 +230,7 @@ fn verdict(target: &Target, watched: &Watched<'_>) -> String {
     format!(
         " Orange: the target, and rings around the {} receptors within {} mm of it. They have {} impulses/s in the mean, \
          the others {}: the cost is {}, and one of them has a higher rate than one of the others with a probability \
-         of {} (AUC).",
+         of {} (AUC).{ONE_POPULATION}",
         watched.sides.on_count(),
         number(target.reach_mm()),
         number(on_hz),
@@ -256,7 +260,7 @@ fn frames(
     }
     let caption = format!(
         "Predicted impulse rates in {} of the {} frames of {}, each from its spikes in that time. Orange: the target as \
-         it is in the frame, and rings around the receptors within {} mm of it.",
+         it is in the frame, and rings around the receptors within {} mm of it.{ONE_POPULATION}",
         shown.len(),
         target.frames().len(),
         target.name(),
