@@ -20,6 +20,7 @@ use anyhow::{Result, anyhow, bail};
 use clap::Args;
 use serde::Serialize;
 use std::fs;
+use std::io::{self, Write};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::{self, ExitCode};
@@ -112,9 +113,13 @@ pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
         budget: asked.budget.clone().map_or(Budget::Enough, |limit| limit.0),
         start: start.map(|(pattern, _)| pattern.drives().to_vec()),
     };
-    let (name, place) = match &asked.file {
-        Some(file) => (name(file)?, Some(files::beside(file)?)),
-        None => (target.name().to_owned(), None),
+    let name = match &asked.file {
+        Some(file) => {
+            // Only to see that it can be: whatever ends the search, nothing half made is left behind.
+            drop(files::beside(file)?);
+            name(file)?
+        }
+        None => target.name().to_owned(),
     };
     let told = told_to_stop()?;
     let mut shown = Search::new(asked.output.json);
@@ -124,8 +129,8 @@ pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
     })?;
     drop(shown);
     let text = made.pattern.to_toml();
-    if let Some(place) = place {
-        place.write(&text)?;
+    if let Some(file) = &asked.file {
+        files::beside(file)?.write(&text)?;
     }
     let spent = made.spent();
     let document = Document {
@@ -153,8 +158,10 @@ pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
         (true, _) => say_json(&document),
         (false, Some(_)) => say(&summary(&target, &document, &made)),
         (false, None) => {
-            eprintln!("{}", summary(&target, &document, &made));
-            say(document.pattern.trim_end())
+            let said = say(document.pattern.trim_end());
+            // The pattern matters; whoever closed stderr does not want the rest.
+            let _ = writeln!(io::stderr(), "{}", summary(&target, &document, &made));
+            said
         }
     };
     said.or_else(|error| if is_broken_pipe(&error) { Ok(()) } else { Err(error) })?;
