@@ -71,7 +71,7 @@ fn every_shape_is_read_with_its_keys_and_written_again() {
 }
 
 /// What to change in the good target, and the line that it must then be refused with.
-const BAD: [(&str, &str, &str); 36] = [
+const BAD: [(&str, &str, &str); 37] = [
     ("name = \"good\"", "", "bad.toml:1: `name` is missing: add name = \"...\", as the file is called"),
     ("\"good\"", "\"Good\"", "bad.toml:1: `name` is `Good`: must be 1 to 64 of a-z, 0-9 and -"),
     (

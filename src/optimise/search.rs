@@ -345,7 +345,7 @@ impl Walk<'_> {
     fn tell(&mut self, ground: &Ground<'_>) {
         let here = ground.standing.score();
         // A coarser look is no match for a finer one.
-        let alike = ground.standing.objective().duration_s() == FINE.duration_s;
+        let alike = ground.standing.objective().duration_s() >= FINE.duration_s;
         let best = self.best.filter(|best| !alike || best.cost_hz() > here.cost_hz());
         if (self.watch)(self.spent, best.unwrap_or(here)).is_break() {
             self.ended.get_or_insert(Ended::Interrupted);

@@ -345,10 +345,15 @@ mod tests {
     fn what_the_array_cannot_show_is_warned_of() {
         let line = |rest: &str| read(rest).warnings().concat();
         assert_eq!(
-            line("shape = \"dots\"\npoints = [[0, 0], [9, 0], [3, 4]]"),
+            line("shape = \"dots\"\npoints = [[0, 0], [6, 0], [3, 4]]"),
             "dots 5 mm apart run together: the array shows what is two pin pitches apart, 5.8 mm; move them apart"
         );
         assert!(line("shape = \"grating\"\nperiod_mm = 5.7").starts_with("lines 5.7 mm apart run together"));
+        assert_eq!(
+            line("shape = \"dots\"\npoints = [[8, 0]]\nreach_mm = 3"),
+            "the point (8, 0) is 3.9275 mm from the nearest pin: nothing moves the skin there; the pins stand within \
+             4.35 mm of the middle across the finger and 7.25 mm along it"
+        );
         let jumps = "motion = { duration_s = 1, speed_mm_s = 5.9, frames = 2 }";
         assert_eq!(
             line(&format!("{EDGE}{jumps}")),
