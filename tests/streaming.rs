@@ -397,6 +397,33 @@ fn the_streamer_allocates_nothing_while_it_plays() {
     assert!(!notices.iter().any(|notice| matches!(notice, Notice::Answer { result: Err(_), .. })));
 }
 
+/// A play without strokes, replaced at once by one with some, while the line loses what would tell: the play before must
+/// not count what came after.
+#[test]
+fn a_play_without_strokes_hides_no_boundary() {
+    for seed in 100..140 {
+        let mut rig = Rig::new(Line::default(), seed);
+        rig.arm();
+        let mut play = |rig: &mut Rig, pattern: &str, ms: f64| {
+            let mut play = rig.play(&rig::pattern(pattern), Some(ms / 1000.0));
+            play.replace = true;
+            rig.order(Job::Play(Box::new(play)));
+        };
+        play(&mut rig, "braille-o", 287.0);
+        rig.run(175 * MS);
+        rig.set_line(bad_line());
+        play(&mut rig, "all-in-phase", 1.0);
+        play(&mut rig, "all-in-phase", 11.0);
+        rig.run(16 * MS);
+        rig.set_line(Line::default());
+        rig.run(2000 * MS);
+        let outcomes = rig::into_outcomes(rig.take_notices());
+        assert_eq!(outcomes.len(), 3);
+        let played: u64 = outcomes.iter().map(|outcome| outcome.bursts.played).sum();
+        assert_eq!(played, rig.mock.controller().counters().played, "seed {seed}");
+    }
+}
+
 #[derive(Clone, Debug)]
 enum Op {
     Play { pattern: usize, ms: u32, endless: bool, abort: bool, replace: bool, open_loop: bool },

@@ -25,7 +25,7 @@ impl Streamer {
         tell: Tell<'_>,
     ) {
         while let Some(active) = self.plays.pop_front() {
-            let until = self.plays.front().and_then(|next| next.begun).or(after);
+            let until = self.plays.iter().find_map(|next| next.begun).or(after);
             let (id, outcome) = active.close(until, wire, rest_um);
             tell(Notice::Ended { id, outcome });
         }
@@ -36,8 +36,9 @@ impl Streamer {
         let returning = self.state() == State::Returning;
         let Some(session) = &mut self.session else { return };
         while let Some(first) = self.plays.front() {
-            let next = self.plays.get(1);
-            let next_begun = next.and_then(|next| next.begun);
+            // A play without strokes never begins: what its neighbours have played is told apart by the one after it.
+            let later = || self.plays.iter().skip(1);
+            let next_begun = later().find_map(|next| next.begun);
             let Some((status, at)) = &self.status else { return };
             let after = if first.cut.is_some() {
                 let settled = !self.in_flight
@@ -49,7 +50,7 @@ impl Streamer {
                 let end = first.end().map_or(first.last_end, |end| end.max(first.last_end));
                 let decided = first.phase == Phase::Streamed && first.undecided == 0;
                 // Counters that hold all of this play and nothing of the next.
-                let next_onset = next.and_then(|next| next.onset).unwrap_or(Tick(u64::MAX));
+                let next_onset = later().find_map(|next| next.onset).unwrap_or(Tick(u64::MAX));
                 let now_known =
                     (*at >= end && *at < next_onset && first.begun.is_some()).then_some(status.counters);
                 next_begun.or(now_known).filter(|_| decided && tick >= end)
