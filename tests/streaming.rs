@@ -404,7 +404,7 @@ fn a_play_without_strokes_hides_no_boundary() {
     for seed in 100..140 {
         let mut rig = Rig::new(Line::default(), seed);
         rig.arm();
-        let mut play = |rig: &mut Rig, pattern: &str, ms: f64| {
+        let play = |rig: &mut Rig, pattern: &str, ms: f64| {
             let mut play = rig.play(&rig::pattern(pattern), Some(ms / 1000.0));
             play.replace = true;
             rig.order(Job::Play(Box::new(play)));
