@@ -9,7 +9,7 @@
 use meissner::array;
 use meissner::optimise::{
     Brief, Ended, Fidelity, Found, Limit, Objective, Point, Score, Setting, Shape, Sides, Space, Spent, Step,
-    Target, Vibration, YARDSTICK, search, shipped,
+    Target, Vibration, YARDSTICK, resume, search, shipped,
 };
 use meissner::simulate::{Method, Options, Scene, simulate};
 use meissner::skin::{self, Position};
@@ -179,7 +179,7 @@ fn best(found: &Found) -> Point {
 fn a_limit_is_kept_to_within_a_batch() {
     let (target, space) = (yardstick(), Setting::Default.space());
     let start = space.random(5);
-    // A batch is at most: off, 6 frequencies, 2 phases, 8 neighbours with 4 phases each; all 306 receptors.
+    // A batch far away is at most: off, 6 frequencies, 2 phases, 8 neighbours with 4 phases each; all 306 receptors.
     let most = 41.0 * 306.0 * 0.25;
     let limited = found(&target, &space, 5, start, Limit::ReceptorSeconds(2000.0));
     assert!((2000.0..2000.0 + most).contains(&limited.spent.receptor_s), "{:?}", limited.spent);
@@ -270,7 +270,9 @@ fn out_of_the_null_and_off_a_ridge() {
     for start in [silent, 600] {
         let before = size(&start).cost_hz();
         let found = converged(&target, &space, everywhere(start));
-        let hz = exact_hz(&target, 0, found.point);
+        // By itself: the restarts begin elsewhere.
+        let own = found.trace.iter().rfind(|step| step.pass == 0).unwrap();
+        let hz = exact_hz(&target, 0, own.point);
         assert!(hz > 120.0 && hz > before, "from {start}: {hz}");
     }
 }
@@ -315,14 +317,14 @@ fn to_convergence_and_again() {
     let found = converged(&target, &space, space.random(0));
     assert_eq!(found.trace.iter().map(|step| step.pass).max(), Some(4));
     assert_eq!(found.point, best(&found));
-    // From where it ended there is nowhere to go.
-    let again = converged(&target, &space, found.point);
+    let limit = Limit::Evaluations(MOST);
+    let again = resume(&brief(&target, &space, &0), found.point, limit, &mut go_on).unwrap();
     let fine = |found: &Found| {
         let frame = &target.frames()[0];
         let fidelity = Fidelity { duration_s: 1.0, step_us: Some(500), least_weight: 1e-3 };
         Objective::new(&target, frame, &[0], 0, fidelity).at(found.point).unwrap().score().cost_hz()
     };
-    assert!(fine(&again) >= 0.99 * fine(&found));
+    assert!(fine(&again) >= fine(&found));
 }
 
 fn spaces() -> impl Strategy<Value = Space> {

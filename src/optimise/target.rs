@@ -323,14 +323,14 @@ fn definition_of(shape: &Shape) -> Table {
 }
 
 #[cfg(test)]
-mod tests {
+pub(in crate::optimise) mod tests {
     use super::*;
 
-    fn read(rest: &str) -> Target {
+    pub(in crate::optimise) fn read(rest: &str) -> Target {
         Target::read(&format!("name = \"t\"\n{rest}"), "t.toml").unwrap()
     }
 
-    const EDGE: &str = "shape = \"segment\"\npoints = [[-3, 0], [3, 0]]\n";
+    pub(in crate::optimise) const EDGE: &str = "shape = \"segment\"\npoints = [[-3, 0], [3, 0]]\n";
 
     #[test]
     fn a_target_at_rest_is_one_frame_without_times() {

@@ -91,15 +91,6 @@ impl Scene {
         Ok(Self { gains: *gains, ..self.clone() })
     }
 
-    /// The scene with its receptors elsewhere, as under a finger that has moved. The n-th of them keeps the n-th's noise.
-    ///
-    /// # Errors
-    /// The first place that is out of range.
-    pub fn with_receptors(&self, receptors: Vec<Position>) -> Result<Self, SceneError> {
-        check_receptors(&receptors).map_err(|fault| SceneError::new(fault, None))?;
-        Ok(Self { receptors: Arc::new(receptors), ..self.clone() })
-    }
-
     /// Reads a scene file; `file` is what errors call it. A name that ends in `.json` or `.toml` says what it is;
     /// else it is JSON if it begins with a brace.
     ///
@@ -247,17 +238,12 @@ mod tests {
         }
         gains[23] = 10.0;
         let scene = scene.with_gains(&gains).unwrap();
-        let place = |x_mm| vec![Position { x_mm, y_mm: 2.0 }; 2];
-        let line = scene.with_receptors(place(f64::NAN)).unwrap_err().to_string();
-        assert_eq!(line, "`receptors[0].x_mm` is NaN: must be -1000000 to 1000000 mm");
-        let moved = scene.with_receptors(place(1.0)).unwrap();
-        assert_eq!((moved.receptors(), moved.gains()), (&place(1.0)[..], &gains));
-        let line = moved.with_drives(vec![DRIVE, DRIVE]).unwrap_err().to_string();
+        let line = scene.with_drives(vec![DRIVE, DRIVE]).unwrap_err().to_string();
         assert!(line.starts_with("`drives[1].motor`: motor 3 is still driven by drives[0]"), "{line}");
-        let at_rest = moved.with_drives(vec![]).unwrap();
+        let at_rest = scene.with_drives(vec![]).unwrap();
         assert_eq!(
             (at_rest.drives().len(), at_rest.receptors(), at_rest.gains()),
-            (0, moved.receptors(), &gains)
+            (0, scene.receptors(), &gains)
         );
     }
 }

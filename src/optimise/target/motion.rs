@@ -75,14 +75,8 @@ impl Motion {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::optimise::Target;
     use crate::optimise::shape::distance;
-
-    fn read(rest: &str) -> Target {
-        Target::read(&format!("name = \"t\"\n{rest}"), "t.toml").unwrap()
-    }
-
-    const EDGE: &str = "shape = \"segment\"\npoints = [[-3, 0], [3, 0]]\n";
+    use crate::optimise::target::tests::{EDGE, read};
 
     #[test]
     fn frames_are_the_shape_at_their_middle_times() {

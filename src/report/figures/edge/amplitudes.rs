@@ -1,7 +1,7 @@
 //! What the search comes to at other amplitudes than the paper's.
 //!
 //! Above some amplitude the drive saturates, and the best frequency falls with it; below, it rises. Each amplitude is
-//! searched with fewer evaluations than the figure: its cost is then within 1 % of what no limit finds.
+//! searched with fewer evaluations than the figure.
 //!
 //! Invariant: costs are those of [`Fidelity::FULL`](crate::optimise::Fidelity::FULL).
 
@@ -18,8 +18,9 @@ use std::fmt::Write;
 
 /// Amplitudes that are compared, µm.
 pub(super) const AMPLITUDES_UM: [f64; 6] = [20.0, 30.0, 40.0, 60.0, 80.0, 120.0];
-/// Evaluations for each of these: a descent and part of a restart. The cost is then within 1 % of what no limit finds.
+/// Evaluations for each of these: a descent and part of a restart.
 const EVALUATIONS: u64 = 1_500;
+
 /// What the search comes to at an amplitude.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ByAmplitude {
