@@ -85,3 +85,4 @@ pub mod limits;
 pub mod message;
 pub mod stroke;
 pub mod tick;
+pub mod urgent;
