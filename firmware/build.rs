@@ -8,6 +8,9 @@ fn main() {
     let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets it"));
     fs::copy("memory.x", out.join("memory.x")).expect("the layout can be copied");
     println!("cargo:rustc-link-search={}", out.display());
+    for argument in ["--nmagic", "-Tlink.x", "-Tlink-rp.x"] {
+        println!("cargo:rustc-link-arg-bins={argument}");
+    }
 
     let mut files = Vec::new();
     for place in ["memory.x", "Cargo.toml", "Cargo.lock", "src", "../firmware-protocol/src"] {

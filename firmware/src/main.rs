@@ -19,6 +19,7 @@ mod shell;
 mod usb;
 mod wave;
 
+use cortex_m::peripheral::SCB;
 use embassy_executor::Spawner;
 use embassy_futures::join::join;
 use embassy_rp::clocks::{ClockConfig, RoscRng};
@@ -29,12 +30,36 @@ use embassy_rp::interrupt::{InterruptExt, Priority};
 use firmware_protocol::controller::{Controller, Identity};
 use static_cell::StaticCell;
 
+// Where the second boot stage goes to, as to a vector table: copies the code to RAM (see `memory.x`), then goes on as
+// it would have gone on.
+core::arch::global_asm!(
+    ".section .entry,\"a\"",
+    ".word _stack_start",
+    ".word copy",
+    ".thumb_func",
+    "copy:",
+    "ldr r0, =__image_start",
+    "ldr r1, =__image_end",
+    "ldr r2, =__image_load",
+    "b 2f",
+    "1: ldmia r2!, {{r3}}",
+    "stmia r0!, {{r3}}",
+    "2: cmp r0, r1",
+    "blo 1b",
+    "ldr r0, =__vector_table",
+    "ldr r1, =0xe000ed08", // VTOR
+    "str r0, [r1]",
+    "ldr r0, [r0, #4]",
+    "bx r0",
+);
+
 #[embassy_executor::main]
 async fn main(_spawner: Spawner) {
     let clocks = ClockConfig::system_freq(wave::SYSTEM_HZ).expect("127.5 MHz can be made of 12 MHz");
     let chip = embassy_rp::init(Config::new(clocks));
     let (watchdog, cause) = fault::watchdog(chip.WATCHDOG);
     let mut core = cortex_m::Peripherals::take().expect("taken once");
+    vectors_to_ram(&mut core.SCB);
 
     interrupt::TIMER_IRQ_0.set_priority(Priority::P3);
     interrupt::USBCTRL_IRQ.set_priority(Priority::P0);
@@ -43,6 +68,18 @@ async fn main(_spawner: Spawner) {
     shell::start(Controller::new(identity()).because(cause), ports);
     wave::start(&mut core.SYST);
     join(usb.run(), fault::feed(watchdog)).await;
+}
+
+/// Interrupts find their handlers in RAM too.
+fn vectors_to_ram(scb: &mut SCB) {
+    #[repr(C, align(256))]
+    struct Vectors([u32; 48]);
+    static VECTORS: StaticCell<Vectors> = StaticCell::new();
+    // SAFETY: the table in use has 16 exceptions and 32 interrupts.
+    let table = unsafe { (scb.vtor.read() as *const [u32; 48]).read() };
+    let copy = VECTORS.init(Vectors(table));
+    // SAFETY: the copy has all entries, is aligned as it must be, and stays.
+    unsafe { scb.vtor.write(copy.0.as_ptr() as u32) };
 }
 
 fn identity() -> Identity {

@@ -8,6 +8,7 @@
 
 use crate::{usb, wave};
 use core::cell::UnsafeCell;
+use core::mem::MaybeUninit;
 use core::sync::atomic::{AtomicU32, Ordering::SeqCst};
 use embassy_rp::interrupt;
 use embassy_rp::interrupt::{InterruptExt, Priority};
@@ -17,7 +18,7 @@ use firmware_protocol::message::{Cause, State};
 use firmware_protocol::tick::Tick;
 use firmware_protocol::urgent::{Urgent, Watch};
 
-/// Least ticks between a block being rendered and its first word being fetched: the bench reads it.
+/// Least ticks between a block being rendered and its first word being fetched, while enabled: the bench reads it.
 #[unsafe(no_mangle)]
 static SLACK_MIN: AtomicU32 = AtomicU32::new(HORIZON);
 /// How often it has been woken: the watchdog is fed only while it goes on.
@@ -28,10 +29,10 @@ static EPOCH: AtomicU32 = AtomicU32::new(0);
 static E_STOP: AtomicU32 = AtomicU32::new(0);
 const OPEN: u32 = 1 << 16;
 
-struct Owned(UnsafeCell<Option<Shell>>);
+struct Owned(UnsafeCell<MaybeUninit<Shell>>);
 // SAFETY: `start` fills it before the interrupt is enabled; after that only the interrupt touches it.
 unsafe impl Sync for Owned {}
-static SHELL: Owned = Owned(UnsafeCell::new(None));
+static SHELL: Owned = Owned(UnsafeCell::new(MaybeUninit::uninit()));
 
 struct Shell {
     controller: Controller,
@@ -46,7 +47,7 @@ struct Shell {
 pub(crate) fn start(controller: Controller, ports: usb::Ports) {
     let shell = Shell { controller, ports, active: 0, watches: [const { Watch::new() }; usb::PIPES] };
     // SAFETY: the interrupt is not enabled yet, nobody else has it.
-    unsafe { *SHELL.0.get() = Some(shell) };
+    unsafe { (*SHELL.0.get()).write(shell) };
     interrupt::SWI_IRQ_0.set_priority(Priority::P2);
     // SAFETY: no critical section relies on it being disabled.
     unsafe { interrupt::SWI_IRQ_0.enable() };
@@ -74,10 +75,8 @@ pub(crate) fn e_stop(epoch: u16) {
 
 #[embassy_rp::interrupt]
 fn SWI_IRQ_0() {
-    // SAFETY: this interrupt alone touches it, and does not preempt itself.
-    if let Some(shell) = unsafe { &mut *SHELL.0.get() } {
-        shell.turn();
-    }
+    // SAFETY: it was filled before this interrupt was enabled, which alone touches it and does not preempt itself.
+    unsafe { (*SHELL.0.get()).assume_init_mut() }.turn();
     TURNS.store(turns().wrapping_add(1), SeqCst);
 }
 
@@ -136,9 +135,9 @@ impl Shell {
                 let run = self.controller.render((end - at) as u32);
                 wave::write(at, &run, enabled);
             }
-            let slack = begin - (wave::now() + wave::FETCHED);
-            if (slack as u32) < SLACK_MIN.load(SeqCst) {
-                SLACK_MIN.store(slack as u32, SeqCst);
+            if enabled {
+                let slack = (begin - (wave::now() + wave::FETCHED)) as u32;
+                SLACK_MIN.store(slack.min(SLACK_MIN.load(SeqCst)), SeqCst);
             }
         }
     }
@@ -146,10 +145,10 @@ impl Shell {
     /// The DMA has come to what is not rendered. The lines are low there; what should have been played is not caught up with.
     fn starved(&mut self, now: Tick) {
         if matches!(self.controller.state(), State::Armed | State::Returning) {
-            self.controller.fault(now, Cause::Starved);
             wave::force_low();
+            self.controller.fault(now, Cause::Starved);
+            SLACK_MIN.store(0, SeqCst);
         }
-        SLACK_MIN.store(0, SeqCst);
         while self.controller.rendered() <= now + wave::FETCHED {
             self.controller.render(BLOCK);
         }
