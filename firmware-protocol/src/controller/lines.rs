@@ -30,14 +30,17 @@ impl Controller {
     fn trigger(&mut self) -> (bool, Tick) {
         let now = self.rendered;
         let mut next = NEVER;
-        for &mark in &self.marks {
-            if mark == now {
-                self.triggered = mark + u64::from(TRIGGER_TICKS);
-            } else if mark > now {
-                next = next.min(mark);
-            }
+        if self.marks.iter().any(|&mark| mark == now) {
+            self.trigger_from(now);
+        }
+        for &mark in self.marks.iter().filter(|&&mark| mark > now) {
+            next = next.min(mark);
         }
         if now < self.triggered { (true, next.min(self.triggered)) } else { (false, next) }
+    }
+
+    pub(super) fn trigger_from(&mut self, onset: Tick) {
+        self.triggered = onset + u64::from(TRIGGER_TICKS);
     }
 
     /// Brings one line to the rendered end: what its slots say about that tick.
