@@ -104,21 +104,29 @@ export class Core {
 
   burst(limit) {
     const { t } = this.clock;
-    const { counts } = this;
-    if (this.slow === 1) {
-      do {
-        counts[0]++;
-        t[NOW] += this.step();
-      } while (t[NOW] < limit && t[NOW] < t[NEXT] && !this.attention);
-      return;
+    let executed = 0;
+    try {
+      if (this.slow === 1) {
+        do {
+          executed++;
+          t[NOW] += this.step();
+        } while (t[NOW] < limit && t[NOW] < t[NEXT] && !this.attention);
+      } else executed = this.slowBurst(limit);
+    } finally {
+      this.counts[0] += executed;
     }
+  }
+  slowBurst(limit) {
+    const { t } = this.clock;
+    let executed = 0;
     do {
-      counts[0]++;
+      executed++;
       const cost = this.step() * this.slow + this.carryOver;
       const whole = Math.floor(cost);
       this.carryOver = cost - whole;
       t[NOW] += whole;
     } while (t[NOW] < limit && t[NOW] < t[NEXT] && !this.attention);
+    return executed;
   }
 
   /** Takes the next exception, or wakes, or goes on. Returns the cycles spent. */

@@ -25,6 +25,7 @@ class Channel {
     this.write = 0;
     this.count = 0;
     this.reload = 0;
+    this.moving = false;
     this.alarm = dma.rp2040.clock.createAlarm(() => this.stride());
     this.control = index << 11; // chained to itself is chained to none
     this.unpack();
@@ -65,13 +66,17 @@ class Channel {
   }
   /** Moves words as long as the requesting FIFO has room, or holds something. */
   paced() {
+    // feeding a FIFO that has still room makes it ask again
+    if (this.moving) return;
     const fifo = this.dma.fifo(this.treq);
     if (!fifo) return;
+    this.moving = true;
     while (this.count > 0 && this.control & EN && (fifo.tx ? fifo.tx.txFIFO.used < fifo.tx.txFIFO.size : fifo.rx.rxFIFO.used > 0)) {
       this.count--;
       this.move();
-      if (this.count === 0) this.finish();
     }
+    this.moving = false;
+    if (this.count === 0) this.finish();
   }
   move() {
     try {
@@ -133,19 +138,15 @@ export class Dma extends BasePeripheral {
     this.raw = 0;
     this.enable = [0, 0];
     this.force = [0, 0];
-    this.requesting = false;
   }
   /** The state machine whose TX or RX FIFO is that request line. */
   fifo(treq) {
     const machine = this.rp2040.pio[treq >> 3]?.machines[treq & 3];
     return machine && (treq & 4 ? { rx: machine } : { tx: machine });
   }
-  /** A FIFO has room, or data. Feeding it says so again, which is then not news. */
+  /** A FIFO has room, or data. */
   requested(treq) {
-    if (this.requesting) return;
-    this.requesting = true;
     for (const c of this.channels) if (c.treq === treq && c.busy) c.paced();
-    this.requesting = false;
   }
   // rp2040js's other peripherals name their requests in these; none of them is served
   setDREQ() {}
