@@ -58,36 +58,48 @@ class Channel {
     else this.paced();
   }
   stride() {
-    let n = Math.min(STEP, this.count);
-    this.count -= n;
-    while (n--) this.move();
+    try {
+      for (let n = Math.min(STEP, this.count); n > 0; n--) this.moveNext();
+    } catch (e) {
+      this.busError(e);
+    }
     if (this.count === 0) this.finish();
     else this.go();
   }
   /** Moves words as long as the requesting FIFO has room, or holds something. */
   paced() {
     // feeding a FIFO that has still room makes it ask again
-    if (this.moving) return;
-    const fifo = this.dma.fifo(this.treq);
-    if (!fifo) return;
+    if (this.moving || this.treq > 15) return;
+    const machine = this.dma.rp2040.pio[this.treq >> 3].machines[this.treq & 3];
     this.moving = true;
-    while (this.count > 0 && this.control & EN && (fifo.tx ? fifo.tx.txFIFO.used < fifo.tx.txFIFO.size : fifo.rx.rxFIFO.used > 0)) {
-      this.count--;
-      this.move();
+    try {
+      if (this.treq & 4) while (this.count > 0 && machine.rxFIFO.used > 0) this.moveNext();
+      else if (this.write === machine.txAddress && this.size === 2) this.feed(machine);
+      else while (this.count > 0 && !machine.txFIFO.full) this.moveNext();
+    } catch (e) {
+      this.busError(e);
     }
     this.moving = false;
     if (this.count === 0) this.finish();
   }
-  move() {
-    try {
-      this.moveOne();
-    } catch (e) {
-      if (!(e instanceof Fault)) throw e;
-      this.control |= BUS_ERROR; // the channel halts, as on the chip
-      this.count = 0;
+  /** Our firmware's case, without the way over the bus. */
+  feed(machine) {
+    const { bus } = this.dma.rp2040;
+    const fifo = machine.txFIFO;
+    while (this.count > 0 && fifo.used < fifo.buffer.length) {
+      this.count--;
+      machine.writeFIFO(bus.read32(this.read));
+      this.read = (this.read & ~this.readMask) | ((this.read + this.readStep) & this.readMask);
     }
   }
-  moveOne() {
+  /** The channel halts, as on the chip. */
+  busError(e) {
+    if (!(e instanceof Fault)) throw e;
+    this.control |= BUS_ERROR;
+    this.count = 0;
+  }
+  moveNext() {
+    this.count--;
     const { bus } = this.dma.rp2040;
     if (this.size === 2) bus.write32(this.write, bus.read32(this.read));
     else if (this.size === 1) bus.write16(this.write, bus.read16(this.read));
@@ -139,14 +151,12 @@ export class Dma extends BasePeripheral {
     this.enable = [0, 0];
     this.force = [0, 0];
   }
-  /** The state machine whose TX or RX FIFO is that request line. */
-  fifo(treq) {
-    const machine = this.rp2040.pio[treq >> 3]?.machines[treq & 3];
-    return machine && (treq & 4 ? { rx: machine } : { tx: machine });
-  }
   /** A FIFO has room, or data. */
   requested(treq) {
-    for (const c of this.channels) if (c.treq === treq && c.busy) c.paced();
+    for (let i = 0; i < CHANNELS; i++) {
+      const c = this.channels[i];
+      if (c.treq === treq && c.busy && c.control & EN) c.paced();
+    }
   }
   // rp2040js's other peripherals name their requests in these; none of them is served
   setDREQ() {}

@@ -11,6 +11,7 @@ const AUTOPULL = 1 << 17;
 const PULL_THRESHOLD = 0x1f << 25;
 const JOIN_TX = 1 << 30;
 const JOIN_RX = 1 << 31;
+const TX_OVER = 1 << 16;
 const TX_STALL = 1 << 24;
 
 class Machine extends StateMachine {
@@ -23,6 +24,7 @@ class Machine extends StateMachine {
     this.outputShiftCount = 32; // the OSR is empty out of reset
     this.divider = 1;
     this.fast = false;
+    this.txAddress = 0x50200010 + 0x100000 * this.pio.index + 4 * this.index;
   }
   // the DMA looks at the FIFOs itself
   updateDMATx() {
@@ -35,7 +37,16 @@ class Machine extends StateMachine {
     return this.outputShiftCount >= this.pullThreshold;
   }
   writeFIFO(value) {
-    super.writeFIFO(value);
+    const { pio, txFIFO } = this;
+    if (txFIFO.full) {
+      pio.fdebug |= TX_OVER << this.index;
+      return;
+    }
+    txFIFO.push(value);
+    pio.txStall &= ~(TX_STALL << this.index);
+    this.updateDMATx();
+    if (this.resting) this.checkWait();
+    if (pio.irq0IntEnable | pio.irq1IntEnable) pio.checkInterrupts();
     // the OSR refills by itself, FIFO or not, unless an OUT is already waiting for it
     if (this.fast && this.enabled && !this.outStalled && this.osrEmpty) this.refill();
   }
