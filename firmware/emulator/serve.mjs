@@ -38,7 +38,10 @@ function main() {
   let client = null;
   let stopping = false;
 
-  host.onConfigured = () => console.log('usb configured');
+  host.onConfigured = () => {
+    console.log('usb configured');
+    if (client) host.setDtr(true);
+  };
   host.onIn = (pipe, bytes) => pipe === 'cdc' && client?.write(bytes);
   const server = net.createServer((socket) => {
     if (client) return socket.destroy();

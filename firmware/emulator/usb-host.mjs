@@ -54,6 +54,7 @@ export class UsbHost {
     this.onOut = () => {}; // (pipe): a data packet has been accepted
     this.onConfigured = () => {};
     this.toggleErrors = 0;
+    this.configured = false;
     this.createAlarms();
     this.forget();
   }
@@ -70,7 +71,13 @@ export class UsbHost {
     device.host = this;
     this.forget();
   }
+  /** The device is gone: what was on its way to it too, and an open tty with it. Asked for before, both wait. */
   forget() {
+    if (this.configured) {
+      this.out.cdc.clear();
+      this.out.bulk.clear();
+      this.wantsDtr = false;
+    }
     this.state = 'detached'; // detached, reset, enumerating, configured, suspended
     this.configured = false;
     this.pipes = {}; // name → { ep, out, size, data1 }
