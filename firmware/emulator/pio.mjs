@@ -58,15 +58,21 @@ class Machine extends StateMachine {
     if (this.pio.irq0IntEnable | this.pio.irq1IntEnable) this.pio.checkInterrupts();
   }
   clkDivRestart() {
-    this.at = this.rp2040.clock.cycle;
+    if (!this.enabled || this.resting) this.at = this.rp2040.clock.cycle;
   }
   restart() {
     super.restart();
     this.resting = this.outStalled = false;
+    this.realign();
   }
   start() {
     this.at = this.rp2040.clock.cycle + 1;
     this.resting = this.outStalled = false;
+  }
+  /** To its next own clock tick, after it has rested. */
+  realign() {
+    const now = this.rp2040.clock.cycle;
+    if (this.at <= now) this.at += (Math.floor((now - this.at) / this.divider) + 1) * this.divider;
   }
   writeUint32(offset, value) {
     const joins = this.shiftCtrl ^ value;
@@ -85,8 +91,7 @@ class Machine extends StateMachine {
     if (this.stepping) return super.checkWait();
     if (!this.resting || !(this.waiting || this.outStalled)) return;
     this.resting = false;
-    const now = this.rp2040.clock.cycle;
-    if (this.at <= now) this.at += (Math.floor((now - this.at) / this.divider) + 1) * this.divider;
+    this.realign();
     this.pio.arm();
   }
   step() {

@@ -133,7 +133,7 @@ export class UsbHost {
     this.after(RESUME_NS, () => {
       this.state = 'configured';
       this.frame();
-      this.pump();
+      this.nextControl();
     });
   }
   reset() {
