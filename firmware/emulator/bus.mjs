@@ -1,7 +1,8 @@
 // What the core and the DMA reach at which address: SRAM and flash directly, everything else through rp2040js's address map.
 // A word that is not aligned, or an address where nothing is, is a fault as on the chip (rp2040js only warns).
 
-import { Fault } from './core.mjs';
+/** A failed access or an undefined instruction; the core makes a HardFault of it, the DMA stops its channel. */
+export class Fault extends Error {}
 
 const SRAM_BYTES = 264 * 1024;
 const ROM_BYTES = 16 * 1024;

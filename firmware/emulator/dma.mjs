@@ -4,7 +4,7 @@
 // and its transfer, contention for the bus, and priorities between channels.
 
 import { BasePeripheral } from 'rp2040js';
-import { Fault } from './core.mjs';
+import { Fault } from './bus.mjs';
 
 const CHANNELS = 12;
 const UNPACED = 0x3f;

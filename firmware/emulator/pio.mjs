@@ -173,7 +173,7 @@ export class Pio extends RPPIO {
     }
   }
   readUint32(offset) {
-    // after a reset of the register, stock reads the instruction memory and IRQ_FORCE as unimplemented
+    // the instruction memory is write-only
     return offset >= 0x48 && offset <= 0xc4 ? 0 : super.readUint32(offset);
   }
 }

@@ -165,3 +165,29 @@ test('flags that the stock interpreter gets wrong', () => {
   assert.deepEqual(run(0x4088, { 0: 1, 1: 40 }, 1).slice(0, 2), [0, 0]); // lsls by 40
   assert.deepEqual(run(0x40c8, { 0: 5, 1: 0 }, 1).slice(0, 2), [5, 1]); // lsrs by 0 leaves C alone
 });
+
+test('STM writes its base back even when it stores it, and 1.5 times slower costs 1.5 times', () => {
+  const cost = (slow) => {
+    const b = chip({ slow });
+    load(b, [0xc103, 0xe7fd]); // stmia r1!, {r0, r1}; b back
+    start(b);
+    b.core.r[1] = 0x20001000;
+    const t0 = b.clock.cycle;
+    while (b.instructions < 1000) b.run(1);
+    assert.equal(b.core.r[1], 0x20001000 + 8 * 500);
+    return b.clock.cycle - t0;
+  };
+  assert.equal(cost(1), 2500);
+  assert.equal(cost(1.5), 3750);
+});
+
+test('no vector to go to is a lockup, not an end of the bench', () => {
+  const b = chip();
+  load(b, [0xe7fe]);
+  start(b);
+  b.core.vtor = 0x30000000;
+  write(b, ISER, 1 << 26);
+  write(b, ISPR, 1 << 26);
+  b.run(100);
+  assert.ok(b.core.dead);
+});
