@@ -64,7 +64,8 @@ export class Bench {
   perform(request) {
     const { board } = this;
     const { host } = board;
-    const [verb] = Object.keys(request);
+    // The key that is no argument of another, wherever it stands.
+    const verb = Object.keys(request).find((key) => !['until', 'hex', 'bytes'].includes(key));
     const value = request[verb];
     switch (verb) {
       case 'run':

@@ -22,7 +22,7 @@ mod wave;
 use cortex_m::peripheral::SCB;
 use embassy_executor::Spawner;
 use embassy_futures::join::join;
-use embassy_rp::clocks::{ClockConfig, RoscRng};
+use embassy_rp::clocks::{ClockConfig, CoreVoltage, RoscRng};
 use embassy_rp::config::Config;
 use embassy_rp::flash::{Blocking, Flash};
 use embassy_rp::interrupt;
@@ -55,7 +55,7 @@ core::arch::global_asm!(
 
 #[embassy_executor::main]
 async fn main(_spawner: Spawner) {
-    let clocks = ClockConfig::system_freq(wave::SYSTEM_HZ).expect("127.5 MHz can be made of 12 MHz");
+    let clocks = ClockConfig::manual_pll(wave::CRYSTAL_HZ, wave::PLL, CoreVoltage::V1_10);
     let chip = embassy_rp::init(Config::new(clocks));
     let (watchdog, cause) = fault::watchdog(chip.WATCHDOG);
     let mut core = cortex_m::Peripherals::take().expect("taken once");

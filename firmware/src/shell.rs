@@ -161,10 +161,10 @@ impl Shell {
         if pipe != self.active {
             // A stray byte on the other pipe is nothing; a hello is another host.
             let Some(Urgent::Hello(_)) = self.watches[pipe].look(packet.bytes()) else { return true };
-            self.controller.link_lost(now);
-            self.watches[self.active].reset();
             self.active = pipe;
             usb::set_active(pipe);
+            // Ends what the host before may have begun to say.
+            self.controller.receive(now, &[0]);
         }
         self.controller.receive(now, packet.bytes());
         self.publish();

@@ -14,14 +14,19 @@ use core::sync::atomic::{AtomicBool, AtomicU32, Ordering::SeqCst};
 use cortex_m::peripheral::syst::SystClkSource;
 use cortex_m::peripheral::{SCB, SYST};
 use cortex_m_rt::exception;
+use embassy_rp::clocks::PllConfig;
 use embassy_rp::pac;
 use embassy_rp::pac::dma::vals::{DataSize, TreqSel};
 use embassy_rp::pio::program::pio_asm;
 use firmware_protocol::controller::{BLOCK, HORIZON, Run};
 use firmware_protocol::tick::{TICK_HZ, Tick};
 
+/// The Pico's crystal.
+pub(crate) const CRYSTAL_HZ: u32 = 12_000_000;
+/// Makes [`SYSTEM_HZ`] of it, by way of 1020 MHz.
+pub(crate) const PLL: PllConfig = PllConfig { refdiv: 1, fbdiv: 85, post_div1: 4, post_div2: 2 };
 /// 85 kHz are 1500 cycles of it, exactly.
-pub(crate) const SYSTEM_HZ: u32 = 127_500_000;
+const SYSTEM_HZ: u32 = 127_500_000;
 const CYCLES_PER_TICK: u32 = SYSTEM_HZ / TICK_HZ;
 /// System cycles per cycle of the PIO: a tick has 25, the lines fall after 5 or 20.
 const PIO_DIVIDER: u16 = 60;
@@ -35,6 +40,7 @@ pub(crate) const FETCHED: u64 = 3;
 const FEED: usize = 0;
 const CLEAR: usize = 1;
 
+const _: () = assert!(CRYSTAL_HZ * PLL.fbdiv as u32 / (PLL.post_div1 * PLL.post_div2) as u32 == SYSTEM_HZ);
 const _: () = assert!(SYSTEM_HZ.is_multiple_of(TICK_HZ) && CYCLES_PER_TICK == 25 * PIO_DIVIDER as u32);
 const _: () = assert!(RING_TICKS * WORDS * 4 == 1 << RING_BITS);
 const _: () = assert!(Tick::BOOT.0.is_multiple_of(BLOCK as u64));

@@ -46,6 +46,10 @@ impl Controller {
         self.settle_strokes(at);
         let mut flushed = 0;
         for motor in 0..MOTORS {
+            // Most have not been rendered, and need no look at each.
+            let strokes = self.pool.flush(motor, true);
+            flushed += strokes;
+            self.counters.dropped += 2 * u64::from(strokes);
             while let Some(slot) = self.pool.pop(motor) {
                 let [up, down] = slot.played_before(at);
                 if let Some(charged) = slot.charged {

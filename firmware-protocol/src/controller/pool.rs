@@ -110,6 +110,10 @@ pub(super) struct Queue {
     pub(super) head: u16,
     pub(super) cursor: u16,
     pub(super) tail: u16,
+    /// How many slots it has.
+    len: u16,
+    /// How many of them are strokes of plays.
+    plays: u16,
 }
 
 /// All slots, and who has them.
@@ -129,7 +133,7 @@ impl Pool {
             slot.next = next;
         }
         slots[POOL - 1].next = NONE;
-        let queue = Queue { head: NONE, cursor: NONE, tail: NONE };
+        let queue = Queue { head: NONE, cursor: NONE, tail: NONE, len: 0, plays: 0 };
         Self { slots, free: 0, used: 0, queues: [queue; MOTORS] }
     }
 
@@ -184,6 +188,8 @@ impl Pool {
             queue.cursor = index;
         }
         queue.tail = index;
+        queue.len += 1;
+        queue.plays += u16::from(slot.kind != Kind::Own);
         true
     }
 
@@ -205,51 +211,47 @@ impl Pool {
         if queue.tail == index {
             queue.tail = NONE;
         }
-        self.release(index);
+        queue.len -= 1;
+        queue.plays -= u16::from(slot.kind != Kind::Own);
+        self.release(index, index, 1);
         Some(slot)
     }
 
     /// Gives back what `motor` has not begun: all behind the cursor's slot, and that one too unless `keep_current`.
-    /// Returns how many strokes of plays there were.
+    /// Returns how many strokes of plays there were. Takes no longer for many than for few.
     pub(super) fn flush(&mut self, motor: usize, keep_current: bool) -> u16 {
-        let Queue { head, cursor, .. } = self.queues[motor];
-        let last = if keep_current { cursor } else { self.before(head, cursor) };
-        let mut next = if keep_current { self.current(motor).map_or(NONE, |slot| slot.next) } else { cursor };
-        if next == NONE {
+        let Queue { head, cursor, tail, len, plays } = self.queues[motor];
+        let first = if keep_current { self.current(motor).map_or(NONE, |slot| slot.next) } else { cursor };
+        if first == NONE {
             return 0;
         }
-        match self.get_mut(last) {
-            Some(slot) => slot.next = NONE,
-            None => self.queues[motor].head = NONE,
+        let (mut kept, mut kept_plays, mut last, mut at) = (0, 0, NONE, head);
+        while at != first {
+            let Some(slot) = self.get(at) else { break };
+            kept += 1;
+            kept_plays += u16::from(slot.kind != Kind::Own);
+            (last, at) = (at, slot.next);
         }
-        self.queues[motor].tail = last;
+        if let Some(slot) = self.get_mut(last) {
+            slot.next = NONE;
+        }
+        let queue = &mut self.queues[motor];
+        (queue.tail, queue.len, queue.plays) = (last, kept, kept_plays);
+        if last == NONE {
+            queue.head = NONE;
+        }
         if !keep_current {
-            self.queues[motor].cursor = NONE;
+            queue.cursor = NONE;
         }
-        let mut strokes = 0;
-        while let Some(slot) = self.get(next) {
-            let after = slot.next;
-            strokes += u16::from(slot.kind == Kind::Play);
-            self.release(next);
-            next = after;
-        }
-        strokes
+        self.release(first, tail, len - kept);
+        plays - kept_plays
     }
 
-    /// The slot before `index` in the list from `head` on.
-    fn before(&self, head: u16, index: u16) -> u16 {
-        let (mut before, mut at) = (NONE, head);
-        while at != index {
-            let Some(slot) = self.get(at) else { return NONE };
-            (before, at) = (at, slot.next);
-        }
-        before
-    }
-
-    fn release(&mut self, index: u16) {
-        self.slots[usize::from(index)].next = self.free;
-        self.free = index;
-        self.used -= 1;
+    /// Gives back the `count` slots that hang together from `first` to `last`.
+    fn release(&mut self, first: u16, last: u16, count: u16) {
+        self.slots[usize::from(last)].next = self.free;
+        self.free = first;
+        self.used -= count;
     }
 
     /// The slot of the stroke of `motor` that begins at `up`, from the cursor on.
