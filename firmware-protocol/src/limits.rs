@@ -21,8 +21,11 @@ pub const RAILS: usize = MOTORS / MOTORS_PER_RAIL;
 /// How far a correction may take a count of pulses from the stroke as planned: 30 %, at least 1.
 #[must_use]
 pub const fn correction(planned: u16) -> u16 {
-    let part = planned / 10 * 3 + planned % 10 * 3 / 10;
-    if part > 1 { part } else { 1 }
+    // Tenths by a multiplication, exact for 16 bits: the controller's chip has no division.
+    let planned = planned as u32;
+    let tens = (planned * 52_429) >> 19;
+    let part = tens * 3 + (((planned - tens * 10) * 3 * 52_429) >> 19);
+    if part > 1 { part as u16 } else { 1 }
 }
 
 /// Whether `count` is within [`correction`] of `planned`.
@@ -118,8 +121,10 @@ const BUCKETS: usize = TICK_HZ as usize / BUCKET as usize + 1;
 #[derive(Debug)]
 pub struct OnTime {
     limits: OnTimeLimits,
-    /// Number of the bucket being filled.
-    bucket: u64,
+    /// Index of the bucket being filled.
+    bucket: usize,
+    /// When the next one begins.
+    next: Tick,
     ended: [[u16; MOTORS]; BUCKETS],
     charged: [u32; MOTORS],
 }
@@ -128,8 +133,13 @@ impl OnTime {
     /// An empty account at `now`.
     #[must_use]
     pub fn new(now: Tick) -> Self {
-        let bucket = now.0 / BUCKET;
-        Self { limits: OnTimeLimits::NONE, bucket, ended: [[0; MOTORS]; BUCKETS], charged: [0; MOTORS] }
+        Self {
+            limits: OnTimeLimits::NONE,
+            bucket: 0,
+            next: now + BUCKET,
+            ended: [[0; MOTORS]; BUCKETS],
+            charged: [0; MOTORS],
+        }
     }
 
     /// Sets the limits; what is charged stays.
@@ -143,14 +153,16 @@ impl OnTime {
     /// The limit it would break; nothing is charged then.
     pub fn begin(&mut self, now: Tick, motor: usize, pulses: u32) -> Result<(), Refusal> {
         self.forget(now);
-        let first = motor - motor % MOTORS_PER_RAIL;
-        let rail: u32 = self.charged[first..first + MOTORS_PER_RAIL].iter().sum();
         let off = OnTimeLimits::NONE;
         if self.limits.motor < off.motor && self.charged[motor] + pulses > self.limits.motor {
             return Err(Refusal::MotorOnTime);
         }
-        if self.limits.rail < off.rail && rail + pulses > self.limits.rail {
-            return Err(Refusal::RailOnTime);
+        if self.limits.rail < off.rail {
+            let first = motor - motor % MOTORS_PER_RAIL;
+            let rail: u32 = self.charged[first..first + MOTORS_PER_RAIL].iter().sum();
+            if rail + pulses > self.limits.rail {
+                return Err(Refusal::RailOnTime);
+            }
         }
         self.charged[motor] += pulses;
         Ok(())
@@ -159,22 +171,23 @@ impl OnTime {
     /// A stroke charged with `charged` pulses has ended at `now` after `played` of them.
     pub fn end(&mut self, now: Tick, motor: usize, charged: u32, played: u32) {
         self.forget(now);
-        let ended = &mut self.ended[self.bucket as usize % BUCKETS][motor];
+        let ended = &mut self.ended[self.bucket][motor];
         *ended = ended.saturating_add(u16::try_from(played).unwrap_or(u16::MAX));
         self.charged[motor] = (self.charged[motor] + played).saturating_sub(charged);
     }
 
     /// Takes what is a second old off the account.
     fn forget(&mut self, now: Tick) {
-        let bucket = now.0 / BUCKET;
-        let steps = bucket.saturating_sub(self.bucket).min(BUCKETS as u64);
-        for step in 1..=steps {
-            let old = &mut self.ended[(bucket - steps + step) as usize % BUCKETS];
+        // After a longer pause, one round clears all.
+        self.next = self.next.max(Tick(now.0.saturating_sub(BUCKET * BUCKETS as u64)));
+        while self.next <= now {
+            self.next = self.next + BUCKET;
+            self.bucket = if self.bucket + 1 < BUCKETS { self.bucket + 1 } else { 0 };
+            let old = &mut self.ended[self.bucket];
             for (charged, ended) in self.charged.iter_mut().zip(old) {
                 *charged = charged.saturating_sub(u32::from(core::mem::take(ended)));
             }
         }
-        self.bucket = self.bucket.max(bucket);
     }
 }
 

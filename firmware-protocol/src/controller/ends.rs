@@ -30,8 +30,9 @@ impl Controller {
             let strokes = self.pool.flush(motor, begun);
             flushed += strokes;
             self.counters.dropped += 2 * u64::from(strokes);
-            self.changes[motor] = at;
+            self.change(motor, at);
         }
+        self.next_end = at;
         self.finish_cut(cause, true, flushed, owed, at);
         (self.state, self.then) = (State::Returning, then);
         self.settle();
@@ -109,6 +110,10 @@ impl Controller {
     }
 
     fn settle_strokes(&mut self, now: Tick) {
+        if now < self.next_end {
+            return;
+        }
+        self.next_end = NEVER;
         for motor in 0..MOTORS {
             while self.pool.head(motor).is_some_and(|slot| slot.stroke.end() <= now) {
                 let Some(slot) = self.pool.pop(motor) else { break };
@@ -126,6 +131,9 @@ impl Controller {
                         played.iter().zip(slot.planned).filter(|&(&played, planned)| played != planned);
                     self.counters.amended += changed.count() as u64;
                 }
+            }
+            if let Some(head) = self.pool.head(motor) {
+                self.next_end = self.next_end.min(head.stroke.end());
             }
         }
     }

@@ -15,12 +15,16 @@ impl Controller {
             return Run { lines: self.lines, trigger: false, ticks: 0 };
         }
         let (trigger, mut change) = self.trigger();
-        for motor in 0..MOTORS {
-            if self.changes[motor] <= self.rendered {
-                self.step(motor);
+        if self.next_change <= self.rendered {
+            self.next_change = NEVER;
+            for motor in 0..MOTORS {
+                if self.changes[motor] <= self.rendered {
+                    self.step(motor);
+                }
+                self.next_change = self.next_change.min(self.changes[motor]);
             }
-            change = change.min(self.changes[motor]);
         }
+        change = change.min(self.next_change);
         let ticks = (change - self.rendered).min(max.into());
         self.rendered = self.rendered + ticks;
         Run { lines: self.lines, trigger, ticks: ticks as u32 }
@@ -43,6 +47,12 @@ impl Controller {
         self.triggered = onset + u64::from(TRIGGER_TICKS);
     }
 
+    /// The line of `motor` changes at `tick`.
+    pub(super) fn change(&mut self, motor: usize, tick: Tick) {
+        self.changes[motor] = tick;
+        self.next_change = self.next_change.min(tick);
+    }
+
     /// Brings one line to the rendered end: what its slots say about that tick.
     fn step(&mut self, motor: usize) {
         let now = self.rendered;
@@ -56,6 +66,7 @@ impl Controller {
                     Err(reason) => {
                         slot.kind = Kind::Void;
                         slot.stroke = Stroke { up_pulses: 0, down: stroke.up, down_pulses: 0, ..stroke };
+                        self.next_end = self.next_end.min(stroke.up);
                         self.counters.refused += 2;
                         if self.reports.free() > RESERVE {
                             self.report(Report::Refused { motor: motor as u8, up: stroke.up.wire(), reason });

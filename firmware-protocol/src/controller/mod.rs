@@ -113,6 +113,10 @@ pub struct Controller {
     lines: Lines,
     /// Per motor, when its line changes next.
     changes: [Tick; MOTORS],
+    /// No line changes before.
+    next_change: Tick,
+    /// No stroke ends before.
+    next_end: Tick,
     /// Until when the trigger is high.
     triggered: Tick,
     /// What was rendered before an e-stop reaches to here.
@@ -159,6 +163,8 @@ impl Controller {
             rendered: now,
             lines: Lines::OFF,
             changes: [NEVER; MOTORS],
+            next_change: NEVER,
+            next_end: NEVER,
             triggered: now,
             off_until: now,
         }
@@ -225,16 +231,20 @@ impl Controller {
     /// Takes bytes from the host, in any chunks.
     pub fn receive(&mut self, now: Tick, mut bytes: &[u8]) {
         self.poll(now);
-        // The decoder is lent out while a message borrowed from it is handled.
-        let mut decoder = core::mem::take(&mut self.decoder);
-        while let Some(body) = decoder.next(&mut bytes) {
+        while let Some(body) = self.decoder.next(&mut bytes) {
+            // A message that borrows from the decoder could not be handled.
+            let mut copy = [0; MAX_FRAME];
+            let body = body.map(|body| {
+                let copy = &mut copy[..body.len()];
+                copy.copy_from_slice(body);
+                &*copy
+            });
             match frame::read(body) {
                 Ok(message) => self.handle(message),
                 Err(FrameError::Version(_)) => self.pending.hello = true,
                 Err(_) => self.counters.bad_frames += 1,
             }
         }
-        self.decoder = decoder;
     }
 
     /// Lets time pass: what lies before `now` has been played; a lease may expire. Call it at least once per block.
@@ -486,8 +496,9 @@ impl Controller {
         let queued = self.pool.push(slot);
         if idle && queued {
             // The line may still have to come to the rendered end, where the last stroke was over.
-            self.changes[motor] = self.changes[motor].min(slot.stroke.up);
+            self.change(motor, self.changes[motor].min(slot.stroke.up));
         }
+        self.next_end = self.next_end.min(slot.stroke.end());
         queued
     }
 

@@ -111,6 +111,7 @@ impl Controller {
         }
         slot.generation[half] = Some(generation);
         slot.stroke = stroke;
+        self.next_end = self.next_end.min(stroke.end());
         Some(())
     }
 }
