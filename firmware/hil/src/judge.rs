@@ -16,7 +16,7 @@ use std::fmt;
 /// Differences told of each boot, at the most.
 const TOLD: usize = 12;
 
-/// A time from which lines have to be low, until the next `arm`.
+/// A time from which lines have to be low, until the next `arm` or the next onset.
 #[derive(Clone, Copy, Debug)]
 pub struct Quiet {
     /// From when on.
@@ -43,6 +43,7 @@ pub struct Boot {
 }
 
 /// What is wrong with a boot.
+#[expect(missing_docs, reason = "the fields are what the text says")]
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Finding {
     /// A pulse of neither width.
@@ -158,7 +159,7 @@ impl Boot {
             }
         };
         compare(&log, &expected, &mut findings);
-        self.judge_quiet(&log, grid, &mut findings);
+        self.judge_quiet(&log, &expected.onsets, grid, &mut findings);
         findings.extend(expected.contradictions.iter().cloned().map(Finding::Contradiction));
         findings.truncate(TOLD);
         Judged { findings, log, expected, grid }
@@ -171,9 +172,11 @@ impl Boot {
         })
     }
 
-    fn judge_quiet(&self, log: &Log, grid: Grid, findings: &mut Vec<Finding>) {
+    fn judge_quiet(&self, log: &Log, onsets: &[Tick], grid: Grid, findings: &mut Vec<Finding>) {
         for quiet in &self.quiets {
-            let until = self.arms().find(|&arm| arm >= quiet.cycle).unwrap_or(self.to);
+            let onsets = onsets.iter().map(|&onset| grid.cycle(onset));
+            let ends = self.arms().chain(onsets).filter(|&end| end >= quiet.cycle);
+            let until = ends.min().unwrap_or(self.to);
             let (from, to) = (grid.tick(quiet.cycle + crate::time::TICK - 1).0, grid.tick(until).0);
             let pulse = match &self.played {
                 Played::Ticks(_) => log.within(from, to).first().map(|tick| grid.cycle(tick)),

@@ -373,7 +373,7 @@ impl Rig {
         Ok(())
     }
 
-    /// So many ticks from now on all lines have to be low, until the next `arm`.
+    /// So many ticks from now on all lines have to be low, until the next `arm` or onset.
     pub fn low_from(&mut self, ticks: u64) {
         self.quiets.push(Quiet { cycle: self.now + ticks * TICK });
     }

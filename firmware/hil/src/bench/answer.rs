@@ -3,7 +3,7 @@
 //! Only reading; what a cut-off or senseless answer is, is an error and never a guess.
 
 use serde::Deserialize;
-use std::io::{self, BufRead, Read};
+use std::io::{self, BufRead};
 
 /// Bytes of a level change in the tail: cycle (u64 LE), levels (u32 LE).
 const RECORD: usize = 12;

@@ -39,7 +39,7 @@ pub struct Scenario {
     /// What happens.
     #[serde(rename = "step")]
     pub steps: Vec<Step>,
-    /// What has to come of the plays, in the order in which they were ordered.
+    /// What has to come of the plays that are not refused, in the order in which they were ordered.
     #[serde(default)]
     pub plays: Vec<PlayEnd>,
     /// Causes of all cuts, in order.
@@ -64,7 +64,7 @@ pub struct Step {
     pub cycles: u64,
     /// What.
     pub act: Act,
-    /// From so many ticks later on all lines have to be low, until the next `arm`.
+    /// From so many ticks later on all lines have to be low, until the next `arm` or onset.
     pub low_within_ticks: Option<u64>,
     /// The order has to be refused.
     #[serde(default)]
@@ -72,6 +72,7 @@ pub struct Step {
 }
 
 /// What happens.
+#[expect(missing_docs, reason = "the keys of the file say what they are")]
 #[derive(Clone, Debug, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Act {
@@ -222,7 +223,9 @@ impl Scenario {
     /// # Errors
     /// If their folder is not there.
     pub fn names() -> Result<Vec<String>, ScenarioError> {
-        Ok(files("../scenarios")?.iter().map(|path| stem(path)).collect())
+        let mut names: Vec<_> = files("../scenarios")?.iter().map(|path| stem(path)).collect();
+        names.sort();
+        Ok(names)
     }
 
     /// Reads one by its name.

@@ -32,8 +32,9 @@ pub struct Ran {
 struct Runner<'a> {
     scenario: &'a Scenario,
     rig: Rig,
-    /// The plays ordered.
-    plays: u64,
+    /// Orders to play, and those of them that are not to be refused.
+    ordered: u64,
+    plays: Vec<u64>,
     /// Tickets, and whether the order has to be refused.
     tickets: Vec<(u64, bool, usize)>,
     generation: u16,
@@ -49,7 +50,7 @@ pub fn run(scenario: &Scenario, which: &Which) -> Result<Ran, ScenarioError> {
     let options = RigOptions { function: scenario.function, faults: scenario.faults, seed: 1, ..RigOptions::default() };
     let rig = Rig::new(which, options)?;
     let mut runner =
-        Runner { scenario, rig, plays: 0, tickets: Vec::new(), generation: 0, boots: 1, wrong: Vec::new() };
+        Runner { scenario, rig, ordered: 0, plays: Vec::new(), tickets: Vec::new(), generation: 0, boots: 1, wrong: Vec::new() };
     runner.rig.run_to_greeting(GREETING_MS)?;
     for (number, step) in scenario.steps.iter().enumerate() {
         runner.step(number, step)?;
@@ -74,9 +75,12 @@ impl Runner<'_> {
         let job = match &step.act {
             Act::Arm { assume_rest } => Job::Arm { assume_rest: *assume_rest },
             Act::Play { pattern: name, seconds, onset_ms } => {
-                self.plays += 1;
+                self.ordered += 1;
+                if !step.refused {
+                    self.plays.push(self.ordered);
+                }
                 let strokes = Strokes::new(&pattern(name)?, Some(*seconds))?;
-                let (id, at) = (self.plays, At::Tick(tick(*onset_ms)));
+                let (id, at) = (self.ordered, At::Tick(tick(*onset_ms)));
                 let late = LatePolicy::Drop;
                 Job::Play(Box::new(Play { id, strokes, at, late, replace: false, open_loop: true }))
             }
@@ -214,7 +218,7 @@ impl Runner<'_> {
         }
         let deaths = boots.iter().zip(&judged).map(|(boot, judged)| boot.death.map(|cycle| judged.grid.tick(cycle).0));
         let deaths = deaths.collect();
-        outcome::check(scenario, plays, notices, &judged, &mut wrong);
+        outcome::check(scenario, &plays, notices, &judged, &mut wrong);
         Ok(Ran { boots: judged, deaths, wrong })
     }
 }
