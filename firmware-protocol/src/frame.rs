@@ -20,6 +20,10 @@ pub const MAX_FRAME: usize = 1 + MAX_MESSAGE + 1;
 /// Bytes of a frame that are not its body.
 pub const FRAME_OVERHEAD: usize = 1 + 1 + CRC_LEN + 1;
 
+/// A frame without its delimiter that is short enough for `Hello` or an e-stop: code byte, version, tags and
+/// numbers, CRC.
+pub(crate) const MAX_SHORT: usize = 1 + 1 + 8 + CRC_LEN;
+
 const FULL: postcard::Error = postcard::Error::SerializeBufferFull;
 const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
@@ -126,7 +130,8 @@ impl Decoder {
     }
 }
 
-fn message(encoded: &mut [u8]) -> Result<&[u8], FrameError> {
+/// The body of what was between two zeros, checked.
+pub(crate) fn message(encoded: &mut [u8]) -> Result<&[u8], FrameError> {
     let len = cobs::decode_in_place(encoded).map_err(|_| FrameError::Malformed)?;
     let (message, crc) = encoded[..len].split_last_chunk::<CRC_LEN>().ok_or(FrameError::Malformed)?;
     let (&version, body) = message.split_first().ok_or(FrameError::Malformed)?;

@@ -33,7 +33,8 @@
 //!
 //! The first frame of a play has `onset` set, and `base` is the play's onset. It is all or nothing: if the
 //! onset or one of its strokes would be late, `OnsetRefused` says so and nothing of it was taken. When the
-//! onset has passed, `Onset` reports it with the counters as they stood then.
+//! onset has passed, `Onset` reports it with the counters as they stood then. The trigger output rises with the
+//! onset's tick and stays high for [`controller::TRIGGER_TICKS`].
 //!
 //! # Reports
 //! `Verdict`, `OnsetRefused`, `Onset`, `Cut` and `Refused` must not be lost: they are numbered, and sent
@@ -56,11 +57,14 @@
 //! `Telemetry` comes while armed from devices that have the feature; a lost one is lost.
 //!
 //! # What the controller does
-//! Lines are rendered at most [`controller::HORIZON`] ticks ahead. *Late* is what begins before the rendered end.
+//! Lines are rendered at most [`controller::HORIZON`] ticks ahead, in blocks of [`controller::BLOCK`]. *Late* is what
+//! begins before the rendered end. A shell looks for e-stops in the bytes as they come ([`urgent`]), before those
+//! that came earlier have been read; where hosts can reach it on several lines, a `Hello` on another one takes over,
+//! and the one before has lost its link.
 //!
 //! | event | what it does |
 //! |---|---|
-//! | power-up, panic, watchdog, CPU death | all lines off, disarmed, position unknown: `arm` is refused without `assume_rest` |
+//! | power-up, panic, watchdog, CPU death | all lines off, disarmed for that cause, position unknown: `arm` is refused without `assume_rest` |
 //! | `arm` | from disarmed only; first plays down what pins are owed, and reports it (`Cut`). Without arm, strokes are refused |
 //! | stop, disarm, shutdown, abort, lease expired, link lost, another session | *return*: at the rendered end cut what runs and flush the queue, at once play down what is owed (cut in the up burst: the pulses played; later: the rest of the down burst), then off. Exempt from on-time limits. Then disarmed, after a stop armed |
 //! | e-stop, a fault of its own | off after the tick being played; latched; what each pin is owed is kept. `reset` leads to disarmed |
@@ -85,3 +89,4 @@ pub mod limits;
 pub mod message;
 pub mod stroke;
 pub mod tick;
+pub mod urgent;

@@ -129,6 +129,8 @@ pub enum Cause {
     Starved,
     /// The firmware panicked.
     Panic,
+    /// The firmware hung, and its watchdog restarted it.
+    Watchdog,
 }
 
 /// From the device to the host.

@@ -3,7 +3,7 @@
 //! controller during the tick `now`, whose lines are out already (except in [`MOCK`]).
 
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
-use firmware_protocol::controller::{Controller, HORIZON, Identity};
+use firmware_protocol::controller::{BLOCK, Controller, HORIZON, Identity};
 use firmware_protocol::frame::{Decoder, MAX_FRAME, encode};
 use firmware_protocol::limits::OnTimeLimits;
 use firmware_protocol::message::{Cause, DeviceMessage, HostMessage, Op, Report, State, Status};
@@ -18,8 +18,8 @@ pub(crate) struct Shell {
     pub(crate) block: u64,
 }
 
-/// Two DMA blocks of half the horizon.
-pub(crate) const FIRMWARE: Shell = Shell { ahead: HORIZON as u64, block: 32 };
+/// Blocks up to the horizon.
+pub(crate) const FIRMWARE: Shell = Shell { ahead: HORIZON as u64, block: BLOCK as u64 };
 /// The tick being played and no more.
 pub(crate) const TIGHT: Shell = Shell { ahead: 1, block: 1 };
 /// Bytes first, then the ticks up to now: an event comes when nothing is rendered ahead.
@@ -34,8 +34,10 @@ pub(crate) struct Bench {
     pub(crate) now: u64,
     start: u64,
     shell: Shell,
-    ahead: VecDeque<Lines>,
+    ahead: VecDeque<(Lines, bool)>,
     log: Vec<(u64, Lines)>,
+    /// The ticks in which the trigger was high.
+    pub(crate) triggered: Vec<u64>,
     decoder: Decoder,
     /// All that the device has sent.
     pub(crate) inbox: Vec<DeviceMessage>,
@@ -83,6 +85,7 @@ impl Bench {
             shell,
             ahead: VecDeque::new(),
             log: Vec::new(),
+            triggered: Vec::new(),
             decoder: Decoder::default(),
             inbox: Vec::new(),
             epoch: 0,
@@ -110,7 +113,7 @@ impl Bench {
         while self.device.rendered().0 < to {
             let run = self.device.render((to - self.device.rendered().0) as u32);
             assert!(run.ticks > 0, "rendering makes progress");
-            self.ahead.extend((0..run.ticks).map(|_| run.lines));
+            self.ahead.extend((0..run.ticks).map(|_| (run.lines, run.trigger)));
         }
         assert!(self.device.rendered() - Tick(self.now) <= u64::from(HORIZON));
     }
@@ -118,7 +121,11 @@ impl Bench {
     /// The lines go out for the tick `now`.
     fn play(&mut self) {
         let rendered = self.ahead.pop_front().expect("a rendered tick");
-        let lines = if self.device.forced_off(Tick(self.now)) { Lines::OFF } else { rendered };
+        let forced = self.device.forced_off(Tick(self.now));
+        let (lines, trigger) = if forced { (Lines::OFF, false) } else { rendered };
+        if trigger {
+            self.triggered.push(self.now);
+        }
         assert_eq!(lines.up & lines.down, 0, "a line in both masks");
         assert_eq!((lines.up | lines.down) >> MOTORS, 0, "a line that does not exist");
         if lines != Lines::OFF {

@@ -3,7 +3,7 @@
 
 use crate::bench::{Bench, FIRMWARE, LEASE, SHELLS, Shell, arm, burst, pack, stroke};
 use Direction::{Down, Up};
-use firmware_protocol::controller::POOL;
+use firmware_protocol::controller::{Controller, Identity, POOL, TRIGGER_TICKS};
 use firmware_protocol::limits::{OnTimeLimits, Refusal};
 use firmware_protocol::message::{Cause, DeviceMessage, HostMessage, Op, Report, State};
 use firmware_protocol::stroke::{Burst, Direction, MOTORS, Stroke};
@@ -811,6 +811,71 @@ fn an_onset_is_taken_whole_or_not_at_all_and_reported_when_it_has_passed() {
         );
         assert_eq!((bench.device.counters().late, bench.device.counters().refused), (0, 2));
     }
+}
+
+#[test]
+fn the_trigger_rises_with_each_onset_and_stays_for_10_ms() {
+    let ms_10 = u64::from(TRIGGER_TICKS);
+    for shell in SHELLS {
+        let mut bench = Bench::armed(shell);
+        let base = bench.now + 100;
+        // The third comes while the second is high: one long pulse.
+        let onsets = [base, base + 2_000, base + 2_500, base + 5_000];
+        for onset in onsets {
+            bench.onset(onset, &[stroke(1, onset + 3, 9, 5, 9)]);
+        }
+        bench.run_to(base + 5_100);
+        bench.control(Op::EStop);
+        let end = bench.now;
+        bench.run(2_000);
+        let high: Vec<u64> = (base..base + ms_10)
+            .chain(base + 2_000..base + 2_500 + ms_10)
+            .chain(base + 5_000..=end)
+            .collect();
+        let ends_with_the_tick = usize::from(shell.ahead == 0);
+        assert_eq!(bench.triggered, high[..high.len() - ends_with_the_tick]);
+    }
+}
+
+#[test]
+fn an_e_stop_seen_before_its_frame_counts_once_and_from_where_it_was_seen() {
+    let mut bench = Bench::armed(FIRMWARE);
+    let first = stroke(1, bench.now + 100, 200, 5, 200);
+    bench.onset(first.up.0, &[first]);
+    bench.run_to(first.up.0 + 50);
+    let epoch = bench.epoch.wrapping_add(1);
+    // Old or of nobody: nothing.
+    bench.device.e_stop(Tick(bench.now), bench.epoch);
+    bench.is(State::Armed, Cause::Request);
+    assert_eq!(bench.device.epoch(), Some(bench.epoch));
+    bench.device.e_stop(Tick(bench.now), epoch);
+    bench.is(State::Faulted, Cause::EStop);
+    let at = bench.now;
+    // Frames of before it, and its own, come afterwards.
+    bench.strokes(&[stroke(2, bench.now + 300, 9, 5, 9)]);
+    bench.run(3);
+    bench.control(Op::EStop);
+    bench.run(2_000);
+    assert_eq!(bench.last_pulse(), Some(at));
+    assert_eq!((bench.reports().len(), bench.epoch), (2, epoch));
+    assert_eq!(i64::from(bench.device.owed(1)), bench.net(1));
+    bench.control(Op::Reset);
+    bench.is(State::Disarmed, Cause::Request);
+
+    let mut alone = Bench::new(FIRMWARE);
+    alone.device.e_stop(Tick(alone.now), 1);
+    assert_eq!((alone.device.epoch(), alone.device.state()), (None, State::Disarmed));
+}
+
+#[test]
+fn why_it_started_is_told_until_something_else_happens() {
+    let mut bench = Bench::new(FIRMWARE);
+    bench.device = Controller::new(Identity::default()).because(Cause::Watchdog);
+    bench.hello(1);
+    bench.ping(1);
+    assert_eq!((bench.status().cause, bench.status().position_known), (Cause::Watchdog, false));
+    bench.arm(true);
+    bench.is(State::Armed, Cause::Request);
 }
 
 #[test]

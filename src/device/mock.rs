@@ -6,7 +6,7 @@
 //! stall of the machine it runs on does not make strokes late. The same seed and bytes give the same bytes.
 
 use crate::plant::{Plant, PlantConfig, PlantError, RestStats};
-use firmware_protocol::controller::{Controller, HORIZON, Identity, Run};
+use firmware_protocol::controller::{BLOCK, Controller, HORIZON, Identity, Run};
 use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::message::{DeviceHello, State};
 use firmware_protocol::stroke::{Lines, MOTORS};
@@ -14,8 +14,6 @@ use firmware_protocol::tick::Tick;
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Ticks rendered at a time: half the horizon, the other half is being played.
-const BLOCK: u32 = HORIZON / 2;
 /// Bytes that wait in either direction, at the most; a sender waits beyond that.
 const BUFFER: usize = 1 << 16;
 
@@ -174,13 +172,14 @@ impl Mock {
                 break;
             }
         }
+        self.render(self.now);
     }
 
-    /// Renders whole blocks, within the horizon and at least up to `end`.
+    /// Renders whole blocks: all that fit the horizon, and at least up to `end`.
     fn render(&mut self, end: Tick) {
         loop {
             let rendered = self.controller.rendered();
-            let block = u64::from(BLOCK).max(end - rendered);
+            let block = (end - rendered).max(1).next_multiple_of(BLOCK.into());
             if rendered >= end && rendered + block > self.now + u64::from(HORIZON) {
                 break;
             }
@@ -199,13 +198,13 @@ impl Mock {
         // The end of forcing is not a block's end: look again at every tick, unless it has none in sight.
         let look = if forced && self.controller.state() != State::Faulted { 1 } else { max };
         let ticks = u64::from(front.ticks).min(look) as u32;
-        let lines = if forced { Lines::OFF } else { front.lines };
+        let (lines, trigger) = if forced { (Lines::OFF, false) } else { (front.lines, front.trigger) };
         front.ticks -= ticks;
         if front.ticks == 0 {
             self.ahead.pop_front();
         }
         if let Some(trace) = &mut self.trace {
-            trace.push((self.now, Run { lines, ticks }));
+            trace.push((self.now, Run { lines, trigger, ticks }));
         }
         self.plant.advance(lines, ticks.into());
         self.now = self.now + u64::from(ticks);

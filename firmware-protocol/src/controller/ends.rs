@@ -92,6 +92,9 @@ impl Controller {
         while let Some(&mark) = self.marks.front().filter(|&&mark| mark <= now) {
             self.settle_strokes(mark);
             self.marks.pop_front();
+            if mark == self.rendered {
+                self.trigger_from(mark);
+            }
             self.report(Report::Onset { tick: mark.wire(), counters: self.counters });
         }
         self.settle_strokes(now);

@@ -2,18 +2,19 @@
 
 use crate::controller::pool::Kind;
 use crate::controller::reports::RESERVE;
-use crate::controller::{Controller, NEVER, Run};
+use crate::controller::{Controller, NEVER, Run, TRIGGER_TICKS};
 use crate::message::Report;
 use crate::stroke::{Line, MOTORS, Stroke};
+use crate::tick::Tick;
 
 impl Controller {
     /// The lines from the rendered end on, for `max` ticks or until a line changes.
     pub fn render(&mut self, max: u32) -> Run {
         if max == 0 {
             // A line is brought to a tick only together with rendering it: until then the tick can be amended.
-            return Run { lines: self.lines, ticks: 0 };
+            return Run { lines: self.lines, trigger: false, ticks: 0 };
         }
-        let mut change = NEVER;
+        let (trigger, mut change) = self.trigger();
         for motor in 0..MOTORS {
             if self.changes[motor] <= self.rendered {
                 self.step(motor);
@@ -22,7 +23,24 @@ impl Controller {
         }
         let ticks = (change - self.rendered).min(max.into());
         self.rendered = self.rendered + ticks;
-        Run { lines: self.lines, ticks: ticks as u32 }
+        Run { lines: self.lines, trigger, ticks: ticks as u32 }
+    }
+
+    /// Whether the trigger is high at the rendered end, and until when that holds.
+    fn trigger(&mut self) -> (bool, Tick) {
+        let now = self.rendered;
+        let mut next = NEVER;
+        if self.marks.iter().any(|&mark| mark == now) {
+            self.trigger_from(now);
+        }
+        for &mark in self.marks.iter().filter(|&&mark| mark > now) {
+            next = next.min(mark);
+        }
+        if now < self.triggered { (true, next.min(self.triggered)) } else { (false, next) }
+    }
+
+    pub(super) fn trigger_from(&mut self, onset: Tick) {
+        self.triggered = onset + u64::from(TRIGGER_TICKS);
     }
 
     /// Brings one line to the rendered end: what its slots say about that tick.

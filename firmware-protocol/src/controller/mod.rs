@@ -33,6 +33,11 @@ use reports::Reports;
 
 /// Ticks rendered ahead of now at the most (a DMA block). What begins before the rendered end is late.
 pub const HORIZON: u32 = 64;
+/// Shells render in blocks of so many ticks, aligned to [`Tick::BOOT`], each as soon as it fits the horizon:
+/// all shells then cut at the same ticks.
+pub const BLOCK: u32 = HORIZON / 4;
+/// How long the trigger output stays high after an onset: 10 ms, so that an amplifier at 200 Hz sees it.
+pub const TRIGGER_TICKS: u32 = TICK_HZ / 100;
 /// How far ahead a stroke may lie.
 const FARTHEST: i64 = 1 << 30;
 /// The longest lease.
@@ -58,6 +63,8 @@ pub struct Identity {
 pub struct Run {
     /// The lines in each of its ticks.
     pub lines: Lines,
+    /// The trigger output: rises on a play's onset, stays for [`TRIGGER_TICKS`].
+    pub trigger: bool,
     /// How many ticks.
     pub ticks: u32,
 }
@@ -106,6 +113,8 @@ pub struct Controller {
     lines: Lines,
     /// Per motor, when its line changes next.
     changes: [Tick; MOTORS],
+    /// Until when the trigger is high.
+    triggered: Tick,
     /// What was rendered before an e-stop reaches to here.
     off_until: Tick,
 }
@@ -150,8 +159,15 @@ impl Controller {
             rendered: now,
             lines: Lines::OFF,
             changes: [NEVER; MOTORS],
+            triggered: now,
             off_until: now,
         }
+    }
+
+    /// The same, and the host is told why it started: a panic, the watchdog.
+    #[must_use]
+    pub fn because(self, cause: Cause) -> Self {
+        Self { cause, ..self }
     }
 
     /// What it is doing.
@@ -189,6 +205,21 @@ impl Controller {
     #[must_use]
     pub fn forced_off(&self, now: Tick) -> bool {
         self.state == State::Faulted || now < self.off_until
+    }
+
+    /// The present epoch, while a session is open: an e-stop counts if it begins a newer one ([`newer`]).
+    #[must_use]
+    pub fn epoch(&self) -> Option<u16> {
+        self.session.map(|_| self.epoch)
+    }
+
+    /// Carries out an e-stop that a shell has seen coming ([`crate::urgent`]) before all that came before it.
+    /// The frame itself, when it is received, is then a repetition.
+    pub fn e_stop(&mut self, now: Tick, epoch: u16) {
+        self.poll(now);
+        if self.session.is_some() {
+            self.control(epoch, Op::EStop);
+        }
     }
 
     /// Takes bytes from the host, in any chunks.
@@ -334,12 +365,7 @@ impl Controller {
             }
             HostMessage::Control { epoch, seen, op } => {
                 self.reports.seen(seen, self.now);
-                if newer(epoch, self.epoch) {
-                    self.epoch = epoch;
-                    self.next_seq = 0;
-                    self.early.clear();
-                    self.refusal = self.perform(op).err();
-                }
+                self.control(epoch, op);
             }
             HostMessage::Strokes { epoch, seq, seen, onset, base, batch } => {
                 self.reports.seen(seen, self.now);
@@ -374,6 +400,15 @@ impl Controller {
         self.refusal = None;
         self.reports.clear();
         self.marks.clear();
+    }
+
+    fn control(&mut self, epoch: u16, op: Op) {
+        if newer(epoch, self.epoch) {
+            self.epoch = epoch;
+            self.next_seq = 0;
+            self.early.clear();
+            self.refusal = self.perform(op).err();
+        }
     }
 
     fn perform(&mut self, op: Op) -> Result<(), Refusal> {
@@ -476,7 +511,8 @@ impl Controller {
     }
 }
 
-/// Whether `a` comes after `b`, as numbers that wrap.
-fn newer(a: u16, b: u16) -> bool {
+/// Whether epoch (or generation) `a` comes after `b`, as numbers that wrap.
+#[must_use]
+pub fn newer(a: u16, b: u16) -> bool {
     (1..0x8000).contains(&a.wrapping_sub(b))
 }

@@ -286,5 +286,6 @@ pub fn cause_text(cause: Cause) -> &'static str {
         Cause::NewHost => "new-host",
         Cause::Starved => "starved",
         Cause::Panic => "panic",
+        Cause::Watchdog => "watchdog",
     }
 }

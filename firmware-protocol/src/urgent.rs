@@ -1,0 +1,123 @@
+//! A short look at a byte stream for what must not wait its turn: an e-stop, and a host's hello.
+//!
+//! A firmware looks at each packet as it comes in, in its interrupt, before anything is queued: an e-stop
+//! then takes effect while frames before it are still being read. What is found is checked as any frame is; what
+//! is not found here is read in its turn all the same. It answers nothing and changes nothing.
+
+use crate::frame::{self, MAX_SHORT};
+use crate::message::{HostMessage, Op};
+
+/// What was seen.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Urgent {
+    /// An e-stop that begins this epoch.
+    EStop(u16),
+    /// A host opens this session.
+    Hello(u32),
+}
+
+/// Watches one stream.
+#[derive(Debug, Default)]
+pub struct Watch {
+    /// What came since the last delimiter, as far as it is short enough to matter.
+    frame: [u8; MAX_SHORT],
+    len: usize,
+}
+
+impl Watch {
+    /// Nothing seen yet.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self { frame: [0; MAX_SHORT], len: 0 }
+    }
+
+    /// Takes the next bytes of the stream; the last urgent message that ends in them.
+    pub fn look(&mut self, bytes: &[u8]) -> Option<Urgent> {
+        let mut seen = None;
+        for &byte in bytes {
+            if byte == 0 {
+                let len = core::mem::take(&mut self.len);
+                if let Some(frame) = self.frame.get_mut(..len) {
+                    seen = urgent(frame).or(seen);
+                }
+                continue;
+            }
+            if let Some(place) = self.frame.get_mut(self.len) {
+                *place = byte;
+            }
+            // One beyond the end is as good as far beyond it.
+            self.len = (self.len + 1).min(MAX_SHORT + 1);
+        }
+        seen
+    }
+
+    /// Forgets a frame begun: the line was cut.
+    pub fn reset(&mut self) {
+        *self = Self::new();
+    }
+}
+
+fn urgent(encoded: &mut [u8]) -> Option<Urgent> {
+    match frame::read(frame::message(encoded)) {
+        Ok(HostMessage::Control { epoch, op: Op::EStop, .. }) => Some(Urgent::EStop(epoch)),
+        Ok(HostMessage::Hello { session }) => Some(Urgent::Hello(session)),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+    use super::*;
+    use crate::frame::{MAX_FRAME, encode};
+    use crate::tick::WireTick;
+    use proptest::prelude::*;
+    use std::vec::Vec;
+
+    fn bytes(message: &HostMessage<'_>) -> Vec<u8> {
+        let mut out = [0; MAX_FRAME];
+        let len = encode(message, &mut out).unwrap();
+        out[..len].to_vec()
+    }
+
+    fn strokes(batch: &[u8]) -> Vec<u8> {
+        let base = WireTick([1, 2, 3, 4]);
+        bytes(&HostMessage::Strokes { epoch: 1, seq: 2, seen: 3, onset: false, base, batch })
+    }
+
+    proptest! {
+        /// Whatever comes before it, and however it is cut into packets.
+        #[test]
+        fn an_e_stop_and_a_hello_are_seen_in_any_stream(
+            epoch: u16, seen: u16, session: u32, before in prop::collection::vec(any::<u8>(), 0..200),
+            batch in prop::collection::vec(any::<u8>(), 0..60), packet in 1usize..64,
+        ) {
+            let estop = bytes(&HostMessage::Control { epoch, seen, op: Op::EStop });
+            let hello = bytes(&HostMessage::Hello { session });
+            prop_assert!(estop.len() <= MAX_SHORT + 1 && hello.len() <= MAX_SHORT + 1);
+            for (urgent, want) in [(estop, Urgent::EStop(epoch)), (hello, Urgent::Hello(session))] {
+                let mut stream = before.clone();
+                stream.push(0);
+                stream.extend(strokes(&batch));
+                stream.extend(&urgent);
+                let mut watch = Watch::new();
+                let found: Vec<_> = stream.chunks(packet).filter_map(|packet| watch.look(packet)).collect();
+                prop_assert_eq!(found.last(), Some(&want));
+            }
+        }
+
+        #[test]
+        fn nothing_else_is_urgent(batch in prop::collection::vec(any::<u8>(), 0..60), token: u16, at: usize) {
+            let mut watch = Watch::new();
+            let ordinary = [strokes(&batch), bytes(&HostMessage::Ping { token, seen: 0 }),
+                bytes(&HostMessage::Control { epoch: token, seen: 0, op: Op::Stop })];
+            for frame in ordinary {
+                prop_assert_eq!(watch.look(&frame), None);
+            }
+            let mut damaged = bytes(&HostMessage::Control { epoch: token, seen: 0, op: Op::EStop });
+            let at = at % (damaged.len() - 1);
+            damaged[at] ^= 0x10;
+            prop_assert_eq!(watch.look(&damaged), None);
+        }
+    }
+}

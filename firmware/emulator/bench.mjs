@@ -1,0 +1,176 @@
+#!/usr/bin/env node
+// bench.mjs ELF [--seed N] [--slow F] [--serial HEX]: the emulated board on a leash. One JSON request per line on stdin, one
+// JSON answer per line on stdout, each followed by its binary tail (README.md has the table). Nothing advances between
+// requests, so a test decides what happens in which cycle. Needs no network and no real time.
+
+import { parseArgs } from 'node:util';
+import fs from 'node:fs';
+import { Board } from './board.mjs';
+
+/** One run of a board under requests: what has come since the last answer, and how to answer. */
+export class Bench {
+  constructor(board) {
+    this.board = board;
+    this.clear();
+    const { host } = board;
+    host.onIn = (pipe, bytes) => {
+      this.received[pipe].push(bytes);
+      if (this.until === pipe) board.stop();
+    };
+    host.onOut = (pipe) => this.packets.push([pipe, board.clock.cycle]);
+    host.onConfigured = () => this.until === 'configured' && board.stop();
+  }
+  clear() {
+    this.received = { cdc: [], bulk: [] };
+    this.packets = [];
+    this.board.recorder.clear();
+  }
+  /** Carries out one request; returns the answer's line and tail as one buffer. */
+  answer(line) {
+    let extra;
+    try {
+      extra = this.perform(JSON.parse(line));
+    } catch (e) {
+      return Buffer.from(`${JSON.stringify({ error: e.message })}\n`);
+    }
+    const { board } = this;
+    const cdc = Buffer.concat(this.received.cdc);
+    const bulk = Buffer.concat(this.received.bulk);
+    const head = {
+      cycle: board.clock.cycle,
+      levels: board.recorder.length,
+      cdc: cdc.length,
+      bulk: bulk.length,
+      packets: this.packets,
+      configured: board.host.configured,
+      resets: board.resets,
+      instructions: board.instructions,
+      asleep: board.asleep,
+      ...extra,
+    };
+    const answer = Buffer.concat([Buffer.from(`${JSON.stringify(head)}\n`), this.levels(), cdc, bulk]);
+    this.clear();
+    return answer;
+  }
+  levels() {
+    const { length, cycles, levels } = this.board.recorder;
+    const tail = Buffer.alloc(12 * length);
+    for (let i = 0; i < length; i++) {
+      tail.writeUIntLE(cycles[i], 12 * i, 6); // 48 bits of the 64 last for 25 days of clk_sys
+      tail.writeUInt32LE(levels[i], 12 * i + 8);
+    }
+    return tail;
+  }
+  perform(request) {
+    const { board } = this;
+    const { host } = board;
+    const [verb] = Object.keys(request);
+    const value = request[verb];
+    switch (verb) {
+      case 'run':
+        return this.run(value, request.until ?? null);
+      case 'cdc':
+      case 'bulk':
+        if (!host.plugged) throw new Error('unplugged');
+        host.send(verb, bytesOf(value));
+        return {};
+      case 'dtr':
+        host.setDtr(!!value);
+        return {};
+      case 'usb':
+        pick({ unplug: () => host.unplug(), plug: () => host.plug(), suspend: () => host.suspend(), resume: () => host.resume() }, value)();
+        return {};
+      case 'cpu':
+        pick({ die: () => board.die(), panic: () => board.panic(), hardfault: () => board.hardfault() }, value)();
+        return {};
+      case 'poke': {
+        const bytes = bytesOf(request.hex);
+        board.memory(value, bytes.length).set(bytes);
+        return {};
+      }
+      case 'read':
+        return { hex: Buffer.from(board.memory(value, request.bytes)).toString('hex') };
+      case 'stats':
+        return { stats: this.stats() };
+      default:
+        throw new Error(`unknown request ${verb}`);
+    }
+  }
+  run(cycles, until) {
+    if (!Number.isSafeInteger(cycles) || cycles < 0) throw new Error('run: a whole number of cycles, please');
+    if (![null, 'configured', 'cdc', 'bulk'].includes(until)) throw new Error(`run: until ${until}?`);
+    this.until = until;
+    // what is awaited may already be there
+    const there = until === 'configured' ? this.board.host.configured : until && this.received[until].length > 0;
+    if (!there) this.board.run(cycles);
+    this.until = null;
+    return {};
+  }
+  stats() {
+    const { board } = this;
+    const { core, host } = board;
+    return {
+      hz: board.clock.hz,
+      micros: board.clock.micros,
+      pc: core.r[15] >>> 0,
+      exception: core.ipsr,
+      fault: core.fault,
+      dead: core.dead,
+      reason: board.kept.reason,
+      usb: host.state,
+      dtr: host.dtr,
+      serial: host.serial,
+      queued: { cdc: host.out.cdc.queued, bulk: host.out.bulk.queued },
+      toggleErrors: host.toggleErrors,
+    };
+  }
+}
+
+function bytesOf(hex) {
+  if (typeof hex !== 'string' || !/^([0-9a-fA-F]{2})*$/.test(hex)) throw new Error('bytes come as pairs of hex digits');
+  return Uint8Array.from(Buffer.from(hex, 'hex'));
+}
+function pick(choices, name) {
+  if (!Object.hasOwn(choices, name)) throw new Error(`one of ${Object.keys(choices).join(', ')}, not ${name}`);
+  return choices[name];
+}
+
+/** Options that every command of the emulator takes. */
+export const BOARD_OPTIONS = {
+  seed: { type: 'string', default: '1' },
+  slow: { type: 'string', default: '1' },
+  serial: { type: 'string' },
+};
+export function boardOf(elf, { seed, slow, serial }) {
+  if (!elf) throw new Error('which ELF?');
+  if (!(Number(slow) > 0)) throw new Error(`--slow ${slow}: a factor above 0, please`);
+  return new Board({ elf, seed: Number(seed), slow: Number(slow), ...(serial ? { serial } : {}) });
+}
+
+function writeAll(buffer) {
+  for (let at = 0; at < buffer.length; ) {
+    try {
+      at += fs.writeSync(1, buffer, at);
+    } catch (e) {
+      if (e.code !== 'EAGAIN') throw e;
+    }
+  }
+}
+
+async function main() {
+  const { positionals, values } = parseArgs({ allowPositionals: true, options: BOARD_OPTIONS });
+  const bench = new Bench(boardOf(positionals[0], values));
+  let rest = '';
+  for await (const chunk of process.stdin.setEncoding('utf8')) {
+    const lines = (rest + chunk).split('\n');
+    rest = lines.pop();
+    for (const line of lines) if (line.trim()) writeAll(bench.answer(line));
+  }
+}
+
+if (process.argv[1] && fs.realpathSync(process.argv[1]) === fs.realpathSync(new URL(import.meta.url))) {
+  main().catch((e) => {
+    console.error(`bench: ${e.message}`);
+    process.exitCode = 1;
+  });
+}

@@ -1,0 +1,223 @@
+// The DMA controller: paced by the PIO's FIFOs or unpaced, rings, chains, interrupts.
+// rp2040js sets an alarm per transfer; here a paced channel moves what the FIFO asks for at once, and an unpaced one moves a
+// word a cycle, in steps of `STEP` words. Not modelled: pacing timers, sniffer, byte swap, the few cycles between a request
+// and its transfer, contention for the bus, and priorities between channels.
+
+import { BasePeripheral } from 'rp2040js';
+import { Fault } from './core.mjs';
+
+const CHANNELS = 12;
+const UNPACED = 0x3f;
+const STEP = 8;
+const EN = 1;
+const BUSY = 1 << 24;
+const BUS_ERROR = (1 << 31) | (1 << 30);
+const QUIET = 1 << 21;
+const IRQ0 = 11;
+// which register each of a channel's 16 words is: 0 read, 1 write, 2 count, 3 control; the last of each four triggers
+const ALIASES = [0, 1, 2, 3, 3, 0, 1, 2, 3, 2, 0, 1, 3, 1, 2, 0];
+
+class Channel {
+  constructor(dma, index) {
+    this.dma = dma;
+    this.index = index;
+    this.read = 0;
+    this.write = 0;
+    this.count = 0;
+    this.reload = 0;
+    this.moving = false;
+    this.alarm = dma.rp2040.clock.createAlarm(() => this.stride());
+    this.control = index << 11; // chained to itself is chained to none
+    this.unpack();
+  }
+  unpack() {
+    const c = this.control;
+    this.size = (c >> 2) & 3;
+    this.treq = (c >> 15) & 63;
+    this.chain = (c >> 11) & 15;
+    const ring = (1 << ((c >> 6) & 15)) - 1;
+    // bits of the address that may change: all, or those of the ring
+    this.readMask = c & (1 << 10) || !ring ? -1 : ring;
+    this.writeMask = c & (1 << 10) && ring ? ring : -1;
+    this.readStep = c & (1 << 4) ? 1 << this.size : 0;
+    this.writeStep = c & (1 << 5) ? 1 << this.size : 0;
+  }
+  get busy() {
+    return (this.control & BUSY) !== 0;
+  }
+  trigger() {
+    if (!(this.control & EN) || this.busy) return;
+    this.count = this.reload;
+    if (this.count === 0) return this.finish();
+    this.control |= BUSY;
+    this.go();
+  }
+  go() {
+    if (!(this.control & EN) || !this.busy) return;
+    if (this.treq === UNPACED) this.alarm.scheduleAt(this.dma.rp2040.clock.cycle + Math.min(STEP, this.count));
+    else this.paced();
+  }
+  stride() {
+    try {
+      for (let n = Math.min(STEP, this.count); n > 0; n--) this.moveNext();
+    } catch (e) {
+      this.busError(e);
+    }
+    if (this.count === 0) this.finish();
+    else this.go();
+  }
+  /** Moves words as long as the requesting FIFO has room, or holds something. */
+  paced() {
+    // feeding a FIFO that has still room makes it ask again
+    if (this.moving || this.treq > 15) return;
+    const machine = this.dma.rp2040.pio[this.treq >> 3].machines[this.treq & 3];
+    this.moving = true;
+    try {
+      if (this.treq & 4) while (this.count > 0 && machine.rxFIFO.used > 0) this.moveNext();
+      else if (this.write === machine.txAddress && this.size === 2) this.feed(machine);
+      else while (this.count > 0 && !machine.txFIFO.full) this.moveNext();
+    } catch (e) {
+      this.busError(e);
+    }
+    this.moving = false;
+    if (this.count === 0) this.finish();
+  }
+  /** Our firmware's case, without the way over the bus. */
+  feed(machine) {
+    const { bus } = this.dma.rp2040;
+    const fifo = machine.txFIFO;
+    while (this.count > 0 && fifo.used < fifo.buffer.length) {
+      this.count--;
+      machine.writeFIFO(bus.read32(this.read));
+      this.read = (this.read & ~this.readMask) | ((this.read + this.readStep) & this.readMask);
+    }
+  }
+  /** The channel halts, as on the chip. */
+  busError(e) {
+    if (!(e instanceof Fault)) throw e;
+    this.control |= BUS_ERROR;
+    this.count = 0;
+  }
+  moveNext() {
+    this.count--;
+    const { bus } = this.dma.rp2040;
+    if (this.size === 2) bus.write32(this.write, bus.read32(this.read));
+    else if (this.size === 1) bus.write16(this.write, bus.read16(this.read));
+    else bus.write8(this.write, bus.read8(this.read));
+    this.read = (this.read & ~this.readMask) | ((this.read + this.readStep) & this.readMask);
+    this.write = (this.write & ~this.writeMask) | ((this.write + this.writeStep) & this.writeMask);
+  }
+  finish() {
+    this.control &= ~BUSY;
+    if (!(this.control & QUIET)) this.dma.raise(1 << this.index);
+    if (this.chain !== this.index) this.dma.channels[this.chain]?.trigger();
+  }
+  abort() {
+    this.alarm.cancel();
+    this.control &= ~BUSY;
+    this.count = 0;
+  }
+  readRegister(word) {
+    return [this.read, this.write, this.count, this.control][ALIASES[word]] >>> 0;
+  }
+  writeRegister(word, v) {
+    const which = ALIASES[word];
+    if (which === 0) this.read = v | 0;
+    else if (which === 1) this.write = v | 0;
+    else if (which === 2) this.reload = v;
+    else {
+      this.control = (this.control & ~0xffffff) | (v & 0xffffff);
+      this.unpack();
+      if (!(v & EN)) this.alarm.cancel();
+      else this.go();
+    }
+    if ((word & 3) !== 3) return;
+    // the null trigger: writing zero starts nothing, and interrupts if the channel is quiet
+    if (v !== 0) this.trigger();
+    else if (this.control & QUIET) this.dma.raise(1 << this.index);
+  }
+}
+
+export class Dma extends BasePeripheral {
+  constructor(rp2040, name) {
+    super(rp2040, name);
+    this.channels = [];
+    this.reset();
+  }
+  reset() {
+    for (const c of this.channels) c.alarm.cancel();
+    this.channels = Array.from({ length: CHANNELS }, (_, i) => new Channel(this, i));
+    this.raw = 0;
+    this.enable = [0, 0];
+    this.force = [0, 0];
+  }
+  /** A FIFO has room, or data. */
+  requested(treq) {
+    for (let i = 0; i < CHANNELS; i++) {
+      const c = this.channels[i];
+      if (c.treq === treq && c.busy && c.control & EN) c.paced();
+    }
+  }
+  // rp2040js's other peripherals name their requests in these; none of them is served
+  setDREQ() {}
+  clearDREQ() {}
+  raise(bits) {
+    this.raw |= bits;
+    this.update();
+  }
+  status(i) {
+    return (this.raw & this.enable[i]) | this.force[i];
+  }
+  update() {
+    this.rp2040.setInterrupt(IRQ0, this.status(0) !== 0);
+    this.rp2040.setInterrupt(IRQ0 + 1, this.status(1) !== 0);
+  }
+  readUint32(offset) {
+    if (offset < CHANNELS * 64) return this.channels[offset >> 6].readRegister((offset >> 2) & 15);
+    if (offset >= 0x800) return offset & 4 ? (this.channels[(offset - 0x800) >> 6]?.reload ?? 0) : 0;
+    const i = offset >= 0x410 ? 1 : 0;
+    switch (offset) {
+      case 0x400:
+        return this.raw;
+      case 0x404:
+      case 0x414:
+        return this.enable[i];
+      case 0x408:
+      case 0x418:
+        return this.force[i];
+      case 0x40c:
+      case 0x41c:
+        return this.status(i);
+      case 0x448:
+        return CHANNELS;
+      default:
+        return 0;
+    }
+  }
+  writeUint32(offset, v) {
+    if (offset < CHANNELS * 64) return this.channels[offset >> 6].writeRegister((offset >> 2) & 15, v);
+    const i = offset >= 0x410 ? 1 : 0;
+    switch (offset) {
+      case 0x400:
+      case 0x40c:
+      case 0x41c:
+        this.raw &= ~this.rawWriteValue;
+        break;
+      case 0x404:
+      case 0x414:
+        this.enable[i] = v & 0xffff;
+        break;
+      case 0x408:
+      case 0x418:
+        this.force[i] = v & 0xffff;
+        break;
+      case 0x430:
+        for (const c of this.channels) if (v & (1 << c.index)) c.trigger();
+        break;
+      case 0x444:
+        for (const c of this.channels) if (v & (1 << c.index)) c.abort();
+        break;
+    }
+    this.update();
+  }
+}

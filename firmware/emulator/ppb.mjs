@@ -1,0 +1,174 @@
+// The core's private peripherals: SysTick, NVIC registers, System Control Block.
+// SysTick counts exact clk_sys cycles from an anchor instead of being stepped; with CLKSOURCE = 0 it counts the 1 µs tick.
+// MPU and debug registers read as zero.
+
+import { NMI, PENDSV, SYSTICK } from './exceptions.mjs';
+
+const MAX = 0xffffff;
+
+export class SysTick {
+  constructor(clock, pend) {
+    this.clock = clock;
+    this.pend = pend;
+    this.control = 0;
+    this.reload = 0;
+    this.countFlag = false;
+    this.anchor = clock.cycle; // cycle at which the counter was `from`
+    this.from = 0;
+    this.alarm = clock.createAlarm(() => this.zero());
+  }
+  get cyclesPerCount() {
+    return this.control & 4 ? 1 : this.clock.hz / 1e6;
+  }
+  get value() {
+    if (!(this.control & 1)) return this.from;
+    const gone = Math.floor((this.clock.cycle - this.anchor) / this.cyclesPerCount);
+    if (gone <= this.from) return this.from - gone;
+    return this.reload - ((gone - this.from - 1) % (this.reload + 1));
+  }
+  /** Restarts the arithmetic at the value of now, before something that it depends on changes. */
+  hold(value = this.value) {
+    this.from = value;
+    this.anchor = this.clock.cycle;
+  }
+  arm() {
+    this.alarm.cancel();
+    if (!(this.control & 1)) return;
+    const v = this.value;
+    const counts = v > 0 ? v : this.reload + 1;
+    if (v === 0 && this.reload === 0) return; // a zero reload stops the counter
+    const already = Math.floor((this.clock.cycle - this.anchor) / this.cyclesPerCount);
+    this.alarm.scheduleAt(this.anchor + Math.ceil((already + counts) * this.cyclesPerCount));
+  }
+  zero() {
+    this.countFlag = true;
+    if (this.control & 2) this.pend();
+    this.arm();
+  }
+  read(register) {
+    if (register === 0x14) return this.reload;
+    if (register === 0x18) return this.value;
+    if (register === 0x1c) return 0xc0000000; // CALIB: no reference, no skew known
+    const v = this.control | (this.countFlag ? 1 << 16 : 0);
+    this.countFlag = false;
+    return v;
+  }
+  write(register, v) {
+    if (register === 0x10) {
+      this.hold();
+      this.control = v & 7;
+    } else if (register === 0x14) {
+      this.hold();
+      this.reload = v & MAX;
+    } else if (register === 0x18) {
+      this.hold(0); // any write clears it, without pending
+      this.countFlag = false;
+    }
+    this.arm();
+  }
+}
+
+export class PrivatePeripherals {
+  constructor(core, clock) {
+    this.core = core;
+    this.exceptions = core.exceptions;
+    this.systickTimer = {}; // rp2040js writes a frequency here when clk_sys changes; ours counts cycles
+    this.systick = new SysTick(clock, () => this.exceptions.pendSystem(SYSTICK));
+    this.scr = 0;
+  }
+  readUint32(offset) {
+    const ex = this.exceptions;
+    if (offset >= 0x10 && offset <= 0x1c) return this.systick.read(offset);
+    if (offset >= 0x400 && offset < 0x420) {
+      let v = 0;
+      for (let i = 0; i < 4; i++) v |= ex.priority[16 + offset - 0x400 + i] << (8 * i + 6);
+      return v;
+    }
+    switch (offset) {
+      case 0x100:
+      case 0x180:
+        return ex.enabled;
+      case 0x200:
+      case 0x280:
+        return ex.pending;
+      case 0xd00:
+        return 0x410cc601;
+      case 0xd04: {
+        const external = ex.pending & ex.enabled;
+        return (
+          (ex.system & (1 << NMI) ? 1 << 31 : 0) |
+          (ex.system & (1 << PENDSV) ? 1 << 28 : 0) |
+          (ex.system & (1 << SYSTICK) ? 1 << 26 : 0) |
+          (external ? 1 << 22 : 0) |
+          (ex.next(5) << 12) |
+          this.core.ipsr
+        );
+      }
+      case 0xd08:
+        return this.core.vtor;
+      case 0xd0c:
+        return 0xfa050000;
+      case 0xd10:
+        return this.scr;
+      case 0xd14:
+        return 0x208; // STKALIGN and UNALIGN_TRP, both fixed on ARMv6-M
+      case 0xd1c:
+        return ex.priority[11] << 30;
+      case 0xd20:
+        return (ex.priority[14] << 22) | (ex.priority[15] << 30);
+      default:
+        return 0;
+    }
+  }
+  writeUint32(offset, v) {
+    const ex = this.exceptions;
+    if (offset >= 0x10 && offset <= 0x1c) return this.systick.write(offset, v);
+    if (offset >= 0x400 && offset < 0x420) {
+      for (let i = 0; i < 4; i++) ex.priority[16 + offset - 0x400 + i] = (v >>> (8 * i + 6)) & 3;
+      this.core.attention = true;
+      return;
+    }
+    switch (offset) {
+      case 0x100:
+        ex.enabled |= v;
+        this.core.attention = true;
+        break;
+      case 0x180:
+        ex.enabled &= ~v;
+        break;
+      case 0x200:
+        ex.pend(v);
+        break;
+      case 0x280:
+        ex.unpend(v);
+        break;
+      case 0xd04:
+        if (v & (1 << 31)) ex.pendSystem(NMI);
+        if (v & (1 << 28)) ex.pendSystem(PENDSV);
+        if (v & (1 << 27)) ex.system &= ~(1 << PENDSV);
+        if (v & (1 << 26)) ex.pendSystem(SYSTICK);
+        if (v & (1 << 25)) ex.system &= ~(1 << SYSTICK);
+        break;
+      case 0xd08:
+        this.core.vtor = v & 0xffffff00;
+        break;
+      case 0xd0c:
+        // AIRCR.SYSRESETREQ, with the key that guards it
+        if (v >>> 16 === 0x05fa && v & 4) this.core.onResetRequest?.();
+        break;
+      case 0xd10:
+        this.scr = v & 0x16;
+        ex.sevOnPend = !!(v & 0x10);
+        this.core.sleepOnExit = !!(v & 2);
+        break;
+      case 0xd1c:
+        ex.priority[11] = v >>> 30;
+        break;
+      case 0xd20:
+        ex.priority[14] = (v >>> 22) & 3;
+        ex.priority[15] = v >>> 30;
+        this.core.attention = true;
+        break;
+    }
+  }
+}

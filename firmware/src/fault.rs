@@ -1,0 +1,73 @@
+//! Panics, hard faults and hang-ups: all outputs low at once, then the watchdog restarts the chip.
+//!
+//! A reset leaves all pins inputs with their pull-downs. After it the controller is told why it started.
+
+use crate::{shell, wave};
+use core::panic::PanicInfo;
+use cortex_m_rt::exception;
+use embassy_rp::Peri;
+use embassy_rp::pac;
+use embassy_rp::peripherals::WATCHDOG;
+use embassy_rp::watchdog::Watchdog;
+use embassy_time::{Duration, Timer};
+use firmware_protocol::message::Cause;
+
+/// A chip whose shell or executor stands still for so long is restarted.
+const TIMEOUT: Duration = Duration::from_millis(100);
+const FEED_EVERY: Duration = Duration::from_millis(20);
+/// In a register that outlives the watchdog's reset: the firmware knew that it was going to die.
+const DIED: u32 = 0x6d65_6973;
+
+/// Starts the watchdog and tells why the chip has started.
+pub(crate) fn watchdog(peripheral: Peri<'static, WATCHDOG>) -> (Watchdog, Cause) {
+    let mut watchdog = Watchdog::new(peripheral);
+    let cause = match watchdog.reset_reason() {
+        None => Cause::Boot,
+        Some(_) if watchdog.get_scratch(0) == DIED => Cause::Panic,
+        Some(_) => Cause::Watchdog,
+    };
+    watchdog.set_scratch(0, 0);
+    watchdog.pause_on_debug(true);
+    watchdog.start(TIMEOUT);
+    (watchdog, cause)
+}
+
+/// Feeds the watchdog for as long as this runs and the shell takes its turns.
+pub(crate) async fn feed(mut watchdog: Watchdog) -> ! {
+    let mut before = shell::turns().wrapping_sub(1);
+    loop {
+        let turns = shell::turns();
+        if turns != before {
+            watchdog.feed(TIMEOUT);
+        }
+        before = turns;
+        Timer::after(FEED_EVERY).await;
+    }
+}
+
+/// Outputs low, and nothing any more until the watchdog bites.
+fn die() -> ! {
+    cortex_m::interrupt::disable();
+    wave::force_low();
+    pac::WATCHDOG.scratch0().write_value(DIED);
+    loop {
+        cortex_m::asm::nop();
+    }
+}
+
+#[panic_handler]
+fn panic(_: &PanicInfo<'_>) -> ! {
+    die()
+}
+
+#[exception(trampoline = false)]
+// SAFETY: it returns to nobody and relies on nothing.
+unsafe fn HardFault() -> ! {
+    die()
+}
+
+#[exception]
+// SAFETY: as above.
+unsafe fn DefaultHandler(_: i16) -> ! {
+    die()
+}
