@@ -108,8 +108,7 @@ impl MockBench {
         while let Some(body) = decoder.next(&mut bytes) {
             if matches!(frame::read(body), Ok(HostMessage::Hello { .. })) {
                 self.function = function;
-                // A delimiter first: the other host may have left half a frame behind.
-                self.mock.write(&[0]);
+                self.mock.unplug();
                 self.mock.write(all);
                 return;
             }

@@ -135,6 +135,8 @@ pub struct Check {
     pub state: Option<String>,
     /// As events name it.
     pub cause: Option<String>,
+    /// The same on the chip, whose firmware knows why it started; the mock just starts.
+    pub chip_cause: Option<String>,
     /// Whether it knows where pins are.
     pub position_known: Option<bool>,
     /// Whether pins are owed something.

@@ -174,7 +174,8 @@ impl Runner<'_> {
         if let Some(wanted) = &check.state {
             wrong("state", wanted.clone(), state);
         }
-        if let Some(wanted) = &check.cause {
+        let on_chip = matches!(self.rig.bench, crate::bench::Bench::Chip(_));
+        if let Some(wanted) = check.chip_cause.as_ref().filter(|_| on_chip).or(check.cause.as_ref()) {
             wrong("cause", wanted.clone(), cause.to_owned());
         }
         if let Some(wanted) = check.position_known {
