@@ -1,1 +1,56 @@
-//! to come
+//! From the e-stop's USB packet to all lines low: within a pulse period, at any phase, under full load.
+
+use crate::play::{armed, job};
+use meissner::stream::port::Job;
+use meissner_hil::bench::chip::ChipOptions;
+use meissner_hil::scenario::pattern;
+use meissner_hil::time::{MS, TICK};
+
+/// How often it is tried, each time at another phase of tick, block and USB frame.
+const TRIES: u64 = 12;
+
+/// Cycles from the packet to the last fall.
+fn latency(rig: &mut meissner_hil::rig::Rig, phase: u64) -> u64 {
+    rig.order(job(&pattern("full-load").unwrap(), 5.0));
+    rig.run_to(rig.now() + 60 * MS + phase).unwrap();
+    let chip = rig.chip().unwrap();
+    chip.packets.clear();
+    let ordered = rig.now();
+    rig.order(Job::EStop);
+    rig.run_to(ordered + 5 * MS).unwrap();
+    let chip = rig.chip().unwrap();
+    // The e-stop is repeated and pings follow; what the host sent first at that moment is the e-stop.
+    let packet = chip.packets.iter().map(|&(_, cycle)| cycle).find(|&cycle| cycle >= ordered).unwrap();
+    let low = chip.pins.low_since(u64::MAX).unwrap();
+    assert!(chip.pins.still_high().is_none());
+    rig.order(Job::Reset);
+    rig.run_to(rig.now() + 20 * MS).unwrap();
+    rig.order(Job::Arm { assume_rest: true });
+    rig.run_to(rig.now() + 20 * MS).unwrap();
+    low.saturating_sub(packet)
+}
+
+fn sweep(share: u64, of: u64) {
+    let mut rig = armed(ChipOptions::new(share + 1));
+    let tries = (0..TRIES).filter(|n| n % of == share);
+    let mut cycles: Vec<_> = tries.map(|n| latency(&mut rig, n * (16 * TICK + TICK / TRIES) / 3)).collect();
+    cycles.sort_unstable();
+    let (least, median, most) = (cycles[0], cycles[cycles.len() / 2], cycles[cycles.len() - 1]);
+    println!("e-stop, packet to all lines low: {least} / {median} / {most} cycles (least, median, most)");
+    assert!(most <= TICK, "{most} cycles");
+    let (boots, _) = rig.finish();
+    for boot in boots {
+        let findings: Vec<_> = boot.judge().findings.iter().map(ToString::to_string).collect();
+        assert!(findings.is_empty(), "{}", findings.join("\n"));
+    }
+}
+
+#[test]
+fn lines_are_low_within_a_pulse_period_1_of_2() {
+    sweep(0, 2);
+}
+
+#[test]
+fn lines_are_low_within_a_pulse_period_2_of_2() {
+    sweep(1, 2);
+}

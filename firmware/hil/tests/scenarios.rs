@@ -1,7 +1,7 @@
 //! Every scenario on the mock, and on the chip and compared with the mock.
 
-use crate::chip;
 use meissner_hil::bench::Which;
+use meissner_hil::bench::chip::ChipOptions;
 use meissner_hil::scenario::{Ran, Scenario, compare, run};
 
 fn clean(name: &str, which: &Which) -> (Scenario, Ran) {
@@ -16,7 +16,7 @@ fn on_the_mock(name: &str) {
 }
 
 fn on_the_chip(name: &str) {
-    let (scenario, chip) = clean(name, &chip::which(1));
+    let (scenario, chip) = clean(name, &Which::Chip(ChipOptions::new(1)));
     let (_, mock) = clean(name, &Which::Mock(1));
     let wrong = compare(&scenario, &mock, &chip);
     assert!(wrong.is_empty(), "{name}:\n{}", wrong.join("\n"));

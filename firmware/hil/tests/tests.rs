@@ -1,8 +1,8 @@
 //! One binary, one module per theme. Without firmware or emulator the chip's tests fail and say what to build.
 
-mod chip;
 mod estop;
 mod load;
 mod mutants;
 mod patterns;
+mod play;
 mod scenarios;
