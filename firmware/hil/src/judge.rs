@@ -106,10 +106,9 @@ impl fmt::Display for Finding {
             Self::TriggerLength { tick, cycles } => {
                 write!(out, "the trigger at {} lasts {cycles} cycles", at(tick))
             }
-            Self::Enabled { from, to, quiet_from, quiet_to } => write!(
-                out,
-                "drivers on in cycles {from}..{to} and to be off in {quiet_from}..{quiet_to}"
-            ),
+            Self::Enabled { from, to, quiet_from, quiet_to } => {
+                write!(out, "drivers on in cycles {from}..{to} and to be off in {quiet_from}..{quiet_to}")
+            }
             Self::NotEnabled { line, cycle } => {
                 write!(out, "line {line}: a pulse at cycle {cycle} with the drivers off")
             }
@@ -167,9 +166,10 @@ impl Boot {
 
     /// The cycles of the commands to arm.
     fn arms(&self) -> impl Iterator<Item = u64> {
-        self.tap.events.iter().filter_map(|(cycle, event)| {
-            matches!(event, Event::Control(_, Op::Arm { .. })).then_some(*cycle)
-        })
+        self.tap
+            .events
+            .iter()
+            .filter_map(|(cycle, event)| matches!(event, Event::Control(_, Op::Arm { .. })).then_some(*cycle))
     }
 
     fn judge_quiet(&self, log: &Log, onsets: &[Tick], grid: Grid, findings: &mut Vec<Finding>) {

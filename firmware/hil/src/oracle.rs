@@ -172,7 +172,9 @@ impl Oracle {
         let same = |live: &Live| live.alive && live.stroke.motor == item.motor;
         let after = self.live.iter().filter(|live| same(live) && live.stroke.up > item.up);
         let room_after = after.map(|live| live.stroke.up).min().unwrap_or(Tick(u64::MAX));
-        let Some(live) = self.live.iter_mut().find(|live| same(live) && live.stroke.up == item.up) else { return };
+        let Some(live) = self.live.iter_mut().find(|live| same(live) && live.stroke.up == item.up) else {
+            return;
+        };
         let half = usize::from(item.direction == Direction::Down);
         let room = if half == 0 { live.stroke.down } else { room_after };
         let start = live.stroke.bursts()[half].start;
@@ -193,7 +195,10 @@ impl Oracle {
         self.out.cuts.push(cut);
         let found = if returns { self.cut_and_return(at, limit) } else { self.force(at, limit) };
         if found != owed {
-            let text = format!("{cause:?} at tick BOOT+{}: {owed} pulses owed by the device's word, {found} by the strokes", at.since(Tick::BOOT));
+            let text = format!(
+                "{cause:?} at tick BOOT+{}: {owed} pulses owed by the device's word, {found} by the strokes",
+                at.since(Tick::BOOT)
+            );
             self.out.contradictions.push(text);
         }
     }
@@ -217,7 +222,8 @@ impl Oracle {
         for motor in 0..MOTORS {
             let pulses = std::mem::take(&mut self.owed[motor]);
             if pulses > 0 {
-                let stroke = Stroke { motor: motor as u8, up: at, up_pulses: 0, down: at, down_pulses: pulses };
+                let stroke =
+                    Stroke { motor: motor as u8, up: at, up_pulses: 0, down: at, down_pulses: pulses };
                 let planned = [0, pulses];
                 self.live.push(Live { stroke, planned, order: 0, frame: (0, u16::MAX), alive: true });
                 owed += u32::from(pulses);
@@ -239,7 +245,8 @@ impl Oracle {
                 live.alive = false;
                 continue;
             }
-            let (up, down) = ((at - stroke.up).min(stroke.up_pulses.into()) as u16, (at - stroke.down) as u16);
+            let (up, down) =
+                ((at - stroke.up).min(stroke.up_pulses.into()) as u16, (at - stroke.down) as u16);
             let owed = if up < stroke.up_pulses { up } else { stroke.down_pulses - down };
             self.owed[usize::from(stroke.motor)] += owed;
             (stroke.up_pulses, stroke.down_pulses) = (up, down);
@@ -251,7 +258,8 @@ impl Oracle {
         let strokes = self.live.iter().filter(|live| live.alive).map(|live| live.stroke);
         let trains = strokes.flat_map(|stroke| {
             stroke.bursts().map(|burst| {
-                let train = Train { start: burst.start, direction: burst.direction, pulses: burst.pulses.into() };
+                let train =
+                    Train { start: burst.start, direction: burst.direction, pulses: burst.pulses.into() };
                 (usize::from(stroke.motor), train)
             })
         });

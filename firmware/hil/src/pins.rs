@@ -134,9 +134,9 @@ impl Pins {
     /// A line that is high now, and since when: no pulse lasts longer than a tick.
     #[must_use]
     pub fn still_high(&self) -> Option<(usize, u64)> {
-        (0..MOTORS).map(|line| (line, pin_of(line))).find_map(|(line, pin)| {
-            (self.levels >> pin & 1 == 1).then_some((line, self.rises[pin]))
-        })
+        (0..MOTORS)
+            .map(|line| (line, pin_of(line)))
+            .find_map(|(line, pin)| (self.levels >> pin & 1 == 1).then_some((line, self.rises[pin])))
     }
 
     /// When the first pulse of all lines rises.
@@ -180,7 +180,10 @@ mod tests {
         pins.change(20, 1 << 28 | 1 << 27 | 1 << 23);
         pins.change(30, 1 << 5);
         assert_eq!(pins.enable, [High { from: 10, to: 30 }]);
-        assert_eq!((&pins.led[..], &pins.trigger[..]), (&[High { from: 10, to: 20 }][..], &[High { from: 20, to: 30 }][..]));
+        assert_eq!(
+            (&pins.led[..], &pins.trigger[..]),
+            (&[High { from: 10, to: 20 }][..], &[High { from: 20, to: 30 }][..])
+        );
         assert_eq!((pins.strays, pins.lines[5].len()), (vec![(23, 20)], 0));
     }
 }

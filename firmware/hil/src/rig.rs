@@ -193,7 +193,11 @@ impl Rig {
     /// If that takes longer than `at_most` ms.
     pub fn run_to_end(&mut self, id: u64, at_most: u64) -> Result<&Outcome, RigError> {
         let end = self.now + at_most * MS;
-        while !self.notices.iter().any(|notice| matches!(notice, Notice::Ended { id: ended, .. } if *ended == id)) {
+        while !self
+            .notices
+            .iter()
+            .any(|notice| matches!(notice, Notice::Ended { id: ended, .. } if *ended == id))
+        {
             if self.now >= end {
                 return Err(RigError::Timeout("the end of a play", at_most));
             }

@@ -118,7 +118,7 @@ impl Tap {
     }
 
     fn near(&self, tick: WireTick) -> Tick {
-        tick.near(self.last)
+        tick.near(self.last.max(Tick::BOOT))
     }
 
     fn sent(&mut self, cycle: u64, message: HostMessage<'_>) {
@@ -145,7 +145,13 @@ impl Tap {
                 self.seen.push((epoch, seq));
                 self.epoch.get_or_insert(epoch);
                 let base = self.near(base);
-                Event::Batch(Batch { epoch, seq, onset, base, strokes: Strokes::new(base, batch).flatten().collect() })
+                Event::Batch(Batch {
+                    epoch,
+                    seq,
+                    onset,
+                    base,
+                    strokes: Strokes::new(base, batch).flatten().collect(),
+                })
             }
             HostMessage::Amend { base, items, .. } => {
                 Event::Amend(Amendments::new(self.near(base), items).flatten().collect())

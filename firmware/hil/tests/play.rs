@@ -39,7 +39,8 @@ pub(crate) struct Played {
 
 /// A rig that is armed.
 pub(crate) fn armed(options: ChipOptions) -> Rig {
-    let mut rig = Rig::new(&Which::Chip(options), RigOptions::default()).unwrap_or_else(|error| panic!("{error}"));
+    let mut rig =
+        Rig::new(&Which::Chip(options), RigOptions::default()).unwrap_or_else(|error| panic!("{error}"));
     rig.run_to_greeting(3_000).unwrap();
     rig.run_to(rig.now() + 100 * MS).unwrap();
     rig.order(Job::Arm { assume_rest: true });
@@ -50,7 +51,14 @@ pub(crate) fn armed(options: ChipOptions) -> Rig {
 pub(crate) fn job(pattern: &Pattern, seconds: f64) -> Job {
     let strokes = Strokes::new(pattern, Some(seconds)).unwrap();
     let (at, late) = (At::Next, LatePolicy::Drop);
-    Job::Play(Box::new(meissner::stream::port::Play { id: 1, strokes, at, late, replace: false, open_loop: true }))
+    Job::Play(Box::new(meissner::stream::port::Play {
+        id: 1,
+        strokes,
+        at,
+        late,
+        replace: false,
+        open_loop: true,
+    }))
 }
 
 pub(crate) fn play(play: &Play) -> Played {

@@ -130,7 +130,8 @@ impl MockBench {
                 break;
             }
             if self.configured() && (self.function == Function::Bulk || self.dtr) {
-                let to = if self.function == Function::Cdc { &mut self.heard.cdc } else { &mut self.heard.bulk };
+                let to =
+                    if self.function == Function::Cdc { &mut self.heard.cdc } else { &mut self.heard.bulk };
                 to.extend(&bytes[..len]);
             }
         }

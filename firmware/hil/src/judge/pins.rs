@@ -33,13 +33,18 @@ impl Boot {
         findings: &mut Vec<Finding>,
     ) -> Log {
         let mut log = Log::default();
-        let mut starts: Vec<_> =
-            pins.lines.iter().enumerate().flat_map(|(line, trains)| trains.iter().map(move |t| (line, t))).collect();
+        let mut starts: Vec<_> = pins
+            .lines
+            .iter()
+            .enumerate()
+            .flat_map(|(line, trains)| trains.iter().map(move |t| (line, t)))
+            .collect();
         starts.sort_by_key(|(_, train)| train.cycle);
         for (line, train) in starts {
             pulses(line, train, grid, &expected.soft, &mut log, findings);
             let on = |high: &&crate::pins::High| high.from <= train.cycle && train.end() <= high.to;
-            if !pins.enable.iter().any(|high| on(&high)) && !is_soft(&expected.soft, grid.tick(train.end()).0) {
+            if !pins.enable.iter().any(|high| on(&high)) && !is_soft(&expected.soft, grid.tick(train.end()).0)
+            {
                 findings.push(Finding::NotEnabled { line, cycle: train.cycle });
             }
         }
@@ -96,7 +101,14 @@ fn is_soft(soft: &[Soft], tick: Tick) -> bool {
     soft.iter().any(|soft| (soft.from..soft.to).contains(&tick))
 }
 
-fn pulses(line: usize, train: &PinTrain, grid: Grid, soft: &[Soft], log: &mut Log, findings: &mut Vec<Finding>) {
+fn pulses(
+    line: usize,
+    train: &PinTrain,
+    grid: Grid,
+    soft: &[Soft],
+    log: &mut Log,
+    findings: &mut Vec<Finding>,
+) {
     let (tick, late) = grid.tick(train.cycle);
     if late != 0 {
         findings.push(Finding::OffGrid { line, cycle: train.cycle, tick, late });

@@ -236,8 +236,10 @@ impl Scenario {
     /// If it is not there, or none.
     pub fn read(name: &str) -> Result<Self, ScenarioError> {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../scenarios/{name}.toml"));
-        let text = std::fs::read_to_string(&path).map_err(|error| ScenarioError::File(path.clone(), error))?;
-        let scenario: Self = toml::from_str(&text).map_err(|error| ScenarioError::Toml(path.clone(), error))?;
+        let text =
+            std::fs::read_to_string(&path).map_err(|error| ScenarioError::File(path.clone(), error))?;
+        let scenario: Self =
+            toml::from_str(&text).map_err(|error| ScenarioError::Toml(path.clone(), error))?;
         if scenario.name == name { Ok(scenario) } else { Err(ScenarioError::Name(path, scenario.name)) }
     }
 }

@@ -68,10 +68,14 @@ pub(super) fn check(
 
 /// A play that was played as compiled, was: independent of what went over the link.
 fn against_strokes(id: u64, outcome: &Outcome, boots: &[Judged], wrong: &mut Vec<String>) {
-    let (Some(onset), Some(length)) = (outcome.onset.map(|onset| onset.actual), outcome.play.strokes.end()) else {
+    let (Some(onset), Some(length)) = (outcome.onset.map(|onset| onset.actual), outcome.play.strokes.end())
+    else {
         return;
     };
-    if outcome.end != End::Done || outcome.bursts.amended > 0 || outcome.bursts.played != outcome.bursts.planned {
+    if outcome.end != End::Done
+        || outcome.bursts.amended > 0
+        || outcome.bursts.played != outcome.bursts.planned
+    {
         return;
     }
     let wanted = compiled(&outcome.play.strokes, onset);

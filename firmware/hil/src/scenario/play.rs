@@ -47,10 +47,19 @@ struct Runner<'a> {
 /// # Errors
 /// If the bench breaks off, or the scenario asks for what is not there.
 pub fn run(scenario: &Scenario, which: &Which) -> Result<Ran, ScenarioError> {
-    let options = RigOptions { function: scenario.function, faults: scenario.faults, seed: 1, ..RigOptions::default() };
+    let options =
+        RigOptions { function: scenario.function, faults: scenario.faults, seed: 1, ..RigOptions::default() };
     let rig = Rig::new(which, options)?;
-    let mut runner =
-        Runner { scenario, rig, ordered: 0, plays: Vec::new(), tickets: Vec::new(), generation: 0, boots: 1, wrong: Vec::new() };
+    let mut runner = Runner {
+        scenario,
+        rig,
+        ordered: 0,
+        plays: Vec::new(),
+        tickets: Vec::new(),
+        generation: 0,
+        boots: 1,
+        wrong: Vec::new(),
+    };
     runner.rig.run_to_greeting(GREETING_MS)?;
     for (number, step) in scenario.steps.iter().enumerate() {
         runner.step(number, step)?;
@@ -131,17 +140,18 @@ impl Runner<'_> {
                 }
             }
             Act::Check(check) => self.check(number, check),
-            Act::Arm { .. }
-            | Act::Play { .. }
-            | Act::Stop
-            | Act::Estop
-            | Act::Reset
-            | Act::Disarm => {}
+            Act::Arm { .. } | Act::Play { .. } | Act::Stop | Act::Estop | Act::Reset | Act::Disarm => {}
         }
         Ok(())
     }
 
-    fn amend(&mut self, motor: u8, n: usize, up: Option<u16>, down: Option<u16>) -> Result<(), ScenarioError> {
+    fn amend(
+        &mut self,
+        motor: u8,
+        n: usize,
+        up: Option<u16>,
+        down: Option<u16>,
+    ) -> Result<(), ScenarioError> {
         let sent = self.rig.tap().events.iter().filter_map(|(_, event)| match event {
             Event::Batch(batch) => Some(&batch.strokes),
             _ => None,
@@ -169,7 +179,8 @@ impl Runner<'_> {
                 self.wrong.push(format!("step {number}: {what} is {found} and should be {wanted}"));
             }
         };
-        let state = status.map_or("unheard".to_owned(), |status| format!("{:?}", status.state).to_lowercase());
+        let state =
+            status.map_or("unheard".to_owned(), |status| format!("{:?}", status.state).to_lowercase());
         let cause = status.map_or("none", |status| cause_text(status.cause));
         if let Some(wanted) = &check.state {
             wrong("state", wanted.clone(), state);
@@ -197,7 +208,10 @@ impl Runner<'_> {
         let Self { scenario, rig, plays, tickets, mut wrong, .. } = self;
         let bad_frames = rig.tap().status().is_some_and(|status| status.counters.bad_frames > 0);
         if bad_frames != scenario.bad_frames {
-            wrong.push(format!("frames that could not be read: {bad_frames}, expected {}", scenario.bad_frames));
+            wrong.push(format!(
+                "frames that could not be read: {bad_frames}, expected {}",
+                scenario.bad_frames
+            ));
         }
         let (boots, notices) = rig.finish();
         let judged: Vec<_> = boots.iter().map(crate::judge::Boot::judge).collect();
@@ -217,7 +231,8 @@ impl Runner<'_> {
                 answer => wrong.push(format!("step {number}: the host answers {answer:?}")),
             }
         }
-        let deaths = boots.iter().zip(&judged).map(|(boot, judged)| boot.death.map(|cycle| judged.grid.tick(cycle).0));
+        let deaths =
+            boots.iter().zip(&judged).map(|(boot, judged)| boot.death.map(|cycle| judged.grid.tick(cycle).0));
         let deaths = deaths.collect();
         outcome::check(scenario, &plays, notices, &judged, &mut wrong);
         Ok(Ran { boots: judged, deaths, wrong })
