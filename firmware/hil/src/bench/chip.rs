@@ -1,0 +1,182 @@
+//! The firmware in the emulated RP2040: a process of its own, in lock-step over its standard input and output.
+//!
+//! It only passes on and records. The process ends with the bench.
+
+use crate::bench::answer::{Answer, AnswerError, hex};
+use crate::bench::{BenchError, CpuEvent, Function, Heard};
+use crate::pins::Pins;
+use std::io::{BufReader, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+
+/// How the chip is run.
+#[derive(Clone, Debug)]
+pub struct ChipOptions {
+    /// The firmware.
+    pub elf: PathBuf,
+    /// Of the emulator's randomness: USB timing, ring oscillator.
+    pub seed: u64,
+    /// How many times slower than the real one the core computes.
+    pub slow: f64,
+}
+
+impl ChipOptions {
+    /// The firmware that `MEISSNER_FIRMWARE_ELF` names, or the one built beside this crate.
+    #[must_use]
+    pub fn new(seed: u64) -> Self {
+        let built = "../target/thumbv6m-none-eabi/release/meissner-firmware";
+        Self { elf: from_env("MEISSNER_FIRMWARE_ELF", built), seed, slow: 1.0 }
+    }
+}
+
+/// A path from the environment, or one relative to this crate.
+fn from_env(name: &str, default: &str) -> PathBuf {
+    let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join(default);
+    std::env::var_os(name).map_or_else(beside, PathBuf::from)
+}
+
+/// The chip.
+#[derive(Debug)]
+pub struct ChipBench {
+    process: Child,
+    to: ChildStdin,
+    from: BufReader<ChildStdout>,
+    last: Answer,
+    heard: Heard,
+    /// The pins since the last reset.
+    pub pins: Pins,
+    /// Packets from the host that the chip has taken: pipe and cycle.
+    pub packets: Vec<(String, u64)>,
+}
+
+impl ChipBench {
+    /// Powers the chip up.
+    ///
+    /// # Errors
+    /// With one line that says what to build, if something is not there.
+    pub fn start(options: &ChipOptions) -> Result<Self, BenchError> {
+        let emulator = from_env("MEISSNER_EMULATOR", "../emulator/bench.mjs");
+        if !options.elf.is_file() {
+            return Err(BenchError::NoFirmware(options.elf.clone()));
+        }
+        let modules = emulator.parent().map(|folder| folder.join("node_modules"));
+        if !emulator.is_file() || !modules.is_some_and(|modules| modules.is_dir()) {
+            return Err(BenchError::NoEmulator(emulator));
+        }
+        let mut command = Command::new("node");
+        command.arg(&emulator).arg(&options.elf);
+        command.args(["--seed", &options.seed.to_string(), "--slow", &options.slow.to_string()]);
+        let pipes = command.stdin(Stdio::piped()).stdout(Stdio::piped());
+        let mut process = pipes.spawn().map_err(BenchError::NoNode)?;
+        let (Some(to), Some(from)) = (process.stdin.take(), process.stdout.take()) else {
+            return Err(BenchError::NoNode(std::io::ErrorKind::BrokenPipe.into()));
+        };
+        let (last, heard, pins) = (Answer::default(), Heard::default(), Pins::default());
+        let from = BufReader::with_capacity(1 << 16, from);
+        Ok(Self { process, to, from, last, heard, pins, packets: Vec::new() })
+    }
+
+    /// The emulator's clock.
+    #[must_use]
+    pub fn cycle(&self) -> u64 {
+        self.last.cycle
+    }
+
+    /// Whether it has been enumerated since its last reset or plug.
+    #[must_use]
+    pub fn configured(&self) -> bool {
+        self.last.configured
+    }
+
+    /// Resets since power-up.
+    #[must_use]
+    pub fn resets(&self) -> u64 {
+        self.last.resets
+    }
+
+    /// Share of the cycles since power-up in which the core did not sleep.
+    #[must_use]
+    pub fn busy_cycles(&self) -> u64 {
+        self.last.cycle - self.last.asleep
+    }
+
+    /// What it has sent since the last call.
+    pub fn take_heard(&mut self) -> Heard {
+        std::mem::take(&mut self.heard)
+    }
+
+    /// Bytes for one of its USB functions.
+    ///
+    /// # Errors
+    /// If the emulator is gone or refuses.
+    pub fn write(&mut self, function: Function, bytes: &[u8]) -> Result<(), BenchError> {
+        if bytes.is_empty() {
+            return Ok(());
+        }
+        let name = function.name();
+        self.ask(&serde_json::json!({ name: hex(bytes) }))
+    }
+
+    /// Runs up to a cycle; an instruction may end a few cycles after it.
+    ///
+    /// # Errors
+    /// If the emulator is gone or refuses.
+    pub fn run(&mut self, to: u64) -> Result<(), BenchError> {
+        let cycles = to.saturating_sub(self.last.cycle);
+        if cycles == 0 { Ok(()) } else { self.ask(&serde_json::json!({ "run": cycles, "until": null })) }
+    }
+
+    /// Opens or closes the tty.
+    ///
+    /// # Errors
+    /// If the emulator is gone or refuses.
+    pub fn dtr(&mut self, open: bool) -> Result<(), BenchError> {
+        self.ask(&serde_json::json!({ "dtr": open }))
+    }
+
+    /// Plugs the cable in or pulls it.
+    ///
+    /// # Errors
+    /// If the emulator is gone or refuses.
+    pub fn usb(&mut self, plugged: bool) -> Result<(), BenchError> {
+        self.ask(&serde_json::json!({ "usb": if plugged { "plug" } else { "unplug" } }))
+    }
+
+    /// Something happens to the core.
+    ///
+    /// # Errors
+    /// If the emulator is gone or refuses.
+    pub fn cpu(&mut self, event: CpuEvent) -> Result<(), BenchError> {
+        self.ask(&serde_json::json!({ "cpu": event }))
+    }
+
+    /// A little-endian number of up to eight bytes at a symbol of the firmware.
+    ///
+    /// # Errors
+    /// If the emulator is gone or knows no such symbol.
+    pub fn read(&mut self, symbol: &str, bytes: usize) -> Result<u64, BenchError> {
+        self.ask(&serde_json::json!({ "read": symbol, "bytes": bytes }))?;
+        Ok(self.last.memory.iter().take(8).rev().fold(0, |sum, &byte| sum << 8 | u64::from(byte)))
+    }
+
+    fn ask(&mut self, request: &serde_json::Value) -> Result<(), BenchError> {
+        writeln!(self.to, "{request}").and_then(|()| self.to.flush()).map_err(AnswerError::from)?;
+        let mut answer = Answer::read(&mut self.from)?;
+        for (cycle, levels) in answer.levels.drain(..) {
+            self.pins.change(cycle, levels);
+        }
+        self.packets.append(&mut answer.packets);
+        self.heard.cdc.append(&mut answer.cdc);
+        self.heard.bulk.append(&mut answer.bulk);
+        self.last = answer;
+        Ok(())
+    }
+}
+
+impl Drop for ChipBench {
+    fn drop(&mut self) {
+        // It may have ended by itself: nothing to be done about it then.
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}

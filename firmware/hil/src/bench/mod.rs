@@ -1,0 +1,227 @@
+//! What the host is connected to: the mock, or the firmware in an emulated chip. A closed set, so an enum.
+//!
+//! Both run in lock-step on the cycles of [`crate::time`] and neither knows the host. Between two calls of
+//! [`Bench::run`] nothing happens on them.
+
+pub mod answer;
+pub mod chip;
+pub mod mock;
+
+use crate::pins::Pins;
+use chip::{ChipBench, ChipOptions};
+use mock::MockBench;
+use std::path::PathBuf;
+
+/// A USB function through which a host may talk.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Function {
+    /// The tty.
+    #[default]
+    Cdc,
+    /// The vendor interface.
+    Bulk,
+}
+
+impl Function {
+    /// As the emulator calls it.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Cdc => "cdc",
+            Self::Bulk => "bulk",
+        }
+    }
+
+    /// The other one.
+    #[must_use]
+    pub const fn other(self) -> Self {
+        match self {
+            Self::Cdc => Self::Bulk,
+            Self::Bulk => Self::Cdc,
+        }
+    }
+}
+
+/// What may happen to the core.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum CpuEvent {
+    /// It executes nothing any more.
+    Die,
+    /// The firmware panics.
+    Panic,
+    /// A hard fault.
+    Hardfault,
+}
+
+/// Bytes from the device.
+#[derive(Clone, Debug, Default)]
+pub struct Heard {
+    /// From the tty.
+    pub cdc: Vec<u8>,
+    /// From the vendor interface.
+    pub bulk: Vec<u8>,
+}
+
+/// Why there is no bench, or no longer.
+#[derive(Debug, thiserror::Error)]
+pub enum BenchError {
+    /// The firmware was not built.
+    #[error(
+        "{0}: no firmware there; build it (`cargo build --release` in firmware/) or set MEISSNER_FIRMWARE_ELF"
+    )]
+    NoFirmware(PathBuf),
+    /// The emulator is not installed.
+    #[error("{0}: no emulator there; install it (`npm ci` in firmware/emulator/)")]
+    NoEmulator(PathBuf),
+    /// Node does not start.
+    #[error("`node` cannot be started ({0}); install Node.js 20 or newer")]
+    NoNode(#[source] std::io::Error),
+    /// The emulator's answer.
+    #[error(transparent)]
+    Answer(#[from] answer::AnswerError),
+    /// The mock's settings.
+    #[error(transparent)]
+    Plant(#[from] meissner::plant::PlantError),
+}
+
+/// A device on the bench.
+#[derive(Debug)]
+#[expect(clippy::large_enum_variant, reason = "there is one of it")]
+pub enum Bench {
+    /// The library's mock.
+    Mock(MockBench),
+    /// The emulated chip.
+    Chip(ChipBench),
+}
+
+/// Which bench to build.
+#[derive(Clone, Debug)]
+pub enum Which {
+    /// The mock, with this seed.
+    Mock(u64),
+    /// The chip.
+    Chip(ChipOptions),
+}
+
+impl Bench {
+    /// Powers one up.
+    ///
+    /// # Errors
+    /// If the chip's emulator or firmware is missing.
+    pub fn start(which: &Which) -> Result<Self, BenchError> {
+        match which {
+            Which::Mock(seed) => MockBench::start(*seed).map(Self::Mock),
+            Which::Chip(options) => ChipBench::start(options).map(Self::Chip),
+        }
+    }
+
+    /// Its clock.
+    #[must_use]
+    pub fn cycle(&self) -> u64 {
+        match self {
+            Self::Mock(mock) => mock.cycle(),
+            Self::Chip(chip) => chip.cycle(),
+        }
+    }
+
+    /// Whether a host can talk to it.
+    #[must_use]
+    pub fn configured(&self) -> bool {
+        match self {
+            Self::Mock(mock) => mock.configured(),
+            Self::Chip(chip) => chip.configured(),
+        }
+    }
+
+    /// Resets since power-up.
+    #[must_use]
+    pub fn resets(&self) -> u64 {
+        match self {
+            Self::Mock(mock) => mock.resets(),
+            Self::Chip(chip) => chip.resets(),
+        }
+    }
+
+    /// Bytes for one of its functions.
+    ///
+    /// # Errors
+    /// If the emulator is gone or refuses; so for all that follow.
+    pub fn write(&mut self, function: Function, bytes: &[u8]) -> Result<(), BenchError> {
+        match self {
+            Self::Mock(mock) => mock.write(function, bytes),
+            Self::Chip(chip) => chip.write(function, bytes)?,
+        }
+        Ok(())
+    }
+
+    /// Runs up to a cycle; what it sent until then.
+    ///
+    /// # Errors
+    /// As for [`Self::write`].
+    pub fn run(&mut self, to: u64) -> Result<Heard, BenchError> {
+        match self {
+            Self::Mock(mock) => {
+                mock.run(to);
+                Ok(mock.take_heard())
+            }
+            Self::Chip(chip) => {
+                chip.run(to)?;
+                Ok(chip.take_heard())
+            }
+        }
+    }
+
+    /// Opens or closes the tty.
+    ///
+    /// # Errors
+    /// As for [`Self::write`].
+    pub fn dtr(&mut self, open: bool) -> Result<(), BenchError> {
+        match self {
+            Self::Mock(mock) => mock.dtr(open),
+            Self::Chip(chip) => chip.dtr(open)?,
+        }
+        Ok(())
+    }
+
+    /// Plugs the cable in or pulls it.
+    ///
+    /// # Errors
+    /// As for [`Self::write`].
+    pub fn usb(&mut self, plugged: bool) -> Result<(), BenchError> {
+        match self {
+            Self::Mock(mock) => mock.usb(plugged),
+            Self::Chip(chip) => chip.usb(plugged)?,
+        }
+        Ok(())
+    }
+
+    /// Something happens to the core.
+    ///
+    /// # Errors
+    /// As for [`Self::write`].
+    pub fn cpu(&mut self, event: CpuEvent) -> Result<(), BenchError> {
+        match self {
+            Self::Mock(mock) => mock.fail(),
+            Self::Chip(chip) => chip.cpu(event),
+        }
+    }
+
+    /// Takes what the lines did since power-up or the last call.
+    pub fn take_lines(&mut self) -> Played {
+        match self {
+            Self::Mock(mock) => Played::Ticks(Box::new(std::mem::take(&mut mock.log))),
+            Self::Chip(chip) => Played::Pins(Box::new(std::mem::take(&mut chip.pins))),
+        }
+    }
+}
+
+/// What the lines of one boot did.
+#[derive(Clone, Debug)]
+pub enum Played {
+    /// On the mock.
+    Ticks(Box<crate::log::Log>),
+    /// On the chip.
+    Pins(Box<Pins>),
+}

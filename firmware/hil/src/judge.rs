@@ -1,0 +1,218 @@
+//! Judges one boot of a device: what its lines did against what they had to do, and on the chip every pin to the cycle.
+//!
+//! The chip's grid of ticks is found from its first pulse; from there on everything has to fit that one grid.
+
+mod pins;
+
+use crate::bench::Played;
+use crate::log::{Log, Train};
+use crate::oracle::{self, Expected};
+use crate::tap::{Event, Tap};
+use crate::time::Grid;
+use firmware_protocol::message::Op;
+use firmware_protocol::tick::Tick;
+use std::fmt;
+
+/// Differences told of each boot, at the most.
+const TOLD: usize = 12;
+
+/// A time from which lines have to be low, until the next `arm` or the next onset.
+#[derive(Clone, Copy, Debug)]
+pub struct Quiet {
+    /// From when on.
+    pub cycle: u64,
+}
+
+/// One boot of a device, from power-up or reset to the next or the end.
+#[derive(Debug)]
+pub struct Boot {
+    /// What went over the link.
+    pub tap: Tap,
+    /// What the lines did.
+    pub played: Played,
+    /// Where its ticks lie: exactly on the mock, as estimated from the link on the chip.
+    pub grid: Grid,
+    /// When its core failed.
+    pub death: Option<u64>,
+    /// When lines had to be low.
+    pub quiets: Vec<Quiet>,
+    /// When it began.
+    pub from: u64,
+    /// When it ended.
+    pub to: u64,
+}
+
+/// What is wrong with a boot.
+#[expect(missing_docs, reason = "the fields are what the text says")]
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Finding {
+    /// A pulse of neither width.
+    Width { line: usize, cycle: u64, tick: Tick, width: u64 },
+    /// A pulse that does not rise where a tick begins.
+    OffGrid { line: usize, cycle: u64, tick: Tick, late: u64 },
+    /// A line's first difference to what it had to do.
+    Differs { line: usize, expected: Option<Train>, found: Option<Train> },
+    /// Pulses at the edge of a cut that nobody had planned.
+    NotPlanned { from: Tick, to: Tick },
+    /// A pulse though all lines had to be low.
+    NotLow { since: u64, pulse: u64 },
+    /// A line that stays high.
+    Static { line: usize, since: u64 },
+    /// The trigger did not rise in the tick of an onset.
+    NoTrigger { onset: Tick },
+    /// The trigger rose though nothing began.
+    Trigger { tick: Tick, late: u64 },
+    /// The trigger's length.
+    TriggerLength { tick: Tick, cycles: u64 },
+    /// The drivers were on though disarmed.
+    Enabled { from: u64, to: u64, quiet_from: u64, quiet_to: u64 },
+    /// A pulse while the drivers were off.
+    NotEnabled { line: usize, cycle: u64 },
+    /// The LED says something else than the drivers' supply.
+    Led,
+    /// A pin that is none of ours.
+    Stray { pin: usize, cycle: u64 },
+    /// The clock that the device tells is not the one its pins follow.
+    Clock { off: i64 },
+    /// The device's word against itself.
+    Contradiction(String),
+}
+
+impl fmt::Display for Finding {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let at = |tick: &Tick| format!("tick BOOT+{}", tick.since(Tick::BOOT));
+        let train = |train: &Option<Train>| train.map_or("nothing".to_owned(), |train| train.to_string());
+        match self {
+            Self::Width { line, cycle, tick, width } => {
+                write!(out, "line {line}: a pulse of {width} cycles at cycle {cycle}, {}", at(tick))
+            }
+            Self::OffGrid { line, cycle, tick, late } => {
+                write!(out, "line {line}: a pulse {late} cycles into {} (cycle {cycle})", at(tick))
+            }
+            Self::Differs { line, expected, found } => {
+                write!(out, "line {line}: expected {}, found {}", train(expected), train(found))
+            }
+            Self::NotPlanned { from, to } => {
+                write!(out, "pulses that were not planned between {} and {}", at(from), at(to))
+            }
+            Self::NotLow { since, pulse } => {
+                write!(out, "lines had to be low from cycle {since} on, and one is high at cycle {pulse}")
+            }
+            Self::Static { line, since } => write!(out, "line {line}: high since cycle {since}"),
+            Self::NoTrigger { onset } => write!(out, "no trigger at the onset at {}", at(onset)),
+            Self::Trigger { tick, late } => {
+                write!(out, "a trigger {late} cycles into {}, where nothing begins", at(tick))
+            }
+            Self::TriggerLength { tick, cycles } => {
+                write!(out, "the trigger at {} lasts {cycles} cycles", at(tick))
+            }
+            Self::Enabled { from, to, quiet_from, quiet_to } => {
+                write!(out, "drivers on in cycles {from}..{to} and to be off in {quiet_from}..{quiet_to}")
+            }
+            Self::NotEnabled { line, cycle } => {
+                write!(out, "line {line}: a pulse at cycle {cycle} with the drivers off")
+            }
+            Self::Led => out.write_str("the LED does not show what the drivers' supply does"),
+            Self::Stray { pin, cycle } => write!(out, "GP{pin} rises at cycle {cycle}"),
+            Self::Clock { off } => {
+                write!(out, "the pins are {off} cycles behind the clock that the device tells")
+            }
+            Self::Contradiction(text) => out.write_str(text),
+        }
+    }
+}
+
+/// A boot, judged.
+#[derive(Debug)]
+pub struct Judged {
+    /// What is wrong; empty if nothing is.
+    pub findings: Vec<Finding>,
+    /// What the lines did, in ticks.
+    pub log: Log,
+    /// What they had to do.
+    pub expected: Expected,
+    /// Where the ticks lie.
+    pub grid: Grid,
+}
+
+impl Boot {
+    /// Judges it.
+    #[must_use]
+    pub fn judge(&self) -> Judged {
+        let death = |grid: Grid| self.death.map(|cycle| grid.tick(cycle).0);
+        let mut findings = Vec::new();
+        let (log, expected, grid) = match &self.played {
+            Played::Ticks(log) => {
+                let expected = oracle::expect(&self.tap, death(self.grid));
+                ((**log).clone(), expected, self.grid)
+            }
+            Played::Pins(pins) => {
+                let first = oracle::expect(&self.tap, None).log.first();
+                let grid = match (first, pins.first()) {
+                    (Some(tick), Some(cycle)) => Grid::through(tick, cycle),
+                    _ => self.grid,
+                };
+                let expected = oracle::expect(&self.tap, death(grid));
+                let log = self.judge_pins(pins, &expected, grid, &mut findings);
+                (log, expected, grid)
+            }
+        };
+        compare(&log, &expected, &mut findings);
+        self.judge_quiet(&log, &expected.onsets, grid, &mut findings);
+        findings.extend(expected.contradictions.iter().cloned().map(Finding::Contradiction));
+        findings.truncate(TOLD);
+        Judged { findings, log, expected, grid }
+    }
+
+    /// The cycles of the commands to arm.
+    fn arms(&self) -> impl Iterator<Item = u64> {
+        self.tap
+            .events
+            .iter()
+            .filter_map(|(cycle, event)| matches!(event, Event::Control(_, Op::Arm { .. })).then_some(*cycle))
+    }
+
+    fn judge_quiet(&self, log: &Log, onsets: &[Tick], grid: Grid, findings: &mut Vec<Finding>) {
+        for quiet in &self.quiets {
+            let onsets = onsets.iter().map(|&onset| grid.cycle(onset));
+            let ends = self.arms().chain(onsets).filter(|&end| end >= quiet.cycle);
+            let until = ends.min().unwrap_or(self.to);
+            let (from, to) = (grid.tick(quiet.cycle + crate::time::TICK - 1).0, grid.tick(until).0);
+            let pulse = match &self.played {
+                Played::Ticks(_) => log.within(from, to).first().map(|tick| grid.cycle(tick)),
+                Played::Pins(pins) => pins.low_since(until).filter(|&low| low > quiet.cycle),
+            };
+            if let Some(pulse) = pulse {
+                findings.push(Finding::NotLow { since: quiet.cycle, pulse });
+            }
+        }
+    }
+}
+
+/// Compares lines outside of soft stretches, and looks for what was not planned inside.
+fn compare(found: &Log, expected: &Expected, findings: &mut Vec<Finding>) {
+    let (mut outside, mut wanted) = (found.clone(), expected.log.clone());
+    for soft in &expected.soft {
+        if !found.within(soft.from, soft.to).is_part_of(&soft.planned) {
+            findings.push(Finding::NotPlanned { from: soft.from, to: soft.to });
+        }
+        outside = outside.without(soft.from, soft.to);
+        wanted = wanted.without(soft.from, soft.to);
+    }
+    findings.extend(differences(&outside, &wanted));
+}
+
+/// The first difference of each line.
+#[must_use]
+pub fn differences(found: &Log, expected: &Log) -> Vec<Finding> {
+    let lines = found.lines.iter().zip(&expected.lines).enumerate();
+    let first = lines.filter_map(|(line, (found, expected))| {
+        let same = found.iter().zip(expected).take_while(|(found, expected)| found == expected).count();
+        let (found, expected) = (found.get(same).copied(), expected.get(same).copied());
+        (found != expected).then_some(Finding::Differs { line, expected, found })
+    });
+    first.collect()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,149 @@
+//! The chip's pins to the cycle: widths, the grid, trigger, supply and LED.
+
+use crate::judge::{Boot, Finding};
+use crate::log::{Log, Train};
+use crate::oracle::{Expected, Soft};
+use crate::pins::{PinTrain, Pins};
+use crate::tap::Event;
+use crate::time::{Grid, MS, TICK};
+use firmware_protocol::message::{Op, State};
+use firmware_protocol::stroke::Direction;
+use firmware_protocol::tick::Tick;
+
+/// High for 20 % of a tick, and for 80 %.
+const UP: u64 = TICK / 5;
+const DOWN: u64 = TICK / 5 * 4;
+/// The trigger's length, and by how much it may be off: whoever lets it fall looks once per block.
+const TRIGGER: u64 = 10 * MS;
+const TRIGGER_SLACK: u64 = 64 * TICK;
+/// From the tick of a status that says disarmed, to the supply being off.
+const ENABLE_OFF: u64 = (64 + 16) * TICK;
+/// By how much the LED may follow later than the supply.
+const LED_SLACK: u64 = TICK;
+/// By how much the clock read from the link may differ from the pins': transfer, processing and a step of the bench.
+const CLOCK: std::ops::RangeInclusive<i64> = -(2 * MS as i64)..=(TICK as i64);
+
+impl Boot {
+    /// The pins as ticks; what is wrong with them goes to `findings`.
+    pub(super) fn judge_pins(
+        &self,
+        pins: &Pins,
+        expected: &Expected,
+        grid: Grid,
+        findings: &mut Vec<Finding>,
+    ) -> Log {
+        let mut log = Log::default();
+        let mut starts: Vec<_> = pins
+            .lines
+            .iter()
+            .enumerate()
+            .flat_map(|(line, trains)| trains.iter().map(move |t| (line, t)))
+            .collect();
+        starts.sort_by_key(|(_, train)| train.cycle);
+        for (line, train) in starts {
+            pulses(line, train, grid, &expected.soft, &mut log, findings);
+            let on = |high: &&crate::pins::High| high.from <= train.cycle && train.end() <= high.to;
+            if !pins.enable.iter().any(|high| on(&high)) && !is_soft(&expected.soft, grid.tick(train.end()).0)
+            {
+                findings.push(Finding::NotEnabled { line, cycle: train.cycle });
+            }
+        }
+        findings.extend(pins.still_high().map(|(line, since)| Finding::Static { line, since }));
+        findings.extend(pins.strays.iter().map(|&(pin, cycle)| Finding::Stray { pin, cycle }));
+        let off = grid.origin - self.grid.origin;
+        if pins.first().is_some() && !CLOCK.contains(&off) {
+            findings.push(Finding::Clock { off });
+        }
+        trigger(pins, expected, grid, findings);
+        self.enable(pins, grid, findings);
+        log
+    }
+
+    /// From when to when the supply has to be off: from the device's word to the next command to arm.
+    fn off_times(&self, grid: Grid) -> Vec<(u64, u64)> {
+        let (mut times, mut from, mut epoch) = (Vec::new(), Some(self.from), None);
+        for (cycle, event) in &self.tap.events {
+            match event {
+                Event::Opened(_) => epoch = None,
+                Event::Control(begun, op) => {
+                    epoch = Some(*begun);
+                    if matches!(op, Op::Arm { .. }) {
+                        times.extend(from.take().map(|from| (from, *cycle)));
+                    }
+                }
+                // A status from before the last command says nothing of after it.
+                Event::Status(status, tick) if epoch.is_none_or(|epoch| epoch == status.epoch) => {
+                    if matches!(status.state, State::Disarmed | State::Faulted) {
+                        from = from.or(Some(grid.cycle(*tick) + ENABLE_OFF));
+                    }
+                }
+                _ => {}
+            }
+        }
+        times.extend(from.map(|from| (from, self.to)));
+        times
+    }
+
+    fn enable(&self, pins: &Pins, grid: Grid, findings: &mut Vec<Finding>) {
+        for (quiet_from, quiet_to) in self.off_times(grid).into_iter().filter(|(from, to)| from < to) {
+            let on = pins.enable.iter().find(|high| high.from < quiet_to && high.to > quiet_from);
+            findings.extend(on.map(|on| Finding::Enabled { from: on.from, to: on.to, quiet_from, quiet_to }));
+        }
+        let near = |a: u64, b: u64| a.abs_diff(b) <= LED_SLACK;
+        let same = pins.enable.iter().zip(&pins.led).all(|(a, b)| near(a.from, b.from) && near(a.to, b.to));
+        if !same || pins.enable.len() != pins.led.len() {
+            findings.push(Finding::Led);
+        }
+    }
+}
+
+fn is_soft(soft: &[Soft], tick: Tick) -> bool {
+    soft.iter().any(|soft| (soft.from..soft.to).contains(&tick))
+}
+
+fn pulses(
+    line: usize,
+    train: &PinTrain,
+    grid: Grid,
+    soft: &[Soft],
+    log: &mut Log,
+    findings: &mut Vec<Finding>,
+) {
+    let (tick, late) = grid.tick(train.cycle);
+    if late != 0 {
+        findings.push(Finding::OffGrid { line, cycle: train.cycle, tick, late });
+    }
+    if train.width != UP && train.width != DOWN {
+        // Cut off within the pulse: what it was to be, nobody can see.
+        if train.pulses == 1 && train.width < DOWN && is_soft(soft, tick) {
+            return;
+        }
+        findings.push(Finding::Width { line, cycle: train.cycle, tick, width: train.width });
+    }
+    let direction = if train.width <= (UP + DOWN) / 2 { Direction::Up } else { Direction::Down };
+    log.push(line, Train { start: tick, direction, pulses: train.pulses });
+}
+
+fn trigger(pins: &Pins, expected: &Expected, grid: Grid, findings: &mut Vec<Finding>) {
+    let rises: Vec<_> = pins.trigger.iter().map(|high| (grid.tick(high.from), high)).collect();
+    for &onset in &expected.onsets {
+        // Still high from the onset before, it cannot rise.
+        let cycle = grid.cycle(onset);
+        let high = pins.trigger.iter().any(|high| high.from < cycle && cycle < high.to);
+        if !high && !rises.iter().any(|((tick, _), _)| *tick == onset) {
+            findings.push(Finding::NoTrigger { onset });
+        }
+    }
+    for ((tick, late), high) in rises {
+        if !expected.onsets.contains(&tick) {
+            findings.push(Finding::Trigger { tick, late });
+        }
+        let cycles = high.to - high.from;
+        let end = grid.tick(high.to).0;
+        let cut = expected.cuts.iter().any(|cut| tick <= cut.at && cut.at <= end + TRIGGER_SLACK / TICK);
+        let again = expected.onsets.iter().any(|&onset| tick < onset && onset <= end);
+        if cycles.abs_diff(TRIGGER) > TRIGGER_SLACK && high.to != u64::MAX && !cut && !again {
+            findings.push(Finding::TriggerLength { tick, cycles });
+        }
+    }
+}

@@ -1,0 +1,268 @@
+//! What the lines have to do, from what went over the link: strokes as sent and amended, less what the device says it
+//! did not take, cut where and as the device says it cut.
+//!
+//! The rules are written down here a second time, from the specification and not from the controller. Where a pulse
+//! cannot be foretold, at an e-stop's or a failure's edge, there is a [`Soft`] stretch: it may be missing there.
+
+use crate::log::{Log, Train};
+use crate::tap::{Event, Tap};
+use firmware_protocol::batch::Amendment;
+use firmware_protocol::limits::within_correction;
+use firmware_protocol::message::{Cause, Cut, Op, Report};
+use firmware_protocol::stroke::{Direction, MOTORS, Stroke};
+use firmware_protocol::tick::Tick;
+
+/// Ticks from an e-stop's cut on in which a pulse that was planned may still begin, and ticks before it in which one
+/// may be missing: the tick being played is booked as played whether it was cut off or not.
+const FORCE: (u64, u64) = (1, 1);
+/// Ticks after a failure of the core in which rendered pulses may still be played.
+pub const HORIZON: u64 = 64;
+
+/// A stretch in which any part of what was planned may have been played.
+#[derive(Clone, Debug)]
+pub struct Soft {
+    /// The first tick.
+    pub from: Tick,
+    /// The first tick after it.
+    pub to: Tick,
+    /// What was planned in it.
+    pub planned: Log,
+}
+
+/// A cut, by the device's word.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CutAt {
+    /// Why.
+    pub cause: Cause,
+    /// The first tick at which nothing of the queue was played.
+    pub at: Tick,
+    /// Whether pins were returned.
+    pub returns: bool,
+    /// Down pulses owed.
+    pub owed: u32,
+}
+
+/// What is expected of the lines in one boot.
+#[derive(Clone, Debug, Default)]
+pub struct Expected {
+    /// Tick for tick, outside of the soft stretches.
+    pub log: Log,
+    /// Where it may be less.
+    pub soft: Vec<Soft>,
+    /// Plays that have begun.
+    pub onsets: Vec<Tick>,
+    /// In order.
+    pub cuts: Vec<CutAt>,
+    /// Contradictions of the device in its own words.
+    pub contradictions: Vec<String>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Live {
+    stroke: Stroke,
+    planned: [u16; 2],
+    /// The number of the event that brought it.
+    order: usize,
+    frame: (u16, u16),
+    alive: bool,
+}
+
+#[derive(Debug, Default)]
+struct Oracle {
+    live: Vec<Live>,
+    owed: [u16; MOTORS],
+    /// The device's epoch, as far as it has said.
+    epoch: u16,
+    opened: usize,
+    /// The last command and its event.
+    controls: Vec<(usize, Op)>,
+    out: Expected,
+}
+
+/// What the lines had to do, if the device died at tick `death` or not at all.
+#[must_use]
+pub fn expect(tap: &Tap, death: Option<Tick>) -> Expected {
+    let mut oracle = Oracle::default();
+    for (order, (_, event)) in tap.events.iter().enumerate() {
+        oracle.take(tap, order, event);
+    }
+    let mut log = oracle.log();
+    if let Some(death) = death {
+        // The tick in which it died may be cut short.
+        let (from, to) = (Tick(death.0 - 1), death + HORIZON);
+        let planned = log.within(from, to);
+        log = log.within(Tick(0), to);
+        oracle.out.soft.push(Soft { from, to, planned });
+    }
+    Expected { log, ..oracle.out }
+}
+
+impl Oracle {
+    fn take(&mut self, tap: &Tap, order: usize, event: &Event) {
+        match event {
+            Event::Opened(_) => self.opened = order,
+            Event::Control(_, op) => {
+                self.controls.push((order, *op));
+                if matches!(op, Op::Arm { assume_rest: true, .. }) {
+                    self.owed = [0; MOTORS];
+                }
+            }
+            Event::Batch(batch) => self.live.extend(batch.strokes.iter().map(|&stroke| Live {
+                stroke,
+                planned: [stroke.up_pulses, stroke.down_pulses],
+                order,
+                frame: (batch.epoch, batch.seq),
+                alive: true,
+            })),
+            Event::Amend(items) => items.iter().for_each(|item| self.amend(item)),
+            Event::Greeted(hello) => {
+                if let Some(cut) = hello.last_cut {
+                    self.cut(tap, &cut, self.opened);
+                }
+            }
+            Event::Status(status, _) => self.epoch = status.epoch,
+            Event::Report(report) => self.report(tap, order, report),
+            Event::NoSession => {}
+        }
+    }
+
+    fn report(&mut self, tap: &Tap, order: usize, report: &Report) {
+        match *report {
+            Report::Verdict { seq, late, refused, .. } => {
+                let frame = (self.epoch, seq);
+                let strokes = self.live.iter_mut().filter(|live| live.frame == frame);
+                for (i, live) in strokes.enumerate() {
+                    live.alive &= (late | refused) >> i & 1 == 0;
+                }
+            }
+            Report::OnsetRefused { seq, .. } => {
+                let frame = (self.epoch, seq);
+                self.live.iter_mut().filter(|live| live.frame == frame).for_each(|live| live.alive = false);
+            }
+            Report::Onset { tick, .. } => {
+                let tick = tap.tick(tick);
+                if !self.out.onsets.contains(&tick) {
+                    self.out.onsets.push(tick);
+                }
+            }
+            Report::Refused { motor, up, .. } => {
+                let up = tap.tick(up);
+                let same = |live: &&mut Live| live.stroke.motor == motor && live.stroke.up == up;
+                self.live.iter_mut().filter(same).for_each(|live| live.alive = false);
+            }
+            Report::Cut(cut) => {
+                let by = |wanted: fn(&Op) -> bool| {
+                    self.controls.iter().rev().find(|(_, op)| wanted(op)).map_or(order, |&(order, _)| order)
+                };
+                let limit = match cut.cause {
+                    Cause::Stop => by(|op| matches!(op, Op::Stop)),
+                    Cause::EStop => by(|op| matches!(op, Op::EStop)),
+                    Cause::Request | Cause::Shutdown | Cause::Abort => {
+                        by(|op| matches!(op, Op::Disarm(_) | Op::Arm { .. }))
+                    }
+                    _ => order,
+                };
+                self.cut(tap, &cut, limit);
+            }
+        }
+    }
+
+    /// A count by the rules of amendments that can be checked from outside; whether it came in time, the scenario sees to.
+    fn amend(&mut self, item: &Amendment) {
+        let same = |live: &Live| live.alive && live.stroke.motor == item.motor;
+        let after = self.live.iter().filter(|live| same(live) && live.stroke.up > item.up);
+        let room_after = after.map(|live| live.stroke.up).min().unwrap_or(Tick(u64::MAX));
+        let Some(live) = self.live.iter_mut().find(|live| same(live) && live.stroke.up == item.up) else {
+            return;
+        };
+        let half = usize::from(item.direction == Direction::Down);
+        let room = if half == 0 { live.stroke.down } else { room_after };
+        let start = live.stroke.bursts()[half].start;
+        if within_correction(live.planned[half], item.pulses) && start + u64::from(item.pulses) <= room {
+            let stroke = &mut live.stroke;
+            *(if half == 0 { &mut stroke.up_pulses } else { &mut stroke.down_pulses }) = item.pulses;
+        }
+    }
+
+    /// Cuts what events before `limit` have brought.
+    fn cut(&mut self, tap: &Tap, cut: &Cut, limit: usize) {
+        let Cut { cause, returns, owed, .. } = *cut;
+        let at = tap.tick(cut.at);
+        let cut = CutAt { cause, at, returns, owed };
+        if self.out.cuts.contains(&cut) {
+            return;
+        }
+        self.out.cuts.push(cut);
+        let found = if returns { self.cut_and_return(at, limit) } else { self.force(at, limit) };
+        if found != owed {
+            let text = format!(
+                "{cause:?} at tick BOOT+{}: {owed} pulses owed by the device's word, {found} by the strokes",
+                at.since(Tick::BOOT)
+            );
+            self.out.contradictions.push(text);
+        }
+    }
+
+    fn cut_and_return(&mut self, at: Tick, limit: usize) -> u32 {
+        let mut owed = 0;
+        for live in self.live.iter_mut().filter(|live| live.alive && live.order < limit) {
+            let stroke = &mut live.stroke;
+            if stroke.up >= at {
+                live.alive = false;
+            } else if at < stroke.up + u64::from(stroke.up_pulses) {
+                stroke.up_pulses = (at - stroke.up) as u16;
+                (stroke.down, stroke.down_pulses) = (at, stroke.up_pulses);
+                owed += u32::from(stroke.down_pulses);
+            } else if at < stroke.end() {
+                owed += u32::from(stroke.down_pulses) - (at - stroke.down) as u32;
+                stroke.down = if at < stroke.down { at } else { stroke.down };
+            }
+        }
+        // What an e-stop left owed is played down at the next arm: that is a cut with nothing to cut.
+        for motor in 0..MOTORS {
+            let pulses = std::mem::take(&mut self.owed[motor]);
+            if pulses > 0 {
+                let stroke =
+                    Stroke { motor: motor as u8, up: at, up_pulses: 0, down: at, down_pulses: pulses };
+                let planned = [0, pulses];
+                self.live.push(Live { stroke, planned, order: 0, frame: (0, u16::MAX), alive: true });
+                owed += u32::from(pulses);
+            }
+        }
+        owed
+    }
+
+    fn force(&mut self, at: Tick, limit: usize) -> u32 {
+        let (from, to) = (Tick(at.0 - FORCE.0), at + FORCE.1);
+        self.out.soft.push(Soft { from, to, planned: self.log().within(from, to) });
+        for live in self.live.iter_mut().filter(|live| live.alive && live.order < limit) {
+            let stroke = &mut live.stroke;
+            if stroke.end() <= at {
+                continue;
+            }
+            let debt = stroke.up_pulses == 0;
+            if stroke.up >= at && !debt {
+                live.alive = false;
+                continue;
+            }
+            let (up, down) =
+                ((at - stroke.up).min(stroke.up_pulses.into()) as u16, (at - stroke.down) as u16);
+            let owed = if up < stroke.up_pulses { up } else { stroke.down_pulses - down };
+            self.owed[usize::from(stroke.motor)] += owed;
+            (stroke.up_pulses, stroke.down_pulses) = (up, down);
+        }
+        self.owed.iter().map(|&owed| u32::from(owed)).sum()
+    }
+
+    fn log(&self) -> Log {
+        let strokes = self.live.iter().filter(|live| live.alive).map(|live| live.stroke);
+        let trains = strokes.flat_map(|stroke| {
+            stroke.bursts().map(|burst| {
+                let train =
+                    Train { start: burst.start, direction: burst.direction, pulses: burst.pulses.into() };
+                (usize::from(stroke.motor), train)
+            })
+        });
+        Log::of(trains.collect())
+    }
+}

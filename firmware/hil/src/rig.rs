@@ -1,0 +1,409 @@
+//! The host's streamer and a device on a bench, in lock-step.
+//!
+//! As `meissner::stream::Rehearsal` does with the mock, but with a cable, a tty and an operating system between them:
+//! a device comes and goes, a process is held up or killed. Contains no logic of streamer or controller. What the
+//! host sends in a step the device gets at the beginning of the next.
+
+mod faults;
+
+use crate::bench::chip::ChipBench;
+use crate::bench::{Bench, BenchError, CpuEvent, Function, Which};
+use crate::judge::{Boot, Quiet};
+use crate::oracle;
+use crate::tap::{Event, Tap};
+use crate::time::{Grid, MS, TICK, host};
+pub use faults::{Faults, FaultyLine};
+use firmware_protocol::frame::{MAX_FRAME, encode};
+use firmware_protocol::message::HostMessage;
+use firmware_protocol::tick::Tick;
+use meissner::link::LineRate;
+use meissner::stream::port::{Job, Notice, Order, Outcome};
+use meissner::stream::{Settings, Streamer};
+
+/// The host wakes up this often.
+const STEP: u64 = MS / 2;
+/// The rate the host takes the line for: USB at full speed, as for a real board.
+const RATE: LineRate = LineRate(800_000);
+
+/// Why a run cannot go on.
+#[derive(Debug, thiserror::Error)]
+pub enum RigError {
+    /// The device is gone.
+    #[error(transparent)]
+    Bench(#[from] BenchError),
+    /// Something did not happen.
+    #[error("{0} did not happen within {1} ms")]
+    Timeout(&'static str, u64),
+}
+
+/// How a rig is set up.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct RigOptions {
+    /// The streamer's.
+    pub settings: Settings,
+    /// The USB function the host uses.
+    pub function: Function,
+    /// What the line does to the host's frames.
+    pub faults: Faults,
+    /// Of the line's faults and session numbers.
+    pub seed: u64,
+}
+
+/// A host and a device.
+#[derive(Debug)]
+pub struct Rig {
+    /// The device.
+    pub bench: Bench,
+    /// The host.
+    pub streamer: Streamer,
+    function: Function,
+    now: u64,
+    line: FaultyLine,
+    to_host: Vec<u8>,
+    /// Whether the host opens what is plugged in.
+    hot_plug: bool,
+    connected: bool,
+    dead: bool,
+    held_until: u64,
+    sessions: u32,
+    resets: u64,
+    tap: Tap,
+    death: Option<u64>,
+    quiets: Vec<Quiet>,
+    from: u64,
+    boots: Vec<Boot>,
+    /// What the host was told, in order.
+    pub notices: Vec<Notice>,
+    tickets: u64,
+}
+
+impl Rig {
+    /// Powers the device up; the host waits for it.
+    ///
+    /// # Errors
+    /// If there is no device.
+    pub fn new(which: &Which, options: RigOptions) -> Result<Self, RigError> {
+        Ok(Self {
+            bench: Bench::start(which)?,
+            streamer: Streamer::new(options.settings),
+            function: options.function,
+            now: 0,
+            line: FaultyLine::new(options.faults, options.seed),
+            to_host: Vec::new(),
+            hot_plug: true,
+            connected: false,
+            dead: false,
+            held_until: 0,
+            sessions: options.seed as u32,
+            resets: 0,
+            tap: Tap::default(),
+            death: None,
+            quiets: Vec::new(),
+            from: 0,
+            boots: Vec::new(),
+            notices: Vec::new(),
+            tickets: 0,
+        })
+    }
+
+    /// The bench's clock.
+    #[must_use]
+    pub fn now(&self) -> u64 {
+        self.now
+    }
+
+    /// What went over the link in this boot.
+    #[must_use]
+    pub fn tap(&self) -> &Tap {
+        &self.tap
+    }
+
+    /// The emulated chip, if it is one.
+    pub fn chip(&mut self) -> Option<&mut ChipBench> {
+        match &mut self.bench {
+            Bench::Mock(_) => None,
+            Bench::Chip(chip) => Some(chip),
+        }
+    }
+
+    /// Where the device's ticks lie: from its pins once they have played, before that from the link.
+    #[must_use]
+    pub fn grid(&self) -> Grid {
+        match &self.bench {
+            Bench::Mock(mock) => mock.grid(),
+            Bench::Chip(chip) => {
+                let first = chip.pins.first().zip(oracle::expect(&self.tap, None).log.first());
+                first.map_or_else(|| self.link_grid(), |(cycle, tick)| Grid::through(tick, cycle))
+            }
+        }
+    }
+
+    /// The grid as the link tells it: what says a tick was sent after that tick began, by the transfer's time at least.
+    fn link_grid(&self) -> Grid {
+        let told = self.tap.events.iter().filter_map(|(cycle, event)| match event {
+            Event::Status(_, tick) => Some(Grid::through(*tick, *cycle)),
+            Event::Greeted(hello) => Some(Grid::through(Tick(hello.tick), *cycle)),
+            _ => None,
+        });
+        told.min_by_key(|grid| grid.origin).unwrap_or(Grid { origin: self.now.cast_signed() })
+    }
+
+    /// Gives an order to the host's process; returns its ticket. A dead process takes none.
+    pub fn order(&mut self, job: Job) -> u64 {
+        self.tickets += 1;
+        let now = host(self.now);
+        let order = Order { ticket: self.tickets, given: now, job };
+        let notices = &mut self.notices;
+        self.streamer.order(now, order, &mut |notice| notices.push(notice));
+        // It wakes up at once.
+        self.host();
+        self.tickets
+    }
+
+    /// Runs up to a cycle.
+    ///
+    /// # Errors
+    /// If the device is gone; so for all that follow.
+    pub fn run_to(&mut self, cycle: u64) -> Result<(), RigError> {
+        while self.now < cycle {
+            let to = (self.now + STEP).min(cycle);
+            self.step(to)?;
+        }
+        Ok(())
+    }
+
+    /// Runs until the host has greeted a device and knows its clock.
+    ///
+    /// # Errors
+    /// If that takes longer than `at_most` ms.
+    pub fn run_to_greeting(&mut self, at_most: u64) -> Result<(), RigError> {
+        let end = self.now + at_most * MS;
+        while self.tap.hello().is_none() || self.streamer.tick_at(host(self.now)).is_none() {
+            if self.now >= end {
+                return Err(RigError::Timeout("a handshake", at_most));
+            }
+            self.step(self.now + STEP)?;
+        }
+        Ok(())
+    }
+
+    /// Runs until play `id` has ended; what came of it.
+    ///
+    /// # Errors
+    /// If that takes longer than `at_most` ms.
+    pub fn run_to_end(&mut self, id: u64, at_most: u64) -> Result<&Outcome, RigError> {
+        let end = self.now + at_most * MS;
+        while !self
+            .notices
+            .iter()
+            .any(|notice| matches!(notice, Notice::Ended { id: ended, .. } if *ended == id))
+        {
+            if self.now >= end {
+                return Err(RigError::Timeout("the end of a play", at_most));
+            }
+            self.step(self.now + STEP)?;
+        }
+        let outcome = self.notices.iter().find_map(|notice| match notice {
+            Notice::Ended { id: ended, outcome } if *ended == id => Some(outcome),
+            _ => None,
+        });
+        outcome.ok_or(RigError::Timeout("the end of a play", at_most))
+    }
+
+    fn step(&mut self, to: u64) -> Result<(), RigError> {
+        let bytes = self.line.take();
+        self.bench.write(self.function, &bytes)?;
+        let heard = self.bench.run(to)?;
+        self.now = self.bench.cycle().max(to);
+        let bytes = if self.function == Function::Cdc { heard.cdc } else { heard.bulk };
+        self.tap.from_device(self.now, &bytes);
+        self.to_host.extend(bytes);
+        if self.bench.resets() != self.resets {
+            self.resets = self.bench.resets();
+            self.end_boot();
+        }
+        if self.connected && !self.bench.configured() {
+            self.disconnect("unplugged");
+        }
+        if self.hot_plug && !self.connected && self.bench.configured() && !self.dead {
+            if self.function == Function::Cdc {
+                self.bench.dtr(true)?;
+            }
+            self.connect();
+        }
+        self.host();
+        Ok(())
+    }
+
+    /// One wake-up of the host's process.
+    fn host(&mut self) {
+        if self.dead || self.now < self.held_until {
+            return;
+        }
+        let now = host(self.now);
+        let notices = &mut self.notices;
+        let tell = &mut |notice| notices.push(notice);
+        for chunk in std::mem::take(&mut self.to_host).chunks(1024) {
+            self.streamer.receive(now, chunk, tell);
+        }
+        self.streamer.step(now, tell);
+        let mut frame = [0; MAX_FRAME];
+        loop {
+            let len = self.streamer.transmit(now, &mut frame, tell);
+            if len == 0 {
+                break;
+            }
+            self.tap.from_host(self.now, &frame[..len]);
+            self.line.send(&frame[..len]);
+        }
+    }
+
+    /// The host opens a session.
+    pub fn connect(&mut self) {
+        self.sessions = self.sessions.wrapping_add(1);
+        self.connected = true;
+        let notices = &mut self.notices;
+        self.streamer.connect(host(self.now), self.sessions, RATE, &mut |notice| notices.push(notice));
+    }
+
+    /// The host's operating system says that the device is gone.
+    pub fn disconnect(&mut self, why: &'static str) {
+        self.connected = false;
+        self.line.clear();
+        self.to_host.clear();
+        self.tap.broken();
+        let notices = &mut self.notices;
+        self.streamer.disconnect(host(self.now), why, &mut |notice| notices.push(notice));
+    }
+
+    /// Plugs the cable in, or pulls it with whatever is on its way.
+    ///
+    /// # Errors
+    /// As for [`Self::run_to`].
+    pub fn plug(&mut self, plugged: bool) -> Result<(), RigError> {
+        if !plugged {
+            // What was handed over before is on the wire; the rest is lost.
+            let bytes = self.line.take();
+            self.bench.write(self.function, &bytes)?;
+        }
+        self.bench.usb(plugged)?;
+        if !plugged {
+            self.disconnect("unplugged");
+        }
+        Ok(())
+    }
+
+    /// The host's process ends without a word and its tty is closed; `false`: another opens it.
+    ///
+    /// # Errors
+    /// As for [`Self::run_to`].
+    pub fn close(&mut self, closed: bool) -> Result<(), RigError> {
+        self.hot_plug = !closed;
+        self.bench.dtr(!closed)?;
+        if closed {
+            self.disconnect("closed");
+        }
+        Ok(())
+    }
+
+    /// The host's process is held up until a cycle.
+    pub fn stall(&mut self, until: u64) {
+        self.held_until = until;
+    }
+
+    /// The host's process does nothing any more, but keeps its tty open; `false`: another one begins in its place.
+    pub fn kill(&mut self, dead: bool) {
+        self.dead = dead;
+        if dead {
+            self.connected = false;
+            let notices = &mut self.notices;
+            self.streamer.disconnect(host(self.now), "killed", &mut |notice| notices.push(notice));
+        }
+    }
+
+    /// Another host process takes over, through this function.
+    ///
+    /// # Errors
+    /// As for [`Self::run_to`].
+    pub fn take_over(&mut self, function: Function) -> Result<(), RigError> {
+        self.disconnect("another host");
+        self.function = function;
+        if function == Function::Cdc {
+            self.bench.dtr(true)?;
+        }
+        self.connect();
+        self.host();
+        Ok(())
+    }
+
+    /// Changes what the line does to the host's frames.
+    pub fn set_faults(&mut self, faults: Faults) {
+        self.line.set(faults);
+    }
+
+    /// Bytes that are no frame of the host's, between its frames.
+    pub fn raw(&mut self, bytes: &[u8]) {
+        self.line.push(bytes);
+    }
+
+    /// A message beside the streamer's, as if it had sent it.
+    pub fn message(&mut self, message: &HostMessage<'_>) {
+        let mut frame = [0; MAX_FRAME];
+        let len = encode(message, &mut frame).unwrap_or(0);
+        self.tap.from_host(self.now, &frame[..len]);
+        self.line.push(&frame[..len]);
+    }
+
+    /// Bytes for the USB function that the host does not use.
+    ///
+    /// # Errors
+    /// As for [`Self::run_to`].
+    pub fn stray(&mut self, bytes: &[u8]) -> Result<(), RigError> {
+        Ok(self.bench.write(self.function.other(), bytes)?)
+    }
+
+    /// The core fails; the lines have to be low a horizon later.
+    ///
+    /// # Errors
+    /// As for [`Self::run_to`].
+    pub fn fail(&mut self, event: CpuEvent) -> Result<(), RigError> {
+        self.death = Some(self.now);
+        self.low_from(oracle::HORIZON);
+        if let Bench::Mock(_) = self.bench {
+            self.end_boot();
+            self.resets += 1;
+        }
+        self.bench.cpu(event)?;
+        Ok(())
+    }
+
+    /// So many ticks from now on all lines have to be low, until the next `arm` or onset.
+    pub fn low_from(&mut self, ticks: u64) {
+        self.quiets.push(Quiet { cycle: self.now + ticks * TICK });
+    }
+
+    fn end_boot(&mut self) {
+        let grid = if let Bench::Mock(_) = self.bench { self.grid() } else { self.link_grid() };
+        let boot = Boot {
+            tap: std::mem::take(&mut self.tap),
+            played: self.bench.take_lines(),
+            grid,
+            death: self.death.take(),
+            quiets: std::mem::take(&mut self.quiets),
+            from: self.from,
+            to: self.now,
+        };
+        self.from = self.now;
+        self.boots.push(boot);
+        if self.connected {
+            self.disconnect("reset");
+        }
+    }
+
+    /// Ends the run: all boots of the device, the last one last.
+    #[must_use]
+    pub fn finish(mut self) -> (Vec<Boot>, Vec<Notice>) {
+        self.end_boot();
+        (self.boots, self.notices)
+    }
+}

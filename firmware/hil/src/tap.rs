@@ -1,0 +1,190 @@
+//! Reads along on the link, both ways: what the host has sent, and what the device has said about it.
+//!
+//! It shares nothing with host and device but the frames. Repetitions are taken once; ticks are widened. What was
+//! lost or damaged on the way to the device stands here all the same: the host repeats it.
+
+use firmware_protocol::batch::{Amendment, Amendments, Strokes};
+use firmware_protocol::frame::{self, Decoder};
+use firmware_protocol::message::{DeviceHello, DeviceMessage, HostMessage, Op, Report, Status};
+use firmware_protocol::stroke::Stroke;
+use firmware_protocol::tick::{Tick, WireTick};
+
+/// A frame of the ordered stream.
+#[derive(Clone, Debug)]
+pub struct Batch {
+    /// The epoch it belongs to.
+    pub epoch: u16,
+    /// Its number within the epoch.
+    pub seq: u16,
+    /// Whether it begins a play, at `base`.
+    pub onset: bool,
+    /// The tick it counts from.
+    pub base: Tick,
+    /// Its strokes.
+    pub strokes: Vec<Stroke>,
+}
+
+/// What went over the link.
+#[derive(Clone, Debug)]
+pub enum Event {
+    /// The host opened a session.
+    Opened(u32),
+    /// The host gave a command, which begins this epoch.
+    Control(u16, Op),
+    /// The host sent strokes.
+    Batch(Batch),
+    /// The host sent amendments.
+    Amend(Vec<Amendment>),
+    /// The device answered the handshake.
+    Greeted(DeviceHello),
+    /// The device told how it stands, at this tick.
+    Status(Status, Tick),
+    /// The device reported, once each.
+    Report(Report),
+    /// The device knows no session.
+    NoSession,
+}
+
+/// Everything that went over the link in one boot of the device.
+#[derive(Debug, Default)]
+pub struct Tap {
+    /// With the cycle at which the host sent or read it.
+    pub events: Vec<(u64, Event)>,
+    host: Decoder,
+    device: Decoder,
+    session: Option<u32>,
+    /// The newest epoch that the host has begun.
+    epoch: Option<u16>,
+    seen: Vec<(u16, u16)>,
+    reported: Vec<u16>,
+    last: Tick,
+    /// Frames of either side that could not be read.
+    pub unreadable: u64,
+}
+
+impl Tap {
+    /// The host sends.
+    pub fn from_host(&mut self, cycle: u64, mut bytes: &[u8]) {
+        let mut decoder = std::mem::take(&mut self.host);
+        while let Some(body) = decoder.next(&mut bytes) {
+            match frame::read(body) {
+                Ok(message) => self.sent(cycle, message),
+                Err(_) => self.unreadable += 1,
+            }
+        }
+        self.host = decoder;
+    }
+
+    /// The device is read.
+    pub fn from_device(&mut self, cycle: u64, mut bytes: &[u8]) {
+        let mut decoder = std::mem::take(&mut self.device);
+        while let Some(body) = decoder.next(&mut bytes) {
+            match frame::read(body) {
+                Ok(message) => self.said(cycle, message),
+                Err(_) => self.unreadable += 1,
+            }
+        }
+        self.device = decoder;
+    }
+
+    /// The line was cut: what had begun does not go on.
+    pub fn broken(&mut self) {
+        self.host.reset();
+        self.device.reset();
+    }
+
+    /// The epoch the host's frames belong to.
+    #[must_use]
+    pub fn epoch(&self) -> u16 {
+        self.epoch.unwrap_or(0)
+    }
+
+    /// What the device said last about itself.
+    #[must_use]
+    pub fn status(&self) -> Option<Status> {
+        self.events.iter().rev().find_map(|(_, event)| match event {
+            Event::Status(status, _) => Some(*status),
+            _ => None,
+        })
+    }
+
+    /// The last handshake.
+    #[must_use]
+    pub fn hello(&self) -> Option<DeviceHello> {
+        self.events.iter().rev().find_map(|(_, event)| match event {
+            Event::Greeted(hello) => Some(*hello),
+            _ => None,
+        })
+    }
+
+    fn near(&self, tick: WireTick) -> Tick {
+        tick.near(self.last.max(Tick::BOOT))
+    }
+
+    fn sent(&mut self, cycle: u64, message: HostMessage<'_>) {
+        let event = match message {
+            HostMessage::Hello { session } if self.session == Some(session) => return,
+            HostMessage::Hello { session } => {
+                (self.session, self.epoch) = (Some(session), None);
+                self.seen.clear();
+                self.reported.clear();
+                Event::Opened(session)
+            }
+            HostMessage::Ping { .. } => return,
+            HostMessage::Control { epoch, .. } if self.epoch == Some(epoch) => return,
+            HostMessage::Control { epoch, op, .. } => {
+                self.epoch = Some(epoch);
+                Event::Control(epoch, op)
+            }
+            HostMessage::Strokes { epoch, seq, .. } if self.seen.contains(&(epoch, seq)) => return,
+            HostMessage::Strokes { epoch, seq, onset, base, batch, .. } => {
+                // Numbers come again after 65 536 frames; the window is a few.
+                if self.seen.len() > 64 {
+                    self.seen.remove(0);
+                }
+                self.seen.push((epoch, seq));
+                self.epoch.get_or_insert(epoch);
+                let base = self.near(base);
+                Event::Batch(Batch {
+                    epoch,
+                    seq,
+                    onset,
+                    base,
+                    strokes: Strokes::new(base, batch).flatten().collect(),
+                })
+            }
+            HostMessage::Amend { base, items, .. } => {
+                Event::Amend(Amendments::new(self.near(base), items).flatten().collect())
+            }
+        };
+        self.events.push((cycle, event));
+    }
+
+    fn said(&mut self, cycle: u64, message: DeviceMessage) {
+        let event = match message {
+            DeviceMessage::Hello(hello) => {
+                self.last = Tick(hello.tick);
+                self.epoch.get_or_insert(hello.epoch);
+                Event::Greeted(hello)
+            }
+            DeviceMessage::NoSession => Event::NoSession,
+            DeviceMessage::Status(status) => {
+                self.last = self.near(status.tick);
+                Event::Status(status, self.last)
+            }
+            DeviceMessage::Report { number, .. } if self.reported.contains(&number) => return,
+            DeviceMessage::Report { number, report } => {
+                self.reported.push(number);
+                Event::Report(report)
+            }
+            DeviceMessage::Telemetry { .. } => return,
+        };
+        self.events.push((cycle, event));
+    }
+
+    /// A tick as a report names it.
+    #[must_use]
+    pub fn tick(&self, tick: WireTick) -> Tick {
+        self.near(tick)
+    }
+}

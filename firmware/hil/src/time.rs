@@ -1,0 +1,68 @@
+//! The one clock of a bench: cycles of the chip's system clock since power-up, for host, mock and chip alike.
+//!
+//! 127.5 MHz make 1500 cycles of a tick, and 51 cycles of 400 ns: a cycle becomes a host instant exactly or is
+//! rounded down by less than a cycle, always in the same way.
+
+use firmware_protocol::tick::Tick;
+use meissner::units::HostInstant;
+
+/// Cycles of a tick of 1/85 000 s.
+pub const TICK: u64 = 1_500;
+/// Cycles of a millisecond.
+pub const MS: u64 = 127_500;
+/// The host's clock at cycle 0: not near its zero, as on any machine that is up.
+const HOST_START_NS: u64 = 1_000_000_000;
+
+/// The host's time at a cycle.
+#[must_use]
+pub const fn host(cycle: u64) -> HostInstant {
+    HostInstant::from_ns(HOST_START_NS + cycle * 400 / 51)
+}
+
+/// Where a device's ticks lie on the cycles: known once its pins have played, estimated before.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Grid {
+    /// The cycle at which [`Tick::BOOT`] began.
+    pub origin: i64,
+}
+
+impl Grid {
+    /// The grid on which `tick` begins at `cycle`.
+    #[must_use]
+    pub const fn through(tick: Tick, cycle: u64) -> Self {
+        Self { origin: cycle.cast_signed() - tick.since(Tick::BOOT) * TICK.cast_signed() }
+    }
+
+    /// The cycle at which `tick` begins.
+    #[must_use]
+    pub const fn cycle(self, tick: Tick) -> u64 {
+        let cycle = self.origin + tick.since(Tick::BOOT) * TICK.cast_signed();
+        if cycle < 0 { 0 } else { cycle.cast_unsigned() }
+    }
+
+    /// The tick that lasts at `cycle`, and how many cycles of it have passed.
+    #[must_use]
+    pub const fn tick(self, cycle: u64) -> (Tick, u64) {
+        let since = cycle.cast_signed() - self.origin;
+        let ticks = since.div_euclid(TICK.cast_signed());
+        let tick = Tick(Tick::BOOT.0.saturating_add_signed(ticks));
+        (tick, since.rem_euclid(TICK.cast_signed()).cast_unsigned())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cycles_ticks_and_nanoseconds_fit_exactly() {
+        assert_eq!(host(51).as_ns() - host(0).as_ns(), 400);
+        assert_eq!(host(85_000 * TICK).as_ns() - host(0).as_ns(), 1_000_000_000);
+        assert_eq!(1000 * MS, 85_000 * TICK);
+        let grid = Grid::through(Tick::BOOT + 3, 5_000);
+        assert_eq!(grid.cycle(Tick::BOOT + 4), 6_500);
+        assert_eq!(grid.tick(6_499), (Tick::BOOT + 3, 1_499));
+        assert_eq!(grid.tick(6_500), (Tick::BOOT + 4, 0));
+        assert_eq!(grid.tick(400), (Tick(Tick::BOOT.0 - 1), 1_400));
+    }
+}

@@ -1,0 +1,59 @@
+//! From the e-stop's USB packet to all lines low: within a pulse period, at any phase, also under full load.
+
+use crate::play::{armed, job};
+use meissner::stream::port::Job;
+use meissner_hil::bench::chip::ChipOptions;
+use meissner_hil::scenario::pattern;
+use meissner_hil::time::{MS, TICK};
+
+/// How often it is tried, each time at another phase of tick, block and USB frame.
+const TRIES: u64 = 12;
+
+/// Cycles from the packet to the last fall.
+fn latency(rig: &mut meissner_hil::rig::Rig, name: &str, phase: u64) -> u64 {
+    rig.order(job(&pattern(name).unwrap(), 5.0));
+    rig.run_to(rig.now() + 60 * MS + phase).unwrap();
+    let chip = rig.chip().unwrap();
+    chip.packets.clear();
+    let ordered = rig.now();
+    rig.order(Job::EStop);
+    rig.run_to(ordered + 50 * MS).unwrap();
+    let chip = rig.chip().unwrap();
+    // The e-stop is repeated and pings follow; what the host sent first at that moment is the e-stop.
+    let packet = chip.packets.iter().map(|&(_, cycle)| cycle).find(|&cycle| cycle >= ordered).unwrap();
+    let low = chip.pins.low_since(u64::MAX).unwrap();
+    assert!(chip.pins.still_high().is_none(), "{name}: lines go on 50 ms after the e-stop was sent");
+    rig.order(Job::Reset);
+    rig.run_to(rig.now() + 20 * MS).unwrap();
+    rig.order(Job::Arm { assume_rest: true });
+    rig.run_to(rig.now() + 20 * MS).unwrap();
+    low.saturating_sub(packet)
+}
+
+fn sweep(name: &str) {
+    let mut rig = armed(ChipOptions::new(1));
+    let tries = 0..TRIES;
+    let mut cycles: Vec<_> =
+        tries.map(|n| latency(&mut rig, name, n * (16 * TICK + TICK / TRIES) / 3)).collect();
+    cycles.sort_unstable();
+    let (least, median, most) = (cycles[0], cycles[cycles.len() / 2], cycles[cycles.len() - 1]);
+    println!(
+        "{name}: e-stop, packet to all lines low: {least} / {median} / {most} cycles (least, median, most)"
+    );
+    assert!(most <= TICK, "{most} cycles");
+    let (boots, _) = rig.finish();
+    for boot in boots {
+        let findings: Vec<_> = boot.judge().findings.iter().map(ToString::to_string).collect();
+        assert!(findings.is_empty(), "{}", findings.join("\n"));
+    }
+}
+
+#[test]
+fn lines_are_low_within_a_pulse_period() {
+    sweep("edge-45");
+}
+
+#[test]
+fn lines_are_low_within_a_pulse_period_under_full_load() {
+    sweep("full-load");
+}

@@ -1,0 +1,102 @@
+//! One play on the chip, armed and played to its end, judged.
+
+use meissner::pattern::Pattern;
+use meissner::stream::port::{At, Job, LatePolicy, Notice, Outcome};
+use meissner::strokes::Strokes;
+use meissner_hil::bench::Which;
+use meissner_hil::bench::chip::ChipOptions;
+use meissner_hil::judge::{Judged, differences};
+use meissner_hil::rig::{Rig, RigOptions};
+use meissner_hil::scenario::compiled;
+use meissner_hil::time::MS;
+
+pub(crate) struct Play {
+    pub(crate) pattern: Pattern,
+    pub(crate) seconds: f64,
+    pub(crate) seed: u64,
+    pub(crate) slow: f64,
+    /// Another firmware than the one under test.
+    pub(crate) elf: Option<std::path::PathBuf>,
+}
+
+impl Play {
+    pub(crate) fn new(pattern: Pattern, seconds: f64) -> Self {
+        Self { pattern, seconds, seed: 1, slow: 1.0, elf: None }
+    }
+}
+
+pub(crate) struct Played {
+    pub(crate) outcome: Outcome,
+    pub(crate) judged: Judged,
+    /// Differences to the compiled strokes, in words.
+    pub(crate) against_strokes: Vec<String>,
+    pub(crate) pulses: u64,
+    /// Share of the cycles while it was played in which the core worked.
+    pub(crate) load: f64,
+    /// The least slack of a block, in ticks.
+    pub(crate) slack: u64,
+}
+
+/// A rig that is armed.
+pub(crate) fn armed(options: ChipOptions) -> Rig {
+    let mut rig =
+        Rig::new(&Which::Chip(options), RigOptions::default()).unwrap_or_else(|error| panic!("{error}"));
+    rig.run_to_greeting(3_000).unwrap();
+    rig.run_to(rig.now() + 100 * MS).unwrap();
+    rig.order(Job::Arm { assume_rest: true });
+    rig.run_to(rig.now() + 50 * MS).unwrap();
+    rig
+}
+
+pub(crate) fn job(pattern: &Pattern, seconds: f64) -> Job {
+    let strokes = Strokes::new(pattern, Some(seconds)).unwrap();
+    let (at, late) = (At::Next, LatePolicy::Drop);
+    Job::Play(Box::new(meissner::stream::port::Play {
+        id: 1,
+        strokes,
+        at,
+        late,
+        replace: false,
+        open_loop: true,
+    }))
+}
+
+pub(crate) fn play(play: &Play) -> Played {
+    let options = ChipOptions { slow: play.slow, ..ChipOptions::new(play.seed) };
+    let elf = play.elf.clone().unwrap_or_else(|| options.elf.clone());
+    let mut rig = armed(ChipOptions { elf, ..options });
+    let busy = |rig: &mut Rig| rig.chip().map_or(0, |chip| chip.busy_cycles());
+    let (from, busy_before) = (rig.now(), busy(&mut rig));
+    rig.order(job(&play.pattern, play.seconds));
+    rig.run_to_end(1, (play.seconds * 1000.0) as u64 + 2_000).unwrap();
+    let load = (busy(&mut rig) - busy_before) as f64 / (rig.now() - from) as f64;
+    let slack = rig.chip().and_then(|chip| chip.read("SLACK_MIN", 4).ok()).unwrap_or(0);
+    let (boots, notices) = rig.finish();
+    let outcome = notices.into_iter().find_map(|notice| match notice {
+        Notice::Ended { outcome, .. } => Some(outcome),
+        _ => None,
+    });
+    let outcome = outcome.unwrap();
+    let judged = boots.last().unwrap().judge();
+    let onset = outcome.onset.map(|onset| onset.actual);
+    let wanted = onset.map(|onset| compiled(&outcome.play.strokes, onset)).unwrap_or_default();
+    let against_strokes = differences(&judged.log, &wanted).iter().map(ToString::to_string).collect();
+    let pulses = judged.log.pulses();
+    Played { outcome, judged, against_strokes, pulses, load, slack }
+}
+
+impl Played {
+    /// Everything that is wrong, in words.
+    pub(crate) fn wrong(&self) -> Vec<String> {
+        let findings = self.judged.findings.iter().map(ToString::to_string);
+        findings.chain(self.against_strokes.iter().cloned()).collect()
+    }
+
+    pub(crate) fn assert_whole(&self) {
+        let name = self.outcome.play.id;
+        assert!(self.wrong().is_empty(), "play {name}:\n{}", self.wrong().join("\n"));
+        let bursts = self.outcome.bursts;
+        assert_eq!(bursts.played, bursts.planned, "{bursts:?}");
+        assert!(bursts.planned > 0 && self.pulses > 0, "{bursts:?}");
+    }
+}

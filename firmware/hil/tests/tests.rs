@@ -1,0 +1,10 @@
+//! One binary, one module per theme. Without firmware or emulator the chip's tests fail and say what to build.
+
+#![expect(clippy::unwrap_used, reason = "what cannot go on has failed")]
+
+mod estop;
+mod load;
+mod mutants;
+mod patterns;
+mod play;
+mod scenarios;
