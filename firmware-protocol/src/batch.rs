@@ -10,8 +10,9 @@
 use crate::stroke::{Direction, Stroke};
 use crate::tick::Tick;
 
-/// Strokes in one batch at the most: as many as a verdict's mask has bits.
-pub const MAX_BATCH: usize = 64;
+/// Strokes in one batch at the most: as many as a small chip can take between two blocks of lines, and no more than
+/// a verdict's mask has bits.
+pub const MAX_BATCH: usize = 32;
 /// Bytes of packed items in one message at the most: what its longest header leaves.
 pub const BATCH_BYTES: usize = 232;
 

@@ -3,7 +3,7 @@
 //! controller during the tick `now`, whose lines are out already (except in [`MOCK`]).
 
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
-use firmware_protocol::controller::{BLOCK, Controller, HORIZON, Identity};
+use firmware_protocol::controller::{BLOCK, Controller, EARLY, HORIZON, Identity};
 use firmware_protocol::frame::{Decoder, MAX_FRAME, encode};
 use firmware_protocol::limits::OnTimeLimits;
 use firmware_protocol::message::{Cause, DeviceMessage, HostMessage, Op, Report, State, Status};
@@ -195,6 +195,14 @@ impl Bench {
 
     pub(crate) fn bytes(&mut self, bytes: &[u8]) {
         self.device.receive(Tick(self.now), bytes);
+        self.drain();
+    }
+
+    /// Takes the frames kept whose turn has come: one whenever the shell lets time pass.
+    pub(crate) fn follow(&mut self) {
+        for _ in 0..EARLY {
+            self.device.poll(Tick(self.now));
+        }
         self.drain();
     }
 

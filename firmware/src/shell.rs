@@ -41,11 +41,19 @@ struct Shell {
     active: usize,
     /// Looks for another host's hello on the other pipes.
     watches: [Watch; usb::PIPES],
+    /// What is being sent.
+    frame: [u8; MAX_FRAME],
 }
 
 /// Takes the controller and begins.
 pub(crate) fn start(controller: Controller, ports: usb::Ports) {
-    let shell = Shell { controller, ports, active: 0, watches: [const { Watch::new() }; usb::PIPES] };
+    let shell = Shell {
+        controller,
+        ports,
+        active: 0,
+        watches: [const { Watch::new() }; usb::PIPES],
+        frame: [0; MAX_FRAME],
+    };
     // SAFETY: the interrupt is not enabled yet, nobody else has it.
     unsafe { (*SHELL.0.get()).write(shell) };
     interrupt::SWI_IRQ_0.set_priority(Priority::P2);
@@ -82,34 +90,35 @@ fn SWI_IRQ_0() {
 
 impl Shell {
     fn turn(&mut self) {
+        // One thing at a time: blocks may have fallen due meanwhile.
         loop {
             self.take_e_stop();
+            self.controller.poll(wave::now());
             self.render();
-            if let Some(pipe) = usb::take_lost() {
-                if pipe == usb::ALL || pipe == self.active {
-                    self.controller.link_lost(wave::now());
-                    self.publish();
-                }
-            } else if !self.take_packet() {
+            self.publish();
+            if !(self.take_lost() || self.send() || self.take_packet()) {
                 break;
             }
         }
-        let now = wave::now();
-        self.controller.poll(now);
-        self.publish();
-        self.send(now);
-        if self.controller.forced_off(now) {
+        if self.controller.forced_off(wave::now()) {
             wave::force_low();
         } else {
             wave::release();
         }
     }
 
+    fn take_lost(&mut self) -> bool {
+        let lost = usb::take_lost();
+        if lost.is_some_and(|pipe| pipe == usb::ALL || pipe == self.active) {
+            self.controller.link_lost(wave::now());
+        }
+        lost.is_some()
+    }
+
     fn take_e_stop(&mut self) {
         let e_stop = E_STOP.load(SeqCst);
         if e_stop & OPEN != 0 {
             self.controller.e_stop(wave::now(), e_stop as u16);
-            self.publish();
             E_STOP.store(0, SeqCst);
             wave::go_on();
         }
@@ -136,8 +145,13 @@ impl Shell {
                 wave::write(at, &run, enabled);
             }
             if enabled {
-                let slack = (begin - (wave::now() + wave::FETCHED)) as u32;
+                let now = wave::now();
+                let slack = (begin - (now + wave::FETCHED)) as u32;
                 SLACK_MIN.store(slack.min(SLACK_MIN.load(SeqCst)), SeqCst);
+                if slack == 0 {
+                    // Some of it may have been fetched before it was written.
+                    self.starved(now);
+                }
             }
         }
     }
@@ -147,7 +161,6 @@ impl Shell {
         if matches!(self.controller.state(), State::Armed | State::Returning) {
             wave::force_low();
             self.controller.fault(now, Cause::Starved);
-            SLACK_MIN.store(0, SeqCst);
         }
         while self.controller.rendered() <= now + wave::FETCHED {
             self.controller.render(BLOCK);
@@ -167,18 +180,16 @@ impl Shell {
             self.controller.receive(now, &[0]);
         }
         self.controller.receive(now, packet.bytes());
-        self.publish();
         true
     }
 
-    fn send(&mut self, now: Tick) {
-        let mut frame = [0; MAX_FRAME];
-        while self.ports.has_room(self.active) {
-            let len = self.controller.transmit(now, &mut frame);
-            if len == 0 {
-                break;
-            }
-            self.ports.put(self.active, &frame[..len]);
+    /// Sends the next frame, if there is one and room for it.
+    fn send(&mut self) -> bool {
+        if !self.ports.has_room(self.active) {
+            return false;
         }
+        let len = self.controller.transmit(wave::now(), &mut self.frame);
+        self.ports.put(self.active, &self.frame[..len]);
+        len > 0
     }
 }

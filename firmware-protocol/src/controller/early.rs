@@ -38,7 +38,9 @@ impl Early {
 
     /// Bit i: frame `next + 1 + i` is kept.
     pub(super) fn mask(&self, next: u16) -> u8 {
-        self.0.iter().fold(0, |mask, kept| mask | 1 << (kept.seq.wrapping_sub(next).wrapping_sub(1) % 8))
+        // The one waited for may be among them, for the moment.
+        let ahead = self.0.iter().map(|kept| kept.seq.wrapping_sub(next)).filter(|&ahead| ahead > 0);
+        ahead.fold(0, |mask, ahead| mask | 1 << ((ahead - 1) % 8))
     }
 
     pub(super) fn clear(&mut self) {

@@ -30,6 +30,7 @@ pub use pool::POOL;
 use pool::{Kind, Pool, Slot};
 pub use reports::REPORTS;
 use reports::Reports;
+use stream::Batch;
 
 /// Ticks rendered ahead of now at the most (a DMA block). What begins before the rendered end is late.
 pub const HORIZON: u32 = 64;
@@ -251,6 +252,7 @@ impl Controller {
     pub fn poll(&mut self, now: Tick) {
         self.now = self.now.max(now);
         self.settle();
+        self.follow();
         let listening = self.state == State::Armed || self.state == State::Returning;
         if listening && self.now - self.heard > self.lease.into() {
             self.disarm(Cause::Lease);
@@ -361,9 +363,13 @@ impl Controller {
             self.pending.no_session = true;
             return;
         }
-        if matches!(message, HostMessage::Strokes { batch, .. } if !stream::readable(batch)) {
-            self.counters.bad_frames += 1;
-            return;
+        let mut strokes = Batch::new();
+        if let HostMessage::Strokes { base, batch, .. } = message {
+            let Some(read) = stream::unpack(base.near(self.now), batch) else {
+                self.counters.bad_frames += 1;
+                return;
+            };
+            strokes = read;
         }
         self.heard = self.now;
         self.pending.status = true;
@@ -380,7 +386,7 @@ impl Controller {
             HostMessage::Strokes { epoch, seq, seen, onset, base, batch } => {
                 self.reports.seen(seen, self.now);
                 if epoch == self.epoch {
-                    self.stream(seq, onset, base.near(self.now), batch);
+                    self.stream(seq, onset, base.near(self.now), batch, &strokes);
                 }
             }
             HostMessage::Amend { epoch, generation, base, items } => {

@@ -9,20 +9,28 @@ use crate::message::{Report, State};
 use crate::stroke::{Direction, Stroke};
 use crate::tick::Tick;
 
+/// The strokes of a frame.
+pub(super) type Batch = heapless::Vec<Stroke, MAX_BATCH>;
+
 impl Controller {
-    /// Takes a frame of the ordered stream if it is its turn, and those kept that follow it.
-    pub(super) fn stream(&mut self, seq: u16, onset: bool, base: Tick, batch: &[u8]) {
+    /// Takes a frame of the ordered stream if it is its turn, else keeps it for [`Self::follow`].
+    pub(super) fn stream(&mut self, seq: u16, onset: bool, base: Tick, batch: &[u8], strokes: &Batch) {
         if seq != self.next_seq {
             self.early.keep(self.next_seq, seq, onset, base, batch);
         } else if self.has_room(onset) {
-            self.strokes(seq, onset, base, batch);
+            self.strokes(seq, onset, base, strokes);
         }
-        while let Some(frame) = self.early.take(self.next_seq) {
-            // Without room it is forgotten, and comes again.
-            if !self.has_room(frame.onset) {
-                break;
-            }
-            self.strokes(frame.seq, frame.onset, frame.base, &frame.batch);
+    }
+
+    /// Takes the next of the frames kept, if its turn has come. One at a time: a shell has lines to render.
+    pub(super) fn follow(&mut self) {
+        // Without room it is forgotten, and comes again.
+        if let Some(frame) = self.early.take(self.next_seq)
+            && self.has_room(frame.onset)
+            && let Some(strokes) = unpack(frame.base, &frame.batch)
+        {
+            self.strokes(frame.seq, frame.onset, frame.base, &strokes);
+            self.pending.status = true;
         }
     }
 
@@ -32,7 +40,7 @@ impl Controller {
     }
 
     /// Takes the next frame of the ordered stream.
-    fn strokes(&mut self, seq: u16, onset: bool, base: Tick, batch: &[u8]) {
+    fn strokes(&mut self, seq: u16, onset: bool, base: Tick, strokes: &Batch) {
         self.next_seq = seq.wrapping_add(1);
         let rendered = self.rendered.wire();
         if onset && self.state == State::Armed {
@@ -45,8 +53,8 @@ impl Controller {
             let _ = self.marks.push_back(base);
         }
         let (mut late, mut refused, mut reason) = (0u64, 0u64, None);
-        for (i, stroke) in Strokes::new(base, batch).flatten().enumerate() {
-            match self.accept(&stroke) {
+        for (i, stroke) in strokes.iter().enumerate() {
+            match self.accept(stroke) {
                 Ok(true) => {}
                 Ok(false) => late |= 1 << i,
                 Err(refusal) => {
@@ -116,9 +124,11 @@ impl Controller {
     }
 }
 
-/// Whether `batch` can be read to its end and a verdict has a bit for each of its strokes.
-pub(super) fn readable(batch: &[u8]) -> bool {
-    let mut strokes = Strokes::new(Tick(0), batch);
-    let whole = strokes.by_ref().take(MAX_BATCH).all(|stroke| stroke.is_ok());
-    whole && strokes.next().is_none()
+/// The strokes of `batch` counted from `base`, if it can be read to its end.
+pub(super) fn unpack(base: Tick, batch: &[u8]) -> Option<Batch> {
+    let mut all = Batch::new();
+    for stroke in Strokes::new(base, batch) {
+        all.push(stroke.ok()?).ok()?;
+    }
+    Some(all)
 }
