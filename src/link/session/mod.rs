@@ -3,6 +3,7 @@
 
 mod inbound;
 mod outbound;
+mod survey;
 
 use crate::link::Clock;
 use crate::units::HostInstant;
@@ -15,6 +16,8 @@ use firmware_protocol::stroke::{MOTORS, Stroke};
 use firmware_protocol::tick::Tick;
 use std::collections::VecDeque;
 use std::time::Duration;
+pub use survey::Budget;
+use survey::Survey;
 
 /// Frames sent and not acknowledged, at the most: the one waited for and those the device keeps.
 const WINDOW: usize = 1 + EARLY;
@@ -146,6 +149,12 @@ impl LineRate {
     fn window_bytes(self) -> usize {
         (self.0 as usize / 500).max(MAX_FRAME)
     }
+
+    /// How long so many bytes are on the line.
+    #[must_use]
+    pub fn time(self, bytes: usize) -> Duration {
+        Duration::from_secs_f64(bytes as f64 / f64::from(self.0.max(1)))
+    }
 }
 
 /// Bytes and frames since the session began.
@@ -157,6 +166,17 @@ pub struct Traffic {
     pub bytes_in: u64,
     /// Frames sent again.
     pub again: u64,
+}
+
+/// A ping and its answer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Trip {
+    /// When it was sent.
+    pub sent: HostInstant,
+    /// The device's clock in between.
+    pub tick: Tick,
+    /// When the answer was heard.
+    pub received: HostInstant,
 }
 
 /// A frame of strokes from its first stroke to its verdict.
@@ -194,13 +214,19 @@ enum Phase {
 pub struct Session {
     phase: Phase,
     id: u32,
+    /// The line's rate as its transport knows it; as it was measured, with the round trip then.
+    nominal: LineRate,
+    line: Option<(LineRate, Duration)>,
     window_bytes: usize,
+    survey: Survey,
     decoder: Decoder,
     hellos: u32,
     clock: Clock,
     traffic: Traffic,
 
     epoch: u16,
+    /// The epoch the session began with.
+    greeted: u16,
     control: Option<Control>,
     window: VecDeque<Batch>,
     open_batch: Option<Batch>,
@@ -225,6 +251,8 @@ pub struct Session {
     verdicts: VecDeque<Report>,
 
     token: u16,
+    /// The last ping that was answered.
+    answered: u16,
     /// The last pings and when they were sent: an answer may come after later ones have left.
     pinged: [(u16, HostInstant); PINGS],
     last_ping: HostInstant,
@@ -234,6 +262,9 @@ pub struct Session {
     unanswered: u32,
     first_unanswered: HostInstant,
     round_trip: Duration,
+    /// The shortest round trip so far.
+    fastest: Duration,
+    trip: Option<Trip>,
 }
 
 impl Session {
@@ -243,12 +274,16 @@ impl Session {
         Self {
             phase: Phase::Opening,
             id,
+            nominal: rate,
+            line: None,
             window_bytes: rate.window_bytes(),
+            survey: Survey::new(Budget::default()),
             decoder: Decoder::default(),
             hellos: 0,
             clock: Clock::default(),
             traffic: Traffic::default(),
             epoch: 0,
+            greeted: 0,
             control: None,
             window: VecDeque::with_capacity(WINDOW + 1),
             open_batch: None,
@@ -264,6 +299,7 @@ impl Session {
             stale: 0,
             verdicts: VecDeque::with_capacity(REPORTS),
             token: 0,
+            answered: 0,
             pinged: [(0, HostInstant::default()); PINGS],
             last_ping: HostInstant::default(),
             ping_due: now,
@@ -272,6 +308,8 @@ impl Session {
             unanswered: 0,
             first_unanswered: now,
             round_trip: RETRY.0,
+            fastest: Duration::MAX,
+            trip: None,
         }
     }
 
@@ -285,6 +323,11 @@ impl Session {
     #[must_use]
     pub fn traffic(&self) -> Traffic {
         self.traffic
+    }
+
+    /// The last round trip, once.
+    pub fn take_trip(&mut self) -> Option<Trip> {
+        self.trip.take()
     }
 
     /// Whether the handshake is done, the clock is set and the session not over.
@@ -402,6 +445,9 @@ impl Session {
     }
 
     fn retry_after(&self) -> Duration {
-        (self.round_trip * 3).clamp(RETRY.0, RETRY.1)
+        let usual = (self.round_trip * 3).clamp(RETRY.0, RETRY.1);
+        // What is on a slow line is late, not lost.
+        let line = self.line().map_or(Duration::ZERO, |line| line.time(self.window_bytes + MAX_FRAME));
+        usual.max(self.round_trip.min(RETRY.1) + line)
     }
 }

@@ -4,14 +4,12 @@
 //! ahead. A play's first frame waits for the device's verdict before anything follows.
 
 use crate::stream::active::{Active, Phase};
+use crate::stream::batch_ticks;
 use crate::stream::port::{At, End, LateCause};
 use crate::stream::streamer::{Streamer, Tell, ticks};
 use crate::units::HostInstant;
 use firmware_protocol::message::State;
 use firmware_protocol::tick::{TICK_HZ, Tick};
-
-/// Strokes are handed over so often that a frame carries many of them.
-const LONGEST_BATCH_MS: f64 = 12.5;
 
 /// What came of trying to hand over strokes.
 enum Fed {
@@ -32,9 +30,8 @@ impl Streamer {
         if self.state() != State::Armed || !self.may_feed() {
             return;
         }
-        let batch_ms = (self.settings.lead_ms / 4.0).min(LONGEST_BATCH_MS);
         let lead = (self.settings.lead_ms * f64::from(TICK_HZ) / 1000.0) as u64;
-        let batch = (batch_ms * f64::from(TICK_HZ) / 1000.0) as u64;
+        let batch = batch_ticks(&self.settings);
         let mut unfed =
             self.plays.iter().filter(|active| active.cut.is_none() && active.phase != Phase::Streamed);
         let fresh = unfed.next().is_some_and(|active| active.phase == Phase::Waiting);
