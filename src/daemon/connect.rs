@@ -36,7 +36,8 @@ pub(super) enum Word {
 pub(super) fn spawn(spec: Spec, plant: PlantConfig, engine: Arc<Engine>) -> io::Result<Sender<Word>> {
     let (sender, words) = bounded(4);
     engine.hire(sender.clone());
-    let connector = Connector { spec, plant, engine, words, plugged: never(), said: None, opened: String::new() };
+    let connector =
+        Connector { spec, plant, engine, words, plugged: never(), said: None, opened: String::new() };
     thread::Builder::new().name("connector".into()).spawn(move || connector.run())?;
     Ok(sender)
 }

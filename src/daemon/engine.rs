@@ -15,8 +15,8 @@ use crate::device::Device;
 use crate::device::mock::Truth;
 use crate::record::{Event, PlayState, Receipt, Recorder};
 use crate::store::Stored;
-use crate::stream::{Need, Settings};
 use crate::stream::port::{At, Job, Notice, Notices, Order, Orders, Play, Refused};
+use crate::stream::{Need, Settings};
 use crate::strokes::Strokes;
 use crate::units::HostInstant;
 use firmware_protocol::tick::Tick;
@@ -60,6 +60,8 @@ pub(super) struct Inner {
     waiting: HashMap<u64, Ticket>,
     truth: Option<Arc<Truth>>,
     connector: Option<crossbeam_channel::Sender<Word>>,
+    /// Why the device was lost, if none has answered since: told once.
+    lost: Option<&'static str>,
     /// `None` once the daemon ends: listeners get what was published before, then the end.
     events: Option<broadcast::Sender<Event>>,
     closing: bool,
@@ -83,6 +85,7 @@ impl Engine {
             waiting: HashMap::new(),
             truth: None,
             connector: None,
+            lost: None,
             events: Some(broadcast::channel(EVENTS).0),
             closing: false,
         };
@@ -285,6 +288,15 @@ impl Inner {
     fn take(&mut self, notice: Notice) -> (Option<Event>, bool) {
         let event = match &notice {
             Notice::Answer { ticket, result } => self.answered(*ticket, *result),
+            Notice::Connected(_) => {
+                self.lost = None;
+                self.recorder.take(&notice)
+            }
+            // A port that is no board is opened again and again: that is no news.
+            Notice::Disconnected { reason, .. } => {
+                let event = self.recorder.take(&notice);
+                event.filter(|_| self.lost.replace(reason) != Some(*reason))
+            }
             other => self.recorder.take(other),
         };
         if let (Some(event), Some(events)) = (&event, &self.events) {
@@ -348,7 +360,7 @@ fn log(event: &Event) {
             info!(kind = device.kind, firmware = device.firmware, boot = device.boot, "device connected");
         }
         Event::Disconnected { reason } => {
-            warn!("device disconnected: {reason}; it is tried again every second");
+            warn!("device disconnected: {reason}; it is looked for again");
         }
         Event::Ended { receipt } if receipt.state == PlayState::Done => {
             info!(id = receipt.id, pattern = receipt.pattern, "play done");

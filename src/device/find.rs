@@ -48,7 +48,8 @@ impl Wanted {
                 Self { ids: (id(vendor)?, id(product)?), serial: serial.map(str::to_owned) }
             }
         };
-        let known = |serial: &String| !serial.is_empty() && serial.bytes().all(|byte| byte.is_ascii_graphic());
+        let known =
+            |serial: &String| !serial.is_empty() && serial.bytes().all(|byte| byte.is_ascii_graphic());
         wanted.serial.as_ref().is_none_or(known).then_some(wanted)
     }
 
@@ -135,14 +136,26 @@ mod tests {
     }
 
     #[test]
+    fn the_udev_rules_mean_the_same_board() {
+        let rules = include_str!("../../deploy/70-meissner.rules");
+        for rule in rules.lines().filter(|line| line.starts_with("SUBSYSTEM")) {
+            for part in [
+                format!("{{idVendor}}==\"{:04x}\"", BOARD.0),
+                format!("{{idProduct}}==\"{:04x}\"", BOARD.1),
+                format!("{{product}}==\"{PRODUCT}\""),
+            ] {
+                assert!(rule.contains(&part), "{part}: {rule}");
+            }
+        }
+        assert_eq!(rules.matches("SUBSYSTEM").count(), 2);
+    }
+
+    #[test]
     fn what_is_no_id_is_refused() {
         for text in ["", "1209:", "1209:1", "12x9:0001", "1209:0001:", "a b"] {
             assert_eq!(Wanted::parse(text), None, "{text}");
         }
         assert_eq!(Wanted::parse("2e8a:000a").unwrap().to_string(), "USB 2e8a:000a");
-        assert_eq!(
-            Wanted::serial("e6").to_string(),
-            "USB 1209:0001 `meissner`, serial number e6"
-        );
+        assert_eq!(Wanted::serial("e6").to_string(), "USB 1209:0001 `meissner`, serial number e6");
     }
 }

@@ -24,12 +24,12 @@ pub use pty::PtyMock;
 use rustix::fd::BorrowedFd;
 pub use serial::SerialPort;
 pub use spec::{BadSpec, Spec};
-use usb::FULL_SPEED;
-pub use usb::{UsbPort, watch};
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::io;
 use std::path::PathBuf;
 use std::sync::Arc;
+use usb::FULL_SPEED;
+pub use usb::{UsbPort, watch};
 
 /// Why a device could not be opened.
 #[derive(Debug, thiserror::Error)]
@@ -44,7 +44,9 @@ pub enum DeviceError {
     )]
     Denied(PathBuf),
     /// Another program has it.
-    #[error("serial port {0}: in use by another program, perhaps a daemon (`meissner status`); stop that one first")]
+    #[error(
+        "serial port {0}: in use by another program, perhaps a daemon (`meissner status`); stop that one first"
+    )]
     InUse(PathBuf),
     /// Anything else about a port.
     #[error("serial port {0}: {1}")]
@@ -56,16 +58,22 @@ pub enum DeviceError {
     #[error("no board on USB: looked for {0}; plug it in, or see `lsusb`")]
     NoUsb(String),
     /// Neither.
-    #[error("no board: looked for {0}, by serial port and on USB; plug it in, or use the simulated one, `mock`")]
+    #[error(
+        "no board: looked for {0}, by serial port and on USB; plug it in, or use the simulated one, `mock`"
+    )]
     NoBoard(String),
     /// No access.
     #[error("USB device {0}: permission denied; install deploy/70-meissner.rules and plug it in again")]
     UsbDenied(String),
     /// Another program has it.
-    #[error("USB device {0}: in use by another program, perhaps a daemon (`meissner status`); stop that one first")]
+    #[error(
+        "USB device {0}: in use by another program, perhaps a daemon (`meissner status`); stop that one first"
+    )]
     UsbInUse(String),
     /// Another firmware.
-    #[error("USB device {0}: it has no vendor-specific interface; update its firmware, or use its serial port")]
+    #[error(
+        "USB device {0}: it has no vendor-specific interface; update its firmware, or use its serial port"
+    )]
     UsbInterface(String),
     /// Anything else about it.
     #[error("USB device {0}: {1}; plug it in again")]

@@ -91,8 +91,17 @@ mod tests {
     #[test]
     fn a_device_is_written_as_it_is_read() {
         for text in [
-            "auto", "mock", "pty", "serial", "serial:/dev/ttyACM0", "serial:./board", "serial:e66038b7",
-            "serial:2e8a:000a", "serial:2e8a:000a:e6", "usb", "usb:e66038b7",
+            "auto",
+            "mock",
+            "pty",
+            "serial",
+            "serial:/dev/ttyACM0",
+            "serial:./board",
+            "serial:e66038b7",
+            "serial:2e8a:000a",
+            "serial:2e8a:000a:e6",
+            "usb",
+            "usb:e66038b7",
         ] {
             assert_eq!(text.parse::<Spec>().unwrap().to_string(), text);
         }

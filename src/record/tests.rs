@@ -63,7 +63,15 @@ fn onset() -> Onset {
 fn ended(id: u64, end: End) -> Notice {
     let pattern = Pattern::new("nothing", Some(1.0), Vec::new(), toml::Table::new()).unwrap();
     let strokes = Strokes::new(&pattern, None).unwrap();
-    let play = Play { id, strokes, at: At::Next, late: LatePolicy::Drop, replace: false, open_loop: false, need: Need::default() };
+    let play = Play {
+        id,
+        strokes,
+        at: At::Next,
+        late: LatePolicy::Drop,
+        replace: false,
+        open_loop: false,
+        need: Need::default(),
+    };
     let outcome = Outcome {
         end,
         cause: (end != End::Done).then_some("stop"),

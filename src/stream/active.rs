@@ -58,7 +58,12 @@ pub(super) struct Active {
 pub(super) const FIRST_MARGIN: Duration = Duration::from_millis(3);
 
 impl Active {
-    pub(super) fn new(play: Box<Play>, ordered: HostInstant, requested: Option<Tick>, margin: Duration) -> Self {
+    pub(super) fn new(
+        play: Box<Play>,
+        ordered: HostInstant,
+        requested: Option<Tick>,
+        margin: Duration,
+    ) -> Self {
         Self {
             play,
             phase: Phase::Waiting,

@@ -7,8 +7,8 @@
 mod pipe;
 mod watch;
 
-use crate::device::find::Wanted;
 use crate::device::DeviceError;
+use crate::device::find::Wanted;
 use crate::link::LineRate;
 use pipe::Pipe;
 use rusb::{Context, DeviceHandle, Direction, TransferType, UsbContext};

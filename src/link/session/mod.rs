@@ -2,6 +2,7 @@
 //! `inbound`, what is due is sent in `outbound`.
 
 mod inbound;
+mod line;
 mod outbound;
 mod survey;
 
@@ -14,6 +15,7 @@ use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{Counters, Cut, DeviceHello, Op, Report, Status};
 use firmware_protocol::stroke::{MOTORS, Stroke};
 use firmware_protocol::tick::Tick;
+pub use line::{LineRate, Traffic, Trip};
 use std::collections::VecDeque;
 use std::time::Duration;
 pub use survey::Budget;
@@ -60,8 +62,10 @@ pub enum Verdict {
 /// Why a session ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LostReason {
-    /// No answer to the handshake, or to pings.
+    /// No answer to pings.
     NoAnswer,
+    /// No answer to the handshake.
+    NoBoard,
     /// It has forgotten the session.
     Restarted,
     /// It speaks another protocol.
@@ -76,6 +80,9 @@ impl LostReason {
     pub fn text(self) -> &'static str {
         match self {
             Self::NoAnswer => "the device does not answer",
+            Self::NoBoard => {
+                "what is there does not answer as a board: see that --device names the board, or power it off and on"
+            }
             Self::Restarted => "the device has restarted",
             Self::Version => "the device speaks another protocol version: update its firmware or this daemon",
             Self::WrongArray => "the device's motors or tick rate are not this array's",
@@ -138,45 +145,6 @@ pub enum Event {
         /// Per motor.
         y: [i32; MOTORS],
     },
-}
-
-/// How fast bytes leave on the line, bytes per second: bounds what may wait in buffers we cannot reach.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct LineRate(pub u32);
-
-impl LineRate {
-    /// Bytes that may be on their way: 2 ms of the line, at least one frame.
-    fn window_bytes(self) -> usize {
-        (self.0 as usize / 500).max(MAX_FRAME)
-    }
-
-    /// How long so many bytes are on the line.
-    #[must_use]
-    pub fn time(self, bytes: usize) -> Duration {
-        Duration::from_secs_f64(bytes as f64 / f64::from(self.0.max(1)))
-    }
-}
-
-/// Bytes and frames since the session began.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Traffic {
-    /// Bytes sent, all overhead included.
-    pub bytes_out: u64,
-    /// Bytes received.
-    pub bytes_in: u64,
-    /// Frames sent again.
-    pub again: u64,
-}
-
-/// A ping and its answer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Trip {
-    /// When it was sent.
-    pub sent: HostInstant,
-    /// The device's clock in between.
-    pub tick: Tick,
-    /// When the answer was heard.
-    pub received: HostInstant,
 }
 
 /// A frame of strokes from its first stroke to its verdict.

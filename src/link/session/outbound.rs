@@ -38,7 +38,7 @@ impl Session {
             return 0;
         }
         if self.hellos == MAX_HELLOS {
-            self.lose(LostReason::NoAnswer, tell);
+            self.lose(LostReason::NoBoard, tell);
             return 0;
         }
         self.hellos += 1;

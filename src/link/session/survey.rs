@@ -71,12 +71,13 @@ impl Survey {
         Self { stage, budget, begun: HostInstant::default(), round, spent: 0, rates: [0; ROUNDS], rounds: 0 }
     }
 
-    /// The middle of the rounds: a stall of either side makes one of them too slow.
+    /// The upper quartile of the rounds: stalls of either side make them too slow, and nothing makes them too fast but
+    /// an idle round trip that was itself held up.
     fn rate(&self) -> Option<LineRate> {
         let mut rates = self.rates;
         let rates = &mut rates[..self.rounds];
         rates.sort_unstable();
-        rates.get(rates.len() / 2).copied().map(LineRate)
+        rates.get(rates.len() * 3 / 4).copied().map(LineRate)
     }
 }
 
@@ -98,7 +99,9 @@ impl Session {
     #[must_use]
     pub fn capacity(&self) -> Option<u32> {
         let (line, trip) = self.line?;
-        let waiting = self.window_bytes as f64 / (trip + line.time(MAX_FRAME)).as_secs_f64();
+        // Only whole frames are on their way.
+        let on_the_way = (self.window_bytes / MAX_FRAME * MAX_FRAME) as f64;
+        let waiting = on_the_way / (trip + line.time(MAX_FRAME)).as_secs_f64();
         Some(waiting.min(line.0.into()) as u32)
     }
 
@@ -185,8 +188,7 @@ impl Session {
         let Survey { budget, begun, spent, rounds, .. } = self.survey;
         let nominal = self.nominal;
         let bound = |rate: LineRate| LineRate(rate.0.min(nominal.0));
-        let last = rounds.checked_sub(1).map(|last| bound(LineRate(self.survey.rates[last])));
-        let bytes = last.map_or(MAX_FRAME, LineRate::window_bytes);
+        let bytes = self.survey.rate().map_or(MAX_FRAME, |rate| bound(rate).window_bytes());
         if rounds < ROUNDS && spent + bytes <= budget.bytes && now.since(begun) < budget.time {
             self.begin_round(now, bytes);
             return;
@@ -200,7 +202,10 @@ impl Session {
     fn filler(&self, out: &mut [u8]) -> usize {
         let mut strokes = Packer::<BATCH_BYTES>::new(Tick(0));
         let mut up = Tick(0);
-        while strokes.stroke(&Stroke { motor: 0, up, up_pulses: 147, down: up + 708, down_pulses: 147 }).is_ok() {
+        while strokes
+            .stroke(&Stroke { motor: 0, up, up_pulses: 147, down: up + 708, down_pulses: 147 })
+            .is_ok()
+        {
             up = up + 1417;
         }
         let epoch = self.greeted.wrapping_sub(1);

@@ -44,8 +44,15 @@ impl Streamer {
             let mut before = self.plays.iter().take(index).rev().filter(|active| active.cut.is_none());
             let previous_end = before.next().and_then(Active::end);
             let wire = self.session.as_ref().map_or(0, |session| session.traffic().bytes_out);
+            let carried = session_carries(self, index);
             let active = &mut self.plays[index];
             if active.cut.is_some() || active.phase == Phase::Streamed {
+                continue;
+            }
+            if active.phase == Phase::Waiting && !carried {
+                // Ordered together with the arm, before the line was measured.
+                active.cut = Some((End::Aborted, "the line does not carry the pattern"));
+                active.onset = None;
                 continue;
             }
             if active.phase == Phase::Offered {
@@ -144,6 +151,13 @@ impl Streamer {
             active.next = None;
         }
     }
+}
+
+/// Whether the line carries a play, as far as is known.
+fn session_carries(streamer: &Streamer, index: usize) -> bool {
+    let play = streamer.plays.get(index).map(|active| &active.play);
+    let both = streamer.session.as_ref().zip(play);
+    both.is_none_or(|(session, play)| streamer.margin(session, play).is_ok())
 }
 
 /// Where a play that waits can begin: as asked for, right behind the one before it, or as soon as the link allows.

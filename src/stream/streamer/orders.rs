@@ -101,7 +101,7 @@ impl Streamer {
     }
 
     /// How far ahead of its onset a play has to be sent from, if the line carries it at all.
-    fn margin(&self, session: &Session, play: &Play) -> Result<Duration, Refused> {
+    pub(super) fn margin(&self, session: &Session, play: &Play) -> Result<Duration, Refused> {
         let demand = if play.open_loop || !self.telemetry { play.need.open } else { play.need.closed };
         match session.capacity() {
             Some(carries) if demand.rate > carries => {
