@@ -69,12 +69,13 @@ fn what_a_line_carries_just_so_is_played_without_lateness_and_what_it_does_not_i
                 Ok(()) => break,
                 Err(Refused::LineTooSlow { needs, carries }) => {
                     assert_eq!(needs, wanted);
-                    // Whole frames on their way, for a millisecond there and back.
+                    // Whole frames on their way, for a millisecond there and back. (A rehearsal measures by half
+                    // milliseconds.)
                     let frames = f64::from((line / 500 / 256).max(1)) * 256.0;
                     let expected = (frames / (0.001 + 256.0 / f64::from(line))).min(line.into());
                     let share = f64::from(carries) / expected;
                     assert!(
-                        (0.85..=1.05).contains(&share) && carries <= line,
+                        (0.85..=1.15).contains(&share) && carries <= line,
                         "{carries} of {line}, {expected}"
                     );
                     line += line / 20;

@@ -118,8 +118,8 @@ fn judged(at: &Examined) -> Vec<Finding> {
 /// What the line carries.
 pub(super) fn line(bytes_per_s: u32) -> Finding {
     let level = match bytes_per_s {
-        ..ANY_BYTES_PER_S => Level::Fail,
-        ..ALL_BYTES_PER_S => Level::Warn,
+        rate if rate < ANY_BYTES_PER_S => Level::Fail,
+        rate if rate < ALL_BYTES_PER_S => Level::Warn,
         _ => Level::Ok,
     };
     let found = format!("carries {:.1} kB/s", f64::from(bytes_per_s) / 1000.0);
