@@ -31,7 +31,9 @@ fn finding<'a>(report: &'a Value, what: &str) -> &'a Value {
 fn the_doctor_measures_a_device() {
     let board = board();
     for device in ["mock".to_owned(), "pty".to_owned(), format!("serial:{}", board.path().display())] {
-        let report = report(&["--device", &device]);
+        // On a machine that is held up for half a second the device counts as lost: again.
+        let again = || Some(report(&["--device", &device])).filter(|report| !report["device"].is_null());
+        let report = (0..4).find_map(|_| again()).unwrap_or_else(|| report(&["--device", &device]));
         let measured = &report["device"];
         let number = |pointer: &str| measured.pointer(pointer).and_then(Value::as_f64).unwrap_or(f64::NAN);
         assert!(number("/round_trip/count") >= 500.0, "{report}");

@@ -25,7 +25,8 @@ const MODEL_PPM: f64 = 200.0;
 pub(super) fn examine(spec: &Spec, findings: &mut Vec<Finding>) -> Option<Examined> {
     let mut fail = |what, found: String| {
         // What to do is in the line itself.
-        let (found, advice) = found.split_once("; ").map_or((found.as_str(), "see above"), |parts| parts);
+        let usual = (found.as_str(), "see its cable and power, and what else this machine does");
+        let (found, advice) = found.split_once("; ").unwrap_or(usual);
         findings.push(Finding::new(what, Level::Fail, found, advice));
     };
     let mut device = match device::open(spec, &PlantConfig::default()) {
