@@ -130,10 +130,14 @@ impl Decoder {
     }
 }
 
-/// The body of what was between two zeros, checked.
-pub(crate) fn message(encoded: &mut [u8]) -> Result<&[u8], FrameError> {
+fn message(encoded: &mut [u8]) -> Result<&[u8], FrameError> {
     let len = cobs::decode_in_place(encoded).map_err(|_| FrameError::Malformed)?;
-    let (message, crc) = encoded[..len].split_last_chunk::<CRC_LEN>().ok_or(FrameError::Malformed)?;
+    body(&encoded[..len])
+}
+
+/// The body of what was encoded, checked.
+pub(crate) fn body(message: &[u8]) -> Result<&[u8], FrameError> {
+    let (message, crc) = message.split_last_chunk::<CRC_LEN>().ok_or(FrameError::Malformed)?;
     let (&version, body) = message.split_first().ok_or(FrameError::Malformed)?;
     if CRC.checksum(message) != u32::from_le_bytes(*crc) {
         return Err(FrameError::Crc);

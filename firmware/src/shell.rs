@@ -93,10 +93,10 @@ impl Shell {
         // One thing at a time: blocks may have fallen due meanwhile.
         loop {
             self.take_e_stop();
-            self.controller.poll(wave::now());
+            let followed = self.controller.poll(wave::now());
             self.render();
             self.publish();
-            if !(self.take_lost() || self.send() || self.take_packet()) {
+            if !(followed || self.take_lost() || self.send() || self.take_packet()) {
                 break;
             }
         }

@@ -209,19 +209,19 @@ pub(crate) fn write(tick: Tick, run: &Run, enabled: bool) {
 
 /// Forces all outputs low at the pads, whatever PIO and DMA do. From any context.
 pub(crate) fn force_low() {
-    for pin in OUTPUTS {
-        pac::IO_BANK0.gpio(pin.into()).ctrl().write(|w| {
-            w.set_funcsel(PIO_FUNCTION);
-            w.set_outover(pac::io::vals::Outover::LOW);
-        });
+    let mut low = pac::io::regs::GpioCtrl(0);
+    low.set_funcsel(PIO_FUNCTION);
+    low.set_outover(pac::io::vals::Outover::LOW);
+    for pin in &OUTPUTS {
+        pac::IO_BANK0.gpio((*pin).into()).ctrl().write_value(low);
     }
     FORCED.store(true, SeqCst);
 }
 
 /// Forces all outputs low and stops time for the controller, until [`go_on`].
 pub(crate) fn freeze_low() {
-    let at = now();
     force_low();
+    let at = now();
     FROZEN_AT[0].store(at.0 as u32, SeqCst);
     FROZEN_AT[1].store((at.0 >> 32) as u32, SeqCst);
     FROZEN.store(true, SeqCst);

@@ -223,7 +223,7 @@ impl Controller {
     /// Carries out an e-stop that a shell has seen coming ([`crate::urgent`]) before all that came before it.
     /// The frame itself, when it is received, is then a repetition.
     pub fn e_stop(&mut self, now: Tick, epoch: u16) {
-        self.poll(now);
+        self.pass(now);
         if self.session.is_some() {
             self.control(epoch, Op::EStop);
         }
@@ -231,7 +231,7 @@ impl Controller {
 
     /// Takes bytes from the host, in any chunks.
     pub fn receive(&mut self, now: Tick, mut bytes: &[u8]) {
-        self.poll(now);
+        self.pass(now);
         while let Some(body) = self.decoder.next(&mut bytes) {
             // A message that borrows from the decoder could not be handled.
             let mut copy = [0; MAX_FRAME];
@@ -248,11 +248,16 @@ impl Controller {
         }
     }
 
-    /// Lets time pass: what lies before `now` has been played; a lease may expire. Call it at least once per block.
-    pub fn poll(&mut self, now: Tick) {
+    /// Lets time pass: what lies before `now` has been played; a lease may expire; of the frames that came early, one
+    /// whose turn has come is taken, and then it is `true`. Call it at least once per block.
+    pub fn poll(&mut self, now: Tick) -> bool {
+        self.pass(now);
+        self.follow()
+    }
+
+    fn pass(&mut self, now: Tick) {
         self.now = self.now.max(now);
         self.settle();
-        self.follow();
         let listening = self.state == State::Armed || self.state == State::Returning;
         if listening && self.now - self.heard > self.lease.into() {
             self.disarm(Cause::Lease);
@@ -261,7 +266,7 @@ impl Controller {
 
     /// The cable was pulled or the port closed: return and disarm, forget the session.
     pub fn link_lost(&mut self, now: Tick) {
-        self.poll(now);
+        self.pass(now);
         self.disarm(Cause::LinkLost);
         self.session = None;
         self.pending = Pending::default();
@@ -270,7 +275,7 @@ impl Controller {
 
     /// A fault of its own: all lines off at once, latched.
     pub fn fault(&mut self, now: Tick, cause: Cause) {
-        self.poll(now);
+        self.pass(now);
         self.off(cause);
     }
 

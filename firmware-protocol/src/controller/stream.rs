@@ -23,15 +23,16 @@ impl Controller {
     }
 
     /// Takes the next of the frames kept, if its turn has come. One at a time: a shell has lines to render.
-    pub(super) fn follow(&mut self) {
+    pub(super) fn follow(&mut self) -> bool {
+        let Some(frame) = self.early.take(self.next_seq) else { return false };
         // Without room it is forgotten, and comes again.
-        if let Some(frame) = self.early.take(self.next_seq)
-            && self.has_room(frame.onset)
+        if self.has_room(frame.onset)
             && let Some(strokes) = unpack(frame.base, &frame.batch)
         {
             self.strokes(frame.seq, frame.onset, frame.base, &strokes);
             self.pending.status = true;
         }
+        true
     }
 
     /// Whether a frame's reports and its mark would find a place.

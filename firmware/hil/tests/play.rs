@@ -2,6 +2,7 @@
 
 use meissner::pattern::Pattern;
 use meissner::stream::port::{At, Job, LatePolicy, Notice, Outcome};
+use meissner::stream::Need;
 use meissner::strokes::Strokes;
 use meissner_hil::bench::Which;
 use meissner_hil::bench::chip::ChipOptions;
@@ -58,6 +59,7 @@ pub(crate) fn job(pattern: &Pattern, seconds: f64) -> Job {
         late,
         replace: false,
         open_loop: true,
+        need: Need::default(),
     }))
 }
 
