@@ -1,0 +1,148 @@
+#!/bin/bash
+# Runs in the guest, as root, with systemd and udev up; prints a line per step and ends at the first that fails.
+# `run` starts it, and knows which lines there must be.
+set -uo pipefail
+cd /usb
+export PATH=/usb:$PATH LC_ALL=C
+serial=E6614C0001
+port=/dev/serial/by-id/usb-meissner_meissner_$serial-if00
+
+way=all daemon='' board=''
+ok() { printf 'ok    %-5s %s\n' "$way" "$*"; }
+fail() {
+    printf 'FAIL  %-5s %s\n' "$way" "$*"
+    for log in daemon second board; do
+        [ ! -s $log.log ] || { echo "-- $log"; tail -n 25 $log.log; }
+    done
+    echo '-- kernel'
+    dmesg | tail -n 15
+    exit 1
+}
+now() { date +%s.%N; }
+ms() { awk -v from="$1" -v to="$2" 'BEGIN { printf "%.1f ms", (to - from) * 1000 }'; }
+# within SECONDS COMMAND...: until it succeeds
+within() {
+    local end=$((SECONDS + $1))
+    shift
+    until "$@" >/dev/null 2>&1; do
+        [ $SECONDS -lt $end ] || return 1
+        sleep 0.05
+    done
+}
+# ms of processor time a process has used
+used_ms() { awk '{ print ($14 + $15) * 10 }' "/proc/$1/stat"; }
+
+export MEISSNER_SOCKET=/run/m.sock
+json() { meissner "$1" --json | jq -er "$2"; }
+state_is() { [ "$(json status .state)" = "$1" ]; }
+# When the daemon logged the last line with these words, as seconds; nothing if it did not
+logged() {
+    local line
+    line=$(grep -e "$1" daemon.log | tail -n 1) && date -d "${line%%Z*}Z" +%s.%N
+}
+
+attach() {
+    usbip attach -r 127.0.0.1 -b 0-0-0 >usbip.log 2>&1 || fail "usbip attach: $(tail -n 1 usbip.log)"
+    within 10 test -e $port || fail "no $port"
+    udevadm settle --timeout 10
+}
+detach() { usbip detach -p 0 >usbip.log 2>&1 || fail "usbip detach: $(tail -n 1 usbip.log)"; }
+
+# The receipt of the last play: its state and accounts, which must be closed
+accounts() {
+    json receipt '.bursts as $b | select($b.planned > 0 and $b.planned == $b.played + $b.late + $b.dropped + $b.refused)
+        | "\(.state), \($b.planned) bursts: \($b.played) played, \($b.late) late, \($b.dropped) dropped, \($b.refused) refused"'
+}
+play() {
+    meissner arm --assume-rest >out.log 2>&1 || fail "$1: arm: $(cat out.log)"
+    meissner play edge-45 --seconds 2 --wait >out.log 2>&1
+    local code=$? sum
+    sum=$(accounts) || fail "$1: accounts are not closed: $(json receipt .bursts)"
+    [[ $sum == done,* ]] || fail "$1: $sum ($(json receipt .cause)), exit $code: $(tail -n 1 out.log)"
+    ok "$1: $sum, exit $code; onset after $(json receipt .onset_latency_ms) ms"
+}
+
+# Everything once, over one way to the board
+over() {
+    way=$1
+    local device=$2 boot before line from to
+    echo "== $device"
+
+    from=$(now)
+    meissner daemon --config meissner.toml --device "$device" 2>daemon.log &
+    daemon=$!
+    within 20 state_is disarmed || fail "connect: $(meissner status 2>&1 | head -n 1)"
+    ok "connect: $(json status .device.kind) after $(ms "$from" "$(logged 'device connected')")"
+    boot=$(json status .device.boot)
+    meissner status | sed 's/^/      /'
+
+    before=$(used_ms $board)
+    sleep 2
+    ok "idle: the board used $(($(used_ms $board) - before)) ms of processor time in 2 s"
+    [ $(($(used_ms $board) - before)) -le 400 ] || fail "idle: the board is busy"
+
+    play 'play'
+    meissner doctor >out.log 2>&1
+    sed 's/^/      /' out.log
+
+    timeout 5 meissner daemon --config meissner.toml --device "$device" --socket /run/n.sock 2>second.log
+    line=$(grep -E 'in use|another' second.log) || fail "second: $(tail -n 1 second.log)"
+    [ "$(wc -l <<<"$line")" = 1 ] || fail "second: said more than once"
+    ok "second: ${line#* }"
+    state_is armed || fail "second: it disturbed the first: $(json status .state)"
+
+    meissner play edge-45 --seconds 20 >out.log 2>&1 || fail "unplug: $(cat out.log)"
+    sleep 1.5
+    from=$(now)
+    detach
+    within 5 state_is no-device || fail "unplug: $(meissner status | head -n 1)"
+    to=$(logged 'device disconnected') || fail "unplug: the daemon did not say so"
+    ok "unplug: said after $(ms "$from" "$to"): $(grep 'device disconnected' daemon.log | tail -n 1 | cut -d' ' -f2-)"
+    line=$(accounts) || fail "unplug: accounts are not closed: $(json receipt .bursts)"
+    [[ $line == aborted,* ]] || fail "unplug: play $line"
+    ok "ended: $line; $(meissner status | head -n 1 | tr -s ' ')"
+    sleep 2
+    kill -0 $daemon || fail "unplug: the daemon has ended"
+
+    from=$(now)
+    attach
+    within 20 state_is disarmed || fail "replug: $(meissner status | head -n 1)"
+    [ "$(json status .device.boot)" != "$boot" ] || fail "replug: the board has the same boot id"
+    ok "replug: $(json status .device.kind) after $(ms "$from" "$(logged 'device connected')"), disarmed"
+    play 'again'
+
+    kill $daemon
+    wait $daemon || fail "end: the daemon ended with $?"
+    [ ! -e $MEISSNER_SOCKET ] || fail "end: the socket is still there"
+    ok "end: $(tail -n 1 daemon.log | cut -d' ' -f2-)"
+}
+
+echo
+ok "guest: Debian $(cat /etc/debian_version), Linux $(uname -r), $(nproc) processors"
+modprobe vhci_hcd && modprobe cdc_acm || fail "no modules"
+if [ -e 70-meissner.rules ]; then
+    cp 70-meissner.rules /etc/udev/rules.d/ && udevadm control --reload && echo "      udev: 70-meissner.rules"
+fi
+virtual-board $serial >board.log 2>&1 &
+board=$!
+within 5 grep -q 'plugged in at' board.log || fail "the board does not start"
+attach
+lsusb -d 1209:0001 >out.log || fail "lsusb: no 1209:0001"
+strings=$(cd /sys/bus/usb/devices/1-1 && cat manufacturer product serial | paste -sd' ')
+[ "$strings" = "meissner meissner $serial" ] || fail "lsusb: strings are $strings"
+ok "lsusb: $(<out.log); strings $strings"
+lsusb -v -d 1209:0001 2>/dev/null | grep -E 'bDeviceClass|bInterfaceClass|bEndpointAddress|wMaxPacketSize' | sed 's/^ */      /'
+[ -c /dev/ttyACM0 ] || fail "no ttyACM"
+ok "tty: $port is $(readlink -f $port), $(stat -c '%A %U %G' /dev/ttyACM0)"
+
+over path "serial:$port"
+
+way=all
+detach
+within 5 grep -q unplugged board.log
+kill $board
+wait $board || fail "the board ended with $?"
+within 5 modprobe -r cdc_acm vhci_hcd || fail "the kernel still holds the board"
+left=$(pgrep -l 'meissner|virtual-board') && fail "left running: $left"
+ok "left: no process, no port; $(grep -c 'plugged in, boot' board.log) boots of the board"
+echo 'DONE'
