@@ -1,5 +1,5 @@
 #!/bin/bash
-# Runs in the guest, as root, with systemd and udev up; prints a line per step and ends at the first that fails.
+# Runs in the guest, as root, with systemd and udev up; prints a line per step: ok, WRONG (it goes on) or FAIL (it ends).
 # `run` starts it, and knows which lines there must be.
 set -uo pipefail
 cd /usb
@@ -9,6 +9,7 @@ port=/dev/serial/by-id/usb-meissner_meissner_$serial-if00
 
 way=all daemon='' board=''
 ok() { printf 'ok    %-5s %s\n' "$way" "$*"; }
+wrong() { printf 'WRONG %-5s %s\n' "$way" "$*"; }
 fail() {
     printf 'FAIL  %-5s %s\n' "$way" "$*"
     for log in daemon second board; do
@@ -35,6 +36,7 @@ used_ms() { awk '{ print ($14 + $15) * 10 }' "/proc/$1/stat"; }
 export MEISSNER_SOCKET=/run/m.sock
 json() { meissner "$1" --json | jq -er "$2"; }
 state_is() { [ "$(json status .state)" = "$1" ]; }
+said() { grep -e "$1" daemon.log | tail -n 1 | cut -d' ' -f2- | sed 's/^ *//'; }
 # When the daemon logged the last line with these words, as seconds; nothing if it did not
 logged() {
     local line
@@ -65,7 +67,7 @@ play() {
 # Everything once, over one way to the board
 over() {
     way=$1
-    local device=$2 boot before line from to
+    local device=$2 boot before line from cut to
     echo "== $device"
 
     from=$(now)
@@ -88,19 +90,25 @@ over() {
     timeout 5 meissner daemon --config meissner.toml --device "$device" --socket /run/n.sock 2>second.log
     line=$(grep -E 'in use|another' second.log) || fail "second: $(tail -n 1 second.log)"
     [ "$(wc -l <<<"$line")" = 1 ] || fail "second: said more than once"
-    ok "second: ${line#* }"
+    ok "second: $(cut -d' ' -f2- <<<"$line" | sed 's/^ *//')"
     state_is armed || fail "second: it disturbed the first: $(json status .state)"
 
     meissner play edge-45 --seconds 20 >out.log 2>&1 || fail "unplug: $(cat out.log)"
     sleep 1.5
     from=$(now)
     detach
-    within 5 state_is no-device || fail "unplug: $(meissner status | head -n 1)"
-    to=$(logged 'device disconnected') || fail "unplug: the daemon did not say so"
-    ok "unplug: said after $(ms "$from" "$to"): $(grep 'device disconnected' daemon.log | tail -n 1 | cut -d' ' -f2-)"
-    line=$(accounts) || fail "unplug: accounts are not closed: $(json receipt .bursts)"
-    [[ $line == aborted,* ]] || fail "unplug: play $line"
-    ok "ended: $line; $(meissner status | head -n 1 | tr -s ' ')"
+    within 5 logged 'device disconnected' || fail "unplug: the daemon did not say so"
+    to=$(logged 'device disconnected')
+    cut=$(sed -n 's/.*unplugged at //p' board.log | tail -n 1)
+    ok "unplug: said $(ms "$cut" "$to") after the cut ($(ms "$from" "$to") after usbip was told): $(said 'device disconnected')"
+    line=$(accounts) || fail "ended: accounts are not closed: $(json receipt .bursts)"
+    [[ $line == stopped,* ]] || fail "ended: play $line"
+    ok "ended: $line; $(json receipt .cause)"
+    if within 5 state_is no-device; then
+        ok "gone: status says $(meissner status | head -n 1 | tr -s ' ')"
+    else
+        wrong "gone: 5 s after the unplug status says $(json status '"\(.state), device \(.device)"')"
+    fi
     sleep 2
     kill -0 $daemon || fail "unplug: the daemon has ended"
 
@@ -114,7 +122,7 @@ over() {
     kill $daemon
     wait $daemon || fail "end: the daemon ended with $?"
     [ ! -e $MEISSNER_SOCKET ] || fail "end: the socket is still there"
-    ok "end: $(tail -n 1 daemon.log | cut -d' ' -f2-)"
+    ok "end: $(said ending)"
 }
 
 echo
