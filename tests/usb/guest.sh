@@ -2,7 +2,7 @@
 # Runs in the guest, as root, with systemd and udev up; prints a line per step: ok, WRONG (it goes on) or FAIL (it ends).
 # `run` starts it, and knows which lines there must be.
 set -uo pipefail
-cd /usb
+cd /usb || exit
 export PATH=/usb:$PATH LC_ALL=C
 serial=E6614C0001
 port=/dev/serial/by-id/usb-meissner_meissner_$serial-if00
@@ -127,7 +127,7 @@ over() {
 
 echo
 ok "guest: Debian $(cat /etc/debian_version), Linux $(uname -r), $(nproc) processors"
-modprobe vhci_hcd && modprobe cdc_acm || fail "no modules"
+modprobe -a vhci_hcd cdc_acm || fail "no modules"
 if [ -e 70-meissner.rules ]; then
     cp 70-meissner.rules /etc/udev/rules.d/ && udevadm control --reload && echo "      udev: 70-meissner.rules"
 fi
