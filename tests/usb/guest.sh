@@ -35,6 +35,7 @@ used_ms() { awk '{ print ($14 + $15) * 10 }' "/proc/$1/stat"; }
 
 export MEISSNER_SOCKET=/run/m.sock
 json() { meissner "$1" --json | jq -er "$2"; }
+has_device() { json status .device >/dev/null && ! state_is no-device; }
 state_is() { [ "$(json status .state)" = "$1" ]; }
 said() { grep -e "$1" daemon.log | tail -n 1 | cut -d' ' -f2- | sed 's/^ *//'; }
 # When the daemon logged the last line with these words, as seconds; nothing if it did not
@@ -55,18 +56,34 @@ accounts() {
     json receipt '.bursts as $b | select($b.planned > 0 and $b.planned == $b.played + $b.late + $b.dropped + $b.refused)
         | "\(.state), \($b.planned) bursts: \($b.played) played, \($b.late) late, \($b.dropped) dropped, \($b.refused) refused"'
 }
+arm() { state_is armed || meissner arm --assume-rest >out.log 2>&1 || fail "$1: arm: $(cat out.log)"; }
+# Arms and plays; once more if the machine stood still for so long that the play was given up, or that the line was measured
+# as too slow for it
+less=()
 play() {
-    meissner arm --assume-rest >out.log 2>&1 || fail "$1: arm: $(cat out.log)"
-    meissner play edge-45 --seconds 2 --wait >out.log 2>&1
-    local code=$? sum
-    sum=$(accounts) || fail "$1: accounts are not closed: $(json receipt .bursts)"
-    [[ $sum == done,* ]] || fail "$1: $sum ($(json receipt .cause)), exit $code: $(tail -n 1 out.log)"
+    local code sum try
+    for try in 1 2 3; do
+        arm "$1"
+        code=0
+        meissner play edge-45 --seconds 2 --wait "${less[@]}" >out.log 2>&1 || code=$?
+        if grep -q 'the line carries' out.log; then
+            echo "      once more, open loop: $(<out.log)"
+            less=(--open-loop)
+            continue
+        fi
+        sum=$(accounts) || fail "$1: accounts are not closed: $(json receipt .bursts)"
+        [[ $sum != done,* ]] || break
+        [ $try -lt 3 ] || fail "$1: $sum ($(json receipt .cause)), exit $code: $(tail -n 1 out.log)"
+        echo "      once more: $sum ($(json receipt .cause))"
+        within 20 has_device
+    done
     ok "$1: $sum, exit $code; onset after $(json receipt .onset_latency_ms) ms"
 }
 
 # Everything once, over one way to the board
 over() {
     way=$1
+    less=()
     local device=$2 boot before line from cut to
     echo "== $device"
 
@@ -91,16 +108,20 @@ over() {
     line=$(grep -E 'in use|another' second.log) || fail "second: $(tail -n 1 second.log)"
     [ "$(wc -l <<<"$line")" = 1 ] || fail "second: said more than once"
     ok "second: $(cut -d' ' -f2- <<<"$line" | sed 's/^ *//')"
-    state_is armed || fail "second: it disturbed the first: $(json status .state)"
+    within 20 has_device || fail "second: it disturbed the first: $(json status .state)"
 
-    meissner play edge-45 --seconds 20 >out.log 2>&1 || fail "unplug: $(cat out.log)"
+    arm unplug
+    meissner play edge-45 --seconds 20 --open-loop >out.log 2>&1 || fail "unplug: $(cat out.log)"
     sleep 1.5
     from=$(now)
+    echo 'meissner: now' >/dev/kmsg
     detach
     within 5 logged 'device disconnected' || fail "unplug: the daemon did not say so"
     to=$(logged 'device disconnected')
-    cut=$(sed -n 's/.*unplugged at //p' board.log | tail -n 1)
-    ok "unplug: said $(ms "$cut" "$to") after the cut ($(ms "$from" "$to") after usbip was told): $(said 'device disconnected')"
+    # When the kernel let go of it, by its own clock; before that, usbip was started and the connection shut.
+    cut=$(dmesg | awk -F '[][]' -v from="$from" '/meissner: now/ { now = $2 } /USB disconnect/ { cut = $2 }
+        END { printf "%.6f", from + cut - now }')
+    ok "unplug: said $(ms "$cut" "$to") after the kernel ($(ms "$from" "$to") after usbip was told): $(said 'device disconnected')"
     line=$(accounts) || fail "ended: accounts are not closed: $(json receipt .bursts)"
     [[ $line == stopped,* ]] || fail "ended: play $line"
     ok "ended: $line; $(json receipt .cause)"

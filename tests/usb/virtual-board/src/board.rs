@@ -23,6 +23,9 @@ pub(crate) type Reply = Vec<u8>;
 const AWAKE: Duration = Duration::from_millis(1);
 const QUIET: Duration = Duration::from_secs(1);
 
+/// Real boards send none; the default of the simulated ones, 1000, is more than an emulated processor fetches.
+const TELEMETRY_HZ: u32 = 100;
+
 /// A transfer's end, as Linux numbers errors.
 const DONE: u32 = 0;
 const STALLED: u32 = (-32_i32).cast_unsigned();
@@ -54,7 +57,8 @@ impl Board {
         let boot = RandomState::new().build_hasher().finish() as u32;
         Ok(Self {
             serial: serial.to_owned(),
-            mock: Mock::new(PlantConfig::default(), boot).map_err(io::Error::other)?,
+            mock: Mock::new(PlantConfig { telemetry_hz: TELEMETRY_HZ, ..PlantConfig::default() }, boot)
+                .map_err(io::Error::other)?,
             boot,
             started: Instant::now(),
             waiting: VecDeque::new(),

@@ -13,7 +13,7 @@ mod descriptors;
 
 use board::{Board, Reply};
 use std::io;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 use tokio::io::AsyncWriteExt;
 use tokio::net::tcp::OwnedReadHalf;
 use tokio::net::{TcpListener, TcpStream};
@@ -97,17 +97,12 @@ async fn serve(stream: TcpStream, serial: &str) -> io::Result<()> {
         send(&mut writer, &mut replies).await?;
     }
     if board.is_some() {
-        println!("board {serial}: unplugged at {:.6}", unix_s());
+        println!("board {serial}: unplugged");
     }
     match reading.await {
         Ok(Err(error)) if error.kind() != io::ErrorKind::UnexpectedEof => Err(error),
         _ => Ok(()),
     }
-}
-
-/// The time, for who compares logs.
-fn unix_s() -> f64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |since| since.as_secs_f64())
 }
 
 async fn read(mut reader: OwnedReadHalf, commands: mpsc::Sender<UsbIpCommand>) -> io::Result<()> {
