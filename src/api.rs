@@ -36,6 +36,7 @@ pub enum Code {
     BehindEndless,
     TooSoon,
     Overlaps,
+    LineTooSlow,
     StaleBoot,
     PositionUnknown,
     DeviceRefused,
@@ -66,6 +67,7 @@ impl Code {
             Self::BehindEndless => ("behind-endless", 409, "The play before it has no end"),
             Self::TooSoon => ("too-soon", 409, "The onset cannot be kept"),
             Self::Overlaps => ("overlaps", 409, "The onset lies within a queued play"),
+            Self::LineTooSlow => ("line-too-slow", 409, "The line does not carry the pattern"),
             Self::StaleBoot => ("stale-boot", 409, "The device has restarted since"),
             Self::PositionUnknown => ("position-unknown", 409, "Where the pins are is not known"),
             Self::DeviceRefused => ("device-refused", 409, "The device refused"),
@@ -123,6 +125,7 @@ impl From<Refused> for Problem {
             Refused::TooSoon => Code::TooSoon,
             Refused::TooFar => Code::BadRequest,
             Refused::Overlaps => Code::Overlaps,
+            Refused::LineTooSlow { .. } => Code::LineTooSlow,
             Refused::Device(Refusal::PositionUnknown) => Code::PositionUnknown,
             Refused::Device(_) => Code::DeviceRefused,
             Refused::Timeout => Code::Timeout,
@@ -364,6 +367,9 @@ pub struct Status {
     pub lead_ms: f64,
     /// The lease.
     pub lease_ms: f64,
+    /// What the line to the device was measured to carry, bytes per second; null until it is.
+    #[serde(default)]
+    pub line_bytes_per_s: Option<u32>,
     /// The motors, by number.
     pub motors: Vec<MotorStatus>,
     /// The daemon's version.
@@ -442,6 +448,7 @@ mod tests {
             (Refused::NoDevice, "no-device", 503),
             (Refused::Timeout, "timeout", 504),
             (Refused::Device(Refusal::PositionUnknown), "position-unknown", 409),
+            (Refused::LineTooSlow { needs: 41_200, carries: 11_300 }, "line-too-slow", 409),
         ] {
             let problem = Problem::from(refused);
             assert_eq!((problem.code.as_str(), problem.status), (code, status));

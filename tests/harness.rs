@@ -45,7 +45,20 @@ impl Daemon {
         Self::spawn(dir, "mock", "lease_ms = 5000\n", stderr.into())
     }
 
+    /// One on a device that will not answer.
+    pub(crate) fn without_device(device: &str) -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        let log = File::create(dir.path().join("log")).unwrap();
+        Self::begin(dir, device, "", log.into())
+    }
+
     fn spawn(dir: TempDir, device: &str, config: &str, stderr: Stdio) -> Self {
+        let mut daemon = Self::begin(dir, device, config, stderr);
+        daemon.wait_for_device();
+        daemon
+    }
+
+    fn begin(dir: TempDir, device: &str, config: &str, stderr: Stdio) -> Self {
         fs::create_dir(dir.path().join("patterns")).unwrap();
         let patterns = dir.path().join("patterns");
         let config = format!("patterns_dir = {patterns:?}\n{config}");
@@ -60,9 +73,20 @@ impl Daemon {
             .stderr(stderr)
             .spawn()
             .unwrap();
-        let mut daemon = Self { child, dir };
-        daemon.wait_for_device();
-        daemon
+        Self { child, dir }
+    }
+
+    /// Waits until its log says so, and gives it back.
+    pub(crate) fn wait_for_log(&self, what: &str) -> String {
+        let begun = Instant::now();
+        loop {
+            let log = self.log();
+            if log.contains(what) {
+                return log;
+            }
+            assert!(begun.elapsed() < PATIENCE, "no `{what}`:\n{log}");
+            thread::sleep(Duration::from_millis(10));
+        }
     }
 
     fn wait_for_device(&mut self) {

@@ -13,7 +13,7 @@ const ROOMS: [&[&str]; 16] = [
     &["simulate"],
     &["optimise", "link", "plant"],
     &["device"],
-    &["stream"],
+    &["stream", "checkup"],
     &["record"],
     &["store", "api", "config", "report"],
     &["client"],

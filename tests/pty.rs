@@ -114,6 +114,7 @@ fn a_board_that_is_plugged_in_again_is_found_and_disarmed() {
     std::fs::remove_file(&name).unwrap();
     symlink(second.path(), &name).unwrap();
     until(&|status| status.is_connected() && status.state == "disarmed");
+    assert!(daemon.log().matches("not there").count() <= 1, "once per reason: {}", daemon.log());
     let refused = complaint(daemon.meissner().args(["play", "wave"]));
     assert!(refused.contains("disarmed"), "{refused}");
     let mut wall = second.unwrap_mock().unwrap();

@@ -7,7 +7,7 @@ use meissner::device::mock::Mock;
 use meissner::link::LineRate;
 use meissner::plant::PlantConfig;
 use meissner::stream::port::{At, End, Job, LatePolicy, Notice, Order, Play, Refused};
-use meissner::stream::{Line, Settings, Streamer};
+use meissner::stream::{Line, Need, Settings, Streamer};
 use meissner::strokes::Strokes;
 use meissner::units::HostInstant;
 use std::time::Duration;
@@ -102,7 +102,15 @@ fn a_device_whose_clock_begins_anew_plays_as_the_one_before() {
                 400 | 1500 => {
                     let strokes = Strokes::new(&rig::pattern("pin-60"), Some(0.05)).unwrap();
                     let (id, at, late) = (ms, At::Next, LatePolicy::Drop);
-                    Some(Job::Play(Box::new(Play { id, strokes, at, late, replace: false, open_loop: true })))
+                    Some(Job::Play(Box::new(Play {
+                        id,
+                        strokes,
+                        at,
+                        late,
+                        replace: false,
+                        open_loop: true,
+                        need: Need::default(),
+                    })))
                 }
                 _ => None,
             };

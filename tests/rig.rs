@@ -6,7 +6,7 @@ use firmware_protocol::tick::Tick;
 use meissner::pattern::Pattern;
 use meissner::plant::PlantConfig;
 use meissner::stream::port::{At, Job, LatePolicy, Notice, Outcome, Play};
-use meissner::stream::{Line, Rehearsal, Settings};
+use meissner::stream::{Line, Need, Rehearsal, Settings};
 use meissner::strokes::Strokes;
 use std::ops::{Deref, DerefMut};
 use std::time::Duration;
@@ -21,6 +21,7 @@ pub(crate) fn bad_line() -> Line {
         corrupt: 0.05,
         delay: Duration::from_micros(300),
         jitter: Duration::from_millis(2),
+        bytes_per_s: 0,
     }
 }
 
@@ -133,7 +134,8 @@ impl Rig {
         self.plays += 1;
         let strokes = Strokes::new(pattern, seconds).unwrap();
         let late = LatePolicy::Drop;
-        Play { id: self.plays, strokes, at: At::Next, late, replace: false, open_loop: true }
+        let need = Need::of(&strokes, &Settings::default());
+        Play { id: self.plays, strokes, at: At::Next, late, replace: false, open_loop: true, need }
     }
 
     /// Plays open loop to the end and compares every tick of every line with the compiled strokes.

@@ -10,7 +10,7 @@ use meissner::link::LineRate;
 use meissner::pattern::{Drive, Pattern};
 use meissner::plant::PlantConfig;
 use meissner::stream::port::{At, End, Job, LateCause, LatePolicy, Notice, Order, Play, Refused};
-use meissner::stream::{Line, Settings, Streamer, rehearse};
+use meissner::stream::{Line, Need, Settings, Streamer, rehearse};
 use meissner::strokes::Strokes;
 use meissner::units::HostInstant;
 use proptest::prelude::*;
@@ -361,6 +361,7 @@ fn the_streamer_allocates_nothing_while_it_plays() {
                     late,
                     replace: false,
                     open_loop: false,
+                    need: Need::default(),
                 })))
             }
             2000 => Some(Job::Stop),

@@ -5,6 +5,10 @@
 mod api;
 /// What people and scripts get wrong: one line with what, where, what to do; nothing moves.
 mod bad_input;
+/// Boards: found or not, in use, or no boards at all; the doctor's look at them.
+mod boards;
+/// What a line carries: measured, compared with what plays need, on lines that carry it just so.
+mod capacity;
 /// A method chosen for an allowed error keeps to it.
 mod choose;
 /// The command line against a real daemon.

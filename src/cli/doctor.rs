@@ -1,13 +1,18 @@
-//! The doctor: what of this machine and its daemon could keep a pattern from being played in time.
+//! The doctor: what of this machine, its device and its daemon could keep a pattern from being played in time.
 //!
 //! It asks for the real-time means the streamer asks for, measures for a second how late timers wake a thread, and
-//! asks the daemon how its device is. It arms nothing and moves nothing.
+//! looks at the device ([`crate::checkup`]): itself, or, where a daemon has it, by asking the daemon. It arms nothing
+//! and moves nothing.
 //!
-//! Invariant: every finding that is not `ok` says what to do.
+//! Invariant: every finding that is not `ok` says what to do; it is a go only if none says `FAIL`.
+
+mod board;
 
 use super::{Plain, give, text};
 use crate::api::Status;
+use crate::checkup::{Drift, RoundTrip};
 use crate::client::{Client, ClientError};
+use crate::device::Spec;
 use crate::stream::Realtime;
 use crate::units::HostInstant;
 use anyhow::Result;
@@ -58,23 +63,51 @@ struct WakeUp {
     max_us: f64,
 }
 
+/// What was measured on the device.
+#[derive(Debug, Serialize)]
+struct Examined {
+    kind: String,
+    serial_number: Option<String>,
+    firmware: String,
+    build: String,
+    protocol: u8,
+    boot: u32,
+    simulated: bool,
+    pool: u16,
+    horizon_ticks: u8,
+    round_trip: RoundTrip,
+    throughput_bytes_per_s: Option<u32>,
+    drift: Drift,
+}
+
 #[derive(Debug, Serialize)]
 struct Report {
+    /// Go.
     ok: bool,
     wake_up: WakeUp,
+    /// Null if the device is a daemon's, or there is none.
+    device: Option<Examined>,
     findings: Vec<Finding>,
 }
 
-pub(super) fn run(plain: &Plain) -> Result<ExitCode> {
+/// `asked`: which device; without it, what a daemon has, else the first board.
+pub(super) fn run(asked: Option<Spec>, plain: &Plain) -> Result<ExitCode> {
     // On a thread of its own, whose priority goes with it.
     let measured = thread::spawn(|| (Realtime::request(), measure())).join();
     let (realtime, wake_up) = measured.unwrap_or((Realtime::default(), WakeUp::NONE));
     let mut findings = Vec::from(rights(realtime));
     findings.push(timers(&wake_up));
-    daemon(&mut findings, Client::new(&plain.place.path())?.get("/v1/status"));
+    let holds = daemon(&mut findings, asked.is_none(), Client::new(&plain.place.path())?.get("/v1/status"));
+    let device = match asked {
+        None if holds => None,
+        None => board::examine(&Spec::Board, &mut findings),
+        Some(spec) => board::examine(&spec, &mut findings),
+    };
     let ok = findings.iter().all(|finding| finding.level != Level::Fail);
-    let report = Report { ok, wake_up, findings };
-    give(plain.output.json, &report, || lines(&report.findings))?;
+    let report = Report { ok, wake_up, device, findings };
+    give(plain.output.json, &report, || {
+        format!("{}\n{}", lines(&report.findings), if ok { "go" } else { "no go: see what says FAIL" })
+    })?;
     Ok(if ok { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
@@ -144,31 +177,36 @@ fn timers(wake_up: &WakeUp) -> Finding {
     )
 }
 
-fn daemon(findings: &mut Vec<Finding>, status: Result<Status, ClientError>) {
+/// What a daemon says of itself and, if nobody asked for another, of its device; whether it has one.
+fn daemon(findings: &mut Vec<Finding>, judged: bool, status: Result<Status, ClientError>) -> bool {
     let status = match status {
         Ok(status) => status,
         Err(ClientError::NoDaemon { socket, .. }) => {
             let found = format!("none answers at {}", socket.display());
-            let advice = "start one with `meissner daemon`, or name its socket with --socket";
-            return findings.push(Finding::new("daemon", Level::Fail, found, advice));
+            let advice = "to play, start one with `meissner daemon`, or name its socket with --socket";
+            findings.push(Finding::new("daemon", Level::Warn, found, advice));
+            return false;
         }
         Err(error) => {
-            return findings.push(Finding::new("daemon", Level::Fail, error.to_string(), "see its log"));
+            findings.push(Finding::new("daemon", Level::Fail, error.to_string(), "see its log"));
+            return false;
         }
     };
-    let found = format!("version {}, pid {}", status.version, status.pid);
+    let holds = status.device.as_ref().map_or_else(String::new, |device| format!(", has {}", device.kind));
+    let found = format!("version {}, pid {}{holds}", status.version, status.pid);
     let same = status.version == env!("CARGO_PKG_VERSION");
     let level = if same { Level::Ok } else { Level::Warn };
     findings.push(Finding::new("daemon", level, found, "restart it: this program has another version"));
-    let Some(device) = &status.device else {
-        findings.push(Finding::new(
-            "device",
-            Level::Fail,
-            "none",
-            "plug it in; the daemon's log says what it looks for",
-        ));
-        return;
-    };
+    if !judged || status.device.is_none() {
+        return false;
+    }
+    held(findings, &status);
+    true
+}
+
+/// The daemon's device, by what the daemon says.
+fn held(findings: &mut Vec<Finding>, status: &Status) {
+    let Some(device) = &status.device else { return };
     let found = format!("{}, firmware {}", device.kind, device.firmware);
     let level = if device.simulated { Level::Warn } else { Level::Ok };
     findings.push(Finding::new(
@@ -203,4 +241,7 @@ fn daemon(findings: &mut Vec<Finding>, status: Result<Status, ClientError>) {
         found,
         "onsets asked for with --at are no better; see the cable and the load",
     ));
+    if let Some(bytes) = status.line_bytes_per_s {
+        findings.push(board::line(bytes));
+    }
 }

@@ -62,7 +62,7 @@ enum Command {
         /// Configuration file (TOML)
         #[arg(long, value_name = "F")]
         config: Option<PathBuf>,
-        /// auto, mock, pty or serial:PATH
+        /// auto, mock, pty, serial[:PATH|:SERIAL|:VID:PID[:SERIAL]] or usb[:SERIAL] [default: the configuration's, else auto]
         #[arg(long, value_name = "DEVICE")]
         device: Option<Spec>,
         #[command(flatten)]
@@ -138,8 +138,14 @@ enum Command {
     Tradeoff(simulate::Compare),
     /// Figures of the models and of patterns, as SVG and CSV, and a page that shows them
     Report(report::Report),
-    /// Look for what could keep this machine from playing
-    Doctor(Plain),
+    /// Look for what could keep this machine or its device from playing; exit 0 only if nothing does
+    Doctor {
+        /// Which device, as for `daemon`; without it, the daemon's, else the first board
+        #[arg(long, value_name = "DEVICE")]
+        device: Option<Spec>,
+        #[command(flatten)]
+        plain: Plain,
+    },
 }
 
 #[derive(Debug, Args)]
@@ -334,7 +340,7 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Optimise(asked) => optimise::run(&asked),
         Command::Tradeoff(asked) => simulate::tradeoff(&asked),
         Command::Report(asked) => report::run(&asked),
-        Command::Doctor(plain) => doctor::run(&plain),
+        Command::Doctor { device, plain } => doctor::run(device, &plain),
     }
 }
 

@@ -95,6 +95,9 @@ pub(super) fn status(status: &Status) -> String {
     if let (Some(tick), Some(uncertainty_us)) = (status.tick, status.clock_uncertainty_us) {
         lines.push(("tick", format!("{tick}, known to {uncertainty_us:.1} us")));
     }
+    if let Some(bytes) = status.line_bytes_per_s {
+        lines.push(("line", format!("{:.1} kB/s", f64::from(bytes) / 1000.0)));
+    }
     lines.push(("lead", format!("{} ms, lease {} ms", status.lead_ms, status.lease_ms)));
     pairs(&lines)
 }

@@ -1,23 +1,27 @@
 //! The connector: a thread that opens the device, hands it to the streamer, and opens it again when it is gone.
 //!
 //! Opening may block, and dropping what the streamer gives back may too, so both happen here and nowhere
-//! else. It looks every second while there is no device and sleeps while there is one. A device that comes back
-//! is disarmed: arming it again is a person's business.
+//! else. While there is no device it looks four times a second, and at once when a board is plugged in, where the
+//! system tells; it sleeps while there is one. A device that comes back is disarmed: arming it again is a person's
+//! business. What was found by `auto` stays what it is: a board that was pulled out is waited for, and a mock that is
+//! in use because there was no board stays in use, or what a person takes for a simulation would move pins.
 //!
-//! Invariant: at most one device is open.
+//! Invariant: at most one device is open; the old one is closed before the next is looked for.
 
 use super::engine::Engine;
 use crate::device::{self, Device, Spec};
 use crate::plant::PlantConfig;
-use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
+use crossbeam_channel::{Receiver, Sender, bounded, never, select};
 use std::io;
 use std::sync::Arc;
 use std::thread;
 use std::time::Duration;
-use tracing::{info, warn};
+use tracing::{debug, info, warn};
 
-/// How long after a failure it is tried again.
-const RETRY: Duration = Duration::from_secs(1);
+/// How often it looks while there is no device.
+const LOOK_EVERY: Duration = Duration::from_millis(250);
+/// So long after it was plugged in a board has its names and rights.
+const SETTLED: Duration = Duration::from_millis(500);
 
 /// What the connector is told.
 #[derive(Debug)]
@@ -32,43 +36,117 @@ pub(super) enum Word {
 pub(super) fn spawn(spec: Spec, plant: PlantConfig, engine: Arc<Engine>) -> io::Result<Sender<Word>> {
     let (sender, words) = bounded(4);
     engine.hire(sender.clone());
-    thread::Builder::new().name("connector".into()).spawn(move || run(&spec, &plant, &engine, &words))?;
+    let connector =
+        Connector { spec, plant, engine, words, plugged: never(), said: None, opened: String::new() };
+    thread::Builder::new().name("connector".into()).spawn(move || connector.run())?;
     Ok(sender)
 }
 
-fn run(spec: &Spec, plant: &PlantConfig, engine: &Engine, words: &Receiver<Word>) {
-    let mut said = String::new();
-    loop {
-        match device::open(spec, plant) {
-            Ok(device) => {
-                said.clear();
-                let kind = device.kind();
-                if *spec == Spec::Auto && kind == "mock" {
-                    warn!("no board was found: using the mock, no real pin moves; name one with --device");
-                } else {
-                    info!("opened {kind}");
+struct Connector {
+    spec: Spec,
+    plant: PlantConfig,
+    engine: Arc<Engine>,
+    words: Receiver<Word>,
+    /// Something with a board's ids was plugged in.
+    plugged: Receiver<()>,
+    /// Why nothing could be opened the last time, and whether that was said.
+    said: Option<(String, bool)>,
+    /// What was opened last.
+    opened: String,
+}
+
+impl Connector {
+    fn run(mut self) {
+        self.watch();
+        loop {
+            let gone = match device::open(&self.spec, &self.plant) {
+                Ok(device) => {
+                    self.found(&device);
+                    match self.engine.connect(Box::new(device)) {
+                        Ok(()) => self.sleep(),
+                        Err(device) => Some(Word::Gone(Some(device))),
+                    }
                 }
-                match engine.connect(Box::new(device)) {
-                    Ok(()) => match words.recv() {
-                        Ok(Word::Gone(device)) => drop(device),
-                        Ok(Word::Quit) | Err(_) => return,
-                    },
-                    Err(device) => drop(device),
+                Err(error) => {
+                    self.failed(error.to_string());
+                    None
                 }
+            };
+            match gone {
+                Some(Word::Quit) => return,
+                // Closed before it is looked for again: its name would be taken.
+                Some(Word::Gone(device)) => drop(device),
+                None => {}
             }
-            Err(error) => {
-                // Once per reason: a board that is not plugged in is not news every second.
-                let line = error.to_string();
-                if line != said {
-                    warn!("{line}; it is tried again every second");
-                    said = line;
-                }
+            select! {
+                recv(self.words) -> word => match word {
+                    Ok(Word::Gone(device)) => drop(device),
+                    Ok(Word::Quit) | Err(_) => return,
+                },
+                recv(self.plugged) -> _ => debug!("something was plugged in"),
+                default(LOOK_EVERY) => {}
             }
         }
-        match words.recv_timeout(RETRY) {
-            Ok(Word::Gone(device)) => drop(device),
-            Err(RecvTimeoutError::Timeout) => {}
-            Ok(Word::Quit) | Err(RecvTimeoutError::Disconnected) => return,
+    }
+
+    /// Has arrivals of boards told, if a board may come.
+    fn watch(&mut self) {
+        let Some(wanted) = self.spec.board() else { return };
+        let (tell, plugged) = bounded(1);
+        let arrived = move || {
+            // One that waits to be read is as good as two.
+            let _ = tell.try_send(());
+        };
+        if device::watch(&wanted, arrived).unwrap_or(false) {
+            self.plugged = plugged;
+        }
+    }
+
+    fn found(&mut self, device: &Device) {
+        self.said = None;
+        let kind = device.kind();
+        if kind != self.opened {
+            match (&self.spec, device) {
+                (Spec::Auto, Device::Mock(_)) => {
+                    warn!("no board was found: using the mock, no real pin moves; name one with --device");
+                }
+                _ => info!("opened {kind}"),
+            }
+        }
+        if self.spec == Spec::Auto {
+            self.spec = if matches!(device, Device::Mock(_)) { Spec::Mock } else { Spec::Board };
+        }
+        self.opened = kind;
+    }
+
+    /// Says why there is no device, once per reason, and not before it has lasted: a board that has just been plugged
+    /// in gets its rights a moment later.
+    fn failed(&mut self, line: String) {
+        match &mut self.said {
+            Some((before, said)) if *before == line => {
+                if !std::mem::replace(said, true) {
+                    warn!("{line}; it is looked for again and again");
+                }
+            }
+            _ => self.said = Some((line, false)),
+        }
+    }
+
+    /// Waits until the device is gone or the daemon ends. A board that is plugged in meanwhile beside the mock is told
+    /// of, once.
+    fn sleep(&mut self) -> Option<Word> {
+        loop {
+            select! {
+                recv(self.words) -> word => return Some(word.unwrap_or(Word::Quit)),
+                recv(self.plugged) -> _ => {
+                    let Some(wanted) = Spec::Auto.board().filter(|_| self.spec == Spec::Mock) else { continue };
+                    thread::sleep(SETTLED);
+                    if device::is_plugged(&wanted) {
+                        warn!("a board was plugged in, the mock stays in use: restart the daemon to use the board");
+                        self.plugged = never();
+                    }
+                }
+            }
         }
     }
 }

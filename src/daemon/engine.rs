@@ -15,8 +15,8 @@ use crate::device::Device;
 use crate::device::mock::Truth;
 use crate::record::{Event, PlayState, Receipt, Recorder};
 use crate::store::Stored;
-use crate::stream::Settings;
 use crate::stream::port::{At, Job, Notice, Notices, Order, Orders, Play, Refused};
+use crate::stream::{Need, Settings};
 use crate::strokes::Strokes;
 use crate::units::HostInstant;
 use firmware_protocol::tick::Tick;
@@ -60,6 +60,8 @@ pub(super) struct Inner {
     waiting: HashMap<u64, Ticket>,
     truth: Option<Arc<Truth>>,
     connector: Option<crossbeam_channel::Sender<Word>>,
+    /// Why the device was lost, if none has answered since: told once.
+    lost: Option<&'static str>,
     /// `None` once the daemon ends: listeners get what was published before, then the end.
     events: Option<broadcast::Sender<Event>>,
     closing: bool,
@@ -83,6 +85,7 @@ impl Engine {
             waiting: HashMap::new(),
             truth: None,
             connector: None,
+            lost: None,
             events: Some(broadcast::channel(EVENTS).0),
             closing: false,
         };
@@ -127,6 +130,12 @@ impl Engine {
         let strokes = Strokes::new(&stored.pattern, request.seconds)
             .map_err(|error| Problem::new(Code::BadRequest, format!("`seconds`: {error}")))?;
         self.check_boot(request.boot)?;
+        // A long pattern has a hundred thousand strokes: orders of others must not wait for their counting.
+        let settings = self.settings;
+        let counted = tokio::task::spawn_blocking(move || (Need::of(&strokes, &settings), strokes)).await;
+        let (need, strokes) = counted.map_err(|_| {
+            Problem::new(Code::Busy, "the pattern could not be counted: try again, and see the daemon's log")
+        })?;
         let at = match (request.at_tick, request.at_ms) {
             (Some(tick), _) => At::Tick(Tick(tick)),
             (None, Some(ms)) => At::After(nanoseconds(ms)),
@@ -138,7 +147,7 @@ impl Engine {
             inner.last_play += 1;
             let id = inner.last_play;
             inner.recorder.offer(Receipt::new(id, stored.pattern.name(), &stored.sha256, request.seconds));
-            let play = Box::new(Play { id, strokes, at, late: late.into(), replace, open_loop });
+            let play = Box::new(Play { id, strokes, at, late: late.into(), replace, open_loop, need });
             let sent = inner.send(Job::Play(play), Some(id));
             if sent.is_err() {
                 inner.settle(id, false);
@@ -236,6 +245,7 @@ impl Engine {
             clock_uncertainty_us: clock.map(|(_, uncertainty_us)| uncertainty_us),
             lead_ms: playing.map_or(self.settings.lead_ms, |snapshot| snapshot.lead_ms),
             lease_ms: self.settings.lease_ms,
+            line_bytes_per_s: snapshot.filter(|at| at.connected).and_then(|at| at.line_bytes_per_s),
             motors: snapshot.map(|at| at.rest_error_um.iter().map(motor).collect()).unwrap_or_default(),
             version: env!("CARGO_PKG_VERSION").to_owned(),
             pid: std::process::id(),
@@ -278,6 +288,15 @@ impl Inner {
     fn take(&mut self, notice: Notice) -> (Option<Event>, bool) {
         let event = match &notice {
             Notice::Answer { ticket, result } => self.answered(*ticket, *result),
+            Notice::Connected(_) => {
+                self.lost = None;
+                self.recorder.take(&notice)
+            }
+            // A port that is no board is opened again and again: that is no news.
+            Notice::Disconnected { reason, .. } => {
+                let event = self.recorder.take(&notice);
+                event.filter(|_| self.lost.replace(reason) != Some(*reason))
+            }
             other => self.recorder.take(other),
         };
         if let (Some(event), Some(events)) = (&event, &self.events) {
@@ -341,7 +360,7 @@ fn log(event: &Event) {
             info!(kind = device.kind, firmware = device.firmware, boot = device.boot, "device connected");
         }
         Event::Disconnected { reason } => {
-            warn!("device disconnected: {reason}; it is tried again every second");
+            warn!("device disconnected: {reason}; it is looked for again");
         }
         Event::Ended { receipt } if receipt.state == PlayState::Done => {
             info!(id = receipt.id, pattern = receipt.pattern, "play done");

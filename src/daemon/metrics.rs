@@ -98,6 +98,13 @@ pub(super) fn text(recorder: &Recorder) -> String {
         "Frames sent again; begins again with it.",
         [("", &of(|at| at.retransmitted))],
     );
+    let line = snapshot.and_then(|at| at.line_bytes_per_s).map_or(f64::NAN, f64::from);
+    text.family(
+        "line_bytes_per_second",
+        "gauge",
+        "What the line to the device was measured to carry.",
+        [("", &line)],
+    );
     let uncertainty = snapshot.map_or(f64::NAN, |at| at.clock_uncertainty_us);
     text.family(
         "clock_uncertainty_us",

@@ -1,13 +1,20 @@
 //! Devices: whatever a controller can be reached through. A closed set, so an enum.
 //!
-//! Opening may block and is done by an ordinary thread; reading and writing never block. The mock is a real
-//! backend: the same controller code as the firmware's, with the plant for shafts. `pty` puts it behind a real
-//! pseudo-terminal and comes back through the serial port. A device that is gone says so by an error, once.
+//! Opening may block and is done by an ordinary thread; reading and writing never block. A board has a serial port
+//! and an interface of its own, with the same frames on both; which one is plugged in, `find` says at every open.
+//! The mock is a real backend: the same controller code as the firmware's, with the plant for shafts. `pty` puts it
+//! behind a real pseudo-terminal and comes back through the serial port. A device that is gone says so by an error,
+//! once.
 
+pub mod find;
 pub mod mock;
+pub mod priority;
 mod pty;
 mod serial;
+mod spec;
+mod usb;
 
+use crate::device::find::Wanted;
 use crate::device::mock::{Mock, Truth};
 use crate::link::LineRate;
 use crate::plant::PlantConfig;
@@ -16,54 +23,13 @@ use firmware_protocol::tick::{TICK_HZ, Tick};
 pub use pty::PtyMock;
 use rustix::fd::BorrowedFd;
 pub use serial::SerialPort;
+pub use spec::{BadSpec, Spec};
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::io;
 use std::path::PathBuf;
-use std::str::FromStr;
 use std::sync::Arc;
-
-/// Which device to use, as given on the command line or in the configuration.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub enum Spec {
-    /// The first board found, else the mock.
-    #[default]
-    Auto,
-    /// Controller and plant in this process, in wall time.
-    Mock,
-    /// The mock behind a pseudo-terminal, reached as a serial port.
-    Pty,
-    /// A serial port by its path.
-    Serial(PathBuf),
-}
-
-/// Not a device.
-#[derive(Debug, thiserror::Error)]
-#[error("device `{0}`: not one of auto, mock, pty, serial:PATH")]
-pub struct BadSpec(String);
-
-impl FromStr for Spec {
-    type Err = BadSpec;
-    fn from_str(text: &str) -> Result<Self, BadSpec> {
-        match text.split_once(':') {
-            None if text == "auto" => Ok(Self::Auto),
-            None if text == "mock" => Ok(Self::Mock),
-            None if text == "pty" => Ok(Self::Pty),
-            Some(("serial", path)) if !path.is_empty() => Ok(Self::Serial(path.into())),
-            _ => Err(BadSpec(text.to_owned())),
-        }
-    }
-}
-
-impl std::fmt::Display for Spec {
-    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Auto => out.write_str("auto"),
-            Self::Mock => out.write_str("mock"),
-            Self::Pty => out.write_str("pty"),
-            Self::Serial(path) => write!(out, "serial:{}", path.display()),
-        }
-    }
-}
+use usb::FULL_SPEED;
+pub use usb::{UsbPort, watch};
 
 /// Why a device could not be opened.
 #[derive(Debug, thiserror::Error)]
@@ -73,15 +39,48 @@ pub enum DeviceError {
     NotThere(PathBuf),
     /// No access.
     #[error(
-        "serial port {0}: permission denied; join the group that owns it (often `dialout`) and log in again"
+        "serial port {0}: permission denied; install deploy/70-meissner.rules, or join the group that owns it (often \
+         `dialout`) and log in again"
     )]
     Denied(PathBuf),
     /// Another program has it.
-    #[error("serial port {0}: in use by another program; stop that one first")]
+    #[error(
+        "serial port {0}: in use by another program, perhaps a daemon (`meissner status`); stop that one first"
+    )]
     InUse(PathBuf),
     /// Anything else about a port.
     #[error("serial port {0}: {1}")]
     Port(PathBuf, #[source] io::Error),
+    /// No board with a serial port.
+    #[error("no board with a serial port: looked for {0}; plug it in, or name a port with serial:PATH")]
+    NoSerial(String),
+    /// No board with an interface of its own.
+    #[error("no board on USB: looked for {0}; plug it in, or see `lsusb`")]
+    NoUsb(String),
+    /// Neither.
+    #[error(
+        "no board: looked for {0}, by serial port and on USB; plug it in, or use the simulated one, `mock`"
+    )]
+    NoBoard(String),
+    /// No access.
+    #[error("USB device {0}: permission denied; install deploy/70-meissner.rules and plug it in again")]
+    UsbDenied(String),
+    /// Another program has it.
+    #[error(
+        "USB device {0}: in use by another program, perhaps a daemon (`meissner status`); stop that one first"
+    )]
+    UsbInUse(String),
+    /// Another firmware.
+    #[error(
+        "USB device {0}: it has no vendor-specific interface; update its firmware, or use its serial port"
+    )]
+    UsbInterface(String),
+    /// Anything else about it.
+    #[error("USB device {0}: {1}; plug it in again")]
+    Usb(String, #[source] rusb::Error),
+    /// No threads or descriptors for its transfers.
+    #[error("USB device {0}: the system gives no thread for it: {1}")]
+    UsbThreads(String, #[source] io::Error),
     /// No pseudo-terminal.
     #[error("no pseudo-terminal for the mock: {0}")]
     Pty(#[source] io::Error),
@@ -130,6 +129,8 @@ pub enum Device {
     Pty(SerialPort, PtyMock),
     /// A board on a serial port.
     Serial(SerialPort),
+    /// A board on its own interface.
+    Usb(UsbPort),
 }
 
 /// Opens a device. Blocks for as long as the system takes: not for the streamer's thread.
@@ -137,26 +138,60 @@ pub enum Device {
 /// # Errors
 /// One line that says what could not be opened and what to do.
 pub fn open(spec: &Spec, plant: &PlantConfig) -> Result<Device, DeviceError> {
+    let mock = || Ok(Device::Mock(Box::new(WallMock::new(plant, HostInstant::now())?)));
     match spec {
-        // Boards are looked for from the firmware issue on; until then there is none to be found.
-        Spec::Auto | Spec::Mock => Ok(Device::Mock(Box::new(WallMock::new(plant, HostInstant::now())?))),
+        Spec::Auto => match board() {
+            // A board that is there and cannot be opened is no reason to play on something else.
+            Err(DeviceError::NoBoard(_)) => mock(),
+            other => other,
+        },
+        Spec::Board => board(),
+        Spec::Mock => mock(),
         Spec::Pty => {
             let mock = PtyMock::spawn(WallMock::new(plant, HostInstant::now())?)?;
             let port = SerialPort::open(mock.path())?;
             Ok(Device::Pty(port, mock))
         }
         Spec::Serial(path) => Ok(Device::Serial(SerialPort::open(path)?)),
+        Spec::Found(wanted) => Ok(Device::Serial(serial(wanted)?)),
+        Spec::Usb(wanted) => Ok(Device::Usb(UsbPort::open(wanted)?)),
     }
 }
 
+fn serial(wanted: &Wanted) -> Result<SerialPort, DeviceError> {
+    let port = find::port(wanted, &find::ports());
+    SerialPort::open(&port.ok_or_else(|| DeviceError::NoSerial(wanted.to_string()))?)
+}
+
+/// The first board's serial port, else its own interface.
+fn board() -> Result<Device, DeviceError> {
+    let wanted = Wanted::default();
+    match serial(&wanted) {
+        Ok(port) => Ok(Device::Serial(port)),
+        Err(DeviceError::NoSerial(_)) => match UsbPort::open(&wanted) {
+            Ok(port) => Ok(Device::Usb(port)),
+            Err(DeviceError::NoUsb(sought)) => Err(DeviceError::NoBoard(sought)),
+            Err(error) => Err(error),
+        },
+        Err(error) => Err(error),
+    }
+}
+
+/// Whether a board's serial port is there, whoever has it open.
+#[must_use]
+pub fn is_plugged(wanted: &Wanted) -> bool {
+    find::port(wanted, &find::ports()).is_some()
+}
+
 impl Device {
-    /// What it is, for people: `mock`, `pty:PATH`, `serial:PATH`.
+    /// What it is, for people: `mock`, `pty:PATH`, `serial:PATH`, `usb:SERIAL`.
     #[must_use]
     pub fn kind(&self) -> String {
         match self {
             Self::Mock(_) => "mock".to_owned(),
             Self::Pty(port, _) => format!("pty:{}", port.path().display()),
             Self::Serial(port) => format!("serial:{}", port.path().display()),
+            Self::Usb(port) => format!("usb:{}", port.serial()),
         }
     }
 
@@ -164,9 +199,10 @@ impl Device {
     #[must_use]
     pub fn rate(&self) -> LineRate {
         match self {
-            // A full-speed USB CDC device takes 0.8 MB/s.
-            Self::Mock(_) => LineRate(800_000),
+            // As if it were on USB.
+            Self::Mock(_) => FULL_SPEED,
             Self::Pty(port, _) | Self::Serial(port) => port.rate(),
+            Self::Usb(port) => port.rate(),
         }
     }
 
@@ -176,6 +212,23 @@ impl Device {
         match self {
             Self::Mock(_) => None,
             Self::Pty(port, _) | Self::Serial(port) => Some(port.wake()),
+            Self::Usb(port) => Some(port.wake()),
+        }
+    }
+
+    /// Whether [`Self::wake`] is watched for being writable when bytes wait; if not, it turns readable for room, too.
+    #[must_use]
+    pub fn tells_room_by_writable(&self) -> bool {
+        !matches!(self, Self::Usb(_))
+    }
+
+    /// The board's serial number, if it has one.
+    #[must_use]
+    pub fn serial_number(&self) -> Option<&str> {
+        match self {
+            Self::Mock(_) | Self::Pty(..) => None,
+            Self::Serial(port) => port.serial(),
+            Self::Usb(port) => Some(port.serial()).filter(|serial| !serial.is_empty()),
         }
     }
 
@@ -190,6 +243,7 @@ impl Device {
                 Ok(mock.mock.read(bytes))
             }
             Self::Pty(port, _) | Self::Serial(port) => port.read(bytes),
+            Self::Usb(port) => port.read(bytes),
         }
     }
 
@@ -201,6 +255,7 @@ impl Device {
         match self {
             Self::Mock(mock) => Ok(mock.mock.write(bytes)),
             Self::Pty(port, _) | Self::Serial(port) => port.write(bytes),
+            Self::Usb(port) => port.write(bytes),
         }
     }
 
@@ -210,7 +265,7 @@ impl Device {
         match self {
             Self::Mock(mock) => Some(mock.mock.truth()),
             Self::Pty(_, mock) => Some(mock.truth()),
-            Self::Serial(_) => None,
+            Self::Serial(_) | Self::Usb(_) => None,
         }
     }
 }

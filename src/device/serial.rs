@@ -1,8 +1,9 @@
 //! A serial port: opened and set up by `serialport`, then read and written without blocking.
 //!
-//! It does not look for boards. The only `unsafe` of the program is here: taking over the descriptor.
+//! Which port is the board's is found elsewhere. The only `unsafe` of the program is here: taking over the descriptor.
 
-use crate::device::DeviceError;
+use crate::device::usb::FULL_SPEED;
+use crate::device::{DeviceError, find};
 use crate::link::LineRate;
 use rustix::fd::{AsFd, BorrowedFd, FromRawFd, IntoRawFd, OwnedFd};
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
@@ -15,16 +16,20 @@ use std::path::{Path, PathBuf};
 const BAUD: u32 = 1_000_000;
 /// Start bit, eight bits, stop bit.
 const BITS_PER_BYTE: u32 = 10;
+/// Names of ports behind which there is no UART: USB CDC, pseudo-terminals.
+const NO_UART: [&str; 2] = ["/dev/ttyACM", "/dev/pts/"];
 
 /// An open port.
 #[derive(Debug)]
 pub struct SerialPort {
     fd: OwnedFd,
     path: PathBuf,
+    rate: LineRate,
+    serial: Option<String>,
 }
 
 impl SerialPort {
-    /// Opens a port for this process alone.
+    /// Opens a port for this process alone: a second one is refused, by a lock that also holds against root.
     ///
     /// # Errors
     /// If it is not there, not ours, or in use.
@@ -52,7 +57,11 @@ impl SerialPort {
         let fd = unsafe { OwnedFd::from_raw_fd(raw) };
         let nonblocking = fcntl_getfl(&fd).and_then(|flags| fcntl_setfl(&fd, flags | OFlags::NONBLOCK));
         nonblocking.map_err(|error| DeviceError::Port(owned.clone(), error.into()))?;
-        Ok(Self { fd, path: owned })
+        let name = path.canonicalize().unwrap_or_else(|_| owned.clone());
+        let uart = !NO_UART.iter().any(|start| name.to_string_lossy().starts_with(start));
+        let rate = if uart { LineRate(BAUD / BITS_PER_BYTE) } else { FULL_SPEED };
+        let serial = find::serial_of(path, &find::ports());
+        Ok(Self { fd, path: owned, rate, serial })
     }
 
     /// Where it is.
@@ -61,8 +70,15 @@ impl SerialPort {
         &self.path
     }
 
+    /// The serial number of the USB device behind it, if there is one that has one.
+    #[must_use]
+    pub fn serial(&self) -> Option<&str> {
+        self.serial.as_deref()
+    }
+
+    /// What it carries at the most.
     pub(super) fn rate(&self) -> LineRate {
-        LineRate(BAUD / BITS_PER_BYTE)
+        self.rate
     }
 
     pub(super) fn wake(&self) -> BorrowedFd<'_> {

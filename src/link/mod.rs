@@ -10,4 +10,4 @@ mod clock;
 mod session;
 
 pub use clock::Clock;
-pub use session::{Event, LineRate, LostReason, Session, Traffic, Verdict};
+pub use session::{Budget, Event, LineRate, LostReason, Session, Traffic, Trip, Verdict};

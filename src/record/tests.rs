@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::pattern::Pattern;
+use crate::stream::Need;
 use crate::stream::port::{At, End, LatePolicy, Onset, Play};
 use crate::strokes::Strokes;
 use firmware_protocol::limits::{OnTimeLimits, Refusal};
@@ -41,6 +42,7 @@ fn snapshot(connected: bool, state: State, play: Option<(u64, f64)>) -> Snapshot
         lead_ms: 100.0,
         rest_error_um: [0.0; MOTORS],
         source: crate::stream::port::ErrorSource::None,
+        line_bytes_per_s: None,
         bytes_out: 0,
         bytes_in: 0,
         retransmitted: 0,
@@ -61,7 +63,15 @@ fn onset() -> Onset {
 fn ended(id: u64, end: End) -> Notice {
     let pattern = Pattern::new("nothing", Some(1.0), Vec::new(), toml::Table::new()).unwrap();
     let strokes = Strokes::new(&pattern, None).unwrap();
-    let play = Play { id, strokes, at: At::Next, late: LatePolicy::Drop, replace: false, open_loop: false };
+    let play = Play {
+        id,
+        strokes,
+        at: At::Next,
+        late: LatePolicy::Drop,
+        replace: false,
+        open_loop: false,
+        need: Need::default(),
+    };
     let outcome = Outcome {
         end,
         cause: (end != End::Done).then_some("stop"),

@@ -58,14 +58,19 @@ pub(super) struct Active {
 pub(super) const FIRST_MARGIN: Duration = Duration::from_millis(3);
 
 impl Active {
-    pub(super) fn new(play: Box<Play>, ordered: HostInstant, requested: Option<Tick>) -> Self {
+    pub(super) fn new(
+        play: Box<Play>,
+        ordered: HostInstant,
+        requested: Option<Tick>,
+        margin: Duration,
+    ) -> Self {
         Self {
             play,
             phase: Phase::Waiting,
             ordered,
             onset: requested,
             requested,
-            margin: FIRST_MARGIN,
+            margin,
             next: None,
             undecided: 0,
             last_end: Tick(0),

@@ -7,12 +7,15 @@
 
 mod active;
 mod hold;
+mod need;
 pub mod port;
 mod rehearse;
 mod streamer;
 mod thread;
 
 use firmware_protocol::limits::OnTimeLimits;
+use firmware_protocol::tick::TICK_HZ;
+pub use need::{Demand, Need};
 pub use rehearse::{Line, Rehearsal, RehearseError, Rehearsed, rehearse};
 pub use streamer::{Streamer, cause_text};
 pub use thread::spawn;
@@ -33,6 +36,14 @@ impl Default for Settings {
     fn default() -> Self {
         Self { lead_ms: 100.0, lease_ms: 300.0, limits: OnTimeLimits::NONE }
     }
+}
+
+/// Strokes are handed over so often that a frame carries many of them.
+const LONGEST_BATCH_MS: f64 = 12.5;
+
+/// Strokes are handed over in stretches of so many ticks.
+fn batch_ticks(settings: &Settings) -> u64 {
+    ((settings.lead_ms / 4.0).min(LONGEST_BATCH_MS) * f64::from(TICK_HZ) / 1000.0) as u64
 }
 
 /// Which real-time means the system granted.

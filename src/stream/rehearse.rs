@@ -9,7 +9,7 @@ use crate::link::LineRate;
 use crate::pattern::Pattern;
 use crate::plant::{PlantConfig, PlantError, RestStats};
 use crate::stream::port::{At, Job, LatePolicy, Notice, Order, Outcome, Play};
-use crate::stream::{Settings, Streamer};
+use crate::stream::{Need, Settings, Streamer};
 use crate::strokes::{Strokes, StrokesError};
 use crate::units::HostInstant;
 use firmware_protocol::frame::MAX_FRAME;
@@ -32,6 +32,8 @@ pub struct Line {
     pub corrupt: f64,
     /// How long each takes.
     pub delay: Duration,
+    /// Bytes per second towards the device at the most, one after the other; 0: no bound.
+    pub bytes_per_s: u32,
     /// By how much more at the most, at random: frames overtake each other.
     pub jitter: Duration,
 }
@@ -40,6 +42,8 @@ pub struct Line {
 struct Direction {
     line: Line,
     random: ChaCha8Rng,
+    /// Until when the bytes sent so far occupy the line.
+    busy: HostInstant,
     /// When each arrives; not sorted.
     frames: Vec<(HostInstant, Vec<u8>)>,
 }
@@ -52,6 +56,10 @@ impl Direction {
     fn send(&mut self, now: HostInstant, bytes: &[u8]) {
         // A frame with its delimiter is what gets lost.
         for frame in bytes.split_inclusive(|&byte| byte == 0) {
+            let rate = u64::from(self.line.bytes_per_s);
+            let taken = (frame.len() as u64 * 1_000_000_000).checked_div(rate).unwrap_or(0);
+            // A frame that gets lost has taken its time all the same.
+            self.busy = self.busy.max(now) + Duration::from_nanos(taken);
             if self.chance(self.line.loss) {
                 continue;
             }
@@ -63,7 +71,7 @@ impl Direction {
             let copies = 1 + usize::from(self.chance(self.line.repeat));
             for _ in 0..copies {
                 let share = f64::from(self.random.next_u32()) / 2f64.powi(32);
-                let at = now + self.line.delay + self.line.jitter.mul_f64(share);
+                let at = self.busy + self.line.delay + self.line.jitter.mul_f64(share);
                 self.frames.push((at, frame.clone()));
             }
         }
@@ -96,16 +104,16 @@ impl Rehearsal {
     /// # Errors
     /// If the plant's settings are out of range.
     pub fn new(plant: &PlantConfig, settings: Settings, line: Line, seed: u64) -> Result<Self, PlantError> {
-        let direction = |salt| {
+        let direction = |salt, line| {
             let random = ChaCha8Rng::seed_from_u64(seed ^ salt);
-            Direction { line, random, frames: Vec::new() }
+            Direction { line, random, busy: HostInstant::default(), frames: Vec::new() }
         };
         let mut new = Self {
             streamer: Streamer::new(settings),
             mock: Mock::new(*plant, seed as u32)?,
             now: HostInstant::from_ns(1_000_000_000),
-            to_device: direction(0x5eed),
-            to_host: direction(0xfeed),
+            to_device: direction(0x5eed, line),
+            to_host: direction(0xfeed, Line { bytes_per_s: 0, ..line }),
             notices: Vec::new(),
             tickets: 0,
         };
@@ -131,7 +139,7 @@ impl Rehearsal {
 
     /// Changes the line.
     pub fn set_line(&mut self, line: Line) {
-        (self.to_device.line, self.to_host.line) = (line, line);
+        (self.to_device.line, self.to_host.line) = (line, Line { bytes_per_s: 0, ..line });
     }
 
     /// Virtual time.
@@ -266,7 +274,8 @@ pub fn rehearse(
     rehearsal.run(Duration::from_millis(100));
     rehearsal.order(Job::Arm { assume_rest: true });
     rehearsal.run(Duration::from_millis(20));
-    let play = Play { id: 1, strokes, at: At::Next, late: LatePolicy::Drop, replace: false, open_loop };
+    let need = Need::of(&strokes, &settings);
+    let play = Play { id: 1, strokes, at: At::Next, late: LatePolicy::Drop, replace: false, open_loop, need };
     rehearsal.order(Job::Play(Box::new(play)));
     let length = Duration::from_secs_f64(end as f64 / f64::from(TICK_HZ));
     let outcome = rehearsal.run_to_end(1, length + Duration::from_secs(2));

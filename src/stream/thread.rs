@@ -5,7 +5,7 @@
 //! allocated, locked, logged or waited for, but for a session's memory when a device comes or goes: what
 //! owns memory goes back through the port.
 
-use crate::device::Device;
+use crate::device::{Device, priority};
 use crate::stream::port::{Job, Notice, Notices, Orders, Port, port};
 use crate::stream::{Realtime, Settings, Streamer};
 use crate::units::HostInstant;
@@ -17,13 +17,6 @@ use std::io;
 use std::ops::Range;
 use std::thread::JoinHandle;
 use std::time::Duration;
-use thread_priority::unix::{
-    RealtimeThreadSchedulePolicy, ThreadSchedulePolicy, set_thread_priority_and_policy, thread_native_id,
-};
-use thread_priority::{ThreadPriority, ThreadPriorityValue};
-
-/// Above ordinary programs and below the kernel's own threads.
-const FIFO_PRIORITY: u8 = 50;
 /// Turns of reading and writing per wake-up, at the most: a device that never falls silent must not hold up orders.
 const TURNS: usize = 32;
 /// A port that takes nothing for so long is gone.
@@ -52,12 +45,7 @@ impl Realtime {
     pub fn request() -> Self {
         // Pages are locked as they are touched: what is never used costs nothing.
         let mlock = mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE | MlockAllFlags::ONFAULT).is_ok();
-        let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
-        let fifo = ThreadPriorityValue::try_from(FIFO_PRIORITY).is_ok_and(|value| {
-            let priority = ThreadPriority::Crossplatform(value);
-            set_thread_priority_and_policy(thread_native_id(), priority, policy).is_ok()
-        });
-        Self { fifo, mlock }
+        Self { fifo: priority::fifo(), mlock }
     }
 }
 
@@ -200,10 +188,11 @@ impl Loop {
         let timeout = Timespec { tv_sec: wait.as_secs() as i64, tv_nsec: wait.subsec_nanos().into() };
         let orders = PollFd::from_borrowed_fd(self.port.wake(), PollFlags::IN);
         // An early return, by a signal, only means an idle turn.
-        let _ = match self.device.as_ref().and_then(|device| device.wake()) {
-            Some(device) => {
-                let out = if self.unsent.is_empty() { PollFlags::IN } else { PollFlags::IN | PollFlags::OUT };
-                poll(&mut [orders, PollFd::from_borrowed_fd(device, out)], Some(&timeout))
+        let _ = match self.device.as_ref().and_then(|device| Some((device, device.wake()?))) {
+            Some((device, wake)) => {
+                let wants_room = !self.unsent.is_empty() && device.tells_room_by_writable();
+                let for_what = if wants_room { PollFlags::IN | PollFlags::OUT } else { PollFlags::IN };
+                poll(&mut [orders, PollFd::from_borrowed_fd(wake, for_what)], Some(&timeout))
             }
             None => poll(&mut [orders], Some(&timeout)),
         };

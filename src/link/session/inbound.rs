@@ -4,7 +4,7 @@
 //! was not reported was accepted.
 
 use crate::link::Clock;
-use crate::link::session::{Event, LostReason, Phase, Session, Verdict};
+use crate::link::session::{Event, LostReason, Phase, Session, Trip, Verdict};
 use crate::units::HostInstant;
 use firmware_protocol::batch::Strokes;
 use firmware_protocol::controller::EARLY;
@@ -78,7 +78,7 @@ impl Session {
             return;
         }
         self.phase = Phase::Open;
-        self.epoch = hello.epoch;
+        (self.epoch, self.greeted) = (hello.epoch, hello.epoch);
         (self.seen, self.made, self.stale) = (hello.reports, hello.reports, hello.reports);
         self.credits = 0;
         // The hello's tick widens those of the first statuses; its round trip counts for little.
@@ -93,9 +93,15 @@ impl Session {
         let tick = status.tick.near(host_tick);
         let (token, sent) = self.pinged[usize::from(status.token) % self.pinged.len()];
         if status.token != 0 && token == status.token {
-            self.clock.round_trip(sent, tick, now);
-            self.round_trip = (self.round_trip * 7 + now.since(sent)) / 8;
-            self.first_pings += 1;
+            self.answered = token;
+            // A ping behind a survey's frames tells neither the clock nor an idle line's round trip.
+            if !self.surveyed(now, token) {
+                self.clock.round_trip(sent, tick, now);
+                self.round_trip = (self.round_trip * 7 + now.since(sent)) / 8;
+                self.fastest = self.fastest.min(now.since(sent));
+                self.first_pings += 1;
+                self.trip = Some(Trip { sent, tick, received: now });
+            }
         }
         if tick < self.newest {
             // Overtaken by a later one, which has said all this and more.

@@ -2,7 +2,9 @@
 //! `inbound`, what is due is sent in `outbound`.
 
 mod inbound;
+mod line;
 mod outbound;
+mod survey;
 
 use crate::link::Clock;
 use crate::units::HostInstant;
@@ -13,8 +15,11 @@ use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{Counters, Cut, DeviceHello, Op, Report, Status};
 use firmware_protocol::stroke::{MOTORS, Stroke};
 use firmware_protocol::tick::Tick;
+pub use line::{LineRate, Traffic, Trip};
 use std::collections::VecDeque;
 use std::time::Duration;
+pub use survey::Budget;
+use survey::Survey;
 
 /// Frames sent and not acknowledged, at the most: the one waited for and those the device keeps.
 const WINDOW: usize = 1 + EARLY;
@@ -57,8 +62,10 @@ pub enum Verdict {
 /// Why a session ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LostReason {
-    /// No answer to the handshake, or to pings.
+    /// No answer to pings.
     NoAnswer,
+    /// No answer to the handshake.
+    NoBoard,
     /// It has forgotten the session.
     Restarted,
     /// It speaks another protocol.
@@ -73,6 +80,9 @@ impl LostReason {
     pub fn text(self) -> &'static str {
         match self {
             Self::NoAnswer => "the device does not answer",
+            Self::NoBoard => {
+                "what is there does not answer as a board: see that --device names the board, or power it off and on"
+            }
             Self::Restarted => "the device has restarted",
             Self::Version => "the device speaks another protocol version: update its firmware or this daemon",
             Self::WrongArray => "the device's motors or tick rate are not this array's",
@@ -137,28 +147,6 @@ pub enum Event {
     },
 }
 
-/// How fast bytes leave on the line, bytes per second: bounds what may wait in buffers we cannot reach.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct LineRate(pub u32);
-
-impl LineRate {
-    /// Bytes that may be on their way: 2 ms of the line, at least one frame.
-    fn window_bytes(self) -> usize {
-        (self.0 as usize / 500).max(MAX_FRAME)
-    }
-}
-
-/// Bytes and frames since the session began.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Traffic {
-    /// Bytes sent, all overhead included.
-    pub bytes_out: u64,
-    /// Bytes received.
-    pub bytes_in: u64,
-    /// Frames sent again.
-    pub again: u64,
-}
-
 /// A frame of strokes from its first stroke to its verdict.
 #[derive(Debug)]
 struct Batch {
@@ -194,13 +182,19 @@ enum Phase {
 pub struct Session {
     phase: Phase,
     id: u32,
+    /// The line's rate as its transport knows it; as it was measured, with the round trip then.
+    nominal: LineRate,
+    line: Option<(LineRate, Duration)>,
     window_bytes: usize,
+    survey: Survey,
     decoder: Decoder,
     hellos: u32,
     clock: Clock,
     traffic: Traffic,
 
     epoch: u16,
+    /// The epoch the session began with.
+    greeted: u16,
     control: Option<Control>,
     window: VecDeque<Batch>,
     open_batch: Option<Batch>,
@@ -225,6 +219,8 @@ pub struct Session {
     verdicts: VecDeque<Report>,
 
     token: u16,
+    /// The last ping that was answered.
+    answered: u16,
     /// The last pings and when they were sent: an answer may come after later ones have left.
     pinged: [(u16, HostInstant); PINGS],
     last_ping: HostInstant,
@@ -234,6 +230,9 @@ pub struct Session {
     unanswered: u32,
     first_unanswered: HostInstant,
     round_trip: Duration,
+    /// The shortest round trip so far.
+    fastest: Duration,
+    trip: Option<Trip>,
 }
 
 impl Session {
@@ -243,12 +242,16 @@ impl Session {
         Self {
             phase: Phase::Opening,
             id,
+            nominal: rate,
+            line: None,
             window_bytes: rate.window_bytes(),
+            survey: Survey::new(Budget::default()),
             decoder: Decoder::default(),
             hellos: 0,
             clock: Clock::default(),
             traffic: Traffic::default(),
             epoch: 0,
+            greeted: 0,
             control: None,
             window: VecDeque::with_capacity(WINDOW + 1),
             open_batch: None,
@@ -264,6 +267,7 @@ impl Session {
             stale: 0,
             verdicts: VecDeque::with_capacity(REPORTS),
             token: 0,
+            answered: 0,
             pinged: [(0, HostInstant::default()); PINGS],
             last_ping: HostInstant::default(),
             ping_due: now,
@@ -272,6 +276,8 @@ impl Session {
             unanswered: 0,
             first_unanswered: now,
             round_trip: RETRY.0,
+            fastest: Duration::MAX,
+            trip: None,
         }
     }
 
@@ -285,6 +291,11 @@ impl Session {
     #[must_use]
     pub fn traffic(&self) -> Traffic {
         self.traffic
+    }
+
+    /// The last round trip, once.
+    pub fn take_trip(&mut self) -> Option<Trip> {
+        self.trip.take()
     }
 
     /// Whether the handshake is done, the clock is set and the session not over.
@@ -402,6 +413,9 @@ impl Session {
     }
 
     fn retry_after(&self) -> Duration {
-        (self.round_trip * 3).clamp(RETRY.0, RETRY.1)
+        let usual = (self.round_trip * 3).clamp(RETRY.0, RETRY.1);
+        // What is on a slow line is late, not lost.
+        let line = self.line().map_or(Duration::ZERO, |line| line.time(self.window_bytes + MAX_FRAME));
+        usual.max(self.round_trip.min(RETRY.1) + line)
     }
 }

@@ -38,7 +38,7 @@ impl Session {
             return 0;
         }
         if self.hellos == MAX_HELLOS {
-            self.lose(LostReason::NoAnswer, tell);
+            self.lose(LostReason::NoBoard, tell);
             return 0;
         }
         self.hellos += 1;
@@ -68,7 +68,10 @@ impl Session {
         if let Some(len) = self.next_batch(now, out) {
             return len;
         }
-        self.next_ping(now, out)
+        match self.next_survey(now, out) {
+            0 => self.next_ping(now, out),
+            len => len,
+        }
     }
 
     /// The next frame of strokes that the device has not got: new, or sent in vain.
@@ -117,9 +120,13 @@ impl Session {
     }
 
     fn next_ping(&mut self, now: HostInstant, out: &mut [u8; MAX_FRAME]) -> usize {
-        if now < self.ping_due {
+        if now < self.ping_due || self.is_surveying() {
             return 0;
         }
+        self.ping(now, out)
+    }
+
+    pub(super) fn ping(&mut self, now: HostInstant, out: &mut [u8]) -> usize {
         if self.unanswered == 0 {
             self.first_unanswered = now;
         }
@@ -152,7 +159,10 @@ impl Session {
                     Some(_) => batch.last_sent + retry,
                     None => now,
                 });
-                [control, frames].into_iter().flatten().fold(self.ping_due, HostInstant::min)
+                // While the survey's ping is on its way, no other is sent.
+                let ping = if self.is_surveying() { None } else { Some(self.ping_due) };
+                let due = [control, frames, ping, self.survey_at(now)];
+                due.into_iter().flatten().min().unwrap_or(now)
             }
         }
     }
@@ -163,7 +173,7 @@ fn is_before(a: u16, b: u16) -> bool {
     a.wrapping_sub(b) > u16::MAX / 2
 }
 
-fn written(message: &HostMessage<'_>, out: &mut [u8]) -> usize {
+pub(super) fn written(message: &HostMessage<'_>, out: &mut [u8]) -> usize {
     // Every message fits a frame: batches are bounded by `BATCH_BYTES`.
     frame::encode(message, out).unwrap_or(0)
 }

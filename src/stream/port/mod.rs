@@ -9,6 +9,7 @@ mod outcome;
 mod refused;
 
 use crate::device::Device;
+use crate::stream::Need;
 use crate::strokes::Strokes;
 use crate::units::HostInstant;
 use firmware_protocol::limits::Refusal;
@@ -100,6 +101,8 @@ pub struct Play {
     pub replace: bool,
     /// No corrections from telemetry.
     pub open_loop: bool,
+    /// What it needs of the line; [`Need::default`] is not checked.
+    pub need: Need,
 }
 
 /// What happened.

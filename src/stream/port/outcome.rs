@@ -146,6 +146,8 @@ pub struct Snapshot {
     pub rest_error_um: [f32; MOTORS],
     /// Where the estimate comes from.
     pub source: ErrorSource,
+    /// Bytes per second the line was measured to carry; `None` until it is.
+    pub line_bytes_per_s: Option<u32>,
     /// Bytes sent to and received from the device since it was connected.
     pub bytes_out: u64,
     /// Bytes received.

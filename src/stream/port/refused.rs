@@ -34,12 +34,24 @@ pub enum Refused {
         "the onset asked for lies before the end of the plays queued: choose a later one, or use --replace"
     )]
     Overlaps,
+    /// More than the line carries.
+    #[error("the pattern needs {:.1} kB/s at its peak, the line carries {:.1}: lower frequencies, fewer pins, or USB", kilo(*.needs), kilo(*.carries))]
+    LineTooSlow {
+        /// Bytes per second it needs.
+        needs: u32,
+        /// Bytes per second the line was measured to carry.
+        carries: u32,
+    },
     /// The device refused the command.
     #[error("the device refused: {}", refusal_text(*.0))]
     Device(Refusal),
     /// The device did not answer in time.
     #[error("the device does not answer: check its cable and power")]
     Timeout,
+}
+
+fn kilo(bytes: u32) -> f64 {
+    f64::from(bytes) / 1000.0
 }
 
 /// A refusal in words for a person.

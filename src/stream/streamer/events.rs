@@ -5,7 +5,7 @@ use crate::stream::active::{Active, FIRST_MARGIN, Phase};
 use crate::stream::port::{End, LateCause, LatePolicy, Notice, Onset, Refused};
 use crate::stream::streamer::{IDLE_PING, Streamer, Tell, answer, cause_text, ticks};
 use crate::units::HostInstant;
-use firmware_protocol::message::{Cause, Counters, Op, State, Status};
+use firmware_protocol::message::{Cause, Counters, DeviceHello, Op, State, Status};
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::{TICK_HZ, Tick};
 use std::time::Duration;
@@ -31,6 +31,7 @@ impl Streamer {
     fn event(&mut self, now: HostInstant, event: Event, tell: Tell<'_>) {
         match event {
             Event::Opened(hello) => {
+                self.telemetry = hello.features & DeviceHello::TELEMETRY != 0;
                 tell(Notice::Connected(hello));
                 if self.latched {
                     self.control(now, 0, Op::EStop, tell);

@@ -4,14 +4,12 @@
 //! ahead. A play's first frame waits for the device's verdict before anything follows.
 
 use crate::stream::active::{Active, Phase};
+use crate::stream::batch_ticks;
 use crate::stream::port::{At, End, LateCause};
 use crate::stream::streamer::{Streamer, Tell, ticks};
 use crate::units::HostInstant;
 use firmware_protocol::message::State;
 use firmware_protocol::tick::{TICK_HZ, Tick};
-
-/// Strokes are handed over so often that a frame carries many of them.
-const LONGEST_BATCH_MS: f64 = 12.5;
 
 /// What came of trying to hand over strokes.
 enum Fed {
@@ -32,9 +30,8 @@ impl Streamer {
         if self.state() != State::Armed || !self.may_feed() {
             return;
         }
-        let batch_ms = (self.settings.lead_ms / 4.0).min(LONGEST_BATCH_MS);
         let lead = (self.settings.lead_ms * f64::from(TICK_HZ) / 1000.0) as u64;
-        let batch = (batch_ms * f64::from(TICK_HZ) / 1000.0) as u64;
+        let batch = batch_ticks(&self.settings);
         let mut unfed =
             self.plays.iter().filter(|active| active.cut.is_none() && active.phase != Phase::Streamed);
         let fresh = unfed.next().is_some_and(|active| active.phase == Phase::Waiting);
@@ -47,8 +44,15 @@ impl Streamer {
             let mut before = self.plays.iter().take(index).rev().filter(|active| active.cut.is_none());
             let previous_end = before.next().and_then(Active::end);
             let wire = self.session.as_ref().map_or(0, |session| session.traffic().bytes_out);
+            let carried = session_carries(self, index);
             let active = &mut self.plays[index];
             if active.cut.is_some() || active.phase == Phase::Streamed {
+                continue;
+            }
+            if active.phase == Phase::Waiting && !carried {
+                // Ordered together with the arm, before the line was measured.
+                active.cut = Some((End::Aborted, "the line does not carry the pattern"));
+                active.onset = None;
                 continue;
             }
             if active.phase == Phase::Offered {
@@ -147,6 +151,13 @@ impl Streamer {
             active.next = None;
         }
     }
+}
+
+/// Whether the line carries a play, as far as is known.
+fn session_carries(streamer: &Streamer, index: usize) -> bool {
+    let play = streamer.plays.get(index).map(|active| &active.play);
+    let both = streamer.session.as_ref().zip(play);
+    both.is_none_or(|(session, play)| streamer.margin(session, play).is_ok())
 }
 
 /// Where a play that waits can begin: as asked for, right behind the one before it, or as soon as the link allows.

@@ -63,6 +63,8 @@ pub struct Streamer {
     status: Option<(Status, Tick)>,
     /// An e-stop was ordered and not reset: also kept for a device that comes later.
     latched: bool,
+    /// The device sends telemetry.
+    telemetry: bool,
     /// Controls to send, the first is being sent.
     controls: VecDeque<Waiting>,
     in_flight: bool,
@@ -80,6 +82,8 @@ pub struct Streamer {
     snapshot_due: HostInstant,
     /// Whether the last snapshot said that a device is there.
     told_there: bool,
+    /// And what the line carries.
+    told_line: Option<u32>,
 }
 
 impl Streamer {
@@ -92,6 +96,7 @@ impl Streamer {
             events: VecDeque::with_capacity(4096),
             status: None,
             latched: false,
+            telemetry: false,
             controls: VecDeque::with_capacity(CONTROLS),
             in_flight: false,
             wants_armed: false,
@@ -104,6 +109,7 @@ impl Streamer {
             closed: false,
             snapshot_due: HostInstant::default(),
             told_there: false,
+            told_line: None,
         }
     }
 
@@ -190,8 +196,9 @@ impl Streamer {
         }
         self.close(now, tell);
         let there = self.is_there();
-        if now >= self.snapshot_due || there != self.told_there {
-            self.told_there = there;
+        let line = self.session.as_ref().and_then(Session::capacity);
+        if now >= self.snapshot_due || there != self.told_there || line != self.told_line {
+            (self.told_there, self.told_line) = (there, line);
             let playing = !self.plays.is_empty() || self.state() == State::Returning;
             let far = if playing { SNAPSHOT_EVERY } else { IDLE_PING };
             self.snapshot_due = now + far;
@@ -237,6 +244,7 @@ impl Streamer {
             lead_ms: if self.short_of_credits { lead } else { self.settings.lead_ms },
             rest_error_um,
             source,
+            line_bytes_per_s: self.session.as_ref().and_then(Session::capacity),
             bytes_out: traffic.bytes_out,
             bytes_in: traffic.bytes_in,
             retransmitted: traffic.again,

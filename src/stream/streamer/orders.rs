@@ -14,6 +14,9 @@ use std::time::Duration;
 /// How far ahead an onset may lie: half of what a stroke may, so that every wire tick is read as it was meant.
 const FARTHEST: u64 = 1 << 29;
 
+/// The part of the first margin that is not for the line: the horizon, and a wake-up.
+const WAKE_UP: Duration = Duration::from_micros(1500);
+
 impl Streamer {
     /// Takes an order. [`Job::Connect`] is not for here: the thread opens the session.
     pub fn order(&mut self, now: HostInstant, order: Order, tell: Tell<'_>) {
@@ -86,19 +89,31 @@ impl Streamer {
     ) -> Result<(), (Refused, Box<Play>)> {
         match self.place(now, &play) {
             Err(refused) => Err((refused, play)),
-            Ok(requested) => {
+            Ok((requested, margin)) => {
                 if play.replace && self.plays.iter().any(|active| active.cut.is_none()) {
                     self.cut_all(End::Stopped, "replaced");
                     self.controls.push_back(Waiting { ticket: 0, op: Op::Stop, since: now });
                 }
-                self.plays.push_back(Active::new(play, given, requested));
+                self.plays.push_back(Active::new(play, given, requested, margin));
                 Ok(())
             }
         }
     }
 
-    /// Whether a play can be queued, and the onset it asks for.
-    fn place(&self, now: HostInstant, play: &Play) -> Result<Option<Tick>, Refused> {
+    /// How far ahead of its onset a play has to be sent from, if the line carries it at all.
+    pub(super) fn margin(&self, session: &Session, play: &Play) -> Result<Duration, Refused> {
+        let demand = if play.open_loop || !self.telemetry { play.need.open } else { play.need.closed };
+        match session.capacity() {
+            Some(carries) if demand.rate > carries => {
+                Err(Refused::LineTooSlow { needs: demand.rate, carries })
+            }
+            Some(carries) => Ok(FIRST_MARGIN.max(WAKE_UP + demand.ahead(carries))),
+            None => Ok(FIRST_MARGIN),
+        }
+    }
+
+    /// Whether a play can be queued, the onset it asks for, and how far ahead it has to be sent.
+    fn place(&self, now: HostInstant, play: &Play) -> Result<(Option<Tick>, Duration), Refused> {
         self.takes_plays()?;
         let (Some(session), Some(tick)) = (&self.session, self.tick_at(now)) else {
             return Err(Refused::NoDevice);
@@ -112,16 +127,17 @@ impl Streamer {
         if last.is_some_and(|last| last.play.strokes.end().is_none()) {
             return Err(Refused::BehindEndless);
         }
+        let margin = self.margin(session, play)?;
         let requested = match play.at {
-            At::Next => return Ok(None),
+            At::Next => return Ok((None, margin)),
             At::Tick(tick) => tick,
             At::After(ns) => session
                 .clock()
                 .tick_at(now + Duration::from_nanos(ns))
-                .map(|at| at.max(tick + ticks(FIRST_MARGIN)))
+                .map(|at| at.max(tick + ticks(margin)))
                 .ok_or(Refused::NoDevice)?,
         };
-        if requested < tick + ticks(FIRST_MARGIN) {
+        if requested < tick + ticks(margin) {
             return Err(Refused::TooSoon);
         }
         if requested - tick > FARTHEST {
@@ -134,7 +150,7 @@ impl Streamer {
         if requested < free {
             return Err(Refused::Overlaps);
         }
-        Ok(Some(requested))
+        Ok((Some(requested), margin))
     }
 
     fn stop(&mut self) -> Taken {
@@ -221,6 +237,10 @@ impl Streamer {
     pub(super) fn next_control(&mut self) {
         let Some(session) = self.session.as_mut().filter(|session| session.is_greeted()) else { return };
         if let (false, Some(first)) = (self.in_flight, self.controls.front()) {
+            // What the line carries is measured while nothing can move.
+            if matches!(first.op, Op::Arm { .. }) && !session.is_surveyed() {
+                return;
+            }
             self.in_flight = true;
             session.command(first.op);
         }

@@ -1,0 +1,251 @@
+//! A look at a device through its link: who it is, how fast it answers, what its line carries, how its clock runs.
+//!
+//! It opens a session of its own and sends what a session sends that moves nothing: pings, and the survey's frames,
+//! which the device ignores. It never arms; a device that is armed returns its pins, as it does for every new host.
+//! It blocks for some seconds and is no part of the streamer.
+//!
+//! Invariant: it ends, within [`AT_MOST`].
+
+use crate::device::Device;
+use crate::link::{Budget, Event, Session, Trip};
+use crate::units::HostInstant;
+use firmware_protocol::frame::MAX_FRAME;
+use firmware_protocol::message::DeviceHello;
+use firmware_protocol::tick::TICK_HZ;
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use std::hash::{BuildHasher, RandomState};
+use std::io;
+use std::time::Duration;
+
+/// Round trips measured, at the least, and over how long: a drift of 1 ppm is 2 µs in 2 s.
+pub const PINGS: usize = 500;
+const SPAN: Duration = Duration::from_millis(2200);
+const PING_EVERY: Duration = Duration::from_millis(4);
+/// What the throughput is measured with: two dozen rounds on USB, a second of a slow line.
+const BURST: Budget = Budget { bytes: 64_000, time: Duration::from_secs(1) };
+/// A device that answers slower than this is not measured to the end.
+const AT_MOST: Duration = Duration::from_secs(20);
+/// A port that takes nothing for so long is gone.
+const STUCK: Duration = Duration::from_millis(500);
+/// The least a turn of the loop waits, and the most: the mock has nothing to wait for.
+const TURN: (Duration, Duration) = (Duration::from_micros(50), Duration::from_millis(1));
+
+/// What was found.
+#[derive(Clone, Copy, Debug)]
+pub struct Checkup {
+    /// Who it says it is.
+    pub hello: DeviceHello,
+    /// Its round trips.
+    pub round_trip: RoundTrip,
+    /// Bytes per second towards it that it acknowledged; `None` if no frame of the survey was answered.
+    pub throughput_bytes_per_s: Option<u32>,
+    /// Its clock against the host's.
+    pub drift: Drift,
+}
+
+/// Round trips of pings, µs.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct RoundTrip {
+    /// How many.
+    pub count: usize,
+    /// Half were shorter.
+    pub p50_us: f64,
+    /// One in a hundred was longer.
+    pub p99_us: f64,
+    /// The longest.
+    pub max_us: f64,
+}
+
+/// A clock's rate against the host's.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct Drift {
+    /// Parts per million; above zero it is fast.
+    pub ppm: f64,
+    /// Two standard errors of that.
+    pub uncertainty_ppm: f64,
+    /// Over how long it was watched, s.
+    pub seconds: f64,
+}
+
+/// Why there is nothing to tell.
+#[derive(Debug, thiserror::Error)]
+pub enum CheckupError {
+    /// It went away.
+    #[error("the device was unplugged: {0}")]
+    Gone(#[source] io::Error),
+    /// It is no board, another protocol, or does not answer any more.
+    #[error("{0}")]
+    Lost(&'static str),
+    /// It answers, but too slowly.
+    #[error("only {trips} of {PINGS} pings were answered in {} s: see its cable and what else uses it", AT_MOST.as_secs())]
+    Slow {
+        /// Pings answered.
+        trips: usize,
+    },
+}
+
+/// Measures `device`.
+///
+/// # Errors
+/// If it is no board, or goes away.
+pub fn check(device: &mut Device) -> Result<Checkup, CheckupError> {
+    let begun = HostInstant::now();
+    let id = RandomState::new().hash_one(begun.as_ns()) as u32;
+    let mut look =
+        Look { session: Session::new(id, device.rate(), begun), hello: None, lost: None, trips: Vec::new() };
+    let until = |look: &mut Look, device: &mut Device, done: &dyn Fn(&Look) -> bool| {
+        while !done(look) {
+            let now = HostInstant::now();
+            if now.since(begun) > AT_MOST {
+                return Err(CheckupError::Slow { trips: look.trips.len() });
+            }
+            look.turn(device, now)?;
+        }
+        Ok(())
+    };
+    until(&mut look, device, &|look| look.session.is_surveyed())?;
+    look.trips.clear();
+    until(&mut look, device, &|look| {
+        let span =
+            |first: &Trip| look.trips.last().map_or(Duration::ZERO, |last| last.sent.since(first.sent));
+        look.trips.len() >= PINGS && look.trips.first().map(span) >= Some(SPAN)
+    })?;
+    look.session.survey(BURST);
+    until(&mut look, device, &|look| look.session.is_surveyed())?;
+    let hello = look.hello.ok_or(CheckupError::Lost("the device does not answer"))?;
+    Ok(Checkup {
+        hello,
+        round_trip: round_trip(&look.trips),
+        throughput_bytes_per_s: look.session.capacity(),
+        drift: drift(&look.trips),
+    })
+}
+
+struct Look {
+    session: Session,
+    hello: Option<DeviceHello>,
+    lost: Option<&'static str>,
+    trips: Vec<Trip>,
+}
+
+impl Look {
+    fn turn(&mut self, device: &mut Device, now: HostInstant) -> Result<(), CheckupError> {
+        let Self { session, hello, lost, trips } = self;
+        let mut tell = |event| match event {
+            Event::Opened(who) => *hello = Some(who),
+            Event::Lost(reason) => *lost = Some(reason.text()),
+            _ => {}
+        };
+        let mut bytes = [0; 1024];
+        loop {
+            let len = device.read(HostInstant::now(), &mut bytes).map_err(CheckupError::Gone)?;
+            if len == 0 {
+                break;
+            }
+            session.receive(HostInstant::now(), &bytes[..len], &mut tell);
+        }
+        trips.extend(session.take_trip());
+        session.listen(now, &mut tell);
+        if session.is_surveyed() && trips.last().is_none_or(|last| now.since(last.sent) >= PING_EVERY) {
+            session.ask();
+        }
+        let mut frame = [0; MAX_FRAME];
+        loop {
+            let len = session.transmit(HostInstant::now(), &mut frame, &mut tell);
+            if len == 0 {
+                break;
+            }
+            let mut unsent = &frame[..len];
+            while !unsent.is_empty() {
+                let sent = device.write(unsent).map_err(CheckupError::Gone)?;
+                unsent = &unsent[sent..];
+                if !unsent.is_empty() {
+                    if HostInstant::now().since(now) > STUCK {
+                        return Err(CheckupError::Gone(io::ErrorKind::TimedOut.into()));
+                    }
+                    wait(device, TURN.0, PollFlags::OUT);
+                }
+            }
+        }
+        if let Some(reason) = *lost {
+            return Err(CheckupError::Lost(reason));
+        }
+        let due = session.wake_at(now).since(HostInstant::now()).clamp(TURN.0, TURN.1);
+        wait(device, due, PollFlags::IN);
+        Ok(())
+    }
+}
+
+/// Waits until the device has something to say, or for so long.
+fn wait(device: &Device, time: Duration, what: PollFlags) {
+    let timeout = Timespec { tv_sec: 0, tv_nsec: time.subsec_nanos().into() };
+    // An early return only means an idle turn.
+    let _ = match device.wake() {
+        Some(wake) if what == PollFlags::IN || device.tells_room_by_writable() => {
+            poll(&mut [PollFd::from_borrowed_fd(wake, what)], Some(&timeout))
+        }
+        _ => poll(&mut [], Some(&timeout)),
+    };
+}
+
+fn round_trip(trips: &[Trip]) -> RoundTrip {
+    let mut us: Vec<f64> =
+        trips.iter().map(|trip| trip.received.since(trip.sent).as_secs_f64() * 1e6).collect();
+    us.sort_by(f64::total_cmp);
+    let at = |percent: usize| us.get((us.len() * percent / 100).min(us.len().saturating_sub(1)));
+    let at = |percent| at(percent).copied().unwrap_or(f64::NAN);
+    RoundTrip { count: us.len(), p50_us: at(50), p99_us: at(99), max_us: at(100) }
+}
+
+/// A line through (host time, tick) of the round trips that nothing held up.
+fn drift(trips: &[Trip]) -> Drift {
+    let half_s = |trip: &Trip| trip.received.since(trip.sent).as_secs_f64() / 2.0;
+    let shortest = trips.iter().map(half_s).fold(f64::INFINITY, f64::min);
+    let good = trips.iter().filter(|trip| half_s(trip) <= 1.5 * shortest + 20e-6);
+    let Some(first) = trips.first() else {
+        return Drift { ppm: f64::NAN, uncertainty_ppm: f64::NAN, seconds: 0.0 };
+    };
+    let points: Vec<(f64, f64)> = good
+        .map(|trip| {
+            let at = trip.sent.since(first.sent).as_secs_f64() + half_s(trip);
+            (at, trip.tick.since(first.tick) as f64 / f64::from(TICK_HZ))
+        })
+        .collect();
+    let count = points.len() as f64;
+    let mean = |of: fn(&(f64, f64)) -> f64| points.iter().map(of).sum::<f64>() / count;
+    let (mean_t, mean_k) = (mean(|point| point.0), mean(|point| point.1));
+    let sum =
+        |of: &dyn Fn(f64, f64) -> f64| points.iter().map(|(t, k)| of(t - mean_t, k - mean_k)).sum::<f64>();
+    let (tt, tk) = (sum(&|t, _| t * t), sum(&|t, k| t * k));
+    let slope = tk / tt;
+    let residual = sum(&|t, k| (k - slope * t).powi(2)) / (count - 2.0).max(1.0);
+    Drift {
+        ppm: (slope - 1.0) * 1e6,
+        uncertainty_ppm: 2.0 * (residual / tt).sqrt() * 1e6,
+        seconds: trips.last().map_or(0.0, |last| last.sent.since(first.sent).as_secs_f64()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use firmware_protocol::tick::Tick;
+
+    #[test]
+    fn a_fast_clock_is_measured_in_spite_of_round_trips_that_were_held_up() {
+        let trips: Vec<_> = (0..550u64)
+            .map(|i| {
+                let sent = 1_000_000_000 + i * 4_000_000;
+                let held = if i % 10 == 3 { 9_000_000 } else { i % 7 * 10_000 };
+                let ticks = (sent + 200_000) as f64 * (1.0 + 35e-6) * f64::from(TICK_HZ) * 1e-9;
+                let received = HostInstant::from_ns(sent + 400_000 + held);
+                Trip { sent: HostInstant::from_ns(sent), tick: Tick(ticks as u64), received }
+            })
+            .collect();
+        let drift = drift(&trips);
+        assert!((drift.ppm - 35.0).abs() <= drift.uncertainty_ppm.max(1.5), "{drift:?}");
+        assert!(drift.uncertainty_ppm < 5.0 && drift.seconds > 2.0, "{drift:?}");
+        let trip = round_trip(&trips);
+        assert!(trip.count == 550 && trip.p50_us < 470.0 && trip.p99_us > 9000.0, "{trip:?}");
+    }
+}

@@ -1,0 +1,115 @@
+//! How a device is named on the command line and in the configuration.
+
+use crate::device::find::Wanted;
+use std::fmt;
+use std::path::PathBuf;
+use std::str::FromStr;
+
+/// Which device to use.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum Spec {
+    /// The first board found, else the mock.
+    #[default]
+    Auto,
+    /// The first board found: what `auto` means once it has found one. Nobody writes it.
+    Board,
+    /// Controller and plant in this process, in wall time.
+    Mock,
+    /// The mock behind a pseudo-terminal, reached as a serial port.
+    Pty,
+    /// A serial port by its path.
+    Serial(PathBuf),
+    /// The serial port of a board.
+    Found(Wanted),
+    /// A board's own USB interface.
+    Usb(Wanted),
+}
+
+/// Not a device.
+#[derive(Debug, thiserror::Error)]
+#[error(
+    "device `{0}`: not one of auto, mock, pty, serial, serial:PATH, serial:SERIAL, serial:VID:PID[:SERIAL], usb, usb:SERIAL"
+)]
+pub struct BadSpec(String);
+
+impl Spec {
+    /// The board it stands for, if plugging one in may make it appear.
+    #[must_use]
+    pub fn board(&self) -> Option<Wanted> {
+        match self {
+            Self::Auto | Self::Board => Some(Wanted::default()),
+            Self::Found(wanted) | Self::Usb(wanted) => Some(wanted.clone()),
+            Self::Mock | Self::Pty | Self::Serial(_) => None,
+        }
+    }
+}
+
+impl FromStr for Spec {
+    type Err = BadSpec;
+    fn from_str(text: &str) -> Result<Self, BadSpec> {
+        let bad = || BadSpec(text.to_owned());
+        match text.split_once(':') {
+            None if text == "auto" => Ok(Self::Auto),
+            None if text == "mock" => Ok(Self::Mock),
+            None if text == "pty" => Ok(Self::Pty),
+            None if text == "serial" => Ok(Self::Found(Wanted::default())),
+            None if text == "usb" => Ok(Self::Usb(Wanted::default())),
+            Some(("serial", path)) if path.contains('/') => Ok(Self::Serial(path.into())),
+            Some(("serial", board)) => Wanted::parse(board).map(Self::Found).ok_or_else(bad),
+            Some(("usb", serial)) if !serial.contains(':') => {
+                Wanted::parse(serial).map(Self::Usb).ok_or_else(bad)
+            }
+            _ => Err(bad()),
+        }
+    }
+}
+
+impl fmt::Display for Spec {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let with = |out: &mut fmt::Formatter<'_>, name: &str, serial: &Option<String>| match serial {
+            Some(serial) => write!(out, "{name}:{serial}"),
+            None => out.write_str(name),
+        };
+        match self {
+            Self::Auto | Self::Board => out.write_str("auto"),
+            Self::Mock => out.write_str("mock"),
+            Self::Pty => out.write_str("pty"),
+            Self::Serial(path) => write!(out, "serial:{}", path.display()),
+            Self::Found(wanted) if wanted.ids == Wanted::default().ids => with(out, "serial", &wanted.serial),
+            Self::Found(Wanted { ids: (vendor, product), serial }) => {
+                with(out, &format!("serial:{vendor:04x}:{product:04x}"), serial)
+            }
+            Self::Usb(wanted) => with(out, "usb", &wanted.serial),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_device_is_written_as_it_is_read() {
+        for text in [
+            "auto",
+            "mock",
+            "pty",
+            "serial",
+            "serial:/dev/ttyACM0",
+            "serial:./board",
+            "serial:e66038b7",
+            "serial:2e8a:000a",
+            "serial:2e8a:000a:e6",
+            "usb",
+            "usb:e66038b7",
+        ] {
+            assert_eq!(text.parse::<Spec>().unwrap().to_string(), text);
+        }
+        let found = Spec::Found(Wanted::serial("e6"));
+        assert_eq!("serial:1209:0001:e6".parse::<Spec>().unwrap(), found);
+        for text in ["", "uart", "serial:", "usb:", "usb:1209:0001", "mock:1", "serial:12:34", "board"] {
+            let line = text.parse::<Spec>().unwrap_err().to_string();
+            assert!(line.contains("not one of") && !line.contains('\n'), "{line}");
+        }
+    }
+}

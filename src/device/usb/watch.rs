@@ -1,0 +1,40 @@
+//! Hotplug: says when something with a board's ids is plugged in, where libusb can tell.
+//!
+//! It has a context of its own, so that waiting for news holds up no transfer. What is plugged in may not be ready
+//! (its port is named and its rights are given a little later), nor a board: whoever is told looks.
+
+use crate::device::find::Wanted;
+use rusb::{Context, Device, Hotplug, HotplugBuilder, UsbContext};
+use std::io;
+use std::thread;
+
+struct Arrivals<F>(F);
+
+impl<F: FnMut() + Send> Hotplug<Context> for Arrivals<F> {
+    fn device_arrived(&mut self, _: Device<Context>) {
+        (self.0)();
+    }
+
+    fn device_left(&mut self, _: Device<Context>) {}
+}
+
+/// Calls `arrived` from a thread of its own whenever a device with these ids is plugged in, for as long as the process
+/// lives; `false` if this system cannot tell.
+///
+/// # Errors
+/// If the system gives no thread.
+pub fn watch(wanted: &Wanted, arrived: impl FnMut() + Send + 'static) -> io::Result<bool> {
+    // (`rusb::has_hotplug` panics on a system without USB; registering says the same.)
+    let Ok(context) = Context::new() else { return Ok(false) };
+    let (vendor, product) = wanted.ids;
+    let callback = Box::new(Arrivals(arrived));
+    let registered = HotplugBuilder::new().vendor_id(vendor).product_id(product).register(&context, callback);
+    let Ok(registration) = registered else { return Ok(false) };
+    thread::Builder::new().name("usb-watch".into()).spawn(move || {
+        // Dropped, it would be silent.
+        let _registration = registration;
+        // It returns now and then without news.
+        while context.handle_events(None).is_ok() {}
+    })?;
+    Ok(true)
+}
