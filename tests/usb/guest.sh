@@ -87,6 +87,12 @@ over() {
     local device=$2 boot before line from cut to
     echo "== $device"
 
+    # As somebody who may use boards and nothing else. What it finds of the machine is not judged here.
+    setpriv --reuid nobody --regid nogroup --groups dialout meissner doctor --device "$device" >out.log 2>&1
+    line=$(grep 'round trip' out.log) || fail "doctor: $(tail -n 3 out.log)"
+    ok "doctor: ${line#*round trip }"
+    grep -E '(device|line|drift) ' out.log | sed 's/^/      /'
+
     from=$(now)
     meissner daemon --config meissner.toml --device "$device" 2>daemon.log &
     daemon=$!
@@ -101,8 +107,6 @@ over() {
     [ $(($(used_ms $board) - before)) -le 400 ] || fail "idle: the board is busy"
 
     play 'play'
-    meissner doctor >out.log 2>&1
-    sed 's/^/      /' out.log
 
     timeout 5 meissner daemon --config meissner.toml --device "$device" --socket /run/n.sock 2>second.log
     line=$(grep -E 'in use|another' second.log) || fail "second: $(tail -n 1 second.log)"
@@ -149,9 +153,8 @@ over() {
 echo
 ok "guest: Debian $(cat /etc/debian_version), Linux $(uname -r), $(nproc) processors"
 modprobe -a vhci_hcd cdc_acm || fail "no modules"
-if [ -e 70-meissner.rules ]; then
-    cp 70-meissner.rules /etc/udev/rules.d/ && udevadm control --reload && echo "      udev: 70-meissner.rules"
-fi
+cp 70-meissner.rules /etc/udev/rules.d/ || fail "no udev rule"
+udevadm control --reload
 virtual-board $serial >board.log 2>&1 &
 board=$!
 within 5 grep -q 'plugged in at' board.log || fail "the board does not start"
@@ -160,11 +163,16 @@ lsusb -d 1209:0001 >out.log || fail "lsusb: no 1209:0001"
 strings=$(cd /sys/bus/usb/devices/1-1 && cat manufacturer product serial | paste -sd' ')
 [ "$strings" = "meissner meissner $serial" ] || fail "lsusb: strings are $strings"
 ok "lsusb: $(<out.log); strings $strings"
-lsusb -v -d 1209:0001 2>/dev/null | grep -E 'bDeviceClass|bInterfaceClass|bEndpointAddress|wMaxPacketSize' | sed 's/^ */      /'
-[ -c /dev/ttyACM0 ] || fail "no ttyACM"
-ok "tty: $port is $(readlink -f $port), $(stat -c '%A %U %G' /dev/ttyACM0)"
+lsusb -v -d 1209:0001 2>/dev/null | awk '/bInterfaceClass/ { $1 = $2 = ""; printf "\n     %s:", $0 }
+    /bEndpointAddress/ { printf " %s %s", $4, $5 } /wMaxPacketSize/ { printf " %s bytes", $4 } END { print "" }' | sed 1d
+for name in $port /dev/meissner-$serial; do
+    [ "$(readlink -f "$name")" = /dev/ttyACM0 ] || fail "tty: no $name"
+done
+ok "tty: $port, /dev/meissner-$serial: $(stat -c '%n %A %U %G' /dev/ttyACM0 /dev/bus/usb/001/002 | paste -sd,)"
 
 over path "serial:$port"
+over id serial:1209:0001
+over usb usb
 
 way=all
 detach
