@@ -92,11 +92,17 @@ impl core::error::Error for FrameError {}
 
 impl Default for Decoder {
     fn default() -> Self {
-        Self { buffer: [0; MAX_FRAME - 1], len: 0, overflow: false }
+        Self::new()
     }
 }
 
 impl Decoder {
+    /// Nothing begun.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self { buffer: [0; MAX_FRAME - 1], len: 0, overflow: false }
+    }
+
     /// Takes `bytes` up to the next delimiter and returns what was before it, the body of a message or
     /// an error; `None` when `bytes` is used up. Call it until then. Nothing between two zeros is no error.
     pub fn next<'a>(&'a mut self, bytes: &mut &[u8]) -> Option<Result<&'a [u8], FrameError>> {
@@ -126,7 +132,7 @@ impl Decoder {
 
     /// Forgets a frame begun: the line was cut.
     pub fn reset(&mut self) {
-        *self = Self::default();
+        *self = Self::new();
     }
 }
 

@@ -132,11 +132,11 @@ pub struct OnTime {
 impl OnTime {
     /// An empty account at `now`.
     #[must_use]
-    pub fn new(now: Tick) -> Self {
+    pub const fn new(now: Tick) -> Self {
         Self {
             limits: OnTimeLimits::NONE,
             bucket: 0,
-            next: now + BUCKET,
+            next: Tick(now.0.saturating_add(BUCKET)),
             ended: [[0; MOTORS]; BUCKETS],
             charged: [0; MOTORS],
         }

@@ -254,6 +254,21 @@ pub struct Counters {
     pub reports_lost: u64,
 }
 
+impl Counters {
+    /// Nothing yet.
+    pub const NONE: Self = Self {
+        played: 0,
+        pulses: 0,
+        dropped: 0,
+        late: 0,
+        refused: 0,
+        amended: 0,
+        amendments_ignored: 0,
+        bad_frames: 0,
+        reports_lost: 0,
+    };
+}
+
 /// What must reach the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Report {

@@ -3,7 +3,7 @@
 
 use crate::bench::{Bench, FIRMWARE, LEASE, SHELLS, Shell, arm, burst, pack, stroke};
 use Direction::{Down, Up};
-use firmware_protocol::controller::{Controller, Identity, POOL, TRIGGER_TICKS};
+use firmware_protocol::controller::{Identity, POOL, TRIGGER_TICKS};
 use firmware_protocol::limits::{OnTimeLimits, Refusal};
 use firmware_protocol::message::{Cause, DeviceMessage, HostMessage, Op, Report, State};
 use firmware_protocol::stroke::{Burst, Direction, MOTORS, Stroke};
@@ -870,7 +870,7 @@ fn an_e_stop_seen_before_its_frame_counts_once_and_from_where_it_was_seen() {
 #[test]
 fn why_it_started_is_told_until_something_else_happens() {
     let mut bench = Bench::new(FIRMWARE);
-    bench.device = Controller::new(Identity::default()).because(Cause::Watchdog);
+    bench.device.introduce(Identity { boot: 9, ..Identity::default() }, Cause::Watchdog);
     bench.hello(1);
     bench.ping(1);
     assert_eq!((bench.status().cause, bench.status().position_known), (Cause::Watchdog, false));

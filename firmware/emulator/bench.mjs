@@ -17,7 +17,7 @@ export class Bench {
       this.received[pipe].push(bytes);
       if (this.until === pipe) board.stop();
     };
-    host.onOut = (pipe) => this.packets.push([pipe, board.clock.cycle]);
+    host.onOut = (pipe, bytes) => this.packets.push([pipe, board.clock.cycle, bytes]);
     host.onConfigured = () => this.until === 'configured' && board.stop();
   }
   clear() {

@@ -51,7 +51,7 @@ export class UsbHost {
     this.wantsDtr = false;
     this.out = { cdc: new Outbox(), bulk: new Outbox() };
     this.onIn = () => {}; // (pipe, bytes)
-    this.onOut = () => {}; // (pipe): a data packet has been accepted
+    this.onOut = () => {}; // (pipe, bytes): a data packet has been accepted
     this.onConfigured = () => {};
     this.toggleErrors = 0;
     this.configured = false;
@@ -291,7 +291,7 @@ export class UsbHost {
     if (!this.device.giveOut(pipe.ep, bytes, pipe.data1)) this.toggleErrors++;
     this.out[pipe.name].drop(bytes.length);
     pipe.data1 = !pipe.data1;
-    this.onOut(pipe.name);
+    this.onOut(pipe.name, bytes.length);
   }
   inPacket(pipe) {
     if (this.device.state(pipe.ep, false) !== 'ready') return;

@@ -19,7 +19,7 @@ pub(crate) const ENABLED: u32 = 1 << ENABLE | 1 << LED;
 /// The trigger's bit.
 pub(crate) const TRIGGERED: u32 = 1 << TRIGGER;
 /// All outputs, in the order in which they are forced low: the drivers' supply first.
-pub(crate) static OUTPUTS: [u8; MOTORS + 3] = {
+pub(crate) const OUTPUTS: [u8; MOTORS + 3] = {
     let mut all = [0; MOTORS + 3];
     (all[0], all[1], all[2]) = (ENABLE, TRIGGER, LED);
     let mut line = 0;

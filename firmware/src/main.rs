@@ -27,7 +27,7 @@ use embassy_rp::config::Config;
 use embassy_rp::flash::{Blocking, Flash};
 use embassy_rp::interrupt;
 use embassy_rp::interrupt::{InterruptExt, Priority};
-use firmware_protocol::controller::{Controller, Identity};
+use firmware_protocol::controller::Identity;
 use static_cell::StaticCell;
 
 // Where the second boot stage goes to, as to a vector table: copies the code to RAM (see `memory.x`), then goes on as
@@ -65,7 +65,7 @@ async fn main(_spawner: Spawner) {
     interrupt::USBCTRL_IRQ.set_priority(Priority::P0);
 
     let (usb, ports) = usb::new(chip.USB, serial_number(chip.FLASH));
-    shell::start(Controller::new(identity()).because(cause), ports);
+    shell::start(identity(), cause, ports);
     wave::start(&mut core.SYST);
     join(usb.run(), fault::feed(watchdog)).await;
 }

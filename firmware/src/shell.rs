@@ -12,7 +12,7 @@ use core::mem::MaybeUninit;
 use core::sync::atomic::{AtomicU32, Ordering::SeqCst};
 use embassy_rp::interrupt;
 use embassy_rp::interrupt::{InterruptExt, Priority};
-use firmware_protocol::controller::{BLOCK, Controller, HORIZON, newer};
+use firmware_protocol::controller::{BLOCK, Controller, HORIZON, Identity, newer};
 use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::message::{Cause, State};
 use firmware_protocol::tick::Tick;
@@ -29,13 +29,15 @@ static EPOCH: AtomicU32 = AtomicU32::new(0);
 static E_STOP: AtomicU32 = AtomicU32::new(0);
 const OPEN: u32 = 1 << 16;
 
-struct Owned(UnsafeCell<MaybeUninit<Shell>>);
-// SAFETY: `start` fills it before the interrupt is enabled; after that only the interrupt touches it.
-unsafe impl Sync for Owned {}
-static SHELL: Owned = Owned(UnsafeCell::new(MaybeUninit::uninit()));
+struct Owned<T>(UnsafeCell<T>);
+// SAFETY: `start` alone touches what is in it before the interrupt is enabled, and after that the interrupt alone.
+unsafe impl<T> Sync for Owned<T> {}
+/// Made by the compiler: it would take the better part of the stack.
+static CONTROLLER: Owned<Controller> = Owned(UnsafeCell::new(Controller::new(Identity::NONE)));
+static SHELL: Owned<MaybeUninit<Shell>> = Owned(UnsafeCell::new(MaybeUninit::uninit()));
 
 struct Shell {
-    controller: Controller,
+    controller: &'static mut Controller,
     ports: usb::Ports,
     /// The pipe whose host has the session.
     active: usize,
@@ -46,7 +48,10 @@ struct Shell {
 }
 
 /// Takes the controller and begins.
-pub(crate) fn start(controller: Controller, ports: usb::Ports) {
+pub(crate) fn start(identity: Identity, cause: Cause, ports: usb::Ports) {
+    // SAFETY: this is called once, before the interrupt is enabled.
+    let controller = unsafe { &mut *CONTROLLER.0.get() };
+    controller.introduce(identity, cause);
     let shell = Shell {
         controller,
         ports,

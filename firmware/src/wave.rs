@@ -212,11 +212,24 @@ pub(crate) fn force_low() {
     let mut low = pac::io::regs::GpioCtrl(0);
     low.set_funcsel(PIO_FUNCTION);
     low.set_outover(pac::io::vals::Outover::LOW);
-    for pin in &OUTPUTS {
-        pac::IO_BANK0.gpio((*pin).into()).ctrl().write_value(low);
+    for control in &CONTROLS {
+        // SAFETY: these registers are always there; nothing else of them is in use.
+        unsafe { (*control as *mut u32).write_volatile(low.0) };
     }
     FORCED.store(true, SeqCst);
 }
+
+/// The control registers of all outputs. An e-stop has no time to work them out.
+static CONTROLS: [usize; OUTPUTS.len()] = {
+    let mut registers = [0; OUTPUTS.len()];
+    let mut at = 0;
+    while at < OUTPUTS.len() {
+        // IO_BANK0: a status and a control register for each pin.
+        registers[at] = 0x4001_4004 + 8 * OUTPUTS[at] as usize;
+        at += 1;
+    }
+    registers
+};
 
 /// Forces all outputs low and stops time for the controller, until [`go_on`].
 pub(crate) fn freeze_low() {

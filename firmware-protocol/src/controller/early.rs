@@ -15,10 +15,14 @@ pub(super) struct Frame {
     pub(super) batch: heapless::Vec<u8, BATCH_BYTES>,
 }
 
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Early(heapless::Vec<Frame, EARLY>);
 
 impl Early {
+    pub(super) const fn new() -> Self {
+        Self(heapless::Vec::new())
+    }
+
     /// Keeps a frame if it is one of the [`EARLY`] behind `next` and not kept yet.
     pub(super) fn keep(&mut self, next: u16, seq: u16, onset: bool, base: Tick, batch: &[u8]) {
         let ahead = usize::from(seq.wrapping_sub(next));

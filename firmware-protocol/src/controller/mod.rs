@@ -71,12 +71,16 @@ pub struct Run {
 }
 
 /// What waits to be sent, besides reports.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 struct Pending {
     hello: bool,
     no_session: bool,
     status: bool,
     telemetry: Option<(WireTick, [i32; MOTORS])>,
+}
+
+impl Pending {
+    const NONE: Self = Self { hello: false, no_session: false, status: false, telemetry: None };
 }
 
 /// The controller of one array.
@@ -126,26 +130,31 @@ pub struct Controller {
 
 const NEVER: Tick = Tick(u64::MAX);
 
+impl Identity {
+    /// Nobody yet.
+    pub const NONE: Self = Self { firmware: [0; 3], build: [0; 4], boot: 0, features: 0 };
+}
+
 impl Controller {
     /// A controller that has just started: lines off, position unknown, clock at [`Tick::BOOT`].
     #[must_use]
-    pub fn new(identity: Identity) -> Self {
+    pub const fn new(identity: Identity) -> Self {
         Self::starting_at(identity, Tick::BOOT)
     }
 
     /// Like [`Self::new`] with another start of the clock: for tests of long runs.
     #[must_use]
-    pub fn starting_at(identity: Identity, now: Tick) -> Self {
+    pub const fn starting_at(identity: Identity, now: Tick) -> Self {
         Self {
             identity,
-            decoder: Decoder::default(),
+            decoder: Decoder::new(),
             session: None,
             token: 0,
             epoch: 0,
             refusal: None,
             next_seq: 0,
-            early: Early::default(),
-            pending: Pending::default(),
+            early: Early::new(),
+            pending: Pending::NONE,
             reports: Reports::new(),
             last_cut: None,
             state: State::Disarmed,
@@ -157,7 +166,7 @@ impl Controller {
             lease: MAX_LEASE,
             heard: now,
             now,
-            counters: Counters::default(),
+            counters: Counters::NONE,
             pool: Pool::new(),
             marks: heapless::Deque::new(),
             on_time: OnTime::new(now),
@@ -171,10 +180,9 @@ impl Controller {
         }
     }
 
-    /// The same, and the host is told why it started: a panic, the watchdog.
-    #[must_use]
-    pub fn because(self, cause: Cause) -> Self {
-        Self { cause, ..self }
+    /// Says who it is and why it has started (a panic, the watchdog): for a shell that learns it later.
+    pub fn introduce(&mut self, identity: Identity, cause: Cause) {
+        (self.identity, self.cause) = (identity, cause);
     }
 
     /// What it is doing.
@@ -269,7 +277,7 @@ impl Controller {
         self.pass(now);
         self.disarm(Cause::LinkLost);
         self.session = None;
-        self.pending = Pending::default();
+        self.pending = Pending::NONE;
         self.decoder.reset();
     }
 

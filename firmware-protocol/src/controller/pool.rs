@@ -43,7 +43,7 @@ pub(super) struct Slot {
 }
 
 impl Slot {
-    pub(super) fn new(stroke: Stroke, kind: Kind) -> Self {
+    pub(super) const fn new(stroke: Stroke, kind: Kind) -> Self {
         let planned = [stroke.up_pulses, stroke.down_pulses];
         Self { stroke, planned, generation: [None; 2], kind, charged: None, cut: false, next: NONE }
     }
@@ -126,13 +126,14 @@ pub(super) struct Pool {
 }
 
 impl Pool {
-    pub(super) fn new() -> Self {
+    pub(super) const fn new() -> Self {
         let nothing = Stroke { motor: 0, up: Tick(0), up_pulses: 0, down: Tick(0), down_pulses: 0 };
         let mut slots = [Slot::new(nothing, Kind::Void); POOL];
-        for (slot, next) in slots.iter_mut().zip(1..) {
-            slot.next = next;
+        let mut next = 1;
+        while next < POOL {
+            slots[next - 1].next = next as u16;
+            next += 1;
         }
-        slots[POOL - 1].next = NONE;
         let queue = Queue { head: NONE, cursor: NONE, tail: NONE, len: 0, plays: 0 };
         Self { slots, free: 0, used: 0, queues: [queue; MOTORS] }
     }

@@ -24,7 +24,7 @@ pub(super) struct Reports {
 }
 
 impl Reports {
-    pub(super) fn new() -> Self {
+    pub(super) const fn new() -> Self {
         Self { ring: heapless::Deque::new(), made: 0, sent: 0, repeated: Tick(0) }
     }
 

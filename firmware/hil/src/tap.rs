@@ -138,7 +138,9 @@ impl Tap {
             }
             HostMessage::Strokes { epoch, seq, .. } if self.seen.contains(&(epoch, seq)) => return,
             // Of another epoch, as a session sends them to measure the line: acknowledged and ignored.
-            HostMessage::Strokes { epoch, .. } if self.epoch.is_some_and(|present| present != epoch) => return,
+            HostMessage::Strokes { epoch, .. } if self.epoch.is_some_and(|present| present != epoch) => {
+                return;
+            }
             HostMessage::Strokes { epoch, seq, onset, base, batch, .. } => {
                 // Numbers come again after 65 536 frames; the window is a few.
                 if self.seen.len() > 64 {

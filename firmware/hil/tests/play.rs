@@ -1,8 +1,8 @@
 //! One play on the chip, armed and played to its end, judged.
 
 use meissner::pattern::Pattern;
-use meissner::stream::port::{At, Job, LatePolicy, Notice, Outcome};
 use meissner::stream::Need;
+use meissner::stream::port::{At, Job, LatePolicy, Notice, Outcome};
 use meissner::strokes::Strokes;
 use meissner_hil::bench::Which;
 use meissner_hil::bench::chip::ChipOptions;

@@ -10,7 +10,9 @@ use std::env;
 use std::fs;
 
 const FLASH: std::ops::Range<u32> = 0x1000_0000..0x1020_0000;
+/// Banks 0 to 3, as `memory.x` divides them.
 const RAM: std::ops::Range<u32> = 0x2000_0000..0x2004_0000;
+const STACK: u32 = 32 << 10;
 /// What a block carries: a page of flash.
 const PAGE: usize = 256;
 /// The RP2040's number among UF2 families.
@@ -46,10 +48,7 @@ fn main() -> Result<()> {
     };
     let ram: u32 = sections.iter().filter(in_ram).map(|section| section.sh_size(endian)).sum();
     let (all_flash, all_ram) = (FLASH.end - FLASH.start, RAM.end - RAM.start);
-    println!(
-        "flash {flash} of {all_flash} bytes; RAM {ram} of {all_ram} bytes, {} for the stack",
-        all_ram - ram
-    );
+    println!("flash {flash} of {all_flash} bytes; RAM {ram} of {all_ram} bytes, and {STACK} for the stack");
     println!("{uf2}: {} bytes", written.len());
     Ok(())
 }

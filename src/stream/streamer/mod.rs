@@ -267,7 +267,11 @@ impl Streamer {
             && self.controls.is_empty()
             && self.closing.is_none()
             && self.state() != State::Returning;
-        let Some(session) = &self.session else { return now + Duration::from_secs(3600) };
+        let Some(session) = &self.session else {
+            // That it is gone is still to be told.
+            let far = if self.told_there { Duration::ZERO } else { Duration::from_secs(3600) };
+            return now + far;
+        };
         let next = session.wake_at(now).min(self.snapshot_due);
         if quiet && session.is_open() { next } else { next.min(now + BUSY_EVERY) }
     }

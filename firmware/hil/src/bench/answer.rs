@@ -22,7 +22,7 @@ struct Head {
     #[serde(default)]
     bulk: usize,
     #[serde(default)]
-    packets: Vec<(String, u64)>,
+    packets: Vec<(String, u64, u64)>,
     #[serde(default)]
     configured: bool,
     #[serde(default)]
@@ -46,8 +46,8 @@ pub struct Answer {
     pub cdc: Vec<u8>,
     /// Bytes from the bulk function.
     pub bulk: Vec<u8>,
-    /// Packets that the chip has taken, each with its pipe and cycle.
-    pub packets: Vec<(String, u64)>,
+    /// Packets that the chip has taken, each with its pipe, cycle and length.
+    pub packets: Vec<(String, u64, u64)>,
     /// Whether the host has configured the device.
     pub configured: bool,
     /// Resets since power-up.
@@ -147,14 +147,14 @@ mod tests {
         tail.extend(0x1_0000_0002u64.to_le_bytes());
         tail.extend(0x1000_0001u32.to_le_bytes());
         tail.extend([10, 0, 13, 7]);
-        let line = r#"{"cycle":9,"levels":1,"cdc":3,"bulk":1,"packets":[["cdc",5]],"configured":true,"resets":1,"instructions":4,"asleep":2}"#;
+        let line = r#"{"cycle":9,"levels":1,"cdc":3,"bulk":1,"packets":[["cdc",5,64]],"configured":true,"resets":1,"instructions":4,"asleep":2}"#;
         let mut bytes = canned(line, &tail);
         bytes.extend(canned(r#"{"cycle":10,"levels":0,"cdc":0,"bulk":0,"packets":[],"configured":true,"resets":1,"hex":"0aff"}"#, &[]));
         let mut bytes = &bytes[..];
         let first = Answer::read(&mut bytes).unwrap();
         assert_eq!(first.levels, [(0x1_0000_0002, 0x1000_0001)]);
         assert_eq!((&first.cdc[..], &first.bulk[..], first.cycle), (&[10, 0, 13][..], &[7][..], 9));
-        assert_eq!((first.packets, first.resets), (vec![("cdc".to_owned(), 5)], 1));
+        assert_eq!((first.packets, first.resets), (vec![("cdc".to_owned(), 5, 64)], 1));
         assert_eq!(Answer::read(&mut bytes).unwrap().memory, [10, 255]);
         assert!(matches!(Answer::read(&mut bytes), Err(AnswerError::Gone(_))));
     }

@@ -5,6 +5,8 @@
 use crate::bench::answer::{Answer, AnswerError, hex};
 use crate::bench::{BenchError, CpuEvent, Function, Heard};
 use crate::pins::Pins;
+use firmware_protocol::urgent::{Urgent, Watch};
+use std::collections::VecDeque;
 use std::io::{BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
@@ -45,8 +47,15 @@ pub struct ChipBench {
     heard: Heard,
     /// The pins since the last reset.
     pub pins: Pins,
-    /// Packets from the host that the chip has taken: pipe and cycle.
-    pub packets: Vec<(String, u64)>,
+    /// Bytes written and taken so far.
+    written: u64,
+    taken: u64,
+    /// Looks for e-stops in what is written.
+    watch: Watch,
+    /// Where in the bytes written the e-stops end that the chip has not taken.
+    e_stops: VecDeque<u64>,
+    /// When the chip took the packets in which e-stops end.
+    pub e_stopped: Vec<u64>,
 }
 
 impl ChipBench {
@@ -73,7 +82,19 @@ impl ChipBench {
         };
         let (last, heard, pins) = (Answer::default(), Heard::default(), Pins::default());
         let from = BufReader::with_capacity(1 << 16, from);
-        Ok(Self { process, to, from, last, heard, pins, packets: Vec::new() })
+        Ok(Self {
+            process,
+            to,
+            from,
+            last,
+            heard,
+            pins,
+            written: 0,
+            taken: 0,
+            watch: Watch::new(),
+            e_stops: VecDeque::new(),
+            e_stopped: Vec::new(),
+        })
     }
 
     /// The emulator's clock.
@@ -112,6 +133,12 @@ impl ChipBench {
     pub fn write(&mut self, function: Function, bytes: &[u8]) -> Result<(), BenchError> {
         if bytes.is_empty() {
             return Ok(());
+        }
+        for byte in bytes {
+            self.written += 1;
+            if let Some(Urgent::EStop(_)) = self.watch.look(&[*byte]) {
+                self.e_stops.push_back(self.written);
+            }
         }
         let name = function.name();
         self.ask(&serde_json::json!({ name: hex(bytes) }))
@@ -165,7 +192,13 @@ impl ChipBench {
         for (cycle, levels) in answer.levels.drain(..) {
             self.pins.change(cycle, levels);
         }
-        self.packets.append(&mut answer.packets);
+        for (_, cycle, bytes) in answer.packets.drain(..) {
+            self.taken += bytes;
+            while self.e_stops.front().is_some_and(|&end| end <= self.taken) {
+                self.e_stops.pop_front();
+                self.e_stopped.push(cycle);
+            }
+        }
         self.heard.cdc.append(&mut answer.cdc);
         self.heard.bulk.append(&mut answer.bulk);
         self.last = answer;

@@ -108,7 +108,8 @@ impl MockBench {
         while let Some(body) = decoder.next(&mut bytes) {
             if matches!(frame::read(body), Ok(HostMessage::Hello { .. })) {
                 self.function = function;
-                self.mock.unplug();
+                // Ends what the host before may have begun to say.
+                self.mock.write(&[0]);
                 self.mock.write(all);
                 return;
             }

@@ -11,8 +11,8 @@ use firmware_protocol::frame::{MAX_FRAME, encode};
 use firmware_protocol::message::HostMessage;
 use firmware_protocol::stroke::{Direction, Stroke};
 use firmware_protocol::tick::Tick;
-use meissner::stream::{Need, cause_text};
 use meissner::stream::port::{At, Job, LatePolicy, Notice, Play};
+use meissner::stream::{Need, cause_text};
 use meissner::strokes::Strokes;
 
 /// A greeting comes within so many ms of a boot.
@@ -91,7 +91,15 @@ impl Runner<'_> {
                 let strokes = Strokes::new(&pattern(name)?, Some(*seconds))?;
                 let (id, at) = (self.ordered, At::Tick(tick(*onset_ms)));
                 let late = LatePolicy::Drop;
-                Job::Play(Box::new(Play { id, strokes, at, late, replace: false, open_loop: true, need: Need::default() }))
+                Job::Play(Box::new(Play {
+                    id,
+                    strokes,
+                    at,
+                    late,
+                    replace: false,
+                    open_loop: true,
+                    need: Need::default(),
+                }))
             }
             Act::Stop => Job::Stop,
             Act::Estop => Job::EStop,
