@@ -30,7 +30,7 @@ impl Controller {
             let strokes = self.pool.flush(motor, begun);
             flushed += strokes;
             self.counters.dropped += 2 * u64::from(strokes);
-            self.change(motor, at);
+            self.change_by(motor, at);
         }
         self.next_end = at;
         self.finish_cut(cause, true, flushed, owed, at);
@@ -70,8 +70,8 @@ impl Controller {
                     flushed += u16::from(!begun);
                 }
             }
-            self.changes[motor] = NEVER;
         }
+        self.waiting = 0;
         self.lines = Lines::OFF;
         self.off_until = self.rendered;
         self.state = State::Faulted;
@@ -115,7 +115,12 @@ impl Controller {
         }
         self.next_end = NEVER;
         for motor in 0..MOTORS {
-            while self.pool.head(motor).is_some_and(|slot| slot.stroke.end() <= now) {
+            while let Some(head) = self.pool.head(motor) {
+                let end = head.stroke.end();
+                if end > now {
+                    self.next_end = self.next_end.min(end);
+                    break;
+                }
                 let Some(slot) = self.pool.pop(motor) else { break };
                 if let Some(charged) = slot.charged {
                     self.on_time.end(self.rendered, motor, charged, slot.stroke.pulses());
@@ -131,9 +136,6 @@ impl Controller {
                         played.iter().zip(slot.planned).filter(|&(&played, planned)| played != planned);
                     self.counters.amended += changed.count() as u64;
                 }
-            }
-            if let Some(head) = self.pool.head(motor) {
-                self.next_end = self.next_end.min(head.stroke.end());
             }
         }
     }

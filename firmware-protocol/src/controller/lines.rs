@@ -4,7 +4,7 @@ use crate::controller::pool::Kind;
 use crate::controller::reports::RESERVE;
 use crate::controller::{Controller, NEVER, Run, TRIGGER_TICKS};
 use crate::message::Report;
-use crate::stroke::{Line, MOTORS, Stroke};
+use crate::stroke::{Line, Stroke};
 use crate::tick::Tick;
 
 impl Controller {
@@ -16,13 +16,28 @@ impl Controller {
         }
         let (trigger, mut change) = self.trigger();
         if self.next_change <= self.rendered {
-            self.next_change = NEVER;
-            for motor in 0..MOTORS {
-                if self.changes[motor] <= self.rendered {
-                    self.step(motor);
+            let now = self.rendered.0 as u32;
+            let (mut due, mut nearest) = (0u32, i32::MAX);
+            for (motor, change) in self.changes.iter().enumerate() {
+                let ahead = change.wrapping_sub(now).cast_signed();
+                if self.waiting >> motor & 1 == 0 {
+                } else if ahead <= 0 {
+                    due |= 1 << motor;
+                } else if ahead < nearest {
+                    nearest = ahead;
                 }
-                self.next_change = self.next_change.min(self.changes[motor]);
             }
+            let mut motor = 0;
+            while due >> motor != 0 {
+                if due >> motor & 1 == 1
+                    && let Some(until) = self.step(motor)
+                {
+                    nearest = nearest.min((until - self.rendered) as i32);
+                }
+                motor += 1;
+            }
+            let none = self.waiting == 0;
+            self.next_change = if none { NEVER } else { self.rendered + u64::from(nearest.cast_unsigned()) };
         }
         change = change.min(self.next_change);
         let ticks = (change - self.rendered).min(max.into());
@@ -47,14 +62,19 @@ impl Controller {
         self.triggered = onset + u64::from(TRIGGER_TICKS);
     }
 
-    /// The line of `motor` changes at `tick`.
-    pub(super) fn change(&mut self, motor: usize, tick: Tick) {
-        self.changes[motor] = tick;
+    /// The line of `motor` has to be looked at when `tick` is rendered, or before.
+    pub(super) fn change_by(&mut self, motor: usize, tick: Tick) {
+        let bit = 1 << motor;
+        let low = tick.0 as u32;
+        if self.waiting & bit == 0 || self.changes[motor].wrapping_sub(low).cast_signed() > 0 {
+            self.changes[motor] = low;
+        }
+        self.waiting |= bit;
         self.next_change = self.next_change.min(tick);
     }
 
-    /// Brings one line to the rendered end: what its slots say about that tick.
-    fn step(&mut self, motor: usize) {
+    /// Brings one line to the rendered end: what its slots say about that tick. Returns when it changes next.
+    fn step(&mut self, motor: usize) -> Option<Tick> {
         let now = self.rendered;
         let (line, until) = loop {
             let index = self.pool.queues[motor].cursor;
@@ -91,6 +111,11 @@ impl Controller {
         if let Line::Pulse(direction) = line {
             *self.lines.mask_mut(direction) |= bit;
         }
-        self.changes[motor] = until;
+        self.changes[motor] = until.0 as u32;
+        if until == NEVER {
+            self.waiting &= !bit;
+            return None;
+        }
+        Some(until)
     }
 }

@@ -116,8 +116,10 @@ pub struct Controller {
     on_time: OnTime,
     rendered: Tick,
     lines: Lines,
-    /// Per motor, when its line changes next.
-    changes: [Tick; MOTORS],
+    /// Per motor, when its line changes next, if its bit in `waiting` is set: the low half of a tick. The loop over
+    /// all lines is where a small chip's time goes.
+    changes: [u32; MOTORS],
+    waiting: u32,
     /// No line changes before.
     next_change: Tick,
     /// No stroke ends before.
@@ -172,7 +174,8 @@ impl Controller {
             on_time: OnTime::new(now),
             rendered: now,
             lines: Lines::OFF,
-            changes: [NEVER; MOTORS],
+            changes: [0; MOTORS],
+            waiting: 0,
             next_change: NEVER,
             next_end: NEVER,
             triggered: now,
@@ -515,7 +518,7 @@ impl Controller {
         let queued = self.pool.push(slot);
         if idle && queued {
             // The line may still have to come to the rendered end, where the last stroke was over.
-            self.change(motor, self.changes[motor].min(slot.stroke.up));
+            self.change_by(motor, slot.stroke.up);
         }
         self.next_end = self.next_end.min(slot.stroke.end());
         queued

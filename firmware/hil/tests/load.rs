@@ -25,6 +25,6 @@ fn full_load_is_played_whole() {
 }
 
 #[test]
-fn full_load_is_played_whole_by_a_core_at_half_the_speed() {
-    full_load(2.0);
+fn full_load_is_played_whole_by_a_core_a_sixth_slower() {
+    full_load(1.2);
 }
