@@ -99,9 +99,8 @@ pub(crate) fn start(syst: &mut SYST) {
         pac::IO_BANK0.gpio(pin.into()).ctrl().write(|w| w.set_funcsel(PIO_FUNCTION));
     }
     // From GPIO 0 to the last; those in between that are not outputs are not the PIO's, and do not change.
-    machine.pinctrl().write(|w| {
-        w.set_out_count(32 - OUTPUTS.map(mask).iter().fold(0, |a, b| a | b).leading_zeros() as u8)
-    });
+    let last = OUTPUTS.into_iter().max().unwrap_or(0);
+    machine.pinctrl().write(|w| w.set_out_count(last + 1));
 
     let ring = RING.0.get() as u32;
     let feed = pac::DMA.ch(FEED);
@@ -149,10 +148,6 @@ pub(crate) fn start(syst: &mut SYST) {
 
 const PIO_FUNCTION: u8 = 6;
 
-fn mask(pin: u8) -> u32 {
-    1 << pin
-}
-
 #[exception]
 fn SysTick() {
     let low = BLOCKS[0].load(SeqCst).wrapping_add(1);
@@ -182,7 +177,7 @@ fn running() -> Tick {
             let cycles = if left == 0 { 0 } else { BLOCK_CYCLES - left };
             let blocks = (u64::from(high) << 32 | u64::from(low)) + u64::from(pending);
             // cycles / 1500, exact below 24 000.
-            return Tick::BOOT + (blocks * u64::from(BLOCK) + u64::from(cycles * 11_185 >> 24));
+            return Tick::BOOT + (blocks * u64::from(BLOCK) + u64::from((cycles * 11_185) >> 24));
         }
     }
 }
@@ -196,14 +191,13 @@ pub(crate) fn write(tick: Tick, run: &Run, enabled: bool) {
     let (up, down) = (board::gpios(run.lines.up), board::gpios(run.lines.down));
     let held = if enabled { ENABLED } else { 0 } | if run.trigger { TRIGGERED } else { 0 };
     let words = [held | up | down, held | down, held, held];
-    let mut at = (tick.0 - Tick::BOOT.0) as usize;
-    for _ in 0..run.ticks {
+    let first = (tick.0 - Tick::BOOT.0) as usize % RING_TICKS;
+    for at in first..first + run.ticks as usize {
         let place = RING.0.get().cast::<[u32; WORDS]>().wrapping_add(at % RING_TICKS).cast::<u32>();
         for (i, word) in words.into_iter().enumerate() {
             // SAFETY: the index is within the ring; the DMA may read the word at any time.
             unsafe { place.wrapping_add(i).write_volatile(word) };
         }
-        at += 1;
     }
 }
 
