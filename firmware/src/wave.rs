@@ -239,12 +239,16 @@ pub(crate) fn go_on() {
     FROZEN.store(false, SeqCst);
 }
 
-/// Lets the outputs follow the waveform again.
+/// Lets the outputs follow the waveform again, unless an e-stop has come meanwhile.
 pub(crate) fn release() {
-    if FORCED.load(SeqCst) && !FROZEN.load(SeqCst) {
-        for pin in OUTPUTS {
-            pac::IO_BANK0.gpio(pin.into()).ctrl().write(|w| w.set_funcsel(PIO_FUNCTION));
+    // The e-stop's interrupt must not come in between, or some pins would be let go after it.
+    critical_section::with(|_| {
+        if FORCED.load(SeqCst) && !FROZEN.load(SeqCst) {
+            for control in &CONTROLS {
+                // SAFETY: as in `force_low`.
+                unsafe { (*control as *mut u32).write_volatile(PIO_FUNCTION.into()) };
+            }
+            FORCED.store(false, SeqCst);
         }
-        FORCED.store(false, SeqCst);
-    }
+    });
 }
