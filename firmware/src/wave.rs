@@ -136,13 +136,14 @@ pub(crate) fn start(syst: &mut SYST) {
     syst.set_reload(BLOCK_CYCLES - 1);
     syst.clear_current();
     syst.enable_interrupt();
-    // Together, but for a few cycles.
+    // The clock is ahead of the pins by some cycles, so that none is high as a tick begins: a force that comes just
+    // then cuts pulses of the tick that it is booked in.
     cortex_m::interrupt::free(|_| {
+        syst.enable_counter();
         pac::PIO0.ctrl().write(|w| {
             w.set_sm_enable(1);
             w.set_clkdiv_restart(1);
         });
-        syst.enable_counter();
     });
 }
 
@@ -160,11 +161,11 @@ fn SysTick() {
 
 /// The tick on the pins, or the one at which an e-stop was seen that the controller has not been told of.
 pub(crate) fn now() -> Tick {
-    if FROZEN.load(SeqCst) { Tick(join(&FROZEN_AT)) } else { running() }
+    if FROZEN.load(SeqCst) { Tick(join(&FROZEN_AT)) } else { running(0) }
 }
 
-/// The tick on the pins. From any context.
-fn running() -> Tick {
+/// The tick that was on the pins so many cycles (of less than a block) ago. From any context.
+fn running(ago: u32) -> Tick {
     loop {
         let (high, low) = (BLOCKS[1].load(SeqCst), BLOCKS[0].load(SeqCst));
         let pending = SCB::is_pendst_pending();
@@ -175,7 +176,13 @@ fn running() -> Tick {
         {
             // The exception comes as the counter reaches 0, one cycle before it is reloaded.
             let cycles = if left == 0 { 0 } else { BLOCK_CYCLES - left };
-            let blocks = (u64::from(high) << 32 | u64::from(low)) + u64::from(pending);
+            let mut blocks = (u64::from(high) << 32 | u64::from(low)) + u64::from(pending);
+            let cycles = if cycles >= ago {
+                cycles - ago
+            } else {
+                blocks = blocks.saturating_sub(1);
+                cycles + BLOCK_CYCLES - ago
+            };
             // cycles / 1500, exact below 24 000.
             return Tick::BOOT + (blocks * u64::from(BLOCK) + u64::from((cycles * 11_185) >> 24));
         }
@@ -225,10 +232,15 @@ static CONTROLS: [usize; OUTPUTS.len()] = {
     registers
 };
 
+/// Cycles from the last pin's being forced low to reading the clock, and those by which it is ahead of the pins:
+/// measured in the emulator; some dozens more or less book a pulse that was cut short as played or not.
+const SINCE_FORCED: u32 = 180;
+
 /// Forces all outputs low and stops time for the controller, until [`go_on`].
 pub(crate) fn freeze_low() {
     force_low();
-    let at = now();
+    // Pulses of this tick and no later one have begun, if only for the time that forcing takes.
+    let at = running(SINCE_FORCED);
     FROZEN_AT[0].store(at.0 as u32, SeqCst);
     FROZEN_AT[1].store((at.0 >> 32) as u32, SeqCst);
     FROZEN.store(true, SeqCst);
