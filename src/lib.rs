@@ -11,7 +11,7 @@
 //! The [`stream`] is the heart. Its thread takes the play through a bounded ring, chooses an onset a few
 //! milliseconds ahead, and keeps the controller fed 100 ms ahead of now through the [`link`], which makes a
 //! reliable, ordered stream out of frames that may get lost, and estimates the device's clock ([`link::Clock`], in
-//! [`units`] that cannot be mixed up). Telemetry comes back the same way; from it the streamer corrects each burst
+//! [`units`] that cannot be mixed up). Telemetry, from a device that has it, comes back the same way; from it the streamer corrects each burst
 //! shortly before it begins, within `firmware_protocol::limits`, so that shafts keep their rest position.
 //!
 //! A [`device`] is whatever a controller can be reached through: a board's serial port or its own USB interface, or
@@ -21,7 +21,7 @@
 //! [`motor`] model with the scatter that was measured on real ones ([`draw`] makes it repeatable).
 //!
 //! When a device is connected, the link measures what the line carries, and a play that needs more is refused
-//! ([`stream::Need`]). The doctor looks at a device closer, without a daemon ([`checkup`]).
+//! (counted by [`stream::Need`]). The doctor looks at a device closer, without a daemon (measured by [`checkup`], judged by its command).
 //!
 //! What happened comes out as notices; [`record`] makes of them the receipts and events that clients and the log see. In the
 //! end every burst of every play was played, late, dropped or refused, and the receipt says which.

@@ -23,7 +23,8 @@
 //! `Hello` the device answers every frame with `NoSession`: it has restarted, the host begins anew.
 //!
 //! # The ordered stream
-//! `Strokes` frames carry strokes packed in batches ([`batch`]), numbered from 0 in each epoch. The device
+//! `Strokes` frames carry strokes packed in batches ([`batch`]), at most [`batch::MAX_BATCH`] in a frame (one with more
+//! cannot be read), numbered from 0 in each epoch. The device
 //! takes the frame it waits for (`next_seq`), keeps the next 8 that come before their turn, ignores repeated
 //! ones, and answers each valid frame with a `Status` that acknowledges all before `next_seq`, names the early
 //! ones it keeps, and tells the free stroke slots (`credits`). The host sends no more strokes than credits, no

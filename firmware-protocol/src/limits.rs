@@ -21,7 +21,7 @@ pub const RAILS: usize = MOTORS / MOTORS_PER_RAIL;
 /// How far a correction may take a count of pulses from the stroke as planned: 30 %, at least 1.
 #[must_use]
 pub const fn correction(planned: u16) -> u16 {
-    // Tenths by a multiplication, exact for 16 bits: the controller's chip has no division.
+    // Tenths by a multiplication, exact for 16 bits: a small chip's core has no division.
     let planned = planned as u32;
     let tens = (planned * 52_429) >> 19;
     let part = tens * 3 + (((planned - tens * 10) * 3 * 52_429) >> 19);

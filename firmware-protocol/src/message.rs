@@ -127,7 +127,7 @@ pub enum Cause {
     NewHost,
     /// The lines ran out of rendered ticks.
     Starved,
-    /// The firmware panicked.
+    /// The firmware panicked, or its core faulted.
     Panic,
     /// The firmware hung, and its watchdog restarted it.
     Watchdog,

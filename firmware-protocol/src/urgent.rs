@@ -57,11 +57,6 @@ impl Watch {
         self.len = len.min(MAX_SHORT + 1);
         seen
     }
-
-    /// Forgets a frame begun: the line was cut.
-    pub fn reset(&mut self) {
-        *self = Self::new();
-    }
 }
 
 /// Not inlined: the loop over bytes needs the registers.

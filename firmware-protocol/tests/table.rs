@@ -834,6 +834,18 @@ fn the_trigger_rises_with_each_onset_and_stays_for_10_ms() {
             .collect();
         let ends_with_the_tick = usize::from(shell.ahead == 0);
         assert_eq!(bench.triggered, high[..high.len() - ends_with_the_tick]);
+        // What was under way at an e-stop does not go on after a reset.
+        bench.control(Op::Reset);
+        bench.arm(true);
+        let onset = bench.now + 100;
+        bench.onset(onset, &[]);
+        bench.run_to(onset + 200);
+        bench.control(Op::EStop);
+        let seen = bench.triggered.len();
+        bench.run(100);
+        bench.control(Op::Reset);
+        bench.run(2_000);
+        assert_eq!(bench.triggered.len(), seen);
     }
 }
 

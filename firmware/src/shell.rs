@@ -194,7 +194,9 @@ impl Shell {
             return false;
         }
         let len = self.controller.transmit(wave::now(), &mut self.frame);
-        self.ports.put(self.active, &self.frame[..len]);
+        if len > 0 {
+            self.ports.put(self.active, &self.frame[..len]);
+        }
         len > 0
     }
 }

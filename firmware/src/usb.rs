@@ -307,7 +307,8 @@ async fn inbound(pipe: usize, mut source: impl Source, mut shell: Producer<'stat
     }
 }
 
-/// Bytes from the shell, in packets. What was for a host that is gone is dropped.
+/// Bytes from the shell, in packets. What waits when the bus goes is dropped; what waits when a tty is closed reaches
+/// whoever opens it next, who knows by its session that it is not meant.
 async fn outbound(pipe: usize, mut sink: impl Sink, mut shell: Consumer<'static, u8>) {
     loop {
         sink.open().await;

@@ -6,7 +6,7 @@
 //! What is to be rendered, and when that is late, is the shell's business.
 //!
 //! Invariant: [`now`] is the tick on the pins, also while the drivers of both are held up. An e-stop stops it
-//! ([`force_low`]) until the controller knows of it.
+//! ([`freeze_low`]) until the controller knows of it.
 
 use crate::board::{self, ENABLED, OUTPUTS, TRIGGERED};
 use core::cell::UnsafeCell;

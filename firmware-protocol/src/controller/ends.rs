@@ -72,6 +72,7 @@ impl Controller {
             }
         }
         self.waiting = 0;
+        self.triggered = self.rendered;
         self.lines = Lines::OFF;
         self.off_until = self.rendered;
         self.state = State::Faulted;

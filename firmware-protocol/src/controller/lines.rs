@@ -21,7 +21,9 @@ impl Controller {
             for (motor, change) in self.changes.iter().enumerate() {
                 let ahead = change.wrapping_sub(now).cast_signed();
                 if self.waiting >> motor & 1 == 0 {
-                } else if ahead <= 0 {
+                    continue;
+                }
+                if ahead <= 0 {
                     due |= 1 << motor;
                 } else if ahead < nearest {
                     nearest = ahead;

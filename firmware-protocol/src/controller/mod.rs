@@ -32,7 +32,7 @@ pub use reports::REPORTS;
 use reports::Reports;
 use stream::Batch;
 
-/// Ticks rendered ahead of now at the most (a DMA block). What begins before the rendered end is late.
+/// Ticks rendered ahead of now at the most. What begins before the rendered end is late.
 pub const HORIZON: u32 = 64;
 /// Shells render in blocks of so many ticks, aligned to [`Tick::BOOT`], each as soon as it fits the horizon:
 /// all shells then cut at the same ticks.

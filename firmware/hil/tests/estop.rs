@@ -20,12 +20,16 @@ fn latency(rig: &mut meissner_hil::rig::Rig, name: &str, phase: u64) -> u64 {
     // Those that follow repeat it.
     let packet = chip.e_stopped[0];
     let low = chip.pins.low_since(u64::MAX).unwrap();
+    // High until the e-stop, also when no pulse is under way.
+    let off = chip.pins.enable.last().unwrap().to;
+    assert!(packet < off && off < packet + 50 * MS, "{name}: drivers off at {off}, packet at {packet}");
     assert!(chip.pins.still_high().is_none(), "{name}: lines go on 50 ms after the e-stop was sent");
     rig.order(Job::Reset);
     rig.run_to(rig.now() + 20 * MS).unwrap();
     rig.order(Job::Arm { assume_rest: true });
     rig.run_to(rig.now() + 20 * MS).unwrap();
-    low.saturating_sub(packet)
+
+    off.max(low) - packet
 }
 
 fn sweep(name: &str) {

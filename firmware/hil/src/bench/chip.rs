@@ -16,7 +16,7 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 pub struct ChipOptions {
     /// The firmware.
     pub elf: PathBuf,
-    /// Of the emulator's randomness: USB timing, ring oscillator.
+    /// Of the emulated ring oscillator, which boot ids come from.
     pub seed: u64,
     /// How many times slower than the real one the core computes.
     pub slow: f64,
@@ -115,7 +115,7 @@ impl ChipBench {
         self.last.resets
     }
 
-    /// Share of the cycles since power-up in which the core did not sleep.
+    /// The cycles since power-up in which the core did not sleep.
     #[must_use]
     pub fn busy_cycles(&self) -> u64 {
         self.last.cycle - self.last.asleep

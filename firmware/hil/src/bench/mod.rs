@@ -68,9 +68,7 @@ pub struct Heard {
 #[derive(Debug, thiserror::Error)]
 pub enum BenchError {
     /// The firmware was not built.
-    #[error(
-        "{0}: no firmware there; build it (`cargo build --release` in firmware/) or set MEISSNER_FIRMWARE_ELF"
-    )]
+    #[error("{0}: no firmware there; build it (`firmware/build`) or set MEISSNER_FIRMWARE_ELF")]
     NoFirmware(PathBuf),
     /// The emulator is not installed.
     #[error("{0}: no emulator there; install it (`npm ci` in firmware/emulator/)")]

@@ -2,7 +2,7 @@
 
 use crate::judge::{Boot, Finding};
 use crate::log::{Log, Train};
-use crate::oracle::{Expected, Soft};
+use crate::oracle::{Expected, HORIZON, Soft};
 use crate::pins::{PinTrain, Pins};
 use crate::tap::Event;
 use crate::time::{Grid, MS, TICK};
@@ -13,9 +13,8 @@ use firmware_protocol::tick::Tick;
 /// High for 20 % of a tick, and for 80 %.
 const UP: u64 = TICK / 5;
 const DOWN: u64 = TICK / 5 * 4;
-/// The trigger's length, and by how much it may be off: whoever lets it fall looks once per block.
-const TRIGGER: u64 = 10 * MS;
-const TRIGGER_SLACK: u64 = 64 * TICK;
+/// The trigger's length, to the tick.
+const TRIGGER: u64 = 850 * TICK;
 /// From the tick of a status that says disarmed, to the supply being off.
 const ENABLE_OFF: u64 = (64 + 16) * TICK;
 /// By how much the LED may follow later than the supply.
@@ -113,11 +112,11 @@ fn pulses(
     if late != 0 {
         findings.push(Finding::OffGrid { line, cycle: train.cycle, tick, late });
     }
+    // Cut off within the pulse: what it was to be, nobody can see, not even if it has the width of an up pulse.
+    if train.pulses == 1 && train.width < DOWN && is_soft(soft, tick) {
+        return;
+    }
     if train.width != UP && train.width != DOWN {
-        // Cut off within the pulse: what it was to be, nobody can see.
-        if train.pulses == 1 && train.width < DOWN && is_soft(soft, tick) {
-            return;
-        }
         findings.push(Finding::Width { line, cycle: train.cycle, tick, width: train.width });
     }
     let direction = if train.width <= (UP + DOWN) / 2 { Direction::Up } else { Direction::Down };
@@ -140,9 +139,9 @@ fn trigger(pins: &Pins, expected: &Expected, grid: Grid, findings: &mut Vec<Find
         }
         let cycles = high.to - high.from;
         let end = grid.tick(high.to).0;
-        let cut = expected.cuts.iter().any(|cut| tick <= cut.at && cut.at <= end + TRIGGER_SLACK / TICK);
+        let cut = expected.cuts.iter().any(|cut| tick <= cut.at && cut.at <= end + HORIZON);
         let again = expected.onsets.iter().any(|&onset| tick < onset && onset <= end);
-        if cycles.abs_diff(TRIGGER) > TRIGGER_SLACK && high.to != u64::MAX && !cut && !again {
+        if cycles != TRIGGER && high.to != u64::MAX && !cut && !again {
             findings.push(Finding::TriggerLength { tick, cycles });
         }
     }
