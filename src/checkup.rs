@@ -23,6 +23,8 @@ const SPAN: Duration = Duration::from_millis(2200);
 const PING_EVERY: Duration = Duration::from_millis(4);
 /// What the throughput is measured with: two dozen rounds on USB, a second of a slow line.
 const BURST: Budget = Budget { bytes: 64_000, time: Duration::from_secs(1) };
+/// Round trips that a drift is told from, at the least.
+const POINTS: usize = 24;
 /// A device that answers slower than this is not measured to the end.
 const AT_MOST: Duration = Duration::from_secs(20);
 /// A port that takes nothing for so long is gone.
@@ -61,7 +63,7 @@ pub struct RoundTrip {
 pub struct Drift {
     /// Parts per million; above zero it is fast.
     pub ppm: f64,
-    /// Two standard errors of that.
+    /// Two standard errors of that, from how far the round trips leave each point open, or lie off the line.
     pub uncertainty_ppm: f64,
     /// Over how long it was watched, s.
     pub seconds: f64,
@@ -197,17 +199,26 @@ fn round_trip(trips: &[Trip]) -> RoundTrip {
     RoundTrip { count: us.len(), p50_us: at(50), p99_us: at(99), max_us: at(100) }
 }
 
-/// A line through (host time, tick) of the round trips that nothing held up.
+/// A line through (host time, tick) of the round trips that nothing held up, [`POINTS`] at the least.
 fn drift(trips: &[Trip]) -> Drift {
+    let ends = trips.first().zip(trips.last());
+    let seconds = ends.map_or(0.0, |(first, last)| last.sent.since(first.sent).as_secs_f64());
     let half_s = |trip: &Trip| trip.received.since(trip.sent).as_secs_f64() / 2.0;
-    let shortest = trips.iter().map(half_s).fold(f64::INFINITY, f64::min);
-    let good = trips.iter().filter(|trip| half_s(trip) <= 1.5 * shortest + 20e-6);
-    let Some(first) = trips.first() else {
-        return Drift { ppm: f64::NAN, uncertainty_ppm: f64::NAN, seconds: 0.0 };
+    let mut sorted: Vec<&Trip> = trips.iter().collect();
+    sorted.sort_by(|a, b| half_s(a).total_cmp(&half_s(b)));
+    let Some(first) = sorted.first().copied().filter(|_| sorted.len() >= POINTS) else {
+        return Drift { ppm: f64::NAN, uncertainty_ppm: f64::NAN, seconds };
     };
-    let points: Vec<(f64, f64)> = good
+    let shortest = half_s(first);
+    // On a link whose round trips are never alike the shortest have to do.
+    let good = sorted.partition_point(|trip| half_s(trip) <= 1.5 * shortest + 20e-6).max(POINTS);
+    let mut error2 = 0.0;
+    let points: Vec<(f64, f64)> = sorted[..good]
+        .iter()
         .map(|trip| {
-            let at = trip.sent.since(first.sent).as_secs_f64() + half_s(trip);
+            // What it took longer than the shortest it may have waited on either side.
+            error2 += (half_s(trip) - shortest).powi(2);
+            let at = ns_between(first.sent, trip.sent) * 1e-9 + half_s(trip);
             (at, trip.tick.since(first.tick) as f64 / f64::from(TICK_HZ))
         })
         .collect();
@@ -218,12 +229,18 @@ fn drift(trips: &[Trip]) -> Drift {
         |of: &dyn Fn(f64, f64) -> f64| points.iter().map(|(t, k)| of(t - mean_t, k - mean_k)).sum::<f64>();
     let (tt, tk) = (sum(&|t, _| t * t), sum(&|t, k| t * k));
     let slope = tk / tt;
-    let residual = sum(&|t, k| (k - slope * t).powi(2)) / (count - 2.0).max(1.0);
+    // Points may lie on a line by chance: their error is not less than what bounds each of them, and a tick's width.
+    let residual = sum(&|t, k| (k - slope * t).powi(2)) / (count - 2.0);
+    let bound = error2 / count + f64::from(TICK_HZ).recip().powi(2) / 12.0;
     Drift {
         ppm: (slope - 1.0) * 1e6,
-        uncertainty_ppm: 2.0 * (residual / tt).sqrt() * 1e6,
-        seconds: trips.last().map_or(0.0, |last| last.sent.since(first.sent).as_secs_f64()),
+        uncertainty_ppm: 2.0 * (residual.max(bound) / tt).sqrt() * 1e6,
+        seconds,
     }
+}
+
+fn ns_between(a: HostInstant, b: HostInstant) -> f64 {
+    (b.as_ns() as i64 - a.as_ns() as i64) as f64
 }
 
 #[cfg(test)]
@@ -247,5 +264,51 @@ mod tests {
         assert!(drift.uncertainty_ppm < 5.0 && drift.seconds > 2.0, "{drift:?}");
         let trip = round_trip(&trips);
         assert!(trip.count == 550 && trip.p50_us < 470.0 && trip.p99_us > 9000.0, "{trip:?}");
+    }
+
+    /// Both clocks run alike, and round trips take what `trip_us` says for each, all of the excess on the way there.
+    fn drift_of(trip_us: impl Fn(u64) -> u64) -> Drift {
+        let trips: Vec<_> = (0..550u64)
+            .map(|i| {
+                let sent = 1_000_000_000 + i * 4_000_000;
+                let trip = trip_us(i) * 1000;
+                let ticks = (sent + trip - 100_000) as f64 * f64::from(TICK_HZ) * 1e-9;
+                let received = HostInstant::from_ns(sent + trip);
+                Trip { sent: HostInstant::from_ns(sent), tick: Tick(ticks as u64), received }
+            })
+            .collect();
+        drift(&trips)
+    }
+
+    #[test]
+    fn few_quick_round_trips_do_not_pass_for_a_drift_that_is_known_exactly() {
+        // Two quick ones side by side; two far from each other; one; and none that are alike.
+        let jitter = |i: u64| 5_000 + i * 7_919 % 30_011;
+        type Trips = Box<dyn Fn(u64) -> u64>;
+        let links: [Trips; 4] = [
+            Box::new(move |i| if (300..302).contains(&i) { 200 } else { jitter(i) }),
+            Box::new(move |i| if i % 500 == 20 { 200 } else { jitter(i) }),
+            Box::new(move |i| if i == 77 { 200 } else { jitter(i) }),
+            Box::new(jitter),
+        ];
+        for trip_us in links {
+            let drift = drift_of(trip_us);
+            assert!(drift.ppm.abs() <= drift.uncertainty_ppm, "{drift:?}");
+            // A tenth of the trips is not better known than a millisecond in two seconds.
+            assert!((100.0..20_000.0).contains(&drift.uncertainty_ppm), "{drift:?}");
+        }
+        let quiet = drift_of(|i| 200 + i % 3);
+        assert!(quiet.ppm.abs() <= quiet.uncertainty_ppm && quiet.uncertainty_ppm < 3.0, "{quiet:?}");
+    }
+
+    #[test]
+    fn a_drift_of_less_than_two_dozen_round_trips_is_not_known() {
+        let trip = |i: u64| {
+            let sent = HostInstant::from_ns(1_000_000_000 + i * 100_000_000);
+            Trip { sent, tick: Tick(1_000_000 + i * 8_500), received: sent + Duration::from_micros(200) }
+        };
+        let of = |count| drift(&(0..count).map(trip).collect::<Vec<_>>());
+        assert!(of(0).ppm.is_nan() && of(1).uncertainty_ppm.is_nan() && of(23).uncertainty_ppm.is_nan());
+        assert!(of(24).uncertainty_ppm > 0.5 && of(24).ppm.abs() < 0.1, "{:?}", of(24));
     }
 }

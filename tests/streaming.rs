@@ -535,3 +535,27 @@ proptest! {
         prop_assert_eq!(pulses, counters.pulses);
     }
 }
+
+/// As the thread does it, which sleeps until the next thing is due: nobody orders anything or says anything any more.
+#[test]
+fn that_the_device_is_gone_is_told_without_any_further_order() {
+    let mut rig = Rig::new(Line::default(), 31);
+    rig.arm();
+    rig.run(100 * MS);
+    rig.unplug();
+    rig.take_notices();
+    let (mut now, mut told) = (rig.now(), Vec::new());
+    let end = now + Duration::from_secs(10);
+    let mut steps = 0;
+    loop {
+        now = rig.streamer.wake_at(now).max(now + Duration::from_micros(1));
+        if now >= end {
+            break;
+        }
+        rig.streamer.step(now, &mut |notice| told.push(notice));
+        steps += 1;
+    }
+    let [Notice::Snapshot(snapshot)] = told.as_slice() else { panic!("{told:?}") };
+    assert!(!snapshot.connected && snapshot.state == State::Disarmed, "{snapshot:?}");
+    assert!(snapshot.at.since(rig.now()) < MS && steps == 1, "{steps} steps, {snapshot:?}");
+}

@@ -110,9 +110,14 @@ fn judged(at: &Examined) -> Vec<Finding> {
     let level = match beyond {
         ppm if ppm > MODEL_PPM => Level::Fail,
         ppm if ppm > CRYSTALS_PPM => Level::Warn,
+        _ if drift.uncertainty_ppm > MODEL_PPM => Level::Warn,
         _ => Level::Ok,
     };
-    let advice = "that is no crystal: see the board's clock, and whether this machine's is being set";
+    let advice = if beyond > CRYSTALS_PPM {
+        "that is no crystal: see the board's clock, and whether this machine's is being set"
+    } else {
+        "round trips are too uneven to tell: use a USB port of the machine itself, and see what else it does"
+    };
     vec![who, trip, line, Finding::new("drift", level, found, advice)]
 }
 

@@ -26,8 +26,6 @@ const VENDOR_SPECIFIC: u8 = 0xff;
 struct Interface {
     number: u8,
     input: u8,
-    /// Bytes of its packets: a transfer that ends with a full packet must not wait for more.
-    input_packet: usize,
     output: u8,
 }
 
@@ -125,7 +123,6 @@ fn interface(handle: &DeviceHandle<Context>) -> Result<Option<Interface>, rusb::
             return Ok(Some(Interface {
                 number: setting.interface_number(),
                 input: input.address(),
-                input_packet: input.max_packet_size().into(),
                 output: output.address(),
             }));
         }

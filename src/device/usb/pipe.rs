@@ -1,8 +1,9 @@
 //! Bulk transfers as a pipe of bytes: a thread that reads, a thread that writes, a ring each, and one bell.
 //!
 //! The transfers themselves (and what libusb allocates for them) happen on the two threads. The streamer's side takes
-//! from one ring and puts into the other, without waiting. A reader transfer is one packet long: a longer one would
-//! wait for a short packet, and the board's last frame with it.
+//! from one ring and puts into the other, without waiting. A reader transfer is many packets long: one packet each would
+//! let what the board says queue up behind the time that a transfer takes to be asked for. It ends with a short or an
+//! empty packet, which the board sends when it has nothing more to say, so no frame lies there until more comes.
 //!
 //! Bounds: [`UNSENT`] bytes towards the board, transfer under way included, so an e-stop waits for no more;
 //! [`UNREAD`] from it: a full ring makes the reader wait, and the board with it.
@@ -24,7 +25,10 @@ use std::time::Duration;
 const UNSENT: usize = 1600;
 /// Bytes that may wait to be read: several hundred statuses.
 const UNREAD: usize = 1 << 16;
-/// The longest packet of a bulk endpoint (high speed).
+/// Bytes of a reading transfer: whole packets, or the board could send more than there is room for.
+const READ: usize = 1024;
+const _: () = assert!(READ.is_multiple_of(MAX_PACKET) && READ <= UNREAD);
+/// The longest packet of a bulk endpoint (high speed); the others (64 bytes at full speed) are parts of it.
 const MAX_PACKET: usize = 512;
 /// How often a thread that waits for the board looks whether it shall end.
 const LOOK: Duration = Duration::from_millis(100);
@@ -159,16 +163,18 @@ impl Shared {
 }
 
 fn fill(handle: &DeviceHandle<Context>, interface: Interface, shared: &Shared, mut ring_in: Producer<u8>) {
-    let mut packet = [0; MAX_PACKET];
-    let packet = &mut packet[..interface.input_packet.clamp(1, MAX_PACKET)];
+    let mut bytes = [0; READ];
     while shared.goes_on() {
-        if ring_in.slots() < packet.len() {
+        if ring_in.slots() < READ {
             sleep(NO_ROOM);
             continue;
         }
-        match handle.read_bulk(interface.input, packet, LOOK) {
+        // What came before the time was up is given back like a transfer that was ended.
+        match handle.read_bulk(interface.input, &mut bytes, LOOK) {
+            // An empty packet behind a full one.
+            Ok(0) => {}
             Ok(len) => {
-                let _ = ring_in.push_entire_slice(&packet[..len]);
+                let _ = ring_in.push_entire_slice(&bytes[..len]);
                 ring(&shared.bell);
             }
             Err(rusb::Error::Timeout | rusb::Error::Interrupted) => {}
