@@ -327,7 +327,7 @@ async fn outbound(pipe: usize, mut sink: impl Sink, mut shell: Consumer<'static,
             }
             // A transfer of full packets would not end for the host without an empty one.
             if sink.write(&packet[..len]).await.is_err()
-                || (len == PACKET && shell.len() == 0 && sink.write(&[]).await.is_err())
+                || (len == PACKET && shell.is_empty() && sink.write(&[]).await.is_err())
             {
                 break;
             }

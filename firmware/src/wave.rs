@@ -53,7 +53,8 @@ unsafe impl Sync for Ring {}
 static RING: Ring = Ring(UnsafeCell::new([[0; WORDS]; RING_TICKS]));
 static ZERO: AtomicU32 = AtomicU32::new(0);
 
-/// Blocks that have begun, low and high half: written by `SysTick` alone.
+/// Blocks that have begun, low and high half: written by `SysTick` alone. The bench reads it.
+#[unsafe(no_mangle)]
 static BLOCKS: [AtomicU32; 2] = [const { AtomicU32::new(0) }; 2];
 /// All outputs are forced low.
 static FORCED: AtomicBool = AtomicBool::new(false);
@@ -100,7 +101,7 @@ pub(crate) fn start(syst: &mut SYST) {
     }
     // From GPIO 0 to the last; those in between that are not outputs are not the PIO's, and do not change.
     machine.pinctrl().write(|w| {
-        w.set_out_count(32 - OUTPUTS.map(mask).iter().fold(0, |a, b| a | b).leading_zeros() as u8)
+        w.set_out_count(32 - OUTPUTS.map(mask).iter().fold(0, |a, b| a | b).leading_zeros() as u8);
     });
 
     let ring = RING.0.get() as u32;
@@ -182,7 +183,7 @@ fn running() -> Tick {
             let cycles = if left == 0 { 0 } else { BLOCK_CYCLES - left };
             let blocks = (u64::from(high) << 32 | u64::from(low)) + u64::from(pending);
             // cycles / 1500, exact below 24 000.
-            return Tick::BOOT + (blocks * u64::from(BLOCK) + u64::from(cycles * 11_185 >> 24));
+            return Tick::BOOT + (blocks * u64::from(BLOCK) + u64::from((cycles * 11_185) >> 24));
         }
     }
 }
@@ -196,14 +197,14 @@ pub(crate) fn write(tick: Tick, run: &Run, enabled: bool) {
     let (up, down) = (board::gpios(run.lines.up), board::gpios(run.lines.down));
     let held = if enabled { ENABLED } else { 0 } | if run.trigger { TRIGGERED } else { 0 };
     let words = [held | up | down, held | down, held, held];
-    let mut at = (tick.0 - Tick::BOOT.0) as usize;
-    for _ in 0..run.ticks {
+    let from = (tick.0 - Tick::BOOT.0) as usize;
+    for i in 0..run.ticks {
+        let at = from.wrapping_add(i as usize);
         let place = RING.0.get().cast::<[u32; WORDS]>().wrapping_add(at % RING_TICKS).cast::<u32>();
         for (i, word) in words.into_iter().enumerate() {
             // SAFETY: the index is within the ring; the DMA may read the word at any time.
             unsafe { place.wrapping_add(i).write_volatile(word) };
         }
-        at += 1;
     }
 }
 
