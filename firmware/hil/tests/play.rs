@@ -1,5 +1,7 @@
 //! One play on the chip, armed and played to its end, judged.
 
+use firmware_protocol::controller::BLOCK;
+use firmware_protocol::tick::Tick;
 use meissner::pattern::Pattern;
 use meissner::stream::Need;
 use meissner::stream::port::{At, Job, LatePolicy, Notice, Outcome};
@@ -9,7 +11,7 @@ use meissner_hil::bench::chip::ChipOptions;
 use meissner_hil::judge::{Judged, differences};
 use meissner_hil::rig::{Rig, RigOptions};
 use meissner_hil::scenario::compiled;
-use meissner_hil::time::MS;
+use meissner_hil::time::{Grid, MS};
 
 pub(crate) struct Play {
     pub(crate) pattern: Pattern,
@@ -26,11 +28,16 @@ impl Play {
     }
 }
 
+/// Cycles within which a block that has begun is counted: an interrupt, and what may hold it up.
+const CLOCK_LATE: u64 = 750;
+
 pub(crate) struct Played {
     pub(crate) outcome: Outcome,
     pub(crate) judged: Judged,
     /// Differences to the compiled strokes, in words.
     pub(crate) against_strokes: Vec<String>,
+    /// Where the device's clock is not that of the pins.
+    pub(crate) clock: Vec<String>,
     pub(crate) pulses: u64,
     /// Share of the cycles while it was played in which the core worked.
     pub(crate) load: f64,
@@ -69,6 +76,7 @@ pub(crate) fn play(play: &Play) -> Played {
     let mut rig = armed(ChipOptions { elf, ..options });
     let busy = |rig: &mut Rig| rig.chip().map_or(0, |chip| chip.busy_cycles());
     let (from, busy_before) = (rig.now(), busy(&mut rig));
+    let counted = counts(&mut rig);
     rig.order(job(&play.pattern, play.seconds));
     rig.run_to_end(1, (play.seconds * 1000.0) as u64 + 2_000).unwrap();
     let load = (busy(&mut rig) - busy_before) as f64 / (rig.now() - from) as f64;
@@ -83,15 +91,38 @@ pub(crate) fn play(play: &Play) -> Played {
     let onset = outcome.onset.map(|onset| onset.actual);
     let wanted = onset.map(|onset| compiled(&outcome.play.strokes, onset)).unwrap_or_default();
     let against_strokes = differences(&judged.log, &wanted).iter().map(ToString::to_string).collect();
+    let clock =
+        counted.iter().filter_map(|&(cycle, blocks)| against_pins(judged.grid, cycle, blocks)).collect();
     let pulses = judged.log.pulses();
-    Played { outcome, judged, against_strokes, pulses, load, slack }
+    Played { outcome, judged, against_strokes, clock, pulses, load, slack }
+}
+
+/// Cycles, and the blocks that the device had counted by then: as many as show any phase of a block.
+fn counts(rig: &mut Rig) -> Vec<(u64, u64)> {
+    let steps = 0..32;
+    let count = steps.map(|_| {
+        rig.run_to(rig.now() + MS / 2).unwrap();
+        (rig.now(), rig.chip().unwrap().read("BLOCKS", 4).unwrap())
+    });
+    count.collect()
+}
+
+/// A block is counted once its first tick is on the pins, and soon.
+fn against_pins(grid: Grid, cycle: u64, blocks: u64) -> Option<String> {
+    let begun = grid.cycle(Tick::BOOT + blocks * u64::from(BLOCK));
+    let next = grid.cycle(Tick::BOOT + (blocks + 1) * u64::from(BLOCK));
+    (!(begun..next + CLOCK_LATE).contains(&cycle)).then(|| {
+        format!(
+            "at cycle {cycle} its clock is in block {blocks}, which is on the pins from {begun} to {next}"
+        )
+    })
 }
 
 impl Played {
     /// Everything that is wrong, in words.
     pub(crate) fn wrong(&self) -> Vec<String> {
         let findings = self.judged.findings.iter().map(ToString::to_string);
-        findings.chain(self.against_strokes.iter().cloned()).collect()
+        findings.chain(self.against_strokes.iter().chain(&self.clock).cloned()).collect()
     }
 
     pub(crate) fn assert_whole(&self) {
