@@ -36,12 +36,13 @@ impl Watch {
     pub fn look(&mut self, bytes: &[u8]) -> Option<Urgent> {
         // The fewest cycles per byte, of which there may be 64 in an interrupt.
         let (mut seen, mut len) = (None, self.len);
-        for &byte in bytes {
+        for (at, &byte) in bytes.iter().enumerate() {
             if byte == 0 {
                 if let Some(frame) = self.frame.get_mut(..len) {
                     seen = urgent(frame).or(seen);
                     if matches!(seen, Some(Urgent::EStop(_))) {
-                        len = MAX_SHORT + 1;
+                        // The rest may begin a frame, which then has no beginning here.
+                        len = if at + 1 == bytes.len() { 0 } else { MAX_SHORT + 1 };
                         break;
                     }
                 }

@@ -57,6 +57,20 @@ fn frames_out_of_order_and_after_a_gap_are_kept_until_the_missing_one_comes() {
 }
 
 #[test]
+fn a_frame_kept_and_repeated_before_it_is_followed_is_taken_once() {
+    let mut bench = Bench::armed(FIRMWARE);
+    let (sent, frames) = three(&bench);
+    bench.bytes(&frames[1]);
+    // In one packet: nothing can be followed in between.
+    bench.bytes(&[&frames[0][..], &frames[1], &frames[2]].concat());
+    assert_eq!((bench.status().next_seq, bench.status().early), (3, 0));
+    bench.follow();
+    assert_eq!((bench.status().next_seq, bench.reports()), (3, vec![]));
+    bench.run(500);
+    assert_eq!(bench.bursts(1), sent.iter().flat_map(Stroke::bursts).collect::<Vec<_>>());
+}
+
+#[test]
 fn a_frame_too_early_to_be_kept_is_ignored() {
     let mut bench = Bench::armed(FIRMWARE);
     let late = |bench: &Bench, seq| {

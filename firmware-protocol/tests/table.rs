@@ -850,6 +850,44 @@ fn the_trigger_rises_with_each_onset_and_stays_for_10_ms() {
 }
 
 #[test]
+fn what_ends_before_an_onset_is_counted_in_it_though_a_cut_comes_between() {
+    let mut bench = Bench::armed(FIRMWARE);
+    let rendered = bench.device.rendered().0 + 200;
+    let ends = stroke(1, rendered - 40, 10, 5, 10);
+    assert_eq!(ends.end().0, rendered - 15);
+    bench.strokes(&[ends]);
+    bench.onset(rendered - 5, &[]);
+    // A stop that is rendered past both: they are played as they were.
+    bench.run_to(rendered - 20);
+    bench.control(Op::Stop);
+    bench.run(300);
+    let onset = bench.reports().into_iter().find_map(|report| match report {
+        Report::Onset { counters, .. } => Some((counters.played, counters.pulses)),
+        _ => None,
+    });
+    assert_eq!(onset, Some((2, 20)));
+}
+
+#[test]
+fn a_session_opened_by_a_shell_is_a_host_like_any_other() {
+    let mut bench = Bench::armed(FIRMWARE);
+    let stroke = stroke(1, bench.now + 100, 200, 50, 200);
+    bench.onset(stroke.up.0, &[stroke]);
+    bench.run_to(stroke.up.0 + 50);
+    bench.device.open_session(Tick(bench.now), 77);
+    bench.is(State::Returning, Cause::NewHost);
+    bench.drain();
+    let greeted =
+        |message: &DeviceMessage| matches!(message, DeviceMessage::Hello(hello) if hello.session == 77);
+    assert!(bench.inbox.iter().any(greeted));
+    // The frame itself, when it comes whole after all, is a repetition.
+    bench.hello(77);
+    bench.settle();
+    bench.is(State::Disarmed, Cause::NewHost);
+    assert_eq!(bench.net(1), 0);
+}
+
+#[test]
 fn an_e_stop_seen_before_its_frame_counts_once_and_from_where_it_was_seen() {
     let mut bench = Bench::armed(FIRMWARE);
     let first = stroke(1, bench.now + 100, 200, 5, 200);

@@ -168,7 +168,11 @@ impl Shell {
             self.controller.fault(now, Cause::Starved);
         }
         while self.controller.rendered() <= now + wave::FETCHED {
-            self.controller.render(BLOCK);
+            // Whole blocks, whatever changes in them: the ring is cleared by blocks.
+            let end = self.controller.rendered() + u64::from(BLOCK);
+            while self.controller.rendered() < end {
+                self.controller.render((end - self.controller.rendered()) as u32);
+            }
         }
     }
 
@@ -178,11 +182,13 @@ impl Shell {
         let now = wave::now();
         if pipe != self.active {
             // A stray byte on the other pipe is nothing; a hello is another host.
-            let Some(Urgent::Hello(_)) = self.watches[pipe].look(packet.bytes()) else { return true };
+            let Some(Urgent::Hello(session)) = self.watches[pipe].look(packet.bytes()) else { return true };
             self.active = pipe;
             usb::set_active(pipe);
             // Ends what the host before may have begun to say.
             self.controller.receive(now, &[0]);
+            // It may have begun in a packet before; as far as it is in this one, it is a repetition.
+            self.controller.open_session(now, session);
         }
         self.controller.receive(now, packet.bytes());
         true

@@ -32,7 +32,7 @@ impl Controller {
             self.counters.dropped += 2 * u64::from(strokes);
             self.change_by(motor, at);
         }
-        self.next_end = at;
+        self.next_end = self.next_end.min(at);
         self.finish_cut(cause, true, flushed, owed, at);
         (self.state, self.then) = (State::Returning, then);
         self.settle();
@@ -71,8 +71,8 @@ impl Controller {
                 }
             }
         }
-        self.waiting = 0;
-        self.triggered = self.rendered;
+        (self.waiting, self.next_change) = (0, NEVER);
+        self.triggered = self.triggered.min(at);
         self.lines = Lines::OFF;
         self.off_until = self.rendered;
         self.state = State::Faulted;

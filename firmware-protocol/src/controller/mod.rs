@@ -240,6 +240,12 @@ impl Controller {
         }
     }
 
+    /// Opens a session for a host whose `Hello` a shell has seen ([`crate::urgent`]), perhaps in parts.
+    pub fn open_session(&mut self, now: Tick, session: u32) {
+        self.pass(now);
+        self.open(session);
+    }
+
     /// Takes bytes from the host, in any chunks.
     pub fn receive(&mut self, now: Tick, mut bytes: &[u8]) {
         self.pass(now);

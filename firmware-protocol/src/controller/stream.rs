@@ -43,6 +43,8 @@ impl Controller {
     /// Takes the next frame of the ordered stream.
     fn strokes(&mut self, seq: u16, onset: bool, base: Tick, strokes: &Batch) {
         self.next_seq = seq.wrapping_add(1);
+        // It may have been repeated before the copy kept was followed.
+        let _ = self.early.take(seq);
         let rendered = self.rendered.wire();
         if onset && self.state == State::Armed {
             // No stroke begins before the base it counts from.
