@@ -4,7 +4,6 @@
 
 mod estop;
 mod load;
-mod mutants;
 mod patterns;
 mod play;
 mod scenarios;

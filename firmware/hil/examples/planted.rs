@@ -1,0 +1,51 @@
+//! `planted ELF...`: plays to each firmware and says what the judge sees. Exit 0 if it sees nothing wrong in the one
+//! called `unharmed`, and something in each of the others.
+//!
+//! A judge that lets everything pass would pass everything: `firmware/hil/mutants` makes firmware with planted bugs.
+
+#[path = "../tests/play.rs"]
+#[expect(dead_code, reason = "the tests use the rest of it")]
+mod play;
+
+use meissner_hil::scenario::pattern;
+use play::{Play, play};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+/// Findings that are told of each.
+const TOLD: usize = 3;
+
+fn main() -> ExitCode {
+    let mut wrongly = Vec::new();
+    for elf in std::env::args_os().skip(1).map(PathBuf::from) {
+        let name = elf.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        if !elf.is_file() {
+            eprintln!("planted: {}: not there", elf.display());
+            return ExitCode::FAILURE;
+        }
+        let pattern = match pattern("wave") {
+            Ok(pattern) => pattern,
+            Err(error) => {
+                eprintln!("planted: {error}");
+                return ExitCode::FAILURE;
+            }
+        };
+        let whole = Play { elf: Some(elf), ..Play::new(pattern, 0.3) };
+        // It may also never greet, or end no play: found as well.
+        let seen = catch_unwind(AssertUnwindSafe(|| play(&whole).wrong()));
+        let seen = seen.unwrap_or_else(|_| vec!["it does not even play".to_owned()]);
+        let told =
+            if seen.is_empty() { "nothing seen".to_owned() } else { seen[..seen.len().min(TOLD)].join("; ") };
+        println!("{name}: {told}");
+        if seen.is_empty() != (name == "unharmed") {
+            wrongly.push(name);
+        }
+    }
+    if wrongly.is_empty() {
+        ExitCode::SUCCESS
+    } else {
+        eprintln!("planted: judged wrongly: {}", wrongly.join(", "));
+        ExitCode::FAILURE
+    }
+}
