@@ -4,7 +4,7 @@
 //! which the device ignores. It never arms; a device that is armed returns its pins, as it does for every new host.
 //! It blocks for some seconds and is no part of the streamer.
 //!
-//! Invariant: it ends, within [`AT_MOST`].
+//! Invariant: it ends, within `AT_MOST`.
 
 use crate::device::Device;
 use crate::link::{Budget, Event, Session, Trip};

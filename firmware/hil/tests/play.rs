@@ -30,6 +30,8 @@ impl Play {
 
 /// Cycles within which a block that has begun is counted: an interrupt, and what may hold it up.
 const CLOCK_LATE: u64 = 750;
+/// Cycles by which it may be counted early: clock and pins are started one after the other.
+const CLOCK_EARLY: u64 = 50;
 
 pub(crate) struct Played {
     pub(crate) outcome: Outcome,
@@ -76,11 +78,11 @@ pub(crate) fn play(play: &Play) -> Played {
     let mut rig = armed(ChipOptions { elf, ..options });
     let busy = |rig: &mut Rig| rig.chip().map_or(0, |chip| chip.busy_cycles());
     let (from, busy_before) = (rig.now(), busy(&mut rig));
-    let counted = counts(&mut rig);
     rig.order(job(&play.pattern, play.seconds));
     rig.run_to_end(1, (play.seconds * 1000.0) as u64 + 2_000).unwrap();
     let load = (busy(&mut rig) - busy_before) as f64 / (rig.now() - from) as f64;
     let slack = rig.chip().and_then(|chip| chip.read("SLACK_MIN", 4).ok()).unwrap_or(0);
+    let counted = counts(&mut rig);
     let (boots, notices) = rig.finish();
     let outcome = notices.into_iter().find_map(|notice| match notice {
         Notice::Ended { outcome, .. } => Some(outcome),
@@ -111,7 +113,7 @@ fn counts(rig: &mut Rig) -> Vec<(u64, u64)> {
 fn against_pins(grid: Grid, cycle: u64, blocks: u64) -> Option<String> {
     let begun = grid.cycle(Tick::BOOT + blocks * u64::from(BLOCK));
     let next = grid.cycle(Tick::BOOT + (blocks + 1) * u64::from(BLOCK));
-    (!(begun..next + CLOCK_LATE).contains(&cycle)).then(|| {
+    (!(begun - CLOCK_EARLY..next + CLOCK_LATE).contains(&cycle)).then(|| {
         format!(
             "at cycle {cycle} its clock is in block {blocks}, which is on the pins from {begun} to {next}"
         )
