@@ -53,7 +53,8 @@ unsafe impl Sync for Ring {}
 static RING: Ring = Ring(UnsafeCell::new([[0; WORDS]; RING_TICKS]));
 static ZERO: AtomicU32 = AtomicU32::new(0);
 
-/// Blocks that have begun, low and high half: written by `SysTick` alone.
+/// Blocks that have begun, low and high half: written by `SysTick` alone. The bench holds it against the pins.
+#[unsafe(no_mangle)]
 static BLOCKS: [AtomicU32; 2] = [const { AtomicU32::new(0) }; 2];
 /// All outputs are forced low.
 static FORCED: AtomicBool = AtomicBool::new(false);

@@ -31,7 +31,7 @@ impl Play {
 /// Cycles within which a block that has begun is counted: an interrupt, and what may hold it up.
 const CLOCK_LATE: u64 = 750;
 /// Cycles by which it may be counted early: clock and pins are started one after the other.
-const CLOCK_EARLY: u64 = 50;
+const CLOCK_EARLY: u64 = 150;
 
 pub(crate) struct Played {
     pub(crate) outcome: Outcome,
