@@ -3,6 +3,8 @@
 //! Strokes are packed as the link packs them, stretch by stretch as the streamer hands them over; what a frame, an
 //! amendment and a keep-alive cost besides is bounded by constants that are written here. A line of
 //! [`Demand::rate`] bytes per second never falls behind by more than half the lead: the other half is for stalls.
+//! A link that has to wait for acknowledgements fills its frames: it needs [`Demand::frames`] of them a second. Who
+//! gives the line's time to both, each its share, is behind with neither by more.
 //! It computes, knows no line and decides nothing.
 //!
 //! Bounds: the first [`LOOKED_S`] seconds of a play are counted.
@@ -15,9 +17,8 @@ use std::time::Duration;
 
 /// So much of a play is counted, s: what it does after a minute it will mostly have done before.
 const LOOKED_S: u64 = 60;
-/// A frame of strokes besides its strokes: 24 bytes at the most, and 40 for the line that waits for the
-/// acknowledgement where only one frame may be on its way (a status at the same rate).
-const FRAME_BYTES: usize = 64;
+/// A frame of strokes besides its strokes, at the most.
+const FRAME_BYTES: usize = 24;
 /// An amendment message besides its items, and an item, at the most: head, up tick within 12 s, count.
 const AMEND_FRAME_BYTES: usize = 21;
 const AMEND_BYTES: usize = 6;
@@ -34,6 +35,8 @@ const HEAD: usize = 8;
 pub struct Demand {
     /// Bytes per second at the peak: a line that carries so many is never behind by more than half the lead.
     pub rate: u32,
+    /// Full frames per second at the peak, by the same rule, each time behind one that was on its way before.
+    pub frames: u32,
     /// Bytes of the first stretches, each with those before it.
     head: [u32; HEAD],
     /// How long a stretch is.
@@ -56,7 +59,8 @@ impl Need {
         let stretch = batch_ticks(settings).max(1);
         let mut strokes = strokes.clone();
         strokes.begin(Tick(0));
-        let (mut bytes, mut amendments) = (Sums::new(stretch), Sums::new(stretch));
+        let [mut bytes, mut amendments, mut frames] = [(); 3].map(|()| Sums::new(stretch));
+        let mut full = Packer::<BATCH_BYTES>::new(Tick(0));
         let mut slots = Vec::new();
         let mut frame = Packer::<BATCH_BYTES>::new(Tick(0));
         let mut framed = u64::MAX;
@@ -71,6 +75,11 @@ impl Need {
                 let _ = frame.stroke(&stroke);
                 bytes.add(at, FRAME_BYTES + frame.bytes().len());
             }
+            if full.items() == 0 || full.stroke(&stroke).is_err() {
+                full = Packer::new(stroke.up);
+                let _ = full.stroke(&stroke);
+                frames.add(at, 1);
+            }
             for burst in stroke.bursts() {
                 let slot = (burst.start.0 / AMEND_SLOT) as usize;
                 slots.resize(slots.len().max(slot + 1), false);
@@ -78,11 +87,12 @@ impl Need {
                 amendments.add(burst.start.0, AMEND_BYTES + if shared { 0 } else { AMEND_FRAME_BYTES });
             }
         }
-        let open = bytes.demand(settings);
+        let frames = frames.least(settings, 1.0);
+        let open = bytes.demand(frames, settings);
         for (at, more) in amendments.sums.into_iter().enumerate() {
             bytes.add(at as u64 * stretch, more);
         }
-        Self { open, closed: bytes.demand(settings) }
+        Self { open, closed: bytes.demand(frames, settings) }
     }
 }
 
@@ -103,37 +113,47 @@ impl Sums {
         self.sums[at] += bytes;
     }
 
-    /// Whether a line of `rate` bytes per second is never behind by more than `slack_s`.
-    fn fits(&self, rate: f64, slack_s: f64) -> bool {
+    /// Whether a line of `rate` bytes per second, with never less than `before` to do, is never behind by more than
+    /// `slack_s`.
+    fn fits(&self, rate: f64, before: f64, slack_s: f64) -> bool {
         let drained = rate * self.stretch as f64 / f64::from(TICK_HZ);
-        let mut waiting = 0.0;
+        let mut waiting = before;
         self.sums.iter().all(|&bytes| {
             waiting += bytes as f64;
             let fits = waiting <= rate * slack_s;
-            waiting = (waiting - drained).max(0.0);
+            waiting = (waiting - drained).max(before);
             fits
         })
     }
 
-    fn demand(&self, settings: &Settings) -> Demand {
+    /// The least rate that fits; 0 if there is nothing to do.
+    fn least(&self, settings: &Settings, before: f64) -> u32 {
+        if self.sums.is_empty() {
+            return 0;
+        }
+        let slack_s = settings.lead_ms / 2000.0;
+        // By halves: to one per second.
+        let (mut low, mut high) = (0u32, 1u32 << 30);
+        while low + 1 < high {
+            let middle = low.midpoint(high);
+            if self.fits(middle.into(), before, slack_s) { high = middle } else { low = middle }
+        }
+        high
+    }
+
+    fn demand(&self, frames: u32, settings: &Settings) -> Demand {
         let stretch = Duration::from_secs_f64(self.stretch as f64 / f64::from(TICK_HZ));
         if self.sums.is_empty() {
             return Demand { stretch, ..Demand::default() };
         }
-        let slack_s = settings.lead_ms / 2000.0;
-        // Least rate that fits, by halves: to a byte per second.
-        let (mut low, mut high) = (0u32, 1u32 << 30);
-        while low + 1 < high {
-            let middle = low.midpoint(high);
-            if self.fits(middle.into(), slack_s) { high = middle } else { low = middle }
-        }
+        let rate = self.least(settings, 0.0);
         let mut sum = 0;
         let head = std::array::from_fn(|at| {
             sum += self.sums.get(at).copied().unwrap_or(0);
             sum as u32
         });
         let keeps = KEEPS * KEEP_BYTES / (settings.lease_ms / 1000.0);
-        Demand { rate: high + keeps.ceil() as u32, head, stretch }
+        Demand { rate: rate + keeps.ceil() as u32, frames, head, stretch }
     }
 }
 

@@ -210,7 +210,7 @@ enum Phase {
 pub struct Session {
     phase: Phase,
     id: u32,
-    /// The line's rate as its transport knows it; as it was measured, with the round trip then.
+    /// The line's rate as its transport knows it; as it was measured, and how long an acknowledgement takes besides.
     nominal: LineRate,
     line: Option<(LineRate, Duration)>,
     window_bytes: usize,
@@ -355,6 +355,11 @@ impl Session {
         self.ping_due = self.ping_due.min(self.last_ping + ASK_EVERY);
     }
 
+    /// Asks for a status within this time: free slots are told by statuses, and who has none sends nothing that brings one.
+    pub fn ask_within(&mut self, time: Duration) {
+        self.ping_due = self.ping_due.min(self.last_ping + time);
+    }
+
     /// Sends a command, in a new epoch, until it is answered. What was pushed before and has no verdict is forgotten.
     pub fn command(&mut self, op: Op) {
         self.epoch = self.epoch.wrapping_add(1);
@@ -418,13 +423,21 @@ impl Session {
             self.seal();
             return self.push(stroke);
         }
+        // What could not be sent yet takes more: on a link whose answers take long, frames get longer, not more.
+        if let Some(last) = self.window.back_mut()
+            && last.first_sent.is_none()
+            && !last.onset
+            && last.strokes.stroke(stroke).is_ok()
+        {
+            return true;
+        }
         let mut batch = self.batch(stroke.up, false);
         let packed = batch.strokes.stroke(stroke).is_ok();
         self.open_batch = Some(batch);
         packed
     }
 
-    /// Ends the frame begun: it is sent as it is.
+    /// Ends the frame begun: it can be sent. While it cannot, more strokes may be put into it, unless it is an onset's.
     pub fn seal(&mut self) {
         if let Some(batch) = self.open_batch.take() {
             self.next_seq = self.next_seq.wrapping_add(1);

@@ -2,7 +2,8 @@
 //!
 //! A few rounds of frames that the device acknowledges and ignores, full frames of an older epoch, each ended by a
 //! ping: from the first byte to the ping's answer, less an idle round trip, is what the frames took. A round is as
-//! long as the session lets bytes be on their way, so an e-stop never waits for more than that.
+//! long as the session lets bytes be on their way, so an e-stop never waits for more than that. What a round took
+//! longer than its bytes is what an acknowledgement is waited for.
 //!
 //! Bounds: [`Budget`] in bytes and time, [`ROUNDS`] rounds, one at a time.
 //! Invariant: when it is over, [`Session::is_surveyed`] says so for good, whether or not anything was measured.
@@ -56,11 +57,13 @@ pub(super) struct Survey {
     stage: Stage,
     budget: Budget,
     begun: HostInstant,
-    /// When the round began, its bytes, and its ping.
+    /// When the round began, its bytes, and its ping with its own.
     round: (HostInstant, usize, u16),
+    ping: usize,
     spent: usize,
-    /// Bytes per second of each round.
+    /// Each round's bytes per second, its bytes and how long it took with its answer.
     rates: [u32; ROUNDS],
+    took: [(usize, Duration); ROUNDS],
     rounds: usize,
 }
 
@@ -68,7 +71,8 @@ impl Survey {
     pub(super) fn new(budget: Budget) -> Self {
         let round = (HostInstant::default(), 0, 0);
         let stage = Stage::Waiting;
-        Self { stage, budget, begun: HostInstant::default(), round, spent: 0, rates: [0; ROUNDS], rounds: 0 }
+        let (begun, took) = (HostInstant::default(), [(0, Duration::ZERO); ROUNDS]);
+        Self { stage, budget, begun, round, ping: 0, spent: 0, rates: [0; ROUNDS], took, rounds: 0 }
     }
 
     /// The upper quartile of the rounds: stalls of either side make them too slow, and nothing makes them too fast but
@@ -78,6 +82,15 @@ impl Survey {
         let rates = &mut rates[..self.rounds];
         rates.sort_unstable();
         rates.get(rates.len() * 3 / 4).copied().map(LineRate)
+    }
+
+    /// How long an acknowledgement is waited for on a line of this rate: the upper quartile again. The shortest round
+    /// trip is not what a play gets on a link that jitters; the longest are stalls, for which there is the lead.
+    fn wait(&self, line: LineRate) -> Duration {
+        let mut waits = self.took.map(|(bytes, took)| took.saturating_sub(line.time(bytes)));
+        let waits = &mut waits[..self.rounds];
+        waits.sort_unstable();
+        waits.get(waits.len() * 3 / 4).copied().unwrap_or_default()
     }
 }
 
@@ -98,11 +111,30 @@ impl Session {
     /// acknowledgements when few bytes may be on their way. `None` until it is measured.
     #[must_use]
     pub fn capacity(&self) -> Option<u32> {
-        let (line, trip) = self.line?;
-        // Only whole frames are on their way.
-        let on_the_way = (self.window_bytes / MAX_FRAME * MAX_FRAME) as f64;
-        let waiting = on_the_way / (trip + line.time(MAX_FRAME)).as_secs_f64();
+        let (line, wait) = self.line?;
+        let on_the_way = (self.frames_on_the_way() * MAX_FRAME) as f64;
+        let waiting = on_the_way / (wait + line.time(MAX_FRAME)).as_secs_f64();
         Some(waiting.min(line.0.into()) as u32)
+    }
+
+    /// Bytes per second that are left of [`Self::line`] when so many frames a second, however short, wait for their
+    /// acknowledgements. `None` until it is measured.
+    #[must_use]
+    pub fn carries(&self, frames_per_s: u32) -> Option<u32> {
+        let waiting = f64::from(frames_per_s) * self.wait()?.as_secs_f64();
+        Some((f64::from(self.line()?.0) * (1.0 - waiting)) as u32)
+    }
+
+    /// How long a frame waits, besides its bytes, for those before it to be acknowledged.
+    #[must_use]
+    pub fn wait(&self) -> Option<Duration> {
+        let (_, wait) = self.line?;
+        Some(wait / self.frames_on_the_way() as u32)
+    }
+
+    /// Whole frames that may be on their way at once.
+    fn frames_on_the_way(&self) -> usize {
+        self.window_bytes / MAX_FRAME
     }
 
     /// Surveys the line again, with this budget: for whoever wants to know it better. Not while anything is played.
@@ -140,7 +172,7 @@ impl Session {
             Stage::Sending(0) => {
                 let len = self.ping(now, out);
                 self.survey.stage = Stage::Sent(now);
-                self.survey.round.1 += len;
+                self.survey.ping = len;
                 self.survey.round.2 = self.token;
                 self.survey.spent += len;
                 len
@@ -170,6 +202,8 @@ impl Session {
         if token != ping || !matches!(self.survey.stage, Stage::Sent(_)) {
             return false;
         }
+        self.survey.took[self.survey.rounds] = (bytes + self.survey.ping, now.since(begun));
+        // An idle round trip has its ping's bytes in it.
         let took = now.since(begun).saturating_sub(self.fastest).as_secs_f64();
         // Faster than can be told: then it is the nominal rate.
         let rate = if took > 1e-6 { bytes as f64 / took } else { f64::from(u32::MAX) };
@@ -194,19 +228,20 @@ impl Session {
             return;
         }
         self.survey.stage = Stage::Over;
-        self.line = self.survey.rate().map(|rate| (bound(rate), self.fastest));
+        self.line = self.survey.rate().map(bound).map(|rate| (rate, self.survey.wait(rate)));
         self.window_bytes = self.line().unwrap_or(nominal).window_bytes();
     }
 
     /// A full frame of strokes of the epoch before the session's own: acknowledged and ignored.
     fn filler(&self, out: &mut [u8]) -> usize {
         let mut strokes = Packer::<BATCH_BYTES>::new(Tick(0));
-        let mut up = Tick(0);
+        let (mut up, mut pulses) = (Tick(0), 147);
+        // No count like the one before it: as many strokes as a frame may have fill it.
         while strokes
-            .stroke(&Stroke { motor: 0, up, up_pulses: 147, down: up + 708, down_pulses: 147 })
+            .stroke(&Stroke { motor: 0, up, up_pulses: pulses, down: up + 708, down_pulses: pulses })
             .is_ok()
         {
-            up = up + 1417;
+            (up, pulses) = (up + 1417, pulses ^ 1);
         }
         let epoch = self.greeted.wrapping_sub(1);
         let message = HostMessage::Strokes {

@@ -10,6 +10,10 @@ use crate::stream::streamer::{Streamer, Tell, ticks};
 use crate::units::HostInstant;
 use firmware_protocol::message::State;
 use firmware_protocol::tick::{TICK_HZ, Tick};
+use std::time::Duration;
+
+/// A device that was full is asked for room so often. Its strokes last for longer, and keep-alives may be seconds apart.
+const CREDITS_EVERY: Duration = Duration::from_millis(50);
 
 /// What came of trying to hand over strokes.
 enum Fed {
@@ -143,6 +147,9 @@ impl Streamer {
             }
             if !session.push(&stroke) {
                 self.short_of_credits = session.credits() == 0;
+                if self.short_of_credits {
+                    session.ask_within(CREDITS_EVERY);
+                }
                 self.fed = stroke.up;
                 return Fed::Blocked;
             }

@@ -103,11 +103,15 @@ impl Streamer {
     /// How far ahead of its onset a play has to be sent from, if the line carries it at all.
     pub(super) fn margin(&self, session: &Session, play: &Play) -> Result<Duration, Refused> {
         let demand = if play.open_loop || !self.telemetry { play.need.open } else { play.need.closed };
-        match session.capacity() {
+        match session.carries(demand.frames) {
             Some(carries) if demand.rate > carries => {
                 Err(Refused::LineTooSlow { needs: demand.rate, carries })
             }
-            Some(carries) => Ok(FIRST_MARGIN.max(WAKE_UP + demand.ahead(carries))),
+            Some(carries) => {
+                // Before there is a lead, two slow answers in a row must not make what follows the first frame late.
+                let waiting = 2 * session.wait().unwrap_or_default();
+                Ok(FIRST_MARGIN.max(WAKE_UP + waiting + demand.ahead(carries)))
+            }
             None => Ok(FIRST_MARGIN),
         }
     }
