@@ -355,6 +355,12 @@ pub struct Status {
     pub position: String,
     /// The connected device.
     pub device: Option<DeviceInfo>,
+    /// The device asked for, as `--device` names it.
+    #[serde(default)]
+    pub wanted: String,
+    /// Why no device is connected, and what to do, as it was found last; null if one is, or was not looked for yet.
+    #[serde(default)]
+    pub missing: Option<String>,
     /// The running play.
     pub play: Option<Running>,
     /// Plays that wait behind it.

@@ -7,7 +7,7 @@
 //! Invariant: it ends, within `AT_MOST`.
 
 use crate::device::Device;
-use crate::link::{Budget, Event, Session, Trip};
+use crate::link::{Budget, Event, LostReason, Session, Trip};
 use crate::units::HostInstant;
 use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::message::DeviceHello;
@@ -69,21 +69,37 @@ pub struct Drift {
     pub seconds: f64,
 }
 
-/// Why there is nothing to tell.
+/// Why there is nothing to tell; what to do says [`CheckupError::advice`].
 #[derive(Debug, thiserror::Error)]
 pub enum CheckupError {
     /// It went away.
-    #[error("the device was unplugged: {0}")]
+    #[error("it was unplugged ({0})")]
     Gone(#[source] io::Error),
+    /// Its port is there, but takes nothing.
+    #[error("it took no bytes for {} ms", STUCK.as_millis())]
+    Stuck,
     /// It is no board, another protocol, or does not answer any more.
-    #[error("{0}")]
-    Lost(&'static str),
+    #[error("{}", .0.found())]
+    Lost(LostReason),
     /// It answers, but too slowly.
-    #[error("only {trips} of {PINGS} pings were answered in {} s: see its cable and what else uses it", AT_MOST.as_secs())]
+    #[error("only {trips} of {PINGS} pings were answered in {} s", AT_MOST.as_secs())]
     Slow {
         /// Pings answered.
         trips: usize,
     },
+}
+
+impl CheckupError {
+    /// What to do.
+    #[must_use]
+    pub const fn advice(&self) -> &'static str {
+        match self {
+            Self::Gone(_) => "plug it in again, and see its cable and power",
+            Self::Stuck => LostReason::NoBoard.advice(),
+            Self::Lost(reason) => reason.advice(),
+            Self::Slow { .. } => "see its cable and what else uses it",
+        }
+    }
 }
 
 /// Measures `device`.
@@ -114,7 +130,7 @@ pub fn check(device: &mut Device) -> Result<Checkup, CheckupError> {
     })?;
     look.session.survey(BURST);
     until(&mut look, device, &|look| look.session.is_surveyed())?;
-    let hello = look.hello.ok_or(CheckupError::Lost("the device does not answer"))?;
+    let hello = look.hello.ok_or(CheckupError::Lost(LostReason::NoAnswer))?;
     Ok(Checkup {
         hello,
         round_trip: round_trip(&look.trips),
@@ -126,7 +142,7 @@ pub fn check(device: &mut Device) -> Result<Checkup, CheckupError> {
 struct Look {
     session: Session,
     hello: Option<DeviceHello>,
-    lost: Option<&'static str>,
+    lost: Option<LostReason>,
     trips: Vec<Trip>,
 }
 
@@ -135,7 +151,7 @@ impl Look {
         let Self { session, hello, lost, trips } = self;
         let mut tell = |event| match event {
             Event::Opened(who) => *hello = Some(who),
-            Event::Lost(reason) => *lost = Some(reason.text()),
+            Event::Lost(reason) => *lost = Some(reason),
             _ => {}
         };
         let mut bytes = [0; 1024];
@@ -163,7 +179,7 @@ impl Look {
                 unsent = &unsent[sent..];
                 if !unsent.is_empty() {
                     if HostInstant::now().since(now) > STUCK {
-                        return Err(CheckupError::Gone(io::ErrorKind::TimedOut.into()));
+                        return Err(CheckupError::Stuck);
                     }
                     wait(device, TURN.0, PollFlags::OUT);
                 }
@@ -299,6 +315,18 @@ mod tests {
         }
         let quiet = drift_of(|i| 200 + i % 3);
         assert!(quiet.ppm.abs() <= quiet.uncertainty_ppm && quiet.uncertainty_ppm < 3.0, "{quiet:?}");
+    }
+
+    #[test]
+    fn only_a_device_that_is_gone_is_called_unplugged() {
+        let gone = CheckupError::Gone(io::ErrorKind::BrokenPipe.into());
+        assert!(gone.to_string().contains("unplugged") && gone.advice().contains("plug it in"));
+        for other in
+            [CheckupError::Stuck, CheckupError::Lost(LostReason::NoAnswer), CheckupError::Slow { trips: 3 }]
+        {
+            let line = format!("{other} {}", other.advice());
+            assert!(!line.contains("plug") && !other.advice().is_empty(), "{line}");
+        }
     }
 
     #[test]

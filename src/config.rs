@@ -246,11 +246,11 @@ impl File {
                 Err(ConfigError::Range { file: file.to_owned(), key, found, range: range() })
             }
         };
-        let device = match self.device.as_deref().map(str::parse::<Spec>) {
-            None => Spec::default(),
-            Some(Ok(device)) => device,
-            Some(Err(error)) => {
-                let message = error.to_string();
+        let asked = self.device.as_deref().unwrap_or("auto");
+        let device = match asked.parse::<Spec>() {
+            Ok(device) => device,
+            Err(error) => {
+                let message = format!("device `{asked}`: {error}");
                 return Err(ConfigError::Text { file: file.to_owned(), line: None, message });
             }
         };

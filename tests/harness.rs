@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
 /// For whatever must happen some time: far longer than it takes on a slow machine.
-const PATIENCE: Duration = Duration::from_secs(20);
+pub(crate) const PATIENCE: Duration = Duration::from_secs(20);
 
 /// A real daemon on a simulated device, in a directory of its own; gone with this.
 pub(crate) struct Daemon {

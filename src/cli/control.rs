@@ -20,7 +20,7 @@ use tokio::signal::unix::{SignalKind, signal};
 
 pub(super) fn command(plain: &Plain, name: &str) -> Result<ExitCode> {
     let status: Status = plain.client()?.post(&format!("/v1/{name}"), &json!({}))?;
-    stands(plain, &status)
+    stands(plain, &status, name == "estop")
 }
 
 pub(super) fn arm(plain: &Plain, assume_rest: bool) -> Result<ExitCode> {
@@ -28,11 +28,18 @@ pub(super) fn arm(plain: &Plain, assume_rest: bool) -> Result<ExitCode> {
     if !matches!(status.state.as_str(), "armed" | "returning") {
         bail!("not armed: {} ({}); see `meissner status` and the daemon's log", status.state, status.cause);
     }
-    stands(plain, &status)
+    stands(plain, &status, false)
 }
 
-fn stands(plain: &Plain, status: &Status) -> Result<ExitCode> {
-    give(plain.output.json, status, || format!("{} ({})", status.state, status.cause))?;
+fn stands(plain: &Plain, status: &Status, estop: bool) -> Result<ExitCode> {
+    let text = || match text::state(status) {
+        state if estop && !status.is_connected() => format!(
+            "{state}\nno device is connected, so no line was put low: cut the supply if pins move, and see \
+             `meissner status`"
+        ),
+        state => state,
+    };
+    give(plain.output.json, status, text)?;
     Ok(ExitCode::SUCCESS)
 }
 

@@ -13,6 +13,7 @@ use crate::api::Status;
 use crate::checkup::{Drift, RoundTrip};
 use crate::client::{Client, ClientError};
 use crate::device::Spec;
+use crate::record::DeviceInfo;
 use crate::stream::Realtime;
 use crate::units::HostInstant;
 use anyhow::Result;
@@ -73,6 +74,7 @@ struct Examined {
     protocol: u8,
     boot: u32,
     simulated: bool,
+    telemetry: bool,
     pool: u16,
     horizon_ticks: u8,
     round_trip: RoundTrip,
@@ -97,17 +99,25 @@ pub(super) fn run(asked: Option<Spec>, plain: &Plain) -> Result<ExitCode> {
     let (realtime, wake_up) = measured.unwrap_or((Realtime::default(), WakeUp::NONE));
     let mut findings = Vec::from(rights(realtime));
     findings.push(timers(&wake_up));
-    let holds = daemon(&mut findings, asked.is_none(), Client::new(&plain.place.path())?.get("/v1/status"));
+    let status = Client::new(&plain.place.path())?.get("/v1/status");
+    let daemons = daemon(&mut findings, asked.is_none(), status);
     let device = match asked {
-        None if holds => None,
+        None if daemons.is_some() => None,
         None => board::examine(&Spec::Board, &mut findings),
         Some(spec) => board::examine(&spec, &mut findings),
     };
+    let simulated = match &device {
+        Some(examined) => examined.simulated,
+        None => daemons.and_then(|status| status.device).is_some_and(|device| device.simulated),
+    };
     let ok = findings.iter().all(|finding| finding.level != Level::Fail);
     let report = Report { ok, wake_up, device, findings };
-    give(plain.output.json, &report, || {
-        format!("{}\n{}", lines(&report.findings), if ok { "go" } else { "no go: see what says FAIL" })
-    })?;
+    let verdict = match (ok, simulated) {
+        (true, false) => "go",
+        (true, true) => "go, on a simulated device",
+        (false, _) => "no go: see what says FAIL",
+    };
+    give(plain.output.json, &report, || format!("{}\n{verdict}", lines(&report.findings)))?;
     Ok(if ok { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
@@ -118,7 +128,8 @@ fn lines(findings: &[Finding]) -> String {
             Level::Warn => "warn",
             Level::Fail => "FAIL",
         };
-        let advice = if finding.advice.is_empty() { String::new() } else { format!(": {}", finding.advice) };
+        let advice =
+            if finding.advice.is_empty() { String::new() } else { format!(" -> {}", finding.advice) };
         vec![mark.to_owned(), finding.what.to_owned(), format!("{}{advice}", finding.found)]
     };
     text::columns(&[], findings.iter().map(line))
@@ -177,19 +188,20 @@ fn timers(wake_up: &WakeUp) -> Finding {
     )
 }
 
-/// What a daemon says of itself and, if nobody asked for another, of its device; whether it has one.
-fn daemon(findings: &mut Vec<Finding>, judged: bool, status: Result<Status, ClientError>) -> bool {
+/// What a daemon says of itself and, if nobody asked for another, of its device; its status, if the device is its to
+/// judge.
+fn daemon(findings: &mut Vec<Finding>, judged: bool, status: Result<Status, ClientError>) -> Option<Status> {
     let status = match status {
         Ok(status) => status,
         Err(ClientError::NoDaemon { socket, .. }) => {
             let found = format!("none answers at {}", socket.display());
             let advice = "to play, start one with `meissner daemon`, or name its socket with --socket";
             findings.push(Finding::new("daemon", Level::Warn, found, advice));
-            return false;
+            return None;
         }
         Err(error) => {
             findings.push(Finding::new("daemon", Level::Fail, error.to_string(), "see its log"));
-            return false;
+            return None;
         }
     };
     let holds = status.device.as_ref().map_or_else(String::new, |device| format!(", has {}", device.kind));
@@ -197,23 +209,33 @@ fn daemon(findings: &mut Vec<Finding>, judged: bool, status: Result<Status, Clie
     let same = status.version == env!("CARGO_PKG_VERSION");
     let level = if same { Level::Ok } else { Level::Warn };
     findings.push(Finding::new("daemon", level, found, "restart it: this program has another version"));
-    if !judged || status.device.is_none() {
-        return false;
+    if !judged {
+        return None;
     }
-    held(findings, &status);
-    true
+    match &status.device {
+        Some(device) => held(findings, &status, device),
+        None => {
+            let found = match &status.missing {
+                Some(missing) => format!("has no device: {missing}"),
+                None => format!("has no device yet: `{}` was asked for", status.wanted),
+            };
+            let advice = "it looks again by itself; for another device restart it with --device";
+            findings.push(Finding::new("daemon", Level::Fail, found, advice));
+        }
+    }
+    Some(status)
 }
 
 /// The daemon's device, by what the daemon says.
-fn held(findings: &mut Vec<Finding>, status: &Status) {
-    let Some(device) = &status.device else { return };
+fn held(findings: &mut Vec<Finding>, status: &Status, device: &DeviceInfo) {
     let found = format!("{}, firmware {}", device.kind, device.firmware);
     let level = if device.simulated { Level::Warn } else { Level::Ok };
     findings.push(Finding::new(
         "device",
         level,
         found,
-        "it is simulated, no real pin moves: name one with --device",
+        "it is simulated, no real pin moves: plug the board in and restart the daemon, or name one with `daemon \
+         --device`",
     ));
     let state = format!("{} ({}), position {}", status.state, status.cause, status.position);
     findings.push(match (status.state.as_str(), status.position.as_str()) {
@@ -244,4 +266,5 @@ fn held(findings: &mut Vec<Finding>, status: &Status) {
     if let Some(bytes) = status.line_bytes_per_s {
         findings.push(board::line(bytes));
     }
+    findings.extend(board::telemetry(device.telemetry));
 }

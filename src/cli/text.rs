@@ -7,7 +7,7 @@
 use crate::api::Status;
 use crate::array::{COLUMNS, ROWS};
 use crate::pattern::Drive;
-use crate::record::{Event, Receipt};
+use crate::record::{Event, NO_DEVICE, Receipt};
 use crate::report::figures::stretches;
 use comfy_table::presets::{NOTHING, UTF8_FULL};
 use comfy_table::{CellAlignment, Table};
@@ -73,17 +73,33 @@ pub(super) fn receipt(receipt: &Receipt) -> String {
     pairs(&lines)
 }
 
+/// What a device without telemetry comes to, and what to do.
+pub(super) const NO_TELEMETRY: &str = "none: bursts are not corrected, pins drift";
+pub(super) const SHORT_PLAYS: &str = "keep plays short";
+
+/// State and cause.
+pub(super) fn state(status: &Status) -> String {
+    if status.state == NO_DEVICE {
+        "no device".to_owned()
+    } else {
+        format!("{} ({})", status.state, status.cause)
+    }
+}
+
 pub(super) fn status(status: &Status) -> String {
-    let device = status.device.as_ref().map_or_else(
-        || "none".to_owned(),
-        |device| format!("{}, firmware {} ({})", device.kind, device.firmware, device.build),
-    );
+    let none = || match &status.missing {
+        Some(missing) => format!("none: {missing}"),
+        None => format!("none yet: `{}` was asked for", status.wanted),
+    };
+    let device = status.device.as_ref().map_or_else(none, |device| {
+        format!("{}, firmware {} ({})", device.kind, device.firmware, device.build)
+    });
     let play = status.play.as_ref().map_or_else(
         || "nothing".to_owned(),
         |play| format!("{} of {}, {:.1} s", play.id, play.pattern, play.played_s),
     );
     let mut lines = vec![
-        ("state", format!("{} ({})", status.state, status.cause)),
+        ("state", state(status)),
         ("position", status.position.clone()),
         ("device", device),
         ("plays", play),
@@ -91,6 +107,9 @@ pub(super) fn status(status: &Status) -> String {
     if !status.queued.is_empty() {
         let waiting = status.queued.iter().map(|play| format!("{} of {}", play.id, play.pattern));
         lines.push(("queued", waiting.collect::<Vec<_>>().join(", ")));
+    }
+    if status.device.as_ref().is_some_and(|device| !device.telemetry) {
+        lines.push(("telemetry", format!("{NO_TELEMETRY}; {SHORT_PLAYS}")));
     }
     if let (Some(tick), Some(uncertainty_us)) = (status.tick, status.clock_uncertainty_us) {
         lines.push(("tick", format!("{tick}, known to {uncertainty_us:.1} us")));

@@ -11,7 +11,7 @@
 use super::engine::Engine;
 use crate::device::{self, Device, Spec};
 use crate::plant::PlantConfig;
-use crossbeam_channel::{Receiver, Sender, bounded, never, select};
+use crossbeam_channel::{Receiver, RecvError, Sender, bounded, never, select};
 use std::io;
 use std::sync::Arc;
 use std::thread;
@@ -83,7 +83,9 @@ impl Connector {
                     Ok(Word::Gone(device)) => drop(device),
                     Ok(Word::Quit) | Err(_) => return,
                 },
-                recv(self.plugged) -> _ => debug!("something was plugged in"),
+                recv(self.plugged) -> news => {
+                    self.heard(news);
+                }
                 default(LOOK_EVERY) => {}
             }
         }
@@ -100,6 +102,18 @@ impl Connector {
         if device::watch(&wanted, arrived).unwrap_or(false) {
             self.plugged = plugged;
         }
+    }
+
+    /// Whether something was plugged in. From a watch that has ended nothing is heard any more, or it would always be
+    /// ready.
+    fn heard(&mut self, news: Result<(), RecvError>) -> bool {
+        if news.is_err() {
+            debug!("the system tells of no arrivals any more");
+            self.plugged = never();
+            return false;
+        }
+        debug!("something was plugged in");
+        true
     }
 
     fn found(&mut self, device: &Device) {
@@ -122,10 +136,11 @@ impl Connector {
     /// Says why there is no device, once per reason, and not before it has lasted: a board that has just been plugged
     /// in gets its rights a moment later.
     fn failed(&mut self, line: String) {
+        self.engine.miss(&line);
         match &mut self.said {
             Some((before, said)) if *before == line => {
                 if !std::mem::replace(said, true) {
-                    warn!("{line}; it is looked for again and again");
+                    warn!("{line}; looking every {} s", LOOK_EVERY.as_secs_f64());
                 }
             }
             _ => self.said = Some((line, false)),
@@ -138,8 +153,9 @@ impl Connector {
         loop {
             select! {
                 recv(self.words) -> word => return Some(word.unwrap_or(Word::Quit)),
-                recv(self.plugged) -> _ => {
-                    let Some(wanted) = Spec::Auto.board().filter(|_| self.spec == Spec::Mock) else { continue };
+                recv(self.plugged) -> news => {
+                    let mock = self.heard(news) && self.spec == Spec::Mock;
+                    let Some(wanted) = Spec::Auto.board().filter(|_| mock) else { continue };
                     thread::sleep(SETTLED);
                     if device::is_plugged(&wanted) {
                         warn!("a board was plugged in, the mock stays in use: restart the daemon to use the board");
@@ -148,5 +164,39 @@ impl Connector {
                 }
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::stream::Settings;
+    use crate::stream::port::port;
+    use crossbeam_channel::TryRecvError;
+
+    #[test]
+    fn a_watch_that_has_ended_is_not_heard_any_more() {
+        let (_port, orders, _notices) = port().unwrap();
+        let spec = Spec::Serial("/nonexistent/tty".into());
+        let engine = Arc::new(Engine::new(orders, Settings::default(), spec.to_string()));
+        let ((tell, plugged), (word, words)) = (bounded(1), bounded(4));
+        let mut connector = Connector {
+            spec,
+            plant: PlantConfig::default(),
+            engine,
+            words,
+            plugged,
+            said: None,
+            opened: String::new(),
+        };
+        tell.send(()).unwrap();
+        let news = connector.plugged.recv();
+        assert!(connector.heard(news));
+        drop(tell);
+        let news = connector.plugged.recv();
+        assert!(!connector.heard(news));
+        assert_eq!(connector.plugged.try_recv(), Err(TryRecvError::Empty));
+        word.send(Word::Gone(None)).unwrap();
+        assert!(matches!(connector.sleep(), Some(Word::Gone(None))));
     }
 }

@@ -62,6 +62,8 @@ pub(super) struct Inner {
     connector: Option<crossbeam_channel::Sender<Word>>,
     /// Why the device was lost, if none has answered since: told once.
     lost: Option<&'static str>,
+    /// Why no device is connected, as it was found last.
+    missing: Option<String>,
     /// `None` once the daemon ends: listeners get what was published before, then the end.
     events: Option<broadcast::Sender<Event>>,
     closing: bool,
@@ -71,11 +73,13 @@ pub(super) struct Inner {
 #[derive(Debug)]
 pub(super) struct Engine {
     settings: Settings,
+    /// The device asked for, as it is written.
+    wanted: String,
     inner: Mutex<Inner>,
 }
 
 impl Engine {
-    pub(super) fn new(orders: Orders, settings: Settings) -> Self {
+    pub(super) fn new(orders: Orders, settings: Settings, wanted: String) -> Self {
         let inner = Inner {
             recorder: Recorder::default(),
             orders,
@@ -86,10 +90,11 @@ impl Engine {
             truth: None,
             connector: None,
             lost: None,
+            missing: None,
             events: Some(broadcast::channel(EVENTS).0),
             closing: false,
         };
-        Self { settings, inner: Mutex::new(inner) }
+        Self { settings, wanted, inner: Mutex::new(inner) }
     }
 
     pub(super) fn lock(&self) -> MutexGuard<'_, Inner> {
@@ -113,6 +118,11 @@ impl Engine {
                 _ => unreachable!("a ring gives back what it was given"),
             },
         )
+    }
+
+    /// Takes down why no device could be opened.
+    pub(super) fn miss(&self, line: &str) {
+        self.lock().missing = Some(line.to_owned());
     }
 
     /// The simulated plant's truth.
@@ -236,6 +246,8 @@ impl Engine {
             cause: cause.to_owned(),
             position: position.to_owned(),
             device: recorder.device(),
+            wanted: self.wanted.clone(),
+            missing: inner.missing.clone(),
             play: recorder.running(),
             queued: recorder
                 .queued()
@@ -289,11 +301,12 @@ impl Inner {
         let event = match &notice {
             Notice::Answer { ticket, result } => self.answered(*ticket, *result),
             Notice::Connected(_) => {
-                self.lost = None;
+                (self.lost, self.missing) = (None, None);
                 self.recorder.take(&notice)
             }
             // A port that is no board is opened again and again: that is no news.
             Notice::Disconnected { reason, .. } => {
+                self.missing = Some(format!("{}: {reason}", self.recorder.kind()));
                 let event = self.recorder.take(&notice);
                 event.filter(|_| self.lost.replace(reason) != Some(*reason))
             }
@@ -396,7 +409,7 @@ mod tests {
     #[test]
     fn a_full_ring_is_busy_for_all_but_an_emergency_stop() {
         let (mut port, orders, _notices) = port().unwrap();
-        let engine = Engine::new(orders, Settings::default());
+        let engine = Engine::new(orders, Settings::default(), "mock".to_owned());
         let mut waiting = 0;
         let busy = loop {
             match engine.order(Job::Stop) {

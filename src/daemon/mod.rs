@@ -181,7 +181,7 @@ impl Daemon {
                 "without real-time rights strokes may come late: see `meissner doctor`"
             );
         }
-        let engine = Arc::new(Engine::new(orders, config.settings));
+        let engine = Arc::new(Engine::new(orders, config.settings, config.device.to_string()));
         let connector = connect::spawn(config.device.clone(), config.mock, Arc::clone(&engine))
             .map_err(system("connector's thread"))?;
         info!("listening on {}", config.socket.display());

@@ -67,7 +67,8 @@ impl Mock {
     pub fn starting_at(plant: PlantConfig, boot: u32, now: Tick) -> Result<Self, PlantError> {
         let mut version = env!("CARGO_PKG_VERSION").split('.').map(|part| part.parse().unwrap_or(0));
         let firmware = std::array::from_fn(|_| version.next().unwrap_or(0));
-        let features = DeviceHello::SIMULATED | DeviceHello::TELEMETRY;
+        let telemetry = if plant.telemetry_hz > 0 { DeviceHello::TELEMETRY } else { 0 };
+        let features = DeviceHello::SIMULATED | telemetry;
         let identity = Identity { firmware, build: *b"mock", boot, features };
         Ok(Self {
             controller: Box::new(Controller::starting_at(identity, now)),

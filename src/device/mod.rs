@@ -24,6 +24,7 @@ pub use pty::PtyMock;
 use rustix::fd::BorrowedFd;
 pub use serial::SerialPort;
 pub use spec::{BadSpec, Spec};
+use std::fmt;
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::io;
 use std::path::PathBuf;
@@ -31,62 +32,103 @@ use std::sync::Arc;
 use usb::FULL_SPEED;
 pub use usb::{UsbPort, watch};
 
-/// Why a device could not be opened.
+/// The ids of a Pico that waits for a firmware.
+const BARE_PICO: &str = "2e8a:0003";
+
+/// Why a device could not be opened. It is shown on one line: what was found, and what to do.
 #[derive(Debug, thiserror::Error)]
 pub enum DeviceError {
     /// The port does not exist.
-    #[error("serial port {0}: not there; plug the board in, or see `ls /dev/serial/by-id`")]
     NotThere(PathBuf),
     /// No access.
-    #[error(
-        "serial port {0}: permission denied; install deploy/70-meissner.rules, or join the group that owns it (often \
-         `dialout`) and log in again"
-    )]
     Denied(PathBuf),
     /// Another program has it.
-    #[error(
-        "serial port {0}: in use by another program, perhaps a daemon (`meissner status`); stop that one first"
-    )]
     InUse(PathBuf),
+    /// Something else has this name.
+    NotSerial(PathBuf),
     /// Anything else about a port.
-    #[error("serial port {0}: {1}")]
     Port(PathBuf, #[source] io::Error),
     /// No board with a serial port.
-    #[error("no board with a serial port: looked for {0}; plug it in, or name a port with serial:PATH")]
     NoSerial(String),
     /// No board with an interface of its own.
-    #[error("no board on USB: looked for {0}; plug it in, or see `lsusb`")]
     NoUsb(String),
     /// Neither.
-    #[error(
-        "no board: looked for {0}, by serial port and on USB; plug it in, or use the simulated one, `mock`"
-    )]
     NoBoard(String),
     /// No access.
-    #[error("USB device {0}: permission denied; install deploy/70-meissner.rules and plug it in again")]
     UsbDenied(String),
     /// Another program has it.
-    #[error(
-        "USB device {0}: in use by another program, perhaps a daemon (`meissner status`); stop that one first"
-    )]
     UsbInUse(String),
     /// Another firmware.
-    #[error(
-        "USB device {0}: it has no vendor-specific interface; update its firmware, or use its serial port"
-    )]
     UsbInterface(String),
     /// Anything else about it.
-    #[error("USB device {0}: {1}; plug it in again")]
     Usb(String, #[source] rusb::Error),
     /// No threads or descriptors for its transfers.
-    #[error("USB device {0}: the system gives no thread for it: {1}")]
     UsbThreads(String, #[source] io::Error),
     /// No pseudo-terminal.
-    #[error("no pseudo-terminal for the mock: {0}")]
     Pty(#[source] io::Error),
     /// The mock's settings.
-    #[error("mock: {0}")]
     Plant(#[from] crate::plant::PlantError),
+}
+
+impl DeviceError {
+    /// What was found, and where.
+    #[must_use]
+    pub fn found(&self) -> String {
+        let port = |path: &PathBuf, what: &str| format!("serial port {}: {what}", path.display());
+        let usb = |place: &String, what: &str| format!("USB device {place}: {what}");
+        match self {
+            Self::NotThere(path) => port(path, "not there"),
+            Self::Denied(path) => port(path, "permission denied"),
+            Self::InUse(path) => port(path, "in use by another program"),
+            Self::NotSerial(path) => port(path, "not a serial port"),
+            Self::Port(path, error) => port(path, &error.to_string()),
+            Self::NoSerial(sought) => format!("no board with a serial port: looked for {sought}"),
+            Self::NoUsb(sought) => format!("no board on USB: looked for {sought}"),
+            Self::NoBoard(sought) => format!("no board: looked for {sought}, by serial port and on USB"),
+            Self::UsbDenied(place) => usb(place, "permission denied"),
+            Self::UsbInUse(place) => usb(place, "in use by another program"),
+            Self::UsbInterface(place) => usb(place, "it has no vendor-specific interface"),
+            Self::Usb(place, error) => usb(place, &error.to_string()),
+            Self::UsbThreads(place, error) => {
+                usb(place, &format!("the system gives no thread for it: {error}"))
+            }
+            Self::Pty(error) => format!("no pseudo-terminal for the mock: {error}"),
+            Self::Plant(error) => error.to_string(),
+        }
+    }
+
+    /// What to do.
+    #[must_use]
+    pub fn advice(&self) -> String {
+        let (vendor, product) = find::BOARD;
+        let look = format!(
+            "see `lsusb -d {vendor:04x}:{product:04x}` ({BARE_PICO} is a Pico without this firmware)"
+        );
+        match self {
+            Self::NotThere(_) => "plug the board in, or see `ls /dev/serial/by-id`".to_owned(),
+            Self::Denied(_) => "install deploy/70-meissner.rules, or join the group that owns it (often `dialout`) \
+                                and log in again"
+                .to_owned(),
+            Self::InUse(_) | Self::UsbInUse(_) => "stop that one first; a daemon says what it has in `meissner \
+                                                   status`, one at another socket in `meissner status --socket PATH`"
+                .to_owned(),
+            Self::NotSerial(_) => "name one of `ls /dev/serial/by-id`".to_owned(),
+            Self::Port(..) | Self::Usb(..) => "plug it in again, or see what `dmesg` says of it".to_owned(),
+            Self::NoSerial(_) => "plug it in, or name a port with serial:PATH".to_owned(),
+            Self::NoUsb(_) => format!("plug it in, or {look}"),
+            Self::NoBoard(_) => format!("plug it in, or {look}, or use the simulated one, `mock`"),
+            Self::UsbDenied(_) => "install deploy/70-meissner.rules and plug it in again".to_owned(),
+            Self::UsbInterface(_) => "update its firmware, or use its serial port".to_owned(),
+            Self::UsbThreads(..) | Self::Pty(_) => "see this machine's limits (`ulimit -a`)".to_owned(),
+            Self::Plant(_) => "see the configuration's [mock]".to_owned(),
+        }
+    }
+}
+
+impl fmt::Display for DeviceError {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "{}; {}", self.found(), self.advice())
+    }
 }
 
 /// The mock, run by the wall clock of whoever reads it.

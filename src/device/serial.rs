@@ -6,8 +6,9 @@ use crate::device::usb::FULL_SPEED;
 use crate::device::{DeviceError, find};
 use crate::link::LineRate;
 use rustix::fd::{AsFd, BorrowedFd, FromRawFd, IntoRawFd, OwnedFd};
-use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
+use rustix::fs::{Mode, OFlags, fcntl_getfl, fcntl_setfl, open};
 use rustix::io::Errno;
+use rustix::termios::isatty;
 use serialport::SerialPort as _;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -18,6 +19,12 @@ const BAUD: u32 = 1_000_000;
 const BITS_PER_BYTE: u32 = 10;
 /// Names of ports behind which there is no UART: USB CDC, pseudo-terminals.
 const NO_UART: [&str; 2] = ["/dev/ttyACM", "/dev/pts/"];
+
+/// Whether something else has this name: asked where it could not be opened as a port.
+fn is_no_terminal(path: &Path) -> bool {
+    let flags = OFlags::RDONLY | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC;
+    open(path, flags, Mode::empty()).is_ok_and(|fd| !isatty(fd))
+}
 
 /// An open port.
 #[derive(Debug)]
@@ -46,6 +53,7 @@ impl SerialPort {
                     serialport::ErrorKind::Io(io::ErrorKind::PermissionDenied) => DeviceError::Denied(owned),
                     // A port locked by another process reads as this.
                     serialport::ErrorKind::NoDevice => DeviceError::InUse(owned),
+                    _ if is_no_terminal(path) => DeviceError::NotSerial(owned),
                     _ => DeviceError::Port(owned, error.into()),
                 });
             }

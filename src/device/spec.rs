@@ -25,12 +25,23 @@ pub enum Spec {
     Usb(Wanted),
 }
 
-/// Not a device.
-#[derive(Debug, thiserror::Error)]
-#[error(
-    "device `{0}`: not one of auto, mock, pty, serial, serial:PATH, serial:SERIAL, serial:VID:PID[:SERIAL], usb, usb:SERIAL"
-)]
-pub struct BadSpec(String);
+/// Not a device. What was written, whoever read it says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum BadSpec {
+    /// None of them.
+    #[error(
+        "not one of auto, mock, pty, serial, serial:PATH, serial:SERIAL, serial:VID:PID[:SERIAL], usb, usb:SERIAL"
+    )]
+    Unknown,
+    /// `serial:` with what may be ids.
+    #[error(
+        "ids have four hex digits each, as in serial:1209:0001; a path has a slash, as in serial:/dev/ttyACM0"
+    )]
+    Ids,
+    /// `usb:` with ids.
+    #[error("usb takes a serial number only, as in usb:E66038B7; for other ids write serial:VID:PID")]
+    UsbIds,
+}
 
 impl Spec {
     /// The board it stands for, if plugging one in may make it appear.
@@ -47,7 +58,6 @@ impl Spec {
 impl FromStr for Spec {
     type Err = BadSpec;
     fn from_str(text: &str) -> Result<Self, BadSpec> {
-        let bad = || BadSpec(text.to_owned());
         match text.split_once(':') {
             None if text == "auto" => Ok(Self::Auto),
             None if text == "mock" => Ok(Self::Mock),
@@ -55,11 +65,13 @@ impl FromStr for Spec {
             None if text == "serial" => Ok(Self::Found(Wanted::default())),
             None if text == "usb" => Ok(Self::Usb(Wanted::default())),
             Some(("serial", path)) if path.contains('/') => Ok(Self::Serial(path.into())),
-            Some(("serial", board)) => Wanted::parse(board).map(Self::Found).ok_or_else(bad),
-            Some(("usb", serial)) if !serial.contains(':') => {
-                Wanted::parse(serial).map(Self::Usb).ok_or_else(bad)
+            Some(("serial", board)) => {
+                let bad = if board.contains(':') { BadSpec::Ids } else { BadSpec::Unknown };
+                Wanted::parse(board).map(Self::Found).ok_or(bad)
             }
-            _ => Err(bad()),
+            Some(("usb", serial)) if serial.contains(':') => Err(BadSpec::UsbIds),
+            Some(("usb", serial)) => Wanted::parse(serial).map(Self::Usb).ok_or(BadSpec::Unknown),
+            _ => Err(BadSpec::Unknown),
         }
     }
 }
@@ -107,9 +119,20 @@ mod tests {
         }
         let found = Spec::Found(Wanted::serial("e6"));
         assert_eq!("serial:1209:0001:e6".parse::<Spec>().unwrap(), found);
-        for text in ["", "uart", "serial:", "usb:", "usb:1209:0001", "mock:1", "serial:12:34", "board"] {
-            let line = text.parse::<Spec>().unwrap_err().to_string();
-            assert!(line.contains("not one of") && !line.contains('\n'), "{line}");
+        for (text, bad) in [
+            ("", BadSpec::Unknown),
+            ("uart", BadSpec::Unknown),
+            ("serial:", BadSpec::Unknown),
+            ("usb:", BadSpec::Unknown),
+            ("mock:1", BadSpec::Unknown),
+            ("board", BadSpec::Unknown),
+            ("serial:12:34", BadSpec::Ids),
+            ("serial:1209:1", BadSpec::Ids),
+            ("usb:1209:0001", BadSpec::UsbIds),
+        ] {
+            assert_eq!(text.parse::<Spec>(), Err(bad), "{text}");
         }
+        assert!(BadSpec::Ids.to_string().contains("four hex digits"));
+        assert!(BadSpec::UsbIds.to_string().contains("a serial number only"));
     }
 }

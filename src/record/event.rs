@@ -36,6 +36,14 @@ pub struct DeviceInfo {
     pub boot: u32,
     /// Whether the shafts are simulated.
     pub simulated: bool,
+    /// Whether it measures where its pins are; without that, bursts are not corrected.
+    #[serde(default = "usually")]
+    pub telemetry: bool,
+}
+
+/// A daemon that does not say has devices that do.
+const fn usually() -> bool {
+    true
 }
 
 impl DeviceInfo {
@@ -49,6 +57,7 @@ impl DeviceInfo {
             build: format!("{:08x}", u32::from_be_bytes(hello.build)),
             boot: hello.boot,
             simulated: hello.features & DeviceHello::SIMULATED != 0,
+            telemetry: hello.features & DeviceHello::TELEMETRY != 0,
         }
     }
 }

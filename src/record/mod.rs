@@ -77,6 +77,12 @@ impl Recorder {
         self.kind = kind;
     }
 
+    /// How the last device was reached.
+    #[must_use]
+    pub fn kind(&self) -> &str {
+        &self.kind
+    }
+
     /// Takes in what happened; an [`Notice::Answer`] is its owner's business and tells nothing here.
     pub fn take(&mut self, notice: &Notice) -> Option<Event> {
         match notice {

@@ -4,6 +4,7 @@
 
 use super::{Examined, Finding, Level};
 use crate::checkup::{self, Checkup};
+use crate::cli::text;
 use crate::device::{self, Spec};
 use crate::plant::PlantConfig;
 use crate::record::DeviceInfo;
@@ -23,16 +24,10 @@ const MODEL_PPM: f64 = 200.0;
 
 /// Opens and measures; what there is to tell of it goes into `findings`.
 pub(super) fn examine(spec: &Spec, findings: &mut Vec<Finding>) -> Option<Examined> {
-    let mut fail = |what, found: String| {
-        // What to do is in the line itself.
-        let usual = (found.as_str(), "see its cable and power, and what else this machine does");
-        let (found, advice) = found.split_once("; ").unwrap_or(usual);
-        findings.push(Finding::new(what, Level::Fail, found, advice));
-    };
     let mut device = match device::open(spec, &PlantConfig::default()) {
         Ok(device) => device,
         Err(error) => {
-            fail("device", error.to_string());
+            findings.push(Finding::new("device", Level::Fail, error.found(), &error.advice()));
             return None;
         }
     };
@@ -42,7 +37,8 @@ pub(super) fn examine(spec: &Spec, findings: &mut Vec<Finding>) -> Option<Examin
     let checked = match checked {
         Ok(checked) => checked,
         Err(error) => {
-            fail("device", format!("{kind}: {}", error.to_string().replacen(": ", "; ", 1)));
+            let found = format!("{kind}: {error}");
+            findings.push(Finding::new("device", Level::Fail, found, error.advice()));
             return None;
         }
     };
@@ -52,7 +48,8 @@ pub(super) fn examine(spec: &Spec, findings: &mut Vec<Finding>) -> Option<Examin
 }
 
 fn examined(kind: &str, serial_number: Option<String>, checked: &Checkup) -> Examined {
-    let DeviceInfo { kind, firmware, build, boot, simulated } = DeviceInfo::new(kind, &checked.hello);
+    let DeviceInfo { kind, firmware, build, boot, simulated, telemetry } =
+        DeviceInfo::new(kind, &checked.hello);
     Examined {
         kind,
         serial_number,
@@ -61,6 +58,7 @@ fn examined(kind: &str, serial_number: Option<String>, checked: &Checkup) -> Exa
         protocol: PROTOCOL,
         boot,
         simulated,
+        telemetry,
         pool: checked.hello.pool,
         horizon_ticks: checked.hello.horizon,
         round_trip: checked.round_trip,
@@ -118,7 +116,16 @@ fn judged(at: &Examined) -> Vec<Finding> {
     } else {
         "round trips are too uneven to tell: use a USB port of the machine itself, and see what else it does"
     };
-    vec![who, trip, line, Finding::new("drift", level, found, advice)]
+    let drift = Finding::new("drift", level, found, advice);
+    let mut findings = vec![who, trip, line, drift];
+    findings.extend(telemetry(at.telemetry));
+    findings
+}
+
+/// What there is to say of its measuring, if it does none.
+pub(super) fn telemetry(there: bool) -> Option<Finding> {
+    let none = || Finding::new("telemetry", Level::Warn, text::NO_TELEMETRY, text::SHORT_PLAYS);
+    (!there).then(none)
 }
 
 /// What the line carries.

@@ -145,7 +145,7 @@ impl Drop for Pipe {
         self.shared.end.store(true, Ordering::Release);
         ring(&self.shared.writers_bell);
         for thread in self.threads.iter_mut().filter_map(Option::take) {
-            // It ends within `LOOK`; the interface is released with the last handle.
+            // The reader ends within `LOOK`, the writer within `STUCK`; the interface is released with the last handle.
             let _ = thread.join();
         }
     }

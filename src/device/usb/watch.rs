@@ -19,7 +19,7 @@ impl<F: FnMut() + Send> Hotplug<Context> for Arrivals<F> {
 }
 
 /// Calls `arrived` from a thread of its own whenever a device with these ids is plugged in, for as long as the process
-/// lives; `false` if this system cannot tell.
+/// lives; `false` if this system cannot tell. If libusb fails, `arrived` is dropped: nothing more is told.
 ///
 /// # Errors
 /// If the system gives no thread.
@@ -34,7 +34,23 @@ pub fn watch(wanted: &Wanted, arrived: impl FnMut() + Send + 'static) -> io::Res
         // Dropped, it would be silent.
         let _registration = registration;
         // It returns now and then without news.
-        while context.handle_events(None).is_ok() {}
+        while goes_on(context.handle_events(None)) {}
     })?;
     Ok(true)
+}
+
+/// Whether there may still be news: a signal that came in between is no end.
+const fn goes_on(handled: Result<(), rusb::Error>) -> bool {
+    matches!(handled, Ok(()) | Err(rusb::Error::Interrupted))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_signal_does_not_end_the_watch() {
+        assert!(goes_on(Ok(())) && goes_on(Err(rusb::Error::Interrupted)));
+        assert!(!goes_on(Err(rusb::Error::Io)) && !goes_on(Err(rusb::Error::NoMem)));
+    }
 }

@@ -74,18 +74,46 @@ pub enum LostReason {
     WrongArray,
 }
 
+/// The whole text, what was found, and what to do.
+macro_rules! said {
+    ($found:literal, $advice:literal) => {
+        (concat!($found, ": ", $advice), $found, $advice)
+    };
+}
+
 impl LostReason {
-    /// The same in words.
+    /// On one line, for a person.
     #[must_use]
-    pub fn text(self) -> &'static str {
+    pub const fn text(self) -> &'static str {
+        self.said().0
+    }
+
+    /// Of that, what was found.
+    #[must_use]
+    pub const fn found(self) -> &'static str {
+        self.said().1
+    }
+
+    /// And what to do.
+    #[must_use]
+    pub const fn advice(self) -> &'static str {
+        self.said().2
+    }
+
+    const fn said(self) -> (&'static str, &'static str, &'static str) {
         match self {
-            Self::NoAnswer => "the device does not answer",
-            Self::NoBoard => {
-                "what is there does not answer as a board: see that --device names the board, or power it off and on"
+            Self::NoAnswer => said!("the device does not answer", "see its cable and power"),
+            Self::NoBoard => said!(
+                "what is there does not answer as a board",
+                "see that --device names the board, or power it off and on"
+            ),
+            Self::Restarted => said!("the device has restarted", "see its power"),
+            Self::Version => {
+                said!("the device speaks another protocol version", "update its firmware or this program")
             }
-            Self::Restarted => "the device has restarted",
-            Self::Version => "the device speaks another protocol version: update its firmware or this daemon",
-            Self::WrongArray => "the device's motors or tick rate are not this array's",
+            Self::WrongArray => {
+                said!("the device's motors or tick rate are not this array's", "see its firmware")
+            }
         }
     }
 }
