@@ -162,32 +162,33 @@ fn SysTick() {
 
 /// The tick on the pins, or the one at which an e-stop was seen that the controller has not been told of.
 pub(crate) fn now() -> Tick {
-    if FROZEN.load(SeqCst) { Tick(join(&FROZEN_AT)) } else { running(0) }
+    if FROZEN.load(SeqCst) { Tick(join(&FROZEN_AT)) } else { running() }
 }
 
-/// The tick that was on the pins so many cycles (of less than a block) ago. From any context.
-fn running(ago: u32) -> Tick {
+/// The tick on the pins. From any context.
+fn running() -> Tick {
     loop {
-        let (high, low) = (BLOCKS[1].load(SeqCst), BLOCKS[0].load(SeqCst));
+        let blocks = join(&BLOCKS);
         let pending = SCB::is_pendst_pending();
         let left = SYST::get_current();
         // Nothing has happened in between: the three belong together.
-        if pending == SCB::is_pendst_pending()
-            && (high, low) == (BLOCKS[1].load(SeqCst), BLOCKS[0].load(SeqCst))
-        {
-            // The exception comes as the counter reaches 0, one cycle before it is reloaded.
-            let cycles = if left == 0 { 0 } else { BLOCK_CYCLES - left };
-            let mut blocks = (u64::from(high) << 32 | u64::from(low)) + u64::from(pending);
-            let cycles = if cycles >= ago {
-                cycles - ago
-            } else {
-                blocks = blocks.saturating_sub(1);
-                cycles + BLOCK_CYCLES - ago
-            };
-            // cycles / 1500, exact below 24 000.
-            return Tick::BOOT + (blocks * u64::from(BLOCK) + u64::from((cycles * 11_185) >> 24));
+        if pending == SCB::is_pendst_pending() && blocks == join(&BLOCKS) {
+            return tick(blocks + u64::from(pending), left, 0);
         }
     }
+}
+
+/// The tick of so many cycles (of less than a block) ago, when so many blocks had begun and `left` was on the counter.
+fn tick(blocks: u64, left: u32, ago: u32) -> Tick {
+    // The exception comes as the counter reaches 0, one cycle before it is reloaded.
+    let cycles = if left == 0 { 0 } else { BLOCK_CYCLES - left };
+    let (blocks, cycles) = if cycles >= ago {
+        (blocks, cycles - ago)
+    } else {
+        (blocks.saturating_sub(1), cycles + BLOCK_CYCLES - ago)
+    };
+    // cycles / 1500, exact below 24 000.
+    Tick::BOOT + (blocks * u64::from(BLOCK) + u64::from((cycles * 11_185) >> 24))
 }
 
 fn join([low, high]: &[AtomicU32; 2]) -> u64 {
@@ -210,6 +211,7 @@ pub(crate) fn write(tick: Tick, run: &Run, enabled: bool) {
 }
 
 /// Forces all outputs low at the pads, whatever PIO and DMA do. From any context.
+#[inline(always)]
 pub(crate) fn force_low() {
     let mut low = pac::io::regs::GpioCtrl(0);
     low.set_funcsel(PIO_FUNCTION);
@@ -233,15 +235,19 @@ static CONTROLS: [usize; OUTPUTS.len()] = {
     registers
 };
 
-/// Cycles from the last pin's being forced low to reading the clock, and those by which it is ahead of the pins:
-/// measured in the emulator; some dozens more or less book a pulse that was cut short as played or not.
-const SINCE_FORCED: u32 = 180;
+/// Cycles by which the clock is ahead of the pins, as `start` starts them (66, measured in the emulator), and some.
+const AHEAD: u32 = 75;
 
-/// Forces all outputs low and stops time for the controller, until [`go_on`].
+/// Forces all outputs low and stops time for the controller, until [`go_on`]. From the USB interrupt, which `SysTick`
+/// does not preempt.
 pub(crate) fn freeze_low() {
     force_low();
-    // Pulses of this tick and no later one have begun, if only for the time that forcing takes.
-    let at = running(SINCE_FORCED);
+    // Pulses of this tick and of no later one have begun, if only for the time that forcing takes.
+    let left = SYST::get_current();
+    let pending = SCB::is_pendst_pending();
+    // It may have begun another block since.
+    let since = left != 0 && SYST::get_current() > left;
+    let at = tick((join(&BLOCKS) + u64::from(pending)).saturating_sub(since.into()), left, AHEAD);
     FROZEN_AT[0].store(at.0 as u32, SeqCst);
     FROZEN_AT[1].store((at.0 >> 32) as u32, SeqCst);
     FROZEN.store(true, SeqCst);

@@ -25,6 +25,6 @@ fn full_load_is_played_whole() {
 }
 
 #[test]
-fn full_load_is_played_whole_by_a_core_a_sixth_slower() {
-    full_load(1.2);
+fn full_load_is_played_whole_by_a_core_a_tenth_slower() {
+    full_load(1.1);
 }
