@@ -15,13 +15,15 @@
 //! shortly before it begins, within `firmware_protocol::limits`, so that shafts keep their rest position.
 //!
 //! A [`device`] is whatever a controller can be reached through: a board's serial port or its own USB interface, or
-//! the mock. The controller is the same code in all, `firmware_protocol::controller`: it plays ticks, guards the limits, and
-//! returns the pins when it is told to stop or no longer hears its host. On a board it runs in `firmware/`, which is
-//! built and tested on its own, in an emulator that the real streamer plays to (`firmware/hil`). On the mock its lines go to the [`plant`], 24 shafts after the
-//! [`motor`] model with the scatter that was measured on real ones ([`draw`] makes it repeatable).
+//! the mock. The controller is the same code in all, `firmware_protocol::controller`: it plays ticks, guards the limits,
+//! and returns the pins when it is told to stop or no longer hears its host. On a board it runs in `firmware/`, which is
+//! built and tested on its own, in an emulator that the real streamer plays to (`firmware/hil`). On the mock its lines
+//! go to the [`plant`], 24 shafts after the [`motor`] model with the scatter that was measured on real ones ([`draw`]
+//! makes it repeatable).
 //!
-//! When a device is connected, the link measures what the line carries, and a play that needs more is refused
-//! (counted by [`stream::Need`]). The doctor looks at a device closer, without a daemon (measured by [`checkup`], judged by its command).
+//! When a device is connected, the link measures what the line carries, and a play that needs more is refused (counted
+//! by [`stream::Need`]). The doctor looks at a device closer, without a daemon (measured by [`checkup`], judged by its
+//! command).
 //!
 //! What happened comes out as notices; [`record`] makes of them the receipts and events that clients and the log see. In the
 //! end every burst of every play was played, late, dropped or refused, and the receipt says which.
