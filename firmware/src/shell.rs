@@ -98,13 +98,18 @@ impl Shell {
         // One thing at a time: blocks may have fallen due meanwhile.
         loop {
             self.take_e_stop();
-            let followed = self.controller.poll(wave::now());
+            self.hold();
             self.render();
+            let followed = self.controller.poll(wave::now());
             self.publish();
             if !(followed || self.take_lost() || self.send() || self.take_packet()) {
                 break;
             }
         }
+    }
+
+    /// Holds the outputs low for as long as the controller says so, and lets them go in the tick in which it ends.
+    fn hold(&self) {
         if self.controller.forced_off(wave::now()) {
             wave::force_low();
         } else {
