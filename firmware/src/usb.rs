@@ -307,8 +307,8 @@ async fn inbound(pipe: usize, mut source: impl Source, mut shell: Producer<'stat
     }
 }
 
-/// Bytes from the shell, in packets. What waits when the bus goes is dropped; what waits when a tty is closed reaches
-/// whoever opens it next, who knows by its session that it is not meant.
+/// Bytes from the shell, in packets. What waits when a host goes reaches the next one, who knows by its session that it
+/// is not meant: embassy's endpoints wait for a host rather than fail.
 async fn outbound(pipe: usize, mut sink: impl Sink, mut shell: Consumer<'static, u8>) {
     loop {
         sink.open().await;
