@@ -15,11 +15,11 @@
 mod pin;
 mod rest;
 
+pub use pin::Pin;
 pub use rest::RestStats;
 
 use firmware_protocol::stroke::{Direction, Lines, MOTORS};
 use firmware_protocol::tick::{TICK_HZ, Tick};
-use pin::Pin;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
@@ -213,10 +213,10 @@ impl Plant {
             self.pins[motor].end(self.now, Direction::Down);
         }
         for motor in motors(lines.up & !before.up) {
-            self.pins[motor].begin(&self.config, motor as u64, self.now, Direction::Up);
+            self.pins[motor].begin(self.now, Direction::Up);
         }
         for motor in motors(lines.down & !before.down) {
-            self.pins[motor].begin(&self.config, motor as u64, self.now, Direction::Down);
+            self.pins[motor].begin(self.now, Direction::Down);
         }
     }
 

@@ -117,6 +117,13 @@ impl Strokes {
         self.end
     }
 
+    /// When the next stroke of `motor` goes up; `None` if there is none.
+    #[must_use]
+    pub fn next_up(&self, motor: u8) -> Option<Tick> {
+        let lane = self.lanes.iter().position(|lane| lane.motor() == motor)?;
+        (self.ups[lane] != NEVER).then(|| self.onset + self.ups[lane])
+    }
+
     fn check(&mut self, stroke: Stroke) -> Result<Stroke, StrokesError> {
         limits::check(&stroke).map_err(|refusal| StrokesError::Limit { stroke, refusal })?;
         if stroke.up_pulses != stroke.down_pulses {

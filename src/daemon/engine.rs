@@ -236,10 +236,7 @@ impl Engine {
         let (state, cause, position) = recorder.standing();
         let clock = recorder.clock(HostInstant::now());
         let snapshot = recorder.snapshot();
-        let motor = |rest_error_um: &f32| MotorStatus {
-            rest_error_um: *rest_error_um,
-            source: snapshot.map(|snapshot| snapshot.source).unwrap_or_default(),
-        };
+        let motor = |(&rest_error_um, &source)| MotorStatus { rest_error_um, source };
         let playing = snapshot.filter(|snapshot| snapshot.play.is_some());
         Status {
             state: state.to_owned(),
@@ -258,7 +255,9 @@ impl Engine {
             lead_ms: playing.map_or(self.settings.lead_ms, |snapshot| snapshot.lead_ms),
             lease_ms: self.settings.lease_ms,
             line_bytes_per_s: snapshot.filter(|at| at.connected).and_then(|at| at.line_bytes_per_s),
-            motors: snapshot.map(|at| at.rest_error_um.iter().map(motor).collect()).unwrap_or_default(),
+            motors: snapshot
+                .map(|at| at.rest_error_um.iter().zip(&at.source).map(motor).collect())
+                .unwrap_or_default(),
             version: env!("CARGO_PKG_VERSION").to_owned(),
             pid: std::process::id(),
         }

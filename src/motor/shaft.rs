@@ -76,10 +76,16 @@ impl Ramp {
         after.clamp(0, self.half_ticks())
     }
 
+    /// The ramp's share in the displacement at an instant, µm.
+    #[must_use]
+    pub fn share_um(&self, at: HalfTick) -> f64 {
+        self.share_after(at.since(self.start.into()))
+    }
+
     /// The ramp's share in the displacement, `after` half ticks after its start, µm: the mean over the window
     /// of what it has travelled. Before the window it did `before`; inside it runs on until it ends.
     #[expect(clippy::cast_precision_loss, reason = "below 2^44")]
-    fn share_um(&self, after: i64) -> f64 {
+    fn share_after(&self, after: i64) -> f64 {
         let before = self.done(after - WINDOW);
         let left = self.half_ticks() - before;
         if left == 0 {
@@ -150,7 +156,7 @@ impl Shaft {
     /// The displacement y: the mean of r over the window that ends `at`, µm.
     #[must_use]
     pub fn displacement_um(&self, at: HalfTick) -> f64 {
-        self.ramps.iter().fold(self.base_um, |sum, ramp| sum + ramp.share_um(at.since(ramp.start.into())))
+        self.ramps.iter().fold(self.base_um, |sum, ramp| sum + ramp.share_um(at))
     }
 
     /// dy/dt = (r(t) - r(t - W)) / W, µm per tick. Linear between the starts and ends of ramps and W after each.

@@ -9,7 +9,7 @@ use super::{PlantConfig, RestStats};
 use crate::draw;
 use crate::motor::{Ramp, Shaft};
 use crate::units::UM_PER_PULSE;
-use firmware_protocol::stroke::Direction;
+use firmware_protocol::stroke::{self, Direction};
 use firmware_protocol::tick::{TICK_HZ, Tick};
 
 /// Rest after which a motor's first burst is transient: half a second.
@@ -29,7 +29,9 @@ const ASYMMETRY_WORD: u64 = 2;
 
 /// A pin and its motor.
 #[derive(Debug)]
-pub(super) struct Pin {
+pub struct Pin {
+    config: PlantConfig,
+    motor: u64,
     pub(super) shaft: Shaft,
     pub(super) rest: RestStats,
     /// Half of it is added to the gain upwards, half taken from the gain downwards.
@@ -52,14 +54,44 @@ struct Burst {
 }
 
 impl Pin {
-    pub(super) fn new(config: &PlantConfig, motor: u64) -> Self {
+    /// A pin at rest at 0, of this motor of the array.
+    #[must_use]
+    pub fn new(config: &PlantConfig, motor: u64) -> Self {
         Self {
+            config: *config,
+            motor,
             shaft: Shaft::default(),
             rest: RestStats::default(),
             asymmetry: config.asymmetry_sd * draw::normal([config.seed, motor, 0, ASYMMETRY_WORD]),
             last_end: None,
             burst: Burst { direction: Direction::Up, gain: 0.0, free: 0, last_gain: 0.0 },
         }
+    }
+
+    /// The same with a given asymmetry: half of it is added to the gain upwards, half taken from the gain downwards.
+    #[must_use]
+    pub fn with_asymmetry(self, asymmetry: f64) -> Self {
+        Self { asymmetry, ..self }
+    }
+
+    /// The same, shifted by so much long ago, µm.
+    #[must_use]
+    pub fn at(mut self, um: f64) -> Self {
+        self.shaft.push(Ramp { start: Tick(0), ticks: 1, um_per_tick: um });
+        self
+    }
+
+    /// Plays a burst, after those before it. From now on nothing may be asked before its start.
+    pub fn play(&mut self, burst: stroke::Burst) {
+        self.begin(burst.start, burst.direction);
+        self.run(burst.start, burst.pulses.into());
+        self.last_end = Some(burst.end());
+    }
+
+    /// The commanded position as it was really played, µm.
+    #[must_use]
+    pub fn position_um(&self, at: Tick) -> f64 {
+        self.shaft.position_um(at.into())
     }
 
     /// The first pulse of a burst comes.
@@ -69,7 +101,8 @@ impl Pin {
         reason = "the cast is the floor, and saturates"
     )]
     #[expect(clippy::cast_precision_loss, reason = "a number of pulses within the travel")]
-    pub(super) fn begin(&mut self, config: &PlantConfig, motor: u64, now: Tick, direction: Direction) {
+    pub(super) fn begin(&mut self, now: Tick, direction: Direction) {
+        let (config, motor) = (self.config, self.motor);
         let rested = self.last_end.is_none_or(|end| now - end >= TRANSIENT_REST_TICKS);
         let mean = if rested { config.transient_gain } else { 1.0 };
         let scatter = match config.gain_sd {
@@ -111,8 +144,9 @@ impl Pin {
     }
 
     /// The displacement in telemetry's unit.
+    #[must_use]
     #[expect(clippy::cast_possible_truncation, reason = "a pin is within 10 mm, 1e6 quanta")]
-    pub(super) fn quanta(&self, at: Tick) -> i32 {
+    pub fn quanta(&self, at: Tick) -> i32 {
         (self.shaft.displacement_um(at.into()) * QUANTA_PER_UM).round() as i32
     }
 }

@@ -41,7 +41,7 @@ fn snapshot(connected: bool, state: State, play: Option<(u64, f64)>) -> Snapshot
         play,
         lead_ms: 100.0,
         rest_error_um: [0.0; MOTORS],
-        source: crate::stream::port::ErrorSource::None,
+        source: [crate::stream::port::ErrorSource::None; MOTORS],
         line_bytes_per_s: None,
         bytes_out: 0,
         bytes_in: 0,

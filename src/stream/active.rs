@@ -102,6 +102,13 @@ impl Active {
         Some(self.onset? + self.play.strokes.end()?)
     }
 
+    /// The first tick at which a stroke of `motor` that was not handed over yet may begin.
+    pub(super) fn free_until(&self, motor: u8) -> Tick {
+        let next = self.next.filter(|next| next.motor == motor).map(|next| next.up);
+        let up = next.or_else(|| self.play.strokes.next_up(motor));
+        up.or_else(|| self.end()).unwrap_or(self.last_end)
+    }
+
     /// Whether it is played at an onset that was asked for.
     pub(super) fn is_fixed(&self) -> bool {
         self.play.at != At::Next

@@ -12,13 +12,16 @@ pub mod port;
 mod rehearse;
 mod streamer;
 mod thread;
+mod trial;
 
 use firmware_protocol::limits::OnTimeLimits;
 use firmware_protocol::tick::TICK_HZ;
+pub use hold::{Doubt, Gains};
 pub use need::{Demand, Need};
 pub use rehearse::{Line, Rehearsal, RehearseError, Rehearsed, rehearse};
 pub use streamer::{Streamer, cause_text};
 pub use thread::spawn;
+pub use trial::{Period, Trial};
 
 /// What the streamer is told once, at its start.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -125,6 +125,10 @@ impl Lane {
         }))
     }
 
+    pub(super) const fn motor(&self) -> u8 {
+        self.motor
+    }
+
     /// Back to the beginning; says when the first excursion goes up.
     pub(super) fn begin(&mut self) -> u64 {
         self.repeat = Repeat::of(0, self.duration_s);

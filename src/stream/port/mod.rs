@@ -19,7 +19,7 @@ use rustix::event::{EventfdFlags, eventfd};
 use rustix::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::sync::Arc;
 
-pub use outcome::{Bursts, End, ErrorSource, LateCause, Lateness, Onset, Outcome, Pulses, Snapshot};
+pub use outcome::{Bursts, End, ErrorSource, LateCause, Lateness, Onset, Outcome, Pulses, Snapshot, Traveled};
 pub use refused::{Refused, refusal_text};
 
 /// Plays that wait behind the running one, at the most.
@@ -166,6 +166,8 @@ pub enum Notice {
         /// What came of it.
         outcome: Outcome,
     },
+    /// A burst was measured.
+    Traveled(Traveled),
     /// So many notices were lost before this one.
     Lost(u64),
     /// The thread ends.

@@ -3,7 +3,7 @@
 use crate::stream::port::Play;
 use crate::units::HostInstant;
 use firmware_protocol::message::{Cause, State};
-use firmware_protocol::stroke::MOTORS;
+use firmware_protocol::stroke::{Direction, MOTORS};
 use firmware_protocol::tick::Tick;
 
 /// What came of a play: how its bursts (halves of strokes) ended.
@@ -108,6 +108,25 @@ pub struct Outcome {
     pub play: Box<Play>,
 }
 
+/// What a burst really came to, as telemetry shows it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Traveled {
+    /// Its motor.
+    pub motor: u8,
+    /// Its first tick.
+    pub start: Tick,
+    /// Its direction.
+    pub direction: Direction,
+    /// Its pulses, as corrected.
+    pub pulses: u16,
+    /// How far the shaft went, µm; up is positive.
+    pub travel_um: f32,
+    /// One standard deviation of that, µm.
+    pub sd_um: f32,
+    /// It came after half a second of rest: the transient of the paper's Fig. 2.
+    pub rested: bool,
+}
+
 /// Where the estimate of a rest error comes from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -144,8 +163,8 @@ pub struct Snapshot {
     pub lead_ms: f64,
     /// Estimated rest error per motor, µm.
     pub rest_error_um: [f32; MOTORS],
-    /// Where the estimate comes from.
-    pub source: ErrorSource,
+    /// Where the estimates come from.
+    pub source: [ErrorSource; MOTORS],
     /// Bytes per second the line was measured to carry; `None` until it is.
     pub line_bytes_per_s: Option<u32>,
     /// Bytes sent to and received from the device since it was connected.

@@ -57,7 +57,7 @@ impl Streamer {
             };
             let Some(after) = after else { break };
             let wire = session.traffic().bytes_out;
-            let (rest_um, _) = self.hold.rest_error_um(tick);
+            let rest_um = self.hold.rest_error_um(tick).map(|(um, _)| um);
             let Some(active) = self.plays.pop_front() else { break };
             let (id, outcome) = active.close(Some(next_begun.unwrap_or(after)), wire, rest_um);
             tell(Notice::Ended { id, outcome });

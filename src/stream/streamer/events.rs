@@ -77,14 +77,16 @@ impl Streamer {
                 self.snapshot_due = now;
             }
             Event::StrokeRefused { motor, up, reason } => {
-                self.hold.refused(motor, up);
+                self.hold.withdrawn(motor, up);
                 if let Some(active) = self.owner(up) {
                     active.refused();
                     let id = active.play.id;
                     tell(Notice::StrokeRefused { id, motor, up, reason });
                 }
             }
-            Event::Telemetry { tick, y } => self.hold.telemetry(tick, &y),
+            Event::Telemetry { tick, y } => {
+                self.hold.telemetry(tick, &y, |travel| tell(Notice::Traveled(travel)));
+            }
         }
     }
 
@@ -129,12 +131,16 @@ impl Streamer {
             Verdict::Late { sent, .. } if sent_tick(sent) + earliest > stroke.up => LateCause::Host,
             _ => LateCause::Link,
         };
-        let Some(active) = self.owner(stroke.up) else { return };
-        active.undecided = active.undecided.saturating_sub(1);
-        let (id, steered) = (active.play.id, !active.play.open_loop);
         let (motor, up) = (stroke.motor, stroke.up);
         match verdict {
-            Verdict::Accepted => self.hold.accepted(stroke, steered),
+            Verdict::Accepted => self.hold.accepted(motor, up),
+            Verdict::Refused(_) | Verdict::Late { .. } => self.hold.withdrawn(motor, up),
+        }
+        let Some(active) = self.owner(up) else { return };
+        active.undecided = active.undecided.saturating_sub(1);
+        let id = active.play.id;
+        match verdict {
+            Verdict::Accepted => {}
             Verdict::Refused(reason) => {
                 active.refused();
                 tell(Notice::StrokeRefused { id, motor, up, reason });
@@ -172,11 +178,14 @@ impl Streamer {
         let late_ms = late as f64 / f64::from(TICK_HZ) * 1000.0;
         active.phase = Phase::Waiting;
         active.undecided = 0;
-        active.onset = None;
+        let onset = active.onset.take();
         active.margin *= 2;
         if active.is_fixed() || active.margin > longest {
             active.late_as_a_whole(late_ms);
             active.cut = active.cut.or(Some((End::Aborted, "the onset could not be kept")));
+        }
+        if let Some(onset) = onset {
+            self.hold.withdraw_from(onset);
         }
         self.fed = rendered;
         self.snapshot_due = now;

@@ -153,6 +153,7 @@ impl Streamer {
                 self.fed = stroke.up;
                 return Fed::Blocked;
             }
+            self.hold.sent(&stroke, !active.play.open_loop);
             active.plan(&stroke);
             active.undecided += 1;
             active.next = None;

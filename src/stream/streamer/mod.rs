@@ -11,7 +11,7 @@ mod orders;
 
 use crate::link::{Event, LineRate, Session};
 use crate::stream::Settings;
-use crate::stream::active::Active;
+use crate::stream::active::{Active, Phase};
 use crate::stream::hold::Hold;
 use crate::stream::port::{End, Notice, QUEUE, Refused, Snapshot};
 use crate::units::HostInstant;
@@ -132,7 +132,8 @@ impl Streamer {
             Counters { played: counters.played + bursts, pulses: counters.pulses + pulses, ..counters }
         });
         let wire = session.traffic().bytes_out;
-        let (rest_um, _) = self.hold.rest_error_um(self.status.map_or(Tick(0), |(_, tick)| tick));
+        let tick = self.status.map_or(Tick(0), |(_, tick)| tick);
+        let rest_um = self.hold.rest_error_um(tick).map(|(um, _)| um);
         self.close_all(counters, wire, rest_um, tell);
         while let Some(waiting) = self.controls.pop_front() {
             answer(waiting.ticket, Err(Refused::NoDevice), tell);
@@ -209,14 +210,17 @@ impl Streamer {
     fn correct(&mut self, tick: Tick) {
         let idle = self.in_flight || self.state() != State::Armed;
         let Some(session) = self.session.as_mut().filter(|_| !idle) else { return };
-        self.hold.correct(tick, |item| session.amend(item));
+        // Plays are fed in order: what is not sent yet belongs to the last one that is being fed, or comes after it.
+        let fed = self.plays.iter().rev().find(|active| active.cut.is_none() && active.phase != Phase::Waiting);
+        let free = |motor| fed.map_or(tick, |active| active.free_until(motor));
+        self.hold.correct(tick, free, |item| session.amend(item));
     }
 
     fn snapshot(&self, now: HostInstant) -> Snapshot {
         let open = self.session.as_ref().filter(|session| session.is_open());
         let tick = self.tick_at(now).unwrap_or_default();
         let traffic = self.session.as_ref().map(Session::traffic).unwrap_or_default();
-        let (rest_error_um, source) = self.hold.rest_error_um(tick);
+        let rest = self.hold.rest_error_um(tick);
         let status = self.status.map(|(status, _)| status);
         let running = self.plays.iter().rev().find(|active| {
             active.cut.is_none() && active.started().is_some_and(|onset| onset.actual <= tick)
@@ -242,8 +246,8 @@ impl Streamer {
                 .map_or(f64::INFINITY, |uncertainty| uncertainty.as_nanos() as f64 / 1000.0),
             play: running.map(played),
             lead_ms: if self.short_of_credits { lead } else { self.settings.lead_ms },
-            rest_error_um,
-            source,
+            rest_error_um: rest.map(|(um, _)| um),
+            source: rest.map(|(_, source)| source),
             line_bytes_per_s: self.session.as_ref().and_then(Session::capacity),
             bytes_out: traffic.bytes_out,
             bytes_in: traffic.bytes_in,

@@ -185,7 +185,7 @@ impl Streamer {
         }
         self.wants_armed = true;
         if assume_rest {
-            self.hold.forget_drift();
+            self.hold.assume_rest();
         }
         let lease = ticks_of_ms(self.settings.lease_ms) as u32;
         Ok(Some(Op::Arm { assume_rest, lease, limits: self.settings.limits }))

@@ -1,0 +1,175 @@
+//! The closed loop: holds each shaft's rest position and amplitude by correcting bursts shortly before they begin.
+//!
+//! Per motor a `servo` knows the bursts on their way and settles the count of each as late as the link allows, from
+//! what its `estimator` makes of telemetry that is delayed, quantised, averaged and has gaps. `trust` looks whether that
+//! telemetry can be the motor's at all; if not, the motor plays on in open loop. Without telemetry the error of the
+//! rest position is dead reckoned.
+//!
+//! It only computes, and never allocates: counts stay within `limits::correction` of the plan and within the room between
+//! bursts, and only bursts that are planned are changed, so a motor that is not driven does not move.
+
+mod estimator;
+mod servo;
+mod trust;
+
+pub use estimator::Gains;
+pub(super) use servo::{EARLIEST, Servo};
+pub use trust::Doubt;
+
+use crate::stream::port::{ErrorSource, Traveled};
+use firmware_protocol::batch::Amendment;
+use firmware_protocol::stroke::{MOTORS, Stroke};
+use firmware_protocol::tick::{TICK_HZ, Tick};
+use servo::LONGEST_AGE;
+
+/// Displacement follows the commanded position within the moving average's window.
+const WINDOW: u64 = 366;
+
+/// The loop over all motors.
+#[derive(Debug)]
+pub(super) struct Hold {
+    motors: [Servo; MOTORS],
+    /// When the last telemetry was sampled.
+    sampled: Option<Tick>,
+    /// Bursts and pulses of strokes forgotten since the device's counters were last heard.
+    unheard: (u64, u64),
+    /// Samples before this still show motion from before the last cut; none if pins are not at rest yet.
+    valid_from: Option<Tick>,
+}
+
+impl Hold {
+    pub(super) fn new() -> Self {
+        Self {
+            motors: std::array::from_fn(|_| Servo::new(&Gains::default())),
+            sampled: None,
+            unheard: (0, 0),
+            valid_from: None,
+        }
+    }
+
+    /// What was queued is flushed, pins are being returned: what telemetry shows until they are at rest means nothing.
+    pub(super) fn cut(&mut self) {
+        self.motors.iter_mut().for_each(Servo::cut);
+        self.sampled = None;
+        self.valid_from = None;
+    }
+
+    /// At `tick` the device takes strokes: after a cut all pins are at rest. Where they really are, telemetry tells.
+    pub(super) fn at_rest(&mut self, tick: Tick) {
+        self.valid_from = self.valid_from.or(Some(tick + WINDOW));
+    }
+
+    /// Nothing is owed and nothing was moved: the person says all pins are at rest.
+    pub(super) fn assume_rest(&mut self) {
+        self.motors.iter_mut().for_each(Servo::assume_rest);
+    }
+
+    /// A person arms: telemetry that was not believed is given another chance.
+    pub(super) fn trust_again(&mut self) {
+        self.motors.iter_mut().for_each(Servo::trust_again);
+    }
+
+    /// Motors have been calibrated.
+    pub(super) fn calibrate(&mut self, gains: &[Gains; MOTORS]) {
+        self.motors.iter_mut().zip(gains).for_each(|(motor, gains)| motor.calibrate(gains));
+    }
+
+    /// Why the telemetry of each motor is not believed.
+    pub(super) fn doubts(&self) -> [Option<Doubt>; MOTORS] {
+        self.motors.each_ref().map(Servo::doubt)
+    }
+
+    fn motor(&mut self, motor: u8) -> Option<&mut Servo> {
+        self.motors.get_mut(usize::from(motor))
+    }
+
+    /// A stroke was sent to the device.
+    pub(super) fn sent(&mut self, stroke: &Stroke, steered: bool) {
+        if let Some(motor) = self.motor(stroke.motor) {
+            motor.sent(stroke, steered, |_| ());
+        }
+    }
+
+    /// The device has accepted it.
+    pub(super) fn accepted(&mut self, motor: u8, up: Tick) {
+        if let Some(motor) = self.motor(motor) {
+            motor.accepted(up);
+        }
+    }
+
+    /// The device will not play it.
+    pub(super) fn withdrawn(&mut self, motor: u8, up: Tick) {
+        if let Some(motor) = self.motor(motor) {
+            motor.withdrawn(up);
+        }
+    }
+
+    /// Nothing sent with an up tick from `onset` on was taken.
+    pub(super) fn withdraw_from(&mut self, onset: Tick) {
+        self.motors.iter_mut().for_each(|motor| motor.withdraw_from(onset));
+    }
+
+    /// The device has told its counters.
+    pub(super) fn heard(&mut self) {
+        self.unheard = (0, 0);
+    }
+
+    /// Bursts and pulses played since the device's counters were heard at `heard`, if the link was lost at `lost`:
+    /// what had begun by then the device has brought to its end.
+    pub(super) fn played_unheard(&self, heard: Tick, lost: Tick) -> (u64, u64) {
+        let queued = self.motors.iter().flat_map(Servo::in_device);
+        let played = queued.filter(|stroke| stroke.end() > heard && stroke.up < lost);
+        played
+            .fold(self.unheard, |(bursts, pulses), stroke| (bursts + 2, pulses + u64::from(stroke.pulses())))
+    }
+
+    /// Displacements in 0.01 µm. Tells what bursts have come to.
+    pub(super) fn telemetry(&mut self, tick: Tick, y: &[i32; MOTORS], mut over: impl FnMut(Traveled)) {
+        if self.valid_from.is_none_or(|from| tick < from) || self.sampled.is_some_and(|last| tick <= last) {
+            return;
+        }
+        self.sampled = Some(tick);
+        let unheard = &mut self.unheard;
+        for ((motor, &y), index) in self.motors.iter_mut().zip(y).zip(0..) {
+            let mut over = |travel: estimator::Travel| over(travel.of(index));
+            motor.follow(tick, &mut over, |stroke| count(unheard, stroke));
+            motor.telemetry(tick, f64::from(y) * 0.01, &mut over);
+        }
+    }
+
+    /// Settles the counts of bursts that begin soon, telling those that change. Strokes of a motor that were not sent yet
+    /// do not begin before `free`.
+    pub(super) fn correct(
+        &mut self,
+        now: Tick,
+        free: impl Fn(u8) -> Tick,
+        mut amend: impl FnMut(&Amendment) -> bool,
+    ) {
+        let fresh = self.sampled.is_some_and(|sampled| now - sampled <= LONGEST_AGE);
+        let unheard = &mut self.unheard;
+        for (motor, index) in self.motors.iter_mut().zip(0..) {
+            if !fresh {
+                let past = Tick(now.0.saturating_sub(LONGEST_AGE));
+                motor.follow(past, |_| (), |stroke| count(unheard, stroke));
+            }
+            motor.correct(now, || free(index), fresh, |up, direction, pulses| {
+                amend(&Amendment { motor: index, up, direction, pulses })
+            });
+        }
+    }
+
+    /// Where each shaft is thought to rest, µm, and how that is known. By dead reckoning: one standard deviation.
+    pub(super) fn rest_error_um(&self, now: Tick) -> [(f32, ErrorSource); MOTORS] {
+        let fresh = self.sampled.is_some_and(|sampled| now - sampled <= u64::from(TICK_HZ));
+        self.motors.each_ref().map(|motor| match (fresh && motor.doubt().is_none(), motor.reckoned_um()) {
+            (true, _) => (motor.rest_um() as f32, ErrorSource::Telemetry),
+            (false, 0.0) => (motor.rest_um() as f32, ErrorSource::None),
+            (false, reckoned) => (reckoned as f32, ErrorSource::DeadReckoning),
+        })
+    }
+}
+
+fn count(unheard: &mut (u64, u64), stroke: &Stroke) {
+    unheard.0 += 2;
+    unheard.1 += u64::from(stroke.pulses());
+}

@@ -1,0 +1,181 @@
+//! One motor and its loop at the level of bursts: the plant's pin, delayed telemetry, wake-ups; no link, no controller.
+//!
+//! It is what the loop is judged by over thousands of settings: a day of device time takes seconds. Same loop,
+//! same plant as in a play; the line's delay is part of how late corrections may come.
+
+use crate::motor::{MotorError, SquareWave};
+use crate::plant::{Pin, PlantConfig};
+use crate::stream::hold::{EARLIEST, Gains, Servo};
+use crate::units::seconds_to_ticks;
+use firmware_protocol::stroke::{Burst, Stroke};
+use firmware_protocol::tick::{TICK_HZ, Tick};
+use std::collections::VecDeque;
+
+/// Wake-ups come every millisecond.
+const WAKE_UP: u64 = TICK_HZ as u64 / 1000;
+
+/// What is tried.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Trial {
+    /// Of the square wave.
+    pub frequency_hz: f64,
+    /// Of the square wave, peak to peak.
+    pub amplitude_um: f64,
+    /// How far ahead strokes are sent.
+    pub lead_ms: f64,
+    /// How old telemetry is when it comes.
+    pub age_ms: f64,
+    /// Samples per second.
+    pub telemetry_hz: f64,
+    /// Standard deviation of a burst's gain.
+    pub scatter: f64,
+    /// The gain up is 1 and half of this, the gain down 1 less half of it.
+    pub asymmetry: f64,
+    /// Where the pin stands at the beginning.
+    pub offset_um: f64,
+    /// Which draws.
+    pub seed: u64,
+    /// Corrections are made.
+    pub closed: bool,
+}
+
+impl Default for Trial {
+    /// A motor as the paper has it, at 60 Hz and 80 µm, with telemetry as the mock's.
+    fn default() -> Self {
+        Self {
+            frequency_hz: 60.0,
+            amplitude_um: 80.0,
+            lead_ms: 100.0,
+            age_ms: 1.0,
+            telemetry_hz: 1000.0,
+            scatter: 0.1,
+            asymmetry: 0.02,
+            offset_um: 0.0,
+            seed: 0,
+            closed: true,
+        }
+    }
+}
+
+/// One period as it was really played.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Period {
+    /// When its stroke went up, ticks from the beginning.
+    pub up: u64,
+    /// Ideal travel of either burst as planned, µm.
+    pub planned_um: f64,
+    /// True position after the up burst, µm.
+    pub top_um: f64,
+    /// True position after the down burst: the rest error, µm.
+    pub rest_um: f64,
+    /// Pulses of both bursts.
+    pub pulses: [u16; 2],
+}
+
+impl Trial {
+    /// From a burst back to the newest sample that its count can go by, at the least, ms.
+    #[must_use]
+    pub fn delay_ms(&self) -> f64 {
+        self.age_ms + EARLIEST as f64 / f64::from(TICK_HZ) * 1000.0
+    }
+
+    /// Plays for so many seconds and tells of each period; `lie` may change samples (tick, 0.01 µm). Returns why the
+    /// loop gave its telemetry up, if it did.
+    ///
+    /// # Errors
+    /// A frequency or amplitude no motor can be asked for.
+    pub fn run(
+        &self,
+        seconds: f64,
+        mut lie: impl FnMut(Tick, i32) -> Option<i32>,
+        mut tell: impl FnMut(&Period),
+    ) -> Result<Option<super::Doubt>, MotorError> {
+        let wave = SquareWave::new(self.frequency_hz, self.amplitude_um, 0.0)?;
+        let config = PlantConfig { seed: self.seed, gain_sd: self.scatter, ..PlantConfig::default() };
+        let mut pin = Pin::new(&config, 0).with_asymmetry(self.asymmetry).at(self.offset_um);
+        let mut servo = Servo::new(&Gains::default());
+        let start = Tick::BOOT;
+        let end = start + seconds_to_ticks(seconds);
+        let (lead, age) = (seconds_to_ticks(self.lead_ms / 1000.0), seconds_to_ticks(self.age_ms / 1000.0));
+        let to_stroke = |excursion: crate::motor::Excursion| {
+            let pulses = excursion.pulses.min(3000) as u16;
+            // A window's length after the beginning the shaft is known to be at rest.
+            let (up, down) = (start + excursion.up + 2 * EARLIEST, start + excursion.down + 2 * EARLIEST);
+            Stroke { motor: 0, up, up_pulses: pulses, down, down_pulses: pulses }
+        };
+        let mut strokes = wave.excursions().map(to_stroke);
+        let mut next = strokes.next();
+        let mut queue: VecDeque<(Stroke, u16)> = VecDeque::new();
+        let mut samples: VecDeque<(Tick, i32)> = VecDeque::new();
+        let (mut sampled, mut half, mut number, mut top_um) = (start, 0, 0_u64, 0.0);
+        let sample_tick = |number: u64| start + (number as f64 * f64::from(TICK_HZ) / self.telemetry_hz) as u64;
+        let mut now = start;
+        while now < end {
+            now = now + WAKE_UP;
+            while let Some(stroke) = next.filter(|stroke| stroke.up < now + lead.max(2 * EARLIEST)) {
+                servo.sent(&stroke, self.closed, |_| ());
+                servo.accepted(stroke.up);
+                queue.push_back((stroke, stroke.up_pulses));
+                next = strokes.next();
+            }
+            loop {
+                let sample = sample_tick(number);
+                let burst = queue.front().map(|(stroke, _)| stroke.bursts()[half]);
+                let until = sample.min(now);
+                if let Some(burst) = burst.filter(|burst| burst.start <= until) {
+                    pin.play(burst);
+                    self.played(&pin, burst, &mut queue, &mut half, &mut top_um, start, &mut tell);
+                } else if sample <= now {
+                    samples.extend(lie(sample, pin.quanta(sample)).map(|y| (sample, y)));
+                    number += 1;
+                } else {
+                    break;
+                }
+            }
+            while let Some((tick, y)) = samples.front().copied().filter(|(tick, _)| *tick + age <= now) {
+                samples.pop_front();
+                servo.follow(tick, |_| (), |_| ());
+                servo.telemetry(tick, f64::from(y) * 0.01, |_| ());
+                sampled = tick;
+            }
+            let free = || next.map_or(end, |stroke| stroke.up);
+            let fresh = now - sampled <= u64::from(TICK_HZ) / 2;
+            servo.correct(now, free, fresh, |up, direction, pulses| {
+                let found = queue.iter_mut().find(|(stroke, _)| stroke.up == up);
+                let Some((stroke, _)) = found else { return false };
+                match direction {
+                    firmware_protocol::stroke::Direction::Up => stroke.up_pulses = pulses,
+                    firmware_protocol::stroke::Direction::Down => stroke.down_pulses = pulses,
+                }
+                true
+            });
+        }
+        Ok(servo.doubt())
+    }
+
+    #[expect(clippy::too_many_arguments, reason = "the state of a run, in one place only")]
+    fn played(
+        &self,
+        pin: &Pin,
+        burst: Burst,
+        queue: &mut VecDeque<(Stroke, u16)>,
+        half: &mut usize,
+        top_um: &mut f64,
+        start: Tick,
+        tell: &mut impl FnMut(&Period),
+    ) {
+        let position = pin.position_um(burst.end());
+        if *half == 0 {
+            *top_um = position;
+        } else if let Some((stroke, planned)) = queue.pop_front() {
+            tell(&Period {
+                up: stroke.up - start,
+                planned_um: f64::from(planned) * crate::units::UM_PER_PULSE,
+                top_um: *top_um,
+                rest_um: position,
+                pulses: [stroke.up_pulses, stroke.down_pulses],
+            });
+        }
+        *half = 1 - *half;
+    }
+}
