@@ -31,7 +31,8 @@ pub const MAX_LEASE_MS: f64 = 10_000.0;
 /// Bytes of a configuration file at the most.
 const MAX_BYTES: u64 = 1 << 20;
 
-const KEYS: [&str; 7] = ["device", "socket", "patterns_dir", "lead_ms", "lease_ms", "limits", "mock"];
+const KEYS: [&str; 8] =
+    ["device", "socket", "patterns_dir", "lead_ms", "lease_ms", "drift_warning_um", "limits", "mock"];
 const LIMIT_KEYS: [&str; 2] = ["motor_pulses_per_s", "rail_pulses_per_s"];
 const MOCK_KEYS: [&str; 7] =
     ["seed", "gain_sd", "asymmetry_sd", "transient_gain", "end_stop_um", "telemetry_hz", "telemetry_age_ms"];
@@ -141,6 +142,7 @@ struct File {
     patterns_dir: Option<PathBuf>,
     lead_ms: Option<f64>,
     lease_ms: Option<f64>,
+    drift_warning_um: Option<f64>,
     #[serde(default)]
     limits: Limits,
     #[serde(default)]
@@ -268,6 +270,11 @@ impl File {
         let lease_range =
             || format!("{least} to {MAX_LEASE_MS} ms, at least lead_ms + {MIN_LEASE_OVER_LEAD_MS}");
         range("lease_ms", lease_ms, (least..=MAX_LEASE_MS).contains(&lease_ms), &lease_range)?;
+        let drift_warning_um = self.drift_warning_um.unwrap_or(Settings::default().drift_warning_um.into());
+        let (key, most) = ("drift_warning_um", 10_000.0);
+        let good = (1.0..=most).contains(&drift_warning_um);
+        range(key, drift_warning_um, good, &|| format!("1 to {most} um"))?;
+        let drift_warning_um = drift_warning_um as f32;
         let none = OnTimeLimits::NONE;
         let motor = self.limits.motor_pulses_per_s.unwrap_or(none.motor);
         let rail = self.limits.rail_pulses_per_s.unwrap_or(none.rail);
@@ -282,7 +289,7 @@ impl File {
             device,
             socket: self.socket.unwrap_or_else(default_socket),
             patterns: self.patterns_dir.map_or_else(default_patterns, PatternsDir::Configured),
-            settings: Settings { lead_ms, lease_ms, limits: OnTimeLimits { motor, rail } },
+            settings: Settings { lead_ms, lease_ms, limits: OnTimeLimits { motor, rail }, drift_warning_um },
             mock: self.mock,
         })
     }
@@ -327,13 +334,16 @@ mod tests {
 
     #[test]
     fn every_key_is_read() {
-        let text = "device = \"pty\"\nsocket = \"/s\"\npatterns_dir = \"/p\"\nlead_ms = 50\nlease_ms = 100.0\n\
+        let text = "device = \"pty\"\nsocket = \"/s\"\npatterns_dir = \"/p\"\nlead_ms = 50\nlease_ms = 100.0\ndrift_warning_um = 30\n\
                     [limits]\nmotor_pulses_per_s = 40000\nrail_pulses_per_s = 90000\n[mock]\nseed = 3\ngain_sd = 0.0\n";
         let config = parse(text).unwrap();
         assert_eq!((config.device, config.socket), (Spec::Pty, "/s".into()));
         assert_eq!(config.patterns, PatternsDir::Configured("/p".into()));
         let limits = OnTimeLimits { motor: 40_000, rail: 90_000 };
-        assert_eq!(config.settings, Settings { lead_ms: 50.0, lease_ms: 100.0, limits });
+        assert_eq!(
+            config.settings,
+            Settings { lead_ms: 50.0, lease_ms: 100.0, limits, drift_warning_um: 30.0 }
+        );
         assert_eq!(config.mock, PlantConfig { seed: 3, gain_sd: 0.0, ..PlantConfig::default() });
         assert_eq!(parse("lead_ms = 50").unwrap().settings.lease_ms, 250.0);
     }
@@ -346,6 +356,7 @@ mod tests {
             ("[limits]\n\nmotor = 1", "m.toml:3: unknown key `motor`: did you mean `motor_pulses_per_s`?"),
             ("lead_ms = 4", "`lead_ms` is 4: must be 5 to 1000 ms"),
             ("lead_ms = nan", "`lead_ms` is NaN"),
+            ("drift_warning_um = 0.5", "`drift_warning_um` is 0.5: must be 1 to 10000 um"),
             ("lease_ms = 149", "`lease_ms` is 149: must be 150 to"),
             ("limits.rail_pulses_per_s = 0", "`limits.rail_pulses_per_s` is 0"),
             ("limits = 3", "m.toml:1: `limits` must be a table"),

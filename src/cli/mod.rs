@@ -86,6 +86,8 @@ enum Command {
     },
     /// Return pins, motors off
     Disarm(Plain),
+    /// Move pins to where they ought to rest, between plays
+    Home(Plain),
     /// All patterns
     List(Plain),
     /// A pattern: its motors, drives and warnings
@@ -327,6 +329,7 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Reset(plain) => control::command(&plain, "reset"),
         Command::Arm { assume_rest, plain } => control::arm(&plain, assume_rest),
         Command::Disarm(plain) => control::command(&plain, "disarm"),
+        Command::Home(plain) => control::command(&plain, "home"),
         Command::List(plain) => library::list(&plain),
         Command::Show { name, plain } => library::show(&plain, &name),
         Command::Import { file, plain } => library::import(&plain, &file),

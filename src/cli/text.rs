@@ -142,6 +142,12 @@ pub(super) fn event(event: &Event) -> String {
             let cause = receipt.cause.as_ref().map_or_else(String::new, |cause| format!(" ({cause})"));
             format!("ended: {} {}{cause}", receipt.id, receipt.state.name())
         }
+        Event::Doubted { motor, doubt } => {
+            format!("doubted: motor {motor}, {}; it plays in open loop until the next arm", doubt.text())
+        }
+        Event::Drifted { um } => {
+            format!("drifted: pins may be {um:.0} um off; `meissner home` between plays, or level them by hand")
+        }
         Event::Lost { notices } => format!("lost: {notices} notices"),
         Event::Lagged { events } => format!("lagged: {events} events"),
     }

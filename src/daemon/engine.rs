@@ -34,8 +34,8 @@ use tracing::{error, info, warn};
 pub(super) const EVENTS: usize = 1024;
 /// How long the streamer may take to answer.
 const PATIENCE: Duration = Duration::from_secs(1);
-/// After this long no answer comes any more: an order that waited for a second is not carried out.
-const LOST: Duration = Duration::from_secs(10);
+/// After this long no answer comes any more: an order that waited for a second is not carried out, and homing ends.
+const LOST: Duration = Duration::from_secs(30);
 /// Shutting down it waits for the device for a second itself.
 const LAST_PATIENCE: Duration = Duration::from_millis(1500);
 
@@ -358,7 +358,7 @@ pub(super) async fn answer(reply: Reply) -> Result<(), Problem> {
     within(PATIENCE, reply).await
 }
 
-async fn within(patience: Duration, reply: Reply) -> Result<(), Problem> {
+pub(super) async fn within(patience: Duration, reply: Reply) -> Result<(), Problem> {
     match tokio::time::timeout(patience, reply).await {
         Ok(Ok(result)) => result.map_err(Problem::from),
         // The ticket stays, so that a late answer still reaches the record.
@@ -380,6 +380,12 @@ fn log(event: &Event) {
         Event::Ended { receipt } => {
             let cause = receipt.cause.as_deref().unwrap_or_default();
             info!(id = receipt.id, pattern = receipt.pattern, cause, "play {}", receipt.state.name());
+        }
+        Event::Doubted { motor, doubt } => {
+            warn!(motor, "motor {motor}: {}; it plays in open loop until the next `arm`", doubt.text());
+        }
+        Event::Drifted { um } => {
+            warn!(um, "without telemetry pins may be {um:.0} um off: `meissner home` between plays, or level them by hand");
         }
         Event::Lost { notices } => warn!(notices, "too slow for the streamer: events are missing"),
         _ => {}

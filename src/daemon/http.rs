@@ -32,6 +32,8 @@ use tokio_stream::wrappers::BroadcastStream;
 use tokio_stream::wrappers::errors::BroadcastStreamRecvError;
 use tracing::info;
 
+/// How long homing may take: 24 pins from one end of their travel, six rounds.
+const HOME_PATIENCE: Duration = Duration::from_secs(25);
 /// How long a request's body may take.
 const BODY_PATIENCE: Duration = Duration::from_secs(10);
 /// What is read of a body that is too large, so that its sender comes to read the answer.
@@ -101,6 +103,7 @@ pub(super) fn router(app: App) -> Router {
         .route("/v1/reset", post(reset))
         .route("/v1/arm", post(arm))
         .route("/v1/disarm", post(disarm))
+        .route("/v1/home", post(home))
         .route("/v1/status", get(status))
         .route("/v1/patterns", get(list))
         .route("/v1/patterns/{name}", get(show).put(import))
@@ -221,6 +224,15 @@ async fn disarm(
 ) -> Answer<Json<Status>> {
     api::parse_empty(&read(body).await?)?;
     command(&app, peer, "disarm", Job::Disarm).await
+}
+
+/// Answers when the pins are home.
+async fn home(State(app): State<App>, Extension(peer): Extension<Peer>, body: Body) -> Answer<Json<Status>> {
+    api::parse_empty(&read(body).await?)?;
+    let reply = app.engine.order(Job::Home);
+    info!(pid = peer.pid, uid = peer.uid, "home");
+    engine::within(HOME_PATIENCE, reply?).await?;
+    Ok(Json(app.engine.status()))
 }
 
 async fn status(State(app): State<App>) -> Json<Status> {

@@ -6,6 +6,7 @@
 //! Invariant: [`Event::name`] is the `event` key of its JSON.
 
 use super::receipt::{LateStroke, OnsetRecord, Receipt, RefusedStroke};
+use crate::stream::Doubt;
 use firmware_protocol::message::{DeviceHello, State};
 use serde::{Deserialize, Serialize};
 
@@ -137,6 +138,18 @@ pub enum Event {
         /// What came of it.
         receipt: Box<Receipt>,
     },
+    /// The telemetry of a motor is not believed: it plays in open loop until the next `arm`.
+    Doubted {
+        /// Its motor.
+        motor: u8,
+        /// Why.
+        doubt: Doubt,
+    },
+    /// Without telemetry pins may have drifted further than the site wants to be warned of: `home` offers itself.
+    Drifted {
+        /// The largest error of all motors, one standard deviation, µm.
+        um: f32,
+    },
     /// Notices from the streamer were lost: events are missing here, the receipts' counts are right.
     Lost {
         /// How many.
@@ -161,6 +174,8 @@ impl Event {
             Self::Began { .. } => "began",
             Self::Late { .. } => "late",
             Self::Refused { .. } => "refused",
+            Self::Doubted { .. } => "doubted",
+            Self::Drifted { .. } => "drifted",
             Self::Ended { .. } => "ended",
             Self::Lost { .. } => "lost",
             Self::Lagged { .. } => "lagged",

@@ -86,7 +86,13 @@ impl Recorder {
     /// Takes in what happened; an [`Notice::Answer`] is its owner's business and tells nothing here.
     pub fn take(&mut self, notice: &Notice) -> Option<Event> {
         match notice {
-            Notice::Answer { .. } | Notice::Returned(_) | Notice::Traveled(_) | Notice::Bye => None,
+            Notice::Answer { .. }
+            | Notice::Returned(_)
+            | Notice::Freed(_)
+            | Notice::Traveled(_)
+            | Notice::Bye => None,
+            Notice::Doubted { motor, doubt } => Some(Event::Doubted { motor: *motor, doubt: *doubt }),
+            Notice::Drifted { um } => Some(Event::Drifted { um: *um }),
             Notice::Connected(hello) => {
                 self.totals.connects += 1;
                 self.hello = Some(*hello);

@@ -32,12 +32,14 @@ pub struct Settings {
     pub lease_ms: f64,
     /// A site's on-time limits.
     pub limits: OnTimeLimits,
+    /// Dead reckoning's error, one standard deviation, above which a warning is given, µm.
+    pub drift_warning_um: f32,
 }
 
 impl Default for Settings {
     /// 100 ms ahead: stock kernels stall for 25 ms.
     fn default() -> Self {
-        Self { lead_ms: 100.0, lease_ms: 300.0, limits: OnTimeLimits::NONE }
+        Self { lead_ms: 100.0, lease_ms: 300.0, limits: OnTimeLimits::NONE, drift_warning_um: 100.0 }
     }
 }
 

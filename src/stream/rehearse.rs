@@ -8,7 +8,7 @@ use crate::device::mock::Mock;
 use crate::link::LineRate;
 use crate::pattern::Pattern;
 use crate::plant::{PlantConfig, PlantError, RestStats};
-use crate::stream::port::{At, Job, LatePolicy, Notice, Order, Outcome, Play};
+use crate::stream::port::{At, Job, LatePolicy, Notice, Order, Outcome, Play, Traveled};
 use crate::stream::{Need, Settings, Streamer};
 use crate::strokes::{Strokes, StrokesError};
 use crate::units::HostInstant;
@@ -94,8 +94,25 @@ pub struct Rehearsal {
     now: HostInstant,
     to_device: Direction,
     to_host: Direction,
-    notices: Vec<Notice>,
+    notices: Told,
     tickets: u64,
+}
+
+/// What was told; measured bursts only if somebody asked for them.
+#[derive(Debug, Default)]
+struct Told {
+    notices: Vec<Notice>,
+    travels: Option<Vec<Traveled>>,
+}
+
+impl Told {
+    fn push(&mut self, notice: Notice) {
+        match (notice, &mut self.travels) {
+            (Notice::Traveled(traveled), Some(travels)) => travels.push(traveled),
+            (Notice::Traveled(_), None) => {}
+            (notice, _) => self.notices.push(notice),
+        }
+    }
 }
 
 impl Rehearsal {
@@ -114,7 +131,7 @@ impl Rehearsal {
             now: HostInstant::from_ns(1_000_000_000),
             to_device: direction(0x5eed, line),
             to_host: direction(0xfeed, Line { bytes_per_s: 0, ..line }),
-            notices: Vec::new(),
+            notices: Told::default(),
             tickets: 0,
         };
         new.connect();
@@ -210,7 +227,12 @@ impl Rehearsal {
 
     /// What has happened since the last call.
     pub fn take_notices(&mut self) -> Vec<Notice> {
-        std::mem::take(&mut self.notices)
+        std::mem::take(&mut self.notices.notices)
+    }
+
+    /// From now on keeps what bursts really came to; gives out what was kept so far.
+    pub fn take_travels(&mut self) -> Vec<Traveled> {
+        self.notices.travels.replace(Vec::new()).unwrap_or_default()
     }
 
     /// Runs until the play `id` has ended, for `at_most`; what came of it.
@@ -220,9 +242,10 @@ impl Rehearsal {
             self.run(Duration::from_millis(10));
             let ended = self
                 .notices
+                .notices
                 .iter()
                 .position(|notice| matches!(notice, Notice::Ended { id: ended, .. } if *ended == id));
-            if let Some(Notice::Ended { outcome, .. }) = ended.map(|at| self.notices.remove(at)) {
+            if let Some(Notice::Ended { outcome, .. }) = ended.map(|at| self.notices.notices.remove(at)) {
                 return Some(outcome);
             }
         }

@@ -196,11 +196,6 @@ impl Estimator {
             .sum()
     }
 
-    /// When the last burst that has begun ends.
-    pub(super) fn last_end(&self) -> Option<Tick> {
-        self.last_end
-    }
-
     /// The shaft rests at `um`, and that is known so well.
     pub(super) fn rest_at(&mut self, um: f64, variance: f64) {
         self.moving.clear();

@@ -18,7 +18,7 @@ pub use trust::Doubt;
 
 use crate::stream::port::{ErrorSource, Traveled};
 use firmware_protocol::batch::Amendment;
-use firmware_protocol::stroke::{MOTORS, Stroke};
+use firmware_protocol::stroke::{Direction, MOTORS, Stroke};
 use firmware_protocol::tick::{TICK_HZ, Tick};
 use servo::LONGEST_AGE;
 
@@ -77,6 +77,38 @@ impl Hold {
     /// Why the telemetry of each motor is not believed.
     pub(super) fn doubts(&self) -> [Option<Doubt>; MOTORS] {
         self.motors.each_ref().map(Servo::doubt)
+    }
+
+    /// How far a pin is from its rest, µm, and whether that was measured; `None` if there is nothing to go by.
+    pub(super) fn off_by_um(&self, motor: u8) -> Option<(f64, bool)> {
+        let motor = self.motors.get(usize::from(motor))?;
+        let measured = self.sampled.is_some() && motor.is_measured();
+        (measured || motor.is_calibrated()).then(|| (motor.rest_um(), measured))
+    }
+
+    /// Mean gain of a motor.
+    pub(super) fn gain(&self, motor: u8, direction: Direction) -> f64 {
+        self.motors.get(usize::from(motor)).map_or(1.0, |motor| motor.gain(direction))
+    }
+
+    /// A move of a pin is over at `until`.
+    pub(super) fn moved(&mut self, motor: u8, direction: Direction, pulses: u16, until: Tick) {
+        if let Some(motor) = self.motor(motor) {
+            motor.moved(direction, pulses);
+        }
+        self.valid_from = Some(until);
+    }
+
+    /// Whether telemetry has told how things stand since `tick`.
+    pub(super) fn sampled_after(&self, tick: Tick) -> bool {
+        self.sampled.is_some_and(|sampled| sampled >= tick)
+    }
+
+    /// The largest error by dead reckoning, one standard deviation, µm.
+    pub(super) fn reckoned_um(&self, now: Tick) -> f32 {
+        let all = self.rest_error_um(now).into_iter();
+        let reckoned = all.filter(|(_, source)| *source == ErrorSource::DeadReckoning);
+        reckoned.map(|(um, _)| um).fold(0.0, f32::max)
     }
 
     fn motor(&mut self, motor: u8) -> Option<&mut Servo> {

@@ -189,6 +189,31 @@ impl Servo {
         self.estimator.rest_at(um, variance);
     }
 
+    /// A move, between plays, shifts where the pin rests.
+    pub(in crate::stream) fn moved(&mut self, direction: Direction, pulses: u16) {
+        let um = f64::from(pulses) * UM_PER_PULSE * self.estimator.gain(direction);
+        let scatter = self.estimator.scatter() * um;
+        let position = self.estimator.position_um() + sign(direction) * um;
+        self.estimator.rest_at(position, self.estimator.variance() + scatter * scatter);
+        self.scattered += scatter * scatter;
+        self.anchored = false;
+    }
+
+    /// Mean gain of a direction.
+    pub(in crate::stream) fn gain(&self, direction: Direction) -> f64 {
+        self.estimator.gain(direction)
+    }
+
+    /// Whether its gains were measured.
+    pub(in crate::stream) fn is_calibrated(&self) -> bool {
+        self.gains != Gains::default()
+    }
+
+    /// Whether telemetry has told where it is, and can be believed.
+    pub(in crate::stream) fn is_measured(&self) -> bool {
+        self.anchored && self.trust.lost().is_none()
+    }
+
     /// Why its telemetry is not believed.
     pub(in crate::stream) fn doubt(&self) -> Option<Doubt> {
         self.trust.lost()

@@ -9,11 +9,12 @@ mod outcome;
 mod refused;
 
 use crate::device::Device;
-use crate::stream::Need;
+use crate::stream::{Doubt, Gains, Need};
 use crate::strokes::Strokes;
 use crate::units::HostInstant;
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::DeviceHello;
+use firmware_protocol::stroke::{Direction, MOTORS};
 use firmware_protocol::tick::Tick;
 use rustix::event::{EventfdFlags, eventfd};
 use rustix::fd::{AsFd, BorrowedFd, OwnedFd};
@@ -27,6 +28,8 @@ pub const QUEUE: usize = 16;
 /// Orders and notices that wait, at the most.
 const ORDERS: usize = 64;
 const NOTICES: usize = 4096;
+/// Measured bursts that wait, at the most: 24 motors at 300 Hz for two seconds.
+const TRAVELS: usize = 1 << 15;
 /// Places that single late strokes, refusals and snapshots leave free for answers and the ends of plays.
 const RESERVED: usize = 1024;
 
@@ -59,6 +62,10 @@ pub enum Job {
         /// Take every pin as being at rest.
         assume_rest: bool,
     },
+    /// Move pins to where they ought to rest. Answered when they are there.
+    Home,
+    /// Go by these gains from now on.
+    Calibrate(Box<[Gains; MOTORS]>),
     /// Return pins, motors off.
     Disarm,
     /// Return pins, motors off, end the thread. Answered when the device is off, or after a second.
@@ -159,6 +166,8 @@ pub enum Notice {
     },
     /// A play that was refused, to be dropped outside the thread.
     Returned(Box<Play>),
+    /// Gains that were taken over, to be dropped outside the thread.
+    Freed(Box<[Gains; MOTORS]>),
     /// A play is over.
     Ended {
         /// Which.
@@ -168,6 +177,18 @@ pub enum Notice {
     },
     /// A burst was measured.
     Traveled(Traveled),
+    /// The telemetry of a motor is not believed any more: it plays on in open loop until the next `arm`.
+    Doubted {
+        /// Its motor.
+        motor: u8,
+        /// Why.
+        doubt: Doubt,
+    },
+    /// Dead reckoning's error has grown beyond [`Settings::drift_warning_um`](crate::stream::Settings).
+    Drifted {
+        /// The largest of all motors, one standard deviation, µm.
+        um: f32,
+    },
     /// So many notices were lost before this one.
     Lost(u64),
     /// The thread ends.
@@ -200,6 +221,7 @@ impl Orders {
 #[derive(Debug)]
 pub struct Notices {
     ring: rtrb::Consumer<Notice>,
+    travels: rtrb::Consumer<Traveled>,
     wake: Arc<OwnedFd>,
 }
 
@@ -207,6 +229,11 @@ impl Notices {
     /// The oldest notice.
     pub fn pop(&mut self) -> Option<Notice> {
         self.ring.pop().ok()
+    }
+
+    /// The oldest measured burst. They ring no bell: snapshots do, ten times a second.
+    pub fn pop_travel(&mut self) -> Option<Traveled> {
+        self.travels.pop().ok()
     }
 
     /// Makes the descriptor unreadable until there are more.
@@ -226,6 +253,7 @@ impl AsFd for Notices {
 pub struct Port {
     orders: rtrb::Consumer<Order>,
     notices: rtrb::Producer<Notice>,
+    travels: rtrb::Producer<Traveled>,
     orders_wake: Arc<OwnedFd>,
     notices_wake: Arc<OwnedFd>,
     lost: u64,
@@ -246,9 +274,21 @@ pub fn port() -> std::io::Result<(Port, Orders, Notices)> {
         let _ = notices.push(Notice::Bye);
     }
     while from_thread.pop().is_ok() {}
+    let (mut travels, mut traveled) = rtrb::RingBuffer::new(TRAVELS);
+    let nothing = Traveled {
+        motor: 0,
+        start: Tick(0),
+        direction: Direction::Up,
+        pulses: 0,
+        travel_um: 0.0,
+        sd_um: 0.0,
+        rested: false,
+    };
+    while travels.push(nothing).is_ok() {}
+    while traveled.pop().is_ok() {}
     let caller = Orders { ring: to_thread, wake: Arc::clone(&orders_wake) };
-    let listener = Notices { ring: from_thread, wake: Arc::clone(&notices_wake) };
-    let port = Port { orders, notices, orders_wake, notices_wake, lost: 0, unannounced: false };
+    let listener = Notices { ring: from_thread, travels: traveled, wake: Arc::clone(&notices_wake) };
+    let port = Port { orders, notices, travels, orders_wake, notices_wake, lost: 0, unannounced: false };
     Ok((port, caller, listener))
 }
 
@@ -271,6 +311,11 @@ impl Port {
 
     /// Tells the listener, who is woken by [`Self::announce`].
     pub fn tell(&mut self, notice: Notice) {
+        if let Notice::Traveled(traveled) = notice {
+            // What nobody takes is of no use later.
+            let _ = self.travels.push(traveled);
+            return;
+        }
         // What comes in crowds must not push out what comes once.
         let crowd =
             matches!(notice, Notice::Late { .. } | Notice::StrokeRefused { .. } | Notice::Snapshot(_));

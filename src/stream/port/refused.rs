@@ -17,6 +17,15 @@ pub enum Refused {
     /// Pins are being returned.
     #[error("pins are being returned: try again in a moment")]
     Returning,
+    /// Homing and calibrating wait for no play.
+    #[error("a play is running or queued: wait for its end, or `meissner stop`")]
+    Playing,
+    /// Neither telemetry nor a calibration says where pins are.
+    #[error(
+        "no telemetry and no calibration say where the pins are: level them by hand, then `meissner disarm` and \
+         `meissner arm --assume-rest`"
+    )]
+    NothingToGoBy,
     /// `QUEUE` plays wait.
     #[error("16 plays are queued already: wait, or `meissner stop`")]
     QueueFull,

@@ -43,13 +43,16 @@ impl Streamer {
             Event::Control(result) => {
                 self.in_flight = false;
                 if let Some(done) = self.controls.pop_front() {
-                    if result.is_err() {
+                    if result.is_err() && !matches!(done.op, Op::Move { .. }) {
                         self.wants_armed = false;
                         self.cut_all(End::Stopped, "the device refused the command before it");
                     }
                     // Who reads the answer finds everything as it stands after it.
                     tell(Notice::Snapshot(self.snapshot(now)));
                     answer(done.ticket, result.map_err(Refused::Device), tell);
+                    if matches!(done.op, Op::Move { .. }) {
+                        self.moved(now, result.map_err(Refused::Device), tell);
+                    }
                     // It may have been disarmed while the command was on its way.
                     if let (true, Some((status, _))) = (self.controls.is_empty(), self.status)
                         && !matches!(status.state, State::Armed | State::Returning)

@@ -7,6 +7,7 @@
 mod ends;
 mod events;
 mod feed;
+mod homing;
 mod orders;
 
 use crate::link::{Event, LineRate, Session};
@@ -15,6 +16,7 @@ use crate::stream::active::{Active, Phase};
 use crate::stream::hold::Hold;
 use crate::stream::port::{End, Notice, QUEUE, Refused, Snapshot};
 use crate::units::HostInstant;
+use homing::Homing;
 use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::message::{Cause, Counters, Op, State, Status};
 use firmware_protocol::stroke::MOTORS;
@@ -77,6 +79,10 @@ pub struct Streamer {
     pub(super) fed: Tick,
     /// The last stroke had to wait for credits.
     pub(super) short_of_credits: bool,
+    homing: Option<Homing>,
+    /// Motors whose telemetry was told not to be believed.
+    told_doubts: [bool; MOTORS],
+    told_drift: bool,
     closing: Option<(u64, HostInstant)>,
     closed: bool,
     snapshot_due: HostInstant,
@@ -105,6 +111,9 @@ impl Streamer {
             hold: Hold::new(),
             fed: Tick(0),
             short_of_credits: false,
+            homing: None,
+            told_doubts: [false; MOTORS],
+            told_drift: false,
             closing: None,
             closed: false,
             snapshot_due: HostInstant::default(),
@@ -138,6 +147,7 @@ impl Streamer {
         while let Some(waiting) = self.controls.pop_front() {
             answer(waiting.ticket, Err(Refused::NoDevice), tell);
         }
+        self.end_homing(Err(Refused::NoDevice), tell);
         self.in_flight = false;
         self.status = None;
         self.hold.cut();
@@ -189,6 +199,7 @@ impl Streamer {
         self.next_control();
         self.expire(now, tell);
         if let Some(tick) = self.tick_at(now) {
+            self.go_home(now, tick, tell);
             self.feed(now, tick, tell);
             self.correct(tick);
             self.finish(tick, tell);
@@ -203,6 +214,7 @@ impl Streamer {
             let playing = !self.plays.is_empty() || self.state() == State::Returning;
             let far = if playing { SNAPSHOT_EVERY } else { IDLE_PING };
             self.snapshot_due = now + far;
+            self.warn(now, tell);
             tell(Notice::Snapshot(self.snapshot(now)));
         }
     }
@@ -214,6 +226,22 @@ impl Streamer {
         let fed = self.plays.iter().rev().find(|active| active.cut.is_none() && active.phase != Phase::Waiting);
         let free = |motor| fed.map_or(tick, |active| active.free_until(motor));
         self.hold.correct(tick, free, |item| session.amend(item));
+    }
+
+    /// Tells of motors whose telemetry is not believed, and of drift.
+    fn warn(&mut self, now: HostInstant, tell: Tell<'_>) {
+        for ((told, doubt), motor) in self.told_doubts.iter_mut().zip(self.hold.doubts()).zip(0..) {
+            if let Some(doubt) = doubt.filter(|_| !*told) {
+                tell(Notice::Doubted { motor, doubt });
+            }
+            *told = doubt.is_some();
+        }
+        let um = self.hold.reckoned_um(self.tick_at(now).unwrap_or_default());
+        let drifted = um > self.settings.drift_warning_um;
+        if drifted && !self.told_drift {
+            tell(Notice::Drifted { um });
+        }
+        self.told_drift = drifted;
     }
 
     fn snapshot(&self, now: HostInstant) -> Snapshot {
@@ -269,6 +297,7 @@ impl Streamer {
     pub fn wake_at(&self, now: HostInstant) -> HostInstant {
         let quiet = self.plays.is_empty()
             && self.controls.is_empty()
+            && self.homing.is_none()
             && self.closing.is_none()
             && self.state() != State::Returning;
         let Some(session) = &self.session else {

@@ -43,11 +43,22 @@ impl Streamer {
             Job::EStop => self.emergency_stop(now, tell),
             Job::Reset => self.reset(),
             Job::Arm { assume_rest } => self.arm(assume_rest),
+            Job::Home => match self.home(ticket) {
+                // It is answered when the pins are home.
+                Ok(_) => return,
+                Err(refused) => Err(refused),
+            },
+            Job::Calibrate(gains) => {
+                self.hold.calibrate(&gains);
+                tell(Notice::Freed(gains));
+                Ok(None)
+            }
             Job::Disarm => self.disarm(),
             Job::Shutdown => {
                 self.closing = Some((ticket, now));
                 self.wants_armed = false;
                 self.cut_all(End::Stopped, "shutdown");
+                self.end_homing(Err(Refused::Returning), tell);
                 if self.session.is_some() {
                     self.control(now, 0, Op::Disarm(Cause::Shutdown), tell);
                 }
@@ -55,7 +66,10 @@ impl Streamer {
             }
         };
         match taken {
-            Ok(Some(op)) => self.control(given, ticket, op, tell),
+            Ok(Some(op)) => {
+                self.end_homing(Err(Refused::Returning), tell);
+                self.control(given, ticket, op, tell);
+            }
             Ok(None) => answer(ticket, Ok(()), tell),
             Err(refused) => answer(ticket, Err(refused), tell),
         }
@@ -72,7 +86,7 @@ impl Streamer {
     }
 
     /// Whether the device takes strokes, or will when the commands given are carried out.
-    fn takes_plays(&self) -> Result<(), Refused> {
+    pub(super) fn takes_plays(&self) -> Result<(), Refused> {
         self.ready()?;
         match self.state() {
             _ if self.wants_armed => Ok(()),
@@ -119,6 +133,9 @@ impl Streamer {
     /// Whether a play can be queued, the onset it asks for, and how far ahead it has to be sent.
     fn place(&self, now: HostInstant, play: &Play) -> Result<(Option<Tick>, Duration), Refused> {
         self.takes_plays()?;
+        if self.homing.is_some() {
+            return Err(Refused::Returning);
+        }
         let (Some(session), Some(tick)) = (&self.session, self.tick_at(now)) else {
             return Err(Refused::NoDevice);
         };
@@ -184,6 +201,7 @@ impl Streamer {
             _ => {}
         }
         self.wants_armed = true;
+        self.hold.trust_again();
         if assume_rest {
             self.hold.assume_rest();
         }

@@ -1,0 +1,109 @@
+//! Homing: between plays, moves each pin back to where it ought to rest.
+//!
+//! One motor after the other, because a move is a command of its own; then, with telemetry, all again, until none is
+//! off by more than [`NEAR_UM`] or [`ROUNDS`] are over: each move scatters by a tenth of its way. Without telemetry a
+//! calibrated motor is moved once, by what its gains say that strokes have left; the scatter stays. A motor
+//! of which neither is known is not moved.
+
+use crate::stream::port::Refused;
+use crate::stream::streamer::{Streamer, Taken, Tell, answer};
+use crate::units::{HostInstant, UM_PER_PULSE};
+use firmware_protocol::message::{Op, State};
+use firmware_protocol::stroke::{Direction, MOTORS};
+use firmware_protocol::tick::{TICK_HZ, Tick};
+
+/// A pin that is so near is home, µm.
+const NEAR_UM: f64 = 0.5;
+/// Rounds over all motors at the most.
+const ROUNDS: u8 = 6;
+/// From the end of a move until the next one is sent, and until telemetry can show where it led: the window, and a wake-up.
+const SETTLED: u64 = 366 + TICK_HZ as u64 / 500;
+/// Telemetry that does not come within this after a round does not come.
+const SILENT: u64 = TICK_HZ as u64 / 2;
+
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Homing {
+    ticket: u64,
+    round: u8,
+    motor: u8,
+    /// A pin was moved in this round.
+    moved: bool,
+    /// The move under way, from when it was sent: direction and pulses.
+    moving: Option<(Direction, u16)>,
+    /// When the last move is over.
+    until: Tick,
+}
+
+impl Streamer {
+    /// Begins to home.
+    pub(super) fn home(&mut self, ticket: u64) -> Taken {
+        self.takes_plays()?;
+        if self.state() != State::Armed || !self.may_feed() || self.homing.is_some() {
+            return Err(Refused::Returning);
+        }
+        if !self.plays.is_empty() {
+            return Err(Refused::Playing);
+        }
+        let Some(tick) = self.status.map(|(_, tick)| tick) else { return Err(Refused::NoDevice) };
+        if (0..MOTORS as u8).all(|motor| self.hold.off_by_um(motor).is_none()) {
+            return Err(Refused::NothingToGoBy);
+        }
+        self.homing = Some(Homing { ticket, round: 0, motor: 0, moved: false, moving: None, until: tick });
+        Ok(None)
+    }
+
+    /// The device has answered a move.
+    pub(super) fn moved(&mut self, now: HostInstant, result: Result<(), Refused>, tell: Tell<'_>) {
+        let Some(homing) = &mut self.homing else { return };
+        let Some((direction, pulses)) = homing.moving.take() else { return };
+        if let Err(refused) = result {
+            self.end_homing(Err(refused), tell);
+            return;
+        }
+        let tick = self.session.as_ref().and_then(|session| session.clock().tick_at(now)).unwrap_or_default();
+        homing.until = tick + u64::from(pulses) + SETTLED;
+        let motor = homing.motor;
+        homing.moved = true;
+        homing.motor += 1;
+        self.hold.moved(motor, direction, pulses, homing.until);
+    }
+
+    pub(super) fn end_homing(&mut self, result: Result<(), Refused>, tell: Tell<'_>) {
+        if let Some(homing) = self.homing.take() {
+            answer(homing.ticket, result, tell);
+        }
+    }
+
+    /// Sends the next move when the last one is over.
+    pub(super) fn go_home(&mut self, now: HostInstant, tick: Tick, tell: Tell<'_>) {
+        if self.homing.is_none() || self.state() != State::Armed || !self.may_feed() {
+            return;
+        }
+        let Some(homing) = self.homing.as_mut().filter(|homing| homing.moving.is_none() && tick >= homing.until)
+        else {
+            return;
+        };
+        while usize::from(homing.motor) < MOTORS {
+            // Without telemetry one round is all that can be done.
+            let known = self.hold.off_by_um(homing.motor).filter(|&(_, measured)| measured || homing.round == 0);
+            if let Some((um, _)) = known.filter(|(um, _)| um.abs() > NEAR_UM) {
+                let direction = if um > 0.0 { Direction::Down } else { Direction::Up };
+                let pulses = (um.abs() / (UM_PER_PULSE * self.hold.gain(homing.motor, direction))).round();
+                let pulses = pulses.clamp(1.0, 3000.0) as u16;
+                homing.moving = Some((direction, pulses));
+                let op = Op::Move { motor: homing.motor, direction, pulses };
+                self.control(now, 0, op, tell);
+                return;
+            }
+            homing.motor += 1;
+        }
+        if !homing.moved || homing.round + 1 == ROUNDS {
+            self.end_homing(Ok(()), tell);
+            return;
+        }
+        // The next round goes by what telemetry shows after the last move.
+        if self.hold.sampled_after(homing.until) || tick >= homing.until + SILENT {
+            (homing.round, homing.motor, homing.moved) = (homing.round + 1, 0, false);
+        }
+    }
+}
