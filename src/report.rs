@@ -8,8 +8,10 @@
 //! Invariant: errors and figures depend on what is asked alone; only times, and what follows from them, on the machine.
 
 pub mod figures;
+mod hold;
 mod tradeoff;
 
+pub use hold::rest_bound_um;
 pub use tradeoff::{
     Count, How, LeftOut, MATCH_S, MOST_STEPS, PlotError, Reason, Row, SIXTY_HERTZ, STEPS_US, Tradeoff,
     matching, plot, reasons, tradeoff,

@@ -114,6 +114,11 @@ impl Rig {
         Self::with(Settings::default(), line, seed)
     }
 
+    /// With motors that are not the default's.
+    pub(crate) fn plant(plant: &PlantConfig, seed: u64) -> Self {
+        Self { rehearsal: Rehearsal::new(plant, Settings::default(), Line::default(), seed).unwrap(), plays: 0 }
+    }
+
     pub(crate) fn with(settings: Settings, line: Line, seed: u64) -> Self {
         let mut rehearsal = Rehearsal::new(&PlantConfig::default(), settings, line, seed).unwrap();
         rehearsal.mock.record();

@@ -15,6 +15,7 @@ mod choose;
 mod cli;
 /// More clients than there are places, and clients that do not listen.
 mod client_limits;
+mod closed_loop;
 /// The stepped methods come to the exact one as the step shrinks.
 mod convergence;
 /// Trials and changes of single motors against fresh simulations.

@@ -5,7 +5,7 @@
 //! whoever owns it says up to which tick it runs. At each [`Mock::run`] it takes the bytes in first, so that a
 //! stall of the machine it runs on does not make strokes late. The same seed and bytes give the same bytes.
 
-use crate::plant::{Plant, PlantConfig, PlantError, RestStats};
+use crate::plant::{Plant, PlantConfig, PlantError, RestStats, Sample};
 use firmware_protocol::controller::{BLOCK, Controller, HORIZON, Identity, Run};
 use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::message::{DeviceHello, State};
@@ -49,6 +49,7 @@ pub struct Mock {
     /// What was played, if somebody wants to know.
     trace: Option<Vec<(Tick, Run)>>,
     truth: Arc<Truth>,
+    tamper: Option<fn(&mut Sample)>,
 }
 
 impl Mock {
@@ -79,12 +80,27 @@ impl Mock {
             to_host: VecDeque::with_capacity(BUFFER),
             trace: None,
             truth: Arc::default(),
+            tamper: None,
         })
     }
 
     /// Keeps every run of lines that is played from here on, for [`Self::take_trace`].
     pub fn record(&mut self) {
         self.trace = Some(Vec::new());
+    }
+
+    /// From here on telemetry goes through `lie` before it is sent: sensors that are stuck, swapped, out of scale.
+    pub fn tamper(&mut self, lie: fn(&mut Sample)) {
+        self.tamper = Some(lie);
+    }
+
+    /// Where a pin really is once it rests, µm.
+    ///
+    /// # Panics
+    /// If there is no such motor.
+    #[must_use]
+    pub fn position_um(&self, motor: u8) -> f64 {
+        self.plant.position_um(motor)
     }
 
     /// The runs played since [`Self::record`] or the last call: where each begins, its lines and length.
@@ -148,7 +164,10 @@ impl Mock {
         self.pass(until);
         // A status that is sent now tells the tick of now, not of some block on the way.
         self.send();
-        while let Some(sample) = self.plant.telemetry() {
+        while let Some(mut sample) = self.plant.telemetry() {
+            if let Some(lie) = self.tamper {
+                lie(&mut sample);
+            }
             self.controller.telemetry(sample.tick, sample.y);
             self.send();
         }

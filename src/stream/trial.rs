@@ -5,7 +5,7 @@
 
 use crate::motor::{MotorError, SquareWave};
 use crate::plant::{Pin, PlantConfig};
-use crate::stream::hold::{EARLIEST, Gains, Servo};
+use crate::stream::hold::{DUE, Gains, Servo};
 use crate::units::seconds_to_ticks;
 use firmware_protocol::stroke::{Burst, Stroke};
 use firmware_protocol::tick::{TICK_HZ, Tick};
@@ -37,6 +37,8 @@ pub struct Trial {
     pub seed: u64,
     /// Corrections are made.
     pub closed: bool,
+    /// What the loop believes of the motor at the beginning.
+    pub gains: Gains,
 }
 
 impl Default for Trial {
@@ -53,6 +55,7 @@ impl Default for Trial {
             offset_um: 0.0,
             seed: 0,
             closed: true,
+            gains: Gains::default(),
         }
     }
 }
@@ -76,7 +79,7 @@ impl Trial {
     /// From a burst back to the newest sample that its count can go by, at the least, ms.
     #[must_use]
     pub fn delay_ms(&self) -> f64 {
-        self.age_ms + EARLIEST as f64 / f64::from(TICK_HZ) * 1000.0
+        self.age_ms + DUE as f64 / f64::from(TICK_HZ) * 1000.0
     }
 
     /// Plays for so many seconds and tells of each period; `lie` may change samples (tick, 0.01 µm). Returns why the
@@ -93,14 +96,14 @@ impl Trial {
         let wave = SquareWave::new(self.frequency_hz, self.amplitude_um, 0.0)?;
         let config = PlantConfig { seed: self.seed, gain_sd: self.scatter, ..PlantConfig::default() };
         let mut pin = Pin::new(&config, 0).with_asymmetry(self.asymmetry).at(self.offset_um);
-        let mut servo = Servo::new(&Gains::default());
+        let mut servo = Servo::new(&self.gains);
         let start = Tick::BOOT;
         let end = start + seconds_to_ticks(seconds);
         let (lead, age) = (seconds_to_ticks(self.lead_ms / 1000.0), seconds_to_ticks(self.age_ms / 1000.0));
         let to_stroke = |excursion: crate::motor::Excursion| {
             let pulses = excursion.pulses.min(3000) as u16;
             // A window's length after the beginning the shaft is known to be at rest.
-            let (up, down) = (start + excursion.up + 2 * EARLIEST, start + excursion.down + 2 * EARLIEST);
+            let (up, down) = (start + excursion.up + 2 * DUE, start + excursion.down + 2 * DUE);
             Stroke { motor: 0, up, up_pulses: pulses, down, down_pulses: pulses }
         };
         let mut strokes = wave.excursions().map(to_stroke);
@@ -112,7 +115,7 @@ impl Trial {
         let mut now = start;
         while now < end {
             now = now + WAKE_UP;
-            while let Some(stroke) = next.filter(|stroke| stroke.up < now + lead.max(2 * EARLIEST)) {
+            while let Some(stroke) = next.filter(|stroke| stroke.up < now + lead.max(2 * DUE)) {
                 servo.sent(&stroke, self.closed, |_| ());
                 servo.accepted(stroke.up);
                 queue.push_back((stroke, stroke.up_pulses));
@@ -140,6 +143,9 @@ impl Trial {
             }
             let free = || next.map_or(end, |stroke| stroke.up);
             let fresh = now - sampled <= u64::from(TICK_HZ) / 2;
+            if servo.next().is_none_or(|next| next > now + DUE) {
+                continue;
+            }
             servo.correct(now, free, fresh, |up, direction, pulses| {
                 let found = queue.iter_mut().find(|(stroke, _)| stroke.up == up);
                 let Some((stroke, _)) = found else { return false };

@@ -13,7 +13,7 @@ mod servo;
 mod trust;
 
 pub use estimator::Gains;
-pub(super) use servo::{EARLIEST, Servo};
+pub(super) use servo::{DUE, Servo};
 pub use trust::Doubt;
 
 use crate::stream::port::{ErrorSource, Traveled};
@@ -178,12 +178,17 @@ impl Hold {
         mut amend: impl FnMut(&Amendment) -> bool,
     ) {
         let fresh = self.sampled.is_some_and(|sampled| now - sampled <= LONGEST_AGE);
-        let unheard = &mut self.unheard;
-        for (motor, index) in self.motors.iter_mut().zip(0..) {
-            if !fresh {
-                let past = Tick(now.0.saturating_sub(LONGEST_AGE));
+        if !fresh {
+            let (past, unheard) = (Tick(now.0.saturating_sub(LONGEST_AGE)), &mut self.unheard);
+            for motor in &mut self.motors {
                 motor.follow(past, |_| (), |stroke| count(unheard, stroke));
             }
+        }
+        let mut next = self.motors.iter().filter_map(Servo::next);
+        if next.all(|next| next > now + DUE) {
+            return;
+        }
+        for (motor, index) in self.motors.iter_mut().zip(0..) {
             motor.correct(now, || free(index), fresh, |up, direction, pulses| {
                 amend(&Amendment { motor: index, up, direction, pulses })
             });

@@ -27,8 +27,11 @@ use std::collections::VecDeque;
 
 /// A correction leaves when its burst is this near: later is fresher, but it must not come too late.
 pub(super) const LATEST: u64 = TICK_HZ as u64 / 1000 * 3 / 2;
-/// A wake-up of 1 ms, and one to spare.
-pub(in crate::stream) const EARLIEST: u64 = LATEST + TICK_HZ as u64 / 1000 * 2;
+/// It is settled when it is this near: a wake-up of 1 ms comes before [`LATEST`], and half of one is to spare.
+pub(in crate::stream) const DUE: u64 = LATEST + TICK_HZ as u64 / 1000 * 3 / 2;
+/// When a correction leaves anyway, those of other motors leave with it that are due within 2 ms: a frame costs as much as
+/// three corrections.
+pub(in crate::stream) const EARLIEST: u64 = DUE + TICK_HZ as u64 / 1000 * 2;
 /// Telemetry older than this steers nothing and is not waited for.
 pub(super) const LONGEST_AGE: u64 = TICK_HZ as u64 / 2;
 /// Strokes of one motor that may begin in [`LONGEST_AGE`].
@@ -366,8 +369,13 @@ impl Servo {
         ((way / gain).round().clamp(0.0, 65_535.0) as u16).min(most).max(least)
     }
 
-    /// Settles the counts of bursts that begin soon, telling those that change: the stroke's up tick, the direction, the
-    /// count. `amend` says whether it could be told. No stroke that is not queued begins before `free`. `fresh`:
+    /// When the next burst begins whose count is not settled.
+    pub(in crate::stream) fn next(&self) -> Option<Tick> {
+        self.queue.get(self.settled / 2).map(|queued| queued.burst(self.settled % 2).start)
+    }
+
+    /// Settles the counts of bursts that are due, or at least of one that begins within [`EARLIEST`], telling those that
+    /// change: the stroke's up tick, the direction, the count. `amend` says whether it could be told. No stroke that is not queued begins before `free`. `fresh`:
     /// telemetry is not too old to go by.
     pub(in crate::stream) fn correct(
         &mut self,
@@ -376,12 +384,14 @@ impl Servo {
         fresh: bool,
         mut amend: impl FnMut(Tick, Direction, u16) -> bool,
     ) {
+        let mut within = EARLIEST;
         while let Some(queued) = self.queue.get(self.settled / 2).copied() {
             let half = self.settled % 2;
             let burst = queued.burst(half);
-            if burst.start > now + EARLIEST {
+            if burst.start > now + within {
                 break;
             }
+            within = DUE;
             let steers = fresh && self.anchored && self.trust.steers(now);
             if steers && queued.steered && queued.accepted && burst.start >= now + LATEST {
                 let pulses = self.wanted(&free);

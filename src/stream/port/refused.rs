@@ -81,7 +81,9 @@ pub fn refusal_text(refusal: Refusal) -> &'static str {
             "it does not know where the pins are; see that all are at rest, then `meissner arm --assume-rest`"
         }
         Refusal::State => "not in its present state",
-        Refusal::Travel => "a move beyond the travel limit",
+        Refusal::Travel => {
+            "a pin is further off than it may be moved since it was armed; `meissner disarm`, `meissner arm` and again"
+        }
         Refusal::Malformed => "it could not read it",
     }
 }

@@ -8,6 +8,7 @@
 use crate::stream::port::Refused;
 use crate::stream::streamer::{Streamer, Taken, Tell, answer};
 use crate::units::{HostInstant, UM_PER_PULSE};
+use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{Op, State};
 use firmware_protocol::stroke::{Direction, MOTORS};
 use firmware_protocol::tick::{TICK_HZ, Tick};
@@ -28,6 +29,8 @@ pub(super) struct Homing {
     motor: u8,
     /// A pin was moved in this round.
     moved: bool,
+    /// A pin is further off than moves may take it.
+    beyond: bool,
     /// The move under way, from when it was sent: direction and pulses.
     moving: Option<(Direction, u16)>,
     /// When the last move is over.
@@ -48,7 +51,7 @@ impl Streamer {
         if (0..MOTORS as u8).all(|motor| self.hold.off_by_um(motor).is_none()) {
             return Err(Refused::NothingToGoBy);
         }
-        self.homing = Some(Homing { ticket, round: 0, motor: 0, moved: false, moving: None, until: tick });
+        self.homing = Some(Homing { ticket, round: 0, motor: 0, moved: false, beyond: false, moving: None, until: tick });
         Ok(None)
     }
 
@@ -56,9 +59,15 @@ impl Streamer {
     pub(super) fn moved(&mut self, now: HostInstant, result: Result<(), Refused>, tell: Tell<'_>) {
         let Some(homing) = &mut self.homing else { return };
         let Some((direction, pulses)) = homing.moving.take() else { return };
-        if let Err(refused) = result {
-            self.end_homing(Err(refused), tell);
-            return;
+        match result {
+            // The others come home all the same.
+            Err(Refused::Device(Refusal::Travel)) => {
+                homing.beyond = true;
+                homing.motor += 1;
+                return;
+            }
+            Err(refused) => return self.end_homing(Err(refused), tell),
+            Ok(()) => {}
         }
         let tick = self.session.as_ref().and_then(|session| session.clock().tick_at(now)).unwrap_or_default();
         homing.until = tick + u64::from(pulses) + SETTLED;
@@ -98,8 +107,9 @@ impl Streamer {
             homing.motor += 1;
         }
         if !homing.moved || homing.round + 1 == ROUNDS {
-            self.end_homing(Ok(()), tell);
-            return;
+            let beyond = homing.beyond;
+            let result = if beyond { Err(Refused::Device(Refusal::Travel)) } else { Ok(()) };
+            return self.end_homing(result, tell);
         }
         // The next round goes by what telemetry shows after the last move.
         if self.hold.sampled_after(homing.until) || tick >= homing.until + SILENT {
