@@ -24,7 +24,8 @@ pub(super) struct Tradeoff {
     #[arg(long, group = "what")]
     stream: bool,
     /// With --stream: stalls recorded on another machine, by the example `record_stalls`
-    #[arg(long, value_name = "FILE", requires = "stream")]
+    // What is required is not missed where it would conflict: so the conflict is said, too.
+    #[arg(long, value_name = "FILE", requires = "stream", conflicts_with = "scene")]
     trace: Option<PathBuf>,
     /// Draw it into this file (SVG)
     #[arg(long, value_name = "FILE")]
