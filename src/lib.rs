@@ -30,7 +30,7 @@
 //!
 //! What the [`skin`] makes of a pattern is computed offline: [`simulate`] takes a scene of drives and receptors to
 //! spikes, exactly or by a step, and [`report`] says what each way of doing so costs and by how much it errs, and draws
-//! what motors and skin make of a pattern.
+//! what motors and skin make of a pattern. It also tries the streamer's lead on stalls that were recorded on a real machine.
 //! What one is to feel is a target, a shape on the skin; [`optimise`] finds the pattern that tells it best from its surroundings.
 //!
 //! Tests run streamer, link, controller and plant in virtual time ([`stream::Rehearsal`]): same code, no clock.

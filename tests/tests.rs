@@ -32,6 +32,8 @@ mod harness;
 mod independence;
 /// The order of the rooms.
 mod layers;
+/// `tradeoff --stream`: the lead under recorded stalls, traces that are refused, its document and plot.
+mod lead;
 /// The library: made again byte for byte, and worth what it says.
 mod library;
 /// The motor model and the plant against the reference figures.

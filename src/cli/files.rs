@@ -39,7 +39,7 @@ pub(super) fn text(place: &Path, most: u64, kind: &str) -> Result<String> {
     }
     let bytes = config::read_regular(place, most)
         .map_err(|error| anyhow!("{at}: cannot be read; name a {kind} file ({error})"))?;
-    String::from_utf8(bytes).map_err(|_| anyhow!("{at}: not UTF-8 text: write {kind}s as TOML in UTF-8"))
+    String::from_utf8(bytes).map_err(|_| anyhow!("{at}: not UTF-8 text: name a {kind} file in UTF-8"))
 }
 
 /// Makes a new file beside a place.

@@ -17,6 +17,7 @@ mod progress;
 mod report;
 mod simulate;
 mod text;
+mod tradeoff;
 mod watch;
 
 use crate::api::Late;
@@ -136,8 +137,8 @@ enum Command {
     Simulate(simulate::Simulate),
     /// The pattern that makes a target felt
     Optimise(optimise::Optimise),
-    /// Time and error of every way to simulate a scene, measured on this machine
-    Tradeoff(simulate::Compare),
+    /// Time and error of every way to simulate a scene, measured on this machine; or what the streamer's lead is worth
+    Tradeoff(tradeoff::Tradeoff),
     /// Figures of the models and of patterns, as SVG and CSV, and a page that shows them
     Report(report::Report),
     /// Look for what could keep this machine or its device from playing; exit 0 only if nothing does
@@ -341,7 +342,7 @@ fn run(command: Command) -> Result<ExitCode> {
         }
         Command::Simulate(asked) => simulate::run(&asked),
         Command::Optimise(asked) => optimise::run(&asked),
-        Command::Tradeoff(asked) => simulate::tradeoff(&asked),
+        Command::Tradeoff(asked) => tradeoff::run(&asked),
         Command::Report(asked) => report::run(&asked),
         Command::Doctor { device, plain } => doctor::run(device, &plain),
     }

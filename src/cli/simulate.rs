@@ -1,10 +1,9 @@
-//! Commands that simulate the skin: simulate and tradeoff. They ask no daemon.
+//! The command that simulates the skin. It asks no daemon.
 //!
 //! Invariant: a scene that is too large or not a file is not read into memory.
 
 use super::{Cli, Output, files, give, progress, text};
-use crate::optimise::YARDSTICK;
-use crate::report::{self, Count, How, Reason, Tradeoff};
+use crate::report::{self, Count, How, Reason};
 use crate::simulate::{
     Answer, Integrator, Keep, MAX_JSON_BYTES, Method, Options, Precision, Scene, Stepping, choose, simulate,
 };
@@ -57,17 +56,6 @@ enum Name {
     Exact,
     /// By a fixed step
     Stepped,
-}
-
-#[derive(Debug, Args)]
-pub(super) struct Compare {
-    /// The scene: a TOML or JSON file, or - for stdin [default: 24 motors at 60 Hz, 306 receptors, 1 s]
-    scene: Option<PathBuf>,
-    /// Draw time against error into this file (SVG)
-    #[arg(long, value_name = "FILE")]
-    plot: Option<PathBuf>,
-    #[command(flatten)]
-    output: Output,
 }
 
 /// The document of `simulate --json`.
@@ -143,7 +131,7 @@ fn stepping(asked: &Simulate) -> Option<Stepping> {
 }
 
 /// Reads a scene from a file, or from stdin.
-fn read(file: &Path) -> Result<Scene> {
+pub(super) fn read(file: &Path) -> Result<Scene> {
     if file != Path::new("-") {
         let text = files::text(file, MAX_JSON_BYTES as u64, "scene")?;
         return Ok(Scene::read(&text, &file.to_string_lossy())?);
@@ -184,76 +172,4 @@ fn summary(scene: &Scene, answer: &Answer, document: &Document<'_>) -> String {
     };
     let skipped = text::columns(&["skipped", "count", "why"], document.skipped.iter().map(row));
     format!("{}\n\n{skipped}", text::pairs(&lines))
-}
-
-pub(super) fn tradeoff(asked: &Compare) -> Result<ExitCode> {
-    let scene = match &asked.scene {
-        Some(file) => read(file)?,
-        None => Scene::read(report::SIXTY_HERTZ, "sixty-hertz.toml")?,
-    };
-    // A place that cannot be written to is said before the work.
-    let plot = asked.plot.as_deref().map(files::beside).transpose()?;
-    let tradeoff = progress::metered(|at| report::tradeoff(&scene, at))?;
-    if let Some(plot) = plot {
-        plot.write(&report::plot(&tradeoff)?)?;
-    }
-    give(asked.output.json, &tradeoff, || table(&tradeoff, asked.plot.as_deref()))?;
-    Ok(ExitCode::SUCCESS)
-}
-
-fn table(tradeoff: &Tradeoff, plot: Option<&Path>) -> String {
-    let figure = |figure: Option<f64>, digits: usize| {
-        figure.map_or_else(|| "-".to_owned(), |figure| format!("{figure:.digits$}"))
-    };
-    let head =
-        ["method", "us/receptor/s", "matched", "error us", "rate RMS", "rate bias", "cost error", "front"];
-    let row = |row: &report::Row| {
-        let front = match (&row.reason, row.pareto) {
-            (Some(_), _) => "refused",
-            (None, true) => "*",
-            (None, false) => "",
-        };
-        vec![
-            row.how.to_string(),
-            figure(row.us_per_receptor_s, 2),
-            figure(row.spikes_matched_share, 4),
-            figure(row.mean_error_us, 1),
-            figure(row.rate_rms_hz, 3),
-            figure(row.rate_bias, 5),
-            figure(row.cost_error_hz, 3),
-            front.to_owned(),
-        ]
-    };
-    let scene = format!(
-        "{} receptors for {} s, {} spikes; the exact method took {:.3} s; rates and cost in impulses/s",
-        tradeoff.receptors, tradeoff.duration_s, tradeoff.spikes, tradeoff.exact_wall_s
-    );
-    let mut lines = vec![scene, text::columns(&head, tradeoff.rows.iter().map(row))];
-    lines.push(format!(
-        "Cost (exact: {}): mean impulse rate of the receptors within 1.5 mm of the edge minus that of the others \
-         (what `meissner optimise` maximises); the edge is the target `{YARDSTICK}`, 12 mm long, at 45 degrees through \
-         the array's middle; - if one side is empty.",
-        figure(tradeoff.cost_hz, 3)
-    ));
-    // Rows may share a reason: Euler's is the same in f32 and f64.
-    for reason in tradeoff.rows.iter().filter_map(|row| row.reason.as_ref()) {
-        let line = format!("Refused: {reason}.");
-        if !lines.contains(&line) {
-            lines.push(line);
-        }
-    }
-    if tradeoff.rows.iter().any(|row| row.unstable) {
-        lines.push(format!(
-            "Explicit Euler alternates in sign between tau ({} s) and 2 tau and grows without end above 2 tau; it is \
-             refused above tau.",
-            tradeoff.tau_s
-        ));
-    }
-    if let Some(left_out) = &tradeoff.left_out {
-        let steps: Vec<_> = left_out.steps_us.iter().map(ToString::to_string).collect();
-        lines.push(format!("Left out: {} us, {}.", steps.join(", "), left_out.why));
-    }
-    lines.push(tradeoff.recommendation.clone());
-    lines.extend(plot.map(|file| format!("plot  {}", file.to_string_lossy().escape_debug())));
-    lines.join("\n")
 }

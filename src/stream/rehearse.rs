@@ -167,9 +167,14 @@ impl Rehearsal {
 
     /// Gives an order; returns its ticket.
     pub fn order(&mut self, job: Job) -> u64 {
+        self.order_given(self.now, job)
+    }
+
+    /// An order that was given before now, while the host was held up; returns its ticket.
+    pub fn order_given(&mut self, given: HostInstant, job: Job) -> u64 {
         self.tickets += 1;
         let notices = &mut self.notices;
-        let order = Order { ticket: self.tickets, given: self.now, job };
+        let order = Order { ticket: self.tickets, given, job };
         self.streamer.order(self.now, order, &mut |notice| notices.push(notice));
         self.tickets
     }
@@ -180,7 +185,7 @@ impl Rehearsal {
         while self.now < end {
             self.now = (self.now + STEP).min(end);
             self.device();
-            self.host();
+            self.wake();
         }
     }
 
@@ -208,7 +213,8 @@ impl Rehearsal {
         }
     }
 
-    fn host(&mut self) {
+    /// The host wakes up now, as after [`Self::stall`]: it reads, decides and sends.
+    pub fn wake(&mut self) {
         let notices = &mut self.notices;
         let tell = &mut |notice| notices.push(notice);
         for chunk in self.to_host.arrived(self.now).chunks(1024) {

@@ -23,46 +23,46 @@ const COLORS: [RGBColor; 6] = [
 ];
 
 /// What is drawn.
-pub(super) struct Chart<'a> {
-    pub(super) title: &'a str,
-    pub(super) x: Axis<'a>,
-    pub(super) y: Axis<'a>,
+pub(in crate::report) struct Chart<'a> {
+    pub(in crate::report) title: &'a str,
+    pub(in crate::report) x: Axis<'a>,
+    pub(in crate::report) y: Axis<'a>,
     /// Where the curves leave room for their names.
-    pub(super) legend: SeriesLabelPosition,
-    pub(super) series: Vec<Series>,
+    pub(in crate::report) legend: SeriesLabelPosition,
+    pub(in crate::report) series: Vec<Series>,
 }
 
 /// An axis.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Axis<'a> {
+pub(in crate::report) struct Axis<'a> {
     /// Quantity and unit.
-    pub(super) name: &'a str,
-    pub(super) scale: Scale,
+    pub(in crate::report) name: &'a str,
+    pub(in crate::report) scale: Scale,
 }
 
 /// From where to where an axis runs, and how.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Scale {
-    pub(super) from: f64,
-    pub(super) to: f64,
+pub(in crate::report) struct Scale {
+    pub(in crate::report) from: f64,
+    pub(in crate::report) to: f64,
     /// Then both are above 0.
-    pub(super) logarithmic: bool,
+    pub(in crate::report) logarithmic: bool,
 }
 
 /// A line and its points.
-pub(super) struct Series {
-    pub(super) name: String,
-    pub(super) line: Vec<(f64, f64)>,
-    pub(super) points: Vec<Point>,
+pub(in crate::report) struct Series {
+    pub(in crate::report) name: String,
+    pub(in crate::report) line: Vec<(f64, f64)>,
+    pub(in crate::report) points: Vec<Point>,
 }
 
 /// Something measured.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Point {
-    pub(super) x: f64,
-    pub(super) y: f64,
+pub(in crate::report) struct Point {
+    pub(in crate::report) x: f64,
+    pub(in crate::report) y: f64,
     /// Half the error bar.
-    pub(super) sd: f64,
+    pub(in crate::report) sd: f64,
 }
 
 impl Scale {
@@ -123,10 +123,16 @@ fn failed(error: impl Display) -> PlotError {
 
 /// Draws it; the text of an SVG file.
 pub(super) fn draw(chart: &Chart<'_>) -> Result<String, PlotError> {
+    stacked(std::slice::from_ref(chart))
+}
+
+/// Draws charts, one above the other; the text of an SVG file.
+pub(in crate::report) fn stacked(charts: &[Chart<'_>]) -> Result<String, PlotError> {
     let mut svg = String::new();
-    {
-        let area = SVGBackend::with_string(&mut svg, SIZE).into_drawing_area();
-        area.fill(&WHITE).map_err(failed)?;
+    let height = SIZE.1 * charts.len() as u32;
+    let whole = SVGBackend::with_string(&mut svg, (SIZE.0, height)).into_drawing_area();
+    whole.fill(&WHITE).map_err(failed)?;
+    for (chart, area) in charts.iter().zip(whole.split_evenly((charts.len(), 1))) {
         let mut context = ChartBuilder::on(&area)
             .margin(16)
             .x_label_area_size(44)
@@ -160,8 +166,9 @@ pub(super) fn draw(chart: &Chart<'_>) -> Result<String, PlotError> {
             .border_style(RGBColor(200, 200, 200))
             .draw()
             .map_err(failed)?;
-        area.present().map_err(failed)?;
     }
+    whole.present().map_err(failed)?;
+    drop(whole);
     Ok(svg)
 }
 

@@ -8,7 +8,7 @@
 //! Invariant: the same patterns make the same bytes; no time, machine or directory is in them.
 
 mod amplitude;
-mod chart;
+pub(super) mod chart;
 mod color;
 mod edge;
 mod map;
@@ -117,18 +117,18 @@ pub fn report(subjects: &[Subject], progress: &(dyn Fn(f64) + Sync)) -> Result<R
 }
 
 /// Counts parts that are done, on any thread.
-struct Parts<'a> {
+pub(super) struct Parts<'a> {
     all: usize,
     done: AtomicUsize,
     progress: &'a (dyn Fn(f64) + Sync),
 }
 
 impl<'a> Parts<'a> {
-    fn new(all: usize, progress: &'a (dyn Fn(f64) + Sync)) -> Self {
+    pub(super) fn new(all: usize, progress: &'a (dyn Fn(f64) + Sync)) -> Self {
         Self { all, done: AtomicUsize::new(0), progress }
     }
 
-    fn done(&self) {
+    pub(super) fn done(&self) {
         let done = self.done.fetch_add(1, Ordering::Relaxed) + 1;
         (self.progress)(done as f64 / self.all as f64);
     }

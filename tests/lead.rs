@@ -1,0 +1,182 @@
+use crate::harness::{complaint, document, meissner, printed};
+use meissner::report::{
+    LEADS_MS, LeadRow, LeadTradeoff, MAX_TRACE_BYTES, STALLS, Trace, lead_tradeoff, plot_lead,
+};
+use meissner::stream::port::End;
+use serde_json::Value;
+use std::fs::{self, File};
+
+fn tried(trace: &str, leads_ms: &[f64]) -> LeadTradeoff {
+    lead_tradeoff(&Trace::read(trace, "trace").unwrap(), leads_ms, &|part| {
+        assert!((0.0..=1.0).contains(&part), "{part}");
+    })
+}
+
+fn late(found: &LeadTradeoff) -> Vec<u64> {
+    found.rows.iter().map(|row| row.late_bursts).collect()
+}
+
+/// One stall in the midst of a play.
+const STALL: &str = "# of 25 ms\nseconds 1\n500000 25000\n";
+
+#[test]
+fn a_lead_longer_than_the_stall_keeps_every_burst_and_a_shorter_one_loses_what_fell_into_it() {
+    let found = tried(STALL, &[10.0, 100.0]);
+    let [short, long] = &found.rows[..] else { panic!("{found:?}") };
+    // 24 motors make 2 880 bursts a second: so many fall into what the lead did not cover.
+    let uncovered = 2880.0 * 0.015;
+    assert!((0.5 * uncovered..2.0 * uncovered).contains(&(short.late_bursts as f64)), "{short:?}");
+    assert!(short.late_share > 0.0 && long.late_share == 0.0 && long.late_bursts == 0);
+    for row in [short, long] {
+        let LeadRow { late_share, late_bursts, planned_bursts, end, .. } = *row;
+        assert_eq!((late_share * planned_bursts as f64).round() as u64, late_bursts);
+        assert!((2700..=2880).contains(&planned_bursts) && end == End::Done, "{row:?}");
+        assert!(row.bytes_per_burst_open > 1.0 && row.bytes_per_burst_open < row.bytes_per_burst_loop);
+    }
+    assert!(found.recommendation.contains("Take a lead of 100 ms"), "{}", found.recommendation);
+    assert_eq!((found.trace.seconds, found.trace.late_by_5_ms, found.trace.longest_us), (1, 1, 25_000));
+}
+
+#[test]
+fn without_stalls_nothing_is_late_and_every_order_begins_three_milliseconds_later() {
+    let found = tried("seconds 2", &LEADS_MS);
+    for (row, lead_ms) in found.rows.iter().zip(LEADS_MS) {
+        assert_eq!((row.lead_ms, row.late_bursts, row.onset_late_bursts), (lead_ms, 0, 0));
+        assert_eq!((row.orders, row.onsets), (7, 7));
+        let (median, longest) = (row.onset_ms_p50.unwrap(), row.onset_ms_max.unwrap());
+        assert!((2.5..4.0).contains(&median) && (median..4.0).contains(&longest), "{row:?}");
+    }
+    assert!(
+        found.recommendation.starts_with("Take a lead of 5 ms: from 5 ms on"),
+        "{}",
+        found.recommendation
+    );
+}
+
+#[test]
+fn an_order_that_falls_into_a_stall_waits_for_its_end() {
+    // The third order comes at 502.742 ms.
+    let found = tried("seconds 1\n500000 25000\n", &[50.0]);
+    let longest = found.rows[0].onset_ms_max.unwrap();
+    assert!((25.0..29.0).contains(&longest), "{longest}");
+    assert!(found.rows[0].onset_ms_p50.unwrap() < 4.0);
+}
+
+#[test]
+fn the_shipped_trace_is_a_recording_under_which_shorter_leads_lose_more() {
+    let whole = Trace::read(STALLS, "stalls.txt").unwrap();
+    let summary = whole.summary();
+    assert!(summary.seconds >= 60 && summary.late_by_5_ms > 5, "{summary:?}");
+    // The part around the longest stall is enough for a test.
+    let stalls: Vec<(u64, u64)> = STALLS
+        .lines()
+        .filter(|line| line.starts_with(|c: char| c.is_ascii_digit()))
+        .map(|line| line.split_once(' ').unwrap())
+        .map(|(due, late)| (due.parse().unwrap(), late.parse().unwrap()))
+        .collect();
+    let worst = stalls.iter().max_by_key(|(_, late)| *late).unwrap().0;
+    let from = worst.saturating_sub(5_000_000);
+    let part = stalls.iter().filter(|(due, _)| (from + 1..=worst).contains(due));
+    let part: String = part.map(|(due, late)| format!("{} {late}\n", due - from)).collect();
+    let found = tried(&format!("seconds 6\n{part}"), &[5.0, 10.0, 20.0]);
+    let late = late(&found);
+    assert!(late[0] > late[1] && late[1] >= late[2], "{late:?}");
+    let shares: Vec<_> = found.rows.iter().map(|row| row.late_share).collect();
+    assert!(shares.is_sorted_by(|a, b| a >= b), "{shares:?}");
+}
+
+#[test]
+fn a_stall_that_outlasts_the_lease_ends_the_play_and_no_such_lead_is_recommended() {
+    let found = tried("seconds 2\n500000 400000\n", &[100.0, 500.0]);
+    assert_eq!((found.rows[0].end, found.rows[1].end), (End::Stopped, End::Done));
+    assert!(found.rows[0].onsets < found.rows[0].orders);
+    assert!(
+        found.recommendation.starts_with("Take a lead of 500 ms, the longest"),
+        "{}",
+        found.recommendation
+    );
+    let found = tried("seconds 1\n500000 400000\n", &[100.0]);
+    assert!(found.recommendation.starts_with("None of these leads is enough"), "{}", found.recommendation);
+}
+
+#[test]
+fn what_is_no_trace_is_one_line() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("trace.txt");
+    let complaint = || complaint(meissner().args(["tradeoff", "--stream", "--trace"]).arg(&file));
+    for (text, says) in [
+        ("", "trace.txt: does not say for how long was recorded: record one with"),
+        ("seconds 0", "begin with `seconds N`, 1 to 3600"),
+        ("seconds 1e3", "does not say for how long"),
+        ("1000 2000", "does not say for how long"),
+        (
+            "# why\nseconds 9\n\n5000 300 1",
+            "trace.txt:4: `5000 300 1` is no late wake-up: write when it was due",
+        ),
+        ("seconds 9\n5000 0", "trace.txt:2: `5000 0` is no late wake-up"),
+        ("seconds 9\n5000 -3", "is no late wake-up"),
+        ("seconds 9\n5000 10000001", "later it came, 1 to 10000000 us"),
+        (
+            "seconds 9\n9000001 300",
+            "trace.txt:2: was due 9000001 us after the start: must be at most 9000000",
+        ),
+        ("seconds 9\n5000 3000\n8000 300", "trace.txt:3: was due at 8000 us: must be after 8000"),
+        ("seconds 9\n18446744073709551616 3000", "is no late wake-up"),
+    ] {
+        fs::write(&file, text).unwrap();
+        let line = complaint();
+        assert!(line.contains(says), "{text:?}: {line}");
+    }
+    fs::write(&file, b"seconds 9\n\xe9").unwrap();
+    assert!(complaint().contains("trace.txt: not UTF-8 text"));
+    File::create(&file).unwrap().set_len(MAX_TRACE_BYTES as u64 + 1).unwrap();
+    assert!(complaint().contains("bytes are too many: a trace file has at most"));
+    fs::remove_file(&file).unwrap();
+    assert!(complaint().contains("trace.txt: cannot be read; name a trace file"));
+}
+
+#[test]
+fn one_thing_is_weighed_at_a_time() {
+    for arguments in [
+        &["x.toml", "--stream"][..],
+        &["--stream", "x.toml"],
+        &["--trace", "x.txt"],
+        &["x.toml", "--trace", "x.txt"],
+        &["--stream", "--stream"],
+    ] {
+        meissner().arg("tradeoff").args(arguments).assert().code(2);
+    }
+}
+
+#[test]
+fn the_document_the_table_and_the_plot_are_the_same_each_time() {
+    let dir = tempfile::tempdir().unwrap();
+    let (trace, svg) = (dir.path().join("trace.txt"), dir.path().join("lead.svg"));
+    fs::write(&trace, STALL).unwrap();
+    let command = || {
+        let mut command = meissner();
+        command.args(["tradeoff", "--stream", "--trace"]).arg(&trace);
+        command
+    };
+    let json = printed(command().args(["--json", "--plot"]).arg(&svg));
+    let drawn = fs::read_to_string(&svg).unwrap();
+    assert_eq!(printed(command().arg("--json")), json);
+    let found: Value = document(command().arg("--json"));
+    let leads: Vec<_> =
+        found["rows"].as_array().unwrap().iter().map(|row| row["lead_ms"].as_f64().unwrap()).collect();
+    assert_eq!(leads, LEADS_MS);
+    assert_eq!((&found["trace"]["seconds"], &found["trace"]["longest_us"]), (&1.into(), &25_000.into()));
+    let library = tried(STALL, &LEADS_MS);
+    assert_eq!(serde_json::to_value(&library).unwrap(), found);
+    assert_eq!(plot_lead(&library).unwrap(), drawn);
+    for label in
+        ["late, percent", "onset latency, ms", "bytes per burst", "loop on", "open loop", "99th percentile"]
+    {
+        assert!(drawn.contains(label), "{label}");
+    }
+    let text = printed(command().arg("--plot").arg(&svg));
+    assert!(text.contains("1 s of recorded stalls: 1 wake-ups came late, 1 by more than 5 ms"), "{text}");
+    assert!(text.contains(found["recommendation"].as_str().unwrap()), "{text}");
+    assert!(text.trim_end().ends_with(&format!("\nplot  {}", svg.display())), "{text}");
+    assert!(plot_lead(&LeadTradeoff { rows: Vec::new(), ..library }).unwrap().starts_with("<svg"));
+}
