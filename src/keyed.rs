@@ -9,7 +9,7 @@
 use crate::quote::{figure, nearest, one_line, quote};
 use serde::de::value::MapAccessDeserializer;
 use serde::de::{MapAccess, Visitor};
-use serde::{Deserialize, Deserializer};
+use serde::{Deserialize, Deserializer, Serialize};
 use serde_path_to_error::{Path, Segment};
 use std::fmt;
 use std::marker::PhantomData;
@@ -223,6 +223,7 @@ fn in_words(message: &str) -> String {
     let wanted = match wanted {
         "f64" => "a number",
         "u64" => "a whole number, 0 or more",
+        "u16" => "a whole number, 0 to 65535",
         "a sequence" => "a list",
         other => other,
     };
@@ -230,6 +231,8 @@ fn in_words(message: &str) -> String {
 }
 
 /// A struct that is written with its keys. What serde derives would also take a list of its values.
+#[derive(Serialize)]
+#[serde(transparent)]
 pub(crate) struct Keyed<T>(pub(crate) T);
 
 impl<'de, T: Deserialize<'de>> Deserialize<'de> for Keyed<T> {

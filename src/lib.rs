@@ -25,6 +25,9 @@
 //! by [`stream::Need`]). The doctor looks at a device closer, without a daemon (measured by [`checkup`], judged by its
 //! command).
 //!
+//! By how much each pin's travel is off the model is measured: [`calibrate`] plays bursts of several lengths, an ordinary
+//! pattern, and makes of the travels a gain for each motor and direction, kept in a file.
+//!
 //! What happened comes out as notices; [`record`] makes of them the receipts and events that clients and the log see. In the
 //! end every burst of every play was played, late, dropped or refused, and the receipt says which.
 //!
@@ -39,6 +42,7 @@
 
 pub mod api;
 pub mod array;
+pub mod calibrate;
 pub mod checkup;
 pub mod cli;
 pub mod client;

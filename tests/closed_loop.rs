@@ -72,7 +72,8 @@ fn check(trial: &Trial, seconds: f64) {
     let (early, late) = (Result::rest_rms(early), Result::rest_rms(late));
     assert!(late <= early * chance * chance + UM_PER_PULSE, "{name}: it grows from {early} to {late}");
     if trial.scatter == 0.0 {
-        let most = late.max(result.periods.iter().rev().take(50).map(|p| p.rest_um.abs()).fold(0.0, f64::max));
+        let most =
+            late.max(result.periods.iter().rev().take(50).map(|p| p.rest_um.abs()).fold(0.0, f64::max));
         assert!(most <= UM_PER_PULSE, "{name}: a cycle of {most} um");
     }
     let pulses = (planned / UM_PER_PULSE).round() as u16;

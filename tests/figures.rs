@@ -122,6 +122,49 @@ fn the_library_s_page_has_a_section_for_every_pattern() {
 }
 
 #[test]
+fn the_displacement_follows_the_pulses_as_the_paper_has_it() {
+    let Report { page, figures, .. } = library();
+    let found = figures.pulses;
+    let rows = rows::<5>(file(library(), "pulses.csv"), "start_s,up,settling,pulses,travel_um");
+    // 20 groups of ten strokes, one every three seconds.
+    assert_eq!(rows.len(), 20 * 10 * 2);
+    assert!(rows.iter().all(|row| row[0] % 3.0 < 2.5 && row[0] < 60.0));
+    for (fit, up) in [(found.up, 1.0), (found.down, 0.0)] {
+        let measured = || rows.iter().filter(|row| row[1] == up && row[2] == 0.0);
+        assert_eq!((measured().count(), fit.blocks), (180, 180));
+        // Of the residuals from the line that is told, as shares of the model's travel.
+        let off = |row: &[f64; 5]| (row[4] - fit.offset_um) / row[3] - fit.slope_um_per_pulse;
+        let squares: f64 = measured().map(|row| off(row).powi(2)).sum();
+        assert!(((squares / 178.0).sqrt() / fit.slope_um_per_pulse - fit.relative_sd).abs() < 1e-3);
+        assert!(measured().map(off).sum::<f64>().abs() < 1e-3);
+    }
+    // Motors differ by an asymmetry, which is up what it is not down: together they are the model.
+    let (all, slope) = (found.all, 0.95 / 7.0);
+    assert!((found.model_um_per_pulse, all.blocks) == (slope, 24 * 360));
+    assert!((all.slope_um_per_pulse - slope).abs() < 4.0 * all.slope_se_um_per_pulse, "{all:?}");
+    assert!(all.slope_se_um_per_pulse < 0.002 * slope && all.offset_um.abs() < 0.03, "{all:?}");
+    // Four standard errors of the paper's 10 %, and the asymmetry's 1 % (as squares).
+    assert!((all.relative_sd - 0.1005).abs() < 4.0 * 0.1 / (2.0 * 8640.0_f64).sqrt(), "{all:?}");
+    // First bursts, 24 × 20 of them.
+    assert!((found.transient_gain - 0.8).abs() < 4.0 * 0.1 / 480_f64.sqrt(), "{found:?}");
+    for pulses in (14..=140).step_by(14).map(f64::from) {
+        let travels: Vec<f64> =
+            rows.iter().filter(|row| row[2] == 0.0 && row[3] == pulses).map(|row| row[4]).collect();
+        let mean = travels.iter().sum::<f64>() / travels.len() as f64;
+        assert!((mean - slope * pulses).abs() < 4.0 * 0.1 * slope * pulses / 6.0, "{pulses}: {mean}");
+    }
+
+    let svg = file(library(), "pulses.svg");
+    // Every block, ten means, and one of each in the legend.
+    assert_eq!(svg.matches("<circle").count(), 360 + 10 + 1);
+    assert!(svg.matches("<rect").count() > 40);
+    let places =
+        ["pulses", "amplitude", "rate", "edge"].map(|id| page.find(&format!("<section id=\"{id}\">")));
+    assert!(places.is_sorted() && places[0].is_some(), "{places:?}");
+    assert!(page.contains(&format!("the fitted slope is {:.4} µm per pulse", all.slope_um_per_pulse)));
+}
+
+#[test]
 fn the_amplitude_is_the_model_s_and_the_plant_scatters_around_it() {
     let head = "frequency_hz,amplitude_um,model_um,measured_um,measured_sd_um";
     let found = rows::<5>(file(library(), "amplitude.csv"), head);

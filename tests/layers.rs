@@ -14,7 +14,7 @@ const ROOMS: [&[&str]; 16] = [
     &["optimise", "link", "plant"],
     &["device"],
     &["stream", "checkup"],
-    &["record"],
+    &["calibrate", "record"],
     &["store", "api", "config", "report"],
     &["client"],
     &["daemon"],

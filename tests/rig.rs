@@ -116,7 +116,10 @@ impl Rig {
 
     /// With motors that are not the default's.
     pub(crate) fn plant(plant: &PlantConfig, seed: u64) -> Self {
-        Self { rehearsal: Rehearsal::new(plant, Settings::default(), Line::default(), seed).unwrap(), plays: 0 }
+        Self {
+            rehearsal: Rehearsal::new(plant, Settings::default(), Line::default(), seed).unwrap(),
+            plays: 0,
+        }
     }
 
     pub(crate) fn with(settings: Settings, line: Line, seed: u64) -> Self {

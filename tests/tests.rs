@@ -7,6 +7,8 @@ mod api;
 mod bad_input;
 /// Boards: found or not, in use, or no boards at all; the doctor's look at them.
 mod boards;
+/// `calibrate`: what a plan plays, gains found again on the plant, files and what is refused in them.
+mod calibrate;
 /// What a line carries: measured, compared with what plays need, on lines that carry it just so.
 mod capacity;
 /// A method chosen for an allowed error keeps to it.

@@ -82,10 +82,19 @@ fn subjects(asked: &[String]) -> Result<Vec<Subject>> {
 }
 
 fn summary(out: &Path, document: &Document<'_>) -> String {
-    let Figures { amplitude, rate, edge, patterns } = document.figures;
+    let Figures { pulses, amplitude, rate, edge, patterns } = document.figures;
     let mut lines = vec![
         ("page", out.join(INDEX).to_string_lossy().escape_debug().to_string()),
         ("files", document.files.len().to_string()),
+        (
+            "pulses",
+            format!(
+                "{:.4} um per pulse, {:.3} of the model; a burst scatters by {:.1} %",
+                pulses.all.slope_um_per_pulse,
+                pulses.all.gain(),
+                pulses.all.relative_sd * 100.0
+            ),
+        ),
         (
             "amplitude",
             format!(

@@ -146,7 +146,9 @@ pub(super) fn event(event: &Event) -> String {
             format!("doubted: motor {motor}, {}; it plays in open loop until the next arm", doubt.text())
         }
         Event::Drifted { um } => {
-            format!("drifted: pins may be {um:.0} um off; `meissner home` between plays, or level them by hand")
+            format!(
+                "drifted: pins may be {um:.0} um off; `meissner home` between plays, or level them by hand"
+            )
         }
         Event::Lost { notices } => format!("lost: {notices} notices"),
         Event::Lagged { events } => format!("lagged: {events} events"),

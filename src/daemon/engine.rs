@@ -385,7 +385,10 @@ fn log(event: &Event) {
             warn!(motor, "motor {motor}: {}; it plays in open loop until the next `arm`", doubt.text());
         }
         Event::Drifted { um } => {
-            warn!(um, "without telemetry pins may be {um:.0} um off: `meissner home` between plays, or level them by hand");
+            warn!(
+                um,
+                "without telemetry pins may be {um:.0} um off: `meissner home` between plays, or level them by hand"
+            );
         }
         Event::Lost { notices } => warn!(notices, "too slow for the streamer: events are missing"),
         _ => {}

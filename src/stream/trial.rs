@@ -111,7 +111,8 @@ impl Trial {
         let mut queue: VecDeque<(Stroke, u16)> = VecDeque::new();
         let mut samples: VecDeque<(Tick, i32)> = VecDeque::new();
         let (mut sampled, mut half, mut number, mut top_um) = (start, 0, 0_u64, 0.0);
-        let sample_tick = |number: u64| start + (number as f64 * f64::from(TICK_HZ) / self.telemetry_hz) as u64;
+        let sample_tick =
+            |number: u64| start + (number as f64 * f64::from(TICK_HZ) / self.telemetry_hz) as u64;
         let mut now = start;
         while now < end {
             now = now + WAKE_UP;

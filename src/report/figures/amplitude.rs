@@ -7,7 +7,7 @@
 //! Invariant: a measurement is made of telemetry alone, in its quantum.
 
 use super::FiguresError;
-use super::chart::{Axis, Chart, Point, Scale, Series, draw};
+use super::chart::{Axis, Chart, Dot, Point, Scale, Series, draw};
 use super::page::Section;
 use super::table::number;
 use crate::array;
@@ -123,6 +123,7 @@ fn plot(rows: &[Row]) -> Result<String, FiguresError> {
             name: format!("{um} um"),
             line: line.collect::<Result<_, MotorError>>()?,
             points: of_amplitude.map(point).collect(),
+            dot: Dot::Disc,
         })
     });
     let chart = Chart {

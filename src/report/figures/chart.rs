@@ -1,6 +1,6 @@
 //! Curves and measured points on two axes, as an SVG.
 //!
-//! A series is a line, or points with an error bar each, or both, in one colour. Axes are linear or logarithmic and
+//! A series is a line, or points with an error bar each, or both, in one colour; what is legion is drawn as rings. Axes are linear or logarithmic and
 //! marked in steps of 1, 2 and 5. What lies outside the axes is drawn at their edge.
 //!
 //! Invariant: the same numbers make the same bytes.
@@ -54,6 +54,18 @@ pub(in crate::report) struct Series {
     pub(in crate::report) name: String,
     pub(in crate::report) line: Vec<(f64, f64)>,
     pub(in crate::report) points: Vec<Point>,
+    pub(in crate::report) dot: Dot,
+}
+
+/// What a point is drawn as.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::report) enum Dot {
+    /// With its error bar.
+    Disc,
+    /// Small and open, so that many can be told apart; without a bar.
+    Ring,
+    /// As open, without a bar.
+    Square,
 }
 
 /// Something measured.
@@ -151,13 +163,34 @@ pub(in crate::report) fn stacked(charts: &[Chart<'_>]) -> Result<String, PlotErr
         for (series, color) in chart.series.iter().zip(COLORS.into_iter().cycle()) {
             let line = LineSeries::new(series.line.iter().copied(), color.stroke_width(2));
             let label = context.draw_series(line).map_err(failed)?.label(&series.name);
-            label.legend(move |(x, y)| PathElement::new([(x, y), (x + 20, y)], color.stroke_width(2)));
-            let bars = series.points.iter().map(|&Point { x, y, sd }| {
-                PathElement::new([(x, y - sd), (x, y + sd)], color.stroke_width(1))
-            });
-            context.draw_series(bars).map_err(failed)?;
-            let dots = series.points.iter().map(|point| Circle::new((point.x, point.y), 3, color.filled()));
-            context.draw_series(dots).map_err(failed)?;
+            let at = series.points.iter().map(|point| (point.x, point.y));
+            match series.dot {
+                Dot::Disc => {
+                    label
+                        .legend(move |(x, y)| PathElement::new([(x, y), (x + 20, y)], color.stroke_width(2)));
+                    let bars = series.points.iter().map(|&Point { x, y, sd }| {
+                        PathElement::new([(x, y - sd), (x, y + sd)], color.stroke_width(1))
+                    });
+                    context.draw_series(bars).map_err(failed)?;
+                    let dots = at.map(|at| Circle::new(at, 3, color.filled()));
+                    context.draw_series(dots).map_err(failed)?;
+                }
+                Dot::Ring => {
+                    label.legend(move |(x, y)| Circle::new((x + 10, y), 3, color.stroke_width(1)));
+                    let rings = at.map(|at| Circle::new(at, 3, color.stroke_width(1)));
+                    context.draw_series(rings).map_err(failed)?;
+                }
+                Dot::Square => {
+                    let corners = [(-3, -3), (3, 3)];
+                    label.legend(move |(x, y)| {
+                        let corners = corners.map(|(dx, dy)| (x + 10 + dx, y + dy));
+                        Rectangle::new(corners, color.stroke_width(1))
+                    });
+                    let squares =
+                        at.map(|at| EmptyElement::at(at) + Rectangle::new(corners, color.stroke_width(1)));
+                    context.draw_series(squares).map_err(failed)?;
+                }
+            }
         }
         context
             .configure_series_labels()

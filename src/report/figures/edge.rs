@@ -11,7 +11,7 @@ mod amplitudes;
 
 pub use amplitudes::ByAmplitude;
 
-use super::chart::{Axis, Chart, Point as Mark, Scale, Series, draw};
+use super::chart::{Axis, Chart, Dot, Point as Mark, Scale, Series, draw};
 use super::map::{FINGERTIP, Pad, Panel, motors, pads};
 use super::page::Section;
 use super::table::number;
@@ -370,8 +370,8 @@ fn cost_plot(records: &[Record], end: u64) -> Result<String, FiguresError> {
         y: Axis { name: "cost, impulses/s", scale: fifties(lowest, highest) },
         legend: SeriesLabelPosition::LowerRight,
         series: vec![
-            Series { name: "best so far".to_owned(), line, points: Vec::new() },
-            Series { name: marked, line: Vec::new(), points: near_paper.map(mark).collect() },
+            Series { name: "best so far".to_owned(), line, points: Vec::new(), dot: Dot::Disc },
+            Series { name: marked, line: Vec::new(), points: near_paper.map(mark).collect(), dot: Dot::Disc },
         ],
     };
     Ok(draw(&chart)?)

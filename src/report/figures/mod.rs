@@ -1,6 +1,6 @@
 //! The report: figures of the models, a section for each pattern, and a page that holds them together.
 //!
-//! First what the paper drew of a motor (`amplitude`), what it says of amplitude and frequency (`rate`), and the edge it
+//! First what the paper drew of a motor (`pulses`, `amplitude`), what it says of amplitude and frequency (`rate`), and the edge it
 //! tuned the motors to (`edge`), then each pattern (`pattern`). A part makes a section: words, drawings (`chart` for curves, `map` for array and pad), numbers as
 //! CSV, tables (`table`); `page` makes one page of all. Another figure is another function that gives a section and what
 //! it comes to. Files come out as texts: who asked writes them.
@@ -14,6 +14,7 @@ mod edge;
 mod map;
 mod page;
 mod pattern;
+mod pulses;
 mod rate;
 mod stretches;
 mod svg;
@@ -24,11 +25,13 @@ pub use amplitude::{AMPLITUDES_UM, Amplitude};
 pub use edge::{ByAmplitude, Edge, Others};
 pub use page::{File, INDEX};
 pub use pattern::PatternFigures;
+pub use pulses::Pulses;
 pub use rate::{Peak, Plateau, Rate};
 pub use stretches::{Stretch, stretches};
 pub use target::{FrameFigures, TargetFigures};
 
 use super::PlotError;
+use crate::calibrate::Misfit;
 use crate::motor::MotorError;
 use crate::optimise::TargetError;
 use crate::pattern::Pattern;
@@ -60,6 +63,8 @@ pub struct Report {
 /// The key numbers of a report.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Figures {
+    /// Displacement against pulses.
+    pub pulses: Pulses,
     /// Amplitude against frequency.
     pub amplitude: Amplitude,
     /// Impulse rate against amplitude and frequency.
@@ -78,6 +83,8 @@ pub enum FiguresError {
     Plot(#[from] PlotError),
     #[error("internal error: {0}")]
     Motor(#[from] MotorError),
+    #[error("internal error: {0}")]
+    Fit(#[from] Misfit),
     #[error("internal error: {0}")]
     Plant(#[from] PlantError),
     #[error("internal error: {0}")]
@@ -98,6 +105,8 @@ pub fn report(subjects: &[Subject], progress: &(dyn Fn(f64) + Sync)) -> Result<R
     const RATE: f64 = 0.05;
     const EDGE: f64 = 0.8;
     let (mut sections, mut patterns) = (Vec::new(), Vec::new());
+    let (section, pulses) = pulses::section()?;
+    sections.push(section);
     let (section, amplitude) = amplitude::section(&|part| progress(AMPLITUDE * part))?;
     sections.push(section);
     let (section, rate) = rate::section(&|part| progress(AMPLITUDE + RATE * part))?;
@@ -113,7 +122,7 @@ pub fn report(subjects: &[Subject], progress: &(dyn Fn(f64) + Sync)) -> Result<R
     }
     let page = page::page(&sections);
     let files = sections.into_iter().flat_map(|section| section.files).collect();
-    Ok(Report { files, page, figures: Figures { amplitude, rate, edge, patterns } })
+    Ok(Report { files, page, figures: Figures { pulses, amplitude, rate, edge, patterns } })
 }
 
 /// Counts parts that are done, on any thread.

@@ -6,7 +6,7 @@
 //!
 //! Invariant: what the page says in numbers is found in the numbers that are drawn.
 
-use super::chart::{Axis, Chart, Scale, Series, draw};
+use super::chart::{Axis, Chart, Dot, Scale, Series, draw};
 use super::page::Section;
 use super::table::{number, table};
 use super::{FiguresError, Parts, mean_and_sd};
@@ -256,6 +256,7 @@ fn by_amplitude_plot(rows: &[Row]) -> Result<String, FiguresError> {
             name: format!("{hz} Hz"),
             line: of_frequency.map(|row| (row.amplitude_um, row.rate_hz)).collect(),
             points: Vec::new(),
+            dot: Dot::Disc,
         }
     };
     let chart = Chart {
@@ -278,6 +279,7 @@ fn by_frequency_plot(rows: &[Row]) -> Result<String, FiguresError> {
             name: format!("{um} um"),
             line: of_amplitude.map(|row| (row.frequency_hz, row.rate_hz)).collect(),
             points: Vec::new(),
+            dot: Dot::Disc,
         }
     };
     let chart = Chart {

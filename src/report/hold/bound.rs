@@ -57,8 +57,10 @@ pub fn rest_bound_um(
                 ramp.share_um(HalfTick((2.0 * after) as u64))
             };
             // Directions alternate; it is squares that count, but between bursts the sign does.
-            let shares: Vec<f64> =
-                (0..SEEN).map(|burst| share(burst) * if burst % 2 == 0 { 1.0 } else { -1.0 }).chain([1.0]).collect();
+            let shares: Vec<f64> = (0..SEEN)
+                .map(|burst| share(burst) * if burst % 2 == 0 { 1.0 } else { -1.0 })
+                .chain([1.0])
+                .collect();
             for (row, one) in information.iter_mut().zip(&shares) {
                 for (cell, other) in row.iter_mut().zip(&shares) {
                     *cell += scale * one * other;

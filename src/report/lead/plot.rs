@@ -4,7 +4,7 @@
 
 use super::{LeadRow, LeadTradeoff};
 use crate::report::PlotError;
-use crate::report::figures::chart::{Axis, Chart, Point, Scale, Series, stacked};
+use crate::report::figures::chart::{Axis, Chart, Dot, Point, Scale, Series, stacked};
 use plotters::prelude::SeriesLabelPosition;
 
 /// A series: its name, and its figure of a row.
@@ -46,7 +46,7 @@ fn chart<'a>(tradeoff: &LeadTradeoff, title: &'a str, name: &'a str, curves: &[C
         let points = tradeoff.rows.iter().filter_map(|row| Some((row.lead_ms, figure(row)?)));
         let line: Vec<_> = points.collect();
         let points = line.iter().map(|&(x, y)| Point { x, y, sd: 0.0 }).collect();
-        Series { name: name.to_owned(), line, points }
+        Series { name: name.to_owned(), line, points, dot: Dot::Disc }
     };
     let series: Vec<_> = curves.iter().map(series).collect();
     let most = series.iter().flat_map(|series| &series.line).map(|point| point.1).fold(0.0, f64::max);

@@ -12,8 +12,8 @@
 //! Numbers stay small: positions are µm, a burst goes into the position and is forgotten when the window has
 //! passed it, and each variance has a floor, so an hour in nothing has become singular.
 
-use crate::stream::port::Traveled;
 use crate::motor::{HalfTick, Ramp, WINDOW_HALF_TICKS};
+use crate::stream::port::Traveled;
 use crate::units::UM_PER_PULSE;
 use firmware_protocol::stroke::{Burst, Direction};
 use firmware_protocol::tick::{TICK_HZ, Tick};
@@ -261,7 +261,8 @@ impl Estimator {
         let mut gain = [0.0; STATES];
         for (state, gain) in gain[..states].iter_mut().enumerate() {
             let row = &self.covariance[state];
-            *gain = shares.iter().zip(&row[3..states]).fold(row[POSITION], |sum, (share, of)| sum + share * of);
+            *gain =
+                shares.iter().zip(&row[3..states]).fold(row[POSITION], |sum, (share, of)| sum + share * of);
         }
         let moved = shares.iter().zip(&gain[3..states]).map(|(share, of)| share * of).sum::<f64>();
         let variance = gain[POSITION] + moved + SAMPLE_VARIANCE + POSITION_WANDER;

@@ -189,9 +189,12 @@ impl Hold {
             return;
         }
         for (motor, index) in self.motors.iter_mut().zip(0..) {
-            motor.correct(now, || free(index), fresh, |up, direction, pulses| {
-                amend(&Amendment { motor: index, up, direction, pulses })
-            });
+            motor.correct(
+                now,
+                || free(index),
+                fresh,
+                |up, direction, pulses| amend(&Amendment { motor: index, up, direction, pulses }),
+            );
         }
     }
 

@@ -158,9 +158,10 @@ impl Servo {
     pub(in crate::stream) fn cut(&mut self) {
         let rest_um = self.rest_um();
         // A stroke that was cut has scattered like any other.
-        let unsure = self.queue.front().map_or(0.0, |first| {
-            self.estimator.scatter() * f64::from(first.planned[0]) * UM_PER_PULSE
-        });
+        let unsure = self
+            .queue
+            .front()
+            .map_or(0.0, |first| self.estimator.scatter() * f64::from(first.planned[0]) * UM_PER_PULSE);
         self.queue.clear();
         (self.begun, self.settled, self.pending) = (0, 0, [0; 2]);
         self.estimator.rest_at(rest_um, self.estimator.variance() + 2.0 * unsure * unsure);

@@ -20,7 +20,9 @@ use rustix::event::{EventfdFlags, eventfd};
 use rustix::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::sync::Arc;
 
-pub use outcome::{Bursts, End, ErrorSource, LateCause, Lateness, Onset, Outcome, Pulses, Snapshot, Traveled};
+pub use outcome::{
+    Bursts, End, ErrorSource, LateCause, Lateness, Onset, Outcome, Pulses, Snapshot, Traveled,
+};
 pub use refused::{Refused, refusal_text};
 
 /// Plays that wait behind the running one, at the most.

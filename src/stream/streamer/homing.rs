@@ -51,7 +51,15 @@ impl Streamer {
         if (0..MOTORS as u8).all(|motor| self.hold.off_by_um(motor).is_none()) {
             return Err(Refused::NothingToGoBy);
         }
-        self.homing = Some(Homing { ticket, round: 0, motor: 0, moved: false, beyond: false, moving: None, until: tick });
+        self.homing = Some(Homing {
+            ticket,
+            round: 0,
+            motor: 0,
+            moved: false,
+            beyond: false,
+            moving: None,
+            until: tick,
+        });
         Ok(None)
     }
 
@@ -88,13 +96,15 @@ impl Streamer {
         if self.homing.is_none() || self.state() != State::Armed || !self.may_feed() {
             return;
         }
-        let Some(homing) = self.homing.as_mut().filter(|homing| homing.moving.is_none() && tick >= homing.until)
+        let Some(homing) =
+            self.homing.as_mut().filter(|homing| homing.moving.is_none() && tick >= homing.until)
         else {
             return;
         };
         while usize::from(homing.motor) < MOTORS {
             // Without telemetry one round is all that can be done.
-            let known = self.hold.off_by_um(homing.motor).filter(|&(_, measured)| measured || homing.round == 0);
+            let known =
+                self.hold.off_by_um(homing.motor).filter(|&(_, measured)| measured || homing.round == 0);
             if let Some((um, _)) = known.filter(|(um, _)| um.abs() > NEAR_UM) {
                 let direction = if um > 0.0 { Direction::Down } else { Direction::Up };
                 let pulses = (um.abs() / (UM_PER_PULSE * self.hold.gain(homing.motor, direction))).round();

@@ -16,11 +16,11 @@ use crate::stream::active::{Active, Phase};
 use crate::stream::hold::Hold;
 use crate::stream::port::{End, Notice, QUEUE, Refused, Snapshot};
 use crate::units::HostInstant;
-use homing::Homing;
 use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::message::{Cause, Counters, Op, State, Status};
 use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::{TICK_HZ, Tick};
+use homing::Homing;
 use std::collections::VecDeque;
 use std::time::Duration;
 
@@ -223,7 +223,8 @@ impl Streamer {
         let idle = self.in_flight || self.state() != State::Armed;
         let Some(session) = self.session.as_mut().filter(|_| !idle) else { return };
         // Plays are fed in order: what is not sent yet belongs to the last one that is being fed, or comes after it.
-        let fed = self.plays.iter().rev().find(|active| active.cut.is_none() && active.phase != Phase::Waiting);
+        let fed =
+            self.plays.iter().rev().find(|active| active.cut.is_none() && active.phase != Phase::Waiting);
         let free = |motor| fed.map_or(tick, |active| active.free_until(motor));
         self.hold.correct(tick, free, |item| session.amend(item));
     }

@@ -8,7 +8,7 @@
 use super::{NEAR_PAPER_HZ, PAPER_HZ, SETTING, exactly, fifties, found, in_unison, near_hz};
 use crate::optimise::{Limit, Target, Vibration};
 use crate::report::figures::FiguresError;
-use crate::report::figures::chart::{Axis, Chart, Point as Mark, Scale, Series, draw};
+use crate::report::figures::chart::{Axis, Chart, Dot, Point as Mark, Scale, Series, draw};
 use crate::report::figures::table::{number, table};
 use crate::units::UM_PER_PULSE;
 use firmware_protocol::tick::TICK_HZ;
@@ -95,11 +95,13 @@ pub(super) fn plot(rows: &[ByAmplitude]) -> Result<String, FiguresError> {
                 name: "found".to_owned(),
                 points: found.iter().map(|&(x, y)| Mark { x, y, sd: 0.0 }).collect(),
                 line: found,
+                dot: Dot::Disc,
             },
             Series {
                 name: format!("the paper: {PAPER_HZ} Hz"),
                 line: vec![(0.0, PAPER_HZ), (most_um, PAPER_HZ)],
                 points: Vec::new(),
+                dot: Dot::Disc,
             },
         ],
     };
