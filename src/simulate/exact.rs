@@ -268,10 +268,15 @@ impl WithSimd for Run<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        match self.membrane.rectify {
-            Rectify::Half => self.rectified::<S, HALF>(simd),
-            Rectify::Full => self.rectified::<S, FULL>(simd),
-            Rectify::Signed => self.rectified::<S, SIGNED>(simd),
+        // Of drives every bend is whole: nobody waits for a rounding.
+        let shares = self.breaks.iter().any(|found| found.bend.abs() != 1.0);
+        match (self.membrane.rectify, shares) {
+            (Rectify::Half, false) => self.rectified::<S, HALF, false>(simd),
+            (Rectify::Full, false) => self.rectified::<S, FULL, false>(simd),
+            (Rectify::Signed, false) => self.rectified::<S, SIGNED, false>(simd),
+            (Rectify::Half, true) => self.rectified::<S, HALF, true>(simd),
+            (Rectify::Full, true) => self.rectified::<S, FULL, true>(simd),
+            (Rectify::Signed, true) => self.rectified::<S, SIGNED, true>(simd),
         }
     }
 }
@@ -282,9 +287,8 @@ const SIGNED: u8 = 2;
 
 impl Run<'_> {
     #[inline(always)]
-    fn rectified<S: Simd, const RECTIFY: u8>(self, simd: S) {
+    fn rectified<S: Simd, const RECTIFY: u8, const SHARES: bool>(self, simd: S) {
         let width = S::F64_LANES.min(LANES);
-        let rounds = simd.splat_f64s(ROUNDS);
         for first in (0..LANES).step_by(width) {
             if first >= self.group.receptors.len() {
                 break;
@@ -304,11 +308,12 @@ impl Run<'_> {
                     let mine = simd.greater_than_f64s(weight, simd.splat_f64s(0.0));
                     vectors.advance(self.group, found.at, mine, self.keep);
                     let bend = simd.splat_f64s(found.bend);
-                    vectors.k = if found.bend.abs() == 1.0 {
-                        simd.mul_add_f64s(weight, bend, vectors.k)
-                    } else {
+                    vectors.k = if SHARES {
+                        let rounds = simd.splat_f64s(ROUNDS);
                         let whole = simd.sub_f64s(simd.mul_add_f64s(weight, bend, rounds), rounds);
                         simd.add_f64s(vectors.k, whole)
+                    } else {
+                        simd.mul_add_f64s(weight, bend, vectors.k)
                     };
                 }
             }
