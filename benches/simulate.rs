@@ -4,12 +4,17 @@
 //! figures it prints what is not a time: how many spikes, and what a search's coarser reach does to the rates.
 
 use criterion::{Criterion, criterion_group, criterion_main};
+use firmware_protocol::tick::Tick;
 use meissner::array;
-use meissner::pattern::Drive;
+use meissner::draw::normal;
+use meissner::motor::Ramp;
+use meissner::optimise::{Play, felt};
+use meissner::pattern::{Drive, Pattern};
 use meissner::simulate::{
     Evaluator, Integrator, Method, Options, Precision, SEARCH_LEAST_WEIGHT, Scene, Stepping, simulate,
 };
 use meissner::skin::Position;
+use meissner::strokes::Strokes;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::hint::black_box;
 use std::time::Duration;
@@ -132,5 +137,34 @@ fn changed(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, whole, nothing_to_skip, changed);
+/// A minute of a shipped pattern whose bursts travelled by 10 % more or less, as played and as designed.
+fn minute_played(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("minute_played");
+    group.sample_size(10).measurement_time(Duration::from_secs(10));
+    let pool = threads(1);
+    for (name, text) in [
+        ("edge-45", include_str!("../patterns/edge-45.toml")),
+        ("all-in-phase", include_str!("../patterns/all-in-phase.toml")),
+    ] {
+        let pattern = Pattern::parse(text, name).expect("it is shipped");
+        let strokes = Strokes::new(&pattern, Some(60.0)).expect("a minute can be played");
+        let bursts = strokes.flat_map(|stroke| {
+            let stroke = stroke.expect("a shipped pattern can be played");
+            stroke.bursts().map(|burst| {
+                let gain = 1.0 + 0.1 * normal([0, stroke.motor.into(), burst.start.0, 0]);
+                (stroke.motor, Ramp::new(burst.start, burst.pulses.into(), burst.direction, gain))
+            })
+        });
+        let bursts: Vec<_> = bursts.collect();
+        let play = Play { pattern: &pattern, seconds: Some(60.0), onset: Tick(0), observed_s: 60.0 };
+        let found = felt(&play, bursts.iter().copied()).expect("a minute can be felt");
+        println!("{name}: {} bursts, {:?}, {:?}", bursts.len(), found.designed_hz, found.played_hz);
+        group.bench_function(format!("{name}/1_core"), |bencher| {
+            pool.install(|| bencher.iter(|| felt(black_box(&play), bursts.iter().copied())));
+        });
+    }
+    group.finish();
+}
+
+criterion_group!(benches, whole, nothing_to_skip, changed, minute_played);
 criterion_main!(benches);

@@ -35,6 +35,7 @@
 //! spikes, exactly or by a step, and [`report`] says what each way of doing so costs and by how much it errs, and draws
 //! what motors and skin make of a pattern. It also tries the streamer's lead on stalls that were recorded on a real machine.
 //! What one is to feel is a target, a shape on the skin; [`optimise`] finds the pattern that tells it best from its surroundings.
+//! It says, too, what was left of that when motors did not do quite what they were told ([`optimise::felt()`]).
 //!
 //! Tests run streamer, link, controller and plant in virtual time ([`stream::Rehearsal`]): same code, no clock.
 //! Rooms are listed lowest first in `tests/layers.rs`; a room uses only what stands before it. [`config`] is read

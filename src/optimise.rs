@@ -7,7 +7,8 @@
 //!
 //! What may be chosen is a [`Point`] of a [`Space`]: who vibrates, how fast, and when. An [`Objective`] scores points by
 //! simulation; [`search()`] goes from one to better ones (`moves` says where to). [`make()`] does so for every frame
-//! and writes the pattern; [`judge()`] and [`robustness()`] say what it is worth, also where it was not made for.
+//! and writes the pattern; [`judge()`] and [`robustness()`] say what it is worth, also where it was not made for;
+//! [`felt()`], what was left of it when it was really played.
 //!
 //! Some targets are [`shipped`]; the one called [`YARDSTICK`] is what methods are compared on.
 //!
@@ -15,6 +16,7 @@
 //! bit on every machine.
 
 mod braille;
+mod felt;
 mod judge;
 mod make;
 mod moves;
@@ -25,6 +27,7 @@ mod shape;
 mod sides;
 mod target;
 
+pub use felt::{Felt, FeltError, MOST_OBSERVED_S, Play, Rates, felt};
 pub use judge::{Circumstances, HELD_OUT, Robustness, WATCHED_S, judge, pulses_per_s, robustness};
 pub use make::{Budget, Made, MakeError, Progress, ROBUST_POPULATIONS, Request, make, populations};
 pub use objective::{Fidelity, Objective, Score, Standing, Tried};

@@ -16,6 +16,8 @@
 //! What is known to be missing: there is no low-pass before the membrane, so that above about 50 Hz the model is more
 //! sensitive than recordings are; the skin has no mechanics; rectification, depth and reset are our reading of the literature.
 //!
+//! What motors really did, each burst with a travel of its own, is simulated from their [`Ramps`], exactly ([`simulate_ramps`]).
+//!
 //! Invariant: the answer for a receptor depends on what the scene says of it, on the method, and on its number, which
 //! keys its noise: not on threads, the width of vectors, other receptors, or what is skipped.
 
@@ -28,6 +30,7 @@ mod exact;
 mod lanes;
 mod membrane;
 mod neuron;
+mod ramps;
 mod sampler;
 mod scene;
 mod silent;
@@ -39,6 +42,7 @@ mod track;
 pub use crate::keyed::{Mistake, Place};
 pub use choose::{Choice, choose};
 pub use evaluator::{Evaluator, Trial};
+pub use ramps::{Ramps, RampsError, simulate_ramps};
 pub use scene::{MAX_JSON_BYTES, MAX_TOML_BYTES, Problem, Scene, SceneError};
 pub(crate) use scene::{MOST_ALPHA_PER_UM, RawReceptor, check_model};
 
@@ -233,6 +237,11 @@ impl Answer {
     }
 }
 
+fn in_seconds(mut half_ticks: Vec<f64>) -> Vec<f64> {
+    half_ticks.iter_mut().for_each(|at| *at /= HALF_TICKS_PER_S);
+    half_ticks
+}
+
 /// A step in half ticks, rounded once.
 fn step_half_ticks(step_us: u32) -> f64 {
     f64::from(step_us) * HALF_TICKS_PER_S / 1e6
@@ -282,13 +291,14 @@ pub fn simulate(
     let receptors: Vec<u32> = (0..scene.receptors().len() as u32).collect();
     let mut counts = vec![0; receptors.len()];
     let mut spikes = vec![Vec::new(); if options.keep == Keep::Spikes { receptors.len() } else { 0 }];
-    let skipped = engine::run(scene, &receptors, options, progress, |(number, count, mut half_ticks)| {
-        counts[number as usize] = count;
-        if let Some(spikes) = spikes.get_mut(number as usize) {
-            half_ticks.iter_mut().for_each(|at| *at /= HALF_TICKS_PER_S);
-            *spikes = half_ticks;
-        }
-    })?;
+    let tracks = track::of_scene(scene, options.method);
+    let skipped =
+        engine::run(scene, &tracks, &receptors, options, progress, |(number, count, half_ticks)| {
+            counts[number as usize] = count;
+            if let Some(spikes) = spikes.get_mut(number as usize) {
+                *spikes = in_seconds(half_ticks);
+            }
+        })?;
     let spikes_s = (options.keep == Keep::Spikes).then_some(spikes);
     Ok(Answer { counts, spikes_s, skipped })
 }

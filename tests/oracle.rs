@@ -54,7 +54,14 @@ pub(crate) fn spikes(scene: &Scene) -> Vec<Train> {
 
 /// The same if each motor moves by its gain times as much.
 pub(crate) fn spikes_with_gains(scene: &Scene, gains: &[f64; MOTORS]) -> Vec<Train> {
-    (0..scene.receptors.len()).map(|receptor| train(scene, gains, receptor)).collect()
+    let bursts = all_bursts(scene);
+    (0..scene.receptors.len()).map(|receptor| train(scene, &bursts, gains, receptor)).collect()
+}
+
+/// The same if each burst moves its motor as it says, and the drives are not looked at.
+pub(crate) fn spikes_of_bursts(scene: &Scene, bursts: &[(usize, Burst)]) -> Vec<Train> {
+    let gains = [1.0; MOTORS];
+    (0..scene.receptors.len()).map(|receptor| train(scene, bursts, &gains, receptor)).collect()
 }
 
 /// Compares up to what is promised; how many spikes that were. One that `expected` itself knows less well than
@@ -89,12 +96,15 @@ pub(crate) fn compare(expected: &[Train], found: &[Vec<f64>], tolerance_s: f64) 
     Ok(compared)
 }
 
-/// From `start` to `end` (half ticks) a motor's shaft is commanded up (1) or down (-1).
+/// Full speed: whole numbers, so that what the window holds stays whole.
+pub(crate) const FULL: i64 = 1 << 20;
+
+/// From `start` to `end` (half ticks) a motor's shaft moves at a speed, [`FULL`] being a pulse per tick upwards.
 #[derive(Clone, Copy, Debug)]
-struct Burst {
-    start: i64,
-    end: i64,
-    direction: i64,
+pub(crate) struct Burst {
+    pub(crate) start: i64,
+    pub(crate) end: i64,
+    pub(crate) speed: i64,
 }
 
 fn seconds_to_ticks(seconds: f64) -> f64 {
@@ -116,11 +126,21 @@ fn bursts(drive: &Drive, horizon_s: f64) -> Vec<Burst> {
         if stopped || up >= horizon_s * TICKS_PER_S {
             break;
         }
-        for (tick, direction) in [(up, 1), (down, -1)] {
-            bursts.push(Burst { start: 2 * tick as i64, end: 2 * (tick + pulses) as i64, direction });
+        for (tick, speed) in [(up, FULL), (down, -FULL)] {
+            bursts.push(Burst { start: 2 * tick as i64, end: 2 * (tick + pulses) as i64, speed });
         }
     }
     bursts
+}
+
+/// The bursts of all drives, with their motors.
+pub(crate) fn all_bursts(scene: &Scene) -> Vec<(usize, Burst)> {
+    let horizon_s = scene.duration_s + END_SLACK_S;
+    let of_drive = |drive: &Drive| {
+        let motor = drive.motor;
+        bursts(drive, horizon_s).into_iter().map(move |burst| (motor, burst))
+    };
+    scene.drives.iter().flat_map(of_drive).collect()
 }
 
 fn pin_weight((x_mm, y_mm): (f64, f64), motor: usize, sigma_mm: f64) -> f64 {
@@ -140,20 +160,24 @@ struct Piece {
 }
 
 /// All pieces of a receptor's input until `horizon_s`.
-fn pieces(scene: &Scene, gains: &[f64; MOTORS], receptor: (f64, f64), horizon_s: f64) -> Vec<Piece> {
-    // At a break: by how much the slope of which motor's `r(t) - r(t-W)` changes, half pulses per half tick.
+fn pieces(
+    scene: &Scene,
+    moves: &[(usize, Burst)],
+    gains: &[f64; MOTORS],
+    receptor: (f64, f64),
+    horizon_s: f64,
+) -> Vec<Piece> {
+    // At a break: by how much the slope of which motor's `r(t) - r(t-W)` changes; full is half a pulse per half tick.
     let mut breaks: BTreeMap<i64, Vec<(usize, i64)>> = BTreeMap::from([(0, Vec::new())]);
     let weights: Vec<f64> =
         (0..MOTORS).map(|m| gains[m] * pin_weight(receptor, m, scene.model.sigma_mm)).collect();
-    for drive in scene.drives.iter().filter(|drive| weights[drive.motor] > 0.0) {
-        for Burst { start, end, direction } in bursts(drive, horizon_s) {
-            breaks.entry(start).or_default().push((drive.motor, direction));
-            breaks.entry(end).or_default().push((drive.motor, -direction));
-            breaks.entry(start + WINDOW_HALF_TICKS).or_default().push((drive.motor, -direction));
-            breaks.entry(end + WINDOW_HALF_TICKS).or_default().push((drive.motor, direction));
-        }
+    for &(motor, Burst { start, end, speed }) in moves.iter().filter(|(motor, _)| weights[*motor] > 0.0) {
+        breaks.entry(start).or_default().push((motor, speed));
+        breaks.entry(end).or_default().push((motor, -speed));
+        breaks.entry(start + WINDOW_HALF_TICKS).or_default().push((motor, -speed));
+        breaks.entry(end + WINDOW_HALF_TICKS).or_default().push((motor, speed));
     }
-    let scale = UM_PER_PULSE / 2.0 / WINDOW_S;
+    let scale = UM_PER_PULSE / 2.0 / WINDOW_S / FULL as f64;
     let felt = |pulses: &[i64; MOTORS]| -> f64 {
         weights.iter().zip(pulses).map(|(weight, &pulses)| weight * scale * pulses as f64).sum()
     };
@@ -286,12 +310,12 @@ fn threshold(model: &Model, offset: f64, last: Option<Last>, t_s: f64) -> (f64, 
     }
 }
 
-fn train(scene: &Scene, gains: &[f64; MOTORS], receptor: usize) -> Train {
+fn train(scene: &Scene, bursts: &[(usize, Burst)], gains: &[f64; MOTORS], receptor: usize) -> Train {
     let model = &scene.model;
     let offsets = scene.offsets.get(receptor).map_or(&[][..], Vec::as_slice);
     let mut train = Train { spikes: Vec::new(), doubtful_from_s: f64::INFINITY };
     let (mut p, mut last) = (0.0, None::<Last>);
-    for piece in pieces(scene, gains, scene.receptors[receptor], scene.duration_s + END_SLACK_S) {
+    for piece in pieces(scene, bursts, gains, scene.receptors[receptor], scene.duration_s + END_SLACK_S) {
         let zero_s = piece.from_s - piece.u / piece.slope;
         let mut t = piece.from_s;
         while t < piece.to_s {

@@ -24,6 +24,8 @@ mod convergence;
 mod evaluator;
 /// Scenes at the edges of what a scene may be, by every method: each has one right answer.
 mod extremes;
+/// What was felt of a play whose bursts travelled otherwise than designed, beside what should have been felt.
+mod felt;
 /// `report`: figures against the models, the page, places that cannot be written to.
 mod figures;
 /// Motors that move by more or less than they should.

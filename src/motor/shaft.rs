@@ -57,6 +57,14 @@ impl Ramp {
         Self { start, ticks, um_per_tick }
     }
 
+    /// A burst by what it really travelled, µm, upwards positive, at the same speed throughout; without pulses it travels
+    /// nothing.
+    #[must_use]
+    pub fn travelled(start: Tick, pulses: u32, travel_um: f64) -> Self {
+        let um_per_tick = if pulses == 0 { 0.0 } else { travel_um / f64::from(pulses) };
+        Self { start, ticks: pulses, um_per_tick }
+    }
+
     /// The first tick after the ramp.
     #[must_use]
     pub fn end(&self) -> Tick {

@@ -9,6 +9,7 @@
 //! so does the request itself, if neither a clock nor a person ended it.
 
 use super::judge::{Circumstances, Robustness, judge, pulses_per_s, robustness};
+use super::target::DEFINITION;
 use super::{
     Brief, Ended, Found, Frame, Limit, Point, Score, Setting, Space, Spent, Target, Verdict, resume, search,
 };
@@ -228,7 +229,7 @@ fn provenance(target: &Target, request: &Request, made: &Made, starts: Option<&[
     put("off_hz", made.verdict.off_hz.into());
     put("auc", made.verdict.auc.into());
     put("pulses_per_s", made.pulses_per_s.into());
-    put("definition", target.definition().into());
+    put(DEFINITION, target.definition().into());
     put("robustness", Table::try_from(&made.robustness).expect("numbers and lists of numbers").into());
     // Not as it was read: what was taken of it is the same points again, and bounded.
     if let Some(starts) = starts {

@@ -18,7 +18,7 @@ use super::shape::{self, Shape};
 use super::sides::Sides;
 use crate::array::{self, PITCH_MM};
 use crate::keyed::{self, Mistake, in_range};
-use crate::pattern::{self, AMPLITUDE_UM, MAX_SECONDS};
+use crate::pattern::{self, AMPLITUDE_UM, MAX_SECONDS, Pattern};
 use crate::quote::quote;
 use crate::simulate::{RawReceptor, check_model};
 use crate::skin::{self, PAD_LENGTH_MM, RaModel};
@@ -29,6 +29,8 @@ use motion::Motion;
 use std::ops::RangeInclusive;
 use toml::{Table, Value};
 
+/// The key of a pattern's provenance that holds its target's every key.
+pub(super) const DEFINITION: &str = "definition";
 /// Frames of a motion at the most: each is optimised on its own.
 pub const MAX_FRAMES: u8 = 64;
 /// What is closer than this runs together, mm: between two pins there must be one that is still.
@@ -83,6 +85,13 @@ impl Target {
     /// The first thing that is wrong with it, in one line.
     pub fn read(text: &str, file: &str) -> Result<Self, TargetError> {
         file::read(text).map_err(|fault| TargetError::new(fault, Some(file)))
+    }
+
+    /// The target a pattern was made for, if its provenance holds one that reads.
+    #[must_use]
+    pub fn made_for(pattern: &Pattern) -> Option<Self> {
+        let text = toml::to_string(pattern.provenance().get(DEFINITION)?.as_table()?).ok()?;
+        Self::read(&text, DEFINITION).ok()
     }
 
     /// The target on receptors elsewhere: another population.
@@ -339,6 +348,17 @@ pub(in crate::optimise) mod tests {
         assert_eq!(target.frames(), [Frame { shape, start_s: None, stop_s: None }]);
         assert_eq!((target.reach_mm(), target.amplitude_um(), target.duration_s()), (1.5, 80.0, 5.0));
         assert_eq!((target.population_seed(), target.model().noise_sd), (0, skin::POPULATION_NOISE_SD));
+    }
+
+    #[test]
+    fn a_target_is_read_back_from_where_a_pattern_keeps_it() {
+        let target = crate::optimise::shipped("rotating-edge").unwrap();
+        let made = |provenance| Pattern::new("t", None, vec![], provenance).unwrap();
+        let kept = Table::from_iter([(DEFINITION.to_owned(), target.definition().into())]);
+        assert_eq!(Target::made_for(&made(kept)), Some(target));
+        for bad in ["", "definition = 1", "definition = { name = \"a\" }"] {
+            assert_eq!(Target::made_for(&made(bad.parse().unwrap())), None, "{bad}");
+        }
     }
 
     #[test]

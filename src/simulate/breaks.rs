@@ -2,7 +2,8 @@
 //!
 //! The displacement y of a shaft changes at `dy/dt = D / W` with `D = r(t) - r(t - W)`, and D is linear between
 //! the starts and ends of ramps and W after each. A [`Break`] says where D bends and by how much. D is counted in
-//! half pulses and time in half ticks, so that for strokes every D is a whole number and rest is exactly 0.
+//! half pulses and time in half ticks, so that for strokes every D is a whole number and rest is exactly 0. Where each burst
+//! has a travel of its own, D is counted in half pulses of the motor's fastest one, and in 2⁻⁴⁰ of those.
 //!
 //! [`Breaks`] is one motor's; [`Blocks`] merges all of them, in blocks of bounded size, so that a scene of a month
 //! takes no more memory than one of a second.
@@ -30,19 +31,30 @@ const BLOCK: f64 = 16_384.0;
 pub(super) struct Break {
     /// Half ticks since the scene's beginning, a whole number.
     pub(super) at: f64,
-    /// By how much the slope of D changes, half pulses per half tick: a whole number unless a ramp was
-    /// played with a gain.
+    /// By how much the slope of D changes, half pulses per half tick: 1 or -1, or a whole number of 2⁻⁴⁰ where bursts
+    /// differ in their travel.
     pub(super) bend: f64,
     pub(super) motor: u8,
 }
 
+/// Parts of a half pulse that D is counted in where bursts differ: with the 731 of a full window far below 2⁵³, so that
+/// sums stay exact and rest stays 0. What is rounded off is 10⁻¹² of a burst.
+const PARTS: f64 = (1_u64 << 40) as f64;
+
+/// A share of something in whole parts.
+pub(super) fn in_parts(share: f64) -> f64 {
+    (share * PARTS).round() / PARTS
+}
+
 /// Ramps of one motor, in order of time and without overlap.
-type Ramps<'s> = Box<dyn Iterator<Item = Ramp> + Send + 's>;
+type InOrder<'s> = Box<dyn Iterator<Item = Ramp> + Send + 's>;
 
 /// The breaks of one motor: those of the leading edge of the window merged with those of the trailing edge.
 pub(super) struct Breaks<'s> {
     motor: u8,
-    ramps: Ramps<'s>,
+    ramps: InOrder<'s>,
+    /// The speed that counts as half a pulse per half tick.
+    full_um_per_tick: f64,
     /// Breaks of the leading edge that the trailing edge has yet to pass.
     behind: VecDeque<Break>,
     /// How many of `behind`, from the back, the leading edge has yet to pass.
@@ -66,7 +78,17 @@ impl<'s> Breaks<'s> {
                 })
             })
         });
-        Self { motor, ramps: Box::new(ramps), behind: VecDeque::new(), ahead: 0 }
+        Self::of(motor, Box::new(ramps), UM_PER_PULSE)
+    }
+
+    /// The breaks of ramps, up to those of the last one that begins before `end`, half ticks.
+    pub(super) fn of_ramps(motor: u8, ramps: &'s [Ramp], full_um_per_tick: f64, end: f64) -> Self {
+        let before = ramps.iter().copied().take_while(move |ramp| half_ticks(ramp.start) < end);
+        Self::of(motor, Box::new(before), full_um_per_tick)
+    }
+
+    fn of(motor: u8, ramps: InOrder<'s>, full_um_per_tick: f64) -> Self {
+        Self { motor, ramps, full_um_per_tick, behind: VecDeque::new(), ahead: 0 }
     }
 }
 
@@ -78,7 +100,7 @@ impl Iterator for Breaks<'_> {
         if self.ahead == 0
             && let Some(ramp) = self.ramps.next()
         {
-            let bend = ramp.um_per_tick / UM_PER_PULSE;
+            let bend = in_parts(ramp.um_per_tick / self.full_um_per_tick);
             for (tick, bend) in [(ramp.start, bend), (ramp.end(), -bend)] {
                 self.behind.push_back(Break { at: half_ticks(tick), bend, motor: self.motor });
             }

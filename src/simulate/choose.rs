@@ -103,7 +103,8 @@ pub fn choose(scene: &Scene, error_hz: f64) -> Result<Choice, MethodError> {
 fn counts(scene: &Scene, receptors: &[u32], method: Method) -> Vec<u64> {
     let mut counts = vec![0; scene.receptors().len()];
     let options = Options::rates(method);
-    let ran = engine::run(scene, receptors, &options, &|_| (), |(number, count, _)| {
+    let tracks = of_scene(scene, method);
+    let ran = engine::run(scene, &tracks, receptors, &options, &|_| (), |(number, count, _)| {
         counts[number as usize] = count;
     });
     ran.expect("no spikes are kept, so there are never too many");

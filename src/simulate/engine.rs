@@ -45,28 +45,29 @@ pub(super) struct Member {
 /// What is found out about a receptor: its number, how many spikes, and when, half ticks, if they are kept.
 pub(super) type Train = (u32, u64, Vec<f64>);
 
-/// Simulates some of a scene's receptors; `give` is handed each one's train, in no particular order.
+/// Simulates some of a scene's receptors under what its motors do; `give` is handed each one's train, in no particular order.
 pub(super) fn run(
     scene: &Scene,
+    tracks: &Tracks,
     receptors: &[u32],
     options: &Options,
     progress: &(dyn Fn(f64) + Sync),
     give: impl FnMut(Train),
 ) -> Result<Skipped, MethodError> {
-    run_on(Arch::new(), scene, receptors, options, progress, give)
+    run_on(Arch::new(), scene, tracks, receptors, options, progress, give)
 }
 
 /// The same by the vectors of a processor of our choice.
 pub(super) fn run_on(
     arch: Arch,
     scene: &Scene,
+    tracks: &Tracks,
     receptors: &[u32],
     options: &Options,
     progress: &(dyn Fn(f64) + Sync),
     mut give: impl FnMut(Train),
 ) -> Result<Skipped, MethodError> {
-    let tracks = track::of_scene(scene, options.method);
-    let work = Work { arch, ..Work::new(scene, options, &tracks, &[]) };
+    let work = Work { arch, ..Work::new(scene, options, tracks, &[]) };
     work.run(&by_place(scene, receptors), progress, &mut give)
 }
 

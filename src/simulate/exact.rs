@@ -4,9 +4,9 @@
 //! on nothing but its own motors: not on its neighbours, nor on how many lanes the processor has. A lane that
 //! might reach its threshold within a piece leaves the vector and is crossed by [`Neuron`].
 //!
-//! Weights are rounded to whole numbers of 37 bits. Times D, which is whole too, every sum of inputs is
-//! a whole number below 2⁵³: exact in `f64` in whatever order, and 0 when all is at rest. What is rounded off is
-//! less than what ignoring weights below 10⁻¹⁰ leaves out.
+//! Weights are rounded to whole numbers of 37 bits, and so is what a bend makes of them: a bend is 1 or -1, or a share of that
+//! where bursts differ in their travel. So every slope is a whole number, and every sum of inputs one below 2⁵³: exact in `f64`
+//! in whatever order, and 0 when all is at rest. What is rounded off is less than what ignoring weights below 10⁻¹⁰ leaves out.
 //!
 //! Invariant: the lanes' arithmetic is the same at every vector width.
 
@@ -25,6 +25,8 @@ use pulp::{Arch, Simd, WithSimd};
 pub(super) const LANES: usize = 8;
 /// Bits of a weight, so that 24 motors at full speed at the largest weight stay below 2⁵³.
 const WEIGHT_BITS: i32 = 37;
+/// Added and taken off again, it rounds what is below 2⁵¹ to a whole number, ties to the even one: up and down alike.
+const ROUNDS: f64 = 1.5 * (1_u64 << 52) as f64;
 /// Breaks looked through at a time: their numbers fit a byte.
 const CHUNK: usize = 256;
 
@@ -266,10 +268,15 @@ impl WithSimd for Run<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        match self.membrane.rectify {
-            Rectify::Half => self.rectified::<S, HALF>(simd),
-            Rectify::Full => self.rectified::<S, FULL>(simd),
-            Rectify::Signed => self.rectified::<S, SIGNED>(simd),
+        // Of drives every bend is whole: nobody waits for a rounding.
+        let shares = self.breaks.iter().any(|found| found.bend.abs() != 1.0);
+        match (self.membrane.rectify, shares) {
+            (Rectify::Half, false) => self.rectified::<S, HALF, false>(simd),
+            (Rectify::Full, false) => self.rectified::<S, FULL, false>(simd),
+            (Rectify::Signed, false) => self.rectified::<S, SIGNED, false>(simd),
+            (Rectify::Half, true) => self.rectified::<S, HALF, true>(simd),
+            (Rectify::Full, true) => self.rectified::<S, FULL, true>(simd),
+            (Rectify::Signed, true) => self.rectified::<S, SIGNED, true>(simd),
         }
     }
 }
@@ -280,7 +287,7 @@ const SIGNED: u8 = 2;
 
 impl Run<'_> {
     #[inline(always)]
-    fn rectified<S: Simd, const RECTIFY: u8>(self, simd: S) {
+    fn rectified<S: Simd, const RECTIFY: u8, const SHARES: bool>(self, simd: S) {
         let width = S::F64_LANES.min(LANES);
         for first in (0..LANES).step_by(width) {
             if first >= self.group.receptors.len() {
@@ -300,7 +307,14 @@ impl Run<'_> {
                     let weight = load::<S>(&self.group.weights[usize::from(found.motor)], first);
                     let mine = simd.greater_than_f64s(weight, simd.splat_f64s(0.0));
                     vectors.advance(self.group, found.at, mine, self.keep);
-                    vectors.k = simd.mul_add_f64s(weight, simd.splat_f64s(found.bend), vectors.k);
+                    let bend = simd.splat_f64s(found.bend);
+                    vectors.k = if SHARES {
+                        let rounds = simd.splat_f64s(ROUNDS);
+                        let whole = simd.sub_f64s(simd.mul_add_f64s(weight, bend, rounds), rounds);
+                        simd.add_f64s(vectors.k, whole)
+                    } else {
+                        simd.mul_add_f64s(weight, bend, vectors.k)
+                    };
                 }
             }
             if let Some(until) = self.until {

@@ -37,6 +37,8 @@ pub struct Scene {
     gains: [f64; MOTORS],
 }
 
+/// By what a motor's travel may be multiplied at the most.
+pub(super) const MOST_GAIN: f64 = 10.0;
 /// Every motor as the model has it.
 const NO_GAINS: [f64; MOTORS] = [1.0; MOTORS];
 
@@ -84,7 +86,7 @@ impl Scene {
     /// The first gain that is out of range.
     pub fn with_gains(&self, gains: &[f64; MOTORS]) -> Result<Self, SceneError> {
         for (motor, &gain) in gains.iter().enumerate() {
-            in_range("gains", gain, (0.0..=10.0).contains(&gain), "0 to 10").map_err(|fault| {
+            in_range("gains", gain, (0.0..=MOST_GAIN).contains(&gain), "0 to 10").map_err(|fault| {
                 SceneError::new(Fault { path: format!("gains[{motor}]"), ..fault.into() }, None)
             })?;
         }
@@ -128,6 +130,12 @@ impl Scene {
     #[must_use]
     pub const fn model(&self) -> &RaModel {
         &self.model
+    }
+
+    /// The scene without drives, for motors that others move, by so much more or less than a model's. Nobody looks for
+    /// a period of what has none.
+    pub(super) fn moved_otherwise(&self, gains: [f64; MOTORS]) -> Self {
+        Self { drives: Vec::new(), gains, ..self.clone() }
     }
 
     /// By what each motor's travel is multiplied.

@@ -5,8 +5,8 @@ use super::cycle::periods;
 use super::engine::{Member, run_on};
 use super::exact::{Group, MOST_BUFFERED};
 use super::membrane::Membrane;
-use super::track::{Track, of_scene};
-use super::{Integrator, Method, Options, Precision, Scene, Stepping};
+use super::track::{Track, Tracks, of_scene};
+use super::{Integrator, Method, Options, Precision, Ramps, Scene, Stepping};
 use crate::draw::uniform;
 use crate::motor::{HalfTick, Ramp, Shaft, WINDOW_HALF_TICKS};
 use crate::pattern::Drive;
@@ -47,11 +47,11 @@ fn widths() -> Vec<Arch> {
 }
 
 /// Trains by number of the receptor, bit by bit.
-fn bits(arch: Arch, scene: &Scene, method: Method) -> Vec<(u32, u64, Vec<u64>)> {
+fn bits(arch: Arch, scene: &Scene, tracks: &Tracks, method: Method) -> Vec<(u32, u64, Vec<u64>)> {
     let all: Vec<u32> = (0..scene.receptors().len() as u32).collect();
     let options = Options::spikes(method);
     let mut trains = Vec::new();
-    run_on(arch, scene, &all, &options, &|_| (), |(number, count, half_ticks)| {
+    run_on(arch, scene, tracks, &all, &options, &|_| (), |(number, count, half_ticks)| {
         trains.push((number, count, half_ticks.into_iter().map(f64::to_bits).collect()));
     })
     .unwrap();
@@ -70,11 +70,59 @@ fn the_width_of_vectors_changes_nothing() {
     for seed in 0..12 {
         let scene = scene(seed);
         for &method in &methods {
-            let scalar = bits(Arch::Scalar, &scene, method);
-            assert!(scalar.iter().any(|(_, count, _)| *count > 0));
-            for arch in widths() {
-                assert!(bits(arch, &scene, method) == scalar, "seed {seed}, {method:?}, {arch:?}");
+            same_at_every_width(&scene, &of_scene(&scene, method), method);
+        }
+        let (scene, tracks) = moved_unevenly(seed);
+        same_at_every_width(&scene, &tracks, Method::Exact);
+    }
+}
+
+fn same_at_every_width(scene: &Scene, tracks: &Tracks, method: Method) {
+    let scalar = bits(Arch::Scalar, scene, tracks, method);
+    assert!(scalar.iter().any(|(_, count, _)| *count > 0));
+    for arch in widths() {
+        let found = bits(arch, scene, tracks, method);
+        assert!(found == scalar, "seed {}, {method:?}, {arch:?}", scene.seed());
+    }
+}
+
+/// A scene whose motors make bursts of any length at any speed, often several within the window.
+fn moved_unevenly(seed: u64) -> (Scene, Tracks) {
+    let mut drawn = 0;
+    let mut draw = |low: f64, high: f64| {
+        drawn += 1;
+        low + (high - low) * uniform([seed, drawn, 0, 1 << 35])[0]
+    };
+    let (scene, mut ramps) = (scene(seed), Vec::new());
+    for motor in 0..24 {
+        let mut start = draw(0.0, 10_000.0) as u64;
+        while start < 100_000 {
+            let ticks = draw(1.0, 600.0) as u32;
+            let ramp = Ramp { start: Tick(start), ticks, um_per_tick: draw(-0.3, 0.3) };
+            ramps.push((motor, ramp));
+            start = ramp.end().0 + draw(0.0, 700.0) as u64;
+        }
+    }
+    let ramps = Ramps::new(ramps).unwrap();
+    let gains = ramps.gains();
+    let tracks = ramps.tracks(&gains, scene.duration_s());
+    (scene.moved_otherwise(gains), tracks)
+}
+
+#[test]
+fn bursts_of_any_speed_leave_every_motor_at_exactly_rest() {
+    for seed in 0..6 {
+        for track in moved_unevenly(seed).1.iter().flatten() {
+            let (mut at, mut d, mut slope, mut most) = (0.0, 0.0_f64, 0.0_f64, 0.0_f64);
+            for found in track.breaks() {
+                assert!(found.at >= at && found.at.fract() == 0.0 && found.bend.abs() <= 1.0, "{found:?}");
+                d += slope * (found.at - at);
+                (at, slope) = (found.at, slope + found.bend);
+                most = most.max(d.abs());
+                assert_eq!((d * (1_u64 << 40) as f64).fract(), 0.0);
             }
+            assert_eq!((d, slope), (0.0, 0.0));
+            assert!(most > 100.0 && most <= WINDOW_HALF_TICKS as f64, "{most}");
         }
     }
 }

@@ -6,14 +6,15 @@
 //!
 //! Making one of them uses one thread, so that nobody who waits for it is waited for.
 //!
-//! Invariant: a track depends on its motor's drives, the scene's duration and membrane, and the method.
+//! Invariant: a track depends on its motor's drives or ramps, the scene's duration and membrane, and the method.
 
-use super::breaks::{Break, Breaks, end};
+use super::breaks::{Break, Breaks, HALF_TICKS_PER_S, end};
 use super::lanes::Number;
 use super::sampler::Sampler;
 use super::silent::Bound;
 use super::stepped::TILE;
 use super::{Method, Scene, horizon};
+use crate::motor::Ramp;
 use crate::pattern::Drive;
 use firmware_protocol::stroke::MOTORS;
 use std::sync::{Arc, OnceLock};
@@ -29,8 +30,7 @@ pub(super) type Tracks = [Option<Arc<Track>>; MOTORS];
 #[derive(Debug)]
 pub(super) struct Track {
     motor: u8,
-    /// Those that move it, in order of time.
-    drives: Vec<Drive>,
+    moved_by: MovedBy,
     duration_s: f64,
     /// At most about so many breaks in a second.
     per_s: f64,
@@ -38,6 +38,14 @@ pub(super) struct Track {
     list: OnceLock<Vec<Break>>,
     samples: Samples,
     charge: OnceLock<f64>,
+}
+
+/// What moves it, in order of time.
+#[derive(Debug)]
+enum MovedBy {
+    Drives(Vec<Drive>),
+    /// Ramps, and the speed that counts as full.
+    Ramps(Arc<Vec<Ramp>>, f64),
 }
 
 /// A motor's samples of all steps, in one precision or the other.
@@ -61,9 +69,26 @@ impl Track {
         drives.sort_by(|a, b| a.start().total_cmp(&b.start()));
         // One at a time: the fastest bounds them all.
         let per_s = drives.iter().map(|drive| 8.0 * drive.frequency_hz).fold(0.0, f64::max);
+        let moved_by = MovedBy::Drives(drives);
+        (per_s > 0.0).then(|| Self::moved(motor, moved_by, per_s, scene.duration_s(), method))
+    }
+
+    /// A motor's that made some ramps, for the exact method.
+    pub(super) fn of_ramps(
+        motor: u8,
+        ramps: &Arc<Vec<Ramp>>,
+        full_um_per_tick: f64,
+        duration_s: f64,
+    ) -> Self {
+        // Four breaks each, in time that is watched and the window after it.
+        let per_s = 4.0 * ramps.len() as f64 / duration_s.max(1.0 / HALF_TICKS_PER_S);
+        let moved_by = MovedBy::Ramps(Arc::clone(ramps), full_um_per_tick);
+        Self::moved(motor, moved_by, per_s, duration_s, Method::Exact)
+    }
+
+    fn moved(motor: u8, moved_by: MovedBy, per_s: f64, duration_s: f64, method: Method) -> Self {
         let (list, samples, charge) = (OnceLock::new(), Samples::default(), OnceLock::new());
-        let duration_s = scene.duration_s();
-        (per_s > 0.0).then_some(Self { motor, drives, duration_s, per_s, method, list, samples, charge })
+        Self { motor, moved_by, duration_s, per_s, method, list, samples, charge }
     }
 
     pub(super) const fn motor(&self) -> u8 {
@@ -77,7 +102,13 @@ impl Track {
 
     /// All its breaks, made as they are asked for.
     pub(super) fn breaks(&self) -> Breaks<'_> {
-        Breaks::new(self.motor, &self.drives, end(self.duration_s))
+        let end = end(self.duration_s);
+        match &self.moved_by {
+            MovedBy::Drives(drives) => Breaks::new(self.motor, drives, end),
+            MovedBy::Ramps(ramps, full_um_per_tick) => {
+                Breaks::of_ramps(self.motor, ramps, *full_um_per_tick, end)
+            }
+        }
     }
 
     /// All its breaks, if they are few enough.

@@ -65,7 +65,7 @@ pub(super) fn section(
     let stretches = stretches(pattern.drives(), pattern.duration_s());
     let (shown, more) = stretches.split_at(stretches.len().min(MAPS));
     let reached = Reached::of(pattern.drives())?;
-    let target = target::made_for(pattern.provenance());
+    let target = Target::made_for(pattern);
     let felt = Felt::by(pattern, &stretches, target.as_ref(), progress)?;
     let watched = target.as_ref().map(|target| felt.watched(target)).unwrap_or_default();
     let figures = PatternFigures {

@@ -1,6 +1,6 @@
 //! What a pattern was made for, and how well it comes to it.
 //!
-//! A pattern made for a target keeps it in its provenance, under [`DEFINITION`]. Receptors within reach of the target
+//! A pattern made for a target keeps it in its provenance. Receptors within reach of the target
 //! should fire and the others should not; how far they do, is said of rates that somebody else has simulated. Of a
 //! target that moves each frame is judged by the spikes in its own time.
 //!
@@ -10,10 +10,7 @@ use super::map::Aim;
 use crate::optimise::{Frame, Sides, Target, Verdict};
 use crate::skin::Position;
 use serde::Serialize;
-use toml::Table;
 
-/// The key of the provenance that holds the target's every key.
-const DEFINITION: &str = "definition";
 /// Frames that are drawn at the most.
 const DRAWN: usize = 4;
 
@@ -36,12 +33,6 @@ pub struct FrameFigures {
     /// What the rates are worth.
     #[serde(flatten)]
     pub verdict: Verdict,
-}
-
-/// The target a pattern was made for, if its provenance holds one that reads.
-pub(super) fn made_for(provenance: &Table) -> Option<Target> {
-    let text = toml::to_string(provenance.get(DEFINITION)?.as_table()?).ok()?;
-    Target::read(&text, DEFINITION).ok()
 }
 
 /// A frame with the rates in its time.
@@ -109,16 +100,6 @@ mod tests {
             [(0, &[][..]), (1, &[0]), (4, &[0, 1, 2, 3]), (5, &[0, 1, 3, 4]), (64, &[0, 21, 42, 63])]
         {
             assert_eq!(drawn(frames), indices);
-        }
-    }
-
-    #[test]
-    fn a_target_is_read_back_from_where_it_is_kept() {
-        let target = shipped("rotating-edge").unwrap();
-        let kept = Table::from_iter([(DEFINITION.to_owned(), target.definition().into())]);
-        assert_eq!(made_for(&kept), Some(target));
-        for bad in ["", "definition = 1", "definition = { name = \"a\" }"] {
-            assert_eq!(made_for(&bad.parse().unwrap()), None, "{bad}");
         }
     }
 
