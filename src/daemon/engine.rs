@@ -13,7 +13,7 @@ use super::connect::Word;
 use crate::api::{Code, MotorStatus, PlayRequest, Problem, Status, Waiting};
 use crate::device::Device;
 use crate::device::mock::Truth;
-use crate::record::{Event, PlayState, Receipt, Recorder};
+use crate::record::{Event, PlayState, Receipt, Recorder, Travels};
 use crate::store::Stored;
 use crate::stream::port::{At, Job, Notice, Notices, Order, Orders, Play, Refused};
 use crate::stream::{Need, Settings};
@@ -53,6 +53,7 @@ struct Ticket {
 #[derive(Debug)]
 pub(super) struct Inner {
     pub(super) recorder: Recorder,
+    pub(super) travels: Travels,
     orders: Orders,
     last_ticket: u64,
     last_estop: u64,
@@ -82,6 +83,7 @@ impl Engine {
     pub(super) fn new(orders: Orders, settings: Settings, wanted: String) -> Self {
         let inner = Inner {
             recorder: Recorder::default(),
+            travels: Travels::default(),
             orders,
             last_ticket: 0,
             last_estop: 0,
@@ -216,6 +218,12 @@ impl Engine {
             bell.readable().await?.clear_ready();
             // Silenced before it is drained: what comes in between rings again.
             notices.silence();
+            {
+                let travels = &mut self.lock().travels;
+                while let Some(traveled) = notices.pop_travel() {
+                    travels.add(traveled);
+                }
+            }
             while let Some(notice) = notices.pop() {
                 if matches!(notice, Notice::Bye) {
                     return Ok(());
@@ -301,6 +309,7 @@ impl Inner {
             Notice::Answer { ticket, result } => self.answered(*ticket, *result),
             Notice::Connected(_) => {
                 (self.lost, self.missing) = (None, None);
+                self.travels.clear();
                 self.recorder.take(&notice)
             }
             // A port that is no board is opened again and again: that is no news.

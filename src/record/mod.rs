@@ -8,9 +8,11 @@
 
 mod event;
 mod receipt;
+mod travels;
 
 pub use event::{DeviceInfo, Event, NO_DEVICE, Running, state_name};
 pub use receipt::{LISTED, LateStroke, LatenessRecord, OnsetRecord, PlayState, Receipt, RefusedStroke, Wire};
+pub use travels::{KEPT_S, Travels};
 
 use crate::stream::cause_text;
 use crate::stream::port::{Bursts, LateCause, Lateness, Notice, Outcome, Pulses, Snapshot, refusal_text};
