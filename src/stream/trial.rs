@@ -31,6 +31,8 @@ pub struct Trial {
     pub scatter: f64,
     /// The gain up is 1 and half of this, the gain down 1 less half of it.
     pub asymmetry: f64,
+    /// Mean gain of a burst after half a second of rest.
+    pub transient_gain: f64,
     /// Where the pin stands at the beginning.
     pub offset_um: f64,
     /// Which draws.
@@ -52,6 +54,7 @@ impl Default for Trial {
             telemetry_hz: 1000.0,
             scatter: 0.1,
             asymmetry: 0.02,
+            transient_gain: PlantConfig::default().transient_gain,
             offset_um: 0.0,
             seed: 0,
             closed: true,
@@ -94,7 +97,8 @@ impl Trial {
         mut tell: impl FnMut(&Period),
     ) -> Result<Option<super::Doubt>, MotorError> {
         let wave = SquareWave::new(self.frequency_hz, self.amplitude_um, 0.0)?;
-        let config = PlantConfig { seed: self.seed, gain_sd: self.scatter, ..PlantConfig::default() };
+        let Self { seed, scatter: gain_sd, transient_gain, .. } = *self;
+        let config = PlantConfig { seed, gain_sd, transient_gain, ..PlantConfig::default() };
         let mut pin = Pin::new(&config, 0).with_asymmetry(self.asymmetry).at(self.offset_um);
         let mut servo = Servo::new(&self.gains);
         let start = Tick::BOOT;

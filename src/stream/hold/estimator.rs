@@ -34,7 +34,7 @@ const TRANSIENT_SD: f64 = 0.1;
 const SCATTER: f64 = 0.10;
 /// In how many bursts' worth of evidence that is believed; and how many it is learned from at the most.
 const SCATTER_WEIGHT: f64 = 4.0;
-const SCATTER_MEMORY: f64 = 300.0;
+const SCATTER_MEMORY: f64 = 150.0;
 /// Scatter is never taken to be less: what no model holds is of that size.
 const LEAST_SCATTER: f64 = 0.002;
 /// What a motor's gains may be without calibration, one standard deviation.

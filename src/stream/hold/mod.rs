@@ -2,8 +2,8 @@
 //!
 //! Per motor a `servo` knows the bursts on their way and settles the count of each as late as the link allows, from
 //! what its `estimator` makes of telemetry that is delayed, quantised, averaged and has gaps. `trust` looks whether that
-//! telemetry can be the motor's at all; if not, the motor plays on in open loop. Without telemetry the error of the
-//! rest position is dead reckoned.
+//! telemetry can be the motor's at all; if not, the motor plays on in open loop. Without telemetry all is dead
+//! reckoned: what a calibrated motor's gains say is corrected, and the error of the rest position is an estimate that grows.
 //!
 //! It only computes, and never allocates: counts stay within `limits::correction` of the plan and within the room between
 //! bursts, and only bursts that are planned are changed, so a motor that is not driven does not move.
@@ -84,6 +84,11 @@ impl Hold {
         let motor = self.motors.get(usize::from(motor))?;
         let measured = self.sampled.is_some() && motor.is_measured();
         (measured || motor.is_calibrated()).then(|| (motor.rest_um(), measured))
+    }
+
+    /// Whether bursts may be corrected at all on a device with or without telemetry.
+    pub(super) fn steers(&self, telemetry: bool) -> bool {
+        telemetry || self.motors.iter().any(Servo::is_calibrated)
     }
 
     /// Mean gain of a motor.

@@ -393,8 +393,10 @@ impl Servo {
                 break;
             }
             within = DUE;
-            let steers = fresh && self.anchored && self.trust.steers(now);
-            if steers && queued.steered && queued.accepted && burst.start >= now + LATEST {
+            let measured = fresh && self.anchored && self.trust.steers(now);
+            // Gains that were measured lead home without telemetry too, apart from the scatter.
+            let reckoned = !fresh && self.is_calibrated() && self.trust.lost().is_none();
+            if (measured || reckoned) && queued.steered && queued.accepted && burst.start >= now + LATEST {
                 let pulses = self.wanted(&free);
                 if pulses != burst.pulses && amend(queued.stroke.up, burst.direction, pulses) {
                     let stroke = &mut self.queue[self.settled / 2].stroke;

@@ -116,7 +116,8 @@ impl Streamer {
 
     /// How far ahead of its onset a play has to be sent from, if the line carries it at all.
     pub(super) fn margin(&self, session: &Session, play: &Play) -> Result<Duration, Refused> {
-        let demand = if play.open_loop || !self.telemetry { play.need.open } else { play.need.closed };
+        let steered = !play.open_loop && self.hold.steers(self.telemetry);
+        let demand = if steered { play.need.closed } else { play.need.open };
         match session.carries(demand.frames) {
             Some(carries) if demand.rate > carries => {
                 Err(Refused::LineTooSlow { needs: demand.rate, carries })
