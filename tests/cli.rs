@@ -212,7 +212,7 @@ fn what_cannot_be_understood_exits_with_2() {
         &["demo", "--seconds", "nan"],
         &["daemon", "--device", "uart"],
         &["stop", "--now"],
-        &["home"],
+        &["home", "now"],
     ] {
         meissner().args(arguments).assert().code(2);
     }

@@ -375,7 +375,12 @@ fn the_streamer_allocates_nothing_while_it_plays() {
         let mut to_device = [0; 16 * MAX_FRAME];
         let mut end = 0;
         assert_no_alloc::assert_no_alloc(|| {
-            let tell = &mut |notice| notices.push(notice);
+            // Measured bursts have a ring of their own.
+            let tell = &mut |notice| {
+                if !matches!(notice, Notice::Traveled(_)) {
+                    notices.push(notice);
+                }
+            };
             if let Some(job) = job {
                 streamer.order(now, Order { ticket: ms, given: now, job }, tell);
             }

@@ -5,7 +5,7 @@
 
 use crate::motor::{MotorError, SquareWave};
 use crate::plant::{Pin, PlantConfig};
-use crate::stream::hold::{DUE, Gains, Servo};
+use crate::stream::hold::{DUE, Gains, LONGEST_AGE, Servo};
 use crate::units::seconds_to_ticks;
 use firmware_protocol::stroke::{Burst, Stroke};
 use firmware_protocol::tick::{TICK_HZ, Tick};
@@ -147,7 +147,7 @@ impl Trial {
                 sampled = tick;
             }
             let free = || next.map_or(end, |stroke| stroke.up);
-            let fresh = now - sampled <= u64::from(TICK_HZ) / 2;
+            let fresh = now - sampled <= LONGEST_AGE;
             if servo.next().is_none_or(|next| next > now + DUE) {
                 continue;
             }

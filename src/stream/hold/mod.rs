@@ -13,14 +13,13 @@ mod servo;
 mod trust;
 
 pub use estimator::Gains;
-pub(super) use servo::{DUE, Servo};
+pub(super) use servo::{DUE, LONGEST_AGE, Servo};
 pub use trust::Doubt;
 
 use crate::stream::port::{ErrorSource, Traveled};
 use firmware_protocol::batch::Amendment;
 use firmware_protocol::stroke::{Direction, MOTORS, Stroke};
 use firmware_protocol::tick::{TICK_HZ, Tick};
-use servo::LONGEST_AGE;
 
 /// Displacement follows the commanded position within the moving average's window.
 const WINDOW: u64 = 366;
@@ -31,6 +30,8 @@ pub(super) struct Hold {
     motors: [Servo; MOTORS],
     /// When the last telemetry was sampled.
     sampled: Option<Tick>,
+    /// Up to where bursts were taken for played without telemetry: older samples come too late.
+    followed: Tick,
     /// Bursts and pulses of strokes forgotten since the device's counters were last heard.
     unheard: (u64, u64),
     /// Samples before this still show motion from before the last cut; none if pins are not at rest yet.
@@ -42,6 +43,7 @@ impl Hold {
         Self {
             motors: std::array::from_fn(|_| Servo::new(&Gains::default())),
             sampled: None,
+            followed: Tick(0),
             unheard: (0, 0),
             valid_from: None,
         }
@@ -50,7 +52,7 @@ impl Hold {
     /// What was queued is flushed, pins are being returned: what telemetry shows until they are at rest means nothing.
     pub(super) fn cut(&mut self) {
         self.motors.iter_mut().for_each(Servo::cut);
-        self.sampled = None;
+        (self.sampled, self.followed) = (None, Tick(0));
         self.valid_from = None;
     }
 
@@ -162,7 +164,8 @@ impl Hold {
 
     /// Displacements in 0.01 µm. Tells what bursts have come to.
     pub(super) fn telemetry(&mut self, tick: Tick, y: &[i32; MOTORS], mut over: impl FnMut(Traveled)) {
-        if self.valid_from.is_none_or(|from| tick < from) || self.sampled.is_some_and(|last| tick <= last) {
+        let old = self.sampled.is_some_and(|last| tick <= last) || tick < self.followed;
+        if old || self.valid_from.is_none_or(|from| tick < from) {
             return;
         }
         self.sampled = Some(tick);
@@ -188,6 +191,7 @@ impl Hold {
             for motor in &mut self.motors {
                 motor.follow(past, |_| (), |stroke| count(unheard, stroke));
             }
+            self.followed = past;
         }
         let mut next = self.motors.iter().filter_map(Servo::next);
         if next.all(|next| next > now + DUE) {

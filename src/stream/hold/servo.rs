@@ -33,9 +33,9 @@ pub(in crate::stream) const DUE: u64 = LATEST + TICK_HZ as u64 / 1000 * 3 / 2;
 /// three corrections.
 pub(in crate::stream) const EARLIEST: u64 = DUE + TICK_HZ as u64 / 1000 * 2;
 /// Telemetry older than this steers nothing and is not waited for.
-pub(super) const LONGEST_AGE: u64 = TICK_HZ as u64 / 2;
-/// Strokes of one motor that may begin in [`LONGEST_AGE`].
-const PAST: usize = 160;
+pub(in crate::stream) const LONGEST_AGE: u64 = TICK_HZ as u64 * 5 / 4;
+/// Strokes of one motor that may begin in [`LONGEST_AGE`], at 300 Hz.
+const PAST: usize = 400;
 /// Where there is no room to lengthen a burst, the top is lowered by so many standard deviations of a burst's scatter.
 const HEADROOM: f64 = 0.5;
 /// How far gains up and down may differ by themselves, one standard deviation; for dead reckoning.
@@ -253,7 +253,7 @@ impl Servo {
             if burst.start >= tick {
                 break;
             }
-            if !next.accepted {
+            if !next.accepted && half == 0 {
                 // The device had not taken it in time.
                 self.withdrawn(next.stroke.up);
                 continue;

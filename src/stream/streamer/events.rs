@@ -50,9 +50,7 @@ impl Streamer {
                     // Who reads the answer finds everything as it stands after it.
                     tell(Notice::Snapshot(self.snapshot(now)));
                     answer(done.ticket, result.map_err(Refused::Device), tell);
-                    if matches!(done.op, Op::Move { .. }) {
-                        self.moved(now, result.map_err(Refused::Device), tell);
-                    }
+                    self.moved(now, done.op, result.map_err(Refused::Device), tell);
                     // It may have been disarmed while the command was on its way.
                     if let (true, Some((status, _))) = (self.controls.is_empty(), self.status)
                         && !matches!(status.state, State::Armed | State::Returning)

@@ -31,8 +31,8 @@ pub(super) struct Homing {
     moved: bool,
     /// A pin is further off than moves may take it.
     beyond: bool,
-    /// The move under way, from when it was sent: direction and pulses.
-    moving: Option<(Direction, u16)>,
+    /// A move was sent and not answered.
+    moving: bool,
     /// When the last move is over.
     until: Tick,
 }
@@ -57,32 +57,28 @@ impl Streamer {
             motor: 0,
             moved: false,
             beyond: false,
-            moving: None,
+            moving: false,
             until: tick,
         });
         Ok(None)
     }
 
-    /// The device has answered a move.
-    pub(super) fn moved(&mut self, now: HostInstant, result: Result<(), Refused>, tell: Tell<'_>) {
-        let Some(homing) = &mut self.homing else { return };
-        let Some((direction, pulses)) = homing.moving.take() else { return };
-        match result {
-            // The others come home all the same.
-            Err(Refused::Device(Refusal::Travel)) => {
-                homing.beyond = true;
-                homing.motor += 1;
-                return;
-            }
-            Err(refused) => return self.end_homing(Err(refused), tell),
-            Ok(()) => {}
+    /// The device has answered a move, which may have been the last one of a homing that was given up.
+    pub(super) fn moved(&mut self, now: HostInstant, op: Op, result: Result<(), Refused>, tell: Tell<'_>) {
+        let Op::Move { motor, direction, pulses } = op else { return };
+        let over = self.tick_at(now).unwrap_or_default() + u64::from(pulses) + SETTLED;
+        if result.is_ok() {
+            self.hold.moved(motor, direction, pulses, over);
         }
-        let tick = self.session.as_ref().and_then(|session| session.clock().tick_at(now)).unwrap_or_default();
-        homing.until = tick + u64::from(pulses) + SETTLED;
-        let motor = homing.motor;
-        homing.moved = true;
+        let Some(homing) = &mut self.homing else { return };
+        homing.moving = false;
         homing.motor += 1;
-        self.hold.moved(motor, direction, pulses, homing.until);
+        match result {
+            Ok(()) => (homing.moved, homing.until) = (true, over),
+            // The others come home all the same.
+            Err(Refused::Device(Refusal::Travel)) => homing.beyond = true,
+            Err(refused) => self.end_homing(Err(refused), tell),
+        }
     }
 
     pub(super) fn end_homing(&mut self, result: Result<(), Refused>, tell: Tell<'_>) {
@@ -96,8 +92,7 @@ impl Streamer {
         if self.homing.is_none() || self.state() != State::Armed || !self.may_feed() {
             return;
         }
-        let Some(homing) =
-            self.homing.as_mut().filter(|homing| homing.moving.is_none() && tick >= homing.until)
+        let Some(homing) = self.homing.as_mut().filter(|homing| !homing.moving && tick >= homing.until)
         else {
             return;
         };
@@ -109,7 +104,7 @@ impl Streamer {
                 let direction = if um > 0.0 { Direction::Down } else { Direction::Up };
                 let pulses = (um.abs() / (UM_PER_PULSE * self.hold.gain(homing.motor, direction))).round();
                 let pulses = pulses.clamp(1.0, 3000.0) as u16;
-                homing.moving = Some((direction, pulses));
+                homing.moving = true;
                 let op = Op::Move { motor: homing.motor, direction, pulses };
                 self.control(now, 0, op, tell);
                 return;
