@@ -3,11 +3,12 @@
 //! It is what the loop is judged by over thousands of settings: a day of device time takes seconds. Same loop,
 //! same plant as in a play; the line's delay is part of how late corrections may come.
 
-use crate::motor::{MotorError, SquareWave};
+use crate::motor::{Excursion, MotorError, SquareWave};
 use crate::plant::{Pin, PlantConfig};
-use crate::stream::hold::{DUE, Gains, LONGEST_AGE, Servo};
-use crate::units::seconds_to_ticks;
-use firmware_protocol::stroke::{Burst, Stroke};
+use crate::stream::hold::{DUE, Doubt, Gains, LONGEST_AGE, Servo};
+use crate::units::{UM_PER_PULSE, seconds_to_ticks};
+use firmware_protocol::limits::MAX_UP_PULSES;
+use firmware_protocol::stroke::{Burst, Direction, Stroke};
 use firmware_protocol::tick::{TICK_HZ, Tick};
 use std::collections::VecDeque;
 
@@ -95,46 +96,45 @@ impl Trial {
         seconds: f64,
         mut lie: impl FnMut(Tick, i32) -> Option<i32>,
         mut tell: impl FnMut(&Period),
-    ) -> Result<Option<super::Doubt>, MotorError> {
+    ) -> Result<Option<Doubt>, MotorError> {
         let wave = SquareWave::new(self.frequency_hz, self.amplitude_um, 0.0)?;
         let Self { seed, scatter: gain_sd, transient_gain, .. } = *self;
         let config = PlantConfig { seed, gain_sd, transient_gain, ..PlantConfig::default() };
-        let mut pin = Pin::new(&config, 0).with_asymmetry(self.asymmetry).at(self.offset_um);
+        let pin = Pin::new(&config, 0).with_asymmetry(self.asymmetry).at(self.offset_um);
         let mut servo = Servo::new(&self.gains);
         let start = Tick::BOOT;
         let end = start + seconds_to_ticks(seconds);
         let (lead, age) = (seconds_to_ticks(self.lead_ms / 1000.0), seconds_to_ticks(self.age_ms / 1000.0));
-        let to_stroke = |excursion: crate::motor::Excursion| {
-            let pulses = excursion.pulses.min(3000) as u16;
-            // A window's length after the beginning the shaft is known to be at rest.
-            let (up, down) = (start + excursion.up + 2 * DUE, start + excursion.down + 2 * DUE);
+        let to_stroke = |excursion: Excursion| {
+            let pulses = excursion.pulses.min(MAX_UP_PULSES.into()) as u16;
+            // The first one is late enough to be corrected.
+            let first = start + 2 * DUE;
+            let (up, down) = (first + excursion.up, first + excursion.down);
             Stroke { motor: 0, up, up_pulses: pulses, down, down_pulses: pulses }
         };
         let mut strokes = wave.excursions().map(to_stroke);
         let mut next = strokes.next();
-        let mut queue: VecDeque<(Stroke, u16)> = VecDeque::new();
+        let mut motor = Motor { pin, queue: VecDeque::new(), half: 0, top_um: 0.0 };
         let mut samples: VecDeque<(Tick, i32)> = VecDeque::new();
-        let (mut sampled, mut half, mut number, mut top_um) = (start, 0, 0_u64, 0.0);
+        let (mut sampled, mut number, mut now) = (start, 0_u64, start);
         let sample_tick =
             |number: u64| start + (number as f64 * f64::from(TICK_HZ) / self.telemetry_hz) as u64;
-        let mut now = start;
         while now < end {
             now = now + WAKE_UP;
             while let Some(stroke) = next.filter(|stroke| stroke.up < now + lead.max(2 * DUE)) {
                 servo.sent(&stroke, self.closed, |_| ());
                 servo.accepted(stroke.up);
-                queue.push_back((stroke, stroke.up_pulses));
+                motor.queue.push_back((stroke, stroke.up_pulses));
                 next = strokes.next();
             }
             loop {
                 let sample = sample_tick(number);
-                let burst = queue.front().map(|(stroke, _)| stroke.bursts()[half]);
-                let until = sample.min(now);
-                if let Some(burst) = burst.filter(|burst| burst.start <= until) {
-                    pin.play(burst);
-                    self.played(&pin, burst, &mut queue, &mut half, &mut top_um, start, &mut tell);
+                if let Some(burst) = motor.next().filter(|burst| burst.start <= sample.min(now)) {
+                    if let Some(period) = motor.play(burst, start) {
+                        tell(&period);
+                    }
                 } else if sample <= now {
-                    samples.extend(lie(sample, pin.quanta(sample)).map(|y| (sample, y)));
+                    samples.extend(lie(sample, motor.pin.quanta(sample)).map(|y| (sample, y)));
                     number += 1;
                 } else {
                     break;
@@ -146,47 +146,58 @@ impl Trial {
                 servo.telemetry(tick, f64::from(y) * 0.01, |_| ());
                 sampled = tick;
             }
-            let free = || next.map_or(end, |stroke| stroke.up);
-            let fresh = now - sampled <= LONGEST_AGE;
-            if servo.next().is_none_or(|next| next > now + DUE) {
-                continue;
+            if servo.next().is_some_and(|next| next <= now + DUE) {
+                let free = || next.map_or(end, |stroke| stroke.up);
+                let fresh = now - sampled <= LONGEST_AGE;
+                servo.correct(now, free, fresh, |up, direction, pulses| motor.amend(up, direction, pulses));
             }
-            servo.correct(now, free, fresh, |up, direction, pulses| {
-                let found = queue.iter_mut().find(|(stroke, _)| stroke.up == up);
-                let Some((stroke, _)) = found else { return false };
-                match direction {
-                    firmware_protocol::stroke::Direction::Up => stroke.up_pulses = pulses,
-                    firmware_protocol::stroke::Direction::Down => stroke.down_pulses = pulses,
-                }
-                true
-            });
         }
         Ok(servo.doubt())
     }
+}
 
-    #[expect(clippy::too_many_arguments, reason = "the state of a run, in one place only")]
-    fn played(
-        &self,
-        pin: &Pin,
-        burst: Burst,
-        queue: &mut VecDeque<(Stroke, u16)>,
-        half: &mut usize,
-        top_um: &mut f64,
-        start: Tick,
-        tell: &mut impl FnMut(&Period),
-    ) {
-        let position = pin.position_um(burst.end());
-        if *half == 0 {
-            *top_um = position;
-        } else if let Some((stroke, planned)) = queue.pop_front() {
-            tell(&Period {
-                up: stroke.up - start,
-                planned_um: f64::from(planned) * crate::units::UM_PER_PULSE,
-                top_um: *top_um,
-                rest_um: position,
-                pulses: [stroke.up_pulses, stroke.down_pulses],
-            });
+/// The device: strokes as they will be played, and the pin.
+struct Motor {
+    pin: Pin,
+    /// Strokes, and their pulses as planned.
+    queue: VecDeque<(Stroke, u16)>,
+    /// Which burst of the first stroke is next.
+    half: usize,
+    top_um: f64,
+}
+
+impl Motor {
+    fn next(&self) -> Option<Burst> {
+        self.queue.front().map(|(stroke, _)| stroke.bursts()[self.half])
+    }
+
+    /// Plays the next burst; a down burst ends a period.
+    fn play(&mut self, burst: Burst, start: Tick) -> Option<Period> {
+        self.pin.play(burst);
+        let um = self.pin.position_um(burst.end());
+        self.half = 1 - self.half;
+        if burst.direction == Direction::Up {
+            self.top_um = um;
+            return None;
         }
-        *half = 1 - *half;
+        let (stroke, planned) = self.queue.pop_front()?;
+        Some(Period {
+            up: stroke.up - start,
+            planned_um: f64::from(planned) * UM_PER_PULSE,
+            top_um: self.top_um,
+            rest_um: um,
+            pulses: [stroke.up_pulses, stroke.down_pulses],
+        })
+    }
+
+    fn amend(&mut self, up: Tick, direction: Direction, pulses: u16) -> bool {
+        let Some((stroke, _)) = self.queue.iter_mut().find(|(stroke, _)| stroke.up == up) else {
+            return false;
+        };
+        match direction {
+            Direction::Up => stroke.up_pulses = pulses,
+            Direction::Down => stroke.down_pulses = pulses,
+        }
+        true
     }
 }
