@@ -264,6 +264,10 @@ fn loop_table(tradeoff: &HoldTradeoff) -> Vec<String> {
             summary.doubts
         ),
     ];
+    lines.push(format!(
+        "If samples count as a millisecond fresher, as between two wake-ups they may be, {} rest errors exceed the limit.",
+        summary.strict_rest_misses
+    ));
     let bias = |bias: &Bias| {
         let (mean, error) = (100.0 * bias.amplitude_error, 100.0 * bias.amplitude_se);
         format!("{mean:+.2} % at scatter {} (known to {error:.2})", bias.scatter)
@@ -330,4 +334,43 @@ fn worst_cells(tradeoff: &HoldTradeoff) -> Vec<String> {
         lines.push(format!("So do {} more, which --json names.", missed.len() - NAMED));
     }
     lines
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::stream::Doubt;
+
+    #[test]
+    fn what_does_not_hold_is_named_the_worst_first() {
+        let grid = HoldGrid {
+            frequencies_hz: vec![60.0],
+            amplitudes_um: vec![80.0],
+            leads_ms: vec![20.0, 100.0],
+            ages_ms: vec![1.0, 20.0],
+            scatters: vec![0.1],
+            asymmetries: vec![0.02],
+            telemetry_hz: vec![1000.0],
+            seconds: 4.0,
+            periods: 0.0,
+        };
+        let mut found = report::hold_tradeoff(&grid, &|_| ()).unwrap();
+        let text = loop_table(&found).join("\n");
+        assert!(!text.contains("Does not hold") && text.contains("the lead makes no difference"), "{text}");
+        assert!(text.contains("0 do not hold") && text.ends_with(&found.recommendation), "{text}");
+        for row in &mut found.rows {
+            (row.verdict, row.rest_rms_um) = (Verdict::Misses, 2.0 * row.limit_um);
+        }
+        found.rows[1].doubt = Some(Doubt::Gain);
+        // Of two leads that make no difference one is told.
+        let lines = worst_cells(&found);
+        assert_eq!(lines.len(), 2, "{lines:?}");
+        assert!(
+            lines[0].contains("telemetry 20 ms old") && lines[0].contains("given up: its telemetry"),
+            "{lines:?}"
+        );
+        assert!(lines[1].contains("60 Hz, 80 um, telemetry 1 ms old, scatter 0.1"), "{lines:?}");
+        found.summary.leads_alike = false;
+        assert_eq!(worst_cells(&found).len(), 4);
+    }
 }

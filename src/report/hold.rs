@@ -167,8 +167,11 @@ pub struct HoldRow {
     pub room: f64,
     /// Root mean square of the true rest error.
     pub rest_rms_um: f64,
-    /// The least there can be.
+    /// The least there can be, at `delay_ms` and the planned amplitude.
     pub bound_um: f64,
+    /// The same with samples a millisecond fresher: between two wake-ups a burst may come closer by so much before its count
+    /// is settled, and in a trial samples come with the wake-ups.
+    pub strict_bound_um: f64,
     /// What [`Self::rest_rms_um`] is held against.
     pub limit_um: f64,
     /// Of the mean amplitude, top less the mean of the rests beside it, relative to what was planned.
@@ -264,8 +267,10 @@ impl HoldRow {
         let half_period_um = f64::from(TICK_HZ) / 2.0 / trial.frequency_hz * UM_PER_PULSE;
         let room = half_period_um / planned_um;
         let rest_rms_um = mean(periods.iter().map(|period| period.rest_um.powi(2))).sqrt();
-        let bound_um =
-            rest_bound_um(trial.frequency_hz, planned_um, trial.scatter, delay_ms, trial.telemetry_hz);
+        let bound = |delay_ms: f64| {
+            rest_bound_um(trial.frequency_hz, planned_um, trial.scatter, delay_ms, trial.telemetry_hz)
+        };
+        let bound_um = bound(delay_ms);
         let limit_um = match trial.scatter {
             0.0 => CALM_UM,
             ..=SCATTER => RATIO * bound_um,
@@ -304,6 +309,7 @@ impl HoldRow {
             room,
             rest_rms_um,
             bound_um,
+            strict_bound_um: bound(delay_ms - 1.0),
             limit_um,
             amplitude_error,
             amplitude_se,
@@ -323,6 +329,11 @@ impl HoldRow {
     fn amplitude_beyond(&self) -> f64 {
         self.amplitude_limit
             .map_or(0.0, |limit| self.amplitude_error.abs() - limit - CHANCE * self.amplitude_se)
+    }
+
+    /// Whether the rest error would be beyond its limit if that went by the strict bound.
+    fn misses_strictly(&self) -> bool {
+        self.rest_rms_um > self.limit_um * (self.strict_bound_um / self.bound_um)
     }
 
     /// How far it is beyond its worst limit: above 1 it does not hold.

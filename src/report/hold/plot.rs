@@ -1,5 +1,5 @@
 //! The rest error against telemetry's age and against its rate as an SVG, one above the other: the bound as a line, what
-//! was measured as discs on or above it.
+//! was measured as discs. Where there is no room, bursts are shorter than planned and scatter less than the bound takes them to.
 //!
 //! Invariant: the same figures make the same bytes.
 
@@ -18,14 +18,14 @@ pub fn plot_hold(tradeoff: &HoldTradeoff) -> Result<String, PlotError> {
     let rates: Vec<_> = tradeoff.rates.iter().collect();
     stacked(&[
         chart(
-            "Rest error at 80 um and 10 % scatter against telemetry's age (lines: the least there can be)",
+            "Rest error at 80 um and 10 % scatter against telemetry's age (lines: bound)",
             "age of telemetry, ms",
             &ages,
             |row| row.age_ms,
             SeriesLabelPosition::UpperLeft,
         ),
         chart(
-            "Rest error at 80 um and 10 % scatter against telemetry's rate (lines: the least there can be)",
+            "Rest error at 80 um and 10 % scatter against telemetry's rate (lines: bound)",
             "telemetry, samples per second",
             &rates,
             |row| row.telemetry_hz,

@@ -21,11 +21,13 @@ pub struct HoldSummary {
     pub chance: usize,
     /// Beyond a limit.
     pub miss: usize,
-    /// Of those: rest errors.
+    /// Of those: by their rest errors.
     pub rest_misses: usize,
-    /// And amplitudes, by more than chance explains.
+    /// Rest errors that would be beyond their limit by [`HoldRow::strict_bound_um`].
+    pub strict_rest_misses: usize,
+    /// Amplitudes beyond their limit by more than chance explains.
     pub amplitude_misses: usize,
-    /// And motors whose honest telemetry was given up.
+    /// Motors whose honest telemetry was given up.
     pub doubts: usize,
     /// Whether cells that differ by their lead alone have the same figures, to the last bit.
     pub leads_alike: bool,
@@ -98,6 +100,7 @@ impl HoldSummary {
             chance: count(&|row| row.verdict == Verdict::Chance),
             miss: count(&|row| !chance_or_holds(row)),
             rest_misses: count(&rest),
+            strict_rest_misses: count(&HoldRow::misses_strictly),
             amplitude_misses: count(&|row| row.amplitude_beyond() > 0.0),
             doubts: count(&|row| row.doubt.is_some()),
             biases: biases(rows),
