@@ -32,6 +32,8 @@ mod figures;
 mod gains;
 /// A real daemon in a directory of its own, for the others.
 mod harness;
+/// `tradeoff --loop`: a corner of its grid within the limits, the same bytes on any cores, its document and plot.
+mod hold;
 /// The same bits whatever the threads, the order of receptors, the blocks, and what is skipped.
 mod independence;
 /// The order of the rooms.

@@ -1,12 +1,15 @@
 //! The command that weighs one thing against another. It asks no daemon.
 //!
 //! Without a flag the methods of the simulator are compared on a scene, time against error; with `--stream` the streamer's
-//! leads under recorded stalls. One of these at a time: each is a member of the group `what`, and a variant of
+//! leads under recorded stalls; with `--loop` the closed loop's rest errors against their bound. One of these at a time: each is a member of the group `what`, and a variant of
 //! [`What`]. What is measured and what is recommended is `report`'s; here it is laid out.
 
 use super::{Output, files, give, progress, simulate, text};
 use crate::optimise::YARDSTICK;
-use crate::report::{self, LEADS_MS, LeadRow, LeadTradeoff, MAX_TRACE_BYTES, STALLS, Trace};
+use crate::report::{
+    self, Bias, HoldGrid, HoldRow, HoldTradeoff, LEADS_MS, LeadRow, LeadTradeoff, MAX_TRACE_BYTES, STALLS,
+    Trace, Verdict, WireRow, Worst,
+};
 use crate::simulate::Scene;
 use crate::stream::port::End;
 use anyhow::Result;
@@ -23,9 +26,12 @@ pub(super) struct Tradeoff {
     /// Not a scene: the streamer's lead against late bursts, onsets and bytes, in virtual time under recorded stalls
     #[arg(long, group = "what")]
     stream: bool,
+    /// Not a scene: the closed loop's rest errors and amplitudes against what is possible, over all settings (minutes)
+    #[arg(long = "loop", group = "what")]
+    closed_loop: bool,
     /// With --stream: stalls recorded on another machine, by the example `record_stalls`
     // What is required is not missed where it would conflict: so the conflict is said, too.
-    #[arg(long, value_name = "FILE", requires = "stream", conflicts_with = "scene")]
+    #[arg(long, value_name = "FILE", requires = "stream", conflicts_with_all = ["scene", "closed_loop"])]
     trace: Option<PathBuf>,
     /// Draw it into this file (SVG)
     #[arg(long, value_name = "FILE")]
@@ -40,11 +46,17 @@ enum What<'a> {
     Methods(Option<&'a Path>),
     /// The streamer's leads, on a trace.
     Leads(Option<&'a Path>),
+    /// The closed loop, at all settings.
+    Loop,
 }
 
 impl Tradeoff {
     fn what(&self) -> What<'_> {
-        if self.stream { What::Leads(self.trace.as_deref()) } else { What::Methods(self.scene.as_deref()) }
+        match (self.stream, self.closed_loop) {
+            (true, _) => What::Leads(self.trace.as_deref()),
+            (_, true) => What::Loop,
+            _ => What::Methods(self.scene.as_deref()),
+        }
     }
 }
 
@@ -68,6 +80,10 @@ pub(super) fn run(asked: &Tradeoff) -> Result<ExitCode> {
             };
             let measure = || Ok(progress::metered(|at| report::lead_tradeoff(&trace, &LEADS_MS, at)));
             answer(asked, measure, report::plot_lead, leads_table)
+        }
+        What::Loop => {
+            let measure = || Ok(progress::metered(|at| report::hold_tradeoff(&HoldGrid::default(), at))?);
+            answer(asked, measure, report::plot_hold, loop_table)
         }
     }
 }
@@ -189,4 +205,172 @@ fn leads_table(tradeoff: &LeadTradeoff) -> Vec<String> {
     }
     lines.push(tradeoff.recommendation.clone());
     lines
+}
+
+/// At most so many of the worst cells are named.
+const NAMED: usize = 8;
+
+fn loop_table(tradeoff: &HoldTradeoff) -> Vec<String> {
+    let head = [
+        "Hz",
+        "scatter",
+        "hold",
+        "of",
+        "rest/bound",
+        "at most",
+        "where: um",
+        "age ms",
+        "asymmetry",
+        "amplitude %",
+    ];
+    let row = |worst: &Worst| {
+        vec![
+            worst.frequency_hz.to_string(),
+            worst.scatter.to_string(),
+            worst.hold.to_string(),
+            worst.cells.to_string(),
+            format!("{:.2}", worst.ratio),
+            format!("{:.1}", worst.limit),
+            worst.amplitude_um.to_string(),
+            worst.age_ms.to_string(),
+            worst.asymmetry.to_string(),
+            figure(worst.amplitude_error.map(|share| 100.0 * share), 2),
+        ]
+    };
+    let summary = &tradeoff.summary;
+    let leads = if summary.leads_alike {
+        "the lead makes no difference, to the last bit"
+    } else {
+        "the lead makes a difference"
+    };
+    let mut lines = vec![
+        format!(
+            "The closed loop at {} settings, one motor in device time. The worst of each frequency and scatter: rest error \
+             RMS over the least there can be (without scatter: in pulses), and the mean amplitude's error where half a \
+             period is 1.3 bursts or longer; {leads}",
+            summary.cells
+        ),
+        text::columns(&head, summary.worst.iter().map(row)),
+        format!(
+            "{} of {} settings hold; at {} more the amplitude is off by more than 1 % or half a pulse, but by no more than \
+             chance explains (2.5 standard errors); {} do not hold: {} by their rest error, {} by their amplitude, {} \
+             because honest telemetry was not believed.",
+            summary.hold,
+            summary.cells,
+            summary.chance,
+            summary.miss,
+            summary.rest_misses,
+            summary.amplitude_misses,
+            summary.doubts
+        ),
+    ];
+    lines.push(format!(
+        "If samples count as a millisecond fresher, as between two wake-ups they may be, {} rest errors exceed the limit.",
+        summary.strict_rest_misses
+    ));
+    let bias = |bias: &Bias| {
+        let (mean, error) = (100.0 * bias.amplitude_error, 100.0 * bias.amplitude_se);
+        format!("{mean:+.2} % at scatter {} (known to {error:.2})", bias.scatter)
+    };
+    let biases: Vec<_> = summary.biases.iter().map(bias).collect();
+    lines.push(format!("On average amplitudes that have room are off by {}.", biases.join(", ")));
+    lines.extend(worst_cells(tradeoff));
+    let head = ["Hz", "samples/s", "rest um", "bound um", "ratio"];
+    let row = |row: &HoldRow| {
+        vec![
+            row.frequency_hz.to_string(),
+            row.telemetry_hz.to_string(),
+            format!("{:.2}", row.rest_rms_um),
+            format!("{:.2}", row.bound_um),
+            format!("{:.2}", row.ratio()),
+        ]
+    };
+    lines.push("Telemetry's rate, at 80 um and 10 % scatter:".to_owned());
+    lines.push(text::columns(&head, tradeoff.rates.iter().map(row)));
+    let head = ["wire", "B/burst", "B/s", "bursts", "amended", "rest um"];
+    let row = |(name, row): (&str, &WireRow)| {
+        vec![
+            name.to_owned(),
+            format!("{:.2}", row.bytes_per_burst),
+            format!("{:.0}", row.bytes_per_s),
+            row.bursts.to_string(),
+            row.amended.to_string(),
+            format!("{:.2}", row.rest_rms_um),
+        ]
+    };
+    let wire = &tradeoff.wire;
+    lines.push(format!("The wire, 24 motors at 60 Hz for {} s through link and controller:", wire.seconds));
+    lines.push(text::columns(&head, [("loop on", &wire.on), ("open", &wire.off)].map(row)));
+    lines.push(tradeoff.recommendation.clone());
+    lines
+}
+
+/// Settings that do not hold, the worst first; of those that differ by their lead alone, one, if leads make no difference.
+fn worst_cells(tradeoff: &HoldTradeoff) -> Vec<String> {
+    let lead_ms = tradeoff.rows.first().map(|row| row.lead_ms);
+    let told = |row: &&HoldRow| !tradeoff.summary.leads_alike || Some(row.lead_ms) == lead_ms;
+    let missed = tradeoff.rows.iter().filter(|row| row.verdict == Verdict::Misses);
+    let mut missed: Vec<_> = missed.filter(told).collect();
+    missed.sort_by(|a, b| b.over_limit().total_cmp(&a.over_limit()));
+    let line = |row: &&HoldRow| {
+        let doubt = row.doubt.map_or_else(String::new, |doubt| format!("; given up: {}", doubt.text()));
+        format!(
+            "Does not hold: {} Hz, {} um, telemetry {} ms old, scatter {}, asymmetry {}, lead {} ms: rest {:.3} um (limit \
+             {:.3}), amplitude {:+.2} % (known to {:.2}){doubt}.",
+            row.frequency_hz,
+            row.amplitude_um,
+            row.age_ms,
+            row.scatter,
+            row.asymmetry,
+            row.lead_ms,
+            row.rest_rms_um,
+            row.limit_um,
+            100.0 * row.amplitude_error,
+            100.0 * row.amplitude_se
+        )
+    };
+    let mut lines: Vec<_> = missed.iter().take(NAMED).map(line).collect();
+    if missed.len() > NAMED {
+        lines.push(format!("So do {} more, which --json names.", missed.len() - NAMED));
+    }
+    lines
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::stream::Doubt;
+
+    #[test]
+    fn what_does_not_hold_is_named_the_worst_first() {
+        let grid = HoldGrid {
+            frequencies_hz: vec![60.0],
+            amplitudes_um: vec![80.0],
+            leads_ms: vec![20.0, 100.0],
+            ages_ms: vec![1.0, 20.0],
+            scatters: vec![0.1],
+            asymmetries: vec![0.02],
+            telemetry_hz: vec![1000.0],
+            seconds: 4.0,
+            periods: 0.0,
+        };
+        let mut found = report::hold_tradeoff(&grid, &|_| ()).unwrap();
+        let text = loop_table(&found).join("\n");
+        assert!(!text.contains("Does not hold") && text.contains("the lead makes no difference"), "{text}");
+        assert!(text.contains("0 do not hold") && text.ends_with(&found.recommendation), "{text}");
+        for row in &mut found.rows {
+            (row.verdict, row.rest_rms_um) = (Verdict::Misses, 2.0 * row.limit_um);
+        }
+        found.rows[1].doubt = Some(Doubt::Gain);
+        // Of two leads that make no difference one is told.
+        let lines = worst_cells(&found);
+        assert_eq!(lines.len(), 2, "{lines:?}");
+        assert!(
+            lines[0].contains("telemetry 20 ms old") && lines[0].contains("given up: its telemetry"),
+            "{lines:?}"
+        );
+        assert!(lines[1].contains("60 Hz, 80 um, telemetry 1 ms old, scatter 0.1"), "{lines:?}");
+        found.summary.leads_alike = false;
+        assert_eq!(worst_cells(&found).len(), 4);
+    }
 }

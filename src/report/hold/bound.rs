@@ -80,12 +80,14 @@ pub fn rest_bound_um(
 fn solve(mut matrix: Vec<Vec<f64>>, mut right: Vec<f64>) -> Vec<f64> {
     let count = right.len();
     for pivot in 0..count {
-        for row in pivot + 1..count {
-            let factor = matrix[row][pivot] / matrix[pivot][pivot];
-            for column in pivot..count {
-                matrix[row][column] -= factor * matrix[pivot][column];
+        let (above, below) = matrix.split_at_mut(pivot + 1);
+        let above = &above[pivot];
+        for (row, line) in below.iter_mut().enumerate() {
+            let factor = line[pivot] / above[pivot];
+            for (cell, of) in line.iter_mut().zip(above).skip(pivot) {
+                *cell -= factor * of;
             }
-            right[row] -= factor * right[pivot];
+            right[pivot + 1 + row] -= factor * right[pivot];
         }
     }
     for row in (0..count).rev() {
