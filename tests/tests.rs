@@ -50,6 +50,8 @@ mod oracle;
 mod patterns;
 /// The simulated shafts: scatter, end stops, telemetry, and times a month away.
 mod plant;
+/// What was felt of plays as they were measured: with the loop and without, cut, unmeasured.
+mod played;
 /// A whole session through a pseudo-terminal and the serial transport; the daemon ended and killed in mid-play.
 mod pty;
 /// Orders that cross each other, the device's word, and the end of a lease: nothing comes to life that is over.

@@ -6,8 +6,9 @@
 
 use crate::api::Status;
 use crate::array::{COLUMNS, ROWS};
+use crate::optimise::Felt;
 use crate::pattern::Drive;
-use crate::record::{Event, NO_DEVICE, Receipt};
+use crate::record::{Event, FeltRecord, NO_DEVICE, Receipt};
 use crate::report::figures::stretches;
 use comfy_table::presets::{NOTHING, UTF8_FULL};
 use comfy_table::{CellAlignment, Table};
@@ -70,7 +71,26 @@ pub(super) fn receipt(receipt: &Receipt) -> String {
         let worst = errors.iter().fold(0.0_f32, |worst, error| worst.max(error.abs()));
         lines.push(("rest error", format!("{worst:.2} um at worst, as estimated")));
     }
+    lines.extend(felt(receipt.felt.as_ref(), receipt.felt_unknown.as_deref()).map(|text| ("felt", text)));
     pairs(&lines)
+}
+
+/// What was felt of a play, if that was looked at: contrast if it has a target, else the mean rate.
+fn felt(felt: Option<&FeltRecord>, unknown: Option<&str>) -> Option<String> {
+    let Some(FeltRecord { felt, unmeasured }) = felt else {
+        return unknown.map(|why| format!("not known: {why}"));
+    };
+    let Felt { seconds, played_hz, designed_hz, .. } = felt;
+    let (what, played, designed) = match (played_hz.contrast, designed_hz.contrast) {
+        (Some(played), Some(designed)) => ("contrast", played, designed),
+        _ => ("mean rate", played_hz.all, designed_hz.all),
+    };
+    let missing = match unmeasured {
+        0 => String::new(),
+        count => format!("; {count} bursts not measured"),
+    };
+    let seconds = (seconds * 1000.0).round() / 1000.0;
+    Some(format!("{what} {played:.1} of {designed:.1} impulses/s as designed, over {seconds} s{missing}"))
 }
 
 /// What a device without telemetry comes to, and what to do.
@@ -141,6 +161,9 @@ pub(super) fn event(event: &Event) -> String {
         Event::Ended { receipt } => {
             let cause = receipt.cause.as_ref().map_or_else(String::new, |cause| format!(" ({cause})"));
             format!("ended: {} {}{cause}", receipt.id, receipt.state.name())
+        }
+        Event::Felt { id, felt: of, felt_unknown } => {
+            format!("felt: {id}, {}", felt(of.as_ref(), felt_unknown.as_deref()).unwrap_or_default())
         }
         Event::Doubted { motor, doubt } => {
             format!("doubted: motor {motor}, {}; it plays in open loop until the next arm", doubt.text())

@@ -5,15 +5,18 @@
 //! about motors: the streamer and the controller do.
 //!
 //! Bounds: the order ring (a full one is [`Code::Busy`]), [`EVENTS`] for a slow listener (then it lags), what
-//! [`Recorder`] keeps, and the tickets of the last [`LOST`].
+//! [`Recorder`] keeps, what [`Travels`] does, and the tickets of the last [`LOST`].
 //!
 //! Invariant: a play is in the record before the streamer can speak of it.
 
 use super::connect::Word;
+use super::felt::{Asked, Feeler};
 use crate::api::{Code, MotorStatus, PlayRequest, Problem, Status, Waiting};
 use crate::device::Device;
 use crate::device::mock::Truth;
-use crate::record::{Event, PlayState, Receipt, Recorder, Travels};
+use crate::optimise::MOST_OBSERVED_S;
+use crate::pattern::Pattern;
+use crate::record::{Event, FeltRecord, Look, PlayState, Receipt, Recorder, Travels, Unfelt};
 use crate::store::Stored;
 use crate::stream::port::{At, Job, Notice, Notices, Order, Orders, Play, Refused};
 use crate::stream::{Need, Settings};
@@ -24,7 +27,7 @@ use std::collections::HashMap;
 use std::io;
 use std::os::fd::{AsFd, OwnedFd};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::io::Interest;
 use tokio::io::unix::AsyncFd;
 use tokio::sync::{broadcast, oneshot};
@@ -38,6 +41,11 @@ const PATIENCE: Duration = Duration::from_secs(1);
 const LOST: Duration = Duration::from_secs(30);
 /// Shutting down it waits for the device for a second itself.
 const LAST_PATIENCE: Duration = Duration::from_millis(1500);
+
+/// So long after a play the streamer is woken: by then the device has told what its last bursts came to.
+const MEASURED: Duration = Duration::from_millis(300);
+/// So long after that it is looked at.
+const READ: Duration = Duration::from_millis(50);
 
 /// Where an answer comes.
 pub(super) type Reply = oneshot::Receiver<Result<(), Refused>>;
@@ -53,7 +61,9 @@ struct Ticket {
 #[derive(Debug)]
 pub(super) struct Inner {
     pub(super) recorder: Recorder,
-    pub(super) travels: Travels,
+    travels: Travels,
+    /// Plays that were not looked at yet: what is played, and whether the device measures.
+    unseen: HashMap<u64, (Arc<Pattern>, bool)>,
     orders: Orders,
     last_ticket: u64,
     last_estop: u64,
@@ -84,6 +94,7 @@ impl Engine {
         let inner = Inner {
             recorder: Recorder::default(),
             travels: Travels::default(),
+            unseen: HashMap::new(),
             orders,
             last_ticket: 0,
             last_estop: 0,
@@ -159,6 +170,8 @@ impl Engine {
             inner.last_play += 1;
             let id = inner.last_play;
             inner.recorder.offer(Receipt::new(id, stored.pattern.name(), &stored.sha256, request.seconds));
+            let telemetry = inner.recorder.device().is_some_and(|device| device.telemetry);
+            inner.unseen.insert(id, (Arc::new(stored.pattern.clone()), telemetry));
             let play = Box::new(Play { id, strokes, at, late: late.into(), replace, open_loop, need });
             let sent = inner.send(Job::Play(play), Some(id));
             if sent.is_err() {
@@ -211,11 +224,35 @@ impl Engine {
         Some((inner.recorder.state(HostInstant::now()), receiver))
     }
 
-    /// Takes in notices until the streamer ends.
-    pub(super) async fn pump(self: Arc<Self>, mut notices: Notices) -> io::Result<()> {
+    pub(super) fn is_closing(&self) -> bool {
+        self.lock().closing
+    }
+
+    /// It is known what was felt of a play, or why not.
+    pub(super) fn felt(&self, id: u64, felt: Result<FeltRecord, Unfelt>) {
+        let mut inner = self.lock();
+        if let Some(event) = inner.recorder.felt(id, felt) {
+            inner.publish(&event);
+        }
+    }
+
+    /// Takes in notices until the streamer ends, and has plays looked at when their bursts have been measured.
+    pub(super) async fn pump(self: Arc<Self>, mut notices: Notices, feeler: Feeler) -> io::Result<()> {
         let bell = bell(&notices)?;
+        // When to look at which play, and whether the streamer has been woken for it.
+        let mut due: Vec<(Instant, u64, bool)> = Vec::new();
         loop {
-            bell.readable().await?.clear_ready();
+            let next = due.iter().map(|(at, ..)| *at).min();
+            let wait = async {
+                match next {
+                    Some(at) => tokio::time::sleep_until(at.into()).await,
+                    None => std::future::pending().await,
+                }
+            };
+            tokio::select! {
+                ready = bell.readable() => ready?.clear_ready(),
+                () = wait => {}
+            }
             // Silenced before it is drained: what comes in between rings again.
             notices.silence();
             {
@@ -229,12 +266,51 @@ impl Engine {
                     return Ok(());
                 }
                 let (event, quiet) = self.lock().take(notice);
+                match &event {
+                    // Later its first minute is forgotten.
+                    Some(Event::Began { id, .. }) => {
+                        due.push((
+                            Instant::now() + Duration::from_secs_f64(MOST_OBSERVED_S) + MEASURED,
+                            *id,
+                            false,
+                        ));
+                    }
+                    Some(Event::Ended { receipt }) => {
+                        due.retain(|(_, id, _)| *id != receipt.id);
+                        due.push((Instant::now() + MEASURED, receipt.id, false));
+                    }
+                    _ => {}
+                }
                 // After it is passed on, and outside of the lock: the log may be slow.
                 if let Some(event) = event.filter(|_| !quiet) {
                     log(&event);
                 }
             }
+            let now = Instant::now();
+            for (at, id, woken) in due.iter_mut().filter(|(at, ..)| *at <= now) {
+                if *woken {
+                    self.look(&feeler, *id);
+                } else {
+                    (*at, *woken) = (now + READ, true);
+                    self.lock().orders.nudge();
+                }
+            }
+            due.retain(|(at, ..)| *at > now);
         }
+    }
+
+    /// Has a play looked at, if that was not done yet.
+    fn look(self: &Arc<Self>, feeler: &Feeler, id: u64) {
+        let (asked, bursts) = {
+            let mut inner = self.lock();
+            let Some((pattern, telemetry)) = inner.unseen.remove(&id) else { return };
+            let Some(receipt) = inner.recorder.receipt(id).cloned() else { return };
+            let look = Look::at(&receipt, &pattern);
+            let bursts = look.map(|look| inner.travels.within(look.onset, look.until()).copied().collect());
+            let bursts: Vec<_> = bursts.unwrap_or_default();
+            (Asked { pattern, receipt, telemetry }, bursts)
+        };
+        feeler.look(self, asked, bursts);
     }
 
     /// `GET /v1/status`.
@@ -320,9 +396,8 @@ impl Inner {
             }
             other => self.recorder.take(other),
         };
-        if let (Some(event), Some(events)) = (&event, &self.events) {
-            // Nobody listens: nothing is lost.
-            let _ = events.send(event.clone());
+        if let Some(event) = &event {
+            self.publish(event);
         }
         if let Notice::Disconnected { device, .. } = notice {
             // Gone once per connection, and the connector empties its channel: it cannot be full.
@@ -335,10 +410,20 @@ impl Inner {
         (event, quiet)
     }
 
+    fn publish(&self, event: &Event) {
+        if let Some(events) = &self.events {
+            // Nobody listens: nothing is lost.
+            let _ = events.send(event.clone());
+        }
+    }
+
     /// A play was taken or not; an id that was not used names the next one.
     fn settle(&mut self, id: u64, taken: bool) -> Option<Event> {
         if !taken && id == self.last_play {
             self.last_play -= 1;
+        }
+        if !taken {
+            self.unseen.remove(&id);
         }
         self.recorder.answered(id, taken)
     }
@@ -349,6 +434,7 @@ impl Inner {
         let plays: Vec<u64> = lost.filter_map(|(_, ticket)| ticket.play).collect();
         for id in plays {
             self.recorder.answered(id, false);
+            self.unseen.remove(&id);
         }
     }
 
