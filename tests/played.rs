@@ -1,6 +1,7 @@
+use crate::felt::by_the_plant;
 use crate::rig::pattern;
 use firmware_protocol::tick::TICK_HZ;
-use meissner::optimise::MOST_OBSERVED_S;
+use meissner::optimise::{MOST_OBSERVED_S, Play, felt};
 use meissner::pattern::Pattern;
 use meissner::plant::PlantConfig;
 use meissner::record::{Look, Unfelt};
@@ -17,9 +18,9 @@ fn look<'p>(pattern: &'p Pattern, seconds: f64, played: &Rehearsed) -> Look<'p> 
 }
 
 /// A minute of a shipped edge. Without the loop pins drift to their end stops, where they go on vibrating: receptors that feel
-/// velocity lose little by that.
+/// velocity lose little by that, no more than by the loop's corrections.
 #[test]
-fn the_loop_keeps_the_contrast_of_an_edge_as_designed_and_without_it_little_is_lost() {
+fn with_the_loop_and_without_it_an_edge_has_nearly_the_contrast_as_designed() {
     let edge = pattern("edge-45");
     let plant = PlantConfig::default();
     let [closed, open] = [false, true].map(|open_loop| {
@@ -27,15 +28,21 @@ fn the_loop_keeps_the_contrast_of_an_edge_as_designed_and_without_it_little_is_l
         assert_eq!(played.outcome.bursts.played, played.outcome.bursts.planned);
         let found = look(&edge, MOST_OBSERVED_S, &played).felt(&played.travels).unwrap();
         assert_eq!((found.unmeasured, found.felt.seconds), (0, MOST_OBSERVED_S));
-        (found.felt, played.rest.max_abs_um)
+        (found.felt, played.rest.max_abs_um, played.outcome.onset.unwrap().actual)
     });
     let contrast = |rates: meissner::optimise::Rates| rates.contrast.unwrap();
     let (designed, with, without) =
         (contrast(closed.0.designed_hz), contrast(closed.0.played_hz), contrast(open.0.played_hz));
     println!("designed {designed:.2}, with the loop {with:.2}, without {without:.2} impulses/s");
     assert_eq!(closed.0.designed_hz, open.0.designed_hz);
-    assert!(designed > 150.0 && (with / designed - 1.0).abs() < 0.02, "{designed} {with}");
-    assert!(with > without && without > 0.9 * designed, "{designed} {with} {without}");
+    assert!(designed > 150.0 && (with / designed - 1.0).abs() < 0.03, "{designed} {with}");
+    assert!((without / designed - 1.0).abs() < 0.1, "{designed} {without}");
+    // What telemetry says of bursts that nobody corrects is what the shafts did.
+    let play =
+        Play { pattern: &edge, seconds: Some(MOST_OBSERVED_S), onset: open.2, observed_s: MOST_OBSERVED_S };
+    let truth = contrast(felt(&play, by_the_plant(plant, &play, u16::MAX)).unwrap().played_hz);
+    println!("in truth without {truth:.2}");
+    assert!((without - truth).abs() < 0.5, "{without} {truth}");
     // It is not that the pins did not drift.
     assert!(closed.1 < 100.0 && open.1 > 499.0, "{} {}", closed.1, open.1);
 }

@@ -9,6 +9,8 @@ mod bad_input;
 mod boards;
 /// `calibrate`: what a plan plays, gains found again on the plant, files and what is refused in them.
 mod calibrate;
+/// `calibrate` on a real daemon: played, fitted, stored, used by its own device alone.
+mod calibration;
 /// What a line carries: measured, compared with what plays need, on lines that carry it just so.
 mod capacity;
 /// A method chosen for an allowed error keeps to it.

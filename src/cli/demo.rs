@@ -85,6 +85,7 @@ pub(super) fn run(seconds: f64, open_loop: bool, json: bool) -> Result<ExitCode>
         device: Spec::Mock,
         socket: dir.path().join("demo.sock"),
         patterns: PatternsDir::None,
+        calibration: None,
         ..Config::default()
     };
     let hosted = Daemon::start(&config)?.host()?;

@@ -131,6 +131,10 @@ pub(super) fn status(status: &Status) -> String {
     if status.device.as_ref().is_some_and(|device| !device.telemetry) {
         lines.push(("telemetry", format!("{NO_TELEMETRY}; {SHORT_PLAYS}")));
     }
+    if let Some(date) = &status.calibrated {
+        let count = status.motors.iter().filter(|motor| motor.calibrated).count();
+        lines.push(("calibrated", format!("{count} of {} motors, {date}", status.motors.len())));
+    }
     if let (Some(tick), Some(uncertainty_us)) = (status.tick, status.clock_uncertainty_us) {
         lines.push(("tick", format!("{tick}, known to {uncertainty_us:.1} us")));
     }
@@ -165,6 +169,10 @@ pub(super) fn event(event: &Event) -> String {
         Event::Felt { id, felt: of, felt_unknown } => {
             format!("felt: {id}, {}", felt(of.as_ref(), felt_unknown.as_deref()).unwrap_or_default())
         }
+        Event::Calibrated { id, motors, problem: None } => {
+            format!("calibrated: {} motors by play {id}", motors.len())
+        }
+        Event::Calibrated { id, problem: Some(problem), .. } => format!("not calibrated: {id}, {problem}"),
         Event::Doubted { motor, doubt } => {
             format!("doubted: motor {motor}, {}; it plays in open loop until the next arm", doubt.text())
         }

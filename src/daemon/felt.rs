@@ -44,6 +44,11 @@ impl Feeler {
         Ok(Self { pool: pool.build()?, waiting: Arc::default() })
     }
 
+    /// Has something else computed that nobody waits for.
+    pub(super) fn compute(&self, work: impl FnOnce() + Send + 'static) {
+        self.pool.spawn(work);
+    }
+
     /// Looks at a play when those before it are done, and tells the engine.
     pub(super) fn look(&self, engine: &Arc<Engine>, asked: Asked, bursts: Vec<Traveled>) {
         let id = asked.receipt.id;

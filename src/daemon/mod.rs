@@ -6,6 +6,7 @@
 //!
 //! Invariant: however it is told to end, pins are returned and motors off before it does, and the socket is gone.
 
+mod calibrate;
 mod connect;
 mod engine;
 mod felt;
@@ -185,7 +186,13 @@ impl Daemon {
             );
         }
         let feeler = Feeler::new().map_err(io::Error::other).map_err(system("thread"))?;
-        let engine = Arc::new(Engine::new(orders, config.settings, config.device.to_string()));
+        let engine = Arc::new(Engine::new(
+            orders,
+            config.settings,
+            config.device.to_string(),
+            config.calibration.clone(),
+        ));
+        engine.recall(None);
         let connector = connect::spawn(config.device.clone(), config.mock, Arc::clone(&engine))
             .map_err(system("connector's thread"))?;
         info!("listening on {}", config.socket.display());

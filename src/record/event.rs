@@ -148,6 +148,15 @@ pub enum Event {
         /// As in its receipt.
         felt_unknown: Option<String>,
     },
+    /// A calibration was stored and is used from now on, or was not.
+    Calibrated {
+        /// The play that measured it.
+        id: u64,
+        /// The motors it measured.
+        motors: Vec<u8>,
+        /// Why nothing was stored; null if it was.
+        problem: Option<String>,
+    },
     /// The telemetry of a motor is not believed: it plays in open loop until the next `arm`.
     Doubted {
         /// Its motor.
@@ -188,6 +197,7 @@ impl Event {
             Self::Drifted { .. } => "drifted",
             Self::Ended { .. } => "ended",
             Self::Felt { .. } => "felt",
+            Self::Calibrated { .. } => "calibrated",
             Self::Lost { .. } => "lost",
             Self::Lagged { .. } => "lagged",
         }

@@ -185,6 +185,12 @@ impl Recorder {
         self.live.iter().filter(|receipt| receipt.state == PlayState::Queued)
     }
 
+    /// Whether no play was ordered, waits or runs.
+    #[must_use]
+    pub fn is_idle(&self) -> bool {
+        self.offered.is_empty() && self.live.is_empty()
+    }
+
     /// The connected device.
     #[must_use]
     pub fn device(&self) -> Option<DeviceInfo> {
