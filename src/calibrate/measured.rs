@@ -2,7 +2,7 @@
 //!
 //! Invariant: a block was measured to [`UNKNOWN`] or better, or is left out.
 
-use super::{Block, Calibration, Plan};
+use super::{Block, Calibration, Fit, Plan};
 use crate::stream::Gains;
 use crate::stream::port::Traveled;
 use crate::units::UM_PER_PULSE;
@@ -42,7 +42,7 @@ impl Calibration {
                 let both = [Direction::Up, Direction::Down].map(|direction| fit.of(direction));
                 let squares = both.map(|fit| fit.relative_sd * fit.relative_sd);
                 Gains {
-                    mean: both.map(|fit| fit.gain()),
+                    mean: both.map(Fit::gain),
                     sd: both.map(|fit| (fit.slope_se_um_per_pulse / UM_PER_PULSE).max(LEAST_SD)),
                     scatter: ((squares[0] + squares[1]) / 2.0).sqrt().max(LEAST_SCATTER),
                 }

@@ -5,7 +5,7 @@
 //! Invariant: the file is replaced whole or not at all, and only by a calibration of the connected device.
 
 use crate::api::{CalibratedMotor, CalibrationReport, Code, Problem};
-use crate::calibrate::{Calibration, MAX_BYTES, MotorFit, Plan, Provenance, by_telemetry, fit};
+use crate::calibrate::{Calibration, Fit, MAX_BYTES, MotorFit, Plan, Provenance, by_telemetry, fit};
 use crate::config;
 use crate::record::{DeviceInfo, PlayState, Receipt};
 use crate::store;
@@ -152,7 +152,7 @@ pub(super) fn report(
         kept.as_ref().map_err(|detail| Problem::new(Code::NotFound, detail.clone()))?;
     let motor = |fit: &MotorFit| {
         let both = [Direction::Up, Direction::Down].map(|direction| fit.of(direction));
-        let [gain_up, gain_down] = both.map(|fit| fit.gain());
+        let [gain_up, gain_down] = both.map(Fit::gain);
         let [gain_up_se, gain_down_se] =
             both.map(|fit| fit.slope_se_um_per_pulse / fit.slope_um_per_pulse * fit.gain());
         let [relative_sd_up, relative_sd_down] = both.map(|fit| fit.relative_sd);

@@ -163,7 +163,7 @@ impl Engine {
             Some(why_not) if bad || identity.is_some() && found.is_ok() => warn!("{why_not}"),
             Some(_) => {}
             None => {
-                info!("{} motors are calibrated", found.map_or(0, |kept| kept.calibration.motors().len()))
+                info!("{} motors are calibrated", found.map_or(0, |kept| kept.calibration.motors().len()));
             }
         }
     }
@@ -665,7 +665,7 @@ fn log(event: &Event) {
             );
         }
         Event::Calibrated { motors, problem: None, .. } => {
-            info!("{} motors calibrated and stored", motors.len())
+            info!("{} motors calibrated and stored", motors.len());
         }
         Event::Calibrated { problem: Some(problem), .. } => warn!("{problem}"),
         Event::Lost { notices } => warn!(notices, "too slow for the streamer: events are missing"),
