@@ -5,6 +5,7 @@
 //!
 //! Invariant: a problem's code, once published, keeps its meaning and its HTTP status.
 
+use crate::calibrate::{Plan, Provenance};
 use crate::record::{DeviceInfo, NO_DEVICE, Running};
 use crate::stream::port::{ErrorSource, LatePolicy, Refused};
 use firmware_protocol::limits::Refusal;
@@ -48,6 +49,7 @@ pub enum Code {
     TooManyClients,
     ShuttingDown,
     Store,
+    NoTelemetry,
 }
 
 impl Code {
@@ -80,6 +82,7 @@ impl Code {
             Self::Busy => ("busy", 503, "Too many orders wait"),
             Self::TooManyClients => ("too-many-clients", 503, "Too many clients"),
             Self::ShuttingDown => ("shutting-down", 503, "The daemon is ending"),
+            Self::NoTelemetry => ("no-telemetry", 409, "Nobody measures how far pins go"),
             Self::Store => ("store", 500, "The pattern directory cannot be used"),
         }
     }
@@ -241,6 +244,46 @@ impl ArmRequest {
     }
 }
 
+/// `POST /v1/calibrate`.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct CalibrateRequest {
+    /// One motor; without it, all.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub motor: Option<u8>,
+    /// The bursts' numbers of pulses; without it [`crate::calibrate::DEFAULT_PULSES`].
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pulses: Option<Vec<u16>>,
+    /// How often each is played; without it [`crate::calibrate::DEFAULT_REPETITIONS`].
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub repetitions: Option<u16>,
+}
+
+impl CalibrateRequest {
+    /// Reads a request's body; an empty one takes the defaults.
+    ///
+    /// # Errors
+    /// A `bad-request` that names the key.
+    pub fn parse(body: &[u8]) -> Result<Self, Problem> {
+        if body.is_empty() {
+            return Ok(Self::default());
+        }
+        let mut object = object(body, &["motor", "pulses", "repetitions"])?;
+        let (motor, pulses) = (key(&mut object, "motor")?, key(&mut object, "pulses")?);
+        Ok(Self { motor, pulses, repetitions: key(&mut object, "repetitions")? })
+    }
+
+    /// What it asks to be played.
+    ///
+    /// # Errors
+    /// A `bad-request` that says what is wrong with it.
+    pub fn plan(&self) -> Result<Plan, Problem> {
+        let default = Plan::default();
+        let pulses = self.pulses.as_deref().unwrap_or(default.pulses());
+        let plan = Plan::new(self.motor, pulses, self.repetitions.unwrap_or(default.repetitions()));
+        plan.map_err(|error| bad(error.to_string()))
+    }
+}
+
 /// Reads the body of a request without arguments.
 ///
 /// # Errors
@@ -348,6 +391,9 @@ pub struct MotorStatus {
     pub rest_error_um: f32,
     /// Where the estimate comes from.
     pub source: ErrorSource,
+    /// Whether its gains were measured by a calibration that is used.
+    #[serde(default)]
+    pub calibrated: bool,
 }
 
 /// `GET /v1/status`, and the answer to every command but `play`.
@@ -384,6 +430,9 @@ pub struct Status {
     pub line_bytes_per_s: Option<u32>,
     /// The motors, by number.
     pub motors: Vec<MotorStatus>,
+    /// When the calibration that is used was made, UTC; null if there is none.
+    #[serde(default)]
+    pub calibrated: Option<String>,
     /// The daemon's version.
     pub version: String,
     /// The daemon's process.
@@ -396,6 +445,42 @@ impl Status {
     pub fn is_connected(&self) -> bool {
         self.device.is_some() && self.state != NO_DEVICE && self.tick.is_some()
     }
+}
+
+/// What a calibration found of a motor. Gains are what a pulse moves the pin by over what the model says.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CalibratedMotor {
+    /// Its number.
+    pub motor: u8,
+    /// Upwards.
+    pub gain_up: f64,
+    /// Standard error of that.
+    pub gain_up_se: f64,
+    /// Downwards.
+    pub gain_down: f64,
+    /// Standard error of that.
+    pub gain_down_se: f64,
+    /// Standard deviation of single bursts upwards, as a share of their travel.
+    pub relative_sd_up: f64,
+    /// Downwards.
+    pub relative_sd_down: f64,
+}
+
+/// `GET /v1/calibration`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CalibrationReport {
+    /// Where it is stored.
+    pub file: String,
+    /// Whether bursts are corrected by it.
+    pub used: bool,
+    /// Why not.
+    pub unused: Option<String>,
+    /// What it says of each motor that was calibrated.
+    pub motors: Vec<CalibratedMotor>,
+    /// What it was made by.
+    pub provenance: Provenance,
+    /// The file's text.
+    pub toml: String,
 }
 
 /// The answer to `PUT /v1/patterns/NAME`.

@@ -2,7 +2,7 @@
 //!
 //! A [`Plan`] is a pattern like any other, played open loop: each motor takes bursts of different numbers of pulses, as
 //! the paper did for its Fig. 2. How far the pin then went is a [`Block`], read at rest before and after; who plays the
-//! plan on a device reads its telemetry, [`by_laser`] reads the simulated pin itself. A straight line through the
+//! plan on a device reads its telemetry ([`by_telemetry`]), [`by_laser`] reads the simulated pin itself. A straight line through the
 //! blocks of a motor and direction is a [`Fit`] ([`fit`] makes all of them), and its slope over the model's is the gain. A
 //! [`Calibration`] keeps the fits in a file, with what they were made by. Nothing here corrects a stroke, opens a
 //! device or reads a clock.
@@ -13,12 +13,14 @@ mod error;
 mod file;
 mod fit;
 mod laser;
+mod measured;
 mod plan;
 
 pub use error::{CalibrationError, Problem};
 pub use file::{Calibration, FORMAT, MAX_BYTES, Provenance};
 pub use fit::{Fit, FitError, GAIN, MIN_BLOCKS, Misfit, MotorFit, WORST_SE, fit};
 pub use laser::by_laser;
+pub use measured::by_telemetry;
 pub use plan::{
     DEFAULT_PULSES, DEFAULT_REPETITIONS, GROUP_S, MAX_GROUPS, MEASURED, PULSES, Plan, PlanError, Planned,
 };

@@ -133,6 +133,21 @@ impl Client {
         path: &str,
         body: Bytes,
     ) -> Result<T, ClientError> {
+        let idle = self.sender.is_some();
+        let mut answer = self.exchange(&method, path, &body);
+        // A connection that was idle for half a minute the daemon has closed: what only asks may ask again.
+        if idle && method == Method::GET && matches!(answer, Err(ClientError::HungUp { .. })) {
+            answer = self.exchange(&method, path, &body);
+        }
+        let (good, bytes) = answer?;
+        if good {
+            return serde_json::from_slice(&bytes).map_err(|error| self.odd(&error));
+        }
+        Err(serde_json::from_slice::<Problem>(&bytes).map_or_else(|error| self.odd(&error), Into::into))
+    }
+
+    /// One request and its answer, and whether that is a good one.
+    fn exchange(&mut self, method: &Method, path: &str, body: &Bytes) -> Result<(bool, Bytes), ClientError> {
         let (socket, sender) = (&self.socket, &mut self.sender);
         let answer = self.runtime.block_on(async {
             let exchange = async {
@@ -142,7 +157,7 @@ impl Client {
                 }
                 let Some(sender) = sender.as_mut() else { return Err(hung_up(socket, None)) };
                 sender.ready().await.map_err(|source| hung_up(socket, Some(source)))?;
-                let request = request(method, path, body);
+                let request = request(method.clone(), path, body.clone());
                 let response = sender.send_request(request).await;
                 read_all(socket, response.map_err(|source| hung_up(socket, Some(source)))?).await
             };
@@ -152,11 +167,7 @@ impl Client {
         if answer.is_err() {
             self.sender = None;
         }
-        let (good, bytes) = answer?;
-        if good {
-            return serde_json::from_slice(&bytes).map_err(|error| self.odd(&error));
-        }
-        Err(serde_json::from_slice::<Problem>(&bytes).map_or_else(|error| self.odd(&error), Into::into))
+        answer
     }
 
     fn odd(&self, error: &serde_json::Error) -> ClientError {
@@ -317,6 +328,29 @@ mod tests {
         let error = Client::new(&socket).unwrap().get::<serde_json::Value>("/v1/status").unwrap_err();
         assert!(matches!(error, ClientError::HungUp { .. }), "{error:?}");
         rude.join().unwrap();
+    }
+
+    #[test]
+    fn a_connection_that_was_closed_while_idle_is_made_again() {
+        use std::io::{Read, Write};
+        let dir = tempfile::tempdir().unwrap();
+        let socket = dir.path().join("brief.sock");
+        let listener = std::os::unix::net::UnixListener::bind(&socket).unwrap();
+        let brief = std::thread::spawn(move || {
+            for _ in 0..2 {
+                let (mut stream, _) = listener.accept().unwrap();
+                stream.read_exact(&mut [0; 16]).unwrap();
+                stream.write_all(b"HTTP/1.1 200 OK\r\ncontent-length: 1\r\n\r\n7").unwrap();
+                // The rest of the request is read, or closing would take the answer back.
+                stream.set_read_timeout(Some(Duration::from_millis(100))).unwrap();
+                while stream.read(&mut [0; 1024]).is_ok_and(|len| len > 0) {}
+            }
+        });
+        let mut client = Client::new(&socket).unwrap();
+        assert_eq!(client.get::<u8>("/v1/status").unwrap(), 7);
+        std::thread::sleep(Duration::from_millis(200));
+        assert_eq!(client.get::<u8>("/v1/status").unwrap(), 7);
+        brief.join().unwrap();
     }
 
     #[test]

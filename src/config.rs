@@ -31,8 +31,17 @@ pub const MAX_LEASE_MS: f64 = 10_000.0;
 /// Bytes of a configuration file at the most.
 const MAX_BYTES: u64 = 1 << 20;
 
-const KEYS: [&str; 8] =
-    ["device", "socket", "patterns_dir", "lead_ms", "lease_ms", "drift_warning_um", "limits", "mock"];
+const KEYS: [&str; 9] = [
+    "device",
+    "socket",
+    "patterns_dir",
+    "calibration",
+    "lead_ms",
+    "lease_ms",
+    "drift_warning_um",
+    "limits",
+    "mock",
+];
 const LIMIT_KEYS: [&str; 2] = ["motor_pulses_per_s", "rail_pulses_per_s"];
 const MOCK_KEYS: [&str; 7] =
     ["seed", "gain_sd", "asymmetry_sd", "transient_gain", "end_stop_um", "telemetry_hz", "telemetry_age_ms"];
@@ -46,6 +55,8 @@ pub struct Config {
     pub socket: PathBuf,
     /// The site's own patterns.
     pub patterns: PatternsDir,
+    /// Where the calibration is kept; none: nowhere.
+    pub calibration: Option<PathBuf>,
     /// For the streamer.
     pub settings: Settings,
     /// How the mock's motors are.
@@ -68,6 +79,7 @@ impl Default for Config {
         Self {
             device: Spec::default(),
             socket: default_socket(),
+            calibration: beside(&default_patterns()),
             patterns: default_patterns(),
             settings: Settings::default(),
             mock: PlantConfig::default(),
@@ -140,6 +152,7 @@ struct File {
     device: Option<String>,
     socket: Option<PathBuf>,
     patterns_dir: Option<PathBuf>,
+    calibration: Option<PathBuf>,
     lead_ms: Option<f64>,
     lease_ms: Option<f64>,
     drift_warning_um: Option<f64>,
@@ -256,7 +269,12 @@ impl File {
                 return Err(ConfigError::Text { file: file.to_owned(), line: None, message });
             }
         };
-        for (key, path) in [("socket", &self.socket), ("patterns_dir", &self.patterns_dir)] {
+        let paths = [
+            ("socket", &self.socket),
+            ("patterns_dir", &self.patterns_dir),
+            ("calibration", &self.calibration),
+        ];
+        for (key, path) in paths {
             if path.as_ref().is_some_and(|path| path.as_os_str().is_empty()) {
                 let message = format!("`{key}` is empty: name one, or leave the key out");
                 return Err(ConfigError::Text { file: file.to_owned(), line: None, message });
@@ -285,10 +303,12 @@ impl File {
         }
         Plant::new(self.mock, Tick(0))
             .map_err(|source| ConfigError::Mock { file: file.to_owned(), source })?;
+        let patterns = self.patterns_dir.map_or_else(default_patterns, PatternsDir::Configured);
         Ok(Config {
             device,
             socket: self.socket.unwrap_or_else(default_socket),
-            patterns: self.patterns_dir.map_or_else(default_patterns, PatternsDir::Configured),
+            calibration: self.calibration.or_else(|| beside(&patterns)),
+            patterns,
             settings: Settings { lead_ms, lease_ms, limits: OnTimeLimits { motor, rail }, drift_warning_um },
             mock: self.mock,
         })
@@ -318,6 +338,12 @@ fn default_patterns() -> PatternsDir {
         .map_or(PatternsDir::None, PatternsDir::Default)
 }
 
+/// Where the calibration is kept if nobody says: beside the site's own patterns.
+fn beside(patterns: &PatternsDir) -> Option<PathBuf> {
+    let (PatternsDir::Configured(dir) | PatternsDir::Default(dir)) = patterns else { return None };
+    Some(dir.parent().unwrap_or(Path::new("")).join("calibration.toml"))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -334,11 +360,13 @@ mod tests {
 
     #[test]
     fn every_key_is_read() {
-        let text = "device = \"pty\"\nsocket = \"/s\"\npatterns_dir = \"/p\"\nlead_ms = 50\nlease_ms = 100.0\ndrift_warning_um = 30\n\
+        let text = "device = \"pty\"\nsocket = \"/s\"\npatterns_dir = \"/s/p\"\nlead_ms = 50\nlease_ms = 100.0\ndrift_warning_um = 30\n\
                     [limits]\nmotor_pulses_per_s = 40000\nrail_pulses_per_s = 90000\n[mock]\nseed = 3\ngain_sd = 0.0\n";
         let config = parse(text).unwrap();
         assert_eq!((config.device, config.socket), (Spec::Pty, "/s".into()));
-        assert_eq!(config.patterns, PatternsDir::Configured("/p".into()));
+        assert_eq!(config.patterns, PatternsDir::Configured("/s/p".into()));
+        assert_eq!(config.calibration, Some("/s/calibration.toml".into()));
+        assert_eq!(parse("calibration = \"/c\"").unwrap().calibration, Some("/c".into()));
         let limits = OnTimeLimits { motor: 40_000, rail: 90_000 };
         assert_eq!(
             config.settings,
@@ -367,6 +395,7 @@ mod tests {
             ("socket = 1", "expected a path in quotes"),
             ("patterns_dir = \"\"", "m.toml: `patterns_dir` is empty"),
             ("socket = \"\"", "m.toml: `socket` is empty"),
+            ("calibration = \"\"", "m.toml: `calibration` is empty"),
             ("mock.gain_sd = -1.0", "mock.gain_sd is -1"),
             ("device = \"uart\"", "device `uart`: not one of"),
             ("device = 3", "m.toml:1: invalid type"),

@@ -26,10 +26,11 @@
 //! command).
 //!
 //! By how much each pin's travel is off the model is measured: [`calibrate`] plays bursts of several lengths, an ordinary
-//! pattern, and makes of the travels a gain for each motor and direction, kept in a file.
+//! pattern, and makes of the travels a gain for each motor and direction, kept in a file. The daemon has them measured, and the
+//! streamer goes by them as long as the same device is connected.
 //!
 //! What happened comes out as notices; [`record`] makes of them the receipts and events that clients and the log see. In the
-//! end every burst of every play was played, late, dropped or refused, and the receipt says which.
+//! end every burst of every play was played, late, dropped or refused, and the receipt says which, and what the skin felt of it.
 //!
 //! What the [`skin`] makes of a pattern is computed offline: [`simulate`] takes a scene of drives and receptors to
 //! spikes, exactly or by a step, and [`report`] says what each way of doing so costs and by how much it errs, and draws

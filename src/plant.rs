@@ -71,6 +71,16 @@ impl PlantConfig {
         Self { gain_sd: 0.0, asymmetry_sd: 0.0, transient_gain: 1.0, ..Self::default() }
     }
 
+    /// Which array it is, however it is watched.
+    #[must_use]
+    pub fn identity(&self) -> String {
+        let Self { seed, gain_sd, asymmetry_sd, transient_gain, end_stop_um, .. } = self;
+        format!(
+            "seed {seed}, gain_sd {gain_sd}, asymmetry_sd {asymmetry_sd}, transient_gain {transient_gain}, end_stop_um \
+             {end_stop_um}"
+        )
+    }
+
     fn check(&self) -> Result<(), PlantError> {
         let checks = [
             ("gain_sd", self.gain_sd, 1.0),
@@ -140,6 +150,12 @@ impl Plant {
         };
         plant.samples.reserve_exact(plant.queue_bound());
         Ok(plant)
+    }
+
+    /// What it was made by.
+    #[must_use]
+    pub const fn config(&self) -> &PlantConfig {
+        &self.config
     }
 
     /// The tick up to which it has been simulated.

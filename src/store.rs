@@ -224,7 +224,7 @@ impl Store {
         if self.make_dir {
             fs::create_dir_all(dir).map_err(|source| StoreError::Io { path: dir.clone(), source })?;
         }
-        write(dir, &path, text.as_bytes()).map_err(|source| StoreError::Io { path, source })?;
+        replace(dir, &path, text.as_bytes()).map_err(|source| StoreError::Io { path, source })?;
         Ok((stored, new))
     }
 
@@ -271,6 +271,13 @@ impl Store {
 }
 
 impl Stored {
+    /// A pattern that is in no store.
+    #[must_use]
+    pub fn made(pattern: Pattern) -> Self {
+        let sha256 = hex(&Sha256::digest(pattern.to_toml()));
+        Self { pattern, sha256, library: false }
+    }
+
     fn entry(&self) -> Entry {
         Entry {
             name: self.pattern.name().to_owned(),
@@ -316,7 +323,7 @@ fn read(path: &Path) -> Result<Vec<u8>, StoreError> {
 }
 
 /// Writes beside the file and renames, so that a crash leaves the old file or the new one.
-fn write(dir: &Path, path: &Path, bytes: &[u8]) -> io::Result<()> {
+pub(crate) fn replace(dir: &Path, path: &Path, bytes: &[u8]) -> io::Result<()> {
     use std::os::unix::fs::PermissionsExt;
     let mut file = tempfile::Builder::new().prefix(".import-").tempfile_in(dir)?;
     file.as_file().set_permissions(fs::Permissions::from_mode(0o644))?;

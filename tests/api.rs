@@ -225,3 +225,47 @@ fn who_changed_something_is_in_the_log() {
     let line = format!("pid={}", std::process::id());
     assert!(daemon.log().lines().any(|log| log.contains("arm") && log.contains(&line)), "{}", daemon.log());
 }
+
+#[test]
+fn a_receipt_tells_what_was_felt_when_the_bursts_were_measured() {
+    let daemon = Daemon::start();
+    let mut client = daemon.armed();
+    let mut events = client.events().unwrap();
+    let id = play(&mut client, &json!({"pattern": "edge-45", "seconds": 0.5}));
+    let Event::Ended { receipt } = next(&mut events, |event| matches!(event, Event::Ended { .. })) else {
+        unreachable!()
+    };
+    assert!(receipt.felt.is_none() && receipt.felt_unknown.is_none(), "the end waits for nothing");
+    let Event::Felt { id: of, felt, felt_unknown } =
+        next(&mut events, |event| matches!(event, Event::Felt { .. }))
+    else {
+        unreachable!()
+    };
+    assert_eq!(of, id);
+    let receipt: Value = client.get(&format!("/v1/plays/{id}")).unwrap();
+    assert_eq!(receipt["felt"], serde_json::to_value(&felt).unwrap());
+    // A stall of a busy machine may keep telemetry away: then it says so.
+    let Some(felt) = felt else {
+        assert!(felt_unknown.is_some_and(|why| why.contains("bursts were not measured")));
+        return;
+    };
+    assert_eq!((felt.felt.seconds, felt.felt.target.as_deref()), (0.5, Some("edge-45")));
+    assert!(receipt["felt"]["designed_hz"]["contrast"].as_f64().unwrap() > 100.0, "{receipt}");
+    assert!(receipt["felt"]["played_hz"]["contrast"].as_f64().unwrap() > 50.0, "{receipt}");
+    assert_eq!(receipt["felt"]["population_seed"], 0);
+    assert!(receipt["felt_unknown"].is_null());
+}
+
+#[test]
+fn without_telemetry_a_receipt_says_that_nobody_measured() {
+    let daemon = Daemon::with("mock", "lease_ms = 5000\n[mock]\ntelemetry_hz = 0\n");
+    let mut client = daemon.armed();
+    let mut events = client.events().unwrap();
+    let id = play(&mut client, &json!({"pattern": "edge-45", "seconds": 0.2}));
+    next(&mut events, |event| matches!(event, Event::Felt { id: of, felt: None, .. } if *of == id));
+    let receipt: Value = client.get(&format!("/v1/plays/{id}")).unwrap();
+    assert_eq!((&receipt["felt"], &receipt["state"]), (&Value::Null, &"done".into()));
+    assert_eq!(receipt["felt_unknown"], "the device has no telemetry");
+    let text = crate::harness::printed(daemon.meissner().arg("receipt"));
+    assert!(text.contains("felt        not known: the device has no telemetry"), "{text}");
+}

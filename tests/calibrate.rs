@@ -1,13 +1,17 @@
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use meissner::calibrate::{
-    Block, Calibration, Fit, MAX_BYTES, MEASURED, MotorFit, PULSES, Plan, Planned, Provenance, by_laser, fit,
+    Block, Calibration, Fit, MAX_BYTES, MEASURED, MotorFit, PULSES, Plan, Planned, Provenance, by_laser,
+    by_telemetry, fit,
 };
 use meissner::draw;
 use meissner::plant::{Plant, PlantConfig};
+use meissner::stream::port::{Job, Notice, Refused};
+use meissner::stream::{Gains, Line, Rehearsal, Settings, rehearse};
 use meissner::strokes::Strokes;
 use meissner::units::UM_PER_PULSE;
 use std::collections::BTreeMap;
+use std::time::Duration;
 
 const HALF_SECOND: u64 = 42_500;
 
@@ -148,6 +152,76 @@ fn one_motor_is_calibrated_alone() {
     let fits = fit(&measured(&plan, config)).unwrap();
     let [found] = fits[..] else { panic!("{fits:?}") };
     assert_eq!((found.motor, found.up.blocks, found.down.blocks), (7, 54, 54));
+}
+
+/// A plan as the streamer plays it, measured by the telemetry it gets.
+fn played(plan: &Plan, config: &PlantConfig) -> Vec<Block> {
+    let played = rehearse(&plan.pattern(), None, config, Settings::default(), true).unwrap();
+    assert_eq!(played.outcome.bursts.played as usize, plan.bursts(Tick(0)).count());
+    by_telemetry(plan, played.outcome.onset.unwrap().actual, &played.travels)
+}
+
+#[test]
+fn on_a_device_without_scatter_the_plant_s_gains_are_found_by_telemetry() {
+    let config = PlantConfig { seed: 4, gain_sd: 0.0, asymmetry_sd: 0.05, ..PlantConfig::default() };
+    let fits = fit(&played(&Plan::default(), &config)).unwrap();
+    assert_eq!(fits.len(), 24);
+    for found in &fits {
+        for (fit, truth) in [found.up, found.down].iter().zip(true_gains(&config, found.motor)) {
+            assert!((fit.gain() - truth).abs() < 1e-3 && fit.blocks == 180, "{found:?}: {truth}");
+        }
+    }
+}
+
+#[test]
+fn on_a_device_with_scatter_they_are_found_within_the_error_that_is_told() {
+    let config = PlantConfig { seed: 2, ..PlantConfig::default() };
+    let fits = fit(&played(&Plan::default(), &config)).unwrap();
+    let gains = Calibration::new(fits.clone(), provenance()).unwrap().gains();
+    for (found, gains) in fits.iter().zip(&gains) {
+        for (side, truth) in true_gains(&config, found.motor).into_iter().enumerate() {
+            let fit = [found.up, found.down][side];
+            let se = fit.slope_se_um_per_pulse / UM_PER_PULSE;
+            assert!((fit.gain() - truth).abs() < 4.0 * se && se < 0.014, "{found:?}: {truth}");
+            assert_eq!((gains.mean[side], gains.sd[side]), (fit.gain(), se));
+        }
+        assert!((gains.scatter - 0.1).abs() < 4.0 * 0.1 / 720_f64.sqrt(), "{gains:?}");
+    }
+    // What was measured badly, or is no burst of the plan, is no block.
+    let plan = Plan::new(Some(7), &[20, 100], 1).unwrap();
+    let mut played = rehearse(&plan.pattern(), None, &config, Settings::default(), true).unwrap();
+    let onset = played.outcome.onset.unwrap().actual;
+    assert_eq!(by_telemetry(&plan, onset, &played.travels).len(), 40);
+    played.travels[5].sd_um = 1.0;
+    played.travels[9].pulses += 1;
+    assert_eq!(by_telemetry(&plan, onset, &played.travels).len(), 38);
+    assert_eq!(by_telemetry(&plan, onset + 1, &played.travels), []);
+}
+
+fn home(rehearsal: &mut Rehearsal) -> Option<Result<(), Refused>> {
+    let ticket = rehearsal.order(Job::Home);
+    rehearsal.run(Duration::from_millis(1000));
+    rehearsal.take_notices().into_iter().find_map(|notice| match notice {
+        Notice::Answer { ticket: of, result } if of == ticket => Some(result),
+        _ => None,
+    })
+}
+
+/// Without telemetry nobody knows where pins are, until gains are known to reckon by.
+#[test]
+fn a_calibration_that_is_handed_over_is_what_home_goes_by() {
+    let config = PlantConfig::default();
+    let fits = fit(&measured(&Plan::new(Some(3), &[14, 70, 140], 1).unwrap(), config)).unwrap();
+    let gains = Calibration::new(fits, provenance()).unwrap().gains();
+    assert!(gains[3] != Gains::default() && gains[4] == Gains::default());
+    let blind = PlantConfig { telemetry_hz: 0, ..config };
+    let mut rehearsal = Rehearsal::new(&blind, Settings::default(), Line::default(), 1).unwrap();
+    rehearsal.run(Duration::from_millis(500));
+    rehearsal.order(Job::Arm { assume_rest: true });
+    rehearsal.run(Duration::from_millis(100));
+    assert_eq!(home(&mut rehearsal), Some(Err(Refused::NothingToGoBy)));
+    rehearsal.order(Job::Calibrate(Box::new(gains)));
+    assert_eq!(home(&mut rehearsal), Some(Ok(())));
 }
 
 fn provenance() -> Provenance {

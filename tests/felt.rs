@@ -139,7 +139,7 @@ fn designed(play: &Play<'_>) -> Vec<(u8, Ramp)> {
 
 /// What the plant makes of it, nobody correcting anything: each burst by where its pin stood before and after, in pieces
 /// of so many ticks at the most.
-fn by_the_plant(config: PlantConfig, play: &Play<'_>, most_ticks: u16) -> Vec<(u8, Ramp)> {
+pub(crate) fn by_the_plant(config: PlantConfig, play: &Play<'_>, most_ticks: u16) -> Vec<(u8, Ramp)> {
     let mut strokes = Strokes::new(play.pattern, play.seconds).unwrap();
     strokes.begin(play.onset);
     let bursts = strokes.flat_map(|stroke| {

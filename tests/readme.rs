@@ -17,7 +17,9 @@ fn the_example_configuration_is_the_default() {
     assert_eq!(config.patterns, PatternsDir::Configured(PathBuf::from("/var/lib/meissner/patterns")));
     assert_eq!(config.socket, PathBuf::from("/run/meissner/meissner.sock"));
     assert_eq!(config.device, Spec::Auto);
+    assert_eq!(config.calibration, Some(PathBuf::from("/var/lib/meissner/calibration.toml")));
     (config.patterns, config.socket) = (default.patterns.clone(), default.socket.clone());
+    config.calibration.clone_from(&default.calibration);
     assert_eq!(config, default);
 }
 

@@ -9,6 +9,8 @@ mod bad_input;
 mod boards;
 /// `calibrate`: what a plan plays, gains found again on the plant, files and what is refused in them.
 mod calibrate;
+/// `calibrate` on a real daemon: played, fitted, stored, used by its own device alone.
+mod calibration;
 /// What a line carries: measured, compared with what plays need, on lines that carry it just so.
 mod capacity;
 /// A method chosen for an allowed error keeps to it.
@@ -52,6 +54,8 @@ mod oracle;
 mod patterns;
 /// The simulated shafts: scatter, end stops, telemetry, and times a month away.
 mod plant;
+/// What was felt of plays as they were measured: with the loop and without, cut, unmeasured.
+mod played;
 /// A whole session through a pseudo-terminal and the serial transport; the daemon ended and killed in mid-play.
 mod pty;
 /// Orders that cross each other, the device's word, and the end of a lease: nothing comes to life that is over.

@@ -76,7 +76,7 @@ pub(super) fn play(play: &Play) -> Result<ExitCode> {
 }
 
 /// Ends this process at Ctrl-C, and says what that does not end.
-fn leave_on_interrupt() -> Result<()> {
+pub(super) fn leave_on_interrupt() -> Result<()> {
     let runtime = daemon::runtime()?;
     let mut interrupt = runtime.block_on(async { signal(SignalKind::interrupt()) })?;
     thread::Builder::new().name("interrupt".into()).spawn(move || {

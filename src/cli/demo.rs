@@ -8,16 +8,19 @@
 use super::progress::Progress;
 use super::{control, give, text};
 use crate::api::{ArmRequest, PlayRequest, Played, Status};
-use crate::client::Client;
+use crate::client::{Client, Events};
 use crate::config::{Config, PatternsDir};
 use crate::daemon::{Daemon, Hosted};
 use crate::device::Spec;
-use crate::record::{Receipt, Wire};
+use crate::optimise::Rates;
+use crate::pattern::Pattern;
+use crate::record::{Event, FeltRecord, Look, Receipt, Wire};
 use crate::store::Store;
 use crate::stream::port::{Bursts, Pulses};
-use crate::stream::{Realtime, rehearse};
+use crate::stream::{Realtime, Rehearsed, rehearse};
 use anyhow::{Context, Result, bail};
 use serde::Serialize;
+use std::collections::HashSet;
 use std::process::ExitCode;
 use std::thread;
 use std::time::{Duration, Instant};
@@ -25,6 +28,8 @@ use std::time::{Duration, Instant};
 const PATTERN: &str = "edge-45";
 /// How long the mock may take to answer the handshake.
 const PATIENCE: Duration = Duration::from_secs(5);
+/// How long it may take to compute what was felt.
+const FELT_PATIENCE: Duration = Duration::from_secs(60);
 
 #[derive(Debug, Serialize)]
 struct Report {
@@ -39,6 +44,7 @@ struct Report {
     onset_latency_ms: Option<f64>,
     lead_ms: f64,
     rest_error_um: RestReport,
+    felt: FeltReport,
     realtime: Realtime,
     duration_s: f64,
 }
@@ -58,6 +64,19 @@ struct RestReport {
     max: f64,
 }
 
+/// What the skin felt of the first minute, impulses/s.
+#[derive(Debug, Serialize)]
+struct FeltReport {
+    seconds: Option<f64>,
+    target: Option<String>,
+    designed_hz: Option<Rates>,
+    /// As played; null with `--open-loop`.
+    closed_loop_hz: Option<Rates>,
+    open_loop_hz: Option<Rates>,
+    /// Why the play's is not known.
+    unknown: Option<String>,
+}
+
 pub(super) fn run(seconds: f64, open_loop: bool, json: bool) -> Result<ExitCode> {
     let begun = Instant::now();
     let dir =
@@ -66,6 +85,7 @@ pub(super) fn run(seconds: f64, open_loop: bool, json: bool) -> Result<ExitCode>
         device: Spec::Mock,
         socket: dir.path().join("demo.sock"),
         patterns: PatternsDir::None,
+        calibration: None,
         ..Config::default()
     };
     let hosted = Daemon::start(&config)?.host()?;
@@ -77,7 +97,9 @@ pub(super) fn run(seconds: f64, open_loop: bool, json: bool) -> Result<ExitCode>
         open_loop,
         ..PlayRequest::default()
     };
-    let receipt = play(&mut client, &request, json)?;
+    let mut events = client.events()?;
+    let receipt = play(&mut client, &mut events, &request, json)?;
+    let receipt = felt(&mut client, &mut events, receipt)?;
     let report = report(&config, &hosted, &status, &request, &receipt, begun)?;
     hosted.stop()?;
     give(json, &report, || summary(&report))?;
@@ -99,13 +121,47 @@ fn connected(client: &mut Client) -> Result<Status> {
     }
 }
 
-fn play(client: &mut Client, request: &PlayRequest, json: bool) -> Result<Receipt> {
-    let mut events = client.events()?;
+fn play(client: &mut Client, events: &mut Events, request: &PlayRequest, json: bool) -> Result<Receipt> {
     // Simulated shafts are at rest.
     let _: Status = client.post("/v1/arm", &ArmRequest { assume_rest: true })?;
     let Played { id } = client.post("/v1/play", request)?;
     let mut progress = Progress::new(request.seconds, json);
-    control::follow(client, &mut events, id, &mut progress)
+    control::follow(client, events, id, &mut progress)
+}
+
+/// The receipt once it says what was felt, or why that is not known.
+fn felt(client: &mut Client, events: &mut Events, receipt: Receipt) -> Result<Receipt> {
+    // Of what was computed already no event comes any more.
+    let mut receipt: Receipt = client.get(&format!("/v1/plays/{}", receipt.id))?;
+    while receipt.felt.is_none() && receipt.felt_unknown.is_none() {
+        match events.next(Some(FELT_PATIENCE))? {
+            Some(Event::Felt { id, felt, felt_unknown }) if id == receipt.id => {
+                (receipt.felt, receipt.felt_unknown) = (felt, felt_unknown);
+            }
+            Some(_) => {}
+            None => break,
+        }
+    }
+    Ok(receipt)
+}
+
+/// What was felt of the play, and what would have been without the loop.
+fn felt_report(request: &PlayRequest, receipt: &Receipt, pattern: &Pattern, open: &Rehearsed) -> FeltReport {
+    let open = open.outcome.onset.and_then(|onset| {
+        let onset = onset.actual;
+        let look = Look { pattern, seconds: request.seconds, onset, cut: false, unplayed: HashSet::new() };
+        look.felt(&open.travels).ok()
+    });
+    let played = receipt.felt.as_ref().map(|FeltRecord { felt, .. }| felt);
+    let any = played.or(open.as_ref().map(|open| &open.felt));
+    FeltReport {
+        seconds: any.map(|felt| felt.seconds),
+        target: any.and_then(|felt| felt.target.clone()),
+        designed_hz: any.map(|felt| felt.designed_hz),
+        closed_loop_hz: played.filter(|_| !request.open_loop).map(|felt| felt.played_hz),
+        open_loop_hz: open.as_ref().map(|open| open.felt.played_hz),
+        unknown: receipt.felt_unknown.clone(),
+    }
 }
 
 fn report(
@@ -142,13 +198,18 @@ fn report(
             closed_loop_rms: (!request.open_loop).then(|| truth.rms_um()),
             max: truth.max_abs_um,
         },
+        felt: felt_report(request, receipt, &pattern, &open),
         realtime: hosted.realtime(),
         duration_s: begun.elapsed().as_secs_f64(),
     })
 }
 
 fn summary(report: &Report) -> String {
-    let Report { bursts, pulses, wire, rest_error_um, realtime, .. } = report;
+    let Report { bursts, pulses, wire, rest_error_um, felt, realtime, .. } = report;
+    let contrast = |rates: Option<Rates>| {
+        let contrast = rates.and_then(|rates| rates.contrast);
+        contrast.map_or_else(|| "-".to_owned(), |contrast| format!("{contrast:.1}"))
+    };
     let figure = |figure: Option<f64>| figure.map_or_else(|| "-".to_owned(), |figure| format!("{figure:.2}"));
     let cause = report.cause.as_ref().map_or_else(String::new, |cause| format!(" ({cause})"));
     let yes = |granted| if granted { "yes" } else { "no" };
@@ -188,6 +249,15 @@ fn summary(report: &Report) -> String {
                 figure(rest_error_um.closed_loop_rms),
                 rest_error_um.open_loop_rms,
                 rest_error_um.max
+            ),
+        ),
+        (
+            "felt",
+            format!(
+                "contrast {} of {} impulses/s as designed, {} without the loop",
+                contrast(felt.closed_loop_hz),
+                contrast(felt.designed_hz),
+                contrast(felt.open_loop_hz)
             ),
         ),
         ("real time", format!("SCHED_FIFO {}, memory locked {}", yes(realtime.fifo), yes(realtime.mlock))),

@@ -7,6 +7,7 @@
 //!
 //! Invariant: names and flags are stable; a command that is not built does not exist.
 
+mod calibrate;
 mod control;
 mod demo;
 mod doctor;
@@ -89,6 +90,8 @@ enum Command {
     Disarm(Plain),
     /// Move pins to where they ought to rest, between plays
     Home(Plain),
+    /// Measure what each motor really does: plays bursts for a minute, open loop, and stores the gains; motors must be armed
+    Calibrate(calibrate::Calibrate),
     /// All patterns
     List(Plain),
     /// A pattern: its motors, drives and warnings
@@ -331,6 +334,7 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Arm { assume_rest, plain } => control::arm(&plain, assume_rest),
         Command::Disarm(plain) => control::command(&plain, "disarm"),
         Command::Home(plain) => control::command(&plain, "home"),
+        Command::Calibrate(asked) => calibrate::run(&asked),
         Command::List(plain) => library::list(&plain),
         Command::Show { name, plain } => library::show(&plain, &name),
         Command::Import { file, plain } => library::import(&plain, &file),

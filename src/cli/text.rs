@@ -6,8 +6,9 @@
 
 use crate::api::Status;
 use crate::array::{COLUMNS, ROWS};
+use crate::optimise::Felt;
 use crate::pattern::Drive;
-use crate::record::{Event, NO_DEVICE, Receipt};
+use crate::record::{Event, FeltRecord, NO_DEVICE, Receipt};
 use crate::report::figures::stretches;
 use comfy_table::presets::{NOTHING, UTF8_FULL};
 use comfy_table::{CellAlignment, Table};
@@ -70,7 +71,26 @@ pub(super) fn receipt(receipt: &Receipt) -> String {
         let worst = errors.iter().fold(0.0_f32, |worst, error| worst.max(error.abs()));
         lines.push(("rest error", format!("{worst:.2} um at worst, as estimated")));
     }
+    lines.extend(felt(receipt.felt.as_ref(), receipt.felt_unknown.as_deref()).map(|text| ("felt", text)));
     pairs(&lines)
+}
+
+/// What was felt of a play, if that was looked at: contrast if it has a target, else the mean rate.
+fn felt(felt: Option<&FeltRecord>, unknown: Option<&str>) -> Option<String> {
+    let Some(FeltRecord { felt, unmeasured }) = felt else {
+        return unknown.map(|why| format!("not known: {why}"));
+    };
+    let Felt { seconds, played_hz, designed_hz, .. } = felt;
+    let (what, played, designed) = match (played_hz.contrast, designed_hz.contrast) {
+        (Some(played), Some(designed)) => ("contrast", played, designed),
+        _ => ("mean rate", played_hz.all, designed_hz.all),
+    };
+    let missing = match unmeasured {
+        0 => String::new(),
+        count => format!("; {count} bursts not measured"),
+    };
+    let seconds = (seconds * 1000.0).round() / 1000.0;
+    Some(format!("{what} {played:.1} of {designed:.1} impulses/s as designed, over {seconds} s{missing}"))
 }
 
 /// What a device without telemetry comes to, and what to do.
@@ -111,6 +131,10 @@ pub(super) fn status(status: &Status) -> String {
     if status.device.as_ref().is_some_and(|device| !device.telemetry) {
         lines.push(("telemetry", format!("{NO_TELEMETRY}; {SHORT_PLAYS}")));
     }
+    if let Some(date) = &status.calibrated {
+        let count = status.motors.iter().filter(|motor| motor.calibrated).count();
+        lines.push(("calibrated", format!("{count} of {} motors, {date}", status.motors.len())));
+    }
     if let (Some(tick), Some(uncertainty_us)) = (status.tick, status.clock_uncertainty_us) {
         lines.push(("tick", format!("{tick}, known to {uncertainty_us:.1} us")));
     }
@@ -142,6 +166,13 @@ pub(super) fn event(event: &Event) -> String {
             let cause = receipt.cause.as_ref().map_or_else(String::new, |cause| format!(" ({cause})"));
             format!("ended: {} {}{cause}", receipt.id, receipt.state.name())
         }
+        Event::Felt { id, felt: of, felt_unknown } => {
+            format!("felt: {id}, {}", felt(of.as_ref(), felt_unknown.as_deref()).unwrap_or_default())
+        }
+        Event::Calibrated { id, motors, problem: None } => {
+            format!("calibrated: {} motors by play {id}", motors.len())
+        }
+        Event::Calibrated { id, problem: Some(problem), .. } => format!("not calibrated: {id}, {problem}"),
         Event::Doubted { motor, doubt } => {
             format!("doubted: motor {motor}, {}; it plays in open loop until the next arm", doubt.text())
         }

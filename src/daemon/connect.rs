@@ -178,7 +178,7 @@ mod tests {
     fn a_watch_that_has_ended_is_not_heard_any_more() {
         let (_port, orders, _notices) = port().unwrap();
         let spec = Spec::Serial("/nonexistent/tty".into());
-        let engine = Arc::new(Engine::new(orders, Settings::default(), spec.to_string()));
+        let engine = Arc::new(Engine::new(orders, Settings::default(), spec.to_string(), None));
         let ((tell, plugged), (word, words)) = (bounded(1), bounded(4));
         let mut connector = Connector {
             spec,

@@ -5,26 +5,33 @@
 //! about motors: the streamer and the controller do.
 //!
 //! Bounds: the order ring (a full one is [`Code::Busy`]), [`EVENTS`] for a slow listener (then it lags), what
-//! [`Recorder`] keeps, and the tickets of the last [`LOST`].
+//! [`Recorder`] keeps, what [`Travels`] does, and the tickets of the last [`LOST`].
 //!
 //! Invariant: a play is in the record before the streamer can speak of it.
 
+use super::calibrate::{self, Calibrating, Kept};
 use super::connect::Word;
-use crate::api::{Code, MotorStatus, PlayRequest, Problem, Status, Waiting};
+use super::felt::{Asked, Feeler};
+use crate::api::{CalibrationReport, Code, MotorStatus, PlayRequest, Problem, Status, Waiting};
+use crate::calibrate::{Calibration, Plan};
 use crate::device::Device;
 use crate::device::mock::Truth;
-use crate::record::{Event, PlayState, Receipt, Recorder, Travels};
+use crate::optimise::MOST_OBSERVED_S;
+use crate::pattern::Pattern;
+use crate::record::{Event, FeltRecord, Look, PlayState, Receipt, Recorder, Travels, Unfelt};
 use crate::store::Stored;
 use crate::stream::port::{At, Job, Notice, Notices, Order, Orders, Play, Refused};
-use crate::stream::{Need, Settings};
+use crate::stream::{Gains, Need, Settings};
 use crate::strokes::Strokes;
 use crate::units::HostInstant;
+use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
 use std::collections::HashMap;
 use std::io;
 use std::os::fd::{AsFd, OwnedFd};
+use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::io::Interest;
 use tokio::io::unix::AsyncFd;
 use tokio::sync::{broadcast, oneshot};
@@ -38,6 +45,11 @@ const PATIENCE: Duration = Duration::from_secs(1);
 const LOST: Duration = Duration::from_secs(30);
 /// Shutting down it waits for the device for a second itself.
 const LAST_PATIENCE: Duration = Duration::from_millis(1500);
+
+/// So long after a play the streamer is woken: by then the device has told what its last bursts came to.
+const MEASURED: Duration = Duration::from_millis(300);
+/// So long after that it is looked at.
+const READ: Duration = Duration::from_millis(50);
 
 /// Where an answer comes.
 pub(super) type Reply = oneshot::Receiver<Result<(), Refused>>;
@@ -53,7 +65,17 @@ struct Ticket {
 #[derive(Debug)]
 pub(super) struct Inner {
     pub(super) recorder: Recorder,
-    pub(super) travels: Travels,
+    travels: Travels,
+    /// Plays that were not looked at yet: what is played, and whether the device measures.
+    unseen: HashMap<u64, (Arc<Pattern>, bool)>,
+    /// A plan that is being played, measured or fitted: no play is taken meanwhile.
+    calibrating: Option<Calibrating>,
+    /// The device that was connected last.
+    identity: String,
+    /// What is known of its motors, or why nothing is.
+    calibration: Result<Kept, String>,
+    /// The streamer goes by a calibration.
+    taught: bool,
     orders: Orders,
     last_ticket: u64,
     last_estop: u64,
@@ -76,14 +98,26 @@ pub(super) struct Engine {
     settings: Settings,
     /// The device asked for, as it is written.
     wanted: String,
+    /// Where the calibration is kept.
+    calibration: Option<PathBuf>,
     inner: Mutex<Inner>,
 }
 
 impl Engine {
-    pub(super) fn new(orders: Orders, settings: Settings, wanted: String) -> Self {
+    pub(super) fn new(
+        orders: Orders,
+        settings: Settings,
+        wanted: String,
+        calibration: Option<PathBuf>,
+    ) -> Self {
         let inner = Inner {
             recorder: Recorder::default(),
             travels: Travels::default(),
+            unseen: HashMap::new(),
+            calibrating: None,
+            identity: String::new(),
+            calibration: Err(String::new()),
+            taught: false,
             orders,
             last_ticket: 0,
             last_estop: 0,
@@ -96,7 +130,7 @@ impl Engine {
             events: Some(broadcast::channel(EVENTS).0),
             closing: false,
         };
-        Self { settings, wanted, inner: Mutex::new(inner) }
+        Self { settings, wanted, calibration, inner: Mutex::new(inner) }
     }
 
     pub(super) fn lock(&self) -> MutexGuard<'_, Inner> {
@@ -109,9 +143,43 @@ impl Engine {
         self.lock().connector = Some(connector);
     }
 
-    /// Hands a device to the streamer; gives it back if the order ring is full.
+    /// Reads what is known of a device's motors, or of nobody's yet, and says what is wrong with it: once, if that stays.
+    pub(super) fn recall(&self, identity: Option<&str>) {
+        let (found, bad) = match calibrate::read(self.calibration.as_deref(), identity) {
+            Ok(kept) => (Ok(kept), false),
+            Err((why, bad)) => (Err(why), bad),
+        };
+        let why = |found: &Result<Kept, String>| match found {
+            Ok(kept) => kept.unused.clone(),
+            Err(why) => Some(why.clone()),
+        };
+        let old = {
+            let mut inner = self.lock();
+            inner.identity = identity.unwrap_or_default().to_owned();
+            std::mem::replace(&mut inner.calibration, found.clone())
+        };
+        match why(&found) {
+            why_not if why_not == why(&old) => {}
+            Some(why_not) if bad || identity.is_some() && found.is_ok() => warn!("{why_not}"),
+            Some(_) => {}
+            None => {
+                info!("{} motors are calibrated", found.map_or(0, |kept| kept.calibration.motors().len()));
+            }
+        }
+    }
+
+    /// Hands a device to the streamer, with what is known of its motors; gives it back if the order ring is full.
     pub(super) fn connect(&self, device: Box<Device>) -> Result<(), Box<Device>> {
+        self.recall(Some(&device.identity()));
         let mut inner = self.lock();
+        let gains = inner.used().map(|kept| kept.calibration.gains());
+        // What the streamer was never told it need not forget.
+        if gains.is_some() || inner.taught {
+            inner.taught = gains.is_some();
+            if inner.teach(gains.unwrap_or_else(|| [Gains::default(); MOTORS])).is_err() {
+                return Err(device);
+            }
+        }
         inner.recorder.reached_by(device.kind());
         inner.truth = device.truth();
         inner.orders.send(Order { ticket: 0, given: HostInstant::now(), job: Job::Connect(device) }).map_err(
@@ -139,6 +207,33 @@ impl Engine {
 
     /// Orders a play and waits for its being taken.
     pub(super) async fn play(&self, request: &PlayRequest, stored: &Stored) -> Result<u64, Problem> {
+        self.begin(request, stored, None).await
+    }
+
+    /// Orders the play of a plan, open loop, and waits for its being taken.
+    pub(super) async fn calibrate(&self, plan: Plan) -> Result<u64, Problem> {
+        if self.calibration.is_none() {
+            let detail =
+                "there is no place for a calibration: set `calibration` in the daemon's configuration";
+            return Err(Problem::new(Code::Store, detail));
+        }
+        let stored = Stored::made(plan.pattern());
+        let pattern = stored.pattern.name().to_owned();
+        let request = PlayRequest { pattern, open_loop: true, ..PlayRequest::default() };
+        self.begin(&request, &stored, Some(plan)).await
+    }
+
+    /// `GET /v1/calibration`.
+    pub(super) fn calibration(&self) -> Result<CalibrationReport, Problem> {
+        calibrate::report(self.calibration.as_ref(), &self.lock().calibration)
+    }
+
+    async fn begin(
+        &self,
+        request: &PlayRequest,
+        stored: &Stored,
+        plan: Option<Plan>,
+    ) -> Result<u64, Problem> {
         let strokes = Strokes::new(&stored.pattern, request.seconds)
             .map_err(|error| Problem::new(Code::BadRequest, format!("`seconds`: {error}")))?;
         self.check_boot(request.boot)?;
@@ -156,9 +251,28 @@ impl Engine {
         let PlayRequest { late, replace, open_loop, .. } = *request;
         let (id, reply) = {
             let mut inner = self.lock();
+            inner.forget(HostInstant::now());
+            if inner.calibrating.is_some() {
+                return Err(Refused::Playing.into());
+            }
+            let device = inner.recorder.device();
+            let telemetry = device.as_ref().is_some_and(|device| device.telemetry);
+            if plan.is_some() {
+                device.ok_or(Refused::NoDevice)?;
+                if !telemetry {
+                    let detail =
+                        "the device has no telemetry: calibrate on one that measures where its pins are";
+                    return Err(Problem::new(Code::NoTelemetry, detail));
+                }
+                if !inner.recorder.is_idle() {
+                    return Err(Refused::Playing.into());
+                }
+            }
             inner.last_play += 1;
             let id = inner.last_play;
             inner.recorder.offer(Receipt::new(id, stored.pattern.name(), &stored.sha256, request.seconds));
+            inner.calibrating = plan.map(|plan| Calibrating::new(id, plan));
+            inner.unseen.insert(id, (Arc::new(stored.pattern.clone()), telemetry));
             let play = Box::new(Play { id, strokes, at, late: late.into(), replace, open_loop, need });
             let sent = inner.send(Job::Play(play), Some(id));
             if sent.is_err() {
@@ -211,17 +325,44 @@ impl Engine {
         Some((inner.recorder.state(HostInstant::now()), receiver))
     }
 
-    /// Takes in notices until the streamer ends.
-    pub(super) async fn pump(self: Arc<Self>, mut notices: Notices) -> io::Result<()> {
+    pub(super) fn is_closing(&self) -> bool {
+        self.lock().closing
+    }
+
+    /// It is known what was felt of a play, or why not.
+    pub(super) fn felt(&self, id: u64, felt: Result<FeltRecord, Unfelt>) {
+        let mut inner = self.lock();
+        if let Some(event) = inner.recorder.felt(id, felt) {
+            inner.publish(&event);
+        }
+    }
+
+    /// Takes in notices until the streamer ends, and has plays looked at when their bursts have been measured.
+    pub(super) async fn pump(self: Arc<Self>, mut notices: Notices, feeler: Feeler) -> io::Result<()> {
         let bell = bell(&notices)?;
+        // When to look at which play, and whether the streamer has been woken for it.
+        let mut due: Vec<(Instant, u64, bool)> = Vec::new();
         loop {
-            bell.readable().await?.clear_ready();
+            let next = due.iter().map(|(at, ..)| *at).min();
+            let wait = async {
+                match next {
+                    Some(at) => tokio::time::sleep_until(at.into()).await,
+                    None => std::future::pending().await,
+                }
+            };
+            tokio::select! {
+                ready = bell.readable() => ready?.clear_ready(),
+                () = wait => {}
+            }
             // Silenced before it is drained: what comes in between rings again.
             notices.silence();
             {
-                let travels = &mut self.lock().travels;
+                let mut inner = self.lock();
                 while let Some(traveled) = notices.pop_travel() {
-                    travels.add(traveled);
+                    inner.travels.add(traveled);
+                    if let Some(calibrating) = &mut inner.calibrating {
+                        calibrating.add(traveled);
+                    }
                 }
             }
             while let Some(notice) = notices.pop() {
@@ -229,12 +370,100 @@ impl Engine {
                     return Ok(());
                 }
                 let (event, quiet) = self.lock().take(notice);
+                match &event {
+                    // Later its first minute is forgotten.
+                    Some(Event::Began { id, .. }) => {
+                        due.push((
+                            Instant::now() + Duration::from_secs_f64(MOST_OBSERVED_S) + MEASURED,
+                            *id,
+                            false,
+                        ));
+                    }
+                    Some(Event::Ended { receipt }) => {
+                        due.retain(|(_, id, _)| *id != receipt.id);
+                        due.push((Instant::now() + MEASURED, receipt.id, false));
+                    }
+                    _ => {}
+                }
                 // After it is passed on, and outside of the lock: the log may be slow.
                 if let Some(event) = event.filter(|_| !quiet) {
                     log(&event);
                 }
             }
+            let now = Instant::now();
+            for (at, id, woken) in due.iter_mut().filter(|(at, ..)| *at <= now) {
+                if *woken {
+                    self.look(&feeler, *id);
+                } else {
+                    (*at, *woken) = (now + READ, true);
+                    self.lock().orders.nudge();
+                }
+            }
+            due.retain(|(at, ..)| *at > now);
         }
+    }
+
+    /// Has a play looked at, if that was not done yet.
+    fn look(self: &Arc<Self>, feeler: &Feeler, id: u64) {
+        self.fit(feeler, id);
+        let (asked, bursts) = {
+            let mut inner = self.lock();
+            let Some((pattern, telemetry)) = inner.unseen.remove(&id) else { return };
+            let Some(receipt) = inner.recorder.receipt(id).cloned() else { return };
+            let look = Look::at(&receipt, &pattern);
+            let bursts = look.map(|look| inner.travels.within(look.onset, look.until()).copied().collect());
+            let bursts: Vec<_> = bursts.unwrap_or_default();
+            (Asked { pattern, receipt, telemetry }, bursts)
+        };
+        feeler.look(self, asked, bursts);
+    }
+
+    /// Has a plan fitted that has been played.
+    fn fit(self: &Arc<Self>, feeler: &Feeler, id: u64) {
+        let mut inner = self.lock();
+        let Some(receipt) = inner.recorder.receipt(id).filter(|receipt| receipt.state.is_over()).cloned()
+        else {
+            return;
+        };
+        let calibrating = inner.calibrating.as_mut().filter(|calibrating| calibrating.id == id);
+        let Some(calibrating) = calibrating.map(Calibrating::take) else { return };
+        let (device, identity) = (inner.recorder.device(), inner.identity.clone());
+        drop(inner);
+        let engine = Arc::clone(self);
+        feeler.compute(move || {
+            let fitted = device.ok_or_else(|| "the device is gone: nothing was stored".to_owned());
+            let fitted = fitted.and_then(|device| calibrating.fit(&receipt, &device, &identity));
+            engine.keep(id, fitted);
+        });
+    }
+
+    /// Stores a calibration and goes by it from now on; or says why there is none.
+    fn keep(&self, id: u64, fitted: Result<Calibration, String>) {
+        let motors = fitted.iter().flat_map(|new| new.motors().iter().map(|fit| fit.motor)).collect();
+        let stored = fitted.and_then(|new| {
+            let file = self.calibration.as_ref().ok_or("there is no place for it")?;
+            let all = calibrate::with_others(new, self.lock().calibration.as_ref().ok());
+            calibrate::write(file, &all)?;
+            Ok(Kept { calibration: Arc::new(all), unused: None })
+        });
+        let mut inner = self.lock();
+        inner.calibrating = None;
+        let problem = match stored {
+            Ok(kept) => {
+                let sent = inner.teach(kept.calibration.gains());
+                inner.taught = true;
+                inner.calibration = Ok(kept);
+                sent.err().map(|_| {
+                    "it is stored, but too many orders wait: it is used from the next connection on"
+                        .to_owned()
+                })
+            }
+            Err(problem) => Some(problem),
+        };
+        let event = Event::Calibrated { id, motors, problem };
+        inner.publish(&event);
+        drop(inner);
+        log(&event);
     }
 
     /// `GET /v1/status`.
@@ -244,7 +473,13 @@ impl Engine {
         let (state, cause, position) = recorder.standing();
         let clock = recorder.clock(HostInstant::now());
         let snapshot = recorder.snapshot();
-        let motor = |(&rest_error_um, &source)| MotorStatus { rest_error_um, source };
+        let used = inner.used().map(|kept| &kept.calibration);
+        let is_calibrated = |motor: u8| used.is_some_and(|calibration| calibration.motor(motor).is_some());
+        let motor = |((&rest_error_um, &source), motor)| MotorStatus {
+            rest_error_um,
+            source,
+            calibrated: is_calibrated(motor),
+        };
         let playing = snapshot.filter(|snapshot| snapshot.play.is_some());
         Status {
             state: state.to_owned(),
@@ -264,8 +499,11 @@ impl Engine {
             lease_ms: self.settings.lease_ms,
             line_bytes_per_s: snapshot.filter(|at| at.connected).and_then(|at| at.line_bytes_per_s),
             motors: snapshot
-                .map(|at| at.rest_error_um.iter().zip(&at.source).map(motor).collect())
+                .map(|at| at.rest_error_um.iter().zip(&at.source).zip(0..).map(motor).collect())
                 .unwrap_or_default(),
+            calibrated: used.map(|calibration| {
+                calibration.provenance().date.clone().unwrap_or_else(|| "without a date".to_owned())
+            }),
             version: env!("CARGO_PKG_VERSION").to_owned(),
             pid: std::process::id(),
         }
@@ -273,6 +511,11 @@ impl Engine {
 }
 
 impl Inner {
+    /// The calibration that is used.
+    fn used(&self) -> Option<&Kept> {
+        self.calibration.as_ref().ok().filter(|kept| kept.unused.is_none())
+    }
+
     fn send(&mut self, job: Job, play: Option<u64>) -> Result<Reply, Problem> {
         // An emergency stop is passed on whatever else is going on.
         if self.closing && !matches!(job, Job::EStop) {
@@ -320,9 +563,8 @@ impl Inner {
             }
             other => self.recorder.take(other),
         };
-        if let (Some(event), Some(events)) = (&event, &self.events) {
-            // Nobody listens: nothing is lost.
-            let _ = events.send(event.clone());
+        if let Some(event) = &event {
+            self.publish(event);
         }
         if let Notice::Disconnected { device, .. } = notice {
             // Gone once per connection, and the connector empties its channel: it cannot be full.
@@ -335,10 +577,26 @@ impl Inner {
         (event, quiet)
     }
 
+    fn publish(&self, event: &Event) {
+        if let Some(events) = &self.events {
+            // Nobody listens: nothing is lost.
+            let _ = events.send(event.clone());
+        }
+    }
+
+    /// Has the streamer go by these gains.
+    fn teach(&mut self, gains: [Gains; MOTORS]) -> Result<(), Order> {
+        let job = Job::Calibrate(Box::new(gains));
+        self.orders.send(Order { ticket: 0, given: HostInstant::now(), job })
+    }
+
     /// A play was taken or not; an id that was not used names the next one.
     fn settle(&mut self, id: u64, taken: bool) -> Option<Event> {
         if !taken && id == self.last_play {
             self.last_play -= 1;
+        }
+        if !taken {
+            self.unwanted(id);
         }
         self.recorder.answered(id, taken)
     }
@@ -349,7 +607,14 @@ impl Inner {
         let plays: Vec<u64> = lost.filter_map(|(_, ticket)| ticket.play).collect();
         for id in plays {
             self.recorder.answered(id, false);
+            self.unwanted(id);
         }
+    }
+
+    /// Nothing comes of a play that was ordered.
+    fn unwanted(&mut self, id: u64) {
+        self.unseen.remove(&id);
+        self.calibrating.take_if(|calibrating| calibrating.id == id);
     }
 
     fn answered(&mut self, ticket: u64, result: Result<(), Refused>) -> Option<Event> {
@@ -399,6 +664,10 @@ fn log(event: &Event) {
                 "without telemetry pins may be {um:.0} um off: `meissner home` between plays, or level them by hand"
             );
         }
+        Event::Calibrated { motors, problem: None, .. } => {
+            info!("{} motors calibrated and stored", motors.len());
+        }
+        Event::Calibrated { problem: Some(problem), .. } => warn!("{problem}"),
         Event::Lost { notices } => warn!(notices, "too slow for the streamer: events are missing"),
         _ => {}
     }
@@ -426,7 +695,7 @@ mod tests {
     #[test]
     fn a_full_ring_is_busy_for_all_but_an_emergency_stop() {
         let (mut port, orders, _notices) = port().unwrap();
-        let engine = Engine::new(orders, Settings::default(), "mock".to_owned());
+        let engine = Engine::new(orders, Settings::default(), "mock".to_owned(), None);
         let mut waiting = 0;
         let busy = loop {
             match engine.order(Job::Stop) {

@@ -7,7 +7,10 @@
 
 use super::engine::{self, Engine};
 use super::metrics;
-use crate::api::{self, ArmRequest, Code, Imported, MAX_BODY, PlayRequest, Played, Problem, Status};
+use crate::api::{
+    self, ArmRequest, CalibrateRequest, CalibrationReport, Code, Imported, MAX_BODY, PlayRequest, Played,
+    Problem, Status,
+};
 use crate::pattern::Warning;
 use crate::record::{Event, KEPT, Receipt};
 use crate::store::{Store, StoreError, Stored};
@@ -104,6 +107,8 @@ pub(super) fn router(app: App) -> Router {
         .route("/v1/arm", post(arm))
         .route("/v1/disarm", post(disarm))
         .route("/v1/home", post(home))
+        .route("/v1/calibrate", post(calibrate))
+        .route("/v1/calibration", get(calibration))
         .route("/v1/status", get(status))
         .route("/v1/patterns", get(list))
         .route("/v1/patterns/{name}", get(show).put(import))
@@ -186,6 +191,22 @@ async fn play(
     info!(pid = peer.pid, uid = peer.uid, pattern = request.pattern, "play");
     let id = app.engine.play(&request, &stored).await?;
     Ok((StatusCode::ACCEPTED, Json(Played { id })))
+}
+
+/// Its outcome is told by an event.
+async fn calibrate(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+    body: Body,
+) -> Answer<(StatusCode, Json<Played>)> {
+    let request = CalibrateRequest::parse(&read(body).await?)?;
+    info!(pid = peer.pid, uid = peer.uid, motor = request.motor, "calibrate");
+    let id = app.engine.calibrate(request.plan()?).await?;
+    Ok((StatusCode::ACCEPTED, Json(Played { id })))
+}
+
+async fn calibration(State(app): State<App>) -> Answer<Json<CalibrationReport>> {
+    Ok(Json(app.engine.calibration()?))
 }
 
 async fn command(app: &App, peer: Peer, what: &str, job: Job) -> Answer<Json<Status>> {

@@ -1,13 +1,15 @@
 //! The daemon: the streamer's thread, and around it clients, patterns, devices and the record.
 //!
-//! One thread of tokio for clients and notices, one that opens devices, one that streams; the last is the only
-//! one in a hurry. [`Daemon::start`] takes what can be refused (socket, patterns, threads), [`Daemon::run`] works until it is
+//! One thread of tokio for clients and notices, one that opens devices, one that computes what was felt, one that streams; the last is
+//! the only one in a hurry. [`Daemon::start`] takes what can be refused (socket, patterns, threads), [`Daemon::run`] works until it is
 //! told to end. No timer ticks while nothing happens.
 //!
 //! Invariant: however it is told to end, pins are returned and motors off before it does, and the socket is gone.
 
+mod calibrate;
 mod connect;
 mod engine;
+mod felt;
 mod http;
 mod metrics;
 mod server;
@@ -22,6 +24,7 @@ use crate::stream::port::Notices;
 use crate::stream::{self, Realtime};
 use connect::Word;
 use engine::Engine;
+use felt::Feeler;
 use http::App;
 use socket::Bound;
 use std::future::Future;
@@ -73,6 +76,7 @@ pub struct Daemon {
     engine: Arc<Engine>,
     store: Arc<Store>,
     notices: Notices,
+    feeler: Feeler,
     realtime: Realtime,
     streamer: JoinHandle<()>,
     connector: crossbeam_channel::Sender<Word>,
@@ -181,11 +185,18 @@ impl Daemon {
                 "without real-time rights strokes may come late: see `meissner doctor`"
             );
         }
-        let engine = Arc::new(Engine::new(orders, config.settings, config.device.to_string()));
+        let feeler = Feeler::new().map_err(io::Error::other).map_err(system("thread"))?;
+        let engine = Arc::new(Engine::new(
+            orders,
+            config.settings,
+            config.device.to_string(),
+            config.calibration.clone(),
+        ));
+        engine.recall(None);
         let connector = connect::spawn(config.device.clone(), config.mock, Arc::clone(&engine))
             .map_err(system("connector's thread"))?;
         info!("listening on {}", config.socket.display());
-        Ok(Self { bound, engine, store: Arc::new(store), notices, realtime, streamer, connector })
+        Ok(Self { bound, engine, store: Arc::new(store), notices, feeler, realtime, streamer, connector })
     }
 
     /// Runs it on a thread of its own, until it is stopped or the process is told to end.
@@ -213,13 +224,13 @@ impl Daemon {
     /// # Errors
     /// If the system fails, or the streamer ended by itself.
     pub async fn run(self, end: impl Future<Output = ()>) -> Result<(), DaemonError> {
-        let Self { bound, engine, store, notices, streamer, connector, .. } = self;
+        let Self { bound, engine, store, notices, feeler, streamer, connector, .. } = self;
         let listener =
             bound.listener.try_clone().and_then(UnixListener::from_std).map_err(system("socket"))?;
         let (close, closing) = watch::channel(false);
         let router = http::router(App { engine: Arc::clone(&engine), store });
         let server = tokio::spawn(server::serve(listener, router, closing));
-        let mut pump = tokio::spawn(Arc::clone(&engine).pump(notices));
+        let mut pump = tokio::spawn(Arc::clone(&engine).pump(notices, feeler));
         let mut streamer = ended(streamer).map_err(system("thread"))?;
         let result = tokio::select! {
             () = end => Ok(()),

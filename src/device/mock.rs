@@ -120,6 +120,12 @@ impl Mock {
         self.now
     }
 
+    /// Which array it is: see [`PlantConfig::identity`].
+    #[must_use]
+    pub fn identity(&self) -> String {
+        self.plant.config().identity()
+    }
+
     /// What the shafts really did, for others to read.
     #[must_use]
     pub fn truth(&self) -> Arc<Truth> {

@@ -274,6 +274,18 @@ impl Device {
         }
     }
 
+    /// Whose motors it drives, as far as that can be told: a board's serial number, else the port it is at; of a
+    /// simulated array its seed and settings. The same through any port, and after any restart.
+    #[must_use]
+    pub fn identity(&self) -> String {
+        match (self, self.serial_number()) {
+            (Self::Mock(mock), _) => mock.mock.identity(),
+            (Self::Pty(_, mock), _) => mock.identity().to_owned(),
+            (_, Some(serial)) => format!("serial number {serial}"),
+            (_, None) => format!("at {}", self.kind()),
+        }
+    }
+
     /// Takes what is there: 0 if there is nothing.
     ///
     /// # Errors

@@ -26,6 +26,7 @@ pub struct PtyMock {
     path: PathBuf,
     stop: Arc<OwnedFd>,
     truth: Arc<Truth>,
+    identity: String,
     thread: Option<JoinHandle<WallMock>>,
 }
 
@@ -54,11 +55,11 @@ impl PtyMock {
         let flags = rustix::fs::fcntl_getfl(&master)?;
         rustix::fs::fcntl_setfl(&master, flags | OFlags::NONBLOCK)?;
         let stop = Arc::new(eventfd(0, EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK)?);
-        let truth = mock.mock.truth();
+        let (truth, identity) = (mock.mock.truth(), mock.mock.identity());
         let bell = Arc::clone(&stop);
         let thread =
             std::thread::Builder::new().name("pty-mock".into()).spawn(move || serve(mock, &master, &bell))?;
-        Ok(Self { path, stop, truth, thread: Some(thread) })
+        Ok(Self { path, stop, truth, identity, thread: Some(thread) })
     }
 
     /// The terminal to open.
@@ -76,6 +77,12 @@ impl PtyMock {
     fn end(&mut self) -> Option<WallMock> {
         let _ = rustix::io::write(&self.stop, &1u64.to_ne_bytes());
         self.thread.take()?.join().ok()
+    }
+
+    /// Which array it is.
+    #[must_use]
+    pub fn identity(&self) -> &str {
+        &self.identity
     }
 
     /// What the shafts really did.

@@ -5,6 +5,7 @@
 //!
 //! Invariant: [`Event::name`] is the `event` key of its JSON.
 
+use super::felt::FeltRecord;
 use super::receipt::{LateStroke, OnsetRecord, Receipt, RefusedStroke};
 use crate::stream::Doubt;
 use firmware_protocol::message::{DeviceHello, State};
@@ -138,6 +139,24 @@ pub enum Event {
         /// What came of it.
         receipt: Box<Receipt>,
     },
+    /// What was felt of a play, some time after it has ended, or after its first minute; or why that is not known.
+    Felt {
+        /// The play's id.
+        id: u64,
+        /// As in its receipt.
+        felt: Option<FeltRecord>,
+        /// As in its receipt.
+        felt_unknown: Option<String>,
+    },
+    /// A calibration was stored and is used from now on, or was not.
+    Calibrated {
+        /// The play that measured it.
+        id: u64,
+        /// The motors it measured.
+        motors: Vec<u8>,
+        /// Why nothing was stored; null if it was.
+        problem: Option<String>,
+    },
     /// The telemetry of a motor is not believed: it plays in open loop until the next `arm`.
     Doubted {
         /// Its motor.
@@ -177,6 +196,8 @@ impl Event {
             Self::Doubted { .. } => "doubted",
             Self::Drifted { .. } => "drifted",
             Self::Ended { .. } => "ended",
+            Self::Felt { .. } => "felt",
+            Self::Calibrated { .. } => "calibrated",
             Self::Lost { .. } => "lost",
             Self::Lagged { .. } => "lagged",
         }

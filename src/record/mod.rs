@@ -7,10 +7,12 @@
 //! Invariant: every play that was taken is in the record exactly once, until [`KEPT`] later ones have ended.
 
 mod event;
+mod felt;
 mod receipt;
 mod travels;
 
 pub use event::{DeviceInfo, Event, NO_DEVICE, Running, state_name};
+pub use felt::{FeltRecord, Look, Unfelt};
 pub use receipt::{LISTED, LateStroke, LatenessRecord, OnsetRecord, PlayState, Receipt, RefusedStroke, Wire};
 pub use travels::{KEPT_S, Travels};
 
@@ -155,6 +157,17 @@ impl Recorder {
         Some(Event::Ended { receipt: Box::new(receipt) })
     }
 
+    /// It is known what was felt of a play, or why that is not known.
+    pub fn felt(&mut self, id: u64, felt: Result<FeltRecord, Unfelt>) -> Option<Event> {
+        let receipt = self.live.iter_mut().chain(&mut self.finished).find(|receipt| receipt.id == id)?;
+        match felt {
+            Ok(felt) => receipt.felt = Some(felt),
+            Err(unfelt) => receipt.felt_unknown = Some(unfelt.to_string()),
+        }
+        let (felt, felt_unknown) = (receipt.felt.clone(), receipt.felt_unknown.clone());
+        Some(Event::Felt { id, felt, felt_unknown })
+    }
+
     /// The play of that id.
     #[must_use]
     pub fn receipt(&self, id: u64) -> Option<&Receipt> {
@@ -170,6 +183,12 @@ impl Recorder {
     /// Plays that wait, in their order.
     pub fn queued(&self) -> impl Iterator<Item = &Receipt> {
         self.live.iter().filter(|receipt| receipt.state == PlayState::Queued)
+    }
+
+    /// Whether no play was ordered, waits or runs.
+    #[must_use]
+    pub fn is_idle(&self) -> bool {
+        self.offered.is_empty() && self.live.is_empty()
     }
 
     /// The connected device.

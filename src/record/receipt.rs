@@ -5,6 +5,7 @@
 //!
 //! Invariant: once a receipt has ended, `planned = played + late + dropped + refused` as the streamer counted.
 
+use super::felt::FeltRecord;
 use crate::stream::port::{Bursts, End, LateCause, Lateness, Onset, Outcome, Pulses};
 use firmware_protocol::tick::Tick;
 use serde::{Deserialize, Serialize};
@@ -181,6 +182,13 @@ pub struct Receipt {
     pub wire: Option<Wire>,
     /// Estimated rest error of each motor at the end; null until it is over.
     pub rest_error_um: Option<Vec<f32>>,
+    /// What was felt of its first minute at the most, by its bursts as they were measured; null until it is known, some time after
+    /// the play's end.
+    #[serde(default)]
+    pub felt: Option<FeltRecord>,
+    /// Why that cannot be known; null until it was tried, and if it is.
+    #[serde(default)]
+    pub felt_unknown: Option<String>,
 }
 
 impl Receipt {
@@ -202,6 +210,8 @@ impl Receipt {
             refusals: Vec::new(),
             wire: None,
             rest_error_um: None,
+            felt: None,
+            felt_unknown: None,
         }
     }
 

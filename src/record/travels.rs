@@ -6,7 +6,7 @@ use crate::stream::port::Traveled;
 use firmware_protocol::tick::{TICK_HZ, Tick};
 use std::collections::VecDeque;
 
-/// For how long they are kept, s: what is asked is at most the first minute of a play, and is asked when it is over.
+/// For how long they are kept, s: what is asked is at most the first minute of a play, and is asked when that is over.
 pub const KEPT_S: u64 = 65;
 /// How many are kept: 24 motors at 300 Hz for that long, 30 MB. At 60 Hz it is a fifth.
 const MOST: usize = 24 * 600 * KEPT_S as usize;

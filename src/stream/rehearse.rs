@@ -21,6 +21,9 @@ use std::time::Duration;
 /// The streamer wakes up this often.
 const STEP: Duration = Duration::from_micros(500);
 
+/// So long after a play's end its last bursts have been measured, by telemetry of no age.
+const MEASURED_WITHIN: Duration = Duration::from_millis(100);
+
 /// What a line does to frames, each way: shares of them, and how long they take.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Line {
@@ -266,6 +269,8 @@ pub struct Rehearsed {
     pub rest: RestStats,
     /// The play's account.
     pub outcome: Outcome,
+    /// What its bursts came to, as they were measured.
+    pub travels: Vec<Traveled>,
 }
 
 /// Why a play could not be rehearsed.
@@ -300,6 +305,7 @@ pub fn rehearse(
     let name = || pattern.name().to_owned();
     let end = strokes.end().ok_or_else(|| RehearseError::Endless(name()))?;
     let mut rehearsal = Rehearsal::new(plant, settings, Line::default(), plant.seed)?;
+    rehearsal.take_travels();
     rehearsal.run(Duration::from_millis(100));
     rehearsal.order(Job::Arm { assume_rest: true });
     rehearsal.run(Duration::from_millis(20));
@@ -309,5 +315,8 @@ pub fn rehearse(
     let length = Duration::from_secs_f64(end as f64 / f64::from(TICK_HZ));
     let outcome = rehearsal.run_to_end(1, length + Duration::from_secs(2));
     let outcome = outcome.ok_or_else(|| RehearseError::NoEnd(name()))?;
-    Ok(Rehearsed { rest: rehearsal.mock.truth().rest(), outcome })
+    // The last bursts are yet to be measured.
+    rehearsal.run(MEASURED_WITHIN + Duration::from_millis(plant.telemetry_age_ms.into()));
+    let travels = rehearsal.take_travels();
+    Ok(Rehearsed { rest: rehearsal.mock.truth().rest(), outcome, travels })
 }

@@ -214,8 +214,13 @@ impl Orders {
             return Err(order);
         }
         self.ring.push(order).map_err(|rtrb::PushError::Full(order)| order)?;
-        ring_bell(&self.wake);
+        self.nudge();
         Ok(())
+    }
+
+    /// Wakes the thread: what the device has said meanwhile is read and told.
+    pub fn nudge(&self) {
+        ring_bell(&self.wake);
     }
 }
 

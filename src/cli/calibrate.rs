@@ -1,0 +1,95 @@
+//! `calibrate`: has the daemon measure what motors really do, and shows what it found.
+//!
+//! The daemon plays, fits and stores; here one waits. Where `-o` is to write is looked at before the minute, not after.
+//!
+//! Invariant: it exits with 0 only if the calibration of every motor asked for was stored.
+
+use super::progress::Progress;
+use super::{Plain, control, files, give, text};
+use crate::api::{CalibrateRequest, CalibratedMotor, CalibrationReport, Played};
+use crate::client::Events;
+use crate::record::Event;
+use anyhow::{Result, bail};
+use clap::Args;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::Duration;
+
+/// How long the daemon may take from a play's end to its fit.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+#[derive(Debug, Args)]
+pub(super) struct Calibrate {
+    /// One motor, 0 to 23; without it, all
+    #[arg(long, value_name = "N")]
+    motor: Option<u8>,
+    /// How often each number of pulses is played, half a minute each [default: 2]
+    #[arg(long, value_name = "N")]
+    repetitions: Option<u16>,
+    /// Numbers of pulses, 7 to 200, 3 s each [default: 14,28,42,56,70,84,98,112,126,140]
+    #[arg(long, value_name = "N,N,...", value_delimiter = ',')]
+    pulses: Option<Vec<u16>>,
+    /// Write the calibration's file here, too
+    #[arg(short, long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    #[command(flatten)]
+    plain: Plain,
+}
+
+pub(super) fn run(asked: &Calibrate) -> Result<ExitCode> {
+    let out = asked.out.as_deref().map(files::beside).transpose()?;
+    let Calibrate { motor, repetitions, ref pulses, .. } = *asked;
+    let request = CalibrateRequest { motor, pulses: pulses.clone(), repetitions };
+    let plan = request.plan()?;
+    let mut client = asked.plain.client()?;
+    let mut events = client.events()?;
+    control::leave_on_interrupt()?;
+    let Played { id } = client.post("/v1/calibrate", &request)?;
+    let json = asked.plain.output.json;
+    let mut progress = Progress::new(Some(plan.duration_s()), json);
+    control::follow(&mut client, &mut events, id, &mut progress)?;
+    let measured = outcome(&mut events, id)?;
+    let report: CalibrationReport = client.get("/v1/calibration")?;
+    if let Some(out) = out {
+        out.write(&report.toml)?;
+    }
+    let missing: Vec<String> =
+        plan.motors().filter(|motor| !measured.contains(motor)).map(|motor| motor.to_string()).collect();
+    give(json, &report, || summary(&report, &measured, &missing, asked.out.as_deref()))?;
+    Ok(if missing.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// The motors that were measured, once they are stored.
+fn outcome(events: &mut Events, id: u64) -> Result<Vec<u8>> {
+    loop {
+        match events.next(Some(PATIENCE))? {
+            Some(Event::Calibrated { id: of, motors, problem }) if of == id => match problem {
+                None => return Ok(motors),
+                Some(problem) => bail!("{problem}"),
+            },
+            Some(_) => {}
+            None => bail!("the daemon ended before play {id} was fitted: see its log"),
+        }
+    }
+}
+
+fn summary(report: &CalibrationReport, measured: &[u8], missing: &[String], out: Option<&Path>) -> String {
+    let head = ["motor", "gain up", "gain down", "SD"];
+    let row = |of: &CalibratedMotor| {
+        let CalibratedMotor { motor, gain_up, gain_up_se, gain_down, gain_down_se, .. } = of;
+        let sd = (of.relative_sd_up + of.relative_sd_down) / 2.0;
+        vec![
+            motor.to_string(),
+            format!("{gain_up:.3} +- {gain_up_se:.3}"),
+            format!("{gain_down:.3} +- {gain_down_se:.3}"),
+            format!("{:.1} %", sd * 100.0),
+        ]
+    };
+    let rows = report.motors.iter().filter(|of| measured.contains(&of.motor)).map(row);
+    let mut lines = vec![("stored", report.file.clone())];
+    if !missing.is_empty() {
+        lines.push(("not measured", format!("{}; see `meissner receipt`", missing.join(", "))));
+    }
+    lines.extend(out.map(|out| ("written", files::shown(out))));
+    format!("{}\n{}", text::columns(&head, rows), text::pairs(&lines))
+}

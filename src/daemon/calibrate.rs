@@ -1,0 +1,177 @@
+//! The calibration: its file, whether it is the connected device's, and what makes a new one of a plan that was played.
+//!
+//! A file is read when the daemon starts and when a device connects; it is used if the device is the one it was made with.
+//!
+//! Invariant: the file is replaced whole or not at all, and only by a calibration of the connected device.
+
+use crate::api::{CalibratedMotor, CalibrationReport, Code, Problem};
+use crate::calibrate::{Calibration, Fit, MAX_BYTES, MotorFit, Plan, Provenance, by_telemetry, fit};
+use crate::config;
+use crate::record::{DeviceInfo, PlayState, Receipt};
+use crate::store;
+use crate::stream::port::Traveled;
+use firmware_protocol::stroke::Direction;
+use firmware_protocol::tick::Tick;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use tracing_subscriber::fmt::format::Writer;
+use tracing_subscriber::fmt::time::{FormatTime, SystemTime};
+
+/// Measured bursts kept of a plan at the most: the longest has 48 000, and other plays may follow.
+const MOST: usize = 1 << 17;
+/// What to do without one.
+const ADVICE: &str = "run `meissner calibrate`";
+
+/// A plan that is being played.
+#[derive(Debug)]
+pub(super) struct Calibrating {
+    pub(super) id: u64,
+    plan: Plan,
+    travels: Vec<Traveled>,
+}
+
+impl Calibrating {
+    pub(super) fn new(id: u64, plan: Plan) -> Self {
+        Self { id, plan, travels: Vec::new() }
+    }
+
+    pub(super) fn add(&mut self, traveled: Traveled) {
+        if self.travels.len() < MOST {
+            self.travels.push(traveled);
+        }
+    }
+
+    /// What was measured so far; it is played on, as far as others are concerned.
+    pub(super) fn take(&mut self) -> Self {
+        let Self { id, plan, travels } = self;
+        Self { id: *id, plan: plan.clone(), travels: std::mem::take(travels) }
+    }
+
+    /// The fits of a plan that was played, of which device.
+    pub(super) fn fit(
+        &self,
+        receipt: &Receipt,
+        device: &DeviceInfo,
+        identity: &str,
+    ) -> Result<Calibration, String> {
+        let onset = match receipt.onset {
+            Some(onset) if receipt.state == PlayState::Done => Tick(onset.actual_tick),
+            _ => {
+                let why = receipt.cause.as_deref().unwrap_or("it did not begin");
+                return Err(format!(
+                    "the calibration was cut ({why}): nothing was stored; let it play to its end"
+                ));
+            }
+        };
+        let kind = device.kind.split(':').next().unwrap_or_default();
+        let firmware = format!("{} ({})", device.firmware, device.build);
+        let telemetry = if device.simulated { "plant" } else { "device" };
+        let mut made = Provenance::of(&self.plan, kind, &firmware, identity, telemetry);
+        made.date = Some(today());
+        let fits = fit(&by_telemetry(&self.plan, onset, &self.travels)).map_err(|error| error.to_string())?;
+        if fits.is_empty() {
+            return Err(format!(
+                "no burst of play {} was measured: see `meissner receipt`, then again",
+                self.id
+            ));
+        }
+        Calibration::new(fits, made).map_err(|error| error.to_string())
+    }
+}
+
+/// UTC, to the second.
+fn today() -> String {
+    let mut text = String::new();
+    // Writing to a string does not fail.
+    let _ = SystemTime.format_time(&mut Writer::new(&mut text));
+    text.get(..19).map_or_else(String::new, |second| format!("{second}Z"))
+}
+
+/// What the file says, and why it is not used.
+#[derive(Clone, Debug)]
+pub(super) struct Kept {
+    pub(super) calibration: Arc<Calibration>,
+    pub(super) unused: Option<String>,
+}
+
+/// Reads the file; why there is none, and whether that is the file's fault.
+pub(super) fn read(file: Option<&Path>, identity: Option<&str>) -> Result<Kept, (String, bool)> {
+    let none = || (format!("nothing was calibrated yet: {ADVICE}"), false);
+    let file = file.ok_or_else(none)?;
+    let bytes = match config::read_regular(file, MAX_BYTES as u64) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Err(none()),
+        bytes => {
+            bytes.map_err(|error| (format!("{}: {error}; mend it, or {ADVICE}", file.display()), true))?
+        }
+    };
+    let bad = |what: String| (format!("{what}; not used: mend it, or {ADVICE}"), true);
+    let name = file.display().to_string();
+    let text = String::from_utf8(bytes).map_err(|_| bad(format!("{name}: not UTF-8 text")))?;
+    let calibration = Calibration::parse(&text, &name).map_err(|error| bad(error.to_string()))?;
+    let unused = match identity {
+        Some(identity) if identity == calibration.provenance().identity => None,
+        Some(_) => Some(format!("{name} is of another device: not used; {ADVICE}")),
+        None => Some("no device is connected".to_owned()),
+    };
+    Ok(Kept { calibration: Arc::new(calibration), unused })
+}
+
+/// Adds what an older calibration of the same device says of other motors.
+pub(super) fn with_others(new: Calibration, old: Option<&Kept>) -> Calibration {
+    let old = old.map(|old| &old.calibration);
+    let Some(old) = old.filter(|old| old.provenance().identity == new.provenance().identity) else {
+        return new;
+    };
+    let others = old.motors().iter().filter(|fit| new.motor(fit.motor).is_none());
+    let motors: Vec<MotorFit> = new.motors().iter().chain(others).copied().collect();
+    // Both were checked.
+    Calibration::new(motors, new.provenance().clone()).unwrap_or(new)
+}
+
+/// Puts it in its place.
+pub(super) fn write(file: &Path, calibration: &Calibration) -> Result<(), String> {
+    let dir = file.parent().filter(|dir| !dir.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let written = fs::create_dir_all(dir);
+    let written = written.and_then(|()| store::replace(dir, file, calibration.to_toml().as_bytes()));
+    written.map_err(|error| {
+        format!(
+            "{}: cannot be written: {error}; set `calibration` in the daemon's configuration",
+            file.display()
+        )
+    })
+}
+
+/// What clients are told of it.
+pub(super) fn report(
+    file: Option<&PathBuf>,
+    kept: &Result<Kept, String>,
+) -> Result<CalibrationReport, Problem> {
+    let Kept { calibration, unused } =
+        kept.as_ref().map_err(|detail| Problem::new(Code::NotFound, detail.clone()))?;
+    let motor = |fit: &MotorFit| {
+        let both = [Direction::Up, Direction::Down].map(|direction| fit.of(direction));
+        let [gain_up, gain_down] = both.map(Fit::gain);
+        let [gain_up_se, gain_down_se] =
+            both.map(|fit| fit.slope_se_um_per_pulse / fit.slope_um_per_pulse * fit.gain());
+        let [relative_sd_up, relative_sd_down] = both.map(|fit| fit.relative_sd);
+        CalibratedMotor {
+            motor: fit.motor,
+            gain_up,
+            gain_up_se,
+            gain_down,
+            gain_down_se,
+            relative_sd_up,
+            relative_sd_down,
+        }
+    };
+    Ok(CalibrationReport {
+        file: file.map(|file| file.display().to_string()).unwrap_or_default(),
+        used: unused.is_none(),
+        unused: unused.clone(),
+        motors: calibration.motors().iter().map(motor).collect(),
+        provenance: calibration.provenance().clone(),
+        toml: calibration.to_toml(),
+    })
+}
