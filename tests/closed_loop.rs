@@ -2,7 +2,7 @@
 
 use crate::random::Random;
 use crate::rig::Rig;
-use firmware_protocol::limits::within_correction;
+use firmware_protocol::limits::{OnTimeLimits, within_correction};
 use firmware_protocol::stroke::{Burst, Direction, Line as Pulse, MOTORS};
 use firmware_protocol::tick::Tick;
 use meissner::pattern::{Drive, Pattern};
@@ -254,15 +254,18 @@ type Lie = fn(u64, i32, &mut Vec<i32>) -> i32;
 
 #[test]
 fn telemetry_that_lies_is_given_up_and_nothing_is_corrected_by_it() {
-    let lies: [(&str, Lie); 6] = [
-        ("stuck", |_, _, past| past[0]),
-        ("stuck high", |_, _, _| 30_000),
-        ("ten times", |_, y, _| 10 * y),
-        ("jumping", |ms, y, _| if ms % 37 < 3 { y + 20_000 } else { y }),
-        ("stale", |_, _, past| past[past.len().saturating_sub(50)]),
-        ("another's", |ms, _, _| if ms % 25 < 12 { 8_000 } else { 0 }),
+    let lies: [(&str, Option<Doubt>, Lie); 9] = [
+        ("stuck", None, |_, _, past| past[0]),
+        ("stuck high", None, |_, _, _| 30_000),
+        ("ten times", None, |_, y, _| 10 * y),
+        ("twice", Some(Doubt::Gain), |_, y, _| 2 * y),
+        ("a tenth", Some(Doubt::Gain), |_, y, _| y / 10),
+        ("inverted", None, |_, y, _| -y),
+        ("jumping", None, |ms, y, _| if ms % 37 < 3 { y + 20_000 } else { y }),
+        ("stale", None, |_, _, past| past[past.len().saturating_sub(44)]),
+        ("another's", None, |ms, _, _| if ms % 25 < 12 { 8_000 } else { 0 }),
     ];
-    for (name, lie) in lies {
+    for (name, why, lie) in lies {
         for amplitude_um in [10.0, 80.0] {
             let trial = Trial { amplitude_um, ..Trial::default() };
             let (mut past, mut after) = (Vec::new(), Vec::new());
@@ -279,9 +282,28 @@ fn telemetry_that_lies_is_given_up_and_nothing_is_corrected_by_it() {
             };
             let doubt = trial.run(8.0, sample, tell).unwrap();
             assert!(doubt.is_some(), "{name} at {amplitude_um} um is believed");
+            assert!(why.is_none() || doubt == why, "{name} at {amplitude_um} um: {doubt:?}");
             let planned = (amplitude_um / UM_PER_PULSE).round() as u16;
             assert!(after.iter().all(|&pulses| pulses == [planned; 2]), "{name}: still corrected");
         }
+    }
+}
+
+/// What scatters beyond all motors is none, or its sensor is none.
+#[test]
+fn wild_scatter_is_given_up() {
+    let trial = Trial { frequency_hz: 10.0, amplitude_um: 10.0, scatter: 0.6, ..Trial::default() };
+    assert_eq!(trial.run(60.0, |_, y| Some(y), |_| ()).unwrap(), Some(Doubt::Scatter));
+}
+
+/// A sensor whose zero drifts takes the pin along: that ends at the stop, where corrections push in vain.
+#[test]
+fn pushing_in_vain_is_given_up() {
+    for frequency_hz in [60.0, 300.0] {
+        let trial = Trial { frequency_hz, ..Trial::default() };
+        let drift = |tick: Tick, y: i32| Some(y + ((tick - Tick::BOOT) as f64 / 85_000.0 * 20_000.0) as i32);
+        let doubt = trial.run(30.0, drift, |_| ()).unwrap();
+        assert!(doubt.is_some(), "{frequency_hz} Hz");
     }
 }
 
@@ -467,4 +489,109 @@ fn calibrated_gains_hold_pins_without_telemetry() {
     let (unknown, known) = (drift(None), drift(Some(&gains)));
     assert!(unknown > 300.0, "{unknown} um");
     assert!(known < 3.0, "{known} um where {unknown} um without calibration");
+}
+
+/// What a sensor does that `home` should not go by.
+#[test]
+fn home_moves_no_pin_far_by_telemetry_that_lies() {
+    let lies: [(&str, fn(&mut Sample)); 4] = [
+        ("stuck", |sample| sample.y[3] = 1_000),
+        ("inverted", |sample| sample.y[3] = -sample.y[3]),
+        ("ten times", |sample| sample.y[3] *= 10),
+        ("swapped", |sample| sample.y.swap(3, 8)),
+    ];
+    for (name, lie) in lies {
+        let mut rig = Rig::new(Line::default(), 5);
+        rig.arm();
+        let pattern = Pattern::new("on", None, vec![drive(3, 60.0)], toml::Table::new()).unwrap();
+        let play = rig.play(&pattern, Some(0.5));
+        rig.order(Job::Play(Box::new(play)));
+        rig.run(Duration::from_millis(1000));
+        rig.mock.tamper(lie);
+        rig.run(Duration::from_millis(300));
+        let before: Vec<f64> = (0..MOTORS as u8).map(|motor| rig.mock.position_um(motor)).collect();
+        let home = rig.order(Job::Home);
+        rig.run(Duration::from_millis(3000));
+        let notices = rig.take_notices();
+        let answered = notices.iter().find_map(|notice| match notice {
+            Notice::Answer { ticket, result } if *ticket == home => Some(*result),
+            _ => None,
+        });
+        assert_eq!(answered, Some(Err(Refused::NotHome)), "{name}");
+        for (motor, before) in (0u8..).zip(before) {
+            let um = rig.mock.position_um(motor);
+            assert!((um - before).abs() <= 45.0, "{name}: motor {motor} from {before} to {um}");
+        }
+    }
+}
+
+#[test]
+fn a_device_that_disarms_while_pins_go_home_has_its_answer() {
+    let mut rig = Rig::new(Line::default(), 5);
+    rig.arm();
+    let pattern = Pattern::new("on", None, vec![drive(3, 60.0)], toml::Table::new()).unwrap();
+    let play = rig.play(&pattern, Some(1.0));
+    rig.order(Job::Play(Box::new(play)));
+    rig.run(Duration::from_millis(1500));
+    let home = rig.order(Job::Home);
+    rig.run(Duration::from_millis(5));
+    rig.stall(Duration::from_millis(600));
+    rig.run(Duration::from_millis(1000));
+    let notices = rig.take_notices();
+    let answers =
+        notices.iter().filter(|notice| matches!(notice, Notice::Answer { ticket, .. } if *ticket == home));
+    assert_eq!(answers.count(), 1);
+}
+
+/// Lost acknowledgements, stops and plays that follow at once: the loop knows what is played, and doubts no motor.
+#[test]
+fn a_bad_line_makes_no_motor_doubted() {
+    for seed in 0..12 {
+        let mut rig = Rig::new(Line { loss: 0.03, ..Line::default() }, seed);
+        rig.arm();
+        for round in 0..10 {
+            let mut play = rig.play(&two_motors(), Some(0.4));
+            (play.open_loop, play.replace) = (false, round % 3 == 1);
+            rig.order(Job::Play(Box::new(play)));
+            rig.run(Duration::from_millis(150 + 40 * round));
+            if round % 4 == 2 {
+                rig.order(Job::Stop);
+            }
+        }
+        rig.run(Duration::from_millis(1000));
+        let doubted = rig.take_notices().into_iter().find(|notice| matches!(notice, Notice::Doubted { .. }));
+        assert!(doubted.is_none(), "seed {seed}: {doubted:?}");
+    }
+}
+
+/// Corrections use up no on-time that the plan needs, and cross no play's end.
+#[test]
+fn corrections_make_the_device_refuse_nothing() {
+    let drives = (0..6).map(|motor| drive(motor, 60.0)).collect();
+    let pattern = Pattern::new("six", Some(6.0), drives, toml::Table::new()).unwrap();
+    // 588 pulses up and down, 60 times a second, and what the account is early by.
+    let limits = OnTimeLimits { motor: 74_000, ..OnTimeLimits::NONE };
+    let settings = Settings { limits, ..Settings::default() };
+    let plant = PlantConfig::default();
+    let outcome = meissner::stream::rehearse(&pattern, None, &plant, settings, false).unwrap().outcome;
+    assert_eq!((outcome.bursts.refused, outcome.bursts.planned), (0, outcome.bursts.played));
+    assert!(outcome.bursts.amended > 0);
+
+    let drives =
+        (0..MOTORS as u8).map(|motor| Drive { phase: f64::from(motor) / 31.0, ..drive(motor, 300.0) });
+    let pattern = Pattern::new("full", None, drives.collect(), toml::Table::new()).unwrap();
+    let mut rig = Rig::plant(&PlantConfig { gain_sd: 0.3, ..plant }, 2);
+    rig.arm();
+    for seconds in [1.0, 0.999, 1.0] {
+        let mut play = rig.play(&pattern, Some(seconds));
+        play.open_loop = false;
+        rig.order(Job::Play(Box::new(play)));
+    }
+    rig.run(Duration::from_millis(4000));
+    let notices = rig.take_notices();
+    let outcomes = crate::rig::outcomes(&notices);
+    assert_eq!(outcomes.len(), 3);
+    for outcome in outcomes {
+        assert_eq!((outcome.bursts.refused, outcome.bursts.late), (0, 0), "{:?}", outcome.bursts);
+    }
 }

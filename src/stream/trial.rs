@@ -122,7 +122,7 @@ impl Trial {
         while now < end {
             now = now + WAKE_UP;
             while let Some(stroke) = next.filter(|stroke| stroke.up < now + lead.max(2 * DUE)) {
-                servo.sent(&stroke, self.closed, |_| ());
+                servo.sent(&stroke, self.closed, end);
                 servo.accepted(stroke.up);
                 motor.queue.push_back((stroke, stroke.up_pulses));
                 next = strokes.next();
@@ -142,14 +142,15 @@ impl Trial {
             }
             while let Some((tick, y)) = samples.front().copied().filter(|(tick, _)| *tick + age <= now) {
                 samples.pop_front();
-                servo.follow(tick, |_| (), |_| ());
+                servo.follow(tick, false, |_| (), |_| ());
                 servo.telemetry(tick, f64::from(y) * 0.01, |_| ());
                 sampled = tick;
             }
             if servo.next().is_some_and(|next| next <= now + DUE) {
                 let free = || next.map_or(end, |stroke| stroke.up);
                 let fresh = now - sampled <= LONGEST_AGE;
-                servo.correct(now, free, fresh, |up, direction, pulses| motor.amend(up, direction, pulses));
+                let amend = |up, direction, pulses| motor.amend(up, direction, pulses);
+                servo.correct(now, free, fresh, true, amend);
             }
         }
         Ok(servo.doubt())

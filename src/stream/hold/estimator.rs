@@ -150,11 +150,20 @@ impl Estimator {
             evidence: SCATTER_WEIGHT,
             last_end: None,
         };
-        for ((at, mean), sd) in GAINS.into_iter().zip(gains.mean).zip(gains.sd) {
-            new.mean[at] = mean;
-            new.covariance[at][at] = sd * sd;
-        }
+        new.relearn(gains);
         new
+    }
+
+    /// The gains are known so well from now on; what was learned of them is forgotten.
+    pub(super) fn relearn(&mut self, gains: &Gains) {
+        for ((at, mean), sd) in GAINS.into_iter().zip(gains.mean).zip(gains.sd) {
+            self.mean[at] = mean;
+            for state in 0..STATES {
+                (self.covariance[at][state], self.covariance[state][at]) = (0.0, 0.0);
+            }
+            self.covariance[at][at] = sd * sd;
+        }
+        (self.scatter, self.evidence) = (gains.scatter, SCATTER_WEIGHT);
     }
 
     fn states(&self) -> usize {

@@ -18,6 +18,7 @@ pub use trust::Doubt;
 
 use crate::stream::port::{ErrorSource, Traveled};
 use firmware_protocol::batch::Amendment;
+use firmware_protocol::limits::OnTimeLimits;
 use firmware_protocol::stroke::{Direction, MOTORS, Stroke};
 use firmware_protocol::tick::{TICK_HZ, Tick};
 
@@ -32,6 +33,10 @@ pub(super) struct Hold {
     sampled: Option<Tick>,
     /// Up to where bursts were taken for played without telemetry: older samples come too late.
     followed: Tick,
+    /// Bursts may get longer than planned: not where a site limits on-time, which the longer ones would use up.
+    longer: bool,
+    /// When the device's counters were last heard.
+    heard: Tick,
     /// Bursts and pulses of strokes forgotten since the device's counters were last heard.
     unheard: (u64, u64),
     /// Samples before this still show motion from before the last cut; none if pins are not at rest yet.
@@ -39,8 +44,10 @@ pub(super) struct Hold {
 }
 
 impl Hold {
-    pub(super) fn new() -> Self {
+    pub(super) fn new(limits: &OnTimeLimits) -> Self {
         Self {
+            longer: *limits == OnTimeLimits::NONE,
+            heard: Tick(0),
             motors: std::array::from_fn(|_| Servo::new(&Gains::default())),
             sampled: None,
             followed: Tick(0),
@@ -53,6 +60,11 @@ impl Hold {
     pub(super) fn cut(&mut self) {
         self.motors.iter_mut().for_each(Servo::cut);
         (self.sampled, self.followed) = (None, Tick(0));
+        self.valid_from = None;
+    }
+
+    /// A command was sent that cuts what is played; when, nobody knows until it is answered.
+    pub(super) fn will_be_cut(&mut self) {
         self.valid_from = None;
     }
 
@@ -82,15 +94,20 @@ impl Hold {
     }
 
     /// How far a pin is from its rest, µm, and whether that was measured; `None` if there is nothing to go by.
-    pub(super) fn off_by_um(&self, motor: u8) -> Option<(f64, bool)> {
-        let motor = self.motors.get(usize::from(motor))?;
-        let measured = self.sampled.is_some() && motor.is_measured();
+    pub(super) fn off_by_um(&self, motor: u8, now: Tick) -> Option<(f64, bool)> {
+        let motor = self.motors.get(usize::from(motor)).filter(|motor| motor.doubt().is_none())?;
+        let measured = self.is_heard(now) && motor.is_measured();
         (measured || motor.is_calibrated()).then(|| (motor.rest_um(), measured))
     }
 
     /// Whether bursts may be corrected at all on a device with or without telemetry.
     pub(super) fn steers(&self, telemetry: bool) -> bool {
         telemetry || self.motors.iter().any(Servo::is_calibrated)
+    }
+
+    /// Whether a motor's telemetry is not believed.
+    pub(super) fn is_doubted(&self, motor: u8) -> bool {
+        self.motors.get(usize::from(motor)).is_some_and(|motor| motor.doubt().is_some())
     }
 
     /// Mean gain of a motor.
@@ -122,10 +139,10 @@ impl Hold {
         self.motors.get_mut(usize::from(motor))
     }
 
-    /// A stroke was sent to the device.
-    pub(super) fn sent(&mut self, stroke: &Stroke, steered: bool) {
+    /// A stroke of a play that ends at `until` was sent to the device.
+    pub(super) fn sent(&mut self, stroke: &Stroke, steered: bool, until: Tick) {
         if let Some(motor) = self.motor(stroke.motor) {
-            motor.sent(stroke, steered, |_| ());
+            motor.sent(stroke, steered, until);
         }
     }
 
@@ -148,9 +165,9 @@ impl Hold {
         self.motors.iter_mut().for_each(|motor| motor.withdraw_from(onset));
     }
 
-    /// The device has told its counters.
-    pub(super) fn heard(&mut self) {
-        self.unheard = (0, 0);
+    /// The device has told its counters as they stood at `tick`.
+    pub(super) fn heard(&mut self, tick: Tick) {
+        (self.heard, self.unheard) = (tick, (0, 0));
     }
 
     /// Bursts and pulses played since the device's counters were heard at `heard`, if the link was lost at `lost`:
@@ -169,11 +186,12 @@ impl Hold {
             return;
         }
         self.sampled = Some(tick);
-        let unheard = &mut self.unheard;
+        let (unheard, heard) = (&mut self.unheard, self.heard);
         for ((motor, &y), index) in self.motors.iter_mut().zip(y).zip(0..) {
             let mut over = |travel: estimator::Travel| over(travel.of(index));
-            motor.follow(tick, &mut over, |stroke| count(unheard, stroke));
-            motor.telemetry(tick, f64::from(y) * 0.01, &mut over);
+            if motor.follow(tick, false, &mut over, |stroke| count(unheard, heard, stroke)) {
+                motor.telemetry(tick, f64::from(y) * 0.01, &mut over);
+            }
         }
     }
 
@@ -187,9 +205,10 @@ impl Hold {
     ) {
         let fresh = self.sampled.is_some_and(|sampled| now - sampled <= LONGEST_AGE);
         if !fresh {
-            let (past, unheard) = (Tick(now.0.saturating_sub(LONGEST_AGE)), &mut self.unheard);
+            let (unheard, heard) = (&mut self.unheard, self.heard);
+            let past = Tick(now.0.saturating_sub(LONGEST_AGE));
             for motor in &mut self.motors {
-                motor.follow(past, |_| (), |stroke| count(unheard, stroke));
+                motor.follow(past, true, |_| (), |stroke| count(unheard, heard, stroke));
             }
             self.followed = past;
         }
@@ -197,19 +216,31 @@ impl Hold {
         if next.all(|next| next > now + DUE) {
             return;
         }
+        let longer = self.longer;
         for (motor, index) in self.motors.iter_mut().zip(0..) {
             motor.correct(
                 now,
                 || free(index),
                 fresh,
+                longer,
                 |up, direction, pulses| amend(&Amendment { motor: index, up, direction, pulses }),
             );
         }
     }
 
+    /// Whether no stroke is on its way.
+    pub(super) fn is_idle(&self) -> bool {
+        self.motors.iter().all(|motor| motor.next().is_none())
+    }
+
+    /// Whether telemetry was taken within a second.
+    fn is_heard(&self, now: Tick) -> bool {
+        self.sampled.is_some_and(|sampled| now - sampled <= u64::from(TICK_HZ))
+    }
+
     /// Where each shaft is thought to rest, µm, and how that is known. By dead reckoning: one standard deviation.
     pub(super) fn rest_error_um(&self, now: Tick) -> [(f32, ErrorSource); MOTORS] {
-        let fresh = self.sampled.is_some_and(|sampled| now - sampled <= u64::from(TICK_HZ));
+        let fresh = self.is_heard(now);
         self.motors.each_ref().map(|motor| match (fresh && motor.doubt().is_none(), motor.reckoned_um()) {
             (true, _) => (motor.rest_um() as f32, ErrorSource::Telemetry),
             (false, 0.0) => (motor.rest_um() as f32, ErrorSource::None),
@@ -218,7 +249,10 @@ impl Hold {
     }
 }
 
-fn count(unheard: &mut (u64, u64), stroke: &Stroke) {
-    unheard.0 += 2;
-    unheard.1 += u64::from(stroke.pulses());
+/// Counts a stroke that is forgotten, unless the device's counters already hold it.
+fn count(unheard: &mut (u64, u64), heard: Tick, stroke: &Stroke) {
+    if stroke.end() > heard {
+        unheard.0 += 2;
+        unheard.1 += u64::from(stroke.pulses());
+    }
 }

@@ -51,6 +51,8 @@ struct Queued {
     counted: [i64; 2],
     accepted: bool,
     steered: bool,
+    /// The end of its play: a correction must not cross it.
+    until: Tick,
 }
 
 impl Queued {
@@ -76,6 +78,8 @@ pub(in crate::stream) struct Servo {
     trust: Trust,
     /// Telemetry has told where the shaft is.
     anchored: bool,
+    /// A move was made from where telemetry showed the shaft, µm, and is expected to shift it by so much.
+    move_from: Option<(f64, f64)>,
     /// Dead reckoning: variance by scatter, µm², and the sum of amplitudes that asymmetry has worked on, µm.
     scattered: f64,
     reckoned_um: f64,
@@ -84,8 +88,14 @@ pub(in crate::stream) struct Servo {
 impl Servo {
     pub(in crate::stream) fn new(gains: &Gains) -> Self {
         let nothing = Stroke { motor: 0, up: Tick(0), up_pulses: 0, down: Tick(0), down_pulses: 0 };
-        let empty =
-            Queued { stroke: nothing, planned: [0; 2], counted: [0; 2], accepted: false, steered: false };
+        let empty = Queued {
+            stroke: nothing,
+            planned: [0; 2],
+            counted: [0; 2],
+            accepted: false,
+            steered: false,
+            until: Tick(0),
+        };
         let mut queue = VecDeque::with_capacity(POOL + PAST);
         // Touched once: memory is locked page by page, and the first touch must not fall into a play.
         queue.resize(queue.capacity(), empty);
@@ -100,21 +110,23 @@ impl Servo {
             estimator: Estimator::new(gains),
             trust: Trust::default(),
             anchored: false,
+            move_from: None,
             scattered: 0.0,
             reckoned_um: 0.0,
         }
     }
 
-    /// A stroke was sent. Strokes come in order.
-    pub(in crate::stream) fn sent(&mut self, stroke: &Stroke, steered: bool, over: impl FnMut(Travel)) {
+    /// A stroke of a play that ends at `until` was sent. Strokes come in order.
+    pub(in crate::stream) fn sent(&mut self, stroke: &Stroke, steered: bool, until: Tick) {
         // Without telemetry the past is forgotten here: the queue is as bounded as the device's pool.
         if self.queue.len() == self.queue.capacity()
             && let Some(first) = self.queue.front()
         {
-            self.follow(first.stroke.end() + 1, over, |_| ());
+            self.follow(first.stroke.end() + 1, true, |_| (), |_| ());
         }
         let planned = [stroke.up_pulses, stroke.down_pulses];
-        self.queue.push_back(Queued { stroke: *stroke, planned, counted: [0; 2], accepted: false, steered });
+        let (counted, accepted) = ([0; 2], false);
+        self.queue.push_back(Queued { stroke: *stroke, planned, counted, accepted, steered, until });
     }
 
     fn find(&self, up: Tick) -> Option<usize> {
@@ -132,14 +144,21 @@ impl Servo {
     pub(in crate::stream) fn withdrawn(&mut self, up: Tick) {
         let Some(at) = self.find(up) else { return };
         if self.begun > 2 * at {
-            // The estimator took it for played: what telemetry shows will put that right.
+            // The estimator took it for played: telemetry must tell anew where the shaft is.
             self.queue[at].steered = false;
+            self.estimator.lose_position();
             return;
         }
-        for half in 0..self.settled.saturating_sub(2 * at).min(2) {
+        self.remove(at);
+    }
+
+    /// Takes a stroke out that the estimator was not told of.
+    fn remove(&mut self, at: usize) {
+        let settled = self.settled.saturating_sub(2 * at).min(2);
+        for half in 0..settled {
             self.pending[half] -= self.queue[at].counted[half];
         }
-        self.settled -= self.settled.saturating_sub(2 * at).min(2);
+        self.settled -= settled;
         self.queue.remove(at);
     }
 
@@ -166,7 +185,7 @@ impl Servo {
         (self.begun, self.settled, self.pending) = (0, 0, [0; 2]);
         self.estimator.rest_at(rest_um, self.estimator.variance() + 2.0 * unsure * unsure);
         self.scattered += 2.0 * unsure * unsure;
-        self.anchored = false;
+        (self.anchored, self.move_from) = (false, None);
     }
 
     /// A person says that the pin is at rest.
@@ -178,27 +197,24 @@ impl Servo {
     /// Telemetry is believed again; what was learned from it before is not.
     pub(in crate::stream) fn trust_again(&mut self) {
         if self.trust.lost().is_some() {
-            let (um, variance) = (self.estimator.position_um(), self.estimator.variance());
-            self.estimator = Estimator::new(&self.gains);
-            self.estimator.rest_at(um, variance);
+            self.estimator.relearn(&self.gains);
         }
         self.trust = Trust::default();
     }
 
     /// The motor has been calibrated.
     pub(in crate::stream) fn calibrate(&mut self, gains: &Gains) {
-        let (um, variance) = (self.estimator.position_um(), self.estimator.variance());
         self.gains = *gains;
-        self.estimator = Estimator::new(gains);
-        self.estimator.rest_at(um, variance);
+        self.estimator.relearn(gains);
     }
 
     /// A move, between plays, shifts where the pin rests.
     pub(in crate::stream) fn moved(&mut self, direction: Direction, pulses: u16) {
         let um = f64::from(pulses) * UM_PER_PULSE * self.estimator.gain(direction);
-        let scatter = self.estimator.scatter() * um;
-        let position = self.estimator.position_um() + sign(direction) * um;
-        self.estimator.rest_at(position, self.estimator.variance() + scatter * scatter);
+        let (shift, scatter) = (sign(direction) * um, self.estimator.scatter() * um);
+        let before = self.estimator.position_um();
+        self.move_from = self.anchored.then_some((before, shift));
+        self.estimator.rest_at(before + shift, self.estimator.variance() + scatter * scatter);
         self.scattered += scatter * scatter;
         self.anchored = false;
     }
@@ -240,13 +256,16 @@ impl Servo {
         self.settled += 1;
     }
 
-    /// Time has passed to `tick`: bursts that have begun are taken for played, strokes that are over are forgotten.
+    /// Time has passed to `tick`: bursts that have begun are taken for played, strokes that are over are forgotten. Strokes that
+    /// the device has not answered for yet may be played or not: there it stops and says so, or gives them up.
     pub(in crate::stream) fn follow(
         &mut self,
         tick: Tick,
+        give_up: bool,
         mut over: impl FnMut(Travel),
         mut gone: impl FnMut(&Stroke),
-    ) {
+    ) -> bool {
+        let mut known = true;
         while let Some(next) = self.queue.get(self.begun / 2).copied() {
             let half = self.begun % 2;
             let burst = next.burst(half);
@@ -254,8 +273,11 @@ impl Servo {
                 break;
             }
             if !next.accepted && half == 0 {
-                // The device had not taken it in time.
-                self.withdrawn(next.stroke.up);
+                if !give_up {
+                    known = false;
+                    break;
+                }
+                self.remove(self.begun / 2);
                 continue;
             }
             if self.settled == self.begun {
@@ -281,6 +303,7 @@ impl Servo {
             self.begun -= 2;
             self.settled -= 2;
         }
+        known
     }
 
     /// Takes a sample of the displacement, µm; bursts before it have been followed.
@@ -289,6 +312,9 @@ impl Servo {
             return;
         }
         if !self.anchored {
+            if let Some((from, expected)) = self.move_from.take() {
+                self.trust.moved(um - from, expected);
+            }
             self.estimator.lose_position();
             self.anchored = true;
         }
@@ -313,7 +339,7 @@ impl Servo {
         (self.scattered, self.reckoned_um) = (0.0, 0.0);
         if self.trust.lost().is_some() {
             // What it has taught is not to be kept.
-            self.calibrate(&self.gains.clone());
+            self.estimator.relearn(&self.gains);
         }
     }
 
@@ -343,14 +369,15 @@ impl Servo {
         (self.scattered + drift * drift).sqrt()
     }
 
-    /// The count that leads the next burst to be settled to where the plan wants the shaft. No stroke that is not queued
-    /// begins before `free`.
-    fn wanted(&self, free: impl Fn() -> Tick) -> u16 {
+    /// The count that leads the next burst to be settled to where the plan wants the shaft; and if that is at a limit, by how far it
+    /// corrects the shaft, µm. No stroke that is not queued begins before `free`; bursts may get longer than planned if `longer`.
+    fn wanted(&self, free: impl Fn() -> Tick, longer: bool) -> (u16, Option<f64>) {
         let (at, half) = (self.settled / 2, self.settled % 2);
-        let Queued { stroke, planned, .. } = self.queue[at];
-        let next = self.queue.get(at + 1).map_or_else(free, |next| next.stroke.up);
+        let Queued { stroke, planned, until, .. } = self.queue[at];
+        let next = self.queue.get(at + 1).map_or_else(free, |next| next.stroke.up).min(until);
         let most = |half: usize, room: u64, limit: u16| {
-            let most = planned[half].saturating_add(correction(planned[half])).min(limit);
+            let more = if longer { correction(planned[half]) } else { 0 };
+            let most = planned[half].saturating_add(more).min(limit);
             most.min(u16::try_from(room).unwrap_or(u16::MAX))
         };
         let up_most = most(0, stroke.down - stroke.up, MAX_UP_PULSES);
@@ -367,7 +394,10 @@ impl Servo {
             Direction::Down => (position, down_most),
         };
         let least = planned[half].saturating_sub(correction(planned[half])).max(1);
-        ((way / gain).round().clamp(0.0, 65_535.0) as u16).min(most).max(least)
+        let ideal = (way / gain).round().clamp(0.0, 65_535.0) as u16;
+        let count = ideal.min(most).max(least);
+        let more = f64::from(count) - f64::from(planned[half]);
+        (count, (count != ideal).then_some(sign(burst.direction) * more * gain * UM_PER_PULSE))
     }
 
     /// When the next burst begins whose count is not settled.
@@ -377,12 +407,13 @@ impl Servo {
 
     /// Settles the counts of bursts that are due, or at least of one that begins within [`EARLIEST`], telling those that
     /// change: the stroke's up tick, the direction, the count. `amend` says whether it could be told. No stroke that is not queued begins before `free`. `fresh`:
-    /// telemetry is not too old to go by.
+    /// telemetry is not too old to go by. `longer`: bursts may get longer than planned.
     pub(in crate::stream) fn correct(
         &mut self,
         now: Tick,
         free: impl Fn() -> Tick,
         fresh: bool,
+        longer: bool,
         mut amend: impl FnMut(Tick, Direction, u16) -> bool,
     ) {
         let mut within = EARLIEST;
@@ -397,7 +428,8 @@ impl Servo {
             // Gains that were measured lead home without telemetry too, apart from the scatter.
             let reckoned = !fresh && self.is_calibrated() && self.trust.lost().is_none();
             if (measured || reckoned) && queued.steered && queued.accepted && burst.start >= now + LATEST {
-                let pulses = self.wanted(&free);
+                let (pulses, limited) = self.wanted(&free, longer);
+                self.trust.limit(limited, self.rest_um());
                 if pulses != burst.pulses && amend(queued.stroke.up, burst.direction, pulses) {
                     let stroke = &mut self.queue[self.settled / 2].stroke;
                     match burst.direction {

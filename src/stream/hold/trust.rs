@@ -33,6 +33,13 @@ const MEASURED: f64 = 0.1;
 /// Scatter that no motor has, once so many bursts show it.
 const SCATTER: f64 = 0.5;
 const SCATTER_EVIDENCE: f64 = 30.0;
+/// Corrections at their limit, added up, that should have moved a shaft from one end stop to the other, µm, and the share of that which
+/// it must have come nearer to its rest.
+const PUSHED_UM: f64 = 1000.0;
+const COME_NEARER: f64 = 0.25;
+/// By how much a move's travel may differ from what is expected: by this share of it, and by this, µm.
+const MOVE_SHARE: f64 = 0.6;
+const MOVE_UM: f64 = 0.5;
 
 /// Why a motor's telemetry is not believed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -44,6 +51,8 @@ pub enum Doubt {
     Gain,
     /// What it shows of equal bursts differs by more than any motor's scatter.
     Scatter,
+    /// Corrections have stood at their limit for long, and the shaft has not come nearer to its rest.
+    Limit,
 }
 
 impl Doubt {
@@ -53,6 +62,7 @@ impl Doubt {
         match self {
             Self::Jumps => "its telemetry moves where its bursts do not",
             Self::Gain => "its telemetry shows far less or more travel than its bursts make",
+            Self::Limit => "corrections at their limit have not brought it nearer to its rest",
             Self::Scatter => "its telemetry has little to do with its bursts",
         }
     }
@@ -76,6 +86,9 @@ pub(super) struct Trust {
     last_jump: Tick,
     doubt_until: Tick,
     gain_sum: f64,
+    /// Corrections at their limit one way, signed, µm, and how far off the shaft was when they began.
+    pushed_um: f64,
+    pushed_from: f64,
     lost: Option<Doubt>,
 }
 
@@ -111,6 +124,26 @@ impl Trust {
         }
         self.odd = 0;
         Seen::Moved
+    }
+
+    /// A burst was settled at a limit, where it corrects the shaft by so much, or within its limits; the shaft is thought to
+    /// rest at `rest_um`.
+    pub(super) fn limit(&mut self, um: Option<f64>, rest_um: f64) {
+        if um.is_none_or(|um| um * self.pushed_um < 0.0) {
+            (self.pushed_um, self.pushed_from) = (0.0, rest_um.abs());
+        }
+        self.pushed_um += um.unwrap_or(0.0);
+        let nearer = self.pushed_from - rest_um.abs();
+        if self.pushed_um.abs() > PUSHED_UM && nearer < COME_NEARER * self.pushed_um.abs() {
+            self.lost = self.lost.or(Some(Doubt::Limit));
+        }
+    }
+
+    /// Telemetry shows that a move has shifted the shaft by so much, where so much was expected, µm.
+    pub(super) fn moved(&mut self, um: f64, expected_um: f64) {
+        if (um - expected_um).abs() > MOVE_SHARE * expected_um.abs() + MOVE_UM {
+            self.lost = self.lost.or(Some(Doubt::Gain));
+        }
     }
 
     /// A burst is over, of a motor whose calibrated gain is `nominal`.

@@ -26,6 +26,12 @@ pub enum Refused {
          `meissner arm --assume-rest`"
     )]
     NothingToGoBy,
+    /// Homing is over and not all pins are home.
+    #[error(
+        "not all pins are home: `meissner status` says how far each is off, or that its telemetry is not believed; level those \
+         by hand, then `meissner disarm` and `meissner arm --assume-rest`"
+    )]
+    NotHome,
     /// `QUEUE` plays wait.
     #[error("16 plays are queued already: wait, or `meissner stop`")]
     QueueFull,

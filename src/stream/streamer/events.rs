@@ -3,7 +3,7 @@
 use crate::link::{Event, Verdict};
 use crate::stream::active::{Active, FIRST_MARGIN, Phase};
 use crate::stream::port::{End, LateCause, LatePolicy, Notice, Onset, Refused};
-use crate::stream::streamer::{IDLE_PING, Streamer, Tell, answer, cause_text, ticks};
+use crate::stream::streamer::{IDLE_PING, Streamer, Tell, answer, cause_text, cuts, ticks};
 use crate::units::HostInstant;
 use firmware_protocol::message::{Cause, Counters, DeviceHello, Op, State, Status};
 use firmware_protocol::stroke::Stroke;
@@ -50,6 +50,9 @@ impl Streamer {
                     // Who reads the answer finds everything as it stands after it.
                     tell(Notice::Snapshot(self.snapshot(now)));
                     answer(done.ticket, result.map_err(Refused::Device), tell);
+                    if cuts(&done.op) {
+                        self.hold.cut();
+                    }
                     self.moved(now, done.op, result.map_err(Refused::Device), tell);
                     // It may have been disarmed while the command was on its way.
                     if let (true, Some((status, _))) = (self.controls.is_empty(), self.status)
@@ -60,7 +63,7 @@ impl Streamer {
                     }
                 }
             }
-            Event::Status { status, tick } => self.status(now, status, tick),
+            Event::Status { status, tick } => self.status(now, status, tick, tell),
             Event::Stroke(stroke, verdict) => self.verdict(now, &stroke, verdict, tell),
             Event::OnsetRefused { rendered } => self.onset_refused(now, rendered),
             Event::OnsetTaken => {
@@ -74,7 +77,11 @@ impl Streamer {
                 if !matches!(cut.cause, Cause::Stop | Cause::Request) && self.state() != State::Armed {
                     self.cut_all(End::Stopped, cause_text(cut.cause));
                 }
-                self.hold.cut();
+                // What was sent since the device answered a stop is not what the report of that stop speaks of.
+                if self.state() != State::Armed || self.hold.is_idle() {
+                    self.hold.cut();
+                }
+                self.undo_move(now);
                 self.snapshot_due = now;
             }
             Event::StrokeRefused { motor, up, reason } => {
@@ -85,16 +92,20 @@ impl Streamer {
                     tell(Notice::StrokeRefused { id, motor, up, reason });
                 }
             }
-            Event::Telemetry { tick, y } => {
+            // A sample of the future would let nothing after it count.
+            Event::Telemetry { tick, y }
+                if tick <= self.tick_at(now).unwrap_or_default() + ticks(IN_TIME) =>
+            {
                 self.hold.telemetry(tick, &y, |travel| tell(Notice::Traveled(travel)));
             }
+            Event::Telemetry { .. } => {}
         }
     }
 
-    fn status(&mut self, now: HostInstant, status: Status, tick: Tick) {
+    fn status(&mut self, now: HostInstant, status: Status, tick: Tick, tell: Tell<'_>) {
         let before = self.status.replace((status, tick)).map(|(status, _)| status);
-        self.hold.heard();
-        if status.state == State::Armed {
+        self.hold.heard(tick);
+        if status.state == State::Armed && !self.in_flight {
             self.hold.at_rest(tick);
         }
         let changed = before.is_none_or(|before| {
@@ -113,6 +124,8 @@ impl Streamer {
         if !armed && self.controls.is_empty() {
             self.wants_armed = false;
             self.cut_all(End::Stopped, cause_text(status.cause));
+            self.hold.cut();
+            self.end_homing(Err(Refused::Disarmed), tell);
         }
     }
 

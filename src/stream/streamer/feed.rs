@@ -153,7 +153,8 @@ impl Streamer {
                 self.fed = stroke.up;
                 return Fed::Blocked;
             }
-            self.hold.sent(&stroke, !active.play.open_loop);
+            let until = active.end().unwrap_or(Tick(u64::MAX));
+            self.hold.sent(&stroke, !active.play.open_loop, until);
             active.plan(&stroke);
             active.undecided += 1;
             active.next = None;

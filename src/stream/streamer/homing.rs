@@ -1,9 +1,10 @@
 //! Homing: between plays, moves each pin back to where it ought to rest.
 //!
 //! One motor after the other, because a move is a command of its own; then, with telemetry, all again, until none is
-//! off by more than [`NEAR_UM`] or [`ROUNDS`] are over: each move scatters by a tenth of its way. Without telemetry a
+//! off by more than [`NEAR_UM`] or [`ROUNDS`] are over: each move scatters by a tenth of its way. Telemetry that does not show
+//! a motor's first small move as it ought to is not believed, and the motor not moved again. Without telemetry a
 //! calibrated motor is moved once, by what its gains say that strokes have left; the scatter stays. A motor
-//! of which neither is known is not moved.
+//! of which neither is known is not moved. If a pin is not home in the end, the answer says so.
 
 use crate::stream::port::Refused;
 use crate::stream::streamer::{Streamer, Taken, Tell, answer};
@@ -13,8 +14,11 @@ use firmware_protocol::message::{Op, State};
 use firmware_protocol::stroke::{Direction, MOTORS};
 use firmware_protocol::tick::{TICK_HZ, Tick};
 
-/// A pin that is so near is home, µm.
+/// A pin that is so near is home, µm, and one that is so near at the end is near enough.
 const NEAR_UM: f64 = 0.5;
+const NEAR_ENOUGH_UM: f64 = 2.0;
+/// The first move goes no further, µm: it shows whether telemetry is the motor's.
+const FIRST_UM: f64 = 30.0;
 /// Rounds over all motors at the most.
 const ROUNDS: u8 = 6;
 /// From the end of a move until the next one is sent, and until telemetry can show where it led: the window, and a wake-up.
@@ -48,7 +52,7 @@ impl Streamer {
             return Err(Refused::Playing);
         }
         let Some(tick) = self.status.map(|(_, tick)| tick) else { return Err(Refused::NoDevice) };
-        if (0..MOTORS as u8).all(|motor| self.hold.off_by_um(motor).is_none()) {
+        if (0..MOTORS as u8).all(|motor| self.hold.off_by_um(motor, tick).is_none()) {
             return Err(Refused::NothingToGoBy);
         }
         self.homing = Some(Homing {
@@ -69,6 +73,7 @@ impl Streamer {
         let over = self.tick_at(now).unwrap_or_default() + u64::from(pulses) + SETTLED;
         if result.is_ok() {
             self.hold.moved(motor, direction, pulses, over);
+            self.last_move = Some((motor, pulses, over)).filter(|_| direction == Direction::Up);
         }
         let Some(homing) = &mut self.homing else { return };
         homing.moving = false;
@@ -78,6 +83,14 @@ impl Streamer {
             // The others come home all the same.
             Err(Refused::Device(Refusal::Travel)) => homing.beyond = true,
             Err(refused) => self.end_homing(Err(refused), tell),
+        }
+    }
+
+    /// What was going on was cut: a move upwards that was under way has been taken back.
+    pub(super) fn undo_move(&mut self, now: HostInstant) {
+        let tick = self.tick_at(now).unwrap_or_default();
+        if let Some((motor, pulses, over)) = self.last_move.take().filter(|&(_, _, over)| tick < over) {
+            self.hold.moved(motor, Direction::Down, pulses, over + u64::from(pulses));
         }
     }
 
@@ -98,11 +111,13 @@ impl Streamer {
         };
         while usize::from(homing.motor) < MOTORS {
             // Without telemetry one round is all that can be done.
-            let known =
-                self.hold.off_by_um(homing.motor).filter(|&(_, measured)| measured || homing.round == 0);
-            if let Some((um, _)) = known.filter(|(um, _)| um.abs() > NEAR_UM) {
+            let known = self.hold.off_by_um(homing.motor, tick);
+            let known = known.filter(|&(_, measured)| measured || homing.round == 0);
+            if let Some((um, measured)) = known.filter(|(um, _)| um.abs() > NEAR_UM) {
                 let direction = if um > 0.0 { Direction::Down } else { Direction::Up };
-                let pulses = (um.abs() / (UM_PER_PULSE * self.hold.gain(homing.motor, direction))).round();
+                let most = if measured && homing.round == 0 { FIRST_UM } else { f64::INFINITY };
+                let pulses =
+                    (um.abs().min(most) / (UM_PER_PULSE * self.hold.gain(homing.motor, direction))).round();
                 let pulses = pulses.clamp(1.0, 3000.0) as u16;
                 homing.moving = true;
                 let op = Op::Move { motor: homing.motor, direction, pulses };
@@ -112,8 +127,15 @@ impl Streamer {
             homing.motor += 1;
         }
         if !homing.moved || homing.round + 1 == ROUNDS {
-            let beyond = homing.beyond;
-            let result = if beyond { Err(Refused::Device(Refusal::Travel)) } else { Ok(()) };
+            let far = (0..MOTORS as u8).any(|motor| {
+                let off = self.hold.off_by_um(motor, tick);
+                self.hold.is_doubted(motor) || off.is_some_and(|(um, _)| um.abs() > NEAR_ENOUGH_UM)
+            });
+            let result = match (homing.beyond, far) {
+                (true, _) => Err(Refused::Device(Refusal::Travel)),
+                (false, true) => Err(Refused::NotHome),
+                (false, false) => Ok(()),
+            };
             return self.end_homing(result, tell);
         }
         // The next round goes by what telemetry shows after the last move.

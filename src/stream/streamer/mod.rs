@@ -80,6 +80,8 @@ pub struct Streamer {
     /// The last stroke had to wait for credits.
     pub(super) short_of_credits: bool,
     homing: Option<Homing>,
+    /// The last move, if it went up: motor, pulses, when it is over.
+    last_move: Option<(u8, u16, Tick)>,
     /// Motors whose telemetry was told not to be believed.
     told_doubts: [bool; MOTORS],
     told_drift: bool,
@@ -108,10 +110,11 @@ impl Streamer {
             wants_armed: false,
             lost: None,
             plays: VecDeque::with_capacity(2 * QUEUE + 2),
-            hold: Hold::new(),
+            hold: Hold::new(&settings.limits),
             fed: Tick(0),
             short_of_credits: false,
             homing: None,
+            last_move: None,
             told_doubts: [false; MOTORS],
             told_drift: false,
             closing: None,
@@ -315,6 +318,11 @@ fn answer(ticket: u64, result: Result<(), Refused>, tell: Tell<'_>) {
     if ticket != 0 {
         tell(Notice::Answer { ticket, result });
     }
+}
+
+/// Whether a command ends what is played.
+const fn cuts(op: &Op) -> bool {
+    matches!(op, Op::Stop | Op::Disarm(_) | Op::EStop)
 }
 
 /// A cause as events, receipts and the API name it.

@@ -4,7 +4,7 @@ use crate::link::Session;
 use crate::stream::active::{Active, FIRST_MARGIN};
 use crate::stream::port::{At, End, Job, Notice, Order, Play, QUEUE, Refused};
 use crate::stream::streamer::{
-    ANSWER_WITHIN, CONTROLS, Streamer, Taken, Tell, Waiting, answer, ticks, ticks_of_ms,
+    ANSWER_WITHIN, CONTROLS, Streamer, Taken, Tell, Waiting, answer, cuts, ticks, ticks_of_ms,
 };
 use crate::units::HostInstant;
 use firmware_protocol::message::{Cause, Op, State};
@@ -265,6 +265,9 @@ impl Streamer {
                 return;
             }
             self.in_flight = true;
+            if cuts(&first.op) {
+                self.hold.will_be_cut();
+            }
             session.command(first.op);
         }
     }
