@@ -254,7 +254,7 @@ impl Estimator {
     }
 
     /// By how much a sample differs from what is expected, µm; how far it may by the filter's own lights, one standard
-    /// deviation; and the travel under way that it shows, µm.
+    /// deviation; and the travel under way that it shows and that is not known yet, µm.
     pub(super) fn compare(&self, tick: Tick, um: f64) -> Sample {
         let at = HalfTick::from(tick);
         let mut shares = [0.0; BURSTS];
@@ -264,7 +264,8 @@ impl Estimator {
             let share = moving.ramp.share_um(at);
             shares[index] = share;
             expected += share * self.mean[3 + index];
-            shown += share * moving.ideal.abs();
+            let unknown = (self.covariance[3 + index][3 + index] / moving.variance).clamp(0.0, 1.0).sqrt();
+            shown += share * unknown * moving.ideal.abs();
         }
         let states = self.states();
         let mut gain = [0.0; STATES];
@@ -343,7 +344,9 @@ impl Estimator {
         let now = self.scatter * self.scatter;
         let own = now / (now + moving.gain_variance);
         let seen = (1.0 - variance / moving.variance).clamp(0.0, 1.0);
+        // Beyond its own length it is no scatter: a correction that the line has lost looks so.
         let surprise = ((travel - moving.expected).powi(2) + variance) / (moving.ideal * moving.ideal);
+        let surprise = surprise.min(1.0);
         let weight = own * seen;
         self.evidence = (self.evidence + weight).min(SCATTER_MEMORY);
         let learned = now + weight / self.evidence * (own * surprise - now);
@@ -359,7 +362,7 @@ pub(super) struct Sample {
     pub(super) surprise_um: f64,
     /// What the square of it is on the mean, µm².
     pub(super) variance: f64,
-    /// Ideal travel of bursts under the window that it shows, µm, all counted positive.
+    /// Ideal travel that it shows of bursts under the window, as far as they are not known yet, µm, all counted positive.
     pub(super) shown_um: f64,
     /// Covariance of the sample with each state.
     gain: [f64; STATES],

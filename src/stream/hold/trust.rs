@@ -18,8 +18,10 @@ const SLACK_SD: f64 = 6.0;
 const SLACK_SHARE: f64 = 1.75;
 /// So many odd samples in a row are where the shaft is now: something has moved it.
 const JUMP: u32 = 8;
-/// Jumps above one per second, before they are too many.
-const JUMPS: f64 = 3.0;
+/// Jumps above one per second, before they are too many. A correction that the line loses is one: the burst was another.
+const JUMPS: f64 = 5.0;
+/// Odd samples within this time are one jump.
+const ONE_JUMP: u64 = TICK_HZ as u64 / 20;
 /// How long after an odd sample nothing is corrected.
 const DOUBT: u64 = TICK_HZ as u64 / 20;
 /// Standard deviation that a burst's gain is believed to have at the most, 0.35, and how a sum of squares of
@@ -110,7 +112,7 @@ impl Trust {
             return Seen::Good;
         }
         self.doubt_until = tick + DOUBT;
-        if self.odd == 0 {
+        if self.odd == 0 && tick - self.last_jump > ONE_JUMP {
             let leak = (tick - self.last_jump) as f64 / f64::from(TICK_HZ);
             self.jumps = (self.jumps - leak).max(0.0) + 1.0;
             self.last_jump = tick;
