@@ -254,7 +254,7 @@ impl Estimator {
     }
 
     /// By how much a sample differs from what is expected, µm; how far it may by the filter's own lights, one standard
-    /// deviation; and the travel under way that it shows and that is not known yet, µm.
+    /// deviation; and the travel under way that it shows, µm.
     pub(super) fn compare(&self, tick: Tick, um: f64) -> Sample {
         let at = HalfTick::from(tick);
         let mut shares = [0.0; BURSTS];
@@ -264,8 +264,7 @@ impl Estimator {
             let share = moving.ramp.share_um(at);
             shares[index] = share;
             expected += share * self.mean[3 + index];
-            let unknown = (self.covariance[3 + index][3 + index] / moving.variance).clamp(0.0, 1.0).sqrt();
-            shown += share * unknown * moving.ideal.abs();
+            shown += share * moving.ideal.abs();
         }
         let states = self.states();
         let mut gain = [0.0; STATES];
@@ -362,7 +361,7 @@ pub(super) struct Sample {
     pub(super) surprise_um: f64,
     /// What the square of it is on the mean, µm².
     pub(super) variance: f64,
-    /// Ideal travel that it shows of bursts under the window, as far as they are not known yet, µm, all counted positive.
+    /// Ideal travel of bursts under the window that it shows, µm, all counted positive.
     pub(super) shown_um: f64,
     /// Covariance of the sample with each state.
     gain: [f64; STATES],

@@ -35,9 +35,10 @@ const MEASURED: f64 = 0.1;
 /// Scatter that no motor has, once so many bursts show it.
 const SCATTER: f64 = 0.5;
 const SCATTER_EVIDENCE: f64 = 30.0;
-/// Corrections at their limit, added up, that should have moved a shaft from one end stop to the other, µm, and the share of that which
-/// it must have come nearer to its rest.
+/// Corrections at their limit, added up, that should have moved a shaft from one end stop to the other, µm, so many at least that
+/// scatter does not make up for them, and the share of that which it must have come nearer to its rest.
 const PUSHED_UM: f64 = 1000.0;
+const PUSHES: u32 = 60;
 const COME_NEARER: f64 = 0.25;
 /// By how much a move's travel may differ from what is expected: by this share of it, and by this, µm.
 const MOVE_SHARE: f64 = 0.6;
@@ -90,6 +91,7 @@ pub(super) struct Trust {
     gain_sum: f64,
     /// Corrections at their limit one way, signed, µm, and how far off the shaft was when they began.
     pushed_um: f64,
+    pushes: u32,
     pushed_from: f64,
     lost: Option<Doubt>,
 }
@@ -132,11 +134,15 @@ impl Trust {
     /// rest at `rest_um`.
     pub(super) fn limit(&mut self, um: Option<f64>, rest_um: f64) {
         if um.is_none_or(|um| um * self.pushed_um < 0.0) {
-            (self.pushed_um, self.pushed_from) = (0.0, rest_um.abs());
+            (self.pushed_um, self.pushes, self.pushed_from) = (0.0, 0, rest_um.abs());
         }
         self.pushed_um += um.unwrap_or(0.0);
+        self.pushes += 1;
         let nearer = self.pushed_from - rest_um.abs();
-        if self.pushed_um.abs() > PUSHED_UM && nearer < COME_NEARER * self.pushed_um.abs() {
+        if self.pushed_um.abs() > PUSHED_UM
+            && self.pushes > PUSHES
+            && nearer < COME_NEARER * self.pushed_um.abs()
+        {
             self.lost = self.lost.or(Some(Doubt::Limit));
         }
     }
