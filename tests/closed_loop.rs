@@ -383,6 +383,14 @@ fn a_minute_of_all_motors_is_within_reach_of_the_bound_and_of_the_wire() {
     assert!(bytes <= 12.0, "{bytes} bytes per burst");
 }
 
+/// What came of an order.
+fn answer(notices: &[Notice], of: u64) -> Option<std::result::Result<(), Refused>> {
+    notices.iter().find_map(|notice| match notice {
+        Notice::Answer { ticket, result } if *ticket == of => Some(*result),
+        _ => None,
+    })
+}
+
 #[test]
 fn home_brings_pins_back_between_plays_and_says_why_if_it_cannot() {
     let mut rig = Rig::new(Line::default(), 5);
@@ -394,12 +402,6 @@ fn home_brings_pins_back_between_plays_and_says_why_if_it_cannot() {
     let early = rig.order(Job::Home);
     rig.run(Duration::from_millis(5000));
     let notices = rig.take_notices();
-    let answer = |notices: &[Notice], of: u64| {
-        notices.iter().find_map(|notice| match notice {
-            Notice::Answer { ticket, result } if *ticket == of => Some(*result),
-            _ => None,
-        })
-    };
     assert_eq!(answer(&notices, early), Some(Err(Refused::Playing)));
     let before = rig.mock.position_um(3);
     assert!(before.abs() > 20.0, "{before} um of drift in open loop");
@@ -515,12 +517,7 @@ fn home_moves_no_pin_far_by_telemetry_that_lies() {
         let before: Vec<f64> = (0..MOTORS as u8).map(|motor| rig.mock.position_um(motor)).collect();
         let home = rig.order(Job::Home);
         rig.run(Duration::from_millis(3000));
-        let notices = rig.take_notices();
-        let answered = notices.iter().find_map(|notice| match notice {
-            Notice::Answer { ticket, result } if *ticket == home => Some(*result),
-            _ => None,
-        });
-        assert_eq!(answered, Some(Err(Refused::NotHome)), "{name}");
+        assert_eq!(answer(&rig.take_notices(), home), Some(Err(Refused::NotHome)), "{name}");
         for (motor, before) in (0u8..).zip(before) {
             let um = rig.mock.position_um(motor);
             assert!((um - before).abs() <= 45.0, "{name}: motor {motor} from {before} to {um}");

@@ -1,9 +1,10 @@
 //! Whether a motor's telemetry can be believed: what it says of the bursts that were played.
 //!
-//! Three things are looked at. A sample that no burst under way explains is odd; a run of odd samples is a jump, and
+//! What is looked at: A sample that no burst under way explains is odd; a run of odd samples is a jump, and
 //! jumps that come again and again are a sensor that jumps, lags behind or belongs to another motor. A burst's gain
 //! may scatter, but bursts whose gain is implausible one after the other are a sensor that is stuck or has another
-//! scale. And scatter beyond all motors' says that telemetry and bursts have little to do with each other.
+//! scale. Scatter beyond all motors' says that telemetry and bursts have little to do with each other. Corrections that stand
+//! at their limit without bringing the shaft nearer push in vain. And a move between plays must show as it was made.
 //!
 //! It only judges. Believing again is up to a person: after `arm`.
 

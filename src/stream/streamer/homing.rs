@@ -9,7 +9,7 @@
 use crate::stream::port::Refused;
 use crate::stream::streamer::{Streamer, Taken, Tell, answer};
 use crate::units::{HostInstant, UM_PER_PULSE};
-use firmware_protocol::limits::Refusal;
+use firmware_protocol::limits::{MAX_TRAVEL, Refusal};
 use firmware_protocol::message::{Op, State};
 use firmware_protocol::stroke::{Direction, MOTORS};
 use firmware_protocol::tick::{TICK_HZ, Tick};
@@ -118,7 +118,7 @@ impl Streamer {
                 let most = if measured && homing.round == 0 { FIRST_UM } else { f64::INFINITY };
                 let pulses =
                     (um.abs().min(most) / (UM_PER_PULSE * self.hold.gain(homing.motor, direction))).round();
-                let pulses = pulses.clamp(1.0, 3000.0) as u16;
+                let pulses = pulses.clamp(1.0, MAX_TRAVEL.into()) as u16;
                 homing.moving = true;
                 let op = Op::Move { motor: homing.motor, direction, pulses };
                 self.control(now, 0, op, tell);
