@@ -3,6 +3,7 @@
 //! Invariant: nothing in it comes once per burst.
 
 use crate::record::{Event, PlayState};
+use crate::stream::ANOTHER_DEVICE;
 use tracing::{info, warn};
 
 /// Logs an event, if it is for the log.
@@ -11,6 +12,7 @@ pub(super) fn log(event: &Event) {
         Event::Connected { device } => {
             info!(kind = device.kind, firmware = device.firmware, boot = device.boot, "device connected");
         }
+        Event::Disconnected { reason } if reason == ANOTHER_DEVICE => info!("{reason}"),
         Event::Disconnected { reason } => {
             warn!("device disconnected: {reason}; it is looked for again");
         }
