@@ -1,9 +1,13 @@
 //! A client of the daemon: one kept-alive HTTP/1.1 connection over its Unix socket, and event streams.
 //!
 //! Calls block; each connection has a small runtime of its own. It knows addresses and JSON, not what commands
-//! mean. A call that takes longer than [`PATIENCE`] fails; an event stream waits for as long as there is one.
+//! mean. A call that takes longer than [`PATIENCE`] fails, unless it was given more; an event stream waits for as long as
+//! there is one. Which daemon, if none is named, says [`Place`]; who may speak to it, [`access`].
 //!
 //! Invariant: the display of a [`ClientError`] is one line that says what to do.
+
+pub mod access;
+mod place;
 
 use crate::api::Problem;
 use crate::record::Event;
@@ -13,6 +17,7 @@ use hyper::client::conn::http1::{SendRequest, handshake};
 use hyper::header::{CONTENT_TYPE, HOST};
 use hyper::{Method, Request, Response};
 use hyper_util::rt::TokioIo;
+pub use place::{Place, is_installed};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::io;
@@ -23,6 +28,8 @@ use tokio::runtime::{Builder, Runtime};
 
 /// How long an answer may take: longer than the daemon waits for the device.
 pub const PATIENCE: Duration = Duration::from_secs(5);
+/// How long pins may take to be home: longer than the daemon waits for them, which is 25 s.
+pub const HOME_PATIENCE: Duration = Duration::from_secs(30);
 /// Bytes of an answer, or of one event, at the most.
 const MAX_ANSWER: usize = 16 << 20;
 
@@ -33,14 +40,24 @@ pub const MAX_SOCKET_PATH: usize = 107;
 #[derive(Debug, thiserror::Error)]
 pub enum ClientError {
     /// Nobody answers.
-    #[error("no daemon answers at {}: start one with `meissner daemon`", .socket.display())]
+    #[error("no daemon answers at {}{}: {}", .place.socket.display(), nor_text(.place), .place.start())]
     NoDaemon {
         /// Where.
-        socket: PathBuf,
+        place: Place,
         /// What the system said.
         source: io::Error,
     },
-    /// Somebody may not.
+    /// We may not, and it can be said why.
+    #[error("{}: {found}: {advice}", .socket.display())]
+    Denied {
+        /// Where.
+        socket: PathBuf,
+        /// Why.
+        found: String,
+        /// What to do.
+        advice: String,
+    },
+    /// It is not to be had.
     #[error("{}: {source}; see that you may use the socket (its group), or choose another with --socket", .socket.display())]
     Connect {
         /// Where.
@@ -66,10 +83,12 @@ pub enum ClientError {
         source: Option<hyper::Error>,
     },
     /// It takes too long.
-    #[error("{}: no answer within {} s: see the daemon's log", .socket.display(), PATIENCE.as_secs())]
+    #[error("{}: no answer within {} s: see the daemon's log", .socket.display(), .patience.as_secs_f32())]
     Slow {
         /// Where.
         socket: PathBuf,
+        /// How long it was waited for.
+        patience: Duration,
     },
     /// Something else answers there, or another version.
     #[error("{}: not an answer of this version's daemon: {what}; restart it, or choose another with --socket", .socket.display())]
@@ -84,10 +103,14 @@ pub enum ClientError {
     Runtime(#[source] io::Error),
 }
 
+fn nor_text(place: &Place) -> String {
+    place.other.as_ref().map_or_else(String::new, |other| format!(", nor at {}", other.display()))
+}
+
 /// A connection to the daemon.
 #[derive(Debug)]
 pub struct Client {
-    socket: PathBuf,
+    place: Place,
     runtime: Runtime,
     sender: Option<SendRequest<Full<Bytes>>>,
 }
@@ -98,8 +121,16 @@ impl Client {
     /// # Errors
     /// If the system has no means for it.
     pub fn new(socket: &Path) -> Result<Self, ClientError> {
+        Self::at(Place::at(socket))
+    }
+
+    /// As [`Self::new`], of the first daemon that listens at this place.
+    ///
+    /// # Errors
+    /// If the system has no means for it.
+    pub fn at(place: Place) -> Result<Self, ClientError> {
         let runtime = Builder::new_current_thread().enable_all().build().map_err(ClientError::Runtime)?;
-        Ok(Self { socket: socket.to_owned(), runtime, sender: None })
+        Ok(Self { place, runtime, sender: None })
     }
 
     /// `GET`.
@@ -107,7 +138,7 @@ impl Client {
     /// # Errors
     /// See [`ClientError`].
     pub fn get<T: DeserializeOwned>(&mut self, path: &str) -> Result<T, ClientError> {
-        self.call(Method::GET, path, Bytes::new())
+        self.call(Method::GET, path, Bytes::new(), PATIENCE)
     }
 
     /// `POST` of a JSON document.
@@ -115,8 +146,21 @@ impl Client {
     /// # Errors
     /// See [`ClientError`].
     pub fn post<T: DeserializeOwned>(&mut self, path: &str, body: &impl Serialize) -> Result<T, ClientError> {
+        self.post_within(PATIENCE, path, body)
+    }
+
+    /// As [`Self::post`], for what takes its time.
+    ///
+    /// # Errors
+    /// See [`ClientError`].
+    pub fn post_within<T: DeserializeOwned>(
+        &mut self,
+        patience: Duration,
+        path: &str,
+        body: &impl Serialize,
+    ) -> Result<T, ClientError> {
         let body = serde_json::to_vec(body).map_err(|error| self.odd(&error))?;
-        self.call(Method::POST, path, body.into())
+        self.call(Method::POST, path, body.into(), patience)
     }
 
     /// `PUT` of a text.
@@ -124,7 +168,7 @@ impl Client {
     /// # Errors
     /// See [`ClientError`].
     pub fn put<T: DeserializeOwned>(&mut self, path: &str, text: String) -> Result<T, ClientError> {
-        self.call(Method::PUT, path, text.into())
+        self.call(Method::PUT, path, text.into(), PATIENCE)
     }
 
     fn call<T: DeserializeOwned>(
@@ -132,12 +176,13 @@ impl Client {
         method: Method,
         path: &str,
         body: Bytes,
+        patience: Duration,
     ) -> Result<T, ClientError> {
         let idle = self.sender.is_some();
-        let mut answer = self.exchange(&method, path, &body);
+        let mut answer = self.exchange(&method, path, &body, patience);
         // A connection that was idle for half a minute the daemon has closed: what only asks may ask again.
         if idle && method == Method::GET && matches!(answer, Err(ClientError::HungUp { .. })) {
-            answer = self.exchange(&method, path, &body);
+            answer = self.exchange(&method, path, &body, patience);
         }
         let (good, bytes) = answer?;
         if good {
@@ -147,22 +192,32 @@ impl Client {
     }
 
     /// One request and its answer, and whether that is a good one.
-    fn exchange(&mut self, method: &Method, path: &str, body: &Bytes) -> Result<(bool, Bytes), ClientError> {
-        let (socket, sender) = (&self.socket, &mut self.sender);
-        let answer = self.runtime.block_on(async {
+    fn exchange(
+        &mut self,
+        method: &Method,
+        path: &str,
+        body: &Bytes,
+        patience: Duration,
+    ) -> Result<(bool, Bytes), ClientError> {
+        let Self { place, runtime, sender } = self;
+        let answer = runtime.block_on(async {
             let exchange = async {
                 // A connection that was idle for long may have been closed; nothing was sent on it then.
                 if sender.as_mut().is_none_or(|sender| sender.is_closed()) {
-                    *sender = Some(connect(socket).await?);
+                    let (found, socket) = connect(place).await?;
+                    *sender = Some(found);
+                    // There it stays, whoever else begins to listen.
+                    *place = Place::at(&socket);
                 }
+                let socket = &place.socket;
                 let Some(sender) = sender.as_mut() else { return Err(hung_up(socket, None)) };
                 sender.ready().await.map_err(|source| hung_up(socket, Some(source)))?;
                 let request = request(method.clone(), path, body.clone());
                 let response = sender.send_request(request).await;
                 read_all(socket, response.map_err(|source| hung_up(socket, Some(source)))?).await
             };
-            let slow = |_| Err(ClientError::Slow { socket: socket.clone() });
-            tokio::time::timeout(PATIENCE, exchange).await.unwrap_or_else(slow)
+            let answer = tokio::time::timeout(patience, exchange).await;
+            answer.unwrap_or_else(|_| Err(ClientError::Slow { socket: place.socket.clone(), patience }))
         });
         if answer.is_err() {
             self.sender = None;
@@ -171,7 +226,7 @@ impl Client {
     }
 
     fn odd(&self, error: &serde_json::Error) -> ClientError {
-        ClientError::Answer { socket: self.socket.clone(), what: error.to_string() }
+        ClientError::Answer { socket: self.place.socket.clone(), what: error.to_string() }
     }
 
     /// Listens to events on a connection of its own. What happens after this has returned is heard.
@@ -180,11 +235,10 @@ impl Client {
     /// See [`ClientError`].
     pub fn events(&self) -> Result<Events, ClientError> {
         let runtime = Builder::new_current_thread().enable_all().build().map_err(ClientError::Runtime)?;
-        let socket = self.socket.clone();
-        let response = runtime.block_on(async {
-            let mut sender = connect(&socket).await?;
+        let (socket, response) = runtime.block_on(async {
+            let (mut sender, socket) = connect(&self.place).await?;
             let request = request(Method::GET, "/v1/events", Bytes::new());
-            let slow = |_| Err(ClientError::Slow { socket: socket.clone() });
+            let slow = |_| Err(ClientError::Slow { socket: socket.clone(), patience: PATIENCE });
             let response = async {
                 let response = sender.send_request(request).await;
                 let response = response.map_err(|source| hung_up(&socket, Some(source)))?;
@@ -198,20 +252,32 @@ impl Client {
                     Into::into,
                 ))
             };
-            tokio::time::timeout(PATIENCE, response).await.unwrap_or_else(slow)
+            let response = tokio::time::timeout(PATIENCE, response).await.unwrap_or_else(slow)?;
+            Ok::<_, ClientError>((socket, response))
         })?;
         Ok(Events { socket, runtime, body: response.into_body(), rest: Vec::new() })
     }
 }
 
-async fn connect(socket: &Path) -> Result<SendRequest<Full<Bytes>>, ClientError> {
-    let stream = UnixStream::connect(socket).await.map_err(|source| {
-        let socket = socket.to_owned();
+/// A connection to the first that listens, and where that is.
+async fn connect(place: &Place) -> Result<(SendRequest<Full<Bytes>>, PathBuf), ClientError> {
+    let mut socket = &place.socket;
+    let mut stream = UnixStream::connect(socket).await;
+    if let (Err(error), Some(other)) = (&stream, &place.other)
+        && (is_nobody(error) || is_hidden(error, socket))
+    {
+        socket = other;
+        stream = UnixStream::connect(socket).await;
+    }
+    let stream = stream.map_err(|source| {
+        let socket = socket.clone();
         match source.kind() {
             _ if socket.as_os_str().len() > MAX_SOCKET_PATH => ClientError::TooLong { socket },
-            io::ErrorKind::NotFound | io::ErrorKind::ConnectionRefused => {
-                ClientError::NoDaemon { socket, source }
-            }
+            _ if is_nobody(&source) => ClientError::NoDaemon { place: place.clone(), source },
+            io::ErrorKind::PermissionDenied => match access::denied(&socket) {
+                Some((found, advice)) => ClientError::Denied { socket, found, advice },
+                None => ClientError::Connect { socket, source },
+            },
             _ => ClientError::Connect { socket, source },
         }
     })?;
@@ -219,7 +285,17 @@ async fn connect(socket: &Path) -> Result<SendRequest<Full<Bytes>>, ClientError>
         handshake(TokioIo::new(stream)).await.map_err(|source| hung_up(socket, Some(source)))?;
     // Its errors come out of the requests too.
     tokio::spawn(connection);
-    Ok(sender)
+    Ok((sender, socket.clone()))
+}
+
+/// Whether it says that nobody listens.
+fn is_nobody(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::ConnectionRefused)
+}
+
+/// Whether it is not even to be seen: `su` leaves one with the runtime directory of somebody else.
+fn is_hidden(error: &io::Error, socket: &Path) -> bool {
+    error.kind() == io::ErrorKind::PermissionDenied && socket.metadata().is_err()
 }
 
 fn hung_up(socket: &Path, source: Option<hyper::Error>) -> ClientError {
@@ -287,7 +363,10 @@ impl Events {
                 }
             };
             match self.runtime.block_on(frame) {
-                Err(_) => return Err(ClientError::Slow { socket: self.socket.clone() }),
+                Err(_) => {
+                    let patience = patience.unwrap_or_default();
+                    return Err(ClientError::Slow { socket: self.socket.clone(), patience });
+                }
                 Ok(None) => return Ok(None),
                 Ok(Some(Err(source))) => return Err(hung_up(&self.socket, Some(source))),
                 Ok(Some(Ok(frame))) => self.rest.extend(frame.data_ref().into_iter().flatten()),
@@ -317,6 +396,50 @@ mod tests {
         assert!(matches!(client.events(), Err(ClientError::NoDaemon { .. })));
         let long = Client::new(&dir.path().join("x".repeat(107))).unwrap().events().unwrap_err();
         assert!(matches!(long, ClientError::TooLong { .. }), "{long}");
+    }
+
+    #[test]
+    fn both_places_and_the_service_are_named() {
+        let dir = tempfile::tempdir().unwrap();
+        let (socket, other) = (dir.path().join("a"), Some(dir.path().join("b")));
+        let line = |place: Place| Client::at(place).unwrap().events().unwrap_err().to_string();
+        let place = Place { socket: socket.clone(), other, service: true };
+        let says = format!("no daemon answers at {0}/a, nor at {0}/b: ", dir.path().display());
+        let start = "start one with `meissner daemon`";
+        assert_eq!(line(place.clone()), format!("{says}`sudo systemctl start meissner`, or {start}"));
+        assert_eq!(line(Place { service: false, ..place }), format!("{says}{start}"));
+    }
+
+    #[test]
+    fn the_first_that_listens_is_the_daemon() {
+        let dir = tempfile::tempdir().unwrap();
+        let (users, service) = (dir.path().join("u.sock"), dir.path().join("s.sock"));
+        let place = Place { socket: users.clone(), other: Some(service.clone()), service: false };
+        let runtime = Builder::new_current_thread().enable_all().build().unwrap();
+        let found = || runtime.block_on(connect(&place)).map(|(_, socket)| socket).ok();
+        let listen = |socket| std::os::unix::net::UnixListener::bind(socket).unwrap();
+        assert_eq!(found(), None);
+        let installed = listen(&service);
+        assert_eq!(found(), Some(service.clone()));
+        // A file that is left over is nobody.
+        drop(listen(&users));
+        assert!(users.exists() && found().as_ref() == Some(&service));
+        std::fs::remove_file(&users).unwrap();
+        let _own = listen(&users);
+        assert_eq!(found(), Some(users.clone()));
+        drop(installed);
+        assert_eq!(found(), Some(users));
+    }
+
+    #[test]
+    fn what_takes_its_time_gets_it() {
+        let dir = tempfile::tempdir().unwrap();
+        let socket = dir.path().join("mute.sock");
+        let _mute = std::os::unix::net::UnixListener::bind(&socket).unwrap();
+        let patience = Duration::from_millis(100);
+        let mut client = Client::new(&socket).unwrap();
+        let slow = client.post_within::<u8>(patience, "/v1/home", &()).unwrap_err().to_string();
+        assert!(slow.contains("mute.sock: no answer within 0.1 s: "), "{slow}");
     }
 
     #[test]

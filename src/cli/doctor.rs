@@ -11,7 +11,7 @@ mod board;
 use super::{Plain, give, text};
 use crate::api::Status;
 use crate::checkup::{Drift, RoundTrip};
-use crate::client::{Client, ClientError};
+use crate::client::ClientError;
 use crate::device::Spec;
 use crate::record::DeviceInfo;
 use crate::stream::Realtime;
@@ -99,7 +99,7 @@ pub(super) fn run(asked: Option<Spec>, plain: &Plain) -> Result<ExitCode> {
     let (realtime, wake_up) = measured.unwrap_or((Realtime::default(), WakeUp::NONE));
     let mut findings = Vec::from(rights(realtime));
     findings.push(timers(&wake_up));
-    let status = Client::new(&plain.place.path())?.get("/v1/status");
+    let status = plain.client()?.get("/v1/status");
     let daemons = daemon(&mut findings, asked.is_none(), status);
     let device = match asked {
         None if daemons.is_some() => None,
@@ -193,8 +193,8 @@ fn timers(wake_up: &WakeUp) -> Finding {
 fn daemon(findings: &mut Vec<Finding>, judged: bool, status: Result<Status, ClientError>) -> Option<Status> {
     let status = match status {
         Ok(status) => status,
-        Err(ClientError::NoDaemon { socket, .. }) => {
-            let found = format!("none answers at {}", socket.display());
+        Err(ClientError::NoDaemon { place, .. }) => {
+            let found = format!("none answers at {}", place.socket.display());
             let advice = "to play, start one with `meissner daemon`, or name its socket with --socket";
             findings.push(Finding::new("daemon", Level::Warn, found, advice));
             return None;

@@ -22,8 +22,8 @@ mod tradeoff;
 mod watch;
 
 use crate::api::Late;
-use crate::client::Client;
-use crate::config::{self, Config, PatternsDir};
+use crate::client::{Client, Place};
+use crate::config::{Config, PatternsDir};
 use crate::daemon::{self, Daemon, DaemonError};
 use crate::device::Spec;
 use anyhow::{Result, anyhow};
@@ -67,8 +67,10 @@ enum Command {
         /// auto, mock, pty, serial[:PATH|:SERIAL|:VID:PID[:SERIAL]] or usb[:SERIAL] [default: the configuration's, else auto]
         #[arg(long, value_name = "DEVICE")]
         device: Option<Spec>,
-        #[command(flatten)]
-        place: Place,
+        /// Where clients connect [default: the configuration's, else $MEISSNER_SOCKET, else
+        /// $XDG_RUNTIME_DIR/meissner.sock, else /run/meissner/meissner.sock]
+        #[arg(long, value_name = "PATH")]
+        socket: Option<PathBuf>,
     },
     /// Play a pattern, behind what is queued
     Play(Play),
@@ -183,24 +185,12 @@ struct Play {
 /// What a client command needs.
 #[derive(Debug, Args)]
 struct Plain {
-    #[command(flatten)]
-    place: Place,
-    #[command(flatten)]
-    output: Output,
-}
-
-#[derive(Debug, Args)]
-struct Place {
-    /// The daemon's socket [default: $MEISSNER_SOCKET, else $XDG_RUNTIME_DIR/meissner.sock, else
-    /// /run/meissner/meissner.sock]
+    /// The daemon's socket [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and
+    /// /run/meissner/meissner.sock at which a daemon listens]
     #[arg(long, value_name = "PATH")]
     socket: Option<PathBuf>,
-}
-
-impl Place {
-    fn path(&self) -> PathBuf {
-        self.socket.clone().unwrap_or_else(config::default_socket)
-    }
+    #[command(flatten)]
+    output: Output,
 }
 
 #[derive(Clone, Copy, Debug, Args)]
@@ -212,7 +202,8 @@ struct Output {
 
 impl Plain {
     fn client(&self) -> Result<Client> {
-        Ok(Client::new(&self.place.path())?)
+        let place = self.socket.as_deref().map_or_else(Place::find, Place::at);
+        Ok(Client::at(place)?)
     }
 }
 
@@ -326,14 +317,14 @@ fn is_broken_pipe(error: &anyhow::Error) -> bool {
 fn run(command: Command) -> Result<ExitCode> {
     match command {
         Command::Demo { seconds, open_loop, output } => demo::run(seconds, open_loop, output.json),
-        Command::Daemon { config, device, place } => serve(config, device, place),
+        Command::Daemon { config, device, socket } => serve(config, device, socket),
         Command::Play(play) => control::play(&play),
         Command::Stop(plain) => control::command(&plain, "stop"),
         Command::Estop(plain) => control::command(&plain, "estop"),
         Command::Reset(plain) => control::command(&plain, "reset"),
         Command::Arm { assume_rest, plain } => control::arm(&plain, assume_rest),
         Command::Disarm(plain) => control::command(&plain, "disarm"),
-        Command::Home(plain) => control::command(&plain, "home"),
+        Command::Home(plain) => control::home(&plain),
         Command::Calibrate(asked) => calibrate::run(&asked),
         Command::List(plain) => library::list(&plain),
         Command::Show { name, plain } => library::show(&plain, &name),
@@ -352,12 +343,12 @@ fn run(command: Command) -> Result<ExitCode> {
     }
 }
 
-fn serve(config: Option<PathBuf>, device: Option<Spec>, place: Place) -> Result<ExitCode> {
+fn serve(config: Option<PathBuf>, device: Option<Spec>, socket: Option<PathBuf>) -> Result<ExitCode> {
     let mut settings = config.as_ref().map_or_else(|| Ok(Config::default()), |file| Config::read(file))?;
     if let Some(device) = device {
         settings.device = device;
     }
-    if let Some(socket) = place.socket {
+    if let Some(socket) = socket {
         settings.socket = socket;
     }
     daemon::runtime()?.block_on(async {

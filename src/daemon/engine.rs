@@ -21,7 +21,7 @@ use crate::pattern::Pattern;
 use crate::record::{Event, FeltRecord, Look, PlayState, Receipt, Recorder, Travels, Unfelt};
 use crate::store::Stored;
 use crate::stream::port::{At, Job, Notice, Notices, Order, Orders, Play, Refused};
-use crate::stream::{Gains, Need, Settings};
+use crate::stream::{Gains, Need, Realtime, Settings};
 use crate::strokes::Strokes;
 use crate::units::HostInstant;
 use firmware_protocol::stroke::MOTORS;
@@ -100,6 +100,8 @@ pub(super) struct Engine {
     wanted: String,
     /// Where the calibration is kept.
     calibration: Option<PathBuf>,
+    /// What the system granted the streamer.
+    realtime: Realtime,
     inner: Mutex<Inner>,
 }
 
@@ -130,7 +132,12 @@ impl Engine {
             events: Some(broadcast::channel(EVENTS).0),
             closing: false,
         };
-        Self { settings, wanted, calibration, inner: Mutex::new(inner) }
+        Self { settings, wanted, calibration, realtime: Realtime::default(), inner: Mutex::new(inner) }
+    }
+
+    /// As granted by the system.
+    pub(super) fn granted(self, realtime: Realtime) -> Self {
+        Self { realtime, ..self }
     }
 
     pub(super) fn lock(&self) -> MutexGuard<'_, Inner> {
@@ -504,6 +511,7 @@ impl Engine {
             calibrated: used.map(|calibration| {
                 calibration.provenance().date.clone().unwrap_or_else(|| "without a date".to_owned())
             }),
+            realtime: Some(self.realtime),
             version: env!("CARGO_PKG_VERSION").to_owned(),
             pid: std::process::id(),
         }
