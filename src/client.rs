@@ -4,13 +4,15 @@
 //! mean. A call that takes longer than [`PATIENCE`] fails, unless it was given more; an event stream waits for as long as
 //! there is one. Which daemon, if none is named, says [`Place`]; who may speak to it, [`access`].
 //!
-//! Invariant: the display of a [`ClientError`] is one line that says what to do.
+//! Invariant: a request that may change something is sent once.
 
 pub mod access;
+mod error;
 mod place;
 
 use crate::api::Problem;
 use crate::record::Event;
+pub use error::ClientError;
 use http_body_util::{BodyExt, Full, Limited};
 use hyper::body::{Bytes, Incoming};
 use hyper::client::conn::http1::{SendRequest, handshake};
@@ -35,77 +37,6 @@ const MAX_ANSWER: usize = 16 << 20;
 
 /// Bytes of a socket's path at the most: what `sun_path` holds.
 pub const MAX_SOCKET_PATH: usize = 107;
-
-/// What a call can come to.
-#[derive(Debug, thiserror::Error)]
-pub enum ClientError {
-    /// Nobody answers.
-    #[error("no daemon answers at {}{}: {}", .place.socket.display(), nor_text(.place), .place.start())]
-    NoDaemon {
-        /// Where.
-        place: Place,
-        /// What the system said.
-        source: io::Error,
-    },
-    /// We may not, and it can be said why.
-    #[error("{}: {found}: {advice}", .socket.display())]
-    Denied {
-        /// Where.
-        socket: PathBuf,
-        /// Why.
-        found: String,
-        /// What to do.
-        advice: String,
-    },
-    /// It is not to be had.
-    #[error("{}: {source}; see that you may use the socket (its group), or choose another with --socket", .socket.display())]
-    Connect {
-        /// Where.
-        socket: PathBuf,
-        /// What the system said.
-        source: io::Error,
-    },
-    /// More than the system takes.
-    #[error("{}: a socket's path has at most {MAX_SOCKET_PATH} bytes: choose a shorter one with --socket", .socket.display())]
-    TooLong {
-        /// Where.
-        socket: PathBuf,
-    },
-    /// The daemon says no.
-    #[error(transparent)]
-    Problem(#[from] Problem),
-    /// The connection broke.
-    #[error("{}: the daemon hung up: see its log", .socket.display())]
-    HungUp {
-        /// Where.
-        socket: PathBuf,
-        /// What HTTP said.
-        source: Option<hyper::Error>,
-    },
-    /// It takes too long.
-    #[error("{}: no answer within {} s: see the daemon's log", .socket.display(), .patience.as_secs_f32())]
-    Slow {
-        /// Where.
-        socket: PathBuf,
-        /// How long it was waited for.
-        patience: Duration,
-    },
-    /// Something else answers there, or another version.
-    #[error("{}: not an answer of this version's daemon: {what}; restart it, or choose another with --socket", .socket.display())]
-    Answer {
-        /// Where.
-        socket: PathBuf,
-        /// What is odd about it.
-        what: String,
-    },
-    /// No runtime.
-    #[error("cannot start: {0}")]
-    Runtime(#[source] io::Error),
-}
-
-fn nor_text(place: &Place) -> String {
-    place.other.as_ref().map_or_else(String::new, |other| format!(", nor at {}", other.display()))
-}
 
 /// A connection to the daemon.
 #[derive(Debug)]
@@ -380,105 +311,4 @@ impl Events {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn without_a_daemon_it_says_how_to_start_one() {
-        let dir = tempfile::tempdir().unwrap();
-        let socket = dir.path().join("none.sock");
-        let mut client = Client::new(&socket).unwrap();
-        let line = client.get::<serde_json::Value>("/v1/status").unwrap_err().to_string();
-        assert_eq!(
-            line,
-            format!("no daemon answers at {}: start one with `meissner daemon`", socket.display())
-        );
-        assert!(matches!(client.events(), Err(ClientError::NoDaemon { .. })));
-        let long = Client::new(&dir.path().join("x".repeat(107))).unwrap().events().unwrap_err();
-        assert!(matches!(long, ClientError::TooLong { .. }), "{long}");
-    }
-
-    #[test]
-    fn both_places_and_the_service_are_named() {
-        let dir = tempfile::tempdir().unwrap();
-        let (socket, other) = (dir.path().join("a"), Some(dir.path().join("b")));
-        let line = |place: Place| Client::at(place).unwrap().events().unwrap_err().to_string();
-        let place = Place { socket: socket.clone(), other, service: true };
-        let says = format!("no daemon answers at {0}/a, nor at {0}/b: ", dir.path().display());
-        let start = "start one with `meissner daemon`";
-        assert_eq!(line(place.clone()), format!("{says}`sudo systemctl start meissner`, or {start}"));
-        assert_eq!(line(Place { service: false, ..place }), format!("{says}{start}"));
-    }
-
-    #[test]
-    fn the_first_that_listens_is_the_daemon() {
-        let dir = tempfile::tempdir().unwrap();
-        let (users, service) = (dir.path().join("u.sock"), dir.path().join("s.sock"));
-        let place = Place { socket: users.clone(), other: Some(service.clone()), service: false };
-        let runtime = Builder::new_current_thread().enable_all().build().unwrap();
-        let found = || runtime.block_on(connect(&place)).map(|(_, socket)| socket).ok();
-        let listen = |socket| std::os::unix::net::UnixListener::bind(socket).unwrap();
-        assert_eq!(found(), None);
-        let installed = listen(&service);
-        assert_eq!(found(), Some(service.clone()));
-        // A file that is left over is nobody.
-        drop(listen(&users));
-        assert!(users.exists() && found().as_ref() == Some(&service));
-        std::fs::remove_file(&users).unwrap();
-        let _own = listen(&users);
-        assert_eq!(found(), Some(users.clone()));
-        drop(installed);
-        assert_eq!(found(), Some(users));
-    }
-
-    #[test]
-    fn what_takes_its_time_gets_it() {
-        let dir = tempfile::tempdir().unwrap();
-        let socket = dir.path().join("mute.sock");
-        let _mute = std::os::unix::net::UnixListener::bind(&socket).unwrap();
-        let patience = Duration::from_millis(100);
-        let mut client = Client::new(&socket).unwrap();
-        let slow = client.post_within::<u8>(patience, "/v1/home", &()).unwrap_err().to_string();
-        assert!(slow.contains("mute.sock: no answer within 0.1 s: "), "{slow}");
-    }
-
-    #[test]
-    fn what_hangs_up_at_once_is_said() {
-        let dir = tempfile::tempdir().unwrap();
-        let socket = dir.path().join("rude.sock");
-        let listener = std::os::unix::net::UnixListener::bind(&socket).unwrap();
-        let rude = std::thread::spawn(move || drop(listener.accept().unwrap()));
-        let error = Client::new(&socket).unwrap().get::<serde_json::Value>("/v1/status").unwrap_err();
-        assert!(matches!(error, ClientError::HungUp { .. }), "{error:?}");
-        rude.join().unwrap();
-    }
-
-    #[test]
-    fn a_connection_that_was_closed_while_idle_is_made_again() {
-        use std::io::{Read, Write};
-        let dir = tempfile::tempdir().unwrap();
-        let socket = dir.path().join("brief.sock");
-        let listener = std::os::unix::net::UnixListener::bind(&socket).unwrap();
-        let brief = std::thread::spawn(move || {
-            for _ in 0..2 {
-                let (mut stream, _) = listener.accept().unwrap();
-                stream.read_exact(&mut [0; 16]).unwrap();
-                stream.write_all(b"HTTP/1.1 200 OK\r\ncontent-length: 1\r\n\r\n7").unwrap();
-                // The rest of the request is read, or closing would take the answer back.
-                stream.set_read_timeout(Some(Duration::from_millis(100))).unwrap();
-                while stream.read(&mut [0; 1024]).is_ok_and(|len| len > 0) {}
-            }
-        });
-        let mut client = Client::new(&socket).unwrap();
-        assert_eq!(client.get::<u8>("/v1/status").unwrap(), 7);
-        std::thread::sleep(Duration::from_millis(200));
-        assert_eq!(client.get::<u8>("/v1/status").unwrap(), 7);
-        brief.join().unwrap();
-    }
-
-    #[test]
-    fn a_name_cannot_change_an_address() {
-        assert_eq!(escape("edge-45"), "edge-45");
-        assert_eq!(escape("../x y/é"), "%2E%2E%2Fx%20y%2F%C3%A9");
-    }
-}
+mod tests;

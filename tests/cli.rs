@@ -280,6 +280,8 @@ fn what_cannot_be_understood_exits_with_2() {
         &["daemon", "--device", "uart"],
         &["stop", "--now"],
         &["home", "now"],
+        &["doctor", "--seconds", "0"],
+        &["doctor", "--seconds", "nan"],
     ] {
         meissner().args(arguments).assert().code(2);
     }
@@ -290,10 +292,22 @@ fn the_doctor_measures_and_says_what_keeps_it_from_playing() {
     let output = meissner().args(["doctor", "--json"]).assert().code(1).get_output().stdout.clone();
     let report: serde_json::Value = serde_json::from_slice(&output).unwrap();
     assert!(report["wake_up"]["p50_us"].as_f64().unwrap() > 0.0 && report["ok"] == false);
+    assert_eq!(report["wake_up"]["count"], 5000, "five seconds, if nobody says otherwise");
     let daemon = Daemon::start();
-    let report = document(daemon.meissner().args(["doctor", "--json"]));
+    let report = document(daemon.meissner().args(["doctor", "--json", "--seconds", "0.5"]));
     let findings = report["findings"].as_array().unwrap();
-    for what in ["SCHED_FIFO", "mlockall", "timers", "daemon", "device", "state", "clock"] {
+    for what in [
+        "SCHED_FIFO",
+        "mlockall",
+        "timers",
+        "governor",
+        "service",
+        "daemon",
+        "daemon rights",
+        "device",
+        "state",
+        "clock",
+    ] {
         let finding = findings.iter().find(|finding| finding["what"] == what).unwrap();
         assert_eq!(finding["level"] == "ok", finding["advice"] == "", "{finding}");
     }

@@ -35,6 +35,7 @@ use std::io::{self, BufWriter, IsTerminal, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::str::FromStr;
+use std::time::Duration;
 use tracing::warn;
 use tracing_subscriber::EnvFilter;
 
@@ -151,6 +152,9 @@ enum Command {
         /// Which device, as for `daemon`; without it, the daemon's, else the first board
         #[arg(long, value_name = "DEVICE")]
         device: Option<Spec>,
+        /// How long wake-ups are measured, 0.1 to 3600: the longer, the rarer the stalls it sees
+        #[arg(long, value_name = "S", default_value_t = 5.0, allow_negative_numbers = true, value_parser = measured)]
+        seconds: f64,
         #[command(flatten)]
         plain: Plain,
     },
@@ -211,6 +215,12 @@ impl Plain {
 fn positive(text: &str) -> Result<f64, &'static str> {
     let number = text.parse().ok().filter(|number: &f64| number.is_finite() && *number >= 0.0);
     number.ok_or("a number is wanted, 0 or more")
+}
+
+/// How long something is measured, s.
+fn measured(text: &str) -> Result<f64, &'static str> {
+    let number = text.parse().ok().filter(|number| (0.1..=3600.0).contains(number));
+    number.ok_or("a number is wanted, 0.1 to 3600")
 }
 
 /// `--at`.
@@ -339,7 +349,9 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Optimise(asked) => optimise::run(&asked),
         Command::Tradeoff(asked) => tradeoff::run(&asked),
         Command::Report(asked) => report::run(&asked),
-        Command::Doctor { device, plain } => doctor::run(device, &plain),
+        Command::Doctor { device, seconds, plain } => {
+            doctor::run(device, Duration::from_secs_f64(seconds), &plain)
+        }
     }
 }
 

@@ -7,6 +7,7 @@
 //! Invariant: a socket that was named, on the command line or by `$MEISSNER_SOCKET`, is the only place.
 
 use crate::config;
+use std::fmt;
 use std::path::{Path, PathBuf};
 
 /// Where systemd has units.
@@ -57,6 +58,14 @@ impl Place {
         } else {
             "start one with `meissner daemon`"
         }
+    }
+}
+
+impl fmt::Display for Place {
+    /// Where nobody was found.
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "{}", self.socket.display())?;
+        self.other.as_ref().map_or(Ok(()), |other| write!(out, ", nor at {}", other.display()))
     }
 }
 
