@@ -251,7 +251,7 @@ fn who_may_not_use_a_socket_is_told_why() {
             "m.sock: you (nobody) are not in its group `{group}`: `sudo usermod -aG {group} nobody`, then"
         )
     } else {
-        std::fs::set_permissions(&socket, Permissions::from_mode(0)).unwrap();
+        std::fs::set_permissions(&socket, Permissions::from_mode(0o000)).unwrap();
         "m.sock: its mode 000 lets nobody in, not even you".to_owned()
     };
     let output = match command.output() {

@@ -96,10 +96,10 @@ pub(super) fn run(asked: Option<Spec>, time: Duration, plain: &Plain) -> Result<
     let (realtime, wake_up) = host::measure(time);
     let status: Result<Status, ClientError> = plain.client()?.get("/v1/status");
     let granted = status.as_ref().ok().and_then(|status| status.realtime);
-    let mut findings = Vec::from(host::rights(realtime, granted));
+    let units = service::units(root);
+    let mut findings = Vec::from(host::rights(realtime, granted, units.is_installed()));
     findings.push(host::timers(&wake_up));
     findings.push(host::governor(root));
-    let units = service::units(root);
     findings.extend(service::findings(root, &units));
     let denied = daemon::is_denied(&status);
     // Whoever is refused is told about groups by that.

@@ -98,18 +98,24 @@ pub(super) fn timers(wake_up: &WakeUp) -> Finding {
     Finding::warn("timers", found, advice)
 }
 
-/// This user's rights; a daemon that has its own needs nobody else's.
-pub(super) fn rights(ours: Realtime, daemons: Option<Realtime>) -> [Finding; 2] {
-    let daemons = daemons.unwrap_or_default();
+/// This user's rights. They count for a daemon that this user may start: not where one runs, or is `installed`.
+pub(super) fn rights(ours: Realtime, daemons: Option<Realtime>, installed: bool) -> [Finding; 2] {
     let finding = |what, ours, daemons| match (ours, daemons) {
         (true, _) => Finding::ok(what, "granted"),
-        (false, true) => Finding::ok(what, "not granted to you, but to the daemon"),
-        (false, false) => {
+        (false, Some(true)) => Finding::ok(what, "not granted to you, but to the daemon"),
+        (false, Some(false)) => Finding::ok(what, "not granted to you; it is the daemon's that counts"),
+        (false, None) if installed => {
+            Finding::ok(what, "not granted to you; it is the service's that counts")
+        }
+        (false, None) => {
             let advice = format!("for a daemon of yours: {LIMITS}; without it strokes may come late");
             Finding::warn(what, "not granted", advice)
         }
     };
-    [finding("SCHED_FIFO", ours.fifo, daemons.fifo), finding("mlockall", ours.mlock, daemons.mlock)]
+    [
+        finding("SCHED_FIFO", ours.fifo, daemons.map(|of| of.fifo)),
+        finding("mlockall", ours.mlock, daemons.map(|of| of.mlock)),
+    ]
 }
 
 /// Whether processors slow down when they have little to do: then every wake-up begins slowly.
@@ -163,12 +169,19 @@ mod tests {
     }
 
     #[test]
-    fn a_daemon_with_rights_needs_nobody_elses() {
+    fn rights_count_for_a_daemon_of_ones_own() {
         let (none, all) = (Realtime::default(), Realtime { fifo: true, mlock: true });
-        let lines = |ours, daemons| rights(ours, daemons).each_ref().map(fake::line);
-        assert_eq!(lines(all, None)[0], "Ok SCHED_FIFO: granted -> ");
-        assert_eq!(lines(none, Some(all))[1], "Ok mlockall: not granted to you, but to the daemon -> ");
-        for line in lines(none, None).iter().chain(&lines(none, Some(none))) {
+        let lines = |ours, daemons, installed| rights(ours, daemons, installed).each_ref().map(fake::line);
+        assert_eq!(lines(all, None, false)[0], "Ok SCHED_FIFO: granted -> ");
+        assert_eq!(lines(none, Some(all), true)[1], "Ok mlockall: not granted to you, but to the daemon -> ");
+        // What is wrong with the daemon's is told with the daemon.
+        assert!(
+            lines(none, Some(none), false)[0].starts_with("Ok SCHED_FIFO: not granted to you; it is the d")
+        );
+        assert!(
+            lines(none, None, true)[0].starts_with("Ok SCHED_FIFO: not granted to you; it is the service's")
+        );
+        for line in lines(none, None, false) {
             assert!(
                 line.starts_with("Warn ") && line.contains("rtprio 60\\n") && line.contains("log in again")
             );

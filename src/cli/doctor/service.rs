@@ -48,6 +48,10 @@ impl Units {
         Self { installed: is_installed(root), told }
     }
 
+    pub(super) const fn is_installed(&self) -> bool {
+        self.installed
+    }
+
     /// Whether this process is the service's.
     pub(super) fn runs(&self, pid: u32) -> bool {
         self.of(SERVICE, "MainPID") == pid.to_string()
@@ -60,15 +64,16 @@ impl Units {
 
 /// Asks systemd, if it is there.
 pub(super) fn units(root: &Path) -> Units {
-    let told = || ask().inspect_err(|error| tracing::debug!("systemctl: {error}")).ok();
+    let mut show = Command::new("systemctl");
+    show.args(["show", SERVICE, SOCKET, "--no-pager", "-p", ASKED]);
+    let told = move || said(show, PATIENCE).inspect_err(|error| tracing::debug!("systemctl: {error}")).ok();
     Units::new(root, is_installed(root).then(told).flatten())
 }
 
-fn ask() -> io::Result<String> {
-    let mut command = Command::new("systemctl");
-    command.args(["show", SERVICE, SOCKET, "--no-pager", "-p", ASKED]);
+/// What a command prints, if it ends soon.
+fn said(mut command: Command, patience: Duration) -> io::Result<String> {
     let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::null()).spawn()?;
-    let until = Instant::now() + PATIENCE;
+    let until = Instant::now() + patience;
     // What it says fits into the pipe: it need not be read to end.
     while child.try_wait()?.is_none() {
         if Instant::now() > until {

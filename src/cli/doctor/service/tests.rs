@@ -55,7 +55,7 @@ fn units_that_are_well_are_two_lines() {
     assert_eq!(idle.len(), 2);
     let dir = installed();
     let units = Units::new(dir.path(), Some(GOOD.to_owned()));
-    assert!(units.runs(812) && !units.runs(81) && units.installed);
+    assert!(units.runs(812) && !units.runs(81) && units.is_installed());
 }
 
 #[test]
@@ -178,4 +178,17 @@ fn who_is_not_in_the_group_is_told_how_to_join() {
     let line = line(&anna, Some(&hers), Some(&dialout));
     assert!(line.starts_with("Warn group: the socket belongs to the group `dialout` (20)"), "{line}");
     assert!(line.contains("-> `sudo systemctl restart meissner.socket"), "{line}");
+}
+
+#[test]
+fn a_command_that_does_not_end_is_not_waited_for() {
+    let sh = |script: &str| {
+        let mut sh = Command::new("sh");
+        sh.args(["-c", script]);
+        sh
+    };
+    assert_eq!(said(sh("echo Id=a"), Duration::from_secs(20)).unwrap(), "Id=a\n");
+    let slow = said(sh("exec sleep 600"), Duration::from_millis(50)).unwrap_err();
+    assert_eq!(slow.kind(), io::ErrorKind::TimedOut);
+    assert!(said(Command::new("no-such-command"), PATIENCE).is_err());
 }
