@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 /// The rooms, lowest first. Those of one line do not use each other.
 const ROOMS: [&[&str]; 16] = [
-    &["quote", "units"],
+    &["quote", "units", "log"],
     &["draw", "keyed"],
     &["array", "motor"],
     &["pattern"],
@@ -15,7 +15,7 @@ const ROOMS: [&[&str]; 16] = [
     &["device"],
     &["stream", "checkup"],
     &["calibrate", "record"],
-    &["store", "api", "config", "report"],
+    &["store", "api", "config", "logbook", "report"],
     &["client"],
     &["daemon"],
     &["cli"],

@@ -18,6 +18,8 @@ fn the_example_configuration_is_the_default() {
     assert_eq!(config.socket, PathBuf::from("/run/meissner/meissner.sock"));
     assert_eq!(config.device, Spec::Auto);
     assert_eq!(config.calibration, Some(PathBuf::from("/var/lib/meissner/calibration.toml")));
+    assert_eq!(config.logbook, Some(PathBuf::from("/var/lib/meissner/logbook")));
+    config.logbook.clone_from(&default.logbook);
     (config.patterns, config.socket) = (default.patterns.clone(), default.socket.clone());
     config.calibration.clone_from(&default.calibration);
     assert_eq!(config, default);
