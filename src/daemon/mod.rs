@@ -12,8 +12,11 @@ mod engine;
 mod felt;
 mod http;
 mod metrics;
+mod notebook;
+mod pump;
 mod server;
 mod socket;
+mod status;
 
 pub use socket::SocketError;
 
