@@ -11,10 +11,12 @@
 
 use super::calibrate::{Calibrating, Kept};
 use super::connect::Word;
+use super::notebook::Names;
 use crate::api::{Code, PlayRequest, Problem};
 use crate::calibrate::Plan;
 use crate::device::Device;
 use crate::device::mock::Truth;
+use crate::logbook::{Entry, Logbook, Who};
 use crate::pattern::Pattern;
 use crate::record::{Event, FeltRecord, Receipt, Recorder, Travels, Unfelt};
 use crate::store::Stored;
@@ -34,7 +36,7 @@ use tracing::{error, warn};
 /// Events a listener may be behind.
 pub(super) const EVENTS: usize = 1024;
 /// How long the streamer may take to answer.
-const PATIENCE: Duration = Duration::from_secs(1);
+pub(super) const PATIENCE: Duration = Duration::from_secs(1);
 /// After this long no answer comes any more: an order that waited for a second is not carried out, and homing ends.
 const LOST: Duration = Duration::from_secs(30);
 /// Shutting down it waits for the device for a second itself.
@@ -57,6 +59,10 @@ pub(super) struct Inner {
     pub(super) travels: Travels,
     /// Plays that were not looked at yet: what is played, and whether the device measures.
     pub(super) unseen: HashMap<u64, (Arc<Pattern>, bool)>,
+    /// Who ordered the plays that are not over.
+    pub(super) players: HashMap<u64, Who>,
+    /// Gets every event that is published.
+    pub(super) book: Logbook,
     /// A plan that is being played, measured or fitted: no play is taken meanwhile.
     pub(super) calibrating: Option<Calibrating>,
     /// The device that was connected last.
@@ -89,6 +95,7 @@ pub(super) struct Engine {
     pub(super) wanted: String,
     /// Where the calibration is kept.
     pub(super) calibration: Option<PathBuf>,
+    pub(super) names: Names,
     inner: Mutex<Inner>,
 }
 
@@ -98,11 +105,15 @@ impl Engine {
         settings: Settings,
         wanted: String,
         calibration: Option<PathBuf>,
+        names: Names,
+        book: Logbook,
     ) -> Self {
         let inner = Inner {
             recorder: Recorder::default(),
             travels: Travels::default(),
             unseen: HashMap::new(),
+            players: HashMap::new(),
+            book,
             calibrating: None,
             identity: String::new(),
             calibration: Err(String::new()),
@@ -119,7 +130,7 @@ impl Engine {
             events: Some(broadcast::channel(EVENTS).0),
             closing: false,
         };
-        Self { settings, wanted, calibration, inner: Mutex::new(inner) }
+        Self { settings, wanted, calibration, names, inner: Mutex::new(inner) }
     }
 
     pub(super) fn lock(&self) -> MutexGuard<'_, Inner> {
@@ -170,14 +181,20 @@ impl Engine {
     }
 
     /// Orders a play and waits for its being taken.
-    pub(super) async fn play(&self, request: &PlayRequest, stored: &Stored) -> Result<u64, Problem> {
-        self.begin(request, stored, None).await
+    pub(super) async fn play(
+        &self,
+        request: &PlayRequest,
+        stored: &Stored,
+        who: Who,
+    ) -> Result<u64, Problem> {
+        self.begin(request, stored, who, None).await
     }
 
     pub(super) async fn begin(
         &self,
         request: &PlayRequest,
         stored: &Stored,
+        who: Who,
         plan: Option<Plan>,
     ) -> Result<u64, Problem> {
         let strokes = Strokes::new(&stored.pattern, request.seconds)
@@ -218,6 +235,7 @@ impl Engine {
             let id = inner.last_play;
             inner.recorder.offer(Receipt::new(id, stored.pattern.name(), &stored.sha256, request.seconds));
             inner.calibrating = plan.map(|plan| Calibrating::new(id, plan));
+            inner.players.insert(id, who);
             inner.unseen.insert(id, (Arc::new(stored.pattern.clone()), telemetry));
             let play = Box::new(Play { id, strokes, at, late: late.into(), replace, open_loop, need });
             let sent = inner.send(Job::Play(play), Some(id));
@@ -316,6 +334,9 @@ impl Inner {
     }
 
     pub(super) fn publish(&self, event: &Event) {
+        if let Some(entry) = Entry::of(event) {
+            self.book.note(entry);
+        }
         if let Some(events) = &self.events {
             // Nobody listens: nothing is lost.
             let _ = events.send(event.clone());
@@ -346,6 +367,7 @@ impl Inner {
     /// Nothing comes of a play that was ordered.
     fn unwanted(&mut self, id: u64) {
         self.unseen.remove(&id);
+        self.players.remove(&id);
         self.calibrating.take_if(|calibrating| calibrating.id == id);
     }
 
@@ -385,7 +407,14 @@ mod tests {
     #[test]
     fn a_full_ring_is_busy_for_all_but_an_emergency_stop() {
         let (mut port, orders, _notices) = port().unwrap();
-        let engine = Engine::new(orders, Settings::default(), "mock".to_owned(), None);
+        let engine = Engine::new(
+            orders,
+            Settings::default(),
+            "mock".to_owned(),
+            None,
+            Names::default(),
+            Logbook::none(),
+        );
         let mut waiting = 0;
         let busy = loop {
             match engine.order(Job::Stop) {

@@ -22,6 +22,7 @@ pub use socket::SocketError;
 
 use crate::config::{Config, PatternsDir};
 use crate::device::mock::Truth;
+use crate::logbook::{Logbook, Note};
 use crate::store::{Store, StoreError};
 use crate::stream::port::Notices;
 use crate::stream::{self, Realtime};
@@ -29,6 +30,7 @@ use connect::Word;
 use engine::Engine;
 use felt::Feeler;
 use http::App;
+use notebook::Names;
 use socket::Bound;
 use std::future::Future;
 use std::io;
@@ -43,6 +45,8 @@ use tracing::{info, warn};
 
 /// Threads for what waits for a disk.
 const DISK_THREADS: usize = 4;
+/// How long the logbook may take to be closed: a service manager waits longer.
+const CLOSING: Duration = Duration::from_secs(2);
 /// How long the streamer may take to end when it has answered that it will.
 const LAST_WORDS: Duration = Duration::from_millis(500);
 
@@ -156,6 +160,7 @@ pub fn told_to_end() -> Result<impl Future<Output = ()>, DaemonError> {
     let mut term = signal(SignalKind::terminate()).map_err(&wrong)?;
     let mut int = signal(SignalKind::interrupt()).map_err(&wrong)?;
     let mut hangup = signal(SignalKind::hangup()).map_err(&wrong)?;
+    outlive_limits()?;
     Ok(async move {
         tokio::select! {
             _ = term.recv() => info!("SIGTERM: ending"),
@@ -163,6 +168,24 @@ pub fn told_to_end() -> Result<impl Future<Output = ()>, DaemonError> {
             _ = hangup.recv(), if !nohup => info!("SIGHUP: ending"),
         }
     })
+}
+
+/// A file that may not grow is an error like a full disk from now on; without this the system would kill the daemon in mid-play.
+fn outlive_limits() -> Result<(), DaemonError> {
+    let kind = SignalKind::from_raw(rustix::process::Signal::XFSZ.as_raw());
+    // The handler stays when its receiver is gone.
+    signal(kind).map(drop).map_err(system("signal handler"))
+}
+
+/// The logbook a configuration wants.
+fn logbook(config: &Config, names: &Names) -> Result<Logbook, DaemonError> {
+    match &config.logbook {
+        Some(dir) if config.logbook_days > 0 => {
+            let book = Logbook::start(dir.clone(), config.logbook_days, Arc::clone(&names.users));
+            book.map_err(system("logbook's thread"))
+        }
+        _ => Ok(Logbook::none()),
+    }
 }
 
 impl Daemon {
@@ -189,12 +212,12 @@ impl Daemon {
             );
         }
         let feeler = Feeler::new().map_err(io::Error::other).map_err(system("thread"))?;
-        let engine = Arc::new(Engine::new(
-            orders,
-            config.settings,
-            config.device.to_string(),
-            config.calibration.clone(),
-        ));
+        let (names, wanted) = (Names::default(), config.device.to_string());
+        let book = logbook(config, &names)?;
+        let (version, pid) = (env!("CARGO_PKG_VERSION"), std::process::id());
+        book.note(Note::DaemonStarted { version, pid, wanted: wanted.clone() });
+        let engine = Engine::new(orders, config.settings, wanted, config.calibration.clone(), names, book);
+        let engine = Arc::new(engine);
         engine.recall(None);
         let connector = connect::spawn(config.device.clone(), config.mock, Arc::clone(&engine))
             .map_err(system("connector's thread"))?;
@@ -232,7 +255,7 @@ impl Daemon {
             bound.listener.try_clone().and_then(UnixListener::from_std).map_err(system("socket"))?;
         let (close, closing) = watch::channel(false);
         let router = http::router(App { engine: Arc::clone(&engine), store });
-        let server = tokio::spawn(server::serve(listener, router, closing));
+        let server = tokio::spawn(server::serve(listener, Arc::clone(&engine), router, closing));
         let mut pump = tokio::spawn(Arc::clone(&engine).pump(notices, feeler));
         let mut streamer = ended(streamer).map_err(system("thread"))?;
         let result = tokio::select! {
@@ -253,6 +276,10 @@ impl Daemon {
         let _ = close.send(true);
         let _ = server.await;
         drop(bound);
+        let book = engine.lock().book.clone();
+        book.note(Note::DaemonEnded { problem: result.as_ref().err().map(ToString::to_string) });
+        // It has said itself what became of it; and at this point there is nobody left to be held up.
+        let _ = tokio::task::spawn_blocking(move || book.close(CLOSING)).await;
         result
     }
 }
