@@ -7,6 +7,7 @@
 //! Invariant: a [`Config`] that was read is within the ranges written here; an unknown key is an error at its line.
 
 use crate::device::Spec;
+use crate::logbook::Keep;
 use crate::plant::{Plant, PlantConfig, PlantError};
 use crate::stream::Settings;
 use firmware_protocol::limits::OnTimeLimits;
@@ -63,10 +64,8 @@ pub struct Config {
     pub patterns: PatternsDir,
     /// Where the calibration is kept; none: nowhere.
     pub calibration: Option<PathBuf>,
-    /// Where the logbook is kept; none: nowhere.
-    pub logbook: Option<PathBuf>,
-    /// How many days its files are kept; 0: none is written.
-    pub logbook_days: u32,
+    /// Where the logbook is kept, and for how many days; none: nowhere.
+    pub logbook: Option<Keep>,
     /// For the streamer.
     pub settings: Settings,
     /// How the mock's motors are.
@@ -91,11 +90,38 @@ impl Default for Config {
             socket: default_socket(),
             calibration: beside(&default_patterns()),
             patterns: default_patterns(),
-            logbook: default_logbook(),
-            logbook_days: LOGBOOK_DAYS,
+            logbook: keep(None, LOGBOOK_DAYS),
             settings: Settings::default(),
             mock: PlantConfig::default(),
         }
+    }
+}
+
+/// Where a configuration comes from: a file, and what the command line says instead.
+#[derive(Clone, Debug, Default)]
+pub struct Source {
+    /// The file; without one every key has its default.
+    pub file: Option<PathBuf>,
+    /// In place of its `device`.
+    pub device: Option<Spec>,
+    /// In place of its `socket`.
+    pub socket: Option<PathBuf>,
+}
+
+impl Source {
+    /// Reads it.
+    ///
+    /// # Errors
+    /// As [`Config::read`].
+    pub fn read(&self) -> Result<Config, ConfigError> {
+        let mut config = self.file.as_deref().map_or_else(|| Ok(Config::default()), Config::read)?;
+        if let Some(device) = &self.device {
+            config.device = device.clone();
+        }
+        if let Some(socket) = &self.socket {
+            config.socket.clone_from(socket);
+        }
+        Ok(config)
     }
 }
 
@@ -327,8 +353,7 @@ impl File {
             socket: self.socket.unwrap_or_else(default_socket),
             calibration: self.calibration.or_else(|| beside(&patterns)),
             patterns,
-            logbook: self.logbook_dir.or_else(default_logbook),
-            logbook_days,
+            logbook: keep(self.logbook_dir, logbook_days),
             settings: Settings { lead_ms, lease_ms, limits: OnTimeLimits { motor, rail }, drift_warning_um },
             mock: self.mock,
         })
@@ -358,9 +383,10 @@ fn default_patterns() -> PatternsDir {
         .map_or(PatternsDir::None, PatternsDir::Default)
 }
 
-/// The service's; a person who tries something out keeps no record of it.
-fn default_logbook() -> Option<PathBuf> {
-    variable("STATE_DIRECTORY").map(|dir| dir.join("logbook"))
+/// Where the logbook is kept: without a directory in the service's; a person who tries something out leaves no record of it.
+fn keep(dir: Option<PathBuf>, days: u32) -> Option<Keep> {
+    let dir = dir.or_else(|| variable("STATE_DIRECTORY").map(|dir| dir.join("logbook")))?;
+    (days > 0).then_some(Keep { dir, days })
 }
 
 /// Where the calibration is kept if nobody says: beside the site's own patterns.
@@ -393,7 +419,11 @@ mod tests {
         assert_eq!(config.calibration, Some("/s/calibration.toml".into()));
         assert_eq!(parse("calibration = \"/c\"").unwrap().calibration, Some("/c".into()));
         let kept = parse("logbook_dir = \"/l\"\nlogbook_days = 0").unwrap();
-        assert_eq!((kept.logbook, kept.logbook_days), (Some("/l".into()), 0));
+        assert_eq!(kept.logbook, None);
+        let kept = parse("logbook_dir = \"/l\"\nlogbook_days = 30").unwrap();
+        assert_eq!(kept.logbook, Some(Keep { dir: "/l".into(), days: 30 }));
+        let kept = parse("logbook_dir = \"/l\"").unwrap();
+        assert_eq!(kept.logbook, Some(Keep { dir: "/l".into(), days: LOGBOOK_DAYS }));
         let limits = OnTimeLimits { motor: 40_000, rail: 90_000 };
         assert_eq!(
             config.settings,

@@ -181,7 +181,8 @@ pub(super) fn report(
 impl Engine {
     /// Reads what is known of a device's motors, or of nobody's yet, and says what is wrong with it: once, if that stays.
     pub(super) fn recall(&self, identity: Option<&str>) {
-        let (found, bad) = match read(self.calibration.as_deref(), identity) {
+        let file = self.lock().calibration_file.clone();
+        let (found, bad) = match read(file.as_deref(), identity) {
             Ok(kept) => (Ok(kept), false),
             Err((why, bad)) => (Err(why), bad),
         };
@@ -206,7 +207,7 @@ impl Engine {
 
     /// Orders the play of a plan, open loop, and waits for its being taken.
     pub(super) async fn calibrate(&self, plan: Plan, who: Who) -> Result<u64, Problem> {
-        if self.calibration.is_none() {
+        if self.lock().calibration_file.is_none() {
             let detail =
                 "there is no place for a calibration: set `calibration` in the daemon's configuration";
             return Err(Problem::new(Code::Store, detail));
@@ -219,7 +220,8 @@ impl Engine {
 
     /// `GET /v1/calibration`.
     pub(super) fn calibration(&self) -> Result<CalibrationReport, Problem> {
-        report(self.calibration.as_ref(), &self.lock().calibration)
+        let inner = self.lock();
+        report(inner.calibration_file.as_ref(), &inner.calibration)
     }
 
     /// Has a plan fitted that has been played.
@@ -245,9 +247,12 @@ impl Engine {
     fn keep(&self, id: u64, fitted: Result<Calibration, String>) {
         let motors = fitted.iter().flat_map(|new| new.motors().iter().map(|fit| fit.motor)).collect();
         let stored = fitted.and_then(|new| {
-            let file = self.calibration.as_ref().ok_or("there is no place for it")?;
-            let all = with_others(new, self.lock().calibration.as_ref().ok());
-            write(file, &all)?;
+            let (file, all) = {
+                let inner = self.lock();
+                let file = inner.calibration_file.clone().ok_or("there is no place for it")?;
+                (file, with_others(new, inner.calibration.as_ref().ok()))
+            };
+            write(&file, &all)?;
             Ok(Kept { calibration: Arc::new(all), unused: None })
         });
         let mut inner = self.lock();

@@ -30,7 +30,7 @@ use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
-use tokio::sync::{broadcast, oneshot};
+use tokio::sync::{broadcast, oneshot, watch};
 use tracing::{error, warn};
 
 /// Events a listener may be behind.
@@ -39,6 +39,8 @@ pub(super) const EVENTS: usize = 1024;
 pub(super) const PATIENCE: Duration = Duration::from_secs(1);
 /// After this long no answer comes any more: an order that waited for a second is not carried out, and homing ends.
 const LOST: Duration = Duration::from_secs(30);
+/// How long clients are kept waiting for the first device.
+const FIRST_DEVICE: Duration = Duration::from_millis(500);
 /// Shutting down it waits for the device for a second itself.
 const LAST_PATIENCE: Duration = Duration::from_millis(1500);
 
@@ -55,6 +57,10 @@ struct Ticket {
 
 #[derive(Debug)]
 pub(super) struct Inner {
+    /// As the streamer goes by them from the next `arm` on.
+    pub(super) settings: Settings,
+    /// Where the calibration is kept.
+    pub(super) calibration_file: Option<PathBuf>,
     pub(super) recorder: Recorder,
     pub(super) travels: Travels,
     /// Plays that were not looked at yet: what is played, and whether the device measures.
@@ -85,16 +91,17 @@ pub(super) struct Inner {
     /// `None` once the daemon ends: listeners get what was published before, then the end.
     pub(super) events: Option<broadcast::Sender<Event>>,
     pub(super) closing: bool,
+    /// Motors were to be armed, on whatever device there was.
+    armed_once: bool,
 }
 
 /// See the module.
 #[derive(Debug)]
 pub(super) struct Engine {
-    pub(super) settings: Settings,
     /// The device asked for, as it is written.
     pub(super) wanted: String,
-    /// Where the calibration is kept.
-    pub(super) calibration: Option<PathBuf>,
+    /// Whether a device has answered or could not be opened: what clients ask before they get no good answer to.
+    settled: watch::Sender<bool>,
     pub(super) names: Names,
     inner: Mutex<Inner>,
 }
@@ -105,15 +112,15 @@ impl Engine {
         settings: Settings,
         wanted: String,
         calibration: Option<PathBuf>,
-        names: Names,
-        book: Logbook,
     ) -> Self {
         let inner = Inner {
+            settings,
+            calibration_file: calibration,
             recorder: Recorder::default(),
             travels: Travels::default(),
             unseen: HashMap::new(),
             players: HashMap::new(),
-            book,
+            book: Logbook::none(),
             calibrating: None,
             identity: String::new(),
             calibration: Err(String::new()),
@@ -129,8 +136,9 @@ impl Engine {
             missing: None,
             events: Some(broadcast::channel(EVENTS).0),
             closing: false,
+            armed_once: false,
         };
-        Self { settings, wanted, calibration, names, inner: Mutex::new(inner) }
+        Self { wanted, settled: watch::channel(false).0, names: Names::default(), inner: Mutex::new(inner) }
     }
 
     pub(super) fn lock(&self) -> MutexGuard<'_, Inner> {
@@ -143,10 +151,31 @@ impl Engine {
         self.lock().connector = Some(connector);
     }
 
+    /// Puts a board in the mock's place, unless somebody has ever armed that and may take the board for it; then gives it back.
+    pub(super) fn replace_mock(&self, board: Box<Device>) -> Result<(), Box<Device>> {
+        let mock = self.lock().identity.clone();
+        self.recall(Some(&board.identity()));
+        let inner = self.lock();
+        if !inner.armed_once {
+            return Self::hand_over(inner, board);
+        }
+        drop(inner);
+        self.recall(Some(&mock));
+        Err(board)
+    }
+
+    /// Whether motors were ever to be armed.
+    pub(super) fn was_armed(&self) -> bool {
+        self.lock().armed_once
+    }
+
     /// Hands a device to the streamer, with what is known of its motors; gives it back if the order ring is full.
     pub(super) fn connect(&self, device: Box<Device>) -> Result<(), Box<Device>> {
         self.recall(Some(&device.identity()));
-        let mut inner = self.lock();
+        Self::hand_over(self.lock(), device)
+    }
+
+    fn hand_over(mut inner: MutexGuard<'_, Inner>, device: Box<Device>) -> Result<(), Box<Device>> {
         let gains = inner.used().map(|kept| kept.calibration.gains());
         // What the streamer was never told it need not forget.
         if gains.is_some() || inner.taught {
@@ -168,6 +197,27 @@ impl Engine {
     /// Takes down why no device could be opened.
     pub(super) fn miss(&self, line: &str) {
         self.lock().missing = Some(line.to_owned());
+        self.settle_down();
+    }
+
+    pub(super) fn settle_down(&self) {
+        self.settled.send_replace(true);
+    }
+
+    /// Resolves when a device has answered, or could not be opened; after [`FIRST_DEVICE`] at the latest.
+    pub(super) async fn settled(&self) {
+        let mut settled = self.settled.subscribe();
+        let _ = tokio::time::timeout(FIRST_DEVICE, settled.wait_for(|settled| *settled)).await;
+    }
+
+    /// How often the streamer has come round.
+    pub(super) fn turns(&self) -> u64 {
+        self.lock().orders.turns()
+    }
+
+    /// Has the streamer come round.
+    pub(super) fn nudge(&self) {
+        self.lock().orders.nudge();
     }
 
     /// The simulated plant's truth.
@@ -201,7 +251,7 @@ impl Engine {
             .map_err(|error| Problem::new(Code::BadRequest, format!("`seconds`: {error}")))?;
         self.check_boot(request.boot)?;
         // A long pattern has a hundred thousand strokes: orders of others must not wait for their counting.
-        let settings = self.settings;
+        let settings = self.lock().settings;
         let counted = tokio::task::spawn_blocking(move || (Need::of(&strokes, &settings), strokes)).await;
         let (need, strokes) = counted.map_err(|_| {
             Problem::new(Code::Busy, "the pattern could not be counted: try again, and see the daemon's log")
@@ -313,6 +363,7 @@ impl Inner {
         self.forget(given);
         let (reply, receiver) = oneshot::channel();
         let estop = matches!(job, Job::EStop);
+        self.armed_once |= matches!(job, Job::Arm { .. });
         if self.orders.send(Order { ticket, given, job }).is_err() {
             if estop {
                 // Only another emergency stop can have taken the last place: its answer is for both.
@@ -402,19 +453,14 @@ fn nanoseconds(ms: f64) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::device::{self, Spec};
+    use crate::plant::PlantConfig;
     use crate::stream::port::{Notice, port};
 
     #[test]
     fn a_full_ring_is_busy_for_all_but_an_emergency_stop() {
         let (mut port, orders, _notices) = port().unwrap();
-        let engine = Engine::new(
-            orders,
-            Settings::default(),
-            "mock".to_owned(),
-            None,
-            Names::default(),
-            Logbook::none(),
-        );
+        let engine = Engine::new(orders, Settings::default(), "mock".to_owned(), None);
         let mut waiting = 0;
         let busy = loop {
             match engine.order(Job::Stop) {
@@ -432,5 +478,18 @@ mod tests {
         assert!(matches!(estop.job, Job::EStop) && port.pop().is_none());
         engine.lock().take(Notice::Answer { ticket: estop.ticket, result: Ok(()) });
         assert_eq!((first.try_recv(), second.try_recv()), (Ok(Ok(())), Ok(Ok(()))));
+    }
+
+    #[test]
+    fn a_board_takes_the_mocks_place_until_that_was_armed() {
+        let (mut port, orders, _notices) = port().unwrap();
+        let engine = Engine::new(orders, Settings::default(), "auto".to_owned(), None);
+        let device = || Box::new(device::open(&Spec::Mock, &PlantConfig::default()).unwrap());
+        engine.connect(device()).unwrap();
+        engine.replace_mock(device()).unwrap();
+        drop(engine.order(Job::Arm { assume_rest: false }).unwrap());
+        assert!(engine.was_armed() && engine.replace_mock(device()).is_err());
+        let jobs: Vec<Job> = std::iter::from_fn(|| port.pop()).map(|order| order.job).collect();
+        assert!(matches!(jobs[..], [Job::Connect(_), Job::Connect(_), Job::Arm { .. }]), "{jobs:?}");
     }
 }

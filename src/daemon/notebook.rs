@@ -10,6 +10,7 @@ use super::engine::Engine;
 use crate::api::Problem;
 use crate::logbook::{Command, Logbook, Note, Users, Who};
 use crate::record::{Event, PlayState, Receipt};
+use crate::stream::ANOTHER_DEVICE;
 use crate::units::HostInstant;
 use jiff::{SignedDuration, Zoned};
 use serde::Serialize;
@@ -138,6 +139,7 @@ impl Engine {
                 let (kind, firmware, boot) = (&*device.kind, &*device.firmware, device.boot);
                 info!(kind, firmware, boot, "device connected: {kind}, firmware {firmware}, boot {boot}");
             }
+            Event::Disconnected { reason } if reason == ANOTHER_DEVICE => info!("{reason}"),
             Event::Disconnected { reason } => {
                 warn!(cause = reason, "device disconnected: {reason}; it is looked for again");
             }
@@ -212,6 +214,7 @@ fn outcome(receipt: &Receipt, now: HostInstant, wall: &Zoned) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::logbook::Keep;
     use crate::record::OnsetRecord;
     use crate::stream::Settings;
     use crate::stream::port::{Bursts, port};
@@ -245,10 +248,12 @@ mod tests {
     fn a_client_that_hangs_up_is_noted() {
         let dir = tempfile::tempdir().unwrap();
         let (_port, orders, _notices) = port().unwrap();
-        let (names, folder) = (Names::default(), dir.path().join("logbook"));
-        let book = Logbook::start(folder.clone(), 1, Arc::clone(&names.users)).unwrap();
+        let folder = dir.path().join("logbook");
+        let keep = Keep { dir: folder.clone(), days: 1 };
+        let book = Logbook::start(Some(keep), Arc::default()).unwrap();
         let (settings, wanted) = (Settings::default(), "mock".to_owned());
-        let engine = Arc::new(Engine::new(orders, settings, wanted, None, names, book.clone()));
+        let engine = Arc::new(Engine::new(orders, settings, wanted, None));
+        engine.lock().book = book.clone();
         drop(Asked::new(&engine, "home", Who { pid: 7, uid: 0 }));
         book.close(Duration::from_secs(10));
         let file = fs::read_dir(folder).unwrap().next().unwrap().unwrap().path();

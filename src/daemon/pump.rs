@@ -7,6 +7,7 @@
 use super::connect::Word;
 use super::engine::{Engine, Inner};
 use super::felt::{Asked, Feeler};
+use super::service::Teller;
 use crate::optimise::MOST_OBSERVED_S;
 use crate::record::{Event, Look};
 use crate::stream::port::{Notice, Notices};
@@ -24,7 +25,12 @@ const READ: Duration = Duration::from_millis(50);
 
 impl Engine {
     /// Takes in notices until the streamer ends, and has plays looked at when their bursts have been measured.
-    pub(super) async fn pump(self: Arc<Self>, mut notices: Notices, feeler: Feeler) -> io::Result<()> {
+    pub(super) async fn pump(
+        self: Arc<Self>,
+        mut notices: Notices,
+        feeler: Feeler,
+        mut teller: Teller,
+    ) -> io::Result<()> {
         let bell = bell(&notices)?;
         // When to look at which play, and whether the streamer has been woken for it.
         let mut due: Vec<(Instant, u64, bool)> = Vec::new();
@@ -57,6 +63,7 @@ impl Engine {
                 }
                 let (event, quiet) = self.lock().take(notice);
                 match &event {
+                    Some(Event::Connected { .. }) => self.settle_down(),
                     // Later its first minute is forgotten.
                     Some(Event::Began { id, .. }) => {
                         due.push((
@@ -76,6 +83,7 @@ impl Engine {
                     self.log(&event);
                 }
             }
+            teller.look(&self);
             let now = Instant::now();
             for (at, id, woken) in due.iter_mut().filter(|(at, ..)| *at <= now) {
                 if *woken {

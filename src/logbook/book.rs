@@ -6,7 +6,7 @@
 //! Invariant: after each call the file ends with a whole line, or is not open.
 
 use super::entry::{Entry, Note};
-use super::{Stamp, days};
+use super::{Keep, Stamp, days};
 use jiff::Zoned;
 use jiff::civil::Date;
 use jiff::tz::TimeZone;
@@ -80,8 +80,7 @@ struct Line<'a> {
 /// See the module.
 #[derive(Debug)]
 pub(super) struct Book {
-    dir: PathBuf,
-    days: u32,
+    keep: Keep,
     /// Where the lab is; none: where the system says it is.
     zone: Option<TimeZone>,
     disk: Disk,
@@ -95,8 +94,8 @@ pub(super) struct Book {
 }
 
 impl Book {
-    pub(super) fn new(dir: PathBuf, days: u32) -> Self {
-        Self { dir, days, zone: None, disk: Disk::REAL, open: None, missing: 0, failing: None, due: None }
+    pub(super) fn new(keep: Keep) -> Self {
+        Self { keep, zone: None, disk: Disk::REAL, open: None, missing: 0, failing: None, due: None }
     }
 
     #[cfg(test)]
@@ -120,7 +119,7 @@ impl Book {
             Ok(missing) if self.failing.take().is_some() => {
                 info!(
                     "the logbook in {} is written again; {missing} entries are missing",
-                    self.dir.display()
+                    self.keep.dir.display()
                 );
             }
             Ok(_) => {}
@@ -145,11 +144,21 @@ impl Book {
         }
     }
 
+    /// What comes from now on is kept there; what was missing is told there.
+    pub(super) fn turn_page(&mut self, keep: Keep) {
+        self.sync();
+        (self.keep, self.open, self.failing) = (keep, None, None);
+    }
+
     /// Nothing more will come.
     pub(super) fn finish(mut self) {
         self.sync();
         if self.missing > 0 {
-            warn!("{} entries are missing at the end of the logbook in {}", self.missing, self.dir.display());
+            warn!(
+                "{} entries are missing at the end of the logbook in {}",
+                self.missing,
+                self.keep.dir.display()
+            );
         }
     }
 
@@ -213,15 +222,15 @@ impl Book {
         }
         self.sync();
         self.open = None;
-        let (open, cut) = open(&self.dir, day)?;
+        let (open, cut) = open(&self.keep.dir, day)?;
         if cut > 0 {
             // What it was nobody knows; that it was, the next line says.
             self.missing += 1;
             warn!("{}: cut off {cut} bytes of a line that was never finished", open.path.display());
         }
         self.open = Some(open);
-        if let Err(error) = days::remove_old(&self.dir, day, self.days) {
-            warn!("{}: old files cannot be removed: {error}; remove them by hand", self.dir.display());
+        if let Err(error) = days::remove_old(&self.keep.dir, day, self.keep.days) {
+            warn!("{}: old files cannot be removed: {error}; remove them by hand", self.keep.dir.display());
         }
         Ok(())
     }

@@ -44,13 +44,26 @@ impl Stamp {
     }
 }
 
-/// An entry on its way to the thread.
+/// Where a logbook is kept, and for how long.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Keep {
+    /// The directory; it is made when it is missing, the one above it is not.
+    pub dir: PathBuf,
+    /// Days after which a file is removed.
+    pub days: u32,
+}
+
+/// What the thread is handed.
 #[derive(Debug)]
-struct Word {
-    stamp: Stamp,
-    /// Entries just before it that did not fit.
-    missed: u64,
-    entry: Entry,
+enum Word {
+    Entry {
+        stamp: Stamp,
+        /// Entries just before it that did not fit.
+        missed: u64,
+        entry: Entry,
+    },
+    /// From here on it is kept elsewhere.
+    Move(Keep),
 }
 
 /// The way in: stamps are taken in the order in which entries go through it.
@@ -60,6 +73,20 @@ struct Gate {
     missed: u64,
     /// Hangs up when the thread has ended.
     ended: Receiver<()>,
+}
+
+impl Gate {
+    /// Starts a thread that writes to the book.
+    fn open(book: Book, users: Arc<Users>, room: usize) -> io::Result<Self> {
+        let (words, queue) = bounded(room);
+        let (alive, ended) = bounded::<()>(0);
+        let work = move || {
+            write_all(book, &queue, &users);
+            drop(alive);
+        };
+        thread::Builder::new().name("logbook".into()).spawn(work)?;
+        Ok(Self { words, missed: 0, ended })
+    }
 }
 
 /// Where entries are handed in; the same book for all its clones.
@@ -76,24 +103,39 @@ impl Logbook {
         Self { gate: Arc::new(Mutex::new(None)) }
     }
 
-    /// One that writes to `dir` and keeps files for so many days. The directory is made when it is missing; whatever is wrong
-    /// with it is a line in the log, and entries are counted as lost until it is right.
+    /// One that is kept there, or nowhere. Whatever is wrong with the place is a line in the log, and entries are counted as lost
+    /// until it is right.
     ///
     /// # Errors
     /// If the system gives no thread.
-    pub fn start(dir: PathBuf, days: u32, users: Arc<Users>) -> io::Result<Self> {
-        Self::with(Book::new(dir, days), users, WAITING)
+    pub fn start(keep: Option<Keep>, users: Arc<Users>) -> io::Result<Self> {
+        keep.map_or_else(|| Ok(Self::none()), |keep| Self::with(Book::new(keep), users, WAITING))
     }
 
     fn with(book: Book, users: Arc<Users>, room: usize) -> io::Result<Self> {
-        let (words, queue) = bounded(room);
-        let (alive, ended) = bounded::<()>(0);
-        let work = move || {
-            write_all(book, &queue, &users);
-            drop(alive);
+        let gate = Gate::open(book, users, room)?;
+        Ok(Self { gate: Arc::new(Mutex::new(Some(gate))) })
+    }
+
+    /// Keeps it elsewhere, or nowhere, from now on: every entry is in one of both places. May wait for the disk, so long at most.
+    ///
+    /// # Errors
+    /// If the disk is too slow, or the system gives no thread: then it stays where it was.
+    pub fn keep(&self, keep: Option<Keep>, users: Arc<Users>, patience: Duration) -> io::Result<()> {
+        let Some(keep) = keep else {
+            self.close(patience);
+            return Ok(());
         };
-        thread::Builder::new().name("logbook".into()).spawn(work)?;
-        Ok(Self { gate: Arc::new(Mutex::new(Some(Gate { words, missed: 0, ended }))) })
+        let words = self.lock().as_ref().map(|gate| gate.words.clone());
+        match words {
+            Some(words) => {
+                words.send_timeout(Word::Move(keep), patience).map_err(|_| io::ErrorKind::TimedOut.into())
+            }
+            None => {
+                *self.lock() = Some(Gate::open(Book::new(keep), users, WAITING)?);
+                Ok(())
+            }
+        }
     }
 
     fn lock(&self) -> MutexGuard<'_, Option<Gate>> {
@@ -104,7 +146,7 @@ impl Logbook {
     pub fn note(&self, entry: impl Into<Entry>) {
         let mut gate = self.lock();
         let Some(Gate { words, missed, .. }) = gate.as_mut() else { return };
-        let word = Word { stamp: Stamp::now(), missed: *missed, entry: entry.into() };
+        let word = Word::Entry { stamp: Stamp::now(), missed: *missed, entry: entry.into() };
         // The thread outlives the gate: an error is a full queue.
         *missed = words.try_send(word).map_or(*missed + 1, |()| 0);
     }
@@ -115,8 +157,8 @@ impl Logbook {
         let Some(Gate { words, missed, ended }) = self.lock().take() else { return };
         let mut unsaid = missed;
         if missed > 0 {
-            let word =
-                Word { stamp: Stamp::now(), missed: missed - 1, entry: Note::Lost { entries: 1 }.into() };
+            let entry = Note::Lost { entries: 1 }.into();
+            let word = Word::Entry { stamp: Stamp::now(), missed: missed - 1, entry };
             unsaid = words.send_deadline(word, until).map_or(missed, |()| 0);
         }
         drop(words);
@@ -135,7 +177,8 @@ fn write_all(mut book: Book, queue: &Receiver<Word>, users: &Users) {
             Some(at) => queue.recv_deadline(at),
         };
         match word {
-            Ok(Word { stamp, missed, mut entry }) => {
+            Ok(Word::Move(keep)) => book.turn_page(keep),
+            Ok(Word::Entry { stamp, missed, mut entry }) => {
                 if let Some(uid) = entry.nameless() {
                     if users.known(uid).is_none() {
                         // A directory service may take its time; what is written shall not wait for it.

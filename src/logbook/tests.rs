@@ -35,8 +35,12 @@ const SMALL: Disk = Disk {
     },
 };
 
+fn keep(dir: &Path, days: u32) -> Keep {
+    Keep { dir: dir.join("logbook"), days }
+}
+
 fn book(dir: &Path, disk: Disk) -> Book {
-    Book::new(dir.join("logbook"), 400).on(disk, TimeZone::fixed(offset(1)))
+    Book::new(keep(dir, 400)).on(disk, TimeZone::fixed(offset(1)))
 }
 
 fn stamp(wall: &str, monotonic_ns: u64) -> Stamp {
@@ -183,12 +187,12 @@ fn a_torn_line_is_cut_and_told() {
 #[test]
 fn a_change_of_day_removes_old_files() {
     let dir = tempfile::tempdir().unwrap();
-    let folder = dir.path().join("logbook");
-    let mut book = Book::new(folder.clone(), 2).on(REAL, TimeZone::UTC);
+    let mut book = Book::new(keep(dir.path(), 2)).on(REAL, TimeZone::UTC);
     for day in 18..=23 {
         book.write(stamp(&format!("2026-11-{day}T12:00:00Z"), day), 0, &started());
     }
-    let mut left: Vec<_> = fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name()).collect();
+    let mut left: Vec<_> =
+        fs::read_dir(dir.path().join("logbook")).unwrap().map(|e| e.unwrap().file_name()).collect();
     left.sort();
     assert_eq!(left, ["2026-11-20.jsonl", "2026-11-21.jsonl", "2026-11-22.jsonl", "2026-11-23.jsonl"]);
 }
@@ -305,6 +309,29 @@ fn a_full_queue_does_not_wait_and_is_told() {
         lines.iter().filter(|line| line["entries"].as_u64().is_some_and(|n| n < 100)).map(entries).sum();
     assert!((4..=5).contains(&written), "{written}");
     assert_eq!((told, &lines[lines.len() - 1]["event"]), (20 - written, &json!("daemon-started")));
+}
+
+#[test]
+fn a_logbook_that_moves_loses_nothing() {
+    let (first, second) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let (users, patience) = (Arc::new(Users::default()), Duration::from_secs(10));
+    let log = Logbook::none();
+    log.keep(Some(keep(first.path(), 1)), Arc::clone(&users), patience).unwrap();
+    let entries = |dir: &Path| {
+        let file = fs::read_dir(dir.join("logbook")).unwrap().next().unwrap().unwrap().path();
+        fs::read_to_string(file).unwrap().lines().count()
+    };
+    log.note(started());
+    log.note(started());
+    log.keep(Some(keep(second.path(), 1)), Arc::clone(&users), patience).unwrap();
+    log.note(started());
+    log.keep(None, Arc::clone(&users), patience).unwrap();
+    log.note(started());
+    assert_eq!((entries(first.path()), entries(second.path())), (2, 1));
+    log.keep(Some(keep(first.path(), 1)), users, patience).unwrap();
+    log.note(started());
+    log.close(patience);
+    assert_eq!((entries(first.path()), entries(second.path())), (3, 1));
 }
 
 #[test]
