@@ -384,9 +384,14 @@ pub(crate) fn users_socket() -> Option<PathBuf> {
     variable("XDG_RUNTIME_DIR").map(|dir| dir.join("meissner.sock"))
 }
 
+/// `$STATE_DIRECTORY`: systemd's, which names all that a unit has, the outermost first, with colons in between.
+fn state_dir() -> Option<PathBuf> {
+    variable("STATE_DIRECTORY").and_then(|dirs| env::split_paths(&dirs).next())
+}
+
 /// systemd's `$STATE_DIRECTORY` for the service, else the user's data directory.
 fn default_patterns() -> PatternsDir {
-    variable("STATE_DIRECTORY")
+    state_dir()
         .map(|dir| dir.join("patterns"))
         .or_else(|| variable("XDG_DATA_HOME").map(|dir| dir.join("meissner/patterns")))
         .or_else(|| variable("HOME").map(|dir| dir.join(".local/share/meissner/patterns")))
@@ -395,7 +400,7 @@ fn default_patterns() -> PatternsDir {
 
 /// Where the logbook is kept: without a directory in the service's; a person who tries something out leaves no record of it.
 fn keep(dir: Option<PathBuf>, days: u32) -> Option<Keep> {
-    let dir = dir.or_else(|| variable("STATE_DIRECTORY").map(|dir| dir.join("logbook")))?;
+    let dir = dir.or_else(|| state_dir().map(|dir| dir.join("logbook")))?;
     (days > 0).then_some(Keep { dir, days })
 }
 
