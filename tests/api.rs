@@ -226,7 +226,7 @@ fn told_to_end_it_ends_streams_and_takes_its_socket_along() {
 fn who_changed_something_is_in_the_log() {
     let daemon = Daemon::start();
     let _client = daemon.armed();
-    let line = format!("pid={}", std::process::id());
+    let line = format!("pid {})", std::process::id());
     assert!(daemon.log().lines().any(|log| log.contains("arm") && log.contains(&line)), "{}", daemon.log());
 }
 
