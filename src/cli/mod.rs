@@ -27,7 +27,7 @@ use crate::config::{self, Config, PatternsDir};
 use crate::daemon::{self, Daemon, DaemonError};
 use crate::device::Spec;
 use anyhow::{Result, anyhow};
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{Args, CommandFactory, Parser, Subcommand, ValueEnum};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use serde::Serialize;
 use std::env;
@@ -261,6 +261,12 @@ impl From<Policy> for Late {
     }
 }
 
+/// All commands and their flags, as clap knows them: what manual pages and shell completions are made from.
+#[must_use]
+pub fn command() -> clap::Command {
+    Cli::command()
+}
+
 /// Runs the program.
 #[must_use]
 pub fn main() -> ExitCode {
@@ -399,11 +405,10 @@ fn say_json(document: &impl Serialize) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::CommandFactory;
 
     #[test]
     fn the_command_line_is_consistent() {
-        Cli::command().debug_assert();
+        command().debug_assert();
     }
 
     #[test]
