@@ -90,6 +90,27 @@ pack() {
 # What of a program is needed to run it: without debug information it is a quarter of the memory.
 program() { strip -o "$2" "$1" 2>/dev/null || cp "$1" "$2"; }
 
+# The program's Debian package, from the sources below here: package PROFILE FILE
+package() {
+    # A version that is known to do it. Without optimisation: in a fresh clone it is compiled more often than used. It packs
+    # with xz.
+    local version=3.8.0 tools=$PWD/target/tools said=$2.log
+    if [ "$("$tools/bin/cargo-deb" --version 2>/dev/null)" != "cargo-deb $version" ]; then
+        say "building cargo-deb (some minutes, once)"
+        cargo install cargo-deb --version $version --locked --quiet --debug --no-default-features --force \
+            --config profile.dev.debug=0 --root "$tools" --target-dir "$tools/build" || die "cargo-deb does not build"
+        rm -rf "$tools/build"
+    fi
+    need xz-utils xz
+    need dpkg-dev dpkg-shlibdeps
+    say "building the package"
+    cargo build --profile "$1" --locked --quiet || die "meissner does not build"
+    "$tools/bin/cargo-deb" --no-build --strip --no-dbgsym --profile "$1" -o "$2" >/dev/null 2>"$said" ||
+        die "cargo deb: $(<"$said")"
+    # It warns of nothing that is meant so.
+    [ ! -s "$said" ] || die "cargo deb: $(<"$said")"
+}
+
 # boot LIMIT_S VMLINUZ INITRD UNIT [QEMU-OPTION...]: the console's text on stdout, without what is for a screen
 boot() {
     timeout --foreground "$1" qemu-system-x86_64 -accel tcg,thread=multi -cpu max -m 1500 -smp 2 -nic none \
