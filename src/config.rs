@@ -87,6 +87,34 @@ impl Default for Config {
     }
 }
 
+/// Where a configuration comes from: a file, and what the command line says instead.
+#[derive(Clone, Debug, Default)]
+pub struct Source {
+    /// The file; without one every key has its default.
+    pub file: Option<PathBuf>,
+    /// In place of its `device`.
+    pub device: Option<Spec>,
+    /// In place of its `socket`.
+    pub socket: Option<PathBuf>,
+}
+
+impl Source {
+    /// Reads it.
+    ///
+    /// # Errors
+    /// As [`Config::read`].
+    pub fn read(&self) -> Result<Config, ConfigError> {
+        let mut config = self.file.as_deref().map_or_else(|| Ok(Config::default()), Config::read)?;
+        if let Some(device) = &self.device {
+            config.device = device.clone();
+        }
+        if let Some(socket) = &self.socket {
+            config.socket.clone_from(socket);
+        }
+        Ok(config)
+    }
+}
+
 /// A configuration that was refused.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {

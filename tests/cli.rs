@@ -1,7 +1,11 @@
-use crate::harness::{Daemon, assert_accounts, complaint, document, meissner, printed, write_pattern};
+use crate::harness::{
+    Daemon, PROGRAM, assert_accounts, complaint, document, meissner, printed, write_pattern,
+};
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 use rustix::process::Signal;
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use serde_json::json;
+use std::fs::File;
 use std::io::{BufRead, BufReader, Write};
 
 #[test]
@@ -87,11 +91,21 @@ fn a_log_that_nobody_reads_stops_nothing() {
 
 #[test]
 fn a_closed_terminal_ends_the_daemon_like_sigterm() {
-    let mut daemon = Daemon::start();
+    let flags = OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC;
+    let screen = openpt(flags).unwrap();
+    grantpt(&screen).unwrap();
+    unlockpt(&screen).unwrap();
+    let terminal = ptsname(&screen, Vec::new()).unwrap().into_string().unwrap();
+    // The terminal is the daemon's own, as that of a shell is: when it is closed, the kernel says so.
+    let mut command = std::process::Command::new("setsid");
+    command.args(["--ctty", PROGRAM]).stdin(File::options().read(true).write(true).open(terminal).unwrap());
+    let mut daemon = Daemon::by(command);
+    daemon.wait_for_device();
     daemon.armed();
     printed(daemon.meissner().args(["play", "wave"]));
-    daemon.signal(Signal::HUP);
+    drop(screen);
     assert!(daemon.wait().success() && !daemon.socket().exists(), "{}", daemon.log());
+    assert!(daemon.log().contains("SIGHUP: ending"));
 }
 
 /// `play --wait` of an endless pattern whose first lines somebody else reads.

@@ -14,6 +14,9 @@ use tempfile::TempDir;
 /// For whatever must happen some time: far longer than it takes on a slow machine.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(20);
 
+/// The program under test.
+pub(crate) const PROGRAM: &str = env!("CARGO_BIN_EXE_meissner");
+
 /// A real daemon on a simulated device, in a directory of its own; gone with this.
 pub(crate) struct Daemon {
     child: Child,
@@ -58,17 +61,33 @@ impl Daemon {
         daemon
     }
 
+    /// One that another program starts with these arguments behind its own, or that has more in its environment.
+    pub(crate) fn by(command: std::process::Command) -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        let log = File::create(dir.path().join("log")).unwrap();
+        Self::launch(dir, "mock", "lease_ms = 5000\n", log.into(), command)
+    }
+
     fn begin(dir: TempDir, device: &str, config: &str, stderr: Stdio) -> Self {
+        let mut command = std::process::Command::new(PROGRAM);
+        command.stdin(Stdio::null());
+        Self::launch(dir, device, config, stderr, command)
+    }
+
+    fn launch(
+        dir: TempDir,
+        device: &str,
+        config: &str,
+        stderr: Stdio,
+        mut command: std::process::Command,
+    ) -> Self {
         fs::create_dir(dir.path().join("patterns")).unwrap();
-        let patterns = dir.path().join("patterns");
-        let config = format!("patterns_dir = {patterns:?}\n{config}");
-        fs::write(dir.path().join("meissner.toml"), config).unwrap();
-        let child = std::process::Command::new(env!("CARGO_BIN_EXE_meissner"))
+        write_config(dir.path(), config);
+        let child = command
             .args(["daemon", "--device", device, "--config"])
             .arg(dir.path().join("meissner.toml"))
             .env("MEISSNER_SOCKET", dir.path().join("m.sock"))
             .env_remove("RUST_LOG")
-            .stdin(Stdio::null())
             .stdout(Stdio::null())
             .stderr(stderr)
             .spawn()
@@ -89,7 +108,7 @@ impl Daemon {
         }
     }
 
-    fn wait_for_device(&mut self) {
+    pub(crate) fn wait_for_device(&mut self) {
         let mut client = self.client();
         let begun = Instant::now();
         while !client.get::<Status>("/v1/status").is_ok_and(|status| status.is_connected()) {
@@ -97,6 +116,11 @@ impl Daemon {
             assert!(ended.is_none() && begun.elapsed() < PATIENCE, "no device ({ended:?}):\n{}", self.log());
             thread::sleep(Duration::from_millis(10));
         }
+    }
+
+    /// Its configuration is this from now on, with the patterns' directory; it hears nothing of that.
+    pub(crate) fn write_config(&self, config: &str) {
+        write_config(self.dir.path(), config);
     }
 
     pub(crate) fn path(&self, name: &str) -> PathBuf {
@@ -155,6 +179,11 @@ impl Daemon {
             thread::sleep(Duration::from_millis(10));
         }
     }
+}
+
+fn write_config(dir: &Path, config: &str) {
+    let text = format!("patterns_dir = {:?}\n{config}", dir.join("patterns"));
+    fs::write(dir.join("meissner.toml"), text).unwrap();
 }
 
 impl Drop for Daemon {

@@ -74,6 +74,8 @@ mod rig;
 mod scenes;
 /// The search: the paper's frequencies, a coordinate search's price, threads, budgets, flat places, its space.
 mod search;
+/// As a service: notices, watchdog, a socket that is handed over, a configuration that is read again.
+mod service;
 /// A session and a controller over a line that loses: one verdict per stroke.
 mod session;
 /// Shapes and sides against slow ways to the same: samples of an outline, pairs of receptors.

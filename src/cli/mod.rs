@@ -23,9 +23,10 @@ mod watch;
 
 use crate::api::Late;
 use crate::client::Client;
-use crate::config::{self, Config, PatternsDir};
-use crate::daemon::{self, Daemon, DaemonError};
+use crate::config::{self, Config, PatternsDir, Source};
+use crate::daemon::{self, Daemon, DaemonError, Ended, Signals};
 use crate::device::Spec;
+use crate::store::StoreError;
 use anyhow::{Result, anyhow};
 use clap::{Args, CommandFactory, Parser, Subcommand, ValueEnum};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -64,6 +65,9 @@ enum Command {
         /// Configuration file (TOML)
         #[arg(long, value_name = "F")]
         config: Option<PathBuf>,
+        /// Only say whether the configuration is good; exit 1 if it is not
+        #[arg(long)]
+        check_config: bool,
         /// auto, mock, pty, serial[:PATH|:SERIAL|:VID:PID[:SERIAL]] or usb[:SERIAL] [default: the configuration's, else auto]
         #[arg(long, value_name = "DEVICE")]
         device: Option<Spec>,
@@ -332,7 +336,10 @@ fn is_broken_pipe(error: &anyhow::Error) -> bool {
 fn run(command: Command) -> Result<ExitCode> {
     match command {
         Command::Demo { seconds, open_loop, output } => demo::run(seconds, open_loop, output.json),
-        Command::Daemon { config, device, place } => serve(config, device, place),
+        Command::Daemon { config, check_config: check, device, place } => {
+            let source = Source { file: config, device, socket: place.socket };
+            if check { check_config(&source) } else { serve(source) }
+        }
         Command::Play(play) => control::play(&play),
         Command::Stop(plain) => control::command(&plain, "stop"),
         Command::Estop(plain) => control::command(&plain, "estop"),
@@ -358,27 +365,43 @@ fn run(command: Command) -> Result<ExitCode> {
     }
 }
 
-fn serve(config: Option<PathBuf>, device: Option<Spec>, place: Place) -> Result<ExitCode> {
-    let mut settings = config.as_ref().map_or_else(|| Ok(Config::default()), |file| Config::read(file))?;
-    if let Some(device) = device {
-        settings.device = device;
-    }
-    if let Some(socket) = place.socket {
-        settings.socket = socket;
-    }
-    daemon::runtime()?.block_on(async {
-        let end = daemon::told_to_end()?;
-        let daemon = Daemon::start(&settings).map_err(|error| match (error, &config) {
-            (DaemonError::Store(error), Some(file))
-                if matches!(settings.patterns, PatternsDir::Configured(_)) =>
-            {
-                anyhow!("{}: `patterns_dir`: {error}", file.display())
-            }
-            (error, _) => error.into(),
+/// How a daemon ends that wants to be started again, as the unit knows (`RestartForceExitStatus=`): EX_TEMPFAIL.
+const START_AGAIN: u8 = 75;
+
+fn serve(source: Source) -> Result<ExitCode> {
+    let config = source.read()?;
+    let ended = daemon::runtime()?.block_on(async {
+        let signals = Signals::new()?;
+        let daemon = Daemon::start(&config).map_err(|error| match error {
+            DaemonError::Store(error) => store_error(&source, &config, error),
+            error => error.into(),
         })?;
-        anyhow::Ok(daemon.run(end).await?)
+        anyhow::Ok(daemon.run(signals, Some(source)).await?)
     })?;
+    Ok(match ended {
+        Ended::Told => ExitCode::SUCCESS,
+        Ended::Replaced => ExitCode::from(START_AGAIN),
+    })
+}
+
+/// What the daemon would refuse of the configuration, and nothing more.
+fn check_config(source: &Source) -> Result<ExitCode> {
+    let config = source.read()?;
+    daemon::store(&config).map_err(|error| store_error(source, &config, error))?;
+    match &source.file {
+        Some(file) => say(&format!("{}: good", file.display()))?,
+        None => say("no file was named with --config: every key has its default, which is good")?,
+    }
     Ok(ExitCode::SUCCESS)
+}
+
+fn store_error(source: &Source, config: &Config, error: StoreError) -> anyhow::Error {
+    match &source.file {
+        Some(file) if matches!(config.patterns, PatternsDir::Configured(_)) => {
+            anyhow!("{}: `patterns_dir`: {error}", file.display())
+        }
+        _ => DaemonError::Store(error).into(),
+    }
 }
 
 /// Prints a line, or many.

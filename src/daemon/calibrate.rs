@@ -4,20 +4,25 @@
 //!
 //! Invariant: the file is replaced whole or not at all, and only by a calibration of the connected device.
 
-use crate::api::{CalibratedMotor, CalibrationReport, Code, Problem};
+use super::engine::{Engine, Inner};
+use super::felt::Feeler;
+use super::notebook;
+use crate::api::{CalibratedMotor, CalibrationReport, Code, PlayRequest, Problem};
 use crate::calibrate::{Calibration, Fit, MAX_BYTES, MotorFit, Plan, Provenance, by_telemetry, fit};
 use crate::config;
-use crate::record::{DeviceInfo, PlayState, Receipt};
-use crate::store;
-use crate::stream::port::Traveled;
-use firmware_protocol::stroke::Direction;
+use crate::record::{DeviceInfo, Event, PlayState, Receipt};
+use crate::store::{self, Stored};
+use crate::stream::Gains;
+use crate::stream::port::{Job, Order, Traveled};
+use crate::units::HostInstant;
+use firmware_protocol::stroke::{Direction, MOTORS};
 use firmware_protocol::tick::Tick;
+use jiff::Timestamp;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use tracing_subscriber::fmt::format::Writer;
-use tracing_subscriber::fmt::time::{FormatTime, SystemTime};
+use tracing::{info, warn};
 
 /// Measured bursts kept of a plan at the most: the longest has 48 000, and other plays may follow.
 const MOST: usize = 1 << 17;
@@ -83,10 +88,7 @@ impl Calibrating {
 
 /// UTC, to the second.
 fn today() -> String {
-    let mut text = String::new();
-    // Writing to a string does not fail.
-    let _ = SystemTime.format_time(&mut Writer::new(&mut text));
-    text.get(..19).map_or_else(String::new, |second| format!("{second}Z"))
+    Timestamp::now().strftime("%FT%TZ").to_string()
 }
 
 /// What the file says, and why it is not used.
@@ -174,4 +176,115 @@ pub(super) fn report(
         provenance: calibration.provenance().clone(),
         toml: calibration.to_toml(),
     })
+}
+
+impl Engine {
+    /// Reads what is known of a device's motors, or of nobody's yet, and says what is wrong with it: once, if that stays.
+    pub(super) fn recall(&self, identity: Option<&str>) {
+        let file = self.lock().calibration_file.clone();
+        let (found, bad) = match read(file.as_deref(), identity) {
+            Ok(kept) => (Ok(kept), false),
+            Err((why, bad)) => (Err(why), bad),
+        };
+        let why = |found: &Result<Kept, String>| match found {
+            Ok(kept) => kept.unused.clone(),
+            Err(why) => Some(why.clone()),
+        };
+        let old = {
+            let mut inner = self.lock();
+            inner.identity = identity.unwrap_or_default().to_owned();
+            std::mem::replace(&mut inner.calibration, found.clone())
+        };
+        match why(&found) {
+            why_not if why_not == why(&old) => {}
+            Some(why_not) if bad || identity.is_some() && found.is_ok() => warn!("{why_not}"),
+            Some(_) => {}
+            None => {
+                info!("{} motors are calibrated", found.map_or(0, |kept| kept.calibration.motors().len()));
+            }
+        }
+    }
+
+    /// Orders the play of a plan, open loop, and waits for its being taken.
+    pub(super) async fn calibrate(&self, plan: Plan) -> Result<u64, Problem> {
+        if self.lock().calibration_file.is_none() {
+            let detail =
+                "there is no place for a calibration: set `calibration` in the daemon's configuration";
+            return Err(Problem::new(Code::Store, detail));
+        }
+        let stored = Stored::made(plan.pattern());
+        let pattern = stored.pattern.name().to_owned();
+        let request = PlayRequest { pattern, open_loop: true, ..PlayRequest::default() };
+        self.begin(&request, &stored, Some(plan)).await
+    }
+
+    /// `GET /v1/calibration`.
+    pub(super) fn calibration(&self) -> Result<CalibrationReport, Problem> {
+        let inner = self.lock();
+        report(inner.calibration_file.as_ref(), &inner.calibration)
+    }
+
+    /// Has a plan fitted that has been played.
+    pub(super) fn fit(self: &Arc<Self>, feeler: &Feeler, id: u64) {
+        let mut inner = self.lock();
+        let Some(receipt) = inner.recorder.receipt(id).filter(|receipt| receipt.state.is_over()).cloned()
+        else {
+            return;
+        };
+        let calibrating = inner.calibrating.as_mut().filter(|calibrating| calibrating.id == id);
+        let Some(calibrating) = calibrating.map(Calibrating::take) else { return };
+        let (device, identity) = (inner.recorder.device(), inner.identity.clone());
+        drop(inner);
+        let engine = Arc::clone(self);
+        feeler.compute(move || {
+            let fitted = device.ok_or_else(|| "the device is gone: nothing was stored".to_owned());
+            let fitted = fitted.and_then(|device| calibrating.fit(&receipt, &device, &identity));
+            engine.keep(id, fitted);
+        });
+    }
+
+    /// Stores a calibration and goes by it from now on; or says why there is none.
+    fn keep(&self, id: u64, fitted: Result<Calibration, String>) {
+        let motors = fitted.iter().flat_map(|new| new.motors().iter().map(|fit| fit.motor)).collect();
+        let stored = fitted.and_then(|new| {
+            let (file, all) = {
+                let inner = self.lock();
+                let file = inner.calibration_file.clone().ok_or("there is no place for it")?;
+                (file, with_others(new, inner.calibration.as_ref().ok()))
+            };
+            write(&file, &all)?;
+            Ok(Kept { calibration: Arc::new(all), unused: None })
+        });
+        let mut inner = self.lock();
+        inner.calibrating = None;
+        let problem = match stored {
+            Ok(kept) => {
+                let sent = inner.teach(kept.calibration.gains());
+                inner.taught = true;
+                inner.calibration = Ok(kept);
+                sent.err().map(|_| {
+                    "it is stored, but too many orders wait: it is used from the next connection on"
+                        .to_owned()
+                })
+            }
+            Err(problem) => Some(problem),
+        };
+        let event = Event::Calibrated { id, motors, problem };
+        inner.publish(&event);
+        drop(inner);
+        notebook::log(&event);
+    }
+}
+
+impl Inner {
+    /// The calibration that is used.
+    pub(super) fn used(&self) -> Option<&Kept> {
+        self.calibration.as_ref().ok().filter(|kept| kept.unused.is_none())
+    }
+
+    /// Has the streamer go by these gains.
+    pub(super) fn teach(&mut self, gains: [Gains; MOTORS]) -> Result<(), Order> {
+        let job = Job::Calibrate(Box::new(gains));
+        self.orders.send(Order { ticket: 0, given: HostInstant::now(), job })
+    }
 }

@@ -3,8 +3,9 @@
 //! Opening may block, and dropping what the streamer gives back may too, so both happen here and nowhere
 //! else. While there is no device it looks four times a second, and at once when a board is plugged in, where the
 //! system tells; it sleeps while there is one. A device that comes back is disarmed: arming it again is a person's
-//! business. What was found by `auto` stays what it is: a board that was pulled out is waited for, and a mock that is
-//! in use because there was no board stays in use, or what a person takes for a simulation would move pins.
+//! business. What was found by `auto` stays what it is: a board that was pulled out is waited for. A mock that is in use because
+//! there was no board gives way to one, as after a boot that was faster than the bus, until somebody has armed it; from then on it
+//! stays, or what a person takes for a simulation would move pins.
 //!
 //! Invariant: at most one device is open; the old one is closed before the next is looked for.
 
@@ -22,6 +23,9 @@ use tracing::{debug, info, warn};
 const LOOK_EVERY: Duration = Duration::from_millis(250);
 /// So long after it was plugged in a board has its names and rights.
 const SETTLED: Duration = Duration::from_millis(500);
+
+/// How often it is tried to open one for the mock's place: at boot that may take seconds.
+const TRIES: usize = 10;
 
 /// What the connector is told.
 #[derive(Debug)]
@@ -147,23 +151,55 @@ impl Connector {
         }
     }
 
-    /// Waits until the device is gone or the daemon ends. A board that is plugged in meanwhile beside the mock is told
-    /// of, once.
+    /// Waits until the device is gone or the daemon ends, and lets a board take the mock's place.
     fn sleep(&mut self) -> Option<Word> {
         loop {
             select! {
-                recv(self.words) -> word => return Some(word.unwrap_or(Word::Quit)),
+                recv(self.words) -> word => match word.unwrap_or(Word::Quit) {
+                    Word::Gone(Some(device)) if self.has_given_way(&device) => drop(device),
+                    word => return Some(word),
+                },
                 recv(self.plugged) -> news => {
                     let mock = self.heard(news) && self.spec == Spec::Mock;
-                    let Some(wanted) = Spec::Auto.board().filter(|_| mock) else { continue };
+                    let Some(board) = Spec::Board.board().filter(|_| mock) else { continue };
                     thread::sleep(SETTLED);
-                    if device::is_plugged(&wanted) {
-                        warn!("a board was plugged in, the mock stays in use: restart the daemon to use the board");
-                        self.plugged = never();
+                    if device::is_plugged(&board) {
+                        self.replace_mock();
                     }
                 }
             }
         }
+    }
+
+    /// Whether it is the mock that a board has replaced.
+    fn has_given_way(&self, device: &Device) -> bool {
+        matches!(device, Device::Mock(_)) && self.spec == Spec::Board
+    }
+
+    fn replace_mock(&mut self) {
+        let mut why_not = "it has been armed".to_owned();
+        for _ in 0..TRIES {
+            if self.engine.was_armed() {
+                break;
+            }
+            match device::open(&Spec::Board, &self.plant) {
+                Ok(device) => {
+                    let kind = device.kind();
+                    if self.engine.replace_mock(Box::new(device)).is_ok() {
+                        info!("opened {kind}, in the mock's place");
+                        (self.spec, self.opened) = (Spec::Board, kind);
+                        return;
+                    }
+                }
+                Err(error) => {
+                    why_not = error.to_string();
+                    thread::sleep(SETTLED);
+                }
+            }
+        }
+        warn!(
+            "a board was plugged in, the mock stays in use ({why_not}): restart the daemon to use the board"
+        );
     }
 }
 

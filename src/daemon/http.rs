@@ -28,7 +28,7 @@ use futures_util::stream::{self, Stream, StreamExt};
 use http_body_util::BodyExt;
 use serde_json::{Value, json};
 use std::convert::Infallible;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 use tokio::net::UnixStream;
 use tokio_stream::wrappers::BroadcastStream;
@@ -93,7 +93,25 @@ impl IntoResponse for Reply {
 #[derive(Clone, Debug)]
 pub(super) struct App {
     pub(super) engine: Arc<Engine>,
-    pub(super) store: Arc<Store>,
+    pub(super) shelf: Shelf,
+}
+
+/// Where the store stands: another may take its place while the daemon runs.
+#[derive(Clone, Debug)]
+pub(super) struct Shelf(Arc<Mutex<Arc<Store>>>);
+
+impl Shelf {
+    pub(super) fn new(store: Store) -> Self {
+        Self(Arc::new(Mutex::new(Arc::new(store))))
+    }
+
+    fn store(&self) -> Arc<Store> {
+        Arc::clone(&self.0.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    pub(super) fn replace(&self, store: Store) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(store);
+    }
 }
 
 type Answer<T> = Result<T, Reply>;
@@ -173,11 +191,12 @@ async fn beside<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) ->
     Ok(tokio::task::spawn_blocking(work).await.map_err(failed)?)
 }
 
-async fn find(store: &Arc<Store>, name: &str) -> Answer<Stored> {
+async fn find(shelf: &Shelf, name: &str) -> Answer<Stored> {
+    let store = shelf.store();
     if let Some(stored) = store.library(name) {
         return Ok(stored.clone());
     }
-    let (store, name) = (Arc::clone(store), name.to_owned());
+    let name = name.to_owned();
     Ok(beside(move || store.get(&name)).await??)
 }
 
@@ -187,7 +206,7 @@ async fn play(
     body: Body,
 ) -> Answer<(StatusCode, Json<Played>)> {
     let request = PlayRequest::parse(&read(body).await?)?;
-    let stored = find(&app.store, &request.pattern).await?;
+    let stored = find(&app.shelf, &request.pattern).await?;
     info!(pid = peer.pid, uid = peer.uid, pattern = request.pattern, "play");
     let id = app.engine.play(&request, &stored).await?;
     Ok((StatusCode::ACCEPTED, Json(Played { id })))
@@ -261,11 +280,11 @@ async fn status(State(app): State<App>) -> Json<Status> {
 }
 
 async fn list(State(app): State<App>) -> Answer<Response> {
-    Ok(Json(beside(move || app.store.list()).await?).into_response())
+    Ok(Json(beside(move || app.shelf.store().list()).await?).into_response())
 }
 
 async fn show(State(app): State<App>, name: Result<Path<String>, PathRejection>) -> Answer<Json<Value>> {
-    let Stored { pattern, sha256, library } = find(&app.store, &path(name)?).await?;
+    let Stored { pattern, sha256, library } = find(&app.shelf, &path(name)?).await?;
     let warnings = texts(&pattern.warnings());
     Ok(Json(json!({"pattern": pattern, "sha256": sha256, "library": library, "warnings": warnings})))
 }
@@ -284,7 +303,7 @@ async fn import(
     let text = String::from_utf8(read(body).await?)
         .map_err(|_| Problem::new(Code::BadPattern, "not UTF-8 text: write patterns as TOML in UTF-8"))?;
     info!(pid = peer.pid, uid = peer.uid, "import {:?}", name.chars().take(100).collect::<String>());
-    let (stored, new) = beside(move || app.store.put(&name, &text)).await??;
+    let (stored, new) = beside(move || app.shelf.store().put(&name, &text)).await??;
     let Stored { pattern, sha256, .. } = stored;
     let status = if new { StatusCode::CREATED } else { StatusCode::OK };
     let warnings = texts(&pattern.warnings());

@@ -2,7 +2,7 @@
 //!
 //! One thread of tokio for clients and notices, one that opens devices, one that computes what was felt, one that streams; the last is
 //! the only one in a hurry. [`Daemon::start`] takes what can be refused (socket, patterns, threads), [`Daemon::run`] works until it is
-//! told to end. No timer ticks while nothing happens.
+//! told to end. No timer ticks while nothing happens, but for a service manager's watchdog.
 //!
 //! Invariant: however it is told to end, pins are returned and motors off before it does, and the socket is gone.
 
@@ -12,12 +12,19 @@ mod engine;
 mod felt;
 mod http;
 mod metrics;
+mod notebook;
+mod pump;
+mod reload;
 mod server;
+mod service;
+mod signals;
 mod socket;
+mod status;
 
+pub use signals::{Signals, Told};
 pub use socket::SocketError;
 
-use crate::config::{Config, PatternsDir};
+use crate::config::{Config, PatternsDir, Source};
 use crate::device::mock::Truth;
 use crate::store::{Store, StoreError};
 use crate::stream::port::Notices;
@@ -25,16 +32,15 @@ use crate::stream::{self, Realtime};
 use connect::Word;
 use engine::Engine;
 use felt::Feeler;
-use http::App;
+use http::{App, Shelf};
+use service::{Manager, Teller, Word as News};
 use socket::Bound;
-use std::future::Future;
 use std::io;
 use std::sync::Arc;
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 use tokio::net::UnixListener;
 use tokio::runtime::{Builder, Runtime};
-use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::{oneshot, watch};
 use tracing::{info, warn};
 
@@ -72,14 +78,25 @@ fn system(what: &'static str) -> impl Fn(io::Error) -> DaemonError {
 /// A daemon whose socket is bound and whose streamer runs.
 #[derive(Debug)]
 pub struct Daemon {
+    /// What is gone by.
+    config: Config,
     bound: Bound,
     engine: Arc<Engine>,
-    store: Arc<Store>,
+    shelf: Shelf,
     notices: Notices,
     feeler: Feeler,
     realtime: Realtime,
     streamer: JoinHandle<()>,
     connector: crossbeam_channel::Sender<Word>,
+}
+
+/// Why a daemon ended in good order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ended {
+    /// It was told to.
+    Told,
+    /// Another version of the program is installed: its service manager is to start that.
+    Replaced,
 }
 
 /// A daemon on a thread of this process. Dropped, it shuts down.
@@ -136,30 +153,19 @@ pub fn runtime() -> Result<Runtime, DaemonError> {
     builder.enable_all().max_blocking_threads(DISK_THREADS).build().map_err(system("event queue"))
 }
 
-/// Whether whoever started this process wanted it to outlive its terminal.
-fn ignores_hangup() -> bool {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
-    ignored.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).is_some_and(|mask| mask & 1 != 0)
-}
-
-/// Resolves at SIGTERM, SIGINT or, unless it was started by nohup, SIGHUP (a closed terminal). From the call on, not from the first wait, they no longer kill.
+/// The patterns a configuration names.
 ///
 /// # Errors
-/// If the system has no means for it.
-pub fn told_to_end() -> Result<impl Future<Output = ()>, DaemonError> {
-    let wrong = system("signal handler");
-    let nohup = ignores_hangup();
-    let mut term = signal(SignalKind::terminate()).map_err(&wrong)?;
-    let mut int = signal(SignalKind::interrupt()).map_err(&wrong)?;
-    let mut hangup = signal(SignalKind::hangup()).map_err(&wrong)?;
-    Ok(async move {
-        tokio::select! {
-            _ = term.recv() => info!("SIGTERM: ending"),
-            _ = int.recv() => info!("SIGINT: ending"),
-            _ = hangup.recv(), if !nohup => info!("SIGHUP: ending"),
-        }
-    })
+/// If they cannot be read.
+pub fn store(config: &Config) -> Result<Store, StoreError> {
+    let (dir, make_dir) = match &config.patterns {
+        PatternsDir::Configured(dir) => (Some(dir.clone()), false),
+        PatternsDir::Default(dir) => (Some(dir.clone()), true),
+        PatternsDir::None => (None, false),
+    };
+    let store = Store::new(dir, make_dir)?;
+    store.check_dir()?;
+    Ok(store)
 }
 
 impl Daemon {
@@ -168,14 +174,8 @@ impl Daemon {
     /// # Errors
     /// What is missing, and what to do.
     pub fn start(config: &Config) -> Result<Self, DaemonError> {
-        let (dir, make_dir) = match &config.patterns {
-            PatternsDir::Configured(dir) => (Some(dir.clone()), false),
-            PatternsDir::Default(dir) => (Some(dir.clone()), true),
-            PatternsDir::None => (None, false),
-        };
-        let store = Store::new(dir, make_dir)?;
-        store.check_dir()?;
-        let bound = Bound::new(&config.socket)?;
+        let store = store(config)?;
+        let bound = Bound::take_over(&config.socket)?.map_or_else(|| Bound::new(&config.socket), Ok)?;
         let (orders, notices, realtime, streamer) =
             stream::spawn(config.settings).map_err(system("streamer's thread"))?;
         if !(realtime.fifo && realtime.mlock) {
@@ -195,8 +195,9 @@ impl Daemon {
         engine.recall(None);
         let connector = connect::spawn(config.device.clone(), config.mock, Arc::clone(&engine))
             .map_err(system("connector's thread"))?;
-        info!("listening on {}", config.socket.display());
-        Ok(Self { bound, engine, store: Arc::new(store), notices, feeler, realtime, streamer, connector })
+        info!("listening on {}", bound.socket().display());
+        let (config, shelf) = (config.clone(), Shelf::new(store));
+        Ok(Self { config, bound, engine, shelf, notices, feeler, realtime, streamer, connector })
     }
 
     /// Runs it on a thread of its own, until it is stopped or the process is told to end.
@@ -208,34 +209,58 @@ impl Daemon {
         let (end, ended) = oneshot::channel();
         let work = move || {
             runtime()?.block_on(async {
-                let told = told_to_end()?;
-                let end = async {
-                    tokio::select! { () = told => {}, _ = ended => {} }
-                };
-                self.run(end).await
+                let signals = Signals::new()?.or(ended);
+                self.run(signals, None).await.map(drop)
             })
         };
         let thread = thread::Builder::new().name("daemon".into()).spawn(work).map_err(system("thread"))?;
         Ok(Hosted { engine, realtime, end: Some(end), thread: Some(thread) })
     }
 
-    /// Works until `end` resolves, then shuts down.
+    /// Works until it is told to end, then shuts down. Told to reload, it takes over what it can of `source`; without one it
+    /// ends instead.
     ///
     /// # Errors
     /// If the system fails, or the streamer ended by itself.
-    pub async fn run(self, end: impl Future<Output = ()>) -> Result<(), DaemonError> {
-        let Self { bound, engine, store, notices, feeler, streamer, connector, .. } = self;
+    pub async fn run(self, mut signals: Signals, source: Option<Source>) -> Result<Ended, DaemonError> {
+        let Self { mut config, bound, engine, shelf, notices, feeler, streamer, connector, .. } = self;
         let listener =
             bound.listener.try_clone().and_then(UnixListener::from_std).map_err(system("socket"))?;
+        let manager = Manager::find().map_err(system("thread"))?;
         let (close, closing) = watch::channel(false);
-        let router = http::router(App { engine: Arc::clone(&engine), store });
-        let server = tokio::spawn(server::serve(listener, router, closing));
-        let mut pump = tokio::spawn(Arc::clone(&engine).pump(notices, feeler));
+        let (replaced, mut newer) = oneshot::channel();
+        let teller = Teller::new(manager.clone(), replaced);
+        let mut pump = tokio::spawn(Arc::clone(&engine).pump(notices, feeler, teller));
+        let watchdog = tokio::spawn(service::watchdog(manager.clone(), Arc::clone(&engine)));
         let mut streamer = ended(streamer).map_err(system("thread"))?;
-        let result = tokio::select! {
-            () = end => Ok(()),
-            _ = &mut streamer => Err(DaemonError::Streamer),
+        // The first command may be what started the daemon: it is not to hear that there is no device yet.
+        engine.settled().await;
+        let router = http::router(App { engine: Arc::clone(&engine), shelf: shelf.clone() });
+        let server = tokio::spawn(server::serve(listener, router, closing));
+        manager.tell(News::Ready);
+        let result = loop {
+            tokio::select! {
+                told = signals.next() => match (told, &source) {
+                    (Told::Reload, Some(source)) => {
+                        manager.tell(News::Reloading);
+                        let (source, engine, shelf) = (source.clone(), Arc::clone(&engine), shelf.clone());
+                        let reload = move || {
+                            reload::reload(&source, &mut config, &engine, &shelf);
+                            config
+                        };
+                        config = tokio::task::spawn_blocking(reload).await.map_err(io::Error::other).map_err(system("thread"))?;
+                        manager.tell(News::Ready);
+                    }
+                    _ => break Ok(Ended::Told),
+                },
+                Ok(()) = &mut newer => {
+                    info!("another version was installed and nobody is armed: starting it");
+                    break Ok(Ended::Replaced);
+                }
+                _ = &mut streamer => break Err(DaemonError::Streamer),
+            }
         };
+        manager.tell(News::Stopping);
         // A connector that has already ended needs no word.
         let _ = connector.try_send(Word::Quit);
         if result.is_ok() {
@@ -245,6 +270,7 @@ impl Daemon {
                 warn!("the streamer did not end in time");
             }
         }
+        watchdog.abort();
         engine.hush();
         // Without receivers the server has ended already.
         let _ = close.send(true);

@@ -1,4 +1,4 @@
-//! The daemon's place in the file system: one socket, one lock beside it.
+//! The daemon's place in the file system: one socket, one lock beside it; or the socket that a service manager hands over.
 //!
 //! The lock (`SOCKET.lock`, flock) decides between daemons that start at the same time and goes with its process,
 //! however that ends; its file stays, because removing it would race. A socket file that nobody answers is
@@ -7,12 +7,14 @@
 //! Invariant: while a [`Bound`] lives, no other daemon is bound to its path.
 
 use crate::client::MAX_SOCKET_PATH;
+use listenfd::ListenFd;
 use rustix::fs::{FlockOperation, flock};
 use std::fs::{self, File, OpenOptions, Permissions};
 use std::io::{self, Read, Write};
 use std::os::unix::fs::{FileTypeExt, MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
+use tracing::warn;
 
 /// Owner and group may connect: membership of the group is the right to drive the motors.
 const MODE: u32 = 0o660;
@@ -54,17 +56,42 @@ fn pid_text(pid: Option<i32>) -> String {
     pid.map_or_else(String::new, |pid| format!(" (pid {pid})"))
 }
 
-/// A socket that clients can connect to. Dropped, its file is removed.
+/// A socket that clients can connect to. Dropped, its file is removed if it was made here.
 #[derive(Debug)]
 pub(super) struct Bound {
     pub(super) listener: UnixListener,
     socket: PathBuf,
     /// Which file it made there.
     file: Option<(u64, u64)>,
-    _lock: File,
+    /// Held for as long as it lives; none where the service manager listens.
+    _lock: Option<File>,
 }
 
 impl Bound {
+    /// The socket at which the service manager listens for this process, if it does: whoever connects starts the daemon, and
+    /// mode, group and removal are the manager's.
+    pub(super) fn take_over(wanted: &Path) -> Result<Option<Self>, SocketError> {
+        let wrong = |source| SocketError::Io { path: wanted.to_owned(), source };
+        let Some(listener) = ListenFd::from_env().take_unix_listener(0).map_err(wrong)? else {
+            return Ok(None);
+        };
+        let address = listener.local_addr().map_err(wrong)?;
+        let socket = address.as_pathname().unwrap_or(wanted).to_owned();
+        if socket != wanted {
+            warn!(
+                "the service manager listens at {}: `socket` in the configuration is not gone by",
+                socket.display()
+            );
+        }
+        listener.set_nonblocking(true).map_err(wrong)?;
+        Ok(Some(Self { listener, socket, file: None, _lock: None }))
+    }
+
+    /// Where it is.
+    pub(super) fn socket(&self) -> &Path {
+        &self.socket
+    }
+
     pub(super) fn new(socket: &Path) -> Result<Self, SocketError> {
         if socket.as_os_str().len() > MAX_SOCKET_PATH {
             return Err(SocketError::TooLong { socket: socket.to_owned() });
@@ -75,7 +102,7 @@ impl Bound {
         // Until the mode is set, the umask's mode holds, which lets nobody else in unless it was told to.
         let listener = UnixListener::bind(socket).map_err(wrong)?;
         let file = identity(socket);
-        let bound = Self { listener, socket: socket.to_owned(), file, _lock: lock };
+        let bound = Self { listener, socket: socket.to_owned(), file, _lock: Some(lock) };
         fs::set_permissions(socket, Permissions::from_mode(MODE)).map_err(wrong)?;
         bound.listener.set_nonblocking(true).map_err(wrong)?;
         Ok(bound)

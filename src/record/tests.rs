@@ -40,6 +40,7 @@ fn snapshot(connected: bool, state: State, play: Option<(u64, f64)>) -> Snapshot
         clock_uncertainty_us: 10.0,
         play,
         lead_ms: 100.0,
+        lease_ms: 300.0,
         rest_error_um: [0.0; MOTORS],
         source: [crate::stream::port::ErrorSource::None; MOTORS],
         line_bytes_per_s: None,

@@ -19,7 +19,7 @@ use firmware_protocol::tick::TICK_HZ;
 pub use hold::{Doubt, Gains};
 pub use need::{Demand, Need};
 pub use rehearse::{Line, Rehearsal, RehearseError, Rehearsed, rehearse};
-pub use streamer::{Streamer, cause_text};
+pub use streamer::{ANOTHER_DEVICE, Streamer, cause_text};
 pub use thread::spawn;
 pub use trial::{Period, Trial};
 

@@ -84,6 +84,7 @@ impl Loop {
                 break;
             }
             self.port.announce();
+            self.port.turn();
             self.sleep();
         }
         if let Some(device) = self.device.take() {

@@ -45,15 +45,22 @@ pub(super) struct Hold {
 
 impl Hold {
     pub(super) fn new(limits: &OnTimeLimits) -> Self {
-        Self {
-            longer: *limits == OnTimeLimits::NONE,
+        let mut hold = Self {
+            longer: false,
             heard: Tick(0),
             motors: std::array::from_fn(|_| Servo::new(&Gains::default())),
             sampled: None,
             followed: Tick(0),
             unheard: (0, 0),
             valid_from: None,
-        }
+        };
+        hold.limit(limits);
+        hold
+    }
+
+    /// The site's limits from now on.
+    pub(super) fn limit(&mut self, limits: &OnTimeLimits) {
+        self.longer = *limits == OnTimeLimits::NONE;
     }
 
     /// What was queued is flushed, pins are being returned: what telemetry shows until they are at rest means nothing.

@@ -9,7 +9,7 @@ mod outcome;
 mod refused;
 
 use crate::device::Device;
-use crate::stream::{Doubt, Gains, Need};
+use crate::stream::{Doubt, Gains, Need, Settings};
 use crate::strokes::Strokes;
 use crate::units::HostInstant;
 use firmware_protocol::limits::Refusal;
@@ -19,6 +19,7 @@ use firmware_protocol::tick::Tick;
 use rustix::event::{EventfdFlags, eventfd};
 use rustix::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 pub use outcome::{
     Bursts, End, ErrorSource, LateCause, Lateness, Onset, Outcome, Pulses, Snapshot, Traveled,
@@ -68,6 +69,8 @@ pub enum Job {
     Home,
     /// Go by these gains from now on.
     Calibrate(Box<[Gains; MOTORS]>),
+    /// Go by these settings from the next `arm` on; at once while disarmed.
+    Configure(Settings),
     /// Return pins, motors off.
     Disarm,
     /// Return pins, motors off, end the thread. Answered when the device is off, or after a second.
@@ -202,6 +205,7 @@ pub enum Notice {
 pub struct Orders {
     ring: rtrb::Producer<Order>,
     wake: Arc<OwnedFd>,
+    turns: Arc<AtomicU64>,
 }
 
 impl Orders {
@@ -221,6 +225,12 @@ impl Orders {
     /// Wakes the thread: what the device has said meanwhile is read and told.
     pub fn nudge(&self) {
         ring_bell(&self.wake);
+    }
+
+    /// How often the thread has come round. It does so at each [`Self::nudge`], unless it hangs.
+    #[must_use]
+    pub fn turns(&self) -> u64 {
+        self.turns.load(Ordering::Relaxed)
     }
 }
 
@@ -263,6 +273,7 @@ pub struct Port {
     travels: rtrb::Producer<Traveled>,
     orders_wake: Arc<OwnedFd>,
     notices_wake: Arc<OwnedFd>,
+    turns: Arc<AtomicU64>,
     lost: u64,
     unannounced: bool,
 }
@@ -293,9 +304,11 @@ pub fn port() -> std::io::Result<(Port, Orders, Notices)> {
     };
     while travels.push(nothing).is_ok() {}
     while traveled.pop().is_ok() {}
-    let caller = Orders { ring: to_thread, wake: Arc::clone(&orders_wake) };
+    let turns = Arc::default();
+    let caller = Orders { ring: to_thread, wake: Arc::clone(&orders_wake), turns: Arc::clone(&turns) };
     let listener = Notices { ring: from_thread, travels: traveled, wake: Arc::clone(&notices_wake) };
-    let port = Port { orders, notices, travels, orders_wake, notices_wake, lost: 0, unannounced: false };
+    let port =
+        Port { orders, notices, travels, orders_wake, notices_wake, turns, lost: 0, unannounced: false };
     Ok((port, caller, listener))
 }
 
@@ -303,6 +316,11 @@ impl Port {
     /// The oldest order.
     pub fn pop(&mut self) -> Option<Order> {
         self.orders.pop().ok()
+    }
+
+    /// Counts a turn of the thread.
+    pub fn turn(&self) {
+        self.turns.fetch_add(1, Ordering::Relaxed);
     }
 
     /// Readable when there are orders; [`Self::silence`] makes it unreadable.

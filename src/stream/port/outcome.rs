@@ -161,6 +161,8 @@ pub struct Snapshot {
     pub play: Option<(u64, f64)>,
     /// Lead that is really reached, ms: less than asked for if the device's credits do not allow it.
     pub lead_ms: f64,
+    /// The lease that is gone by, ms.
+    pub lease_ms: f64,
     /// Estimated rest error per motor, µm.
     pub rest_error_um: [f32; MOTORS],
     /// Where the estimates come from.

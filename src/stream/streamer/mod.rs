@@ -55,10 +55,15 @@ struct Waiting {
     since: HostInstant,
 }
 
+/// Why a device is disconnected when another takes its place.
+pub const ANOTHER_DEVICE: &str = "another device was opened";
+
 /// The streamer of one device.
 #[derive(Debug)]
 pub struct Streamer {
     pub(super) settings: Settings,
+    /// Those to go by from the next `arm` on.
+    next_settings: Settings,
     pub(super) session: Option<Session>,
     events: VecDeque<Event>,
     /// The device's last word and the tick of it.
@@ -100,6 +105,7 @@ impl Streamer {
     pub fn new(settings: Settings) -> Self {
         Self {
             settings,
+            next_settings: settings,
             session: None,
             events: VecDeque::with_capacity(4096),
             status: None,
@@ -127,7 +133,7 @@ impl Streamer {
 
     /// A device was opened; `id` is a random number.
     pub fn connect(&mut self, now: HostInstant, id: u32, rate: LineRate, tell: Tell<'_>) {
-        self.disconnect(now, "another device was opened", tell);
+        self.disconnect(now, ANOTHER_DEVICE, tell);
         self.session = Some(Session::new(id, rate, now));
     }
 
@@ -277,7 +283,8 @@ impl Streamer {
                 .and_then(|session| session.clock().uncertainty(now))
                 .map_or(f64::INFINITY, |uncertainty| uncertainty.as_nanos() as f64 / 1000.0),
             play: running.map(played),
-            lead_ms: if self.short_of_credits { lead } else { self.settings.lead_ms },
+            lead_ms: if self.short_of_credits && running.is_some() { lead } else { self.settings.lead_ms },
+            lease_ms: self.settings.lease_ms,
             rest_error_um: rest.map(|(um, _)| um),
             source: rest.map(|(_, source)| source),
             line_bytes_per_s: self.session.as_ref().and_then(Session::capacity),

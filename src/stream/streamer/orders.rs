@@ -53,6 +53,14 @@ impl Streamer {
                 tell(Notice::Freed(gains));
                 Ok(None)
             }
+            Job::Configure(settings) => {
+                self.next_settings = settings;
+                // What the device was armed with holds until it is armed again.
+                if !self.wants_armed && !matches!(self.state(), State::Armed | State::Returning) {
+                    self.settle();
+                }
+                Ok(None)
+            }
             Job::Disarm => self.disarm(),
             Job::Shutdown => {
                 self.closing = Some((ticket, now));
@@ -202,12 +210,19 @@ impl Streamer {
             _ => {}
         }
         self.wants_armed = true;
+        self.settle();
         self.hold.trust_again();
         if assume_rest {
             self.hold.assume_rest();
         }
         let lease = ticks_of_ms(self.settings.lease_ms) as u32;
         Ok(Some(Op::Arm { assume_rest, lease, limits: self.settings.limits }))
+    }
+
+    /// Goes by the settings that were ordered last.
+    fn settle(&mut self) {
+        self.settings = self.next_settings;
+        self.hold.limit(&self.settings.limits);
     }
 
     fn emergency_stop(&mut self, now: HostInstant, tell: Tell<'_>) -> Taken {

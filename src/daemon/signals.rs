@@ -1,0 +1,79 @@
+//! Signals: what tells the daemon from outside to end, or to read its configuration again.
+//!
+//! SIGTERM and SIGINT end it. SIGHUP ends it if it was started from a terminal, which then has been closed; where there is none,
+//! or it was started by nohup, there is nothing to be closed and it reads its configuration again.
+//!
+//! Invariant: from [`Signals::new`] on none of them kills.
+
+use super::{DaemonError, system};
+use std::fs::{self, File};
+use tokio::signal::unix::{Signal, SignalKind, signal};
+use tokio::sync::oneshot;
+use tracing::info;
+
+/// What the daemon is told.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Told {
+    /// To end.
+    End,
+    /// To read its configuration again.
+    Reload,
+}
+
+/// The signals, and a word from this process.
+#[derive(Debug)]
+pub struct Signals {
+    term: Signal,
+    int: Signal,
+    hangup: Signal,
+    at_hangup: Told,
+    end: Option<oneshot::Receiver<()>>,
+}
+
+impl Signals {
+    /// Takes them in from now on.
+    ///
+    /// # Errors
+    /// If the system has no means for it.
+    pub fn new() -> Result<Self, DaemonError> {
+        let at_hangup =
+            if ignores_hangup() || File::open("/dev/tty").is_err() { Told::Reload } else { Told::End };
+        let take = |kind| signal(kind).map_err(system("signal handler"));
+        let (term, int, hangup) =
+            (take(SignalKind::terminate())?, take(SignalKind::interrupt())?, take(SignalKind::hangup())?);
+        Ok(Self { term, int, hangup, at_hangup, end: None })
+    }
+
+    /// Has `end` end it, too, also when it is dropped.
+    pub(super) fn or(self, end: oneshot::Receiver<()>) -> Self {
+        Self { end: Some(end), ..self }
+    }
+
+    /// Waits for the next.
+    pub(super) async fn next(&mut self) -> Told {
+        let ended = async {
+            match &mut self.end {
+                Some(end) => drop(end.await),
+                None => std::future::pending().await,
+            }
+        };
+        let (name, told) = tokio::select! {
+            _ = self.term.recv() => ("SIGTERM", Told::End),
+            _ = self.int.recv() => ("SIGINT", Told::End),
+            _ = self.hangup.recv() => ("SIGHUP", self.at_hangup),
+            () = ended => return Told::End,
+        };
+        match told {
+            Told::End => info!("{name}: ending"),
+            Told::Reload => info!("{name}: reading the configuration again"),
+        }
+        told
+    }
+}
+
+/// Whether whoever started this process wanted it to outlive its terminal.
+fn ignores_hangup() -> bool {
+    let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    ignored.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).is_some_and(|mask| mask & 1 != 0)
+}

@@ -1,0 +1,84 @@
+//! How everything stands: for clients, and in a line for the service manager.
+//!
+//! Invariant: it is read under one lock, so that its parts belong together.
+
+use super::engine::Engine;
+use crate::api::{MotorStatus, Status, Waiting};
+use crate::record::{NO_DEVICE, state_name};
+use crate::units::HostInstant;
+use firmware_protocol::message::State;
+use std::fmt::Write as _;
+
+impl Engine {
+    /// `GET /v1/status`.
+    pub(super) fn status(&self) -> Status {
+        let inner = self.lock();
+        let recorder = &inner.recorder;
+        let (state, cause, position) = recorder.standing();
+        let clock = recorder.clock(HostInstant::now());
+        let snapshot = recorder.snapshot();
+        let used = inner.used().map(|kept| &kept.calibration);
+        let is_calibrated = |motor: u8| used.is_some_and(|calibration| calibration.motor(motor).is_some());
+        let motor = |((&rest_error_um, &source), motor)| MotorStatus {
+            rest_error_um,
+            source,
+            calibrated: is_calibrated(motor),
+        };
+        Status {
+            state: state.to_owned(),
+            cause: cause.to_owned(),
+            position: position.to_owned(),
+            device: recorder.device(),
+            wanted: self.wanted.clone(),
+            missing: inner.missing.clone(),
+            play: recorder.running(),
+            queued: recorder
+                .queued()
+                .map(|receipt| Waiting { id: receipt.id, pattern: receipt.pattern.clone() })
+                .collect(),
+            tick: clock.map(|(tick, _)| tick.0),
+            clock_uncertainty_us: clock.map(|(_, uncertainty_us)| uncertainty_us),
+            lead_ms: snapshot.map_or(inner.settings.lead_ms, |snapshot| snapshot.lead_ms),
+            lease_ms: snapshot.map_or(inner.settings.lease_ms, |snapshot| snapshot.lease_ms),
+            line_bytes_per_s: snapshot.filter(|at| at.connected).and_then(|at| at.line_bytes_per_s),
+            motors: snapshot
+                .map(|at| at.rest_error_um.iter().zip(&at.source).zip(0..).map(motor).collect())
+                .unwrap_or_default(),
+            calibrated: used.map(|calibration| {
+                calibration.provenance().date.clone().unwrap_or_else(|| "without a date".to_owned())
+            }),
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            pid: std::process::id(),
+        }
+    }
+
+    /// The same in a line.
+    pub(super) fn line(&self) -> String {
+        let inner = self.lock();
+        let recorder = &inner.recorder;
+        let (state, cause, _) = recorder.standing();
+        let mut line = match (recorder.device(), &inner.missing) {
+            (Some(device), _) if device.simulated => format!("{state} ({cause}); {}, simulated", device.kind),
+            (Some(device), _) => format!("{state} ({cause}); {}", device.kind),
+            (None, Some(missing)) => format!("no device: {missing}"),
+            (None, None) => format!("no device yet: looking for `{}`", self.wanted),
+        };
+        // Writing to a string does not fail.
+        if let Some(play) = recorder.running() {
+            let _ = write!(line, "; plays {} (play {})", play.pattern, play.id);
+        }
+        match recorder.queued().count() {
+            0 => {}
+            queued => drop(write!(line, "; {queued} queued")),
+        }
+        line
+    }
+
+    /// Nothing is played, waits or is armed: nobody misses the daemon for a moment.
+    pub(super) fn is_spare(&self) -> bool {
+        let inner = self.lock();
+        let state = inner.recorder.standing().0;
+        let off = state == NO_DEVICE || state == state_name(State::Disarmed);
+        off && inner.recorder.is_idle() && inner.calibrating.is_none()
+    }
+}

@@ -1,0 +1,204 @@
+use crate::harness::{Daemon, PATIENCE, PROGRAM, complaint, meissner, printed};
+use meissner::api::Status;
+use rustix::process::Signal;
+use std::os::fd::OwnedFd;
+use std::os::unix::fs::FileTypeExt;
+use std::os::unix::net::{UnixDatagram, UnixListener};
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+/// A service manager's end of the notices.
+struct Manager {
+    socket: UnixDatagram,
+    dir: tempfile::TempDir,
+}
+
+impl Manager {
+    fn new() -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        let socket = UnixDatagram::bind(dir.path().join("notify")).unwrap();
+        socket.set_read_timeout(Some(PATIENCE)).unwrap();
+        Self { socket, dir }
+    }
+
+    /// Starts the program as a service does: no terminal to be closed, somebody to be told.
+    fn start(&self, watchdog: Option<Duration>) -> Daemon {
+        let mut command = Command::new("sh");
+        command.args(["-c", "trap '' HUP; exec \"$0\" \"$@\"", PROGRAM]).stdin(Stdio::null());
+        command.env("NOTIFY_SOCKET", self.dir.path().join("notify")).env_remove("WATCHDOG_PID");
+        match watchdog {
+            Some(interval) => command.env("WATCHDOG_USEC", interval.as_micros().to_string()),
+            None => command.env_remove("WATCHDOG_USEC"),
+        };
+        Daemon::by(command)
+    }
+
+    fn hear(&self) -> String {
+        let mut bytes = [0; 4096];
+        let len = self.socket.recv(&mut bytes).expect("a word in time");
+        String::from_utf8_lossy(&bytes[..len]).trim_end().to_owned()
+    }
+
+    fn hear_until(&self, what: impl Fn(&str) -> bool) -> String {
+        let begun = Instant::now();
+        loop {
+            let word = self.hear();
+            if what(&word) {
+                return word;
+            }
+            assert!(begun.elapsed() < PATIENCE, "not heard; last `{word}`");
+        }
+    }
+
+    /// Whether nothing is said for so long.
+    fn is_told_nothing(&self, during: Duration) -> bool {
+        self.socket.set_read_timeout(Some(during)).unwrap();
+        let nothing = self.socket.recv(&mut [0; 4096]).is_err();
+        self.socket.set_read_timeout(Some(PATIENCE)).unwrap();
+        nothing
+    }
+}
+
+#[test]
+fn a_service_manager_hears_when_it_is_ready_how_it_stands_and_when_it_ends() {
+    let manager = Manager::new();
+    let mut daemon = manager.start(None);
+    manager.hear_until(|word| word == "READY=1");
+    let status: Status = daemon.client().get("/v1/status").unwrap();
+    assert!(status.is_connected(), "the first command finds a device");
+    daemon.armed();
+    manager.hear_until(|word| word.starts_with("STATUS=armed") && word.contains("mock, simulated"));
+    printed(daemon.meissner().args(["play", "wave"]));
+    manager.hear_until(|word| word.contains("plays wave (play 1)"));
+    printed(daemon.meissner().arg("stop"));
+    manager.hear_until(|word| word.starts_with("STATUS=armed") && !word.contains("plays"));
+    assert!(manager.is_told_nothing(Duration::from_millis(300)), "idle, it has nothing to say");
+    daemon.signal(Signal::TERM);
+    manager.hear_until(|word| word == "STOPPING=1");
+    assert!(daemon.wait().success());
+}
+
+#[test]
+fn a_daemon_that_stands_still_gives_no_sign_of_life() {
+    let manager = Manager::new();
+    let mut daemon = manager.start(Some(Duration::from_millis(200)));
+    for _ in 0..3 {
+        manager.hear_until(|word| word == "WATCHDOG=1");
+    }
+    daemon.signal(Signal::STOP);
+    while !manager.is_told_nothing(Duration::from_millis(400)) {}
+    daemon.signal(Signal::CONT);
+    manager.hear_until(|word| word == "WATCHDOG=1");
+    daemon.signal(Signal::TERM);
+    assert!(daemon.wait().success());
+}
+
+#[test]
+fn a_client_that_dawdles_costs_no_sign_of_life() {
+    use std::io::Write;
+    let manager = Manager::new();
+    let daemon = manager.start(Some(Duration::from_millis(200)));
+    manager.hear_until(|word| word == "READY=1");
+    let mut slow = std::os::unix::net::UnixStream::connect(daemon.socket()).unwrap();
+    slow.write_all(b"POST /v1/play HTTP/1.1\r\nHost: m\r\nContent-Length: 999\r\n\r\n{").unwrap();
+    for _ in 0..5 {
+        manager.hear_until(|word| word == "WATCHDOG=1");
+    }
+}
+
+#[test]
+fn a_socket_that_is_handed_over_is_used_and_left_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("activated.sock");
+    let listener = UnixListener::bind(&path).unwrap();
+    // Connected before there is a daemon, as the command that starts it.
+    let first = std::thread::spawn({
+        let path = path.clone();
+        move || printed(meissner().args(["arm", "--assume-rest", "--socket"]).arg(path))
+    });
+    let mut command = Command::new("sh");
+    let script = "exec 3<&0 </dev/null; LISTEN_PID=$$ LISTEN_FDS=1 exec \"$0\" \"$@\"";
+    command.args(["-c", script, PROGRAM]).stdin(Stdio::from(OwnedFd::from(listener)));
+    let mut daemon = Daemon::by(command);
+    assert!(first.join().unwrap().starts_with("armed"), "it waited for the device");
+    assert!(!daemon.socket().exists(), "it made none of its own");
+    assert!(daemon.wait_for_log("listening on").contains(&format!("listening on {}", path.display())));
+    assert!(daemon.log().contains("`socket` in the configuration is not gone by"));
+    daemon.signal(Signal::TERM);
+    assert!(daemon.wait().success());
+    assert!(
+        std::fs::symlink_metadata(&path).unwrap().file_type().is_socket(),
+        "it is not the daemon's to remove"
+    );
+}
+
+#[test]
+fn what_can_change_while_it_runs_is_taken_and_the_rest_is_said() {
+    let manager = Manager::new();
+    let daemon = manager.start(None);
+    manager.hear_until(|word| word == "READY=1");
+    let status = || daemon.client().get::<Status>("/v1/status").unwrap();
+    let reload = |config: &str| {
+        daemon.write_config(config);
+        daemon.signal(Signal::HUP);
+        manager.hear_until(|word| word.starts_with("RELOADING=1"));
+        manager.hear_until(|word| word == "READY=1");
+        daemon.log().lines().last().unwrap().to_owned()
+    };
+    assert!(reload("lease_ms = 5000\n").contains("says what it said before"));
+    daemon.armed();
+    let line = reload("lead_ms = 50\nlease_ms = 4000\n");
+    assert!(line.contains("`lead_ms`") && line.contains("from the next `arm` on"), "{line}");
+    // An answered order comes behind the one that carried the settings.
+    printed(daemon.meissner().args(["play", "wave", "--seconds", "0.1", "--wait"]));
+    assert_eq!((status().lead_ms, status().lease_ms), (100.0, 5000.0), "armed with these");
+    printed(daemon.meissner().arg("disarm"));
+    daemon.armed();
+    assert_eq!((status().lead_ms, status().lease_ms), (50.0, 4000.0));
+    printed(daemon.meissner().args(["play", "wave", "--seconds", "0.1", "--wait"]));
+
+    let line = reload("lead_ms = 4\n");
+    assert!(line.contains("`lead_ms` is 4") && line.contains("stays as it was"), "{line}");
+    assert_eq!(status().lead_ms, 50.0);
+    let line = reload("lead_ms = 50\nlease_ms = 4000\n[mock]\nseed = 7\n");
+    assert!(line.contains("[mock] cannot change while the daemon runs"), "{line}");
+
+    let other = daemon.path("other");
+    std::fs::write(
+        daemon.path("meissner.toml"),
+        format!("patterns_dir = {other:?}\nlead_ms = 50\nlease_ms = 4000\n"),
+    )
+    .unwrap();
+    daemon.signal(Signal::HUP);
+    daemon.wait_for_log("`patterns_dir`: ");
+    let file = daemon.path("mine.toml");
+    std::fs::write(&file, "format = 1\nname = \"mine\"\nduration_s = 1.0\n").unwrap();
+    printed(daemon.meissner().arg("import").arg(&file));
+    assert!(daemon.path("patterns/mine.toml").exists(), "the old directory is still gone by");
+    std::fs::create_dir(&other).unwrap();
+    daemon.signal(Signal::HUP);
+    daemon.wait_for_log("`patterns_dir` at once");
+    assert!(complaint(daemon.meissner().args(["show", "mine"])).contains("no pattern is called"));
+    assert_eq!(status().state, "armed", "nothing of this ends what was armed");
+}
+
+#[test]
+fn a_configuration_is_checked_without_a_daemon() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("m.toml");
+    let check = || {
+        let mut command = meissner();
+        command.args(["daemon", "--check-config", "--config"]).arg(&file);
+        command
+    };
+    std::fs::write(&file, "lead_ms = 50\n").unwrap();
+    assert!(printed(&mut check()).ends_with("m.toml: good\n"));
+    for (text, says) in [
+        ("laed_ms = 50\n", "m.toml:1: unknown key `laed_ms`"),
+        ("patterns_dir = \"/nonexistent/patterns\"\n", "m.toml: `patterns_dir`: /nonexistent/patterns"),
+    ] {
+        std::fs::write(&file, text).unwrap();
+        let line = complaint(&mut check());
+        assert!(line.contains(says), "{line}");
+    }
+}
