@@ -2,7 +2,8 @@
 //!
 //! A [`pattern`] is a TOML file: which pins of the [`array`](mod@array) vibrate, at which frequency, amplitude and phase, and
 //! when. The [`store`] keeps the shipped ones and a site's own. A person says `meissner play edge-45`: the [`cli`]
-//! hands it over by [`client`] to the [`daemon`]. Requests, the status and errors are defined in [`api`].
+//! hands it over by [`client`] to the [`daemon`], which may run as a service: systemd starts it by its socket, hears how it stands and
+//! that its streamer lives. Requests, the status and errors are defined in [`api`].
 //!
 //! The daemon compiles the pattern to [`strokes`]: excursions of one pin, an up burst and the down burst that
 //! undoes it, each at an exact tick of 1/85 000 s. A stroke is defined once, in `firmware_protocol`, for everybody
@@ -40,7 +41,7 @@
 //!
 //! Tests run streamer, link, controller and plant in virtual time ([`stream::Rehearsal`]): same code, no clock.
 //! Rooms are listed lowest first in `tests/layers.rs`; a room uses only what stands before it. [`config`] is read
-//! once, at the daemon's start.
+//! at the daemon's start, and again when it is told to; what it takes while it runs stands in `daemon/reload.rs`.
 
 pub mod api;
 pub mod array;

@@ -4,6 +4,7 @@ use rustix::process::Signal;
 use std::os::fd::OwnedFd;
 use std::os::unix::fs::FileTypeExt;
 use std::os::unix::net::{UnixDatagram, UnixListener};
+use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -21,10 +22,14 @@ impl Manager {
         Self { socket, dir }
     }
 
-    /// Starts the program as a service does: no terminal to be closed, somebody to be told.
     fn start(&self, watchdog: Option<Duration>) -> Daemon {
+        self.start_program(PROGRAM.as_ref(), watchdog)
+    }
+
+    /// Starts a program as a service does: no terminal to be closed, somebody to be told.
+    fn start_program(&self, program: &Path, watchdog: Option<Duration>) -> Daemon {
         let mut command = Command::new("sh");
-        command.args(["-c", "trap '' HUP; exec \"$0\" \"$@\"", PROGRAM]).stdin(Stdio::null());
+        command.args(["-c", "trap '' HUP; exec \"$0\" \"$@\""]).arg(program).stdin(Stdio::null());
         command.env("NOTIFY_SOCKET", self.dir.path().join("notify")).env_remove("WATCHDOG_PID");
         match watchdog {
             Some(interval) => command.env("WATCHDOG_USEC", interval.as_micros().to_string()),
@@ -104,6 +109,25 @@ fn a_client_that_dawdles_costs_no_sign_of_life() {
     for _ in 0..5 {
         manager.hear_until(|word| word == "WATCHDOG=1");
     }
+}
+
+#[test]
+fn a_newer_program_is_started_once_nobody_is_armed() {
+    let manager = Manager::new();
+    let program = manager.dir.path().join("meissner");
+    std::fs::copy(PROGRAM, &program).unwrap();
+    let mut daemon = manager.start_program(&program, None);
+    daemon.wait_for_device();
+    daemon.armed();
+    let newer = manager.dir.path().join("newer");
+    std::fs::copy(PROGRAM, &newer).unwrap();
+    std::fs::rename(newer, &program).unwrap();
+    printed(daemon.meissner().args(["play", "wave", "--seconds", "0.2", "--wait"]));
+    let status: Status = daemon.client().get("/v1/status").unwrap();
+    assert_eq!(status.state, "armed", "a session goes on");
+    printed(daemon.meissner().arg("disarm"));
+    assert_eq!(daemon.wait().code(), Some(75), "{}", daemon.log());
+    assert!(daemon.log().contains("another version was installed"));
 }
 
 #[test]

@@ -433,6 +433,8 @@ fn nanoseconds(ms: f64) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::device::{self, Spec};
+    use crate::plant::PlantConfig;
     use crate::stream::port::{Notice, port};
 
     #[test]
@@ -456,5 +458,18 @@ mod tests {
         assert!(matches!(estop.job, Job::EStop) && port.pop().is_none());
         engine.lock().take(Notice::Answer { ticket: estop.ticket, result: Ok(()) });
         assert_eq!((first.try_recv(), second.try_recv()), (Ok(Ok(())), Ok(Ok(()))));
+    }
+
+    #[test]
+    fn a_board_takes_the_mocks_place_until_that_was_armed() {
+        let (mut port, orders, _notices) = port().unwrap();
+        let engine = Engine::new(orders, Settings::default(), "auto".to_owned(), None);
+        let device = || Box::new(device::open(&Spec::Mock, &PlantConfig::default()).unwrap());
+        engine.connect(device()).unwrap();
+        engine.replace_mock(device()).unwrap();
+        let _ = engine.order(Job::Arm { assume_rest: false }).unwrap();
+        assert!(engine.was_armed() && engine.replace_mock(device()).is_err());
+        let jobs: Vec<Job> = std::iter::from_fn(|| port.pop()).map(|order| order.job).collect();
+        assert!(matches!(jobs[..], [Job::Connect(_), Job::Connect(_), Job::Arm { .. }]), "{jobs:?}");
     }
 }
