@@ -7,6 +7,7 @@
 
 use crate::calibrate::{Plan, Provenance};
 use crate::record::{DeviceInfo, NO_DEVICE, Running};
+use crate::stream::Realtime;
 use crate::stream::port::{ErrorSource, LatePolicy, Refused};
 use firmware_protocol::limits::Refusal;
 use serde::de::{DeserializeOwned, MapAccess, Visitor};
@@ -436,6 +437,9 @@ pub struct Status {
     /// When the calibration that is used was made, UTC; null if there is none.
     #[serde(default)]
     pub calibrated: Option<String>,
+    /// Which real-time means the system granted the daemon; null from an older one.
+    #[serde(default)]
+    pub realtime: Option<Realtime>,
     /// The daemon's version.
     pub version: String,
     /// The daemon's process.

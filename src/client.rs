@@ -1,18 +1,25 @@
 //! A client of the daemon: one kept-alive HTTP/1.1 connection over its Unix socket, and event streams.
 //!
 //! Calls block; each connection has a small runtime of its own. It knows addresses and JSON, not what commands
-//! mean. A call that takes longer than [`PATIENCE`] fails; an event stream waits for as long as there is one.
+//! mean. A call that takes longer than [`PATIENCE`] fails, unless it was given more; an event stream waits for as long as
+//! there is one. Which daemon, if none is named, says [`Place`]; who may speak to it, [`access`].
 //!
-//! Invariant: the display of a [`ClientError`] is one line that says what to do.
+//! Invariant: a request that may change something is sent once.
+
+pub mod access;
+mod error;
+mod place;
 
 use crate::api::Problem;
 use crate::record::Event;
+pub use error::ClientError;
 use http_body_util::{BodyExt, Full, Limited};
 use hyper::body::{Bytes, Incoming};
 use hyper::client::conn::http1::{SendRequest, handshake};
 use hyper::header::{CONTENT_TYPE, HOST};
 use hyper::{Method, Request, Response};
 use hyper_util::rt::TokioIo;
+pub use place::{Place, is_installed};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::io;
@@ -23,71 +30,18 @@ use tokio::runtime::{Builder, Runtime};
 
 /// How long an answer may take: longer than the daemon waits for the device.
 pub const PATIENCE: Duration = Duration::from_secs(5);
+/// How long pins may take to be home: longer than the daemon waits for them, which is 25 s.
+pub const HOME_PATIENCE: Duration = Duration::from_secs(30);
 /// Bytes of an answer, or of one event, at the most.
 const MAX_ANSWER: usize = 16 << 20;
 
 /// Bytes of a socket's path at the most: what `sun_path` holds.
 pub const MAX_SOCKET_PATH: usize = 107;
 
-/// What a call can come to.
-#[derive(Debug, thiserror::Error)]
-pub enum ClientError {
-    /// Nobody answers.
-    #[error("no daemon answers at {}: start one with `meissner daemon`", .socket.display())]
-    NoDaemon {
-        /// Where.
-        socket: PathBuf,
-        /// What the system said.
-        source: io::Error,
-    },
-    /// Somebody may not.
-    #[error("{}: {source}; see that you may use the socket (its group), or choose another with --socket", .socket.display())]
-    Connect {
-        /// Where.
-        socket: PathBuf,
-        /// What the system said.
-        source: io::Error,
-    },
-    /// More than the system takes.
-    #[error("{}: a socket's path has at most {MAX_SOCKET_PATH} bytes: choose a shorter one with --socket", .socket.display())]
-    TooLong {
-        /// Where.
-        socket: PathBuf,
-    },
-    /// The daemon says no.
-    #[error(transparent)]
-    Problem(#[from] Problem),
-    /// The connection broke.
-    #[error("{}: the daemon hung up: see its log", .socket.display())]
-    HungUp {
-        /// Where.
-        socket: PathBuf,
-        /// What HTTP said.
-        source: Option<hyper::Error>,
-    },
-    /// It takes too long.
-    #[error("{}: no answer within {} s: see the daemon's log", .socket.display(), PATIENCE.as_secs())]
-    Slow {
-        /// Where.
-        socket: PathBuf,
-    },
-    /// Something else answers there, or another version.
-    #[error("{}: not an answer of this version's daemon: {what}; restart it, or choose another with --socket", .socket.display())]
-    Answer {
-        /// Where.
-        socket: PathBuf,
-        /// What is odd about it.
-        what: String,
-    },
-    /// No runtime.
-    #[error("cannot start: {0}")]
-    Runtime(#[source] io::Error),
-}
-
 /// A connection to the daemon.
 #[derive(Debug)]
 pub struct Client {
-    socket: PathBuf,
+    place: Place,
     runtime: Runtime,
     sender: Option<SendRequest<Full<Bytes>>>,
 }
@@ -98,8 +52,16 @@ impl Client {
     /// # Errors
     /// If the system has no means for it.
     pub fn new(socket: &Path) -> Result<Self, ClientError> {
+        Self::at(Place::at(socket))
+    }
+
+    /// As [`Self::new`], of the first daemon that listens at this place.
+    ///
+    /// # Errors
+    /// If the system has no means for it.
+    pub fn at(place: Place) -> Result<Self, ClientError> {
         let runtime = Builder::new_current_thread().enable_all().build().map_err(ClientError::Runtime)?;
-        Ok(Self { socket: socket.to_owned(), runtime, sender: None })
+        Ok(Self { place, runtime, sender: None })
     }
 
     /// `GET`.
@@ -107,7 +69,7 @@ impl Client {
     /// # Errors
     /// See [`ClientError`].
     pub fn get<T: DeserializeOwned>(&mut self, path: &str) -> Result<T, ClientError> {
-        self.call(Method::GET, path, Bytes::new())
+        self.call(Method::GET, path, Bytes::new(), PATIENCE)
     }
 
     /// `POST` of a JSON document.
@@ -115,8 +77,21 @@ impl Client {
     /// # Errors
     /// See [`ClientError`].
     pub fn post<T: DeserializeOwned>(&mut self, path: &str, body: &impl Serialize) -> Result<T, ClientError> {
+        self.post_within(PATIENCE, path, body)
+    }
+
+    /// As [`Self::post`], for what takes its time.
+    ///
+    /// # Errors
+    /// See [`ClientError`].
+    pub fn post_within<T: DeserializeOwned>(
+        &mut self,
+        patience: Duration,
+        path: &str,
+        body: &impl Serialize,
+    ) -> Result<T, ClientError> {
         let body = serde_json::to_vec(body).map_err(|error| self.odd(&error))?;
-        self.call(Method::POST, path, body.into())
+        self.call(Method::POST, path, body.into(), patience)
     }
 
     /// `PUT` of a text.
@@ -124,7 +99,7 @@ impl Client {
     /// # Errors
     /// See [`ClientError`].
     pub fn put<T: DeserializeOwned>(&mut self, path: &str, text: String) -> Result<T, ClientError> {
-        self.call(Method::PUT, path, text.into())
+        self.call(Method::PUT, path, text.into(), PATIENCE)
     }
 
     fn call<T: DeserializeOwned>(
@@ -132,12 +107,13 @@ impl Client {
         method: Method,
         path: &str,
         body: Bytes,
+        patience: Duration,
     ) -> Result<T, ClientError> {
         let idle = self.sender.is_some();
-        let mut answer = self.exchange(&method, path, &body);
+        let mut answer = self.exchange(&method, path, &body, patience);
         // A connection that was idle for half a minute the daemon has closed: what only asks may ask again.
         if idle && method == Method::GET && matches!(answer, Err(ClientError::HungUp { .. })) {
-            answer = self.exchange(&method, path, &body);
+            answer = self.exchange(&method, path, &body, patience);
         }
         let (good, bytes) = answer?;
         if good {
@@ -147,22 +123,32 @@ impl Client {
     }
 
     /// One request and its answer, and whether that is a good one.
-    fn exchange(&mut self, method: &Method, path: &str, body: &Bytes) -> Result<(bool, Bytes), ClientError> {
-        let (socket, sender) = (&self.socket, &mut self.sender);
-        let answer = self.runtime.block_on(async {
+    fn exchange(
+        &mut self,
+        method: &Method,
+        path: &str,
+        body: &Bytes,
+        patience: Duration,
+    ) -> Result<(bool, Bytes), ClientError> {
+        let Self { place, runtime, sender } = self;
+        let answer = runtime.block_on(async {
             let exchange = async {
                 // A connection that was idle for long may have been closed; nothing was sent on it then.
                 if sender.as_mut().is_none_or(|sender| sender.is_closed()) {
-                    *sender = Some(connect(socket).await?);
+                    let (found, socket) = connect(place).await?;
+                    *sender = Some(found);
+                    // There it stays, whoever else begins to listen.
+                    *place = Place::at(&socket);
                 }
+                let socket = &place.socket;
                 let Some(sender) = sender.as_mut() else { return Err(hung_up(socket, None)) };
                 sender.ready().await.map_err(|source| hung_up(socket, Some(source)))?;
                 let request = request(method.clone(), path, body.clone());
                 let response = sender.send_request(request).await;
                 read_all(socket, response.map_err(|source| hung_up(socket, Some(source)))?).await
             };
-            let slow = |_| Err(ClientError::Slow { socket: socket.clone() });
-            tokio::time::timeout(PATIENCE, exchange).await.unwrap_or_else(slow)
+            let answer = tokio::time::timeout(patience, exchange).await;
+            answer.unwrap_or_else(|_| Err(ClientError::Slow { socket: place.socket.clone(), patience }))
         });
         if answer.is_err() {
             self.sender = None;
@@ -171,7 +157,7 @@ impl Client {
     }
 
     fn odd(&self, error: &serde_json::Error) -> ClientError {
-        ClientError::Answer { socket: self.socket.clone(), what: error.to_string() }
+        ClientError::Answer { socket: self.place.socket.clone(), what: error.to_string() }
     }
 
     /// Listens to events on a connection of its own. What happens after this has returned is heard.
@@ -180,11 +166,10 @@ impl Client {
     /// See [`ClientError`].
     pub fn events(&self) -> Result<Events, ClientError> {
         let runtime = Builder::new_current_thread().enable_all().build().map_err(ClientError::Runtime)?;
-        let socket = self.socket.clone();
-        let response = runtime.block_on(async {
-            let mut sender = connect(&socket).await?;
+        let (socket, response) = runtime.block_on(async {
+            let (mut sender, socket) = connect(&self.place).await?;
             let request = request(Method::GET, "/v1/events", Bytes::new());
-            let slow = |_| Err(ClientError::Slow { socket: socket.clone() });
+            let slow = |_| Err(ClientError::Slow { socket: socket.clone(), patience: PATIENCE });
             let response = async {
                 let response = sender.send_request(request).await;
                 let response = response.map_err(|source| hung_up(&socket, Some(source)))?;
@@ -198,20 +183,32 @@ impl Client {
                     Into::into,
                 ))
             };
-            tokio::time::timeout(PATIENCE, response).await.unwrap_or_else(slow)
+            let response = tokio::time::timeout(PATIENCE, response).await.unwrap_or_else(slow)?;
+            Ok::<_, ClientError>((socket, response))
         })?;
         Ok(Events { socket, runtime, body: response.into_body(), rest: Vec::new() })
     }
 }
 
-async fn connect(socket: &Path) -> Result<SendRequest<Full<Bytes>>, ClientError> {
-    let stream = UnixStream::connect(socket).await.map_err(|source| {
-        let socket = socket.to_owned();
+/// A connection to the first that listens, and where that is.
+async fn connect(place: &Place) -> Result<(SendRequest<Full<Bytes>>, PathBuf), ClientError> {
+    let mut socket = &place.socket;
+    let mut stream = UnixStream::connect(socket).await;
+    if let (Err(error), Some(other)) = (&stream, &place.other)
+        && (is_nobody(error) || is_hidden(error, socket))
+    {
+        socket = other;
+        stream = UnixStream::connect(socket).await;
+    }
+    let stream = stream.map_err(|source| {
+        let socket = socket.clone();
         match source.kind() {
             _ if socket.as_os_str().len() > MAX_SOCKET_PATH => ClientError::TooLong { socket },
-            io::ErrorKind::NotFound | io::ErrorKind::ConnectionRefused => {
-                ClientError::NoDaemon { socket, source }
-            }
+            _ if is_nobody(&source) => ClientError::NoDaemon { place: place.clone(), source },
+            io::ErrorKind::PermissionDenied => match access::denied(&socket) {
+                Some((found, advice)) => ClientError::Denied { socket, found, advice },
+                None => ClientError::Connect { socket, source },
+            },
             _ => ClientError::Connect { socket, source },
         }
     })?;
@@ -219,7 +216,17 @@ async fn connect(socket: &Path) -> Result<SendRequest<Full<Bytes>>, ClientError>
         handshake(TokioIo::new(stream)).await.map_err(|source| hung_up(socket, Some(source)))?;
     // Its errors come out of the requests too.
     tokio::spawn(connection);
-    Ok(sender)
+    Ok((sender, socket.clone()))
+}
+
+/// Whether it says that nobody listens.
+fn is_nobody(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::ConnectionRefused)
+}
+
+/// Whether it is not even to be seen: `su` leaves one with the runtime directory of somebody else.
+fn is_hidden(error: &io::Error, socket: &Path) -> bool {
+    error.kind() == io::ErrorKind::PermissionDenied && socket.metadata().is_err()
 }
 
 fn hung_up(socket: &Path, source: Option<hyper::Error>) -> ClientError {
@@ -287,7 +294,10 @@ impl Events {
                 }
             };
             match self.runtime.block_on(frame) {
-                Err(_) => return Err(ClientError::Slow { socket: self.socket.clone() }),
+                Err(_) => {
+                    let patience = patience.unwrap_or_default();
+                    return Err(ClientError::Slow { socket: self.socket.clone(), patience });
+                }
                 Ok(None) => return Ok(None),
                 Ok(Some(Err(source))) => return Err(hung_up(&self.socket, Some(source))),
                 Ok(Some(Ok(frame))) => self.rest.extend(frame.data_ref().into_iter().flatten()),
@@ -301,61 +311,4 @@ impl Events {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn without_a_daemon_it_says_how_to_start_one() {
-        let dir = tempfile::tempdir().unwrap();
-        let socket = dir.path().join("none.sock");
-        let mut client = Client::new(&socket).unwrap();
-        let line = client.get::<serde_json::Value>("/v1/status").unwrap_err().to_string();
-        assert_eq!(
-            line,
-            format!("no daemon answers at {}: start one with `meissner daemon`", socket.display())
-        );
-        assert!(matches!(client.events(), Err(ClientError::NoDaemon { .. })));
-        let long = Client::new(&dir.path().join("x".repeat(107))).unwrap().events().unwrap_err();
-        assert!(matches!(long, ClientError::TooLong { .. }), "{long}");
-    }
-
-    #[test]
-    fn what_hangs_up_at_once_is_said() {
-        let dir = tempfile::tempdir().unwrap();
-        let socket = dir.path().join("rude.sock");
-        let listener = std::os::unix::net::UnixListener::bind(&socket).unwrap();
-        let rude = std::thread::spawn(move || drop(listener.accept().unwrap()));
-        let error = Client::new(&socket).unwrap().get::<serde_json::Value>("/v1/status").unwrap_err();
-        assert!(matches!(error, ClientError::HungUp { .. }), "{error:?}");
-        rude.join().unwrap();
-    }
-
-    #[test]
-    fn a_connection_that_was_closed_while_idle_is_made_again() {
-        use std::io::{Read, Write};
-        let dir = tempfile::tempdir().unwrap();
-        let socket = dir.path().join("brief.sock");
-        let listener = std::os::unix::net::UnixListener::bind(&socket).unwrap();
-        let brief = std::thread::spawn(move || {
-            for _ in 0..2 {
-                let (mut stream, _) = listener.accept().unwrap();
-                stream.read_exact(&mut [0; 16]).unwrap();
-                stream.write_all(b"HTTP/1.1 200 OK\r\ncontent-length: 1\r\n\r\n7").unwrap();
-                // The rest of the request is read, or closing would take the answer back.
-                stream.set_read_timeout(Some(Duration::from_millis(100))).unwrap();
-                while stream.read(&mut [0; 1024]).is_ok_and(|len| len > 0) {}
-            }
-        });
-        let mut client = Client::new(&socket).unwrap();
-        assert_eq!(client.get::<u8>("/v1/status").unwrap(), 7);
-        std::thread::sleep(Duration::from_millis(200));
-        assert_eq!(client.get::<u8>("/v1/status").unwrap(), 7);
-        brief.join().unwrap();
-    }
-
-    #[test]
-    fn a_name_cannot_change_an_address() {
-        assert_eq!(escape("edge-45"), "edge-45");
-        assert_eq!(escape("../x y/é"), "%2E%2E%2Fx%20y%2F%C3%A9");
-    }
-}
+mod tests;

@@ -28,6 +28,8 @@ pub const MIN_LEASE_OVER_LEAD_MS: f64 = 50.0;
 pub const DEFAULT_LEASE_OVER_LEAD_MS: f64 = 200.0;
 /// The longest lease a controller takes, ms.
 pub const MAX_LEASE_MS: f64 = 10_000.0;
+/// Where the installed service listens.
+pub const SERVICE_SOCKET: &str = "/run/meissner/meissner.sock";
 /// Bytes of a configuration file at the most.
 const MAX_BYTES: u64 = 1 << 20;
 
@@ -348,13 +350,21 @@ fn variable(name: &str) -> Option<PathBuf> {
     env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from)
 }
 
-/// Where clients connect if nobody says: `$MEISSNER_SOCKET`, else `$XDG_RUNTIME_DIR/meissner.sock`, else
+/// Where the daemon listens if nobody says: `$MEISSNER_SOCKET`, else `$XDG_RUNTIME_DIR/meissner.sock`, else
 /// `/run/meissner/meissner.sock`.
 #[must_use]
 pub fn default_socket() -> PathBuf {
+    named_socket().or_else(users_socket).unwrap_or_else(|| PathBuf::from(SERVICE_SOCKET))
+}
+
+/// `$MEISSNER_SOCKET`.
+pub(crate) fn named_socket() -> Option<PathBuf> {
     variable("MEISSNER_SOCKET")
-        .or_else(|| variable("XDG_RUNTIME_DIR").map(|dir| dir.join("meissner.sock")))
-        .unwrap_or_else(|| PathBuf::from("/run/meissner/meissner.sock"))
+}
+
+/// Where a user's own daemon listens.
+pub(crate) fn users_socket() -> Option<PathBuf> {
+    variable("XDG_RUNTIME_DIR").map(|dir| dir.join("meissner.sock"))
 }
 
 /// systemd's `$STATE_DIRECTORY` for the service, else the user's data directory.

@@ -24,7 +24,7 @@
 //!
 //! When a device is connected, the link measures what the line carries, and a play that needs more is refused (counted
 //! by [`stream::Need`]). The doctor looks at a device closer, without a daemon (measured by [`checkup`], judged by its
-//! command).
+//! command), and at what on this machine could be in the way.
 //!
 //! By how much each pin's travel is off the model is measured: [`calibrate`] plays bursts of several lengths, an ordinary
 //! pattern, and makes of the travels a gain for each motor and direction, kept in a file. The daemon has them measured, and the

@@ -16,7 +16,7 @@ fn board() -> PtyMock {
 
 /// The doctor's report, go or not: how fast this machine is, no test decides.
 fn report(arguments: &[&str]) -> Value {
-    let output = meissner().args(["doctor", "--json"]).args(arguments).output().unwrap();
+    let output = meissner().args(["doctor", "--json", "--seconds", "0.5"]).args(arguments).output().unwrap();
     let report: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(report["ok"] == true, output.status.success());
     report
@@ -103,7 +103,14 @@ fn a_daemon_without_a_device_says_which_one_it_wants() {
     let text = printed(daemon.meissner().arg("status"));
     assert!(text.contains("state     no device\n"), "{text}");
     assert!(text.contains(&format!("device    none: {missing}\n")), "{text}");
-    let output = daemon.meissner().args(["doctor", "--json"]).assert().code(1).get_output().stdout.clone();
+    let output = daemon
+        .meissner()
+        .args(["doctor", "--json", "--seconds", "0.5"])
+        .assert()
+        .code(1)
+        .get_output()
+        .stdout
+        .clone();
     let report: Value = serde_json::from_slice(&output).unwrap();
     let findings = report["findings"].as_array().unwrap();
     let fails: Vec<_> = findings.iter().filter(|finding| finding["level"] == "fail").collect();
@@ -128,7 +135,7 @@ fn a_device_without_telemetry_is_said_to_drift() {
     let again = || Some(report(&["--device", &device])).filter(|report| !report["device"].is_null());
     let examined = (0..4).find_map(|_| again()).unwrap_or_else(|| report(&["--device", &device]));
     let daemon = Daemon::with("mock", "lease_ms = 5000\n[mock]\ntelemetry_hz = 0\n");
-    let asked = crate::harness::document(daemon.meissner().args(["doctor", "--json"]));
+    let asked = crate::harness::document(daemon.meissner().args(["doctor", "--json", "--seconds", "0.5"]));
     for report in [examined, asked] {
         let found = finding(&report, "telemetry");
         assert_eq!((&found["level"], &found["advice"]), (&"warn".into(), &"keep plays short".into()));
@@ -139,7 +146,7 @@ fn a_device_without_telemetry_is_said_to_drift() {
         text.contains("telemetry  none: bursts are not corrected, pins drift; keep plays short"),
         "{text}"
     );
-    let text = printed(daemon.meissner().arg("doctor"));
+    let text = printed(daemon.meissner().args(["doctor", "--seconds", "0.5"]));
     assert!(text.ends_with("\ngo, on a simulated device\n"), "{text}");
     assert!(text.contains("no real pin moves: plug the board in and restart the daemon, or"), "{text}");
 }
@@ -158,13 +165,16 @@ fn a_port_has_one_user() {
         found.contains("in use by another program") && found.contains(&board.path().display().to_string()),
         "{found}"
     );
+    let holder = finding(&report, "port");
+    let (advice, found) = (holder["advice"].as_str().unwrap(), holder["found"].as_str().unwrap());
+    assert!(found.contains("open in meissner (pid ") && advice.contains("`meissner status`"), "{holder}");
     let second = Daemon::without_device(&name);
     second.wait_for_log("in use by another program");
     drop(second);
     // Whom it belongs to noticed nothing.
     let status: Status = daemon.client().get("/v1/status").unwrap();
     assert!(status.is_connected());
-    let asked = crate::harness::document(daemon.meissner().args(["doctor", "--json"]));
+    let asked = crate::harness::document(daemon.meissner().args(["doctor", "--json", "--seconds", "0.5"]));
     assert!(asked["device"].is_null() && finding(&asked, "daemon").to_string().contains(&name), "{asked}");
     finding(&asked, "line");
 }

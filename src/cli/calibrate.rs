@@ -13,6 +13,7 @@ use anyhow::{Result, bail};
 use clap::Args;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 /// How long the daemon may take from a play's end to its fit.
@@ -43,11 +44,12 @@ pub(super) fn run(asked: &Calibrate) -> Result<ExitCode> {
     let plan = request.plan()?;
     let mut client = asked.plain.client()?;
     let mut events = client.events()?;
-    control::leave_on_interrupt()?;
+    let over = control::leave_on_interrupt()?;
     let Played { id } = client.post("/v1/calibrate", &request)?;
     let json = asked.plain.output.json;
     let mut progress = Progress::new(Some(plan.duration_s()), json);
     control::follow(&mut client, &mut events, id, &mut progress)?;
+    over.store(true, Ordering::Relaxed);
     let measured = outcome(&mut events, id)?;
     let report: CalibrationReport = client.get("/v1/calibration")?;
     if let Some(out) = out {

@@ -1,4 +1,4 @@
-//! Commands that change something: play, stop, estop, reset, arm, disarm.
+//! Commands that change something: play, stop, estop, reset, arm, disarm, home.
 //!
 //! They send one request and print what it came to. `play --wait` listens before it asks, so that no event of
 //! its play can be missed; what a slow terminal misses, it asks for.
@@ -8,19 +8,30 @@
 use super::progress::Progress;
 use super::{Onset, Plain, Play, give, text};
 use crate::api::{ArmRequest, PlayRequest, Played, Status};
-use crate::client::{Client, Events, escape};
+use crate::client::{Client, Events, HOME_PATIENCE, escape};
 use crate::daemon;
 use crate::record::{Event, Receipt};
 use anyhow::{Result, bail};
 use serde_json::{Value, json};
 use std::io::{self, Write};
 use std::process::{self, ExitCode};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
+use std::time::{Duration, Instant};
 use tokio::signal::unix::{SignalKind, signal};
+
+/// What was felt is known so soon after a play, of any but long ones on a busy machine; the receipt has it later.
+const FELT_PATIENCE: Duration = Duration::from_secs(1);
 
 pub(super) fn command(plain: &Plain, name: &str) -> Result<ExitCode> {
     let status: Status = plain.client()?.post(&format!("/v1/{name}"), &json!({}))?;
     stands(plain, &status, name == "estop")
+}
+
+pub(super) fn home(plain: &Plain) -> Result<ExitCode> {
+    let status: Status = plain.client()?.post_within(HOME_PATIENCE, "/v1/home", &json!({}))?;
+    stands(plain, &status, false)
 }
 
 pub(super) fn arm(plain: &Plain, assume_rest: bool) -> Result<ExitCode> {
@@ -67,26 +78,34 @@ pub(super) fn play(play: &Play) -> Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     }
     let mut events = client.events()?;
-    leave_on_interrupt()?;
+    let over = leave_on_interrupt()?;
     let Played { id } = client.post("/v1/play", &request)?;
     let mut progress = Progress::new(length(&mut client, &request)?, json);
     let receipt = follow(&mut client, &mut events, id, &mut progress)?;
+    over.store(true, Ordering::Relaxed);
+    let receipt = felt(&mut client, &mut events, receipt, FELT_PATIENCE);
     give(json, &receipt, || text::receipt(&receipt))?;
     Ok(if receipt.all_played() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-/// Ends this process at Ctrl-C, and says what that does not end.
-pub(super) fn leave_on_interrupt() -> Result<()> {
+/// Ends this process at Ctrl-C, and says what that does not end, until the play is said to be over.
+pub(super) fn leave_on_interrupt() -> Result<Arc<AtomicBool>> {
+    let over = Arc::new(AtomicBool::new(false));
+    let is_over = Arc::clone(&over);
     let runtime = daemon::runtime()?;
     let mut interrupt = runtime.block_on(async { signal(SignalKind::interrupt()) })?;
     thread::Builder::new().name("interrupt".into()).spawn(move || {
         if runtime.block_on(interrupt.recv()).is_some() {
+            let says = match is_over.load(Ordering::Relaxed) {
+                true => "the play is over: see `meissner receipt`",
+                false => "still playing: `meissner stop` ends it",
+            };
             // If stderr is gone, nobody is left to tell.
-            let _ = writeln!(io::stderr(), "still playing: `meissner stop` ends it");
+            let _ = writeln!(io::stderr(), "{says}");
             process::exit(130);
         }
     })?;
-    Ok(())
+    Ok(over)
 }
 
 fn length(client: &mut Client, request: &PlayRequest) -> Result<Option<f64>> {
@@ -121,4 +140,27 @@ pub(super) fn follow(
     };
     progress.finish();
     Ok(ended)
+}
+
+/// The receipt once it says what was felt, or why that is not known; as it is, if that takes longer than `patience` or the
+/// daemon ends.
+pub(super) fn felt(
+    client: &mut Client,
+    events: &mut Events,
+    receipt: Receipt,
+    patience: Duration,
+) -> Receipt {
+    let until = Instant::now() + patience;
+    // Of what was computed already no event comes any more.
+    let mut receipt = client.get(&format!("/v1/plays/{}", receipt.id)).unwrap_or(receipt);
+    while receipt.felt.is_none() && receipt.felt_unknown.is_none() {
+        match events.next(Some(until.saturating_duration_since(Instant::now()))) {
+            Ok(Some(Event::Felt { id, felt, felt_unknown })) if id == receipt.id => {
+                (receipt.felt, receipt.felt_unknown) = (felt, felt_unknown);
+            }
+            Ok(Some(_)) => {}
+            Ok(None) | Err(_) => break,
+        }
+    }
+    receipt
 }

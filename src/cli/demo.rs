@@ -14,7 +14,7 @@ use crate::daemon::{Daemon, Hosted};
 use crate::device::Spec;
 use crate::optimise::Rates;
 use crate::pattern::Pattern;
-use crate::record::{Event, FeltRecord, Look, Receipt, Wire};
+use crate::record::{FeltRecord, Look, Receipt, Wire};
 use crate::store::Store;
 use crate::stream::port::{Bursts, Pulses};
 use crate::stream::{Realtime, Rehearsed, rehearse};
@@ -99,7 +99,7 @@ pub(super) fn run(seconds: f64, open_loop: bool, json: bool) -> Result<ExitCode>
     };
     let mut events = client.events()?;
     let receipt = play(&mut client, &mut events, &request, json)?;
-    let receipt = felt(&mut client, &mut events, receipt)?;
+    let receipt = control::felt(&mut client, &mut events, receipt, FELT_PATIENCE);
     let report = report(&config, &hosted, &status, &request, &receipt, begun)?;
     hosted.stop()?;
     give(json, &report, || summary(&report))?;
@@ -127,22 +127,6 @@ fn play(client: &mut Client, events: &mut Events, request: &PlayRequest, json: b
     let Played { id } = client.post("/v1/play", request)?;
     let mut progress = Progress::new(request.seconds, json);
     control::follow(client, events, id, &mut progress)
-}
-
-/// The receipt once it says what was felt, or why that is not known.
-fn felt(client: &mut Client, events: &mut Events, receipt: Receipt) -> Result<Receipt> {
-    // Of what was computed already no event comes any more.
-    let mut receipt: Receipt = client.get(&format!("/v1/plays/{}", receipt.id))?;
-    while receipt.felt.is_none() && receipt.felt_unknown.is_none() {
-        match events.next(Some(FELT_PATIENCE))? {
-            Some(Event::Felt { id, felt, felt_unknown }) if id == receipt.id => {
-                (receipt.felt, receipt.felt_unknown) = (felt, felt_unknown);
-            }
-            Some(_) => {}
-            None => break,
-        }
-    }
-    Ok(receipt)
 }
 
 /// What was felt of the play, and what would have been without the loop.

@@ -22,8 +22,8 @@ mod tradeoff;
 mod watch;
 
 use crate::api::Late;
-use crate::client::Client;
-use crate::config::{self, Config, PatternsDir, Source};
+use crate::client::{Client, Place};
+use crate::config::{Config, PatternsDir, Source};
 use crate::daemon::{self, Daemon, DaemonError, Ended, Signals};
 use crate::device::Spec;
 use crate::store::StoreError;
@@ -36,6 +36,7 @@ use std::io::{self, BufWriter, IsTerminal, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::str::FromStr;
+use std::time::Duration;
 use tracing::warn;
 use tracing_subscriber::EnvFilter;
 
@@ -71,8 +72,10 @@ enum Command {
         /// auto, mock, pty, serial[:PATH|:SERIAL|:VID:PID[:SERIAL]] or usb[:SERIAL] [default: the configuration's, else auto]
         #[arg(long, value_name = "DEVICE")]
         device: Option<Spec>,
-        #[command(flatten)]
-        place: Place,
+        /// Where clients connect [default: the configuration's, else $MEISSNER_SOCKET, else
+        /// $XDG_RUNTIME_DIR/meissner.sock, else /run/meissner/meissner.sock]
+        #[arg(long, value_name = "PATH")]
+        socket: Option<PathBuf>,
     },
     /// Play a pattern, behind what is queued
     Play(Play),
@@ -153,6 +156,9 @@ enum Command {
         /// Which device, as for `daemon`; without it, the daemon's, else the first board
         #[arg(long, value_name = "DEVICE")]
         device: Option<Spec>,
+        /// How long wake-ups are measured, 0.1 to 3600: the longer, the rarer the stalls it sees
+        #[arg(long, value_name = "S", default_value_t = 5.0, allow_negative_numbers = true, value_parser = measured)]
+        seconds: f64,
         #[command(flatten)]
         plain: Plain,
     },
@@ -187,24 +193,12 @@ struct Play {
 /// What a client command needs.
 #[derive(Debug, Args)]
 struct Plain {
-    #[command(flatten)]
-    place: Place,
-    #[command(flatten)]
-    output: Output,
-}
-
-#[derive(Debug, Args)]
-struct Place {
-    /// The daemon's socket [default: $MEISSNER_SOCKET, else $XDG_RUNTIME_DIR/meissner.sock, else
-    /// /run/meissner/meissner.sock]
+    /// The daemon's socket [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and
+    /// /run/meissner/meissner.sock at which a daemon listens]
     #[arg(long, value_name = "PATH")]
     socket: Option<PathBuf>,
-}
-
-impl Place {
-    fn path(&self) -> PathBuf {
-        self.socket.clone().unwrap_or_else(config::default_socket)
-    }
+    #[command(flatten)]
+    output: Output,
 }
 
 #[derive(Clone, Copy, Debug, Args)]
@@ -216,7 +210,8 @@ struct Output {
 
 impl Plain {
     fn client(&self) -> Result<Client> {
-        Ok(Client::new(&self.place.path())?)
+        let place = self.socket.as_deref().map_or_else(Place::find, Place::at);
+        Ok(Client::at(place)?)
     }
 }
 
@@ -224,6 +219,12 @@ impl Plain {
 fn positive(text: &str) -> Result<f64, &'static str> {
     let number = text.parse().ok().filter(|number: &f64| number.is_finite() && *number >= 0.0);
     number.ok_or("a number is wanted, 0 or more")
+}
+
+/// How long something is measured, s.
+fn measured(text: &str) -> Result<f64, &'static str> {
+    let number = text.parse().ok().filter(|number| (0.1..=3600.0).contains(number));
+    number.ok_or("a number is wanted, 0.1 to 3600")
 }
 
 /// `--at`.
@@ -336,8 +337,8 @@ fn is_broken_pipe(error: &anyhow::Error) -> bool {
 fn run(command: Command) -> Result<ExitCode> {
     match command {
         Command::Demo { seconds, open_loop, output } => demo::run(seconds, open_loop, output.json),
-        Command::Daemon { config, check_config: check, device, place } => {
-            let source = Source { file: config, device, socket: place.socket };
+        Command::Daemon { config, check_config: check, device, socket } => {
+            let source = Source { file: config, device, socket };
             if check { check_config(&source) } else { serve(source) }
         }
         Command::Play(play) => control::play(&play),
@@ -346,7 +347,7 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Reset(plain) => control::command(&plain, "reset"),
         Command::Arm { assume_rest, plain } => control::arm(&plain, assume_rest),
         Command::Disarm(plain) => control::command(&plain, "disarm"),
-        Command::Home(plain) => control::command(&plain, "home"),
+        Command::Home(plain) => control::home(&plain),
         Command::Calibrate(asked) => calibrate::run(&asked),
         Command::List(plain) => library::list(&plain),
         Command::Show { name, plain } => library::show(&plain, &name),
@@ -361,7 +362,9 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Optimise(asked) => optimise::run(&asked),
         Command::Tradeoff(asked) => tradeoff::run(&asked),
         Command::Report(asked) => report::run(&asked),
-        Command::Doctor { device, plain } => doctor::run(device, &plain),
+        Command::Doctor { device, seconds, plain } => {
+            doctor::run(device, Duration::from_secs_f64(seconds), &plain)
+        }
     }
 }
 

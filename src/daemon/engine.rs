@@ -19,7 +19,7 @@ use crate::pattern::Pattern;
 use crate::record::{Event, FeltRecord, Receipt, Recorder, Travels, Unfelt};
 use crate::store::Stored;
 use crate::stream::port::{At, Job, Order, Orders, Play, Refused};
-use crate::stream::{Gains, Need, Settings};
+use crate::stream::{Gains, Need, Realtime, Settings};
 use crate::strokes::Strokes;
 use crate::units::HostInstant;
 use firmware_protocol::stroke::MOTORS;
@@ -96,6 +96,8 @@ pub(super) struct Engine {
     pub(super) wanted: String,
     /// Whether a device has answered or could not be opened: what clients ask before they get no good answer to.
     settled: watch::Sender<bool>,
+    /// What the system granted the streamer.
+    pub(super) realtime: Realtime,
     inner: Mutex<Inner>,
 }
 
@@ -129,7 +131,13 @@ impl Engine {
             closing: false,
             armed_once: false,
         };
-        Self { wanted, settled: watch::channel(false).0, inner: Mutex::new(inner) }
+        let (settled, realtime) = (watch::channel(false).0, Realtime::default());
+        Self { wanted, settled, realtime, inner: Mutex::new(inner) }
+    }
+
+    /// As granted by the system.
+    pub(super) fn granted(self, realtime: Realtime) -> Self {
+        Self { realtime, ..self }
     }
 
     pub(super) fn lock(&self) -> MutexGuard<'_, Inner> {

@@ -186,12 +186,9 @@ impl Daemon {
             );
         }
         let feeler = Feeler::new().map_err(io::Error::other).map_err(system("thread"))?;
-        let engine = Arc::new(Engine::new(
-            orders,
-            config.settings,
-            config.device.to_string(),
-            config.calibration.clone(),
-        ));
+        let engine =
+            Engine::new(orders, config.settings, config.device.to_string(), config.calibration.clone());
+        let engine = Arc::new(engine.granted(realtime));
         engine.recall(None);
         let connector = connect::spawn(config.device.clone(), config.mock, Arc::clone(&engine))
             .map_err(system("connector's thread"))?;

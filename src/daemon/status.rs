@@ -47,6 +47,7 @@ impl Engine {
             calibrated: used.map(|calibration| {
                 calibration.provenance().date.clone().unwrap_or_else(|| "without a date".to_owned())
             }),
+            realtime: Some(self.realtime),
             version: env!("CARGO_PKG_VERSION").to_owned(),
             pid: std::process::id(),
         }

@@ -106,8 +106,8 @@ impl DeviceError {
         );
         match self {
             Self::NotThere(_) => "plug the board in, or see `ls /dev/serial/by-id`".to_owned(),
-            Self::Denied(_) => "install deploy/70-meissner.rules, or join the group that owns it (often `dialout`) \
-                                and log in again"
+            Self::Denied(_) => "join the group that owns it (`haptics`, or `dialout` without our udev rules) and log in \
+                                again"
                 .to_owned(),
             Self::InUse(_) | Self::UsbInUse(_) => "stop that one first; a daemon says what it has in `meissner \
                                                    status`, one at another socket in `meissner status --socket PATH`"

@@ -6,7 +6,7 @@ use thread_priority::unix::{
 use thread_priority::{ThreadPriority, ThreadPriorityValue};
 
 /// Above ordinary programs and below the kernel's own threads.
-const FIFO_PRIORITY: u8 = 50;
+pub const FIFO_PRIORITY: u8 = 50;
 
 /// Asks for it; whether it was granted.
 #[must_use]

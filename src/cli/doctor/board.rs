@@ -2,14 +2,15 @@
 //!
 //! Bounds of what is good stand here, each with its reason. The device is closed again before anything is printed.
 
-use super::{Examined, Finding, Level};
+use super::{Examined, Finding, Level, port};
 use crate::checkup::{self, Checkup};
 use crate::cli::text;
-use crate::device::{self, Spec};
+use crate::device::{self, DeviceError, Spec};
 use crate::plant::PlantConfig;
 use crate::record::DeviceInfo;
 use crate::stream::Settings;
 use firmware_protocol::frame::PROTOCOL;
+use std::path::{Path, PathBuf};
 
 /// A line that carries less refuses some of the shipped patterns, their corrections included.
 const ALL_BYTES_PER_S: u32 = 60_000;
@@ -23,17 +24,22 @@ const CRYSTALS_PPM: f64 = 100.0;
 const MODEL_PPM: f64 = 200.0;
 
 /// Opens and measures; what there is to tell of it goes into `findings`.
-pub(super) fn examine(spec: &Spec, findings: &mut Vec<Finding>) -> Option<Examined> {
+pub(super) fn examine(root: &Path, spec: &Spec, findings: &mut Vec<Finding>) -> Option<Examined> {
     let mut device = match device::open(spec, &PlantConfig::default()) {
         Ok(device) => device,
         Err(error) => {
             findings.push(Finding::new("device", Level::Fail, error.found(), &error.advice()));
+            findings.extend(taken(&error).and_then(|path| port::holders(root, &path, true)));
             return None;
         }
     };
     let (kind, serial_number) = (device.kind(), device.serial_number().map(str::to_owned));
     let checked = checkup::check(&mut device);
     drop(device);
+    // Who had it open before we did reads what is ours.
+    if let Spec::Serial(path) = spec {
+        findings.extend(port::holders(root, path, false));
+    }
     let checked = match checked {
         Ok(checked) => checked,
         Err(error) => {
@@ -45,6 +51,15 @@ pub(super) fn examine(spec: &Spec, findings: &mut Vec<Finding>) -> Option<Examin
     let examined = examined(&kind, serial_number, &checked);
     findings.extend(judged(&examined));
     Some(examined)
+}
+
+/// What another program may have open, if that is what is wrong.
+fn taken(error: &DeviceError) -> Option<PathBuf> {
+    match error {
+        DeviceError::InUse(path) => Some(path.clone()),
+        DeviceError::UsbInUse(place) => Some(Path::new("/dev/bus/usb").join(place)),
+        _ => None,
+    }
 }
 
 fn examined(kind: &str, serial_number: Option<String>, checked: &Checkup) -> Examined {

@@ -1,0 +1,194 @@
+//! Each finding about what is installed, good and bad, on machines that are not there.
+//!
+//! Nothing here depends on what is installed on the machine that runs it.
+
+use super::super::fake;
+use super::*;
+use tempfile::TempDir;
+
+/// A machine with systemd and our service.
+fn installed() -> TempDir {
+    let dir = tempfile::tempdir().unwrap();
+    fake::write(dir.path(), "usr/lib/systemd/system/meissner.service", "");
+    fs::create_dir_all(dir.path().join("run/systemd/system")).unwrap();
+    dir
+}
+
+const GOOD: &str = "Id=meissner.service\nLoadState=loaded\nActiveState=active\nSubState=running\n\
+                    UnitFileState=enabled\nNRestarts=0\nResult=success\nMainPID=812\nNeedDaemonReload=no\n\n\
+                    Id=meissner.socket\nLoadState=loaded\nActiveState=active\nSubState=running\n\
+                    UnitFileState=enabled\nResult=success\nNeedDaemonReload=no\n";
+
+/// What is told of units, of which systemd says something else than that they are well.
+fn told(changes: &[(&str, &str)]) -> Vec<String> {
+    let dir = installed();
+    let text = changes.iter().fold(GOOD.to_owned(), |text, (from, to)| {
+        assert!(text.contains(from), "{from}");
+        text.replacen(from, to, 1)
+    });
+    fake::all(&state(&Units::new(dir.path(), Some(text))))
+}
+
+#[test]
+fn where_nothing_is_installed_nothing_is_wrong() {
+    let dir = tempfile::tempdir().unwrap();
+    let units = Units::new(dir.path(), None);
+    assert_eq!(
+        fake::all(&findings(dir.path(), &units)),
+        ["Ok service: none is installed: `meissner daemon` by hand -> "]
+    );
+    let me = Me { name: "anna".into(), uid: 1000, login_gid: 1000, gids: vec![1000] };
+    assert!(group(dir.path(), &units, &me).is_none() && !units.runs(812));
+}
+
+#[test]
+fn units_that_are_well_are_two_lines() {
+    assert_eq!(
+        told(&[]),
+        [
+            "Ok service: meissner.service is active (running) -> ",
+            "Ok socket unit: meissner.socket is active (running) -> "
+        ]
+    );
+    let idle = told(&[("ActiveState=active\nSubState=running", "ActiveState=inactive\nSubState=dead")]);
+    assert_eq!(idle[0], "Ok service: meissner.service is inactive, and starts with the first client -> ");
+    assert_eq!(idle.len(), 2);
+    let dir = installed();
+    let units = Units::new(dir.path(), Some(GOOD.to_owned()));
+    assert!(units.runs(812) && !units.runs(81) && units.is_installed());
+}
+
+#[test]
+fn units_that_are_not_well_are_told_of_with_what_mends_them() {
+    let stopped = ("ActiveState=active\nSubState=running", "ActiveState=inactive\nSubState=dead");
+    let disabled = ("UnitFileState=enabled", "UnitFileState=disabled");
+    type Case<'a> = (&'a [(&'a str, &'a str)], &'a str);
+    let cases: [Case<'_>; 8] = [
+        (
+            &[("ActiveState=active", "ActiveState=failed"), ("Result=success", "Result=exit-code")],
+            "Fail service: meissner.service failed (exit-code) -> `journalctl -u meissner -e` says why; then `sudo \
+             systemctl restart meissner.service`",
+        ),
+        (
+            &[("ActiveState=active\nSubState=running", "ActiveState=activating\nSubState=auto-restart")],
+            "Fail service: meissner.service ends again and again (success) -> `journalctl -u meissner -e` says why",
+        ),
+        (
+            &[("LoadState=loaded", "LoadState=masked")],
+            "Warn service: meissner.service is masked -> `sudo systemctl unmask meissner.service`",
+        ),
+        (
+            &[("LoadState=loaded", "LoadState=bad-setting")],
+            "Fail service: meissner.service cannot be used (bad-setting) -> `systemctl status meissner.service` says why",
+        ),
+        (
+            &[stopped, stopped],
+            "Warn service: meissner.service is inactive -> `sudo systemctl start meissner.socket meissner.service`",
+        ),
+        (
+            &[disabled, disabled],
+            "Warn boot: neither unit is enabled: after a boot nothing runs -> `sudo systemctl enable --now \
+             meissner.socket meissner.service`",
+        ),
+        (
+            &[("NRestarts=0", "NRestarts=3")],
+            "Warn restarts: the daemon ended badly 3 times -> `journalctl -u meissner -e` says why; `sudo systemctl \
+             reset-failed meissner.service` counts anew",
+        ),
+        (
+            &[("NeedDaemonReload=no", "NeedDaemonReload=yes")],
+            "Warn unit files: changed since systemd read them -> `sudo systemctl daemon-reload && sudo systemctl \
+             restart meissner.service`",
+        ),
+    ];
+    for (changes, says) in cases {
+        let lines = told(changes);
+        assert!(lines.iter().any(|line| line == says), "{says}\n{lines:#?}");
+    }
+    // Started on demand it needs no boot.
+    assert_eq!(told(&[disabled]).len(), 2);
+    let dir = installed();
+    let mute = fake::all(&state(&Units::new(dir.path(), None)));
+    assert!(mute.len() == 1 && mute[0].starts_with("Warn service: installed, but systemd"), "{mute:?}");
+}
+
+#[test]
+fn a_configuration_that_is_wrong_is_told_with_its_line() {
+    let dir = tempfile::tempdir().unwrap();
+    assert!(config(dir.path()).is_none());
+    fake::write(dir.path(), CONFIG, "lead_ms = 50\n");
+    assert_eq!(
+        fake::line(&config(dir.path()).unwrap()),
+        "Ok configuration: /etc/meissner/meissner.toml can be read -> "
+    );
+    fake::write(dir.path(), CONFIG, "\nlaed_ms = 50\n");
+    let line = fake::line(&config(dir.path()).unwrap());
+    assert!(
+        line.starts_with("Fail configuration: ") && line.contains("meissner.toml:2: unknown key"),
+        "{line}"
+    );
+    assert!(line.ends_with("then `sudo systemctl restart meissner.service`"), "{line}");
+}
+
+#[test]
+fn rules_that_are_missing_or_hidden_are_told_of() {
+    let dir = installed();
+    let units = Units::new(dir.path(), None);
+    let line = || fake::line(&rules(dir.path(), &units).unwrap());
+    assert!(line().starts_with("Warn udev rules: none for boards"), "{}", line());
+    assert!(rules(dir.path(), &Units::default()).is_none() && rules_text(dir.path()).is_none());
+    fake::write(dir.path(), RULES[2], "new");
+    assert_eq!(line(), "Ok udev rules: /usr/lib/udev/rules.d/70-meissner.rules -> ");
+    fake::write(dir.path(), RULES[0], "old");
+    assert_eq!(
+        line(),
+        "Warn udev rules: /etc/udev/rules.d/70-meissner.rules hides /usr/lib/udev/rules.d/70-meissner.rules, which \
+         says otherwise -> `sudo rm /etc/udev/rules.d/70-meissner.rules && sudo udevadm control --reload && sudo \
+         udevadm trigger`"
+    );
+    assert_eq!(rules_text(dir.path()).as_deref(), Some("old"));
+    fake::write(dir.path(), RULES[0], "new");
+    assert!(line().starts_with("Ok"), "the same twice is no harm");
+}
+
+#[test]
+fn who_is_not_in_the_group_is_told_how_to_join() {
+    let me = |uid, gids: &[u32]| Me { name: "anna".into(), uid, login_gid: 1000, gids: gids.to_vec() };
+    let members = |group: &str, gid, names: &[&str]| Members {
+        group: group.to_owned(),
+        gid,
+        names: names.iter().map(|&name| name.to_owned()).collect(),
+    };
+    let (empty, hers) = (members("haptics", 991, &[]), members("haptics", 991, &["anna"]));
+    let line = |me: &Me, group, owner| fake::line(&judged(me, group, owner));
+    let anna = me(1000, &[1000]);
+    assert_eq!(
+        line(&anna, Some(&empty), None),
+        "Warn group: you (anna) are not in `haptics`: the service will not hear you -> `sudo usermod -aG haptics \
+         anna`, then log in again"
+    );
+    assert!(line(&anna, Some(&hers), Some(&hers)).ends_with("not yet in this session -> log in again"));
+    assert_eq!(
+        line(&me(1000, &[991]), Some(&hers), Some(&hers)),
+        "Ok group: you (anna) are in `haptics` -> "
+    );
+    assert!(line(&me(0, &[0]), Some(&empty), None).starts_with("Ok group: root needs none"));
+    assert!(line(&anna, None, None).contains("-> `sudo groupadd --system haptics && "));
+    let dialout = members("dialout", 20, &[]);
+    let line = line(&anna, Some(&hers), Some(&dialout));
+    assert!(line.starts_with("Warn group: the socket belongs to the group `dialout` (20)"), "{line}");
+    assert!(line.contains("-> `sudo systemctl restart meissner.socket"), "{line}");
+}
+
+#[test]
+fn a_command_that_does_not_end_is_not_waited_for() {
+    let sh = |script: &str| {
+        let mut sh = Command::new("sh");
+        sh.args(["-c", script]);
+        sh
+    };
+    assert_eq!(said(sh("echo Id=a"), Duration::from_secs(20)).unwrap(), "Id=a\n");
+    let slow = said(sh("exec sleep 600"), Duration::from_millis(50)).unwrap_err();
+    assert_eq!(slow.kind(), io::ErrorKind::TimedOut);
+    assert!(said(Command::new("no-such-command"), PATIENCE).is_err());
+}

@@ -1,0 +1,101 @@
+//! The client against sockets that are not there, are mute, rude or brief.
+//!
+//! No daemon runs here; what one answers is tested with a real one.
+
+use super::*;
+
+#[test]
+fn without_a_daemon_it_says_how_to_start_one() {
+    let dir = tempfile::tempdir().unwrap();
+    let socket = dir.path().join("none.sock");
+    let mut client = Client::new(&socket).unwrap();
+    let line = client.get::<serde_json::Value>("/v1/status").unwrap_err().to_string();
+    assert_eq!(line, format!("no daemon answers at {}: start one with `meissner daemon`", socket.display()));
+    assert!(matches!(client.events(), Err(ClientError::NoDaemon { .. })));
+    let long = Client::new(&dir.path().join("x".repeat(107))).unwrap().events().unwrap_err();
+    assert!(matches!(long, ClientError::TooLong { .. }), "{long}");
+}
+
+#[test]
+fn both_places_and_the_service_are_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let (socket, other) = (dir.path().join("a"), Some(dir.path().join("b")));
+    let line = |place: Place| Client::at(place).unwrap().events().unwrap_err().to_string();
+    let place = Place { socket: socket.clone(), other, service: true };
+    let says = format!("no daemon answers at {0}/a, nor at {0}/b: ", dir.path().display());
+    let start = "start one with `meissner daemon`";
+    assert_eq!(line(place.clone()), format!("{says}`sudo systemctl start meissner`, or {start}"));
+    assert_eq!(line(Place { service: false, ..place }), format!("{says}{start}"));
+}
+
+#[test]
+fn the_first_that_listens_is_the_daemon() {
+    let dir = tempfile::tempdir().unwrap();
+    let (users, service) = (dir.path().join("u.sock"), dir.path().join("s.sock"));
+    let place = Place { socket: users.clone(), other: Some(service.clone()), service: false };
+    let runtime = Builder::new_current_thread().enable_all().build().unwrap();
+    let found = || runtime.block_on(connect(&place)).map(|(_, socket)| socket).ok();
+    let listen = |socket| std::os::unix::net::UnixListener::bind(socket).unwrap();
+    assert_eq!(found(), None);
+    let installed = listen(&service);
+    assert_eq!(found(), Some(service.clone()));
+    // A file that is left over is nobody.
+    drop(listen(&users));
+    assert!(users.exists() && found().as_ref() == Some(&service));
+    std::fs::remove_file(&users).unwrap();
+    let _own = listen(&users);
+    assert_eq!(found(), Some(users.clone()));
+    drop(installed);
+    assert_eq!(found(), Some(users));
+}
+
+#[test]
+fn what_takes_its_time_gets_it() {
+    let dir = tempfile::tempdir().unwrap();
+    let socket = dir.path().join("mute.sock");
+    let _mute = std::os::unix::net::UnixListener::bind(&socket).unwrap();
+    let patience = Duration::from_millis(100);
+    let mut client = Client::new(&socket).unwrap();
+    let slow = client.post_within::<u8>(patience, "/v1/home", &()).unwrap_err().to_string();
+    assert!(slow.contains("mute.sock: no answer within 0.1 s: "), "{slow}");
+}
+
+#[test]
+fn what_hangs_up_at_once_is_said() {
+    let dir = tempfile::tempdir().unwrap();
+    let socket = dir.path().join("rude.sock");
+    let listener = std::os::unix::net::UnixListener::bind(&socket).unwrap();
+    let rude = std::thread::spawn(move || drop(listener.accept().unwrap()));
+    let error = Client::new(&socket).unwrap().get::<serde_json::Value>("/v1/status").unwrap_err();
+    assert!(matches!(error, ClientError::HungUp { .. }), "{error:?}");
+    rude.join().unwrap();
+}
+
+#[test]
+fn a_connection_that_was_closed_while_idle_is_made_again() {
+    use std::io::{Read, Write};
+    let dir = tempfile::tempdir().unwrap();
+    let socket = dir.path().join("brief.sock");
+    let listener = std::os::unix::net::UnixListener::bind(&socket).unwrap();
+    let brief = std::thread::spawn(move || {
+        for _ in 0..2 {
+            let (mut stream, _) = listener.accept().unwrap();
+            stream.read_exact(&mut [0; 16]).unwrap();
+            stream.write_all(b"HTTP/1.1 200 OK\r\ncontent-length: 1\r\n\r\n7").unwrap();
+            // The rest of the request is read, or closing would take the answer back.
+            stream.set_read_timeout(Some(Duration::from_millis(100))).unwrap();
+            while stream.read(&mut [0; 1024]).is_ok_and(|len| len > 0) {}
+        }
+    });
+    let mut client = Client::new(&socket).unwrap();
+    assert_eq!(client.get::<u8>("/v1/status").unwrap(), 7);
+    std::thread::sleep(Duration::from_millis(200));
+    assert_eq!(client.get::<u8>("/v1/status").unwrap(), 7);
+    brief.join().unwrap();
+}
+
+#[test]
+fn a_name_cannot_change_an_address() {
+    assert_eq!(escape("edge-45"), "edge-45");
+    assert_eq!(escape("../x y/é"), "%2E%2E%2Fx%20y%2F%C3%A9");
+}
