@@ -1,12 +1,13 @@
 //! The daemon's configuration: a TOML file, every key optional, and the rules for what is not in it.
 //!
-//! It says which device to use, where clients connect, where patterns lie, how far ahead to feed and what a
-//! site's limits are. The array itself cannot be configured yet: the motors' wiring is the controller's.
+//! It says which device to use, where clients connect, where patterns and the logbook lie, how far ahead to feed and
+//! what a site's limits are. The array itself cannot be configured yet: the motors' wiring is the controller's.
 //! Nothing is opened here but the file.
 //!
 //! Invariant: a [`Config`] that was read is within the ranges written here; an unknown key is an error at its line.
 
 use crate::device::Spec;
+use crate::logbook::Keep;
 use crate::plant::{Plant, PlantConfig, PlantError};
 use crate::stream::Settings;
 use firmware_protocol::limits::OnTimeLimits;
@@ -14,8 +15,10 @@ use firmware_protocol::tick::Tick;
 use rustix::fs::OFlags;
 use serde::Deserialize;
 use std::env;
+use std::ffi::OsStr;
 use std::fs::OpenOptions;
 use std::io::{self, Read};
+use std::os::unix::ffi::OsStrExt;
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 use toml::de::DeTable;
@@ -30,14 +33,20 @@ pub const DEFAULT_LEASE_OVER_LEAD_MS: f64 = 200.0;
 pub const MAX_LEASE_MS: f64 = 10_000.0;
 /// Where the installed service listens.
 pub const SERVICE_SOCKET: &str = "/run/meissner/meissner.sock";
+/// How long files of the logbook are kept if nobody says, days: a year and what it takes to write about it.
+pub const LOGBOOK_DAYS: u32 = 400;
+/// The longest they can be kept, days.
+const MAX_LOGBOOK_DAYS: u32 = 36_500;
 /// Bytes of a configuration file at the most.
 const MAX_BYTES: u64 = 1 << 20;
 
-const KEYS: [&str; 9] = [
+const KEYS: [&str; 11] = [
     "device",
     "socket",
     "patterns_dir",
     "calibration",
+    "logbook_dir",
+    "logbook_days",
     "lead_ms",
     "lease_ms",
     "drift_warning_um",
@@ -59,6 +68,8 @@ pub struct Config {
     pub patterns: PatternsDir,
     /// Where the calibration is kept; none: nowhere.
     pub calibration: Option<PathBuf>,
+    /// Where the logbook is kept, and for how many days; none: nowhere.
+    pub logbook: Option<Keep>,
     /// For the streamer.
     pub settings: Settings,
     /// How the mock's motors are.
@@ -83,6 +94,7 @@ impl Default for Config {
             socket: default_socket(),
             calibration: beside(&default_patterns()),
             patterns: default_patterns(),
+            logbook: keep(None, LOGBOOK_DAYS),
             settings: Settings::default(),
             mock: PlantConfig::default(),
         }
@@ -183,6 +195,8 @@ struct File {
     socket: Option<PathBuf>,
     patterns_dir: Option<PathBuf>,
     calibration: Option<PathBuf>,
+    logbook_dir: Option<PathBuf>,
+    logbook_days: Option<u32>,
     lead_ms: Option<f64>,
     lease_ms: Option<f64>,
     drift_warning_um: Option<f64>,
@@ -303,6 +317,7 @@ impl File {
             ("socket", &self.socket),
             ("patterns_dir", &self.patterns_dir),
             ("calibration", &self.calibration),
+            ("logbook_dir", &self.logbook_dir),
         ];
         for (key, path) in paths {
             if path.as_ref().is_some_and(|path| path.as_os_str().is_empty()) {
@@ -310,6 +325,9 @@ impl File {
                 return Err(ConfigError::Text { file: file.to_owned(), line: None, message });
             }
         }
+        let logbook_days = self.logbook_days.unwrap_or(LOGBOOK_DAYS);
+        let days_range = || format!("0 to {MAX_LOGBOOK_DAYS} days");
+        range("logbook_days", logbook_days.into(), logbook_days <= MAX_LOGBOOK_DAYS, &days_range)?;
         let lead_ms = self.lead_ms.unwrap_or(Settings::default().lead_ms);
         let lead_range = || format!("{} to {} ms", LEAD_MS.start(), LEAD_MS.end());
         range("lead_ms", lead_ms, LEAD_MS.contains(&lead_ms), &lead_range)?;
@@ -339,6 +357,7 @@ impl File {
             socket: self.socket.unwrap_or_else(default_socket),
             calibration: self.calibration.or_else(|| beside(&patterns)),
             patterns,
+            logbook: keep(self.logbook_dir, logbook_days),
             settings: Settings { lead_ms, lease_ms, limits: OnTimeLimits { motor, rail }, drift_warning_um },
             mock: self.mock,
         })
@@ -367,13 +386,29 @@ pub(crate) fn users_socket() -> Option<PathBuf> {
     variable("XDG_RUNTIME_DIR").map(|dir| dir.join("meissner.sock"))
 }
 
+/// What systemd made for the service: the first, if the unit has it make several.
+fn state_directory() -> Option<PathBuf> {
+    variable("STATE_DIRECTORY").map(|made| first_of(&made))
+}
+
+fn first_of(made: &Path) -> PathBuf {
+    let bytes = made.as_os_str().as_bytes();
+    OsStr::from_bytes(bytes.split(|&byte| byte == b':').next().unwrap_or(bytes)).into()
+}
+
 /// systemd's `$STATE_DIRECTORY` for the service, else the user's data directory.
 fn default_patterns() -> PatternsDir {
-    variable("STATE_DIRECTORY")
+    state_directory()
         .map(|dir| dir.join("patterns"))
         .or_else(|| variable("XDG_DATA_HOME").map(|dir| dir.join("meissner/patterns")))
         .or_else(|| variable("HOME").map(|dir| dir.join(".local/share/meissner/patterns")))
         .map_or(PatternsDir::None, PatternsDir::Default)
+}
+
+/// Where the logbook is kept: without a directory in the service's; a person who tries something out leaves no record of it.
+fn keep(dir: Option<PathBuf>, days: u32) -> Option<Keep> {
+    let dir = dir.or_else(|| state_directory().map(|dir| dir.join("logbook")))?;
+    (days > 0).then_some(Keep { dir, days })
 }
 
 /// Where the calibration is kept if nobody says: beside the site's own patterns.
@@ -391,6 +426,13 @@ mod tests {
     }
 
     #[test]
+    fn of_several_state_directories_the_first_is_ours() {
+        for made in ["/var/lib/m", "/var/lib/m:/var/lib/m/patterns"] {
+            assert_eq!(first_of(Path::new(made)), Path::new("/var/lib/m"));
+        }
+    }
+
+    #[test]
     fn an_empty_file_is_the_default() {
         assert_eq!(parse("").unwrap(), Config::default());
         assert_eq!(Config::default().settings.lease_ms, 300.0);
@@ -405,6 +447,12 @@ mod tests {
         assert_eq!(config.patterns, PatternsDir::Configured("/s/p".into()));
         assert_eq!(config.calibration, Some("/s/calibration.toml".into()));
         assert_eq!(parse("calibration = \"/c\"").unwrap().calibration, Some("/c".into()));
+        let kept = parse("logbook_dir = \"/l\"\nlogbook_days = 0").unwrap();
+        assert_eq!(kept.logbook, None);
+        let kept = parse("logbook_dir = \"/l\"\nlogbook_days = 30").unwrap();
+        assert_eq!(kept.logbook, Some(Keep { dir: "/l".into(), days: 30 }));
+        let kept = parse("logbook_dir = \"/l\"").unwrap();
+        assert_eq!(kept.logbook, Some(Keep { dir: "/l".into(), days: LOGBOOK_DAYS }));
         let limits = OnTimeLimits { motor: 40_000, rail: 90_000 };
         assert_eq!(
             config.settings,
@@ -434,6 +482,9 @@ mod tests {
             ("patterns_dir = \"\"", "m.toml: `patterns_dir` is empty"),
             ("socket = \"\"", "m.toml: `socket` is empty"),
             ("calibration = \"\"", "m.toml: `calibration` is empty"),
+            ("logbook_dir = \"\"", "m.toml: `logbook_dir` is empty"),
+            ("logbook_days = 36501", "`logbook_days` is 36501: must be 0 to 36500 days"),
+            ("logbook_days = -1", "expected a whole number from 0 to 4294967295"),
             ("mock.gain_sd = -1.0", "mock.gain_sd is -1"),
             ("device = \"uart\"", "device `uart`: not one of"),
             ("device = 3", "m.toml:1: invalid type"),

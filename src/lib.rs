@@ -32,6 +32,8 @@
 //!
 //! What happened comes out as notices; [`record`] makes of them the receipts and events that clients and the log see. In the
 //! end every burst of every play was played, late, dropped or refused, and the receipt says which, and what the skin felt of it.
+//! The [`logbook`] keeps receipts, events and who asked for what, a file per day, for years; lines for whoever runs the machine go where
+//! [`log`](mod@log) says: to the terminal or to journald, and neither can hold up an emergency stop.
 //!
 //! What the [`skin`] makes of a pattern is computed offline: [`simulate`] takes a scene of drives and receptors to
 //! spikes, exactly or by a step, and [`report`] says what each way of doing so costs and by how much it errs, and draws
@@ -55,6 +57,8 @@ pub mod device;
 pub mod draw;
 mod keyed;
 pub mod link;
+pub mod log;
+pub mod logbook;
 pub mod motor;
 pub mod optimise;
 pub mod pattern;

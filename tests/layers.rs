@@ -3,8 +3,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The rooms, lowest first. Those of one line do not use each other.
-const ROOMS: [&[&str]; 16] = [
-    &["quote", "units"],
+const ROOMS: [&[&str]; 17] = [
+    &["quote", "units", "log"],
     &["draw", "keyed"],
     &["array", "motor"],
     &["pattern"],
@@ -15,7 +15,8 @@ const ROOMS: [&[&str]; 16] = [
     &["device"],
     &["stream", "checkup"],
     &["calibrate", "record"],
-    &["store", "api", "config", "report"],
+    &["store", "api", "logbook", "report"],
+    &["config"],
     &["client"],
     &["daemon"],
     &["cli"],

@@ -1,5 +1,6 @@
-use meissner::config::{Config, PatternsDir};
+use meissner::config::{Config, LOGBOOK_DAYS, PatternsDir};
 use meissner::device::Spec;
+use meissner::logbook::Keep;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -18,6 +19,9 @@ fn the_example_configuration_is_the_default() {
     assert_eq!(config.socket, PathBuf::from("/run/meissner/meissner.sock"));
     assert_eq!(config.device, Spec::Auto);
     assert_eq!(config.calibration, Some(PathBuf::from("/var/lib/meissner/calibration.toml")));
+    let (dir, days) = (PathBuf::from("/var/lib/meissner/logbook"), LOGBOOK_DAYS);
+    assert_eq!(config.logbook, Some(Keep { dir, days }));
+    config.logbook.clone_from(&default.logbook);
     (config.patterns, config.socket) = (default.patterns.clone(), default.socket.clone());
     config.calibration.clone_from(&default.calibration);
     assert_eq!(config, default);

@@ -86,6 +86,7 @@ pub(super) fn run(seconds: f64, open_loop: bool, json: bool) -> Result<ExitCode>
         socket: dir.path().join("demo.sock"),
         patterns: PatternsDir::None,
         calibration: None,
+        logbook: None,
         ..Config::default()
     };
     let hosted = Daemon::start(&config)?.host()?;

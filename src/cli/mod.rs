@@ -26,19 +26,16 @@ use crate::client::{Client, Place};
 use crate::config::{Config, PatternsDir, Source};
 use crate::daemon::{self, Daemon, DaemonError, Ended, Signals};
 use crate::device::Spec;
+use crate::log;
 use crate::store::StoreError;
 use anyhow::{Result, anyhow};
 use clap::{Args, CommandFactory, Parser, Subcommand, ValueEnum};
-use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use serde::Serialize;
-use std::env;
-use std::io::{self, BufWriter, IsTerminal, Write};
+use std::io::{self, BufWriter, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::str::FromStr;
 use std::time::Duration;
-use tracing::warn;
-use tracing_subscriber::EnvFilter;
 
 /// Real-time driver daemon for piezo pin-array tactile displays.
 #[derive(Debug, Parser)]
@@ -277,7 +274,7 @@ pub fn command() -> clap::Command {
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
     let level = if matches!(cli.command, Command::Daemon { .. }) { "info" } else { "warn" };
-    start_log(level);
+    log::start(level);
     match run(cli.command) {
         Ok(code) => code,
         // Whoever read the output has seen enough.
@@ -287,46 +284,6 @@ pub fn main() -> ExitCode {
             let _ = writeln!(io::stderr(), "meissner: {error}");
             ExitCode::FAILURE
         }
-    }
-}
-
-fn start_log(level: &str) {
-    let asked = env::var_os("RUST_LOG").filter(|asked| !asked.is_empty());
-    let filter = asked.as_ref().map(|asked| EnvFilter::try_new(asked.to_string_lossy()));
-    let refused = matches!(filter, Some(Err(_)));
-    tracing_subscriber::fmt()
-        .with_env_filter(filter.and_then(Result::ok).unwrap_or_else(|| EnvFilter::new(level)))
-        .with_writer(|| Log)
-        .log_internal_errors(false)
-        .with_ansi(io::stderr().is_terminal())
-        .with_target(false)
-        .init();
-    if refused {
-        warn!("RUST_LOG is no filter: write for example RUST_LOG=debug; it is taken as `{level}`");
-    }
-}
-
-/// Bytes a pipe takes at once (PIPE_BUF).
-const ATOMIC: usize = 4096;
-
-/// Stderr as the log's end: a line that nobody takes is lost, and never waited for, complained about or a reason to
-/// stop. An emergency stop must work whoever reads the log.
-struct Log;
-
-impl Write for Log {
-    fn write(&mut self, line: &[u8]) -> io::Result<usize> {
-        let stderr = io::stderr();
-        let mut ready = [PollFd::new(&stderr, PollFlags::OUT)];
-        let now = Timespec { tv_sec: 0, tv_nsec: 0 };
-        if poll(&mut ready, Some(&now)).is_ok() && ready[0].revents() == PollFlags::OUT {
-            // A pipe that is ready takes so many without waiting.
-            let _ = stderr.lock().write_all(&line[..line.len().min(ATOMIC)]);
-        }
-        Ok(line.len())
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
     }
 }
 

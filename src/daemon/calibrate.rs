@@ -6,10 +6,10 @@
 
 use super::engine::{Engine, Inner};
 use super::felt::Feeler;
-use super::notebook;
 use crate::api::{CalibratedMotor, CalibrationReport, Code, PlayRequest, Problem};
 use crate::calibrate::{Calibration, Fit, MAX_BYTES, MotorFit, Plan, Provenance, by_telemetry, fit};
 use crate::config;
+use crate::logbook::Who;
 use crate::record::{DeviceInfo, Event, PlayState, Receipt};
 use crate::store::{self, Stored};
 use crate::stream::Gains;
@@ -206,7 +206,7 @@ impl Engine {
     }
 
     /// Orders the play of a plan, open loop, and waits for its being taken.
-    pub(super) async fn calibrate(&self, plan: Plan) -> Result<u64, Problem> {
+    pub(super) async fn calibrate(&self, plan: Plan, who: Who) -> Result<u64, Problem> {
         if self.lock().calibration_file.is_none() {
             let detail =
                 "there is no place for a calibration: set `calibration` in the daemon's configuration";
@@ -215,7 +215,7 @@ impl Engine {
         let stored = Stored::made(plan.pattern());
         let pattern = stored.pattern.name().to_owned();
         let request = PlayRequest { pattern, open_loop: true, ..PlayRequest::default() };
-        self.begin(&request, &stored, Some(plan)).await
+        self.begin(&request, &stored, who, Some(plan)).await
     }
 
     /// `GET /v1/calibration`.
@@ -272,7 +272,7 @@ impl Engine {
         let event = Event::Calibrated { id, motors, problem };
         inner.publish(&event);
         drop(inner);
-        notebook::log(&event);
+        self.log(&event);
     }
 }
 

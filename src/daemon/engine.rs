@@ -11,10 +11,12 @@
 
 use super::calibrate::{Calibrating, Kept};
 use super::connect::Word;
+use super::notebook::Names;
 use crate::api::{Code, PlayRequest, Problem};
 use crate::calibrate::Plan;
 use crate::device::Device;
 use crate::device::mock::Truth;
+use crate::logbook::{Entry, Logbook, Who};
 use crate::pattern::Pattern;
 use crate::record::{Event, FeltRecord, Receipt, Recorder, Travels, Unfelt};
 use crate::store::Stored;
@@ -34,7 +36,7 @@ use tracing::{error, warn};
 /// Events a listener may be behind.
 pub(super) const EVENTS: usize = 1024;
 /// How long the streamer may take to answer.
-const PATIENCE: Duration = Duration::from_secs(1);
+pub(super) const PATIENCE: Duration = Duration::from_secs(1);
 /// After this long no answer comes any more: an order that waited for a second is not carried out, and homing ends.
 const LOST: Duration = Duration::from_secs(30);
 /// How long clients are kept waiting for the first device.
@@ -63,6 +65,10 @@ pub(super) struct Inner {
     pub(super) travels: Travels,
     /// Plays that were not looked at yet: what is played, and whether the device measures.
     pub(super) unseen: HashMap<u64, (Arc<Pattern>, bool)>,
+    /// Who ordered the plays that are not over.
+    pub(super) players: HashMap<u64, Who>,
+    /// Gets every event that is published.
+    pub(super) book: Logbook,
     /// A plan that is being played, measured or fitted: no play is taken meanwhile.
     pub(super) calibrating: Option<Calibrating>,
     /// The device that was connected last.
@@ -98,6 +104,7 @@ pub(super) struct Engine {
     settled: watch::Sender<bool>,
     /// What the system granted the streamer.
     pub(super) realtime: Realtime,
+    pub(super) names: Names,
     inner: Mutex<Inner>,
 }
 
@@ -114,6 +121,8 @@ impl Engine {
             recorder: Recorder::default(),
             travels: Travels::default(),
             unseen: HashMap::new(),
+            players: HashMap::new(),
+            book: Logbook::none(),
             calibrating: None,
             identity: String::new(),
             calibration: Err(String::new()),
@@ -132,7 +141,7 @@ impl Engine {
             armed_once: false,
         };
         let (settled, realtime) = (watch::channel(false).0, Realtime::default());
-        Self { wanted, settled, realtime, inner: Mutex::new(inner) }
+        Self { wanted, settled, realtime, names: Names::default(), inner: Mutex::new(inner) }
     }
 
     /// As granted by the system.
@@ -230,14 +239,20 @@ impl Engine {
     }
 
     /// Orders a play and waits for its being taken.
-    pub(super) async fn play(&self, request: &PlayRequest, stored: &Stored) -> Result<u64, Problem> {
-        self.begin(request, stored, None).await
+    pub(super) async fn play(
+        &self,
+        request: &PlayRequest,
+        stored: &Stored,
+        who: Who,
+    ) -> Result<u64, Problem> {
+        self.begin(request, stored, who, None).await
     }
 
     pub(super) async fn begin(
         &self,
         request: &PlayRequest,
         stored: &Stored,
+        who: Who,
         plan: Option<Plan>,
     ) -> Result<u64, Problem> {
         let strokes = Strokes::new(&stored.pattern, request.seconds)
@@ -278,6 +293,7 @@ impl Engine {
             let id = inner.last_play;
             inner.recorder.offer(Receipt::new(id, stored.pattern.name(), &stored.sha256, request.seconds));
             inner.calibrating = plan.map(|plan| Calibrating::new(id, plan));
+            inner.players.insert(id, who);
             inner.unseen.insert(id, (Arc::new(stored.pattern.clone()), telemetry));
             let play = Box::new(Play { id, strokes, at, late: late.into(), replace, open_loop, need });
             let sent = inner.send(Job::Play(play), Some(id));
@@ -377,6 +393,9 @@ impl Inner {
     }
 
     pub(super) fn publish(&self, event: &Event) {
+        if let Some(entry) = Entry::of(event) {
+            self.book.note(entry);
+        }
         if let Some(events) = &self.events {
             // Nobody listens: nothing is lost.
             let _ = events.send(event.clone());
@@ -407,6 +426,7 @@ impl Inner {
     /// Nothing comes of a play that was ordered.
     fn unwanted(&mut self, id: u64) {
         self.unseen.remove(&id);
+        self.players.remove(&id);
         self.calibrating.take_if(|calibrating| calibrating.id == id);
     }
 
@@ -475,7 +495,7 @@ mod tests {
         let device = || Box::new(device::open(&Spec::Mock, &PlantConfig::default()).unwrap());
         engine.connect(device()).unwrap();
         engine.replace_mock(device()).unwrap();
-        let _ = engine.order(Job::Arm { assume_rest: false }).unwrap();
+        drop(engine.order(Job::Arm { assume_rest: false }).unwrap());
         assert!(engine.was_armed() && engine.replace_mock(device()).is_err());
         let jobs: Vec<Job> = std::iter::from_fn(|| port.pop()).map(|order| order.job).collect();
         assert!(matches!(jobs[..], [Job::Connect(_), Job::Connect(_), Job::Arm { .. }]), "{jobs:?}");

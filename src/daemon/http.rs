@@ -3,14 +3,17 @@
 //! Everything but home is here as the design names it. What touches the disk runs on a blocking thread, so that an
 //! emergency stop never waits for one. Every error, also of an unknown route, is `application/problem+json`.
 //!
-//! Invariant: who changed something is in the log before they get their answer.
+//! Invariant: who changed something, and what they are answered, is in the logbook's hands before they get the answer; of all but plays
+//! the log has it too, which has a play's one line at its end.
 
-use super::engine::{self, Engine};
+use super::engine::{self, Engine, PATIENCE};
 use super::metrics;
+use super::notebook::Asked;
 use crate::api::{
     self, ArmRequest, CalibrateRequest, CalibrationReport, Code, Imported, MAX_BODY, PlayRequest, Played,
     Problem, Status,
 };
+use crate::logbook::Who;
 use crate::pattern::Warning;
 use crate::record::{Event, KEPT, Receipt};
 use crate::store::{Store, StoreError, Stored};
@@ -33,7 +36,6 @@ use std::time::Duration;
 use tokio::net::UnixStream;
 use tokio_stream::wrappers::BroadcastStream;
 use tokio_stream::wrappers::errors::BroadcastStreamRecvError;
-use tracing::info;
 
 /// How long homing may take: 24 pins from one end of their travel, six rounds.
 const HOME_PATIENCE: Duration = Duration::from_secs(25);
@@ -42,24 +44,21 @@ const BODY_PATIENCE: Duration = Duration::from_secs(10);
 /// What is read of a body that is too large, so that its sender comes to read the answer.
 const SWALLOWED: usize = 32 << 20;
 
-/// Who a client is.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Peer {
-    pub(super) pid: i32,
-    pub(super) uid: u32,
-}
-
-impl Peer {
-    /// As the kernel says; -1 and nobody if it does not.
-    pub(super) fn of(stream: &UnixStream) -> Self {
-        let unknown = Self { pid: -1, uid: u32::MAX };
-        stream.peer_cred().map_or(unknown, |cred| Self { pid: cred.pid().unwrap_or(-1), uid: cred.uid() })
-    }
+/// Who a client is, as the kernel says; -1 and nobody if it does not.
+pub(super) fn peer(stream: &UnixStream) -> Who {
+    let unknown = Who { pid: -1, uid: u32::MAX };
+    stream.peer_cred().map_or(unknown, |cred| Who { pid: cred.pid().unwrap_or(-1), uid: cred.uid() })
 }
 
 /// A problem as a response.
 #[derive(Debug)]
 pub(super) struct Reply(pub(super) Problem);
+
+impl AsRef<Problem> for Reply {
+    fn as_ref(&self) -> &Problem {
+        &self.0
+    }
+}
 
 impl From<Problem> for Reply {
     fn from(problem: Problem) -> Self {
@@ -202,77 +201,102 @@ async fn find(shelf: &Shelf, name: &str) -> Answer<Stored> {
 
 async fn play(
     State(app): State<App>,
-    Extension(peer): Extension<Peer>,
+    Extension(peer): Extension<Who>,
     body: Body,
 ) -> Answer<(StatusCode, Json<Played>)> {
-    let request = PlayRequest::parse(&read(body).await?)?;
-    let stored = find(&app.shelf, &request.pattern).await?;
-    info!(pid = peer.pid, uid = peer.uid, pattern = request.pattern, "play");
-    let id = app.engine.play(&request, &stored).await?;
-    Ok((StatusCode::ACCEPTED, Json(Played { id })))
+    let mut asked = Asked::new(&app.engine, "play", peer);
+    let outcome = async {
+        let request = PlayRequest::parse(&read(body).await?)?;
+        asked.with(&request);
+        let stored = find(&app.shelf, &request.pattern).await?;
+        let id = app.engine.play(&request, &stored, peer).await?;
+        asked.began(id);
+        Ok((StatusCode::ACCEPTED, Json(Played { id })))
+    };
+    let outcome = outcome.await;
+    asked.outcome(outcome)
 }
 
 /// Its outcome is told by an event.
 async fn calibrate(
     State(app): State<App>,
-    Extension(peer): Extension<Peer>,
+    Extension(peer): Extension<Who>,
     body: Body,
 ) -> Answer<(StatusCode, Json<Played>)> {
-    let request = CalibrateRequest::parse(&read(body).await?)?;
-    info!(pid = peer.pid, uid = peer.uid, motor = request.motor, "calibrate");
-    let id = app.engine.calibrate(request.plan()?).await?;
-    Ok((StatusCode::ACCEPTED, Json(Played { id })))
+    let mut asked = Asked::new(&app.engine, "calibrate", peer);
+    let outcome = async {
+        let request = CalibrateRequest::parse(&read(body).await?)?;
+        asked.with(&request);
+        let id = app.engine.calibrate(request.plan()?, peer).await?;
+        asked.began(id);
+        Ok((StatusCode::ACCEPTED, Json(Played { id })))
+    };
+    let outcome = outcome.await;
+    asked.outcome(outcome)
 }
 
 async fn calibration(State(app): State<App>) -> Answer<Json<CalibrationReport>> {
     Ok(Json(app.engine.calibration()?))
 }
 
-async fn command(app: &App, peer: Peer, what: &str, job: Job) -> Answer<Json<Status>> {
-    let reply = app.engine.order(job);
-    // Not before: no order waits for the log.
-    info!(pid = peer.pid, uid = peer.uid, "{what}");
-    engine::answer(reply?).await?;
+/// A command without a body; it may take so long.
+async fn command(
+    app: &App,
+    peer: Who,
+    body: Body,
+    name: &'static str,
+    job: Job,
+    patience: Duration,
+) -> Answer<Json<Status>> {
+    let asked = Asked::new(&app.engine, name, peer);
+    let outcome = async {
+        api::parse_empty(&read(body).await?)?;
+        carry_out(app, job, patience).await
+    };
+    asked.outcome(outcome.await)
+}
+
+async fn carry_out(app: &App, job: Job, patience: Duration) -> Answer<Json<Status>> {
+    // Sent before anything is written: no order waits for the log.
+    engine::within(patience, app.engine.order(job)?).await?;
     Ok(Json(app.engine.status()))
 }
 
-async fn stop(State(app): State<App>, Extension(peer): Extension<Peer>, body: Body) -> Answer<Json<Status>> {
-    api::parse_empty(&read(body).await?)?;
-    command(&app, peer, "stop", Job::Stop).await
+async fn stop(State(app): State<App>, Extension(peer): Extension<Who>, body: Body) -> Answer<Json<Status>> {
+    command(&app, peer, body, "stop", Job::Stop, PATIENCE).await
 }
 
 /// Whatever its body holds: this is no moment to argue.
-async fn estop(State(app): State<App>, Extension(peer): Extension<Peer>) -> Answer<Json<Status>> {
-    command(&app, peer, "estop", Job::EStop).await
+async fn estop(State(app): State<App>, Extension(peer): Extension<Who>) -> Answer<Json<Status>> {
+    let asked = Asked::new(&app.engine, "estop", peer);
+    asked.outcome(carry_out(&app, Job::EStop, PATIENCE).await)
 }
 
-async fn reset(State(app): State<App>, Extension(peer): Extension<Peer>, body: Body) -> Answer<Json<Status>> {
-    api::parse_empty(&read(body).await?)?;
-    command(&app, peer, "reset", Job::Reset).await
+async fn reset(State(app): State<App>, Extension(peer): Extension<Who>, body: Body) -> Answer<Json<Status>> {
+    command(&app, peer, body, "reset", Job::Reset, PATIENCE).await
 }
 
-async fn arm(State(app): State<App>, Extension(peer): Extension<Peer>, body: Body) -> Answer<Json<Status>> {
-    let ArmRequest { assume_rest } = ArmRequest::parse(&read(body).await?)?;
-    let what = if assume_rest { "arm, assuming rest" } else { "arm" };
-    command(&app, peer, what, Job::Arm { assume_rest }).await
+async fn arm(State(app): State<App>, Extension(peer): Extension<Who>, body: Body) -> Answer<Json<Status>> {
+    let mut asked = Asked::new(&app.engine, "arm", peer);
+    let outcome = async {
+        let request = ArmRequest::parse(&read(body).await?)?;
+        asked.with(&request);
+        if request.assume_rest {
+            asked.call("arm, assuming rest,".to_owned());
+        }
+        carry_out(&app, Job::Arm { assume_rest: request.assume_rest }, PATIENCE).await
+    };
+    let outcome = outcome.await;
+    asked.outcome(outcome)
 }
 
-async fn disarm(
-    State(app): State<App>,
-    Extension(peer): Extension<Peer>,
-    body: Body,
-) -> Answer<Json<Status>> {
-    api::parse_empty(&read(body).await?)?;
-    command(&app, peer, "disarm", Job::Disarm).await
+async fn disarm(State(app): State<App>, Extension(peer): Extension<Who>, body: Body) -> Answer<Json<Status>> {
+    command(&app, peer, body, "disarm", Job::Disarm, PATIENCE).await
 }
 
 /// Answers when the pins are home.
-async fn home(State(app): State<App>, Extension(peer): Extension<Peer>, body: Body) -> Answer<Json<Status>> {
-    api::parse_empty(&read(body).await?)?;
-    let reply = app.engine.order(Job::Home);
-    info!(pid = peer.pid, uid = peer.uid, "home");
-    engine::within(HOME_PATIENCE, reply?).await?;
-    Ok(Json(app.engine.status()))
+async fn home(State(app): State<App>, Extension(peer): Extension<Who>, body: Body) -> Answer<Json<Status>> {
+    command(&app, peer, body, "home", Job::Home, HOME_PATIENCE).await
 }
 
 async fn status(State(app): State<App>) -> Json<Status> {
@@ -295,19 +319,27 @@ fn texts(warnings: &[Warning]) -> Vec<String> {
 
 async fn import(
     State(app): State<App>,
-    Extension(peer): Extension<Peer>,
+    Extension(peer): Extension<Who>,
     name: Result<Path<String>, PathRejection>,
     body: Body,
 ) -> Answer<(StatusCode, Json<Imported>)> {
-    let name = path(name)?;
-    let text = String::from_utf8(read(body).await?)
-        .map_err(|_| Problem::new(Code::BadPattern, "not UTF-8 text: write patterns as TOML in UTF-8"))?;
-    info!(pid = peer.pid, uid = peer.uid, "import {:?}", name.chars().take(100).collect::<String>());
-    let (stored, new) = beside(move || app.shelf.store().put(&name, &text)).await??;
-    let Stored { pattern, sha256, .. } = stored;
-    let status = if new { StatusCode::CREATED } else { StatusCode::OK };
-    let warnings = texts(&pattern.warnings());
-    Ok((status, Json(Imported { name: pattern.name().to_owned(), sha256, warnings })))
+    let mut asked = Asked::new(&app.engine, "import", peer);
+    let outcome = async {
+        let name = path(name)?;
+        let shown: String = name.chars().take(100).collect();
+        asked.call(format!("import of {shown:?}"));
+        asked.with(&json!({"name": shown}));
+        let text = String::from_utf8(read(body).await?)
+            .map_err(|_| Problem::new(Code::BadPattern, "not UTF-8 text: write patterns as TOML in UTF-8"))?;
+        let (stored, new) = beside(move || app.shelf.store().put(&name, &text)).await??;
+        let Stored { pattern, sha256, .. } = stored;
+        asked.with(&json!({"name": shown, "sha256": sha256}));
+        let status = if new { StatusCode::CREATED } else { StatusCode::OK };
+        let warnings = texts(&pattern.warnings());
+        Ok((status, Json(Imported { name: pattern.name().to_owned(), sha256, warnings })))
+    };
+    let outcome = outcome.await;
+    asked.outcome(outcome)
 }
 
 async fn receipt(State(app): State<App>, id: Result<Path<String>, PathRejection>) -> Answer<Json<Receipt>> {

@@ -26,6 +26,7 @@ pub use socket::SocketError;
 
 use crate::config::{Config, PatternsDir, Source};
 use crate::device::mock::Truth;
+use crate::logbook::{Logbook, Note};
 use crate::store::{Store, StoreError};
 use crate::stream::port::Notices;
 use crate::stream::{self, Realtime};
@@ -46,6 +47,8 @@ use tracing::{info, warn};
 
 /// Threads for what waits for a disk.
 const DISK_THREADS: usize = 4;
+/// How long the logbook may take to be closed: a service manager waits longer.
+const CLOSING: Duration = Duration::from_secs(2);
 /// How long the streamer may take to end when it has answered that it will.
 const LAST_WORDS: Duration = Duration::from_millis(500);
 
@@ -186,8 +189,13 @@ impl Daemon {
             );
         }
         let feeler = Feeler::new().map_err(io::Error::other).map_err(system("thread"))?;
-        let engine =
-            Engine::new(orders, config.settings, config.device.to_string(), config.calibration.clone());
+        let wanted = config.device.to_string();
+        let engine = Engine::new(orders, config.settings, wanted.clone(), config.calibration.clone());
+        let book = Logbook::start(config.logbook.clone(), Arc::clone(&engine.names.users))
+            .map_err(system("logbook's thread"))?;
+        let (version, pid) = (env!("CARGO_PKG_VERSION"), std::process::id());
+        book.note(Note::DaemonStarted { version, pid, wanted });
+        engine.lock().book = book;
         let engine = Arc::new(engine.granted(realtime));
         engine.recall(None);
         let connector = connect::spawn(config.device.clone(), config.mock, Arc::clone(&engine))
@@ -233,7 +241,7 @@ impl Daemon {
         // The first command may be what started the daemon: it is not to hear that there is no device yet.
         engine.settled().await;
         let router = http::router(App { engine: Arc::clone(&engine), shelf: shelf.clone() });
-        let server = tokio::spawn(server::serve(listener, router, closing));
+        let server = tokio::spawn(server::serve(listener, Arc::clone(&engine), router, closing));
         manager.tell(News::Ready);
         let result = loop {
             tokio::select! {
@@ -273,6 +281,10 @@ impl Daemon {
         let _ = close.send(true);
         let _ = server.await;
         drop(bound);
+        let book = engine.lock().book.clone();
+        book.note(Note::DaemonEnded { problem: result.as_ref().err().map(ToString::to_string) });
+        // It has said itself what became of it; and at this point there is nobody left to be held up.
+        let _ = tokio::task::spawn_blocking(move || book.close(CLOSING)).await;
         result
     }
 }

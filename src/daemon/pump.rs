@@ -7,7 +7,6 @@
 use super::connect::Word;
 use super::engine::{Engine, Inner};
 use super::felt::{Asked, Feeler};
-use super::notebook;
 use super::service::Teller;
 use crate::optimise::MOST_OBSERVED_S;
 use crate::record::{Event, Look};
@@ -81,7 +80,7 @@ impl Engine {
                 }
                 // After it is passed on, and outside of the lock: the log may be slow.
                 if let Some(event) = event.filter(|_| !quiet) {
-                    notebook::log(&event);
+                    self.log(&event);
                 }
             }
             teller.look(&self);

@@ -1,6 +1,6 @@
 //! A configuration that is read while the daemon runs: what of it is taken, from when on, and what is not.
 //!
-//! Patterns' directory at once; the streamer's settings from the next `arm` on; where the calibration is kept from the next connection on.
+//! Patterns' directory and the logbook at once; the streamer's settings from the next `arm` on; where the calibration is kept from the next connection on.
 //! The device, the socket and the mock stay what they are until the daemon is started again.
 //!
 //! Invariant: a configuration that would have been refused at the start changes nothing.
@@ -9,29 +9,45 @@ use super::engine::Engine;
 use super::http::Shelf;
 use super::store;
 use crate::config::{Config, Source};
+use crate::logbook::Note;
 use crate::stream::port::{Job, Order};
 use crate::units::HostInstant;
+use std::sync::Arc;
+use std::time::Duration;
 use tracing::{info, warn};
+
+/// How long the logbook's old place may take for what it has still to write.
+const PATIENCE: Duration = Duration::from_secs(2);
 
 /// Reads the source and takes over what can be; `running` is what is gone by, before and after. Waits for the disk.
 pub(super) fn reload(source: &Source, running: &mut Config, engine: &Engine, shelf: &Shelf) {
-    let new = match source.read() {
-        Ok(new) => new,
-        Err(error) => return warn!("{error}; the configuration stays as it was"),
-    };
-    let mut taken: Vec<&str> = Vec::new();
+    let mut taken = Vec::new();
+    let problem = take(source, running, engine, shelf, &mut taken).err();
+    if let Some(problem) = &problem {
+        warn!("{problem}");
+    }
+    let changed = taken.into_iter().map(str::to_owned).collect();
+    engine.lock().book.note(Note::Reloaded { changed, problem });
+}
+
+/// Takes over what can be and says which; fails at the first thing that is wrong.
+fn take(
+    source: &Source,
+    running: &mut Config,
+    engine: &Engine,
+    shelf: &Shelf,
+    taken: &mut Vec<&'static str>,
+) -> Result<(), String> {
+    const STAYS: &str = "the configuration stays as it was";
+    let new = source.read().map_err(|error| format!("{error}; {STAYS}"))?;
     if new.patterns != running.patterns {
-        match store(&new) {
-            Ok(store) => shelf.replace(store),
-            Err(error) => return warn!("`patterns_dir`: {error}; the configuration stays as it was"),
-        }
+        shelf.replace(store(&new).map_err(|error| format!("`patterns_dir`: {error}; {STAYS}"))?);
         running.patterns.clone_from(&new.patterns);
         taken.push("`patterns_dir` at once");
     }
     if new.settings != running.settings {
-        if engine.configure(new.settings).is_err() {
-            return warn!("too many orders wait for the device: reload the configuration again");
-        }
+        let busy = |_| "too many orders wait for the device: reload the configuration again".to_owned();
+        engine.configure(new.settings).map_err(busy)?;
         running.settings = new.settings;
         taken.push("`lead_ms`, `lease_ms`, `drift_warning_um` and [limits] from the next `arm` on");
     }
@@ -39,6 +55,13 @@ pub(super) fn reload(source: &Source, running: &mut Config, engine: &Engine, she
         engine.keep_calibration_at(new.calibration.clone());
         running.calibration.clone_from(&new.calibration);
         taken.push("`calibration` from the next connection on");
+    }
+    if new.logbook != running.logbook {
+        let (book, users) = (engine.lock().book.clone(), Arc::clone(&engine.names.users));
+        let slow = |error| format!("`logbook_dir`: {error}: reload the configuration again");
+        book.keep(new.logbook.clone(), users, PATIENCE).map_err(slow)?;
+        running.logbook.clone_from(&new.logbook);
+        taken.push("`logbook_dir` and `logbook_days` at once");
     }
     let fixed = [
         ("`device`", new.device != running.device),
@@ -51,9 +74,10 @@ pub(super) fn reload(source: &Source, running: &mut Config, engine: &Engine, she
         (false, _) => info!("the configuration was read again: {}", taken.join(", ")),
         _ => {}
     }
-    if !fixed.is_empty() {
-        warn!("{} cannot change while the daemon runs: restart it", fixed.join(", "));
+    if fixed.is_empty() {
+        return Ok(());
     }
+    Err(format!("{} cannot change while the daemon runs: restart it", fixed.join(", ")))
 }
 
 impl Engine {

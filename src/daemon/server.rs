@@ -6,8 +6,10 @@
 //!
 //! Invariant: a client can occupy one place and its own buffers, never the daemon.
 
-use super::http::{self, Peer};
+use super::engine::Engine;
+use super::http::{self, peer};
 use crate::api::{Code, MAX_CLIENTS, Problem};
+use crate::logbook::Who;
 use axum::Router;
 use axum::response::IntoResponse;
 use hyper::Request;
@@ -17,6 +19,7 @@ use hyper::service::service_fn;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use std::convert::Infallible;
 use std::pin::pin;
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::net::{UnixListener, UnixStream};
 use tokio::sync::watch;
@@ -34,7 +37,12 @@ const TURNED_AWAY: usize = 16;
 const DRAIN: Duration = Duration::from_secs(1);
 
 /// Serves until `closing` turns true, then for as long as requests take that have begun, at most [`DRAIN`].
-pub(super) async fn serve(listener: UnixListener, router: Router, mut closing: watch::Receiver<bool>) {
+pub(super) async fn serve(
+    listener: UnixListener,
+    engine: Arc<Engine>,
+    router: Router,
+    mut closing: watch::Receiver<bool>,
+) {
     let mut clients = JoinSet::new();
     let mut turned_away = JoinSet::new();
     loop {
@@ -46,7 +54,9 @@ pub(super) async fn serve(listener: UnixListener, router: Router, mut closing: w
         };
         match accepted {
             Ok((stream, _)) if clients.len() < MAX_CLIENTS => {
-                clients.spawn(attend(stream, router.clone(), closing.clone()));
+                let peer = peer(&stream);
+                engine.names.look_up(peer.uid);
+                clients.spawn(attend(stream, peer, router.clone(), closing.clone()));
             }
             Ok((stream, _)) if turned_away.len() < TURNED_AWAY => {
                 turned_away.spawn(turn_away(stream, router.clone()));
@@ -66,8 +76,7 @@ pub(super) async fn serve(listener: UnixListener, router: Router, mut closing: w
     }
 }
 
-async fn attend(stream: UnixStream, router: Router, mut closing: watch::Receiver<bool>) {
-    let peer = Peer::of(&stream);
+async fn attend(stream: UnixStream, peer: Who, router: Router, mut closing: watch::Receiver<bool>) {
     let service = service_fn(move |mut request: Request<Incoming>| {
         request.extensions_mut().insert(peer);
         router.clone().oneshot(request)
@@ -89,7 +98,7 @@ async fn attend(stream: UnixStream, router: Router, mut closing: watch::Receiver
 
 /// Says that there is no place. An emergency stop needs none.
 async fn turn_away(stream: UnixStream, router: Router) {
-    let peer = Peer::of(&stream);
+    let peer = peer(&stream);
     let service = service_fn(async |mut request: Request<Incoming>| {
         if request.uri().path() == "/v1/estop" {
             request.extensions_mut().insert(peer);

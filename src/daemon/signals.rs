@@ -3,7 +3,7 @@
 //! SIGTERM and SIGINT end it. SIGHUP ends it if it was started from a terminal, which then has been closed; where there is none,
 //! or it was started by nohup, there is nothing to be closed and it reads its configuration again.
 //!
-//! Invariant: from [`Signals::new`] on none of them kills.
+//! Invariant: from [`Signals::new`] on none of them kills, nor does a file that may not grow.
 
 use super::{DaemonError, system};
 use std::fs::{self, File};
@@ -41,6 +41,9 @@ impl Signals {
         let take = |kind| signal(kind).map_err(system("signal handler"));
         let (term, int, hangup) =
             (take(SignalKind::terminate())?, take(SignalKind::interrupt())?, take(SignalKind::hangup())?);
+        // A limit on files is then an error like a full disk; otherwise the system would kill the daemon in mid-play. The handler
+        // stays when its receiver is gone.
+        drop(take(SignalKind::from_raw(rustix::process::Signal::XFSZ.as_raw()))?);
         Ok(Self { term, int, hangup, at_hangup, end: None })
     }
 

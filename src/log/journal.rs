@@ -1,0 +1,228 @@
+//! journald's own protocol: a line is one datagram of named fields.
+//!
+//! `MESSAGE`, `PRIORITY`, `SYSLOG_IDENTIFIER`, `TARGET`, and each field of the event in capitals: `play_id` is `PLAY_ID`. Spans are
+//! not told. The usual crate for this sends with a socket that blocks: a journald that is stuck would hold up an emergency stop.
+//!
+//! Invariant: sending never waits; a line nobody takes is lost.
+
+use std::fmt::{self, Write};
+use std::io;
+use std::os::unix::net::UnixDatagram;
+use std::path::{Path, PathBuf};
+use tracing::field::{Field, Visit};
+use tracing::{Event, Level, Subscriber};
+use tracing_subscriber::Layer;
+use tracing_subscriber::layer::Context;
+
+/// Bytes of a field's value, at the most: a datagram that is too large would be lost whole.
+const MOST_OF_A_VALUE: usize = 8 << 10;
+/// Bytes of a field's name, at the most, as journald has it.
+const MOST_OF_A_NAME: usize = 64;
+
+/// A layer that sends events to journald.
+#[derive(Debug)]
+pub(super) struct Journal {
+    socket: UnixDatagram,
+    /// Looked up for each line: journald may be started again.
+    path: PathBuf,
+}
+
+impl Journal {
+    /// Sends to the socket at `path`, which must be there.
+    pub(super) fn new(path: &Path) -> io::Result<Self> {
+        path.metadata()?;
+        let socket = UnixDatagram::unbound()?;
+        socket.set_nonblocking(true)?;
+        Ok(Self { socket, path: path.to_owned() })
+    }
+}
+
+impl<S: Subscriber> Layer<S> for Journal {
+    fn on_event(&self, event: &Event<'_>, _: Context<'_, S>) {
+        let mut line = Line::default();
+        line.field("PRIORITY", priority(*event.metadata().level()));
+        line.field("SYSLOG_IDENTIFIER", "meissner");
+        line.field("TARGET", event.metadata().target());
+        event.record(&mut line);
+        // Lost if nobody takes it.
+        let _ = self.socket.send_to(&line.bytes, &self.path);
+    }
+}
+
+/// As syslog counts: what is our bug, what the world does, what a lab reads, and what is for looking for faults.
+const fn priority(level: Level) -> &'static str {
+    match level {
+        Level::ERROR => "3",
+        Level::WARN => "4",
+        Level::INFO => "6",
+        Level::DEBUG | Level::TRACE => "7",
+    }
+}
+
+/// The datagram of a line.
+#[derive(Default)]
+struct Line {
+    bytes: Vec<u8>,
+    text: String,
+}
+
+impl Line {
+    /// `NAME=value`, or with a newline in it `NAME`, the value's length in eight bytes, little-endian, and the value.
+    fn field(&mut self, name: &str, value: &str) {
+        let value = &value[..value.floor_char_boundary(MOST_OF_A_VALUE)];
+        self.bytes.extend_from_slice(name.as_bytes());
+        if value.contains('\n') {
+            self.bytes.push(b'\n');
+            self.bytes.extend_from_slice(&(value.len() as u64).to_le_bytes());
+        } else {
+            self.bytes.push(b'=');
+        }
+        self.bytes.extend_from_slice(value.as_bytes());
+        self.bytes.push(b'\n');
+    }
+
+    fn value(&mut self, field: &Field, value: &dyn fmt::Display) {
+        let mut text = std::mem::take(&mut self.text);
+        text.clear();
+        // Writing to a text cannot fail; a value that cannot be told is told as far as it goes.
+        let _ = write!(text, "{value}");
+        if field.name() == "message" {
+            self.field("MESSAGE", &text);
+        } else if let Some(name) = name(field.name()) {
+            self.field(&name, &text);
+        }
+        self.text = text;
+    }
+}
+
+/// A field's name as journald takes it: capitals, digits and underscores, a letter first; none for what would pass for ours or its own.
+fn name(field: &str) -> Option<String> {
+    let capital = |c: char| if c.is_ascii_alphanumeric() { c.to_ascii_uppercase() } else { '_' };
+    let name: String = field.chars().take(MOST_OF_A_NAME).map(capital).collect();
+    let ours = ["MESSAGE", "PRIORITY", "SYSLOG_IDENTIFIER", "TARGET"].contains(&name.as_str());
+    (name.starts_with(|c: char| c.is_ascii_uppercase()) && !ours).then_some(name)
+}
+
+impl Visit for Line {
+    fn record_debug(&mut self, field: &Field, value: &dyn fmt::Debug) {
+        self.value(field, &format_args!("{value:?}"));
+    }
+
+    fn record_str(&mut self, field: &Field, value: &str) {
+        self.value(field, &value);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeMap;
+    use std::time::{Duration, Instant};
+    use tracing_subscriber::layer::SubscriberExt;
+
+    /// As journald reads a datagram.
+    fn parse(mut bytes: &[u8]) -> BTreeMap<String, String> {
+        let mut fields = BTreeMap::new();
+        while !bytes.is_empty() {
+            let at = bytes.iter().position(|byte| b"=\n".contains(byte)).unwrap();
+            let (name, rest) = (String::from_utf8(bytes[..at].to_vec()).unwrap(), &bytes[at + 1..]);
+            let (value, rest) = if bytes[at] == b'=' {
+                rest.split_at(rest.iter().position(|&byte| byte == b'\n').unwrap())
+            } else {
+                let (length, rest) = rest.split_at(8);
+                rest.split_at(u64::from_le_bytes(length.try_into().unwrap()) as usize)
+            };
+            assert!(fields.insert(name, String::from_utf8(value.to_vec()).unwrap()).is_none());
+            assert_eq!(rest[0], b'\n');
+            bytes = &rest[1..];
+        }
+        fields
+    }
+
+    fn with_journald(work: impl FnOnce(&dyn Fn() -> BTreeMap<String, String>, &UnixDatagram)) {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("socket");
+        let journald = UnixDatagram::bind(&path).unwrap();
+        journald.set_read_timeout(Some(Duration::from_secs(10))).unwrap();
+        let log = tracing_subscriber::registry().with(Journal::new(&path).unwrap());
+        let read = || {
+            let mut bytes = vec![0; 1 << 17];
+            let length = journald.recv(&mut bytes).unwrap();
+            parse(&bytes[..length])
+        };
+        tracing::subscriber::with_default(log, || work(&read, &journald));
+    }
+
+    fn map(fields: &[(&str, &str)]) -> BTreeMap<String, String> {
+        fields.iter().map(|&(name, value)| (name.to_owned(), value.to_owned())).collect()
+    }
+
+    #[test]
+    fn fields_come_with_the_message() {
+        with_journald(|read, _| {
+            let (play_id, tick) = (3_u64, 123_456_u64);
+            let none: Option<u8> = None;
+            tracing::info!(play_id, tick, pattern = "edge-45", motor = none, "play {play_id} done");
+            let fields = read();
+            let wanted = [
+                ("MESSAGE", "play 3 done"),
+                ("PRIORITY", "6"),
+                ("SYSLOG_IDENTIFIER", "meissner"),
+                ("TARGET", "meissner::log::journal::tests"),
+                ("PLAY_ID", "3"),
+                ("TICK", "123456"),
+                ("PATTERN", "edge-45"),
+            ];
+            assert_eq!(fields, map(&wanted));
+            tracing::error!(um = 1.5, ok = false, "bug");
+            let fields = read();
+            assert_eq!((&*fields["UM"], &*fields["OK"], &*fields["PRIORITY"]), ("1.5", "false", "3"));
+            tracing::warn!("world");
+            assert_eq!(read()["PRIORITY"], "4");
+            tracing::debug!("fault");
+            assert_eq!(read()["PRIORITY"], "7");
+        });
+    }
+
+    #[test]
+    fn whatever_a_value_holds_it_makes_no_other_field() {
+        with_journald(|read, _| {
+            let text = "two\nPRIORITY=0\n\u{1b}[31mlines\n";
+            tracing::info!(
+                cause = text,
+                _private = 1,
+                priority = 0,
+                message_id = "x",
+                r#type = 2,
+                a.b = 3,
+                "{text}"
+            );
+            let fields = read();
+            assert_eq!((&*fields["MESSAGE"], &*fields["CAUSE"], &*fields["PRIORITY"]), (text, text, "6"));
+            assert_eq!((&*fields["TYPE"], &*fields["A_B"], fields.len()), ("2", "3", 8));
+            tracing::info!("{}", "ä".repeat(100_000));
+            assert_eq!(read()["MESSAGE"].len(), MOST_OF_A_VALUE);
+        });
+    }
+
+    #[test]
+    fn a_journald_that_is_stuck_or_gone_holds_nobody_up() {
+        with_journald(|read, journald| {
+            let begun = Instant::now();
+            for line in 0..20_000 {
+                tracing::info!("{line}");
+            }
+            assert!(begun.elapsed() < Duration::from_secs(5), "{:?}", begun.elapsed());
+            assert_eq!(read()["MESSAGE"], "0");
+            let path = journald.local_addr().unwrap().as_pathname().unwrap().to_owned();
+            std::fs::remove_file(&path).unwrap();
+            tracing::info!("lost");
+            let again = UnixDatagram::bind(&path).unwrap();
+            tracing::info!("found");
+            let mut bytes = [0; 1000];
+            let length = again.recv(&mut bytes).unwrap();
+            assert_eq!(parse(&bytes[..length])["MESSAGE"], "found");
+        });
+        assert!(Journal::new(Path::new("/nonexistent/socket")).is_err());
+    }
+}

@@ -1,0 +1,292 @@
+//! The book: writes lines to the file of their day, makes them durable, and goes on when the disk does not.
+//!
+//! It blocks for as long as the disk takes, and belongs to the logbook's thread. A line is one write in append mode; one that does not
+//! fit is cut back. While the disk fails, entries are counted, and every [`AGAIN_AFTER`] the next one is a new try.
+//!
+//! Invariant: after each call the file ends with a whole line, or is not open.
+
+use super::entry::{Entry, Note};
+use super::{Keep, Stamp, days};
+use jiff::Zoned;
+use jiff::civil::Date;
+use jiff::tz::TimeZone;
+use rustix::fs::{FlockOperation, OFlags, flock};
+use rustix::io::Errno;
+use serde::Serialize;
+use std::fmt;
+use std::fs::{self, DirBuilder, File, OpenOptions};
+use std::io::{self, Write};
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+use tracing::{info, warn};
+
+/// How long after it was written a line is made durable: half a second, so that a slow disk has another half.
+pub const SYNC_AFTER: Duration = Duration::from_millis(500);
+/// How long a disk that failed is left alone.
+const AGAIN_AFTER: Duration = Duration::from_secs(1);
+
+/// What a disk does; a test has others.
+pub(super) struct Disk {
+    pub(super) append: fn(&mut File, &[u8]) -> io::Result<usize>,
+    pub(super) sync: fn(&File) -> io::Result<()>,
+}
+
+impl Disk {
+    const REAL: Self = Self { append: |file, bytes| file.write(bytes), sync: File::sync_data };
+}
+
+impl fmt::Debug for Disk {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Disk")
+    }
+}
+
+/// What went wrong, where.
+#[derive(Debug, thiserror::Error)]
+#[error("{}: {source}", .path.display())]
+struct Failure {
+    path: PathBuf,
+    source: io::Error,
+}
+
+fn at(path: &Path) -> impl FnOnce(io::Error) -> Failure {
+    move |source| Failure { path: path.to_owned(), source }
+}
+
+/// The file of a day.
+#[derive(Debug)]
+struct Open {
+    day: Date,
+    path: PathBuf,
+    file: File,
+    /// Up to the last whole line.
+    length: u64,
+    /// Which file it is, wherever its name leads now.
+    identity: (u64, u64),
+    /// Locked for as long as it is open: lines of two daemons would be cut by each other.
+    _dir: File,
+}
+
+/// A line of the file.
+#[derive(Serialize)]
+struct Line<'a> {
+    time: String,
+    monotonic_ns: u64,
+    #[serde(flatten)]
+    entry: &'a Entry,
+}
+
+/// See the module.
+#[derive(Debug)]
+pub(super) struct Book {
+    keep: Keep,
+    /// Where the lab is; none: where the system says it is.
+    zone: Option<TimeZone>,
+    disk: Disk,
+    open: Option<Open>,
+    /// Entries that no line has told of yet.
+    missing: u64,
+    /// The disk fails: until then it is left alone.
+    failing: Option<Instant>,
+    /// When the first line that is not durable has to be.
+    due: Option<Instant>,
+}
+
+impl Book {
+    pub(super) fn new(keep: Keep) -> Self {
+        Self { keep, zone: None, disk: Disk::REAL, open: None, missing: 0, failing: None, due: None }
+    }
+
+    #[cfg(test)]
+    pub(super) fn on(self, disk: Disk, zone: TimeZone) -> Self {
+        Self { disk, zone: Some(zone), ..self }
+    }
+
+    /// When [`Self::sync`] is due.
+    pub(super) const fn due(&self) -> Option<Instant> {
+        self.due
+    }
+
+    /// Writes an entry, before which so many were missed.
+    pub(super) fn write(&mut self, stamp: Stamp, missed: u64, entry: &Entry) {
+        self.missing += missed;
+        if self.failing.is_some_and(|until| Instant::now() < until) {
+            self.missing += 1;
+            return;
+        }
+        match self.try_write(stamp, entry) {
+            Ok(missing) if self.failing.take().is_some() => {
+                info!(
+                    "the logbook in {} is written again; {missing} entries are missing",
+                    self.keep.dir.display()
+                );
+            }
+            Ok(_) => {}
+            Err(failure) => {
+                self.missing += 1;
+                self.fail(&failure);
+            }
+        }
+    }
+
+    /// Makes what was written durable.
+    pub(super) fn sync(&mut self) {
+        if self.due.take().is_none() {
+            return;
+        }
+        let Some(open) = &self.open else { return };
+        if let Err(source) = (self.disk.sync)(&open.file) {
+            let failure = Failure { path: open.path.clone(), source };
+            // What the system has of it is not to be relied on.
+            self.open = None;
+            self.fail(&failure);
+        }
+    }
+
+    /// What comes from now on is kept there; what was missing is told there.
+    pub(super) fn turn_page(&mut self, keep: Keep) {
+        self.sync();
+        (self.keep, self.open, self.failing) = (keep, None, None);
+    }
+
+    /// Nothing more will come.
+    pub(super) fn finish(mut self) {
+        self.sync();
+        if self.missing > 0 {
+            warn!(
+                "{} entries are missing at the end of the logbook in {}",
+                self.missing,
+                self.keep.dir.display()
+            );
+        }
+    }
+
+    fn fail(&mut self, failure: &Failure) {
+        if self.failing.replace(Instant::now() + AGAIN_AFTER).is_none() {
+            warn!(
+                "the logbook cannot be written: {failure}; make room there and see that the daemon may write, or set \
+                 `logbook_dir`; playing goes on"
+            );
+        }
+    }
+
+    /// Says how many entries were missing before this one.
+    fn try_write(&mut self, stamp: Stamp, entry: &Entry) -> Result<u64, Failure> {
+        let time = stamp.wall.to_zoned(self.zone.clone().unwrap_or_else(TimeZone::system));
+        self.turn_to(time.date())?;
+        let missing = self.missing;
+        if missing > 0 {
+            let lost = Note::Lost { entries: missing }.into();
+            self.append(&time, stamp, &lost)?;
+            self.missing = 0;
+        }
+        self.append(&time, stamp, entry)?;
+        Ok(missing)
+    }
+
+    fn append(&mut self, time: &Zoned, stamp: Stamp, entry: &Entry) -> Result<(), Failure> {
+        let Some(open) = &mut self.open else { return Ok(()) };
+        let time = time.strftime("%Y-%m-%dT%H:%M:%S%.6f%:z").to_string();
+        let line = Line { time, monotonic_ns: stamp.monotonic.as_ns(), entry };
+        let bytes = serde_json::to_vec(&line).map_err(io::Error::from).map(|mut bytes| {
+            bytes.push(b'\n');
+            bytes
+        });
+        let append = self.disk.append;
+        match bytes.and_then(|bytes| whole(append, &mut open.file, &bytes)) {
+            Ok(written) => {
+                open.length += written;
+                self.due.get_or_insert_with(|| Instant::now() + SYNC_AFTER);
+                Ok(())
+            }
+            Err(source) => {
+                let failure = Failure { path: open.path.clone(), source };
+                if open.file.set_len(open.length).is_err() {
+                    // Cut when it is opened again.
+                    self.open = None;
+                }
+                Err(failure)
+            }
+        }
+    }
+
+    /// Sees that the file of that day is open, and is still the one its name leads to.
+    fn turn_to(&mut self, day: Date) -> Result<(), Failure> {
+        let same = |open: &Open| {
+            let there = fs::metadata(&open.path);
+            open.day == day && there.is_ok_and(|there| (there.dev(), there.ino()) == open.identity)
+        };
+        if self.open.as_ref().is_some_and(same) {
+            return Ok(());
+        }
+        self.sync();
+        self.open = None;
+        let (open, cut) = open(&self.keep.dir, day)?;
+        if cut > 0 {
+            // What it was nobody knows; that it was, the next line says.
+            self.missing += 1;
+            warn!("{}: cut off {cut} bytes of a line that was never finished", open.path.display());
+        }
+        self.open = Some(open);
+        if let Err(error) = days::remove_old(&self.keep.dir, day, self.keep.days) {
+            warn!("{}: old files cannot be removed: {error}; remove them by hand", self.keep.dir.display());
+        }
+        Ok(())
+    }
+}
+
+/// All of a line, and how much that was. It is one write, unless a signal or the disk's end comes between.
+fn whole(append: fn(&mut File, &[u8]) -> io::Result<usize>, file: &mut File, line: &[u8]) -> io::Result<u64> {
+    let mut rest = line;
+    while !rest.is_empty() {
+        match append(file, rest) {
+            Ok(0) => return Err(io::ErrorKind::WriteZero.into()),
+            Ok(written) => rest = rest.get(written..).unwrap_or_default(),
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(line.len() as u64)
+}
+
+/// Opens the file of a day, whole lines only, and says how much was cut off. Makes what is missing of the directory's last part.
+fn open(dir: &Path, day: Date) -> Result<(Open, u64), Failure> {
+    match DirBuilder::new().mode(0o750).create(dir) {
+        Ok(()) => sync_dir(dir.parent().unwrap_or(Path::new("/")))?,
+        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
+        Err(error) => return Err(at(dir)(error)),
+    }
+    let kept = File::open(dir).map_err(at(dir))?;
+    // Not every file system can lock.
+    if flock(&kept, FlockOperation::NonBlockingLockExclusive) == Err(Errno::WOULDBLOCK) {
+        let busy = io::Error::other("another daemon writes its logbook there: give each its own");
+        return Err(at(dir)(busy));
+    }
+    let path = dir.join(days::name(day));
+    let wrong = |source| Failure { path: path.clone(), source };
+    let mut options = OpenOptions::new();
+    // Neither a link that leads elsewhere nor a pipe that nobody reads.
+    let flags = (OFlags::NOFOLLOW | OFlags::NONBLOCK).bits().cast_signed();
+    options.read(true).append(true).custom_flags(flags).mode(0o640);
+    let file = match options.open(&path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {
+            let file = options.create(true).open(&path).map_err(wrong)?;
+            kept.sync_all().map_err(at(dir))?;
+            file
+        }
+        file => file.map_err(wrong)?,
+    };
+    let metadata = file.metadata().map_err(wrong)?;
+    if !metadata.is_file() {
+        return Err(wrong(io::Error::other("is not a regular file")));
+    }
+    let (length, cut) = days::cut_torn(&file).map_err(wrong)?;
+    let identity = (metadata.dev(), metadata.ino());
+    Ok((Open { day, path, file, length, identity, _dir: kept }, cut))
+}
+
+fn sync_dir(dir: &Path) -> Result<(), Failure> {
+    let dir = if dir.as_os_str().is_empty() { Path::new(".") } else { dir };
+    File::open(dir).and_then(|opened| opened.sync_all()).map_err(at(dir))
+}

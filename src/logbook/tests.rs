@@ -1,0 +1,342 @@
+//! The logbook on real files, with clocks and disks that misbehave.
+
+use super::book::Disk;
+use super::*;
+use crate::record::{DeviceInfo, Event, Receipt};
+use jiff::tz::{TimeZone, offset};
+use serde_json::{Value, json};
+use std::cell::Cell;
+use std::fs::{self, File};
+use std::io::Write;
+use std::os::unix::fs::PermissionsExt;
+use std::path::Path;
+
+const REAL: Disk = Disk { append: |file, bytes| file.write(bytes), sync: File::sync_data };
+
+thread_local! {
+    /// Bytes the disk of this thread has room for, and how often it was synced.
+    static ROOM: Cell<usize> = const { Cell::new(usize::MAX) };
+    static SYNCS: Cell<u32> = const { Cell::new(0) };
+}
+
+/// A disk that gets full in the middle of a line.
+const SMALL: Disk = Disk {
+    append: |file, bytes| {
+        let takes = bytes.len().min(ROOM.get());
+        if takes == 0 {
+            return Err(io::Error::from_raw_os_error(28));
+        }
+        ROOM.set(ROOM.get() - takes);
+        file.write(&bytes[..takes])
+    },
+    sync: |file| {
+        SYNCS.set(SYNCS.get() + 1);
+        file.sync_data()
+    },
+};
+
+fn keep(dir: &Path, days: u32) -> Keep {
+    Keep { dir: dir.join("logbook"), days }
+}
+
+fn book(dir: &Path, disk: Disk) -> Book {
+    Book::new(keep(dir, 400)).on(disk, TimeZone::fixed(offset(1)))
+}
+
+fn stamp(wall: &str, monotonic_ns: u64) -> Stamp {
+    Stamp { wall: wall.parse().unwrap(), monotonic: HostInstant::from_ns(monotonic_ns) }
+}
+
+fn lost(entries: u64) -> Entry {
+    Note::Lost { entries }.into()
+}
+
+fn started() -> Entry {
+    Note::DaemonStarted { version: "1", pid: 7, wanted: "mock".to_owned() }.into()
+}
+
+/// Every line of a day's file.
+fn lines(dir: &Path, day: &str) -> Vec<Value> {
+    let text = fs::read_to_string(dir.join("logbook").join(format!("{day}.jsonl"))).unwrap();
+    assert!(text.is_empty() || text.ends_with('\n'));
+    text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+}
+
+/// What is logged while `work` runs.
+fn log_of(work: impl FnOnce()) -> Vec<String> {
+    #[derive(Clone, Default)]
+    struct Kept(Arc<Mutex<Vec<u8>>>);
+    impl Write for Kept {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            self.0.lock().unwrap().extend_from_slice(bytes);
+            Ok(bytes.len())
+        }
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+    let kept = Kept::default();
+    let writer = kept.clone();
+    let log = tracing_subscriber::fmt().with_ansi(false).with_writer(move || writer.clone()).finish();
+    tracing::subscriber::with_default(log, work);
+    let text = String::from_utf8(kept.0.lock().unwrap().clone()).unwrap();
+    text.lines().map(str::to_owned).collect()
+}
+
+#[test]
+fn a_line_says_when_who_and_what() {
+    let dir = tempfile::tempdir().unwrap();
+    let users = Arc::new(Users::default());
+    let log = Logbook::with(book(dir.path(), REAL), users, WAITING).unwrap();
+    let mut command = Command::new("arm", Who { pid: 12, uid: 0 }, json!({"assume_rest": true}));
+    command.answer = "no-device".to_owned();
+    log.note(started());
+    log.note(Note::Command(command));
+    log.note(Note::Command(Command::new("stop", Who { pid: -1, uid: u32::MAX }, Value::Null)));
+    let hello = DeviceInfo {
+        kind: "mock".to_owned(),
+        firmware: "1.0.0".to_owned(),
+        build: "0".to_owned(),
+        boot: 1,
+        simulated: true,
+        telemetry: true,
+    };
+    for event in [
+        Event::Connected { device: hello },
+        Event::Lagged { events: 1 },
+        Event::Drifted { um: f32::NAN },
+        Event::Ended { receipt: Box::new(Receipt::new(3, "edge-45", "0", Some(1.0))) },
+    ] {
+        if let Some(entry) = Entry::of(&event) {
+            log.note(entry);
+        }
+    }
+    log.close(Duration::from_secs(10));
+    log.note(started());
+    let folder = dir.path().join("logbook");
+    assert_eq!(fs::metadata(&folder).unwrap().permissions().mode() & 0o777, 0o750);
+    let file = fs::read_dir(&folder).unwrap().next().unwrap().unwrap();
+    assert_eq!(file.metadata().unwrap().permissions().mode() & 0o777, 0o640);
+    let day = file.file_name().into_string().unwrap();
+    let lines = lines(dir.path(), day.strip_suffix(".jsonl").unwrap());
+    let names: Vec<_> = lines.iter().map(|line| line["event"].as_str().unwrap()).collect();
+    assert_eq!(names, ["daemon-started", "command", "command", "connected", "drifted", "ended"]);
+    let (arm, stop) = (&lines[1], &lines[2]);
+    let said = ["command", "pid", "uid", "user", "asked", "answer"].map(|key| arm[key].clone());
+    let asked = json!({"assume_rest": true});
+    assert_eq!(said, [json!("arm"), 12.into(), 0.into(), json!("root"), asked, json!("no-device")]);
+    assert_eq!(
+        (&stop["uid"], &stop["user"], &stop["answer"]),
+        (&Value::Null, &Value::Null, &json!("hung-up"))
+    );
+    assert_eq!(lines[5]["receipt"]["pattern"], "edge-45");
+    let times: Vec<_> = lines.iter().map(|line| line["monotonic_ns"].as_u64().unwrap()).collect();
+    assert!(times.is_sorted());
+    let time = lines[0]["time"].as_str().unwrap();
+    assert!(time.len() == 32 && time.ends_with("+01:00") && time.starts_with(&day[..10]), "{time}");
+}
+
+#[test]
+fn a_clock_set_back_shows_and_the_order_stays() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut book = book(dir.path(), REAL);
+    for (wall, monotonic_ns) in [
+        ("2026-11-22T13:00:00.123456789Z", 1),
+        ("2026-11-22T12:00:00Z", 2),
+        ("2026-11-22T23:30:00Z", 3),
+        ("2026-11-22T22:30:00Z", 4),
+    ] {
+        book.write(stamp(wall, monotonic_ns), 0, &started());
+    }
+    book.finish();
+    let times = |day| -> Vec<_> {
+        let lines = lines(dir.path(), day);
+        lines
+            .iter()
+            .map(|line| (line["time"].as_str().unwrap().to_owned(), line["monotonic_ns"].as_u64()))
+            .collect()
+    };
+    let line = |time: &str, ns| (time.to_owned(), Some(ns));
+    let first = [
+        line("2026-11-22T14:00:00.123456+01:00", 1),
+        line("2026-11-22T13:00:00.000000+01:00", 2),
+        line("2026-11-22T23:30:00.000000+01:00", 4),
+    ];
+    assert_eq!(times("2026-11-22"), first);
+    assert_eq!(times("2026-11-23"), [line("2026-11-23T00:30:00.000000+01:00", 3)]);
+}
+
+#[test]
+fn a_torn_line_is_cut_and_told() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().join("logbook");
+    fs::create_dir(&folder).unwrap();
+    fs::write(folder.join("2026-11-22.jsonl"), "{\"event\":\"x\"}\n{\"time\":\"2026-").unwrap();
+    let said = log_of(|| {
+        let mut book = book(dir.path(), REAL);
+        book.write(stamp("2026-11-22T12:00:00Z", 1), 0, &started());
+        book.finish();
+    });
+    let lines = lines(dir.path(), "2026-11-22");
+    let names: Vec<_> = lines.iter().map(|line| &line["event"]).collect();
+    assert_eq!(names, ["x", "lost", "daemon-started"]);
+    assert_eq!(lines[1]["entries"], 1);
+    assert!(said.len() == 1 && said[0].contains("cut off 14 bytes"), "{said:?}");
+}
+
+#[test]
+fn a_change_of_day_removes_old_files() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut book = Book::new(keep(dir.path(), 2)).on(REAL, TimeZone::UTC);
+    for day in 18..=23 {
+        book.write(stamp(&format!("2026-11-{day}T12:00:00Z"), day), 0, &started());
+    }
+    let mut left: Vec<_> =
+        fs::read_dir(dir.path().join("logbook")).unwrap().map(|e| e.unwrap().file_name()).collect();
+    left.sort();
+    assert_eq!(left, ["2026-11-20.jsonl", "2026-11-21.jsonl", "2026-11-22.jsonl", "2026-11-23.jsonl"]);
+}
+
+#[test]
+fn a_full_disk_is_one_line_and_what_is_missing_is_counted() {
+    let dir = tempfile::tempdir().unwrap();
+    let said = log_of(|| {
+        let mut book = book(dir.path(), SMALL);
+        let mut write = |monotonic_ns| book.write(stamp("2026-11-22T12:00:00Z", monotonic_ns), 0, &started());
+        write(1);
+        ROOM.set(40);
+        write(2);
+        assert_eq!(lines(dir.path(), "2026-11-22").len(), 1, "the part was cut back");
+        write(3);
+        thread::sleep(Duration::from_millis(1010));
+        write(4);
+        ROOM.set(usize::MAX);
+        write(5);
+        thread::sleep(Duration::from_millis(1010));
+        write(6);
+        book.finish();
+    });
+    let lines = lines(dir.path(), "2026-11-22");
+    let names: Vec<_> = lines.iter().map(|line| line["event"].as_str().unwrap()).collect();
+    assert_eq!(names, ["daemon-started", "lost", "daemon-started"]);
+    assert_eq!((&lines[1]["entries"], &lines[2]["monotonic_ns"]), (&json!(4), &json!(6)));
+    assert_eq!(said.len(), 2, "{said:?}");
+    assert!(said[0].contains("WARN") && said[0].contains("2026-11-22.jsonl: No space left"), "{said:?}");
+    assert!(said[1].contains("INFO") && said[1].contains("written again; 4 entries are missing"), "{said:?}");
+}
+
+#[test]
+fn a_directory_that_is_not_there_is_waited_for_and_one_that_vanishes_is_made_again() {
+    let dir = tempfile::tempdir().unwrap();
+    let site = dir.path().join("site");
+    let said = log_of(|| {
+        let mut book = book(&site, REAL);
+        let mut write = |monotonic_ns| book.write(stamp("2026-11-22T12:00:00Z", monotonic_ns), 0, &started());
+        write(1);
+        fs::create_dir(&site).unwrap();
+        thread::sleep(Duration::from_millis(1010));
+        write(2);
+        fs::remove_dir_all(site.join("logbook")).unwrap();
+        write(3);
+        fs::remove_file(site.join("logbook/2026-11-22.jsonl")).unwrap();
+        write(4);
+        book.finish();
+    });
+    assert_eq!(lines(&site, "2026-11-22")[0]["monotonic_ns"], 4);
+    assert!(said.len() == 2 && said[0].contains("No such file"), "{said:?}");
+}
+
+#[test]
+fn two_daemons_do_not_share_a_directory() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = stamp("2026-11-22T12:00:00Z", 1);
+    let (mut first, mut second) = (book(dir.path(), REAL), book(dir.path(), REAL));
+    first.write(at, 0, &started());
+    let said = log_of(|| second.write(at, 0, &started()));
+    assert!(said.len() == 1 && said[0].contains("another daemon"), "{said:?}");
+    assert_eq!(lines(dir.path(), "2026-11-22").len(), 1);
+}
+
+#[test]
+fn lines_are_synced_once_for_many_and_never_for_none() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut book = book(dir.path(), SMALL);
+    book.sync();
+    assert_eq!((SYNCS.get(), book.due()), (0, None));
+    let begun = Instant::now();
+    for monotonic_ns in 1..100 {
+        book.write(stamp("2026-11-22T12:00:00Z", monotonic_ns), 0, &started());
+    }
+    let due = book.due().unwrap() - begun;
+    assert!(SYNCS.get() == 0 && SYNC_AFTER <= due && due < Duration::from_secs(1), "{due:?}");
+    book.sync();
+    assert_eq!((SYNCS.get(), book.due()), (1, None));
+    book.finish();
+    assert_eq!(SYNCS.get(), 1);
+}
+
+/// The thread is held up in its first line; what does not fit then is told by the next line that does.
+#[test]
+fn a_full_queue_does_not_wait_and_is_told() {
+    static HELD: Mutex<()> = Mutex::new(());
+    const STUCK: Disk = Disk {
+        append: |file, bytes| {
+            drop(HELD.lock());
+            file.write(bytes)
+        },
+        sync: File::sync_data,
+    };
+    let dir = tempfile::tempdir().unwrap();
+    let held = HELD.lock().unwrap();
+    let log = Logbook::with(book(dir.path(), STUCK), Arc::new(Users::default()), 4).unwrap();
+    let begun = Instant::now();
+    for entries in 100..120 {
+        log.note(lost(entries));
+    }
+    assert!(begun.elapsed() < Duration::from_secs(1));
+    drop(held);
+    while log.lock().as_ref().is_some_and(|gate| !gate.words.is_empty()) {
+        thread::sleep(Duration::from_millis(1));
+    }
+    log.note(started());
+    log.close(Duration::from_secs(10));
+    let file = fs::read_dir(dir.path().join("logbook")).unwrap().next().unwrap().unwrap().path();
+    let text = fs::read_to_string(file).unwrap();
+    let lines: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let entries = |line: &Value| line["entries"].as_u64().unwrap();
+    let written = lines.iter().filter(|line| line["event"] == "lost" && entries(line) >= 100).count() as u64;
+    let told: u64 =
+        lines.iter().filter(|line| line["entries"].as_u64().is_some_and(|n| n < 100)).map(entries).sum();
+    assert!((4..=5).contains(&written), "{written}");
+    assert_eq!((told, &lines[lines.len() - 1]["event"]), (20 - written, &json!("daemon-started")));
+}
+
+#[test]
+fn a_logbook_that_moves_loses_nothing() {
+    let (first, second) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let (users, patience) = (Arc::new(Users::default()), Duration::from_secs(10));
+    let log = Logbook::none();
+    log.keep(Some(keep(first.path(), 1)), Arc::clone(&users), patience).unwrap();
+    let entries = |dir: &Path| {
+        let file = fs::read_dir(dir.join("logbook")).unwrap().next().unwrap().unwrap().path();
+        fs::read_to_string(file).unwrap().lines().count()
+    };
+    log.note(started());
+    log.note(started());
+    log.keep(Some(keep(second.path(), 1)), Arc::clone(&users), patience).unwrap();
+    log.note(started());
+    log.keep(None, Arc::clone(&users), patience).unwrap();
+    log.note(started());
+    assert_eq!((entries(first.path()), entries(second.path())), (2, 1));
+    log.keep(Some(keep(first.path(), 1)), users, patience).unwrap();
+    log.note(started());
+    log.close(patience);
+    assert_eq!((entries(first.path()), entries(second.path())), (3, 1));
+}
+
+#[test]
+fn none_keeps_nothing() {
+    let log = Logbook::none();
+    log.note(started());
+    log.close(Duration::ZERO);
+}
