@@ -15,10 +15,8 @@ use firmware_protocol::tick::Tick;
 use rustix::fs::OFlags;
 use serde::Deserialize;
 use std::env;
-use std::ffi::OsStr;
 use std::fs::OpenOptions;
 use std::io::{self, Read};
-use std::os::unix::ffi::OsStrExt;
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 use toml::de::DeTable;
@@ -386,19 +384,14 @@ pub(crate) fn users_socket() -> Option<PathBuf> {
     variable("XDG_RUNTIME_DIR").map(|dir| dir.join("meissner.sock"))
 }
 
-/// What systemd made for the service: the first, if the unit has it make several.
-fn state_directory() -> Option<PathBuf> {
-    variable("STATE_DIRECTORY").map(|made| first_of(&made))
-}
-
-fn first_of(made: &Path) -> PathBuf {
-    let bytes = made.as_os_str().as_bytes();
-    OsStr::from_bytes(bytes.split(|&byte| byte == b':').next().unwrap_or(bytes)).into()
+/// `$STATE_DIRECTORY`: systemd's, which names all that a unit has, the outermost first, with colons in between.
+fn state_dir() -> Option<PathBuf> {
+    variable("STATE_DIRECTORY").and_then(|dirs| env::split_paths(&dirs).next())
 }
 
 /// systemd's `$STATE_DIRECTORY` for the service, else the user's data directory.
 fn default_patterns() -> PatternsDir {
-    state_directory()
+    state_dir()
         .map(|dir| dir.join("patterns"))
         .or_else(|| variable("XDG_DATA_HOME").map(|dir| dir.join("meissner/patterns")))
         .or_else(|| variable("HOME").map(|dir| dir.join(".local/share/meissner/patterns")))
@@ -407,7 +400,7 @@ fn default_patterns() -> PatternsDir {
 
 /// Where the logbook is kept: without a directory in the service's; a person who tries something out leaves no record of it.
 fn keep(dir: Option<PathBuf>, days: u32) -> Option<Keep> {
-    let dir = dir.or_else(|| state_directory().map(|dir| dir.join("logbook")))?;
+    let dir = dir.or_else(|| state_dir().map(|dir| dir.join("logbook")))?;
     (days > 0).then_some(Keep { dir, days })
 }
 
@@ -423,13 +416,6 @@ mod tests {
 
     fn parse(text: &str) -> Result<Config, String> {
         Config::parse(text, Path::new("m.toml")).map_err(|error| error.to_string())
-    }
-
-    #[test]
-    fn of_several_state_directories_the_first_is_ours() {
-        for made in ["/var/lib/m", "/var/lib/m:/var/lib/m/patterns"] {
-            assert_eq!(first_of(Path::new(made)), Path::new("/var/lib/m"));
-        }
     }
 
     #[test]

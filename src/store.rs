@@ -63,7 +63,7 @@ pub enum StoreError {
     #[error("there is no pattern directory: set patterns_dir in the daemon's configuration")]
     NoDirectory,
     /// The disk or the permissions.
-    #[error("{}: {source}; see that it exists and the daemon may use it", .path.display())]
+    #[error("{}: {source}; see that it exists, that the disk has room and that the daemon may use it", .path.display())]
     Io {
         /// Where.
         path: PathBuf,

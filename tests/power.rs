@@ -155,19 +155,20 @@ fn text(name: &str, version: u32, padding: usize) -> String {
     format!("format = 1\nname = \"{name}\"\nduration_s = 1.0\n# version {version}\n# {padding}\n")
 }
 
-/// Uploads until the power fails, again and again, and looks each time at what is left. Says how many uploads were acknowledged.
-fn fail_again_and_again(seed: u64, rounds: u32) -> usize {
+/// Uploads until the power fails, again and again, and looks each time at what is left. Says how many uploads were acknowledged, and how
+/// many of them so long before that they had to be in the logbook.
+fn fail_again_and_again(seed: u64, rounds: u32) -> (usize, usize) {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let dir = tempfile::tempdir().unwrap();
     let (patterns, logbook) = (dir.path().join("patterns"), dir.path().join("logbook"));
     fs::create_dir(&patterns).unwrap();
     let mut stored: BTreeMap<String, String> = BTreeMap::new();
-    let (mut version, mut all) = (0, 0);
+    let (mut version, mut all, mut long_before) = (0, 0, 0);
     for round in 0..rounds {
         let daemon = Kept::start(dir.path(), "");
         let pid = Pid::from_child(&daemon.child);
         // Mostly while it starts or has just started; now and then so late that something has to be in the logbook.
-        let after = if round % 20 == 0 { 1050 + random.next_u64() % 300 } else { random.next_u64() % 150 };
+        let after = if round % 20 == 0 { 1200 + random.next_u64() % 300 } else { random.next_u64() % 150 };
         let mut acknowledged: Vec<(Instant, String)> = Vec::new();
         let mut on_its_way: Option<(String, String)> = None;
         let killed = thread::scope(|scope| {
@@ -221,20 +222,26 @@ fn fail_again_and_again(seed: u64, rounds: u32) -> usize {
             lines.iter().filter_map(|line| line["asked"]["sha256"].as_str()).collect();
         for (at, sha256) in acknowledged {
             let long_ago = killed.saturating_duration_since(at) > Duration::from_secs(1);
+            long_before += usize::from(long_ago);
             assert!(
                 !long_ago || written.contains(&*sha256),
                 "round {round}: an upload is not in the logbook"
             );
         }
     }
-    all
+    (all, long_before)
 }
 
 #[test]
 fn power_that_fails_at_any_moment_leaves_whole_patterns_and_whole_lines() {
     let lanes: Vec<_> = (0..2).map(|seed| thread::spawn(move || fail_again_and_again(seed, 100))).collect();
-    let acknowledged: usize = lanes.into_iter().map(|lane| lane.join().unwrap()).sum();
-    assert!(acknowledged > 200, "{acknowledged} uploads: too few to tell");
+    for lane in lanes {
+        let (all, long_before) = lane.join().unwrap();
+        eprintln!(
+            "{all} uploads were acknowledged, {long_before} of them more than a second before the power failed"
+        );
+        assert!(all > 100 && long_before > 0, "too few to tell: {all}, {long_before}");
+    }
 }
 
 /// A play goes to its end, an upload is refused in one line, and one line of the log says that there is no logbook.
@@ -335,4 +342,28 @@ fn the_logbook_tells_a_session_from_start_to_end() {
     assert!(plays[0].contains("play_id=1") && plays[0].contains("tick="), "{log}");
     let armed = log.lines().filter(|line| line.contains("arm, assuming rest, by ")).collect::<Vec<_>>();
     assert!(armed.len() == 1 && armed[0].contains(&format!("pid {pid})")), "{log}");
+}
+
+/// What an administrator may change of it while the daemon runs.
+#[test]
+fn a_reload_moves_the_logbook() {
+    let (dir, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    fs::create_dir(dir.path().join("patterns")).unwrap();
+    // Without a terminal to be closed a hang-up is a word to reload.
+    let mut daemon = Kept::start(dir.path(), "trap '' HUP;");
+    daemon.armed();
+    let file = dir.path().join("meissner.toml");
+    let logbook = |state: &Path| format!("logbook_dir = {:?}", state.join("logbook"));
+    let config = fs::read_to_string(&file).unwrap();
+    fs::write(&file, config.replace(&logbook(dir.path()), &logbook(other.path()))).unwrap();
+    kill_process(Pid::from_child(&daemon.child), Signal::HUP).unwrap();
+    daemon.wait_for_log("`logbook_dir` and `logbook_days` at once");
+    let _: Status = daemon.client().post("/v1/disarm", &json!({})).unwrap();
+    assert!(daemon.end().success());
+    let told = |state: &Path| -> Vec<String> {
+        let told = |line: &Value| line["command"].as_str().or(line["event"].as_str()).unwrap().to_owned();
+        lines(&state.join("logbook")).iter().map(told).collect()
+    };
+    assert_eq!(told(dir.path()), ["daemon-started", "connected", "arm"]);
+    assert_eq!(told(other.path())[..2], ["reloaded", "disarm"]);
 }

@@ -12,7 +12,8 @@ use crate::logbook::{Command, Logbook, Note, Users, Who};
 use crate::record::{Event, PlayState, Receipt};
 use crate::stream::ANOTHER_DEVICE;
 use crate::units::HostInstant;
-use jiff::{SignedDuration, Zoned};
+use jiff::tz::TimeZone;
+use jiff::{SignedDuration, Timestamp, Zoned};
 use serde::Serialize;
 use serde_json::Value;
 use std::fmt::Write;
@@ -21,11 +22,19 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use tracing::{debug, info, warn};
 
-/// Users' names, and whether one is being looked up.
-#[derive(Debug, Default)]
+/// What makes numbers readable: users' names, whether one is being looked up, and the time of the place.
+#[derive(Debug)]
 pub(super) struct Names {
     pub(super) users: Arc<Users>,
     asking: Arc<AtomicBool>,
+    /// As it was at the start: it is in a file.
+    zone: TimeZone,
+}
+
+impl Default for Names {
+    fn default() -> Self {
+        Self { users: Arc::default(), asking: Arc::default(), zone: TimeZone::system() }
+    }
 }
 
 impl Names {
@@ -121,7 +130,7 @@ impl Drop for Asked {
             (None, "ok") => "done".to_owned(),
             (None, _) => "they hung up before it was answered".to_owned(),
         };
-        // Of a play that was taken its end will tell; one that was refused has none.
+        // What comes of a play its own line tells at its end; refused ones may come by the thousand.
         if self.command.command == "play" {
             debug!(pid, uid, play_id = self.command.play, "{title} by {client}: {answer}");
         } else {
@@ -173,7 +182,8 @@ impl Engine {
         let by = who.map_or_else(|| "the daemon".to_owned(), |who| self.names.user(who.uid));
         let (id, pattern, cause) = (receipt.id, &*receipt.pattern, receipt.cause.as_deref());
         let (uid, tick) = (who.map(|who| who.uid), receipt.onset.map(|onset| onset.actual_tick));
-        let came_to = outcome(receipt, HostInstant::now(), &Zoned::now());
+        let came_to =
+            outcome(receipt, HostInstant::now(), &Timestamp::now().to_zoned(self.names.zone.clone()));
         info!(play_id = id, pattern, tick, cause, uid, "play {id} {pattern} by {by}: {came_to}");
     }
 }

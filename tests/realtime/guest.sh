@@ -129,6 +129,9 @@ first() {
 second() {
     local last what n at lost=0 acked=0 missing='' plays
     part="cut"
+    # For its patterns; the daemon shall not mend anything yet.
+    installed disk
+    systemctl stop meissner.service meissner.socket
     disk
     mount /dev/vda /mnt 2>out.log || fail "disk: $(cat out.log)"
     ok "disk: mounted; $(dmesg | grep -m 1 -o 'EXT4-fs (vda): .*recovery complete' || echo 'no recovery needed')"
@@ -155,9 +158,8 @@ second() {
     done
     ok "logbook: $(wc -l <book.jsonl) lines; $(grep -c '^kept play' /test/kept.txt) plays were answered, $(grep -c '"event":"ended"' book.jsonl) are in it, all but those of the last second"
     umount /mnt
-    mkdir -p /var/lib/meissner && mount /dev/vda /var/lib/meissner || fail "starts: mount"
-    installed starts
-    systemctl restart meissner.service
+    mount /dev/vda /var/lib/meissner || fail "starts: mount"
+    systemctl start meissner.socket meissner.service
     within 20 state_is disarmed || fail "starts: $(meissner status 2>&1 | head -n 1)"
     meissner list >out.log 2>&1 && grep -q site-1 out.log || fail "starts: the site's patterns are not listed"
     book | jq -es length >/dev/null || fail "starts: the logbook does not parse"
