@@ -113,6 +113,8 @@ done
 ok "install: active; $(ms "$from" "$to"), $(dpkg-query -W -f '${Version}, ${Installed-Size} kB' meissner)"
 ok "enabled: $(stat -c '%A %U %G' /run/meissner/meissner.sock), $(stat -c '%A %U %G' /var/lib/meissner), runs as $(ps -o user=,group=,supgrp= -p "$(pid)" | tr -s ' ')"
 usermod -aG haptics alice
+# Without rights to real time, on a machine that is busy with other things: what counts here is not time.
+sed -i 's/^lead_ms = .*/lead_ms = 300/; s/^lease_ms = .*/lease_ms = 9000/' /etc/meissner/meissner.toml
 systemctl restart meissner.service || fail "ready: restart"
 within 5 alice arm --assume-rest || fail "ready: arm: $(alice arm --assume-rest 2>&1)"
 alice play edge-45 --seconds 1 >out.log 2>&1 || fail "ready: play: $(line out.log)"
@@ -202,23 +204,23 @@ ok "streamer: that thread alone stopped, restarted after $(ms "$from" "$(now)")"
 part=reload
 was=$(pid) conf=/etc/meissner/meissner.toml
 cp -p $conf kept.toml
-sed -i 's/^lead_ms = .*/lead_ms = 80/' $conf
+sed -i 's/^lead_ms = .*/lead_ms = 200/' $conf
 systemctl reload meissner.service >out.log 2>&1 || fail "good: $(line out.log)"
 lead_is() { alice status --json | jq -e ".lead_ms == $1" >/dev/null; }
-within 3 lead_is 80 || fail "good: the lead is $(json status .lead_ms)"
+within 3 lead_is 200 || fail "good: the lead is $(json status .lead_ms)"
 [ "$(pid)" = "$was" ] || fail "good: another process"
-ok "good: the lead went from 100 to 80 ms, same process"
+ok "good: the lead went from 300 to 200 ms, same process"
 from=$(now)
 echo 'laed_ms = 5' >>$conf
 systemctl reload meissner.service >out.log 2>&1 && fail "bad: systemctl reload did not fail"
-systemctl is-active --quiet meissner.service && [ "$(pid)" = "$was" ] && lead_is 80 || fail "bad: it has changed something"
+systemctl is-active --quiet meissner.service && [ "$(pid)" = "$was" ] && lead_is 200 || fail "bad: it has changed something"
 why=$(since "${from%.*}" | grep -m 1 laed_ms) || fail "bad: the journal does not say why"
 kill -HUP "$was"
 sleep 0.5
-[ "$(pid)" = "$was" ] && lead_is 80 || fail "bad: SIGHUP changed something"
+[ "$(pid)" = "$was" ] && lead_is 200 || fail "bad: SIGHUP changed something"
 ok "bad: reload failed, the old one is kept: $why"
 cp -p kept.toml $conf
-systemctl reload meissner.service && within 3 lead_is 100 || fail "bad: a good one after it"
+systemctl reload meissner.service && within 3 lead_is 300 || fail "bad: a good one after it"
 
 part=upgrade
 was=$(pid)

@@ -61,10 +61,10 @@ first() {
     ok "policy: thread streamer: $policy"
     status=/proc/$pid/status
     [ "$(awk '/^VmLck/ { print ($2 > 1000) }' "$status")" = 1 ] || fail "memory: $(grep VmLck "$status")"
-    ok "memory: $(grep -E '^(VmLck|VmRSS)' $status | tr -s '\t ' ' ' | paste -sd,)"
+    ok "memory: $(grep -E '^(VmLck|VmRSS)' "$status" | tr -s '\t ' ' ' | paste -sd,)"
     [ "$(awk '/^Cap(Prm|Eff|Bnd|Amb)/ && $2 !~ /^0+$/' "$status")" = '' ] || fail "capabilities: $(grep ^Cap "$status")"
     [ "$(ps -o user= -p "$pid")" = meissner ] || fail "capabilities: runs as $(ps -o user= -p "$pid")"
-    ok "capabilities: user $(ps -o user=,group= -p "$pid" | tr -s ' '), $(grep -E '^(CapEff|CapBnd|NoNewPrivs|Seccomp):' $status | tr -s '\t ' ' ' | paste -sd,)"
+    ok "capabilities: user $(ps -o user=,group= -p "$pid" | tr -s ' '), $(grep -E '^(CapEff|CapBnd|NoNewPrivs|Seccomp):' "$status" | tr -s '\t ' ' ' | paste -sd,)"
     local sum try
     for try in 1 2 3; do
         arm play
