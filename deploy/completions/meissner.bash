@@ -231,7 +231,7 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__daemon)
-            opts="-h --config --device --socket --help"
+            opts="-h --config --check-config --device --socket --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -293,13 +293,17 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__doctor)
-            opts="-h --device --socket --json --help"
+            opts="-h --device --seconds --socket --json --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
             fi
             case "${prev}" in
                 --device)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --seconds)
                     COMPREPLY=($(compgen -f "${cur}"))
                     return 0
                     ;;

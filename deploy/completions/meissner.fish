@@ -55,61 +55,62 @@ complete -c meissner -n "__fish_meissner_using_subcommand demo" -l json -d 'One 
 complete -c meissner -n "__fish_meissner_using_subcommand demo" -s h -l help -d 'Print help'
 complete -c meissner -n "__fish_meissner_using_subcommand daemon" -l config -d 'Configuration file (TOML)' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand daemon" -l device -d 'auto, mock, pty, serial[:PATH|:SERIAL|:VID:PID[:SERIAL]] or usb[:SERIAL] [default: the configuration\'s, else auto]' -r
-complete -c meissner -n "__fish_meissner_using_subcommand daemon" -l socket -d 'The daemon\'s socket [default: $MEISSNER_SOCKET, else $XDG_RUNTIME_DIR/meissner.sock, else /run/meissner/meissner.sock]' -r -F
+complete -c meissner -n "__fish_meissner_using_subcommand daemon" -l socket -d 'Where clients connect [default: the configuration\'s, else $MEISSNER_SOCKET, else $XDG_RUNTIME_DIR/meissner.sock, else /run/meissner/meissner.sock]' -r -F
+complete -c meissner -n "__fish_meissner_using_subcommand daemon" -l check-config -d 'Only say whether the configuration is good; exit 1 if it is not'
 complete -c meissner -n "__fish_meissner_using_subcommand daemon" -s h -l help -d 'Print help'
 complete -c meissner -n "__fish_meissner_using_subcommand play" -l seconds -d 'Cuts it, or repeats it if it has a duration' -r
 complete -c meissner -n "__fish_meissner_using_subcommand play" -l at -d 'A tick of the device\'s clock, or so many ms after the order' -r
 complete -c meissner -n "__fish_meissner_using_subcommand play" -l late -d 'What to do when strokes come late' -r -f -a "drop\t'Drop them whole and go on'
 abort\t'End the play'"
-complete -c meissner -n "__fish_meissner_using_subcommand play" -l socket -d 'The daemon\'s socket [default: $MEISSNER_SOCKET, else $XDG_RUNTIME_DIR/meissner.sock, else /run/meissner/meissner.sock]' -r -F
+complete -c meissner -n "__fish_meissner_using_subcommand play" -l socket -d 'The daemon\'s socket [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand play" -l replace -d 'Stop what runs and clear the queue first'
 complete -c meissner -n "__fish_meissner_using_subcommand play" -l open-loop -d 'No corrections from telemetry'
 complete -c meissner -n "__fish_meissner_using_subcommand play" -l wait -d 'Wait for its end and sum it up; exit 1 if not all was played. Ctrl-C ends the waiting (exit 130), not the play'
 complete -c meissner -n "__fish_meissner_using_subcommand play" -l json -d 'One JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand play" -s h -l help -d 'Print help (see more with \'--help\')'
-complete -c meissner -n "__fish_meissner_using_subcommand stop" -l socket -d 'The daemon\'s socket [default: $MEISSNER_SOCKET, else $XDG_RUNTIME_DIR/meissner.sock, else /run/meissner/meissner.sock]' -r -F
+complete -c meissner -n "__fish_meissner_using_subcommand stop" -l socket -d 'The daemon\'s socket [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand stop" -l json -d 'One JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand stop" -s h -l help -d 'Print help'
-complete -c meissner -n "__fish_meissner_using_subcommand estop" -l socket -d 'The daemon\'s socket [default: $MEISSNER_SOCKET, else $XDG_RUNTIME_DIR/meissner.sock, else /run/meissner/meissner.sock]' -r -F
+complete -c meissner -n "__fish_meissner_using_subcommand estop" -l socket -d 'The daemon\'s socket [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand estop" -l json -d 'One JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand estop" -s h -l help -d 'Print help'
-complete -c meissner -n "__fish_meissner_using_subcommand reset" -l socket -d 'The daemon\'s socket [default: $MEISSNER_SOCKET, else $XDG_RUNTIME_DIR/meissner.sock, else /run/meissner/meissner.sock]' -r -F
+complete -c meissner -n "__fish_meissner_using_subcommand reset" -l socket -d 'The daemon\'s socket [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand reset" -l json -d 'One JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand reset" -s h -l help -d 'Print help'
-complete -c meissner -n "__fish_meissner_using_subcommand arm" -l socket -d 'The daemon\'s socket [default: $MEISSNER_SOCKET, else $XDG_RUNTIME_DIR/meissner.sock, else /run/meissner/meissner.sock]' -r -F
+complete -c meissner -n "__fish_meissner_using_subcommand arm" -l socket -d 'The daemon\'s socket [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand arm" -l assume-rest -d 'Take every pin as being at rest: only after looking'
 complete -c meissner -n "__fish_meissner_using_subcommand arm" -l json -d 'One JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand arm" -s h -l help -d 'Print help'
-complete -c meissner -n "__fish_meissner_using_subcommand disarm" -l socket -d 'The daemon\'s socket [default: $MEISSNER_SOCKET, else $XDG_RUNTIME_DIR/meissner.sock, else /run/meissner/meissner.sock]' -r -F
+complete -c meissner -n "__fish_meissner_using_subcommand disarm" -l socket -d 'The daemon\'s socket [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand disarm" -l json -d 'One JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand disarm" -s h -l help -d 'Print help'
-complete -c meissner -n "__fish_meissner_using_subcommand home" -l socket -d 'The daemon\'s socket [default: $MEISSNER_SOCKET, else $XDG_RUNTIME_DIR/meissner.sock, else /run/meissner/meissner.sock]' -r -F
+complete -c meissner -n "__fish_meissner_using_subcommand home" -l socket -d 'The daemon\'s socket [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand home" -l json -d 'One JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand home" -s h -l help -d 'Print help'
 complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -l motor -d 'One motor, 0 to 23; without it, all' -r
 complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -l repetitions -d 'How often each number of pulses is played, half a minute each [default: 2]' -r
 complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -l pulses -d 'Numbers of pulses, 7 to 200, 3 s each [default: 14,28,42,56,70,84,98,112,126,140]' -r
 complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -s o -l out -d 'Write the calibration\'s file here, too' -r -F
-complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -l socket -d 'The daemon\'s socket [default: $MEISSNER_SOCKET, else $XDG_RUNTIME_DIR/meissner.sock, else /run/meissner/meissner.sock]' -r -F
+complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -l socket -d 'The daemon\'s socket [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -l json -d 'One JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -s h -l help -d 'Print help'
-complete -c meissner -n "__fish_meissner_using_subcommand list" -l socket -d 'The daemon\'s socket [default: $MEISSNER_SOCKET, else $XDG_RUNTIME_DIR/meissner.sock, else /run/meissner/meissner.sock]' -r -F
+complete -c meissner -n "__fish_meissner_using_subcommand list" -l socket -d 'The daemon\'s socket [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand list" -l json -d 'One JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand list" -s h -l help -d 'Print help'
-complete -c meissner -n "__fish_meissner_using_subcommand show" -l socket -d 'The daemon\'s socket [default: $MEISSNER_SOCKET, else $XDG_RUNTIME_DIR/meissner.sock, else /run/meissner/meissner.sock]' -r -F
+complete -c meissner -n "__fish_meissner_using_subcommand show" -l socket -d 'The daemon\'s socket [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand show" -l json -d 'One JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand show" -s h -l help -d 'Print help'
-complete -c meissner -n "__fish_meissner_using_subcommand import" -l socket -d 'The daemon\'s socket [default: $MEISSNER_SOCKET, else $XDG_RUNTIME_DIR/meissner.sock, else /run/meissner/meissner.sock]' -r -F
+complete -c meissner -n "__fish_meissner_using_subcommand import" -l socket -d 'The daemon\'s socket [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand import" -l json -d 'One JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand import" -s h -l help -d 'Print help'
-complete -c meissner -n "__fish_meissner_using_subcommand status" -l socket -d 'The daemon\'s socket [default: $MEISSNER_SOCKET, else $XDG_RUNTIME_DIR/meissner.sock, else /run/meissner/meissner.sock]' -r -F
+complete -c meissner -n "__fish_meissner_using_subcommand status" -l socket -d 'The daemon\'s socket [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand status" -l watch -d 'Again at every change'
 complete -c meissner -n "__fish_meissner_using_subcommand status" -l json -d 'One JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand status" -s h -l help -d 'Print help'
-complete -c meissner -n "__fish_meissner_using_subcommand events" -l socket -d 'The daemon\'s socket [default: $MEISSNER_SOCKET, else $XDG_RUNTIME_DIR/meissner.sock, else /run/meissner/meissner.sock]' -r -F
+complete -c meissner -n "__fish_meissner_using_subcommand events" -l socket -d 'The daemon\'s socket [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand events" -l json -d 'One JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand events" -s h -l help -d 'Print help'
-complete -c meissner -n "__fish_meissner_using_subcommand receipt" -l socket -d 'The daemon\'s socket [default: $MEISSNER_SOCKET, else $XDG_RUNTIME_DIR/meissner.sock, else /run/meissner/meissner.sock]' -r -F
+complete -c meissner -n "__fish_meissner_using_subcommand receipt" -l socket -d 'The daemon\'s socket [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand receipt" -l json -d 'One JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand receipt" -s h -l help -d 'Print help'
 complete -c meissner -n "__fish_meissner_using_subcommand motor" -l frequency-hz -d 'Its frequency' -r
@@ -146,7 +147,8 @@ complete -c meissner -n "__fish_meissner_using_subcommand report" -l out -d 'Whe
 complete -c meissner -n "__fish_meissner_using_subcommand report" -l json -d 'One JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand report" -s h -l help -d 'Print help'
 complete -c meissner -n "__fish_meissner_using_subcommand doctor" -l device -d 'Which device, as for `daemon`; without it, the daemon\'s, else the first board' -r
-complete -c meissner -n "__fish_meissner_using_subcommand doctor" -l socket -d 'The daemon\'s socket [default: $MEISSNER_SOCKET, else $XDG_RUNTIME_DIR/meissner.sock, else /run/meissner/meissner.sock]' -r -F
+complete -c meissner -n "__fish_meissner_using_subcommand doctor" -l seconds -d 'How long wake-ups are measured, 0.1 to 3600: the longer, the rarer the stalls it sees' -r
+complete -c meissner -n "__fish_meissner_using_subcommand doctor" -l socket -d 'The daemon\'s socket [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand doctor" -l json -d 'One JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand doctor" -s h -l help -d 'Print help'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play stop estop reset arm disarm home calibrate list show import status events receipt motor simulate optimise tradeoff report doctor help" -f -a "demo" -d 'Daemon, simulated device and client in one process: plays a shipped edge and sums it up'
