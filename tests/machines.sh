@@ -116,7 +116,7 @@ boot() {
     timeout --foreground "$1" qemu-system-x86_64 -accel tcg,thread=multi -cpu max -m 1500 -smp 2 -nic none \
         -nographic -no-reboot -kernel "$2" -initrd "$3" "${@:5}" \
         -append "console=ttyS0 quiet loglevel=3 systemd.show_status=false systemd.unit=$4 panic=-1" </dev/null 2>&1 |
-        tr -d '\r' | sed -u 's/\x1b\][^\x1b\a]*\(\x1b\\\|\a\)//g; s/\x1b[c7]//g; s/\x1b\[[0-9;?!]*[A-Za-z]//g'
+        sed -u 's/\r//g; s/\x1b\][^\x1b\a]*\(\x1b\\\|\a\)//g; s/\x1b[c7]//g; s/\x1b\[[0-9;?!]*[A-Za-z]//g'
 }
 
 # Judged by what was seen, in the console's log: a step that was not run has failed. judge LOG STEP...
