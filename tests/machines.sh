@@ -94,7 +94,7 @@ program() { strip -o "$2" "$1" 2>/dev/null || cp "$1" "$2"; }
 package() {
     # A version that is known to do it. Without optimisation: in a fresh clone it is compiled more often than used. It packs
     # with xz.
-    local version=3.8.0 tools=$PWD/target/tools said=$2.log
+    local version=3.8.0 tools=$PWD/target/tools said=$2.log quiet=()
     if [ "$("$tools/bin/cargo-deb" --version 2>/dev/null)" != "cargo-deb $version" ]; then
         say "building cargo-deb (some minutes, once)"
         cargo install cargo-deb --version $version --locked --quiet --debug --no-default-features --force \
@@ -105,7 +105,9 @@ package() {
     need dpkg-dev dpkg-shlibdeps
     say "building the package"
     cargo build --profile "$1" --locked --quiet || die "meissner does not build"
-    "$tools/bin/cargo-deb" --no-build --strip --no-dbgsym --profile "$1" -o "$2" >/dev/null 2>"$said" ||
+    # Of `dev` it says that nobody should get such a package. Nobody does.
+    [ "$1" != dev ] || quiet=(--quiet)
+    "$tools/bin/cargo-deb" --no-build "${quiet[@]}" --strip --no-dbgsym --profile "$1" -o "$2" >/dev/null 2>"$said" ||
         die "cargo deb: $(<"$said")"
     # It warns of nothing that is meant so.
     [ ! -s "$said" ] || die "cargo deb: $(<"$said")"
