@@ -307,7 +307,7 @@ impl File {
         let device = match asked.parse::<Spec>() {
             Ok(device) => device,
             Err(error) => {
-                let message = format!("device `{asked}`: {error}");
+                let message = format!("device `{}`: {error}", asked.escape_debug());
                 return Err(ConfigError::Text { file: file.to_owned(), line: None, message });
             }
         };
@@ -318,6 +318,14 @@ impl File {
             ("logbook_dir", &self.logbook_dir),
         ];
         for (key, path) in paths {
+            let odd = path
+                .as_ref()
+                .and_then(|path| path.to_str())
+                .is_some_and(|path| path.contains(char::is_control));
+            if odd {
+                let message = format!("`{key}` holds a control character: name a path without");
+                return Err(ConfigError::Text { file: file.to_owned(), line: None, message });
+            }
             if path.as_ref().is_some_and(|path| path.as_os_str().is_empty()) {
                 let message = format!("`{key}` is empty: name one, or leave the key out");
                 return Err(ConfigError::Text { file: file.to_owned(), line: None, message });

@@ -4,6 +4,8 @@ use meissner::client::{Client, Events};
 use meissner::record::{Event, PlayState};
 use rustix::process::Signal;
 use serde_json::{Value, json};
+use std::io::{Read, Write};
+use std::os::unix::net::UnixStream;
 use std::thread;
 use std::time::Duration;
 
@@ -177,6 +179,8 @@ fn every_error_is_a_problem() {
     assert_eq!(problem(client.get("/v1/plays/99")).code, "not-found");
     assert_eq!(problem(client.put("/v1/status", String::new())).code, "method-not-allowed");
     assert_eq!(problem(client.put("/v1/patterns/x", "#".repeat(MAX_BODY + 1))).code, "too-large");
+    let long = json!({"pattern": "x".repeat(20_000)});
+    assert_eq!(problem(client.post("/v1/play", &long)).code, "too-large", "a command is small");
     let refused = problem(client.post("/v1/play", &json!({"patern": "edge-45"})));
     assert!(refused.code == "bad-request" && refused.detail.contains("did you mean `pattern`?"));
     let refused = problem(client.post("/v1/play", &json!({"pattern": "edge-45", "seconds": -1})));
@@ -268,4 +272,19 @@ fn without_telemetry_a_receipt_says_that_nobody_measured() {
     assert_eq!(receipt["felt_unknown"], "the device has no telemetry");
     let text = crate::harness::printed(daemon.meissner().arg("receipt"));
     assert!(text.contains("felt        not known: the device has no telemetry"), "{text}");
+}
+
+#[test]
+fn an_emergency_stop_that_comes_in_pieces_is_answered() {
+    let daemon = Daemon::start();
+    daemon.armed();
+    let mut stream = UnixStream::connect(daemon.socket()).unwrap();
+    stream.set_read_timeout(PATIENCE).unwrap();
+    let mut say = |text: &[u8]| stream.write_all(text).unwrap();
+    say(b"POST /v1/estop HTTP/1.1\r\nHost: m\r\nConnection: close\r\nContent-Length: 2\r\n\r\n");
+    thread::sleep(Duration::from_millis(30));
+    say(b"{}");
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    assert!(answer.starts_with("HTTP/1.1 200") && answer.contains("\"faulted\""), "{answer}");
 }

@@ -105,6 +105,8 @@ fn a_client_that_dawdles_costs_no_sign_of_life() {
     let daemon = manager.start(Some(Duration::from_millis(200)));
     manager.hear_until(|word| word == "READY=1");
     let mut slow = std::os::unix::net::UnixStream::connect(daemon.socket()).unwrap();
+    // Less than the daemon would wait for the rest of the request, if it waited.
+    manager.socket.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
     slow.write_all(b"POST /v1/play HTTP/1.1\r\nHost: m\r\nContent-Length: 999\r\n\r\n{").unwrap();
     for _ in 0..5 {
         manager.hear_until(|word| word == "WATCHDOG=1");
@@ -220,6 +222,10 @@ fn a_configuration_is_checked_without_a_daemon() {
     for (text, says) in [
         ("laed_ms = 50\n", "m.toml:1: unknown key `laed_ms`"),
         ("patterns_dir = \"/nonexistent/patterns\"\n", "m.toml: `patterns_dir`: /nonexistent/patterns"),
+        ("logbook_dir = \"/nonexistent/a/b\"\n", "m.toml: `logbook_dir`: /nonexistent/a/b: neither it nor"),
+        (&format!("socket = \"/{}\"\n", "x".repeat(200)), "at most 107 bytes"),
+        ("device = \"ua\\nrt\"\n", "device `ua\\nrt`"),
+        ("socket = \"/a\\u0000\"\n", "`socket` holds a control character"),
     ] {
         std::fs::write(&file, text).unwrap();
         let line = complaint(&mut check());

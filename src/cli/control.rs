@@ -8,12 +8,13 @@
 use super::progress::Progress;
 use super::{Onset, Plain, Play, give, text};
 use crate::api::{ArmRequest, PlayRequest, Played, Status};
-use crate::client::{Client, Events, HOME_PATIENCE, escape};
+use crate::client::{Client, ClientError, Events, HOME_PATIENCE, escape};
 use crate::daemon;
 use crate::record::{Event, Receipt};
-use anyhow::{Result, bail};
+use anyhow::{Result, anyhow, bail};
 use serde_json::{Value, json};
 use std::io::{self, Write};
+use std::path::PathBuf;
 use std::process::{self, ExitCode};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -26,12 +27,58 @@ const FELT_PATIENCE: Duration = Duration::from_secs(1);
 
 pub(super) fn command(plain: &Plain, name: &str) -> Result<ExitCode> {
     let status: Status = plain.client()?.post(&format!("/v1/{name}"), &json!({}))?;
-    stands(plain, &status, name == "estop")
+    stands(plain, &status)
+}
+
+/// Goes to every daemon that may be meant, at once: whoever asks has no time to say which.
+pub(super) fn estop(plain: &Plain) -> Result<ExitCode> {
+    let place = plain.place();
+    let sockets: Vec<PathBuf> = std::iter::once(place.socket.clone()).chain(place.other.clone()).collect();
+    let ask = |socket: &PathBuf| {
+        let socket = socket.clone();
+        thread::spawn(move || Client::new(&socket)?.post::<Status>("/v1/estop", &json!({})))
+    };
+    let asked: Vec<_> = sockets.iter().map(ask).collect();
+    let mut stopped = Vec::new();
+    let mut failed = Vec::new();
+    for (socket, asked) in sockets.iter().zip(asked) {
+        match asked.join().map_err(|_| anyhow!("internal error: the e-stop's thread has ended"))? {
+            Ok(status) => stopped.push((socket, status)),
+            Err(error) => failed.push(error),
+        }
+    }
+    // Nobody there, or nobody whose device we may move.
+    let absent =
+        |error: &ClientError| matches!(error, ClientError::NoDaemon { .. } | ClientError::Denied { .. });
+    let Some((_, first)) = stopped.first() else {
+        let telling = failed.iter().position(|error| !absent(error)).unwrap_or(0);
+        return Err(match failed.swap_remove(telling) {
+            ClientError::NoDaemon { source, .. } => ClientError::NoDaemon { place, source },
+            error => error,
+        }
+        .into());
+    };
+    let line = |(socket, status): &(&PathBuf, Status)| {
+        let at = if stopped.len() > 1 { format!("{}: ", socket.display()) } else { String::new() };
+        let state = text::state(status);
+        if status.is_connected() {
+            return format!("{at}{state}");
+        }
+        format!(
+            "{at}{state}\nno device is connected, so no line was put low: cut the supply if pins move, and see `meissner \
+             status`"
+        )
+    };
+    give(plain.output.json, first, || stopped.iter().map(line).collect::<Vec<_>>().join("\n"))?;
+    match failed.into_iter().find(|error| !absent(error)) {
+        Some(error) => Err(error.into()),
+        None => Ok(ExitCode::SUCCESS),
+    }
 }
 
 pub(super) fn home(plain: &Plain) -> Result<ExitCode> {
     let status: Status = plain.client()?.post_within(HOME_PATIENCE, "/v1/home", &json!({}))?;
-    stands(plain, &status, false)
+    stands(plain, &status)
 }
 
 pub(super) fn arm(plain: &Plain, assume_rest: bool) -> Result<ExitCode> {
@@ -39,18 +86,11 @@ pub(super) fn arm(plain: &Plain, assume_rest: bool) -> Result<ExitCode> {
     if !matches!(status.state.as_str(), "armed" | "returning") {
         bail!("not armed: {} ({}); see `meissner status` and the daemon's log", status.state, status.cause);
     }
-    stands(plain, &status, false)
+    stands(plain, &status)
 }
 
-fn stands(plain: &Plain, status: &Status, estop: bool) -> Result<ExitCode> {
-    let text = || match text::state(status) {
-        state if estop && !status.is_connected() => format!(
-            "{state}\nno device is connected, so no line was put low: cut the supply if pins move, and see \
-             `meissner status`"
-        ),
-        state => state,
-    };
-    give(plain.output.json, status, text)?;
+fn stands(plain: &Plain, status: &Status) -> Result<ExitCode> {
+    give(plain.output.json, status, || text::state(status))?;
     Ok(ExitCode::SUCCESS)
 }
 

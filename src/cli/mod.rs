@@ -23,11 +23,10 @@ mod watch;
 
 use crate::api::Late;
 use crate::client::{Client, Place};
-use crate::config::{Config, PatternsDir, Source};
+use crate::config::Source;
 use crate::daemon::{self, Daemon, DaemonError, Ended, Signals};
 use crate::device::Spec;
 use crate::log;
-use crate::store::StoreError;
 use anyhow::{Result, anyhow};
 use clap::{Args, CommandFactory, Parser, Subcommand, ValueEnum};
 use serde::Serialize;
@@ -207,8 +206,11 @@ struct Output {
 
 impl Plain {
     fn client(&self) -> Result<Client> {
-        let place = self.socket.as_deref().map_or_else(Place::find, Place::at);
-        Ok(Client::at(place)?)
+        Ok(Client::at(self.place())?)
+    }
+
+    fn place(&self) -> Place {
+        self.socket.as_deref().map_or_else(Place::find, Place::at)
     }
 }
 
@@ -300,7 +302,7 @@ fn run(command: Command) -> Result<ExitCode> {
         }
         Command::Play(play) => control::play(&play),
         Command::Stop(plain) => control::command(&plain, "stop"),
-        Command::Estop(plain) => control::command(&plain, "estop"),
+        Command::Estop(plain) => control::estop(&plain),
         Command::Reset(plain) => control::command(&plain, "reset"),
         Command::Arm { assume_rest, plain } => control::arm(&plain, assume_rest),
         Command::Disarm(plain) => control::command(&plain, "disarm"),
@@ -330,24 +332,24 @@ const START_AGAIN: u8 = 75;
 
 fn serve(source: Source) -> Result<ExitCode> {
     let config = source.read()?;
-    let ended = daemon::runtime()?.block_on(async {
+    let runtime = daemon::runtime()?;
+    let ended = runtime.block_on(async {
         let signals = Signals::new()?;
-        let daemon = Daemon::start(&config).map_err(|error| match error {
-            DaemonError::Store(error) => store_error(&source, &config, error),
-            error => error.into(),
-        })?;
+        let daemon = Daemon::start(&config).map_err(|error| named(&source, error))?;
         anyhow::Ok(daemon.run(signals, Some(source)).await?)
-    })?;
-    Ok(match ended {
+    });
+    // What hangs in a disk is not waited for.
+    runtime.shutdown_background();
+    Ok(match ended? {
         Ended::Told => ExitCode::SUCCESS,
         Ended::Replaced => ExitCode::from(START_AGAIN),
     })
 }
 
-/// What the daemon would refuse of the configuration, and nothing more.
+/// What a daemon would refuse of the configuration, or complain of.
 fn check_config(source: &Source) -> Result<ExitCode> {
     let config = source.read()?;
-    daemon::store(&config).map_err(|error| store_error(source, &config, error))?;
+    daemon::check(&config).map_err(|error| named(source, error))?;
     match &source.file {
         Some(file) => say(&format!("{}: good", file.display()))?,
         None => say("no file was named with --config: every key has its default, which is good")?,
@@ -355,12 +357,13 @@ fn check_config(source: &Source) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-fn store_error(source: &Source, config: &Config, error: StoreError) -> anyhow::Error {
-    match &source.file {
-        Some(file) if matches!(config.patterns, PatternsDir::Configured(_)) => {
-            anyhow!("{}: `patterns_dir`: {error}", file.display())
+/// With the file in which it has to be mended.
+fn named(source: &Source, error: DaemonError) -> anyhow::Error {
+    match (&source.file, error) {
+        (Some(file), error @ (DaemonError::Store(_) | DaemonError::Logbook { .. })) => {
+            anyhow!("{}: {error}", file.display())
         }
-        _ => DaemonError::Store(error).into(),
+        (_, error) => error.into(),
     }
 }
 

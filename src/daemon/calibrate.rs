@@ -273,6 +273,7 @@ impl Engine {
         inner.publish(&event);
         drop(inner);
         self.log(&event);
+        self.stirred.notify_one();
     }
 }
 

@@ -18,19 +18,20 @@ use crate::device::Device;
 use crate::device::mock::Truth;
 use crate::logbook::{Entry, Logbook, Who};
 use crate::pattern::Pattern;
-use crate::record::{Event, FeltRecord, Receipt, Recorder, Travels, Unfelt};
+use crate::record::{Event, FeltRecord, Receipt, Recorder, Travels, Unfelt, state_name};
 use crate::store::Stored;
 use crate::stream::port::{At, Job, Order, Orders, Play, Refused};
 use crate::stream::{Gains, Need, Realtime, Settings};
 use crate::strokes::Strokes;
 use crate::units::HostInstant;
+use firmware_protocol::message::State;
 use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
 use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
-use tokio::sync::{broadcast, oneshot, watch};
+use tokio::sync::{Notify, broadcast, oneshot, watch};
 use tracing::{error, warn};
 
 /// Events a listener may be behind.
@@ -49,7 +50,7 @@ pub(super) type Reply = oneshot::Receiver<Result<(), Refused>>;
 
 /// A call that waits for its answer.
 #[derive(Debug)]
-struct Ticket {
+pub(super) struct Ticket {
     replies: Vec<oneshot::Sender<Result<(), Refused>>>,
     given: HostInstant,
     play: Option<u64>,
@@ -57,7 +58,7 @@ struct Ticket {
 
 #[derive(Debug)]
 pub(super) struct Inner {
-    /// As the streamer goes by them from the next `arm` on.
+    /// As the streamer goes by them.
     pub(super) settings: Settings,
     /// Where the calibration is kept.
     pub(super) calibration_file: Option<PathBuf>,
@@ -81,7 +82,7 @@ pub(super) struct Inner {
     last_ticket: u64,
     last_estop: u64,
     last_play: u64,
-    waiting: HashMap<u64, Ticket>,
+    pub(super) waiting: HashMap<u64, Ticket>,
     pub(super) truth: Option<Arc<Truth>>,
     pub(super) connector: Option<crossbeam_channel::Sender<Word>>,
     /// Why the device was lost, if none has answered since: told once.
@@ -93,6 +94,8 @@ pub(super) struct Inner {
     pub(super) closing: bool,
     /// Motors were to be armed, on whatever device there was.
     armed_once: bool,
+    /// Settings that a reload has brought while motors were armed: gone by from the next `arm` on.
+    next_settings: Settings,
 }
 
 /// See the module.
@@ -102,6 +105,10 @@ pub(super) struct Engine {
     pub(super) wanted: String,
     /// Whether a device has answered or could not be opened: what clients ask before they get no good answer to.
     settled: watch::Sender<bool>,
+    /// Something that no notice tells of has changed.
+    pub(super) stirred: Notify,
+    /// Another program is to take this one's place, and nobody is at it.
+    pub(super) replaced: Notify,
     /// What the system granted the streamer.
     pub(super) realtime: Realtime,
     pub(super) names: Names,
@@ -139,9 +146,19 @@ impl Engine {
             events: Some(broadcast::channel(EVENTS).0),
             closing: false,
             armed_once: false,
+            next_settings: settings,
         };
         let (settled, realtime) = (watch::channel(false).0, Realtime::default());
-        Self { wanted, settled, realtime, names: Names::default(), inner: Mutex::new(inner) }
+        let (stirred, replaced) = (Notify::new(), Notify::new());
+        Self {
+            wanted,
+            settled,
+            stirred,
+            replaced,
+            realtime,
+            names: Names::default(),
+            inner: Mutex::new(inner),
+        }
     }
 
     /// As granted by the system.
@@ -321,6 +338,27 @@ impl Engine {
         self.lock().send(job, play)
     }
 
+    /// Takes no orders any more and has the daemon end, unless somebody has just ordered something.
+    pub(super) fn make_way(&self) {
+        let mut inner = self.lock();
+        if inner.is_spare() && !inner.closing {
+            inner.closing = true;
+            self.replaced.notify_one();
+        }
+    }
+
+    /// Goes by these settings, from the next `arm` on if motors are armed; gives the order back if too many wait.
+    pub(super) fn configure(&self, settings: Settings) -> Result<(), Order> {
+        let mut inner = self.lock();
+        let job = Job::Configure(settings);
+        inner.orders.send(Order { ticket: 0, given: HostInstant::now(), job })?;
+        inner.next_settings = settings;
+        if !inner.is_armed() {
+            inner.settings = settings;
+        }
+        Ok(())
+    }
+
     /// Refuses further orders and has pins returned and motors switched off.
     pub(super) async fn shut_down(&self) {
         let reply = self.send(Job::Shutdown, None);
@@ -363,7 +401,7 @@ impl Engine {
 impl Inner {
     fn send(&mut self, job: Job, play: Option<u64>) -> Result<Reply, Problem> {
         // An emergency stop is passed on whatever else is going on.
-        if self.closing && !matches!(job, Job::EStop) {
+        if self.closing && !matches!(job, Job::EStop | Job::Shutdown) {
             return Err(Problem::new(Code::ShuttingDown, "the daemon is ending: start it again"));
         }
         self.last_ticket += 1;
@@ -371,7 +409,12 @@ impl Inner {
         self.forget(given);
         let (reply, receiver) = oneshot::channel();
         let estop = matches!(job, Job::EStop);
-        self.armed_once |= matches!(job, Job::Arm { .. });
+        if matches!(job, Job::Arm { .. }) {
+            self.armed_once = true;
+            if !self.is_armed() {
+                self.settings = self.next_settings;
+            }
+        }
         if self.orders.send(Order { ticket, given, job }).is_err() {
             if estop {
                 // Only another emergency stop can have taken the last place: its answer is for both.
@@ -390,6 +433,11 @@ impl Inner {
         }
         self.waiting.insert(ticket, Ticket { replies: vec![reply], given, play });
         Ok(receiver)
+    }
+
+    fn is_armed(&self) -> bool {
+        let state = self.recorder.standing().0;
+        state == state_name(State::Armed) || state == state_name(State::Returning)
     }
 
     pub(super) fn publish(&self, event: &Event) {

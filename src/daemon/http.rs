@@ -41,6 +41,10 @@ use tokio_stream::wrappers::errors::BroadcastStreamRecvError;
 const HOME_PATIENCE: Duration = Duration::from_secs(25);
 /// How long a request's body may take.
 const BODY_PATIENCE: Duration = Duration::from_secs(10);
+/// Bytes of a command's body, at the most.
+const MAX_COMMAND: usize = 16 << 10;
+/// How long an emergency stop's body is waited for, when all is done.
+const ESTOP_BODY: Duration = Duration::from_millis(100);
 /// What is read of a body that is too large, so that its sender comes to read the answer.
 const SWALLOWED: usize = 32 << 20;
 
@@ -153,8 +157,13 @@ async fn no_method(method: Method, uri: Uri) -> Reply {
     ))
 }
 
+/// A command's body. It is understood on the runtime's only thread: it must be small.
+async fn read(body: Body) -> Answer<Vec<u8>> {
+    read_within(MAX_COMMAND, body).await
+}
+
 /// The whole body, within its bounds.
-async fn read(mut body: Body) -> Answer<Vec<u8>> {
+async fn read_within(most: usize, mut body: Body) -> Answer<Vec<u8>> {
     let collect = async {
         let (mut bytes, mut length) = (Vec::new(), 0);
         while let Some(frame) = body.frame().await {
@@ -162,14 +171,14 @@ async fn read(mut body: Body) -> Answer<Vec<u8>> {
                 .map_err(|error| Problem::new(Code::BadRequest, format!("the body broke off: {error}")))?;
             let data = frame.into_data().unwrap_or_default();
             length += data.len();
-            if length <= MAX_BODY {
+            if length <= most {
                 bytes.extend_from_slice(&data);
             } else if length > SWALLOWED {
                 break;
             }
         }
-        if length > MAX_BODY {
-            let detail = format!("the body is larger than {MAX_BODY} bytes: send less");
+        if length > most {
+            let detail = format!("the body is larger than {most} bytes: send less");
             return Err(Problem::new(Code::TooLarge, detail));
         }
         Ok(bytes)
@@ -267,9 +276,12 @@ async fn stop(State(app): State<App>, Extension(peer): Extension<Who>, body: Bod
 }
 
 /// Whatever its body holds: this is no moment to argue.
-async fn estop(State(app): State<App>, Extension(peer): Extension<Who>) -> Answer<Json<Status>> {
+async fn estop(State(app): State<App>, Extension(peer): Extension<Who>, body: Body) -> Answer<Json<Status>> {
     let asked = Asked::new(&app.engine, "estop", peer);
-    asked.outcome(carry_out(&app, Job::EStop, PATIENCE).await)
+    let outcome = carry_out(&app, Job::EStop, PATIENCE).await;
+    // Afterwards: a client that sends it by itself must not find that nobody takes it.
+    let _ = tokio::time::timeout(ESTOP_BODY, read(body)).await;
+    asked.outcome(outcome)
 }
 
 async fn reset(State(app): State<App>, Extension(peer): Extension<Who>, body: Body) -> Answer<Json<Status>> {
@@ -329,7 +341,7 @@ async fn import(
         let shown: String = name.chars().take(100).collect();
         asked.call(format!("import of {shown:?}"));
         asked.with(&json!({"name": shown}));
-        let text = String::from_utf8(read(body).await?)
+        let text = String::from_utf8(read_within(MAX_BODY, body).await?)
             .map_err(|_| Problem::new(Code::BadPattern, "not UTF-8 text: write patterns as TOML in UTF-8"))?;
         let (stored, new) = beside(move || app.shelf.store().put(&name, &text)).await??;
         let Stored { pattern, sha256, .. } = stored;

@@ -26,7 +26,7 @@ pub use socket::SocketError;
 
 use crate::config::{Config, PatternsDir, Source};
 use crate::device::mock::Truth;
-use crate::logbook::{Logbook, Note};
+use crate::logbook::{Keep, Logbook, Note};
 use crate::store::{Store, StoreError};
 use crate::stream::port::Notices;
 use crate::stream::{self, Realtime};
@@ -37,6 +37,7 @@ use http::{App, Shelf};
 use service::{Manager, Teller, Word as News};
 use socket::Bound;
 use std::io;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
@@ -59,8 +60,14 @@ pub enum DaemonError {
     #[error(transparent)]
     Socket(#[from] SocketError),
     /// The library or the configured directory.
-    #[error("patterns: {0}")]
+    #[error("`patterns_dir`: {0}")]
     Store(#[from] StoreError),
+    /// No directory for the logbook.
+    #[error("`logbook_dir`: {}: neither it nor the directory above it is one: make one, or name another", .dir.display())]
+    Logbook {
+        /// Which.
+        dir: PathBuf,
+    },
     /// Descriptors or threads.
     #[error("the system gives no {what}: {source}")]
     System {
@@ -156,11 +163,26 @@ pub fn runtime() -> Result<Runtime, DaemonError> {
     builder.enable_all().max_blocking_threads(DISK_THREADS).build().map_err(system("event queue"))
 }
 
+/// Whether a daemon could go by a configuration: its patterns, or what it would refuse or complain of.
+///
+/// # Errors
+/// The first of that.
+pub fn check(config: &Config) -> Result<Store, DaemonError> {
+    socket::check(&config.socket)?;
+    if let Some(Keep { dir, .. }) = &config.logbook {
+        let above = dir.parent().filter(|above| !above.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        if !dir.is_dir() && (dir.exists() || !above.is_dir()) {
+            return Err(DaemonError::Logbook { dir: dir.clone() });
+        }
+    }
+    Ok(store(config)?)
+}
+
 /// The patterns a configuration names.
 ///
 /// # Errors
 /// If they cannot be read.
-pub fn store(config: &Config) -> Result<Store, StoreError> {
+fn store(config: &Config) -> Result<Store, StoreError> {
     let (dir, make_dir) = match &config.patterns {
         PatternsDir::Configured(dir) => (Some(dir.clone()), false),
         PatternsDir::Default(dir) => (Some(dir.clone()), true),
@@ -228,13 +250,12 @@ impl Daemon {
     /// # Errors
     /// If the system fails, or the streamer ended by itself.
     pub async fn run(self, mut signals: Signals, source: Option<Source>) -> Result<Ended, DaemonError> {
-        let Self { mut config, bound, engine, shelf, notices, feeler, streamer, connector, .. } = self;
+        let Self { config, bound, engine, shelf, notices, feeler, streamer, connector, .. } = self;
         let listener =
             bound.listener.try_clone().and_then(UnixListener::from_std).map_err(system("socket"))?;
         let manager = Manager::find().map_err(system("thread"))?;
         let (close, closing) = watch::channel(false);
-        let (replaced, mut newer) = oneshot::channel();
-        let teller = Teller::new(manager.clone(), replaced);
+        let teller = Teller::new(manager.clone());
         let mut pump = tokio::spawn(Arc::clone(&engine).pump(notices, feeler, teller));
         let watchdog = tokio::spawn(service::watchdog(manager.clone(), Arc::clone(&engine)));
         let mut streamer = ended(streamer).map_err(system("thread"))?;
@@ -242,24 +263,21 @@ impl Daemon {
         engine.settled().await;
         let router = http::router(App { engine: Arc::clone(&engine), shelf: shelf.clone() });
         let server = tokio::spawn(server::serve(listener, Arc::clone(&engine), router, closing));
+        let reloads =
+            source.map(|source| reload::spawn(source, config, Arc::clone(&engine), shelf, manager.clone()));
+        let reloads = reloads.transpose()?;
         manager.tell(News::Ready);
         let result = loop {
             tokio::select! {
-                told = signals.next() => match (told, &source) {
-                    (Told::Reload, Some(source)) => {
-                        manager.tell(News::Reloading);
-                        let (source, engine, shelf) = (source.clone(), Arc::clone(&engine), shelf.clone());
-                        let reload = move || {
-                            reload::reload(&source, &mut config, &engine, &shelf);
-                            config
-                        };
-                        config = tokio::task::spawn_blocking(reload).await.map_err(io::Error::other).map_err(system("thread"))?;
-                        manager.tell(News::Ready);
-                    }
+                told = signals.next() => match (told, &reloads) {
+                    // If one waits already it will be this one, too.
+                    (Told::Reload, Some(reloads)) => drop(reloads.try_send(())),
                     _ => break Ok(Ended::Told),
                 },
-                Ok(()) = &mut newer => {
+                () = engine.replaced.notified() => {
                     info!("another version was installed and nobody is armed: starting it");
+                    // Whoever comes now waits in the socket for the new one.
+                    let _ = close.send(true);
                     break Ok(Ended::Replaced);
                 }
                 _ = &mut streamer => break Err(DaemonError::Streamer),
@@ -283,8 +301,15 @@ impl Daemon {
         drop(bound);
         let book = engine.lock().book.clone();
         book.note(Note::DaemonEnded { problem: result.as_ref().err().map(ToString::to_string) });
-        // It has said itself what became of it; and at this point there is nobody left to be held up.
-        let _ = tokio::task::spawn_blocking(move || book.close(CLOSING)).await;
+        let (sender, closed) = oneshot::channel();
+        let last = move || {
+            book.close(CLOSING);
+            let _ = sender.send(());
+        };
+        // A thread of its own: all those for the disk may hang in it. It says itself what became of the book.
+        if thread::Builder::new().name("close".into()).spawn(last).is_ok() {
+            let _ = closed.await;
+        }
         result
     }
 }

@@ -18,43 +18,26 @@ use serde::Serialize;
 use serde_json::Value;
 use std::fmt::Write;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread;
 use tracing::{debug, info, warn};
 
-/// What makes numbers readable: users' names, whether one is being looked up, and the time of the place.
+/// Characters of a refusal's reason, at the most.
+const MOST_OF_A_DETAIL: usize = 500;
+
+/// What makes numbers readable: users' names, and the time of the place.
 #[derive(Debug)]
 pub(super) struct Names {
     pub(super) users: Arc<Users>,
-    asking: Arc<AtomicBool>,
     /// As it was at the start: it is in a file.
     zone: TimeZone,
 }
 
 impl Default for Names {
     fn default() -> Self {
-        Self { users: Arc::default(), asking: Arc::default(), zone: TimeZone::system() }
+        Self { users: Arc::default(), zone: TimeZone::system() }
     }
 }
 
 impl Names {
-    /// Has a user's name looked up, if it is not known: one at a time, the others keep their numbers until they come again.
-    pub(super) fn look_up(&self, uid: u32) {
-        if uid == u32::MAX || self.users.known(uid).is_some() || self.asking.swap(true, Ordering::Relaxed) {
-            return;
-        }
-        let (users, asking) = (Arc::clone(&self.users), Arc::clone(&self.asking));
-        let work = move || {
-            // Kept where everybody finds it.
-            let _ = users.name(uid);
-            asking.store(false, Ordering::Relaxed);
-        };
-        // A thread of its own: a directory service that hangs must hold up neither the disk's threads nor the daemon's end.
-        if thread::Builder::new().name("names".into()).spawn(work).is_err() {
-            self.asking.store(false, Ordering::Relaxed);
-        }
-    }
-
     /// A user as far as is known at once.
     fn user(&self, uid: u32) -> String {
         match self.users.known(uid).flatten() {
@@ -116,7 +99,8 @@ impl Asked {
     pub(super) fn outcome<T, E: AsRef<Problem>>(mut self, outcome: Result<T, E>) -> Result<T, E> {
         let problem = outcome.as_ref().err().map(AsRef::as_ref);
         self.command.answer = problem.map_or_else(|| "ok".to_owned(), |problem| problem.code.clone());
-        self.command.detail = problem.map(|problem| problem.detail.clone());
+        // It may repeat what it was asked for.
+        self.command.detail = problem.map(|problem| problem.detail.chars().take(MOST_OF_A_DETAIL).collect());
         outcome
     }
 }
@@ -229,6 +213,7 @@ mod tests {
     use crate::stream::Settings;
     use crate::stream::port::{Bursts, port};
     use std::fs;
+    use std::thread;
     use std::time::Duration;
 
     #[test]
@@ -277,7 +262,7 @@ mod tests {
         let names = Names::default();
         let root = Who { pid: 7, uid: 0 };
         assert_eq!((names.client(root), names.user(0)), ("uid 0 (pid 7)".to_owned(), "uid 0".to_owned()));
-        names.look_up(0);
+        names.users.look_up(0);
         while names.users.known(0).is_none() {
             thread::yield_now();
         }

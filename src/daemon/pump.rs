@@ -44,6 +44,7 @@ impl Engine {
             };
             tokio::select! {
                 ready = bell.readable() => ready?.clear_ready(),
+                () = self.stirred.notified() => {}
                 () = wait => {}
             }
             // Silenced before it is drained: what comes in between rings again.

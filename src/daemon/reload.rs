@@ -1,26 +1,50 @@
 //! A configuration that is read while the daemon runs: what of it is taken, from when on, and what is not.
 //!
-//! Patterns' directory and the logbook at once; the streamer's settings from the next `arm` on; where the calibration is kept from the next connection on.
+//! Patterns' directory and the logbook at once; the streamer's settings from the next `arm` on; the calibration is stored in its new
+//! place from now on, and read there at the next connection.
 //! The device, the socket and the mock stay what they are until the daemon is started again.
 //!
 //! Invariant: a configuration that would have been refused at the start changes nothing.
 
 use super::engine::Engine;
 use super::http::Shelf;
-use super::store;
+use super::service::{Manager, Word};
+use super::{DaemonError, check, system};
 use crate::config::{Config, Source};
 use crate::logbook::Note;
-use crate::stream::port::{Job, Order};
-use crate::units::HostInstant;
+use crossbeam_channel::{Sender, bounded};
 use std::sync::Arc;
+use std::thread;
 use std::time::Duration;
 use tracing::{info, warn};
 
 /// How long the logbook's old place may take for what it has still to write.
 const PATIENCE: Duration = Duration::from_secs(2);
 
+/// Starts the thread on which configurations are read, as often as it is told to: it may wait for the disk for as long as that
+/// takes, and nobody waits for it.
+pub(super) fn spawn(
+    source: Source,
+    mut running: Config,
+    engine: Arc<Engine>,
+    shelf: Shelf,
+    manager: Manager,
+) -> Result<Sender<()>, DaemonError> {
+    // One that waits is as good as two.
+    let (again, told) = bounded(1);
+    let work = move || {
+        for () in told {
+            manager.tell(Word::Reloading);
+            reload(&source, &mut running, &engine, &shelf);
+            manager.tell(Word::Ready);
+        }
+    };
+    thread::Builder::new().name("reload".into()).spawn(work).map_err(system("thread"))?;
+    Ok(again)
+}
+
 /// Reads the source and takes over what can be; `running` is what is gone by, before and after. Waits for the disk.
-pub(super) fn reload(source: &Source, running: &mut Config, engine: &Engine, shelf: &Shelf) {
+fn reload(source: &Source, running: &mut Config, engine: &Engine, shelf: &Shelf) {
     let mut taken = Vec::new();
     let problem = take(source, running, engine, shelf, &mut taken).err();
     if let Some(problem) = &problem {
@@ -40,8 +64,9 @@ fn take(
 ) -> Result<(), String> {
     const STAYS: &str = "the configuration stays as it was";
     let new = source.read().map_err(|error| format!("{error}; {STAYS}"))?;
+    let store = check(&new).map_err(|error| format!("{error}; {STAYS}"))?;
     if new.patterns != running.patterns {
-        shelf.replace(store(&new).map_err(|error| format!("`patterns_dir`: {error}; {STAYS}"))?);
+        shelf.replace(store);
         running.patterns.clone_from(&new.patterns);
         taken.push("`patterns_dir` at once");
     }
@@ -54,7 +79,7 @@ fn take(
     if new.calibration != running.calibration {
         engine.keep_calibration_at(new.calibration.clone());
         running.calibration.clone_from(&new.calibration);
-        taken.push("`calibration` from the next connection on");
+        taken.push("`calibration` for what is stored, and read at the next connection");
     }
     if new.logbook != running.logbook {
         let (book, users) = (engine.lock().book.clone(), Arc::clone(&engine.names.users));
@@ -81,15 +106,6 @@ fn take(
 }
 
 impl Engine {
-    /// Goes by these settings from the next `arm` on; gives the order back if too many wait.
-    fn configure(&self, settings: crate::stream::Settings) -> Result<(), Order> {
-        let mut inner = self.lock();
-        let job = Job::Configure(settings);
-        inner.orders.send(Order { ticket: 0, given: HostInstant::now(), job })?;
-        inner.settings = settings;
-        Ok(())
-    }
-
     fn keep_calibration_at(&self, file: Option<std::path::PathBuf>) {
         self.lock().calibration_file = file;
     }

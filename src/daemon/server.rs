@@ -29,7 +29,9 @@ use tracing::{debug, warn};
 
 /// How long a client may take to send a request's head.
 const IDLE: Duration = Duration::from_secs(30);
-/// How long one that is turned away may take to hear it.
+/// How long one that is turned away may take to say what it wants, so that its place is soon free for an emergency stop.
+const HASTE: Duration = Duration::from_millis(100);
+/// How long it may take to hear the answer.
 const FAREWELL: Duration = Duration::from_secs(2);
 /// Clients beyond the bound that are told so at the same time.
 const TURNED_AWAY: usize = 16;
@@ -55,7 +57,7 @@ pub(super) async fn serve(
         match accepted {
             Ok((stream, _)) if clients.len() < MAX_CLIENTS => {
                 let peer = peer(&stream);
-                engine.names.look_up(peer.uid);
+                engine.names.users.look_up(peer.uid);
                 clients.spawn(attend(stream, peer, router.clone(), closing.clone()));
             }
             Ok((stream, _)) if turned_away.len() < TURNED_AWAY => {
@@ -96,7 +98,7 @@ async fn attend(stream: UnixStream, peer: Who, router: Router, mut closing: watc
     }
 }
 
-/// Says that there is no place. An emergency stop needs none.
+/// Says that there is no place. An emergency stop needs none of them.
 async fn turn_away(stream: UnixStream, router: Router) {
     let peer = peer(&stream);
     let service = service_fn(async |mut request: Request<Incoming>| {
@@ -109,7 +111,7 @@ async fn turn_away(stream: UnixStream, router: Router) {
         Ok::<_, Infallible>(http::Reply(Problem::new(Code::TooManyClients, detail)).into_response())
     });
     let mut http = http1::Builder::new();
-    http.keep_alive(false);
+    http.keep_alive(false).timer(TokioTimer::new()).header_read_timeout(HASTE);
     // However it ends, it was not a client.
     let _ = tokio::time::timeout(FAREWELL, http.serve_connection(TokioIo::new(stream), service)).await;
 }

@@ -10,13 +10,12 @@ use super::engine::Engine;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use sd_notify::NotifyState;
 use std::io;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::Duration;
-use tokio::sync::oneshot;
 use tracing::warn;
 
-/// Words that wait. A manager that takes none is told no more.
+/// Words that wait. A manager that takes none is told no more; signs of life leave half of the room to the others.
 const WORDS: usize = 64;
 /// Looks per watchdog interval: a turn may be seen one look late, and a sign of life may wait for the machine.
 const LOOKS: u32 = 4;
@@ -25,14 +24,22 @@ const LOOKS: u32 = 4;
 pub(super) enum Word {
     Ready,
     Reloading,
-    Status(String),
+    /// The one that waits beside.
+    Status,
     Alive,
     Stopping,
 }
 
 /// The manager, or nobody.
 #[derive(Clone, Debug)]
-pub(super) struct Manager(Option<Sender<Word>>);
+pub(super) struct Manager(Option<Line>);
+
+#[derive(Clone, Debug)]
+struct Line {
+    words: Sender<Word>,
+    /// The newest status, if it waits: one that is older is of no use to anybody.
+    status: Arc<Mutex<Option<String>>>,
+}
 
 impl Manager {
     /// The one this process was started by.
@@ -41,8 +48,10 @@ impl Manager {
             return Ok(Self(None));
         }
         let (sender, words) = bounded(WORDS);
-        thread::Builder::new().name("manager".into()).spawn(move || pass_on(&words))?;
-        Ok(Self(Some(sender)))
+        let status = Arc::new(Mutex::new(None));
+        let line = Line { words: sender, status: Arc::clone(&status) };
+        thread::Builder::new().name("manager".into()).spawn(move || pass_on(&words, &status))?;
+        Ok(Self(Some(line)))
     }
 
     pub(super) const fn is_there(&self) -> bool {
@@ -50,8 +59,16 @@ impl Manager {
     }
 
     pub(super) fn tell(&self, word: Word) {
-        if let Some(words) = &self.0 {
+        let Some(Line { words, .. }) = &self.0 else { return };
+        if word != Word::Alive || words.len() < WORDS / 2 {
             let _ = words.try_send(word);
+        }
+    }
+
+    fn tell_status(&self, text: String) {
+        let Some(Line { status, .. }) = &self.0 else { return };
+        if status.lock().unwrap_or_else(PoisonError::into_inner).replace(text).is_none() {
+            self.tell(Word::Status);
         }
     }
 }
@@ -61,39 +78,41 @@ impl Manager {
 pub(super) struct Teller {
     manager: Manager,
     said: String,
-    replaced: Option<oneshot::Sender<()>>,
 }
 
 impl Teller {
-    /// `replaced` hears that a newer program is installed, once nobody would miss this one for a moment.
-    pub(super) const fn new(manager: Manager, replaced: oneshot::Sender<()>) -> Self {
-        Self { manager, said: String::new(), replaced: Some(replaced) }
+    pub(super) const fn new(manager: Manager) -> Self {
+        Self { manager, said: String::new() }
     }
 
+    /// Something has changed: the manager may have to hear of it, or to start a newer program, if nobody misses this one for a moment.
     pub(super) fn look(&mut self, engine: &Engine) {
         if !self.manager.is_there() {
             return;
         }
-        let line = engine.line();
-        if line == self.said {
-            return;
+        // A line of its protocol ends a value.
+        let line = engine.line().replace(char::is_control, " ");
+        if line != self.said {
+            self.said.clone_from(&line);
+            self.manager.tell_status(line);
         }
-        self.said.clone_from(&line);
-        self.manager.tell(Word::Status(line));
         if engine.is_spare() && is_replaced() {
-            let _ = self.replaced.take().map(|replaced| replaced.send(()));
+            engine.make_way();
         }
     }
 }
 
-fn pass_on(words: &Receiver<Word>) {
+fn pass_on(words: &Receiver<Word>, status: &Mutex<Option<String>>) {
     let mut deaf = false;
     for word in words {
         let told = match &word {
             Word::Ready => sd_notify::notify(&[NotifyState::Ready]),
             Word::Reloading => NotifyState::monotonic_usec_now()
                 .and_then(|now| sd_notify::notify(&[NotifyState::Reloading, now])),
-            Word::Status(text) => sd_notify::notify(&[NotifyState::Status(text)]),
+            Word::Status => {
+                let text = status.lock().unwrap_or_else(PoisonError::into_inner).take().unwrap_or_default();
+                sd_notify::notify(&[NotifyState::Status(&text)])
+            }
             Word::Alive => sd_notify::notify(&[NotifyState::Watchdog]),
             Word::Stopping => sd_notify::notify(&[NotifyState::Stopping]),
         };
@@ -146,7 +165,8 @@ mod tests {
         let runtime = crate::daemon::runtime().unwrap();
         runtime.block_on(async {
             let every = Duration::from_millis(2);
-            let watching = tokio::spawn(watch(Manager(Some(sender)), engine, every));
+            let line = Line { words: sender, status: Arc::default() };
+            let watching = tokio::spawn(watch(Manager(Some(line)), engine, every));
             tokio::time::sleep(every * 20).await;
             assert!(words.is_empty(), "the streamer stood still");
             port.silence();

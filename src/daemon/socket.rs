@@ -9,6 +9,7 @@
 use crate::client::MAX_SOCKET_PATH;
 use listenfd::ListenFd;
 use rustix::fs::{FlockOperation, flock};
+use rustix::net::sockopt::socket_acceptconn;
 use std::fs::{self, File, OpenOptions, Permissions};
 use std::io::{self, Read, Write};
 use std::os::unix::fs::{FileTypeExt, MetadataExt, OpenOptionsExt, PermissionsExt};
@@ -42,6 +43,14 @@ pub enum SocketError {
         /// Where.
         socket: PathBuf,
     },
+    /// What the service manager handed over.
+    #[error(
+        "the service manager handed over what is no listening Unix socket: {source}; see ListenStream= in meissner.socket"
+    )]
+    HandedOver {
+        /// What is odd about it.
+        source: io::Error,
+    },
     /// The directory or the permissions.
     #[error("{}: {source}; see that its directory exists and may be written to, or choose another with --socket", .path.display())]
     Io {
@@ -71,12 +80,15 @@ impl Bound {
     /// The socket at which the service manager listens for this process, if it does: whoever connects starts the daemon, and
     /// mode, group and removal are the manager's.
     pub(super) fn take_over(wanted: &Path) -> Result<Option<Self>, SocketError> {
-        let wrong = |source| SocketError::Io { path: wanted.to_owned(), source };
+        let wrong = |source| SocketError::HandedOver { source };
         let Some(listener) = ListenFd::from_env().take_unix_listener(0).map_err(wrong)? else {
             return Ok(None);
         };
+        if !socket_acceptconn(&listener).map_err(io::Error::from).map_err(wrong)? {
+            return Err(wrong(io::Error::other("nobody listens at it")));
+        }
         let address = listener.local_addr().map_err(wrong)?;
-        let socket = address.as_pathname().unwrap_or(wanted).to_owned();
+        let socket = address.as_pathname().unwrap_or(Path::new("a socket without a file")).to_owned();
         if socket != wanted {
             warn!(
                 "the service manager listens at {}: `socket` in the configuration is not gone by",
@@ -93,9 +105,7 @@ impl Bound {
     }
 
     pub(super) fn new(socket: &Path) -> Result<Self, SocketError> {
-        if socket.as_os_str().len() > MAX_SOCKET_PATH {
-            return Err(SocketError::TooLong { socket: socket.to_owned() });
-        }
+        check(socket)?;
         let lock = lock(socket)?;
         clear(socket)?;
         let wrong = |source| SocketError::Io { path: socket.to_owned(), source };
@@ -121,6 +131,14 @@ impl Drop for Bound {
 /// Device and inode.
 fn identity(path: &Path) -> Option<(u64, u64)> {
     fs::symlink_metadata(path).ok().map(|found| (found.dev(), found.ino()))
+}
+
+/// Whether a socket can be there at all.
+pub(super) fn check(socket: &Path) -> Result<(), SocketError> {
+    if socket.as_os_str().len() > MAX_SOCKET_PATH {
+        return Err(SocketError::TooLong { socket: socket.to_owned() });
+    }
+    Ok(())
 }
 
 fn lock(socket: &Path) -> Result<File, SocketError> {

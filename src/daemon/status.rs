@@ -2,7 +2,7 @@
 //!
 //! Invariant: it is read under one lock, so that its parts belong together.
 
-use super::engine::Engine;
+use super::engine::{Engine, Inner};
 use crate::api::{MotorStatus, Status, Waiting};
 use crate::record::{NO_DEVICE, state_name};
 use crate::units::HostInstant;
@@ -75,11 +75,17 @@ impl Engine {
         line
     }
 
-    /// Nothing is played, waits or is armed: nobody misses the daemon for a moment.
+    /// Whether nobody misses the daemon for a moment.
     pub(super) fn is_spare(&self) -> bool {
-        let inner = self.lock();
-        let state = inner.recorder.standing().0;
+        self.lock().is_spare()
+    }
+}
+
+impl Inner {
+    /// Nothing is played, waits or is armed, and no order for it is on its way.
+    pub(super) fn is_spare(&self) -> bool {
+        let state = self.recorder.standing().0;
         let off = state == NO_DEVICE || state == state_name(State::Disarmed);
-        off && inner.recorder.is_idle() && inner.calibrating.is_none()
+        off && self.recorder.is_idle() && self.calibrating.is_none() && self.waiting.is_empty()
     }
 }

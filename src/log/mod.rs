@@ -15,6 +15,7 @@ use std::env;
 use std::io::{self, IsTerminal, Write};
 use std::path::Path;
 use tracing::warn;
+use tracing_subscriber::fmt::format;
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 use tracing_subscriber::{EnvFilter, Layer};
@@ -39,6 +40,11 @@ pub fn start(level: &str) {
             .log_internal_errors(false)
             .with_ansi(io::stderr().is_terminal())
             .with_target(false)
+            // Messages read alone; what their fields say again is for who seeks in the journal.
+            .fmt_fields(format::debug_fn(|out, field, value| match field.name() {
+                "message" => write!(out, "{value:?}"),
+                _ => Ok(()),
+            }))
     };
     let lines = journal.map_or_else(|| text().boxed(), Layer::boxed);
     tracing_subscriber::registry().with(filter).with(lines).init();
@@ -66,7 +72,11 @@ impl Write for Stderr {
         let now = Timespec { tv_sec: 0, tv_nsec: 0 };
         if poll(&mut ready, Some(&now)).is_ok() && ready[0].revents() == PollFlags::OUT {
             // A pipe that is ready takes so many without waiting.
-            let _ = stderr.lock().write_all(&line[..line.len().min(ATOMIC)]);
+            let (line, rest) = line.split_at(line.len().min(ATOMIC - 1));
+            let mut stderr = stderr.lock();
+            let _ = stderr
+                .write_all(line)
+                .and_then(|()| if rest.is_empty() { Ok(()) } else { stderr.write_all(b"\n") });
         }
         Ok(line.len())
     }

@@ -87,6 +87,8 @@ pub(super) struct Book {
     open: Option<Open>,
     /// Entries that no line has told of yet.
     missing: u64,
+    /// Lines that are not durable yet.
+    unsynced: u64,
     /// The disk fails: until then it is left alone.
     failing: Option<Instant>,
     /// When the first line that is not durable has to be.
@@ -95,7 +97,16 @@ pub(super) struct Book {
 
 impl Book {
     pub(super) fn new(keep: Keep) -> Self {
-        Self { keep, zone: None, disk: Disk::REAL, open: None, missing: 0, failing: None, due: None }
+        Self {
+            keep,
+            zone: None,
+            disk: Disk::REAL,
+            open: None,
+            missing: 0,
+            unsynced: 0,
+            failing: None,
+            due: None,
+        }
     }
 
     #[cfg(test)]
@@ -138,10 +149,12 @@ impl Book {
         let Some(open) = &self.open else { return };
         if let Err(source) = (self.disk.sync)(&open.file) {
             let failure = Failure { path: open.path.clone(), source };
-            // What the system has of it is not to be relied on.
+            // What the system has of them is not to be relied on.
             self.open = None;
+            self.missing += self.unsynced;
             self.fail(&failure);
         }
+        self.unsynced = 0;
     }
 
     /// What comes from now on is kept there; what was missing is told there.
@@ -197,6 +210,7 @@ impl Book {
         match bytes.and_then(|bytes| whole(append, &mut open.file, &bytes)) {
             Ok(written) => {
                 open.length += written;
+                self.unsynced += 1;
                 self.due.get_or_insert_with(|| Instant::now() + SYNC_AFTER);
                 Ok(())
             }
@@ -257,7 +271,7 @@ fn open(dir: &Path, day: Date) -> Result<(Open, u64), Failure> {
         Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
         Err(error) => return Err(at(dir)(error)),
     }
-    let kept = File::open(dir).map_err(at(dir))?;
+    let kept = open_dir(dir)?;
     // Not every file system can lock.
     if flock(&kept, FlockOperation::NonBlockingLockExclusive) == Err(Errno::WOULDBLOCK) {
         let busy = io::Error::other("another daemon writes its logbook there: give each its own");
@@ -288,5 +302,11 @@ fn open(dir: &Path, day: Date) -> Result<(Open, u64), Failure> {
 
 fn sync_dir(dir: &Path) -> Result<(), Failure> {
     let dir = if dir.as_os_str().is_empty() { Path::new(".") } else { dir };
-    File::open(dir).and_then(|opened| opened.sync_all()).map_err(at(dir))
+    open_dir(dir)?.sync_all().map_err(at(dir))
+}
+
+/// Of what is no directory nobody waits for a writer.
+fn open_dir(dir: &Path) -> Result<File, Failure> {
+    let flags = (OFlags::DIRECTORY | OFlags::NONBLOCK).bits().cast_signed();
+    OpenOptions::new().read(true).custom_flags(flags).open(dir).map_err(at(dir))
 }

@@ -61,10 +61,9 @@ pub(super) fn remove_old(dir: &Path, today: Date, days: u32) -> io::Result<()> {
     let from = newest.min(today);
     // A subtraction that leads out of all years keeps everything.
     let Ok(oldest) = from.checked_sub(jiff::Span::new().days(days)) else { return Ok(()) };
-    for day in found.into_iter().filter(|day| (FIRST..oldest).contains(day)) {
-        fs::remove_file(dir.join(name(day)))?;
-    }
-    Ok(())
+    let old = found.into_iter().filter(|day| (FIRST..oldest).contains(day));
+    // One that cannot be removed keeps none of the others.
+    old.map(|day| fs::remove_file(dir.join(name(day)))).fold(Ok(()), Result::and)
 }
 
 #[cfg(test)]
@@ -110,6 +109,17 @@ mod tests {
         assert_eq!(left(&all, date(2026, 11, 22), 30), set(&all), "and back");
         assert_eq!(left(&all, date(1970, 1, 1), 30), set(&all), "and to where clocks begin");
         assert_eq!(left(&["2026-11-22.jsonl"], date(2026, 11, 22), 1), set(&["2026-11-22.jsonl"]));
+    }
+
+    #[test]
+    fn what_cannot_be_removed_keeps_nothing_else() {
+        let dir = tempfile::tempdir().unwrap();
+        fs::create_dir(dir.path().join("2026-10-01.jsonl")).unwrap();
+        for file in ["2026-09-30.jsonl", "2026-10-02.jsonl", "2026-11-21.jsonl"] {
+            fs::write(dir.path().join(file), "").unwrap();
+        }
+        assert!(remove_old(dir.path(), date(2026, 11, 22), 2).is_err());
+        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 2);
     }
 
     #[test]

@@ -80,7 +80,7 @@ pub enum Note {
     Reloaded {
         /// The keys whose values are new.
         changed: Vec<String>,
-        /// Why nothing was changed; null if it was.
+        /// What was not taken, and why; null if everything was.
         problem: Option<String>,
     },
     /// Somebody asked for something.

@@ -28,6 +28,8 @@ use std::thread;
 use std::time::{Duration, Instant};
 use tracing::warn;
 
+/// How long an entry waits for the name of its user. A directory that takes longer is not waited for again: it may hang.
+const NAMED_WITHIN: Duration = Duration::from_millis(200);
 /// Entries that may wait for the disk: more than a session has in a minute.
 pub const WAITING: usize = 1024;
 
@@ -169,7 +171,8 @@ impl Logbook {
 }
 
 /// The thread: takes entries until nobody can hand in more.
-fn write_all(mut book: Book, queue: &Receiver<Word>, users: &Users) {
+fn write_all(mut book: Book, queue: &Receiver<Word>, users: &Arc<Users>) {
+    let mut slow = false;
     loop {
         let word = match book.due() {
             // Idle costs nothing.
@@ -180,11 +183,7 @@ fn write_all(mut book: Book, queue: &Receiver<Word>, users: &Users) {
             Ok(Word::Move(keep)) => book.turn_page(keep),
             Ok(Word::Entry { stamp, missed, mut entry }) => {
                 if let Some(uid) = entry.nameless() {
-                    if users.known(uid).is_none() {
-                        // A directory service may take its time; what is written shall not wait for it.
-                        book.sync();
-                    }
-                    entry.give_name(users.name(uid));
+                    entry.give_name(name(users, uid, &mut slow));
                 }
                 book.write(stamp, missed, &entry);
             }
@@ -196,6 +195,20 @@ fn write_all(mut book: Book, queue: &Receiver<Word>, users: &Users) {
         }
     }
     book.finish();
+}
+
+/// A user's name, if it is known soon.
+fn name(users: &Arc<Users>, uid: u32, slow: &mut bool) -> Option<String> {
+    let until = Instant::now() + NAMED_WITHIN;
+    loop {
+        users.look_up(uid);
+        match users.known(uid) {
+            Some(known) => return known,
+            None if *slow => return None,
+            None => *slow = Instant::now() >= until,
+        }
+        thread::sleep(Duration::from_millis(1));
+    }
 }
 
 #[cfg(test)]

@@ -340,3 +340,30 @@ fn none_keeps_nothing() {
     log.note(started());
     log.close(Duration::ZERO);
 }
+
+#[test]
+fn lines_that_were_not_made_durable_are_counted_as_missing() {
+    const DEAF: Disk =
+        Disk { append: |file, bytes| file.write(bytes), sync: |_| Err(io::Error::from_raw_os_error(5)) };
+    let dir = tempfile::tempdir().unwrap();
+    let mut book = book(dir.path(), DEAF);
+    let log = log_of(|| {
+        for second in 1..=3 {
+            book.write(stamp("2026-11-22T13:03:22Z", second), 0, &started());
+        }
+        book.sync();
+        book.finish();
+    });
+    assert!(log[0].contains("cannot be written"), "{log:?}");
+    assert!(log[1].contains("3 entries are missing at the end"), "{log:?}");
+}
+
+#[test]
+fn a_pipe_in_the_directorys_place_is_a_line_and_hangs_nobody() {
+    let dir = tempfile::tempdir().unwrap();
+    let pipe = dir.path().join("logbook");
+    rustix::fs::mknodat(rustix::fs::CWD, &pipe, rustix::fs::FileType::Fifo, 0o600.into(), 0).unwrap();
+    let mut book = book(dir.path(), REAL);
+    let log = log_of(|| book.write(stamp("2026-11-22T13:03:22Z", 1), 0, &started()));
+    assert!(log[0].contains("Not a directory"), "{log:?}");
+}
