@@ -44,6 +44,8 @@ mod layers;
 mod lead;
 /// The library: made again byte for byte, and worth what it says.
 mod library;
+/// The manual pages and completions in `deploy` are what the command line makes of itself today.
+mod manual;
 /// The motor model and the plant against the reference figures.
 mod models;
 /// `optimise`: files and documents, budgets, interruptions, mistakes.

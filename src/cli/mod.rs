@@ -28,7 +28,7 @@ use crate::daemon::{self, Daemon, DaemonError, Ended, Signals};
 use crate::device::Spec;
 use crate::log;
 use anyhow::{Result, anyhow};
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{Args, CommandFactory, Parser, Subcommand, ValueEnum};
 use serde::Serialize;
 use std::io::{self, BufWriter, Write};
 use std::path::PathBuf;
@@ -265,6 +265,12 @@ impl From<Policy> for Late {
     }
 }
 
+/// All commands and their flags, as clap knows them: what manual pages and shell completions are made from.
+#[must_use]
+pub fn command() -> clap::Command {
+    Cli::command()
+}
+
 /// Runs the program.
 #[must_use]
 pub fn main() -> ExitCode {
@@ -385,11 +391,10 @@ fn say_json(document: &impl Serialize) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::CommandFactory;
 
     #[test]
     fn the_command_line_is_consistent() {
-        Cli::command().debug_assert();
+        command().debug_assert();
     }
 
     #[test]

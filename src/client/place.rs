@@ -11,8 +11,13 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 /// Where systemd has units.
-const UNITS: [&str; 4] =
-    ["etc/systemd/system", "run/systemd/system", "usr/lib/systemd/system", "lib/systemd/system"];
+const UNITS: [&str; 5] = [
+    "etc/systemd/system",
+    "run/systemd/system",
+    "usr/local/lib/systemd/system",
+    "usr/lib/systemd/system",
+    "lib/systemd/system",
+];
 
 /// Where a daemon is looked for.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -88,7 +88,7 @@ over() {
     echo "== $device"
 
     # As somebody who may use boards and nothing else. What it finds of the machine is not judged here.
-    setpriv --reuid nobody --regid nogroup --groups dialout meissner doctor --device "$device" >out.log 2>&1
+    setpriv --reuid nobody --regid nogroup --groups haptics meissner doctor --device "$device" >out.log 2>&1
     line=$(grep 'round trip' out.log) || fail "doctor: $(tail -n 3 out.log)"
     ok "doctor: ${line#*round trip }"
     grep -E '(device|line|drift) ' out.log | sed 's/^/      /'
@@ -153,6 +153,7 @@ over() {
 echo
 ok "guest: Debian $(cat /etc/debian_version), Linux $(uname -r), $(nproc) processors"
 modprobe -a vhci_hcd cdc_acm || fail "no modules"
+systemd-sysusers ./meissner.sysusers || fail "no users"
 cp 70-meissner.rules /etc/udev/rules.d/ || fail "no udev rule"
 udevadm control --reload
 virtual-board $serial >board.log 2>&1 &

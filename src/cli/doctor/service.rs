@@ -27,8 +27,9 @@ const SOCKET: &str = "meissner.socket";
 const GROUP: &str = "haptics";
 const CONFIG: &str = "etc/meissner/meissner.toml";
 /// A file in the first hides one in the others.
-const RULES: [&str; 3] = [
+const RULES: [&str; 4] = [
     "etc/udev/rules.d/70-meissner.rules",
+    "usr/local/lib/udev/rules.d/70-meissner.rules",
     "usr/lib/udev/rules.d/70-meissner.rules",
     "lib/udev/rules.d/70-meissner.rules",
 ];

@@ -137,7 +137,7 @@ fn rules_that_are_missing_or_hidden_are_told_of() {
     let line = || fake::line(&rules(dir.path(), &units).unwrap());
     assert!(line().starts_with("Warn udev rules: none for boards"), "{}", line());
     assert!(rules(dir.path(), &Units::default()).is_none() && rules_text(dir.path()).is_none());
-    fake::write(dir.path(), RULES[1], "new");
+    fake::write(dir.path(), RULES[2], "new");
     assert_eq!(line(), "Ok udev rules: /usr/lib/udev/rules.d/70-meissner.rules -> ");
     fake::write(dir.path(), RULES[0], "old");
     assert_eq!(

@@ -1,0 +1,63 @@
+use clap_complete::{Shell, generate};
+use clap_mangen::Man;
+use std::collections::{BTreeMap, BTreeSet};
+use std::env;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+const RENEW: &str = "MEISSNER_RENEW=1 cargo test --test tests manual";
+
+/// A page for the command and one for each below it.
+fn pages(command: clap::Command, files: &mut BTreeMap<PathBuf, Vec<u8>>) {
+    for below in command.get_subcommands().filter(|below| !below.is_hide_set()) {
+        pages(below.clone(), files);
+    }
+    // No date: the page must not differ from day to day.
+    let page = Man::new(command).manual("meissner");
+    let mut text = Vec::new();
+    page.render(&mut text).unwrap();
+    files.insert(Path::new("man").join(page.get_filename()), text);
+}
+
+fn made() -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut files = BTreeMap::new();
+    // `help` says nothing that the pages do not.
+    let mut command = meissner::cli::command().disable_help_subcommand(true);
+    command.build();
+    pages(command, &mut files);
+    for (shell, name) in
+        [(Shell::Bash, "meissner.bash"), (Shell::Zsh, "_meissner"), (Shell::Fish, "meissner.fish")]
+    {
+        let mut text = Vec::new();
+        generate(shell, &mut meissner::cli::command(), "meissner", &mut text);
+        files.insert(Path::new("completions").join(name), text);
+    }
+    files
+}
+
+/// They are kept, so that a package is built without building the tests. With MEISSNER_RENEW set this writes them.
+#[test]
+fn the_manual_and_the_completions_are_up_to_date() {
+    let deploy = Path::new(env!("CARGO_MANIFEST_DIR")).join("deploy");
+    let made = made();
+    assert!(made.len() > 20);
+    if env::var_os("MEISSNER_RENEW").is_some() {
+        for folder in ["man", "completions"] {
+            let _ = fs::remove_dir_all(deploy.join(folder));
+            fs::create_dir_all(deploy.join(folder)).unwrap();
+        }
+        for (name, text) in &made {
+            fs::write(deploy.join(name), text).unwrap();
+        }
+    }
+    for (name, text) in &made {
+        let kept = fs::read(deploy.join(name)).unwrap_or_default();
+        assert!(kept == *text, "deploy/{} is not what the commands are today: {RENEW}", name.display());
+    }
+    let kept: BTreeSet<_> = ["man", "completions"]
+        .iter()
+        .flat_map(|folder| fs::read_dir(deploy.join(folder)).unwrap())
+        .map(|entry| entry.unwrap().path().strip_prefix(&deploy).unwrap().to_owned())
+        .collect();
+    assert_eq!(kept, made.into_keys().collect(), "in deploy there is a page too many: {RENEW}");
+}
