@@ -440,6 +440,12 @@ pub struct Status {
     /// Which real-time means the system granted the daemon; null from an older one.
     #[serde(default)]
     pub realtime: Option<Realtime>,
+    /// Why the logbook is not written at present; null if it is, or none is kept.
+    #[serde(default)]
+    pub logbook_problem: Option<String>,
+    /// Where the daemon listens; empty from an older one.
+    #[serde(default)]
+    pub socket: String,
     /// The daemon's version.
     pub version: String,
     /// The daemon's process.

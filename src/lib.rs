@@ -30,7 +30,8 @@
 //! pattern, and makes of the travels a gain for each motor and direction, kept in a file. The daemon has them measured, and the
 //! streamer goes by them as long as the same device is connected.
 //!
-//! What happened comes out as notices; [`record`] makes of them the receipts and events that clients and the log see. In the
+//! What happened comes out as notices; [`record`] makes of them the receipts and events that clients, the log (its words stand in
+//! `daemon/notebook.rs`) and the [`logbook`] see. In the
 //! end every burst of every play was played, late, dropped or refused, and the receipt says which, and what the skin felt of it.
 //! The [`logbook`] keeps receipts, events and who asked for what, a file per day, for years; lines for whoever runs the machine go where
 //! [`log`](mod@log) says: to the terminal or to journald, and neither can hold up an emergency stop.

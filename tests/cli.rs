@@ -240,6 +240,16 @@ fn without_a_daemon_both_places_are_named() {
             .env("XDG_RUNTIME_DIR", dir.path())
             .args(["status", "--json"]),
     );
+    // Of both places an e-stop is told what it came to where there is somebody.
+    let mut estop = meissner();
+    estop.env_remove("MEISSNER_SOCKET").env("XDG_RUNTIME_DIR", dir.path()).arg("estop");
+    assert!(printed(&mut estop).starts_with("faulted (estop)"));
+    let status = document(daemon.meissner().args(["status", "--json"]));
+    assert_eq!(status["state"], "faulted");
+    assert_eq!(status["socket"], daemon.socket().to_str().unwrap());
+    drop(daemon);
+    let service = Path::new("/run/meissner/meissner.sock").exists();
+    assert!(service || complaint(&mut estop).contains("nor at /run/meissner/meissner.sock: "));
     assert!(own["realtime"]["fifo"].is_boolean() && own["realtime"]["mlock"].is_boolean(), "{own}");
 }
 

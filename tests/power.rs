@@ -250,6 +250,11 @@ fn survives(daemon: &mut Kept, why: &str) {
     daemon.wait_for_log("the logbook cannot be written");
     let receipt = play(&mut client, 0.5);
     assert_eq!(receipt["state"], "done", "{receipt}");
+    let status: Value = client.get("/v1/status").unwrap();
+    assert!(
+        status["logbook_problem"].as_str().is_some_and(|says| says.contains("cannot be written")),
+        "{status}"
+    );
     let refused = problem(client.put("/v1/patterns/mine", text("mine", 2, 5000)));
     assert_eq!(refused.code, "store");
     assert!(refused.detail.contains(why) && !refused.detail.contains('\n'), "{}", refused.detail);
@@ -325,6 +330,7 @@ fn the_logbook_tells_a_session_from_start_to_end() {
     assert!(of("connected") < of("queued") && of("queued") < of("began") && of("began") < of("ended"));
     assert_eq!(lines[of("ended")]["receipt"]["bursts"], receipt["bursts"]);
     let (pid, uid) = (std::process::id(), rustix::process::getuid().as_raw());
+    assert_eq!(lines[of("ended")]["uid"], uid, "whose play it was");
     let mut commands = lines.iter().filter(|line| line["event"] == "command");
     for (command, answer) in [("arm", "ok"), ("play", "ok"), ("play", "not-found"), ("stop", "bad-request")] {
         let line = commands.next().unwrap();

@@ -6,18 +6,17 @@
 //! Invariant: nothing is sent twice.
 
 use super::progress::Progress;
-use super::{Onset, Plain, Play, give, text};
+use super::{Onset, Plain, Play, give, say, text};
 use crate::api::{ArmRequest, PlayRequest, Played, Status};
 use crate::client::{Client, ClientError, Events, HOME_PATIENCE, escape};
 use crate::daemon;
 use crate::record::{Event, Receipt};
-use anyhow::{Result, anyhow, bail};
+use anyhow::{Result, bail};
 use serde_json::{Value, json};
 use std::io::{self, Write};
-use std::path::PathBuf;
 use std::process::{self, ExitCode};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, mpsc};
 use std::thread;
 use std::time::{Duration, Instant};
 use tokio::signal::unix::{SignalKind, signal};
@@ -30,49 +29,50 @@ pub(super) fn command(plain: &Plain, name: &str) -> Result<ExitCode> {
     stands(plain, &status)
 }
 
-/// Goes to every daemon that may be meant, at once: whoever asks has no time to say which.
+/// Goes to every daemon that may be meant, at once: whoever asks has no time to say which. Each answer is told as it comes; the
+/// document of `--json` is the first.
 pub(super) fn estop(plain: &Plain) -> Result<ExitCode> {
     let place = plain.place();
-    let sockets: Vec<PathBuf> = std::iter::once(place.socket.clone()).chain(place.other.clone()).collect();
-    let ask = |socket: &PathBuf| {
-        let socket = socket.clone();
-        thread::spawn(move || Client::new(&socket)?.post::<Status>("/v1/estop", &json!({})))
-    };
-    let asked: Vec<_> = sockets.iter().map(ask).collect();
-    let mut stopped = Vec::new();
-    let mut failed = Vec::new();
-    for (socket, asked) in sockets.iter().zip(asked) {
-        match asked.join().map_err(|_| anyhow!("internal error: the e-stop's thread has ended"))? {
-            Ok(status) => stopped.push((socket, status)),
+    let (tell, answers) = mpsc::channel();
+    for socket in [Some(&place.socket), place.other.as_ref()].into_iter().flatten() {
+        let (socket, tell) = (socket.clone(), tell.clone());
+        thread::spawn(move || {
+            let answer = Client::new(&socket).and_then(|mut client| client.post("/v1/estop", &json!({})));
+            // Nobody waits for it any more only if this process ends.
+            let _ = tell.send((socket, answer));
+        });
+    }
+    drop(tell);
+    let (mut stopped, mut failed): (Vec<Status>, Vec<ClientError>) = (Vec::new(), Vec::new());
+    for (socket, answer) in answers {
+        match answer {
+            Ok(status) => {
+                match stopped.is_empty() {
+                    true => give(plain.output.json, &status, || text::state(&status))?,
+                    false if plain.output.json => {}
+                    false => say(&format!("{}: {}", socket.display(), text::state(&status)))?,
+                }
+                stopped.push(status);
+            }
             Err(error) => failed.push(error),
         }
     }
-    // Nobody there, or nobody whose device we may move.
-    let absent =
-        |error: &ClientError| matches!(error, ClientError::NoDaemon { .. } | ClientError::Denied { .. });
-    let Some((_, first)) = stopped.first() else {
-        let telling = failed.iter().position(|error| !absent(error)).unwrap_or(0);
-        return Err(match failed.swap_remove(telling) {
+    if !stopped.is_empty() && !plain.output.json && !stopped.iter().any(Status::is_connected) {
+        say(
+            "no device is connected, so no line was put low: cut the supply if pins move, and see `meissner status`",
+        )?;
+    }
+    // Where one was stopped, a daemon that is not ours is not missed.
+    let nobody = |error: &ClientError| matches!(error, ClientError::NoDaemon { .. }) || error.is_hidden();
+    let foreign = |error: &ClientError| matches!(error, ClientError::Denied { .. }) && !stopped.is_empty();
+    match failed.iter().position(|error| !nobody(error) && !foreign(error)) {
+        Some(at) => Err(failed.swap_remove(at).into()),
+        None if !stopped.is_empty() => Ok(ExitCode::SUCCESS),
+        None => Err(match failed.swap_remove(0) {
             ClientError::NoDaemon { source, .. } => ClientError::NoDaemon { place, source },
             error => error,
         }
-        .into());
-    };
-    let line = |(socket, status): &(&PathBuf, Status)| {
-        let at = if stopped.len() > 1 { format!("{}: ", socket.display()) } else { String::new() };
-        let state = text::state(status);
-        if status.is_connected() {
-            return format!("{at}{state}");
-        }
-        format!(
-            "{at}{state}\nno device is connected, so no line was put low: cut the supply if pins move, and see `meissner \
-             status`"
-        )
-    };
-    give(plain.output.json, first, || stopped.iter().map(line).collect::<Vec<_>>().join("\n"))?;
-    match failed.into_iter().find(|error| !absent(error)) {
-        Some(error) => Err(error.into()),
-        None => Ok(ExitCode::SUCCESS),
+        .into()),
     }
 }
 

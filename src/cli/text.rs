@@ -131,6 +131,9 @@ pub(super) fn status(status: &Status) -> String {
     if status.device.as_ref().is_some_and(|device| !device.telemetry) {
         lines.push(("telemetry", format!("{NO_TELEMETRY}; {SHORT_PLAYS}")));
     }
+    if let Some(problem) = &status.logbook_problem {
+        lines.push(("logbook", problem.clone()));
+    }
     if let Some(date) = &status.calibrated {
         let count = status.motors.iter().filter(|motor| motor.calibrated).count();
         lines.push(("calibrated", format!("{count} of {} motors, {date}", status.motors.len())));
@@ -140,6 +143,9 @@ pub(super) fn status(status: &Status) -> String {
     }
     if let Some(bytes) = status.line_bytes_per_s {
         lines.push(("line", format!("{:.1} kB/s", f64::from(bytes) / 1000.0)));
+    }
+    if !status.socket.is_empty() {
+        lines.push(("daemon", format!("{}, pid {}", status.socket, status.pid)));
     }
     lines.push(("lead", format!("{} ms, lease {} ms", status.lead_ms, status.lease_ms)));
     pairs(&lines)

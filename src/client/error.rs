@@ -4,7 +4,7 @@
 //!
 //! Invariant: the display of a [`ClientError`] is one line that says what to do.
 
-use super::{MAX_SOCKET_PATH, Place};
+use super::{MAX_SOCKET_PATH, Place, is_hidden};
 use crate::api::Problem;
 use std::io;
 use std::path::PathBuf;
@@ -75,4 +75,12 @@ pub enum ClientError {
     /// No runtime.
     #[error("cannot start: {0}")]
     Runtime(#[source] io::Error),
+}
+
+impl ClientError {
+    /// Whether there is a socket that is not even to be seen: `su` leaves one with the runtime directory of somebody else.
+    #[must_use]
+    pub fn is_hidden(&self) -> bool {
+        matches!(self, Self::Connect { socket, source } if is_hidden(source, socket))
+    }
 }

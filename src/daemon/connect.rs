@@ -7,7 +7,7 @@
 //! there was no board gives way to one, as after a boot that was faster than the bus, until somebody has armed it; from then on it
 //! stays, or what a person takes for a simulation would move pins.
 //!
-//! Invariant: at most one device is open; the old one is closed before the next is looked for.
+//! Invariant: at most one board is open; the old one is closed before the next is looked for.
 
 use super::engine::Engine;
 use crate::device::{self, Device, Spec};
@@ -177,9 +177,10 @@ impl Connector {
     }
 
     fn replace_mock(&mut self) {
-        let mut why_not = "it has been armed".to_owned();
+        let mut why_not = String::new();
         for _ in 0..TRIES {
             if self.engine.was_armed() {
+                "it has been armed".clone_into(&mut why_not);
                 break;
             }
             match device::open(&Spec::Board, &self.plant) {
@@ -190,12 +191,11 @@ impl Connector {
                         (self.spec, self.opened) = (Spec::Board, kind);
                         return;
                     }
+                    "too many orders wait".clone_into(&mut why_not);
                 }
-                Err(error) => {
-                    why_not = error.to_string();
-                    thread::sleep(SETTLED);
-                }
+                Err(error) => why_not = error.to_string(),
             }
+            thread::sleep(SETTLED);
         }
         warn!(
             "a board was plugged in, the mock stays in use ({why_not}): restart the daemon to use the board"

@@ -111,6 +111,8 @@ pub(super) struct Engine {
     pub(super) replaced: Notify,
     /// What the system granted the streamer.
     pub(super) realtime: Realtime,
+    /// Where the daemon listens.
+    pub(super) socket: PathBuf,
     pub(super) names: Names,
     inner: Mutex<Inner>,
 }
@@ -156,14 +158,15 @@ impl Engine {
             stirred,
             replaced,
             realtime,
+            socket: PathBuf::new(),
             names: Names::default(),
             inner: Mutex::new(inner),
         }
     }
 
-    /// As granted by the system.
-    pub(super) fn granted(self, realtime: Realtime) -> Self {
-        Self { realtime, ..self }
+    /// With what the system granted, and where it listens.
+    pub(super) fn standing(self, realtime: Realtime, socket: PathBuf) -> Self {
+        Self { realtime, socket, ..self }
     }
 
     pub(super) fn lock(&self) -> MutexGuard<'_, Inner> {
@@ -181,10 +184,15 @@ impl Engine {
         let mock = self.lock().identity.clone();
         self.recall(Some(&board.identity()));
         let inner = self.lock();
-        if !inner.armed_once {
-            return Self::hand_over(inner, board);
-        }
-        drop(inner);
+        let board = if inner.armed_once {
+            drop(inner);
+            board
+        } else {
+            match Self::hand_over(inner, board) {
+                Ok(()) => return Ok(()),
+                Err(board) => board,
+            }
+        };
         self.recall(Some(&mock));
         Err(board)
     }
@@ -274,6 +282,11 @@ impl Engine {
     ) -> Result<u64, Problem> {
         let strokes = Strokes::new(&stored.pattern, request.seconds)
             .map_err(|error| Problem::new(Code::BadRequest, format!("`seconds`: {error}")))?;
+        // Beside another at the same tick, what came of both could not be told apart.
+        if strokes.end() == Some(0) {
+            let detail = "`seconds`: less than a tick of 1/85000 s, nothing would be played: ask for more";
+            return Err(Problem::new(Code::BadRequest, detail));
+        }
         self.check_boot(request.boot)?;
         // A long pattern has a hundred thousand strokes: orders of others must not wait for their counting.
         let settings = self.lock().settings;
@@ -441,7 +454,11 @@ impl Inner {
     }
 
     pub(super) fn publish(&self, event: &Event) {
-        if let Some(entry) = Entry::of(event) {
+        let id = match event {
+            Event::Ended { receipt } => Some(receipt.id),
+            _ => None,
+        };
+        if let Some(entry) = Entry::of(event, id.and_then(|id| self.players.get(&id).copied())) {
             self.book.note(entry);
         }
         if let Some(events) = &self.events {

@@ -11,6 +11,7 @@ use crate::stream::port::Traveled;
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use tracing::error;
 
 /// Plays that wait, with the one that is looked at: as many as may be queued. Each holds up to a minute of bursts.
 const WAITING: usize = 16;
@@ -39,8 +40,11 @@ impl Feeler {
             // Of the calling thread, on Linux. If it may not, it is as urgent as any thread but the streamer's.
             let _ = rustix::process::nice(NICE);
         };
-        let pool =
-            ThreadPoolBuilder::new().num_threads(1).thread_name(|_| "felt".into()).start_handler(start);
+        let pool = ThreadPoolBuilder::new()
+            .panic_handler(|_| error!("internal error: what was felt of a play could not be computed"))
+            .num_threads(1)
+            .thread_name(|_| "felt".into())
+            .start_handler(start);
         Ok(Self { pool: pool.build()?, waiting: Arc::default() })
     }
 

@@ -6,6 +6,7 @@
 //! Invariant: who changed something, and what they are answered, is in the logbook's hands before they get the answer; of all but plays
 //! the log has it too, which has a play's one line at its end.
 
+use super::DISK_THREADS;
 use super::engine::{self, Engine, PATIENCE};
 use super::metrics;
 use super::notebook::Asked;
@@ -34,6 +35,7 @@ use std::convert::Infallible;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 use tokio::net::UnixStream;
+use tokio::sync::Semaphore;
 use tokio_stream::wrappers::BroadcastStream;
 use tokio_stream::wrappers::errors::BroadcastStreamRecvError;
 
@@ -194,7 +196,11 @@ fn path<T>(path: Result<Path<T>, PathRejection>) -> Answer<T> {
 }
 
 /// Runs what may take a disk's time beside the runtime's thread.
+///
+/// One of the threads is left to what needs no disk, however long that takes.
 async fn beside<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Answer<T> {
+    static DISK: Semaphore = Semaphore::const_new(DISK_THREADS - 1);
+    let _place = DISK.acquire().await;
     let failed = |error| Problem::new(Code::Store, format!("internal error: {error}"));
     Ok(tokio::task::spawn_blocking(work).await.map_err(failed)?)
 }

@@ -76,6 +76,11 @@ pub enum DaemonError {
         /// What it said.
         source: io::Error,
     },
+    /// Nobody takes in what the streamer tells any more: our bug.
+    #[error(
+        "internal error: the daemon does not hear its streamer any more; motors go off when the lease ends"
+    )]
+    Pump,
     /// The streamer ended by itself: our bug.
     #[error("internal error: the streamer's thread has ended; motors go off when the lease ends")]
     Streamer,
@@ -218,7 +223,7 @@ impl Daemon {
         let (version, pid) = (env!("CARGO_PKG_VERSION"), std::process::id());
         book.note(Note::DaemonStarted { version, pid, wanted });
         engine.lock().book = book;
-        let engine = Arc::new(engine.granted(realtime));
+        let engine = Arc::new(engine.standing(realtime, bound.socket().to_owned()));
         engine.recall(None);
         let connector = connect::spawn(config.device.clone(), config.mock, Arc::clone(&engine))
             .map_err(system("connector's thread"))?;
@@ -281,15 +286,16 @@ impl Daemon {
                     break Ok(Ended::Replaced);
                 }
                 _ = &mut streamer => break Err(DaemonError::Streamer),
+                _ = &mut pump => break Err(DaemonError::Pump),
             }
         };
         manager.tell(News::Stopping);
         // A connector that has already ended needs no word.
         let _ = connector.try_send(Word::Quit);
-        if result.is_ok() {
+        if !matches!(result, Err(DaemonError::Streamer)) {
             engine.shut_down().await;
             // Its last notices: the receipts of what was cut.
-            if tokio::time::timeout(LAST_WORDS, &mut pump).await.is_err() {
+            if result.is_ok() && tokio::time::timeout(LAST_WORDS, &mut pump).await.is_err() {
                 warn!("the streamer did not end in time");
             }
         }

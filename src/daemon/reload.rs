@@ -12,6 +12,7 @@ use super::service::{Manager, Word};
 use super::{DaemonError, check, system};
 use crate::config::{Config, Source};
 use crate::logbook::Note;
+use crate::stream::Settings;
 use crossbeam_channel::{Sender, bounded};
 use std::sync::Arc;
 use std::thread;
@@ -50,8 +51,7 @@ fn reload(source: &Source, running: &mut Config, engine: &Engine, shelf: &Shelf)
     if let Some(problem) = &problem {
         warn!("{problem}");
     }
-    let changed = taken.into_iter().map(str::to_owned).collect();
-    engine.lock().book.note(Note::Reloaded { changed, problem });
+    engine.lock().book.note(Note::Reloaded { changed: taken, problem });
 }
 
 /// Takes over what can be and says which; fails at the first thing that is wrong.
@@ -60,33 +60,39 @@ fn take(
     running: &mut Config,
     engine: &Engine,
     shelf: &Shelf,
-    taken: &mut Vec<&'static str>,
+    taken: &mut Vec<String>,
 ) -> Result<(), String> {
     const STAYS: &str = "the configuration stays as it was";
     let new = source.read().map_err(|error| format!("{error}; {STAYS}"))?;
-    let store = check(&new).map_err(|error| format!("{error}; {STAYS}"))?;
+    let file = source.file.as_ref().map_or_else(String::new, |file| format!("{}: ", file.display()));
+    let store = check(&new).map_err(|error| format!("{file}{error}; {STAYS}"))?;
     if new.patterns != running.patterns {
         shelf.replace(store);
         running.patterns.clone_from(&new.patterns);
-        taken.push("`patterns_dir` at once");
+        taken.push("`patterns_dir` at once".to_owned());
     }
     if new.settings != running.settings {
         let busy = |_| "too many orders wait for the device: reload the configuration again".to_owned();
         engine.configure(new.settings).map_err(busy)?;
         running.settings = new.settings;
-        taken.push("`lead_ms`, `lease_ms`, `drift_warning_um` and [limits] from the next `arm` on");
+        let Settings { lead_ms, lease_ms, drift_warning_um, limits } = new.settings;
+        taken.push(format!(
+            "from the next `arm` on `lead_ms` = {lead_ms}, `lease_ms` = {lease_ms}, `drift_warning_um` = {drift_warning_um}, \
+             `motor_pulses_per_s` = {}, `rail_pulses_per_s` = {}",
+            limits.motor, limits.rail
+        ));
     }
     if new.calibration != running.calibration {
         engine.keep_calibration_at(new.calibration.clone());
         running.calibration.clone_from(&new.calibration);
-        taken.push("`calibration` for what is stored, and read at the next connection");
+        taken.push("`calibration` for what is stored, and read at the next connection".to_owned());
     }
     if new.logbook != running.logbook {
         let (book, users) = (engine.lock().book.clone(), Arc::clone(&engine.names.users));
         let slow = |error| format!("`logbook_dir`: {error}: reload the configuration again");
         book.keep(new.logbook.clone(), users, PATIENCE).map_err(slow)?;
         running.logbook.clone_from(&new.logbook);
-        taken.push("`logbook_dir` and `logbook_days` at once");
+        taken.push("`logbook_dir` and `logbook_days` at once".to_owned());
     }
     let fixed = [
         ("`device`", new.device != running.device),

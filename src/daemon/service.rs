@@ -58,18 +58,18 @@ impl Manager {
         self.0.is_some()
     }
 
-    pub(super) fn tell(&self, word: Word) {
-        let Some(Line { words, .. }) = &self.0 else { return };
-        if word != Word::Alive || words.len() < WORDS / 2 {
-            let _ = words.try_send(word);
-        }
+    /// Whether it will be told.
+    pub(super) fn tell(&self, word: Word) -> bool {
+        let Some(Line { words, .. }) = &self.0 else { return false };
+        (word != Word::Alive || words.len() < WORDS / 2) && words.try_send(word).is_ok()
     }
 
     fn tell_status(&self, text: String) {
         let Some(Line { status, .. }) = &self.0 else { return };
-        if status.lock().unwrap_or_else(PoisonError::into_inner).replace(text).is_none() {
-            self.tell(Word::Status);
-        }
+        let mut status = status.lock().unwrap_or_else(PoisonError::into_inner);
+        let waits = status.is_some();
+        // One that finds no room waits for the next that is told.
+        *status = (waits || self.tell(Word::Status)).then_some(text);
     }
 }
 

@@ -68,7 +68,7 @@ impl Signals {
         };
         match told {
             Told::End => info!("{name}: ending"),
-            Told::Reload => info!("{name}: reading the configuration again"),
+            Told::Reload => info!("{name}"),
         }
         told
     }

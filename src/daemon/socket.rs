@@ -31,6 +31,12 @@ pub enum SocketError {
         /// Its process, if it is known.
         pid: Option<i32>,
     },
+    /// Another user's daemon, mostly the installed service's.
+    #[error("{} is another user's, mostly the installed service's: use that one, or choose another with --socket", .socket.display())]
+    Foreign {
+        /// Where.
+        socket: PathBuf,
+    },
     /// Some other file.
     #[error("{} is not a socket: remove it, or choose another with --socket", .socket.display())]
     NotASocket {
@@ -62,7 +68,12 @@ pub enum SocketError {
 }
 
 fn pid_text(pid: Option<i32>) -> String {
-    pid.map_or_else(String::new, |pid| format!(" (pid {pid})"))
+    match pid {
+        None => String::new(),
+        // Who listens there before the service is up.
+        Some(1) => " (the installed service, for which systemd listens)".to_owned(),
+        Some(pid) => format!(" (pid {pid})"),
+    }
 }
 
 /// A socket that clients can connect to. Dropped, its file is removed if it was made here.
@@ -148,7 +159,12 @@ fn lock(socket: &Path) -> Result<File, SocketError> {
     let wrong = |source| SocketError::Io { path: path.clone(), source };
     let mut options = OpenOptions::new();
     options.read(true).write(true).create(true).truncate(false).mode(0o644);
-    let mut file = options.open(&path).map_err(wrong)?;
+    let mut file = options.open(&path).map_err(|source| match source.kind() {
+        io::ErrorKind::PermissionDenied if socket.exists() => {
+            SocketError::Foreign { socket: socket.to_owned() }
+        }
+        _ => wrong(source),
+    })?;
     match flock(&file, FlockOperation::NonBlockingLockExclusive) {
         Ok(()) => {}
         Err(rustix::io::Errno::WOULDBLOCK) => {

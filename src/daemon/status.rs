@@ -48,6 +48,8 @@ impl Engine {
                 calibration.provenance().date.clone().unwrap_or_else(|| "without a date".to_owned())
             }),
             realtime: Some(self.realtime),
+            logbook_problem: inner.book.problem(),
+            socket: self.socket.display().to_string(),
             version: env!("CARGO_PKG_VERSION").to_owned(),
             pid: std::process::id(),
         }
@@ -71,6 +73,9 @@ impl Engine {
         match recorder.queued().count() {
             0 => {}
             queued => drop(write!(line, "; {queued} queued")),
+        }
+        if let Some(problem) = inner.book.problem() {
+            let _ = write!(line, "; {problem}");
         }
         line
     }

@@ -67,13 +67,13 @@ struct Stderr;
 
 impl Write for Stderr {
     fn write(&mut self, line: &[u8]) -> io::Result<usize> {
-        let stderr = io::stderr();
+        // Locked first: two lines must not find room for one.
+        let mut stderr = io::stderr().lock();
         let mut ready = [PollFd::new(&stderr, PollFlags::OUT)];
         let now = Timespec { tv_sec: 0, tv_nsec: 0 };
         if poll(&mut ready, Some(&now)).is_ok() && ready[0].revents() == PollFlags::OUT {
             // A pipe that is ready takes so many without waiting.
             let (line, rest) = line.split_at(line.len().min(ATOMIC - 1));
-            let mut stderr = stderr.lock();
             let _ = stderr
                 .write_all(line)
                 .and_then(|()| if rest.is_empty() { Ok(()) } else { stderr.write_all(b"\n") });

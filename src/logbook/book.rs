@@ -18,6 +18,7 @@ use std::fs::{self, DirBuilder, File, OpenOptions};
 use std::io::{self, Write};
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use tracing::{info, warn};
 
@@ -89,6 +90,8 @@ pub(super) struct Book {
     missing: u64,
     /// Lines that are not durable yet.
     unsynced: u64,
+    /// What is wrong with it, for whoever asks.
+    problem: Arc<Mutex<Option<String>>>,
     /// The disk fails: until then it is left alone.
     failing: Option<Instant>,
     /// When the first line that is not durable has to be.
@@ -99,6 +102,7 @@ impl Book {
     pub(super) fn new(keep: Keep) -> Self {
         Self {
             keep,
+            problem: Arc::default(),
             zone: None,
             disk: Disk::REAL,
             open: None,
@@ -112,6 +116,15 @@ impl Book {
     #[cfg(test)]
     pub(super) fn on(self, disk: Disk, zone: TimeZone) -> Self {
         Self { disk, zone: Some(zone), ..self }
+    }
+
+    /// Where it says what is wrong with it.
+    pub(super) fn problem(&self) -> Arc<Mutex<Option<String>>> {
+        Arc::clone(&self.problem)
+    }
+
+    fn say(&self, problem: Option<String>) {
+        *self.problem.lock().unwrap_or_else(PoisonError::into_inner) = problem;
     }
 
     /// When [`Self::sync`] is due.
@@ -128,6 +141,7 @@ impl Book {
         }
         match self.try_write(stamp, entry) {
             Ok(missing) if self.failing.take().is_some() => {
+                self.say(None);
                 info!(
                     "the logbook in {} is written again; {missing} entries are missing",
                     self.keep.dir.display()
@@ -161,6 +175,7 @@ impl Book {
     pub(super) fn turn_page(&mut self, keep: Keep) {
         self.sync();
         (self.keep, self.open, self.failing) = (keep, None, None);
+        self.say(None);
     }
 
     /// Nothing more will come.
@@ -176,6 +191,7 @@ impl Book {
     }
 
     fn fail(&mut self, failure: &Failure) {
+        self.say(Some(format!("the logbook cannot be written: {failure}")));
         if self.failing.replace(Instant::now() + AGAIN_AFTER).is_none() {
             warn!(
                 "the logbook cannot be written: {failure}; make room there and see that the daemon may write, or set \
@@ -192,7 +208,8 @@ impl Book {
         if missing > 0 {
             let lost = Note::Lost { entries: missing }.into();
             self.append(&time, stamp, &lost)?;
-            self.missing = 0;
+            // If that line is lost, so are they.
+            (self.missing, self.unsynced) = (0, self.unsynced + missing - 1);
         }
         self.append(&time, stamp, entry)?;
         Ok(missing)

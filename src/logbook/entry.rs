@@ -78,7 +78,7 @@ pub enum Note {
     },
     /// It was told to read its configuration again.
     Reloaded {
-        /// The keys whose values are new.
+        /// What was taken, and from when on, in words.
         changed: Vec<String>,
         /// What was not taken, and why; null if everything was.
         problem: Option<String>,
@@ -98,31 +98,45 @@ pub enum Note {
 pub enum Entry {
     /// Something of ours.
     Note(Note),
-    /// An event as clients see it.
-    Event(Box<Event>),
+    /// An event as clients see it, and whose play it is about.
+    Event {
+        /// The event.
+        #[serde(flatten)]
+        event: Box<Event>,
+        /// Who ordered the play, by number.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        uid: Option<u32>,
+        /// By name.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        user: Option<String>,
+    },
 }
 
 impl Entry {
-    /// An event, if it is one for the logbook.
+    /// An event, if it is one for the logbook, and who ordered the play it is about.
     #[must_use]
-    pub fn of(event: &Event) -> Option<Self> {
+    pub fn of(event: &Event, who: Option<Who>) -> Option<Self> {
         match event {
             Event::State { .. } | Event::Late { .. } | Event::Refused { .. } | Event::Lagged { .. } => None,
-            told => Some(Self::Event(Box::new(told.clone()))),
+            told => {
+                Some(Self::Event { event: Box::new(told.clone()), uid: who.map(|who| who.uid), user: None })
+            }
         }
     }
 
     /// The user whose name is still to be found.
     pub(super) fn nameless(&self) -> Option<u32> {
         match self {
-            Self::Note(Note::Command(command)) if command.user.is_none() => command.uid,
+            Self::Note(Note::Command(Command { user: None, uid, .. }))
+            | Self::Event { user: None, uid, .. } => *uid,
             _ => None,
         }
     }
 
     pub(super) fn give_name(&mut self, name: Option<String>) {
-        if let Self::Note(Note::Command(command)) = self {
-            command.user = name;
+        match self {
+            Self::Note(Note::Command(Command { user, .. })) | Self::Event { user, .. } => *user = name,
+            Self::Note(_) => {}
         }
     }
 }

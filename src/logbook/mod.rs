@@ -75,6 +75,7 @@ struct Gate {
     missed: u64,
     /// Hangs up when the thread has ended.
     ended: Receiver<()>,
+    problem: Arc<Mutex<Option<String>>>,
 }
 
 impl Gate {
@@ -82,12 +83,13 @@ impl Gate {
     fn open(book: Book, users: Arc<Users>, room: usize) -> io::Result<Self> {
         let (words, queue) = bounded(room);
         let (alive, ended) = bounded::<()>(0);
+        let problem = book.problem();
         let work = move || {
             write_all(book, &queue, &users);
             drop(alive);
         };
         thread::Builder::new().name("logbook".into()).spawn(work)?;
-        Ok(Self { words, missed: 0, ended })
+        Ok(Self { words, missed: 0, ended, problem })
     }
 }
 
@@ -144,6 +146,13 @@ impl Logbook {
         self.gate.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// Why nothing is kept at present, though it should be.
+    #[must_use]
+    pub fn problem(&self) -> Option<String> {
+        let gate = self.lock();
+        gate.as_ref().and_then(|gate| gate.problem.lock().unwrap_or_else(PoisonError::into_inner).clone())
+    }
+
     /// Notes something, now. Never waits for the disk.
     pub fn note(&self, entry: impl Into<Entry>) {
         let mut gate = self.lock();
@@ -156,7 +165,7 @@ impl Logbook {
     /// Writes what waits, makes it durable, and takes nothing more; waits for that at most so long.
     pub fn close(&self, patience: Duration) {
         let until = Instant::now() + patience;
-        let Some(Gate { words, missed, ended }) = self.lock().take() else { return };
+        let Some(Gate { words, missed, ended, .. }) = self.lock().take() else { return };
         let mut unsaid = missed;
         if missed > 0 {
             let entry = Note::Lost { entries: 1 }.into();

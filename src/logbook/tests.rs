@@ -107,7 +107,7 @@ fn a_line_says_when_who_and_what() {
         Event::Drifted { um: f32::NAN },
         Event::Ended { receipt: Box::new(Receipt::new(3, "edge-45", "0", Some(1.0))) },
     ] {
-        if let Some(entry) = Entry::of(&event) {
+        if let Some(entry) = Entry::of(&event, None) {
             log.note(entry);
         }
     }

@@ -142,7 +142,7 @@ second() {
         # One that is there is whole.
         if [ -e "/mnt/patterns/site-$n.toml" ]; then
             cmp -s <(sed "s/^name = .*/name = \"site-$n\"/" /usr/share/meissner/patterns/pin-60.toml) "/mnt/patterns/site-$n.toml" ||
-                [ -s "/mnt/patterns/site-$n.toml" ] || fail "uploads: site-$n is empty"
+                fail "uploads: site-$n is not what was sent"
         else
             lost=$((lost + 1)) missing="$missing site-$n ($(awk -v at="$at" -v last="$last" 'BEGIN { printf "%.1f s before the last", last - at }'))"
             awk -v at="$at" -v last="$last" 'BEGIN { exit last - at <= 1 }' && fail "uploads: site-$n is missing, $at of $last s"

@@ -72,8 +72,9 @@ fn rights(realtime: Option<Realtime>, limits: Option<Limits>, service: bool) -> 
     let refused = may.is_some_and(|may| (may.fifo || has.fifo) && (may.mlock || has.mlock));
     let advice = match (service, refused) {
         (true, false) => {
-            "`sudo systemctl edit meissner`: write [Service], LimitRTPRIO=60 and LimitMEMLOCK=infinity \
-                          on lines of their own; then `sudo systemctl restart meissner`"
+            "if `systemctl show meissner -p LimitRTPRIO,LimitMEMLOCK` says 60 and infinity, this system does not grant them \
+             (a container?); else `sudo systemctl edit meissner`: write [Service], LimitRTPRIO=60 and LimitMEMLOCK=infinity on \
+             lines of their own, then `sudo systemctl restart meissner`"
                 .to_owned()
         }
         (true, true) => {
@@ -114,11 +115,16 @@ pub(super) fn findings(
         }
     };
     let holds = status.device.as_ref().map_or_else(String::new, |device| format!(", has {}", device.kind));
-    let found = format!("version {}, pid {}{holds}", status.version, status.pid);
+    let found = format!("version {}, pid {}, at {}{holds}", status.version, status.pid, status.socket);
     let same = status.version == env!("CARGO_PKG_VERSION");
     let level = if same { Level::Ok } else { Level::Warn };
     findings.push(Finding::new("daemon", level, found, "restart it: this program has another version"));
     findings.extend(rights(status.realtime, Limits::of(root, status.pid), units.runs(status.pid)));
+    if let Some(problem) = &status.logbook_problem {
+        let advice =
+            "make room there, or let the daemon write there: see deploy/README.md, \"Configuration\"";
+        findings.push(Finding::warn("logbook", problem.clone(), advice));
+    }
     if !judged {
         return None;
     }
@@ -129,7 +135,7 @@ pub(super) fn findings(
                 Some(missing) => format!("has no device: {missing}"),
                 None => format!("has no device yet: `{}` was asked for", status.wanted),
             };
-            let advice = "it looks again by itself; for another device restart it with --device";
+            let advice = "it looks again by itself; for another one set `device` in its configuration, or restart it with --device";
             findings.push(Finding::new("daemon", Level::Fail, found, advice));
         }
     }
@@ -144,8 +150,8 @@ fn held(findings: &mut Vec<Finding>, status: &Status, device: &DeviceInfo) {
         "device",
         level,
         found,
-        "it is simulated, no real pin moves: plug the board in and restart the daemon, or name one with `daemon \
-         --device`",
+        "it is simulated, no real pin moves: plug a board in, which takes its place until somebody has armed; after that, or \
+         for another `device`, restart the daemon",
     ));
     let state = format!("{} ({}), position {}", status.state, status.cause, status.position);
     findings.push(match (status.state.as_str(), status.position.as_str()) {
@@ -212,8 +218,8 @@ mod tests {
         assert!(
             bad.starts_with(
                 "Warn daemon rights: it has no SCHED_FIFO and no locked memory (its limits: rtprio 0, memlock \
-                 8388608): strokes may come late -> `sudo systemctl edit meissner`"
-            ),
+                 8388608): strokes may come late -> "
+            ) && bad.contains("`sudo systemctl edit meissner`"),
             "{bad}"
         );
         let half = line(Some(Realtime { fifo: true, mlock: false }), limits("60", "8388608"), true).unwrap();

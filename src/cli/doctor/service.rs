@@ -124,7 +124,7 @@ fn state(units: &Units) -> Vec<Finding> {
                 Finding::warn(what, format!("{unit} is masked"), format!("`sudo systemctl unmask {unit}`"))
             }
             ("not-found", _) => {
-                let advice = "`sudo apt-get install --reinstall meissner`";
+                let advice = "install the package again: `sudo apt install --reinstall ./meissner_*.deb`";
                 Finding::warn(what, format!("{unit} is not installed"), advice)
             }
             ("loaded", "failed") => {
@@ -160,7 +160,9 @@ fn state(units: &Units) -> Vec<Finding> {
     let restarts = units.of(SERVICE, "NRestarts");
     if !matches!(restarts, "" | "0") {
         let advice = format!("{JOURNAL}; `sudo systemctl reset-failed {SERVICE}` counts anew");
-        findings.push(Finding::warn("restarts", format!("the daemon ended badly {restarts} times"), advice));
+        let found =
+            format!("systemd has started the daemon again {restarts} times: it ended badly, or was upgraded");
+        findings.push(Finding::warn("restarts", found, advice));
     }
     if units.of(SERVICE, "NeedDaemonReload") == "yes" {
         let advice = format!("`sudo systemctl daemon-reload && sudo systemctl restart {SERVICE}`");
@@ -200,7 +202,9 @@ fn rules(root: &Path, units: &Units) -> Option<Finding> {
     let texts: Vec<_> = texts.collect();
     Some(match &texts[..] {
         [] => {
-            let advice = format!("`sudo apt-get install --reinstall meissner && {RELOAD}`");
+            let advice = format!(
+                "install the package again: `sudo apt install --reinstall ./meissner_*.deb && {RELOAD}`"
+            );
             Finding::warn("udev rules", "none for boards: the service may not open one", advice)
         }
         [(used, text), (hidden, other), ..] if text != other => {

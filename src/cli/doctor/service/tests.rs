@@ -92,7 +92,7 @@ fn units_that_are_not_well_are_told_of_with_what_mends_them() {
         ),
         (
             &[("NRestarts=0", "NRestarts=3")],
-            "Warn restarts: the daemon ended badly 3 times -> `journalctl -u meissner -e` says why; `sudo systemctl \
+            "Warn restarts: systemd has started the daemon again 3 times: it ended badly, or was upgraded -> `journalctl -u meissner -e` says why; `sudo systemctl \
              reset-failed meissner.service` counts anew",
         ),
         (
