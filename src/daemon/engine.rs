@@ -1,7 +1,7 @@
 //! The engine: every order to the streamer goes out here.
 //!
 //! It matches answers to the calls that wait for them, keeps the record and publishes events; what comes back is taken in by
-//! `pump`, what is known of motors by `calibrate`. Handlers and the connector share it behind a lock that is held for
+//! `pump`, plays are made in `plays`, what is known of motors is `calibrate`'s. Handlers and the connector share it behind a lock that is held for
 //! microseconds and never across a wait. It decides nothing about motors: the streamer and the controller do.
 //!
 //! Bounds: the order ring (a full one is [`Code::Busy`]), [`EVENTS`] for a slow listener (then it lags), what
@@ -12,21 +12,17 @@
 use super::calibrate::{Calibrating, Kept};
 use super::connect::Word;
 use super::notebook::Names;
-use crate::api::{Code, PlayRequest, Problem};
-use crate::calibrate::Plan;
+use crate::api::{Code, Problem};
 use crate::device::Device;
 use crate::device::mock::Truth;
 use crate::logbook::{Entry, Logbook, Who};
 use crate::pattern::Pattern;
-use crate::record::{Event, FeltRecord, Receipt, Recorder, Travels, Unfelt, state_name};
-use crate::store::Stored;
-use crate::stream::port::{At, Job, Order, Orders, Play, Refused};
-use crate::stream::{Gains, Need, Realtime, Settings};
-use crate::strokes::Strokes;
+use crate::record::{Event, FeltRecord, Recorder, Travels, Unfelt, state_name};
+use crate::stream::port::{Job, Order, Orders, Refused};
+use crate::stream::{Gains, Realtime, Settings};
 use crate::units::HostInstant;
 use firmware_protocol::message::State;
 use firmware_protocol::stroke::MOTORS;
-use firmware_protocol::tick::Tick;
 use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -81,7 +77,7 @@ pub(super) struct Inner {
     pub(super) orders: Orders,
     last_ticket: u64,
     last_estop: u64,
-    last_play: u64,
+    pub(super) last_play: u64,
     pub(super) waiting: HashMap<u64, Ticket>,
     pub(super) truth: Option<Arc<Truth>>,
     pub(super) connector: Option<crossbeam_channel::Sender<Word>>,
@@ -263,90 +259,6 @@ impl Engine {
         self.send(job, None)
     }
 
-    /// Orders a play and waits for its being taken.
-    pub(super) async fn play(
-        &self,
-        request: &PlayRequest,
-        stored: &Stored,
-        who: Who,
-    ) -> Result<u64, Problem> {
-        self.begin(request, stored, who, None).await
-    }
-
-    pub(super) async fn begin(
-        &self,
-        request: &PlayRequest,
-        stored: &Stored,
-        who: Who,
-        plan: Option<Plan>,
-    ) -> Result<u64, Problem> {
-        let strokes = Strokes::new(&stored.pattern, request.seconds)
-            .map_err(|error| Problem::new(Code::BadRequest, format!("`seconds`: {error}")))?;
-        // Beside another at the same tick, what came of both could not be told apart.
-        if strokes.end() == Some(0) {
-            let detail = "`seconds`: less than a tick of 1/85000 s, nothing would be played: ask for more";
-            return Err(Problem::new(Code::BadRequest, detail));
-        }
-        self.check_boot(request.boot)?;
-        // A long pattern has a hundred thousand strokes: orders of others must not wait for their counting.
-        let settings = self.lock().settings;
-        let counted = tokio::task::spawn_blocking(move || (Need::of(&strokes, &settings), strokes)).await;
-        let (need, strokes) = counted.map_err(|_| {
-            Problem::new(Code::Busy, "the pattern could not be counted: try again, and see the daemon's log")
-        })?;
-        let at = match (request.at_tick, request.at_ms) {
-            (Some(tick), _) => At::Tick(Tick(tick)),
-            (None, Some(ms)) => At::After(nanoseconds(ms)),
-            (None, None) => At::Next,
-        };
-        let PlayRequest { late, replace, open_loop, .. } = *request;
-        let (id, reply) = {
-            let mut inner = self.lock();
-            inner.forget(HostInstant::now());
-            if inner.calibrating.is_some() {
-                return Err(Refused::Playing.into());
-            }
-            let device = inner.recorder.device();
-            let telemetry = device.as_ref().is_some_and(|device| device.telemetry);
-            if plan.is_some() {
-                device.ok_or(Refused::NoDevice)?;
-                if !telemetry {
-                    let detail =
-                        "the device has no telemetry: calibrate on one that measures where its pins are";
-                    return Err(Problem::new(Code::NoTelemetry, detail));
-                }
-                if !inner.recorder.is_idle() {
-                    return Err(Refused::Playing.into());
-                }
-            }
-            inner.last_play += 1;
-            let id = inner.last_play;
-            inner.recorder.offer(Receipt::new(id, stored.pattern.name(), &stored.sha256, request.seconds));
-            inner.calibrating = plan.map(|plan| Calibrating::new(id, plan));
-            inner.players.insert(id, who);
-            inner.unseen.insert(id, (Arc::new(stored.pattern.clone()), telemetry));
-            let play = Box::new(Play { id, strokes, at, late: late.into(), replace, open_loop, need });
-            let sent = inner.send(Job::Play(play), Some(id));
-            if sent.is_err() {
-                inner.settle(id, false);
-            }
-            (id, sent?)
-        };
-        answer(reply).await.map(|()| id)
-    }
-
-    fn check_boot(&self, asked: Option<u32>) -> Result<(), Problem> {
-        let now = self.lock().recorder.device().map(|device| device.boot);
-        match (asked, now) {
-            (Some(asked), Some(now)) if asked != now => {
-                let detail =
-                    format!("`boot` is {asked}, but the device has restarted as {now}: read its tick again");
-                Err(Problem::new(Code::StaleBoot, detail))
-            }
-            _ => Ok(()),
-        }
-    }
-
     fn send(&self, job: Job, play: Option<u64>) -> Result<Reply, Problem> {
         self.lock().send(job, play)
     }
@@ -412,7 +324,7 @@ impl Engine {
 }
 
 impl Inner {
-    fn send(&mut self, job: Job, play: Option<u64>) -> Result<Reply, Problem> {
+    pub(super) fn send(&mut self, job: Job, play: Option<u64>) -> Result<Reply, Problem> {
         // An emergency stop is passed on whatever else is going on.
         if self.closing && !matches!(job, Job::EStop | Job::Shutdown) {
             return Err(Problem::new(Code::ShuttingDown, "the daemon is ending: start it again"));
@@ -468,7 +380,7 @@ impl Inner {
     }
 
     /// A play was taken or not; an id that was not used names the next one.
-    fn settle(&mut self, id: u64, taken: bool) -> Option<Event> {
+    pub(super) fn settle(&mut self, id: u64, taken: bool) -> Option<Event> {
         if !taken && id == self.last_play {
             self.last_play -= 1;
         }
@@ -479,7 +391,7 @@ impl Inner {
     }
 
     /// Lets go of tickets whose answers were lost.
-    fn forget(&mut self, now: HostInstant) {
+    pub(super) fn forget(&mut self, now: HostInstant) {
         let lost = self.waiting.extract_if(|_, ticket| now.since(ticket.given) > LOST);
         let plays: Vec<u64> = lost.filter_map(|(_, ticket)| ticket.play).collect();
         for id in plays {
@@ -516,11 +428,6 @@ pub(super) async fn within(patience: Duration, reply: Reply) -> Result<(), Probl
         // The ticket stays, so that a late answer still reaches the record.
         Ok(Err(_)) | Err(_) => Err(Refused::Timeout.into()),
     }
-}
-
-#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked: 0 to an hour")]
-fn nanoseconds(ms: f64) -> u64 {
-    (ms * 1e6) as u64
 }
 
 #[cfg(test)]

@@ -13,6 +13,7 @@ mod felt;
 mod http;
 mod metrics;
 mod notebook;
+mod plays;
 mod pump;
 mod reload;
 mod server;
