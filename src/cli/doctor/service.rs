@@ -225,27 +225,28 @@ pub(super) fn group(root: &Path, units: &Units, me: &Me) -> Option<Finding> {
     Some(judged(me, Members::named(GROUP).as_ref(), owner.as_ref()))
 }
 
+/// A site may have given the socket to another group: whose it is counts.
 fn judged(me: &Me, haptics: Option<&Members>, owner: Option<&Members>) -> Finding {
-    let Some(group) = haptics else {
+    if owner.is_some_and(|owner| owner.gid == 0) {
+        let found = format!("the socket belongs to the group `root`, not to `{GROUP}`");
+        return Finding::warn("group", found, format!("`sudo systemctl restart {SOCKET} {SERVICE}`"));
+    }
+    let Some(members) = owner.or(haptics) else {
         let found = format!("there is no group `{GROUP}`: the service's socket would have no users");
         let advice = format!("`sudo groupadd --system {GROUP} && sudo systemctl restart {SOCKET}`");
         return Finding::warn("group", found, advice);
     };
-    if let Some(Members { group: other, gid, .. }) = owner.filter(|owner| owner.gid != group.gid) {
-        let found = format!("the socket belongs to the group `{other}` ({gid}), not to `{GROUP}`");
-        return Finding::warn("group", found, format!("`sudo systemctl restart {SOCKET} {SERVICE}`"));
-    }
-    let Me { name, .. } = me;
-    match me.stands(group) {
-        _ if me.uid == 0 => Finding::ok("group", format!("root needs none; others `{GROUP}`")),
-        Standing::In => Finding::ok("group", format!("you ({name}) are in `{GROUP}`")),
+    let (Me { name, .. }, Members { group, .. }) = (me, members);
+    match me.stands(members) {
+        _ if me.uid == 0 => Finding::ok("group", format!("root needs none; others `{group}`")),
+        Standing::In => Finding::ok("group", format!("you ({name}) are in `{group}`")),
         Standing::AfterLogin => {
-            let found = format!("you ({name}) are in `{GROUP}`, but not yet in this session");
+            let found = format!("you ({name}) are in `{group}`, but not yet in this session");
             Finding::warn("group", found, "log in again")
         }
         Standing::Out => {
-            let found = format!("you ({name}) are not in `{GROUP}`: the service will not hear you");
-            Finding::warn("group", found, join(me, group))
+            let found = format!("you ({name}) are not in `{group}`: the service will not hear you");
+            Finding::warn("group", found, join(me, members))
         }
     }
 }

@@ -174,9 +174,11 @@ fn who_is_not_in_the_group_is_told_how_to_join() {
     );
     assert!(line(&me(0, &[0]), Some(&empty), None).starts_with("Ok group: root needs none"));
     assert!(line(&anna, None, None).contains("-> `sudo groupadd --system haptics && "));
-    let dialout = members("dialout", 20, &[]);
-    let line = line(&anna, Some(&hers), Some(&dialout));
-    assert!(line.starts_with("Warn group: the socket belongs to the group `dialout` (20)"), "{line}");
+    let (site, root) = (members("touch", 1200, &[]), members("root", 0, &[]));
+    let another = line(&anna, Some(&hers), Some(&site));
+    assert!(another.contains("not in `touch`") && another.contains("usermod -aG touch anna"), "{another}");
+    let line = line(&anna, Some(&hers), Some(&root));
+    assert!(line.starts_with("Warn group: the socket belongs to the group `root`"), "{line}");
     assert!(line.contains("-> `sudo systemctl restart meissner.socket"), "{line}");
 }
 
