@@ -147,7 +147,7 @@ mod tests {
                 assert!(rule.contains(&part), "{part}: {rule}");
             }
         }
-        assert_eq!(rules.matches("SUBSYSTEM").count(), 2);
+        assert_eq!(rules.matches("SUBSYSTEM").count(), 3);
     }
 
     #[test]
