@@ -30,11 +30,11 @@
 //! pattern, and makes of the travels a gain for each motor and direction, kept in a file. The daemon has them measured, and the
 //! streamer goes by them as long as the same device is connected.
 //!
-//! What happened comes out as notices; [`record`] makes of them the receipts and events that clients, the log (its words stand in
-//! `daemon/notebook.rs`) and the [`logbook`] see. In the
+//! What happened comes out as notices; [`record`] makes of them the receipts and events that clients see. In the
 //! end every burst of every play was played, late, dropped or refused, and the receipt says which, and what the skin felt of it.
-//! The [`logbook`] keeps receipts, events and who asked for what, a file per day, for years; lines for whoever runs the machine go where
-//! [`log`](mod@log) says: to the terminal or to journald, and neither can hold up an emergency stop.
+//! The [`logbook`] keeps receipts, events and who asked for what, a file per day, for years. Lines for whoever runs the machine are
+//! worded in `daemon/notebook.rs` and go where [`log`](mod@log) says: to the terminal or to journald. Neither can hold up an
+//! emergency stop.
 //!
 //! What the [`skin`] makes of a pattern is computed offline: [`simulate`] takes a scene of drives and receptors to
 //! spikes, exactly or by a step, and [`report`] says what each way of doing so costs and by how much it errs, and draws

@@ -1,4 +1,4 @@
-//! What is left when the power fails, the disk is full or nothing may be written; and what the logbook says of a session.
+//! What is left when the daemon is killed at any moment, the disk is full or nothing may be written; and what the logbook says of a session.
 
 use crate::harness::PATIENCE;
 use jiff::Zoned;

@@ -58,7 +58,7 @@ mod patterns;
 mod plant;
 /// What was felt of plays as they were measured: with the loop and without, cut, unmeasured.
 mod played;
-/// What is left when the power fails, the disk is full or nothing may be written: patterns, the logbook, and a play that goes on.
+/// What is left when the daemon is killed at any moment, the disk is full or nothing may be written: patterns, the logbook, and a play that goes on.
 mod power;
 /// A whole session through a pseudo-terminal and the serial transport; the daemon ended and killed in mid-play.
 mod pty;

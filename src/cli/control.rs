@@ -44,19 +44,22 @@ pub(super) fn estop(plain: &Plain) -> Result<ExitCode> {
     }
     drop(tell);
     let (mut stopped, mut failed): (Vec<Status>, Vec<ClientError>) = (Vec::new(), Vec::new());
+    // Whoever reads, or does not: every answer is waited for, or this process might end before it has asked.
+    let mut said = Ok(());
     for (socket, answer) in answers {
         match answer {
             Ok(status) => {
-                match stopped.is_empty() {
-                    true => give(plain.output.json, &status, || text::state(&status))?,
-                    false if plain.output.json => {}
-                    false => say(&format!("{}: {}", socket.display(), text::state(&status)))?,
-                }
+                said = said.and(match stopped.is_empty() {
+                    true => give(plain.output.json, &status, || text::state(&status)),
+                    false if plain.output.json => Ok(()),
+                    false => say(&format!("{}: {}", socket.display(), text::state(&status))),
+                });
                 stopped.push(status);
             }
             Err(error) => failed.push(error),
         }
     }
+    said?;
     if !stopped.is_empty() && !plain.output.json && !stopped.iter().any(Status::is_connected) {
         say(
             "no device is connected, so no line was put low: cut the supply if pins move, and see `meissner status`",

@@ -1,7 +1,7 @@
 //! Signals: what tells the daemon from outside to end, or to read its configuration again.
 //!
 //! SIGTERM and SIGINT end it. SIGHUP ends it if it was started from a terminal, which then has been closed; where there is none,
-//! or it was started by nohup, there is nothing to be closed and it reads its configuration again.
+//! or it was started by nohup, there is nothing to be closed and it reads its configuration again, if it has one to read.
 //!
 //! Invariant: from [`Signals::new`] on none of them kills, nor does a file that may not grow.
 
