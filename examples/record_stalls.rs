@@ -5,8 +5,8 @@
 //! started, in the second two busy loops per core run beside it. Only wake-ups more than [`TOLD_US`] late
 //! are written. What the lines mean is said in `src/report/lead/trace.rs`, which reads them.
 
-use meissner::stream::Realtime;
-use meissner::units::HostInstant;
+use meissner_stream::request_realtime;
+use meissner_stream::time::HostInstant;
 use rustix::thread::{ClockId, Timespec, clock_nanosleep_absolute};
 use std::error::Error;
 use std::io::Write;
@@ -31,7 +31,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let cores = thread::available_parallelism()?.get();
     let over = AtomicBool::new(false);
     let (realtime, late) = thread::scope(|scope| {
-        let recorder = scope.spawn(|| (Realtime::request(), record(Duration::from_secs(seconds))));
+        let recorder = scope.spawn(|| (request_realtime(), record(Duration::from_secs(seconds))));
         thread::sleep(Duration::from_secs(seconds) / 2);
         for _ in 0..2 * cores {
             scope.spawn(|| {

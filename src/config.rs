@@ -6,12 +6,13 @@
 //!
 //! Invariant: a [`Config`] that was read is within the ranges written here; an unknown key is an error at its line.
 
-use crate::device::Spec;
 use crate::logbook::Keep;
-use crate::plant::{Plant, PlantConfig, PlantError};
-use crate::stream::Settings;
 use firmware_protocol::limits::OnTimeLimits;
 use firmware_protocol::tick::Tick;
+use meissner_array::simulated::{Plant, PlantConfig, PlantError};
+use meissner_client::default_socket;
+use meissner_stream::Settings;
+use meissner_stream::device::Spec;
 use rustix::fs::OFlags;
 use serde::Deserialize;
 use std::env;
@@ -29,8 +30,6 @@ pub const MIN_LEASE_OVER_LEAD_MS: f64 = 50.0;
 pub const DEFAULT_LEASE_OVER_LEAD_MS: f64 = 200.0;
 /// The longest lease a controller takes, ms.
 pub const MAX_LEASE_MS: f64 = 10_000.0;
-/// Where the installed service listens.
-pub const SERVICE_SOCKET: &str = "/run/meissner/meissner.sock";
 /// How long files of the logbook are kept if nobody says, days: a year and what it takes to write about it.
 pub const LOGBOOK_DAYS: u32 = 400;
 /// The longest they can be kept, days.
@@ -373,23 +372,6 @@ impl File {
 /// A variable that is set and not empty.
 fn variable(name: &str) -> Option<PathBuf> {
     env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from)
-}
-
-/// Where the daemon listens if nobody says: `$MEISSNER_SOCKET`, else `$XDG_RUNTIME_DIR/meissner.sock`, else
-/// `/run/meissner/meissner.sock`.
-#[must_use]
-pub fn default_socket() -> PathBuf {
-    named_socket().or_else(users_socket).unwrap_or_else(|| PathBuf::from(SERVICE_SOCKET))
-}
-
-/// `$MEISSNER_SOCKET`.
-pub(crate) fn named_socket() -> Option<PathBuf> {
-    variable("MEISSNER_SOCKET")
-}
-
-/// Where a user's own daemon listens.
-pub(crate) fn users_socket() -> Option<PathBuf> {
-    variable("XDG_RUNTIME_DIR").map(|dir| dir.join("meissner.sock"))
 }
 
 /// `$STATE_DIRECTORY`: systemd's, which names all that a unit has, the outermost first, with colons in between.

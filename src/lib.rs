@@ -46,30 +46,10 @@
 //! Rooms are listed lowest first in `tests/layers.rs`; a room uses only what stands before it. [`config`] is read
 //! at the daemon's start, and again when it is told to; what it takes while it runs stands in `daemon/reload.rs`.
 
-pub mod api;
-pub mod array;
-pub mod calibrate;
-pub mod checkup;
 pub mod cli;
-pub mod client;
 pub mod config;
 pub mod daemon;
-pub mod device;
-pub mod draw;
-mod keyed;
-pub mod link;
 pub mod log;
 pub mod logbook;
-pub mod motor;
-pub mod optimise;
-pub mod pattern;
-pub mod plant;
-mod quote;
 pub mod record;
-pub mod report;
-pub mod simulate;
-pub mod skin;
 pub mod store;
-pub mod stream;
-pub mod strokes;
-pub mod units;

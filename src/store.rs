@@ -7,10 +7,10 @@
 //! Invariant: a file of the directory is replaced whole or not at all, and only by one that parses and bears
 //! the file's name.
 
-use crate::pattern::{MAX_FILE_BYTES, Pattern, PatternError};
 use include_dir::{Dir, include_dir};
+use meissner_api::{Entry, List};
+use meissner_array::pattern::{MAX_FILE_BYTES, Pattern, PatternError};
 use rustix::fs::OFlags;
-use serde::Serialize;
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::fs::{self, File, OpenOptions};
@@ -93,30 +93,6 @@ pub struct Stored {
     pub sha256: String,
     /// Whether it is part of the library.
     pub library: bool,
-}
-
-/// A line of a list.
-#[derive(Clone, Debug, Serialize)]
-pub struct Entry {
-    /// Its name.
-    pub name: String,
-    /// Whether it is part of the library.
-    pub library: bool,
-    /// How long one run lasts; null: endless.
-    pub duration_s: Option<f64>,
-    /// How many drives it has.
-    pub drives: usize,
-    /// SHA-256 of its file.
-    pub sha256: String,
-}
-
-/// Everything there is.
-#[derive(Clone, Debug, Default, Serialize)]
-pub struct List {
-    /// Sorted by name.
-    pub patterns: Vec<Entry>,
-    /// What could not be read, a line each.
-    pub errors: Vec<String>,
 }
 
 /// The store.

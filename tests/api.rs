@@ -1,7 +1,7 @@
 use crate::harness::{Daemon, assert_accounts, problem};
-use meissner::api::MAX_BODY;
-use meissner::client::{Client, Events};
-use meissner::record::{Event, PlayState};
+use meissner_api::MAX_BODY;
+use meissner_api::{Event, PlayState};
+use meissner_client::{Client, Events};
 use rustix::process::Signal;
 use serde_json::{Value, json};
 use std::io::{Read, Write};
@@ -256,7 +256,7 @@ fn a_receipt_tells_what_was_felt_when_the_bursts_were_measured() {
         assert!(felt_unknown.is_some_and(|why| why.contains("bursts were not measured")));
         return;
     };
-    assert_eq!((felt.felt.seconds, felt.felt.target.as_deref()), (0.5, Some("edge-45")));
+    assert_eq!((felt.seconds, felt.target.as_deref()), (0.5, Some("edge-45")));
     assert!(receipt["felt"]["designed_hz"]["contrast"].as_f64().unwrap() > 100.0, "{receipt}");
     assert!(receipt["felt"]["played_hz"]["contrast"].as_f64().unwrap() > 50.0, "{receipt}");
     assert_eq!(receipt["felt"]["population_seed"], 0);

@@ -1,8 +1,8 @@
 use crate::harness::{Daemon, PATIENCE, complaint, meissner, printed};
-use meissner::api::Status;
-use meissner::device::{self, DeviceError, PtyMock, Spec, WallMock};
-use meissner::plant::PlantConfig;
-use meissner::units::HostInstant;
+use meissner_api::Status;
+use meissner_array::simulated::PlantConfig;
+use meissner_stream::device::{self, DeviceError, PtyMock, Spec, WallMock};
+use meissner_stream::time::HostInstant;
 use serde_json::Value;
 use std::io::Write;
 use std::sync::Arc;

@@ -1,7 +1,7 @@
 use crate::harness::{Daemon, document, meissner, printed, problem};
-use meissner::calibrate::Calibration;
-use meissner::client::{Client, Events};
-use meissner::record::Event;
+use meissner_api::Event;
+use meissner_client::{Client, Events};
+use meissner_stream::calibrate::Calibration;
 use serde_json::{Value, json};
 use std::fs;
 use std::time::Duration;
@@ -45,7 +45,7 @@ fn a_calibration_is_played_fitted_stored_and_used() {
     let report: Value = client.get("/v1/calibration").unwrap();
     assert_eq!((&report["used"], &report["motors"][0]["motor"]), (&true.into(), &3.into()));
     // As the plant is made: seed 0, motor 3.
-    let asymmetry = 0.05 * meissner::draw::normal([0, 3, 0, 2]);
+    let asymmetry = 0.05 * meissner_array::random::normal([0, 3, 0, 2]);
     let (up, se) = (&report["motors"][0]["gain_up"], &report["motors"][0]["gain_up_se"]);
     let off = up.as_f64().unwrap() - 1.0 - asymmetry / 2.0;
     assert!(off.abs() < 5.0 * se.as_f64().unwrap(), "{report}");

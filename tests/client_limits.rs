@@ -1,7 +1,7 @@
 use crate::harness::{Daemon, problem};
-use meissner::api::MAX_CLIENTS;
-use meissner::client::Client;
-use meissner::record::Event;
+use meissner_api::Event;
+use meissner_api::MAX_CLIENTS;
+use meissner_client::Client;
 use serde_json::{Value, json};
 use std::time::Duration;
 

@@ -1,12 +1,12 @@
 use crate::harness::{complaint, document, meissner, printed, write_pattern};
-use meissner::array;
-use meissner::motor::SteadyState;
-use meissner::optimise::{Shape, Sides, Target, Verdict, YARDSTICK, shipped};
-use meissner::pattern::{Drive, Pattern};
-use meissner::report::figures::{AMPLITUDES_UM, INDEX, Report, Subject, TargetFigures, report};
-use meissner::simulate::{Method, Options, Scene, simulate};
-use meissner::skin::{POPULATION_NOISE_SD, Position, RaModel, Rectify, population};
 use meissner::store::Store;
+use meissner_array::geometry;
+use meissner_array::motor::SteadyState;
+use meissner_array::pattern::{Drive, Pattern};
+use meissner_design::{Shape, Sides, Target, Verdict, YARDSTICK, shipped};
+use meissner_report::figures::{AMPLITUDES_UM, INDEX, Report, Subject, TargetFigures, report};
+use meissner_skin::afferent::{POPULATION_NOISE_SD, Position, RaModel, Rectify, population};
+use meissner_skin::simulate::{Method, Options, Scene, simulate};
 use serde_json::Value;
 use std::collections::BTreeSet;
 use std::fs;
@@ -319,7 +319,7 @@ fn the_edge_is_tuned_near_60_hz_and_its_cost_only_rises() {
 
     let shape = &target.frames()[0].shape;
     let distance = |motor| {
-        let [x_mm, y_mm] = array::position_mm(motor);
+        let [x_mm, y_mm] = geometry::position_mm(motor);
         shape.distance_mm(Position { x_mm, y_mm })
     };
     let near: Vec<u8> = (0..24).filter(|&motor| distance(motor) <= target.reach_mm()).collect();
@@ -453,7 +453,7 @@ fn a_moving_target_is_drawn_in_four_of_its_frames() {
         let rates: Vec<f64> = rows.iter().map(|row| row[5]).collect();
         assert_verdict(&frames[number].verdict, &sides, &rates);
         // Pin 14 is still in the first half, and its nearest receptor, not within a millimetre, does not feel pin 9.
-        let [x_mm, y_mm] = array::position_mm(14);
+        let [x_mm, y_mm] = geometry::position_mm(14);
         let pin = Shape::Dots(vec![[x_mm, y_mm]]);
         let away_mm = |row: &[f64; 6]| pin.distance_mm(Position { x_mm: row[2], y_mm: row[3] });
         let nearest = rows.iter().min_by(|a, b| away_mm(a).total_cmp(&away_mm(b))).unwrap();

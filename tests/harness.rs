@@ -1,6 +1,6 @@
 use assert_cmd::Command;
-use meissner::api::{Problem, Status};
-use meissner::client::{Client, ClientError};
+use meissner_api::{Problem, Status};
+use meissner_client::{Client, ClientError};
 use serde_json::{Value, json};
 use std::fs::{self, File};
 use std::io::{Read, Write};

@@ -1,5 +1,6 @@
 use crate::harness::meissner;
-use meissner::report::{HoldGrid, HoldRow, HoldTradeoff, Verdict, hold_tradeoff, plot_hold, rest_bound_um};
+use meissner_report::{HoldGrid, HoldRow, HoldTradeoff, Verdict, hold_tradeoff, plot_hold};
+use meissner_stream::rest_bound_um;
 use serde_json::Value;
 use std::sync::OnceLock;
 

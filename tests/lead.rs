@@ -1,8 +1,8 @@
 use crate::harness::{complaint, document, meissner, printed};
-use meissner::report::{
+use meissner_report::{
     LEADS_MS, LeadRow, LeadTradeoff, MAX_TRACE_BYTES, STALLS, Trace, lead_tradeoff, plot_lead,
 };
-use meissner::stream::port::End;
+use meissner_stream::port::End;
 use serde_json::Value;
 use std::fs::{self, File};
 

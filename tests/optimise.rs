@@ -1,6 +1,6 @@
 use crate::harness::{complaint, document, meissner, printed};
 use assert_cmd::cargo::CommandCargoExt;
-use meissner::pattern::Pattern;
+use meissner_array::pattern::Pattern;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 use std::fs;

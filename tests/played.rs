@@ -1,11 +1,11 @@
-use crate::felt::by_the_plant;
-use crate::rig::pattern;
 use firmware_protocol::tick::TICK_HZ;
-use meissner::optimise::{MOST_OBSERVED_S, Play, felt};
-use meissner::pattern::Pattern;
-use meissner::plant::PlantConfig;
 use meissner::record::{Look, Unfelt};
-use meissner::stream::{Rehearsed, Settings, rehearse};
+use meissner_array::pattern::Pattern;
+use meissner_array::simulated::PlantConfig;
+use meissner_design::{MOST_OBSERVED_S, Play, felt};
+use meissner_stream::{Rehearsed, Settings, rehearse};
+use meissner_test_support::played::by_the_plant;
+use meissner_test_support::rig::pattern;
 use std::collections::HashSet;
 
 fn played(pattern: &Pattern, seconds: f64, plant: &PlantConfig, open_loop: bool) -> Rehearsed {
@@ -27,12 +27,15 @@ fn with_the_loop_and_without_it_an_edge_has_nearly_the_contrast_as_designed() {
         let played = played(&edge, MOST_OBSERVED_S, &plant, open_loop);
         assert_eq!(played.outcome.bursts.played, played.outcome.bursts.planned);
         let found = look(&edge, MOST_OBSERVED_S, &played).felt(&played.travels).unwrap();
-        assert_eq!((found.unmeasured, found.felt.seconds), (0, MOST_OBSERVED_S));
-        (found.felt, played.rest.max_abs_um, played.outcome.onset.unwrap().actual)
+        assert_eq!((found.unmeasured, found.seconds), (0, MOST_OBSERVED_S));
+        (found, played.rest.max_abs_um, played.outcome.onset.unwrap().actual)
     });
-    let contrast = |rates: meissner::optimise::Rates| rates.contrast.unwrap();
-    let (designed, with, without) =
-        (contrast(closed.0.designed_hz), contrast(closed.0.played_hz), contrast(open.0.played_hz));
+    let contrast = |contrast: Option<f64>| contrast.unwrap();
+    let (designed, with, without) = (
+        contrast(closed.0.designed_hz.contrast),
+        contrast(closed.0.played_hz.contrast),
+        contrast(open.0.played_hz.contrast),
+    );
     println!("designed {designed:.2}, with the loop {with:.2}, without {without:.2} impulses/s");
     assert_eq!(closed.0.designed_hz, open.0.designed_hz);
     assert!(designed > 150.0 && (with / designed - 1.0).abs() < 0.03, "{designed} {with}");
@@ -40,7 +43,7 @@ fn with_the_loop_and_without_it_an_edge_has_nearly_the_contrast_as_designed() {
     // The filter knows no end stops: of bursts that meet one it tells a little too much.
     let play =
         Play { pattern: &edge, seconds: Some(MOST_OBSERVED_S), onset: open.2, observed_s: MOST_OBSERVED_S };
-    let truth = contrast(felt(&play, by_the_plant(plant, &play, u16::MAX)).unwrap().played_hz);
+    let truth = contrast(felt(&play, by_the_plant(plant, &play, u16::MAX)).unwrap().played_hz.contrast);
     println!("in truth without {truth:.2}");
     assert!((without - truth).abs() < 2.0, "{without} {truth}");
     // It is not that the pins did not drift.
@@ -52,8 +55,7 @@ fn motors_that_do_what_they_are_told_are_felt_as_designed() {
     let edge = pattern("edge-45");
     let played = played(&edge, 2.0, &PlantConfig::ideal(), true);
     let found = look(&edge, 2.0, &played).felt(&played.travels).unwrap();
-    let [designed, played] =
-        [found.felt.designed_hz, found.felt.played_hz].map(|rates| rates.contrast.unwrap());
+    let [designed, played] = [found.designed_hz, found.played_hz].map(|rates| rates.contrast.unwrap());
     // Telemetry has a quantum of 0.01 um.
     assert!((designed - played).abs() < 0.1, "{designed} {played}");
 }
@@ -81,12 +83,12 @@ fn bursts_that_nobody_measured_are_counted_and_too_many_are_a_reason() {
     let late: Vec<_> = played.travels.iter().filter(|travel| travel.travel_um > 0.0).step_by(20).collect();
     look.unplayed = late.iter().map(|travel| (travel.motor, travel.start)).collect();
     let gone =
-        |travel: &&meissner::stream::port::Traveled| !look.unplayed.contains(&(travel.motor, travel.start));
+        |travel: &&meissner_stream::port::Traveled| !look.unplayed.contains(&(travel.motor, travel.start));
     let left: Vec<_> = played.travels.iter().filter(gone).copied().collect();
     // Their down bursts are measured here, and not asked for.
     let less = look.felt(&left).unwrap();
     assert_eq!(less.unmeasured, 0);
-    assert!(less.felt.played_hz.all < found.felt.played_hz.all, "{less:?}");
+    assert!(less.played_hz.all < found.played_hz.all, "{less:?}");
 }
 
 #[test]
@@ -96,7 +98,7 @@ fn of_a_play_that_was_cut_counts_what_was_played_of_it() {
     let mut look = look(&edge, 60.0, &played);
     look.cut = true;
     let found = look.felt(&played.travels).unwrap();
-    assert!(found.felt.seconds > 1.9 && found.felt.seconds < 2.0, "{found:?}");
+    assert!(found.seconds > 1.9 && found.seconds < 2.0, "{found:?}");
     assert_eq!(found.unmeasured, 0);
     let early: Vec<_> = played
         .travels

@@ -2,9 +2,9 @@
 
 use crate::harness::PATIENCE;
 use jiff::Zoned;
-use meissner::api::{Imported, Problem, Status};
-use meissner::client::{Client, ClientError};
 use meissner::store::Store;
+use meissner_api::{Imported, Problem, Status};
+use meissner_client::{Client, ClientError};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use rustix::process::{Pid, Signal, kill_process};
@@ -117,7 +117,7 @@ fn play(client: &mut Client, seconds: f64) -> Value {
     let _: Value = client.post("/v1/play", &json!({"pattern": "edge-45", "seconds": seconds})).unwrap();
     loop {
         let event = events.next(Some(PATIENCE)).unwrap().expect("the daemon lives");
-        if let meissner::record::Event::Ended { receipt } = event {
+        if let meissner_api::Event::Ended { receipt } = event {
             return serde_json::to_value(receipt).unwrap();
         }
     }

@@ -1,11 +1,11 @@
 use crate::harness::{Daemon, complaint, printed};
-use crate::rig::{OFF, bursts_on_the_lines};
 use firmware_protocol::message::{Cause, State};
-use meissner::api::Status;
-use meissner::device::{PtyMock, WallMock};
-use meissner::plant::PlantConfig;
-use meissner::record::Receipt;
-use meissner::units::HostInstant;
+use meissner_api::Receipt;
+use meissner_api::Status;
+use meissner_array::simulated::PlantConfig;
+use meissner_stream::device::{PtyMock, WallMock};
+use meissner_stream::time::HostInstant;
+use meissner_test_support::rig::{OFF, bursts_on_the_lines};
 use rustix::process::Signal;
 use serde_json::json;
 use std::os::unix::fs::symlink;

@@ -1,6 +1,6 @@
 use meissner::config::{Config, LOGBOOK_DAYS, PatternsDir};
-use meissner::device::Spec;
 use meissner::logbook::Keep;
+use meissner_stream::device::Spec;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;

@@ -1,5 +1,5 @@
 use crate::harness::{Daemon, PATIENCE, PROGRAM, complaint, meissner, printed};
-use meissner::api::Status;
+use meissner_api::Status;
 use rustix::process::Signal;
 use std::os::fd::OwnedFd;
 use std::os::unix::fs::FileTypeExt;

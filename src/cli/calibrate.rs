@@ -6,11 +6,12 @@
 
 use super::progress::Progress;
 use super::{Plain, control, files, give, text};
-use crate::api::{CalibrateRequest, CalibratedMotor, CalibrationReport, Played};
-use crate::client::Events;
-use crate::record::Event;
+use crate::record::calibration_plan;
 use anyhow::{Result, bail};
 use clap::Args;
+use meissner_api::Event;
+use meissner_api::{CalibrateRequest, CalibratedMotor, CalibrationReport, Played};
+use meissner_client::Events;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::atomic::Ordering;
@@ -41,7 +42,7 @@ pub(super) fn run(asked: &Calibrate) -> Result<ExitCode> {
     let out = asked.out.as_deref().map(files::beside).transpose()?;
     let Calibrate { motor, repetitions, ref pulses, .. } = *asked;
     let request = CalibrateRequest { motor, pulses: pulses.clone(), repetitions };
-    let plan = request.plan()?;
+    let plan = calibration_plan(&request)?;
     let mut client = asked.plain.client()?;
     let mut events = client.events()?;
     let over = control::leave_on_interrupt()?;

@@ -7,11 +7,11 @@
 
 use super::progress::Progress;
 use super::{Onset, Plain, Play, give, say, text};
-use crate::api::{ArmRequest, PlayRequest, Played, Status};
-use crate::client::{Client, ClientError, Events, HOME_PATIENCE, escape};
 use crate::daemon;
-use crate::record::{Event, Receipt};
 use anyhow::{Result, bail};
+use meissner_api::{ArmRequest, PlayRequest, Played, Status};
+use meissner_api::{Event, Receipt};
+use meissner_client::{Client, ClientError, Events, HOME_PATIENCE, escape};
 use serde_json::{Value, json};
 use std::io::{self, Write};
 use std::process::{self, ExitCode};
@@ -110,7 +110,7 @@ pub(super) fn play(play: &Play) -> Result<ExitCode> {
         at_tick,
         at_ms,
         boot: None,
-        late: play.late.into(),
+        late: play.late,
         replace: play.replace,
         open_loop: play.open_loop,
     };

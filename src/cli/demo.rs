@@ -7,18 +7,20 @@
 
 use super::progress::Progress;
 use super::{control, give, text};
-use crate::api::{ArmRequest, PlayRequest, Played, Status};
-use crate::client::{Client, Events};
 use crate::config::{Config, PatternsDir};
 use crate::daemon::{Daemon, Hosted};
-use crate::device::Spec;
-use crate::optimise::Rates;
-use crate::pattern::Pattern;
-use crate::record::{FeltRecord, Look, Receipt, Wire};
+use crate::record::Look;
 use crate::store::Store;
-use crate::stream::port::{Bursts, Pulses};
-use crate::stream::{Realtime, Rehearsed, rehearse};
 use anyhow::{Context, Result, bail};
+use meissner_api::Rates;
+use meissner_api::Realtime;
+use meissner_api::{ArmRequest, PlayRequest, Played, Status};
+use meissner_api::{BurstCounts, PulseCounts};
+use meissner_api::{Receipt, Wire};
+use meissner_array::pattern::Pattern;
+use meissner_client::{Client, Events};
+use meissner_stream::device::Spec;
+use meissner_stream::{Rehearsed, rehearse};
 use serde::Serialize;
 use std::collections::HashSet;
 use std::process::ExitCode;
@@ -38,8 +40,8 @@ struct Report {
     device: String,
     state: &'static str,
     cause: Option<String>,
-    bursts: Bursts,
-    pulses: Pulses,
+    bursts: BurstCounts,
+    pulses: PulseCounts,
     wire: WireReport,
     onset_latency_ms: Option<f64>,
     lead_ms: f64,
@@ -137,14 +139,14 @@ fn felt_report(request: &PlayRequest, receipt: &Receipt, pattern: &Pattern, open
         let look = Look { pattern, seconds: request.seconds, onset, cut: false, unplayed: HashSet::new() };
         look.felt(&open.travels).ok()
     });
-    let played = receipt.felt.as_ref().map(|FeltRecord { felt, .. }| felt);
-    let any = played.or(open.as_ref().map(|open| &open.felt));
+    let played = receipt.felt.as_ref();
+    let any = played.or(open.as_ref());
     FeltReport {
         seconds: any.map(|felt| felt.seconds),
         target: any.and_then(|felt| felt.target.clone()),
         designed_hz: any.map(|felt| felt.designed_hz),
         closed_loop_hz: played.filter(|_| !request.open_loop).map(|felt| felt.played_hz),
-        open_loop_hz: open.as_ref().map(|open| open.felt.played_hz),
+        open_loop_hz: open.as_ref().map(|open| open.played_hz),
         unknown: receipt.felt_unknown.clone(),
     }
 }

@@ -6,11 +6,11 @@
 //! Invariant: the daemon is asked to store only what has been read and checked here.
 
 use super::{Plain, files, give, say, say_json, text};
-use crate::api::Imported;
-use crate::client::escape;
-use crate::motor::SteadyState;
-use crate::pattern::{MAX_FILE_BYTES, Pattern};
 use anyhow::{Result, bail};
+use meissner_api::Imported;
+use meissner_array::motor::SteadyState;
+use meissner_array::pattern::{MAX_FILE_BYTES, Pattern};
+use meissner_client::escape;
 use serde_json::Value;
 use std::path::Path;
 use std::process::ExitCode;

@@ -21,15 +21,17 @@ mod text;
 mod tradeoff;
 mod watch;
 
-use crate::api::Late;
-use crate::client::{Client, Place};
 use crate::config::Source;
 use crate::daemon::{self, Daemon, DaemonError, Ended, Signals};
-use crate::device::Spec;
 use crate::log;
 use anyhow::{Result, anyhow};
-use clap::{Args, CommandFactory, Parser, Subcommand, ValueEnum};
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use clap::{Args, CommandFactory, Parser, Subcommand};
+use meissner_api::LatePolicy;
+use meissner_client::{Client, Place};
+use meissner_stream::device::Spec;
 use serde::Serialize;
+use serde::de::DeserializeOwned;
 use std::io::{self, BufWriter, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -171,8 +173,8 @@ struct Play {
     #[arg(long, value_name = "TICK|+MS")]
     at: Option<Onset>,
     /// What to do when strokes come late
-    #[arg(long, value_enum, default_value_t = Policy::Drop)]
-    late: Policy,
+    #[arg(long, default_value = "drop", value_parser = choice::<LatePolicy>(&[("drop", "Drop them whole and go on"), ("abort", "End the play")]))]
+    late: LatePolicy,
     /// Stop what runs and clear the queue first
     #[arg(long)]
     replace: bool,
@@ -248,21 +250,12 @@ impl FromStr for Onset {
     }
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum Policy {
-    /// Drop them whole and go on
-    Drop,
-    /// End the play
-    Abort,
-}
-
-impl From<Policy> for Late {
-    fn from(policy: Policy) -> Self {
-        match policy {
-            Policy::Drop => Self::Drop,
-            Policy::Abort => Self::Abort,
-        }
-    }
+/// Values of a flag, each with what it means, as the type `T` that serde reads from the value's name.
+fn choice<T: DeserializeOwned + Clone + Send + Sync + 'static>(
+    values: &'static [(&'static str, &'static str)],
+) -> impl TypedValueParser<Value = T> {
+    let values = values.iter().map(|(name, help)| PossibleValue::new(name).help(help));
+    PossibleValuesParser::new(values).try_map(|name| serde_json::from_value(name.into()))
 }
 
 /// All commands and their flags, as clap knows them: what manual pages and shell completions are made from.

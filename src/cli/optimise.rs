@@ -8,16 +8,16 @@
 //! Invariant: what was there before under the pattern's name is replaced only by a whole pattern.
 
 use super::progress::Search;
-use super::{Output, files, is_broken_pipe, library, say, say_json, text};
+use super::{Output, choice, files, is_broken_pipe, library, say, say_json, text};
 use crate::daemon;
-use crate::optimise::{
+use anyhow::{Result, anyhow, bail};
+use clap::Args;
+use meissner_array::pattern;
+use meissner_design::{
     Budget, Ended, MAX_BYTES, Made, Request, Robustness, Setting, Target, Verdict, make, populations,
     shipped, shipped_names,
 };
-use crate::pattern;
-use crate::quote::nearest;
-use anyhow::{Result, anyhow, bail};
-use clap::Args;
+use meissner_input::message::nearest;
 use serde::Serialize;
 use std::fs;
 use std::io::{self, Write};
@@ -42,7 +42,7 @@ pub(super) struct Optimise {
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
     seed: u64,
     /// What may be chosen: motors may be off, 5 to 150 Hz; or always on, 5 to 300 Hz
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, default_value = "default", value_parser = choice::<Setting>(&[("default", "Motors may be off; 5 to 150 Hz"), ("always_on", "The paper's: every motor vibrates; 5 to 300 Hz")]))]
     setting: Setting,
     /// About so many evaluations (for each frame of a moving target; or a list, N,N,...), or seconds in all (Ns) [default: until nothing improves]
     #[arg(long, value_name = "N|Ns")]

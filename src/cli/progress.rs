@@ -8,10 +8,10 @@
 //! Invariant: nothing here changes what is played.
 
 use super::{is_broken_pipe, say};
-use crate::optimise;
-use crate::record::Event;
 use anyhow::Result;
 use indicatif::{ProgressBar, ProgressStyle};
+use meissner_api::Event;
+use meissner_design;
 use std::io::{self, IsTerminal, Write};
 use std::time::{Duration, Instant};
 
@@ -59,13 +59,13 @@ impl Search {
         Self { lines: !json && meter.0.is_none(), meter, told: Instant::now() }
     }
 
-    pub(super) fn show(&mut self, progress: &optimise::Progress) {
+    pub(super) fn show(&mut self, progress: &meissner_design::Progress) {
         let now = Instant::now();
         if now.duration_since(self.told) < if self.lines { SHORT } else { TURN } {
             return;
         }
         self.told = now;
-        let optimise::Progress { frame, frames, spent, score } = progress;
+        let meissner_design::Progress { frame, frames, spent, score } = progress;
         let of = if *frames > 1 { format!("frame {} of {frames}, ", frame + 1) } else { String::new() };
         let line = format!(
             "{of}{} evaluations: {:.1} impulses/s, {:.1} ON, {:.1} OFF",

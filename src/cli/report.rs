@@ -6,10 +6,10 @@
 //! Invariant: no two patterns of a report have the same name.
 
 use super::{Output, files, give, library, progress, text};
-use crate::report::figures::{self, Figures, INDEX, Subject};
 use crate::store::Store;
 use anyhow::{Result, bail};
 use clap::Args;
+use meissner_report::figures::{self, Figures, INDEX, Subject};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;

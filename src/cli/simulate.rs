@@ -2,14 +2,14 @@
 //!
 //! Invariant: a scene that is too large or not a file is not read into memory.
 
-use super::{Cli, Output, files, give, progress, text};
-use crate::report::{self, Count, How, Reason};
-use crate::simulate::{
-    Answer, Integrator, Keep, MAX_JSON_BYTES, Method, Options, Precision, Scene, Stepping, choose, simulate,
-};
+use super::{Cli, Output, choice, files, give, progress, text};
 use anyhow::{Result, anyhow};
 use clap::error::ErrorKind;
 use clap::{Args, CommandFactory, ValueEnum};
+use meissner_report::{Count, How, Reason};
+use meissner_skin::simulate::{
+    Answer, Integrator, Keep, MAX_JSON_BYTES, Method, Options, Precision, Scene, Stepping, choose, simulate,
+};
 use serde::Serialize;
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
@@ -30,10 +30,10 @@ pub(super) struct Simulate {
     #[arg(long, value_name = "N")]
     step_us: Option<u32>,
     /// What is done in a step [default: propagator]
-    #[arg(long, value_enum)]
+    #[arg(long, value_parser = choice::<Integrator>(&[("euler", "The paper's eq. 2: input and leak as they are at the step's start, a spike at its end"), ("propagator", "The leak exactly, the input by its mean, crossings within the step")]))]
     integrator: Option<Integrator>,
     /// What it is computed with [default: f32]
-    #[arg(long, value_enum)]
+    #[arg(long, value_parser = choice::<Precision>(&[("f32", "Single precision"), ("f64", "Double precision")]))]
     precision: Option<Precision>,
     /// Choose the cheapest method whose rates err by at most so many impulses/s, RMS over receptors
     #[arg(
@@ -109,7 +109,7 @@ pub(super) fn run(asked: &Simulate) -> Result<ExitCode> {
         chosen,
         spikes_s: answer.spikes_s.as_deref(),
         rates_hz: answer.rates_hz(&scene),
-        skipped: report::reasons(&answer.skipped),
+        skipped: meissner_report::reasons(&answer.skipped),
         wall_s: begun.elapsed().as_secs_f64(),
     };
     give(asked.output.json, &document, || summary(&scene, &answer, &document))?;

@@ -4,14 +4,13 @@
 //!
 //! Invariant: no line depends on the terminal.
 
-use crate::api::Status;
-use crate::array::{COLUMNS, ROWS};
-use crate::optimise::Felt;
-use crate::pattern::Drive;
-use crate::record::{Event, FeltRecord, NO_DEVICE, Receipt};
-use crate::report::figures::stretches;
 use comfy_table::presets::{NOTHING, UTF8_FULL};
 use comfy_table::{CellAlignment, Table};
+use meissner_api::Status;
+use meissner_api::{Event, NO_DEVICE, PredictedResponse, Receipt};
+use meissner_array::geometry::{COLUMNS, ROWS};
+use meissner_array::pattern::Drive;
+use meissner_report::figures::stretches;
 use serde_json::Value;
 use std::fmt::Write;
 
@@ -76,11 +75,10 @@ pub(super) fn receipt(receipt: &Receipt) -> String {
 }
 
 /// What was felt of a play, if that was looked at: contrast if it has a target, else the mean rate.
-fn felt(felt: Option<&FeltRecord>, unknown: Option<&str>) -> Option<String> {
-    let Some(FeltRecord { felt, unmeasured }) = felt else {
+fn felt(felt: Option<&PredictedResponse>, unknown: Option<&str>) -> Option<String> {
+    let Some(PredictedResponse { seconds, played_hz, designed_hz, unmeasured, .. }) = felt else {
         return unknown.map(|why| format!("not known: {why}"));
     };
-    let Felt { seconds, played_hz, designed_hz, .. } = felt;
     let (what, played, designed) = match (played_hz.contrast, designed_hz.contrast) {
         (Some(played), Some(designed)) => ("contrast", played, designed),
         _ => ("mean rate", played_hz.all, designed_hz.all),

@@ -5,15 +5,15 @@
 //! [`What`]. What is measured and what is recommended is `report`'s; here it is laid out.
 
 use super::{Output, files, give, progress, simulate, text};
-use crate::optimise::YARDSTICK;
-use crate::report::{
+use anyhow::Result;
+use clap::Args;
+use meissner_design::YARDSTICK;
+use meissner_report::{
     self, Bias, HoldGrid, HoldRow, HoldTradeoff, LEADS_MS, LeadRow, LeadTradeoff, MAX_TRACE_BYTES, STALLS,
     Trace, Verdict, WireRow, Worst,
 };
-use crate::simulate::Scene;
-use crate::stream::port::End;
-use anyhow::Result;
-use clap::Args;
+use meissner_skin::simulate::Scene;
+use meissner_stream::port::End;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -65,10 +65,10 @@ pub(super) fn run(asked: &Tradeoff) -> Result<ExitCode> {
         What::Methods(scene) => {
             let scene = match scene {
                 Some(file) => simulate::read(file)?,
-                None => Scene::read(report::SIXTY_HERTZ, "sixty-hertz.toml")?,
+                None => Scene::read(meissner_report::SIXTY_HERTZ, "sixty-hertz.toml")?,
             };
-            let measure = || Ok(progress::metered(|at| report::tradeoff(&scene, at))?);
-            answer(asked, measure, report::plot, methods_table)
+            let measure = || Ok(progress::metered(|at| meissner_report::tradeoff(&scene, at))?);
+            answer(asked, measure, meissner_report::plot, methods_table)
         }
         What::Leads(trace) => {
             let trace = match trace {
@@ -78,12 +78,14 @@ pub(super) fn run(asked: &Tradeoff) -> Result<ExitCode> {
                 }
                 None => Trace::read(STALLS, "stalls.txt")?,
             };
-            let measure = || Ok(progress::metered(|at| report::lead_tradeoff(&trace, &LEADS_MS, at)));
-            answer(asked, measure, report::plot_lead, leads_table)
+            let measure =
+                || Ok(progress::metered(|at| meissner_report::lead_tradeoff(&trace, &LEADS_MS, at)));
+            answer(asked, measure, meissner_report::plot_lead, leads_table)
         }
         What::Loop => {
-            let measure = || Ok(progress::metered(|at| report::hold_tradeoff(&HoldGrid::default(), at))?);
-            answer(asked, measure, report::plot_hold, loop_table)
+            let measure =
+                || Ok(progress::metered(|at| meissner_report::hold_tradeoff(&HoldGrid::default(), at))?);
+            answer(asked, measure, meissner_report::plot_hold, loop_table)
         }
     }
 }
@@ -92,7 +94,7 @@ pub(super) fn run(asked: &Tradeoff) -> Result<ExitCode> {
 fn answer<T: Serialize>(
     asked: &Tradeoff,
     measure: impl FnOnce() -> Result<T>,
-    draw: impl FnOnce(&T) -> Result<String, report::PlotError>,
+    draw: impl FnOnce(&T) -> Result<String, meissner_report::PlotError>,
     table: impl FnOnce(&T) -> Vec<String>,
 ) -> Result<ExitCode> {
     // A place that cannot be written to is said before the work.
@@ -113,10 +115,10 @@ fn figure(figure: Option<f64>, digits: usize) -> String {
     figure.map_or_else(|| "-".to_owned(), |figure| format!("{figure:.digits$}"))
 }
 
-fn methods_table(tradeoff: &report::Tradeoff) -> Vec<String> {
+fn methods_table(tradeoff: &meissner_report::Tradeoff) -> Vec<String> {
     let head =
         ["method", "us/receptor/s", "matched", "error us", "rate RMS", "rate bias", "cost error", "front"];
-    let row = |row: &report::Row| {
+    let row = |row: &meissner_report::Row| {
         let front = match (&row.reason, row.pareto) {
             (Some(_), _) => "refused",
             (None, true) => "*",
@@ -339,7 +341,7 @@ fn worst_cells(tradeoff: &HoldTradeoff) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::stream::Doubt;
+    use meissner_api::SensorFault;
 
     #[test]
     fn what_does_not_hold_is_named_the_worst_first() {
@@ -354,14 +356,14 @@ mod tests {
             seconds: 4.0,
             periods: 0.0,
         };
-        let mut found = report::hold_tradeoff(&grid, &|_| ()).unwrap();
+        let mut found = meissner_report::hold_tradeoff(&grid, &|_| ()).unwrap();
         let text = loop_table(&found).join("\n");
         assert!(!text.contains("Does not hold") && text.contains("the lead makes no difference"), "{text}");
         assert!(text.contains("0 do not hold") && text.ends_with(&found.recommendation), "{text}");
         for row in &mut found.rows {
             (row.verdict, row.rest_rms_um) = (Verdict::Misses, 2.0 * row.limit_um);
         }
-        found.rows[1].doubt = Some(Doubt::Gain);
+        found.rows[1].doubt = Some(SensorFault::Gain);
         // Of two leads that make no difference one is told.
         let lines = worst_cells(&found);
         assert_eq!(lines.len(), 2, "{lines:?}");

@@ -5,9 +5,9 @@
 //! Invariant: they change nothing.
 
 use super::{Plain, give, say, say_json, text};
-use crate::api::Status;
-use crate::record::{Event, Receipt};
 use anyhow::Result;
+use meissner_api::Status;
+use meissner_api::{Event, Receipt};
 use std::io::{self, IsTerminal};
 use std::process::ExitCode;
 

@@ -6,18 +6,18 @@
 
 use super::engine::{Engine, Inner};
 use super::felt::Feeler;
-use crate::api::{CalibratedMotor, CalibrationReport, Code, PlayRequest, Problem};
-use crate::calibrate::{Calibration, Fit, MAX_BYTES, MotorFit, Plan, Provenance, by_telemetry, fit};
 use crate::config;
 use crate::logbook::Who;
-use crate::record::{DeviceInfo, Event, PlayState, Receipt};
 use crate::store::{self, Stored};
-use crate::stream::Gains;
-use crate::stream::port::{Job, Order, Traveled};
-use crate::units::HostInstant;
 use firmware_protocol::stroke::{Direction, MOTORS};
 use firmware_protocol::tick::Tick;
 use jiff::Timestamp;
+use meissner_api::{CalibratedMotor, CalibrationReport, Code, PlayRequest, Problem};
+use meissner_api::{DeviceInfo, Event, PlayState, Receipt};
+use meissner_stream::Gains;
+use meissner_stream::calibrate::{Calibration, Fit, MAX_BYTES, MotorFit, Plan, by_telemetry, fit};
+use meissner_stream::port::{Job, Order, Traveled};
+use meissner_stream::time::HostInstant;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -73,7 +73,7 @@ impl Calibrating {
         let kind = device.kind.split(':').next().unwrap_or_default();
         let firmware = format!("{} ({})", device.firmware, device.build);
         let telemetry = if device.simulated { "plant" } else { "device" };
-        let mut made = Provenance::of(&self.plan, kind, &firmware, identity, telemetry);
+        let mut made = self.plan.provenance(kind, &firmware, identity, telemetry);
         made.date = Some(today());
         let fits = fit(&by_telemetry(&self.plan, onset, &self.travels)).map_err(|error| error.to_string())?;
         if fits.is_empty() {

@@ -10,9 +10,9 @@
 //! Invariant: at most one board is open; the old one is closed before the next is looked for.
 
 use super::engine::Engine;
-use crate::device::{self, Device, Spec};
-use crate::plant::PlantConfig;
 use crossbeam_channel::{Receiver, RecvError, Sender, bounded, never, select};
+use meissner_array::simulated::PlantConfig;
+use meissner_stream::device::{self, Device, Spec};
 use std::io;
 use std::sync::Arc;
 use std::thread;
@@ -206,9 +206,9 @@ impl Connector {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::stream::Settings;
-    use crate::stream::port::port;
     use crossbeam_channel::TryRecvError;
+    use meissner_stream::Settings;
+    use meissner_stream::port::port;
 
     #[test]
     fn a_watch_that_has_ended_is_not_heard_any_more() {

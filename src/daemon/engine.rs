@@ -12,17 +12,20 @@
 use super::calibrate::{Calibrating, Kept};
 use super::connect::Word;
 use super::notebook::Names;
-use crate::api::{Code, Problem};
-use crate::device::Device;
-use crate::device::mock::Truth;
 use crate::logbook::{Entry, Logbook, Who};
-use crate::pattern::Pattern;
-use crate::record::{Event, FeltRecord, Recorder, Travels, Unfelt, state_name};
-use crate::stream::port::{Job, Order, Orders, Refused};
-use crate::stream::{Gains, Realtime, Settings};
-use crate::units::HostInstant;
+use crate::record::{Recorder, Travels, Unfelt};
+use crate::record::{refusal, state_name};
 use firmware_protocol::message::State;
 use firmware_protocol::stroke::MOTORS;
+use meissner_api::Realtime;
+use meissner_api::{Code, Problem};
+use meissner_api::{Event, PredictedResponse};
+use meissner_array::pattern::Pattern;
+use meissner_stream::device::Device;
+use meissner_stream::device::mock::Truth;
+use meissner_stream::port::{Job, Order, Orders, Refused};
+use meissner_stream::time::HostInstant;
+use meissner_stream::{Gains, Settings};
 use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -315,7 +318,7 @@ impl Engine {
     }
 
     /// It is known what was felt of a play, or why not.
-    pub(super) fn felt(&self, id: u64, felt: Result<FeltRecord, Unfelt>) {
+    pub(super) fn felt(&self, id: u64, felt: Result<PredictedResponse, Unfelt>) {
         let mut inner = self.lock();
         if let Some(event) = inner.recorder.felt(id, felt) {
             inner.publish(&event);
@@ -424,18 +427,18 @@ pub(super) async fn answer(reply: Reply) -> Result<(), Problem> {
 
 pub(super) async fn within(patience: Duration, reply: Reply) -> Result<(), Problem> {
     match tokio::time::timeout(patience, reply).await {
-        Ok(Ok(result)) => result.map_err(Problem::from),
+        Ok(Ok(result)) => result.map_err(refusal),
         // The ticket stays, so that a late answer still reaches the record.
-        Ok(Err(_)) | Err(_) => Err(Refused::Timeout.into()),
+        Ok(Err(_)) | Err(_) => Err(refusal(Refused::Timeout)),
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::device::{self, Spec};
-    use crate::plant::PlantConfig;
-    use crate::stream::port::{Notice, port};
+    use meissner_array::simulated::PlantConfig;
+    use meissner_stream::device::{self, Spec};
+    use meissner_stream::port::{Notice, port};
 
     #[test]
     fn a_full_ring_is_busy_for_all_but_an_emergency_stop() {

@@ -5,9 +5,10 @@
 //! Invariant: no more than [`WAITING`] plays wait; of any more it is said that they were not looked at.
 
 use super::engine::Engine;
-use crate::pattern::Pattern;
-use crate::record::{Look, Receipt, Unfelt};
-use crate::stream::port::Traveled;
+use crate::record::{Look, Unfelt};
+use meissner_api::Receipt;
+use meissner_array::pattern::Pattern;
+use meissner_stream::port::Traveled;
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};

@@ -10,15 +10,9 @@ use super::DISK_THREADS;
 use super::engine::{self, Engine, PATIENCE};
 use super::metrics;
 use super::notebook::Asked;
-use crate::api::{
-    self, ArmRequest, CalibrateRequest, CalibrationReport, Code, Imported, MAX_BODY, PlayRequest, Played,
-    Problem, Status,
-};
 use crate::logbook::Who;
-use crate::pattern::Warning;
-use crate::record::{Event, KEPT, Receipt};
+use crate::record::{KEPT, calibration_plan};
 use crate::store::{Store, StoreError, Stored};
-use crate::stream::port::Job;
 use axum::body::Body;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Extension, Path, State};
@@ -30,6 +24,14 @@ use axum::routing::{get, post};
 use axum::{Json, Router};
 use futures_util::stream::{self, Stream, StreamExt};
 use http_body_util::BodyExt;
+use meissner_api::parse_empty;
+use meissner_api::{
+    self, ArmRequest, CalibrateRequest, CalibrationReport, Code, Imported, MAX_BODY, PlayRequest, Played,
+    Problem, Status,
+};
+use meissner_api::{Event, Receipt};
+use meissner_array::pattern::Warning;
+use meissner_stream::port::Job;
 use serde_json::{Value, json};
 use std::convert::Infallible;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -242,7 +244,7 @@ async fn calibrate(
     let outcome = async {
         let request = CalibrateRequest::parse(&read(body).await?)?;
         asked.with(&request);
-        let id = app.engine.calibrate(request.plan()?, peer).await?;
+        let id = app.engine.calibrate(calibration_plan(&request)?, peer).await?;
         asked.began(id);
         Ok((StatusCode::ACCEPTED, Json(Played { id })))
     };
@@ -265,7 +267,7 @@ async fn command(
 ) -> Answer<Json<Status>> {
     let asked = Asked::new(&app.engine, name, peer);
     let outcome = async {
-        api::parse_empty(&read(body).await?)?;
+        parse_empty(&read(body).await?)?;
         carry_out(app, job, patience).await
     };
     asked.outcome(outcome.await)

@@ -4,7 +4,8 @@
 //!
 //! Invariant: a name, once published, keeps its meaning and unit.
 
-use crate::record::{NO_DEVICE, Recorder};
+use crate::record::Recorder;
+use meissner_api::NO_DEVICE;
 use std::fmt::{Display, Write};
 
 const STATES: [&str; 5] = ["disarmed", "armed", "returning", "faulted", NO_DEVICE];
@@ -53,10 +54,10 @@ pub(super) fn text(recorder: &Recorder) -> String {
     text.family(
         "bursts_amended_total",
         "counter",
-        "Bursts played with a corrected count.",
+        "BurstCounts played with a corrected count.",
         [("", &bursts.amended)],
     );
-    text.family("pulses_total", "counter", "Pulses played.", [("", &totals.pulses.played)]);
+    text.family("pulses_total", "counter", "PulseCounts played.", [("", &totals.pulses.played)]);
     let late = &totals.lateness;
     let causes: [(_, &dyn Display); 3] = [
         ("{cause=\"host\"}", &late.host),
@@ -79,7 +80,7 @@ pub(super) fn text(recorder: &Recorder) -> String {
         "Notices the daemon was too slow for.",
         [("", &totals.lost)],
     );
-    let of = |figure: fn(&crate::stream::port::Snapshot) -> u64| snapshot.map_or(0, figure);
+    let of = |figure: fn(&meissner_stream::port::Snapshot) -> u64| snapshot.map_or(0, figure);
     text.family(
         "sent_bytes_total",
         "counter",

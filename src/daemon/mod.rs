@@ -26,15 +26,15 @@ pub use signals::{Signals, Told};
 pub use socket::SocketError;
 
 use crate::config::{Config, PatternsDir, Source};
-use crate::device::mock::Truth;
 use crate::logbook::{Keep, Logbook, Note};
 use crate::store::{Store, StoreError};
-use crate::stream::port::Notices;
-use crate::stream::{self, Realtime};
 use connect::Word;
 use engine::Engine;
 use felt::Feeler;
 use http::{App, Shelf};
+use meissner_api::Realtime;
+use meissner_stream::device::mock::Truth;
+use meissner_stream::port::Notices;
 use service::{Manager, Teller, Word as News};
 use socket::Bound;
 use std::io;
@@ -208,7 +208,7 @@ impl Daemon {
         let store = store(config)?;
         let bound = Bound::take_over(&config.socket)?.map_or_else(|| Bound::new(&config.socket), Ok)?;
         let (orders, notices, realtime, streamer) =
-            stream::spawn(config.settings).map_err(system("streamer's thread"))?;
+            meissner_stream::spawn(config.settings).map_err(system("streamer's thread"))?;
         if !(realtime.fifo && realtime.mlock) {
             warn!(
                 fifo = realtime.fifo,

@@ -7,13 +7,13 @@
 //! Invariants: nothing here comes once per burst; a command is in the logbook's hands before its client has the answer.
 
 use super::engine::Engine;
-use crate::api::Problem;
 use crate::logbook::{Command, Logbook, Note, Users, Who};
-use crate::record::{Event, PlayState, Receipt};
-use crate::stream::ANOTHER_DEVICE;
-use crate::units::HostInstant;
 use jiff::tz::TimeZone;
 use jiff::{SignedDuration, Timestamp, Zoned};
+use meissner_api::Problem;
+use meissner_api::{Event, PlayState, Receipt};
+use meissner_stream::ANOTHER_DEVICE;
+use meissner_stream::time::HostInstant;
 use serde::Serialize;
 use serde_json::Value;
 use std::fmt::Write;
@@ -209,9 +209,10 @@ fn outcome(receipt: &Receipt, now: HostInstant, wall: &Zoned) -> String {
 mod tests {
     use super::*;
     use crate::logbook::Keep;
-    use crate::record::OnsetRecord;
-    use crate::stream::Settings;
-    use crate::stream::port::{Bursts, port};
+    use meissner_api::BurstCounts;
+    use meissner_api::OnsetRecord;
+    use meissner_stream::Settings;
+    use meissner_stream::port::port;
     use std::fs;
     use std::thread;
     use std::time::Duration;
@@ -228,14 +229,14 @@ mod tests {
             (0, 123_456, 15_000_000_000, 11_001);
         receipt.onset = Some(OnsetRecord { requested_tick, actual_tick, monotonic_ns, uncertainty_ns });
         receipt.bursts =
-            Some(Bursts { planned: 1200, played: 1190, late: 3, dropped: 7, ..Bursts::default() });
+            Some(BurstCounts { planned: 1200, played: 1190, late: 3, dropped: 7, ..BurstCounts::default() });
         let began = "began 14:03:22.123456 (tick 123456, ±12 us)";
         assert_eq!(
             outcome(&receipt, now, &wall),
             format!("stopped (stop), {began}, 5.1 s, 1190 of 1200 bursts, 3 late, 7 dropped")
         );
         (receipt.state, receipt.cause) = (PlayState::Done, None);
-        receipt.bursts = Some(Bursts { planned: 1200, played: 1200, ..Bursts::default() });
+        receipt.bursts = Some(BurstCounts { planned: 1200, played: 1200, ..BurstCounts::default() });
         assert_eq!(outcome(&receipt, now, &wall), format!("done, {began}, 5.0 s, 1200 bursts"));
     }
 

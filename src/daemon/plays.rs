@@ -6,16 +6,17 @@
 
 use super::calibrate::Calibrating;
 use super::engine::{Engine, answer};
-use crate::api::{Code, PlayRequest, Problem};
-use crate::calibrate::Plan;
 use crate::logbook::Who;
-use crate::record::Receipt;
+use crate::record::refusal;
 use crate::store::Stored;
-use crate::stream::Need;
-use crate::stream::port::{At, Job, Play, Refused};
-use crate::strokes::Strokes;
-use crate::units::HostInstant;
 use firmware_protocol::tick::Tick;
+use meissner_api::Receipt;
+use meissner_api::{Code, PlayRequest, Problem};
+use meissner_array::strokes::Strokes;
+use meissner_stream::Need;
+use meissner_stream::calibrate::Plan;
+use meissner_stream::port::{At, Job, Play, Refused};
+use meissner_stream::time::HostInstant;
 use std::sync::Arc;
 
 impl Engine {
@@ -60,19 +61,19 @@ impl Engine {
             let mut inner = self.lock();
             inner.forget(HostInstant::now());
             if inner.calibrating.is_some() {
-                return Err(Refused::Playing.into());
+                return Err(refusal(Refused::Playing));
             }
             let device = inner.recorder.device();
             let telemetry = device.as_ref().is_some_and(|device| device.telemetry);
             if plan.is_some() {
-                device.ok_or(Refused::NoDevice)?;
+                device.ok_or_else(|| refusal(Refused::NoDevice))?;
                 if !telemetry {
                     let detail =
                         "the device has no telemetry: calibrate on one that measures where its pins are";
                     return Err(Problem::new(Code::NoTelemetry, detail));
                 }
                 if !inner.recorder.is_idle() {
-                    return Err(Refused::Playing.into());
+                    return Err(refusal(Refused::Playing));
                 }
             }
             inner.last_play += 1;
@@ -81,7 +82,7 @@ impl Engine {
             inner.calibrating = plan.map(|plan| Calibrating::new(id, plan));
             inner.players.insert(id, who);
             inner.unseen.insert(id, (Arc::new(stored.pattern.clone()), telemetry));
-            let play = Box::new(Play { id, strokes, at, late: late.into(), replace, open_loop, need });
+            let play = Box::new(Play { id, strokes, at, late, replace, open_loop, need });
             let sent = inner.send(Job::Play(play), Some(id));
             if sent.is_err() {
                 inner.settle(id, false);

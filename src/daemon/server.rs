@@ -8,7 +8,6 @@
 
 use super::engine::Engine;
 use super::http::{self, peer};
-use crate::api::{Code, MAX_CLIENTS, Problem};
 use crate::logbook::Who;
 use axum::Router;
 use axum::response::IntoResponse;
@@ -17,6 +16,7 @@ use hyper::body::Incoming;
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper_util::rt::{TokioIo, TokioTimer};
+use meissner_api::{Code, MAX_CLIENTS, Problem};
 use std::convert::Infallible;
 use std::pin::pin;
 use std::sync::Arc;

@@ -154,8 +154,8 @@ fn is_replaced() -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::stream::Settings;
-    use crate::stream::port::port;
+    use meissner_stream::Settings;
+    use meissner_stream::port::port;
 
     #[test]
     fn there_is_no_sign_of_life_without_a_turn_of_the_streamer() {

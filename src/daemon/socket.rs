@@ -6,8 +6,8 @@
 //!
 //! Invariant: while a [`Bound`] lives, no other daemon is bound to its path.
 
-use crate::client::MAX_SOCKET_PATH;
 use listenfd::ListenFd;
+use meissner_client::MAX_SOCKET_PATH;
 use rustix::fs::{FlockOperation, flock};
 use rustix::net::sockopt::socket_acceptconn;
 use std::fs::{self, File, OpenOptions, Permissions};

@@ -3,10 +3,11 @@
 //! Invariant: it is read under one lock, so that its parts belong together.
 
 use super::engine::{Engine, Inner};
-use crate::api::{MotorStatus, Status, Waiting};
-use crate::record::{NO_DEVICE, state_name};
-use crate::units::HostInstant;
+use crate::record::state_name;
 use firmware_protocol::message::State;
+use meissner_api::NO_DEVICE;
+use meissner_api::{MotorStatus, Status, Waiting};
+use meissner_stream::time::HostInstant;
 use std::fmt::Write as _;
 
 impl Engine {

@@ -5,7 +5,7 @@
 //!
 //! Invariant: the `event` key of a line tells what its other keys are.
 
-use crate::record::Event;
+use meissner_api::Event;
 use serde::Serialize;
 use serde_json::Value;
 

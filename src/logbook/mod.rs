@@ -17,10 +17,10 @@ pub use book::SYNC_AFTER;
 pub use entry::{Command, Entry, Note, Who};
 pub use users::Users;
 
-use crate::units::HostInstant;
 use book::Book;
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use jiff::Timestamp;
+use meissner_stream::time::HostInstant;
 use std::io;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};

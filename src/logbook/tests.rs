@@ -2,8 +2,8 @@
 
 use super::book::Disk;
 use super::*;
-use crate::record::{DeviceInfo, Event, Receipt};
 use jiff::tz::{TimeZone, offset};
+use meissner_api::{DeviceInfo, Event, Receipt};
 use serde_json::{Value, json};
 use std::cell::Cell;
 use std::fs::{self, File};

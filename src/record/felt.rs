@@ -5,17 +5,16 @@
 //! taken as commanded would be flattery. Of a play that was cut its last twentieth of a second is left out, in which
 //! bursts were cut before they were measured.
 //!
-//! Invariant: a [`FeltRecord`] is about bursts of which no more than one in a hundred is unmeasured.
+//! Invariant: a [`PredictedResponse`] is about bursts of which no more than one in a hundred is unmeasured.
 
-use super::Receipt;
-use crate::motor::Ramp;
-use crate::optimise::{self, Felt, FeltError, MOST_OBSERVED_S};
-use crate::pattern::Pattern;
-use crate::stream::port::Traveled;
-use crate::strokes::{Strokes, StrokesError};
-use crate::units::{UM_PER_PULSE, seconds_to_ticks};
 use firmware_protocol::tick::{TICK_HZ, Tick};
-use serde::{Deserialize, Serialize};
+use meissner_api::{PlayState, PredictedResponse, Rates, Receipt};
+use meissner_array::motor::Ramp;
+use meissner_array::pattern::Pattern;
+use meissner_array::strokes::{Strokes, StrokesError};
+use meissner_array::units::{UM_PER_PULSE, seconds_to_ticks};
+use meissner_design::{FeltError, MOST_OBSERVED_S};
+use meissner_stream::port::Traveled;
 use std::collections::{HashMap, HashSet};
 
 /// One burst in so many may be unmeasured.
@@ -25,16 +24,6 @@ const CUT: u64 = 3000 + 900 + 366;
 /// A measurement that is known no better, as a share of what an ideal motor would travel and µm besides, is none: half of
 /// what bursts scatter by.
 const UNKNOWN: (f64, f64) = (0.05, 0.02);
-
-/// What receptors felt of a play, and how much of it nobody measured.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct FeltRecord {
-    /// Rates as designed and as played.
-    #[serde(flatten)]
-    pub felt: Felt,
-    /// Bursts without a measurement: they count as not played.
-    pub unmeasured: u64,
-}
 
 /// Why it is not known what was felt of a play.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -95,7 +84,7 @@ impl<'p> Look<'p> {
             pattern,
             seconds: receipt.seconds,
             onset: Tick(onset.actual_tick),
-            cut: matches!(receipt.state, super::PlayState::Stopped | super::PlayState::Aborted),
+            cut: matches!(receipt.state, PlayState::Stopped | PlayState::Aborted),
             unplayed: late.chain(refused).collect(),
         })
     }
@@ -111,7 +100,7 @@ impl<'p> Look<'p> {
     ///
     /// # Errors
     /// Why that is not known.
-    pub fn felt(&self, bursts: &[Traveled]) -> Result<FeltRecord, Unfelt> {
+    pub fn felt(&self, bursts: &[Traveled]) -> Result<PredictedResponse, Unfelt> {
         let mut strokes = Strokes::new(self.pattern, self.seconds)?;
         let mut until = strokes.end().map_or(self.until(), |end| self.until().min(self.onset + end));
         strokes.begin(self.onset);
@@ -152,8 +141,21 @@ impl<'p> Look<'p> {
         }
         let observed_s = (until - self.onset) as f64 / f64::from(TICK_HZ);
         let Self { pattern, seconds, onset, .. } = *self;
-        let felt = optimise::felt(&optimise::Play { pattern, seconds, onset, observed_s }, ramps)?;
-        Ok(FeltRecord { felt, unmeasured: missing })
+        let felt =
+            meissner_design::felt(&meissner_design::Play { pattern, seconds, onset, observed_s }, ramps)?;
+        let meissner_design::Felt { seconds, target, population_seed, designed_hz, played_hz } = felt;
+        let [designed_hz, played_hz] = [designed_hz, played_hz].map(|rates| {
+            let meissner_design::Rates { all, on, off, contrast } = rates;
+            Rates { all, on, off, contrast }
+        });
+        Ok(PredictedResponse {
+            seconds,
+            target,
+            population_seed,
+            designed_hz,
+            played_hz,
+            unmeasured: missing,
+        })
     }
 }
 

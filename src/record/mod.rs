@@ -6,21 +6,24 @@
 //!
 //! Invariant: every play that was taken is in the record exactly once, until [`KEPT`] later ones have ended.
 
-mod event;
+mod convert;
 mod felt;
-mod receipt;
 mod travels;
 
-pub use event::{DeviceInfo, Event, NO_DEVICE, Running, state_name};
-pub use felt::{FeltRecord, Look, Unfelt};
-pub use receipt::{LISTED, LateStroke, LatenessRecord, OnsetRecord, PlayState, Receipt, RefusedStroke, Wire};
+pub use convert::{calibration_plan, device_info, refusal, state_name};
+pub use felt::{Look, Unfelt};
 pub use travels::{KEPT_S, Travels};
 
-use crate::stream::cause_text;
-use crate::stream::port::{Bursts, LateCause, Lateness, Notice, Outcome, Pulses, Snapshot, refusal_text};
-use crate::units::HostInstant;
 use firmware_protocol::message::{DeviceHello, State};
 use firmware_protocol::tick::{TICK_HZ, Tick};
+use meissner_api::{
+    BurstCounts, DeviceInfo, Event, LISTED, LateCause, LateCounts, LateStroke, NO_DEVICE, PlayState,
+    PredictedResponse, PulseCounts, Receipt, RefusedStroke, Running, Wire,
+};
+use meissner_stream::cause_text;
+use meissner_stream::port::Onset;
+use meissner_stream::port::{Notice, Outcome, Snapshot, refusal_text};
+use meissner_stream::time::HostInstant;
 use std::collections::VecDeque;
 
 /// Receipts of finished plays kept, at the most.
@@ -33,12 +36,12 @@ const DRIFT: f64 = 100e-6;
 pub struct Totals {
     /// Plays that ended: done, stopped, aborted.
     pub plays: [u64; 3],
-    /// Bursts of ended plays.
-    pub bursts: Bursts,
-    /// Pulses of ended plays.
-    pub pulses: Pulses,
+    /// BurstCounts of ended plays.
+    pub bursts: BurstCounts,
+    /// PulseCounts of ended plays.
+    pub pulses: PulseCounts,
     /// Late strokes of ended plays.
-    pub lateness: Lateness,
+    pub lateness: LateCounts,
     /// Bytes sent while plays ran.
     pub wire_bytes: u64,
     /// Notices the daemon was too slow for.
@@ -100,7 +103,7 @@ impl Recorder {
             Notice::Connected(hello) => {
                 self.totals.connects += 1;
                 self.hello = Some(*hello);
-                Some(Event::Connected { device: DeviceInfo::new(&self.kind, hello) })
+                Some(Event::Connected { device: device_info(&self.kind, hello) })
             }
             Notice::Disconnected { reason, .. } => {
                 self.hello = None;
@@ -111,18 +114,18 @@ impl Recorder {
                 Some(self.state(snapshot.at))
             }
             Notice::Began { id, onset } => {
-                self.live_mut(*id)?.began(*onset);
+                began(self.live_mut(*id)?, *onset);
                 Some(Event::Began { id: *id, onset: (*onset).into() })
             }
             Notice::Late { id, motor, up, late_ms, cause } => {
                 Some(self.late(*id, *motor, *up, *late_ms, *cause))
             }
             Notice::StrokeRefused { id, motor, up, reason } => {
-                let reason = refusal_text(*reason);
-                if let Some(receipt) = self.live_mut(*id) {
-                    receipt.refused(*motor, *up, reason);
+                let reason = refusal_text(*reason).to_owned();
+                let stroke = RefusedStroke { motor: *motor, tick: up.0, reason };
+                if let Some(receipt) = self.live_mut(*id).filter(|receipt| receipt.refusals.len() < LISTED) {
+                    receipt.refusals.push(stroke.clone());
                 }
-                let stroke = RefusedStroke { motor: *motor, tick: up.0, reason: reason.to_owned() };
                 Some(Event::Refused { id: *id, stroke })
             }
             Notice::Ended { id, outcome } => self.ended(*id, outcome),
@@ -148,7 +151,7 @@ impl Recorder {
     fn ended(&mut self, id: u64, outcome: &Outcome) -> Option<Event> {
         let at = self.live.iter().position(|receipt| receipt.id == id)?;
         let mut receipt = self.live.remove(at);
-        receipt.ended(outcome);
+        complete(&mut receipt, outcome);
         self.totals.add(outcome);
         if self.finished.len() == KEPT {
             self.finished.pop_front();
@@ -158,7 +161,7 @@ impl Recorder {
     }
 
     /// It is known what was felt of a play, or why that is not known.
-    pub fn felt(&mut self, id: u64, felt: Result<FeltRecord, Unfelt>) -> Option<Event> {
+    pub fn felt(&mut self, id: u64, felt: Result<PredictedResponse, Unfelt>) -> Option<Event> {
         let receipt = self.live.iter_mut().chain(&mut self.finished).find(|receipt| receipt.id == id)?;
         match felt {
             Ok(felt) => receipt.felt = Some(felt),
@@ -194,7 +197,7 @@ impl Recorder {
     /// The connected device.
     #[must_use]
     pub fn device(&self) -> Option<DeviceInfo> {
-        self.hello.as_ref().map(|hello| DeviceInfo::new(&self.kind, hello))
+        self.hello.as_ref().map(|hello| device_info(&self.kind, hello))
     }
 
     /// The last snapshot.
@@ -254,6 +257,28 @@ impl Recorder {
             play: self.running(),
         }
     }
+}
+
+fn began(receipt: &mut Receipt, onset: Onset) {
+    receipt.state = PlayState::Running;
+    receipt.onset = Some(onset.into());
+    #[expect(clippy::cast_precision_loss, reason = "milliseconds to read")]
+    let latency_ms = onset.latency_ns as f64 / 1e6;
+    receipt.onset_latency_ms = Some(latency_ms);
+}
+
+fn complete(receipt: &mut Receipt, outcome: &Outcome) {
+    if let Some(onset) = outcome.onset {
+        began(receipt, onset);
+    }
+    receipt.state = outcome.end.into();
+    receipt.cause = outcome.cause.map(str::to_owned);
+    receipt.bursts = Some(outcome.bursts);
+    receipt.pulses = Some(outcome.pulses);
+    // The streamer's counts hold; notices of single strokes may have been lost.
+    receipt.lateness.counts = outcome.lateness;
+    receipt.wire = Some(Wire::new(outcome.wire_bytes, outcome.bursts.planned));
+    receipt.rest_error_um = Some(outcome.rest_error_um.to_vec());
 }
 
 impl Totals {

@@ -1,13 +1,14 @@
 //! The recorder, fed with notices: what it says of plays, devices and bad times.
 
 use super::*;
-use crate::pattern::Pattern;
-use crate::stream::Need;
-use crate::stream::port::{At, End, LatePolicy, Onset, Play};
-use crate::strokes::Strokes;
 use firmware_protocol::limits::{OnTimeLimits, Refusal};
 use firmware_protocol::message::Cause;
 use firmware_protocol::stroke::MOTORS;
+use meissner_api::LatePolicy;
+use meissner_array::pattern::Pattern;
+use meissner_array::strokes::Strokes;
+use meissner_stream::Need;
+use meissner_stream::port::{At, End, Onset, Play};
 
 fn hello() -> DeviceHello {
     DeviceHello {
@@ -42,7 +43,7 @@ fn snapshot(connected: bool, state: State, play: Option<(u64, f64)>) -> Snapshot
         lead_ms: 100.0,
         lease_ms: 300.0,
         rest_error_um: [0.0; MOTORS],
-        source: [crate::stream::port::ErrorSource::None; MOTORS],
+        source: [meissner_api::ErrorSource::None; MOTORS],
         line_bytes_per_s: None,
         bytes_out: 0,
         bytes_in: 0,
@@ -77,9 +78,9 @@ fn ended(id: u64, end: End) -> Notice {
         end,
         cause: (end != End::Done).then_some("stop"),
         onset: Some(onset()),
-        bursts: Bursts { planned: 10, played: 6, late: 2, dropped: 2, refused: 0, amended: 1 },
-        pulses: Pulses { planned: 100, played: 60 },
-        lateness: Lateness { host: 1, ..Lateness::default() },
+        bursts: BurstCounts { planned: 10, played: 6, late: 2, dropped: 2, refused: 0, amended: 1 },
+        pulses: PulseCounts { planned: 100, played: 60 },
+        lateness: LateCounts { host: 1, ..LateCounts::default() },
         wire_bytes: 55,
         rest_error_um: [0.5; MOTORS],
         play: Box::new(play),
@@ -185,7 +186,7 @@ fn every_events_name_is_its_json_tag() {
     let recorder = Recorder::default();
     for event in [
         recorder.state(HostInstant::from_ns(0)),
-        Event::Connected { device: DeviceInfo::new("mock", &hello()) },
+        Event::Connected { device: device_info("mock", &hello()) },
         Event::Disconnected { reason: String::new() },
         Event::Queued { id: 1, pattern: String::new(), seconds: None },
         Event::Began { id: 1, onset: onset().into() },

@@ -2,8 +2,8 @@
 //!
 //! Invariant: no more than [`MOST`] are kept, and none that began more than [`KEPT_S`] before the newest.
 
-use crate::stream::port::Traveled;
 use firmware_protocol::tick::{TICK_HZ, Tick};
+use meissner_stream::port::Traveled;
 use std::collections::VecDeque;
 
 /// For how long they are kept, s: what is asked is at most the first minute of a play, and is asked when that is over.

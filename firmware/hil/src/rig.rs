@@ -1,6 +1,6 @@
 //! The host's streamer and a device on a bench, in lock-step.
 //!
-//! As `meissner::stream::Rehearsal` does with the mock, but with a cable, a tty and an operating system between them:
+//! As `meissner_stream::Rehearsal` does with the mock, but with a cable, a tty and an operating system between them:
 //! a device comes and goes, a process is held up or killed. Contains no logic of streamer or controller. What the
 //! host sends in a step the device gets at the beginning of the next.
 
@@ -16,9 +16,9 @@ pub use faults::{Faults, FaultyLine};
 use firmware_protocol::frame::{MAX_FRAME, encode};
 use firmware_protocol::message::HostMessage;
 use firmware_protocol::tick::Tick;
-use meissner::link::LineRate;
-use meissner::stream::port::{Job, Notice, Order, Outcome};
-use meissner::stream::{Settings, Streamer};
+use meissner_stream::link::LineRate;
+use meissner_stream::port::{Job, Notice, Order, Outcome};
+use meissner_stream::{Settings, Streamer};
 
 /// The host wakes up this often.
 const STEP: u64 = MS / 2;

@@ -4,7 +4,7 @@
 //! rounded down by less than a cycle, always in the same way.
 
 use firmware_protocol::tick::Tick;
-use meissner::units::HostInstant;
+use meissner_stream::time::HostInstant;
 
 /// Cycles of a tick of 1/85 000 s.
 pub const TICK: u64 = 1_500;

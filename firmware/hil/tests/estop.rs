@@ -1,7 +1,7 @@
 //! From the e-stop's USB packet to all lines low: within a pulse period, at any phase, also under full load.
 
 use crate::play::{armed, job};
-use meissner::stream::port::Job;
+use meissner_stream::port::Job;
 use meissner_hil::bench::chip::ChipOptions;
 use meissner_hil::scenario::pattern;
 use meissner_hil::time::{MS, TICK};

@@ -2,10 +2,11 @@
 
 use firmware_protocol::controller::BLOCK;
 use firmware_protocol::tick::Tick;
-use meissner::pattern::Pattern;
-use meissner::stream::Need;
-use meissner::stream::port::{At, Job, LatePolicy, Notice, Outcome};
-use meissner::strokes::Strokes;
+use meissner_array::pattern::Pattern;
+use meissner_stream::Need;
+use meissner_stream::port::{At, Job, Notice, Outcome};
+use meissner_api::LatePolicy;
+use meissner_array::strokes::Strokes;
 use meissner_hil::bench::Which;
 use meissner_hil::bench::chip::ChipOptions;
 use meissner_hil::judge::{Judged, differences};
@@ -61,7 +62,7 @@ pub(crate) fn armed(options: ChipOptions) -> Rig {
 pub(crate) fn job(pattern: &Pattern, seconds: f64) -> Job {
     let strokes = Strokes::new(pattern, Some(seconds)).unwrap();
     let (at, late) = (At::Next, LatePolicy::Drop);
-    Job::Play(Box::new(meissner::stream::port::Play {
+    Job::Play(Box::new(meissner_stream::port::Play {
         id: 1,
         strokes,
         at,

@@ -3,13 +3,14 @@
 //! Bounds of what is good stand here, each with its reason. The device is closed again before anything is printed.
 
 use super::{Examined, Finding, Level, port};
-use crate::checkup::{self, Checkup};
 use crate::cli::text;
-use crate::device::{self, DeviceError, Spec};
-use crate::plant::PlantConfig;
-use crate::record::DeviceInfo;
-use crate::stream::Settings;
+use crate::record::device_info;
 use firmware_protocol::frame::PROTOCOL;
+use meissner_api::DeviceInfo;
+use meissner_array::simulated::PlantConfig;
+use meissner_stream::Settings;
+use meissner_stream::device::{self, DeviceError, Spec};
+use meissner_stream::diagnostics::{self, Checkup};
 use std::path::{Path, PathBuf};
 
 /// A line that carries less refuses some of the shipped patterns, their corrections included.
@@ -34,7 +35,7 @@ pub(super) fn examine(root: &Path, spec: &Spec, findings: &mut Vec<Finding>) -> 
         }
     };
     let (kind, serial_number) = (device.kind(), device.serial_number().map(str::to_owned));
-    let checked = checkup::check(&mut device);
+    let checked = diagnostics::check(&mut device);
     drop(device);
     // Who had it open before we did reads what is ours.
     if let Spec::Serial(path) = spec {
@@ -63,8 +64,7 @@ fn taken(error: &DeviceError) -> Option<PathBuf> {
 }
 
 fn examined(kind: &str, serial_number: Option<String>, checked: &Checkup) -> Examined {
-    let DeviceInfo { kind, firmware, build, boot, simulated, telemetry } =
-        DeviceInfo::new(kind, &checked.hello);
+    let DeviceInfo { kind, firmware, build, boot, simulated, telemetry } = device_info(kind, &checked.hello);
     Examined {
         kind,
         serial_number,

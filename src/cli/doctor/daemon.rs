@@ -7,11 +7,11 @@
 
 use super::service::Units;
 use super::{Finding, Level, board, host};
-use crate::api::Status;
-use crate::client::ClientError;
-use crate::device::priority::FIFO_PRIORITY;
-use crate::record::DeviceInfo;
-use crate::stream::Realtime;
+use meissner_api::DeviceInfo;
+use meissner_api::Realtime;
+use meissner_api::Status;
+use meissner_client::ClientError;
+use meissner_stream::device::priority::FIFO_PRIORITY;
 use std::fs;
 use std::path::Path;
 
@@ -245,7 +245,7 @@ mod tests {
 
     #[test]
     fn a_daemon_that_cannot_be_asked_is_a_finding() {
-        let place = crate::client::Place {
+        let place = meissner_client::Place {
             socket: PathBuf::from("/a"),
             other: Some(PathBuf::from("/b")),
             service: true,

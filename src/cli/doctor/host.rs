@@ -6,8 +6,8 @@
 //! Invariant: what is asked for goes with the thread it was asked for.
 
 use super::Finding;
-use crate::stream::Realtime;
-use crate::units::HostInstant;
+use meissner_api::Realtime;
+use meissner_stream::time::HostInstant;
 use rustix::thread::{ClockId, Timespec, clock_nanosleep_absolute};
 use serde::Serialize;
 use std::fs;
@@ -42,7 +42,7 @@ pub(super) struct WakeUp {
 /// Which rights this user gets, and how late timers wake a thread that has them, on a thread of its own.
 pub(super) fn measure(time: Duration) -> (Realtime, WakeUp) {
     let measured = thread::spawn(move || {
-        let realtime = Realtime::request();
+        let realtime = meissner_stream::request_realtime();
         (realtime, WakeUp::of(lateness_us(time), realtime.fifo))
     });
     measured.join().unwrap_or_else(|_| (Realtime::default(), WakeUp::of(Vec::new(), false)))

@@ -7,7 +7,7 @@
 
 use super::Finding;
 use super::service;
-use crate::device::find::Wanted;
+use meissner_stream::device::find::Wanted;
 use std::fs;
 use std::path::{Path, PathBuf};
 

@@ -81,7 +81,7 @@ pub enum BenchError {
     Answer(#[from] answer::AnswerError),
     /// The mock's settings.
     #[error(transparent)]
-    Plant(#[from] meissner::plant::PlantError),
+    Plant(#[from] meissner_array::simulated::PlantError),
 }
 
 /// A device on the bench.

@@ -10,8 +10,8 @@ mod play;
 use crate::bench::{CpuEvent, Function};
 use crate::rig::Faults;
 pub use compare::compare;
-use meissner::pattern::{Drive, Pattern, PatternError};
-use meissner::stream::port::End;
+use meissner_array::pattern::{Drive, Pattern, PatternError};
+use meissner_stream::port::End;
 pub use outcome::compiled;
 pub use play::{Ran, run};
 use serde::Deserialize;
@@ -192,7 +192,7 @@ pub enum ScenarioError {
     Pattern(#[from] PatternError),
     /// Strokes that cannot be made.
     #[error(transparent)]
-    Strokes(#[from] meissner::strokes::StrokesError),
+    Strokes(#[from] meissner_array::strokes::StrokesError),
     /// The run broke off.
     #[error(transparent)]
     Rig(#[from] crate::rig::RigError),

@@ -11,9 +11,10 @@ use firmware_protocol::frame::{MAX_FRAME, encode};
 use firmware_protocol::message::HostMessage;
 use firmware_protocol::stroke::{Direction, Stroke};
 use firmware_protocol::tick::Tick;
-use meissner::stream::port::{At, Job, LatePolicy, Notice, Play};
-use meissner::stream::{Need, cause_text};
-use meissner::strokes::Strokes;
+use meissner_stream::port::{At, Job, Notice, Play};
+use meissner_api::LatePolicy;
+use meissner_stream::{Need, cause_text};
+use meissner_array::strokes::Strokes;
 
 /// A greeting comes within so many ms of a boot.
 const GREETING_MS: u64 = 3_000;
@@ -71,7 +72,7 @@ pub fn run(scenario: &Scenario, which: &Which) -> Result<Ran, ScenarioError> {
 
 /// A time of the device's clock.
 fn tick(ms: f64) -> Tick {
-    Tick::BOOT + meissner::units::seconds_to_ticks(ms / 1000.0)
+    Tick::BOOT + meissner_array::units::seconds_to_ticks(ms / 1000.0)
 }
 
 impl Runner<'_> {

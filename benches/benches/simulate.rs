@@ -1,0 +1,170 @@
+//! What a second of skin costs: 24 motors at 60 Hz and 80 um with random phases, 306 receptors, noise.
+//!
+//! Exact and stepped, on one core and on two, and trials of the scene with one motor changed. Before criterion's
+//! figures it prints what is not a time: how many spikes, and what a search's coarser reach does to the rates.
+
+use criterion::{Criterion, criterion_group, criterion_main};
+use firmware_protocol::tick::Tick;
+use meissner_array::geometry;
+use meissner_array::motor::Ramp;
+use meissner_array::pattern::{Drive, Pattern};
+use meissner_array::random::normal;
+use meissner_array::strokes::Strokes;
+use meissner_design::{Play, felt};
+use meissner_skin::afferent::Position;
+use meissner_skin::simulate::{
+    Evaluator, Integrator, Method, Options, Precision, SEARCH_LEAST_WEIGHT, Scene, Stepping, simulate,
+};
+use rayon::{ThreadPool, ThreadPoolBuilder};
+use std::hint::black_box;
+use std::time::Duration;
+
+fn scene() -> Scene {
+    Scene::read(include_str!("../../scenes/sixty-hertz.toml"), "sixty-hertz.toml").expect("it is shipped")
+}
+
+fn threads(count: usize) -> ThreadPool {
+    ThreadPoolBuilder::new().num_threads(count).build().expect("threads can be started")
+}
+
+fn stepped(precision: Precision) -> Method {
+    Method::Stepped(Stepping { step_us: 200, integrator: Integrator::Propagator, precision })
+}
+
+fn whole(criterion: &mut Criterion) {
+    let scene = scene();
+    let euler = Stepping { step_us: 200, integrator: Integrator::Euler, precision: Precision::F32 };
+    let methods = [
+        ("exact", Method::Exact),
+        ("stepped_f32_200us", stepped(Precision::F32)),
+        ("stepped_f64_200us", stepped(Precision::F64)),
+        ("euler_f32_200us", Method::Stepped(euler)),
+    ];
+    let mut group = criterion.benchmark_group("second");
+    group.measurement_time(Duration::from_secs(5));
+    for (name, method) in methods {
+        let spikes = simulate(&scene, &Options::spikes(method), &|_| ()).expect("the scene can be simulated");
+        println!("{name}: {} spikes, skipped {:?}", spikes.counts.iter().sum::<u64>(), spikes.skipped);
+        for cores in [1, 2] {
+            let pool = threads(cores);
+            group.bench_function(format!("{name}/{cores}_core"), |bencher| {
+                pool.install(|| {
+                    bencher.iter(|| simulate(black_box(&scene), &Options::spikes(method), &|_| ()));
+                });
+            });
+        }
+    }
+    group.finish();
+}
+
+/// Receptors near their pins only: looking for what can be skipped finds nothing, and should cost next to nothing.
+fn nothing_to_skip(criterion: &mut Criterion) {
+    let place = |number: u32| {
+        let [x_mm, y_mm] = geometry::position_mm((number % 24) as u8);
+        // Up to 0.6 mm beside the pin, in all directions.
+        let (turns, beside_mm) = (f64::from(number) * 0.618, 0.6 * f64::from(number) / 306.0);
+        let (sin, cos) = (turns * std::f64::consts::TAU).sin_cos();
+        Position { x_mm: x_mm + beside_mm * cos, y_mm: y_mm + beside_mm * sin }
+    };
+    let (standard, receptors) = (scene(), (0..306).map(place).collect());
+    let scene =
+        Scene::new(1.0, 0, standard.drives().to_vec(), receptors, *standard.model()).expect("it is one");
+    let mut group = criterion.benchmark_group("nothing_to_skip");
+    group.measurement_time(Duration::from_secs(8));
+    let pool = threads(1);
+    for (name, skip) in [("looked_for", true), ("not_looked_for", false)] {
+        let options = Options { skip, ..Options::spikes(Method::Exact) };
+        group.bench_function(name, |bencher| {
+            pool.install(|| bencher.iter(|| simulate(black_box(&scene), &options, &|_| ())));
+        });
+    }
+    group.finish();
+}
+
+/// The scene's drives, but of one motor a little faster.
+fn faster(scene: &Scene, motor: u8) -> Vec<Drive> {
+    let drive = |drive: &Drive| match drive.motor == motor {
+        true => Drive { frequency_hz: 63.0, ..*drive },
+        false => *drive,
+    };
+    scene.drives().iter().map(drive).collect()
+}
+
+/// With one motor after the other it is tried what another frequency would come to: the mean over the 24.
+fn changed(criterion: &mut Criterion) {
+    let scene = scene();
+    let coarsely = Method::Stepped(Stepping {
+        step_us: 500,
+        integrator: Integrator::Propagator,
+        precision: Precision::F32,
+    });
+    let search = Options { least_weight: SEARCH_LEAST_WEIGHT, ..Options::rates(Method::Exact) };
+    let rates =
+        |options| simulate(&scene, &options, &|_| ()).expect("the scene can be simulated").rates_hz(&scene);
+    let (all, near) = (rates(Options::rates(Method::Exact)), rates(search));
+    let squares: f64 = all.iter().zip(&near).map(|(all, near)| (all - near).powi(2)).sum();
+    println!("a search's reach moves rates by {:.2} impulses/s RMS", (squares / all.len() as f64).sqrt());
+    let mut group = criterion.benchmark_group("changed");
+    group.measurement_time(Duration::from_secs(5));
+    let pool = threads(1);
+    for (name, options) in [
+        ("exact", Options::rates(Method::Exact)),
+        ("exact_searching", search),
+        (
+            "stepped_searching",
+            Options { least_weight: SEARCH_LEAST_WEIGHT, ..Options::rates(stepped(Precision::F32)) },
+        ),
+        (
+            "stepped_500us_searching",
+            Options { least_weight: SEARCH_LEAST_WEIGHT, ..Options::rates(coarsely) },
+        ),
+    ] {
+        group.bench_function(format!("{name}/whole"), |bencher| {
+            pool.install(|| bencher.iter(|| simulate(black_box(&scene), &options, &|_| ())));
+        });
+        let evaluator = Evaluator::new(scene.clone(), options).expect("the scene can be simulated");
+        let trials: Vec<Vec<Drive>> = (0..24).map(|motor| faster(&scene, motor)).collect();
+        let mut motors = (0..24).cycle();
+        group.bench_function(format!("{name}/one_motor"), |bencher| {
+            pool.install(|| {
+                bencher.iter(|| {
+                    let motor = motors.next().expect("they never end");
+                    evaluator.trial(black_box(&trials[motor])).expect("the drives are a scene's")
+                });
+            });
+        });
+    }
+    group.finish();
+}
+
+/// A minute of a shipped pattern whose bursts travelled by 10 % more or less, as played and as designed.
+fn minute_played(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("minute_played");
+    group.sample_size(10).measurement_time(Duration::from_secs(10));
+    let pool = threads(1);
+    for (name, text) in [
+        ("edge-45", include_str!("../../patterns/edge-45.toml")),
+        ("all-in-phase", include_str!("../../patterns/all-in-phase.toml")),
+    ] {
+        let pattern = Pattern::parse(text, name).expect("it is shipped");
+        let strokes = Strokes::new(&pattern, Some(60.0)).expect("a minute can be played");
+        let bursts = strokes.flat_map(|stroke| {
+            let stroke = stroke.expect("a shipped pattern can be played");
+            stroke.bursts().map(|burst| {
+                let gain = 1.0 + 0.1 * normal([0, stroke.motor.into(), burst.start.0, 0]);
+                (stroke.motor, Ramp::new(burst.start, burst.pulses.into(), burst.direction, gain))
+            })
+        });
+        let bursts: Vec<_> = bursts.collect();
+        let play = Play { pattern: &pattern, seconds: Some(60.0), onset: Tick(0), observed_s: 60.0 };
+        let found = felt(&play, bursts.iter().copied()).expect("a minute can be felt");
+        println!("{name}: {} bursts, {:?}, {:?}", bursts.len(), found.designed_hz, found.played_hz);
+        group.bench_function(format!("{name}/1_core"), |bencher| {
+            pool.install(|| bencher.iter(|| felt(black_box(&play), bursts.iter().copied())));
+        });
+    }
+    group.finish();
+}
+
+criterion_group!(benches, whole, nothing_to_skip, changed, minute_played);
+criterion_main!(benches);

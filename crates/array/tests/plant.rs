@@ -1,0 +1,261 @@
+use firmware_protocol::stroke::{Burst, Direction, Lines, Stroke};
+use firmware_protocol::tick::Tick;
+use meissner_array::pattern::{Drive, Pattern};
+use meissner_array::simulated::{Plant, PlantConfig, RestStats, SPARE_SAMPLES};
+use meissner_array::strokes::{Strokes, StrokesError};
+use meissner_array::units::UM_PER_PULSE;
+
+const MONTH: u64 = 30 * 86_400 * 85_000;
+const SECOND: u64 = 85_000;
+
+/// Plays bursts on a plant for so many ticks, as a controller would; `look` sees it after every step.
+pub(crate) fn play(
+    plant: &mut Plant,
+    strokes: impl IntoIterator<Item = Result<Stroke, StrokesError>>,
+    ticks: u64,
+    look: impl FnMut(&mut Plant),
+) {
+    let end = plant.now() + ticks;
+    let strokes = strokes.into_iter().map(Result::unwrap).take_while(|stroke| stroke.up < end);
+    play_bursts(
+        plant,
+        strokes.flat_map(|stroke| stroke.bursts().map(|burst| (stroke.motor, burst))),
+        end,
+        look,
+    );
+}
+
+fn play_bursts(
+    plant: &mut Plant,
+    bursts: impl IntoIterator<Item = (u8, Burst)>,
+    end: Tick,
+    mut look: impl FnMut(&mut Plant),
+) {
+    let mut toggles: Vec<(Tick, u8, Direction)> = bursts
+        .into_iter()
+        .flat_map(|(motor, burst)| [burst.start, burst.end()].map(|tick| (tick, motor, burst.direction)))
+        .collect();
+    toggles.sort_by_key(|toggle| toggle.0);
+    let mut lines = Lines::OFF;
+    for (tick, motor, direction) in toggles {
+        if tick < end {
+            plant.advance(lines, tick - plant.now());
+            look(plant);
+        }
+        *lines.mask_mut(direction) ^= 1 << motor;
+    }
+    plant.advance(Lines::OFF, end - plant.now());
+    look(plant);
+}
+
+fn drive(motor: u8, frequency_hz: f64, amplitude_um: f64) -> Drive {
+    Drive { motor, frequency_hz, amplitude_um, phase: f64::from(motor) / 24.0, start_s: None, stop_s: None }
+}
+
+fn strokes(drives: Vec<Drive>, seconds: f64, onset: Tick) -> Strokes {
+    let pattern = Pattern::new("test", None, drives, toml::Table::new()).unwrap();
+    let mut strokes = Strokes::new(&pattern, Some(seconds)).unwrap();
+    strokes.begin(onset);
+    strokes
+}
+
+fn one_burst(direction: Direction, start: Tick, pulses: u16) -> (u8, Burst) {
+    (5, Burst { start, direction, pulses })
+}
+
+/// One motor, one line for so long.
+fn pulse(plant: &mut Plant, direction: Direction, ticks: u64) {
+    let mut lines = Lines::OFF;
+    *lines.mask_mut(direction) = 1 << 5;
+    plant.advance(lines, ticks);
+}
+
+#[test]
+fn a_month_in_it_moves_as_at_the_start() {
+    let run = |onset: Tick| {
+        let drives = (0..24).map(|motor| drive(motor, 7.3 + 11.0 * f64::from(motor), 80.0)).collect();
+        let mut plant = Plant::new(PlantConfig::ideal(), Tick(0)).unwrap();
+        plant.advance(Lines::OFF, onset.0);
+        let mut seen = Vec::new();
+        play(&mut plant, strokes(drives, 10.0, onset), 10 * SECOND, |plant| {
+            let displacements: [f64; 24] = std::array::from_fn(|motor| plant.displacement_um(motor as u8));
+            seen.push((plant.now() - onset, displacements));
+        });
+        seen
+    };
+    let (start, month) = (run(Tick(0)), run(Tick(MONTH)));
+    assert_eq!(start.len(), month.len());
+    assert!(start.len() > 10_000 && start.iter().any(|seen| seen.1[3] > 70.0));
+    for (a, b) in start.iter().zip(&month) {
+        let near = a.1.iter().zip(&b.1).all(|(a, b)| (a - b).abs() < 1e-3);
+        assert!(a.0 == b.0 && near, "{a:?} {b:?}");
+    }
+}
+
+#[test]
+fn a_month_of_strokes_leaves_nothing_behind() {
+    let config = PlantConfig { telemetry_hz: 0, ..PlantConfig::ideal() };
+    let mut plant = Plant::new(config, Tick::BOOT).unwrap();
+    for stroke in strokes(vec![drive(5, 1.0, 80.0)], 30.0 * 86_400.0, Tick::BOOT) {
+        for burst in stroke.unwrap().bursts() {
+            plant.advance(Lines::OFF, burst.start - plant.now());
+            pulse(&mut plant, burst.direction, burst.pulses.into());
+        }
+    }
+    plant.advance(Lines::OFF, 400);
+    assert!(plant.now() > Tick::BOOT + (MONTH - SECOND));
+    assert_eq!(plant.displacement_um(5), 0.0);
+    let rest = plant.take_rest_stats()[5];
+    assert_eq!((rest.count, rest.max_abs_um), (30 * 86_400, 0.0));
+}
+
+#[test]
+fn leaving_out_a_burst_changes_no_other() {
+    let bursts: Vec<_> = strokes(vec![drive(5, 60.0, 40.0)], 1.0, Tick::BOOT)
+        .flat_map(|stroke| stroke.unwrap().bursts().map(|burst| (5, burst)))
+        .collect();
+    let travels = |bursts: &[(u8, Burst)]| {
+        let mut plant = Plant::new(PlantConfig { seed: 11, ..PlantConfig::default() }, Tick::BOOT).unwrap();
+        let (mut last, mut travels) = (0.0, Vec::new());
+        play_bursts(&mut plant, bursts.to_vec(), Tick::BOOT + SECOND, |plant| {
+            let travel = plant.position_um(5) - last;
+            last += travel;
+            if travel != 0.0 {
+                travels.push((plant.now(), travel));
+            }
+        });
+        travels
+    };
+    let (mut fewer, mut all) = (bursts.clone(), travels(&bursts));
+    fewer.remove(40);
+    all.remove(40);
+    let fewer = travels(&fewer);
+    assert_eq!((all.len(), fewer.len()), (bursts.len() - 1, bursts.len() - 1));
+    for (a, b) in all.iter().zip(&fewer) {
+        assert!(a.0 == b.0 && (a.1 - b.1).abs() < 1e-9, "{a:?} {b:?}");
+    }
+}
+
+#[test]
+fn gains_scatter_as_configured_and_the_first_burst_after_rest_falls_short() {
+    let config = PlantConfig { asymmetry_sd: 0.0, end_stop_um: 10_000.0, ..PlantConfig::default() };
+    let gains = |pause: u64| {
+        let mut plant = Plant::new(config, Tick::BOOT).unwrap();
+        let gains: Vec<f64> = (0..2000)
+            .map(|i| {
+                plant.advance(Lines::OFF, pause);
+                let before = plant.position_um(5);
+                pulse(&mut plant, if i % 2 == 0 { Direction::Up } else { Direction::Down }, 100);
+                (plant.position_um(5) - before).abs() / (100.0 * UM_PER_PULSE)
+            })
+            .collect();
+        let mean = gains.iter().sum::<f64>() / 2000.0;
+        let sd = (gains.iter().map(|gain| (gain - mean).powi(2)).sum::<f64>() / 2000.0).sqrt();
+        (mean, sd)
+    };
+    // Four standard errors: 0.1 / sqrt(2000) of the mean, that over sqrt(2) of the deviation.
+    for (pause, expected) in [(42_499, 1.0), (42_500, 0.8)] {
+        let (mean, sd) = gains(pause);
+        assert!((mean - expected).abs() < 0.009 && (sd - 0.1).abs() < 0.007, "{pause}: {mean} {sd}");
+    }
+}
+
+#[test]
+fn each_motor_has_an_asymmetry_of_its_own() {
+    let config = PlantConfig { asymmetry_sd: 0.02, ..PlantConfig::ideal() };
+    let mut plant = Plant::new(config, Tick::BOOT).unwrap();
+    plant.advance(Lines { up: 0xff_ffff, down: 0 }, 1000);
+    let up: Vec<f64> = (0..24).map(|motor| plant.position_um(motor)).collect();
+    plant.advance(Lines { up: 0, down: 0xff_ffff }, 1000);
+    let ratios = up.iter().zip(0..).map(|(up, motor)| up / (up - plant.position_um(motor)) - 1.0);
+    let ratios: Vec<f64> = ratios.collect();
+    let rms = (ratios.iter().map(|ratio| ratio * ratio).sum::<f64>() / 24.0).sqrt();
+    assert!((0.01..0.03).contains(&rms), "{ratios:?}");
+    assert!(ratios.windows(2).all(|pair| (pair[0] - pair[1]).abs() > 1e-9), "{ratios:?}");
+}
+
+#[test]
+fn a_pin_stays_at_its_end_stop_and_leaves_it_at_once() {
+    let config = PlantConfig { end_stop_um: 10.05, ..PlantConfig::ideal() };
+    let mut plant = Plant::new(config, Tick::BOOT).unwrap();
+    pulse(&mut plant, Direction::Up, 74);
+    assert!((plant.position_um(5) - 74.0 * UM_PER_PULSE).abs() < 1e-12);
+    pulse(&mut plant, Direction::Up, 1);
+    assert!((plant.position_um(5) - 10.05).abs() < 1e-12);
+    pulse(&mut plant, Direction::Up, 5000);
+    assert!((plant.position_um(5) - 10.05).abs() < 1e-12);
+    pulse(&mut plant, Direction::Down, 10);
+    assert!((plant.position_um(5) - (10.05 - 10.0 * UM_PER_PULSE)).abs() < 1e-12);
+    pulse(&mut plant, Direction::Down, 5000);
+    assert!((plant.position_um(5) + 10.05).abs() < 1e-12);
+    plant.advance(Lines::OFF, 366);
+    assert!((plant.displacement_um(5) + 10.05).abs() < 1e-12);
+    let rest = plant.take_rest_stats()[5];
+    assert!(
+        rest.count == 1 && (rest.max_abs_um - 10.05).abs() < 1e-12 && (rest.rms_um() - 10.05).abs() < 1e-12
+    );
+    assert_eq!(plant.take_rest_stats()[5], RestStats::default());
+}
+
+#[test]
+fn it_does_not_matter_how_time_is_cut() {
+    let config = PlantConfig { end_stop_um: 30.0, ..PlantConfig::default() };
+    let bursts =
+        [one_burst(Direction::Up, Tick::BOOT + 10, 600), one_burst(Direction::Down, Tick::BOOT + 700, 1000)];
+    let end = Tick::BOOT + 3000;
+    let (mut whole, mut pieces) =
+        (Plant::new(config, Tick::BOOT).unwrap(), Plant::new(config, Tick::BOOT).unwrap());
+    let mut whole_samples = Vec::new();
+    play_bursts(&mut whole, bursts, end, |plant| {
+        whole_samples.extend(std::iter::from_fn(|| plant.telemetry()));
+    });
+    let mut piece_samples = Vec::new();
+    while pieces.now() < end {
+        let mut lines = Lines::OFF;
+        for (motor, burst) in bursts {
+            if (burst.start..burst.end()).contains(&pieces.now()) {
+                *lines.mask_mut(burst.direction) |= 1 << motor;
+            }
+        }
+        pieces.advance(lines, 1);
+        piece_samples.extend(pieces.telemetry());
+    }
+    assert_eq!(whole_samples, piece_samples);
+    assert_eq!(whole.displacement_um(5).to_bits(), pieces.displacement_um(5).to_bits());
+    assert_eq!(whole.take_rest_stats(), pieces.take_rest_stats());
+}
+
+#[test]
+fn telemetry_comes_on_time_and_of_a_month_at_rest_only_the_end_is_kept() {
+    let config = PlantConfig { telemetry_age_ms: 5, ..PlantConfig::ideal() };
+    let mut plant = Plant::new(config, Tick::BOOT).unwrap();
+    pulse(&mut plant, Direction::Up, 85 + 5 * 85 - 1);
+    assert_eq!(plant.telemetry(), None);
+    pulse(&mut plant, Direction::Up, 1);
+    let sample = plant.telemetry().unwrap();
+    // 85 ticks up: the mean of the ramp over the window, 85² / 2 / 365.5 pulses.
+    let expected = (100.0 * UM_PER_PULSE * 85.0 * 85.0 / 2.0 / 365.5_f64).round() as i32;
+    assert_eq!((sample.tick, sample.y[5], sample.y[6]), (Tick::BOOT + 85, expected, 0));
+    assert_eq!(plant.telemetry(), None);
+
+    plant.advance(Lines::OFF, MONTH);
+    let samples: Vec<_> = std::iter::from_fn(|| plant.telemetry()).collect();
+    assert_eq!(samples.len(), SPARE_SAMPLES);
+    assert!(samples.windows(2).all(|pair| pair[1].tick == pair[0].tick + 85));
+    let newest = samples.last().unwrap();
+    assert!(plant.now() - newest.tick >= 5 * 85 && plant.now() - newest.tick < 6 * 85);
+    assert_eq!(newest.y[5], (100.0 * 510.0 * UM_PER_PULSE).round() as i32);
+}
+
+#[test]
+fn a_setting_out_of_range_is_refused_in_one_line() {
+    for config in [
+        PlantConfig { gain_sd: -0.1, ..PlantConfig::default() },
+        PlantConfig { asymmetry_sd: f64::NAN, ..PlantConfig::default() },
+        PlantConfig { telemetry_hz: 85_000, ..PlantConfig::default() },
+        PlantConfig { telemetry_age_ms: 1_001, ..PlantConfig::default() },
+    ] {
+        let line = Plant::new(config, Tick(0)).unwrap_err().to_string();
+        assert!(line.starts_with("mock.") && line.contains("must be 0 to"), "{line}");
+    }
+}

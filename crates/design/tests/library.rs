@@ -1,0 +1,92 @@
+use meissner_array::pattern::Pattern;
+use meissner_design::{
+    Budget, Circumstances, Request, Setting, Target, judge, make, populations, pulses_per_s, robustness,
+    shipped, shipped_names,
+};
+use rayon::ThreadPoolBuilder;
+use std::fs;
+use std::ops::ControlFlow::Continue;
+use std::path::Path;
+
+fn file(name: &str) -> String {
+    let dir = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../patterns");
+    fs::read_to_string(dir.join(format!("{name}.toml"))).unwrap()
+}
+
+/// A pattern of the library, and the target that is written in it.
+fn made(name: &str) -> (Pattern, Target) {
+    let pattern = meissner_test_support::rig::pattern(name);
+    let definition = pattern.provenance()["definition"].as_table().unwrap();
+    let target = Target::read(&toml::to_string(definition).unwrap(), name).unwrap();
+    (pattern, target)
+}
+
+/// All that its provenance says of how to make it.
+fn request(pattern: &Pattern) -> Request {
+    let provenance = pattern.provenance();
+    let whole = |value: &toml::Value| value.as_integer().unwrap().try_into().unwrap();
+    assert_eq!(provenance["setting"].as_str(), Some("default"));
+    Request {
+        setting: Setting::Default,
+        seed: whole(&provenance["seed"]),
+        robust: provenance["robust"].as_bool().unwrap(),
+        budget: Budget::Evaluations(
+            provenance["evaluations"].as_array().unwrap().iter().map(whole).collect(),
+        ),
+        start: None,
+    }
+}
+
+/// From nothing but what is in the file, on one thread and on two.
+#[test]
+fn a_pattern_of_the_library_is_made_again_byte_for_byte() {
+    let (pattern, target) = made("dot");
+    let text = file("dot");
+    for threads in [1, 2] {
+        let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let again = pool.install(|| make(&target, "dot", &request(&pattern), &mut |_| Continue(())));
+        assert!(again.unwrap().pattern.to_toml() == text, "{threads} threads");
+    }
+}
+
+#[test]
+fn every_target_has_its_pattern_and_every_pattern_says_what_it_is_worth() {
+    let names = shipped_names();
+    assert!(names.len() >= 16);
+    for name in names {
+        let (pattern, target) = made(name);
+        assert!(target == shipped(name).unwrap(), "{name}: made for another target");
+        assert_eq!(pattern.to_toml(), file(name));
+        let provenance = pattern.provenance();
+        let stored = |key: &str| provenance[key].as_float().unwrap();
+        assert!(request(&pattern).robust);
+        let made_for = Circumstances::plain(populations(&target, true), target.population_seed());
+        let verdict = judge(&target, pattern.drives(), &made_for).unwrap().unwrap();
+        let found = [verdict.cost_hz, verdict.on_hz, verdict.off_hz, verdict.auc];
+        assert_eq!(found, ["cost", "on_hz", "off_hz", "auc"].map(stored), "{name}");
+        assert_eq!(pulses_per_s(&pattern).unwrap(), stored("pulses_per_s"), "{name}");
+        // What it is worth to fingers it was not made for.
+        let held_out = provenance["robustness"]["held_out_hz"].as_array().unwrap();
+        let mean = held_out.iter().map(|cost| cost.as_float().unwrap()).sum::<f64>() / held_out.len() as f64;
+        assert_eq!(held_out.len(), 20, "{name}");
+        assert!(mean >= 0.9 * found[0], "{name}: {mean} of {}", found[0]);
+        assert!(found[0] > 100.0 && found[3] > 0.75, "{name}: {found:?}");
+    }
+}
+
+#[test]
+fn robustness_is_what_is_found_again() {
+    for name in ["edge-45", "two-dots"] {
+        let (pattern, target) = made(name);
+        let made_for = Circumstances::plain(populations(&target, true), target.population_seed());
+        let found = robustness(&target, pattern.drives(), &made_for).unwrap();
+        let stored = pattern.provenance()["robustness"].clone();
+        assert_eq!(toml::Value::try_from(&found).unwrap(), stored, "{name}");
+        // The receptors it was made for are half-rectifying ones; more travel is more spikes.
+        assert_eq!(found.half_hz, pattern.provenance()["cost"].as_float().unwrap());
+        assert!(found.gain_90_percent_hz < found.half_hz && found.half_hz < found.gain_110_percent_hz);
+        // A finger that is off feels less of it in the mean; one way it may meet more receptors.
+        assert!(found.shifted_1_mm_hz.iter().all(|&cost| cost > 0.0));
+        assert!(found.shifted_1_mm_hz.iter().sum::<f64>() / 8.0 < found.half_hz);
+    }
+}

@@ -1,0 +1,428 @@
+//! The search: what it finds on the yardstick, that it does the same whatever the threads and the budget, that it
+//! comes through places where the cost is flat, and that all it visits lies in its space.
+//!
+//! Times are asserted on nowhere; budgets are counts. Unless said otherwise a search's population, start and draws have
+//! the same seed, so that ten seeds are ten fingers.
+//!
+//! Invariant: no test here depends on the number of threads, or on how fast they are.
+
+use meissner_array::geometry;
+use meissner_design::{
+    Brief, Ended, Fidelity, Found, Limit, Objective, Point, Score, Setting, Shape, Sides, Space, Spent, Step,
+    Target, Vibration, YARDSTICK, resume, search, shipped,
+};
+use meissner_skin::afferent::{self, Position};
+use meissner_skin::simulate::{Method, Options, Scene, simulate};
+use proptest::prelude::*;
+use rayon::ThreadPoolBuilder;
+use std::ops::ControlFlow;
+use std::time::Instant;
+
+/// As a search looks first: cheap.
+const GLANCE: Fidelity = Fidelity { duration_s: 0.25, step_us: Some(500), least_weight: 1e-2 };
+/// A fifth of what three sweeps of a coordinate search spend, receptor-seconds; asserted below.
+const FIFTH: Limit = Limit::ReceptorSeconds(14_000.0);
+/// Evaluations by which a search has ended by itself: four times what the yardstick takes.
+const MOST: u64 = 20_000;
+const MOTORS: usize = 24;
+
+fn yardstick() -> Target {
+    shipped(YARDSTICK).unwrap()
+}
+
+fn brief<'b>(target: &'b Target, space: &Space, seed: &'b u64) -> Brief<'b> {
+    let frame = &target.frames()[0];
+    let populations = std::slice::from_ref(seed);
+    Brief { target, frame, populations, noise_seed: 0, space: space.clone(), seed: *seed }
+}
+
+fn go_on(_: Spent, _: Score) -> ControlFlow<()> {
+    ControlFlow::Continue(())
+}
+
+fn found(target: &Target, space: &Space, seed: u64, start: Point, limit: Limit) -> Found {
+    let found = search(&brief(target, space, &seed), start, limit, &mut go_on).unwrap();
+    assert!(found.trace.iter().all(|step| step.score.on_hz.is_finite() && step.score.off_hz.is_finite()));
+    found
+}
+
+/// By the model's own method, with noise that the search has not met.
+fn exact_hz(target: &Target, seed: u64, point: Point) -> f64 {
+    let frame = &target.frames()[0];
+    let of_noise = |noise| {
+        Objective::new(target, frame, &[seed], noise, Fidelity::FULL).at(point).unwrap().score().cost_hz()
+    };
+    [101, 102].map(of_noise).iter().sum::<f64>() / 2.0
+}
+
+/// Where a motor stands from the shape.
+fn distance_mm(target: &Target, motor: usize) -> f64 {
+    let [x_mm, y_mm] = geometry::position_mm(motor as u8);
+    target.frames()[0].shape.distance_mm(Position { x_mm, y_mm })
+}
+
+/// Of the four motors near the edge, Hz.
+fn median_hz(target: &Target, point: &Point) -> f64 {
+    let near = (0..MOTORS).filter(|&motor| distance_mm(target, motor) <= target.reach_mm());
+    let mut hz: Vec<f64> = near.map(|motor| point.0[motor].unwrap().frequency_hz()).collect();
+    assert_eq!(hz.len(), 4);
+    hz.sort_by(f64::total_cmp);
+    f64::midpoint(hz[1], hz[2])
+}
+
+/// The paper: the motors under an edge come to vibrate at about 60 Hz. The model's best is there at 80 um, and at about
+/// 100 Hz at 30 um.
+#[test]
+fn motors_near_the_edge_come_to_the_receptors_best_frequency() {
+    let (strong, space) = (yardstick(), Setting::AlwaysOn.space());
+    let weak = strong.with_amplitude_um(30.0).unwrap();
+    for seed in 0..10 {
+        let of = |target| median_hz(target, &found(target, &space, seed, space.random(seed), FIFTH).point);
+        let (strong_hz, weak_hz) = (of(&strong), of(&weak));
+        assert!((54.0..=70.0).contains(&strong_hz), "seed {seed}: {strong_hz} Hz at 80 um");
+        assert!((75.0..=125.0).contains(&weak_hz), "seed {seed}: {weak_hz} Hz at 30 um");
+        assert!(weak_hz > strong_hz);
+    }
+}
+
+/// Three sweeps over the motors, each with 24 frequencies; and the receptor-seconds they take.
+fn by_coordinates(target: &Target, seed: u64, start: Point, space: &Space) -> (Point, f64) {
+    let fidelity = Fidelity { duration_s: 1.0, step_us: Some(100), least_weight: 1e-3 };
+    let objective = Objective::new(target, &target.frames()[0], &[seed], 0, fidelity);
+    let mut standing = objective.at(start).unwrap();
+    let mut receptor_s = objective.receptors() as f64;
+    for motor in (0..3).flat_map(|_| 0..MOTORS) {
+        let here = *standing.point();
+        let candidate = |number: i32| {
+            let mut point = here;
+            let hz = space.frequency_hz(f64::from(number) / 23.0);
+            point.0[motor] = Some(space.vibration(hz, 0.0));
+            point
+        };
+        let tried = standing.try_all((0..24).map(candidate).collect());
+        receptor_s += tried.iter().map(|tried| tried.receptors as f64).sum::<f64>();
+        let cost = |score: Score| score.cost_hz();
+        let best = tried.into_iter().max_by(|a, b| cost(a.score).total_cmp(&cost(b.score))).unwrap();
+        if cost(best.score) > cost(standing.score()) {
+            standing.go(best);
+        }
+    }
+    (*standing.point(), receptor_s)
+}
+
+#[test]
+fn a_fifth_of_a_coordinate_searchs_price_buys_the_same() {
+    let target = yardstick();
+    let space = Space { phases: false, ..Setting::AlwaysOn.space() };
+    let ratios = [2, 6].map(|seed| {
+        let start = space.random(seed);
+        let (theirs, receptor_s) = by_coordinates(&target, seed, start, &space);
+        let ours = found(&target, &space, seed, start, FIFTH);
+        assert!(ours.spent.receptor_s < receptor_s / 5.0, "{:?} of {receptor_s}", ours.spent);
+        exact_hz(&target, seed, ours.point) / exact_hz(&target, seed, theirs)
+    });
+    assert!(ratios.iter().all(|ratio| *ratio >= 0.97), "{ratios:?}");
+    assert!(ratios.iter().sum::<f64>() / ratios.len() as f64 >= 0.99, "{ratios:?}");
+}
+
+#[track_caller]
+fn assert_same(one: &Found, other: &Found) {
+    assert_eq!((one.point, one.spent, one.ended), (other.point, other.spent, other.ended));
+    assert_eq!(one.trace, other.trace);
+    let bits = |found: &Found| -> Vec<_> {
+        found.trace.iter().map(|step| [step.score.on_hz.to_bits(), step.score.off_hz.to_bits()]).collect()
+    };
+    assert_eq!(bits(one), bits(other));
+}
+
+#[test]
+fn the_same_bits_on_one_thread_and_on_two() {
+    let target = shipped("disc").unwrap();
+    for setting in [Setting::Default, Setting::AlwaysOn] {
+        let space = setting.space();
+        let on = |threads| {
+            let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| found(&target, &space, 3, space.random(3), Limit::Evaluations(1500)))
+        };
+        assert_same(&on(1), &on(2));
+    }
+}
+
+#[test]
+fn a_shorter_search_is_the_beginning_of_a_longer_one() {
+    let (target, space) = (yardstick(), Setting::Default.space());
+    let limited = |most| found(&target, &space, 4, space.random(4), Limit::Evaluations(most));
+    let longest = limited(1400);
+    for most in [0, 1, 300, 1200] {
+        let shorter = limited(most);
+        assert_eq!(shorter.ended, Ended::Limit);
+        assert!(shorter.spent.evaluations >= most);
+        assert_same(&shorter, &limited(shorter.spent.evaluations));
+        assert_eq!(shorter.trace, longest.trace[..shorter.trace.len()]);
+        if most <= 300 {
+            // All in the first pass: where it stood is what it found.
+            assert_eq!(shorter.point, shorter.trace.last().map_or(space.random(4), |step| step.point));
+        } else {
+            assert_eq!(shorter.point, best(&shorter));
+        }
+    }
+    assert!(limited(0).trace.is_empty());
+}
+
+/// Of all passes, as it was seen in a second's look.
+fn best(found: &Found) -> Point {
+    let fine = found.trace.iter().filter(|step| step.duration_s == 1.0);
+    fine.max_by(|a, b| a.score.cost_hz().total_cmp(&b.score.cost_hz())).unwrap().point
+}
+
+#[test]
+fn a_limit_is_kept_to_within_a_batch() {
+    let (target, space) = (yardstick(), Setting::Default.space());
+    let start = space.random(5);
+    // A batch far away is at most: off, 6 frequencies, 2 phases, 8 neighbours with 4 phases each; all 306 receptors.
+    let most = 41.0 * 306.0 * 0.25;
+    let limited = found(&target, &space, 5, start, Limit::ReceptorSeconds(2000.0));
+    assert!((2000.0..2000.0 + most).contains(&limited.spent.receptor_s), "{:?}", limited.spent);
+    let late = found(&target, &space, 5, start, Limit::Until(Instant::now()));
+    assert_eq!((late.point, late.spent, late.ended), (start, Spent::default(), Ended::Limit));
+}
+
+#[test]
+fn an_interrupted_search_gives_the_best_so_far() {
+    let (target, space) = (yardstick(), Setting::Default.space());
+    let start = space.random(6);
+    for calls in [1, 2, 30, 60] {
+        let (mut called, mut heard) = (0, (Spent::default(), Score::default()));
+        let mut watch = |spent, score| {
+            (called, heard) = (called + 1, (spent, score));
+            if called == calls { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        };
+        let found =
+            search(&brief(&target, &space, &6), start, Limit::Evaluations(1 << 20), &mut watch).unwrap();
+        assert_eq!((found.ended, called), (Ended::Interrupted, calls));
+        let last = found.trace.last().unwrap();
+        assert_eq!((found.spent, last.score), heard);
+        assert_eq!(found.point, last.point);
+        assert!(calls > 1 || found.point == start);
+    }
+}
+
+/// Steps of one pass at one fidelity; a stage begins with its start.
+fn never_falls(trace: &[Step]) {
+    let stages = trace.chunk_by(|a, b| (a.pass, a.duration_s) == (b.pass, b.duration_s));
+    for steps in stages {
+        assert!(steps.windows(2).all(|pair| pair[0].score.cost_hz() <= pair[1].score.cost_hz()), "{steps:?}");
+    }
+    assert!(trace.windows(2).all(|pair| pair[0].spent.evaluations < pair[1].spent.evaluations));
+}
+
+/// A target like the yardstick, but for some keys.
+fn like_yardstick(keys: &str) -> Target {
+    let mut definition = yardstick().definition();
+    definition.extend(keys.parse::<toml::Table>().unwrap());
+    Target::read(&toml::to_string(&definition).unwrap(), "t.toml").unwrap()
+}
+
+const fn everywhere(decihertz: u16) -> Point {
+    Point([Some(Vibration { decihertz, percent: 0 }); MOTORS])
+}
+
+/// Ends by itself, and within a stage no step is for the worse.
+fn converged(target: &Target, space: &Space, start: Point) -> Found {
+    let found = found(target, space, 0, start, Limit::Evaluations(MOST));
+    assert_eq!(found.ended, Ended::Converged, "{:?}", found.spent);
+    assert!(found.spent.receptor_s.is_finite());
+    never_falls(&found.trace);
+    found
+}
+
+/// What no pattern can change: nothing moves.
+#[test]
+fn where_nothing_moves_the_search_ends() {
+    let still = yardstick().with_amplitude_um(0.0).unwrap();
+    for setting in [Setting::Default, Setting::AlwaysOn] {
+        let space = setting.space();
+        let found = converged(&still, &space, space.random(0));
+        // Three stages from each of five starts, and one look around: no step is taken.
+        assert_eq!((found.point, found.trace.len()), (space.random(0), 16));
+        assert!(found.trace.iter().all(|step| step.score == Score::default()));
+    }
+}
+
+/// Nor does a twentieth of a micrometre make anything fire.
+#[test]
+fn where_nothing_is_felt_the_search_ends() {
+    let weak = yardstick().with_amplitude_um(0.05).unwrap();
+    let space = Space { phases: false, ..Setting::AlwaysOn.space() };
+    let found = converged(&weak, &space, everywhere(600));
+    assert!(found.trace.iter().all(|step| step.score == Score::default()));
+    assert_eq!(found.point, everywhere(600));
+}
+
+/// At the null of the receptors' window the cost does not change with small steps; larger ones find the way out.
+#[test]
+fn out_of_the_null_and_off_a_ridge() {
+    let target = yardstick();
+    let space = Space { phases: false, ..Setting::AlwaysOn.space() };
+    let objective = Objective::new(&target, &target.frames()[0], &[0], 0, GLANCE);
+    let size = |decihertz: &u16| objective.at(everywhere(*decihertz)).unwrap().score();
+    let silent = (2300..2360).find(|decihertz| size(decihertz) == Score::default()).unwrap();
+    for start in [silent, 600] {
+        let before = size(&start).cost_hz();
+        let found = converged(&target, &space, everywhere(start));
+        // By itself: the restarts begin elsewhere.
+        let own = found.trace.iter().rfind(|step| step.pass == 0).unwrap();
+        let hz = exact_hz(&target, 0, own.point);
+        assert!(hz > 120.0 && hz > before, "from {start}: {hz}");
+    }
+}
+
+#[test]
+fn a_single_receptor_is_enough() {
+    let places = afferent::population(0);
+    let shape = yardstick().frames()[0].shape.clone();
+    let mut distances: Vec<f64> = places.iter().map(|&at| shape.distance_mm(at)).collect();
+    distances.sort_by(f64::total_cmp);
+    let target = like_yardstick(&format!("reach_mm = {}", f64::midpoint(distances[0], distances[1])));
+    assert_eq!(Sides::of(&shape, target.reach_mm(), &places).on_count(), 1);
+    let space = Setting::Default.space();
+    let found = converged(&target, &space, space.random(0));
+    assert!(exact_hz(&target, 0, found.point) > 120.0);
+}
+
+/// Two dots that mirror each other: neither is given up for the other.
+#[test]
+fn two_equal_optima_are_both_found() {
+    let dots = Target::read(
+        "name = \"mirrored\"\nshape = \"dots\"\npoints = [[-4.35, 1.45], [4.35, 1.45]]\nreach_mm = 1.5",
+        "t.toml",
+    );
+    let (target, space) = (dots.unwrap(), Setting::Default.space());
+    let found = converged(&target, &space, space.random(0));
+    let places = afferent::population(0);
+    let drives = found.point.drives(target.amplitude_um(), None, None);
+    let scene = Scene::new(1.0, 9, drives, places.clone(), *target.model()).unwrap();
+    let rates_hz = simulate(&scene, &Options::rates(Method::Exact), &|_| ()).unwrap().rates_hz(&scene);
+    for dot in [[-4.35, 1.45], [4.35, 1.45]] {
+        let sides = Sides::of(&Shape::Dots(vec![dot]), 1.5, &places);
+        assert!(sides.on_hz(&rates_hz).unwrap() > 120.0, "{dot:?}");
+    }
+}
+
+/// From a start to convergence, restarts and all: the best of all passes is what is found.
+#[test]
+fn to_convergence_and_again() {
+    let target = shipped("dot").unwrap();
+    let space = Space { phases: false, ..Setting::Default.space() };
+    let found = converged(&target, &space, space.random(0));
+    assert_eq!(found.trace.iter().map(|step| step.pass).max(), Some(4));
+    assert_eq!(found.point, best(&found));
+    let limit = Limit::Evaluations(MOST);
+    let again = resume(&brief(&target, &space, &0), found.point, limit, &mut go_on).unwrap();
+    let fine = |found: &Found| {
+        let frame = &target.frames()[0];
+        let fidelity = Fidelity { duration_s: 1.0, step_us: Some(500), least_weight: 1e-3 };
+        Objective::new(&target, frame, &[0], 0, fidelity).at(found.point).unwrap().score().cost_hz()
+    };
+    assert!(fine(&again) >= fine(&found));
+}
+
+fn spaces() -> impl Strategy<Value = Space> {
+    (50_u16..1500, 1_u16..1500, any::<bool>(), any::<bool>()).prop_map(|(low, width, may_be_off, phases)| {
+        Space { decihertz: low..=low + width, may_be_off, phases }
+    })
+}
+
+/// A point of a space; motors are off now and then, if they may be.
+fn point_of(space: Space) -> impl Strategy<Value = (Space, Point)> {
+    let off = if space.may_be_off { 0.3 } else { 0.0 };
+    let vibration = (space.decihertz.clone(), 0_u8..100)
+        .prop_map(|(decihertz, percent)| Vibration { decihertz, percent });
+    let motor = prop_oneof![
+        (100.0 * off) as u32 => Just(None),
+        (100.0 - 100.0 * off) as u32 => vibration.prop_map(Some)
+    ];
+    prop::collection::vec(motor, MOTORS)
+        .prop_map(move |motors| (space.clone(), Point(motors.try_into().unwrap())))
+}
+
+fn lies_in(space: &Space, point: &Point) -> bool {
+    let within = |of: &Vibration| space.decihertz.contains(&of.decihertz) && of.percent < 100;
+    point.0.iter().all(|motor| motor.as_ref().map_or(space.may_be_off, within))
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(16) })]
+
+    #[test]
+    fn a_search_stays_in_its_space((space, start) in spaces().prop_flat_map(point_of), seed in 0_u64..1000) {
+        let found = found(&yardstick(), &space, seed, start, Limit::Evaluations(150));
+        for step in &found.trace {
+            prop_assert!(lies_in(&space, &step.point), "{:?}", step.point);
+            // Where all stay on: a motor that was off and comes back has no phase to keep.
+            if !space.phases && !space.may_be_off {
+                let percents = |point: &Point| point.0.map(|motor| motor.unwrap().percent);
+                prop_assert_eq!(percents(&step.point), percents(&start));
+            }
+        }
+        never_falls(&found.trace);
+    }
+
+    #[test]
+    fn what_was_tried_is_what_one_gets(
+        (space, mut points) in spaces().prop_flat_map(|space| {
+            (Just(space.clone()), prop::collection::vec(point_of(space).prop_map(|(_, point)| point), 2..4))
+        }),
+        populations in prop::collection::vec(0_u64..100, 1..3),
+    ) {
+        let target = yardstick();
+        let objective = Objective::new(&target, &target.frames()[0], &populations, 1, GLANCE);
+        let mut standing = objective.at(points.pop().unwrap()).unwrap();
+        // Besides those from anywhere one that differs in a motor.
+        let mut near = *standing.point();
+        near.0[11] = Some(space.vibration(60.0, 0.3));
+        points.push(near);
+        for (tried, point) in standing.try_all(points.clone()).into_iter().zip(points) {
+            let afresh = objective.at(point).unwrap().score();
+            prop_assert_eq!((tried.point, tried.score), (point, afresh));
+            standing.go(tried);
+            prop_assert_eq!((*standing.point(), standing.score()), (point, afresh));
+        }
+    }
+
+    #[test]
+    fn the_cost_is_the_one_of_a_plain_simulation(
+        (_, point) in spaces().prop_flat_map(point_of),
+        populations in prop::collection::vec(0_u64..100, 1..4),
+        noise_seed in 0_u64..100,
+    ) {
+        let target = yardstick();
+        let frame = &target.frames()[0];
+        let fidelity = Fidelity { duration_s: 0.2, ..Fidelity::FULL };
+        let score = Objective::new(&target, frame, &populations, noise_seed, fidelity).at(point).unwrap().score();
+        // One scene of all populations: each receptor has noise of its own.
+        let places: Vec<Vec<Position>> = populations.iter().map(|&seed| afferent::population(seed)).collect();
+        let drives = point.drives(target.amplitude_um(), None, None);
+        let scene = Scene::new(0.2, noise_seed, drives, places.concat(), *target.model()).unwrap();
+        let rates_hz = simulate(&scene, &Options::rates(Method::Exact), &|_| ()).unwrap().rates_hz(&scene);
+        let mut rest = &rates_hz[..];
+        let mut sum_hz = 0.0;
+        for places in &places {
+            let (rates_hz, others) = rest.split_at(places.len());
+            sum_hz += Sides::of(&frame.shape, target.reach_mm(), places).cost_hz(rates_hz).unwrap();
+            rest = others;
+        }
+        let mean_hz = sum_hz / places.len() as f64;
+        prop_assert!((score.cost_hz() - mean_hz).abs() < 1e-9, "{} {mean_hz}", score.cost_hz());
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(500) })]
+
+    #[test]
+    fn drives_lead_back_to_their_point((space, point) in spaces().prop_flat_map(point_of)) {
+        prop_assert!(lies_in(&space, &point));
+        prop_assert_eq!(space.of_drives(&point.drives(80.0, None, None)), point);
+    }
+}

@@ -1,0 +1,235 @@
+//! What a motor reaches of the amplitude that is asked for: the paper's Fig. 3.
+//!
+//! Lines are the model in closed form. Points are measured on the simulated plant, whose bursts scatter, through its
+//! telemetry: four pins play each amplitude, the loop open. Of each cycle the top counts minus the mean of the bottoms
+//! before and after it, read where the model has them: a pin that wanders does not seem to vibrate more for it.
+//!
+//! Invariant: a measurement is made of telemetry alone, in its quantum.
+
+use super::FiguresError;
+use super::chart::{Axis, Chart, Dot, Point, Scale, Series, draw};
+use super::page::Section;
+use super::table::number;
+use firmware_protocol::stroke::{Direction, Lines, MOTORS};
+use firmware_protocol::tick::{TICK_HZ, Tick};
+use meissner_array::geometry;
+use meissner_array::motor::{MotorError, SquareWave, SteadyState, WINDOW_HALF_TICKS};
+use meissner_array::simulated::{Plant, PlantConfig};
+use plotters::chart::SeriesLabelPosition;
+use rayon::prelude::*;
+use serde::Serialize;
+use std::fmt::Write;
+
+/// Commanded amplitudes, µm: one per row of the array.
+pub const AMPLITUDES_UM: [f64; geometry::ROWS as usize] = [10.0, 20.0, 40.0, 80.0, 160.0, 320.0];
+/// Measured frequencies, Hz; 233 lies at the model's null.
+const FREQUENCIES_HZ: [f64; 23] = [
+    1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0, 15.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, 120.0, 150.0,
+    180.0, 200.0, 233.0, 260.0, 300.0,
+];
+/// Points of a line.
+const LINE: u32 = 160;
+/// Cycles that are measured, on each of four pins.
+const CYCLES: usize = 20;
+/// Cycles left out at the beginning, besides those that the window holds: the first burst after a rest is short.
+const TRANSIENT: usize = 3;
+/// Samples per second: the most the plant gives.
+const SAMPLES_HZ: u32 = meissner_array::simulated::MAX_TELEMETRY_HZ;
+/// Telemetry is asked at least so often, before its queue is full: 47 samples.
+const ASK_TICKS: u64 = 400;
+/// Without the loop pins wander: no end stop is in their way.
+const END_STOP_UM: f64 = 10_000.0;
+const SEED: u64 = 0;
+/// The window, in periods of 1 Hz.
+const WINDOW_S: f64 = WINDOW_HALF_TICKS as f64 / 2.0 / TICK_HZ as f64;
+/// Below this a share says nothing, µm.
+const WORTH_UM: f64 = 5.0;
+
+/// A point of the figure.
+#[derive(Clone, Copy, Debug)]
+struct Row {
+    frequency_hz: f64,
+    amplitude_um: f64,
+    model_um: f64,
+    measured_um: f64,
+    sd_um: f64,
+}
+
+/// What the figure comes to.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Amplitude {
+    /// Of the plant's scatter.
+    pub seed: u64,
+    /// How many were measured.
+    pub points: usize,
+    /// Measured over model, mean of the points at which the model moves by 5 µm or more.
+    pub measured_over_model: f64,
+    /// The largest deviation of that ratio from 1.
+    pub worst_deviation: f64,
+}
+
+/// Measures, draws, and says what it comes to.
+pub(super) fn section(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Amplitude), FiguresError> {
+    let rows = rows(progress)?;
+    let ratios =
+        || rows.iter().filter(|row| row.model_um >= WORTH_UM).map(|row| row.measured_um / row.model_um);
+    let figures = Amplitude {
+        seed: SEED,
+        points: rows.len(),
+        measured_over_model: ratios().sum::<f64>() / ratios().count() as f64,
+        worst_deviation: ratios().fold(0.0, |worst, ratio| worst.max((ratio - 1.0).abs())),
+    };
+    let mut section = Section::new("amplitude", "Amplitude against frequency (the paper's Fig. 3)");
+    let caption = format!(
+        "Steady amplitude of a pin, peak to peak, against the frequency of its drive, for amplitudes of {} µm. Lines: \
+         the motor model (slope limited to 11.5 mm/s, moving average over 4.3 ms) in closed form. Points: mean and \
+         standard deviation of {} cycles of the simulated plant (seed {SEED}, gain of each burst scattered by 10 %, no \
+         closed loop, end stops out of reach), read from its telemetry at {SAMPLES_HZ} Hz in steps of 0.01 µm after the \
+         transient; a cycle is its top minus the mean of the bottoms beside it, at the model's instants. Where the model \
+         moves by {WORTH_UM} µm or more, measured is {} times that in the mean, and off by {} % at worst. What is below \
+         {LEAST_UM} µm is drawn there; the model's null at 232.6 Hz is that of a moving average, not of a motor.",
+        AMPLITUDES_UM.map(number).join(", "),
+        CYCLES * usize::from(geometry::COLUMNS),
+        number(figures.measured_over_model),
+        number((figures.worst_deviation * 1000.0).round() / 10.0),
+    );
+    section.figure("amplitude", plot(&rows)?, Some(csv(&rows)), &caption, "meissner report");
+    Ok((section, figures))
+}
+
+fn csv(rows: &[Row]) -> String {
+    let mut csv = String::from("frequency_hz,amplitude_um,model_um,measured_um,measured_sd_um\n");
+    for row in rows {
+        let Row { frequency_hz, amplitude_um, model_um, measured_um, sd_um } = row;
+        // Writing to a string does not fail.
+        let _ = writeln!(csv, "{frequency_hz},{amplitude_um},{model_um},{measured_um:.4},{sd_um:.4}");
+    }
+    csv
+}
+
+/// Where the axis of amplitudes begins, µm.
+const LEAST_UM: f64 = 0.5;
+
+fn plot(rows: &[Row]) -> Result<String, FiguresError> {
+    let last = f64::from(LINE - 1);
+    let mut line_hz: Vec<f64> = (0..LINE).map(|n| 300_f64.powf(f64::from(n) / last)).collect();
+    line_hz.push(1.0 / WINDOW_S);
+    line_hz.sort_by(f64::total_cmp);
+    let series = AMPLITUDES_UM.into_par_iter().map(|um| {
+        let line = line_hz.iter().map(|&hz| Ok((hz, SteadyState::of(hz, um)?.peak_to_peak_um)));
+        let of_amplitude = rows.iter().filter(|row| row.amplitude_um == um);
+        let point = |row: &Row| Point { x: row.frequency_hz, y: row.measured_um, sd: row.sd_um };
+        Ok(Series {
+            name: format!("{um} um"),
+            line: line.collect::<Result<_, MotorError>>()?,
+            points: of_amplitude.map(point).collect(),
+            dot: Dot::Disc,
+        })
+    });
+    let chart = Chart {
+        title: "Amplitude of a pin: model (lines) and simulated plant (points)",
+        x: Axis { name: "frequency, Hz", scale: Scale { from: 1.0, to: 300.0, logarithmic: true } },
+        y: Axis {
+            name: "amplitude, um peak to peak",
+            scale: Scale { from: LEAST_UM, to: 500.0, logarithmic: true },
+        },
+        legend: SeriesLabelPosition::UpperRight,
+        series: series.collect::<Result<_, MotorError>>()?,
+    };
+    Ok(draw(&chart)?)
+}
+
+fn rows(progress: &(dyn Fn(f64) + Sync)) -> Result<Vec<Row>, FiguresError> {
+    let parts = super::Parts::new(FREQUENCIES_HZ.len(), progress);
+    let measured = FREQUENCIES_HZ.par_iter().map(|&frequency_hz| {
+        let cycles = measure(frequency_hz)?;
+        let rows = AMPLITUDES_UM.into_iter().zip(cycles).map(|(amplitude_um, cycles)| {
+            let (measured_um, sd_um) = super::mean_and_sd(&cycles);
+            let model_um = SteadyState::of(frequency_hz, amplitude_um)?.peak_to_peak_um;
+            Ok(Row { frequency_hz, amplitude_um, model_um, measured_um, sd_um })
+        });
+        let rows = rows.collect::<Result<Vec<_>, MotorError>>()?;
+        parts.done();
+        Ok(rows)
+    });
+    Ok(measured.collect::<Result<Vec<_>, FiguresError>>()?.concat())
+}
+
+/// The peak to peak of each measured cycle, µm, by amplitude: row r of the array plays the r-th.
+fn measure(frequency_hz: f64) -> Result<[Vec<f64>; AMPLITUDES_UM.len()], FiguresError> {
+    let config = PlantConfig {
+        seed: SEED,
+        end_stop_um: END_STOP_UM,
+        telemetry_hz: SAMPLES_HZ,
+        ..PlantConfig::default()
+    };
+    let mut plant = Plant::new(config, Tick(0))?;
+    let periods = WINDOW_S * frequency_hz;
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "below 2")]
+    let skipped = TRANSIENT + periods.ceil() as usize;
+
+    let mut toggles: Vec<(Tick, u8, Direction)> = Vec::new();
+    // For each motor the samples that are its bottoms and tops, in turn, bottoms first and last.
+    let mut wanted: Vec<Vec<u64>> = Vec::new();
+    for motor in 0..MOTORS as u8 {
+        let wave = SquareWave::new(frequency_hz, AMPLITUDES_UM[usize::from(geometry::row(motor))], 0.0)?;
+        let excursions: Vec<_> = wave.excursions().take(skipped + CYCLES + 1).collect();
+        for excursion in &excursions {
+            let pulses = u64::from(excursion.pulses);
+            for (start, direction) in [(excursion.up, Direction::Up), (excursion.down, Direction::Down)] {
+                toggles.extend([start, start + pulses].map(|tick| (Tick(tick), motor, direction)));
+            }
+        }
+        let mut samples = Vec::new();
+        for pair in excursions[skipped - 1..].windows(2) {
+            let (this, next) = (pair[0], pair[1]);
+            samples.push(sample(this.end() + next.up));
+            samples.push(sample(next.up + u64::from(next.pulses) + next.down));
+        }
+        // What follows the last top is no bottom: it has none after it.
+        samples.pop();
+        wanted.push(samples);
+    }
+    toggles.sort_by_key(|toggle| toggle.0);
+
+    let mut readings: Vec<Vec<f64>> = vec![Vec::new(); MOTORS];
+    let mut taken = 0;
+    let mut pass = |plant: &mut Plant, lines: Lines, until: Tick| {
+        while plant.now() < until {
+            plant.advance(lines, ASK_TICKS.min(until - plant.now()));
+            while let Some(sample) = plant.telemetry() {
+                taken += 1;
+                for ((readings, wanted), y) in readings.iter_mut().zip(&wanted).zip(sample.y) {
+                    if wanted.get(readings.len()) == Some(&taken) {
+                        readings.push(f64::from(y) / 100.0);
+                    }
+                }
+            }
+        }
+    };
+    let mut lines = Lines::OFF;
+    for (tick, motor, direction) in toggles {
+        pass(&mut plant, lines, tick);
+        *lines.mask_mut(direction) ^= 1 << motor;
+    }
+    let end = plant.now() + 2 * WINDOW_HALF_TICKS;
+    pass(&mut plant, Lines::OFF, end);
+
+    // Beyond each whole period in the window the wave is upside down.
+    let sign = if periods.floor() % 2.0 == 0.0 { 1.0 } else { -1.0 };
+    let mut cycles: [Vec<f64>; AMPLITUDES_UM.len()] = Default::default();
+    for (motor, readings) in (0..).zip(&readings) {
+        let of_motor = readings.windows(3).step_by(2);
+        cycles[usize::from(geometry::row(motor))]
+            .extend(of_motor.map(|three| sign * (three[1] - f64::midpoint(three[0], three[2]))));
+    }
+    Ok(cycles)
+}
+
+/// The sample nearest to where the shaft shows the middle of a plateau, which lies at half of `twice` ticks: the
+/// moving average comes half a window later.
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time, rounded")]
+fn sample(twice: u64) -> u64 {
+    let ticks = (twice as f64 + WINDOW_HALF_TICKS as f64 / 2.0) / 2.0;
+    (ticks * f64::from(SAMPLES_HZ) / f64::from(TICK_HZ)).round() as u64
+}

@@ -1,0 +1,124 @@
+//! What the search comes to at other amplitudes than the paper's.
+//!
+//! Above some amplitude the drive saturates, and the best frequency falls with it; below, it rises. Each amplitude is
+//! searched with fewer evaluations than the figure.
+//!
+//! Invariant: costs are those of [`Fidelity::FULL`](meissner_design::Fidelity::FULL).
+
+use super::{NEAR_PAPER_HZ, PAPER_HZ, SETTING, exactly, fifties, found, in_unison, near_hz};
+use crate::figures::FiguresError;
+use crate::figures::chart::{Axis, Chart, Dot, Point as Mark, Scale, Series, draw};
+use crate::figures::table::{number, table};
+use firmware_protocol::tick::TICK_HZ;
+use meissner_array::units::UM_PER_PULSE;
+use meissner_design::{Limit, Target, Vibration};
+use plotters::chart::SeriesLabelPosition;
+use serde::Serialize;
+use std::fmt::Write;
+
+/// Amplitudes that are compared, µm.
+pub(super) const AMPLITUDES_UM: [f64; 6] = [20.0, 30.0, 40.0, 60.0, 80.0, 120.0];
+/// Evaluations for each of these: a descent and part of a restart.
+const EVALUATIONS: u64 = 1_500;
+
+/// What the search comes to at an amplitude.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct ByAmplitude {
+    /// Of all motors.
+    pub amplitude_um: f64,
+    /// The median frequency of the motors within reach.
+    pub near_hz: f64,
+    /// The cost.
+    pub cost_hz: f64,
+    /// The cost if these motors and all in unison with them vibrated at 60 Hz.
+    pub cost_at_60_hz: f64,
+    /// From here on the drive is saturated at this amplitude, Hz.
+    pub saturated_from_hz: f64,
+}
+
+pub(super) fn at(target: &Target, near: &[u8]) -> Result<ByAmplitude, FiguresError> {
+    let point = found(target, Limit::Evaluations(EVALUATIONS))?.point;
+    let mut at_60 = point;
+    let tuned = |vibration: &Vibration| in_unison(&point, near, *vibration);
+    for vibration in at_60.0.iter_mut().flatten().filter(|vibration| tuned(vibration)) {
+        *vibration = SETTING.space().vibration(PAPER_HZ, vibration.phase());
+    }
+    let objective = exactly(target);
+    let amplitude_um = target.amplitude_um();
+    Ok(ByAmplitude {
+        amplitude_um,
+        near_hz: near_hz(&point, near),
+        cost_hz: objective.at(point)?.score().cost_hz(),
+        cost_at_60_hz: objective.at(at_60)?.score().cost_hz(),
+        saturated_from_hz: UM_PER_PULSE * f64::from(TICK_HZ) / 2.0 / amplitude_um,
+    })
+}
+
+pub(super) fn about(rows: &[ByAmplitude]) -> String {
+    let (near, away): (Vec<_>, Vec<_>) = rows.iter().partition(|row| NEAR_PAPER_HZ.contains(&row.near_hz));
+    let list = |rows: &[&ByAmplitude], none: &str| {
+        let words =
+            |row: &&ByAmplitude| format!("{} Hz at {} µm", number(row.near_hz), number(row.amplitude_um));
+        if rows.is_empty() { none.to_owned() } else { rows.iter().map(words).collect::<Vec<_>>().join(", ") }
+    };
+    format!(
+        "Median frequency of the motors within reach of the edge against the amplitude of all motors, each after {EVALUATIONS} \
+         evaluations. Near the 60 Hz of the paper: {}. Not near it: {}.",
+        list(&near, "none"),
+        list(&away, "none"),
+    )
+}
+
+pub(super) fn csv(rows: &[ByAmplitude]) -> String {
+    let mut csv = String::from("amplitude_um,near_median_hz,cost_hz,cost_at_60_hz,saturated_from_hz\n");
+    for ByAmplitude { amplitude_um, near_hz, cost_hz, cost_at_60_hz, saturated_from_hz } in rows {
+        let _ =
+            writeln!(csv, "{amplitude_um},{near_hz},{cost_hz:.4},{cost_at_60_hz:.4},{saturated_from_hz:.4}");
+    }
+    csv
+}
+
+pub(super) fn plot(rows: &[ByAmplitude]) -> Result<String, FiguresError> {
+    let found: Vec<(f64, f64)> = rows.iter().map(|row| (row.amplitude_um, row.near_hz)).collect();
+    let most_um = rows.iter().fold(0.0_f64, |most, row| most.max(row.amplitude_um)) + 20.0;
+    let highest = rows.iter().fold(PAPER_HZ, |highest, row| highest.max(row.near_hz));
+    let chart = Chart {
+        title: "Frequency of the motors near the edge, after the search",
+        x: Axis {
+            name: "amplitude asked for, um peak to peak",
+            scale: Scale { from: 0.0, to: most_um, logarithmic: false },
+        },
+        y: Axis { name: "median frequency, Hz", scale: fifties(0.0, highest) },
+        legend: SeriesLabelPosition::LowerRight,
+        series: vec![
+            Series {
+                name: "found".to_owned(),
+                points: found.iter().map(|&(x, y)| Mark { x, y, sd: 0.0 }).collect(),
+                line: found,
+                dot: Dot::Disc,
+            },
+            Series {
+                name: format!("the paper: {PAPER_HZ} Hz"),
+                line: vec![(0.0, PAPER_HZ), (most_um, PAPER_HZ)],
+                points: Vec::new(),
+                dot: Dot::Disc,
+            },
+        ],
+    };
+    Ok(draw(&chart)?)
+}
+
+pub(super) fn in_rows(rows: &[ByAmplitude]) -> String {
+    let head = [
+        "amplitude, µm",
+        "median frequency near the edge, Hz",
+        "cost, impulses/s",
+        "cost with these at 60 Hz, impulses/s",
+        "drive saturates from, Hz",
+    ];
+    let row = |row: &ByAmplitude| {
+        let ByAmplitude { amplitude_um, near_hz, cost_hz, cost_at_60_hz, saturated_from_hz } = *row;
+        [amplitude_um, near_hz, cost_hz, cost_at_60_hz, saturated_from_hz].map(number).to_vec()
+    };
+    table(&head, rows.iter().map(row))
+}

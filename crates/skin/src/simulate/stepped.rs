@@ -1,0 +1,346 @@
+//! The stepped methods: a fixed step, all receptors abreast.
+//!
+//! Forward Euler is the paper's eq. 2: the input at the step's start, and a spike at its end if the threshold is
+//! reached there. The propagator takes the leak over a step exactly and the input by its mean, and looks for the
+//! crossing within the step on the straight line between the ends; what is left of the step counts for the next
+//! interval. So Euler is of order 1 and the propagator of order 2, until a spike grazes its threshold.
+//!
+//! A step has one spike at most: a refractory time far below the step is not resolved.
+//!
+//! Invariant: a lane's arithmetic depends on nothing but its receptor, whatever the vector's width.
+
+use super::lanes::{Aligned, Number};
+use super::membrane::Membrane;
+use super::{Integrator, Member};
+use crate::afferent::{LEAST_THRESHOLD, Rectify};
+use firmware_protocol::stroke::MOTORS;
+use meissner_array::random::Normals;
+use pulp::{Arch, Simd, WithSimd};
+use std::array;
+
+/// Receptors of a group: the widest vector of `f32`.
+pub(super) const LANES: usize = 16;
+/// Steps whose input is summed at once: as many vectors as stay in registers.
+pub(super) const TILE: usize = 8;
+/// Steps since the last spike, when there was none.
+const NEVER: f64 = 1e30;
+
+type Row<T> = Aligned<[T; LANES]>;
+
+/// What a step does to every receptor.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct StepModel {
+    integrator: Integrator,
+    rectify: Rectify,
+    /// Half ticks.
+    pub(super) length: f64,
+    /// What leaks of the membrane, and what is added per unit of input.
+    leak: f64,
+    charge: f64,
+    /// Steps.
+    refractory: f64,
+    depth: f64,
+    /// Per step.
+    recovery: f64,
+}
+
+impl StepModel {
+    pub(super) fn new(membrane: &Membrane, integrator: Integrator, length: f64) -> Self {
+        let x = membrane.rate * length;
+        let (leak, charge) = match integrator {
+            Integrator::Euler => (x, membrane.gain * length),
+            Integrator::Propagator => {
+                (-libm::expm1(-x), membrane.gain * length * (1.0 - x * super::membrane::phi2(x)))
+            }
+        };
+        Self {
+            integrator,
+            rectify: membrane.rectify,
+            length,
+            leak,
+            charge,
+            refractory: membrane.refractory / length,
+            depth: membrane.depth,
+            recovery: membrane.recovery * length,
+        }
+    }
+}
+
+/// The state of up to sixteen receptors.
+#[derive(Debug)]
+pub(super) struct Group<T> {
+    weights: [Row<T>; MOTORS],
+    motors: u32,
+    p: Row<T>,
+    /// Steps since the last spike: counted, not summed up, they are whole but for the part after the spike.
+    since: Row<T>,
+    resting: Row<T>,
+    receptors: Vec<Receptor>,
+}
+
+#[derive(Debug)]
+struct Receptor {
+    noise: Option<Normals>,
+    spikes: Vec<f64>,
+    count: u64,
+}
+
+impl<T: Number> Group<T> {
+    pub(super) fn new(members: Vec<Member>) -> Self {
+        assert!(members.len() <= LANES);
+        let mut group = Self {
+            weights: [Aligned([T::default(); LANES]); MOTORS],
+            motors: 0,
+            p: Aligned([T::default(); LANES]),
+            since: Aligned([T::of(NEVER); LANES]),
+            // A lane without a receptor never reaches it.
+            resting: Aligned([T::of(f64::INFINITY); LANES]),
+            receptors: Vec::with_capacity(members.len()),
+        };
+        for (lane, member) in members.into_iter().enumerate() {
+            for (motor, &weight) in member.weights.iter().enumerate() {
+                group.weights[motor][lane] = T::of(weight);
+                group.motors |= u32::from(weight > 0.0) << motor;
+            }
+            group.resting[lane] = T::of(member.resting);
+            group.receptors.push(Receptor { noise: member.noise, spikes: Vec::new(), count: 0 });
+        }
+        group
+    }
+
+    /// Through a stretch of steps.
+    pub(super) fn run(&mut self, arch: Arch, run: &Block<'_, T>) {
+        arch.dispatch(Run { group: self, block: run });
+    }
+
+    /// Spikes in memory.
+    pub(super) fn kept(&self) -> u64 {
+        self.receptors.iter().map(|receptor| receptor.spikes.len() as u64).sum()
+    }
+
+    /// For each receptor: how many spikes, and their times in half ticks.
+    pub(super) fn into_trains(self) -> impl Iterator<Item = (u64, Vec<f64>)> {
+        self.receptors.into_iter().map(|receptor| (receptor.count, receptor.spikes))
+    }
+}
+
+/// A stretch of steps.
+pub(super) struct Block<'b, T> {
+    pub(super) model: &'b StepModel,
+    pub(super) membrane: &'b Membrane,
+    /// Of each motor that reaches anybody, its velocity in each step; whole tiles, the last filled up.
+    pub(super) inputs: &'b [&'b [T]; MOTORS],
+    pub(super) first: u64,
+    pub(super) steps: usize,
+    pub(super) until: f64,
+    pub(super) keep: bool,
+}
+
+struct Run<'r, T> {
+    group: &'r mut Group<T>,
+    block: &'r Block<'r, T>,
+}
+
+impl<T: Number> WithSimd for Run<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        match self.block.model.integrator {
+            Integrator::Euler => self.steps::<S, false>(simd),
+            Integrator::Propagator => self.steps::<S, true>(simd),
+        }
+    }
+}
+
+impl<T: Number> Run<'_, T> {
+    #[inline(always)]
+    fn steps<S: Simd, const WITHIN: bool>(self, simd: S) {
+        let Self { group, block } = self;
+        let step = Step::<T, S, WITHIN>::new(simd, block.model);
+        for first in (0..group.receptors.len()).step_by(T::width::<S>()) {
+            let mut lanes = Lanes {
+                p: T::load::<S>(&group.p[first..]),
+                since: T::load::<S>(&group.since[first..]),
+                resting: T::load::<S>(&group.resting[first..]),
+            };
+            for tile in (0..block.steps).step_by(TILE) {
+                let inputs = inputs(simd, block, group, first, tile);
+                for (index, input) in inputs.into_iter().take(block.steps - tile).enumerate() {
+                    let (after, hot) = step.take(&lanes, input);
+                    let before = std::mem::replace(&mut lanes, after);
+                    if T::bits::<S>(hot) != 0 {
+                        let number = block.first + (tile + index) as u64;
+                        let (part, spiked) = step.crossing(&before, lanes.p, hot);
+                        step.reset(&mut lanes, part, spiked, input);
+                        let parts = spill::<T, S>(part);
+                        let mut resting = spill::<T, S>(lanes.resting);
+                        let mut left = T::bits::<S>(spiked);
+                        while left != 0 {
+                            let lane = left.trailing_zeros() as usize;
+                            left &= left - 1;
+                            let at = (number as f64 + parts[lane].wide()) * block.model.length;
+                            resting[lane] = T::of(group.receptors[first + lane].spike(block, at));
+                        }
+                        lanes.resting = T::load::<S>(&*resting);
+                    }
+                }
+            }
+            T::store::<S>(&mut group.p[first..], lanes.p);
+            T::store::<S>(&mut group.since[first..], lanes.since);
+            T::store::<S>(&mut group.resting[first..], lanes.resting);
+        }
+    }
+}
+
+/// The rectified inputs of a tile of steps: the motors' velocities, weighted and summed in order of motor.
+#[inline(always)]
+fn inputs<T: Number, S: Simd>(
+    simd: S,
+    block: &Block<'_, T>,
+    group: &Group<T>,
+    first: usize,
+    tile: usize,
+) -> [T::Vector<S>; TILE] {
+    let zero = T::splat(simd, T::default());
+    let mut sums = [zero; TILE];
+    let mut left = group.motors;
+    while left != 0 {
+        let motor = left.trailing_zeros() as usize;
+        left &= left - 1;
+        let weights = T::load::<S>(&group.weights[motor][first..]);
+        let input = block.inputs[motor][tile..].first_chunk::<TILE>().expect("inputs are whole tiles");
+        sums = array::from_fn(|step| T::mul_add(simd, weights, T::splat(simd, input[step]), sums[step]));
+    }
+    match block.model.rectify {
+        Rectify::Half => array::from_fn(|step| T::max(simd, sums[step], zero)),
+        Rectify::Full => array::from_fn(|step| T::abs(simd, sums[step])),
+        Rectify::Signed => sums,
+    }
+}
+
+#[inline(always)]
+fn spill<T: Number, S: Simd>(vector: T::Vector<S>) -> Row<T> {
+    let mut lanes = Aligned([T::default(); LANES]);
+    T::store::<S>(&mut *lanes, vector);
+    lanes
+}
+
+impl Receptor {
+    /// Counts a spike; draws the next resting threshold.
+    #[inline(always)]
+    fn spike<T>(&mut self, block: &Block<'_, T>, at: f64) -> f64 {
+        if at < block.until {
+            self.count += 1;
+            if block.keep {
+                self.spikes.push(at);
+            }
+        }
+        block.membrane.draw(self.noise.as_mut())
+    }
+}
+
+/// Receptors in the processor's registers.
+struct Lanes<T: Number, S: Simd> {
+    p: T::Vector<S>,
+    since: T::Vector<S>,
+    resting: T::Vector<S>,
+}
+
+/// The numbers of a [`StepModel`], one in every lane. `WITHIN`: crossings are looked for within the step.
+struct Step<T: Number, S: Simd, const WITHIN: bool> {
+    simd: S,
+    zero: T::Vector<S>,
+    charge: T::Vector<S>,
+    leak: T::Vector<S>,
+    one: T::Vector<S>,
+    recovery: T::Vector<S>,
+    depth: T::Vector<S>,
+    least: T::Vector<S>,
+    refractory: T::Vector<S>,
+    /// What counts as the end of refractoriness at a step's end: a step that divides it does so but for rounding.
+    nearly_refractory: T::Vector<S>,
+}
+
+impl<T: Number, S: Simd, const WITHIN: bool> Step<T, S, WITHIN> {
+    #[inline(always)]
+    fn new(simd: S, model: &StepModel) -> Self {
+        let splat = |value| T::splat(simd, T::of(value));
+        Self {
+            simd,
+            zero: splat(0.0),
+            charge: splat(model.charge),
+            leak: splat(-model.leak),
+            one: splat(1.0),
+            recovery: splat(-model.recovery),
+            depth: splat(model.depth),
+            least: splat(LEAST_THRESHOLD),
+            refractory: splat(model.refractory),
+            nearly_refractory: splat(model.refractory * (1.0 - 1e-6)),
+        }
+    }
+
+    /// The lanes after a step without a spike, and which of them may have had one.
+    #[inline(always)]
+    fn take(&self, lanes: &Lanes<T, S>, input: T::Vector<S>) -> (Lanes<T, S>, T::Mask<S>) {
+        let simd = self.simd;
+        let charged = T::mul_add(simd, input, self.charge, lanes.p);
+        let p = T::mul_add(simd, lanes.p, self.leak, charged);
+        let since = T::add(simd, lanes.since, self.one);
+        // The threshold rises with the time since the spike. Euler tests it at the step's end; where a crossing
+        // within the step is looked for, it is lowest at the start.
+        let tested = if WITHIN { lanes.since } else { since };
+        let threshold = self.threshold(lanes.resting, tested);
+        let top = if WITHIN { T::max(simd, lanes.p, p) } else { p };
+        let hot = T::both(
+            simd,
+            T::at_least(simd, top, threshold),
+            T::at_least(simd, since, self.nearly_refractory),
+        );
+        (Lanes { p, since, resting: lanes.resting }, hot)
+    }
+
+    /// The lanes that spiked begin anew with what is left of the step.
+    #[inline(always)]
+    fn reset(&self, lanes: &mut Lanes<T, S>, part: T::Vector<S>, spiked: T::Mask<S>, input: T::Vector<S>) {
+        let simd = self.simd;
+        let rest = T::sub(simd, self.one, part);
+        let charge = T::mul_add(simd, rest, self.charge, self.zero);
+        lanes.p = T::select(simd, spiked, T::mul_add(simd, charge, input, self.zero), lanes.p);
+        lanes.since = T::select(simd, spiked, rest, lanes.since);
+    }
+
+    /// The part of the step after which the membrane, on a straight line to `end`, reaches the threshold for the
+    /// first time; and in which of the `hot` lanes it does.
+    #[inline(always)]
+    fn crossing(
+        &self,
+        before: &Lanes<T, S>,
+        end: T::Vector<S>,
+        hot: T::Mask<S>,
+    ) -> (T::Vector<S>, T::Mask<S>) {
+        let simd = self.simd;
+        if !WITHIN {
+            return (self.one, hot);
+        }
+        let free = T::sub(simd, self.refractory, before.since);
+        let free = T::min(simd, T::max(simd, free, self.zero), self.one);
+        let low = self.threshold(before.resting, before.since);
+        let climb = T::sub(simd, self.threshold(before.resting, T::add(simd, before.since, self.one)), low);
+        let rise = T::sub(simd, end, before.p);
+        // At the end of refractoriness, if it is above the threshold there; else where the lines meet.
+        let gap = T::sub(simd, low, before.p);
+        let closing = T::sub(simd, rise, climb);
+        let early = T::at_least(simd, T::mul_add(simd, closing, free, self.zero), gap);
+        let late = T::at_least(simd, closing, gap);
+        let meets = T::min(simd, T::max(simd, T::div(simd, gap, closing), free), self.one);
+        (T::select(simd, early, free, meets), T::both(simd, hot, T::either(simd, early, late)))
+    }
+
+    #[inline(always)]
+    fn threshold(&self, resting: T::Vector<S>, since: T::Vector<S>) -> T::Vector<S> {
+        let simd = self.simd;
+        let lowered = T::max(simd, T::mul_add(simd, since, self.recovery, self.depth), self.zero);
+        T::max(simd, T::sub(simd, resting, lowered), self.least)
+    }
+}

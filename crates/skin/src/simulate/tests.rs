@@ -1,0 +1,273 @@
+//! Of the parts that need what is private: vectors of every width, and the samples of velocities.
+
+use super::breaks::{Blocks, HALF_TICKS_PER_S, end};
+use super::cycle::periods;
+use super::engine::{Member, run_on};
+use super::exact::{Group, MOST_BUFFERED};
+use super::membrane::Membrane;
+use super::track::{Track, Tracks, of_scene};
+use super::{Integrator, Method, Options, Precision, Ramps, Scene, Stepping};
+use crate::afferent::{RaModel, Rectify, population};
+use firmware_protocol::stroke::{Direction, MOTORS};
+use firmware_protocol::tick::Tick;
+use meissner_array::motor::{HalfTick, Ramp, Shaft, WINDOW_HALF_TICKS};
+use meissner_array::pattern::Drive;
+use meissner_array::random::uniform;
+use meissner_array::units::UM_PER_PULSE;
+use pulp::Arch;
+use std::sync::Arc;
+
+/// A finger's receptors over some motors at whatever they do.
+fn scene(seed: u64) -> Scene {
+    let draw = |n: u64, low: f64, high: f64| low + (high - low) * uniform([seed, n, 0, 1 << 33])[0];
+    let motors = (0..24).filter(|&motor| draw(motor, 0.0, 1.0) < 0.4);
+    let drives = motors.map(|motor| Drive {
+        motor: motor as u8,
+        frequency_hz: draw(100 + motor, 1.0, 300.0),
+        amplitude_um: draw(200 + motor, 5.0, 150.0),
+        phase: draw(300 + motor, 0.0, 1.0),
+        start_s: (motor % 3 == 0).then_some(0.1),
+        stop_s: (motor % 4 == 0).then_some(0.9),
+    });
+    let rectify = [Rectify::Half, Rectify::Full, Rectify::Signed][seed as usize % 3];
+    let mut model = RaModel::default_for(rectify, [0.0, 0.05][seed as usize % 2]);
+    model.tau_s = draw(400, 0.01, 0.1);
+    let receptors = population(seed).into_iter().step_by(7).collect();
+    Scene::new(1.3, seed, drives.collect(), receptors, model).unwrap()
+}
+
+/// All that this processor has.
+/// Those of this processor that are not scalar.
+fn widths() -> Vec<Arch> {
+    #[cfg(target_arch = "x86_64")]
+    let widths = [pulp::x86::V3::try_new().map(Arch::V3), pulp::x86::V4::try_new().map(Arch::V4)];
+    #[cfg(not(target_arch = "x86_64"))]
+    let widths = [Some(Arch::new())];
+    widths.into_iter().flatten().collect()
+}
+
+/// Trains by number of the receptor, bit by bit.
+fn bits(arch: Arch, scene: &Scene, tracks: &Tracks, method: Method) -> Vec<(u32, u64, Vec<u64>)> {
+    let all: Vec<u32> = (0..scene.receptors().len() as u32).collect();
+    let options = Options::spikes(method);
+    let mut trains = Vec::new();
+    run_on(arch, scene, tracks, &all, &options, &|_| (), |(number, count, half_ticks)| {
+        trains.push((number, count, half_ticks.into_iter().map(f64::to_bits).collect()));
+    })
+    .unwrap();
+    trains.sort();
+    trains
+}
+
+#[test]
+fn the_width_of_vectors_changes_nothing() {
+    let mut methods = vec![Method::Exact];
+    for integrator in [Integrator::Euler, Integrator::Propagator] {
+        for precision in [Precision::F32, Precision::F64] {
+            methods.push(Method::Stepped(Stepping { step_us: 330, integrator, precision }));
+        }
+    }
+    for seed in 0..12 {
+        let scene = scene(seed);
+        for &method in &methods {
+            same_at_every_width(&scene, &of_scene(&scene, method), method);
+        }
+        let (scene, tracks) = moved_unevenly(seed);
+        same_at_every_width(&scene, &tracks, Method::Exact);
+    }
+}
+
+fn same_at_every_width(scene: &Scene, tracks: &Tracks, method: Method) {
+    let scalar = bits(Arch::Scalar, scene, tracks, method);
+    assert!(scalar.iter().any(|(_, count, _)| *count > 0));
+    for arch in widths() {
+        let found = bits(arch, scene, tracks, method);
+        assert!(found == scalar, "seed {}, {method:?}, {arch:?}", scene.seed());
+    }
+}
+
+/// A scene whose motors make bursts of any length at any speed, often several within the window.
+fn moved_unevenly(seed: u64) -> (Scene, Tracks) {
+    let mut drawn = 0;
+    let mut draw = |low: f64, high: f64| {
+        drawn += 1;
+        low + (high - low) * uniform([seed, drawn, 0, 1 << 35])[0]
+    };
+    let (scene, mut ramps) = (scene(seed), Vec::new());
+    for motor in 0..24 {
+        let mut start = draw(0.0, 10_000.0) as u64;
+        while start < 100_000 {
+            let ticks = draw(1.0, 600.0) as u32;
+            let ramp = Ramp { start: Tick(start), ticks, um_per_tick: draw(-0.3, 0.3) };
+            ramps.push((motor, ramp));
+            start = ramp.end().0 + draw(0.0, 700.0) as u64;
+        }
+    }
+    let ramps = Ramps::new(ramps).unwrap();
+    let gains = ramps.gains();
+    let tracks = ramps.tracks(&gains, scene.duration_s());
+    (scene.moved_otherwise(gains), tracks)
+}
+
+#[test]
+fn bursts_of_any_speed_leave_every_motor_at_exactly_rest() {
+    for seed in 0..6 {
+        for track in moved_unevenly(seed).1.iter().flatten() {
+            let (mut at, mut d, mut slope, mut most) = (0.0, 0.0_f64, 0.0_f64, 0.0_f64);
+            for found in track.breaks() {
+                assert!(found.at >= at && found.at.fract() == 0.0 && found.bend.abs() <= 1.0, "{found:?}");
+                d += slope * (found.at - at);
+                (at, slope) = (found.at, slope + found.bend);
+                most = most.max(d.abs());
+                assert_eq!((d * (1_u64 << 40) as f64).fract(), 0.0);
+            }
+            assert_eq!((d, slope), (0.0, 0.0));
+            assert!(most > 100.0 && most <= WINDOW_HALF_TICKS as f64, "{most}");
+        }
+    }
+}
+
+/// A way to step whose samples are those of an integrator.
+fn stepping(step_us: u32, integrator: Integrator) -> Method {
+    Method::Stepped(Stepping { step_us, integrator, precision: Precision::F64 })
+}
+
+/// Each motor's samples, asked for so many at a time; none of a motor at rest.
+fn samples(scene: &Scene, method: Method, steps: usize, at_a_time: usize) -> Vec<Vec<f64>> {
+    let of_track = |track: &Option<Arc<Track>>| {
+        let Some(track) = track else { return Vec::new() };
+        let mut sampler = track.sampler().unwrap();
+        let (mut all, mut samples) = (Vec::new(), Vec::<f64>::new());
+        for first in (0..steps).step_by(at_a_time) {
+            let count = at_a_time.min(steps - first);
+            sampler.fill(first as u64, count, &mut samples);
+            all.extend_from_slice(&samples[..count]);
+        }
+        all
+    };
+    of_scene(scene, method).iter().map(of_track).collect()
+}
+
+#[test]
+fn samples_do_not_depend_on_how_many_are_asked_for() {
+    for (seed, integrator) in [
+        (1, Integrator::Euler),
+        (2, Integrator::Propagator),
+        (3, Integrator::Euler),
+        (4, Integrator::Propagator),
+    ] {
+        for step_us in [30, 500, 10_000, 176_471] {
+            let (scene, method) = (scene(seed), stepping(step_us, integrator));
+            let steps = (scene.duration_s() * 1e6 / f64::from(step_us)).ceil() as usize;
+            let whole = samples(&scene, method, steps, steps);
+            for at_a_time in [1, 8, 37, 256] {
+                let found = samples(&scene, method, steps, at_a_time);
+                assert!(found == whole, "{seed} {step_us} {at_a_time}");
+            }
+            // And those that are kept are the same.
+            for (track, expected) in of_scene(&scene, method).iter().zip(&whole) {
+                let kept = track.as_ref().map_or(&[][..], |track| track.samples::<f64>().unwrap());
+                assert!(
+                    kept[..expected.len()] == **expected && kept[expected.len()..].iter().all(|&d| d == 0.0)
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn the_mean_velocity_is_what_the_shaft_moves_in_a_step() {
+    for seed in 0..6 {
+        let scene = scene(seed);
+        let (step, steps) = (85_u64, 2400);
+        let found = samples(&scene, stepping(500, Integrator::Propagator), steps, 100);
+        let um = UM_PER_PULSE / 2.0 / WINDOW_HALF_TICKS as f64 * step as f64;
+        for drive in scene.drives() {
+            let start = (drive.start() * 85_000.0).round() as u64;
+            let stop = drive.stop_s.map_or(u64::MAX, |stop| (stop * 85_000.0).round() as u64);
+            let end = scene.duration_s() * HALF_TICKS_PER_S / 2.0;
+            let strokes = drive
+                .wave()
+                .unwrap()
+                .excursions()
+                .take_while(|stroke| start + stroke.end() <= stop && ((start + stroke.up) as f64) < end);
+            let mut ramps = strokes
+                .flat_map(|stroke| {
+                    [(stroke.up, Direction::Up), (stroke.down, Direction::Down)]
+                        .map(|(tick, direction)| Ramp::new(Tick(start + tick), stroke.pulses, direction, 1.0))
+                })
+                .peekable();
+            let (mut shaft, mut before) = (Shaft::default(), 0.0);
+            for (index, &mean) in found[usize::from(drive.motor)].iter().enumerate() {
+                let at = HalfTick((index as u64 + 1) * step);
+                while let Some(ramp) = ramps.next_if(|ramp| HalfTick::from(ramp.start) <= at) {
+                    shaft.push(ramp);
+                }
+                let y = shaft.displacement_um(at);
+                assert!((mean * um - (y - before)).abs() < 1e-9, "{drive:?}, step {index}: {mean} {y}");
+                before = y;
+            }
+        }
+    }
+}
+
+/// Two strokes in the first 0.12 s of a second.
+#[test]
+fn samples_at_rest_are_zero() {
+    let drive = Drive {
+        motor: 5,
+        frequency_hz: 17.3,
+        amplitude_um: 33.0,
+        phase: 0.123,
+        start_s: Some(0.01),
+        stop_s: Some(0.13),
+    };
+    let model = RaModel::default_for(Rectify::Half, 0.0);
+    let scene = Scene::new(1.0, 0, vec![drive], vec![], model).unwrap();
+    for integrator in [Integrator::Euler, Integrator::Propagator] {
+        for step_us in [80, 500, 590] {
+            let steps = 1_000_000 / step_us as usize;
+            let rows = samples(&scene, stepping(step_us, integrator), steps, 64);
+            let at = |s: f64| (s * 1e6 / f64::from(step_us)) as usize;
+            assert!(rows[5][..at(0.01)].iter().all(|&d| d == 0.0), "{integrator:?}, {step_us}");
+            assert!(rows[5][at(0.01)..at(0.13)].iter().any(|&d| d != 0.0));
+            assert!(rows[5][at(0.15)..].iter().all(|&d| d == 0.0), "{integrator:?}, {step_us}");
+            assert!(rows.iter().enumerate().all(|(motor, row)| motor == 5 || row.iter().all(|&d| d == 0.0)));
+        }
+    }
+}
+
+/// A state that never repeats within the scene: what is buffered meanwhile stays within its bound.
+#[test]
+fn counting_rates_buffers_no_more_the_longer_the_scene() {
+    let drive = |motor, frequency_hz| Drive {
+        motor,
+        frequency_hz,
+        amplitude_um: 80.0,
+        phase: 0.0,
+        start_s: None,
+        stop_s: None,
+    };
+    let model = RaModel { alpha_per_um: 1e6, refractory_s: 1e-4, ..RaModel::default_for(Rectify::Half, 0.0) };
+    // They repeat together after 10 s.
+    let scene = Scene::new(60.0, 0, vec![drive(9, 10.0), drive(10, 10.1)], Vec::new(), model).unwrap();
+    let (membrane, end) = (Membrane::of(scene.model()), end(scene.duration_s()));
+    let mut weights = [0.0; MOTORS];
+    (weights[9], weights[10]) = (1.0, 0.5);
+    let member = Member { number: 0, weights, resting: 1.0, noise: None };
+    let periods = periods(scene.drives(), end);
+    let mut group = Group::new(vec![member], &membrane, Some(&periods), end);
+    let tracks = of_scene(&scene, Method::Exact);
+    let mut blocks = Blocks::new(tracks.iter().flatten().map(Arc::as_ref), end);
+    let (mut block, mut most) = (Vec::new(), 0);
+    while blocks.next_into(&mut block) {
+        // As a scene of many blocks.
+        for part in block.chunks(64) {
+            group.run(Arch::new(), &membrane, part, false);
+            most = most.max(group.kept());
+        }
+    }
+    assert!(most > 1000 && most <= MOST_BUFFERED, "{most}");
+    let (trains, _) = group.finish(Arch::new(), &membrane, false);
+    assert!(trains[0].0 > MOST_BUFFERED && trains[0].1.is_empty());
+}

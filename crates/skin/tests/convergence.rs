@@ -1,0 +1,115 @@
+//! The stepped methods come to the exact one as the step shrinks, each at its own order.
+
+use meissner_skin::simulate::{Integrator, Method, Options, Precision, Scene, Stepping, simulate as solve};
+use meissner_test_support::random::Random;
+use meissner_test_support::{both, oracle};
+
+const STEPS_US: [u32; 6] = [400, 200, 100, 50, 25, 12];
+/// Spikes whose membrane meets its threshold less steeply, 1/s, are left out: their error goes with its root.
+const STEEP: f64 = 15.0;
+/// A spike this far off is another one.
+const MATCHED_S: f64 = 0.003;
+
+fn spikes(scene: &Scene, method: Method) -> Vec<Vec<f64>> {
+    solve(scene, &Options::spikes(method), &|_| ()).unwrap().spikes_s.unwrap()
+}
+
+/// One motor, receptors around it, and how many leading spikes of each are well conditioned.
+fn scene(seed: u64, rectify: oracle::Rectify) -> (Scene, Vec<usize>) {
+    let mut random = Random::new(seed);
+    let motor = random.below(24);
+    let pin = (((motor % 4) as f64 - 1.5) * 2.9, (2.5 - (motor / 4) as f64) * 2.9);
+    let drive = oracle::Drive {
+        motor,
+        frequency_hz: random.between(20.0, 100.0),
+        amplitude_um: random.between(20.0, 100.0),
+        phase: random.between(0.0, 1.0),
+        start_s: 0.0,
+        stop_s: None,
+    };
+    let model = oracle::Model {
+        rectify,
+        alpha_per_um: rectify.usual_alpha_per_um(),
+        tau_s: 0.044,
+        refractory_s: 0.001,
+        hyperexcitability_s: 0.044,
+        hyperexcitability_depth: 0.3,
+        sigma_mm: 1.1,
+    };
+    let receptors =
+        (0..8).map(|_| (pin.0 + random.between(-1.0, 1.0), pin.1 + random.between(-1.0, 1.0))).collect();
+    let scene =
+        oracle::Scene { duration_s: 0.15, drives: vec![drive], receptors, model, offsets: Vec::new() };
+    let (theirs, ours) = both::both(scene, 0.0, seed);
+    let steep =
+        |train: &oracle::Train| train.spikes.iter().take_while(|spike| spike.margin > STEEP).count().min(4);
+    (ours, oracle::spikes(&theirs).iter().map(steep).collect())
+}
+
+/// How a method's spikes differ from others, by step: mean over the spikes that are matched at every step, s; and
+/// the share of those.
+fn errors(
+    scenes: &[(Scene, Vec<usize>)],
+    method: impl Fn(u32) -> Method,
+    reference: impl Fn(u32) -> Method,
+) -> ([f64; STEPS_US.len()], f64) {
+    let (mut sums, mut matched, mut all) = ([0.0; STEPS_US.len()], 0, 0);
+    for (scene, steep) in scenes {
+        let by_step =
+            STEPS_US.map(|step_us| (spikes(scene, method(step_us)), spikes(scene, reference(step_us))));
+        for (receptor, &steep) in steep.iter().enumerate() {
+            for spike in 0..steep {
+                all += 1;
+                let error = |(found, expected): &(Vec<Vec<f64>>, Vec<Vec<f64>>)| {
+                    let found = found[receptor].get(spike)?;
+                    Some((found - expected[receptor].get(spike)?).abs()).filter(|&error| error < MATCHED_S)
+                };
+                let errors: Option<Vec<f64>> = by_step.iter().map(error).collect();
+                let Some(errors) = errors else { continue };
+                matched += 1;
+                sums.iter_mut().zip(errors).for_each(|(sum, error)| *sum += error);
+            }
+        }
+    }
+    assert!(matched > 200);
+    (sums.map(|sum| sum / f64::from(matched)), f64::from(matched) / f64::from(all))
+}
+
+/// Of the logarithms, by least squares.
+fn order(errors: &[f64]) -> f64 {
+    let n = errors.len() as f64;
+    let points: Vec<_> =
+        STEPS_US.iter().zip(errors).map(|(&step, error)| (f64::from(step).ln(), error.ln())).collect();
+    let (x, y) = points.iter().fold((0.0, 0.0), |(x, y), point| (x + point.0 / n, y + point.1 / n));
+    let of = |f: fn(f64, f64) -> f64| points.iter().map(|p| f(p.0 - x, p.1 - y)).sum::<f64>();
+    of(|x, y| x * y) / of(|x, _| x * x)
+}
+
+#[test]
+fn euler_is_of_order_one_and_the_propagator_of_more() {
+    let stepped =
+        |integrator, precision| move |step_us| Method::Stepped(Stepping { step_us, integrator, precision });
+    let exact = |_| Method::Exact;
+    for rectify in [oracle::Rectify::Half, oracle::Rectify::Full, oracle::Rectify::Signed] {
+        let scenes: Vec<_> = (0..30).map(|seed| scene(seed, rectify)).collect();
+        let (euler, euler_matched) = errors(&scenes, stepped(Integrator::Euler, Precision::F64), exact);
+        let (propagator, matched) = errors(&scenes, stepped(Integrator::Propagator, Precision::F64), exact);
+        let orders = (order(&euler), order(&propagator));
+
+        assert!((0.8..=1.2).contains(&orders.0), "{rectify:?}: {orders:?}, {euler:?}");
+        assert!(orders.1 >= 1.5, "{rectify:?}: {orders:?}, {propagator:?}");
+        for (euler, propagator) in euler.iter().zip(&propagator) {
+            assert!(propagator < euler, "{rectify:?}: {propagator} and {euler}");
+        }
+        assert!(matched > 0.9 && euler_matched > 0.8, "{rectify:?}: {matched} {euler_matched}");
+
+        for integrator in [Integrator::Euler, Integrator::Propagator] {
+            let (rounding, matched) =
+                errors(&scenes, stepped(integrator, Precision::F32), stepped(integrator, Precision::F64));
+            assert!(
+                matched == 1.0 && rounding.iter().all(|&error| error < 1e-7),
+                "{rounding:?} of {matched}"
+            );
+        }
+    }
+}

@@ -1,0 +1,184 @@
+//! A scene changed motor by motor has the answer of one simulated afresh, and so has one that is only tried.
+
+use meissner_array::pattern::Drive;
+use meissner_skin::afferent::{LEAST_WEIGHT, Position, RaModel, Rectify};
+use meissner_skin::simulate::{
+    Evaluator, Integrator, Method, Options, Precision, SEARCH_LEAST_WEIGHT, Scene, Stepping, simulate,
+};
+use meissner_test_support::random::Random;
+use rayon::prelude::*;
+
+fn methods() -> [Method; 3] {
+    let stepped = |integrator, precision| Method::Stepped(Stepping { step_us: 500, integrator, precision });
+    [
+        Method::Exact,
+        stepped(Integrator::Propagator, Precision::F32),
+        stepped(Integrator::Euler, Precision::F64),
+    ]
+}
+
+fn afresh(scene: &Scene, options: &Options) -> Vec<u64> {
+    simulate(scene, options, &|_| ()).unwrap().counts
+}
+
+/// What an optimiser does to a motor: another frequency, another phase, off, on again, one drive after the other.
+fn changed(random: &mut Random, motor: u8, now: Option<Drive>) -> Vec<Drive> {
+    let new = random.drive(motor);
+    match (random.below(6), now) {
+        (0, Some(now)) => vec![Drive { frequency_hz: new.frequency_hz, ..now }],
+        (1, Some(now)) => vec![Drive { phase: new.phase, ..now }],
+        (2, _) => vec![],
+        (3, Some(now)) => vec![now],
+        (4, _) => {
+            vec![Drive { stop_s: Some(0.1), ..new }, Drive { start_s: Some(0.15), ..random.drive(motor) }]
+        }
+        _ => vec![new],
+    }
+}
+
+#[test]
+fn any_sequence_of_changes_ends_where_a_fresh_simulation_does() {
+    for seed in 0..12 {
+        let mut random = Random::new(seed);
+        let scene = random.scene(0.5);
+        let model = RaModel { noise_sd: [0.0, 0.05][seed as usize % 2], ..*scene.model() };
+        let (drives, receptors) = (scene.drives().to_vec(), scene.receptors().to_vec());
+        let mut scene = Scene::new(0.4, seed, drives, receptors, model).unwrap();
+        let options = Options::rates(methods()[seed as usize % 3]);
+        let mut evaluator = Evaluator::new(scene.clone(), options).unwrap();
+        let mut reused = 0;
+        for _ in 0..15 {
+            let motor = random.below(24) as u8;
+            let now = scene.drives().iter().copied().find(|drive| drive.motor == motor);
+            let drives = changed(&mut random, motor, now);
+            scene = scene.with_motor(motor, &drives).unwrap();
+            reused += evaluator.set_motor(motor, &drives).unwrap().receptors_reused;
+            assert_eq!(evaluator.scene(), &scene);
+            assert_eq!(evaluator.counts(), afresh(&scene, &options), "seed {seed}");
+            let rates = evaluator.counts().iter().map(|&count| count as f64 / 0.4);
+            assert_eq!(evaluator.rates_hz(), rates.collect::<Vec<_>>());
+        }
+        assert!(reused > 0, "seed {seed}");
+    }
+}
+
+/// A random scene of 0.4 s and an evaluator of it, now with and now without noise, gains, and a coarser reach.
+fn evaluated(seed: u64) -> (Random, Evaluator, Options) {
+    let mut random = Random::new(seed);
+    let scene = random.scene(0.7);
+    let model = RaModel { noise_sd: [0.0, 0.05][seed as usize % 2], ..*scene.model() };
+    let (drives, receptors) = (scene.drives().to_vec(), scene.receptors().to_vec());
+    let mut scene = Scene::new(0.4, seed, drives, receptors, model).unwrap();
+    if random.chance(0.3) {
+        scene = scene.with_gains(&std::array::from_fn(|_| random.between(0.8, 1.2))).unwrap();
+    }
+    let method = methods()[seed as usize % 3];
+    let least_weight = if random.chance(0.5) { SEARCH_LEAST_WEIGHT } else { LEAST_WEIGHT };
+    let options = Options { least_weight, ..Options::rates(method) };
+    (random, Evaluator::new(scene, options).unwrap(), options)
+}
+
+/// Drives with some motors changed: another drive, none, one that does not move.
+fn tried(random: &mut Random, drives: &[Drive]) -> Vec<Drive> {
+    let mut drives = drives.to_vec();
+    for _ in 0..random.below(4) {
+        let motor = random.below(24) as u8;
+        let now = drives.iter().copied().find(|drive| drive.motor == motor);
+        drives.retain(|drive| drive.motor != motor);
+        match random.below(4) {
+            0 => drives.push(Drive { amplitude_um: 0.0, ..random.drive(motor) }),
+            _ => drives.extend(changed(random, motor, now)),
+        }
+    }
+    drives
+}
+
+#[test]
+fn a_trial_comes_to_what_a_fresh_simulation_does_and_changes_nothing() {
+    for seed in 0..24 {
+        let (mut random, mut evaluator, options) = evaluated(seed);
+        let mut spared = false;
+        for _ in 0..6 {
+            let (scene, counts) = (evaluator.scene().clone(), evaluator.counts().to_vec());
+            let candidates: Vec<_> = (0..4).map(|_| tried(&mut random, scene.drives())).collect();
+            // Several threads at once.
+            let mut trials: Vec<_> =
+                candidates.par_iter().map(|drives| evaluator.trial(drives).unwrap()).collect();
+            assert_eq!((evaluator.scene(), evaluator.counts()), (&scene, &counts[..]));
+            for (trial, drives) in trials.iter().zip(&candidates) {
+                let expected = afresh(&scene.with_drives(drives.clone()).unwrap(), &options);
+                assert_eq!(trial.drives(), drives);
+                assert_eq!(trial.counts(), expected, "seed {seed}");
+                assert!(trial.changed().all(|(number, count)| expected[number as usize] == count));
+                assert_eq!(trial.changed().count(), trial.simulated());
+                spared |= (1..counts.len()).contains(&trial.simulated());
+            }
+            let accepted = trials.swap_remove(random.below(4));
+            let (drives, counts) = (accepted.drives().to_vec(), accepted.counts());
+            evaluator.accept(accepted);
+            assert_eq!((evaluator.scene().drives(), evaluator.counts()), (&drives[..], &counts[..]));
+            // What was tried of the scene as it was before is not what it comes to now.
+            let late = trials.swap_remove(0);
+            let drives = late.drives().to_vec();
+            evaluator.accept(late);
+            assert_eq!(evaluator.counts(), afresh(&scene.with_drives(drives).unwrap(), &options));
+        }
+        assert!(spared || evaluator.counts().len() < 30, "seed {seed}");
+    }
+}
+
+#[test]
+fn drives_in_another_order_or_the_same_are_not_simulated() {
+    let (_, evaluator, _) = evaluated(1);
+    let mut drives = evaluator.scene().drives().to_vec();
+    drives.reverse();
+    assert_eq!(evaluator.trial(&drives).unwrap().simulated(), 0);
+    drives[0].frequency_hz = 1e6;
+    assert!(evaluator.trial(&drives).unwrap_err().to_string().contains("drives[0]"));
+}
+
+#[test]
+fn a_motor_set_to_what_it_does_is_not_simulated() {
+    let scene = Random::new(3).scene(1.0);
+    let drive = scene.drives()[0];
+    let last = *scene.drives().last().unwrap();
+    let mut evaluator = Evaluator::new(scene, Options::rates(Method::Exact)).unwrap();
+    // The last drive stays the last; the first one's place in the list changes, which matters to nobody.
+    let skipped = evaluator.set_motor(last.motor, &[last]).unwrap();
+    assert_eq!(skipped.receptors_reused, 306);
+    assert_eq!(evaluator.set_motor(drive.motor, &[drive]).unwrap().receptors_reused, 306);
+}
+
+#[test]
+fn a_refused_change_leaves_everything_as_it_was() {
+    let drive =
+        Drive { motor: 9, frequency_hz: 60.0, amplitude_um: 80.0, phase: 0.0, start_s: None, stop_s: None };
+    let receptors = vec![Position { x_mm: -1.5, y_mm: 1.5 }, Position { x_mm: 4.0, y_mm: -7.0 }];
+    let model = RaModel::default_for(Rectify::Half, 0.05);
+    let scene = Scene::new(0.5, 1, vec![drive, Drive { motor: 23, ..drive }], receptors, model).unwrap();
+    for method in methods() {
+        let mut evaluator = Evaluator::new(scene.clone(), Options::rates(method)).unwrap();
+        let before = evaluator.counts().to_vec();
+        assert!(before.iter().all(|&count| count > 0));
+        for (motor, drives) in [
+            (9, vec![Drive { frequency_hz: 0.0, ..drive }]),
+            (9, vec![Drive { phase: 1.0, ..drive }]),
+            (9, vec![drive, drive]),
+            (23, vec![Drive { start_s: Some(0.2), stop_s: Some(0.1), ..drive }]),
+            (24, vec![drive]),
+        ] {
+            evaluator.set_motor(motor, &drives).unwrap_err();
+            assert_eq!((evaluator.scene(), evaluator.counts()), (&scene, &before[..]));
+        }
+        // And it still works.
+        evaluator.set_motor(9, &[]).unwrap();
+        assert_eq!((evaluator.counts()[0], evaluator.counts()[1]), (0, before[1]));
+    }
+}
+
+#[test]
+fn a_method_that_cannot_is_refused() {
+    let scene = Random::new(3).scene(0.0);
+    let method = Stepping { step_us: 0, integrator: Integrator::Propagator, precision: Precision::F64 };
+    Evaluator::new(scene, Options::rates(Method::Stepped(method))).unwrap_err();
+}

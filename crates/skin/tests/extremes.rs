@@ -1,0 +1,183 @@
+//! Scenes at the edges of what a scene may be, by every method: each has one right answer, and says which.
+//!
+//! Answers come from the oracle where it promises one, else from a closed form that is written down beside the test.
+//! A stepped method is held to what it defines: one spike per step at most, its step's error, never an answer that is
+//! not finite.
+//!
+//! Invariant: whatever is simulated here is simulated with and without skipping, for spikes and for rates, and is the same.
+
+mod drives;
+mod events;
+mod receptors;
+mod refusals;
+mod regressions;
+mod sizes;
+
+use meissner_array::geometry;
+use meissner_array::pattern::Drive;
+use meissner_array::random::Normals;
+use meissner_skin::afferent::{Position, RaModel, Rectify};
+use meissner_skin::simulate::{Integrator, Method, Options, Precision, Scene, Stepping, simulate};
+use meissner_test_support::oracle;
+
+/// No spikes.
+const NONE: [f64; 0] = [];
+
+/// Without noise.
+fn model(rectify: Rectify) -> RaModel {
+    RaModel::default_for(rectify, 0.0)
+}
+
+fn drive(motor: u8, frequency_hz: f64, amplitude_um: f64) -> Drive {
+    Drive { motor, frequency_hz, amplitude_um, phase: 0.0, start_s: None, stop_s: None }
+}
+
+/// A receptor so far to the right of a pin.
+fn beside(motor: u8, right_mm: f64) -> Position {
+    let [x_mm, y_mm] = geometry::position_mm(motor);
+    Position { x_mm: x_mm + right_mm, y_mm }
+}
+
+fn under(motor: u8) -> Position {
+    beside(motor, 0.0)
+}
+
+fn scene(duration_s: f64, drives: &[Drive], receptors: &[Position], model: RaModel) -> Scene {
+    Scene::new(duration_s, 7, drives.to_vec(), receptors.to_vec(), model).unwrap()
+}
+
+/// One stroke up at time 0, so that a touchy receptor spikes as often as it can.
+fn stroke_up(touchy: RaModel, duration_s: f64) -> Scene {
+    scene(duration_s, &[drive(9, 0.001, 80.0)], &[under(9)], touchy)
+}
+
+const fn stepping(step_us: u32, integrator: Integrator, precision: Precision) -> Method {
+    Method::Stepped(Stepping { step_us, integrator, precision })
+}
+
+const fn euler(step_us: u32) -> [Method; 2] {
+    [
+        stepping(step_us, Integrator::Euler, Precision::F32),
+        stepping(step_us, Integrator::Euler, Precision::F64),
+    ]
+}
+
+const fn propagator(step_us: u32) -> [Method; 2] {
+    [
+        stepping(step_us, Integrator::Propagator, Precision::F32),
+        stepping(step_us, Integrator::Propagator, Precision::F64),
+    ]
+}
+
+fn stepped(step_us: u32) -> [Method; 4] {
+    let ([a, b], [c, d]) = (euler(step_us), propagator(step_us));
+    [a, b, c, d]
+}
+
+fn methods(step_us: u32) -> [Method; 5] {
+    let [a, b, c, d] = stepped(step_us);
+    [Method::Exact, a, b, c, d]
+}
+
+/// Spikes, which have passed what holds of every scene and method.
+fn spikes(scene: &Scene, method: Method) -> Vec<Vec<f64>> {
+    let options = Options::spikes(method);
+    let answer = simulate(scene, &options, &|_| ()).unwrap();
+    let trains = answer.spikes_s.unwrap();
+    let counts: Vec<u64> = trains.iter().map(|train| train.len() as u64).collect();
+    assert_eq!(answer.counts, counts, "{method:?}");
+    let unskipped = simulate(scene, &Options { skip: false, ..options }, &|_| ()).unwrap();
+    assert_eq!(unskipped.spikes_s.as_ref(), Some(&trains), "{method:?}: skipping changes spikes");
+    for skip in [true, false] {
+        let rates = simulate(scene, &Options { skip, ..Options::rates(method) }, &|_| ()).unwrap();
+        assert_eq!((rates.spikes_s, rates.counts), (None, counts.clone()), "{method:?}: rates only");
+    }
+    let least_s = match method {
+        Method::Exact => scene.model().refractory_s,
+        // Euler's spikes lie at the ends of steps.
+        Method::Stepped(Stepping { step_us, integrator: Integrator::Euler, .. }) => {
+            scene.model().refractory_s.max(f64::from(step_us) * 1e-6)
+        }
+        Method::Stepped(_) => scene.model().refractory_s,
+    };
+    let steps = match method {
+        Method::Exact => f64::INFINITY,
+        Method::Stepped(Stepping { step_us, .. }) => (scene.duration_s() / f64::from(step_us) * 1e6).ceil(),
+    };
+    for train in &trains {
+        assert!(train.iter().all(|t| (0.0..scene.duration_s()).contains(t)), "{method:?}: {train:?}");
+        assert!(train.len() as f64 <= steps, "{method:?}: {} spikes", train.len());
+        let last_bits = 2.0 * scene.duration_s() * f64::EPSILON;
+        for pair in train.windows(2) {
+            assert!(pair[1] - pair[0] >= least_s * (1.0 - 1e-5) - last_bits, "{method:?}: {pair:?}");
+        }
+    }
+    trains
+}
+
+fn exact(scene: &Scene) -> Vec<Vec<f64>> {
+    spikes(scene, Method::Exact)
+}
+
+/// The scene as the oracle wants it, noise drawn.
+fn for_oracle(scene: &Scene) -> oracle::Scene {
+    let drive = |drive: &Drive| oracle::Drive {
+        motor: drive.motor.into(),
+        frequency_hz: drive.frequency_hz,
+        amplitude_um: drive.amplitude_um,
+        phase: drive.phase,
+        start_s: drive.start_s.unwrap_or(0.0),
+        stop_s: drive.stop_s,
+    };
+    let model = scene.model();
+    let most = 2 + (scene.duration_s() / model.refractory_s) as usize;
+    let offsets = |receptor: usize| {
+        let mut noise = Normals::new(scene.seed(), receptor as u64);
+        (0..most).map(|_| model.noise_sd * noise.next().clamp(-8.0, 8.0)).collect()
+    };
+    oracle::Scene {
+        duration_s: scene.duration_s(),
+        drives: scene.drives().iter().map(drive).collect(),
+        receptors: scene.receptors().iter().map(|at| (at.x_mm, at.y_mm)).collect(),
+        offsets: (0..scene.receptors().len()).map(offsets).collect(),
+        model: oracle::Model {
+            rectify: match model.rectify {
+                Rectify::Half => oracle::Rectify::Half,
+                Rectify::Full => oracle::Rectify::Full,
+                Rectify::Signed => oracle::Rectify::Signed,
+            },
+            alpha_per_um: model.alpha_per_um,
+            tau_s: model.tau_s,
+            refractory_s: model.refractory_s,
+            hyperexcitability_s: model.hyperexcitability_s,
+            hyperexcitability_depth: model.hyperexcitability_depth,
+            sigma_mm: model.sigma_mm,
+        },
+    }
+}
+
+/// The exact method's spikes, at least `least` of which the oracle promises and has, too.
+fn as_the_oracle(scene: &Scene, least: usize) -> Vec<Vec<f64>> {
+    let found = exact(scene);
+    let compared = oracle::compare(&oracle::spikes(&for_oracle(scene)), &found, 1e-9).unwrap();
+    assert!(compared >= least, "{compared} compared of {found:?}");
+    found
+}
+
+/// Of the stepped methods: each receptor has as many spikes as the exact one but for `off`.
+fn counts_near(scene: &Scene, step_us: u32, off: usize) {
+    let expected = exact(scene);
+    for method in stepped(step_us) {
+        for (expected, found) in expected.iter().zip(spikes(scene, method)) {
+            let (expected, found) = (expected.len(), found.len());
+            assert!(expected.abs_diff(found) <= off, "{method:?}: {found} instead of {expected}");
+        }
+    }
+}
+
+fn assert_close(found: &[f64], expected: &[f64], tolerance_s: f64, what: &str) {
+    assert_eq!(found.len(), expected.len(), "{what}: {found:?} instead of {expected:?}");
+    for (found, expected) in found.iter().zip(expected) {
+        assert!((found - expected).abs() <= tolerance_s, "{what}: {found} instead of {expected}");
+    }
+}

@@ -1,0 +1,134 @@
+//! What happens at one instant: a threshold that is only touched, a spike at a break, at the end of refractoriness,
+//! at the end of the scene.
+//!
+//! Equality of floats is not hit on purpose; it is surrounded: between two neighbouring numbers on both sides of which
+//! the answer is known, there is nowhere for a lost or a doubled spike to hide.
+
+use super::{as_the_oracle, drive, exact, methods, model, propagator, scene, spikes, stepped, under};
+use meissner_skin::afferent::{RaModel, Rectify};
+use meissner_skin::simulate::{Method, Options, Scene, simulate};
+
+fn count(scene: &Scene, method: Method) -> u64 {
+    simulate(scene, &Options { skip: false, ..Options::rates(method) }, &|_| ()).unwrap().counts[0]
+}
+
+/// The least float in `no..=yes` at which `is` holds; it must not at `no` and must at `yes`.
+fn first(mut no: f64, mut yes: f64, is: impl Fn(f64) -> bool) -> f64 {
+    assert!(is(yes) && !is(no));
+    while no.next_up() < yes {
+        let middle = f64::midpoint(no, yes);
+        if is(middle) { yes = middle } else { no = middle }
+    }
+    yes
+}
+
+#[test]
+fn a_threshold_that_is_only_just_touched_is_reached() {
+    // A single stroke up; the membrane has one maximum. Without rounding its height is alpha times a constant.
+    for rectify in [Rectify::Half, Rectify::Full, Rectify::Signed] {
+        let of = |alpha_per_um| {
+            let model = RaModel { alpha_per_um, ..model(rectify) };
+            scene(0.03, &[drive(9, 0.001, 80.0)], &[under(9)], model)
+        };
+        let touching = first(0.001, 0.1, |alpha| count(&of(alpha), Method::Exact) > 0);
+        let found = as_the_oracle(&of(touching), 0);
+        assert_eq!(found[0].len(), 1);
+        // The input is 0 from 11.2 ms on. The membrane leaks: its maximum comes before that, where it stays
+        // within rounding of the threshold for some 0.1 us.
+        let top_s = found[0][0];
+        assert!((0.0105..0.0112).contains(&top_s), "{top_s}");
+        for more in [1.0 + 1e-12, 1.0 + 1e-9, 1.0 + 1e-6] {
+            let found = exact(&of(touching * more));
+            assert!(found[0].len() == 1 && found[0][0] < top_s + 1e-6, "{found:?}");
+            assert_eq!(count(&of(touching * (2.0 - more)), Method::Exact), 0);
+        }
+        for method in stepped(10) {
+            let stepped = first(0.001, 0.1, |alpha| count(&of(alpha), method) > 0);
+            assert!((stepped / touching - 1.0).abs() < 2e-3, "{method:?}: {stepped}, {touching}");
+            assert_eq!(count(&of(stepped.next_down()), method), 0, "{method:?}");
+        }
+    }
+}
+
+#[test]
+fn a_spike_at_a_break_is_one_spike() {
+    // The stroke's breaks: its end, and the window's length after its beginning.
+    for break_s in [589.0 / 85_000.0, 0.0043] {
+        for rectify in [Rectify::Half, Rectify::Full, Rectify::Signed] {
+            let of = |alpha_per_um| {
+                let model = RaModel { alpha_per_um, refractory_s: 1.0, ..model(rectify) };
+                scene(0.5, &[drive(9, 0.001, 80.0)], &[under(9)], model)
+            };
+            let at = first(0.015, 1.0, |alpha| exact(&of(alpha))[0].first().is_some_and(|&t| t < break_s));
+            let mut alpha = at;
+            for _ in 0..4 {
+                alpha = alpha.next_down();
+            }
+            for _ in 0..9 {
+                let found = exact(&of(alpha));
+                assert!(found[0].len() == 1 && (found[0][0] - break_s).abs() < 1e-13, "{found:?}");
+                alpha = alpha.next_up();
+            }
+            for method in propagator(10) {
+                let found = spikes(&of(at), method);
+                assert!(found[0].len() == 1 && (found[0][0] - break_s).abs() < 1e-5, "{method:?}: {found:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_threshold_reached_just_as_refractoriness_ends() {
+    // The second spike is held back by refractoriness, or comes of itself after it: between, both at once.
+    let of = |refractory_s| {
+        let model = RaModel { refractory_s, alpha_per_um: 0.12, ..model(Rectify::Half) };
+        scene(0.02, &[drive(9, 0.001, 80.0)], &[under(9)], model)
+    };
+    let free = exact(&of(1e-5)).remove(0);
+    let interval_s = free[1] - free[0];
+    for ulps in -4..=4 {
+        let refractory_s = f64::from_bits(interval_s.to_bits().wrapping_add_signed(ulps));
+        let found = as_the_oracle(&of(refractory_s), 0).remove(0);
+        assert!((found[1] - free[1]).abs() < 1e-13, "{found:?}, {free:?}");
+    }
+    for more_s in [1e-9, 1e-6, 1e-4] {
+        let held = exact(&of(interval_s + more_s)).remove(0);
+        assert!((held[1] - held[0] - interval_s - more_s).abs() < 1e-14, "{held:?}");
+        let let_go = exact(&of(interval_s - more_s)).remove(0);
+        assert!((let_go[1] - free[1]).abs() < 1e-14, "{let_go:?}");
+    }
+    for method in stepped(10) {
+        let held = spikes(&of(2.0 * interval_s), method).remove(0);
+        // To a millionth of the refractory time, and to the end of a step by Euler.
+        let late = if propagator(10).contains(&method) { 1e-8 } else { 1.1e-5 };
+        assert!((0.0..late).contains(&(held[1] - held[0] - 2.0 * interval_s + 2e-9)), "{method:?}: {held:?}");
+    }
+}
+
+#[test]
+fn a_spike_at_the_end_of_the_scene_is_no_part_of_it() {
+    let of = |duration_s, start_s| {
+        let drive = meissner_array::pattern::Drive { start_s: Some(start_s), ..drive(9, 0.001, 80.0) };
+        scene(duration_s, &[drive], &[under(9)], RaModel { alpha_per_um: 0.3, ..model(Rectify::Half) })
+    };
+    for start_s in [0.0, 0.1, 0.37, 1.0, 3.3, 7.77, 12.4, 31.0] {
+        for method in methods(1_000) {
+            let all = spikes(&of(start_s + 0.1, start_s), method).remove(0);
+            assert!(all.len() > 3, "{method:?}: {all:?}");
+            for (number, &t) in all.iter().enumerate().skip(1) {
+                // A piece cut at the end of the scene: its spike may move by a last bit.
+                let cut = |duration_s| spikes(&of(duration_s, start_s), method).remove(0);
+                for duration_s in [t.next_down(), t, t.next_up()] {
+                    let found = cut(duration_s);
+                    assert!(found.iter().all(|&t| t < duration_s), "{method:?}: {found:?}");
+                    assert!(found.len().abs_diff(number) <= 1, "{method:?}: {found:?}");
+                }
+                if method != Method::Exact {
+                    // A step is never cut.
+                    assert_eq!(cut(t).len(), number, "{method:?}, {t}");
+                    assert_eq!(cut(t.next_up()).len(), number + 1, "{method:?}, {t}");
+                }
+            }
+        }
+    }
+}

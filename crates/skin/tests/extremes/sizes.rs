@@ -1,0 +1,163 @@
+//! How large, how many, how long: nothing at all, a million receptors, a month.
+
+use super::{
+    NONE, as_the_oracle, assert_close, beside, drive, exact, methods, model, propagator, scene, spikes,
+    stepped, under,
+};
+use meissner_skin::afferent::{Position, RaModel, Rectify};
+use meissner_skin::simulate::{Method, Options, Skipped, choose, simulate};
+
+#[test]
+fn nobody_there_and_nothing_driven() {
+    let nobody = scene(1.0, &[drive(9, 60.0, 80.0)], &[], model(Rectify::Half));
+    let nothing = scene(1.0, &[], &[under(9)], model(Rectify::Half));
+    let neither = scene(1.0, &[], &[], model(Rectify::Half));
+    for method in methods(100) {
+        assert_eq!(spikes(&nobody, method), Vec::<Vec<f64>>::new(), "{method:?}");
+        assert_eq!(spikes(&nothing, method), [NONE], "{method:?}");
+        assert_eq!(spikes(&neither, method), Vec::<Vec<f64>>::new(), "{method:?}");
+        let Skipped { motors_at_rest, receptors_out_of_reach, .. } =
+            simulate(&nothing, &Options::rates(method), &|_| ()).unwrap().skipped;
+        assert_eq!((motors_at_rest, receptors_out_of_reach), (24, 1), "{method:?}");
+    }
+    for scene in [nobody, nothing, neither] {
+        choose(&scene, 1.0).unwrap();
+    }
+}
+
+#[test]
+fn two_receptors_at_one_place_differ_in_their_noise_alone() {
+    for noise_sd in [0.0, 0.05] {
+        let model = RaModel { noise_sd, ..model(Rectify::Half) };
+        let scene = scene(1.0, &[drive(9, 60.0, 80.0)], &[beside(9, 0.3), beside(9, 0.3)], model);
+        as_the_oracle(&scene, 200);
+        for method in methods(100) {
+            let found = spikes(&scene, method);
+            assert_eq!(found[0] == found[1], noise_sd == 0.0, "{method:?}");
+        }
+    }
+}
+
+#[test]
+fn a_million_receptors_take_their_places_and_their_counts() {
+    // A thousand by a thousand, 20 mm by 20 mm; 4096 are worked on at a time, so what is kept is the answer:
+    // a count each, and no spikes.
+    let at = |n: u32| f64::from(n) * 0.02 - 10.0;
+    let places: Vec<Position> =
+        (0..1_000_000).map(|n| Position { x_mm: at(n % 1000), y_mm: at(n / 1000) }).collect();
+    let drives = [drive(9, 60.0, 80.0), drive(20, 300.0, 80.0)];
+    let touchy = RaModel { alpha_per_um: 0.2, ..model(Rectify::Half) };
+    let some: Vec<usize> = (0..1_000_000).step_by(9973).collect();
+    let few: Vec<Position> = some.iter().map(|&n| places[n]).collect();
+    let (all, few) = (scene(0.005, &drives, &places, touchy), scene(0.005, &drives, &few, touchy));
+    as_the_oracle(&few, 5);
+    for method in methods(200) {
+        let answer = simulate(&all, &Options::rates(method), &|_| ()).unwrap();
+        assert!(answer.spikes_s.is_none() && answer.counts.capacity() == 1_000_000);
+        let of_few = simulate(&few, &Options::rates(method), &|_| ()).unwrap();
+        let found: Vec<u64> = some.iter().map(|&n| answer.counts[n]).collect();
+        assert_eq!(found, of_few.counts, "{method:?}");
+    }
+}
+
+#[test]
+fn no_time_and_a_microsecond() {
+    let touchy = RaModel { alpha_per_um: 1e15, ..model(Rectify::Half) };
+    for duration_s in [0.0, -0.0, f64::from_bits(1), f64::MIN_POSITIVE] {
+        let scene = scene(duration_s, &[drive(9, 60.0, 80.0)], &[under(9)], touchy);
+        for method in methods(100) {
+            assert_eq!(spikes(&scene, method), [NONE], "{duration_s} s, {method:?}");
+            let answer = simulate(&scene, &Options::rates(method), &|_| ()).unwrap();
+            assert_eq!(answer.rates_hz(&scene), [0.0]);
+        }
+        choose(&scene, 1.0).unwrap();
+    }
+    // After 27 ps the threshold is reached.
+    let scene = scene(1e-6, &[drive(9, 60.0, 80.0)], &[under(9)], touchy);
+    let found = as_the_oracle(&scene, 0);
+    assert!(found[0].len() == 1 && found[0][0] < 1e-10, "{found:?}");
+    let answer = simulate(&scene, &Options::rates(Method::Exact), &|_| ()).unwrap();
+    assert_eq!(answer.rates_hz(&scene), [1.0 / 1e-6]);
+    for method in stepped(1) {
+        // One step: Euler's spike would be at its end, which is no part of the scene.
+        assert!(spikes(&scene, method)[0].len() <= 1, "{method:?}");
+    }
+}
+
+#[test]
+fn a_scene_that_ends_in_mid_burst_is_the_beginning_of_a_longer_one() {
+    let touchy = RaModel { alpha_per_um: 0.5, ..model(Rectify::Half) };
+    let of = |duration_s| scene(duration_s, &[drive(9, 60.0, 80.0)], &[under(9)], touchy);
+    // The bursts up last from 0 to 6.9 ms and from 16.7 to 23.6 ms.
+    for duration_s in [0.003, 0.018_123_4, 0.02] {
+        as_the_oracle(&of(duration_s), 1);
+        for method in methods(100) {
+            let mut longer = spikes(&of(0.1), method);
+            longer[0].retain(|&t| t < duration_s);
+            let shorter = spikes(&of(duration_s), method);
+            // The exact method's last piece ends with the scene.
+            assert_close(&shorter[0], &longer[0], 1e-13, &format!("{duration_s} s, {method:?}"));
+        }
+    }
+}
+
+const MONTH_S: f64 = 30.0 * 86_400.0;
+
+#[test]
+fn a_month_s_last_hour_is_that_hour_alone() {
+    let model = RaModel { alpha_per_um: 0.1, ..model(Rectify::Full) };
+    let places: Vec<Position> = (0..8).map(|n| beside(9, 0.125 * f64::from(n))).collect();
+    let of = |duration_s| scene(duration_s, &[drive(9, 0.01, 80.0)], &places, model);
+    let hour = as_the_oracle(&of(3600.0), 300);
+    let month = exact(&of(MONTH_S));
+    for (month, hour) in month.iter().zip(&hour) {
+        let begins_s = MONTH_S - 3600.0;
+        let last: Vec<f64> = month.iter().filter(|&&t| t >= begins_s).copied().collect();
+        let expected: Vec<f64> = hour.iter().map(|t| t + begins_s).collect();
+        // 2 units in the last place.
+        assert_close(&last, &expected, 1e-9_f64.max(2.0 * (MONTH_S.next_up() - MONTH_S)), "the last hour");
+        assert_eq!(month.len(), 720 * hour.len());
+    }
+    let rates = simulate(&of(MONTH_S), &Options::rates(Method::Exact), &|_| ()).unwrap();
+    assert!(
+        rates.spikes_s.is_none() && rates.skipped.repeated_receptor_s > 7.9 * MONTH_S,
+        "{:?}",
+        rates.skipped
+    );
+}
+
+#[test]
+fn a_month_with_noise_has_no_repetition_and_goes_through() {
+    let model = RaModel { alpha_per_um: 0.1, noise_sd: 0.05, ..model(Rectify::Full) };
+    let of = |duration_s| scene(duration_s, &[drive(9, 0.01, 80.0)], &[under(9)], model);
+    let hour = as_the_oracle(&of(3600.0), 200);
+    let month = exact(&of(MONTH_S));
+    assert_eq!(month[0][..hour[0].len()], hour[0]);
+    let per_hour = month[0].len() as f64 / 720.0 / hour[0].len() as f64;
+    assert!((0.8..1.25).contains(&per_hour), "{per_hour}");
+}
+
+#[test]
+fn a_month_in_steps() {
+    // A period is 400 steps: every one is alike once the membrane has leaked dry.
+    let model = RaModel { alpha_per_um: 0.1, ..model(Rectify::Full) };
+    let of = |duration_s| scene(duration_s, &[drive(9, 0.01, 80.0)], &[under(9)], model);
+    for method in propagator(250_000) {
+        let count = |duration_s| {
+            let options = Options { skip: false, ..Options::rates(method) };
+            simulate(&of(duration_s), &options, &|_| ()).unwrap().counts[0]
+        };
+        assert!(count(3600.0) > 0 && count(MONTH_S) == 720 * count(3600.0), "{method:?}");
+    }
+    // Four hours in steps short enough for Euler to see every stroke.
+    for method in stepped(5_000) {
+        let found = |duration_s| {
+            let options = Options::spikes(method);
+            simulate(&of(duration_s), &options, &|_| ()).unwrap().spikes_s.unwrap().remove(0)
+        };
+        let (hour, four) = (found(3600.0), found(14_400.0));
+        let last: Vec<f64> = four.iter().filter(|&&t| t >= 10_800.0).map(|t| t - 10_800.0).collect();
+        assert_close(&last, &hour, 1e-9, &format!("{method:?}"));
+        assert!(hour.len() >= 72);
+    }
+}

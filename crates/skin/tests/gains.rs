@@ -1,0 +1,95 @@
+//! A motor's gain scales what it does to the skin, whatever the method.
+
+use meissner_skin::afferent::RaModel;
+use meissner_skin::simulate::{
+    Answer, Evaluator, Integrator, Method, Options, Precision, Scene, Stepping, simulate as solve,
+};
+use meissner_test_support::random::Random;
+use meissner_test_support::{both, oracle};
+
+const METHODS: [Method; 3] = [
+    Method::Exact,
+    Method::Stepped(Stepping { step_us: 300, integrator: Integrator::Propagator, precision: Precision::F32 }),
+    Method::Stepped(Stepping { step_us: 300, integrator: Integrator::Euler, precision: Precision::F64 }),
+];
+
+fn answer(scene: &Scene, method: Method) -> Answer {
+    solve(scene, &Options::spikes(method), &|_| ()).unwrap()
+}
+
+fn spread(random: &mut Random) -> [f64; 24] {
+    std::array::from_fn(|_| random.between(0.5, 2.0))
+}
+
+#[test]
+fn gains_are_those_of_the_oracle() {
+    let mut compared = 0;
+    for seed in 0..100 {
+        let noise_sd = [0.0, 0.05][seed as usize % 2];
+        let gains = spread(&mut Random::new(seed));
+        let (theirs, ours) = both::both(oracle::random_scene(seed), noise_sd, seed);
+        let found = answer(&ours.with_gains(&gains).unwrap(), Method::Exact).spikes_s.unwrap();
+        compared += oracle::compare(&oracle::spikes_with_gains(&theirs, &gains), &found, 1e-9)
+            .unwrap_or_else(|error| panic!("scene {seed}: {error}"));
+    }
+    assert!(compared > 5_000, "{compared}");
+}
+
+/// The model is linear until it is rectified: all motors' gain is the receptors' sensitivity.
+#[test]
+fn the_same_gain_of_all_motors_is_alpha() {
+    for seed in 0..12 {
+        let scene = Random::new(seed).scene(0.5);
+        // By a power of 2, so that nothing is rounded differently.
+        let gain = [0.5, 2.0][seed as usize % 2];
+        let model = RaModel { alpha_per_um: gain * scene.model().alpha_per_um, ..*scene.model() };
+        let (drives, receptors) = (scene.drives().to_vec(), scene.receptors().to_vec());
+        let louder = Scene::new(scene.duration_s(), scene.seed(), drives, receptors, model).unwrap();
+        let gained = scene.with_gains(&[gain; 24]).unwrap();
+        for method in METHODS {
+            let (louder, gained) = (answer(&louder, method), answer(&gained, method));
+            assert_eq!(louder.counts, gained.counts, "seed {seed}, {method:?}");
+            assert_eq!(louder.spikes_s, gained.spikes_s, "seed {seed}, {method:?}");
+        }
+    }
+}
+
+#[test]
+fn a_gain_of_0_is_a_motor_left_out_and_of_1_none() {
+    for seed in 0..12 {
+        let mut random = Random::new(seed);
+        let scene = random.scene(0.5);
+        let motor = scene.drives()[random.below(scene.drives().len())].motor;
+        let mut gains = [1.0; 24];
+        for method in METHODS {
+            let plain = answer(&scene, method);
+            assert_eq!(answer(&scene.with_gains(&gains).unwrap(), method), plain);
+        }
+        gains[usize::from(motor)] = 0.0;
+        let (without, silenced) = (scene.with_motor(motor, &[]).unwrap(), scene.with_gains(&gains).unwrap());
+        for method in METHODS {
+            let (without, silenced) = (answer(&without, method), answer(&silenced, method));
+            assert_eq!(without.counts, silenced.counts, "seed {seed}, {method:?}");
+            assert_eq!(without.spikes_s, silenced.spikes_s, "seed {seed}, {method:?}");
+        }
+    }
+}
+
+/// With gains that reach from nothing to ten times, what is skipped changes nothing, nor does an evaluator.
+#[test]
+fn whoever_skips_knows_of_gains() {
+    for seed in 0..9 {
+        let mut random = Random::new(seed);
+        let gains = std::array::from_fn(|_| random.log_between(0.01, 10.0));
+        let scene = random.scene(0.5).with_gains(&gains).unwrap();
+        let options = Options::rates(METHODS[seed as usize % 3]);
+        let all = solve(&scene, &Options { skip: false, ..options }, &|_| ()).unwrap();
+        let mut evaluator = Evaluator::new(scene.clone(), options).unwrap();
+        assert_eq!(evaluator.counts(), all.counts, "seed {seed}");
+        let motor = random.below(24) as u8;
+        let drive = random.drive(motor);
+        evaluator.set_motor(motor, &[drive]).unwrap();
+        let changed = scene.with_motor(motor, &[drive]).unwrap();
+        assert_eq!(evaluator.counts(), solve(&changed, &options, &|_| ()).unwrap().counts, "seed {seed}");
+    }
+}

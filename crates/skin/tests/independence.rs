@@ -1,0 +1,259 @@
+//! What a receptor does depends on the scene alone: on nothing about how it is computed, to the last bit.
+
+use meissner_array::pattern::Drive;
+use meissner_skin::afferent::{Position, RaModel, Rectify, population};
+use meissner_skin::simulate::{
+    Answer, Integrator, Keep, Method, Options, Precision, Scene, Skipped, Stepping, simulate as solve,
+};
+use meissner_test_support::random::Random;
+use meissner_test_support::{both, oracle};
+
+fn methods() -> Vec<Method> {
+    let mut methods = vec![Method::Exact];
+    for integrator in [Integrator::Euler, Integrator::Propagator] {
+        for precision in [Precision::F32, Precision::F64] {
+            methods.push(Method::Stepped(Stepping { step_us: 470, integrator, precision }));
+        }
+    }
+    methods
+}
+
+/// The oracle's, some with noise, and some of a whole finger, so long that they take several blocks.
+fn scenes() -> Vec<Scene> {
+    let oracles = (0..40)
+        .map(|seed| both::both(oracle::random_scene(seed), [0.0, 0.05, 0.5][seed as usize % 3], seed).1);
+    let fingers = (0..4).map(|seed| Random::new(seed).scene(1.0));
+    oracles.chain(fingers).chain([long(0.0), long(0.05)]).collect()
+}
+
+/// All motors at frequencies that have nothing to do with each other: some ten blocks of breaks, four of steps.
+fn long(noise_sd: f64) -> Scene {
+    let mut random = Random::new(99);
+    let drives =
+        (0..24).map(|motor| Drive { frequency_hz: random.between(100.0, 300.0), ..random.drive(motor) });
+    let receptors = population(5).into_iter().step_by(10).collect();
+    Scene::new(4.0, 5, drives.collect(), receptors, RaModel::default_for(Rectify::Half, noise_sd)).unwrap()
+}
+
+fn without_noise(scene: &Scene) -> Scene {
+    with_receptors(scene, scene.receptors().to_vec())
+}
+
+/// Other receptors, and no noise, which is keyed by their number.
+fn with_receptors(scene: &Scene, receptors: Vec<Position>) -> Scene {
+    let model = RaModel { noise_sd: 0.0, ..*scene.model() };
+    Scene::new(scene.duration_s(), scene.seed(), scene.drives().to_vec(), receptors, model).unwrap()
+}
+
+fn spikes(scene: &Scene, method: Method) -> Answer {
+    solve(scene, &Options::spikes(method), &|_| ()).unwrap()
+}
+
+/// Counts and spike times, bit by bit.
+fn bits(answer: &Answer) -> Vec<(u64, Vec<u64>)> {
+    let trains = answer.spikes_s.as_ref().unwrap();
+    let bits = trains.iter().map(|train| train.iter().map(|t| t.to_bits()).collect());
+    answer.counts.iter().copied().zip(bits).collect()
+}
+
+#[test]
+fn threads_change_nothing() {
+    let pool = |threads| rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+    let (one, three) = (pool(1), pool(3));
+    for (index, scene) in scenes().iter().enumerate() {
+        for method in methods() {
+            let alone = one.install(|| spikes(scene, method));
+            let together = three.install(|| spikes(scene, method));
+            assert_eq!(bits(&alone), bits(&together), "scene {index}, {method:?}");
+            assert_eq!(alone.skipped, together.skipped, "scene {index}, {method:?}");
+        }
+    }
+}
+
+#[test]
+fn the_order_of_receptors_changes_nothing() {
+    for (index, scene) in scenes().iter().enumerate() {
+        let order = Random::new(index as u64).shuffled(scene.receptors().len());
+        let shuffled = order.iter().map(|&number| scene.receptors()[number]).collect();
+        let (scene, shuffled) = (without_noise(scene), with_receptors(scene, shuffled));
+        for method in methods() {
+            let (in_order, found) = (bits(&spikes(&scene, method)), bits(&spikes(&shuffled, method)));
+            for (place, &number) in order.iter().enumerate() {
+                assert_eq!(found[place], in_order[number], "scene {index}, receptor {number}, {method:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_receptor_alone_does_what_it_does_among_others() {
+    for (index, scene) in scenes().iter().enumerate() {
+        let scene = without_noise(scene);
+        for method in methods() {
+            let together = bits(&spikes(&scene, method));
+            let few = together.len().div_ceil(8);
+            for (number, &at) in scene.receptors().iter().enumerate().step_by(few) {
+                let alone = bits(&spikes(&with_receptors(&scene, vec![at]), method));
+                assert_eq!(alone[0], together[number], "scene {index}, receptor {number}, {method:?}");
+            }
+        }
+    }
+}
+
+/// How long a block is depends on how many breaks there are, felt or not.
+#[test]
+fn blocks_change_nothing() {
+    let near =
+        Drive { motor: 0, frequency_hz: 61.3, amplitude_um: 80.0, phase: 0.3, start_s: None, stop_s: None };
+    let receptors: Vec<_> = (0..9)
+        .map(|i| Position { x_mm: -4.35 + 0.2 * f64::from(i), y_mm: 7.25 - 0.1 * f64::from(i) })
+        .collect();
+    for noise_sd in [0.0, 0.05] {
+        let scene = |drives| {
+            let model = RaModel::default_for(Rectify::Half, noise_sd);
+            Scene::new(3.0, 1, drives, receptors.clone(), model).unwrap()
+        };
+        let expected = bits(&spikes(&scene(vec![near]), Method::Exact));
+        assert!(expected.iter().all(|(count, _)| *count > 100));
+        for frequency_hz in [300.0, 4321.0, 42_500.0] {
+            let far = Drive { motor: 23, frequency_hz, ..near };
+            let answer = spikes(&scene(vec![near, far]), Method::Exact);
+            assert_eq!(bits(&answer), expected);
+            assert_eq!(answer.skipped.motors_out_of_reach, 1);
+        }
+    }
+}
+
+/// Breaks and samples are kept for all of a scene if they are few; the same scene watched for longer has too many.
+#[test]
+fn whether_breaks_and_samples_are_kept_changes_nothing() {
+    let drive = |motor, frequency_hz| Drive {
+        motor,
+        frequency_hz,
+        amplitude_um: 80.0,
+        phase: 0.3,
+        start_s: None,
+        stop_s: None,
+    };
+    let drives = vec![drive(9, 61.3), drive(10, 4321.0), drive(13, 170.0)];
+    let receptors: Vec<_> =
+        (0..20).map(|i| Position { x_mm: -1.5 + 0.1 * f64::from(i), y_mm: 1.0 }).collect();
+    let finely = |precision| Stepping { step_us: 10, integrator: Integrator::Propagator, precision };
+    for method in [
+        Method::Exact,
+        Method::Stepped(finely(Precision::F32)),
+        Method::Stepped(Stepping { step_us: 5, ..finely(Precision::F32) }),
+    ] {
+        let until = |duration_s| {
+            let model = RaModel::default_for(Rectify::Half, 0.05);
+            let scene = Scene::new(duration_s, 3, drives.clone(), receptors.clone(), model).unwrap();
+            let trains = spikes(&scene, method).spikes_s.unwrap().into_iter();
+            trains.map(|train| train.into_iter().filter(|&t| t < 0.7).collect()).collect()
+        };
+        let (kept, made): (Vec<Vec<f64>>, Vec<Vec<f64>>) = (until(0.7), until(2.5));
+        assert!(kept.iter().all(|train| train.len() > 10));
+        assert_eq!(kept, made, "{method:?}");
+    }
+}
+
+/// With and without what can be left out; what was.
+fn both_ways(scene: &Scene, method: Method) -> Skipped {
+    let options = Options::spikes(method);
+    let whole = solve(scene, &Options { skip: false, ..options }, &|_| ()).unwrap();
+    let left_out = solve(scene, &options, &|_| ()).unwrap();
+    assert_eq!(bits(&whole), bits(&left_out), "{method:?}, {scene:?}");
+    let nothing = Skipped {
+        motors_at_rest: whole.skipped.motors_at_rest,
+        motors_out_of_reach: whole.skipped.motors_out_of_reach,
+        ..Skipped::default()
+    };
+    assert_eq!(whole.skipped, nothing);
+    let counted = solve(scene, &Options { keep: Keep::Rates, ..options }, &|_| ()).unwrap();
+    assert_eq!(counted.counts, whole.counts, "{method:?}, {scene:?}");
+    left_out.skipped
+}
+
+#[test]
+fn what_is_left_out_changes_nothing() {
+    for method in methods() {
+        let mut all = Skipped::default();
+        for scene in scenes() {
+            let skipped = both_ways(&scene, method);
+            all.motors_at_rest += skipped.motors_at_rest;
+            all.motors_out_of_reach += skipped.motors_out_of_reach;
+            all.receptors_out_of_reach += skipped.receptors_out_of_reach;
+            all.receptors_below_threshold += skipped.receptors_below_threshold;
+        }
+        assert!(all.motors_at_rest > 0 && all.motors_out_of_reach > 0, "{method:?}: {all:?}");
+        assert!(all.receptors_out_of_reach > 0, "{method:?}: {all:?}");
+        let bounded = !matches!(method, Method::Stepped(Stepping { integrator: Integrator::Euler, .. }));
+        assert_eq!(all.receptors_below_threshold > 0, bounded, "{method:?}: {all:?}");
+    }
+}
+
+/// Receptor-seconds that were repetitions, of `copies` receptors each at twelve places beside a pin.
+fn repeated_s(copies: usize, rectify: Rectify, frequencies_hz: &[f64]) -> f64 {
+    let drives: Vec<_> = (9..)
+        .zip(frequencies_hz)
+        .map(|(motor, &frequency_hz)| Drive {
+            motor,
+            frequency_hz,
+            amplitude_um: 80.0,
+            phase: 0.0,
+            start_s: None,
+            stop_s: None,
+        })
+        .collect();
+    let at = |place: u32| Position { x_mm: -1.45 + 0.2 * f64::from(place), y_mm: 1.5 };
+    let model = RaModel::default_for(rectify, 0.0);
+    let repeated = (0..12).map(|place| {
+        let scene = Scene::new(10.0, 0, drives.clone(), vec![at(place); copies], model).unwrap();
+        both_ways(&scene, Method::Exact).repeated_receptor_s
+    });
+    repeated.sum()
+}
+
+fn every_rectification_repeats(copies: usize) {
+    for rectify in [Rectify::Half, Rectify::Full, Rectify::Signed] {
+        for frequencies_hz in [&[60.0][..], &[50.0], &[50.0, 100.0], &[20.0]] {
+            let repeated_s = repeated_s(copies, rectify, frequencies_hz) / copies as f64;
+            assert!(repeated_s > 5.0, "{rectify:?}, {frequencies_hz:?}: {repeated_s}");
+        }
+    }
+    // Nothing is repeated where nothing repeats.
+    assert_eq!(repeated_s(copies, Rectify::Half, &[61.803_398]), 0.0);
+}
+
+#[test]
+fn a_repetition_is_found_and_changes_nothing() {
+    every_rectification_repeats(8);
+}
+
+#[test]
+fn a_repetition_is_found_however_few_there_are() {
+    every_rectification_repeats(1);
+}
+
+#[test]
+fn periodic_scenes_of_a_finger_are_the_same_with_and_without_repetition() {
+    let drive = |motor, frequency_hz| Drive {
+        motor,
+        frequency_hz,
+        amplitude_um: 80.0,
+        phase: 0.25 * f64::from(motor % 4),
+        start_s: None,
+        stop_s: None,
+    };
+    for rectify in [Rectify::Half, Rectify::Full, Rectify::Signed] {
+        for drives in [
+            vec![drive(9, 60.0)],
+            vec![drive(9, 50.0), drive(10, 100.0)],
+            vec![drive(5, 60.0), drive(9, 50.0), drive(18, 85.0)],
+        ] {
+            let receptors = population(2).into_iter().step_by(3).collect();
+            let model = RaModel::default_for(rectify, 0.0);
+            let scene = Scene::new(9.77, 0, drives, receptors, model).unwrap();
+            both_ways(&scene, Method::Exact);
+        }
+    }
+}

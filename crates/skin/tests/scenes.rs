@@ -1,0 +1,296 @@
+use meissner_input::document;
+use meissner_skin::afferent::{RaModel, Rectify, population};
+use meissner_skin::simulate::{MAX_JSON_BYTES, MAX_TOML_BYTES, Problem, Scene};
+use proptest::prelude::*;
+use serde_json::{Value, json};
+use std::fmt::Write;
+
+const TOML: &str = r#"duration_s = 2
+seed = 5
+spikes_s = [[1, 2], "whatever"]
+promised_spikes = 3
+
+[[drives]]
+motor = 3
+frequency_hz = 105.327
+amplitude_um = 80
+phase = 0.5139
+start_s = 0.1
+stop_s = 1
+
+[[drives]]
+motor = 3
+frequency_hz = 42500.0
+amplitude_um = 0.5
+start_s = 1
+
+[[receptors]]
+x_mm = 5.354
+y_mm = -1.901
+
+[receptor]
+rectify = "full"
+alpha_per_um = 0.02
+tau_s = 0.05
+refractory_s = 0.002
+hyperexcitability_s = 0.0
+hyperexcitability_depth = 0.25
+sigma_mm = 1.3
+noise_sd = 0.01
+"#;
+
+fn read(text: &str, file: &str) -> Result<Scene, String> {
+    let scene = Scene::read(text, file).map_err(|error| error.to_string());
+    if let Err(line) = &scene {
+        let breaks = |c: char| c.is_control() || matches!(c, '\u{2028}' | '\u{2029}');
+        assert!(!line.contains(breaks) && line.len() < 2000, "{line:?}");
+    }
+    scene
+}
+
+fn as_json(toml: &str) -> Value {
+    serde_json::to_value(toml::from_str::<toml::Table>(toml).unwrap()).unwrap()
+}
+
+#[test]
+fn the_same_scene_is_the_same_in_both_languages() {
+    let scene = read(TOML, "scene.toml").unwrap();
+    assert_eq!(read(&as_json(TOML).to_string(), "scene.json").unwrap(), scene);
+    assert_eq!(read(&as_json(TOML).to_string(), "-").unwrap(), scene);
+    assert_eq!(read(TOML, "-").unwrap(), scene);
+    assert_eq!((scene.duration_s(), scene.seed(), scene.drives().len()), (2.0, 5, 2));
+    assert_eq!((scene.drives()[0].phase, scene.drives()[1].start_s), (0.5139, Some(1.0)));
+    assert_eq!((scene.receptors()[0].x_mm, scene.receptors()[0].y_mm), (5.354, -1.901));
+    let model = RaModel {
+        rectify: Rectify::Full,
+        alpha_per_um: 0.02,
+        tau_s: 0.05,
+        refractory_s: 0.002,
+        hyperexcitability_s: 0.0,
+        hyperexcitability_depth: 0.25,
+        sigma_mm: 1.3,
+        noise_sd: 0.01,
+    };
+    assert_eq!(*scene.model(), model);
+}
+
+#[test]
+fn what_is_left_out_has_its_default() {
+    let scene = read("duration_s = 1\nreceptors = []", "a.toml").unwrap();
+    assert_eq!((scene.seed(), scene.drives().len(), scene.receptors().len()), (0, 0, 0));
+    assert_eq!(*scene.model(), RaModel::default_for(Rectify::Half, 0.0));
+    let signed = read("duration_s = 1\nreceptors = []\nreceptor.rectify = \"signed\"", "a.toml").unwrap();
+    assert_eq!(*signed.model(), RaModel::default_for(Rectify::Signed, 0.0));
+    for (text, seed) in [("{}", 0), ("{ seed = 9 }", 9)] {
+        let scene = read(&format!("duration_s = 1\npopulation = {text}"), "a.toml").unwrap();
+        assert_eq!(scene.receptors(), population(seed));
+        assert_eq!(*scene.model(), RaModel::default_for(Rectify::Half, 0.05));
+    }
+    let json =
+        r#"{"duration_s": 1, "seed": 18446744073709551615, "population": {"seed": 18446744073709551615}}"#;
+    assert_eq!(read(json, "a.json").unwrap().seed(), u64::MAX);
+}
+
+#[test]
+fn the_reference_scenes_are_read() {
+    let scenes: Vec<Value> = serde_json::from_str(include_str!("data/spikes.json")).unwrap();
+    assert_eq!(scenes.len(), 18);
+    for scene in scenes {
+        let read = read(&scene.to_string(), "scene.json").unwrap();
+        assert_eq!(read.receptors().len(), scene["promised_spikes"].as_array().unwrap().len());
+        assert_eq!(read.drives().len(), scene["drives"].as_array().unwrap().len());
+        assert_eq!(read.model().alpha_per_um, scene["receptor"]["alpha_per_um"]);
+        assert_eq!(read.model().noise_sd, 0.0);
+    }
+}
+
+/// What to change in the good scene, and what the one line must then begin with and hold.
+const BAD: [(&str, &str, &str, &str); 56] = [
+    ("duration_s = 2", "", "bad.toml:1: `duration_s` is missing", "add how long"),
+    ("duration_s = 2", "duration_s = -1", "bad.toml: `duration_s` is -1", "0 to 1000000000 s"),
+    ("duration_s = 2", "duration_s = nan", "bad.toml: `duration_s` is NaN", "0 to 1000000000 s"),
+    ("duration_s = 2", "duration_s = inf", "bad.toml: `duration_s` is inf", "0 to 1000000000 s"),
+    ("duration_s = 2", "duration_s = 1e300", "bad.toml: `duration_s` is 1e300", "0 to 1000000000 s"),
+    ("duration_s = 2", "duration_s = \"2\"", "bad.toml:1: `duration_s` is string \"2\"", "a number"),
+    ("duration_s = 2", "duration = 2", "bad.toml:1: unknown key `duration`", "did you mean `duration_s`?"),
+    ("duration_s = 2", "duration_s = 2\nduration_s = 2", "bad.toml:2: not TOML: duplicate key", ""),
+    ("duration_s = 2", "duration_s = 2\n\"a\\nb\" = 2", "bad.toml:2: unknown key `a\\nb`", "did you mean"),
+    ("duration_s = 2", "duration_s = 2\n\"\" = 2", "bad.toml:2: unknown key ``", "did you mean"),
+    ("duration_s = 2", "duration_s = ", "bad.toml:1: not TOML", ""),
+    ("seed = 5", "seed = -5", "bad.toml:2: `seed` is integer `-5`", "a whole number, 0 or more"),
+    ("seed = 5", "seed = 5.0", "bad.toml:2: `seed` is floating point `5.0`", "a whole number"),
+    ("seed = 5", "population.seed = 5", "bad.toml: `receptors` and `population` are both", "leave one out"),
+    ("seed = 5", "population = 5", "bad.toml:2: `population` is integer `5`", "a table"),
+    ("seed = 5", "population.seeds = 5", "bad.toml:2: `population`: unknown key `seeds`", "`seed`?"),
+    ("[[receptors]]\nx_mm = 5.354\ny_mm = -1.901", "", "bad.toml: neither `receptors` nor", "add one"),
+    ("motor = 3", "motor = 24", "bad.toml:7: `drives[0].motor` is 24", "must be 0 to 23"),
+    ("motor = 3", "motor = -1", "bad.toml:7: `drives[0].motor` is -1", "must be 0 to 23"),
+    ("motor = 3", "motor = 300", "bad.toml:7: `drives[0].motor` is 300", "must be 0 to 23"),
+    (
+        "motor = 3",
+        "motor = 99999999999999999999",
+        "bad.toml:7: `drives[0].motor` is 99999",
+        "must be 0 to 23",
+    ),
+    ("motor = 3", "motor = 3.0", "bad.toml:7: `drives[0].motor` is floating", "a whole number, 0 to 23"),
+    ("motor = 3", "motor = [3]", "bad.toml:7: `drives[0].motor` is sequence", "a whole number, 0 to 23"),
+    ("motor = 3", "", "bad.toml:6: `drives[0].motor` is missing", "0 to 23"),
+    ("motor = 3", "motr = 3", "bad.toml:7: `drives[0]`: unknown key `motr`", "did you mean `motor`?"),
+    ("105.327", "42500.1", "bad.toml: `drives[0].frequency_hz`: frequency 42500.1 Hz", "at most 42500 Hz"),
+    ("105.327", "0", "bad.toml: `drives[0].frequency_hz`: frequency 0 Hz", "above 0"),
+    ("105.327", "nan", "bad.toml: `drives[0].frequency_hz`: frequency NaN Hz", "above 0"),
+    ("amplitude_um = 80", "amplitude_um = -1", "bad.toml: `drives[0].amplitude_um`: amplitude -1 um", "0 to"),
+    ("amplitude_um = 80", "amplitude_um = inf", "bad.toml: `drives[0].amplitude_um`: amplitude inf", "0 to"),
+    ("phase = 0.5139", "phase = 1", "bad.toml: `drives[0].phase`: phase 1", "below 1 cycle"),
+    ("phase = 0.5139", "phase = nan", "bad.toml: `drives[0].phase`: phase NaN", "below 1 cycle"),
+    ("start_s = 0.1", "start_s = -1", "bad.toml: `drives[0].start_s` is -1", "0 to 1000000000 s"),
+    ("start_s = 0.1", "start_s = nan", "bad.toml: `drives[0].start_s` is NaN", "0 to 1000000000 s"),
+    ("start_s = 0.1", "start_s = 1", "bad.toml: `drives[0].stop_s` is 1", "above start_s, which is 1"),
+    ("stop_s = 1", "stop_s = 2e9", "bad.toml: `drives[0].stop_s` is 2000000000", "0 to 1000000000 s"),
+    ("stop_s = 1", "stop_s = nan", "bad.toml: `drives[0].stop_s` is NaN", "0 to 1000000000 s"),
+    (
+        "stop_s = 1",
+        "stop_s = 1.5",
+        "bad.toml: `drives[1].motor`: motor 3 is still driven by drives[0]",
+        "by 1 s",
+    ),
+    ("stop_s = 1", "stop = 1", "bad.toml:12: `drives[0]`: unknown key `stop`", "did you mean `stop_s`?"),
+    ("5.354", "nan", "bad.toml: `receptors[0].x_mm` is NaN", "-1000000 to 1000000 mm"),
+    ("-1.901", "-1000001", "bad.toml: `receptors[0].y_mm` is -1000001", "-1000000 to 1000000 mm"),
+    ("y_mm = -1.901", "", "bad.toml:20: `receptors[0].y_mm` is missing", "in mm"),
+    ("y_mm = -1.901", "y = -1.901", "bad.toml:22: `receptors[0]`: unknown key `y`", "did you mean `y_mm`?"),
+    ("\"full\"", "\"hlaf\"", "bad.toml:25: `receptor.rectify` is `hlaf`", "half, full or signed"),
+    ("\"full\"", "\"a\\nb\"", "bad.toml:25: `receptor.rectify` is `a\\nb`", "half, full or signed"),
+    ("\"full\"", "{ half = 1 }", "bad.toml:25: `receptor.rectify` is map", "\"half\", \"full\" or"),
+    ("alpha_per_um = 0.02", "alpha_per_um = -1", "bad.toml: `receptor.alpha_per_um` is -1", "0 to 1e15"),
+    ("tau_s = 0.05", "tau_s = 0", "bad.toml: `receptor.tau_s` is 0", "1e-9 to 1e9 s"),
+    (
+        "refractory_s = 0.002",
+        "refractory_s = 9e-6",
+        "bad.toml: `receptor.refractory_s` is 0.000009",
+        "1e-5 to",
+    ),
+    ("ity_s = 0.0", "ity_s = nan", "bad.toml: `receptor.hyperexcitability_s` is NaN", "0 to 1000000000 s"),
+    ("depth = 0.25", "depth = 1.1", "bad.toml: `receptor.hyperexcitability_depth` is 1.1", "0 to 1"),
+    ("sigma_mm = 1.3", "sigma_mm = 0", "bad.toml: `receptor.sigma_mm` is 0", "0.001 to 1000000 mm"),
+    ("noise_sd = 0.01", "noise_sd = -0.1", "bad.toml: `receptor.noise_sd` is -0.1", "0 to 1000000"),
+    ("noise_sd = 0.01", "noise_sd = inf", "bad.toml: `receptor.noise_sd` is inf", "0 to 1000000"),
+    ("noise_sd", "noise", "bad.toml:32: `receptor`: unknown key `noise`", "did you mean `noise_sd`?"),
+    ("[receptor]", "[receptr]", "bad.toml:24: unknown key `receptr`", "did you mean `receptor`?"),
+];
+
+#[test]
+fn every_mistake_is_one_line_that_says_what_where_and_what_to_do() {
+    for (good, bad, start, advice) in BAD {
+        assert!(TOML.contains(good), "{good}");
+        let line = read(&TOML.replacen(good, bad, 1), "bad.toml").unwrap_err();
+        assert!(line.starts_with(start) && line.contains(advice), "{bad}: {line}");
+    }
+}
+
+#[test]
+fn json_is_refused_as_plainly() {
+    for (text, says) in [
+        ("", "bad.json:1: not JSON: EOF while parsing"),
+        ("{\"duration_s\": 1,\n \"seed\": }", "bad.json:2: not JSON: expected value (column 10)"),
+        ("{\"duration_s\": NaN}", "bad.json:1: not JSON: expected value"),
+        ("{\"duration_s\": 1e999}", "bad.json:1: `duration_s`: number out of range"),
+        ("{\"duration_s\": null}", "bad.json:1: `duration_s` is null: must be a number"),
+        ("{\"duration_s\": 1, \"duration_s\": 1}", "bad.json:1: `duration_s` is there twice"),
+        ("{\"spikes_s\": 1, \"spikes_s\": 1}", "`spikes_s` is there twice"),
+        ("{\"seed\": -1}", "bad.json:1: `seed` is integer `-1`: must be a whole number, 0 or more"),
+        ("{\"drives\": {}}", "bad.json:1: `drives` is map: must be a list"),
+        ("{\"drives\": [[3, 60, 80]]}", "bad.json:1: `drives[0]` is sequence: must be a table"),
+        ("{\"drives\": [{\"motor\": 1e20}]}", "`drives[0].motor` is 1e20: must be 0 to 23"),
+        ("{\"drives\": [{\"motor\": 256}]}", "`drives[0].motor` is 256: must be 0 to 23"),
+        ("{\"drives\": [{\"motor\": 1,\n\"motor\": 1}]}", "bad.json:2: `drives[0].motor` is there twice"),
+        ("{\"receptors\": [{\"x_mm\": 1}, 2]}", "bad.json:1: `receptors[0].y_mm` is missing"),
+        ("{\"receptors\": [[1, 2]]}", "`receptors[0]` is sequence: must be a table"),
+        ("{\"receptor\": {\"rectify\": {\"half\": null}}}", "`receptor.rectify` is map: must be \"half\""),
+        ("[1, 0]", "bad.json:1: is sequence: must be a table"),
+        ("{\"duration_s\": 1, \"receptors\": []} x", "bad.json:1: not JSON: trailing characters"),
+        ("{\"duration_s\": 1, \"receptors\": [], \"population\": {}}", "are both there: leave one out"),
+        ("{\"a\\nb`, expected `c\": 1}", "bad.json:1: unknown key `a\\nb`, expected `c`: did you mean `"),
+    ] {
+        let line = read(text, "bad.json").unwrap_err();
+        assert!(line.contains(says), "{text}: {line}");
+    }
+}
+
+#[test]
+fn the_name_of_the_file_says_what_it_is() {
+    let json = r#"{"duration_s": 1, "receptors": []}"#;
+    read(json, "SCENE.JSON").unwrap();
+    read(&format!(" \n{json}"), "scene").unwrap();
+    assert!(read(json, "a.toml").unwrap_err().starts_with("a.toml:1: not TOML"));
+    assert!(read("duration_s = 1", "a.json").unwrap_err().starts_with("a.json:1: not JSON"));
+    assert!(read("", "a\nb").unwrap_err().starts_with("a\\nb:1: `duration_s` is missing"));
+}
+
+#[test]
+fn long_and_deep_files_are_refused_or_read() {
+    let json = |text: &str| read(text, "long.json");
+    let mut receptors = String::from(r#"{"duration_s": 1, "receptors": ["#);
+    for i in 0..100_000 {
+        write!(receptors, r#"{{"x_mm": {i}, "y_mm": -0.5}},"#).unwrap();
+    }
+    assert_eq!(json(&format!("{}]}}", receptors.trim_end_matches(','))).unwrap().receptors().len(), 100_000);
+    let line = json(&format!("{receptors} {{\"x_mm\": 1, \"y_mm\": \"a\"}}]}}")).unwrap_err();
+    assert!(line.contains("`receptors[100000].y_mm` is string \"a\": must be a number"), "{line}");
+
+    let deep =
+        |open: &str| format!(r#"{{"duration_s": 1, "receptors": [], "spikes_s": {}"#, open.repeat(1 << 20));
+    assert!(json(&deep("[")).unwrap_err().contains("not JSON"));
+    assert!(json(&deep("{\"a\":")).unwrap_err().contains("not JSON"));
+    for open in ["[", "{a=", "a."] {
+        assert!(read(&format!("spikes_s = {}", open.repeat(1 << 17)), "a.toml").is_err());
+        assert!(read(&format!("{}b = 1", open.repeat(1 << 17)), "a.toml").is_err());
+    }
+    let key = "k".repeat(1 << 20);
+    for text in
+        [json!({ key.as_str(): 1 }), json!({ "duration_s": key }), json!({"receptor": {"rectify": key}})]
+    {
+        assert!(json(&text.to_string()).unwrap_err().contains("kkk"));
+    }
+}
+
+#[test]
+fn a_file_has_a_largest_size() {
+    for (file, most) in [("a.json", MAX_JSON_BYTES), ("a.toml", MAX_TOML_BYTES)] {
+        let error = Scene::read(&" ".repeat(most + 1), file).unwrap_err();
+        assert!(matches!(error.problem, document::Problem::Own(Problem::TooLarge { .. })), "{error}");
+        assert!(
+            error.to_string().starts_with(&format!("{file}: {} bytes are too many", most + 1)),
+            "{error}"
+        );
+    }
+}
+
+proptest! {
+    #[test]
+    fn no_text_makes_the_reader_panic(text in any::<String>(), toml in any::<bool>()) {
+        let _ = read(&text, if toml { "a.toml" } else { "a.json" });
+        let _ = read(&text, &text);
+    }
+
+    /// Pieces that nearly make a scene come further.
+    #[test]
+    fn no_heap_of_pieces_makes_the_reader_panic(pieces in prop::collection::vec(prop::sample::select(vec![
+        "{", "}", "[", "]", ":", ",", "=", "\n", "\"", "\\u2028", "\u{2028}", "\r", ".", "1", "-1e9", "nan", "null",
+        "\"drives\"", "drives", "[[drives]]", "motor", "\"motor\"", "receptors", "\"receptors\"", "duration_s",
+        "\"duration_s\"", "population", "spikes_s", "rectify", "receptor", "1979-05-27", "\"a\\nb\"", "'''", " ",
+    ]), 0..40)) {
+        let text = pieces.concat();
+        let _ = (read(&text, "a.toml"), read(&text, "a.json"), read(&format!("{{{text}}}"), "a"));
+    }
+
+    /// A good scene with a bite taken out.
+    #[test]
+    fn no_damage_makes_the_reader_panic(from in 0..TOML.len(), length in 0_usize..30, what in "\\PC{0,3}") {
+        let to = (from + length).min(TOML.len());
+        let _ = read(&format!("{}{what}{}", &TOML[..from], &TOML[to..]), "a.toml");
+        let json = as_json(TOML).to_string();
+        let (from, to) = (from.min(json.len()), to.min(json.len()));
+        let _ = read(&format!("{}{what}{}", &json[..from], &json[to..]), "a.json");
+    }
+}

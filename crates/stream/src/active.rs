@@ -1,0 +1,195 @@
+//! One play on its way: what of it was streamed, and the account of its bursts.
+//!
+//! The account closes by itself: what was handed over and neither late nor refused was played or dropped, and how
+//! much was played the device has counted, between the play's onset and its end.
+
+use crate::port::{At, End, Onset, Outcome, Play};
+use crate::time::HostInstant;
+use firmware_protocol::message::Counters;
+use firmware_protocol::stroke::{MOTORS, Stroke};
+use firmware_protocol::tick::Tick;
+use meissner_api::{BurstCounts, LateCause, LateCounts, PulseCounts};
+use std::time::Duration;
+
+/// How far along a play is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Phase {
+    /// Nothing was sent.
+    Waiting,
+    /// Its first frame waits for the device's verdict.
+    Offered,
+    /// The device has taken its onset.
+    Streaming,
+    /// All its strokes were sent.
+    Streamed,
+}
+
+#[derive(Debug)]
+pub(super) struct Active {
+    pub(super) play: Box<Play>,
+    pub(super) phase: Phase,
+    /// When the order was given.
+    pub(super) ordered: HostInstant,
+    /// Pattern time 0, once it is chosen.
+    pub(super) onset: Option<Tick>,
+    /// The onset first chosen or asked for.
+    pub(super) requested: Option<Tick>,
+    /// How far ahead the next try at an onset lies.
+    pub(super) margin: Duration,
+    /// The next stroke to send.
+    pub(super) next: Option<Stroke>,
+    /// Strokes sent that have no verdict.
+    pub(super) undecided: u64,
+    /// The end of the last stroke sent.
+    pub(super) last_end: Tick,
+    /// Ended before its end, how and why.
+    pub(super) cut: Option<(End, &'static str)>,
+    /// The device's counters at its onset, once that has passed.
+    pub(super) begun: Option<Counters>,
+    began: Option<Onset>,
+    planned_strokes: u64,
+    planned_pulses: u64,
+    late_strokes: u64,
+    refused_strokes: u64,
+    lateness: LateCounts,
+    wire_from: u64,
+}
+
+/// An onset is first tried this far ahead: the horizon, the link, and a wake-up.
+pub(super) const FIRST_MARGIN: Duration = Duration::from_millis(3);
+
+impl Active {
+    pub(super) fn new(
+        play: Box<Play>,
+        ordered: HostInstant,
+        requested: Option<Tick>,
+        margin: Duration,
+    ) -> Self {
+        Self {
+            play,
+            phase: Phase::Waiting,
+            ordered,
+            onset: requested,
+            requested,
+            margin,
+            next: None,
+            undecided: 0,
+            last_end: Tick(0),
+            cut: None,
+            begun: None,
+            began: None,
+            planned_strokes: 0,
+            planned_pulses: 0,
+            late_strokes: 0,
+            refused_strokes: 0,
+            lateness: LateCounts::default(),
+            wire_from: 0,
+        }
+    }
+
+    /// Begins to stream at `onset`, for the first time or again.
+    pub(super) fn offer(&mut self, onset: Tick, wire: u64) {
+        self.phase = Phase::Offered;
+        self.onset = Some(onset);
+        self.requested = self.requested.or(Some(onset));
+        self.play.strokes.begin(onset);
+        (self.next, self.undecided, self.last_end) = (None, 0, onset);
+        (self.planned_strokes, self.planned_pulses) = (0, 0);
+        self.wire_from = wire;
+    }
+
+    /// The first tick after it, if it has an end and an onset.
+    pub(super) fn end(&self) -> Option<Tick> {
+        Some(self.onset? + self.play.strokes.end()?)
+    }
+
+    /// The first tick at which a stroke of `motor` that was not handed over yet may begin.
+    pub(super) fn free_until(&self, motor: u8) -> Tick {
+        let next = self.next.filter(|next| next.motor == motor).map(|next| next.up);
+        let up = next.or_else(|| self.play.strokes.next_up(motor));
+        up.or_else(|| self.end()).unwrap_or(self.last_end)
+    }
+
+    /// Whether it is played at an onset that was asked for.
+    pub(super) fn is_fixed(&self) -> bool {
+        self.play.at != At::Next
+    }
+
+    /// A stroke is handed over, or would have been.
+    pub(super) fn plan(&mut self, stroke: &Stroke) {
+        self.planned_strokes += 1;
+        self.planned_pulses += u64::from(stroke.up_pulses) + u64::from(stroke.down_pulses);
+        self.last_end = self.last_end.max(stroke.end());
+    }
+
+    pub(super) fn late(&mut self, late_ms: f64, cause: LateCause) {
+        self.late_strokes += 1;
+        self.lateness.worst_ms = self.lateness.worst_ms.max(late_ms);
+        match cause {
+            LateCause::Host => self.lateness.host += 1,
+            LateCause::Link => self.lateness.link += 1,
+            LateCause::Device => self.lateness.device += 1,
+        }
+    }
+
+    /// Its onset came too late by so much: nothing of it was taken.
+    pub(super) fn late_as_a_whole(&mut self, late_ms: f64) {
+        self.late_strokes = self.planned_strokes;
+        self.lateness.link = self.planned_strokes;
+        self.lateness.worst_ms = late_ms;
+    }
+
+    pub(super) fn refused(&mut self) {
+        self.refused_strokes += 1;
+    }
+
+    /// Its onset has passed.
+    pub(super) fn began(&mut self, onset: Onset, counters: Counters) {
+        self.begun = Some(counters);
+        self.began = Some(onset);
+    }
+
+    pub(super) fn started(&self) -> Option<Onset> {
+        self.began
+    }
+
+    /// Closes the account with the device's counters as they stand after it; `None` if it never had any.
+    pub(super) fn close(
+        self,
+        after: Option<Counters>,
+        wire: u64,
+        rest_error_um: [f32; MOTORS],
+    ) -> (u64, Outcome) {
+        let since = |now: fn(&Counters) -> u64| match (&after, &self.begun) {
+            (Some(after), Some(begun)) => now(after).saturating_sub(now(begun)),
+            _ => 0,
+        };
+        let planned = 2 * self.planned_strokes;
+        let (late, refused) = (2 * self.late_strokes, 2 * self.refused_strokes);
+        let played = since(|counters| counters.played).min(planned.saturating_sub(late + refused));
+        let rest = planned.saturating_sub(late + refused + played);
+        let (end, cause) = self.cut.map_or((End::Done, None), |(end, cause)| (end, Some(cause)));
+        // Cut short, the rest was flushed. Else only refusals whose report was lost can be missing.
+        let (dropped, refused) = if self.cut.is_some() { (rest, refused) } else { (0, refused + rest) };
+        let bursts = BurstCounts {
+            planned,
+            played,
+            late,
+            dropped,
+            refused,
+            amended: since(|counters| counters.amended),
+        };
+        let outcome = Outcome {
+            end,
+            cause,
+            onset: self.began,
+            bursts,
+            pulses: PulseCounts { planned: self.planned_pulses, played: since(|counters| counters.pulses) },
+            lateness: self.lateness,
+            wire_bytes: if self.onset.is_some() { wire.saturating_sub(self.wire_from) } else { 0 },
+            rest_error_um,
+            play: self.play,
+        };
+        (outcome.play.id, outcome)
+    }
+}

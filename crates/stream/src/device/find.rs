@@ -1,0 +1,161 @@
+//! Which of the things that are plugged in is the board.
+//!
+//! A board is known by its ids, by its product string where the ids are its own (they are pid.codes' test ids, which
+//! others use too), and by its serial number if one was asked for. Ids are looked up at every open: after a re-plug
+//! the port may have another name. It opens nothing.
+
+use serialport::{SerialPortInfo, SerialPortType};
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+/// A board's USB ids: pid.codes' test ids, until it has its own.
+pub const BOARD: (u16, u16) = (0x1209, 0x0001);
+/// Its product string.
+pub const PRODUCT: &str = "meissner";
+/// Without it `serialport` panics: a system without terminals, or without `/sys`.
+const TTYS: &str = "/sys/class/tty";
+
+/// Which board is wanted.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Wanted {
+    /// USB vendor and product.
+    pub ids: (u16, u16),
+    /// Its serial number; any, if none is given.
+    pub serial: Option<String>,
+}
+
+impl Default for Wanted {
+    /// Any board.
+    fn default() -> Self {
+        Self { ids: BOARD, serial: None }
+    }
+}
+
+impl Wanted {
+    /// The board of this serial number.
+    #[must_use]
+    pub fn serial(serial: &str) -> Self {
+        Self { ids: BOARD, serial: Some(serial.to_owned()) }
+    }
+
+    /// Reads `SERIAL`, `VID:PID` or `VID:PID:SERIAL`, ids in hex; `None` if it is neither.
+    pub(super) fn parse(text: &str) -> Option<Self> {
+        let id = |text: &str| u16::from_str_radix(text, 16).ok().filter(|_| text.len() == 4);
+        let mut parts = text.splitn(3, ':');
+        let wanted = match (parts.next()?, parts.next(), parts.next()) {
+            (serial, None, _) => Self::serial(serial),
+            (vendor, Some(product), serial) => {
+                Self { ids: (id(vendor)?, id(product)?), serial: serial.map(str::to_owned) }
+            }
+        };
+        let known =
+            |serial: &String| !serial.is_empty() && serial.bytes().all(|byte| byte.is_ascii_graphic());
+        wanted.serial.as_ref().is_none_or(known).then_some(wanted)
+    }
+
+    /// Whether a device with these descriptors is it.
+    #[must_use]
+    pub fn is(&self, ids: (u16, u16), product: Option<&str>, serial: Option<&str>) -> bool {
+        let named = self.ids != BOARD || product == Some(PRODUCT);
+        let serial_fits = |wanted: &str| serial.is_some_and(|serial| serial.eq_ignore_ascii_case(wanted));
+        ids == self.ids && named && self.serial.as_deref().is_none_or(serial_fits)
+    }
+}
+
+impl fmt::Display for Wanted {
+    /// As a person is told what was looked for.
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "USB {:04x}:{:04x}", self.ids.0, self.ids.1)?;
+        if self.ids == BOARD {
+            write!(out, " `{PRODUCT}`")?;
+        }
+        self.serial.as_ref().map_or(Ok(()), |serial| write!(out, ", serial number {serial}"))
+    }
+}
+
+/// All serial ports there are, with what USB says of them. Without libudev: read from `/sys`.
+pub(super) fn ports() -> Vec<SerialPortInfo> {
+    if Path::new(TTYS).is_dir() { serialport::available_ports().unwrap_or_default() } else { Vec::new() }
+}
+
+/// The first of these ports, by name, that belongs to the board.
+pub(super) fn port(wanted: &Wanted, ports: &[SerialPortInfo]) -> Option<PathBuf> {
+    let is_it = |port: &&SerialPortInfo| match &port.port_type {
+        SerialPortType::UsbPort(usb) => {
+            wanted.is((usb.vid, usb.pid), usb.product.as_deref(), usb.serial_number.as_deref())
+        }
+        _ => false,
+    };
+    let first = ports.iter().filter(is_it).min_by_key(|port| (port.port_name.len(), &port.port_name));
+    first.map(|port| PathBuf::from(&port.port_name))
+}
+
+/// The serial number behind a port, if it is on USB and tells one.
+pub(super) fn serial_of(path: &Path, ports: &[SerialPortInfo]) -> Option<String> {
+    let path = path.canonicalize().ok()?;
+    let port = ports.iter().find(|port| Path::new(&port.port_name) == path)?;
+    match &port.port_type {
+        SerialPortType::UsbPort(usb) => usb.serial_number.clone(),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serialport::UsbPortInfo;
+
+    fn usb(name: &str, ids: (u16, u16), product: &str, serial: Option<&str>) -> SerialPortInfo {
+        let usb = UsbPortInfo {
+            vid: ids.0,
+            pid: ids.1,
+            serial_number: serial.map(str::to_owned),
+            manufacturer: None,
+            product: Some(product.to_owned()),
+            interface: Some(0),
+        };
+        SerialPortInfo { port_name: name.to_owned(), port_type: SerialPortType::UsbPort(usb) }
+    }
+
+    #[test]
+    fn a_board_is_told_from_what_else_is_plugged_in() {
+        let ports = [
+            SerialPortInfo { port_name: "/dev/ttyS0".into(), port_type: SerialPortType::Unknown },
+            usb("/dev/ttyACM0", BOARD, "blinky", Some("1")),
+            usb("/dev/ttyUSB0", (0x1a86, 0x7523), "bridge", None),
+            usb("/dev/ttyACM10", BOARD, "meissner", Some("e66038b7")),
+            usb("/dev/ttyACM2", BOARD, "meissner", Some("aa")),
+        ];
+        let found = |text: &str| port(&Wanted::parse(text).unwrap(), &ports);
+        assert_eq!(port(&Wanted::default(), &ports), Some("/dev/ttyACM2".into()), "the first by name");
+        assert_eq!(found("E66038B7"), Some("/dev/ttyACM10".into()));
+        assert_eq!(found("1209:0001:e66038b7"), Some("/dev/ttyACM10".into()));
+        assert_eq!(found("1a86:7523"), Some("/dev/ttyUSB0".into()), "other ids need no name");
+        assert_eq!(found("1"), None, "that one is no board");
+        assert_eq!(found("bb"), None);
+    }
+
+    #[test]
+    fn the_udev_rules_mean_the_same_board() {
+        let rules = include_str!("../../../../deploy/70-meissner.rules");
+        for rule in rules.lines().filter(|line| line.starts_with("SUBSYSTEM")) {
+            for part in [
+                format!("{{idVendor}}==\"{:04x}\"", BOARD.0),
+                format!("{{idProduct}}==\"{:04x}\"", BOARD.1),
+                format!("{{product}}==\"{PRODUCT}\""),
+            ] {
+                assert!(rule.contains(&part), "{part}: {rule}");
+            }
+        }
+        assert_eq!(rules.matches("SUBSYSTEM").count(), 3);
+    }
+
+    #[test]
+    fn what_is_no_id_is_refused() {
+        for text in ["", "1209:", "1209:1", "12x9:0001", "1209:0001:", "a b"] {
+            assert_eq!(Wanted::parse(text), None, "{text}");
+        }
+        assert_eq!(Wanted::parse("2e8a:000a").unwrap().to_string(), "USB 2e8a:000a");
+        assert_eq!(Wanted::serial("e6").to_string(), "USB 1209:0001 `meissner`, serial number e6");
+    }
+}

@@ -1,0 +1,249 @@
+//! The mock: a controller and a plant, in virtual time.
+//!
+//! A thin shell around the controller, as the firmware is: it renders blocks ahead within the horizon, plays
+//! them tick by tick into the plant, and holds the lines low when the controller says so. It reads no clock;
+//! whoever owns it says up to which tick it runs. At each [`Mock::run`] it takes the bytes in first, so that a
+//! stall of the machine it runs on does not make strokes late. The same seed and bytes give the same bytes.
+
+use firmware_protocol::controller::{BLOCK, Controller, HORIZON, Identity, Run};
+use firmware_protocol::frame::MAX_FRAME;
+use firmware_protocol::message::{DeviceHello, State};
+use firmware_protocol::stroke::{Lines, MOTORS};
+use firmware_protocol::tick::Tick;
+use meissner_array::simulated::{Plant, PlantConfig, PlantError, RestStats, Sample};
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Bytes that wait in either direction, at the most; a sender waits beyond that.
+const BUFFER: usize = 1 << 16;
+
+/// What the simulated shafts really did: read by others while the mock runs.
+#[derive(Debug, Default)]
+pub struct Truth {
+    rest: Mutex<[RestStats; MOTORS]>,
+}
+
+impl Truth {
+    /// Where pins came to rest, all motors together.
+    #[must_use]
+    pub fn rest(&self) -> RestStats {
+        let mut all = RestStats::default();
+        for motor in self.rest.lock().unwrap_or_else(PoisonError::into_inner).iter() {
+            all.merge(motor);
+        }
+        all
+    }
+}
+
+/// A simulated device.
+#[derive(Debug)]
+pub struct Mock {
+    controller: Box<Controller>,
+    plant: Plant,
+    /// Rendered and not played.
+    ahead: VecDeque<Run>,
+    /// The first tick not played.
+    now: Tick,
+    to_controller: Vec<u8>,
+    to_host: VecDeque<u8>,
+    /// What was played, if somebody wants to know.
+    trace: Option<Vec<(Tick, Run)>>,
+    truth: Arc<Truth>,
+    tamper: Option<fn(&mut Sample)>,
+}
+
+impl Mock {
+    /// A mock that has just been switched on; `boot` is its boot id.
+    ///
+    /// # Errors
+    /// If the plant's settings are out of range.
+    pub fn new(plant: PlantConfig, boot: u32) -> Result<Self, PlantError> {
+        Self::starting_at(plant, boot, Tick::BOOT)
+    }
+
+    /// Like [`Self::new`] with another start of the clock.
+    ///
+    /// # Errors
+    /// If the plant's settings are out of range.
+    pub fn starting_at(plant: PlantConfig, boot: u32, now: Tick) -> Result<Self, PlantError> {
+        let mut version = env!("CARGO_PKG_VERSION").split('.').map(|part| part.parse().unwrap_or(0));
+        let firmware = std::array::from_fn(|_| version.next().unwrap_or(0));
+        let telemetry = if plant.telemetry_hz > 0 { DeviceHello::TELEMETRY } else { 0 };
+        let features = DeviceHello::SIMULATED | telemetry;
+        let identity = Identity { firmware, build: *b"mock", boot, features };
+        Ok(Self {
+            controller: Box::new(Controller::starting_at(identity, now)),
+            plant: Plant::new(plant, now)?,
+            ahead: VecDeque::with_capacity(2 * HORIZON as usize),
+            now,
+            to_controller: Vec::with_capacity(BUFFER),
+            to_host: VecDeque::with_capacity(BUFFER),
+            trace: None,
+            truth: Arc::default(),
+            tamper: None,
+        })
+    }
+
+    /// Keeps every run of lines that is played from here on, for [`Self::take_trace`].
+    pub fn record(&mut self) {
+        self.trace = Some(Vec::new());
+    }
+
+    /// From here on telemetry goes through `lie` before it is sent: sensors that are stuck, swapped, out of scale.
+    pub fn tamper(&mut self, lie: fn(&mut Sample)) {
+        self.tamper = Some(lie);
+    }
+
+    /// Where a pin really is once it rests, µm.
+    ///
+    /// # Panics
+    /// If there is no such motor.
+    #[must_use]
+    pub fn position_um(&self, motor: u8) -> f64 {
+        self.plant.position_um(motor)
+    }
+
+    /// The runs played since [`Self::record`] or the last call: where each begins, its lines and length.
+    pub fn take_trace(&mut self) -> Vec<(Tick, Run)> {
+        self.trace.as_mut().map(std::mem::take).unwrap_or_default()
+    }
+
+    /// The controller.
+    #[must_use]
+    pub fn controller(&self) -> &Controller {
+        &self.controller
+    }
+
+    /// The first tick not played.
+    #[must_use]
+    pub fn now(&self) -> Tick {
+        self.now
+    }
+
+    /// Which array it is: see [`PlantConfig::identity`].
+    #[must_use]
+    pub fn identity(&self) -> String {
+        self.plant.config().identity()
+    }
+
+    /// What the shafts really did, for others to read.
+    #[must_use]
+    pub fn truth(&self) -> Arc<Truth> {
+        Arc::clone(&self.truth)
+    }
+
+    /// Bytes for the controller, taken in at the next [`Self::run`]; returns how many there was room for.
+    pub fn write(&mut self, bytes: &[u8]) -> usize {
+        let len = bytes.len().min(BUFFER - self.to_controller.len());
+        self.to_controller.extend_from_slice(&bytes[..len]);
+        len
+    }
+
+    /// Bytes from the controller; returns how many.
+    pub fn read(&mut self, bytes: &mut [u8]) -> usize {
+        let len = bytes.len().min(self.to_host.len());
+        for (to, from) in bytes.iter_mut().zip(self.to_host.drain(..len)) {
+            *to = from;
+        }
+        len
+    }
+
+    /// The cable is pulled.
+    pub fn unplug(&mut self) {
+        self.to_controller.clear();
+        self.to_host.clear();
+        self.controller.link_lost(self.now);
+    }
+
+    fn is_quiet(&self) -> bool {
+        matches!(self.controller.state(), State::Disarmed | State::Faulted)
+    }
+
+    /// Takes the bytes in, then plays all ticks before `until`.
+    pub fn run(&mut self, until: Tick) {
+        if self.is_quiet() && self.now < until {
+            // Nobody looked for as long as nothing could happen: what comes now did not come then.
+            self.pass(until);
+        }
+        self.controller.receive(self.now, &self.to_controller);
+        self.to_controller.clear();
+        self.pass(until);
+        // A status that is sent now tells the tick of now, not of some block on the way.
+        self.send();
+        while let Some(mut sample) = self.plant.telemetry() {
+            if let Some(lie) = self.tamper {
+                lie(&mut sample);
+            }
+            self.controller.telemetry(sample.tick, sample.y);
+            self.send();
+        }
+        if let Ok(mut rest) = self.truth.rest.try_lock() {
+            for (all, new) in rest.iter_mut().zip(self.plant.take_rest_stats()) {
+                all.merge(&new);
+            }
+        }
+    }
+
+    fn pass(&mut self, until: Tick) {
+        loop {
+            let quiet = self.is_quiet();
+            // Nothing can happen in a quiet controller until bytes come: all of it in one go.
+            let end = if quiet { until } else { until.min(self.now + u64::from(BLOCK)) };
+            self.render(end);
+            while self.now < end {
+                self.play(end - self.now);
+            }
+            self.controller.poll(self.now);
+            if self.now >= until {
+                break;
+            }
+        }
+        self.render(self.now);
+    }
+
+    /// Renders whole blocks: all that fit the horizon, and at least up to `end`.
+    fn render(&mut self, end: Tick) {
+        loop {
+            let rendered = self.controller.rendered();
+            let block = (end - rendered).max(1).next_multiple_of(BLOCK.into());
+            if rendered >= end && rendered + block > self.now + u64::from(HORIZON) {
+                break;
+            }
+            let block_end = rendered + block;
+            while self.controller.rendered() < block_end {
+                let max = (block_end - self.controller.rendered()).min(u32::MAX.into());
+                self.ahead.push_back(self.controller.render(max as u32));
+            }
+        }
+    }
+
+    /// Plays at most `max` ticks of what was rendered.
+    fn play(&mut self, max: u64) {
+        let forced = self.controller.forced_off(self.now);
+        let Some(front) = self.ahead.front_mut() else { return };
+        // The end of forcing is not a block's end: look again at every tick, unless it has none in sight.
+        let look = if forced && self.controller.state() != State::Faulted { 1 } else { max };
+        let ticks = u64::from(front.ticks).min(look) as u32;
+        let (lines, trigger) = if forced { (Lines::OFF, false) } else { (front.lines, front.trigger) };
+        front.ticks -= ticks;
+        if front.ticks == 0 {
+            self.ahead.pop_front();
+        }
+        if let Some(trace) = &mut self.trace {
+            trace.push((self.now, Run { lines, trigger, ticks }));
+        }
+        self.plant.advance(lines, ticks.into());
+        self.now = self.now + u64::from(ticks);
+    }
+
+    fn send(&mut self) {
+        let mut frame = [0; MAX_FRAME];
+        while self.to_host.len() + MAX_FRAME <= BUFFER {
+            let len = self.controller.transmit(self.now, &mut frame);
+            if len == 0 {
+                break;
+            }
+            self.to_host.extend(&frame[..len]);
+        }
+    }
+}

@@ -1,0 +1,342 @@
+//! A look at a device through its link: who it is, how fast it answers, what its line carries, how its clock runs.
+//!
+//! It opens a session of its own and sends what a session sends that moves nothing: pings, and the survey's frames,
+//! which the device ignores. It never arms; a device that is armed returns its pins, as it does for every new host.
+//! It blocks for some seconds and is no part of the streamer.
+//!
+//! Invariant: it ends, within `AT_MOST`.
+
+use crate::device::Device;
+use crate::link::{Budget, Event, LostReason, Session, Trip};
+use crate::time::HostInstant;
+use firmware_protocol::frame::MAX_FRAME;
+use firmware_protocol::message::DeviceHello;
+use firmware_protocol::tick::TICK_HZ;
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use std::hash::{BuildHasher, RandomState};
+use std::io;
+use std::time::Duration;
+
+/// Round trips measured, at the least, and over how long: a drift of 1 ppm is 2 µs in 2 s.
+pub const PINGS: usize = 500;
+const SPAN: Duration = Duration::from_millis(2200);
+const PING_EVERY: Duration = Duration::from_millis(4);
+/// What the throughput is measured with: two dozen rounds on USB, a second of a slow line.
+const BURST: Budget = Budget { bytes: 64_000, time: Duration::from_secs(1) };
+/// Round trips that a drift is told from, at the least.
+const POINTS: usize = 24;
+/// A device that answers slower than this is not measured to the end.
+const AT_MOST: Duration = Duration::from_secs(20);
+/// A port that takes nothing for so long is gone.
+const STUCK: Duration = Duration::from_millis(500);
+/// The least a turn of the loop waits, and the most: the mock has nothing to wait for.
+const TURN: (Duration, Duration) = (Duration::from_micros(50), Duration::from_millis(1));
+
+/// What was found.
+#[derive(Clone, Copy, Debug)]
+pub struct Checkup {
+    /// Who it says it is.
+    pub hello: DeviceHello,
+    /// Its round trips.
+    pub round_trip: RoundTrip,
+    /// Bytes per second towards it that it acknowledged; `None` if no frame of the survey was answered.
+    pub throughput_bytes_per_s: Option<u32>,
+    /// Its clock against the host's.
+    pub drift: Drift,
+}
+
+/// Round trips of pings, µs.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct RoundTrip {
+    /// How many.
+    pub count: usize,
+    /// Half were shorter.
+    pub p50_us: f64,
+    /// One in a hundred was longer.
+    pub p99_us: f64,
+    /// The longest.
+    pub max_us: f64,
+}
+
+/// A clock's rate against the host's.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct Drift {
+    /// Parts per million; above zero it is fast.
+    pub ppm: f64,
+    /// Two standard errors of that, from how far the round trips leave each point open, or lie off the line.
+    pub uncertainty_ppm: f64,
+    /// Over how long it was watched, s.
+    pub seconds: f64,
+}
+
+/// Why there is nothing to tell; what to do says [`CheckupError::advice`].
+#[derive(Debug, thiserror::Error)]
+pub enum CheckupError {
+    /// It went away.
+    #[error("it was unplugged ({0})")]
+    Gone(#[source] io::Error),
+    /// Its port is there, but takes nothing.
+    #[error("it took no bytes for {} ms", STUCK.as_millis())]
+    Stuck,
+    /// It is no board, another protocol, or does not answer any more.
+    #[error("{}", .0.found())]
+    Lost(LostReason),
+    /// It answers, but too slowly.
+    #[error("only {trips} of {PINGS} pings were answered in {} s", AT_MOST.as_secs())]
+    Slow {
+        /// Pings answered.
+        trips: usize,
+    },
+}
+
+impl CheckupError {
+    /// What to do.
+    #[must_use]
+    pub const fn advice(&self) -> &'static str {
+        match self {
+            Self::Gone(_) => "plug it in again, and see its cable and power",
+            Self::Stuck => LostReason::NoBoard.advice(),
+            Self::Lost(reason) => reason.advice(),
+            Self::Slow { .. } => "see its cable and what else uses it",
+        }
+    }
+}
+
+/// Measures `device`.
+///
+/// # Errors
+/// If it is no board, or goes away.
+pub fn check(device: &mut Device) -> Result<Checkup, CheckupError> {
+    let begun = HostInstant::now();
+    let id = RandomState::new().hash_one(begun.as_ns()) as u32;
+    let mut look =
+        Look { session: Session::new(id, device.rate(), begun), hello: None, lost: None, trips: Vec::new() };
+    let until = |look: &mut Look, device: &mut Device, done: &dyn Fn(&Look) -> bool| {
+        while !done(look) {
+            let now = HostInstant::now();
+            if now.since(begun) > AT_MOST {
+                return Err(CheckupError::Slow { trips: look.trips.len() });
+            }
+            look.turn(device, now)?;
+        }
+        Ok(())
+    };
+    until(&mut look, device, &|look| look.session.is_surveyed())?;
+    look.trips.clear();
+    until(&mut look, device, &|look| {
+        let span =
+            |first: &Trip| look.trips.last().map_or(Duration::ZERO, |last| last.sent.since(first.sent));
+        look.trips.len() >= PINGS && look.trips.first().map(span) >= Some(SPAN)
+    })?;
+    look.session.survey(BURST);
+    until(&mut look, device, &|look| look.session.is_surveyed())?;
+    let hello = look.hello.ok_or(CheckupError::Lost(LostReason::NoAnswer))?;
+    Ok(Checkup {
+        hello,
+        round_trip: round_trip(&look.trips),
+        throughput_bytes_per_s: look.session.capacity(),
+        drift: drift(&look.trips),
+    })
+}
+
+struct Look {
+    session: Session,
+    hello: Option<DeviceHello>,
+    lost: Option<LostReason>,
+    trips: Vec<Trip>,
+}
+
+impl Look {
+    fn turn(&mut self, device: &mut Device, now: HostInstant) -> Result<(), CheckupError> {
+        let Self { session, hello, lost, trips } = self;
+        let mut tell = |event| match event {
+            Event::Opened(who) => *hello = Some(who),
+            Event::Lost(reason) => *lost = Some(reason),
+            _ => {}
+        };
+        let mut bytes = [0; 1024];
+        loop {
+            let len = device.read(HostInstant::now(), &mut bytes).map_err(CheckupError::Gone)?;
+            if len == 0 {
+                break;
+            }
+            session.receive(HostInstant::now(), &bytes[..len], &mut tell);
+        }
+        trips.extend(session.take_trip());
+        session.listen(now, &mut tell);
+        if session.is_surveyed() && trips.last().is_none_or(|last| now.since(last.sent) >= PING_EVERY) {
+            session.ask();
+        }
+        let mut frame = [0; MAX_FRAME];
+        loop {
+            let len = session.transmit(HostInstant::now(), &mut frame, &mut tell);
+            if len == 0 {
+                break;
+            }
+            let mut unsent = &frame[..len];
+            while !unsent.is_empty() {
+                let sent = device.write(unsent).map_err(CheckupError::Gone)?;
+                unsent = &unsent[sent..];
+                if !unsent.is_empty() {
+                    if HostInstant::now().since(now) > STUCK {
+                        return Err(CheckupError::Stuck);
+                    }
+                    wait(device, TURN.0, PollFlags::OUT);
+                }
+            }
+        }
+        if let Some(reason) = *lost {
+            return Err(CheckupError::Lost(reason));
+        }
+        let due = session.wake_at(now).since(HostInstant::now()).clamp(TURN.0, TURN.1);
+        wait(device, due, PollFlags::IN);
+        Ok(())
+    }
+}
+
+/// Waits until the device has something to say, or for so long.
+fn wait(device: &Device, time: Duration, what: PollFlags) {
+    let timeout = Timespec { tv_sec: 0, tv_nsec: time.subsec_nanos().into() };
+    // An early return only means an idle turn.
+    let _ = match device.wake() {
+        Some(wake) if what == PollFlags::IN || device.tells_room_by_writable() => {
+            poll(&mut [PollFd::from_borrowed_fd(wake, what)], Some(&timeout))
+        }
+        _ => poll(&mut [], Some(&timeout)),
+    };
+}
+
+fn round_trip(trips: &[Trip]) -> RoundTrip {
+    let mut us: Vec<f64> =
+        trips.iter().map(|trip| trip.received.since(trip.sent).as_secs_f64() * 1e6).collect();
+    us.sort_by(f64::total_cmp);
+    let at = |percent: usize| us.get((us.len() * percent / 100).min(us.len().saturating_sub(1)));
+    let at = |percent| at(percent).copied().unwrap_or(f64::NAN);
+    RoundTrip { count: us.len(), p50_us: at(50), p99_us: at(99), max_us: at(100) }
+}
+
+/// A line through (host time, tick) of the round trips that nothing held up, [`POINTS`] at the least.
+fn drift(trips: &[Trip]) -> Drift {
+    let ends = trips.first().zip(trips.last());
+    let seconds = ends.map_or(0.0, |(first, last)| last.sent.since(first.sent).as_secs_f64());
+    let half_s = |trip: &Trip| trip.received.since(trip.sent).as_secs_f64() / 2.0;
+    let mut sorted: Vec<&Trip> = trips.iter().collect();
+    sorted.sort_by(|a, b| half_s(a).total_cmp(&half_s(b)));
+    let Some(first) = sorted.first().copied().filter(|_| sorted.len() >= POINTS) else {
+        return Drift { ppm: f64::NAN, uncertainty_ppm: f64::NAN, seconds };
+    };
+    let shortest = half_s(first);
+    // On a link whose round trips are never alike the shortest have to do.
+    let good = sorted.partition_point(|trip| half_s(trip) <= 1.5 * shortest + 20e-6).max(POINTS);
+    let mut error2 = 0.0;
+    let points: Vec<(f64, f64)> = sorted[..good]
+        .iter()
+        .map(|trip| {
+            // What it took longer than the shortest it may have waited on either side.
+            error2 += (half_s(trip) - shortest).powi(2);
+            let at = ns_between(first.sent, trip.sent) * 1e-9 + half_s(trip);
+            (at, trip.tick.since(first.tick) as f64 / f64::from(TICK_HZ))
+        })
+        .collect();
+    let count = points.len() as f64;
+    let mean = |of: fn(&(f64, f64)) -> f64| points.iter().map(of).sum::<f64>() / count;
+    let (mean_t, mean_k) = (mean(|point| point.0), mean(|point| point.1));
+    let sum =
+        |of: &dyn Fn(f64, f64) -> f64| points.iter().map(|(t, k)| of(t - mean_t, k - mean_k)).sum::<f64>();
+    let (tt, tk) = (sum(&|t, _| t * t), sum(&|t, k| t * k));
+    let slope = tk / tt;
+    // Points may lie on a line by chance: their error is not less than what bounds each of them, and a tick's width.
+    let residual = sum(&|t, k| (k - slope * t).powi(2)) / (count - 2.0);
+    let bound = error2 / count + f64::from(TICK_HZ).recip().powi(2) / 12.0;
+    Drift {
+        ppm: (slope - 1.0) * 1e6,
+        uncertainty_ppm: 2.0 * (residual.max(bound) / tt).sqrt() * 1e6,
+        seconds,
+    }
+}
+
+fn ns_between(a: HostInstant, b: HostInstant) -> f64 {
+    (b.as_ns() as i64 - a.as_ns() as i64) as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use firmware_protocol::tick::Tick;
+
+    #[test]
+    fn a_fast_clock_is_measured_in_spite_of_round_trips_that_were_held_up() {
+        let trips: Vec<_> = (0..550u64)
+            .map(|i| {
+                let sent = 1_000_000_000 + i * 4_000_000;
+                let held = if i % 10 == 3 { 9_000_000 } else { i % 7 * 10_000 };
+                let ticks = (sent + 200_000) as f64 * (1.0 + 35e-6) * f64::from(TICK_HZ) * 1e-9;
+                let received = HostInstant::from_ns(sent + 400_000 + held);
+                Trip { sent: HostInstant::from_ns(sent), tick: Tick(ticks as u64), received }
+            })
+            .collect();
+        let drift = drift(&trips);
+        assert!((drift.ppm - 35.0).abs() <= drift.uncertainty_ppm.max(1.5), "{drift:?}");
+        assert!(drift.uncertainty_ppm < 5.0 && drift.seconds > 2.0, "{drift:?}");
+        let trip = round_trip(&trips);
+        assert!(trip.count == 550 && trip.p50_us < 470.0 && trip.p99_us > 9000.0, "{trip:?}");
+    }
+
+    /// Both clocks run alike, and round trips take what `trip_us` says for each, all of the excess on the way there.
+    fn drift_of(trip_us: impl Fn(u64) -> u64) -> Drift {
+        let trips: Vec<_> = (0..550u64)
+            .map(|i| {
+                let sent = 1_000_000_000 + i * 4_000_000;
+                let trip = trip_us(i) * 1000;
+                let ticks = (sent + trip - 100_000) as f64 * f64::from(TICK_HZ) * 1e-9;
+                let received = HostInstant::from_ns(sent + trip);
+                Trip { sent: HostInstant::from_ns(sent), tick: Tick(ticks as u64), received }
+            })
+            .collect();
+        drift(&trips)
+    }
+
+    #[test]
+    fn few_quick_round_trips_do_not_pass_for_a_drift_that_is_known_exactly() {
+        // Two quick ones side by side; two far from each other; one; and none that are alike.
+        let jitter = |i: u64| 5_000 + i * 7_919 % 30_011;
+        type Trips = Box<dyn Fn(u64) -> u64>;
+        let links: [Trips; 4] = [
+            Box::new(move |i| if (300..302).contains(&i) { 200 } else { jitter(i) }),
+            Box::new(move |i| if i % 500 == 20 { 200 } else { jitter(i) }),
+            Box::new(move |i| if i == 77 { 200 } else { jitter(i) }),
+            Box::new(jitter),
+        ];
+        for trip_us in links {
+            let drift = drift_of(trip_us);
+            assert!(drift.ppm.abs() <= drift.uncertainty_ppm, "{drift:?}");
+            // A tenth of the trips is not better known than a millisecond in two seconds.
+            assert!((100.0..20_000.0).contains(&drift.uncertainty_ppm), "{drift:?}");
+        }
+        let quiet = drift_of(|i| 200 + i % 3);
+        assert!(quiet.ppm.abs() <= quiet.uncertainty_ppm && quiet.uncertainty_ppm < 3.0, "{quiet:?}");
+    }
+
+    #[test]
+    fn only_a_device_that_is_gone_is_called_unplugged() {
+        let gone = CheckupError::Gone(io::ErrorKind::BrokenPipe.into());
+        assert!(gone.to_string().contains("unplugged") && gone.advice().contains("plug it in"));
+        for other in
+            [CheckupError::Stuck, CheckupError::Lost(LostReason::NoAnswer), CheckupError::Slow { trips: 3 }]
+        {
+            let line = format!("{other} {}", other.advice());
+            assert!(!line.contains("plug") && !other.advice().is_empty(), "{line}");
+        }
+    }
+
+    #[test]
+    fn a_drift_of_less_than_two_dozen_round_trips_is_not_known() {
+        let trip = |i: u64| {
+            let sent = HostInstant::from_ns(1_000_000_000 + i * 100_000_000);
+            Trip { sent, tick: Tick(1_000_000 + i * 8_500), received: sent + Duration::from_micros(200) }
+        };
+        let of = |count| drift(&(0..count).map(trip).collect::<Vec<_>>());
+        assert!(of(0).ppm.is_nan() && of(1).uncertainty_ppm.is_nan() && of(23).uncertainty_ppm.is_nan());
+        assert!(of(24).uncertainty_ppm > 0.5 && of(24).ppm.abs() < 0.1, "{:?}", of(24));
+    }
+}

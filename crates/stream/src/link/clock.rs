@@ -1,0 +1,196 @@
+//! The clock model: device ticks against the host's monotonic clock.
+//!
+//! Each round trip gives a tick and the interval of host time in which it was read. The best of the last
+//! round trips (the shortest; the others waited somewhere) give offset and, once they span seconds, drift, by
+//! regression. Conversion between ticks and host time happens here and nowhere else.
+//! The estimate comes with a bound of its error; without a round trip there is no estimate.
+
+use crate::time::HostInstant;
+use firmware_protocol::tick::{TICK_HZ, Tick};
+use std::time::Duration;
+
+/// Round trips remembered.
+const SAMPLES: usize = 64;
+/// Nominal ticks per nanosecond.
+const NOMINAL: f64 = TICK_HZ as f64 * 1e-9;
+/// Crystals are within 50 ppm each; what a fit says beyond this is noise.
+const MAX_DRIFT: f64 = 200e-6;
+/// Assumed until it is measured: two crystals.
+const UNKNOWN_DRIFT: f64 = 100e-6;
+/// A drift is only fitted to round trips that span this much.
+const MIN_SPAN_NS: f64 = 2e9;
+
+/// One round trip.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Sample {
+    /// Middle between sending and receiving.
+    at: HostInstant,
+    /// Half the time between them, ns.
+    half_ns: f64,
+    /// What the device said.
+    tick: Tick,
+}
+
+/// A line through a point: ticks = `tick` + `phase` + `rate`·(t - `at`).
+#[derive(Clone, Copy, Debug)]
+struct Fit {
+    at: HostInstant,
+    tick: Tick,
+    phase: f64,
+    /// Ticks per ns.
+    rate: f64,
+    /// The rate was fitted, not assumed.
+    measured: bool,
+    /// Error at `at`, ns.
+    error_ns: f64,
+    /// Error of the rate, relative.
+    rate_error: f64,
+}
+
+/// Estimates the device's clock.
+#[derive(Clone, Debug)]
+pub struct Clock {
+    samples: [Option<Sample>; SAMPLES],
+    next: usize,
+    fit: Option<Fit>,
+}
+
+impl Default for Clock {
+    fn default() -> Self {
+        Self { samples: [None; SAMPLES], next: 0, fit: None }
+    }
+}
+
+fn ns_between(a: HostInstant, b: HostInstant) -> f64 {
+    (b.as_ns() as i64 - a.as_ns() as i64) as f64
+}
+
+impl Clock {
+    /// Takes a round trip: asked at `sent`, answered with `tick`, heard at `received`.
+    pub fn round_trip(&mut self, sent: HostInstant, tick: Tick, received: HostInstant) {
+        let trip = received.since(sent);
+        let half_ns = trip.as_nanos() as f64 / 2.0;
+        self.samples[self.next] = Some(Sample { at: sent + trip / 2, half_ns, tick });
+        self.next = (self.next + 1) % SAMPLES;
+        self.refit();
+    }
+
+    fn refit(&mut self) {
+        let last = self.samples[(self.next + SAMPLES - 1) % SAMPLES];
+        let samples = || self.samples.iter().flatten();
+        let shortest = samples().map(|sample| sample.half_ns).fold(f64::INFINITY, f64::min);
+        // What took much longer than the shortest waited on one side: an outlier.
+        let good = || samples().filter(|sample| sample.half_ns <= 1.5 * shortest + 20_000.0);
+        let Some(origin) = good().max_by_key(|sample| sample.at).or(last.as_ref()).copied() else { return };
+        // The device was somewhere within the tick it told: on average half a tick on.
+        let point =
+            |sample: &Sample| (ns_between(origin.at, sample.at), sample.tick.since(origin.tick) as f64 + 0.5);
+        let count = good().count() as f64;
+        let mean_t = good().map(|sample| point(sample).0).sum::<f64>() / count;
+        let mean_k = good().map(|sample| point(sample).1).sum::<f64>() / count;
+        let span = good().map(|sample| -point(sample).0).fold(0.0, f64::max);
+        let (mut rate, mut rate_error, mut measured) = (NOMINAL, UNKNOWN_DRIFT, false);
+        if span >= MIN_SPAN_NS {
+            let (mut sum_tk, mut sum_tt) = (0.0, 0.0);
+            for sample in good() {
+                let (t, k) = point(sample);
+                sum_tk += (t - mean_t) * (k - mean_k);
+                sum_tt += (t - mean_t) * (t - mean_t);
+            }
+            let slope = sum_tk / sum_tt;
+            if (slope / NOMINAL - 1.0).abs() <= MAX_DRIFT {
+                (rate, measured) = (slope, true);
+                rate_error = (shortest + 0.5 / NOMINAL) / sum_tt.sqrt();
+            }
+        }
+        // With a fitted rate the whole line is used; without, the newest good point.
+        let phase = if measured { mean_k - rate * mean_t } else { 0.5 };
+        let error_ns = shortest + 0.5 / NOMINAL;
+        self.fit =
+            Some(Fit { at: origin.at, tick: origin.tick, phase, rate, measured, error_ns, rate_error });
+    }
+
+    /// The device's tick at a host instant.
+    #[must_use]
+    pub fn tick_at(&self, at: HostInstant) -> Option<Tick> {
+        let fit = self.fit?;
+        let ticks = fit.phase + fit.rate * ns_between(fit.at, at);
+        Some(Tick(fit.tick.0.saturating_add_signed(ticks.floor() as i64)))
+    }
+
+    /// When a device tick begins on the host's clock.
+    #[must_use]
+    pub fn instant_of(&self, tick: Tick) -> Option<HostInstant> {
+        let fit = self.fit?;
+        let ns = (tick.since(fit.tick) as f64 - fit.phase) / fit.rate;
+        Some(HostInstant::from_ns(fit.at.as_ns().saturating_add_signed(ns.round() as i64)))
+    }
+
+    /// How far the estimate may be off at a host instant.
+    #[must_use]
+    pub fn uncertainty(&self, at: HostInstant) -> Option<Duration> {
+        let fit = self.fit?;
+        let ns = fit.error_ns + fit.rate_error * ns_between(fit.at, at).abs();
+        Some(Duration::from_nanos(ns as u64))
+    }
+
+    /// The device's rate against nominal, ppm, once it is measured.
+    #[must_use]
+    pub fn drift_ppm(&self) -> Option<f64> {
+        self.fit.filter(|fit| fit.measured).map(|fit| (fit.rate / NOMINAL - 1.0) * 1e6)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A device whose clock runs `ppm` fast, asked over a line with a delay there and back.
+    fn trip(clock: &mut Clock, ppm: f64, at_ns: u64, there_ns: u64, back_ns: u64) {
+        let tick = true_tick(ppm, at_ns + there_ns);
+        let sent = HostInstant::from_ns(at_ns);
+        clock.round_trip(sent, tick, HostInstant::from_ns(at_ns + there_ns + back_ns));
+    }
+
+    fn true_tick(ppm: f64, ns: u64) -> Tick {
+        Tick(Tick::BOOT.0 + (ns as f64 * NOMINAL * (1.0 + ppm * 1e-6)) as u64)
+    }
+
+    #[test]
+    fn offset_and_drift_are_found_in_spite_of_slow_round_trips() {
+        let mut clock = Clock::default();
+        for i in 0..60u64 {
+            // Every third answer is held up by up to 20 ms.
+            let back = if i % 3 == 0 { 20_000_000 } else { 150_000 + i % 7 * 5_000 };
+            trip(&mut clock, 40.0, 1_000_000_000 + i * 100_000_000, 150_000, back);
+        }
+        assert!((clock.drift_ppm().unwrap() - 40.0).abs() < 5.0, "{:?}", clock.drift_ppm());
+        for later in [7_000_000_000, 8_000_000_000u64] {
+            let at = HostInstant::from_ns(later);
+            let error = clock.tick_at(at).unwrap().since(true_tick(40.0, later));
+            let bound = clock.uncertainty(at).unwrap().as_nanos() as f64 * NOMINAL + 1.0;
+            assert!((error as f64).abs() <= bound, "{error} ticks off, bound {bound}");
+            assert!(bound < 25.0);
+        }
+    }
+
+    #[test]
+    fn one_round_trip_is_enough_to_begin_with() {
+        let mut clock = Clock::default();
+        assert_eq!(clock.tick_at(HostInstant::from_ns(5)), None);
+        trip(&mut clock, 0.0, 1_000_000, 100_000, 100_000);
+        let at = HostInstant::from_ns(3_000_000);
+        assert!(clock.tick_at(at).unwrap().since(true_tick(0.0, 3_000_000)).abs() <= 9);
+        assert!(clock.drift_ppm().is_none());
+    }
+
+    #[test]
+    fn conversions_are_inverse_across_the_wrap() {
+        let mut clock = Clock::default();
+        trip(&mut clock, 0.0, 1_000_000, 0, 0);
+        for tick in [Tick::BOOT + 85, Tick(1 << 32), Tick((1 << 32) + 12_345)] {
+            let at = clock.instant_of(tick).unwrap();
+            assert!(clock.tick_at(at + Duration::from_micros(6)).unwrap().since(tick).abs() <= 1);
+        }
+    }
+}

@@ -1,0 +1,203 @@
+//! What the device says: acknowledgements, credits, reports and verdicts, put in order.
+//!
+//! An acknowledged frame is concluded only when all reports its acknowledgement counts have been read: then what
+//! was not reported was accepted.
+
+use crate::link::Clock;
+use crate::link::session::{Event, LostReason, Phase, Session, Trip, Verdict};
+use crate::time::HostInstant;
+use firmware_protocol::batch::Strokes;
+use firmware_protocol::controller::EARLY;
+use firmware_protocol::frame::{self, FrameError};
+use firmware_protocol::limits::Refusal;
+use firmware_protocol::message::{DeviceHello, DeviceMessage, Op, Report, Status};
+use firmware_protocol::stroke::MOTORS;
+use firmware_protocol::tick::Tick;
+
+impl Session {
+    /// Takes bytes from the device.
+    pub fn receive(&mut self, now: HostInstant, mut bytes: &[u8], tell: &mut dyn FnMut(Event)) {
+        self.traffic.bytes_in += bytes.len() as u64;
+        let mut decoder = std::mem::take(&mut self.decoder);
+        while let Some(body) = decoder.next(&mut bytes) {
+            match frame::read(body) {
+                Ok(message) if self.phase != Phase::Over => self.handle(now, message, tell),
+                Ok(_) => {}
+                Err(FrameError::Version(_)) => self.lose(LostReason::Version, tell),
+                // Damaged on the way: what matters in it comes again.
+                Err(_) => {}
+            }
+        }
+        self.decoder = decoder;
+    }
+
+    pub(super) fn lose(&mut self, reason: LostReason, tell: &mut dyn FnMut(Event)) {
+        if self.phase != Phase::Over {
+            self.phase = Phase::Over;
+            tell(Event::Lost(reason));
+        }
+    }
+
+    fn handle(&mut self, now: HostInstant, message: DeviceMessage, tell: &mut dyn FnMut(Event)) {
+        self.unanswered = 0;
+        let near = |tick: firmware_protocol::tick::WireTick, clock: &Clock| {
+            clock.tick_at(now).map_or(Tick(0), |now| tick.near(now))
+        };
+        match message {
+            DeviceMessage::Hello(hello) => self.opened(now, hello, tell),
+            _ if self.phase == Phase::Opening => {}
+            DeviceMessage::NoSession => self.lose(LostReason::Restarted, tell),
+            DeviceMessage::Status(status) => self.status(now, status, tell),
+            DeviceMessage::Report { number, report } => {
+                // In order: what comes after a gap is sent again.
+                if number == self.seen.wrapping_add(1) {
+                    self.seen = number;
+                    if self.made.wrapping_sub(number) > u16::MAX / 2 {
+                        self.made = number;
+                    }
+                    self.report(now, number, report, tell);
+                    // The mark moves along, or numbers that have wrapped would count as before it.
+                    if self.stale.wrapping_sub(number) >= u16::MAX / 2 {
+                        self.stale = number;
+                    }
+                    self.conclude(now, tell);
+                }
+            }
+            DeviceMessage::Telemetry { tick, y } => {
+                tell(Event::Telemetry { tick: near(tick, &self.clock), y });
+            }
+        }
+    }
+
+    fn opened(&mut self, now: HostInstant, hello: DeviceHello, tell: &mut dyn FnMut(Event)) {
+        if self.phase != Phase::Opening || hello.session != self.id {
+            return;
+        }
+        if usize::from(hello.motors) != MOTORS || hello.tick_hz != firmware_protocol::tick::TICK_HZ {
+            self.lose(LostReason::WrongArray, tell);
+            return;
+        }
+        self.phase = Phase::Open;
+        (self.epoch, self.greeted) = (hello.epoch, hello.epoch);
+        (self.seen, self.made, self.stale) = (hello.reports, hello.reports, hello.reports);
+        self.credits = 0;
+        // The hello's tick widens those of the first statuses; its round trip counts for little.
+        let sent = self.last_sent.unwrap_or(now);
+        self.clock.round_trip(sent, Tick(hello.tick), now);
+        self.ping_due = now;
+        tell(Event::Opened(hello));
+    }
+
+    fn status(&mut self, now: HostInstant, status: Status, tell: &mut dyn FnMut(Event)) {
+        let Some(host_tick) = self.clock.tick_at(now) else { return };
+        let tick = status.tick.near(host_tick);
+        let (token, sent) = self.pinged[usize::from(status.token) % self.pinged.len()];
+        if status.token != 0 && token == status.token {
+            self.answered = token;
+            // A ping behind a survey's frames tells neither the clock nor an idle line's round trip.
+            if !self.surveyed(now, token) {
+                self.clock.round_trip(sent, tick, now);
+                self.round_trip = (self.round_trip * 7 + now.since(sent)) / 8;
+                self.fastest = self.fastest.min(now.since(sent));
+                self.first_pings += 1;
+                self.trip = Some(Trip { sent, tick, received: now });
+            }
+        }
+        if tick < self.newest {
+            // Overtaken by a later one, which has said all this and more.
+            return;
+        }
+        self.newest = tick;
+        let ahead = status.reports.wrapping_sub(self.made);
+        if ahead < u16::MAX / 2 {
+            self.made = status.reports;
+        }
+        let mut answered = None;
+        if status.epoch == self.epoch {
+            if let Some(control) = self.control.take_if(|control| control.sent.is_some()) {
+                if matches!(control.op, Op::Arm { .. }) {
+                    self.ping_due = now;
+                }
+                self.stale = status.reports;
+                answered = Some(status.refusal.map_or(Ok(()), Err));
+            }
+            self.acked = status.next_seq;
+            self.credits = status.credits.into();
+            for batch in &mut self.window {
+                let early = batch.seq.wrapping_sub(status.next_seq).wrapping_sub(1);
+                batch.kept = usize::from(early) < EARLY && status.early >> early & 1 == 1;
+            }
+        }
+        if self.seen != self.made {
+            // A report is missing: it is repeated to a host that is heard.
+            self.ask();
+        }
+        tell(Event::Status { status, tick });
+        if let Some(answer) = answered {
+            tell(Event::Control(answer));
+        }
+        self.conclude(now, tell);
+    }
+
+    fn report(&mut self, now: HostInstant, number: u16, report: Report, tell: &mut dyn FnMut(Event)) {
+        let Some(now) = self.clock.tick_at(now) else { return };
+        match report {
+            Report::Verdict { .. } | Report::OnsetRefused { .. } => {
+                let stale = self.stale.wrapping_sub(number) < u16::MAX / 2;
+                if self.control.is_none() && !stale {
+                    self.verdicts.push_back(report);
+                }
+            }
+            Report::Onset { tick, counters } => tell(Event::Onset { tick: tick.near(now), counters }),
+            Report::Cut(cut) => tell(Event::Cut { cut, at: cut.at.near(now) }),
+            Report::Refused { motor, up, reason } => {
+                tell(Event::StrokeRefused { motor, up: up.near(now), reason });
+            }
+        }
+    }
+
+    /// Tells the verdicts of acknowledged frames, once all reports that the acknowledgement counts are read.
+    fn conclude(&mut self, now: HostInstant, tell: &mut dyn FnMut(Event)) {
+        if self.seen != self.made {
+            return;
+        }
+        let Some(tick) = self.clock.tick_at(now) else { return };
+        while let Some(batch) = self.window.front() {
+            let decided = self.acked.wrapping_sub(batch.seq);
+            if decided == 0 || decided > u16::MAX / 2 {
+                break;
+            }
+            let Some(batch) = self.window.pop_front() else { break };
+            let strokes = Strokes::new(batch.strokes.base(), batch.strokes.bytes()).flatten();
+            let (mut late_mask, mut refused_mask, mut why, mut free) = (0, 0, Refusal::Malformed, tick);
+            match self.verdicts.front().copied() {
+                Some(Report::OnsetRefused { seq, rendered }) if seq == batch.seq => {
+                    self.verdicts.pop_front();
+                    tell(Event::OnsetRefused { rendered: rendered.near(tick) });
+                    continue;
+                }
+                Some(Report::Verdict { seq, late, refused, reason, rendered }) if seq == batch.seq => {
+                    self.verdicts.pop_front();
+                    (late_mask, refused_mask) = (late, refused);
+                    why = reason.unwrap_or(why);
+                    free = rendered.near(tick);
+                }
+                _ => {}
+            }
+            if batch.onset {
+                tell(Event::OnsetTaken);
+            }
+            for (i, stroke) in strokes.enumerate() {
+                let verdict = if late_mask >> i & 1 == 1 {
+                    let sent = batch.first_sent.unwrap_or(now);
+                    Verdict::Late { rendered: free, sent, again: batch.again }
+                } else if refused_mask >> i & 1 == 1 {
+                    Verdict::Refused(why)
+                } else {
+                    Verdict::Accepted
+                };
+                tell(Event::Stroke(stroke, verdict));
+            }
+        }
+    }
+}

@@ -1,0 +1,224 @@
+//! What the device says, and what it means for the plays.
+
+use crate::active::{Active, FIRST_MARGIN, Phase};
+use crate::link::{Event, Verdict};
+use crate::port::{End, Notice, Onset, Refused};
+use crate::streamer::{IDLE_PING, Streamer, Tell, answer, cause_text, cuts, ticks};
+use crate::time::HostInstant;
+use firmware_protocol::message::{Cause, Counters, DeviceHello, Op, State, Status};
+use firmware_protocol::stroke::Stroke;
+use firmware_protocol::tick::{TICK_HZ, Tick};
+use meissner_api::{LateCause, LatePolicy};
+use std::time::Duration;
+
+/// A frame that left so long before its stroke was sent in time: if the stroke came late, the link was slow.
+const IN_TIME: Duration = Duration::from_millis(3);
+
+impl Streamer {
+    /// Takes bytes from the device.
+    pub fn receive(&mut self, now: HostInstant, bytes: &[u8], tell: Tell<'_>) {
+        let Some(session) = &mut self.session else { return };
+        let events = &mut self.events;
+        session.receive(now, bytes, &mut |event| events.push_back(event));
+        self.drain(now, tell);
+    }
+
+    pub(super) fn drain(&mut self, now: HostInstant, tell: Tell<'_>) {
+        while let Some(event) = self.events.pop_front() {
+            self.event(now, event, tell);
+        }
+    }
+
+    fn event(&mut self, now: HostInstant, event: Event, tell: Tell<'_>) {
+        match event {
+            Event::Opened(hello) => {
+                self.telemetry = hello.features & DeviceHello::TELEMETRY != 0;
+                tell(Notice::Connected(hello));
+                if self.latched {
+                    self.control(now, 0, Op::EStop, tell);
+                }
+            }
+            Event::Lost(reason) => {
+                self.disconnect(now, reason.text(), tell);
+            }
+            Event::Control(result) => {
+                self.in_flight = false;
+                if let Some(done) = self.controls.pop_front() {
+                    if result.is_err() && !matches!(done.op, Op::Move { .. }) {
+                        self.wants_armed = false;
+                        self.cut_all(End::Stopped, "the device refused the command before it");
+                    }
+                    // Who reads the answer finds everything as it stands after it.
+                    tell(Notice::Snapshot(self.snapshot(now)));
+                    answer(done.ticket, result.map_err(Refused::Device), tell);
+                    if cuts(&done.op) {
+                        self.hold.cut();
+                    }
+                    self.moved(now, done.op, result.map_err(Refused::Device), tell);
+                    // It may have been disarmed while the command was on its way.
+                    if let (true, Some((status, _))) = (self.controls.is_empty(), self.status)
+                        && !matches!(status.state, State::Armed | State::Returning)
+                    {
+                        self.wants_armed = false;
+                        self.cut_all(End::Stopped, cause_text(status.cause));
+                    }
+                }
+            }
+            Event::Status { status, tick } => self.status(now, status, tick, tell),
+            Event::Stroke(stroke, verdict) => self.verdict(now, &stroke, verdict, tell),
+            Event::OnsetRefused { rendered } => self.onset_refused(now, rendered),
+            Event::OnsetTaken => {
+                if let Some(active) = self.plays.iter_mut().find(|active| active.phase == Phase::Offered) {
+                    active.phase = Phase::Streaming;
+                }
+            }
+            Event::Onset { tick, counters } => self.onset(tick, counters, tell),
+            Event::Cut { cut, .. } => {
+                // A report of what was cut before the device was armed again says nothing of what is played now.
+                if !matches!(cut.cause, Cause::Stop | Cause::Request) && self.state() != State::Armed {
+                    self.cut_all(End::Stopped, cause_text(cut.cause));
+                }
+                // What was sent since the device answered a stop is not what the report of that stop speaks of.
+                if self.state() != State::Armed || self.hold.is_idle() {
+                    self.hold.cut();
+                }
+                self.undo_move(now);
+                self.snapshot_due = now;
+            }
+            Event::StrokeRefused { motor, up, reason } => {
+                self.hold.withdrawn(motor, up);
+                if let Some(active) = self.owner(up) {
+                    active.refused();
+                    let id = active.play.id;
+                    tell(Notice::StrokeRefused { id, motor, up, reason });
+                }
+            }
+            // A sample of the future would let nothing after it count.
+            Event::Telemetry { tick, y }
+                if tick <= self.tick_at(now).unwrap_or_default() + ticks(IN_TIME) =>
+            {
+                self.hold.telemetry(tick, &y, |travel| tell(Notice::Traveled(travel)));
+            }
+            Event::Telemetry { .. } => {}
+        }
+    }
+
+    fn status(&mut self, now: HostInstant, status: Status, tick: Tick, tell: Tell<'_>) {
+        let before = self.status.replace((status, tick)).map(|(status, _)| status);
+        self.hold.heard(tick);
+        if status.state == State::Armed && !self.in_flight {
+            self.hold.at_rest(tick);
+        }
+        let changed = before.is_none_or(|before| {
+            (before.state, before.cause, before.position_known, before.owed)
+                != (status.state, status.cause, status.position_known, status.owed)
+        });
+        if !changed {
+            return;
+        }
+        self.snapshot_due = now;
+        let armed = matches!(status.state, State::Armed | State::Returning);
+        let lease = Duration::from_secs_f64(self.settings.lease_ms / 1000.0);
+        if let Some(session) = &mut self.session {
+            session.ping_every(if armed { lease / 5 } else { IDLE_PING }, now);
+        }
+        if !armed && self.controls.is_empty() {
+            self.wants_armed = false;
+            self.cut_all(End::Stopped, cause_text(status.cause));
+            self.hold.cut();
+            self.end_homing(Err(Refused::Disarmed), tell);
+        }
+    }
+
+    /// The play that a stroke which goes up at `up` belongs to.
+    fn owner(&mut self, up: Tick) -> Option<&mut Active> {
+        self.plays
+            .iter_mut()
+            .rev()
+            .find(|active| active.phase != Phase::Waiting && active.onset.is_some_and(|onset| onset <= up))
+    }
+
+    fn verdict(&mut self, now: HostInstant, stroke: &Stroke, verdict: Verdict, tell: Tell<'_>) {
+        let earliest = ticks(IN_TIME);
+        let sent_tick = |sent| self.tick_at(sent).unwrap_or_default();
+        let cause = match verdict {
+            Verdict::Late { again: true, .. } => LateCause::Link,
+            Verdict::Late { sent, .. } if sent_tick(sent) + earliest > stroke.up => LateCause::Host,
+            _ => LateCause::Link,
+        };
+        let (motor, up) = (stroke.motor, stroke.up);
+        match verdict {
+            Verdict::Accepted => self.hold.accepted(motor, up),
+            Verdict::Refused(_) | Verdict::Late { .. } => self.hold.withdrawn(motor, up),
+        }
+        let Some(active) = self.owner(up) else { return };
+        active.undecided = active.undecided.saturating_sub(1);
+        let id = active.play.id;
+        match verdict {
+            Verdict::Accepted => {}
+            Verdict::Refused(reason) => {
+                active.refused();
+                tell(Notice::StrokeRefused { id, motor, up, reason });
+            }
+            Verdict::Late { rendered, .. } => self.late(now, stroke, rendered, cause, tell),
+        }
+    }
+
+    /// A stroke could not be played any more when `free` was the first tick that could.
+    pub(super) fn late(
+        &mut self,
+        now: HostInstant,
+        stroke: &Stroke,
+        free: Tick,
+        cause: LateCause,
+        tell: Tell<'_>,
+    ) {
+        let late_ms = (free - stroke.up) as f64 / f64::from(TICK_HZ) * 1000.0;
+        let Some(active) = self.owner(stroke.up) else { return };
+        active.late(late_ms, cause);
+        let (id, policy, cut) = (active.play.id, active.play.late, active.cut.is_some());
+        tell(Notice::Late { id, motor: stroke.motor, up: stroke.up, late_ms, cause });
+        if policy == LatePolicy::Abort && !cut {
+            self.cut_all(End::Aborted, "late strokes");
+            self.abort(now, tell);
+        }
+    }
+
+    fn onset_refused(&mut self, now: HostInstant, rendered: Tick) {
+        let longest = Duration::from_secs_f64(self.settings.lead_ms / 1000.0).max(FIRST_MARGIN * 32);
+        let Some(active) = self.plays.iter_mut().find(|active| active.phase == Phase::Offered) else {
+            return;
+        };
+        let late = active.onset.map_or(0, |onset| rendered - onset);
+        let late_ms = late as f64 / f64::from(TICK_HZ) * 1000.0;
+        active.phase = Phase::Waiting;
+        active.undecided = 0;
+        let onset = active.onset.take();
+        active.margin *= 2;
+        if active.is_fixed() || active.margin > longest {
+            active.late_as_a_whole(late_ms);
+            active.cut = active.cut.or(Some((End::Aborted, "the onset could not be kept")));
+        }
+        if let Some(onset) = onset {
+            self.hold.withdraw_from(onset);
+        }
+        self.fed = rendered;
+        self.snapshot_due = now;
+    }
+
+    fn onset(&mut self, tick: Tick, counters: Counters, tell: Tell<'_>) {
+        let Some(session) = &self.session else { return };
+        let clock = session.clock();
+        let Some(active) = self.plays.iter_mut().find(|active| active.onset == Some(tick)) else { return };
+        let at = clock.instant_of(tick).unwrap_or_default();
+        let onset = Onset {
+            requested: active.requested.unwrap_or(tick),
+            actual: tick,
+            at,
+            uncertainty_ns: clock.uncertainty(at).unwrap_or_default().as_nanos() as u64,
+            latency_ns: at.since(active.ordered).as_nanos() as u64,
+        };
+        active.began(onset, counters);
+        tell(Notice::Began { id: active.play.id, onset });
+    }
+}

@@ -1,0 +1,200 @@
+//! The streamer's thread: runs [`Streamer`] in real time around a device.
+//!
+//! SCHED_FIFO, and locked memory, where the system allows it. The loop reads the clock, moves bytes and
+//! sleeps until the next thing is due, bytes arrive or an order comes; it decides nothing. In it nothing is
+//! allocated, locked, logged or waited for, but for a session's memory when a device comes or goes: what
+//! owns memory goes back through the port.
+
+use crate::device::{Device, priority};
+use crate::port::{Job, Notice, Notices, Orders, Port, port};
+use crate::time::HostInstant;
+use crate::{Settings, Streamer};
+use firmware_protocol::frame::MAX_FRAME;
+use meissner_api::Realtime;
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::mm::{MlockAllFlags, mlockall};
+use std::hash::{BuildHasher, RandomState};
+use std::io;
+use std::ops::Range;
+use std::thread::JoinHandle;
+use std::time::Duration;
+/// Turns of reading and writing per wake-up, at the most: a device that never falls silent must not hold up orders.
+const TURNS: usize = 32;
+/// A port that takes nothing for so long is gone.
+const STUCK_FOR: Duration = Duration::from_millis(500);
+/// Reads per turn, at the most, for the same reason.
+const READS: usize = 16;
+
+/// Starts the streamer's thread; tells which real-time means the system granted.
+///
+/// # Errors
+/// If the system gives no descriptors or no thread.
+pub fn spawn(settings: Settings) -> io::Result<(Orders, Notices, Realtime, JoinHandle<()>)> {
+    let (port, orders, notices) = port()?;
+    let (tell, told) = crossbeam_channel::bounded(1);
+    let thread = std::thread::Builder::new().name("streamer".into()).spawn(move || {
+        let _ = tell.send(request_realtime());
+        Loop::new(settings, port).run();
+    })?;
+    let realtime = told.recv().unwrap_or_default();
+    Ok((orders, notices, realtime, thread))
+}
+
+/// Asks for SCHED_FIFO for the calling thread, and for locked memory for the process.
+#[must_use]
+pub fn request_realtime() -> Realtime {
+    // Pages are locked as they are touched: what is never used costs nothing.
+    let mlock = mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE | MlockAllFlags::ONFAULT).is_ok();
+    Realtime { fifo: priority::fifo(), mlock }
+}
+
+struct Loop {
+    port: Port,
+    streamer: Streamer,
+    device: Option<Box<Device>>,
+    /// The frame being written, and what is left of it.
+    frame: [u8; MAX_FRAME],
+    unsent: Range<usize>,
+    /// Since when the port takes nothing.
+    stuck_since: Option<HostInstant>,
+    /// Makes session numbers.
+    random: RandomState,
+}
+
+impl Loop {
+    fn new(settings: Settings, port: Port) -> Self {
+        let streamer = Streamer::new(settings);
+        Self {
+            port,
+            streamer,
+            device: None,
+            frame: [0; MAX_FRAME],
+            unsent: 0..0,
+            stuck_since: None,
+            random: RandomState::new(),
+        }
+    }
+
+    fn run(mut self) {
+        loop {
+            self.orders(HostInstant::now());
+            self.exchange();
+            if self.streamer.is_closed() {
+                break;
+            }
+            self.port.announce();
+            self.port.turn();
+            self.sleep();
+        }
+        if let Some(device) = self.device.take() {
+            self.port.tell(Notice::Disconnected { reason: "shutdown", device: Some(device) });
+        }
+        self.port.tell(Notice::Bye);
+        self.port.announce();
+    }
+
+    fn orders(&mut self, now: HostInstant) {
+        self.port.silence();
+        while let Some(order) = self.port.pop() {
+            let Self { port, streamer, .. } = self;
+            match order.job {
+                Job::Connect(device) => {
+                    let rate = device.rate();
+                    let id = self.random.hash_one(now.as_ns()) as u32;
+                    (self.unsent, self.stuck_since) = (0..0, None);
+                    let old = self.device.replace(device);
+                    let Self { port, streamer, .. } = self;
+                    streamer.connect(now, id, rate, &mut |notice| port.tell(notice));
+                    let reason = streamer.take_lost();
+                    if let (Some(reason), Some(old)) = (reason, old) {
+                        port.tell(Notice::Disconnected { reason, device: Some(old) });
+                    }
+                }
+                _ => streamer.order(now, order, &mut |notice| port.tell(notice)),
+            }
+        }
+    }
+
+    /// Reads, decides and writes until nothing is left to say: an answer is acted upon in the wake-up that brought it.
+    fn exchange(&mut self) {
+        for _ in 0..TURNS {
+            let now = HostInstant::now();
+            // What the device says first: after a stall it may have ended the play long ago.
+            let wrote = self.read(now).and_then(|()| {
+                let Self { port, streamer, .. } = self;
+                streamer.step(now, &mut |notice| port.tell(notice));
+                self.write(now)
+            });
+            if wrote.is_err() {
+                let Self { port, streamer, .. } = self;
+                streamer.disconnect(now, "the device was unplugged", &mut |notice| port.tell(notice));
+            }
+            if let Some(reason) = self.streamer.take_lost() {
+                self.give_back(reason);
+            }
+            if !wrote.unwrap_or(false) {
+                break;
+            }
+        }
+    }
+
+    fn write(&mut self, now: HostInstant) -> io::Result<bool> {
+        let Self { port, streamer, device: Some(device), .. } = self else { return Ok(false) };
+        let mut wrote = false;
+        loop {
+            if self.unsent.is_empty() {
+                self.unsent = 0..streamer.transmit(now, &mut self.frame, &mut |notice| port.tell(notice));
+            }
+            if self.unsent.is_empty() {
+                return Ok(wrote);
+            }
+            let len = device.write(&self.frame[self.unsent.clone()])?;
+            if len == 0 {
+                let since = *self.stuck_since.get_or_insert(now);
+                let stuck = now.since(since) >= STUCK_FOR;
+                return if stuck { Err(io::ErrorKind::TimedOut.into()) } else { Ok(wrote) };
+            }
+            self.stuck_since = None;
+            self.unsent.start += len;
+            wrote = true;
+        }
+    }
+
+    fn read(&mut self, now: HostInstant) -> io::Result<()> {
+        let Self { port, streamer, device: Some(device), .. } = self else { return Ok(()) };
+        let mut bytes = [0; 1024];
+        for _ in 0..READS {
+            let len = device.read(now, &mut bytes)?;
+            if len == 0 {
+                break;
+            }
+            streamer.receive(now, &bytes[..len], &mut |notice| port.tell(notice));
+        }
+        Ok(())
+    }
+
+    fn give_back(&mut self, reason: &'static str) {
+        if let Some(device) = self.device.take() {
+            (self.unsent, self.stuck_since) = (0..0, None);
+            self.port.tell(Notice::Disconnected { reason, device: Some(device) });
+        }
+    }
+
+    fn sleep(&self) {
+        let now = HostInstant::now();
+        // While a frame waits to be taken nothing else can be sent: what is due does not matter then.
+        let least = if self.unsent.is_empty() { Duration::from_micros(1) } else { Duration::from_millis(1) };
+        let wait = self.streamer.wake_at(now).since(now).max(least);
+        let timeout = Timespec { tv_sec: wait.as_secs() as i64, tv_nsec: wait.subsec_nanos().into() };
+        let orders = PollFd::from_borrowed_fd(self.port.wake(), PollFlags::IN);
+        // An early return, by a signal, only means an idle turn.
+        let _ = match self.device.as_ref().and_then(|device| Some((device, device.wake()?))) {
+            Some((device, wake)) => {
+                let wants_room = !self.unsent.is_empty() && device.tells_room_by_writable();
+                let for_what = if wants_room { PollFlags::IN | PollFlags::OUT } else { PollFlags::IN };
+                poll(&mut [orders, PollFd::from_borrowed_fd(wake, for_what)], Some(&timeout))
+            }
+            None => poll(&mut [orders], Some(&timeout)),
+        };
+    }
+}

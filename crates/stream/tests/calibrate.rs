@@ -1,0 +1,437 @@
+use firmware_protocol::stroke::Direction;
+use firmware_protocol::tick::Tick;
+use meissner_api::Provenance;
+use meissner_array::random;
+use meissner_array::simulated::{Plant, PlantConfig};
+use meissner_array::strokes::Strokes;
+use meissner_array::units::UM_PER_PULSE;
+use meissner_stream::calibrate::{
+    Block, Calibration, Fit, MAX_BYTES, MEASURED, MotorFit, PULSES, Plan, Planned, by_laser, by_telemetry,
+    fit,
+};
+use meissner_stream::port::{Job, Notice, Refused};
+use meissner_stream::{Gains, Line, Rehearsal, Settings, rehearse};
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+const HALF_SECOND: u64 = 42_500;
+
+/// A plan's bursts of one motor.
+fn of_motor(plan: &Plan, motor: u8) -> Vec<Planned> {
+    plan.bursts(Tick::BOOT).filter(|planned| planned.motor == motor).collect()
+}
+
+#[test]
+fn a_plan_plays_what_it_says_and_no_measured_burst_comes_after_a_rest() {
+    for plan in [Plan::default(), Plan::new(Some(23), &[200, 7, 70], 3).unwrap()] {
+        assert_eq!(plan.pattern().warnings(), []);
+        for motor in plan.motors() {
+            let bursts = of_motor(&plan, motor);
+            let mut found = BTreeMap::new();
+            for (index, planned) in bursts.iter().enumerate() {
+                // Of each group the first stroke settles.
+                let in_group = index % (2 * (1 + MEASURED));
+                assert_eq!(planned.settling, in_group < 2, "{planned:?}");
+                assert_eq!(planned.burst.direction == Direction::Up, index % 2 == 0, "{planned:?}");
+                *found.entry((planned.burst.pulses, in_group)).or_insert(0) += 1;
+                let Some(before) = index.checked_sub(1) else { continue };
+                let rest = planned.burst.start - bursts[before].burst.end();
+                assert!(planned.burst.start > bursts[before].settled(), "{planned:?}");
+                // A group begins with the transient; nothing else is one.
+                assert_eq!(rest >= HALF_SECOND, in_group == 0, "{planned:?}: {rest}");
+            }
+            let mut wanted = BTreeMap::new();
+            for &pulses in plan.pulses() {
+                wanted.extend((0..2 * (1 + MEASURED)).map(|n| ((pulses, n), plan.repetitions())));
+            }
+            assert_eq!(found, wanted, "motor {motor}");
+        }
+        let end = plan.bursts(Tick(0)).map(|planned| planned.settled().0).max().unwrap();
+        assert!(end < (plan.duration_s() * 85_000.0) as u64);
+    }
+    assert_eq!(Plan::default().duration_s(), 60.0);
+    assert_eq!(Plan::default().motors().count(), 24);
+}
+
+#[test]
+fn every_number_of_pulses_is_played_exactly() {
+    for part in PULSES.collect::<Vec<_>>().chunks(97) {
+        let plan = Plan::new(Some(0), part, 1).unwrap();
+        let mut found: Vec<u16> = of_motor(&plan, 0).iter().map(|planned| planned.burst.pulses).collect();
+        found.sort_unstable();
+        found.dedup();
+        assert_eq!(found, part);
+    }
+}
+
+#[test]
+fn a_motor_that_slowly_changes_has_the_same_slope() {
+    let plan = Plan::default();
+    let groups: Vec<f64> =
+        of_motor(&plan, 5).chunks(2 * (1 + MEASURED)).map(|group| group[0].burst.pulses.into()).collect();
+    let mean = groups.iter().sum::<f64>() / groups.len() as f64;
+    let drift: f64 = groups.iter().enumerate().map(|(n, pulses)| (n as f64 - 9.5) * (pulses - mean)).sum();
+    assert!(drift.abs() < 1e-9, "{groups:?}");
+    // Within a round too, neighbours are far apart.
+    let turns = groups[..10].windows(3).filter(|three| (three[1] - three[0]) * (three[2] - three[1]) < 0.0);
+    assert!(turns.count() >= 6, "{groups:?}");
+}
+
+#[test]
+fn no_two_motors_pulse_at_once() {
+    for plan in [Plan::default(), Plan::new(None, &[200, 100], 1).unwrap()] {
+        let mut bursts: Vec<_> = plan.bursts(Tick(0)).map(|planned| planned.burst).collect();
+        bursts.sort_by_key(|burst| burst.start);
+        assert!(bursts.windows(2).all(|pair| pair[0].end() <= pair[1].start));
+        // What is planned is what the streamer plays.
+        let strokes = Strokes::new(&plan.pattern(), None).unwrap();
+        let mut played: Vec<_> = strokes.flat_map(|stroke| stroke.unwrap().bursts()).collect();
+        played.sort_by_key(|burst| burst.start);
+        assert_eq!(played, bursts);
+    }
+}
+
+/// How much more than the model a motor of the plant does, up and down.
+fn true_gains(config: &PlantConfig, motor: u8) -> [f64; 2] {
+    let asymmetry = config.asymmetry_sd * random::normal([config.seed, motor.into(), 0, 2]);
+    [1.0 + asymmetry / 2.0, 1.0 - asymmetry / 2.0]
+}
+
+fn measured(plan: &Plan, config: PlantConfig) -> Vec<Block> {
+    let mut plant = Plant::new(PlantConfig { telemetry_hz: 0, ..config }, Tick::BOOT).unwrap();
+    let blocks = by_laser(plan, &mut plant);
+    assert!((0..24).all(|motor| plant.displacement_um(motor).abs() < 0.9 * config.end_stop_um));
+    assert_eq!(blocks.len(), plan.bursts(Tick::BOOT).count());
+    blocks
+}
+
+#[test]
+fn without_scatter_the_plant_s_gains_are_found_exactly() {
+    let config = PlantConfig { seed: 4, gain_sd: 0.0, asymmetry_sd: 0.05, ..PlantConfig::default() };
+    let blocks = measured(&Plan::default(), config);
+    let fits = fit(&blocks).unwrap();
+    assert_eq!(fits.iter().map(|fit| fit.motor).collect::<Vec<_>>(), (0..24).collect::<Vec<_>>());
+    for found in &fits {
+        let truth = true_gains(&config, found.motor);
+        for (fit, truth) in [found.up, found.down].iter().zip(truth) {
+            assert!((fit.gain() - truth).abs() < 1e-9 && fit.offset_um.abs() < 1e-8, "{found:?}: {truth}");
+            assert!(fit.relative_sd < 1e-9 && fit.blocks == 180, "{found:?}");
+        }
+    }
+    assert!(fits.iter().any(|fit| (fit.up.gain() - 1.0).abs() > 0.02));
+    // What was left out: the first burst of each group is short, and only that.
+    for block in blocks.iter().filter(|block| block.settling) {
+        let of_model = block.travel_um / (f64::from(block.pulses) * UM_PER_PULSE);
+        let [up, down] = true_gains(&config, block.motor);
+        let expected = if block.direction == Direction::Up { 0.8 * up } else { down };
+        assert!((of_model - expected).abs() < 1e-9, "{block:?}");
+    }
+}
+
+#[test]
+fn with_scatter_they_are_found_within_the_error_that_is_told() {
+    for seed in [0, 1] {
+        let config = PlantConfig { seed, ..PlantConfig::default() };
+        for found in fit(&measured(&Plan::default(), config)).unwrap() {
+            for (fit, truth) in [found.up, found.down].iter().zip(true_gains(&config, found.motor)) {
+                let se = fit.slope_se_um_per_pulse / UM_PER_PULSE;
+                assert!((fit.gain() - truth).abs() < 4.0 * se, "{found:?}: {truth}");
+                // By 180 blocks at 10 %, 1.5 times that of a line through the origin.
+                assert!((0.009..0.014).contains(&se), "{found:?}");
+                assert!((fit.relative_sd - 0.1).abs() < 4.0 * 0.1 / 360_f64.sqrt(), "{found:?}");
+                // The offset's own standard error: what a pulse scatters by over the spread of 1/pulses, 0.054 um.
+                assert!(fit.offset_um.abs() < 4.0 * 0.054, "{found:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn one_motor_is_calibrated_alone() {
+    let config = PlantConfig::default();
+    let plan = Plan::new(Some(7), &[20, 100, 180], 2).unwrap();
+    let fits = fit(&measured(&plan, config)).unwrap();
+    let [found] = fits[..] else { panic!("{fits:?}") };
+    assert_eq!((found.motor, found.up.blocks, found.down.blocks), (7, 54, 54));
+}
+
+/// A plan as the streamer plays it, measured by the telemetry it gets.
+fn played(plan: &Plan, config: &PlantConfig) -> Vec<Block> {
+    let played = rehearse(&plan.pattern(), None, config, Settings::default(), true).unwrap();
+    assert_eq!(played.outcome.bursts.played as usize, plan.bursts(Tick(0)).count());
+    by_telemetry(plan, played.outcome.onset.unwrap().actual, &played.travels)
+}
+
+#[test]
+fn on_a_device_without_scatter_the_plant_s_gains_are_found_by_telemetry() {
+    let config = PlantConfig { seed: 4, gain_sd: 0.0, asymmetry_sd: 0.05, ..PlantConfig::default() };
+    let fits = fit(&played(&Plan::default(), &config)).unwrap();
+    assert_eq!(fits.len(), 24);
+    for found in &fits {
+        for (fit, truth) in [found.up, found.down].iter().zip(true_gains(&config, found.motor)) {
+            assert!((fit.gain() - truth).abs() < 1e-3 && fit.blocks == 180, "{found:?}: {truth}");
+        }
+    }
+}
+
+#[test]
+fn on_a_device_with_scatter_they_are_found_within_the_error_that_is_told() {
+    let config = PlantConfig { seed: 2, ..PlantConfig::default() };
+    let fits = fit(&played(&Plan::default(), &config)).unwrap();
+    let gains = Calibration::new(fits.clone(), provenance()).unwrap().gains();
+    for (found, gains) in fits.iter().zip(&gains) {
+        for (side, truth) in true_gains(&config, found.motor).into_iter().enumerate() {
+            let fit = [found.up, found.down][side];
+            let se = fit.slope_se_um_per_pulse / UM_PER_PULSE;
+            assert!((fit.gain() - truth).abs() < 4.0 * se && se < 0.014, "{found:?}: {truth}");
+            assert_eq!((gains.mean[side], gains.sd[side]), (fit.gain(), se));
+        }
+        assert!((gains.scatter - 0.1).abs() < 4.0 * 0.1 / 720_f64.sqrt(), "{gains:?}");
+    }
+    // What was measured badly, or is no burst of the plan, is no block.
+    let plan = Plan::new(Some(7), &[20, 100], 1).unwrap();
+    let mut played = rehearse(&plan.pattern(), None, &config, Settings::default(), true).unwrap();
+    let onset = played.outcome.onset.unwrap().actual;
+    assert_eq!(by_telemetry(&plan, onset, &played.travels).len(), 40);
+    played.travels[5].sd_um = 1.0;
+    played.travels[9].pulses += 1;
+    assert_eq!(by_telemetry(&plan, onset, &played.travels).len(), 38);
+    assert_eq!(by_telemetry(&plan, onset + 1, &played.travels), []);
+}
+
+fn home(rehearsal: &mut Rehearsal) -> Option<Result<(), Refused>> {
+    let ticket = rehearsal.order(Job::Home);
+    rehearsal.run(Duration::from_millis(1000));
+    rehearsal.take_notices().into_iter().find_map(|notice| match notice {
+        Notice::Answer { ticket: of, result } if of == ticket => Some(result),
+        _ => None,
+    })
+}
+
+/// Without telemetry nobody knows where pins are, until gains are known to reckon by.
+#[test]
+fn a_calibration_that_is_handed_over_is_what_home_goes_by() {
+    let config = PlantConfig::default();
+    let fits = fit(&measured(&Plan::new(Some(3), &[14, 70, 140], 1).unwrap(), config)).unwrap();
+    let gains = Calibration::new(fits, provenance()).unwrap().gains();
+    assert!(gains[3] != Gains::default() && gains[4] == Gains::default());
+    let blind = PlantConfig { telemetry_hz: 0, ..config };
+    let mut rehearsal = Rehearsal::new(&blind, Settings::default(), Line::default(), 1).unwrap();
+    rehearsal.run(Duration::from_millis(500));
+    rehearsal.order(Job::Arm { assume_rest: true });
+    rehearsal.run(Duration::from_millis(100));
+    assert_eq!(home(&mut rehearsal), Some(Err(Refused::NothingToGoBy)));
+    rehearsal.order(Job::Calibrate(Box::new(gains)));
+    assert_eq!(home(&mut rehearsal), Some(Ok(())));
+}
+
+fn provenance() -> Provenance {
+    let mut made = Plan::default().provenance("mock", "0.1.0 (build \"a\")", "seed 3", "plant, 1000 Hz");
+    made.date = Some("yesterday".into());
+    made
+}
+
+#[test]
+fn a_file_is_read_back_as_the_same_calibration() {
+    let fits = fit(&measured(&Plan::default(), PlantConfig::default())).unwrap();
+    let all = Calibration::new(fits.clone(), provenance()).unwrap();
+    let text = all.to_toml();
+    assert!(text.starts_with("format = 1\n") && text.len() < MAX_BYTES, "{text}");
+    assert_eq!(Calibration::parse(&text, "c.toml").as_ref(), Ok(&all), "{text}");
+    assert_eq!(Calibration::parse(&format!("\u{feff}{text}"), "c.toml").as_ref(), Ok(&all));
+    assert_eq!((all.motors(), all.provenance()), (&fits[..], &provenance()));
+    assert!((0..24).all(|motor| all.gain(motor, Direction::Down) == fits[usize::from(motor)].down.gain()));
+
+    // Of some motors, in any order; the others do what the model says.
+    let undated = Provenance { date: None, ..provenance() };
+    let some = Calibration::new(vec![fits[20], fits[3]], undated).unwrap();
+    assert_eq!(Calibration::parse(&some.to_toml(), "c.toml").as_ref(), Ok(&some));
+    assert_eq!(some.motors(), [fits[3], fits[20]]);
+    assert!(!some.to_toml().contains("date"));
+    assert_eq!(some.gain(20, Direction::Up), fits[20].up.gain());
+    assert_eq!((some.gain(4, Direction::Up), some.motor(4)), (1.0, None));
+}
+
+const FILE: &str = r#"format = 1
+
+[[motor]]
+motor = 3
+[motor.up]
+gain = 1.05
+slope_um_per_pulse = 0.1425
+slope_se_um_per_pulse = 0.001
+offset_um = 0.01
+relative_sd = 0.1
+blocks = 180
+[motor.down]
+gain = 0.98
+slope_um_per_pulse = 0.133
+slope_se_um_per_pulse = 0.001
+offset_um = -0.01
+relative_sd = 0.1
+blocks = 180
+
+[provenance]
+device = "mock"
+firmware = "0.1.0"
+identity = "seed 0"
+telemetry = "plant"
+pulses = [14, 70]
+repetitions = 2
+groups = 4
+um_per_pulse = 0.13571428571428570
+"#;
+
+/// What to change in the good file, and the line that it must then be refused with.
+const BAD: [(&str, &str, &str); 35] = [
+    ("format = 1", "", "bad.toml:1: `format` is missing: add format = 1"),
+    ("format = 1", "format = 2\nnew = 1", "bad.toml:1: `format` is 2: this version reads format = 1"),
+    ("format = 1", "format = \"1\"", "bad.toml:1: `format` is string \"1\": must be a whole number"),
+    ("format = 1", "format = 1\nmotors = 1", "bad.toml:2: unknown key `motors`: did you mean `motor`?"),
+    ("motor = 3", "motr = 3", "bad.toml:4: `motor[0]`: unknown key `motr`: did you mean `motor`?"),
+    ("motor = 3", "", "bad.toml:3: `motor[0].motor` is missing: add a motor's number, 0 to 23"),
+    ("motor = 3", "motor = 24", "bad.toml:4: `motor[0].motor` is 24: must be 0 to 23"),
+    ("motor = 3", "motor = 300", "bad.toml:4: `motor[0].motor` is 300: must be 0 to 23"),
+    (
+        "motor = 3",
+        "motor = -1",
+        "bad.toml:4: `motor[0].motor` is integer `-1`: must be a whole number, 0 or more",
+    ),
+    (
+        "motor = 3",
+        "motor = 3.5",
+        "bad.toml:4: `motor[0].motor` is floating point `3.5`: must be a whole number",
+    ),
+    ("motor = 3", "motor = 3\nmotor = 4", "bad.toml:5: not TOML: duplicate key"),
+    ("[motor.down]", "[motor.dwon]", "bad.toml:12: `motor[0]`: unknown key `dwon`: did you mean `down`?"),
+    (
+        "gain = 0.98\n",
+        "",
+        "bad.toml:12: `motor[0].down.gain` is missing: add a number, as `meissner calibrate` writes it",
+    ),
+    (
+        "gain = 1.05",
+        "gain = 1.06",
+        "bad.toml:6: `motor[0].up.gain` is 1.06: by slope_um_per_pulse it is 1.05",
+    ),
+    ("gain = 1.05", "gain = nan", "bad.toml:6: `motor[0].up.gain` is NaN: by slope_um_per_pulse it is 1.05"),
+    ("gain = 1.05", "gain = true", "bad.toml:6: `motor[0].up.gain` is boolean `true`: must be a number"),
+    (
+        "gain = 1.05\nslope_um_per_pulse = 0.1425",
+        "gain = 1.75\nslope_um_per_pulse = 0.2375",
+        "bad.toml:7: `motor[0].up.slope_um_per_pulse` is 0.2375: must be 0.5 to 1.5 times the model's, 0.95/7",
+    ),
+    (
+        "gain = 1.05\nslope_um_per_pulse = 0.1425",
+        "gain = nan\nslope_um_per_pulse = nan",
+        "bad.toml:7: `motor[0].up.slope_um_per_pulse` is NaN: must be",
+    ),
+    (
+        "slope_se_um_per_pulse = 0.001\noffset_um = 0.01",
+        "slope_se_um_per_pulse = 0.01\noffset_um = 0.01",
+        "bad.toml:8: `motor[0].up.slope_se_um_per_pulse` is 0.01: must be 0 to 5 % of the slope",
+    ),
+    (
+        "offset_um = -0.01",
+        "offset_um = -inf",
+        "bad.toml:16: `motor[0].down.offset_um` is -inf: must be -100 to 100 um",
+    ),
+    (
+        "relative_sd = 0.1\n",
+        "relative_sd = -0.1\n",
+        "bad.toml:10: `motor[0].up.relative_sd` is -0.1: must be 0 to 1",
+    ),
+    ("blocks = 180\n\n", "blocks = 9\n\n", "bad.toml:18: `motor[0].down.blocks` is 9: must be 10 or more"),
+    ("[provenance]", "[provenence]", "bad.toml:20: unknown key `provenence`: did you mean `provenance`?"),
+    ("device = \"mock\"\n", "", "bad.toml:20: `provenance.device` is missing: add which it was, in quotes"),
+    ("device = \"mock\"", "device = [\"mock\"]", "bad.toml:21: `provenance.device` is"),
+    ("device", "date = 2024-05-01\ndevice", "bad.toml:21: `provenance.date` is map: must be a string"),
+    (
+        "repetitions = 2",
+        "repetition = 2",
+        "bad.toml:26: `provenance`: unknown key `repetition`: did you mean `repetitions`?",
+    ),
+    (
+        "repetitions = 2",
+        "repetitions = 0",
+        "bad.toml:25: `provenance.pulses` is no plan's: 0 repetitions: must be 1 to 50",
+    ),
+    (
+        "[14, 70]",
+        "[14, 14]",
+        "bad.toml:25: `provenance.pulses` is no plan's: bursts of 14 pulses are there twice",
+    ),
+    (
+        "[14, 70]",
+        "[14, \"70\"]",
+        "bad.toml:25: `provenance.pulses[1]` is string \"70\": must be a whole number, 0 to 65535",
+    ),
+    (
+        "groups = 4",
+        "groups = 5",
+        "bad.toml:27: `provenance.groups` is 5: by pulses and repetitions there are 4",
+    ),
+    (
+        "um_per_pulse = 0.1357",
+        "um_per_pulse = 0.1358",
+        "bad.toml:28: `provenance.um_per_pulse` is 0.1358142857142857: this version's model has 0.1357142857142857",
+    ),
+    (
+        "um_per_pulse = 0.13571428571428570",
+        "um_per_pulse = nan",
+        "bad.toml:28: `provenance.um_per_pulse` is NaN: this",
+    ),
+    ("[provenance]\n", "[provenance]\ndate = \"", "bad.toml:21: not TOML: "),
+    ("[[motor]]", "[motor]", "bad.toml:3: `motor` is map: must be a list"),
+];
+
+fn refused(text: &str) -> String {
+    let line = Calibration::parse(text, "bad.toml").unwrap_err().to_string();
+    assert!(!line.contains(|c: char| c.is_control()) && line.len() < 600, "{line:?}");
+    line
+}
+
+#[test]
+fn what_is_wrong_with_a_file_is_one_line_with_its_place() {
+    let good = Calibration::parse(FILE, "good.toml").unwrap();
+    assert!((good.gain(3, Direction::Up) - 1.05).abs() < 1e-9 && good.gain(9, Direction::Up) == 1.0);
+    let wrong = BAD.iter().filter_map(|(from, to, says)| {
+        assert!(FILE.contains(from), "{from}");
+        let line = refused(&FILE.replacen(from, to, 1));
+        (!line.starts_with(says)).then(|| format!("{from} -> {to}:\n{line}\n{says}"))
+    });
+    let wrong: Vec<String> = wrong.collect();
+    assert!(wrong.is_empty(), "{}", wrong.join("\n\n"));
+    let (head, motor) = FILE.split_at(FILE.find("[[motor]]").unwrap());
+    let (motor, made) = motor.split_at(motor.find("[provenance]").unwrap());
+    let line = refused(&format!("{head}{motor}{motor}{made}"));
+    assert_eq!(line, "bad.toml:21: `motor[1].motor` is 3, and motor[0] is the same: leave one out");
+    let line = refused(&format!("{head}{made}"));
+    assert!(
+        line.ends_with("`motor` is missing: add a motor's number, 0 to 23, below each [[motor]]"),
+        "{line}"
+    );
+    let line = refused(&format!("{head}motor = []\n{made}"));
+    assert_eq!(line, "bad.toml:3: `motor` is empty: calibrate one at least");
+    let line = refused(&format!("{FILE}date = {:?}", "x".repeat(201)));
+    assert_eq!(line, "bad.toml:29: `provenance.date` is 201 characters long: must be at most 200");
+    let line = refused(&" ".repeat(MAX_BYTES + 1));
+    assert_eq!(line, "bad.toml: 65537 bytes are too many: a calibration file has at most 65536");
+}
+
+#[test]
+fn what_is_built_is_checked_as_what_is_read() {
+    let good = Calibration::parse(FILE, "good.toml").unwrap().motors()[0];
+    let line = |motors: Vec<MotorFit>, made| Calibration::new(motors, made).unwrap_err().to_string();
+    assert_eq!(line(vec![], provenance()), "`motor` is empty: calibrate one at least");
+    assert_eq!(
+        line(vec![good, good], provenance()),
+        "`motor[1].motor` is 3, and motor[0] is the same: leave one out"
+    );
+    let beyond = MotorFit { motor: 24, ..good };
+    assert_eq!(line(vec![beyond], provenance()), "`motor[0].motor` is 24: must be 0 to 23");
+    let wild = MotorFit { up: Fit { offset_um: f64::NAN, ..good.up }, ..good };
+    assert_eq!(line(vec![wild], provenance()), "`motor[0].up.offset_um` is NaN: must be -100 to 100 um");
+    let made = Provenance { identity: "x".repeat(201), ..provenance() };
+    assert!(line(vec![good], made).starts_with("`provenance.identity` is 201 characters long"));
+}

@@ -1,0 +1,204 @@
+use meissner_array::pattern::{Drive, Pattern};
+use meissner_array::strokes::Strokes;
+use meissner_stream::port::{Job, Notice, Refused};
+use meissner_stream::{Line, Need, Settings};
+use meissner_test_support::rig::{self, Rig, assert_closed};
+use std::time::Duration;
+
+fn all_at(frequency_hz: f64) -> Pattern {
+    let drive = |motor| Drive {
+        motor,
+        frequency_hz,
+        amplitude_um: 20.0,
+        phase: f64::from(motor * 7 % 24) / 24.0,
+        start_s: None,
+        stop_s: None,
+    };
+    Pattern::new("all-at", None, (0..24).map(drive).collect(), toml::Table::new()).unwrap()
+}
+
+/// Nothing for a second, then all pins at 250 Hz for 60 ms, again and again.
+fn bursts() -> Pattern {
+    let drive = |motor| Drive {
+        motor,
+        frequency_hz: 250.0,
+        amplitude_um: 10.0,
+        phase: 0.0,
+        start_s: Some(1.0),
+        stop_s: Some(1.06),
+    };
+    Pattern::new("bursts", Some(1.5), (0..24).map(drive).collect(), toml::Table::new()).unwrap()
+}
+
+fn slow(bytes_per_s: u32) -> Rig {
+    let mut rig = Rig::new(Line { bytes_per_s, delay: Duration::from_micros(300), ..Line::default() }, 5);
+    rig.arm();
+    rig
+}
+
+/// Plays on a line of `bytes_per_s`: the refusal, or what came of it.
+fn try_on(bytes_per_s: u32, pattern: &Pattern, open_loop: bool) -> Result<(), Refused> {
+    let mut rig = slow(bytes_per_s);
+    let mut play = rig.play(pattern, Some(4.0));
+    play.open_loop = open_loop;
+    rig.order(Job::Play(Box::new(play)));
+    let answer = rig.take_notices().into_iter().find_map(|notice| match notice {
+        Notice::Answer { result, .. } => Some(result),
+        _ => None,
+    });
+    answer.unwrap()?;
+    let outcome = rig.run_to_end(1, Duration::from_secs(6)).expect("it ends");
+    assert_closed(&outcome);
+    let name = pattern.name();
+    assert_eq!(outcome.bursts.played, outcome.bursts.planned, "{name} at {bytes_per_s}: {outcome:?}");
+    assert!(outcome.bursts.planned > 100 && (open_loop || outcome.bursts.amended > 0));
+    Ok(())
+}
+
+#[test]
+fn what_a_line_carries_just_so_is_played_without_lateness_and_what_it_does_not_is_refused_with_numbers() {
+    let patterns =
+        [rig::pattern("edge-45"), rig::pattern("all-in-phase"), all_at(33.3), all_at(210.0), bursts()];
+    for (pattern, open_loop) in patterns.iter().flat_map(|pattern| [(pattern, true), (pattern, false)]) {
+        let strokes = Strokes::new(pattern, Some(4.0)).unwrap();
+        let need = Need::of(&strokes, &Settings::default());
+        let demand = if open_loop { need.open } else { need.closed };
+        let wanted = demand.rate;
+        let mut line = wanted / 2;
+        loop {
+            match try_on(line, pattern, open_loop) {
+                Ok(()) => break,
+                Err(Refused::LineTooSlow { needs, carries }) => {
+                    assert_eq!(needs, wanted);
+                    // Whole frames on their way, for a millisecond or two there and back. (A rehearsal measures by
+                    // half milliseconds.)
+                    let waits = f64::from(demand.frames) / f64::from((line / 500 / 256).max(1));
+                    let bounds = [0.0022, 0.0006].map(|wait_s| f64::from(line) * (1.0 - waits * wait_s));
+                    assert!(
+                        bounds[0] * 0.95 < f64::from(carries) && f64::from(carries) < bounds[1] * 1.05,
+                        "{carries} of {line}, {bounds:?}"
+                    );
+                    line += line / 20;
+                }
+                Err(other) => panic!("{other}"),
+            }
+        }
+        let frames = demand.frames;
+        println!("{} {open_loop}: needs {wanted}, {frames} frames, accepted at {line}", pattern.name());
+        assert!(line >= wanted, "{wanted} {line}");
+    }
+}
+
+#[test]
+fn what_a_play_needs_covers_what_it_sends() {
+    for pattern in rig::shipped() {
+        for open_loop in [true, false] {
+            let mut rig = Rig::new(Line::default(), 6);
+            rig.arm();
+            let mut play = rig.play(&pattern, Some(4.0));
+            play.open_loop = open_loop;
+            let need = if open_loop { play.need.open } else { play.need.closed };
+            rig.order(Job::Play(Box::new(play)));
+            let outcome = rig.run_to_end(1, Duration::from_secs(6)).expect("it ends");
+            // The lead's worth is sent in the first instant.
+            let mean = outcome.wire_bytes as f64 / 4.1;
+            assert!(f64::from(need.rate) > mean, "{}: {} of {mean}", pattern.name(), need.rate);
+        }
+    }
+}
+
+/// Answers that take long, now more, now less, as on a machine that has no time: what is accepted is in time, and what is not
+/// says why, whatever the fastest answer was. The longest frames, not the most, carry it.
+#[test]
+fn on_a_link_that_jitters_a_play_is_in_time_or_refused_with_numbers() {
+    const MS: Duration = Duration::from_millis(1);
+    let mut refusals = Vec::new();
+    let mut played = Vec::new();
+    let patterns = [rig::pattern("edge-45"), rig::pattern("all-in-phase")];
+    let links = [(1, 2), (1, 6), (2, 10), (2, 16), (5, 20), (10, 40), (30, 30)];
+    for ((delay, jitter), lead_ms) in links.into_iter().flat_map(|link| [(link, 100.0), (link, 1000.0)]) {
+        for (pattern, seed) in patterns.iter().flat_map(|pattern| [(pattern, 1), (pattern, 2)]) {
+            let line =
+                Line { bytes_per_s: 100_000, delay: MS * delay, jitter: MS * jitter, ..Line::default() };
+            let settings = Settings { lead_ms, lease_ms: 10_000.0, ..Settings::default() };
+            let mut rig = Rig::with(settings, line, seed);
+            // The survey, then the arm.
+            rig.run(Duration::from_secs(2));
+            rig.arm();
+            rig.take_notices();
+            let strokes = Strokes::new(pattern, Some(4.0)).unwrap();
+            let mut play = rig.play(pattern, Some(4.0));
+            (play.open_loop, play.need) = (true, Need::of(&strokes, &settings));
+            rig.order(Job::Play(Box::new(play)));
+            let answer = rig.take_notices().into_iter().find_map(|notice| match notice {
+                Notice::Answer { result, .. } => Some(result),
+                _ => None,
+            });
+            let what = format!("{} over {delay} + {jitter} ms, lead {lead_ms}, seed {seed}", pattern.name());
+            match answer.unwrap() {
+                Ok(()) => {
+                    let outcome = rig.run_to_end(1, Duration::from_secs(8)).expect("it ends");
+                    assert_closed(&outcome);
+                    println!("{what}: {:?}", outcome.bursts);
+                    assert_eq!(
+                        outcome.bursts.played, outcome.bursts.planned,
+                        "{what}: {:?}",
+                        outcome.lateness
+                    );
+                    played.push((delay, lead_ms));
+                }
+                Err(Refused::LineTooSlow { needs, carries }) => {
+                    println!("{what}: needs {needs}, carries {carries}");
+                    assert!(needs > carries, "{what}");
+                    refusals.push((delay, lead_ms));
+                }
+                Err(other) => panic!("{what}: {other}"),
+            }
+        }
+    }
+    assert!(played.contains(&(1, 100.0)) && played.contains(&(2, 1000.0)), "{played:?}");
+    assert!(refusals.contains(&(30, 100.0)), "{refusals:?}");
+}
+
+#[test]
+fn a_uart_is_measured_and_says_what_it_carries() {
+    let mut rig = Rig::new(Line { bytes_per_s: 11_520, ..Line::default() }, 7);
+    rig.run(Duration::from_millis(600));
+    let carried = rig.take_notices().into_iter().rev().find_map(|notice| match notice {
+        Notice::Snapshot(snapshot) => snapshot.line_bytes_per_s,
+        _ => None,
+    });
+    let carried = carried.expect("it was measured");
+    assert!((10_500..=11_520).contains(&carried), "{carried}");
+    rig.arm();
+    let play = rig.play(&all_at(300.0), None);
+    rig.order(Job::Play(Box::new(play)));
+    let line = rig.take_notices().into_iter().find_map(|notice| match notice {
+        Notice::Answer { result: Err(refused), .. } => Some(refused.to_string()),
+        _ => None,
+    });
+    let line = line.expect("it is refused");
+    assert!(
+        line.starts_with("the pattern needs ") && line.contains("kB/s at its peak, the line carries 11."),
+        "{line}"
+    );
+}
+
+/// What is measured costs no more than a few frames, and a lossy line is measured too.
+#[test]
+fn measuring_is_bounded_and_deterministic() {
+    for line in [Line::default(), rig::bad_line(), Line { bytes_per_s: 5_000, ..Line::default() }] {
+        let run = || {
+            let mut rig = Rig::new(line, 8);
+            rig.run(Duration::from_millis(900));
+            let last = rig.take_notices().into_iter().rev().find_map(|notice| match notice {
+                Notice::Snapshot(snapshot) => Some((snapshot.line_bytes_per_s, snapshot.bytes_out)),
+                _ => None,
+            });
+            last.unwrap()
+        };
+        let (carried, bytes) = run();
+        assert!(carried.is_some() && bytes < 12_000, "{line:?}: {carried:?}, {bytes} bytes");
+        assert_eq!(run(), (carried, bytes));
+    }
+}

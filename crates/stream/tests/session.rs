@@ -1,0 +1,167 @@
+use firmware_protocol::controller::{Controller, Identity};
+use firmware_protocol::frame::MAX_FRAME;
+use firmware_protocol::limits::OnTimeLimits;
+use firmware_protocol::message::{Cause, Op as Command};
+use firmware_protocol::stroke::Stroke;
+use firmware_protocol::tick::Tick;
+use meissner_stream::link::{Event, LineRate, Session, Verdict};
+use meissner_stream::time::HostInstant;
+use proptest::prelude::*;
+use std::collections::VecDeque;
+
+#[derive(Clone, Debug)]
+enum Op {
+    /// So many strokes, the first so many ticks from now (before it: late).
+    Push(u8, i16),
+    Begin(i16),
+    Seal,
+    Command(u8),
+    /// Bytes that no device sent.
+    Noise(Vec<u8>),
+    /// Frames there and back, with those lost whose bit is set.
+    Exchange(u32, u32),
+    Wait(u16),
+}
+
+fn op() -> impl Strategy<Value = Op> {
+    prop_oneof![
+        4 => (1u8..40, -200i16..5000).prop_map(|(count, ahead)| Op::Push(count, ahead)),
+        1 => (-200i16..5000).prop_map(Op::Begin),
+        2 => Just(Op::Seal),
+        1 => (0u8..5).prop_map(Op::Command),
+        1 => prop::collection::vec(any::<u8>(), 0..300).prop_map(Op::Noise),
+        6 => (any::<u32>(), any::<u32>()).prop_map(|(out, back)| Op::Exchange(out & out >> 3, back & back >> 3)),
+        4 => (1u16..4000).prop_map(Op::Wait),
+    ]
+}
+
+/// A session and a controller, with a line between them that loses what it is told to.
+struct Pair {
+    session: Session,
+    device: Controller,
+    ticks: u64,
+    events: Vec<Event>,
+}
+
+impl Pair {
+    fn now(&self) -> HostInstant {
+        HostInstant::from_ns(self.ticks * 1_000_000_000 / 85_000)
+    }
+
+    fn wait(&mut self, ticks: u64) {
+        self.ticks += ticks;
+        let now = Tick::BOOT + self.ticks;
+        while self.device.rendered() < now + 32 {
+            let left = now + 32 - self.device.rendered();
+            let _ = self.device.render(left.min(32) as u32);
+        }
+        self.device.poll(now);
+    }
+
+    fn exchange(&mut self, lost_out: u32, lost_back: u32) {
+        let (now, tick) = (self.now(), Tick::BOOT + self.ticks);
+        let mut frame = [0; MAX_FRAME];
+        let events = &mut self.events;
+        for i in 0..64 {
+            let len = self.session.transmit(now, &mut frame, &mut |event| events.push(event));
+            assert!(len <= MAX_FRAME);
+            if len == 0 {
+                break;
+            }
+            if lost_out >> (i % 32) & 1 == 0 {
+                self.device.receive(tick, &frame[..len]);
+            }
+        }
+        for i in 0..64 {
+            let len = self.device.transmit(tick, &mut frame);
+            if len == 0 {
+                break;
+            }
+            if lost_back >> (i % 32) & 1 == 0 {
+                self.session.receive(now, &frame[..len], &mut |event| events.push(event));
+            }
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(300) })]
+
+    /// Whatever is pushed, lost, told or forged: each stroke has one verdict, in the order of pushing, unless a
+    /// command came between; and what was accepted or late or refused, the device has counted as that.
+    #[test]
+    fn each_stroke_has_one_verdict(ops in prop::collection::vec(op(), 1..80)) {
+        let session = Session::new(7, LineRate(100_000), HostInstant::from_ns(0));
+        let mut pair = Pair { session, device: Controller::new(Identity::default()), ticks: 0, events: Vec::new() };
+        for _ in 0..40 {
+            pair.exchange(0, 0);
+            pair.wait(170);
+        }
+        prop_assert!(pair.session.is_open());
+        let arm = Command::Arm { assume_rest: true, lease: 850_000, limits: OnTimeLimits::NONE };
+        pair.session.command(arm);
+        let (mut waiting, mut last, mut judged) = (VecDeque::new(), Tick(0), 0u64);
+        for op in ops.into_iter().chain([Op::Seal]).chain((0..60).flat_map(|_| [Op::Exchange(0, 0), Op::Wait(900)])) {
+            let tick = Tick::BOOT + pair.ticks;
+            let at = |ahead: i16| Tick(tick.0.saturating_add_signed(ahead.into()));
+            match op {
+                Op::Push(count, ahead) => {
+                    for i in 0..u64::from(count) {
+                        let up = last.max(at(ahead) + 5 * i);
+                        let motor = (i % 24) as u8;
+                        let stroke = Stroke { motor, up, up_pulses: 9, down: up + 20, down_pulses: 9 };
+                        if !pair.session.push(&stroke) {
+                            break;
+                        }
+                        last = up;
+                        waiting.push_back(stroke);
+                    }
+                }
+                Op::Begin(ahead) if pair.session.has_room() => {
+                    last = last.max(at(ahead));
+                    pair.session.begin(last);
+                }
+                Op::Begin(_) => {}
+                Op::Seal => pair.session.seal(),
+                Op::Command(which) => {
+                    pair.session.command(match which {
+                        0 => Command::Stop,
+                        1 => Command::Disarm(Cause::Request),
+                        2 => Command::EStop,
+                        3 => Command::Reset,
+                        _ => arm,
+                    });
+                    waiting.clear();
+                }
+                Op::Noise(bytes) => {
+                    let (now, events) = (pair.now(), &mut pair.events);
+                    pair.session.receive(now, &bytes, &mut |event| events.push(event));
+                    pair.session.receive(now, &[0], &mut |event| events.push(event));
+                }
+                Op::Exchange(out, back) => pair.exchange(out, back),
+                Op::Wait(ticks) => pair.wait(ticks.into()),
+            }
+            for event in pair.events.drain(..) {
+                match event {
+                    Event::Stroke(stroke, verdict) => {
+                        prop_assert_eq!(waiting.pop_front(), Some(stroke));
+                        judged += 1;
+                        if let Verdict::Late { rendered, .. } = verdict {
+                            prop_assert!(stroke.up < rendered);
+                        }
+                    }
+                    // The whole first frame comes back; here it is given up.
+                    Event::OnsetRefused { .. } => {
+                        let frame = waiting.iter().take_while(|stroke| stroke.up < last + 1).count();
+                        prop_assert!(frame <= waiting.len());
+                        waiting.clear();
+                        pair.session.command(Command::Stop);
+                    }
+                    Event::Lost(reason) => prop_assert!(false, "{reason:?}"),
+                    _ => {}
+                }
+            }
+        }
+        prop_assert_eq!(waiting.len(), 0, "{} judged", judged);
+    }
+}

@@ -1,0 +1,256 @@
+//! The doctor's look at what is installed: systemd's units, the configuration, udev's rules, and the group of users.
+//!
+//! systemd is asked by `systemctl show`, which needs no rights, and is not waited for long. Where nothing is installed
+//! there is one line that says so: a daemon may be run by hand.
+//!
+//! Invariant: nothing here is a fault of a machine on which nothing is installed.
+
+use super::Finding;
+use crate::config::{Config, ConfigError};
+use meissner_client::SERVICE_SOCKET;
+use meissner_client::access::{Me, Members, Standing, join};
+use meissner_client::is_installed;
+use std::collections::HashMap;
+use std::fs;
+use std::io::{self, Read};
+use std::os::unix::fs::MetadataExt;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// How long `systemctl` may take.
+const PATIENCE: Duration = Duration::from_secs(3);
+const ASKED: &str =
+    "Id,LoadState,ActiveState,SubState,UnitFileState,NRestarts,Result,MainPID,NeedDaemonReload";
+const SERVICE: &str = "meissner.service";
+const SOCKET: &str = "meissner.socket";
+const GROUP: &str = "haptics";
+const CONFIG: &str = "etc/meissner/meissner.toml";
+/// A file in the first hides one in the others.
+const RULES: [&str; 4] = [
+    "etc/udev/rules.d/70-meissner.rules",
+    "usr/local/lib/udev/rules.d/70-meissner.rules",
+    "usr/lib/udev/rules.d/70-meissner.rules",
+    "lib/udev/rules.d/70-meissner.rules",
+];
+const RELOAD: &str = "sudo udevadm control --reload && sudo udevadm trigger";
+const JOURNAL: &str = "`journalctl -u meissner -e` says why";
+
+/// What systemd says of our units; nothing, where none is installed.
+#[derive(Debug, Default)]
+pub(super) struct Units {
+    installed: bool,
+    told: HashMap<String, HashMap<String, String>>,
+}
+
+impl Units {
+    fn new(root: &Path, told: Option<String>) -> Self {
+        let told = told.as_deref().map(parse).unwrap_or_default();
+        Self { installed: is_installed(root), told }
+    }
+
+    pub(super) const fn is_installed(&self) -> bool {
+        self.installed
+    }
+
+    /// Whether this process is the service's.
+    pub(super) fn runs(&self, pid: u32) -> bool {
+        self.of(SERVICE, "MainPID") == pid.to_string()
+    }
+
+    fn of(&self, unit: &str, property: &str) -> &str {
+        self.told.get(unit).and_then(|unit| unit.get(property)).map_or("", String::as_str)
+    }
+}
+
+/// Asks systemd, if it is there.
+pub(super) fn units(root: &Path) -> Units {
+    let mut show = Command::new("systemctl");
+    show.args(["show", SERVICE, SOCKET, "--no-pager", "-p", ASKED]);
+    let told = move || said(show, PATIENCE).inspect_err(|error| tracing::debug!("systemctl: {error}")).ok();
+    Units::new(root, is_installed(root).then(told).flatten())
+}
+
+/// What a command prints, if it ends soon.
+fn said(mut command: Command, patience: Duration) -> io::Result<String> {
+    let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::null()).spawn()?;
+    let until = Instant::now() + patience;
+    // What it says fits into the pipe: it need not be read to end.
+    while child.try_wait()?.is_none() {
+        if Instant::now() > until {
+            child.kill()?;
+            child.wait()?;
+            return Err(io::ErrorKind::TimedOut.into());
+        }
+        thread::sleep(Duration::from_millis(10));
+    }
+    let mut text = String::new();
+    child.stdout.take().ok_or(io::ErrorKind::BrokenPipe)?.read_to_string(&mut text)?;
+    Ok(text)
+}
+
+/// Blocks of `Property=value`, one for each unit.
+fn parse(text: &str) -> HashMap<String, HashMap<String, String>> {
+    let block = |block: &str| {
+        let pairs = block.lines().filter_map(|line| line.split_once('='));
+        let pairs: HashMap<_, _> = pairs.map(|(name, value)| (name.to_owned(), value.to_owned())).collect();
+        Some((pairs.get("Id")?.clone(), pairs))
+    };
+    text.split("\n\n").filter_map(block).collect()
+}
+
+/// Everything but the group.
+pub(super) fn findings(root: &Path, units: &Units) -> Vec<Finding> {
+    let mut findings = state(units);
+    findings.extend(config(root));
+    findings.extend(rules(root, units));
+    findings
+}
+
+fn state(units: &Units) -> Vec<Finding> {
+    if !units.installed {
+        return vec![Finding::ok("service", "none is installed: `meissner daemon` by hand")];
+    }
+    if units.told.is_empty() {
+        let advice = "see `systemctl status meissner.service`";
+        return vec![Finding::warn("service", "installed, but systemd does not say how it is", advice)];
+    }
+    let mut findings = Vec::new();
+    for (what, unit) in [("service", SERVICE), ("socket unit", SOCKET)] {
+        let of = |property| units.of(unit, property);
+        let (load, active, sub) = (of("LoadState"), of("ActiveState"), of("SubState"));
+        findings.push(match (load, active) {
+            ("masked", _) => {
+                Finding::warn(what, format!("{unit} is masked"), format!("`sudo systemctl unmask {unit}`"))
+            }
+            ("not-found", _) => {
+                let advice = "install the package again: `sudo apt install --reinstall ./meissner_*.deb`";
+                Finding::warn(what, format!("{unit} is not installed"), advice)
+            }
+            ("loaded", "failed") => {
+                let found = format!("{unit} failed ({})", of("Result"));
+                Finding::fail(what, found, format!("{JOURNAL}; then `sudo systemctl restart {unit}`"))
+            }
+            ("loaded", _) if sub == "auto-restart" => {
+                let found = format!("{unit} ends again and again ({})", of("Result"));
+                Finding::fail(what, found, JOURNAL)
+            }
+            ("loaded", "active" | "activating" | "reloading") => {
+                Finding::ok(what, format!("{unit} is {active} ({sub})"))
+            }
+            // It starts when somebody connects.
+            ("loaded", _) if unit == SERVICE && units.of(SOCKET, "ActiveState") == "active" => {
+                Finding::ok(what, format!("{unit} is {active}, and starts with the first client"))
+            }
+            ("loaded", _) => {
+                let advice = format!("`sudo systemctl start {SOCKET} {SERVICE}`");
+                Finding::warn(what, format!("{unit} is {active}"), advice)
+            }
+            _ => {
+                let found = format!("{unit} cannot be used ({load})");
+                Finding::fail(what, found, format!("`systemctl status {unit}` says why"))
+            }
+        });
+    }
+    let enabled = |unit| matches!(units.of(unit, "UnitFileState"), "enabled" | "enabled-runtime" | "static");
+    if !enabled(SERVICE) && !enabled(SOCKET) {
+        let advice = format!("`sudo systemctl enable --now {SOCKET} {SERVICE}`");
+        findings.push(Finding::warn("boot", "neither unit is enabled: after a boot nothing runs", advice));
+    }
+    let restarts = units.of(SERVICE, "NRestarts");
+    if !matches!(restarts, "" | "0") {
+        let advice = format!("{JOURNAL}; `sudo systemctl reset-failed {SERVICE}` counts anew");
+        let found =
+            format!("systemd has started the daemon again {restarts} times: it ended badly, or was upgraded");
+        findings.push(Finding::warn("restarts", found, advice));
+    }
+    if units.of(SERVICE, "NeedDaemonReload") == "yes" {
+        let advice = format!("`sudo systemctl daemon-reload && sudo systemctl restart {SERVICE}`");
+        findings.push(Finding::warn("unit files", "changed since systemd read them", advice));
+    }
+    findings
+}
+
+fn config(root: &Path) -> Option<Finding> {
+    let file = root.join(CONFIG);
+    if !file.exists() {
+        return None;
+    }
+    Some(match Config::read(&file) {
+        Ok(_) => Finding::ok("configuration", format!("/{CONFIG} can be read")),
+        Err(ConfigError::Read { source, .. }) if source.kind() == io::ErrorKind::PermissionDenied => {
+            let advice = "`sudo meissner doctor` looks into it";
+            Finding::warn("configuration", format!("/{CONFIG} is closed to you"), advice)
+        }
+        Err(error) => {
+            let advice = format!("mend that line, then `sudo systemctl restart {SERVICE}`");
+            Finding::fail("configuration", error.to_string(), advice)
+        }
+    })
+}
+
+/// The rules that udev goes by, with their text.
+pub(super) fn rules_text(root: &Path) -> Option<String> {
+    RULES.iter().find_map(|rules| fs::read_to_string(root.join(rules)).ok())
+}
+
+fn rules(root: &Path, units: &Units) -> Option<Finding> {
+    if !units.installed {
+        return None;
+    }
+    let texts = RULES.iter().filter_map(|rules| Some((rules, fs::read_to_string(root.join(rules)).ok()?)));
+    let texts: Vec<_> = texts.collect();
+    Some(match &texts[..] {
+        [] => {
+            let advice = format!(
+                "install the package again: `sudo apt install --reinstall ./meissner_*.deb && {RELOAD}`"
+            );
+            Finding::warn("udev rules", "none for boards: the service may not open one", advice)
+        }
+        [(used, text), (hidden, other), ..] if text != other => {
+            let found = format!("/{used} hides /{hidden}, which says otherwise");
+            Finding::warn("udev rules", found, format!("`sudo rm /{used} && {RELOAD}`"))
+        }
+        [(used, _), ..] => Finding::ok("udev rules", format!("/{used}")),
+    })
+}
+
+/// Who may use the service's socket, and whether we may.
+pub(super) fn group(root: &Path, units: &Units, me: &Me) -> Option<Finding> {
+    let socket = fs::metadata(root.join(SERVICE_SOCKET.trim_start_matches('/'))).ok();
+    if !units.installed && socket.is_none() {
+        return None;
+    }
+    let owner = socket.and_then(|socket| Members::of(socket.gid()));
+    Some(judged(me, Members::named(GROUP).as_ref(), owner.as_ref()))
+}
+
+/// A site may have given the socket to another group: whose it is counts.
+fn judged(me: &Me, haptics: Option<&Members>, owner: Option<&Members>) -> Finding {
+    if owner.is_some_and(|owner| owner.gid == 0) {
+        let found = format!("the socket belongs to the group `root`, not to `{GROUP}`");
+        return Finding::warn("group", found, format!("`sudo systemctl restart {SOCKET} {SERVICE}`"));
+    }
+    let Some(members) = owner.or(haptics) else {
+        let found = format!("there is no group `{GROUP}`: the service's socket would have no users");
+        let advice = format!("`sudo groupadd --system {GROUP} && sudo systemctl restart {SOCKET}`");
+        return Finding::warn("group", found, advice);
+    };
+    let (Me { name, .. }, Members { group, .. }) = (me, members);
+    match me.stands(members) {
+        _ if me.uid == 0 => Finding::ok("group", format!("root needs none; others `{group}`")),
+        Standing::In => Finding::ok("group", format!("you ({name}) are in `{group}`")),
+        Standing::AfterLogin => {
+            let found = format!("you ({name}) are in `{group}`, but not yet in this session");
+            Finding::warn("group", found, "log in again")
+        }
+        Standing::Out => {
+            let found = format!("you ({name}) are not in `{group}`: the service will not hear you");
+            Finding::warn("group", found, join(me, members))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

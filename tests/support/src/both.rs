@@ -1,0 +1,43 @@
+//! One scene for the oracle and for the simulator.
+
+use crate::oracle;
+use meissner_array::pattern::Drive;
+use meissner_array::random::Normals;
+use meissner_skin::afferent::{Position, RaModel, Rectify};
+use meissner_skin::simulate::Scene;
+
+/// A scene of the oracle's as one of ours, and the noise in it as the oracle wants it.
+pub fn both(mut scene: oracle::Scene, noise_sd: f64, seed: u64) -> (oracle::Scene, Scene) {
+    let drives = scene.drives.iter().map(|drive| Drive {
+        motor: drive.motor as u8,
+        frequency_hz: drive.frequency_hz,
+        amplitude_um: drive.amplitude_um,
+        phase: drive.phase,
+        start_s: Some(drive.start_s),
+        stop_s: drive.stop_s,
+    });
+    let model = RaModel {
+        rectify: match scene.model.rectify {
+            oracle::Rectify::Half => Rectify::Half,
+            oracle::Rectify::Full => Rectify::Full,
+            oracle::Rectify::Signed => Rectify::Signed,
+        },
+        alpha_per_um: scene.model.alpha_per_um,
+        tau_s: scene.model.tau_s,
+        refractory_s: scene.model.refractory_s,
+        hyperexcitability_s: scene.model.hyperexcitability_s,
+        hyperexcitability_depth: scene.model.hyperexcitability_depth,
+        sigma_mm: scene.model.sigma_mm,
+        noise_sd,
+    };
+    let receptors = scene.receptors.iter().map(|&(x_mm, y_mm)| Position { x_mm, y_mm }).collect();
+    let ours = Scene::new(scene.duration_s, seed, drives.collect(), receptors, model).unwrap();
+    let most = 2 + (scene.duration_s / scene.model.refractory_s) as usize;
+    scene.offsets = (0..scene.receptors.len() as u64)
+        .map(|receptor| {
+            let mut noise = Normals::new(seed, receptor);
+            (0..most).map(|_| noise_sd * noise.next().clamp(-8.0, 8.0)).collect()
+        })
+        .collect();
+    (scene, ours)
+}

@@ -1,0 +1,384 @@
+//! A second simulator, written from the equations alone: slow, scalar, one receptor after the other.
+//!
+//! The exact simulator is compared with it on random scenes. It shares no code with the crate. Input breaks are
+//! integer half ticks and the window's content integer half pulses; between breaks every instant at which the
+//! equations change (the input's sign, end of refractoriness, end of the lowered threshold, its floor) begins a
+//! new segment with a closed form. A segment is cut at its maximum, found by bisection, and so is the crossing.
+//!
+//! Invariant: what it cannot promise it says. Each spike carries how far two correct programs may differ in it,
+//! each receptor the first instant after which a rounding error decides what happens.
+
+#[cfg(test)]
+mod checks;
+mod scenes;
+
+pub use scenes::{Drive, Model, Rectify, Scene, random_scene};
+use std::collections::BTreeMap;
+
+const TICKS_PER_S: f64 = 85_000.0;
+const HALF_TICKS_PER_S: f64 = 170_000.0;
+const UM_PER_PULSE: f64 = 0.95 / 7.0;
+const WINDOW_S: f64 = 0.0043;
+const WINDOW_HALF_TICKS: i64 = 731;
+const MOTORS: usize = 24;
+const LEAST_WEIGHT: f64 = 1e-10;
+const LEAST_THRESHOLD: f64 = 0.05;
+/// What two correct programs may differ by in `P`: rounding over some thousand segments.
+const MEMBRANE_ERROR: f64 = 1e-12;
+/// `P` this close to the threshold without a clean crossing: who spikes is anyone's guess.
+const NEAR_MISS: f64 = 1e-9;
+/// A spike this close to the end may be counted or not.
+const END_SLACK_S: f64 = 1e-8;
+
+/// A spike and how well it is determined.
+#[derive(Clone, Copy, Debug)]
+pub struct Spike {
+    pub t_s: f64,
+    /// Slope of `P - threshold` at the crossing, 1/s; infinite if refractoriness alone held the spike back.
+    pub margin: f64,
+    /// What [`MEMBRANE_ERROR`] can make of its time, the errors of the spikes before it included.
+    pub error_s: f64,
+}
+
+/// What a receptor does.
+#[derive(Clone, Debug)]
+pub struct Train {
+    pub spikes: Vec<Spike>,
+    /// The first near miss, graze or spike at the very end: from here on nothing is promised. Else infinite.
+    pub doubtful_from_s: f64,
+}
+
+/// What each receptor does, in their order.
+pub fn spikes(scene: &Scene) -> Vec<Train> {
+    spikes_with_gains(scene, &[1.0; MOTORS])
+}
+
+/// The same if each motor moves by its gain times as much.
+pub fn spikes_with_gains(scene: &Scene, gains: &[f64; MOTORS]) -> Vec<Train> {
+    let bursts = all_bursts(scene);
+    (0..scene.receptors.len()).map(|receptor| train(scene, &bursts, gains, receptor)).collect()
+}
+
+/// The same if each burst moves its motor as it says, and the drives are not looked at.
+pub fn spikes_of_bursts(scene: &Scene, bursts: &[(usize, Burst)]) -> Vec<Train> {
+    let gains = [1.0; MOTORS];
+    (0..scene.receptors.len()).map(|receptor| train(scene, bursts, &gains, receptor)).collect()
+}
+
+/// Compares up to what is promised; how many spikes that were. One that `expected` itself knows less well than
+/// to `tolerance_s` ends the comparison of its receptor.
+pub fn compare(expected: &[Train], found: &[Vec<f64>], tolerance_s: f64) -> Result<usize, String> {
+    if expected.len() != found.len() {
+        return Err(format!("{} receptors instead of {}", found.len(), expected.len()));
+    }
+    let mut compared = 0;
+    for (receptor, (train, found)) in expected.iter().zip(found).enumerate() {
+        let mut promised_until = train.doubtful_from_s;
+        let mut next = 0;
+        for spike in &train.spikes {
+            if spike.error_s > tolerance_s {
+                promised_until = promised_until.min(spike.t_s - spike.error_s);
+            }
+            if spike.t_s >= promised_until - tolerance_s {
+                break;
+            }
+            match found.get(next) {
+                Some(t) if (t - spike.t_s).abs() <= tolerance_s => next += 1,
+                other => {
+                    return Err(format!("receptor {receptor}, spike {next}: {other:?} instead of {spike:?}"));
+                }
+            }
+        }
+        if let Some(t) = found.get(next).filter(|&&t| t < promised_until - tolerance_s) {
+            return Err(format!("receptor {receptor}, spike {next}: at {t} s there is none"));
+        }
+        compared += next;
+    }
+    Ok(compared)
+}
+
+/// Full speed: whole numbers, so that what the window holds stays whole.
+pub const FULL: i64 = 1 << 20;
+
+/// From `start` to `end` (half ticks) a motor's shaft moves at a speed, [`FULL`] being a pulse per tick upwards.
+#[derive(Clone, Copy, Debug)]
+pub struct Burst {
+    pub start: i64,
+    pub end: i64,
+    pub speed: i64,
+}
+
+fn seconds_to_ticks(seconds: f64) -> f64 {
+    (seconds * TICKS_PER_S + 0.5).floor()
+}
+
+/// A drive's bursts that start before `horizon_s`.
+fn bursts(drive: &Drive, horizon_s: f64) -> Vec<Burst> {
+    let start = seconds_to_ticks(drive.start_s);
+    let edge = |h: u32| {
+        (((f64::from(h) / 2.0 + drive.phase) * TICKS_PER_S) / drive.frequency_hz + 0.5).floor() + start
+    };
+    let wanted = (drive.amplitude_um / UM_PER_PULSE + 0.5).floor();
+    let mut bursts = Vec::new();
+    for h in (0..).step_by(2) {
+        let (up, down, next_up) = (edge(h), edge(h + 1), edge(h + 2));
+        let pulses = wanted.min(down - up).min(next_up - down);
+        let stopped = drive.stop_s.is_some_and(|stop| down + pulses > seconds_to_ticks(stop));
+        if stopped || up >= horizon_s * TICKS_PER_S {
+            break;
+        }
+        for (tick, speed) in [(up, FULL), (down, -FULL)] {
+            bursts.push(Burst { start: 2 * tick as i64, end: 2 * (tick + pulses) as i64, speed });
+        }
+    }
+    bursts
+}
+
+/// The bursts of all drives, with their motors.
+pub fn all_bursts(scene: &Scene) -> Vec<(usize, Burst)> {
+    let horizon_s = scene.duration_s + END_SLACK_S;
+    let of_drive = |drive: &Drive| {
+        let motor = drive.motor;
+        bursts(drive, horizon_s).into_iter().map(move |burst| (motor, burst))
+    };
+    scene.drives.iter().flat_map(of_drive).collect()
+}
+
+fn pin_weight((x_mm, y_mm): (f64, f64), motor: usize, sigma_mm: f64) -> f64 {
+    let pin_x = ((motor % 4) as f64 - 1.5) * 2.9;
+    let pin_y = (2.5 - (motor / 4) as f64) * 2.9;
+    let weight = (-((x_mm - pin_x).powi(2) + (y_mm - pin_y).powi(2)) / (2.0 * sigma_mm.powi(2))).exp();
+    if weight < LEAST_WEIGHT { 0.0 } else { weight }
+}
+
+/// `u(t)` from one break to the next: `u + slope * (t - from_s)`.
+#[derive(Clone, Copy, Debug)]
+struct Piece {
+    from_s: f64,
+    to_s: f64,
+    u: f64,
+    slope: f64,
+}
+
+/// All pieces of a receptor's input until `horizon_s`.
+fn pieces(
+    scene: &Scene,
+    moves: &[(usize, Burst)],
+    gains: &[f64; MOTORS],
+    receptor: (f64, f64),
+    horizon_s: f64,
+) -> Vec<Piece> {
+    // At a break: by how much the slope of which motor's `r(t) - r(t-W)` changes; full is half a pulse per half tick.
+    let mut breaks: BTreeMap<i64, Vec<(usize, i64)>> = BTreeMap::from([(0, Vec::new())]);
+    let weights: Vec<f64> =
+        (0..MOTORS).map(|m| gains[m] * pin_weight(receptor, m, scene.model.sigma_mm)).collect();
+    for &(motor, Burst { start, end, speed }) in moves.iter().filter(|(motor, _)| weights[*motor] > 0.0) {
+        breaks.entry(start).or_default().push((motor, speed));
+        breaks.entry(end).or_default().push((motor, -speed));
+        breaks.entry(start + WINDOW_HALF_TICKS).or_default().push((motor, -speed));
+        breaks.entry(end + WINDOW_HALF_TICKS).or_default().push((motor, speed));
+    }
+    let scale = UM_PER_PULSE / 2.0 / WINDOW_S / FULL as f64;
+    let felt = |pulses: &[i64; MOTORS]| -> f64 {
+        weights.iter().zip(pulses).map(|(weight, &pulses)| weight * scale * pulses as f64).sum()
+    };
+    let (mut content, mut slopes) = ([0_i64; MOTORS], [0_i64; MOTORS]);
+    let mut pieces = Vec::new();
+    let times: Vec<i64> = breaks.keys().copied().collect();
+    for (index, &at) in times.iter().enumerate() {
+        for &(motor, change) in &breaks[&at] {
+            slopes[motor] += change;
+        }
+        let from_s = at as f64 / HALF_TICKS_PER_S;
+        let to_s =
+            times.get(index + 1).map_or(horizon_s, |&next| next as f64 / HALF_TICKS_PER_S).min(horizon_s);
+        if from_s < to_s {
+            pieces.push(Piece { from_s, to_s, u: felt(&content), slope: felt(&slopes) * HALF_TICKS_PER_S });
+        }
+        if let Some(next) = times.get(index + 1) {
+            for (content, slope) in content.iter_mut().zip(slopes) {
+                *content += slope * (next - at);
+            }
+        }
+    }
+    pieces
+}
+
+/// `x + expm1(-x)`, which cancels for small `x`: `x²/2! - x³/3! + …`.
+fn x_plus_expm1_minus_x(x: f64) -> f64 {
+    if x >= 0.5 {
+        return x + (-x).exp_m1();
+    }
+    let (mut sum, mut term) = (0.0, -x);
+    for n in 2..30 {
+        term *= -x / f64::from(n);
+        sum += term;
+    }
+    sum
+}
+
+/// Membrane and threshold while nothing changes in their equations, by the time since the segment's start.
+#[derive(Clone, Copy, Debug)]
+struct Segment {
+    alpha: f64,
+    tau: f64,
+    p: f64,
+    g: f64,
+    g_slope: f64,
+    threshold: f64,
+    threshold_slope: f64,
+}
+
+impl Segment {
+    fn membrane(&self, t: f64) -> f64 {
+        let x = t / self.tau;
+        let e = (-x).exp_m1();
+        let ramp = self.tau * self.tau * x_plus_expm1_minus_x(x);
+        self.p + self.p * e + self.alpha * (self.g * (-self.tau * e) + self.g_slope * ramp)
+    }
+
+    /// Membrane above threshold.
+    fn excess(&self, t: f64) -> f64 {
+        self.membrane(t) - (self.threshold + self.threshold_slope * t)
+    }
+
+    /// Of the excess. It goes from its first to its last value without turning.
+    fn excess_slope(&self, t: f64) -> f64 {
+        let x = t / self.tau;
+        (self.alpha * self.g - self.p / self.tau) * (-x).exp()
+            - self.alpha * self.g_slope * self.tau * (-x).exp_m1()
+            - self.threshold_slope
+    }
+
+    /// Where the excess has a maximum inside `0..length`.
+    fn maximum(&self, length: f64) -> Option<f64> {
+        (self.excess_slope(0.0) > 0.0 && self.excess_slope(length) < 0.0)
+            .then(|| bisect(0.0, length, |t| self.excess_slope(t) <= 0.0))
+    }
+
+    /// The first instant at which the membrane is at its threshold.
+    fn crossing(&self, length: f64) -> Option<f64> {
+        let reached = |t: f64| self.excess(t) >= 0.0;
+        if reached(0.0) {
+            return Some(0.0);
+        }
+        match self.maximum(length) {
+            Some(top) if reached(top) => Some(bisect(0.0, top, reached)),
+            _ => reached(length).then(|| bisect(0.0, length, reached)),
+        }
+    }
+}
+
+/// The first float in `no..=yes` at which `is` holds; it must not at `no` and must at `yes`.
+fn bisect(mut no: f64, mut yes: f64, is: impl Fn(f64) -> bool) -> f64 {
+    loop {
+        let middle = no + (yes - no) / 2.0;
+        if middle <= no || middle >= yes {
+            return yes;
+        }
+        if is(middle) {
+            yes = middle;
+        } else {
+            no = middle;
+        }
+    }
+}
+
+/// The last spike, and what the membrane would have risen by had it come a second later.
+#[derive(Clone, Copy, Debug)]
+struct Last {
+    t_s: f64,
+    error_s: f64,
+    drive: f64,
+}
+
+/// The threshold from `t_s` on: value, slope, and the end of that.
+fn threshold(model: &Model, offset: f64, last: Option<Last>, t_s: f64) -> (f64, f64, f64) {
+    let rest = 1.0 + offset;
+    let (depth, length) = (model.hyperexcitability_depth, model.hyperexcitability_s);
+    match last {
+        Some(Last { t_s: spike, .. }) if t_s < spike + length && rest > LEAST_THRESHOLD => {
+            let slope = depth / length;
+            let lowered = rest - depth * (1.0 - (t_s - spike) / length);
+            let off_floor = spike + (LEAST_THRESHOLD - (rest - depth)) / slope;
+            if rest - depth < LEAST_THRESHOLD && t_s < off_floor {
+                (LEAST_THRESHOLD, 0.0, off_floor.min(spike + length))
+            } else {
+                (lowered, slope, spike + length)
+            }
+        }
+        _ => (rest.max(LEAST_THRESHOLD), 0.0, f64::INFINITY),
+    }
+}
+
+fn train(scene: &Scene, bursts: &[(usize, Burst)], gains: &[f64; MOTORS], receptor: usize) -> Train {
+    let model = &scene.model;
+    let offsets = scene.offsets.get(receptor).map_or(&[][..], Vec::as_slice);
+    let mut train = Train { spikes: Vec::new(), doubtful_from_s: f64::INFINITY };
+    let (mut p, mut last) = (0.0, None::<Last>);
+    for piece in pieces(scene, bursts, gains, scene.receptors[receptor], scene.duration_s + END_SLACK_S) {
+        let zero_s = piece.from_s - piece.u / piece.slope;
+        let mut t = piece.from_s;
+        while t < piece.to_s {
+            let offset = if offsets.is_empty() { 0.0 } else { offsets[train.spikes.len()] };
+            let (threshold, threshold_slope, threshold_until) = threshold(model, offset, last, t);
+            let ready_s = last.map_or(0.0, |last| last.t_s + model.refractory_s);
+            let to = [zero_s, ready_s, threshold_until, piece.to_s];
+            let to = to.into_iter().filter(|&to| to > t).fold(f64::INFINITY, f64::min);
+            let u = piece.u + piece.slope * (t - piece.from_s);
+            let u_in_the_middle = piece.u + piece.slope * ((t + to) / 2.0 - piece.from_s);
+            let sign = match model.rectify {
+                Rectify::Signed => 1.0,
+                Rectify::Full => u_in_the_middle.signum(),
+                Rectify::Half => f64::from(u8::from(u_in_the_middle > 0.0)),
+            };
+            let segment = Segment {
+                alpha: model.alpha_per_um,
+                tau: model.tau_s,
+                p,
+                g: sign * u,
+                g_slope: sign * piece.slope,
+                threshold,
+                threshold_slope,
+            };
+            let length = to - t;
+            let crossing = if t < ready_s { None } else { segment.crossing(length) };
+            // What the excess inherits from the last spike's error.
+            let inherited = last.map_or(0.0, |last| {
+                last.error_s * (last.drive.abs() + threshold_slope + segment.excess_slope(0.0).abs())
+            });
+            let near = |at: f64| segment.excess(at).abs() < NEAR_MISS + inherited;
+            let points = [Some(0.0), segment.maximum(length), Some(length)];
+            if t >= ready_s
+                && let Some(at) = points.into_iter().flatten().find(|&at| near(at))
+            {
+                train.doubtful_from_s = train.doubtful_from_s.min(t + crossing.unwrap_or(at).min(at));
+            }
+            let Some(at) = crossing else {
+                p = segment.membrane(length);
+                t = to;
+                continue;
+            };
+            t += at;
+            p = 0.0;
+            let held_back = at == 0.0 && last.is_some() && t <= ready_s;
+            let margin = if held_back { f64::INFINITY } else { segment.excess_slope(at).max(0.0) };
+            let error_s = last.map_or(MEMBRANE_ERROR / margin, |last| {
+                let inherited = last.drive * (-(t - last.t_s) / model.tau_s).exp() - threshold_slope;
+                if held_back {
+                    last.error_s
+                } else {
+                    (MEMBRANE_ERROR + inherited.abs() * last.error_s) / margin
+                }
+            });
+            train.spikes.push(Spike { t_s: t, margin, error_s });
+            last = Some(Last { t_s: t, error_s, drive: model.alpha_per_um * sign * (u + piece.slope * at) });
+        }
+    }
+    let end = scene.duration_s - END_SLACK_S;
+    if train.spikes.iter().any(|spike| (spike.t_s - scene.duration_s).abs() <= END_SLACK_S) {
+        train.doubtful_from_s = train.doubtful_from_s.min(end);
+    }
+    train.spikes.retain(|spike| spike.t_s < scene.duration_s);
+    train
+}
