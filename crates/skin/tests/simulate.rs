@@ -1,8 +1,5 @@
 //! The exact and stepped methods against references: another program's spikes, and the oracle's.
 
-use meissner_array::pattern::Drive;
-use meissner_array::random::Normals;
-use meissner_skin::afferent::{Position, RaModel, Rectify};
 use meissner_skin::simulate::{Answer, Method, Options, Scene, simulate};
 use meissner_test_support::both::both;
 use meissner_test_support::oracle;
