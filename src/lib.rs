@@ -42,7 +42,7 @@
 //! What one is to feel is a target, a shape on the skin; [`optimise`] finds the pattern that tells it best from its surroundings.
 //! It says, too, what was left of that when motors did not do quite what they were told ([`optimise::felt()`]).
 //!
-//! Tests run streamer, link, controller and plant in virtual time ([`stream::Rehearsal`]): same code, no clock.
+//! Tests run streamer, link, controller and plant in virtual time ([`stream::Simulation`]): same code, no clock.
 //! Rooms are listed lowest first in `tests/layers.rs`; a room uses only what stands before it. [`config`] is read
 //! at the daemon's start, and again when it is told to; what it takes while it runs stands in `daemon/reload.rs`.
 

@@ -9,11 +9,11 @@ use std::os::unix::net::UnixStream;
 use std::thread;
 use std::time::Duration;
 
-const PATIENCE: Option<Duration> = Some(Duration::from_secs(20));
+const TIMEOUT: Option<Duration> = Some(Duration::from_secs(20));
 
 fn next(events: &mut Events, wanted: impl Fn(&Event) -> bool) -> Event {
     loop {
-        let event = events.next(PATIENCE).unwrap().expect("the stream goes on");
+        let event = events.next(TIMEOUT).unwrap().expect("the stream goes on");
         if wanted(&event) {
             return event;
         }
@@ -67,7 +67,7 @@ fn a_play_is_told_as_it_happens_and_has_a_receipt() {
     let mut client = daemon.armed();
     let mut events = client.events().unwrap();
     assert!(
-        matches!(events.next(PATIENCE).unwrap(), Some(Event::State { .. })),
+        matches!(events.next(TIMEOUT).unwrap(), Some(Event::State { .. })),
         "how things stand comes first"
     );
     let id = play(&mut client, &json!({"pattern": "edge-45", "seconds": 0.5}));
@@ -220,7 +220,7 @@ fn told_to_end_it_ends_streams_and_takes_its_socket_along() {
         unreachable!()
     };
     assert_eq!(receipt.state, PlayState::Stopped);
-    while events.next(PATIENCE).unwrap().is_some() {}
+    while events.next(TIMEOUT).unwrap().is_some() {}
     assert!(daemon.wait().success());
     assert!(!daemon.socket().exists());
 }
@@ -243,8 +243,8 @@ fn a_receipt_tells_what_was_felt_when_the_bursts_were_measured() {
         unreachable!()
     };
     assert!(receipt.felt.is_none() && receipt.felt_unknown.is_none(), "the end waits for nothing");
-    let Event::Felt { id: of, felt, felt_unknown } =
-        next(&mut events, |event| matches!(event, Event::Felt { .. }))
+    let Event::PredictedResponse { id: of, felt, felt_unknown } =
+        next(&mut events, |event| matches!(event, Event::PredictedResponse { .. }))
     else {
         unreachable!()
     };
@@ -269,7 +269,10 @@ fn without_telemetry_a_receipt_says_that_nobody_measured() {
     let mut client = daemon.armed();
     let mut events = client.events().unwrap();
     let id = play(&mut client, &json!({"pattern": "edge-45", "seconds": 0.2}));
-    next(&mut events, |event| matches!(event, Event::Felt { id: of, felt: None, .. } if *of == id));
+    next(
+        &mut events,
+        |event| matches!(event, Event::PredictedResponse { id: of, felt: None, .. } if *of == id),
+    );
     let receipt: Value = client.get(&format!("/v1/plays/{id}")).unwrap();
     assert_eq!((&receipt["felt"], &receipt["state"]), (&Value::Null, &"done".into()));
     assert_eq!(receipt["felt_unknown"], "the device has no telemetry");
@@ -282,7 +285,7 @@ fn an_emergency_stop_that_comes_in_pieces_is_answered() {
     let daemon = Daemon::start();
     daemon.armed();
     let mut stream = UnixStream::connect(daemon.socket()).unwrap();
-    stream.set_read_timeout(PATIENCE).unwrap();
+    stream.set_read_timeout(TIMEOUT).unwrap();
     let mut say = |text: &[u8]| stream.write_all(text).unwrap();
     say(b"POST /v1/estop HTTP/1.1\r\nHost: m\r\nConnection: close\r\nContent-Length: 2\r\n\r\n");
     thread::sleep(Duration::from_millis(30));

@@ -1,4 +1,4 @@
-use crate::harness::{Daemon, PATIENCE, complaint, meissner, printed};
+use crate::harness::{Daemon, TIMEOUT, complaint, meissner, printed};
 use meissner_api::Status;
 use meissner_array::simulated::PlantConfig;
 use meissner_stream::device::{self, DeviceError, PtyMock, Spec, WallMock};
@@ -38,7 +38,7 @@ fn the_doctor_measures_a_device() {
         let number = |pointer: &str| measured.pointer(pointer).and_then(Value::as_f64).unwrap_or(f64::NAN);
         assert!(number("/round_trip/count") >= 500.0, "{report}");
         assert!(number("/round_trip/p50_us") <= number("/round_trip/p99_us"), "{report}");
-        // How much and how well depends on the machine, and is checked in virtual time.
+        // MethodLabel much and how well depends on the machine, and is checked in virtual time.
         assert!(number("/throughput_bytes_per_s") > 0.0 && number("/drift/seconds") > 0.0, "{report}");
         assert!(number("/drift/ppm").is_finite() && number("/drift/uncertainty_ppm").is_finite(), "{report}");
         assert!(measured["protocol"] == 1 && number("/pool") >= 1024.0, "{report}");
@@ -216,7 +216,7 @@ fn a_mock_tells_what_its_line_carries() {
         let status: Status = daemon.client().get("/v1/status").unwrap();
         match status.line_bytes_per_s {
             Some(bytes) => break assert!(bytes > 0),
-            None => assert!(begun.elapsed() < PATIENCE),
+            None => assert!(begun.elapsed() < TIMEOUT),
         }
     }
 }

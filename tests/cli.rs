@@ -19,7 +19,7 @@ fn a_play_is_ordered_waited_for_and_summed_up() {
     assert!(printed(daemon.meissner().args(["arm", "--assume-rest"])).starts_with("armed"));
     let text = printed(daemon.meissner().args(["play", "edge-45", "--seconds", "0.3", "--wait"]));
     assert!(text.contains("play 1 began at tick") && text.contains("state       done"), "{text}");
-    // How soon that is known is up to the machine; this one is not always too busy.
+    // MethodLabel soon that is known is up to the machine; this one is not always too busy.
     let felt = |_| {
         let output =
             daemon.meissner().args(["play", "pin-60", "--seconds", "0.1", "--wait"]).output().unwrap();

@@ -3,7 +3,7 @@ use meissner::store::Store;
 use meissner_array::geometry;
 use meissner_array::motor::SteadyState;
 use meissner_array::pattern::{Drive, Pattern};
-use meissner_design::{Shape, Sides, Target, Verdict, YARDSTICK, shipped};
+use meissner_design::{Partition, Shape, Target, Verdict, YARDSTICK, shipped};
 use meissner_report::figures::{AMPLITUDES_UM, INDEX, Report, Subject, TargetFigures, report};
 use meissner_skin::afferent::{POPULATION_NOISE_SD, Position, RaModel, Rectify, population};
 use meissner_skin::simulate::{Method, Options, Scene, simulate};
@@ -118,7 +118,7 @@ fn the_library_s_page_has_a_section_for_every_pattern() {
     assert_eq!((sweep.matches("<ellipse").count(), sweep.matches(">60 Hz<").count()), (6 * 24, 24));
     let pin = report.figures.patterns.iter().find(|pattern| pattern.name == "pin-60").unwrap();
     // Sixty times a second, 589 pulses up and as many down.
-    assert_eq!((pin.busiest_pulses_per_s, pin.stretches, pin.drives), (60.0 * 589.0 * 2.0, 1, 1));
+    assert_eq!((pin.busiest_pulses_per_s, pin.segments, pin.drives), (60.0 * 589.0 * 2.0, 1, 1));
 }
 
 #[test]
@@ -278,9 +278,13 @@ fn a_pattern_s_rates_are_those_of_its_scene() {
 }
 
 /// The verdict is that of these rates.
-fn assert_verdict(verdict: &Verdict, sides: &Sides, rates_hz: &[f64]) {
-    let expected =
-        [sides.on_hz(rates_hz), sides.off_hz(rates_hz), sides.cost_hz(rates_hz), sides.auc(rates_hz)];
+fn assert_verdict(verdict: &Verdict, partition: &Partition, rates_hz: &[f64]) {
+    let expected = [
+        partition.on_hz(rates_hz),
+        partition.off_hz(rates_hz),
+        partition.cost_hz(rates_hz),
+        partition.auc(rates_hz),
+    ];
     let found = [verdict.on_hz, verdict.off_hz, verdict.cost_hz, verdict.auc];
     for (found, expected) in found.into_iter().zip(expected) {
         // A CSV has four decimals.
@@ -309,12 +313,12 @@ fn the_edge_is_tuned_near_60_hz_and_its_cost_only_rises() {
     }
 
     let felt = rows::<5>(file(library(), "edge-rates.csv"), "x_mm,y_mm,on,before_hz,after_hz");
-    let sides =
-        Sides::of(&target.frames()[0].shape, target.reach_mm(), &population(target.population_seed()));
-    assert!(felt.iter().map(|row| row[2] == 1.0).eq(sides.on().iter().copied()));
+    let partition =
+        Partition::of(&target.frames()[0].shape, target.reach_mm(), &population(target.population_seed()));
+    assert!(felt.iter().map(|row| row[2] == 1.0).eq(partition.on().iter().copied()));
     for (column, verdict) in [(3, &edge.before), (4, &edge.after)] {
         let rates: Vec<f64> = felt.iter().map(|row| row[column]).collect();
-        assert_verdict(verdict, &sides, &rates);
+        assert_verdict(verdict, &partition, &rates);
     }
 
     let shape = &target.frames()[0].shape;
@@ -328,7 +332,10 @@ fn the_edge_is_tuned_near_60_hz_and_its_cost_only_rises() {
     assert_eq!(edge.near_motors.len() + others.same + others.slower + others.faster, 24);
     assert_eq!(file(library(), "edge-frequencies.svg").matches("<ellipse").count(), 48);
     let rings = |name| file(library(), name).matches(r##"fill="none" stroke="#d55e00"/>"##).count();
-    assert_eq!((rings("edge-target.svg"), rings("edge-rates.svg")), (sides.on_count(), 2 * sides.on_count()));
+    assert_eq!(
+        (rings("edge-target.svg"), rings("edge-rates.svg")),
+        (partition.on_count(), 2 * partition.on_count())
+    );
 }
 
 #[test]
@@ -390,7 +397,7 @@ fn what_a_pattern_s_file_says_cannot_break_the_page() {
         assert!(report.page.contains(cells), "{cells}: {}", report.page);
     }
     let figures = &report.figures.patterns[0];
-    assert_eq!((figures.watched_s, figures.stretches, figures.busiest_pulses_per_s), (0.05, 1, 84_600.0));
+    assert_eq!((figures.watched_s, figures.segments, figures.busiest_pulses_per_s), (0.05, 1, 84_600.0));
     assert_eq!(figures.target, None);
 }
 
@@ -416,16 +423,16 @@ fn a_pattern_made_for_a_target_is_judged_by_it() {
     assert_eq!((&*figures.name, frame.start_s, frame.stop_s), (YARDSTICK, None, None));
     let found = rows::<4>(file(&report, "pattern-made-rates.csv"), "x_mm,y_mm,rate_hz,on");
     let receptors = population(3);
-    let sides = Sides::of(&target.frames()[0].shape, target.reach_mm(), &receptors);
+    let partition = Partition::of(&target.frames()[0].shape, target.reach_mm(), &receptors);
     let rates: Vec<f64> = found.iter().map(|row| row[2]).collect();
-    for (row, (at, on)) in found.iter().zip(receptors.iter().zip(sides.on())) {
+    for (row, (at, on)) in found.iter().zip(receptors.iter().zip(partition.on())) {
         assert!((row[0] - at.x_mm).abs() < 1e-4 && (row[1] - at.y_mm).abs() < 1e-4);
         assert_eq!(row[3] == 1.0, *on);
     }
-    assert_verdict(&frame.verdict, &sides, &rates);
+    assert_verdict(&frame.verdict, &partition, &rates);
     let svg = file(&report, "pattern-made-rates.svg");
     assert_eq!(svg.matches("<polyline").count(), 1);
-    assert_eq!(svg.matches("<ellipse").count(), 1 + 24 + receptors.len() + sides.on_count());
+    assert_eq!(svg.matches("<ellipse").count(), 1 + 24 + receptors.len() + partition.on_count());
     assert!(
         report.page.contains("population and noise seed 3")
             && !parts(&report).iter().any(|part| part.0.contains("frames"))
@@ -449,9 +456,9 @@ fn a_moving_target_is_drawn_in_four_of_its_frames() {
     assert!(drawn[0][0][0] == 0.0 && drawn[3][0][1] == 1.0);
     for rows in drawn {
         let number = frames.iter().position(|frame| frame.start_s == Some(rows[0][0])).unwrap();
-        let sides = Sides::of(&target.frames()[number].shape, target.reach_mm(), &receptors);
+        let partition = Partition::of(&target.frames()[number].shape, target.reach_mm(), &receptors);
         let rates: Vec<f64> = rows.iter().map(|row| row[5]).collect();
-        assert_verdict(&frames[number].verdict, &sides, &rates);
+        assert_verdict(&frames[number].verdict, &partition, &rates);
         // Pin 14 is still in the first half, and its nearest receptor, not within a millimetre, does not feel pin 9.
         let [x_mm, y_mm] = geometry::position_mm(14);
         let pin = Shape::Dots(vec![[x_mm, y_mm]]);
@@ -463,10 +470,10 @@ fn a_moving_target_is_drawn_in_four_of_its_frames() {
 }
 
 #[test]
-fn many_stretches_and_none() {
+fn many_segments_and_none() {
     let report = of("format = 1\nname = \"nothing\"");
     assert_page(&report.page, &parts(&report));
-    assert_eq!((report.figures.patterns[0].stretches, report.figures.patterns[0].highest_rate_hz), (1, 0.0));
+    assert_eq!((report.figures.patterns[0].segments, report.figures.patterns[0].highest_rate_hz), (1, 0.0));
     let drive = |n: u32| {
         let start = f64::from(n) * 0.01;
         format!(
@@ -479,7 +486,7 @@ fn many_stretches_and_none() {
     let report = of(&format!("format = 1\nname = \"many\"\n{drives}"));
     assert_page(&report.page, &parts(&report));
     let figures = &report.figures.patterns[0];
-    assert_eq!(figures.stretches, 40);
+    assert_eq!(figures.segments, 40);
     assert!((figures.watched_s - 0.4).abs() < 1e-9);
     assert_eq!(file(&report, "pattern-many-motors.svg").matches("<ellipse").count(), 16 * 24);
     assert!(report.page.contains("24 more are in the table"));

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
 /// For whatever must happen some time: far longer than it takes on a slow machine.
-pub(crate) const PATIENCE: Duration = Duration::from_secs(20);
+pub(crate) const TIMEOUT: Duration = Duration::from_secs(20);
 
 /// The program under test.
 pub(crate) const PROGRAM: &str = env!("CARGO_BIN_EXE_meissner");
@@ -103,7 +103,7 @@ impl Daemon {
             if log.contains(what) {
                 return log;
             }
-            assert!(begun.elapsed() < PATIENCE, "no `{what}`:\n{log}");
+            assert!(begun.elapsed() < TIMEOUT, "no `{what}`:\n{log}");
             thread::sleep(Duration::from_millis(10));
         }
     }
@@ -113,7 +113,7 @@ impl Daemon {
         let begun = Instant::now();
         while !client.get::<Status>("/v1/status").is_ok_and(|status| status.is_connected()) {
             let ended = self.child.try_wait().unwrap();
-            assert!(ended.is_none() && begun.elapsed() < PATIENCE, "no device ({ended:?}):\n{}", self.log());
+            assert!(ended.is_none() && begun.elapsed() < TIMEOUT, "no device ({ended:?}):\n{}", self.log());
             thread::sleep(Duration::from_millis(10));
         }
     }
@@ -156,7 +156,7 @@ impl Daemon {
     /// Sends a request that asks for the connection's end, and reads until then.
     pub(crate) fn raw(&self, bytes: &[u8]) -> String {
         let mut stream = UnixStream::connect(self.socket()).unwrap();
-        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        stream.set_read_timeout(Some(TIMEOUT)).unwrap();
         stream.write_all(bytes).unwrap();
         let mut answer = String::new();
         stream.read_to_string(&mut answer).unwrap();
@@ -175,7 +175,7 @@ impl Daemon {
             if let Some(status) = self.child.try_wait().unwrap() {
                 return status;
             }
-            assert!(begun.elapsed() < PATIENCE, "it does not end:\n{}", self.log());
+            assert!(begun.elapsed() < TIMEOUT, "it does not end:\n{}", self.log());
             thread::sleep(Duration::from_millis(10));
         }
     }
@@ -201,7 +201,7 @@ impl Drop for Daemon {
 /// The command line, without a daemon.
 pub(crate) fn meissner() -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_meissner"));
-    command.env_remove("RUST_LOG").env("MEISSNER_SOCKET", "/nonexistent/m.sock").timeout(PATIENCE);
+    command.env_remove("RUST_LOG").env("MEISSNER_SOCKET", "/nonexistent/m.sock").timeout(TIMEOUT);
     command
 }
 

@@ -2,7 +2,7 @@ use crate::harness::{complaint, document, meissner, printed};
 use meissner_report::{
     LEADS_MS, LeadRow, LeadTradeoff, MAX_TRACE_BYTES, STALLS, Trace, lead_tradeoff, plot_lead,
 };
-use meissner_stream::port::End;
+use meissner_stream::queues::End;
 use serde_json::Value;
 use std::fs::{self, File};
 

@@ -1,20 +1,20 @@
 use firmware_protocol::tick::TICK_HZ;
-use meissner::record::{Look, Unfelt};
+use meissner::record::{NoPrediction, PlayedPattern};
 use meissner_array::pattern::Pattern;
 use meissner_array::simulated::PlantConfig;
-use meissner_design::{MOST_OBSERVED_S, Play, felt};
-use meissner_stream::{Rehearsed, Settings, rehearse};
+use meissner_design::{MOST_OBSERVED_S, Play, predict_response};
+use meissner_stream::{Settings, SimulatedPlay, simulate_play};
 use meissner_test_support::played::by_the_plant;
 use meissner_test_support::rig::pattern;
 use std::collections::HashSet;
 
-fn played(pattern: &Pattern, seconds: f64, plant: &PlantConfig, open_loop: bool) -> Rehearsed {
-    rehearse(pattern, Some(seconds), plant, Settings::default(), open_loop).unwrap()
+fn played(pattern: &Pattern, seconds: f64, plant: &PlantConfig, open_loop: bool) -> SimulatedPlay {
+    simulate_play(pattern, Some(seconds), plant, Settings::default(), open_loop).unwrap()
 }
 
-fn look<'p>(pattern: &'p Pattern, seconds: f64, played: &Rehearsed) -> Look<'p> {
+fn look<'p>(pattern: &'p Pattern, seconds: f64, played: &SimulatedPlay) -> PlayedPattern<'p> {
     let onset = played.outcome.onset.unwrap().actual;
-    Look { pattern, seconds: Some(seconds), onset, cut: false, unplayed: HashSet::new() }
+    PlayedPattern { pattern, seconds: Some(seconds), onset, cut: false, unplayed: HashSet::new() }
 }
 
 /// A minute of a shipped edge. Without the loop pins drift to their end stops, where they go on vibrating: receptors that feel
@@ -26,7 +26,7 @@ fn with_the_loop_and_without_it_an_edge_has_nearly_the_contrast_as_designed() {
     let [closed, open] = [false, true].map(|open_loop| {
         let played = played(&edge, MOST_OBSERVED_S, &plant, open_loop);
         assert_eq!(played.outcome.bursts.played, played.outcome.bursts.planned);
-        let found = look(&edge, MOST_OBSERVED_S, &played).felt(&played.travels).unwrap();
+        let found = look(&edge, MOST_OBSERVED_S, &played).response(&played.travels).unwrap();
         assert_eq!((found.unmeasured, found.seconds), (0, MOST_OBSERVED_S));
         (found, played.rest.max_abs_um, played.outcome.onset.unwrap().actual)
     });
@@ -43,7 +43,8 @@ fn with_the_loop_and_without_it_an_edge_has_nearly_the_contrast_as_designed() {
     // The filter knows no end stops: of bursts that meet one it tells a little too much.
     let play =
         Play { pattern: &edge, seconds: Some(MOST_OBSERVED_S), onset: open.2, observed_s: MOST_OBSERVED_S };
-    let truth = contrast(felt(&play, by_the_plant(plant, &play, u16::MAX)).unwrap().played_hz.contrast);
+    let truth =
+        contrast(predict_response(&play, by_the_plant(plant, &play, u16::MAX)).unwrap().played_hz.contrast);
     println!("in truth without {truth:.2}");
     assert!((without - truth).abs() < 2.0, "{without} {truth}");
     // It is not that the pins did not drift.
@@ -54,7 +55,7 @@ fn with_the_loop_and_without_it_an_edge_has_nearly_the_contrast_as_designed() {
 fn motors_that_do_what_they_are_told_are_felt_as_designed() {
     let edge = pattern("edge-45");
     let played = played(&edge, 2.0, &PlantConfig::ideal(), true);
-    let found = look(&edge, 2.0, &played).felt(&played.travels).unwrap();
+    let found = look(&edge, 2.0, &played).response(&played.travels).unwrap();
     let [designed, played] = [found.designed_hz, found.played_hz].map(|rates| rates.contrast.unwrap());
     // Telemetry has a quantum of 0.01 um.
     assert!((designed - played).abs() < 0.1, "{designed} {played}");
@@ -70,23 +71,24 @@ fn bursts_that_nobody_measured_are_counted_and_too_many_are_a_reason() {
         let some = played.travels.iter().enumerate().filter(|(n, _)| n % one_in > 0);
         some.map(|(_, travel)| *travel).collect()
     };
-    let found = look.felt(&without(200)).unwrap();
+    let found = look.response(&without(200)).unwrap();
     assert_eq!(found.unmeasured, bursts.div_ceil(200));
     let missing = bursts.div_ceil(50);
-    assert_eq!(look.felt(&without(50)), Err(Unfelt::Unmeasured { missing, bursts }));
-    assert_eq!(look.felt(&[]), Err(Unfelt::Unmeasured { missing: bursts, bursts }));
+    assert_eq!(look.response(&without(50)), Err(NoPrediction::Unmeasured { missing, bursts }));
+    assert_eq!(look.response(&[]), Err(NoPrediction::Unmeasured { missing: bursts, bursts }));
     // What the streamer only reckoned is no measurement.
     let mut reckoned = played.travels.clone();
     reckoned.iter_mut().for_each(|travel| travel.sd_um = 0.1 * travel.travel_um.abs());
-    assert_eq!(look.felt(&reckoned), Err(Unfelt::Unmeasured { missing: bursts, bursts }));
+    assert_eq!(look.response(&reckoned), Err(NoPrediction::Unmeasured { missing: bursts, bursts }));
     // Strokes that were late had nothing to be measured.
     let late: Vec<_> = played.travels.iter().filter(|travel| travel.travel_um > 0.0).step_by(20).collect();
     look.unplayed = late.iter().map(|travel| (travel.motor, travel.start)).collect();
-    let gone =
-        |travel: &&meissner_stream::port::Traveled| !look.unplayed.contains(&(travel.motor, travel.start));
+    let gone = |travel: &&meissner_stream::queues::MeasuredBurst| {
+        !look.unplayed.contains(&(travel.motor, travel.start))
+    };
     let left: Vec<_> = played.travels.iter().filter(gone).copied().collect();
     // Their down bursts are measured here, and not asked for.
-    let less = look.felt(&left).unwrap();
+    let less = look.response(&left).unwrap();
     assert_eq!(less.unmeasured, 0);
     assert!(less.played_hz.all < found.played_hz.all, "{less:?}");
 }
@@ -97,7 +99,7 @@ fn of_a_play_that_was_cut_counts_what_was_played_of_it() {
     let played = played(&edge, 2.0, &PlantConfig::default(), false);
     let mut look = look(&edge, 60.0, &played);
     look.cut = true;
-    let found = look.felt(&played.travels).unwrap();
+    let found = look.response(&played.travels).unwrap();
     assert!(found.seconds > 1.9 && found.seconds < 2.0, "{found:?}");
     assert_eq!(found.unmeasured, 0);
     let early: Vec<_> = played
@@ -107,6 +109,6 @@ fn of_a_play_that_was_cut_counts_what_was_played_of_it() {
         .copied()
         .collect();
     assert!(!early.is_empty());
-    assert_eq!(look.felt(&early), Err(Unfelt::Cut));
-    assert_eq!(look.felt(&[]), Err(Unfelt::Cut));
+    assert_eq!(look.response(&early), Err(NoPrediction::Cut));
+    assert_eq!(look.response(&[]), Err(NoPrediction::Cut));
 }

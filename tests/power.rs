@@ -1,6 +1,6 @@
 //! What is left when the daemon is killed at any moment, the disk is full or nothing may be written; and what the logbook says of a session.
 
-use crate::harness::PATIENCE;
+use crate::harness::TIMEOUT;
 use jiff::Zoned;
 use meissner::store::Store;
 use meissner_api::{Imported, Problem, Status};
@@ -69,7 +69,7 @@ impl Kept {
     fn armed(&self) -> Client {
         let (begun, mut client) = (Instant::now(), self.client());
         while !client.get::<Status>("/v1/status").is_ok_and(|status| status.is_connected()) {
-            assert!(begun.elapsed() < PATIENCE, "no device:\n{}", self.log());
+            assert!(begun.elapsed() < TIMEOUT, "no device:\n{}", self.log());
             thread::sleep(Duration::from_millis(5));
         }
         let _: Status = client.post("/v1/arm", &json!({"assume_rest": true})).unwrap();
@@ -83,7 +83,7 @@ impl Kept {
     fn wait_for_log(&self, what: &str) {
         let begun = Instant::now();
         while !self.log().contains(what) {
-            assert!(begun.elapsed() < PATIENCE, "no `{what}`:\n{}", self.log());
+            assert!(begun.elapsed() < TIMEOUT, "no `{what}`:\n{}", self.log());
             thread::sleep(Duration::from_millis(5));
         }
     }
@@ -95,7 +95,7 @@ impl Kept {
             if let Some(status) = self.child.try_wait().unwrap() {
                 return status;
             }
-            assert!(begun.elapsed() < PATIENCE, "it does not end:\n{}", self.log());
+            assert!(begun.elapsed() < TIMEOUT, "it does not end:\n{}", self.log());
             thread::sleep(Duration::from_millis(5));
         }
     }
@@ -116,7 +116,7 @@ fn play(client: &mut Client, seconds: f64) -> Value {
     let mut events = client.events().unwrap();
     let _: Value = client.post("/v1/play", &json!({"pattern": "edge-45", "seconds": seconds})).unwrap();
     loop {
-        let event = events.next(Some(PATIENCE)).unwrap().expect("the daemon lives");
+        let event = events.next(Some(TIMEOUT)).unwrap().expect("the daemon lives");
         if let meissner_api::Event::Ended { receipt } = event {
             return serde_json::to_value(receipt).unwrap();
         }

@@ -1,5 +1,5 @@
 use crate::harness::{complaint, document, meissner, printed};
-use meissner_report::{How, STEPS_US, matching, plot, tradeoff};
+use meissner_report::{MethodLabel, STEPS_US, matching, plot, tradeoff};
 use meissner_skin::simulate::{Integrator, MAX_TOML_BYTES, Method, Options, Precision, Scene, simulate};
 use serde_json::{Value, json};
 use std::fs::{self, File};
@@ -281,7 +281,7 @@ fn the_finer_the_step_the_smaller_the_error() {
     })
     .unwrap();
     let error = |step_us| {
-        let of = |how: &How| {
+        let of = |how: &MethodLabel| {
             how.step_us == Some(step_us)
                 && (how.integrator, how.precision) == (Some(Integrator::Propagator), Some(Precision::F64))
         };

@@ -1,4 +1,4 @@
-use crate::harness::{Daemon, PATIENCE, PROGRAM, complaint, meissner, printed};
+use crate::harness::{Daemon, PROGRAM, TIMEOUT, complaint, meissner, printed};
 use meissner_api::Status;
 use rustix::process::Signal;
 use std::os::fd::OwnedFd;
@@ -18,7 +18,7 @@ impl Manager {
     fn new() -> Self {
         let dir = tempfile::tempdir().unwrap();
         let socket = UnixDatagram::bind(dir.path().join("notify")).unwrap();
-        socket.set_read_timeout(Some(PATIENCE)).unwrap();
+        socket.set_read_timeout(Some(TIMEOUT)).unwrap();
         Self { socket, dir }
     }
 
@@ -51,7 +51,7 @@ impl Manager {
             if what(&word) {
                 return word;
             }
-            assert!(begun.elapsed() < PATIENCE, "not heard; last `{word}`");
+            assert!(begun.elapsed() < TIMEOUT, "not heard; last `{word}`");
         }
     }
 
@@ -59,7 +59,7 @@ impl Manager {
     fn is_told_nothing(&self, during: Duration) -> bool {
         self.socket.set_read_timeout(Some(during)).unwrap();
         let nothing = self.socket.recv(&mut [0; 4096]).is_err();
-        self.socket.set_read_timeout(Some(PATIENCE)).unwrap();
+        self.socket.set_read_timeout(Some(TIMEOUT)).unwrap();
         nothing
     }
 }

@@ -13,12 +13,12 @@ mod calibration;
 mod cli;
 /// More clients than there are places, and clients that do not listen.
 mod client_limits;
+/// `tradeoff --loop`: a corner of its grid within the limits, the same bytes on any cores, its document and plot.
+mod control_tradeoff;
 /// `report`: figures against the models, the page, places that cannot be written to.
 mod figures;
 /// A real daemon in a directory of its own, for the others.
 mod harness;
-/// `tradeoff --loop`: a corner of its grid within the limits, the same bytes on any cores, its document and plot.
-mod hold;
 /// `tradeoff --stream`: the lead under recorded stalls, traces that are refused, its document and plot.
 mod lead;
 /// The manual pages and completions in `deploy` are what the command line makes of itself today.

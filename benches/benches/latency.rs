@@ -1,4 +1,4 @@
-//! How fast the daemon answers, on this machine, in wall time: `cargo bench --bench latency`.
+//! MethodLabel fast the daemon answers, on this machine, in wall time: `cargo bench --bench latency`.
 //!
 //! A daemon on the mock in this process, asked over its real socket. Beside the figures stands how late this
 //! machine's timers wake an ordinary thread: no tail can be better than that. It asserts nothing.
@@ -20,7 +20,7 @@ use std::time::{Duration, Instant};
 const CALLS: usize = 10_000;
 const PLAYS: usize = 200;
 const STOPS: usize = 200;
-const PATIENCE: Option<Duration> = Some(Duration::from_secs(10));
+const TIMEOUT: Option<Duration> = Some(Duration::from_secs(10));
 
 fn main() -> Result<(), Box<dyn Error>> {
     let dir = tempfile::tempdir()?;
@@ -96,7 +96,7 @@ fn plays(client: &mut Client) -> Result<Vec<f64>, Box<dyn Error>> {
         // Armed and idle for a while, as between two trials: other whiles, so that no rhythm helps.
         thread::sleep(Duration::from_millis(us.len() as u64 * 7 % 90));
         let _: Value = client.post("/v1/play", &request)?;
-        while !matches!(events.next(PATIENCE)?, None | Some(Event::Ended { .. })) {}
+        while !matches!(events.next(TIMEOUT)?, None | Some(Event::Ended { .. })) {}
         let receipt: Receipt = client.get("/v1/plays/last")?;
         us.push(receipt.onset_latency_ms.ok_or("a play has no onset")? * 1e3);
     }

@@ -36,13 +36,13 @@ fn target(name: &str) -> Target {
 }
 
 /// A search on the population of its seed.
-struct Job<'j> {
+struct Command<'j> {
     target: &'j Target,
     space: Space,
     seed: [u64; 1],
 }
 
-impl<'j> Job<'j> {
+impl<'j> Command<'j> {
     const fn new(target: &'j Target, space: Space, seed: u64) -> Self {
         Self { target, space, seed: [seed] }
     }
@@ -91,7 +91,7 @@ fn least(of: &[f64]) -> f64 {
 /// Costs of a method on a target in a setting, by seed and budget.
 fn costs(method: Method, target: &Target, setting: Setting) -> Vec<Vec<f64>> {
     let of_seed = |seed| {
-        let job = Job::new(target, setting.space(), seed);
+        let job = Command::new(target, setting.space(), seed);
         let found = method.found(&job.brief(), job.start(), &BUDGETS);
         found.into_iter().map(|point| job.exact_hz(point)).collect()
     };
@@ -149,12 +149,12 @@ fn against_coordinates() {
             "Against three sweeps over {grid} grid on {YARDSTICK}, always on; ours over theirs, phases fixed | free:"
         );
         let of_seed = |seed| {
-            let job = Job::new(&target, fixed.clone(), seed);
+            let job = Command::new(&target, fixed.clone(), seed);
             let trail = Method::Coordinates { logarithmic }.trail(&job.brief(), job.start(), f64::INFINITY);
             let theirs_hz = job.exact_hz(trail.at(f64::INFINITY));
             let ratios = [0.2, 1.0].map(|share| {
                 [&fixed, &free].map(|space| {
-                    let job = Job::new(&target, space.clone(), seed);
+                    let job = Command::new(&target, space.clone(), seed);
                     let found = job.search(Limit::ReceptorSeconds(share * trail.receptor_s), &mut |_, _| ());
                     job.exact_hz(found.point) / theirs_hz
                 })
@@ -176,12 +176,12 @@ fn against_coordinates() {
     }
 }
 
-/// How soon the yardstick's search, had it been stopped, would have come within 1 % of what it finds in the end.
+/// MethodLabel soon the yardstick's search, had it been stopped, would have come within 1 % of what it finds in the end.
 fn soon() {
     println!("{YARDSTICK}, default, to convergence, and when it was first within 1 % of that:");
     let target = target(YARDSTICK);
     for seed in 0..5 {
-        let job = Job::new(&target, Setting::Default.space(), seed);
+        let job = Command::new(&target, Setting::Default.space(), seed);
         let (begun, mut times) = (Instant::now(), Vec::new());
         let found = job.search(NO_LIMIT, &mut |spent, _| times.push((spent.evaluations, begun.elapsed())));
         let took = begun.elapsed();
@@ -212,7 +212,7 @@ fn stuck() {
     let space = Space { phases: false, ..Setting::AlwaysOn.space() };
     for root in [false, true] {
         let of_seed = |seed| {
-            let job = Job::new(&target, space.clone(), seed);
+            let job = Command::new(&target, space.clone(), seed);
             let method = Method::Subgradient { root };
             let trail = method.trail(&job.brief(), job.start(), 5.0 * BUDGETS[2]);
             let &(when, _, point) = trail.best.last().expect("the start at least");
@@ -233,7 +233,7 @@ fn to_convergence(criterion: &mut Criterion) {
     stuck();
     println!("All that took {:.0?}.", begun.elapsed());
     let target = target(YARDSTICK);
-    let job = Job::new(&target, Setting::Default.space(), 0);
+    let job = Command::new(&target, Setting::Default.space(), 0);
     let mut group = criterion.benchmark_group("to_convergence");
     group.sample_size(10).measurement_time(Duration::from_secs(10));
     for threads in [1, 2] {

@@ -10,7 +10,7 @@ use meissner_array::motor::Ramp;
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::random::normal;
 use meissner_array::strokes::Strokes;
-use meissner_design::{Play, felt};
+use meissner_design::{Play, predict_response};
 use meissner_skin::afferent::Position;
 use meissner_skin::simulate::{
     Evaluator, Integrator, Method, Options, Precision, SEARCH_LEAST_WEIGHT, Scene, Stepping, simulate,
@@ -157,10 +157,10 @@ fn minute_played(criterion: &mut Criterion) {
         });
         let bursts: Vec<_> = bursts.collect();
         let play = Play { pattern: &pattern, seconds: Some(60.0), onset: Tick(0), observed_s: 60.0 };
-        let found = felt(&play, bursts.iter().copied()).expect("a minute can be felt");
+        let found = predict_response(&play, bursts.iter().copied()).expect("a minute can be felt");
         println!("{name}: {} bursts, {:?}, {:?}", bursts.len(), found.designed_hz, found.played_hz);
         group.bench_function(format!("{name}/1_core"), |bencher| {
-            pool.install(|| bencher.iter(|| felt(black_box(&play), bursts.iter().copied())));
+            pool.install(|| bencher.iter(|| predict_response(black_box(&play), bursts.iter().copied())));
         });
     }
     group.finish();

@@ -17,15 +17,15 @@ use std::process::ExitCode;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-/// How long the daemon may take from a play's end to its fit.
-const PATIENCE: Duration = Duration::from_secs(20);
+/// MethodLabel long the daemon may take from a play's end to its fit.
+const TIMEOUT: Duration = Duration::from_secs(20);
 
 #[derive(Debug, Args)]
 pub(super) struct Calibrate {
     /// One motor, 0 to 23; without it, all
     #[arg(long, value_name = "N")]
     motor: Option<u8>,
-    /// How often each number of pulses is played, half a minute each [default: 2]
+    /// MethodLabel often each number of pulses is played, half a minute each [default: 2]
     #[arg(long, value_name = "N")]
     repetitions: Option<u16>,
     /// Numbers of pulses, 7 to 200, 3 s each [default: 14,28,42,56,70,84,98,112,126,140]
@@ -65,7 +65,7 @@ pub(super) fn run(asked: &Calibrate) -> Result<ExitCode> {
 /// The motors that were measured, once they are stored.
 fn outcome(events: &mut Events, id: u64) -> Result<Vec<u8>> {
     loop {
-        match events.next(Some(PATIENCE))? {
+        match events.next(Some(TIMEOUT))? {
             Some(Event::Calibrated { id: of, motors, problem }) if of == id => match problem {
                 None => return Ok(motors),
                 Some(problem) => bail!("{problem}"),

@@ -11,7 +11,7 @@ use crate::daemon;
 use anyhow::{Result, bail};
 use meissner_api::{ArmRequest, PlayRequest, Played, Status};
 use meissner_api::{Event, Receipt};
-use meissner_client::{Client, ClientError, Events, HOME_PATIENCE, escape};
+use meissner_client::{Client, ClientError, Events, HOME_TIMEOUT, escape};
 use serde_json::{Value, json};
 use std::io::{self, Write};
 use std::process::{self, ExitCode};
@@ -32,9 +32,9 @@ pub(super) fn command(plain: &Plain, name: &str) -> Result<ExitCode> {
 /// Goes to every daemon that may be meant, at once: whoever asks has no time to say which. Each answer is told as it comes; the
 /// document of `--json` is the first.
 pub(super) fn estop(plain: &Plain) -> Result<ExitCode> {
-    let place = plain.place();
+    let endpoint = plain.endpoint();
     let (tell, answers) = mpsc::channel();
-    for socket in [Some(&place.socket), place.other.as_ref()].into_iter().flatten() {
+    for socket in [Some(&endpoint.socket), endpoint.other.as_ref()].into_iter().flatten() {
         let (socket, tell) = (socket.clone(), tell.clone());
         thread::spawn(move || {
             let answer = Client::new(&socket).and_then(|mut client| client.post("/v1/estop", &json!({})));
@@ -72,7 +72,7 @@ pub(super) fn estop(plain: &Plain) -> Result<ExitCode> {
         Some(at) => Err(failed.swap_remove(at).into()),
         None if !stopped.is_empty() => Ok(ExitCode::SUCCESS),
         None => Err(match failed.swap_remove(0) {
-            ClientError::NoDaemon { source, .. } => ClientError::NoDaemon { place, source },
+            ClientError::NoDaemon { source, .. } => ClientError::NoDaemon { endpoint, source },
             error => error,
         }
         .into()),
@@ -80,7 +80,7 @@ pub(super) fn estop(plain: &Plain) -> Result<ExitCode> {
 }
 
 pub(super) fn home(plain: &Plain) -> Result<ExitCode> {
-    let status: Status = plain.client()?.post_within(HOME_PATIENCE, "/v1/home", &json!({}))?;
+    let status: Status = plain.client()?.post_within(HOME_TIMEOUT, "/v1/home", &json!({}))?;
     stands(plain, &status)
 }
 
@@ -185,20 +185,15 @@ pub(super) fn follow(
     Ok(ended)
 }
 
-/// The receipt once it says what was felt, or why that is not known; as it is, if that takes longer than `patience` or the
+/// The receipt once it says what was felt, or why that is not known; as it is, if that takes longer than `timeout` or the
 /// daemon ends.
-pub(super) fn felt(
-    client: &mut Client,
-    events: &mut Events,
-    receipt: Receipt,
-    patience: Duration,
-) -> Receipt {
-    let until = Instant::now() + patience;
+pub(super) fn felt(client: &mut Client, events: &mut Events, receipt: Receipt, timeout: Duration) -> Receipt {
+    let until = Instant::now() + timeout;
     // Of what was computed already no event comes any more.
     let mut receipt = client.get(&format!("/v1/plays/{}", receipt.id)).unwrap_or(receipt);
     while receipt.felt.is_none() && receipt.felt_unknown.is_none() {
         match events.next(Some(until.saturating_duration_since(Instant::now()))) {
-            Ok(Some(Event::Felt { id, felt, felt_unknown })) if id == receipt.id => {
+            Ok(Some(Event::PredictedResponse { id, felt, felt_unknown })) if id == receipt.id => {
                 (receipt.felt, receipt.felt_unknown) = (felt, felt_unknown);
             }
             Ok(Some(_)) => {}

@@ -9,7 +9,7 @@ use super::progress::Progress;
 use super::{control, give, text};
 use crate::config::{Config, PatternsDir};
 use crate::daemon::{Daemon, Hosted};
-use crate::record::Look;
+use crate::record::PlayedPattern;
 use crate::store::Store;
 use anyhow::{Context, Result, bail};
 use meissner_api::Rates;
@@ -20,7 +20,7 @@ use meissner_api::{Receipt, Wire};
 use meissner_array::pattern::Pattern;
 use meissner_client::{Client, Events};
 use meissner_stream::device::Spec;
-use meissner_stream::{Rehearsed, rehearse};
+use meissner_stream::{SimulatedPlay, simulate_play};
 use serde::Serialize;
 use std::collections::HashSet;
 use std::process::ExitCode;
@@ -28,9 +28,9 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 const PATTERN: &str = "edge-45";
-/// How long the mock may take to answer the handshake.
-const PATIENCE: Duration = Duration::from_secs(5);
-/// How long it may take to compute what was felt.
+/// MethodLabel long the mock may take to answer the handshake.
+const TIMEOUT: Duration = Duration::from_secs(5);
+/// MethodLabel long it may take to compute what was felt.
 const FELT_PATIENCE: Duration = Duration::from_secs(60);
 
 #[derive(Debug, Serialize)]
@@ -117,7 +117,7 @@ fn connected(client: &mut Client) -> Result<Status> {
         if status.is_connected() {
             return Ok(status);
         }
-        if begun.elapsed() > PATIENCE {
+        if begun.elapsed() > TIMEOUT {
             bail!("internal error: the simulated device does not answer");
         }
         thread::sleep(Duration::from_millis(5));
@@ -133,11 +133,17 @@ fn play(client: &mut Client, events: &mut Events, request: &PlayRequest, json: b
 }
 
 /// What was felt of the play, and what would have been without the loop.
-fn felt_report(request: &PlayRequest, receipt: &Receipt, pattern: &Pattern, open: &Rehearsed) -> FeltReport {
+fn felt_report(
+    request: &PlayRequest,
+    receipt: &Receipt,
+    pattern: &Pattern,
+    open: &SimulatedPlay,
+) -> FeltReport {
     let open = open.outcome.onset.and_then(|onset| {
         let onset = onset.actual;
-        let look = Look { pattern, seconds: request.seconds, onset, cut: false, unplayed: HashSet::new() };
-        look.felt(&open.travels).ok()
+        let look =
+            PlayedPattern { pattern, seconds: request.seconds, onset, cut: false, unplayed: HashSet::new() };
+        look.response(&open.travels).ok()
     });
     let played = receipt.felt.as_ref();
     let any = played.or(open.as_ref());
@@ -162,7 +168,7 @@ fn report(
     let truth = hosted.truth().context("internal error: the mock has no shafts")?.rest();
     let pattern = Store::new(None, false)?.get(PATTERN)?.pattern;
     let seconds = request.seconds.unwrap_or_default();
-    let open = rehearse(&pattern, request.seconds, &config.mock, config.settings, true)?;
+    let open = simulate_play(&pattern, request.seconds, &config.mock, config.settings, true)?;
     let wire = receipt.wire.unwrap_or(Wire::new(0, 0));
     Ok(Report {
         pattern: receipt.pattern.clone(),

@@ -28,7 +28,7 @@ use anyhow::{Result, anyhow};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Args, CommandFactory, Parser, Subcommand};
 use meissner_api::LatePolicy;
-use meissner_client::{Client, Place};
+use meissner_client::{Client, Endpoint};
 use meissner_stream::device::Spec;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -50,7 +50,7 @@ struct Cli {
 enum Command {
     /// Daemon, simulated device and client in one process: plays a shipped edge and sums it up
     Demo {
-        /// How long it plays
+        /// MethodLabel long it plays
         #[arg(long, value_name = "S", default_value_t = 5.0, allow_negative_numbers = true, value_parser = positive)]
         seconds: f64,
         /// No corrections from telemetry
@@ -113,7 +113,7 @@ enum Command {
         #[command(flatten)]
         plain: Plain,
     },
-    /// How everything stands
+    /// MethodLabel everything stands
     Status {
         /// Again at every change
         #[arg(long)]
@@ -146,15 +146,15 @@ enum Command {
     /// The pattern that makes a target felt
     Optimise(optimise::Optimise),
     /// Time and error of every way to simulate a scene, measured on this machine; or what the streamer's lead is worth
-    Tradeoff(tradeoff::Tradeoff),
+    MethodTradeoff(tradeoff::MethodTradeoff),
     /// Figures of the models and of patterns, as SVG and CSV, and a page that shows them
     Report(report::Report),
-    /// Look for what could keep this machine or its device from playing; exit 0 only if nothing does
+    /// PlayedPattern for what could keep this machine or its device from playing; exit 0 only if nothing does
     Doctor {
         /// Which device, as for `daemon`; without it, the daemon's, else the first board
         #[arg(long, value_name = "DEVICE")]
         device: Option<Spec>,
-        /// How long wake-ups are measured, 0.1 to 3600: the longer, the rarer the stalls it sees
+        /// MethodLabel long wake-ups are measured, 0.1 to 3600: the longer, the rarer the stalls it sees
         #[arg(long, value_name = "S", default_value_t = 5.0, allow_negative_numbers = true, value_parser = measured)]
         seconds: f64,
         #[command(flatten)]
@@ -208,21 +208,21 @@ struct Output {
 
 impl Plain {
     fn client(&self) -> Result<Client> {
-        Ok(Client::at(self.place())?)
+        Ok(Client::at(self.endpoint())?)
     }
 
-    fn place(&self) -> Place {
-        self.socket.as_deref().map_or_else(Place::find, Place::at)
+    fn endpoint(&self) -> Endpoint {
+        self.socket.as_deref().map_or_else(Endpoint::find, Endpoint::at)
     }
 }
 
-/// A finite number, not negative. How much is too much, the daemon says.
+/// A finite number, not negative. MethodLabel much is too much, the daemon says.
 fn positive(text: &str) -> Result<f64, &'static str> {
     let number = text.parse().ok().filter(|number: &f64| number.is_finite() && *number >= 0.0);
     number.ok_or("a number is wanted, 0 or more")
 }
 
-/// How long something is measured, s.
+/// MethodLabel long something is measured, s.
 fn measured(text: &str) -> Result<f64, &'static str> {
     let number = text.parse().ok().filter(|number| (0.1..=3600.0).contains(number));
     number.ok_or("a number is wanted, 0.1 to 3600")
@@ -312,7 +312,7 @@ fn run(command: Command) -> Result<ExitCode> {
         }
         Command::Simulate(asked) => simulate::run(&asked),
         Command::Optimise(asked) => optimise::run(&asked),
-        Command::Tradeoff(asked) => tradeoff::run(&asked),
+        Command::MethodTradeoff(asked) => tradeoff::run(&asked),
         Command::Report(asked) => report::run(&asked),
         Command::Doctor { device, seconds, plain } => {
             doctor::run(device, Duration::from_secs_f64(seconds), &plain)
@@ -320,7 +320,7 @@ fn run(command: Command) -> Result<ExitCode> {
     }
 }
 
-/// How a daemon ends that wants to be started again, as the unit knows (`RestartForceExitStatus=`): EX_TEMPFAIL.
+/// MethodLabel a daemon ends that wants to be started again, as the unit knows (`RestartForceExitStatus=`): EX_TEMPFAIL.
 const START_AGAIN: u8 = 75;
 
 fn serve(source: Source) -> Result<ExitCode> {

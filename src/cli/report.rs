@@ -37,6 +37,7 @@ struct Document<'a> {
     wall_s: f64,
 }
 
+#[expect(clippy::result_large_err, reason = "an error ends the program")]
 pub(super) fn run(asked: &Report) -> Result<ExitCode> {
     let subjects = subjects(&asked.patterns)?;
     files::directory(&asked.out)?;
@@ -124,12 +125,12 @@ fn summary(out: &Path, document: &Document<'_>) -> String {
     );
     lines.push(("edge", line));
     lines.push(("wall time", format!("{:.1} s", document.wall_s)));
-    let head = ["pattern", "drives", "stretches", "busiest pulses/s", "mean rate", "highest"];
+    let head = ["pattern", "drives", "segments", "busiest pulses/s", "mean rate", "highest"];
     let row = |pattern: &figures::PatternFigures| {
         vec![
             pattern.name.clone(),
             pattern.drives.to_string(),
-            pattern.stretches.to_string(),
+            pattern.segments.to_string(),
             format!("{:.0}", pattern.busiest_pulses_per_s),
             format!("{:.1}", pattern.mean_rate_hz),
             format!("{:.1}", pattern.highest_rate_hz),

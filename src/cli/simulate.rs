@@ -6,7 +6,7 @@ use super::{Cli, Output, choice, files, give, progress, text};
 use anyhow::{Result, anyhow};
 use clap::error::ErrorKind;
 use clap::{Args, CommandFactory, ValueEnum};
-use meissner_report::{Count, How, Reason};
+use meissner_report::{Count, MethodLabel, Reason};
 use meissner_skin::simulate::{
     Answer, Integrator, Keep, MAX_JSON_BYTES, Method, Options, Precision, Scene, Stepping, choose, simulate,
 };
@@ -23,7 +23,7 @@ const STEP_US: u32 = 200;
 pub(super) struct Simulate {
     /// The scene: a TOML or JSON file, or - for stdin
     scene: PathBuf,
-    /// How; a step, integrator or precision means stepped, else it is exact
+    /// MethodLabel; a step, integrator or precision means stepped, else it is exact
     #[arg(long, value_enum)]
     method: Option<Name>,
     /// The step [default: 200]
@@ -62,7 +62,7 @@ enum Name {
 #[derive(Debug, Serialize)]
 struct Document<'a> {
     #[serde(flatten)]
-    how: How,
+    how: MethodLabel,
     chosen: Option<Chosen>,
     #[serde(skip_serializing_if = "Option::is_none")]
     spikes_s: Option<&'a [Vec<f64>]>,
@@ -91,7 +91,7 @@ pub(super) fn run(asked: &Simulate) -> Result<ExitCode> {
             (choice.method, Some(Chosen { estimated_rate_error_hz, sampled }))
         }
     };
-    let how = How::from(method);
+    let how = MethodLabel::from(method);
     if let (Some(chosen), false) = (chosen, asked.output.json) {
         // If stderr is gone, the answer names the method too.
         let _ = writeln!(

@@ -10,7 +10,7 @@ use meissner_api::Status;
 use meissner_api::{Event, NO_DEVICE, PredictedResponse, Receipt};
 use meissner_array::geometry::{COLUMNS, ROWS};
 use meissner_array::pattern::Drive;
-use meissner_report::figures::stretches;
+use meissner_report::figures::segments;
 use serde_json::Value;
 use std::fmt::Write;
 
@@ -170,15 +170,15 @@ pub(super) fn event(event: &Event) -> String {
             let cause = receipt.cause.as_ref().map_or_else(String::new, |cause| format!(" ({cause})"));
             format!("ended: {} {}{cause}", receipt.id, receipt.state.name())
         }
-        Event::Felt { id, felt: of, felt_unknown } => {
+        Event::PredictedResponse { id, felt: of, felt_unknown } => {
             format!("felt: {id}, {}", felt(of.as_ref(), felt_unknown.as_deref()).unwrap_or_default())
         }
         Event::Calibrated { id, motors, problem: None } => {
             format!("calibrated: {} motors by play {id}", motors.len())
         }
         Event::Calibrated { id, problem: Some(problem), .. } => format!("not calibrated: {id}, {problem}"),
-        Event::Doubted { motor, doubt } => {
-            format!("doubted: motor {motor}, {}; it plays in open loop until the next arm", doubt.text())
+        Event::SensorFault { motor, fault } => {
+            format!("doubted: motor {motor}, {}; it plays in open loop until the next arm", fault.text())
         }
         Event::Drifted { um } => {
             format!(
@@ -206,17 +206,17 @@ pub(super) fn pattern(shown: &Value) -> String {
         None => writeln!(text, ", endless, {} drives", drives.len()),
     };
     let parsed: Vec<Drive> = drives.iter().filter_map(drive).collect();
-    let stretches = stretches(&parsed, duration_s);
-    for stretch in stretches.iter().take(MAPS) {
-        let when = match (stretches.len(), stretch.stop_s) {
+    let segments = segments(&parsed, duration_s);
+    for stretch in segments.iter().take(MAPS) {
+        let when = match (segments.len(), stretch.stop_s) {
             (1, _) => String::new(),
             (_, Some(stop_s)) => format!(", {} to {stop_s} s", stretch.start_s),
             (_, None) => format!(", from {} s on", stretch.start_s),
         };
         let _ = writeln!(text, "fingertip{when}\n{}", map(&stretch.drives));
     }
-    if let more @ 1.. = stretches.len().saturating_sub(MAPS) {
-        let _ = writeln!(text, "and {more} more stretches, see below");
+    if let more @ 1.. = segments.len().saturating_sub(MAPS) {
+        let _ = writeln!(text, "and {more} more segments, see below");
     }
     let head = ["motor", "frequency_hz", "amplitude_um", "phase", "start_s", "stop_s"];
     let row = |drive: &Value| head.iter().map(|key| figure(&drive[*key])).collect::<Vec<_>>();
@@ -284,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pattern_of_many_stretches_shows_the_first_ones_and_says_so() {
+    fn a_pattern_of_many_segments_shows_the_first_ones_and_says_so() {
         let drive = |n: u8| {
             let start_s = f64::from(n) / 2.0;
             json!({"motor": n, "frequency_hz": 60.0, "amplitude_um": 80.0, "phase": 0.0, "start_s": start_s,
@@ -294,7 +294,7 @@ mod tests {
         assert!(text.contains("fingertip, 0 to 0.5 s") && text.contains("fingertip, 1.5 to 2 s"), "{text}");
         assert_eq!(text.matches("fingertip").count(), 4);
         // Six drives, and nothing after them.
-        assert!(text.contains("and 3 more stretches, see below"), "{text}");
+        assert!(text.contains("and 3 more segments, see below"), "{text}");
     }
 
     #[test]

@@ -9,17 +9,17 @@ use anyhow::Result;
 use clap::Args;
 use meissner_design::YARDSTICK;
 use meissner_report::{
-    self, Bias, HoldGrid, HoldRow, HoldTradeoff, LEADS_MS, LeadRow, LeadTradeoff, MAX_TRACE_BYTES, STALLS,
-    Trace, Verdict, WireRow, Worst,
+    self, Bias, ControlGrid, ControlRow, ControlTradeoff, LEADS_MS, LeadRow, LeadTradeoff, MAX_TRACE_BYTES,
+    STALLS, Trace, Verdict, WireRow, Worst,
 };
 use meissner_skin::simulate::Scene;
-use meissner_stream::port::End;
+use meissner_stream::queues::End;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 #[derive(Debug, Args)]
-pub(super) struct Tradeoff {
+pub(super) struct MethodTradeoff {
     /// The scene: a TOML or JSON file, or - for stdin [default: 24 motors at 60 Hz, 306 receptors, 1 s]
     #[arg(group = "what")]
     scene: Option<PathBuf>,
@@ -50,7 +50,7 @@ enum What<'a> {
     Loop,
 }
 
-impl Tradeoff {
+impl MethodTradeoff {
     fn what(&self) -> What<'_> {
         match (self.stream, self.closed_loop) {
             (true, _) => What::Leads(self.trace.as_deref()),
@@ -60,7 +60,7 @@ impl Tradeoff {
     }
 }
 
-pub(super) fn run(asked: &Tradeoff) -> Result<ExitCode> {
+pub(super) fn run(asked: &MethodTradeoff) -> Result<ExitCode> {
     match asked.what() {
         What::Methods(scene) => {
             let scene = match scene {
@@ -83,16 +83,17 @@ pub(super) fn run(asked: &Tradeoff) -> Result<ExitCode> {
             answer(asked, measure, meissner_report::plot_lead, leads_table)
         }
         What::Loop => {
-            let measure =
-                || Ok(progress::metered(|at| meissner_report::hold_tradeoff(&HoldGrid::default(), at))?);
-            answer(asked, measure, meissner_report::plot_hold, loop_table)
+            let measure = || {
+                Ok(progress::metered(|at| meissner_report::control_tradeoff(&ControlGrid::default(), at))?)
+            };
+            answer(asked, measure, meissner_report::plot_control, loop_table)
         }
     }
 }
 
 /// Measures, draws if that was asked for, and prints.
 fn answer<T: Serialize>(
-    asked: &Tradeoff,
+    asked: &MethodTradeoff,
     measure: impl FnOnce() -> Result<T>,
     draw: impl FnOnce(&T) -> Result<String, meissner_report::PlotError>,
     table: impl FnOnce(&T) -> Vec<String>,
@@ -115,7 +116,7 @@ fn figure(figure: Option<f64>, digits: usize) -> String {
     figure.map_or_else(|| "-".to_owned(), |figure| format!("{figure:.digits$}"))
 }
 
-fn methods_table(tradeoff: &meissner_report::Tradeoff) -> Vec<String> {
+fn methods_table(tradeoff: &meissner_report::MethodTradeoff) -> Vec<String> {
     let head =
         ["method", "us/receptor/s", "matched", "error us", "rate RMS", "rate bias", "cost error", "front"];
     let row = |row: &meissner_report::Row| {
@@ -212,7 +213,7 @@ fn leads_table(tradeoff: &LeadTradeoff) -> Vec<String> {
 /// At most so many of the worst cells are named.
 const NAMED: usize = 8;
 
-fn loop_table(tradeoff: &HoldTradeoff) -> Vec<String> {
+fn loop_table(tradeoff: &ControlTradeoff) -> Vec<String> {
     let head = [
         "Hz",
         "scatter",
@@ -278,7 +279,7 @@ fn loop_table(tradeoff: &HoldTradeoff) -> Vec<String> {
     lines.push(format!("On average amplitudes that have room are off by {}.", biases.join(", ")));
     lines.extend(worst_cells(tradeoff));
     let head = ["Hz", "samples/s", "rest um", "bound um", "ratio"];
-    let row = |row: &HoldRow| {
+    let row = |row: &ControlRow| {
         vec![
             row.frequency_hz.to_string(),
             row.telemetry_hz.to_string(),
@@ -308,13 +309,13 @@ fn loop_table(tradeoff: &HoldTradeoff) -> Vec<String> {
 }
 
 /// Settings that do not hold, the worst first; of those that differ by their lead alone, one, if leads make no difference.
-fn worst_cells(tradeoff: &HoldTradeoff) -> Vec<String> {
+fn worst_cells(tradeoff: &ControlTradeoff) -> Vec<String> {
     let lead_ms = tradeoff.rows.first().map(|row| row.lead_ms);
-    let told = |row: &&HoldRow| !tradeoff.summary.leads_alike || Some(row.lead_ms) == lead_ms;
+    let told = |row: &&ControlRow| !tradeoff.summary.leads_alike || Some(row.lead_ms) == lead_ms;
     let missed = tradeoff.rows.iter().filter(|row| row.verdict == Verdict::Misses);
     let mut missed: Vec<_> = missed.filter(told).collect();
     missed.sort_by(|a, b| b.over_limit().total_cmp(&a.over_limit()));
-    let line = |row: &&HoldRow| {
+    let line = |row: &&ControlRow| {
         let doubt = row.doubt.map_or_else(String::new, |doubt| format!("; given up: {}", doubt.text()));
         format!(
             "Does not hold: {} Hz, {} um, telemetry {} ms old, scatter {}, asymmetry {}, lead {} ms: rest {:.3} um (limit \
@@ -345,7 +346,7 @@ mod tests {
 
     #[test]
     fn what_does_not_hold_is_named_the_worst_first() {
-        let grid = HoldGrid {
+        let grid = ControlGrid {
             frequencies_hz: vec![60.0],
             amplitudes_um: vec![80.0],
             leads_ms: vec![20.0, 100.0],
@@ -356,7 +357,7 @@ mod tests {
             seconds: 4.0,
             periods: 0.0,
         };
-        let mut found = meissner_report::hold_tradeoff(&grid, &|_| ()).unwrap();
+        let mut found = meissner_report::control_tradeoff(&grid, &|_| ()).unwrap();
         let text = loop_table(&found).join("\n");
         assert!(!text.contains("Does not hold") && text.contains("the lead makes no difference"), "{text}");
         assert!(text.contains("0 do not hold") && text.ends_with(&found.recommendation), "{text}");

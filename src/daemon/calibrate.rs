@@ -5,7 +5,7 @@
 //! Invariant: the file is replaced whole or not at all, and only by a calibration of the connected device.
 
 use super::engine::{Engine, Inner};
-use super::felt::Feeler;
+use super::predictor::Predictor;
 use crate::config;
 use crate::logbook::Who;
 use crate::store::{self, Stored};
@@ -16,7 +16,7 @@ use meissner_api::{CalibratedMotor, CalibrationReport, Code, PlayRequest, Proble
 use meissner_api::{DeviceInfo, Event, PlayState, Receipt};
 use meissner_stream::Gains;
 use meissner_stream::calibrate::{Calibration, Fit, MAX_BYTES, MotorFit, Plan, by_telemetry, fit};
-use meissner_stream::port::{Job, Order, Traveled};
+use meissner_stream::queues::{Command, MeasuredBurst, Request};
 use meissner_stream::time::HostInstant;
 use std::fs;
 use std::io;
@@ -34,7 +34,7 @@ const ADVICE: &str = "run `meissner calibrate`";
 pub(super) struct Calibrating {
     pub(super) id: u64,
     plan: Plan,
-    travels: Vec<Traveled>,
+    travels: Vec<MeasuredBurst>,
 }
 
 impl Calibrating {
@@ -42,7 +42,7 @@ impl Calibrating {
         Self { id, plan, travels: Vec::new() }
     }
 
-    pub(super) fn add(&mut self, traveled: Traveled) {
+    pub(super) fn add(&mut self, traveled: MeasuredBurst) {
         if self.travels.len() < MOST {
             self.travels.push(traveled);
         }
@@ -205,7 +205,7 @@ impl Engine {
         }
     }
 
-    /// Orders the play of a plan, open loop, and waits for its being taken.
+    /// CommandQueue the play of a plan, open loop, and waits for its being taken.
     pub(super) async fn calibrate(&self, plan: Plan, who: Who) -> Result<u64, Problem> {
         if self.lock().calibration_file.is_none() {
             let detail =
@@ -225,7 +225,7 @@ impl Engine {
     }
 
     /// Has a plan fitted that has been played.
-    pub(super) fn fit(self: &Arc<Self>, feeler: &Feeler, id: u64) {
+    pub(super) fn fit(self: &Arc<Self>, feeler: &Predictor, id: u64) {
         let mut inner = self.lock();
         let Some(receipt) = inner.recorder.receipt(id).filter(|receipt| receipt.state.is_over()).cloned()
         else {
@@ -284,8 +284,8 @@ impl Inner {
     }
 
     /// Has the streamer go by these gains.
-    pub(super) fn teach(&mut self, gains: [Gains; MOTORS]) -> Result<(), Order> {
-        let job = Job::Calibrate(Box::new(gains));
-        self.orders.send(Order { ticket: 0, given: HostInstant::now(), job })
+    pub(super) fn teach(&mut self, gains: [Gains; MOTORS]) -> Result<(), Request> {
+        let job = Command::Calibrate(Box::new(gains));
+        self.orders.send(Request { ticket: 0, given: HostInstant::now(), job })
     }
 }

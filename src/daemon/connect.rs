@@ -208,11 +208,11 @@ mod tests {
     use super::*;
     use crossbeam_channel::TryRecvError;
     use meissner_stream::Settings;
-    use meissner_stream::port::port;
+    use meissner_stream::queues::queues;
 
     #[test]
     fn a_watch_that_has_ended_is_not_heard_any_more() {
-        let (_port, orders, _notices) = port().unwrap();
+        let (_port, orders, _notices) = queues().unwrap();
         let spec = Spec::Serial("/nonexistent/tty".into());
         let engine = Arc::new(Engine::new(orders, Settings::default(), spec.to_string(), None));
         let ((tell, plugged), (word, words)) = (bounded(1), bounded(4));

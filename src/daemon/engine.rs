@@ -5,7 +5,7 @@
 //! microseconds and never across a wait. It decides nothing about motors: the streamer and the controller do.
 //!
 //! Bounds: the order ring (a full one is [`Code::Busy`]), [`EVENTS`] for a slow listener (then it lags), what
-//! [`Recorder`] keeps, what [`Travels`] does, and the tickets of the last [`LOST`].
+//! [`Recorder`] keeps, what [`MeasuredBursts`] does, and the tickets of the last [`LOST`].
 //!
 //! Invariant: a play is in the record before the streamer can speak of it.
 
@@ -13,7 +13,7 @@ use super::calibrate::{Calibrating, Kept};
 use super::connect::Word;
 use super::notebook::Names;
 use crate::logbook::{Entry, Logbook, Who};
-use crate::record::{Recorder, Travels, Unfelt};
+use crate::record::{MeasuredBursts, NoPrediction, Recorder};
 use crate::record::{refusal, state_name};
 use firmware_protocol::message::State;
 use firmware_protocol::stroke::MOTORS;
@@ -23,7 +23,7 @@ use meissner_api::{Event, PredictedResponse};
 use meissner_array::pattern::Pattern;
 use meissner_stream::device::Device;
 use meissner_stream::device::mock::Truth;
-use meissner_stream::port::{Job, Order, Orders, Refused};
+use meissner_stream::queues::{Command, CommandQueue, Refused, Request};
 use meissner_stream::time::HostInstant;
 use meissner_stream::{Gains, Settings};
 use std::collections::HashMap;
@@ -36,7 +36,7 @@ use tracing::{error, warn};
 /// Events a listener may be behind.
 pub(super) const EVENTS: usize = 1024;
 /// How long the streamer may take to answer.
-pub(super) const PATIENCE: Duration = Duration::from_secs(1);
+pub(super) const TIMEOUT: Duration = Duration::from_secs(1);
 /// After this long no answer comes any more: an order that waited for a second is not carried out, and homing ends.
 const LOST: Duration = Duration::from_secs(30);
 /// How long clients are kept waiting for the first device.
@@ -62,7 +62,7 @@ pub(super) struct Inner {
     /// Where the calibration is kept.
     pub(super) calibration_file: Option<PathBuf>,
     pub(super) recorder: Recorder,
-    pub(super) travels: Travels,
+    pub(super) travels: MeasuredBursts,
     /// Plays that were not looked at yet: what is played, and whether the device measures.
     pub(super) unseen: HashMap<u64, (Arc<Pattern>, bool)>,
     /// Who ordered the plays that are not over.
@@ -77,7 +77,7 @@ pub(super) struct Inner {
     pub(super) calibration: Result<Kept, String>,
     /// The streamer goes by a calibration.
     pub(super) taught: bool,
-    pub(super) orders: Orders,
+    pub(super) orders: CommandQueue,
     last_ticket: u64,
     last_estop: u64,
     pub(super) last_play: u64,
@@ -118,7 +118,7 @@ pub(super) struct Engine {
 
 impl Engine {
     pub(super) fn new(
-        orders: Orders,
+        orders: CommandQueue,
         settings: Settings,
         wanted: String,
         calibration: Option<PathBuf>,
@@ -127,7 +127,7 @@ impl Engine {
             settings,
             calibration_file: calibration,
             recorder: Recorder::default(),
-            travels: Travels::default(),
+            travels: MeasuredBursts::default(),
             unseen: HashMap::new(),
             players: HashMap::new(),
             book: Logbook::none(),
@@ -209,7 +209,7 @@ impl Engine {
 
     fn hand_over(mut inner: MutexGuard<'_, Inner>, device: Box<Device>) -> Result<(), Box<Device>> {
         let gains = inner.used().map(|kept| kept.calibration.gains());
-        // What the streamer was never told it need not forget.
+        // What the streamer was never told it bandwidth not forget.
         if gains.is_some() || inner.taught {
             inner.taught = gains.is_some();
             if inner.teach(gains.unwrap_or_else(|| [Gains::default(); MOTORS])).is_err() {
@@ -218,12 +218,13 @@ impl Engine {
         }
         inner.recorder.reached_by(device.kind());
         inner.truth = device.truth();
-        inner.orders.send(Order { ticket: 0, given: HostInstant::now(), job: Job::Connect(device) }).map_err(
-            |order| match order.job {
-                Job::Connect(device) => device,
+        inner
+            .orders
+            .send(Request { ticket: 0, given: HostInstant::now(), job: Command::Connect(device) })
+            .map_err(|order| match order.job {
+                Command::Connect(device) => device,
                 _ => unreachable!("a ring gives back what it was given"),
-            },
-        )
+            })
     }
 
     /// Takes down why no device could be opened.
@@ -257,12 +258,12 @@ impl Engine {
         self.lock().truth.clone()
     }
 
-    /// Orders something.
-    pub(super) fn order(&self, job: Job) -> Result<Reply, Problem> {
+    /// CommandQueue something.
+    pub(super) fn order(&self, job: Command) -> Result<Reply, Problem> {
         self.send(job, None)
     }
 
-    fn send(&self, job: Job, play: Option<u64>) -> Result<Reply, Problem> {
+    fn send(&self, job: Command, play: Option<u64>) -> Result<Reply, Problem> {
         self.lock().send(job, play)
     }
 
@@ -276,10 +277,10 @@ impl Engine {
     }
 
     /// Goes by these settings, from the next `arm` on if motors are armed; gives the order back if too many wait.
-    pub(super) fn configure(&self, settings: Settings) -> Result<(), Order> {
+    pub(super) fn configure(&self, settings: Settings) -> Result<(), Request> {
         let mut inner = self.lock();
-        let job = Job::Configure(settings);
-        inner.orders.send(Order { ticket: 0, given: HostInstant::now(), job })?;
+        let job = Command::Configure(settings);
+        inner.orders.send(Request { ticket: 0, given: HostInstant::now(), job })?;
         inner.next_settings = settings;
         if !inner.is_armed() {
             inner.settings = settings;
@@ -289,7 +290,7 @@ impl Engine {
 
     /// Refuses further orders and has pins returned and motors switched off.
     pub(super) async fn shut_down(&self) {
-        let reply = self.send(Job::Shutdown, None);
+        let reply = self.send(Command::Shutdown, None);
         self.lock().closing = true;
         match reply {
             Ok(reply) => {
@@ -318,7 +319,7 @@ impl Engine {
     }
 
     /// It is known what was felt of a play, or why not.
-    pub(super) fn felt(&self, id: u64, felt: Result<PredictedResponse, Unfelt>) {
+    pub(super) fn felt(&self, id: u64, felt: Result<PredictedResponse, NoPrediction>) {
         let mut inner = self.lock();
         if let Some(event) = inner.recorder.felt(id, felt) {
             inner.publish(&event);
@@ -327,23 +328,23 @@ impl Engine {
 }
 
 impl Inner {
-    pub(super) fn send(&mut self, job: Job, play: Option<u64>) -> Result<Reply, Problem> {
+    pub(super) fn send(&mut self, job: Command, play: Option<u64>) -> Result<Reply, Problem> {
         // An emergency stop is passed on whatever else is going on.
-        if self.closing && !matches!(job, Job::EStop | Job::Shutdown) {
+        if self.closing && !matches!(job, Command::EStop | Command::Shutdown) {
             return Err(Problem::new(Code::ShuttingDown, "the daemon is ending: start it again"));
         }
         self.last_ticket += 1;
         let (ticket, given) = (self.last_ticket, HostInstant::now());
         self.forget(given);
         let (reply, receiver) = oneshot::channel();
-        let estop = matches!(job, Job::EStop);
-        if matches!(job, Job::Arm { .. }) {
+        let estop = matches!(job, Command::EStop);
+        if matches!(job, Command::Arm { .. }) {
             self.armed_once = true;
             if !self.is_armed() {
                 self.settings = self.next_settings;
             }
         }
-        if self.orders.send(Order { ticket, given, job }).is_err() {
+        if self.orders.send(Request { ticket, given, job }).is_err() {
             if estop {
                 // Only another emergency stop can have taken the last place: its answer is for both.
                 if let Some(ticket) = self.waiting.get_mut(&self.last_estop) {
@@ -422,11 +423,11 @@ impl Inner {
 
 /// Waits for an answer.
 pub(super) async fn answer(reply: Reply) -> Result<(), Problem> {
-    within(PATIENCE, reply).await
+    within(TIMEOUT, reply).await
 }
 
-pub(super) async fn within(patience: Duration, reply: Reply) -> Result<(), Problem> {
-    match tokio::time::timeout(patience, reply).await {
+pub(super) async fn within(timeout: Duration, reply: Reply) -> Result<(), Problem> {
+    match tokio::time::timeout(timeout, reply).await {
         Ok(Ok(result)) => result.map_err(refusal),
         // The ticket stays, so that a late answer still reaches the record.
         Ok(Err(_)) | Err(_) => Err(refusal(Refused::Timeout)),
@@ -438,41 +439,44 @@ mod tests {
     use super::*;
     use meissner_array::simulated::PlantConfig;
     use meissner_stream::device::{self, Spec};
-    use meissner_stream::port::{Notice, port};
+    use meissner_stream::queues::{StreamEvent, queues};
 
     #[test]
     fn a_full_ring_is_busy_for_all_but_an_emergency_stop() {
-        let (mut port, orders, _notices) = port().unwrap();
+        let (mut port, orders, _notices) = queues().unwrap();
         let engine = Engine::new(orders, Settings::default(), "mock".to_owned(), None);
         let mut waiting = 0;
         let busy = loop {
-            match engine.order(Job::Stop) {
+            match engine.order(Command::Stop) {
                 Ok(_) => waiting += 1,
                 Err(problem) => break problem,
             }
         };
         assert_eq!(busy.code, "busy");
-        let mut first = engine.order(Job::EStop).unwrap();
-        let mut second = engine.order(Job::EStop).unwrap();
+        let mut first = engine.order(Command::EStop).unwrap();
+        let mut second = engine.order(Command::EStop).unwrap();
         for _ in 0..waiting {
-            assert!(matches!(port.pop().unwrap().job, Job::Stop));
+            assert!(matches!(port.pop().unwrap().job, Command::Stop));
         }
         let estop = port.pop().unwrap();
-        assert!(matches!(estop.job, Job::EStop) && port.pop().is_none());
-        engine.lock().take(Notice::Answer { ticket: estop.ticket, result: Ok(()) });
+        assert!(matches!(estop.job, Command::EStop) && port.pop().is_none());
+        engine.lock().take(StreamEvent::Answer { ticket: estop.ticket, result: Ok(()) });
         assert_eq!((first.try_recv(), second.try_recv()), (Ok(Ok(())), Ok(Ok(()))));
     }
 
     #[test]
     fn a_board_takes_the_mocks_place_until_that_was_armed() {
-        let (mut port, orders, _notices) = port().unwrap();
+        let (mut port, orders, _notices) = queues().unwrap();
         let engine = Engine::new(orders, Settings::default(), "auto".to_owned(), None);
         let device = || Box::new(device::open(&Spec::Mock, &PlantConfig::default()).unwrap());
         engine.connect(device()).unwrap();
         engine.replace_mock(device()).unwrap();
-        drop(engine.order(Job::Arm { assume_rest: false }).unwrap());
+        drop(engine.order(Command::Arm { assume_rest: false }).unwrap());
         assert!(engine.was_armed() && engine.replace_mock(device()).is_err());
-        let jobs: Vec<Job> = std::iter::from_fn(|| port.pop()).map(|order| order.job).collect();
-        assert!(matches!(jobs[..], [Job::Connect(_), Job::Connect(_), Job::Arm { .. }]), "{jobs:?}");
+        let jobs: Vec<Command> = std::iter::from_fn(|| port.pop()).map(|order| order.job).collect();
+        assert!(
+            matches!(jobs[..], [Command::Connect(_), Command::Connect(_), Command::Arm { .. }]),
+            "{jobs:?}"
+        );
     }
 }

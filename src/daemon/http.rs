@@ -7,7 +7,7 @@
 //! the log has it too, which has a play's one line at its end.
 
 use super::DISK_THREADS;
-use super::engine::{self, Engine, PATIENCE};
+use super::engine::{self, Engine, TIMEOUT};
 use super::metrics;
 use super::notebook::Asked;
 use crate::logbook::Who;
@@ -31,7 +31,7 @@ use meissner_api::{
 };
 use meissner_api::{Event, Receipt};
 use meissner_array::pattern::Warning;
-use meissner_stream::port::Job;
+use meissner_stream::queues::Command;
 use serde_json::{Value, json};
 use std::convert::Infallible;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -42,7 +42,7 @@ use tokio_stream::wrappers::BroadcastStream;
 use tokio_stream::wrappers::errors::BroadcastStreamRecvError;
 
 /// How long homing may take: 24 pins from one end of their travel, six rounds.
-const HOME_PATIENCE: Duration = Duration::from_secs(25);
+const HOME_TIMEOUT: Duration = Duration::from_secs(25);
 /// How long a request's body may take.
 const BODY_PATIENCE: Duration = Duration::from_secs(10);
 /// Bytes of a command's body, at the most.
@@ -262,38 +262,38 @@ async fn command(
     peer: Who,
     body: Body,
     name: &'static str,
-    job: Job,
-    patience: Duration,
+    job: Command,
+    timeout: Duration,
 ) -> Answer<Json<Status>> {
     let asked = Asked::new(&app.engine, name, peer);
     let outcome = async {
         parse_empty(&read(body).await?)?;
-        carry_out(app, job, patience).await
+        carry_out(app, job, timeout).await
     };
     asked.outcome(outcome.await)
 }
 
-async fn carry_out(app: &App, job: Job, patience: Duration) -> Answer<Json<Status>> {
+async fn carry_out(app: &App, job: Command, timeout: Duration) -> Answer<Json<Status>> {
     // Sent before anything is written: no order waits for the log.
-    engine::within(patience, app.engine.order(job)?).await?;
+    engine::within(timeout, app.engine.order(job)?).await?;
     Ok(Json(app.engine.status()))
 }
 
 async fn stop(State(app): State<App>, Extension(peer): Extension<Who>, body: Body) -> Answer<Json<Status>> {
-    command(&app, peer, body, "stop", Job::Stop, PATIENCE).await
+    command(&app, peer, body, "stop", Command::Stop, TIMEOUT).await
 }
 
 /// Whatever its body holds: this is no moment to argue.
 async fn estop(State(app): State<App>, Extension(peer): Extension<Who>, body: Body) -> Answer<Json<Status>> {
     let asked = Asked::new(&app.engine, "estop", peer);
-    let outcome = carry_out(&app, Job::EStop, PATIENCE).await;
+    let outcome = carry_out(&app, Command::EStop, TIMEOUT).await;
     // Afterwards: a client that sends it by itself must not find that nobody takes it.
     let _ = tokio::time::timeout(ESTOP_BODY, read(body)).await;
     asked.outcome(outcome)
 }
 
 async fn reset(State(app): State<App>, Extension(peer): Extension<Who>, body: Body) -> Answer<Json<Status>> {
-    command(&app, peer, body, "reset", Job::Reset, PATIENCE).await
+    command(&app, peer, body, "reset", Command::Reset, TIMEOUT).await
 }
 
 async fn arm(State(app): State<App>, Extension(peer): Extension<Who>, body: Body) -> Answer<Json<Status>> {
@@ -304,19 +304,19 @@ async fn arm(State(app): State<App>, Extension(peer): Extension<Who>, body: Body
         if request.assume_rest {
             asked.call("arm, assuming rest,".to_owned());
         }
-        carry_out(&app, Job::Arm { assume_rest: request.assume_rest }, PATIENCE).await
+        carry_out(&app, Command::Arm { assume_rest: request.assume_rest }, TIMEOUT).await
     };
     let outcome = outcome.await;
     asked.outcome(outcome)
 }
 
 async fn disarm(State(app): State<App>, Extension(peer): Extension<Who>, body: Body) -> Answer<Json<Status>> {
-    command(&app, peer, body, "disarm", Job::Disarm, PATIENCE).await
+    command(&app, peer, body, "disarm", Command::Disarm, TIMEOUT).await
 }
 
 /// Answers when the pins are home.
 async fn home(State(app): State<App>, Extension(peer): Extension<Who>, body: Body) -> Answer<Json<Status>> {
-    command(&app, peer, body, "home", Job::Home, HOME_PATIENCE).await
+    command(&app, peer, body, "home", Command::Home, HOME_TIMEOUT).await
 }
 
 async fn status(State(app): State<App>) -> Json<Status> {

@@ -77,10 +77,10 @@ pub(super) fn text(recorder: &Recorder) -> String {
     text.family(
         "notices_lost_total",
         "counter",
-        "Notices the daemon was too slow for.",
+        "EventQueue the daemon was too slow for.",
         [("", &totals.lost)],
     );
-    let of = |figure: fn(&meissner_stream::port::Snapshot) -> u64| snapshot.map_or(0, figure);
+    let of = |figure: fn(&meissner_stream::queues::Snapshot) -> u64| snapshot.map_or(0, figure);
     text.family(
         "sent_bytes_total",
         "counter",

@@ -9,11 +9,11 @@
 mod calibrate;
 mod connect;
 mod engine;
-mod felt;
 mod http;
 mod metrics;
 mod notebook;
 mod plays;
+mod predictor;
 mod pump;
 mod reload;
 mod server;
@@ -30,11 +30,11 @@ use crate::logbook::{Keep, Logbook, Note};
 use crate::store::{Store, StoreError};
 use connect::Word;
 use engine::Engine;
-use felt::Feeler;
 use http::{App, Shelf};
 use meissner_api::Realtime;
 use meissner_stream::device::mock::Truth;
-use meissner_stream::port::Notices;
+use meissner_stream::queues::EventQueue;
+use predictor::Predictor;
 use service::{Manager, Teller, Word as News};
 use socket::Bound;
 use std::io;
@@ -99,8 +99,8 @@ pub struct Daemon {
     bound: Bound,
     engine: Arc<Engine>,
     shelf: Shelf,
-    notices: Notices,
-    feeler: Feeler,
+    notices: EventQueue,
+    feeler: Predictor,
     realtime: Realtime,
     streamer: JoinHandle<()>,
     connector: crossbeam_channel::Sender<Word>,
@@ -216,7 +216,7 @@ impl Daemon {
                 "without real-time rights strokes may come late: see `meissner doctor`"
             );
         }
-        let feeler = Feeler::new().map_err(io::Error::other).map_err(system("thread"))?;
+        let feeler = Predictor::new().map_err(io::Error::other).map_err(system("thread"))?;
         let wanted = config.device.to_string();
         let engine = Engine::new(orders, config.settings, wanted.clone(), config.calibration.clone());
         let book = Logbook::start(config.logbook.clone(), Arc::clone(&engine.names.users))

@@ -137,8 +137,8 @@ impl Engine {
                 warn!(cause = reason, "device disconnected: {reason}; it is looked for again");
             }
             Event::Ended { receipt } => self.log_play(receipt),
-            Event::Doubted { motor, doubt } => {
-                let cause = doubt.text();
+            Event::SensorFault { motor, fault } => {
+                let cause = fault.text();
                 warn!(motor, cause, "motor {motor}: {cause}; it plays in open loop until the next `arm`");
             }
             Event::Drifted { um } => {
@@ -212,7 +212,7 @@ mod tests {
     use meissner_api::BurstCounts;
     use meissner_api::OnsetRecord;
     use meissner_stream::Settings;
-    use meissner_stream::port::port;
+    use meissner_stream::queues::queues;
     use std::fs;
     use std::thread;
     use std::time::Duration;
@@ -243,7 +243,7 @@ mod tests {
     #[test]
     fn a_client_that_hangs_up_is_noted() {
         let dir = tempfile::tempdir().unwrap();
-        let (_port, orders, _notices) = port().unwrap();
+        let (_port, orders, _notices) = queues().unwrap();
         let folder = dir.path().join("logbook");
         let keep = Keep { dir: folder.clone(), days: 1 };
         let book = Logbook::start(Some(keep), Arc::default()).unwrap();

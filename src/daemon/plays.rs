@@ -13,14 +13,14 @@ use firmware_protocol::tick::Tick;
 use meissner_api::Receipt;
 use meissner_api::{Code, PlayRequest, Problem};
 use meissner_array::strokes::Strokes;
-use meissner_stream::Need;
+use meissner_stream::Bandwidth;
 use meissner_stream::calibrate::Plan;
-use meissner_stream::port::{At, Job, Play, Refused};
+use meissner_stream::queues::{At, Command, Play, Refused};
 use meissner_stream::time::HostInstant;
 use std::sync::Arc;
 
 impl Engine {
-    /// Orders a play and waits for its being taken.
+    /// CommandQueue a play and waits for its being taken.
     pub(super) async fn play(
         &self,
         request: &PlayRequest,
@@ -47,8 +47,9 @@ impl Engine {
         self.check_boot(request.boot)?;
         // A long pattern has a hundred thousand strokes: orders of others must not wait for their counting.
         let settings = self.lock().settings;
-        let counted = tokio::task::spawn_blocking(move || (Need::of(&strokes, &settings), strokes)).await;
-        let (need, strokes) = counted.map_err(|_| {
+        let counted =
+            tokio::task::spawn_blocking(move || (Bandwidth::of(&strokes, &settings), strokes)).await;
+        let (bandwidth, strokes) = counted.map_err(|_| {
             Problem::new(Code::Busy, "the pattern could not be counted: try again, and see the daemon's log")
         })?;
         let at = match (request.at_tick, request.at_ms) {
@@ -82,8 +83,8 @@ impl Engine {
             inner.calibrating = plan.map(|plan| Calibrating::new(id, plan));
             inner.players.insert(id, who);
             inner.unseen.insert(id, (Arc::new(stored.pattern.clone()), telemetry));
-            let play = Box::new(Play { id, strokes, at, late, replace, open_loop, need });
-            let sent = inner.send(Job::Play(play), Some(id));
+            let play = Box::new(Play { id, strokes, at, late, replace, open_loop, bandwidth });
+            let sent = inner.send(Command::Play(play), Some(id));
             if sent.is_err() {
                 inner.settle(id, false);
             }

@@ -6,12 +6,12 @@
 
 use super::connect::Word;
 use super::engine::{Engine, Inner};
-use super::felt::{Asked, Feeler};
+use super::predictor::{Asked, Predictor};
 use super::service::Teller;
-use crate::record::Look;
+use crate::record::PlayedPattern;
 use meissner_api::Event;
 use meissner_design::MOST_OBSERVED_S;
-use meissner_stream::port::{Notice, Notices};
+use meissner_stream::queues::{EventQueue, StreamEvent};
 use std::io;
 use std::os::fd::{AsFd, OwnedFd};
 use std::sync::Arc;
@@ -28,8 +28,8 @@ impl Engine {
     /// Takes in notices until the streamer ends, and has plays looked at when their bursts have been measured.
     pub(super) async fn pump(
         self: Arc<Self>,
-        mut notices: Notices,
-        feeler: Feeler,
+        mut notices: EventQueue,
+        feeler: Predictor,
         mut teller: Teller,
     ) -> io::Result<()> {
         let bell = bell(&notices)?;
@@ -52,7 +52,7 @@ impl Engine {
             notices.silence();
             {
                 let mut inner = self.lock();
-                while let Some(traveled) = notices.pop_travel() {
+                while let Some(traveled) = notices.pop_measured() {
                     inner.travels.add(traveled);
                     if let Some(calibrating) = &mut inner.calibrating {
                         calibrating.add(traveled);
@@ -60,7 +60,7 @@ impl Engine {
                 }
             }
             while let Some(notice) = notices.pop() {
-                if matches!(notice, Notice::Bye) {
+                if matches!(notice, StreamEvent::Bye) {
                     return Ok(());
                 }
                 let (event, quiet) = self.lock().take(notice);
@@ -100,13 +100,13 @@ impl Engine {
     }
 
     /// Has a play looked at, if that was not done yet.
-    fn look(self: &Arc<Self>, feeler: &Feeler, id: u64) {
+    fn look(self: &Arc<Self>, feeler: &Predictor, id: u64) {
         self.fit(feeler, id);
         let (asked, bursts) = {
             let mut inner = self.lock();
             let Some((pattern, telemetry)) = inner.unseen.remove(&id) else { return };
             let Some(receipt) = inner.recorder.receipt(id).cloned() else { return };
-            let look = Look::at(&receipt, &pattern);
+            let look = PlayedPattern::at(&receipt, &pattern);
             let bursts = look.map(|look| inner.travels.within(look.onset, look.until()).copied().collect());
             let bursts: Vec<_> = bursts.unwrap_or_default();
             (Asked { pattern, receipt, telemetry }, bursts)
@@ -117,16 +117,16 @@ impl Engine {
 
 impl Inner {
     /// What is to be told of a notice, and whether it is no news for the log.
-    pub(super) fn take(&mut self, notice: Notice) -> (Option<Event>, bool) {
+    pub(super) fn take(&mut self, notice: StreamEvent) -> (Option<Event>, bool) {
         let event = match &notice {
-            Notice::Answer { ticket, result } => self.answered(*ticket, *result),
-            Notice::Connected(_) => {
+            StreamEvent::Answer { ticket, result } => self.answered(*ticket, *result),
+            StreamEvent::Connected(_) => {
                 (self.lost, self.missing) = (None, None);
                 self.travels.clear();
                 self.recorder.take(&notice)
             }
             // A port that is no board is opened again and again: that is no news.
-            Notice::Disconnected { reason, .. } => {
+            StreamEvent::Disconnected { reason, .. } => {
                 self.missing = Some(format!("{}: {reason}", self.recorder.kind()));
                 let event = self.recorder.take(&notice);
                 event.filter(|_| self.lost.replace(reason) != Some(*reason))
@@ -136,7 +136,7 @@ impl Inner {
         if let Some(event) = &event {
             self.publish(event);
         }
-        if let Notice::Disconnected { device, .. } = notice {
+        if let StreamEvent::Disconnected { device, .. } = notice {
             // Gone once per connection, and the connector empties its channel: it cannot be full.
             if let Some(connector) = &self.connector {
                 let _ = connector.try_send(Word::Gone(device));
@@ -153,6 +153,6 @@ impl Inner {
     deprecated,
     reason = "the other constructor is unsafe; an owned descriptor stays open while it is watched"
 )]
-fn bell(notices: &Notices) -> io::Result<AsyncFd<OwnedFd>> {
+fn bell(notices: &EventQueue) -> io::Result<AsyncFd<OwnedFd>> {
     AsyncFd::with_interest(notices.as_fd().try_clone_to_owned()?, Interest::READABLE)
 }

@@ -20,7 +20,7 @@ use std::time::Duration;
 use tracing::{info, warn};
 
 /// How long the logbook's old place may take for what it has still to write.
-const PATIENCE: Duration = Duration::from_secs(2);
+const TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Starts the thread on which configurations are read, as often as it is told to: it may wait for the disk for as long as that
 /// takes, and nobody waits for it.
@@ -90,7 +90,7 @@ fn take(
     if new.logbook != running.logbook {
         let (book, users) = (engine.lock().book.clone(), Arc::clone(&engine.names.users));
         let slow = |error| format!("`logbook_dir`: {error}: reload the configuration again");
-        book.keep(new.logbook.clone(), users, PATIENCE).map_err(slow)?;
+        book.keep(new.logbook.clone(), users, TIMEOUT).map_err(slow)?;
         running.logbook.clone_from(&new.logbook);
         taken.push("`logbook_dir` and `logbook_days` at once".to_owned());
     }

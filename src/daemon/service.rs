@@ -2,7 +2,7 @@
 //!
 //! That it lives is the streamer's word: its thread has to come round between two looks. The runtime's thread passes that on, so
 //! the daemon is also restarted if that one hangs; a slow client, disk or log keeps neither from its turn. All words leave by a
-//! thread of their own: a manager that hangs must not hold up an emergency stop.
+//! thread of their own: a manager that hangs must not control up an emergency stop.
 //!
 //! Invariant: no sign of life without a new turn of the streamer.
 
@@ -155,11 +155,11 @@ fn is_replaced() -> bool {
 mod tests {
     use super::*;
     use meissner_stream::Settings;
-    use meissner_stream::port::port;
+    use meissner_stream::queues::queues;
 
     #[test]
     fn there_is_no_sign_of_life_without_a_turn_of_the_streamer() {
-        let (port, orders, _notices) = port().unwrap();
+        let (port, orders, _notices) = queues().unwrap();
         let engine = Arc::new(Engine::new(orders, Settings::default(), "mock".to_owned(), None));
         let (sender, words) = bounded(WORDS);
         let runtime = crate::daemon::runtime().unwrap();

@@ -125,15 +125,15 @@ impl Logbook {
     ///
     /// # Errors
     /// If the disk is too slow, or the system gives no thread: then it stays where it was.
-    pub fn keep(&self, keep: Option<Keep>, users: Arc<Users>, patience: Duration) -> io::Result<()> {
+    pub fn keep(&self, keep: Option<Keep>, users: Arc<Users>, timeout: Duration) -> io::Result<()> {
         let Some(keep) = keep else {
-            self.close(patience);
+            self.close(timeout);
             return Ok(());
         };
         let words = self.lock().as_ref().map(|gate| gate.words.clone());
         match words {
             Some(words) => {
-                words.send_timeout(Word::Move(keep), patience).map_err(|_| io::ErrorKind::TimedOut.into())
+                words.send_timeout(Word::Move(keep), timeout).map_err(|_| io::ErrorKind::TimedOut.into())
             }
             None => {
                 *self.lock() = Some(Gate::open(Book::new(keep), users, WAITING)?);
@@ -163,8 +163,8 @@ impl Logbook {
     }
 
     /// Writes what waits, makes it durable, and takes nothing more; waits for that at most so long.
-    pub fn close(&self, patience: Duration) {
-        let until = Instant::now() + patience;
+    pub fn close(&self, timeout: Duration) {
+        let until = Instant::now() + timeout;
         let Some(Gate { words, missed, ended, .. }) = self.lock().take() else { return };
         let mut unsaid = missed;
         if missed > 0 {

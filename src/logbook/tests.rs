@@ -314,23 +314,23 @@ fn a_full_queue_does_not_wait_and_is_told() {
 #[test]
 fn a_logbook_that_moves_loses_nothing() {
     let (first, second) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-    let (users, patience) = (Arc::new(Users::default()), Duration::from_secs(10));
+    let (users, timeout) = (Arc::new(Users::default()), Duration::from_secs(10));
     let log = Logbook::none();
-    log.keep(Some(keep(first.path(), 1)), Arc::clone(&users), patience).unwrap();
+    log.keep(Some(keep(first.path(), 1)), Arc::clone(&users), timeout).unwrap();
     let entries = |dir: &Path| {
         let file = fs::read_dir(dir.join("logbook")).unwrap().next().unwrap().unwrap().path();
         fs::read_to_string(file).unwrap().lines().count()
     };
     log.note(started());
     log.note(started());
-    log.keep(Some(keep(second.path(), 1)), Arc::clone(&users), patience).unwrap();
+    log.keep(Some(keep(second.path(), 1)), Arc::clone(&users), timeout).unwrap();
     log.note(started());
-    log.keep(None, Arc::clone(&users), patience).unwrap();
+    log.keep(None, Arc::clone(&users), timeout).unwrap();
     log.note(started());
     assert_eq!((entries(first.path()), entries(second.path())), (2, 1));
-    log.keep(Some(keep(first.path(), 1)), users, patience).unwrap();
+    log.keep(Some(keep(first.path(), 1)), users, timeout).unwrap();
     log.note(started());
-    log.close(patience);
+    log.close(timeout);
     assert_eq!((entries(first.path()), entries(second.path())), (3, 1));
 }
 

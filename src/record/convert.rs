@@ -4,7 +4,7 @@ use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{DeviceHello, State};
 use meissner_api::{CalibrateRequest, Code, DeviceInfo, Problem};
 use meissner_stream::calibrate::Plan;
-use meissner_stream::port::Refused;
+use meissner_stream::queues::Refused;
 
 /// The controller's state as the API calls it.
 #[must_use]

@@ -1,18 +1,18 @@
 //! The record: what the streamer reported, kept as receipts, figures and events.
 //!
-//! A [`Recorder`] is fed every [`Notice`] and what the daemon was asked to play. It reads no clock and sends
+//! A [`Recorder`] is fed every [`StreamEvent`] and what the daemon was asked to play. It reads no clock and sends
 //! nothing; whoever owns it passes the events on. Plays that are queued or running are all kept (the streamer
 //! bounds them), finished ones are the last [`KEPT`].
 //!
 //! Invariant: every play that was taken is in the record exactly once, until [`KEPT`] later ones have ended.
 
 mod convert;
-mod felt;
-mod travels;
+mod measured_bursts;
+mod prediction;
 
 pub use convert::{calibration_plan, device_info, refusal, state_name};
-pub use felt::{Look, Unfelt};
-pub use travels::{KEPT_S, Travels};
+pub use measured_bursts::{KEPT_S, MeasuredBursts};
+pub use prediction::{NoPrediction, PlayedPattern};
 
 use firmware_protocol::message::{DeviceHello, State};
 use firmware_protocol::tick::{TICK_HZ, Tick};
@@ -21,8 +21,8 @@ use meissner_api::{
     PredictedResponse, PulseCounts, Receipt, RefusedStroke, Running, Wire,
 };
 use meissner_stream::cause_text;
-use meissner_stream::port::Onset;
-use meissner_stream::port::{Notice, Outcome, Snapshot, refusal_text};
+use meissner_stream::queues::Onset;
+use meissner_stream::queues::{Outcome, Snapshot, StreamEvent, refusal_text};
 use meissner_stream::time::HostInstant;
 use std::collections::VecDeque;
 
@@ -44,7 +44,7 @@ pub struct Totals {
     pub lateness: LateCounts,
     /// Bytes sent while plays ran.
     pub wire_bytes: u64,
-    /// Notices the daemon was too slow for.
+    /// EventQueue the daemon was too slow for.
     pub lost: u64,
     /// Devices connected.
     pub connects: u64,
@@ -90,37 +90,39 @@ impl Recorder {
         &self.kind
     }
 
-    /// Takes in what happened; an [`Notice::Answer`] is its owner's business and tells nothing here.
-    pub fn take(&mut self, notice: &Notice) -> Option<Event> {
+    /// Takes in what happened; an [`StreamEvent::Answer`] is its owner's business and tells nothing here.
+    pub fn take(&mut self, notice: &StreamEvent) -> Option<Event> {
         match notice {
-            Notice::Answer { .. }
-            | Notice::Returned(_)
-            | Notice::Freed(_)
-            | Notice::Traveled(_)
-            | Notice::Bye => None,
-            Notice::Doubted { motor, doubt } => Some(Event::Doubted { motor: *motor, doubt: *doubt }),
-            Notice::Drifted { um } => Some(Event::Drifted { um: *um }),
-            Notice::Connected(hello) => {
+            StreamEvent::Answer { .. }
+            | StreamEvent::Returned(_)
+            | StreamEvent::Freed(_)
+            | StreamEvent::MeasuredBurst(_)
+            | StreamEvent::Bye => None,
+            StreamEvent::SensorFault { motor, fault } => {
+                Some(Event::SensorFault { motor: *motor, fault: *fault })
+            }
+            StreamEvent::Drifted { um } => Some(Event::Drifted { um: *um }),
+            StreamEvent::Connected(hello) => {
                 self.totals.connects += 1;
                 self.hello = Some(*hello);
                 Some(Event::Connected { device: device_info(&self.kind, hello) })
             }
-            Notice::Disconnected { reason, .. } => {
+            StreamEvent::Disconnected { reason, .. } => {
                 self.hello = None;
                 Some(Event::Disconnected { reason: (*reason).to_owned() })
             }
-            Notice::Snapshot(snapshot) => {
+            StreamEvent::Snapshot(snapshot) => {
                 self.snapshot = Some(*snapshot);
                 Some(self.state(snapshot.at))
             }
-            Notice::Began { id, onset } => {
+            StreamEvent::Began { id, onset } => {
                 began(self.live_mut(*id)?, *onset);
                 Some(Event::Began { id: *id, onset: (*onset).into() })
             }
-            Notice::Late { id, motor, up, late_ms, cause } => {
+            StreamEvent::Late { id, motor, up, late_ms, cause } => {
                 Some(self.late(*id, *motor, *up, *late_ms, *cause))
             }
-            Notice::StrokeRefused { id, motor, up, reason } => {
+            StreamEvent::StrokeRefused { id, motor, up, reason } => {
                 let reason = refusal_text(*reason).to_owned();
                 let stroke = RefusedStroke { motor: *motor, tick: up.0, reason };
                 if let Some(receipt) = self.live_mut(*id).filter(|receipt| receipt.refusals.len() < LISTED) {
@@ -128,8 +130,8 @@ impl Recorder {
                 }
                 Some(Event::Refused { id: *id, stroke })
             }
-            Notice::Ended { id, outcome } => self.ended(*id, outcome),
-            Notice::Lost(notices) => {
+            StreamEvent::Ended { id, outcome } => self.ended(*id, outcome),
+            StreamEvent::Lost(notices) => {
                 self.totals.lost += notices;
                 Some(Event::Lost { notices: *notices })
             }
@@ -161,14 +163,14 @@ impl Recorder {
     }
 
     /// It is known what was felt of a play, or why that is not known.
-    pub fn felt(&mut self, id: u64, felt: Result<PredictedResponse, Unfelt>) -> Option<Event> {
+    pub fn felt(&mut self, id: u64, felt: Result<PredictedResponse, NoPrediction>) -> Option<Event> {
         let receipt = self.live.iter_mut().chain(&mut self.finished).find(|receipt| receipt.id == id)?;
         match felt {
             Ok(felt) => receipt.felt = Some(felt),
             Err(unfelt) => receipt.felt_unknown = Some(unfelt.to_string()),
         }
         let (felt, felt_unknown) = (receipt.felt.clone(), receipt.felt_unknown.clone());
-        Some(Event::Felt { id, felt, felt_unknown })
+        Some(Event::PredictedResponse { id, felt, felt_unknown })
     }
 
     /// The play of that id.
@@ -275,7 +277,7 @@ fn complete(receipt: &mut Receipt, outcome: &Outcome) {
     receipt.cause = outcome.cause.map(str::to_owned);
     receipt.bursts = Some(outcome.bursts);
     receipt.pulses = Some(outcome.pulses);
-    // The streamer's counts hold; notices of single strokes may have been lost.
+    // The streamer's counts control; notices of single strokes may have been lost.
     receipt.lateness.counts = outcome.lateness;
     receipt.wire = Some(Wire::new(outcome.wire_bytes, outcome.bursts.planned));
     receipt.rest_error_um = Some(outcome.rest_error_um.to_vec());

@@ -7,8 +7,8 @@ use firmware_protocol::stroke::MOTORS;
 use meissner_api::LatePolicy;
 use meissner_array::pattern::Pattern;
 use meissner_array::strokes::Strokes;
-use meissner_stream::Need;
-use meissner_stream::port::{At, End, Onset, Play};
+use meissner_stream::Bandwidth;
+use meissner_stream::queues::{At, End, Onset, Play};
 
 fn hello() -> DeviceHello {
     DeviceHello {
@@ -62,7 +62,7 @@ fn onset() -> Onset {
     }
 }
 
-fn ended(id: u64, end: End) -> Notice {
+fn ended(id: u64, end: End) -> StreamEvent {
     let pattern = Pattern::new("nothing", Some(1.0), Vec::new(), toml::Table::new()).unwrap();
     let strokes = Strokes::new(&pattern, None).unwrap();
     let play = Play {
@@ -72,7 +72,7 @@ fn ended(id: u64, end: End) -> Notice {
         late: LatePolicy::Drop,
         replace: false,
         open_loop: false,
-        need: Need::default(),
+        bandwidth: Bandwidth::default(),
     };
     let outcome = Outcome {
         end,
@@ -85,7 +85,7 @@ fn ended(id: u64, end: End) -> Notice {
         rest_error_um: [0.5; MOTORS],
         play: Box::new(play),
     };
-    Notice::Ended { id, outcome }
+    StreamEvent::Ended { id, outcome }
 }
 
 fn take(recorder: &mut Recorder, id: u64) {
@@ -99,15 +99,15 @@ fn a_play_goes_from_queued_to_its_receipt() {
     take(&mut recorder, 1);
     take(&mut recorder, 2);
     assert_eq!(recorder.queued().map(|receipt| receipt.id).collect::<Vec<_>>(), [1, 2]);
-    let event = recorder.take(&Notice::Began { id: 1, onset: onset() }).unwrap();
+    let event = recorder.take(&StreamEvent::Began { id: 1, onset: onset() }).unwrap();
     assert_eq!(event.name(), "began");
-    recorder.take(&Notice::Snapshot(snapshot(true, State::Armed, Some((1, 0.25)))));
+    recorder.take(&StreamEvent::Snapshot(snapshot(true, State::Armed, Some((1, 0.25)))));
     assert_eq!(recorder.running().unwrap().played_s, 0.25);
     assert_eq!(recorder.receipt(1).unwrap().state, PlayState::Running);
     assert_eq!(recorder.queued().count(), 1);
-    recorder.take(&Notice::Late { id: 1, motor: 3, up: Tick(7), late_ms: 1.5, cause: LateCause::Host });
+    recorder.take(&StreamEvent::Late { id: 1, motor: 3, up: Tick(7), late_ms: 1.5, cause: LateCause::Host });
     let up = Tick(8);
-    recorder.take(&Notice::StrokeRefused { id: 1, motor: 3, up, reason: Refusal::MotorOnTime });
+    recorder.take(&StreamEvent::StrokeRefused { id: 1, motor: 3, up, reason: Refusal::MotorOnTime });
     let Some(Event::Ended { receipt }) = recorder.take(&ended(1, End::Stopped)) else { panic!() };
     assert_eq!(Some(&*receipt), recorder.receipt(1));
     assert_eq!((receipt.state, receipt.cause.as_deref()), (PlayState::Stopped, Some("stop")));
@@ -138,7 +138,13 @@ fn receipts_and_lists_are_bounded() {
     for id in 1..=KEPT as u64 + 5 {
         take(&mut recorder, id);
         for _ in 0..LISTED + 1 {
-            recorder.take(&Notice::Late { id, motor: 3, up: Tick(7), late_ms: 1.0, cause: LateCause::Link });
+            recorder.take(&StreamEvent::Late {
+                id,
+                motor: 3,
+                up: Tick(7),
+                late_ms: 1.0,
+                cause: LateCause::Link,
+            });
         }
         assert_eq!(recorder.receipt(id).unwrap().lateness.counts.link, LISTED as u64 + 1);
         recorder.take(&ended(id, End::Done));
@@ -152,30 +158,30 @@ fn receipts_and_lists_are_bounded() {
 fn the_state_without_a_device_says_so_but_an_estop_is_latched() {
     let mut recorder = Recorder::default();
     assert_eq!(recorder.standing(), ("no-device", "no-device", "unknown"));
-    recorder.take(&Notice::Snapshot(snapshot(false, State::Disarmed, None)));
+    recorder.take(&StreamEvent::Snapshot(snapshot(false, State::Disarmed, None)));
     assert_eq!(recorder.standing().0, "no-device");
-    recorder.take(&Notice::Snapshot(snapshot(false, State::Faulted, None)));
+    recorder.take(&StreamEvent::Snapshot(snapshot(false, State::Faulted, None)));
     assert_eq!(recorder.standing(), ("faulted", "request", "unknown"));
     recorder.reached_by("mock".to_owned());
-    let event = recorder.take(&Notice::Connected(hello())).unwrap();
+    let event = recorder.take(&StreamEvent::Connected(hello())).unwrap();
     let json = serde_json::to_value(&event).unwrap();
     assert_eq!((&json["event"], &json["device"]["kind"]), (&"connected".into(), &"mock".into()));
     assert_eq!(
         (&json["device"]["firmware"], &json["device"]["build"]),
         (&"0.1.2".into(), &"deadbeef".into())
     );
-    recorder.take(&Notice::Disconnected { reason: "unplugged", device: None });
+    recorder.take(&StreamEvent::Disconnected { reason: "unplugged", device: None });
     assert!(recorder.device().is_none());
 }
 
 #[test]
 fn the_clock_is_carried_on_between_snapshots() {
     let mut recorder = Recorder::default();
-    recorder.take(&Notice::Snapshot(snapshot(true, State::Armed, None)));
+    recorder.take(&StreamEvent::Snapshot(snapshot(true, State::Armed, None)));
     let (tick, uncertainty_us) = recorder.clock(HostInstant::from_ns(3_000_000_000)).unwrap();
     assert_eq!(tick, Tick(1000 + 170_000));
     assert!((uncertainty_us - 210.0).abs() < 1e-6);
-    recorder.take(&Notice::Snapshot(snapshot(false, State::Armed, None)));
+    recorder.take(&StreamEvent::Snapshot(snapshot(false, State::Armed, None)));
     assert!(recorder.clock(HostInstant::from_ns(0)).is_none());
 }
 

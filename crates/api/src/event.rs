@@ -101,7 +101,8 @@ pub enum Event {
         receipt: Box<Receipt>,
     },
     /// What was felt of a play, some time after it has ended, or after its first minute; or why that is not known.
-    Felt {
+    #[serde(rename = "felt")]
+    PredictedResponse {
         /// The play's id.
         id: u64,
         /// As in its receipt.
@@ -119,11 +120,13 @@ pub enum Event {
         problem: Option<String>,
     },
     /// The telemetry of a motor is not believed: it plays in open loop until the next `arm`.
-    Doubted {
+    #[serde(rename = "doubted")]
+    SensorFault {
         /// Its motor.
         motor: u8,
         /// Why.
-        doubt: SensorFault,
+        #[serde(rename = "doubt")]
+        fault: SensorFault,
     },
     /// Without telemetry pins may have drifted further than the site wants to be warned of: `home` offers itself.
     Drifted {
@@ -154,10 +157,10 @@ impl Event {
             Self::Began { .. } => "began",
             Self::Late { .. } => "late",
             Self::Refused { .. } => "refused",
-            Self::Doubted { .. } => "doubted",
+            Self::SensorFault { .. } => "doubted",
             Self::Drifted { .. } => "drifted",
             Self::Ended { .. } => "ended",
-            Self::Felt { .. } => "felt",
+            Self::PredictedResponse { .. } => "felt",
             Self::Calibrated { .. } => "calibrated",
             Self::Lost { .. } => "lost",
             Self::Lagged { .. } => "lagged",

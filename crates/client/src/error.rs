@@ -4,7 +4,7 @@
 //!
 //! Invariant: the display of a [`ClientError`] is one line that says what to do.
 
-use super::{MAX_SOCKET_PATH, Place, is_hidden};
+use super::{Endpoint, MAX_SOCKET_PATH, is_hidden};
 use meissner_api::Problem;
 use std::io;
 use std::path::PathBuf;
@@ -14,10 +14,10 @@ use std::time::Duration;
 #[derive(Debug, thiserror::Error)]
 pub enum ClientError {
     /// Nobody answers.
-    #[error("no daemon answers at {place}: {}", .place.start())]
+    #[error("no daemon answers at {endpoint}: {}", .endpoint.start())]
     NoDaemon {
         /// Where.
-        place: Place,
+        endpoint: Endpoint,
         /// What the system said.
         source: io::Error,
     },
@@ -57,12 +57,12 @@ pub enum ClientError {
         source: Option<hyper::Error>,
     },
     /// It takes too long.
-    #[error("{}: no answer within {} s: see the daemon's log", .socket.display(), .patience.as_secs_f32())]
+    #[error("{}: no answer within {} s: see the daemon's log", .socket.display(), .timeout.as_secs_f32())]
     Slow {
         /// Where.
         socket: PathBuf,
         /// How long it was waited for.
-        patience: Duration,
+        timeout: Duration,
     },
     /// Something else answers there, or another version.
     #[error("{}: not an answer of this version's daemon: {what}; restart it, or choose another with --socket", .socket.display())]

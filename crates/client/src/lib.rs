@@ -1,15 +1,16 @@
 //! A client of the daemon: one kept-alive HTTP/1.1 connection over its Unix socket, and event streams.
 //!
 //! Calls block; each connection has a small runtime of its own. It knows addresses and JSON, not what commands
-//! mean. A call that takes longer than [`PATIENCE`] fails, unless it was given more; an event stream waits for as long as
-//! there is one. Which daemon, if none is named, says [`Place`]; who may speak to it, [`access`].
+//! mean. A call that takes longer than [`TIMEOUT`] fails, unless it was given more; an event stream waits for as long as
+//! there is one. Which daemon, if none is named, says [`Endpoint`]; who may speak to it, [`access`].
 //!
 //! Invariant: a request that may change something is sent once.
 
 pub mod access;
+mod endpoint;
 mod error;
-mod place;
 
+pub use endpoint::{Endpoint, SERVICE_SOCKET, default_socket, is_installed};
 pub use error::ClientError;
 use http_body_util::{BodyExt, Full, Limited};
 use hyper::body::{Bytes, Incoming};
@@ -19,7 +20,6 @@ use hyper::{Method, Request, Response};
 use hyper_util::rt::TokioIo;
 use meissner_api::Event;
 use meissner_api::Problem;
-pub use place::{Place, SERVICE_SOCKET, default_socket, is_installed};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::io;
@@ -29,9 +29,9 @@ use tokio::net::UnixStream;
 use tokio::runtime::{Builder, Runtime};
 
 /// How long an answer may take: longer than the daemon waits for the device.
-pub const PATIENCE: Duration = Duration::from_secs(5);
+pub const TIMEOUT: Duration = Duration::from_secs(5);
 /// How long pins may take to be home: longer than the daemon waits for them, which is 25 s.
-pub const HOME_PATIENCE: Duration = Duration::from_secs(30);
+pub const HOME_TIMEOUT: Duration = Duration::from_secs(30);
 /// Bytes of an answer, or of one event, at the most.
 const MAX_ANSWER: usize = 16 << 20;
 
@@ -41,7 +41,7 @@ pub const MAX_SOCKET_PATH: usize = 107;
 /// A connection to the daemon.
 #[derive(Debug)]
 pub struct Client {
-    place: Place,
+    endpoint: Endpoint,
     runtime: Runtime,
     sender: Option<SendRequest<Full<Bytes>>>,
 }
@@ -52,16 +52,16 @@ impl Client {
     /// # Errors
     /// If the system has no means for it.
     pub fn new(socket: &Path) -> Result<Self, ClientError> {
-        Self::at(Place::at(socket))
+        Self::at(Endpoint::at(socket))
     }
 
-    /// As [`Self::new`], of the first daemon that listens at this place.
+    /// As [`Self::new`], of the first daemon that listens at this endpoint.
     ///
     /// # Errors
     /// If the system has no means for it.
-    pub fn at(place: Place) -> Result<Self, ClientError> {
+    pub fn at(endpoint: Endpoint) -> Result<Self, ClientError> {
         let runtime = Builder::new_current_thread().enable_all().build().map_err(ClientError::Runtime)?;
-        Ok(Self { place, runtime, sender: None })
+        Ok(Self { endpoint, runtime, sender: None })
     }
 
     /// `GET`.
@@ -69,7 +69,7 @@ impl Client {
     /// # Errors
     /// See [`ClientError`].
     pub fn get<T: DeserializeOwned>(&mut self, path: &str) -> Result<T, ClientError> {
-        self.call(Method::GET, path, Bytes::new(), PATIENCE)
+        self.call(Method::GET, path, Bytes::new(), TIMEOUT)
     }
 
     /// `POST` of a JSON document.
@@ -77,7 +77,7 @@ impl Client {
     /// # Errors
     /// See [`ClientError`].
     pub fn post<T: DeserializeOwned>(&mut self, path: &str, body: &impl Serialize) -> Result<T, ClientError> {
-        self.post_within(PATIENCE, path, body)
+        self.post_within(TIMEOUT, path, body)
     }
 
     /// As [`Self::post`], for what takes its time.
@@ -86,12 +86,12 @@ impl Client {
     /// See [`ClientError`].
     pub fn post_within<T: DeserializeOwned>(
         &mut self,
-        patience: Duration,
+        timeout: Duration,
         path: &str,
         body: &impl Serialize,
     ) -> Result<T, ClientError> {
         let body = serde_json::to_vec(body).map_err(|error| self.odd(&error))?;
-        self.call(Method::POST, path, body.into(), patience)
+        self.call(Method::POST, path, body.into(), timeout)
     }
 
     /// `PUT` of a text.
@@ -99,7 +99,7 @@ impl Client {
     /// # Errors
     /// See [`ClientError`].
     pub fn put<T: DeserializeOwned>(&mut self, path: &str, text: String) -> Result<T, ClientError> {
-        self.call(Method::PUT, path, text.into(), PATIENCE)
+        self.call(Method::PUT, path, text.into(), TIMEOUT)
     }
 
     fn call<T: DeserializeOwned>(
@@ -107,13 +107,13 @@ impl Client {
         method: Method,
         path: &str,
         body: Bytes,
-        patience: Duration,
+        timeout: Duration,
     ) -> Result<T, ClientError> {
         let idle = self.sender.is_some();
-        let mut answer = self.exchange(&method, path, &body, patience);
+        let mut answer = self.exchange(&method, path, &body, timeout);
         // A connection that was idle for half a minute the daemon has closed: what only asks may ask again.
         if idle && method == Method::GET && matches!(answer, Err(ClientError::HungUp { .. })) {
-            answer = self.exchange(&method, path, &body, patience);
+            answer = self.exchange(&method, path, &body, timeout);
         }
         let (good, bytes) = answer?;
         if good {
@@ -128,27 +128,27 @@ impl Client {
         method: &Method,
         path: &str,
         body: &Bytes,
-        patience: Duration,
+        timeout: Duration,
     ) -> Result<(bool, Bytes), ClientError> {
-        let Self { place, runtime, sender } = self;
+        let Self { endpoint, runtime, sender } = self;
         let answer = runtime.block_on(async {
             let exchange = async {
                 // A connection that was idle for long may have been closed; nothing was sent on it then.
                 if sender.as_mut().is_none_or(|sender| sender.is_closed()) {
-                    let (found, socket) = connect(place).await?;
+                    let (found, socket) = connect(endpoint).await?;
                     *sender = Some(found);
                     // There it stays, whoever else begins to listen.
-                    *place = Place::at(&socket);
+                    *endpoint = Endpoint::at(&socket);
                 }
-                let socket = &place.socket;
+                let socket = &endpoint.socket;
                 let Some(sender) = sender.as_mut() else { return Err(hung_up(socket, None)) };
                 sender.ready().await.map_err(|source| hung_up(socket, Some(source)))?;
                 let request = request(method.clone(), path, body.clone());
                 let response = sender.send_request(request).await;
                 read_all(socket, response.map_err(|source| hung_up(socket, Some(source)))?).await
             };
-            let answer = tokio::time::timeout(patience, exchange).await;
-            answer.unwrap_or_else(|_| Err(ClientError::Slow { socket: place.socket.clone(), patience }))
+            let answer = tokio::time::timeout(timeout, exchange).await;
+            answer.unwrap_or_else(|_| Err(ClientError::Slow { socket: endpoint.socket.clone(), timeout }))
         });
         if answer.is_err() {
             self.sender = None;
@@ -157,7 +157,7 @@ impl Client {
     }
 
     fn odd(&self, error: &serde_json::Error) -> ClientError {
-        ClientError::Answer { socket: self.place.socket.clone(), what: error.to_string() }
+        ClientError::Answer { socket: self.endpoint.socket.clone(), what: error.to_string() }
     }
 
     /// Listens to events on a connection of its own. What happens after this has returned is heard.
@@ -167,9 +167,9 @@ impl Client {
     pub fn events(&self) -> Result<Events, ClientError> {
         let runtime = Builder::new_current_thread().enable_all().build().map_err(ClientError::Runtime)?;
         let (socket, response) = runtime.block_on(async {
-            let (mut sender, socket) = connect(&self.place).await?;
+            let (mut sender, socket) = connect(&self.endpoint).await?;
             let request = request(Method::GET, "/v1/events", Bytes::new());
-            let slow = |_| Err(ClientError::Slow { socket: socket.clone(), patience: PATIENCE });
+            let slow = |_| Err(ClientError::Slow { socket: socket.clone(), timeout: TIMEOUT });
             let response = async {
                 let response = sender.send_request(request).await;
                 let response = response.map_err(|source| hung_up(&socket, Some(source)))?;
@@ -183,7 +183,7 @@ impl Client {
                     Into::into,
                 ))
             };
-            let response = tokio::time::timeout(PATIENCE, response).await.unwrap_or_else(slow)?;
+            let response = tokio::time::timeout(TIMEOUT, response).await.unwrap_or_else(slow)?;
             Ok::<_, ClientError>((socket, response))
         })?;
         Ok(Events { socket, runtime, body: response.into_body(), rest: Vec::new() })
@@ -191,10 +191,10 @@ impl Client {
 }
 
 /// A connection to the first that listens, and where that is.
-async fn connect(place: &Place) -> Result<(SendRequest<Full<Bytes>>, PathBuf), ClientError> {
-    let mut socket = &place.socket;
+async fn connect(endpoint: &Endpoint) -> Result<(SendRequest<Full<Bytes>>, PathBuf), ClientError> {
+    let mut socket = &endpoint.socket;
     let mut stream = UnixStream::connect(socket).await;
-    if let (Err(error), Some(other)) = (&stream, &place.other)
+    if let (Err(error), Some(other)) = (&stream, &endpoint.other)
         && (is_nobody(error) || is_hidden(error, socket))
     {
         socket = other;
@@ -204,7 +204,7 @@ async fn connect(place: &Place) -> Result<(SendRequest<Full<Bytes>>, PathBuf), C
         let socket = socket.clone();
         match source.kind() {
             _ if socket.as_os_str().len() > MAX_SOCKET_PATH => ClientError::TooLong { socket },
-            _ if is_nobody(&source) => ClientError::NoDaemon { place: place.clone(), source },
+            _ if is_nobody(&source) => ClientError::NoDaemon { endpoint: endpoint.clone(), source },
             io::ErrorKind::PermissionDenied => match access::denied(&socket) {
                 Some((found, advice)) => ClientError::Denied { socket, found, advice },
                 None => ClientError::Connect { socket, source },
@@ -267,11 +267,11 @@ pub struct Events {
 }
 
 impl Events {
-    /// Waits for the next event; `None` when the daemon ends. After `patience` without one: `Slow`.
+    /// Waits for the next event; `None` when the daemon ends. After `timeout` without one: `Slow`.
     ///
     /// # Errors
     /// If the connection broke or what came is no event.
-    pub fn next(&mut self, patience: Option<Duration>) -> Result<Option<Event>, ClientError> {
+    pub fn next(&mut self, timeout: Option<Duration>) -> Result<Option<Event>, ClientError> {
         loop {
             while let Some(end) = self.rest.windows(2).position(|pair| pair == b"\n\n") {
                 let block: Vec<u8> = self.rest.drain(..end + 2).collect();
@@ -288,15 +288,15 @@ impl Events {
             }
             let frame = async {
                 let frame = self.body.frame();
-                match patience {
-                    Some(patience) => tokio::time::timeout(patience, frame).await,
+                match timeout {
+                    Some(timeout) => tokio::time::timeout(timeout, frame).await,
                     None => Ok(frame.await),
                 }
             };
             match self.runtime.block_on(frame) {
                 Err(_) => {
-                    let patience = patience.unwrap_or_default();
-                    return Err(ClientError::Slow { socket: self.socket.clone(), patience });
+                    let timeout = timeout.unwrap_or_default();
+                    return Err(ClientError::Slow { socket: self.socket.clone(), timeout });
                 }
                 Ok(None) => return Ok(None),
                 Ok(Some(Err(source))) => return Err(hung_up(&self.socket, Some(source))),

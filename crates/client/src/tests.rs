@@ -20,21 +20,21 @@ fn without_a_daemon_it_says_how_to_start_one() {
 fn both_places_and_the_service_are_named() {
     let dir = tempfile::tempdir().unwrap();
     let (socket, other) = (dir.path().join("a"), Some(dir.path().join("b")));
-    let line = |place: Place| Client::at(place).unwrap().events().unwrap_err().to_string();
-    let place = Place { socket: socket.clone(), other, service: true };
+    let line = |endpoint: Endpoint| Client::at(endpoint).unwrap().events().unwrap_err().to_string();
+    let endpoint = Endpoint { socket: socket.clone(), other, service: true };
     let says = format!("no daemon answers at {0}/a, nor at {0}/b: ", dir.path().display());
     let start = "start one with `meissner daemon`";
-    assert_eq!(line(place.clone()), format!("{says}`sudo systemctl start meissner`, or {start}"));
-    assert_eq!(line(Place { service: false, ..place }), format!("{says}{start}"));
+    assert_eq!(line(endpoint.clone()), format!("{says}`sudo systemctl start meissner`, or {start}"));
+    assert_eq!(line(Endpoint { service: false, ..endpoint }), format!("{says}{start}"));
 }
 
 #[test]
 fn the_first_that_listens_is_the_daemon() {
     let dir = tempfile::tempdir().unwrap();
     let (users, service) = (dir.path().join("u.sock"), dir.path().join("s.sock"));
-    let place = Place { socket: users.clone(), other: Some(service.clone()), service: false };
+    let endpoint = Endpoint { socket: users.clone(), other: Some(service.clone()), service: false };
     let runtime = Builder::new_current_thread().enable_all().build().unwrap();
-    let found = || runtime.block_on(connect(&place)).map(|(_, socket)| socket).ok();
+    let found = || runtime.block_on(connect(&endpoint)).map(|(_, socket)| socket).ok();
     let listen = |socket| std::os::unix::net::UnixListener::bind(socket).unwrap();
     assert_eq!(found(), None);
     let installed = listen(&service);
@@ -54,9 +54,9 @@ fn what_takes_its_time_gets_it() {
     let dir = tempfile::tempdir().unwrap();
     let socket = dir.path().join("mute.sock");
     let _mute = std::os::unix::net::UnixListener::bind(&socket).unwrap();
-    let patience = Duration::from_millis(100);
+    let timeout = Duration::from_millis(100);
     let mut client = Client::new(&socket).unwrap();
-    let slow = client.post_within::<u8>(patience, "/v1/home", &()).unwrap_err().to_string();
+    let slow = client.post_within::<u8>(timeout, "/v1/home", &()).unwrap_err().to_string();
     assert!(slow.contains("mute.sock: no answer within 0.1 s: "), "{slow}");
 }
 

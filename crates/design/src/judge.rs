@@ -7,7 +7,7 @@
 //! rates are that objective's at [`Fidelity::FULL`](super::Fidelity::FULL).
 
 use super::target::LONGEST_S;
-use super::{Sides, Target, Verdict};
+use super::{Partition, Target, Verdict};
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::strokes::{Strokes, StrokesError};
@@ -79,15 +79,15 @@ pub fn judge(
     circumstances: &Circumstances,
 ) -> Result<Option<Verdict>, MethodError> {
     let frames = target.frames();
-    let mut felt: Vec<(Vec<Position>, Vec<Sides>)> = Vec::new();
+    let mut felt: Vec<(Vec<Position>, Vec<Partition>)> = Vec::new();
     for &seed in &circumstances.populations {
         let places = afferent::population(seed);
-        let sides: Vec<_> =
-            frames.iter().map(|frame| Sides::of(&frame.shape, target.reach_mm(), &places)).collect();
-        if sides.iter().all(|sides| sides.on_count() > 0 && sides.off_count() > 0) {
+        let partition: Vec<_> =
+            frames.iter().map(|frame| Partition::of(&frame.shape, target.reach_mm(), &places)).collect();
+        if partition.iter().all(|partition| partition.on_count() > 0 && partition.off_count() > 0) {
             let [x, y] = circumstances.shift_mm;
             let shifted = places.iter().map(|at| Position { x_mm: at.x_mm + x, y_mm: at.y_mm + y });
-            felt.push((shifted.collect(), sides));
+            felt.push((shifted.collect(), partition));
         }
     }
     if felt.is_empty() {
@@ -108,13 +108,14 @@ pub fn judge(
         let scene = scene.expect("a target's receptors and a pattern's drives make a scene");
         let answer = simulate(&scene, &options, &|_| ())?;
         let whole_hz = answer.rates_hz(&scene);
-        for (population, (places, sides)) in felt.iter().enumerate() {
+        for (population, (places, partition)) in felt.iter().enumerate() {
             let mine = population * places.len()..(population + 1) * places.len();
-            for (frame, sides) in frames.iter().zip(sides) {
+            for (frame, partition) in frames.iter().zip(partition) {
                 let in_frame =
                     answer.spikes_s.as_ref().and_then(|spikes_s| frame.rates_hz(&spikes_s[mine.clone()]));
                 let rates_hz = in_frame.unwrap_or_else(|| whole_hz[mine.clone()].to_vec());
-                let verdict = sides.verdict(&rates_hz).expect("populations without both kinds were left out");
+                let verdict =
+                    partition.verdict(&rates_hz).expect("populations without both kinds were left out");
                 on_hz += verdict.on_hz;
                 off_hz += verdict.off_hz;
                 auc += verdict.auc;

@@ -1,14 +1,14 @@
 //! Patterns that make receptors feel a shape: what is to be felt, the search for it, and what the outcome is worth.
 //!
 //! A [`Target`] is a [`Shape`] on the skin, read from a TOML file (`target`): an edge, a disc, dots, a Braille character
-//! (`braille`), a grating, each at rest or in motion; a moving one is cut into [`Frame`]s. [`Sides`] parts a population's
+//! (`braille`), a grating, each at rest or in motion; a moving one is cut into [`Frame`]s. [`Partition`] parts a population's
 //! receptors into those that should fire, because they lie within reach of the shape, and the others. The cost is the
 //! difference of the two mean rates; a pattern is the better, the higher it is.
 //!
 //! What may be chosen is a [`Point`] of a [`Space`]: who vibrates, how fast, and when. An [`Objective`] scores points by
 //! simulation; [`search()`] goes from one to better ones (`moves` says where to). [`make()`] does so for every frame
 //! and writes the pattern; [`judge()`] and [`robustness()`] say what it is worth, also where it was not made for;
-//! [`felt()`], what was left of it when it was really played.
+//! [`predict_response()`], what was left of it when it was really played.
 //!
 //! Some targets are [`shipped`]; the one called [`YARDSTICK`] is what methods are compared on.
 //!
@@ -16,25 +16,25 @@
 //! bit on every machine.
 
 mod braille;
-mod felt;
 mod judge;
 mod make;
 mod moves;
 mod objective;
+mod partition;
 mod point;
+mod prediction;
 mod search;
 mod shape;
-mod sides;
 mod target;
 
-pub use felt::{Felt, FeltError, MOST_OBSERVED_S, Play, Rates, felt};
 pub use judge::{Circumstances, HELD_OUT, Robustness, WATCHED_S, judge, pulses_per_s, robustness};
 pub use make::{Budget, Made, MakeError, Progress, ROBUST_POPULATIONS, Request, make, populations};
 pub use objective::{Fidelity, Objective, Score, Standing, Tried};
+pub use partition::{Partition, Verdict};
 pub use point::{Point, Space, Vibration};
+pub use prediction::{MOST_OBSERVED_S, Play, PredictedResponse, PredictionError, Rates, predict_response};
 pub use search::{Brief, Ended, Found, Limit, Spent, Step, resume, search};
 pub use shape::Shape;
-pub use sides::{Sides, Verdict};
 pub use target::{Frame, MAX_BYTES, MAX_FRAMES, MAX_POINTS, Problem, Target, TargetError};
 
 use include_dir::{Dir, include_dir};

@@ -6,7 +6,7 @@
 //!
 //! Invariant: a [`Standing`]'s score is that of its point, whichever way it was reached.
 
-use super::{Frame, Point, Sides, Target};
+use super::{Frame, Partition, Point, Target};
 use meissner_array::pattern::Drive;
 use meissner_skin::afferent::{self, LEAST_WEIGHT, Position};
 use meissner_skin::simulate::{
@@ -87,10 +87,10 @@ impl Objective {
         let (mut receptors, mut kinds, mut counts) = (Vec::<Position>::new(), Vec::new(), Vec::new());
         for &seed in populations {
             let places = afferent::population(seed);
-            let sides = Sides::of(&frame.shape, target.reach_mm(), &places);
-            if sides.on_count() > 0 && sides.off_count() > 0 {
-                kinds.extend(sides.on().iter().map(|&on| (counts.len(), on)));
-                counts.push([sides.off_count(), sides.on_count()]);
+            let partition = Partition::of(&frame.shape, target.reach_mm(), &places);
+            if partition.on_count() > 0 && partition.off_count() > 0 {
+                kinds.extend(partition.on().iter().map(|&on| (counts.len(), on)));
+                counts.push([partition.off_count(), partition.on_count()]);
                 receptors.extend(places);
             }
         }

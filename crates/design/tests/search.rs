@@ -8,8 +8,8 @@
 
 use meissner_array::geometry;
 use meissner_design::{
-    Brief, Ended, Fidelity, Found, Limit, Objective, Point, Score, Setting, Shape, Sides, Space, Spent, Step,
-    Target, Vibration, YARDSTICK, resume, search, shipped,
+    Brief, Ended, Fidelity, Found, Limit, Objective, Partition, Point, Score, Setting, Shape, Space, Spent,
+    Step, Target, Vibration, YARDSTICK, resume, search, shipped,
 };
 use meissner_skin::afferent::{self, Position};
 use meissner_skin::simulate::{Method, Options, Scene, simulate};
@@ -284,7 +284,7 @@ fn a_single_receptor_is_enough() {
     let mut distances: Vec<f64> = places.iter().map(|&at| shape.distance_mm(at)).collect();
     distances.sort_by(f64::total_cmp);
     let target = like_yardstick(&format!("reach_mm = {}", f64::midpoint(distances[0], distances[1])));
-    assert_eq!(Sides::of(&shape, target.reach_mm(), &places).on_count(), 1);
+    assert_eq!(Partition::of(&shape, target.reach_mm(), &places).on_count(), 1);
     let space = Setting::Default.space();
     let found = converged(&target, &space, space.random(0));
     assert!(exact_hz(&target, 0, found.point) > 120.0);
@@ -304,8 +304,8 @@ fn two_equal_optima_are_both_found() {
     let scene = Scene::new(1.0, 9, drives, places.clone(), *target.model()).unwrap();
     let rates_hz = simulate(&scene, &Options::rates(Method::Exact), &|_| ()).unwrap().rates_hz(&scene);
     for dot in [[-4.35, 1.45], [4.35, 1.45]] {
-        let sides = Sides::of(&Shape::Dots(vec![dot]), 1.5, &places);
-        assert!(sides.on_hz(&rates_hz).unwrap() > 120.0, "{dot:?}");
+        let partition = Partition::of(&Shape::Dots(vec![dot]), 1.5, &places);
+        assert!(partition.on_hz(&rates_hz).unwrap() > 120.0, "{dot:?}");
     }
 }
 
@@ -409,7 +409,7 @@ proptest! {
         let mut sum_hz = 0.0;
         for places in &places {
             let (rates_hz, others) = rest.split_at(places.len());
-            sum_hz += Sides::of(&frame.shape, target.reach_mm(), places).cost_hz(rates_hz).unwrap();
+            sum_hz += Partition::of(&frame.shape, target.reach_mm(), places).cost_hz(rates_hz).unwrap();
             rest = others;
         }
         let mean_hz = sum_hz / places.len() as f64;

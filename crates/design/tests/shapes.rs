@@ -1,4 +1,4 @@
-use meissner_design::{Shape, Sides, shipped};
+use meissner_design::{Partition, Shape, shipped};
 use meissner_skin::afferent::{self, Position};
 use proptest::prelude::*;
 
@@ -74,17 +74,17 @@ proptest! {
     fn the_area_under_the_curve_is_a_count_of_pairs(rates in prop::collection::vec(0_u8..9, 306), seed in 0..9_u64) {
         let rates: Vec<f64> = rates.into_iter().map(f64::from).collect();
         let edge = &shipped("edge-45").unwrap().frames()[0].shape.clone();
-        let sides = Sides::of(edge, 1.5, &afferent::population(seed));
+        let partition = Partition::of(edge, 1.5, &afferent::population(seed));
         let of = |side: bool| {
-            let rates = sides.on().iter().zip(&rates).filter(move |(on, _)| **on == side);
+            let rates = partition.on().iter().zip(&rates).filter(move |(on, _)| **on == side);
             rates.map(|(_, &rate)| rate).collect::<Vec<f64>>()
         };
         let (on, off) = (of(true), of(false));
         let wins = |a: f64, b: f64| if a > b { 1.0 } else if a == b { 0.5 } else { 0.0 };
         let sum: f64 = on.iter().map(|&a| off.iter().map(|&b| wins(a, b)).sum::<f64>()).sum();
         let expected = sum / (on.len() * off.len()) as f64;
-        prop_assert!((sides.auc(&rates).unwrap() - expected).abs() < 1e-12);
+        prop_assert!((partition.auc(&rates).unwrap() - expected).abs() < 1e-12);
         let mean = |rates: &[f64]| rates.iter().sum::<f64>() / rates.len() as f64;
-        prop_assert!((sides.cost_hz(&rates).unwrap() - (mean(&on) - mean(&off))).abs() < 1e-12);
+        prop_assert!((partition.cost_hz(&rates).unwrap() - (mean(&on) - mean(&off))).abs() < 1e-12);
     }
 }

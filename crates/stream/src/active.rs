@@ -3,7 +3,7 @@
 //! The account closes by itself: what was handed over and neither late nor refused was played or dropped, and how
 //! much was played the device has counted, between the play's onset and its end.
 
-use crate::port::{At, End, Onset, Outcome, Play};
+use crate::queues::{At, End, Onset, Outcome, Play};
 use crate::time::HostInstant;
 use firmware_protocol::message::Counters;
 use firmware_protocol::stroke::{MOTORS, Stroke};

@@ -1,6 +1,6 @@
 //! A look at a device through its link: who it is, how fast it answers, what its line carries, how its clock runs.
 //!
-//! It opens a session of its own and sends what a session sends that moves nothing: pings, and the survey's frames,
+//! It opens a session of its own and sends what a session sends that moves nothing: pings, and the probe's frames,
 //! which the device ignores. It never arms; a device that is armed returns its pins, as it does for every new host.
 //! It blocks for some seconds and is no part of the streamer.
 //!
@@ -39,7 +39,7 @@ pub struct Checkup {
     pub hello: DeviceHello,
     /// Its round trips.
     pub round_trip: RoundTrip,
-    /// Bytes per second towards it that it acknowledged; `None` if no frame of the survey was answered.
+    /// Bytes per second towards it that it acknowledged; `None` if no frame of the probe was answered.
     pub throughput_bytes_per_s: Option<u32>,
     /// Its clock against the host's.
     pub drift: Drift,
@@ -121,15 +121,15 @@ pub fn check(device: &mut Device) -> Result<Checkup, CheckupError> {
         }
         Ok(())
     };
-    until(&mut look, device, &|look| look.session.is_surveyed())?;
+    until(&mut look, device, &|look| look.session.is_probed())?;
     look.trips.clear();
     until(&mut look, device, &|look| {
         let span =
             |first: &Trip| look.trips.last().map_or(Duration::ZERO, |last| last.sent.since(first.sent));
         look.trips.len() >= PINGS && look.trips.first().map(span) >= Some(SPAN)
     })?;
-    look.session.survey(BURST);
-    until(&mut look, device, &|look| look.session.is_surveyed())?;
+    look.session.probe(BURST);
+    until(&mut look, device, &|look| look.session.is_probed())?;
     let hello = look.hello.ok_or(CheckupError::Lost(LostReason::NoAnswer))?;
     Ok(Checkup {
         hello,
@@ -164,7 +164,7 @@ impl Look {
         }
         trips.extend(session.take_trip());
         session.listen(now, &mut tell);
-        if session.is_surveyed() && trips.last().is_none_or(|last| now.since(last.sent) >= PING_EVERY) {
+        if session.is_probed() && trips.last().is_none_or(|last| now.since(last.sent) >= PING_EVERY) {
             session.ask();
         }
         let mut frame = [0; MAX_FRAME];

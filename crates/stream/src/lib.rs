@@ -2,31 +2,31 @@
 //!
 //! [`Streamer`] decides, sans-IO: it is told the time, orders and bytes, and says what to send and what has
 //! happened; it never sleeps, reads a clock or touches a port. `thread` runs it in real time around a device,
-//! [`rehearse`] in virtual time around the mock: same code, same answers. In real time its loop does not
+//! [`simulate_play`] in virtual time around the mock: same code, same answers. In real time its loop does not
 //! allocate, lock, log or wait on anybody ([`port`]).
 
 mod active;
+mod bandwidth;
 pub mod calibrate;
+mod control;
 pub mod device;
 pub mod diagnostics;
-mod hold;
 pub mod link;
-mod need;
-pub mod port;
-mod rehearse;
+mod motor_run;
+pub mod queues;
+mod simulation;
 mod streamer;
 mod thread;
 pub mod time;
-mod trial;
 
+pub use bandwidth::{Bandwidth, Requirement};
+pub use control::{Gains, rest_bound_um};
 use firmware_protocol::limits::OnTimeLimits;
 use firmware_protocol::tick::TICK_HZ;
-pub use hold::{Gains, rest_bound_um};
-pub use need::{Demand, Need};
-pub use rehearse::{Line, Rehearsal, RehearseError, Rehearsed, rehearse};
+pub use motor_run::{MotorRun, Period};
+pub use simulation::{Line, SimulatedPlay, Simulation, SimulationError, simulate_play};
 pub use streamer::{ANOTHER_DEVICE, Streamer, cause_text};
 pub use thread::{request_realtime, spawn};
-pub use trial::{Period, Trial};
 
 /// What the streamer is told once, at its start.
 #[derive(Clone, Copy, Debug, PartialEq)]

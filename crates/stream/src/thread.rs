@@ -6,7 +6,7 @@
 //! owns memory goes back through the port.
 
 use crate::device::{Device, priority};
-use crate::port::{Job, Notice, Notices, Orders, Port, port};
+use crate::queues::{Command, CommandQueue, EventQueue, StreamEvent, ThreadQueues, queues};
 use crate::time::HostInstant;
 use crate::{Settings, Streamer};
 use firmware_protocol::frame::MAX_FRAME;
@@ -18,7 +18,7 @@ use std::io;
 use std::ops::Range;
 use std::thread::JoinHandle;
 use std::time::Duration;
-/// Turns of reading and writing per wake-up, at the most: a device that never falls silent must not hold up orders.
+/// Turns of reading and writing per wake-up, at the most: a device that never falls silent must not control up orders.
 const TURNS: usize = 32;
 /// A port that takes nothing for so long is gone.
 const STUCK_FOR: Duration = Duration::from_millis(500);
@@ -29,8 +29,8 @@ const READS: usize = 16;
 ///
 /// # Errors
 /// If the system gives no descriptors or no thread.
-pub fn spawn(settings: Settings) -> io::Result<(Orders, Notices, Realtime, JoinHandle<()>)> {
-    let (port, orders, notices) = port()?;
+pub fn spawn(settings: Settings) -> io::Result<(CommandQueue, EventQueue, Realtime, JoinHandle<()>)> {
+    let (port, orders, notices) = queues()?;
     let (tell, told) = crossbeam_channel::bounded(1);
     let thread = std::thread::Builder::new().name("streamer".into()).spawn(move || {
         let _ = tell.send(request_realtime());
@@ -49,7 +49,7 @@ pub fn request_realtime() -> Realtime {
 }
 
 struct Loop {
-    port: Port,
+    port: ThreadQueues,
     streamer: Streamer,
     device: Option<Box<Device>>,
     /// The frame being written, and what is left of it.
@@ -62,7 +62,7 @@ struct Loop {
 }
 
 impl Loop {
-    fn new(settings: Settings, port: Port) -> Self {
+    fn new(settings: Settings, port: ThreadQueues) -> Self {
         let streamer = Streamer::new(settings);
         Self {
             port,
@@ -87,9 +87,9 @@ impl Loop {
             self.sleep();
         }
         if let Some(device) = self.device.take() {
-            self.port.tell(Notice::Disconnected { reason: "shutdown", device: Some(device) });
+            self.port.tell(StreamEvent::Disconnected { reason: "shutdown", device: Some(device) });
         }
-        self.port.tell(Notice::Bye);
+        self.port.tell(StreamEvent::Bye);
         self.port.announce();
     }
 
@@ -98,7 +98,7 @@ impl Loop {
         while let Some(order) = self.port.pop() {
             let Self { port, streamer, .. } = self;
             match order.job {
-                Job::Connect(device) => {
+                Command::Connect(device) => {
                     let rate = device.rate();
                     let id = self.random.hash_one(now.as_ns()) as u32;
                     (self.unsent, self.stuck_since) = (0..0, None);
@@ -107,7 +107,7 @@ impl Loop {
                     streamer.connect(now, id, rate, &mut |notice| port.tell(notice));
                     let reason = streamer.take_lost();
                     if let (Some(reason), Some(old)) = (reason, old) {
-                        port.tell(Notice::Disconnected { reason, device: Some(old) });
+                        port.tell(StreamEvent::Disconnected { reason, device: Some(old) });
                     }
                 }
                 _ => streamer.order(now, order, &mut |notice| port.tell(notice)),
@@ -176,7 +176,7 @@ impl Loop {
     fn give_back(&mut self, reason: &'static str) {
         if let Some(device) = self.device.take() {
             (self.unsent, self.stuck_since) = (0..0, None);
-            self.port.tell(Notice::Disconnected { reason, device: Some(device) });
+            self.port.tell(StreamEvent::Disconnected { reason, device: Some(device) });
         }
     }
 

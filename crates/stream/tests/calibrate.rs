@@ -9,8 +9,8 @@ use meissner_stream::calibrate::{
     Block, Calibration, Fit, MAX_BYTES, MEASURED, MotorFit, PULSES, Plan, Planned, by_laser, by_telemetry,
     fit,
 };
-use meissner_stream::port::{Job, Notice, Refused};
-use meissner_stream::{Gains, Line, Rehearsal, Settings, rehearse};
+use meissner_stream::queues::{Command, Refused, StreamEvent};
+use meissner_stream::{Gains, Line, Settings, Simulation, simulate_play};
 use std::collections::BTreeMap;
 use std::time::Duration;
 
@@ -157,7 +157,7 @@ fn one_motor_is_calibrated_alone() {
 
 /// A plan as the streamer plays it, measured by the telemetry it gets.
 fn played(plan: &Plan, config: &PlantConfig) -> Vec<Block> {
-    let played = rehearse(&plan.pattern(), None, config, Settings::default(), true).unwrap();
+    let played = simulate_play(&plan.pattern(), None, config, Settings::default(), true).unwrap();
     assert_eq!(played.outcome.bursts.played as usize, plan.bursts(Tick(0)).count());
     by_telemetry(plan, played.outcome.onset.unwrap().actual, &played.travels)
 }
@@ -190,7 +190,7 @@ fn on_a_device_with_scatter_they_are_found_within_the_error_that_is_told() {
     }
     // What was measured badly, or is no burst of the plan, is no block.
     let plan = Plan::new(Some(7), &[20, 100], 1).unwrap();
-    let mut played = rehearse(&plan.pattern(), None, &config, Settings::default(), true).unwrap();
+    let mut played = simulate_play(&plan.pattern(), None, &config, Settings::default(), true).unwrap();
     let onset = played.outcome.onset.unwrap().actual;
     assert_eq!(by_telemetry(&plan, onset, &played.travels).len(), 40);
     played.travels[5].sd_um = 1.0;
@@ -199,11 +199,11 @@ fn on_a_device_with_scatter_they_are_found_within_the_error_that_is_told() {
     assert_eq!(by_telemetry(&plan, onset + 1, &played.travels), []);
 }
 
-fn home(rehearsal: &mut Rehearsal) -> Option<Result<(), Refused>> {
-    let ticket = rehearsal.order(Job::Home);
-    rehearsal.run(Duration::from_millis(1000));
-    rehearsal.take_notices().into_iter().find_map(|notice| match notice {
-        Notice::Answer { ticket: of, result } if of == ticket => Some(result),
+fn home(simulation: &mut Simulation) -> Option<Result<(), Refused>> {
+    let ticket = simulation.order(Command::Home);
+    simulation.run(Duration::from_millis(1000));
+    simulation.take_notices().into_iter().find_map(|notice| match notice {
+        StreamEvent::Answer { ticket: of, result } if of == ticket => Some(result),
         _ => None,
     })
 }
@@ -216,13 +216,13 @@ fn a_calibration_that_is_handed_over_is_what_home_goes_by() {
     let gains = Calibration::new(fits, provenance()).unwrap().gains();
     assert!(gains[3] != Gains::default() && gains[4] == Gains::default());
     let blind = PlantConfig { telemetry_hz: 0, ..config };
-    let mut rehearsal = Rehearsal::new(&blind, Settings::default(), Line::default(), 1).unwrap();
-    rehearsal.run(Duration::from_millis(500));
-    rehearsal.order(Job::Arm { assume_rest: true });
-    rehearsal.run(Duration::from_millis(100));
-    assert_eq!(home(&mut rehearsal), Some(Err(Refused::NothingToGoBy)));
-    rehearsal.order(Job::Calibrate(Box::new(gains)));
-    assert_eq!(home(&mut rehearsal), Some(Ok(())));
+    let mut simulation = Simulation::new(&blind, Settings::default(), Line::default(), 1).unwrap();
+    simulation.run(Duration::from_millis(500));
+    simulation.order(Command::Arm { assume_rest: true });
+    simulation.run(Duration::from_millis(100));
+    assert_eq!(home(&mut simulation), Some(Err(Refused::NothingToGoBy)));
+    simulation.order(Command::Calibrate(Box::new(gains)));
+    assert_eq!(home(&mut simulation), Some(Ok(())));
 }
 
 fn provenance() -> Provenance {

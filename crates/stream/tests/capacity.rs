@@ -1,7 +1,7 @@
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::strokes::Strokes;
-use meissner_stream::port::{Job, Notice, Refused};
-use meissner_stream::{Line, Need, Settings};
+use meissner_stream::queues::{Command, Refused, StreamEvent};
+use meissner_stream::{Bandwidth, Line, Settings};
 use meissner_test_support::rig::{self, Rig, assert_closed};
 use std::time::Duration;
 
@@ -41,9 +41,9 @@ fn try_on(bytes_per_s: u32, pattern: &Pattern, open_loop: bool) -> Result<(), Re
     let mut rig = slow(bytes_per_s);
     let mut play = rig.play(pattern, Some(4.0));
     play.open_loop = open_loop;
-    rig.order(Job::Play(Box::new(play)));
+    rig.order(Command::Play(Box::new(play)));
     let answer = rig.take_notices().into_iter().find_map(|notice| match notice {
-        Notice::Answer { result, .. } => Some(result),
+        StreamEvent::Answer { result, .. } => Some(result),
         _ => None,
     });
     answer.unwrap()?;
@@ -61,8 +61,8 @@ fn what_a_line_carries_just_so_is_played_without_lateness_and_what_it_does_not_i
         [rig::pattern("edge-45"), rig::pattern("all-in-phase"), all_at(33.3), all_at(210.0), bursts()];
     for (pattern, open_loop) in patterns.iter().flat_map(|pattern| [(pattern, true), (pattern, false)]) {
         let strokes = Strokes::new(pattern, Some(4.0)).unwrap();
-        let need = Need::of(&strokes, &Settings::default());
-        let demand = if open_loop { need.open } else { need.closed };
+        let bandwidth = Bandwidth::of(&strokes, &Settings::default());
+        let demand = if open_loop { bandwidth.open } else { bandwidth.closed };
         let wanted = demand.rate;
         let mut line = wanted / 2;
         loop {
@@ -70,7 +70,7 @@ fn what_a_line_carries_just_so_is_played_without_lateness_and_what_it_does_not_i
                 Ok(()) => break,
                 Err(Refused::LineTooSlow { needs, carries }) => {
                     assert_eq!(needs, wanted);
-                    // Whole frames on their way, for a millisecond or two there and back. (A rehearsal measures by
+                    // Whole frames on their way, for a millisecond or two there and back. (A simulation measures by
                     // half milliseconds.)
                     let waits = f64::from(demand.frames) / f64::from((line / 500 / 256).max(1));
                     let bounds = [0.0022, 0.0006].map(|wait_s| f64::from(line) * (1.0 - waits * wait_s));
@@ -97,12 +97,12 @@ fn what_a_play_needs_covers_what_it_sends() {
             rig.arm();
             let mut play = rig.play(&pattern, Some(4.0));
             play.open_loop = open_loop;
-            let need = if open_loop { play.need.open } else { play.need.closed };
-            rig.order(Job::Play(Box::new(play)));
+            let bandwidth = if open_loop { play.bandwidth.open } else { play.bandwidth.closed };
+            rig.order(Command::Play(Box::new(play)));
             let outcome = rig.run_to_end(1, Duration::from_secs(6)).expect("it ends");
             // The lead's worth is sent in the first instant.
             let mean = outcome.wire_bytes as f64 / 4.1;
-            assert!(f64::from(need.rate) > mean, "{}: {} of {mean}", pattern.name(), need.rate);
+            assert!(f64::from(bandwidth.rate) > mean, "{}: {} of {mean}", pattern.name(), bandwidth.rate);
         }
     }
 }
@@ -122,16 +122,16 @@ fn on_a_link_that_jitters_a_play_is_in_time_or_refused_with_numbers() {
                 Line { bytes_per_s: 100_000, delay: MS * delay, jitter: MS * jitter, ..Line::default() };
             let settings = Settings { lead_ms, lease_ms: 10_000.0, ..Settings::default() };
             let mut rig = Rig::with(settings, line, seed);
-            // The survey, then the arm.
+            // The probe, then the arm.
             rig.run(Duration::from_secs(2));
             rig.arm();
             rig.take_notices();
             let strokes = Strokes::new(pattern, Some(4.0)).unwrap();
             let mut play = rig.play(pattern, Some(4.0));
-            (play.open_loop, play.need) = (true, Need::of(&strokes, &settings));
-            rig.order(Job::Play(Box::new(play)));
+            (play.open_loop, play.bandwidth) = (true, Bandwidth::of(&strokes, &settings));
+            rig.order(Command::Play(Box::new(play)));
             let answer = rig.take_notices().into_iter().find_map(|notice| match notice {
-                Notice::Answer { result, .. } => Some(result),
+                StreamEvent::Answer { result, .. } => Some(result),
                 _ => None,
             });
             let what = format!("{} over {delay} + {jitter} ms, lead {lead_ms}, seed {seed}", pattern.name());
@@ -165,16 +165,16 @@ fn a_uart_is_measured_and_says_what_it_carries() {
     let mut rig = Rig::new(Line { bytes_per_s: 11_520, ..Line::default() }, 7);
     rig.run(Duration::from_millis(600));
     let carried = rig.take_notices().into_iter().rev().find_map(|notice| match notice {
-        Notice::Snapshot(snapshot) => snapshot.line_bytes_per_s,
+        StreamEvent::Snapshot(snapshot) => snapshot.line_bytes_per_s,
         _ => None,
     });
     let carried = carried.expect("it was measured");
     assert!((10_500..=11_520).contains(&carried), "{carried}");
     rig.arm();
     let play = rig.play(&all_at(300.0), None);
-    rig.order(Job::Play(Box::new(play)));
+    rig.order(Command::Play(Box::new(play)));
     let line = rig.take_notices().into_iter().find_map(|notice| match notice {
-        Notice::Answer { result: Err(refused), .. } => Some(refused.to_string()),
+        StreamEvent::Answer { result: Err(refused), .. } => Some(refused.to_string()),
         _ => None,
     });
     let line = line.expect("it is refused");
@@ -192,7 +192,7 @@ fn measuring_is_bounded_and_deterministic() {
             let mut rig = Rig::new(line, 8);
             rig.run(Duration::from_millis(900));
             let last = rig.take_notices().into_iter().rev().find_map(|notice| match notice {
-                Notice::Snapshot(snapshot) => Some((snapshot.line_bytes_per_s, snapshot.bytes_out)),
+                StreamEvent::Snapshot(snapshot) => Some((snapshot.line_bytes_per_s, snapshot.bytes_out)),
                 _ => None,
             });
             last.unwrap()

@@ -8,30 +8,30 @@ use meissner_api::SensorFault;
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::simulated::{Pin, PlantConfig, Sample};
 use meissner_array::units::UM_PER_PULSE;
-use meissner_stream::port::{Job, Notice, Refused, Snapshot};
+use meissner_stream::queues::{Command, Refused, Snapshot, StreamEvent};
 use meissner_stream::rest_bound_um;
-use meissner_stream::{Gains, Line, Period, Rehearsal, Settings, Trial};
+use meissner_stream::{Gains, Line, MotorRun, Period, Settings, Simulation};
 use meissner_test_support::random::Random;
 use meissner_test_support::rig::Rig;
 use std::time::Duration;
 
-/// What a trial came to after its first seconds.
+/// What a motor_run came to after its first seconds.
 #[derive(Debug, Default)]
 struct Result {
     periods: Vec<Period>,
-    doubt: Option<SensorFault>,
+    fault: Option<SensorFault>,
 }
 
 impl Result {
-    fn of(trial: &Trial, seconds: f64) -> Self {
-        let skipped = 2f64.max(trial.delay_ms() / 100.0) * 85_000.0;
+    fn of(motor_run: &MotorRun, seconds: f64) -> Self {
+        let skipped = 2f64.max(motor_run.delay_ms() / 100.0) * 85_000.0;
         let mut result = Self::default();
         let keep = |period: &Period| {
             if period.up as f64 >= skipped {
                 result.periods.push(*period);
             }
         };
-        result.doubt = trial.run(seconds, |_, y| Some(y), keep).unwrap();
+        result.fault = motor_run.run(seconds, |_, y| Some(y), keep).unwrap();
         result
     }
 
@@ -53,28 +53,33 @@ impl Result {
     }
 }
 
-/// What must hold of each setting.
-fn check(trial: &Trial, seconds: f64) {
-    let result = Result::of(trial, seconds);
-    let name = format!("{trial:?}");
-    assert_eq!(result.doubt, None, "{name}");
+/// What must control of each setting.
+fn check(motor_run: &MotorRun, seconds: f64) {
+    let result = Result::of(motor_run, seconds);
+    let name = format!("{motor_run:?}");
+    assert_eq!(result.fault, None, "{name}");
     let planned = result.periods[0].planned_um;
     let rms = Result::rest_rms(&result.periods);
-    let bound =
-        rest_bound_um(trial.frequency_hz, planned, trial.scatter, trial.delay_ms(), trial.telemetry_hz);
-    let most = match trial.scatter {
+    let bound = rest_bound_um(
+        motor_run.frequency_hz,
+        planned,
+        motor_run.scatter,
+        motor_run.delay_ms(),
+        motor_run.telemetry_hz,
+    );
+    let most = match motor_run.scatter {
         0.0 => UM_PER_PULSE,
         ..=0.1 => 1.2 * bound,
         _ => 1.5 * bound,
     };
     // So many bursts are what the mean square is known from; errors go together over the delay.
-    let alone = result.periods.len() as f64 / (1.0 + trial.delay_ms() / 1000.0 * trial.frequency_hz);
+    let alone = result.periods.len() as f64 / (1.0 + motor_run.delay_ms() / 1000.0 * motor_run.frequency_hz);
     let chance = 1.0 + 3.0 / (2.0 * alone).sqrt();
     assert!(rms <= most * chance, "{name}: {rms} um rms where the bound is {bound}");
     let (early, late) = result.periods.split_at(result.periods.len() / 2);
     let (early, late) = (Result::rest_rms(early), Result::rest_rms(late));
     assert!(late <= early * chance * chance + UM_PER_PULSE, "{name}: it grows from {early} to {late}");
-    if trial.scatter == 0.0 {
+    if motor_run.scatter == 0.0 {
         let most =
             late.max(result.periods.iter().rev().take(50).map(|p| p.rest_um.abs()).fold(0.0, f64::max));
         assert!(most <= UM_PER_PULSE, "{name}: a cycle of {most} um");
@@ -84,7 +89,7 @@ fn check(trial: &Trial, seconds: f64) {
         let whole = (period.planned_um / UM_PER_PULSE).round() as u16;
         assert!(period.pulses.iter().all(|&count| within_correction(whole, count)), "{name}: {period:?}");
     }
-    let room = 42_500.0 / trial.frequency_hz / f64::from(pulses);
+    let room = 42_500.0 / motor_run.frequency_hz / f64::from(pulses);
     if room >= 1.3 {
         let (error, chance) = result.amplitude_error();
         let most = (0.01 * planned).max(UM_PER_PULSE / 2.0) + 3.0 * chance;
@@ -97,7 +102,7 @@ fn forty_settings_rest_within_reach_of_the_bound() {
     let mut random = Random::new(6);
     let mut pick = |from: &[f64]| from[(random.between(0.0, 1.0) * from.len() as f64) as usize % from.len()];
     for number in 0..40 {
-        let trial = Trial {
+        let motor_run = MotorRun {
             frequency_hz: pick(&[1.0, 10.0, 60.0, 150.0, 300.0]),
             amplitude_um: pick(&[2.0, 10.0, 80.0, 200.0]),
             lead_ms: pick(&[20.0, 100.0, 500.0]),
@@ -105,44 +110,47 @@ fn forty_settings_rest_within_reach_of_the_bound() {
             scatter: pick(&[0.0, 0.1, 0.3]),
             asymmetry: pick(&[0.0, 0.02, 0.1]),
             seed: number,
-            ..Trial::default()
+            ..MotorRun::default()
         };
-        check(&trial, (200.0 / trial.frequency_hz).clamp(8.0, 150.0));
+        check(&motor_run, (200.0 / motor_run.frequency_hz).clamp(8.0, 150.0));
     }
 }
 
 /// An hour of device time each, at the corners of what can be asked for.
 #[test]
 fn an_hour_at_each_corner_is_as_good_as_its_first_minute() {
-    let base = Trial::default();
+    let base = MotorRun::default();
     let corners = [
-        ("slow and small", Trial { frequency_hz: 1.0, amplitude_um: 2.0, ..base }),
-        ("slow and large", Trial { frequency_hz: 1.0, amplitude_um: 200.0, scatter: 0.3, ..base }),
-        ("fast and full", Trial { frequency_hz: 300.0, amplitude_um: 200.0, ..base }),
-        ("fast and small", Trial { frequency_hz: 300.0, amplitude_um: 2.0, scatter: 0.3, ..base }),
-        ("old telemetry", Trial { age_ms: 100.0, ..base }),
-        ("old telemetry, fast", Trial { age_ms: 100.0, frequency_hz: 300.0, scatter: 0.3, ..base }),
-        ("all at once", Trial { age_ms: 100.0, scatter: 0.3, asymmetry: 0.1, frequency_hz: 150.0, ..base }),
-        ("no scatter", Trial { scatter: 0.0, asymmetry: 0.1, ..base }),
-        ("nothing to do", Trial { scatter: 0.0, asymmetry: 0.0, frequency_hz: 10.0, ..base }),
-        ("seldom telemetry", Trial { telemetry_hz: 20.0, ..base }),
-        ("far off", Trial { offset_um: 400.0, frequency_hz: 10.0, ..base }),
-        ("barely fed", Trial { lead_ms: 20.0, amplitude_um: 200.0, asymmetry: 0.1, ..base }),
+        ("slow and small", MotorRun { frequency_hz: 1.0, amplitude_um: 2.0, ..base }),
+        ("slow and large", MotorRun { frequency_hz: 1.0, amplitude_um: 200.0, scatter: 0.3, ..base }),
+        ("fast and full", MotorRun { frequency_hz: 300.0, amplitude_um: 200.0, ..base }),
+        ("fast and small", MotorRun { frequency_hz: 300.0, amplitude_um: 2.0, scatter: 0.3, ..base }),
+        ("old telemetry", MotorRun { age_ms: 100.0, ..base }),
+        ("old telemetry, fast", MotorRun { age_ms: 100.0, frequency_hz: 300.0, scatter: 0.3, ..base }),
+        (
+            "all at once",
+            MotorRun { age_ms: 100.0, scatter: 0.3, asymmetry: 0.1, frequency_hz: 150.0, ..base },
+        ),
+        ("no scatter", MotorRun { scatter: 0.0, asymmetry: 0.1, ..base }),
+        ("nothing to do", MotorRun { scatter: 0.0, asymmetry: 0.0, frequency_hz: 10.0, ..base }),
+        ("seldom telemetry", MotorRun { telemetry_hz: 20.0, ..base }),
+        ("far off", MotorRun { offset_um: 400.0, frequency_hz: 10.0, ..base }),
+        ("barely fed", MotorRun { lead_ms: 20.0, amplitude_um: 200.0, asymmetry: 0.1, ..base }),
     ];
-    for (name, trial) in corners {
-        let trial = Trial { seed: name.len() as u64, ..trial };
-        let (mut minutes, mut doubt) = (vec![(0u64, 0.0)], None);
+    for (name, motor_run) in corners {
+        let motor_run = MotorRun { seed: name.len() as u64, ..motor_run };
+        let (mut minutes, mut fault) = (vec![(0u64, 0.0)], None);
         let tell = |period: &Period| {
             let minute = period.up as usize / (60 * 85_000);
             minutes.resize(minutes.len().max(minute + 1), (0, 0.0));
             minutes[minute].0 += 1;
             minutes[minute].1 += period.rest_um.powi(2);
-            if let Some(why) = doubt.take() {
+            if let Some(why) = fault.take() {
                 panic!("{name}: {why:?}");
             }
         };
-        doubt = trial.run(3600.0, |_, y| Some(y), tell).unwrap();
-        assert_eq!(doubt, None, "{name}");
+        fault = motor_run.run(3600.0, |_, y| Some(y), tell).unwrap();
+        assert_eq!(fault, None, "{name}");
         let rms: Vec<f64> = minutes.iter().map(|(count, sum)| (sum / *count as f64).sqrt()).collect();
         assert_eq!(rms.len(), 60, "{name}");
         let (first, last) = (rms[1..11].iter().sum::<f64>() / 10.0, rms[50..].iter().sum::<f64>() / 10.0);
@@ -151,26 +159,26 @@ fn an_hour_at_each_corner_is_as_good_as_its_first_minute() {
 }
 
 /// How far a pin that stood off at the beginning still is, apart from what it would be anyway.
-fn left(trial: Trial, seconds: f64) -> Vec<f64> {
-    let rests = |trial: &Trial| {
+fn left(motor_run: MotorRun, seconds: f64) -> Vec<f64> {
+    let rests = |motor_run: &MotorRun| {
         let mut rests = Vec::new();
         // What the loop takes the first burst for, a transient, it is not.
         let later = |tick: Tick, y| (tick - Tick::BOOT > 60 * 85).then_some(y);
-        trial.run(seconds, later, |period| rests.push(period.rest_um)).unwrap();
+        motor_run.run(seconds, later, |period| rests.push(period.rest_um)).unwrap();
         rests
     };
-    let calm = rests(&Trial { offset_um: 0.0, ..trial });
-    rests(&trial).into_iter().zip(calm).map(|(off, calm)| off - calm).collect()
+    let calm = rests(&MotorRun { offset_um: 0.0, ..motor_run });
+    rests(&motor_run).into_iter().zip(calm).map(|(off, calm)| off - calm).collect()
 }
 
-/// The poles of `stream::hold::servo`: z^N = -δ. What a wrong gain leaves of an error is seen, and undone, N bursts later.
+/// The poles of `stream::control::burst_controller`: z^N = -δ. What a wrong gain leaves of an error is seen, and undone, N bursts later.
 #[test]
 fn an_error_dies_out_as_the_poles_say() {
     let certain = |gain: f64| Gains { mean: [gain; 2], sd: [1e-9; 2], scatter: 0.1 };
     // Bursts every 50 ms; one is seen whole 22 ms after its beginning.
     for (age_ms, delay) in [(1.0, 1), (100.0, 3), (300.0, 7)] {
         for delta in [0.0, 0.1, -0.1] {
-            let trial = Trial {
+            let motor_run = MotorRun {
                 frequency_hz: 10.0,
                 amplitude_um: 200.0,
                 scatter: 0.0,
@@ -179,9 +187,9 @@ fn an_error_dies_out_as_the_poles_say() {
                 transient_gain: 1.0,
                 offset_um: 15.0,
                 gains: certain(1.0 / (1.0 + delta)),
-                ..Trial::default()
+                ..MotorRun::default()
             };
-            let left = left(trial, 4.0);
+            let left = left(motor_run, 4.0);
             // Where it is after each burst, and by how much each was meant to take it back.
             let (mut off, mut meant) = (vec![15.0; delay], vec![0.0; delay]);
             for burst in 0..2 * left.len() {
@@ -206,14 +214,14 @@ fn a_pin_that_stands_off_comes_back_without_going_too_far() {
     for frequency_hz in [1.0, 10.0, 60.0, 300.0] {
         for amplitude_um in [2.0, 10.0, 80.0] {
             for offset_um in [100.0, -100.0] {
-                let trial = Trial {
+                let motor_run = MotorRun {
                     frequency_hz,
                     amplitude_um,
                     scatter: 0.0,
                     asymmetry: 0.0,
                     offset_um,
                     age_ms: 5.0,
-                    ..Trial::default()
+                    ..MotorRun::default()
                 };
                 let mut rests = Vec::new();
                 let mut planned = 0.0;
@@ -223,7 +231,7 @@ fn a_pin_that_stands_off_comes_back_without_going_too_far() {
                     rests.push(period.rest_um * offset_um.signum());
                     planned = period.planned_um;
                 };
-                trial.run(seconds, |_, y| Some(y), tell).unwrap();
+                motor_run.run(seconds, |_, y| Some(y), tell).unwrap();
                 let name = format!("{frequency_hz} Hz, {amplitude_um} um, from {offset_um}");
                 let beyond = rests.iter().fold(0.0, |most: f64, um| most.max(-um));
                 assert!(beyond <= planned, "{name}: {beyond} um too far");
@@ -236,7 +244,7 @@ fn a_pin_that_stands_off_comes_back_without_going_too_far() {
 
 #[test]
 fn a_gap_in_telemetry_is_dead_reckoned() {
-    let trial = Trial { scatter: 0.0, asymmetry: 0.1, ..Trial::default() };
+    let motor_run = MotorRun { scatter: 0.0, asymmetry: 0.1, ..MotorRun::default() };
     let gap = |tick: Tick, y| {
         let ms = (tick - Tick::BOOT) / 85;
         (ms % 1000 < 700).then_some(y)
@@ -247,7 +255,7 @@ fn a_gap_in_telemetry_is_dead_reckoned() {
             worst = worst.max(period.rest_um.abs());
         }
     };
-    assert_eq!(trial.run(20.0, gap, tell).unwrap(), None);
+    assert_eq!(motor_run.run(20.0, gap, tell).unwrap(), None);
     assert!(worst <= 4.0 * UM_PER_PULSE, "{worst} um, though the gains are known");
 }
 
@@ -269,7 +277,7 @@ fn telemetry_that_lies_is_given_up_and_nothing_is_corrected_by_it() {
     ];
     for (name, why, lie) in lies {
         for amplitude_um in [10.0, 80.0] {
-            let trial = Trial { amplitude_um, ..Trial::default() };
+            let motor_run = MotorRun { amplitude_um, ..MotorRun::default() };
             let (mut past, mut after) = (Vec::new(), Vec::new());
             // Two honest seconds first.
             let sample = |tick: Tick, y| {
@@ -282,9 +290,9 @@ fn telemetry_that_lies_is_given_up_and_nothing_is_corrected_by_it() {
                     after.push(period.pulses);
                 }
             };
-            let doubt = trial.run(8.0, sample, tell).unwrap();
-            assert!(doubt.is_some(), "{name} at {amplitude_um} um is believed");
-            assert!(why.is_none() || doubt == why, "{name} at {amplitude_um} um: {doubt:?}");
+            let fault = motor_run.run(8.0, sample, tell).unwrap();
+            assert!(fault.is_some(), "{name} at {amplitude_um} um is believed");
+            assert!(why.is_none() || fault == why, "{name} at {amplitude_um} um: {fault:?}");
             let planned = (amplitude_um / UM_PER_PULSE).round() as u16;
             assert!(after.iter().all(|&pulses| pulses == [planned; 2]), "{name}: still corrected");
         }
@@ -294,18 +302,18 @@ fn telemetry_that_lies_is_given_up_and_nothing_is_corrected_by_it() {
 /// What scatters beyond all motors is none, or its sensor is none.
 #[test]
 fn wild_scatter_is_given_up() {
-    let trial = Trial { frequency_hz: 10.0, amplitude_um: 10.0, scatter: 0.6, ..Trial::default() };
-    assert_eq!(trial.run(60.0, |_, y| Some(y), |_| ()).unwrap(), Some(SensorFault::Scatter));
+    let motor_run = MotorRun { frequency_hz: 10.0, amplitude_um: 10.0, scatter: 0.6, ..MotorRun::default() };
+    assert_eq!(motor_run.run(60.0, |_, y| Some(y), |_| ()).unwrap(), Some(SensorFault::Scatter));
 }
 
 /// A sensor whose zero drifts takes the pin along: that ends at the stop, where corrections push in vain.
 #[test]
 fn pushing_in_vain_is_given_up() {
     for frequency_hz in [60.0, 300.0] {
-        let trial = Trial { frequency_hz, ..Trial::default() };
+        let motor_run = MotorRun { frequency_hz, ..MotorRun::default() };
         let drift = |tick: Tick, y: i32| Some(y + ((tick - Tick::BOOT) as f64 / 85_000.0 * 20_000.0) as i32);
-        let doubt = trial.run(30.0, drift, |_| ()).unwrap();
-        assert!(doubt.is_some(), "{frequency_hz} Hz");
+        let fault = motor_run.run(30.0, drift, |_| ()).unwrap();
+        assert!(fault.is_some(), "{frequency_hz} Hz");
     }
 }
 
@@ -317,9 +325,9 @@ fn two_motors() -> Pattern {
     Pattern::new("two", Some(6.0), vec![drive(3, 60.0), drive(8, 45.0)], toml::Table::new()).unwrap()
 }
 
-fn last_snapshot(notices: &[Notice]) -> Snapshot {
+fn last_snapshot(notices: &[StreamEvent]) -> Snapshot {
     let snapshot = notices.iter().rev().find_map(|notice| match notice {
-        Notice::Snapshot(snapshot) => Some(*snapshot),
+        StreamEvent::Snapshot(snapshot) => Some(*snapshot),
         _ => None,
     });
     snapshot.expect("there are snapshots")
@@ -334,13 +342,13 @@ fn swapped_sensors_are_told_and_both_motors_play_on_in_open_loop() {
     rig.arm();
     let mut play = rig.play(&two_motors(), None);
     play.open_loop = false;
-    rig.order(Job::Play(Box::new(play)));
+    rig.order(Command::Play(Box::new(play)));
     rig.run(Duration::from_millis(7000));
     let notices = rig.take_notices();
     let mut doubted: Vec<u8> = notices
         .iter()
         .filter_map(|notice| match notice {
-            Notice::Doubted { motor, .. } => Some(*motor),
+            StreamEvent::SensorFault { motor, .. } => Some(*motor),
             _ => None,
         })
         .collect();
@@ -361,9 +369,9 @@ fn swapped_sensors_are_told_and_both_motors_play_on_in_open_loop() {
         }
     }
     // After the next arm they are given another chance.
-    rig.order(Job::Disarm);
+    rig.order(Command::Disarm);
     rig.run(Duration::from_millis(200));
-    rig.order(Job::Arm { assume_rest: false });
+    rig.order(Command::Arm { assume_rest: false });
     rig.run(Duration::from_millis(1500));
     assert_eq!(last_snapshot(&rig.take_notices()).source, [ErrorSource::Telemetry; MOTORS]);
 }
@@ -375,7 +383,8 @@ fn a_minute_of_all_motors_is_within_reach_of_the_bound_and_of_the_wire() {
     let drives = drives.map(|drive| Drive { phase: f64::from(drive.motor) / 24.0, ..drive }).collect();
     let pattern = Pattern::new("all", Some(60.0), drives, toml::Table::new()).unwrap();
     let plant = PlantConfig::default();
-    let rehearsed = meissner_stream::rehearse(&pattern, None, &plant, Settings::default(), false).unwrap();
+    let rehearsed =
+        meissner_stream::simulate_play(&pattern, None, &plant, Settings::default(), false).unwrap();
     let bound = rest_bound_um(60.0, 80.0, plant.gain_sd, 5.5, 1000.0);
     let (rms, bursts) = (rehearsed.rest.rms_um(), rehearsed.outcome.bursts);
     let bytes = rehearsed.outcome.wire_bytes as f64 / bursts.planned as f64;
@@ -386,9 +395,9 @@ fn a_minute_of_all_motors_is_within_reach_of_the_bound_and_of_the_wire() {
 }
 
 /// What came of an order.
-fn answer(notices: &[Notice], of: u64) -> Option<std::result::Result<(), Refused>> {
+fn answer(notices: &[StreamEvent], of: u64) -> Option<std::result::Result<(), Refused>> {
     notices.iter().find_map(|notice| match notice {
-        Notice::Answer { ticket, result } if *ticket == of => Some(*result),
+        StreamEvent::Answer { ticket, result } if *ticket == of => Some(*result),
         _ => None,
     })
 }
@@ -399,15 +408,15 @@ fn home_brings_pins_back_between_plays_and_says_why_if_it_cannot() {
     rig.arm();
     let endless = Pattern::new("on", None, vec![drive(3, 60.0)], toml::Table::new()).unwrap();
     let play = rig.play(&endless, Some(1.2));
-    rig.order(Job::Play(Box::new(play)));
+    rig.order(Command::Play(Box::new(play)));
     rig.run(Duration::from_millis(1000));
-    let early = rig.order(Job::Home);
+    let early = rig.order(Command::Home);
     rig.run(Duration::from_millis(5000));
     let notices = rig.take_notices();
     assert_eq!(answer(&notices, early), Some(Err(Refused::Playing)));
     let before = rig.mock.position_um(3);
     assert!(before.abs() > 20.0, "{before} um of drift in open loop");
-    let home = rig.order(Job::Home);
+    let home = rig.order(Command::Home);
     rig.run(Duration::from_millis(3000));
     let notices = rig.take_notices();
     assert_eq!(answer(&notices, home), Some(Ok(())), "{notices:?}");
@@ -418,13 +427,13 @@ fn home_brings_pins_back_between_plays_and_says_why_if_it_cannot() {
 
     // Without telemetry and calibration there is nothing to go by.
     let blind = PlantConfig { telemetry_hz: 0, ..PlantConfig::default() };
-    let mut rehearsal = Rehearsal::new(&blind, Settings::default(), Line::default(), 1).unwrap();
-    rehearsal.run(Duration::from_millis(500));
-    rehearsal.order(Job::Arm { assume_rest: true });
-    rehearsal.run(Duration::from_millis(100));
-    let home = rehearsal.order(Job::Home);
-    rehearsal.run(Duration::from_millis(100));
-    assert_eq!(answer(&rehearsal.take_notices(), home), Some(Err(Refused::NothingToGoBy)));
+    let mut simulation = Simulation::new(&blind, Settings::default(), Line::default(), 1).unwrap();
+    simulation.run(Duration::from_millis(500));
+    simulation.order(Command::Arm { assume_rest: true });
+    simulation.run(Duration::from_millis(100));
+    let home = simulation.order(Command::Home);
+    simulation.run(Duration::from_millis(100));
+    assert_eq!(answer(&simulation.take_notices(), home), Some(Err(Refused::NothingToGoBy)));
 }
 
 /// Where pins really are after plays in open loop, against what dead reckoning says.
@@ -439,10 +448,10 @@ fn without_telemetry_the_error_is_reckoned_and_a_warning_given() {
     let mut warned = 0;
     for _ in 0..3 {
         let play = rig.play(&pattern, None);
-        rig.order(Job::Play(Box::new(play)));
+        rig.order(Command::Play(Box::new(play)));
         rig.run(Duration::from_millis(3500));
         let notices = rig.take_notices();
-        warned += notices.iter().filter(|notice| matches!(notice, Notice::Drifted { .. })).count();
+        warned += notices.iter().filter(|notice| matches!(notice, StreamEvent::Drifted { .. })).count();
         let snapshot = last_snapshot(&notices);
         assert_eq!(snapshot.source, [ErrorSource::DeadReckoning; MOTORS]);
         reckoned.push(f64::from(snapshot.rest_error_um[0]));
@@ -481,11 +490,11 @@ fn calibrated_gains_hold_pins_without_telemetry() {
         let mut rig = Rig::plant(&plant, 3);
         rig.arm();
         if let Some(gains) = gains {
-            rig.order(Job::Calibrate(Box::new(*gains)));
+            rig.order(Command::Calibrate(Box::new(*gains)));
         }
         let mut play = rig.play(&pattern, None);
         play.open_loop = false;
-        rig.order(Job::Play(Box::new(play)));
+        rig.order(Command::Play(Box::new(play)));
         rig.run(Duration::from_millis(4000));
         let squares = (0..MOTORS as u8).map(|motor| rig.mock.position_um(motor).powi(2)).sum::<f64>();
         (squares / MOTORS as f64).sqrt()
@@ -512,12 +521,12 @@ fn home_moves_no_pin_far_by_telemetry_that_lies() {
         rig.arm();
         let pattern = Pattern::new("on", None, vec![drive(3, 60.0)], toml::Table::new()).unwrap();
         let play = rig.play(&pattern, Some(0.5));
-        rig.order(Job::Play(Box::new(play)));
+        rig.order(Command::Play(Box::new(play)));
         rig.run(Duration::from_millis(1000));
         rig.mock.tamper(lie);
         rig.run(Duration::from_millis(300));
         let before: Vec<f64> = (0..MOTORS as u8).map(|motor| rig.mock.position_um(motor)).collect();
-        let home = rig.order(Job::Home);
+        let home = rig.order(Command::Home);
         rig.run(Duration::from_millis(3000));
         assert_eq!(answer(&rig.take_notices(), home), Some(Err(Refused::NotHome)), "{name}");
         for (motor, before) in (0u8..).zip(before) {
@@ -533,19 +542,20 @@ fn a_device_that_disarms_while_pins_go_home_has_its_answer() {
     rig.arm();
     let pattern = Pattern::new("on", None, vec![drive(3, 60.0)], toml::Table::new()).unwrap();
     let play = rig.play(&pattern, Some(1.0));
-    rig.order(Job::Play(Box::new(play)));
+    rig.order(Command::Play(Box::new(play)));
     rig.run(Duration::from_millis(1500));
-    let home = rig.order(Job::Home);
+    let home = rig.order(Command::Home);
     rig.run(Duration::from_millis(5));
     rig.stall(Duration::from_millis(600));
     rig.run(Duration::from_millis(1000));
     let notices = rig.take_notices();
-    let answers =
-        notices.iter().filter(|notice| matches!(notice, Notice::Answer { ticket, .. } if *ticket == home));
+    let answers = notices
+        .iter()
+        .filter(|notice| matches!(notice, StreamEvent::Answer { ticket, .. } if *ticket == home));
     assert_eq!(answers.count(), 1);
 }
 
-/// Acknowledgements lost now and then, stops, plays that follow at once: the loop knows what is played, and doubts no motor.
+/// Acknowledgements lost now and then, stops, plays that follow at once: the loop knows what is played, and faults no motor.
 #[test]
 fn a_bad_line_makes_no_motor_doubted() {
     for seed in 0..12 {
@@ -555,14 +565,15 @@ fn a_bad_line_makes_no_motor_doubted() {
         for round in 0..10 {
             let mut play = rig.play(&two_motors(), Some(0.4));
             (play.open_loop, play.replace) = (false, round % 3 == 1);
-            rig.order(Job::Play(Box::new(play)));
+            rig.order(Command::Play(Box::new(play)));
             rig.run(Duration::from_millis(150 + 40 * round));
             if round % 4 == 2 {
-                rig.order(Job::Stop);
+                rig.order(Command::Stop);
             }
         }
         rig.run(Duration::from_millis(1000));
-        let doubted = rig.take_notices().into_iter().find(|notice| matches!(notice, Notice::Doubted { .. }));
+        let doubted =
+            rig.take_notices().into_iter().find(|notice| matches!(notice, StreamEvent::SensorFault { .. }));
         assert!(doubted.is_none(), "seed {seed}: {doubted:?}");
     }
 }
@@ -576,7 +587,7 @@ fn corrections_make_the_device_refuse_nothing() {
     let limits = OnTimeLimits { motor: 74_000, ..OnTimeLimits::NONE };
     let settings = Settings { limits, ..Settings::default() };
     let plant = PlantConfig::default();
-    let outcome = meissner_stream::rehearse(&pattern, None, &plant, settings, false).unwrap().outcome;
+    let outcome = meissner_stream::simulate_play(&pattern, None, &plant, settings, false).unwrap().outcome;
     assert_eq!((outcome.bursts.refused, outcome.bursts.planned), (0, outcome.bursts.played));
     assert!(outcome.bursts.amended > 0);
 
@@ -588,7 +599,7 @@ fn corrections_make_the_device_refuse_nothing() {
     for seconds in [1.0, 0.999, 1.0] {
         let mut play = rig.play(&pattern, Some(seconds));
         play.open_loop = false;
-        rig.order(Job::Play(Box::new(play)));
+        rig.order(Command::Play(Box::new(play)));
     }
     rig.run(Duration::from_millis(4000));
     let notices = rig.take_notices();

@@ -7,9 +7,9 @@ use meissner_array::simulated::PlantConfig;
 use meissner_array::strokes::Strokes;
 use meissner_stream::device::mock::Mock;
 use meissner_stream::link::LineRate;
-use meissner_stream::port::{At, End, Job, Notice, Order, Play, Refused};
+use meissner_stream::queues::{At, Command, End, Play, Refused, Request, StreamEvent};
 use meissner_stream::time::HostInstant;
-use meissner_stream::{Line, Need, Settings, Streamer};
+use meissner_stream::{Bandwidth, Line, Settings, Streamer};
 use meissner_test_support::rig::{self, Rig};
 use std::time::Duration;
 
@@ -17,12 +17,12 @@ const MS: Duration = Duration::from_millis(1);
 
 fn order(rig: &mut Rig, pattern: &str, seconds: Option<f64>, at: At) {
     let play = rig.play(&rig::pattern(pattern), seconds);
-    rig.order(Job::Play(Box::new(Play { at, ..play })));
+    rig.order(Command::Play(Box::new(Play { at, ..play })));
 }
 
 /// How many plays have begun and ended.
-fn begun_and_ended(notices: &[Notice]) -> (usize, usize) {
-    let begun = notices.iter().filter(|notice| matches!(notice, Notice::Began { .. }));
+fn begun_and_ended(notices: &[StreamEvent]) -> (usize, usize) {
+    let begun = notices.iter().filter(|notice| matches!(notice, StreamEvent::Began { .. }));
     (begun.count(), rig::outcomes(notices).len())
 }
 
@@ -30,7 +30,7 @@ fn begun_and_ended(notices: &[Notice]) -> (usize, usize) {
 fn nothing_comes_to_life(rig: &mut Rig) {
     rig.run(10_000 * MS);
     rig.take_notices();
-    rig.order(Job::Arm { assume_rest: true });
+    rig.order(Command::Arm { assume_rest: true });
     rig.run(500 * MS);
     assert_eq!(begun_and_ended(&rig.take_notices()), (0, 0));
     assert_eq!(rig.mock.controller().state(), State::Armed);
@@ -41,11 +41,12 @@ fn a_play_ordered_after_a_lease_and_a_stop_is_refused_and_stays_dead() {
     let mut rig = Rig::new(Line::default(), 8);
     rig.arm();
     rig.stall(900 * MS);
-    rig.order(Job::Stop);
+    rig.order(Command::Stop);
     rig.run(500 * MS);
     rig.take_notices();
     order(&mut rig, "pin-60", None, At::Next);
-    let refused = |notice: &Notice| matches!(notice, Notice::Answer { result: Err(Refused::Disarmed), .. });
+    let refused =
+        |notice: &StreamEvent| matches!(notice, StreamEvent::Answer { result: Err(Refused::Disarmed), .. });
     assert!(rig.take_notices().iter().any(refused));
     nothing_comes_to_life(&mut rig);
 }
@@ -60,7 +61,7 @@ fn a_play_behind_an_arm_that_timed_out_ends_with_it() {
         rig.run(40 * MS);
     }
     rig.run(1500 * MS);
-    rig.order(Job::Arm { assume_rest: true });
+    rig.order(Command::Arm { assume_rest: true });
     order(&mut rig, "pin-60", None, At::Next);
     rig.run(5000 * MS);
     rig.set_line(Line::default());
@@ -74,8 +75,8 @@ fn a_play_behind_an_arm_that_timed_out_ends_with_it() {
 fn two_arms_in_a_row_leave_it_armed_and_playing() {
     let mut rig = Rig::new(Line::default(), 23);
     rig.run(500 * MS);
-    rig.order(Job::Arm { assume_rest: true });
-    rig.order(Job::Arm { assume_rest: true });
+    rig.order(Command::Arm { assume_rest: true });
+    rig.order(Command::Arm { assume_rest: true });
     order(&mut rig, "pin-60", Some(0.2), At::Next);
     rig.run(1000 * MS);
     let outcomes = rig::into_outcomes(rig.take_notices());
@@ -99,24 +100,24 @@ fn a_device_whose_clock_begins_anew_plays_as_the_one_before() {
             mock.run(start + since * 85);
             let len = mock.read(&mut bytes);
             let job = match since {
-                200 => Some(Job::Arm { assume_rest: true }),
+                200 => Some(Command::Arm { assume_rest: true }),
                 400 | 1500 => {
                     let strokes = Strokes::new(&rig::pattern("pin-60"), Some(0.05)).unwrap();
                     let (id, at, late) = (ms, At::Next, LatePolicy::Drop);
-                    Some(Job::Play(Box::new(Play {
+                    Some(Command::Play(Box::new(Play {
                         id,
                         strokes,
                         at,
                         late,
                         replace: false,
                         open_loop: true,
-                        need: Need::default(),
+                        bandwidth: Bandwidth::default(),
                     })))
                 }
                 _ => None,
             };
             if let Some(job) = job {
-                streamer.order(now, Order { ticket: ms, given: now, job }, tell);
+                streamer.order(now, Request { ticket: ms, given: now, job }, tell);
             }
             streamer.receive(now, &bytes[..len], tell);
             streamer.step(now, tell);
@@ -154,7 +155,7 @@ fn strokes_refused_as_they_begin_do_not_lead_the_loop_astray() {
         let mut rig = Rig::with(settings, Line::default(), 24);
         rig.arm();
         let play = rig.play(&rig::pattern("edge-45"), Some(5.0));
-        rig.order(Job::Play(Box::new(Play { open_loop, ..play })));
+        rig.order(Command::Play(Box::new(Play { open_loop, ..play })));
         rig.run(6000 * MS);
         assert!(rig::into_outcomes(rig.take_notices())[0].bursts.refused > 1000);
         rig.mock.truth().rest().rms_um()
@@ -167,7 +168,7 @@ fn strokes_refused_as_they_begin_do_not_lead_the_loop_astray() {
 fn an_onset_that_a_play_before_it_has_run_into_is_given_up() {
     let mut rig = Rig::new(Line { delay: 20 * MS, ..Line::default() }, 24);
     rig.run(1000 * MS);
-    rig.order(Job::Arm { assume_rest: true });
+    rig.order(Command::Arm { assume_rest: true });
     let at = rig.streamer.tick_at(rig.now()).unwrap() + 42_500 + 300;
     order(&mut rig, "pin-60", Some(0.5), At::Next);
     order(&mut rig, "pin-60", Some(0.5), At::Tick(at));

@@ -10,9 +10,9 @@ use meissner_array::simulated::PlantConfig;
 use meissner_array::strokes::Strokes;
 use meissner_stream::device::mock::Mock;
 use meissner_stream::link::LineRate;
-use meissner_stream::port::{At, End, Job, Notice, Order, Play, Refused};
+use meissner_stream::queues::{At, Command, End, Play, Refused, Request, StreamEvent};
 use meissner_stream::time::HostInstant;
-use meissner_stream::{Line, Need, Settings, Streamer, rehearse};
+use meissner_stream::{Bandwidth, Line, Settings, Streamer, simulate_play};
 use meissner_test_support::rig::{self, Rig, bad_line};
 use proptest::prelude::*;
 use std::time::Duration;
@@ -96,7 +96,7 @@ fn the_wire_carries_a_burst_in_less_than_six_bytes() {
 fn the_loop_holds_the_rest_position() {
     let plant = PlantConfig::default();
     let run = |open_loop| {
-        rehearse(&rig::pattern("edge-45"), Some(10.0), &plant, Settings::default(), open_loop).unwrap()
+        simulate_play(&rig::pattern("edge-45"), Some(10.0), &plant, Settings::default(), open_loop).unwrap()
     };
     let (open, closed) = (run(true), run(false));
     assert_eq!(open.outcome.bursts.amended, 0);
@@ -113,7 +113,7 @@ fn the_same_seed_gives_the_same_bytes_and_another_seed_others() {
         rig.arm();
         let mut play = rig.play(&rig::pattern("wave"), Some(3.0));
         play.open_loop = false;
-        rig.order(Job::Play(Box::new(play)));
+        rig.order(Command::Play(Box::new(play)));
         let outcome = rig.run_to_end(1, 4000 * MS).unwrap();
         (rig.mock.take_trace(), outcome.wire_bytes)
     };
@@ -128,14 +128,14 @@ fn plays_follow_each_other_without_a_gap() {
     let pattern = rig::pattern("pin-60");
     for _ in 0..4 {
         let play = rig.play(&pattern, Some(0.5));
-        rig.order(Job::Play(Box::new(play)));
+        rig.order(Command::Play(Box::new(play)));
     }
     rig.run(3000 * MS);
     let notices = rig.take_notices();
     let onsets: Vec<_> = notices
         .iter()
         .filter_map(|notice| match notice {
-            Notice::Began { onset, .. } => Some(onset.actual.0),
+            StreamEvent::Began { onset, .. } => Some(onset.actual.0),
             _ => None,
         })
         .collect();
@@ -175,13 +175,13 @@ fn an_arm_that_timed_out_does_not_come_to_life_when_the_link_is_back() {
     rig.run(500 * MS);
     rig.set_line(Line { loss: 1.0, ..Line::default() });
     rig.run(5 * MS);
-    rig.order(Job::Arm { assume_rest: true });
+    rig.order(Command::Arm { assume_rest: true });
     rig.run(300 * MS);
     rig.set_line(Line { delay: 900 * MS, ..Line::default() });
     rig.run(1100 * MS);
     rig.set_line(Line::default());
     rig.run(2000 * MS);
-    let timeout = |notice: &Notice| matches!(notice, Notice::Answer { result: Err(_), .. });
+    let timeout = |notice: &StreamEvent| matches!(notice, StreamEvent::Answer { result: Err(_), .. });
     assert!(rig.take_notices().iter().any(timeout));
     assert_eq!(rig.mock.controller().state(), State::Disarmed);
 }
@@ -194,7 +194,7 @@ fn a_site_limit_that_refuses_thousands_of_strokes_holds_no_play_up() {
     rig.arm();
     for _ in 0..8 {
         let play = rig.play(&wild(), Some(0.4));
-        rig.order(Job::Play(Box::new(play)));
+        rig.order(Command::Play(Box::new(play)));
     }
     rig.run(6000 * MS);
     let outcomes = rig::into_outcomes(rig.take_notices());
@@ -207,18 +207,18 @@ fn a_site_limit_that_refuses_thousands_of_strokes_holds_no_play_up() {
 }
 
 /// Plays with a stall of the host in the middle; its outcome, and the strokes told to be late.
-fn stalled(policy: LatePolicy, stall: Duration) -> (Rig, meissner_stream::port::Outcome, Vec<LateCause>) {
+fn stalled(policy: LatePolicy, stall: Duration) -> (Rig, meissner_stream::queues::Outcome, Vec<LateCause>) {
     let mut rig = Rig::new(Line::default(), 8);
     rig.arm();
     let mut play = rig.play(&rig::pattern("all-in-phase"), Some(3.0));
     play.late = policy;
-    rig.order(Job::Play(Box::new(play)));
+    rig.order(Command::Play(Box::new(play)));
     rig.run(1000 * MS);
     rig.stall(stall);
     rig.run(2500 * MS);
     let notices = rig.take_notices();
     let late = notices.iter().filter_map(|notice| match notice {
-        Notice::Late { cause, late_ms, .. } => {
+        StreamEvent::Late { cause, late_ms, .. } => {
             assert!(*late_ms > 0.0);
             Some(*cause)
         }
@@ -274,11 +274,11 @@ fn an_e_stop_with_the_lead_full_leaves_no_line_high_and_arming_returns_the_pins(
         let mut rig = Rig::new(Line::default(), 9);
         rig.arm();
         let play = rig.play(&pattern, None);
-        rig.order(Job::Play(Box::new(play)));
+        rig.order(Command::Play(Box::new(play)));
         rig.run(500 * MS + phase * MS / 2);
         rig.mock.take_trace();
-        rig.order(Job::EStop);
-        // To the device it takes two steps of the rehearsal; then nothing is played any more.
+        rig.order(Command::EStop);
+        // To the device it takes two steps of the simulation; then nothing is played any more.
         rig.run(MS);
         assert_eq!(rig.mock.controller().state(), State::Faulted);
         rig.mock.take_trace();
@@ -288,9 +288,9 @@ fn an_e_stop_with_the_lead_full_leaves_no_line_high_and_arming_returns_the_pins(
         assert_eq!((outcome.end, outcome.cause), (End::Stopped, Some("estop")));
         rig::assert_closed(&outcome);
         let owed: u16 = (0..24).map(|motor| rig.mock.controller().owed(motor)).sum();
-        rig.order(Job::Reset);
+        rig.order(Command::Reset);
         rig.run(20 * MS);
-        rig.order(Job::Arm { assume_rest: false });
+        rig.order(Command::Arm { assume_rest: false });
         rig.run(100 * MS);
         let back = rig::bursts_on_the_lines(&rig.mock.take_trace());
         assert_eq!(back.pulses, u64::from(owed));
@@ -304,7 +304,7 @@ fn pulling_the_cable_ends_the_play_and_the_device_comes_back_disarmed() {
     let mut rig = Rig::new(Line::default(), 10);
     rig.arm();
     let play = rig.play(&rig::pattern("all-in-phase"), None);
-    rig.order(Job::Play(Box::new(play)));
+    rig.order(Command::Play(Box::new(play)));
     rig.run(503 * MS);
     rig.unplug();
     rig.run(100 * MS);
@@ -316,8 +316,9 @@ fn pulling_the_cable_ends_the_play_and_the_device_comes_back_disarmed() {
     rig.connect();
     rig.run(100 * MS);
     let play = rig.play(&rig::pattern("pin-60"), Some(1.0));
-    rig.order(Job::Play(Box::new(play)));
-    let refused = |notice: &Notice| matches!(notice, Notice::Answer { result: Err(Refused::Disarmed), .. });
+    rig.order(Command::Play(Box::new(play)));
+    let refused =
+        |notice: &StreamEvent| matches!(notice, StreamEvent::Answer { result: Err(Refused::Disarmed), .. });
     assert!(rig.take_notices().iter().any(refused));
 }
 
@@ -328,14 +329,16 @@ fn an_onset_asked_for_is_kept_to_the_tick_or_refused() {
     let at = rig.mock.now() + 85_000;
     let mut play = rig.play(&rig::pattern("pin-60"), Some(0.2));
     play.at = At::Tick(at);
-    rig.order(Job::Play(Box::new(play)));
+    rig.order(Command::Play(Box::new(play)));
     let mut soon = rig.play(&rig::pattern("pin-60"), Some(0.2));
     soon.at = At::Tick(rig.mock.now() + 10);
-    rig.order(Job::Play(Box::new(soon)));
+    rig.order(Command::Play(Box::new(soon)));
     rig.run(2000 * MS);
     let notices = rig.take_notices();
-    let began = |notice: &Notice| matches!(notice, Notice::Began { id: 1, onset } if onset.actual == at);
-    let refused = |notice: &Notice| matches!(notice, Notice::Answer { result: Err(Refused::TooSoon), .. });
+    let began =
+        |notice: &StreamEvent| matches!(notice, StreamEvent::Began { id: 1, onset } if onset.actual == at);
+    let refused =
+        |notice: &StreamEvent| matches!(notice, StreamEvent::Answer { result: Err(Refused::TooSoon), .. });
     assert!(notices.iter().any(began) && notices.iter().any(refused), "{notices:?}");
 }
 
@@ -351,24 +354,24 @@ fn the_streamer_allocates_nothing_while_it_plays() {
     for ms in 0..4000u64 {
         now = HostInstant::from_ns(ms * 1_000_000);
         let job = match ms {
-            100 => Some(Job::Arm { assume_rest: true }),
+            100 => Some(Command::Arm { assume_rest: true }),
             200 | 1000 => {
                 let strokes = Strokes::new(&wild(), Some(if ms == 200 { 0.5 } else { 5.0 })).unwrap();
                 let (at, late) = (At::Next, LatePolicy::Drop);
-                Some(Job::Play(Box::new(Play {
+                Some(Command::Play(Box::new(Play {
                     id: ms,
                     strokes,
                     at,
                     late,
                     replace: false,
                     open_loop: false,
-                    need: Need::default(),
+                    bandwidth: Bandwidth::default(),
                 })))
             }
-            2000 => Some(Job::Stop),
-            2500 => Some(Job::EStop),
-            3000 => Some(Job::Reset),
-            3500 => Some(Job::Arm { assume_rest: false }),
+            2000 => Some(Command::Stop),
+            2500 => Some(Command::EStop),
+            3000 => Some(Command::Reset),
+            3500 => Some(Command::Arm { assume_rest: false }),
             _ => None,
         };
         mock.run(Tick::BOOT + ms * 85);
@@ -378,12 +381,12 @@ fn the_streamer_allocates_nothing_while_it_plays() {
         assert_no_alloc::assert_no_alloc(|| {
             // Measured bursts have a ring of their own.
             let tell = &mut |notice| {
-                if !matches!(notice, Notice::Traveled(_)) {
+                if !matches!(notice, StreamEvent::MeasuredBurst(_)) {
                     notices.push(notice);
                 }
             };
             if let Some(job) = job {
-                streamer.order(now, Order { ticket: ms, given: now, job }, tell);
+                streamer.order(now, Request { ticket: ms, given: now, job }, tell);
             }
             streamer.receive(now, &bytes[..len], tell);
             streamer.step(now, tell);
@@ -401,7 +404,7 @@ fn the_streamer_allocates_nothing_while_it_plays() {
     let ended = rig::outcomes(&notices);
     assert_eq!(ended.iter().map(|outcome| outcome.end).collect::<Vec<_>>(), [End::Done, End::Stopped]);
     assert!(ended.iter().all(|outcome| outcome.bursts.amended > 0));
-    assert!(!notices.iter().any(|notice| matches!(notice, Notice::Answer { result: Err(_), .. })));
+    assert!(!notices.iter().any(|notice| matches!(notice, StreamEvent::Answer { result: Err(_), .. })));
 }
 
 /// A play without strokes, replaced at once by one with some, while the line loses what would tell: the play before must
@@ -414,7 +417,7 @@ fn a_play_without_strokes_hides_no_boundary() {
         let play = |rig: &mut Rig, pattern: &str, ms: f64| {
             let mut play = rig.play(&rig::pattern(pattern), Some(ms / 1000.0));
             play.replace = true;
-            rig.order(Job::Play(Box::new(play)));
+            rig.order(Command::Play(Box::new(play)));
         };
         play(&mut rig, "braille-o", 287.0);
         rig.run(175 * MS);
@@ -489,13 +492,13 @@ proptest! {
                     play.late = if abort { LatePolicy::Abort } else { LatePolicy::Drop };
                     (play.replace, play.open_loop) = (replace, open_loop);
                     plays.push(play.id);
-                    tickets.push(rig.order(Job::Play(Box::new(play))));
+                    tickets.push(rig.order(Command::Play(Box::new(play))));
                 }
-                Op::Stop => tickets.push(rig.order(Job::Stop)),
-                Op::EStop => tickets.push(rig.order(Job::EStop)),
-                Op::Reset => tickets.push(rig.order(Job::Reset)),
-                Op::Arm => tickets.push(rig.order(Job::Arm { assume_rest: false })),
-                Op::Disarm => tickets.push(rig.order(Job::Disarm)),
+                Op::Stop => tickets.push(rig.order(Command::Stop)),
+                Op::EStop => tickets.push(rig.order(Command::EStop)),
+                Op::Reset => tickets.push(rig.order(Command::Reset)),
+                Op::Arm => tickets.push(rig.order(Command::Arm { assume_rest: false })),
+                Op::Disarm => tickets.push(rig.order(Command::Disarm)),
                 Op::Stall(ms) => rig.stall(ms * MS),
                 Op::Unplug => { unplugged = true; rig.unplug(); rig.run(30 * MS); rig.connect(); rig.run(100 * MS); }
                 Op::Line(bad) => rig.set_line(if bad { bad_line() } else { Line::default() }),
@@ -504,20 +507,20 @@ proptest! {
         }
         rig.set_line(Line::default());
         rig.run(300 * MS);
-        tickets.push(rig.order(Job::Reset));
+        tickets.push(rig.order(Command::Reset));
         rig.run(50 * MS);
-        tickets.push(rig.order(Job::Arm { assume_rest: false }));
+        tickets.push(rig.order(Command::Arm { assume_rest: false }));
         rig.run(200 * MS);
-        tickets.push(rig.order(Job::Disarm));
+        tickets.push(rig.order(Command::Disarm));
         rig.run(2000 * MS);
         let notices = rig.take_notices();
         for ticket in tickets {
-            let answers = notices.iter().filter(|n| matches!(n, Notice::Answer { ticket: t, .. } if *t == ticket));
+            let answers = notices.iter().filter(|n| matches!(n, StreamEvent::Answer { ticket: t, .. } if *t == ticket));
             prop_assert_eq!(answers.count(), 1, "ticket {}", ticket);
         }
         let mut ended: Vec<_> = notices.iter().filter_map(|notice| match notice {
-            Notice::Ended { id, .. } => Some(*id),
-            Notice::Returned(play) => Some(play.id),
+            StreamEvent::Ended { id, .. } => Some(*id),
+            StreamEvent::Returned(play) => Some(play.id),
             _ => None,
         }).collect();
         let outcomes = rig::into_outcomes(notices);
@@ -561,7 +564,7 @@ fn that_the_device_is_gone_is_told_without_any_further_order() {
         rig.streamer.step(now, &mut |notice| told.push(notice));
         steps += 1;
     }
-    let [Notice::Snapshot(snapshot)] = told.as_slice() else { panic!("{told:?}") };
+    let [StreamEvent::Snapshot(snapshot)] = told.as_slice() else { panic!("{told:?}") };
     assert!(!snapshot.connected && snapshot.state == State::Disarmed, "{snapshot:?}");
     assert!(snapshot.at.since(rig.now()) < MS && steps == 1, "{steps} steps, {snapshot:?}");
 }

@@ -3,10 +3,10 @@
 
 /// `calibrate`: what a plan plays, gains found again on the plant, files and what is refused in them.
 mod calibrate;
-/// What a line carries: measured, compared with what plays need, on lines that carry it just so.
+/// What a line carries: measured, compared with what plays bandwidth, on lines that carry it just so.
 mod capacity;
 mod closed_loop;
-/// Orders that cross each other, the device's word, and the end of a lease: nothing comes to life that is over.
+/// CommandQueue that cross each other, the device's word, and the end of a lease: nothing comes to life that is over.
 mod races;
 /// A session and a controller over a line that loses: one verdict per stroke.
 mod session;

@@ -1,6 +1,6 @@
 //! The host's streamer and a device on a bench, in lock-step.
 //!
-//! As `meissner_stream::Rehearsal` does with the mock, but with a cable, a tty and an operating system between them:
+//! As `meissner_stream::Simulation` does with the mock, but with a cable, a tty and an operating system between them:
 //! a device comes and goes, a process is held up or killed. Contains no logic of streamer or controller. What the
 //! host sends in a step the device gets at the beginning of the next.
 
@@ -17,7 +17,7 @@ use firmware_protocol::frame::{MAX_FRAME, encode};
 use firmware_protocol::message::HostMessage;
 use firmware_protocol::tick::Tick;
 use meissner_stream::link::LineRate;
-use meissner_stream::port::{Job, Notice, Order, Outcome};
+use meissner_stream::queues::{Command, StreamEvent, Request, Outcome};
 use meissner_stream::{Settings, Streamer};
 
 /// The host wakes up this often.
@@ -73,7 +73,7 @@ pub struct Rig {
     from: u64,
     boots: Vec<Boot>,
     /// What the host was told, in order.
-    pub notices: Vec<Notice>,
+    pub notices: Vec<StreamEvent>,
     tickets: u64,
 }
 
@@ -149,10 +149,10 @@ impl Rig {
     }
 
     /// Gives an order to the host's process; returns its ticket. A dead process takes none.
-    pub fn order(&mut self, job: Job) -> u64 {
+    pub fn order(&mut self, job: Command) -> u64 {
         self.tickets += 1;
         let now = host(self.now);
-        let order = Order { ticket: self.tickets, given: now, job };
+        let order = Request { ticket: self.tickets, given: now, job };
         let notices = &mut self.notices;
         self.streamer.order(now, order, &mut |notice| notices.push(notice));
         // It wakes up at once.
@@ -196,7 +196,7 @@ impl Rig {
         while !self
             .notices
             .iter()
-            .any(|notice| matches!(notice, Notice::Ended { id: ended, .. } if *ended == id))
+            .any(|notice| matches!(notice, StreamEvent::Ended { id: ended, .. } if *ended == id))
         {
             if self.now >= end {
                 return Err(RigError::Timeout("the end of a play", at_most));
@@ -204,7 +204,7 @@ impl Rig {
             self.step(self.now + STEP)?;
         }
         let outcome = self.notices.iter().find_map(|notice| match notice {
-            Notice::Ended { id: ended, outcome } if *ended == id => Some(outcome),
+            StreamEvent::Ended { id: ended, outcome } if *ended == id => Some(outcome),
             _ => None,
         });
         outcome.ok_or(RigError::Timeout("the end of a play", at_most))
@@ -402,7 +402,7 @@ impl Rig {
 
     /// Ends the run: all boots of the device, the last one last.
     #[must_use]
-    pub fn finish(mut self) -> (Vec<Boot>, Vec<Notice>) {
+    pub fn finish(mut self) -> (Vec<Boot>, Vec<StreamEvent>) {
         self.end_boot();
         (self.boots, self.notices)
     }

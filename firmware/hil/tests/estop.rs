@@ -1,7 +1,7 @@
 //! From the e-stop's USB packet to all lines low: within a pulse period, at any phase, also under full load.
 
 use crate::play::{armed, job};
-use meissner_stream::port::Job;
+use meissner_stream::queues::Command;
 use meissner_hil::bench::chip::ChipOptions;
 use meissner_hil::scenario::pattern;
 use meissner_hil::time::{MS, TICK};
@@ -14,7 +14,7 @@ fn latency(rig: &mut meissner_hil::rig::Rig, name: &str, phase: u64) -> u64 {
     rig.order(job(&pattern(name).unwrap(), 5.0));
     rig.run_to(rig.now() + 60 * MS + phase).unwrap();
     rig.chip().unwrap().e_stopped.clear();
-    rig.order(Job::EStop);
+    rig.order(Command::EStop);
     rig.run_to(rig.now() + 50 * MS).unwrap();
     let chip = rig.chip().unwrap();
     // Those that follow repeat it.
@@ -24,9 +24,9 @@ fn latency(rig: &mut meissner_hil::rig::Rig, name: &str, phase: u64) -> u64 {
     let off = chip.pins.enable.last().unwrap().to;
     assert!(packet < off && off < packet + 50 * MS, "{name}: drivers off at {off}, packet at {packet}");
     assert!(chip.pins.still_high().is_none(), "{name}: lines go on 50 ms after the e-stop was sent");
-    rig.order(Job::Reset);
+    rig.order(Command::Reset);
     rig.run_to(rig.now() + 20 * MS).unwrap();
-    rig.order(Job::Arm { assume_rest: true });
+    rig.order(Command::Arm { assume_rest: true });
     rig.run_to(rig.now() + 20 * MS).unwrap();
 
     off.max(low) - packet

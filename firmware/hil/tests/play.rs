@@ -3,8 +3,8 @@
 use firmware_protocol::controller::BLOCK;
 use firmware_protocol::tick::Tick;
 use meissner_array::pattern::Pattern;
-use meissner_stream::Need;
-use meissner_stream::port::{At, Job, Notice, Outcome};
+use meissner_stream::Bandwidth;
+use meissner_stream::queues::{At, Command, StreamEvent, Outcome};
 use meissner_api::LatePolicy;
 use meissner_array::strokes::Strokes;
 use meissner_hil::bench::Which;
@@ -54,22 +54,22 @@ pub(crate) fn armed(options: ChipOptions) -> Rig {
         Rig::new(&Which::Chip(options), RigOptions::default()).unwrap_or_else(|error| panic!("{error}"));
     rig.run_to_greeting(3_000).unwrap();
     rig.run_to(rig.now() + 100 * MS).unwrap();
-    rig.order(Job::Arm { assume_rest: true });
+    rig.order(Command::Arm { assume_rest: true });
     rig.run_to(rig.now() + 50 * MS).unwrap();
     rig
 }
 
-pub(crate) fn job(pattern: &Pattern, seconds: f64) -> Job {
+pub(crate) fn job(pattern: &Pattern, seconds: f64) -> Command {
     let strokes = Strokes::new(pattern, Some(seconds)).unwrap();
     let (at, late) = (At::Next, LatePolicy::Drop);
-    Job::Play(Box::new(meissner_stream::port::Play {
+    Command::Play(Box::new(meissner_stream::queues::Play {
         id: 1,
         strokes,
         at,
         late,
         replace: false,
         open_loop: true,
-        need: Need::default(),
+        bandwidth: Bandwidth::default(),
     }))
 }
 
@@ -86,7 +86,7 @@ pub(crate) fn play(play: &Play) -> Played {
     let counted = counts(&mut rig);
     let (boots, notices) = rig.finish();
     let outcome = notices.into_iter().find_map(|notice| match notice {
-        Notice::Ended { outcome, .. } => Some(outcome),
+        StreamEvent::Ended { outcome, .. } => Some(outcome),
         _ => None,
     });
     let outcome = outcome.unwrap();

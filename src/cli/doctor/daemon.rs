@@ -99,9 +99,9 @@ pub(super) fn findings(
 ) -> Option<Status> {
     let status = match status {
         Ok(status) => status,
-        Err(ClientError::NoDaemon { place, .. }) => {
-            let advice = format!("to play, {}, or name its socket with --socket", place.start());
-            findings.push(Finding::warn("daemon", format!("none answers at {place}"), advice));
+        Err(ClientError::NoDaemon { endpoint, .. }) => {
+            let advice = format!("to play, {}, or name its socket with --socket", endpoint.start());
+            findings.push(Finding::warn("daemon", format!("none answers at {endpoint}"), advice));
             return None;
         }
         Err(ClientError::Denied { socket, found, advice }) => {
@@ -150,7 +150,7 @@ fn held(findings: &mut Vec<Finding>, status: &Status, device: &DeviceInfo) {
         "device",
         level,
         found,
-        "it is simulated, no real pin moves: plug a board in, which takes its place until somebody has armed; after that, or \
+        "it is simulated, no real pin moves: plug a board in, which takes its endpoint until somebody has armed; after that, or \
          for another `device`, restart the daemon",
     ));
     let state = format!("{} ({}), position {}", status.state, status.cause, status.position);
@@ -245,14 +245,14 @@ mod tests {
 
     #[test]
     fn a_daemon_that_cannot_be_asked_is_a_finding() {
-        let place = meissner_client::Place {
+        let endpoint = meissner_client::Endpoint {
             socket: PathBuf::from("/a"),
             other: Some(PathBuf::from("/b")),
             service: true,
         };
         let source = std::io::ErrorKind::NotFound.into();
         assert_eq!(
-            told(ClientError::NoDaemon { place, source }),
+            told(ClientError::NoDaemon { endpoint, source }),
             "Warn daemon: none answers at /a, nor at /b -> to play, `sudo systemctl start meissner`, or start one with \
              `meissner daemon`, or name its socket with --socket"
         );

@@ -15,7 +15,7 @@ use std::path::Path;
 use std::thread;
 use std::time::Duration;
 
-/// How often a thread is woken.
+/// MethodLabel often a thread is woken.
 const PERIOD: Duration = Duration::from_millis(1);
 /// Half the default lead: beyond it, a second stall in a row is late.
 const LATE_US: f64 = 50_000.0;
@@ -26,14 +26,14 @@ const FAST: &str = "performance";
 pub(super) const LIMITS: &str = "`printf '%s - rtprio 60\\n%s - memlock unlimited\\n' $USER $USER | sudo tee \
                                  /etc/security/limits.d/90-meissner.conf`, then log in again";
 
-/// How late timers woke a thread.
+/// MethodLabel late timers woke a thread.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub(super) struct WakeUp {
     p50_us: f64,
     p99_us: f64,
     p999_us: f64,
     max_us: f64,
-    /// How often it was woken.
+    /// MethodLabel often it was woken.
     count: usize,
     /// Under SCHED_FIFO, as the streamer is.
     fifo: bool,

@@ -1,4 +1,4 @@
-//! The rig of the streaming tests: a rehearsal whose lines are recorded and compared with compiled strokes.
+//! The rig of the streaming tests: a simulation whose lines are recorded and compared with compiled strokes.
 
 use firmware_protocol::controller::Run;
 use firmware_protocol::stroke::{Direction, Line as Pulse, Lines, MOTORS, Stroke};
@@ -7,8 +7,8 @@ use meissner_api::LatePolicy;
 use meissner_array::pattern::Pattern;
 use meissner_array::simulated::PlantConfig;
 use meissner_array::strokes::Strokes;
-use meissner_stream::port::{At, Job, Notice, Outcome, Play};
-use meissner_stream::{Line, Need, Rehearsal, Settings};
+use meissner_stream::queues::{At, Command, Outcome, Play, StreamEvent};
+use meissner_stream::{Bandwidth, Line, Settings, Simulation};
 use std::ops::{Deref, DerefMut};
 use std::time::Duration;
 
@@ -31,17 +31,17 @@ pub fn pattern(name: &str) -> Pattern {
     shipped().into_iter().find(|pattern| pattern.name() == name).unwrap()
 }
 
-pub fn outcomes(notices: &[Notice]) -> Vec<&Outcome> {
+pub fn outcomes(notices: &[StreamEvent]) -> Vec<&Outcome> {
     let ended = notices.iter().filter_map(|notice| match notice {
-        Notice::Ended { outcome, .. } => Some(outcome),
+        StreamEvent::Ended { outcome, .. } => Some(outcome),
         _ => None,
     });
     ended.collect()
 }
 
-pub fn into_outcomes(notices: Vec<Notice>) -> Vec<Outcome> {
+pub fn into_outcomes(notices: Vec<StreamEvent>) -> Vec<Outcome> {
     let ended = notices.into_iter().filter_map(|notice| match notice {
-        Notice::Ended { outcome, .. } => Some(outcome),
+        StreamEvent::Ended { outcome, .. } => Some(outcome),
         _ => None,
     });
     ended.collect()
@@ -93,20 +93,20 @@ pub fn shipped() -> Vec<Pattern> {
 }
 
 pub struct Rig {
-    rehearsal: Rehearsal,
+    simulation: Simulation,
     plays: u64,
 }
 
 impl Deref for Rig {
-    type Target = Rehearsal;
-    fn deref(&self) -> &Rehearsal {
-        &self.rehearsal
+    type Target = Simulation;
+    fn deref(&self) -> &Simulation {
+        &self.simulation
     }
 }
 
 impl DerefMut for Rig {
-    fn deref_mut(&mut self) -> &mut Rehearsal {
-        &mut self.rehearsal
+    fn deref_mut(&mut self) -> &mut Simulation {
+        &mut self.simulation
     }
 }
 
@@ -118,23 +118,22 @@ impl Rig {
     /// With motors that are not the default's.
     pub fn plant(plant: &PlantConfig, seed: u64) -> Self {
         Self {
-            rehearsal: Rehearsal::new(plant, Settings::default(), Line::default(), seed).unwrap(),
+            simulation: Simulation::new(plant, Settings::default(), Line::default(), seed).unwrap(),
             plays: 0,
         }
     }
 
     pub fn with(settings: Settings, line: Line, seed: u64) -> Self {
-        let mut rehearsal = Rehearsal::new(&PlantConfig::default(), settings, line, seed).unwrap();
-        rehearsal.mock.record();
-        Self { rehearsal, plays: 0 }
+        let mut simulation = Simulation::new(&PlantConfig::default(), settings, line, seed).unwrap();
+        simulation.mock.record();
+        Self { simulation, plays: 0 }
     }
 
     pub fn arm(&mut self) {
         self.run(Duration::from_millis(500));
-        let ticket = self.order(Job::Arm { assume_rest: true });
+        let ticket = self.order(Command::Arm { assume_rest: true });
         self.run(Duration::from_millis(100));
-        let answered =
-            |notice: &Notice| matches!(notice, Notice::Answer { ticket: t, result: Ok(()) } if *t == ticket);
+        let answered = |notice: &StreamEvent| matches!(notice, StreamEvent::Answer { ticket: t, result: Ok(()) } if *t == ticket);
         let notices = self.take_notices();
         assert!(notices.iter().any(answered), "{notices:?}");
     }
@@ -143,8 +142,8 @@ impl Rig {
         self.plays += 1;
         let strokes = Strokes::new(pattern, seconds).unwrap();
         let late = LatePolicy::Drop;
-        let need = Need::of(&strokes, &Settings::default());
-        Play { id: self.plays, strokes, at: At::Next, late, replace: false, open_loop: true, need }
+        let bandwidth = Bandwidth::of(&strokes, &Settings::default());
+        Play { id: self.plays, strokes, at: At::Next, late, replace: false, open_loop: true, bandwidth }
     }
 
     /// Plays open loop to the end and compares every tick of every line with the compiled strokes.
@@ -153,7 +152,7 @@ impl Rig {
         let id = play.id;
         let mut compiled = play.strokes.clone();
         self.mock.take_trace();
-        self.order(Job::Play(Box::new(play)));
+        self.order(Command::Play(Box::new(play)));
         let outcome = self.run_to_end(id, Duration::from_secs_f64(seconds + 2.0)).expect("it ends");
         assert_eq!(outcome.bursts.played, outcome.bursts.planned, "{}: {outcome:?}", pattern.name());
         compiled.begin(outcome.onset.expect("it began").actual);

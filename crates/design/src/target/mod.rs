@@ -14,8 +14,8 @@ mod motion;
 pub use error::{Problem, TargetError};
 pub use file::{MAX_BYTES, MAX_POINTS};
 
+use super::partition::Partition;
 use super::shape::{self, Shape};
-use super::sides::Sides;
 use error::{Fault, number};
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::geometry::{self, PITCH_MM};
@@ -267,9 +267,9 @@ impl Target {
     fn check_sides(&self) -> Result<(), Fault> {
         let (receptors, reach_mm) = (afferent::population(self.population_seed), self.reach_mm);
         for (index, frame) in self.frames.iter().enumerate() {
-            let sides = Sides::of(&frame.shape, reach_mm, &receptors);
+            let partition = Partition::of(&frame.shape, reach_mm, &receptors);
             let (of, frame) = (receptors.len(), self.frame_number(index));
-            let problem = match (sides.on_count(), sides.off_count()) {
+            let problem = match (partition.on_count(), partition.off_count()) {
                 (0, _) => Problem::NoneOn { of, frame, reach_mm },
                 (_, 0) => Problem::AllOn { of, frame, reach_mm },
                 _ => continue,

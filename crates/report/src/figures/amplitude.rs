@@ -60,7 +60,7 @@ struct Row {
 pub struct Amplitude {
     /// Of the plant's scatter.
     pub seed: u64,
-    /// How many were measured.
+    /// MethodLabel many were measured.
     pub points: usize,
     /// Measured over model, mean of the points at which the model moves by 5 µm or more.
     pub measured_over_model: f64,

@@ -41,7 +41,7 @@ fn place(frequency_hz: f64) -> f64 {
     (frequency_hz / low).ln() / (high / low).ln()
 }
 
-/// What the motors do at a time, or in a stretch of it.
+/// What the motors do at a time, or in a segment of it.
 #[derive(Clone, Debug)]
 pub(super) struct Panel<'a> {
     pub(super) title: String,

@@ -16,7 +16,7 @@ mod page;
 mod pattern;
 mod pulses;
 mod rate;
-mod stretches;
+mod segments;
 mod svg;
 mod table;
 mod target;
@@ -27,7 +27,7 @@ pub use page::{File, INDEX};
 pub use pattern::PatternFigures;
 pub use pulses::Pulses;
 pub use rate::{Peak, Plateau, Rate};
-pub use stretches::{Stretch, stretches};
+pub use segments::{Segment, segments};
 pub use target::{FrameFigures, TargetFigures};
 
 use super::PlotError;

@@ -1,6 +1,6 @@
 //! A pattern's section: what its motors do, and what the skin would make of it.
 //!
-//! A map of the array for each stretch, a table of the drives with what the motors reach, the rates of a finger's
+//! A map of the array for each segment, a table of the drives with what the motors reach, the rates of a finger's
 //! receptors, and what the pattern says of itself; if it says for which target it was made (`target`), the receptors are
 //! that target's, and what it comes to is drawn and said. A pattern that stays as it is, is watched for a second or its
 //! duration if that is shorter; one whose motors start and stop, or whose target moves, as far as ten seconds.
@@ -9,7 +9,7 @@
 
 use super::map::{Aim, FINGERTIP, Pad, Panel, motors, pads};
 use super::page::Section;
-use super::stretches::{Stretch, stretches};
+use super::segments::{Segment, segments};
 use super::table::{number, provenance, robustness, table};
 use super::target::{self, TargetFigures, Watched};
 use super::{FiguresError, Subject};
@@ -43,8 +43,8 @@ pub struct PatternFigures {
     /// Its drives.
     pub drives: usize,
     /// Stretches in which different drives run.
-    pub stretches: usize,
-    /// Pulses per second of all motors, in the stretch that has most.
+    pub segments: usize,
+    /// Pulses per second of all motors, in the segment that has most.
     pub busiest_pulses_per_s: f64,
     /// For how long the receptors were watched.
     pub watched_s: f64,
@@ -52,7 +52,7 @@ pub struct PatternFigures {
     pub mean_rate_hz: f64,
     /// Rate of the receptor that fires most, impulses/s.
     pub highest_rate_hz: f64,
-    /// How well it does what it was made for, if it says for what.
+    /// MethodLabel well it does what it was made for, if it says for what.
     pub target: Option<TargetFigures>,
 }
 
@@ -62,19 +62,19 @@ pub(super) fn section(
     progress: &(dyn Fn(f64) + Sync),
 ) -> Result<(Section, PatternFigures), FiguresError> {
     let pattern = &subject.pattern;
-    let stretches = stretches(pattern.drives(), pattern.duration_s());
-    let (shown, more) = stretches.split_at(stretches.len().min(MAPS));
+    let segments = segments(pattern.drives(), pattern.duration_s());
+    let (shown, more) = segments.split_at(segments.len().min(MAPS));
     let reached = Reached::of(pattern.drives())?;
     let target = Target::made_for(pattern);
-    let felt = Felt::by(pattern, &stretches, target.as_ref(), progress)?;
+    let felt = PredictedResponse::by(pattern, &segments, target.as_ref(), progress)?;
     let watched = target.as_ref().map(|target| felt.watched(target)).unwrap_or_default();
     let figures = PatternFigures {
         name: pattern.name().to_owned(),
         drives: pattern.drives().len(),
-        stretches: stretches.len(),
-        busiest_pulses_per_s: stretches
+        segments: segments.len(),
+        busiest_pulses_per_s: segments
             .iter()
-            .map(|stretch| stretch.drives.iter().map(|drive| reached.pulses_per_s(drive)).sum())
+            .map(|segment| segment.drives.iter().map(|drive| reached.pulses_per_s(drive)).sum())
             .fold(0.0, f64::max),
         watched_s: felt.watched_s,
         mean_rate_hz: felt.rates_hz.iter().sum::<f64>() / felt.rates_hz.len() as f64,
@@ -91,7 +91,7 @@ pub(super) fn section(
     section.say(&summary(pattern, &figures));
     let left_out = match more.len() {
         0 => String::new(),
-        more => format!(" The first {MAPS} stretches; {more} more are in the table."),
+        more => format!(" The first {MAPS} segments; {more} more are in the table."),
     };
     let caption = format!(
         "What each motor of {name} does: its number, frequency and phase (cycles), coloured by frequency; off is \
@@ -112,7 +112,7 @@ pub(super) fn section(
         "Predicted impulse rates of {} receptors ({of}) on the finger's pad, simulated exactly over {}{} s of {name}: \
          {} impulses/s in the mean, {} at most. Grey circles: the pins.",
         felt.receptors.len(),
-        if felt.watched_s < run_s(&stretches) { "the first " } else { "the whole " },
+        if felt.watched_s < run_s(&segments) { "the first " } else { "the whole " },
         number(felt.watched_s),
         number(figures.mean_rate_hz),
         number(figures.highest_rate_hz)
@@ -141,35 +141,35 @@ pub(super) fn section(
 
 fn summary(pattern: &Pattern, figures: &PatternFigures) -> String {
     let length = pattern.duration_s().map_or("endless".to_owned(), |s| format!("{} s", number(s)));
-    let stretches = match figures.stretches {
+    let segments = match figures.segments {
         1 => String::new(),
-        many => format!(", {many} stretches"),
+        many => format!(", {many} segments"),
     };
-    let most = if figures.stretches == 1 { "" } else { " in the busiest stretch" };
+    let most = if figures.segments == 1 { "" } else { " in the busiest segment" };
     let drives = if figures.drives == 1 { "drive" } else { "drives" };
     format!(
-        "{length}, {} {drives}{stretches}; {} pulses/s in all{most}.",
+        "{length}, {} {drives}{segments}; {} pulses/s in all{most}.",
         figures.drives,
         number(figures.busiest_pulses_per_s)
     )
 }
 
-/// How long a run lasts.
-fn run_s(stretches: &[Stretch]) -> f64 {
-    stretches.last().and_then(|last| last.stop_s).unwrap_or(f64::INFINITY)
+/// MethodLabel long a run lasts.
+fn run_s(segments: &[Segment]) -> f64 {
+    segments.last().and_then(|last| last.stop_s).unwrap_or(f64::INFINITY)
 }
 
-fn panels(stretches: &[Stretch]) -> Vec<Panel<'_>> {
-    let title = |stretch: &Stretch| match (stretches.len(), stretch.stop_s) {
+fn panels(segments: &[Segment]) -> Vec<Panel<'_>> {
+    let title = |segment: &Segment| match (segments.len(), segment.stop_s) {
         (1, _) => FINGERTIP.to_owned(),
-        (_, Some(stop_s)) => format!("{} to {} s", number(stretch.start_s), number(stop_s)),
-        (_, None) => format!("from {} s on", number(stretch.start_s)),
+        (_, Some(stop_s)) => format!("{} to {} s", number(segment.start_s), number(stop_s)),
+        (_, None) => format!("from {} s on", number(segment.start_s)),
     };
-    stretches.iter().map(|stretch| Panel { title: title(stretch), drives: &stretch.drives }).collect()
+    segments.iter().map(|segment| Panel { title: title(segment), drives: &segment.drives }).collect()
 }
 
 /// What a finger's receptors make of a pattern.
-struct Felt {
+struct PredictedResponse {
     receptors: Vec<Position>,
     watched_s: f64,
     rates_hz: Vec<f64>,
@@ -177,16 +177,16 @@ struct Felt {
     spikes_s: Option<Vec<Vec<f64>>>,
 }
 
-impl Felt {
+impl PredictedResponse {
     fn by(
         pattern: &Pattern,
-        stretches: &[Stretch],
+        segments: &[Segment],
         target: Option<&Target>,
         progress: &(dyn Fn(f64) + Sync),
     ) -> Result<Self, FiguresError> {
         let moves = target.is_some_and(moves);
-        let most = if stretches.len() == 1 && !moves { STEADY_S } else { LONGEST_S };
-        let watched_s = run_s(stretches).min(most);
+        let most = if segments.len() == 1 && !moves { STEADY_S } else { LONGEST_S };
+        let watched_s = run_s(segments).min(most);
         // As the maker does: a target's population seeds the noise too.
         let seed = target.map_or(SEED, Target::population_seed);
         let model = target.map_or_else(
@@ -231,7 +231,7 @@ fn verdict(target: &Target, watched: &Watched<'_>) -> String {
         " Orange: the target, and rings around the {} receptors within {} mm of it. They have {} impulses/s in the mean, \
          the others {}: the cost is {}, and one of them has a higher rate than one of the others with a probability \
          of {} (AUC).{ONE_POPULATION}",
-        watched.sides.on_count(),
+        watched.partition.on_count(),
         number(target.reach_mm()),
         number(on_hz),
         number(off_hz),
@@ -243,7 +243,7 @@ fn verdict(target: &Target, watched: &Watched<'_>) -> String {
 /// Some frames of a moving target, and what all of them come to.
 fn frames(
     section: &mut Section,
-    felt: &Felt,
+    felt: &PredictedResponse,
     target: &Target,
     watched: &[Watched<'_>],
     (name, command): (&str, &str),
@@ -269,7 +269,7 @@ fn frames(
     let mut numbers = String::from("start_s,stop_s,x_mm,y_mm,on,rate_hz\n");
     for watched in &drawn {
         let [start_s, stop_s] = [watched.frame.start_s, watched.frame.stop_s].map(Option::unwrap_or_default);
-        let on = watched.sides.on();
+        let on = watched.partition.on();
         for ((Position { x_mm, y_mm }, on), rate) in felt.receptors.iter().zip(on).zip(&watched.rates_hz) {
             // Writing to a string does not fail.
             let _ = writeln!(numbers, "{start_s},{stop_s},{x_mm:.4},{y_mm:.4},{},{rate:.4}", u8::from(*on));
@@ -286,7 +286,7 @@ fn frames(
     section.table(&format!("Frames of {}", target.name()), &table(&head, watched.iter().map(row)));
 }
 
-fn csv(felt: &Felt, aim: Option<&Aim<'_>>) -> String {
+fn csv(felt: &PredictedResponse, aim: Option<&Aim<'_>>) -> String {
     let mut csv = String::from(if aim.is_some() { "x_mm,y_mm,rate_hz,on\n" } else { "x_mm,y_mm,rate_hz\n" });
     for (index, (Position { x_mm, y_mm }, rate)) in felt.receptors.iter().zip(&felt.rates_hz).enumerate() {
         let on = aim.map_or_else(String::new, |aim| format!(",{}", u8::from(aim.on[index])));

@@ -1,4 +1,4 @@
-//! How far a burst moves a pin: the paper's Fig. 2.
+//! MethodLabel far a burst moves a pin: the paper's Fig. 2.
 //!
 //! The default plan of a calibration is played on the simulated plant, and every burst's travel read at rest before and
 //! after it, as the paper did with its laser. One motor's blocks are drawn, as the paper drew one motor's; all motors' are fitted.

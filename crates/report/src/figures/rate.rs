@@ -201,7 +201,7 @@ fn peak(rows: &[Row]) -> Option<Peak> {
     })
 }
 
-/// How far the paper's remark holds, in a sentence of computed numbers.
+/// MethodLabel far the paper's remark holds, in a sentence of computed numbers.
 fn remark(plateau: &Plateau) -> String {
     let Plateau { frequency_hz, saturated_from_um, from_um, to_um, lowest_hz, highest_hz, first_hz } =
         *plateau;

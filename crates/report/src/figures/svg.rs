@@ -39,7 +39,7 @@ pub(super) struct Drawing {
     elements: String,
 }
 
-/// How a closed shape is painted, in CSS colours.
+/// MethodLabel a closed shape is painted, in CSS colours.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Paint<'a> {
     pub(super) fill: &'a str,

@@ -7,7 +7,7 @@
 //! Invariant: a verdict depends on the rates it is given and on where the receptors are, and on no word of the maker's.
 
 use super::map::Aim;
-use meissner_design::{Frame, Sides, Target, Verdict};
+use meissner_design::{Frame, Partition, Target, Verdict};
 use meissner_skin::afferent::Position;
 use serde::Serialize;
 
@@ -39,26 +39,26 @@ pub struct FrameFigures {
 #[derive(Clone, Debug)]
 pub(super) struct Watched<'t> {
     pub(super) frame: &'t Frame,
-    pub(super) sides: Sides,
+    pub(super) partition: Partition,
     pub(super) rates_hz: Vec<f64>,
     pub(super) verdict: Verdict,
 }
 
 impl<'t> Watched<'t> {
-    /// A frame, if there are receptors on both sides.
+    /// A frame, if there are receptors on both partition.
     pub(super) fn new(
         target: &Target,
         frame: &'t Frame,
         receptors: &[Position],
         rates_hz: Vec<f64>,
     ) -> Option<Self> {
-        let sides = Sides::of(&frame.shape, target.reach_mm(), receptors);
-        let verdict = sides.verdict(&rates_hz)?;
-        Some(Self { frame, sides, rates_hz, verdict })
+        let partition = Partition::of(&frame.shape, target.reach_mm(), receptors);
+        let verdict = partition.verdict(&rates_hz)?;
+        Some(Self { frame, partition, rates_hz, verdict })
     }
 
     pub(super) fn aim(&self) -> Aim<'_> {
-        Aim { outline: self.frame.shape.outline(), on: self.sides.on() }
+        Aim { outline: self.frame.shape.outline(), on: self.partition.on() }
     }
 
     pub(super) const fn figures(&self) -> FrameFigures {

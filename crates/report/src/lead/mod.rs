@@ -2,7 +2,7 @@
 //!
 //! [`lead_tradeoff`] takes streamer, link and mock through a recorded [`Trace`] of stalls in virtual time, once
 //! for each of [`LEADS_MS`]: a long play with the loop on and one without, on all 24 motors at 60 Hz, and many short plays
-//! that are ordered on the way. The host sleeps where the recorded thread slept. The line is perfect, and the rehearsal looks
+//! that are ordered on the way. The host sleeps where the recorded thread slept. The line is perfect, and the simulation looks
 //! every half millisecond: what a line loses or delays comes on top.
 //!
 //! Invariant: the same trace makes the same figures, on every machine.
@@ -14,15 +14,15 @@ pub use plot::plot_lead;
 pub use trace::{MAX_TRACE_BYTES, STALLS, Summary, Trace, TraceError};
 
 use crate::figures::Parts;
-use crate::tradeoff::SIXTY_HERTZ;
+use crate::methods::SIXTY_HERTZ;
 use meissner_api::{BurstCounts, LatePolicy};
 use meissner_array::pattern::Pattern;
 use meissner_array::simulated::PlantConfig;
 use meissner_array::strokes::Strokes;
 use meissner_skin::simulate::Scene;
-use meissner_stream::port::{At, End, Job, Notice, Play};
+use meissner_stream::queues::{At, Command, End, Play, StreamEvent};
 use meissner_stream::time::HostInstant;
-use meissner_stream::{Line, Need, Rehearsal, Settings};
+use meissner_stream::{Bandwidth, Line, Settings, Simulation};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::iter::Peekable;
@@ -34,13 +34,13 @@ use trace::{PERIOD, Stall};
 pub const LEADS_MS: [f64; 8] = [5.0, 10.0, 20.0, 30.0, 50.0, 100.0, 200.0, 500.0];
 /// The lease is so much longer than the lead, ms: as without `lease_ms` in the configuration.
 const LEASE_OVER_LEAD_MS: f64 = 200.0;
-/// Of a lead so much is for stalls; the rest is for the line (`stream::Need`).
+/// Of a lead so much is for stalls; the rest is for the line (`stream::Bandwidth`).
 const FOR_STALLS: f64 = 0.5;
 /// An order every so often, and how long its play is. No whole number of steps or periods: all their phases are met.
 const ORDER_EVERY: Duration = Duration::from_micros(251_371);
 const SHORT_S: f64 = 0.1;
 
-/// How leads compare on a trace.
+/// MethodLabel leads compare on a trace.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LeadTradeoff {
     /// What was replayed.
@@ -62,7 +62,7 @@ pub struct LeadRow {
     pub late_bursts: u64,
     /// Of the same play: all that were due until it ended.
     pub planned_bursts: u64,
-    /// How that play ended: stopped, if the host slept for longer than the lease.
+    /// MethodLabel that play ended: stopped, if the host slept for longer than the lease.
     pub end: End,
     /// Bytes to the device per planned burst, with the loop on.
     pub bytes_per_burst_loop: f64,
@@ -113,10 +113,10 @@ struct Run {
     onsets_ms: Vec<f64>,
 }
 
-/// A rehearsal on its way through a trace.
+/// A simulation on its way through a trace.
 #[derive(Debug)]
 struct Replay<'t> {
-    rehearsal: Rehearsal,
+    simulation: Simulation,
     settings: Settings,
     pattern: Pattern,
     trace: &'t Trace,
@@ -130,25 +130,25 @@ impl<'t> Replay<'t> {
     fn new(trace: &'t Trace, lead_ms: f64) -> Self {
         let settings = Settings { lead_ms, lease_ms: lead_ms + LEASE_OVER_LEAD_MS, ..Settings::default() };
         let plant = PlantConfig::default();
-        let mut rehearsal =
-            Rehearsal::new(&plant, settings, Line::default(), plant.seed).expect("the default plant is one");
-        rehearsal.run(Duration::from_millis(500));
-        rehearsal.order(Job::Arm { assume_rest: true });
-        rehearsal.run(Duration::from_millis(100));
-        rehearsal.take_notices();
+        let mut simulation =
+            Simulation::new(&plant, settings, Line::default(), plant.seed).expect("the default plant is one");
+        simulation.run(Duration::from_millis(500));
+        simulation.order(Command::Arm { assume_rest: true });
+        simulation.run(Duration::from_millis(100));
+        simulation.take_notices();
         let scene = Scene::read(SIXTY_HERTZ, "sixty-hertz.toml").expect("it is shipped, as a test shows");
         let pattern = Pattern::new("sixty-hertz", None, scene.drives().to_vec(), toml::Table::new())
             .expect("its drives are a pattern's, as a test shows");
-        let begun = rehearsal.now();
-        Self { rehearsal, settings, pattern, trace, stalls: trace.stalls.iter().peekable(), begun }
+        let begun = simulation.now();
+        Self { simulation, settings, pattern, trace, stalls: trace.stalls.iter().peekable(), begun }
     }
 
     /// Goes on to a time of the trace, or to the end of the stall that holds it.
     fn pass(&mut self, to: Duration) {
         while let Some(stall) = self.stalls.next_if(|stall| stall.from < to) {
             self.wake_up_until(stall.from);
-            self.rehearsal.stall((self.begun + stall.until).since(self.rehearsal.now()));
-            self.rehearsal.wake();
+            self.simulation.stall((self.begun + stall.until).since(self.simulation.now()));
+            self.simulation.wake();
         }
         self.wake_up_until(to);
     }
@@ -156,41 +156,41 @@ impl<'t> Replay<'t> {
     /// The host wakes up in time, as often as the thread that was recorded.
     fn wake_up_until(&mut self, to: Duration) {
         let end = self.begun + to;
-        while self.rehearsal.now() < end {
-            self.rehearsal.stall(end.since(self.rehearsal.now()).min(PERIOD));
-            self.rehearsal.wake();
+        while self.simulation.now() < end {
+            self.simulation.stall(end.since(self.simulation.now()).min(PERIOD));
+            self.simulation.wake();
         }
     }
 
     /// Gives an order at a time of the trace; it is taken when the host is awake.
-    fn play(&mut self, at: Duration, id: u64, strokes: &Strokes, need: Need, open_loop: bool) {
+    fn play(&mut self, at: Duration, id: u64, strokes: &Strokes, bandwidth: Bandwidth, open_loop: bool) {
         self.pass(at);
         let strokes = strokes.clone();
         let play =
-            Play { id, strokes, at: At::Next, late: LatePolicy::Drop, replace: false, open_loop, need };
-        self.rehearsal.order_given(self.begun + at, Job::Play(Box::new(play)));
-        self.rehearsal.wake();
+            Play { id, strokes, at: At::Next, late: LatePolicy::Drop, replace: false, open_loop, bandwidth };
+        self.simulation.order_given(self.begun + at, Command::Play(Box::new(play)));
+        self.simulation.wake();
     }
 
-    fn strokes(&self, seconds: f64) -> (Strokes, Need) {
+    fn strokes(&self, seconds: f64) -> (Strokes, Bandwidth) {
         let strokes = Strokes::new(&self.pattern, Some(seconds)).expect("a trace's length is a play's");
-        let need = Need::of(&strokes, &self.settings);
-        (strokes, need)
+        let bandwidth = Bandwidth::of(&strokes, &self.settings);
+        (strokes, bandwidth)
     }
 
     /// One play from the trace's start to its end.
     fn long(mut self, open_loop: bool) -> Run {
-        let (strokes, need) = self.strokes(self.trace.length.as_secs_f64());
-        self.play(Duration::ZERO, 0, &strokes, need, open_loop);
+        let (strokes, bandwidth) = self.strokes(self.trace.length.as_secs_f64());
+        self.play(Duration::ZERO, 0, &strokes, bandwidth, open_loop);
         self.finish(1)
     }
 
     /// Many short plays, as by an experiment's trials.
     fn short(mut self) -> Run {
-        let (strokes, need) = self.strokes(SHORT_S);
+        let (strokes, bandwidth) = self.strokes(SHORT_S);
         let orders = (self.trace.length.as_nanos() / ORDER_EVERY.as_nanos()) as u32;
         for order in 0..orders {
-            self.play(ORDER_EVERY * order, order.into(), &strokes, need, true);
+            self.play(ORDER_EVERY * order, order.into(), &strokes, bandwidth, true);
         }
         self.finish(orders as usize)
     }
@@ -205,10 +205,10 @@ impl<'t> Replay<'t> {
             orders,
             onsets_ms: Vec::new(),
         };
-        for notice in self.rehearsal.take_notices() {
+        for notice in self.simulation.take_notices() {
             match notice {
-                Notice::Began { onset, .. } => run.onsets_ms.push(onset.latency_ns as f64 / 1e6),
-                Notice::Ended { outcome, .. } => {
+                StreamEvent::Began { onset, .. } => run.onsets_ms.push(onset.latency_ns as f64 / 1e6),
+                StreamEvent::Ended { outcome, .. } => {
                     run.bursts.planned += outcome.bursts.planned;
                     run.bursts.late += outcome.bursts.late;
                     run.wire_bytes += outcome.wire_bytes;

@@ -48,7 +48,7 @@ pub struct Summary {
     pub late_wake_ups: usize,
     /// Those that came more than 5 ms late: the shortest lead.
     pub late_by_5_ms: usize,
-    /// How late the latest came.
+    /// MethodLabel late the latest came.
     pub longest_us: u64,
 }
 

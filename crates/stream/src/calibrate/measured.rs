@@ -4,7 +4,7 @@
 
 use super::{Block, Calibration, Fit, Plan};
 use crate::Gains;
-use crate::port::Traveled;
+use crate::queues::MeasuredBurst;
 use firmware_protocol::stroke::{Direction, MOTORS};
 use firmware_protocol::tick::Tick;
 use meissner_array::units::UM_PER_PULSE;
@@ -20,12 +20,13 @@ const LEAST_SCATTER: f64 = 0.002;
 
 /// The blocks of a plan that was played from `onset` on, of the bursts that were measured; others may be among them.
 #[must_use]
-pub fn by_telemetry(plan: &Plan, onset: Tick, travels: &[Traveled]) -> Vec<Block> {
+pub fn by_telemetry(plan: &Plan, onset: Tick, travels: &[MeasuredBurst]) -> Vec<Block> {
     let (share, um) = UNKNOWN;
-    let is_known =
-        |travel: &&Traveled| f64::from(travel.sd_um) <= share * f64::from(travel.pulses) * UM_PER_PULSE + um;
+    let is_known = |travel: &&MeasuredBurst| {
+        f64::from(travel.sd_um) <= share * f64::from(travel.pulses) * UM_PER_PULSE + um
+    };
     let found = travels.iter().filter(is_known).map(|travel| ((travel.motor, travel.start), travel));
-    let found: HashMap<(u8, Tick), &Traveled> = found.collect();
+    let found: HashMap<(u8, Tick), &MeasuredBurst> = found.collect();
     let blocks = plan.bursts(onset).filter_map(|planned| {
         let travel = found.get(&(planned.motor, planned.burst.start))?;
         (travel.pulses == planned.burst.pulses).then(|| planned.block(0.0, travel.travel_um.into()))

@@ -1,8 +1,8 @@
-//! How plays end, and the thread: accounts are closed with counters of the device that hold all of the play
+//! How plays end, and the thread: accounts are closed with counters of the device that control all of the play
 //! and nothing of the next.
 
 use crate::active::Phase;
-use crate::port::{End, Notice, Refused};
+use crate::queues::{End, Refused, StreamEvent};
 use crate::streamer::{ANSWER_WITHIN, Streamer, Tell, answer};
 use crate::time::HostInstant;
 use firmware_protocol::message::{Counters, State};
@@ -27,7 +27,7 @@ impl Streamer {
         while let Some(active) = self.plays.pop_front() {
             let until = self.plays.iter().find_map(|next| next.begun).or(after);
             let (id, outcome) = active.close(until, wire, rest_um);
-            tell(Notice::Ended { id, outcome });
+            tell(StreamEvent::Ended { id, outcome });
         }
     }
 
@@ -49,7 +49,7 @@ impl Streamer {
             } else {
                 let end = first.end().map_or(first.last_end, |end| end.max(first.last_end));
                 let decided = first.phase == Phase::Streamed && first.undecided == 0;
-                // Counters that hold all of this play and nothing of the next.
+                // Counters that control all of this play and nothing of the next.
                 let next_onset = later().find_map(|next| next.onset).unwrap_or(Tick(u64::MAX));
                 let now_known =
                     (*at >= end && *at < next_onset && first.begun.is_some()).then_some(status.counters);
@@ -57,10 +57,10 @@ impl Streamer {
             };
             let Some(after) = after else { break };
             let wire = session.traffic().bytes_out;
-            let rest_um = self.hold.rest_error_um(tick).map(|(um, _)| um);
+            let rest_um = self.control.rest_error_um(tick).map(|(um, _)| um);
             let Some(active) = self.plays.pop_front() else { break };
             let (id, outcome) = active.close(Some(next_begun.unwrap_or(after)), wire, rest_um);
-            tell(Notice::Ended { id, outcome });
+            tell(StreamEvent::Ended { id, outcome });
         }
         let over = self.plays.front().is_some_and(|first| {
             first.cut.is_some()

@@ -2,7 +2,7 @@
 
 use crate::active::{Active, FIRST_MARGIN, Phase};
 use crate::link::{Event, Verdict};
-use crate::port::{End, Notice, Onset, Refused};
+use crate::queues::{End, Onset, Refused, StreamEvent};
 use crate::streamer::{IDLE_PING, Streamer, Tell, answer, cause_text, cuts, ticks};
 use crate::time::HostInstant;
 use firmware_protocol::message::{Cause, Counters, DeviceHello, Op, State, Status};
@@ -33,7 +33,7 @@ impl Streamer {
         match event {
             Event::Opened(hello) => {
                 self.telemetry = hello.features & DeviceHello::TELEMETRY != 0;
-                tell(Notice::Connected(hello));
+                tell(StreamEvent::Connected(hello));
                 if self.latched {
                     self.control(now, 0, Op::EStop, tell);
                 }
@@ -49,10 +49,10 @@ impl Streamer {
                         self.cut_all(End::Stopped, "the device refused the command before it");
                     }
                     // Who reads the answer finds everything as it stands after it.
-                    tell(Notice::Snapshot(self.snapshot(now)));
+                    tell(StreamEvent::Snapshot(self.snapshot(now)));
                     answer(done.ticket, result.map_err(Refused::Device), tell);
                     if cuts(&done.op) {
-                        self.hold.cut();
+                        self.control.cut();
                     }
                     self.moved(now, done.op, result.map_err(Refused::Device), tell);
                     // It may have been disarmed while the command was on its way.
@@ -79,25 +79,25 @@ impl Streamer {
                     self.cut_all(End::Stopped, cause_text(cut.cause));
                 }
                 // What was sent since the device answered a stop is not what the report of that stop speaks of.
-                if self.state() != State::Armed || self.hold.is_idle() {
-                    self.hold.cut();
+                if self.state() != State::Armed || self.control.is_idle() {
+                    self.control.cut();
                 }
                 self.undo_move(now);
                 self.snapshot_due = now;
             }
             Event::StrokeRefused { motor, up, reason } => {
-                self.hold.withdrawn(motor, up);
+                self.control.withdrawn(motor, up);
                 if let Some(active) = self.owner(up) {
                     active.refused();
                     let id = active.play.id;
-                    tell(Notice::StrokeRefused { id, motor, up, reason });
+                    tell(StreamEvent::StrokeRefused { id, motor, up, reason });
                 }
             }
             // A sample of the future would let nothing after it count.
             Event::Telemetry { tick, y }
                 if tick <= self.tick_at(now).unwrap_or_default() + ticks(IN_TIME) =>
             {
-                self.hold.telemetry(tick, &y, |travel| tell(Notice::Traveled(travel)));
+                self.control.telemetry(tick, &y, |travel| tell(StreamEvent::MeasuredBurst(travel)));
             }
             Event::Telemetry { .. } => {}
         }
@@ -105,9 +105,9 @@ impl Streamer {
 
     fn status(&mut self, now: HostInstant, status: Status, tick: Tick, tell: Tell<'_>) {
         let before = self.status.replace((status, tick)).map(|(status, _)| status);
-        self.hold.heard(tick);
+        self.control.heard(tick);
         if status.state == State::Armed && !self.in_flight {
-            self.hold.at_rest(tick);
+            self.control.at_rest(tick);
         }
         let changed = before.is_none_or(|before| {
             (before.state, before.cause, before.position_known, before.owed)
@@ -125,7 +125,7 @@ impl Streamer {
         if !armed && self.controls.is_empty() {
             self.wants_armed = false;
             self.cut_all(End::Stopped, cause_text(status.cause));
-            self.hold.cut();
+            self.control.cut();
             self.end_homing(Err(Refused::Disarmed), tell);
         }
     }
@@ -148,8 +148,8 @@ impl Streamer {
         };
         let (motor, up) = (stroke.motor, stroke.up);
         match verdict {
-            Verdict::Accepted => self.hold.accepted(motor, up),
-            Verdict::Refused(_) | Verdict::Late { .. } => self.hold.withdrawn(motor, up),
+            Verdict::Accepted => self.control.accepted(motor, up),
+            Verdict::Refused(_) | Verdict::Late { .. } => self.control.withdrawn(motor, up),
         }
         let Some(active) = self.owner(up) else { return };
         active.undecided = active.undecided.saturating_sub(1);
@@ -158,7 +158,7 @@ impl Streamer {
             Verdict::Accepted => {}
             Verdict::Refused(reason) => {
                 active.refused();
-                tell(Notice::StrokeRefused { id, motor, up, reason });
+                tell(StreamEvent::StrokeRefused { id, motor, up, reason });
             }
             Verdict::Late { rendered, .. } => self.late(now, stroke, rendered, cause, tell),
         }
@@ -177,7 +177,7 @@ impl Streamer {
         let Some(active) = self.owner(stroke.up) else { return };
         active.late(late_ms, cause);
         let (id, policy, cut) = (active.play.id, active.play.late, active.cut.is_some());
-        tell(Notice::Late { id, motor: stroke.motor, up: stroke.up, late_ms, cause });
+        tell(StreamEvent::Late { id, motor: stroke.motor, up: stroke.up, late_ms, cause });
         if policy == LatePolicy::Abort && !cut {
             self.cut_all(End::Aborted, "late strokes");
             self.abort(now, tell);
@@ -200,7 +200,7 @@ impl Streamer {
             active.cut = active.cut.or(Some((End::Aborted, "the onset could not be kept")));
         }
         if let Some(onset) = onset {
-            self.hold.withdraw_from(onset);
+            self.control.withdraw_from(onset);
         }
         self.fed = rendered;
         self.snapshot_due = now;
@@ -219,6 +219,6 @@ impl Streamer {
             latency_ns: at.since(active.ordered).as_nanos() as u64,
         };
         active.began(onset, counters);
-        tell(Notice::Began { id: active.play.id, onset });
+        tell(StreamEvent::Began { id: active.play.id, onset });
     }
 }

@@ -5,7 +5,7 @@
 
 use crate::active::{Active, Phase};
 use crate::batch_ticks;
-use crate::port::{At, End};
+use crate::queues::{At, End};
 use crate::streamer::{Streamer, Tell, ticks};
 use crate::time::HostInstant;
 use firmware_protocol::message::State;
@@ -155,7 +155,7 @@ impl Streamer {
                 return Fed::Blocked;
             }
             let until = active.end().unwrap_or(Tick(u64::MAX));
-            self.hold.sent(&stroke, !active.play.open_loop, until);
+            self.control.sent(&stroke, !active.play.open_loop, until);
             active.plan(&stroke);
             active.undecided += 1;
             active.next = None;

@@ -6,7 +6,7 @@
 //! calibrated motor is moved once, by what its gains say that strokes have left; the scatter stays. A motor
 //! of which neither is known is not moved. If a pin is not home in the end, the answer says so.
 
-use crate::port::Refused;
+use crate::queues::Refused;
 use crate::streamer::{Streamer, Taken, Tell, answer};
 use crate::time::HostInstant;
 use firmware_protocol::limits::{MAX_TRAVEL, Refusal};
@@ -53,7 +53,7 @@ impl Streamer {
             return Err(Refused::Playing);
         }
         let Some(tick) = self.status.map(|(_, tick)| tick) else { return Err(Refused::NoDevice) };
-        if (0..MOTORS as u8).all(|motor| self.hold.off_by_um(motor, tick).is_none()) {
+        if (0..MOTORS as u8).all(|motor| self.control.off_by_um(motor, tick).is_none()) {
             return Err(Refused::NothingToGoBy);
         }
         self.homing = Some(Homing {
@@ -73,7 +73,7 @@ impl Streamer {
         let Op::Move { motor, direction, pulses } = op else { return };
         let over = self.tick_at(now).unwrap_or_default() + u64::from(pulses) + SETTLED;
         if result.is_ok() {
-            self.hold.moved(motor, direction, pulses, over);
+            self.control.moved(motor, direction, pulses, over);
             self.last_move = Some((motor, pulses, over)).filter(|_| direction == Direction::Up);
         }
         let Some(homing) = &mut self.homing else { return };
@@ -91,7 +91,7 @@ impl Streamer {
     pub(super) fn undo_move(&mut self, now: HostInstant) {
         let tick = self.tick_at(now).unwrap_or_default();
         if let Some((motor, pulses, over)) = self.last_move.take().filter(|&(_, _, over)| tick < over) {
-            self.hold.moved(motor, Direction::Down, pulses, over + u64::from(pulses));
+            self.control.moved(motor, Direction::Down, pulses, over + u64::from(pulses));
         }
     }
 
@@ -112,13 +112,14 @@ impl Streamer {
         };
         while usize::from(homing.motor) < MOTORS {
             // Without telemetry one round is all that can be done.
-            let known = self.hold.off_by_um(homing.motor, tick);
+            let known = self.control.off_by_um(homing.motor, tick);
             let known = known.filter(|&(_, measured)| measured || homing.round == 0);
             if let Some((um, measured)) = known.filter(|(um, _)| um.abs() > NEAR_UM) {
                 let direction = if um > 0.0 { Direction::Down } else { Direction::Up };
                 let most = if measured && homing.round == 0 { FIRST_UM } else { f64::INFINITY };
-                let pulses =
-                    (um.abs().min(most) / (UM_PER_PULSE * self.hold.gain(homing.motor, direction))).round();
+                let pulses = (um.abs().min(most)
+                    / (UM_PER_PULSE * self.control.gain(homing.motor, direction)))
+                .round();
                 let pulses = pulses.clamp(1.0, MAX_TRAVEL.into()) as u16;
                 homing.moving = true;
                 let op = Op::Move { motor: homing.motor, direction, pulses };
@@ -129,8 +130,8 @@ impl Streamer {
         }
         if !homing.moved || homing.round + 1 == ROUNDS {
             let far = (0..MOTORS as u8).any(|motor| {
-                let off = self.hold.off_by_um(motor, tick);
-                self.hold.is_doubted(motor) || off.is_some_and(|(um, _)| um.abs() > NEAR_ENOUGH_UM)
+                let off = self.control.off_by_um(motor, tick);
+                self.control.is_faulted(motor) || off.is_some_and(|(um, _)| um.abs() > NEAR_ENOUGH_UM)
             });
             let result = match (homing.beyond, far) {
                 (true, _) => Err(Refused::Device(Refusal::Travel)),
@@ -140,7 +141,7 @@ impl Streamer {
             return self.end_homing(result, tell);
         }
         // The next round goes by what telemetry shows after the last move.
-        if self.hold.sampled_after(homing.until) || tick >= homing.until + SILENT {
+        if self.control.sampled_after(homing.until) || tick >= homing.until + SILENT {
             (homing.round, homing.motor, homing.moved) = (homing.round + 1, 0, false);
         }
     }

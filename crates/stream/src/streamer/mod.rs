@@ -1,20 +1,20 @@
 //! The deciding part of the streamer: orders, controls, what the device says, and the ends of plays.
 //!
-//! Orders are taken in `orders`, what the device says in `events`, strokes are fed ahead in `feed`, and plays end
+//! CommandQueue are taken in `orders`, what the device says in `events`, strokes are fed ahead in `feed`, and plays end
 //! in `ends`. Invariant: each play that was taken ends with exactly one
-//! [`Notice::Ended`], and each order that asks for an answer gets exactly one.
+//! [`StreamEvent::Ended`], and each order that asks for an answer gets exactly one.
 
+mod commands;
 mod ends;
 mod events;
 mod feed;
 mod homing;
-mod orders;
 
 use crate::Settings;
 use crate::active::{Active, Phase};
-use crate::hold::Hold;
+use crate::control::PositionControl;
 use crate::link::{Event, LineRate, Session};
-use crate::port::{End, Notice, QUEUE, Refused, Snapshot};
+use crate::queues::{End, QUEUE, Refused, Snapshot, StreamEvent};
 use crate::time::HostInstant;
 use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::message::{Cause, Counters, Op, State, Status};
@@ -35,7 +35,7 @@ const SNAPSHOT_EVERY: Duration = Duration::from_millis(100);
 const IDLE_PING: Duration = Duration::from_secs(1);
 
 /// Says what happened.
-pub(super) type Tell<'a> = &'a mut dyn FnMut(Notice);
+pub(super) type Tell<'a> = &'a mut dyn FnMut(StreamEvent);
 
 /// What an order came to: refused or done at once, or waiting for the device.
 type Taken = Result<Option<Op>, Refused>;
@@ -79,7 +79,7 @@ pub struct Streamer {
     wants_armed: bool,
     lost: Option<&'static str>,
     pub(super) plays: VecDeque<Active>,
-    pub(super) hold: Hold,
+    pub(super) control: PositionControl,
     /// Up to where the device is fed.
     pub(super) fed: Tick,
     /// The last stroke had to wait for credits.
@@ -116,7 +116,7 @@ impl Streamer {
             wants_armed: false,
             lost: None,
             plays: VecDeque::with_capacity(2 * QUEUE + 2),
-            hold: Hold::new(&settings.limits),
+            control: PositionControl::new(&settings.limits),
             fed: Tick(0),
             short_of_credits: false,
             homing: None,
@@ -145,13 +145,13 @@ impl Streamer {
         self.cut_all(End::Stopped, cause);
         let counters = self.status.map(|(status, tick)| {
             let lost = session.clock().tick_at(now).unwrap_or(tick);
-            let (bursts, pulses) = self.hold.played_unheard(tick, lost);
+            let (bursts, pulses) = self.control.played_unheard(tick, lost);
             let counters = status.counters;
             Counters { played: counters.played + bursts, pulses: counters.pulses + pulses, ..counters }
         });
         let wire = session.traffic().bytes_out;
         let tick = self.status.map_or(Tick(0), |(_, tick)| tick);
-        let rest_um = self.hold.rest_error_um(tick).map(|(um, _)| um);
+        let rest_um = self.control.rest_error_um(tick).map(|(um, _)| um);
         self.close_all(counters, wire, rest_um, tell);
         while let Some(waiting) = self.controls.pop_front() {
             answer(waiting.ticket, Err(Refused::NoDevice), tell);
@@ -159,7 +159,7 @@ impl Streamer {
         self.end_homing(Err(Refused::NoDevice), tell);
         self.in_flight = false;
         self.status = None;
-        self.hold.cut();
+        self.control.cut();
         (self.fed, self.short_of_credits) = (Tick(0), false);
         if let Some((ticket, _)) = self.closing.take() {
             self.closed = true;
@@ -224,7 +224,7 @@ impl Streamer {
             let far = if playing { SNAPSHOT_EVERY } else { IDLE_PING };
             self.snapshot_due = now + far;
             self.warn(now, tell);
-            tell(Notice::Snapshot(self.snapshot(now)));
+            tell(StreamEvent::Snapshot(self.snapshot(now)));
         }
     }
 
@@ -235,21 +235,21 @@ impl Streamer {
         let fed =
             self.plays.iter().rev().find(|active| active.cut.is_none() && active.phase != Phase::Waiting);
         let free = |motor| fed.map_or(tick, |active| active.free_until(motor));
-        self.hold.correct(tick, free, |item| session.amend(item));
+        self.control.correct(tick, free, |item| session.amend(item));
     }
 
     /// Tells of motors whose telemetry is not believed, and of drift.
     fn warn(&mut self, now: HostInstant, tell: Tell<'_>) {
-        for ((told, doubt), motor) in self.told_doubts.iter_mut().zip(self.hold.doubts()).zip(0..) {
-            if let Some(doubt) = doubt.filter(|_| !*told) {
-                tell(Notice::Doubted { motor, doubt });
+        for ((told, fault), motor) in self.told_doubts.iter_mut().zip(self.control.faults()).zip(0..) {
+            if let Some(fault) = fault.filter(|_| !*told) {
+                tell(StreamEvent::SensorFault { motor, fault });
             }
-            *told = doubt.is_some();
+            *told = fault.is_some();
         }
-        let um = self.hold.reckoned_um(self.tick_at(now).unwrap_or_default());
+        let um = self.control.reckoned_um(self.tick_at(now).unwrap_or_default());
         let drifted = um > self.settings.drift_warning_um;
         if drifted && !self.told_drift {
-            tell(Notice::Drifted { um });
+            tell(StreamEvent::Drifted { um });
         }
         self.told_drift = drifted;
     }
@@ -258,7 +258,7 @@ impl Streamer {
         let open = self.session.as_ref().filter(|session| session.is_open());
         let tick = self.tick_at(now).unwrap_or_default();
         let traffic = self.session.as_ref().map(Session::traffic).unwrap_or_default();
-        let rest = self.hold.rest_error_um(tick);
+        let rest = self.control.rest_error_um(tick);
         let status = self.status.map(|(status, _)| status);
         let running = self.plays.iter().rev().find(|active| {
             active.cut.is_none() && active.started().is_some_and(|onset| onset.actual <= tick)
@@ -323,7 +323,7 @@ impl Streamer {
 
 fn answer(ticket: u64, result: Result<(), Refused>, tell: Tell<'_>) {
     if ticket != 0 {
-        tell(Notice::Answer { ticket, result });
+        tell(StreamEvent::Answer { ticket, result });
     }
 }
 

@@ -11,7 +11,7 @@ use crate::bench::{CpuEvent, Function};
 use crate::rig::Faults;
 pub use compare::compare;
 use meissner_array::pattern::{Drive, Pattern, PatternError};
-use meissner_stream::port::End;
+use meissner_stream::queues::End;
 pub use outcome::compiled;
 pub use play::{Ran, run};
 use serde::Deserialize;

@@ -5,7 +5,7 @@ use crate::log::{Log, Train};
 use crate::scenario::{Scenario, Share};
 use firmware_protocol::tick::Tick;
 use meissner_stream::cause_text;
-use meissner_stream::port::{End, Notice, Outcome};
+use meissner_stream::queues::{End, StreamEvent, Outcome};
 use meissner_array::strokes::Strokes;
 
 /// What the lines have to do if strokes are played from `onset` on, to their end.
@@ -25,14 +25,14 @@ pub fn compiled(strokes: &Strokes, onset: Tick) -> Log {
 pub(super) fn check(
     scenario: &Scenario,
     plays: &[u64],
-    notices: Vec<Notice>,
+    notices: Vec<StreamEvent>,
     boots: &[Judged],
     wrong: &mut Vec<String>,
 ) {
     let ended: Vec<_> = notices
         .into_iter()
         .filter_map(|notice| match notice {
-            Notice::Ended { id, outcome } => Some((id, outcome)),
+            StreamEvent::Ended { id, outcome } => Some((id, outcome)),
             _ => None,
         })
         .collect();

@@ -11,9 +11,9 @@ use firmware_protocol::frame::{MAX_FRAME, encode};
 use firmware_protocol::message::HostMessage;
 use firmware_protocol::stroke::{Direction, Stroke};
 use firmware_protocol::tick::Tick;
-use meissner_stream::port::{At, Job, Notice, Play};
+use meissner_stream::queues::{At, Command, StreamEvent, Play};
 use meissner_api::LatePolicy;
-use meissner_stream::{Need, cause_text};
+use meissner_stream::{Bandwidth, cause_text};
 use meissner_array::strokes::Strokes;
 
 /// A greeting comes within so many ms of a boot.
@@ -33,7 +33,7 @@ pub struct Ran {
 struct Runner<'a> {
     scenario: &'a Scenario,
     rig: Rig,
-    /// Orders to play, and those of them that are not to be refused.
+    /// CommandQueue to play, and those of them that are not to be refused.
     ordered: u64,
     plays: Vec<u64>,
     /// Tickets, and whether the order has to be refused.
@@ -83,7 +83,7 @@ impl Runner<'_> {
             self.rig.low_from(ticks);
         }
         let job = match &step.act {
-            Act::Arm { assume_rest } => Job::Arm { assume_rest: *assume_rest },
+            Act::Arm { assume_rest } => Command::Arm { assume_rest: *assume_rest },
             Act::Play { pattern: name, seconds, onset_ms } => {
                 self.ordered += 1;
                 if !step.refused {
@@ -92,20 +92,20 @@ impl Runner<'_> {
                 let strokes = Strokes::new(&pattern(name)?, Some(*seconds))?;
                 let (id, at) = (self.ordered, At::Tick(tick(*onset_ms)));
                 let late = LatePolicy::Drop;
-                Job::Play(Box::new(Play {
+                Command::Play(Box::new(Play {
                     id,
                     strokes,
                     at,
                     late,
                     replace: false,
                     open_loop: true,
-                    need: Need::default(),
+                    bandwidth: Bandwidth::default(),
                 }))
             }
-            Act::Stop => Job::Stop,
-            Act::Estop => Job::EStop,
-            Act::Reset => Job::Reset,
-            Act::Disarm => Job::Disarm,
+            Act::Stop => Command::Stop,
+            Act::Estop => Command::EStop,
+            Act::Reset => Command::Reset,
+            Act::Disarm => Command::Disarm,
             other => return self.happen(number, other),
         };
         let ticket = self.rig.order(job);
@@ -232,7 +232,7 @@ impl Runner<'_> {
         }
         for (ticket, refused, number) in tickets {
             let mut answers = notices.iter().filter_map(|notice| match notice {
-                Notice::Answer { ticket: t, result } if *t == ticket => Some(result),
+                StreamEvent::Answer { ticket: t, result } if *t == ticket => Some(result),
                 _ => None,
             });
             match answers.next() {

@@ -19,8 +19,8 @@ use std::process::{Command, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// How long `systemctl` may take.
-const PATIENCE: Duration = Duration::from_secs(3);
+/// MethodLabel long `systemctl` may take.
+const TIMEOUT: Duration = Duration::from_secs(3);
 const ASKED: &str =
     "Id,LoadState,ActiveState,SubState,UnitFileState,NRestarts,Result,MainPID,NeedDaemonReload";
 const SERVICE: &str = "meissner.service";
@@ -68,14 +68,14 @@ impl Units {
 pub(super) fn units(root: &Path) -> Units {
     let mut show = Command::new("systemctl");
     show.args(["show", SERVICE, SOCKET, "--no-pager", "-p", ASKED]);
-    let told = move || said(show, PATIENCE).inspect_err(|error| tracing::debug!("systemctl: {error}")).ok();
+    let told = move || said(show, TIMEOUT).inspect_err(|error| tracing::debug!("systemctl: {error}")).ok();
     Units::new(root, is_installed(root).then(told).flatten())
 }
 
 /// What a command prints, if it ends soon.
-fn said(mut command: Command, patience: Duration) -> io::Result<String> {
+fn said(mut command: Command, timeout: Duration) -> io::Result<String> {
     let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::null()).spawn()?;
-    let until = Instant::now() + patience;
+    let until = Instant::now() + timeout;
     // What it says fits into the pipe: it need not be read to end.
     while child.try_wait()?.is_none() {
         if Instant::now() > until {

@@ -192,5 +192,5 @@ fn a_command_that_does_not_end_is_not_waited_for() {
     assert_eq!(said(sh("echo Id=a"), Duration::from_secs(20)).unwrap(), "Id=a\n");
     let slow = said(sh("exec sleep 600"), Duration::from_millis(50)).unwrap_err();
     assert_eq!(slow.kind(), io::ErrorKind::TimedOut);
-    assert!(said(Command::new("no-such-command"), PATIENCE).is_err());
+    assert!(said(Command::new("no-such-command"), TIMEOUT).is_err());
 }

@@ -19,7 +19,7 @@ use usbip::usbip_protocol::{
 /// Bytes for the host.
 pub(crate) type Reply = Vec<u8>;
 
-/// How often the clock is followed while pins may move, and while nothing can happen.
+/// MethodLabel often the clock is followed while pins may move, and while nothing can happen.
 const AWAKE: Duration = Duration::from_millis(1);
 const QUIET: Duration = Duration::from_secs(1);
 
@@ -72,7 +72,7 @@ impl Board {
         self.boot
     }
 
-    /// How long it may be left alone.
+    /// MethodLabel long it may be left alone.
     pub(crate) fn nap(&self) -> Duration {
         match self.mock.controller().state() {
             State::Disarmed | State::Faulted => QUIET,

@@ -78,7 +78,7 @@ pub struct Others {
     pub slower: usize,
     /// Are faster.
     pub faster: usize,
-    /// How far the pin of a faster one moves at the most, µm peak to peak.
+    /// MethodLabel far the pin of a faster one moves at the most, µm peak to peak.
     pub faster_reach_um: f64,
 }
 
@@ -119,7 +119,7 @@ fn make(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Edge), FiguresError
     let judged = |point: &Point| -> Result<Watched<'_>, FiguresError> {
         let rates_hz = rates_hz(&target, point, &receptors)?;
         let watched = Watched::new(&target, &target.frames()[0], &receptors, rates_hz);
-        Ok(watched.expect("a checked target has receptors on both sides"))
+        Ok(watched.expect("a checked target has receptors on both partition"))
     };
     let (before, after) = (judged(&first.point)?, judged(&last.point)?);
     // At the end, and back from there.
@@ -271,7 +271,7 @@ fn about_target(target: &Target, watched: &Watched<'_>, near: &[u8]) -> String {
         target.name(),
         watched.rates_hz.len(),
         target.population_seed(),
-        watched.sides.on_count(),
+        watched.partition.on_count(),
         number(target.reach_mm()),
     )
 }
@@ -327,7 +327,7 @@ fn about_cost(figures: &Edge) -> String {
 fn rates_csv(receptors: &[Position], before: &Watched<'_>, after: &Watched<'_>) -> String {
     let mut csv = String::from("x_mm,y_mm,on,before_hz,after_hz\n");
     for (index, Position { x_mm, y_mm }) in receptors.iter().enumerate() {
-        let on = u8::from(after.sides.on()[index]);
+        let on = u8::from(after.partition.on()[index]);
         let [before, after] = [before, after].map(|watched| watched.rates_hz[index]);
         // Writing to a string does not fail.
         let _ = writeln!(csv, "{x_mm:.4},{y_mm:.4},{on},{before:.4},{after:.4}");

@@ -94,8 +94,8 @@ impl Session {
         let (token, sent) = self.pinged[usize::from(status.token) % self.pinged.len()];
         if status.token != 0 && token == status.token {
             self.answered = token;
-            // A ping behind a survey's frames tells neither the clock nor an idle line's round trip.
-            if !self.surveyed(now, token) {
+            // A ping behind a probe's frames tells neither the clock nor an idle line's round trip.
+            if !self.probed(now, token) {
                 self.clock.round_trip(sent, tick, now);
                 self.round_trip = (self.round_trip * 7 + now.since(sent)) / 8;
                 self.fastest = self.fastest.min(now.since(sent));

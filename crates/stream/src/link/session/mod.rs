@@ -4,7 +4,7 @@
 mod inbound;
 mod line;
 mod outbound;
-mod survey;
+mod probe;
 
 use crate::link::Clock;
 use crate::time::HostInstant;
@@ -16,10 +16,10 @@ use firmware_protocol::message::{Counters, Cut, DeviceHello, Op, Report, Status}
 use firmware_protocol::stroke::{MOTORS, Stroke};
 use firmware_protocol::tick::Tick;
 pub use line::{LineRate, Traffic, Trip};
+pub use probe::Budget;
+use probe::Probe;
 use std::collections::VecDeque;
 use std::time::Duration;
-pub use survey::Budget;
-use survey::Survey;
 
 /// Frames sent and not acknowledged, at the most: the one waited for and those the device keeps.
 const WINDOW: usize = 1 + EARLY;
@@ -214,7 +214,7 @@ pub struct Session {
     nominal: LineRate,
     line: Option<(LineRate, Duration)>,
     window_bytes: usize,
-    survey: Survey,
+    probe: Probe,
     decoder: Decoder,
     hellos: u32,
     clock: Clock,
@@ -273,7 +273,7 @@ impl Session {
             nominal: rate,
             line: None,
             window_bytes: rate.window_bytes(),
-            survey: Survey::new(Budget::default()),
+            probe: Probe::new(Budget::default()),
             decoder: Decoder::default(),
             hellos: 0,
             clock: Clock::default(),

@@ -159,7 +159,7 @@ impl Session {
                     Some(_) => batch.last_sent + retry,
                     None => now,
                 });
-                // While the survey's ping is on its way, no other is sent.
+                // While the probe's ping is on its way, no other is sent.
                 let ping = if self.is_surveying() { None } else { Some(self.ping_due) };
                 let due = [control, frames, ping, self.survey_at(now)];
                 due.into_iter().flatten().min().unwrap_or(now)

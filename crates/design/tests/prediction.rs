@@ -1,0 +1,299 @@
+use firmware_protocol::stroke::{Burst, Direction};
+use firmware_protocol::tick::Tick;
+use meissner_array::motor::Ramp;
+use meissner_array::pattern::Pattern;
+use meissner_array::simulated::PlantConfig;
+use meissner_array::strokes::Strokes;
+use meissner_array::units::UM_PER_PULSE;
+use meissner_design::{
+    Circumstances, Partition, Play, PredictedResponse, PredictionError, Target, judge, predict_response,
+};
+use meissner_skin::afferent::population;
+use meissner_skin::simulate::{Method, Options, Ramps, RampsError, Scene, simulate as solve, simulate_ramps};
+use meissner_test_support::played::by_the_plant;
+use meissner_test_support::random::Random;
+use meissner_test_support::{both, oracle};
+use rayon::ThreadPoolBuilder;
+
+const ONSET: Tick = Tick(1_000_003);
+
+fn spikes_of(scene: &Scene) -> Vec<Vec<f64>> {
+    solve(scene, &Options::spikes(Method::Exact), &|_| ()).unwrap().spikes_s.unwrap()
+}
+
+fn spikes_of_ramps(scene: &Scene, ramps: impl IntoIterator<Item = (u8, Ramp)>) -> Vec<Vec<f64>> {
+    let mut spikes = vec![Vec::new(); scene.receptors().len()];
+    simulate_ramps(scene, &Ramps::new(ramps).unwrap(), |receptor, train| spikes[receptor as usize] = train)
+        .unwrap();
+    spikes
+}
+
+/// The bursts of a scene whose drives last from beginning to end, each with a travel of `gain` of the model's.
+fn ramps(scene: &Scene, mut gain: impl FnMut(u8) -> f64) -> Vec<(u8, Ramp)> {
+    let mut ramps = Vec::new();
+    for drive in scene.drives() {
+        assert!(drive.start_s.is_none() && drive.stop_s.is_none());
+        let before = |tick: u64| (tick as f64) < scene.duration_s() * 85_000.0;
+        for stroke in drive.wave().unwrap().excursions().take_while(|stroke| before(stroke.up)) {
+            for (start, sign) in [(stroke.up, 1.0), (stroke.down, -1.0)] {
+                let travel_um = sign * gain(drive.motor) * (f64::from(stroke.pulses) * UM_PER_PULSE);
+                ramps.push((drive.motor, Ramp::travelled(Tick(start), stroke.pulses, travel_um)));
+            }
+        }
+    }
+    ramps
+}
+
+/// Though each travel is divided by its pulses again, which rounds.
+#[test]
+fn bursts_that_travel_as_designed_are_felt_as_the_drives_are() {
+    let mut count = 0;
+    for seed in 0..24 {
+        let scene = Random::new(seed).scene(0.3);
+        let (drives, played) = (spikes_of(&scene), spikes_of_ramps(&scene, ramps(&scene, |_| 1.0)));
+        assert!(drives == played, "seed {seed}");
+        count += drives.iter().map(Vec::len).sum::<usize>();
+    }
+    assert!(count > 10_000, "{count}");
+}
+
+#[test]
+fn bursts_of_one_gain_are_felt_as_a_motor_of_that_gain() {
+    let mut count = 0;
+    for seed in 0..24 {
+        let mut random = Random::new(seed);
+        let scene = random.scene(0.2);
+        let gains: [f64; 24] = std::array::from_fn(|_| random.between(0.3, 3.0));
+        let gained = spikes_of(&scene.with_gains(&gains).unwrap());
+        // Nobody looks at the gains of a scene that ramps move.
+        let played = ramps(&scene, |motor| gains[usize::from(motor)]);
+        let played = spikes_of_ramps(&scene.with_gains(&[0.5; 24]).unwrap(), played);
+        for (gained, played) in gained.iter().zip(&played) {
+            assert_eq!(gained.len(), played.len(), "seed {seed}");
+            assert!(gained.iter().zip(played).all(|(a, b)| (a - b).abs() < 1e-9), "seed {seed}");
+            count += gained.len();
+        }
+    }
+    assert!(count > 10_000, "{count}");
+}
+
+/// Gains as they may be, among them bursts that move nothing, or the wrong way.
+#[test]
+fn bursts_of_any_gain_are_felt_as_the_oracle_has_it() {
+    let mut compared = 0;
+    for seed in 0..150 {
+        let noise_sd = [0.0, 0.05][seed as usize % 2];
+        let (theirs, ours) = both::both(oracle::random_scene(seed), noise_sd, seed);
+        let mut random = Random::new(seed);
+        let mut bursts = oracle::all_bursts(&theirs);
+        for (_, burst) in &mut bursts {
+            let gain = match random.below(20) {
+                0 => 0.0,
+                1 => random.between(-0.5, 0.0),
+                _ => random.between(0.3, 2.0),
+            };
+            burst.speed = (burst.speed as f64 * gain) as i64;
+        }
+        let played = bursts.iter().map(|&(motor, oracle::Burst { start, end, speed })| {
+            let ticks = ((end - start) / 2) as u32;
+            let um_per_tick = speed as f64 / oracle::FULL as f64 * UM_PER_PULSE;
+            (motor as u8, Ramp { start: Tick((start / 2) as u64), ticks, um_per_tick })
+        });
+        let found = spikes_of_ramps(&ours, played);
+        compared += oracle::compare(&oracle::spikes_of_bursts(&theirs, &bursts), &found, 1e-9)
+            .unwrap_or_else(|error| panic!("scene {seed}: {error}"));
+    }
+    assert!(compared > 7_000, "{compared}");
+}
+
+#[test]
+fn what_no_motor_made_is_refused() {
+    let ramp = |start, um_per_tick| Ramp { start: Tick(start), ticks: 100, um_per_tick };
+    let refused = |ramps: &[(u8, Ramp)]| Ramps::new(ramps.iter().copied()).unwrap_err();
+    assert_eq!(refused(&[(24, ramp(0, 0.1))]), RampsError::Motor { motor: 24 });
+    let order = RampsError::Order { motor: 3, start: Tick(99) };
+    assert_eq!(refused(&[(3, ramp(0, 0.1)), (4, ramp(5, 0.1)), (3, ramp(99, 0.1))]), order);
+    for wrong in [1.4, -1.4, f64::NAN, f64::INFINITY] {
+        let line = refused(&[(3, ramp(7, wrong))]).to_string();
+        assert!(
+            line.starts_with("a burst of motor 3 at tick 7 moves") && line.contains("10 times"),
+            "{line}"
+        );
+    }
+    Ramps::new([(3, ramp(0, 1.3)), (3, ramp(100, -1.3)), (3, ramp(u64::MAX, 0.0))]).unwrap();
+}
+
+fn pattern(name: &str) -> Pattern {
+    meissner_test_support::rig::pattern(name)
+}
+
+fn play(pattern: &Pattern, seconds: f64) -> Play<'_> {
+    Play { pattern, seconds: Some(seconds), onset: ONSET, observed_s: seconds }
+}
+
+/// As the pattern has it, from the onset on.
+fn designed(play: &Play<'_>) -> Vec<(u8, Ramp)> {
+    let strokes = Strokes::new(play.pattern, play.seconds).unwrap().map(Result::unwrap);
+    let ramp =
+        |Burst { start, direction, pulses }| Ramp::new(play.onset + start.0, pulses.into(), direction, 1.0);
+    strokes.flat_map(|stroke| stroke.bursts().map(|burst| (stroke.motor, ramp(burst)))).collect()
+}
+
+/// How far a pin ever was from where it began.
+fn farthest_um(ramps: &[(u8, Ramp)]) -> f64 {
+    let (mut at_um, mut farthest_um) = ([0.0; 24], 0.0_f64);
+    for &(motor, ramp) in ramps {
+        let at_um: &mut f64 = &mut at_um[usize::from(motor)];
+        *at_um += f64::from(ramp.ticks) * ramp.um_per_tick;
+        farthest_um = farthest_um.max(at_um.abs());
+    }
+    farthest_um
+}
+
+/// The target at rest for a second, and the moving one for a repeat, are what `judge` watches.
+#[test]
+fn the_rates_as_designed_are_the_verdict_on_the_targets_own_population() {
+    for name in ["edge-45", "braille-w", "moving-edge", "rotating-edge"] {
+        let pattern = pattern(name);
+        let target = Target::made_for(&pattern).unwrap();
+        let watched_s = if target.frames().len() > 1 { target.duration_s() } else { 1.0 };
+        let play = Play { observed_s: watched_s, ..play(&pattern, target.duration_s()) };
+        let seed = target.population_seed();
+        let verdict =
+            judge(&target, pattern.drives(), &Circumstances::plain(vec![seed], seed)).unwrap().unwrap();
+        let found = predict_response(&play, designed(&play)).unwrap();
+        assert_eq!(found.designed_hz, found.played_hz, "{name}");
+        assert_eq!((found.seconds, found.population_seed), (watched_s, seed));
+        assert_eq!(found.target.as_deref(), Some(name));
+        let rates = found.designed_hz;
+        assert_eq!(rates.contrast.unwrap().to_bits(), verdict.cost_hz.to_bits(), "{name}");
+        assert_eq!((rates.on, rates.off), (Some(verdict.on_hz), Some(verdict.off_hz)), "{name}");
+    }
+}
+
+/// Two repeats and a half: the first frames were seen three times, the last ones twice.
+#[test]
+fn each_frame_of_a_motion_is_watched_in_every_repeat_that_was_observed() {
+    let pattern = pattern("moving-edge");
+    let target = Target::made_for(&pattern).unwrap();
+    let play = play(&pattern, 2.5);
+    let mut random = Random::new(1);
+    let mut bursts = designed(&play);
+    bursts.iter_mut().for_each(|(_, ramp)| ramp.um_per_tick *= random.between(0.7, 1.3));
+    let found = predict_response(&play, bursts.iter().copied()).unwrap();
+
+    let receptors = population(target.population_seed());
+    let scene =
+        Scene::new(2.5, target.population_seed(), vec![], receptors.clone(), *target.model()).unwrap();
+    let from_onset = bursts.iter().map(|&(m, ramp)| (m, Ramp { start: Tick(ramp.start - ONSET), ..ramp }));
+    let spikes = spikes_of_ramps(&scene, from_onset);
+    let mut sum = 0.0;
+    for frame in target.frames() {
+        let (start_s, stop_s) = (frame.start_s.unwrap(), frame.stop_s.unwrap());
+        let repeats: Vec<f64> = [0.0, 1.0, 2.0].into_iter().filter(|repeat| repeat + stop_s <= 2.5).collect();
+        assert!(repeats.len() == if stop_s <= 0.5 { 3 } else { 2 });
+        let in_frame = |t: &&f64| repeats.iter().any(|repeat| (start_s..stop_s).contains(&(**t - repeat)));
+        let rate = |train: &Vec<f64>| {
+            train.iter().filter(in_frame).count() as f64 / repeats.len() as f64 / (stop_s - start_s)
+        };
+        let rates: Vec<f64> = spikes.iter().map(rate).collect();
+        sum += Partition::of(&frame.shape, target.reach_mm(), &receptors).cost_hz(&rates).unwrap();
+    }
+    let contrast = found.played_hz.contrast.unwrap();
+    assert!((contrast - sum / target.frames().len() as f64).abs() < 1e-9, "{contrast} {sum}");
+    assert_ne!(found.played_hz, found.designed_hz);
+    // Not a single frame.
+    let short = predict_response(&Play { observed_s: 0.05, ..play }, bursts.iter().copied()).unwrap();
+    assert_eq!((short.played_hz.contrast, short.target.as_deref()), (None, Some("moving-edge")));
+}
+
+#[test]
+fn without_a_target_the_mean_of_all_receptors_is_known_and_nothing_else() {
+    let pattern = pattern("pin-60");
+    let play = play(&pattern, 1.0);
+    let mut bursts = designed(&play);
+    let found = predict_response(&play, bursts.iter().copied()).unwrap();
+    assert_eq!(found.designed_hz, found.played_hz);
+    assert_eq!((found.target.as_ref(), found.population_seed), (None, 0));
+    assert_eq!((found.played_hz.on, found.played_hz.off, found.played_hz.contrast), (None, None, None));
+    bursts.iter_mut().for_each(|(_, ramp)| ramp.um_per_tick *= 0.5);
+    let less = predict_response(&play, bursts.iter().copied()).unwrap();
+    assert!(less.played_hz.all > 0.0 && less.played_hz.all < found.played_hz.all, "{less:?}");
+    let json = serde_json::to_value(&less).unwrap();
+    assert!(json["designed_hz"]["contrast"].is_null() && json["played_hz"]["all"].is_f64(), "{json}");
+    assert_eq!(serde_json::from_value::<PredictedResponse>(json).unwrap(), less);
+}
+
+#[test]
+fn only_what_was_observed_counts() {
+    let pattern = pattern("edge-45");
+    let play = play(&pattern, 1.0);
+    for nothing in [0.0, -1.0, f64::NAN] {
+        let found = predict_response(&Play { observed_s: nothing, ..play }, []);
+        assert!(matches!(found, Err(PredictionError::Nothing { .. })), "{nothing}: {found:?}");
+    }
+    // Nothing came of it.
+    let silent = predict_response(&play, []).unwrap();
+    assert_eq!((silent.played_hz.all, silent.played_hz.contrast), (0.0, Some(0.0)));
+    assert!(silent.designed_hz.contrast.unwrap() > 150.0);
+    // What came before it, and after.
+    let at = |tick| (6, Ramp::new(Tick(tick), 500, Direction::Up, 1.0));
+    let bursts = [at(ONSET.0 - 600)].into_iter().chain(designed(&play)).chain([at(ONSET.0 + 90_000)]);
+    let found = predict_response(&play, bursts).unwrap();
+    assert_eq!(found.played_hz, found.designed_hz);
+    // Longer than was asked for, and longer than a minute.
+    assert_eq!(predict_response(&Play { observed_s: 9.0, ..play }, []).unwrap().seconds, 1.0);
+    let long = Play { seconds: Some(70.0), observed_s: 65.0, ..play };
+    assert_eq!(predict_response(&long, []).unwrap().seconds, 60.0);
+}
+
+/// Nobody corrects anything, so the pins wander to their stops; there they go on vibrating, by less. Receptors that feel
+/// velocity feel little of that.
+#[test]
+fn a_minute_of_pins_that_wander_to_their_stops_is_told_as_it_is() {
+    let pattern = pattern("edge-45");
+    let minute = play(&pattern, 60.0);
+    let bursts = by_the_plant(PlantConfig::default(), &minute, u16::MAX);
+    assert!((farthest_um(&bursts) - 500.0).abs() < 1e-6, "{}", farthest_um(&bursts));
+    let found = predict_response(&minute, bursts).unwrap();
+    let (designed_hz, played_hz) = (found.designed_hz.contrast.unwrap(), found.played_hz.contrast.unwrap());
+    assert!(designed_hz > 150.0 && played_hz < designed_hz && played_hz > 0.9 * designed_hz, "{found:?}");
+    let short = play(&pattern, 3.0);
+    let ideal = predict_response(&short, by_the_plant(PlantConfig::ideal(), &short, u16::MAX)).unwrap();
+    assert_eq!(ideal.played_hz, ideal.designed_hz);
+}
+
+/// Told as a slower burst, one that ends at a stop is felt less: by next to nothing where stops are as far as they should be, by
+/// an eighth where they take a burst's second half.
+#[test]
+fn a_burst_that_meets_its_stop_may_be_told_as_a_slower_one_if_that_is_far() {
+    let pattern = pattern("edge-45");
+    for (end_stop_um, seconds, too_low_hz) in
+        [(500.0, 5.0, -0.5..0.5), (60.0, 2.0, 0.5..4.0), (30.0, 2.0, 10.0..30.0)]
+    {
+        let (config, play) = (PlantConfig { end_stop_um, ..PlantConfig::default() }, play(&pattern, seconds));
+        let [told, real] = [u16::MAX, 16].map(|ticks| {
+            let bursts = by_the_plant(config, &play, ticks);
+            assert!(farthest_um(&bursts) > end_stop_um - 1e-6);
+            predict_response(&play, bursts).unwrap().played_hz.contrast.unwrap()
+        });
+        println!("stops at {end_stop_um} um: contrast {real:.2}, told as {told:.2} impulses/s");
+        assert!(too_low_hz.contains(&(real - told)), "{end_stop_um}: {told} {real}");
+    }
+}
+
+#[test]
+fn it_is_the_same_on_any_number_of_threads() {
+    for name in ["edge-45", "moving-edge"] {
+        let pattern = pattern(name);
+        let play = play(&pattern, 3.3);
+        let bursts = by_the_plant(PlantConfig { seed: 7, ..PlantConfig::default() }, &play, u16::MAX);
+        let of = |threads| {
+            let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| predict_response(&play, bursts.iter().copied()).unwrap())
+        };
+        let one = of(1);
+        assert_ne!(one.played_hz, one.designed_hz);
+        assert!(one == of(2) && one == of(3) && one == of(1), "{name}");
+    }
+}

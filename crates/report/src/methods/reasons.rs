@@ -1,0 +1,102 @@
+//! What a simulation did not compute, and why the answer is exact all the same.
+//!
+//! Invariant: whatever is counted has a reason; what did not occur is not named.
+
+use meissner_skin::afferent::LEAST_WEIGHT;
+use meissner_skin::simulate::Skipped;
+use serde::Serialize;
+use std::borrow::Cow;
+
+/// Something that was not computed.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Reason {
+    /// The name of the count.
+    pub what: &'static str,
+    /// MethodLabel many, or how much.
+    pub count: Count,
+    /// Why it need not be computed.
+    pub why: Cow<'static, str>,
+}
+
+/// A number of things, or of receptor-seconds.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(untagged)]
+pub enum Count {
+    /// Things.
+    Number(u64),
+    /// Receptor-seconds.
+    Seconds(f64),
+}
+
+impl Count {
+    fn is_nothing(self) -> bool {
+        matches!(self, Self::Number(0)) || self == Self::Seconds(0.0)
+    }
+}
+
+/// What was skipped, with the reasons.
+#[must_use]
+pub fn reasons(skipped: &Skipped) -> Vec<Reason> {
+    let Skipped {
+        motors_at_rest,
+        motors_out_of_reach,
+        receptors_out_of_reach,
+        receptors_below_threshold,
+        repeated_receptor_s,
+        receptors_reused,
+    } = *skipped;
+    let all = [
+        (
+            "motors_at_rest",
+            Count::Number(motors_at_rest.into()),
+            "a motor without a stroke does not move, so its input is 0".into(),
+        ),
+        (
+            "motors_out_of_reach",
+            Count::Number(motors_out_of_reach.into()),
+            format!("the motor's weight is below {LEAST_WEIGHT:e} at every receptor, which counts as 0")
+                .into(),
+        ),
+        (
+            "receptors_out_of_reach",
+            Count::Number(receptors_out_of_reach),
+            "no moving motor has a weight there, so the membrane stays at rest".into(),
+        ),
+        (
+            "receptors_below_threshold",
+            Count::Number(receptors_below_threshold),
+            "even if no input cancelled another, the membrane would stay below its first threshold".into(),
+        ),
+        (
+            "repeated_receptor_s",
+            Count::Seconds(repeated_receptor_s),
+            "the state was bit by bit an earlier one, one or more periods before, so the spikes repeat"
+                .into(),
+        ),
+        (
+            "receptors_reused",
+            Count::Number(receptors_reused),
+            "no motor that changed reaches the receptor, so its answer is the last one".into(),
+        ),
+    ];
+    let reason = |(what, count, why)| Reason { what, count, why };
+    all.into_iter().map(reason).filter(|reason| !reason.count.is_nothing()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn only_what_was_skipped_is_named() {
+        assert_eq!(reasons(&Skipped::default()), []);
+        let found = reasons(&Skipped { motors_at_rest: 3, repeated_receptor_s: 1.5, ..Skipped::default() });
+        let found = serde_json::to_value(found).unwrap();
+        assert_eq!((&found[0]["what"], &found[0]["count"]), (&json!("motors_at_rest"), &json!(3)));
+        assert_eq!((&found[1]["what"], &found[1]["count"]), (&json!("repeated_receptor_s"), &json!(1.5)));
+        assert_eq!(found.as_array().unwrap().len(), 2);
+        let found = reasons(&Skipped { motors_out_of_reach: 1, ..Skipped::default() });
+        assert!(found[0].why.contains("below 1e-10 at every receptor"), "{}", found[0].why);
+    }
+}

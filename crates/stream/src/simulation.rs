@@ -1,0 +1,324 @@
+//! The streamer against the mock in virtual time, over a line that may be bad.
+//!
+//! Deterministic: the same seed, orders and stalls give the same bytes. Tests use it, and whoever wants to know
+//! beforehand what a play will do. It drives [`Streamer`] and [`Mock`] as the thread and a board would, and
+//! contains none of their logic.
+
+use crate::device::mock::Mock;
+use crate::link::LineRate;
+use crate::queues::{At, Command, MeasuredBurst, Outcome, Play, Request, StreamEvent};
+use crate::time::HostInstant;
+use crate::{Bandwidth, Settings, Streamer};
+use firmware_protocol::frame::MAX_FRAME;
+use firmware_protocol::tick::{TICK_HZ, Tick};
+use meissner_api::LatePolicy;
+use meissner_array::pattern::Pattern;
+use meissner_array::simulated::{PlantConfig, PlantError, RestStats};
+use meissner_array::strokes::{Strokes, StrokesError};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+use std::time::Duration;
+
+/// The streamer wakes up this often.
+const STEP: Duration = Duration::from_micros(500);
+
+/// So long after a play's end its last bursts have been measured, by telemetry of no age.
+const MEASURED_WITHIN: Duration = Duration::from_millis(100);
+
+/// What a line does to frames, each way: shares of them, and how long they take.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Line {
+    /// Lost.
+    pub loss: f64,
+    /// Delivered twice.
+    pub repeat: f64,
+    /// With a byte changed.
+    pub corrupt: f64,
+    /// How long each takes.
+    pub delay: Duration,
+    /// Bytes per second towards the device at the most, one after the other; 0: no bound.
+    pub bytes_per_s: u32,
+    /// By how much more at the most, at random: frames overtake each other.
+    pub jitter: Duration,
+}
+
+#[derive(Debug)]
+struct Direction {
+    line: Line,
+    random: ChaCha8Rng,
+    /// Until when the bytes sent so far occupy the line.
+    busy: HostInstant,
+    /// When each arrives; not sorted.
+    frames: Vec<(HostInstant, Vec<u8>)>,
+}
+
+impl Direction {
+    fn chance(&mut self, share: f64) -> bool {
+        share > 0.0 && f64::from(self.random.next_u32()) < share * 2f64.powi(32)
+    }
+
+    fn send(&mut self, now: HostInstant, bytes: &[u8]) {
+        // A frame with its delimiter is what gets lost.
+        for frame in bytes.split_inclusive(|&byte| byte == 0) {
+            let rate = u64::from(self.line.bytes_per_s);
+            let taken = (frame.len() as u64 * 1_000_000_000).checked_div(rate).unwrap_or(0);
+            // A frame that gets lost has taken its time all the same.
+            self.busy = self.busy.max(now) + Duration::from_nanos(taken);
+            if self.chance(self.line.loss) {
+                continue;
+            }
+            let mut frame = frame.to_vec();
+            if self.chance(self.line.corrupt) {
+                let at = self.random.next_u32() as usize % frame.len();
+                frame[at] ^= 1 << (self.random.next_u32() % 8);
+            }
+            let copies = 1 + usize::from(self.chance(self.line.repeat));
+            for _ in 0..copies {
+                let share = f64::from(self.random.next_u32()) / 2f64.powi(32);
+                let at = self.busy + self.line.delay + self.line.jitter.mul_f64(share);
+                self.frames.push((at, frame.clone()));
+            }
+        }
+    }
+
+    fn arrived(&mut self, now: HostInstant) -> Vec<u8> {
+        let mut here: Vec<_> = self.frames.extract_if(.., |(at, _)| *at <= now).collect();
+        here.sort_by_key(|(at, _)| *at);
+        here.into_iter().flat_map(|(_, frame)| frame).collect()
+    }
+}
+
+/// A streamer and a mock in virtual time.
+#[derive(Debug)]
+pub struct Simulation {
+    /// The streamer.
+    pub streamer: Streamer,
+    /// The device.
+    pub mock: Mock,
+    now: HostInstant,
+    to_device: Direction,
+    to_host: Direction,
+    notices: Told,
+    tickets: u64,
+}
+
+/// What was told; measured bursts only if somebody asked for them.
+#[derive(Debug, Default)]
+struct Told {
+    notices: Vec<StreamEvent>,
+    travels: Option<Vec<MeasuredBurst>>,
+}
+
+impl Told {
+    fn push(&mut self, notice: StreamEvent) {
+        match (notice, &mut self.travels) {
+            (StreamEvent::MeasuredBurst(traveled), Some(travels)) => travels.push(traveled),
+            (StreamEvent::MeasuredBurst(_), None) => {}
+            (notice, _) => self.notices.push(notice),
+        }
+    }
+}
+
+impl Simulation {
+    /// A streamer that has just been connected to a mock that has just been switched on.
+    ///
+    /// # Errors
+    /// If the plant's settings are out of range.
+    pub fn new(plant: &PlantConfig, settings: Settings, line: Line, seed: u64) -> Result<Self, PlantError> {
+        let direction = |salt, line| {
+            let random = ChaCha8Rng::seed_from_u64(seed ^ salt);
+            Direction { line, random, busy: HostInstant::default(), frames: Vec::new() }
+        };
+        let mut new = Self {
+            streamer: Streamer::new(settings),
+            mock: Mock::new(*plant, seed as u32)?,
+            now: HostInstant::from_ns(1_000_000_000),
+            to_device: direction(0x5eed, line),
+            to_host: direction(0xfeed, Line { bytes_per_s: 0, ..line }),
+            notices: Told::default(),
+            tickets: 0,
+        };
+        new.connect();
+        Ok(new)
+    }
+
+    /// Opens a new session: the first, or after [`Self::unplug`].
+    pub fn connect(&mut self) {
+        let notices = &mut self.notices;
+        let id = self.now.as_ns() as u32;
+        self.streamer.connect(self.now, id, LineRate(800_000), &mut |notice| notices.push(notice));
+    }
+
+    /// Pulls the cable: the device returns pins, the streamer is told.
+    pub fn unplug(&mut self) {
+        self.mock.unplug();
+        self.to_device.frames.clear();
+        self.to_host.frames.clear();
+        let notices = &mut self.notices;
+        self.streamer.disconnect(self.now, "unplugged", &mut |notice| notices.push(notice));
+    }
+
+    /// Changes the line.
+    pub fn set_line(&mut self, line: Line) {
+        (self.to_device.line, self.to_host.line) = (line, Line { bytes_per_s: 0, ..line });
+    }
+
+    /// Virtual time.
+    #[must_use]
+    pub fn now(&self) -> HostInstant {
+        self.now
+    }
+
+    /// Gives an order; returns its ticket.
+    pub fn order(&mut self, job: Command) -> u64 {
+        self.order_given(self.now, job)
+    }
+
+    /// An order that was given before now, while the host was held up; returns its ticket.
+    pub fn order_given(&mut self, given: HostInstant, job: Command) -> u64 {
+        self.tickets += 1;
+        let notices = &mut self.notices;
+        let order = Request { ticket: self.tickets, given, job };
+        self.streamer.order(self.now, order, &mut |notice| notices.push(notice));
+        self.tickets
+    }
+
+    /// Lets time pass for both.
+    pub fn run(&mut self, time: Duration) {
+        let end = self.now + time;
+        while self.now < end {
+            self.now = (self.now + STEP).min(end);
+            self.device();
+            self.wake();
+        }
+    }
+
+    /// Lets time pass for the device only: the host's process is held up. What the device sends waits.
+    pub fn stall(&mut self, time: Duration) {
+        let end = self.now + time;
+        while self.now < end {
+            self.now = (self.now + STEP).min(end);
+            self.device();
+        }
+    }
+
+    fn device(&mut self) {
+        let bytes = self.to_device.arrived(self.now);
+        self.mock.write(&bytes);
+        let ns = self.now.as_ns() - 1_000_000_000;
+        self.mock.run(Tick::BOOT + ns * u64::from(TICK_HZ) / 1_000_000_000);
+        let mut bytes = [0; 4096];
+        loop {
+            let len = self.mock.read(&mut bytes);
+            if len == 0 {
+                break;
+            }
+            self.to_host.send(self.now, &bytes[..len]);
+        }
+    }
+
+    /// The host wakes up now, as after [`Self::stall`]: it reads, decides and sends.
+    pub fn wake(&mut self) {
+        let notices = &mut self.notices;
+        let tell = &mut |notice| notices.push(notice);
+        for chunk in self.to_host.arrived(self.now).chunks(1024) {
+            self.streamer.receive(self.now, chunk, tell);
+        }
+        self.streamer.step(self.now, tell);
+        let mut frame = [0; MAX_FRAME];
+        loop {
+            let len = self.streamer.transmit(self.now, &mut frame, tell);
+            if len == 0 {
+                break;
+            }
+            self.to_device.send(self.now, &frame[..len]);
+        }
+    }
+
+    /// What has happened since the last call.
+    pub fn take_notices(&mut self) -> Vec<StreamEvent> {
+        std::mem::take(&mut self.notices.notices)
+    }
+
+    /// From now on keeps what bursts really came to; gives out what was kept so far.
+    pub fn take_travels(&mut self) -> Vec<MeasuredBurst> {
+        self.notices.travels.replace(Vec::new()).unwrap_or_default()
+    }
+
+    /// Runs until the play `id` has ended, for `at_most`; what came of it.
+    pub fn run_to_end(&mut self, id: u64, at_most: Duration) -> Option<Outcome> {
+        let end = self.now + at_most;
+        while self.now < end {
+            self.run(Duration::from_millis(10));
+            let ended =
+                self.notices.notices.iter().position(
+                    |notice| matches!(notice, StreamEvent::Ended { id: ended, .. } if *ended == id),
+                );
+            if let Some(StreamEvent::Ended { outcome, .. }) = ended.map(|at| self.notices.notices.remove(at))
+            {
+                return Some(outcome);
+            }
+        }
+        None
+    }
+}
+
+/// What a play came to in virtual time.
+#[derive(Debug)]
+pub struct SimulatedPlay {
+    /// Where the pins really came to rest.
+    pub rest: RestStats,
+    /// The play's account.
+    pub outcome: Outcome,
+    /// What its bursts came to, as they were measured.
+    pub travels: Vec<MeasuredBurst>,
+}
+
+/// Why a play could not be rehearsed.
+#[derive(Debug, thiserror::Error)]
+pub enum SimulationError {
+    /// The plant's settings.
+    #[error(transparent)]
+    Plant(#[from] PlantError),
+    /// The pattern could not be compiled.
+    #[error(transparent)]
+    Strokes(#[from] StrokesError),
+    /// A pattern without an end, and no length given.
+    #[error("pattern `{0}` has no end: say how many seconds")]
+    Endless(String),
+    /// It did not end.
+    #[error("the simulation of pattern `{0}` did not end: a bug, please report it")]
+    NoEnd(String),
+}
+
+/// Plays `pattern` on a fresh mock over a perfect line, in virtual time.
+///
+/// # Errors
+/// If it cannot be compiled or has no end.
+pub fn simulate_play(
+    pattern: &Pattern,
+    seconds: Option<f64>,
+    plant: &PlantConfig,
+    settings: Settings,
+    open_loop: bool,
+) -> Result<SimulatedPlay, SimulationError> {
+    let strokes = Strokes::new(pattern, seconds)?;
+    let name = || pattern.name().to_owned();
+    let end = strokes.end().ok_or_else(|| SimulationError::Endless(name()))?;
+    let mut simulation = Simulation::new(plant, settings, Line::default(), plant.seed)?;
+    simulation.take_travels();
+    simulation.run(Duration::from_millis(100));
+    simulation.order(Command::Arm { assume_rest: true });
+    simulation.run(Duration::from_millis(20));
+    let bandwidth = Bandwidth::of(&strokes, &settings);
+    let play =
+        Play { id: 1, strokes, at: At::Next, late: LatePolicy::Drop, replace: false, open_loop, bandwidth };
+    simulation.order(Command::Play(Box::new(play)));
+    let length = Duration::from_secs_f64(end as f64 / f64::from(TICK_HZ));
+    let outcome = simulation.run_to_end(1, length + Duration::from_secs(2));
+    let outcome = outcome.ok_or_else(|| SimulationError::NoEnd(name()))?;
+    // The last bursts are yet to be measured.
+    simulation.run(MEASURED_WITHIN + Duration::from_millis(plant.telemetry_age_ms.into()));
+    let travels = simulation.take_travels();
+    Ok(SimulatedPlay { rest: simulation.mock.truth().rest(), outcome, travels })
+}

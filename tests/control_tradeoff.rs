@@ -1,0 +1,166 @@
+use crate::harness::meissner;
+use meissner_report::{ControlGrid, ControlRow, ControlTradeoff, Verdict, control_tradeoff, plot_control};
+use meissner_stream::rest_bound_um;
+use serde_json::Value;
+use std::sync::OnceLock;
+
+/// A corner of the grid, in which every quantity takes two values; short, so that it can be had without optimisation.
+fn corner() -> ControlGrid {
+    ControlGrid {
+        frequencies_hz: vec![60.0, 300.0],
+        amplitudes_um: vec![10.0, 80.0],
+        leads_ms: vec![20.0, 500.0],
+        ages_ms: vec![1.0, 20.0],
+        scatters: vec![0.0, 0.1],
+        asymmetries: vec![0.02],
+        telemetry_hz: vec![1000.0, 50.0],
+        seconds: 6.0,
+        periods: 0.0,
+    }
+}
+
+fn measured(grid: &ControlGrid) -> ControlTradeoff {
+    let at = |part: f64| assert!((0.0..=1.0).contains(&part), "{part}");
+    control_tradeoff(grid, &at).unwrap()
+}
+
+fn found() -> &'static ControlTradeoff {
+    static FOUND: OnceLock<ControlTradeoff> = OnceLock::new();
+    FOUND.get_or_init(|| measured(&corner()))
+}
+
+#[test]
+fn every_cell_has_its_names_and_holds() {
+    let found = found();
+    let document = serde_json::to_value(found).unwrap();
+    assert_eq!((found.rows.len(), found.rates.len()), (32, 4));
+    for (row, told) in found
+        .rows
+        .iter()
+        .chain(&found.rates)
+        .zip(document["rows"].as_array().unwrap().iter().chain(document["rates"].as_array().unwrap()))
+    {
+        for name in [
+            "frequency_hz",
+            "amplitude_um",
+            "lead_ms",
+            "age_ms",
+            "scatter",
+            "asymmetry",
+            "rest_rms_um",
+            "bound_um",
+            "amplitude_error",
+            "amplitude_se",
+            "periods",
+            "planned_um",
+            "delay_ms",
+            "room",
+            "telemetry_hz",
+            "corrected_share",
+        ] {
+            assert!(told[name].as_f64().is_some_and(f64::is_finite), "{name}: {told}");
+        }
+        assert_eq!(told["doubt"], Value::Null, "{told}");
+        assert_eq!(
+            row.bound_um,
+            rest_bound_um(row.frequency_hz, row.planned_um, row.scatter, row.delay_ms, row.telemetry_hz)
+        );
+        // 2 s of 6 are left out; chance has a few hundred periods to average out in.
+        assert!(row.periods as f64 >= 3.9 * row.frequency_hz, "{row:?}");
+        assert!(row.verdict != Verdict::Misses, "{row:?}");
+        if row.scatter == 0.0 {
+            assert!(row.rest_rms_um <= 0.95 / 7.0 && row.amplitude_se < 0.002, "{row:?}");
+        } else {
+            let ratio = row.rest_rms_um / row.bound_um;
+            assert!((0.8..=1.2).contains(&ratio), "{ratio}: {row:?}");
+        }
+    }
+    let summary = &found.summary;
+    assert_eq!((summary.hold + summary.chance, summary.miss, summary.doubts), (32, 0, 0));
+    assert_eq!(summary.worst.iter().map(|worst| worst.cells).sum::<usize>(), 32);
+    assert!(summary.worst.iter().all(|worst| worst.ratio <= worst.limit && worst.hold == worst.cells));
+    // 80 um fit into no half period at 300 Hz: there is no room, and no limit.
+    let full = found.rows.iter().find(|row| row.frequency_hz == 300.0 && row.amplitude_um == 80.0).unwrap();
+    assert!(full.planned_um < 20.0 && full.room < 1.1 && full.amplitude_limit.is_none(), "{full:?}");
+}
+
+/// Corrections go by what is known shortly before a burst, however long ago it was sent.
+#[test]
+fn the_lead_makes_no_difference_and_age_and_rate_do() {
+    let found = found();
+    assert!(found.summary.leads_alike);
+    let of = |lead_ms: f64| {
+        let rows = found.rows.iter().filter(move |row| row.lead_ms == lead_ms);
+        rows.map(|row| ControlRow { lead_ms: 0.0, ..*row }).collect::<Vec<_>>()
+    };
+    assert_eq!(of(20.0), of(500.0));
+    assert_eq!(of(20.0).len(), 16);
+    let rest = |rows: &[ControlRow], age_ms: f64, telemetry_hz: f64| {
+        let is = |row: &&ControlRow| {
+            (row.frequency_hz, row.amplitude_um, row.scatter, row.age_ms, row.telemetry_hz)
+                == (60.0, 80.0, 0.1, age_ms, telemetry_hz)
+        };
+        rows.iter().find(is).unwrap().rest_rms_um
+    };
+    assert!(rest(&found.rows, 20.0, 1000.0) > 1.3 * rest(&found.rows, 1.0, 1000.0));
+    assert!(rest(&found.rates, 1.0, 50.0) > 1.3 * rest(&found.rates, 1.0, 1000.0));
+}
+
+#[test]
+fn corrections_cost_bytes_and_are_worth_them() {
+    let wire = &found().wire;
+    assert!(wire.on.bytes_per_burst <= 12.0 && wire.off.bytes_per_burst <= 3.0, "{wire:?}");
+    assert!(wire.on.bytes_per_burst > wire.off.bytes_per_burst && wire.on.bursts == wire.off.bursts);
+    assert!(wire.on.amended > wire.on.bursts / 2 && wire.off.amended == 0, "{wire:?}");
+    assert!(wire.on.rest_rms_um < 12.0 && wire.off.rest_rms_um > 100.0, "{wire:?}");
+}
+
+#[test]
+fn the_same_grid_makes_the_same_bytes_on_any_number_of_cores() {
+    let grid = ControlGrid { leads_ms: vec![20.0], amplitudes_um: vec![80.0], ..corner() };
+    let text = |found: &ControlTradeoff| {
+        serde_json::to_string(found).unwrap() + &plot_control(found).unwrap() + &found.recommendation
+    };
+    let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    let found = measured(&grid);
+    assert_eq!(text(&found), text(&one.install(|| measured(&grid))));
+    let drawn = plot_control(&found).unwrap();
+    for label in ["rest error, um RMS", "age of telemetry, ms", "samples per second", "60 Hz", "300 Hz"] {
+        assert!(drawn.contains(label), "{label}");
+    }
+    assert!(found.recommendation.contains("um at 20 ms)"), "{}", found.recommendation);
+    assert!(
+        found.recommendation.contains("1000 at 60 Hz, 1000 at 300 Hz; take 1000"),
+        "{}",
+        found.recommendation
+    );
+    assert!(
+        plot_control(&ControlTradeoff { rows: Vec::new(), rates: Vec::new(), ..found })
+            .unwrap()
+            .starts_with("<svg")
+    );
+}
+
+#[test]
+fn a_grid_that_no_motor_can_play_is_refused() {
+    let grid = ControlGrid { frequencies_hz: vec![0.0], ..corner() };
+    assert!(control_tradeoff(&grid, &|_| ()).is_err());
+}
+
+#[test]
+fn the_loop_is_weighed_alone() {
+    for arguments in [
+        &["--loop", "--stream"][..],
+        &["--loop", "x.toml"],
+        &["x.toml", "--loop"],
+        &["--loop", "--trace", "x.txt"],
+        &["--loop", "--stream", "--trace", "x.txt"],
+        &["--loop", "--loop"],
+    ] {
+        meissner().arg("tradeoff").args(arguments).assert().code(2);
+    }
+    // A place that cannot be written to is said before minutes of work.
+    let complaint =
+        crate::harness::complaint(meissner().args(["tradeoff", "--loop", "--plot", "/no/such/dir/x.svg"]));
+    assert!(complaint.contains("/no/such/dir"), "{complaint}");
+}
