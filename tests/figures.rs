@@ -131,7 +131,7 @@ fn the_displacement_follows_the_pulses_as_the_paper_has_it() {
     assert!(rows.iter().all(|row| row[0] % 3.0 < 2.5 && row[0] < 60.0));
     for (fit, up) in [(found.up, 1.0), (found.down, 0.0)] {
         let measured = || rows.iter().filter(|row| row[1] == up && row[2] == 0.0);
-        assert_eq!((measured().count(), fit.blocks), (180, 180));
+        assert_eq!((measured().count(), fit.bursts), (180, 180));
         // Of the residuals from the line that is told, as shares of the model's travel.
         let off = |row: &[f64; 5]| (row[4] - fit.offset_um) / row[3] - fit.slope_um_per_pulse;
         let squares: f64 = measured().map(|row| off(row).powi(2)).sum();
@@ -140,7 +140,7 @@ fn the_displacement_follows_the_pulses_as_the_paper_has_it() {
     }
     // Motors differ by an asymmetry, which is up what it is not down: together they are the model.
     let (all, slope) = (found.all, 0.95 / 7.0);
-    assert!((found.model_um_per_pulse, all.blocks) == (slope, 24 * 360));
+    assert!((found.model_um_per_pulse, all.bursts) == (slope, 24 * 360));
     assert!((all.slope_um_per_pulse - slope).abs() < 4.0 * all.slope_se_um_per_pulse, "{all:?}");
     assert!(all.slope_se_um_per_pulse < 0.002 * slope && all.offset_um.abs() < 0.03, "{all:?}");
     // Four standard errors of the paper's 10 %, and the asymmetry's 1 % (as squares).

@@ -47,7 +47,7 @@ fn in_mid_play() -> (PtyMock, Daemon) {
 
 /// All pins are back, every line is low, and the controller knows why.
 fn assert_returned(board: PtyMock, causes: &[Cause]) {
-    let mut wall = board.unwrap_mock().unwrap();
+    let mut wall = board.into_mock().unwrap();
     let mock = wall.mock();
     let trace = mock.take_trace();
     let played = bursts_on_the_lines(&trace);
@@ -117,6 +117,6 @@ fn a_board_that_is_plugged_in_again_is_found_and_disarmed() {
     assert!(daemon.log().matches("not there").count() <= 1, "once per reason: {}", daemon.log());
     let refused = complaint(daemon.meissner().args(["play", "wave"]));
     assert!(refused.contains("disarmed"), "{refused}");
-    let mut wall = second.unwrap_mock().unwrap();
+    let mut wall = second.into_mock().unwrap();
     assert!(wall.mock().take_trace().iter().all(|(_, run)| run.lines == OFF));
 }

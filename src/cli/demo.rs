@@ -165,7 +165,7 @@ fn report(
     receipt: &Receipt,
     begun: Instant,
 ) -> Result<Report> {
-    let truth = hosted.truth().context("internal error: the mock has no shafts")?.rest();
+    let truth = hosted.true_positions().context("internal error: the mock has no shafts")?.rest();
     let pattern = Store::new(None, false)?.get(PATTERN)?.pattern;
     let seconds = request.seconds.unwrap_or_default();
     let open = simulate_play(&pattern, request.seconds, &config.mock, config.settings, true)?;

@@ -15,7 +15,7 @@ use jiff::Timestamp;
 use meissner_api::{CalibratedMotor, CalibrationReport, Code, PlayRequest, Problem};
 use meissner_api::{DeviceInfo, Event, PlayState, Receipt};
 use meissner_stream::Gains;
-use meissner_stream::calibrate::{Calibration, Fit, MAX_BYTES, MotorFit, Plan, by_telemetry, fit};
+use meissner_stream::calibrate::{Calibration, Fit, MAX_BYTES, MotorFit, Plan, fit, travels_by_telemetry};
 use meissner_stream::queues::{Command, MeasuredBurst, Request};
 use meissner_stream::time::HostInstant;
 use std::fs;
@@ -75,7 +75,8 @@ impl Calibrating {
         let telemetry = if device.simulated { "plant" } else { "device" };
         let mut made = self.plan.provenance(kind, &firmware, identity, telemetry);
         made.date = Some(today());
-        let fits = fit(&by_telemetry(&self.plan, onset, &self.travels)).map_err(|error| error.to_string())?;
+        let fits = fit(&travels_by_telemetry(&self.plan, onset, &self.travels))
+            .map_err(|error| error.to_string())?;
         if fits.is_empty() {
             return Err(format!(
                 "no burst of play {} was measured: see `meissner receipt`, then again",

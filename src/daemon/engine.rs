@@ -22,7 +22,7 @@ use meissner_api::{Code, Problem};
 use meissner_api::{Event, PredictedResponse};
 use meissner_array::pattern::Pattern;
 use meissner_stream::device::Device;
-use meissner_stream::device::mock::Truth;
+use meissner_stream::device::mock::TruePositions;
 use meissner_stream::queues::{Command, CommandQueue, Refused, Request};
 use meissner_stream::time::HostInstant;
 use meissner_stream::{Gains, Settings};
@@ -82,7 +82,7 @@ pub(super) struct Inner {
     last_estop: u64,
     pub(super) last_play: u64,
     pub(super) waiting: HashMap<u64, Ticket>,
-    pub(super) truth: Option<Arc<Truth>>,
+    pub(super) truth: Option<Arc<TruePositions>>,
     pub(super) connector: Option<crossbeam_channel::Sender<Word>>,
     /// Why the device was lost, if none has answered since: told once.
     pub(super) lost: Option<&'static str>,
@@ -217,7 +217,7 @@ impl Engine {
             }
         }
         inner.recorder.reached_by(device.kind());
-        inner.truth = device.truth();
+        inner.truth = device.true_positions();
         inner
             .orders
             .send(Request { ticket: 0, given: HostInstant::now(), job: Command::Connect(device) })
@@ -254,7 +254,7 @@ impl Engine {
     }
 
     /// The simulated plant's truth.
-    pub(super) fn truth(&self) -> Option<Arc<Truth>> {
+    pub(super) fn true_positions(&self) -> Option<Arc<TruePositions>> {
         self.lock().truth.clone()
     }
 

@@ -32,7 +32,7 @@ use connect::Word;
 use engine::Engine;
 use http::{App, Shelf};
 use meissner_api::Realtime;
-use meissner_stream::device::mock::Truth;
+use meissner_stream::device::mock::TruePositions;
 use meissner_stream::queues::EventQueue;
 use predictor::Predictor;
 use service::{Manager, Teller, Word as News};
@@ -127,8 +127,8 @@ pub struct Hosted {
 impl Hosted {
     /// The simulated plant's truth, once a simulated device is connected.
     #[must_use]
-    pub fn truth(&self) -> Option<Arc<Truth>> {
-        self.engine.truth()
+    pub fn true_positions(&self) -> Option<Arc<TruePositions>> {
+        self.engine.true_positions()
     }
 
     /// Which real-time means the system granted.

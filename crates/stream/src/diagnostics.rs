@@ -7,7 +7,7 @@
 //! Invariant: it ends, within `AT_MOST`.
 
 use crate::device::Device;
-use crate::link::{Budget, Event, LostReason, Session, Trip};
+use crate::link::{Budget, Event, LostReason, RoundTrip, Session};
 use crate::time::HostInstant;
 use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::message::DeviceHello;
@@ -34,11 +34,11 @@ const TURN: (Duration, Duration) = (Duration::from_micros(50), Duration::from_mi
 
 /// What was found.
 #[derive(Clone, Copy, Debug)]
-pub struct Checkup {
+pub struct LinkReport {
     /// Who it says it is.
     pub hello: DeviceHello,
     /// Its round trips.
-    pub round_trip: RoundTrip,
+    pub round_trip: RoundTripStats,
     /// Bytes per second towards it that it acknowledged; `None` if no frame of the probe was answered.
     pub throughput_bytes_per_s: Option<u32>,
     /// Its clock against the host's.
@@ -47,7 +47,7 @@ pub struct Checkup {
 
 /// Round trips of pings, µs.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
-pub struct RoundTrip {
+pub struct RoundTripStats {
     /// How many.
     pub count: usize,
     /// Half were shorter.
@@ -69,9 +69,9 @@ pub struct Drift {
     pub seconds: f64,
 }
 
-/// Why there is nothing to tell; what to do says [`CheckupError::advice`].
+/// Why there is nothing to tell; what to do says [`LinkReportError::advice`].
 #[derive(Debug, thiserror::Error)]
-pub enum CheckupError {
+pub enum LinkReportError {
     /// It went away.
     #[error("it was unplugged ({0})")]
     Gone(#[source] io::Error),
@@ -89,7 +89,7 @@ pub enum CheckupError {
     },
 }
 
-impl CheckupError {
+impl LinkReportError {
     /// What to do.
     #[must_use]
     pub const fn advice(&self) -> &'static str {
@@ -106,7 +106,7 @@ impl CheckupError {
 ///
 /// # Errors
 /// If it is no board, or goes away.
-pub fn check(device: &mut Device) -> Result<Checkup, CheckupError> {
+pub fn measure(device: &mut Device) -> Result<LinkReport, LinkReportError> {
     let begun = HostInstant::now();
     let id = RandomState::new().hash_one(begun.as_ns()) as u32;
     let mut look =
@@ -115,7 +115,7 @@ pub fn check(device: &mut Device) -> Result<Checkup, CheckupError> {
         while !done(look) {
             let now = HostInstant::now();
             if now.since(begun) > AT_MOST {
-                return Err(CheckupError::Slow { trips: look.trips.len() });
+                return Err(LinkReportError::Slow { trips: look.trips.len() });
             }
             look.turn(device, now)?;
         }
@@ -125,13 +125,13 @@ pub fn check(device: &mut Device) -> Result<Checkup, CheckupError> {
     look.trips.clear();
     until(&mut look, device, &|look| {
         let span =
-            |first: &Trip| look.trips.last().map_or(Duration::ZERO, |last| last.sent.since(first.sent));
+            |first: &RoundTrip| look.trips.last().map_or(Duration::ZERO, |last| last.sent.since(first.sent));
         look.trips.len() >= PINGS && look.trips.first().map(span) >= Some(SPAN)
     })?;
     look.session.probe(BURST);
     until(&mut look, device, &|look| look.session.is_probed())?;
-    let hello = look.hello.ok_or(CheckupError::Lost(LostReason::NoAnswer))?;
-    Ok(Checkup {
+    let hello = look.hello.ok_or(LinkReportError::Lost(LostReason::NoAnswer))?;
+    Ok(LinkReport {
         hello,
         round_trip: round_trip(&look.trips),
         throughput_bytes_per_s: look.session.capacity(),
@@ -143,11 +143,11 @@ struct Look {
     session: Session,
     hello: Option<DeviceHello>,
     lost: Option<LostReason>,
-    trips: Vec<Trip>,
+    trips: Vec<RoundTrip>,
 }
 
 impl Look {
-    fn turn(&mut self, device: &mut Device, now: HostInstant) -> Result<(), CheckupError> {
+    fn turn(&mut self, device: &mut Device, now: HostInstant) -> Result<(), LinkReportError> {
         let Self { session, hello, lost, trips } = self;
         let mut tell = |event| match event {
             Event::Opened(who) => *hello = Some(who),
@@ -156,16 +156,16 @@ impl Look {
         };
         let mut bytes = [0; 1024];
         loop {
-            let len = device.read(HostInstant::now(), &mut bytes).map_err(CheckupError::Gone)?;
+            let len = device.read(HostInstant::now(), &mut bytes).map_err(LinkReportError::Gone)?;
             if len == 0 {
                 break;
             }
             session.receive(HostInstant::now(), &bytes[..len], &mut tell);
         }
-        trips.extend(session.take_trip());
-        session.listen(now, &mut tell);
+        trips.extend(session.take_round_trip());
+        session.check_silence(now, &mut tell);
         if session.is_probed() && trips.last().is_none_or(|last| now.since(last.sent) >= PING_EVERY) {
-            session.ask();
+            session.request_status();
         }
         let mut frame = [0; MAX_FRAME];
         loop {
@@ -175,18 +175,18 @@ impl Look {
             }
             let mut unsent = &frame[..len];
             while !unsent.is_empty() {
-                let sent = device.write(unsent).map_err(CheckupError::Gone)?;
+                let sent = device.write(unsent).map_err(LinkReportError::Gone)?;
                 unsent = &unsent[sent..];
                 if !unsent.is_empty() {
                     if HostInstant::now().since(now) > STUCK {
-                        return Err(CheckupError::Stuck);
+                        return Err(LinkReportError::Stuck);
                     }
                     wait(device, TURN.0, PollFlags::OUT);
                 }
             }
         }
         if let Some(reason) = *lost {
-            return Err(CheckupError::Lost(reason));
+            return Err(LinkReportError::Lost(reason));
         }
         let due = session.wake_at(now).since(HostInstant::now()).clamp(TURN.0, TURN.1);
         wait(device, due, PollFlags::IN);
@@ -199,28 +199,28 @@ fn wait(device: &Device, time: Duration, what: PollFlags) {
     let timeout = Timespec { tv_sec: 0, tv_nsec: time.subsec_nanos().into() };
     // An early return only means an idle turn.
     let _ = match device.wake() {
-        Some(wake) if what == PollFlags::IN || device.tells_room_by_writable() => {
+        Some(wake) if what == PollFlags::IN || device.polls_writable() => {
             poll(&mut [PollFd::from_borrowed_fd(wake, what)], Some(&timeout))
         }
         _ => poll(&mut [], Some(&timeout)),
     };
 }
 
-fn round_trip(trips: &[Trip]) -> RoundTrip {
+fn round_trip(trips: &[RoundTrip]) -> RoundTripStats {
     let mut us: Vec<f64> =
         trips.iter().map(|trip| trip.received.since(trip.sent).as_secs_f64() * 1e6).collect();
     us.sort_by(f64::total_cmp);
     let at = |percent: usize| us.get((us.len() * percent / 100).min(us.len().saturating_sub(1)));
     let at = |percent| at(percent).copied().unwrap_or(f64::NAN);
-    RoundTrip { count: us.len(), p50_us: at(50), p99_us: at(99), max_us: at(100) }
+    RoundTripStats { count: us.len(), p50_us: at(50), p99_us: at(99), max_us: at(100) }
 }
 
 /// A line through (host time, tick) of the round trips that nothing held up, [`POINTS`] at the least.
-fn drift(trips: &[Trip]) -> Drift {
+fn drift(trips: &[RoundTrip]) -> Drift {
     let ends = trips.first().zip(trips.last());
     let seconds = ends.map_or(0.0, |(first, last)| last.sent.since(first.sent).as_secs_f64());
-    let half_s = |trip: &Trip| trip.received.since(trip.sent).as_secs_f64() / 2.0;
-    let mut sorted: Vec<&Trip> = trips.iter().collect();
+    let half_s = |trip: &RoundTrip| trip.received.since(trip.sent).as_secs_f64() / 2.0;
+    let mut sorted: Vec<&RoundTrip> = trips.iter().collect();
     sorted.sort_by(|a, b| half_s(a).total_cmp(&half_s(b)));
     let Some(first) = sorted.first().copied().filter(|_| sorted.len() >= POINTS) else {
         return Drift { ppm: f64::NAN, uncertainty_ppm: f64::NAN, seconds };
@@ -272,7 +272,7 @@ mod tests {
                 let held = if i % 10 == 3 { 9_000_000 } else { i % 7 * 10_000 };
                 let ticks = (sent + 200_000) as f64 * (1.0 + 35e-6) * f64::from(TICK_HZ) * 1e-9;
                 let received = HostInstant::from_ns(sent + 400_000 + held);
-                Trip { sent: HostInstant::from_ns(sent), tick: Tick(ticks as u64), received }
+                RoundTrip { sent: HostInstant::from_ns(sent), tick: Tick(ticks as u64), received }
             })
             .collect();
         let drift = drift(&trips);
@@ -290,7 +290,7 @@ mod tests {
                 let trip = trip_us(i) * 1000;
                 let ticks = (sent + trip - 100_000) as f64 * f64::from(TICK_HZ) * 1e-9;
                 let received = HostInstant::from_ns(sent + trip);
-                Trip { sent: HostInstant::from_ns(sent), tick: Tick(ticks as u64), received }
+                RoundTrip { sent: HostInstant::from_ns(sent), tick: Tick(ticks as u64), received }
             })
             .collect();
         drift(&trips)
@@ -319,11 +319,13 @@ mod tests {
 
     #[test]
     fn only_a_device_that_is_gone_is_called_unplugged() {
-        let gone = CheckupError::Gone(io::ErrorKind::BrokenPipe.into());
+        let gone = LinkReportError::Gone(io::ErrorKind::BrokenPipe.into());
         assert!(gone.to_string().contains("unplugged") && gone.advice().contains("plug it in"));
-        for other in
-            [CheckupError::Stuck, CheckupError::Lost(LostReason::NoAnswer), CheckupError::Slow { trips: 3 }]
-        {
+        for other in [
+            LinkReportError::Stuck,
+            LinkReportError::Lost(LostReason::NoAnswer),
+            LinkReportError::Slow { trips: 3 },
+        ] {
             let line = format!("{other} {}", other.advice());
             assert!(!line.contains("plug") && !other.advice().is_empty(), "{line}");
         }
@@ -333,7 +335,7 @@ mod tests {
     fn a_drift_of_less_than_two_dozen_round_trips_is_not_known() {
         let trip = |i: u64| {
             let sent = HostInstant::from_ns(1_000_000_000 + i * 100_000_000);
-            Trip { sent, tick: Tick(1_000_000 + i * 8_500), received: sent + Duration::from_micros(200) }
+            RoundTrip { sent, tick: Tick(1_000_000 + i * 8_500), received: sent + Duration::from_micros(200) }
         };
         let of = |count| drift(&(0..count).map(trip).collect::<Vec<_>>());
         assert!(of(0).ppm.is_nan() && of(1).uncertainty_ppm.is_nan() && of(23).uncertainty_ppm.is_nan());

@@ -320,5 +320,5 @@ pub fn simulate_play(
     // The last bursts are yet to be measured.
     simulation.run(MEASURED_WITHIN + Duration::from_millis(plant.telemetry_age_ms.into()));
     let travels = simulation.take_travels();
-    Ok(SimulatedPlay { rest: simulation.mock.truth().rest(), outcome, travels })
+    Ok(SimulatedPlay { rest: simulation.mock.true_positions().rest(), outcome, travels })
 }

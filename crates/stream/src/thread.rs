@@ -190,7 +190,7 @@ impl Loop {
         // An early return, by a signal, only means an idle turn.
         let _ = match self.device.as_ref().and_then(|device| Some((device, device.wake()?))) {
             Some((device, wake)) => {
-                let wants_room = !self.unsent.is_empty() && device.tells_room_by_writable();
+                let wants_room = !self.unsent.is_empty() && device.polls_writable();
                 let for_what = if wants_room { PollFlags::IN | PollFlags::OUT } else { PollFlags::IN };
                 poll(&mut [orders, PollFd::from_borrowed_fd(wake, for_what)], Some(&timeout))
             }

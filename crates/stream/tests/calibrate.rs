@@ -6,8 +6,8 @@ use meissner_array::simulated::{Plant, PlantConfig};
 use meissner_array::strokes::Strokes;
 use meissner_array::units::UM_PER_PULSE;
 use meissner_stream::calibrate::{
-    Block, Calibration, Fit, MAX_BYTES, MEASURED, MotorFit, PULSES, Plan, Planned, by_laser, by_telemetry,
-    fit,
+    BurstTravel, Calibration, Fit, MAX_BYTES, MotorFit, PULSES_RANGE, Plan, PlannedBurst, STROKES_PER_GROUP,
+    fit, travels_by_sensor, travels_by_telemetry,
 };
 use meissner_stream::queues::{Command, Refused, StreamEvent};
 use meissner_stream::{Gains, Line, Settings, Simulation, simulate_play};
@@ -17,7 +17,7 @@ use std::time::Duration;
 const HALF_SECOND: u64 = 42_500;
 
 /// A plan's bursts of one motor.
-fn of_motor(plan: &Plan, motor: u8) -> Vec<Planned> {
+fn of_motor(plan: &Plan, motor: u8) -> Vec<PlannedBurst> {
     plan.bursts(Tick::BOOT).filter(|planned| planned.motor == motor).collect()
 }
 
@@ -30,23 +30,23 @@ fn a_plan_plays_what_it_says_and_no_measured_burst_comes_after_a_rest() {
             let mut found = BTreeMap::new();
             for (index, planned) in bursts.iter().enumerate() {
                 // Of each group the first stroke settles.
-                let in_group = index % (2 * (1 + MEASURED));
-                assert_eq!(planned.settling, in_group < 2, "{planned:?}");
+                let in_group = index % (2 * (1 + STROKES_PER_GROUP));
+                assert_eq!(planned.warm_up, in_group < 2, "{planned:?}");
                 assert_eq!(planned.burst.direction == Direction::Up, index % 2 == 0, "{planned:?}");
                 *found.entry((planned.burst.pulses, in_group)).or_insert(0) += 1;
                 let Some(before) = index.checked_sub(1) else { continue };
                 let rest = planned.burst.start - bursts[before].burst.end();
-                assert!(planned.burst.start > bursts[before].settled(), "{planned:?}");
+                assert!(planned.burst.start > bursts[before].rests_at(), "{planned:?}");
                 // A group begins with the transient; nothing else is one.
                 assert_eq!(rest >= HALF_SECOND, in_group == 0, "{planned:?}: {rest}");
             }
             let mut wanted = BTreeMap::new();
             for &pulses in plan.pulses() {
-                wanted.extend((0..2 * (1 + MEASURED)).map(|n| ((pulses, n), plan.repetitions())));
+                wanted.extend((0..2 * (1 + STROKES_PER_GROUP)).map(|n| ((pulses, n), plan.repetitions())));
             }
             assert_eq!(found, wanted, "motor {motor}");
         }
-        let end = plan.bursts(Tick(0)).map(|planned| planned.settled().0).max().unwrap();
+        let end = plan.bursts(Tick(0)).map(|planned| planned.rests_at().0).max().unwrap();
         assert!(end < (plan.duration_s() * 85_000.0) as u64);
     }
     assert_eq!(Plan::default().duration_s(), 60.0);
@@ -55,7 +55,7 @@ fn a_plan_plays_what_it_says_and_no_measured_burst_comes_after_a_rest() {
 
 #[test]
 fn every_number_of_pulses_is_played_exactly() {
-    for part in PULSES.collect::<Vec<_>>().chunks(97) {
+    for part in PULSES_RANGE.collect::<Vec<_>>().chunks(97) {
         let plan = Plan::new(Some(0), part, 1).unwrap();
         let mut found: Vec<u16> = of_motor(&plan, 0).iter().map(|planned| planned.burst.pulses).collect();
         found.sort_unstable();
@@ -67,8 +67,10 @@ fn every_number_of_pulses_is_played_exactly() {
 #[test]
 fn a_motor_that_slowly_changes_has_the_same_slope() {
     let plan = Plan::default();
-    let groups: Vec<f64> =
-        of_motor(&plan, 5).chunks(2 * (1 + MEASURED)).map(|group| group[0].burst.pulses.into()).collect();
+    let groups: Vec<f64> = of_motor(&plan, 5)
+        .chunks(2 * (1 + STROKES_PER_GROUP))
+        .map(|group| group[0].burst.pulses.into())
+        .collect();
     let mean = groups.iter().sum::<f64>() / groups.len() as f64;
     let drift: f64 = groups.iter().enumerate().map(|(n, pulses)| (n as f64 - 9.5) * (pulses - mean)).sum();
     assert!(drift.abs() < 1e-9, "{groups:?}");
@@ -97,9 +99,9 @@ fn true_gains(config: &PlantConfig, motor: u8) -> [f64; 2] {
     [1.0 + asymmetry / 2.0, 1.0 - asymmetry / 2.0]
 }
 
-fn measured(plan: &Plan, config: PlantConfig) -> Vec<Block> {
+fn measured(plan: &Plan, config: PlantConfig) -> Vec<BurstTravel> {
     let mut plant = Plant::new(PlantConfig { telemetry_hz: 0, ..config }, Tick::BOOT).unwrap();
-    let blocks = by_laser(plan, &mut plant);
+    let blocks = travels_by_sensor(plan, &mut plant);
     assert!((0..24).all(|motor| plant.displacement_um(motor).abs() < 0.9 * config.end_stop_um));
     assert_eq!(blocks.len(), plan.bursts(Tick::BOOT).count());
     blocks
@@ -115,12 +117,12 @@ fn without_scatter_the_plant_s_gains_are_found_exactly() {
         let truth = true_gains(&config, found.motor);
         for (fit, truth) in [found.up, found.down].iter().zip(truth) {
             assert!((fit.gain() - truth).abs() < 1e-9 && fit.offset_um.abs() < 1e-8, "{found:?}: {truth}");
-            assert!(fit.relative_sd < 1e-9 && fit.blocks == 180, "{found:?}");
+            assert!(fit.relative_sd < 1e-9 && fit.bursts == 180, "{found:?}");
         }
     }
     assert!(fits.iter().any(|fit| (fit.up.gain() - 1.0).abs() > 0.02));
     // What was left out: the first burst of each group is short, and only that.
-    for block in blocks.iter().filter(|block| block.settling) {
+    for block in blocks.iter().filter(|block| block.warm_up) {
         let of_model = block.travel_um / (f64::from(block.pulses) * UM_PER_PULSE);
         let [up, down] = true_gains(&config, block.motor);
         let expected = if block.direction == Direction::Up { 0.8 * up } else { down };
@@ -152,14 +154,14 @@ fn one_motor_is_calibrated_alone() {
     let plan = Plan::new(Some(7), &[20, 100, 180], 2).unwrap();
     let fits = fit(&measured(&plan, config)).unwrap();
     let [found] = fits[..] else { panic!("{fits:?}") };
-    assert_eq!((found.motor, found.up.blocks, found.down.blocks), (7, 54, 54));
+    assert_eq!((found.motor, found.up.bursts, found.down.bursts), (7, 54, 54));
 }
 
 /// A plan as the streamer plays it, measured by the telemetry it gets.
-fn played(plan: &Plan, config: &PlantConfig) -> Vec<Block> {
+fn played(plan: &Plan, config: &PlantConfig) -> Vec<BurstTravel> {
     let played = simulate_play(&plan.pattern(), None, config, Settings::default(), true).unwrap();
     assert_eq!(played.outcome.bursts.played as usize, plan.bursts(Tick(0)).count());
-    by_telemetry(plan, played.outcome.onset.unwrap().actual, &played.travels)
+    travels_by_telemetry(plan, played.outcome.onset.unwrap().actual, &played.travels)
 }
 
 #[test]
@@ -169,7 +171,7 @@ fn on_a_device_without_scatter_the_plant_s_gains_are_found_by_telemetry() {
     assert_eq!(fits.len(), 24);
     for found in &fits {
         for (fit, truth) in [found.up, found.down].iter().zip(true_gains(&config, found.motor)) {
-            assert!((fit.gain() - truth).abs() < 1e-3 && fit.blocks == 180, "{found:?}: {truth}");
+            assert!((fit.gain() - truth).abs() < 1e-3 && fit.bursts == 180, "{found:?}: {truth}");
         }
     }
 }
@@ -192,11 +194,11 @@ fn on_a_device_with_scatter_they_are_found_within_the_error_that_is_told() {
     let plan = Plan::new(Some(7), &[20, 100], 1).unwrap();
     let mut played = simulate_play(&plan.pattern(), None, &config, Settings::default(), true).unwrap();
     let onset = played.outcome.onset.unwrap().actual;
-    assert_eq!(by_telemetry(&plan, onset, &played.travels).len(), 40);
+    assert_eq!(travels_by_telemetry(&plan, onset, &played.travels).len(), 40);
     played.travels[5].sd_um = 1.0;
     played.travels[9].pulses += 1;
-    assert_eq!(by_telemetry(&plan, onset, &played.travels).len(), 38);
-    assert_eq!(by_telemetry(&plan, onset + 1, &played.travels), []);
+    assert_eq!(travels_by_telemetry(&plan, onset, &played.travels).len(), 38);
+    assert_eq!(travels_by_telemetry(&plan, onset + 1, &played.travels), []);
 }
 
 fn home(simulation: &mut Simulation) -> Option<Result<(), Refused>> {
@@ -341,7 +343,7 @@ const BAD: [(&str, &str, &str); 35] = [
         "relative_sd = -0.1\n",
         "bad.toml:10: `motor[0].up.relative_sd` is -0.1: must be 0 to 1",
     ),
-    ("blocks = 180\n\n", "blocks = 9\n\n", "bad.toml:18: `motor[0].down.blocks` is 9: must be 10 or more"),
+    ("blocks = 180\n\n", "blocks = 9\n\n", "bad.toml:18: `motor[0].down.bursts` is 9: must be 10 or more"),
     ("[provenance]", "[provenence]", "bad.toml:20: unknown key `provenence`: did you mean `provenance`?"),
     ("device = \"mock\"\n", "", "bad.toml:20: `provenance.device` is missing: add which it was, in quotes"),
     ("device = \"mock\"", "device = [\"mock\"]", "bad.toml:21: `provenance.device` is"),

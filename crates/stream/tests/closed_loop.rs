@@ -338,7 +338,7 @@ fn last_snapshot(notices: &[StreamEvent]) -> Snapshot {
 #[test]
 fn swapped_sensors_are_told_and_both_motors_play_on_in_open_loop() {
     let mut rig = Rig::new(Line::default(), 1);
-    rig.mock.tamper(|sample: &mut Sample| sample.y.swap(3, 8));
+    rig.mock.distort_telemetry(|sample: &mut Sample| sample.y.swap(3, 8));
     rig.arm();
     let mut play = rig.play(&two_motors(), None);
     play.open_loop = false;
@@ -523,7 +523,7 @@ fn home_moves_no_pin_far_by_telemetry_that_lies() {
         let play = rig.play(&pattern, Some(0.5));
         rig.order(Command::Play(Box::new(play)));
         rig.run(Duration::from_millis(1000));
-        rig.mock.tamper(lie);
+        rig.mock.distort_telemetry(lie);
         rig.run(Duration::from_millis(300));
         let before: Vec<f64> = (0..MOTORS as u8).map(|motor| rig.mock.position_um(motor)).collect();
         let home = rig.order(Command::Home);

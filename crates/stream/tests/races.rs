@@ -158,7 +158,7 @@ fn strokes_refused_as_they_begin_do_not_lead_the_loop_astray() {
         rig.order(Command::Play(Box::new(Play { open_loop, ..play })));
         rig.run(6000 * MS);
         assert!(rig::into_outcomes(rig.take_notices())[0].bursts.refused > 1000);
-        rig.mock.truth().rest().rms_um()
+        rig.mock.true_positions().rest().rms_um()
     };
     let (open, closed) = (rest(true), rest(false));
     assert!(closed < 0.5 * open && closed < 30.0, "open {open} um, closed {closed} um");

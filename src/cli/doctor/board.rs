@@ -10,7 +10,7 @@ use meissner_api::DeviceInfo;
 use meissner_array::simulated::PlantConfig;
 use meissner_stream::Settings;
 use meissner_stream::device::{self, DeviceError, Spec};
-use meissner_stream::diagnostics::{self, Checkup};
+use meissner_stream::diagnostics::{self, LinkReport};
 use std::path::{Path, PathBuf};
 
 /// A line that carries less refuses some of the shipped patterns, their corrections included.
@@ -35,7 +35,7 @@ pub(super) fn examine(root: &Path, spec: &Spec, findings: &mut Vec<Finding>) -> 
         }
     };
     let (kind, serial_number) = (device.kind(), device.serial_number().map(str::to_owned));
-    let checked = diagnostics::check(&mut device);
+    let checked = diagnostics::measure(&mut device);
     drop(device);
     // Who had it open before we did reads what is ours.
     if let Spec::Serial(path) = spec {
@@ -63,7 +63,7 @@ fn taken(error: &DeviceError) -> Option<PathBuf> {
     }
 }
 
-fn examined(kind: &str, serial_number: Option<String>, checked: &Checkup) -> Examined {
+fn examined(kind: &str, serial_number: Option<String>, checked: &LinkReport) -> Examined {
     let DeviceInfo { kind, firmware, build, boot, simulated, telemetry } = device_info(kind, &checked.hello);
     Examined {
         kind,

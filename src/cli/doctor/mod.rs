@@ -18,7 +18,7 @@ use meissner_api::Status;
 use meissner_client::ClientError;
 use meissner_client::access::Me;
 use meissner_stream::device::Spec;
-use meissner_stream::diagnostics::{Drift, RoundTrip};
+use meissner_stream::diagnostics::{Drift, RoundTripStats};
 use serde::Serialize;
 use std::path::Path;
 use std::process::ExitCode;
@@ -75,7 +75,7 @@ struct Examined {
     telemetry: bool,
     pool: u16,
     horizon_ticks: u8,
-    round_trip: RoundTrip,
+    round_trip: RoundTripStats,
     throughput_bytes_per_s: Option<u32>,
     drift: Drift,
 }

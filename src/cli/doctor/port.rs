@@ -7,7 +7,7 @@
 
 use super::Finding;
 use super::service;
-use meissner_stream::device::find::Wanted;
+use meissner_stream::device::find::BoardQuery;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -102,7 +102,7 @@ fn may_sleep(device: &Path) -> bool {
     let of = |name: &str| fs::read_to_string(device.join(name)).ok().map(|text| text.trim().to_owned());
     let id = |name| u16::from_str_radix(&of(name)?, 16).ok();
     let (Some(vendor), Some(product)) = (id("idVendor"), id("idProduct")) else { return false };
-    let is_board = Wanted::default().is((vendor, product), of("product").as_deref(), None);
+    let is_board = BoardQuery::default().matches((vendor, product), of("product").as_deref(), None);
     is_board && of("power/control").as_deref() == Some("auto")
 }
 

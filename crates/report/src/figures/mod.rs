@@ -36,7 +36,7 @@ use meissner_array::pattern::Pattern;
 use meissner_array::simulated::PlantError;
 use meissner_design::TargetError;
 use meissner_skin::simulate::{MethodError, SceneError};
-use meissner_stream::calibrate::Misfit;
+use meissner_stream::calibrate::FitProblem;
 use serde::Serialize;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -84,7 +84,7 @@ pub enum FiguresError {
     #[error("internal error: {0}")]
     Motor(#[from] MotorError),
     #[error("internal error: {0}")]
-    Fit(#[from] Misfit),
+    Fit(#[from] FitProblem),
     #[error("internal error: {0}")]
     Plant(#[from] PlantError),
     #[error("internal error: {0}")]

@@ -13,7 +13,7 @@ use firmware_protocol::stroke::{Direction, MOTORS};
 use firmware_protocol::tick::{TICK_HZ, Tick};
 use meissner_array::simulated::{Plant, PlantConfig};
 use meissner_array::units::UM_PER_PULSE;
-use meissner_stream::calibrate::{Block, Fit, MEASURED, Plan, by_laser};
+use meissner_stream::calibrate::{BurstTravel, Fit, Plan, STROKES_PER_GROUP, travels_by_sensor};
 use plotters::chart::SeriesLabelPosition;
 use serde::Serialize;
 use std::fmt::Write;
@@ -47,10 +47,10 @@ pub struct Pulses {
 pub(super) fn section() -> Result<(Section, Pulses), FiguresError> {
     let plan = Plan::default();
     let config = PlantConfig { seed: SEED, telemetry_hz: 0, ..PlantConfig::default() };
-    let blocks = by_laser(&plan, &mut Plant::new(config, Tick(0))?);
-    let drawn: Vec<Block> = blocks.iter().filter(|block| block.motor == MOTOR).copied().collect();
+    let blocks = travels_by_sensor(&plan, &mut Plant::new(config, Tick(0))?);
+    let drawn: Vec<BurstTravel> = blocks.iter().filter(|block| block.motor == MOTOR).copied().collect();
     let fit = |direction| Fit::of(drawn.iter().filter(|block| block.direction == direction));
-    let firsts = blocks.iter().filter(|block| block.settling && block.direction == Direction::Up);
+    let firsts = blocks.iter().filter(|block| block.warm_up && block.direction == Direction::Up);
     let firsts: Vec<f64> = firsts.map(over_model).collect();
     let (transient_gain, _) = mean_and_sd(&firsts);
     let figures = Pulses {
@@ -74,7 +74,7 @@ pub(super) fn section() -> Result<(Section, Pulses), FiguresError> {
          and down, is drawn as squares and counts neither in the mean nor in a fit: its up burst comes after more than half a \
          second of rest and travels {} of the model's on the mean, which is the paper's transient.",
         number(UM_PER_PULSE),
-        1 + MEASURED,
+        1 + STROKES_PER_GROUP,
         number(meissner_stream::calibrate::GROUP_S),
         number(transient_gain),
     );
@@ -82,7 +82,7 @@ pub(super) fn section() -> Result<(Section, Pulses), FiguresError> {
     section.say(&format!(
         "Of the {} measured bursts of all {MOTORS} motors the fitted slope is {} µm per pulse (standard error {}), {} of the model's 0.95/7, \
          with an offset of {} µm; a burst scatters around it by {} % of its travel (the paper: about 10 %).",
-        all.blocks,
+        all.bursts,
         number(all.slope_um_per_pulse),
         number(all.slope_se_um_per_pulse),
         number(all.gain()),
@@ -93,7 +93,7 @@ pub(super) fn section() -> Result<(Section, Pulses), FiguresError> {
     Ok((section, figures))
 }
 
-fn over_model(block: &Block) -> f64 {
+fn over_model(block: &BurstTravel) -> f64 {
     block.travel_um / (f64::from(block.pulses) * UM_PER_PULSE)
 }
 
@@ -108,9 +108,9 @@ fn fits(figures: &Pulses) -> String {
         "SD of a burst, %",
     ];
     let row = |name: String, fit: &Fit| {
-        let Fit { slope_um_per_pulse, slope_se_um_per_pulse, offset_um, relative_sd, blocks } = *fit;
+        let Fit { slope_um_per_pulse, slope_se_um_per_pulse, offset_um, relative_sd, bursts } = *fit;
         let numbers = [
-            blocks as f64,
+            bursts as f64,
             slope_um_per_pulse,
             slope_se_um_per_pulse,
             fit.gain(),
@@ -127,20 +127,20 @@ fn fits(figures: &Pulses) -> String {
     table(&head, rows)
 }
 
-fn csv(blocks: &[Block]) -> String {
+fn csv(blocks: &[BurstTravel]) -> String {
     let mut csv = String::from("start_s,up,settling,pulses,travel_um\n");
     for block in blocks {
         let start_s = block.start.0 as f64 / f64::from(TICK_HZ);
-        let (up, settling) = (u8::from(block.direction == Direction::Up), u8::from(block.settling));
+        let (up, settling) = (u8::from(block.direction == Direction::Up), u8::from(block.warm_up));
         // Writing to a string does not fail.
         let _ = writeln!(csv, "{start_s:.6},{up},{settling},{},{:.4}", block.pulses, block.travel_um);
     }
     csv
 }
 
-fn plot(plan: &Plan, blocks: &[Block]) -> Result<String, FiguresError> {
-    let of = |settling: bool| blocks.iter().filter(move |block| block.settling == settling);
-    let point = |block: &Block| {
+fn plot(plan: &Plan, blocks: &[BurstTravel]) -> Result<String, FiguresError> {
+    let of = |warm_up: bool| blocks.iter().filter(move |travel| travel.warm_up == warm_up);
+    let point = |block: &BurstTravel| {
         let aside = if block.direction == Direction::Up { -ASIDE } else { ASIDE };
         Point { x: f64::from(block.pulses) + aside, y: block.travel_um, sd: 0.0 }
     };

@@ -7,7 +7,7 @@
 //! Invariant: what is written is read again as the same calibration, bit for bit; no key is ignored.
 
 use super::error::{Fault, Problem};
-use super::{CalibrationError, Fit, GAIN, MIN_BLOCKS, MotorFit, Plan, WORST_SE};
+use super::{CalibrationError, Fit, GAIN_RANGE, MAX_SLOPE_SE, MIN_BURSTS, MotorFit, Plan};
 use firmware_protocol::stroke::{Direction, MOTORS};
 use meissner_api::Provenance;
 use meissner_array::units::UM_PER_PULSE;
@@ -160,14 +160,14 @@ impl Calibration {
 
 impl Fit {
     fn check(&self) -> Result<(), Fault> {
-        let Self { slope_um_per_pulse, slope_se_um_per_pulse, offset_um, relative_sd, blocks } = *self;
-        let good = GAIN.contains(&self.gain());
+        let Self { slope_um_per_pulse, slope_se_um_per_pulse, offset_um, relative_sd, bursts } = *self;
+        let good = GAIN_RANGE.contains(&self.gain());
         in_range("slope_um_per_pulse", slope_um_per_pulse, good, "0.5 to 1.5 times the model's, 0.95/7")?;
-        let good = (0.0..=WORST_SE * slope_um_per_pulse).contains(&slope_se_um_per_pulse);
+        let good = (0.0..=MAX_SLOPE_SE * slope_um_per_pulse).contains(&slope_se_um_per_pulse);
         in_range("slope_se_um_per_pulse", slope_se_um_per_pulse, good, "0 to 5 % of the slope")?;
         in_range("offset_um", offset_um, offset_um.abs() <= OFFSET_UM, "-100 to 100 um")?;
         in_range("relative_sd", relative_sd, (0.0..=1.0).contains(&relative_sd), "0 to 1")?;
-        in_range("blocks", blocks as f64, blocks >= MIN_BLOCKS, "10 or more")?;
+        in_range("blocks", bursts as f64, bursts >= MIN_BURSTS, "10 or more")?;
         Ok(())
     }
 }
@@ -258,8 +258,8 @@ impl RawMotor {
 impl RawFit {
     fn fit(self) -> Result<Fit, Fault> {
         let Self { gain, slope_um_per_pulse, slope_se_um_per_pulse, offset_um, relative_sd, blocks } = self;
-        let blocks = usize::try_from(blocks).unwrap_or(usize::MAX);
-        let fit = Fit { slope_um_per_pulse, slope_se_um_per_pulse, offset_um, relative_sd, blocks };
+        let bursts = usize::try_from(blocks).unwrap_or(usize::MAX);
+        let fit = Fit { slope_um_per_pulse, slope_se_um_per_pulse, offset_um, relative_sd, bursts };
         let slope = fit.gain();
         if (gain - slope).abs() <= ROUNDING || !slope.is_finite() {
             return Ok(fit);
@@ -270,8 +270,8 @@ impl RawFit {
 
 impl From<Fit> for RawFit {
     fn from(fit: Fit) -> Self {
-        let Fit { slope_um_per_pulse, slope_se_um_per_pulse, offset_um, relative_sd, blocks } = fit;
-        let (gain, blocks) = (fit.gain(), blocks as u64);
+        let Fit { slope_um_per_pulse, slope_se_um_per_pulse, offset_um, relative_sd, bursts } = fit;
+        let (gain, blocks) = (fit.gain(), bursts as u64);
         Self { gain, slope_um_per_pulse, slope_se_um_per_pulse, offset_um, relative_sd, blocks }
     }
 }

@@ -4,9 +4,9 @@
 //! is an ordinary one through travel/pulses against 1/pulses, whose intercept is the slope, and whose residuals over the
 //! slope are the relative scatter.
 //!
-//! Invariant: a fit that is given out is within [`GAIN`], and its slope known to [`WORST_SE`].
+//! Invariant: a fit that is given out is within [`GAIN_RANGE`], and its slope known to [`MAX_SLOPE_SE`].
 
-use super::{Block, way};
+use super::{BurstTravel, way};
 use firmware_protocol::stroke::{Direction, MOTORS};
 use meissner_array::units::UM_PER_PULSE;
 use meissner_input::message::figure;
@@ -14,12 +14,12 @@ use serde::Serialize;
 use std::ops::RangeInclusive;
 
 /// Blocks of a motor and direction at the least.
-pub const MIN_BLOCKS: usize = 10;
+pub const MIN_BURSTS: usize = 10;
 /// Slopes over the model's that a motor may have; beyond, something else is wrong. Our choice: scatter of single bursts is 10 %,
 /// asymmetry a few.
-pub const GAIN: RangeInclusive<f64> = 0.5..=1.5;
+pub const GAIN_RANGE: RangeInclusive<f64> = 0.5..=1.5;
 /// The standard error of a slope, as a share of it, at the most. Our choice: what is known worse says nothing of asymmetries.
-pub const WORST_SE: f64 = 0.05;
+pub const MAX_SLOPE_SE: f64 = 0.05;
 
 /// What a motor does in one direction.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -33,7 +33,8 @@ pub struct Fit {
     /// Standard deviation of a burst's travel, as a share of it.
     pub relative_sd: f64,
     /// Blocks it was made of.
-    pub blocks: usize,
+    #[serde(rename = "blocks")]
+    pub bursts: usize,
 }
 
 /// What a motor does.
@@ -56,14 +57,14 @@ pub struct FitError {
     /// In which direction.
     pub direction: Direction,
     /// What is wrong with them, and what to do.
-    pub problem: Misfit,
+    pub problem: FitProblem,
 }
 
 /// What can be wrong with blocks.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages say it")]
-pub enum Misfit {
-    #[error("{found} blocks were measured, {MIN_BLOCKS} are the least: let the plan play to its end")]
+pub enum FitProblem {
+    #[error("{found} blocks were measured, {MIN_BURSTS} are the least: let the plan play to its end")]
     TooFew { found: usize },
     #[error("the burst at tick {tick} travelled {travel_um} um: see what measures the travel")]
     NotFinite { tick: u64, travel_um: f64 },
@@ -72,7 +73,7 @@ pub enum Misfit {
     #[error(
         "a pulse moves the pin by {} um, {} times what the model says, which must be {} to {}: see that the pin is free, \
          and that this motor is the one that is measured",
-        rounded(*.slope_um), rounded(.slope_um / UM_PER_PULSE), GAIN.start(), GAIN.end()
+        rounded(*.slope_um), rounded(.slope_um / UM_PER_PULSE), GAIN_RANGE.start(), GAIN_RANGE.end()
     )]
     Gain { slope_um: f64 },
     #[error(
@@ -91,9 +92,9 @@ fn rounded(number: f64) -> String {
 ///
 /// # Errors
 /// The first motor that cannot be calibrated by them.
-pub fn fit(blocks: &[Block]) -> Result<Vec<MotorFit>, FitError> {
+pub fn fit(blocks: &[BurstTravel]) -> Result<Vec<MotorFit>, FitError> {
     let of_motor = |motor: u8| {
-        let mut of = blocks.iter().filter(|block| block.motor == motor && !block.settling);
+        let mut of = blocks.iter().filter(|block| block.motor == motor && !block.warm_up);
         of.next()?;
         let fit = |direction| {
             let of = blocks.iter().filter(|block| block.motor == motor && block.direction == direction);
@@ -109,16 +110,16 @@ impl Fit {
     ///
     /// # Errors
     /// If there is none that makes sense.
-    pub fn of<'b>(blocks: impl IntoIterator<Item = &'b Block>) -> Result<Self, Misfit> {
-        let blocks: Vec<&Block> = blocks.into_iter().filter(|block| !block.settling).collect();
+    pub fn of<'b>(blocks: impl IntoIterator<Item = &'b BurstTravel>) -> Result<Self, FitProblem> {
+        let blocks: Vec<&BurstTravel> = blocks.into_iter().filter(|block| !block.warm_up).collect();
         if let Some(block) = blocks.iter().find(|block| !block.travel_um.is_finite()) {
-            return Err(Misfit::NotFinite { tick: block.start.0, travel_um: block.travel_um });
+            return Err(FitProblem::NotFinite { tick: block.start.0, travel_um: block.travel_um });
         }
-        if blocks.len() < MIN_BLOCKS {
-            return Err(Misfit::TooFew { found: blocks.len() });
+        if blocks.len() < MIN_BURSTS {
+            return Err(FitProblem::TooFew { found: blocks.len() });
         }
         if blocks.iter().all(|block| block.pulses == blocks[0].pulses) {
-            return Err(Misfit::OneNumber);
+            return Err(FitProblem::OneNumber);
         }
         let points = || {
             let pulses = blocks.iter().map(|block| f64::from(block.pulses.max(1)));
@@ -131,23 +132,23 @@ impl Fit {
         let xy: f64 = points().map(|(x, y)| (x - mean_x) * (y - mean_y)).sum();
         let offset_um = xy / xx;
         let slope_um = mean_y - offset_um * mean_x;
-        if !GAIN.contains(&(slope_um / UM_PER_PULSE)) {
-            return Err(Misfit::Gain { slope_um });
+        if !GAIN_RANGE.contains(&(slope_um / UM_PER_PULSE)) {
+            return Err(FitProblem::Gain { slope_um });
         }
         let squares: f64 = points().map(|(x, y)| (y - slope_um - offset_um * x).powi(2)).sum();
         // Two degrees of freedom are the line's.
         let sd_um = (squares / (count - 2.0)).sqrt();
         let se_um = sd_um * (1.0 / count + mean_x.powi(2) / xx).sqrt();
         let relative_sd = sd_um / slope_um;
-        if se_um > WORST_SE * slope_um {
-            return Err(Misfit::Uncertain { share: se_um / slope_um, relative_sd });
+        if se_um > MAX_SLOPE_SE * slope_um {
+            return Err(FitProblem::Uncertain { share: se_um / slope_um, relative_sd });
         }
         Ok(Self {
             slope_um_per_pulse: slope_um,
             slope_se_um_per_pulse: se_um,
             offset_um,
             relative_sd,
-            blocks: blocks.len(),
+            bursts: blocks.len(),
         })
     }
 
@@ -176,13 +177,13 @@ mod tests {
     use meissner_array::random;
 
     /// So many blocks of each of these numbers of pulses, on one line, with this scatter.
-    fn blocks(pulses: &[u16], of_each: u64, slope: f64, offset: f64, sd: f64) -> Vec<Block> {
+    fn blocks(pulses: &[u16], of_each: u64, slope: f64, offset: f64, sd: f64) -> Vec<BurstTravel> {
         let all = (0..of_each).flat_map(|n| pulses.iter().map(move |&pulses| (n, pulses)));
         let block = |(n, pulses): (u64, u16)| {
             let scatter = 1.0 + sd * random::normal([5, n, pulses.into(), 0]);
             let travel_um = (offset + slope * f64::from(pulses)) * scatter;
             let start = Tick(n << 8 | u64::from(pulses));
-            Block { motor: 3, direction: Direction::Up, start, pulses, travel_um, settling: false }
+            BurstTravel { motor: 3, direction: Direction::Up, start, pulses, travel_um, warm_up: false }
         };
         all.map(block).collect()
     }
@@ -193,7 +194,7 @@ mod tests {
     fn slope_offset_and_scatter_are_found_again() {
         let exact = Fit::of(&blocks(&PULSES, 3, 0.13, 0.25, 0.0)).unwrap();
         assert!((exact.slope_um_per_pulse - 0.13).abs() < 1e-12 && (exact.offset_um - 0.25).abs() < 1e-12);
-        assert!(exact.relative_sd < 1e-12 && exact.slope_se_um_per_pulse < 1e-12 && exact.blocks == 12);
+        assert!(exact.relative_sd < 1e-12 && exact.slope_se_um_per_pulse < 1e-12 && exact.bursts == 12);
         assert_eq!(exact.gain(), exact.slope_um_per_pulse / UM_PER_PULSE);
 
         let found = Fit::of(&blocks(&PULSES, 500, 0.13, 0.0, 0.1)).unwrap();
@@ -212,7 +213,7 @@ mod tests {
         let fits = (0..400).map(|n| {
             let of = blocks(&PULSES, 6, 0.13, 0.0, 0.1).into_iter().zip(0..).map(|(block, m)| {
                 let scatter = 1.0 + 0.1 * random::normal([6, n, m, 1]);
-                Block { travel_um: 0.13 * f64::from(block.pulses) * scatter, ..block }
+                BurstTravel { travel_um: 0.13 * f64::from(block.pulses) * scatter, ..block }
             });
             Fit::of(&of.collect::<Vec<_>>()).unwrap()
         });
@@ -229,10 +230,10 @@ mod tests {
         let mut all = blocks(&PULSES, 5, 0.13, 0.0, 0.1);
         let without = Fit::of(&all).unwrap();
         all.extend(
-            blocks(&PULSES, 5, 0.1, 0.0, 0.1).into_iter().map(|block| Block { settling: true, ..block }),
+            blocks(&PULSES, 5, 0.1, 0.0, 0.1).into_iter().map(|block| BurstTravel { warm_up: true, ..block }),
         );
         assert_eq!(Fit::of(&all).unwrap(), without);
-        all.retain(|block| block.settling);
+        all.retain(|block| block.warm_up);
         assert_eq!(fit(&all), Ok(vec![]));
     }
 

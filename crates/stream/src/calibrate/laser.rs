@@ -4,7 +4,7 @@
 //!
 //! Invariant: every burst of the plan becomes one block.
 
-use super::{Block, Plan, Planned};
+use super::{BurstTravel, Plan, PlannedBurst};
 use firmware_protocol::stroke::Lines;
 use firmware_protocol::tick::Tick;
 use meissner_array::simulated::Plant;
@@ -18,11 +18,11 @@ enum Event {
 }
 
 /// Plays a plan on a plant, from now on, and reads each burst's travel: its blocks, in the order in which they settled.
-pub fn by_laser(plan: &Plan, plant: &mut Plant) -> Vec<Block> {
-    let bursts: Vec<Planned> = plan.bursts(plant.now()).collect();
+pub fn travels_by_sensor(plan: &Plan, plant: &mut Plant) -> Vec<BurstTravel> {
+    let bursts: Vec<PlannedBurst> = plan.bursts(plant.now()).collect();
     let events = bursts.iter().enumerate().flat_map(|(index, planned)| {
         let burst = planned.burst;
-        [(burst.start, Event::Begins), (burst.end(), Event::Ends), (planned.settled(), Event::Settled)]
+        [(burst.start, Event::Begins), (burst.end(), Event::Ends), (planned.rests_at(), Event::Settled)]
             .map(|(tick, event)| (tick, index, event))
     });
     let mut events: Vec<(Tick, usize, Event)> = events.collect();
@@ -31,7 +31,7 @@ pub fn by_laser(plan: &Plan, plant: &mut Plant) -> Vec<Block> {
     let mut blocks = Vec::with_capacity(bursts.len());
     for (tick, index, event) in events {
         plant.advance(lines, tick - plant.now());
-        let Planned { motor, burst, .. } = bursts[index];
+        let PlannedBurst { motor, burst, .. } = bursts[index];
         match event {
             Event::Begins => before_um[index] = plant.displacement_um(motor),
             Event::Settled => {

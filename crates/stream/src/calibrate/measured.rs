@@ -2,7 +2,7 @@
 //!
 //! Invariant: a block was measured to [`UNKNOWN`] or better, or is left out.
 
-use super::{Block, Calibration, Fit, Plan};
+use super::{BurstTravel, Calibration, Fit, Plan};
 use crate::Gains;
 use crate::queues::MeasuredBurst;
 use firmware_protocol::stroke::{Direction, MOTORS};
@@ -20,7 +20,7 @@ const LEAST_SCATTER: f64 = 0.002;
 
 /// The blocks of a plan that was played from `onset` on, of the bursts that were measured; others may be among them.
 #[must_use]
-pub fn by_telemetry(plan: &Plan, onset: Tick, travels: &[MeasuredBurst]) -> Vec<Block> {
+pub fn travels_by_telemetry(plan: &Plan, onset: Tick, travels: &[MeasuredBurst]) -> Vec<BurstTravel> {
     let (share, um) = UNKNOWN;
     let is_known = |travel: &&MeasuredBurst| {
         f64::from(travel.sd_um) <= share * f64::from(travel.pulses) * UM_PER_PULSE + um

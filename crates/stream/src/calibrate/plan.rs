@@ -1,6 +1,6 @@
 //! What is played to calibrate: which motors, how many pulses, in which order, when.
 //!
-//! A group is [`MEASURED`] strokes of one number of pulses, an eighth of a second from burst to burst, after one more that
+//! A group is [`STROKES_PER_GROUP`] strokes of one number of pulses, an eighth of a second from burst to burst, after one more that
 //! settles the motor: it is the first after more than half a second of rest, and comes out short (the transient of the
 //! paper's Fig. 2). Each number has a group in each round. Neighbouring groups have distant numbers, and every other round
 //! runs backwards: a motor that slowly changes then changes for all numbers alike, and the slope does not take it for
@@ -8,7 +8,7 @@
 //!
 //! Invariant: before a measured burst its motor has not rested for half a second.
 
-use super::Block;
+use super::BurstTravel;
 use firmware_protocol::stroke::{Burst, Direction, MOTORS};
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::WINDOW_HALF_TICKS;
@@ -17,7 +17,7 @@ use meissner_array::strokes::Strokes;
 use meissner_array::units::UM_PER_PULSE;
 
 /// Pulses of a burst: a micrometre at the least, and at the most so many that no two motors pulse at the same time.
-pub const PULSES: std::ops::RangeInclusive<u16> = 7..=200;
+pub const PULSES_RANGE: std::ops::RangeInclusive<u16> = 7..=200;
 /// Numbers of pulses if nobody says: the paper's 70, and from a fifth of it to twice it. A wide range, for how well the slope
 /// is known depends on it: with 30 to 110 its error would be 2.4 times that of a line through the origin, with these it is 1.5 times.
 pub const DEFAULT_PULSES: [u16; 10] = [14, 28, 42, 56, 70, 84, 98, 112, 126, 140];
@@ -27,7 +27,7 @@ pub const DEFAULT_REPETITIONS: u16 = 2;
 pub const MAX_GROUPS: usize = 100;
 /// Measured strokes of a group. More give better slopes from fewer groups; but a pin whose ways differ by 2 % goes astray by
 /// 0.2 µm a stroke, and by 2 µm with each transient.
-pub const MEASURED: usize = 9;
+pub const STROKES_PER_GROUP: usize = 9;
 /// From group to group, s.
 pub const GROUP_S: f64 = 3.0;
 /// A group's last burst has ended by so long after its beginning, s: the rest is rest.
@@ -47,7 +47,7 @@ pub enum PlanError {
         found: u8,
     },
     /// Too few or too many pulses.
-    #[error("bursts of {found} pulses: must be {} to {}", PULSES.start(), PULSES.end())]
+    #[error("bursts of {found} pulses: must be {} to {}", PULSES_RANGE.start(), PULSES_RANGE.end())]
     Pulses {
         /// As asked for.
         found: u16,
@@ -94,7 +94,7 @@ impl Plan {
         if let Some(found) = motor.filter(|&motor| usize::from(motor) >= MOTORS) {
             return Err(PlanError::Motor { found });
         }
-        if let Some(&found) = pulses.iter().find(|pulses| !PULSES.contains(pulses)) {
+        if let Some(&found) = pulses.iter().find(|pulses| !PULSES_RANGE.contains(pulses)) {
             return Err(PlanError::Pulses { found });
         }
         if pulses.len() < 2 {
@@ -177,47 +177,47 @@ impl Plan {
 
     /// Its bursts if it begins at `onset`, in order of their strokes.
     #[expect(clippy::missing_panics_doc, reason = "it does not happen")]
-    pub fn bursts(&self, onset: Tick) -> impl Iterator<Item = Planned> + use<> {
+    pub fn bursts(&self, onset: Tick) -> impl Iterator<Item = PlannedBurst> + use<> {
         let mut strokes = Strokes::new(&self.pattern(), None).expect("a plan's drives can be played");
         strokes.begin(onset);
         let mut played = [0_usize; MOTORS];
         strokes.flat_map(move |stroke| {
             let stroke = stroke.expect("a plan's strokes are within the limits");
             let played = &mut played[usize::from(stroke.motor)];
-            let settling = *played % (1 + MEASURED) == 0;
+            let warm_up = *played % (1 + STROKES_PER_GROUP) == 0;
             *played += 1;
-            stroke.bursts().map(|burst| Planned { motor: stroke.motor, burst, settling })
+            stroke.bursts().map(|burst| PlannedBurst { motor: stroke.motor, burst, warm_up })
         })
     }
 }
 
 /// A burst of a plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Planned {
+pub struct PlannedBurst {
     /// Whose.
     pub motor: u8,
     /// What is played. When it begins the pin is still at rest.
     pub burst: Burst,
     /// Whether it is of a group's first stroke.
-    pub settling: bool,
+    pub warm_up: bool,
 }
 
-impl Planned {
+impl PlannedBurst {
     /// When the pin is at rest again: the motor's window after the last pulse.
     #[must_use]
-    pub fn settled(&self) -> Tick {
+    pub fn rests_at(&self) -> Tick {
         self.burst.end() + WINDOW_HALF_TICKS.div_ceil(2)
     }
 
     /// What became of it, by the displacements at rest before it and after it, µm, upwards.
     #[must_use]
-    pub fn block(&self, before_um: f64, after_um: f64) -> Block {
+    pub fn block(&self, before_um: f64, after_um: f64) -> BurstTravel {
         let Burst { start, direction, pulses } = self.burst;
         let travel_um = match direction {
             Direction::Up => after_um - before_um,
             Direction::Down => before_um - after_um,
         };
-        Block { motor: self.motor, direction, start, pulses, travel_um, settling: self.settling }
+        BurstTravel { motor: self.motor, direction, start, pulses, travel_um, warm_up: self.warm_up }
     }
 }
 
@@ -240,21 +240,21 @@ mod tests {
             let line = Plan::new(motor, pulses, repetitions).unwrap_err().to_string();
             assert!(line.starts_with(says) && !line.contains('\n'), "{line}");
         }
-        let longest: Vec<u16> = PULSES.take(MAX_GROUPS).collect();
+        let longest: Vec<u16> = PULSES_RANGE.take(MAX_GROUPS).collect();
         assert_eq!(Plan::new(None, &longest, 1).unwrap().pattern().drives().len(), 2400);
         assert_eq!(Plan::new(None, &DEFAULT_PULSES, DEFAULT_REPETITIONS), Ok(Plan::default()));
     }
 
     #[test]
     fn a_travel_is_counted_the_burst_s_way() {
-        let of = |direction| Planned {
+        let of = |direction| PlannedBurst {
             motor: 3,
             burst: Burst { start: Tick(10), direction, pulses: 70 },
-            settling: false,
+            warm_up: false,
         };
         assert_eq!(of(Direction::Up).block(1.0, 10.5).travel_um, 9.5);
         assert_eq!(of(Direction::Down).block(10.5, 1.0).travel_um, 9.5);
         // 4.3 ms are 365.5 ticks.
-        assert_eq!(of(Direction::Up).settled(), Tick(10 + 70 + 366));
+        assert_eq!(of(Direction::Up).rests_at(), Tick(10 + 70 + 366));
     }
 }

@@ -17,21 +17,21 @@ const TTYS: &str = "/sys/class/tty";
 
 /// Which board is wanted.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Wanted {
+pub struct BoardQuery {
     /// USB vendor and product.
     pub ids: (u16, u16),
     /// Its serial number; any, if none is given.
     pub serial: Option<String>,
 }
 
-impl Default for Wanted {
+impl Default for BoardQuery {
     /// Any board.
     fn default() -> Self {
         Self { ids: BOARD, serial: None }
     }
 }
 
-impl Wanted {
+impl BoardQuery {
     /// The board of this serial number.
     #[must_use]
     pub fn serial(serial: &str) -> Self {
@@ -55,14 +55,14 @@ impl Wanted {
 
     /// Whether a device with these descriptors is it.
     #[must_use]
-    pub fn is(&self, ids: (u16, u16), product: Option<&str>, serial: Option<&str>) -> bool {
+    pub fn matches(&self, ids: (u16, u16), product: Option<&str>, serial: Option<&str>) -> bool {
         let named = self.ids != BOARD || product == Some(PRODUCT);
         let serial_fits = |wanted: &str| serial.is_some_and(|serial| serial.eq_ignore_ascii_case(wanted));
         ids == self.ids && named && self.serial.as_deref().is_none_or(serial_fits)
     }
 }
 
-impl fmt::Display for Wanted {
+impl fmt::Display for BoardQuery {
     /// As a person is told what was looked for.
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(out, "USB {:04x}:{:04x}", self.ids.0, self.ids.1)?;
@@ -79,10 +79,10 @@ pub(super) fn ports() -> Vec<SerialPortInfo> {
 }
 
 /// The first of these ports, by name, that belongs to the board.
-pub(super) fn port(wanted: &Wanted, ports: &[SerialPortInfo]) -> Option<PathBuf> {
+pub(super) fn port(wanted: &BoardQuery, ports: &[SerialPortInfo]) -> Option<PathBuf> {
     let is_it = |port: &&SerialPortInfo| match &port.port_type {
         SerialPortType::UsbPort(usb) => {
-            wanted.is((usb.vid, usb.pid), usb.product.as_deref(), usb.serial_number.as_deref())
+            wanted.matches((usb.vid, usb.pid), usb.product.as_deref(), usb.serial_number.as_deref())
         }
         _ => false,
     };
@@ -126,8 +126,8 @@ mod tests {
             usb("/dev/ttyACM10", BOARD, "meissner", Some("e66038b7")),
             usb("/dev/ttyACM2", BOARD, "meissner", Some("aa")),
         ];
-        let found = |text: &str| port(&Wanted::parse(text).unwrap(), &ports);
-        assert_eq!(port(&Wanted::default(), &ports), Some("/dev/ttyACM2".into()), "the first by name");
+        let found = |text: &str| port(&BoardQuery::parse(text).unwrap(), &ports);
+        assert_eq!(port(&BoardQuery::default(), &ports), Some("/dev/ttyACM2".into()), "the first by name");
         assert_eq!(found("E66038B7"), Some("/dev/ttyACM10".into()));
         assert_eq!(found("1209:0001:e66038b7"), Some("/dev/ttyACM10".into()));
         assert_eq!(found("1a86:7523"), Some("/dev/ttyUSB0".into()), "other ids need no name");
@@ -153,9 +153,9 @@ mod tests {
     #[test]
     fn what_is_no_id_is_refused() {
         for text in ["", "1209:", "1209:1", "12x9:0001", "1209:0001:", "a b"] {
-            assert_eq!(Wanted::parse(text), None, "{text}");
+            assert_eq!(BoardQuery::parse(text), None, "{text}");
         }
-        assert_eq!(Wanted::parse("2e8a:000a").unwrap().to_string(), "USB 2e8a:000a");
-        assert_eq!(Wanted::serial("e6").to_string(), "USB 1209:0001 `meissner`, serial number e6");
+        assert_eq!(BoardQuery::parse("2e8a:000a").unwrap().to_string(), "USB 2e8a:000a");
+        assert_eq!(BoardQuery::serial("e6").to_string(), "USB 1209:0001 `meissner`, serial number e6");
     }
 }

@@ -19,11 +19,11 @@ const BUFFER: usize = 1 << 16;
 
 /// What the simulated shafts really did: read by others while the mock runs.
 #[derive(Debug, Default)]
-pub struct Truth {
+pub struct TruePositions {
     rest: Mutex<[RestStats; MOTORS]>,
 }
 
-impl Truth {
+impl TruePositions {
     /// Where pins came to rest, all motors together.
     #[must_use]
     pub fn rest(&self) -> RestStats {
@@ -48,7 +48,7 @@ pub struct Mock {
     to_host: VecDeque<u8>,
     /// What was played, if somebody wants to know.
     trace: Option<Vec<(Tick, Run)>>,
-    truth: Arc<Truth>,
+    truth: Arc<TruePositions>,
     tamper: Option<fn(&mut Sample)>,
 }
 
@@ -90,7 +90,7 @@ impl Mock {
     }
 
     /// From here on telemetry goes through `lie` before it is sent: sensors that are stuck, swapped, out of scale.
-    pub fn tamper(&mut self, lie: fn(&mut Sample)) {
+    pub fn distort_telemetry(&mut self, lie: fn(&mut Sample)) {
         self.tamper = Some(lie);
     }
 
@@ -128,7 +128,7 @@ impl Mock {
 
     /// What the shafts really did, for others to read.
     #[must_use]
-    pub fn truth(&self) -> Arc<Truth> {
+    pub fn true_positions(&self) -> Arc<TruePositions> {
         Arc::clone(&self.truth)
     }
 

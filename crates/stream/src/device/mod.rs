@@ -14,8 +14,8 @@ mod serial;
 mod spec;
 mod usb;
 
-use crate::device::find::Wanted;
-use crate::device::mock::{Mock, Truth};
+use crate::device::find::BoardQuery;
+use crate::device::mock::{Mock, TruePositions};
 use crate::link::LineRate;
 use crate::time::HostInstant;
 use firmware_protocol::tick::{TICK_HZ, Tick};
@@ -23,7 +23,7 @@ use meissner_array::simulated::PlantConfig;
 pub use pty::PtyMock;
 use rustix::fd::BorrowedFd;
 pub use serial::SerialPort;
-pub use spec::{BadSpec, Spec};
+pub use spec::{Spec, SpecError};
 use std::fmt;
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::io;
@@ -200,14 +200,14 @@ pub fn open(spec: &Spec, plant: &PlantConfig) -> Result<Device, DeviceError> {
     }
 }
 
-fn serial(wanted: &Wanted) -> Result<SerialPort, DeviceError> {
+fn serial(wanted: &BoardQuery) -> Result<SerialPort, DeviceError> {
     let port = find::port(wanted, &find::ports());
     SerialPort::open(&port.ok_or_else(|| DeviceError::NoSerial(wanted.to_string()))?)
 }
 
 /// The first board's serial port, else its own interface.
 fn board() -> Result<Device, DeviceError> {
-    let wanted = Wanted::default();
+    let wanted = BoardQuery::default();
     match serial(&wanted) {
         Ok(port) => Ok(Device::Serial(port)),
         Err(DeviceError::NoSerial(_)) => match UsbPort::open(&wanted) {
@@ -221,7 +221,7 @@ fn board() -> Result<Device, DeviceError> {
 
 /// Whether a board's serial port is there, whoever has it open.
 #[must_use]
-pub fn is_plugged(wanted: &Wanted) -> bool {
+pub fn is_plugged(wanted: &BoardQuery) -> bool {
     find::port(wanted, &find::ports()).is_some()
 }
 
@@ -260,7 +260,7 @@ impl Device {
 
     /// Whether [`Self::wake`] is watched for being writable when bytes wait; if not, it turns readable for room, too.
     #[must_use]
-    pub fn tells_room_by_writable(&self) -> bool {
+    pub fn polls_writable(&self) -> bool {
         !matches!(self, Self::Usb(_))
     }
 
@@ -315,10 +315,10 @@ impl Device {
 
     /// What the simulated shafts really did.
     #[must_use]
-    pub fn truth(&self) -> Option<Arc<Truth>> {
+    pub fn true_positions(&self) -> Option<Arc<TruePositions>> {
         match self {
-            Self::Mock(mock) => Some(mock.mock.truth()),
-            Self::Pty(_, mock) => Some(mock.truth()),
+            Self::Mock(mock) => Some(mock.mock.true_positions()),
+            Self::Pty(_, mock) => Some(mock.true_positions()),
             Self::Serial(_) | Self::Usb(_) => None,
         }
     }

@@ -3,7 +3,7 @@
 //! To the serial transport it is a board: closing the port is pulling the cable. The thread ends when the
 //! [`PtyMock`] is dropped.
 
-use crate::device::mock::Truth;
+use crate::device::mock::TruePositions;
 use crate::device::{DeviceError, WallMock};
 use crate::time::HostInstant;
 use firmware_protocol::message::State;
@@ -25,7 +25,7 @@ const HUNG_UP_MS: i64 = 5;
 pub struct PtyMock {
     path: PathBuf,
     stop: Arc<OwnedFd>,
-    truth: Arc<Truth>,
+    truth: Arc<TruePositions>,
     identity: String,
     thread: Option<JoinHandle<WallMock>>,
 }
@@ -55,7 +55,7 @@ impl PtyMock {
         let flags = rustix::fs::fcntl_getfl(&master)?;
         rustix::fs::fcntl_setfl(&master, flags | OFlags::NONBLOCK)?;
         let stop = Arc::new(eventfd(0, EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK)?);
-        let (truth, identity) = (mock.mock.truth(), mock.mock.identity());
+        let (truth, identity) = (mock.mock.true_positions(), mock.mock.identity());
         let bell = Arc::clone(&stop);
         let thread =
             std::thread::Builder::new().name("pty-mock".into()).spawn(move || serve(mock, &master, &bell))?;
@@ -70,7 +70,7 @@ impl PtyMock {
 
     /// Ends the thread and gives the mock back as it stands: `None` if the thread has panicked.
     #[must_use]
-    pub fn unwrap_mock(mut self) -> Option<WallMock> {
+    pub fn into_mock(mut self) -> Option<WallMock> {
         self.end()
     }
 
@@ -87,7 +87,7 @@ impl PtyMock {
 
     /// What the shafts really did.
     #[must_use]
-    pub fn truth(&self) -> Arc<Truth> {
+    pub fn true_positions(&self) -> Arc<TruePositions> {
         Arc::clone(&self.truth)
     }
 }

@@ -1,6 +1,6 @@
 //! How a device is named on the command line and in the configuration.
 
-use crate::device::find::Wanted;
+use crate::device::find::BoardQuery;
 use std::fmt;
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -20,14 +20,14 @@ pub enum Spec {
     /// A serial port by its path.
     Serial(PathBuf),
     /// The serial port of a board.
-    Found(Wanted),
+    Found(BoardQuery),
     /// A board's own USB interface.
-    Usb(Wanted),
+    Usb(BoardQuery),
 }
 
 /// Not a device. What was written, whoever read it says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum BadSpec {
+pub enum SpecError {
     /// None of them.
     #[error(
         "not one of auto, mock, pty, serial, serial:PATH, serial:SERIAL, serial:VID:PID[:SERIAL], usb, usb:SERIAL"
@@ -46,9 +46,9 @@ pub enum BadSpec {
 impl Spec {
     /// The board it stands for, if plugging one in may make it appear.
     #[must_use]
-    pub fn board(&self) -> Option<Wanted> {
+    pub fn board(&self) -> Option<BoardQuery> {
         match self {
-            Self::Auto | Self::Board => Some(Wanted::default()),
+            Self::Auto | Self::Board => Some(BoardQuery::default()),
             Self::Found(wanted) | Self::Usb(wanted) => Some(wanted.clone()),
             Self::Mock | Self::Pty | Self::Serial(_) => None,
         }
@@ -56,22 +56,22 @@ impl Spec {
 }
 
 impl FromStr for Spec {
-    type Err = BadSpec;
-    fn from_str(text: &str) -> Result<Self, BadSpec> {
+    type Err = SpecError;
+    fn from_str(text: &str) -> Result<Self, SpecError> {
         match text.split_once(':') {
             None if text == "auto" => Ok(Self::Auto),
             None if text == "mock" => Ok(Self::Mock),
             None if text == "pty" => Ok(Self::Pty),
-            None if text == "serial" => Ok(Self::Found(Wanted::default())),
-            None if text == "usb" => Ok(Self::Usb(Wanted::default())),
+            None if text == "serial" => Ok(Self::Found(BoardQuery::default())),
+            None if text == "usb" => Ok(Self::Usb(BoardQuery::default())),
             Some(("serial", path)) if path.contains('/') => Ok(Self::Serial(path.into())),
             Some(("serial", board)) => {
-                let bad = if board.contains(':') { BadSpec::Ids } else { BadSpec::Unknown };
-                Wanted::parse(board).map(Self::Found).ok_or(bad)
+                let bad = if board.contains(':') { SpecError::Ids } else { SpecError::Unknown };
+                BoardQuery::parse(board).map(Self::Found).ok_or(bad)
             }
-            Some(("usb", serial)) if serial.contains(':') => Err(BadSpec::UsbIds),
-            Some(("usb", serial)) => Wanted::parse(serial).map(Self::Usb).ok_or(BadSpec::Unknown),
-            _ => Err(BadSpec::Unknown),
+            Some(("usb", serial)) if serial.contains(':') => Err(SpecError::UsbIds),
+            Some(("usb", serial)) => BoardQuery::parse(serial).map(Self::Usb).ok_or(SpecError::Unknown),
+            _ => Err(SpecError::Unknown),
         }
     }
 }
@@ -87,8 +87,10 @@ impl fmt::Display for Spec {
             Self::Mock => out.write_str("mock"),
             Self::Pty => out.write_str("pty"),
             Self::Serial(path) => write!(out, "serial:{}", path.display()),
-            Self::Found(wanted) if wanted.ids == Wanted::default().ids => with(out, "serial", &wanted.serial),
-            Self::Found(Wanted { ids: (vendor, product), serial }) => {
+            Self::Found(wanted) if wanted.ids == BoardQuery::default().ids => {
+                with(out, "serial", &wanted.serial)
+            }
+            Self::Found(BoardQuery { ids: (vendor, product), serial }) => {
                 with(out, &format!("serial:{vendor:04x}:{product:04x}"), serial)
             }
             Self::Usb(wanted) => with(out, "usb", &wanted.serial),
@@ -117,22 +119,22 @@ mod tests {
         ] {
             assert_eq!(text.parse::<Spec>().unwrap().to_string(), text);
         }
-        let found = Spec::Found(Wanted::serial("e6"));
+        let found = Spec::Found(BoardQuery::serial("e6"));
         assert_eq!("serial:1209:0001:e6".parse::<Spec>().unwrap(), found);
         for (text, bad) in [
-            ("", BadSpec::Unknown),
-            ("uart", BadSpec::Unknown),
-            ("serial:", BadSpec::Unknown),
-            ("usb:", BadSpec::Unknown),
-            ("mock:1", BadSpec::Unknown),
-            ("board", BadSpec::Unknown),
-            ("serial:12:34", BadSpec::Ids),
-            ("serial:1209:1", BadSpec::Ids),
-            ("usb:1209:0001", BadSpec::UsbIds),
+            ("", SpecError::Unknown),
+            ("uart", SpecError::Unknown),
+            ("serial:", SpecError::Unknown),
+            ("usb:", SpecError::Unknown),
+            ("mock:1", SpecError::Unknown),
+            ("board", SpecError::Unknown),
+            ("serial:12:34", SpecError::Ids),
+            ("serial:1209:1", SpecError::Ids),
+            ("usb:1209:0001", SpecError::UsbIds),
         ] {
             assert_eq!(text.parse::<Spec>(), Err(bad), "{text}");
         }
-        assert!(BadSpec::Ids.to_string().contains("four hex digits"));
-        assert!(BadSpec::UsbIds.to_string().contains("a serial number only"));
+        assert!(SpecError::Ids.to_string().contains("four hex digits"));
+        assert!(SpecError::UsbIds.to_string().contains("a serial number only"));
     }
 }

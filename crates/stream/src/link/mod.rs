@@ -10,4 +10,4 @@ mod clock;
 mod session;
 
 pub use clock::Clock;
-pub use session::{Budget, Event, LineRate, LostReason, Session, Traffic, Trip, Verdict};
+pub use session::{Budget, Event, LineRate, LostReason, RoundTrip, Session, Traffic, Verdict};

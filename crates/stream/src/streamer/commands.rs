@@ -126,13 +126,13 @@ impl Streamer {
     pub(super) fn margin(&self, session: &Session, play: &Play) -> Result<Duration, Refused> {
         let steered = !play.open_loop && self.control.steers(self.telemetry);
         let demand = if steered { play.bandwidth.closed } else { play.bandwidth.open };
-        match session.carries(demand.frames) {
+        match session.rate_left(demand.frames) {
             Some(carries) if demand.rate > carries => {
                 Err(Refused::LineTooSlow { needs: demand.rate, carries })
             }
             Some(carries) => {
                 // Before there is a lead, two slow answers in a row must not make what follows the first frame late.
-                let waiting = 2 * session.wait().unwrap_or_default();
+                let waiting = 2 * session.ack_wait().unwrap_or_default();
                 Ok(FIRST_MARGIN.max(WAKE_UP + waiting + demand.ahead(carries)))
             }
             None => Ok(FIRST_MARGIN),
@@ -241,7 +241,7 @@ impl Streamer {
     fn reset(&mut self) -> Taken {
         let faulted = self.state() == State::Faulted;
         self.latched = false;
-        let open = self.session.as_ref().is_some_and(Session::is_greeted);
+        let open = self.session.as_ref().is_some_and(Session::can_command);
         Ok((open && faulted).then_some(Op::Reset))
     }
 
@@ -273,7 +273,7 @@ impl Streamer {
     }
 
     pub(super) fn next_control(&mut self) {
-        let Some(session) = self.session.as_mut().filter(|session| session.is_greeted()) else { return };
+        let Some(session) = self.session.as_mut().filter(|session| session.can_command()) else { return };
         if let (false, Some(first)) = (self.in_flight, self.controls.front()) {
             // What the line carries is measured while nothing can move.
             if matches!(first.op, Op::Arm { .. }) && !session.is_probed() {

@@ -43,7 +43,7 @@ impl Streamer {
             let after = if first.cut.is_some() {
                 let settled = !self.in_flight
                     && self.controls.is_empty()
-                    && session.is_settled()
+                    && session.is_answered()
                     && status.state != State::Returning;
                 (settled || first.phase == Phase::Waiting).then_some(status.counters)
             } else {
@@ -67,7 +67,7 @@ impl Streamer {
                 || (first.phase == Phase::Streamed && first.end().is_some_and(|end| tick >= end))
         });
         if over || returning || self.closing.is_some() {
-            session.ask();
+            session.request_status();
         }
     }
 
@@ -77,7 +77,7 @@ impl Streamer {
         let off = match (&self.session, &self.status) {
             (Some(session), Some((status, _))) => {
                 let quiet = matches!(status.state, State::Disarmed | State::Faulted);
-                quiet && session.is_settled() && self.controls.is_empty() && self.plays.is_empty()
+                quiet && session.is_answered() && self.controls.is_empty() && self.plays.is_empty()
             }
             _ => true,
         };

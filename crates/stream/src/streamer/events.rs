@@ -67,7 +67,7 @@ impl Streamer {
             Event::Status { status, tick } => self.status(now, status, tick, tell),
             Event::Stroke(stroke, verdict) => self.verdict(now, &stroke, verdict, tell),
             Event::OnsetRefused { rendered } => self.onset_refused(now, rendered),
-            Event::OnsetTaken => {
+            Event::OnsetAccepted => {
                 if let Some(active) = self.plays.iter_mut().find(|active| active.phase == Phase::Offered) {
                     active.phase = Phase::Streaming;
                 }
@@ -120,7 +120,7 @@ impl Streamer {
         let armed = matches!(status.state, State::Armed | State::Returning);
         let lease = Duration::from_secs_f64(self.settings.lease_ms / 1000.0);
         if let Some(session) = &mut self.session {
-            session.ping_every(if armed { lease / 5 } else { IDLE_PING }, now);
+            session.keep_alive_every(if armed { lease / 5 } else { IDLE_PING }, now);
         }
         if !armed && self.controls.is_empty() {
             self.wants_armed = false;
@@ -142,7 +142,7 @@ impl Streamer {
         let earliest = ticks(IN_TIME);
         let sent_tick = |sent| self.tick_at(sent).unwrap_or_default();
         let cause = match verdict {
-            Verdict::Late { again: true, .. } => LateCause::Link,
+            Verdict::Late { retransmitted: true, .. } => LateCause::Link,
             Verdict::Late { sent, .. } if sent_tick(sent) + earliest > stroke.up => LateCause::Host,
             _ => LateCause::Link,
         };

@@ -149,7 +149,7 @@ impl Streamer {
             if !session.push(&stroke) {
                 self.short_of_credits = session.credits() == 0;
                 if self.short_of_credits {
-                    session.ask_within(CREDITS_EVERY);
+                    session.request_status_within(CREDITS_EVERY);
                 }
                 self.fed = stroke.up;
                 return Fed::Blocked;

@@ -187,7 +187,7 @@ impl Streamer {
 
     /// Whether a device has said how it stands.
     fn is_there(&self) -> bool {
-        self.status.is_some() && self.session.as_ref().is_some_and(Session::is_greeted)
+        self.status.is_some() && self.session.as_ref().is_some_and(Session::can_command)
     }
 
     pub(super) fn state(&self) -> State {
@@ -202,7 +202,7 @@ impl Streamer {
     pub fn step(&mut self, now: HostInstant, tell: Tell<'_>) {
         if let Some(session) = &mut self.session {
             let events = &mut self.events;
-            session.listen(now, &mut |event| events.push_back(event));
+            session.check_silence(now, &mut |event| events.push_back(event));
         }
         self.drain(now, tell);
         self.next_control();
@@ -290,7 +290,7 @@ impl Streamer {
             line_bytes_per_s: self.session.as_ref().and_then(Session::capacity),
             bytes_out: traffic.bytes_out,
             bytes_in: traffic.bytes_in,
-            retransmitted: traffic.again,
+            retransmitted: traffic.retransmitted,
         }
     }
 

@@ -8,7 +8,7 @@ mod pipe;
 mod watch;
 
 use crate::device::DeviceError;
-use crate::device::find::Wanted;
+use crate::device::find::BoardQuery;
 use crate::link::LineRate;
 use pipe::Pipe;
 use rusb::{Context, DeviceHandle, Direction, TransferType, UsbContext};
@@ -41,7 +41,7 @@ impl UsbPort {
     ///
     /// # Errors
     /// If there is none, it is not ours, or in use.
-    pub fn open(wanted: &Wanted) -> Result<Self, DeviceError> {
+    pub fn open(wanted: &BoardQuery) -> Result<Self, DeviceError> {
         let none = || DeviceError::NoUsb(wanted.to_string());
         // A system without USB has no boards either.
         let devices = Context::new().and_then(|context| context.devices()).map_err(|_| none())?;
@@ -64,7 +64,7 @@ impl UsbPort {
             };
             let product = handle.read_product_string_ascii(&descriptor).ok();
             let serial = handle.read_serial_number_string_ascii(&descriptor).ok();
-            if wanted.is(ids, product.as_deref(), serial.as_deref()) {
+            if wanted.matches(ids, product.as_deref(), serial.as_deref()) {
                 return Self::claim(handle, place, serial.unwrap_or_default());
             }
         }

@@ -3,7 +3,7 @@
 //! It has a context of its own, so that waiting for news holds up no transfer. What is plugged in may not be ready
 //! (its port is named and its rights are given a little later), nor a board: whoever is told looks.
 
-use crate::device::find::Wanted;
+use crate::device::find::BoardQuery;
 use rusb::{Context, Device, Hotplug, HotplugBuilder, UsbContext};
 use std::io;
 use std::thread;
@@ -23,7 +23,7 @@ impl<F: FnMut() + Send> Hotplug<Context> for Arrivals<F> {
 ///
 /// # Errors
 /// If the system gives no thread.
-pub fn watch(wanted: &Wanted, arrived: impl FnMut() + Send + 'static) -> io::Result<bool> {
+pub fn watch(wanted: &BoardQuery, arrived: impl FnMut() + Send + 'static) -> io::Result<bool> {
     // (`rusb::has_hotplug` panics on a system without USB; registering says the same.)
     let Ok(context) = Context::new() else { return Ok(false) };
     let (vendor, product) = wanted.ids;

@@ -4,7 +4,7 @@
 //! was not reported was accepted.
 
 use crate::link::Clock;
-use crate::link::session::{Event, LostReason, Phase, Session, Trip, Verdict};
+use crate::link::session::{Event, LostReason, Phase, RoundTrip, Session, Verdict};
 use crate::time::HostInstant;
 use firmware_protocol::batch::Strokes;
 use firmware_protocol::controller::EARLY;
@@ -100,7 +100,7 @@ impl Session {
                 self.round_trip = (self.round_trip * 7 + now.since(sent)) / 8;
                 self.fastest = self.fastest.min(now.since(sent));
                 self.first_pings += 1;
-                self.trip = Some(Trip { sent, tick, received: now });
+                self.trip = Some(RoundTrip { sent, tick, received: now });
             }
         }
         if tick < self.newest {
@@ -130,7 +130,7 @@ impl Session {
         }
         if self.seen != self.made {
             // A report is missing: it is repeated to a host that is heard.
-            self.ask();
+            self.request_status();
         }
         tell(Event::Status { status, tick });
         if let Some(answer) = answered {
@@ -185,12 +185,12 @@ impl Session {
                 _ => {}
             }
             if batch.onset {
-                tell(Event::OnsetTaken);
+                tell(Event::OnsetAccepted);
             }
             for (i, stroke) in strokes.enumerate() {
                 let verdict = if late_mask >> i & 1 == 1 {
                     let sent = batch.first_sent.unwrap_or(now);
-                    Verdict::Late { rendered: free, sent, again: batch.again }
+                    Verdict::Late { rendered: free, sent, retransmitted: batch.retransmitted }
                 } else if refused_mask >> i & 1 == 1 {
                     Verdict::Refused(why)
                 } else {

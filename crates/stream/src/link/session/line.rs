@@ -30,12 +30,12 @@ pub struct Traffic {
     /// Bytes received.
     pub bytes_in: u64,
     /// Frames sent again.
-    pub again: u64,
+    pub retransmitted: u64,
 }
 
 /// A ping and its answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Trip {
+pub struct RoundTrip {
     /// When it was sent.
     pub sent: HostInstant,
     /// The device's clock in between.

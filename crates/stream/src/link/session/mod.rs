@@ -15,7 +15,7 @@ use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{Counters, Cut, DeviceHello, Op, Report, Status};
 use firmware_protocol::stroke::{MOTORS, Stroke};
 use firmware_protocol::tick::Tick;
-pub use line::{LineRate, Traffic, Trip};
+pub use line::{LineRate, RoundTrip, Traffic};
 pub use probe::Budget;
 use probe::Probe;
 use std::collections::VecDeque;
@@ -53,7 +53,7 @@ pub enum Verdict {
         /// When its frame was sent first.
         sent: HostInstant,
         /// Whether the frame had to be sent again.
-        again: bool,
+        retransmitted: bool,
     },
     /// Refused for this reason.
     Refused(Refusal),
@@ -142,7 +142,7 @@ pub enum Event {
         rendered: Tick,
     },
     /// The first frame of a play was taken.
-    OnsetTaken,
+    OnsetAccepted,
     /// The onset of a play has passed.
     Onset {
         /// When.
@@ -189,7 +189,7 @@ struct Batch {
     due: bool,
     /// The device has it, but not those before it.
     kept: bool,
-    again: bool,
+    retransmitted: bool,
 }
 
 #[derive(Debug)]
@@ -260,7 +260,7 @@ pub struct Session {
     round_trip: Duration,
     /// The shortest round trip so far.
     fastest: Duration,
-    trip: Option<Trip>,
+    trip: Option<RoundTrip>,
 }
 
 impl Session {
@@ -322,7 +322,7 @@ impl Session {
     }
 
     /// The last round trip, once.
-    pub fn take_trip(&mut self) -> Option<Trip> {
+    pub fn take_round_trip(&mut self) -> Option<RoundTrip> {
         self.trip.take()
     }
 
@@ -334,29 +334,29 @@ impl Session {
 
     /// Whether every control has been answered.
     #[must_use]
-    pub fn is_settled(&self) -> bool {
+    pub fn is_answered(&self) -> bool {
         self.control.is_none() && self.seen == self.made
     }
 
     /// Whether the handshake is done and the session not over: commands can be sent.
     #[must_use]
-    pub fn is_greeted(&self) -> bool {
+    pub fn can_command(&self) -> bool {
         self.phase == Phase::Open
     }
 
     /// Keeps the lease with a ping at least this often.
-    pub fn ping_every(&mut self, every: Duration, now: HostInstant) {
+    pub fn keep_alive_every(&mut self, every: Duration, now: HostInstant) {
         self.ping_every = every;
         self.ping_due = self.ping_due.min(now + every);
     }
 
     /// Asks for a status soon; may be called again and again until it comes.
-    pub fn ask(&mut self) {
+    pub fn request_status(&mut self) {
         self.ping_due = self.ping_due.min(self.last_ping + ASK_EVERY);
     }
 
     /// Asks for a status within this time: free slots are told by statuses, and who has none sends nothing that brings one.
-    pub fn ask_within(&mut self, time: Duration) {
+    pub fn request_status_within(&mut self, time: Duration) {
         self.ping_due = self.ping_due.min(self.last_ping + time);
     }
 
@@ -391,7 +391,7 @@ impl Session {
             last_sent,
             due: true,
             kept: false,
-            again: false,
+            retransmitted: false,
         }
     }
 

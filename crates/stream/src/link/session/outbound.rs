@@ -53,7 +53,7 @@ impl Session {
         if let Some(control) = &mut self.control
             && control.sent.is_none_or(|sent| now.since(sent) >= retry)
         {
-            self.traffic.again += u64::from(control.sent.is_some());
+            self.traffic.retransmitted += u64::from(control.sent.is_some());
             control.sent = Some(now);
             return written(&HostMessage::Control { epoch, seen, op: control.op }, out);
         }
@@ -87,7 +87,7 @@ impl Session {
                 continue;
             }
             if !batch.due && now.since(batch.last_sent) >= retry {
-                (batch.due, batch.again) = (true, true);
+                (batch.due, batch.retransmitted) = (true, true);
             }
             if !batch.due {
                 on_the_way += batch.len;
@@ -97,13 +97,13 @@ impl Session {
         }
         let next = next?;
         // What is missing must not wait for what comes after it.
-        if !next.again && on_the_way > 0 && on_the_way + MAX_FRAME > self.window_bytes {
+        if !next.retransmitted && on_the_way > 0 && on_the_way + MAX_FRAME > self.window_bytes {
             return None;
         }
         let (seq, onset, base) = (next.seq, next.onset, next.strokes.base().wire());
         let batch = next.strokes.bytes();
         let len = written(&HostMessage::Strokes { epoch, seq, seen, onset, base, batch }, out);
-        self.traffic.again += u64::from(next.again);
+        self.traffic.retransmitted += u64::from(next.retransmitted);
         next.due = false;
         next.len = len;
         next.first_sent = next.first_sent.or(Some(now));
@@ -112,7 +112,7 @@ impl Session {
     }
 
     /// Gives the device up if it has not answered for too long.
-    pub fn listen(&mut self, now: HostInstant, tell: &mut dyn FnMut(Event)) {
+    pub fn check_silence(&mut self, now: HostInstant, tell: &mut dyn FnMut(Event)) {
         let deaf = self.unanswered >= DEAF_PINGS && now.since(self.first_unanswered) >= DEAF_FOR;
         if self.phase == Phase::Open && deaf {
             self.lose(LostReason::NoAnswer, tell);
@@ -133,7 +133,7 @@ impl Session {
         self.unanswered += 1;
         let setting_clock = self.first_pings < FIRST_PINGS;
         let every = match self.unanswered {
-            _ if setting_clock || !self.is_settled() => FIRST_PING_EVERY,
+            _ if setting_clock || !self.is_answered() => FIRST_PING_EVERY,
             1 => self.ping_every,
             _ => self.ping_every.min(DOUBT_EVERY),
         };

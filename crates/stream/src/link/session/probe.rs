@@ -120,14 +120,14 @@ impl Session {
     /// Bytes per second that are left of [`Self::line`] when so many frames a second, however short, wait for their
     /// acknowledgements. `None` until it is measured.
     #[must_use]
-    pub fn carries(&self, frames_per_s: u32) -> Option<u32> {
-        let waiting = f64::from(frames_per_s) * self.wait()?.as_secs_f64();
+    pub fn rate_left(&self, frames_per_s: u32) -> Option<u32> {
+        let waiting = f64::from(frames_per_s) * self.ack_wait()?.as_secs_f64();
         Some((f64::from(self.line()?.0) * (1.0 - waiting)) as u32)
     }
 
     /// How long a frame waits, besides its bytes, for those before it to be acknowledged.
     #[must_use]
-    pub fn wait(&self) -> Option<Duration> {
+    pub fn ack_wait(&self) -> Option<Duration> {
         let (_, wait) = self.line?;
         Some(wait / self.frames_on_the_way() as u32)
     }
