@@ -8,7 +8,7 @@
 //! the file's name.
 
 use include_dir::{Dir, include_dir};
-use meissner_api::{Entry, List};
+use meissner_api::{PatternList, PatternSummary};
 use meissner_array::pattern::{MAX_FILE_BYTES, Pattern, PatternError};
 use rustix::fs::OFlags;
 use sha2::{Digest, Sha256};
@@ -154,8 +154,8 @@ impl Store {
 
     /// All patterns, and a line for each file that is none.
     #[must_use]
-    pub fn list(&self) -> List {
-        let mut list = List::default();
+    pub fn list(&self) -> PatternList {
+        let mut list = PatternList::default();
         list.patterns.extend(self.library.values().map(Stored::entry));
         let names = self.file_names().unwrap_or_else(|error| {
             list.errors.push(error.to_string());
@@ -254,8 +254,8 @@ impl Stored {
         Self { pattern, sha256, library: false }
     }
 
-    fn entry(&self) -> Entry {
-        Entry {
+    fn entry(&self) -> PatternSummary {
+        PatternSummary {
             name: self.pattern.name().to_owned(),
             library: self.library,
             duration_s: self.pattern.duration_s(),

@@ -3,7 +3,7 @@
 use crate::harness::TIMEOUT;
 use jiff::Zoned;
 use meissner::store::Store;
-use meissner_api::{Imported, Problem, Status};
+use meissner_api::{ImportedPattern, Problem, Status};
 use meissner_client::{Client, ClientError};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -123,7 +123,7 @@ fn play(client: &mut Client, seconds: f64) -> Value {
     }
 }
 
-fn problem(answer: Result<Imported, ClientError>) -> Problem {
+fn problem(answer: Result<ImportedPattern, ClientError>) -> Problem {
     match answer {
         Err(ClientError::Problem(problem)) => problem,
         other => panic!("{other:?}"),
@@ -184,7 +184,7 @@ fn fail_again_and_again(seed: u64, rounds: u32) -> (usize, usize) {
                 let name = format!("p{}", random.next_u64() % 4);
                 let text = text(&name, version, (random.next_u64() % 20_000) as usize);
                 on_its_way = Some((name.clone(), text.clone()));
-                match client.put::<Imported>(&format!("/v1/patterns/{name}"), text.clone()) {
+                match client.put::<ImportedPattern>(&format!("/v1/patterns/{name}"), text.clone()) {
                     Ok(imported) => {
                         acknowledged.push((Instant::now(), imported.sha256));
                         stored.insert(name, text);
@@ -292,7 +292,7 @@ fn a_full_disk_stops_no_play_and_costs_nothing_that_was_there() {
     drop(daemon);
     // There is room again: all is as it was, and whole.
     let mut daemon = Kept::start(dir.path(), "");
-    let _: Imported = daemon.armed().put("/v1/patterns/mine", text("mine", 2, 5000)).unwrap();
+    let _: ImportedPattern = daemon.armed().put("/v1/patterns/mine", text("mine", 2, 5000)).unwrap();
     assert!(daemon.end().success());
     let lines = lines(&logbook);
     assert!(lines.iter().any(|line| line["command"] == "import" && line["answer"] == "ok"));

@@ -10,7 +10,7 @@ use crate::record::calibration_plan;
 use anyhow::{Result, bail};
 use clap::Args;
 use meissner_api::Event;
-use meissner_api::{CalibrateRequest, CalibratedMotor, CalibrationReport, Played};
+use meissner_api::{CalibrateRequest, CalibratedMotor, CalibrationReport, PlayAccepted};
 use meissner_client::Events;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -46,7 +46,7 @@ pub(super) fn run(asked: &Calibrate) -> Result<ExitCode> {
     let mut client = asked.plain.client()?;
     let mut events = client.events()?;
     let over = control::leave_on_interrupt()?;
-    let Played { id } = client.post("/v1/calibrate", &request)?;
+    let PlayAccepted { id } = client.post("/v1/calibrate", &request)?;
     let json = asked.plain.output.json;
     let mut progress = Progress::new(Some(plan.duration_s()), json);
     control::follow(&mut client, &mut events, id, &mut progress)?;

@@ -9,7 +9,7 @@ use super::progress::Progress;
 use super::{Onset, Plain, Play, give, say, text};
 use crate::daemon;
 use anyhow::{Result, bail};
-use meissner_api::{ArmRequest, PlayRequest, Played, Status};
+use meissner_api::{ArmRequest, PlayAccepted, PlayRequest, Status};
 use meissner_api::{Event, Receipt};
 use meissner_client::{Client, ClientError, Events, HOME_TIMEOUT, escape};
 use serde_json::{Value, json};
@@ -116,13 +116,13 @@ pub(super) fn play(play: &Play) -> Result<ExitCode> {
     };
     let json = play.plain.output.json;
     if !play.wait {
-        let played: Played = client.post("/v1/play", &request)?;
+        let played: PlayAccepted = client.post("/v1/play", &request)?;
         give(json, &played, || format!("play {}: {}", played.id, play.name))?;
         return Ok(ExitCode::SUCCESS);
     }
     let mut events = client.events()?;
     let over = leave_on_interrupt()?;
-    let Played { id } = client.post("/v1/play", &request)?;
+    let PlayAccepted { id } = client.post("/v1/play", &request)?;
     let mut progress = Progress::new(length(&mut client, &request)?, json);
     let receipt = follow(&mut client, &mut events, id, &mut progress)?;
     over.store(true, Ordering::Relaxed);

@@ -14,9 +14,9 @@ use crate::store::Store;
 use anyhow::{Context, Result, bail};
 use meissner_api::Rates;
 use meissner_api::Realtime;
-use meissner_api::{ArmRequest, PlayRequest, Played, Status};
+use meissner_api::{ArmRequest, PlayAccepted, PlayRequest, Status};
 use meissner_api::{BurstCounts, PulseCounts};
-use meissner_api::{Receipt, Wire};
+use meissner_api::{LinkTraffic, Receipt};
 use meissner_array::pattern::Pattern;
 use meissner_client::{Client, Events};
 use meissner_stream::device::Spec;
@@ -127,7 +127,7 @@ fn connected(client: &mut Client) -> Result<Status> {
 fn play(client: &mut Client, events: &mut Events, request: &PlayRequest, json: bool) -> Result<Receipt> {
     // Simulated shafts are at rest.
     let _: Status = client.post("/v1/arm", &ArmRequest { assume_rest: true })?;
-    let Played { id } = client.post("/v1/play", request)?;
+    let PlayAccepted { id } = client.post("/v1/play", request)?;
     let mut progress = Progress::new(request.seconds, json);
     control::follow(client, events, id, &mut progress)
 }
@@ -169,7 +169,7 @@ fn report(
     let pattern = Store::new(None, false)?.get(PATTERN)?.pattern;
     let seconds = request.seconds.unwrap_or_default();
     let open = simulate_play(&pattern, request.seconds, &config.mock, config.settings, true)?;
-    let wire = receipt.wire.unwrap_or(Wire::new(0, 0));
+    let wire = receipt.wire.unwrap_or(LinkTraffic::new(0, 0));
     Ok(Report {
         pattern: receipt.pattern.clone(),
         seconds,
@@ -181,7 +181,7 @@ fn report(
         wire: WireReport {
             bytes_to_device: wire.bytes_to_device,
             bytes_per_burst: wire.bytes_per_burst,
-            bytes_per_burst_open_loop: Wire::new(open.outcome.wire_bytes, open.outcome.bursts.planned)
+            bytes_per_burst_open_loop: LinkTraffic::new(open.outcome.wire_bytes, open.outcome.bursts.planned)
                 .bytes_per_burst,
         },
         onset_latency_ms: receipt.onset_latency_ms,

@@ -7,7 +7,7 @@
 
 use super::{Plain, files, give, say, say_json, text};
 use anyhow::{Result, bail};
-use meissner_api::Imported;
+use meissner_api::ImportedPattern;
 use meissner_array::motor::SteadyState;
 use meissner_array::pattern::{MAX_FILE_BYTES, Pattern};
 use meissner_client::escape;
@@ -60,7 +60,7 @@ pub(super) fn read(file: &Path) -> Result<(Pattern, String)> {
 
 pub(super) fn import(plain: &Plain, file: &Path) -> Result<ExitCode> {
     let (pattern, text) = read(file)?;
-    let imported: Imported =
+    let imported: ImportedPattern =
         plain.client()?.put(&format!("/v1/patterns/{}", escape(pattern.name())), text)?;
     if plain.output.json {
         say_json(&imported)?;

@@ -105,9 +105,9 @@ pub(super) fn state(status: &Status) -> String {
 }
 
 pub(super) fn status(status: &Status) -> String {
-    let none = || match &status.missing {
+    let none = || match &status.no_device_reason {
         Some(missing) => format!("none: {missing}"),
-        None => format!("none yet: `{}` was asked for", status.wanted),
+        None => format!("none yet: `{}` was asked for", status.requested_device),
     };
     let device = status.device.as_ref().map_or_else(none, |device| {
         format!("{}, firmware {} ({})", device.kind, device.firmware, device.build)
@@ -185,7 +185,7 @@ pub(super) fn event(event: &Event) -> String {
                 "drifted: pins may be {um:.0} um off; `meissner home` between plays, or level them by hand"
             )
         }
-        Event::Lost { notices } => format!("lost: {notices} notices"),
+        Event::Lost { events } => format!("lost: {events} notices"),
         Event::Lagged { events } => format!("lagged: {events} events"),
     }
 }

@@ -26,8 +26,8 @@ use futures_util::stream::{self, Stream, StreamExt};
 use http_body_util::BodyExt;
 use meissner_api::parse_empty;
 use meissner_api::{
-    self, ArmRequest, CalibrateRequest, CalibrationReport, Code, Imported, MAX_BODY, PlayRequest, Played,
-    Problem, Status,
+    self, ArmRequest, CalibrateRequest, CalibrationReport, Code, ImportedPattern, MAX_BODY, PlayAccepted,
+    PlayRequest, Problem, Status,
 };
 use meissner_api::{Event, Receipt};
 use meissner_array::pattern::Warning;
@@ -220,7 +220,7 @@ async fn play(
     State(app): State<App>,
     Extension(peer): Extension<Who>,
     body: Body,
-) -> Answer<(StatusCode, Json<Played>)> {
+) -> Answer<(StatusCode, Json<PlayAccepted>)> {
     let mut asked = Asked::new(&app.engine, "play", peer);
     let outcome = async {
         let request = PlayRequest::parse(&read(body).await?)?;
@@ -228,7 +228,7 @@ async fn play(
         let stored = find(&app.shelf, &request.pattern).await?;
         let id = app.engine.play(&request, &stored, peer).await?;
         asked.began(id);
-        Ok((StatusCode::ACCEPTED, Json(Played { id })))
+        Ok((StatusCode::ACCEPTED, Json(PlayAccepted { id })))
     };
     let outcome = outcome.await;
     asked.outcome(outcome)
@@ -239,14 +239,14 @@ async fn calibrate(
     State(app): State<App>,
     Extension(peer): Extension<Who>,
     body: Body,
-) -> Answer<(StatusCode, Json<Played>)> {
+) -> Answer<(StatusCode, Json<PlayAccepted>)> {
     let mut asked = Asked::new(&app.engine, "calibrate", peer);
     let outcome = async {
         let request = CalibrateRequest::parse(&read(body).await?)?;
         asked.with(&request);
         let id = app.engine.calibrate(calibration_plan(&request)?, peer).await?;
         asked.began(id);
-        Ok((StatusCode::ACCEPTED, Json(Played { id })))
+        Ok((StatusCode::ACCEPTED, Json(PlayAccepted { id })))
     };
     let outcome = outcome.await;
     asked.outcome(outcome)
@@ -342,7 +342,7 @@ async fn import(
     Extension(peer): Extension<Who>,
     name: Result<Path<String>, PathRejection>,
     body: Body,
-) -> Answer<(StatusCode, Json<Imported>)> {
+) -> Answer<(StatusCode, Json<ImportedPattern>)> {
     let mut asked = Asked::new(&app.engine, "import", peer);
     let outcome = async {
         let name = path(name)?;
@@ -356,7 +356,7 @@ async fn import(
         asked.with(&json!({"name": shown, "sha256": sha256}));
         let status = if new { StatusCode::CREATED } else { StatusCode::OK };
         let warnings = texts(&pattern.warnings());
-        Ok((status, Json(Imported { name: pattern.name().to_owned(), sha256, warnings })))
+        Ok((status, Json(ImportedPattern { name: pattern.name().to_owned(), sha256, warnings })))
     };
     let outcome = outcome.await;
     asked.outcome(outcome)

@@ -153,8 +153,11 @@ impl Engine {
             Event::Calibrated { id, problem: Some(problem), .. } => {
                 warn!(play_id = id, cause = problem, "play {id} calibrated nothing: {problem}");
             }
-            Event::Lost { notices } => {
-                warn!(notices, "the daemon was too slow for the streamer: {notices} events are missing");
+            Event::Lost { events } => {
+                warn!(
+                    notices = events,
+                    "the daemon was too slow for the streamer: {events} events are missing"
+                );
             }
             _ => {}
         }

@@ -6,7 +6,7 @@ use super::engine::{Engine, Inner};
 use crate::record::state_name;
 use firmware_protocol::message::State;
 use meissner_api::NO_DEVICE;
-use meissner_api::{MotorStatus, Status, Waiting};
+use meissner_api::{MotorStatus, QueuedPlay, Status};
 use meissner_stream::time::HostInstant;
 use std::fmt::Write as _;
 
@@ -30,12 +30,12 @@ impl Engine {
             cause: cause.to_owned(),
             position: position.to_owned(),
             device: recorder.device(),
-            wanted: self.wanted.clone(),
-            missing: inner.missing.clone(),
+            requested_device: self.wanted.clone(),
+            no_device_reason: inner.missing.clone(),
             play: recorder.running(),
             queued: recorder
                 .queued()
-                .map(|receipt| Waiting { id: receipt.id, pattern: receipt.pattern.clone() })
+                .map(|receipt| QueuedPlay { id: receipt.id, pattern: receipt.pattern.clone() })
                 .collect(),
             tick: clock.map(|(tick, _)| tick.0),
             clock_uncertainty_us: clock.map(|(_, uncertainty_us)| uncertainty_us),

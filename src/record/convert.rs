@@ -41,7 +41,7 @@ pub fn refusal(refused: Refused) -> Problem {
         Refused::Returning => Code::Returning,
         Refused::Playing => Code::Playing,
         Refused::NotHome => Code::NotHome,
-        Refused::NothingToGoBy => Code::NothingToGoBy,
+        Refused::NothingToGoBy => Code::NoPositionEstimate,
         Refused::QueueFull => Code::QueueFull,
         Refused::BehindEndless => Code::BehindEndless,
         Refused::TooSoon => Code::TooSoon,

@@ -17,8 +17,8 @@ pub use prediction::{NoPrediction, PlayedPattern};
 use firmware_protocol::message::{DeviceHello, State};
 use firmware_protocol::tick::{TICK_HZ, Tick};
 use meissner_api::{
-    BurstCounts, DeviceInfo, Event, LISTED, LateCause, LateCounts, LateStroke, NO_DEVICE, PlayState,
-    PredictedResponse, PulseCounts, Receipt, RefusedStroke, Running, Wire,
+    BurstCounts, DeviceInfo, Event, LateCause, LateCounts, LateStroke, LinkTraffic, MAX_LISTED, NO_DEVICE,
+    PlayState, PredictedResponse, PulseCounts, Receipt, RefusedStroke, RunningPlay,
 };
 use meissner_stream::cause_text;
 use meissner_stream::queues::Onset;
@@ -125,7 +125,9 @@ impl Recorder {
             StreamEvent::StrokeRefused { id, motor, up, reason } => {
                 let reason = refusal_text(*reason).to_owned();
                 let stroke = RefusedStroke { motor: *motor, tick: up.0, reason };
-                if let Some(receipt) = self.live_mut(*id).filter(|receipt| receipt.refusals.len() < LISTED) {
+                if let Some(receipt) =
+                    self.live_mut(*id).filter(|receipt| receipt.refusals.len() < MAX_LISTED)
+                {
                     receipt.refusals.push(stroke.clone());
                 }
                 Some(Event::Refused { id: *id, stroke })
@@ -133,7 +135,7 @@ impl Recorder {
             StreamEvent::Ended { id, outcome } => self.ended(*id, outcome),
             StreamEvent::Lost(notices) => {
                 self.totals.lost += notices;
-                Some(Event::Lost { notices: *notices })
+                Some(Event::Lost { events: *notices })
             }
         }
     }
@@ -240,11 +242,11 @@ impl Recorder {
 
     /// The running play.
     #[must_use]
-    pub fn running(&self) -> Option<Running> {
+    pub fn running(&self) -> Option<RunningPlay> {
         let receipt = self.live.iter().find(|receipt| receipt.state == PlayState::Running)?;
         let played = self.snapshot.as_ref().and_then(|snapshot| snapshot.play);
         let played_s = played.filter(|(id, _)| *id == receipt.id).map_or(0.0, |(_, played_s)| played_s);
-        Some(Running { id: receipt.id, pattern: receipt.pattern.clone(), played_s })
+        Some(RunningPlay { id: receipt.id, pattern: receipt.pattern.clone(), played_s })
     }
 
     /// How everything stands, as an event.
@@ -279,7 +281,7 @@ fn complete(receipt: &mut Receipt, outcome: &Outcome) {
     receipt.pulses = Some(outcome.pulses);
     // The streamer's counts control; notices of single strokes may have been lost.
     receipt.lateness.counts = outcome.lateness;
-    receipt.wire = Some(Wire::new(outcome.wire_bytes, outcome.bursts.planned));
+    receipt.wire = Some(LinkTraffic::new(outcome.wire_bytes, outcome.bursts.planned));
     receipt.rest_error_um = Some(outcome.rest_error_um.to_vec());
 }
 

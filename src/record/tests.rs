@@ -137,7 +137,7 @@ fn receipts_and_lists_are_bounded() {
     let mut recorder = Recorder::default();
     for id in 1..=KEPT as u64 + 5 {
         take(&mut recorder, id);
-        for _ in 0..LISTED + 1 {
+        for _ in 0..MAX_LISTED + 1 {
             recorder.take(&StreamEvent::Late {
                 id,
                 motor: 3,
@@ -146,12 +146,12 @@ fn receipts_and_lists_are_bounded() {
                 cause: LateCause::Link,
             });
         }
-        assert_eq!(recorder.receipt(id).unwrap().lateness.counts.link, LISTED as u64 + 1);
+        assert_eq!(recorder.receipt(id).unwrap().lateness.counts.link, MAX_LISTED as u64 + 1);
         recorder.take(&ended(id, End::Done));
     }
     assert_eq!(recorder.finished.len(), KEPT);
     assert!(recorder.receipt(5).is_none());
-    assert_eq!(recorder.receipt(6).unwrap().lateness.strokes.len(), LISTED);
+    assert_eq!(recorder.receipt(6).unwrap().lateness.strokes.len(), MAX_LISTED);
 }
 
 #[test]
@@ -199,7 +199,7 @@ fn every_events_name_is_its_json_tag() {
         Event::Late { id: 1, stroke },
         Event::Refused { id: 1, stroke: refused },
         Event::Ended { receipt: Box::new(Receipt::new(1, "a", "", None)) },
-        Event::Lost { notices: 1 },
+        Event::Lost { events: 1 },
         Event::Lagged { events: 1 },
     ] {
         let json = serde_json::to_value(&event).unwrap();

@@ -6,7 +6,7 @@
 //! Invariant: [`Event::name`] is the `event` key of its JSON.
 
 use crate::receipt::{LateStroke, OnsetRecord, PredictedResponse, Receipt, RefusedStroke};
-use crate::status::{DeviceInfo, Running};
+use crate::status::{DeviceInfo, RunningPlay};
 use serde::{Deserialize, Serialize};
 
 /// Why the telemetry of a motor is not believed.
@@ -51,7 +51,7 @@ pub enum Event {
         /// The device's clock.
         tick: u64,
         /// The running play.
-        play: Option<Running>,
+        play: Option<RunningPlay>,
     },
     /// A device answered the handshake.
     Connected {
@@ -136,7 +136,8 @@ pub enum Event {
     /// Notices from the streamer were lost: events are missing here, the receipts' counts are right.
     Lost {
         /// How many.
-        notices: u64,
+        #[serde(rename = "notices")]
+        events: u64,
     },
     /// This listener was too slow.
     Lagged {

@@ -17,15 +17,15 @@ pub mod status;
 
 pub use calibration::{CalibratedMotor, CalibrationReport, Provenance};
 pub use event::{Event, SensorFault};
-pub use pattern::{Entry, Imported, List};
+pub use pattern::{ImportedPattern, PatternList, PatternSummary};
 pub use problem::{Code, Problem};
 pub use receipt::{
-    BurstCounts, LISTED, LateCause, LateCounts, LateStroke, LatenessRecord, OnsetRecord, PlayState,
-    PredictedResponse, PulseCounts, Rates, Receipt, RefusedStroke, Wire,
+    BurstCounts, LateCause, LateCounts, LateStroke, LatenessRecord, LinkTraffic, MAX_LISTED, OnsetRecord,
+    PlayState, PredictedResponse, PulseCounts, Rates, Receipt, RefusedStroke,
 };
 pub use request::{ArmRequest, CalibrateRequest, LatePolicy, MAX_AT_MS, MAX_BODY, PlayRequest, parse_empty};
 pub use status::{
-    DeviceInfo, ErrorSource, MotorStatus, NO_DEVICE, Played, Realtime, Running, Status, Waiting,
+    DeviceInfo, ErrorSource, MotorStatus, NO_DEVICE, PlayAccepted, QueuedPlay, Realtime, RunningPlay, Status,
 };
 
 /// Clients connected at the same time, at the most.

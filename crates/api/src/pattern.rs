@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 /// A line of a list.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Entry {
+pub struct PatternSummary {
     /// Its name.
     pub name: String,
     /// Whether it is part of the library.
@@ -19,16 +19,16 @@ pub struct Entry {
 
 /// Everything there is.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct List {
+pub struct PatternList {
     /// Sorted by name.
-    pub patterns: Vec<Entry>,
+    pub patterns: Vec<PatternSummary>,
     /// What could not be read, a line each.
     pub errors: Vec<String>,
 }
 
 /// The answer to `PUT /v1/patterns/NAME`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Imported {
+pub struct ImportedPattern {
     /// Its name.
     pub name: String,
     /// SHA-256 of its bytes.

@@ -8,7 +8,7 @@
 use serde::{Deserialize, Serialize};
 
 /// Strokes listed one by one in a receipt, at the most: late ones and refused ones each.
-pub const LISTED: usize = 100;
+pub const MAX_LISTED: usize = 100;
 
 /// Where a play stands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -135,7 +135,7 @@ pub struct LateCounts {
     pub worst_ms: f64,
 }
 
-/// The late strokes of a play: how many by cause, the worst, and the first [`LISTED`].
+/// The late strokes of a play: how many by cause, the worst, and the first [`MAX_LISTED`].
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LatenessRecord {
     /// The counts.
@@ -155,7 +155,7 @@ impl LatenessRecord {
             LateCause::Device => counts.device += 1,
         }
         counts.worst_ms = counts.worst_ms.max(stroke.late_ms);
-        if self.strokes.len() < LISTED {
+        if self.strokes.len() < MAX_LISTED {
             self.strokes.push(stroke);
         }
     }
@@ -193,14 +193,14 @@ pub struct Rates {
 
 /// What went over the wire to the device while a play ran, all overhead included.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Wire {
+pub struct LinkTraffic {
     /// Bytes of all frames.
     pub bytes_to_device: u64,
     /// Per planned burst; null without bursts.
     pub bytes_per_burst: Option<f64>,
 }
 
-impl Wire {
+impl LinkTraffic {
     /// So many bytes for so many bursts.
     #[must_use]
     #[expect(clippy::cast_precision_loss, reason = "a quotient to read")]
@@ -235,10 +235,10 @@ pub struct Receipt {
     pub pulses: Option<PulseCounts>,
     /// Its late strokes, so far.
     pub lateness: LatenessRecord,
-    /// Its refused strokes, so far: the first [`LISTED`].
+    /// Its refused strokes, so far: the first [`MAX_LISTED`].
     pub refusals: Vec<RefusedStroke>,
     /// What went over the wire; null until it is over.
-    pub wire: Option<Wire>,
+    pub wire: Option<LinkTraffic>,
     /// Estimated rest error of each motor at the end; null until it is over.
     pub rest_error_um: Option<Vec<f32>>,
     /// What was felt of its first minute at the most, by its bursts as they were measured; null until it is known, some time after

@@ -30,7 +30,7 @@ const fn usually() -> bool {
 
 /// The running play.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Running {
+pub struct RunningPlay {
     /// Its id.
     pub id: u64,
     /// Its pattern.
@@ -41,14 +41,14 @@ pub struct Running {
 
 /// `202` to `POST /v1/play`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Played {
+pub struct PlayAccepted {
     /// The play's id.
     pub id: u64,
 }
 
 /// A play that waits.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Waiting {
+pub struct QueuedPlay {
     /// Its id.
     pub id: u64,
     /// Its pattern.
@@ -101,15 +101,15 @@ pub struct Status {
     /// The connected device.
     pub device: Option<DeviceInfo>,
     /// The device asked for, as `--device` names it.
-    #[serde(default)]
-    pub wanted: String,
+    #[serde(default, rename = "wanted")]
+    pub requested_device: String,
     /// Why no device is connected, and what to do, as it was found last; null if one is, or was not looked for yet.
-    #[serde(default)]
-    pub missing: Option<String>,
+    #[serde(default, rename = "missing")]
+    pub no_device_reason: Option<String>,
     /// The running play.
-    pub play: Option<Running>,
+    pub play: Option<RunningPlay>,
     /// Plays that wait behind it.
-    pub queued: Vec<Waiting>,
+    pub queued: Vec<QueuedPlay>,
     /// The device's clock, now; null without a device.
     pub tick: Option<u64>,
     /// How well it is known.

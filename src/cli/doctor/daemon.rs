@@ -131,9 +131,9 @@ pub(super) fn findings(
     match &status.device {
         Some(device) => held(findings, &status, device),
         None => {
-            let found = match &status.missing {
+            let found = match &status.no_device_reason {
                 Some(missing) => format!("has no device: {missing}"),
-                None => format!("has no device yet: `{}` was asked for", status.wanted),
+                None => format!("has no device yet: `{}` was asked for", status.requested_device),
             };
             let advice = "it looks again by itself; for another one set `device` in its configuration, or restart it with --device";
             findings.push(Finding::new("daemon", Level::Fail, found, advice));
