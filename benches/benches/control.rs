@@ -6,15 +6,16 @@
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use firmware_protocol::stroke::{Burst, Direction, MOTORS};
-use firmware_protocol::tick::{TICK_HZ, Tick};
+use firmware_protocol::tick::Tick;
 use meissner_array::motor::SquareWave;
 use meissner_array::simulated::{Pin, PlantConfig};
+use meissner_array::units::TICKS_PER_MS;
 use meissner_stream::MotorRun;
 use std::hint::black_box;
 use std::time::Instant;
 
 const MILLISECONDS: u32 = 1000;
-const SAMPLE: u64 = TICK_HZ as u64 / 1000;
+const SAMPLE: u64 = TICKS_PER_MS;
 
 /// All motors with their loops, one after the other.
 fn loops(frequency_hz: f64) {

@@ -2,7 +2,8 @@
 //!
 //! Invariant: no more than [`MOST`] are kept, and none that began more than [`KEPT_S`] before the newest.
 
-use firmware_protocol::tick::{TICK_HZ, Tick};
+use firmware_protocol::tick::Tick;
+use meissner_array::units::TICKS_PER_S;
 use meissner_stream::queues::MeasuredBurst;
 use std::collections::VecDeque;
 
@@ -20,7 +21,7 @@ pub struct MeasuredBursts {
 impl MeasuredBursts {
     /// Takes one in.
     pub fn add(&mut self, traveled: MeasuredBurst) {
-        let old = |first: &MeasuredBurst| traveled.start - first.start > KEPT_S * u64::from(TICK_HZ);
+        let old = |first: &MeasuredBurst| traveled.start - first.start > KEPT_S * TICKS_PER_S;
         while self.kept.front().is_some_and(old) || self.kept.len() >= MOST {
             self.kept.pop_front();
         }

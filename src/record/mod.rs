@@ -15,11 +15,12 @@ pub use measured_bursts::{KEPT_S, MeasuredBursts};
 pub use prediction::{NoPrediction, PlayedPattern};
 
 use firmware_protocol::message::{DeviceHello, State};
-use firmware_protocol::tick::{TICK_HZ, Tick};
+use firmware_protocol::tick::Tick;
 use meissner_api::{
     BurstCounts, DeviceInfo, Event, LateCause, LateCounts, LateStroke, LinkTraffic, MAX_LISTED, NO_DEVICE,
     PlayState, PredictedResponse, PulseCounts, Receipt, RefusedStroke, RunningPlay,
 };
+use meissner_array::units::{duration_to_ticks, ns_to_ms};
 use meissner_stream::cause_text;
 use meissner_stream::queues::Onset;
 use meissner_stream::queues::{Outcome, Snapshot, StreamEvent, refusal_text};
@@ -222,10 +223,8 @@ impl Recorder {
     pub fn clock(&self, now: HostInstant) -> Option<(Tick, f64)> {
         let snapshot = self.snapshot.as_ref().filter(|snapshot| snapshot.connected)?;
         let since = now.since(snapshot.at);
-        let ticks = since.as_nanos() * u128::from(TICK_HZ) / 1_000_000_000;
-        let ticks = u64::try_from(ticks).unwrap_or(u64::MAX);
         let uncertainty_us = snapshot.clock_uncertainty_us + since.as_secs_f64() * 1e6 * DRIFT;
-        Some((Tick(snapshot.tick.0.saturating_add(ticks)), uncertainty_us))
+        Some((Tick(snapshot.tick.0.saturating_add(duration_to_ticks(since))), uncertainty_us))
     }
 
     /// State, cause and position as the API calls them.
@@ -266,9 +265,7 @@ impl Recorder {
 fn began(receipt: &mut Receipt, onset: Onset) {
     receipt.state = PlayState::Running;
     receipt.onset = Some(onset.into());
-    #[expect(clippy::cast_precision_loss, reason = "milliseconds to read")]
-    let latency_ms = onset.latency_ns as f64 / 1e6;
-    receipt.onset_latency_ms = Some(latency_ms);
+    receipt.onset_latency_ms = Some(ns_to_ms(onset.latency_ns));
 }
 
 fn complete(receipt: &mut Receipt, outcome: &Outcome) {

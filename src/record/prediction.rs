@@ -7,12 +7,12 @@
 //!
 //! Invariant: a [`PredictedResponse`] is about bursts of which no more than one in a hundred is unmeasured.
 
-use firmware_protocol::tick::{TICK_HZ, Tick};
+use firmware_protocol::tick::Tick;
 use meissner_api::{PlayState, PredictedResponse, Rates, Receipt};
-use meissner_array::motor::Ramp;
+use meissner_array::motor::{Ramp, WINDOW_TICKS};
 use meissner_array::pattern::Pattern;
 use meissner_array::strokes::{Strokes, StrokesError};
-use meissner_array::units::{UM_PER_PULSE, seconds_to_ticks};
+use meissner_array::units::{UM_PER_PULSE, seconds_to_ticks, ticks_to_seconds};
 use meissner_design::{MOST_OBSERVED_S, PredictionError};
 use meissner_stream::queues::MeasuredBurst;
 use std::collections::{HashMap, HashSet};
@@ -20,7 +20,7 @@ use std::collections::{HashMap, HashSet};
 /// One burst in so many may be unmeasured.
 const ONE_IN: u64 = 100;
 /// What is left out of a play that was cut, ticks: the longest burst, a correction, and the motor's window.
-const CUT: u64 = 3000 + 900 + 366;
+const CUT: u64 = 3000 + 900 + WINDOW_TICKS;
 /// A measurement that is known no better, as a share of what an ideal motor would travel and µm besides, is none: half of
 /// what bursts scatter by.
 const UNKNOWN: (f64, f64) = (0.05, 0.02);
@@ -139,7 +139,7 @@ impl<'p> PlayedPattern<'p> {
         if missing * ONE_IN > planned {
             return Err(NoPrediction::Unmeasured { missing, bursts: planned });
         }
-        let observed_s = (until - self.onset) as f64 / f64::from(TICK_HZ);
+        let observed_s = ticks_to_seconds(until - self.onset);
         let Self { pattern, seconds, onset, .. } = *self;
         let felt = meissner_design::predict_response(
             &meissner_design::Play { pattern, seconds, onset, observed_s },

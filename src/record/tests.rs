@@ -17,7 +17,7 @@ fn hello() -> DeviceHello {
         build: [0xde, 0xad, 0xbe, 0xef],
         boot: 7,
         motors: 24,
-        tick_hz: TICK_HZ,
+        tick_hz: firmware_protocol::tick::TICK_HZ,
         pool: 1024,
         horizon: 64,
         max_up_pulses: 3000,

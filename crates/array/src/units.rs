@@ -1,13 +1,28 @@
-//! Conversions between seconds, ticks and pulses.
+//! Converts between seconds, milliseconds, ticks and pulses.
 //!
-//! Device time is [`Tick`](firmware_protocol::tick::Tick), pattern time is seconds in `f64`.
+//! Device time is [`Tick`](firmware_protocol::tick::Tick), pattern time is seconds in `f64`, the host's time is a [`Duration`].
+//! Every crate of the host converts with these functions. They differ in what they do with a part of a tick:
+//! [`seconds_to_ticks`] rounds, [`duration_to_ticks`] drops it, [`seconds_in_ticks`] and [`ms_in_ticks`] keep it.
+//! (The clock model of the link measures how the device's and the host's clock differ; nothing here does.)
 //!
-//! Invariant: seconds become ticks in one place and by one rounding, [`seconds_to_ticks`].
+//! Invariant: the order of operations in each function is part of its definition, so results are the same bit for bit.
 
 use firmware_protocol::tick::TICK_HZ;
+use std::time::Duration;
 
 /// What one pulse moves a shaft by, µm: the slope of Fig. 3 of Gwak, Park & Kim.
 pub const UM_PER_PULSE: f64 = 0.95 / 7.0;
+
+/// Ticks of a second.
+pub const TICKS_PER_S: u64 = TICK_HZ as u64;
+
+/// Ticks of a millisecond, a whole number.
+pub const TICKS_PER_MS: u64 = TICKS_PER_S / 1000;
+
+/// Half ticks of a second: the motor model counts in half ticks.
+pub const HALF_TICKS_PER_S: f64 = 2.0 * TICK_HZ as f64;
+
+const _: () = assert!(TICKS_PER_MS * 1000 == TICKS_PER_S);
 
 /// The tick nearest to `seconds`, halves up: `floor(seconds * 85000 + 0.5)`. Negative or NaN: 0.
 #[must_use]
@@ -17,7 +32,55 @@ pub const UM_PER_PULSE: f64 = 0.95 / 7.0;
     reason = "the cast is the floor, and saturates"
 )]
 pub fn seconds_to_ticks(seconds: f64) -> u64 {
-    (seconds * f64::from(TICK_HZ) + 0.5) as u64
+    (seconds_in_ticks(seconds) + 0.5) as u64
+}
+
+/// The whole ticks of a duration.
+#[must_use]
+pub fn duration_to_ticks(duration: Duration) -> u64 {
+    let ticks = duration.as_nanos() * u128::from(TICK_HZ) / 1_000_000_000;
+    u64::try_from(ticks).unwrap_or(u64::MAX)
+}
+
+/// `seconds` as a number of ticks, not rounded.
+#[must_use]
+pub const fn seconds_in_ticks(seconds: f64) -> f64 {
+    seconds * TICK_HZ as f64
+}
+
+/// `ms` milliseconds as a number of ticks, not rounded.
+#[must_use]
+pub const fn ms_in_ticks(ms: f64) -> f64 {
+    ms * TICK_HZ as f64 / 1000.0
+}
+
+/// Ticks as seconds.
+#[must_use]
+#[expect(clippy::cast_precision_loss, reason = "2^53 ticks last 3 000 years")]
+pub const fn ticks_to_seconds(ticks: u64) -> f64 {
+    ticks as f64 / TICK_HZ as f64
+}
+
+/// Ticks as milliseconds.
+#[must_use]
+pub const fn ticks_to_ms(ticks: u64) -> f64 {
+    ticks_to_seconds(ticks) * 1000.0
+}
+
+/// Nanoseconds as milliseconds.
+#[must_use]
+#[expect(clippy::cast_precision_loss, reason = "milliseconds to read")]
+pub const fn ns_to_ms(ns: u64) -> f64 {
+    ns as f64 / 1e6
+}
+
+/// Milliseconds as a duration.
+///
+/// # Panics
+/// If `ms` is negative, not finite, or longer than a duration can be.
+#[must_use]
+pub fn ms_to_duration(ms: f64) -> Duration {
+    Duration::from_secs_f64(ms / 1000.0)
 }
 
 #[cfg(test)]
@@ -31,5 +94,19 @@ mod tests {
         assert_eq!(seconds_to_ticks(0.49 / 85_000.0), 0);
         assert_eq!(seconds_to_ticks(-1.0), 0);
         assert_eq!(seconds_to_ticks(f64::NAN), 0);
+    }
+
+    #[test]
+    fn a_duration_rounds_down_and_never_overflows() {
+        assert_eq!(duration_to_ticks(Duration::from_secs(1)), 85_000);
+        assert_eq!(duration_to_ticks(Duration::from_nanos(11_764)), 0);
+        assert_eq!(duration_to_ticks(Duration::from_nanos(11_765)), 1);
+        assert_eq!(duration_to_ticks(Duration::MAX), u64::MAX);
+    }
+
+    #[test]
+    fn ticks_and_milliseconds_convert_both_ways() {
+        assert_eq!((ms_in_ticks(2.5), ticks_to_ms(170), ticks_to_seconds(85_000)), (212.5, 2.0, 1.0));
+        assert_eq!((ns_to_ms(2_500_000), ms_to_duration(2.5)), (2.5, Duration::from_micros(2_500)));
     }
 }

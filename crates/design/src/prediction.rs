@@ -11,11 +11,11 @@
 
 use super::{Frame, Partition, Target};
 use firmware_protocol::stroke::Burst;
-use firmware_protocol::tick::{TICK_HZ, Tick};
+use firmware_protocol::tick::Tick;
 use meissner_array::motor::Ramp;
 use meissner_array::pattern::Pattern;
 use meissner_array::strokes::{Strokes, StrokesError};
-use meissner_array::units::seconds_to_ticks;
+use meissner_array::units::{seconds_in_ticks, seconds_to_ticks, ticks_to_seconds};
 use meissner_skin::afferent::{POPULATION_NOISE_SD, RaModel, Rectify, population};
 use meissner_skin::simulate::{MethodError, Ramps, RampsError, Scene, simulate_ramps};
 use serde::{Deserialize, Serialize};
@@ -98,13 +98,13 @@ pub fn predict_response(
 ) -> Result<PredictedResponse, PredictionError> {
     let &Play { pattern, seconds, onset, observed_s } = play;
     let strokes = Strokes::new(pattern, seconds)?;
-    let lasts_s = strokes.end().map_or(f64::INFINITY, |ticks| ticks as f64 / f64::from(TICK_HZ));
+    let lasts_s = strokes.end().map_or(f64::INFINITY, ticks_to_seconds);
     let observed_s = observed_s.min(lasts_s).min(MOST_OBSERVED_S);
     // NaN would have become a minute.
     if play.observed_s.is_nan() || observed_s <= 0.0 {
         return Err(PredictionError::Nothing { observed_s: play.observed_s });
     }
-    let end = observed_s * f64::from(TICK_HZ);
+    let end = seconds_in_ticks(observed_s);
     let target = Target::made_for(pattern);
     let seed = target.as_ref().map_or(0, Target::population_seed);
     let anybody = RaModel::default_for(Rectify::default(), POPULATION_NOISE_SD);
@@ -180,7 +180,7 @@ impl Watch {
     /// When a repeat begins, as strokes have it.
     fn begin_s(&self, repeat: u64) -> f64 {
         let ticks = self.repeat_s.map_or(0, |repeat_s| seconds_to_ticks(repeat as f64 * repeat_s));
-        ticks as f64 / f64::from(TICK_HZ)
+        ticks_to_seconds(ticks)
     }
 
     /// The repeat in which an instant lies.

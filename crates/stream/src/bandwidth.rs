@@ -11,8 +11,9 @@
 
 use crate::{Settings, batch_ticks};
 use firmware_protocol::batch::{BATCH_BYTES, Packer};
-use firmware_protocol::tick::{TICK_HZ, Tick};
+use firmware_protocol::tick::Tick;
 use meissner_array::strokes::Strokes;
+use meissner_array::units::{TICKS_PER_MS, TICKS_PER_S, ticks_to_seconds};
 use std::time::Duration;
 
 /// So much of a play is counted, s: what it does after a minute it will mostly have done before.
@@ -23,7 +24,7 @@ const FRAME_BYTES: usize = 24;
 const AMEND_FRAME_BYTES: usize = 21;
 const AMEND_BYTES: usize = 6;
 /// While telemetry comes the streamer wakes up so often, ticks: bursts of one such slot share a message.
-const AMEND_SLOT: u64 = TICK_HZ as u64 / 2000;
+const AMEND_SLOT: u64 = TICKS_PER_MS / 2;
 /// A keep-alive at the most, and how many there are per lease.
 const KEEP_BYTES: f64 = 14.0;
 const KEEPS: f64 = 5.0;
@@ -65,7 +66,7 @@ impl Bandwidth {
         let mut frame = Packer::<BATCH_BYTES>::new(Tick(0));
         let mut framed = u64::MAX;
         let strokes = strokes.map_while(Result::ok);
-        for stroke in strokes.take_while(|stroke| stroke.up.0 < LOOKED_S * u64::from(TICK_HZ)) {
+        for stroke in strokes.take_while(|stroke| stroke.up.0 < LOOKED_S * TICKS_PER_S) {
             let (at, before) = (stroke.up.0, frame.bytes().len());
             if framed == at / stretch && frame.stroke(&stroke).is_ok() {
                 bytes.add(at, frame.bytes().len() - before);
@@ -116,7 +117,7 @@ impl Sums {
     /// Whether a line of `rate` bytes per second, with never less than `before` to do, is never behind by more than
     /// `slack_s`.
     fn fits(&self, rate: f64, before: f64, slack_s: f64) -> bool {
-        let drained = rate * self.stretch as f64 / f64::from(TICK_HZ);
+        let drained = rate * self.stretch as f64 / TICKS_PER_S as f64;
         let mut waiting = before;
         self.sums.iter().all(|&bytes| {
             waiting += bytes as f64;
@@ -142,7 +143,7 @@ impl Sums {
     }
 
     fn demand(&self, frames: u32, settings: &Settings) -> Requirement {
-        let stretch = Duration::from_secs_f64(self.stretch as f64 / f64::from(TICK_HZ));
+        let stretch = Duration::from_secs_f64(ticks_to_seconds(self.stretch));
         if self.sums.is_empty() {
             return Requirement { stretch, ..Requirement::default() };
         }

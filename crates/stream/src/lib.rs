@@ -22,7 +22,7 @@ pub mod time;
 pub use bandwidth::{Bandwidth, Requirement};
 pub use control::{Gains, rest_bound_um};
 use firmware_protocol::limits::OnTimeLimits;
-use firmware_protocol::tick::TICK_HZ;
+use meissner_array::units::ms_in_ticks;
 pub use motor_run::{MotorRun, Period};
 pub use simulation::{Line, SimulatedPlay, Simulation, SimulationError, simulate_play};
 pub use streamer::{ANOTHER_DEVICE, Streamer, cause_text};
@@ -53,5 +53,5 @@ const LONGEST_BATCH_MS: f64 = 12.5;
 
 /// Strokes are handed over in stretches of so many ticks.
 fn batch_ticks(settings: &Settings) -> u64 {
-    ((settings.lead_ms / 4.0).min(LONGEST_BATCH_MS) * f64::from(TICK_HZ) / 1000.0) as u64
+    ms_in_ticks((settings.lead_ms / 4.0).min(LONGEST_BATCH_MS)) as u64
 }

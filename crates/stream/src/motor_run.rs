@@ -6,15 +6,15 @@
 use crate::control::{BurstController, DUE, Gains, LONGEST_AGE};
 use firmware_protocol::limits::MAX_UP_PULSES;
 use firmware_protocol::stroke::{Burst, Direction, Stroke};
-use firmware_protocol::tick::{TICK_HZ, Tick};
+use firmware_protocol::tick::Tick;
 use meissner_api::SensorFault;
 use meissner_array::motor::{Excursion, MotorError, SquareWave};
 use meissner_array::simulated::{Pin, PlantConfig};
-use meissner_array::units::{UM_PER_PULSE, seconds_to_ticks};
+use meissner_array::units::{TICKS_PER_MS, UM_PER_PULSE, seconds_in_ticks, seconds_to_ticks, ticks_to_ms};
 use std::collections::VecDeque;
 
-/// Wake-ups come every millisecond.
-const WAKE_UP: u64 = TICK_HZ as u64 / 1000;
+/// The loop wakes up every millisecond.
+const WAKE_UP: u64 = TICKS_PER_MS;
 
 /// What is tried.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -84,7 +84,7 @@ impl MotorRun {
     /// From a burst back to the newest sample that its count can go by, at the least, ms.
     #[must_use]
     pub fn delay_ms(&self) -> f64 {
-        self.age_ms + DUE as f64 / f64::from(TICK_HZ) * 1000.0
+        self.age_ms + ticks_to_ms(DUE)
     }
 
     /// Plays for so many seconds and tells of each period; `lie` may change samples (tick, 0.01 µm). Returns why the
@@ -118,8 +118,7 @@ impl MotorRun {
         let mut motor = Motor { pin, queue: VecDeque::new(), half: 0, top_um: 0.0 };
         let mut samples: VecDeque<(Tick, i32)> = VecDeque::new();
         let (mut sampled, mut number, mut now) = (start, 0_u64, start);
-        let sample_tick =
-            |number: u64| start + (number as f64 * f64::from(TICK_HZ) / self.telemetry_hz) as u64;
+        let sample_tick = |number: u64| start + (seconds_in_ticks(number as f64) / self.telemetry_hz) as u64;
         while now < end {
             now = now + WAKE_UP;
             while let Some(stroke) = next.filter(|stroke| stroke.up < now + lead.max(2 * DUE)) {

@@ -10,11 +10,12 @@ use crate::queues::{At, Command, MeasuredBurst, Outcome, Play, Request, StreamEv
 use crate::time::HostInstant;
 use crate::{Bandwidth, Settings, Streamer};
 use firmware_protocol::frame::MAX_FRAME;
-use firmware_protocol::tick::{TICK_HZ, Tick};
+use firmware_protocol::tick::Tick;
 use meissner_api::LatePolicy;
 use meissner_array::pattern::Pattern;
 use meissner_array::simulated::{PlantConfig, PlantError, RestStats};
 use meissner_array::strokes::{Strokes, StrokesError};
+use meissner_array::units::{duration_to_ticks, ticks_to_seconds};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use std::time::Duration;
@@ -119,6 +120,9 @@ impl Told {
     }
 }
 
+/// The host's time at the beginning, and the device's boot.
+const STARTED: HostInstant = HostInstant::from_ns(1_000_000_000);
+
 impl Simulation {
     /// A streamer that has just been connected to a mock that has just been switched on.
     ///
@@ -132,7 +136,7 @@ impl Simulation {
         let mut new = Self {
             streamer: Streamer::new(settings),
             mock: Mock::new(*plant, seed as u32)?,
-            now: HostInstant::from_ns(1_000_000_000),
+            now: STARTED,
             to_device: direction(0x5eed, line),
             to_host: direction(0xfeed, Line { bytes_per_s: 0, ..line }),
             notices: Told::default(),
@@ -205,8 +209,7 @@ impl Simulation {
     fn device(&mut self) {
         let bytes = self.to_device.arrived(self.now);
         self.mock.write(&bytes);
-        let ns = self.now.as_ns() - 1_000_000_000;
-        self.mock.run(Tick::BOOT + ns * u64::from(TICK_HZ) / 1_000_000_000);
+        self.mock.run(Tick::BOOT + duration_to_ticks(self.now.since(STARTED)));
         let mut bytes = [0; 4096];
         loop {
             let len = self.mock.read(&mut bytes);
@@ -314,7 +317,7 @@ pub fn simulate_play(
     let play =
         Play { id: 1, strokes, at: At::Next, late: LatePolicy::Drop, replace: false, open_loop, bandwidth };
     simulation.order(Command::Play(Box::new(play)));
-    let length = Duration::from_secs_f64(end as f64 / f64::from(TICK_HZ));
+    let length = Duration::from_secs_f64(ticks_to_seconds(end));
     let outcome = simulation.run_to_end(1, length + Duration::from_secs(2));
     let outcome = outcome.ok_or_else(|| SimulationError::NoEnd(name()))?;
     // The last bursts are yet to be measured.

@@ -12,12 +12,25 @@ mod shaft;
 mod steady;
 mod wave;
 
+use crate::units::TICKS_PER_S;
 pub use shaft::{HalfTick, Ramp, Shaft};
 pub use steady::SteadyState;
 pub use wave::{Excursion, Excursions, SquareWave};
 
 /// The window of the moving average, half ticks: the paper's 4.3 ms, 365.5 ticks.
 pub const WINDOW_HALF_TICKS: u64 = 731;
+
+/// The window in ticks, as a number for equations: 365.5.
+pub const WINDOW_LENGTH_TICKS: f64 = WINDOW_HALF_TICKS as f64 / 2.0;
+
+/// Whole ticks after which a shaft has followed its commanded position: 366.
+pub const WINDOW_TICKS: u64 = WINDOW_HALF_TICKS.div_ceil(2);
+
+/// Rest after which a motor's first burst is transient, ticks: half a second (the paper's Fig. 2).
+pub const TRANSIENT_REST_TICKS: u64 = TICKS_PER_S / 2;
+
+/// Mean gain of a transient burst (the paper's Fig. 2).
+pub const TRANSIENT_GAIN: f64 = 0.8;
 
 /// The fastest drive: one pulse up and one down, in turn.
 pub const MAX_FREQUENCY_HZ: f64 = 42_500.0;

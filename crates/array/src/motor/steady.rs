@@ -7,7 +7,9 @@
 //!
 //! Invariant: both figures are exact up to f64; neither is sampled.
 
-use super::{HalfTick, MotorError, Ramp, Shaft, SquareWave, WINDOW_HALF_TICKS};
+use super::{
+    HalfTick, MotorError, Ramp, Shaft, SquareWave, WINDOW_HALF_TICKS, WINDOW_LENGTH_TICKS, WINDOW_TICKS,
+};
 use crate::units::UM_PER_PULSE;
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::{TICK_HZ, Tick};
@@ -48,9 +50,8 @@ impl SteadyState {
 }
 
 /// `(2/W)(A x - v max(0, x - p)²)`: half-window x, half-plateau p, slope v; times in ticks.
-#[expect(clippy::cast_precision_loss, reason = "731")]
 fn ideal(frequency_hz: f64, amplitude_um: f64) -> f64 {
-    let window = WINDOW_HALF_TICKS as f64 / 2.0;
+    let window = WINDOW_LENGTH_TICKS;
     let period = f64::from(TICK_HZ) / frequency_hz;
     let reached = amplitude_um.min(UM_PER_PULSE * period / 2.0);
     let plateau = (period / 2.0 - reached / UM_PER_PULSE) / 2.0;
@@ -63,7 +64,7 @@ fn ideal(frequency_hz: f64, amplitude_um: f64) -> f64 {
 
 fn played(wave: &SquareWave) -> f64 {
     let rest = wave.half_period_ticks().saturating_sub(wave.wanted_pulses().into());
-    if rest >= WINDOW_HALF_TICKS.div_ceil(2) {
+    if rest >= WINDOW_TICKS {
         // Every plateau outlasts the window.
         return f64::from(wave.wanted_pulses()) * UM_PER_PULSE;
     }

@@ -18,8 +18,10 @@ mod rest;
 pub use pin::Pin;
 pub use rest::RestStats;
 
+use crate::motor::TRANSIENT_GAIN;
+use crate::units::{TICKS_PER_MS, TICKS_PER_S};
 use firmware_protocol::stroke::{Direction, Lines, MOTORS};
-use firmware_protocol::tick::{TICK_HZ, Tick};
+use firmware_protocol::tick::Tick;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
@@ -56,7 +58,7 @@ impl Default for PlantConfig {
             seed: 0,
             gain_sd: 0.10,
             asymmetry_sd: 0.02,
-            transient_gain: 0.8,
+            transient_gain: TRANSIENT_GAIN,
             end_stop_um: 500.0,
             telemetry_hz: 1000,
             telemetry_age_ms: 1,
@@ -209,7 +211,7 @@ impl Plant {
 
     /// The oldest sample that is due, once. Ask until there is none after each `advance`.
     pub fn telemetry(&mut self) -> Option<Sample> {
-        let age = u64::from(self.config.telemetry_age_ms) * u64::from(TICK_HZ / 1000);
+        let age = u64::from(self.config.telemetry_age_ms) * TICKS_PER_MS;
         let due = self.samples.front().is_some_and(|sample| sample.tick + age <= self.now);
         if due { self.samples.pop_front() } else { None }
     }
@@ -243,13 +245,13 @@ impl Plant {
 
     fn sample_tick(&self, number: u64) -> Option<Tick> {
         let hz = u64::from(self.config.telemetry_hz);
-        (hz > 0).then(|| self.start + number * u64::from(TICK_HZ) / hz)
+        (hz > 0).then(|| self.start + number * TICKS_PER_S / hz)
     }
 
     /// Takes the samples up to now, but none that would be lost at once.
     fn take_samples(&mut self) {
         let bound = self.queue_bound();
-        let newest = (self.now - self.start) * u64::from(self.config.telemetry_hz) / u64::from(TICK_HZ);
+        let newest = (self.now - self.start) * u64::from(self.config.telemetry_hz) / TICKS_PER_S;
         self.next_sample = self.next_sample.max((newest + 1).saturating_sub(bound as u64));
         while let Some(tick) = self.sample_tick(self.next_sample)
             && tick <= self.now

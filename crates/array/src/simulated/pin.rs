@@ -6,14 +6,11 @@
 //! Invariant: a gain is never negative, and the position never leaves the end stops by more than rounding.
 
 use super::{PlantConfig, RestStats};
-use crate::motor::{Ramp, Shaft};
+use crate::motor::{Ramp, Shaft, TRANSIENT_REST_TICKS};
 use crate::random;
 use crate::units::UM_PER_PULSE;
 use firmware_protocol::stroke::{self, Direction};
-use firmware_protocol::tick::{TICK_HZ, Tick};
-
-/// Rest after which a motor's first burst is transient: half a second.
-const TRANSIENT_REST_TICKS: u64 = TICK_HZ as u64 / 2;
+use firmware_protocol::tick::Tick;
 
 /// Telemetry's unit: 0.01 µm.
 const QUANTA_PER_UM: f64 = 100.0;

@@ -19,7 +19,7 @@ use meissner_api::SensorFault;
 use meissner_array::motor::MotorError;
 use meissner_array::pattern::Pattern;
 use meissner_array::simulated::PlantConfig;
-use meissner_array::units::UM_PER_PULSE;
+use meissner_array::units::{UM_PER_PULSE, seconds_in_ticks};
 use meissner_skin::simulate::Scene;
 use meissner_stream::{MotorRun, Period, Settings, rest_bound_um, simulate_play};
 use rayon::prelude::*;
@@ -266,7 +266,7 @@ pub fn control_tradeoff(
 impl ControlRow {
     fn of(motor_run: &MotorRun, seconds: f64) -> Result<Self, MotorError> {
         let delay_ms = motor_run.delay_ms();
-        let skipped = 2f64.max(10.0 * delay_ms / 1000.0) * f64::from(TICK_HZ);
+        let skipped = seconds_in_ticks(2f64.max(10.0 * delay_ms / 1000.0));
         let mut periods: Vec<Period> = Vec::new();
         let keep = |period: &Period| {
             if period.up as f64 >= skipped {

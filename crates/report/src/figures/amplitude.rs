@@ -11,10 +11,11 @@ use super::chart::{Axis, Chart, Dot, Point, Scale, Series, draw};
 use super::page::Section;
 use super::table::number;
 use firmware_protocol::stroke::{Direction, Lines, MOTORS};
-use firmware_protocol::tick::{TICK_HZ, Tick};
+use firmware_protocol::tick::Tick;
 use meissner_array::geometry;
-use meissner_array::motor::{MotorError, SquareWave, SteadyState, WINDOW_HALF_TICKS};
+use meissner_array::motor::{MotorError, SquareWave, SteadyState, WINDOW_HALF_TICKS, WINDOW_LENGTH_TICKS};
 use meissner_array::simulated::{Plant, PlantConfig};
+use meissner_array::units::TICKS_PER_S;
 use plotters::chart::SeriesLabelPosition;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -41,7 +42,7 @@ const ASK_TICKS: u64 = 400;
 const END_STOP_UM: f64 = 10_000.0;
 const SEED: u64 = 0;
 /// The window, in periods of 1 Hz.
-const WINDOW_S: f64 = WINDOW_HALF_TICKS as f64 / 2.0 / TICK_HZ as f64;
+const WINDOW_S: f64 = WINDOW_LENGTH_TICKS / TICKS_PER_S as f64;
 /// Below this a share says nothing, µm.
 const WORTH_UM: f64 = 5.0;
 
@@ -82,13 +83,14 @@ pub(super) fn section(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Ampli
     let mut section = Section::new("amplitude", "Amplitude against frequency (the paper's Fig. 3)");
     let caption = format!(
         "Steady amplitude of a pin, peak to peak, against the frequency of its drive, for amplitudes of {} µm. Lines: \
-         the motor model (slope limited to 11.5 mm/s, moving average over 4.3 ms) in closed form. Points: mean and \
+         the motor model (slope limited to 11.5 mm/s, moving average over {:.1} ms) in closed form. Points: mean and \
          standard deviation of {} cycles of the simulated plant (seed {SEED}, gain of each burst scattered by 10 %, no \
          closed loop, end stops out of reach), read from its telemetry at {SAMPLES_HZ} Hz in steps of 0.01 µm after the \
          transient; a cycle is its top minus the mean of the bottoms beside it, at the model's instants. Where the model \
          moves by {WORTH_UM} µm or more, measured is {} times that in the mean, and off by {} % at worst. What is below \
          {LEAST_UM} µm is drawn there; the model's null at 232.6 Hz is that of a moving average, not of a motor.",
         AMPLITUDES_UM.map(number).join(", "),
+        WINDOW_S * 1000.0,
         CYCLES * usize::from(geometry::COLUMNS),
         number(figures.measured_over_model),
         number((figures.worst_deviation * 1000.0).round() / 10.0),
@@ -230,6 +232,6 @@ fn measure(frequency_hz: f64) -> Result<[Vec<f64>; AMPLITUDES_UM.len()], Figures
 /// moving average comes half a window later.
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time, rounded")]
 fn sample(twice: u64) -> u64 {
-    let ticks = (twice as f64 + WINDOW_HALF_TICKS as f64 / 2.0) / 2.0;
-    (ticks * f64::from(SAMPLES_HZ) / f64::from(TICK_HZ)).round() as u64
+    let ticks = (twice as f64 + WINDOW_LENGTH_TICKS) / 2.0;
+    (ticks * f64::from(SAMPLES_HZ) / TICKS_PER_S as f64).round() as u64
 }

@@ -10,9 +10,9 @@ use super::page::Section;
 use super::table::{number, table};
 use super::{FiguresError, mean_and_sd};
 use firmware_protocol::stroke::{Direction, MOTORS};
-use firmware_protocol::tick::{TICK_HZ, Tick};
+use firmware_protocol::tick::Tick;
 use meissner_array::simulated::{Plant, PlantConfig};
-use meissner_array::units::UM_PER_PULSE;
+use meissner_array::units::{UM_PER_PULSE, ticks_to_seconds};
 use meissner_stream::calibrate::{BurstTravel, Fit, Plan, STROKES_PER_GROUP, travels_by_sensor};
 use plotters::chart::SeriesLabelPosition;
 use serde::Serialize;
@@ -130,7 +130,7 @@ fn fits(figures: &Pulses) -> String {
 fn csv(blocks: &[BurstTravel]) -> String {
     let mut csv = String::from("start_s,up,settling,pulses,travel_um\n");
     for block in blocks {
-        let start_s = block.start.0 as f64 / f64::from(TICK_HZ);
+        let start_s = ticks_to_seconds(block.start.0);
         let (up, settling) = (u8::from(block.direction == Direction::Up), u8::from(block.warm_up));
         // Writing to a string does not fail.
         let _ = writeln!(csv, "{start_s:.6},{up},{settling},{},{:.4}", block.pulses, block.travel_um);

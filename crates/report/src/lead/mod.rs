@@ -19,6 +19,7 @@ use meissner_api::{BurstCounts, LatePolicy};
 use meissner_array::pattern::Pattern;
 use meissner_array::simulated::PlantConfig;
 use meissner_array::strokes::Strokes;
+use meissner_array::units::ns_to_ms;
 use meissner_skin::simulate::Scene;
 use meissner_stream::queues::{At, Command, End, Play, StreamEvent};
 use meissner_stream::time::HostInstant;
@@ -207,7 +208,7 @@ impl<'t> Replay<'t> {
         };
         for notice in self.simulation.take_notices() {
             match notice {
-                StreamEvent::Began { onset, .. } => run.onsets_ms.push(onset.latency_ns as f64 / 1e6),
+                StreamEvent::Began { onset, .. } => run.onsets_ms.push(ns_to_ms(onset.latency_ns)),
                 StreamEvent::Ended { outcome, .. } => {
                     run.bursts.planned += outcome.bursts.planned;
                     run.bursts.late += outcome.bursts.late;

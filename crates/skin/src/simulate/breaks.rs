@@ -12,15 +12,13 @@
 
 use super::track::Track;
 use firmware_protocol::stroke::Direction;
-use firmware_protocol::tick::{TICK_HZ, Tick};
+use firmware_protocol::tick::Tick;
 use meissner_array::motor::{Ramp, WINDOW_HALF_TICKS};
 use meissner_array::pattern::Drive;
-use meissner_array::units::{UM_PER_PULSE, seconds_to_ticks};
+use meissner_array::units::{HALF_TICKS_PER_S, UM_PER_PULSE, seconds_to_ticks};
 use rayon::prelude::*;
 use std::collections::VecDeque;
 
-/// Half ticks in a second.
-pub(super) const HALF_TICKS_PER_S: f64 = 2.0 * TICK_HZ as f64;
 /// Half ticks of the moving average.
 const WINDOW: f64 = WINDOW_HALF_TICKS as f64;
 /// Breaks of a block, about: what fits a processor's nearer cache.

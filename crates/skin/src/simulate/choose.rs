@@ -6,11 +6,11 @@
 //!
 //! Invariant: the choice depends on the scene and the error alone, never on a clock.
 
-use super::breaks::HALF_TICKS_PER_S;
 use super::engine;
 use super::track::{Track, of_scene};
 use super::{Integrator, Method, MethodError, Options, Precision, Scene, Stepping};
 use meissner_array::motor::WINDOW_HALF_TICKS;
+use meissner_array::units::HALF_TICKS_PER_S;
 use std::sync::Arc;
 
 /// A method chosen for a scene.

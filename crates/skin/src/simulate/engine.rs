@@ -6,7 +6,7 @@
 //!
 //! Invariant: the answer for a receptor depends on the scene and its number, not on tiles, blocks or threads.
 
-use super::breaks::{Blocks, HALF_TICKS_PER_S, end};
+use super::breaks::{Blocks, end};
 use super::cycle;
 use super::exact;
 use super::lanes::Number;
@@ -22,6 +22,7 @@ use super::{
 use crate::afferent;
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::random::Normals;
+use meissner_array::units::HALF_TICKS_PER_S;
 use pulp::Arch;
 use rayon::prelude::*;
 use std::sync::Arc;

@@ -9,11 +9,10 @@
 //!
 //! Invariant: lengths are measured from a piece's own start, never from the scene's.
 
-use super::breaks::HALF_TICKS_PER_S;
 use crate::afferent::{LEAST_THRESHOLD, NOISE_LIMIT_SD, RaModel, Rectify};
 use meissner_array::motor::WINDOW_HALF_TICKS;
 use meissner_array::random::Normals;
-use meissner_array::units::UM_PER_PULSE;
+use meissner_array::units::{HALF_TICKS_PER_S, UM_PER_PULSE};
 
 /// `RaModel` in the simulator's units.
 #[derive(Clone, Copy, Debug)]

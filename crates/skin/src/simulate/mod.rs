@@ -47,8 +47,9 @@ pub use scene::{MAX_JSON_BYTES, MAX_TOML_BYTES, Problem, Scene, SceneError};
 pub use scene::{MOST_ALPHA_PER_UM, RawReceptor, check_model};
 
 use crate::afferent::LEAST_WEIGHT;
-use breaks::{HALF_TICKS_PER_S, end};
+use breaks::end;
 use engine::Member;
+use meissner_array::units::HALF_TICKS_PER_S;
 use serde::{Deserialize, Serialize};
 use std::ops::RangeInclusive;
 

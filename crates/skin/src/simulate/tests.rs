@@ -1,6 +1,6 @@
 //! Of the parts that need what is private: vectors of every width, and the samples of velocities.
 
-use super::breaks::{Blocks, HALF_TICKS_PER_S, end};
+use super::breaks::{Blocks, end};
 use super::cycle::periods;
 use super::engine::{Member, run_on};
 use super::exact::{Group, MOST_BUFFERED};
@@ -13,7 +13,7 @@ use firmware_protocol::tick::Tick;
 use meissner_array::motor::{HalfTick, Ramp, Shaft, WINDOW_HALF_TICKS};
 use meissner_array::pattern::Drive;
 use meissner_array::random::uniform;
-use meissner_array::units::UM_PER_PULSE;
+use meissner_array::units::{HALF_TICKS_PER_S, UM_PER_PULSE};
 use pulp::Arch;
 use std::sync::Arc;
 

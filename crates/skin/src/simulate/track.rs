@@ -8,7 +8,7 @@
 //!
 //! Invariant: a track depends on its motor's drives or ramps, the scene's duration and membrane, and the method.
 
-use super::breaks::{Break, Breaks, HALF_TICKS_PER_S, end};
+use super::breaks::{Break, Breaks, end};
 use super::lanes::Number;
 use super::sampler::Sampler;
 use super::silent::Bound;
@@ -17,6 +17,7 @@ use super::{Method, Scene, horizon};
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::motor::Ramp;
 use meissner_array::pattern::Drive;
+use meissner_array::units::HALF_TICKS_PER_S;
 use std::sync::{Arc, OnceLock};
 
 /// Bytes of what is kept of all the motors of a scene: a minute of fast strokes or of steps. An evaluator keeps no more of

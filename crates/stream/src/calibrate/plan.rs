@@ -11,7 +11,7 @@
 use super::BurstTravel;
 use firmware_protocol::stroke::{Burst, Direction, MOTORS};
 use firmware_protocol::tick::Tick;
-use meissner_array::motor::WINDOW_HALF_TICKS;
+use meissner_array::motor::WINDOW_TICKS;
 use meissner_array::pattern::{Drive, MAX_DRIVES, Pattern};
 use meissner_array::strokes::Strokes;
 use meissner_array::units::UM_PER_PULSE;
@@ -206,7 +206,7 @@ impl PlannedBurst {
     /// When the pin is at rest again: the motor's window after the last pulse.
     #[must_use]
     pub fn rests_at(&self) -> Tick {
-        self.burst.end() + WINDOW_HALF_TICKS.div_ceil(2)
+        self.burst.end() + WINDOW_TICKS
     }
 
     /// What became of it, by the displacements at rest before it and after it, µm, upwards.

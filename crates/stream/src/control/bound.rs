@@ -7,7 +7,7 @@
 
 use firmware_protocol::tick::{TICK_HZ, Tick};
 use meissner_array::motor::{HalfTick, Ramp};
-use meissner_array::units::UM_PER_PULSE;
+use meissner_array::units::{UM_PER_PULSE, seconds_in_ticks};
 
 /// Telemetry's quantum, µm.
 const QUANTUM_UM: f64 = 0.01;
@@ -32,7 +32,7 @@ pub fn rest_bound_um(
     let rounding = UM_PER_PULSE * UM_PER_PULSE / 12.0;
     let variance = scatter * scatter * travel_um * travel_um / (1.0 - scatter * scatter);
     let (half, every) = (f64::from(TICK_HZ) / frequency_hz / 2.0, f64::from(TICK_HZ) / telemetry_hz);
-    let delay = delay_ms / 1000.0 * f64::from(TICK_HZ);
+    let delay = seconds_in_ticks(delay_ms / 1000.0);
     let left = |phase: u64| {
         // The burst in question begins at 0; times are ticks before it.
         let newest = delay + every * phase as f64 / PHASES as f64;

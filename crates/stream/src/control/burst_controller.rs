@@ -20,21 +20,21 @@ use super::telemetry_monitor::{Seen, TelemetryMonitor};
 use firmware_protocol::controller::POOL;
 use firmware_protocol::limits::{MAX_DOWN_PULSES, MAX_UP_PULSES, correction};
 use firmware_protocol::stroke::{Burst, Direction, Stroke};
-use firmware_protocol::tick::{TICK_HZ, Tick};
+use firmware_protocol::tick::Tick;
 use meissner_api::SensorFault;
 use meissner_array::motor::HalfTick;
-use meissner_array::units::UM_PER_PULSE;
+use meissner_array::units::{TICKS_PER_MS, TICKS_PER_S, UM_PER_PULSE};
 use std::collections::VecDeque;
 
 /// A correction leaves when its burst is this near: later is fresher, but it must not come too late.
-pub(super) const LATEST: u64 = TICK_HZ as u64 / 1000 * 3 / 2;
+pub(super) const LATEST: u64 = TICKS_PER_MS * 3 / 2;
 /// It is settled when it is this near: a wake-up of 1 ms comes before [`LATEST`], and half of one is to spare.
-pub(crate) const DUE: u64 = LATEST + TICK_HZ as u64 / 1000 * 3 / 2;
+pub(crate) const DUE: u64 = LATEST + TICKS_PER_MS * 3 / 2;
 /// When a correction leaves anyway, those of other motors leave with it that are due within 2 ms: a frame costs as much as
 /// three corrections.
-pub(crate) const EARLIEST: u64 = DUE + TICK_HZ as u64 / 1000 * 2;
+pub(crate) const EARLIEST: u64 = DUE + TICKS_PER_MS * 2;
 /// Telemetry older than this steers nothing and is not waited for.
-pub(crate) const LONGEST_AGE: u64 = TICK_HZ as u64 * 5 / 4;
+pub(crate) const LONGEST_AGE: u64 = TICKS_PER_S * 5 / 4;
 /// Strokes of one motor that may begin in [`LONGEST_AGE`], at 300 Hz.
 const PAST: usize = 400;
 /// Where there is no room to lengthen a burst, the top is lowered by so many standard deviations of a burst's scatter.

@@ -14,8 +14,8 @@
 
 use crate::queues::MeasuredBurst;
 use firmware_protocol::stroke::{Burst, Direction};
-use firmware_protocol::tick::{TICK_HZ, Tick};
-use meissner_array::motor::{HalfTick, Ramp, WINDOW_HALF_TICKS};
+use firmware_protocol::tick::Tick;
+use meissner_array::motor::{HalfTick, Ramp, TRANSIENT_GAIN, TRANSIENT_REST_TICKS, WINDOW_HALF_TICKS};
 use meissner_array::units::UM_PER_PULSE;
 
 /// Bursts under the window at once: at 300 Hz five. With more, the oldest counts as over.
@@ -25,10 +25,7 @@ const STATES: usize = 3 + BURSTS;
 const POSITION: usize = 0;
 const GAINS: [usize; 2] = [1, 2];
 
-/// Rest after which a burst is transient, ticks, and the mean gain of it: the paper's Fig. 2.
-const REST: u64 = TICK_HZ as u64 / 2;
-const TRANSIENT_GAIN: f64 = 0.8;
-/// How little is known of a transient burst besides.
+/// How little is known of a transient burst, besides its mean gain.
 const TRANSIENT_SD: f64 = 0.1;
 /// What is taken for the scatter of bursts until it is learned: the paper's Fig. 2.
 const SCATTER: f64 = 0.10;
@@ -136,7 +133,7 @@ pub(super) const fn sign(direction: Direction) -> f64 {
 
 /// The mean gain of a burst that begins so long after the one before, over the motor's.
 pub(super) fn after_rest(last_end: Option<Tick>, start: Tick) -> f64 {
-    if last_end.is_none_or(|end| start - end >= REST) { TRANSIENT_GAIN } else { 1.0 }
+    if last_end.is_none_or(|end| start - end >= TRANSIENT_REST_TICKS) { TRANSIENT_GAIN } else { 1.0 }
 }
 
 impl Estimator {

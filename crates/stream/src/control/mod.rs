@@ -21,12 +21,11 @@ pub use bound::rest_bound_um;
 use firmware_protocol::batch::Amendment;
 use firmware_protocol::limits::OnTimeLimits;
 use firmware_protocol::stroke::{Direction, MOTORS, Stroke};
-use firmware_protocol::tick::{TICK_HZ, Tick};
+use firmware_protocol::tick::Tick;
 use meissner_api::ErrorSource;
 use meissner_api::SensorFault;
-
-/// Displacement follows the commanded position within the moving average's window.
-const WINDOW: u64 = 366;
+use meissner_array::motor::WINDOW_TICKS;
+use meissner_array::units::TICKS_PER_S;
 
 /// The loop over all motors.
 #[derive(Debug)]
@@ -80,7 +79,7 @@ impl PositionControl {
 
     /// At `tick` the device takes strokes: after a cut all pins are at rest. Where they really are, telemetry tells.
     pub(super) fn at_rest(&mut self, tick: Tick) {
-        self.valid_from = self.valid_from.or(Some(tick + WINDOW));
+        self.valid_from = self.valid_from.or(Some(tick + WINDOW_TICKS));
     }
 
     /// Nothing is owed and nothing was moved: the person says all pins are at rest.
@@ -245,7 +244,7 @@ impl PositionControl {
 
     /// Whether telemetry was taken within a second.
     fn is_heard(&self, now: Tick) -> bool {
-        self.sampled.is_some_and(|sampled| now - sampled <= u64::from(TICK_HZ))
+        self.sampled.is_some_and(|sampled| now - sampled <= TICKS_PER_S)
     }
 
     /// Where each shaft is thought to rest, µm, and how that is known. By dead reckoning: one standard deviation.

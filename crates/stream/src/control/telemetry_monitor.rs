@@ -9,8 +9,9 @@
 //! It only judges. Believing again is up to a person: after `arm`.
 
 use super::estimator::{Estimator, Sample, Travel};
-use firmware_protocol::tick::{TICK_HZ, Tick};
+use firmware_protocol::tick::Tick;
 use meissner_api::SensorFault;
+use meissner_array::units::{TICKS_PER_MS, ticks_to_seconds};
 
 /// A sample may always differ by so much, µm: a finger moves what it touches.
 const SLACK_UM: f64 = 2.0;
@@ -23,9 +24,9 @@ const JUMP: u32 = 8;
 /// Jumps above one per second, before they are too many. A correction that the line loses is one: the burst was another.
 const JUMPS: f64 = 5.0;
 /// Odd samples within this time are one jump.
-const ONE_JUMP: u64 = TICK_HZ as u64 / 20;
+const ONE_JUMP: u64 = 50 * TICKS_PER_MS;
 /// How long after an odd sample nothing is corrected.
-const DOUBT: u64 = TICK_HZ as u64 / 20;
+const DOUBT: u64 = 50 * TICKS_PER_MS;
 /// Standard deviation that a burst's gain is believed to have at the most, 0.35, and how a sum of squares of
 /// deviations in this unit above [`GAIN_EXPECTED`] shows that it is no motor's: four bursts of a stuck sensor.
 const GAIN_SD: f64 = 0.35;
@@ -90,7 +91,7 @@ impl TelemetryMonitor {
         }
         self.doubt_until = tick + DOUBT;
         if self.odd == 0 && tick - self.last_jump > ONE_JUMP {
-            let leak = (tick - self.last_jump) as f64 / f64::from(TICK_HZ);
+            let leak = ticks_to_seconds(tick - self.last_jump);
             self.jumps = (self.jumps - leak).max(0.0) + 1.0;
             self.last_jump = tick;
             if self.jumps > JUMPS {

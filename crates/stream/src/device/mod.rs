@@ -18,8 +18,9 @@ use crate::device::find::BoardQuery;
 use crate::device::mock::{Mock, TruePositions};
 use crate::link::LineRate;
 use crate::time::HostInstant;
-use firmware_protocol::tick::{TICK_HZ, Tick};
+use firmware_protocol::tick::Tick;
 use meissner_array::simulated::PlantConfig;
+use meissner_array::units::duration_to_ticks;
 pub use pty::PtyMock;
 use rustix::fd::BorrowedFd;
 pub use serial::SerialPort;
@@ -156,9 +157,7 @@ impl WallMock {
 
     /// Takes in what was written and runs up to `now`.
     fn run(&mut self, now: HostInstant) {
-        let ns = now.since(self.started).as_nanos() as u64;
-        let ticks = u128::from(ns) * u128::from(TICK_HZ) / 1_000_000_000;
-        self.mock.run(Tick::BOOT + ticks as u64);
+        self.mock.run(Tick::BOOT + duration_to_ticks(now.since(self.started)));
     }
 }
 

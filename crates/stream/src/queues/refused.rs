@@ -1,5 +1,6 @@
 //! Why an order was not carried out, in words for a person.
 
+use crate::queues::QUEUE;
 use firmware_protocol::limits::Refusal;
 
 /// Why an order was not carried out.
@@ -32,8 +33,8 @@ pub enum Refused {
          by hand, then `meissner disarm` and `meissner arm --assume-rest`"
     )]
     NotHome,
-    /// `QUEUE` plays wait.
-    #[error("16 plays are queued already: wait, or `meissner stop`")]
+    /// [`QUEUE`] plays wait.
+    #[error("{QUEUE} plays are queued already: wait, or `meissner stop`")]
     QueueFull,
     /// The play before it has no end.
     #[error("the play before it has no end: stop it, or use --replace")]

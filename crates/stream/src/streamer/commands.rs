@@ -3,12 +3,11 @@
 use crate::active::{Active, FIRST_MARGIN};
 use crate::link::Session;
 use crate::queues::{At, Command, End, Play, QUEUE, Refused, Request, StreamEvent};
-use crate::streamer::{
-    ANSWER_WITHIN, CONTROLS, Streamer, Taken, Tell, Waiting, answer, cuts, ticks, ticks_of_ms,
-};
+use crate::streamer::{ANSWER_WITHIN, CONTROLS, Streamer, Taken, Tell, Waiting, answer, cuts};
 use crate::time::HostInstant;
 use firmware_protocol::message::{Cause, Op, State};
 use firmware_protocol::tick::Tick;
+use meissner_array::units::{duration_to_ticks, ms_in_ticks};
 use std::time::Duration;
 
 /// How far ahead an onset may lie: half of what a stroke may, so that every wire tick is read as it was meant.
@@ -164,10 +163,10 @@ impl Streamer {
             At::After(ns) => session
                 .clock()
                 .tick_at(now + Duration::from_nanos(ns))
-                .map(|at| at.max(tick + ticks(margin)))
+                .map(|at| at.max(tick + duration_to_ticks(margin)))
                 .ok_or(Refused::NoDevice)?,
         };
-        if requested < tick + ticks(margin) {
+        if requested < tick + duration_to_ticks(margin) {
             return Err(Refused::TooSoon);
         }
         if requested - tick > FARTHEST {
@@ -175,7 +174,9 @@ impl Streamer {
         }
         // A play that has no onset yet follows the one before it: its end is not known better than this.
         let free = queued().fold(tick, |free, active| {
-            active.end().unwrap_or(free + ticks(FIRST_MARGIN) + active.play.strokes.end().unwrap_or(0))
+            active
+                .end()
+                .unwrap_or(free + duration_to_ticks(FIRST_MARGIN) + active.play.strokes.end().unwrap_or(0))
         });
         if requested < free {
             return Err(Refused::Overlaps);
@@ -215,7 +216,7 @@ impl Streamer {
         if assume_rest {
             self.control.assume_rest();
         }
-        let lease = ticks_of_ms(self.settings.lease_ms) as u32;
+        let lease = ms_in_ticks(self.settings.lease_ms).round() as u32;
         Ok(Some(Op::Arm { assume_rest, lease, limits: self.settings.limits }))
     }
 

@@ -3,12 +3,13 @@
 use crate::active::{Active, FIRST_MARGIN, Phase};
 use crate::link::{Event, Verdict};
 use crate::queues::{End, Onset, Refused, StreamEvent};
-use crate::streamer::{IDLE_PING, Streamer, Tell, answer, cause_text, cuts, ticks};
+use crate::streamer::{IDLE_PING, Streamer, Tell, answer, cause_text, cuts};
 use crate::time::HostInstant;
 use firmware_protocol::message::{Cause, Counters, DeviceHello, Op, State, Status};
 use firmware_protocol::stroke::Stroke;
-use firmware_protocol::tick::{TICK_HZ, Tick};
+use firmware_protocol::tick::Tick;
 use meissner_api::{LateCause, LatePolicy};
+use meissner_array::units::{duration_to_ticks, ms_to_duration, ticks_to_ms};
 use std::time::Duration;
 
 /// A frame that left so long before its stroke was sent in time: if the stroke came late, the link was slow.
@@ -95,7 +96,7 @@ impl Streamer {
             }
             // A sample of the future would let nothing after it count.
             Event::Telemetry { tick, y }
-                if tick <= self.tick_at(now).unwrap_or_default() + ticks(IN_TIME) =>
+                if tick <= self.tick_at(now).unwrap_or_default() + duration_to_ticks(IN_TIME) =>
             {
                 self.control.telemetry(tick, &y, |travel| tell(StreamEvent::MeasuredBurst(travel)));
             }
@@ -118,7 +119,7 @@ impl Streamer {
         }
         self.snapshot_due = now;
         let armed = matches!(status.state, State::Armed | State::Returning);
-        let lease = Duration::from_secs_f64(self.settings.lease_ms / 1000.0);
+        let lease = ms_to_duration(self.settings.lease_ms);
         if let Some(session) = &mut self.session {
             session.keep_alive_every(if armed { lease / 5 } else { IDLE_PING }, now);
         }
@@ -139,7 +140,7 @@ impl Streamer {
     }
 
     fn verdict(&mut self, now: HostInstant, stroke: &Stroke, verdict: Verdict, tell: Tell<'_>) {
-        let earliest = ticks(IN_TIME);
+        let earliest = duration_to_ticks(IN_TIME);
         let sent_tick = |sent| self.tick_at(sent).unwrap_or_default();
         let cause = match verdict {
             Verdict::Late { retransmitted: true, .. } => LateCause::Link,
@@ -173,7 +174,7 @@ impl Streamer {
         cause: LateCause,
         tell: Tell<'_>,
     ) {
-        let late_ms = (free - stroke.up) as f64 / f64::from(TICK_HZ) * 1000.0;
+        let late_ms = ticks_to_ms(free - stroke.up);
         let Some(active) = self.owner(stroke.up) else { return };
         active.late(late_ms, cause);
         let (id, policy, cut) = (active.play.id, active.play.late, active.cut.is_some());
@@ -185,12 +186,12 @@ impl Streamer {
     }
 
     fn onset_refused(&mut self, now: HostInstant, rendered: Tick) {
-        let longest = Duration::from_secs_f64(self.settings.lead_ms / 1000.0).max(FIRST_MARGIN * 32);
+        let longest = ms_to_duration(self.settings.lead_ms).max(FIRST_MARGIN * 32);
         let Some(active) = self.plays.iter_mut().find(|active| active.phase == Phase::Offered) else {
             return;
         };
         let late = active.onset.map_or(0, |onset| rendered - onset);
-        let late_ms = late as f64 / f64::from(TICK_HZ) * 1000.0;
+        let late_ms = ticks_to_ms(late);
         active.phase = Phase::Waiting;
         active.undecided = 0;
         let onset = active.onset.take();

@@ -6,11 +6,12 @@
 use crate::active::{Active, Phase};
 use crate::batch_ticks;
 use crate::queues::{At, End};
-use crate::streamer::{Streamer, Tell, ticks};
+use crate::streamer::{Streamer, Tell};
 use crate::time::HostInstant;
 use firmware_protocol::message::State;
-use firmware_protocol::tick::{TICK_HZ, Tick};
+use firmware_protocol::tick::Tick;
 use meissner_api::LateCause;
+use meissner_array::units::{duration_to_ticks, ms_in_ticks};
 use std::time::Duration;
 
 /// A device that was full is asked for room so often. Its strokes last for longer, and keep-alives may be seconds apart.
@@ -35,7 +36,7 @@ impl Streamer {
         if self.state() != State::Armed || !self.may_feed() {
             return;
         }
-        let lead = (self.settings.lead_ms * f64::from(TICK_HZ) / 1000.0) as u64;
+        let lead = ms_in_ticks(self.settings.lead_ms) as u64;
         let batch = batch_ticks(&self.settings);
         let mut unfed =
             self.plays.iter().filter(|active| active.cut.is_none() && active.phase != Phase::Streamed);
@@ -172,7 +173,7 @@ fn session_carries(streamer: &Streamer, index: usize) -> bool {
 
 /// Where a play that waits can begin: as asked for, right behind the one before it, or as soon as the link allows.
 fn choose_onset(active: &Active, previous_end: Option<Tick>, tick: Tick) -> Option<Tick> {
-    let soonest = tick + ticks(active.margin);
+    let soonest = tick + duration_to_ticks(active.margin);
     match active.play.at {
         At::Next => Some(previous_end.map_or(soonest, |end| end.max(soonest))),
         At::Tick(_) | At::After(_) => active.onset,

@@ -12,8 +12,9 @@ use crate::time::HostInstant;
 use firmware_protocol::limits::{MAX_TRAVEL, Refusal};
 use firmware_protocol::message::{Op, State};
 use firmware_protocol::stroke::{Direction, MOTORS};
-use firmware_protocol::tick::{TICK_HZ, Tick};
-use meissner_array::units::UM_PER_PULSE;
+use firmware_protocol::tick::Tick;
+use meissner_array::motor::WINDOW_TICKS;
+use meissner_array::units::{TICKS_PER_MS, TICKS_PER_S, UM_PER_PULSE};
 
 /// A pin that is so near is home, µm, and one that is so near at the end is near enough.
 const NEAR_UM: f64 = 0.5;
@@ -23,9 +24,9 @@ const FIRST_UM: f64 = 30.0;
 /// Rounds over all motors at the most.
 const ROUNDS: u8 = 6;
 /// From the end of a move until the next one is sent, and until telemetry can show where it led: the window, and a wake-up.
-const SETTLED: u64 = 366 + TICK_HZ as u64 / 500;
+const SETTLED: u64 = WINDOW_TICKS + 2 * TICKS_PER_MS;
 /// Telemetry that does not come within this after a round does not come.
-const SILENT: u64 = TICK_HZ as u64 / 2;
+const SILENT: u64 = TICKS_PER_S / 2;
 
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Homing {

@@ -19,8 +19,9 @@ use crate::time::HostInstant;
 use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::message::{Cause, Counters, Op, State, Status};
 use firmware_protocol::stroke::MOTORS;
-use firmware_protocol::tick::{TICK_HZ, Tick};
+use firmware_protocol::tick::Tick;
 use homing::Homing;
+use meissner_array::units::{ticks_to_ms, ticks_to_seconds};
 use std::collections::VecDeque;
 use std::time::Duration;
 
@@ -39,14 +40,6 @@ pub(super) type Tell<'a> = &'a mut dyn FnMut(StreamEvent);
 
 /// What an order came to: refused or done at once, or waiting for the device.
 type Taken = Result<Option<Op>, Refused>;
-
-pub(super) fn ticks(duration: Duration) -> u64 {
-    (duration.as_nanos() * u128::from(TICK_HZ) / 1_000_000_000) as u64
-}
-
-fn ticks_of_ms(ms: f64) -> u64 {
-    (ms * f64::from(TICK_HZ) / 1000.0).round() as u64
-}
 
 #[derive(Clone, Copy, Debug)]
 struct Waiting {
@@ -265,9 +258,9 @@ impl Streamer {
         });
         let played = |active: &Active| {
             let since = active.onset.map_or(0, |onset| tick - onset);
-            (active.play.id, since as f64 / f64::from(TICK_HZ))
+            (active.play.id, ticks_to_seconds(since))
         };
-        let lead = (self.fed - tick) as f64 / f64::from(TICK_HZ) * 1000.0;
+        let lead = ticks_to_ms(self.fed - tick);
         Snapshot {
             at: now,
             connected: self.is_there(),
