@@ -37,6 +37,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::str::FromStr;
 use std::time::Duration;
+use tracing::Level;
 
 /// Real-time driver daemon for piezo pin-array tactile displays.
 #[derive(Debug, Parser)]
@@ -268,7 +269,7 @@ pub fn command() -> clap::Command {
 #[must_use]
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
-    let level = if matches!(cli.command, Command::Daemon { .. }) { "info" } else { "warn" };
+    let level = if matches!(cli.command, Command::Daemon { .. }) { Level::INFO } else { Level::WARN };
     log::start(level);
     match run(cli.command) {
         Ok(code) => code,

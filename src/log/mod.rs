@@ -14,11 +14,12 @@ use rustix::fs::fstat;
 use std::env;
 use std::io::{self, IsTerminal, Write};
 use std::path::Path;
-use tracing::warn;
+use tracing::{Level, warn};
+use tracing_subscriber::Layer;
+use tracing_subscriber::filter::Targets;
 use tracing_subscriber::fmt::format;
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
-use tracing_subscriber::{EnvFilter, Layer};
 
 /// Where journald listens.
 const JOURNALD: &str = "/run/systemd/journal/socket";
@@ -26,11 +27,11 @@ const JOURNALD: &str = "/run/systemd/journal/socket";
 const ATOMIC: usize = 4096;
 
 /// Starts the log of this process: `level` and graver, unless `$RUST_LOG` says otherwise.
-pub fn start(level: &str) {
+pub fn start(level: Level) {
     let asked = env::var_os("RUST_LOG").filter(|asked| !asked.is_empty());
-    let filter = asked.as_ref().map(|asked| EnvFilter::try_new(asked.to_string_lossy()));
+    let filter = asked.as_ref().map(|asked| asked.to_string_lossy().parse::<Targets>());
     let refused = matches!(filter, Some(Err(_)));
-    let filter = filter.and_then(Result::ok).unwrap_or_else(|| EnvFilter::new(level));
+    let filter = filter.and_then(Result::ok).unwrap_or_else(|| Targets::new().with_default(level));
     let journal = is_journal(&env::var("JOURNAL_STREAM").unwrap_or_default())
         .then(|| Journal::new(Path::new(JOURNALD)).ok())
         .flatten();
