@@ -26,7 +26,7 @@ fn with_the_loop_and_without_it_an_edge_has_nearly_the_contrast_as_designed() {
     let [closed, open] = [false, true].map(|open_loop| {
         let played = played(&edge, MOST_OBSERVED_S, &plant, open_loop);
         assert_eq!(played.outcome.bursts.played, played.outcome.bursts.planned);
-        let found = look(&edge, MOST_OBSERVED_S, &played).response(&played.travels).unwrap();
+        let found = look(&edge, MOST_OBSERVED_S, &played).response(&played.measured_bursts).unwrap();
         assert_eq!((found.unmeasured, found.seconds), (0, MOST_OBSERVED_S));
         (found, played.rest.max_abs_um, played.outcome.onset.unwrap().actual)
     });
@@ -55,7 +55,7 @@ fn with_the_loop_and_without_it_an_edge_has_nearly_the_contrast_as_designed() {
 fn motors_that_do_what_they_are_told_are_felt_as_designed() {
     let edge = pattern("edge-45");
     let played = played(&edge, 2.0, &PlantConfig::ideal(), true);
-    let found = look(&edge, 2.0, &played).response(&played.travels).unwrap();
+    let found = look(&edge, 2.0, &played).response(&played.measured_bursts).unwrap();
     let [designed, played] = [found.designed_hz, found.played_hz].map(|rates| rates.contrast.unwrap());
     // Telemetry has a quantum of 0.01 um.
     assert!((designed - played).abs() < 0.1, "{designed} {played}");
@@ -68,7 +68,7 @@ fn bursts_that_nobody_measured_are_counted_and_too_many_are_a_reason() {
     let bursts = played.outcome.bursts.played;
     let mut look = look(&edge, 2.0, &played);
     let without = |one_in: usize| -> Vec<_> {
-        let some = played.travels.iter().enumerate().filter(|(n, _)| n % one_in > 0);
+        let some = played.measured_bursts.iter().enumerate().filter(|(n, _)| n % one_in > 0);
         some.map(|(_, travel)| *travel).collect()
     };
     let found = look.response(&without(200)).unwrap();
@@ -77,16 +77,17 @@ fn bursts_that_nobody_measured_are_counted_and_too_many_are_a_reason() {
     assert_eq!(look.response(&without(50)), Err(NoPrediction::Unmeasured { missing, bursts }));
     assert_eq!(look.response(&[]), Err(NoPrediction::Unmeasured { missing: bursts, bursts }));
     // What the streamer only reckoned is no measurement.
-    let mut reckoned = played.travels.clone();
+    let mut reckoned = played.measured_bursts.clone();
     reckoned.iter_mut().for_each(|travel| travel.sd_um = 0.1 * travel.travel_um.abs());
     assert_eq!(look.response(&reckoned), Err(NoPrediction::Unmeasured { missing: bursts, bursts }));
     // Strokes that were late had nothing to be measured.
-    let late: Vec<_> = played.travels.iter().filter(|travel| travel.travel_um > 0.0).step_by(20).collect();
+    let late: Vec<_> =
+        played.measured_bursts.iter().filter(|travel| travel.travel_um > 0.0).step_by(20).collect();
     look.unplayed = late.iter().map(|travel| (travel.motor, travel.start)).collect();
     let gone = |travel: &&meissner_stream::queues::MeasuredBurst| {
         !look.unplayed.contains(&(travel.motor, travel.start))
     };
-    let left: Vec<_> = played.travels.iter().filter(gone).copied().collect();
+    let left: Vec<_> = played.measured_bursts.iter().filter(gone).copied().collect();
     // Their down bursts are measured here, and not asked for.
     let less = look.response(&left).unwrap();
     assert_eq!(less.unmeasured, 0);
@@ -99,11 +100,11 @@ fn of_a_play_that_was_cut_counts_what_was_played_of_it() {
     let played = played(&edge, 2.0, &PlantConfig::default(), false);
     let mut look = look(&edge, 60.0, &played);
     look.cut = true;
-    let found = look.response(&played.travels).unwrap();
+    let found = look.response(&played.measured_bursts).unwrap();
     assert!(found.seconds > 1.9 && found.seconds < 2.0, "{found:?}");
     assert_eq!(found.unmeasured, 0);
     let early: Vec<_> = played
-        .travels
+        .measured_bursts
         .iter()
         .filter(|travel| travel.start - look.onset < u64::from(TICK_HZ) / 100)
         .copied()

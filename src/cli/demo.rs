@@ -143,7 +143,7 @@ fn felt_report(
         let onset = onset.actual;
         let look =
             PlayedPattern { pattern, seconds: request.seconds, onset, cut: false, unplayed: HashSet::new() };
-        look.response(&open.travels).ok()
+        look.response(&open.measured_bursts).ok()
     });
     let played = receipt.felt.as_ref();
     let any = played.or(open.as_ref());

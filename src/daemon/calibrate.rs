@@ -286,7 +286,7 @@ impl Inner {
 
     /// Has the streamer go by these gains.
     pub(super) fn teach(&mut self, gains: [Gains; MOTORS]) -> Result<(), Request> {
-        let job = Command::Calibrate(Box::new(gains));
-        self.orders.send(Request { ticket: 0, given: HostInstant::now(), job })
+        let job = Command::SetGains(Box::new(gains));
+        self.orders.send(Request { ticket: 0, issued_at: HostInstant::now(), command: job })
     }
 }

@@ -23,7 +23,7 @@ use meissner_api::{Event, PredictedResponse};
 use meissner_array::pattern::Pattern;
 use meissner_stream::device::Device;
 use meissner_stream::device::mock::TruePositions;
-use meissner_stream::queues::{Command, CommandQueue, Refused, Request};
+use meissner_stream::queues::{Command, CommandError, CommandQueue, Request};
 use meissner_stream::time::HostInstant;
 use meissner_stream::{Gains, Settings};
 use std::collections::HashMap;
@@ -45,12 +45,12 @@ const FIRST_DEVICE: Duration = Duration::from_millis(500);
 const LAST_PATIENCE: Duration = Duration::from_millis(1500);
 
 /// Where an answer comes.
-pub(super) type Reply = oneshot::Receiver<Result<(), Refused>>;
+pub(super) type Reply = oneshot::Receiver<Result<(), CommandError>>;
 
 /// A call that waits for its answer.
 #[derive(Debug)]
 pub(super) struct Ticket {
-    replies: Vec<oneshot::Sender<Result<(), Refused>>>,
+    replies: Vec<oneshot::Sender<Result<(), CommandError>>>,
     given: HostInstant,
     play: Option<u64>,
 }
@@ -220,8 +220,8 @@ impl Engine {
         inner.truth = device.true_positions();
         inner
             .orders
-            .send(Request { ticket: 0, given: HostInstant::now(), job: Command::Connect(device) })
-            .map_err(|order| match order.job {
+            .send(Request { ticket: 0, issued_at: HostInstant::now(), command: Command::Connect(device) })
+            .map_err(|order| match order.command {
                 Command::Connect(device) => device,
                 _ => unreachable!("a ring gives back what it was given"),
             })
@@ -245,12 +245,12 @@ impl Engine {
 
     /// How often the streamer has come round.
     pub(super) fn turns(&self) -> u64 {
-        self.lock().orders.turns()
+        self.lock().orders.loop_count()
     }
 
     /// Has the streamer come round.
     pub(super) fn nudge(&self) {
-        self.lock().orders.nudge();
+        self.lock().orders.wake_thread();
     }
 
     /// The simulated plant's truth.
@@ -280,7 +280,7 @@ impl Engine {
     pub(super) fn configure(&self, settings: Settings) -> Result<(), Request> {
         let mut inner = self.lock();
         let job = Command::Configure(settings);
-        inner.orders.send(Request { ticket: 0, given: HostInstant::now(), job })?;
+        inner.orders.send(Request { ticket: 0, issued_at: HostInstant::now(), command: job })?;
         inner.next_settings = settings;
         if !inner.is_armed() {
             inner.settings = settings;
@@ -344,7 +344,7 @@ impl Inner {
                 self.settings = self.next_settings;
             }
         }
-        if self.orders.send(Request { ticket, given, job }).is_err() {
+        if self.orders.send(Request { ticket, issued_at: given, command: job }).is_err() {
             if estop {
                 // Only another emergency stop can have taken the last place: its answer is for both.
                 if let Some(ticket) = self.waiting.get_mut(&self.last_estop) {
@@ -411,7 +411,7 @@ impl Inner {
         self.calibrating.take_if(|calibrating| calibrating.id == id);
     }
 
-    pub(super) fn answered(&mut self, ticket: u64, result: Result<(), Refused>) -> Option<Event> {
+    pub(super) fn answered(&mut self, ticket: u64, result: Result<(), CommandError>) -> Option<Event> {
         let ticket = self.waiting.remove(&ticket)?;
         for reply in ticket.replies {
             // The client may have hung up meanwhile.
@@ -430,7 +430,7 @@ pub(super) async fn within(timeout: Duration, reply: Reply) -> Result<(), Proble
     match tokio::time::timeout(timeout, reply).await {
         Ok(Ok(result)) => result.map_err(refusal),
         // The ticket stays, so that a late answer still reaches the record.
-        Ok(Err(_)) | Err(_) => Err(refusal(Refused::Timeout)),
+        Ok(Err(_)) | Err(_) => Err(refusal(CommandError::Timeout)),
     }
 }
 
@@ -456,10 +456,10 @@ mod tests {
         let mut first = engine.order(Command::EStop).unwrap();
         let mut second = engine.order(Command::EStop).unwrap();
         for _ in 0..waiting {
-            assert!(matches!(port.pop().unwrap().job, Command::Stop));
+            assert!(matches!(port.pop().unwrap().command, Command::Stop));
         }
         let estop = port.pop().unwrap();
-        assert!(matches!(estop.job, Command::EStop) && port.pop().is_none());
+        assert!(matches!(estop.command, Command::EStop) && port.pop().is_none());
         engine.lock().take(StreamEvent::Answer { ticket: estop.ticket, result: Ok(()) });
         assert_eq!((first.try_recv(), second.try_recv()), (Ok(Ok(())), Ok(Ok(()))));
     }
@@ -473,7 +473,7 @@ mod tests {
         engine.replace_mock(device()).unwrap();
         drop(engine.order(Command::Arm { assume_rest: false }).unwrap());
         assert!(engine.was_armed() && engine.replace_mock(device()).is_err());
-        let jobs: Vec<Command> = std::iter::from_fn(|| port.pop()).map(|order| order.job).collect();
+        let jobs: Vec<Command> = std::iter::from_fn(|| port.pop()).map(|order| order.command).collect();
         assert!(
             matches!(jobs[..], [Command::Connect(_), Command::Connect(_), Command::Arm { .. }]),
             "{jobs:?}"

@@ -15,7 +15,7 @@ use meissner_api::{Code, PlayRequest, Problem};
 use meissner_array::strokes::Strokes;
 use meissner_stream::Bandwidth;
 use meissner_stream::calibrate::Plan;
-use meissner_stream::queues::{At, Command, Play, Refused};
+use meissner_stream::queues::{At, Command, CommandError, Play};
 use meissner_stream::time::HostInstant;
 use std::sync::Arc;
 
@@ -62,19 +62,19 @@ impl Engine {
             let mut inner = self.lock();
             inner.forget(HostInstant::now());
             if inner.calibrating.is_some() {
-                return Err(refusal(Refused::Playing));
+                return Err(refusal(CommandError::Playing));
             }
             let device = inner.recorder.device();
             let telemetry = device.as_ref().is_some_and(|device| device.telemetry);
             if plan.is_some() {
-                device.ok_or_else(|| refusal(Refused::NoDevice))?;
+                device.ok_or_else(|| refusal(CommandError::NoDevice))?;
                 if !telemetry {
                     let detail =
                         "the device has no telemetry: calibrate on one that measures where its pins are";
                     return Err(Problem::new(Code::NoTelemetry, detail));
                 }
                 if !inner.recorder.is_idle() {
-                    return Err(refusal(Refused::Playing));
+                    return Err(refusal(CommandError::Playing));
                 }
             }
             inner.last_play += 1;

@@ -49,7 +49,7 @@ impl Engine {
                 () = wait => {}
             }
             // Silenced before it is drained: what comes in between rings again.
-            notices.silence();
+            notices.clear_wake();
             {
                 let mut inner = self.lock();
                 while let Some(traveled) = notices.pop_measured() {
@@ -60,7 +60,7 @@ impl Engine {
                 }
             }
             while let Some(notice) = notices.pop() {
-                if matches!(notice, StreamEvent::Bye) {
+                if matches!(notice, StreamEvent::ThreadEnded) {
                     return Ok(());
                 }
                 let (event, quiet) = self.lock().take(notice);
@@ -92,7 +92,7 @@ impl Engine {
                     self.look(&feeler, *id);
                 } else {
                     (*at, *woken) = (now + READ, true);
-                    self.lock().orders.nudge();
+                    self.lock().orders.wake_thread();
                 }
             }
             due.retain(|(at, ..)| *at > now);

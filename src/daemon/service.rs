@@ -169,8 +169,8 @@ mod tests {
             let watching = tokio::spawn(watch(Manager(Some(line)), engine, every));
             tokio::time::sleep(every * 20).await;
             assert!(words.is_empty(), "the streamer stood still");
-            port.silence();
-            port.turn();
+            port.clear_wake();
+            port.count_loop();
             while words.is_empty() {
                 tokio::time::sleep(every).await;
             }

@@ -4,7 +4,7 @@ use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{DeviceHello, State};
 use meissner_api::{CalibrateRequest, Code, DeviceInfo, Problem};
 use meissner_stream::calibrate::Plan;
-use meissner_stream::queues::Refused;
+use meissner_stream::queues::CommandError;
 
 /// The controller's state as the API calls it.
 #[must_use]
@@ -33,24 +33,24 @@ pub fn device_info(kind: &str, hello: &DeviceHello) -> DeviceInfo {
 
 /// Why the streamer refused a command, as an error of the API.
 #[must_use]
-pub fn refusal(refused: Refused) -> Problem {
+pub fn refusal(refused: CommandError) -> Problem {
     let code = match refused {
-        Refused::NoDevice => Code::NoDevice,
-        Refused::Disarmed => Code::Disarmed,
-        Refused::Faulted => Code::Faulted,
-        Refused::Returning => Code::Returning,
-        Refused::Playing => Code::Playing,
-        Refused::NotHome => Code::NotHome,
-        Refused::NothingToGoBy => Code::NoPositionEstimate,
-        Refused::QueueFull => Code::QueueFull,
-        Refused::BehindEndless => Code::BehindEndless,
-        Refused::TooSoon => Code::TooSoon,
-        Refused::TooFar => Code::BadRequest,
-        Refused::Overlaps => Code::Overlaps,
-        Refused::LineTooSlow { .. } => Code::LineTooSlow,
-        Refused::Device(Refusal::PositionUnknown) => Code::PositionUnknown,
-        Refused::Device(_) => Code::DeviceRefused,
-        Refused::Timeout => Code::Timeout,
+        CommandError::NoDevice => Code::NoDevice,
+        CommandError::Disarmed => Code::Disarmed,
+        CommandError::Faulted => Code::Faulted,
+        CommandError::Returning => Code::Returning,
+        CommandError::Playing => Code::Playing,
+        CommandError::NotHome => Code::NotHome,
+        CommandError::NoPositionEstimate => Code::NoPositionEstimate,
+        CommandError::QueueFull => Code::QueueFull,
+        CommandError::BehindEndless => Code::BehindEndless,
+        CommandError::TooSoon => Code::TooSoon,
+        CommandError::TooFar => Code::BadRequest,
+        CommandError::Overlaps => Code::Overlaps,
+        CommandError::LineTooSlow { .. } => Code::LineTooSlow,
+        CommandError::Device(Refusal::PositionUnknown) => Code::PositionUnknown,
+        CommandError::Device(_) => Code::DeviceRefused,
+        CommandError::Timeout => Code::Timeout,
     };
     Problem::new(code, refused.to_string())
 }
@@ -74,12 +74,12 @@ mod tests {
     #[test]
     fn refusals_have_their_codes() {
         for (refused, code, status) in [
-            (Refused::Disarmed, "disarmed", 409),
-            (Refused::QueueFull, "queue-full", 429),
-            (Refused::NoDevice, "no-device", 503),
-            (Refused::Timeout, "timeout", 504),
-            (Refused::Device(Refusal::PositionUnknown), "position-unknown", 409),
-            (Refused::LineTooSlow { needs: 41_200, carries: 11_300 }, "line-too-slow", 409),
+            (CommandError::Disarmed, "disarmed", 409),
+            (CommandError::QueueFull, "queue-full", 429),
+            (CommandError::NoDevice, "no-device", 503),
+            (CommandError::Timeout, "timeout", 504),
+            (CommandError::Device(Refusal::PositionUnknown), "position-unknown", 409),
+            (CommandError::LineTooSlow { needs: 41_200, carries: 11_300 }, "line-too-slow", 409),
         ] {
             let problem = refusal(refused);
             assert_eq!((problem.code.as_str(), problem.status), (code, status));

@@ -17,8 +17,8 @@ pub use prediction::{NoPrediction, PlayedPattern};
 use firmware_protocol::message::{DeviceHello, State};
 use firmware_protocol::tick::Tick;
 use meissner_api::{
-    BurstCounts, DeviceInfo, Event, LateCause, LateCounts, LateStroke, LinkTraffic, MAX_LISTED, NO_DEVICE,
-    PlayState, PredictedResponse, PulseCounts, Receipt, RefusedStroke, RunningPlay,
+    BurstCounts, DeviceInfo, Event, LateCounts, LateStroke, LinkTraffic, MAX_LISTED, NO_DEVICE, PlayState,
+    PredictedResponse, PulseCounts, Receipt, RefusedStroke, RunningPlay,
 };
 use meissner_array::units::{duration_to_ticks, ns_to_ms};
 use meissner_stream::cause_text;
@@ -95,14 +95,14 @@ impl Recorder {
     pub fn take(&mut self, notice: &StreamEvent) -> Option<Event> {
         match notice {
             StreamEvent::Answer { .. }
-            | StreamEvent::Returned(_)
-            | StreamEvent::Freed(_)
+            | StreamEvent::PlayRejected(_)
+            | StreamEvent::GainsApplied(_)
             | StreamEvent::MeasuredBurst(_)
-            | StreamEvent::Bye => None,
+            | StreamEvent::ThreadEnded => None,
             StreamEvent::SensorFault { motor, fault } => {
                 Some(Event::SensorFault { motor: *motor, fault: *fault })
             }
-            StreamEvent::Drifted { um } => Some(Event::Drifted { um: *um }),
+            StreamEvent::DriftWarning { um } => Some(Event::Drifted { um: *um }),
             StreamEvent::Connected(hello) => {
                 self.totals.connects += 1;
                 self.hello = Some(*hello);
@@ -116,25 +116,28 @@ impl Recorder {
                 self.snapshot = Some(*snapshot);
                 Some(self.state(snapshot.at))
             }
-            StreamEvent::Began { id, onset } => {
+            StreamEvent::PlayStarted { id, onset } => {
                 began(self.live_mut(*id)?, *onset);
                 Some(Event::Began { id: *id, onset: (*onset).into() })
             }
-            StreamEvent::Late { id, motor, up, late_ms, cause } => {
-                Some(self.late(*id, *motor, *up, *late_ms, *cause))
+            StreamEvent::StrokeLate { id, motor, up, late_ms, cause, counts } => {
+                let stroke = LateStroke { motor: *motor, tick: up.0, late_ms: *late_ms, cause: *cause };
+                if let Some(receipt) = self.live_mut(*id) {
+                    receipt.lateness.counts = *counts;
+                    list(&mut receipt.lateness.strokes, stroke);
+                }
+                Some(Event::Late { id: *id, stroke })
             }
             StreamEvent::StrokeRefused { id, motor, up, reason } => {
                 let reason = refusal_text(*reason).to_owned();
                 let stroke = RefusedStroke { motor: *motor, tick: up.0, reason };
-                if let Some(receipt) =
-                    self.live_mut(*id).filter(|receipt| receipt.refusals.len() < MAX_LISTED)
-                {
-                    receipt.refusals.push(stroke.clone());
+                if let Some(receipt) = self.live_mut(*id) {
+                    list(&mut receipt.refusals, stroke.clone());
                 }
                 Some(Event::Refused { id: *id, stroke })
             }
-            StreamEvent::Ended { id, outcome } => self.ended(*id, outcome),
-            StreamEvent::Lost(notices) => {
+            StreamEvent::PlayEnded { id, outcome } => self.ended(*id, outcome),
+            StreamEvent::EventsLost(notices) => {
                 self.totals.lost += notices;
                 Some(Event::Lost { events: *notices })
             }
@@ -143,14 +146,6 @@ impl Recorder {
 
     fn live_mut(&mut self, id: u64) -> Option<&mut Receipt> {
         self.live.iter_mut().find(|receipt| receipt.id == id)
-    }
-
-    fn late(&mut self, id: u64, motor: u8, up: Tick, late_ms: f64, cause: LateCause) -> Event {
-        let stroke = LateStroke { motor, tick: up.0, late_ms, cause };
-        if let Some(receipt) = self.live_mut(id) {
-            receipt.lateness.add(stroke);
-        }
-        Event::Late { id, stroke }
     }
 
     fn ended(&mut self, id: u64, outcome: &Outcome) -> Option<Event> {
@@ -268,6 +263,13 @@ fn began(receipt: &mut Receipt, onset: Onset) {
     receipt.onset_latency_ms = Some(ns_to_ms(onset.latency_ns));
 }
 
+/// Adds a stroke to a receipt's list while there is room.
+fn list<T>(strokes: &mut Vec<T>, stroke: T) {
+    if strokes.len() < MAX_LISTED {
+        strokes.push(stroke);
+    }
+}
+
 fn complete(receipt: &mut Receipt, outcome: &Outcome) {
     if let Some(onset) = outcome.onset {
         began(receipt, onset);
@@ -276,7 +278,6 @@ fn complete(receipt: &mut Receipt, outcome: &Outcome) {
     receipt.cause = outcome.cause.map(str::to_owned);
     receipt.bursts = Some(outcome.bursts);
     receipt.pulses = Some(outcome.pulses);
-    // The streamer's counts control; notices of single strokes may have been lost.
     receipt.lateness.counts = outcome.lateness;
     receipt.wire = Some(LinkTraffic::new(outcome.wire_bytes, outcome.bursts.planned));
     receipt.rest_error_um = Some(outcome.rest_error_um.to_vec());

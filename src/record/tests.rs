@@ -4,7 +4,7 @@ use super::*;
 use firmware_protocol::limits::{OnTimeLimits, Refusal};
 use firmware_protocol::message::Cause;
 use firmware_protocol::stroke::MOTORS;
-use meissner_api::LatePolicy;
+use meissner_api::{LateCause, LatePolicy};
 use meissner_array::pattern::Pattern;
 use meissner_array::strokes::Strokes;
 use meissner_stream::Bandwidth;
@@ -85,7 +85,7 @@ fn ended(id: u64, end: End) -> StreamEvent {
         rest_error_um: [0.5; MOTORS],
         play: Box::new(play),
     };
-    StreamEvent::Ended { id, outcome }
+    StreamEvent::PlayEnded { id, outcome }
 }
 
 fn take(recorder: &mut Recorder, id: u64) {
@@ -99,13 +99,15 @@ fn a_play_goes_from_queued_to_its_receipt() {
     take(&mut recorder, 1);
     take(&mut recorder, 2);
     assert_eq!(recorder.queued().map(|receipt| receipt.id).collect::<Vec<_>>(), [1, 2]);
-    let event = recorder.take(&StreamEvent::Began { id: 1, onset: onset() }).unwrap();
+    let event = recorder.take(&StreamEvent::PlayStarted { id: 1, onset: onset() }).unwrap();
     assert_eq!(event.name(), "began");
     recorder.take(&StreamEvent::Snapshot(snapshot(true, State::Armed, Some((1, 0.25)))));
     assert_eq!(recorder.running().unwrap().played_s, 0.25);
     assert_eq!(recorder.receipt(1).unwrap().state, PlayState::Running);
     assert_eq!(recorder.queued().count(), 1);
-    recorder.take(&StreamEvent::Late { id: 1, motor: 3, up: Tick(7), late_ms: 1.5, cause: LateCause::Host });
+    let counts = LateCounts { host: 1, worst_ms: 1.5, ..LateCounts::default() };
+    let (up, late_ms, cause) = (Tick(7), 1.5, LateCause::Host);
+    recorder.take(&StreamEvent::StrokeLate { id: 1, motor: 3, up, late_ms, cause, counts });
     let up = Tick(8);
     recorder.take(&StreamEvent::StrokeRefused { id: 1, motor: 3, up, reason: Refusal::MotorOnTime });
     let Some(Event::Ended { receipt }) = recorder.take(&ended(1, End::Stopped)) else { panic!() };
@@ -137,13 +139,14 @@ fn receipts_and_lists_are_bounded() {
     let mut recorder = Recorder::default();
     for id in 1..=KEPT as u64 + 5 {
         take(&mut recorder, id);
-        for _ in 0..MAX_LISTED + 1 {
-            recorder.take(&StreamEvent::Late {
+        for link in 1..=MAX_LISTED as u64 + 1 {
+            recorder.take(&StreamEvent::StrokeLate {
                 id,
                 motor: 3,
                 up: Tick(7),
                 late_ms: 1.0,
                 cause: LateCause::Link,
+                counts: LateCounts { link, ..LateCounts::default() },
             });
         }
         assert_eq!(recorder.receipt(id).unwrap().lateness.counts.link, MAX_LISTED as u64 + 1);

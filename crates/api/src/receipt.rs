@@ -145,22 +145,6 @@ pub struct LatenessRecord {
     pub strokes: Vec<LateStroke>,
 }
 
-impl LatenessRecord {
-    /// Counts a late stroke, and lists it while there is room.
-    pub fn add(&mut self, stroke: LateStroke) {
-        let counts = &mut self.counts;
-        match stroke.cause {
-            LateCause::Host => counts.host += 1,
-            LateCause::Link => counts.link += 1,
-            LateCause::Device => counts.device += 1,
-        }
-        counts.worst_ms = counts.worst_ms.max(stroke.late_ms);
-        if self.strokes.len() < MAX_LISTED {
-            self.strokes.push(stroke);
-        }
-    }
-}
-
 /// The afferent response predicted for a play, from its bursts as they were measured.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PredictedResponse {

@@ -122,7 +122,8 @@ impl Active {
         self.last_end = self.last_end.max(stroke.end());
     }
 
-    pub(super) fn late(&mut self, late_ms: f64, cause: LateCause) {
+    /// Counts a late stroke; returns the counts so far.
+    pub(super) fn late(&mut self, late_ms: f64, cause: LateCause) -> LateCounts {
         self.late_strokes += 1;
         self.lateness.worst_ms = self.lateness.worst_ms.max(late_ms);
         match cause {
@@ -130,6 +131,7 @@ impl Active {
             LateCause::Link => self.lateness.link += 1,
             LateCause::Device => self.lateness.device += 1,
         }
+        self.lateness
     }
 
     /// Its onset came too late by so much: nothing of it was taken.

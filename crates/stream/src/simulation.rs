@@ -99,23 +99,23 @@ pub struct Simulation {
     now: HostInstant,
     to_device: Direction,
     to_host: Direction,
-    notices: Told,
+    events: EventLog,
     tickets: u64,
 }
 
 /// What was told; measured bursts only if somebody asked for them.
 #[derive(Debug, Default)]
-struct Told {
-    notices: Vec<StreamEvent>,
-    travels: Option<Vec<MeasuredBurst>>,
+struct EventLog {
+    events: Vec<StreamEvent>,
+    measured_bursts: Option<Vec<MeasuredBurst>>,
 }
 
-impl Told {
-    fn push(&mut self, notice: StreamEvent) {
-        match (notice, &mut self.travels) {
-            (StreamEvent::MeasuredBurst(traveled), Some(travels)) => travels.push(traveled),
+impl EventLog {
+    fn push(&mut self, event: StreamEvent) {
+        match (event, &mut self.measured_bursts) {
+            (StreamEvent::MeasuredBurst(burst), Some(measured_bursts)) => measured_bursts.push(burst),
             (StreamEvent::MeasuredBurst(_), None) => {}
-            (notice, _) => self.notices.push(notice),
+            (event, _) => self.events.push(event),
         }
     }
 }
@@ -139,7 +139,7 @@ impl Simulation {
             now: STARTED,
             to_device: direction(0x5eed, line),
             to_host: direction(0xfeed, Line { bytes_per_s: 0, ..line }),
-            notices: Told::default(),
+            events: EventLog::default(),
             tickets: 0,
         };
         new.connect();
@@ -148,9 +148,9 @@ impl Simulation {
 
     /// Opens a new session: the first, or after [`Self::unplug`].
     pub fn connect(&mut self) {
-        let notices = &mut self.notices;
+        let events = &mut self.events;
         let id = self.now.as_ns() as u32;
-        self.streamer.connect(self.now, id, LineRate(800_000), &mut |notice| notices.push(notice));
+        self.streamer.connect(self.now, id, LineRate(800_000), &mut |event| events.push(event));
     }
 
     /// Pulls the cable: the device returns pins, the streamer is told.
@@ -158,8 +158,8 @@ impl Simulation {
         self.mock.unplug();
         self.to_device.frames.clear();
         self.to_host.frames.clear();
-        let notices = &mut self.notices;
-        self.streamer.disconnect(self.now, "unplugged", &mut |notice| notices.push(notice));
+        let events = &mut self.events;
+        self.streamer.disconnect(self.now, "unplugged", &mut |event| events.push(event));
     }
 
     /// Changes the line.
@@ -174,16 +174,16 @@ impl Simulation {
     }
 
     /// Gives an order; returns its ticket.
-    pub fn order(&mut self, job: Command) -> u64 {
-        self.order_given(self.now, job)
+    pub fn send(&mut self, command: Command) -> u64 {
+        self.send_issued_at(self.now, command)
     }
 
     /// An order that was given before now, while the host was held up; returns its ticket.
-    pub fn order_given(&mut self, given: HostInstant, job: Command) -> u64 {
+    pub fn send_issued_at(&mut self, given: HostInstant, command: Command) -> u64 {
         self.tickets += 1;
-        let notices = &mut self.notices;
-        let order = Request { ticket: self.tickets, given, job };
-        self.streamer.order(self.now, order, &mut |notice| notices.push(notice));
+        let events = &mut self.events;
+        let request = Request { ticket: self.tickets, issued_at: given, command };
+        self.streamer.execute(self.now, request, &mut |event| events.push(event));
         self.tickets
     }
 
@@ -222,8 +222,8 @@ impl Simulation {
 
     /// The host wakes up now, as after [`Self::stall`]: it reads, decides and sends.
     pub fn wake(&mut self) {
-        let notices = &mut self.notices;
-        let tell = &mut |notice| notices.push(notice);
+        let events = &mut self.events;
+        let tell = &mut |event| events.push(event);
         for chunk in self.to_host.arrived(self.now).chunks(1024) {
             self.streamer.receive(self.now, chunk, tell);
         }
@@ -239,13 +239,13 @@ impl Simulation {
     }
 
     /// What has happened since the last call.
-    pub fn take_notices(&mut self) -> Vec<StreamEvent> {
-        std::mem::take(&mut self.notices.notices)
+    pub fn take_events(&mut self) -> Vec<StreamEvent> {
+        std::mem::take(&mut self.events.events)
     }
 
     /// From now on keeps what bursts really came to; gives out what was kept so far.
-    pub fn take_travels(&mut self) -> Vec<MeasuredBurst> {
-        self.notices.travels.replace(Vec::new()).unwrap_or_default()
+    pub fn take_measured_bursts(&mut self) -> Vec<MeasuredBurst> {
+        self.events.measured_bursts.replace(Vec::new()).unwrap_or_default()
     }
 
     /// Runs until the play `id` has ended, for `at_most`; what came of it.
@@ -254,10 +254,11 @@ impl Simulation {
         while self.now < end {
             self.run(Duration::from_millis(10));
             let ended =
-                self.notices.notices.iter().position(
-                    |notice| matches!(notice, StreamEvent::Ended { id: ended, .. } if *ended == id),
+                self.events.events.iter().position(
+                    |event| matches!(event, StreamEvent::PlayEnded { id: ended, .. } if *ended == id),
                 );
-            if let Some(StreamEvent::Ended { outcome, .. }) = ended.map(|at| self.notices.notices.remove(at))
+            if let Some(StreamEvent::PlayEnded { outcome, .. }) =
+                ended.map(|at| self.events.events.remove(at))
             {
                 return Some(outcome);
             }
@@ -274,7 +275,7 @@ pub struct SimulatedPlay {
     /// The play's account.
     pub outcome: Outcome,
     /// What its bursts came to, as they were measured.
-    pub travels: Vec<MeasuredBurst>,
+    pub measured_bursts: Vec<MeasuredBurst>,
 }
 
 /// Why a play could not be rehearsed.
@@ -309,19 +310,19 @@ pub fn simulate_play(
     let name = || pattern.name().to_owned();
     let end = strokes.end().ok_or_else(|| SimulationError::Endless(name()))?;
     let mut simulation = Simulation::new(plant, settings, Line::default(), plant.seed)?;
-    simulation.take_travels();
+    simulation.take_measured_bursts();
     simulation.run(Duration::from_millis(100));
-    simulation.order(Command::Arm { assume_rest: true });
+    simulation.send(Command::Arm { assume_rest: true });
     simulation.run(Duration::from_millis(20));
     let bandwidth = Bandwidth::of(&strokes, &settings);
     let play =
         Play { id: 1, strokes, at: At::Next, late: LatePolicy::Drop, replace: false, open_loop, bandwidth };
-    simulation.order(Command::Play(Box::new(play)));
+    simulation.send(Command::Play(Box::new(play)));
     let length = Duration::from_secs_f64(ticks_to_seconds(end));
     let outcome = simulation.run_to_end(1, length + Duration::from_secs(2));
     let outcome = outcome.ok_or_else(|| SimulationError::NoEnd(name()))?;
     // The last bursts are yet to be measured.
     simulation.run(MEASURED_WITHIN + Duration::from_millis(plant.telemetry_age_ms.into()));
-    let travels = simulation.take_travels();
-    Ok(SimulatedPlay { rest: simulation.mock.true_positions().rest(), outcome, travels })
+    let measured_bursts = simulation.take_measured_bursts();
+    Ok(SimulatedPlay { rest: simulation.mock.true_positions().rest(), outcome, measured_bursts })
 }

@@ -3,7 +3,7 @@
 //! SCHED_FIFO, and locked memory, where the system allows it. The loop reads the clock, moves bytes and
 //! sleeps until the next thing is due, bytes arrive or an order comes; it decides nothing. In it nothing is
 //! allocated, locked, logged or waited for, but for a session's memory when a device comes or goes: what
-//! owns memory goes back through the port.
+//! owns memory goes back through the queues.
 
 use crate::device::{Device, priority};
 use crate::queues::{Command, CommandQueue, EventQueue, StreamEvent, ThreadQueues, queues};
@@ -20,7 +20,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 /// Turns of reading and writing per wake-up, at the most: a device that never falls silent must not control up orders.
 const TURNS: usize = 32;
-/// A port that takes nothing for so long is gone.
+/// A queues that takes nothing for so long is gone.
 const STUCK_FOR: Duration = Duration::from_millis(500);
 /// Reads per turn, at the most, for the same reason.
 const READS: usize = 16;
@@ -30,14 +30,14 @@ const READS: usize = 16;
 /// # Errors
 /// If the system gives no descriptors or no thread.
 pub fn spawn(settings: Settings) -> io::Result<(CommandQueue, EventQueue, Realtime, JoinHandle<()>)> {
-    let (port, orders, notices) = queues()?;
+    let (thread_queues, commands, events) = queues()?;
     let (tell, told) = crossbeam_channel::bounded(1);
     let thread = std::thread::Builder::new().name("streamer".into()).spawn(move || {
         let _ = tell.send(request_realtime());
-        Loop::new(settings, port).run();
+        Loop::new(settings, thread_queues).run();
     })?;
     let realtime = told.recv().unwrap_or_default();
-    Ok((orders, notices, realtime, thread))
+    Ok((commands, events, realtime, thread))
 }
 
 /// Asks for SCHED_FIFO for the calling thread, and for locked memory for the process.
@@ -49,23 +49,23 @@ pub fn request_realtime() -> Realtime {
 }
 
 struct Loop {
-    port: ThreadQueues,
+    queues: ThreadQueues,
     streamer: Streamer,
     device: Option<Box<Device>>,
     /// The frame being written, and what is left of it.
     frame: [u8; MAX_FRAME],
     unsent: Range<usize>,
-    /// Since when the port takes nothing.
+    /// Since when the queues takes nothing.
     stuck_since: Option<HostInstant>,
     /// Makes session numbers.
     random: RandomState,
 }
 
 impl Loop {
-    fn new(settings: Settings, port: ThreadQueues) -> Self {
+    fn new(settings: Settings, queues: ThreadQueues) -> Self {
         let streamer = Streamer::new(settings);
         Self {
-            port,
+            queues,
             streamer,
             device: None,
             frame: [0; MAX_FRAME],
@@ -77,40 +77,40 @@ impl Loop {
 
     fn run(mut self) {
         loop {
-            self.orders(HostInstant::now());
+            self.execute_requests(HostInstant::now());
             self.exchange();
             if self.streamer.is_closed() {
                 break;
             }
-            self.port.announce();
-            self.port.turn();
+            self.queues.wake_listener();
+            self.queues.count_loop();
             self.sleep();
         }
         if let Some(device) = self.device.take() {
-            self.port.tell(StreamEvent::Disconnected { reason: "shutdown", device: Some(device) });
+            self.queues.push(StreamEvent::Disconnected { reason: "shutdown", device: Some(device) });
         }
-        self.port.tell(StreamEvent::Bye);
-        self.port.announce();
+        self.queues.push(StreamEvent::ThreadEnded);
+        self.queues.wake_listener();
     }
 
-    fn orders(&mut self, now: HostInstant) {
-        self.port.silence();
-        while let Some(order) = self.port.pop() {
-            let Self { port, streamer, .. } = self;
-            match order.job {
+    fn execute_requests(&mut self, now: HostInstant) {
+        self.queues.clear_wake();
+        while let Some(request) = self.queues.pop() {
+            let Self { queues, streamer, .. } = self;
+            match request.command {
                 Command::Connect(device) => {
                     let rate = device.rate();
                     let id = self.random.hash_one(now.as_ns()) as u32;
                     (self.unsent, self.stuck_since) = (0..0, None);
                     let old = self.device.replace(device);
-                    let Self { port, streamer, .. } = self;
-                    streamer.connect(now, id, rate, &mut |notice| port.tell(notice));
+                    let Self { queues, streamer, .. } = self;
+                    streamer.connect(now, id, rate, &mut |event| queues.push(event));
                     let reason = streamer.take_lost();
                     if let (Some(reason), Some(old)) = (reason, old) {
-                        port.tell(StreamEvent::Disconnected { reason, device: Some(old) });
+                        queues.push(StreamEvent::Disconnected { reason, device: Some(old) });
                     }
                 }
-                _ => streamer.order(now, order, &mut |notice| port.tell(notice)),
+                _ => streamer.execute(now, request, &mut |event| queues.push(event)),
             }
         }
     }
@@ -121,13 +121,13 @@ impl Loop {
             let now = HostInstant::now();
             // What the device says first: after a stall it may have ended the play long ago.
             let wrote = self.read(now).and_then(|()| {
-                let Self { port, streamer, .. } = self;
-                streamer.step(now, &mut |notice| port.tell(notice));
+                let Self { queues, streamer, .. } = self;
+                streamer.step(now, &mut |event| queues.push(event));
                 self.write(now)
             });
             if wrote.is_err() {
-                let Self { port, streamer, .. } = self;
-                streamer.disconnect(now, "the device was unplugged", &mut |notice| port.tell(notice));
+                let Self { queues, streamer, .. } = self;
+                streamer.disconnect(now, "the device was unplugged", &mut |event| queues.push(event));
             }
             if let Some(reason) = self.streamer.take_lost() {
                 self.give_back(reason);
@@ -139,11 +139,11 @@ impl Loop {
     }
 
     fn write(&mut self, now: HostInstant) -> io::Result<bool> {
-        let Self { port, streamer, device: Some(device), .. } = self else { return Ok(false) };
+        let Self { queues, streamer, device: Some(device), .. } = self else { return Ok(false) };
         let mut wrote = false;
         loop {
             if self.unsent.is_empty() {
-                self.unsent = 0..streamer.transmit(now, &mut self.frame, &mut |notice| port.tell(notice));
+                self.unsent = 0..streamer.transmit(now, &mut self.frame, &mut |event| queues.push(event));
             }
             if self.unsent.is_empty() {
                 return Ok(wrote);
@@ -161,14 +161,14 @@ impl Loop {
     }
 
     fn read(&mut self, now: HostInstant) -> io::Result<()> {
-        let Self { port, streamer, device: Some(device), .. } = self else { return Ok(()) };
+        let Self { queues, streamer, device: Some(device), .. } = self else { return Ok(()) };
         let mut bytes = [0; 1024];
         for _ in 0..READS {
             let len = device.read(now, &mut bytes)?;
             if len == 0 {
                 break;
             }
-            streamer.receive(now, &bytes[..len], &mut |notice| port.tell(notice));
+            streamer.receive(now, &bytes[..len], &mut |event| queues.push(event));
         }
         Ok(())
     }
@@ -176,7 +176,7 @@ impl Loop {
     fn give_back(&mut self, reason: &'static str) {
         if let Some(device) = self.device.take() {
             (self.unsent, self.stuck_since) = (0..0, None);
-            self.port.tell(StreamEvent::Disconnected { reason, device: Some(device) });
+            self.queues.push(StreamEvent::Disconnected { reason, device: Some(device) });
         }
     }
 
@@ -186,15 +186,15 @@ impl Loop {
         let least = if self.unsent.is_empty() { Duration::from_micros(1) } else { Duration::from_millis(1) };
         let wait = self.streamer.wake_at(now).since(now).max(least);
         let timeout = Timespec { tv_sec: wait.as_secs() as i64, tv_nsec: wait.subsec_nanos().into() };
-        let orders = PollFd::from_borrowed_fd(self.port.wake(), PollFlags::IN);
+        let commands = PollFd::from_borrowed_fd(self.queues.wake_fd(), PollFlags::IN);
         // An early return, by a signal, only means an idle turn.
         let _ = match self.device.as_ref().and_then(|device| Some((device, device.wake()?))) {
             Some((device, wake)) => {
                 let wants_room = !self.unsent.is_empty() && device.polls_writable();
                 let for_what = if wants_room { PollFlags::IN | PollFlags::OUT } else { PollFlags::IN };
-                poll(&mut [orders, PollFd::from_borrowed_fd(wake, for_what)], Some(&timeout))
+                poll(&mut [commands, PollFd::from_borrowed_fd(wake, for_what)], Some(&timeout))
             }
-            None => poll(&mut [orders], Some(&timeout)),
+            None => poll(&mut [commands], Some(&timeout)),
         };
     }
 }

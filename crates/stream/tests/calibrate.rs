@@ -9,7 +9,7 @@ use meissner_stream::calibrate::{
     BurstTravel, Calibration, Fit, MAX_BYTES, MotorFit, PULSES_RANGE, Plan, PlannedBurst, STROKES_PER_GROUP,
     fit, travels_by_sensor, travels_by_telemetry,
 };
-use meissner_stream::queues::{Command, Refused, StreamEvent};
+use meissner_stream::queues::{Command, CommandError, StreamEvent};
 use meissner_stream::{Gains, Line, Settings, Simulation, simulate_play};
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -161,7 +161,7 @@ fn one_motor_is_calibrated_alone() {
 fn played(plan: &Plan, config: &PlantConfig) -> Vec<BurstTravel> {
     let played = simulate_play(&plan.pattern(), None, config, Settings::default(), true).unwrap();
     assert_eq!(played.outcome.bursts.played as usize, plan.bursts(Tick(0)).count());
-    travels_by_telemetry(plan, played.outcome.onset.unwrap().actual, &played.travels)
+    travels_by_telemetry(plan, played.outcome.onset.unwrap().actual, &played.measured_bursts)
 }
 
 #[test]
@@ -194,17 +194,17 @@ fn on_a_device_with_scatter_they_are_found_within_the_error_that_is_told() {
     let plan = Plan::new(Some(7), &[20, 100], 1).unwrap();
     let mut played = simulate_play(&plan.pattern(), None, &config, Settings::default(), true).unwrap();
     let onset = played.outcome.onset.unwrap().actual;
-    assert_eq!(travels_by_telemetry(&plan, onset, &played.travels).len(), 40);
-    played.travels[5].sd_um = 1.0;
-    played.travels[9].pulses += 1;
-    assert_eq!(travels_by_telemetry(&plan, onset, &played.travels).len(), 38);
-    assert_eq!(travels_by_telemetry(&plan, onset + 1, &played.travels), []);
+    assert_eq!(travels_by_telemetry(&plan, onset, &played.measured_bursts).len(), 40);
+    played.measured_bursts[5].sd_um = 1.0;
+    played.measured_bursts[9].pulses += 1;
+    assert_eq!(travels_by_telemetry(&plan, onset, &played.measured_bursts).len(), 38);
+    assert_eq!(travels_by_telemetry(&plan, onset + 1, &played.measured_bursts), []);
 }
 
-fn home(simulation: &mut Simulation) -> Option<Result<(), Refused>> {
-    let ticket = simulation.order(Command::Home);
+fn home(simulation: &mut Simulation) -> Option<Result<(), CommandError>> {
+    let ticket = simulation.send(Command::Home);
     simulation.run(Duration::from_millis(1000));
-    simulation.take_notices().into_iter().find_map(|notice| match notice {
+    simulation.take_events().into_iter().find_map(|notice| match notice {
         StreamEvent::Answer { ticket: of, result } if of == ticket => Some(result),
         _ => None,
     })
@@ -220,10 +220,10 @@ fn a_calibration_that_is_handed_over_is_what_home_goes_by() {
     let blind = PlantConfig { telemetry_hz: 0, ..config };
     let mut simulation = Simulation::new(&blind, Settings::default(), Line::default(), 1).unwrap();
     simulation.run(Duration::from_millis(500));
-    simulation.order(Command::Arm { assume_rest: true });
+    simulation.send(Command::Arm { assume_rest: true });
     simulation.run(Duration::from_millis(100));
-    assert_eq!(home(&mut simulation), Some(Err(Refused::NothingToGoBy)));
-    simulation.order(Command::Calibrate(Box::new(gains)));
+    assert_eq!(home(&mut simulation), Some(Err(CommandError::NoPositionEstimate)));
+    simulation.send(Command::SetGains(Box::new(gains)));
     assert_eq!(home(&mut simulation), Some(Ok(())));
 }
 

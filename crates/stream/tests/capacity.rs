@@ -1,6 +1,6 @@
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::strokes::Strokes;
-use meissner_stream::queues::{Command, Refused, StreamEvent};
+use meissner_stream::queues::{Command, CommandError, StreamEvent};
 use meissner_stream::{Bandwidth, Line, Settings};
 use meissner_test_support::rig::{self, Rig, assert_closed};
 use std::time::Duration;
@@ -37,12 +37,12 @@ fn slow(bytes_per_s: u32) -> Rig {
 }
 
 /// Plays on a line of `bytes_per_s`: the refusal, or what came of it.
-fn try_on(bytes_per_s: u32, pattern: &Pattern, open_loop: bool) -> Result<(), Refused> {
+fn try_on(bytes_per_s: u32, pattern: &Pattern, open_loop: bool) -> Result<(), CommandError> {
     let mut rig = slow(bytes_per_s);
     let mut play = rig.play(pattern, Some(4.0));
     play.open_loop = open_loop;
-    rig.order(Command::Play(Box::new(play)));
-    let answer = rig.take_notices().into_iter().find_map(|notice| match notice {
+    rig.send(Command::Play(Box::new(play)));
+    let answer = rig.take_events().into_iter().find_map(|notice| match notice {
         StreamEvent::Answer { result, .. } => Some(result),
         _ => None,
     });
@@ -68,7 +68,7 @@ fn what_a_line_carries_just_so_is_played_without_lateness_and_what_it_does_not_i
         loop {
             match try_on(line, pattern, open_loop) {
                 Ok(()) => break,
-                Err(Refused::LineTooSlow { needs, carries }) => {
+                Err(CommandError::LineTooSlow { needs, carries }) => {
                     assert_eq!(needs, wanted);
                     // Whole frames on their way, for a millisecond or two there and back. (A simulation measures by
                     // half milliseconds.)
@@ -98,7 +98,7 @@ fn what_a_play_needs_covers_what_it_sends() {
             let mut play = rig.play(&pattern, Some(4.0));
             play.open_loop = open_loop;
             let bandwidth = if open_loop { play.bandwidth.open } else { play.bandwidth.closed };
-            rig.order(Command::Play(Box::new(play)));
+            rig.send(Command::Play(Box::new(play)));
             let outcome = rig.run_to_end(1, Duration::from_secs(6)).expect("it ends");
             // The lead's worth is sent in the first instant.
             let mean = outcome.wire_bytes as f64 / 4.1;
@@ -125,12 +125,12 @@ fn on_a_link_that_jitters_a_play_is_in_time_or_refused_with_numbers() {
             // The probe, then the arm.
             rig.run(Duration::from_secs(2));
             rig.arm();
-            rig.take_notices();
+            rig.take_events();
             let strokes = Strokes::new(pattern, Some(4.0)).unwrap();
             let mut play = rig.play(pattern, Some(4.0));
             (play.open_loop, play.bandwidth) = (true, Bandwidth::of(&strokes, &settings));
-            rig.order(Command::Play(Box::new(play)));
-            let answer = rig.take_notices().into_iter().find_map(|notice| match notice {
+            rig.send(Command::Play(Box::new(play)));
+            let answer = rig.take_events().into_iter().find_map(|notice| match notice {
                 StreamEvent::Answer { result, .. } => Some(result),
                 _ => None,
             });
@@ -147,7 +147,7 @@ fn on_a_link_that_jitters_a_play_is_in_time_or_refused_with_numbers() {
                     );
                     played.push((delay, lead_ms));
                 }
-                Err(Refused::LineTooSlow { needs, carries }) => {
+                Err(CommandError::LineTooSlow { needs, carries }) => {
                     println!("{what}: needs {needs}, carries {carries}");
                     assert!(needs > carries, "{what}");
                     refusals.push((delay, lead_ms));
@@ -164,7 +164,7 @@ fn on_a_link_that_jitters_a_play_is_in_time_or_refused_with_numbers() {
 fn a_uart_is_measured_and_says_what_it_carries() {
     let mut rig = Rig::new(Line { bytes_per_s: 11_520, ..Line::default() }, 7);
     rig.run(Duration::from_millis(600));
-    let carried = rig.take_notices().into_iter().rev().find_map(|notice| match notice {
+    let carried = rig.take_events().into_iter().rev().find_map(|notice| match notice {
         StreamEvent::Snapshot(snapshot) => snapshot.line_bytes_per_s,
         _ => None,
     });
@@ -172,8 +172,8 @@ fn a_uart_is_measured_and_says_what_it_carries() {
     assert!((10_500..=11_520).contains(&carried), "{carried}");
     rig.arm();
     let play = rig.play(&all_at(300.0), None);
-    rig.order(Command::Play(Box::new(play)));
-    let line = rig.take_notices().into_iter().find_map(|notice| match notice {
+    rig.send(Command::Play(Box::new(play)));
+    let line = rig.take_events().into_iter().find_map(|notice| match notice {
         StreamEvent::Answer { result: Err(refused), .. } => Some(refused.to_string()),
         _ => None,
     });
@@ -191,7 +191,7 @@ fn measuring_is_bounded_and_deterministic() {
         let run = || {
             let mut rig = Rig::new(line, 8);
             rig.run(Duration::from_millis(900));
-            let last = rig.take_notices().into_iter().rev().find_map(|notice| match notice {
+            let last = rig.take_events().into_iter().rev().find_map(|notice| match notice {
                 StreamEvent::Snapshot(snapshot) => Some((snapshot.line_bytes_per_s, snapshot.bytes_out)),
                 _ => None,
             });

@@ -8,7 +8,7 @@ use meissner_api::SensorFault;
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::simulated::{Pin, PlantConfig, Sample};
 use meissner_array::units::UM_PER_PULSE;
-use meissner_stream::queues::{Command, Refused, Snapshot, StreamEvent};
+use meissner_stream::queues::{Command, CommandError, Snapshot, StreamEvent};
 use meissner_stream::rest_bound_um;
 use meissner_stream::{Gains, Line, MotorRun, Period, Settings, Simulation};
 use meissner_test_support::random::Random;
@@ -342,9 +342,9 @@ fn swapped_sensors_are_told_and_both_motors_play_on_in_open_loop() {
     rig.arm();
     let mut play = rig.play(&two_motors(), None);
     play.open_loop = false;
-    rig.order(Command::Play(Box::new(play)));
+    rig.send(Command::Play(Box::new(play)));
     rig.run(Duration::from_millis(7000));
-    let notices = rig.take_notices();
+    let notices = rig.take_events();
     let mut doubted: Vec<u8> = notices
         .iter()
         .filter_map(|notice| match notice {
@@ -369,11 +369,11 @@ fn swapped_sensors_are_told_and_both_motors_play_on_in_open_loop() {
         }
     }
     // After the next arm they are given another chance.
-    rig.order(Command::Disarm);
+    rig.send(Command::Disarm);
     rig.run(Duration::from_millis(200));
-    rig.order(Command::Arm { assume_rest: false });
+    rig.send(Command::Arm { assume_rest: false });
     rig.run(Duration::from_millis(1500));
-    assert_eq!(last_snapshot(&rig.take_notices()).source, [ErrorSource::Telemetry; MOTORS]);
+    assert_eq!(last_snapshot(&rig.take_events()).source, [ErrorSource::Telemetry; MOTORS]);
 }
 
 /// All motors for a minute through link and controller: the bound, and the wire.
@@ -395,7 +395,7 @@ fn a_minute_of_all_motors_is_within_reach_of_the_bound_and_of_the_wire() {
 }
 
 /// What came of an order.
-fn answer(notices: &[StreamEvent], of: u64) -> Option<std::result::Result<(), Refused>> {
+fn answer(notices: &[StreamEvent], of: u64) -> Option<std::result::Result<(), CommandError>> {
     notices.iter().find_map(|notice| match notice {
         StreamEvent::Answer { ticket, result } if *ticket == of => Some(*result),
         _ => None,
@@ -408,17 +408,17 @@ fn home_brings_pins_back_between_plays_and_says_why_if_it_cannot() {
     rig.arm();
     let endless = Pattern::new("on", None, vec![drive(3, 60.0)], toml::Table::new()).unwrap();
     let play = rig.play(&endless, Some(1.2));
-    rig.order(Command::Play(Box::new(play)));
+    rig.send(Command::Play(Box::new(play)));
     rig.run(Duration::from_millis(1000));
-    let early = rig.order(Command::Home);
+    let early = rig.send(Command::Home);
     rig.run(Duration::from_millis(5000));
-    let notices = rig.take_notices();
-    assert_eq!(answer(&notices, early), Some(Err(Refused::Playing)));
+    let notices = rig.take_events();
+    assert_eq!(answer(&notices, early), Some(Err(CommandError::Playing)));
     let before = rig.mock.position_um(3);
     assert!(before.abs() > 20.0, "{before} um of drift in open loop");
-    let home = rig.order(Command::Home);
+    let home = rig.send(Command::Home);
     rig.run(Duration::from_millis(3000));
-    let notices = rig.take_notices();
+    let notices = rig.take_events();
     assert_eq!(answer(&notices, home), Some(Ok(())), "{notices:?}");
     for motor in 0..MOTORS as u8 {
         let um = rig.mock.position_um(motor);
@@ -429,11 +429,11 @@ fn home_brings_pins_back_between_plays_and_says_why_if_it_cannot() {
     let blind = PlantConfig { telemetry_hz: 0, ..PlantConfig::default() };
     let mut simulation = Simulation::new(&blind, Settings::default(), Line::default(), 1).unwrap();
     simulation.run(Duration::from_millis(500));
-    simulation.order(Command::Arm { assume_rest: true });
+    simulation.send(Command::Arm { assume_rest: true });
     simulation.run(Duration::from_millis(100));
-    let home = simulation.order(Command::Home);
+    let home = simulation.send(Command::Home);
     simulation.run(Duration::from_millis(100));
-    assert_eq!(answer(&simulation.take_notices(), home), Some(Err(Refused::NothingToGoBy)));
+    assert_eq!(answer(&simulation.take_events(), home), Some(Err(CommandError::NoPositionEstimate)));
 }
 
 /// Where pins really are after plays in open loop, against what dead reckoning says.
@@ -448,10 +448,10 @@ fn without_telemetry_the_error_is_reckoned_and_a_warning_given() {
     let mut warned = 0;
     for _ in 0..3 {
         let play = rig.play(&pattern, None);
-        rig.order(Command::Play(Box::new(play)));
+        rig.send(Command::Play(Box::new(play)));
         rig.run(Duration::from_millis(3500));
-        let notices = rig.take_notices();
-        warned += notices.iter().filter(|notice| matches!(notice, StreamEvent::Drifted { .. })).count();
+        let notices = rig.take_events();
+        warned += notices.iter().filter(|notice| matches!(notice, StreamEvent::DriftWarning { .. })).count();
         let snapshot = last_snapshot(&notices);
         assert_eq!(snapshot.source, [ErrorSource::DeadReckoning; MOTORS]);
         reckoned.push(f64::from(snapshot.rest_error_um[0]));
@@ -490,11 +490,11 @@ fn calibrated_gains_hold_pins_without_telemetry() {
         let mut rig = Rig::plant(&plant, 3);
         rig.arm();
         if let Some(gains) = gains {
-            rig.order(Command::Calibrate(Box::new(*gains)));
+            rig.send(Command::SetGains(Box::new(*gains)));
         }
         let mut play = rig.play(&pattern, None);
         play.open_loop = false;
-        rig.order(Command::Play(Box::new(play)));
+        rig.send(Command::Play(Box::new(play)));
         rig.run(Duration::from_millis(4000));
         let squares = (0..MOTORS as u8).map(|motor| rig.mock.position_um(motor).powi(2)).sum::<f64>();
         (squares / MOTORS as f64).sqrt()
@@ -521,14 +521,14 @@ fn home_moves_no_pin_far_by_telemetry_that_lies() {
         rig.arm();
         let pattern = Pattern::new("on", None, vec![drive(3, 60.0)], toml::Table::new()).unwrap();
         let play = rig.play(&pattern, Some(0.5));
-        rig.order(Command::Play(Box::new(play)));
+        rig.send(Command::Play(Box::new(play)));
         rig.run(Duration::from_millis(1000));
         rig.mock.distort_telemetry(lie);
         rig.run(Duration::from_millis(300));
         let before: Vec<f64> = (0..MOTORS as u8).map(|motor| rig.mock.position_um(motor)).collect();
-        let home = rig.order(Command::Home);
+        let home = rig.send(Command::Home);
         rig.run(Duration::from_millis(3000));
-        assert_eq!(answer(&rig.take_notices(), home), Some(Err(Refused::NotHome)), "{name}");
+        assert_eq!(answer(&rig.take_events(), home), Some(Err(CommandError::NotHome)), "{name}");
         for (motor, before) in (0u8..).zip(before) {
             let um = rig.mock.position_um(motor);
             assert!((um - before).abs() <= 45.0, "{name}: motor {motor} from {before} to {um}");
@@ -542,13 +542,13 @@ fn a_device_that_disarms_while_pins_go_home_has_its_answer() {
     rig.arm();
     let pattern = Pattern::new("on", None, vec![drive(3, 60.0)], toml::Table::new()).unwrap();
     let play = rig.play(&pattern, Some(1.0));
-    rig.order(Command::Play(Box::new(play)));
+    rig.send(Command::Play(Box::new(play)));
     rig.run(Duration::from_millis(1500));
-    let home = rig.order(Command::Home);
+    let home = rig.send(Command::Home);
     rig.run(Duration::from_millis(5));
     rig.stall(Duration::from_millis(600));
     rig.run(Duration::from_millis(1000));
-    let notices = rig.take_notices();
+    let notices = rig.take_events();
     let answers = notices
         .iter()
         .filter(|notice| matches!(notice, StreamEvent::Answer { ticket, .. } if *ticket == home));
@@ -565,15 +565,15 @@ fn a_bad_line_makes_no_motor_doubted() {
         for round in 0..10 {
             let mut play = rig.play(&two_motors(), Some(0.4));
             (play.open_loop, play.replace) = (false, round % 3 == 1);
-            rig.order(Command::Play(Box::new(play)));
+            rig.send(Command::Play(Box::new(play)));
             rig.run(Duration::from_millis(150 + 40 * round));
             if round % 4 == 2 {
-                rig.order(Command::Stop);
+                rig.send(Command::Stop);
             }
         }
         rig.run(Duration::from_millis(1000));
         let doubted =
-            rig.take_notices().into_iter().find(|notice| matches!(notice, StreamEvent::SensorFault { .. }));
+            rig.take_events().into_iter().find(|notice| matches!(notice, StreamEvent::SensorFault { .. }));
         assert!(doubted.is_none(), "seed {seed}: {doubted:?}");
     }
 }
@@ -599,10 +599,10 @@ fn corrections_make_the_device_refuse_nothing() {
     for seconds in [1.0, 0.999, 1.0] {
         let mut play = rig.play(&pattern, Some(seconds));
         play.open_loop = false;
-        rig.order(Command::Play(Box::new(play)));
+        rig.send(Command::Play(Box::new(play)));
     }
     rig.run(Duration::from_millis(4000));
-    let notices = rig.take_notices();
+    let notices = rig.take_events();
     let outcomes = meissner_test_support::rig::outcomes(&notices);
     assert_eq!(outcomes.len(), 3);
     for outcome in outcomes {

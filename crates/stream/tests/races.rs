@@ -7,7 +7,7 @@ use meissner_array::simulated::PlantConfig;
 use meissner_array::strokes::Strokes;
 use meissner_stream::device::mock::Mock;
 use meissner_stream::link::LineRate;
-use meissner_stream::queues::{At, Command, End, Play, Refused, Request, StreamEvent};
+use meissner_stream::queues::{At, Command, CommandError, End, Play, Request, StreamEvent};
 use meissner_stream::time::HostInstant;
 use meissner_stream::{Bandwidth, Line, Settings, Streamer};
 use meissner_test_support::rig::{self, Rig};
@@ -17,22 +17,22 @@ const MS: Duration = Duration::from_millis(1);
 
 fn order(rig: &mut Rig, pattern: &str, seconds: Option<f64>, at: At) {
     let play = rig.play(&rig::pattern(pattern), seconds);
-    rig.order(Command::Play(Box::new(Play { at, ..play })));
+    rig.send(Command::Play(Box::new(Play { at, ..play })));
 }
 
 /// How many plays have begun and ended.
 fn begun_and_ended(notices: &[StreamEvent]) -> (usize, usize) {
-    let begun = notices.iter().filter(|notice| matches!(notice, StreamEvent::Began { .. }));
+    let begun = notices.iter().filter(|notice| matches!(notice, StreamEvent::PlayStarted { .. }));
     (begun.count(), rig::outcomes(notices).len())
 }
 
 /// Arms again and lets time pass: nothing that was ordered before may begin.
 fn nothing_comes_to_life(rig: &mut Rig) {
     rig.run(10_000 * MS);
-    rig.take_notices();
-    rig.order(Command::Arm { assume_rest: true });
+    rig.take_events();
+    rig.send(Command::Arm { assume_rest: true });
     rig.run(500 * MS);
-    assert_eq!(begun_and_ended(&rig.take_notices()), (0, 0));
+    assert_eq!(begun_and_ended(&rig.take_events()), (0, 0));
     assert_eq!(rig.mock.controller().state(), State::Armed);
 }
 
@@ -41,13 +41,14 @@ fn a_play_ordered_after_a_lease_and_a_stop_is_refused_and_stays_dead() {
     let mut rig = Rig::new(Line::default(), 8);
     rig.arm();
     rig.stall(900 * MS);
-    rig.order(Command::Stop);
+    rig.send(Command::Stop);
     rig.run(500 * MS);
-    rig.take_notices();
+    rig.take_events();
     order(&mut rig, "pin-60", None, At::Next);
-    let refused =
-        |notice: &StreamEvent| matches!(notice, StreamEvent::Answer { result: Err(Refused::Disarmed), .. });
-    assert!(rig.take_notices().iter().any(refused));
+    let refused = |notice: &StreamEvent| {
+        matches!(notice, StreamEvent::Answer { result: Err(CommandError::Disarmed), .. })
+    };
+    assert!(rig.take_events().iter().any(refused));
     nothing_comes_to_life(&mut rig);
 }
 
@@ -61,12 +62,12 @@ fn a_play_behind_an_arm_that_timed_out_ends_with_it() {
         rig.run(40 * MS);
     }
     rig.run(1500 * MS);
-    rig.order(Command::Arm { assume_rest: true });
+    rig.send(Command::Arm { assume_rest: true });
     order(&mut rig, "pin-60", None, At::Next);
     rig.run(5000 * MS);
     rig.set_line(Line::default());
     rig.run(1000 * MS);
-    assert_eq!(begun_and_ended(&rig.take_notices()), (0, 1));
+    assert_eq!(begun_and_ended(&rig.take_events()), (0, 1));
     assert_eq!(rig.mock.controller().state(), State::Disarmed);
     nothing_comes_to_life(&mut rig);
 }
@@ -75,15 +76,15 @@ fn a_play_behind_an_arm_that_timed_out_ends_with_it() {
 fn two_arms_in_a_row_leave_it_armed_and_playing() {
     let mut rig = Rig::new(Line::default(), 23);
     rig.run(500 * MS);
-    rig.order(Command::Arm { assume_rest: true });
-    rig.order(Command::Arm { assume_rest: true });
+    rig.send(Command::Arm { assume_rest: true });
+    rig.send(Command::Arm { assume_rest: true });
     order(&mut rig, "pin-60", Some(0.2), At::Next);
     rig.run(1000 * MS);
-    let outcomes = rig::into_outcomes(rig.take_notices());
+    let outcomes = rig::into_outcomes(rig.take_events());
     assert_eq!(outcomes.iter().map(|outcome| outcome.end).collect::<Vec<_>>(), [End::Done]);
     order(&mut rig, "pin-60", Some(0.2), At::Next);
     rig.run(1000 * MS);
-    assert_eq!(begun_and_ended(&rig.take_notices()), (1, 1));
+    assert_eq!(begun_and_ended(&rig.take_events()), (1, 1));
 }
 
 #[test]
@@ -117,7 +118,7 @@ fn a_device_whose_clock_begins_anew_plays_as_the_one_before() {
                 _ => None,
             };
             if let Some(job) = job {
-                streamer.order(now, Request { ticket: ms, given: now, job }, tell);
+                streamer.execute(now, Request { ticket: ms, issued_at: now, command: job }, tell);
             }
             streamer.receive(now, &bytes[..len], tell);
             streamer.step(now, tell);
@@ -143,7 +144,7 @@ fn tens_of_thousands_of_reports_later_verdicts_still_count() {
         order(&mut rig, "all-in-phase", Some(6.0), At::Next);
         rig.run(7000 * MS);
         rig.mock.take_trace();
-        assert_eq!(begun_and_ended(&rig.take_notices()), (1, 1), "round {round}");
+        assert_eq!(begun_and_ended(&rig.take_events()), (1, 1), "round {round}");
     }
 }
 
@@ -155,9 +156,9 @@ fn strokes_refused_as_they_begin_do_not_lead_the_loop_astray() {
         let mut rig = Rig::with(settings, Line::default(), 24);
         rig.arm();
         let play = rig.play(&rig::pattern("edge-45"), Some(5.0));
-        rig.order(Command::Play(Box::new(Play { open_loop, ..play })));
+        rig.send(Command::Play(Box::new(Play { open_loop, ..play })));
         rig.run(6000 * MS);
-        assert!(rig::into_outcomes(rig.take_notices())[0].bursts.refused > 1000);
+        assert!(rig::into_outcomes(rig.take_events())[0].bursts.refused > 1000);
         rig.mock.true_positions().rest().rms_um()
     };
     let (open, closed) = (rest(true), rest(false));
@@ -168,13 +169,13 @@ fn strokes_refused_as_they_begin_do_not_lead_the_loop_astray() {
 fn an_onset_that_a_play_before_it_has_run_into_is_given_up() {
     let mut rig = Rig::new(Line { delay: 20 * MS, ..Line::default() }, 24);
     rig.run(1000 * MS);
-    rig.order(Command::Arm { assume_rest: true });
+    rig.send(Command::Arm { assume_rest: true });
     let at = rig.streamer.tick_at(rig.now()).unwrap() + 42_500 + 300;
     order(&mut rig, "pin-60", Some(0.5), At::Next);
     order(&mut rig, "pin-60", Some(0.5), At::Tick(at));
     order(&mut rig, "pin-60", Some(0.5), At::Next);
     rig.run(4000 * MS);
-    let outcomes = rig::into_outcomes(rig.take_notices());
+    let outcomes = rig::into_outcomes(rig.take_events());
     let ends: Vec<_> = outcomes.iter().map(|outcome| (outcome.play.id, outcome.end)).collect();
     assert_eq!(ends, [(1, End::Done), (2, End::Aborted), (3, End::Done)]);
     outcomes.iter().for_each(rig::assert_closed);

@@ -10,7 +10,7 @@ use meissner_array::simulated::PlantConfig;
 use meissner_array::strokes::Strokes;
 use meissner_stream::device::mock::Mock;
 use meissner_stream::link::LineRate;
-use meissner_stream::queues::{At, Command, End, Play, Refused, Request, StreamEvent};
+use meissner_stream::queues::{At, Command, CommandError, End, Play, Request, StreamEvent};
 use meissner_stream::time::HostInstant;
 use meissner_stream::{Bandwidth, Line, Settings, Streamer, simulate_play};
 use meissner_test_support::rig::{self, Rig, bad_line};
@@ -113,7 +113,7 @@ fn the_same_seed_gives_the_same_bytes_and_another_seed_others() {
         rig.arm();
         let mut play = rig.play(&rig::pattern("wave"), Some(3.0));
         play.open_loop = false;
-        rig.order(Command::Play(Box::new(play)));
+        rig.send(Command::Play(Box::new(play)));
         let outcome = rig.run_to_end(1, 4000 * MS).unwrap();
         (rig.mock.take_trace(), outcome.wire_bytes)
     };
@@ -128,14 +128,14 @@ fn plays_follow_each_other_without_a_gap() {
     let pattern = rig::pattern("pin-60");
     for _ in 0..4 {
         let play = rig.play(&pattern, Some(0.5));
-        rig.order(Command::Play(Box::new(play)));
+        rig.send(Command::Play(Box::new(play)));
     }
     rig.run(3000 * MS);
-    let notices = rig.take_notices();
+    let notices = rig.take_events();
     let onsets: Vec<_> = notices
         .iter()
         .filter_map(|notice| match notice {
-            StreamEvent::Began { onset, .. } => Some(onset.actual.0),
+            StreamEvent::PlayStarted { onset, .. } => Some(onset.actual.0),
             _ => None,
         })
         .collect();
@@ -175,14 +175,14 @@ fn an_arm_that_timed_out_does_not_come_to_life_when_the_link_is_back() {
     rig.run(500 * MS);
     rig.set_line(Line { loss: 1.0, ..Line::default() });
     rig.run(5 * MS);
-    rig.order(Command::Arm { assume_rest: true });
+    rig.send(Command::Arm { assume_rest: true });
     rig.run(300 * MS);
     rig.set_line(Line { delay: 900 * MS, ..Line::default() });
     rig.run(1100 * MS);
     rig.set_line(Line::default());
     rig.run(2000 * MS);
     let timeout = |notice: &StreamEvent| matches!(notice, StreamEvent::Answer { result: Err(_), .. });
-    assert!(rig.take_notices().iter().any(timeout));
+    assert!(rig.take_events().iter().any(timeout));
     assert_eq!(rig.mock.controller().state(), State::Disarmed);
 }
 
@@ -194,10 +194,10 @@ fn a_site_limit_that_refuses_thousands_of_strokes_holds_no_play_up() {
     rig.arm();
     for _ in 0..8 {
         let play = rig.play(&wild(), Some(0.4));
-        rig.order(Command::Play(Box::new(play)));
+        rig.send(Command::Play(Box::new(play)));
     }
     rig.run(6000 * MS);
-    let outcomes = rig::into_outcomes(rig.take_notices());
+    let outcomes = rig::into_outcomes(rig.take_events());
     assert_eq!(outcomes.len(), 8);
     let played: u64 = outcomes.iter().map(|outcome| outcome.bursts.played).sum();
     assert!(outcomes.iter().all(|outcome| outcome.end == End::Done));
@@ -212,13 +212,13 @@ fn stalled(policy: LatePolicy, stall: Duration) -> (Rig, meissner_stream::queues
     rig.arm();
     let mut play = rig.play(&rig::pattern("all-in-phase"), Some(3.0));
     play.late = policy;
-    rig.order(Command::Play(Box::new(play)));
+    rig.send(Command::Play(Box::new(play)));
     rig.run(1000 * MS);
     rig.stall(stall);
     rig.run(2500 * MS);
-    let notices = rig.take_notices();
+    let notices = rig.take_events();
     let late = notices.iter().filter_map(|notice| match notice {
-        StreamEvent::Late { cause, late_ms, .. } => {
+        StreamEvent::StrokeLate { cause, late_ms, .. } => {
             assert!(*late_ms > 0.0);
             Some(*cause)
         }
@@ -274,23 +274,23 @@ fn an_e_stop_with_the_lead_full_leaves_no_line_high_and_arming_returns_the_pins(
         let mut rig = Rig::new(Line::default(), 9);
         rig.arm();
         let play = rig.play(&pattern, None);
-        rig.order(Command::Play(Box::new(play)));
+        rig.send(Command::Play(Box::new(play)));
         rig.run(500 * MS + phase * MS / 2);
         rig.mock.take_trace();
-        rig.order(Command::EStop);
+        rig.send(Command::EStop);
         // To the device it takes two steps of the simulation; then nothing is played any more.
         rig.run(MS);
         assert_eq!(rig.mock.controller().state(), State::Faulted);
         rig.mock.take_trace();
         rig.run(500 * MS);
         assert!(rig.mock.take_trace().iter().all(|(_, run)| run.lines == rig::OFF));
-        let outcome = rig::into_outcomes(rig.take_notices()).remove(0);
+        let outcome = rig::into_outcomes(rig.take_events()).remove(0);
         assert_eq!((outcome.end, outcome.cause), (End::Stopped, Some("estop")));
         rig::assert_closed(&outcome);
         let owed: u16 = (0..24).map(|motor| rig.mock.controller().owed(motor)).sum();
-        rig.order(Command::Reset);
+        rig.send(Command::Reset);
         rig.run(20 * MS);
-        rig.order(Command::Arm { assume_rest: false });
+        rig.send(Command::Arm { assume_rest: false });
         rig.run(100 * MS);
         let back = rig::bursts_on_the_lines(&rig.mock.take_trace());
         assert_eq!(back.pulses, u64::from(owed));
@@ -304,11 +304,11 @@ fn pulling_the_cable_ends_the_play_and_the_device_comes_back_disarmed() {
     let mut rig = Rig::new(Line::default(), 10);
     rig.arm();
     let play = rig.play(&rig::pattern("all-in-phase"), None);
-    rig.order(Command::Play(Box::new(play)));
+    rig.send(Command::Play(Box::new(play)));
     rig.run(503 * MS);
     rig.unplug();
     rig.run(100 * MS);
-    let outcome = rig::into_outcomes(rig.take_notices()).remove(0);
+    let outcome = rig::into_outcomes(rig.take_events()).remove(0);
     assert_eq!((outcome.end, outcome.cause), (End::Stopped, Some("unplugged")));
     rig::assert_closed(&outcome);
     let played = rig::bursts_on_the_lines(&rig.mock.take_trace());
@@ -316,10 +316,11 @@ fn pulling_the_cable_ends_the_play_and_the_device_comes_back_disarmed() {
     rig.connect();
     rig.run(100 * MS);
     let play = rig.play(&rig::pattern("pin-60"), Some(1.0));
-    rig.order(Command::Play(Box::new(play)));
-    let refused =
-        |notice: &StreamEvent| matches!(notice, StreamEvent::Answer { result: Err(Refused::Disarmed), .. });
-    assert!(rig.take_notices().iter().any(refused));
+    rig.send(Command::Play(Box::new(play)));
+    let refused = |notice: &StreamEvent| {
+        matches!(notice, StreamEvent::Answer { result: Err(CommandError::Disarmed), .. })
+    };
+    assert!(rig.take_events().iter().any(refused));
 }
 
 #[test]
@@ -329,16 +330,16 @@ fn an_onset_asked_for_is_kept_to_the_tick_or_refused() {
     let at = rig.mock.now() + 85_000;
     let mut play = rig.play(&rig::pattern("pin-60"), Some(0.2));
     play.at = At::Tick(at);
-    rig.order(Command::Play(Box::new(play)));
+    rig.send(Command::Play(Box::new(play)));
     let mut soon = rig.play(&rig::pattern("pin-60"), Some(0.2));
     soon.at = At::Tick(rig.mock.now() + 10);
-    rig.order(Command::Play(Box::new(soon)));
+    rig.send(Command::Play(Box::new(soon)));
     rig.run(2000 * MS);
-    let notices = rig.take_notices();
-    let began =
-        |notice: &StreamEvent| matches!(notice, StreamEvent::Began { id: 1, onset } if onset.actual == at);
-    let refused =
-        |notice: &StreamEvent| matches!(notice, StreamEvent::Answer { result: Err(Refused::TooSoon), .. });
+    let notices = rig.take_events();
+    let began = |notice: &StreamEvent| matches!(notice, StreamEvent::PlayStarted { id: 1, onset } if onset.actual == at);
+    let refused = |notice: &StreamEvent| {
+        matches!(notice, StreamEvent::Answer { result: Err(CommandError::TooSoon), .. })
+    };
     assert!(notices.iter().any(began) && notices.iter().any(refused), "{notices:?}");
 }
 
@@ -386,7 +387,7 @@ fn the_streamer_allocates_nothing_while_it_plays() {
                 }
             };
             if let Some(job) = job {
-                streamer.order(now, Request { ticket: ms, given: now, job }, tell);
+                streamer.execute(now, Request { ticket: ms, issued_at: now, command: job }, tell);
             }
             streamer.receive(now, &bytes[..len], tell);
             streamer.step(now, tell);
@@ -417,7 +418,7 @@ fn a_play_without_strokes_hides_no_boundary() {
         let play = |rig: &mut Rig, pattern: &str, ms: f64| {
             let mut play = rig.play(&rig::pattern(pattern), Some(ms / 1000.0));
             play.replace = true;
-            rig.order(Command::Play(Box::new(play)));
+            rig.send(Command::Play(Box::new(play)));
         };
         play(&mut rig, "braille-o", 287.0);
         rig.run(175 * MS);
@@ -427,7 +428,7 @@ fn a_play_without_strokes_hides_no_boundary() {
         rig.run(16 * MS);
         rig.set_line(Line::default());
         rig.run(2000 * MS);
-        let outcomes = rig::into_outcomes(rig.take_notices());
+        let outcomes = rig::into_outcomes(rig.take_events());
         assert_eq!(outcomes.len(), 3);
         let played: u64 = outcomes.iter().map(|outcome| outcome.bursts.played).sum();
         assert_eq!(played, rig.mock.controller().counters().played, "seed {seed}");
@@ -492,13 +493,13 @@ proptest! {
                     play.late = if abort { LatePolicy::Abort } else { LatePolicy::Drop };
                     (play.replace, play.open_loop) = (replace, open_loop);
                     plays.push(play.id);
-                    tickets.push(rig.order(Command::Play(Box::new(play))));
+                    tickets.push(rig.send(Command::Play(Box::new(play))));
                 }
-                Op::Stop => tickets.push(rig.order(Command::Stop)),
-                Op::EStop => tickets.push(rig.order(Command::EStop)),
-                Op::Reset => tickets.push(rig.order(Command::Reset)),
-                Op::Arm => tickets.push(rig.order(Command::Arm { assume_rest: false })),
-                Op::Disarm => tickets.push(rig.order(Command::Disarm)),
+                Op::Stop => tickets.push(rig.send(Command::Stop)),
+                Op::EStop => tickets.push(rig.send(Command::EStop)),
+                Op::Reset => tickets.push(rig.send(Command::Reset)),
+                Op::Arm => tickets.push(rig.send(Command::Arm { assume_rest: false })),
+                Op::Disarm => tickets.push(rig.send(Command::Disarm)),
                 Op::Stall(ms) => rig.stall(ms * MS),
                 Op::Unplug => { unplugged = true; rig.unplug(); rig.run(30 * MS); rig.connect(); rig.run(100 * MS); }
                 Op::Line(bad) => rig.set_line(if bad { bad_line() } else { Line::default() }),
@@ -507,20 +508,20 @@ proptest! {
         }
         rig.set_line(Line::default());
         rig.run(300 * MS);
-        tickets.push(rig.order(Command::Reset));
+        tickets.push(rig.send(Command::Reset));
         rig.run(50 * MS);
-        tickets.push(rig.order(Command::Arm { assume_rest: false }));
+        tickets.push(rig.send(Command::Arm { assume_rest: false }));
         rig.run(200 * MS);
-        tickets.push(rig.order(Command::Disarm));
+        tickets.push(rig.send(Command::Disarm));
         rig.run(2000 * MS);
-        let notices = rig.take_notices();
+        let notices = rig.take_events();
         for ticket in tickets {
             let answers = notices.iter().filter(|n| matches!(n, StreamEvent::Answer { ticket: t, .. } if *t == ticket));
             prop_assert_eq!(answers.count(), 1, "ticket {}", ticket);
         }
         let mut ended: Vec<_> = notices.iter().filter_map(|notice| match notice {
-            StreamEvent::Ended { id, .. } => Some(*id),
-            StreamEvent::Returned(play) => Some(play.id),
+            StreamEvent::PlayEnded { id, .. } => Some(*id),
+            StreamEvent::PlayRejected(play) => Some(play.id),
             _ => None,
         }).collect();
         let outcomes = rig::into_outcomes(notices);
@@ -552,7 +553,7 @@ fn that_the_device_is_gone_is_told_without_any_further_order() {
     rig.arm();
     rig.run(100 * MS);
     rig.unplug();
-    rig.take_notices();
+    rig.take_events();
     let (mut now, mut told) = (rig.now(), Vec::new());
     let end = now + Duration::from_secs(10);
     let mut steps = 0;

@@ -152,9 +152,9 @@ impl Rig {
     pub fn order(&mut self, job: Command) -> u64 {
         self.tickets += 1;
         let now = host(self.now);
-        let order = Request { ticket: self.tickets, given: now, job };
+        let order = Request { ticket: self.tickets, issued_at: now, command: job };
         let notices = &mut self.notices;
-        self.streamer.order(now, order, &mut |notice| notices.push(notice));
+        self.streamer.execute(now, order, &mut |notice| notices.push(notice));
         // It wakes up at once.
         self.host();
         self.tickets
@@ -196,7 +196,7 @@ impl Rig {
         while !self
             .notices
             .iter()
-            .any(|notice| matches!(notice, StreamEvent::Ended { id: ended, .. } if *ended == id))
+            .any(|notice| matches!(notice, StreamEvent::PlayEnded { id: ended, .. } if *ended == id))
         {
             if self.now >= end {
                 return Err(RigError::Timeout("the end of a play", at_most));
@@ -204,7 +204,7 @@ impl Rig {
             self.step(self.now + STEP)?;
         }
         let outcome = self.notices.iter().find_map(|notice| match notice {
-            StreamEvent::Ended { id: ended, outcome } if *ended == id => Some(outcome),
+            StreamEvent::PlayEnded { id: ended, outcome } if *ended == id => Some(outcome),
             _ => None,
         });
         outcome.ok_or(RigError::Timeout("the end of a play", at_most))

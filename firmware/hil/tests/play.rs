@@ -86,7 +86,7 @@ pub(crate) fn play(play: &Play) -> Played {
     let counted = counts(&mut rig);
     let (boots, notices) = rig.finish();
     let outcome = notices.into_iter().find_map(|notice| match notice {
-        StreamEvent::Ended { outcome, .. } => Some(outcome),
+        StreamEvent::PlayEnded { outcome, .. } => Some(outcome),
         _ => None,
     });
     let outcome = outcome.unwrap();

@@ -33,7 +33,7 @@ pub fn pattern(name: &str) -> Pattern {
 
 pub fn outcomes(notices: &[StreamEvent]) -> Vec<&Outcome> {
     let ended = notices.iter().filter_map(|notice| match notice {
-        StreamEvent::Ended { outcome, .. } => Some(outcome),
+        StreamEvent::PlayEnded { outcome, .. } => Some(outcome),
         _ => None,
     });
     ended.collect()
@@ -41,7 +41,7 @@ pub fn outcomes(notices: &[StreamEvent]) -> Vec<&Outcome> {
 
 pub fn into_outcomes(notices: Vec<StreamEvent>) -> Vec<Outcome> {
     let ended = notices.into_iter().filter_map(|notice| match notice {
-        StreamEvent::Ended { outcome, .. } => Some(outcome),
+        StreamEvent::PlayEnded { outcome, .. } => Some(outcome),
         _ => None,
     });
     ended.collect()
@@ -131,10 +131,10 @@ impl Rig {
 
     pub fn arm(&mut self) {
         self.run(Duration::from_millis(500));
-        let ticket = self.order(Command::Arm { assume_rest: true });
+        let ticket = self.send(Command::Arm { assume_rest: true });
         self.run(Duration::from_millis(100));
         let answered = |notice: &StreamEvent| matches!(notice, StreamEvent::Answer { ticket: t, result: Ok(()) } if *t == ticket);
-        let notices = self.take_notices();
+        let notices = self.take_events();
         assert!(notices.iter().any(answered), "{notices:?}");
     }
 
@@ -152,7 +152,7 @@ impl Rig {
         let id = play.id;
         let mut compiled = play.strokes.clone();
         self.mock.take_trace();
-        self.order(Command::Play(Box::new(play)));
+        self.send(Command::Play(Box::new(play)));
         let outcome = self.run_to_end(id, Duration::from_secs_f64(seconds + 2.0)).expect("it ends");
         assert_eq!(outcome.bursts.played, outcome.bursts.planned, "{}: {outcome:?}", pattern.name());
         compiled.begin(outcome.onset.expect("it began").actual);

@@ -134,9 +134,9 @@ impl<'t> Replay<'t> {
         let mut simulation =
             Simulation::new(&plant, settings, Line::default(), plant.seed).expect("the default plant is one");
         simulation.run(Duration::from_millis(500));
-        simulation.order(Command::Arm { assume_rest: true });
+        simulation.send(Command::Arm { assume_rest: true });
         simulation.run(Duration::from_millis(100));
-        simulation.take_notices();
+        simulation.take_events();
         let scene = Scene::read(SIXTY_HERTZ, "sixty-hertz.toml").expect("it is shipped, as a test shows");
         let pattern = Pattern::new("sixty-hertz", None, scene.drives().to_vec(), toml::Table::new())
             .expect("its drives are a pattern's, as a test shows");
@@ -169,7 +169,7 @@ impl<'t> Replay<'t> {
         let strokes = strokes.clone();
         let play =
             Play { id, strokes, at: At::Next, late: LatePolicy::Drop, replace: false, open_loop, bandwidth };
-        self.simulation.order_given(self.begun + at, Command::Play(Box::new(play)));
+        self.simulation.send_issued_at(self.begun + at, Command::Play(Box::new(play)));
         self.simulation.wake();
     }
 
@@ -206,10 +206,10 @@ impl<'t> Replay<'t> {
             orders,
             onsets_ms: Vec::new(),
         };
-        for notice in self.simulation.take_notices() {
+        for notice in self.simulation.take_events() {
             match notice {
-                StreamEvent::Began { onset, .. } => run.onsets_ms.push(ns_to_ms(onset.latency_ns)),
-                StreamEvent::Ended { outcome, .. } => {
+                StreamEvent::PlayStarted { onset, .. } => run.onsets_ms.push(ns_to_ms(onset.latency_ns)),
+                StreamEvent::PlayEnded { outcome, .. } => {
                     run.bursts.planned += outcome.bursts.planned;
                     run.bursts.late += outcome.bursts.late;
                     run.wire_bytes += outcome.wire_bytes;

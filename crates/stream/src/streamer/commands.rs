@@ -2,7 +2,7 @@
 
 use crate::active::{Active, FIRST_MARGIN};
 use crate::link::Session;
-use crate::queues::{At, Command, End, Play, QUEUE, Refused, Request, StreamEvent};
+use crate::queues::{At, Command, CommandError, End, MAX_QUEUED_PLAYS, Play, Request, StreamEvent};
 use crate::streamer::{ANSWER_WITHIN, CONTROLS, Streamer, Taken, Tell, Waiting, answer, cuts};
 use crate::time::HostInstant;
 use firmware_protocol::message::{Cause, Op, State};
@@ -18,23 +18,23 @@ const WAKE_UP: Duration = Duration::from_micros(1500);
 
 impl Streamer {
     /// Takes an order. [`Command::Connect`] is not for here: the thread opens the session.
-    pub fn order(&mut self, now: HostInstant, order: Request, tell: Tell<'_>) {
-        let Request { ticket, given, .. } = order;
+    pub fn execute(&mut self, now: HostInstant, request: Request, tell: Tell<'_>) {
+        let Request { ticket, issued_at: given, .. } = request;
         // Whoever gave it has been told by now that nothing came of it.
         let stale = now.since(given) >= ANSWER_WITHIN;
-        let taken = match order.job {
+        let taken = match request.command {
             Command::Connect(_) => Ok(None),
             Command::Play(play) if stale => {
-                answer(ticket, Err(Refused::Timeout), tell);
-                tell(StreamEvent::Returned(play));
+                answer(ticket, Err(CommandError::Timeout), tell);
+                tell(StreamEvent::PlayRejected(play));
                 return;
             }
-            Command::Arm { .. } | Command::Reset if stale => Err(Refused::Timeout),
+            Command::Arm { .. } | Command::Reset if stale => Err(CommandError::Timeout),
             Command::Play(play) => match self.play(now, given, play) {
                 Ok(()) => Ok(None),
                 Err((refused, play)) => {
                     answer(ticket, Err(refused), tell);
-                    tell(StreamEvent::Returned(play));
+                    tell(StreamEvent::PlayRejected(play));
                     return;
                 }
             },
@@ -47,9 +47,9 @@ impl Streamer {
                 Ok(_) => return,
                 Err(refused) => Err(refused),
             },
-            Command::Calibrate(gains) => {
+            Command::SetGains(gains) => {
                 self.control.calibrate(&gains);
-                tell(StreamEvent::Freed(gains));
+                tell(StreamEvent::GainsApplied(gains));
                 Ok(None)
             }
             Command::Configure(settings) => {
@@ -65,7 +65,7 @@ impl Streamer {
                 self.closing = Some((ticket, now));
                 self.wants_armed = false;
                 self.cut_all(End::Stopped, "shutdown");
-                self.end_homing(Err(Refused::Returning), tell);
+                self.end_homing(Err(CommandError::Returning), tell);
                 if self.session.is_some() {
                     self.control(now, 0, Op::Disarm(Cause::Shutdown), tell);
                 }
@@ -74,7 +74,7 @@ impl Streamer {
         };
         match taken {
             Ok(Some(op)) => {
-                self.end_homing(Err(Refused::Returning), tell);
+                self.end_homing(Err(CommandError::Returning), tell);
                 self.control(given, ticket, op, tell);
             }
             Ok(None) => answer(ticket, Ok(()), tell),
@@ -84,21 +84,21 @@ impl Streamer {
     }
 
     /// Whether commands can be given: they wait for a handshake that is under way.
-    fn ready(&self) -> Result<(), Refused> {
+    fn ready(&self) -> Result<(), CommandError> {
         match (&self.session, self.state()) {
-            (None, _) if !self.latched => Err(Refused::NoDevice),
-            (_, State::Faulted) => Err(Refused::Faulted),
+            (None, _) if !self.latched => Err(CommandError::NoDevice),
+            (_, State::Faulted) => Err(CommandError::Faulted),
             _ => Ok(()),
         }
     }
 
     /// Whether the device takes strokes, or will when the commands given are carried out.
-    pub(super) fn takes_plays(&self) -> Result<(), Refused> {
+    pub(super) fn takes_plays(&self) -> Result<(), CommandError> {
         self.ready()?;
         match self.state() {
             _ if self.wants_armed => Ok(()),
-            State::Returning => Err(Refused::Returning),
-            _ => Err(Refused::Disarmed),
+            State::Returning => Err(CommandError::Returning),
+            _ => Err(CommandError::Disarmed),
         }
     }
 
@@ -107,7 +107,7 @@ impl Streamer {
         now: HostInstant,
         given: HostInstant,
         play: Box<Play>,
-    ) -> Result<(), (Refused, Box<Play>)> {
+    ) -> Result<(), (CommandError, Box<Play>)> {
         match self.place(now, &play) {
             Err(refused) => Err((refused, play)),
             Ok((requested, margin)) => {
@@ -122,12 +122,12 @@ impl Streamer {
     }
 
     /// How far ahead of its onset a play has to be sent from, if the line carries it at all.
-    pub(super) fn margin(&self, session: &Session, play: &Play) -> Result<Duration, Refused> {
+    pub(super) fn margin(&self, session: &Session, play: &Play) -> Result<Duration, CommandError> {
         let steered = !play.open_loop && self.control.steers(self.telemetry);
         let demand = if steered { play.bandwidth.closed } else { play.bandwidth.open };
         match session.rate_left(demand.frames) {
             Some(carries) if demand.rate > carries => {
-                Err(Refused::LineTooSlow { needs: demand.rate, carries })
+                Err(CommandError::LineTooSlow { needs: demand.rate, carries })
             }
             Some(carries) => {
                 // Before there is a lead, two slow answers in a row must not make what follows the first frame late.
@@ -139,22 +139,22 @@ impl Streamer {
     }
 
     /// Whether a play can be queued, the onset it asks for, and how far ahead it has to be sent.
-    fn place(&self, now: HostInstant, play: &Play) -> Result<(Option<Tick>, Duration), Refused> {
+    fn place(&self, now: HostInstant, play: &Play) -> Result<(Option<Tick>, Duration), CommandError> {
         self.takes_plays()?;
         if self.homing.is_some() {
-            return Err(Refused::Returning);
+            return Err(CommandError::Returning);
         }
         let (Some(session), Some(tick)) = (&self.session, self.tick_at(now)) else {
-            return Err(Refused::NoDevice);
+            return Err(CommandError::NoDevice);
         };
         let queued = || self.plays.iter().filter(|active| active.cut.is_none() && !play.replace);
-        let held = self.plays.len() > 2 * QUEUE || self.controls.len() == CONTROLS;
-        if queued().count() > QUEUE || held {
-            return Err(Refused::QueueFull);
+        let held = self.plays.len() > 2 * MAX_QUEUED_PLAYS || self.controls.len() == CONTROLS;
+        if queued().count() > MAX_QUEUED_PLAYS || held {
+            return Err(CommandError::QueueFull);
         }
         let last = queued().next_back();
         if last.is_some_and(|last| last.play.strokes.end().is_none()) {
-            return Err(Refused::BehindEndless);
+            return Err(CommandError::BehindEndless);
         }
         let margin = self.margin(session, play)?;
         let requested = match play.at {
@@ -164,13 +164,13 @@ impl Streamer {
                 .clock()
                 .tick_at(now + Duration::from_nanos(ns))
                 .map(|at| at.max(tick + duration_to_ticks(margin)))
-                .ok_or(Refused::NoDevice)?,
+                .ok_or(CommandError::NoDevice)?,
         };
         if requested < tick + duration_to_ticks(margin) {
-            return Err(Refused::TooSoon);
+            return Err(CommandError::TooSoon);
         }
         if requested - tick > FARTHEST {
-            return Err(Refused::TooFar);
+            return Err(CommandError::TooFar);
         }
         // A play that has no onset yet follows the one before it: its end is not known better than this.
         let free = queued().fold(tick, |free, active| {
@@ -179,7 +179,7 @@ impl Streamer {
                 .unwrap_or(free + duration_to_ticks(FIRST_MARGIN) + active.play.strokes.end().unwrap_or(0))
         });
         if requested < free {
-            return Err(Refused::Overlaps);
+            return Err(CommandError::Overlaps);
         }
         Ok((Some(requested), margin))
     }
@@ -187,7 +187,7 @@ impl Streamer {
     fn stop(&mut self) -> Taken {
         self.ready()?;
         if self.controls.len() == CONTROLS {
-            return Err(Refused::Returning);
+            return Err(CommandError::Returning);
         }
         self.cut_all(End::Stopped, "stop");
         Ok(Some(Op::Stop))
@@ -205,9 +205,9 @@ impl Streamer {
         // A command begins a new epoch: it must not get between a play and its strokes for nothing.
         match self.state() {
             State::Armed if self.wants_armed => return Ok(None),
-            State::Armed | State::Returning if !self.wants_armed => return Err(Refused::Returning),
+            State::Armed | State::Returning if !self.wants_armed => return Err(CommandError::Returning),
             State::Returning => return Ok(None),
-            _ if self.wants_armed => return Err(Refused::Returning),
+            _ if self.wants_armed => return Err(CommandError::Returning),
             _ => {}
         }
         self.wants_armed = true;
@@ -232,7 +232,7 @@ impl Streamer {
         self.cut_all(End::Stopped, "estop");
         // It overtakes whatever waits.
         while let Some(waiting) = self.controls.pop_front() {
-            answer(waiting.ticket, Err(Refused::Faulted), tell);
+            answer(waiting.ticket, Err(CommandError::Faulted), tell);
         }
         self.in_flight = false;
         self.snapshot_due = now;
@@ -251,11 +251,11 @@ impl Streamer {
             // It makes whatever waits pointless, and must not wait behind it.
             while self.controls.len() > usize::from(self.in_flight) {
                 let Some(waiting) = self.controls.pop_back() else { break };
-                answer(waiting.ticket, Err(Refused::Returning), tell);
+                answer(waiting.ticket, Err(CommandError::Returning), tell);
             }
         }
         if self.controls.len() == CONTROLS {
-            answer(ticket, Err(Refused::Timeout), tell);
+            answer(ticket, Err(CommandError::Timeout), tell);
             return;
         }
         self.controls.push_back(Waiting { ticket, op, since: given });
@@ -295,7 +295,7 @@ impl Streamer {
         while let Some(waiting) =
             self.controls.get_mut(index).filter(|it| now.since(it.since) >= ANSWER_WITHIN)
         {
-            answer(std::mem::take(&mut waiting.ticket), Err(Refused::Timeout), tell);
+            answer(std::mem::take(&mut waiting.ticket), Err(CommandError::Timeout), tell);
             let op = waiting.op;
             if !matches!(op, Op::Arm { .. } | Op::Reset) {
                 index += 1;
@@ -309,7 +309,7 @@ impl Streamer {
         }
         let (Some(first), Some(session)) = (self.controls.front_mut(), &mut self.session) else { return };
         if now.since(first.since) >= ANSWER_WITHIN {
-            answer(std::mem::take(&mut first.ticket), Err(Refused::Timeout), tell);
+            answer(std::mem::take(&mut first.ticket), Err(CommandError::Timeout), tell);
             if matches!(first.op, Op::Arm { .. }) {
                 first.op = Op::Disarm(Cause::Request);
                 self.wants_armed = false;

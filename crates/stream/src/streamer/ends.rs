@@ -2,7 +2,7 @@
 //! and nothing of the next.
 
 use crate::active::Phase;
-use crate::queues::{End, Refused, StreamEvent};
+use crate::queues::{CommandError, End, StreamEvent};
 use crate::streamer::{ANSWER_WITHIN, Streamer, Tell, answer};
 use crate::time::HostInstant;
 use firmware_protocol::message::{Counters, State};
@@ -27,7 +27,7 @@ impl Streamer {
         while let Some(active) = self.plays.pop_front() {
             let until = self.plays.iter().find_map(|next| next.begun).or(after);
             let (id, outcome) = active.close(until, wire, rest_um);
-            tell(StreamEvent::Ended { id, outcome });
+            tell(StreamEvent::PlayEnded { id, outcome });
         }
     }
 
@@ -60,7 +60,7 @@ impl Streamer {
             let rest_um = self.control.rest_error_um(tick).map(|(um, _)| um);
             let Some(active) = self.plays.pop_front() else { break };
             let (id, outcome) = active.close(Some(next_begun.unwrap_or(after)), wire, rest_um);
-            tell(StreamEvent::Ended { id, outcome });
+            tell(StreamEvent::PlayEnded { id, outcome });
         }
         let over = self.plays.front().is_some_and(|first| {
             first.cut.is_some()
@@ -84,7 +84,7 @@ impl Streamer {
         if off || now.since(since) >= ANSWER_WITHIN {
             self.closing = None;
             self.closed = true;
-            answer(ticket, if off { Ok(()) } else { Err(Refused::Timeout) }, tell);
+            answer(ticket, if off { Ok(()) } else { Err(CommandError::Timeout) }, tell);
         }
     }
 }

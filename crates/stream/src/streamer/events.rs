@@ -2,7 +2,7 @@
 
 use crate::active::{Active, FIRST_MARGIN, Phase};
 use crate::link::{Event, Verdict};
-use crate::queues::{End, Onset, Refused, StreamEvent};
+use crate::queues::{CommandError, End, Onset, StreamEvent};
 use crate::streamer::{IDLE_PING, Streamer, Tell, answer, cause_text, cuts};
 use crate::time::HostInstant;
 use firmware_protocol::message::{Cause, Counters, DeviceHello, Op, State, Status};
@@ -51,11 +51,11 @@ impl Streamer {
                     }
                     // Who reads the answer finds everything as it stands after it.
                     tell(StreamEvent::Snapshot(self.snapshot(now)));
-                    answer(done.ticket, result.map_err(Refused::Device), tell);
+                    answer(done.ticket, result.map_err(CommandError::Device), tell);
                     if cuts(&done.op) {
                         self.control.cut();
                     }
-                    self.moved(now, done.op, result.map_err(Refused::Device), tell);
+                    self.moved(now, done.op, result.map_err(CommandError::Device), tell);
                     // It may have been disarmed while the command was on its way.
                     if let (true, Some((status, _))) = (self.controls.is_empty(), self.status)
                         && !matches!(status.state, State::Armed | State::Returning)
@@ -127,7 +127,7 @@ impl Streamer {
             self.wants_armed = false;
             self.cut_all(End::Stopped, cause_text(status.cause));
             self.control.cut();
-            self.end_homing(Err(Refused::Disarmed), tell);
+            self.end_homing(Err(CommandError::Disarmed), tell);
         }
     }
 
@@ -176,9 +176,10 @@ impl Streamer {
     ) {
         let late_ms = ticks_to_ms(free - stroke.up);
         let Some(active) = self.owner(stroke.up) else { return };
-        active.late(late_ms, cause);
+        let counts = active.late(late_ms, cause);
         let (id, policy, cut) = (active.play.id, active.play.late, active.cut.is_some());
-        tell(StreamEvent::Late { id, motor: stroke.motor, up: stroke.up, late_ms, cause });
+        let (motor, up) = (stroke.motor, stroke.up);
+        tell(StreamEvent::StrokeLate { id, motor, up, late_ms, cause, counts });
         if policy == LatePolicy::Abort && !cut {
             self.cut_all(End::Aborted, "late strokes");
             self.abort(now, tell);
@@ -220,6 +221,6 @@ impl Streamer {
             latency_ns: at.since(active.ordered).as_nanos() as u64,
         };
         active.began(onset, counters);
-        tell(StreamEvent::Began { id: active.play.id, onset });
+        tell(StreamEvent::PlayStarted { id: active.play.id, onset });
     }
 }

@@ -6,7 +6,7 @@
 //! calibrated motor is moved once, by what its gains say that strokes have left; the scatter stays. A motor
 //! of which neither is known is not moved. If a pin is not home in the end, the answer says so.
 
-use crate::queues::Refused;
+use crate::queues::CommandError;
 use crate::streamer::{Streamer, Taken, Tell, answer};
 use crate::time::HostInstant;
 use firmware_protocol::limits::{MAX_TRAVEL, Refusal};
@@ -48,14 +48,14 @@ impl Streamer {
     pub(super) fn home(&mut self, ticket: u64) -> Taken {
         self.takes_plays()?;
         if self.state() != State::Armed || !self.may_feed() || self.homing.is_some() {
-            return Err(Refused::Returning);
+            return Err(CommandError::Returning);
         }
         if !self.plays.is_empty() {
-            return Err(Refused::Playing);
+            return Err(CommandError::Playing);
         }
-        let Some(tick) = self.status.map(|(_, tick)| tick) else { return Err(Refused::NoDevice) };
+        let Some(tick) = self.status.map(|(_, tick)| tick) else { return Err(CommandError::NoDevice) };
         if (0..MOTORS as u8).all(|motor| self.control.off_by_um(motor, tick).is_none()) {
-            return Err(Refused::NothingToGoBy);
+            return Err(CommandError::NoPositionEstimate);
         }
         self.homing = Some(Homing {
             ticket,
@@ -70,7 +70,13 @@ impl Streamer {
     }
 
     /// The device has answered a move, which may have been the last one of a homing that was given up.
-    pub(super) fn moved(&mut self, now: HostInstant, op: Op, result: Result<(), Refused>, tell: Tell<'_>) {
+    pub(super) fn moved(
+        &mut self,
+        now: HostInstant,
+        op: Op,
+        result: Result<(), CommandError>,
+        tell: Tell<'_>,
+    ) {
         let Op::Move { motor, direction, pulses } = op else { return };
         let over = self.tick_at(now).unwrap_or_default() + u64::from(pulses) + SETTLED;
         if result.is_ok() {
@@ -83,7 +89,7 @@ impl Streamer {
         match result {
             Ok(()) => (homing.moved, homing.until) = (true, over),
             // The others come home all the same.
-            Err(Refused::Device(Refusal::Travel)) => homing.beyond = true,
+            Err(CommandError::Device(Refusal::Travel)) => homing.beyond = true,
             Err(refused) => self.end_homing(Err(refused), tell),
         }
     }
@@ -96,7 +102,7 @@ impl Streamer {
         }
     }
 
-    pub(super) fn end_homing(&mut self, result: Result<(), Refused>, tell: Tell<'_>) {
+    pub(super) fn end_homing(&mut self, result: Result<(), CommandError>, tell: Tell<'_>) {
         if let Some(homing) = self.homing.take() {
             answer(homing.ticket, result, tell);
         }
@@ -135,8 +141,8 @@ impl Streamer {
                 self.control.is_faulted(motor) || off.is_some_and(|(um, _)| um.abs() > NEAR_ENOUGH_UM)
             });
             let result = match (homing.beyond, far) {
-                (true, _) => Err(Refused::Device(Refusal::Travel)),
-                (false, true) => Err(Refused::NotHome),
+                (true, _) => Err(CommandError::Device(Refusal::Travel)),
+                (false, true) => Err(CommandError::NotHome),
                 (false, false) => Ok(()),
             };
             return self.end_homing(result, tell);

@@ -2,7 +2,7 @@
 //!
 //! CommandQueue are taken in `orders`, what the device says in `events`, strokes are fed ahead in `feed`, and plays end
 //! in `ends`. Invariant: each play that was taken ends with exactly one
-//! [`StreamEvent::Ended`], and each order that asks for an answer gets exactly one.
+//! [`StreamEvent::PlayEnded`], and each order that asks for an answer gets exactly one.
 
 mod commands;
 mod ends;
@@ -14,7 +14,7 @@ use crate::Settings;
 use crate::active::{Active, Phase};
 use crate::control::PositionControl;
 use crate::link::{Event, LineRate, Session};
-use crate::queues::{End, QUEUE, Refused, Snapshot, StreamEvent};
+use crate::queues::{CommandError, End, MAX_QUEUED_PLAYS, Snapshot, StreamEvent};
 use crate::time::HostInstant;
 use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::message::{Cause, Counters, Op, State, Status};
@@ -39,7 +39,7 @@ const IDLE_PING: Duration = Duration::from_secs(1);
 pub(super) type Tell<'a> = &'a mut dyn FnMut(StreamEvent);
 
 /// What an order came to: refused or done at once, or waiting for the device.
-type Taken = Result<Option<Op>, Refused>;
+type Taken = Result<Option<Op>, CommandError>;
 
 #[derive(Clone, Copy, Debug)]
 struct Waiting {
@@ -108,7 +108,7 @@ impl Streamer {
             in_flight: false,
             wants_armed: false,
             lost: None,
-            plays: VecDeque::with_capacity(2 * QUEUE + 2),
+            plays: VecDeque::with_capacity(2 * MAX_QUEUED_PLAYS + 2),
             control: PositionControl::new(&settings.limits),
             fed: Tick(0),
             short_of_credits: false,
@@ -147,9 +147,9 @@ impl Streamer {
         let rest_um = self.control.rest_error_um(tick).map(|(um, _)| um);
         self.close_all(counters, wire, rest_um, tell);
         while let Some(waiting) = self.controls.pop_front() {
-            answer(waiting.ticket, Err(Refused::NoDevice), tell);
+            answer(waiting.ticket, Err(CommandError::NoDevice), tell);
         }
-        self.end_homing(Err(Refused::NoDevice), tell);
+        self.end_homing(Err(CommandError::NoDevice), tell);
         self.in_flight = false;
         self.status = None;
         self.control.cut();
@@ -191,7 +191,7 @@ impl Streamer {
         }
     }
 
-    /// Does what is due at `now`. Call it after [`Self::receive`] and [`Self::order`], before [`Self::transmit`].
+    /// Does what is due at `now`. Call it after [`Self::receive`] and [`Self::execute`], before [`Self::transmit`].
     pub fn step(&mut self, now: HostInstant, tell: Tell<'_>) {
         if let Some(session) = &mut self.session {
             let events = &mut self.events;
@@ -242,7 +242,7 @@ impl Streamer {
         let um = self.control.reckoned_um(self.tick_at(now).unwrap_or_default());
         let drifted = um > self.settings.drift_warning_um;
         if drifted && !self.told_drift {
-            tell(StreamEvent::Drifted { um });
+            tell(StreamEvent::DriftWarning { um });
         }
         self.told_drift = drifted;
     }
@@ -314,7 +314,7 @@ impl Streamer {
     }
 }
 
-fn answer(ticket: u64, result: Result<(), Refused>, tell: Tell<'_>) {
+fn answer(ticket: u64, result: Result<(), CommandError>, tell: Tell<'_>) {
     if ticket != 0 {
         tell(StreamEvent::Answer { ticket, result });
     }

@@ -32,7 +32,7 @@ pub(super) fn check(
     let ended: Vec<_> = notices
         .into_iter()
         .filter_map(|notice| match notice {
-            StreamEvent::Ended { id, outcome } => Some((id, outcome)),
+            StreamEvent::PlayEnded { id, outcome } => Some((id, outcome)),
             _ => None,
         })
         .collect();

@@ -1,11 +1,11 @@
 //! Why an order was not carried out, in words for a person.
 
-use crate::queues::QUEUE;
+use crate::queues::MAX_QUEUED_PLAYS;
 use firmware_protocol::limits::Refusal;
 
 /// Why an order was not carried out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum Refused {
+pub enum CommandError {
     /// No device is connected.
     #[error("no device is connected: plug it in, or see `meissner status`")]
     NoDevice,
@@ -26,15 +26,15 @@ pub enum Refused {
         "no telemetry and no calibration say where the pins are: level them by hand, then `meissner disarm` and \
          `meissner arm --assume-rest`"
     )]
-    NothingToGoBy,
+    NoPositionEstimate,
     /// Homing is over and not all pins are home.
     #[error(
         "not all pins are home: `meissner status` says how far each is off, or that its telemetry is not believed; level those \
          by hand, then `meissner disarm` and `meissner arm --assume-rest`"
     )]
     NotHome,
-    /// [`QUEUE`] plays wait.
-    #[error("{QUEUE} plays are queued already: wait, or `meissner stop`")]
+    /// [`MAX_QUEUED_PLAYS`] plays wait.
+    #[error("{MAX_QUEUED_PLAYS} plays are queued already: wait, or `meissner stop`")]
     QueueFull,
     /// The play before it has no end.
     #[error("the play before it has no end: stop it, or use --replace")]

@@ -1,0 +1,168 @@
+//! The messages of the queues: requests to the streamer, and the events that it reports.
+
+use crate::device::Device;
+use crate::queues::{CommandError, MeasuredBurst, Onset, Outcome, Snapshot};
+use crate::time::HostInstant;
+use crate::{Bandwidth, Gains, Settings};
+use firmware_protocol::limits::Refusal;
+use firmware_protocol::message::DeviceHello;
+use firmware_protocol::stroke::MOTORS;
+use firmware_protocol::tick::Tick;
+use meissner_api::{LateCause, LateCounts, LatePolicy, SensorFault};
+use meissner_array::strokes::Strokes;
+
+/// A command with a ticket; [`StreamEvent::Answer`] carries the same ticket.
+#[derive(Debug)]
+pub struct Request {
+    /// Identifies the answer; 0 asks for none.
+    pub ticket: u64,
+    /// When the client issued it. The streamer refuses a play, an arm or a reset that is a second old.
+    pub issued_at: HostInstant,
+    /// What to do.
+    pub command: Command,
+}
+
+/// What a [`Request`] asks for.
+#[derive(Debug)]
+pub enum Command {
+    /// Use this device from now on.
+    Connect(Box<Device>),
+    /// Play a pattern.
+    Play(Box<Play>),
+    /// End the running play and clear the queue; stay armed.
+    Stop,
+    /// Switch all lines off and latch; works without a device too.
+    EStop,
+    /// Leave the latched state: disarmed.
+    Reset,
+    /// Enable the motors.
+    Arm {
+        /// Take every pin as being at rest.
+        assume_rest: bool,
+    },
+    /// Move all pins to their rest position. The answer comes when they are there.
+    Home,
+    /// Use these gains of the motors.
+    SetGains(Box<[Gains; MOTORS]>),
+    /// Use these settings from the next `arm` on, or at once while disarmed.
+    Configure(Settings),
+    /// Return the pins and disable the motors.
+    Disarm,
+    /// Disarm and end the thread. The answer comes when the device is off, or after a second.
+    Shutdown,
+}
+
+/// When a play begins.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum At {
+    /// As soon as possible, or without a gap after the play before it.
+    Next,
+    /// At this tick of the device's present boot.
+    Tick(Tick),
+    /// So many nanoseconds after the streamer takes the command.
+    After(u64),
+}
+
+/// A compiled pattern, ready to be played.
+#[derive(Debug)]
+pub struct Play {
+    /// Identifies the play in events.
+    pub id: u64,
+    /// Its strokes.
+    pub strokes: Strokes,
+    /// When it begins.
+    pub at: At,
+    /// What to do when strokes are late.
+    pub late: LatePolicy,
+    /// Stop the running play and clear the queue first.
+    pub replace: bool,
+    /// Do not correct from telemetry.
+    pub open_loop: bool,
+    /// The bandwidth it requires; [`Bandwidth::default`] requires none.
+    pub bandwidth: Bandwidth,
+}
+
+/// What happened.
+#[derive(Debug)]
+pub enum StreamEvent {
+    /// The answer to a request.
+    Answer {
+        /// The request's.
+        ticket: u64,
+        /// Done, or why not.
+        result: Result<(), CommandError>,
+    },
+    /// A device answered the handshake.
+    Connected(DeviceHello),
+    /// The device is gone.
+    Disconnected {
+        /// Why, in words.
+        reason: &'static str,
+        /// To be dropped outside the thread.
+        device: Option<Box<Device>>,
+    },
+    /// The state of the streamer and the device.
+    Snapshot(Snapshot),
+    /// A play has begun.
+    PlayStarted {
+        /// Which play.
+        id: u64,
+        /// When.
+        onset: Onset,
+    },
+    /// A stroke was late and dropped whole.
+    StrokeLate {
+        /// Its play.
+        id: u64,
+        /// Its motor.
+        motor: u8,
+        /// Its up tick.
+        up: Tick,
+        /// How late, ms.
+        late_ms: f64,
+        /// Why.
+        cause: LateCause,
+        /// Late strokes of the play, this one included.
+        counts: LateCounts,
+    },
+    /// The device refused a stroke.
+    StrokeRefused {
+        /// Its play.
+        id: u64,
+        /// Its motor.
+        motor: u8,
+        /// Its up tick.
+        up: Tick,
+        /// Why.
+        reason: Refusal,
+    },
+    /// The streamer did not take this play: to be dropped outside the thread.
+    PlayRejected(Box<Play>),
+    /// The streamer has copied these gains: to be dropped outside the thread.
+    GainsApplied(Box<[Gains; MOTORS]>),
+    /// A play is over.
+    PlayEnded {
+        /// Which play.
+        id: u64,
+        /// How it ended.
+        outcome: Outcome,
+    },
+    /// Telemetry has measured a burst.
+    MeasuredBurst(MeasuredBurst),
+    /// The telemetry of a motor is implausible: it plays on in open loop until the next `arm`.
+    SensorFault {
+        /// Its motor.
+        motor: u8,
+        /// Why.
+        fault: SensorFault,
+    },
+    /// The error of dead reckoning exceeds [`Settings::drift_warning_um`].
+    DriftWarning {
+        /// The largest of all motors, one standard deviation, µm.
+        um: f32,
+    },
+    /// So many events were lost before this one.
+    EventsLost(u64),
+    /// The thread ends.
+    ThreadEnded,
+}
