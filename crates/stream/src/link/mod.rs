@@ -1,10 +1,12 @@
 //! The host's end of the link, sans-IO: instants, bytes and strokes in; bytes and [`Event`]s out.
 //!
-//! A [`Session`] makes the ordered, reliable stream of strokes out of frames that may be lost, repeated,
-//! delayed or damaged: handshake, epochs, retransmission, credits, verdicts. It knows nothing of plays or
-//! patterns, reads no clock and touches no port. What the device must do is specified in `firmware_protocol`.
-//! Invariant: each stroke taken by [`Session::push`] is answered by exactly one [`Event::Stroke`], unless
-//! a control began a new epoch or the session ended before.
+//! A [`Session`] turns frames that may be lost, repeated, delayed or damaged into an ordered, reliable stream of
+//! strokes: handshake, epochs, acknowledgements with credits, retransmission (selective repeat), verdicts. It measures
+//! the line's bandwidth once (the link probe) and keeps the [`Clock`] model. It knows no plays and no patterns, reads no
+//! clock and touches no port. `firmware_protocol` specifies the device's side.
+//!
+//! Invariant: [`Session::push`] accepts a stroke, then exactly one [`Event::Stroke`] answers it, unless a command began a
+//! new epoch or the session ended before.
 
 mod clock;
 mod session;

@@ -1,10 +1,12 @@
-//! What the device says: acknowledgements, credits, reports and verdicts, put in order.
+//! Reads what the device says: acknowledgements, credits, reports and verdicts, and puts them in order.
 //!
-//! An acknowledged frame is concluded only when all reports its acknowledgement counts have been read: then what
-//! was not reported was accepted.
+//! The session concludes an acknowledged frame only once it has read all reports that the acknowledgement counts: the
+//! device accepted every stroke that no report names.
 
-use crate::link::Clock;
-use crate::link::session::{Event, LostReason, Phase, RoundTrip, Session, Verdict};
+use crate::link::clock::Clock;
+use crate::link::session::event::{Event, LostReason, Verdict};
+use crate::link::session::line::RoundTrip;
+use crate::link::session::{Phase, Session};
 use crate::time::HostInstant;
 use firmware_protocol::batch::Strokes;
 use firmware_protocol::controller::EARLY;
@@ -15,102 +17,104 @@ use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
 
 impl Session {
-    /// Takes bytes from the device.
-    pub fn receive(&mut self, now: HostInstant, mut bytes: &[u8], tell: &mut dyn FnMut(Event)) {
+    /// Takes bytes from the device, in any chunks.
+    pub fn receive(&mut self, now: HostInstant, mut bytes: &[u8], emit: &mut dyn FnMut(Event)) {
         self.traffic.bytes_in += bytes.len() as u64;
         let mut decoder = std::mem::take(&mut self.decoder);
         while let Some(body) = decoder.next(&mut bytes) {
             match frame::read(body) {
-                Ok(message) if self.phase != Phase::Over => self.handle(now, message, tell),
+                Ok(message) if self.phase != Phase::Over => self.handle(now, message, emit),
                 Ok(_) => {}
-                Err(FrameError::Version(_)) => self.lose(LostReason::Version, tell),
-                // Damaged on the way: what matters in it comes again.
+                Err(FrameError::Version(_)) => self.lose(LostReason::Version, emit),
+                // Damaged on the way: the device sends again what matters.
                 Err(_) => {}
             }
         }
         self.decoder = decoder;
     }
 
-    pub(super) fn lose(&mut self, reason: LostReason, tell: &mut dyn FnMut(Event)) {
+    pub(super) fn lose(&mut self, reason: LostReason, emit: &mut dyn FnMut(Event)) {
         if self.phase != Phase::Over {
             self.phase = Phase::Over;
-            tell(Event::Lost(reason));
+            emit(Event::Lost(reason));
         }
     }
 
-    fn handle(&mut self, now: HostInstant, message: DeviceMessage, tell: &mut dyn FnMut(Event)) {
+    fn handle(&mut self, now: HostInstant, message: DeviceMessage, emit: &mut dyn FnMut(Event)) {
         self.unanswered = 0;
         let near = |tick: firmware_protocol::tick::WireTick, clock: &Clock| {
             clock.tick_at(now).map_or(Tick(0), |now| tick.near(now))
         };
         match message {
-            DeviceMessage::Hello(hello) => self.opened(now, hello, tell),
+            DeviceMessage::Hello(hello) => self.opened(now, hello, emit),
             _ if self.phase == Phase::Opening => {}
-            DeviceMessage::NoSession => self.lose(LostReason::Restarted, tell),
-            DeviceMessage::Status(status) => self.status(now, status, tell),
+            DeviceMessage::NoSession => self.lose(LostReason::Restarted, emit),
+            DeviceMessage::Status(status) => self.status(now, status, emit),
             DeviceMessage::Report { number, report } => {
-                // In order: what comes after a gap is sent again.
+                // In order: the device sends again what comes after a gap.
                 if number == self.seen.wrapping_add(1) {
                     self.seen = number;
-                    if self.made.wrapping_sub(number) > u16::MAX / 2 {
-                        self.made = number;
+                    if self.announced.wrapping_sub(number) > u16::MAX / 2 {
+                        self.announced = number;
                     }
-                    self.report(now, number, report, tell);
-                    // The mark moves along, or numbers that have wrapped would count as before it.
+                    self.report(now, number, report, emit);
+                    // The mark follows, or numbers that wrapped would count as before it.
                     if self.stale.wrapping_sub(number) >= u16::MAX / 2 {
                         self.stale = number;
                     }
-                    self.conclude(now, tell);
+                    self.conclude(now, emit);
                 }
             }
             DeviceMessage::Telemetry { tick, y } => {
-                tell(Event::Telemetry { tick: near(tick, &self.clock), y });
+                emit(Event::Telemetry { tick: near(tick, &self.clock), y });
             }
         }
     }
 
-    fn opened(&mut self, now: HostInstant, hello: DeviceHello, tell: &mut dyn FnMut(Event)) {
+    fn opened(&mut self, now: HostInstant, hello: DeviceHello, emit: &mut dyn FnMut(Event)) {
         if self.phase != Phase::Opening || hello.session != self.id {
             return;
         }
         if usize::from(hello.motors) != MOTORS || hello.tick_hz != firmware_protocol::tick::TICK_HZ {
-            self.lose(LostReason::WrongArray, tell);
+            self.lose(LostReason::WrongArray, emit);
             return;
         }
         self.phase = Phase::Open;
-        (self.epoch, self.greeted) = (hello.epoch, hello.epoch);
-        (self.seen, self.made, self.stale) = (hello.reports, hello.reports, hello.reports);
+        (self.epoch, self.first_epoch) = (hello.epoch, hello.epoch);
+        (self.seen, self.announced, self.stale) = (hello.reports, hello.reports, hello.reports);
         self.credits = 0;
-        // The hello's tick widens those of the first statuses; its round trip counts for little.
+        // The first statuses' ticks are widened with the hello's; later round trips outweigh its own.
         let sent = self.last_sent.unwrap_or(now);
         self.clock.round_trip(sent, Tick(hello.tick), now);
         self.ping_due = now;
-        tell(Event::Opened(hello));
+        emit(Event::Opened(hello));
     }
 
-    fn status(&mut self, now: HostInstant, status: Status, tell: &mut dyn FnMut(Event)) {
+    fn status(&mut self, now: HostInstant, status: Status, emit: &mut dyn FnMut(Event)) {
         let Some(host_tick) = self.clock.tick_at(now) else { return };
         let tick = status.tick.near(host_tick);
         let (token, sent) = self.pinged[usize::from(status.token) % self.pinged.len()];
         if status.token != 0 && token == status.token {
             self.answered = token;
-            // A ping behind a probe's frames tells neither the clock nor an idle line's round trip.
-            if !self.probed(now, token) {
+            // A ping behind the probe's frames measures neither the clock nor an idle round trip.
+            if self.probe.answered(now, token, self.shortest_trip) {
+                self.adopt_probe();
+            } else {
                 self.clock.round_trip(sent, tick, now);
                 self.round_trip = (self.round_trip * 7 + now.since(sent)) / 8;
-                self.fastest = self.fastest.min(now.since(sent));
+                self.shortest_trip = self.shortest_trip.min(now.since(sent));
                 self.first_pings += 1;
-                self.trip = Some(RoundTrip { sent, tick, received: now });
+                self.last_trip = Some(RoundTrip { sent, tick, received: now });
             }
         }
         if tick < self.newest {
-            // Overtaken by a later one, which has said all this and more.
+            // A later status overtook it, and says all this and more.
             return;
         }
         self.newest = tick;
-        let ahead = status.reports.wrapping_sub(self.made);
+        let ahead = status.reports.wrapping_sub(self.announced);
         if ahead < u16::MAX / 2 {
-            self.made = status.reports;
+            self.announced = status.reports;
         }
         let mut answered = None;
         if status.epoch == self.epoch {
@@ -128,18 +132,18 @@ impl Session {
                 batch.kept = usize::from(early) < EARLY && status.early >> early & 1 == 1;
             }
         }
-        if self.seen != self.made {
-            // A report is missing: it is repeated to a host that is heard.
+        if self.seen != self.announced {
+            // A report is missing: the device repeats it once it hears from the host.
             self.request_status();
         }
-        tell(Event::Status { status, tick });
+        emit(Event::Status { status, tick });
         if let Some(answer) = answered {
-            tell(Event::Control(answer));
+            emit(Event::Control(answer));
         }
-        self.conclude(now, tell);
+        self.conclude(now, emit);
     }
 
-    fn report(&mut self, now: HostInstant, number: u16, report: Report, tell: &mut dyn FnMut(Event)) {
+    fn report(&mut self, now: HostInstant, number: u16, report: Report, emit: &mut dyn FnMut(Event)) {
         let Some(now) = self.clock.tick_at(now) else { return };
         match report {
             Report::Verdict { .. } | Report::OnsetRefused { .. } => {
@@ -148,17 +152,17 @@ impl Session {
                     self.verdicts.push_back(report);
                 }
             }
-            Report::Onset { tick, counters } => tell(Event::Onset { tick: tick.near(now), counters }),
-            Report::Cut(cut) => tell(Event::Cut { cut, at: cut.at.near(now) }),
+            Report::Onset { tick, counters } => emit(Event::Onset { tick: tick.near(now), counters }),
+            Report::Cut(cut) => emit(Event::Cut { cut, at: cut.at.near(now) }),
             Report::Refused { motor, up, reason } => {
-                tell(Event::StrokeRefused { motor, up: up.near(now), reason });
+                emit(Event::StrokeRefused { motor, up: up.near(now), reason });
             }
         }
     }
 
-    /// Tells the verdicts of acknowledged frames, once all reports that the acknowledgement counts are read.
-    fn conclude(&mut self, now: HostInstant, tell: &mut dyn FnMut(Event)) {
-        if self.seen != self.made {
+    /// Emits the verdicts of acknowledged frames, once all reports that the acknowledgement counts are read.
+    fn conclude(&mut self, now: HostInstant, emit: &mut dyn FnMut(Event)) {
+        if self.seen != self.announced {
             return;
         }
         let Some(tick) = self.clock.tick_at(now) else { return };
@@ -173,7 +177,7 @@ impl Session {
             match self.verdicts.front().copied() {
                 Some(Report::OnsetRefused { seq, rendered }) if seq == batch.seq => {
                     self.verdicts.pop_front();
-                    tell(Event::OnsetRefused { rendered: rendered.near(tick) });
+                    emit(Event::OnsetRefused { rendered: rendered.near(tick) });
                     continue;
                 }
                 Some(Report::Verdict { seq, late, refused, reason, rendered }) if seq == batch.seq => {
@@ -185,7 +189,7 @@ impl Session {
                 _ => {}
             }
             if batch.onset {
-                tell(Event::OnsetAccepted);
+                emit(Event::OnsetAccepted);
             }
             for (i, stroke) in strokes.enumerate() {
                 let verdict = if late_mask >> i & 1 == 1 {
@@ -196,7 +200,7 @@ impl Session {
                 } else {
                     Verdict::Accepted
                 };
-                tell(Event::Stroke(stroke, verdict));
+                emit(Event::Stroke(stroke, verdict));
             }
         }
     }

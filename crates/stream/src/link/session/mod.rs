@@ -1,179 +1,49 @@
-//! One session with one device: its state, and what the streamer hands over. What the device says is read in
-//! `inbound`, what is due is sent in `outbound`.
+//! One session with one device: its state, and what the streamer hands over.
+//!
+//! The streamer pushes strokes, amendments and commands into a [`Session`]. `outbound` writes the frame that is due,
+//! `inbound` reads what the device says; the session reports both as [`Event`]s. `probe` measures the line.
 
+mod event;
 mod inbound;
 mod line;
 mod outbound;
 mod probe;
 
-use crate::link::Clock;
+use crate::link::clock::Clock;
 use crate::time::HostInstant;
+pub use event::{Event, LostReason, Verdict};
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
 use firmware_protocol::controller::{EARLY, REPORTS};
 use firmware_protocol::frame::{Decoder, MAX_FRAME};
-use firmware_protocol::limits::Refusal;
-use firmware_protocol::message::{Counters, Cut, DeviceHello, Op, Report, Status};
-use firmware_protocol::stroke::{MOTORS, Stroke};
+use firmware_protocol::message::{Op, Report};
+use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
+use line::MeasuredLine;
 pub use line::{LineRate, RoundTrip, Traffic};
 pub use probe::Budget;
 use probe::Probe;
 use std::collections::VecDeque;
 use std::time::Duration;
 
-/// Frames sent and not acknowledged, at the most: the one waited for and those the device keeps.
+/// Unacknowledged frames at most: the next in order, and those the device keeps out of order (selective repeat).
 const WINDOW: usize = 1 + EARLY;
-/// A lost frame is noticed after a few round trips, within these bounds.
+/// The host retransmits a frame after a few round trips, within these bounds.
 const RETRY: (Duration, Duration) = (Duration::from_millis(3), Duration::from_millis(50));
-/// Round trips asked for at once after the handshake, to set the clock.
+/// Round trips right after the handshake, to set the clock.
 const FIRST_PINGS: u32 = 8;
-/// Pings that may be on their way at once and still be told apart.
+/// Pings that may be under way at once and still be told apart.
 const PINGS: usize = 64;
 const FIRST_PING_EVERY: Duration = Duration::from_millis(2);
-/// The device is lost when so many pings in a row, over so long, bring no answer.
-const DEAF_PINGS: u32 = 5;
-const DEAF_FOR: Duration = Duration::from_millis(400);
-/// Pings after the first without an answer come this often.
-const DOUBT_EVERY: Duration = Duration::from_millis(100);
-/// Who waits for a status asks this often.
-const ASK_EVERY: Duration = Duration::from_millis(1);
-/// Hellos without an answer until the device is given up.
+/// The device is lost when it leaves so many pings in a row unanswered, over so long.
+const MAX_UNANSWERED: u32 = 5;
+const UNANSWERED_FOR: Duration = Duration::from_millis(400);
+/// Once a ping is unanswered, the session pings this often.
+const RECHECK_EVERY: Duration = Duration::from_millis(100);
+/// A session that waits for a status asks this often.
+const STATUS_EVERY: Duration = Duration::from_millis(1);
+/// The session ends after so many hellos without an answer.
 const HELLO_EVERY: Duration = Duration::from_millis(50);
 const MAX_HELLOS: u32 = 40;
-
-/// What became of a stroke.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Verdict {
-    /// Queued in the device.
-    Accepted,
-    /// It began before `rendered`, the device's first free tick: dropped.
-    Late {
-        /// The first tick that was free.
-        rendered: Tick,
-        /// When its frame was sent first.
-        sent: HostInstant,
-        /// Whether the frame had to be sent again.
-        retransmitted: bool,
-    },
-    /// Refused for this reason.
-    Refused(Refusal),
-}
-
-/// Why a session ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum LostReason {
-    /// No answer to pings.
-    NoAnswer,
-    /// No answer to the handshake.
-    NoBoard,
-    /// It has forgotten the session.
-    Restarted,
-    /// It speaks another protocol.
-    Version,
-    /// It is not the array this daemon drives.
-    WrongArray,
-}
-
-/// The whole text, what was found, and what to do.
-macro_rules! said {
-    ($found:literal, $advice:literal) => {
-        (concat!($found, ": ", $advice), $found, $advice)
-    };
-}
-
-impl LostReason {
-    /// On one line, for a person.
-    #[must_use]
-    pub const fn text(self) -> &'static str {
-        self.said().0
-    }
-
-    /// Of that, what was found.
-    #[must_use]
-    pub const fn found(self) -> &'static str {
-        self.said().1
-    }
-
-    /// And what to do.
-    #[must_use]
-    pub const fn advice(self) -> &'static str {
-        self.said().2
-    }
-
-    const fn said(self) -> (&'static str, &'static str, &'static str) {
-        match self {
-            Self::NoAnswer => said!("the device does not answer", "see its cable and power"),
-            Self::NoBoard => said!(
-                "what is there does not answer as a board",
-                "see that --device names the board, or power it off and on"
-            ),
-            Self::Restarted => said!("the device has restarted", "see its power"),
-            Self::Version => {
-                said!("the device speaks another protocol version", "update its firmware or this program")
-            }
-            Self::WrongArray => {
-                said!("the device's motors or tick rate are not this array's", "see its firmware")
-            }
-        }
-    }
-}
-
-/// What the device said.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Event {
-    /// The handshake is done.
-    Opened(DeviceHello),
-    /// The session is over; nothing more comes.
-    Lost(LostReason),
-    /// A control was carried out or refused.
-    Control(Result<(), Refusal>),
-    /// How the device stands.
-    Status {
-        /// As sent.
-        status: Status,
-        /// Its clock, widened.
-        tick: Tick,
-    },
-    /// What became of a stroke.
-    Stroke(Stroke, Verdict),
-    /// The first frame of a play would have been late: nothing of it was taken.
-    OnsetRefused {
-        /// The device's first free tick.
-        rendered: Tick,
-    },
-    /// The first frame of a play was taken.
-    OnsetAccepted,
-    /// The onset of a play has passed.
-    Onset {
-        /// When.
-        tick: Tick,
-        /// As they stood when all before it was played.
-        counters: Counters,
-    },
-    /// What ran was cut, the queue flushed.
-    Cut {
-        /// As sent.
-        cut: Cut,
-        /// `cut.at`, widened.
-        at: Tick,
-    },
-    /// A queued stroke was refused as it should have begun.
-    StrokeRefused {
-        /// Its motor.
-        motor: u8,
-        /// Its up tick.
-        up: Tick,
-        /// Why.
-        reason: Refusal,
-    },
-    /// Displacements in 0.01 µm.
-    Telemetry {
-        /// When they were sampled.
-        tick: Tick,
-        /// Per motor.
-        y: [i32; MOTORS],
-    },
-}
 
 /// A frame of strokes from its first stroke to its verdict.
 #[derive(Debug)]
@@ -181,13 +51,13 @@ struct Batch {
     seq: u16,
     onset: bool,
     strokes: Packer<BATCH_BYTES>,
-    /// Bytes on the wire, when it was sent.
+    /// Its bytes on the wire, once sent.
     len: usize,
     first_sent: Option<HostInstant>,
     last_sent: HostInstant,
-    /// To be sent (again).
+    /// To be sent, or sent again.
     due: bool,
-    /// The device has it, but not those before it.
+    /// The device keeps it, but misses one before it.
     kept: bool,
     retransmitted: bool,
 }
@@ -210,9 +80,9 @@ enum Phase {
 pub struct Session {
     phase: Phase,
     id: u32,
-    /// The line's rate as its transport knows it; as it was measured, and how long an acknowledgement takes besides.
+    /// The line's rate as its transport knows it, and as the probe measured it.
     nominal: LineRate,
-    line: Option<(LineRate, Duration)>,
+    line: Option<MeasuredLine>,
     window_bytes: usize,
     probe: Probe,
     decoder: Decoder,
@@ -222,34 +92,34 @@ pub struct Session {
 
     epoch: u16,
     /// The epoch the session began with.
-    greeted: u16,
+    first_epoch: u16,
     control: Option<Control>,
     window: VecDeque<Batch>,
     open_batch: Option<Batch>,
     next_seq: u16,
-    /// Acknowledged by the device: all before.
+    /// The device acknowledged all frames before this one.
     acked: u16,
-    /// Its free slots, after the frames before `acked`.
+    /// The device's free stroke slots, after the frames before `acked`.
     credits: usize,
     last_sent: Option<HostInstant>,
     amendments: Packer<BATCH_BYTES>,
     generation: u16,
 
-    /// Reports read, all before included.
+    /// The last report read; all before it were read too.
     seen: u16,
-    /// Reports made, as far as known.
-    made: u16,
+    /// The last report that the device is known to have made.
+    announced: u16,
     /// The tick of the newest status.
     newest: Tick,
-    /// Verdicts up to this number belong to an epoch that is over.
+    /// Verdicts up to this report belong to an epoch that is over.
     stale: u16,
-    /// Verdicts that came before the acknowledgement.
+    /// Verdicts that came before their acknowledgement.
     verdicts: VecDeque<Report>,
 
     token: u16,
-    /// The last ping that was answered.
+    /// The last ping that the device answered.
     answered: u16,
-    /// The last pings and when they were sent: an answer may come after later ones have left.
+    /// The last pings and when they left: an answer may come after later pings have left.
     pinged: [(u16, HostInstant); PINGS],
     last_ping: HostInstant,
     ping_due: HostInstant,
@@ -259,8 +129,8 @@ pub struct Session {
     first_unanswered: HostInstant,
     round_trip: Duration,
     /// The shortest round trip so far.
-    fastest: Duration,
-    trip: Option<RoundTrip>,
+    shortest_trip: Duration,
+    last_trip: Option<RoundTrip>,
 }
 
 impl Session {
@@ -273,13 +143,13 @@ impl Session {
             nominal: rate,
             line: None,
             window_bytes: rate.window_bytes(),
-            probe: Probe::new(Budget::default()),
+            probe: Probe::new(Budget::default(), rate),
             decoder: Decoder::default(),
             hellos: 0,
             clock: Clock::default(),
             traffic: Traffic::default(),
             epoch: 0,
-            greeted: 0,
+            first_epoch: 0,
             control: None,
             window: VecDeque::with_capacity(WINDOW + 1),
             open_batch: None,
@@ -290,7 +160,7 @@ impl Session {
             amendments: Packer::new(Tick(0)),
             generation: 0,
             seen: 0,
-            made: 0,
+            announced: 0,
             newest: Tick(0),
             stale: 0,
             verdicts: VecDeque::with_capacity(REPORTS),
@@ -304,8 +174,8 @@ impl Session {
             unanswered: 0,
             first_unanswered: now,
             round_trip: RETRY.0,
-            fastest: Duration::MAX,
-            trip: None,
+            shortest_trip: Duration::MAX,
+            last_trip: None,
         }
     }
 
@@ -321,46 +191,95 @@ impl Session {
         self.traffic
     }
 
-    /// The last round trip, once.
+    /// The last round trip; each is returned once.
     pub fn take_round_trip(&mut self) -> Option<RoundTrip> {
-        self.trip.take()
+        self.last_trip.take()
     }
 
-    /// Whether the handshake is done, the clock is set and the session not over.
+    /// Whether the link probe is over; before that, the line's rate is unknown.
+    #[must_use]
+    pub fn is_probed(&self) -> bool {
+        self.probe.is_over()
+    }
+
+    /// Probes the line again with this budget, for a closer measurement. Not while a play runs.
+    pub fn probe(&mut self, budget: Budget) {
+        self.probe = Probe::new(budget, self.nominal);
+    }
+
+    /// Takes over what the probe measured, once it is over.
+    fn adopt_probe(&mut self) {
+        if self.probe.is_over() {
+            self.line = self.probe.result();
+            self.window_bytes = self.line.map_or(self.nominal, |line| line.rate).window_bytes();
+        }
+    }
+
+    /// Bytes per second of full frames that the device acknowledges: the line's rate, or less where the host waits for
+    /// acknowledgements because few bytes may be unacknowledged. `None` until measured.
+    #[must_use]
+    pub fn capacity(&self) -> Option<u32> {
+        let MeasuredLine { rate, ack_wait } = self.line?;
+        let under_way = (self.frames_under_way() * MAX_FRAME) as f64;
+        let waiting = under_way / (ack_wait + rate.time(MAX_FRAME)).as_secs_f64();
+        Some(waiting.min(rate.0.into()) as u32)
+    }
+
+    /// Bytes per second left on the line while so many frames a second, however short, wait for acknowledgements.
+    /// `None` until measured.
+    #[must_use]
+    pub fn rate_left(&self, frames_per_s: u32) -> Option<u32> {
+        let waiting = f64::from(frames_per_s) * self.ack_wait()?.as_secs_f64();
+        Some((f64::from(self.line?.rate.0) * (1.0 - waiting)) as u32)
+    }
+
+    /// How long a frame waits, besides its bytes' time, until the device has acknowledged the frames before it.
+    #[must_use]
+    pub fn ack_wait(&self) -> Option<Duration> {
+        Some(self.line?.ack_wait / self.frames_under_way() as u32)
+    }
+
+    /// Whole frames that may be unacknowledged at once.
+    fn frames_under_way(&self) -> usize {
+        self.window_bytes / MAX_FRAME
+    }
+
+    /// Whether the session takes plays: the handshake is done, the clock is set and the session is not over.
     #[must_use]
     pub fn is_open(&self) -> bool {
         self.phase == Phase::Open && self.first_pings >= FIRST_PINGS
     }
 
-    /// Whether every control has been answered.
+    /// Whether the device answered every command, and the session read every report.
     #[must_use]
     pub fn is_answered(&self) -> bool {
-        self.control.is_none() && self.seen == self.made
+        self.control.is_none() && self.seen == self.announced
     }
 
-    /// Whether the handshake is done and the session not over: commands can be sent.
+    /// Whether the session takes commands: the handshake is done and the session is not over.
     #[must_use]
     pub fn can_command(&self) -> bool {
         self.phase == Phase::Open
     }
 
-    /// Keeps the lease with a ping at least this often.
+    /// Pings at least this often, so that the device's host watchdog does not time out.
     pub fn keep_alive_every(&mut self, every: Duration, now: HostInstant) {
         self.ping_every = every;
         self.ping_due = self.ping_due.min(now + every);
     }
 
-    /// Asks for a status soon; may be called again and again until it comes.
+    /// Asks for a status soon. Callers may repeat it until the status comes.
     pub fn request_status(&mut self) {
-        self.ping_due = self.ping_due.min(self.last_ping + ASK_EVERY);
+        self.ping_due = self.ping_due.min(self.last_ping + STATUS_EVERY);
     }
 
-    /// Asks for a status within this time: free slots are told by statuses, and who has none sends nothing that brings one.
+    /// Asks for a status within this time. Statuses report free slots; a host without credits sends nothing else that
+    /// would bring one.
     pub fn request_status_within(&mut self, time: Duration) {
         self.ping_due = self.ping_due.min(self.last_ping + time);
     }
 
-    /// Sends a command, in a new epoch, until it is answered. What was pushed before and has no verdict is forgotten.
+    /// Sends a command in a new epoch, until the device answers. The session forgets strokes that have no verdict yet.
     pub fn command(&mut self, op: Op) {
         self.epoch = self.epoch.wrapping_add(1);
         self.control = Some(Control { op, sent: None });
@@ -371,8 +290,8 @@ impl Session {
         self.amendments = Packer::new(Tick(0));
     }
 
-    /// Begins a play: the next strokes go into a frame of their own that is taken whole or not at all.
-    /// Nothing can be pushed after that frame is sealed until it is answered.
+    /// Begins a play: the next strokes go into a frame of their own, which the device takes whole or not at all.
+    /// Once that frame is sealed, nothing can be pushed until the device answers it.
     pub fn begin(&mut self, onset: Tick) {
         self.seal();
         self.open_batch = Some(self.batch(onset, true));
@@ -380,22 +299,20 @@ impl Session {
 
     fn batch(&self, base: Tick, onset: bool) -> Batch {
         let strokes = Packer::new(base);
-        let seq = self.next_seq;
-        let last_sent = HostInstant::default();
         Batch {
-            seq,
+            seq: self.next_seq,
             onset,
             strokes,
             len: 0,
             first_sent: None,
-            last_sent,
+            last_sent: HostInstant::default(),
             due: true,
             kept: false,
             retransmitted: false,
         }
     }
 
-    /// How many strokes the device's credits still allow.
+    /// Strokes that the device's credits still allow.
     #[must_use]
     pub fn credits(&self) -> usize {
         let open = self.open_batch.as_ref().map_or(0, |batch| batch.strokes.items());
@@ -411,7 +328,8 @@ impl Session {
             && !self.window.back().is_some_and(|batch| batch.onset)
     }
 
-    /// Takes a stroke, not before the last one; `false` if it has to wait for credits, the window or an onset's verdict.
+    /// Takes a stroke that does not begin before the last one; `false` if it must wait for credits, the window or an
+    /// onset's verdict.
     pub fn push(&mut self, stroke: &Stroke) -> bool {
         if self.phase != Phase::Open || !self.has_room() || self.credits() == 0 {
             return false;
@@ -423,7 +341,7 @@ impl Session {
             self.seal();
             return self.push(stroke);
         }
-        // What could not be sent yet takes more: on a link whose answers take long, frames get longer, not more.
+        // A frame that waits takes more strokes: on a link with slow answers frames get longer, not more.
         if let Some(last) = self.window.back_mut()
             && last.first_sent.is_none()
             && !last.onset
@@ -437,7 +355,7 @@ impl Session {
         packed
     }
 
-    /// Ends the frame begun: it can be sent. While it cannot, more strokes may be put into it, unless it is an onset's.
+    /// Ends the open frame, so that it can be sent. While it waits, it takes more strokes, unless it is an onset's.
     pub fn seal(&mut self) {
         if let Some(batch) = self.open_batch.take() {
             self.next_seq = self.next_seq.wrapping_add(1);
@@ -445,7 +363,7 @@ impl Session {
         }
     }
 
-    /// Adds a new count for a queued burst to the next amendment message; `false` if that is full.
+    /// Adds a corrected pulse count for a queued burst to the next amendment message; `false` if that is full.
     pub fn amend(&mut self, amendment: &Amendment) -> bool {
         if self.amendments.items() == 0 {
             self.amendments = Packer::new(amendment.up);
@@ -453,10 +371,11 @@ impl Session {
         self.amendments.amendment(amendment).is_ok()
     }
 
+    /// How long the session waits for an acknowledgement before it retransmits.
     fn retry_after(&self) -> Duration {
         let usual = (self.round_trip * 3).clamp(RETRY.0, RETRY.1);
-        // What is on a slow line is late, not lost.
-        let line = self.line().map_or(Duration::ZERO, |line| line.time(self.window_bytes + MAX_FRAME));
+        // A frame on a slow line is late, not lost.
+        let line = self.line.map_or(Duration::ZERO, |line| line.rate.time(self.window_bytes + MAX_FRAME));
         usual.max(self.round_trip.min(RETRY.1) + line)
     }
 }

@@ -1,13 +1,16 @@
-//! What is due: commands first, then corrections, frames the device has not got, and pings.
+//! Writes what is due: commands first, then corrections, frames the device misses, the link probe's, and pings.
 
+use crate::link::session::event::{Event, LostReason};
+use crate::link::session::probe::{QUIET_TIMEOUT, Step};
 use crate::link::session::{
-    DEAF_FOR, DEAF_PINGS, DOUBT_EVERY, Event, FIRST_PING_EVERY, FIRST_PINGS, HELLO_EVERY, LostReason,
-    MAX_HELLOS, Phase, Session,
+    FIRST_PING_EVERY, FIRST_PINGS, HELLO_EVERY, MAX_HELLOS, MAX_UNANSWERED, Phase, RECHECK_EVERY, Session,
+    UNANSWERED_FOR,
 };
 use crate::time::HostInstant;
-use firmware_protocol::batch::Packer;
+use firmware_protocol::batch::{BATCH_BYTES, Packer};
 use firmware_protocol::frame::{self, MAX_FRAME};
 use firmware_protocol::message::HostMessage;
+use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
 use std::time::Duration;
 
@@ -17,10 +20,10 @@ impl Session {
         &mut self,
         now: HostInstant,
         out: &mut [u8; MAX_FRAME],
-        tell: &mut dyn FnMut(Event),
+        emit: &mut dyn FnMut(Event),
     ) -> usize {
         let len = match self.phase {
-            Phase::Opening => self.next_hello(now, out, tell),
+            Phase::Opening => self.next_hello(now, out, emit),
             Phase::Open => self.next_frame(now, out),
             Phase::Over => 0,
         };
@@ -32,20 +35,20 @@ impl Session {
         &mut self,
         now: HostInstant,
         out: &mut [u8; MAX_FRAME],
-        tell: &mut dyn FnMut(Event),
+        emit: &mut dyn FnMut(Event),
     ) -> usize {
         if self.last_sent.is_some_and(|sent| now.since(sent) < HELLO_EVERY) {
             return 0;
         }
         if self.hellos == MAX_HELLOS {
-            self.lose(LostReason::NoBoard, tell);
+            self.lose(LostReason::NoBoard, emit);
             return 0;
         }
         self.hellos += 1;
         self.last_sent = Some(now);
-        // A zero first ends whatever half a frame the device has from before.
+        // The leading zero ends a frame that an earlier session may have left half sent.
         out[0] = 0;
-        1 + written(&HostMessage::Hello { session: self.id }, &mut out[1..])
+        1 + encoded(&HostMessage::Hello { session: self.id }, &mut out[1..])
     }
 
     fn next_frame(&mut self, now: HostInstant, out: &mut [u8; MAX_FRAME]) -> usize {
@@ -55,32 +58,32 @@ impl Session {
         {
             self.traffic.retransmitted += u64::from(control.sent.is_some());
             control.sent = Some(now);
-            return written(&HostMessage::Control { epoch, seen, op: control.op }, out);
+            return encoded(&HostMessage::Control { epoch, seen, op: control.op }, out);
         }
         if self.amendments.items() > 0 && self.control.is_none() {
             self.generation = self.generation.wrapping_add(1);
             let (generation, base) = (self.generation, self.amendments.base().wire());
             let items = self.amendments.bytes();
-            let len = written(&HostMessage::Amend { epoch, generation, base, items }, out);
+            let len = encoded(&HostMessage::Amend { epoch, generation, base, items }, out);
             self.amendments = Packer::new(Tick(0));
             return len;
         }
         if let Some(len) = self.next_batch(now, out) {
             return len;
         }
-        match self.next_survey(now, out) {
+        match self.next_probe(now, out) {
             0 => self.next_ping(now, out),
             len => len,
         }
     }
 
-    /// The next frame of strokes that the device has not got: new, or sent in vain.
+    /// The next frame of strokes that the device misses: new, or lost on the way.
     fn next_batch(&mut self, now: HostInstant, out: &mut [u8; MAX_FRAME]) -> Option<usize> {
         if self.control.is_some() {
             return None;
         }
         let (epoch, seen, retry, acked) = (self.epoch, self.seen, self.retry_after(), self.acked);
-        let mut on_the_way = 0;
+        let mut unacknowledged = 0;
         let mut next = None;
         for batch in &mut self.window {
             if batch.kept || is_before(batch.seq, acked) {
@@ -90,19 +93,19 @@ impl Session {
                 (batch.due, batch.retransmitted) = (true, true);
             }
             if !batch.due {
-                on_the_way += batch.len;
+                unacknowledged += batch.len;
             } else if next.is_none() {
                 next = Some(batch);
             }
         }
         let next = next?;
-        // What is missing must not wait for what comes after it.
-        if !next.retransmitted && on_the_way > 0 && on_the_way + MAX_FRAME > self.window_bytes {
+        // A missing frame must not wait for the frames after it.
+        if !next.retransmitted && unacknowledged > 0 && unacknowledged + MAX_FRAME > self.window_bytes {
             return None;
         }
         let (seq, onset, base) = (next.seq, next.onset, next.strokes.base().wire());
         let batch = next.strokes.bytes();
-        let len = written(&HostMessage::Strokes { epoch, seq, seen, onset, base, batch }, out);
+        let len = encoded(&HostMessage::Strokes { epoch, seq, seen, onset, base, batch }, out);
         self.traffic.retransmitted += u64::from(next.retransmitted);
         next.due = false;
         next.len = len;
@@ -111,22 +114,63 @@ impl Session {
         Some(len)
     }
 
-    /// Gives the device up if it has not answered for too long.
-    pub fn check_silence(&mut self, now: HostInstant, tell: &mut dyn FnMut(Event)) {
-        let deaf = self.unanswered >= DEAF_PINGS && now.since(self.first_unanswered) >= DEAF_FOR;
-        if self.phase == Phase::Open && deaf {
-            self.lose(LostReason::NoAnswer, tell);
+    /// The link probe's next frame; 0 when there is none.
+    fn next_probe(&mut self, now: HostInstant, out: &mut [u8; MAX_FRAME]) -> usize {
+        let quiet = self.answered == self.token || now.since(self.last_ping) >= QUIET_TIMEOUT;
+        let quiet = quiet && self.is_open() && self.control.is_none() && self.window.is_empty();
+        let was_over = self.probe.is_over();
+        match self.probe.next(now, quiet) {
+            Step::Filler => {
+                let len = self.filler(out);
+                self.probe.sent_filler(len);
+                len
+            }
+            Step::Ping => {
+                let len = self.ping(now, out);
+                self.probe.sent_ping(now, len, self.token);
+                len
+            }
+            Step::Nothing => {
+                if !was_over {
+                    self.adopt_probe();
+                }
+                0
+            }
+        }
+    }
+
+    /// A full frame of strokes of the epoch before the session's own: the device acknowledges and ignores it.
+    fn filler(&self, out: &mut [u8; MAX_FRAME]) -> usize {
+        let mut strokes = Packer::<BATCH_BYTES>::new(Tick(0));
+        let (mut up, mut pulses) = (Tick(0), 147);
+        // Neighbouring counts differ, so that the packer cannot shorten them: the frame is full.
+        while strokes
+            .stroke(&Stroke { motor: 0, up, up_pulses: pulses, down: up + 708, down_pulses: pulses })
+            .is_ok()
+        {
+            (up, pulses) = (up + 1417, pulses ^ 1);
+        }
+        let (epoch, batch) = (self.first_epoch.wrapping_sub(1), strokes.bytes());
+        let base = Tick(0).wire();
+        encoded(&HostMessage::Strokes { epoch, seq: 0, seen: self.seen, onset: false, base, batch }, out)
+    }
+
+    /// Ends the session if the device has not answered for too long.
+    pub fn check_silence(&mut self, now: HostInstant, emit: &mut dyn FnMut(Event)) {
+        let silent = self.unanswered >= MAX_UNANSWERED && now.since(self.first_unanswered) >= UNANSWERED_FOR;
+        if self.phase == Phase::Open && silent {
+            self.lose(LostReason::NoAnswer, emit);
         }
     }
 
     fn next_ping(&mut self, now: HostInstant, out: &mut [u8; MAX_FRAME]) -> usize {
-        if now < self.ping_due || self.is_surveying() {
+        if now < self.ping_due || self.probe.is_busy() {
             return 0;
         }
         self.ping(now, out)
     }
 
-    pub(super) fn ping(&mut self, now: HostInstant, out: &mut [u8]) -> usize {
+    fn ping(&mut self, now: HostInstant, out: &mut [u8]) -> usize {
         if self.unanswered == 0 {
             self.first_unanswered = now;
         }
@@ -135,13 +179,13 @@ impl Session {
         let every = match self.unanswered {
             _ if setting_clock || !self.is_answered() => FIRST_PING_EVERY,
             1 => self.ping_every,
-            _ => self.ping_every.min(DOUBT_EVERY),
+            _ => self.ping_every.min(RECHECK_EVERY),
         };
         self.ping_due = now + every;
         self.token = self.token.wrapping_add(1).max(1);
         self.pinged[usize::from(self.token) % self.pinged.len()] = (self.token, now);
         self.last_ping = now;
-        written(&HostMessage::Ping { token: self.token, seen: self.seen }, out)
+        encoded(&HostMessage::Ping { token: self.token, seen: self.seen }, out)
     }
 
     /// When [`Self::transmit`] may have something next, if nothing happens before.
@@ -159,21 +203,26 @@ impl Session {
                     Some(_) => batch.last_sent + retry,
                     None => now,
                 });
-                // While the probe's ping is on its way, no other is sent.
-                let ping = if self.is_surveying() { None } else { Some(self.ping_due) };
-                let due = [control, frames, ping, self.survey_at(now)];
+                // While the probe's ping is under way, the session sends no other.
+                let ping = if self.probe.is_busy() { None } else { Some(self.ping_due) };
+                let due = [
+                    control,
+                    frames,
+                    ping,
+                    self.probe.due(now, self.is_open().then(|| self.last_ping + QUIET_TIMEOUT)),
+                ];
                 due.into_iter().flatten().min().unwrap_or(now)
             }
         }
     }
 }
 
-/// Whether `a` comes before `b`, as numbers that wrap.
+/// Whether `a` comes before `b`; both wrap.
 fn is_before(a: u16, b: u16) -> bool {
     a.wrapping_sub(b) > u16::MAX / 2
 }
 
-pub(super) fn written(message: &HostMessage<'_>, out: &mut [u8]) -> usize {
+fn encoded(message: &HostMessage<'_>, out: &mut [u8]) -> usize {
     // Every message fits a frame: batches are bounded by `BATCH_BYTES`.
     frame::encode(message, out).unwrap_or(0)
 }

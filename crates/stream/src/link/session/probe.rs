@@ -1,35 +1,32 @@
-//! What the line carries: measured once, after the handshake and before the first arm.
+//! The link probe: measures once, after the handshake and before the first arm, what the line carries.
 //!
-//! A few rounds of frames that the device acknowledges and ignores, full frames of an older epoch, each ended by a
-//! ping: from the first byte to the ping's answer, less an idle round trip, is what the frames took. A round is as
-//! long as the session lets bytes be on their way, so an e-stop never waits for more than that. What a round took
-//! longer than its bytes is what an acknowledgement is waited for.
+//! It sends a few rounds of full frames of an older epoch, which the device acknowledges and ignores; a ping ends each
+//! round. The time from the first byte to the ping's answer, less an idle round trip, is what the frames took. A round is
+//! as long as the bytes the session may have unacknowledged, so an e-stop never waits for more than that. What a round
+//! took longer than its bytes is how long an acknowledgement takes.
 //!
+//! The [`Session`](super::Session) asks [`Probe::next`] what to send, sends it, and reports what it sent and heard.
 //! Bounds: [`Budget`] in bytes and time, [`ROUNDS`] rounds, one at a time.
-//! Invariant: when it is over, [`Session::is_probed`] says so for good, whether or not anything was measured.
+//! Invariant: a probe that ended stays over, whether or not it measured anything.
 
-use crate::link::session::{LineRate, Session};
+use crate::link::session::line::{LineRate, MeasuredLine};
 use crate::time::HostInstant;
-use firmware_protocol::batch::{BATCH_BYTES, Packer};
 use firmware_protocol::frame::MAX_FRAME;
-use firmware_protocol::message::HostMessage;
-use firmware_protocol::stroke::Stroke;
-use firmware_protocol::tick::Tick;
 use std::time::Duration;
 
-/// Rounds at the most.
+/// Rounds at most.
 const ROUNDS: usize = 32;
-/// A round without an answer for so long is given up; its ping may have been lost.
-const ROUND_WITHIN: Duration = Duration::from_millis(250);
-/// Pings still on their way would be measured with the first round: they are waited for, but not longer.
-const QUIET_WITHIN: Duration = Duration::from_millis(100);
+/// The probe gives a round up after this time; the device may have lost its ping.
+const ROUND_TIMEOUT: Duration = Duration::from_millis(250);
+/// Pings still under way would be measured with the first round: the probe waits for them, but not longer than this.
+pub(super) const QUIET_TIMEOUT: Duration = Duration::from_millis(100);
 
-/// What a probe may cost, in bytes sent and from its first byte on.
+/// What a probe may cost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Budget {
-    /// Bytes sent, at the most.
+    /// Bytes sent, at most.
     pub bytes: usize,
-    /// After this no round is begun.
+    /// From the first byte on; after it the probe begins no round.
     pub time: Duration,
 }
 
@@ -40,15 +37,36 @@ impl Default for Budget {
     }
 }
 
+/// What the session sends next for the probe.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[must_use]
+pub(super) enum Step {
+    Nothing,
+    /// A full frame that the device ignores.
+    Filler,
+    Ping,
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stage {
     /// Waits for the line to be quiet.
     Waiting,
     /// So many bytes of the round are still to be sent.
     Sending(usize),
-    /// The round's ping was sent at this instant.
+    /// The round's ping left at this instant.
     Sent(HostInstant),
     Over,
+}
+
+/// The round under way.
+#[derive(Debug, Default)]
+struct Round {
+    began: HostInstant,
+    /// Bytes of its frames, and of its ping.
+    bytes: usize,
+    ping_bytes: usize,
+    /// Its ping's token.
+    token: u16,
 }
 
 /// A probe under way, or its result.
@@ -56,202 +74,141 @@ enum Stage {
 pub(super) struct Probe {
     stage: Stage,
     budget: Budget,
-    begun: HostInstant,
-    /// When the round began, its bytes, and its ping with its own.
-    round: (HostInstant, usize, u16),
-    ping: usize,
+    /// The line's rate as its transport knows it: no result is above it.
+    nominal: LineRate,
+    began: HostInstant,
+    round: Round,
     spent: usize,
-    /// Each round's bytes per second, its bytes and how long it took with its answer.
+    /// For each round: bytes per second; its bytes and how long it took with its answer.
     rates: [u32; ROUNDS],
     took: [(usize, Duration); ROUNDS],
     rounds: usize,
 }
 
 impl Probe {
-    pub(super) fn new(budget: Budget) -> Self {
-        let round = (HostInstant::default(), 0, 0);
-        let stage = Stage::Waiting;
-        let (begun, took) = (HostInstant::default(), [(0, Duration::ZERO); ROUNDS]);
-        Self { stage, budget, begun, round, ping: 0, spent: 0, rates: [0; ROUNDS], took, rounds: 0 }
-    }
-
-    /// The upper quartile of the rounds: stalls of either side make them too slow, and nothing makes them too fast but
-    /// an idle round trip that was itself held up.
-    fn rate(&self) -> Option<LineRate> {
-        let mut rates = self.rates;
-        let rates = &mut rates[..self.rounds];
-        rates.sort_unstable();
-        rates.get(rates.len() * 3 / 4).copied().map(LineRate)
-    }
-
-    /// How long an acknowledgement is waited for on a line of this rate: the upper quartile again. The shortest round
-    /// trip is not what a play gets on a link that jitters; the longest are stalls, for which there is the lead.
-    fn wait(&self, line: LineRate) -> Duration {
-        let mut waits = self.took.map(|(bytes, took)| took.saturating_sub(line.time(bytes)));
-        let waits = &mut waits[..self.rounds];
-        waits.sort_unstable();
-        waits.get(waits.len() * 3 / 4).copied().unwrap_or_default()
-    }
-}
-
-impl Session {
-    /// Whether the probe is over; before, [`Self::line`] is not known.
-    #[must_use]
-    pub fn is_probed(&self) -> bool {
-        self.probe.stage == Stage::Over
-    }
-
-    /// What the line was measured to carry while nothing waits for an answer, its nominal rate at the most.
-    #[must_use]
-    pub fn line(&self) -> Option<LineRate> {
-        self.line.map(|(line, _)| line)
-    }
-
-    /// Bytes per second of full frames that the device acknowledges: [`Self::line`], less the waiting for
-    /// acknowledgements when few bytes may be on their way. `None` until it is measured.
-    #[must_use]
-    pub fn capacity(&self) -> Option<u32> {
-        let (line, wait) = self.line?;
-        let on_the_way = (self.frames_on_the_way() * MAX_FRAME) as f64;
-        let waiting = on_the_way / (wait + line.time(MAX_FRAME)).as_secs_f64();
-        Some(waiting.min(line.0.into()) as u32)
-    }
-
-    /// Bytes per second that are left of [`Self::line`] when so many frames a second, however short, wait for their
-    /// acknowledgements. `None` until it is measured.
-    #[must_use]
-    pub fn rate_left(&self, frames_per_s: u32) -> Option<u32> {
-        let waiting = f64::from(frames_per_s) * self.ack_wait()?.as_secs_f64();
-        Some((f64::from(self.line()?.0) * (1.0 - waiting)) as u32)
-    }
-
-    /// How long a frame waits, besides its bytes, for those before it to be acknowledged.
-    #[must_use]
-    pub fn ack_wait(&self) -> Option<Duration> {
-        let (_, wait) = self.line?;
-        Some(wait / self.frames_on_the_way() as u32)
-    }
-
-    /// Whole frames that may be on their way at once.
-    fn frames_on_the_way(&self) -> usize {
-        self.window_bytes / MAX_FRAME
-    }
-
-    /// Surveys the line again, with this budget: for whoever wants to know it better. Not while anything is played.
-    pub fn probe(&mut self, budget: Budget) {
-        self.probe = Probe::new(budget);
-    }
-
-    /// Whether the probe has a ping on its way, beside which no other may be sent: the device answers the last one.
-    pub(super) fn is_surveying(&self) -> bool {
-        matches!(self.probe.stage, Stage::Sending(_) | Stage::Sent(_))
-    }
-
-    /// When the probe has something to do, if no answer comes before.
-    pub(super) fn survey_at(&self, now: HostInstant) -> Option<HostInstant> {
-        match self.probe.stage {
-            Stage::Waiting if self.is_open() => Some(self.last_ping + QUIET_WITHIN),
-            Stage::Sending(_) => Some(now),
-            Stage::Sent(at) => Some(at + ROUND_WITHIN),
-            Stage::Waiting | Stage::Over => None,
+    pub(super) fn new(budget: Budget, nominal: LineRate) -> Self {
+        Self {
+            stage: Stage::Waiting,
+            budget,
+            nominal,
+            began: HostInstant::default(),
+            round: Round::default(),
+            spent: 0,
+            rates: [0; ROUNDS],
+            took: [(0, Duration::ZERO); ROUNDS],
+            rounds: 0,
         }
     }
 
-    /// The probe's next frame; 0 when there is none.
-    pub(super) fn next_survey(&mut self, now: HostInstant, out: &mut [u8]) -> usize {
-        match self.probe.stage {
-            Stage::Waiting => {
-                let quiet = self.answered == self.token || now.since(self.last_ping) >= QUIET_WITHIN;
-                if !self.is_open() || !quiet || self.control.is_some() || !self.window.is_empty() {
-                    return 0;
-                }
-                self.probe.begun = now;
+    pub(super) fn is_over(&self) -> bool {
+        self.stage == Stage::Over
+    }
+
+    /// Whether a round is under way. The session then sends no ping of its own: the device answers only the last one.
+    pub(super) fn is_busy(&self) -> bool {
+        matches!(self.stage, Stage::Sending(_) | Stage::Sent(_))
+    }
+
+    /// When the probe has something to do, if no answer comes before. `quiet_by`: when an open line counts as quiet.
+    pub(super) fn due(&self, now: HostInstant, quiet_by: Option<HostInstant>) -> Option<HostInstant> {
+        match self.stage {
+            Stage::Waiting => quiet_by,
+            Stage::Sending(_) => Some(now),
+            Stage::Sent(at) => Some(at + ROUND_TIMEOUT),
+            Stage::Over => None,
+        }
+    }
+
+    /// What to send now; `quiet` if the line is open and nothing else is under way on it.
+    pub(super) fn next(&mut self, now: HostInstant, quiet: bool) -> Step {
+        match self.stage {
+            Stage::Waiting if quiet => {
+                self.began = now;
                 self.begin_round(now, MAX_FRAME);
-                self.next_survey(now, out)
+                Step::Filler
             }
-            Stage::Sending(0) => {
-                let len = self.ping(now, out);
-                self.probe.stage = Stage::Sent(now);
-                self.probe.ping = len;
-                self.probe.round.2 = self.token;
-                self.probe.spent += len;
-                len
-            }
-            Stage::Sending(left) => {
-                let len = self.filler(out);
-                self.probe.round.1 += len;
-                self.probe.spent += len;
-                // A frame more would be more than may be on its way.
-                let left = left.saturating_sub(MAX_FRAME);
-                self.probe.stage = Stage::Sending(if left < MAX_FRAME { 0 } else { left });
-                len
-            }
+            Stage::Sending(0) => Step::Ping,
+            Stage::Sending(_) => Step::Filler,
             Stage::Sent(at) => {
-                if now.since(at) >= ROUND_WITHIN {
+                if now.since(at) >= ROUND_TIMEOUT {
                     self.next_round(now);
                 }
-                0
+                Step::Nothing
             }
-            Stage::Over => 0,
+            Stage::Waiting | Stage::Over => Step::Nothing,
         }
     }
 
-    /// A status that answers the probe's ping: `true` if it was one.
-    pub(super) fn probed(&mut self, now: HostInstant, token: u16) -> bool {
-        let (begun, bytes, ping) = self.probe.round;
-        if token != ping || !matches!(self.probe.stage, Stage::Sent(_)) {
+    /// The session sent a filler of `len` bytes.
+    pub(super) fn sent_filler(&mut self, len: usize) {
+        let Stage::Sending(left) = self.stage else { return };
+        self.round.bytes += len;
+        self.spent += len;
+        // One more frame would exceed what may be unacknowledged.
+        let left = left.saturating_sub(MAX_FRAME);
+        self.stage = Stage::Sending(if left < MAX_FRAME { 0 } else { left });
+    }
+
+    /// The session sent the round's ping.
+    pub(super) fn sent_ping(&mut self, now: HostInstant, len: usize, token: u16) {
+        self.stage = Stage::Sent(now);
+        (self.round.ping_bytes, self.round.token) = (len, token);
+        self.spent += len;
+    }
+
+    /// The device answered the ping of this token; `true` if it was the round's. `idle` is an idle round trip.
+    pub(super) fn answered(&mut self, now: HostInstant, token: u16, idle: Duration) -> bool {
+        let Round { began, bytes, ping_bytes, token: ours } = self.round;
+        if token != ours || !matches!(self.stage, Stage::Sent(_)) {
             return false;
         }
-        self.probe.took[self.probe.rounds] = (bytes + self.probe.ping, now.since(begun));
-        // An idle round trip has its ping's bytes in it.
-        let took = now.since(begun).saturating_sub(self.fastest).as_secs_f64();
-        // Faster than can be told: then it is the nominal rate.
+        self.took[self.rounds] = (bytes + ping_bytes, now.since(began));
+        // An idle round trip includes its ping's bytes.
+        let took = now.since(began).saturating_sub(idle).as_secs_f64();
+        // Too fast to measure: then it is the nominal rate.
         let rate = if took > 1e-6 { bytes as f64 / took } else { f64::from(u32::MAX) };
-        self.probe.rates[self.probe.rounds] = (rate as u32).max(1);
-        self.probe.rounds += 1;
+        self.rates[self.rounds] = (rate as u32).max(1);
+        self.rounds += 1;
         self.next_round(now);
         true
     }
 
+    /// What was measured; `None` if no round was answered.
+    pub(super) fn result(&self) -> Option<MeasuredLine> {
+        let rate = self.rate()?;
+        Some(MeasuredLine { rate, ack_wait: self.ack_wait(rate) })
+    }
+
     fn begin_round(&mut self, now: HostInstant, bytes: usize) {
-        self.probe.round = (now, 0, 0);
-        self.probe.stage = Stage::Sending(bytes.max(MAX_FRAME));
+        self.round = Round { began: now, ..Round::default() };
+        self.stage = Stage::Sending(bytes.max(MAX_FRAME));
     }
 
     fn next_round(&mut self, now: HostInstant) {
-        let Probe { budget, begun, spent, rounds, .. } = self.probe;
-        let nominal = self.nominal;
-        let bound = |rate: LineRate| LineRate(rate.0.min(nominal.0));
-        let bytes = self.probe.rate().map_or(MAX_FRAME, |rate| bound(rate).window_bytes());
-        if rounds < ROUNDS && spent + bytes <= budget.bytes && now.since(begun) < budget.time {
+        let bytes = self.rate().map_or(MAX_FRAME, LineRate::window_bytes);
+        let affordable = self.spent + bytes <= self.budget.bytes && now.since(self.began) < self.budget.time;
+        if self.rounds < ROUNDS && affordable {
             self.begin_round(now, bytes);
-            return;
+        } else {
+            self.stage = Stage::Over;
         }
-        self.probe.stage = Stage::Over;
-        self.line = self.probe.rate().map(bound).map(|rate| (rate, self.probe.wait(rate)));
-        self.window_bytes = self.line().unwrap_or(nominal).window_bytes();
     }
 
-    /// A full frame of strokes of the epoch before the session's own: acknowledged and ignored.
-    fn filler(&self, out: &mut [u8]) -> usize {
-        let mut strokes = Packer::<BATCH_BYTES>::new(Tick(0));
-        let (mut up, mut pulses) = (Tick(0), 147);
-        // No count like the one before it: as many strokes as a frame may have fill it.
-        while strokes
-            .stroke(&Stroke { motor: 0, up, up_pulses: pulses, down: up + 708, down_pulses: pulses })
-            .is_ok()
-        {
-            (up, pulses) = (up + 1417, pulses ^ 1);
-        }
-        let epoch = self.greeted.wrapping_sub(1);
-        let message = HostMessage::Strokes {
-            epoch,
-            seq: 0,
-            seen: self.seen,
-            onset: false,
-            base: Tick(0).wire(),
-            batch: strokes.bytes(),
-        };
-        super::outbound::written(&message, out)
+    /// The upper quartile of the rounds: stalls of either side make rounds too slow; only an idle round trip that was
+    /// itself held up makes one too fast.
+    fn rate(&self) -> Option<LineRate> {
+        let mut rates = self.rates;
+        let rates = &mut rates[..self.rounds];
+        rates.sort_unstable();
+        rates.get(rates.len() * 3 / 4).map(|&rate| LineRate(rate.min(self.nominal.0)))
+    }
+
+    /// How long an acknowledgement takes on a line of this rate: the upper quartile again. A play on a link that jitters
+    /// does not get the shortest round trip; the longest are stalls, which the lead covers.
+    fn ack_wait(&self, line: LineRate) -> Duration {
+        let mut waits = self.took.map(|(bytes, took)| took.saturating_sub(line.time(bytes)));
+        let waits = &mut waits[..self.rounds];
+        waits.sort_unstable();
+        waits.get(waits.len() * 3 / 4).copied().unwrap_or_default()
     }
 }
