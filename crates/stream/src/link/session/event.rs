@@ -1,0 +1,144 @@
+//! What a session reports: its [`Event`]s, the [`Verdict`] on each stroke, and why a session ends.
+
+use crate::time::HostInstant;
+use firmware_protocol::limits::Refusal;
+use firmware_protocol::message::{Counters, Cut, DeviceHello, Status};
+use firmware_protocol::stroke::{MOTORS, Stroke};
+use firmware_protocol::tick::Tick;
+
+/// What the device decided about a stroke.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// Queued in the device.
+    Accepted,
+    /// Dropped: it begins before `rendered`, the device's first free tick.
+    Late {
+        /// The first free tick.
+        rendered: Tick,
+        /// When the host first sent its frame.
+        sent: HostInstant,
+        /// Whether the host had to retransmit the frame.
+        retransmitted: bool,
+    },
+    /// Refused for this reason.
+    Refused(Refusal),
+}
+
+/// Why a session ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LostReason {
+    /// The device no longer answers pings.
+    NoAnswer,
+    /// Nothing answered the handshake.
+    NoBoard,
+    /// The device has forgotten the session.
+    Restarted,
+    /// The device speaks another protocol version.
+    Version,
+    /// The device reports other motors or another tick rate.
+    WrongArray,
+}
+
+/// The whole text, what was found, and what to do.
+macro_rules! text {
+    ($found:literal, $advice:literal) => {
+        (concat!($found, ": ", $advice), $found, $advice)
+    };
+}
+
+impl LostReason {
+    /// What was found and what to do, on one line.
+    #[must_use]
+    pub const fn text(self) -> &'static str {
+        self.texts().0
+    }
+
+    /// What was found.
+    #[must_use]
+    pub const fn found(self) -> &'static str {
+        self.texts().1
+    }
+
+    /// What to do.
+    #[must_use]
+    pub const fn advice(self) -> &'static str {
+        self.texts().2
+    }
+
+    const fn texts(self) -> (&'static str, &'static str, &'static str) {
+        match self {
+            Self::NoAnswer => text!("the device does not answer", "check its cable and power"),
+            Self::NoBoard => text!(
+                "the device does not answer as a board",
+                "check that --device names the board, or power the board off and on"
+            ),
+            Self::Restarted => text!("the device has restarted", "check its power supply"),
+            Self::Version => {
+                text!("the device speaks another protocol version", "update its firmware or this program")
+            }
+            Self::WrongArray => {
+                text!(
+                    "the device has other motors or another tick rate than this array",
+                    "check its firmware"
+                )
+            }
+        }
+    }
+}
+
+/// What a session reports to its owner.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Event {
+    /// The device answered the handshake.
+    Opened(DeviceHello),
+    /// The session is over; this is its last event.
+    Lost(LostReason),
+    /// The device carried a command out, or refused it.
+    Control(Result<(), Refusal>),
+    /// The device's status.
+    Status {
+        /// As sent.
+        status: Status,
+        /// The device's clock, widened.
+        tick: Tick,
+    },
+    /// The device decided about a stroke.
+    Stroke(Stroke, Verdict),
+    /// The device refused the first frame of a play, because a stroke in it would have been late. It took nothing.
+    OnsetRefused {
+        /// The device's first free tick.
+        rendered: Tick,
+    },
+    /// The device accepted the first frame of a play.
+    OnsetAccepted,
+    /// The onset of a play has passed.
+    Onset {
+        /// When.
+        tick: Tick,
+        /// The counters once everything before the onset was played.
+        counters: Counters,
+    },
+    /// The device cut what ran and flushed its queue.
+    Cut {
+        /// As sent.
+        cut: Cut,
+        /// `cut.at`, widened.
+        at: Tick,
+    },
+    /// The device refused a queued stroke when it should have begun.
+    StrokeRefused {
+        /// Its motor.
+        motor: u8,
+        /// Its up tick.
+        up: Tick,
+        /// Why.
+        reason: Refusal,
+    },
+    /// Displacements in 0.01 µm.
+    Telemetry {
+        /// When they were sampled.
+        tick: Tick,
+        /// Per motor.
+        y: [i32; MOTORS],
+    },
+}
