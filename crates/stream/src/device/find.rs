@@ -1,8 +1,9 @@
-//! Which of the things that are plugged in is the board.
+//! Finds the board among the USB devices that are plugged in.
 //!
-//! A board is known by its ids, by its product string where the ids are its own (they are pid.codes' test ids, which
-//! others use too), and by its serial number if one was asked for. Ids are looked up at every open: after a re-plug
-//! the port may have another name. It opens nothing.
+//! A [`BoardQuery`] matches by USB ids, by product string (our ids are pid.codes' test ids, which others use too), and by
+//! serial number if one is given. Look a board up at every open: after a re-plug its port may have another name.
+//!
+//! Invariant: nothing here opens a device.
 
 use serialport::{SerialPortInfo, SerialPortType};
 use std::fmt;
@@ -12,15 +13,15 @@ use std::path::{Path, PathBuf};
 pub const BOARD: (u16, u16) = (0x1209, 0x0001);
 /// Its product string.
 pub const PRODUCT: &str = "meissner";
-/// Without it `serialport` panics: a system without terminals, or without `/sys`.
+/// `serialport` panics where this is missing: a system without terminals, or without `/sys`.
 const TTYS: &str = "/sys/class/tty";
 
-/// Which board is wanted.
+/// Which board to look for.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BoardQuery {
     /// USB vendor and product.
     pub ids: (u16, u16),
-    /// Its serial number; any, if none is given.
+    /// Its serial number; any board if `None`.
     pub serial: Option<String>,
 }
 
@@ -32,28 +33,28 @@ impl Default for BoardQuery {
 }
 
 impl BoardQuery {
-    /// The board of this serial number.
+    /// The board with this serial number.
     #[must_use]
     pub fn serial(serial: &str) -> Self {
         Self { ids: BOARD, serial: Some(serial.to_owned()) }
     }
 
-    /// Reads `SERIAL`, `VID:PID` or `VID:PID:SERIAL`, ids in hex; `None` if it is neither.
+    /// Parses `SERIAL`, `VID:PID` or `VID:PID:SERIAL`, ids as four hex digits; `None` if it is none of them.
     pub(super) fn parse(text: &str) -> Option<Self> {
         let id = |text: &str| u16::from_str_radix(text, 16).ok().filter(|_| text.len() == 4);
         let mut parts = text.splitn(3, ':');
-        let wanted = match (parts.next()?, parts.next(), parts.next()) {
+        let query = match (parts.next()?, parts.next(), parts.next()) {
             (serial, None, _) => Self::serial(serial),
             (vendor, Some(product), serial) => {
                 Self { ids: (id(vendor)?, id(product)?), serial: serial.map(str::to_owned) }
             }
         };
-        let known =
+        let printable =
             |serial: &String| !serial.is_empty() && serial.bytes().all(|byte| byte.is_ascii_graphic());
-        wanted.serial.as_ref().is_none_or(known).then_some(wanted)
+        query.serial.as_ref().is_none_or(printable).then_some(query)
     }
 
-    /// Whether a device with these descriptors is it.
+    /// Whether a device with these descriptors matches.
     #[must_use]
     pub fn matches(&self, ids: (u16, u16), product: Option<&str>, serial: Option<&str>) -> bool {
         let named = self.ids != BOARD || product == Some(PRODUCT);
@@ -63,7 +64,7 @@ impl BoardQuery {
 }
 
 impl fmt::Display for BoardQuery {
-    /// As a person is told what was looked for.
+    /// What was looked for, for people.
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(out, "USB {:04x}:{:04x}", self.ids.0, self.ids.1)?;
         if self.ids == BOARD {
@@ -73,24 +74,24 @@ impl fmt::Display for BoardQuery {
     }
 }
 
-/// All serial ports there are, with what USB says of them. Without libudev: read from `/sys`.
+/// All serial ports, with their USB descriptors. Works without libudev: `serialport` reads `/sys`.
 pub(super) fn ports() -> Vec<SerialPortInfo> {
     if Path::new(TTYS).is_dir() { serialport::available_ports().unwrap_or_default() } else { Vec::new() }
 }
 
-/// The first of these ports, by name, that belongs to the board.
-pub(super) fn port(wanted: &BoardQuery, ports: &[SerialPortInfo]) -> Option<PathBuf> {
-    let is_it = |port: &&SerialPortInfo| match &port.port_type {
+/// The first of these ports, by name, that matches.
+pub(super) fn port(query: &BoardQuery, ports: &[SerialPortInfo]) -> Option<PathBuf> {
+    let matches = |port: &&SerialPortInfo| match &port.port_type {
         SerialPortType::UsbPort(usb) => {
-            wanted.matches((usb.vid, usb.pid), usb.product.as_deref(), usb.serial_number.as_deref())
+            query.matches((usb.vid, usb.pid), usb.product.as_deref(), usb.serial_number.as_deref())
         }
         _ => false,
     };
-    let first = ports.iter().filter(is_it).min_by_key(|port| (port.port_name.len(), &port.port_name));
+    let first = ports.iter().filter(matches).min_by_key(|port| (port.port_name.len(), &port.port_name));
     first.map(|port| PathBuf::from(&port.port_name))
 }
 
-/// The serial number behind a port, if it is on USB and tells one.
+/// The serial number of the USB device behind a port, if it has one.
 pub(super) fn serial_of(path: &Path, ports: &[SerialPortInfo]) -> Option<String> {
     let path = path.canonicalize().ok()?;
     let port = ports.iter().find(|port| Path::new(&port.port_name) == path)?;
@@ -118,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn a_board_is_told_from_what_else_is_plugged_in() {
+    fn a_board_is_found_among_other_devices() {
         let ports = [
             SerialPortInfo { port_name: "/dev/ttyS0".into(), port_type: SerialPortType::Unknown },
             usb("/dev/ttyACM0", BOARD, "blinky", Some("1")),
@@ -131,12 +132,12 @@ mod tests {
         assert_eq!(found("E66038B7"), Some("/dev/ttyACM10".into()));
         assert_eq!(found("1209:0001:e66038b7"), Some("/dev/ttyACM10".into()));
         assert_eq!(found("1a86:7523"), Some("/dev/ttyUSB0".into()), "other ids need no name");
-        assert_eq!(found("1"), None, "that one is no board");
+        assert_eq!(found("1"), None, "another device has this serial number");
         assert_eq!(found("bb"), None);
     }
 
     #[test]
-    fn the_udev_rules_mean_the_same_board() {
+    fn the_udev_rules_name_the_same_board() {
         let rules = include_str!("../../../../deploy/70-meissner.rules");
         for rule in rules.lines().filter(|line| line.starts_with("SUBSYSTEM")) {
             for part in [
@@ -151,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_id_is_refused() {
+    fn malformed_ids_are_refused() {
         for text in ["", "1209:", "1209:1", "12x9:0001", "1209:0001:", "a b"] {
             assert_eq!(BoardQuery::parse(text), None, "{text}");
         }

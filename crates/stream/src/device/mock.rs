@@ -1,9 +1,11 @@
-//! The mock: a controller and a plant, in virtual time.
+//! The mock: a controller and simulated motors, in virtual time.
 //!
-//! A thin shell around the controller, as the firmware is: it renders blocks ahead within the horizon, plays
-//! them tick by tick into the plant, and holds the lines low when the controller says so. It reads no clock;
-//! whoever owns it says up to which tick it runs. At each [`Mock::run`] it takes the bytes in first, so that a
-//! stall of the machine it runs on does not make strokes late. The same seed and bytes give the same bytes.
+//! It is a thin shell around the controller, as the firmware is: it renders blocks ahead within the horizon, plays them
+//! tick by tick into the simulated motors, and holds the lines low when the controller says so. Its owner passes the tick
+//! up to which it runs ([`Mock::run`]), and moves bytes with [`Mock::write`] and [`Mock::read`]. Each run takes the
+//! waiting bytes in first, so a stall of the host does not make strokes late.
+//!
+//! Invariant: it reads no clock; the same seed and bytes in give the same bytes out.
 
 use firmware_protocol::controller::{BLOCK, Controller, HORIZON, Identity, Run};
 use firmware_protocol::frame::MAX_FRAME;
@@ -14,17 +16,17 @@ use meissner_array::simulated::{Plant, PlantConfig, PlantError, RestStats, Sampl
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Bytes that wait in either direction, at the most; a sender waits beyond that.
+/// Bytes that wait in either direction at most; beyond that the sender waits.
 const BUFFER: usize = 1 << 16;
 
-/// What the simulated shafts really did: read by others while the mock runs.
+/// The true positions of simulated pins, whatever telemetry says. Other threads read it while the mock runs.
 #[derive(Debug, Default)]
 pub struct TruePositions {
     rest: Mutex<[RestStats; MOTORS]>,
 }
 
 impl TruePositions {
-    /// Where pins came to rest, all motors together.
+    /// Where pins came to rest, over all motors.
     #[must_use]
     pub fn rest(&self) -> RestStats {
         let mut all = RestStats::default();
@@ -40,31 +42,31 @@ impl TruePositions {
 pub struct Mock {
     controller: Box<Controller>,
     plant: Plant,
-    /// Rendered and not played.
+    /// Rendered but not played.
     ahead: VecDeque<Run>,
     /// The first tick not played.
     now: Tick,
     to_controller: Vec<u8>,
     to_host: VecDeque<u8>,
-    /// What was played, if somebody wants to know.
+    /// What was played, if [`Mock::record`] was called.
     trace: Option<Vec<(Tick, Run)>>,
-    truth: Arc<TruePositions>,
-    tamper: Option<fn(&mut Sample)>,
+    positions: Arc<TruePositions>,
+    distort: Option<fn(&mut Sample)>,
 }
 
 impl Mock {
     /// A mock that has just been switched on; `boot` is its boot id.
     ///
     /// # Errors
-    /// If the plant's settings are out of range.
+    /// If the settings of the simulated motors are out of range.
     pub fn new(plant: PlantConfig, boot: u32) -> Result<Self, PlantError> {
         Self::starting_at(plant, boot, Tick::BOOT)
     }
 
-    /// Like [`Self::new`] with another start of the clock.
+    /// Like [`Self::new`], but its clock starts at `now`.
     ///
     /// # Errors
-    /// If the plant's settings are out of range.
+    /// If the settings of the simulated motors are out of range.
     pub fn starting_at(plant: PlantConfig, boot: u32, now: Tick) -> Result<Self, PlantError> {
         let mut version = env!("CARGO_PKG_VERSION").split('.').map(|part| part.parse().unwrap_or(0));
         let firmware = std::array::from_fn(|_| version.next().unwrap_or(0));
@@ -79,22 +81,23 @@ impl Mock {
             to_controller: Vec::with_capacity(BUFFER),
             to_host: VecDeque::with_capacity(BUFFER),
             trace: None,
-            truth: Arc::default(),
-            tamper: None,
+            positions: Arc::default(),
+            distort: None,
         })
     }
 
-    /// Keeps every run of lines that is played from here on, for [`Self::take_trace`].
+    /// From here on keeps every run of lines that it plays, for [`Self::take_trace`].
     pub fn record(&mut self) {
         self.trace = Some(Vec::new());
     }
 
-    /// From here on telemetry goes through `lie` before it is sent: sensors that are stuck, swapped, out of scale.
-    pub fn distort_telemetry(&mut self, lie: fn(&mut Sample)) {
-        self.tamper = Some(lie);
+    /// From here on `distort` changes each telemetry sample before it is sent: a sensor fault (stuck, swapped, out of
+    /// scale).
+    pub fn distort_telemetry(&mut self, distort: fn(&mut Sample)) {
+        self.distort = Some(distort);
     }
 
-    /// Where a pin really is once it rests, µm.
+    /// The true position of a pin at rest, µm.
     ///
     /// # Panics
     /// If there is no such motor.
@@ -103,7 +106,7 @@ impl Mock {
         self.plant.position_um(motor)
     }
 
-    /// The runs played since [`Self::record`] or the last call: where each begins, its lines and length.
+    /// The runs played since [`Self::record`] or the last call: for each its first tick, lines and length.
     pub fn take_trace(&mut self) -> Vec<(Tick, Run)> {
         self.trace.as_mut().map(std::mem::take).unwrap_or_default()
     }
@@ -120,26 +123,26 @@ impl Mock {
         self.now
     }
 
-    /// Which array it is: see [`PlantConfig::identity`].
+    /// Which simulated array it is: see [`PlantConfig::identity`].
     #[must_use]
     pub fn identity(&self) -> String {
         self.plant.config().identity()
     }
 
-    /// What the shafts really did, for others to read.
+    /// The true positions of its pins, for other threads to read.
     #[must_use]
     pub fn true_positions(&self) -> Arc<TruePositions> {
-        Arc::clone(&self.truth)
+        Arc::clone(&self.positions)
     }
 
-    /// Bytes for the controller, taken in at the next [`Self::run`]; returns how many there was room for.
+    /// Hands over bytes for the controller, which takes them in at the next [`Self::run`]; returns how many had room.
     pub fn write(&mut self, bytes: &[u8]) -> usize {
         let len = bytes.len().min(BUFFER - self.to_controller.len());
         self.to_controller.extend_from_slice(&bytes[..len]);
         len
     }
 
-    /// Bytes from the controller; returns how many.
+    /// Reads bytes from the controller; returns how many.
     pub fn read(&mut self, bytes: &mut [u8]) -> usize {
         let len = bytes.len().min(self.to_host.len());
         for (to, from) in bytes.iter_mut().zip(self.to_host.drain(..len)) {
@@ -148,13 +151,14 @@ impl Mock {
         len
     }
 
-    /// The cable is pulled.
+    /// Pulls the cable.
     pub fn unplug(&mut self) {
         self.to_controller.clear();
         self.to_host.clear();
         self.controller.link_lost(self.now);
     }
 
+    /// Whether nothing can happen in the controller until bytes come.
     fn is_quiet(&self) -> bool {
         matches!(self.controller.state(), State::Disarmed | State::Faulted)
     }
@@ -162,22 +166,22 @@ impl Mock {
     /// Takes the bytes in, then plays all ticks before `until`.
     pub fn run(&mut self, until: Tick) {
         if self.is_quiet() && self.now < until {
-            // Nobody looked for as long as nothing could happen: what comes now did not come then.
+            // Nothing happened since the last run. Bytes that wait now count as received now, not then.
             self.pass(until);
         }
         self.controller.receive(self.now, &self.to_controller);
         self.to_controller.clear();
         self.pass(until);
-        // A status that is sent now tells the tick of now, not of some block on the way.
+        // Send after all blocks were played: a status must carry the tick of now, not of an earlier block.
         self.send();
         while let Some(mut sample) = self.plant.telemetry() {
-            if let Some(lie) = self.tamper {
-                lie(&mut sample);
+            if let Some(distort) = self.distort {
+                distort(&mut sample);
             }
             self.controller.telemetry(sample.tick, sample.y);
             self.send();
         }
-        if let Ok(mut rest) = self.truth.rest.try_lock() {
+        if let Ok(mut rest) = self.positions.rest.try_lock() {
             for (all, new) in rest.iter_mut().zip(self.plant.take_rest_stats()) {
                 all.merge(&new);
             }
@@ -187,7 +191,6 @@ impl Mock {
     fn pass(&mut self, until: Tick) {
         loop {
             let quiet = self.is_quiet();
-            // Nothing can happen in a quiet controller until bytes come: all of it in one go.
             let end = if quiet { until } else { until.min(self.now + u64::from(BLOCK)) };
             self.render(end);
             while self.now < end {
@@ -201,7 +204,7 @@ impl Mock {
         self.render(self.now);
     }
 
-    /// Renders whole blocks: all that fit the horizon, and at least up to `end`.
+    /// Renders whole blocks: as many as fit the horizon, and at least up to `end`.
     fn render(&mut self, end: Tick) {
         loop {
             let rendered = self.controller.rendered();
@@ -217,13 +220,13 @@ impl Mock {
         }
     }
 
-    /// Plays at most `max` ticks of what was rendered.
+    /// Plays at most `max` rendered ticks.
     fn play(&mut self, max: u64) {
         let forced = self.controller.forced_off(self.now);
         let Some(front) = self.ahead.front_mut() else { return };
-        // The end of forcing is not a block's end: look again at every tick, unless it has none in sight.
-        let look = if forced && self.controller.state() != State::Faulted { 1 } else { max };
-        let ticks = u64::from(front.ticks).min(look) as u32;
+        // Forcing may end within a block, so check every tick; only a fault keeps it until bytes come.
+        let most = if forced && self.controller.state() != State::Faulted { 1 } else { max };
+        let ticks = u64::from(front.ticks).min(most) as u32;
         let (lines, trigger) = if forced { (Lines::OFF, false) } else { (front.lines, front.trigger) };
         front.ticks -= ticks;
         if front.ticks == 0 {

@@ -1,11 +1,31 @@
-//! Devices: whatever a controller can be reached through. A closed set, so an enum.
+//! Devices: everything through which the host can reach a controller.
 //!
-//! Opening may block and is done by an ordinary thread; reading and writing never block. A board has a serial port
-//! and an interface of its own, with the same frames on both; which one is plugged in, `find` says at every open.
-//! The mock is a real backend: the same controller code as the firmware's, with the plant for shafts. `pty` puts it
-//! behind a real pseudo-terminal and comes back through the serial port. A device that is gone says so by an error,
-//! once.
+//! The set is closed, so [`Device`] is an enum. [`open`] blocks and runs on an ordinary thread; [`Device::read`] and
+//! [`Device::write`] never block, so the streamer's thread calls them.
+//!
+//! | module | what it is | `--device` |
+//! |---|---|---|
+//! | `mock` | controller and simulated motors in this process, in virtual time | |
+//! | `wall_mock` | the mock in wall time | `mock` |
+//! | `pty` | the mock behind a real pseudo-terminal | `pty` |
+//! | `serial` | a board on a serial port | `serial...` |
+//! | `usb` | a board on its own USB interface | `usb...` |
+//!
+//! The mock is a real backend: it runs the same controller code as the firmware. A board has a serial port and a USB
+//! interface with the same frames on both. [`find`] looks at every open which one is plugged in, `spec` reads and
+//! writes the names, `error` says why a device could not be opened, and [`priority`] gives a thread real-time priority.
+//!
+//! # To add a device
+//! 1. Write a module with a type that opens the device, and reads and writes bytes without blocking. Report a device
+//!    that is gone by an error.
+//! 2. Add a variant to [`Device`]; the compiler then names each `match` that needs an arm: kind, rate, wake, serial
+//!    number, identity, read, write.
+//! 3. Add its name to [`Spec`] (parse and display are beside each other) and open it in [`open`].
+//! 4. Add its errors to [`DeviceError`], each with what was found and what to do.
+//!
+//! Invariant: a device that is gone says so by an error, once; until then `read` and `write` return at once.
 
+mod error;
 pub mod find;
 pub mod mock;
 pub mod priority;
@@ -13,176 +33,45 @@ mod pty;
 mod serial;
 mod spec;
 mod usb;
+mod wall_mock;
 
 use crate::device::find::BoardQuery;
-use crate::device::mock::{Mock, TruePositions};
+use crate::device::mock::TruePositions;
 use crate::link::LineRate;
 use crate::time::HostInstant;
-use firmware_protocol::tick::Tick;
+pub use error::DeviceError;
 use meissner_array::simulated::PlantConfig;
-use meissner_array::units::duration_to_ticks;
 pub use pty::PtyMock;
 use rustix::fd::BorrowedFd;
 pub use serial::SerialPort;
 pub use spec::{Spec, SpecError};
-use std::fmt;
-use std::hash::{BuildHasher, Hasher, RandomState};
 use std::io;
-use std::path::PathBuf;
 use std::sync::Arc;
-use usb::FULL_SPEED;
 pub use usb::{UsbPort, watch};
-
-/// The ids of a Pico that waits for a firmware.
-const BARE_PICO: &str = "2e8a:0003";
-
-/// Why a device could not be opened. It is shown on one line: what was found, and what to do.
-#[derive(Debug, thiserror::Error)]
-pub enum DeviceError {
-    /// The port does not exist.
-    NotThere(PathBuf),
-    /// No access.
-    Denied(PathBuf),
-    /// Another program has it.
-    InUse(PathBuf),
-    /// Something else has this name.
-    NotSerial(PathBuf),
-    /// Anything else about a port.
-    Port(PathBuf, #[source] io::Error),
-    /// No board with a serial port.
-    NoSerial(String),
-    /// No board with an interface of its own.
-    NoUsb(String),
-    /// Neither.
-    NoBoard(String),
-    /// No access.
-    UsbDenied(String),
-    /// Another program has it.
-    UsbInUse(String),
-    /// Another firmware.
-    UsbInterface(String),
-    /// Anything else about it.
-    Usb(String, #[source] rusb::Error),
-    /// No threads or descriptors for its transfers.
-    UsbThreads(String, #[source] io::Error),
-    /// No pseudo-terminal.
-    Pty(#[source] io::Error),
-    /// The mock's settings.
-    Plant(#[from] meissner_array::simulated::PlantError),
-}
-
-impl DeviceError {
-    /// What was found, and where.
-    #[must_use]
-    pub fn found(&self) -> String {
-        let port = |path: &PathBuf, what: &str| format!("serial port {}: {what}", path.display());
-        let usb = |place: &String, what: &str| format!("USB device {place}: {what}");
-        match self {
-            Self::NotThere(path) => port(path, "not there"),
-            Self::Denied(path) => port(path, "permission denied"),
-            Self::InUse(path) => port(path, "in use by another program"),
-            Self::NotSerial(path) => port(path, "not a serial port"),
-            Self::Port(path, error) => port(path, &error.to_string()),
-            Self::NoSerial(sought) => format!("no board with a serial port: looked for {sought}"),
-            Self::NoUsb(sought) => format!("no board on USB: looked for {sought}"),
-            Self::NoBoard(sought) => format!("no board: looked for {sought}, by serial port and on USB"),
-            Self::UsbDenied(place) => usb(place, "permission denied"),
-            Self::UsbInUse(place) => usb(place, "in use by another program"),
-            Self::UsbInterface(place) => usb(place, "it has no vendor-specific interface"),
-            Self::Usb(place, error) => usb(place, &error.to_string()),
-            Self::UsbThreads(place, error) => {
-                usb(place, &format!("the system gives no thread for it: {error}"))
-            }
-            Self::Pty(error) => format!("no pseudo-terminal for the mock: {error}"),
-            Self::Plant(error) => error.to_string(),
-        }
-    }
-
-    /// What to do.
-    #[must_use]
-    pub fn advice(&self) -> String {
-        let (vendor, product) = find::BOARD;
-        let look = format!(
-            "see `lsusb -d {vendor:04x}:{product:04x}` ({BARE_PICO} is a Pico without this firmware)"
-        );
-        match self {
-            Self::NotThere(_) => "plug the board in, or see `ls /dev/serial/by-id`".to_owned(),
-            Self::Denied(_) => "join the group that owns it (`haptics`, or `dialout` without our udev rules) and log in \
-                                again"
-                .to_owned(),
-            Self::InUse(_) | Self::UsbInUse(_) => "stop that one first; a daemon says what it has in `meissner \
-                                                   status`, one at another socket in `meissner status --socket PATH`"
-                .to_owned(),
-            Self::NotSerial(_) => "name one of `ls /dev/serial/by-id`".to_owned(),
-            Self::Port(..) | Self::Usb(..) => "plug it in again, or see what `dmesg` says of it".to_owned(),
-            Self::NoSerial(_) => "plug it in, or name a port with serial:PATH".to_owned(),
-            Self::NoUsb(_) => format!("plug it in, or {look}"),
-            Self::NoBoard(_) => format!("plug it in, or {look}, or use the simulated one, `mock`"),
-            Self::UsbDenied(_) => "install deploy/70-meissner.rules and plug it in again".to_owned(),
-            Self::UsbInterface(_) => "update its firmware, or use its serial port".to_owned(),
-            Self::UsbThreads(..) | Self::Pty(_) => "see this machine's limits (`ulimit -a`)".to_owned(),
-            Self::Plant(_) => "see the configuration's [mock]".to_owned(),
-        }
-    }
-}
-
-impl fmt::Display for DeviceError {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(out, "{}; {}", self.found(), self.advice())
-    }
-}
-
-/// The mock, run by the wall clock of whoever reads it.
-#[derive(Debug)]
-pub struct WallMock {
-    mock: Mock,
-    /// When its clock stood at [`Tick::BOOT`].
-    started: HostInstant,
-}
-
-impl WallMock {
-    /// A mock that boots at `now`.
-    ///
-    /// # Errors
-    /// If the plant's settings are out of range.
-    pub fn new(plant: &PlantConfig, now: HostInstant) -> Result<Self, DeviceError> {
-        let boot = RandomState::new().build_hasher().finish() as u32;
-        Ok(Self { mock: Mock::new(*plant, boot)?, started: now })
-    }
-
-    /// The mock itself.
-    pub fn mock(&mut self) -> &mut Mock {
-        &mut self.mock
-    }
-
-    /// Takes in what was written and runs up to `now`.
-    fn run(&mut self, now: HostInstant) {
-        self.mock.run(Tick::BOOT + duration_to_ticks(now.since(self.started)));
-    }
-}
+pub use wall_mock::WallMock;
 
 /// An open device.
 #[derive(Debug)]
 pub enum Device {
-    /// Controller and plant in this process.
+    /// Controller and simulated motors in this process.
     Mock(Box<WallMock>),
-    /// The mock behind a pseudo-terminal.
+    /// The mock behind a pseudo-terminal, reached as a serial port.
     Pty(SerialPort, PtyMock),
     /// A board on a serial port.
     Serial(SerialPort),
-    /// A board on its own interface.
+    /// A board on its own USB interface.
     Usb(UsbPort),
 }
 
-/// Opens a device. Blocks for as long as the system takes: not for the streamer's thread.
+/// Opens a device. It blocks as long as the system takes, so the streamer's thread must not call it.
 ///
 /// # Errors
-/// One line that says what could not be opened and what to do.
+/// If the device cannot be opened; the error's one line says why and what to do.
 pub fn open(spec: &Spec, plant: &PlantConfig) -> Result<Device, DeviceError> {
     let mock = || Ok(Device::Mock(Box::new(WallMock::new(plant, HostInstant::now())?)));
     match spec {
         Spec::Auto => match board() {
-            // A board that is there and cannot be opened is no reason to play on something else.
+            // A board that is plugged in but cannot be opened must not be replaced by the mock silently.
             Err(DeviceError::NoBoard(_)) => mock(),
             other => other,
         },
@@ -199,17 +88,17 @@ pub fn open(spec: &Spec, plant: &PlantConfig) -> Result<Device, DeviceError> {
     }
 }
 
-fn serial(wanted: &BoardQuery) -> Result<SerialPort, DeviceError> {
-    let port = find::port(wanted, &find::ports());
-    SerialPort::open(&port.ok_or_else(|| DeviceError::NoSerial(wanted.to_string()))?)
+fn serial(query: &BoardQuery) -> Result<SerialPort, DeviceError> {
+    let port = find::port(query, &find::ports());
+    SerialPort::open(&port.ok_or_else(|| DeviceError::NoSerial(query.to_string()))?)
 }
 
-/// The first board's serial port, else its own interface.
+/// The first board: by its serial port, else by its own USB interface.
 fn board() -> Result<Device, DeviceError> {
-    let wanted = BoardQuery::default();
-    match serial(&wanted) {
+    let any = BoardQuery::default();
+    match serial(&any) {
         Ok(port) => Ok(Device::Serial(port)),
-        Err(DeviceError::NoSerial(_)) => match UsbPort::open(&wanted) {
+        Err(DeviceError::NoSerial(_)) => match UsbPort::open(&any) {
             Ok(port) => Ok(Device::Usb(port)),
             Err(DeviceError::NoUsb(sought)) => Err(DeviceError::NoBoard(sought)),
             Err(error) => Err(error),
@@ -218,14 +107,14 @@ fn board() -> Result<Device, DeviceError> {
     }
 }
 
-/// Whether a board's serial port is there, whoever has it open.
+/// Whether a board's serial port is there, even if another program has it open.
 #[must_use]
-pub fn is_plugged(wanted: &BoardQuery) -> bool {
-    find::port(wanted, &find::ports()).is_some()
+pub fn is_plugged(query: &BoardQuery) -> bool {
+    find::port(query, &find::ports()).is_some()
 }
 
 impl Device {
-    /// What it is, for people: `mock`, `pty:PATH`, `serial:PATH`, `usb:SERIAL`.
+    /// Its name for people: `mock`, `pty:PATH`, `serial:PATH`, `usb:SERIAL`.
     #[must_use]
     pub fn kind(&self) -> String {
         match self {
@@ -236,18 +125,18 @@ impl Device {
         }
     }
 
-    /// The speed of its line.
+    /// The nominal rate of its line.
     #[must_use]
     pub fn rate(&self) -> LineRate {
         match self {
             // As if it were on USB.
-            Self::Mock(_) => FULL_SPEED,
+            Self::Mock(_) => LineRate::USB_FULL_SPEED,
             Self::Pty(port, _) | Self::Serial(port) => port.rate(),
             Self::Usb(port) => port.rate(),
         }
     }
 
-    /// Readable when there are bytes; `None` for the mock, whose time is made by reading it.
+    /// A descriptor that is readable when bytes wait; `None` for the mock, which runs only when it is read.
     #[must_use]
     pub fn wake(&self) -> Option<BorrowedFd<'_>> {
         match self {
@@ -257,7 +146,7 @@ impl Device {
         }
     }
 
-    /// Whether [`Self::wake`] is watched for being writable when bytes wait; if not, it turns readable for room, too.
+    /// Whether to poll [`Self::wake`] for writing while bytes wait to be sent. If not, it turns readable when there is room.
     #[must_use]
     pub fn polls_writable(&self) -> bool {
         !matches!(self, Self::Usb(_))
@@ -273,50 +162,50 @@ impl Device {
         }
     }
 
-    /// Whose motors it drives, as far as that can be told: a board's serial number, else the port it is at; of a
-    /// simulated array its seed and settings. The same through any port, and after any restart.
+    /// Which motors it drives, as far as the host can know: a board's serial number, else its port; for simulated motors
+    /// their seed and settings. It stays the same through any port and after any restart.
     #[must_use]
     pub fn identity(&self) -> String {
         match (self, self.serial_number()) {
-            (Self::Mock(mock), _) => mock.mock.identity(),
+            (Self::Mock(mock), _) => mock.identity(),
             (Self::Pty(_, mock), _) => mock.identity().to_owned(),
             (_, Some(serial)) => format!("serial number {serial}"),
             (_, None) => format!("at {}", self.kind()),
         }
     }
 
-    /// Takes what is there: 0 if there is nothing.
+    /// Reads the bytes that wait; 0 if none do. Never blocks.
     ///
     /// # Errors
-    /// The device is gone.
+    /// If the device is gone.
     pub fn read(&mut self, now: HostInstant, bytes: &mut [u8]) -> io::Result<usize> {
         match self {
             Self::Mock(mock) => {
                 mock.run(now);
-                Ok(mock.mock.read(bytes))
+                Ok(mock.mock().read(bytes))
             }
             Self::Pty(port, _) | Self::Serial(port) => port.read(bytes),
             Self::Usb(port) => port.read(bytes),
         }
     }
 
-    /// Hands over as much as there is room for.
+    /// Writes as many bytes as there is room for and returns how many. Never blocks.
     ///
     /// # Errors
-    /// The device is gone.
+    /// If the device is gone.
     pub fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         match self {
-            Self::Mock(mock) => Ok(mock.mock.write(bytes)),
+            Self::Mock(mock) => Ok(mock.mock().write(bytes)),
             Self::Pty(port, _) | Self::Serial(port) => port.write(bytes),
             Self::Usb(port) => port.write(bytes),
         }
     }
 
-    /// What the simulated shafts really did.
+    /// Where the simulated pins really are; `None` for a board.
     #[must_use]
     pub fn true_positions(&self) -> Option<Arc<TruePositions>> {
         match self {
-            Self::Mock(mock) => Some(mock.mock.true_positions()),
+            Self::Mock(mock) => Some(mock.true_positions()),
             Self::Pty(_, mock) => Some(mock.true_positions()),
             Self::Serial(_) | Self::Usb(_) => None,
         }

@@ -1,14 +1,16 @@
-//! SCHED_FIFO for the calling thread, where the system allows it: for the streamer and for what carries its bytes.
+//! Real-time priority (SCHED_FIFO) for the calling thread, where the system allows it.
+//!
+//! The streamer's thread asks for it, and so do the threads that carry its bytes.
 
 use thread_priority::unix::{
     RealtimeThreadSchedulePolicy, ThreadSchedulePolicy, set_thread_priority_and_policy, thread_native_id,
 };
 use thread_priority::{ThreadPriority, ThreadPriorityValue};
 
-/// Above ordinary programs and below the kernel's own threads.
+/// The priority: above ordinary programs, below the kernel's own threads.
 pub const FIFO_PRIORITY: u8 = 50;
 
-/// Asks for it; whether it was granted.
+/// Requests SCHED_FIFO; returns whether the system granted it.
 #[must_use]
 pub fn fifo() -> bool {
     let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);

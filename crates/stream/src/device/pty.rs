@@ -1,10 +1,12 @@
-//! The mock behind a pseudo-terminal: a thread that runs it in wall time at the terminal's far end.
+//! The mock behind a pseudo-terminal: a thread runs it in wall time at the terminal's far end.
 //!
-//! To the serial transport it is a board: closing the port is pulling the cable. The thread ends when the
-//! [`PtyMock`] is dropped.
+//! Open [`PtyMock::path`] as a serial port: to that transport the mock is a board, and closing the port pulls the cable.
+//!
+//! Invariant: the thread ends when the [`PtyMock`] is dropped.
 
+use crate::device::error::DeviceError;
 use crate::device::mock::TruePositions;
-use crate::device::{DeviceError, WallMock};
+use crate::device::wall_mock::WallMock;
 use crate::time::HostInstant;
 use firmware_protocol::message::State;
 use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
@@ -17,15 +19,15 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::thread::JoinHandle;
 
-/// How often a terminal that nobody has open is looked at.
-const HUNG_UP_MS: i64 = 5;
+/// How often the thread checks a terminal that no program has open.
+const UNPLUGGED_MS: i64 = 5;
 
 /// A running mock behind a terminal.
 #[derive(Debug)]
 pub struct PtyMock {
     path: PathBuf,
     stop: Arc<OwnedFd>,
-    truth: Arc<TruePositions>,
+    positions: Arc<TruePositions>,
     identity: String,
     thread: Option<JoinHandle<WallMock>>,
 }
@@ -45,7 +47,7 @@ impl PtyMock {
         unlockpt(&master)?;
         let name = ptsname(&master, Vec::new())?;
         let path = PathBuf::from(name.to_string_lossy().into_owned());
-        // Raw before anybody opens it: an echo would come back to the controller as frames.
+        // Raw before a program opens it: the controller would read an echo as frames.
         let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC;
         let slave = rustix::fs::open(&path, flags, Mode::empty())?;
         let mut settings = tcgetattr(&slave)?;
@@ -55,20 +57,21 @@ impl PtyMock {
         let flags = rustix::fs::fcntl_getfl(&master)?;
         rustix::fs::fcntl_setfl(&master, flags | OFlags::NONBLOCK)?;
         let stop = Arc::new(eventfd(0, EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK)?);
-        let (truth, identity) = (mock.mock.true_positions(), mock.mock.identity());
-        let bell = Arc::clone(&stop);
-        let thread =
-            std::thread::Builder::new().name("pty-mock".into()).spawn(move || serve(mock, &master, &bell))?;
-        Ok(Self { path, stop, truth, identity, thread: Some(thread) })
+        let (positions, identity) = (mock.true_positions(), mock.identity());
+        let stopped = Arc::clone(&stop);
+        let thread = std::thread::Builder::new()
+            .name("pty-mock".into())
+            .spawn(move || serve(mock, &master, &stopped))?;
+        Ok(Self { path, stop, positions, identity, thread: Some(thread) })
     }
 
-    /// The terminal to open.
+    /// The terminal to open as a serial port.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Ends the thread and gives the mock back as it stands: `None` if the thread has panicked.
+    /// Ends the thread and returns the mock in its current state; `None` if the thread panicked.
     #[must_use]
     pub fn into_mock(mut self) -> Option<WallMock> {
         self.end()
@@ -79,16 +82,16 @@ impl PtyMock {
         self.thread.take()?.join().ok()
     }
 
-    /// Which array it is.
+    /// Which simulated array it is: see [`WallMock::identity`].
     #[must_use]
     pub fn identity(&self) -> &str {
         &self.identity
     }
 
-    /// What the shafts really did.
+    /// Where its pins really are.
     #[must_use]
     pub fn true_positions(&self) -> Arc<TruePositions> {
-        Arc::clone(&self.truth)
+        Arc::clone(&self.positions)
     }
 }
 
@@ -103,17 +106,17 @@ fn serve(mut mock: WallMock, master: &OwnedFd, stop: &OwnedFd) -> WallMock {
     let mut outgoing = [0; 4096];
     let mut plugged = false;
     loop {
-        let controller = mock.mock.controller();
+        let controller = mock.mock().controller();
         let quiet = matches!(controller.state(), State::Disarmed | State::Faulted) && unsent.is_empty();
         let wait_ms = if !plugged {
-            HUNG_UP_MS
+            UNPLUGGED_MS
         } else if quiet {
             1000
         } else {
             1
         };
         let timeout = Timespec { tv_sec: wait_ms / 1000, tv_nsec: wait_ms % 1000 * 1_000_000 };
-        // A terminal that nobody has open is always "ready": then only the bell is waited for.
+        // A terminal that no program has open is always "ready": then wait only for the stop event.
         let mut ready = [PollFd::new(stop, PollFlags::IN), PollFd::new(master, PollFlags::IN)];
         let watched = if plugged { 2 } else { 1 };
         let _ = poll(&mut ready[..watched], Some(&timeout));
@@ -124,7 +127,7 @@ fn serve(mut mock: WallMock, master: &OwnedFd, stop: &OwnedFd) -> WallMock {
             match rustix::io::read(master, &mut bytes) {
                 Ok(len) if len > 0 => {
                     plugged = true;
-                    mock.mock.write(&bytes[..len]);
+                    mock.mock().write(&bytes[..len]);
                 }
                 Err(rustix::io::Errno::AGAIN) => {
                     plugged = true;
@@ -132,18 +135,18 @@ fn serve(mut mock: WallMock, master: &OwnedFd, stop: &OwnedFd) -> WallMock {
                 }
                 _ => {
                     if std::mem::take(&mut plugged) {
-                        mock.mock.unplug();
+                        mock.mock().unplug();
                     }
                     unsent = 0..0;
                     break;
                 }
             }
         }
-        // Also when nobody reads: the controller must notice that it hears nothing.
+        // Run even without new bytes: the controller's host watchdog must be able to time out.
         mock.run(HostInstant::now());
         loop {
             if unsent.is_empty() {
-                unsent = 0..mock.mock.read(&mut outgoing);
+                unsent = 0..mock.mock().read(&mut outgoing);
             }
             if unsent.is_empty() || !plugged {
                 break;

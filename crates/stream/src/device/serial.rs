@@ -1,9 +1,9 @@
-//! A serial port: opened and set up by `serialport`, then read and written without blocking.
+//! A serial port: `serialport` opens and sets it up, then it is read and written without blocking.
 //!
-//! Which port is the board's is found elsewhere. The only `unsafe` of the program is here: taking over the descriptor.
+//! `find` says which port is the board's. The program's only `unsafe` is here: taking over the port's descriptor.
 
-use crate::device::usb::FULL_SPEED;
-use crate::device::{DeviceError, find};
+use crate::device::error::DeviceError;
+use crate::device::find;
 use crate::link::LineRate;
 use rustix::fd::{AsFd, BorrowedFd, FromRawFd, IntoRawFd, OwnedFd};
 use rustix::fs::{Mode, OFlags, fcntl_getfl, fcntl_setfl, open};
@@ -13,14 +13,14 @@ use serialport::SerialPort as _;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// A board's USB CDC port ignores the rate; a true UART needs at least this for the stream.
+/// Baud. A board's USB CDC port ignores the rate; a real UART needs at least this for the strokes.
 const BAUD: u32 = 1_000_000;
 /// Start bit, eight bits, stop bit.
 const BITS_PER_BYTE: u32 = 10;
-/// Names of ports behind which there is no UART: USB CDC, pseudo-terminals.
+/// How the names of ports without a UART begin: USB CDC, pseudo-terminals.
 const NO_UART: [&str; 2] = ["/dev/ttyACM", "/dev/pts/"];
 
-/// Whether something else has this name: asked where it could not be opened as a port.
+/// Whether the path names something else than a terminal. Called for a path that could not be opened as a port.
 fn is_no_terminal(path: &Path) -> bool {
     let flags = OFlags::RDONLY | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC;
     open(path, flags, Mode::empty()).is_ok_and(|fd| !isatty(fd))
@@ -36,10 +36,10 @@ pub struct SerialPort {
 }
 
 impl SerialPort {
-    /// Opens a port for this process alone: a second one is refused, by a lock that also holds against root.
+    /// Opens a port for this process alone. A lock refuses every other process, root's too.
     ///
     /// # Errors
-    /// If it is not there, not ours, or in use.
+    /// If the port does not exist, is closed to this user, or is in use.
     pub fn open(path: &Path) -> Result<Self, DeviceError> {
         let owned = path.to_owned();
         let mut port = match serialport::new(path.to_string_lossy(), BAUD).open_native() {
@@ -58,7 +58,7 @@ impl SerialPort {
                 });
             }
         };
-        // Boards take it as "the host is there"; a pseudo-terminal has no such line.
+        // A board takes this line as "a host is connected"; a pseudo-terminal has no such line.
         let _ = port.write_data_terminal_ready(true);
         let raw = port.into_raw_fd();
         // SAFETY: `into_raw_fd` gave up the descriptor, which is open and now owned here alone.
@@ -67,24 +67,24 @@ impl SerialPort {
         nonblocking.map_err(|error| DeviceError::Port(owned.clone(), error.into()))?;
         let name = path.canonicalize().unwrap_or_else(|_| owned.clone());
         let uart = !NO_UART.iter().any(|start| name.to_string_lossy().starts_with(start));
-        let rate = if uart { LineRate(BAUD / BITS_PER_BYTE) } else { FULL_SPEED };
+        let rate = if uart { LineRate(BAUD / BITS_PER_BYTE) } else { LineRate::USB_FULL_SPEED };
         let serial = find::serial_of(path, &find::ports());
         Ok(Self { fd, path: owned, rate, serial })
     }
 
-    /// Where it is.
+    /// Its path, as it was opened.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// The serial number of the USB device behind it, if there is one that has one.
+    /// The serial number of the USB device behind it, if it has one.
     #[must_use]
     pub fn serial(&self) -> Option<&str> {
         self.serial.as_deref()
     }
 
-    /// What it carries at the most.
+    /// Its nominal rate.
     pub(super) fn rate(&self) -> LineRate {
         self.rate
     }
@@ -95,7 +95,7 @@ impl SerialPort {
 
     pub(super) fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
         match rustix::io::read(&self.fd, bytes) {
-            // The end of a terminal is its hang-up.
+            // A terminal that hung up reads as its end.
             Ok(0) => Err(io::ErrorKind::BrokenPipe.into()),
             Err(Errno::AGAIN | Errno::INTR) => Ok(0),
             other => Ok(other?),

@@ -1,4 +1,6 @@
-//! How a device is named on the command line and in the configuration.
+//! The names of devices on the command line and in the configuration: `auto`, `mock`, `pty`, `serial...`, `usb...`.
+//!
+//! A [`Spec`] is parsed from its name and displays as that name.
 
 use crate::device::find::BoardQuery;
 use std::fmt;
@@ -11,29 +13,29 @@ pub enum Spec {
     /// The first board found, else the mock.
     #[default]
     Auto,
-    /// The first board found: what `auto` means once it has found one. Nobody writes it.
+    /// The first board found. `auto` becomes this once it has found a board; it cannot be written.
     Board,
-    /// Controller and plant in this process, in wall time.
+    /// Controller and simulated motors in this process, in wall time.
     Mock,
     /// The mock behind a pseudo-terminal, reached as a serial port.
     Pty,
     /// A serial port by its path.
     Serial(PathBuf),
-    /// The serial port of a board.
+    /// A board's serial port.
     Found(BoardQuery),
     /// A board's own USB interface.
     Usb(BoardQuery),
 }
 
-/// Not a device. What was written, whoever read it says.
+/// Text that names no device. The caller adds the text itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SpecError {
-    /// None of them.
+    /// It begins as none of them.
     #[error(
         "not one of auto, mock, pty, serial, serial:PATH, serial:SERIAL, serial:VID:PID[:SERIAL], usb, usb:SERIAL"
     )]
     Unknown,
-    /// `serial:` with what may be ids.
+    /// `serial:` with malformed ids.
     #[error(
         "ids have four hex digits each, as in serial:1209:0001; a path has a slash, as in serial:/dev/ttyACM0"
     )]
@@ -44,7 +46,7 @@ pub enum SpecError {
 }
 
 impl Spec {
-    /// The board it stands for, if plugging one in may make it appear.
+    /// The board to wait for, if it may appear when somebody plugs it in.
     #[must_use]
     pub fn board(&self) -> Option<BoardQuery> {
         match self {

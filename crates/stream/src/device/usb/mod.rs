@@ -1,33 +1,22 @@
-//! A board's own USB interface: found, opened and claimed by `rusb`, then read and written by threads of its own.
+//! A board's own USB interface: `rusb` finds, opens and claims it; threads of its own read and write it.
 //!
-//! Opening blocks and is done here; what the streamer calls ([`UsbPort::read`], [`UsbPort::write`]) only moves bytes
-//! in and out of rings (`pipe`) and never blocks or allocates. The interface is vendor-specific, so that no driver of
-//! the kernel holds it, and is claimed for this process alone.
+//! [`UsbPort::open`] blocks. The streamer calls [`UsbPort::read`] and [`UsbPort::write`], which only move bytes in and out
+//! of ring buffers (`pipe`) and never block or allocate. The interface is vendor-specific, so no kernel driver holds it,
+//! and it is claimed for this process alone. `watch` reports boards that are plugged in.
 
+mod interface;
 mod pipe;
 mod watch;
 
-use crate::device::DeviceError;
+use crate::device::error::DeviceError;
 use crate::device::find::BoardQuery;
 use crate::link::LineRate;
+use interface::Interface;
 use pipe::Pipe;
-use rusb::{Context, DeviceHandle, Direction, TransferType, UsbContext};
+use rusb::{Context, DeviceHandle, UsbContext};
 use rustix::fd::BorrowedFd;
 use std::io;
 pub use watch::watch;
-
-/// What a full-speed device takes in bulk transfers.
-pub(super) const FULL_SPEED: LineRate = LineRate(800_000);
-/// The interface's class.
-const VENDOR_SPECIFIC: u8 = 0xff;
-
-/// The interface's number and its bulk endpoints.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Interface {
-    number: u8,
-    input: u8,
-    output: u8,
-}
 
 /// An open board.
 #[derive(Debug)]
@@ -37,25 +26,25 @@ pub struct UsbPort {
 }
 
 impl UsbPort {
-    /// Opens the first board that is wanted, for this process alone.
+    /// Opens the first matching board, for this process alone.
     ///
     /// # Errors
-    /// If there is none, it is not ours, or in use.
-    pub fn open(wanted: &BoardQuery) -> Result<Self, DeviceError> {
-        let none = || DeviceError::NoUsb(wanted.to_string());
-        // A system without USB has no boards either.
+    /// If no board matches, or the board is closed to this user or in use.
+    pub fn open(query: &BoardQuery) -> Result<Self, DeviceError> {
+        let none = || DeviceError::NoUsb(query.to_string());
+        // A system without USB has no boards.
         let devices = Context::new().and_then(|context| context.devices()).map_err(|_| none())?;
         let mut denied = None;
         for device in devices.iter() {
             let Ok(descriptor) = device.device_descriptor() else { continue };
             let ids = (descriptor.vendor_id(), descriptor.product_id());
-            if ids != wanted.ids {
+            if ids != query.ids {
                 continue;
             }
             let place = format!("{:03}/{:03}", device.bus_number(), device.address());
             let handle = match device.open() {
                 Ok(handle) => handle,
-                // It may be another's: only if none is found it matters.
+                // It may be another device with the same ids: report it only if no board is found.
                 Err(rusb::Error::Access) => {
                     denied = Some(DeviceError::UsbDenied(place));
                     continue;
@@ -64,7 +53,7 @@ impl UsbPort {
             };
             let product = handle.read_product_string_ascii(&descriptor).ok();
             let serial = handle.read_serial_number_string_ascii(&descriptor).ok();
-            if wanted.matches(ids, product.as_deref(), serial.as_deref()) {
+            if query.matches(ids, product.as_deref(), serial.as_deref()) {
                 return Self::claim(handle, place, serial.unwrap_or_default());
             }
         }
@@ -77,7 +66,7 @@ impl UsbPort {
             rusb::Error::Access => DeviceError::UsbDenied(place.clone()),
             other => DeviceError::Usb(place.clone(), other),
         };
-        let interface = interface(&handle).map_err(failed)?;
+        let interface = Interface::of(&handle).map_err(failed)?;
         let interface = interface.ok_or_else(|| DeviceError::UsbInterface(place.clone()))?;
         handle.claim_interface(interface.number).map_err(failed)?;
         let pipe = Pipe::spawn(handle, interface).map_err(|error| DeviceError::UsbThreads(place, error))?;
@@ -91,10 +80,10 @@ impl UsbPort {
     }
 
     pub(super) fn rate(&self) -> LineRate {
-        FULL_SPEED
+        LineRate::USB_FULL_SPEED
     }
 
-    /// Readable when there are bytes, when the board is gone, and when there is room again after a short write.
+    /// Readable when bytes wait, when the board is gone, and when there is room again after a short write.
     pub(super) fn wake(&self) -> BorrowedFd<'_> {
         self.pipe.wake()
     }
@@ -106,26 +95,4 @@ impl UsbPort {
     pub(super) fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         self.pipe.write(bytes)
     }
-}
-
-/// The first vendor-specific interface with a bulk endpoint each way.
-fn interface(handle: &DeviceHandle<Context>) -> Result<Option<Interface>, rusb::Error> {
-    let config = handle.device().active_config_descriptor()?;
-    for setting in config.interfaces().flat_map(|interface| interface.descriptors()) {
-        if setting.class_code() != VENDOR_SPECIFIC || setting.setting_number() != 0 {
-            continue;
-        }
-        let bulk = |direction| {
-            let mut all = setting.endpoint_descriptors();
-            all.find(|end| end.transfer_type() == TransferType::Bulk && end.direction() == direction)
-        };
-        if let (Some(input), Some(output)) = (bulk(Direction::In), bulk(Direction::Out)) {
-            return Ok(Some(Interface {
-                number: setting.interface_number(),
-                input: input.address(),
-                output: output.address(),
-            }));
-        }
-    }
-    Ok(None)
 }

@@ -1,16 +1,16 @@
-//! Bulk transfers as a pipe of bytes: a thread that reads, a thread that writes, a ring each, and one bell.
+//! Bulk transfers as a pipe of bytes: a reading and a writing thread, a ring buffer each, and events to wake the other side.
 //!
-//! The transfers themselves (and what libusb allocates for them) happen on the two threads. The streamer's side takes
-//! from one ring and puts into the other, without waiting. A reader transfer is many packets long: one packet each would
-//! let what the board says queue up behind the time that a transfer takes to be asked for. It ends with a short or an
-//! empty packet, which the board sends when it has nothing more to say, so no frame lies there until more comes.
+//! The two threads run the transfers (for which libusb allocates). The streamer's side takes bytes from one ring and puts
+//! bytes into the other, without waiting. A reading transfer is many packets long: with one packet each, the board's bytes
+//! would queue up while the next transfer is being requested. The board ends a transfer with a short or an empty packet
+//! when it has nothing more to send, so no frame waits there for later bytes.
 //!
-//! Bounds: [`UNSENT`] bytes towards the board, transfer under way included, so an e-stop waits for no more;
-//! [`UNREAD`] from it: a full ring makes the reader wait, and the board with it.
-//! Invariant: when the board is gone, the next read or write says so by an error.
+//! Bounds: [`UNSENT`] bytes towards the board, the transfer under way included, so an e-stop waits for no more;
+//! [`UNREAD`] bytes from it: a full ring makes the reader wait, and the board with it.
+//! Invariant: when the board is gone, the next read or write returns an error.
 
-use super::Interface;
 use crate::device::priority;
+use crate::device::usb::interface::Interface;
 use rtrb::{Consumer, Producer, RingBuffer};
 use rusb::{Context, DeviceHandle};
 use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
@@ -21,43 +21,44 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::thread::{Builder, JoinHandle, sleep};
 use std::time::Duration;
 
-/// Bytes that may wait to be sent: 2 ms of full-speed bulk, what the link may have on its way.
+/// Bytes that may wait to be sent: 2 ms of full-speed bulk, as many as the link leaves unacknowledged.
 const UNSENT: usize = 1600;
 /// Bytes that may wait to be read: several hundred statuses.
 const UNREAD: usize = 1 << 16;
-/// Bytes of a reading transfer: whole packets, or the board could send more than there is room for.
+/// Bytes of a reading transfer. Whole packets: else the board could send more than the transfer has room for.
 const READ: usize = 1024;
 const _: () = assert!(READ.is_multiple_of(MAX_PACKET) && READ <= UNREAD);
-/// The longest packet of a bulk endpoint (high speed); the others (64 bytes at full speed) are parts of it.
+/// The longest packet of a bulk endpoint (high speed). 64 bytes, that of full speed, divides it.
 const MAX_PACKET: usize = 512;
-/// How often a thread that waits for the board looks whether it shall end.
-const LOOK: Duration = Duration::from_millis(100);
-/// A board that takes nothing for so long is gone.
+/// How often a thread that waits for the board checks whether to end.
+const END_CHECK: Duration = Duration::from_millis(100);
+/// A board that takes no bytes for so long is gone.
 const STUCK: Duration = Duration::from_millis(500);
-/// How long the reader waits for room in its ring.
-const NO_ROOM: Duration = Duration::from_millis(1);
+/// How often the reader checks a full ring for room.
+const ROOM_CHECK: Duration = Duration::from_millis(1);
 
-/// What both sides see.
+/// What the streamer's side and the threads share.
 #[derive(Debug)]
 struct Shared {
-    /// Bytes taken by `write` and not sent.
+    /// Bytes that `write` took and the writer has not sent.
     unsent: AtomicUsize,
-    /// The streamer was refused bytes and wants to hear of room.
+    /// The streamer found no room, and waits for it.
     wants_room: AtomicBool,
     gone: AtomicBool,
     end: AtomicBool,
-    /// Rung for the streamer, and for the writer.
-    bell: OwnedFd,
-    writers_bell: OwnedFd,
+    /// Wakes the streamer.
+    streamer_event: OwnedFd,
+    /// Wakes the writer.
+    writer_event: OwnedFd,
 }
 
-fn ring(bell: &OwnedFd) {
-    // It can only be full after 2^64 rings.
-    let _ = rustix::io::write(bell, &1u64.to_ne_bytes());
+fn set(event: &OwnedFd) {
+    // Its counter overflows only after 2^64 sets.
+    let _ = rustix::io::write(event, &1u64.to_ne_bytes());
 }
 
-fn silence(bell: &OwnedFd) {
-    let _ = rustix::io::read(bell, &mut [0; 8]);
+fn clear(event: &OwnedFd) {
+    let _ = rustix::io::read(event, &mut [0; 8]);
 }
 
 /// The streamer's side.
@@ -78,8 +79,8 @@ impl Pipe {
             wants_room: AtomicBool::new(false),
             gone: AtomicBool::new(false),
             end: AtomicBool::new(false),
-            bell: eventfd(0, flags)?,
-            writers_bell: eventfd(0, flags)?,
+            streamer_event: eventfd(0, flags)?,
+            writer_event: eventfd(0, flags)?,
         });
         let (filled, incoming) = RingBuffer::new(UNREAD);
         let (outgoing, emptied) = RingBuffer::new(UNSENT);
@@ -102,15 +103,15 @@ impl Pipe {
     }
 
     pub(super) fn wake(&self) -> BorrowedFd<'_> {
-        self.shared.bell.as_fd()
+        self.shared.streamer_event.as_fd()
     }
 
-    /// What the board has sent is read to the end before it is said that it is gone.
+    /// Returns all bytes that the board has sent before it reports that the board is gone.
     pub(super) fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
         if self.incoming.is_empty() {
             let gone = self.shared.gone.load(Ordering::Acquire);
-            // Silenced before it is looked at again: what comes in between rings again.
-            silence(&self.shared.bell);
+            // Clear the event before checking again: bytes that come in between set it again.
+            clear(&self.shared.streamer_event);
             if self.incoming.is_empty() {
                 return if gone { Err(io::ErrorKind::BrokenPipe.into()) } else { Ok(0) };
             }
@@ -123,7 +124,7 @@ impl Pipe {
         if self.shared.gone.load(Ordering::Acquire) {
             return Err(io::ErrorKind::BrokenPipe.into());
         }
-        // Asked for before the room is looked at: room that is made in between is told.
+        // Ask for room before checking for it: the writer then reports room that it makes in between.
         self.shared.wants_room.store(true, Ordering::SeqCst);
         let room = UNSENT.saturating_sub(self.shared.unsent.load(Ordering::SeqCst));
         let taken = bytes.len().min(room);
@@ -131,10 +132,10 @@ impl Pipe {
             self.shared.wants_room.store(false, Ordering::SeqCst);
         }
         if taken > 0 {
-            // Counted before the writer can have sent it. The ring has a place for every byte that is counted.
+            // Count before the writer can send. The ring has a place for every counted byte.
             self.shared.unsent.fetch_add(taken, Ordering::SeqCst);
             let _ = self.outgoing.push_entire_slice(&bytes[..taken]);
-            ring(&self.shared.writers_bell);
+            set(&self.shared.writer_event);
         }
         Ok(taken)
     }
@@ -143,9 +144,9 @@ impl Pipe {
 impl Drop for Pipe {
     fn drop(&mut self) {
         self.shared.end.store(true, Ordering::Release);
-        ring(&self.shared.writers_bell);
+        set(&self.shared.writer_event);
         for thread in self.threads.iter_mut().filter_map(Option::take) {
-            // The reader ends within `LOOK`, the writer within `STUCK`; the interface is released with the last handle.
+            // The reader ends within `END_CHECK`, the writer within `STUCK`. The last handle releases the interface.
             let _ = thread.join();
         }
     }
@@ -154,7 +155,7 @@ impl Drop for Pipe {
 impl Shared {
     fn lose(&self) {
         self.gone.store(true, Ordering::Release);
-        ring(&self.bell);
+        set(&self.streamer_event);
     }
 
     fn goes_on(&self) -> bool {
@@ -166,19 +167,19 @@ fn fill(handle: &DeviceHandle<Context>, interface: Interface, shared: &Shared, m
     let mut bytes = [0; READ];
     while shared.goes_on() {
         if ring_in.slots() < READ {
-            sleep(NO_ROOM);
+            sleep(ROOM_CHECK);
             continue;
         }
-        // What came before the time was up is given back like a transfer that was ended.
-        match handle.read_bulk(interface.input, &mut bytes, LOOK) {
-            // An empty packet behind a full one.
+        // Bytes that came before a timeout are returned like those of a finished transfer.
+        match handle.read_bulk(interface.input, &mut bytes, END_CHECK) {
+            // The empty packet after a full one.
             Ok(0) => {}
             Ok(len) => {
                 let _ = ring_in.push_entire_slice(&bytes[..len]);
-                ring(&shared.bell);
+                set(&shared.streamer_event);
             }
             Err(rusb::Error::Timeout | rusb::Error::Interrupted) => {}
-            // Pulled out in mid-transfer it is a generic error, else `NoDevice`.
+            // A board pulled out in mid-transfer gives a generic error, else `NoDevice`.
             Err(_) => shared.lose(),
         }
     }
@@ -187,22 +188,22 @@ fn fill(handle: &DeviceHandle<Context>, interface: Interface, shared: &Shared, m
 fn empty(handle: &DeviceHandle<Context>, interface: Interface, shared: &Shared, mut ring_out: Consumer<u8>) {
     let mut bytes = [0; UNSENT];
     while shared.goes_on() {
-        silence(&shared.writers_bell);
+        clear(&shared.writer_event);
         let (taken, _) = ring_out.pop_partial_slice(&mut bytes);
         if taken.is_empty() {
             let timeout = Timespec { tv_sec: 1, tv_nsec: 0 };
-            let _ = poll(&mut [PollFd::new(&shared.writers_bell, PollFlags::IN)], Some(&timeout));
+            let _ = poll(&mut [PollFd::new(&shared.writer_event, PollFlags::IN)], Some(&timeout));
             continue;
         }
         let taken = taken.len();
         match handle.write_bulk(interface.output, &bytes[..taken], STUCK) {
-            // Cut short by a signal or by time, the rest would be half a frame: the link sends it again.
+            // A transfer that a signal or the timeout cut short leaves half a frame: the link retransmits it.
             Ok(_) | Err(rusb::Error::Interrupted) => {}
             Err(_) => shared.lose(),
         }
         shared.unsent.fetch_sub(taken, Ordering::SeqCst);
         if shared.wants_room.swap(false, Ordering::SeqCst) {
-            ring(&shared.bell);
+            set(&shared.streamer_event);
         }
     }
 }

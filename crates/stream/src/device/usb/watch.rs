@@ -1,7 +1,7 @@
-//! Hotplug: says when something with a board's ids is plugged in, where libusb can tell.
+//! Hotplug: reports that a device with a board's USB ids was plugged in, where libusb can tell.
 //!
-//! It has a context of its own, so that waiting for news holds up no transfer. What is plugged in may not be ready
-//! (its port is named and its rights are given a little later), nor a board: whoever is told looks.
+//! [`watch`] has a libusb context of its own, so that waiting delays no transfer. The new device may not be ready yet (udev
+//! names its port and sets its access rights a little later) and may not be a board: the caller looks again.
 
 use crate::device::find::BoardQuery;
 use rusb::{Context, Device, Hotplug, HotplugBuilder, UsbContext};
@@ -18,28 +18,28 @@ impl<F: FnMut() + Send> Hotplug<Context> for Arrivals<F> {
     fn device_left(&mut self, _: Device<Context>) {}
 }
 
-/// Calls `arrived` from a thread of its own whenever a device with these ids is plugged in, for as long as the process
-/// lives; `false` if this system cannot tell. If libusb fails, `arrived` is dropped: nothing more is told.
+/// Calls `arrived`, from a thread of its own, whenever a device with these ids is plugged in, as long as the process lives.
+/// Returns `false` if this system cannot report it. If libusb fails, `arrived` is dropped and not called again.
 ///
 /// # Errors
 /// If the system gives no thread.
-pub fn watch(wanted: &BoardQuery, arrived: impl FnMut() + Send + 'static) -> io::Result<bool> {
-    // (`rusb::has_hotplug` panics on a system without USB; registering says the same.)
+pub fn watch(query: &BoardQuery, arrived: impl FnMut() + Send + 'static) -> io::Result<bool> {
+    // `rusb::has_hotplug` panics on a system without USB; a failed registration says the same.
     let Ok(context) = Context::new() else { return Ok(false) };
-    let (vendor, product) = wanted.ids;
+    let (vendor, product) = query.ids;
     let callback = Box::new(Arrivals(arrived));
     let registered = HotplugBuilder::new().vendor_id(vendor).product_id(product).register(&context, callback);
     let Ok(registration) = registered else { return Ok(false) };
     thread::Builder::new().name("usb-watch".into()).spawn(move || {
-        // Dropped, it would be silent.
+        // Dropping it would end the callbacks.
         let _registration = registration;
-        // It returns now and then without news.
+        // `handle_events` returns now and then without an event.
         while goes_on(context.handle_events(None)) {}
     })?;
     Ok(true)
 }
 
-/// Whether there may still be news: a signal that came in between is no end.
+/// Whether libusb may still report devices: a signal does not end the watch.
 const fn goes_on(handled: Result<(), rusb::Error>) -> bool {
     matches!(handled, Ok(()) | Err(rusb::Error::Interrupted))
 }
