@@ -6,7 +6,7 @@
 //!
 //! Invariant: a [`Config`] that was read is within the ranges written here; an unknown key is an error at its line.
 
-use crate::logbook::Keep;
+use crate::session_record::Location;
 use firmware_protocol::limits::OnTimeLimits;
 use firmware_protocol::tick::Tick;
 use meissner_array::simulated::{Plant, PlantConfig, PlantError};
@@ -66,7 +66,7 @@ pub struct Config {
     /// Where the calibration is kept; none: nowhere.
     pub calibration: Option<PathBuf>,
     /// Where the logbook is kept, and for how many days; none: nowhere.
-    pub logbook: Option<Keep>,
+    pub logbook: Option<Location>,
     /// For the streamer.
     pub settings: Settings,
     /// How the mock's motors are.
@@ -389,9 +389,9 @@ fn default_patterns() -> PatternsDir {
 }
 
 /// Where the logbook is kept: without a directory in the service's; a person who tries something out leaves no record of it.
-fn keep(dir: Option<PathBuf>, days: u32) -> Option<Keep> {
+fn keep(dir: Option<PathBuf>, days: u32) -> Option<Location> {
     let dir = dir.or_else(|| state_dir().map(|dir| dir.join("logbook")))?;
-    (days > 0).then_some(Keep { dir, days })
+    (days > 0).then_some(Location { dir, days })
 }
 
 /// Where the calibration is kept if nobody says: beside the site's own patterns.
@@ -426,9 +426,9 @@ mod tests {
         let kept = parse("logbook_dir = \"/l\"\nlogbook_days = 0").unwrap();
         assert_eq!(kept.logbook, None);
         let kept = parse("logbook_dir = \"/l\"\nlogbook_days = 30").unwrap();
-        assert_eq!(kept.logbook, Some(Keep { dir: "/l".into(), days: 30 }));
+        assert_eq!(kept.logbook, Some(Location { dir: "/l".into(), days: 30 }));
         let kept = parse("logbook_dir = \"/l\"").unwrap();
-        assert_eq!(kept.logbook, Some(Keep { dir: "/l".into(), days: LOGBOOK_DAYS }));
+        assert_eq!(kept.logbook, Some(Location { dir: "/l".into(), days: LOGBOOK_DAYS }));
         let limits = OnTimeLimits { motor: 40_000, rail: 90_000 };
         assert_eq!(
             config.settings,

@@ -30,9 +30,9 @@
 //! pattern, and makes of the travels a gain for each motor and direction, kept in a file. The daemon has them measured, and the
 //! streamer goes by them as long as the same device is connected.
 //!
-//! What happened comes out as notices; [`record`] makes of them the receipts and events that clients see. In the
+//! What happened comes out as notices; [`receipts`] makes of them the receipts and events that clients see. In the
 //! end every burst of every play was played, late, dropped or refused, and the receipt says which, and what the skin felt of it.
-//! The [`logbook`] keeps receipts, events and who asked for what, a file per day, for years. Lines for whoever runs the machine are
+//! The [`session_record`] keeps receipts, events and who asked for what, a file per day, for years. Lines for whoever runs the machine are
 //! worded in `daemon/notebook.rs` and go where [`log`](mod@log) says: to the terminal or to journald. Neither can hold up an
 //! emergency stop.
 //!
@@ -50,6 +50,6 @@ pub mod cli;
 pub mod config;
 pub mod daemon;
 pub mod log;
-pub mod logbook;
-pub mod record;
+pub mod receipts;
+pub mod session_record;
 pub mod store;

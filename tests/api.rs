@@ -242,25 +242,27 @@ fn a_receipt_tells_what_was_felt_when_the_bursts_were_measured() {
     let Event::Ended { receipt } = next(&mut events, |event| matches!(event, Event::Ended { .. })) else {
         unreachable!()
     };
-    assert!(receipt.felt.is_none() && receipt.felt_unknown.is_none(), "the end waits for nothing");
-    let Event::PredictedResponse { id: of, felt, felt_unknown } =
+    assert!(!receipt.prediction.is_settled(), "the end does not wait for the prediction");
+    let Event::PredictedResponse { id: of, prediction } =
         next(&mut events, |event| matches!(event, Event::PredictedResponse { .. }))
     else {
         unreachable!()
     };
     assert_eq!(of, id);
     let receipt: Value = client.get(&format!("/v1/plays/{id}")).unwrap();
-    assert_eq!(receipt["felt"], serde_json::to_value(&felt).unwrap());
+    assert_eq!(receipt["predicted_response"], serde_json::to_value(&prediction.response).unwrap());
+    assert_eq!(receipt["felt"], receipt["predicted_response"], "the deprecated key holds the same");
     // A stall of a busy machine may keep telemetry away: then it says so.
-    let Some(felt) = felt else {
-        assert!(felt_unknown.is_some_and(|why| why.contains("bursts were not measured")));
+    let Some(response) = prediction.response else {
+        assert!(prediction.unknown.is_some_and(|why| why.contains("bursts were not measured")));
         return;
     };
-    assert_eq!((felt.seconds, felt.target.as_deref()), (0.5, Some("edge-45")));
-    assert!(receipt["felt"]["designed_hz"]["contrast"].as_f64().unwrap() > 100.0, "{receipt}");
-    assert!(receipt["felt"]["played_hz"]["contrast"].as_f64().unwrap() > 50.0, "{receipt}");
-    assert_eq!(receipt["felt"]["population_seed"], 0);
-    assert!(receipt["felt_unknown"].is_null());
+    assert_eq!((response.seconds, response.target.as_deref()), (0.5, Some("edge-45")));
+    let json = &receipt["predicted_response"];
+    assert!(json["designed_hz"]["contrast"].as_f64().unwrap() > 100.0, "{receipt}");
+    assert!(json["played_hz"]["contrast"].as_f64().unwrap() > 50.0, "{receipt}");
+    assert_eq!(json["population_seed"], 0);
+    assert!(receipt["predicted_response_unknown"].is_null() && receipt["felt_unknown"].is_null());
 }
 
 #[test]
@@ -271,11 +273,12 @@ fn without_telemetry_a_receipt_says_that_nobody_measured() {
     let id = play(&mut client, &json!({"pattern": "edge-45", "seconds": 0.2}));
     next(
         &mut events,
-        |event| matches!(event, Event::PredictedResponse { id: of, felt: None, .. } if *of == id),
+        |event| matches!(event, Event::PredictedResponse { id: of, prediction } if *of == id && prediction.response.is_none()),
     );
     let receipt: Value = client.get(&format!("/v1/plays/{id}")).unwrap();
-    assert_eq!((&receipt["felt"], &receipt["state"]), (&Value::Null, &"done".into()));
-    assert_eq!(receipt["felt_unknown"], "the device has no telemetry");
+    assert_eq!((&receipt["predicted_response"], &receipt["state"]), (&Value::Null, &"done".into()));
+    assert_eq!(receipt["predicted_response_unknown"], "the device has no telemetry");
+    assert_eq!(receipt["felt_unknown"], receipt["predicted_response_unknown"]);
     let text = crate::harness::printed(daemon.meissner().arg("receipt"));
     assert!(text.contains("felt        not known: the device has no telemetry"), "{text}");
 }

@@ -1,5 +1,5 @@
 use firmware_protocol::tick::TICK_HZ;
-use meissner::record::{NoPrediction, PlayedPattern};
+use meissner::receipts::{NoPrediction, PlayedPattern};
 use meissner_array::pattern::Pattern;
 use meissner_array::simulated::PlantConfig;
 use meissner_design::{MOST_OBSERVED_S, Play, predict_response};

@@ -1,5 +1,5 @@
 use meissner::config::{Config, LOGBOOK_DAYS, PatternsDir};
-use meissner::logbook::Keep;
+use meissner::session_record::Location;
 use meissner_stream::device::Spec;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -20,7 +20,7 @@ fn the_example_configuration_is_the_default() {
     assert_eq!(config.device, Spec::Auto);
     assert_eq!(config.calibration, Some(PathBuf::from("/var/lib/meissner/calibration.toml")));
     let (dir, days) = (PathBuf::from("/var/lib/meissner/logbook"), LOGBOOK_DAYS);
-    assert_eq!(config.logbook, Some(Keep { dir, days }));
+    assert_eq!(config.logbook, Some(Location { dir, days }));
     config.logbook.clone_from(&default.logbook);
     (config.patterns, config.socket) = (default.patterns.clone(), default.socket.clone());
     config.calibration.clone_from(&default.calibration);

@@ -6,7 +6,7 @@
 
 use super::progress::Progress;
 use super::{Plain, control, files, give, text};
-use crate::record::calibration_plan;
+use crate::receipts::calibration_plan;
 use anyhow::{Result, bail};
 use clap::Args;
 use meissner_api::Event;

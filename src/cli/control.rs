@@ -191,10 +191,10 @@ pub(super) fn felt(client: &mut Client, events: &mut Events, receipt: Receipt, t
     let until = Instant::now() + timeout;
     // Of what was computed already no event comes any more.
     let mut receipt = client.get(&format!("/v1/plays/{}", receipt.id)).unwrap_or(receipt);
-    while receipt.felt.is_none() && receipt.felt_unknown.is_none() {
+    while !receipt.prediction.is_settled() {
         match events.next(Some(until.saturating_duration_since(Instant::now()))) {
-            Ok(Some(Event::PredictedResponse { id, felt, felt_unknown })) if id == receipt.id => {
-                (receipt.felt, receipt.felt_unknown) = (felt, felt_unknown);
+            Ok(Some(Event::PredictedResponse { id, prediction })) if id == receipt.id => {
+                receipt.prediction = prediction;
             }
             Ok(Some(_)) => {}
             Ok(None) | Err(_) => break,

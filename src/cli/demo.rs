@@ -9,7 +9,7 @@ use super::progress::Progress;
 use super::{control, give, text};
 use crate::config::{Config, PatternsDir};
 use crate::daemon::{Daemon, Hosted};
-use crate::record::PlayedPattern;
+use crate::receipts::PlayedPattern;
 use crate::store::Store;
 use anyhow::{Context, Result, bail};
 use meissner_api::Rates;
@@ -145,7 +145,7 @@ fn felt_report(
             PlayedPattern { pattern, seconds: request.seconds, onset, cut: false, unplayed: HashSet::new() };
         look.response(&open.measured_bursts).ok()
     });
-    let played = receipt.felt.as_ref();
+    let played = receipt.prediction.response.as_ref();
     let any = played.or(open.as_ref());
     FeltReport {
         seconds: any.map(|felt| felt.seconds),
@@ -153,7 +153,7 @@ fn felt_report(
         designed_hz: any.map(|felt| felt.designed_hz),
         closed_loop_hz: played.filter(|_| !request.open_loop).map(|felt| felt.played_hz),
         open_loop_hz: open.as_ref().map(|open| open.played_hz),
-        unknown: receipt.felt_unknown.clone(),
+        unknown: receipt.prediction.unknown.clone(),
     }
 }
 

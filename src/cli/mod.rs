@@ -22,7 +22,7 @@ mod tradeoff;
 mod watch;
 
 use crate::config::Source;
-use crate::daemon::{self, Daemon, DaemonError, Ended, Signals};
+use crate::daemon::{self, Daemon, DaemonError, Exit, Signals};
 use crate::log;
 use anyhow::{Result, anyhow};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
@@ -335,8 +335,8 @@ fn serve(source: Source) -> Result<ExitCode> {
     // What hangs in a disk is not waited for.
     runtime.shutdown_background();
     Ok(match ended? {
-        Ended::Told => ExitCode::SUCCESS,
-        Ended::Replaced => ExitCode::from(START_AGAIN),
+        Exit::Requested => ExitCode::SUCCESS,
+        Exit::Replaced => ExitCode::from(START_AGAIN),
     })
 }
 
@@ -354,7 +354,7 @@ fn check_config(source: &Source) -> Result<ExitCode> {
 /// With the file in which it has to be mended.
 fn named(source: &Source, error: DaemonError) -> anyhow::Error {
     match (&source.file, error) {
-        (Some(file), error @ (DaemonError::Store(_) | DaemonError::Logbook { .. })) => {
+        (Some(file), error @ (DaemonError::Store(_) | DaemonError::SessionRecord { .. })) => {
             anyhow!("{}: {error}", file.display())
         }
         (_, error) => error.into(),

@@ -7,7 +7,7 @@
 use comfy_table::presets::{NOTHING, UTF8_FULL};
 use comfy_table::{CellAlignment, Table};
 use meissner_api::Status;
-use meissner_api::{Event, NO_DEVICE, PredictedResponse, Receipt};
+use meissner_api::{Event, NO_DEVICE, PredictedResponse, Prediction, Receipt};
 use meissner_array::geometry::{COLUMNS, ROWS};
 use meissner_array::pattern::Drive;
 use meissner_report::figures::segments;
@@ -70,14 +70,15 @@ pub(super) fn receipt(receipt: &Receipt) -> String {
         let worst = errors.iter().fold(0.0_f32, |worst, error| worst.max(error.abs()));
         lines.push(("rest error", format!("{worst:.2} um at worst, as estimated")));
     }
-    lines.extend(felt(receipt.felt.as_ref(), receipt.felt_unknown.as_deref()).map(|text| ("felt", text)));
+    lines.extend(felt(&receipt.prediction).map(|text| ("felt", text)));
     pairs(&lines)
 }
 
 /// What was felt of a play, if that was looked at: contrast if it has a target, else the mean rate.
-fn felt(felt: Option<&PredictedResponse>, unknown: Option<&str>) -> Option<String> {
-    let Some(PredictedResponse { seconds, played_hz, designed_hz, unmeasured, .. }) = felt else {
-        return unknown.map(|why| format!("not known: {why}"));
+fn felt(prediction: &Prediction) -> Option<String> {
+    let Some(PredictedResponse { seconds, played_hz, designed_hz, unmeasured, .. }) = &prediction.response
+    else {
+        return prediction.unknown.as_ref().map(|why| format!("not known: {why}"));
     };
     let (what, played, designed) = match (played_hz.contrast, designed_hz.contrast) {
         (Some(played), Some(designed)) => ("contrast", played, designed),
@@ -170,8 +171,8 @@ pub(super) fn event(event: &Event) -> String {
             let cause = receipt.cause.as_ref().map_or_else(String::new, |cause| format!(" ({cause})"));
             format!("ended: {} {}{cause}", receipt.id, receipt.state.name())
         }
-        Event::PredictedResponse { id, felt: of, felt_unknown } => {
-            format!("felt: {id}, {}", felt(of.as_ref(), felt_unknown.as_deref()).unwrap_or_default())
+        Event::PredictedResponse { id, prediction } => {
+            format!("felt: {id}, {}", felt(prediction).unwrap_or_default())
         }
         Event::Calibrated { id, motors, problem: None } => {
             format!("calibrated: {} motors by play {id}", motors.len())

@@ -7,7 +7,7 @@
 use super::engine::{Engine, Inner};
 use super::predictor::Predictor;
 use crate::config;
-use crate::logbook::Who;
+use crate::session_record::Peer;
 use crate::store::{self, Stored};
 use firmware_protocol::stroke::{Direction, MOTORS};
 use firmware_protocol::tick::Tick;
@@ -207,7 +207,7 @@ impl Engine {
     }
 
     /// CommandQueue the play of a plan, open loop, and waits for its being taken.
-    pub(super) async fn calibrate(&self, plan: Plan, who: Who) -> Result<u64, Problem> {
+    pub(super) async fn calibrate(&self, plan: Plan, who: Peer) -> Result<u64, Problem> {
         if self.lock().calibration_file.is_none() {
             let detail =
                 "there is no place for a calibration: set `calibration` in the daemon's configuration";
@@ -228,13 +228,13 @@ impl Engine {
     /// Has a plan fitted that has been played.
     pub(super) fn fit(self: &Arc<Self>, feeler: &Predictor, id: u64) {
         let mut inner = self.lock();
-        let Some(receipt) = inner.recorder.receipt(id).filter(|receipt| receipt.state.is_over()).cloned()
+        let Some(receipt) = inner.receipts.receipt(id).filter(|receipt| receipt.state.is_over()).cloned()
         else {
             return;
         };
         let calibrating = inner.calibrating.as_mut().filter(|calibrating| calibrating.id == id);
         let Some(calibrating) = calibrating.map(Calibrating::take) else { return };
-        let (device, identity) = (inner.recorder.device(), inner.identity.clone());
+        let (device, identity) = (inner.receipts.device(), inner.identity.clone());
         drop(inner);
         let engine = Arc::clone(self);
         feeler.compute(move || {

@@ -5,16 +5,16 @@
 //! microseconds and never across a wait. It decides nothing about motors: the streamer and the controller do.
 //!
 //! Bounds: the order ring (a full one is [`Code::Busy`]), [`EVENTS`] for a slow listener (then it lags), what
-//! [`Recorder`] keeps, what [`MeasuredBursts`] does, and the tickets of the last [`LOST`].
+//! [`Receipts`] keeps, what [`MeasuredBursts`] does, and the tickets of the last [`LOST`].
 //!
 //! Invariant: a play is in the record before the streamer can speak of it.
 
 use super::calibrate::{Calibrating, Kept};
 use super::connect::Word;
 use super::notebook::Names;
-use crate::logbook::{Entry, Logbook, Who};
-use crate::record::{MeasuredBursts, NoPrediction, Recorder};
-use crate::record::{refusal, state_name};
+use crate::receipts::{MeasuredBursts, NoPrediction, Receipts};
+use crate::receipts::{refusal, state_name};
+use crate::session_record::{Entry, Peer, SessionRecord};
 use firmware_protocol::message::State;
 use firmware_protocol::stroke::MOTORS;
 use meissner_api::Realtime;
@@ -61,14 +61,14 @@ pub(super) struct Inner {
     pub(super) settings: Settings,
     /// Where the calibration is kept.
     pub(super) calibration_file: Option<PathBuf>,
-    pub(super) recorder: Recorder,
+    pub(super) receipts: Receipts,
     pub(super) travels: MeasuredBursts,
     /// Plays that were not looked at yet: what is played, and whether the device measures.
     pub(super) unseen: HashMap<u64, (Arc<Pattern>, bool)>,
-    /// Who ordered the plays that are not over.
-    pub(super) players: HashMap<u64, Who>,
+    /// Peer ordered the plays that are not over.
+    pub(super) players: HashMap<u64, Peer>,
     /// Gets every event that is published.
-    pub(super) book: Logbook,
+    pub(super) book: SessionRecord,
     /// A plan that is being played, measured or fitted: no play is taken meanwhile.
     pub(super) calibrating: Option<Calibrating>,
     /// The device that was connected last.
@@ -126,11 +126,11 @@ impl Engine {
         let inner = Inner {
             settings,
             calibration_file: calibration,
-            recorder: Recorder::default(),
+            receipts: Receipts::default(),
             travels: MeasuredBursts::default(),
             unseen: HashMap::new(),
             players: HashMap::new(),
-            book: Logbook::none(),
+            book: SessionRecord::none(),
             calibrating: None,
             identity: String::new(),
             calibration: Err(String::new()),
@@ -216,7 +216,7 @@ impl Engine {
                 return Err(device);
             }
         }
-        inner.recorder.reached_by(device.kind());
+        inner.receipts.reached_by(device.kind());
         inner.truth = device.true_positions();
         inner
             .orders
@@ -311,7 +311,7 @@ impl Engine {
     pub(super) fn listen(&self) -> Option<(Event, broadcast::Receiver<Event>)> {
         let inner = self.lock();
         let receiver = inner.events.as_ref()?.subscribe();
-        Some((inner.recorder.state(HostInstant::now()), receiver))
+        Some((inner.receipts.state(HostInstant::now()), receiver))
     }
 
     pub(super) fn is_closing(&self) -> bool {
@@ -321,7 +321,7 @@ impl Engine {
     /// It is known what was felt of a play, or why not.
     pub(super) fn felt(&self, id: u64, felt: Result<PredictedResponse, NoPrediction>) {
         let mut inner = self.lock();
-        if let Some(event) = inner.recorder.felt(id, felt) {
+        if let Some(event) = inner.receipts.felt(id, felt) {
             inner.publish(&event);
         }
     }
@@ -365,7 +365,7 @@ impl Inner {
     }
 
     fn is_armed(&self) -> bool {
-        let state = self.recorder.standing().0;
+        let state = self.receipts.standing().0;
         state == state_name(State::Armed) || state == state_name(State::Returning)
     }
 
@@ -391,7 +391,7 @@ impl Inner {
         if !taken {
             self.unwanted(id);
         }
-        self.recorder.answered(id, taken)
+        self.receipts.answered(id, taken)
     }
 
     /// Lets go of tickets whose answers were lost.
@@ -399,7 +399,7 @@ impl Inner {
         let lost = self.waiting.extract_if(|_, ticket| now.since(ticket.given) > LOST);
         let plays: Vec<u64> = lost.filter_map(|(_, ticket)| ticket.play).collect();
         for id in plays {
-            self.recorder.answered(id, false);
+            self.receipts.answered(id, false);
             self.unwanted(id);
         }
     }

@@ -10,8 +10,8 @@ use super::DISK_THREADS;
 use super::engine::{self, Engine, TIMEOUT};
 use super::metrics;
 use super::notebook::Asked;
-use crate::logbook::Who;
-use crate::record::{KEPT, calibration_plan};
+use crate::receipts::{KEPT, calibration_plan};
+use crate::session_record::Peer;
 use crate::store::{Store, StoreError, Stored};
 use axum::body::Body;
 use axum::extract::rejection::PathRejection;
@@ -52,10 +52,10 @@ const ESTOP_BODY: Duration = Duration::from_millis(100);
 /// What is read of a body that is too large, so that its sender comes to read the answer.
 const SWALLOWED: usize = 32 << 20;
 
-/// Who a client is, as the kernel says; -1 and nobody if it does not.
-pub(super) fn peer(stream: &UnixStream) -> Who {
-    let unknown = Who { pid: -1, uid: u32::MAX };
-    stream.peer_cred().map_or(unknown, |cred| Who { pid: cred.pid().unwrap_or(-1), uid: cred.uid() })
+/// Peer a client is, as the kernel says; -1 and nobody if it does not.
+pub(super) fn peer(stream: &UnixStream) -> Peer {
+    let unknown = Peer { pid: -1, uid: u32::MAX };
+    stream.peer_cred().map_or(unknown, |cred| Peer { pid: cred.pid().unwrap_or(-1), uid: cred.uid() })
 }
 
 /// A problem as a response.
@@ -218,7 +218,7 @@ async fn find(shelf: &Shelf, name: &str) -> Answer<Stored> {
 
 async fn play(
     State(app): State<App>,
-    Extension(peer): Extension<Who>,
+    Extension(peer): Extension<Peer>,
     body: Body,
 ) -> Answer<(StatusCode, Json<PlayAccepted>)> {
     let mut asked = Asked::new(&app.engine, "play", peer);
@@ -237,7 +237,7 @@ async fn play(
 /// Its outcome is told by an event.
 async fn calibrate(
     State(app): State<App>,
-    Extension(peer): Extension<Who>,
+    Extension(peer): Extension<Peer>,
     body: Body,
 ) -> Answer<(StatusCode, Json<PlayAccepted>)> {
     let mut asked = Asked::new(&app.engine, "calibrate", peer);
@@ -259,7 +259,7 @@ async fn calibration(State(app): State<App>) -> Answer<Json<CalibrationReport>> 
 /// A command without a body; it may take so long.
 async fn command(
     app: &App,
-    peer: Who,
+    peer: Peer,
     body: Body,
     name: &'static str,
     job: Command,
@@ -279,12 +279,12 @@ async fn carry_out(app: &App, job: Command, timeout: Duration) -> Answer<Json<St
     Ok(Json(app.engine.status()))
 }
 
-async fn stop(State(app): State<App>, Extension(peer): Extension<Who>, body: Body) -> Answer<Json<Status>> {
+async fn stop(State(app): State<App>, Extension(peer): Extension<Peer>, body: Body) -> Answer<Json<Status>> {
     command(&app, peer, body, "stop", Command::Stop, TIMEOUT).await
 }
 
 /// Whatever its body holds: this is no moment to argue.
-async fn estop(State(app): State<App>, Extension(peer): Extension<Who>, body: Body) -> Answer<Json<Status>> {
+async fn estop(State(app): State<App>, Extension(peer): Extension<Peer>, body: Body) -> Answer<Json<Status>> {
     let asked = Asked::new(&app.engine, "estop", peer);
     let outcome = carry_out(&app, Command::EStop, TIMEOUT).await;
     // Afterwards: a client that sends it by itself must not find that nobody takes it.
@@ -292,11 +292,11 @@ async fn estop(State(app): State<App>, Extension(peer): Extension<Who>, body: Bo
     asked.outcome(outcome)
 }
 
-async fn reset(State(app): State<App>, Extension(peer): Extension<Who>, body: Body) -> Answer<Json<Status>> {
+async fn reset(State(app): State<App>, Extension(peer): Extension<Peer>, body: Body) -> Answer<Json<Status>> {
     command(&app, peer, body, "reset", Command::Reset, TIMEOUT).await
 }
 
-async fn arm(State(app): State<App>, Extension(peer): Extension<Who>, body: Body) -> Answer<Json<Status>> {
+async fn arm(State(app): State<App>, Extension(peer): Extension<Peer>, body: Body) -> Answer<Json<Status>> {
     let mut asked = Asked::new(&app.engine, "arm", peer);
     let outcome = async {
         let request = ArmRequest::parse(&read(body).await?)?;
@@ -310,12 +310,16 @@ async fn arm(State(app): State<App>, Extension(peer): Extension<Who>, body: Body
     asked.outcome(outcome)
 }
 
-async fn disarm(State(app): State<App>, Extension(peer): Extension<Who>, body: Body) -> Answer<Json<Status>> {
+async fn disarm(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+    body: Body,
+) -> Answer<Json<Status>> {
     command(&app, peer, body, "disarm", Command::Disarm, TIMEOUT).await
 }
 
 /// Answers when the pins are home.
-async fn home(State(app): State<App>, Extension(peer): Extension<Who>, body: Body) -> Answer<Json<Status>> {
+async fn home(State(app): State<App>, Extension(peer): Extension<Peer>, body: Body) -> Answer<Json<Status>> {
     command(&app, peer, body, "home", Command::Home, HOME_TIMEOUT).await
 }
 
@@ -339,7 +343,7 @@ fn texts(warnings: &[Warning]) -> Vec<String> {
 
 async fn import(
     State(app): State<App>,
-    Extension(peer): Extension<Who>,
+    Extension(peer): Extension<Peer>,
     name: Result<Path<String>, PathRejection>,
     body: Body,
 ) -> Answer<(StatusCode, Json<ImportedPattern>)> {
@@ -366,8 +370,8 @@ async fn receipt(State(app): State<App>, id: Result<Path<String>, PathRejection>
     let id = path(id)?;
     let inner = app.engine.lock();
     let found = match id.parse() {
-        Ok(id) => inner.recorder.receipt(id),
-        Err(_) if id == "last" => inner.recorder.last(),
+        Ok(id) => inner.receipts.receipt(id),
+        Err(_) if id == "last" => inner.receipts.last(),
         Err(_) => {
             let detail = "a play's id is a number, or `last`: see `meissner status`";
             return Err(Problem::new(Code::BadRequest, detail).into());
@@ -398,6 +402,6 @@ async fn events(State(app): State<App>) -> Answer<Sse<impl Stream<Item = Result<
 }
 
 async fn metrics_text(State(app): State<App>) -> Response {
-    let text = metrics::text(&app.engine.lock().recorder);
+    let text = metrics::text(&app.engine.lock().receipts);
     ([(CONTENT_TYPE, "text/plain; version=0.0.4")], text).into_response()
 }

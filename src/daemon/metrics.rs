@@ -4,7 +4,7 @@
 //!
 //! Invariant: a name, once published, keeps its meaning and unit.
 
-use crate::record::Recorder;
+use crate::receipts::Receipts;
 use meissner_api::NO_DEVICE;
 use std::fmt::{Display, Write};
 
@@ -29,10 +29,10 @@ impl Text {
 }
 
 /// The whole text.
-pub(super) fn text(recorder: &Recorder) -> String {
-    let totals = recorder.totals();
-    let (state, ..) = recorder.standing();
-    let snapshot = recorder.snapshot();
+pub(super) fn text(receipts: &Receipts) -> String {
+    let totals = receipts.totals();
+    let (state, ..) = receipts.standing();
+    let snapshot = receipts.snapshot();
     let mut text = Text(String::with_capacity(4096));
     let labels = STATES.map(|name| format!("{{state=\"{name}\"}}"));
     let is = STATES.map(|name| u8::from(name == state));
@@ -66,7 +66,7 @@ pub(super) fn text(recorder: &Recorder) -> String {
     ];
     text.family("late_strokes_total", "counter", "Strokes that came late, by cause.", causes);
     text.family("late_worst_ms", "gauge", "The latest stroke since the start.", [("", &late.worst_ms)]);
-    text.family("queued_plays", "gauge", "Plays that wait.", [("", &recorder.queued().count())]);
+    text.family("queued_plays", "gauge", "Plays that wait.", [("", &receipts.queued().count())]);
     text.family(
         "play_bytes_total",
         "counter",
@@ -124,7 +124,7 @@ mod tests {
 
     #[test]
     fn every_line_is_a_comment_or_a_sample() {
-        let text = text(&Recorder::default());
+        let text = text(&Receipts::default());
         assert!(text.contains("meissner_state{state=\"no-device\"} 1\n"));
         assert!(text.contains("meissner_bursts_total{fate=\"late\"} 0\n"));
         for line in text.lines() {

@@ -22,11 +22,11 @@ mod signals;
 mod socket;
 mod status;
 
-pub use signals::{Signals, Told};
+pub use signals::{Action, Signals};
 pub use socket::SocketError;
 
 use crate::config::{Config, PatternsDir, Source};
-use crate::logbook::{Keep, Logbook, Note};
+use crate::session_record::{Location, Note, SessionRecord};
 use crate::store::{Store, StoreError};
 use connect::Word;
 use engine::Engine;
@@ -65,7 +65,7 @@ pub enum DaemonError {
     Store(#[from] StoreError),
     /// No directory for the logbook.
     #[error("`logbook_dir`: {}: neither it nor the directory above it is one: make one, or name another", .dir.display())]
-    Logbook {
+    SessionRecord {
         /// Which.
         dir: PathBuf,
     },
@@ -108,9 +108,9 @@ pub struct Daemon {
 
 /// Why a daemon ended in good order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Ended {
+pub enum Exit {
     /// It was told to.
-    Told,
+    Requested,
     /// Another version of the program is installed: its service manager is to start that.
     Replaced,
 }
@@ -155,7 +155,7 @@ impl Hosted {
 
 impl Drop for Hosted {
     fn drop(&mut self) {
-        // Who wants to know has called `stop`.
+        // Peer wants to know has called `stop`.
         let _ = self.finish();
     }
 }
@@ -175,10 +175,10 @@ pub fn runtime() -> Result<Runtime, DaemonError> {
 /// The first of that.
 pub fn check(config: &Config) -> Result<Store, DaemonError> {
     socket::check(&config.socket)?;
-    if let Some(Keep { dir, .. }) = &config.logbook {
+    if let Some(Location { dir, .. }) = &config.logbook {
         let above = dir.parent().filter(|above| !above.as_os_str().is_empty()).unwrap_or(Path::new("."));
         if !dir.is_dir() && (dir.exists() || !above.is_dir()) {
-            return Err(DaemonError::Logbook { dir: dir.clone() });
+            return Err(DaemonError::SessionRecord { dir: dir.clone() });
         }
     }
     Ok(store(config)?)
@@ -219,7 +219,7 @@ impl Daemon {
         let feeler = Predictor::new().map_err(io::Error::other).map_err(system("thread"))?;
         let wanted = config.device.to_string();
         let engine = Engine::new(orders, config.settings, wanted.clone(), config.calibration.clone());
-        let book = Logbook::start(config.logbook.clone(), Arc::clone(&engine.names.users))
+        let book = SessionRecord::start(config.logbook.clone(), Arc::clone(&engine.names.users))
             .map_err(system("logbook's thread"))?;
         let (version, pid) = (env!("CARGO_PKG_VERSION"), std::process::id());
         book.note(Note::DaemonStarted { version, pid, wanted });
@@ -255,7 +255,7 @@ impl Daemon {
     ///
     /// # Errors
     /// If the system fails, or the streamer ended by itself.
-    pub async fn run(self, mut signals: Signals, source: Option<Source>) -> Result<Ended, DaemonError> {
+    pub async fn run(self, mut signals: Signals, source: Option<Source>) -> Result<Exit, DaemonError> {
         let Self { config, bound, engine, shelf, notices, feeler, streamer, connector, .. } = self;
         let listener =
             bound.listener.try_clone().and_then(UnixListener::from_std).map_err(system("socket"))?;
@@ -277,14 +277,14 @@ impl Daemon {
             tokio::select! {
                 told = signals.next() => match (told, &reloads) {
                     // If one waits already it will be this one, too.
-                    (Told::Reload, Some(reloads)) => drop(reloads.try_send(())),
-                    _ => break Ok(Ended::Told),
+                    (Action::Reload, Some(reloads)) => drop(reloads.try_send(())),
+                    _ => break Ok(Exit::Requested),
                 },
                 () = engine.replaced.notified() => {
                     info!("another version was installed and nobody is armed: starting it");
                     // Whoever comes now waits in the socket for the new one.
                     let _ = close.send(true);
-                    break Ok(Ended::Replaced);
+                    break Ok(Exit::Replaced);
                 }
                 _ = &mut streamer => break Err(DaemonError::Streamer),
                 _ = &mut pump => break Err(DaemonError::Pump),

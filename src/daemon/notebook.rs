@@ -7,7 +7,7 @@
 //! Invariants: nothing here comes once per burst; a command is in the logbook's hands before its client has the answer.
 
 use super::engine::Engine;
-use crate::logbook::{Command, Logbook, Note, Users, Who};
+use crate::session_record::{CommandEntry, Note, Peer, SessionRecord, Users};
 use jiff::tz::TimeZone;
 use jiff::{SignedDuration, Timestamp, Zoned};
 use meissner_api::Problem;
@@ -48,7 +48,7 @@ impl Names {
     }
 
     /// A client as far as is known at once.
-    fn client(&self, who: Who) -> String {
+    fn client(&self, who: Peer) -> String {
         match self.users.known(who.uid).flatten() {
             Some(name) => format!("{name} (uid {}, pid {})", who.uid, who.pid),
             None => format!("{} (pid {})", self.user(who.uid), who.pid),
@@ -60,20 +60,20 @@ impl Names {
 #[derive(Debug)]
 pub(super) struct Asked {
     engine: Arc<Engine>,
-    book: Logbook,
-    command: Command,
-    who: Who,
+    book: SessionRecord,
+    command: CommandEntry,
+    who: Peer,
     /// How the log calls it.
     title: String,
 }
 
 impl Asked {
-    pub(super) fn new(engine: &Arc<Engine>, command: &'static str, who: Who) -> Self {
+    pub(super) fn new(engine: &Arc<Engine>, command: &'static str, who: Peer) -> Self {
         let (engine, book) = (Arc::clone(engine), engine.lock().book.clone());
         Self {
             engine,
             book,
-            command: Command::new(command, who, Value::Null),
+            command: CommandEntry::new(command, who, Value::Null),
             who,
             title: command.to_owned(),
         }
@@ -107,7 +107,7 @@ impl Asked {
 
 impl Drop for Asked {
     fn drop(&mut self) {
-        let Who { pid, uid } = self.who;
+        let Peer { pid, uid } = self.who;
         let (title, client) = (&self.title, self.engine.names.client(self.who));
         let answer = match (&self.command.detail, &*self.command.answer) {
             (Some(detail), code) => format!("refused ({code}): {detail}"),
@@ -211,7 +211,7 @@ fn outcome(receipt: &Receipt, now: HostInstant, wall: &Zoned) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::logbook::Keep;
+    use crate::session_record::Location;
     use meissner_api::BurstCounts;
     use meissner_api::OnsetRecord;
     use meissner_stream::Settings;
@@ -248,12 +248,12 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let (_port, orders, _notices) = queues().unwrap();
         let folder = dir.path().join("logbook");
-        let keep = Keep { dir: folder.clone(), days: 1 };
-        let book = Logbook::start(Some(keep), Arc::default()).unwrap();
+        let keep = Location { dir: folder.clone(), days: 1 };
+        let book = SessionRecord::start(Some(keep), Arc::default()).unwrap();
         let (settings, wanted) = (Settings::default(), "mock".to_owned());
         let engine = Arc::new(Engine::new(orders, settings, wanted, None));
         engine.lock().book = book.clone();
-        drop(Asked::new(&engine, "home", Who { pid: 7, uid: 0 }));
+        drop(Asked::new(&engine, "home", Peer { pid: 7, uid: 0 }));
         book.close(Duration::from_secs(10));
         let file = fs::read_dir(folder).unwrap().next().unwrap().unwrap().path();
         let line: Value = serde_json::from_str(&fs::read_to_string(file).unwrap()).unwrap();
@@ -264,7 +264,7 @@ mod tests {
     #[test]
     fn who_it_was_is_told_as_far_as_it_is_known() {
         let names = Names::default();
-        let root = Who { pid: 7, uid: 0 };
+        let root = Peer { pid: 7, uid: 0 };
         assert_eq!((names.client(root), names.user(0)), ("uid 0 (pid 7)".to_owned(), "uid 0".to_owned()));
         names.users.look_up(0);
         while names.users.known(0).is_none() {
@@ -274,6 +274,6 @@ mod tests {
             (names.client(root), names.user(0)),
             ("root (uid 0, pid 7)".to_owned(), "root".to_owned())
         );
-        assert_eq!(names.client(Who { pid: -1, uid: u32::MAX }), "an unknown user (pid -1)");
+        assert_eq!(names.client(Peer { pid: -1, uid: u32::MAX }), "an unknown user (pid -1)");
     }
 }

@@ -6,8 +6,8 @@
 
 use super::calibrate::Calibrating;
 use super::engine::{Engine, answer};
-use crate::logbook::Who;
-use crate::record::refusal;
+use crate::receipts::refusal;
+use crate::session_record::Peer;
 use crate::store::Stored;
 use firmware_protocol::tick::Tick;
 use meissner_api::Receipt;
@@ -25,7 +25,7 @@ impl Engine {
         &self,
         request: &PlayRequest,
         stored: &Stored,
-        who: Who,
+        who: Peer,
     ) -> Result<u64, Problem> {
         self.begin(request, stored, who, None).await
     }
@@ -34,7 +34,7 @@ impl Engine {
         &self,
         request: &PlayRequest,
         stored: &Stored,
-        who: Who,
+        who: Peer,
         plan: Option<Plan>,
     ) -> Result<u64, Problem> {
         let strokes = Strokes::new(&stored.pattern, request.seconds)
@@ -64,7 +64,7 @@ impl Engine {
             if inner.calibrating.is_some() {
                 return Err(refusal(CommandError::Playing));
             }
-            let device = inner.recorder.device();
+            let device = inner.receipts.device();
             let telemetry = device.as_ref().is_some_and(|device| device.telemetry);
             if plan.is_some() {
                 device.ok_or_else(|| refusal(CommandError::NoDevice))?;
@@ -73,13 +73,13 @@ impl Engine {
                         "the device has no telemetry: calibrate on one that measures where its pins are";
                     return Err(Problem::new(Code::NoTelemetry, detail));
                 }
-                if !inner.recorder.is_idle() {
+                if !inner.receipts.is_idle() {
                     return Err(refusal(CommandError::Playing));
                 }
             }
             inner.last_play += 1;
             let id = inner.last_play;
-            inner.recorder.offer(Receipt::new(id, stored.pattern.name(), &stored.sha256, request.seconds));
+            inner.receipts.offer(Receipt::new(id, stored.pattern.name(), &stored.sha256, request.seconds));
             inner.calibrating = plan.map(|plan| Calibrating::new(id, plan));
             inner.players.insert(id, who);
             inner.unseen.insert(id, (Arc::new(stored.pattern.clone()), telemetry));
@@ -94,7 +94,7 @@ impl Engine {
     }
 
     fn check_boot(&self, asked: Option<u32>) -> Result<(), Problem> {
-        let now = self.lock().recorder.device().map(|device| device.boot);
+        let now = self.lock().receipts.device().map(|device| device.boot);
         match (asked, now) {
             (Some(asked), Some(now)) if asked != now => {
                 let detail =

@@ -5,7 +5,7 @@
 //! Invariant: no more than [`WAITING`] plays wait; of any more it is said that they were not looked at.
 
 use super::engine::Engine;
-use crate::record::{NoPrediction, PlayedPattern};
+use crate::receipts::{NoPrediction, PlayedPattern};
 use meissner_api::Receipt;
 use meissner_array::pattern::Pattern;
 use meissner_stream::queues::MeasuredBurst;

@@ -8,7 +8,7 @@ use super::connect::Word;
 use super::engine::{Engine, Inner};
 use super::predictor::{Asked, Predictor};
 use super::service::Teller;
-use crate::record::PlayedPattern;
+use crate::receipts::PlayedPattern;
 use meissner_api::Event;
 use meissner_design::MOST_OBSERVED_S;
 use meissner_stream::queues::{EventQueue, StreamEvent};
@@ -105,7 +105,7 @@ impl Engine {
         let (asked, bursts) = {
             let mut inner = self.lock();
             let Some((pattern, telemetry)) = inner.unseen.remove(&id) else { return };
-            let Some(receipt) = inner.recorder.receipt(id).cloned() else { return };
+            let Some(receipt) = inner.receipts.receipt(id).cloned() else { return };
             let look = PlayedPattern::at(&receipt, &pattern);
             let bursts = look.map(|look| inner.travels.within(look.onset, look.until()).copied().collect());
             let bursts: Vec<_> = bursts.unwrap_or_default();
@@ -123,15 +123,15 @@ impl Inner {
             StreamEvent::Connected(_) => {
                 (self.lost, self.missing) = (None, None);
                 self.travels.clear();
-                self.recorder.take(&notice)
+                self.receipts.take(&notice)
             }
             // A port that is no board is opened again and again: that is no news.
             StreamEvent::Disconnected { reason, .. } => {
-                self.missing = Some(format!("{}: {reason}", self.recorder.kind()));
-                let event = self.recorder.take(&notice);
+                self.missing = Some(format!("{}: {reason}", self.receipts.kind()));
+                let event = self.receipts.take(&notice);
                 event.filter(|_| self.lost.replace(reason) != Some(*reason))
             }
-            other => self.recorder.take(other),
+            other => self.receipts.take(other),
         };
         if let Some(event) = &event {
             self.publish(event);

@@ -11,7 +11,7 @@ use super::http::Shelf;
 use super::service::{Manager, Word};
 use super::{DaemonError, check, system};
 use crate::config::{Config, Source};
-use crate::logbook::Note;
+use crate::session_record::Note;
 use crossbeam_channel::{Sender, bounded};
 use meissner_stream::Settings;
 use std::sync::Arc;

@@ -8,7 +8,7 @@
 
 use super::engine::Engine;
 use super::http::{self, peer};
-use crate::logbook::Who;
+use crate::session_record::Peer;
 use axum::Router;
 use axum::response::IntoResponse;
 use hyper::Request;
@@ -78,7 +78,7 @@ pub(super) async fn serve(
     }
 }
 
-async fn attend(stream: UnixStream, peer: Who, router: Router, mut closing: watch::Receiver<bool>) {
+async fn attend(stream: UnixStream, peer: Peer, router: Router, mut closing: watch::Receiver<bool>) {
     let service = service_fn(move |mut request: Request<Incoming>| {
         request.extensions_mut().insert(peer);
         router.clone().oneshot(request)

@@ -13,7 +13,7 @@ use tracing::info;
 
 /// What the daemon is told.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Told {
+pub enum Action {
     /// To end.
     End,
     /// To read its configuration again.
@@ -26,7 +26,7 @@ pub struct Signals {
     term: Signal,
     int: Signal,
     hangup: Signal,
-    at_hangup: Told,
+    at_hangup: Action,
     end: Option<oneshot::Receiver<()>>,
 }
 
@@ -37,7 +37,7 @@ impl Signals {
     /// If the system has no means for it.
     pub fn new() -> Result<Self, DaemonError> {
         let at_hangup =
-            if ignores_hangup() || File::open("/dev/tty").is_err() { Told::Reload } else { Told::End };
+            if ignores_hangup() || File::open("/dev/tty").is_err() { Action::Reload } else { Action::End };
         let take = |kind| signal(kind).map_err(system("signal handler"));
         let (term, int, hangup) =
             (take(SignalKind::terminate())?, take(SignalKind::interrupt())?, take(SignalKind::hangup())?);
@@ -53,7 +53,7 @@ impl Signals {
     }
 
     /// Waits for the next.
-    pub(super) async fn next(&mut self) -> Told {
+    pub(super) async fn next(&mut self) -> Action {
         let ended = async {
             match &mut self.end {
                 Some(end) => drop(end.await),
@@ -61,14 +61,14 @@ impl Signals {
             }
         };
         let (name, told) = tokio::select! {
-            _ = self.term.recv() => ("SIGTERM", Told::End),
-            _ = self.int.recv() => ("SIGINT", Told::End),
+            _ = self.term.recv() => ("SIGTERM", Action::End),
+            _ = self.int.recv() => ("SIGINT", Action::End),
             _ = self.hangup.recv() => ("SIGHUP", self.at_hangup),
-            () = ended => return Told::End,
+            () = ended => return Action::End,
         };
         match told {
-            Told::End => info!("{name}: ending"),
-            Told::Reload => info!("{name}"),
+            Action::End => info!("{name}: ending"),
+            Action::Reload => info!("{name}"),
         }
         told
     }

@@ -3,7 +3,7 @@
 //! Invariant: it is read under one lock, so that its parts belong together.
 
 use super::engine::{Engine, Inner};
-use crate::record::state_name;
+use crate::receipts::state_name;
 use firmware_protocol::message::State;
 use meissner_api::NO_DEVICE;
 use meissner_api::{MotorStatus, QueuedPlay, Status};
@@ -14,10 +14,10 @@ impl Engine {
     /// `GET /v1/status`.
     pub(super) fn status(&self) -> Status {
         let inner = self.lock();
-        let recorder = &inner.recorder;
-        let (state, cause, position) = recorder.standing();
-        let clock = recorder.clock(HostInstant::now());
-        let snapshot = recorder.snapshot();
+        let receipts = &inner.receipts;
+        let (state, cause, position) = receipts.standing();
+        let clock = receipts.clock(HostInstant::now());
+        let snapshot = receipts.snapshot();
         let used = inner.used().map(|kept| &kept.calibration);
         let is_calibrated = |motor: u8| used.is_some_and(|calibration| calibration.motor(motor).is_some());
         let motor = |((&rest_error_um, &source), motor)| MotorStatus {
@@ -29,11 +29,11 @@ impl Engine {
             state: state.to_owned(),
             cause: cause.to_owned(),
             position: position.to_owned(),
-            device: recorder.device(),
+            device: receipts.device(),
             requested_device: self.wanted.clone(),
             no_device_reason: inner.missing.clone(),
-            play: recorder.running(),
-            queued: recorder
+            play: receipts.running(),
+            queued: receipts
                 .queued()
                 .map(|receipt| QueuedPlay { id: receipt.id, pattern: receipt.pattern.clone() })
                 .collect(),
@@ -59,19 +59,19 @@ impl Engine {
     /// The same in a line.
     pub(super) fn line(&self) -> String {
         let inner = self.lock();
-        let recorder = &inner.recorder;
-        let (state, cause, _) = recorder.standing();
-        let mut line = match (recorder.device(), &inner.missing) {
+        let receipts = &inner.receipts;
+        let (state, cause, _) = receipts.standing();
+        let mut line = match (receipts.device(), &inner.missing) {
             (Some(device), _) if device.simulated => format!("{state} ({cause}); {}, simulated", device.kind),
             (Some(device), _) => format!("{state} ({cause}); {}", device.kind),
             (None, Some(missing)) => format!("no device: {missing}"),
             (None, None) => format!("no device yet: looking for `{}`", self.wanted),
         };
         // Writing to a string does not fail.
-        if let Some(play) = recorder.running() {
+        if let Some(play) = receipts.running() {
             let _ = write!(line, "; plays {} (play {})", play.pattern, play.id);
         }
-        match recorder.queued().count() {
+        match receipts.queued().count() {
             0 => {}
             queued => drop(write!(line, "; {queued} queued")),
         }
@@ -90,8 +90,8 @@ impl Engine {
 impl Inner {
     /// Nothing is played, waits or is armed, and no order for it is on its way.
     pub(super) fn is_spare(&self) -> bool {
-        let state = self.recorder.standing().0;
+        let state = self.receipts.standing().0;
         let off = state == NO_DEVICE || state == state_name(State::Disarmed);
-        off && self.recorder.is_idle() && self.calibrating.is_none() && self.waiting.is_empty()
+        off && self.receipts.is_idle() && self.calibrating.is_none() && self.waiting.is_empty()
     }
 }

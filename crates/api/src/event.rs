@@ -5,7 +5,7 @@
 //!
 //! Invariant: [`Event::name`] is the `event` key of its JSON.
 
-use crate::receipt::{LateStroke, OnsetRecord, PredictedResponse, Receipt, RefusedStroke};
+use crate::receipt::{LateStroke, OnsetRecord, Prediction, Receipt, RefusedStroke};
 use crate::status::{DeviceInfo, RunningPlay};
 use serde::{Deserialize, Serialize};
 
@@ -100,15 +100,15 @@ pub enum Event {
         /// What came of it.
         receipt: Box<Receipt>,
     },
-    /// What was felt of a play, some time after it has ended, or after its first minute; or why that is not known.
+    /// The predicted response to a play, or why there is none: some time after its end or its first minute. The event keeps its
+    /// old name, `felt`.
     #[serde(rename = "felt")]
     PredictedResponse {
         /// The play's id.
         id: u64,
         /// As in its receipt.
-        felt: Option<PredictedResponse>,
-        /// As in its receipt.
-        felt_unknown: Option<String>,
+        #[serde(flatten)]
+        prediction: Prediction,
     },
     /// A calibration was stored and is used from now on, or was not.
     Calibrated {

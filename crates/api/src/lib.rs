@@ -21,7 +21,7 @@ pub use pattern::{ImportedPattern, PatternList, PatternSummary};
 pub use problem::{Code, Problem};
 pub use receipt::{
     BurstCounts, LateCause, LateCounts, LateStroke, LatenessRecord, LinkTraffic, MAX_LISTED, OnsetRecord,
-    PlayState, PredictedResponse, PulseCounts, Rates, Receipt, RefusedStroke,
+    PlayState, PredictedResponse, Prediction, PulseCounts, Rates, Receipt, RefusedStroke,
 };
 pub use request::{ArmRequest, CalibrateRequest, LatePolicy, MAX_AT_MS, MAX_BODY, PlayRequest, parse_empty};
 pub use status::{

@@ -162,6 +162,64 @@ pub struct PredictedResponse {
     pub unmeasured: u64,
 }
 
+/// What is known of a play's predicted response: nothing yet, the response, or why there is none.
+///
+/// JSON has each key twice: `predicted_response` and `predicted_response_unknown`, and their deprecated names `felt` and
+/// `felt_unknown`. Either name is read.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(from = "PredictionKeys", into = "PredictionKeys")]
+pub struct Prediction {
+    /// The response, once it is computed.
+    pub response: Option<PredictedResponse>,
+    /// Why it cannot be predicted.
+    pub unknown: Option<String>,
+}
+
+impl Prediction {
+    /// Whether the daemon has computed it, or has given up.
+    #[must_use]
+    pub const fn is_settled(&self) -> bool {
+        self.response.is_some() || self.unknown.is_some()
+    }
+}
+
+/// The keys of a [`Prediction`].
+#[derive(Serialize, Deserialize)]
+struct PredictionKeys {
+    /// The predicted response; null until it is known.
+    #[serde(default)]
+    predicted_response: Option<PredictedResponse>,
+    /// Why it cannot be predicted; null until the daemon has tried, and if it could.
+    #[serde(default)]
+    predicted_response_unknown: Option<String>,
+    /// Deprecated: read `predicted_response`.
+    #[serde(default)]
+    felt: Option<PredictedResponse>,
+    /// Deprecated: read `predicted_response_unknown`.
+    #[serde(default)]
+    felt_unknown: Option<String>,
+}
+
+impl From<PredictionKeys> for Prediction {
+    fn from(keys: PredictionKeys) -> Self {
+        Self {
+            response: keys.predicted_response.or(keys.felt),
+            unknown: keys.predicted_response_unknown.or(keys.felt_unknown),
+        }
+    }
+}
+
+impl From<Prediction> for PredictionKeys {
+    fn from(Prediction { response, unknown }: Prediction) -> Self {
+        Self {
+            predicted_response: response.clone(),
+            predicted_response_unknown: unknown.clone(),
+            felt: response,
+            felt_unknown: unknown,
+        }
+    }
+}
+
 /// Mean rates, impulses/s. Null: the pattern has no target, or no frame of its motion was observed.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Rates {
@@ -225,13 +283,9 @@ pub struct Receipt {
     pub wire: Option<LinkTraffic>,
     /// Estimated rest error of each motor at the end; null until it is over.
     pub rest_error_um: Option<Vec<f32>>,
-    /// What was felt of its first minute at the most, by its bursts as they were measured; null until it is known, some time after
-    /// the play's end.
-    #[serde(default)]
-    pub felt: Option<PredictedResponse>,
-    /// Why that cannot be known; null until it was tried, and if it is.
-    #[serde(default)]
-    pub felt_unknown: Option<String>,
+    /// The predicted response to its first minute, from its measured bursts; not known until some time after the play's end.
+    #[serde(flatten)]
+    pub prediction: Prediction,
 }
 
 impl Receipt {
@@ -253,8 +307,7 @@ impl Receipt {
             refusals: Vec::new(),
             wire: None,
             rest_error_um: None,
-            felt: None,
-            felt_unknown: None,
+            prediction: Prediction::default(),
         }
     }
 

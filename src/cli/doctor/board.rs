@@ -4,7 +4,7 @@
 
 use super::{Examined, Finding, Level, port};
 use crate::cli::text;
-use crate::record::device_info;
+use crate::receipts::device_info;
 use firmware_protocol::frame::PROTOCOL;
 use meissner_api::DeviceInfo;
 use meissner_array::simulated::PlantConfig;

@@ -6,7 +6,7 @@
 //! Invariant: after each call the file ends with a whole line, or is not open.
 
 use super::entry::{Entry, Note};
-use super::{Keep, Stamp, days};
+use super::{Location, Stamp, days};
 use jiff::Zoned;
 use jiff::civil::Date;
 use jiff::tz::TimeZone;
@@ -80,8 +80,8 @@ struct Line<'a> {
 
 /// See the module.
 #[derive(Debug)]
-pub(super) struct Book {
-    keep: Keep,
+pub(super) struct Writer {
+    keep: Location,
     /// Where the lab is; none: where the system says it is.
     zone: Option<TimeZone>,
     disk: Disk,
@@ -98,8 +98,8 @@ pub(super) struct Book {
     due: Option<Instant>,
 }
 
-impl Book {
-    pub(super) fn new(keep: Keep) -> Self {
+impl Writer {
+    pub(super) fn new(keep: Location) -> Self {
         Self {
             keep,
             problem: Arc::default(),
@@ -172,7 +172,7 @@ impl Book {
     }
 
     /// What comes from now on is kept there; what was missing is told there.
-    pub(super) fn turn_page(&mut self, keep: Keep) {
+    pub(super) fn turn_page(&mut self, keep: Location) {
         self.sync();
         (self.keep, self.open, self.failing) = (keep, None, None);
         self.say(None);

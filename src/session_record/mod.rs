@@ -2,22 +2,21 @@
 //!
 //! `DIR/2026-11-22.jsonl` holds commands with who gave them and what was answered, plays with their whole receipts, what devices
 //! did, and the daemon's start and end. It is a record to be read later; nothing is read back from it, and nothing waits for it:
-//! [`Logbook::note`] stamps an entry and hands it to a thread. An entry that does not fit is counted, and the next line says so.
+//! [`SessionRecord::note`] stamps an entry and hands it to a thread. An entry that does not fit is counted, and the next line says so.
 //! The thread makes lines durable [`SYNC_AFTER`] their being written, and sleeps without a timer while there is nothing to do.
 //!
 //! Invariants: every line of a file that was closed or opened again parses; lines of one daemon are in the order of
 //! `CLOCK_MONOTONIC`; what is missing is counted.
 
-mod book;
 mod days;
 mod entry;
 mod users;
+mod writer;
 
-pub use book::SYNC_AFTER;
-pub use entry::{Command, Entry, Note, Who};
+pub use entry::{CommandEntry, Entry, Note, Peer};
 pub use users::Users;
+pub use writer::SYNC_AFTER;
 
-use book::Book;
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use jiff::Timestamp;
 use meissner_stream::time::HostInstant;
@@ -27,6 +26,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 use tracing::warn;
+use writer::Writer;
 
 /// How long an entry waits for the name of its user. A directory that takes longer is not waited for again: it may hang.
 const NAMED_WITHIN: Duration = Duration::from_millis(200);
@@ -48,7 +48,7 @@ impl Stamp {
 
 /// Where a logbook is kept, and for how long.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Keep {
+pub struct Location {
     /// The directory; it is made when it is missing, the one above it is not.
     pub dir: PathBuf,
     /// Days after which a file is removed.
@@ -65,7 +65,7 @@ enum Word {
         entry: Entry,
     },
     /// From here on it is kept elsewhere.
-    Move(Keep),
+    Move(Location),
 }
 
 /// The way in: stamps are taken in the order in which entries go through it.
@@ -80,7 +80,7 @@ struct Gate {
 
 impl Gate {
     /// Starts a thread that writes to the book.
-    fn open(book: Book, users: Arc<Users>, room: usize) -> io::Result<Self> {
+    fn open(book: Writer, users: Arc<Users>, room: usize) -> io::Result<Self> {
         let (words, queue) = bounded(room);
         let (alive, ended) = bounded::<()>(0);
         let problem = book.problem();
@@ -95,12 +95,12 @@ impl Gate {
 
 /// Where entries are handed in; the same book for all its clones.
 #[derive(Clone, Debug)]
-pub struct Logbook {
+pub struct SessionRecord {
     /// None: nothing is written, or it is closed.
     gate: Arc<Mutex<Option<Gate>>>,
 }
 
-impl Logbook {
+impl SessionRecord {
     /// A logbook that keeps nothing.
     #[must_use]
     pub fn none() -> Self {
@@ -112,11 +112,11 @@ impl Logbook {
     ///
     /// # Errors
     /// If the system gives no thread.
-    pub fn start(keep: Option<Keep>, users: Arc<Users>) -> io::Result<Self> {
-        keep.map_or_else(|| Ok(Self::none()), |keep| Self::with(Book::new(keep), users, WAITING))
+    pub fn start(keep: Option<Location>, users: Arc<Users>) -> io::Result<Self> {
+        keep.map_or_else(|| Ok(Self::none()), |keep| Self::with(Writer::new(keep), users, WAITING))
     }
 
-    fn with(book: Book, users: Arc<Users>, room: usize) -> io::Result<Self> {
+    fn with(book: Writer, users: Arc<Users>, room: usize) -> io::Result<Self> {
         let gate = Gate::open(book, users, room)?;
         Ok(Self { gate: Arc::new(Mutex::new(Some(gate))) })
     }
@@ -125,7 +125,7 @@ impl Logbook {
     ///
     /// # Errors
     /// If the disk is too slow, or the system gives no thread: then it stays where it was.
-    pub fn keep(&self, keep: Option<Keep>, users: Arc<Users>, timeout: Duration) -> io::Result<()> {
+    pub fn keep(&self, keep: Option<Location>, users: Arc<Users>, timeout: Duration) -> io::Result<()> {
         let Some(keep) = keep else {
             self.close(timeout);
             return Ok(());
@@ -136,7 +136,7 @@ impl Logbook {
                 words.send_timeout(Word::Move(keep), timeout).map_err(|_| io::ErrorKind::TimedOut.into())
             }
             None => {
-                *self.lock() = Some(Gate::open(Book::new(keep), users, WAITING)?);
+                *self.lock() = Some(Gate::open(Writer::new(keep), users, WAITING)?);
                 Ok(())
             }
         }
@@ -180,7 +180,7 @@ impl Logbook {
 }
 
 /// The thread: takes entries until nobody can hand in more.
-fn write_all(mut book: Book, queue: &Receiver<Word>, users: &Arc<Users>) {
+fn write_all(mut book: Writer, queue: &Receiver<Word>, users: &Arc<Users>) {
     let mut slow = false;
     loop {
         let word = match book.due() {

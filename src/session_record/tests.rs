@@ -1,6 +1,6 @@
 //! The logbook on real files, with clocks and disks that misbehave.
 
-use super::book::Disk;
+use super::writer::Disk;
 use super::*;
 use jiff::tz::{TimeZone, offset};
 use meissner_api::{DeviceInfo, Event, Receipt};
@@ -35,12 +35,12 @@ const SMALL: Disk = Disk {
     },
 };
 
-fn keep(dir: &Path, days: u32) -> Keep {
-    Keep { dir: dir.join("logbook"), days }
+fn keep(dir: &Path, days: u32) -> Location {
+    Location { dir: dir.join("logbook"), days }
 }
 
-fn book(dir: &Path, disk: Disk) -> Book {
-    Book::new(keep(dir, 400)).on(disk, TimeZone::fixed(offset(1)))
+fn book(dir: &Path, disk: Disk) -> Writer {
+    Writer::new(keep(dir, 400)).on(disk, TimeZone::fixed(offset(1)))
 }
 
 fn stamp(wall: &str, monotonic_ns: u64) -> Stamp {
@@ -87,12 +87,12 @@ fn log_of(work: impl FnOnce()) -> Vec<String> {
 fn a_line_says_when_who_and_what() {
     let dir = tempfile::tempdir().unwrap();
     let users = Arc::new(Users::default());
-    let log = Logbook::with(book(dir.path(), REAL), users, WAITING).unwrap();
-    let mut command = Command::new("arm", Who { pid: 12, uid: 0 }, json!({"assume_rest": true}));
+    let log = SessionRecord::with(book(dir.path(), REAL), users, WAITING).unwrap();
+    let mut command = CommandEntry::new("arm", Peer { pid: 12, uid: 0 }, json!({"assume_rest": true}));
     command.answer = "no-device".to_owned();
     log.note(started());
     log.note(Note::Command(command));
-    log.note(Note::Command(Command::new("stop", Who { pid: -1, uid: u32::MAX }, Value::Null)));
+    log.note(Note::Command(CommandEntry::new("stop", Peer { pid: -1, uid: u32::MAX }, Value::Null)));
     let hello = DeviceInfo {
         kind: "mock".to_owned(),
         firmware: "1.0.0".to_owned(),
@@ -187,7 +187,7 @@ fn a_torn_line_is_cut_and_told() {
 #[test]
 fn a_change_of_day_removes_old_files() {
     let dir = tempfile::tempdir().unwrap();
-    let mut book = Book::new(keep(dir.path(), 2)).on(REAL, TimeZone::UTC);
+    let mut book = Writer::new(keep(dir.path(), 2)).on(REAL, TimeZone::UTC);
     for day in 18..=23 {
         book.write(stamp(&format!("2026-11-{day}T12:00:00Z"), day), 0, &started());
     }
@@ -288,7 +288,7 @@ fn a_full_queue_does_not_wait_and_is_told() {
     };
     let dir = tempfile::tempdir().unwrap();
     let held = HELD.lock().unwrap();
-    let log = Logbook::with(book(dir.path(), STUCK), Arc::new(Users::default()), 4).unwrap();
+    let log = SessionRecord::with(book(dir.path(), STUCK), Arc::new(Users::default()), 4).unwrap();
     let begun = Instant::now();
     for entries in 100..120 {
         log.note(lost(entries));
@@ -315,7 +315,7 @@ fn a_full_queue_does_not_wait_and_is_told() {
 fn a_logbook_that_moves_loses_nothing() {
     let (first, second) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let (users, timeout) = (Arc::new(Users::default()), Duration::from_secs(10));
-    let log = Logbook::none();
+    let log = SessionRecord::none();
     log.keep(Some(keep(first.path(), 1)), Arc::clone(&users), timeout).unwrap();
     let entries = |dir: &Path| {
         let file = fs::read_dir(dir.join("logbook")).unwrap().next().unwrap().unwrap().path();
@@ -336,7 +336,7 @@ fn a_logbook_that_moves_loses_nothing() {
 
 #[test]
 fn none_keeps_nothing() {
-    let log = Logbook::none();
+    let log = SessionRecord::none();
     log.note(started());
     log.close(Duration::ZERO);
 }

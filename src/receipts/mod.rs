@@ -1,6 +1,6 @@
 //! The record: what the streamer reported, kept as receipts, figures and events.
 //!
-//! A [`Recorder`] is fed every [`StreamEvent`] and what the daemon was asked to play. It reads no clock and sends
+//! A [`Receipts`] is fed every [`StreamEvent`] and what the daemon was asked to play. It reads no clock and sends
 //! nothing; whoever owns it passes the events on. Plays that are queued or running are all kept (the streamer
 //! bounds them), finished ones are the last [`KEPT`].
 //!
@@ -18,7 +18,7 @@ use firmware_protocol::message::{DeviceHello, State};
 use firmware_protocol::tick::Tick;
 use meissner_api::{
     BurstCounts, DeviceInfo, Event, LateCounts, LateStroke, LinkTraffic, MAX_LISTED, NO_DEVICE, PlayState,
-    PredictedResponse, PulseCounts, Receipt, RefusedStroke, RunningPlay,
+    PredictedResponse, Prediction, PulseCounts, Receipt, RefusedStroke, RunningPlay,
 };
 use meissner_array::units::{duration_to_ticks, ns_to_ms};
 use meissner_stream::cause_text;
@@ -53,7 +53,7 @@ pub struct Totals {
 
 /// Keeps the record.
 #[derive(Debug, Default)]
-pub struct Recorder {
+pub struct Receipts {
     kind: String,
     hello: Option<DeviceHello>,
     snapshot: Option<Snapshot>,
@@ -65,7 +65,7 @@ pub struct Recorder {
     totals: Totals,
 }
 
-impl Recorder {
+impl Receipts {
     /// A play is about to be ordered.
     pub fn offer(&mut self, receipt: Receipt) {
         self.offered.push(receipt);
@@ -163,12 +163,11 @@ impl Recorder {
     /// It is known what was felt of a play, or why that is not known.
     pub fn felt(&mut self, id: u64, felt: Result<PredictedResponse, NoPrediction>) -> Option<Event> {
         let receipt = self.live.iter_mut().chain(&mut self.finished).find(|receipt| receipt.id == id)?;
-        match felt {
-            Ok(felt) => receipt.felt = Some(felt),
-            Err(unfelt) => receipt.felt_unknown = Some(unfelt.to_string()),
-        }
-        let (felt, felt_unknown) = (receipt.felt.clone(), receipt.felt_unknown.clone());
-        Some(Event::PredictedResponse { id, felt, felt_unknown })
+        receipt.prediction = match felt {
+            Ok(response) => Prediction { response: Some(response), unknown: None },
+            Err(why) => Prediction { response: None, unknown: Some(why.to_string()) },
+        };
+        Some(Event::PredictedResponse { id, prediction: receipt.prediction.clone() })
     }
 
     /// The play of that id.

@@ -9,9 +9,9 @@ use meissner_api::Event;
 use serde::Serialize;
 use serde_json::Value;
 
-/// Who gave a command, as the kernel says.
+/// Peer gave a command, as the kernel says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Who {
+pub struct Peer {
     /// Their process; -1: not known.
     pub pid: i32,
     /// Their user; the highest number: not known.
@@ -20,10 +20,10 @@ pub struct Who {
 
 /// A command and what came of it.
 #[derive(Clone, Debug, Serialize)]
-pub struct Command {
+pub struct CommandEntry {
     /// Its name, as in the API's address.
     pub command: &'static str,
-    /// Who gave it: their process; null: not known.
+    /// Peer gave it: their process; null: not known.
     pid: Option<i32>,
     /// Their user; null: not known.
     uid: Option<u32>,
@@ -41,10 +41,10 @@ pub struct Command {
     pub detail: Option<String>,
 }
 
-impl Command {
+impl CommandEntry {
     /// A command that somebody gave, not answered yet.
     #[must_use]
-    pub fn new(command: &'static str, who: Who, asked: Value) -> Self {
+    pub fn new(command: &'static str, who: Peer, asked: Value) -> Self {
         Self {
             command,
             pid: (who.pid > 0).then_some(who.pid),
@@ -84,7 +84,7 @@ pub enum Note {
         problem: Option<String>,
     },
     /// Somebody asked for something.
-    Command(Command),
+    Command(CommandEntry),
     /// Here entries are missing.
     Lost {
         /// How many.
@@ -103,7 +103,7 @@ pub enum Entry {
         /// The event.
         #[serde(flatten)]
         event: Box<Event>,
-        /// Who ordered the play, by number.
+        /// Peer ordered the play, by number.
         #[serde(skip_serializing_if = "Option::is_none")]
         uid: Option<u32>,
         /// By name.
@@ -115,7 +115,7 @@ pub enum Entry {
 impl Entry {
     /// An event, if it is one for the logbook, and who ordered the play it is about.
     #[must_use]
-    pub fn of(event: &Event, who: Option<Who>) -> Option<Self> {
+    pub fn of(event: &Event, who: Option<Peer>) -> Option<Self> {
         match event {
             Event::State { .. } | Event::Late { .. } | Event::Refused { .. } | Event::Lagged { .. } => None,
             told => {
@@ -127,7 +127,7 @@ impl Entry {
     /// The user whose name is still to be found.
     pub(super) fn nameless(&self) -> Option<u32> {
         match self {
-            Self::Note(Note::Command(Command { user: None, uid, .. }))
+            Self::Note(Note::Command(CommandEntry { user: None, uid, .. }))
             | Self::Event { user: None, uid, .. } => *uid,
             _ => None,
         }
@@ -135,7 +135,7 @@ impl Entry {
 
     pub(super) fn give_name(&mut self, name: Option<String>) {
         match self {
-            Self::Note(Note::Command(Command { user, .. })) | Self::Event { user, .. } => *user = name,
+            Self::Note(Note::Command(CommandEntry { user, .. })) | Self::Event { user, .. } => *user = name,
             Self::Note(_) => {}
         }
     }

@@ -53,7 +53,7 @@ pub enum NoPrediction {
     Strokes(#[from] StrokesError),
     /// The simulation.
     #[error(transparent)]
-    PredictedResponse(#[from] PredictionError),
+    Prediction(#[from] PredictionError),
 }
 
 /// A play whose measured bursts are to be looked at.

@@ -1,4 +1,4 @@
-//! The recorder, fed with notices: what it says of plays, devices and bad times.
+//! The receipts, fed with notices: what it says of plays, devices and bad times.
 
 use super::*;
 use firmware_protocol::limits::{OnTimeLimits, Refusal};
@@ -88,37 +88,37 @@ fn ended(id: u64, end: End) -> StreamEvent {
     StreamEvent::PlayEnded { id, outcome }
 }
 
-fn take(recorder: &mut Recorder, id: u64) {
-    recorder.offer(Receipt::new(id, "edge-45", "00ff", Some(5.0)));
-    assert!(matches!(recorder.answered(id, true), Some(Event::Queued { .. })));
+fn take(receipts: &mut Receipts, id: u64) {
+    receipts.offer(Receipt::new(id, "edge-45", "00ff", Some(5.0)));
+    assert!(matches!(receipts.answered(id, true), Some(Event::Queued { .. })));
 }
 
 #[test]
 fn a_play_goes_from_queued_to_its_receipt() {
-    let mut recorder = Recorder::default();
-    take(&mut recorder, 1);
-    take(&mut recorder, 2);
-    assert_eq!(recorder.queued().map(|receipt| receipt.id).collect::<Vec<_>>(), [1, 2]);
-    let event = recorder.take(&StreamEvent::PlayStarted { id: 1, onset: onset() }).unwrap();
+    let mut receipts = Receipts::default();
+    take(&mut receipts, 1);
+    take(&mut receipts, 2);
+    assert_eq!(receipts.queued().map(|receipt| receipt.id).collect::<Vec<_>>(), [1, 2]);
+    let event = receipts.take(&StreamEvent::PlayStarted { id: 1, onset: onset() }).unwrap();
     assert_eq!(event.name(), "began");
-    recorder.take(&StreamEvent::Snapshot(snapshot(true, State::Armed, Some((1, 0.25)))));
-    assert_eq!(recorder.running().unwrap().played_s, 0.25);
-    assert_eq!(recorder.receipt(1).unwrap().state, PlayState::Running);
-    assert_eq!(recorder.queued().count(), 1);
+    receipts.take(&StreamEvent::Snapshot(snapshot(true, State::Armed, Some((1, 0.25)))));
+    assert_eq!(receipts.running().unwrap().played_s, 0.25);
+    assert_eq!(receipts.receipt(1).unwrap().state, PlayState::Running);
+    assert_eq!(receipts.queued().count(), 1);
     let counts = LateCounts { host: 1, worst_ms: 1.5, ..LateCounts::default() };
     let (up, late_ms, cause) = (Tick(7), 1.5, LateCause::Host);
-    recorder.take(&StreamEvent::StrokeLate { id: 1, motor: 3, up, late_ms, cause, counts });
+    receipts.take(&StreamEvent::StrokeLate { id: 1, motor: 3, up, late_ms, cause, counts });
     let up = Tick(8);
-    recorder.take(&StreamEvent::StrokeRefused { id: 1, motor: 3, up, reason: Refusal::MotorOnTime });
-    let Some(Event::Ended { receipt }) = recorder.take(&ended(1, End::Stopped)) else { panic!() };
-    assert_eq!(Some(&*receipt), recorder.receipt(1));
+    receipts.take(&StreamEvent::StrokeRefused { id: 1, motor: 3, up, reason: Refusal::MotorOnTime });
+    let Some(Event::Ended { receipt }) = receipts.take(&ended(1, End::Stopped)) else { panic!() };
+    assert_eq!(Some(&*receipt), receipts.receipt(1));
     assert_eq!((receipt.state, receipt.cause.as_deref()), (PlayState::Stopped, Some("stop")));
     assert_eq!((receipt.lateness.strokes.len(), receipt.refusals.len()), (1, 1));
     assert_eq!(receipt.wire.unwrap().bytes_per_burst, Some(5.5));
     assert_eq!(receipt.onset_latency_ms, Some(4.0));
-    assert_eq!(recorder.last().unwrap().id, 2);
-    assert!(recorder.running().is_none());
-    assert_eq!(recorder.totals().plays, [0, 1, 0]);
+    assert_eq!(receipts.last().unwrap().id, 2);
+    assert!(receipts.running().is_none());
+    assert_eq!(receipts.totals().plays, [0, 1, 0]);
     let json = serde_json::to_value(&receipt).unwrap();
     assert_eq!((&json["lateness"]["host"], &json["onset"]["actual_tick"]), (&1.into(), &2000.into()));
     assert_eq!(serde_json::from_value::<Receipt>(json).unwrap(), *receipt);
@@ -126,21 +126,21 @@ fn a_play_goes_from_queued_to_its_receipt() {
 
 #[test]
 fn a_play_that_was_not_taken_leaves_nothing() {
-    let mut recorder = Recorder::default();
-    recorder.offer(Receipt::new(1, "a", "", None));
-    assert!(recorder.receipt(1).is_none(), "not before it is taken");
-    assert_eq!(recorder.answered(1, false), None);
-    assert!(recorder.last().is_none());
-    assert!(recorder.take(&ended(1, End::Done)).is_none());
+    let mut receipts = Receipts::default();
+    receipts.offer(Receipt::new(1, "a", "", None));
+    assert!(receipts.receipt(1).is_none(), "not before it is taken");
+    assert_eq!(receipts.answered(1, false), None);
+    assert!(receipts.last().is_none());
+    assert!(receipts.take(&ended(1, End::Done)).is_none());
 }
 
 #[test]
 fn receipts_and_lists_are_bounded() {
-    let mut recorder = Recorder::default();
+    let mut receipts = Receipts::default();
     for id in 1..=KEPT as u64 + 5 {
-        take(&mut recorder, id);
+        take(&mut receipts, id);
         for link in 1..=MAX_LISTED as u64 + 1 {
-            recorder.take(&StreamEvent::StrokeLate {
+            receipts.take(&StreamEvent::StrokeLate {
                 id,
                 motor: 3,
                 up: Tick(7),
@@ -149,52 +149,52 @@ fn receipts_and_lists_are_bounded() {
                 counts: LateCounts { link, ..LateCounts::default() },
             });
         }
-        assert_eq!(recorder.receipt(id).unwrap().lateness.counts.link, MAX_LISTED as u64 + 1);
-        recorder.take(&ended(id, End::Done));
+        assert_eq!(receipts.receipt(id).unwrap().lateness.counts.link, MAX_LISTED as u64 + 1);
+        receipts.take(&ended(id, End::Done));
     }
-    assert_eq!(recorder.finished.len(), KEPT);
-    assert!(recorder.receipt(5).is_none());
-    assert_eq!(recorder.receipt(6).unwrap().lateness.strokes.len(), MAX_LISTED);
+    assert_eq!(receipts.finished.len(), KEPT);
+    assert!(receipts.receipt(5).is_none());
+    assert_eq!(receipts.receipt(6).unwrap().lateness.strokes.len(), MAX_LISTED);
 }
 
 #[test]
 fn the_state_without_a_device_says_so_but_an_estop_is_latched() {
-    let mut recorder = Recorder::default();
-    assert_eq!(recorder.standing(), ("no-device", "no-device", "unknown"));
-    recorder.take(&StreamEvent::Snapshot(snapshot(false, State::Disarmed, None)));
-    assert_eq!(recorder.standing().0, "no-device");
-    recorder.take(&StreamEvent::Snapshot(snapshot(false, State::Faulted, None)));
-    assert_eq!(recorder.standing(), ("faulted", "request", "unknown"));
-    recorder.reached_by("mock".to_owned());
-    let event = recorder.take(&StreamEvent::Connected(hello())).unwrap();
+    let mut receipts = Receipts::default();
+    assert_eq!(receipts.standing(), ("no-device", "no-device", "unknown"));
+    receipts.take(&StreamEvent::Snapshot(snapshot(false, State::Disarmed, None)));
+    assert_eq!(receipts.standing().0, "no-device");
+    receipts.take(&StreamEvent::Snapshot(snapshot(false, State::Faulted, None)));
+    assert_eq!(receipts.standing(), ("faulted", "request", "unknown"));
+    receipts.reached_by("mock".to_owned());
+    let event = receipts.take(&StreamEvent::Connected(hello())).unwrap();
     let json = serde_json::to_value(&event).unwrap();
     assert_eq!((&json["event"], &json["device"]["kind"]), (&"connected".into(), &"mock".into()));
     assert_eq!(
         (&json["device"]["firmware"], &json["device"]["build"]),
         (&"0.1.2".into(), &"deadbeef".into())
     );
-    recorder.take(&StreamEvent::Disconnected { reason: "unplugged", device: None });
-    assert!(recorder.device().is_none());
+    receipts.take(&StreamEvent::Disconnected { reason: "unplugged", device: None });
+    assert!(receipts.device().is_none());
 }
 
 #[test]
 fn the_clock_is_carried_on_between_snapshots() {
-    let mut recorder = Recorder::default();
-    recorder.take(&StreamEvent::Snapshot(snapshot(true, State::Armed, None)));
-    let (tick, uncertainty_us) = recorder.clock(HostInstant::from_ns(3_000_000_000)).unwrap();
+    let mut receipts = Receipts::default();
+    receipts.take(&StreamEvent::Snapshot(snapshot(true, State::Armed, None)));
+    let (tick, uncertainty_us) = receipts.clock(HostInstant::from_ns(3_000_000_000)).unwrap();
     assert_eq!(tick, Tick(1000 + 170_000));
     assert!((uncertainty_us - 210.0).abs() < 1e-6);
-    recorder.take(&StreamEvent::Snapshot(snapshot(false, State::Armed, None)));
-    assert!(recorder.clock(HostInstant::from_ns(0)).is_none());
+    receipts.take(&StreamEvent::Snapshot(snapshot(false, State::Armed, None)));
+    assert!(receipts.clock(HostInstant::from_ns(0)).is_none());
 }
 
 #[test]
 fn every_events_name_is_its_json_tag() {
     let stroke = LateStroke { motor: 1, tick: 2, late_ms: 3.0, cause: LateCause::Host };
     let refused = RefusedStroke { motor: 1, tick: 2, reason: "x".to_owned() };
-    let recorder = Recorder::default();
+    let receipts = Receipts::default();
     for event in [
-        recorder.state(HostInstant::from_ns(0)),
+        receipts.state(HostInstant::from_ns(0)),
         Event::Connected { device: device_info("mock", &hello()) },
         Event::Disconnected { reason: String::new() },
         Event::Queued { id: 1, pattern: String::new(), seconds: None },
