@@ -73,7 +73,7 @@ fn a_daemon_killed_in_mid_play_leaves_a_board_that_returns_the_pins() {
     daemon.signal(Signal::KILL);
     daemon.wait();
     sleep(Duration::from_millis(600));
-    assert_returned(board, &[Cause::LinkLost, Cause::Lease]);
+    assert_returned(board, &[Cause::LinkLost, Cause::HostTimeout]);
 }
 
 #[test]
@@ -82,7 +82,7 @@ fn a_daemon_that_hangs_in_mid_play_leaves_a_board_that_returns_the_pins() {
     daemon.signal(Signal::STOP);
     sleep(Duration::from_millis(1500));
     daemon.signal(Signal::KILL);
-    assert_returned(board, &[Cause::Lease]);
+    assert_returned(board, &[Cause::HostTimeout]);
 }
 
 /// Pulled out in mid-play and plugged in again: the daemon comes back by itself, disarmed, to the board at the same name.

@@ -36,7 +36,9 @@ pub enum FrameError {
     Malformed,
     /// The CRC does not fit.
     Crc,
-    /// Whole, but of another protocol version: this one.
+    /// Whole and of this version, but the body is not one of its messages: an unknown variant, or bytes missing or left over.
+    Unknown,
+    /// Whole, but of this other protocol version.
     Version(u8),
 }
 
@@ -56,14 +58,14 @@ pub fn encode(body: &impl Serialize, out: &mut [u8]) -> Result<usize, postcard::
     Ok(len + 1)
 }
 
-/// Reads a body cut out by [`Decoder::next`] as a message, to its last byte.
+/// Reads a body that [`Decoder::next`] cut out as a message, to its last byte.
 ///
 /// # Errors
-/// What the decoder found, or [`FrameError::Malformed`].
+/// The decoder's error, or [`FrameError::Unknown`] if the body is not exactly one message.
 pub fn read<'a, M: Deserialize<'a>>(body: Result<&'a [u8], FrameError>) -> Result<M, FrameError> {
     match postcard::take_from_bytes(body?) {
         Ok((message, [])) => Ok(message),
-        _ => Err(FrameError::Malformed),
+        _ => Err(FrameError::Unknown),
     }
 }
 
@@ -81,6 +83,7 @@ impl core::fmt::Display for FrameError {
             Self::TooLong => out.write_str("a frame without an end"),
             Self::Malformed => out.write_str("a frame that cannot be read"),
             Self::Crc => out.write_str("a frame whose CRC does not fit"),
+            Self::Unknown => out.write_str("a frame that holds no message of this version"),
             Self::Version(version) => {
                 write!(out, "protocol version {version}, this side speaks {PROTOCOL}")
             }
@@ -158,6 +161,7 @@ pub(crate) fn body(message: &[u8]) -> Result<&[u8], FrameError> {
 mod tests {
     extern crate std;
     use super::*;
+    use crate::message::HostMessage;
     use proptest::prelude::*;
     use std::vec::Vec;
 
@@ -184,6 +188,18 @@ mod tests {
         let mut bytes = [0; 20];
         cobs::encode(&message, &mut bytes);
         assert_eq!(Decoder::default().next(&mut &bytes[..]), Some(Err(FrameError::Version(9))));
+    }
+
+    #[test]
+    fn a_body_is_one_message_to_its_last_byte() {
+        let ping = HostMessage::Ping { token: 1, seen: 2 };
+        let mut body = [0; 8];
+        let len = postcard::to_slice(&ping, &mut body).unwrap().len();
+        assert_eq!(read(Ok(&body[..len])), Ok(ping));
+        let unknown_variant = [9; 4];
+        for wrong in [&body[..len - 1], &body[..=len], &unknown_variant, &[]] {
+            assert_eq!(read::<HostMessage<'_>>(Ok(wrong)), Err(FrameError::Unknown), "{wrong:?}");
+        }
     }
 
     proptest! {

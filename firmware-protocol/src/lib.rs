@@ -1,84 +1,122 @@
-//! The wire protocol and the controller of a piezo pin-array display: no_std, no alloc, sans-IO.
+//! The wire protocol of a piezo pin-array display, and the controller that runs on its device.
 //!
-//! This page is the specification; there is no second one. Host and device are named from the host's side.
+//! This page is the specification of the protocol; there is no other. The crate is `no_std`, does not allocate and does
+//! no I/O: the firmware, the mock and the host's link all use it. Modules, in the order of the data path:
+//!
+//! | module | what it holds |
+//! |---|---|
+//! | [`tick`], [`stroke`] | the unit of time, and what motors play |
+//! | [`batch`] | strokes and amendments, packed |
+//! | [`message`], [`frame`] | messages, and their bytes on the line |
+//! | [`urgent`] | finds an e-stop in incoming bytes before they are read in order |
+//! | [`controller`] | the device's behaviour: bytes and ticks in, line states and bytes out |
+//! | [`limits`] | what the controller refuses, whatever the host asks |
+//!
+//! ```
+//! use firmware_protocol::controller::{Controller, Identity};
+//! use firmware_protocol::frame::{self, Decoder, MAX_FRAME};
+//! use firmware_protocol::message::{DeviceMessage, HostMessage};
+//! use firmware_protocol::tick::Tick;
+//!
+//! let mut device = Controller::new(Identity::NONE);
+//! let mut bytes = [0; MAX_FRAME];
+//! let len = frame::encode(&HostMessage::Hello { session: 7 }, &mut bytes)?;
+//! device.receive(Tick::BOOT, &bytes[..len]);
+//! let len = device.transmit(Tick::BOOT, &mut bytes);
+//! let body = Decoder::new().next(&mut &bytes[..len]).expect("a whole frame");
+//! let DeviceMessage::Hello(hello) = frame::read(body)? else { panic!("a hello") };
+//! assert_eq!((hello.session, hello.motors), (7, 24));
+//! # Ok::<(), Box<dyn core::error::Error>>(())
+//! ```
 //!
 //! # Time
-//! The device counts pulse periods of 1/85 000 s, [`tick::Tick`]. Everything is scheduled in ticks; nothing
-//! is "now". The count starts half a minute before the 32-bit wrap at every boot. A tick on the wire is its
-//! low 32 bits and is read as a signed distance from the reader's now.
+//! The device counts ticks of 1/85 000 s, the period of one pulse ([`tick::Tick`]). All actions are scheduled in ticks. The
+//! count starts half a minute before the 32-bit wrap at every boot. The wire carries the low 32 bits of a tick; the reader
+//! takes them as a signed distance from its own present tick.
 //!
 //! # Frames
 //! ```text
-//!  0x00-free bytes: COBS( version=1 | postcard(HostMessage or DeviceMessage) | CRC-32, LE ) | 0x00
+//! version u8 | message (postcard) | CRC-32 of both, little-endian     the message: HostMessage or DeviceMessage
+//! COBS of that                    | 0x00                              on the line: at most 256 bytes
 //! ```
-//! At most 256 bytes ([`frame`]). What is too long, no COBS, fails its CRC, is not read to its last byte or
-//! is cut short is counted (`bad_frames`) and otherwise as if it had never been sent. A frame of another
-//! version is answered with the device's own `Hello`, whose first byte tells its version: both sides can say
-//! which two versions met. Variants and fields are only appended within a version.
+//! A *bad frame* is too long, is not COBS, fails its CRC, or its body is not exactly one message of its version: it has an
+//! unknown variant, or bytes are missing or left over. Each side counts the bad frames that it receives (the device in
+//! `bad_frames`, the host by kind) and otherwise ignores them. The device also counts a `Strokes` frame whose batch cannot
+//! be read.
+//!
+//! # Versions
+//! The messages of a version never change. A new, removed or moved field or variant needs a new [`frame::PROTOCOL`]:
+//! postcard cannot skip what it does not know, and an older host that cannot read a `Status` or a report would wait for it
+//! for ever. Within a version only unused bits of `features` may get a meaning.
+//! The device answers a frame of another version with its own `Hello`, whose first byte is its version. The host ends the
+//! session when it reads a frame of another version, and tells the user to update the firmware or the program.
 //!
 //! # Handshake
-//! The host sends `Hello { session }`, a random number, until the device answers with its `Hello`:
-//! versions, boot id, motors, tick rate, pool, horizon, limits, features, clock, epoch. A new session number
-//! while armed returns the pins and disarms (`NewHost`); the same number again changes nothing. Before a
-//! `Hello` the device answers every frame with `NoSession`: it has restarted, the host begins anew.
+//! The host repeats `Hello { session }`, a random number, until the device answers with its own `Hello`: firmware, boot
+//! id, motors, tick rate, pool, horizon, limits, features, clock and epoch. A new session number begins a new epoch and
+//! disarms the device (`NewHost`). The same number again changes nothing. Before a `Hello` the device answers every
+//! frame with `NoSession`: it has restarted, and the host begins again.
 //!
 //! # The ordered stream
-//! `Strokes` frames carry strokes packed in batches ([`batch`]), at most [`batch::MAX_BATCH`] in a frame (one with more
-//! cannot be read), numbered from 0 in each epoch. The device
-//! takes the frame it waits for (`next_seq`), keeps the next 8 that come before their turn, ignores repeated
-//! ones, and answers each valid frame with a `Status` that acknowledges all before `next_seq`, names the early
-//! ones it keeps, and tells the free stroke slots (`credits`). The host sends no more strokes than credits, no
-//! frame beyond the 8, and after a time sends again what is neither acknowledged nor kept.
-//! A stroke is accepted, refused or dropped whole. What a frame was not taken for is told by a `Verdict`;
-//! a frame without one was taken as it was.
+//! A `Strokes` frame carries at most [`batch::MAX_BATCH`] packed strokes. Frames are numbered from 0 in each epoch (`seq`).
+//! The device takes frames in order. It buffers the next 8 that arrive out of order and ignores repeated ones. It
+//! answers each valid frame with a `Status`: `next_seq` acknowledges all frames before it, `out_of_order` names those that
+//! are buffered, and `credits` is the number of free stroke slots. The host sends no more strokes than it has credits and
+//! no frame beyond those 8. It sends again what is neither acknowledged nor buffered (selective repeat).
+//! The device accepts, refuses or drops a stroke as a whole. A `Verdict` lists the strokes of a frame that were not
+//! accepted; a frame without a verdict was accepted as sent.
 //!
-//! The first frame of a play has `onset` set, and `base` is the play's onset. It is all or nothing: if the
-//! onset or one of its strokes would be late, `OnsetRefused` says so and nothing of it was taken. When the
-//! onset has passed, `Onset` reports it with the counters as they stood then. The trigger output rises with the
-//! onset's tick and stays high for [`controller::TRIGGER_TICKS`].
+//! The first frame of a play has `onset` set, and its `base` is the onset. It is all or nothing: if the onset is late, the
+//! device takes none of it and reports `OnsetRefused`. When the onset has passed, the device reports `Onset` with the
+//! counters of that moment. The trigger output rises at the onset and stays high for [`controller::TRIGGER_TICKS`].
 //!
 //! # Reports
-//! `Verdict`, `OnsetRefused`, `Onset`, `Cut` and `Refused` must not be lost: they are numbered, and sent
-//! again 10 ms later, when the host is heard, until the host's `seen` includes them. A `Status` tells how
-//! many there are, so the host knows whether it has them all. 32 are kept. While 12 or fewer places are free,
-//! `Strokes` are not taken and `Refused` is only counted, so that `Onset` and `Cut` find a place; when there is
-//! none the newest is lost and counted.
+//! `Verdict`, `OnsetRefused`, `Onset`, `Cut` and `Refused` must reach the host. The device numbers them and repeats them
+//! every 10 ms while it hears the host, until the host's `seen` includes their number. `Status` gives the number of
+//! reports made, so the host knows whether one is missing. The device stores 32. While 12 or fewer places are free, it
+//! takes no `Strokes` and only counts a `Refused`, to leave room for `Onset` and `Cut`. If there is no place at all, it
+//! loses the newest report and counts it.
 //!
 //! # Outside the stream
-//! `Control` (arm, disarm, stop, e-stop, reset, move) carries the epoch it begins and is repeated until a
-//! `Status` names that epoch; an epoch not newer than the present one is acknowledged and ignored. Frames of
-//! strokes and amendments of another epoch are acknowledged and ignored: what was on its way when a stop was
-//! sent does not come to life after it.
+//! `Control` (arm, disarm, stop, e-stop, reset, move) names the epoch that it begins. The host repeats it until a `Status`
+//! names that epoch. The device acknowledges and ignores a control whose epoch is not newer than the present one, and
+//! strokes and amendments of any other epoch. So nothing that was on the line when the host sent a stop is played after it.
 //!
-//! `Amend` gives queued bursts new absolute counts: named by motor and up tick, within
-//! [`limits::correction`] of the burst as planned, the newest `generation` wins. An amendment for a burst that
-//! is rendered, unknown, cut, out of limits or without room before the next stroke is counted and ignored.
-//! It is not acknowledged and not repeated.
+//! `Amend` sets new absolute pulse counts for queued bursts, each named by motor and up tick. A count must lie within
+//! [`limits::correction`] of the planned one; the newest `generation` wins. The device counts and ignores an amendment
+//! if its burst is already rendered, unknown or cut, if the count is out of limits, or if the burst would run into the next one.
+//! Amendments are neither acknowledged nor repeated.
 //!
-//! `Telemetry` comes while armed from devices that have the feature; a lost one is lost.
+//! `Telemetry` comes while the device is armed, if it has that feature. It is not repeated.
 //!
 //! # What the controller does
-//! Lines are rendered at most [`controller::HORIZON`] ticks ahead, in blocks of [`controller::BLOCK`]. *Late* is what
-//! begins before the rendered end. A shell looks for e-stops in the bytes as they come ([`urgent`]), before those
-//! that came earlier have been read; where hosts can reach it on several lines, a `Hello` on another one takes over,
-//! and the one before has lost its link.
+//! It renders lines at most [`controller::HORIZON`] ticks ahead, in blocks of [`controller::BLOCK`]. A stroke is *late* if
+//! it begins before the rendered end. A firmware looks for e-stops in the bytes as they arrive ([`urgent`]), before it reads
+//! the bytes that came earlier. Where hosts can connect over several lines, a `Hello` on another line takes over, and the
+//! first line counts as lost.
 //!
-//! | event | what it does |
+//! *Outstanding return pulses* are the down pulses that a pin still needs to be back at rest. If a stroke is cut in its up
+//! burst, they are the up pulses played; later they are the rest of its down burst. A *return* begins at the rendered
+//! end: it cuts the running strokes, flushes the queue and at once plays the outstanding return pulses, then the lines are off.
+//! On-time limits do not apply to it.
+//!
+//! | event | what the controller does |
 //! |---|---|
-//! | power-up, panic, watchdog, CPU death | all lines off, disarmed for that cause, position unknown: `arm` is refused without `assume_rest` |
-//! | `arm` | from disarmed only; first plays down what pins are owed, and reports it (`Cut`). Without arm, strokes are refused |
-//! | stop, disarm, shutdown, abort, lease expired, link lost, another session | *return*: at the rendered end cut what runs and flush the queue, at once play down what is owed (cut in the up burst: the pulses played; later: the rest of the down burst), then off. Exempt from on-time limits. Then disarmed, after a stop armed |
-//! | e-stop, a fault of its own | off after the tick being played; latched; what each pin is owed is kept. `reset` leads to disarmed |
-//! | late stroke | never played late: dropped whole, reported |
-//! | lease | while armed or returning and no valid frame for so long: return, disarm. Given at `arm`, at most 10 s |
+//! | power-up, panic, watchdog reset, core fault | turns all lines off; disarmed with that cause, position unknown: it refuses `arm` without `assume_rest` |
+//! | `arm` | only from disarmed: plays the outstanding return pulses first and reports them (`Cut`). It refuses strokes unless armed |
+//! | stop | returns, stays armed |
+//! | disarm, shutdown, abort, host silent, link lost, another session | returns, then disarms |
+//! | e-stop, own fault | turns lines off after the tick being played; latches; keeps the outstanding return pulses per pin. `reset` leads to disarmed |
+//! | late stroke | drops the whole stroke and reports it; it never plays late |
+//! | no valid frame for `host_timeout` ticks while armed or returning | as if the host had asked for disarm, with the cause `HostTimeout`. `arm` sets the time; the maximum is 10 s |
 //!
-//! At a stroke's end the pin is at rest by definition: what a correction adds is not owed.
+//! At the end of a stroke its pin is at rest by definition: pulses that a correction adds or removes are not outstanding.
 //!
 //! # Limits
-//! Kept whatever the host does ([`limits`]): up pulses of a stroke, the balance of its bursts, the distance of
-//! corrections, the travel of moves, on-time per motor and rail, pool and ring sizes. A stroke that breaks one
-//! is refused and reported; an on-time limit is checked when the stroke begins, for a move when it is asked for.
-//! An amendment of a stroke that has begun is charged too, and ignored if it breaks one.
+//! The controller enforces [`limits`] whatever the host asks: up pulses per stroke, balance of its bursts, size of
+//! corrections, travel of moves, on-time per motor and per rail, sizes of pool and queues. It refuses and reports a stroke
+//! that breaks one. It checks on-time limits when a stroke begins, and for a move when it is asked for. An amendment of a
+//! stroke that has begun counts too, and is ignored if it breaks a limit.
 
 #![no_std]
 #![forbid(unsafe_code)]

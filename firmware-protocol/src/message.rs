@@ -68,7 +68,7 @@ pub enum Op {
         /// Take every pin as being at rest: the position is known, nothing is owed.
         assume_rest: bool,
         /// Ticks without a valid frame after which the controller returns and disarms; at most 10 s.
-        lease: u32,
+        host_timeout: u32,
         /// A site's limits; the lower of these and the device's own count.
         limits: OnTimeLimits,
     },
@@ -120,7 +120,7 @@ pub enum Cause {
     /// The host's emergency stop.
     EStop,
     /// No valid frame for the lease.
-    Lease,
+    HostTimeout,
     /// The cable was pulled, the port closed.
     LinkLost,
     /// Another session was opened.
@@ -214,7 +214,7 @@ pub struct Status {
     /// The next frame of the ordered stream it waits for: acknowledges all before it.
     pub next_seq: u16,
     /// Bit i: frame `next_seq + 1 + i` has come early and is kept.
-    pub early: u8,
+    pub out_of_order: u8,
     /// Free stroke slots, after all frames before `next_seq`.
     pub credits: u16,
     /// Reports made so far.
@@ -226,7 +226,7 @@ pub struct Status {
     /// Whether it knows where the pins are.
     pub position_known: bool,
     /// Down pulses owed by all pins together.
-    pub owed: u32,
+    pub outstanding: u32,
     /// Since boot.
     pub counters: Counters,
 }
@@ -324,5 +324,5 @@ pub struct Cut {
     /// Strokes flushed whole.
     pub flushed: u16,
     /// Down pulses owed from here on.
-    pub owed: u32,
+    pub outstanding: u32,
 }

@@ -3,7 +3,7 @@
 //! controller during the tick `now`, whose lines are out already (except in [`MOCK`]).
 
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
-use firmware_protocol::controller::{BLOCK, Controller, EARLY, HORIZON, Identity};
+use firmware_protocol::controller::{BLOCK, Controller, HORIZON, Identity, REORDER_WINDOW};
 use firmware_protocol::frame::{Decoder, MAX_FRAME, encode};
 use firmware_protocol::limits::OnTimeLimits;
 use firmware_protocol::message::{Cause, DeviceMessage, HostMessage, Op, Report, State, Status};
@@ -27,7 +27,7 @@ pub(crate) const MOCK: Shell = Shell { ahead: 0, block: 1 };
 pub(crate) const SHELLS: [Shell; 3] = [FIRMWARE, TIGHT, MOCK];
 
 /// The lease that [`Bench::arm`] asks for.
-pub(crate) const LEASE: u32 = 2 * TICK_HZ;
+pub(crate) const HOST_TIMEOUT: u32 = 2 * TICK_HZ;
 
 pub(crate) struct Bench {
     pub(crate) device: Controller,
@@ -200,7 +200,7 @@ impl Bench {
 
     /// Takes the frames kept whose turn has come: one whenever the shell lets time pass.
     pub(crate) fn follow(&mut self) {
-        for _ in 0..EARLY {
+        for _ in 0..REORDER_WINDOW {
             self.device.poll(Tick(self.now));
         }
         self.drain();
@@ -229,7 +229,7 @@ impl Bench {
     }
 
     pub(crate) fn arm(&mut self, assume_rest: bool) {
-        self.control(arm(assume_rest, LEASE, OnTimeLimits::NONE));
+        self.control(arm(assume_rest, HOST_TIMEOUT, OnTimeLimits::NONE));
     }
 
     pub(crate) fn limited(shell: Shell, motor: u32, rail: u32) -> Self {
@@ -324,8 +324,8 @@ impl Bench {
         self.log.last().map(|(tick, _)| *tick)
     }
 
-    pub(crate) fn owed(&self) -> u64 {
-        (0..MOTORS as u8).map(|motor| u64::from(self.device.owed(motor))).sum()
+    pub(crate) fn outstanding(&self) -> u64 {
+        (0..MOTORS as u8).map(|motor| u64::from(self.device.outstanding(motor))).sum()
     }
 
     pub(crate) fn is(&self, state: State, cause: Cause) {
@@ -333,6 +333,6 @@ impl Bench {
     }
 }
 
-pub(crate) fn arm(assume_rest: bool, lease: u32, limits: OnTimeLimits) -> Op {
-    Op::Arm { assume_rest, lease, limits }
+pub(crate) fn arm(assume_rest: bool, host_timeout: u32, limits: OnTimeLimits) -> Op {
+    Op::Arm { assume_rest, host_timeout, limits }
 }

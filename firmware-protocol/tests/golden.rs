@@ -24,21 +24,26 @@ const COUNTERS: Counters = Counters {
     bad_frames: 8,
     reports_lost: 9,
 };
-const CUT: Cut =
-    Cut { cause: Cause::Lease, at: WireTick([1, 2, 3, 4]), returns: true, flushed: 300, owed: 77 };
+const CUT: Cut = Cut {
+    cause: Cause::HostTimeout,
+    at: WireTick([1, 2, 3, 4]),
+    returns: true,
+    flushed: 300,
+    outstanding: 77,
+};
 const STATUS: Status = Status {
     token: 513,
     tick: WireTick([0xff, 0, 0xfe, 0x7f]),
     epoch: 2,
     refusal: None,
     next_seq: 300,
-    early: 5,
+    out_of_order: 5,
     credits: 1024,
     reports: 5,
     state: State::Armed,
     cause: Cause::Request,
     position_known: true,
-    owed: 0,
+    outstanding: 0,
     counters: COUNTERS,
 };
 const HELLO: DeviceHello = DeviceHello {
@@ -232,17 +237,17 @@ fn messages_fit() {
     };
     let limits = OnTimeLimits { motor: u32::MAX, rail: u32::MAX };
     let tick = WireTick([0; 4]);
-    let cut = Cut { cause: Cause::Panic, at: tick, returns: true, flushed: u16::MAX, owed: u32::MAX };
+    let cut = Cut { cause: Cause::Panic, at: tick, returns: true, flushed: u16::MAX, outstanding: u32::MAX };
     let reason = Refusal::Malformed;
     let status = Status {
         token: u16::MAX,
         epoch: u16::MAX,
         refusal: Some(reason),
         next_seq: u16::MAX,
-        early: u8::MAX,
+        out_of_order: u8::MAX,
         credits: u16::MAX,
         reports: u16::MAX,
-        owed: u32::MAX,
+        outstanding: u32::MAX,
         counters,
         ..STATUS
     };
@@ -288,7 +293,7 @@ fn messages_fit() {
     assert_eq!(bytes(&strokes).len(), MAX_FRAME);
     let amend = HostMessage::Amend { epoch, generation, base: tick, items: &list };
     assert!(bytes(&amend).len() <= MAX_FRAME);
-    let op = Op::Arm { assume_rest: true, lease: u32::MAX, limits };
+    let op = Op::Arm { assume_rest: true, host_timeout: u32::MAX, limits };
     assert!(bytes(&HostMessage::Control { epoch, seen, op }).len() <= MAX_FRAME);
 }
 

@@ -2,7 +2,7 @@
 
 use crate::bench::{Bench, FIRMWARE, SHELLS, frame, pack, stroke};
 use firmware_protocol::batch::MAX_BATCH;
-use firmware_protocol::controller::{EARLY, POOL, REPORTS};
+use firmware_protocol::controller::{POOL, REORDER_WINDOW, REPORTS};
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{Cause, DeviceMessage, HostMessage, Op, Report, State};
 use firmware_protocol::stroke::{Direction, Stroke};
@@ -47,10 +47,10 @@ fn frames_out_of_order_and_after_a_gap_are_kept_until_the_missing_one_comes() {
         bench.bytes(&frames[i]);
         if i == 0 {
             // The others follow it, but not at once.
-            assert_eq!((bench.status().next_seq, bench.status().early), (1, 1));
+            assert_eq!((bench.status().next_seq, bench.status().out_of_order), (1, 1));
             bench.follow();
         }
-        assert_eq!((bench.status().next_seq, bench.status().early), (next_seq, early));
+        assert_eq!((bench.status().next_seq, bench.status().out_of_order), (next_seq, early));
     }
     bench.run(500);
     assert_eq!(bench.bursts(1), sent.iter().flat_map(Stroke::bursts).collect::<Vec<_>>());
@@ -63,7 +63,7 @@ fn a_frame_kept_and_repeated_before_it_is_followed_is_taken_once() {
     bench.bytes(&frames[1]);
     // In one packet: nothing can be followed in between.
     bench.bytes(&[&frames[0][..], &frames[1], &frames[2]].concat());
-    assert_eq!((bench.status().next_seq, bench.status().early), (3, 0));
+    assert_eq!((bench.status().next_seq, bench.status().out_of_order), (3, 0));
     bench.follow();
     assert_eq!((bench.status().next_seq, bench.reports()), (3, vec![]));
     bench.run(500);
@@ -77,23 +77,23 @@ fn a_frame_too_early_to_be_kept_is_ignored() {
         let up = bench.now + 10_000 + u64::from(seq) * 100;
         strokes(bench, bench.epoch, seq, &[stroke(2, up, 7, 6, 7)])
     };
-    for seq in [EARLY as u16, EARLY as u16 + 1, u16::MAX] {
+    for seq in [REORDER_WINDOW as u16, REORDER_WINDOW as u16 + 1, u16::MAX] {
         let frame = late(&bench, seq);
         bench.bytes(&frame);
     }
-    assert_eq!((bench.status().next_seq, bench.status().early), (0, 1 << (EARLY - 1)));
-    for seq in 0..EARLY as u16 {
+    assert_eq!((bench.status().next_seq, bench.status().out_of_order), (0, 1 << (REORDER_WINDOW - 1)));
+    for seq in 0..REORDER_WINDOW as u16 {
         let frame = late(&bench, seq);
         bench.bytes(&frame);
     }
     bench.follow();
-    assert_eq!((bench.status().next_seq, bench.status().early), (EARLY as u16 + 1, 0));
+    assert_eq!((bench.status().next_seq, bench.status().out_of_order), (REORDER_WINDOW as u16 + 1, 0));
     // A new epoch knows nothing of frames kept in the old one.
-    let frame = late(&bench, EARLY as u16 + 3);
+    let frame = late(&bench, REORDER_WINDOW as u16 + 3);
     bench.bytes(&frame);
-    assert_eq!(bench.status().early, 0b10);
+    assert_eq!(bench.status().out_of_order, 0b10);
     bench.control(Op::Stop);
-    assert_eq!((bench.status().next_seq, bench.status().early), (0, 0));
+    assert_eq!((bench.status().next_seq, bench.status().out_of_order), (0, 0));
 }
 
 #[test]

@@ -27,7 +27,7 @@ enum Op {
     Ping,
     Arm {
         assume_rest: bool,
-        lease: u32,
+        host_timeout: u32,
         tight: bool,
     },
     Disarm,
@@ -72,7 +72,7 @@ enum Op {
     },
     WildControl {
         epoch: u16,
-        lease: u32,
+        host_timeout: u32,
     },
 }
 
@@ -99,7 +99,7 @@ fn tame(corrected: bool) -> impl Strategy<Value = Op> {
         1 => Just(Op::Pause),
         1 => (1u32..4).prop_map(Op::Hello),
         2 => Just(Op::Ping),
-        5 => (1u32..300_000, any::<bool>()).prop_map(|(lease, tight)| Op::Arm { assume_rest: false, lease, tight }),
+        5 => (1u32..300_000, any::<bool>()).prop_map(|(host_timeout, tight)| Op::Arm { assume_rest: false, host_timeout, tight }),
         1 => Just(Op::Disarm),
         2 => Just(Op::Stop),
         2 => Just(Op::EStop),
@@ -118,7 +118,7 @@ fn wild() -> impl Strategy<Value = Op> {
     let direction = prop::sample::select(vec![Direction::Up, Direction::Down]);
     prop_oneof![
         20 => tame(true),
-        1 => (1u32..300_000, any::<bool>()).prop_map(|(lease, tight)| Op::Arm { assume_rest: true, lease, tight }),
+        1 => (1u32..300_000, any::<bool>()).prop_map(|(host_timeout, tight)| Op::Arm { assume_rest: true, host_timeout, tight }),
         2 => (0u8..26, direction, pulses).prop_map(|(motor, direction, pulses)| Op::Move { motor, direction, pulses }),
         8 => (any::<prop::sample::Index>(), 0u16..6, any::<bool>(), -9i16..10)
             .prop_map(|(pick, generation, down, change)| Op::Amend { pick, generation, down, change }),
@@ -126,7 +126,7 @@ fn wild() -> impl Strategy<Value = Op> {
             .prop_map(|(epoch, seq, seen, onset, base, batch)| Op::WildStrokes { epoch, seq, seen, onset, base, batch }),
         1 => (any::<u16>(), any::<[u8; 4]>(), bytes())
             .prop_map(|(generation, base, items)| Op::WildAmend { generation, base, items }),
-        1 => (any::<u16>(), any::<u32>()).prop_map(|(epoch, lease)| Op::WildControl { epoch, lease }),
+        1 => (any::<u16>(), any::<u32>()).prop_map(|(epoch, host_timeout)| Op::WildControl { epoch, host_timeout }),
     ]
 }
 
@@ -185,7 +185,7 @@ impl World {
         let arming = self.arming && self.bench.device.state() == State::Returning;
         off(&mut self.bench);
         if arming && !latched && self.bench.device.state() == State::Faulted {
-            self.own -= self.bench.owed();
+            self.own -= self.bench.outstanding();
         }
         self.arming = false;
         self.bench.tick();
@@ -198,12 +198,12 @@ impl World {
             Op::Pause => bench.run(90_000),
             Op::Hello(session) => bench.hello(session),
             Op::Ping => bench.ping(1),
-            Op::Arm { assume_rest, lease, tight } => {
-                let (state, owed) = (bench.device.state(), bench.owed());
+            Op::Arm { assume_rest, host_timeout, tight } => {
+                let (state, outstanding) = (bench.device.state(), bench.outstanding());
                 let limits = if tight { OnTimeLimits { motor: 300, rail: 700 } } else { OnTimeLimits::NONE };
-                bench.control(arm(assume_rest, lease, limits));
+                bench.control(arm(assume_rest, host_timeout, limits));
                 if state == State::Disarmed && bench.device.state() == State::Returning {
-                    self.own += owed;
+                    self.own += outstanding;
                     self.arming = true;
                 }
             }
@@ -254,8 +254,8 @@ impl World {
                 let epoch = bench.epoch;
                 bench.send(&HostMessage::Amend { epoch, generation, base: WireTick(base), items: &items });
             }
-            Op::WildControl { epoch, lease } => {
-                let op = arm(false, lease, OnTimeLimits::NONE);
+            Op::WildControl { epoch, host_timeout } => {
+                let op = arm(false, host_timeout, OnTimeLimits::NONE);
                 bench.send(&HostMessage::Control { epoch, seen: 0, op });
                 bench.hello(u32::from(epoch) + 10);
             }
@@ -322,13 +322,13 @@ proptest! {
         for op in ops {
             world.apply(op);
             let state = world.bench.device.state();
-            let out = (0..MOTORS as u8).filter(|&motor| world.bench.net(motor) != i64::from(world.bench.device.owed(motor)));
+            let out = (0..MOTORS as u8).filter(|&motor| world.bench.net(motor) != i64::from(world.bench.device.outstanding(motor)));
             // Faulted or disarmed, nothing is under way.
             prop_assert!(matches!(state, State::Armed | State::Returning) || out.count() == 0, "{state:?}");
         }
         world.end(false);
         for motor in 0..MOTORS as u8 {
-            prop_assert_eq!(world.bench.net(motor), i64::from(world.bench.device.owed(motor)));
+            prop_assert_eq!(world.bench.net(motor), i64::from(world.bench.device.outstanding(motor)));
             for burst in world.bench.bursts(motor) {
                 prop_assert!(burst.pulses <= 3_000);
             }

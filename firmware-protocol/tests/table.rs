@@ -1,7 +1,7 @@
 //! What the controller does, row by row of the specification's table; a short stroke is interrupted in
 //! every tick of its life.
 
-use crate::bench::{Bench, FIRMWARE, LEASE, SHELLS, Shell, arm, burst, pack, stroke};
+use crate::bench::{Bench, FIRMWARE, HOST_TIMEOUT, SHELLS, Shell, arm, burst, pack, stroke};
 use Direction::{Down, Up};
 use firmware_protocol::controller::{Identity, POOL, TRIGGER_TICKS};
 use firmware_protocol::limits::{OnTimeLimits, Refusal};
@@ -83,15 +83,15 @@ fn a_return_at_every_phase_undoes_what_was_played_and_no_more() {
                     assert_eq!((counters.played, counters.dropped), (2 * begun, 4 - 2 * begun));
                     assert_eq!(counters.pulses, bench.total());
                     assert!(counters.pulses >= booked.pulses);
-                    assert_eq!((counters.amended, bench.owed()), (0, 0));
+                    assert_eq!((counters.amended, bench.outstanding()), (0, 0));
                     // A link that is lost and a host that is gone read no reports.
                     if !matches!(cause, Cause::LinkLost | Cause::NewHost) {
                         let Report::Cut(cut) = bench.last_report() else { panic!("a cut") };
                         assert_eq!((cut.cause, cut.at, cut.returns), (cause, Tick(at).wire(), true));
                         assert_eq!(u64::from(cut.flushed), 2 - begun);
                         // Owed from `at` on: the pulses down that were to come then.
-                        let (before, owed) = off(&stroke, at);
-                        assert!(before.len() < 3 && u64::from(cut.owed) == owed);
+                        let (before, outstanding) = off(&stroke, at);
+                        assert!(before.len() < 3 && u64::from(cut.outstanding) == outstanding);
                         assert_eq!(bench.status().credits, POOL as u16);
                     }
                 }
@@ -107,8 +107,8 @@ fn a_lease_that_expires_at_every_phase_returns_and_disarms() {
         for expires in phases(&due) {
             let mut bench = Bench::new(shell);
             bench.hello(1);
-            let lease = u32::try_from(expires - bench.now).unwrap();
-            bench.control(arm(true, lease, OnTimeLimits::NONE));
+            let host_timeout = u32::try_from(expires - bench.now).unwrap();
+            bench.control(arm(true, host_timeout, OnTimeLimits::NONE));
             let stroke = stroke(3, bench.now + 100, 7, 6, 7);
             bench.strokes(&[stroke]);
             bench.run_to(expires);
@@ -122,7 +122,7 @@ fn a_lease_that_expires_at_every_phase_returns_and_disarms() {
             // Where nothing is rendered ahead, the last tick was rendered before the poll.
             let at = at + u64::from(shell.ahead == 0);
             bench.settle();
-            bench.is(State::Disarmed, Cause::Lease);
+            bench.is(State::Disarmed, Cause::HostTimeout);
             assert_eq!(bench.bursts(3), returned(&stroke, at), "{expires} {shell:?}");
         }
     }
@@ -142,13 +142,13 @@ fn a_frame_at_the_last_tick_keeps_the_lease_and_no_lease_is_longer_than_ten_seco
     bench.run(400);
     bench.bytes(&[1, 2, 3, 0]);
     bench.run(101);
-    bench.is(State::Disarmed, Cause::Lease);
+    bench.is(State::Disarmed, Cause::HostTimeout);
 
     bench.control(arm(false, u32::MAX, OnTimeLimits::NONE));
     bench.run(10 * u64::from(TICK_HZ));
     bench.is(State::Armed, Cause::Request);
     bench.tick();
-    bench.is(State::Disarmed, Cause::Lease);
+    bench.is(State::Disarmed, Cause::HostTimeout);
 }
 
 #[test]
@@ -167,36 +167,51 @@ fn an_e_stop_or_a_fault_at_every_phase_ends_with_its_tick_and_keeps_the_debt() {
                     bench.is(State::Faulted, cause);
                     bench.run(6_000);
                     bench.is(State::Faulted, cause);
-                    let (played, owed) = off(&stroke, at);
+                    let (played, outstanding) = off(&stroke, at);
                     assert_eq!(bench.bursts(3), played, "{cause:?} at {event}, {shell:?}");
-                    assert_eq!((bench.owed(), u64::from(bench.device.owed(3))), (owed, owed));
+                    assert_eq!(
+                        (bench.outstanding(), u64::from(bench.device.outstanding(3))),
+                        (outstanding, outstanding)
+                    );
                     let counters = bench.device.counters();
                     assert_eq!(counters.played + counters.dropped, 4);
                     assert_eq!(counters.played, played.len() as u64);
                     assert_eq!(counters.pulses, bench.total());
                     let Report::Cut(cut) = bench.last_report() else { panic!("a cut") };
                     assert_eq!((cut.cause, cut.at, cut.returns), (cause, Tick(at).wire(), false));
-                    assert_eq!((u64::from(cut.owed), cut.flushed), (owed, 2 - u16::from(at > stroke.up.0)));
+                    assert_eq!(
+                        (u64::from(cut.outstanding), cut.flushed),
+                        (outstanding, 2 - u16::from(at > stroke.up.0))
+                    );
 
                     // Reset moves nothing; arm plays down exactly the debt, and says so.
                     bench.control(Op::Reset);
                     bench.is(State::Disarmed, Cause::Request);
                     bench.run(100);
                     assert_eq!(bench.bursts(3), played);
-                    assert_eq!((bench.owed(), bench.status().owed), (owed, owed as u32));
+                    assert_eq!(
+                        (bench.outstanding(), bench.status().outstanding),
+                        (outstanding, outstanding as u32)
+                    );
                     assert!(bench.status().position_known);
                     let from = bench.device.rendered().0;
                     bench.arm(false);
-                    assert_eq!(bench.device.state(), if owed > 0 { State::Returning } else { State::Armed });
+                    assert_eq!(
+                        bench.device.state(),
+                        if outstanding > 0 { State::Returning } else { State::Armed }
+                    );
                     bench.settle();
                     bench.is(State::Armed, Cause::Request);
                     bench.run(200);
-                    let debt = (owed > 0).then(|| burst(from, Down, owed));
+                    let debt = (outstanding > 0).then(|| burst(from, Down, outstanding));
                     assert_eq!(bench.bursts(3), [played, debt.into_iter().collect()].concat());
-                    assert_eq!(bench.owed(), 0);
-                    if owed > 0 {
+                    assert_eq!(bench.outstanding(), 0);
+                    if outstanding > 0 {
                         let Report::Cut(cut) = bench.last_report() else { panic!("the return") };
-                        assert_eq!((cut.returns, u64::from(cut.owed), cut.flushed), (true, owed, 0));
+                        assert_eq!(
+                            (cut.returns, u64::from(cut.outstanding), cut.flushed),
+                            (true, outstanding, 0)
+                        );
                     }
                 }
             }
@@ -216,13 +231,13 @@ fn an_e_stop_at_every_phase_of_a_return_owes_the_rest() {
                 bench.run(delay);
                 bench.control(Op::EStop);
                 bench.run(200);
-                assert_eq!(bench.net(3), bench.owed() as i64, "{stop} + {delay}, {shell:?}");
+                assert_eq!(bench.net(3), bench.outstanding() as i64, "{stop} + {delay}, {shell:?}");
                 let counters = bench.device.counters();
                 assert_eq!((counters.played + counters.dropped, counters.pulses), (4, bench.total()));
                 bench.control(Op::Reset);
                 bench.arm(false);
                 bench.settle();
-                assert_eq!((bench.net(3), bench.owed()), (0, 0));
+                assert_eq!((bench.net(3), bench.outstanding()), (0, 0));
             }
         }
     }
@@ -236,8 +251,8 @@ fn a_debt_survives_any_number_of_e_stops_in_its_return() {
         bench.run(170);
         bench.control(Op::EStop);
         let mut rounds = 0;
-        while bench.owed() > 0 {
-            assert_eq!(bench.net(5), bench.owed() as i64);
+        while bench.outstanding() > 0 {
+            assert_eq!(bench.net(5), bench.outstanding() as i64);
             bench.control(Op::Reset);
             bench.arm(false);
             bench.run(70);
@@ -273,7 +288,7 @@ fn an_e_stop_with_100_ms_of_24_motors_queued_is_silence_after_its_tick() {
             assert_eq!((counters.played + counters.dropped, counters.pulses), (288, bench.total()));
             assert_eq!((bench.status().credits, counters.late + counters.refused), (POOL as u16, 0));
             for motor in 0..MOTORS as u8 {
-                assert_eq!(bench.net(motor), i64::from(bench.device.owed(motor)));
+                assert_eq!(bench.net(motor), i64::from(bench.device.outstanding(motor)));
             }
             bench.control(Op::Reset);
             bench.arm(false);
@@ -317,7 +332,7 @@ fn a_pin_held_for_longer_than_16_bits_of_ticks_is_returned_and_owed() {
         bench.control(event);
         bench.run(40_000);
         assert_eq!(bench.net(3), if down { 0 } else { 50 });
-        assert_eq!(bench.owed(), if down { 0 } else { 50 });
+        assert_eq!(bench.outstanding(), if down { 0 } else { 50 });
         assert_eq!(bench.device.counters().pulses, bench.total());
     }
 }
@@ -383,7 +398,7 @@ fn every_command_in_every_state() {
         ("link", |bench| bench.device.link_lost(Tick(bench.now))),
         ("host", |bench| bench.hello(2)),
         ("fault", |bench| bench.device.fault(Tick(bench.now), Starved)),
-        ("lease", |bench| bench.run(u64::from(LEASE) + 33)),
+        ("lease", |bench| bench.run(u64::from(HOST_TIMEOUT) + 33)),
     ];
     // Per state: what each event ends in, and how a command is refused.
     let no = Refusal::State;
@@ -425,7 +440,7 @@ fn every_command_in_every_state() {
             (Disarmed, LinkLost, None),
             (Disarmed, NewHost, None),
             (Faulted, Starved, None),
-            (Disarmed, Cause::Lease, None),
+            (Disarmed, Cause::HostTimeout, None),
         ],
         [
             (Armed, Stop, Some(no)),
@@ -438,7 +453,7 @@ fn every_command_in_every_state() {
             (Disarmed, LinkLost, None),
             (Disarmed, NewHost, None),
             (Faulted, Starved, None),
-            (Disarmed, Cause::Lease, None),
+            (Disarmed, Cause::HostTimeout, None),
         ],
         [
             (Disarmed, Abort, Some(no)),
@@ -464,7 +479,7 @@ fn every_command_in_every_state() {
             (Disarmed, LinkLost, None),
             (Disarmed, NewHost, None),
             (Faulted, Starved, None),
-            (Disarmed, Cause::Lease, None),
+            (Disarmed, Cause::HostTimeout, None),
         ],
         [
             (Faulted, EStop, Some(no)),
@@ -493,7 +508,7 @@ fn every_command_in_every_state() {
                 bench.settle();
                 assert_eq!((bench.device.state(), bench.device.cause()), (then, cause), "{state} {name}");
                 // Wherever it ended: the pin is at rest, or what it is owed is known.
-                assert_eq!(bench.net(3), i64::from(bench.device.owed(3)), "{state} {name}");
+                assert_eq!(bench.net(3), i64::from(bench.device.outstanding(3)), "{state} {name}");
                 if then == Disarmed || then == Faulted {
                     let total = bench.total();
                     bench.run(500);
@@ -551,11 +566,11 @@ fn assuming_rest_forgives_the_debt() {
     bench.run(110);
     bench.control(Op::EStop);
     bench.control(Op::Reset);
-    assert_eq!((bench.owed(), bench.device.owed(24)), (11, 0));
+    assert_eq!((bench.outstanding(), bench.device.outstanding(24)), (11, 0));
     bench.arm(true);
     bench.is(State::Armed, Cause::Request);
     bench.run(300);
-    assert_eq!((bench.owed(), bench.pulses(3).count()), (0, 11));
+    assert_eq!((bench.outstanding(), bench.pulses(3).count()), (0, 11));
 }
 
 #[test]
@@ -583,7 +598,7 @@ fn a_starved_shell_is_booked_for_what_it_rendered() {
     let rendered = bench.device.rendered();
     bench.device.poll(rendered + 1_000);
     bench.device.fault(rendered + 1_000, Cause::Starved);
-    assert_eq!(u64::from(bench.device.owed(3)), rendered - starved.up);
+    assert_eq!(u64::from(bench.device.outstanding(3)), rendered - starved.up);
     assert_eq!(bench.device.counters().pulses, rendered - starved.up);
     assert_eq!((bench.device.counters().played, bench.device.counters().dropped), (1, 1));
 }
@@ -908,7 +923,7 @@ fn an_e_stop_seen_before_its_frame_counts_once_and_from_where_it_was_seen() {
     bench.run(2_000);
     assert_eq!(bench.last_pulse(), Some(at));
     assert_eq!((bench.reports().len(), bench.epoch), (2, epoch));
-    assert_eq!(i64::from(bench.device.owed(1)), bench.net(1));
+    assert_eq!(i64::from(bench.device.outstanding(1)), bench.net(1));
     bench.control(Op::Reset);
     bench.is(State::Disarmed, Cause::Request);
 

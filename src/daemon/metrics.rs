@@ -99,6 +99,25 @@ pub(super) fn text(receipts: &Receipts) -> String {
         "Frames sent again; begins again with it.",
         [("", &of(|at| at.retransmitted))],
     );
+    let bad = snapshot.map(|at| at.bad_frames).unwrap_or_default();
+    let kinds: [(_, &dyn Display); 4] = [
+        ("{kind=\"too_long\"}", &bad.too_long),
+        ("{kind=\"malformed\"}", &bad.malformed),
+        ("{kind=\"crc\"}", &bad.crc),
+        ("{kind=\"unknown\"}", &bad.unknown),
+    ];
+    text.family(
+        "bad_frames_total",
+        "counter",
+        "Frames from the device that the host could not read, by kind; begins again when a device is connected.",
+        kinds,
+    );
+    text.family(
+        "device_bad_frames_total",
+        "counter",
+        "Frames from the host that the device could not read; begins again when the device starts.",
+        [("", &of(|at| at.device_bad_frames))],
+    );
     let line = snapshot.and_then(|at| at.line_bytes_per_s).map_or(f64::NAN, f64::from);
     text.family(
         "line_bytes_per_second",
@@ -127,6 +146,7 @@ mod tests {
         let text = text(&Receipts::default());
         assert!(text.contains("meissner_state{state=\"no-device\"} 1\n"));
         assert!(text.contains("meissner_bursts_total{fate=\"late\"} 0\n"));
+        assert!(text.contains("meissner_bad_frames_total{kind=\"unknown\"} 0\n"));
         for line in text.lines() {
             let sample = line.starts_with("meissner_") && line.split(' ').count() == 2;
             assert!(sample || line.starts_with("# HELP ") || line.starts_with("# TYPE "), "{line}");

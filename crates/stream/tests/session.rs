@@ -1,10 +1,10 @@
 use firmware_protocol::controller::{Controller, Identity};
-use firmware_protocol::frame::MAX_FRAME;
+use firmware_protocol::frame::{MAX_FRAME, encode};
 use firmware_protocol::limits::OnTimeLimits;
-use firmware_protocol::message::{Cause, Op as Command};
+use firmware_protocol::message::{Cause, DeviceMessage, Op as Command};
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
-use meissner_stream::link::{Event, LineRate, Session, Verdict};
+use meissner_stream::link::{BadFrames, Event, LineRate, Session, Verdict};
 use meissner_stream::time::HostInstant;
 use proptest::prelude::*;
 use std::collections::VecDeque;
@@ -98,7 +98,7 @@ proptest! {
             pair.wait(170);
         }
         prop_assert!(pair.session.is_open());
-        let arm = Command::Arm { assume_rest: true, lease: 850_000, limits: OnTimeLimits::NONE };
+        let arm = Command::Arm { assume_rest: true, host_timeout: 850_000, limits: OnTimeLimits::NONE };
         pair.session.command(arm);
         let (mut waiting, mut last, mut judged) = (VecDeque::new(), Tick(0), 0u64);
         for op in ops.into_iter().chain([Op::Seal]).chain((0..60).flat_map(|_| [Op::Exchange(0, 0), Op::Wait(900)])) {
@@ -164,4 +164,32 @@ proptest! {
         }
         prop_assert_eq!(waiting.len(), 0, "{} judged", judged);
     }
+}
+
+#[test]
+fn frames_that_cannot_be_read_are_counted_by_kind() {
+    let mut frame = [0; MAX_FRAME];
+    let len = encode(&(DeviceMessage::NoSession, 7u8), &mut frame).unwrap();
+    let with_a_byte_more = frame[..len].to_vec();
+    let mut damaged = with_a_byte_more.clone();
+    damaged[2] ^= 1;
+    let not_cobs = [9, 1, 0];
+    let endless = [[1; MAX_FRAME].as_slice(), &[0]].concat();
+
+    let now = HostInstant::from_ns(0);
+    let mut session = Session::new(7, LineRate(100_000), now);
+    let frames = [
+        &endless,
+        &not_cobs[..],
+        &damaged,
+        &damaged,
+        &with_a_byte_more,
+        &with_a_byte_more,
+        &with_a_byte_more,
+    ];
+    for frame in frames {
+        session.receive(now, frame, &mut |event| panic!("{event:?}"));
+    }
+    let counted = BadFrames { too_long: 1, malformed: 1, crc: 2, unknown: 3 };
+    assert_eq!(session.traffic().bad, counted);
 }

@@ -287,13 +287,13 @@ fn an_e_stop_with_the_lead_full_leaves_no_line_high_and_arming_returns_the_pins(
         let outcome = rig::into_outcomes(rig.take_events()).remove(0);
         assert_eq!((outcome.end, outcome.cause), (End::Stopped, Some("estop")));
         rig::assert_closed(&outcome);
-        let owed: u16 = (0..24).map(|motor| rig.mock.controller().owed(motor)).sum();
+        let outstanding: u16 = (0..24).map(|motor| rig.mock.controller().outstanding(motor)).sum();
         rig.send(Command::Reset);
         rig.run(20 * MS);
         rig.send(Command::Arm { assume_rest: false });
         rig.run(100 * MS);
         let back = rig::bursts_on_the_lines(&rig.mock.take_trace());
-        assert_eq!(back.pulses, u64::from(owed));
+        assert_eq!(back.pulses, u64::from(outstanding));
         assert!(back.net.iter().all(|&net| net <= 0));
         assert_eq!(rig.mock.controller().state(), State::Armed);
     }

@@ -51,10 +51,10 @@ impl Controller {
     fn trigger(&mut self) -> (bool, Tick) {
         let now = self.rendered;
         let mut next = NEVER;
-        if self.marks.iter().any(|&mark| mark == now) {
+        if self.onsets.iter().any(|&mark| mark == now) {
             self.trigger_from(now);
         }
-        for &mark in self.marks.iter().filter(|&&mark| mark > now) {
+        for &mark in self.onsets.iter().filter(|&&mark| mark > now) {
             next = next.min(mark);
         }
         if now < self.triggered { (true, next.min(self.triggered)) } else { (false, next) }

@@ -9,10 +9,10 @@
 //! ahead of the rendered end. So whatever is cut, flushed or amended, the count of pulses played is known.
 //! The rules are in the crate's documentation.
 
-mod early;
-mod ends;
+mod completion;
 mod lines;
 mod pool;
+mod reorder;
 mod reports;
 mod stream;
 
@@ -24,10 +24,10 @@ use crate::message::{
 };
 use crate::stroke::{Direction, Lines, MOTORS, Stroke};
 use crate::tick::{TICK_HZ, Tick, WireTick};
-pub use early::EARLY;
-use early::Early;
 pub use pool::POOL;
 use pool::{Kind, Pool, Slot};
+pub use reorder::REORDER_WINDOW;
+use reorder::ReorderBuffer;
 pub use reports::REPORTS;
 use reports::Reports;
 use stream::Batch;
@@ -42,9 +42,9 @@ pub const TRIGGER_TICKS: u32 = TICK_HZ / 100;
 /// How far ahead a stroke may lie.
 const FARTHEST: i64 = 1 << 30;
 /// The longest lease.
-const MAX_LEASE: u32 = 10 * TICK_HZ;
+const MAX_HOST_TIMEOUT: u32 = 10 * TICK_HZ;
 /// Onsets of plays that have been queued and not begun, at the most.
-const MARKS: usize = 8;
+const MAX_ONSETS: usize = 8;
 
 /// Who a controller is: what its shell knows and the handshake tells.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -93,7 +93,7 @@ pub struct Controller {
     epoch: u16,
     refusal: Option<Refusal>,
     next_seq: u16,
-    early: Early,
+    reorder: ReorderBuffer,
     pending: Pending,
     reports: Reports,
     last_cut: Option<Cut>,
@@ -103,16 +103,16 @@ pub struct Controller {
     /// Where a return ends.
     then: State,
     position_known: bool,
-    owed: [u16; MOTORS],
+    outstanding: [u16; MOTORS],
     /// Net pulses moved since armed with the pins at rest.
     travel: [i16; MOTORS],
-    lease: u32,
+    host_timeout: u32,
     heard: Tick,
     now: Tick,
     counters: Counters,
 
     pool: Pool,
-    marks: heapless::Deque<Tick, MARKS>,
+    onsets: heapless::Deque<Tick, MAX_ONSETS>,
     on_time: OnTime,
     rendered: Tick,
     lines: Lines,
@@ -155,7 +155,7 @@ impl Controller {
             epoch: 0,
             refusal: None,
             next_seq: 0,
-            early: Early::new(),
+            reorder: ReorderBuffer::new(),
             pending: Pending::NONE,
             reports: Reports::new(),
             last_cut: None,
@@ -163,14 +163,14 @@ impl Controller {
             cause: Cause::Boot,
             then: State::Disarmed,
             position_known: false,
-            owed: [0; MOTORS],
+            outstanding: [0; MOTORS],
             travel: [0; MOTORS],
-            lease: MAX_LEASE,
+            host_timeout: MAX_HOST_TIMEOUT,
             heard: now,
             now,
             counters: Counters::NONE,
             pool: Pool::new(),
-            marks: heapless::Deque::new(),
+            onsets: heapless::Deque::new(),
             on_time: OnTime::new(now),
             rendered: now,
             lines: Lines::OFF,
@@ -214,8 +214,8 @@ impl Controller {
 
     /// Down pulses a motor's pin is owed after an e-stop or a fault.
     #[must_use]
-    pub fn owed(&self, motor: u8) -> u16 {
-        self.owed.get(usize::from(motor)).copied().unwrap_or(0)
+    pub fn outstanding(&self, motor: u8) -> u16 {
+        self.outstanding.get(usize::from(motor)).copied().unwrap_or(0)
     }
 
     /// Whether the shell must hold all lines low from `now` on, whatever was rendered. The tick that was
@@ -276,8 +276,8 @@ impl Controller {
         self.now = self.now.max(now);
         self.settle();
         let listening = self.state == State::Armed || self.state == State::Returning;
-        if listening && self.now - self.heard > self.lease.into() {
-            self.disarm(Cause::Lease);
+        if listening && self.now - self.heard > self.host_timeout.into() {
+            self.disarm(Cause::HostTimeout);
         }
     }
 
@@ -355,19 +355,19 @@ impl Controller {
             epoch: self.epoch,
             refusal: self.refusal,
             next_seq: self.next_seq,
-            early: self.early.mask(self.next_seq),
+            out_of_order: self.reorder.mask(self.next_seq),
             credits: self.pool.free(),
             reports: self.reports.made(),
             state: self.state,
             cause: self.cause,
             position_known: self.position_known,
-            owed: self.owed_in_all(),
+            outstanding: self.outstanding_total(),
             counters: self.counters,
         }
     }
 
-    fn owed_in_all(&self) -> u32 {
-        self.owed.iter().map(|&owed| u32::from(owed)).sum()
+    fn outstanding_total(&self) -> u32 {
+        self.outstanding.iter().map(|&outstanding| u32::from(outstanding)).sum()
     }
 
     fn report(&mut self, report: Report) {
@@ -434,24 +434,24 @@ impl Controller {
         self.session = Some(session);
         self.epoch = self.epoch.wrapping_add(1);
         self.next_seq = 0;
-        self.early.clear();
+        self.reorder.clear();
         self.refusal = None;
         self.reports.clear();
-        self.marks.clear();
+        self.onsets.clear();
     }
 
     fn control(&mut self, epoch: u16, op: Op) {
         if newer(epoch, self.epoch) {
             self.epoch = epoch;
             self.next_seq = 0;
-            self.early.clear();
+            self.reorder.clear();
             self.refusal = self.perform(op).err();
         }
     }
 
     fn perform(&mut self, op: Op) -> Result<(), Refusal> {
         match op {
-            Op::Arm { assume_rest, lease, limits } => self.arm(assume_rest, lease, limits),
+            Op::Arm { assume_rest, host_timeout, limits } => self.arm(assume_rest, host_timeout, limits),
             Op::Disarm(cause) => {
                 self.disarm(cause);
                 Ok(())
@@ -476,38 +476,38 @@ impl Controller {
         }
     }
 
-    fn arm(&mut self, assume_rest: bool, lease: u32, limits: OnTimeLimits) -> Result<(), Refusal> {
+    fn arm(&mut self, assume_rest: bool, host_timeout: u32, limits: OnTimeLimits) -> Result<(), Refusal> {
         if self.state != State::Disarmed {
             return Err(Refusal::State);
         }
         if assume_rest {
             self.position_known = true;
-            self.owed = [0; MOTORS];
+            self.outstanding = [0; MOTORS];
             self.travel = [0; MOTORS];
         }
         if !self.position_known {
             return Err(Refusal::PositionUnknown);
         }
-        self.lease = lease.min(MAX_LEASE);
+        self.host_timeout = host_timeout.min(MAX_HOST_TIMEOUT);
         self.on_time.set_limits(OnTimeLimits::NONE.min(limits));
         self.cause = Cause::Request;
         self.state = State::Armed;
-        let owed = self.owed_in_all();
-        if owed > 0 {
+        let outstanding = self.outstanding_total();
+        if outstanding > 0 {
             for motor in 0..MOTORS {
-                let pulses = core::mem::take(&mut self.owed[motor]);
+                let pulses = core::mem::take(&mut self.outstanding[motor]);
                 if pulses > 0 {
-                    self.queue_own(motor as u8, Direction::Down, pulses, None);
+                    self.queue_internal(motor as u8, Direction::Down, pulses, None);
                 }
             }
             (self.state, self.then) = (State::Returning, State::Armed);
-            self.report_cut(Cause::Request, true, 0, owed, self.rendered);
+            self.report_cut(Cause::Request, true, 0, outstanding, self.rendered);
         }
         Ok(())
     }
 
     /// A burst at the rendered end that belongs to no play. The queue is empty, so there is a slot.
-    fn queue_own(&mut self, motor: u8, direction: Direction, pulses: u16, charged: Option<u32>) {
+    fn queue_internal(&mut self, motor: u8, direction: Direction, pulses: u16, charged: Option<u32>) {
         let at = self.rendered;
         let stroke = match direction {
             Direction::Up => {
@@ -515,7 +515,7 @@ impl Controller {
             }
             Direction::Down => Stroke { motor, up: at, up_pulses: 0, down: at, down_pulses: pulses },
         };
-        self.queue(Slot { charged, ..Slot::new(stroke, Kind::Own) });
+        self.queue(Slot { charged, ..Slot::new(stroke, Kind::Internal) });
     }
 
     fn queue(&mut self, slot: Slot) -> bool {
@@ -544,7 +544,7 @@ impl Controller {
             let charge = u32::from(pulses);
             self.on_time.begin(self.rendered, motor.into(), charge)?;
             *travel = sum as i16;
-            self.queue_own(motor, direction, pulses, Some(charge));
+            self.queue_internal(motor, direction, pulses, Some(charge));
         }
         Ok(())
     }

@@ -22,7 +22,7 @@ pub(super) enum Kind {
     /// A play's stroke that was refused when it should have begun: it plays nothing.
     Void,
     /// A debt played down, or a move: not part of any play.
-    Own,
+    Internal,
 }
 
 /// A stroke in the queue.
@@ -66,12 +66,12 @@ impl Slot {
 
     /// Whether something of it lies before `tick`. A debt being played down counts from the moment it is queued.
     pub(super) fn begun(&self, tick: Tick) -> bool {
-        self.stroke.up < tick || (self.kind == Kind::Own && self.stroke.up_pulses == 0)
+        self.stroke.up < tick || (self.kind == Kind::Internal && self.stroke.up_pulses == 0)
     }
 
     /// Pulses that a move takes a pin up by and that cutting it at `tick` gives back, once.
     pub(super) fn shift_undone(&self, tick: Tick) -> u16 {
-        let undone = self.kind == Kind::Own && !self.cut && tick < self.stroke.bursts()[0].end();
+        let undone = self.kind == Kind::Internal && !self.cut && tick < self.stroke.bursts()[0].end();
         if undone { self.stroke.up_pulses } else { 0 }
     }
 
@@ -85,20 +85,20 @@ impl Slot {
 
     /// Rewrites a begun stroke so that from `tick` on it only plays down what is owed; returns how much that is.
     pub(super) fn cut_at(&mut self, tick: Tick) -> u16 {
-        let owed = self.owed_at(tick);
+        let outstanding = self.outstanding_at(tick);
         let stroke = &mut self.stroke;
         if tick < stroke.up + u64::from(stroke.up_pulses) {
-            stroke.up_pulses = owed;
+            stroke.up_pulses = outstanding;
         }
         if tick < stroke.down {
-            (stroke.down, stroke.down_pulses) = (tick, owed);
+            (stroke.down, stroke.down_pulses) = (tick, outstanding);
             self.cut = true;
         }
-        owed
+        outstanding
     }
 
     /// Down pulses owed if the stroke is cut at `tick`: in the up burst those played; later the rest of the down burst.
-    pub(super) fn owed_at(&self, tick: Tick) -> u16 {
+    pub(super) fn outstanding_at(&self, tick: Tick) -> u16 {
         let [up, down] = self.played_before(tick);
         if up < self.stroke.up_pulses { up } else { self.stroke.down_pulses - down }
     }
@@ -190,7 +190,7 @@ impl Pool {
         }
         queue.tail = index;
         queue.len += 1;
-        queue.plays += u16::from(slot.kind != Kind::Own);
+        queue.plays += u16::from(slot.kind != Kind::Internal);
         true
     }
 
@@ -213,7 +213,7 @@ impl Pool {
             queue.tail = NONE;
         }
         queue.len -= 1;
-        queue.plays -= u16::from(slot.kind != Kind::Own);
+        queue.plays -= u16::from(slot.kind != Kind::Internal);
         self.release(index, index, 1);
         Some(slot)
     }
@@ -230,7 +230,7 @@ impl Pool {
         while at != first {
             let Some(slot) = self.get(at) else { break };
             kept += 1;
-            kept_plays += u16::from(slot.kind != Kind::Own);
+            kept_plays += u16::from(slot.kind != Kind::Internal);
             (last, at) = (at, slot.next);
         }
         if let Some(slot) = self.get_mut(last) {

@@ -16,7 +16,7 @@ impl Controller {
     /// Takes a frame of the ordered stream if it is its turn, else keeps it for [`Self::follow`].
     pub(super) fn stream(&mut self, seq: u16, onset: bool, base: Tick, batch: &[u8], strokes: &Batch) {
         if seq != self.next_seq {
-            self.early.keep(self.next_seq, seq, onset, base, batch);
+            self.reorder.keep(self.next_seq, seq, onset, base, batch);
         } else if self.has_room(onset) {
             self.strokes(seq, onset, base, strokes);
         }
@@ -24,7 +24,7 @@ impl Controller {
 
     /// Takes the next of the frames kept, if its turn has come. One at a time: a shell has lines to render.
     pub(super) fn follow(&mut self) -> bool {
-        let Some(frame) = self.early.take(self.next_seq) else { return false };
+        let Some(frame) = self.reorder.take(self.next_seq) else { return false };
         // Without room it is forgotten, and comes again.
         if self.has_room(frame.onset)
             && let Some(strokes) = unpack(frame.base, &frame.batch)
@@ -37,14 +37,14 @@ impl Controller {
 
     /// Whether a frame's reports and its mark would find a place.
     fn has_room(&self, onset: bool) -> bool {
-        self.reports.free() > RESERVE && (!onset || !self.marks.is_full())
+        self.reports.free() > RESERVE && (!onset || !self.onsets.is_full())
     }
 
     /// Takes the next frame of the ordered stream.
     fn strokes(&mut self, seq: u16, onset: bool, base: Tick, strokes: &Batch) {
         self.next_seq = seq.wrapping_add(1);
         // It may have been repeated before the copy kept was followed.
-        let _ = self.early.take(seq);
+        let _ = self.reorder.take(seq);
         let rendered = self.rendered.wire();
         if onset && self.state == State::Armed {
             // No stroke begins before the base it counts from.
@@ -53,7 +53,7 @@ impl Controller {
                 return;
             }
             // Room was checked by the caller.
-            let _ = self.marks.push_back(base);
+            let _ = self.onsets.push_back(base);
         }
         let (mut late, mut refused, mut reason) = (0u64, 0u64, None);
         for (i, stroke) in strokes.iter().enumerate() {

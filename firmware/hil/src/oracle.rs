@@ -39,7 +39,7 @@ pub struct CutAt {
     /// Whether pins were returned.
     pub returns: bool,
     /// Down pulses owed.
-    pub owed: u32,
+    pub outstanding: u32,
 }
 
 /// What is expected of the lines in one boot.
@@ -70,7 +70,7 @@ struct Live {
 #[derive(Debug, Default)]
 struct Oracle {
     live: Vec<Live>,
-    owed: [u16; MOTORS],
+    outstanding: [u16; MOTORS],
     /// The device's epoch, as far as it has said.
     epoch: u16,
     opened: usize,
@@ -104,7 +104,7 @@ impl Oracle {
             Event::Control(_, op) => {
                 self.controls.push((order, *op));
                 if matches!(op, Op::Arm { assume_rest: true, .. }) {
-                    self.owed = [0; MOTORS];
+                    self.outstanding = [0; MOTORS];
                 }
             }
             Event::Batch(batch) => self.live.extend(batch.strokes.iter().map(|&stroke| Live {
@@ -186,17 +186,17 @@ impl Oracle {
 
     /// Cuts what events before `limit` have brought.
     fn cut(&mut self, tap: &Tap, cut: &Cut, limit: usize) {
-        let Cut { cause, returns, owed, .. } = *cut;
+        let Cut { cause, returns, outstanding, .. } = *cut;
         let at = tap.tick(cut.at);
-        let cut = CutAt { cause, at, returns, owed };
+        let cut = CutAt { cause, at, returns, outstanding };
         if self.out.cuts.contains(&cut) {
             return;
         }
         self.out.cuts.push(cut);
         let found = if returns { self.cut_and_return(at, limit) } else { self.force(at, limit) };
-        if found != owed {
+        if found != outstanding {
             let text = format!(
-                "{cause:?} at tick BOOT+{}: {owed} pulses owed by the device's word, {found} by the strokes",
+                "{cause:?} at tick BOOT+{}: {outstanding} pulses outstanding by the device's word, {found} by the strokes",
                 at.since(Tick::BOOT)
             );
             self.out.contradictions.push(text);
@@ -204,7 +204,7 @@ impl Oracle {
     }
 
     fn cut_and_return(&mut self, at: Tick, limit: usize) -> u32 {
-        let mut owed = 0;
+        let mut outstanding = 0;
         for live in self.live.iter_mut().filter(|live| live.alive && live.order < limit) {
             let stroke = &mut live.stroke;
             if stroke.up >= at {
@@ -212,24 +212,24 @@ impl Oracle {
             } else if at < stroke.up + u64::from(stroke.up_pulses) {
                 stroke.up_pulses = (at - stroke.up) as u16;
                 (stroke.down, stroke.down_pulses) = (at, stroke.up_pulses);
-                owed += u32::from(stroke.down_pulses);
+                outstanding += u32::from(stroke.down_pulses);
             } else if at < stroke.end() {
-                owed += u32::from(stroke.down_pulses) - (at - stroke.down) as u32;
+                outstanding += u32::from(stroke.down_pulses) - (at - stroke.down) as u32;
                 stroke.down = if at < stroke.down { at } else { stroke.down };
             }
         }
         // What an e-stop left owed is played down at the next arm: that is a cut with nothing to cut.
         for motor in 0..MOTORS {
-            let pulses = std::mem::take(&mut self.owed[motor]);
+            let pulses = std::mem::take(&mut self.outstanding[motor]);
             if pulses > 0 {
                 let stroke =
                     Stroke { motor: motor as u8, up: at, up_pulses: 0, down: at, down_pulses: pulses };
                 let planned = [0, pulses];
                 self.live.push(Live { stroke, planned, order: 0, frame: (0, u16::MAX), alive: true });
-                owed += u32::from(pulses);
+                outstanding += u32::from(pulses);
             }
         }
-        owed
+        outstanding
     }
 
     fn force(&mut self, at: Tick, limit: usize) -> u32 {
@@ -247,11 +247,11 @@ impl Oracle {
             }
             let (up, down) =
                 ((at - stroke.up).min(stroke.up_pulses.into()) as u16, (at - stroke.down) as u16);
-            let owed = if up < stroke.up_pulses { up } else { stroke.down_pulses - down };
-            self.owed[usize::from(stroke.motor)] += owed;
+            let outstanding = if up < stroke.up_pulses { up } else { stroke.down_pulses - down };
+            self.outstanding[usize::from(stroke.motor)] += outstanding;
             (stroke.up_pulses, stroke.down_pulses) = (up, down);
         }
-        self.owed.iter().map(|&owed| u32::from(owed)).sum()
+        self.outstanding.iter().map(|&outstanding| u32::from(outstanding)).sum()
     }
 
     fn log(&self) -> Log {

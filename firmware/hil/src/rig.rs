@@ -17,7 +17,7 @@ use firmware_protocol::frame::{MAX_FRAME, encode};
 use firmware_protocol::message::HostMessage;
 use firmware_protocol::tick::Tick;
 use meissner_stream::link::LineRate;
-use meissner_stream::queues::{Command, StreamEvent, Request, Outcome};
+use meissner_stream::queues::{Command, Outcome, Request, StreamEvent};
 use meissner_stream::{Settings, Streamer};
 
 /// The host wakes up this often.

@@ -1,10 +1,10 @@
 //! From the e-stop's USB packet to all lines low: within a pulse period, at any phase, also under full load.
 
 use crate::play::{armed, job};
-use meissner_stream::queues::Command;
 use meissner_hil::bench::chip::ChipOptions;
 use meissner_hil::scenario::pattern;
 use meissner_hil::time::{MS, TICK};
+use meissner_stream::queues::Command;
 
 /// How often it is tried, each time at another phase of tick, block and USB frame.
 const TRIES: u64 = 12;

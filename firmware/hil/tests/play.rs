@@ -2,10 +2,8 @@
 
 use firmware_protocol::controller::BLOCK;
 use firmware_protocol::tick::Tick;
-use meissner_array::pattern::Pattern;
-use meissner_stream::Bandwidth;
-use meissner_stream::queues::{At, Command, StreamEvent, Outcome};
 use meissner_api::LatePolicy;
+use meissner_array::pattern::Pattern;
 use meissner_array::strokes::Strokes;
 use meissner_hil::bench::Which;
 use meissner_hil::bench::chip::ChipOptions;
@@ -13,6 +11,8 @@ use meissner_hil::judge::{Judged, differences};
 use meissner_hil::rig::{Rig, RigOptions};
 use meissner_hil::scenario::compiled;
 use meissner_hil::time::{Grid, MS};
+use meissner_stream::Bandwidth;
+use meissner_stream::queues::{At, Command, Outcome, StreamEvent};
 
 pub(crate) struct Play {
     pub(crate) pattern: Pattern,

@@ -1,5 +1,6 @@
 //! What came of a play, and how everything stands: the figures that receipts and the status are made of.
 
+use crate::link::BadFrames;
 use crate::queues::Play;
 use crate::time::HostInstant;
 use firmware_protocol::message::{Cause, State};
@@ -132,4 +133,8 @@ pub struct Snapshot {
     pub bytes_in: u64,
     /// Frames sent again.
     pub retransmitted: u64,
+    /// Frames from the device that the host could not read since it was connected.
+    pub bad_frames: BadFrames,
+    /// Frames from the host that the device could not read since it was switched on.
+    pub device_bad_frames: u64,
 }

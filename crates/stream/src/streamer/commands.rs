@@ -216,8 +216,8 @@ impl Streamer {
         if assume_rest {
             self.control.assume_rest();
         }
-        let lease = ms_in_ticks(self.settings.lease_ms).round() as u32;
-        Ok(Some(Op::Arm { assume_rest, lease, limits: self.settings.limits }))
+        let host_timeout = ms_in_ticks(self.settings.lease_ms).round() as u32;
+        Ok(Some(Op::Arm { assume_rest, host_timeout, limits: self.settings.limits }))
     }
 
     /// Goes by the settings that were ordered last.

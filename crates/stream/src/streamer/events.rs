@@ -111,8 +111,8 @@ impl Streamer {
             self.control.at_rest(tick);
         }
         let changed = before.is_none_or(|before| {
-            (before.state, before.cause, before.position_known, before.owed)
-                != (status.state, status.cause, status.position_known, status.owed)
+            (before.state, before.cause, before.position_known, before.outstanding)
+                != (status.state, status.cause, status.position_known, status.outstanding)
         });
         if !changed {
             return;

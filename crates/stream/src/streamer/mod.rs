@@ -284,6 +284,8 @@ impl Streamer {
             bytes_out: traffic.bytes_out,
             bytes_in: traffic.bytes_in,
             retransmitted: traffic.retransmitted,
+            bad_frames: traffic.bad,
+            device_bad_frames: status.map_or(0, |status| status.counters.bad_frames),
         }
     }
 
@@ -335,7 +337,7 @@ pub fn cause_text(cause: Cause) -> &'static str {
         Cause::Shutdown => "shutdown",
         Cause::Abort => "abort",
         Cause::EStop => "estop",
-        Cause::Lease => "lease",
+        Cause::HostTimeout => "lease",
         Cause::LinkLost => "link-lost",
         Cause::NewHost => "new-host",
         Cause::Starved => "starved",

@@ -9,8 +9,8 @@ use crate::time::{Grid, MS, TICK};
 use firmware_protocol::frame::{self, Decoder};
 use firmware_protocol::message::HostMessage;
 use firmware_protocol::tick::Tick;
-use meissner_stream::device::mock::Mock;
 use meissner_array::simulated::PlantConfig;
+use meissner_stream::device::mock::Mock;
 
 /// From a core's failure to the first tick of the next boot.
 const WATCHDOG: u64 = 100 * MS;

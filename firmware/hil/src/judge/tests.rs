@@ -37,7 +37,7 @@ fn strokes() -> Vec<Stroke> {
 
 fn tap() -> Tap {
     let onset = Tick::BOOT + 20_000;
-    let op = Op::Arm { assume_rest: true, lease: 25_500, limits: OnTimeLimits::NONE };
+    let op = Op::Arm { assume_rest: true, host_timeout: 25_500, limits: OnTimeLimits::NONE };
     let batch = Batch { epoch: 2, seq: 0, onset: true, base: onset, strokes: strokes() };
     let mut tap = Tap::default();
     // Widens the report's tick.

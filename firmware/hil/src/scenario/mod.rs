@@ -140,7 +140,7 @@ pub struct Check {
     /// Whether it knows where pins are.
     pub position_known: Option<bool>,
     /// Whether pins are owed something.
-    pub owes: Option<bool>,
+    pub outstanding: Option<bool>,
     /// Whether a host can talk to it.
     pub connected: Option<bool>,
     /// Boots so far.

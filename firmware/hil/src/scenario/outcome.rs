@@ -4,9 +4,9 @@ use crate::judge::{Judged, differences};
 use crate::log::{Log, Train};
 use crate::scenario::{Scenario, Share};
 use firmware_protocol::tick::Tick;
-use meissner_stream::cause_text;
-use meissner_stream::queues::{End, StreamEvent, Outcome};
 use meissner_array::strokes::Strokes;
+use meissner_stream::cause_text;
+use meissner_stream::queues::{End, Outcome, StreamEvent};
 
 /// What the lines have to do if strokes are played from `onset` on, to their end.
 #[must_use]

@@ -11,10 +11,10 @@ use firmware_protocol::frame::{MAX_FRAME, encode};
 use firmware_protocol::message::HostMessage;
 use firmware_protocol::stroke::{Direction, Stroke};
 use firmware_protocol::tick::Tick;
-use meissner_stream::queues::{At, Command, StreamEvent, Play};
 use meissner_api::LatePolicy;
-use meissner_stream::{Bandwidth, cause_text};
 use meissner_array::strokes::Strokes;
+use meissner_stream::queues::{At, Command, Play, StreamEvent};
+use meissner_stream::{Bandwidth, cause_text};
 
 /// A greeting comes within so many ms of a boot.
 const GREETING_MS: u64 = 3_000;
@@ -202,8 +202,12 @@ impl Runner<'_> {
             let found = status.is_some_and(|status| status.position_known);
             wrong("position_known", wanted.to_string(), found.to_string());
         }
-        if let Some(wanted) = check.owes {
-            wrong("owes", wanted.to_string(), status.is_some_and(|status| status.owed > 0).to_string());
+        if let Some(wanted) = check.outstanding {
+            wrong(
+                "outstanding",
+                wanted.to_string(),
+                status.is_some_and(|status| status.outstanding > 0).to_string(),
+            );
         }
         if let Some(wanted) = check.connected {
             wrong("connected", wanted.to_string(), self.rig.bench.configured().to_string());

@@ -9,7 +9,7 @@ use crate::link::session::line::RoundTrip;
 use crate::link::session::{Phase, Session};
 use crate::time::HostInstant;
 use firmware_protocol::batch::Strokes;
-use firmware_protocol::controller::EARLY;
+use firmware_protocol::controller::REORDER_WINDOW;
 use firmware_protocol::frame::{self, FrameError};
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{DeviceHello, DeviceMessage, Op, Report, Status};
@@ -27,7 +27,7 @@ impl Session {
                 Ok(_) => {}
                 Err(FrameError::Version(_)) => self.lose(LostReason::Version, emit),
                 // Damaged on the way: the device sends again what matters.
-                Err(_) => {}
+                Err(error) => self.traffic.bad.count(error),
             }
         }
         self.decoder = decoder;
@@ -129,7 +129,7 @@ impl Session {
             self.credits = status.credits.into();
             for batch in &mut self.window {
                 let early = batch.seq.wrapping_sub(status.next_seq).wrapping_sub(1);
-                batch.kept = usize::from(early) < EARLY && status.early >> early & 1 == 1;
+                batch.kept = usize::from(early) < REORDER_WINDOW && status.out_of_order >> early & 1 == 1;
             }
         }
         if self.seen != self.announced {

@@ -1,7 +1,7 @@
 //! The line as a session sees it: its rate, the bytes it carried, and its round trips.
 
 use crate::time::HostInstant;
-use firmware_protocol::frame::MAX_FRAME;
+use firmware_protocol::frame::{FrameError, MAX_FRAME};
 use firmware_protocol::tick::Tick;
 use std::time::Duration;
 
@@ -43,6 +43,34 @@ pub struct Traffic {
     pub bytes_in: u64,
     /// Frames sent again.
     pub retransmitted: u64,
+    /// Frames from the device that could not be read.
+    pub bad: BadFrames,
+}
+
+/// Frames that could not be read, by kind. What they held is lost, or comes again if the protocol repeats it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct BadFrames {
+    /// No delimiter within the longest frame.
+    pub too_long: u64,
+    /// Not COBS, or too short.
+    pub malformed: u64,
+    /// Damaged: the CRC does not fit.
+    pub crc: u64,
+    /// Undamaged, but not a message of this protocol version: a fault of one of the two programs.
+    pub unknown: u64,
+}
+
+impl BadFrames {
+    /// Counts a frame. One of another version is not counted: it ends the session.
+    pub(super) fn count(&mut self, error: FrameError) {
+        match error {
+            FrameError::TooLong => self.too_long += 1,
+            FrameError::Malformed => self.malformed += 1,
+            FrameError::Crc => self.crc += 1,
+            FrameError::Unknown => self.unknown += 1,
+            FrameError::Version(_) => {}
+        }
+    }
 }
 
 /// A ping and its answer.

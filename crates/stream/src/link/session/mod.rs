@@ -13,20 +13,20 @@ use crate::link::clock::Clock;
 use crate::time::HostInstant;
 pub use event::{Event, LostReason, Verdict};
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
-use firmware_protocol::controller::{EARLY, REPORTS};
+use firmware_protocol::controller::{REORDER_WINDOW, REPORTS};
 use firmware_protocol::frame::{Decoder, MAX_FRAME};
 use firmware_protocol::message::{Op, Report};
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
 use line::MeasuredLine;
-pub use line::{LineRate, RoundTrip, Traffic};
+pub use line::{BadFrames, LineRate, RoundTrip, Traffic};
 pub use probe::Budget;
 use probe::Probe;
 use std::collections::VecDeque;
 use std::time::Duration;
 
 /// Unacknowledged frames at most: the next in order, and those the device keeps out of order (selective repeat).
-const WINDOW: usize = 1 + EARLY;
+const WINDOW: usize = 1 + REORDER_WINDOW;
 /// The host retransmits a frame after a few round trips, within these bounds.
 const RETRY: (Duration, Duration) = (Duration::from_millis(3), Duration::from_millis(50));
 /// Round trips right after the handshake, to set the clock.

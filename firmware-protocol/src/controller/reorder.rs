@@ -4,7 +4,7 @@ use crate::batch::BATCH_BYTES;
 use crate::tick::Tick;
 
 /// Frames kept at the most: those that follow the one waited for.
-pub const EARLY: usize = 8;
+pub const REORDER_WINDOW: usize = 8;
 
 /// A frame of strokes, as it came.
 #[derive(Debug)]
@@ -16,21 +16,21 @@ pub(super) struct Frame {
 }
 
 #[derive(Debug)]
-pub(super) struct Early(heapless::Vec<Frame, EARLY>);
+pub(super) struct ReorderBuffer(heapless::Vec<Frame, REORDER_WINDOW>);
 
-impl Early {
+impl ReorderBuffer {
     pub(super) const fn new() -> Self {
         Self(heapless::Vec::new())
     }
 
-    /// Keeps a frame if it is one of the [`EARLY`] behind `next` and not kept yet.
+    /// Keeps a frame if it is one of the [`REORDER_WINDOW`] behind `next` and not kept yet.
     pub(super) fn keep(&mut self, next: u16, seq: u16, onset: bool, base: Tick, batch: &[u8]) {
         let ahead = usize::from(seq.wrapping_sub(next));
-        if !(1..=EARLY).contains(&ahead) || self.0.iter().any(|kept| kept.seq == seq) {
+        if !(1..=REORDER_WINDOW).contains(&ahead) || self.0.iter().any(|kept| kept.seq == seq) {
             return;
         }
         if let Ok(batch) = heapless::Vec::from_slice(batch) {
-            // There is room: at most one frame is kept for each of the `EARLY` numbers.
+            // There is room: at most one frame is kept for each of the `REORDER_WINDOW` numbers.
             let _ = self.0.push(Frame { seq, onset, base, batch });
         }
     }

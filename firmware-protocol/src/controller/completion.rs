@@ -18,14 +18,14 @@ impl Controller {
     /// Cuts what runs at the rendered end, flushes the queue and plays down what pins are owed.
     pub(super) fn cut(&mut self, cause: Cause, then: State) {
         let at = self.rendered;
-        let (mut flushed, mut owed) = (0, 0);
+        let (mut flushed, mut outstanding) = (0, 0);
         for motor in 0..MOTORS {
             let index = self.pool.queues[motor].cursor;
             let Some(slot) = self.pool.get_mut(index) else { continue };
             self.travel[motor] -= slot.shift_undone(at).cast_signed();
             let begun = slot.begun(at);
             if begun {
-                owed += u32::from(slot.cut_at(at));
+                outstanding += u32::from(slot.cut_at(at));
             }
             let strokes = self.pool.flush(motor, begun);
             flushed += strokes;
@@ -33,7 +33,7 @@ impl Controller {
             self.change_by(motor, at);
         }
         self.next_end = self.next_end.min(at);
-        self.finish_cut(cause, true, flushed, owed, at);
+        self.finish_cut(cause, true, flushed, outstanding, at);
         (self.state, self.then) = (State::Returning, then);
         self.settle();
     }
@@ -60,7 +60,7 @@ impl Controller {
                 self.travel[motor] -= slot.shift_undone(at).cast_signed();
                 let begun = slot.begun(at);
                 if begun {
-                    self.owed[motor] = self.owed[motor].saturating_add(slot.owed_at(at));
+                    self.outstanding[motor] = self.outstanding[motor].saturating_add(slot.outstanding_at(at));
                 }
                 if slot.kind == Kind::Play {
                     let bursts = u64::from(begun) + u64::from(begun && slot.stroke.down < at);
@@ -76,17 +76,24 @@ impl Controller {
         self.lines = Lines::OFF;
         self.off_until = self.rendered;
         self.state = State::Faulted;
-        self.finish_cut(cause, false, flushed, self.owed_in_all(), at);
+        self.finish_cut(cause, false, flushed, self.outstanding_total(), at);
     }
 
-    fn finish_cut(&mut self, cause: Cause, returns: bool, flushed: u16, owed: u32, at: Tick) {
-        self.marks.retain(|&mark| mark < at);
+    fn finish_cut(&mut self, cause: Cause, returns: bool, flushed: u16, outstanding: u32, at: Tick) {
+        self.onsets.retain(|&mark| mark < at);
         self.cause = cause;
-        self.report_cut(cause, returns, flushed, owed, at);
+        self.report_cut(cause, returns, flushed, outstanding, at);
     }
 
-    pub(super) fn report_cut(&mut self, cause: Cause, returns: bool, flushed: u16, owed: u32, at: Tick) {
-        let cut = Cut { cause, at: at.wire(), returns, flushed, owed };
+    pub(super) fn report_cut(
+        &mut self,
+        cause: Cause,
+        returns: bool,
+        flushed: u16,
+        outstanding: u32,
+        at: Tick,
+    ) {
+        let cut = Cut { cause, at: at.wire(), returns, flushed, outstanding };
         self.last_cut = Some(cut);
         self.report(Report::Cut(cut));
         self.pending.status = true;
@@ -95,9 +102,9 @@ impl Controller {
     /// Books what was played before now, in the order of time. What is not rendered was not played.
     pub(super) fn settle(&mut self) {
         let now = self.now.min(self.rendered);
-        while let Some(&mark) = self.marks.front().filter(|&&mark| mark <= now) {
+        while let Some(&mark) = self.onsets.front().filter(|&&mark| mark <= now) {
             self.settle_strokes(mark);
-            self.marks.pop_front();
+            self.onsets.pop_front();
             if mark == self.rendered {
                 self.trigger_from(mark);
             }
