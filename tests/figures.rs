@@ -5,8 +5,8 @@ use meissner_array::motor::SteadyState;
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_design::{Partition, Shape, Target, Verdict, YARDSTICK, shipped};
 use meissner_report::figures::{AMPLITUDES_UM, INDEX, Report, Subject, TargetFigures, report};
-use meissner_skin::afferent::{POPULATION_NOISE_SD, Position, RaModel, Rectify, population};
-use meissner_skin::simulate::{Method, Options, Scene, simulate};
+use meissner_skin::afferent::{AfferentModel, POPULATION_NOISE_SD, Position, Rectify, population};
+use meissner_skin::{Method, Options, Scene, simulate};
 use serde_json::Value;
 use std::collections::BTreeSet;
 use std::fs;
@@ -193,7 +193,7 @@ fn the_amplitude_is_the_model_s_and_the_plant_scatters_around_it() {
 /// The rate of one receptor under a pin, mean of many.
 fn rate_hz(frequency_hz: f64, amplitude_um: f64) -> f64 {
     let drive = Drive { motor: 9, frequency_hz, amplitude_um, phase: 0.0, start_s: None, stop_s: None };
-    let model = RaModel::default_for(Rectify::Half, POPULATION_NOISE_SD);
+    let model = AfferentModel::default_for(Rectify::Half, POPULATION_NOISE_SD);
     let under = Position { x_mm: -1.45, y_mm: 1.45 };
     let scene = Scene::new(1.0, 77, vec![drive], vec![under; 32], model).unwrap();
     let rates = simulate(&scene, &Options::rates(Method::Exact), &|_| ()).unwrap().rates_hz(&scene);
@@ -264,11 +264,11 @@ fn the_page_says_where_the_amplitude_does_not_matter_and_it_is_so() {
 fn a_pattern_s_rates_are_those_of_its_scene() {
     let rows = rows::<4>(file(library(), "pattern-edge-45-rates.csv"), "x_mm,y_mm,rate_hz,on");
     let drives = Store::new(None, false).unwrap().get("edge-45").unwrap().pattern.drives().to_vec();
-    let model = RaModel::default_for(Rectify::Half, POPULATION_NOISE_SD);
+    let model = AfferentModel::default_for(Rectify::Half, POPULATION_NOISE_SD);
     let scene = Scene::new(1.0, 0, drives, population(0), model).unwrap();
     let rates = simulate(&scene, &Options::rates(Method::Exact), &|_| ()).unwrap().rates_hz(&scene);
     assert_eq!(rows.len(), 306);
-    for ([x_mm, y_mm, found, _], (at, rate)) in rows.into_iter().zip(scene.receptors().iter().zip(&rates)) {
+    for ([x_mm, y_mm, found, _], (at, rate)) in rows.into_iter().zip(scene.afferents().iter().zip(&rates)) {
         assert!((x_mm - at.x_mm).abs() < 1e-4 && (y_mm - at.y_mm).abs() < 1e-4 && found == *rate);
     }
     let edge = library().figures.patterns.iter().find(|pattern| pattern.name == "edge-45").unwrap();

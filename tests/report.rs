@@ -1,6 +1,6 @@
 use crate::harness::{complaint, document, meissner, printed};
 use meissner_report::{MethodLabel, STEPS_US, matching, plot, tradeoff};
-use meissner_skin::simulate::{Integrator, MAX_TOML_BYTES, Method, Options, Precision, Scene, simulate};
+use meissner_skin::{Integrator, MAX_TOML_BYTES, Method, Options, Precision, Scene, simulate};
 use serde_json::{Value, json};
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};

@@ -12,8 +12,8 @@ use meissner_array::random::normal;
 use meissner_array::strokes::Strokes;
 use meissner_design::{Play, predict_response};
 use meissner_skin::afferent::Position;
-use meissner_skin::simulate::{
-    Evaluator, Integrator, Method, Options, Precision, SEARCH_LEAST_WEIGHT, Scene, Stepping, simulate,
+use meissner_skin::{
+    Evaluator, Integrator, Method, Options, Precision, SEARCH_MIN_WEIGHT, Scene, Stepping, simulate,
 };
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::hint::black_box;
@@ -98,7 +98,7 @@ fn changed(criterion: &mut Criterion) {
         integrator: Integrator::Propagator,
         precision: Precision::F32,
     });
-    let search = Options { least_weight: SEARCH_LEAST_WEIGHT, ..Options::rates(Method::Exact) };
+    let search = Options { min_weight: SEARCH_MIN_WEIGHT, ..Options::rates(Method::Exact) };
     let rates =
         |options| simulate(&scene, &options, &|_| ()).expect("the scene can be simulated").rates_hz(&scene);
     let (all, near) = (rates(Options::rates(Method::Exact)), rates(search));
@@ -112,12 +112,9 @@ fn changed(criterion: &mut Criterion) {
         ("exact_searching", search),
         (
             "stepped_searching",
-            Options { least_weight: SEARCH_LEAST_WEIGHT, ..Options::rates(stepped(Precision::F32)) },
+            Options { min_weight: SEARCH_MIN_WEIGHT, ..Options::rates(stepped(Precision::F32)) },
         ),
-        (
-            "stepped_500us_searching",
-            Options { least_weight: SEARCH_LEAST_WEIGHT, ..Options::rates(coarsely) },
-        ),
+        ("stepped_500us_searching", Options { min_weight: SEARCH_MIN_WEIGHT, ..Options::rates(coarsely) }),
     ] {
         group.bench_function(format!("{name}/whole"), |bencher| {
             pool.install(|| bencher.iter(|| simulate(black_box(&scene), &options, &|_| ())));
@@ -129,7 +126,7 @@ fn changed(criterion: &mut Criterion) {
             pool.install(|| {
                 bencher.iter(|| {
                     let motor = motors.next().expect("they never end");
-                    evaluator.trial(black_box(&trials[motor])).expect("the drives are a scene's")
+                    evaluator.evaluate(black_box(&trials[motor])).expect("the drives are a scene's")
                 });
             });
         });

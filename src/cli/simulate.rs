@@ -7,7 +7,7 @@ use anyhow::{Result, anyhow};
 use clap::error::ErrorKind;
 use clap::{Args, CommandFactory, ValueEnum};
 use meissner_report::{Count, MethodLabel, Reason};
-use meissner_skin::simulate::{
+use meissner_skin::{
     Answer, Integrator, Keep, MAX_JSON_BYTES, Method, Options, Precision, Scene, Stepping, choose, simulate,
 };
 use serde::Serialize;

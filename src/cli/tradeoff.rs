@@ -12,7 +12,7 @@ use meissner_report::{
     self, Bias, ControlGrid, ControlRow, ControlTradeoff, LEADS_MS, LeadRow, LeadTradeoff, MAX_TRACE_BYTES,
     STALLS, Trace, Verdict, WireRow, Worst,
 };
-use meissner_skin::simulate::Scene;
+use meissner_skin::Scene;
 use meissner_stream::queues::End;
 use serde::Serialize;
 use std::path::{Path, PathBuf};

@@ -11,8 +11,8 @@ use super::{Partition, Target, Verdict};
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::strokes::{Strokes, StrokesError};
-use meissner_skin::afferent::{self, Position, RaModel, Rectify};
-use meissner_skin::simulate::{MOST_ALPHA_PER_UM, Method, MethodError, Options, Scene, simulate};
+use meissner_skin::afferent::{self, AfferentModel, Position, Rectify};
+use meissner_skin::{MAX_ALPHA_PER_UM, Method, MethodError, Options, Scene, simulate};
 use serde::Serialize;
 use std::f64::consts::FRAC_1_SQRT_2;
 
@@ -193,10 +193,10 @@ pub fn pulses_per_s(pattern: &Pattern) -> Result<f64, StrokesError> {
 }
 
 /// The target's receptors, of another kind if one is asked for.
-fn model(of: &RaModel, rectify: Option<Rectify>) -> RaModel {
+fn model(of: &AfferentModel, rectify: Option<Rectify>) -> AfferentModel {
     let Some(rectify) = rectify.filter(|&rectify| rectify != of.rectify) else { return *of };
     let sensitivity = of.alpha_per_um / of.rectify.default_alpha_per_um();
     // No more than a model may have.
-    let alpha_per_um = (sensitivity * rectify.default_alpha_per_um()).min(MOST_ALPHA_PER_UM);
-    RaModel { rectify, alpha_per_um, ..*of }
+    let alpha_per_um = (sensitivity * rectify.default_alpha_per_um()).min(MAX_ALPHA_PER_UM);
+    AfferentModel { rectify, alpha_per_um, ..*of }
 }

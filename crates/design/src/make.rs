@@ -15,7 +15,7 @@ use super::{
 };
 use meissner_array::pattern::{Drive, Pattern, PatternError};
 use meissner_array::strokes::StrokesError;
-use meissner_skin::simulate::MethodError;
+use meissner_skin::MethodError;
 use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
 use toml::{Table, Value};

@@ -8,9 +8,9 @@
 
 use super::{Frame, Partition, Point, Target};
 use meissner_array::pattern::Drive;
-use meissner_skin::afferent::{self, LEAST_WEIGHT, Position};
-use meissner_skin::simulate::{
-    Evaluator, Integrator, Method, MethodError, Options, Precision, Scene, Stepping, Trial,
+use meissner_skin::afferent::{self, MIN_WEIGHT, Position};
+use meissner_skin::{
+    Candidate, Evaluator, Integrator, Method, MethodError, Options, Precision, Scene, Stepping,
 };
 use rayon::prelude::*;
 
@@ -22,18 +22,18 @@ pub struct Fidelity {
     /// By the propagator with this step; without, by the exact method.
     pub step_us: Option<u32>,
     /// Weights below this count as 0.
-    pub least_weight: f64,
+    pub min_weight: f64,
 }
 
 impl Fidelity {
     /// The model's own: a second, exactly.
-    pub const FULL: Self = Self { duration_s: 1.0, step_us: None, least_weight: LEAST_WEIGHT };
+    pub const FULL: Self = Self { duration_s: 1.0, step_us: None, min_weight: MIN_WEIGHT };
 
     fn options(self) -> Options {
         let stepping =
             |step_us| Stepping { step_us, integrator: Integrator::Propagator, precision: Precision::F32 };
         let method = self.step_us.map_or(Method::Exact, |step_us| Method::Stepped(stepping(step_us)));
-        Options { least_weight: self.least_weight, ..Options::rates(method) }
+        Options { min_weight: self.min_weight, ..Options::rates(method) }
     }
 }
 
@@ -168,7 +168,7 @@ pub struct Tried {
     pub score: Score,
     /// Receptors that were simulated for it.
     pub receptors: usize,
-    trial: Trial,
+    trial: Candidate,
 }
 
 impl<'o> Standing<'o> {
@@ -196,7 +196,7 @@ impl<'o> Standing<'o> {
         let tried = |point: Point| {
             let trial = self
                 .evaluator
-                .trial(&self.objective.drives(&point))
+                .evaluate(&self.objective.drives(&point))
                 .expect("a space has no drives that a scene has not");
             Tried { point, score: self.objective.score(&trial.counts()), receptors: trial.simulated(), trial }
         };

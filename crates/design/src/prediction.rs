@@ -16,8 +16,8 @@ use meissner_array::motor::Ramp;
 use meissner_array::pattern::Pattern;
 use meissner_array::strokes::{Strokes, StrokesError};
 use meissner_array::units::{seconds_in_ticks, seconds_to_ticks, ticks_to_seconds};
-use meissner_skin::afferent::{POPULATION_NOISE_SD, RaModel, Rectify, population};
-use meissner_skin::simulate::{MethodError, Ramps, RampsError, Scene, simulate_ramps};
+use meissner_skin::afferent::{AfferentModel, POPULATION_NOISE_SD, Rectify, population};
+use meissner_skin::{MethodError, Ramps, RampsError, Scene, simulate_ramps};
 use serde::{Deserialize, Serialize};
 
 /// How much of a play is looked at, s: what comes later is not.
@@ -107,7 +107,7 @@ pub fn predict_response(
     let end = seconds_in_ticks(observed_s);
     let target = Target::made_for(pattern);
     let seed = target.as_ref().map_or(0, Target::population_seed);
-    let anybody = RaModel::default_for(Rectify::default(), POPULATION_NOISE_SD);
+    let anybody = AfferentModel::default_for(Rectify::default(), POPULATION_NOISE_SD);
     let model = target.as_ref().map_or(anybody, |target| *target.model());
     let scene = Scene::new(observed_s, seed, Vec::new(), population(seed), model);
     let scene = scene.expect("a finger's receptors and a target's model make a scene");
@@ -165,7 +165,7 @@ impl Watch {
             let repeats = if watch.repeat_s.is_some() { u64::MAX } else { 1 };
             let times = (0..repeats).take_while(whole).count() as u64;
             let reach_mm = target.map_or(0.0, Target::reach_mm);
-            let partition = Partition::of(&frame.shape, reach_mm, scene.receptors());
+            let partition = Partition::of(&frame.shape, reach_mm, scene.afferents());
             Watched { partition, start_s, stop_s, times }
         };
         let mut frames: Vec<_> = frames.iter().map(watched).collect();
@@ -193,7 +193,7 @@ impl Watch {
 
     /// The mean rates of a scene's receptors under some ramps.
     fn rates(&self, scene: &Scene, ramps: &Ramps) -> Result<Rates, MethodError> {
-        let receptors = scene.receptors().len();
+        let receptors = scene.afferents().len();
         let mut counts = vec![vec![0_u64; receptors]; self.frames.len()];
         let mut all = 0;
         simulate_ramps(scene, ramps, |receptor, spikes_s| {

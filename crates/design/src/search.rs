@@ -26,7 +26,7 @@ use super::point::{Point, Space};
 use super::{Frame, Target};
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::random;
-use meissner_skin::simulate::{MethodError, SEARCH_LEAST_WEIGHT};
+use meissner_skin::{MethodError, SEARCH_MIN_WEIGHT};
 use std::collections::HashSet;
 use std::ops::ControlFlow;
 use std::time::Instant;
@@ -125,8 +125,8 @@ struct Stage {
 }
 
 const STEP_US: Option<u32> = Some(500);
-const COARSE: Fidelity = Fidelity { duration_s: 0.25, step_us: STEP_US, least_weight: 1e-2 };
-const MIDDLE: Fidelity = Fidelity { duration_s: 0.5, step_us: STEP_US, least_weight: SEARCH_LEAST_WEIGHT };
+const COARSE: Fidelity = Fidelity { duration_s: 0.25, step_us: STEP_US, min_weight: 1e-2 };
+const MIDDLE: Fidelity = Fidelity { duration_s: 0.5, step_us: STEP_US, min_weight: SEARCH_MIN_WEIGHT };
 const FINE: Fidelity = Fidelity { duration_s: 1.0, ..MIDDLE };
 
 /// From a start to the neighbourhood of a maximum.

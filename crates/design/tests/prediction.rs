@@ -9,7 +9,7 @@ use meissner_design::{
     Circumstances, Partition, Play, PredictedResponse, PredictionError, Target, judge, predict_response,
 };
 use meissner_skin::afferent::population;
-use meissner_skin::simulate::{Method, Options, Ramps, RampsError, Scene, simulate as solve, simulate_ramps};
+use meissner_skin::{Method, Options, Ramps, RampsError, Scene, simulate as solve, simulate_ramps};
 use meissner_test_support::played::by_the_plant;
 use meissner_test_support::random::Random;
 use meissner_test_support::{both, oracle};
@@ -22,7 +22,7 @@ fn spikes_of(scene: &Scene) -> Vec<Vec<f64>> {
 }
 
 fn spikes_of_ramps(scene: &Scene, ramps: impl IntoIterator<Item = (u8, Ramp)>) -> Vec<Vec<f64>> {
-    let mut spikes = vec![Vec::new(); scene.receptors().len()];
+    let mut spikes = vec![Vec::new(); scene.afferents().len()];
     simulate_ramps(scene, &Ramps::new(ramps).unwrap(), |receptor, train| spikes[receptor as usize] = train)
         .unwrap();
     spikes

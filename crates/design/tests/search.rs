@@ -12,14 +12,14 @@ use meissner_design::{
     Step, Target, Vibration, YARDSTICK, resume, search, shipped,
 };
 use meissner_skin::afferent::{self, Position};
-use meissner_skin::simulate::{Method, Options, Scene, simulate};
+use meissner_skin::{Method, Options, Scene, simulate};
 use proptest::prelude::*;
 use rayon::ThreadPoolBuilder;
 use std::ops::ControlFlow;
 use std::time::Instant;
 
 /// As a search looks first: cheap.
-const GLANCE: Fidelity = Fidelity { duration_s: 0.25, step_us: Some(500), least_weight: 1e-2 };
+const GLANCE: Fidelity = Fidelity { duration_s: 0.25, step_us: Some(500), min_weight: 1e-2 };
 /// A fifth of what three sweeps of a coordinate search spend, receptor-seconds; asserted below.
 const FIFTH: Limit = Limit::ReceptorSeconds(14_000.0);
 /// Evaluations by which a search has ended by itself: four times what the yardstick takes.
@@ -87,7 +87,7 @@ fn motors_near_the_edge_come_to_the_receptors_best_frequency() {
 
 /// Three sweeps over the motors, each with 24 frequencies; and the receptor-seconds they take.
 fn by_coordinates(target: &Target, seed: u64, start: Point, space: &Space) -> (Point, f64) {
-    let fidelity = Fidelity { duration_s: 1.0, step_us: Some(100), least_weight: 1e-3 };
+    let fidelity = Fidelity { duration_s: 1.0, step_us: Some(100), min_weight: 1e-3 };
     let objective = Objective::new(target, &target.frames()[0], &[seed], 0, fidelity);
     let mut standing = objective.at(start).unwrap();
     let mut receptor_s = objective.receptors() as f64;
@@ -321,7 +321,7 @@ fn to_convergence_and_again() {
     let again = resume(&brief(&target, &space, &0), found.point, limit, &mut go_on).unwrap();
     let fine = |found: &Found| {
         let frame = &target.frames()[0];
-        let fidelity = Fidelity { duration_s: 1.0, step_us: Some(500), least_weight: 1e-3 };
+        let fidelity = Fidelity { duration_s: 1.0, step_us: Some(500), min_weight: 1e-3 };
         Objective::new(&target, frame, &[0], 0, fidelity).at(found.point).unwrap().score().cost_hz()
     };
     assert!(fine(&again) >= fine(&found));

@@ -1,6 +1,6 @@
 use meissner_design::{Problem, Shape, Target};
 use meissner_input::document;
-use meissner_skin::afferent::{RaModel, Rectify};
+use meissner_skin::afferent::{AfferentModel, Rectify};
 use proptest::prelude::*;
 use std::fs;
 use std::path::Path;
@@ -65,7 +65,7 @@ fn every_shape_is_read_with_its_keys_and_written_again() {
     }
     let target = read(TOML).unwrap();
     reads_back(&target);
-    let model = RaModel { noise_sd: 0.01, ..RaModel::default_for(Rectify::Half, 0.0) };
+    let model = AfferentModel { noise_sd: 0.01, ..AfferentModel::default_for(Rectify::Half, 0.0) };
     assert_eq!((target.name(), target.population_seed(), target.model()), ("good", 3, &model));
     assert_eq!((target.duration_s(), target.frames().len()), (1.0, 8));
     read(&format!("\u{feff}{TOML}")).unwrap();

@@ -1,9 +1,106 @@
-//! The skin model: where RA afferents lie in the fingertip, and which spikes they send when pins move.
+//! The skin model: where the rapidly adapting (RA) afferents of a fingertip lie, and which spikes they send when
+//! pins move.
 //!
-//! - [`afferent`]: parameters, receptive fields and populations.
-//! - [`simulate`]: scenes of drives and afferents, simulated exactly or with a time step.
+//! An afferent is a nerve fibre with its receptors; its spikes are what the model computes. The data path:
+//!
+//! 1. [`afferent`]: the parameters of an afferent, its receptive field, and a population on the fingertip.
+//! 2. `scene`: a [`Scene`] says which motors are driven and how, where the afferents lie, and their parameters.
+//! 3. `breakpoints`: a motor's strokes become the breakpoints of its velocity. Between two breakpoints the velocity
+//!    is a straight line. `track` keeps what one motor does, `blocks` merges the motors in order of time, `sampler`
+//!    puts the velocity on a grid of steps.
+//! 4. `membrane`: the leaky membrane in closed form, and the threshold. `silence` proves which afferents cannot
+//!    reach it.
+//! 5. From there two methods lead to spikes. `exact` goes from breakpoint to breakpoint, eight afferents at a time;
+//!    where a threshold may be reached, `neuron` solves for the crossing. It has no time step. `stepped` takes a
+//!    fixed step, with forward Euler as in the paper or with the exact propagator of the leak.
+//! 6. `engine` shares the afferents out over groups and threads. [`simulate`] gives the [`Answer`].
+//!
+//! On top of that, an [`Evaluator`] simulates a scene again when some of its motors change, [`choose`] finds the
+//! cheapest method for an allowed error, and [`simulate_ramps`] takes the bursts that motors really made ([`Ramps`])
+//! in place of drives.
+//!
+//! Both methods draw the same noise, so they can be compared spike by spike. Work is skipped only where the answer is
+//! known without it ([`Skipped`]): motors at rest, afferents out of reach or provably silent, a state that repeats
+//! itself (`cycle`).
+//!
+//! Invariant: the answer for an afferent depends on its scene, the method, and its number, which keys its noise. It
+//! does not depend on threads, the width of vectors, the other afferents, or what is skipped.
 //!
 //! The crate opens no file and reads no clock.
+//!
+//! # What the model leaves out
+//!
+//! - There is no low-pass filter before the membrane. Above about 50 Hz the model is more sensitive than recorded
+//!   afferents are (Freeman & Johnson 1982).
+//! - The skin has no mechanics: a receptive field is a sum of Gaussians.
+//! - There are no SA and no PC afferents, as in the paper.
+//! - Rectification, depth of hyperexcitability and reset are our reading of the literature.
+//!
+//! # Example
+//!
+//! ```
+//! use meissner_skin::{Method, Options, Scene, simulate};
+//!
+//! let scene = "
+//!     duration_s = 0.5
+//!     drives = [{ motor = 9, frequency_hz = 60.0, amplitude_um = 80.0 }]
+//!     afferents = [{ x_mm = -1.45, y_mm = 1.45 }, { x_mm = 9.0, y_mm = -9.0 }]
+//! ";
+//! let scene = Scene::read(scene, "scene.toml")?;
+//! let answer = simulate(&scene, &Options::rates(Method::Exact), &|_| ())?;
+//! let rates_hz = answer.rates_hz(&scene);
+//! assert!(rates_hz[0] > 200.0, "the afferent under pin 9");
+//! assert_eq!(rates_hz[1], 0.0, "no pin reaches the other");
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! # Sources
+//!
+//! A constant is marked with where it comes from: (P) the paper, (L) other literature, (C) our own choice.
+//!
+//! - The paper (P): K. Gwak, J.-C. Park and D.-S. Kim, "A Novel Stimulation Method Based on a Neuromorphic
+//!   Mechanoreceptor Model for Haptic Illusion", Korea Advanced Institute of Science and Technology. Its afferent
+//!   model is that of S. Bensmaia, "A transduction model of the Meissner corpuscle", *Mathematical Biosciences* 176,
+//!   203-217, 2002.
+//! - Freeman & Johnson 1982: A. W. Freeman and K. O. Johnson, "A model accounting for effects of vibratory amplitude
+//!   on responses of cutaneous mechanoreceptors in macaque monkey", *Journal of Physiology* 323, 43-64, 1982.
+//! - Vega-Bermudez & Johnson 1999: F. Vega-Bermudez and K. O. Johnson, "SA1 and RA receptive fields, response
+//!   variability, and population responses mapped with a probe array", *Journal of Neurophysiology* 81, 2701-2710, 1999.
 
 pub mod afferent;
-pub mod simulate;
+
+mod blocks;
+mod breakpoints;
+mod choose;
+mod cycle;
+mod engine;
+mod evaluator;
+mod exact;
+mod member;
+mod membrane;
+mod method;
+mod neuron;
+mod ramps;
+mod sampler;
+mod scene;
+mod silence;
+mod simd;
+mod simulation;
+mod stepped;
+#[cfg(test)]
+mod tests;
+mod time;
+mod track;
+
+pub use choose::{Choice, choose};
+pub use engine::Skipped;
+pub use evaluator::{Candidate, Evaluator};
+pub use meissner_input::document::{Mistake, Place};
+pub use method::{
+    Integrator, Keep, MAX_SPIKES, Method, MethodError, Options, Precision, SEARCH_MIN_WEIGHT, STEP_US,
+    Stepping,
+};
+pub use ramps::{Ramps, RampsError, simulate_ramps};
+pub use scene::{MAX_ALPHA_PER_UM, MAX_JSON_BYTES, MAX_TOML_BYTES, Problem, RawAfferent, Scene, SceneError};
+pub use scene::{TwoNames, as_written, check_model, one_name};
+pub use simulation::{Answer, simulate};

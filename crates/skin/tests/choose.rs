@@ -1,6 +1,6 @@
 //! The choice of a method keeps what it says: measured on random scenes.
 
-use meissner_skin::simulate::{Method, Options, Scene, choose, simulate};
+use meissner_skin::{Method, Options, Scene, choose, simulate};
 use meissner_test_support::random::Random;
 use rayon::prelude::*;
 use std::ops::Range;

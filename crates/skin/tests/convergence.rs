@@ -1,6 +1,6 @@
 //! The stepped methods come to the exact one as the step shrinks, each at its own order.
 
-use meissner_skin::simulate::{Integrator, Method, Options, Precision, Scene, Stepping, simulate as solve};
+use meissner_skin::{Integrator, Method, Options, Precision, Scene, Stepping, simulate as solve};
 use meissner_test_support::random::Random;
 use meissner_test_support::{both, oracle};
 

@@ -1,9 +1,9 @@
 //! A scene changed motor by motor has the answer of one simulated afresh, and so has one that is only tried.
 
 use meissner_array::pattern::Drive;
-use meissner_skin::afferent::{LEAST_WEIGHT, Position, RaModel, Rectify};
-use meissner_skin::simulate::{
-    Evaluator, Integrator, Method, Options, Precision, SEARCH_LEAST_WEIGHT, Scene, Stepping, simulate,
+use meissner_skin::afferent::{AfferentModel, MIN_WEIGHT, Position, Rectify};
+use meissner_skin::{
+    Evaluator, Integrator, Method, Options, Precision, SEARCH_MIN_WEIGHT, Scene, Stepping, simulate,
 };
 use meissner_test_support::random::Random;
 use rayon::prelude::*;
@@ -41,8 +41,8 @@ fn any_sequence_of_changes_ends_where_a_fresh_simulation_does() {
     for seed in 0..12 {
         let mut random = Random::new(seed);
         let scene = random.scene(0.5);
-        let model = RaModel { noise_sd: [0.0, 0.05][seed as usize % 2], ..*scene.model() };
-        let (drives, receptors) = (scene.drives().to_vec(), scene.receptors().to_vec());
+        let model = AfferentModel { noise_sd: [0.0, 0.05][seed as usize % 2], ..*scene.model() };
+        let (drives, receptors) = (scene.drives().to_vec(), scene.afferents().to_vec());
         let mut scene = Scene::new(0.4, seed, drives, receptors, model).unwrap();
         let options = Options::rates(methods()[seed as usize % 3]);
         let mut evaluator = Evaluator::new(scene.clone(), options).unwrap();
@@ -52,7 +52,7 @@ fn any_sequence_of_changes_ends_where_a_fresh_simulation_does() {
             let now = scene.drives().iter().copied().find(|drive| drive.motor == motor);
             let drives = changed(&mut random, motor, now);
             scene = scene.with_motor(motor, &drives).unwrap();
-            reused += evaluator.set_motor(motor, &drives).unwrap().receptors_reused;
+            reused += evaluator.set_motor(motor, &drives).unwrap().afferents_reused;
             assert_eq!(evaluator.scene(), &scene);
             assert_eq!(evaluator.counts(), afresh(&scene, &options), "seed {seed}");
             let rates = evaluator.counts().iter().map(|&count| count as f64 / 0.4);
@@ -66,15 +66,15 @@ fn any_sequence_of_changes_ends_where_a_fresh_simulation_does() {
 fn evaluated(seed: u64) -> (Random, Evaluator, Options) {
     let mut random = Random::new(seed);
     let scene = random.scene(0.7);
-    let model = RaModel { noise_sd: [0.0, 0.05][seed as usize % 2], ..*scene.model() };
-    let (drives, receptors) = (scene.drives().to_vec(), scene.receptors().to_vec());
+    let model = AfferentModel { noise_sd: [0.0, 0.05][seed as usize % 2], ..*scene.model() };
+    let (drives, receptors) = (scene.drives().to_vec(), scene.afferents().to_vec());
     let mut scene = Scene::new(0.4, seed, drives, receptors, model).unwrap();
     if random.chance(0.3) {
         scene = scene.with_gains(&std::array::from_fn(|_| random.between(0.8, 1.2))).unwrap();
     }
     let method = methods()[seed as usize % 3];
-    let least_weight = if random.chance(0.5) { SEARCH_LEAST_WEIGHT } else { LEAST_WEIGHT };
-    let options = Options { least_weight, ..Options::rates(method) };
+    let min_weight = if random.chance(0.5) { SEARCH_MIN_WEIGHT } else { MIN_WEIGHT };
+    let options = Options { min_weight, ..Options::rates(method) };
     (random, Evaluator::new(scene, options).unwrap(), options)
 }
 
@@ -103,7 +103,7 @@ fn a_trial_comes_to_what_a_fresh_simulation_does_and_changes_nothing() {
             let candidates: Vec<_> = (0..4).map(|_| tried(&mut random, scene.drives())).collect();
             // Several threads at once.
             let mut trials: Vec<_> =
-                candidates.par_iter().map(|drives| evaluator.trial(drives).unwrap()).collect();
+                candidates.par_iter().map(|drives| evaluator.evaluate(drives).unwrap()).collect();
             assert_eq!((evaluator.scene(), evaluator.counts()), (&scene, &counts[..]));
             for (trial, drives) in trials.iter().zip(&candidates) {
                 let expected = afresh(&scene.with_drives(drives.clone()).unwrap(), &options);
@@ -132,9 +132,9 @@ fn drives_in_another_order_or_the_same_are_not_simulated() {
     let (_, evaluator, _) = evaluated(1);
     let mut drives = evaluator.scene().drives().to_vec();
     drives.reverse();
-    assert_eq!(evaluator.trial(&drives).unwrap().simulated(), 0);
+    assert_eq!(evaluator.evaluate(&drives).unwrap().simulated(), 0);
     drives[0].frequency_hz = 1e6;
-    assert!(evaluator.trial(&drives).unwrap_err().to_string().contains("drives[0]"));
+    assert!(evaluator.evaluate(&drives).unwrap_err().to_string().contains("drives[0]"));
 }
 
 #[test]
@@ -145,8 +145,8 @@ fn a_motor_set_to_what_it_does_is_not_simulated() {
     let mut evaluator = Evaluator::new(scene, Options::rates(Method::Exact)).unwrap();
     // The last drive stays the last; the first one's place in the list changes, which matters to nobody.
     let skipped = evaluator.set_motor(last.motor, &[last]).unwrap();
-    assert_eq!(skipped.receptors_reused, 306);
-    assert_eq!(evaluator.set_motor(drive.motor, &[drive]).unwrap().receptors_reused, 306);
+    assert_eq!(skipped.afferents_reused, 306);
+    assert_eq!(evaluator.set_motor(drive.motor, &[drive]).unwrap().afferents_reused, 306);
 }
 
 #[test]
@@ -154,7 +154,7 @@ fn a_refused_change_leaves_everything_as_it_was() {
     let drive =
         Drive { motor: 9, frequency_hz: 60.0, amplitude_um: 80.0, phase: 0.0, start_s: None, stop_s: None };
     let receptors = vec![Position { x_mm: -1.5, y_mm: 1.5 }, Position { x_mm: 4.0, y_mm: -7.0 }];
-    let model = RaModel::default_for(Rectify::Half, 0.05);
+    let model = AfferentModel::default_for(Rectify::Half, 0.05);
     let scene = Scene::new(0.5, 1, vec![drive, Drive { motor: 23, ..drive }], receptors, model).unwrap();
     for method in methods() {
         let mut evaluator = Evaluator::new(scene.clone(), Options::rates(method)).unwrap();

@@ -16,16 +16,16 @@ mod sizes;
 use meissner_array::geometry;
 use meissner_array::pattern::Drive;
 use meissner_array::random::Normals;
-use meissner_skin::afferent::{Position, RaModel, Rectify};
-use meissner_skin::simulate::{Integrator, Method, Options, Precision, Scene, Stepping, simulate};
+use meissner_skin::afferent::{AfferentModel, Position, Rectify};
+use meissner_skin::{Integrator, Method, Options, Precision, Scene, Stepping, simulate};
 use meissner_test_support::oracle;
 
 /// No spikes.
 const NONE: [f64; 0] = [];
 
 /// Without noise.
-fn model(rectify: Rectify) -> RaModel {
-    RaModel::default_for(rectify, 0.0)
+fn model(rectify: Rectify) -> AfferentModel {
+    AfferentModel::default_for(rectify, 0.0)
 }
 
 fn drive(motor: u8, frequency_hz: f64, amplitude_um: f64) -> Drive {
@@ -42,12 +42,12 @@ fn under(motor: u8) -> Position {
     beside(motor, 0.0)
 }
 
-fn scene(duration_s: f64, drives: &[Drive], receptors: &[Position], model: RaModel) -> Scene {
+fn scene(duration_s: f64, drives: &[Drive], receptors: &[Position], model: AfferentModel) -> Scene {
     Scene::new(duration_s, 7, drives.to_vec(), receptors.to_vec(), model).unwrap()
 }
 
 /// One stroke up at time 0, so that a touchy receptor spikes as often as it can.
-fn stroke_up(touchy: RaModel, duration_s: f64) -> Scene {
+fn stroke_up(touchy: AfferentModel, duration_s: f64) -> Scene {
     scene(duration_s, &[drive(9, 0.001, 80.0)], &[under(9)], touchy)
 }
 
@@ -138,8 +138,8 @@ fn for_oracle(scene: &Scene) -> oracle::Scene {
     oracle::Scene {
         duration_s: scene.duration_s(),
         drives: scene.drives().iter().map(drive).collect(),
-        receptors: scene.receptors().iter().map(|at| (at.x_mm, at.y_mm)).collect(),
-        offsets: (0..scene.receptors().len()).map(offsets).collect(),
+        receptors: scene.afferents().iter().map(|at| (at.x_mm, at.y_mm)).collect(),
+        offsets: (0..scene.afferents().len()).map(offsets).collect(),
         model: oracle::Model {
             rectify: match model.rectify {
                 Rectify::Half => oracle::Rectify::Half,

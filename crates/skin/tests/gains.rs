@@ -1,7 +1,7 @@
 //! A motor's gain scales what it does to the skin, whatever the method.
 
-use meissner_skin::afferent::RaModel;
-use meissner_skin::simulate::{
+use meissner_skin::afferent::AfferentModel;
+use meissner_skin::{
     Answer, Evaluator, Integrator, Method, Options, Precision, Scene, Stepping, simulate as solve,
 };
 use meissner_test_support::random::Random;
@@ -42,8 +42,8 @@ fn the_same_gain_of_all_motors_is_alpha() {
         let scene = Random::new(seed).scene(0.5);
         // By a power of 2, so that nothing is rounded differently.
         let gain = [0.5, 2.0][seed as usize % 2];
-        let model = RaModel { alpha_per_um: gain * scene.model().alpha_per_um, ..*scene.model() };
-        let (drives, receptors) = (scene.drives().to_vec(), scene.receptors().to_vec());
+        let model = AfferentModel { alpha_per_um: gain * scene.model().alpha_per_um, ..*scene.model() };
+        let (drives, receptors) = (scene.drives().to_vec(), scene.afferents().to_vec());
         let louder = Scene::new(scene.duration_s(), scene.seed(), drives, receptors, model).unwrap();
         let gained = scene.with_gains(&[gain; 24]).unwrap();
         for method in METHODS {

@@ -1,8 +1,8 @@
 //! What a receptor does depends on the scene alone: on nothing about how it is computed, to the last bit.
 
 use meissner_array::pattern::Drive;
-use meissner_skin::afferent::{Position, RaModel, Rectify, population};
-use meissner_skin::simulate::{
+use meissner_skin::afferent::{AfferentModel, Position, Rectify, population};
+use meissner_skin::{
     Answer, Integrator, Keep, Method, Options, Precision, Scene, Skipped, Stepping, simulate as solve,
 };
 use meissner_test_support::random::Random;
@@ -32,16 +32,17 @@ fn long(noise_sd: f64) -> Scene {
     let drives =
         (0..24).map(|motor| Drive { frequency_hz: random.between(100.0, 300.0), ..random.drive(motor) });
     let receptors = population(5).into_iter().step_by(10).collect();
-    Scene::new(4.0, 5, drives.collect(), receptors, RaModel::default_for(Rectify::Half, noise_sd)).unwrap()
+    Scene::new(4.0, 5, drives.collect(), receptors, AfferentModel::default_for(Rectify::Half, noise_sd))
+        .unwrap()
 }
 
 fn without_noise(scene: &Scene) -> Scene {
-    with_receptors(scene, scene.receptors().to_vec())
+    with_receptors(scene, scene.afferents().to_vec())
 }
 
 /// Other receptors, and no noise, which is keyed by their number.
 fn with_receptors(scene: &Scene, receptors: Vec<Position>) -> Scene {
-    let model = RaModel { noise_sd: 0.0, ..*scene.model() };
+    let model = AfferentModel { noise_sd: 0.0, ..*scene.model() };
     Scene::new(scene.duration_s(), scene.seed(), scene.drives().to_vec(), receptors, model).unwrap()
 }
 
@@ -73,8 +74,8 @@ fn threads_change_nothing() {
 #[test]
 fn the_order_of_receptors_changes_nothing() {
     for (index, scene) in scenes().iter().enumerate() {
-        let order = Random::new(index as u64).shuffled(scene.receptors().len());
-        let shuffled = order.iter().map(|&number| scene.receptors()[number]).collect();
+        let order = Random::new(index as u64).shuffled(scene.afferents().len());
+        let shuffled = order.iter().map(|&number| scene.afferents()[number]).collect();
         let (scene, shuffled) = (without_noise(scene), with_receptors(scene, shuffled));
         for method in methods() {
             let (in_order, found) = (bits(&spikes(&scene, method)), bits(&spikes(&shuffled, method)));
@@ -92,7 +93,7 @@ fn a_receptor_alone_does_what_it_does_among_others() {
         for method in methods() {
             let together = bits(&spikes(&scene, method));
             let few = together.len().div_ceil(8);
-            for (number, &at) in scene.receptors().iter().enumerate().step_by(few) {
+            for (number, &at) in scene.afferents().iter().enumerate().step_by(few) {
                 let alone = bits(&spikes(&with_receptors(&scene, vec![at]), method));
                 assert_eq!(alone[0], together[number], "scene {index}, receptor {number}, {method:?}");
             }
@@ -110,7 +111,7 @@ fn blocks_change_nothing() {
         .collect();
     for noise_sd in [0.0, 0.05] {
         let scene = |drives| {
-            let model = RaModel::default_for(Rectify::Half, noise_sd);
+            let model = AfferentModel::default_for(Rectify::Half, noise_sd);
             Scene::new(3.0, 1, drives, receptors.clone(), model).unwrap()
         };
         let expected = bits(&spikes(&scene(vec![near]), Method::Exact));
@@ -145,7 +146,7 @@ fn whether_breaks_and_samples_are_kept_changes_nothing() {
         Method::Stepped(Stepping { step_us: 5, ..finely(Precision::F32) }),
     ] {
         let until = |duration_s| {
-            let model = RaModel::default_for(Rectify::Half, 0.05);
+            let model = AfferentModel::default_for(Rectify::Half, 0.05);
             let scene = Scene::new(duration_s, 3, drives.clone(), receptors.clone(), model).unwrap();
             let trains = spikes(&scene, method).spikes_s.unwrap().into_iter();
             trains.map(|train| train.into_iter().filter(|&t| t < 0.7).collect()).collect()
@@ -181,13 +182,13 @@ fn what_is_left_out_changes_nothing() {
             let skipped = both_ways(&scene, method);
             all.motors_at_rest += skipped.motors_at_rest;
             all.motors_out_of_reach += skipped.motors_out_of_reach;
-            all.receptors_out_of_reach += skipped.receptors_out_of_reach;
-            all.receptors_below_threshold += skipped.receptors_below_threshold;
+            all.afferents_out_of_reach += skipped.afferents_out_of_reach;
+            all.afferents_below_threshold += skipped.afferents_below_threshold;
         }
         assert!(all.motors_at_rest > 0 && all.motors_out_of_reach > 0, "{method:?}: {all:?}");
-        assert!(all.receptors_out_of_reach > 0, "{method:?}: {all:?}");
+        assert!(all.afferents_out_of_reach > 0, "{method:?}: {all:?}");
         let bounded = !matches!(method, Method::Stepped(Stepping { integrator: Integrator::Euler, .. }));
-        assert_eq!(all.receptors_below_threshold > 0, bounded, "{method:?}: {all:?}");
+        assert_eq!(all.afferents_below_threshold > 0, bounded, "{method:?}: {all:?}");
     }
 }
 
@@ -205,10 +206,10 @@ fn repeated_s(copies: usize, rectify: Rectify, frequencies_hz: &[f64]) -> f64 {
         })
         .collect();
     let at = |place: u32| Position { x_mm: -1.45 + 0.2 * f64::from(place), y_mm: 1.5 };
-    let model = RaModel::default_for(rectify, 0.0);
+    let model = AfferentModel::default_for(rectify, 0.0);
     let repeated = (0..12).map(|place| {
         let scene = Scene::new(10.0, 0, drives.clone(), vec![at(place); copies], model).unwrap();
-        both_ways(&scene, Method::Exact).repeated_receptor_s
+        both_ways(&scene, Method::Exact).repeated_afferent_s
     });
     repeated.sum()
 }
@@ -251,7 +252,7 @@ fn periodic_scenes_of_a_finger_are_the_same_with_and_without_repetition() {
             vec![drive(5, 60.0), drive(9, 50.0), drive(18, 85.0)],
         ] {
             let receptors = population(2).into_iter().step_by(3).collect();
-            let model = RaModel::default_for(rectify, 0.0);
+            let model = AfferentModel::default_for(rectify, 0.0);
             let scene = Scene::new(9.77, 0, drives, receptors, model).unwrap();
             both_ways(&scene, Method::Exact);
         }

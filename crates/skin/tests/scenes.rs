@@ -1,6 +1,6 @@
 use meissner_input::document;
-use meissner_skin::afferent::{RaModel, Rectify, population};
-use meissner_skin::simulate::{MAX_JSON_BYTES, MAX_TOML_BYTES, Problem, Scene};
+use meissner_skin::afferent::{AfferentModel, Rectify, population};
+use meissner_skin::{MAX_JSON_BYTES, MAX_TOML_BYTES, Problem, Scene};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 use std::fmt::Write;
@@ -60,8 +60,8 @@ fn the_same_scene_is_the_same_in_both_languages() {
     assert_eq!(read(TOML, "-").unwrap(), scene);
     assert_eq!((scene.duration_s(), scene.seed(), scene.drives().len()), (2.0, 5, 2));
     assert_eq!((scene.drives()[0].phase, scene.drives()[1].start_s), (0.5139, Some(1.0)));
-    assert_eq!((scene.receptors()[0].x_mm, scene.receptors()[0].y_mm), (5.354, -1.901));
-    let model = RaModel {
+    assert_eq!((scene.afferents()[0].x_mm, scene.afferents()[0].y_mm), (5.354, -1.901));
+    let model = AfferentModel {
         rectify: Rectify::Full,
         alpha_per_um: 0.02,
         tau_s: 0.05,
@@ -77,14 +77,14 @@ fn the_same_scene_is_the_same_in_both_languages() {
 #[test]
 fn what_is_left_out_has_its_default() {
     let scene = read("duration_s = 1\nreceptors = []", "a.toml").unwrap();
-    assert_eq!((scene.seed(), scene.drives().len(), scene.receptors().len()), (0, 0, 0));
-    assert_eq!(*scene.model(), RaModel::default_for(Rectify::Half, 0.0));
+    assert_eq!((scene.seed(), scene.drives().len(), scene.afferents().len()), (0, 0, 0));
+    assert_eq!(*scene.model(), AfferentModel::default_for(Rectify::Half, 0.0));
     let signed = read("duration_s = 1\nreceptors = []\nreceptor.rectify = \"signed\"", "a.toml").unwrap();
-    assert_eq!(*signed.model(), RaModel::default_for(Rectify::Signed, 0.0));
+    assert_eq!(*signed.model(), AfferentModel::default_for(Rectify::Signed, 0.0));
     for (text, seed) in [("{}", 0), ("{ seed = 9 }", 9)] {
         let scene = read(&format!("duration_s = 1\npopulation = {text}"), "a.toml").unwrap();
-        assert_eq!(scene.receptors(), population(seed));
-        assert_eq!(*scene.model(), RaModel::default_for(Rectify::Half, 0.05));
+        assert_eq!(scene.afferents(), population(seed));
+        assert_eq!(*scene.model(), AfferentModel::default_for(Rectify::Half, 0.05));
     }
     let json =
         r#"{"duration_s": 1, "seed": 18446744073709551615, "population": {"seed": 18446744073709551615}}"#;
@@ -97,7 +97,7 @@ fn the_reference_scenes_are_read() {
     assert_eq!(scenes.len(), 18);
     for scene in scenes {
         let read = read(&scene.to_string(), "scene.json").unwrap();
-        assert_eq!(read.receptors().len(), scene["promised_spikes"].as_array().unwrap().len());
+        assert_eq!(read.afferents().len(), scene["promised_spikes"].as_array().unwrap().len());
         assert_eq!(read.drives().len(), scene["drives"].as_array().unwrap().len());
         assert_eq!(read.model().alpha_per_um, scene["receptor"]["alpha_per_um"]);
         assert_eq!(read.model().noise_sd, 0.0);
@@ -234,7 +234,7 @@ fn long_and_deep_files_are_refused_or_read() {
     for i in 0..100_000 {
         write!(receptors, r#"{{"x_mm": {i}, "y_mm": -0.5}},"#).unwrap();
     }
-    assert_eq!(json(&format!("{}]}}", receptors.trim_end_matches(','))).unwrap().receptors().len(), 100_000);
+    assert_eq!(json(&format!("{}]}}", receptors.trim_end_matches(','))).unwrap().afferents().len(), 100_000);
     let line = json(&format!("{receptors} {{\"x_mm\": 1, \"y_mm\": \"a\"}}]}}")).unwrap_err();
     assert!(line.contains("`receptors[100000].y_mm` is string \"a\": must be a number"), "{line}");
 

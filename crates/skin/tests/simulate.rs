@@ -1,6 +1,6 @@
 //! The exact and stepped methods against references: another program's spikes, and the oracle's.
 
-use meissner_skin::simulate::{Answer, Method, Options, Scene, simulate};
+use meissner_skin::{Answer, Method, Options, Scene, simulate};
 use meissner_test_support::both::both;
 use meissner_test_support::oracle;
 use serde_json::Value;

@@ -3,8 +3,8 @@
 use crate::oracle;
 use meissner_array::pattern::Drive;
 use meissner_array::random::Normals;
-use meissner_skin::afferent::{Position, RaModel, Rectify};
-use meissner_skin::simulate::Scene;
+use meissner_skin::Scene;
+use meissner_skin::afferent::{AfferentModel, Position, Rectify};
 
 /// A scene of the oracle's as one of ours, and the noise in it as the oracle wants it.
 pub fn both(mut scene: oracle::Scene, noise_sd: f64, seed: u64) -> (oracle::Scene, Scene) {
@@ -16,7 +16,7 @@ pub fn both(mut scene: oracle::Scene, noise_sd: f64, seed: u64) -> (oracle::Scen
         start_s: Some(drive.start_s),
         stop_s: drive.stop_s,
     });
-    let model = RaModel {
+    let model = AfferentModel {
         rectify: match scene.model.rectify {
             oracle::Rectify::Half => Rectify::Half,
             oracle::Rectify::Full => Rectify::Full,

@@ -2,8 +2,8 @@
 
 use meissner_array::pattern::Drive;
 use meissner_array::random::uniform;
-use meissner_skin::afferent::{Position, RaModel, Rectify, population};
-use meissner_skin::simulate::Scene;
+use meissner_skin::Scene;
+use meissner_skin::afferent::{AfferentModel, Position, Rectify, population};
 
 /// Numbers by a seed.
 pub struct Random {
@@ -70,7 +70,7 @@ impl Random {
         };
         let rectify = [Rectify::Half, Rectify::Full, Rectify::Signed][self.below(3)];
         let noise_sd = if self.chance(0.5) { 0.05 } else { 0.0 };
-        let model = RaModel::default_for(rectify, noise_sd);
+        let model = AfferentModel::default_for(rectify, noise_sd);
         Scene::new(self.between(0.2, 2.0), seed, drives, receptors, model).unwrap()
     }
 }

@@ -7,6 +7,7 @@
 use super::MAX_BYTES;
 use meissner_input::document;
 use meissner_input::message::figure;
+use meissner_skin::TwoNames;
 use meissner_skin::afferent::{PAD_LENGTH_MM, PAD_WIDTH_MM};
 
 /// A target that was refused.
@@ -28,6 +29,8 @@ pub enum Problem {
     Character { found: String },
     #[error("is there, and `[motion]` has its own: leave it out")]
     DurationOfMotion,
+    #[error(transparent)]
+    TwoNames(#[from] TwoNames),
     /// Of a Braille character it is a dot; frames are told as which of how many, if there are several.
     #[error(
         "{}is at [{}, {}] mm{}: must be on the pad, an ellipse {PAD_WIDTH_MM} mm wide and {PAD_LENGTH_MM} mm \

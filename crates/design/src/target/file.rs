@@ -11,7 +11,7 @@ use crate::{braille, shape};
 use meissner_input::document::{Keyed, Mistake, from_toml, in_range, line_of};
 use meissner_input::message::quote;
 use meissner_skin::afferent;
-use meissner_skin::simulate::RawReceptor;
+use meissner_skin::{RawAfferent, as_written, one_name};
 use serde::de::{Error, IgnoredAny, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 use std::fmt;
@@ -68,7 +68,9 @@ struct RawTarget {
     amplitude_um: Option<f64>,
     duration_s: Option<f64>,
     population: Option<Keyed<RawPopulation>>,
-    receptor: Option<Keyed<RawReceptor>>,
+    afferent: Option<Keyed<RawAfferent>>,
+    /// Deprecated: the old name of `afferent`.
+    receptor: Option<Keyed<RawAfferent>>,
     motion: Option<Keyed<RawMotion>>,
 }
 
@@ -145,7 +147,9 @@ impl RawTarget {
             Some(motion) => motion.frames(&shape, duration_s),
             None => vec![Frame { shape: shape.clone(), start_s: None, stop_s: None }],
         };
-        let receptor = self.receptor.map_or_else(RawReceptor::default, |Keyed(raw)| raw);
+        let (raw, written) = one_name(("afferent", self.afferent), ("receptor", self.receptor))
+            .map_err(|two| Fault::whole(None, two.into()))?;
+        let raw = raw.map_or_else(RawAfferent::default, |Keyed(raw)| raw);
         let target = Target {
             name: self.name,
             shape,
@@ -153,12 +157,12 @@ impl RawTarget {
             amplitude_um: self.amplitude_um.unwrap_or(AMPLITUDE_UM),
             duration_s,
             population_seed: self.population.map_or(0, |Keyed(raw)| raw.seed),
-            model: receptor.model(afferent::POPULATION_NOISE_SD),
+            model: raw.model(afferent::POPULATION_NOISE_SD),
             motion,
             frames,
         };
         placed.check(&target)?;
-        target.checked()
+        target.checked().map_err(|fault| as_written(fault, "afferent", written))
     }
 
     fn shape(&mut self) -> Result<(Shape, Placed), Fault> {

@@ -22,8 +22,8 @@ use meissner_array::geometry::{self, PITCH_MM};
 use meissner_array::pattern::{self, AMPLITUDE_UM, MAX_SECONDS, Pattern};
 use meissner_input::document::in_range;
 use meissner_input::message::quote;
-use meissner_skin::afferent::{self, PAD_LENGTH_MM, RaModel};
-use meissner_skin::simulate::{RawReceptor, check_model};
+use meissner_skin::afferent::{self, AfferentModel, PAD_LENGTH_MM};
+use meissner_skin::{RawAfferent, check_model};
 pub(super) use motion::LONGEST_S;
 use motion::Motion;
 use std::ops::RangeInclusive;
@@ -49,7 +49,7 @@ pub struct Target {
     amplitude_um: f64,
     duration_s: f64,
     population_seed: u64,
-    model: RaModel,
+    model: AfferentModel,
     motion: Option<Motion>,
     frames: Vec<Frame>,
 }
@@ -142,7 +142,7 @@ impl Target {
 
     /// What the receptors are made of.
     #[must_use]
-    pub const fn model(&self) -> &RaModel {
+    pub const fn model(&self) -> &AfferentModel {
         &self.model
     }
 
@@ -164,7 +164,7 @@ impl Target {
         put("amplitude_um", self.amplitude_um.into());
         let seed = i64::try_from(self.population_seed).expect("the seed was checked");
         put("population", Table::from_iter([("seed".to_owned(), seed.into())]).into());
-        let receptor = Table::try_from(RawReceptor::from(self.model)).expect("a word and numbers");
+        let receptor = Table::try_from(RawAfferent::from(self.model)).expect("a word and numbers");
         put("receptor", receptor.into());
         let duration_s = ("duration_s", self.duration_s.into());
         match self.motion {
@@ -253,10 +253,10 @@ impl Target {
         }?;
         let seed = self.population_seed;
         in_range("population.seed", seed as f64, i64::try_from(seed).is_ok(), "0 to 9223372036854775807")?;
-        check_model(&self.model).map_err(|fault| fault.within("receptor"))?;
+        check_model(&self.model).map_err(|fault| fault.within("afferent"))?;
         if self.motion.is_some() {
             // Every spike of a moving target is kept: this and the longest motion bound them.
-            let (key, refractory_s) = ("receptor.refractory_s", self.model.refractory_s);
+            let (key, refractory_s) = ("afferent.refractory_s", self.model.refractory_s);
             let range = "0.0005 s or longer where there is a motion";
             in_range(key, refractory_s, refractory_s >= LEAST_REFRACTORY_S, range)?;
         }

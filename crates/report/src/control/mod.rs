@@ -20,7 +20,7 @@ use meissner_array::motor::MotorError;
 use meissner_array::pattern::Pattern;
 use meissner_array::simulated::PlantConfig;
 use meissner_array::units::{UM_PER_PULSE, seconds_in_ticks};
-use meissner_skin::simulate::Scene;
+use meissner_skin::Scene;
 use meissner_stream::{MotorRun, Period, Settings, rest_bound_um, simulate_play};
 use rayon::prelude::*;
 use serde::Serialize;

@@ -35,7 +35,7 @@ use meissner_array::motor::MotorError;
 use meissner_array::pattern::Pattern;
 use meissner_array::simulated::PlantError;
 use meissner_design::TargetError;
-use meissner_skin::simulate::{MethodError, SceneError};
+use meissner_skin::{MethodError, SceneError};
 use meissner_stream::calibrate::FitProblem;
 use serde::Serialize;
 use std::sync::atomic::{AtomicUsize, Ordering};

@@ -16,8 +16,8 @@ use super::{FiguresError, Subject};
 use meissner_array::motor::{MotorError, SteadyState};
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_design::{Frame, Target, Verdict};
-use meissner_skin::afferent::{POPULATION_NOISE_SD, Position, RaModel, Rectify, population};
-use meissner_skin::simulate::{Keep, Method, Options, Scene, simulate};
+use meissner_skin::afferent::{AfferentModel, POPULATION_NOISE_SD, Position, Rectify, population};
+use meissner_skin::{Keep, Method, Options, Scene, simulate};
 use serde::Serialize;
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -190,7 +190,7 @@ impl PredictedResponse {
         // As the maker does: a target's population seeds the noise too.
         let seed = target.map_or(SEED, Target::population_seed);
         let model = target.map_or_else(
-            || RaModel::default_for(Rectify::Half, POPULATION_NOISE_SD),
+            || AfferentModel::default_for(Rectify::Half, POPULATION_NOISE_SD),
             |target| *target.model(),
         );
         // In a pattern a stroke exists only if it has ended by the pattern's end; in a scene, by its drive's.
@@ -200,7 +200,7 @@ impl PredictedResponse {
         let keep = if moves { Keep::Spikes } else { Keep::Rates };
         let answer = simulate(&scene, &Options { keep, ..Options::rates(Method::Exact) }, progress)?;
         let rates_hz = answer.rates_hz(&scene);
-        Ok(Self { receptors: scene.receptors().to_vec(), watched_s, rates_hz, spikes_s: answer.spikes_s })
+        Ok(Self { receptors: scene.afferents().to_vec(), watched_s, rates_hz, spikes_s: answer.spikes_s })
     }
 
     /// The frames of its target that were watched: all of it, if it does not move.

@@ -20,7 +20,7 @@ use meissner_array::pattern::Pattern;
 use meissner_array::simulated::PlantConfig;
 use meissner_array::strokes::Strokes;
 use meissner_array::units::ns_to_ms;
-use meissner_skin::simulate::Scene;
+use meissner_skin::Scene;
 use meissner_stream::queues::{At, Command, End, Play, StreamEvent};
 use meissner_stream::time::HostInstant;
 use meissner_stream::{Bandwidth, Line, Settings, Simulation};

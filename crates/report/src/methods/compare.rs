@@ -6,7 +6,7 @@
 //! Invariant: an answer does not differ from itself.
 
 use meissner_design::Partition;
-use meissner_skin::simulate::{Answer, Scene};
+use meissner_skin::{Answer, Scene};
 
 /// Spikes further apart are not the same spike: the model's refractory period.
 pub const MATCH_S: f64 = 0.001;
@@ -93,8 +93,8 @@ fn trains(answer: &Answer) -> &[Vec<f64>] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use meissner_skin::afferent::{Position, RaModel, Rectify};
-    use meissner_skin::simulate::Skipped;
+    use meissner_skin::Skipped;
+    use meissner_skin::afferent::{AfferentModel, Position, Rectify};
 
     fn answer(spikes_s: &[&[f64]]) -> Answer {
         Answer {
@@ -107,7 +107,7 @@ mod tests {
     #[test]
     fn a_difference_is_counted_in_spikes_times_rates_and_cost() {
         let receptors = vec![Position { x_mm: 0.0, y_mm: 0.0 }, Position { x_mm: 8.0, y_mm: 0.0 }];
-        let model = RaModel::default_for(Rectify::Half, 0.0);
+        let model = AfferentModel::default_for(Rectify::Half, 0.0);
         let scene = Scene::new(0.5, 0, vec![], receptors, model).unwrap();
         let reference = Reference::new(&scene, answer(&[&[0.1, 0.2, 0.3], &[0.4]]));
         assert_eq!((reference.spikes(), reference.cost_hz()), (4, Some(4.0)));
@@ -123,7 +123,7 @@ mod tests {
 
     #[test]
     fn nothing_has_no_figures() {
-        let model = RaModel::default_for(Rectify::Half, 0.0);
+        let model = AfferentModel::default_for(Rectify::Half, 0.0);
         let scene = Scene::new(0.0, 0, vec![], vec![], model).unwrap();
         let reference = Reference::new(&scene, answer(&[]));
         let found = reference.difference(reference.answer());

@@ -2,7 +2,7 @@
 //!
 //! Invariant: the exact method has no step, no integrator and no precision.
 
-use meissner_skin::simulate::{Integrator, Method, Precision, Stepping};
+use meissner_skin::{Integrator, Method, Precision, Stepping};
 use serde::Serialize;
 use std::fmt;
 

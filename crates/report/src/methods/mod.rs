@@ -19,9 +19,7 @@ pub use reasons::{Count, Reason, reasons};
 
 use compare::{Difference, Reference};
 use meissner_design::{Partition, YARDSTICK, shipped};
-use meissner_skin::simulate::{
-    Answer, Integrator, Method, MethodError, Options, Precision, Scene, Stepping, simulate,
-};
+use meissner_skin::{Answer, Integrator, Method, MethodError, Options, Precision, Scene, Stepping, simulate};
 use serde::Serialize;
 use std::time::{Duration, Instant};
 
@@ -105,7 +103,7 @@ pub struct LeftOut {
 /// # Errors
 /// If the exact method cannot simulate the scene.
 pub fn tradeoff(scene: &Scene, progress: &(dyn Fn(f64) + Sync)) -> Result<MethodTradeoff, MethodError> {
-    let receptors = scene.receptors().len();
+    let receptors = scene.afferents().len();
     let feasible =
         |step_us: &u32| scene.duration_s() * 1e6 / f64::from(*step_us) * receptors as f64 <= MOST_STEPS;
     let (steps, too_fine): (Vec<u32>, Vec<u32>) = STEPS_US.into_iter().partition(feasible);
@@ -147,7 +145,7 @@ pub fn tradeoff(scene: &Scene, progress: &(dyn Fn(f64) + Sync)) -> Result<Method
 /// Which receptors of the scene are on the yardstick.
 fn partition(scene: &Scene) -> Partition {
     let target = shipped(YARDSTICK).expect("it is shipped, as a test shows");
-    Partition::of(&target.frames()[0].shape, target.reach_mm(), scene.receptors())
+    Partition::of(&target.frames()[0].shape, target.reach_mm(), scene.afferents())
 }
 
 fn stepped(steps: &[u32]) -> Vec<Method> {
@@ -315,7 +313,7 @@ mod tests {
     #[test]
     fn the_shipped_scene_is_the_standard_one() {
         let scene = Scene::read(SIXTY_HERTZ, "sixty-hertz.toml").unwrap();
-        assert_eq!((scene.receptors().len(), scene.drives().len(), scene.duration_s()), (306, 24, 1.0));
+        assert_eq!((scene.afferents().len(), scene.drives().len(), scene.duration_s()), (306, 24, 1.0));
         assert_eq!(scene.model().noise_sd, meissner_skin::afferent::POPULATION_NOISE_SD);
         let mut phases: Vec<_> = scene.drives().iter().map(|drive| drive.phase.to_bits()).collect();
         phases.sort_unstable();

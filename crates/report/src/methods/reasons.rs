@@ -2,8 +2,8 @@
 //!
 //! Invariant: whatever is counted has a reason; what did not occur is not named.
 
-use meissner_skin::afferent::LEAST_WEIGHT;
-use meissner_skin::simulate::Skipped;
+use meissner_skin::Skipped;
+use meissner_skin::afferent::MIN_WEIGHT;
 use serde::Serialize;
 use std::borrow::Cow;
 
@@ -40,10 +40,10 @@ pub fn reasons(skipped: &Skipped) -> Vec<Reason> {
     let Skipped {
         motors_at_rest,
         motors_out_of_reach,
-        receptors_out_of_reach,
-        receptors_below_threshold,
-        repeated_receptor_s,
-        receptors_reused,
+        afferents_out_of_reach,
+        afferents_below_threshold,
+        repeated_afferent_s,
+        afferents_reused,
     } = *skipped;
     let all = [
         (
@@ -54,28 +54,27 @@ pub fn reasons(skipped: &Skipped) -> Vec<Reason> {
         (
             "motors_out_of_reach",
             Count::Number(motors_out_of_reach.into()),
-            format!("the motor's weight is below {LEAST_WEIGHT:e} at every receptor, which counts as 0")
-                .into(),
+            format!("the motor's weight is below {MIN_WEIGHT:e} at every receptor, which counts as 0").into(),
         ),
         (
             "receptors_out_of_reach",
-            Count::Number(receptors_out_of_reach),
+            Count::Number(afferents_out_of_reach),
             "no moving motor has a weight there, so the membrane stays at rest".into(),
         ),
         (
             "receptors_below_threshold",
-            Count::Number(receptors_below_threshold),
+            Count::Number(afferents_below_threshold),
             "even if no input cancelled another, the membrane would stay below its first threshold".into(),
         ),
         (
             "repeated_receptor_s",
-            Count::Seconds(repeated_receptor_s),
+            Count::Seconds(repeated_afferent_s),
             "the state was bit by bit an earlier one, one or more periods before, so the spikes repeat"
                 .into(),
         ),
         (
             "receptors_reused",
-            Count::Number(receptors_reused),
+            Count::Number(afferents_reused),
             "no motor that changed reaches the receptor, so its answer is the last one".into(),
         ),
     ];
@@ -91,7 +90,7 @@ mod tests {
     #[test]
     fn only_what_was_skipped_is_named() {
         assert_eq!(reasons(&Skipped::default()), []);
-        let found = reasons(&Skipped { motors_at_rest: 3, repeated_receptor_s: 1.5, ..Skipped::default() });
+        let found = reasons(&Skipped { motors_at_rest: 3, repeated_afferent_s: 1.5, ..Skipped::default() });
         let found = serde_json::to_value(found).unwrap();
         assert_eq!((&found[0]["what"], &found[0]["count"]), (&json!("motors_at_rest"), &json!(3)));
         assert_eq!((&found[1]["what"], &found[1]["count"]), (&json!("repeated_receptor_s"), &json!(1.5)));

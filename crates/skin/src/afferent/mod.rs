@@ -1,10 +1,12 @@
-//! The fingertip: where its RA receptors lie, what they feel of each pin, and what they are made of.
+//! RA afferents: their parameters, their receptive fields, and where they lie in the fingertip.
 //!
-//! An afferent's receptive field is a Gaussian of the distance between receptor and pin. The pad is an ellipse
-//! on the middle of the array, denser in receptors towards the fingertip. There are no skin mechanics here and
-//! no SA or PC afferents; both are known to be missing.
+//! [`AfferentModel`] holds the parameters of an afferent. Its receptive field ([`weight`]) is a Gaussian of the distance
+//! between the afferent and a pin. [`population`] places the afferents of a fingertip.
 //!
-//! Invariant: a position's weights depend on nothing but the position and the field's width.
+//! Constants are marked with their source: (P) the paper, (L) other literature, (C) our own choice. The crate's front
+//! page has the sources in full.
+//!
+//! Invariant: a position's weights depend on nothing but the position and the width of the field.
 
 mod population;
 
@@ -13,37 +15,39 @@ pub use population::{LOWER_PER_CM2, PAD_LENGTH_MM, PAD_WIDTH_MM, UPPER_PER_CM2, 
 use meissner_array::geometry;
 use serde::{Deserialize, Serialize};
 
-// Where the numbers come from: (P) is the paper, Gwak, Park & Kim; (L) other literature; (C) our own choice.
+/// A weight below this counts as 0 (C): at the default width a pin does not reach beyond 7.46 mm.
+pub const MIN_WEIGHT: f64 = 1e-10;
 
-/// A weight below this counts as 0: beyond 7.46 mm at the default width a pin is not felt.
-pub const LEAST_WEIGHT: f64 = 1e-10;
-
-/// A place on the skin; the array's axes: x across the finger, y towards the fingertip.
+/// A place on the skin, in the array's axes: x across the finger, y towards the fingertip.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Position {
-    /// From the array's middle.
+    /// Distance from the array's middle along x, mm.
     pub x_mm: f64,
-    /// From the array's middle.
+    /// Distance from the array's middle along y, mm.
     pub y_mm: f64,
 }
 
-/// Which part of the skin's velocity depolarises a receptor.
+/// The part of the skin's velocity that depolarises an afferent.
+///
+/// The paper does not say which. Half is the default (C): with it, and with full rectification, the paper's Fig. 4 comes
+/// out, in which the motors near the edge gather at 60 Hz. Read literally, the equation does not give that (29 to 63 Hz).
+/// In the model of Freeman & Johnson 1982, too, only part of a cycle depolarises (L).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Rectify {
     /// Indentation only, `max(u, 0)`.
     #[default]
     Half,
-    /// Both ways, `|u|`.
+    /// Both directions, `|u|`.
     Full,
     /// The paper's equation read literally, `u`.
     Signed,
 }
 
 impl Rectify {
-    /// The α at which a receptor under a pin fires once per cycle from 10 µm (zero to peak) of a 40 Hz sine on,
-    /// without noise: near the thresholds recorded of RA afferents (L). The three figures are computed by us.
+    /// The default α, per µm (C). With it an afferent under a pin fires once per cycle of a 40 Hz sine from 10 µm (zero to
+    /// peak) on, without noise. That is near the thresholds recorded from RA afferents (L: Freeman & Johnson 1982).
     #[must_use]
     pub const fn default_alpha_per_um(self) -> f64 {
         match self {
@@ -60,42 +64,42 @@ pub const TAU_S: f64 = 0.044;
 pub const REFRACTORY_S: f64 = 0.001;
 /// Hyperexcitability after a spike, s (P).
 pub const HYPEREXCITABILITY_S: f64 = 0.044;
-/// By how much it lowers the threshold at first (C): the paper does not print it.
+/// Hyperexcitability lowers the threshold by this right after a spike (C): the paper does not print it.
 pub const HYPEREXCITABILITY_DEPTH: f64 = 0.3;
-/// Width of a receptive field, mm (L): from field areas of 5.5 mm² at 50 µm and 22.4 mm² at 500 µm of indentation
-/// (Vega-Bermudez & Johnson 1999). That sensitivity varies over the field through α is the paper's.
+/// Width of a receptive field, mm. It follows from field areas of 5.5 mm² at 50 µm and 22.4 mm² at 500 µm of indentation
+/// (L: Vega-Bermudez & Johnson 1999). Sensitivity varies over the field by varying α (P).
 pub const SIGMA_MM: f64 = 1.1;
-/// The threshold never falls below this, in units of the resting one: our choice.
-pub const LEAST_THRESHOLD: f64 = 0.05;
-/// Draws of the threshold noise are cut at so many SD: our choice.
+/// The threshold never falls below this, in units of the resting threshold (C).
+pub const MIN_THRESHOLD: f64 = 0.05;
+/// Draws of the threshold noise are clamped to so many SD (C).
 pub const NOISE_LIMIT_SD: f64 = 8.0;
-/// SD of the threshold noise of a population (P). That it is drawn once per interval is (C): a draw per time
-/// step would make the answer depend on the step.
+/// SD of the threshold noise of a population (P). One draw per interval (C): a draw per time step would make the answer
+/// depend on the step.
 pub const POPULATION_NOISE_SD: f64 = 0.05;
 
-/// The RA mechanoreceptor's parameters: an integrate-and-fire membrane whose resting threshold is 1.
+/// The parameters of an RA afferent: an integrate-and-fire membrane whose resting threshold is 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RaModel {
-    /// What the input is rectified to.
+pub struct AfferentModel {
+    /// The rectification of the input.
     pub rectify: Rectify,
-    /// Depolarisation per µm of skin displacement.
+    /// α: depolarisation per µm of skin displacement.
     pub alpha_per_um: f64,
-    /// Time constant of the membrane.
+    /// τ: time constant of the membrane, s.
     pub tau_s: f64,
-    /// No spike earlier than this after a spike.
+    /// The shortest time between two spikes, s.
     pub refractory_s: f64,
-    /// For how long after a spike the threshold is lowered.
+    /// The time after a spike in which the threshold is lowered, s.
     pub hyperexcitability_s: f64,
-    /// By how much, right after the spike.
+    /// The lowering of the threshold right after a spike, which fades linearly.
     pub hyperexcitability_depth: f64,
-    /// Width of the receptive field.
+    /// σ: width of the receptive field, mm.
     pub sigma_mm: f64,
     /// SD of the threshold, drawn once per inter-spike interval.
     pub noise_sd: f64,
 }
 
-impl RaModel {
-    /// The default receptor of a kind, with this much threshold noise (0, or [`POPULATION_NOISE_SD`]).
+impl AfferentModel {
+    /// The defaults for a rectification, with this threshold noise (0, or [`POPULATION_NOISE_SD`]).
     #[must_use]
     pub const fn default_for(rectify: Rectify, noise_sd: f64) -> Self {
         Self {
@@ -111,22 +115,22 @@ impl RaModel {
     }
 }
 
-/// The exponent beyond which a weight is below [`LEAST_WEIGHT`] for certain: above its logarithm, 23.03.
-const FARTHEST: f64 = 24.0;
+/// Beyond this exponent a weight is certainly below [`MIN_WEIGHT`], whose logarithm is -23.03.
+const MAX_EXPONENT: f64 = 24.0;
 
-/// How much of a motor's velocity a receptor feels: `exp(-d²/2σ²)` of its distance d to the pin; below
-/// [`LEAST_WEIGHT`] exactly 0. `libm`'s exponential, because two machines must agree.
+/// An afferent's weight of a motor's velocity, `exp(-d²/2σ²)` with the distance d to the pin; exactly 0 below
+/// [`MIN_WEIGHT`]. It uses `libm`'s exponential, so that all machines agree.
 #[must_use]
-pub fn weight(receptor: Position, motor: u8, sigma_mm: f64) -> f64 {
+pub fn weight(at: Position, motor: u8, sigma_mm: f64) -> f64 {
     let [x_mm, y_mm] = geometry::position_mm(motor);
-    let (dx, dy) = (receptor.x_mm - x_mm, receptor.y_mm - y_mm);
+    let (dx, dy) = (at.x_mm - x_mm, at.y_mm - y_mm);
     let exponent = (dx * dx + dy * dy) / (2.0 * sigma_mm * sigma_mm);
-    // Most pins are out of reach of most receptors: that needs no exponential.
-    if exponent > FARTHEST {
+    // Most pins do not reach most afferents: that needs no exponential.
+    if exponent > MAX_EXPONENT {
         return 0.0;
     }
     let weight = libm::exp(-exponent);
-    if weight < LEAST_WEIGHT { 0.0 } else { weight }
+    if weight < MIN_WEIGHT { 0.0 } else { weight }
 }
 
 #[cfg(test)]
@@ -134,12 +138,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn beyond_the_farthest_nothing_is_felt() {
-        assert!(libm::exp(-FARTHEST) < LEAST_WEIGHT);
+    fn beyond_the_largest_exponent_every_weight_is_zero() {
+        assert!(libm::exp(-MAX_EXPONENT) < MIN_WEIGHT);
     }
 
     #[test]
-    fn a_pin_is_felt_fully_under_it_less_beside_it_and_not_far_away() {
+    fn a_weight_is_one_under_the_pin_less_beside_it_and_zero_far_away() {
         let [x_mm, y_mm] = geometry::position_mm(9);
         let at = |right_mm: f64, up_mm: f64| {
             weight(Position { x_mm: x_mm + right_mm, y_mm: y_mm + up_mm }, 9, SIGMA_MM)
@@ -149,12 +153,12 @@ mod tests {
         // 3-4-5: only the distance counts.
         assert!((at(3.0, -4.0) - at(0.0, 5.0)).abs() < 1e-12);
         assert!((at(3.0, 4.0) / (-25.0 / 2.42_f64).exp() - 1.0).abs() < 1e-9);
-        assert!(at(7.46, 0.0) >= LEAST_WEIGHT);
+        assert!(at(7.46, 0.0) >= MIN_WEIGHT);
         assert_eq!(at(0.0, 7.47), 0.0);
     }
 
     #[test]
-    fn far_and_narrow_are_zero_and_wide_is_one() {
+    fn far_and_narrow_fields_weigh_zero_and_wide_ones_one() {
         let far = Position { x_mm: 1e6, y_mm: -1e6 };
         assert_eq!(weight(far, 0, SIGMA_MM), 0.0);
         assert_eq!(weight(Position { x_mm: 0.0, y_mm: 0.0 }, 0, 1e-3), 0.0);
@@ -162,11 +166,14 @@ mod tests {
     }
 
     #[test]
-    fn the_default_receptors_differ_in_alpha_alone() {
-        let half = RaModel::default_for(Rectify::Half, 0.0);
+    fn the_defaults_differ_in_alpha_alone() {
+        let half = AfferentModel::default_for(Rectify::Half, 0.0);
         assert_eq!((half.alpha_per_um, half.tau_s, half.sigma_mm), (0.0492, 0.044, 1.1));
         for (rectify, alpha_per_um) in [(Rectify::Full, 0.0277), (Rectify::Signed, 0.2016)] {
-            assert_eq!(RaModel::default_for(rectify, 0.0), RaModel { rectify, alpha_per_um, ..half });
+            assert_eq!(
+                AfferentModel::default_for(rectify, 0.0),
+                AfferentModel { rectify, alpha_per_um, ..half }
+            );
         }
     }
 }

@@ -1,8 +1,8 @@
-//! A finger's RA receptors, scattered over the pad.
+//! The RA afferents of a fingertip, scattered over the pad.
 //!
-//! The pad is an ellipse on the middle of the array. Its upper half, towards the fingertip, is the denser. How
-//! many receptors a half has is fixed; where they lie is uniform over the half and drawn per receptor, so that a
-//! receptor's place depends on seed and number alone.
+//! The pad is an ellipse on the middle of the array. Its upper half, towards the fingertip, is denser. The number of
+//! afferents in a half is fixed. Their positions are uniform over the half, and each is drawn by itself: it depends on
+//! the seed and the afferent's number alone.
 //!
 //! Invariant: the same seed gives the same positions, bit for bit, on every machine.
 
@@ -10,34 +10,34 @@ use super::Position;
 use meissner_array::random;
 use std::f64::consts::PI;
 
-/// The pad along y, mm (C): a fingertip's.
+/// Length of the pad, along y, mm (C).
 pub const PAD_LENGTH_MM: f64 = 24.0;
-/// The pad along x, mm (C).
+/// Width of the pad, along x, mm (C).
 pub const PAD_WIDTH_MM: f64 = 18.0;
-/// Receptors in the upper half (y ≥ 0), per cm² (P).
+/// Afferents per cm² of the upper half, y ≥ 0 (P).
 pub const UPPER_PER_CM2: f64 = 140.0;
-/// Receptors in the lower half, per cm² (P).
+/// Afferents per cm² of the lower half (P).
 pub const LOWER_PER_CM2: f64 = 40.0;
 
-/// Sets these draws apart from others of the same seed; 0 to 2 are the plant's.
+/// Keeps these draws apart from others of the same seed; 0 to 2 are those of the simulated motors.
 const POSITION_WORD: u64 = 3;
 
-/// 306 receptors: 238 in the upper half, then 68 in the lower.
+/// The positions of 306 afferents: 238 in the upper half, then 68 in the lower.
 #[must_use]
 pub fn population(seed: u64) -> Vec<Position> {
     let (upper, lower) = (count(UPPER_PER_CM2), count(LOWER_PER_CM2));
-    let place = |receptor| {
-        let [area, turns] = random::uniform([seed, receptor, 0, POSITION_WORD]);
-        // The root makes equal areas of the ellipse equally likely.
+    let position = |number| {
+        let [area, turns] = random::uniform([seed, number, 0, POSITION_WORD]);
+        // With the root, equal areas of the ellipse are equally likely.
         let (radius, angle) = (area.sqrt(), PI * turns);
         let x_mm = PAD_WIDTH_MM / 2.0 * radius * libm::cos(angle);
         let y_mm = PAD_LENGTH_MM / 2.0 * radius * libm::sin(angle);
-        Position { x_mm, y_mm: if receptor < upper { y_mm } else { -y_mm } }
+        Position { x_mm, y_mm: if number < upper { y_mm } else { -y_mm } }
     };
-    (0..upper + lower).map(place).collect()
+    (0..upper + lower).map(position).collect()
 }
 
-/// Receptors of half a pad.
+/// The number of afferents in half a pad.
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a few hundred")]
 fn count(per_cm2: f64) -> u64 {
     let half_pad_cm2 = PI / 4.0 * (PAD_LENGTH_MM / 10.0) * (PAD_WIDTH_MM / 10.0) / 2.0;
@@ -49,7 +49,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn both_halves_are_filled_and_nothing_lies_outside() {
+    fn both_halves_are_full_and_no_afferent_lies_outside() {
         for seed in 0..50 {
             let positions = population(seed);
             let (upper, lower) = positions.split_at(238);
@@ -87,17 +87,17 @@ mod tests {
     /// Computed by a second implementation of ChaCha8, in another language.
     #[test]
     fn golden_positions_never_change() {
-        for (seed, receptor, x_mm, y_mm) in [
+        for (seed, number, x_mm, y_mm) in [
             (0, 0, 0.749_291_556_860_497_3, 3.037_859_466_720_551_6),
             (0, 238, -3.860_789_286_448_257, -10.439_915_542_981_549),
             (1, 0, 0.575_073_311_842_175_1, 2.625_211_207_446_099),
         ] {
-            assert_eq!(population(seed)[receptor], Position { x_mm, y_mm });
+            assert_eq!(population(seed)[number], Position { x_mm, y_mm });
         }
     }
 
     #[test]
-    fn another_seed_is_another_finger() {
+    fn another_seed_gives_another_population() {
         let (a, b) = (population(1), population(2));
         assert!(a.iter().zip(&b).all(|(a, b)| a != b));
         assert_eq!(a, population(1));

@@ -7,7 +7,7 @@ use super::{
 use meissner_array::motor::SteadyState;
 use meissner_array::pattern::Drive;
 use meissner_array::units::UM_PER_PULSE;
-use meissner_skin::afferent::{Position, RaModel, Rectify};
+use meissner_skin::afferent::{AfferentModel, Position, Rectify};
 
 #[test]
 fn a_drive_at_a_thousandth_hertz_is_two_strokes_in_a_thousand_seconds() {
@@ -23,7 +23,7 @@ fn a_drive_at_a_thousandth_hertz_is_two_strokes_in_a_thousand_seconds() {
 
 #[test]
 fn at_half_the_pulse_rate_one_pulse_goes_up_and_one_down() {
-    let ripples = RaModel { alpha_per_um: 10.0, ..model(Rectify::Half) };
+    let ripples = AfferentModel { alpha_per_um: 10.0, ..model(Rectify::Half) };
     let scene = scene(0.1, &[drive(9, 42_500.0, 80.0)], &[under(9)], ripples);
     let found = as_the_oracle(&scene, 3);
     // More than a pulse each way there is not.
@@ -39,7 +39,7 @@ fn at_half_the_pulse_rate_one_pulse_goes_up_and_one_down() {
 
 #[test]
 fn an_amplitude_below_half_a_pulse_is_nothing() {
-    let sensitive = RaModel { alpha_per_um: 1e6, ..model(Rectify::Full) };
+    let sensitive = AfferentModel { alpha_per_um: 1e6, ..model(Rectify::Full) };
     for um in [0.0, f64::from_bits(1), 0.49 * UM_PER_PULSE] {
         let scene = scene(0.1, &[drive(9, 60.0, um)], &[under(9)], sensitive);
         for method in methods(100) {
@@ -53,7 +53,7 @@ fn half_a_pulse_is_rounded_up() {
     for whole in [1.0, 3.0, 70.0] {
         // So that the threshold is reached after the burst: how long that was decides when.
         let alpha_per_um = 10.0 / whole;
-        let model = RaModel { alpha_per_um, ..model(Rectify::Full) };
+        let model = AfferentModel { alpha_per_um, ..model(Rectify::Full) };
         let at = |pulses: f64| scene(0.1, &[drive(9, 60.0, pulses * UM_PER_PULSE)], &[under(9)], model);
         as_the_oracle(&at(whole - 0.5), 5);
         for method in methods(100) {
@@ -92,7 +92,7 @@ fn bursts_that_end_where_the_next_begins() {
     // The window is 17 of these periods; and a period of 100 ticks filled by two bursts of 50.
     for hz in [17.0 / 0.0043, 850.0] {
         for rectify in [Rectify::Half, Rectify::Full, Rectify::Signed] {
-            let model = RaModel { alpha_per_um: 3.0, ..model(rectify) };
+            let model = AfferentModel { alpha_per_um: 3.0, ..model(rectify) };
             let scene = scene(0.2, &[drive(9, hz, 1e6)], &[under(9)], model);
             as_the_oracle(&scene, 1);
             counts_near(&scene, 10, 3);
@@ -129,7 +129,7 @@ fn all_motors_alike() {
     let at = |x_mm, y_mm| Position { x_mm, y_mm };
     let places = [at(0.0, 0.0), at(1.3, 2.2), at(-1.3, 2.2), at(1.3, -2.2), at(-1.3, -2.2)];
     for sigma_mm in [1.1, 1e6] {
-        let scene = scene(0.5, &drives, &places, RaModel { sigma_mm, ..model(Rectify::Half) });
+        let scene = scene(0.5, &drives, &places, AfferentModel { sigma_mm, ..model(Rectify::Half) });
         as_the_oracle(&scene, 50);
         counts_near(&scene, 10, 4);
         for method in methods(100) {

@@ -5,8 +5,8 @@
 //! the answer is known, there is nowhere for a lost or a doubled spike to hide.
 
 use super::{as_the_oracle, drive, exact, methods, model, propagator, scene, spikes, stepped, under};
-use meissner_skin::afferent::{RaModel, Rectify};
-use meissner_skin::simulate::{Method, Options, Scene, simulate};
+use meissner_skin::afferent::{AfferentModel, Rectify};
+use meissner_skin::{Method, Options, Scene, simulate};
 
 fn count(scene: &Scene, method: Method) -> u64 {
     simulate(scene, &Options { skip: false, ..Options::rates(method) }, &|_| ()).unwrap().counts[0]
@@ -27,7 +27,7 @@ fn a_threshold_that_is_only_just_touched_is_reached() {
     // A single stroke up; the membrane has one maximum. Without rounding its height is alpha times a constant.
     for rectify in [Rectify::Half, Rectify::Full, Rectify::Signed] {
         let of = |alpha_per_um| {
-            let model = RaModel { alpha_per_um, ..model(rectify) };
+            let model = AfferentModel { alpha_per_um, ..model(rectify) };
             scene(0.03, &[drive(9, 0.001, 80.0)], &[under(9)], model)
         };
         let touching = first(0.001, 0.1, |alpha| count(&of(alpha), Method::Exact) > 0);
@@ -56,7 +56,7 @@ fn a_spike_at_a_break_is_one_spike() {
     for break_s in [589.0 / 85_000.0, 0.0043] {
         for rectify in [Rectify::Half, Rectify::Full, Rectify::Signed] {
             let of = |alpha_per_um| {
-                let model = RaModel { alpha_per_um, refractory_s: 1.0, ..model(rectify) };
+                let model = AfferentModel { alpha_per_um, refractory_s: 1.0, ..model(rectify) };
                 scene(0.5, &[drive(9, 0.001, 80.0)], &[under(9)], model)
             };
             let at = first(0.015, 1.0, |alpha| exact(&of(alpha))[0].first().is_some_and(|&t| t < break_s));
@@ -81,7 +81,7 @@ fn a_spike_at_a_break_is_one_spike() {
 fn a_threshold_reached_just_as_refractoriness_ends() {
     // The second spike is held back by refractoriness, or comes of itself after it: between, both at once.
     let of = |refractory_s| {
-        let model = RaModel { refractory_s, alpha_per_um: 0.12, ..model(Rectify::Half) };
+        let model = AfferentModel { refractory_s, alpha_per_um: 0.12, ..model(Rectify::Half) };
         scene(0.02, &[drive(9, 0.001, 80.0)], &[under(9)], model)
     };
     let free = exact(&of(1e-5)).remove(0);
@@ -109,7 +109,7 @@ fn a_threshold_reached_just_as_refractoriness_ends() {
 fn a_spike_at_the_end_of_the_scene_is_no_part_of_it() {
     let of = |duration_s, start_s| {
         let drive = meissner_array::pattern::Drive { start_s: Some(start_s), ..drive(9, 0.001, 80.0) };
-        scene(duration_s, &[drive], &[under(9)], RaModel { alpha_per_um: 0.3, ..model(Rectify::Half) })
+        scene(duration_s, &[drive], &[under(9)], AfferentModel { alpha_per_um: 0.3, ..model(Rectify::Half) })
     };
     for start_s in [0.0, 0.1, 0.37, 1.0, 3.3, 7.77, 12.4, 31.0] {
         for method in methods(1_000) {

@@ -8,8 +8,8 @@ use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::{HalfTick, Ramp, Shaft, SquareWave};
 use meissner_array::units::UM_PER_PULSE;
-use meissner_skin::afferent::{Position, RaModel, Rectify};
-use meissner_skin::simulate::{Integrator, Method, MethodError, Stepping};
+use meissner_skin::afferent::{AfferentModel, Position, Rectify};
+use meissner_skin::{Integrator, Method, MethodError, Stepping};
 
 /// How far up a shaft has come in all by `t_s`, each fall left out: a wave so slow that it settles between edges.
 fn risen_um(wave: SquareWave, t_s: f64) -> f64 {
@@ -36,8 +36,12 @@ fn risen_um(wave: SquareWave, t_s: f64) -> f64 {
 #[test]
 fn without_a_leak_a_receptor_counts_micrometres() {
     // A spike each 20 um, faster than which it is not refractory.
-    let leak_free =
-        RaModel { tau_s: 1e6, alpha_per_um: 0.05, hyperexcitability_depth: 0.0, ..model(Rectify::Half) };
+    let leak_free = AfferentModel {
+        tau_s: 1e6,
+        alpha_per_um: 0.05,
+        hyperexcitability_depth: 0.0,
+        ..model(Rectify::Half)
+    };
     let scene = scene(2.05, &[drive(9, 5.0, 80.0)], &[under(9)], leak_free);
     let wave = SquareWave::new(5.0, 80.0, 0.0).unwrap();
     let found = as_the_oracle(&scene, 40).remove(0);
@@ -65,7 +69,7 @@ fn without_a_leak_a_receptor_counts_micrometres() {
 #[test]
 fn with_nothing_but_a_leak_a_receptor_follows_the_velocity() {
     // P = 1 at 5000 um/s, a microsecond late.
-    let leaky = RaModel { tau_s: 1e-6, alpha_per_um: 200.0, ..model(Rectify::Half) };
+    let leaky = AfferentModel { tau_s: 1e-6, alpha_per_um: 200.0, ..model(Rectify::Half) };
     let scene = scene(0.1, &[drive(9, 10.0, 80.0)], &[under(9)], leaky);
     let acceleration = UM_PER_PULSE * 85_000.0 / 0.0043;
     let rising_s = 5000.0 / acceleration;
@@ -87,7 +91,7 @@ fn with_nothing_but_a_leak_a_receptor_follows_the_velocity() {
 #[test]
 fn beyond_the_time_constant_euler_refuses_and_the_propagator_answers() {
     for rectify in [Rectify::Half, Rectify::Full, Rectify::Signed] {
-        let model = RaModel { tau_s: 0.005, alpha_per_um: 2.0, ..model(rectify) };
+        let model = AfferentModel { tau_s: 0.005, alpha_per_um: 2.0, ..model(rectify) };
         let scene = scene(2.0, &[drive(9, 7.3, 80.0)], &[under(9)], model);
         for method in stepped(5_000) {
             spikes(&scene, method);
@@ -110,7 +114,7 @@ const STROKE_S: f64 = 589.0 / 85_000.0 + 0.0043;
 #[test]
 fn a_touchy_receptor_spikes_at_once_then_whenever_it_may_and_once_after() {
     for rectify in [Rectify::Half, Rectify::Full, Rectify::Signed] {
-        let touchy = RaModel { alpha_per_um: 1e12, ..model(rectify) };
+        let touchy = AfferentModel { alpha_per_um: 1e12, ..model(rectify) };
         let scene = stroke_up(touchy, 100.0);
         // The threshold is reached after sqrt(2 / (alpha acceleration)), 0.9 ns.
         let found = exact(&scene).remove(0);
@@ -126,7 +130,7 @@ fn a_touchy_receptor_spikes_at_once_then_whenever_it_may_and_once_after() {
 
 #[test]
 fn a_touchy_receptor_stepped() {
-    let touchy = RaModel { alpha_per_um: 1e12, ..model(Rectify::Half) };
+    let touchy = AfferentModel { alpha_per_um: 1e12, ..model(Rectify::Half) };
     // The refractory time is 10 steps, not a whole number of them, or less than one.
     for (step_us, interval_us) in [(100, [1000; 2]), (10, [1000; 2]), (300, [1200, 1000]), (2000, [2000; 2])]
     {
@@ -152,7 +156,7 @@ fn a_touchy_receptor_stepped() {
 fn a_deaf_receptor_never_spikes() {
     for alpha_per_um in [0.0, f64::from_bits(1), f64::MIN_POSITIVE, 1e-12] {
         for rectify in [Rectify::Half, Rectify::Full, Rectify::Signed] {
-            let deaf = RaModel { alpha_per_um, ..model(rectify) };
+            let deaf = AfferentModel { alpha_per_um, ..model(rectify) };
             let scene = scene(0.2, &[drive(9, 60.0, 80.0)], &[under(9)], deaf);
             for method in methods(100) {
                 assert_eq!(spikes(&scene, method), [NONE], "{alpha_per_um}, {method:?}");
@@ -163,7 +167,7 @@ fn a_deaf_receptor_never_spikes() {
 
 #[test]
 fn however_noisy_the_threshold_nothing_comes_of_nothing() {
-    let noisy = RaModel { noise_sd: 10.0, ..model(Rectify::Signed) };
+    let noisy = AfferentModel { noise_sd: 10.0, ..model(Rectify::Signed) };
     let places: Vec<Position> = (0..24).map(under).collect();
     for drives in [vec![], vec![drive(0, 60.0, 0.0)]] {
         let scene = scene(1.0, &drives, &places, noisy);
@@ -173,7 +177,7 @@ fn however_noisy_the_threshold_nothing_comes_of_nothing() {
     }
     // With a drive, the floor is what half of all intervals end at.
     for rectify in [Rectify::Half, Rectify::Full, Rectify::Signed] {
-        let noisy = RaModel { noise_sd: 10.0, alpha_per_um: 1.0, ..model(rectify) };
+        let noisy = AfferentModel { noise_sd: 10.0, alpha_per_um: 1.0, ..model(rectify) };
         let scene = scene(0.5, &[drive(9, 60.0, 80.0)], &[under(9), beside(9, 1.0)], noisy);
         as_the_oracle(&scene, 10);
         for method in stepped(100) {
@@ -184,7 +188,7 @@ fn however_noisy_the_threshold_nothing_comes_of_nothing() {
 
 #[test]
 fn fields_as_narrow_and_as_wide_as_they_may_be() {
-    let narrow = RaModel { sigma_mm: 1e-3, ..model(Rectify::Half) };
+    let narrow = AfferentModel { sigma_mm: 1e-3, ..model(Rectify::Half) };
     let places = [under(9), beside(9, 0.1)];
     let alone = scene(0.2, &[drive(9, 60.0, 80.0)], &places[..1], model(Rectify::Half));
     for method in methods(100) {
@@ -193,7 +197,7 @@ fn fields_as_narrow_and_as_wide_as_they_may_be() {
         assert_eq!(found[0], spikes(&alone, method)[0], "{method:?}");
         assert_eq!(found[1], NONE, "{method:?}");
     }
-    let wide = RaModel { sigma_mm: 10.0, ..model(Rectify::Half) };
+    let wide = AfferentModel { sigma_mm: 10.0, ..model(Rectify::Half) };
     let drives = [drive(0, 60.0, 80.0), drive(23, 35.0, 80.0), drive(10, 131.0, 30.0)];
     let scene = scene(0.5, &drives, &[under(9), beside(3, 20.0), beside(20, 500.0)], wide);
     assert_eq!(as_the_oracle(&scene, 50)[2], NONE);
@@ -202,7 +206,7 @@ fn fields_as_narrow_and_as_wide_as_they_may_be() {
 
 #[test]
 fn refractory_as_short_and_as_long_as_may_be() {
-    let short = RaModel { refractory_s: 1e-5, alpha_per_um: 100.0, ..model(Rectify::Half) };
+    let short = AfferentModel { refractory_s: 1e-5, alpha_per_um: 100.0, ..model(Rectify::Half) };
     let found = as_the_oracle(&stroke_up(short, 0.1), 100);
     assert!(found[0].len() > 200, "{}", found[0].len());
     for method in stepped(10) {
@@ -211,17 +215,17 @@ fn refractory_as_short_and_as_long_as_may_be() {
     }
     let driven = |model| scene(1.0, &[drive(9, 60.0, 80.0)], &[under(9)], model);
     for refractory_s in [1.0, 1e9] {
-        let long = driven(RaModel { refractory_s, ..model(Rectify::Half) });
+        let long = driven(AfferentModel { refractory_s, ..model(Rectify::Half) });
         as_the_oracle(&long, 1);
         for method in methods(100) {
             assert_eq!(spikes(&long, method)[0].len(), 1, "{refractory_s}, {method:?}");
         }
     }
     // A threshold that is lowered only while it is not tested is not lowered.
-    let longer = RaModel { refractory_s: 0.05, ..model(Rectify::Half) };
+    let longer = AfferentModel { refractory_s: 0.05, ..model(Rectify::Half) };
     as_the_oracle(&driven(longer), 15);
     for method in methods(100) {
-        let expected = spikes(&driven(RaModel { hyperexcitability_s: 0.0, ..longer }), method);
+        let expected = spikes(&driven(AfferentModel { hyperexcitability_s: 0.0, ..longer }), method);
         assert_close(&spikes(&driven(longer), method)[0], &expected[0], 1e-12, "longer than lowered");
     }
 }
@@ -229,7 +233,7 @@ fn refractory_as_short_and_as_long_as_may_be() {
 #[test]
 fn a_threshold_lowered_for_no_time_by_nothing_or_to_its_floor() {
     let driven = |hyperexcitability_s, hyperexcitability_depth| {
-        let model = RaModel { hyperexcitability_s, hyperexcitability_depth, ..model(Rectify::Half) };
+        let model = AfferentModel { hyperexcitability_s, hyperexcitability_depth, ..model(Rectify::Half) };
         scene(1.0, &[drive(9, 23.0, 80.0)], &[under(9), beside(9, 1.1)], model)
     };
     as_the_oracle(&driven(0.0, 0.3), 20);
@@ -257,14 +261,14 @@ fn a_membrane_far_below_rest_comes_back_by_its_leak_alone() {
             1.0,
             &[drive(9, hz, 80.0)],
             &[under(9)],
-            RaModel { alpha_per_um, ..model(Rectify::Signed) },
+            AfferentModel { alpha_per_um, ..model(Rectify::Signed) },
         );
         as_the_oracle(&scene, 5);
         counts_near(&scene, 10, 6);
     }
     // The stroke up ends in spikes; the one down leaves the membrane at -8e7, from where a whole period does not
     // bring it back: the next stroke up ends below that.
-    let deep = RaModel { alpha_per_um: 1e6, tau_s: 10.0, ..model(Rectify::Signed) };
+    let deep = AfferentModel { alpha_per_um: 1e6, tau_s: 10.0, ..model(Rectify::Signed) };
     let scene = scene(0.95, &[drive(9, 10.0, 80.0)], &[under(9)], deep);
     for method in methods(100) {
         let found = spikes(&scene, method).remove(0);

@@ -2,12 +2,12 @@
 
 use super::{drive, methods, model, scene, under};
 use meissner_array::pattern::Drive;
-use meissner_skin::afferent::{Position, RaModel, Rectify};
-use meissner_skin::simulate::{Method, Options, Scene, choose, simulate};
+use meissner_skin::afferent::{AfferentModel, Position, Rectify};
+use meissner_skin::{Method, Options, Scene, choose, simulate};
 
 const NOT_FINITE: [f64; 3] = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY];
 
-fn refusal(duration_s: f64, drive: Drive, receptor: Position, model: RaModel) -> String {
+fn refusal(duration_s: f64, drive: Drive, receptor: Position, model: AfferentModel) -> String {
     Scene::new(duration_s, 7, vec![drive], vec![receptor], model).unwrap_err().to_string()
 }
 
@@ -38,24 +38,24 @@ fn a_number_out_of_range_is_refused_by_its_name() {
     asked("`receptors[0].y_mm`", &[-1.1e6, 1.1e6], &|y_mm| placed(Position { x_mm: 0.0, y_mm }));
     let made = |model| refusal(1.0, plain, under(9), model);
     asked("`receptor.alpha_per_um`", &[-1e-12, -f64::from_bits(1), 1.1e15], &|alpha_per_um| {
-        made(RaModel { alpha_per_um, ..good })
+        made(AfferentModel { alpha_per_um, ..good })
     });
     asked("`receptor.tau_s`", &[0.0, f64::from_bits(1), -0.044, 1.1e9], &|tau_s| {
-        made(RaModel { tau_s, ..good })
+        made(AfferentModel { tau_s, ..good })
     });
     asked("`receptor.refractory_s`", &[0.0, 1e-5_f64.next_down(), 1.1e9], &|refractory_s| {
-        made(RaModel { refractory_s, ..good })
+        made(AfferentModel { refractory_s, ..good })
     });
     asked("`receptor.hyperexcitability_s`", &[-1e-3, 1.1e9], &|hyperexcitability_s| {
-        made(RaModel { hyperexcitability_s, ..good })
+        made(AfferentModel { hyperexcitability_s, ..good })
     });
     asked("`receptor.hyperexcitability_depth`", &[-1e-9, 1.0_f64.next_up()], &|hyperexcitability_depth| {
-        made(RaModel { hyperexcitability_depth, ..good })
+        made(AfferentModel { hyperexcitability_depth, ..good })
     });
     asked("`receptor.sigma_mm`", &[0.0, 1e-3_f64.next_down(), -1.1, 1.1e6], &|sigma_mm| {
-        made(RaModel { sigma_mm, ..good })
+        made(AfferentModel { sigma_mm, ..good })
     });
-    asked("`receptor.noise_sd`", &[-0.05, 1.1e6], &|noise_sd| made(RaModel { noise_sd, ..good }));
+    asked("`receptor.noise_sd`", &[-0.05, 1.1e6], &|noise_sd| made(AfferentModel { noise_sd, ..good }));
 }
 
 #[test]

@@ -4,8 +4,8 @@ use super::{
     NONE, as_the_oracle, assert_close, beside, drive, exact, methods, model, propagator, scene, spikes,
     stepped, under,
 };
-use meissner_skin::afferent::{Position, RaModel, Rectify};
-use meissner_skin::simulate::{Method, Options, Skipped, choose, simulate};
+use meissner_skin::afferent::{AfferentModel, Position, Rectify};
+use meissner_skin::{Method, Options, Skipped, choose, simulate};
 
 #[test]
 fn nobody_there_and_nothing_driven() {
@@ -16,9 +16,9 @@ fn nobody_there_and_nothing_driven() {
         assert_eq!(spikes(&nobody, method), Vec::<Vec<f64>>::new(), "{method:?}");
         assert_eq!(spikes(&nothing, method), [NONE], "{method:?}");
         assert_eq!(spikes(&neither, method), Vec::<Vec<f64>>::new(), "{method:?}");
-        let Skipped { motors_at_rest, receptors_out_of_reach, .. } =
+        let Skipped { motors_at_rest, afferents_out_of_reach, .. } =
             simulate(&nothing, &Options::rates(method), &|_| ()).unwrap().skipped;
-        assert_eq!((motors_at_rest, receptors_out_of_reach), (24, 1), "{method:?}");
+        assert_eq!((motors_at_rest, afferents_out_of_reach), (24, 1), "{method:?}");
     }
     for scene in [nobody, nothing, neither] {
         choose(&scene, 1.0).unwrap();
@@ -28,7 +28,7 @@ fn nobody_there_and_nothing_driven() {
 #[test]
 fn two_receptors_at_one_place_differ_in_their_noise_alone() {
     for noise_sd in [0.0, 0.05] {
-        let model = RaModel { noise_sd, ..model(Rectify::Half) };
+        let model = AfferentModel { noise_sd, ..model(Rectify::Half) };
         let scene = scene(1.0, &[drive(9, 60.0, 80.0)], &[beside(9, 0.3), beside(9, 0.3)], model);
         as_the_oracle(&scene, 200);
         for method in methods(100) {
@@ -46,7 +46,7 @@ fn a_million_receptors_take_their_places_and_their_counts() {
     let places: Vec<Position> =
         (0..1_000_000).map(|n| Position { x_mm: at(n % 1000), y_mm: at(n / 1000) }).collect();
     let drives = [drive(9, 60.0, 80.0), drive(20, 300.0, 80.0)];
-    let touchy = RaModel { alpha_per_um: 0.2, ..model(Rectify::Half) };
+    let touchy = AfferentModel { alpha_per_um: 0.2, ..model(Rectify::Half) };
     let some: Vec<usize> = (0..1_000_000).step_by(9973).collect();
     let few: Vec<Position> = some.iter().map(|&n| places[n]).collect();
     let (all, few) = (scene(0.005, &drives, &places, touchy), scene(0.005, &drives, &few, touchy));
@@ -62,7 +62,7 @@ fn a_million_receptors_take_their_places_and_their_counts() {
 
 #[test]
 fn no_time_and_a_microsecond() {
-    let touchy = RaModel { alpha_per_um: 1e15, ..model(Rectify::Half) };
+    let touchy = AfferentModel { alpha_per_um: 1e15, ..model(Rectify::Half) };
     for duration_s in [0.0, -0.0, f64::from_bits(1), f64::MIN_POSITIVE] {
         let scene = scene(duration_s, &[drive(9, 60.0, 80.0)], &[under(9)], touchy);
         for method in methods(100) {
@@ -86,7 +86,7 @@ fn no_time_and_a_microsecond() {
 
 #[test]
 fn a_scene_that_ends_in_mid_burst_is_the_beginning_of_a_longer_one() {
-    let touchy = RaModel { alpha_per_um: 0.5, ..model(Rectify::Half) };
+    let touchy = AfferentModel { alpha_per_um: 0.5, ..model(Rectify::Half) };
     let of = |duration_s| scene(duration_s, &[drive(9, 60.0, 80.0)], &[under(9)], touchy);
     // The bursts up last from 0 to 6.9 ms and from 16.7 to 23.6 ms.
     for duration_s in [0.003, 0.018_123_4, 0.02] {
@@ -105,7 +105,7 @@ const MONTH_S: f64 = 30.0 * 86_400.0;
 
 #[test]
 fn a_month_s_last_hour_is_that_hour_alone() {
-    let model = RaModel { alpha_per_um: 0.1, ..model(Rectify::Full) };
+    let model = AfferentModel { alpha_per_um: 0.1, ..model(Rectify::Full) };
     let places: Vec<Position> = (0..8).map(|n| beside(9, 0.125 * f64::from(n))).collect();
     let of = |duration_s| scene(duration_s, &[drive(9, 0.01, 80.0)], &places, model);
     let hour = as_the_oracle(&of(3600.0), 300);
@@ -120,7 +120,7 @@ fn a_month_s_last_hour_is_that_hour_alone() {
     }
     let rates = simulate(&of(MONTH_S), &Options::rates(Method::Exact), &|_| ()).unwrap();
     assert!(
-        rates.spikes_s.is_none() && rates.skipped.repeated_receptor_s > 7.9 * MONTH_S,
+        rates.spikes_s.is_none() && rates.skipped.repeated_afferent_s > 7.9 * MONTH_S,
         "{:?}",
         rates.skipped
     );
@@ -128,7 +128,7 @@ fn a_month_s_last_hour_is_that_hour_alone() {
 
 #[test]
 fn a_month_with_noise_has_no_repetition_and_goes_through() {
-    let model = RaModel { alpha_per_um: 0.1, noise_sd: 0.05, ..model(Rectify::Full) };
+    let model = AfferentModel { alpha_per_um: 0.1, noise_sd: 0.05, ..model(Rectify::Full) };
     let of = |duration_s| scene(duration_s, &[drive(9, 0.01, 80.0)], &[under(9)], model);
     let hour = as_the_oracle(&of(3600.0), 200);
     let month = exact(&of(MONTH_S));
@@ -140,7 +140,7 @@ fn a_month_with_noise_has_no_repetition_and_goes_through() {
 #[test]
 fn a_month_in_steps() {
     // A period is 400 steps: every one is alike once the membrane has leaked dry.
-    let model = RaModel { alpha_per_um: 0.1, ..model(Rectify::Full) };
+    let model = AfferentModel { alpha_per_um: 0.1, ..model(Rectify::Full) };
     let of = |duration_s| scene(duration_s, &[drive(9, 0.01, 80.0)], &[under(9)], model);
     for method in propagator(250_000) {
         let count = |duration_s| {

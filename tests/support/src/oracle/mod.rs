@@ -21,8 +21,8 @@ const UM_PER_PULSE: f64 = 0.95 / 7.0;
 const WINDOW_S: f64 = 0.0043;
 const WINDOW_HALF_TICKS: i64 = 731;
 const MOTORS: usize = 24;
-const LEAST_WEIGHT: f64 = 1e-10;
-const LEAST_THRESHOLD: f64 = 0.05;
+const MIN_WEIGHT: f64 = 1e-10;
+const MIN_THRESHOLD: f64 = 0.05;
 /// What two correct programs may differ by in `P`: rounding over some thousand segments.
 const MEMBRANE_ERROR: f64 = 1e-12;
 /// `P` this close to the threshold without a clean crossing: who spikes is anyone's guess.
@@ -148,7 +148,7 @@ fn pin_weight((x_mm, y_mm): (f64, f64), motor: usize, sigma_mm: f64) -> f64 {
     let pin_x = ((motor % 4) as f64 - 1.5) * 2.9;
     let pin_y = (2.5 - (motor / 4) as f64) * 2.9;
     let weight = (-((x_mm - pin_x).powi(2) + (y_mm - pin_y).powi(2)) / (2.0 * sigma_mm.powi(2))).exp();
-    if weight < LEAST_WEIGHT { 0.0 } else { weight }
+    if weight < MIN_WEIGHT { 0.0 } else { weight }
 }
 
 /// `u(t)` from one break to the next: `u + slope * (t - from_s)`.
@@ -297,17 +297,17 @@ fn threshold(model: &Model, offset: f64, last: Option<Last>, t_s: f64) -> (f64, 
     let rest = 1.0 + offset;
     let (depth, length) = (model.hyperexcitability_depth, model.hyperexcitability_s);
     match last {
-        Some(Last { t_s: spike, .. }) if t_s < spike + length && rest > LEAST_THRESHOLD => {
+        Some(Last { t_s: spike, .. }) if t_s < spike + length && rest > MIN_THRESHOLD => {
             let slope = depth / length;
             let lowered = rest - depth * (1.0 - (t_s - spike) / length);
-            let off_floor = spike + (LEAST_THRESHOLD - (rest - depth)) / slope;
-            if rest - depth < LEAST_THRESHOLD && t_s < off_floor {
-                (LEAST_THRESHOLD, 0.0, off_floor.min(spike + length))
+            let off_floor = spike + (MIN_THRESHOLD - (rest - depth)) / slope;
+            if rest - depth < MIN_THRESHOLD && t_s < off_floor {
+                (MIN_THRESHOLD, 0.0, off_floor.min(spike + length))
             } else {
                 (lowered, slope, spike + length)
             }
         }
-        _ => (rest.max(LEAST_THRESHOLD), 0.0, f64::INFINITY),
+        _ => (rest.max(MIN_THRESHOLD), 0.0, f64::INFINITY),
     }
 }
 

@@ -25,7 +25,7 @@ use meissner_design::{
     YARDSTICK, search, shipped,
 };
 use meissner_skin::afferent::{Position, population};
-use meissner_skin::simulate::{Method, Options, Scene, simulate};
+use meissner_skin::{Method, Options, Scene, simulate};
 use plotters::chart::SeriesLabelPosition;
 use rayon::prelude::*;
 use serde::Serialize;

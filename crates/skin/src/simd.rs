@@ -1,19 +1,17 @@
 //! Vectors of `f32` or `f64`, as wide as the processor has them.
 //!
-//! A few names on top of `pulp`, so that the stepped method is written once for both precisions. Products are
-//! added with one rounding (`mul_add`) everywhere: the same bits at every width and on every machine.
+//! [`Number`] names the operations of `pulp` once for both precisions, so the stepped method is written once. Products
+//! are added with one rounding (`mul_add`) everywhere: that gives the same bits at every width and on every machine.
 //!
 //! Invariant: no operation here mixes lanes.
 
-use super::track::Samples;
 use pulp::{Simd, bytemuck};
 use std::ops::{Deref, DerefMut};
-use std::sync::OnceLock;
 
-/// Lanes in memory, so placed that no vector straddles two cache lines.
+/// Lanes in memory, aligned so that no vector crosses a cache line.
 #[derive(Clone, Copy, Debug)]
 #[repr(align(64))]
-pub(super) struct Aligned<T>(pub(super) T);
+pub(crate) struct Aligned<T>(pub(crate) T);
 
 impl<T> Deref for Aligned<T> {
     type Target = T;
@@ -30,16 +28,14 @@ impl<T> DerefMut for Aligned<T> {
     }
 }
 
-/// Numbers a vector can hold.
-pub(super) trait Number: Copy + Default + Send + Sync + 'static {
+/// The numbers of a vector.
+pub(crate) trait Number: Copy + Default + Send + Sync + 'static {
     type Vector<S: Simd>: Copy;
     type Mask<S: Simd>: Copy;
 
     fn of(value: f64) -> Self;
     fn wide(self) -> f64;
-    /// Where a motor's samples are kept.
-    fn kept(samples: &Samples) -> &OnceLock<Vec<Self>>;
-    /// Lanes of a vector.
+    /// The number of lanes of a vector.
     fn width<S: Simd>() -> usize;
     fn splat<S: Simd>(simd: S, value: Self) -> Self::Vector<S>;
     fn load<S: Simd>(lanes: &[Self]) -> Self::Vector<S>;
@@ -65,16 +61,16 @@ pub(super) trait Number: Copy + Default + Send + Sync + 'static {
         a: Self::Vector<S>,
         b: Self::Vector<S>,
     ) -> Self::Vector<S>;
-    /// The mask's lanes, a bit each, the first lane's lowest.
+    /// The mask as bits, one per lane, the first lane lowest.
     fn bits<S: Simd>(mask: Self::Mask<S>) -> u32;
 }
 
-/// A mask as bits, that of the first lane lowest. (`Simd::first_true_m64s` of pulp 0.22 takes AVX-512 masks from
+/// A mask as bits, one per lane, the first lane lowest. (`Simd::first_true_m64s` of pulp 0.22 reads AVX-512 masks from
 /// the wrong end.)
 #[inline(always)]
-pub(super) fn bits<M: bytemuck::NoUninit>(mask: M, lanes: usize) -> u32 {
+pub(crate) fn bits<M: bytemuck::NoUninit>(mask: M, lanes: usize) -> u32 {
     let bytes = bytemuck::bytes_of(&mask);
-    // A bit a lane (or the only lane's truth), or as many bytes a lane as the number has, all ones or zeros.
+    // One bit per lane (or the only lane's truth), or per lane the bytes of a number, all ones or all zeros.
     match *bytes {
         [byte] => byte.into(),
         [low, high] => u32::from(low) | u32::from(high) << 8,
@@ -88,7 +84,7 @@ pub(super) fn bits<M: bytemuck::NoUninit>(mask: M, lanes: usize) -> u32 {
 macro_rules! number {
     ($number:ident, $vector:ident, $mask:ident, $lanes:ident, $load:ident, $store:ident, $splat:ident, $add:ident,
      $sub:ident, $mul_add:ident, $max:ident, $min:ident, $div:ident, $abs:ident, $at_least:ident, $and:ident, $or:ident,
-     $select:ident, $kept:ident, $of:expr) => {
+     $select:ident, $of:expr) => {
         impl Number for $number {
             type Vector<S: Simd> = S::$vector;
             type Mask<S: Simd> = S::$mask;
@@ -100,9 +96,6 @@ macro_rules! number {
             #[inline(always)]
             fn wide(self) -> f64 {
                 self.into()
-            }
-            fn kept(samples: &Samples) -> &OnceLock<Vec<Self>> {
-                &samples.$kept
             }
             #[inline(always)]
             fn width<S: Simd>() -> usize {
@@ -191,7 +184,6 @@ number!(
     and_m64s,
     or_m64s,
     select_f64s,
-    double,
     |value| value
 );
 number!(
@@ -213,6 +205,5 @@ number!(
     and_m32s,
     or_m32s,
     select_f32s,
-    single,
     |value: f64| value as f32
 );

@@ -1,39 +1,41 @@
-//! The membrane's closed form between breaks, and the threshold above it.
+//! The membrane in closed form between breakpoints, and the threshold.
 //!
-//! Over a piece of length L on which the input is `v + k s`, a leaky membrane with rate r goes from P to
+//! Over a segment of length L on which the input is `v + k s`, a leaky membrane with rate r goes from P to
 //! `P - P x φ1 + gain L (v φ1 + k L φ2)`, where `x = r L`, `φ2(x) = (x - 1 + e^-x) / x²`, `φ1(x) = 1 - x φ2(x)`
-//! `= (1 - e^-x) / x`. Written so, nothing cancels, however small x: a leak of 10⁶ s leaves the leak-free
-//! polynomial.
+//! `= (1 - e^-x) / x`. In this form nothing cancels, however small x is: with a time constant of 10⁶ s it becomes the
+//! polynomial without a leak.
 //!
-//! Time is counted in half ticks, input in half pulses weighted by the receptive field.
+//! Time is in half ticks, input in half pulses weighted by the receptive field.
 //!
-//! Invariant: lengths are measured from a piece's own start, never from the scene's.
+//! Invariant: lengths are measured from the start of a segment, never from that of the scene.
 
-use crate::afferent::{LEAST_THRESHOLD, NOISE_LIMIT_SD, RaModel, Rectify};
+use crate::afferent::{AfferentModel, MIN_THRESHOLD, NOISE_LIMIT_SD, Rectify};
 use meissner_array::motor::WINDOW_HALF_TICKS;
 use meissner_array::random::Normals;
-use meissner_array::units::{HALF_TICKS_PER_S, UM_PER_PULSE};
+use meissner_array::units::HALF_TICKS_PER_S;
+use meissner_array::units::UM_PER_PULSE;
 
-/// `RaModel` in the simulator's units.
+/// An [`AfferentModel`] in the simulator's units.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Membrane {
-    pub(super) rectify: Rectify,
+pub(crate) struct Membrane {
+    pub(crate) rectify: Rectify,
     /// 1/τ, per half tick.
-    pub(super) rate: f64,
+    pub(crate) rate: f64,
     /// Depolarisation per half tick by an input of one half pulse at weight 1.
-    pub(super) gain: f64,
+    pub(crate) gain: f64,
     /// Half ticks.
-    pub(super) refractory: f64,
-    /// By how much the threshold is lowered right after a spike, and what it regains of that per half tick.
-    pub(super) depth: f64,
-    /// For how long it is lowered, half ticks.
-    pub(super) lowering: f64,
-    pub(super) recovery: f64,
-    pub(super) noise_sd: f64,
+    pub(crate) refractory: f64,
+    /// The threshold is lowered by this right after a spike,
+    pub(crate) depth: f64,
+    /// for so many half ticks,
+    pub(crate) lowering: f64,
+    /// and recovers by this per half tick.
+    pub(crate) recovery: f64,
+    pub(crate) noise_sd: f64,
 }
 
 impl Membrane {
-    pub(super) fn of(model: &RaModel) -> Self {
+    pub(crate) fn of(model: &AfferentModel) -> Self {
         let lowered = model.hyperexcitability_s > 0.0;
         let hyperexcitability = model.hyperexcitability_s * HALF_TICKS_PER_S;
         Self {
@@ -48,25 +50,25 @@ impl Membrane {
         }
     }
 
-    /// The resting threshold of the next inter-spike interval.
+    /// Draws the resting threshold of the next inter-spike interval.
     #[inline(always)]
-    pub(super) fn draw(&self, noise: Option<&mut Normals>) -> f64 {
+    pub(crate) fn draw(&self, noise: Option<&mut Normals>) -> f64 {
         match noise {
             Some(noise) => 1.0 + self.noise_sd * noise.next().clamp(-NOISE_LIMIT_SD, NOISE_LIMIT_SD),
             None => 1.0,
         }
     }
 
-    /// The threshold `since` half ticks after the last spike; `resting` is 1 and its noise.
+    /// The threshold `since` half ticks after the last spike; `resting` is 1 plus its noise.
     #[inline(always)]
-    pub(super) fn threshold(&self, resting: f64, since: f64) -> f64 {
-        (resting - (self.depth - self.recovery * since).max(0.0)).max(LEAST_THRESHOLD)
+    pub(crate) fn threshold(&self, resting: f64, since: f64) -> f64 {
+        (resting - (self.depth - self.recovery * since).max(0.0)).max(MIN_THRESHOLD)
     }
 
-    /// The membrane after `length` from `p`, under the rectified input `v + k s`. `gain` includes the
-    /// scale of the weights.
+    /// The membrane `length` after it was at `p`, under the rectified input `v + k s`. `gain` includes the scale of the
+    /// weights.
     #[inline(always)]
-    pub(super) fn after(&self, p: f64, gain: f64, v: f64, k: f64, length: f64) -> f64 {
+    pub(crate) fn after(&self, p: f64, gain: f64, v: f64, k: f64, length: f64) -> f64 {
         let x = self.rate * length;
         let phi2 = phi2(x);
         let phi1 = (-x).mul_add(phi2, 1.0);
@@ -75,13 +77,13 @@ impl Membrane {
     }
 }
 
-/// Beyond this, φ2 is not summed up but computed from `expm1`.
-pub(super) const SERIES_ENDS: f64 = 1.0;
-/// Up to this the first 7 terms of the series do, to 10⁻¹⁸.
-pub(super) const SHORT_SERIES_ENDS: f64 = 1.0 / 64.0;
+/// Up to this, φ2 is summed as a series; beyond, it is computed from `expm1`.
+pub(crate) const SERIES_ENDS: f64 = 1.0;
+/// Up to this, the first 7 terms of the series suffice, to 10⁻¹⁸.
+pub(crate) const SHORT_SERIES_ENDS: f64 = 1.0 / 64.0;
 
 /// The series of φ2: `(-1)^n / (n + 2)!`.
-pub(super) const SERIES: [f64; 17] = {
+pub(crate) const SERIES: [f64; 17] = {
     let mut terms = [0.5; 17];
     let mut n = 1;
     while n < terms.len() {
@@ -91,13 +93,13 @@ pub(super) const SERIES: [f64; 17] = {
     terms
 };
 /// Terms of the short series.
-pub(super) const SHORT: usize = 7;
+pub(crate) const SHORT: usize = 7;
 
 /// `(x - 1 + e^-x) / x²`, to a few units in the last place for every x ≥ 0.
 #[inline(always)]
-pub(super) fn phi2(x: f64) -> f64 {
+pub(crate) fn phi2(x: f64) -> f64 {
     if x <= SHORT_SERIES_ENDS {
-        // Summed by pairs: whoever solves for a crossing waits for it.
+        // Summed in pairs, for speed: each step towards a crossing waits for it.
         let pair = |n: usize| SERIES[n + 1].mul_add(x, SERIES[n]);
         let square = x * x;
         let tail = SERIES[6].mul_add(square, pair(4));
@@ -143,9 +145,9 @@ mod tests {
     }
 
     #[test]
-    fn a_piece_may_be_cut_anywhere() {
+    fn a_segment_may_be_cut_anywhere() {
         for tau_s in [1e-4, TAU_S, 1e6] {
-            let model = RaModel { tau_s, ..RaModel::default_for(Rectify::Half, 0.0) };
+            let model = AfferentModel { tau_s, ..AfferentModel::default_for(Rectify::Half, 0.0) };
             let membrane = Membrane::of(&model);
             let (p, v, k, length) = (0.3, 200.0, -0.3, 500.0);
             let whole = membrane.after(p, membrane.gain, v, k, length);
@@ -159,12 +161,12 @@ mod tests {
 
     #[test]
     fn without_input_the_membrane_decays_and_without_leak_it_integrates() {
-        let model = RaModel::default_for(Rectify::Half, 0.0);
+        let model = AfferentModel::default_for(Rectify::Half, 0.0);
         let membrane = Membrane::of(&model);
         let tau = TAU_S * HALF_TICKS_PER_S;
         assert!((membrane.after(1.0, membrane.gain, 0.0, 0.0, tau) - (-1.0_f64).exp()).abs() < 1e-15);
         // 1 um of displacement is alpha.
-        let endless = Membrane::of(&RaModel { tau_s: 1e9, ..model });
+        let endless = Membrane::of(&AfferentModel { tau_s: 1e9, ..model });
         let half_pulses = WINDOW_HALF_TICKS as f64 * 2.0 / UM_PER_PULSE / 100.0;
         let found = endless.after(0.0, endless.gain, half_pulses, 0.0, 100.0);
         assert!((found / model.alpha_per_um - 1.0).abs() < 1e-9, "{found}");
@@ -172,11 +174,11 @@ mod tests {
 
     #[test]
     fn the_threshold_is_lowered_after_a_spike_and_never_below_its_least() {
-        let membrane = Membrane::of(&RaModel::default_for(Rectify::Half, 0.0));
+        let membrane = Membrane::of(&AfferentModel::default_for(Rectify::Half, 0.0));
         assert_eq!(membrane.threshold(1.0, 0.0), 0.7);
         assert!((membrane.threshold(1.0, membrane.lowering / 2.0) - 0.85).abs() < 1e-15);
         assert_eq!(membrane.threshold(1.0, membrane.lowering * 1.001), 1.0);
-        assert_eq!(membrane.threshold(0.2, 0.0), LEAST_THRESHOLD);
+        assert_eq!(membrane.threshold(0.2, 0.0), MIN_THRESHOLD);
         let never = Membrane { lowering: 0.0, depth: 0.0, recovery: 0.0, ..membrane };
         assert_eq!(never.threshold(1.0, 0.0), 1.0);
     }

@@ -1,28 +1,30 @@
-//! Scenes: what vibrates, for how long, and which receptors are watched.
+//! Scenes: which motors vibrate, for how long, and which afferents are simulated.
 //!
-//! A scene is read from a TOML or JSON file (`file`) or put together by [`Scene::new`]. Its drives may be faster and
-//! larger than a pattern's: a model has no current limit. What comes of it is the simulator's business.
-//! All receptors of a scene are of one model. What a motor does may be scaled by a gain, which no file has. Receptors are
-//! shared between the scenes that are made of one another: an optimiser makes thousands.
+//! [`Scene::read`] reads a TOML or JSON file (`file`); [`Scene::new`] builds a scene. Its drives may be faster and larger
+//! than a pattern's: a model has no current limit. All afferents of a scene have the same parameters. A gain, which no
+//! file has, may scale a motor's travel. Scenes that are made from one another share their afferents: an optimiser makes
+//! thousands.
 //!
-//! Invariant: a [`Scene`] that exists has been checked; every number in it is finite and within its range, and
-//! no two drives of a motor overlap.
+//! Invariant: every [`Scene`] has been checked: each number is finite and within its range, and no two drives of a motor
+//! overlap.
 
+mod afferent;
 mod error;
 mod file;
-mod receptor;
+mod names;
 
+pub use afferent::{MAX_ALPHA_PER_UM, RawAfferent, check_model};
 pub use error::{Problem, SceneError};
 pub use file::{MAX_JSON_BYTES, MAX_TOML_BYTES};
-pub use receptor::{MOST_ALPHA_PER_UM, RawReceptor, check_model};
+pub use names::{TwoNames, as_written, one_name};
 
-use crate::afferent::{Position, RaModel};
+use crate::afferent::{AfferentModel, Position};
+use afferent::seconds;
 use error::Fault;
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::motor::MotorError;
 use meissner_array::pattern::{self, Drive};
 use meissner_input::document::in_range;
-use receptor::seconds;
 use std::sync::Arc;
 
 /// A checked scene.
@@ -31,19 +33,19 @@ pub struct Scene {
     duration_s: f64,
     seed: u64,
     drives: Vec<Drive>,
-    /// Shared, not copied, by scenes that differ in something else.
-    receptors: Arc<Vec<Position>>,
-    model: RaModel,
+    /// Shared by scenes that differ in something else.
+    afferents: Arc<Vec<Position>>,
+    model: AfferentModel,
     gains: [f64; MOTORS],
 }
 
-/// By what a motor's travel may be multiplied at the most.
-pub(super) const MOST_GAIN: f64 = 10.0;
-/// Every motor as the model has it.
+/// The largest gain of a motor's travel.
+pub(crate) const MAX_GAIN: f64 = 10.0;
+/// Every motor as in the model.
 const NO_GAINS: [f64; MOTORS] = [1.0; MOTORS];
 
 impl Scene {
-    /// Makes a scene of its parts.
+    /// Makes a scene from its parts. `afferents` are their positions; `seed` is that of the threshold noise.
     ///
     /// # Errors
     /// The first thing that is wrong with it, by the key it would have in a file.
@@ -51,16 +53,16 @@ impl Scene {
         duration_s: f64,
         seed: u64,
         drives: Vec<Drive>,
-        receptors: Vec<Position>,
-        model: RaModel,
+        afferents: Vec<Position>,
+        model: AfferentModel,
     ) -> Result<Self, SceneError> {
-        let receptors = Arc::new(receptors);
-        Self { duration_s, seed, drives, receptors, model, gains: NO_GAINS }
+        let afferents = Arc::new(afferents);
+        Self { duration_s, seed, drives, afferents, model, gains: NO_GAINS }
             .checked()
             .map_err(|fault| fault.placed(None))
     }
 
-    /// The scene with other drives. Only they are checked: it takes no longer the more receptors there are.
+    /// The scene with other drives. Only they are checked, so it takes no longer for more afferents.
     ///
     /// # Errors
     /// The first thing that is wrong with them, by the key it would have in a file.
@@ -69,7 +71,7 @@ impl Scene {
         Ok(Self { drives, ..self.clone() })
     }
 
-    /// The scene with all drives of one motor replaced; `drives` must be of that motor.
+    /// The scene with all drives of one motor replaced. `drives` become this motor's, whatever motor they name.
     ///
     /// # Errors
     /// The first thing that is wrong with it, by the key it would have in a file.
@@ -79,79 +81,83 @@ impl Scene {
         self.with_drives(changed)
     }
 
-    /// The scene with every motor's travel times its gain, 0 to 10: of 1, nothing changes; of 0, the motor rests. So it
-    /// can be asked what is left of a pattern on motors that scatter by 10 %.
+    /// The scene with every motor's travel multiplied by its gain, 0 to 10. With a gain of 1 nothing changes; with 0 the
+    /// motor rests. This shows what remains of a pattern on motors that scatter by 10 %.
     ///
     /// # Errors
     /// The first gain that is out of range.
     pub fn with_gains(&self, gains: &[f64; MOTORS]) -> Result<Self, SceneError> {
         for (motor, &gain) in gains.iter().enumerate() {
-            in_range("gains", gain, (0.0..=MOST_GAIN).contains(&gain), "0 to 10")
+            in_range("gains", gain, (0.0..=MAX_GAIN).contains(&gain), "0 to 10")
                 .map_err(|fault| Fault { path: format!("gains[{motor}]"), ..fault }.placed(None))?;
         }
         Ok(Self { gains: *gains, ..self.clone() })
     }
 
-    /// Reads a scene file; `file` is what errors call it. A name that ends in `.json` or `.toml` says what it is;
-    /// else it is JSON if it begins with a brace.
+    /// Reads a scene file; `file` is its name in errors. The ending `.json` or `.toml` decides the format; without one, a
+    /// text that begins with a brace is JSON.
     ///
     /// # Errors
     /// The first thing that is wrong with it, in one line.
     pub fn read(text: &str, file: &str) -> Result<Self, SceneError> {
-        file::read(text, file).and_then(Self::checked).map_err(|fault| fault.placed(Some(file)))
+        file::read(text, file).map_err(|fault| fault.placed(Some(file)))
     }
 
-    /// How long is watched. It only ends the observation: every burst that starts before it exists.
+    /// The simulated time, s. It only ends the observation: every burst that starts before it takes place.
     #[must_use]
     pub const fn duration_s(&self) -> f64 {
         self.duration_s
     }
 
-    /// Of the threshold noise.
+    /// The seed of the threshold noise.
     #[must_use]
     pub const fn seed(&self) -> u64 {
         self.seed
     }
 
-    /// What the motors do, in the file's order. Every [`Drive::wave`] succeeds.
+    /// The drives of the motors, in the file's order. Every [`Drive::wave`] succeeds.
     #[must_use]
     pub fn drives(&self) -> &[Drive] {
         &self.drives
     }
 
-    /// Where the receptors lie, in the file's order.
+    /// The positions of the afferents, in the file's order.
     #[must_use]
-    pub fn receptors(&self) -> &[Position] {
-        &self.receptors
+    pub fn afferents(&self) -> &[Position] {
+        &self.afferents
     }
 
-    /// What they are made of.
+    /// The parameters of the afferents.
     #[must_use]
-    pub const fn model(&self) -> &RaModel {
+    pub const fn model(&self) -> &AfferentModel {
         &self.model
     }
 
-    /// The scene without drives, for motors that others move, by so much more or less than a model's. Nobody looks for
-    /// a period of what has none.
-    pub(super) fn moved_otherwise(&self, gains: [f64; MOTORS]) -> Self {
+    /// The scene without drives, for motors that ramps move, with these gains. Without drives it has no period.
+    pub(crate) fn without_drives(&self, gains: [f64; MOTORS]) -> Self {
         Self { drives: Vec::new(), gains, ..self.clone() }
     }
 
-    /// By what each motor's travel is multiplied.
-    pub(super) const fn gains(&self) -> &[f64; MOTORS] {
+    /// The gain of each motor's travel.
+    pub(crate) const fn gains(&self) -> &[f64; MOTORS] {
         &self.gains
+    }
+
+    /// Impulses per second of an afferent with so many spikes; 0 in a scene without duration.
+    pub(crate) fn rate_hz(&self, count: u64) -> f64 {
+        if count == 0 { 0.0 } else { count as f64 / self.duration_s }
     }
 
     fn checked(self) -> Result<Self, Fault> {
         seconds("duration_s", self.duration_s)?;
         check_drives(&self.drives)?;
-        check_receptors(&self.receptors)?;
-        check_model(&self.model).map_err(|fault| fault.within("receptor"))?;
+        check_afferents(&self.afferents)?;
+        check_model(&self.model).map_err(|fault| fault.within("afferent"))?;
         Ok(self)
     }
 }
 
-/// What a motor's number must be, also where it does not fit the number's type.
+/// The range of a motor's number, for messages.
 const MOTOR_RANGE: &str = "0 to 23";
 
 fn check_drives(drives: &[Drive]) -> Result<(), Fault> {
@@ -164,11 +170,11 @@ fn check_drives(drives: &[Drive]) -> Result<(), Fault> {
     Err(Fault::key("motor", problem).within(&format!("drives[{second}]")))
 }
 
-fn check_receptors(receptors: &[Position]) -> Result<(), Fault> {
-    for (index, at) in receptors.iter().enumerate() {
+fn check_afferents(afferents: &[Position]) -> Result<(), Fault> {
+    for (index, at) in afferents.iter().enumerate() {
         for (key, found) in [("x_mm", at.x_mm), ("y_mm", at.y_mm)] {
             in_range(key, found, found.abs() <= 1e6, "-1000000 to 1000000 mm")
-                .map_err(|fault| fault.within(&format!("receptors[{index}]")))?;
+                .map_err(|fault| fault.within(&format!("afferents[{index}]")))?;
         }
     }
     Ok(())
@@ -203,39 +209,39 @@ mod tests {
     const DRIVE: Drive =
         Drive { motor: 3, frequency_hz: 60.0, amplitude_um: 80.0, phase: 0.0, start_s: None, stop_s: None };
 
-    fn scene(drives: Vec<Drive>, model: RaModel) -> Result<Scene, String> {
-        let receptors = vec![Position { x_mm: 0.0, y_mm: -0.0 }];
-        Scene::new(1.0, 7, drives, receptors, model).map_err(|error| error.to_string())
+    fn scene(drives: Vec<Drive>, model: AfferentModel) -> Result<Scene, String> {
+        let afferents = vec![Position { x_mm: 0.0, y_mm: -0.0 }];
+        Scene::new(1.0, 7, drives, afferents, model).map_err(|error| error.to_string())
     }
 
     #[test]
-    fn what_is_built_is_kept_as_it_is() {
-        let model = RaModel::default_for(Rectify::Full, 0.05);
+    fn a_built_scene_keeps_its_parts() {
+        let model = AfferentModel::default_for(Rectify::Full, 0.05);
         let after = Drive { start_s: Some(0.5), ..DRIVE };
         let before = Drive { stop_s: Some(0.5), ..DRIVE };
         let drives = vec![after, before, Drive { motor: 4, frequency_hz: 42_500.0, ..DRIVE }];
         let scene = scene(drives.clone(), model).unwrap();
         assert_eq!((scene.duration_s(), scene.seed(), scene.drives()), (1.0, 7, &drives[..]));
-        assert_eq!((scene.receptors().len(), scene.model()), (1, &model));
+        assert_eq!((scene.afferents().len(), scene.model()), (1, &model));
         Scene::new(0.0, 0, vec![], vec![], model).unwrap();
     }
 
     #[test]
     fn a_built_scene_is_checked_as_a_read_one() {
-        let model = RaModel::default_for(Rectify::Half, 0.0);
+        let model = AfferentModel::default_for(Rectify::Half, 0.0);
         let line = scene(vec![Drive { motor: 24, ..DRIVE }], model).unwrap_err();
         assert_eq!(line, "`drives[0].motor` is 24: must be 0 to 23");
         let line = scene(vec![DRIVE, DRIVE], model).unwrap_err();
         assert!(line.starts_with("`drives[1].motor`: motor 3 is still driven by drives[0]"), "{line}");
-        let line = scene(vec![], RaModel { tau_s: f64::NAN, ..model }).unwrap_err();
-        assert_eq!(line, "`receptor.tau_s` is NaN: must be 1e-9 to 1e9 s");
+        let line = scene(vec![], AfferentModel { tau_s: f64::NAN, ..model }).unwrap_err();
+        assert_eq!(line, "`afferent.tau_s` is NaN: must be 1e-9 to 1e9 s");
         let line = Scene::new(f64::INFINITY, 0, vec![], vec![], model).unwrap_err().to_string();
         assert_eq!(line, "`duration_s` is inf: must be 0 to 1000000000 s");
     }
 
     #[test]
-    fn what_is_changed_of_a_scene_is_checked_and_the_rest_stays() {
-        let scene = scene(vec![DRIVE], RaModel::default_for(Rectify::Half, 0.05)).unwrap();
+    fn a_changed_part_is_checked_and_the_others_stay() {
+        let scene = scene(vec![DRIVE], AfferentModel::default_for(Rectify::Half, 0.05)).unwrap();
         let mut gains = [1.0; MOTORS];
         assert_eq!(scene.with_gains(&gains).unwrap(), scene);
         for wrong in [-0.1, 10.1, f64::NAN, f64::INFINITY] {
@@ -249,8 +255,8 @@ mod tests {
         assert!(line.starts_with("`drives[1].motor`: motor 3 is still driven by drives[0]"), "{line}");
         let at_rest = scene.with_drives(vec![]).unwrap();
         assert_eq!(
-            (at_rest.drives().len(), at_rest.receptors(), at_rest.gains()),
-            (0, scene.receptors(), &gains)
+            (at_rest.drives().len(), at_rest.afferents(), at_rest.gains()),
+            (0, scene.afferents(), &gains)
         );
     }
 }

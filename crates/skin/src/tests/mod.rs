@@ -1,23 +1,28 @@
-//! Of the parts that need what is private: vectors of every width, and the samples of velocities.
+//! Tests that need private items of several modules: every vector width, samples of velocities, ramps, bounded memory.
 
-use super::breaks::{Blocks, end};
-use super::cycle::periods;
-use super::engine::{Member, run_on};
-use super::exact::{Group, MOST_BUFFERED};
-use super::membrane::Membrane;
-use super::track::{Track, Tracks, of_scene};
-use super::{Integrator, Method, Options, Precision, Ramps, Scene, Stepping};
-use crate::afferent::{RaModel, Rectify, population};
+mod silence;
+
+use crate::afferent::{AfferentModel, Rectify, population};
+use crate::blocks::Blocks;
+use crate::cycle::periods;
+use crate::engine::run_on;
+use crate::exact::{Group, MAX_BUFFERED};
+use crate::member::Member;
+use crate::membrane::Membrane;
+use crate::time::end;
+use crate::track::{Track, Tracks, of_scene};
+use crate::{Integrator, Method, Options, Precision, Ramps, Scene, Stepping};
 use firmware_protocol::stroke::{Direction, MOTORS};
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::{HalfTick, Ramp, Shaft, WINDOW_HALF_TICKS};
 use meissner_array::pattern::Drive;
 use meissner_array::random::uniform;
-use meissner_array::units::{HALF_TICKS_PER_S, UM_PER_PULSE};
+use meissner_array::units::HALF_TICKS_PER_S;
+use meissner_array::units::UM_PER_PULSE;
 use pulp::Arch;
 use std::sync::Arc;
 
-/// A finger's receptors over some motors at whatever they do.
+/// Afferents of a fingertip over motors with random drives.
 fn scene(seed: u64) -> Scene {
     let draw = |n: u64, low: f64, high: f64| low + (high - low) * uniform([seed, n, 0, 1 << 33])[0];
     let motors = (0..24).filter(|&motor| draw(motor, 0.0, 1.0) < 0.4);
@@ -30,14 +35,13 @@ fn scene(seed: u64) -> Scene {
         stop_s: (motor % 4 == 0).then_some(0.9),
     });
     let rectify = [Rectify::Half, Rectify::Full, Rectify::Signed][seed as usize % 3];
-    let mut model = RaModel::default_for(rectify, [0.0, 0.05][seed as usize % 2]);
+    let mut model = AfferentModel::default_for(rectify, [0.0, 0.05][seed as usize % 2]);
     model.tau_s = draw(400, 0.01, 0.1);
-    let receptors = population(seed).into_iter().step_by(7).collect();
-    Scene::new(1.3, seed, drives.collect(), receptors, model).unwrap()
+    let afferents = population(seed).into_iter().step_by(7).collect();
+    Scene::new(1.3, seed, drives.collect(), afferents, model).unwrap()
 }
 
-/// All that this processor has.
-/// Those of this processor that are not scalar.
+/// The vector widths of this processor, without the scalar one.
 fn widths() -> Vec<Arch> {
     #[cfg(target_arch = "x86_64")]
     let widths = [pulp::x86::V3::try_new().map(Arch::V3), pulp::x86::V4::try_new().map(Arch::V4)];
@@ -46,9 +50,9 @@ fn widths() -> Vec<Arch> {
     widths.into_iter().flatten().collect()
 }
 
-/// Trains by number of the receptor, bit by bit.
+/// Spike trains with the afferents' numbers, bit by bit.
 fn bits(arch: Arch, scene: &Scene, tracks: &Tracks, method: Method) -> Vec<(u32, u64, Vec<u64>)> {
-    let all: Vec<u32> = (0..scene.receptors().len() as u32).collect();
+    let all: Vec<u32> = (0..scene.afferents().len() as u32).collect();
     let options = Options::spikes(method);
     let mut trains = Vec::new();
     run_on(arch, scene, tracks, &all, &options, &|_| (), |(number, count, half_ticks)| {
@@ -86,7 +90,7 @@ fn same_at_every_width(scene: &Scene, tracks: &Tracks, method: Method) {
     }
 }
 
-/// A scene whose motors make bursts of any length at any speed, often several within the window.
+/// A scene with bursts of any length at any speed, often several within the window.
 fn moved_unevenly(seed: u64) -> (Scene, Tracks) {
     let mut drawn = 0;
     let mut draw = |low: f64, high: f64| {
@@ -106,7 +110,7 @@ fn moved_unevenly(seed: u64) -> (Scene, Tracks) {
     let ramps = Ramps::new(ramps).unwrap();
     let gains = ramps.gains();
     let tracks = ramps.tracks(&gains, scene.duration_s());
-    (scene.moved_otherwise(gains), tracks)
+    (scene.without_drives(gains), tracks)
 }
 
 #[test]
@@ -114,10 +118,13 @@ fn bursts_of_any_speed_leave_every_motor_at_exactly_rest() {
     for seed in 0..6 {
         for track in moved_unevenly(seed).1.iter().flatten() {
             let (mut at, mut d, mut slope, mut most) = (0.0, 0.0_f64, 0.0_f64, 0.0_f64);
-            for found in track.breaks() {
-                assert!(found.at >= at && found.at.fract() == 0.0 && found.bend.abs() <= 1.0, "{found:?}");
+            for found in track.breakpoints() {
+                assert!(
+                    found.at >= at && found.at.fract() == 0.0 && found.slope_change.abs() <= 1.0,
+                    "{found:?}"
+                );
                 d += slope * (found.at - at);
-                (at, slope) = (found.at, slope + found.bend);
+                (at, slope) = (found.at, slope + found.slope_change);
                 most = most.max(d.abs());
                 assert_eq!((d * (1_u64 << 40) as f64).fract(), 0.0);
             }
@@ -127,12 +134,12 @@ fn bursts_of_any_speed_leave_every_motor_at_exactly_rest() {
     }
 }
 
-/// A way to step whose samples are those of an integrator.
+/// A stepped method with the samples of an integrator.
 fn stepping(step_us: u32, integrator: Integrator) -> Method {
     Method::Stepped(Stepping { step_us, integrator, precision: Precision::F64 })
 }
 
-/// Each motor's samples, asked for so many at a time; none of a motor at rest.
+/// Each motor's samples, read so many at a time; none for a motor at rest.
 fn samples(scene: &Scene, method: Method, steps: usize, at_a_time: usize) -> Vec<Vec<f64>> {
     let of_track = |track: &Option<Arc<Track>>| {
         let Some(track) = track else { return Vec::new() };
@@ -149,7 +156,7 @@ fn samples(scene: &Scene, method: Method, steps: usize, at_a_time: usize) -> Vec
 }
 
 #[test]
-fn samples_do_not_depend_on_how_many_are_asked_for() {
+fn samples_do_not_depend_on_how_many_are_read_at_a_time() {
     for (seed, integrator) in [
         (1, Integrator::Euler),
         (2, Integrator::Propagator),
@@ -164,7 +171,7 @@ fn samples_do_not_depend_on_how_many_are_asked_for() {
                 let found = samples(&scene, method, steps, at_a_time);
                 assert!(found == whole, "{seed} {step_us} {at_a_time}");
             }
-            // And those that are kept are the same.
+            // The kept samples are the same.
             for (track, expected) in of_scene(&scene, method).iter().zip(&whole) {
                 let kept = track.as_ref().map_or(&[][..], |track| track.samples::<f64>().unwrap());
                 assert!(
@@ -222,7 +229,7 @@ fn samples_at_rest_are_zero() {
         start_s: Some(0.01),
         stop_s: Some(0.13),
     };
-    let model = RaModel::default_for(Rectify::Half, 0.0);
+    let model = AfferentModel::default_for(Rectify::Half, 0.0);
     let scene = Scene::new(1.0, 0, vec![drive], vec![], model).unwrap();
     for integrator in [Integrator::Euler, Integrator::Propagator] {
         for step_us in [80, 500, 590] {
@@ -237,9 +244,9 @@ fn samples_at_rest_are_zero() {
     }
 }
 
-/// A state that never repeats within the scene: what is buffered meanwhile stays within its bound.
+/// A state that never repeats within the scene: the spikes buffered meanwhile stay within their bound.
 #[test]
-fn counting_rates_buffers_no_more_the_longer_the_scene() {
+fn counting_rates_buffers_no_more_in_a_longer_scene() {
     let drive = |motor, frequency_hz| Drive {
         motor,
         frequency_hz,
@@ -248,8 +255,12 @@ fn counting_rates_buffers_no_more_the_longer_the_scene() {
         start_s: None,
         stop_s: None,
     };
-    let model = RaModel { alpha_per_um: 1e6, refractory_s: 1e-4, ..RaModel::default_for(Rectify::Half, 0.0) };
-    // They repeat together after 10 s.
+    let model = AfferentModel {
+        alpha_per_um: 1e6,
+        refractory_s: 1e-4,
+        ..AfferentModel::default_for(Rectify::Half, 0.0)
+    };
+    // Together they repeat only after 10 s.
     let scene = Scene::new(60.0, 0, vec![drive(9, 10.0), drive(10, 10.1)], Vec::new(), model).unwrap();
     let (membrane, end) = (Membrane::of(scene.model()), end(scene.duration_s()));
     let mut weights = [0.0; MOTORS];
@@ -261,13 +272,13 @@ fn counting_rates_buffers_no_more_the_longer_the_scene() {
     let mut blocks = Blocks::new(tracks.iter().flatten().map(Arc::as_ref), end);
     let (mut block, mut most) = (Vec::new(), 0);
     while blocks.next_into(&mut block) {
-        // As a scene of many blocks.
+        // Small blocks, as in a long scene.
         for part in block.chunks(64) {
             group.run(Arch::new(), &membrane, part, false);
             most = most.max(group.kept());
         }
     }
-    assert!(most > 1000 && most <= MOST_BUFFERED, "{most}");
+    assert!(most > 1000 && most <= MAX_BUFFERED, "{most}");
     let (trains, _) = group.finish(Arch::new(), &membrane, false);
-    assert!(trains[0].0 > MOST_BUFFERED && trains[0].1.is_empty());
+    assert!(trains[0].0 > MAX_BUFFERED && trains[0].1.is_empty());
 }

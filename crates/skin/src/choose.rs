@@ -1,14 +1,16 @@
-//! The cheapest method whose error is allowed, found on the scene itself.
+//! The cheapest method for an allowed error, found on the scene itself.
 //!
-//! A sample of the receptors that may fire is simulated exactly and by the propagator with ever smaller steps, until
-//! the error on the sample leaves room for the sample's own uncertainty. What a method costs on the whole scene is
-//! counted in breaks, steps and spikes; when the exact method costs less than the step that would do, it is taken.
+//! [`choose`] simulates a sample of the afferents that may fire, exactly and by the propagator with ever smaller steps,
+//! until the error on the sample leaves room for the sample's own uncertainty. It counts a method's cost on the whole
+//! scene in breakpoints, steps and spikes. If the exact method costs less than the step that would do, it takes that.
 //!
 //! Invariant: the choice depends on the scene and the error alone, never on a clock.
 
-use super::engine;
-use super::track::{Track, of_scene};
-use super::{Integrator, Method, MethodError, Options, Precision, Scene, Stepping};
+use crate::engine;
+use crate::member;
+use crate::method::{Integrator, Method, MethodError, Options, Precision, Stepping};
+use crate::scene::Scene;
+use crate::track::{Track, of_scene};
 use meissner_array::motor::WINDOW_HALF_TICKS;
 use meissner_array::units::HALF_TICKS_PER_S;
 use std::sync::Arc;
@@ -18,60 +20,60 @@ use std::sync::Arc;
 pub struct Choice {
     /// The method.
     pub method: Method,
-    /// Its error on the scene: RMS over receptors, impulses/s. 0 for the exact method.
+    /// Its error on the scene: RMS over afferents, impulses/s. 0 for the exact method.
     pub estimated_rate_error_hz: f64,
-    /// Receptors the estimate is based on.
+    /// The number of afferents in the sample.
     pub sampled: usize,
 }
 
-/// Steps that are tried, µs.
+/// The steps to choose from, µs.
 const STEPS_US: [u32; 9] = [5000, 2000, 1000, 500, 200, 100, 50, 20, 10];
-/// Receptors of a sample.
+/// Afferents in a sample.
 const SAMPLE: usize = 64;
-/// By how much the error on a sample, not on all, must stay below what is allowed.
-const ROOM: f64 = 1.3;
+/// The error on a sample must stay below the allowed error by this factor.
+const MARGIN: f64 = 1.3;
 
-/// What a method costs, ns: fitted to the totals of `cargo bench --bench simulate` with and without spikes. Only
-/// the ratios matter.
-const NS_PER_BREAK: f64 = 2.0;
+/// The cost of a method, ns, fitted to the totals of `cargo bench --bench simulate` with and without spikes. Only the
+/// ratios matter.
+const NS_PER_BREAKPOINT: f64 = 2.0;
 const NS_PER_EXACT_SPIKE: f64 = 150.0;
 const NS_PER_STEP: f64 = 1.2;
 const NS_PER_STEPPED_SPIKE: f64 = 50.0;
-/// Costs below this are not told apart.
+/// Costs below this count as equal.
 const NOTHING_NS: f64 = 1e6;
 
-/// The cheapest method with an error of at most `error_hz`.
+/// Finds the cheapest method whose error is at most `error_hz`, RMS over afferents, impulses/s.
 ///
 /// # Errors
-/// If `error_hz` is not an error.
+/// If `error_hz` is not a positive number.
 pub fn choose(scene: &Scene, error_hz: f64) -> Result<Choice, MethodError> {
     if !(error_hz > 0.0 && error_hz < f64::INFINITY) {
         return Err(MethodError::RateError { error_hz });
     }
-    let all: Vec<u32> = (0..scene.receptors().len() as u32).collect();
+    let all: Vec<u32> = (0..scene.afferents().len() as u32).collect();
     let stepped = |step_us| {
         Method::Stepped(Stepping { step_us, integrator: Integrator::Propagator, precision: Precision::F32 })
     };
     let (sample, share) = if all.len() <= SAMPLE {
         (all, 1.0)
     } else {
-        // Whoever is silent at the coarsest step is silent at every other and errs at none.
-        let mut audible = engine::audible(scene, &all, &Options::rates(stepped(STEPS_US[0])));
-        let share = audible.len() as f64 / all.len() as f64;
-        audible.sort_by_key(|&number| scattered(number));
-        audible.truncate(SAMPLE);
-        (audible, share)
+        // An afferent that is silent at the coarsest step is silent at every other: it has no error.
+        let mut firing = engine::may_fire(scene, &all, &Options::rates(stepped(STEPS_US[0])));
+        let share = firing.len() as f64 / all.len() as f64;
+        firing.sort_by_key(|&number| scattered(number));
+        firing.truncate(SAMPLE);
+        (firing, share)
     };
     let by_exact = Choice { method: Method::Exact, estimated_rate_error_hz: 0.0, sampled: sample.len() };
     if sample.is_empty() {
         return Ok(by_exact);
     }
     let exact = counts(scene, &sample, Method::Exact);
-    let whole = sample.len() == scene.receptors().len();
-    // All that may fire, from what the sample does.
-    let scale = if whole { 1.0 } else { share * scene.receptors().len() as f64 / sample.len() as f64 };
+    let whole = sample.len() == scene.afferents().len();
+    // From the sample to all that may fire.
+    let scale = if whole { 1.0 } else { share * scene.afferents().len() as f64 / sample.len() as f64 };
     let spikes = exact.iter().sum::<u64>() as f64 * scale;
-    let exact_ns = breaks(scene, &sample) * scale * NS_PER_BREAK + spikes * NS_PER_EXACT_SPIKE;
+    let exact_ns = breakpoints(scene, &sample) * scale * NS_PER_BREAKPOINT + spikes * NS_PER_EXACT_SPIKE;
     for step_us in STEPS_US {
         let steps = scene.duration_s() * 1e6 / f64::from(step_us) * sample.len() as f64 * scale;
         let stepped_ns = steps * NS_PER_STEP + spikes * NS_PER_STEPPED_SPIKE;
@@ -79,7 +81,7 @@ pub fn choose(scene: &Scene, error_hz: f64) -> Result<Choice, MethodError> {
             break;
         }
         let method = stepped(step_us);
-        // A step may be too short for what f32 can count.
+        // `f32` may be unable to count so many steps.
         if method.check(scene).is_err() {
             continue;
         }
@@ -88,41 +90,43 @@ pub fn choose(scene: &Scene, error_hz: f64) -> Result<Choice, MethodError> {
             .iter()
             .map(|&number| (found[number as usize] as f64 - exact[number as usize] as f64).powi(2))
             .sum();
-        // The sample may have missed the spike or two by which the others err.
+        // The sample may have missed one or two wrong spikes of the others.
         let missed = if whole { 0.0 } else { 2.0 };
         let mean = (squares + missed) / sample.len() as f64 * share;
         let estimate = if scene.duration_s() > 0.0 { mean.sqrt() / scene.duration_s() } else { 0.0 };
-        if estimate * if whole { 1.0 } else { ROOM } <= error_hz {
+        if estimate * if whole { 1.0 } else { MARGIN } <= error_hz {
             return Ok(Choice { method, estimated_rate_error_hz: estimate, sampled: sample.len() });
         }
     }
     Ok(by_exact)
 }
 
-/// Counts of some receptors, at their numbers.
-fn counts(scene: &Scene, receptors: &[u32], method: Method) -> Vec<u64> {
-    let mut counts = vec![0; scene.receptors().len()];
+/// Spike counts of some afferents, at their numbers.
+fn counts(scene: &Scene, numbers: &[u32], method: Method) -> Vec<u64> {
+    let mut counts = vec![0; scene.afferents().len()];
     let options = Options::rates(method);
     let tracks = of_scene(scene, method);
-    let ran = engine::run(scene, &tracks, receptors, &options, &|_| (), |(number, count, _)| {
+    let ran = engine::run(scene, &tracks, numbers, &options, &|_| (), |(number, count, _)| {
         counts[number as usize] = count;
     });
     ran.expect("no spikes are kept, so there are never too many");
     counts
 }
 
-/// About how many breaks some receptors go through.
-fn breaks(scene: &Scene, receptors: &[u32]) -> f64 {
+/// The breakpoints that some afferents pass, about.
+fn breakpoints(scene: &Scene, numbers: &[u32]) -> f64 {
     let options = Options::rates(Method::Exact);
     let of_motor = |track: &Arc<Track>| {
-        let reached = |number: &&u32| engine::weight(scene, &options, **number, track.motor()) > 0.0;
+        let reached = |number: &&u32| member::weight(scene, &options, **number, track.motor()) > 0.0;
         let window = WINDOW_HALF_TICKS as f64 / HALF_TICKS_PER_S;
-        track.per_s() * (scene.duration_s() + window) * receptors.iter().filter(reached).count() as f64
+        track.breakpoints_per_s()
+            * (scene.duration_s() + window)
+            * numbers.iter().filter(reached).count() as f64
     };
     of_scene(scene, Method::Exact).iter().flatten().map(of_motor).sum()
 }
 
-/// A receptor's place in an order that has nothing to do with its number.
+/// A key that puts afferents into an order unrelated to their numbers.
 fn scattered(number: u32) -> u64 {
     (u64::from(number) + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15).rotate_left(32)
 }

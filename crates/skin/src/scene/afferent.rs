@@ -1,18 +1,18 @@
-//! What receptors are made of, as a file says it: the keys of `[receptor]`, for scenes and targets alike.
+//! The parameters of afferents in a file: the keys of `[afferent]`, for scenes and targets alike.
 //!
-//! Invariant: a model that [`check_model`] passes overflows nowhere in the simulator.
+//! Invariant: a model that [`check_model`] accepts overflows nowhere in the simulator.
 
-use crate::afferent::{RaModel, Rectify};
+use crate::afferent::{AfferentModel, Rectify};
 use meissner_input::document::{Fault, in_range};
 use meissner_input::message::quote;
 use serde::de::{Error, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 use std::fmt;
 
-/// The keys of `[receptor]`.
+/// The keys of `[afferent]`. `[receptor]` is the table's deprecated name.
 #[derive(Debug, Default, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
-pub struct RawReceptor {
+pub struct RawAfferent {
     #[serde(default, deserialize_with = "rectify")]
     rectify: Rectify,
     alpha_per_um: Option<f64>,
@@ -24,11 +24,11 @@ pub struct RawReceptor {
     noise_sd: Option<f64>,
 }
 
-impl RawReceptor {
-    /// The model; what is left out has its default, as the noise given.
-    pub fn model(self, noise_sd: f64) -> RaModel {
-        let usual = RaModel::default_for(self.rectify, noise_sd);
-        RaModel {
+impl RawAfferent {
+    /// The model. A parameter that is missing has its default; `noise_sd` is that of the noise.
+    pub fn model(self, noise_sd: f64) -> AfferentModel {
+        let usual = AfferentModel::default_for(self.rectify, noise_sd);
+        AfferentModel {
             rectify: self.rectify,
             alpha_per_um: self.alpha_per_um.unwrap_or(usual.alpha_per_um),
             tau_s: self.tau_s.unwrap_or(usual.tau_s),
@@ -41,9 +41,9 @@ impl RawReceptor {
     }
 }
 
-/// Every key is there.
-impl From<RaModel> for RawReceptor {
-    fn from(model: RaModel) -> Self {
+/// With every key.
+impl From<AfferentModel> for RawAfferent {
+    fn from(model: AfferentModel) -> Self {
         Self {
             rectify: model.rectify,
             alpha_per_um: Some(model.alpha_per_um),
@@ -57,26 +57,29 @@ impl From<RaModel> for RawReceptor {
     }
 }
 
-/// Times of a scene reach to 30 years: `f64` seconds still tell ticks apart.
+/// Checks a time of a scene. Up to 30 years, seconds in `f64` resolve ticks.
 pub(super) fn seconds<P>(key: &str, found: f64) -> Result<(), Fault<P>> {
     in_range(key, found, (0.0..=1e9).contains(&found), "0 to 1000000000 s")
 }
 
 /// The largest α, per µm.
-pub const MOST_ALPHA_PER_UM: f64 = 1e15;
+pub const MAX_ALPHA_PER_UM: f64 = 1e15;
 
-/// The ranges leave room for experiments; within them no step of the model overflows.
-pub fn check_model<P>(model: &RaModel) -> Result<(), Fault<P>> {
-    let RaModel { alpha_per_um, tau_s, refractory_s, noise_sd, sigma_mm, .. } = *model;
+/// Checks the parameters of afferents. The ranges leave room for experiments; within them no step of the model overflows.
+///
+/// # Errors
+/// The first parameter that is out of range, by its key.
+pub fn check_model<P>(model: &AfferentModel) -> Result<(), Fault<P>> {
+    let AfferentModel { alpha_per_um, tau_s, refractory_s, noise_sd, sigma_mm, .. } = *model;
     let (lasting_s, depth) = (model.hyperexcitability_s, model.hyperexcitability_depth);
     in_range(
         "alpha_per_um",
         alpha_per_um,
-        (0.0..=MOST_ALPHA_PER_UM).contains(&alpha_per_um),
+        (0.0..=MAX_ALPHA_PER_UM).contains(&alpha_per_um),
         "0 to 1e15 per um",
     )?;
     in_range("tau_s", tau_s, (1e-9..=1e9).contains(&tau_s), "1e-9 to 1e9 s")?;
-    // One spike per refractory period at the most: its least bounds the spikes of a scene.
+    // At most one spike per refractory period: the least period bounds the spikes of a scene.
     in_range("refractory_s", refractory_s, (1e-5..=1e9).contains(&refractory_s), "1e-5 to 1e9 s")?;
     seconds("hyperexcitability_s", lasting_s)?;
     in_range("hyperexcitability_depth", depth, (0.0..=1.0).contains(&depth), "0 to 1")?;

@@ -1,12 +1,13 @@
-//! Reading a scene file, TOML or JSON, into one and the same scene.
+//! Reads a scene file, TOML or JSON; both give the same scene.
 //!
-//! Serde reads what may be a million receptors without a tree in between (JSON), through `keyed`. What is within a type but out of range is not refused here but by
-//! the scene's own check, which serves built scenes too.
+//! Serde reads JSON without a tree in between: a scene may have a million afferents. A value of the right type that is out
+//! of range is refused by the scene's own check, which serves built scenes, too.
 //!
-//! Invariant: no key is ignored but `spikes_s` and `promised_spikes`, with which reference scenes tell their answers.
+//! Invariant: no key is ignored but `spikes_s` and `promised_spikes`, the answers of reference scenes.
 
 use super::error::{Fault, Problem};
-use super::{MOTOR_RANGE, NO_GAINS, RawReceptor, Scene};
+use super::names::{as_written, one_name};
+use super::{MOTOR_RANGE, NO_GAINS, RawAfferent, Scene};
 use crate::afferent::{self, Position};
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::pattern::Drive;
@@ -17,10 +18,10 @@ use serde::{Deserialize, Deserializer};
 use std::fmt;
 use std::sync::Arc;
 
-/// Bytes of a JSON scene at the most: some millions of receptors, which are held once and without their text.
+/// The most bytes of a JSON scene: some millions of afferents, which are held once and without their text.
 pub const MAX_JSON_BYTES: usize = 256 << 20;
-/// Bytes of a TOML scene at the most. Its parser holds the whole tree: 45 times the file where it lists receptors, as
-/// much as 240 times where somebody means ill (measured).
+/// The most bytes of a TOML scene. Its parser holds the whole tree: 45 times the file for a list of afferents, and up to
+/// 240 times for a hostile file (measured).
 pub const MAX_TOML_BYTES: usize = 16 << 20;
 
 pub(super) fn read(text: &str, file: &str) -> Result<Scene, Fault> {
@@ -36,12 +37,12 @@ pub(super) fn read(text: &str, file: &str) -> Result<Scene, Fault> {
         return Err(Fault::whole(None, Problem::TooLarge { bytes: text.len(), language, most, advice }));
     }
     let Keyed(raw): Keyed<RawScene> = if json { from_json(text, wanted) } else { from_toml(text, wanted) }?;
-    raw.scene()
+    raw.checked_scene()
 }
 
 fn wanted(key: &str) -> &'static str {
     match key {
-        "duration_s" => "how long to watch, in s",
+        "duration_s" => "how long to simulate, in s",
         "motor" => "the motor's number, 0 to 23",
         "frequency_hz" => "a frequency, above 0 and at most 42500 Hz",
         "amplitude_um" => "an amplitude, 0 to 1000000 um peak to peak",
@@ -57,9 +58,13 @@ struct RawScene {
     seed: u64,
     #[serde(default)]
     drives: Vec<Keyed<RawDrive>>,
+    afferents: Option<Vec<Keyed<Position>>>,
+    /// Deprecated: the old name of `afferents`.
     receptors: Option<Vec<Keyed<Position>>>,
     population: Option<Keyed<RawPopulation>>,
-    receptor: Option<Keyed<RawReceptor>>,
+    afferent: Option<Keyed<RawAfferent>>,
+    /// Deprecated: the old name of `afferent`.
+    receptor: Option<Keyed<RawAfferent>>,
     #[serde(rename = "spikes_s")]
     _spikes_s: Option<IgnoredAny>,
     #[serde(rename = "promised_spikes")]
@@ -87,30 +92,37 @@ struct RawPopulation {
 }
 
 impl RawScene {
-    fn scene(self) -> Result<Scene, Fault> {
-        let (receptors, noise_sd) = match (self.receptors, self.population) {
-            // In place: a million of them are held once.
-            (Some(receptors), None) => (receptors.into_iter().map(|Keyed(at)| at).collect(), 0.0),
+    fn checked_scene(self) -> Result<Scene, Fault> {
+        let own = |problem: Problem| Fault::whole(None, problem);
+        let (afferents, list) = one_name(("afferents", self.afferents), ("receptors", self.receptors))
+            .map_err(|two| own(two.into()))?;
+        let (afferent, table) = one_name(("afferent", self.afferent), ("receptor", self.receptor))
+            .map_err(|two| own(two.into()))?;
+        let (afferents, noise_sd) = match (afferents, self.population) {
+            // Collected in place: a million of them are held once.
+            (Some(afferents), None) => (afferents.into_iter().map(|Keyed(at)| at).collect(), 0.0),
             (None, Some(Keyed(of))) => (afferent::population(of.seed), afferent::POPULATION_NOISE_SD),
-            (None, None) => return Err(Fault::whole(None, Problem::NoReceptors)),
-            (Some(_), Some(_)) => return Err(Fault::whole(None, Problem::TwoPopulations)),
+            (None, None) => return Err(own(Problem::NoAfferents)),
+            (Some(_), Some(_)) => return Err(own(Problem::TwoPopulations { afferents: list })),
         };
         let drive = |Keyed(raw): Keyed<RawDrive>| {
             let RawDrive { motor, frequency_hz, amplitude_um, phase, start_s, stop_s } = raw;
             Drive { motor, frequency_hz, amplitude_um, phase, start_s, stop_s }
         };
-        Ok(Scene {
+        let scene = Scene {
             duration_s: self.duration_s,
             seed: self.seed,
             drives: self.drives.into_iter().map(drive).collect(),
-            receptors: Arc::new(receptors),
+            afferents: Arc::new(afferents),
             gains: NO_GAINS,
-            model: self.receptor.map_or_else(RawReceptor::default, |Keyed(raw)| raw).model(noise_sd),
-        })
+            model: afferent.map_or_else(RawAfferent::default, |Keyed(raw)| raw).model(noise_sd),
+        };
+        let written = |fault| as_written(as_written(fault, "afferents", list), "afferent", table);
+        scene.checked().map_err(written)
     }
 }
 
-/// A whole number of any size, so that 24 and 300 are refused with the same words.
+/// Reads a motor's number. It takes a whole number of any size, to refuse 24 and 300 with the same words.
 fn motor<'de, D: Deserializer<'de>>(source: D) -> Result<u8, D::Error> {
     struct Whole;
     fn number<E: Error>(found: Option<u8>, shown: &dyn fmt::Display) -> Result<u8, E> {
@@ -134,7 +146,7 @@ fn motor<'de, D: Deserializer<'de>>(source: D) -> Result<u8, D::Error> {
         fn visit_i128<E: Error>(self, found: i128) -> Result<u8, E> {
             number(found.try_into().ok(), &found)
         }
-        /// JSON's whole numbers beyond 64 bits come this way.
+        /// JSON's whole numbers beyond 64 bits.
         fn visit_f64<E: Error>(self, found: f64) -> Result<u8, E> {
             match found.abs() >= 9e18 && found.is_finite() {
                 true => number(None, &figure(found)),

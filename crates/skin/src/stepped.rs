@@ -1,57 +1,56 @@
-//! The stepped methods: a fixed step, all receptors abreast.
+//! The stepped methods: a fixed time step, all afferents of a group at a time.
 //!
 //! Forward Euler is the paper's eq. 2: the input at the step's start, and a spike at its end if the threshold is
-//! reached there. The propagator takes the leak over a step exactly and the input by its mean, and looks for the
-//! crossing within the step on the straight line between the ends; what is left of the step counts for the next
-//! interval. So Euler is of order 1 and the propagator of order 2, until a spike grazes its threshold.
+//! reached there. The propagator takes the exact leak over a step and the mean input. It finds the crossing within the
+//! step on the straight line between the ends; the rest of the step counts for the next interval. So Euler is of order 1
+//! and the propagator of order 2, as long as no spike only just reaches its threshold.
 //!
-//! A step has one spike at most: a refractory time far below the step is not resolved.
+//! A step has at most one spike: it does not resolve a refractory time far below the step.
 //!
-//! Invariant: a lane's arithmetic depends on nothing but its receptor, whatever the vector's width.
+//! Invariant: a lane's arithmetic depends on nothing but its afferent, whatever the vector's width.
 
-use super::lanes::{Aligned, Number};
-use super::membrane::Membrane;
-use super::{Integrator, Member};
-use crate::afferent::{LEAST_THRESHOLD, Rectify};
+use crate::afferent::{MIN_THRESHOLD, Rectify};
+use crate::member::Member;
+use crate::membrane::{Membrane, phi2};
+use crate::method::Integrator;
+use crate::sampler::TILE;
+use crate::simd::{Aligned, Number};
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::random::Normals;
 use pulp::{Arch, Simd, WithSimd};
 use std::array;
 
-/// Receptors of a group: the widest vector of `f32`.
-pub(super) const LANES: usize = 16;
-/// Steps whose input is summed at once: as many vectors as stay in registers.
-pub(super) const TILE: usize = 8;
-/// Steps since the last spike, when there was none.
+/// Afferents in a group: the widest vector of `f32`.
+pub(crate) const LANES: usize = 16;
+/// Steps since the last spike if there was none.
 const NEVER: f64 = 1e30;
 
+/// One number per lane.
 type Row<T> = Aligned<[T; LANES]>;
 
-/// What a step does to every receptor.
+/// The effect of a step on every afferent.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct StepModel {
+pub(crate) struct StepModel {
     integrator: Integrator,
     rectify: Rectify,
-    /// Half ticks.
-    pub(super) length: f64,
-    /// What leaks of the membrane, and what is added per unit of input.
+    /// Length, half ticks.
+    pub(crate) length: f64,
+    /// The share of the membrane that leaks, and the charge per unit of input.
     leak: f64,
     charge: f64,
-    /// Steps.
+    /// Refractory time, steps.
     refractory: f64,
     depth: f64,
-    /// Per step.
+    /// Recovery of the threshold per step.
     recovery: f64,
 }
 
 impl StepModel {
-    pub(super) fn new(membrane: &Membrane, integrator: Integrator, length: f64) -> Self {
+    pub(crate) fn new(membrane: &Membrane, integrator: Integrator, length: f64) -> Self {
         let x = membrane.rate * length;
         let (leak, charge) = match integrator {
             Integrator::Euler => (x, membrane.gain * length),
-            Integrator::Propagator => {
-                (-libm::expm1(-x), membrane.gain * length * (1.0 - x * super::membrane::phi2(x)))
-            }
+            Integrator::Propagator => (-libm::expm1(-x), membrane.gain * length * (1.0 - x * phi2(x))),
         };
         Self {
             integrator,
@@ -66,36 +65,37 @@ impl StepModel {
     }
 }
 
-/// The state of up to sixteen receptors.
+/// The state of up to sixteen afferents.
 #[derive(Debug)]
-pub(super) struct Group<T> {
+pub(crate) struct Group<T> {
     weights: [Row<T>; MOTORS],
     motors: u32,
     p: Row<T>,
-    /// Steps since the last spike: counted, not summed up, they are whole but for the part after the spike.
+    /// Steps since the last spike: whole numbers plus the part of a step after the spike.
     since: Row<T>,
     resting: Row<T>,
-    receptors: Vec<Receptor>,
+    lanes: Vec<Lane>,
 }
 
+/// The part of a lane's state that is not in the vectors.
 #[derive(Debug)]
-struct Receptor {
+struct Lane {
     noise: Option<Normals>,
     spikes: Vec<f64>,
     count: u64,
 }
 
 impl<T: Number> Group<T> {
-    pub(super) fn new(members: Vec<Member>) -> Self {
+    pub(crate) fn new(members: Vec<Member>) -> Self {
         assert!(members.len() <= LANES);
         let mut group = Self {
             weights: [Aligned([T::default(); LANES]); MOTORS],
             motors: 0,
             p: Aligned([T::default(); LANES]),
             since: Aligned([T::of(NEVER); LANES]),
-            // A lane without a receptor never reaches it.
+            // A lane without an afferent never reaches its threshold.
             resting: Aligned([T::of(f64::INFINITY); LANES]),
-            receptors: Vec::with_capacity(members.len()),
+            lanes: Vec::with_capacity(members.len()),
         };
         for (lane, member) in members.into_iter().enumerate() {
             for (motor, &weight) in member.weights.iter().enumerate() {
@@ -103,37 +103,37 @@ impl<T: Number> Group<T> {
                 group.motors |= u32::from(weight > 0.0) << motor;
             }
             group.resting[lane] = T::of(member.resting);
-            group.receptors.push(Receptor { noise: member.noise, spikes: Vec::new(), count: 0 });
+            group.lanes.push(Lane { noise: member.noise, spikes: Vec::new(), count: 0 });
         }
         group
     }
 
-    /// Through a stretch of steps.
-    pub(super) fn run(&mut self, arch: Arch, run: &Block<'_, T>) {
+    /// Goes through a block of steps.
+    pub(crate) fn run(&mut self, arch: Arch, run: &Block<'_, T>) {
         arch.dispatch(Run { group: self, block: run });
     }
 
-    /// Spikes in memory.
-    pub(super) fn kept(&self) -> u64 {
-        self.receptors.iter().map(|receptor| receptor.spikes.len() as u64).sum()
+    /// The number of spikes in memory.
+    pub(crate) fn kept(&self) -> u64 {
+        self.lanes.iter().map(|lane| lane.spikes.len() as u64).sum()
     }
 
-    /// For each receptor: how many spikes, and their times in half ticks.
-    pub(super) fn into_trains(self) -> impl Iterator<Item = (u64, Vec<f64>)> {
-        self.receptors.into_iter().map(|receptor| (receptor.count, receptor.spikes))
+    /// For each afferent: the number of spikes, and their times, half ticks, if they were kept.
+    pub(crate) fn into_trains(self) -> impl Iterator<Item = (u64, Vec<f64>)> {
+        self.lanes.into_iter().map(|lane| (lane.count, lane.spikes))
     }
 }
 
-/// A stretch of steps.
-pub(super) struct Block<'b, T> {
-    pub(super) model: &'b StepModel,
-    pub(super) membrane: &'b Membrane,
-    /// Of each motor that reaches anybody, its velocity in each step; whole tiles, the last filled up.
-    pub(super) inputs: &'b [&'b [T]; MOTORS],
-    pub(super) first: u64,
-    pub(super) steps: usize,
-    pub(super) until: f64,
-    pub(super) keep: bool,
+/// A block of steps.
+pub(crate) struct Block<'b, T> {
+    pub(crate) model: &'b StepModel,
+    pub(crate) membrane: &'b Membrane,
+    /// The velocity of each motor that reaches any afferent, per step, in whole tiles.
+    pub(crate) inputs: &'b [&'b [T]; MOTORS],
+    pub(crate) first: u64,
+    pub(crate) steps: usize,
+    pub(crate) until: f64,
+    pub(crate) keep: bool,
 }
 
 struct Run<'r, T> {
@@ -158,8 +158,8 @@ impl<T: Number> Run<'_, T> {
     fn steps<S: Simd, const WITHIN: bool>(self, simd: S) {
         let Self { group, block } = self;
         let step = Step::<T, S, WITHIN>::new(simd, block.model);
-        for first in (0..group.receptors.len()).step_by(T::width::<S>()) {
-            let mut lanes = Lanes {
+        for first in (0..group.lanes.len()).step_by(T::width::<S>()) {
+            let mut registers = Registers {
                 p: T::load::<S>(&group.p[first..]),
                 since: T::load::<S>(&group.since[first..]),
                 resting: T::load::<S>(&group.resting[first..]),
@@ -167,28 +167,28 @@ impl<T: Number> Run<'_, T> {
             for tile in (0..block.steps).step_by(TILE) {
                 let inputs = inputs(simd, block, group, first, tile);
                 for (index, input) in inputs.into_iter().take(block.steps - tile).enumerate() {
-                    let (after, hot) = step.take(&lanes, input);
-                    let before = std::mem::replace(&mut lanes, after);
-                    if T::bits::<S>(hot) != 0 {
+                    let (after, candidates) = step.take(&registers, input);
+                    let before = std::mem::replace(&mut registers, after);
+                    if T::bits::<S>(candidates) != 0 {
                         let number = block.first + (tile + index) as u64;
-                        let (part, spiked) = step.crossing(&before, lanes.p, hot);
-                        step.reset(&mut lanes, part, spiked, input);
+                        let (part, spiked) = step.crossing(&before, registers.p, candidates);
+                        step.reset(&mut registers, part, spiked, input);
                         let parts = spill::<T, S>(part);
-                        let mut resting = spill::<T, S>(lanes.resting);
+                        let mut resting = spill::<T, S>(registers.resting);
                         let mut left = T::bits::<S>(spiked);
                         while left != 0 {
                             let lane = left.trailing_zeros() as usize;
                             left &= left - 1;
                             let at = (number as f64 + parts[lane].wide()) * block.model.length;
-                            resting[lane] = T::of(group.receptors[first + lane].spike(block, at));
+                            resting[lane] = T::of(group.lanes[first + lane].spike(block, at));
                         }
-                        lanes.resting = T::load::<S>(&*resting);
+                        registers.resting = T::load::<S>(&*resting);
                     }
                 }
             }
-            T::store::<S>(&mut group.p[first..], lanes.p);
-            T::store::<S>(&mut group.since[first..], lanes.since);
-            T::store::<S>(&mut group.resting[first..], lanes.resting);
+            T::store::<S>(&mut group.p[first..], registers.p);
+            T::store::<S>(&mut group.since[first..], registers.since);
+            T::store::<S>(&mut group.resting[first..], registers.resting);
         }
     }
 }
@@ -226,8 +226,8 @@ fn spill<T: Number, S: Simd>(vector: T::Vector<S>) -> Row<T> {
     lanes
 }
 
-impl Receptor {
-    /// Counts a spike; draws the next resting threshold.
+impl Lane {
+    /// Counts a spike and draws the next resting threshold.
     #[inline(always)]
     fn spike<T>(&mut self, block: &Block<'_, T>, at: f64) -> f64 {
         if at < block.until {
@@ -240,14 +240,14 @@ impl Receptor {
     }
 }
 
-/// Receptors in the processor's registers.
-struct Lanes<T: Number, S: Simd> {
+/// Lanes in the processor's registers.
+struct Registers<T: Number, S: Simd> {
     p: T::Vector<S>,
     since: T::Vector<S>,
     resting: T::Vector<S>,
 }
 
-/// The numbers of a [`StepModel`], one in every lane. `WITHIN`: crossings are looked for within the step.
+/// A [`StepModel`] with each number in every lane. `WITHIN`: it finds crossings within the step.
 struct Step<T: Number, S: Simd, const WITHIN: bool> {
     simd: S,
     zero: T::Vector<S>,
@@ -258,7 +258,7 @@ struct Step<T: Number, S: Simd, const WITHIN: bool> {
     depth: T::Vector<S>,
     least: T::Vector<S>,
     refractory: T::Vector<S>,
-    /// What counts as the end of refractoriness at a step's end: a step that divides it does so but for rounding.
+    /// The refractory time for the test at a step's end, less a margin for rounding: a step may divide it.
     nearly_refractory: T::Vector<S>,
 }
 
@@ -274,35 +274,41 @@ impl<T: Number, S: Simd, const WITHIN: bool> Step<T, S, WITHIN> {
             one: splat(1.0),
             recovery: splat(-model.recovery),
             depth: splat(model.depth),
-            least: splat(LEAST_THRESHOLD),
+            least: splat(MIN_THRESHOLD),
             refractory: splat(model.refractory),
             nearly_refractory: splat(model.refractory * (1.0 - 1e-6)),
         }
     }
 
-    /// The lanes after a step without a spike, and which of them may have had one.
+    /// The lanes after a step without a spike, and those that may have had one.
     #[inline(always)]
-    fn take(&self, lanes: &Lanes<T, S>, input: T::Vector<S>) -> (Lanes<T, S>, T::Mask<S>) {
+    fn take(&self, lanes: &Registers<T, S>, input: T::Vector<S>) -> (Registers<T, S>, T::Mask<S>) {
         let simd = self.simd;
         let charged = T::mul_add(simd, input, self.charge, lanes.p);
         let p = T::mul_add(simd, lanes.p, self.leak, charged);
         let since = T::add(simd, lanes.since, self.one);
-        // The threshold rises with the time since the spike. Euler tests it at the step's end; where a crossing
-        // within the step is looked for, it is lowest at the start.
+        // The threshold rises with the time since the spike. Euler tests it at the step's end. A crossing within the step
+        // is tested against its lowest value, at the step's start.
         let tested = if WITHIN { lanes.since } else { since };
         let threshold = self.threshold(lanes.resting, tested);
         let top = if WITHIN { T::max(simd, lanes.p, p) } else { p };
-        let hot = T::both(
+        let candidates = T::both(
             simd,
             T::at_least(simd, top, threshold),
             T::at_least(simd, since, self.nearly_refractory),
         );
-        (Lanes { p, since, resting: lanes.resting }, hot)
+        (Registers { p, since, resting: lanes.resting }, candidates)
     }
 
-    /// The lanes that spiked begin anew with what is left of the step.
+    /// Restarts the lanes that spiked with the rest of the step.
     #[inline(always)]
-    fn reset(&self, lanes: &mut Lanes<T, S>, part: T::Vector<S>, spiked: T::Mask<S>, input: T::Vector<S>) {
+    fn reset(
+        &self,
+        lanes: &mut Registers<T, S>,
+        part: T::Vector<S>,
+        spiked: T::Mask<S>,
+        input: T::Vector<S>,
+    ) {
         let simd = self.simd;
         let rest = T::sub(simd, self.one, part);
         let charge = T::mul_add(simd, rest, self.charge, self.zero);
@@ -310,31 +316,31 @@ impl<T: Number, S: Simd, const WITHIN: bool> Step<T, S, WITHIN> {
         lanes.since = T::select(simd, spiked, rest, lanes.since);
     }
 
-    /// The part of the step after which the membrane, on a straight line to `end`, reaches the threshold for the
-    /// first time; and in which of the `hot` lanes it does.
+    /// The part of the step after which the membrane, on a straight line to `end`, first reaches the threshold; and the
+    /// `candidates` lanes in which it does.
     #[inline(always)]
     fn crossing(
         &self,
-        before: &Lanes<T, S>,
+        before: &Registers<T, S>,
         end: T::Vector<S>,
-        hot: T::Mask<S>,
+        candidates: T::Mask<S>,
     ) -> (T::Vector<S>, T::Mask<S>) {
         let simd = self.simd;
         if !WITHIN {
-            return (self.one, hot);
+            return (self.one, candidates);
         }
         let free = T::sub(simd, self.refractory, before.since);
         let free = T::min(simd, T::max(simd, free, self.zero), self.one);
         let low = self.threshold(before.resting, before.since);
         let climb = T::sub(simd, self.threshold(before.resting, T::add(simd, before.since, self.one)), low);
         let rise = T::sub(simd, end, before.p);
-        // At the end of refractoriness, if it is above the threshold there; else where the lines meet.
+        // At the end of refractoriness if it is above the threshold by then; else where the lines meet.
         let gap = T::sub(simd, low, before.p);
         let closing = T::sub(simd, rise, climb);
         let early = T::at_least(simd, T::mul_add(simd, closing, free, self.zero), gap);
         let late = T::at_least(simd, closing, gap);
         let meets = T::min(simd, T::max(simd, T::div(simd, gap, closing), free), self.one);
-        (T::select(simd, early, free, meets), T::both(simd, hot, T::either(simd, early, late)))
+        (T::select(simd, early, free, meets), T::both(simd, candidates, T::either(simd, early, late)))
     }
 
     #[inline(always)]

@@ -1,0 +1,236 @@
+//! The breakpoints of all motors, merged in order of time, block by block.
+//!
+//! A block has a bounded size, so a scene of a month takes no more memory than one of a second.
+//!
+//! Invariant: the order of breakpoints does not depend on the size of the blocks.
+
+use crate::breakpoints::{Breakpoint, Breakpoints, WINDOW};
+use crate::track::Track;
+use meissner_array::units::HALF_TICKS_PER_S;
+use rayon::prelude::*;
+
+/// Breakpoints in a block, about: they fit a processor's nearer cache.
+const BLOCK: f64 = 16_384.0;
+
+/// The breakpoints of some motors, block by block.
+pub(crate) struct Blocks<'s> {
+    motors: Vec<Source<'s>>,
+    /// The end of the last block, half ticks.
+    reached: f64,
+    end: f64,
+    length: f64,
+    sorter: Sorter,
+}
+
+/// Where a motor's breakpoints come from.
+enum Source<'s> {
+    /// The rest of its list.
+    List(&'s [Breakpoint]),
+    /// They are too many for a list: the next one, and the source of those after it.
+    Made(Breakpoints<'s>, Option<Breakpoint>),
+}
+
+impl<'s> Source<'s> {
+    fn of(track: &'s Track) -> Self {
+        track.list().map_or_else(
+            || {
+                let mut breakpoints = track.breakpoints();
+                let first = breakpoints.next();
+                Self::Made(breakpoints, first)
+            },
+            Self::List,
+        )
+    }
+
+    /// Moves those before an instant onto the end of a block.
+    fn take_before(&mut self, end: f64, block: &mut Vec<Breakpoint>) {
+        match self {
+            Self::List(list) => {
+                let (before, rest) = list.split_at(list.partition_point(|found| found.at < end));
+                block.extend_from_slice(before);
+                *list = rest;
+            }
+            Self::Made(breakpoints, next) => {
+                while let Some(found) = next.take_if(|found| found.at < end) {
+                    block.push(found);
+                    *next = breakpoints.next();
+                }
+            }
+        }
+    }
+}
+
+impl<'s> Blocks<'s> {
+    pub(crate) fn new(tracks: impl Iterator<Item = &'s Track>, end: f64) -> Self {
+        let tracks: Vec<_> = tracks.collect();
+        let per_s: f64 = tracks.iter().map(|track| track.breakpoints_per_s()).sum();
+        let length = (BLOCK / per_s * HALF_TICKS_PER_S).max(2.0 * WINDOW);
+        // The lists are a tenth of the work: make them in parallel, too.
+        let motors = tracks.into_par_iter().map(Source::of).collect();
+        Self { motors, reached: 0.0, end, length, sorter: Sorter::default() }
+    }
+
+    /// The end of the last block, half ticks.
+    pub(crate) const fn reached(&self) -> f64 {
+        self.reached
+    }
+
+    /// Replaces a block by the next one. Breakpoints are in order of time, those of one instant in order of motor. If
+    /// there is none left, it returns false and leaves the block as it is.
+    pub(crate) fn next_into(&mut self, block: &mut Vec<Breakpoint>) -> bool {
+        let from = self.reached;
+        if from >= self.end {
+            return false;
+        }
+        block.clear();
+        let reached = (from + self.length).min(self.end);
+        self.reached = reached;
+        if self.motors.iter().all(|source| matches!(source, Source::List(_))) {
+            self.motors.iter_mut().for_each(|source| source.take_before(reached, block));
+        } else {
+            let each = self.motors.par_iter_mut().map(|source| {
+                let mut block = Vec::new();
+                source.take_before(reached, &mut block);
+                block
+            });
+            each.collect::<Vec<_>>().iter().for_each(|found| block.extend_from_slice(found));
+        }
+        self.sorter.sort(block, from, reached);
+        true
+    }
+}
+
+/// Sorts a block in time proportional to its length: into as many buckets as there are breakpoints, then by insertion.
+/// Sorting by comparisons would take a tenth of a simulation.
+#[derive(Debug, Default)]
+struct Sorter {
+    starts: Vec<u32>,
+    sorted: Vec<Breakpoint>,
+}
+
+impl Sorter {
+    fn sort(&mut self, block: &mut Vec<Breakpoint>, from: f64, to: f64) {
+        let per_half_tick = block.len() as f64 / (to - from);
+        let bucket = |found: &Breakpoint| ((found.at - from) * per_half_tick) as usize;
+        self.starts.clear();
+        self.starts.resize(block.len() + 2, 0);
+        for found in &*block {
+            self.starts[bucket(found) + 1] += 1;
+        }
+        let mut sum = 0;
+        for start in &mut self.starts {
+            sum += *start;
+            *start = sum;
+        }
+        self.sorted.clone_from(block);
+        for found in &*block {
+            let place = &mut self.starts[bucket(found)];
+            self.sorted[*place as usize] = *found;
+            *place += 1;
+        }
+        // Within a bucket they are in order of motor, and at most a few places off.
+        for index in 1..self.sorted.len() {
+            let found = self.sorted[index];
+            let mut place = index;
+            while place > 0 && self.sorted[place - 1].at > found.at {
+                self.sorted[place] = self.sorted[place - 1];
+                place -= 1;
+            }
+            self.sorted[place] = found;
+        }
+        std::mem::swap(block, &mut self.sorted);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::afferent::{AfferentModel, Rectify};
+    use crate::method::Method;
+    use crate::scene::Scene;
+    use crate::time::end;
+    use crate::track::{Tracks, of_scene};
+    use meissner_array::pattern::Drive;
+    use std::sync::Arc;
+
+    /// Drives of all kinds: slow, fast, faster than the window, one after the other.
+    fn scene() -> Scene {
+        let drive = |motor, frequency_hz, amplitude_um| Drive {
+            motor,
+            frequency_hz,
+            amplitude_um,
+            phase: 0.1 * f64::from(motor),
+            start_s: None,
+            stop_s: None,
+        };
+        let drives = vec![
+            drive(0, 3.7, 120.0),
+            drive(1, 61.0, 80.0),
+            drive(2, 233.0, 80.0),
+            drive(3, 4321.0, 2.0),
+            drive(4, 42_500.0, 2.0),
+            Drive { start_s: Some(0.3), ..drive(5, 100.0, 80.0) },
+            Drive { stop_s: Some(0.2), ..drive(5, 200.0, 20.0) },
+            drive(6, 50.0, 0.01),
+        ];
+        Scene::new(0.5, 0, drives, vec![], AfferentModel::default_for(Rectify::Half, 0.0)).unwrap()
+    }
+
+    fn tracks() -> Tracks {
+        of_scene(&scene(), Method::Exact)
+    }
+
+    #[test]
+    fn breakpoints_are_in_order_and_leave_every_motor_at_rest() {
+        let tracks = tracks();
+        // The last one moves by less than a pulse.
+        assert_eq!(
+            tracks.iter().flatten().map(|track| track.motor()).collect::<Vec<_>>(),
+            [0, 1, 2, 3, 4, 5]
+        );
+        for track in tracks.iter().flatten() {
+            let (motor, per_s, breakpoints) = (track.motor(), track.breakpoints_per_s(), track.breakpoints());
+            // The fastest ones have no list.
+            assert!(track.list().is_none_or(|list| breakpoints.eq(list.iter().copied())));
+            let breakpoints = track.breakpoints();
+            let (mut at, mut d, mut slope, mut count) = (0.0, 0.0_f64, 0.0, 0.0);
+            for found in breakpoints {
+                assert!(found.at >= at && found.at.fract() == 0.0 && found.motor == motor, "{found:?}");
+                d += slope * (found.at - at);
+                slope += found.slope_change;
+                at = found.at;
+                count += 1.0;
+                // Half pulses: no more than the window holds at full speed.
+                assert!(d.fract() == 0.0 && d.abs() <= WINDOW && slope.abs() <= 2.0, "{found:?}: {d}");
+            }
+            assert_eq!((d, slope), (0.0, 0.0), "motor {motor}");
+            assert!(count > 0.0 && count <= 0.5 * per_s + 8.0, "motor {motor}: {count} breakpoints");
+        }
+    }
+
+    #[test]
+    fn blocks_of_any_length_hold_the_same_breakpoints_in_the_same_order() {
+        let (tracks, end) = (tracks(), end(scene().duration_s()));
+        let all = tracks.iter().flatten().flat_map(|track| track.breakpoints());
+        let mut expected: Vec<_> = all.filter(|found| found.at < end).collect();
+        expected.sort_by(|a, b| a.at.total_cmp(&b.at).then(a.motor.cmp(&b.motor)));
+        for length in [None, Some(1.0), Some(731.5), Some(10_000.0), Some(1e9)] {
+            let mut blocks = Blocks::new(tracks.iter().flatten().map(Arc::as_ref), end);
+            blocks.length = length.unwrap_or(blocks.length);
+            // Some from lists, some not.
+            for (source, track) in blocks.motors.iter_mut().zip(tracks.iter().flatten()).step_by(2) {
+                let mut breakpoints = track.breakpoints();
+                let first = breakpoints.next();
+                *source = Source::Made(breakpoints, first);
+            }
+            let (mut found, mut block, mut reached) = (Vec::new(), Vec::new(), 0.0);
+            while blocks.next_into(&mut block) {
+                assert!(block.iter().all(|found| found.at >= reached && found.at < blocks.reached()));
+                reached = blocks.reached();
+                found.append(&mut block);
+            }
+            assert_eq!(reached, end);
+            assert!(found == expected, "{length:?}");
+        }
+    }
+}

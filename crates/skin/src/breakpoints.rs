@@ -1,0 +1,122 @@
+//! The breakpoints of a motor's velocity, in order of time.
+//!
+//! A shaft's displacement y changes at `dy/dt = D / W` with `D = r(t) - r(t - W)`. D is linear between the starts and
+//! ends of ramps and W after each. A [`Breakpoint`] says when the slope of D changes, and by how much.
+//!
+//! D is counted in half pulses and time in half ticks. So for strokes every D is a whole number, and at rest it is
+//! exactly 0. Where each burst has a travel of its own, D is counted in half pulses of the motor's fastest burst, and
+//! in 2⁻⁴⁰ of those.
+//!
+//! Invariant: a motor's breakpoints are in order of time.
+
+use firmware_protocol::stroke::Direction;
+use firmware_protocol::tick::Tick;
+use meissner_array::motor::{Ramp, WINDOW_HALF_TICKS};
+use meissner_array::pattern::Drive;
+use meissner_array::units::{UM_PER_PULSE, seconds_to_ticks};
+use std::collections::VecDeque;
+
+/// Half ticks of the moving average.
+pub(crate) const WINDOW: f64 = WINDOW_HALF_TICKS as f64;
+
+/// An instant at which the slope of a motor's velocity changes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Breakpoint {
+    /// Half ticks since the beginning of the scene, a whole number.
+    pub(crate) at: f64,
+    /// The change of the slope of D, half pulses per half tick: 1 or -1, or a whole number of 2⁻⁴⁰ where bursts
+    /// differ in their travel.
+    pub(crate) slope_change: f64,
+    pub(crate) motor: u8,
+}
+
+/// Parts of a half pulse in which D is counted where bursts differ in their travel. Times the 731 of a full window
+/// this is far below 2⁵³, so sums are exact and rest stays 0. Rounding loses 10⁻¹² of a burst.
+const PARTS: f64 = (1_u64 << 40) as f64;
+
+/// A share rounded to whole parts.
+pub(crate) fn in_parts(share: f64) -> f64 {
+    (share * PARTS).round() / PARTS
+}
+
+/// Ramps of one motor, in order of time and without overlap.
+type InOrder<'s> = Box<dyn Iterator<Item = Ramp> + Send + 's>;
+
+/// The breakpoints of one motor: those of the window's leading edge merged with those of its trailing edge.
+pub(crate) struct Breakpoints<'s> {
+    motor: u8,
+    ramps: InOrder<'s>,
+    /// The speed that counts as half a pulse per half tick, µm.
+    full_um_per_tick: f64,
+    /// Breakpoints that the trailing edge has not passed yet.
+    behind: VecDeque<Breakpoint>,
+    /// How many of `behind`, from the back, the leading edge has not passed yet.
+    ahead: usize,
+}
+
+impl<'s> Breakpoints<'s> {
+    /// The breakpoints of a motor's drives, which are in order of time. The last stroke is the last that begins before
+    /// `end`, half ticks.
+    pub(crate) fn new(motor: u8, drives: &'s [Drive], end: f64) -> Self {
+        let waves = drives.iter().filter_map(|drive| Some((drive, drive.wave().ok()?)));
+        let ramps = waves.flat_map(move |(drive, wave)| {
+            let start = seconds_to_ticks(drive.start());
+            let stop = drive.stop_s.map_or(u64::MAX, seconds_to_ticks);
+            let strokes = wave.excursions().take_while(move |excursion| {
+                start.saturating_add(excursion.end()) <= stop
+                    && half_ticks(Tick(start.saturating_add(excursion.up))) < end
+            });
+            strokes.flat_map(move |excursion| {
+                [(excursion.up, Direction::Up), (excursion.down, Direction::Down)].map(|(tick, direction)| {
+                    Ramp::new(Tick(start.saturating_add(tick)), excursion.pulses, direction, 1.0)
+                })
+            })
+        });
+        Self::of(motor, Box::new(ramps), UM_PER_PULSE)
+    }
+
+    /// The breakpoints of ramps. The last ramp is the last that begins before `end`, half ticks.
+    pub(crate) fn of_ramps(motor: u8, ramps: &'s [Ramp], full_um_per_tick: f64, end: f64) -> Self {
+        let before = ramps.iter().copied().take_while(move |ramp| half_ticks(ramp.start) < end);
+        Self::of(motor, Box::new(before), full_um_per_tick)
+    }
+
+    fn of(motor: u8, ramps: InOrder<'s>, full_um_per_tick: f64) -> Self {
+        Self { motor, ramps, full_um_per_tick, behind: VecDeque::new(), ahead: 0 }
+    }
+}
+
+impl Iterator for Breakpoints<'_> {
+    type Item = Breakpoint;
+
+    #[inline]
+    fn next(&mut self) -> Option<Breakpoint> {
+        if self.ahead == 0
+            && let Some(ramp) = self.ramps.next()
+        {
+            let slope_change = in_parts(ramp.um_per_tick / self.full_um_per_tick);
+            for (tick, slope_change) in [(ramp.start, slope_change), (ramp.end(), -slope_change)] {
+                self.behind.push_back(Breakpoint { at: half_ticks(tick), slope_change, motor: self.motor });
+            }
+            self.ahead = 2;
+        }
+        let leading = self.ahead.checked_sub(1).map(|last| self.behind[self.behind.len() - 1 - last]);
+        let trailing = self.behind.front().map(|found| Breakpoint {
+            at: found.at + WINDOW,
+            slope_change: -found.slope_change,
+            ..*found
+        });
+        if let Some(leading) = leading
+            && trailing.is_none_or(|trailing| leading.at <= trailing.at)
+        {
+            self.ahead -= 1;
+            return Some(leading);
+        }
+        self.behind.pop_front();
+        trailing
+    }
+}
+
+fn half_ticks(tick: Tick) -> f64 {
+    2.0 * tick.0 as f64
+}

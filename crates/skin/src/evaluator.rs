@@ -1,0 +1,191 @@
+//! A scene evaluated again and again while some of its motors change: the optimiser's case.
+//!
+//! A [`Candidate`] is the answer with other drives. Only the afferents that feel a changed motor are simulated again.
+//! An afferent's spikes depend on nothing but the motors that reach it, so the kept answers of the others are those of
+//! a whole simulation, bit by bit. Candidates change nothing: several threads may evaluate them on one [`Evaluator`],
+//! and accept one of them or none.
+//!
+//! Invariant: [`Evaluator::counts`] is always the answer to [`Evaluator::scene`].
+
+use crate::engine::{Skipped, Work};
+use crate::member::{Member, by_place};
+use crate::membrane::Membrane;
+use crate::method::{Keep, MethodError, Options};
+use crate::scene::{Scene, SceneError};
+use crate::track::{self, MAX_KEPT_BYTES, Track, Tracks};
+use firmware_protocol::stroke::MOTORS;
+use meissner_array::pattern::Drive;
+use rayon::prelude::*;
+use std::sync::Arc;
+
+/// A scene and its answer.
+#[derive(Clone, Debug)]
+pub struct Evaluator {
+    scene: Scene,
+    options: Options,
+    /// Shared with its candidates, which are recognised by it.
+    counts: Arc<Vec<u64>>,
+    tracks: Tracks,
+    afferents: Arc<Afferents>,
+}
+
+/// The part of the afferents that does not depend on the drives.
+#[derive(Debug)]
+struct Afferents {
+    /// Their numbers in order of place, each with the motors that reach it, one bit each.
+    order: Vec<(u32, u32)>,
+    /// At their numbers; empty if they would take too much memory.
+    members: Vec<Member>,
+}
+
+/// An [`Evaluator`]'s scene with other drives, and the part of the answer that changes.
+#[derive(Clone, Debug)]
+#[must_use]
+pub struct Candidate {
+    scene: Scene,
+    /// The counts of the scene it was made from.
+    from: Arc<Vec<u64>>,
+    /// Those of the changed motors.
+    tracks: Vec<(u8, Option<Arc<Track>>)>,
+    changed: Vec<(u32, u64)>,
+    skipped: Skipped,
+}
+
+impl Evaluator {
+    /// Simulates a scene for the first time. Only counts are kept, whatever `options` say.
+    ///
+    /// # Errors
+    /// If the method cannot simulate the scene.
+    pub fn new(scene: Scene, options: Options) -> Result<Self, MethodError> {
+        let options = Options { keep: Keep::Rates, ..options };
+        options.method.check(&scene)?;
+        let tracks = track::of_scene(&scene, options.method);
+        let afferents = Arc::new(Afferents::new(&scene, &options));
+        let work = Work::new(&scene, &options, &tracks, &afferents.members);
+        let numbers: Vec<_> = afferents.order.iter().map(|&(number, _)| number).collect();
+        let mut counts = vec![0; numbers.len()];
+        work.run(&numbers, &|_| (), &mut |(number, count, _)| counts[number as usize] = count)?;
+        Ok(Self { scene, options, counts: Arc::new(counts), tracks, afferents })
+    }
+
+    /// Evaluates the scene with these drives in place of its own.
+    ///
+    /// # Errors
+    /// If the drives are not those of a scene.
+    pub fn evaluate(&self, drives: &[Drive]) -> Result<Candidate, SceneError> {
+        Ok(self.candidate(self.scene.with_drives(drives.to_vec())?))
+    }
+
+    /// Makes a candidate's scene the scene. A candidate that was made from an earlier scene is simulated again.
+    pub fn accept(&mut self, candidate: Candidate) {
+        let candidate = if Arc::ptr_eq(&candidate.from, &self.counts) {
+            candidate
+        } else {
+            // Its drives were checked, and the check depends on nothing else.
+            let drives = candidate.scene.drives().to_vec();
+            self.candidate(self.scene.with_drives(drives).expect("the drives were checked"))
+        };
+        let Candidate { scene, from, tracks, changed, .. } = candidate;
+        self.scene = scene;
+        tracks.into_iter().for_each(|(motor, track)| self.tracks[usize::from(motor)] = track);
+        // Without a second owner, `make_mut` copies nothing.
+        drop(from);
+        let counts = Arc::make_mut(&mut self.counts);
+        changed.into_iter().for_each(|(number, count)| counts[number as usize] = count);
+    }
+
+    /// Replaces all drives of one motor and simulates the change. `drives` become this motor's, whatever motor they
+    /// name.
+    ///
+    /// # Errors
+    /// If the drives are not those of a scene; then nothing changes.
+    pub fn set_motor(&mut self, motor: u8, drives: &[Drive]) -> Result<Skipped, SceneError> {
+        let candidate = self.candidate(self.scene.with_motor(motor, drives)?);
+        let skipped = candidate.skipped;
+        self.accept(candidate);
+        Ok(skipped)
+    }
+
+    /// Evaluates a scene that differs in its drives alone.
+    fn candidate(&self, scene: Scene) -> Candidate {
+        let differs = |motor: &u8| {
+            let of_motor = |drive: &&Drive| drive.motor == *motor;
+            !self.scene.drives().iter().filter(of_motor).eq(scene.drives().iter().filter(of_motor))
+        };
+        let track = |motor| (motor, Track::new(&scene, self.options.method, motor).map(Arc::new));
+        let tracks: Vec<_> = (0..MOTORS as u8).filter(differs).map(track).collect();
+        let differing = tracks.iter().fold(0, |motors, (motor, _)| motors | 1 << motor);
+        let reached = self.afferents.order.iter().filter(|(_, motors)| motors & differing != 0);
+        let numbers: Vec<u32> = reached.map(|&(number, _)| number).collect();
+        let mut changed = Vec::with_capacity(numbers.len());
+        let mut skipped = Skipped::default();
+        if !numbers.is_empty() {
+            let work = Work::new(&scene, &self.options, &self.tracks, &self.afferents.members).with(&tracks);
+            let ran = work.run(&numbers, &|_| (), &mut |(number, count, _)| changed.push((number, count)));
+            skipped = ran.expect("no spikes are kept, so there are never too many");
+        }
+        // They may reach the afferents that were not simulated.
+        skipped.motors_out_of_reach = 0;
+        skipped.afferents_reused = (self.counts.len() - numbers.len()) as u64;
+        Candidate { scene, from: Arc::clone(&self.counts), tracks, changed, skipped }
+    }
+
+    /// The current scene.
+    #[must_use]
+    pub const fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// Each afferent's number of spikes.
+    #[must_use]
+    pub fn counts(&self) -> &[u64] {
+        &self.counts
+    }
+
+    /// Each afferent's impulses per second.
+    #[must_use]
+    pub fn rates_hz(&self) -> Vec<f64> {
+        self.counts.iter().map(|&count| self.scene.rate_hz(count)).collect()
+    }
+}
+
+impl Afferents {
+    fn new(scene: &Scene, options: &Options) -> Self {
+        let membrane = Membrane::of(scene.model());
+        let numbers: Vec<_> = (0..scene.afferents().len() as u32).collect();
+        let member = |number: u32| Member::new(scene, options, &membrane, number, |_| true);
+        let with_motors = |number| (number, member(number).motors());
+        let order = by_place(scene, &numbers).into_par_iter().with_min_len(64).map(with_motors).collect();
+        let few = numbers.len() * size_of::<Member>() <= MAX_KEPT_BYTES;
+        let members =
+            if few { numbers.into_par_iter().with_min_len(64).map(member).collect() } else { Vec::new() };
+        Self { order, members }
+    }
+}
+
+impl Candidate {
+    /// Its drives.
+    #[must_use]
+    pub fn drives(&self) -> &[Drive] {
+        self.scene.drives()
+    }
+
+    /// The number of afferents that were simulated.
+    #[must_use]
+    pub fn simulated(&self) -> usize {
+        self.changed.len()
+    }
+
+    /// The numbers and counts of the simulated afferents, in no particular order. Some counts may be as before.
+    pub fn changed(&self) -> impl Iterator<Item = (u32, u64)> {
+        self.changed.iter().copied()
+    }
+
+    /// Each afferent's number of spikes, simulated or not.
+    #[must_use]
+    pub fn counts(&self) -> Vec<u64> {
+        let mut counts = Vec::clone(&self.from);
+        self.changed().for_each(|(number, count)| counts[number as usize] = count);
+        counts
+    }
+}

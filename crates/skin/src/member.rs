@@ -1,0 +1,94 @@
+//! The afferents that a method computes: their weights, their first threshold, and their order.
+//!
+//! [`by_place`] orders afferents so that neighbours follow each other, and [`grouped`] cuts them into groups for the
+//! vectors of a processor. Afferents of one group then mostly feel the same motors.
+
+use crate::afferent::{self, MIN_THRESHOLD, Position};
+use crate::membrane::Membrane;
+use crate::method::Options;
+use crate::scene::Scene;
+use firmware_protocol::stroke::MOTORS;
+use meissner_array::random::Normals;
+
+/// An afferent that a method computes.
+#[derive(Clone, Debug)]
+pub(crate) struct Member {
+    /// Its number in the scene.
+    pub(crate) number: u32,
+    /// Its weights of the motors; 0 of a motor at rest.
+    pub(crate) weights: [f64; MOTORS],
+    /// The resting threshold of its first interval.
+    pub(crate) resting: f64,
+    /// The source of its next thresholds.
+    pub(crate) noise: Option<Normals>,
+}
+
+impl Member {
+    /// An afferent of a scene, with its weights of the motors for which `of` holds.
+    pub(crate) fn new(
+        scene: &Scene,
+        options: &Options,
+        membrane: &Membrane,
+        number: u32,
+        of: impl Fn(usize) -> bool,
+    ) -> Self {
+        let weight = |motor: usize| if of(motor) { weight(scene, options, number, motor as u8) } else { 0.0 };
+        let mut noise = (membrane.noise_sd > 0.0).then(|| Normals::new(scene.seed(), number.into()));
+        let resting = membrane.draw(noise.as_mut());
+        Self { number, weights: std::array::from_fn(weight), resting, noise }
+    }
+
+    /// The moving motors that reach it, one bit each.
+    pub(crate) fn motors(&self) -> u32 {
+        let weights = self.weights.iter().enumerate();
+        weights.fold(0, |motors, (motor, &weight)| motors | u32::from(weight > 0.0) << motor)
+    }
+
+    /// The threshold of its first interval.
+    pub(crate) fn threshold(&self) -> f64 {
+        self.resting.max(MIN_THRESHOLD)
+    }
+}
+
+/// The motors that reach any of the members, one bit each.
+pub(crate) fn motors_of(members: &[Member]) -> u32 {
+    members.iter().fold(0, |motors, member| motors | member.motors())
+}
+
+/// An afferent's weight of a motor. The model is linear in a motor's displacement, so the motor's gain goes into the
+/// weight: the velocity then stays a whole number, which keeps everything exact. Whether a weight counts as 0 does not
+/// depend on the gain.
+pub(crate) fn weight(scene: &Scene, options: &Options, number: u32, motor: u8) -> f64 {
+    let weight = afferent::weight(scene.afferents()[number as usize], motor, scene.model().sigma_mm);
+    if weight < options.min_weight { 0.0 } else { weight * scene.gains()[usize::from(motor)] }
+}
+
+/// Afferents in an order in which neighbours follow each other: by the interleaved bits of their positions.
+pub(crate) fn by_place(scene: &Scene, numbers: &[u32]) -> Vec<u32> {
+    let positions = scene.afferents();
+    let range = |of: fn(&Position) -> f64| {
+        numbers
+            .iter()
+            .map(|&number| of(&positions[number as usize]))
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)))
+    };
+    let (x, y) = (range(|at| at.x_mm), range(|at| at.y_mm));
+    let key = |number: &u32| {
+        let at = positions[*number as usize];
+        let cell = |at: f64, (low, high): (f64, f64)| ((at - low) / (high - low) * 255.0) as u32;
+        let (x, y) = (cell(at.x_mm, x), cell(at.y_mm, y));
+        (0..8).fold(0, |key, bit| key | (x >> bit & 1) << (2 * bit) | (y >> bit & 1) << (2 * bit + 1))
+    };
+    let mut order = numbers.to_vec();
+    order.sort_by_cached_key(|number| (key(number), *number));
+    order
+}
+
+/// Members in groups of at most `lanes`, each group with its numbers.
+pub(crate) fn grouped(members: Vec<Member>, lanes: usize) -> impl Iterator<Item = (Vec<u32>, Vec<Member>)> {
+    let mut members = members.into_iter();
+    std::iter::from_fn(move || {
+        let group: Vec<_> = members.by_ref().take(lanes).collect();
+        (!group.is_empty()).then(|| (group.iter().map(|member| member.number).collect(), group))
+    })
+}

@@ -1,0 +1,214 @@
+//! How a scene is simulated: the method, and what is kept of the answer.
+//!
+//! [`Method::check`] refuses a method that cannot simulate a scene, before any work is done.
+
+use crate::afferent::MIN_WEIGHT;
+use crate::scene::Scene;
+use crate::time::end;
+use meissner_array::units::HALF_TICKS_PER_S;
+use serde::{Deserialize, Serialize};
+use std::ops::RangeInclusive;
+
+/// The most spikes that are kept: 2 to 4 GiB.
+pub const MAX_SPIKES: u64 = 1 << 28;
+
+/// Steps, µs.
+pub const STEP_US: RangeInclusive<u32> = 1..=1_000_000;
+
+/// How spikes are computed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Method {
+    /// From breakpoint to breakpoint, in closed form.
+    Exact,
+    /// With a fixed time step.
+    Stepped(Stepping),
+}
+
+/// A fixed time step, and what a step does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Stepping {
+    /// The step, within [`STEP_US`].
+    pub step_us: u32,
+    /// What a step does.
+    pub integrator: Integrator,
+    /// The numbers it computes with.
+    pub precision: Precision,
+}
+
+/// What a step does.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Integrator {
+    /// The paper's eq. 2: input and leak as at the step's start, a spike at its end.
+    Euler,
+    /// The exact leak, the mean input, and crossings within the step.
+    #[default]
+    Propagator,
+}
+
+/// The numbers a stepped method computes with.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Precision {
+    /// Single precision.
+    #[default]
+    F32,
+    /// Double precision.
+    F64,
+}
+
+impl Integrator {
+    /// The name on the command line and in documents.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Euler => "euler",
+            Self::Propagator => "propagator",
+        }
+    }
+}
+
+impl Precision {
+    /// The name on the command line and in documents.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::F32 => "f32",
+            Self::F64 => "f64",
+        }
+    }
+}
+
+/// What is kept of the spikes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Keep {
+    /// Every spike.
+    Spikes,
+    /// Only their number.
+    Rates,
+}
+
+/// A method, and what is kept of the answer.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Options {
+    /// The method.
+    pub method: Method,
+    /// What is kept.
+    pub keep: Keep,
+    /// Whether to skip work that does not change the answer.
+    pub skip: bool,
+    /// Weights below this count as 0. The model's is [`MIN_WEIGHT`]. A search may take [`SEARCH_MIN_WEIGHT`]: then a
+    /// change reaches fewer afferents.
+    pub min_weight: f64,
+}
+
+/// Weights that a search may ignore: a pin then reaches 4.1 mm. Rates move by less than between two populations
+/// (`cargo bench --bench simulate` prints by how much).
+pub const SEARCH_MIN_WEIGHT: f64 = 1e-3;
+
+impl Options {
+    /// Every spike, by a method.
+    #[must_use]
+    pub const fn spikes(method: Method) -> Self {
+        Self { method, keep: Keep::Spikes, skip: true, min_weight: MIN_WEIGHT }
+    }
+
+    /// Only rates, by a method.
+    #[must_use]
+    pub const fn rates(method: Method) -> Self {
+        Self { method, keep: Keep::Rates, ..Self::spikes(method) }
+    }
+}
+
+/// Why a method cannot simulate a scene.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum MethodError {
+    /// The step is out of range.
+    #[error("a step of {step_us} us: must be {} to {} us", STEP_US.start(), STEP_US.end())]
+    Step {
+        /// The step.
+        step_us: u32,
+    },
+    /// The step is too long for forward Euler.
+    #[error(
+        "forward Euler is unstable with a step of {step_us} us at tau_s = {tau_s}: beyond tau it overshoots, \
+         beyond 2 tau it grows without end; take a smaller step, or the propagator"
+    )]
+    Unstable {
+        /// The step.
+        step_us: u32,
+        /// The membrane's time constant.
+        tau_s: f64,
+    },
+    /// Single precision cannot count the steps.
+    #[error(
+        "f32 counts {COUNTABLE} steps since a spike, and {key} is {steps:.0} steps of {step_us} us: take a \
+         larger step, or f64"
+    )]
+    Precision {
+        /// The key of the time that is too long.
+        key: &'static str,
+        /// Its length in steps.
+        steps: f64,
+        /// The step.
+        step_us: u32,
+    },
+    /// There are more spikes than can be kept.
+    #[error("more than {MAX_SPIKES} spikes: keep only their rates (--rates-only), or shorten the scene")]
+    TooManySpikes,
+    /// The allowed error is not a positive number.
+    #[error("a rate error of {error_hz}: must be a number of impulses/s, above 0")]
+    RateError {
+        /// The allowed error.
+        error_hz: f64,
+    },
+}
+
+/// Steps that `f32` counts one by one.
+const COUNTABLE: f64 = 8_388_608.0;
+
+impl Stepping {
+    /// The step in half ticks, rounded once.
+    pub(crate) fn half_ticks(self) -> f64 {
+        f64::from(self.step_us) * HALF_TICKS_PER_S / 1e6
+    }
+}
+
+impl Method {
+    /// Checks whether the method can simulate the scene.
+    ///
+    /// # Errors
+    /// If its step is out of range, unstable, or too short for what `f32` can count.
+    pub fn check(&self, scene: &Scene) -> Result<(), MethodError> {
+        let Self::Stepped(Stepping { step_us, integrator, precision }) = *self else { return Ok(()) };
+        if !STEP_US.contains(&step_us) {
+            return Err(MethodError::Step { step_us });
+        }
+        let tau_s = scene.model().tau_s;
+        if integrator == Integrator::Euler && f64::from(step_us) * 1e-6 > tau_s {
+            return Err(MethodError::Unstable { step_us, tau_s });
+        }
+        let steps = |time_s: f64| time_s * 1e6 / f64::from(step_us);
+        if precision == Precision::F32 && steps(scene.duration_s()) > COUNTABLE {
+            let model = scene.model();
+            for (key, time_s) in
+                [("refractory_s", model.refractory_s), ("hyperexcitability_s", model.hyperexcitability_s)]
+            {
+                if steps(time_s) > COUNTABLE {
+                    return Err(MethodError::Precision { key, steps: steps(time_s), step_us });
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// How far a scene is computed, half ticks: the last step is a whole one.
+    pub(crate) fn horizon(self, duration_s: f64) -> f64 {
+        match self {
+            Self::Exact => end(duration_s),
+            Self::Stepped(stepping) => {
+                (end(duration_s) / stepping.half_ticks()).ceil() * stepping.half_ticks()
+            }
+        }
+    }
+}

@@ -1,0 +1,139 @@
+//! The bursts that motors really made, and the spikes that follow.
+//!
+//! A drive says what a motor shall do. [`Ramps`] say what it did: each burst with the travel it really had.
+//! [`simulate_ramps`] takes the speed of a motor's fastest ramp as the motor's gain, which goes into the weights, and the
+//! other ramps as shares of it. So everything that is exact for drives stays exact, and ramps of one gain are drives on
+//! a motor of that gain.
+//!
+//! A pin that meets its end stop within a burst moves fast and then not at all. A caller that knows only the burst's
+//! travel describes it as a slower ramp. With stops at ±500 µm, an uncorrected pin loses little of a burst, and this
+//! moves a pattern's contrast by less than 0.5 impulses/s. If stops take half of every burst, the contrast comes out an
+//! eighth too low (measured in `crates/design/tests/prediction.rs`). A caller that knows when the pin stopped
+//! describes a shorter ramp.
+//!
+//! Invariant: a motor's ramps are in order of time and do not overlap.
+
+use crate::breakpoints::in_parts;
+use crate::engine::run;
+use crate::member::by_place;
+use crate::method::{Method, MethodError, Options};
+use crate::scene::{MAX_GAIN, Scene};
+use crate::time::in_seconds;
+use crate::track::{Track, Tracks};
+use firmware_protocol::stroke::MOTORS;
+use firmware_protocol::tick::Tick;
+use meissner_array::motor::Ramp;
+use meissner_array::units::UM_PER_PULSE;
+use std::sync::Arc;
+
+/// Afferents whose spikes are in memory at a time. A minute at 1 000 impulses/s takes 46 MB; at 200, 9 MB.
+const AT_A_TIME: usize = 32;
+
+/// The ramps of each motor.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Ramps {
+    motors: [Arc<Vec<Ramp>>; MOTORS],
+}
+
+/// Why ramps cannot be a motor's.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum RampsError {
+    /// There is no such motor.
+    #[error("a burst of motor {motor}: must be 0 to 23")]
+    Motor {
+        /// The number given.
+        motor: u8,
+    },
+    /// A ramp begins before the one before has ended.
+    #[error("a burst of motor {motor} at tick {}: must not begin before the last one has ended", .start.0)]
+    Order {
+        /// Its motor.
+        motor: u8,
+        /// Its start.
+        start: Tick,
+    },
+    /// A ramp is faster than the largest gain allows.
+    #[error(
+        "a burst of motor {motor} at tick {} moves {um_per_tick} um per pulse: must be at most {MAX_GAIN} times \
+         {UM_PER_PULSE:.4}, either way",
+        .start.0
+    )]
+    Travel {
+        /// Its motor.
+        motor: u8,
+        /// Its start.
+        start: Tick,
+        /// Its speed.
+        um_per_tick: f64,
+    },
+}
+
+impl Ramps {
+    /// Takes ramps with their motors, each motor's in order of time. Ticks count from the beginning of the scene. A ramp
+    /// may go either way, whatever the direction of its pulses. Each takes 24 bytes.
+    ///
+    /// # Errors
+    /// The first ramp that no motor can have made.
+    pub fn new(ramps: impl IntoIterator<Item = (u8, Ramp)>) -> Result<Self, RampsError> {
+        let mut motors: [Vec<Ramp>; MOTORS] = Default::default();
+        for (motor, ramp) in ramps {
+            let Ramp { start, um_per_tick, .. } = ramp;
+            let of_motor = motors.get_mut(usize::from(motor)).ok_or(RampsError::Motor { motor })?;
+            let free = of_motor.last().map_or(0, |last| last.start.0.saturating_add(last.ticks.into()));
+            if start.0 < free {
+                return Err(RampsError::Order { motor, start });
+            }
+            if !(0.0..=MAX_GAIN).contains(&gain(um_per_tick)) {
+                return Err(RampsError::Travel { motor, start, um_per_tick });
+            }
+            if ramp.ticks > 0 {
+                of_motor.push(ramp);
+            }
+        }
+        Ok(Self { motors: motors.map(Arc::new) })
+    }
+
+    /// The gain of each motor's fastest ramp.
+    pub(crate) fn gains(&self) -> [f64; MOTORS] {
+        std::array::from_fn(|motor| {
+            self.motors[motor].iter().map(|ramp| gain(ramp.um_per_tick)).fold(0.0, f64::max)
+        })
+    }
+
+    pub(crate) fn tracks(&self, gains: &[f64; MOTORS], duration_s: f64) -> Tracks {
+        std::array::from_fn(|motor| {
+            let full_um_per_tick = UM_PER_PULSE * gains[motor];
+            let track = || Track::of_ramps(motor as u8, &self.motors[motor], full_um_per_tick, duration_s);
+            (full_um_per_tick > 0.0).then(|| Arc::new(track()))
+        })
+    }
+}
+
+/// A ramp's speed over the model's, either way, rounded to whole parts: a travel divided by its pulses is rounded, and
+/// the model's own speed must give 1.
+fn gain(um_per_tick: f64) -> f64 {
+    in_parts(um_per_tick.abs() / UM_PER_PULSE)
+}
+
+/// Simulates a scene exactly, moved by `ramps`; its drives and gains are ignored. `give` is called with each afferent's
+/// number and spikes, s, in no particular order.
+///
+/// Besides the ramps it takes 16 MB for breakpoints, and the memory for the spikes of 32 afferents.
+///
+/// # Errors
+/// If there are more than [`MAX_SPIKES`](crate::MAX_SPIKES) spikes to keep.
+pub fn simulate_ramps(
+    scene: &Scene,
+    ramps: &Ramps,
+    mut give: impl FnMut(u32, Vec<f64>),
+) -> Result<(), MethodError> {
+    let gains = ramps.gains();
+    let (scene, tracks) = (scene.without_drives(gains), ramps.tracks(&gains, scene.duration_s()));
+    let all: Vec<u32> = (0..scene.afferents().len() as u32).collect();
+    for some in by_place(&scene, &all).chunks(AT_A_TIME) {
+        run(&scene, &tracks, some, &Options::spikes(Method::Exact), &|_| (), |(number, _, half_ticks)| {
+            give(number, in_seconds(half_ticks));
+        })?;
+    }
+    Ok(())
+}

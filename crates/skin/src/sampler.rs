@@ -1,0 +1,80 @@
+//! A motor's velocity on a grid of time steps, for the stepped methods.
+//!
+//! [`Sampler`] follows D and its integral from breakpoint to breakpoint in closed form, so a sample is exact wherever
+//! the step falls. The mean of D over a step comes from the integral: it is exactly 0 while the motor rests.
+//!
+//! Invariant: a sample does not depend on how many are asked for at a time.
+
+use crate::breakpoints::{Breakpoint, Breakpoints};
+use crate::method::{Integrator, Method};
+use crate::simd::Number;
+use crate::time::end;
+
+/// Steps whose input is summed at once: as many vectors as stay in registers. Samples come in whole tiles.
+pub(crate) const TILE: usize = 8;
+
+pub(crate) struct Sampler<'s> {
+    breakpoints: Breakpoints<'s>,
+    next: Option<Breakpoint>,
+    /// The last breakpoint that was passed, the integral of D until then, D there and its slope since.
+    at: f64,
+    sum: f64,
+    d: f64,
+    slope: f64,
+    /// The integral at the last sample.
+    before: f64,
+    /// Half ticks of a step.
+    step: f64,
+    integrator: Integrator,
+}
+
+impl<'s> Sampler<'s> {
+    /// None for a method without steps.
+    pub(crate) fn new(mut breakpoints: Breakpoints<'s>, method: Method) -> Option<Self> {
+        let Method::Stepped(stepping) = method else { return None };
+        let (next, step, integrator) = (breakpoints.next(), stepping.half_ticks(), stepping.integrator);
+        Some(Self { breakpoints, next, at: 0.0, sum: 0.0, d: 0.0, slope: 0.0, before: 0.0, step, integrator })
+    }
+
+    /// The number of steps in a scene.
+    pub(crate) fn steps(&self, duration_s: f64) -> u64 {
+        (end(duration_s) / self.step).ceil() as u64
+    }
+
+    /// Fills in the samples of `steps` steps from number `first` on, half pulses: for Euler the velocity at the step's
+    /// start, for the propagator its mean. Zeros fill up the last tile. Steps must be asked for in order.
+    pub(crate) fn fill<T: Number>(&mut self, first: u64, steps: usize, samples: &mut Vec<T>) {
+        samples.clear();
+        for number in first..first + steps as u64 {
+            let sample = match self.integrator {
+                Integrator::Euler => {
+                    let time = number as f64 * self.step;
+                    self.pass_to(time);
+                    self.d + self.slope * (time - self.at)
+                }
+                Integrator::Propagator => {
+                    let time = (number + 1) as f64 * self.step;
+                    self.pass_to(time);
+                    let length = time - self.at;
+                    let sum = self.sum + length * (self.d + 0.5 * self.slope * length);
+                    (sum - std::mem::replace(&mut self.before, sum)) * (1.0 / self.step)
+                }
+            };
+            samples.push(T::of(sample));
+        }
+        samples.resize(steps.next_multiple_of(TILE), T::default());
+    }
+
+    /// Passes the breakpoints up to `time`.
+    #[inline(always)]
+    fn pass_to(&mut self, time: f64) {
+        while let Some(found) = self.next.take_if(|found| found.at <= time) {
+            let length = found.at - self.at;
+            self.at = found.at;
+            self.sum += length * (self.d + 0.5 * self.slope * length);
+            self.d += self.slope * length;
+            self.slope += found.slope_change;
+            self.next = self.breakpoints.next();
+        }
+    }
+}

@@ -1,0 +1,39 @@
+//! Simulated time: half ticks since the beginning of the scene, in `f64`.
+//!
+//! Bursts begin and end on ticks, and the motor's window is an odd number of half ticks. So every breakpoint is a
+//! whole number of half ticks.
+
+use meissner_array::units::HALF_TICKS_PER_S;
+
+/// The end of a scene, half ticks. It need not be a whole number. An instant lies before it if, and only if, it lies
+/// before `duration_s` in seconds, however either was rounded.
+pub(crate) fn end(duration_s: f64) -> f64 {
+    let mut end = duration_s * HALF_TICKS_PER_S;
+    while end > 0.0 && end.next_down() / HALF_TICKS_PER_S >= duration_s {
+        end = end.next_down();
+    }
+    while end / HALF_TICKS_PER_S < duration_s {
+        end = end.next_up();
+    }
+    end
+}
+
+/// Instants in half ticks as seconds.
+pub(crate) fn in_seconds(mut half_ticks: Vec<f64>) -> Vec<f64> {
+    half_ticks.iter_mut().for_each(|at| *at /= HALF_TICKS_PER_S);
+    half_ticks
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_lies_before_the_end_lies_before_it_in_seconds() {
+        for duration_s in [0.0, 0.1, 0.3, 1.0, 1.1, 7.7e8, 1e9, 1e-6] {
+            let end = end(duration_s);
+            assert!(end <= 0.0 || end.next_down() / HALF_TICKS_PER_S < duration_s, "{duration_s}");
+            assert!((end - duration_s * HALF_TICKS_PER_S).abs() <= 4.0 * f64::EPSILON * end, "{duration_s}");
+        }
+    }
+}

@@ -1,0 +1,205 @@
+//! What one motor does in a scene: its breakpoints, its samples, and its highest charge.
+//!
+//! A [`Track`] makes each of them when it is first asked for, and keeps it. So an evaluator that changes some motors
+//! again and again does not compute the others anew. Tracks keep at most [`MAX_KEPT_BYTES`] for all motors; what is
+//! larger is made as it is read.
+//!
+//! Making one uses one thread, so no thread waits for another that waits for it.
+//!
+//! Invariant: a track depends on its motor's drives or ramps, the scene's duration and membrane, and the method.
+
+use crate::breakpoints::{Breakpoint, Breakpoints};
+use crate::method::Method;
+use crate::sampler::{Sampler, TILE};
+use crate::scene::Scene;
+use crate::silence::Bound;
+use crate::simd::Number;
+use crate::time::end;
+use firmware_protocol::stroke::MOTORS;
+use meissner_array::motor::Ramp;
+use meissner_array::pattern::Drive;
+use meissner_array::units::HALF_TICKS_PER_S;
+use std::sync::{Arc, OnceLock};
+
+/// The most bytes that all tracks of a scene keep: a minute of fast strokes or of steps. An evaluator keeps as much of
+/// its afferents.
+pub(crate) const MAX_KEPT_BYTES: usize = 16 << 20;
+
+/// The tracks of a scene's motors; none if the motor never moves.
+pub(crate) type Tracks = [Option<Arc<Track>>; MOTORS];
+
+/// What one motor does.
+#[derive(Debug)]
+pub(crate) struct Track {
+    motor: u8,
+    moved_by: MovedBy,
+    duration_s: f64,
+    /// Breakpoints per second, at most about.
+    breakpoints_per_s: f64,
+    method: Method,
+    list: OnceLock<Vec<Breakpoint>>,
+    samples: Samples,
+    charge: OnceLock<f64>,
+}
+
+/// What moves the motor, in order of time.
+#[derive(Debug)]
+enum MovedBy {
+    Drives(Vec<Drive>),
+    /// Ramps, and the speed that counts as full, µm per tick.
+    Ramps(Arc<Vec<Ramp>>, f64),
+}
+
+/// A motor's samples of all steps, in either precision.
+#[derive(Debug, Default)]
+pub(crate) struct Samples {
+    single: OnceLock<Vec<f32>>,
+    double: OnceLock<Vec<f64>>,
+}
+
+/// A number whose samples a track keeps.
+pub(crate) trait Sample: Number {
+    fn kept(samples: &Samples) -> &OnceLock<Vec<Self>>;
+}
+
+impl Sample for f32 {
+    fn kept(samples: &Samples) -> &OnceLock<Vec<Self>> {
+        &samples.single
+    }
+}
+
+impl Sample for f64 {
+    fn kept(samples: &Samples) -> &OnceLock<Vec<Self>> {
+        &samples.double
+    }
+}
+
+/// The tracks of a scene.
+pub(crate) fn of_scene(scene: &Scene, method: Method) -> Tracks {
+    std::array::from_fn(|motor| Track::new(scene, method, motor as u8).map(Arc::new))
+}
+
+impl Track {
+    /// A motor's track, if it moves.
+    pub(crate) fn new(scene: &Scene, method: Method, motor: u8) -> Option<Self> {
+        let moves = |drive: &&Drive| drive.wave().is_ok_and(|wave| wave.wanted_pulses() > 0);
+        let of_motor = scene.drives().iter().filter(|drive| drive.motor == motor);
+        let mut drives: Vec<_> = of_motor.filter(moves).copied().collect();
+        drives.sort_by(|a, b| a.start().total_cmp(&b.start()));
+        // A motor's drives do not overlap: the fastest bounds them all.
+        let breakpoints_per_s = drives.iter().map(|drive| 8.0 * drive.frequency_hz).fold(0.0, f64::max);
+        let moved_by = MovedBy::Drives(drives);
+        (breakpoints_per_s > 0.0)
+            .then(|| Self::moved(motor, moved_by, breakpoints_per_s, scene.duration_s(), method))
+    }
+
+    /// The track of a motor that made some ramps, for the exact method.
+    pub(crate) fn of_ramps(
+        motor: u8,
+        ramps: &Arc<Vec<Ramp>>,
+        full_um_per_tick: f64,
+        duration_s: f64,
+    ) -> Self {
+        // A ramp has four breakpoints, within the scene or the window after it.
+        let breakpoints_per_s = 4.0 * ramps.len() as f64 / duration_s.max(1.0 / HALF_TICKS_PER_S);
+        let moved_by = MovedBy::Ramps(Arc::clone(ramps), full_um_per_tick);
+        Self::moved(motor, moved_by, breakpoints_per_s, duration_s, Method::Exact)
+    }
+
+    fn moved(motor: u8, moved_by: MovedBy, breakpoints_per_s: f64, duration_s: f64, method: Method) -> Self {
+        let (list, samples, charge) = (OnceLock::new(), Samples::default(), OnceLock::new());
+        Self { motor, moved_by, duration_s, breakpoints_per_s, method, list, samples, charge }
+    }
+
+    pub(crate) const fn motor(&self) -> u8 {
+        self.motor
+    }
+
+    /// Breakpoints per second, at most about.
+    pub(crate) const fn breakpoints_per_s(&self) -> f64 {
+        self.breakpoints_per_s
+    }
+
+    /// All breakpoints, made as they are read.
+    pub(crate) fn breakpoints(&self) -> Breakpoints<'_> {
+        let end = end(self.duration_s);
+        match &self.moved_by {
+            MovedBy::Drives(drives) => Breakpoints::new(self.motor, drives, end),
+            MovedBy::Ramps(ramps, full_um_per_tick) => {
+                Breakpoints::of_ramps(self.motor, ramps, *full_um_per_tick, end)
+            }
+        }
+    }
+
+    /// All breakpoints as a list, if they are few enough to keep.
+    pub(crate) fn list(&self) -> Option<&[Breakpoint]> {
+        let few = self.breakpoints_per_s * self.duration_s * size_of::<Breakpoint>() as f64
+            <= (MAX_KEPT_BYTES / MOTORS) as f64;
+        few.then(|| &**self.list.get_or_init(|| self.breakpoints().collect()))
+    }
+
+    /// None for a method without steps.
+    pub(crate) fn sampler(&self) -> Option<Sampler<'_>> {
+        Sampler::new(self.breakpoints(), self.method)
+    }
+
+    /// The samples of all steps, in whole tiles, if they are few enough to keep.
+    pub(crate) fn samples<T: Sample>(&self) -> Option<&[T]> {
+        let mut sampler = self.sampler()?;
+        let steps = sampler.steps(self.duration_s);
+        let few = steps * size_of::<T>() as u64 <= (MAX_KEPT_BYTES / MOTORS) as u64;
+        few.then(|| {
+            &**T::kept(&self.samples).get_or_init(|| {
+                let mut samples = Vec::with_capacity((steps as usize).next_multiple_of(TILE));
+                sampler.fill(0, steps as usize, &mut samples);
+                samples
+            })
+        })
+    }
+
+    /// The highest charge on a membrane at weight 1 within the first `count` breakpoints, or within more.
+    pub(crate) fn charge(&self, bound: &Bound, count: usize) -> f64 {
+        let horizon = self.method.horizon(self.duration_s);
+        let all = count as f64 >= self.breakpoints_per_s * self.duration_s;
+        let before = self.breakpoints().take_while(|found| found.at < horizon);
+        match self.charge.get() {
+            Some(&charge) => charge,
+            None if all => *self.charge.get_or_init(|| bound.charge(before, Some(horizon))),
+            None => bound.charge(before.take(count), None),
+        }
+    }
+}
+
+/// A motor's samples, a block of steps at a time.
+pub(crate) enum Column<'c, T> {
+    /// The kept samples of all steps, and those of the block.
+    Kept(&'c [T], &'c [T]),
+    /// They are too many to keep: their source, and those of the block.
+    Made(Sampler<'c>, Vec<T>),
+}
+
+impl<'c, T: Sample> Column<'c, T> {
+    /// None for a method without steps.
+    pub(crate) fn of(track: &'c Track) -> Option<Self> {
+        match track.samples() {
+            Some(samples) => Some(Self::Kept(samples, &[])),
+            None => Some(Self::Made(track.sampler()?, Vec::new())),
+        }
+    }
+
+    /// Goes to the block of `steps` steps from number `first` on. Blocks must be asked for in order.
+    pub(crate) fn go_to(&mut self, first: u64, steps: usize) {
+        match self {
+            Self::Kept(all, now) => *now = &all[first as usize..][..steps.next_multiple_of(TILE)],
+            Self::Made(sampler, now) => sampler.fill(first, steps, now),
+        }
+    }
+
+    /// The samples of the block, in whole tiles.
+    pub(crate) fn now(&self) -> &[T] {
+        match self {
+            Self::Kept(_, now) => now,
+            Self::Made(_, now) => now,
+        }
+    }
+}
