@@ -1,3 +1,5 @@
+//! Calibration from plan to file: what is planned, measured, fitted, written and read again.
+
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use meissner_api::Provenance;
@@ -16,7 +18,7 @@ use std::time::Duration;
 
 const HALF_SECOND: u64 = 42_500;
 
-/// A plan's bursts of one motor.
+/// The bursts of one motor in a plan.
 fn of_motor(plan: &Plan, motor: u8) -> Vec<PlannedBurst> {
     plan.bursts(Tick::BOOT).filter(|planned| planned.motor == motor).collect()
 }
@@ -29,7 +31,7 @@ fn a_plan_plays_what_it_says_and_no_measured_burst_comes_after_a_rest() {
             let bursts = of_motor(&plan, motor);
             let mut found = BTreeMap::new();
             for (index, planned) in bursts.iter().enumerate() {
-                // Of each group the first stroke settles.
+                // The first stroke of each group is the warm-up.
                 let in_group = index % (2 * (1 + STROKES_PER_GROUP));
                 assert_eq!(planned.warm_up, in_group < 2, "{planned:?}");
                 assert_eq!(planned.burst.direction == Direction::Up, index % 2 == 0, "{planned:?}");
@@ -37,7 +39,7 @@ fn a_plan_plays_what_it_says_and_no_measured_burst_comes_after_a_rest() {
                 let Some(before) = index.checked_sub(1) else { continue };
                 let rest = planned.burst.start - bursts[before].burst.end();
                 assert!(planned.burst.start > bursts[before].rests_at(), "{planned:?}");
-                // A group begins with the transient; nothing else is one.
+                // Only a group's first burst comes after half a second of rest.
                 assert_eq!(rest >= HALF_SECOND, in_group == 0, "{planned:?}: {rest}");
             }
             let mut wanted = BTreeMap::new();
@@ -65,7 +67,7 @@ fn every_number_of_pulses_is_played_exactly() {
 }
 
 #[test]
-fn a_motor_that_slowly_changes_has_the_same_slope() {
+fn a_motor_that_slowly_changes_gives_the_same_slope() {
     let plan = Plan::default();
     let groups: Vec<f64> = of_motor(&plan, 5)
         .chunks(2 * (1 + STROKES_PER_GROUP))
@@ -85,7 +87,7 @@ fn no_two_motors_pulse_at_once() {
         let mut bursts: Vec<_> = plan.bursts(Tick(0)).map(|planned| planned.burst).collect();
         bursts.sort_by_key(|burst| burst.start);
         assert!(bursts.windows(2).all(|pair| pair[0].end() <= pair[1].start));
-        // What is planned is what the streamer plays.
+        // The streamer plays the same bursts.
         let strokes = Strokes::new(&plan.pattern(), None).unwrap();
         let mut played: Vec<_> = strokes.flat_map(|stroke| stroke.unwrap().bursts()).collect();
         played.sort_by_key(|burst| burst.start);
@@ -93,7 +95,7 @@ fn no_two_motors_pulse_at_once() {
     }
 }
 
-/// How much more than the model a motor of the plant does, up and down.
+/// The true gains of a simulated motor, up and down.
 fn true_gains(config: &PlantConfig, motor: u8) -> [f64; 2] {
     let asymmetry = config.asymmetry_sd * random::normal([config.seed, motor.into(), 0, 2]);
     [1.0 + asymmetry / 2.0, 1.0 - asymmetry / 2.0]
@@ -101,17 +103,17 @@ fn true_gains(config: &PlantConfig, motor: u8) -> [f64; 2] {
 
 fn measured(plan: &Plan, config: PlantConfig) -> Vec<BurstTravel> {
     let mut plant = Plant::new(PlantConfig { telemetry_hz: 0, ..config }, Tick::BOOT).unwrap();
-    let blocks = travels_by_sensor(plan, &mut plant);
+    let travels = travels_by_sensor(plan, &mut plant);
     assert!((0..24).all(|motor| plant.displacement_um(motor).abs() < 0.9 * config.end_stop_um));
-    assert_eq!(blocks.len(), plan.bursts(Tick::BOOT).count());
-    blocks
+    assert_eq!(travels.len(), plan.bursts(Tick::BOOT).count());
+    travels
 }
 
 #[test]
-fn without_scatter_the_plant_s_gains_are_found_exactly() {
+fn without_scatter_the_true_gains_are_found_exactly() {
     let config = PlantConfig { seed: 4, gain_sd: 0.0, asymmetry_sd: 0.05, ..PlantConfig::default() };
-    let blocks = measured(&Plan::default(), config);
-    let fits = fit(&blocks).unwrap();
+    let travels = measured(&Plan::default(), config);
+    let fits = fit(&travels).unwrap();
     assert_eq!(fits.iter().map(|fit| fit.motor).collect::<Vec<_>>(), (0..24).collect::<Vec<_>>());
     for found in &fits {
         let truth = true_gains(&config, found.motor);
@@ -121,27 +123,27 @@ fn without_scatter_the_plant_s_gains_are_found_exactly() {
         }
     }
     assert!(fits.iter().any(|fit| (fit.up.gain() - 1.0).abs() > 0.02));
-    // What was left out: the first burst of each group is short, and only that.
-    for block in blocks.iter().filter(|block| block.warm_up) {
-        let of_model = block.travel_um / (f64::from(block.pulses) * UM_PER_PULSE);
-        let [up, down] = true_gains(&config, block.motor);
-        let expected = if block.direction == Direction::Up { 0.8 * up } else { down };
-        assert!((of_model - expected).abs() < 1e-9, "{block:?}");
+    // The fits left out the warm-up strokes: the first burst of each group is short, and only that.
+    for travel in travels.iter().filter(|travel| travel.warm_up) {
+        let of_model = travel.travel_um / (f64::from(travel.pulses) * UM_PER_PULSE);
+        let [up, down] = true_gains(&config, travel.motor);
+        let expected = if travel.direction == Direction::Up { 0.8 * up } else { down };
+        assert!((of_model - expected).abs() < 1e-9, "{travel:?}");
     }
 }
 
 #[test]
-fn with_scatter_they_are_found_within_the_error_that_is_told() {
+fn with_scatter_the_gains_are_found_within_the_stated_error() {
     for seed in [0, 1] {
         let config = PlantConfig { seed, ..PlantConfig::default() };
         for found in fit(&measured(&Plan::default(), config)).unwrap() {
             for (fit, truth) in [found.up, found.down].iter().zip(true_gains(&config, found.motor)) {
                 let se = fit.slope_se_um_per_pulse / UM_PER_PULSE;
                 assert!((fit.gain() - truth).abs() < 4.0 * se, "{found:?}: {truth}");
-                // By 180 blocks at 10 %, 1.5 times that of a line through the origin.
+                // From 180 travels at 10 %, 1.5 times that of a line through the origin.
                 assert!((0.009..0.014).contains(&se), "{found:?}");
                 assert!((fit.relative_sd - 0.1).abs() < 4.0 * 0.1 / 360_f64.sqrt(), "{found:?}");
-                // The offset's own standard error: what a pulse scatters by over the spread of 1/pulses, 0.054 um.
+                // The offset's own standard error: a pulse's scatter over the spread of 1/pulses, 0.054 um.
                 assert!(fit.offset_um.abs() < 4.0 * 0.054, "{found:?}");
             }
         }
@@ -157,7 +159,7 @@ fn one_motor_is_calibrated_alone() {
     assert_eq!((found.motor, found.up.bursts, found.down.bursts), (7, 54, 54));
 }
 
-/// A plan as the streamer plays it, measured by the telemetry it gets.
+/// The travels of a plan that the streamer plays, measured by telemetry.
 fn played(plan: &Plan, config: &PlantConfig) -> Vec<BurstTravel> {
     let played = simulate_play(&plan.pattern(), None, config, Settings::default(), true).unwrap();
     assert_eq!(played.outcome.bursts.played as usize, plan.bursts(Tick(0)).count());
@@ -165,7 +167,7 @@ fn played(plan: &Plan, config: &PlantConfig) -> Vec<BurstTravel> {
 }
 
 #[test]
-fn on_a_device_without_scatter_the_plant_s_gains_are_found_by_telemetry() {
+fn on_a_device_without_scatter_telemetry_finds_the_true_gains() {
     let config = PlantConfig { seed: 4, gain_sd: 0.0, asymmetry_sd: 0.05, ..PlantConfig::default() };
     let fits = fit(&played(&Plan::default(), &config)).unwrap();
     assert_eq!(fits.len(), 24);
@@ -177,7 +179,7 @@ fn on_a_device_without_scatter_the_plant_s_gains_are_found_by_telemetry() {
 }
 
 #[test]
-fn on_a_device_with_scatter_they_are_found_within_the_error_that_is_told() {
+fn on_a_device_with_scatter_telemetry_finds_the_gains_within_the_stated_error() {
     let config = PlantConfig { seed: 2, ..PlantConfig::default() };
     let fits = fit(&played(&Plan::default(), &config)).unwrap();
     let gains = Calibration::new(fits.clone(), provenance()).unwrap().gains();
@@ -190,7 +192,7 @@ fn on_a_device_with_scatter_they_are_found_within_the_error_that_is_told() {
         }
         assert!((gains.scatter - 0.1).abs() < 4.0 * 0.1 / 720_f64.sqrt(), "{gains:?}");
     }
-    // What was measured badly, or is no burst of the plan, is no block.
+    // A burst that was measured badly, or is not in the plan, gives no travel.
     let plan = Plan::new(Some(7), &[20, 100], 1).unwrap();
     let mut played = simulate_play(&plan.pattern(), None, &config, Settings::default(), true).unwrap();
     let onset = played.outcome.onset.unwrap().actual;
@@ -210,9 +212,9 @@ fn home(simulation: &mut Simulation) -> Option<Result<(), CommandError>> {
     })
 }
 
-/// Without telemetry nobody knows where pins are, until gains are known to reckon by.
+/// Without telemetry the host knows no positions, until a calibration gives it gains for dead reckoning.
 #[test]
-fn a_calibration_that_is_handed_over_is_what_home_goes_by() {
+fn home_uses_the_calibration_that_was_handed_over() {
     let config = PlantConfig::default();
     let fits = fit(&measured(&Plan::new(Some(3), &[14, 70, 140], 1).unwrap(), config)).unwrap();
     let gains = Calibration::new(fits, provenance()).unwrap().gains();
@@ -244,7 +246,7 @@ fn a_file_is_read_back_as_the_same_calibration() {
     assert_eq!((all.motors(), all.provenance()), (&fits[..], &provenance()));
     assert!((0..24).all(|motor| all.gain(motor, Direction::Down) == fits[usize::from(motor)].down.gain()));
 
-    // Of some motors, in any order; the others do what the model says.
+    // Of some motors, in any order; the others follow the model.
     let undated = Provenance { date: None, ..provenance() };
     let some = Calibration::new(vec![fits[20], fits[3]], undated).unwrap();
     assert_eq!(Calibration::parse(&some.to_toml(), "c.toml").as_ref(), Ok(&some));
@@ -284,7 +286,7 @@ groups = 4
 um_per_pulse = 0.13571428571428570
 "#;
 
-/// What to change in the good file, and the line that it must then be refused with.
+/// A change to the good file, and how the line that refuses it begins.
 const BAD: [(&str, &str, &str); 35] = [
     ("format = 1", "", "bad.toml:1: `format` is missing: add format = 1"),
     ("format = 1", "format = 2\nnew = 1", "bad.toml:1: `format` is 2: this version reads format = 1"),
@@ -314,9 +316,9 @@ const BAD: [(&str, &str, &str); 35] = [
     (
         "gain = 1.05",
         "gain = 1.06",
-        "bad.toml:6: `motor[0].up.gain` is 1.06: by slope_um_per_pulse it is 1.05",
+        "bad.toml:6: `motor[0].up.gain` is 1.06, but slope_um_per_pulse gives 1.05",
     ),
-    ("gain = 1.05", "gain = nan", "bad.toml:6: `motor[0].up.gain` is NaN: by slope_um_per_pulse it is 1.05"),
+    ("gain = 1.05", "gain = nan", "bad.toml:6: `motor[0].up.gain` is NaN, but slope_um_per_pulse gives 1.05"),
     ("gain = 1.05", "gain = true", "bad.toml:6: `motor[0].up.gain` is boolean `true`: must be a number"),
     (
         "gain = 1.05\nslope_um_per_pulse = 0.1425",
@@ -343,9 +345,13 @@ const BAD: [(&str, &str, &str); 35] = [
         "relative_sd = -0.1\n",
         "bad.toml:10: `motor[0].up.relative_sd` is -0.1: must be 0 to 1",
     ),
-    ("blocks = 180\n\n", "blocks = 9\n\n", "bad.toml:18: `motor[0].down.bursts` is 9: must be 10 or more"),
+    ("blocks = 180\n\n", "blocks = 9\n\n", "bad.toml:18: `motor[0].down.blocks` is 9: must be 10 or more"),
     ("[provenance]", "[provenence]", "bad.toml:20: unknown key `provenence`: did you mean `provenance`?"),
-    ("device = \"mock\"\n", "", "bad.toml:20: `provenance.device` is missing: add which it was, in quotes"),
+    (
+        "device = \"mock\"\n",
+        "",
+        "bad.toml:20: `provenance.device` is missing: add its description, in quotes",
+    ),
     ("device = \"mock\"", "device = [\"mock\"]", "bad.toml:21: `provenance.device` is"),
     ("device", "date = 2024-05-01\ndevice", "bad.toml:21: `provenance.date` is map: must be a string"),
     (
@@ -356,23 +362,19 @@ const BAD: [(&str, &str, &str); 35] = [
     (
         "repetitions = 2",
         "repetitions = 0",
-        "bad.toml:25: `provenance.pulses` is no plan's: 0 repetitions: must be 1 to 50",
+        "bad.toml:25: `provenance.pulses` describes no plan: 0 repetitions: must be 1 to 50",
     ),
     (
         "[14, 70]",
         "[14, 14]",
-        "bad.toml:25: `provenance.pulses` is no plan's: bursts of 14 pulses are there twice",
+        "bad.toml:25: `provenance.pulses` describes no plan: bursts of 14 pulses are listed twice",
     ),
     (
         "[14, 70]",
         "[14, \"70\"]",
         "bad.toml:25: `provenance.pulses[1]` is string \"70\": must be a whole number, 0 to 65535",
     ),
-    (
-        "groups = 4",
-        "groups = 5",
-        "bad.toml:27: `provenance.groups` is 5: by pulses and repetitions there are 4",
-    ),
+    ("groups = 4", "groups = 5", "bad.toml:27: `provenance.groups` is 5, but pulses and repetitions give 4"),
     (
         "um_per_pulse = 0.1357",
         "um_per_pulse = 0.1358",
@@ -394,7 +396,7 @@ fn refused(text: &str) -> String {
 }
 
 #[test]
-fn what_is_wrong_with_a_file_is_one_line_with_its_place() {
+fn a_bad_file_is_refused_in_one_line_with_its_place() {
     let good = Calibration::parse(FILE, "good.toml").unwrap();
     assert!((good.gain(3, Direction::Up) - 1.05).abs() < 1e-9 && good.gain(9, Direction::Up) == 1.0);
     let wrong = BAD.iter().filter_map(|(from, to, says)| {
@@ -407,14 +409,14 @@ fn what_is_wrong_with_a_file_is_one_line_with_its_place() {
     let (head, motor) = FILE.split_at(FILE.find("[[motor]]").unwrap());
     let (motor, made) = motor.split_at(motor.find("[provenance]").unwrap());
     let line = refused(&format!("{head}{motor}{motor}{made}"));
-    assert_eq!(line, "bad.toml:21: `motor[1].motor` is 3, and motor[0] is the same: leave one out");
+    assert_eq!(line, "bad.toml:21: `motor[1].motor` is 3, as is motor[0]: leave one out");
     let line = refused(&format!("{head}{made}"));
     assert!(
         line.ends_with("`motor` is missing: add a motor's number, 0 to 23, below each [[motor]]"),
         "{line}"
     );
     let line = refused(&format!("{head}motor = []\n{made}"));
-    assert_eq!(line, "bad.toml:3: `motor` is empty: calibrate one at least");
+    assert_eq!(line, "bad.toml:3: `motor` is empty: calibrate at least one motor");
     let line = refused(&format!("{FILE}date = {:?}", "x".repeat(201)));
     assert_eq!(line, "bad.toml:29: `provenance.date` is 201 characters long: must be at most 200");
     let line = refused(&" ".repeat(MAX_BYTES + 1));
@@ -422,14 +424,11 @@ fn what_is_wrong_with_a_file_is_one_line_with_its_place() {
 }
 
 #[test]
-fn what_is_built_is_checked_as_what_is_read() {
+fn a_built_calibration_is_checked_like_a_read_one() {
     let good = Calibration::parse(FILE, "good.toml").unwrap().motors()[0];
     let line = |motors: Vec<MotorFit>, made| Calibration::new(motors, made).unwrap_err().to_string();
-    assert_eq!(line(vec![], provenance()), "`motor` is empty: calibrate one at least");
-    assert_eq!(
-        line(vec![good, good], provenance()),
-        "`motor[1].motor` is 3, and motor[0] is the same: leave one out"
-    );
+    assert_eq!(line(vec![], provenance()), "`motor` is empty: calibrate at least one motor");
+    assert_eq!(line(vec![good, good], provenance()), "`motor[1].motor` is 3, as is motor[0]: leave one out");
     let beyond = MotorFit { motor: 24, ..good };
     assert_eq!(line(vec![beyond], provenance()), "`motor[0].motor` is 24: must be 0 to 23");
     let wild = MotorFit { up: Fit { offset_um: f64::NAN, ..good.up }, ..good };

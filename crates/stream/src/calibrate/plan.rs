@@ -1,43 +1,44 @@
-//! What is played to calibrate: which motors, how many pulses, in which order, when.
+//! The calibration plan: which bursts are played, with how many pulses, in which order, when.
 //!
-//! A group is [`STROKES_PER_GROUP`] strokes of one number of pulses, an eighth of a second from burst to burst, after one more that
-//! settles the motor: it is the first after more than half a second of rest, and comes out short (the transient of the
-//! paper's Fig. 2). Each number has a group in each round. Neighbouring groups have distant numbers, and every other round
-//! runs backwards: a motor that slowly changes then changes for all numbers alike, and the slope does not take it for
-//! its own. Motors play side by side, but no two pulse at the same time.
+//! [`Plan::pattern`] is what the streamer plays, open loop; [`Plan::bursts`] lists the same bursts for whoever measures.
 //!
-//! Invariant: before a measured burst its motor has not rested for half a second.
+//! A group is one warm-up stroke, then [`STROKES_PER_GROUP`] measured strokes of the same number of pulses, an eighth of a
+//! second from burst to burst. The warm-up stroke is the first after more than half a second of rest and comes out short
+//! (the transient of the paper's Fig. 2), so the fit leaves it out. In each round every number of pulses has one group.
+//! Neighbouring groups have distant numbers, and every other round runs backwards: a motor that slowly changes then changes
+//! for all numbers alike, and the slope does not absorb the change. Motors play side by side, but no two pulse at once.
+//!
+//! Invariant: before a measured burst its motor has rested for less than half a second.
 
-use super::BurstTravel;
-use firmware_protocol::stroke::{Burst, Direction, MOTORS};
+use firmware_protocol::stroke::{Burst, MOTORS};
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::WINDOW_TICKS;
 use meissner_array::pattern::{Drive, MAX_DRIVES, Pattern};
 use meissner_array::strokes::Strokes;
 use meissner_array::units::UM_PER_PULSE;
 
-/// Pulses of a burst: a micrometre at the least, and at the most so many that no two motors pulse at the same time.
+/// Pulses of a burst: at least a micrometre, at most so many that no two motors pulse at once.
 pub const PULSES_RANGE: std::ops::RangeInclusive<u16> = 7..=200;
-/// Numbers of pulses if nobody says: the paper's 70, and from a fifth of it to twice it. A wide range, for how well the slope
-/// is known depends on it: with 30 to 110 its error would be 2.4 times that of a line through the origin, with these it is 1.5 times.
+/// Default numbers of pulses: from a fifth of the paper's 70 to twice it. A wide range makes the slope more certain: with 30
+/// to 110 its error would be 2.4 times that of a line through the origin, with these it is 1.5 times.
 pub const DEFAULT_PULSES: [u16; 10] = [14, 28, 42, 56, 70, 84, 98, 112, 126, 140];
-/// Rounds if nobody says: a minute, and gains to about 1 %.
+/// Default rounds: they take a minute and give gains to about 1 %.
 pub const DEFAULT_REPETITIONS: u16 = 2;
-/// Groups of a plan at the most: five minutes.
+/// Groups of a plan at most: five minutes.
 pub const MAX_GROUPS: usize = 100;
-/// Measured strokes of a group. More give better slopes from fewer groups; but a pin whose ways differ by 2 % goes astray by
-/// 0.2 µm a stroke, and by 2 µm with each transient.
+/// Measured strokes of a group. More strokes give better slopes from fewer groups; but a pin whose directions differ by 2 %
+/// drifts by 0.2 µm a stroke, and by 2 µm with each transient.
 pub const STROKES_PER_GROUP: usize = 9;
 /// From group to group, s.
 pub const GROUP_S: f64 = 3.0;
-/// A group's last burst has ended by so long after its beginning, s: the rest is rest.
+/// Within this time after its beginning a group plays all its bursts, s; then the motor rests.
 const PLAYED_S: f64 = 2.5;
-/// Strokes per second: at rest between bursts for 28 times the window, and as often within [`PLAYED_S`] as a group has strokes.
+/// Strokes per second: [`PLAYED_S`] holds a whole group, and between bursts the pin rests for 28 times the motor's window.
 const FREQUENCY_HZ: f64 = 4.0;
 
 const _: () = assert!(MAX_GROUPS * MOTORS <= MAX_DRIVES);
 
-/// A plan no calibration can be made by.
+/// A plan that no calibration can be made with.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PlanError {
     /// No such motor.
@@ -53,25 +54,25 @@ pub enum PlanError {
         found: u16,
     },
     /// A slope needs two numbers of pulses.
-    #[error("bursts of one length have no slope: name two numbers of pulses or more")]
+    #[error("one number of pulses gives no slope: name two numbers of pulses or more")]
     OneNumber,
-    /// A number that is there already.
-    #[error("bursts of {found} pulses are there twice: leave one out")]
+    /// A number of pulses is listed twice.
+    #[error("bursts of {found} pulses are listed twice: leave one out")]
     Twice {
-        /// It.
+        /// The number.
         found: u16,
     },
-    /// None, or too many groups in all.
-    #[error("{found} repetitions: must be 1 to {most}, so that there are no more than {MAX_GROUPS} groups")]
+    /// No repetition, or too many groups in all.
+    #[error("{found} repetitions: must be 1 to {most}, so that there are at most {MAX_GROUPS} groups")]
     Repetitions {
         /// As asked for.
         found: u16,
-        /// At the most, with so many numbers of pulses.
+        /// Most repetitions for this many numbers of pulses.
         most: usize,
     },
 }
 
-/// What is played to calibrate.
+/// The bursts that a calibration plays.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Plan {
     motor: Option<u8>,
@@ -86,10 +87,10 @@ impl Default for Plan {
 }
 
 impl Plan {
-    /// A plan for one motor, or all, with bursts of these numbers of pulses, each in so many groups.
+    /// A plan for one motor, or all, with bursts of these numbers of pulses, each in `repetitions` groups.
     ///
     /// # Errors
-    /// What is wrong with it, in one line.
+    /// The first thing that is wrong, in one line.
     pub fn new(motor: Option<u8>, pulses: &[u16], repetitions: u16) -> Result<Self, PlanError> {
         if let Some(found) = motor.filter(|&motor| usize::from(motor) >= MOTORS) {
             return Err(PlanError::Motor { found });
@@ -143,7 +144,7 @@ impl Plan {
 
     /// The number of pulses of each group, in the order they are played.
     fn order(&self) -> impl Iterator<Item = u16> {
-        // Steps of the golden section: what comes next is far from what was.
+        // Steps of the golden section: each number is far from the one before.
         let place = |n: usize| (n as f64 * 0.618_034).fract();
         let mut order: Vec<usize> = (0..self.pulses.len()).collect();
         order.sort_by(|&a, &b| place(a).total_cmp(&place(b)));
@@ -154,7 +155,7 @@ impl Plan {
         })
     }
 
-    /// It as a pattern, to be played open loop.
+    /// The plan as a pattern, to be played open loop.
     #[must_use]
     #[expect(clippy::missing_panics_doc, reason = "it does not happen")]
     pub fn pattern(&self) -> Pattern {
@@ -175,7 +176,7 @@ impl Plan {
             .expect("a checked plan is a pattern")
     }
 
-    /// Its bursts if it begins at `onset`, in order of their strokes.
+    /// Its bursts if it begins at `onset`, in the order of their strokes.
     #[expect(clippy::missing_panics_doc, reason = "it does not happen")]
     pub fn bursts(&self, onset: Tick) -> impl Iterator<Item = PlannedBurst> + use<> {
         let mut strokes = Strokes::new(&self.pattern(), None).expect("a plan's drives can be played");
@@ -194,30 +195,19 @@ impl Plan {
 /// A burst of a plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PlannedBurst {
-    /// Whose.
+    /// Its motor, 0..24.
     pub motor: u8,
-    /// What is played. When it begins the pin is still at rest.
+    /// The burst; the pin rests when it begins.
     pub burst: Burst,
-    /// Whether it is of a group's first stroke.
+    /// Whether it belongs to a group's warm-up stroke.
     pub warm_up: bool,
 }
 
 impl PlannedBurst {
-    /// When the pin is at rest again: the motor's window after the last pulse.
+    /// When the pin rests again: the motor's window after the last pulse.
     #[must_use]
     pub fn rests_at(&self) -> Tick {
         self.burst.end() + WINDOW_TICKS
-    }
-
-    /// What became of it, by the displacements at rest before it and after it, µm, upwards.
-    #[must_use]
-    pub fn block(&self, before_um: f64, after_um: f64) -> BurstTravel {
-        let Burst { start, direction, pulses } = self.burst;
-        let travel_um = match direction {
-            Direction::Up => after_um - before_um,
-            Direction::Down => before_um - after_um,
-        };
-        BurstTravel { motor: self.motor, direction, start, pulses, travel_um, warm_up: self.warm_up }
     }
 }
 
@@ -226,35 +216,22 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_no_plan_is_refused_in_one_line() {
-        for (motor, pulses, repetitions, says) in [
+    fn an_invalid_plan_is_refused_in_one_line() {
+        for (motor, pulses, repetitions, message) in [
             (Some(24), &[30, 70][..], 1, "motor 24: must be 0 to 23"),
             (None, &[30, 6], 1, "bursts of 6 pulses: must be 7 to 200"),
             (None, &[201, 30], 1, "bursts of 201 pulses: must be 7 to 200"),
-            (None, &[70], 1, "bursts of one length have no slope: name two numbers of pulses or more"),
-            (None, &[], 1, "bursts of one length have no slope: name two numbers of pulses or more"),
-            (None, &[30, 70, 30], 1, "bursts of 30 pulses are there twice: leave one out"),
-            (None, &[30, 70], 0, "0 repetitions: must be 1 to 50, so that there are no more than 100 groups"),
+            (None, &[70], 1, "one number of pulses gives no slope: name two numbers of pulses or more"),
+            (None, &[], 1, "one number of pulses gives no slope: name two numbers of pulses or more"),
+            (None, &[30, 70, 30], 1, "bursts of 30 pulses are listed twice: leave one out"),
+            (None, &[30, 70], 0, "0 repetitions: must be 1 to 50, so that there are at most 100 groups"),
             (None, &[30, 50, 70], 34, "34 repetitions: must be 1 to 33"),
         ] {
             let line = Plan::new(motor, pulses, repetitions).unwrap_err().to_string();
-            assert!(line.starts_with(says) && !line.contains('\n'), "{line}");
+            assert!(line.starts_with(message) && !line.contains('\n'), "{line}");
         }
         let longest: Vec<u16> = PULSES_RANGE.take(MAX_GROUPS).collect();
         assert_eq!(Plan::new(None, &longest, 1).unwrap().pattern().drives().len(), 2400);
         assert_eq!(Plan::new(None, &DEFAULT_PULSES, DEFAULT_REPETITIONS), Ok(Plan::default()));
-    }
-
-    #[test]
-    fn a_travel_is_counted_the_burst_s_way() {
-        let of = |direction| PlannedBurst {
-            motor: 3,
-            burst: Burst { start: Tick(10), direction, pulses: 70 },
-            warm_up: false,
-        };
-        assert_eq!(of(Direction::Up).block(1.0, 10.5).travel_um, 9.5);
-        assert_eq!(of(Direction::Down).block(10.5, 1.0).travel_um, 9.5);
-        // 4.3 ms are 365.5 ticks.
-        assert_eq!(of(Direction::Up).rests_at(), Tick(10 + 70 + 366));
     }
 }

@@ -1,0 +1,203 @@
+//! The calibration: the fits of motors and how they were made; checked however it comes about.
+//!
+//! Build one with [`Calibration::new`], or read it from a file (`file`); [`Calibration::gains`] is what position control uses.
+//!
+//! Invariant: a [`Calibration`] passed every check here, so each of its gains lies within [`GAIN_RANGE`].
+
+use crate::Gains;
+use crate::calibrate::fit::{Fit, GAIN_RANGE, MAX_SLOPE_SE, MIN_BURSTS, MotorFit};
+use crate::calibrate::plan::{Plan, PlanError};
+use firmware_protocol::stroke::{Direction, MOTORS};
+use meissner_api::Provenance;
+use meissner_array::units::UM_PER_PULSE;
+use meissner_input::document::{self, in_range};
+use meissner_input::message::figure;
+
+/// The version of the file format that this program reads and writes.
+pub const FORMAT: u8 = 1;
+/// Bytes of a calibration file at most; all motors with the longest texts take less.
+pub const MAX_BYTES: usize = 64 << 10;
+/// Characters of each text of the provenance.
+const MAX_WORDS: usize = 200;
+/// The largest plausible offset, µm: a burst of the fewest pulses moves a pin by one.
+const OFFSET_UM: f64 = 100.0;
+/// How far a gain may lie from its slope, and the model's constant from ours: another program may write fewer digits.
+pub(super) const ROUNDING: f64 = 1e-6;
+/// The least standard deviation of a gain that position control assumes: a motor changes as it warms up.
+const LEAST_SD: f64 = 0.005;
+/// The least scatter of bursts that position control assumes.
+const LEAST_SCATTER: f64 = 0.002;
+
+/// A calibration that was refused.
+pub type CalibrationError = document::Refused<Problem>;
+
+/// What is wrong with a calibration, and what to do. The display holds no line break.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages say it")]
+pub enum Problem {
+    #[error("{bytes} bytes are too many: a calibration file has at most {MAX_BYTES}")]
+    TooLarge { bytes: usize },
+    #[error("is {found}: this version reads format = {FORMAT}")]
+    Format { found: u64 },
+    #[error("is empty: calibrate at least one motor")]
+    NoMotor,
+    #[error("is {motor}, as is motor[{other}]: leave one out")]
+    Twice { motor: u8, other: usize },
+    #[error("is {}, but slope_um_per_pulse gives {}: edit neither by hand, calibrate again", figure(*.found), figure(*.slope))]
+    Gain { found: f64, slope: f64 },
+    #[error("is {}: this version's model has {UM_PER_PULSE}, so the gains do not apply; calibrate again", figure(*.found))]
+    Model { found: f64 },
+    #[error("describes no plan: {0}")]
+    Plan(#[source] PlanError),
+    #[error("is {found}, but pulses and repetitions give {groups}")]
+    Groups { found: u64, groups: usize },
+    #[error("is {count} characters long: must be at most {MAX_WORDS}")]
+    Words { count: usize },
+}
+
+/// A problem that does not know its file and line yet.
+pub(super) type Fault = document::Fault<Problem>;
+
+/// The fits of the calibrated motors, and how they were made.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Calibration {
+    motors: Vec<MotorFit>,
+    provenance: Provenance,
+}
+
+impl Plan {
+    /// The provenance of a calibration by this plan on this device, without a date.
+    #[must_use]
+    pub fn provenance(&self, device: &str, firmware: &str, identity: &str, telemetry: &str) -> Provenance {
+        Provenance {
+            device: device.to_owned(),
+            firmware: firmware.to_owned(),
+            identity: identity.to_owned(),
+            telemetry: telemetry.to_owned(),
+            pulses: self.pulses().to_vec(),
+            repetitions: self.repetitions(),
+            groups: self.groups() as u64,
+            um_per_pulse: UM_PER_PULSE,
+            date: None,
+        }
+    }
+}
+
+impl Calibration {
+    /// A calibration from these fits, in any order.
+    ///
+    /// # Errors
+    /// The first thing that is wrong with it.
+    pub fn new(mut motors: Vec<MotorFit>, provenance: Provenance) -> Result<Self, CalibrationError> {
+        motors.sort_by_key(|fit| fit.motor);
+        Self::checked(motors, provenance).map_err(|fault| fault.placed(None))
+    }
+
+    /// Like [`Self::new`], but a fault counts motors in the order given.
+    pub(super) fn checked(motors: Vec<MotorFit>, provenance: Provenance) -> Result<Self, Fault> {
+        let mut calibration = Self { motors, provenance };
+        calibration.check()?;
+        calibration.motors.sort_by_key(|fit| fit.motor);
+        Ok(calibration)
+    }
+
+    /// The pin's travel over the model's; 1 if the motor is not calibrated.
+    #[must_use]
+    pub fn gain(&self, motor: u8, direction: Direction) -> f64 {
+        self.motor(motor).map_or(1.0, |fit| fit.of(direction).gain())
+    }
+
+    /// A motor's fit, if it was calibrated.
+    #[must_use]
+    pub fn motor(&self, motor: u8) -> Option<&MotorFit> {
+        self.motors.iter().find(|fit| fit.motor == motor)
+    }
+
+    /// The motors that were calibrated, in order.
+    #[must_use]
+    pub fn motors(&self) -> &[MotorFit] {
+        &self.motors
+    }
+
+    /// How it was made.
+    #[must_use]
+    pub const fn provenance(&self) -> &Provenance {
+        &self.provenance
+    }
+
+    /// The gains for position control; an uncalibrated motor gets the default.
+    #[must_use]
+    pub fn gains(&self) -> [Gains; MOTORS] {
+        std::array::from_fn(|motor| {
+            self.motor(motor as u8).map_or_else(Gains::default, |fit| {
+                let both = [Direction::Up, Direction::Down].map(|direction| fit.of(direction));
+                let squares = both.map(|fit| fit.relative_sd * fit.relative_sd);
+                Gains {
+                    mean: both.map(Fit::gain),
+                    sd: both.map(|fit| (fit.slope_se_um_per_pulse / UM_PER_PULSE).max(LEAST_SD)),
+                    scatter: ((squares[0] + squares[1]) / 2.0).sqrt().max(LEAST_SCATTER),
+                }
+            })
+        })
+    }
+
+    fn check(&self) -> Result<(), Fault> {
+        if self.motors.is_empty() {
+            return Err(Fault::key("motor", Problem::NoMotor));
+        }
+        for (index, fit) in self.motors.iter().enumerate() {
+            let (motor, of) = (fit.motor, format!("motor[{index}]"));
+            in_range("motor", motor.into(), usize::from(motor) < MOTORS, "0 to 23")
+                .map_err(|fault| Fault::from(fault).within(&of))?;
+            if let Some(other) = self.motors[..index].iter().position(|other| other.motor == motor) {
+                return Err(Fault::key("motor", Problem::Twice { motor, other }).within(&of));
+            }
+            for (direction, fit) in [("up", &fit.up), ("down", &fit.down)] {
+                fit.check().map_err(|fault| fault.within(direction).within(&of))?;
+            }
+        }
+        check_provenance(&self.provenance).map_err(|fault| fault.within("provenance"))
+    }
+}
+
+fn check_provenance(provenance: &Provenance) -> Result<(), Fault> {
+    let Provenance { device, firmware, identity, telemetry, pulses, repetitions, groups, um_per_pulse, date } =
+        provenance;
+    let words = [
+        ("device", Some(device)),
+        ("firmware", Some(firmware)),
+        ("identity", Some(identity)),
+        ("telemetry", Some(telemetry)),
+        ("date", date.as_ref()),
+    ];
+    for (key, words) in words {
+        let count = words.map_or(0, |words| words.chars().count());
+        if count > MAX_WORDS {
+            return Err(Fault::key(key, Problem::Words { count }));
+        }
+    }
+    let plan =
+        Plan::new(None, pulses, *repetitions).map_err(|error| Fault::key("pulses", Problem::Plan(error)))?;
+    if *groups != plan.groups() as u64 {
+        return Err(Fault::key("groups", Problem::Groups { found: *groups, groups: plan.groups() }));
+    }
+    let same = (um_per_pulse - UM_PER_PULSE).abs() <= ROUNDING;
+    if !same {
+        return Err(Fault::key("um_per_pulse", Problem::Model { found: *um_per_pulse }));
+    }
+    Ok(())
+}
+
+impl Fit {
+    fn check(&self) -> Result<(), Fault> {
+        let Self { slope_um_per_pulse, slope_se_um_per_pulse, offset_um, relative_sd, bursts } = *self;
+        let good = GAIN_RANGE.contains(&self.gain());
+        in_range("slope_um_per_pulse", slope_um_per_pulse, good, "0.5 to 1.5 times the model's, 0.95/7")?;
+        let good = (0.0..=MAX_SLOPE_SE * slope_um_per_pulse).contains(&slope_se_um_per_pulse);
+        in_range("slope_se_um_per_pulse", slope_se_um_per_pulse, good, "0 to 5 % of the slope")?;
+        in_range("offset_um", offset_um, offset_um.abs() <= OFFSET_UM, "-100 to 100 um")?;
+        in_range("relative_sd", relative_sd, (0.0..=1.0).contains(&relative_sd), "0 to 1")?;
+        in_range("blocks", bursts as f64, bursts >= MIN_BURSTS, "10 or more")?;
+        Ok(())
+    }
+}

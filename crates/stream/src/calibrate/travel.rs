@@ -1,0 +1,121 @@
+//! Measures how far each burst of a plan moved its pin: from telemetry, or on simulated motors.
+//!
+//! The daemon plays a plan and calls [`travels_by_telemetry`]; [`travels_by_sensor`] plays it on the simulated motors itself.
+//!
+//! Invariant: a travel from telemetry is known to [`MAX_SD`] or better; a burst measured worse is left out.
+
+use crate::calibrate::plan::{Plan, PlannedBurst};
+use crate::queues::MeasuredBurst;
+use firmware_protocol::stroke::{Burst, Direction, Lines};
+use firmware_protocol::tick::Tick;
+use meissner_array::simulated::Plant;
+use meissner_array::units::UM_PER_PULSE;
+use std::collections::HashMap;
+
+/// The largest standard deviation of a measurement: a share of an ideal motor's travel, plus µm. It is a tenth of what
+/// bursts scatter by, and less than what a slope is known to.
+const MAX_SD: (f64, f64) = (0.01, 0.02);
+
+/// A burst and how far the pin travelled: one point of the paper's Fig. 2.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BurstTravel {
+    /// 0..24.
+    pub motor: u8,
+    /// Up or down.
+    pub direction: Direction,
+    /// The tick of its first pulse.
+    pub start: Tick,
+    /// Its number of pulses.
+    pub pulses: u16,
+    /// How far the pin travelled in the burst's direction, µm: positive for a down burst that went down.
+    pub travel_um: f64,
+    /// Whether it belongs to a group's warm-up stroke, which no fit uses.
+    pub warm_up: bool,
+}
+
+impl BurstTravel {
+    /// From the displacements at rest before and after the burst, µm, upwards.
+    fn between(planned: &PlannedBurst, before_um: f64, after_um: f64) -> Self {
+        let PlannedBurst { motor, burst: Burst { start, direction, pulses }, warm_up } = *planned;
+        let travel_um = match direction {
+            Direction::Up => after_um - before_um,
+            Direction::Down => before_um - after_um,
+        };
+        Self { motor, direction, start, pulses, travel_um, warm_up }
+    }
+}
+
+/// The travels of a plan's bursts that telemetry measured well enough, if the plan began at `onset`. `travels` may hold other
+/// bursts too.
+#[must_use]
+pub fn travels_by_telemetry(plan: &Plan, onset: Tick, travels: &[MeasuredBurst]) -> Vec<BurstTravel> {
+    let (share, um) = MAX_SD;
+    let is_known = |travel: &&MeasuredBurst| {
+        f64::from(travel.sd_um) <= share * f64::from(travel.pulses) * UM_PER_PULSE + um
+    };
+    let found = travels.iter().filter(is_known).map(|travel| ((travel.motor, travel.start), travel));
+    let found: HashMap<(u8, Tick), &MeasuredBurst> = found.collect();
+    let of_plan = plan.bursts(onset).filter_map(|planned| {
+        let travel = found.get(&(planned.motor, planned.burst.start))?;
+        (travel.pulses == planned.burst.pulses)
+            .then(|| BurstTravel::between(&planned, 0.0, travel.travel_um.into()))
+    });
+    of_plan.collect()
+}
+
+/// What happens to a burst at a tick.
+#[derive(Clone, Copy)]
+enum Event {
+    Begins,
+    Ends,
+    Rests,
+}
+
+/// Plays a plan on simulated motors, from now on, and measures every burst with an ideal displacement sensor, as the paper
+/// did with its laser: at any tick, without a quantum. Returns the travels in the order in which the pins came to rest.
+pub fn travels_by_sensor(plan: &Plan, plant: &mut Plant) -> Vec<BurstTravel> {
+    let bursts: Vec<PlannedBurst> = plan.bursts(plant.now()).collect();
+    let events = bursts.iter().enumerate().flat_map(|(index, planned)| {
+        let burst = planned.burst;
+        [(burst.start, Event::Begins), (burst.end(), Event::Ends), (planned.rests_at(), Event::Rests)]
+            .map(|(tick, event)| (tick, index, event))
+    });
+    let mut events: Vec<(Tick, usize, Event)> = events.collect();
+    events.sort_by_key(|&(tick, index, _)| (tick, index));
+    let (mut lines, mut before_um) = (Lines::OFF, vec![0.0; bursts.len()]);
+    let mut travels = Vec::with_capacity(bursts.len());
+    for (tick, index, event) in events {
+        plant.advance(lines, tick - plant.now());
+        let PlannedBurst { motor, burst, .. } = bursts[index];
+        match event {
+            Event::Begins => before_um[index] = plant.displacement_um(motor),
+            Event::Rests => {
+                let after_um = plant.displacement_um(motor);
+                travels.push(BurstTravel::between(&bursts[index], before_um[index], after_um));
+            }
+            Event::Ends => {}
+        }
+        if !matches!(event, Event::Rests) {
+            *lines.mask_mut(burst.direction) ^= 1 << motor;
+        }
+    }
+    travels
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn travel_counts_in_the_direction_of_the_burst() {
+        let of = |direction| PlannedBurst {
+            motor: 3,
+            burst: Burst { start: Tick(10), direction, pulses: 70 },
+            warm_up: false,
+        };
+        assert_eq!(BurstTravel::between(&of(Direction::Up), 1.0, 10.5).travel_um, 9.5);
+        assert_eq!(BurstTravel::between(&of(Direction::Down), 10.5, 1.0).travel_um, 9.5);
+        // 4.3 ms are 365.5 ticks.
+        assert_eq!(of(Direction::Up).rests_at(), Tick(10 + 70 + 366));
+    }
+}
