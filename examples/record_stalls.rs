@@ -1,33 +1,33 @@
-//! Records how late this machine wakes a thread that is due every millisecond, as the streamer's is while it plays:
-//! `cargo run --release --example record_stalls -- 60 > FILE`, for `meissner tradeoff --stream --trace FILE`.
+//! Records how late this machine wakes a thread that is due every millisecond, as the streamer's is while it plays.
 //!
-//! The thread asks for SCHED_FIFO and locked memory as the streamer does. In the first half of the time nothing else is
-//! started, in the second two busy loops per core run beside it. Only wake-ups more than [`TOLD_US`] late
-//! are written. What the lines mean is said in `src/report/lead/trace.rs`, which reads them.
+//! `cargo run --release --example record_stalls -- 60 > FILE` records for a minute; `meissner tradeoff --stream --trace FILE`
+//! reads the recording (`crates/report/src/lead/trace.rs` describes its lines).
+//!
+//! The thread requests SCHED_FIFO and locked memory as the streamer does. In the second half of the time two busy loops per
+//! core run beside it. Only wake-ups more than [`MIN_LATE_US`] late are written.
 
 use meissner_stream::request_realtime;
 use meissner_stream::time::HostInstant;
-use rustix::thread::{ClockId, Timespec, clock_nanosleep_absolute};
 use std::error::Error;
 use std::io::Write;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use std::{env, fs, hint, io, thread};
 
-/// The thread is due so often: as often as the streamer looks while something is played.
+/// How often the thread is due: as often as the streamer while it plays.
 const PERIOD: Duration = Duration::from_millis(1);
-/// Wake-ups that are later are written.
-const TOLD_US: u64 = 200;
+/// Wake-ups that are later than this are written.
+const MIN_LATE_US: u64 = 200;
 const MOST_S: u64 = 3600;
 
-/// When a wake-up was due and by how much later it came, us.
+/// When a wake-up was due, and how much later it came, us.
 type Late = (u64, u64);
 
 fn main() -> Result<(), Box<dyn Error>> {
     let asked = env::args().nth(1).and_then(|text| text.parse().ok());
     let seconds = asked
         .filter(|seconds| (2..=MOST_S).contains(seconds))
-        .ok_or_else(|| format!("for how long? A whole number of seconds, 2 to {MOST_S}"))?;
+        .ok_or_else(|| format!("name how long to record: a whole number of seconds, 2 to {MOST_S}"))?;
     let cores = thread::available_parallelism()?.get();
     let over = AtomicBool::new(false);
     let (realtime, late) = thread::scope(|scope| {
@@ -52,7 +52,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         "# How late a thread woke up that was due every millisecond: `cargo run --release --example record_stalls -- \
          {seconds}`.\n\
          # Each line: when it was due, us since the start, and by how much later it came, us; left out where at most \
-         {TOLD_US}.\n\
+         {MIN_LATE_US}.\n\
          # SCHED_FIFO {}, memory locked {}; {cores} cores, Linux {}; the second half beside {} busy loops.\n\
          seconds {seconds}",
         yes(realtime.fifo),
@@ -67,7 +67,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 }
 
 fn record(length: Duration) -> Vec<Late> {
-    // Room for every wake-up: what is not used is not touched.
+    // Room for every wake-up; memory that is not used is not touched.
     let mut late = Vec::with_capacity((length.as_micros() / PERIOD.as_micros()) as usize);
     let begun = HostInstant::now();
     let mut due = Duration::ZERO;
@@ -76,16 +76,16 @@ fn record(length: Duration) -> Vec<Late> {
         if due > length {
             return late;
         }
-        let at = (begun + due).as_ns();
-        let request = Timespec { tv_sec: (at / 1_000_000_000) as i64, tv_nsec: (at % 1_000_000_000) as i64 };
-        // An early return, by a signal, only means another turn.
-        while clock_nanosleep_absolute(ClockId::Monotonic, &request).is_err() {}
+        // A signal ends a sleep early: then sleep on.
+        while HostInstant::now() < begun + due {
+            (begun + due).sleep_until();
+        }
         let came = HostInstant::now().since(begun);
         let by_us = (came - due).as_micros() as u64;
-        if by_us > TOLD_US {
+        if by_us > MIN_LATE_US {
             late.push((due.as_micros() as u64, by_us));
         }
-        // What was missed meanwhile is not made up for.
+        // Skip the wake-ups that were missed meanwhile.
         due += PERIOD * ((came - due).as_micros() / PERIOD.as_micros()) as u32;
     }
 }

@@ -1,3 +1,5 @@
+//! Boards: found or not, in use, or no boards at all; and what the doctor reports about them.
+
 use crate::harness::{Daemon, TIMEOUT, complaint, meissner, printed};
 use meissner_api::Status;
 use meissner_array::simulated::PlantConfig;
@@ -14,7 +16,7 @@ fn board() -> PtyMock {
     PtyMock::spawn(WallMock::new(&PlantConfig::default(), HostInstant::now()).unwrap()).unwrap()
 }
 
-/// The doctor's report, go or not: how fast this machine is, no test decides.
+/// The doctor's report, go or no go: no test depends on how fast this machine is.
 fn report(arguments: &[&str]) -> Value {
     let output = meissner().args(["doctor", "--json", "--seconds", "0.5"]).args(arguments).output().unwrap();
     let report: Value = serde_json::from_slice(&output.stdout).unwrap();
@@ -31,14 +33,14 @@ fn finding<'a>(report: &'a Value, what: &str) -> &'a Value {
 fn the_doctor_measures_a_device() {
     let board = board();
     for device in ["mock".to_owned(), "pty".to_owned(), format!("serial:{}", board.path().display())] {
-        // On a machine that is held up for half a second the device counts as lost: again.
+        // On a machine that stalls for half a second the device counts as lost: try again.
         let again = || Some(report(&["--device", &device])).filter(|report| !report["device"].is_null());
         let report = (0..4).find_map(|_| again()).unwrap_or_else(|| report(&["--device", &device]));
         let measured = &report["device"];
         let number = |pointer: &str| measured.pointer(pointer).and_then(Value::as_f64).unwrap_or(f64::NAN);
         assert!(number("/round_trip/count") >= 500.0, "{report}");
         assert!(number("/round_trip/p50_us") <= number("/round_trip/p99_us"), "{report}");
-        // MethodLabel much and how well depends on the machine, and is checked in virtual time.
+        // The figures depend on the machine; tests in virtual time check them.
         assert!(number("/throughput_bytes_per_s") > 0.0 && number("/drift/seconds") > 0.0, "{report}");
         assert!(number("/drift/ppm").is_finite() && number("/drift/uncertainty_ppm").is_finite(), "{report}");
         assert!(measured["protocol"] == 1 && number("/pool") >= 1024.0, "{report}");
@@ -50,7 +52,7 @@ fn the_doctor_measures_a_device() {
 }
 
 #[test]
-fn what_is_not_there_is_said_with_what_was_looked_for() {
+fn a_missing_board_is_reported_with_what_was_looked_for() {
     let sought = "USB 1209:0001 `meissner`";
     for (device, says) in [
         ("serial:0123abcd", "serial number 0123abcd"),
@@ -70,7 +72,7 @@ fn what_is_not_there_is_said_with_what_was_looked_for() {
 }
 
 #[test]
-fn what_is_no_serial_port_is_said_to_be_none() {
+fn a_file_that_is_no_serial_port_is_reported() {
     for name in ["/dev/null", "/tmp"] {
         let report = report(&["--device", &format!("serial:{name}")]);
         let found = finding(&report, "device");
@@ -114,10 +116,10 @@ fn a_daemon_without_a_device_says_which_one_it_wants() {
     let report: Value = serde_json::from_slice(&output).unwrap();
     let findings = report["findings"].as_array().unwrap();
     let fails: Vec<_> = findings.iter().filter(|finding| finding["level"] == "fail").collect();
-    assert!(report["device"].is_null() && fails.len() == 1, "it looked for another: {report}");
+    assert!(report["device"].is_null() && fails.len() == 1, "the doctor looked for another device: {report}");
     assert_eq!(
         (&fails[0]["what"], &fails[0]["found"]),
-        (&"daemon".into(), &format!("has no device: {missing}").into())
+        (&"daemon".into(), &format!("the daemon has no device: {missing}").into())
     );
     let text = printed(daemon.meissner().arg("estop"));
     assert!(
@@ -127,11 +129,11 @@ fn a_daemon_without_a_device_says_which_one_it_wants() {
 }
 
 #[test]
-fn a_device_without_telemetry_is_said_to_drift() {
+fn the_doctor_warns_that_a_device_without_telemetry_drifts() {
     let blind = PlantConfig { telemetry_hz: 0, ..PlantConfig::default() };
     let board = PtyMock::spawn(WallMock::new(&blind, HostInstant::now()).unwrap()).unwrap();
     let device = format!("serial:{}", board.path().display());
-    // As above: on a machine that is held up, again.
+    // As above: on a machine that stalls, try again.
     let again = || Some(report(&["--device", &device])).filter(|report| !report["device"].is_null());
     let examined = (0..4).find_map(|_| again()).unwrap_or_else(|| report(&["--device", &device]));
     let daemon = Daemon::with("mock", "lease_ms = 5000\n[mock]\ntelemetry_hz = 0\n");
@@ -171,7 +173,7 @@ fn a_port_has_one_user() {
     let second = Daemon::without_device(&name);
     second.wait_for_log("in use by another program");
     drop(second);
-    // Whom it belongs to noticed nothing.
+    // The daemon that has the port noticed nothing.
     let status: Status = daemon.client().get("/v1/status").unwrap();
     assert!(status.is_connected());
     let asked = crate::harness::document(daemon.meissner().args(["doctor", "--json", "--seconds", "0.5"]));
@@ -180,7 +182,7 @@ fn a_port_has_one_user() {
 }
 
 #[test]
-fn a_port_that_is_no_board_is_said_to_be_none() {
+fn a_port_without_a_board_is_reported_once() {
     let (mut noise, port) = serialport::TTYPort::pair().unwrap();
     let name = serialport::SerialPort::name(&port).unwrap();
     drop(port);
@@ -209,7 +211,7 @@ fn a_port_that_is_no_board_is_said_to_be_none() {
 }
 
 #[test]
-fn a_mock_tells_what_its_line_carries() {
+fn a_daemon_reports_what_the_line_of_a_mock_carries() {
     let daemon = Daemon::start();
     let begun = Instant::now();
     loop {

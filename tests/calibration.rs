@@ -1,3 +1,5 @@
+//! `meissner calibrate` and its API: measure, fit, store, use; refuse and stop.
+
 use crate::harness::{Daemon, document, meissner, printed, problem};
 use meissner_api::Event;
 use meissner_client::{Client, Events};
@@ -6,7 +8,7 @@ use serde_json::{Value, json};
 use std::fs;
 use std::time::Duration;
 
-/// Six seconds, with scatter so small that they are enough.
+/// Takes six seconds; with little scatter they are enough.
 fn quick(motor: u8) -> Value {
     json!({"motor": motor, "pulses": [14, 140], "repetitions": 1})
 }
@@ -36,7 +38,7 @@ fn a_calibration_is_played_fitted_stored_and_used() {
     let mut client = daemon.armed();
     let mut events = client.events().unwrap();
     let id = client.post::<Value>("/v1/calibrate", &quick(3)).unwrap()["id"].as_u64().unwrap();
-    // It is a play, and the only one.
+    // It is a play, and no other may run beside it.
     assert_eq!(refused(&mut client, "/v1/play", &json!({"pattern": "edge-45"})), ("playing".into(), 409));
     assert_eq!(refused(&mut client, "/v1/calibrate", &quick(4)), ("playing".into(), 409));
     assert_eq!(outcome(&mut events), (vec![3], None));
@@ -44,7 +46,7 @@ fn a_calibration_is_played_fitted_stored_and_used() {
     assert_eq!((&receipt["pattern"], &receipt["state"]), (&"calibration".into(), &"done".into()));
     let report: Value = client.get("/v1/calibration").unwrap();
     assert_eq!((&report["used"], &report["motors"][0]["motor"]), (&true.into(), &3.into()));
-    // As the plant is made: seed 0, motor 3.
+    // The true asymmetry of simulated motor 3, seed 0.
     let asymmetry = 0.05 * meissner_array::random::normal([0, 3, 0, 2]);
     let (up, se) = (&report["motors"][0]["gain_up"], &report["motors"][0]["gain_up_se"]);
     let off = up.as_f64().unwrap() - 1.0 - asymmetry / 2.0;
@@ -55,7 +57,7 @@ fn a_calibration_is_played_fitted_stored_and_used() {
         (&true.into(), &false.into())
     );
     assert_eq!(status["calibrated"], report["provenance"]["date"]);
-    // A second motor beside it, by the command line.
+    // A second motor, from the command line.
     let mut command = daemon.meissner();
     command.args([
         "calibrate",
@@ -78,7 +80,7 @@ fn a_calibration_is_played_fitted_stored_and_used() {
     let text = printed(daemon.meissner().arg("status"));
     assert!(text.contains("2 of 24 motors, 20"), "{text}");
 
-    // It is this array's, however it is watched, and no other's.
+    // The calibration belongs to this array, with telemetry or without, and to no other.
     let at =
         format!("lease_ms = 5000\ncalibration = {:?}\n[mock]\n{STEADY}", daemon.path("calibration.toml"));
     let blind = Daemon::with("mock", &format!("{at}telemetry_hz = 0\n"));
@@ -110,12 +112,12 @@ fn a_calibration_that_is_stopped_stores_nothing() {
     let problem = problem.unwrap();
     assert!(motors.is_empty() && problem.contains("was cut (stop): nothing was stored"), "{problem}");
     assert!(!daemon.path("calibration.toml").exists());
-    // Others may play again.
+    // Other plays may run again.
     let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.1})).unwrap();
 }
 
 #[test]
-fn a_bad_file_is_told_once_and_not_used() {
+fn a_bad_file_is_reported_once_and_not_used() {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("bad.toml");
     fs::write(&file, "format = 1\nmotr = 1\n").unwrap();
@@ -130,7 +132,7 @@ fn a_bad_file_is_told_once_and_not_used() {
 }
 
 #[test]
-fn what_no_plan_is_is_refused_before_anybody_is_asked() {
+fn an_invalid_plan_is_refused_before_the_daemon_is_asked() {
     let line = crate::harness::complaint(meissner().args(["calibrate", "--pulses", "14"]));
     assert!(line.contains("name two numbers of pulses or more"), "{line}");
     let line = crate::harness::complaint(meissner().args(["calibrate", "-o", "/nonexistent/c.toml"]));

@@ -1,3 +1,5 @@
+//! A daemon on a mock behind a real pseudo-terminal: it plays, ends, hangs, dies, and loses its board.
+
 use crate::harness::{Daemon, complaint, printed};
 use firmware_protocol::message::{Cause, State};
 use meissner_api::Receipt;
@@ -12,7 +14,7 @@ use std::os::unix::fs::symlink;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-/// A board of our own at the far end of a terminal: it outlives the daemon, and tells what its lines did.
+/// A board at the far end of a terminal: it outlives the daemon, and records what its lines did.
 fn board() -> PtyMock {
     let mut mock = WallMock::new(&PlantConfig::default(), HostInstant::now()).unwrap();
     mock.mock().record();
@@ -33,19 +35,19 @@ fn a_session_over_a_terminal_plays_and_accounts() {
     printed(daemon.meissner().arg("disarm"));
 }
 
-/// A daemon on a board of ours in mid-play, its pins half way.
+/// A daemon on such a board in mid-play, its pins half way up.
 fn in_mid_play() -> (PtyMock, Daemon) {
     let board = board();
     let daemon = Daemon::with(&format!("serial:{}", board.path().display()), "lease_ms = 600\n");
     let mut client = daemon.armed();
-    // Without corrections each pin comes down as far as it went up, to the pulse.
+    // Without corrections each pin goes down by as many pulses as it went up.
     let request = json!({"pattern": "all-in-phase", "seconds": 60, "open_loop": true});
     let _: serde_json::Value = client.post("/v1/play", &request).unwrap();
     sleep(Duration::from_millis(500));
     (board, daemon)
 }
 
-/// All pins are back, every line is low, and the controller knows why.
+/// All pins are back at rest, every line is low, and the controller gives one of these causes.
 fn assert_returned(board: PtyMock, causes: &[Cause]) {
     let mut wall = board.into_mock().unwrap();
     let mock = wall.mock();
@@ -59,7 +61,7 @@ fn assert_returned(board: PtyMock, causes: &[Cause]) {
 }
 
 #[test]
-fn a_daemon_told_to_end_in_mid_play_returns_the_pins() {
+fn a_daemon_that_ends_in_mid_play_returns_the_pins() {
     let (board, mut daemon) = in_mid_play();
     daemon.signal(Signal::TERM);
     assert!(daemon.wait().success());
@@ -85,7 +87,7 @@ fn a_daemon_that_hangs_in_mid_play_leaves_a_board_that_returns_the_pins() {
     assert_returned(board, &[Cause::HostTimeout]);
 }
 
-/// Pulled out in mid-play and plugged in again: the daemon comes back by itself, disarmed, to the board at the same name.
+/// A board is unplugged in mid-play and another plugged in at the same name: the daemon connects to it, disarmed.
 #[test]
 fn a_board_that_is_plugged_in_again_is_found_and_disarmed() {
     let dir = tempfile::tempdir().unwrap();

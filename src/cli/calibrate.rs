@@ -1,8 +1,8 @@
-//! `calibrate`: has the daemon measure what motors really do, and shows what it found.
+//! `calibrate`: asks the daemon to measure how far each pin really moves, and shows the result.
 //!
-//! The daemon plays, fits and stores; here one waits. Where `-o` is to write is looked at before the minute, not after.
+//! The daemon plays, fits and stores; the command waits. It checks that it can write to `-o` before the minute of playing.
 //!
-//! Invariant: it exits with 0 only if the calibration of every motor asked for was stored.
+//! Invariant: it exits with 0 only if the calibration of every requested motor was stored.
 
 use super::progress::Progress;
 use super::{Plain, control, files, give, text};
@@ -17,21 +17,21 @@ use std::process::ExitCode;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-/// MethodLabel long the daemon may take from a play's end to its fit.
+/// How long the daemon may take from a play's end to its fit.
 const TIMEOUT: Duration = Duration::from_secs(20);
 
 #[derive(Debug, Args)]
 pub(super) struct Calibrate {
-    /// One motor, 0 to 23; without it, all
+    /// Calibrate one motor, 0 to 23 [default: all]
     #[arg(long, value_name = "N")]
     motor: Option<u8>,
-    /// MethodLabel often each number of pulses is played, half a minute each [default: 2]
+    /// Play each number of pulses N times; with the default numbers each time takes half a minute [default: 2]
     #[arg(long, value_name = "N")]
     repetitions: Option<u16>,
-    /// Numbers of pulses, 7 to 200, 3 s each [default: 14,28,42,56,70,84,98,112,126,140]
+    /// Play bursts of these numbers of pulses, 7 to 200, 3 s each [default: 14,28,42,56,70,84,98,112,126,140]
     #[arg(long, value_name = "N,N,...", value_delimiter = ',')]
     pulses: Option<Vec<u16>>,
-    /// Write the calibration's file here, too
+    /// Also write the calibration to FILE
     #[arg(short, long, value_name = "FILE")]
     out: Option<PathBuf>,
     #[command(flatten)]
@@ -62,7 +62,7 @@ pub(super) fn run(asked: &Calibrate) -> Result<ExitCode> {
     Ok(if missing.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-/// The motors that were measured, once they are stored.
+/// Waits until the daemon has stored the calibration; returns the motors it measured.
 fn outcome(events: &mut Events, id: u64) -> Result<Vec<u8>> {
     loop {
         match events.next(Some(TIMEOUT))? {
@@ -71,7 +71,7 @@ fn outcome(events: &mut Events, id: u64) -> Result<Vec<u8>> {
                 Some(problem) => bail!("{problem}"),
             },
             Some(_) => {}
-            None => bail!("the daemon ended before play {id} was fitted: see its log"),
+            None => bail!("the daemon ended before it fitted play {id}: read its log"),
         }
     }
 }

@@ -1,10 +1,10 @@
-//! A look at a device through its link: who it is, how fast it answers, what its line carries, how its clock runs.
+//! Diagnoses a device's link: its identity, its round trips, what its line carries, how its clock drifts.
 //!
-//! It opens a session of its own and sends what a session sends that moves nothing: pings, and the probe's frames,
-//! which the device ignores. It never arms; a device that is armed returns its pins, as it does for every new host.
-//! It blocks for some seconds and is no part of the streamer.
+//! [`measure`] opens a session of its own and sends only frames that move nothing: pings, and the link probe's frames, which
+//! the device ignores. It never arms; an armed device returns its pins, as it does for every new host. It blocks for some
+//! seconds; the streamer does not use it.
 //!
-//! Invariant: it ends, within `AT_MOST`.
+//! Invariant: [`measure`] ends within `TIMEOUT`.
 
 use crate::device::Device;
 use crate::link::{Budget, Event, LostReason, RoundTrip, Session};
@@ -17,31 +17,31 @@ use std::hash::{BuildHasher, RandomState};
 use std::io;
 use std::time::Duration;
 
-/// Round trips measured, at the least, and over how long: a drift of 1 ppm is 2 µs in 2 s.
+/// Round trips measured at least, and the time they span at least: a drift of 1 ppm is 2 µs in 2 s.
 pub const PINGS: usize = 500;
 const SPAN: Duration = Duration::from_millis(2200);
 const PING_EVERY: Duration = Duration::from_millis(4);
-/// What the throughput is measured with: two dozen rounds on USB, a second of a slow line.
-const BURST: Budget = Budget { bytes: 64_000, time: Duration::from_secs(1) };
-/// Round trips that a drift is told from, at the least.
-const POINTS: usize = 24;
-/// A device that answers slower than this is not measured to the end.
-const AT_MOST: Duration = Duration::from_secs(20);
-/// A port that takes nothing for so long is gone.
+/// The budget for measuring throughput: two dozen rounds on USB, a second of a slow line.
+const PROBE: Budget = Budget { bytes: 64_000, time: Duration::from_secs(1) };
+/// Round trips that a drift is fitted to, at least.
+const MIN_POINTS: usize = 24;
+/// The measurement gives up after this time.
+const TIMEOUT: Duration = Duration::from_secs(20);
+/// A port that takes no bytes for so long is stuck.
 const STUCK: Duration = Duration::from_millis(500);
-/// The least a turn of the loop waits, and the most: the mock has nothing to wait for.
+/// The least and the most that a turn of the loop waits; the mock has no descriptor to wait for.
 const TURN: (Duration, Duration) = (Duration::from_micros(50), Duration::from_millis(1));
 
-/// What was found.
+/// What was measured.
 #[derive(Clone, Copy, Debug)]
 pub struct LinkReport {
-    /// Who it says it is.
+    /// How the device introduced itself.
     pub hello: DeviceHello,
     /// Its round trips.
     pub round_trip: RoundTripStats,
-    /// Bytes per second towards it that it acknowledged; `None` if no frame of the probe was answered.
+    /// Bytes per second that it acknowledged; `None` if it answered no frame of the probe.
     pub throughput_bytes_per_s: Option<u32>,
-    /// Its clock against the host's.
+    /// Its clock's drift against the host's.
     pub drift: Drift,
 }
 
@@ -50,39 +50,39 @@ pub struct LinkReport {
 pub struct RoundTripStats {
     /// How many.
     pub count: usize,
-    /// Half were shorter.
+    /// The median.
     pub p50_us: f64,
-    /// One in a hundred was longer.
+    /// The 99th percentile.
     pub p99_us: f64,
     /// The longest.
     pub max_us: f64,
 }
 
-/// A clock's rate against the host's.
+/// A clock's drift against the host's.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Drift {
-    /// Parts per million; above zero it is fast.
+    /// Parts per million; positive if the device's clock is fast. Not a number if too few round trips were measured.
     pub ppm: f64,
-    /// Two standard errors of that, from how far the round trips leave each point open, or lie off the line.
+    /// Two standard errors of that: from the spread of round trips, or from residuals if those are larger.
     pub uncertainty_ppm: f64,
-    /// Over how long it was watched, s.
+    /// The time it was measured over, s.
     pub seconds: f64,
 }
 
-/// Why there is nothing to tell; what to do says [`LinkReportError::advice`].
+/// Why the measurement failed; [`LinkReportError::advice`] says what to do.
 #[derive(Debug, thiserror::Error)]
 pub enum LinkReportError {
-    /// It went away.
+    /// The device is gone.
     #[error("it was unplugged ({0})")]
     Gone(#[source] io::Error),
-    /// Its port is there, but takes nothing.
+    /// Its port takes no bytes.
     #[error("it took no bytes for {} ms", STUCK.as_millis())]
     Stuck,
-    /// It is no board, another protocol, or does not answer any more.
+    /// It is no board, speaks another protocol, or answers no more.
     #[error("{}", .0.found())]
     Lost(LostReason),
-    /// It answers, but too slowly.
-    #[error("only {trips} of {PINGS} pings were answered in {} s", AT_MOST.as_secs())]
+    /// It answers too slowly.
+    #[error("only {trips} of {PINGS} pings were answered in {} s", TIMEOUT.as_secs())]
     Slow {
         /// Pings answered.
         trips: usize,
@@ -94,62 +94,67 @@ impl LinkReportError {
     #[must_use]
     pub const fn advice(&self) -> &'static str {
         match self {
-            Self::Gone(_) => "plug it in again, and see its cable and power",
+            Self::Gone(_) => "plug it in again, and check its cable and power",
             Self::Stuck => LostReason::NoBoard.advice(),
             Self::Lost(reason) => reason.advice(),
-            Self::Slow { .. } => "see its cable and what else uses it",
+            Self::Slow { .. } => "check its cable, and what else uses it",
         }
     }
 }
 
-/// Measures `device`.
+/// Measures the link of `device`; blocks for some seconds.
 ///
 /// # Errors
-/// If it is no board, or goes away.
+/// If it is no board, goes away or answers too slowly.
 pub fn measure(device: &mut Device) -> Result<LinkReport, LinkReportError> {
     let begun = HostInstant::now();
     let id = RandomState::new().hash_one(begun.as_ns()) as u32;
-    let mut look =
-        Look { session: Session::new(id, device.rate(), begun), hello: None, lost: None, trips: Vec::new() };
-    let until = |look: &mut Look, device: &mut Device, done: &dyn Fn(&Look) -> bool| {
-        while !done(look) {
+    let mut run = Measurement {
+        session: Session::new(id, device.rate(), begun),
+        hello: None,
+        lost: None,
+        trips: Vec::new(),
+    };
+    let until = |run: &mut Measurement, device: &mut Device, done: &dyn Fn(&Measurement) -> bool| {
+        while !done(run) {
             let now = HostInstant::now();
-            if now.since(begun) > AT_MOST {
-                return Err(LinkReportError::Slow { trips: look.trips.len() });
+            if now.since(begun) > TIMEOUT {
+                return Err(LinkReportError::Slow { trips: run.trips.len() });
             }
-            look.turn(device, now)?;
+            run.turn(device, now)?;
         }
         Ok(())
     };
-    until(&mut look, device, &|look| look.session.is_probed())?;
-    look.trips.clear();
-    until(&mut look, device, &|look| {
+    until(&mut run, device, &|run| run.session.is_probed())?;
+    run.trips.clear();
+    until(&mut run, device, &|run| {
         let span =
-            |first: &RoundTrip| look.trips.last().map_or(Duration::ZERO, |last| last.sent.since(first.sent));
-        look.trips.len() >= PINGS && look.trips.first().map(span) >= Some(SPAN)
+            |first: &RoundTrip| run.trips.last().map_or(Duration::ZERO, |last| last.sent.since(first.sent));
+        run.trips.len() >= PINGS && run.trips.first().map(span) >= Some(SPAN)
     })?;
-    look.session.probe(BURST);
-    until(&mut look, device, &|look| look.session.is_probed())?;
-    let hello = look.hello.ok_or(LinkReportError::Lost(LostReason::NoAnswer))?;
+    run.session.probe(PROBE);
+    until(&mut run, device, &|run| run.session.is_probed())?;
+    let hello = run.hello.ok_or(LinkReportError::Lost(LostReason::NoAnswer))?;
     Ok(LinkReport {
         hello,
-        round_trip: round_trip(&look.trips),
-        throughput_bytes_per_s: look.session.capacity(),
-        drift: drift(&look.trips),
+        round_trip: round_trip(&run.trips),
+        throughput_bytes_per_s: run.session.capacity(),
+        drift: drift(&run.trips),
     })
 }
 
-struct Look {
+/// A measurement under way.
+struct Measurement {
     session: Session,
     hello: Option<DeviceHello>,
     lost: Option<LostReason>,
     trips: Vec<RoundTrip>,
 }
 
-impl Look {
+impl Measurement {
     fn turn(&mut self, device: &mut Device, now: HostInstant) -> Result<(), LinkReportError> {
         let Self { session, hello, lost, trips } = self;
-        let mut tell = |event| match event {
+        let mut on_event = |event| match event {
             Event::Opened(who) => *hello = Some(who),
             Event::Lost(reason) => *lost = Some(reason),
             _ => {}
@@ -160,16 +165,16 @@ impl Look {
             if len == 0 {
                 break;
             }
-            session.receive(HostInstant::now(), &bytes[..len], &mut tell);
+            session.receive(HostInstant::now(), &bytes[..len], &mut on_event);
         }
         trips.extend(session.take_round_trip());
-        session.check_silence(now, &mut tell);
+        session.check_silence(now, &mut on_event);
         if session.is_probed() && trips.last().is_none_or(|last| now.since(last.sent) >= PING_EVERY) {
             session.request_status();
         }
         let mut frame = [0; MAX_FRAME];
         loop {
-            let len = session.transmit(HostInstant::now(), &mut frame, &mut tell);
+            let len = session.transmit(HostInstant::now(), &mut frame, &mut on_event);
             if len == 0 {
                 break;
             }
@@ -194,10 +199,10 @@ impl Look {
     }
 }
 
-/// Waits until the device has something to say, or for so long.
+/// Waits until the device is ready, or for `time`.
 fn wait(device: &Device, time: Duration, what: PollFlags) {
     let timeout = Timespec { tv_sec: 0, tv_nsec: time.subsec_nanos().into() };
-    // An early return only means an idle turn.
+    // An early return only costs an idle turn.
     let _ = match device.wake() {
         Some(wake) if what == PollFlags::IN || device.polls_writable() => {
             poll(&mut [PollFd::from_borrowed_fd(wake, what)], Some(&timeout))
@@ -206,35 +211,41 @@ fn wait(device: &Device, time: Duration, what: PollFlags) {
     };
 }
 
+/// The value that so many of 1000 sorted values lie below; not a number if there are none.
+#[must_use]
+pub fn quantile(sorted: &[f64], per_mille: usize) -> f64 {
+    let index = (sorted.len() * per_mille / 1000).min(sorted.len().saturating_sub(1));
+    sorted.get(index).copied().unwrap_or(f64::NAN)
+}
+
 fn round_trip(trips: &[RoundTrip]) -> RoundTripStats {
     let mut us: Vec<f64> =
         trips.iter().map(|trip| trip.received.since(trip.sent).as_secs_f64() * 1e6).collect();
     us.sort_by(f64::total_cmp);
-    let at = |percent: usize| us.get((us.len() * percent / 100).min(us.len().saturating_sub(1)));
-    let at = |percent| at(percent).copied().unwrap_or(f64::NAN);
-    RoundTripStats { count: us.len(), p50_us: at(50), p99_us: at(99), max_us: at(100) }
+    let at = |per_mille| quantile(&us, per_mille);
+    RoundTripStats { count: us.len(), p50_us: at(500), p99_us: at(990), max_us: at(1000) }
 }
 
-/// A line through (host time, tick) of the round trips that nothing held up, [`POINTS`] at the least.
+/// Fits a line through (host time, tick) of the round trips that nothing delayed, at least [`MIN_POINTS`] of them.
 fn drift(trips: &[RoundTrip]) -> Drift {
     let ends = trips.first().zip(trips.last());
     let seconds = ends.map_or(0.0, |(first, last)| last.sent.since(first.sent).as_secs_f64());
     let half_s = |trip: &RoundTrip| trip.received.since(trip.sent).as_secs_f64() / 2.0;
     let mut sorted: Vec<&RoundTrip> = trips.iter().collect();
     sorted.sort_by(|a, b| half_s(a).total_cmp(&half_s(b)));
-    let Some(first) = sorted.first().copied().filter(|_| sorted.len() >= POINTS) else {
+    let Some(first) = sorted.first().copied().filter(|_| sorted.len() >= MIN_POINTS) else {
         return Drift { ppm: f64::NAN, uncertainty_ppm: f64::NAN, seconds };
     };
     let shortest = half_s(first);
-    // On a link whose round trips are never alike the shortest have to do.
-    let good = sorted.partition_point(|trip| half_s(trip) <= 1.5 * shortest + 20e-6).max(POINTS);
+    // On a link whose round trips all differ, take the shortest.
+    let good = sorted.partition_point(|trip| half_s(trip) <= 1.5 * shortest + 20e-6).max(MIN_POINTS);
     let mut error2 = 0.0;
     let points: Vec<(f64, f64)> = sorted[..good]
         .iter()
         .map(|trip| {
-            // What it took longer than the shortest it may have waited on either side.
+            // It may have waited on either side for as long as it took more than the shortest.
             error2 += (half_s(trip) - shortest).powi(2);
-            let at = ns_between(first.sent, trip.sent) * 1e-9 + half_s(trip);
+            let at = trip.sent.ns_since(first.sent) * 1e-9 + half_s(trip);
             (at, trip.tick.since(first.tick) as f64 / f64::from(TICK_HZ))
         })
         .collect();
@@ -245,7 +256,7 @@ fn drift(trips: &[RoundTrip]) -> Drift {
         |of: &dyn Fn(f64, f64) -> f64| points.iter().map(|(t, k)| of(t - mean_t, k - mean_k)).sum::<f64>();
     let (tt, tk) = (sum(&|t, _| t * t), sum(&|t, k| t * k));
     let slope = tk / tt;
-    // Points may lie on a line by chance: their error is not less than what bounds each of them, and a tick's width.
+    // Points may lie on a line by chance: their error is at least each point's bound, and a tick's width.
     let residual = sum(&|t, k| (k - slope * t).powi(2)) / (count - 2.0);
     let bound = error2 / count + f64::from(TICK_HZ).recip().powi(2) / 12.0;
     Drift {
@@ -255,17 +266,13 @@ fn drift(trips: &[RoundTrip]) -> Drift {
     }
 }
 
-fn ns_between(a: HostInstant, b: HostInstant) -> f64 {
-    (b.as_ns() as i64 - a.as_ns() as i64) as f64
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use firmware_protocol::tick::Tick;
 
     #[test]
-    fn a_fast_clock_is_measured_in_spite_of_round_trips_that_were_held_up() {
+    fn delayed_round_trips_do_not_hide_a_fast_clock() {
         let trips: Vec<_> = (0..550u64)
             .map(|i| {
                 let sent = 1_000_000_000 + i * 4_000_000;
@@ -282,7 +289,7 @@ mod tests {
         assert!(trip.count == 550 && trip.p50_us < 470.0 && trip.p99_us > 9000.0, "{trip:?}");
     }
 
-    /// Both clocks run alike, and round trips take what `trip_us` says for each, all of the excess on the way there.
+    /// The drift of equal clocks, if round trip `i` takes `trip_us(i)` and waits only on its way to the device.
     fn drift_of(trip_us: impl Fn(u64) -> u64) -> Drift {
         let trips: Vec<_> = (0..550u64)
             .map(|i| {
@@ -297,8 +304,8 @@ mod tests {
     }
 
     #[test]
-    fn few_quick_round_trips_do_not_pass_for_a_drift_that_is_known_exactly() {
-        // Two quick ones side by side; two far from each other; one; and none that are alike.
+    fn few_quick_round_trips_do_not_make_a_drift_certain() {
+        // Two quick ones side by side; two far apart; one; and none that are alike.
         let jitter = |i: u64| 5_000 + i * 7_919 % 30_011;
         type Trips = Box<dyn Fn(u64) -> u64>;
         let links: [Trips; 4] = [
@@ -310,7 +317,7 @@ mod tests {
         for trip_us in links {
             let drift = drift_of(trip_us);
             assert!(drift.ppm.abs() <= drift.uncertainty_ppm, "{drift:?}");
-            // A tenth of the trips is not better known than a millisecond in two seconds.
+            // The points are known to about a millisecond in two seconds.
             assert!((100.0..20_000.0).contains(&drift.uncertainty_ppm), "{drift:?}");
         }
         let quiet = drift_of(|i| 200 + i % 3);
@@ -332,7 +339,7 @@ mod tests {
     }
 
     #[test]
-    fn a_drift_of_less_than_two_dozen_round_trips_is_not_known() {
+    fn a_drift_needs_two_dozen_round_trips() {
         let trip = |i: u64| {
             let sent = HostInstant::from_ns(1_000_000_000 + i * 100_000_000);
             RoundTrip { sent, tick: Tick(1_000_000 + i * 8_500), received: sent + Duration::from_micros(200) }

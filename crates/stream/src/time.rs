@@ -1,8 +1,9 @@
 //! Instants of the host's clock.
 //!
-//! Device time is [`Tick`](firmware_protocol::tick::Tick), host time is [`HostInstant`]: two types, so that they are
-//! not mixed. [`link::Clock`](crate::link::Clock) estimates how they relate.
+//! Device time is [`Tick`](firmware_protocol::tick::Tick), host time is [`HostInstant`]: two types, so that nobody mixes
+//! them. [`link::Clock`](crate::link::Clock) estimates how they relate.
 
+use rustix::thread::{ClockId, Timespec, clock_nanosleep_absolute};
 use std::ops::Add;
 use std::time::Duration;
 
@@ -17,10 +18,10 @@ impl HostInstant {
         Self(ns)
     }
 
-    /// Reads the clock. Deciding code does not call this: it is handed the instant.
+    /// Reads the clock. Code that decides does not call this: its caller passes the instant.
     #[must_use]
     pub fn now() -> Self {
-        let time = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
+        let time = rustix::time::clock_gettime(ClockId::Monotonic);
         Self(time.tv_sec.cast_unsigned() * 1_000_000_000 + time.tv_nsec.cast_unsigned())
     }
 
@@ -30,10 +31,24 @@ impl HostInstant {
         self.0
     }
 
-    /// How long after `earlier` this is; zero if it is not.
+    /// The time since `earlier`; zero if that is later.
     #[must_use]
     pub const fn since(self, earlier: Self) -> Duration {
         Duration::from_nanos(self.0.saturating_sub(earlier.0))
+    }
+
+    /// Nanoseconds from `earlier` to this instant, negative if that is later.
+    #[must_use]
+    pub const fn ns_since(self, earlier: Self) -> f64 {
+        self.0.wrapping_sub(earlier.0).cast_signed() as f64
+    }
+
+    /// Sleeps until this instant; a signal may end the sleep early.
+    pub fn sleep_until(self) {
+        let seconds = (self.0 / 1_000_000_000).cast_signed();
+        let time = Timespec { tv_sec: seconds, tv_nsec: (self.0 % 1_000_000_000).cast_signed() };
+        // An error is a signal: the caller looks at the clock.
+        let _ = clock_nanosleep_absolute(ClockId::Monotonic, &time);
     }
 
     /// The instant `by` before this one, not below the clock's zero.
@@ -50,7 +65,7 @@ impl Add<Duration> for HostInstant {
     }
 }
 
-/// 584 years fit; longer counts as that.
+/// Saturates at 584 years.
 fn nanoseconds(duration: Duration) -> u64 {
     u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX)
 }
@@ -64,9 +79,12 @@ mod tests {
         let (early, late) = (HostInstant::from_ns(5), HostInstant::from_ns(1_000_000_007));
         assert_eq!(late.since(early), Duration::from_nanos(1_000_000_002));
         assert_eq!(early.since(late), Duration::ZERO);
+        assert_eq!((late.ns_since(early), early.ns_since(late)), (1_000_000_002.0, -1_000_000_002.0));
         assert_eq!(early + Duration::from_nanos(1_000_000_002), late);
         assert_eq!(late.before(Duration::from_nanos(1_000_000_002)), early);
         assert_eq!(early.before(Duration::MAX), HostInstant::from_ns(0));
+        let due = HostInstant::now() + Duration::from_millis(1);
+        due.sleep_until();
         assert!(HostInstant::now() > early);
     }
 }

@@ -362,12 +362,12 @@ const BAD: [(&str, &str, &str); 35] = [
     (
         "repetitions = 2",
         "repetitions = 0",
-        "bad.toml:25: `provenance.pulses` describes no plan: 0 repetitions: must be 1 to 50",
+        "bad.toml:25: `provenance.pulses` is not a valid plan: 0 repetitions: must be 1 to 50",
     ),
     (
         "[14, 70]",
         "[14, 14]",
-        "bad.toml:25: `provenance.pulses` describes no plan: bursts of 14 pulses are listed twice",
+        "bad.toml:25: `provenance.pulses` is not a valid plan: bursts of 14 pulses are listed twice",
     ),
     (
         "[14, 70]",

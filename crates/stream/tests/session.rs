@@ -1,3 +1,5 @@
+//! The session against the controller over a line that loses frames: every stroke gets one verdict.
+
 use firmware_protocol::controller::{Controller, Identity};
 use firmware_protocol::frame::{MAX_FRAME, encode};
 use firmware_protocol::limits::OnTimeLimits;
@@ -11,14 +13,14 @@ use std::collections::VecDeque;
 
 #[derive(Clone, Debug)]
 enum Op {
-    /// So many strokes, the first so many ticks from now (before it: late).
+    /// `.0` strokes, the first `.1` ticks from now; a negative number makes them late.
     Push(u8, i16),
     Begin(i16),
     Seal,
     Command(u8),
-    /// Bytes that no device sent.
+    /// Bytes that the device did not send.
     Noise(Vec<u8>),
-    /// Frames there and back, with those lost whose bit is set.
+    /// Frames in both directions; those whose bit is set are lost.
     Exchange(u32, u32),
     Wait(u16),
 }
@@ -35,7 +37,7 @@ fn op() -> impl Strategy<Value = Op> {
     ]
 }
 
-/// A session and a controller, with a line between them that loses what it is told to.
+/// A session and a controller, and a line between them that loses frames.
 struct Pair {
     session: Session,
     device: Controller,
@@ -87,8 +89,8 @@ impl Pair {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(300) })]
 
-    /// Whatever is pushed, lost, told or forged: each stroke has one verdict, in the order of pushing, unless a
-    /// command came between; and what was accepted or late or refused, the device has counted as that.
+    /// Whatever is pushed, lost, commanded or forged: each stroke gets one verdict, in the order of pushing, unless a
+    /// command came between. A late stroke begins before the device's first free tick.
     #[test]
     fn each_stroke_has_one_verdict(ops in prop::collection::vec(op(), 1..80)) {
         let session = Session::new(7, LineRate(100_000), HostInstant::from_ns(0));
@@ -150,7 +152,7 @@ proptest! {
                             prop_assert!(stroke.up < rendered);
                         }
                     }
-                    // The whole first frame comes back; here it is given up.
+                    // The device refused the whole first frame; this host gives it up.
                     Event::OnsetRefused { .. } => {
                         let frame = waiting.iter().take_while(|stroke| stroke.up < last + 1).count();
                         prop_assert!(frame <= waiting.len());

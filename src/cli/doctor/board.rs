@@ -1,8 +1,10 @@
-//! The doctor's look at a device: it opens it, measures, and judges what it found.
+//! Checks a device: opens it, measures its link, and judges what it found.
 //!
-//! Bounds of what is good stand here, each with its reason. The device is closed again before anything is printed.
+//! The limits of what is good stand here, each with its reason; [`daemon`](super::daemon) uses the same checks for the
+//! device of a daemon. The device is closed again before the doctor prints anything.
 
-use super::{Examined, Finding, Level, port};
+use super::finding::{Finding, Level};
+use super::port;
 use crate::cli::text;
 use crate::receipts::device_info;
 use firmware_protocol::frame::PROTOCOL;
@@ -10,26 +12,48 @@ use meissner_api::DeviceInfo;
 use meissner_array::simulated::PlantConfig;
 use meissner_stream::Settings;
 use meissner_stream::device::{self, DeviceError, Spec};
-use meissner_stream::diagnostics::{self, LinkReport};
+use meissner_stream::diagnostics::{self, Drift, LinkReport, RoundTripStats};
+use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// A line that carries less refuses some of the shipped patterns, their corrections included.
+/// On a line that carries less, the daemon refuses some of the shipped patterns with their corrections.
 const ALL_BYTES_PER_S: u32 = 60_000;
 /// Below this not even a few pins can be driven.
 const ANY_BYTES_PER_S: u32 = 2_000;
-/// A correction leaves its burst so much time to be there, us: slower round trips make it late.
+/// A correction leaves the host this long before its burst, us: slower round trips make it late.
 const CORRECTION_US: f64 = 3_000.0;
-/// A crystal is within 50 ppm, two of them within 100; what is beyond is no crystal.
+/// A crystal is within 50 ppm, two of them within 100; a larger drift is no crystal's.
 const CRYSTALS_PPM: f64 = 100.0;
-/// The clock model takes a drift beyond this for noise.
+/// The clock model takes a larger drift for noise.
 const MODEL_PPM: f64 = 200.0;
 
-/// Opens and measures; what there is to tell of it goes into `findings`.
+/// How to avoid what delays bytes between board and machine.
+const DIRECT_PORT: &str = "use a USB port of the machine itself";
+
+/// What was measured on a device.
+#[derive(Debug, Serialize)]
+pub(super) struct Examined {
+    kind: String,
+    serial_number: Option<String>,
+    firmware: String,
+    build: String,
+    protocol: u8,
+    boot: u32,
+    pub(super) simulated: bool,
+    telemetry: bool,
+    pool: u16,
+    horizon_ticks: u8,
+    round_trip: RoundTripStats,
+    throughput_bytes_per_s: Option<u32>,
+    drift: Drift,
+}
+
+/// Opens and measures a device, and adds what it found to `findings`; `None` if that failed.
 pub(super) fn examine(root: &Path, spec: &Spec, findings: &mut Vec<Finding>) -> Option<Examined> {
     let mut device = match device::open(spec, &PlantConfig::default()) {
         Ok(device) => device,
         Err(error) => {
-            findings.push(Finding::new("device", Level::Fail, error.found(), &error.advice()));
+            findings.push(Finding::fail("device", error.found(), error.advice()));
             findings.extend(taken(&error).and_then(|path| port::holders(root, &path, true)));
             return None;
         }
@@ -37,7 +61,7 @@ pub(super) fn examine(root: &Path, spec: &Spec, findings: &mut Vec<Finding>) -> 
     let (kind, serial_number) = (device.kind(), device.serial_number().map(str::to_owned));
     let checked = diagnostics::measure(&mut device);
     drop(device);
-    // Who had it open before we did reads what is ours.
+    // A program that had the port open before us reads bytes meant for us.
     if let Spec::Serial(path) = spec {
         findings.extend(port::holders(root, path, false));
     }
@@ -45,7 +69,7 @@ pub(super) fn examine(root: &Path, spec: &Spec, findings: &mut Vec<Finding>) -> 
         Ok(checked) => checked,
         Err(error) => {
             let found = format!("{kind}: {error}");
-            findings.push(Finding::new("device", Level::Fail, found, error.advice()));
+            findings.push(Finding::fail("device", found, error.advice()));
             return None;
         }
     };
@@ -54,7 +78,7 @@ pub(super) fn examine(root: &Path, spec: &Spec, findings: &mut Vec<Finding>) -> 
     Some(examined)
 }
 
-/// What another program may have open, if that is what is wrong.
+/// The file that another program has open, if that is the problem.
 fn taken(error: &DeviceError) -> Option<PathBuf> {
     match error {
         DeviceError::InUse(path) => Some(path.clone()),
@@ -89,9 +113,7 @@ fn judged(at: &Examined) -> Vec<Finding> {
         "{}{serial}, firmware {} ({}), protocol {}, boot {}, {} slots, horizon {} ticks",
         at.kind, at.firmware, at.build, at.protocol, at.boot, at.pool, at.horizon_ticks
     );
-    let level = if at.simulated { Level::Warn } else { Level::Ok };
-    let who =
-        Finding::new("device", level, who, "it is simulated, no real pin moves: name a board with --device");
+    let who = device(at.simulated, who, "name a board with --device");
 
     let trip = at.round_trip;
     let found = format!(
@@ -101,24 +123,22 @@ fn judged(at: &Examined) -> Vec<Finding> {
         trip.max_us / 1e3,
         trip.count
     );
-    // Half the lead: beyond it, what is sent a lead ahead may be late.
+    // Half the lead: beyond it, strokes that are sent a lead ahead may be late.
     let half_lead_us = Settings::default().lead_ms * 500.0;
     let level = match trip.p99_us {
         us if us > half_lead_us => Level::Fail,
         us if us > CORRECTION_US => Level::Warn,
         _ => Level::Ok,
     };
-    let advice = "use a USB port of the machine itself, without a hub, and see what else it does";
+    let advice = format!("{DIRECT_PORT}, without a hub, and check what else loads the machine");
     let trip = Finding::new("round trip", level, found, advice);
 
-    let line = at.throughput_bytes_per_s.map_or_else(
-        || Finding::new("line", Level::Fail, "not measured", "see its cable: no long frame came through"),
-        line,
-    );
+    let line = at
+        .throughput_bytes_per_s
+        .map_or_else(|| Finding::fail("line", "no full frame came through", "check its cable"), line);
 
     let drift = at.drift;
-    let found =
-        format!("{:+.1} ppm, known to {:.1}, in {:.1} s", drift.ppm, drift.uncertainty_ppm, drift.seconds);
+    let found = format!("{:+.1} ppm +- {:.1}, over {:.1} s", drift.ppm, drift.uncertainty_ppm, drift.seconds);
     let beyond = drift.ppm.abs() - drift.uncertainty_ppm;
     let level = match beyond {
         ppm if ppm > MODEL_PPM => Level::Fail,
@@ -127,9 +147,12 @@ fn judged(at: &Examined) -> Vec<Finding> {
         _ => Level::Ok,
     };
     let advice = if beyond > CRYSTALS_PPM {
-        "that is no crystal: see the board's clock, and whether this machine's is being set"
+        "no crystal drifts that far: check the board's clock, and whether this machine's clock is being set"
+            .to_owned()
     } else {
-        "round trips are too uneven to tell: use a USB port of the machine itself, and see what else it does"
+        format!(
+            "round trips vary too much to measure it: {DIRECT_PORT}, and check what else loads the machine"
+        )
     };
     let drift = Finding::new("drift", level, found, advice);
     let mut findings = vec![who, trip, line, drift];
@@ -137,13 +160,17 @@ fn judged(at: &Examined) -> Vec<Finding> {
     findings
 }
 
-/// What there is to say of its measuring, if it does none.
-pub(super) fn telemetry(there: bool) -> Option<Finding> {
-    let none = || Finding::new("telemetry", Level::Warn, text::NO_TELEMETRY, text::SHORT_PLAYS);
-    (!there).then(none)
+/// Whether the device is simulated; `instead`: how to use a board.
+pub(super) fn device(simulated: bool, found: String, instead: &str) -> Finding {
+    Finding::check("device", !simulated, found, format!("it is simulated, no real pin moves: {instead}"))
 }
 
-/// What the line carries.
+/// A finding if the device sends no telemetry.
+pub(super) fn telemetry(there: bool) -> Option<Finding> {
+    (!there).then(|| Finding::warn("telemetry", text::NO_TELEMETRY, text::SHORT_PLAYS))
+}
+
+/// Whether the line carries enough.
 pub(super) fn line(bytes_per_s: u32) -> Finding {
     let level = match bytes_per_s {
         rate if rate < ANY_BYTES_PER_S => Level::Fail,
@@ -151,5 +178,5 @@ pub(super) fn line(bytes_per_s: u32) -> Finding {
         _ => Level::Ok,
     };
     let found = format!("carries {:.1} kB/s", f64::from(bytes_per_s) / 1000.0);
-    Finding::new("line", level, found, "plays that need more are refused: use USB, or a faster UART")
+    Finding::new("line", level, found, "the daemon refuses plays that need more: use USB, or a faster UART")
 }

@@ -1,45 +1,40 @@
-//! The doctor's look at this machine: real-time rights, how late timers wake a thread, and how fast processors run.
+//! Checks this machine: how late timers wake a thread, and whether processors slow down.
 //!
-//! What is measured is measured alone: nothing else of the doctor runs beside it. Rights are this user's; a daemon's
-//! own are asked of it, elsewhere.
+//! [`measure`] runs first and alone: no other check of the doctor runs beside it.
 //!
-//! Invariant: what is asked for goes with the thread it was asked for.
+//! Invariant: the real-time rights that [`measure`] requests end with its thread.
 
-use super::Finding;
+use super::finding::Finding;
 use meissner_api::Realtime;
+use meissner_stream::diagnostics::quantile;
 use meissner_stream::time::HostInstant;
-use rustix::thread::{ClockId, Timespec, clock_nanosleep_absolute};
 use serde::Serialize;
 use std::fs;
 use std::path::Path;
 use std::thread;
 use std::time::Duration;
 
-/// MethodLabel often a thread is woken.
+/// How often the thread is due: as often as the streamer while it plays.
 const PERIOD: Duration = Duration::from_millis(1);
-/// Half the default lead: beyond it, a second stall in a row is late.
+/// Half the default lead: beyond it a second stall in a row makes strokes late.
 const LATE_US: f64 = 50_000.0;
 const CPUS: &str = "sys/devices/system/cpu";
 const FAST: &str = "performance";
 
-/// What gives a user real-time rights, where no service manager does.
-pub(super) const LIMITS: &str = "`printf '%s - rtprio 60\\n%s - memlock unlimited\\n' $USER $USER | sudo tee \
-                                 /etc/security/limits.d/90-meissner.conf`, then log in again";
-
-/// MethodLabel late timers woke a thread.
+/// How late timers woke a thread.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub(super) struct WakeUp {
     p50_us: f64,
     p99_us: f64,
     p999_us: f64,
     max_us: f64,
-    /// MethodLabel often it was woken.
+    /// How often they woke it.
     count: usize,
-    /// Under SCHED_FIFO, as the streamer is.
+    /// Whether the thread ran under SCHED_FIFO, as the streamer does.
     fifo: bool,
 }
 
-/// Which rights this user gets, and how late timers wake a thread that has them, on a thread of its own.
+/// Requests real-time rights on a thread of its own; returns those granted, and how late timers then wake that thread.
 pub(super) fn measure(time: Duration) -> (Realtime, WakeUp) {
     let measured = thread::spawn(move || {
         let realtime = meissner_stream::request_realtime();
@@ -54,26 +49,16 @@ fn lateness_us(time: Duration) -> Vec<f64> {
     let begun = HostInstant::now();
     for count in 1..=wake_ups {
         let wanted = begun + PERIOD * count;
-        sleep_until(wanted);
+        wanted.sleep_until();
         late_us.push(HostInstant::now().since(wanted).as_secs_f64() * 1e6);
     }
     late_us
 }
 
-fn sleep_until(wanted: HostInstant) {
-    let seconds = (wanted.as_ns() / 1_000_000_000).cast_signed();
-    let time = Timespec { tv_sec: seconds, tv_nsec: (wanted.as_ns() % 1_000_000_000).cast_signed() };
-    // Interrupted by a signal, it measures a wake-up that was early: 0.
-    let _ = clock_nanosleep_absolute(ClockId::Monotonic, &time);
-}
-
 impl WakeUp {
     fn of(mut late_us: Vec<f64>, fifo: bool) -> Self {
         late_us.sort_by(f64::total_cmp);
-        let last = late_us.len().saturating_sub(1);
-        let at = |per_mille: usize| {
-            late_us.get((late_us.len() * per_mille / 1000).min(last)).copied().unwrap_or(f64::NAN)
-        };
+        let at = |per_mille| quantile(&late_us, per_mille);
         let count = late_us.len();
         Self { p50_us: at(500), p99_us: at(990), p999_us: at(999), max_us: at(1000), count, fifo }
     }
@@ -83,42 +68,22 @@ pub(super) fn timers(wake_up: &WakeUp) -> Finding {
     let WakeUp { p50_us, p99_us, p999_us, max_us, count, fifo } = wake_up;
     let with = if *fifo { "with" } else { "without" };
     let found = format!(
-        "late by {p50_us:.0} us (p50), {p99_us:.0} (p99), {p999_us:.0} (p99.9), {max_us:.0} (max) of {count}, \
+        "wake-ups came late by {p50_us:.0} us (p50), {p99_us:.0} (p99), {p999_us:.0} (p99.9), {max_us:.0} (max) of {count}, \
          {with} SCHED_FIFO"
     );
     if *max_us < LATE_US {
         return Finding::ok("timers", found);
     }
     let advice = if *fifo {
-        "raise lead_ms above twice the worst, or use a machine with less beside it"
+        "raise lead_ms above twice the longest, or run less on this machine"
     } else {
-        "`sudo meissner doctor` measures as a daemon with real-time rights would; if that is no better, raise \
-         lead_ms above twice the worst"
+        "run `sudo meissner doctor`, which measures with real-time rights, as a daemon may have them; if that is no \
+         better, raise lead_ms above twice the longest"
     };
     Finding::warn("timers", found, advice)
 }
 
-/// This user's rights. They count for a daemon that this user may start: not where one runs, or is `installed`.
-pub(super) fn rights(ours: Realtime, daemons: Option<Realtime>, installed: bool) -> [Finding; 2] {
-    let finding = |what, ours, daemons| match (ours, daemons) {
-        (true, _) => Finding::ok(what, "granted"),
-        (false, Some(true)) => Finding::ok(what, "not granted to you, but to the daemon"),
-        (false, Some(false)) => Finding::ok(what, "not granted to you; it is the daemon's that counts"),
-        (false, None) if installed => {
-            Finding::ok(what, "not granted to you; it is the service's that counts")
-        }
-        (false, None) => {
-            let advice = format!("for a daemon of yours: {LIMITS}; without it strokes may come late");
-            Finding::warn(what, "not granted", advice)
-        }
-    };
-    [
-        finding("SCHED_FIFO", ours.fifo, daemons.map(|of| of.fifo)),
-        finding("mlockall", ours.mlock, daemons.map(|of| of.mlock)),
-    ]
-}
-
-/// Whether processors slow down when they have little to do: then every wake-up begins slowly.
+/// Whether processors slow down when they are idle: then every wake-up begins slowly.
 pub(super) fn governor(root: &Path) -> Finding {
     let cpus = fs::read_dir(root.join(CPUS)).into_iter().flatten().flatten();
     let is_cpu = |name: &str| {
@@ -131,12 +96,13 @@ pub(super) fn governor(root: &Path) -> Finding {
     let governors: Vec<String> = governors.map(|governor| governor.trim().to_owned()).collect();
     let slow: Vec<&String> = governors.iter().filter(|governor| *governor != FAST).collect();
     match slow.iter().min() {
-        None if governors.is_empty() => Finding::ok("governor", "no frequency scaling here"),
+        None if governors.is_empty() => Finding::ok("governor", "this machine does not scale its frequency"),
         None => Finding::ok("governor", FAST),
         Some(name) => {
-            let found = format!("`{name}` on {} of {} processors", slow.len(), governors.len());
+            let found =
+                format!("`{name}` slows {} of {} processors down when idle", slow.len(), governors.len());
             let advice = format!(
-                "`echo {FAST} | sudo tee /{CPUS}/cpu*/cpufreq/scaling_governor`, until the next boot"
+                "`echo {FAST} | sudo tee /{CPUS}/cpu*/cpufreq/scaling_governor` (until the next boot)"
             );
             Finding::warn("governor", found, advice)
         }
@@ -145,14 +111,14 @@ pub(super) fn governor(root: &Path) -> Finding {
 
 #[cfg(test)]
 mod tests {
-    use super::super::fake;
     use super::*;
+    use crate::cli::doctor::finding::fake;
 
     #[test]
-    fn processors_that_slow_down_are_told_of() {
+    fn processors_that_slow_down_are_reported() {
         let dir = tempfile::tempdir().unwrap();
         let governor = || fake::line(&governor(dir.path()));
-        assert_eq!(governor(), "Ok governor: no frequency scaling here -> ");
+        assert_eq!(governor(), "Ok governor: this machine does not scale its frequency -> ");
         let set = |cpu, text| {
             fake::write(dir.path(), &format!("{CPUS}/{cpu}/cpufreq/scaling_governor"), text);
         };
@@ -163,41 +129,21 @@ mod tests {
         set("cpu11", "schedutil\n");
         assert_eq!(
             governor(),
-            "Warn governor: `schedutil` on 1 of 2 processors -> `echo performance | sudo tee \
-             /sys/devices/system/cpu/cpu*/cpufreq/scaling_governor`, until the next boot"
+            "Warn governor: `schedutil` slows 1 of 2 processors down when idle -> `echo performance | sudo tee \
+             /sys/devices/system/cpu/cpu*/cpufreq/scaling_governor` (until the next boot)"
         );
     }
 
     #[test]
-    fn rights_count_for_a_daemon_of_ones_own() {
-        let (none, all) = (Realtime::default(), Realtime { fifo: true, mlock: true });
-        let lines = |ours, daemons, installed| rights(ours, daemons, installed).each_ref().map(fake::line);
-        assert_eq!(lines(all, None, false)[0], "Ok SCHED_FIFO: granted -> ");
-        assert_eq!(lines(none, Some(all), true)[1], "Ok mlockall: not granted to you, but to the daemon -> ");
-        // What is wrong with the daemon's is told with the daemon.
-        assert!(
-            lines(none, Some(none), false)[0].starts_with("Ok SCHED_FIFO: not granted to you; it is the d")
-        );
-        assert!(
-            lines(none, None, true)[0].starts_with("Ok SCHED_FIFO: not granted to you; it is the service's")
-        );
-        for line in lines(none, None, false) {
-            assert!(
-                line.starts_with("Warn ") && line.contains("rtprio 60\\n") && line.contains("log in again")
-            );
-        }
-    }
-
-    #[test]
-    fn late_timers_are_told_of_with_what_they_were_measured_under() {
+    fn late_timers_are_reported_with_the_scheduler_they_ran_under() {
         let wake_up = WakeUp::of((1..=5000).map(f64::from).collect(), true);
         assert_eq!(
             fake::line(&timers(&wake_up)),
-            "Ok timers: late by 2501 us (p50), 4951 (p99), 4996 (p99.9), 5000 (max) of 5000, with SCHED_FIFO -> "
+            "Ok timers: wake-ups came late by 2501 us (p50), 4951 (p99), 4996 (p99.9), 5000 (max) of 5000, with SCHED_FIFO -> "
         );
         let line = |fifo| fake::line(&timers(&WakeUp::of(vec![10.0, 60_000.0], fifo)));
         assert!(line(true).starts_with("Warn timers") && line(true).contains("-> raise lead_ms"));
-        assert!(line(false).contains("without SCHED_FIFO -> `sudo meissner doctor`"));
+        assert!(line(false).contains("without SCHED_FIFO -> run `sudo meissner doctor`"));
         let (_, measured) = measure(Duration::from_millis(20));
         assert!(measured.count == 20 && measured.p50_us <= measured.max_us, "{measured:?}");
         assert!(WakeUp::of(Vec::new(), false).max_us.is_nan());

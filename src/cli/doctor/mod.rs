@@ -1,108 +1,55 @@
-//! The doctor: what of this machine, its service, its daemon and its device could keep a pattern from being played in time.
+//! `doctor`: checks what could keep this machine, its service, its daemon or its device from playing patterns in time.
 //!
-//! It measures how late timers wake a thread, alone, and looks at the rest after that: at this [`host`], at what is
-//! installed on it ([`service`]), at what a [`daemon`] says, at [`port`]s, and at a [`board`], unless it is a daemon's. It arms
-//! nothing, moves nothing and mends nothing.
+//! It first measures how late timers wake a thread, with nothing beside it. Then it checks [`host`], [`rights`], what is
+//! installed ([`service`]), the [`daemon`], [`port`]s, and the [`board`], unless a daemon has the board. It arms nothing,
+//! moves nothing and repairs nothing.
 //!
-//! Invariant: every finding that is not `ok` says what to do; it is a go only if none says `FAIL`.
+//! Invariant: every finding that is not `ok` says what to do; the verdict is `go` only if no finding says `FAIL`.
 
 mod board;
 mod daemon;
+mod finding;
 mod host;
 mod port;
+mod rights;
 mod service;
 
 use super::{Plain, give, text};
 use anyhow::Result;
+use board::Examined;
+use finding::{Finding, Level};
 use meissner_api::Status;
 use meissner_client::ClientError;
 use meissner_client::access::Me;
 use meissner_stream::device::Spec;
-use meissner_stream::diagnostics::{Drift, RoundTripStats};
 use serde::Serialize;
 use std::path::Path;
 use std::process::ExitCode;
 use std::time::Duration;
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-enum Level {
-    Ok,
-    /// It plays, but perhaps not in time, or not as it is.
-    Warn,
-    /// It does not play.
-    Fail,
-}
-
-#[derive(Debug, Serialize)]
-struct Finding {
-    what: &'static str,
-    level: Level,
-    found: String,
-    /// What to do; empty if nothing.
-    advice: String,
-}
-
-impl Finding {
-    fn new(what: &'static str, level: Level, found: impl Into<String>, advice: &str) -> Self {
-        let advice = if level == Level::Ok { String::new() } else { advice.to_owned() };
-        Self { what, level, found: found.into(), advice }
-    }
-
-    fn ok(what: &'static str, found: impl Into<String>) -> Self {
-        Self::new(what, Level::Ok, found, "")
-    }
-
-    fn warn(what: &'static str, found: impl Into<String>, advice: impl AsRef<str>) -> Self {
-        Self::new(what, Level::Warn, found, advice.as_ref())
-    }
-
-    fn fail(what: &'static str, found: impl Into<String>, advice: impl AsRef<str>) -> Self {
-        Self::new(what, Level::Fail, found, advice.as_ref())
-    }
-}
-
-/// What was measured on the device.
-#[derive(Debug, Serialize)]
-struct Examined {
-    kind: String,
-    serial_number: Option<String>,
-    firmware: String,
-    build: String,
-    protocol: u8,
-    boot: u32,
-    simulated: bool,
-    telemetry: bool,
-    pool: u16,
-    horizon_ticks: u8,
-    round_trip: RoundTripStats,
-    throughput_bytes_per_s: Option<u32>,
-    drift: Drift,
-}
-
 #[derive(Debug, Serialize)]
 struct Report {
-    /// Go.
+    /// Whether the verdict is go.
     ok: bool,
     wake_up: host::WakeUp,
-    /// Null if the device is a daemon's, or there is none.
+    /// Null if a daemon has the device, or there is none.
     device: Option<Examined>,
     findings: Vec<Finding>,
 }
 
-/// `asked`: which device; without it, what a daemon has, else the first board. Wake-ups are measured for `time`.
+/// `asked`: which device; without it, the daemon's, else the first board. `time`: how long to measure wake-ups.
 pub(super) fn run(asked: Option<Spec>, time: Duration, plain: &Plain) -> Result<ExitCode> {
     let root = Path::new("/");
     let (realtime, wake_up) = host::measure(time);
     let status: Result<Status, ClientError> = plain.client()?.get("/v1/status");
     let granted = status.as_ref().ok().and_then(|status| status.realtime);
     let units = service::units(root);
-    let mut findings = Vec::from(host::rights(realtime, granted, units.is_installed()));
+    let mut findings = Vec::from(rights::of_user(realtime, granted, units.is_installed()));
     findings.push(host::timers(&wake_up));
     findings.push(host::governor(root));
     findings.extend(service::findings(root, &units));
     let denied = daemon::is_denied(&status);
-    // Whoever is refused is told about groups by that.
+    // A refusal by the daemon already explains the groups.
     if !denied && let Some(me) = Me::look_up() {
         findings.extend(service::group(root, &units, &me));
     }
@@ -123,7 +70,7 @@ pub(super) fn run(asked: Option<Spec>, time: Duration, plain: &Plain) -> Result<
     let verdict = match (ok, simulated) {
         (true, false) => "go",
         (true, true) => "go, on a simulated device",
-        (false, _) => "no go: see what says FAIL",
+        (false, _) => "no go: see the lines marked FAIL",
     };
     give(plain.output.json, &report, || format!("{}\n{verdict}", lines(&report.findings)))?;
     Ok(if ok { ExitCode::SUCCESS } else { ExitCode::FAILURE })
@@ -141,29 +88,4 @@ fn lines(findings: &[Finding]) -> String {
         vec![mark.to_owned(), finding.what.to_owned(), format!("{}{advice}", finding.found)]
     };
     text::columns(&[], findings.iter().map(line))
-}
-
-/// What tests of the rooms share: a machine that is not there.
-#[cfg(test)]
-mod fake {
-    use std::fs;
-    use std::path::Path;
-
-    /// Writes a file, and the directories it needs, below a root.
-    pub(super) fn write(root: &Path, path: &str, text: &str) {
-        let file = root.join(path);
-        fs::create_dir_all(file.parent().unwrap()).unwrap();
-        fs::write(file, text).unwrap();
-    }
-
-    /// A finding on one line: level, what, found, advice.
-    pub(super) fn line(finding: &super::Finding) -> String {
-        let super::Finding { what, level, found, advice } = finding;
-        assert_eq!(*level == super::Level::Ok, advice.is_empty(), "{finding:?}");
-        format!("{level:?} {what}: {found} -> {advice}")
-    }
-
-    pub(super) fn all<'a>(findings: impl IntoIterator<Item = &'a super::Finding>) -> Vec<String> {
-        findings.into_iter().map(line).collect()
-    }
 }

@@ -1,11 +1,11 @@
-//! The doctor's look at the boards' ports: who else has one open, and what the system does to them by itself.
+//! Checks the boards' ports: which programs have one open, and what the system does to boards by itself.
 //!
-//! It reads `/proc` and `/sys`, as far as this user may, and opens no port. A board's hubs are not looked at: a hub sleeps
-//! only when all behind it sleep, so a board that stays awake keeps them awake.
+//! It reads `/proc` and `/sys`, as far as this user may, and opens no port. It does not check hubs: a hub sleeps only when
+//! all devices behind it sleep, so a board that stays awake keeps its hubs awake.
 //!
-//! Invariant: what could not be looked into is not called free.
+//! Invariant: a port is called free only if every process could be checked.
 
-use super::Finding;
+use super::finding::Finding;
 use super::service;
 use meissner_stream::device::find::BoardQuery;
 use std::fs;
@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 const USB: &str = "sys/bus/usb/devices";
 const MODEM_MANAGER: &str = "ModemManager";
 
-/// What one process is called, and its number.
+/// A process by number and name.
 #[derive(Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct Process {
     pid: u32,
@@ -33,13 +33,13 @@ fn processes(root: &Path) -> Vec<Process> {
     found
 }
 
-/// Whether a process has the port open; `None` if it does not let us see.
+/// Whether a process has the port open; `None` if this user may not see.
 fn has_open(root: &Path, pid: u32, port: &Path) -> Option<bool> {
     let open = fs::read_dir(root.join(format!("proc/{pid}/fd"))).ok()?;
     Some(open.flatten().any(|fd| fs::read_link(fd.path()).is_ok_and(|link| link == port)))
 }
 
-/// Who else has this port open; where it is known that somebody has, also that nobody could be seen.
+/// Which other programs have this port open. If one is `known` to, but cannot be seen, the finding says so.
 pub(super) fn holders(root: &Path, path: &Path, known: bool) -> Option<Finding> {
     let port = path.canonicalize().unwrap_or_else(|_| path.to_owned());
     let ours = std::process::id();
@@ -52,45 +52,48 @@ pub(super) fn holders(root: &Path, path: &Path, known: bool) -> Option<Finding> 
         }
     }
     let Some(Process { pid, name }) = holders.first() else {
-        let found = format!("who has {} open cannot be seen without root's rights", port.display());
-        let ask = format!("`sudo fuser -v {}` tells", port.display());
+        let found = format!("another program has {} open, and only root can see which", port.display());
+        let ask = format!("run `sudo fuser -v {}`", port.display());
         return (known && hidden).then(|| Finding::warn("port", found, ask));
     };
     let names: Vec<_> = holders.iter().map(|Process { pid, name }| format!("{name} (pid {pid})")).collect();
     let found = format!("{} is open in {}", port.display(), names.join(", "));
     let advice = match name.as_str() {
         "meissner" => format!(
-            "`meissner status` asks that daemon; `sudo systemctl stop meissner`, or `kill {pid}`, ends it"
+            "ask that daemon with `meissner status`; end it with `sudo systemctl stop meissner` or `kill {pid}`"
         ),
         MODEM_MANAGER => {
-            "install the udev rules, which tell it to leave boards alone, and plug it in again".to_owned()
+            "install the udev rules, which make it leave boards alone, and plug the board in again".to_owned()
         }
-        _ => format!("end it: `kill {pid}`"),
+        _ => format!("end that program: `kill {pid}`"),
     };
     Some(Finding::warn("port", found, advice))
 }
 
-/// Whether something that tries every serial port for a modem was not told to leave boards alone.
+/// Whether ModemManager, which looks for a modem at every serial port, runs without a rule to leave boards alone.
 pub(super) fn modem_manager(root: &Path) -> Option<Finding> {
     let runs = processes(root).into_iter().any(|process| process.name == MODEM_MANAGER);
     let told = service::rules_text(root).is_some_and(|rules| rules.contains("ID_MM_DEVICE_IGNORE"));
     (runs && !told).then(|| {
-        let advice = "`sudo cp deploy/70-meissner.rules /etc/udev/rules.d/ && sudo udevadm control --reload && sudo \
-                      udevadm trigger`, or, where no modem is, `sudo systemctl disable --now ModemManager`";
+        let advice = format!(
+            "`sudo cp deploy/70-meissner.rules /etc/udev/rules.d/ && {}`, or, on a machine without a modem, `sudo \
+             systemctl disable --now ModemManager`",
+            service::RELOAD
+        );
         Finding::warn("ModemManager", "it runs, and no udev rule keeps it from writing to boards", advice)
     })
 }
 
-/// Boards that the kernel may put to sleep when they are silent: waking one takes longer than a stroke may.
+/// Boards that the kernel may put to sleep when they are silent: waking one takes longer than a stroke may wait.
 pub(super) fn autosuspend(root: &Path) -> Vec<Finding> {
     let entries = fs::read_dir(root.join(USB)).into_iter().flatten().flatten();
     let mut sleepy: Vec<PathBuf> = entries.map(|entry| entry.path()).filter(|path| may_sleep(path)).collect();
     sleepy.sort();
     let finding = |path: PathBuf| {
         let path = Path::new("/").join(path.strip_prefix(root).unwrap_or(&path));
-        let found = format!("the board at {} may be put to sleep", path.display());
+        let found = format!("the kernel may put the board at {} to sleep", path.display());
         let advice = format!(
-            "`echo on | sudo tee {}/power/control`, until it is plugged in again; the udev rules do it for good",
+            "`echo on | sudo tee {}/power/control` (until it is plugged in again); the udev rules do it for good",
             path.display()
         );
         Finding::warn("autosuspend", found, advice)
@@ -108,12 +111,12 @@ fn may_sleep(device: &Path) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use super::super::fake;
     use super::*;
+    use crate::cli::doctor::finding::fake;
     use std::os::unix::fs::symlink;
     use tempfile::TempDir;
 
-    /// A machine on which these run; the port they have open, if any.
+    /// A machine on which these processes run, each with a port open.
     fn machine(running: &[(u32, &str, &str)]) -> TempDir {
         let dir = tempfile::tempdir().unwrap();
         for (pid, name, port) in running {
@@ -128,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn who_has_a_port_open_is_named() {
+    fn programs_that_have_a_port_open_are_named() {
         let port = "/dev/no-such-port";
         let line = |running: &[_], known| {
             holders(machine(running).path(), Path::new(port), known).map(|finding| fake::line(&finding))
@@ -137,28 +140,31 @@ mod tests {
         assert_eq!(line(&[(7, "bash", "/dev/tty1"), ours], true), None);
         assert_eq!(
             line(&[(90, "minicom", port), (7, "bash", "/dev/tty1"), (412, "cat", port)], false).unwrap(),
-            "Warn port: /dev/no-such-port is open in minicom (pid 90), cat (pid 412) -> end it: `kill 90`"
+            "Warn port: /dev/no-such-port is open in minicom (pid 90), cat (pid 412) -> end that program: `kill 90`"
         );
         let daemon = line(&[(812, "meissner", port)], true).unwrap();
-        assert!(daemon.contains("-> `meissner status`") && daemon.contains("`kill 812`"), "{daemon}");
+        assert!(
+            daemon.contains("-> ask that daemon with `meissner status`") && daemon.contains("`kill 812`"),
+            "{daemon}"
+        );
         assert!(line(&[(812, MODEM_MANAGER, port)], true).unwrap().contains("-> install the udev rules"));
     }
 
     #[test]
-    fn what_could_not_be_looked_into_is_not_called_free() {
+    fn a_port_that_could_not_be_checked_is_not_called_free() {
         let dir = machine(&[]);
         fake::write(dir.path(), "proc/1/comm", "init");
         let port = Path::new("/dev/no-such-port");
         assert_eq!(
             fake::line(&holders(dir.path(), port, true).unwrap()),
-            "Warn port: who has /dev/no-such-port open cannot be seen without root's rights -> `sudo fuser -v \
-             /dev/no-such-port` tells"
+            "Warn port: another program has /dev/no-such-port open, and only root can see which -> run `sudo fuser -v \
+             /dev/no-such-port`"
         );
         assert!(holders(dir.path(), port, false).is_none(), "it could be opened");
     }
 
     #[test]
-    fn a_modem_manager_must_have_been_told() {
+    fn modem_manager_needs_a_udev_rule() {
         let dir = machine(&[(5, "ModemManager", "/dev/null")]);
         let line = fake::line(&modem_manager(dir.path()).unwrap());
         assert!(line.starts_with("Warn ModemManager: it runs") && line.contains("sudo cp deploy/"), "{line}");
@@ -169,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn a_board_that_may_sleep_is_told_of() {
+    fn a_board_that_may_sleep_is_reported() {
         let dir = tempfile::tempdir().unwrap();
         let device = |at: &str, product: &str, control: &str| {
             for (name, text) in [("idVendor", "1209"), ("idProduct", "0001"), ("product", product)] {
@@ -185,8 +191,8 @@ mod tests {
         assert_eq!(
             fake::all(&autosuspend(dir.path())),
             [
-                "Warn autosuspend: the board at /sys/bus/usb/devices/1-4.2 may be put to sleep -> `echo on | sudo tee \
-              /sys/bus/usb/devices/1-4.2/power/control`, until it is plugged in again; the udev rules do it for good"
+                "Warn autosuspend: the kernel may put the board at /sys/bus/usb/devices/1-4.2 to sleep -> `echo on | sudo tee \
+              /sys/bus/usb/devices/1-4.2/power/control` (until it is plugged in again); the udev rules do it for good"
             ]
         );
     }

@@ -47,7 +47,7 @@ pub enum Problem {
     Gain { found: f64, slope: f64 },
     #[error("is {}: this version's model has {UM_PER_PULSE}, so the gains do not apply; calibrate again", figure(*.found))]
     Model { found: f64 },
-    #[error("describes no plan: {0}")]
+    #[error("is not a valid plan: {0}")]
     Plan(#[source] PlanError),
     #[error("is {found}, but pulses and repetitions give {groups}")]
     Groups { found: u64, groups: usize },

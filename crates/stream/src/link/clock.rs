@@ -1,33 +1,34 @@
 //! The clock model: device ticks against the host's monotonic clock.
 //!
-//! Each round trip gives a tick and the interval of host time in which it was read. The best of the last
-//! round trips (the shortest; the others waited somewhere) give offset and, once they span seconds, drift, by
-//! regression. Conversion between ticks and host time happens here and nowhere else.
-//! The estimate comes with a bound of its error; without a round trip there is no estimate.
+//! Each round trip gives a tick and the interval of host time in which the device read it. The shortest of the last round
+//! trips (the others waited somewhere) give the offset and, once they span seconds, the drift, by regression. Ticks and host
+//! time are converted here and nowhere else. The estimate comes with a bound of its error.
+//!
+//! Invariant: without a round trip there is no estimate.
 
 use crate::time::HostInstant;
 use firmware_protocol::tick::{TICK_HZ, Tick};
 use std::time::Duration;
 
-/// Round trips remembered.
+/// Round trips kept.
 const SAMPLES: usize = 64;
 /// Nominal ticks per nanosecond.
 const NOMINAL: f64 = TICK_HZ as f64 * 1e-9;
-/// Crystals are within 50 ppm each; what a fit says beyond this is noise.
+/// Crystals are within 50 ppm each; a larger fitted drift is noise.
 const MAX_DRIFT: f64 = 200e-6;
-/// Assumed until it is measured: two crystals.
+/// The drift assumed until one is measured: that of two crystals.
 const UNKNOWN_DRIFT: f64 = 100e-6;
-/// A drift is only fitted to round trips that span this much.
+/// A drift is fitted only to round trips that span at least this, ns.
 const MIN_SPAN_NS: f64 = 2e9;
 
 /// One round trip.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Sample {
-    /// Middle between sending and receiving.
+    /// The middle between sending and receiving.
     at: HostInstant,
     /// Half the time between them, ns.
     half_ns: f64,
-    /// What the device said.
+    /// The tick that the device reported.
     tick: Tick,
 }
 
@@ -39,7 +40,7 @@ struct Fit {
     phase: f64,
     /// Ticks per ns.
     rate: f64,
-    /// The rate was fitted, not assumed.
+    /// Whether the rate was fitted, not assumed.
     measured: bool,
     /// Error at `at`, ns.
     error_ns: f64,
@@ -61,12 +62,8 @@ impl Default for Clock {
     }
 }
 
-fn ns_between(a: HostInstant, b: HostInstant) -> f64 {
-    (b.as_ns() as i64 - a.as_ns() as i64) as f64
-}
-
 impl Clock {
-    /// Takes a round trip: asked at `sent`, answered with `tick`, heard at `received`.
+    /// Takes a round trip: the host asked at `sent` and received the answer, `tick`, at `received`.
     pub fn round_trip(&mut self, sent: HostInstant, tick: Tick, received: HostInstant) {
         let trip = received.since(sent);
         let half_ns = trip.as_nanos() as f64 / 2.0;
@@ -79,12 +76,12 @@ impl Clock {
         let last = self.samples[(self.next + SAMPLES - 1) % SAMPLES];
         let samples = || self.samples.iter().flatten();
         let shortest = samples().map(|sample| sample.half_ns).fold(f64::INFINITY, f64::min);
-        // What took much longer than the shortest waited on one side: an outlier.
+        // A round trip much longer than the shortest waited on one side: an outlier.
         let good = || samples().filter(|sample| sample.half_ns <= 1.5 * shortest + 20_000.0);
         let Some(origin) = good().max_by_key(|sample| sample.at).or(last.as_ref()).copied() else { return };
-        // The device was somewhere within the tick it told: on average half a tick on.
+        // The device was somewhere within the tick it reported: on average half a tick in.
         let point =
-            |sample: &Sample| (ns_between(origin.at, sample.at), sample.tick.since(origin.tick) as f64 + 0.5);
+            |sample: &Sample| (sample.at.ns_since(origin.at), sample.tick.since(origin.tick) as f64 + 0.5);
         let count = good().count() as f64;
         let mean_t = good().map(|sample| point(sample).0).sum::<f64>() / count;
         let mean_k = good().map(|sample| point(sample).1).sum::<f64>() / count;
@@ -103,18 +100,18 @@ impl Clock {
                 rate_error = (shortest + 0.5 / NOMINAL) / sum_tt.sqrt();
             }
         }
-        // With a fitted rate the whole line is used; without, the newest good point.
+        // With a fitted rate use the whole line; without, the newest good point.
         let phase = if measured { mean_k - rate * mean_t } else { 0.5 };
         let error_ns = shortest + 0.5 / NOMINAL;
         self.fit =
             Some(Fit { at: origin.at, tick: origin.tick, phase, rate, measured, error_ns, rate_error });
     }
 
-    /// The device's tick at a host instant.
+    /// The device's tick at a host instant; `None` before the first round trip.
     #[must_use]
     pub fn tick_at(&self, at: HostInstant) -> Option<Tick> {
         let fit = self.fit?;
-        let ticks = fit.phase + fit.rate * ns_between(fit.at, at);
+        let ticks = fit.phase + fit.rate * at.ns_since(fit.at);
         Some(Tick(fit.tick.0.saturating_add_signed(ticks.floor() as i64)))
     }
 
@@ -126,15 +123,15 @@ impl Clock {
         Some(HostInstant::from_ns(fit.at.as_ns().saturating_add_signed(ns.round() as i64)))
     }
 
-    /// How far the estimate may be off at a host instant.
+    /// The bound of the estimate's error at a host instant.
     #[must_use]
     pub fn uncertainty(&self, at: HostInstant) -> Option<Duration> {
         let fit = self.fit?;
-        let ns = fit.error_ns + fit.rate_error * ns_between(fit.at, at).abs();
+        let ns = fit.error_ns + fit.rate_error * at.ns_since(fit.at).abs();
         Some(Duration::from_nanos(ns as u64))
     }
 
-    /// The device's rate against nominal, ppm, once it is measured.
+    /// The device's rate against nominal, ppm; `None` until measured.
     #[must_use]
     pub fn drift_ppm(&self) -> Option<f64> {
         self.fit.filter(|fit| fit.measured).map(|fit| (fit.rate / NOMINAL - 1.0) * 1e6)
@@ -157,10 +154,10 @@ mod tests {
     }
 
     #[test]
-    fn offset_and_drift_are_found_in_spite_of_slow_round_trips() {
+    fn slow_round_trips_do_not_disturb_offset_and_drift() {
         let mut clock = Clock::default();
         for i in 0..60u64 {
-            // Every third answer is held up by up to 20 ms.
+            // Every third answer is 20 ms late.
             let back = if i % 3 == 0 { 20_000_000 } else { 150_000 + i % 7 * 5_000 };
             trip(&mut clock, 40.0, 1_000_000_000 + i * 100_000_000, 150_000, back);
         }
@@ -175,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn one_round_trip_is_enough_to_begin_with() {
+    fn one_round_trip_gives_an_estimate() {
         let mut clock = Clock::default();
         assert_eq!(clock.tick_at(HostInstant::from_ns(5)), None);
         trip(&mut clock, 0.0, 1_000_000, 100_000, 100_000);

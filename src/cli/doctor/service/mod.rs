@@ -1,11 +1,11 @@
-//! The doctor's look at what is installed: systemd's units, the configuration, udev's rules, and the group of users.
+//! Checks what is installed: systemd's units, the configuration, udev's rules, and the group of users.
 //!
-//! systemd is asked by `systemctl show`, which needs no rights, and is not waited for long. Where nothing is installed
-//! there is one line that says so: a daemon may be run by hand.
+//! `systemctl show` reports the units; it needs no rights, and the doctor waits at most [`TIMEOUT`] for it. Where nothing is
+//! installed, one finding says so: a daemon may be started by hand.
 //!
-//! Invariant: nothing here is a fault of a machine on which nothing is installed.
+//! Invariant: on a machine with nothing installed every finding here is `ok`.
 
-use super::Finding;
+use super::finding::Finding;
 use crate::config::{Config, ConfigError};
 use meissner_client::SERVICE_SOCKET;
 use meissner_client::access::{Me, Members, Standing, join};
@@ -19,7 +19,7 @@ use std::process::{Command, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// MethodLabel long `systemctl` may take.
+/// How long `systemctl` may take.
 const TIMEOUT: Duration = Duration::from_secs(3);
 const ASKED: &str =
     "Id,LoadState,ActiveState,SubState,UnitFileState,NRestarts,Result,MainPID,NeedDaemonReload";
@@ -27,17 +27,17 @@ const SERVICE: &str = "meissner.service";
 const SOCKET: &str = "meissner.socket";
 const GROUP: &str = "haptics";
 const CONFIG: &str = "etc/meissner/meissner.toml";
-/// A file in the first hides one in the others.
+/// Where rules may stand; an earlier file hides the later ones.
 const RULES: [&str; 4] = [
     "etc/udev/rules.d/70-meissner.rules",
     "usr/local/lib/udev/rules.d/70-meissner.rules",
     "usr/lib/udev/rules.d/70-meissner.rules",
     "lib/udev/rules.d/70-meissner.rules",
 ];
-const RELOAD: &str = "sudo udevadm control --reload && sudo udevadm trigger";
-const JOURNAL: &str = "`journalctl -u meissner -e` says why";
+pub(super) const RELOAD: &str = "sudo udevadm control --reload && sudo udevadm trigger";
+const JOURNAL: &str = "`journalctl -u meissner -e` shows why";
 
-/// What systemd says of our units; nothing, where none is installed.
+/// What systemd reports about our units; nothing where none is installed.
 #[derive(Debug, Default)]
 pub(super) struct Units {
     installed: bool,
@@ -54,7 +54,7 @@ impl Units {
         self.installed
     }
 
-    /// Whether this process is the service's.
+    /// Whether this process is the service.
     pub(super) fn runs(&self, pid: u32) -> bool {
         self.of(SERVICE, "MainPID") == pid.to_string()
     }
@@ -64,7 +64,7 @@ impl Units {
     }
 }
 
-/// Asks systemd, if it is there.
+/// Asks systemd, if our units are installed.
 pub(super) fn units(root: &Path) -> Units {
     let mut show = Command::new("systemctl");
     show.args(["show", SERVICE, SOCKET, "--no-pager", "-p", ASKED]);
@@ -72,11 +72,11 @@ pub(super) fn units(root: &Path) -> Units {
     Units::new(root, is_installed(root).then(told).flatten())
 }
 
-/// What a command prints, if it ends soon.
+/// The output of a command that ends within `timeout`.
 fn said(mut command: Command, timeout: Duration) -> io::Result<String> {
     let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::null()).spawn()?;
     let until = Instant::now() + timeout;
-    // What it says fits into the pipe: it need not be read to end.
+    // Its output fits into the pipe, so the command ends before it is read.
     while child.try_wait()?.is_none() {
         if Instant::now() > until {
             child.kill()?;
@@ -100,7 +100,7 @@ fn parse(text: &str) -> HashMap<String, HashMap<String, String>> {
     text.split("\n\n").filter_map(block).collect()
 }
 
-/// Everything but the group.
+/// All checks but the group.
 pub(super) fn findings(root: &Path, units: &Units) -> Vec<Finding> {
     let mut findings = state(units);
     findings.extend(config(root));
@@ -110,11 +110,15 @@ pub(super) fn findings(root: &Path, units: &Units) -> Vec<Finding> {
 
 fn state(units: &Units) -> Vec<Finding> {
     if !units.installed {
-        return vec![Finding::ok("service", "none is installed: `meissner daemon` by hand")];
+        return vec![Finding::ok("service", "no service is installed: start `meissner daemon` by hand")];
     }
     if units.told.is_empty() {
         let advice = "see `systemctl status meissner.service`";
-        return vec![Finding::warn("service", "installed, but systemd does not say how it is", advice)];
+        return vec![Finding::warn(
+            "service",
+            "the service is installed, but systemd does not report its state",
+            advice,
+        )];
     }
     let mut findings = Vec::new();
     for (what, unit) in [("service", SERVICE), ("socket unit", SOCKET)] {
@@ -133,13 +137,13 @@ fn state(units: &Units) -> Vec<Finding> {
                 Finding::fail(what, found, format!("{JOURNAL}; then `sudo systemctl restart {unit}`"))
             }
             ("loaded", _) if sub == "auto-restart" => {
-                let found = format!("{unit} ends again and again ({})", of("Result"));
+                let found = format!("systemd restarts {unit} again and again ({})", of("Result"));
                 Finding::fail(what, found, JOURNAL)
             }
             ("loaded", "active" | "activating" | "reloading") => {
                 Finding::ok(what, format!("{unit} is {active} ({sub})"))
             }
-            // It starts when somebody connects.
+            // It starts when a client connects.
             ("loaded", _) if unit == SERVICE && units.of(SOCKET, "ActiveState") == "active" => {
                 Finding::ok(what, format!("{unit} is {active}, and starts with the first client"))
             }
@@ -149,25 +153,28 @@ fn state(units: &Units) -> Vec<Finding> {
             }
             _ => {
                 let found = format!("{unit} cannot be used ({load})");
-                Finding::fail(what, found, format!("`systemctl status {unit}` says why"))
+                Finding::fail(what, found, format!("`systemctl status {unit}` shows why"))
             }
         });
     }
     let enabled = |unit| matches!(units.of(unit, "UnitFileState"), "enabled" | "enabled-runtime" | "static");
     if !enabled(SERVICE) && !enabled(SOCKET) {
         let advice = format!("`sudo systemctl enable --now {SOCKET} {SERVICE}`");
-        findings.push(Finding::warn("boot", "neither unit is enabled: after a boot nothing runs", advice));
+        findings.push(Finding::warn(
+            "boot",
+            "neither unit is enabled, so no daemon runs after a boot",
+            advice,
+        ));
     }
     let restarts = units.of(SERVICE, "NRestarts");
     if !matches!(restarts, "" | "0") {
-        let advice = format!("{JOURNAL}; `sudo systemctl reset-failed {SERVICE}` counts anew");
-        let found =
-            format!("systemd has started the daemon again {restarts} times: it ended badly, or was upgraded");
+        let advice = format!("{JOURNAL}; `sudo systemctl reset-failed {SERVICE}` resets the count");
+        let found = format!("systemd has restarted the daemon {restarts} times: it failed, or was upgraded");
         findings.push(Finding::warn("restarts", found, advice));
     }
     if units.of(SERVICE, "NeedDaemonReload") == "yes" {
         let advice = format!("`sudo systemctl daemon-reload && sudo systemctl restart {SERVICE}`");
-        findings.push(Finding::warn("unit files", "changed since systemd read them", advice));
+        findings.push(Finding::warn("unit files", "they changed since systemd read them", advice));
     }
     findings
 }
@@ -178,19 +185,19 @@ fn config(root: &Path) -> Option<Finding> {
         return None;
     }
     Some(match Config::read(&file) {
-        Ok(_) => Finding::ok("configuration", format!("/{CONFIG} can be read")),
+        Ok(_) => Finding::ok("configuration", format!("/{CONFIG} is valid")),
         Err(ConfigError::Read { source, .. }) if source.kind() == io::ErrorKind::PermissionDenied => {
-            let advice = "`sudo meissner doctor` looks into it";
-            Finding::warn("configuration", format!("/{CONFIG} is closed to you"), advice)
+            let advice = "run `sudo meissner doctor`, which checks it";
+            Finding::warn("configuration", format!("you may not read /{CONFIG}"), advice)
         }
         Err(error) => {
-            let advice = format!("mend that line, then `sudo systemctl restart {SERVICE}`");
+            let advice = format!("correct that line, then `sudo systemctl restart {SERVICE}`");
             Finding::fail("configuration", error.to_string(), advice)
         }
     })
 }
 
-/// The rules that udev goes by, with their text.
+/// The text of the rules that udev uses.
 pub(super) fn rules_text(root: &Path) -> Option<String> {
     RULES.iter().find_map(|rules| fs::read_to_string(root.join(rules)).ok())
 }
@@ -206,17 +213,21 @@ fn rules(root: &Path, units: &Units) -> Option<Finding> {
             let advice = format!(
                 "install the package again: `sudo apt install --reinstall ./meissner_*.deb && {RELOAD}`"
             );
-            Finding::warn("udev rules", "none for boards: the service may not open one", advice)
+            Finding::warn(
+                "udev rules",
+                "no rules for boards are installed: the service may not be allowed to open one",
+                advice,
+            )
         }
         [(used, text), (hidden, other), ..] if text != other => {
-            let found = format!("/{used} hides /{hidden}, which says otherwise");
+            let found = format!("/{used} hides /{hidden}, whose text differs");
             Finding::warn("udev rules", found, format!("`sudo rm /{used} && {RELOAD}`"))
         }
         [(used, _), ..] => Finding::ok("udev rules", format!("/{used}")),
     })
 }
 
-/// Who may use the service's socket, and whether we may.
+/// Whether this user may use the service's socket.
 pub(super) fn group(root: &Path, units: &Units, me: &Me) -> Option<Finding> {
     let socket = fs::metadata(root.join(SERVICE_SOCKET.trim_start_matches('/'))).ok();
     if !units.installed && socket.is_none() {
@@ -226,27 +237,27 @@ pub(super) fn group(root: &Path, units: &Units, me: &Me) -> Option<Finding> {
     Some(judged(me, Members::named(GROUP).as_ref(), owner.as_ref()))
 }
 
-/// A site may have given the socket to another group: whose it is counts.
+/// A site may have given the socket to another group; that group counts.
 fn judged(me: &Me, haptics: Option<&Members>, owner: Option<&Members>) -> Finding {
     if owner.is_some_and(|owner| owner.gid == 0) {
         let found = format!("the socket belongs to the group `root`, not to `{GROUP}`");
         return Finding::warn("group", found, format!("`sudo systemctl restart {SOCKET} {SERVICE}`"));
     }
     let Some(members) = owner.or(haptics) else {
-        let found = format!("there is no group `{GROUP}`: the service's socket would have no users");
+        let found = format!("there is no group `{GROUP}`, so no user may use the service's socket");
         let advice = format!("`sudo groupadd --system {GROUP} && sudo systemctl restart {SOCKET}`");
         return Finding::warn("group", found, advice);
     };
     let (Me { name, .. }, Members { group, .. }) = (me, members);
     match me.stands(members) {
-        _ if me.uid == 0 => Finding::ok("group", format!("root needs none; others `{group}`")),
+        _ if me.uid == 0 => Finding::ok("group", format!("root needs no group; other users need `{group}`")),
         Standing::In => Finding::ok("group", format!("you ({name}) are in `{group}`")),
         Standing::AfterLogin => {
             let found = format!("you ({name}) are in `{group}`, but not yet in this session");
             Finding::warn("group", found, "log in again")
         }
         Standing::Out => {
-            let found = format!("you ({name}) are not in `{group}`: the service will not hear you");
+            let found = format!("you ({name}) are not in `{group}`: the service refuses you");
             Finding::warn("group", found, join(me, members))
         }
     }

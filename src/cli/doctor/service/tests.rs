@@ -1,9 +1,9 @@
-//! Each finding about what is installed, good and bad, on machines that are not there.
+//! Each finding about what is installed, good and bad, on simulated machines.
 //!
 //! Nothing here depends on what is installed on the machine that runs it.
 
-use super::super::fake;
 use super::*;
+use crate::cli::doctor::finding::fake;
 use tempfile::TempDir;
 
 /// A machine with systemd and our service.
@@ -19,8 +19,8 @@ const GOOD: &str = "Id=meissner.service\nLoadState=loaded\nActiveState=active\nS
                     Id=meissner.socket\nLoadState=loaded\nActiveState=active\nSubState=running\n\
                     UnitFileState=enabled\nResult=success\nNeedDaemonReload=no\n";
 
-/// What is told of units, of which systemd says something else than that they are well.
-fn told(changes: &[(&str, &str)]) -> Vec<String> {
+/// The findings about units, after these changes to what systemd reports about good ones.
+fn found(changes: &[(&str, &str)]) -> Vec<String> {
     let dir = installed();
     let text = changes.iter().fold(GOOD.to_owned(), |text, (from, to)| {
         assert!(text.contains(from), "{from}");
@@ -30,27 +30,27 @@ fn told(changes: &[(&str, &str)]) -> Vec<String> {
 }
 
 #[test]
-fn where_nothing_is_installed_nothing_is_wrong() {
+fn nothing_is_wrong_where_nothing_is_installed() {
     let dir = tempfile::tempdir().unwrap();
     let units = Units::new(dir.path(), None);
     assert_eq!(
         fake::all(&findings(dir.path(), &units)),
-        ["Ok service: none is installed: `meissner daemon` by hand -> "]
+        ["Ok service: no service is installed: start `meissner daemon` by hand -> "]
     );
     let me = Me { name: "anna".into(), uid: 1000, login_gid: 1000, gids: vec![1000] };
     assert!(group(dir.path(), &units, &me).is_none() && !units.runs(812));
 }
 
 #[test]
-fn units_that_are_well_are_two_lines() {
+fn good_units_give_two_findings() {
     assert_eq!(
-        told(&[]),
+        found(&[]),
         [
             "Ok service: meissner.service is active (running) -> ",
             "Ok socket unit: meissner.socket is active (running) -> "
         ]
     );
-    let idle = told(&[("ActiveState=active\nSubState=running", "ActiveState=inactive\nSubState=dead")]);
+    let idle = found(&[("ActiveState=active\nSubState=running", "ActiveState=inactive\nSubState=dead")]);
     assert_eq!(idle[0], "Ok service: meissner.service is inactive, and starts with the first client -> ");
     assert_eq!(idle.len(), 2);
     let dir = installed();
@@ -59,19 +59,19 @@ fn units_that_are_well_are_two_lines() {
 }
 
 #[test]
-fn units_that_are_not_well_are_told_of_with_what_mends_them() {
+fn bad_units_are_reported_with_what_repairs_them() {
     let stopped = ("ActiveState=active\nSubState=running", "ActiveState=inactive\nSubState=dead");
     let disabled = ("UnitFileState=enabled", "UnitFileState=disabled");
     type Case<'a> = (&'a [(&'a str, &'a str)], &'a str);
     let cases: [Case<'_>; 8] = [
         (
             &[("ActiveState=active", "ActiveState=failed"), ("Result=success", "Result=exit-code")],
-            "Fail service: meissner.service failed (exit-code) -> `journalctl -u meissner -e` says why; then `sudo \
+            "Fail service: meissner.service failed (exit-code) -> `journalctl -u meissner -e` shows why; then `sudo \
              systemctl restart meissner.service`",
         ),
         (
             &[("ActiveState=active\nSubState=running", "ActiveState=activating\nSubState=auto-restart")],
-            "Fail service: meissner.service ends again and again (success) -> `journalctl -u meissner -e` says why",
+            "Fail service: systemd restarts meissner.service again and again (success) -> `journalctl -u meissner -e` shows why",
         ),
         (
             &[("LoadState=loaded", "LoadState=masked")],
@@ -79,7 +79,7 @@ fn units_that_are_not_well_are_told_of_with_what_mends_them() {
         ),
         (
             &[("LoadState=loaded", "LoadState=bad-setting")],
-            "Fail service: meissner.service cannot be used (bad-setting) -> `systemctl status meissner.service` says why",
+            "Fail service: meissner.service cannot be used (bad-setting) -> `systemctl status meissner.service` shows why",
         ),
         (
             &[stopped, stopped],
@@ -87,39 +87,42 @@ fn units_that_are_not_well_are_told_of_with_what_mends_them() {
         ),
         (
             &[disabled, disabled],
-            "Warn boot: neither unit is enabled: after a boot nothing runs -> `sudo systemctl enable --now \
+            "Warn boot: neither unit is enabled, so no daemon runs after a boot -> `sudo systemctl enable --now \
              meissner.socket meissner.service`",
         ),
         (
             &[("NRestarts=0", "NRestarts=3")],
-            "Warn restarts: systemd has started the daemon again 3 times: it ended badly, or was upgraded -> `journalctl -u meissner -e` says why; `sudo systemctl \
-             reset-failed meissner.service` counts anew",
+            "Warn restarts: systemd has restarted the daemon 3 times: it failed, or was upgraded -> `journalctl -u meissner -e` shows why; `sudo systemctl \
+             reset-failed meissner.service` resets the count",
         ),
         (
             &[("NeedDaemonReload=no", "NeedDaemonReload=yes")],
-            "Warn unit files: changed since systemd read them -> `sudo systemctl daemon-reload && sudo systemctl \
+            "Warn unit files: they changed since systemd read them -> `sudo systemctl daemon-reload && sudo systemctl \
              restart meissner.service`",
         ),
     ];
-    for (changes, says) in cases {
-        let lines = told(changes);
-        assert!(lines.iter().any(|line| line == says), "{says}\n{lines:#?}");
+    for (changes, message) in cases {
+        let lines = found(changes);
+        assert!(lines.iter().any(|line| line == message), "{message}\n{lines:#?}");
     }
-    // Started on demand it needs no boot.
-    assert_eq!(told(&[disabled]).len(), 2);
+    // A socket that is active starts the daemon on demand.
+    assert_eq!(found(&[disabled]).len(), 2);
     let dir = installed();
     let mute = fake::all(&state(&Units::new(dir.path(), None)));
-    assert!(mute.len() == 1 && mute[0].starts_with("Warn service: installed, but systemd"), "{mute:?}");
+    assert!(
+        mute.len() == 1 && mute[0].starts_with("Warn service: the service is installed, but systemd"),
+        "{mute:?}"
+    );
 }
 
 #[test]
-fn a_configuration_that_is_wrong_is_told_with_its_line() {
+fn a_bad_configuration_is_reported_with_its_line() {
     let dir = tempfile::tempdir().unwrap();
     assert!(config(dir.path()).is_none());
     fake::write(dir.path(), CONFIG, "lead_ms = 50\n");
     assert_eq!(
         fake::line(&config(dir.path()).unwrap()),
-        "Ok configuration: /etc/meissner/meissner.toml can be read -> "
+        "Ok configuration: /etc/meissner/meissner.toml is valid -> "
     );
     fake::write(dir.path(), CONFIG, "\nlaed_ms = 50\n");
     let line = fake::line(&config(dir.path()).unwrap());
@@ -131,28 +134,28 @@ fn a_configuration_that_is_wrong_is_told_with_its_line() {
 }
 
 #[test]
-fn rules_that_are_missing_or_hidden_are_told_of() {
+fn missing_or_hidden_rules_are_reported() {
     let dir = installed();
     let units = Units::new(dir.path(), None);
     let line = || fake::line(&rules(dir.path(), &units).unwrap());
-    assert!(line().starts_with("Warn udev rules: none for boards"), "{}", line());
+    assert!(line().starts_with("Warn udev rules: no rules for boards"), "{}", line());
     assert!(rules(dir.path(), &Units::default()).is_none() && rules_text(dir.path()).is_none());
     fake::write(dir.path(), RULES[2], "new");
     assert_eq!(line(), "Ok udev rules: /usr/lib/udev/rules.d/70-meissner.rules -> ");
     fake::write(dir.path(), RULES[0], "old");
     assert_eq!(
         line(),
-        "Warn udev rules: /etc/udev/rules.d/70-meissner.rules hides /usr/lib/udev/rules.d/70-meissner.rules, which \
-         says otherwise -> `sudo rm /etc/udev/rules.d/70-meissner.rules && sudo udevadm control --reload && sudo \
+        "Warn udev rules: /etc/udev/rules.d/70-meissner.rules hides /usr/lib/udev/rules.d/70-meissner.rules, whose \
+         text differs -> `sudo rm /etc/udev/rules.d/70-meissner.rules && sudo udevadm control --reload && sudo \
          udevadm trigger`"
     );
     assert_eq!(rules_text(dir.path()).as_deref(), Some("old"));
     fake::write(dir.path(), RULES[0], "new");
-    assert!(line().starts_with("Ok"), "the same twice is no harm");
+    assert!(line().starts_with("Ok"), "two equal files do no harm");
 }
 
 #[test]
-fn who_is_not_in_the_group_is_told_how_to_join() {
+fn a_user_outside_the_group_learns_how_to_join() {
     let me = |uid, gids: &[u32]| Me { name: "anna".into(), uid, login_gid: 1000, gids: gids.to_vec() };
     let members = |group: &str, gid, names: &[&str]| Members {
         group: group.to_owned(),
@@ -164,7 +167,7 @@ fn who_is_not_in_the_group_is_told_how_to_join() {
     let anna = me(1000, &[1000]);
     assert_eq!(
         line(&anna, Some(&empty), None),
-        "Warn group: you (anna) are not in `haptics`: the service will not hear you -> `sudo usermod -aG haptics \
+        "Warn group: you (anna) are not in `haptics`: the service refuses you -> `sudo usermod -aG haptics \
          anna`, then log in again"
     );
     assert!(line(&anna, Some(&hers), Some(&hers)).ends_with("not yet in this session -> log in again"));
@@ -172,7 +175,7 @@ fn who_is_not_in_the_group_is_told_how_to_join() {
         line(&me(1000, &[991]), Some(&hers), Some(&hers)),
         "Ok group: you (anna) are in `haptics` -> "
     );
-    assert!(line(&me(0, &[0]), Some(&empty), None).starts_with("Ok group: root needs none"));
+    assert!(line(&me(0, &[0]), Some(&empty), None).starts_with("Ok group: root needs no group"));
     assert!(line(&anna, None, None).contains("-> `sudo groupadd --system haptics && "));
     let (site, root) = (members("touch", 1200, &[]), members("root", 0, &[]));
     let another = line(&anna, Some(&hers), Some(&site));
@@ -183,7 +186,7 @@ fn who_is_not_in_the_group_is_told_how_to_join() {
 }
 
 #[test]
-fn a_command_that_does_not_end_is_not_waited_for() {
+fn a_command_that_does_not_end_is_killed() {
     let sh = |script: &str| {
         let mut sh = Command::new("sh");
         sh.args(["-c", script]);
