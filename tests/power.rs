@@ -247,7 +247,7 @@ fn power_that_fails_at_any_moment_leaves_whole_patterns_and_whole_lines() {
 /// A play goes to its end, an upload is refused in one line, and one line of the log says that there is no logbook.
 fn survives(daemon: &mut Kept, why: &str) {
     let mut client = daemon.armed();
-    daemon.wait_for_log("the logbook cannot be written");
+    daemon.wait_for_log("the session record cannot be written");
     let receipt = play(&mut client, 0.5);
     assert_eq!(receipt["state"], "done", "{receipt}");
     let status: Value = client.get("/v1/status").unwrap();
@@ -260,8 +260,8 @@ fn survives(daemon: &mut Kept, why: &str) {
     assert!(refused.detail.contains(why) && !refused.detail.contains('\n'), "{}", refused.detail);
     assert!(daemon.end().success());
     let log = daemon.log();
-    assert_eq!(log.matches("the logbook cannot be written").count(), 1, "{log}");
-    let line = log.lines().find(|line| line.contains("the logbook cannot be written")).unwrap();
+    assert_eq!(log.matches("the session record cannot be written").count(), 1, "{log}");
+    let line = log.lines().find(|line| line.contains("the session record cannot be written")).unwrap();
     assert!(
         line.contains("WARN") && line.contains("logbook_dir") && line.contains("playing goes on"),
         "{line}"

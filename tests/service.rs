@@ -149,7 +149,7 @@ fn a_socket_that_is_handed_over_is_used_and_left_alone() {
     assert!(first.join().unwrap().starts_with("armed"), "it waited for the device");
     assert!(!daemon.socket().exists(), "it made none of its own");
     assert!(daemon.wait_for_log("listening on").contains(&format!("listening on {}", path.display())));
-    assert!(daemon.log().contains("`socket` in the configuration is not gone by"));
+    assert!(daemon.log().contains("`socket` in the configuration is ignored"));
     daemon.signal(Signal::TERM);
     assert!(daemon.wait().success());
     assert!(

@@ -1,15 +1,16 @@
-//! The API's routes: requests in, orders to the engine and answers out.
+//! The API's routes: a request becomes a command to the engine, a result its answer.
 //!
-//! Everything but home is here as the design names it. What touches the disk runs on a blocking thread, so that an
-//! emergency stop never waits for one. Every error, also of an unknown route, is `application/problem+json`.
+//! Work that touches the disk runs on a blocking thread, so that an emergency stop never waits for a disk. Every error, also for an
+//! unknown route, is `application/problem+json`.
 //!
-//! Invariant: who changed something, and what they are answered, is in the logbook's hands before they get the answer; of all but plays
-//! the log has it too, which has a play's one line at its end.
+//! Invariant: who changed something, and the answer, are in the session record's queue before the client gets the answer
+//! ([`LoggedRequest`]).
 
-use super::DISK_THREADS;
-use super::engine::{self, Engine, TIMEOUT};
+use super::body;
+use super::engine::{Engine, TIMEOUT};
 use super::metrics;
-use super::notebook::Asked;
+use super::request_log::LoggedRequest;
+use super::runtime::blocking;
 use crate::receipts::{KEPT, calibration_plan};
 use crate::session_record::Peer;
 use crate::store::{Store, StoreError, Stored};
@@ -23,7 +24,6 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use axum::{Json, Router};
 use futures_util::stream::{self, Stream, StreamExt};
-use http_body_util::BodyExt;
 use meissner_api::parse_empty;
 use meissner_api::{
     self, ArmRequest, CalibrateRequest, CalibrationReport, Code, ImportedPattern, MAX_BODY, PlayAccepted,
@@ -36,45 +36,31 @@ use serde_json::{Value, json};
 use std::convert::Infallible;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
-use tokio::net::UnixStream;
-use tokio::sync::Semaphore;
 use tokio_stream::wrappers::BroadcastStream;
 use tokio_stream::wrappers::errors::BroadcastStreamRecvError;
 
-/// How long homing may take: 24 pins from one end of their travel, six rounds.
+/// How long homing may take: six rounds for 24 pins that start at one end of their travel.
 const HOME_TIMEOUT: Duration = Duration::from_secs(25);
-/// How long a request's body may take.
-const BODY_PATIENCE: Duration = Duration::from_secs(10);
-/// Bytes of a command's body, at the most.
-const MAX_COMMAND: usize = 16 << 10;
-/// How long an emergency stop's body is waited for, when all is done.
+/// How long to wait for the body of an emergency stop that was carried out.
 const ESTOP_BODY: Duration = Duration::from_millis(100);
-/// What is read of a body that is too large, so that its sender comes to read the answer.
-const SWALLOWED: usize = 32 << 20;
-
-/// Peer a client is, as the kernel says; -1 and nobody if it does not.
-pub(super) fn peer(stream: &UnixStream) -> Peer {
-    let unknown = Peer { pid: -1, uid: u32::MAX };
-    stream.peer_cred().map_or(unknown, |cred| Peer { pid: cred.pid().unwrap_or(-1), uid: cred.uid() })
-}
 
 /// A problem as a response.
 #[derive(Debug)]
-pub(super) struct Reply(pub(super) Problem);
+pub(super) struct ErrorResponse(pub(super) Problem);
 
-impl AsRef<Problem> for Reply {
+impl AsRef<Problem> for ErrorResponse {
     fn as_ref(&self) -> &Problem {
         &self.0
     }
 }
 
-impl From<Problem> for Reply {
+impl From<Problem> for ErrorResponse {
     fn from(problem: Problem) -> Self {
         Self(problem)
     }
 }
 
-impl From<StoreError> for Reply {
+impl From<StoreError> for ErrorResponse {
     fn from(error: StoreError) -> Self {
         let code = match &error {
             StoreError::Unknown { .. } => Code::NotFound,
@@ -86,7 +72,7 @@ impl From<StoreError> for Reply {
     }
 }
 
-impl IntoResponse for Reply {
+impl IntoResponse for ErrorResponse {
     fn into_response(self) -> Response {
         let status = StatusCode::from_u16(self.0.status).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
         let mut response = (status, Json(self.0)).into_response();
@@ -100,19 +86,19 @@ impl IntoResponse for Reply {
 #[derive(Clone, Debug)]
 pub(super) struct App {
     pub(super) engine: Arc<Engine>,
-    pub(super) shelf: Shelf,
+    pub(super) store: SharedStore,
 }
 
-/// Where the store stands: another may take its place while the daemon runs.
+/// The pattern store in use; a reload may replace it.
 #[derive(Clone, Debug)]
-pub(super) struct Shelf(Arc<Mutex<Arc<Store>>>);
+pub(super) struct SharedStore(Arc<Mutex<Arc<Store>>>);
 
-impl Shelf {
+impl SharedStore {
     pub(super) fn new(store: Store) -> Self {
         Self(Arc::new(Mutex::new(Arc::new(store))))
     }
 
-    fn store(&self) -> Arc<Store> {
+    fn get(&self) -> Arc<Store> {
         Arc::clone(&self.0.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
@@ -121,7 +107,7 @@ impl Shelf {
     }
 }
 
-type Answer<T> = Result<T, Reply>;
+type Answer<T> = Result<T, ErrorResponse>;
 
 pub(super) fn router(app: App) -> Router {
     Router::new()
@@ -145,50 +131,20 @@ pub(super) fn router(app: App) -> Router {
         .with_state(app)
 }
 
-async fn no_route(uri: Uri) -> Reply {
+async fn no_route(uri: Uri) -> ErrorResponse {
     let path: String = uri.path().chars().take(100).collect();
-    Reply(Problem::new(
+    ErrorResponse(Problem::new(
         Code::NotFound,
         format!("there is no {path}: addresses begin with /v1/, see the API's documentation"),
     ))
 }
 
-async fn no_method(method: Method, uri: Uri) -> Reply {
+async fn no_method(method: Method, uri: Uri) -> ErrorResponse {
     let path: String = uri.path().chars().take(100).collect();
-    Reply(Problem::new(
+    ErrorResponse(Problem::new(
         Code::MethodNotAllowed,
         format!("{path} does not take {method}: see the API's documentation"),
     ))
-}
-
-/// A command's body. It is understood on the runtime's only thread: it must be small.
-async fn read(body: Body) -> Answer<Vec<u8>> {
-    read_within(MAX_COMMAND, body).await
-}
-
-/// The whole body, within its bounds.
-async fn read_within(most: usize, mut body: Body) -> Answer<Vec<u8>> {
-    let collect = async {
-        let (mut bytes, mut length) = (Vec::new(), 0);
-        while let Some(frame) = body.frame().await {
-            let frame = frame
-                .map_err(|error| Problem::new(Code::BadRequest, format!("the body broke off: {error}")))?;
-            let data = frame.into_data().unwrap_or_default();
-            length += data.len();
-            if length <= most {
-                bytes.extend_from_slice(&data);
-            } else if length > SWALLOWED {
-                break;
-            }
-        }
-        if length > most {
-            let detail = format!("the body is larger than {most} bytes: send less");
-            return Err(Problem::new(Code::TooLarge, detail));
-        }
-        Ok(bytes)
-    };
-    let slow = |_| Err(Problem::new(Code::Slow, "the body did not arrive within 10 s: send it faster"));
-    Ok(tokio::time::timeout(BODY_PATIENCE, collect).await.unwrap_or_else(slow)?)
 }
 
 fn path<T>(path: Result<Path<T>, PathRejection>) -> Answer<T> {
@@ -197,23 +153,13 @@ fn path<T>(path: Result<Path<T>, PathRejection>) -> Answer<T> {
     Ok(path.map(|Path(part)| part).map_err(bad)?)
 }
 
-/// Runs what may take a disk's time beside the runtime's thread.
-///
-/// One of the threads is left to what needs no disk, however long that takes.
-async fn beside<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Answer<T> {
-    static DISK: Semaphore = Semaphore::const_new(DISK_THREADS - 1);
-    let _place = DISK.acquire().await;
-    let failed = |error| Problem::new(Code::Store, format!("internal error: {error}"));
-    Ok(tokio::task::spawn_blocking(work).await.map_err(failed)?)
-}
-
-async fn find(shelf: &Shelf, name: &str) -> Answer<Stored> {
-    let store = shelf.store();
+async fn find(store: &SharedStore, name: &str) -> Answer<Stored> {
+    let store = store.get();
     if let Some(stored) = store.library(name) {
         return Ok(stored.clone());
     }
     let name = name.to_owned();
-    Ok(beside(move || store.get(&name)).await??)
+    Ok(blocking(move || store.get(&name)).await??)
 }
 
 async fn play(
@@ -221,93 +167,92 @@ async fn play(
     Extension(peer): Extension<Peer>,
     body: Body,
 ) -> Answer<(StatusCode, Json<PlayAccepted>)> {
-    let mut asked = Asked::new(&app.engine, "play", peer);
-    let outcome = async {
-        let request = PlayRequest::parse(&read(body).await?)?;
-        asked.with(&request);
-        let stored = find(&app.shelf, &request.pattern).await?;
-        let id = app.engine.play(&request, &stored, peer).await?;
-        asked.began(id);
+    let mut logged = LoggedRequest::new(&app.engine, "play", peer);
+    let result = async {
+        let request = PlayRequest::parse(&body::read_command(body).await?)?;
+        logged.set_arguments(&request);
+        let stored = find(&app.store, &request.pattern).await?;
+        let id = app.engine.play(&request, stored, peer).await?;
+        logged.set_play(id);
         Ok((StatusCode::ACCEPTED, Json(PlayAccepted { id })))
     };
-    let outcome = outcome.await;
-    asked.outcome(outcome)
+    let result = result.await;
+    logged.result(result)
 }
 
-/// Its outcome is told by an event.
+/// Answers when the plan is accepted; the event `calibrated` tells the result.
 async fn calibrate(
     State(app): State<App>,
     Extension(peer): Extension<Peer>,
     body: Body,
 ) -> Answer<(StatusCode, Json<PlayAccepted>)> {
-    let mut asked = Asked::new(&app.engine, "calibrate", peer);
-    let outcome = async {
-        let request = CalibrateRequest::parse(&read(body).await?)?;
-        asked.with(&request);
+    let mut logged = LoggedRequest::new(&app.engine, "calibrate", peer);
+    let result = async {
+        let request = CalibrateRequest::parse(&body::read_command(body).await?)?;
+        logged.set_arguments(&request);
         let id = app.engine.calibrate(calibration_plan(&request)?, peer).await?;
-        asked.began(id);
+        logged.set_play(id);
         Ok((StatusCode::ACCEPTED, Json(PlayAccepted { id })))
     };
-    let outcome = outcome.await;
-    asked.outcome(outcome)
+    let result = result.await;
+    logged.result(result)
 }
 
 async fn calibration(State(app): State<App>) -> Answer<Json<CalibrationReport>> {
     Ok(Json(app.engine.calibration()?))
 }
 
-/// A command without a body; it may take so long.
-async fn command(
+/// Carries out a command that takes no arguments.
+async fn simple_command(
     app: &App,
     peer: Peer,
     body: Body,
     name: &'static str,
-    job: Command,
+    command: Command,
     timeout: Duration,
 ) -> Answer<Json<Status>> {
-    let asked = Asked::new(&app.engine, name, peer);
-    let outcome = async {
-        parse_empty(&read(body).await?)?;
-        carry_out(app, job, timeout).await
+    let logged = LoggedRequest::new(&app.engine, name, peer);
+    let result = async {
+        parse_empty(&body::read_command(body).await?)?;
+        carry_out(app, command, timeout).await
     };
-    asked.outcome(outcome.await)
+    logged.result(result.await)
 }
 
-async fn carry_out(app: &App, job: Command, timeout: Duration) -> Answer<Json<Status>> {
-    // Sent before anything is written: no order waits for the log.
-    engine::within(timeout, app.engine.order(job)?).await?;
+async fn carry_out(app: &App, command: Command, timeout: Duration) -> Answer<Json<Status>> {
+    app.engine.carry_out(command, timeout).await?;
     Ok(Json(app.engine.status()))
 }
 
 async fn stop(State(app): State<App>, Extension(peer): Extension<Peer>, body: Body) -> Answer<Json<Status>> {
-    command(&app, peer, body, "stop", Command::Stop, TIMEOUT).await
+    simple_command(&app, peer, body, "stop", Command::Stop, TIMEOUT).await
 }
 
-/// Whatever its body holds: this is no moment to argue.
+/// Carried out whatever its body holds.
 async fn estop(State(app): State<App>, Extension(peer): Extension<Peer>, body: Body) -> Answer<Json<Status>> {
-    let asked = Asked::new(&app.engine, "estop", peer);
-    let outcome = carry_out(&app, Command::EStop, TIMEOUT).await;
-    // Afterwards: a client that sends it by itself must not find that nobody takes it.
-    let _ = tokio::time::timeout(ESTOP_BODY, read(body)).await;
-    asked.outcome(outcome)
+    let logged = LoggedRequest::new(&app.engine, "estop", peer);
+    let result = carry_out(&app, Command::EStop, TIMEOUT).await;
+    // Read only now: a client that sends the body separately must not find the connection closed.
+    let _ = tokio::time::timeout(ESTOP_BODY, body::read_command(body)).await;
+    logged.result(result)
 }
 
 async fn reset(State(app): State<App>, Extension(peer): Extension<Peer>, body: Body) -> Answer<Json<Status>> {
-    command(&app, peer, body, "reset", Command::Reset, TIMEOUT).await
+    simple_command(&app, peer, body, "reset", Command::Reset, TIMEOUT).await
 }
 
 async fn arm(State(app): State<App>, Extension(peer): Extension<Peer>, body: Body) -> Answer<Json<Status>> {
-    let mut asked = Asked::new(&app.engine, "arm", peer);
-    let outcome = async {
-        let request = ArmRequest::parse(&read(body).await?)?;
-        asked.with(&request);
+    let mut logged = LoggedRequest::new(&app.engine, "arm", peer);
+    let result = async {
+        let request = ArmRequest::parse(&body::read_command(body).await?)?;
+        logged.set_arguments(&request);
         if request.assume_rest {
-            asked.call("arm, assuming rest,".to_owned());
+            logged.set_title("arm, assuming rest,".to_owned());
         }
         carry_out(&app, Command::Arm { assume_rest: request.assume_rest }, TIMEOUT).await
     };
-    let outcome = outcome.await;
-    asked.outcome(outcome)
+    let result = result.await;
+    logged.result(result)
 }
 
 async fn disarm(
@@ -315,12 +260,12 @@ async fn disarm(
     Extension(peer): Extension<Peer>,
     body: Body,
 ) -> Answer<Json<Status>> {
-    command(&app, peer, body, "disarm", Command::Disarm, TIMEOUT).await
+    simple_command(&app, peer, body, "disarm", Command::Disarm, TIMEOUT).await
 }
 
-/// Answers when the pins are home.
+/// Answers when the pins are at rest.
 async fn home(State(app): State<App>, Extension(peer): Extension<Peer>, body: Body) -> Answer<Json<Status>> {
-    command(&app, peer, body, "home", Command::Home, HOME_TIMEOUT).await
+    simple_command(&app, peer, body, "home", Command::Home, HOME_TIMEOUT).await
 }
 
 async fn status(State(app): State<App>) -> Json<Status> {
@@ -328,11 +273,11 @@ async fn status(State(app): State<App>) -> Json<Status> {
 }
 
 async fn list(State(app): State<App>) -> Answer<Response> {
-    Ok(Json(beside(move || app.shelf.store().list()).await?).into_response())
+    Ok(Json(blocking(move || app.store.get().list()).await?).into_response())
 }
 
 async fn show(State(app): State<App>, name: Result<Path<String>, PathRejection>) -> Answer<Json<Value>> {
-    let Stored { pattern, sha256, library } = find(&app.shelf, &path(name)?).await?;
+    let Stored { pattern, sha256, library } = find(&app.store, &path(name)?).await?;
     let warnings = texts(&pattern.warnings());
     Ok(Json(json!({"pattern": pattern, "sha256": sha256, "library": library, "warnings": warnings})))
 }
@@ -347,31 +292,32 @@ async fn import(
     name: Result<Path<String>, PathRejection>,
     body: Body,
 ) -> Answer<(StatusCode, Json<ImportedPattern>)> {
-    let mut asked = Asked::new(&app.engine, "import", peer);
-    let outcome = async {
+    let mut logged = LoggedRequest::new(&app.engine, "import", peer);
+    let result = async {
         let name = path(name)?;
         let shown: String = name.chars().take(100).collect();
-        asked.call(format!("import of {shown:?}"));
-        asked.with(&json!({"name": shown}));
-        let text = String::from_utf8(read_within(MAX_BODY, body).await?)
+        logged.set_title(format!("import of {shown:?}"));
+        logged.set_arguments(&json!({"name": shown}));
+        let text = String::from_utf8(body::read(body, MAX_BODY).await?)
             .map_err(|_| Problem::new(Code::BadPattern, "not UTF-8 text: write patterns as TOML in UTF-8"))?;
-        let (stored, new) = beside(move || app.shelf.store().put(&name, &text)).await??;
+        let (stored, new) = blocking(move || app.store.get().put(&name, &text)).await??;
         let Stored { pattern, sha256, .. } = stored;
-        asked.with(&json!({"name": shown, "sha256": sha256}));
+        logged.set_arguments(&json!({"name": shown, "sha256": sha256}));
         let status = if new { StatusCode::CREATED } else { StatusCode::OK };
         let warnings = texts(&pattern.warnings());
         Ok((status, Json(ImportedPattern { name: pattern.name().to_owned(), sha256, warnings })))
     };
-    let outcome = outcome.await;
-    asked.outcome(outcome)
+    let result = result.await;
+    logged.result(result)
 }
 
 async fn receipt(State(app): State<App>, id: Result<Path<String>, PathRejection>) -> Answer<Json<Receipt>> {
     let id = path(id)?;
-    let inner = app.engine.lock();
+    let state = app.engine.lock();
+    let receipts = &state.plays.receipts;
     let found = match id.parse() {
-        Ok(id) => inner.receipts.receipt(id),
-        Err(_) if id == "last" => inner.receipts.last(),
+        Ok(id) => receipts.receipt(id),
+        Err(_) if id == "last" => receipts.last(),
         Err(_) => {
             let detail = "a play's id is a number, or `last`: see `meissner status`";
             return Err(Problem::new(Code::BadRequest, detail).into());
@@ -390,7 +336,7 @@ async fn receipt(State(app): State<App>, id: Result<Path<String>, PathRejection>
 
 async fn events(State(app): State<App>) -> Answer<Sse<impl Stream<Item = Result<sse::Event, Infallible>>>> {
     let gone = || Problem::new(Code::ShuttingDown, "the daemon is ending: start it again");
-    let (now, receiver) = app.engine.listen().ok_or_else(gone)?;
+    let (now, receiver) = app.engine.subscribe().ok_or_else(gone)?;
     let later = BroadcastStream::new(receiver).map(|event| {
         event.unwrap_or_else(|BroadcastStreamRecvError::Lagged(events)| Event::Lagged { events })
     });
@@ -402,6 +348,6 @@ async fn events(State(app): State<App>) -> Answer<Sse<impl Stream<Item = Result<
 }
 
 async fn metrics_text(State(app): State<App>) -> Response {
-    let text = metrics::text(&app.engine.lock().receipts);
+    let text = metrics::text(&app.engine.lock().plays.receipts);
     ([(CONTENT_TYPE, "text/plain; version=0.0.4")], text).into_response()
 }

@@ -1,8 +1,8 @@
-//! Figures for Prometheus: the record's sums as text.
+//! `GET /v1/metrics`: totals and the last snapshot as Prometheus text.
 //!
-//! Every family is written at every scrape, also when it is zero. Rates are the scraper's business.
+//! Every family is written at every scrape, also when it is zero.
 //!
-//! Invariant: a name, once published, keeps its meaning and unit.
+//! Invariant: a published name keeps its meaning and unit.
 
 use crate::receipts::Receipts;
 use meissner_api::NO_DEVICE;
@@ -31,14 +31,14 @@ impl Text {
 /// The whole text.
 pub(super) fn text(receipts: &Receipts) -> String {
     let totals = receipts.totals();
-    let (state, ..) = receipts.standing();
+    let state = receipts.device_state().state;
     let snapshot = receipts.snapshot();
     let mut text = Text(String::with_capacity(4096));
     let labels = STATES.map(|name| format!("{{state=\"{name}\"}}"));
     let is = STATES.map(|name| u8::from(name == state));
     let states =
         std::array::from_fn::<_, { STATES.len() }, _>(|i| (labels[i].as_str(), &is[i] as &dyn Display));
-    text.family("state", "gauge", "1 for the state it is in.", states);
+    text.family("state", "gauge", "1 for the present state.", states);
     let [done, stopped, aborted] = &totals.plays;
     let plays: [(_, &dyn Display); 3] =
         [("{end=\"done\"}", done), ("{end=\"stopped\"}", stopped), ("{end=\"aborted\"}", aborted)];
@@ -50,22 +50,27 @@ pub(super) fn text(receipts: &Receipts) -> String {
         ("{fate=\"dropped\"}", &bursts.dropped),
         ("{fate=\"refused\"}", &bursts.refused),
     ];
-    text.family("bursts_total", "counter", "Planned bursts of ended plays, by what became of them.", fates);
+    text.family("bursts_total", "counter", "Planned bursts of ended plays, by their fate.", fates);
     text.family(
         "bursts_amended_total",
         "counter",
-        "BurstCounts played with a corrected count.",
+        "Bursts played with a corrected pulse count.",
         [("", &bursts.amended)],
     );
-    text.family("pulses_total", "counter", "PulseCounts played.", [("", &totals.pulses.played)]);
+    text.family("pulses_total", "counter", "Pulses played.", [("", &totals.pulses.played)]);
     let late = &totals.lateness;
     let causes: [(_, &dyn Display); 3] = [
         ("{cause=\"host\"}", &late.host),
         ("{cause=\"link\"}", &late.link),
         ("{cause=\"device\"}", &late.device),
     ];
-    text.family("late_strokes_total", "counter", "Strokes that came late, by cause.", causes);
-    text.family("late_worst_ms", "gauge", "The latest stroke since the start.", [("", &late.worst_ms)]);
+    text.family("late_strokes_total", "counter", "Late strokes, by cause.", causes);
+    text.family(
+        "late_worst_ms",
+        "gauge",
+        "Largest lateness of a stroke since the start.",
+        [("", &late.worst_ms)],
+    );
     text.family("queued_plays", "gauge", "Plays that wait.", [("", &receipts.queued().count())]);
     text.family(
         "play_bytes_total",
@@ -77,26 +82,26 @@ pub(super) fn text(receipts: &Receipts) -> String {
     text.family(
         "notices_lost_total",
         "counter",
-        "EventQueue the daemon was too slow for.",
+        "Events lost because the daemon was too slow.",
         [("", &totals.lost)],
     );
     let of = |figure: fn(&meissner_stream::queues::Snapshot) -> u64| snapshot.map_or(0, figure);
     text.family(
         "sent_bytes_total",
         "counter",
-        "Bytes sent; begins again when a device is connected.",
+        "Bytes sent; restarts when a device is connected.",
         [("", &of(|at| at.bytes_out))],
     );
     text.family(
         "received_bytes_total",
         "counter",
-        "Bytes received; begins again with it.",
+        "Bytes received; restarts when a device is connected.",
         [("", &of(|at| at.bytes_in))],
     );
     text.family(
         "retransmitted_frames_total",
         "counter",
-        "Frames sent again; begins again with it.",
+        "Frames retransmitted; restarts when a device is connected.",
         [("", &of(|at| at.retransmitted))],
     );
     let bad = snapshot.map(|at| at.bad_frames).unwrap_or_default();
@@ -122,18 +127,18 @@ pub(super) fn text(receipts: &Receipts) -> String {
     text.family(
         "line_bytes_per_second",
         "gauge",
-        "What the line to the device was measured to carry.",
+        "Measured capacity of the line to the device.",
         [("", &line)],
     );
     let uncertainty = snapshot.map_or(f64::NAN, |at| at.clock_uncertainty_us);
     text.family(
         "clock_uncertainty_us",
         "gauge",
-        "How well the device's clock is known.",
+        "Uncertainty of the estimate of the device's clock.",
         [("", &uncertainty)],
     );
     let lead = snapshot.map_or(f64::NAN, |at| at.lead_ms);
-    text.family("lead_ms", "gauge", "How far ahead of now the device is fed.", [("", &lead)]);
+    text.family("lead_ms", "gauge", "How far ahead of now strokes are sent.", [("", &lead)]);
     text.0
 }
 

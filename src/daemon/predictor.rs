@@ -1,12 +1,16 @@
-//! What was felt of plays is computed here, on a thread of its own: one play at a time, the rest waits.
+//! Predicts the afferent response to plays from their measured bursts: one play at a time, on a thread of its own.
 //!
-//! The thread yields to all others, and nobody waits for it: a play's `ended` comes before, the daemon's end does not.
+//! This is the only place where the daemon runs the skin model (crates/skin and crates/design) in the process that streams.
+//! That is safe:
+//! - The thread has nice [`NICE`]; the streamer has real-time priority or nice 0, and its own memory and queues. They share no lock.
+//! - The work is bounded: a play counts for its first minute, at most [`WAITING`] plays wait, and further plays get
+//!   [`NoPrediction::Busy`].
+//! - Nothing waits for a prediction: a play's `ended` event comes before it, and the daemon ends without it.
 //!
-//! Invariant: no more than [`WAITING`] plays wait; of any more it is said that they were not looked at.
+//! Fitting a calibration uses the same thread ([`Predictor::compute`]).
 
-use super::engine::Engine;
 use crate::receipts::{NoPrediction, PlayedPattern};
-use meissner_api::Receipt;
+use meissner_api::{PredictedResponse, Receipt};
 use meissner_array::pattern::Pattern;
 use meissner_stream::queues::MeasuredBurst;
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
@@ -14,21 +18,28 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use tracing::error;
 
-/// Plays that wait, with the one that is looked at: as many as may be queued. Each holds up to a minute of bursts.
+/// Plays that wait, with the one in work: as many as may be queued. Each holds up to a minute of bursts.
 const WAITING: usize = 16;
 /// A ninth of other threads' claim on the processor: at 19 a busy machine would hardly get to it.
 const NICE: i32 = 10;
 
-/// A play to be looked at.
+/// A play, with what was measured of it.
 #[derive(Debug)]
-pub(super) struct Asked {
+pub(super) struct MeasuredPlay {
     pub(super) pattern: Arc<Pattern>,
     pub(super) receipt: Receipt,
-    /// Whether its device measured anything.
+    /// Whether its device measures bursts at all.
     pub(super) telemetry: bool,
+    pub(super) bursts: Vec<MeasuredBurst>,
 }
 
-/// The thread, and how many plays it has before it.
+impl MeasuredPlay {
+    fn response(&self) -> Result<PredictedResponse, NoPrediction> {
+        PlayedPattern::of(&self.receipt, &self.pattern)?.response(&self.bursts)
+    }
+}
+
+/// The thread, and how many plays wait for it.
 #[derive(Debug)]
 pub(super) struct Predictor {
     pool: ThreadPool,
@@ -38,39 +49,40 @@ pub(super) struct Predictor {
 impl Predictor {
     pub(super) fn new() -> Result<Self, ThreadPoolBuildError> {
         let start = |_| {
-            // Of the calling thread, on Linux. If it may not, it is as urgent as any thread but the streamer's.
+            // Of the calling thread, on Linux. If the system refuses, it has nice 0, still below the streamer.
             let _ = rustix::process::nice(NICE);
         };
         let pool = ThreadPoolBuilder::new()
-            .panic_handler(|_| error!("internal error: what was felt of a play could not be computed"))
+            .panic_handler(|_| error!("internal error: the response to a play could not be predicted"))
             .num_threads(1)
-            .thread_name(|_| "felt".into())
+            .thread_name(|_| "predictor".into())
             .start_handler(start);
         Ok(Self { pool: pool.build()?, waiting: Arc::default() })
     }
 
-    /// Has something else computed that nobody waits for.
+    /// Runs other work that nothing waits for.
     pub(super) fn compute(&self, work: impl FnOnce() + Send + 'static) {
         self.pool.spawn(work);
     }
 
-    /// Looks at a play when those before it are done, and tells the engine.
-    pub(super) fn look(&self, engine: &Arc<Engine>, asked: Asked, bursts: Vec<MeasuredBurst>) {
-        let id = asked.receipt.id;
-        if !asked.telemetry {
-            engine.felt(id, Err(NoPrediction::NoTelemetry));
+    /// Predicts the response to a play after those before it, and reports the result. A play whose turn comes when `cancelled`
+    /// says so gets no report.
+    pub(super) fn predict(
+        &self,
+        play: MeasuredPlay,
+        cancelled: impl FnOnce() -> bool + Send + 'static,
+        report: impl FnOnce(Result<PredictedResponse, NoPrediction>) + Send + 'static,
+    ) {
+        if !play.telemetry {
+            report(Err(NoPrediction::NoTelemetry));
         } else if self.waiting.fetch_add(1, Ordering::Relaxed) >= WAITING {
             self.waiting.fetch_sub(1, Ordering::Relaxed);
-            engine.felt(id, Err(NoPrediction::Busy));
+            report(Err(NoPrediction::Busy));
         } else {
-            let (engine, waiting) = (Arc::clone(engine), Arc::clone(&self.waiting));
+            let waiting = Arc::clone(&self.waiting);
             self.pool.spawn(move || {
-                if !engine.is_closing() {
-                    let Asked { pattern, receipt, .. } = asked;
-                    engine.felt(
-                        id,
-                        PlayedPattern::at(&receipt, &pattern).and_then(|look| look.response(&bursts)),
-                    );
+                if !cancelled() {
+                    report(play.response());
                 }
                 waiting.fetch_sub(1, Ordering::Relaxed);
             });

@@ -1,15 +1,17 @@
-//! A configuration that is read while the daemon runs: what of it is taken, from when on, and what is not.
+//! Reads the configuration again while the daemon runs.
 //!
-//! Patterns' directory and the logbook at once; the streamer's settings from the next `arm` on; the calibration is stored in its new
-//! place from now on, and read there at the next connection.
-//! The device, the socket and the mock stay what they are until the daemon is started again.
+//! - The patterns' directory and the session record change at once.
+//! - The streamer's settings change at the next `arm`.
+//! - A calibration is stored in its new place at once, and read there at the next connection.
+//! - The device, the socket and the mock change when the daemon is restarted.
 //!
-//! Invariant: a configuration that would have been refused at the start changes nothing.
+//! Invariant: a configuration that the daemon would refuse at its start changes nothing.
 
+use super::check::check;
 use super::engine::Engine;
-use super::http::Shelf;
-use super::service::{Manager, Word};
-use super::{DaemonError, check, system};
+use super::error::{DaemonError, system};
+use super::http::SharedStore;
+use super::service::{Manager, Notification};
 use crate::config::{Config, Source};
 use crate::session_record::Note;
 use crossbeam_channel::{Sender, bounded};
@@ -19,80 +21,79 @@ use std::thread;
 use std::time::Duration;
 use tracing::{info, warn};
 
-/// How long the logbook's old place may take for what it has still to write.
+/// How long the session record's old disk may take to write what waits.
 const TIMEOUT: Duration = Duration::from_secs(2);
 
-/// Starts the thread on which configurations are read, as often as it is told to: it may wait for the disk for as long as that
-/// takes, and nobody waits for it.
+/// Starts the thread that reads the configuration whenever it gets a message. It may wait for the disk; nothing waits for it.
 pub(super) fn spawn(
     source: Source,
     mut running: Config,
     engine: Arc<Engine>,
-    shelf: Shelf,
+    store: SharedStore,
     manager: Manager,
 ) -> Result<Sender<()>, DaemonError> {
-    // One that waits is as good as two.
-    let (again, told) = bounded(1);
+    // One unread message is enough.
+    let (sender, requests) = bounded(1);
     let work = move || {
-        for () in told {
-            manager.tell(Word::Reloading);
-            reload(&source, &mut running, &engine, &shelf);
-            manager.tell(Word::Ready);
+        for () in requests {
+            manager.notify(Notification::Reloading);
+            reload(&source, &mut running, &engine, &store);
+            manager.notify(Notification::Ready);
         }
     };
     thread::Builder::new().name("reload".into()).spawn(work).map_err(system("thread"))?;
-    Ok(again)
+    Ok(sender)
 }
 
-/// Reads the source and takes over what can be; `running` is what is gone by, before and after. Waits for the disk.
-fn reload(source: &Source, running: &mut Config, engine: &Engine, shelf: &Shelf) {
-    let mut taken = Vec::new();
-    let problem = take(source, running, engine, shelf, &mut taken).err();
+/// Reads the configuration and applies what can change; `running` is what is in use, before and after.
+fn reload(source: &Source, running: &mut Config, engine: &Engine, store: &SharedStore) {
+    let mut applied = Vec::new();
+    let problem = apply(source, running, engine, store, &mut applied).err();
     if let Some(problem) = &problem {
         warn!("{problem}");
     }
-    engine.lock().book.note(Note::Reloaded { changed: taken, problem });
+    engine.session_record().add(Note::Reloaded { changed: applied, problem });
 }
 
-/// Takes over what can be and says which; fails at the first thing that is wrong.
-fn take(
+/// Applies what can change and lists it; fails at the first problem.
+fn apply(
     source: &Source,
     running: &mut Config,
     engine: &Engine,
-    shelf: &Shelf,
-    taken: &mut Vec<String>,
+    store: &SharedStore,
+    applied: &mut Vec<String>,
 ) -> Result<(), String> {
     const STAYS: &str = "the configuration stays as it was";
     let new = source.read().map_err(|error| format!("{error}; {STAYS}"))?;
     let file = source.file.as_ref().map_or_else(String::new, |file| format!("{}: ", file.display()));
-    let store = check(&new).map_err(|error| format!("{file}{error}; {STAYS}"))?;
+    let new_store = check(&new).map_err(|error| format!("{file}{error}; {STAYS}"))?;
     if new.patterns != running.patterns {
-        shelf.replace(store);
+        store.replace(new_store);
         running.patterns.clone_from(&new.patterns);
-        taken.push("`patterns_dir` at once".to_owned());
+        applied.push("`patterns_dir` at once".to_owned());
     }
     if new.settings != running.settings {
-        let busy = |_| "too many orders wait for the device: reload the configuration again".to_owned();
+        let busy = |_| "too many commands wait for the device: reload the configuration again".to_owned();
         engine.configure(new.settings).map_err(busy)?;
         running.settings = new.settings;
         let Settings { lead_ms, lease_ms, drift_warning_um, limits } = new.settings;
-        taken.push(format!(
+        applied.push(format!(
             "from the next `arm` on `lead_ms` = {lead_ms}, `lease_ms` = {lease_ms}, `drift_warning_um` = {drift_warning_um}, \
              `motor_pulses_per_s` = {}, `rail_pulses_per_s` = {}",
             limits.motor, limits.rail
         ));
     }
     if new.calibration != running.calibration {
-        engine.keep_calibration_at(new.calibration.clone());
+        engine.set_calibration_file(new.calibration.clone());
         running.calibration.clone_from(&new.calibration);
-        taken.push("`calibration` for what is stored, and read at the next connection".to_owned());
+        applied.push("`calibration` for what is stored, and read at the next connection".to_owned());
     }
     if new.logbook != running.logbook {
-        let (book, users) = (engine.lock().book.clone(), Arc::clone(&engine.names.users));
+        let users = Arc::clone(&engine.names.users);
         let slow = |error| format!("`logbook_dir`: {error}: reload the configuration again");
-        book.keep(new.logbook.clone(), users, TIMEOUT).map_err(slow)?;
+        engine.session_record().move_to(new.logbook.clone(), users, TIMEOUT).map_err(slow)?;
         running.logbook.clone_from(&new.logbook);
-        taken.push("`logbook_dir` and `logbook_days` at once".to_owned());
+        applied.push("`logbook_dir` and `logbook_days` at once".to_owned());
     }
     let fixed = [
         ("`device`", new.device != running.device),
@@ -100,19 +101,13 @@ fn take(
         ("[mock]", new.mock != running.mock),
     ];
     let fixed: Vec<&str> = fixed.iter().filter(|(_, changed)| *changed).map(|(key, _)| *key).collect();
-    match (taken.is_empty(), fixed.is_empty()) {
+    match (applied.is_empty(), fixed.is_empty()) {
         (true, true) => info!("the configuration says what it said before"),
-        (false, _) => info!("the configuration was read again: {}", taken.join(", ")),
+        (false, _) => info!("the configuration was read again: {}", applied.join(", ")),
         _ => {}
     }
     if fixed.is_empty() {
         return Ok(());
     }
     Err(format!("{} cannot change while the daemon runs: restart it", fixed.join(", ")))
-}
-
-impl Engine {
-    fn keep_calibration_at(&self, file: Option<std::path::PathBuf>) {
-        self.lock().calibration_file = file;
-    }
 }

@@ -1,13 +1,12 @@
-//! The server: takes clients in, bounds them, and lets go of them at the end.
+//! The server: accepts clients on the Unix socket, bounds them, and closes them at the end.
 //!
-//! HTTP/1.1 by hyper over the Unix socket; what requests mean is `http`'s business. At most
-//! [`MAX_CLIENTS`] clients at a time; the next [`TURNED_AWAY`] are told so, further ones are closed. A client
-//! that sends nothing for [`IDLE`] is closed.
+//! hyper speaks HTTP/1.1; [`http`] handles the requests. At most [`MAX_CLIENTS`] clients are connected; the next [`REFUSED`] get an
+//! error, further ones are closed. A client that sends nothing for [`IDLE`] is closed.
 //!
-//! Invariant: a client can occupy one place and its own buffers, never the daemon.
+//! Invariant: a client occupies one place and its own buffers; it cannot block the daemon.
 
 use super::engine::Engine;
-use super::http::{self, peer};
+use super::http;
 use crate::session_record::Peer;
 use axum::Router;
 use axum::response::IntoResponse;
@@ -29,16 +28,16 @@ use tracing::{debug, warn};
 
 /// How long a client may take to send a request's head.
 const IDLE: Duration = Duration::from_secs(30);
-/// How long one that is turned away may take to say what it wants, so that its place is soon free for an emergency stop.
-const HASTE: Duration = Duration::from_millis(100);
-/// How long it may take to hear the answer.
-const FAREWELL: Duration = Duration::from_secs(2);
-/// Clients beyond the bound that are told so at the same time.
-const TURNED_AWAY: usize = 16;
-/// How long the end may take.
+/// How long a refused client may take to send its request: its place must soon be free for an emergency stop.
+const REQUEST_TIMEOUT: Duration = Duration::from_millis(100);
+/// How long a refused client may stay.
+const REFUSAL_TIMEOUT: Duration = Duration::from_secs(2);
+/// Clients beyond the bound that get an error at the same time.
+const REFUSED: usize = 16;
+/// How long requests may take that run at the end.
 const DRAIN: Duration = Duration::from_secs(1);
 
-/// Serves until `closing` turns true, then for as long as requests take that have begun, at most [`DRAIN`].
+/// Serves until `closing` turns true, then finishes the running requests, for [`DRAIN`] at most.
 pub(super) async fn serve(
     listener: UnixListener,
     engine: Arc<Engine>,
@@ -46,27 +45,27 @@ pub(super) async fn serve(
     mut closing: watch::Receiver<bool>,
 ) {
     let mut clients = JoinSet::new();
-    let mut turned_away = JoinSet::new();
+    let mut refused = JoinSet::new();
     loop {
         let accepted = tokio::select! {
             accepted = listener.accept() => accepted,
             Some(_) = clients.join_next() => continue,
-            Some(_) = turned_away.join_next() => continue,
+            Some(_) = refused.join_next() => continue,
             () = closed(&mut closing) => break,
         };
         match accepted {
             Ok((stream, _)) if clients.len() < MAX_CLIENTS => {
                 let peer = peer(&stream);
                 engine.names.users.look_up(peer.uid);
-                clients.spawn(attend(stream, peer, router.clone(), closing.clone()));
+                clients.spawn(serve_client(stream, peer, router.clone(), closing.clone()));
             }
-            Ok((stream, _)) if turned_away.len() < TURNED_AWAY => {
-                turned_away.spawn(turn_away(stream, router.clone()));
+            Ok((stream, _)) if refused.len() < REFUSED => {
+                refused.spawn(refuse(stream, router.clone()));
             }
-            Ok(_) => warn!("far too many clients: one was hung up on"),
+            Ok(_) => warn!("far too many clients: one was disconnected"),
             Err(error) => {
-                // Out of descriptors: later there may be some.
-                warn!("cannot take a client in: {error}");
+                // Out of descriptors: some may be free later.
+                warn!("cannot accept a client: {error}");
                 tokio::time::sleep(Duration::from_millis(100)).await;
             }
         }
@@ -74,11 +73,11 @@ pub(super) async fn serve(
     drop(listener);
     let drained = async { while clients.join_next().await.is_some() {} };
     if tokio::time::timeout(DRAIN, drained).await.is_err() {
-        warn!("clients were hung up on in mid-request");
+        warn!("clients were disconnected in mid-request");
     }
 }
 
-async fn attend(stream: UnixStream, peer: Peer, router: Router, mut closing: watch::Receiver<bool>) {
+async fn serve_client(stream: UnixStream, peer: Peer, router: Router, mut closing: watch::Receiver<bool>) {
     let service = service_fn(move |mut request: Request<Incoming>| {
         request.extensions_mut().insert(peer);
         router.clone().oneshot(request)
@@ -98,8 +97,8 @@ async fn attend(stream: UnixStream, peer: Peer, router: Router, mut closing: wat
     }
 }
 
-/// Says that there is no place. An emergency stop needs none of them.
-async fn turn_away(stream: UnixStream, router: Router) {
+/// Answers that there is no place. An emergency stop needs none and is carried out.
+async fn refuse(stream: UnixStream, router: Router) {
     let peer = peer(&stream);
     let service = service_fn(async |mut request: Request<Incoming>| {
         if request.uri().path() == "/v1/estop" {
@@ -108,16 +107,22 @@ async fn turn_away(stream: UnixStream, router: Router) {
         }
         let detail =
             format!("{MAX_CLIENTS} clients are connected already: close one, or try again in a moment");
-        Ok::<_, Infallible>(http::Reply(Problem::new(Code::TooManyClients, detail)).into_response())
+        Ok::<_, Infallible>(http::ErrorResponse(Problem::new(Code::TooManyClients, detail)).into_response())
     });
     let mut http = http1::Builder::new();
-    http.keep_alive(false).timer(TokioTimer::new()).header_read_timeout(HASTE);
-    // However it ends, it was not a client.
-    let _ = tokio::time::timeout(FAREWELL, http.serve_connection(TokioIo::new(stream), service)).await;
+    http.keep_alive(false).timer(TokioTimer::new()).header_read_timeout(REQUEST_TIMEOUT);
+    // Its result is of no interest.
+    let _ = tokio::time::timeout(REFUSAL_TIMEOUT, http.serve_connection(TokioIo::new(stream), service)).await;
+}
+
+/// Who a client is, as the kernel says; pid -1 and the highest uid if it does not.
+fn peer(stream: &UnixStream) -> Peer {
+    let unknown = Peer { pid: -1, uid: u32::MAX };
+    stream.peer_cred().map_or(unknown, |cred| Peer { pid: cred.pid().unwrap_or(-1), uid: cred.uid() })
 }
 
 /// Resolves when the daemon ends.
 async fn closed(closing: &mut watch::Receiver<bool>) {
-    // An error is a sender that is gone: the daemon has ended.
+    // An error means that the sender is gone: the daemon has ended.
     let _ = closing.wait_for(|closing| *closing).await;
 }

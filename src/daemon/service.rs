@@ -1,10 +1,10 @@
-//! The service manager that started the daemon, if one did: it hears when the daemon is ready, how it stands, and that it lives.
+//! Notifications to the service manager (systemd's sd_notify), if one started the daemon: ready, status, watchdog, stopping.
 //!
-//! That it lives is the streamer's word: its thread has to come round between two looks. The runtime's thread passes that on, so
-//! the daemon is also restarted if that one hangs; a slow client, disk or log keeps neither from its turn. All words leave by a
-//! thread of their own: a manager that hangs must not control up an emergency stop.
+//! A watchdog notification means that the streamer's loop has run since the last one. The runtime's thread sends it, so the service
+//! manager also restarts a daemon whose runtime hangs; a slow client, disk or log delays neither. All notifications leave by a
+//! thread of their own: a service manager that hangs must not hold up an emergency stop.
 //!
-//! Invariant: no sign of life without a new turn of the streamer.
+//! Invariant: no watchdog notification without a new run of the streamer's loop.
 
 use super::engine::Engine;
 use crossbeam_channel::{Receiver, Sender, bounded};
@@ -15,42 +15,42 @@ use std::thread;
 use std::time::Duration;
 use tracing::warn;
 
-/// Words that wait. A manager that takes none is told no more; signs of life leave half of the room to the others.
-const WORDS: usize = 64;
-/// Looks per watchdog interval: a turn may be seen one look late, and a sign of life may wait for the machine.
-const LOOKS: u32 = 4;
+/// Notifications that wait; more are dropped. The watchdog's leave half of the room to the others.
+const QUEUE: usize = 64;
+/// Checks per watchdog interval: a run may be seen one check late, and a notification may wait for the machine.
+const CHECKS: u32 = 4;
 
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) enum Word {
+pub(super) enum Notification {
     Ready,
     Reloading,
-    /// The one that waits beside.
+    /// The status that waits in [`Line::status`].
     Status,
     Alive,
     Stopping,
 }
 
-/// The manager, or nobody.
+/// The service manager, if there is one.
 #[derive(Clone, Debug)]
 pub(super) struct Manager(Option<Line>);
 
 #[derive(Clone, Debug)]
 struct Line {
-    words: Sender<Word>,
-    /// The newest status, if it waits: one that is older is of no use to anybody.
+    queue: Sender<Notification>,
+    /// The newest status, if it waits; older ones are dropped.
     status: Arc<Mutex<Option<String>>>,
 }
 
 impl Manager {
-    /// The one this process was started by.
+    /// Finds the one that started this process.
     pub(super) fn find() -> io::Result<Self> {
         if std::env::var_os("NOTIFY_SOCKET").is_none() {
             return Ok(Self(None));
         }
-        let (sender, words) = bounded(WORDS);
+        let (sender, queue) = bounded(QUEUE);
         let status = Arc::new(Mutex::new(None));
-        let line = Line { words: sender, status: Arc::clone(&status) };
-        thread::Builder::new().name("manager".into()).spawn(move || pass_on(&words, &status))?;
+        let line = Line { queue: sender, status: Arc::clone(&status) };
+        thread::Builder::new().name("manager".into()).spawn(move || send_all(&queue, &status))?;
         Ok(Self(Some(line)))
     }
 
@@ -58,94 +58,95 @@ impl Manager {
         self.0.is_some()
     }
 
-    /// Whether it will be told.
-    pub(super) fn tell(&self, word: Word) -> bool {
-        let Some(Line { words, .. }) = &self.0 else { return false };
-        (word != Word::Alive || words.len() < WORDS / 2) && words.try_send(word).is_ok()
+    /// Queues a notification; says whether there was room.
+    pub(super) fn notify(&self, notification: Notification) -> bool {
+        let Some(Line { queue, .. }) = &self.0 else { return false };
+        (notification != Notification::Alive || queue.len() < QUEUE / 2)
+            && queue.try_send(notification).is_ok()
     }
 
-    fn tell_status(&self, text: String) {
+    fn notify_status(&self, text: String) {
         let Some(Line { status, .. }) = &self.0 else { return };
         let mut status = status.lock().unwrap_or_else(PoisonError::into_inner);
         let waits = status.is_some();
-        // One that finds no room waits for the next that is told.
-        *status = (waits || self.tell(Word::Status)).then_some(text);
+        // Without room it waits for the next status.
+        *status = (waits || self.notify(Notification::Status)).then_some(text);
     }
 }
 
-/// Tells the manager how everything stands, when that has changed.
+/// Reports the status to the service manager when it has changed.
 #[derive(Debug)]
-pub(super) struct Teller {
+pub(super) struct StatusReporter {
     manager: Manager,
-    said: String,
+    last: String,
 }
 
-impl Teller {
+impl StatusReporter {
     pub(super) const fn new(manager: Manager) -> Self {
-        Self { manager, said: String::new() }
+        Self { manager, last: String::new() }
     }
 
-    /// Something has changed: the manager may have to hear of it, or to start a newer program, if nobody misses this one for a moment.
-    pub(super) fn look(&mut self, engine: &Engine) {
+    /// Reports the status if it has changed, and ends an idle daemon for a newer program, which the service manager then starts.
+    pub(super) fn update(&mut self, engine: &Engine) {
         if !self.manager.is_there() {
             return;
         }
         // A line of its protocol ends a value.
-        let line = engine.line().replace(char::is_control, " ");
-        if line != self.said {
-            self.said.clone_from(&line);
-            self.manager.tell_status(line);
+        let line = engine.status_line().replace(char::is_control, " ");
+        if line != self.last {
+            self.last.clone_from(&line);
+            self.manager.notify_status(line);
         }
-        if engine.is_spare() && is_replaced() {
-            engine.make_way();
+        if engine.lock().is_idle() && is_replaced() {
+            engine.make_room_if_idle();
         }
     }
 }
 
-fn pass_on(words: &Receiver<Word>, status: &Mutex<Option<String>>) {
-    let mut deaf = false;
-    for word in words {
-        let told = match &word {
-            Word::Ready => sd_notify::notify(&[NotifyState::Ready]),
-            Word::Reloading => NotifyState::monotonic_usec_now()
+fn send_all(queue: &Receiver<Notification>, status: &Mutex<Option<String>>) {
+    let mut failed = false;
+    for notification in queue {
+        let sent = match &notification {
+            Notification::Ready => sd_notify::notify(&[NotifyState::Ready]),
+            Notification::Reloading => NotifyState::monotonic_usec_now()
                 .and_then(|now| sd_notify::notify(&[NotifyState::Reloading, now])),
-            Word::Status => {
+            Notification::Status => {
                 let text = status.lock().unwrap_or_else(PoisonError::into_inner).take().unwrap_or_default();
                 sd_notify::notify(&[NotifyState::Status(&text)])
             }
-            Word::Alive => sd_notify::notify(&[NotifyState::Watchdog]),
-            Word::Stopping => sd_notify::notify(&[NotifyState::Stopping]),
+            Notification::Alive => sd_notify::notify(&[NotifyState::Watchdog]),
+            Notification::Stopping => sd_notify::notify(&[NotifyState::Stopping]),
         };
-        if let Err(error) = told
-            && !std::mem::replace(&mut deaf, true)
+        if let Err(error) = sent
+            && !std::mem::replace(&mut failed, true)
         {
-            warn!("the service manager cannot be told anything: {error}; see NotifyAccess= in the unit");
+            warn!("the service manager cannot be notified: {error}; see NotifyAccess= in the unit");
         }
     }
 }
 
-/// Gives a sign of life for each new turn of the streamer, as often as the manager wants it.
+/// Sends watchdog notifications while the streamer's loop runs, as often as the service manager wants them.
 pub(super) async fn watchdog(manager: Manager, engine: Arc<Engine>) {
     match sd_notify::watchdog_enabled() {
-        Some(interval) if manager.is_there() => watch(manager, engine, interval / LOOKS).await,
+        Some(interval) if manager.is_there() => watch(manager, engine, interval / CHECKS).await,
         _ => std::future::pending().await,
     }
 }
 
 async fn watch(manager: Manager, engine: Arc<Engine>, every: Duration) {
-    let mut seen = engine.turns();
+    let mut seen = engine.lock().commands.loop_count();
     loop {
-        // An idle streamer sleeps: it is woken for a turn.
-        engine.nudge();
+        // An idle streamer sleeps: it is woken to run its loop.
+        engine.lock().commands.wake_streamer();
         tokio::time::sleep(every).await;
-        let turns = engine.turns();
-        if std::mem::replace(&mut seen, turns) != turns {
-            manager.tell(Word::Alive);
+        let count = engine.lock().commands.loop_count();
+        if std::mem::replace(&mut seen, count) != count {
+            manager.notify(Notification::Alive);
         }
     }
 }
 
-/// Whether another file is installed now where this process was started from.
+/// Whether the file that this process was started from has been replaced.
 fn is_replaced() -> bool {
     let program = std::fs::read_link("/proc/self/exe");
     program.is_ok_and(|program| program.as_os_str().as_encoded_bytes().ends_with(b" (deleted)"))
@@ -158,25 +159,25 @@ mod tests {
     use meissner_stream::queues::queues;
 
     #[test]
-    fn there_is_no_sign_of_life_without_a_turn_of_the_streamer() {
-        let (port, orders, _notices) = queues().unwrap();
-        let engine = Arc::new(Engine::new(orders, Settings::default(), "mock".to_owned(), None));
-        let (sender, words) = bounded(WORDS);
-        let runtime = crate::daemon::runtime().unwrap();
+    fn no_watchdog_notification_without_a_run_of_the_streamers_loop() {
+        let (port, commands, _events) = queues().unwrap();
+        let engine = Arc::new(Engine::new(commands, Settings::default(), "mock".to_owned(), None));
+        let (sender, queue) = bounded(QUEUE);
+        let runtime = crate::daemon::runtime::runtime().unwrap();
         runtime.block_on(async {
             let every = Duration::from_millis(2);
-            let line = Line { words: sender, status: Arc::default() };
+            let line = Line { queue: sender, status: Arc::default() };
             let watching = tokio::spawn(watch(Manager(Some(line)), engine, every));
             tokio::time::sleep(every * 20).await;
-            assert!(words.is_empty(), "the streamer stood still");
+            assert!(queue.is_empty(), "the streamer stood still");
             port.clear_wake();
             port.count_loop();
-            while words.is_empty() {
+            while queue.is_empty() {
                 tokio::time::sleep(every).await;
             }
-            assert_eq!(words.try_recv(), Ok(Word::Alive));
+            assert_eq!(queue.try_recv(), Ok(Notification::Alive));
             tokio::time::sleep(every * 20).await;
-            assert!(words.is_empty(), "it stood still again");
+            assert!(queue.is_empty(), "it stood still again");
             watching.abort();
         });
     }

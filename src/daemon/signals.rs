@@ -1,26 +1,26 @@
-//! Signals: what tells the daemon from outside to end, or to read its configuration again.
+//! Signals: they end the daemon, or have it read its configuration again.
 //!
-//! SIGTERM and SIGINT end it. SIGHUP ends it if it was started from a terminal, which then has been closed; where there is none,
-//! or it was started by nohup, there is nothing to be closed and it reads its configuration again, if it has one to read.
+//! SIGTERM and SIGINT end it. SIGHUP ends it if it was started from a terminal, which has then been closed. Without a terminal, or
+//! under nohup, SIGHUP has it read its configuration again.
 //!
-//! Invariant: from [`Signals::new`] on none of them kills, nor does a file that may not grow.
+//! Invariant: from [`Signals::new`] on none of them kills the process, nor does SIGXFSZ, a file that may not grow.
 
-use super::{DaemonError, system};
+use super::error::{DaemonError, system};
 use std::fs::{self, File};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::oneshot;
 use tracing::info;
 
-/// What the daemon is told.
+/// What a signal asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Action {
-    /// To end.
+    /// End.
     End,
-    /// To read its configuration again.
+    /// Read the configuration again.
     Reload,
 }
 
-/// The signals, and a word from this process.
+/// The signals, and a request of this process to end.
 #[derive(Debug)]
 pub struct Signals {
     term: Signal,
@@ -31,23 +31,23 @@ pub struct Signals {
 }
 
 impl Signals {
-    /// Takes them in from now on.
+    /// Catches them from now on.
     ///
     /// # Errors
-    /// If the system has no means for it.
+    /// If the system gives no signal handler.
     pub fn new() -> Result<Self, DaemonError> {
         let at_hangup =
             if ignores_hangup() || File::open("/dev/tty").is_err() { Action::Reload } else { Action::End };
         let take = |kind| signal(kind).map_err(system("signal handler"));
         let (term, int, hangup) =
             (take(SignalKind::terminate())?, take(SignalKind::interrupt())?, take(SignalKind::hangup())?);
-        // A limit on files is then an error like a full disk; otherwise the system would kill the daemon in mid-play. The handler
-        // stays when its receiver is gone.
+        // A limit on file sizes is then an error like a full disk; otherwise the system would kill the daemon in mid-play. The
+        // handler stays when its receiver is dropped.
         drop(take(SignalKind::from_raw(rustix::process::Signal::XFSZ.as_raw()))?);
         Ok(Self { term, int, hangup, at_hangup, end: None })
     }
 
-    /// Has `end` end it, too, also when it is dropped.
+    /// Also ends when `end` is sent to or dropped.
     pub(super) fn or(self, end: oneshot::Receiver<()>) -> Self {
         Self { end: Some(end), ..self }
     }
@@ -60,21 +60,21 @@ impl Signals {
                 None => std::future::pending().await,
             }
         };
-        let (name, told) = tokio::select! {
+        let (name, action) = tokio::select! {
             _ = self.term.recv() => ("SIGTERM", Action::End),
             _ = self.int.recv() => ("SIGINT", Action::End),
             _ = self.hangup.recv() => ("SIGHUP", self.at_hangup),
             () = ended => return Action::End,
         };
-        match told {
+        match action {
             Action::End => info!("{name}: ending"),
             Action::Reload => info!("{name}"),
         }
-        told
+        action
     }
 }
 
-/// Whether whoever started this process wanted it to outlive its terminal.
+/// Whether SIGHUP was ignored at the start, as by nohup.
 fn ignores_hangup() -> bool {
     let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
     let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));

@@ -1,8 +1,7 @@
-//! The daemon's place in the file system: one socket, one lock beside it; or the socket that a service manager hands over.
+//! The daemon's socket: bound here with a lock file beside it, or handed over by a service manager.
 //!
-//! The lock (`SOCKET.lock`, flock) decides between daemons that start at the same time and goes with its process,
-//! however that ends; its file stays, because removing it would race. A socket file that nobody answers is
-//! replaced. No directories are made.
+//! The lock (`SOCKET.lock`, flock) decides between daemons that start at the same time, and ends with its process. Its file stays,
+//! because removing it would race. A socket file that no process answers is replaced. No directories are made.
 //!
 //! Invariant: while a [`Bound`] lives, no other daemon is bound to its path.
 
@@ -17,52 +16,52 @@ use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
 use tracing::warn;
 
-/// Owner and group may connect: membership of the group is the right to drive the motors.
+/// Owner and group may connect: members of the group may drive the motors.
 const MODE: u32 = 0o660;
 
 /// Why there is no socket.
 #[derive(Debug, thiserror::Error)]
 pub enum SocketError {
-    /// Another daemon.
+    /// Another daemon has it.
     #[error("a daemon is running on {}{}: stop it, or choose another with --socket", .socket.display(), pid_text(*.pid))]
     Taken {
         /// Where.
         socket: PathBuf,
-        /// Its process, if it is known.
+        /// The daemon's process, if known.
         pid: Option<i32>,
     },
-    /// Another user's daemon, mostly the installed service's.
+    /// Another user's daemon has it.
     #[error("{} is another user's, mostly the installed service's: use that one, or choose another with --socket", .socket.display())]
     Foreign {
         /// Where.
         socket: PathBuf,
     },
-    /// Some other file.
+    /// The path is another kind of file.
     #[error("{} is not a socket: remove it, or choose another with --socket", .socket.display())]
     NotASocket {
         /// Where.
         socket: PathBuf,
     },
-    /// More than the system takes.
+    /// The path is longer than the system allows.
     #[error("{}: a socket's path has at most {MAX_SOCKET_PATH} bytes: choose a shorter one with --socket", .socket.display())]
     TooLong {
         /// Where.
         socket: PathBuf,
     },
-    /// What the service manager handed over.
+    /// The service manager handed over something else.
     #[error(
-        "the service manager handed over what is no listening Unix socket: {source}; see ListenStream= in meissner.socket"
+        "the service manager handed over something other than a listening Unix socket: {source}; see ListenStream= in meissner.socket"
     )]
     HandedOver {
-        /// What is odd about it.
+        /// What is wrong with it.
         source: io::Error,
     },
-    /// The directory or the permissions.
+    /// The directory or the permissions are wrong.
     #[error("{}: {source}; see that its directory exists and may be written to, or choose another with --socket", .path.display())]
     Io {
         /// Where.
         path: PathBuf,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
 }
@@ -76,33 +75,33 @@ fn pid_text(pid: Option<i32>) -> String {
     }
 }
 
-/// A socket that clients can connect to. Dropped, its file is removed if it was made here.
+/// A bound socket. Dropping it removes its file if this process made it.
 #[derive(Debug)]
 pub(super) struct Bound {
     pub(super) listener: UnixListener,
     socket: PathBuf,
-    /// Which file it made there.
+    /// Device and inode of the file it made.
     file: Option<(u64, u64)>,
-    /// Held for as long as it lives; none where the service manager listens.
+    /// Held while this lives; none if the service manager listens.
     _lock: Option<File>,
 }
 
 impl Bound {
-    /// The socket at which the service manager listens for this process, if it does: whoever connects starts the daemon, and
-    /// mode, group and removal are the manager's.
+    /// The socket on which the service manager listens for this process, if it does: a connection starts the daemon, and the
+    /// service manager owns the file's mode, group and removal.
     pub(super) fn take_over(wanted: &Path) -> Result<Option<Self>, SocketError> {
         let wrong = |source| SocketError::HandedOver { source };
         let Some(listener) = ListenFd::from_env().take_unix_listener(0).map_err(wrong)? else {
             return Ok(None);
         };
         if !socket_acceptconn(&listener).map_err(io::Error::from).map_err(wrong)? {
-            return Err(wrong(io::Error::other("nobody listens at it")));
+            return Err(wrong(io::Error::other("it does not listen")));
         }
         let address = listener.local_addr().map_err(wrong)?;
         let socket = address.as_pathname().unwrap_or(Path::new("a socket without a file")).to_owned();
         if socket != wanted {
             warn!(
-                "the service manager listens at {}: `socket` in the configuration is not gone by",
+                "the service manager listens on {}: `socket` in the configuration is ignored",
                 socket.display()
             );
         }
@@ -110,7 +109,7 @@ impl Bound {
         Ok(Some(Self { listener, socket, file: None, _lock: None }))
     }
 
-    /// Where it is.
+    /// Its path.
     pub(super) fn socket(&self) -> &Path {
         &self.socket
     }
@@ -120,7 +119,7 @@ impl Bound {
         let lock = lock(socket)?;
         clear(socket)?;
         let wrong = |source| SocketError::Io { path: socket.to_owned(), source };
-        // Until the mode is set, the umask's mode holds, which lets nobody else in unless it was told to.
+        // Until the mode is set, the umask decides, which is stricter by default.
         let listener = UnixListener::bind(socket).map_err(wrong)?;
         let file = identity(socket);
         let bound = Self { listener, socket: socket.to_owned(), file, _lock: Some(lock) };
@@ -132,7 +131,7 @@ impl Bound {
 
 impl Drop for Bound {
     fn drop(&mut self) {
-        // What somebody else has put there since is theirs; if it is gone, nothing is left to do.
+        // A file that another process has put there since stays.
         if self.file.is_some() && identity(&self.socket) == self.file {
             let _ = fs::remove_file(&self.socket);
         }
@@ -144,7 +143,7 @@ fn identity(path: &Path) -> Option<(u64, u64)> {
     fs::symlink_metadata(path).ok().map(|found| (found.dev(), found.ino()))
 }
 
-/// Whether a socket can be there at all.
+/// Whether a socket can have this path.
 pub(super) fn check(socket: &Path) -> Result<(), SocketError> {
     if socket.as_os_str().len() > MAX_SOCKET_PATH {
         return Err(SocketError::TooLong { socket: socket.to_owned() });
@@ -169,7 +168,7 @@ fn lock(socket: &Path) -> Result<File, SocketError> {
         Ok(()) => {}
         Err(rustix::io::Errno::WOULDBLOCK) => {
             let mut pid = String::new();
-            // Only for the message.
+            // For the message only.
             let _ = (&mut file).take(16).read_to_string(&mut pid);
             return Err(SocketError::Taken { socket: socket.to_owned(), pid: pid.trim().parse().ok() });
         }
@@ -183,7 +182,7 @@ fn lock(socket: &Path) -> Result<File, SocketError> {
     Ok(file)
 }
 
-/// Removes a stale socket. The lock is held: whoever answers here has lost or never had one.
+/// Removes a stale socket. The lock is held: a process that answers here has lost its lock or never had one.
 fn clear(socket: &Path) -> Result<(), SocketError> {
     let wrong = |source| SocketError::Io { path: socket.to_owned(), source };
     match fs::symlink_metadata(socket) {
@@ -214,14 +213,14 @@ mod tests {
         assert_eq!(fs::metadata(&socket).unwrap().permissions().mode() & 0o777, MODE);
         let line = Bound::new(&socket).unwrap_err().to_string();
         assert!(line.contains(&format!("(pid {})", std::process::id())), "{line}");
-        assert!(socket.exists(), "the refused one left the first one's socket alone");
+        assert!(socket.exists(), "the refused daemon leaves the first one's socket alone");
         drop(first);
         assert!(!socket.exists());
         let second = Bound::new(&socket).unwrap();
         fs::remove_file(&socket).unwrap();
         fs::write(&socket, "precious").unwrap();
         drop(second);
-        assert!(socket.exists(), "what it did not make it does not remove");
+        assert!(socket.exists(), "it removes only what it made");
     }
 
     #[test]
@@ -230,10 +229,7 @@ mod tests {
         let socket = dir.path().join("m.sock");
         let listener = UnixListener::bind(&socket).unwrap();
         let taken = Bound::new(&socket).unwrap_err();
-        assert!(
-            matches!(taken, SocketError::Taken { pid: Some(_), .. }),
-            "it answers, though it has no lock"
-        );
+        assert!(matches!(taken, SocketError::Taken { pid: Some(_), .. }), "it answers without a lock");
         drop(listener);
         drop(Bound::new(&socket).unwrap());
         fs::write(&socket, "precious").unwrap();

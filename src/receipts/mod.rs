@@ -1,10 +1,13 @@
-//! The record: what the streamer reported, kept as receipts, figures and events.
+//! Receipts: turns what the streamer tells into receipts, totals, the device's state, and the API's events.
 //!
-//! A [`Receipts`] is fed every [`StreamEvent`] and what the daemon was asked to play. It reads no clock and sends
-//! nothing; whoever owns it passes the events on. Plays that are queued or running are all kept (the streamer
-//! bounds them), finished ones are the last [`KEPT`].
+//! The daemon adds each play it orders ([`Receipts::add`]) and applies each [`StreamEvent`] ([`Receipts::apply`]); it publishes the
+//! events that come back. Nothing here reads a clock or sends anything.
 //!
-//! Invariant: every play that was taken is in the record exactly once, until [`KEPT`] later ones have ended.
+//! A new field of a receipt needs three edits: the field (`crates/api/src/receipt.rs`), the code that fills it
+//! (`began`, `complete` or [`Receipts::apply`] here), and the code that prints it (`src/cli/text.rs`).
+//!
+//! Invariant: every accepted play has exactly one receipt, until [`KEPT`] later plays have ended. Queued and running plays are all
+//! kept; the streamer bounds them.
 
 mod convert;
 mod measured_bursts;
@@ -27,9 +30,9 @@ use meissner_stream::queues::{Outcome, Snapshot, StreamEvent, refusal_text};
 use meissner_stream::time::HostInstant;
 use std::collections::VecDeque;
 
-/// Receipts of finished plays kept, at the most.
+/// Receipts kept of ended plays, at most.
 pub const KEPT: usize = 1000;
-/// What a crystal may be off by: added to the clock's uncertainty for the time since the last snapshot.
+/// Relative frequency error of a crystal: adds to the clock's uncertainty since the last snapshot.
 const DRIFT: f64 = 100e-6;
 
 /// Sums since the daemon's start.
@@ -37,63 +40,74 @@ const DRIFT: f64 = 100e-6;
 pub struct Totals {
     /// Plays that ended: done, stopped, aborted.
     pub plays: [u64; 3],
-    /// BurstCounts of ended plays.
+    /// Bursts of ended plays.
     pub bursts: BurstCounts,
-    /// PulseCounts of ended plays.
+    /// Pulses of ended plays.
     pub pulses: PulseCounts,
     /// Late strokes of ended plays.
     pub lateness: LateCounts,
     /// Bytes sent while plays ran.
     pub wire_bytes: u64,
-    /// EventQueue the daemon was too slow for.
+    /// Events lost because the daemon was too slow.
     pub lost: u64,
     /// Devices connected.
     pub connects: u64,
 }
 
-/// Keeps the record.
+/// The device's state as the API names it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct DeviceState {
+    /// The controller's state, or `no-device`.
+    pub state: &'static str,
+    /// Why.
+    pub cause: &'static str,
+    /// `known` or `unknown`.
+    pub position: &'static str,
+}
+
+/// See the module.
 #[derive(Debug, Default)]
 pub struct Receipts {
     kind: String,
     hello: Option<DeviceHello>,
     snapshot: Option<Snapshot>,
-    /// Ordered, but not answered yet.
-    offered: Vec<Receipt>,
-    /// Queued and running, in the order they were taken.
+    /// Sent to the streamer, but not answered yet.
+    sent: Vec<Receipt>,
+    /// Queued and running, in order of acceptance.
     live: Vec<Receipt>,
     finished: VecDeque<Receipt>,
     totals: Totals,
 }
 
 impl Receipts {
-    /// A play is about to be ordered.
-    pub fn offer(&mut self, receipt: Receipt) {
-        self.offered.push(receipt);
+    /// Adds a play that is about to be sent to the streamer.
+    pub fn add(&mut self, receipt: Receipt) {
+        self.sent.push(receipt);
     }
 
-    /// The streamer took the play, or not.
-    pub fn answered(&mut self, id: u64, taken: bool) -> Option<Event> {
-        let at = self.offered.iter().position(|receipt| receipt.id == id)?;
-        let receipt = self.offered.remove(at);
+    /// The streamer accepted a play, or not.
+    pub fn settle(&mut self, id: u64, accepted: bool) -> Option<Event> {
+        let at = self.sent.iter().position(|receipt| receipt.id == id)?;
+        let receipt = self.sent.remove(at);
         let event = Event::Queued { id, pattern: receipt.pattern.clone(), seconds: receipt.seconds };
-        taken.then(|| self.live.push(receipt))?;
+        accepted.then(|| self.live.push(receipt))?;
         Some(event)
     }
 
-    /// How the next device is reached.
-    pub fn reached_by(&mut self, kind: String) {
+    /// Sets how the next device is reached.
+    pub fn set_device_kind(&mut self, kind: String) {
         self.kind = kind;
     }
 
-    /// How the last device was reached.
+    /// How the last device was reached, as in [`DeviceInfo::kind`].
     #[must_use]
     pub fn kind(&self) -> &str {
         &self.kind
     }
 
-    /// Takes in what happened; an [`StreamEvent::Answer`] is its owner's business and tells nothing here.
-    pub fn take(&mut self, notice: &StreamEvent) -> Option<Event> {
-        match notice {
+    /// Applies an event of the streamer. Answers, freed boxes and measured bursts concern other parts of the daemon.
+    pub fn apply(&mut self, event: &StreamEvent) -> Option<Event> {
+        match event {
             StreamEvent::Answer { .. }
             | StreamEvent::PlayRejected(_)
             | StreamEvent::GainsApplied(_)
@@ -114,7 +128,7 @@ impl Receipts {
             }
             StreamEvent::Snapshot(snapshot) => {
                 self.snapshot = Some(*snapshot);
-                Some(self.state(snapshot.at))
+                Some(self.state_event(snapshot.at))
             }
             StreamEvent::PlayStarted { id, onset } => {
                 began(self.live_mut(*id)?, *onset);
@@ -137,9 +151,9 @@ impl Receipts {
                 Some(Event::Refused { id: *id, stroke })
             }
             StreamEvent::PlayEnded { id, outcome } => self.ended(*id, outcome),
-            StreamEvent::EventsLost(notices) => {
-                self.totals.lost += notices;
-                Some(Event::Lost { events: *notices })
+            StreamEvent::EventsLost(events) => {
+                self.totals.lost += events;
+                Some(Event::Lost { events: *events })
             }
         }
     }
@@ -160,37 +174,41 @@ impl Receipts {
         Some(Event::Ended { receipt: Box::new(receipt) })
     }
 
-    /// It is known what was felt of a play, or why that is not known.
-    pub fn felt(&mut self, id: u64, felt: Result<PredictedResponse, NoPrediction>) -> Option<Event> {
+    /// Puts a predicted response, or why there is none, into its play's receipt.
+    pub fn set_prediction(
+        &mut self,
+        id: u64,
+        prediction: Result<PredictedResponse, NoPrediction>,
+    ) -> Option<Event> {
         let receipt = self.live.iter_mut().chain(&mut self.finished).find(|receipt| receipt.id == id)?;
-        receipt.prediction = match felt {
+        receipt.prediction = match prediction {
             Ok(response) => Prediction { response: Some(response), unknown: None },
             Err(why) => Prediction { response: None, unknown: Some(why.to_string()) },
         };
         Some(Event::PredictedResponse { id, prediction: receipt.prediction.clone() })
     }
 
-    /// The play of that id.
+    /// The receipt of a play.
     #[must_use]
     pub fn receipt(&self, id: u64) -> Option<&Receipt> {
         self.live.iter().chain(&self.finished).find(|receipt| receipt.id == id)
     }
 
-    /// The play that was ordered last.
+    /// The receipt of the last play.
     #[must_use]
     pub fn last(&self) -> Option<&Receipt> {
         self.live.iter().chain(&self.finished).max_by_key(|receipt| receipt.id)
     }
 
-    /// Plays that wait, in their order.
+    /// Queued plays, in order.
     pub fn queued(&self) -> impl Iterator<Item = &Receipt> {
         self.live.iter().filter(|receipt| receipt.state == PlayState::Queued)
     }
 
-    /// Whether no play was ordered, waits or runs.
+    /// Whether no play was sent, waits or runs.
     #[must_use]
     pub fn is_idle(&self) -> bool {
-        self.offered.is_empty() && self.live.is_empty()
+        self.sent.is_empty() && self.live.is_empty()
     }
 
     /// The connected device.
@@ -211,8 +229,8 @@ impl Receipts {
         &self.totals
     }
 
-    /// The device's clock at `now` and how well it is known, µs: the last estimate, carried on at the nominal
-    /// rate, since an idle streamer publishes none.
+    /// The device's clock at `now` and its uncertainty, µs: the last estimate, extrapolated at the nominal rate, since an idle
+    /// streamer publishes none.
     #[must_use]
     pub fn clock(&self, now: HostInstant) -> Option<(Tick, f64)> {
         let snapshot = self.snapshot.as_ref().filter(|snapshot| snapshot.connected)?;
@@ -221,15 +239,15 @@ impl Receipts {
         Some((Tick(snapshot.tick.0.saturating_add(duration_to_ticks(since))), uncertainty_us))
     }
 
-    /// State, cause and position as the API calls them.
+    /// The device's state as the API names it.
     #[must_use]
-    pub fn standing(&self) -> (&'static str, &'static str, &'static str) {
+    pub fn device_state(&self) -> DeviceState {
         match &self.snapshot {
             Some(at) if at.connected || at.state == State::Faulted => {
                 let position = if at.connected && at.position_known { "known" } else { "unknown" };
-                (state_name(at.state), cause_text(at.cause), position)
+                DeviceState { state: state_name(at.state), cause: cause_text(at.cause), position }
             }
-            _ => (NO_DEVICE, NO_DEVICE, "unknown"),
+            _ => DeviceState { state: NO_DEVICE, cause: NO_DEVICE, position: "unknown" },
         }
     }
 
@@ -242,10 +260,10 @@ impl Receipts {
         Some(RunningPlay { id: receipt.id, pattern: receipt.pattern.clone(), played_s })
     }
 
-    /// How everything stands, as an event.
+    /// The state as an event.
     #[must_use]
-    pub fn state(&self, now: HostInstant) -> Event {
-        let (state, cause, position) = self.standing();
+    pub fn state_event(&self, now: HostInstant) -> Event {
+        let DeviceState { state, cause, position } = self.device_state();
         Event::State {
             state: state.to_owned(),
             cause: cause.to_owned(),

@@ -76,7 +76,7 @@ impl<'p> PlayedPattern<'p> {
     ///
     /// # Errors
     /// If it never began.
-    pub fn at(receipt: &Receipt, pattern: &'p Pattern) -> Result<Self, NoPrediction> {
+    pub fn of(receipt: &Receipt, pattern: &'p Pattern) -> Result<Self, NoPrediction> {
         let onset = receipt.onset.ok_or(NoPrediction::NotBegun)?;
         let late = receipt.lateness.strokes.iter().map(|stroke| (stroke.motor, Tick(stroke.tick)));
         let refused = receipt.refusals.iter().map(|stroke| (stroke.motor, Tick(stroke.tick)));

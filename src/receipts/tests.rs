@@ -1,4 +1,4 @@
-//! The receipts, fed with notices: what it says of plays, devices and bad times.
+//! The receipts, fed with events: what it says of plays, devices and bad times.
 
 use super::*;
 use firmware_protocol::limits::{OnTimeLimits, Refusal};
@@ -91,9 +91,14 @@ fn ended(id: u64, end: End) -> StreamEvent {
     StreamEvent::PlayEnded { id, outcome }
 }
 
+fn standing(receipts: &Receipts) -> (&str, &str, &str) {
+    let DeviceState { state, cause, position } = receipts.device_state();
+    (state, cause, position)
+}
+
 fn take(receipts: &mut Receipts, id: u64) {
-    receipts.offer(Receipt::new(id, "edge-45", "00ff", Some(5.0)));
-    assert!(matches!(receipts.answered(id, true), Some(Event::Queued { .. })));
+    receipts.add(Receipt::new(id, "edge-45", "00ff", Some(5.0)));
+    assert!(matches!(receipts.settle(id, true), Some(Event::Queued { .. })));
 }
 
 #[test]
@@ -102,18 +107,18 @@ fn a_play_goes_from_queued_to_its_receipt() {
     take(&mut receipts, 1);
     take(&mut receipts, 2);
     assert_eq!(receipts.queued().map(|receipt| receipt.id).collect::<Vec<_>>(), [1, 2]);
-    let event = receipts.take(&StreamEvent::PlayStarted { id: 1, onset: onset() }).unwrap();
+    let event = receipts.apply(&StreamEvent::PlayStarted { id: 1, onset: onset() }).unwrap();
     assert_eq!(event.name(), "began");
-    receipts.take(&StreamEvent::Snapshot(snapshot(true, State::Armed, Some((1, 0.25)))));
+    receipts.apply(&StreamEvent::Snapshot(snapshot(true, State::Armed, Some((1, 0.25)))));
     assert_eq!(receipts.running().unwrap().played_s, 0.25);
     assert_eq!(receipts.receipt(1).unwrap().state, PlayState::Running);
     assert_eq!(receipts.queued().count(), 1);
     let counts = LateCounts { host: 1, worst_ms: 1.5, ..LateCounts::default() };
     let (up, late_ms, cause) = (Tick(7), 1.5, LateCause::Host);
-    receipts.take(&StreamEvent::StrokeLate { id: 1, motor: 3, up, late_ms, cause, counts });
+    receipts.apply(&StreamEvent::StrokeLate { id: 1, motor: 3, up, late_ms, cause, counts });
     let up = Tick(8);
-    receipts.take(&StreamEvent::StrokeRefused { id: 1, motor: 3, up, reason: Refusal::MotorOnTime });
-    let Some(Event::Ended { receipt }) = receipts.take(&ended(1, End::Stopped)) else { panic!() };
+    receipts.apply(&StreamEvent::StrokeRefused { id: 1, motor: 3, up, reason: Refusal::MotorOnTime });
+    let Some(Event::Ended { receipt }) = receipts.apply(&ended(1, End::Stopped)) else { panic!() };
     assert_eq!(Some(&*receipt), receipts.receipt(1));
     assert_eq!((receipt.state, receipt.cause.as_deref()), (PlayState::Stopped, Some("stop")));
     assert_eq!((receipt.lateness.strokes.len(), receipt.refusals.len()), (1, 1));
@@ -130,11 +135,11 @@ fn a_play_goes_from_queued_to_its_receipt() {
 #[test]
 fn a_play_that_was_not_taken_leaves_nothing() {
     let mut receipts = Receipts::default();
-    receipts.offer(Receipt::new(1, "a", "", None));
+    receipts.add(Receipt::new(1, "a", "", None));
     assert!(receipts.receipt(1).is_none(), "not before it is taken");
-    assert_eq!(receipts.answered(1, false), None);
+    assert_eq!(receipts.settle(1, false), None);
     assert!(receipts.last().is_none());
-    assert!(receipts.take(&ended(1, End::Done)).is_none());
+    assert!(receipts.apply(&ended(1, End::Done)).is_none());
 }
 
 #[test]
@@ -143,7 +148,7 @@ fn receipts_and_lists_are_bounded() {
     for id in 1..=KEPT as u64 + 5 {
         take(&mut receipts, id);
         for link in 1..=MAX_LISTED as u64 + 1 {
-            receipts.take(&StreamEvent::StrokeLate {
+            receipts.apply(&StreamEvent::StrokeLate {
                 id,
                 motor: 3,
                 up: Tick(7),
@@ -153,7 +158,7 @@ fn receipts_and_lists_are_bounded() {
             });
         }
         assert_eq!(receipts.receipt(id).unwrap().lateness.counts.link, MAX_LISTED as u64 + 1);
-        receipts.take(&ended(id, End::Done));
+        receipts.apply(&ended(id, End::Done));
     }
     assert_eq!(receipts.finished.len(), KEPT);
     assert!(receipts.receipt(5).is_none());
@@ -163,31 +168,31 @@ fn receipts_and_lists_are_bounded() {
 #[test]
 fn the_state_without_a_device_says_so_but_an_estop_is_latched() {
     let mut receipts = Receipts::default();
-    assert_eq!(receipts.standing(), ("no-device", "no-device", "unknown"));
-    receipts.take(&StreamEvent::Snapshot(snapshot(false, State::Disarmed, None)));
-    assert_eq!(receipts.standing().0, "no-device");
-    receipts.take(&StreamEvent::Snapshot(snapshot(false, State::Faulted, None)));
-    assert_eq!(receipts.standing(), ("faulted", "request", "unknown"));
-    receipts.reached_by("mock".to_owned());
-    let event = receipts.take(&StreamEvent::Connected(hello())).unwrap();
+    assert_eq!(standing(&receipts), ("no-device", "no-device", "unknown"));
+    receipts.apply(&StreamEvent::Snapshot(snapshot(false, State::Disarmed, None)));
+    assert_eq!(standing(&receipts).0, "no-device");
+    receipts.apply(&StreamEvent::Snapshot(snapshot(false, State::Faulted, None)));
+    assert_eq!(standing(&receipts), ("faulted", "request", "unknown"));
+    receipts.set_device_kind("mock".to_owned());
+    let event = receipts.apply(&StreamEvent::Connected(hello())).unwrap();
     let json = serde_json::to_value(&event).unwrap();
     assert_eq!((&json["event"], &json["device"]["kind"]), (&"connected".into(), &"mock".into()));
     assert_eq!(
         (&json["device"]["firmware"], &json["device"]["build"]),
         (&"0.1.2".into(), &"deadbeef".into())
     );
-    receipts.take(&StreamEvent::Disconnected { reason: "unplugged", device: None });
+    receipts.apply(&StreamEvent::Disconnected { reason: "unplugged", device: None });
     assert!(receipts.device().is_none());
 }
 
 #[test]
 fn the_clock_is_carried_on_between_snapshots() {
     let mut receipts = Receipts::default();
-    receipts.take(&StreamEvent::Snapshot(snapshot(true, State::Armed, None)));
+    receipts.apply(&StreamEvent::Snapshot(snapshot(true, State::Armed, None)));
     let (tick, uncertainty_us) = receipts.clock(HostInstant::from_ns(3_000_000_000)).unwrap();
     assert_eq!(tick, Tick(1000 + 170_000));
     assert!((uncertainty_us - 210.0).abs() < 1e-6);
-    receipts.take(&StreamEvent::Snapshot(snapshot(false, State::Armed, None)));
+    receipts.apply(&StreamEvent::Snapshot(snapshot(false, State::Armed, None)));
     assert!(receipts.clock(HostInstant::from_ns(0)).is_none());
 }
 
@@ -197,7 +202,7 @@ fn every_events_name_is_its_json_tag() {
     let refused = RefusedStroke { motor: 1, tick: 2, reason: "x".to_owned() };
     let receipts = Receipts::default();
     for event in [
-        receipts.state(HostInstant::from_ns(0)),
+        receipts.state_event(HostInstant::from_ns(0)),
         Event::Connected { device: device_info("mock", &hello()) },
         Event::Disconnected { reason: String::new() },
         Event::Queued { id: 1, pattern: String::new(), seconds: None },

@@ -1,8 +1,8 @@
-//! Files by day: their names, what a crash left of them, and which have had their time.
+//! The files of days: their names, the repair of a torn last line, and the removal of old files.
 //!
-//! It knows nothing of lines but that each ends with a newline.
+//! A line is anything that ends with a newline.
 //!
-//! Invariant: only files whose names are a day's are ever removed, and none because a clock was wrong for a day.
+//! Invariant: only files named after a day are ever removed, and none because a clock was wrong for a day.
 
 use jiff::civil::{Date, date};
 use std::fs::{self, File};
@@ -10,9 +10,9 @@ use std::io;
 use std::os::unix::fs::FileExt;
 use std::path::Path;
 
-/// Files of days before this were written by a clock that was never set. How old they are nobody knows: they stay.
+/// Files of earlier days were written by a clock that was never set. Their age is unknown: they stay.
 const FIRST: Date = date(2026, 1, 1);
-/// Bytes looked at in one go.
+/// Bytes read at a time.
 const PIECE: u64 = 1 << 16;
 
 /// The file of a day.
@@ -20,13 +20,13 @@ pub(super) fn name(day: Date) -> String {
     format!("{day}.jsonl")
 }
 
-/// The day of a file, if that is its name to the letter.
+/// The day of a file, if its name is exactly that day's.
 fn day(file: &str) -> Option<Date> {
     let day: Date = file.strip_suffix(".jsonl")?.parse().ok()?;
     (name(day) == file).then_some(day)
 }
 
-/// Cuts off what follows the last newline. Says how long the file is, and how much was cut.
+/// Cuts off what follows the last newline. Returns the new length and the number of bytes cut.
 pub(super) fn cut_torn(file: &File) -> io::Result<(u64, u64)> {
     let length = file.metadata()?.len();
     let mut end = length;
@@ -49,9 +49,8 @@ pub(super) fn cut_torn(file: &File) -> io::Result<(u64, u64)> {
 
 /// Removes files more than so many days old.
 ///
-/// Age is counted from today or from the newest other day there is, whichever is earlier: a clock that jumps ahead makes one file with a
-/// far date, and by that alone no file gets old. The price: after a pause in which nobody used the daemon, files go one day of
-/// use later.
+/// Age is counted from today or from the newest other day, whichever is earlier: a clock that jumps ahead makes one file with a
+/// distant date, and that alone ages no file. The price: after a pause, old files are removed one day of use later.
 pub(super) fn remove_old(dir: &Path, today: Date, days: u32) -> io::Result<()> {
     let mut found = Vec::new();
     for entry in fs::read_dir(dir)? {
@@ -59,10 +58,10 @@ pub(super) fn remove_old(dir: &Path, today: Date, days: u32) -> io::Result<()> {
     }
     let Some(&newest) = found.iter().max() else { return Ok(()) };
     let from = newest.min(today);
-    // A subtraction that leads out of all years keeps everything.
+    // Out of the calendar's range: everything stays.
     let Ok(oldest) = from.checked_sub(jiff::Span::new().days(days)) else { return Ok(()) };
     let old = found.into_iter().filter(|day| (FIRST..oldest).contains(day));
-    // One that cannot be removed keeps none of the others.
+    // A file that cannot be removed does not keep the others.
     old.map(|day| fs::remove_file(dir.join(name(day)))).fold(Ok(()), Result::and)
 }
 

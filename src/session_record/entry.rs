@@ -1,35 +1,35 @@
-//! Entries: what a line of the logbook says, besides when.
+//! Entries: what a line of the session record says, besides the time.
 //!
-//! Most are the daemon's events as clients see them; the others are commands and the daemon's own story. What comes ten times a second
-//! or once per stroke is left out: receipts sum it up.
+//! Most are the daemon's events as clients see them; the others are commands, and the daemon's start, reloads and end. Events that
+//! come ten times a second or once per stroke are left out: receipts sum them up.
 //!
-//! Invariant: the `event` key of a line tells what its other keys are.
+//! Invariant: the `event` key of a line determines its other keys.
 
 use meissner_api::Event;
 use serde::Serialize;
 use serde_json::Value;
 
-/// Peer gave a command, as the kernel says.
+/// A client, as the kernel identifies it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Peer {
-    /// Their process; -1: not known.
+    /// Its process; -1: not known.
     pub pid: i32,
-    /// Their user; the highest number: not known.
+    /// Its user; the highest number: not known.
     pub uid: u32,
 }
 
-/// A command and what came of it.
+/// A command and its answer.
 #[derive(Clone, Debug, Serialize)]
 pub struct CommandEntry {
     /// Its name, as in the API's address.
     pub command: &'static str,
-    /// Peer gave it: their process; null: not known.
+    /// The client's process; null: not known.
     pid: Option<i32>,
-    /// Their user; null: not known.
+    /// The client's user; null: not known.
     uid: Option<u32>,
-    /// Their user's name; null: not known.
+    /// That user's name; null: not known.
     user: Option<String>,
-    /// What it was asked with; null: with nothing.
+    /// Its arguments; null: none.
     pub asked: Value,
     /// The play it began.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -42,13 +42,13 @@ pub struct CommandEntry {
 }
 
 impl CommandEntry {
-    /// A command that somebody gave, not answered yet.
+    /// A command that is not answered yet.
     #[must_use]
-    pub fn new(command: &'static str, who: Peer, asked: Value) -> Self {
+    pub fn new(command: &'static str, client: Peer, asked: Value) -> Self {
         Self {
             command,
-            pid: (who.pid > 0).then_some(who.pid),
-            uid: (who.uid != u32::MAX).then_some(who.uid),
+            pid: (client.pid > 0).then_some(client.pid),
+            uid: (client.uid != u32::MAX).then_some(client.uid),
             user: None,
             asked,
             play: None,
@@ -58,74 +58,76 @@ impl CommandEntry {
     }
 }
 
-/// What is no event of the API.
+/// An entry that is no event of the API.
 #[derive(Clone, Debug, Serialize)]
 #[serde(tag = "event", rename_all = "kebab-case")]
 pub enum Note {
-    /// A daemon has begun.
+    /// A daemon has started.
     DaemonStarted {
         /// Its version.
         version: &'static str,
         /// Its process.
         pid: u32,
-        /// The device it looks for.
+        /// The device asked for.
         wanted: String,
     },
-    /// It has ended as it should.
+    /// The daemon has ended in good order, or because of a problem it could report.
     DaemonEnded {
-        /// Why; null: it was told to.
+        /// The problem; null: it was told to end.
         problem: Option<String>,
     },
-    /// It was told to read its configuration again.
+    /// The configuration was read again.
     Reloaded {
-        /// What was taken, and from when on, in words.
+        /// What changed, and from when on, in words.
         changed: Vec<String>,
-        /// What was not taken, and why; null if everything was.
+        /// What could not change, and why; null if everything could.
         problem: Option<String>,
     },
-    /// Somebody asked for something.
+    /// A client's command.
     Command(CommandEntry),
-    /// Here entries are missing.
+    /// Entries are missing here.
     Lost {
         /// How many.
         entries: u64,
     },
 }
 
-/// What a line says.
+/// The content of a line.
 #[derive(Clone, Debug, Serialize)]
 #[serde(untagged)]
 pub enum Entry {
-    /// Something of ours.
+    /// An entry that is no event.
     Note(Note),
-    /// An event as clients see it, and whose play it is about.
+    /// An event as clients see it, and the user whose play it is about.
     Event {
         /// The event.
         #[serde(flatten)]
         event: Box<Event>,
-        /// Peer ordered the play, by number.
+        /// The user who ordered the play.
         #[serde(skip_serializing_if = "Option::is_none")]
         uid: Option<u32>,
-        /// By name.
+        /// That user's name.
         #[serde(skip_serializing_if = "Option::is_none")]
         user: Option<String>,
     },
 }
 
 impl Entry {
-    /// An event, if it is one for the logbook, and who ordered the play it is about.
+    /// The entry for an event, if it is one for the session record; `client` ordered the play it is about.
     #[must_use]
-    pub fn of(event: &Event, who: Option<Peer>) -> Option<Self> {
+    pub fn of(event: &Event, client: Option<Peer>) -> Option<Self> {
         match event {
             Event::State { .. } | Event::Late { .. } | Event::Refused { .. } | Event::Lagged { .. } => None,
-            told => {
-                Some(Self::Event { event: Box::new(told.clone()), uid: who.map(|who| who.uid), user: None })
-            }
+            event => Some(Self::Event {
+                event: Box::new(event.clone()),
+                uid: client.map(|client| client.uid),
+                user: None,
+            }),
         }
     }
 
-    /// The user whose name is still to be found.
-    pub(super) fn nameless(&self) -> Option<u32> {
+    /// The user whose name is not set yet.
+    pub(super) fn unnamed_user(&self) -> Option<u32> {
         match self {
             Self::Note(Note::Command(CommandEntry { user: None, uid, .. }))
             | Self::Event { user: None, uid, .. } => *uid,
@@ -133,7 +135,7 @@ impl Entry {
         }
     }
 
-    pub(super) fn give_name(&mut self, name: Option<String>) {
+    pub(super) fn set_user(&mut self, name: Option<String>) {
         match self {
             Self::Note(Note::Command(CommandEntry { user, .. })) | Self::Event { user, .. } => *user = name,
             Self::Note(_) => {}

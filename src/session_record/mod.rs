@@ -1,12 +1,12 @@
-//! The logbook: what a lab's sessions were, as files of JSON lines, one per local day.
+//! The session record (configuration keys `logbook_dir` and `logbook_days`): JSON lines about a lab's sessions, one file per local day.
 //!
-//! `DIR/2026-11-22.jsonl` holds commands with who gave them and what was answered, plays with their whole receipts, what devices
-//! did, and the daemon's start and end. It is a record to be read later; nothing is read back from it, and nothing waits for it:
-//! [`SessionRecord::note`] stamps an entry and hands it to a thread. An entry that does not fit is counted, and the next line says so.
-//! The thread makes lines durable [`SYNC_AFTER`] their being written, and sleeps without a timer while there is nothing to do.
+//! `DIR/2026-11-22.jsonl` holds each command with its client and answer, each play with its receipt, what devices did, and the
+//! daemon's start and end. Experiments read it later; the daemon reads nothing back. [`SessionRecord::add`] stamps an entry and queues
+//! it for a thread, which writes it, makes it durable [`SYNC_AFTER`] later, and sleeps while there is nothing to do. An entry that
+//! finds no room is counted, and the next line says so.
 //!
-//! Invariants: every line of a file that was closed or opened again parses; lines of one daemon are in the order of
-//! `CLOCK_MONOTONIC`; what is missing is counted.
+//! Invariants: nothing waits for the disk; every line of a file that was closed or opened again parses; lines of one daemon are in
+//! the order of `CLOCK_MONOTONIC`; missing entries are counted.
 
 mod days;
 mod entry;
@@ -28,12 +28,12 @@ use std::time::{Duration, Instant};
 use tracing::warn;
 use writer::Writer;
 
-/// How long an entry waits for the name of its user. A directory that takes longer is not waited for again: it may hang.
-const NAMED_WITHIN: Duration = Duration::from_millis(200);
+/// How long an entry waits for its user's name. After one directory service that took longer, entries do not wait: it may hang.
+const NAME_TIMEOUT: Duration = Duration::from_millis(200);
 /// Entries that may wait for the disk: more than a session has in a minute.
 pub const WAITING: usize = 1024;
 
-/// When something happened, by both clocks.
+/// When an entry was added, by both clocks.
 #[derive(Clone, Copy, Debug)]
 struct Stamp {
     wall: Timestamp,
@@ -46,169 +46,175 @@ impl Stamp {
     }
 }
 
-/// Where a logbook is kept, and for how long.
+/// Where the session record is kept, and for how long.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Location {
-    /// The directory; it is made when it is missing, the one above it is not.
+    /// The directory. It is made if it is missing; its parent is not.
     pub dir: PathBuf,
     /// Days after which a file is removed.
     pub days: u32,
 }
 
-/// What the thread is handed.
+/// A message to the thread.
 #[derive(Debug)]
-enum Word {
+enum Message {
     Entry {
         stamp: Stamp,
-        /// Entries just before it that did not fit.
+        /// Entries before it that found no room.
         missed: u64,
         entry: Entry,
     },
-    /// From here on it is kept elsewhere.
+    /// Write the following entries there.
     Move(Location),
 }
 
-/// The way in: stamps are taken in the order in which entries go through it.
+/// The thread's queue. Entries are stamped in the order in which they are queued.
 #[derive(Debug)]
-struct Gate {
-    words: Sender<Word>,
+struct Queue {
+    messages: Sender<Message>,
     missed: u64,
-    /// Hangs up when the thread has ended.
+    /// Disconnected when the thread has ended.
     ended: Receiver<()>,
     problem: Arc<Mutex<Option<String>>>,
 }
 
-impl Gate {
-    /// Starts a thread that writes to the book.
-    fn open(book: Writer, users: Arc<Users>, room: usize) -> io::Result<Self> {
-        let (words, queue) = bounded(room);
+impl Queue {
+    /// Starts the thread.
+    fn open(writer: Writer, users: Arc<Users>, room: usize) -> io::Result<Self> {
+        let (messages, queue) = bounded(room);
         let (alive, ended) = bounded::<()>(0);
-        let problem = book.problem();
+        let problem = writer.problem();
         let work = move || {
-            write_all(book, &queue, &users);
+            write_all(writer, &queue, &users);
             drop(alive);
         };
-        thread::Builder::new().name("logbook".into()).spawn(work)?;
-        Ok(Self { words, missed: 0, ended, problem })
+        thread::Builder::new().name("session record".into()).spawn(work)?;
+        Ok(Self { messages, missed: 0, ended, problem })
     }
 }
 
-/// Where entries are handed in; the same book for all its clones.
+/// The way to add entries. Clones share one record.
 #[derive(Clone, Debug)]
 pub struct SessionRecord {
-    /// None: nothing is written, or it is closed.
-    gate: Arc<Mutex<Option<Gate>>>,
+    /// None: nothing is recorded, or it is closed.
+    queue: Arc<Mutex<Option<Queue>>>,
 }
 
 impl SessionRecord {
-    /// A logbook that keeps nothing.
+    /// A record that keeps nothing.
     #[must_use]
     pub fn none() -> Self {
-        Self { gate: Arc::new(Mutex::new(None)) }
+        Self { queue: Arc::new(Mutex::new(None)) }
     }
 
-    /// One that is kept there, or nowhere. Whatever is wrong with the place is a line in the log, and entries are counted as lost
-    /// until it is right.
+    /// Starts a record at a location, or none. A location that cannot be written is a line in the log, and entries are counted
+    /// as lost until it can.
     ///
     /// # Errors
     /// If the system gives no thread.
-    pub fn start(keep: Option<Location>, users: Arc<Users>) -> io::Result<Self> {
-        keep.map_or_else(|| Ok(Self::none()), |keep| Self::with(Writer::new(keep), users, WAITING))
+    pub fn start(location: Option<Location>, users: Arc<Users>) -> io::Result<Self> {
+        location
+            .map_or_else(|| Ok(Self::none()), |location| Self::with(Writer::new(location), users, WAITING))
     }
 
-    fn with(book: Writer, users: Arc<Users>, room: usize) -> io::Result<Self> {
-        let gate = Gate::open(book, users, room)?;
-        Ok(Self { gate: Arc::new(Mutex::new(Some(gate))) })
+    fn with(writer: Writer, users: Arc<Users>, room: usize) -> io::Result<Self> {
+        let queue = Queue::open(writer, users, room)?;
+        Ok(Self { queue: Arc::new(Mutex::new(Some(queue))) })
     }
 
-    /// Keeps it elsewhere, or nowhere, from now on: every entry is in one of both places. May wait for the disk, so long at most.
+    /// Moves the record, or ends it: each entry is at the old location or at the new one. May wait `timeout` for the disk.
     ///
     /// # Errors
-    /// If the disk is too slow, or the system gives no thread: then it stays where it was.
-    pub fn keep(&self, keep: Option<Location>, users: Arc<Users>, timeout: Duration) -> io::Result<()> {
-        let Some(keep) = keep else {
+    /// If the disk is too slow, or the system gives no thread: the record stays where it was.
+    pub fn move_to(
+        &self,
+        location: Option<Location>,
+        users: Arc<Users>,
+        timeout: Duration,
+    ) -> io::Result<()> {
+        let Some(location) = location else {
             self.close(timeout);
             return Ok(());
         };
-        let words = self.lock().as_ref().map(|gate| gate.words.clone());
-        match words {
-            Some(words) => {
-                words.send_timeout(Word::Move(keep), timeout).map_err(|_| io::ErrorKind::TimedOut.into())
-            }
+        let messages = self.lock().as_ref().map(|queue| queue.messages.clone());
+        match messages {
+            Some(messages) => messages
+                .send_timeout(Message::Move(location), timeout)
+                .map_err(|_| io::ErrorKind::TimedOut.into()),
             None => {
-                *self.lock() = Some(Gate::open(Writer::new(keep), users, WAITING)?);
+                *self.lock() = Some(Queue::open(Writer::new(location), users, WAITING)?);
                 Ok(())
             }
         }
     }
 
-    fn lock(&self) -> MutexGuard<'_, Option<Gate>> {
-        self.gate.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self) -> MutexGuard<'_, Option<Queue>> {
+        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Why nothing is kept at present, though it should be.
+    /// Why nothing can be written at present; none if all is well.
     #[must_use]
     pub fn problem(&self) -> Option<String> {
-        let gate = self.lock();
-        gate.as_ref().and_then(|gate| gate.problem.lock().unwrap_or_else(PoisonError::into_inner).clone())
+        let queue = self.lock();
+        queue.as_ref().and_then(|queue| queue.problem.lock().unwrap_or_else(PoisonError::into_inner).clone())
     }
 
-    /// Notes something, now. Never waits for the disk.
-    pub fn note(&self, entry: impl Into<Entry>) {
-        let mut gate = self.lock();
-        let Some(Gate { words, missed, .. }) = gate.as_mut() else { return };
-        let word = Word::Entry { stamp: Stamp::now(), missed: *missed, entry: entry.into() };
-        // The thread outlives the gate: an error is a full queue.
-        *missed = words.try_send(word).map_or(*missed + 1, |()| 0);
+    /// Adds an entry, stamped now. Never waits for the disk.
+    pub fn add(&self, entry: impl Into<Entry>) {
+        let mut queue = self.lock();
+        let Some(Queue { messages, missed, .. }) = queue.as_mut() else { return };
+        let message = Message::Entry { stamp: Stamp::now(), missed: *missed, entry: entry.into() };
+        // The thread outlives the queue: an error means that it is full.
+        *missed = messages.try_send(message).map_or(*missed + 1, |()| 0);
     }
 
-    /// Writes what waits, makes it durable, and takes nothing more; waits for that at most so long.
+    /// Writes what waits, makes it durable, and records nothing more; waits for that for `timeout` at most.
     pub fn close(&self, timeout: Duration) {
         let until = Instant::now() + timeout;
-        let Some(Gate { words, missed, ended, .. }) = self.lock().take() else { return };
-        let mut unsaid = missed;
+        let Some(Queue { messages, missed, ended, .. }) = self.lock().take() else { return };
+        let mut untold = missed;
         if missed > 0 {
             let entry = Note::Lost { entries: 1 }.into();
-            let word = Word::Entry { stamp: Stamp::now(), missed: missed - 1, entry };
-            unsaid = words.send_deadline(word, until).map_or(missed, |()| 0);
+            let message = Message::Entry { stamp: Stamp::now(), missed: missed - 1, entry };
+            untold = messages.send_deadline(message, until).map_or(missed, |()| 0);
         }
-        drop(words);
-        if ended.recv_deadline(until) == Err(RecvTimeoutError::Timeout) || unsaid > 0 {
-            warn!("the logbook's disk is too slow: the last entries may be missing from it");
+        drop(messages);
+        if ended.recv_deadline(until) == Err(RecvTimeoutError::Timeout) || untold > 0 {
+            warn!("the session record's disk is too slow: the last entries may be missing from it");
         }
     }
 }
 
-/// The thread: takes entries until nobody can hand in more.
-fn write_all(mut book: Writer, queue: &Receiver<Word>, users: &Arc<Users>) {
+/// The thread: writes entries until the queue is closed.
+fn write_all(mut writer: Writer, queue: &Receiver<Message>, users: &Arc<Users>) {
     let mut slow = false;
     loop {
-        let word = match book.due() {
-            // Idle costs nothing.
+        let message = match writer.due() {
+            // Nothing is due: no timer.
             None => queue.recv().map_err(|_| RecvTimeoutError::Disconnected),
             Some(at) => queue.recv_deadline(at),
         };
-        match word {
-            Ok(Word::Move(keep)) => book.turn_page(keep),
-            Ok(Word::Entry { stamp, missed, mut entry }) => {
-                if let Some(uid) = entry.nameless() {
-                    entry.give_name(name(users, uid, &mut slow));
+        match message {
+            Ok(Message::Move(location)) => writer.move_to(location),
+            Ok(Message::Entry { stamp, missed, mut entry }) => {
+                if let Some(uid) = entry.unnamed_user() {
+                    entry.set_user(name(users, uid, &mut slow));
                 }
-                book.write(stamp, missed, &entry);
+                writer.write(stamp, missed, &entry);
             }
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => break,
         }
-        if book.due().is_some_and(|at| at <= Instant::now()) {
-            book.sync();
+        if writer.due().is_some_and(|at| at <= Instant::now()) {
+            writer.sync();
         }
     }
-    book.finish();
+    writer.finish();
 }
 
-/// A user's name, if it is known soon.
+/// A user's name, if it is known within [`NAME_TIMEOUT`].
 fn name(users: &Arc<Users>, uid: u32, slow: &mut bool) -> Option<String> {
-    let until = Instant::now() + NAMED_WITHIN;
+    let until = Instant::now() + NAME_TIMEOUT;
     loop {
         users.look_up(uid);
         match users.known(uid) {

@@ -1,4 +1,4 @@
-//! The logbook on real files, with clocks and disks that misbehave.
+//! The session record on real files, with faulty clocks and disks.
 
 use super::writer::Disk;
 use super::*;
@@ -35,12 +35,12 @@ const SMALL: Disk = Disk {
     },
 };
 
-fn keep(dir: &Path, days: u32) -> Location {
+fn location(dir: &Path, days: u32) -> Location {
     Location { dir: dir.join("logbook"), days }
 }
 
-fn book(dir: &Path, disk: Disk) -> Writer {
-    Writer::new(keep(dir, 400)).on(disk, TimeZone::fixed(offset(1)))
+fn writer(dir: &Path, disk: Disk) -> Writer {
+    Writer::new(location(dir, 400)).on(disk, TimeZone::fixed(offset(1)))
 }
 
 fn stamp(wall: &str, monotonic_ns: u64) -> Stamp {
@@ -87,12 +87,12 @@ fn log_of(work: impl FnOnce()) -> Vec<String> {
 fn a_line_says_when_who_and_what() {
     let dir = tempfile::tempdir().unwrap();
     let users = Arc::new(Users::default());
-    let log = SessionRecord::with(book(dir.path(), REAL), users, WAITING).unwrap();
+    let log = SessionRecord::with(writer(dir.path(), REAL), users, WAITING).unwrap();
     let mut command = CommandEntry::new("arm", Peer { pid: 12, uid: 0 }, json!({"assume_rest": true}));
     command.answer = "no-device".to_owned();
-    log.note(started());
-    log.note(Note::Command(command));
-    log.note(Note::Command(CommandEntry::new("stop", Peer { pid: -1, uid: u32::MAX }, Value::Null)));
+    log.add(started());
+    log.add(Note::Command(command));
+    log.add(Note::Command(CommandEntry::new("stop", Peer { pid: -1, uid: u32::MAX }, Value::Null)));
     let hello = DeviceInfo {
         kind: "mock".to_owned(),
         firmware: "1.0.0".to_owned(),
@@ -108,11 +108,11 @@ fn a_line_says_when_who_and_what() {
         Event::Ended { receipt: Box::new(Receipt::new(3, "edge-45", "0", Some(1.0))) },
     ] {
         if let Some(entry) = Entry::of(&event, None) {
-            log.note(entry);
+            log.add(entry);
         }
     }
     log.close(Duration::from_secs(10));
-    log.note(started());
+    log.add(started());
     let folder = dir.path().join("logbook");
     assert_eq!(fs::metadata(&folder).unwrap().permissions().mode() & 0o777, 0o750);
     let file = fs::read_dir(&folder).unwrap().next().unwrap().unwrap();
@@ -139,16 +139,16 @@ fn a_line_says_when_who_and_what() {
 #[test]
 fn a_clock_set_back_shows_and_the_order_stays() {
     let dir = tempfile::tempdir().unwrap();
-    let mut book = book(dir.path(), REAL);
+    let mut writer = writer(dir.path(), REAL);
     for (wall, monotonic_ns) in [
         ("2026-11-22T13:00:00.123456789Z", 1),
         ("2026-11-22T12:00:00Z", 2),
         ("2026-11-22T23:30:00Z", 3),
         ("2026-11-22T22:30:00Z", 4),
     ] {
-        book.write(stamp(wall, monotonic_ns), 0, &started());
+        writer.write(stamp(wall, monotonic_ns), 0, &started());
     }
-    book.finish();
+    writer.finish();
     let times = |day| -> Vec<_> {
         let lines = lines(dir.path(), day);
         lines
@@ -173,9 +173,9 @@ fn a_torn_line_is_cut_and_told() {
     fs::create_dir(&folder).unwrap();
     fs::write(folder.join("2026-11-22.jsonl"), "{\"event\":\"x\"}\n{\"time\":\"2026-").unwrap();
     let said = log_of(|| {
-        let mut book = book(dir.path(), REAL);
-        book.write(stamp("2026-11-22T12:00:00Z", 1), 0, &started());
-        book.finish();
+        let mut writer = writer(dir.path(), REAL);
+        writer.write(stamp("2026-11-22T12:00:00Z", 1), 0, &started());
+        writer.finish();
     });
     let lines = lines(dir.path(), "2026-11-22");
     let names: Vec<_> = lines.iter().map(|line| &line["event"]).collect();
@@ -187,9 +187,9 @@ fn a_torn_line_is_cut_and_told() {
 #[test]
 fn a_change_of_day_removes_old_files() {
     let dir = tempfile::tempdir().unwrap();
-    let mut book = Writer::new(keep(dir.path(), 2)).on(REAL, TimeZone::UTC);
+    let mut writer = Writer::new(location(dir.path(), 2)).on(REAL, TimeZone::UTC);
     for day in 18..=23 {
-        book.write(stamp(&format!("2026-11-{day}T12:00:00Z"), day), 0, &started());
+        writer.write(stamp(&format!("2026-11-{day}T12:00:00Z"), day), 0, &started());
     }
     let mut left: Vec<_> =
         fs::read_dir(dir.path().join("logbook")).unwrap().map(|e| e.unwrap().file_name()).collect();
@@ -201,8 +201,9 @@ fn a_change_of_day_removes_old_files() {
 fn a_full_disk_is_one_line_and_what_is_missing_is_counted() {
     let dir = tempfile::tempdir().unwrap();
     let said = log_of(|| {
-        let mut book = book(dir.path(), SMALL);
-        let mut write = |monotonic_ns| book.write(stamp("2026-11-22T12:00:00Z", monotonic_ns), 0, &started());
+        let mut writer = writer(dir.path(), SMALL);
+        let mut write =
+            |monotonic_ns| writer.write(stamp("2026-11-22T12:00:00Z", monotonic_ns), 0, &started());
         write(1);
         ROOM.set(40);
         write(2);
@@ -214,7 +215,7 @@ fn a_full_disk_is_one_line_and_what_is_missing_is_counted() {
         write(5);
         thread::sleep(Duration::from_millis(1010));
         write(6);
-        book.finish();
+        writer.finish();
     });
     let lines = lines(dir.path(), "2026-11-22");
     let names: Vec<_> = lines.iter().map(|line| line["event"].as_str().unwrap()).collect();
@@ -230,8 +231,9 @@ fn a_directory_that_is_not_there_is_waited_for_and_one_that_vanishes_is_made_aga
     let dir = tempfile::tempdir().unwrap();
     let site = dir.path().join("site");
     let said = log_of(|| {
-        let mut book = book(&site, REAL);
-        let mut write = |monotonic_ns| book.write(stamp("2026-11-22T12:00:00Z", monotonic_ns), 0, &started());
+        let mut writer = writer(&site, REAL);
+        let mut write =
+            |monotonic_ns| writer.write(stamp("2026-11-22T12:00:00Z", monotonic_ns), 0, &started());
         write(1);
         fs::create_dir(&site).unwrap();
         thread::sleep(Duration::from_millis(1010));
@@ -240,7 +242,7 @@ fn a_directory_that_is_not_there_is_waited_for_and_one_that_vanishes_is_made_aga
         write(3);
         fs::remove_file(site.join("logbook/2026-11-22.jsonl")).unwrap();
         write(4);
-        book.finish();
+        writer.finish();
     });
     assert_eq!(lines(&site, "2026-11-22")[0]["monotonic_ns"], 4);
     assert!(said.len() == 2 && said[0].contains("No such file"), "{said:?}");
@@ -250,7 +252,7 @@ fn a_directory_that_is_not_there_is_waited_for_and_one_that_vanishes_is_made_aga
 fn two_daemons_do_not_share_a_directory() {
     let dir = tempfile::tempdir().unwrap();
     let at = stamp("2026-11-22T12:00:00Z", 1);
-    let (mut first, mut second) = (book(dir.path(), REAL), book(dir.path(), REAL));
+    let (mut first, mut second) = (writer(dir.path(), REAL), writer(dir.path(), REAL));
     first.write(at, 0, &started());
     let said = log_of(|| second.write(at, 0, &started()));
     assert!(said.len() == 1 && said[0].contains("another daemon"), "{said:?}");
@@ -260,18 +262,18 @@ fn two_daemons_do_not_share_a_directory() {
 #[test]
 fn lines_are_synced_once_for_many_and_never_for_none() {
     let dir = tempfile::tempdir().unwrap();
-    let mut book = book(dir.path(), SMALL);
-    book.sync();
-    assert_eq!((SYNCS.get(), book.due()), (0, None));
+    let mut writer = writer(dir.path(), SMALL);
+    writer.sync();
+    assert_eq!((SYNCS.get(), writer.due()), (0, None));
     let begun = Instant::now();
     for monotonic_ns in 1..100 {
-        book.write(stamp("2026-11-22T12:00:00Z", monotonic_ns), 0, &started());
+        writer.write(stamp("2026-11-22T12:00:00Z", monotonic_ns), 0, &started());
     }
-    let due = book.due().unwrap() - begun;
+    let due = writer.due().unwrap() - begun;
     assert!(SYNCS.get() == 0 && SYNC_AFTER <= due && due < Duration::from_secs(1), "{due:?}");
-    book.sync();
-    assert_eq!((SYNCS.get(), book.due()), (1, None));
-    book.finish();
+    writer.sync();
+    assert_eq!((SYNCS.get(), writer.due()), (1, None));
+    writer.finish();
     assert_eq!(SYNCS.get(), 1);
 }
 
@@ -288,17 +290,17 @@ fn a_full_queue_does_not_wait_and_is_told() {
     };
     let dir = tempfile::tempdir().unwrap();
     let held = HELD.lock().unwrap();
-    let log = SessionRecord::with(book(dir.path(), STUCK), Arc::new(Users::default()), 4).unwrap();
+    let log = SessionRecord::with(writer(dir.path(), STUCK), Arc::new(Users::default()), 4).unwrap();
     let begun = Instant::now();
     for entries in 100..120 {
-        log.note(lost(entries));
+        log.add(lost(entries));
     }
     assert!(begun.elapsed() < Duration::from_secs(1));
     drop(held);
-    while log.lock().as_ref().is_some_and(|gate| !gate.words.is_empty()) {
+    while log.lock().as_ref().is_some_and(|queue| !queue.messages.is_empty()) {
         thread::sleep(Duration::from_millis(1));
     }
-    log.note(started());
+    log.add(started());
     log.close(Duration::from_secs(10));
     let file = fs::read_dir(dir.path().join("logbook")).unwrap().next().unwrap().unwrap().path();
     let text = fs::read_to_string(file).unwrap();
@@ -312,24 +314,24 @@ fn a_full_queue_does_not_wait_and_is_told() {
 }
 
 #[test]
-fn a_logbook_that_moves_loses_nothing() {
+fn a_record_that_moves_loses_nothing() {
     let (first, second) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let (users, timeout) = (Arc::new(Users::default()), Duration::from_secs(10));
     let log = SessionRecord::none();
-    log.keep(Some(keep(first.path(), 1)), Arc::clone(&users), timeout).unwrap();
+    log.move_to(Some(location(first.path(), 1)), Arc::clone(&users), timeout).unwrap();
     let entries = |dir: &Path| {
         let file = fs::read_dir(dir.join("logbook")).unwrap().next().unwrap().unwrap().path();
         fs::read_to_string(file).unwrap().lines().count()
     };
-    log.note(started());
-    log.note(started());
-    log.keep(Some(keep(second.path(), 1)), Arc::clone(&users), timeout).unwrap();
-    log.note(started());
-    log.keep(None, Arc::clone(&users), timeout).unwrap();
-    log.note(started());
+    log.add(started());
+    log.add(started());
+    log.move_to(Some(location(second.path(), 1)), Arc::clone(&users), timeout).unwrap();
+    log.add(started());
+    log.move_to(None, Arc::clone(&users), timeout).unwrap();
+    log.add(started());
     assert_eq!((entries(first.path()), entries(second.path())), (2, 1));
-    log.keep(Some(keep(first.path(), 1)), users, timeout).unwrap();
-    log.note(started());
+    log.move_to(Some(location(first.path(), 1)), users, timeout).unwrap();
+    log.add(started());
     log.close(timeout);
     assert_eq!((entries(first.path()), entries(second.path())), (3, 1));
 }
@@ -337,7 +339,7 @@ fn a_logbook_that_moves_loses_nothing() {
 #[test]
 fn none_keeps_nothing() {
     let log = SessionRecord::none();
-    log.note(started());
+    log.add(started());
     log.close(Duration::ZERO);
 }
 
@@ -346,13 +348,13 @@ fn lines_that_were_not_made_durable_are_counted_as_missing() {
     const DEAF: Disk =
         Disk { append: |file, bytes| file.write(bytes), sync: |_| Err(io::Error::from_raw_os_error(5)) };
     let dir = tempfile::tempdir().unwrap();
-    let mut book = book(dir.path(), DEAF);
+    let mut writer = writer(dir.path(), DEAF);
     let log = log_of(|| {
         for second in 1..=3 {
-            book.write(stamp("2026-11-22T13:03:22Z", second), 0, &started());
+            writer.write(stamp("2026-11-22T13:03:22Z", second), 0, &started());
         }
-        book.sync();
-        book.finish();
+        writer.sync();
+        writer.finish();
     });
     assert!(log[0].contains("cannot be written"), "{log:?}");
     assert!(log[1].contains("3 entries are missing at the end"), "{log:?}");
@@ -363,7 +365,7 @@ fn a_pipe_in_the_directorys_place_is_a_line_and_hangs_nobody() {
     let dir = tempfile::tempdir().unwrap();
     let pipe = dir.path().join("logbook");
     rustix::fs::mknodat(rustix::fs::CWD, &pipe, rustix::fs::FileType::Fifo, 0o600.into(), 0).unwrap();
-    let mut book = book(dir.path(), REAL);
-    let log = log_of(|| book.write(stamp("2026-11-22T13:03:22Z", 1), 0, &started()));
+    let mut writer = writer(dir.path(), REAL);
+    let log = log_of(|| writer.write(stamp("2026-11-22T13:03:22Z", 1), 0, &started()));
     assert!(log[0].contains("Not a directory"), "{log:?}");
 }

@@ -1,9 +1,9 @@
-//! Names of users, by their numbers.
+//! Names of users, by their numbers; for display only, never for access.
 //!
-//! The system may ask a directory service far away, so a name is looked up by whoever can wait, and remembered for whoever cannot.
-//! Nobody is let in or kept out by it.
+//! The system may ask a remote directory service: [`Users::look_up`] does so on a thread of its own, [`Users::known`] returns what
+//! is known without waiting.
 //!
-//! Invariants: nothing is looked up under the lock; one name at a time, so that a directory that hangs costs one thread.
+//! Invariants: nothing is looked up under the lock; one name at a time, so that a directory service that hangs costs one thread.
 
 use nix::unistd::{Uid, User};
 use std::collections::HashMap;
@@ -12,11 +12,11 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Users that are remembered: more than a lab has.
+/// Users kept: more than a lab has.
 const MOST: usize = 1000;
-/// How long a name is not asked for again.
+/// How long a name is valid.
 const GOOD_FOR: Duration = Duration::from_secs(3600);
-/// How long nobody is asked again for a name that was not found.
+/// How long a user without a name is not looked up again.
 const UNKNOWN_FOR: Duration = Duration::from_secs(60);
 
 #[derive(Debug)]
@@ -37,13 +37,13 @@ impl Users {
         self.known.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// What is known of a user, without asking anybody: outer none if they were never looked up.
+    /// A user's name, without a look-up; the outer `None` means that the user was never looked up.
     #[must_use]
     pub fn known(&self, uid: u32) -> Option<Option<String>> {
         self.lock().get(&uid).map(|known| known.name.clone())
     }
 
-    /// Has a user looked up, if that was not done lately or is being done for another: a number is told until their next time then.
+    /// Starts looking a user up, unless the name is still valid or another look-up runs.
     pub fn look_up(self: &Arc<Self>, uid: u32) {
         let lately = self.lock().get(&uid).is_some_and(|known| Instant::now() < known.until);
         if lately || self.asking.swap(true, Ordering::Relaxed) {
@@ -54,13 +54,13 @@ impl Users {
             users.ask(uid);
             users.asking.store(false, Ordering::Relaxed);
         };
-        // A thread of its own: it may be as slow as it likes.
+        // On a thread of its own: it may take long.
         if thread::Builder::new().name("names".into()).spawn(work).is_err() {
             self.asking.store(false, Ordering::Relaxed);
         }
     }
 
-    /// Takes as long as the system's directory of users takes.
+    /// Waits for the system's directory of users.
     fn ask(&self, uid: u32) {
         let found = User::from_uid(Uid::from_raw(uid)).ok().flatten();
         let name: Option<String> = found.map(|user| user.name);
@@ -78,7 +78,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_name_is_looked_up_once_and_nobody_has_none() {
+    fn a_name_is_looked_up_once_and_an_unknown_user_has_none() {
         let users = Arc::new(Users::default());
         assert_eq!(users.known(0), None);
         for (uid, name) in [(0, Some("root".to_owned())), (4_000_000_001, None)] {

@@ -1,7 +1,7 @@
-//! The book: writes lines to the file of their day, makes them durable, and goes on when the disk does not.
+//! Writes lines to the file of their day, makes them durable, and survives a failing disk.
 //!
-//! It blocks for as long as the disk takes, and belongs to the logbook's thread. A line is one write in append mode; one that does not
-//! fit is cut back. While the disk fails, entries are counted, and every [`AGAIN_AFTER`] the next one is a new try.
+//! The session record's thread calls it, and waits as long as the disk takes. A line is one write in append mode; a partial write is
+//! cut back. While the disk fails, entries are counted, and the writer tries again with the next entry after [`RETRY_AFTER`].
 //!
 //! Invariant: after each call the file ends with a whole line, or is not open.
 
@@ -22,12 +22,12 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use tracing::{info, warn};
 
-/// How long after it was written a line is made durable: half a second, so that a slow disk has another half.
+/// How long after its writing a line is made durable: half a second, so that a slow disk has another half.
 pub const SYNC_AFTER: Duration = Duration::from_millis(500);
-/// How long a disk that failed is left alone.
-const AGAIN_AFTER: Duration = Duration::from_secs(1);
+/// Time between tries on a disk that failed.
+const RETRY_AFTER: Duration = Duration::from_secs(1);
 
-/// What a disk does; a test has others.
+/// The disk's operations; tests replace them.
 pub(super) struct Disk {
     pub(super) append: fn(&mut File, &[u8]) -> io::Result<usize>,
     pub(super) sync: fn(&File) -> io::Result<()>,
@@ -43,7 +43,7 @@ impl fmt::Debug for Disk {
     }
 }
 
-/// What went wrong, where.
+/// A failed operation, and the file.
 #[derive(Debug, thiserror::Error)]
 #[error("{}: {source}", .path.display())]
 struct Failure {
@@ -63,9 +63,9 @@ struct Open {
     file: File,
     /// Up to the last whole line.
     length: u64,
-    /// Which file it is, wherever its name leads now.
+    /// Device and inode: its name may lead to another file by now.
     identity: (u64, u64),
-    /// Locked for as long as it is open: lines of two daemons would be cut by each other.
+    /// Locked while the file is open: two daemons would cut each other's lines.
     _dir: File,
 }
 
@@ -81,27 +81,27 @@ struct Line<'a> {
 /// See the module.
 #[derive(Debug)]
 pub(super) struct Writer {
-    keep: Location,
-    /// Where the lab is; none: where the system says it is.
+    location: Location,
+    /// The lab's time zone; none: the system's.
     zone: Option<TimeZone>,
     disk: Disk,
     open: Option<Open>,
-    /// Entries that no line has told of yet.
+    /// Entries that are missing and that no line has told yet.
     missing: u64,
     /// Lines that are not durable yet.
     unsynced: u64,
-    /// What is wrong with it, for whoever asks.
+    /// Why nothing can be written, for the status.
     problem: Arc<Mutex<Option<String>>>,
-    /// The disk fails: until then it is left alone.
+    /// When to try a failing disk again.
     failing: Option<Instant>,
-    /// When the first line that is not durable has to be.
+    /// When lines have to be made durable.
     due: Option<Instant>,
 }
 
 impl Writer {
-    pub(super) fn new(keep: Location) -> Self {
+    pub(super) fn new(location: Location) -> Self {
         Self {
-            keep,
+            location,
             problem: Arc::default(),
             zone: None,
             disk: Disk::REAL,
@@ -118,12 +118,12 @@ impl Writer {
         Self { disk, zone: Some(zone), ..self }
     }
 
-    /// Where it says what is wrong with it.
+    /// Where it tells why nothing can be written.
     pub(super) fn problem(&self) -> Arc<Mutex<Option<String>>> {
         Arc::clone(&self.problem)
     }
 
-    fn say(&self, problem: Option<String>) {
+    fn set_problem(&self, problem: Option<String>) {
         *self.problem.lock().unwrap_or_else(PoisonError::into_inner) = problem;
     }
 
@@ -132,7 +132,7 @@ impl Writer {
         self.due
     }
 
-    /// Writes an entry, before which so many were missed.
+    /// Writes an entry; `missed` entries before it found no room in the queue.
     pub(super) fn write(&mut self, stamp: Stamp, missed: u64, entry: &Entry) {
         self.missing += missed;
         if self.failing.is_some_and(|until| Instant::now() < until) {
@@ -141,10 +141,10 @@ impl Writer {
         }
         match self.try_write(stamp, entry) {
             Ok(missing) if self.failing.take().is_some() => {
-                self.say(None);
+                self.set_problem(None);
                 info!(
-                    "the logbook in {} is written again; {missing} entries are missing",
-                    self.keep.dir.display()
+                    "the session record in {} is written again; {missing} entries are missing",
+                    self.location.dir.display()
                 );
             }
             Ok(_) => {}
@@ -163,7 +163,7 @@ impl Writer {
         let Some(open) = &self.open else { return };
         if let Err(source) = (self.disk.sync)(&open.file) {
             let failure = Failure { path: open.path.clone(), source };
-            // What the system has of them is not to be relied on.
+            // The system may have lost them.
             self.open = None;
             self.missing += self.unsynced;
             self.fail(&failure);
@@ -171,44 +171,44 @@ impl Writer {
         self.unsynced = 0;
     }
 
-    /// What comes from now on is kept there; what was missing is told there.
-    pub(super) fn turn_page(&mut self, keep: Location) {
+    /// Writes the following entries to another location, which also tells what is missing.
+    pub(super) fn move_to(&mut self, location: Location) {
         self.sync();
-        (self.keep, self.open, self.failing) = (keep, None, None);
-        self.say(None);
+        (self.location, self.open, self.failing) = (location, None, None);
+        self.set_problem(None);
     }
 
-    /// Nothing more will come.
+    /// Makes the last lines durable and closes.
     pub(super) fn finish(mut self) {
         self.sync();
         if self.missing > 0 {
             warn!(
-                "{} entries are missing at the end of the logbook in {}",
+                "{} entries are missing at the end of the session record in {}",
                 self.missing,
-                self.keep.dir.display()
+                self.location.dir.display()
             );
         }
     }
 
     fn fail(&mut self, failure: &Failure) {
-        self.say(Some(format!("the logbook cannot be written: {failure}")));
-        if self.failing.replace(Instant::now() + AGAIN_AFTER).is_none() {
+        self.set_problem(Some(format!("the session record cannot be written: {failure}")));
+        if self.failing.replace(Instant::now() + RETRY_AFTER).is_none() {
             warn!(
-                "the logbook cannot be written: {failure}; make room there and see that the daemon may write, or set \
-                 `logbook_dir`; playing goes on"
+                "the session record cannot be written: {failure}; make room there and see that the daemon may write, or \
+                 set `logbook_dir`; playing goes on"
             );
         }
     }
 
-    /// Says how many entries were missing before this one.
+    /// Returns how many entries were missing before this one.
     fn try_write(&mut self, stamp: Stamp, entry: &Entry) -> Result<u64, Failure> {
         let time = stamp.wall.to_zoned(self.zone.clone().unwrap_or_else(TimeZone::system));
-        self.turn_to(time.date())?;
+        self.open_day(time.date())?;
         let missing = self.missing;
         if missing > 0 {
             let lost = Note::Lost { entries: missing }.into();
             self.append(&time, stamp, &lost)?;
-            // If that line is lost, so are they.
+            // If that line is lost, they are missing again.
             (self.missing, self.unsynced) = (0, self.unsynced + missing - 1);
         }
         self.append(&time, stamp, entry)?;
@@ -242,8 +242,8 @@ impl Writer {
         }
     }
 
-    /// Sees that the file of that day is open, and is still the one its name leads to.
-    fn turn_to(&mut self, day: Date) -> Result<(), Failure> {
+    /// Opens the file of a day, unless it is open and its name still leads to it.
+    fn open_day(&mut self, day: Date) -> Result<(), Failure> {
         let same = |open: &Open| {
             let there = fs::metadata(&open.path);
             open.day == day && there.is_ok_and(|there| (there.dev(), there.ino()) == open.identity)
@@ -253,21 +253,24 @@ impl Writer {
         }
         self.sync();
         self.open = None;
-        let (open, cut) = open(&self.keep.dir, day)?;
+        let (open, cut) = open(&self.location.dir, day)?;
         if cut > 0 {
-            // What it was nobody knows; that it was, the next line says.
+            // Its content is lost; the next line counts it.
             self.missing += 1;
             warn!("{}: cut off {cut} bytes of a line that was never finished", open.path.display());
         }
         self.open = Some(open);
-        if let Err(error) = days::remove_old(&self.keep.dir, day, self.keep.days) {
-            warn!("{}: old files cannot be removed: {error}; remove them by hand", self.keep.dir.display());
+        if let Err(error) = days::remove_old(&self.location.dir, day, self.location.days) {
+            warn!(
+                "{}: old files cannot be removed: {error}; remove them by hand",
+                self.location.dir.display()
+            );
         }
         Ok(())
     }
 }
 
-/// All of a line, and how much that was. It is one write, unless a signal or the disk's end comes between.
+/// Writes a whole line and returns its length: one write, unless a signal or a full disk interrupts it.
 fn whole(append: fn(&mut File, &[u8]) -> io::Result<usize>, file: &mut File, line: &[u8]) -> io::Result<u64> {
     let mut rest = line;
     while !rest.is_empty() {
@@ -281,7 +284,7 @@ fn whole(append: fn(&mut File, &[u8]) -> io::Result<usize>, file: &mut File, lin
     Ok(line.len() as u64)
 }
 
-/// Opens the file of a day, whole lines only, and says how much was cut off. Makes what is missing of the directory's last part.
+/// Opens the file of a day, cuts off a torn line, and returns how many bytes that were. Makes the directory, not its parent.
 fn open(dir: &Path, day: Date) -> Result<(Open, u64), Failure> {
     match DirBuilder::new().mode(0o750).create(dir) {
         Ok(()) => sync_dir(dir.parent().unwrap_or(Path::new("/")))?,
@@ -291,13 +294,13 @@ fn open(dir: &Path, day: Date) -> Result<(Open, u64), Failure> {
     let kept = open_dir(dir)?;
     // Not every file system can lock.
     if flock(&kept, FlockOperation::NonBlockingLockExclusive) == Err(Errno::WOULDBLOCK) {
-        let busy = io::Error::other("another daemon writes its logbook there: give each its own");
+        let busy = io::Error::other("another daemon writes its session record there: give each its own");
         return Err(at(dir)(busy));
     }
     let path = dir.join(days::name(day));
     let wrong = |source| Failure { path: path.clone(), source };
     let mut options = OpenOptions::new();
-    // Neither a link that leads elsewhere nor a pipe that nobody reads.
+    // Follows no link, and does not wait for a pipe's reader.
     let flags = (OFlags::NOFOLLOW | OFlags::NONBLOCK).bits().cast_signed();
     options.read(true).append(true).custom_flags(flags).mode(0o640);
     let file = match options.open(&path) {
@@ -322,7 +325,7 @@ fn sync_dir(dir: &Path) -> Result<(), Failure> {
     open_dir(dir)?.sync_all().map_err(at(dir))
 }
 
-/// Of what is no directory nobody waits for a writer.
+/// Opens a directory; does not wait if the path is a pipe.
 fn open_dir(dir: &Path) -> Result<File, Failure> {
     let flags = (OFlags::DIRECTORY | OFlags::NONBLOCK).bits().cast_signed();
     OpenOptions::new().read(true).custom_flags(flags).open(dir).map_err(at(dir))

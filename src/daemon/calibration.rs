@@ -1,0 +1,173 @@
+//! Calibrations as files and as what a played plan comes to; no part of the daemon's state.
+//!
+//! [`read`] and [`write`] are the file, [`CalibrationRun`] collects the measured bursts of a plan and fits them, [`report`] is
+//! what clients see.
+//!
+//! Invariant: the file is replaced whole or not at all.
+
+use crate::config;
+use crate::store;
+use firmware_protocol::stroke::Direction;
+use firmware_protocol::tick::Tick;
+use jiff::Timestamp;
+use meissner_api::{CalibratedMotor, CalibrationReport, Code, DeviceInfo, PlayState, Problem, Receipt};
+use meissner_stream::calibrate::{Calibration, Fit, MAX_BYTES, MotorFit, Plan, fit, travels_by_telemetry};
+use meissner_stream::queues::MeasuredBurst;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Measured bursts kept of a plan, at most: the longest plan has 48 000, and other plays may follow.
+const MAX_BURSTS: usize = 1 << 17;
+const ADVICE: &str = "run `meissner calibrate`";
+
+/// A plan that is being played, and what was measured of it.
+#[derive(Debug)]
+pub(super) struct CalibrationRun {
+    pub(super) id: u64,
+    plan: Plan,
+    bursts: Vec<MeasuredBurst>,
+}
+
+impl CalibrationRun {
+    pub(super) fn new(id: u64, plan: Plan) -> Self {
+        Self { id, plan, bursts: Vec::new() }
+    }
+
+    pub(super) fn add(&mut self, burst: MeasuredBurst) {
+        if self.bursts.len() < MAX_BURSTS {
+            self.bursts.push(burst);
+        }
+    }
+
+    /// Takes out what was measured; what stays still blocks other plays.
+    pub(super) fn take(&mut self) -> Self {
+        let Self { id, plan, bursts } = self;
+        Self { id: *id, plan: plan.clone(), bursts: std::mem::take(bursts) }
+    }
+
+    /// Fits a plan that was played on this device.
+    pub(super) fn fit(
+        &self,
+        receipt: &Receipt,
+        device: &DeviceInfo,
+        identity: &str,
+    ) -> Result<Calibration, String> {
+        let onset = match receipt.onset {
+            Some(onset) if receipt.state == PlayState::Done => Tick(onset.actual_tick),
+            _ => {
+                let why = receipt.cause.as_deref().unwrap_or("it did not begin");
+                return Err(format!(
+                    "the calibration was cut ({why}): nothing was stored; let it play to its end"
+                ));
+            }
+        };
+        let kind = device.kind.split(':').next().unwrap_or_default();
+        let firmware = format!("{} ({})", device.firmware, device.build);
+        let telemetry = if device.simulated { "plant" } else { "device" };
+        let mut provenance = self.plan.provenance(kind, &firmware, identity, telemetry);
+        provenance.date = Some(utc_now());
+        let fits =
+            fit(&travels_by_telemetry(&self.plan, onset, &self.bursts)).map_err(|error| error.to_string())?;
+        if fits.is_empty() {
+            return Err(format!(
+                "no burst of play {} was measured: see `meissner receipt`, then again",
+                self.id
+            ));
+        }
+        Calibration::new(fits, provenance).map_err(|error| error.to_string())
+    }
+}
+
+/// UTC, to the second.
+fn utc_now() -> String {
+    Timestamp::now().strftime("%FT%TZ").to_string()
+}
+
+/// The file's calibration, and why it is not in use.
+#[derive(Clone, Debug)]
+pub(super) struct StoredCalibration {
+    pub(super) calibration: Arc<Calibration>,
+    pub(super) unused: Option<String>,
+}
+
+/// Reads the file for the device of that identity. An error says why there is no calibration, and whether the file is at fault.
+pub(super) fn read(file: Option<&Path>, identity: Option<&str>) -> Result<StoredCalibration, (String, bool)> {
+    let none = || (format!("nothing was calibrated yet: {ADVICE}"), false);
+    let file = file.ok_or_else(none)?;
+    let bytes = match config::read_regular(file, MAX_BYTES as u64) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Err(none()),
+        bytes => {
+            bytes.map_err(|error| (format!("{}: {error}; mend it, or {ADVICE}", file.display()), true))?
+        }
+    };
+    let bad = |what: String| (format!("{what}; not used: mend it, or {ADVICE}"), true);
+    let name = file.display().to_string();
+    let text = String::from_utf8(bytes).map_err(|_| bad(format!("{name}: not UTF-8 text")))?;
+    let calibration = Calibration::parse(&text, &name).map_err(|error| bad(error.to_string()))?;
+    let unused = match identity {
+        Some(identity) if identity == calibration.provenance().identity => None,
+        Some(_) => Some(format!("{name} is of another device: not used; {ADVICE}")),
+        None => Some("no device is connected".to_owned()),
+    };
+    Ok(StoredCalibration { calibration: Arc::new(calibration), unused })
+}
+
+/// Adds the other motors of an older calibration of the same device.
+pub(super) fn with_other_motors(new: Calibration, old: Option<&StoredCalibration>) -> Calibration {
+    let old = old.map(|old| &old.calibration);
+    let Some(old) = old.filter(|old| old.provenance().identity == new.provenance().identity) else {
+        return new;
+    };
+    let others = old.motors().iter().filter(|fit| new.motor(fit.motor).is_none());
+    let motors: Vec<MotorFit> = new.motors().iter().chain(others).copied().collect();
+    // Both were checked when they were made.
+    Calibration::new(motors, new.provenance().clone()).unwrap_or(new)
+}
+
+/// Replaces the file.
+pub(super) fn write(file: &Path, calibration: &Calibration) -> Result<(), String> {
+    let dir = file.parent().filter(|dir| !dir.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let written = fs::create_dir_all(dir);
+    let written = written.and_then(|()| store::replace(dir, file, calibration.to_toml().as_bytes()));
+    written.map_err(|error| {
+        format!(
+            "{}: cannot be written: {error}; set `calibration` in the daemon's configuration",
+            file.display()
+        )
+    })
+}
+
+/// The calibration as clients see it.
+pub(super) fn report(
+    file: Option<&PathBuf>,
+    stored: &Result<StoredCalibration, String>,
+) -> Result<CalibrationReport, Problem> {
+    let StoredCalibration { calibration, unused } =
+        stored.as_ref().map_err(|detail| Problem::new(Code::NotFound, detail.clone()))?;
+    let motor = |fit: &MotorFit| {
+        let both = [Direction::Up, Direction::Down].map(|direction| fit.of(direction));
+        let [gain_up, gain_down] = both.map(Fit::gain);
+        let [gain_up_se, gain_down_se] =
+            both.map(|fit| fit.slope_se_um_per_pulse / fit.slope_um_per_pulse * fit.gain());
+        let [relative_sd_up, relative_sd_down] = both.map(|fit| fit.relative_sd);
+        CalibratedMotor {
+            motor: fit.motor,
+            gain_up,
+            gain_up_se,
+            gain_down,
+            gain_down_se,
+            relative_sd_up,
+            relative_sd_down,
+        }
+    };
+    Ok(CalibrationReport {
+        file: file.map(|file| file.display().to_string()).unwrap_or_default(),
+        used: unused.is_none(),
+        unused: unused.clone(),
+        motors: calibration.motors().iter().map(motor).collect(),
+        provenance: calibration.provenance().clone(),
+        toml: calibration.to_toml(),
+    })
+}

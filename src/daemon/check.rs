@@ -1,0 +1,40 @@
+//! Whether the daemon could run with a configuration: at the start, at a reload, and for `meissner daemon --check-config`.
+//!
+//! Nothing is made or changed here.
+
+use super::error::DaemonError;
+use super::socket;
+use crate::config::{Config, PatternsDir};
+use crate::session_record::Location;
+use crate::store::{Store, StoreError};
+use std::path::Path;
+
+/// Checks a configuration and opens its patterns.
+///
+/// # Errors
+/// The first thing the daemon would refuse.
+pub fn check(config: &Config) -> Result<Store, DaemonError> {
+    socket::check(&config.socket)?;
+    if let Some(Location { dir, .. }) = &config.logbook {
+        let parent = dir.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        if !dir.is_dir() && (dir.exists() || !parent.is_dir()) {
+            return Err(DaemonError::SessionRecord { dir: dir.clone() });
+        }
+    }
+    Ok(store(config)?)
+}
+
+/// Opens the patterns that a configuration names.
+///
+/// # Errors
+/// If their directory cannot be read.
+pub(super) fn store(config: &Config) -> Result<Store, StoreError> {
+    let (dir, make_dir) = match &config.patterns {
+        PatternsDir::Configured(dir) => (Some(dir.clone()), false),
+        PatternsDir::Default(dir) => (Some(dir.clone()), true),
+        PatternsDir::None => (None, false),
+    };
+    let store = Store::new(dir, make_dir)?;
+    store.check_dir()?;
+    Ok(store)
+}

@@ -1,0 +1,46 @@
+//! Why the daemon cannot start or has ended.
+//!
+//! Every message says what failed, where, and what to do, in one line.
+
+use super::socket::SocketError;
+use crate::store::StoreError;
+use std::io;
+use std::path::PathBuf;
+
+/// Why there is no daemon.
+#[derive(Debug, thiserror::Error)]
+pub enum DaemonError {
+    /// The socket.
+    #[error(transparent)]
+    Socket(#[from] SocketError),
+    /// The library or the configured directory of patterns.
+    #[error("`patterns_dir`: {0}")]
+    Store(#[from] StoreError),
+    /// The session record has no directory and cannot make one.
+    #[error("`logbook_dir`: {}: neither it nor its parent is a directory: make one, or name another", .dir.display())]
+    SessionRecord {
+        /// The configured directory.
+        dir: PathBuf,
+    },
+    /// The system gave no descriptor or thread.
+    #[error("the system gives no {what}: {source}")]
+    System {
+        /// What was asked for.
+        what: &'static str,
+        /// The system's answer.
+        source: io::Error,
+    },
+    /// The event loop ended by itself: our bug.
+    #[error(
+        "internal error: the daemon does not hear its streamer any more; motors go off when the lease ends"
+    )]
+    EventLoop,
+    /// The streamer ended by itself: our bug.
+    #[error("internal error: the streamer's thread has ended; motors go off when the lease ends")]
+    Streamer,
+}
+
+/// Makes an [`io::Error`] a [`DaemonError::System`].
+pub(super) fn system(what: &'static str) -> impl Fn(io::Error) -> DaemonError {
+    move |source| DaemonError::System { what, source }
+}

@@ -1,0 +1,128 @@
+//! The event loop: takes in what the streamer tells, and has ended plays predicted.
+//!
+//! Streamer events become answers, receipts and published events under the engine's lock, in their order; the log gets them after
+//! that. The loop decides nothing.
+//!
+//! Invariant: no event waits for the log, a listener or the disk.
+
+use super::engine::Engine;
+use super::predictor::Predictor;
+use super::service::StatusReporter;
+use meissner_api::Event;
+use meissner_design::MOST_OBSERVED_S;
+use meissner_stream::queues::{EventQueue, StreamEvent};
+use std::io;
+use std::os::fd::{AsFd, OwnedFd};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+use tokio::io::Interest;
+use tokio::io::unix::AsyncFd;
+
+/// How long after a play's end the streamer is woken: by then the device has measured its last bursts.
+const MEASURED_AFTER: Duration = Duration::from_millis(300);
+/// How long after that the measurements have been read.
+const READ_AFTER: Duration = Duration::from_millis(50);
+
+/// A play that is to be predicted.
+struct Due {
+    at: Instant,
+    play: u64,
+    /// The streamer was woken for its last measurements.
+    woken: bool,
+}
+
+impl Due {
+    fn after(delay: Duration, play: u64) -> Self {
+        Self { at: Instant::now() + delay, play, woken: false }
+    }
+}
+
+impl Engine {
+    /// Runs until the streamer ends.
+    pub(super) async fn event_loop(
+        self: Arc<Self>,
+        mut events: EventQueue,
+        predictor: Predictor,
+        mut status: StatusReporter,
+    ) -> io::Result<()> {
+        let readable = readable(&events)?;
+        let mut due: Vec<Due> = Vec::new();
+        loop {
+            let next = due.iter().map(|due| due.at).min();
+            let wait = async {
+                match next {
+                    Some(at) => tokio::time::sleep_until(at.into()).await,
+                    None => std::future::pending().await,
+                }
+            };
+            tokio::select! {
+                ready = readable.readable() => ready?.clear_ready(),
+                () = self.changed.notified() => {}
+                () = wait => {}
+            }
+            // Cleared before the queue is drained: what comes in between makes it readable again.
+            events.clear_wake();
+            {
+                let mut state = self.lock();
+                while let Some(burst) = events.pop_measured() {
+                    state.plays.measured.add(burst);
+                    state.calibration.add(burst);
+                }
+            }
+            while let Some(streamed) = events.pop() {
+                if matches!(streamed, StreamEvent::ThreadEnded) {
+                    return Ok(());
+                }
+                let (event, is_new) = self.lock().apply(streamed);
+                match &event {
+                    Some(Event::Connected { .. }) => self.set_first_device_known(),
+                    // Measured bursts are kept for little more than the first minute, so a long play is predicted before its end.
+                    Some(Event::Began { id, .. }) => {
+                        due.push(Due::after(Duration::from_secs_f64(MOST_OBSERVED_S) + MEASURED_AFTER, *id));
+                    }
+                    Some(Event::Ended { receipt }) => {
+                        due.retain(|due| due.play != receipt.id);
+                        due.push(Due::after(MEASURED_AFTER, receipt.id));
+                    }
+                    _ => {}
+                }
+                // After it is published, and outside of the lock: the log may be slow.
+                if let Some(event) = event.filter(|_| is_new) {
+                    self.log(&event);
+                }
+            }
+            status.update(&self);
+            let now = Instant::now();
+            for due in due.iter_mut().filter(|due| due.at <= now) {
+                if due.woken {
+                    self.predict(&predictor, due.play);
+                } else {
+                    (due.at, due.woken) = (now + READ_AFTER, true);
+                    self.lock().commands.wake_streamer();
+                }
+            }
+            due.retain(|due| due.at > now);
+        }
+    }
+
+    /// Has the response to a play predicted, once; or its calibration fitted, if it was one.
+    fn predict(self: &Arc<Self>, predictor: &Predictor, id: u64) {
+        self.finish_calibration(predictor, id);
+        let Some(play) = self.lock().plays.take_measured(id) else { return };
+        let (closing, report) = (Arc::clone(self), Arc::clone(self));
+        predictor.predict(
+            play,
+            move || closing.lock().commands.is_closing(),
+            move |prediction| report.lock().set_prediction(id, prediction),
+        );
+    }
+}
+
+/// The queue's descriptor, as tokio watches it.
+#[expect(
+    deprecated,
+    reason = "the other constructor is unsafe; an owned descriptor stays open while it is watched"
+)]
+fn readable(events: &EventQueue) -> io::Result<AsyncFd<OwnedFd>> {
+    AsyncFd::with_interest(events.as_fd().try_clone_to_owned()?, Interest::READABLE)
+}

@@ -1,0 +1,126 @@
+//! The words of log lines about events and plays.
+//!
+//! A play is one line, at its end. Events that come often have none.
+//!
+//! Invariant: no line comes once per burst.
+
+use super::engine::Engine;
+use jiff::{SignedDuration, Timestamp, Zoned};
+use meissner_api::{Event, PlayState, Receipt};
+use meissner_stream::ANOTHER_DEVICE;
+use meissner_stream::time::HostInstant;
+use std::fmt::Write;
+use tracing::{info, warn};
+
+impl Engine {
+    /// Logs an event, if it is one for the log.
+    pub(super) fn log(&self, event: &Event) {
+        match event {
+            Event::Connected { device } => {
+                let (kind, firmware, boot) = (&*device.kind, &*device.firmware, device.boot);
+                info!(kind, firmware, boot, "device connected: {kind}, firmware {firmware}, boot {boot}");
+            }
+            Event::Disconnected { reason } if reason == ANOTHER_DEVICE => info!("{reason}"),
+            Event::Disconnected { reason } => {
+                warn!(cause = reason, "device disconnected: {reason}; it is looked for again");
+            }
+            Event::Ended { receipt } => self.log_play(receipt),
+            Event::SensorFault { motor, fault } => {
+                let cause = fault.text();
+                warn!(motor, cause, "motor {motor}: {cause}; it plays in open loop until the next `arm`");
+            }
+            Event::Drifted { um } => {
+                warn!(
+                    um,
+                    "without telemetry pins may be {um:.0} um off: `meissner home` between plays, or level them by hand"
+                );
+            }
+            Event::Calibrated { id, motors, problem: None } => {
+                info!(play_id = id, "{} motors calibrated by play {id} and stored", motors.len());
+            }
+            Event::Calibrated { id, problem: Some(problem), .. } => {
+                warn!(play_id = id, cause = problem, "play {id} calibrated nothing: {problem}");
+            }
+            Event::Lost { events } => {
+                warn!(
+                    notices = events,
+                    "the daemon was too slow for the streamer: {events} events are missing"
+                );
+            }
+            _ => {}
+        }
+    }
+
+    /// The one line of a play.
+    fn log_play(&self, receipt: &Receipt) {
+        let client = self.take_client(receipt.id);
+        let user = client.map_or_else(|| "the daemon".to_owned(), |client| self.names.user(client.uid));
+        let (id, pattern, cause) = (receipt.id, &*receipt.pattern, receipt.cause.as_deref());
+        let (uid, tick) = (client.map(|client| client.uid), receipt.onset.map(|onset| onset.actual_tick));
+        let wall = Timestamp::now().to_zoned(self.names.zone.clone());
+        let outcome = outcome(receipt, HostInstant::now(), &wall);
+        info!(play_id = id, pattern, tick, cause, uid, "play {id} {pattern} by {user}: {outcome}");
+    }
+}
+
+/// The outcome of a play that has just ended, in words.
+fn outcome(receipt: &Receipt, now: HostInstant, wall: &Zoned) -> String {
+    let mut text = receipt.state.name().to_owned();
+    // Writing to a text cannot fail.
+    if let Some(cause) = &receipt.cause {
+        let _ = write!(text, " ({cause})");
+    }
+    let Some(onset) = receipt.onset else { return text + ", it did not begin" };
+    let began = HostInstant::from_ns(onset.monotonic_ns);
+    let (since, until) = (now.since(began), began.since(now));
+    let since = SignedDuration::try_from(since).unwrap_or_default()
+        - SignedDuration::try_from(until).unwrap_or_default();
+    // By the present wall clock, which may have been set since the play began.
+    let at = wall.saturating_sub(since).strftime("%H:%M:%S%.6f");
+    let (tick, us) = (onset.actual_tick, onset.uncertainty_ns.div_ceil(1000));
+    let _ = write!(text, ", began {at} (tick {tick}, ±{us} us)");
+    let asked = receipt.seconds.filter(|_| receipt.state == PlayState::Done);
+    let seconds = since.as_secs_f64().max(0.0).min(asked.unwrap_or(f64::INFINITY));
+    let _ = write!(text, ", {seconds:.1} s");
+    let Some(bursts) = receipt.bursts else { return text };
+    let _ = if bursts.played == bursts.planned {
+        write!(text, ", {} bursts", bursts.planned)
+    } else {
+        write!(text, ", {} of {} bursts", bursts.played, bursts.planned)
+    };
+    for (count, fate) in [(bursts.late, "late"), (bursts.dropped, "dropped"), (bursts.refused, "refused")] {
+        if count > 0 {
+            let _ = write!(text, ", {count} {fate}");
+        }
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use meissner_api::{BurstCounts, OnsetRecord};
+
+    #[test]
+    fn a_play_is_a_line_that_reads_alone() {
+        let wall: Zoned = "2026-11-22T14:03:27.250000+01:00[+01:00]".parse().unwrap();
+        let now = HostInstant::from_ns(20_126_544_000);
+        let mut receipt = Receipt::new(3, "edge-45", "0", Some(5.0));
+        receipt.state = PlayState::Stopped;
+        receipt.cause = Some("stop".to_owned());
+        assert_eq!(outcome(&receipt, now, &wall), "stopped (stop), it did not begin");
+        let (requested_tick, actual_tick, monotonic_ns, uncertainty_ns) =
+            (0, 123_456, 15_000_000_000, 11_001);
+        receipt.onset = Some(OnsetRecord { requested_tick, actual_tick, monotonic_ns, uncertainty_ns });
+        receipt.bursts =
+            Some(BurstCounts { planned: 1200, played: 1190, late: 3, dropped: 7, ..BurstCounts::default() });
+        let began = "began 14:03:22.123456 (tick 123456, ±12 us)";
+        assert_eq!(
+            outcome(&receipt, now, &wall),
+            format!("stopped (stop), {began}, 5.1 s, 1190 of 1200 bursts, 3 late, 7 dropped")
+        );
+        (receipt.state, receipt.cause) = (PlayState::Done, None);
+        receipt.bursts = Some(BurstCounts { planned: 1200, played: 1200, ..BurstCounts::default() });
+        assert_eq!(outcome(&receipt, now, &wall), format!("done, {began}, 5.0 s, 1200 bursts"));
+    }
+}

@@ -1,0 +1,62 @@
+//! Names of users and the local time zone, as log lines show them.
+//!
+//! Nothing here waits for a look-up: a name that is not known yet is shown as its number.
+
+use crate::session_record::{Peer, Users};
+use jiff::tz::TimeZone;
+use std::sync::Arc;
+
+/// Makes numbers readable.
+#[derive(Debug)]
+pub(super) struct Names {
+    pub(super) users: Arc<Users>,
+    /// Read once, at the start: it is in a file.
+    pub(super) zone: TimeZone,
+}
+
+impl Default for Names {
+    fn default() -> Self {
+        Self { users: Arc::default(), zone: TimeZone::system() }
+    }
+}
+
+impl Names {
+    /// A user: the name, or `uid N`.
+    pub(super) fn user(&self, uid: u32) -> String {
+        match self.users.known(uid).flatten() {
+            Some(name) => name,
+            None if uid == u32::MAX => "an unknown user".to_owned(),
+            None => format!("uid {uid}"),
+        }
+    }
+
+    /// A client: its user, their number and the process.
+    pub(super) fn client(&self, peer: Peer) -> String {
+        match self.users.known(peer.uid).flatten() {
+            Some(name) => format!("{name} (uid {}, pid {})", peer.uid, peer.pid),
+            None => format!("{} (pid {})", self.user(peer.uid), peer.pid),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::thread;
+
+    #[test]
+    fn a_client_is_named_as_far_as_its_user_is_known() {
+        let names = Names::default();
+        let root = Peer { pid: 7, uid: 0 };
+        assert_eq!((names.client(root), names.user(0)), ("uid 0 (pid 7)".to_owned(), "uid 0".to_owned()));
+        names.users.look_up(0);
+        while names.users.known(0).is_none() {
+            thread::yield_now();
+        }
+        assert_eq!(
+            (names.client(root), names.user(0)),
+            ("root (uid 0, pid 7)".to_owned(), "root".to_owned())
+        );
+        assert_eq!(names.client(Peer { pid: -1, uid: u32::MAX }), "an unknown user (pid -1)");
+    }
+}

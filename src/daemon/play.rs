@@ -1,0 +1,106 @@
+//! Orders plays: a request is prepared without the lock, then begun under it.
+//!
+//! [`PreparedPlay::new`] compiles the pattern and evaluates its bandwidth; [`State::begin`] gives the play an id and a receipt and
+//! sends it. The daemon refuses here what makes no sense; the streamer refuses what the device cannot take.
+//!
+//! Invariant: a play is in the receipts before the streamer can speak of it, and the id of a refused play goes to the next one.
+
+use super::engine::{Engine, TIMEOUT, answer};
+use super::state::{NewPlay, Reply, State};
+use crate::session_record::Peer;
+use crate::store::Stored;
+use firmware_protocol::tick::Tick;
+use meissner_api::{Code, PlayRequest, Problem};
+use meissner_array::strokes::Strokes;
+use meissner_stream::queues::{At, Command, Play};
+use meissner_stream::{Bandwidth, Settings};
+
+/// A play that lacks nothing but an id.
+#[derive(Debug)]
+pub(super) struct PreparedPlay {
+    play: Play,
+    stored: Stored,
+    seconds: Option<f64>,
+}
+
+impl PreparedPlay {
+    /// Compiles what a request asks for.
+    pub(super) async fn new(
+        request: &PlayRequest,
+        stored: Stored,
+        settings: Settings,
+    ) -> Result<Self, Problem> {
+        let strokes = Strokes::new(&stored.pattern, request.seconds)
+            .map_err(|error| Problem::new(Code::BadRequest, format!("`seconds`: {error}")))?;
+        // With another play at the same tick, their results could not be told apart.
+        if strokes.end() == Some(0) {
+            let detail = "`seconds`: less than a tick of 1/85000 s, nothing would be played: ask for more";
+            return Err(Problem::new(Code::BadRequest, detail));
+        }
+        // A long pattern has a hundred thousand strokes: other commands must not wait while they are counted.
+        let counted =
+            tokio::task::spawn_blocking(move || (Bandwidth::of(&strokes, &settings), strokes)).await;
+        let (bandwidth, strokes) = counted.map_err(|_| {
+            Problem::new(Code::Busy, "the pattern could not be counted: try again, and see the daemon's log")
+        })?;
+        let at = match (request.at_tick, request.at_ms) {
+            (Some(tick), _) => At::Tick(Tick(tick)),
+            (None, Some(ms)) => At::After(nanoseconds(ms)),
+            (None, None) => At::Next,
+        };
+        let PlayRequest { seconds, late, replace, open_loop, .. } = *request;
+        let play = Play { id: 0, strokes, at, late, replace, open_loop, bandwidth };
+        Ok(Self { play, stored, seconds })
+    }
+}
+
+impl State {
+    /// Gives a play its id and receipt, and sends it to the streamer. Returns the id and where the answer arrives.
+    pub(super) fn begin(&mut self, prepared: PreparedPlay, client: Peer) -> Result<(u64, Reply), Problem> {
+        let PreparedPlay { play, stored, seconds } = prepared;
+        let id = self.plays.add(NewPlay { stored, seconds, client });
+        let sent = self.send(Command::Play(Box::new(Play { id, ..play })), Some(id));
+        if sent.is_err() {
+            self.settle_play(id, false);
+        }
+        Ok((id, sent?))
+    }
+}
+
+impl Engine {
+    /// Orders a play and waits until it is accepted. Returns its id.
+    pub(super) async fn play(
+        &self,
+        request: &PlayRequest,
+        stored: Stored,
+        client: Peer,
+    ) -> Result<u64, Problem> {
+        self.check_boot(request.boot)?;
+        let settings = self.lock().settings.current;
+        let prepared = PreparedPlay::new(request, stored, settings).await?;
+        let (id, reply) = {
+            let mut state = self.lock();
+            state.forget_unanswered();
+            state.check_not_calibrating()?;
+            state.begin(prepared, client)?
+        };
+        answer(reply, TIMEOUT).await.map(|()| id)
+    }
+
+    fn check_boot(&self, asked: Option<u32>) -> Result<(), Problem> {
+        let now = self.lock().plays.receipts.device().map(|device| device.boot);
+        match (asked, now) {
+            (Some(asked), Some(now)) if asked != now => {
+                let detail =
+                    format!("`boot` is {asked}, but the device has restarted as {now}: read its tick again");
+                Err(Problem::new(Code::StaleBoot, detail))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked: 0 to an hour")]
+fn nanoseconds(ms: f64) -> u64 {
+    (ms * 1e6) as u64
+}

@@ -1,0 +1,54 @@
+//! The connection to the device: what it is, or why there is none, and the thread that opens devices.
+
+use crossbeam_channel::Sender;
+use meissner_stream::device::Device;
+use meissner_stream::device::mock::TruePositions;
+use std::sync::Arc;
+
+/// What the connector's thread is told.
+#[derive(Debug)]
+pub(in crate::daemon) enum ConnectorMessage {
+    /// The device is gone; drop what is left of it.
+    Gone(Option<Box<Device>>),
+    /// The daemon ends.
+    Quit,
+}
+
+/// See the module.
+#[derive(Debug, Default)]
+pub(in crate::daemon) struct Connection {
+    connector: Option<Sender<ConnectorMessage>>,
+    /// The true positions of simulated motors.
+    pub(in crate::daemon) true_positions: Option<Arc<TruePositions>>,
+    /// Why the device was lost, until one answers again.
+    lost: Option<&'static str>,
+    /// Why no device is connected, as it was found last.
+    pub(in crate::daemon) missing: Option<String>,
+    /// A client has asked to arm, whatever device there was.
+    pub(in crate::daemon) armed_once: bool,
+}
+
+impl Connection {
+    /// Sets the thread that devices go back to.
+    pub(in crate::daemon) fn set_connector(&mut self, connector: Sender<ConnectorMessage>) {
+        self.connector = Some(connector);
+    }
+
+    pub(super) fn tell_connector(&self, message: ConnectorMessage) {
+        // There is one message per connection, and the connector empties its channel: it cannot be full.
+        if let Some(connector) = &self.connector {
+            let _ = connector.try_send(message);
+        }
+    }
+
+    /// A device has answered.
+    pub(super) fn established(&mut self) {
+        (self.lost, self.missing) = (None, None);
+    }
+
+    /// The device of that kind is gone. Says whether the reason is new.
+    pub(super) fn lost(&mut self, kind: &str, reason: &'static str) -> bool {
+        self.missing = Some(format!("{kind}: {reason}"));
+        self.lost.replace(reason) != Some(reason)
+    }
+}

@@ -1,0 +1,139 @@
+//! The daemon's state: six parts with one job each, behind the engine's one lock.
+//!
+//! - [`Commands`]: commands to the streamer, and the calls that wait for their answers.
+//! - [`Plays`]: receipts, who ordered which play, and the bursts that were measured.
+//! - [`Calibration`]: the stored calibration, and a calibration that is being measured.
+//! - [`Connection`]: the connected device, or why there is none.
+//! - [`Publisher`]: events to listeners and to the session record.
+//! - [`ActiveSettings`]: the streamer's settings, now and after the next `arm`.
+//!
+//! A part uses no other part; a rule that concerns several is a method of [`State`]. There is one lock because such rules hold
+//! across parts: a play is in the receipts before the streamer can speak of it, and events are published in the order of the
+//! receipts.
+//!
+//! Invariant: nothing here waits: the lock is held for microseconds.
+
+mod calibration;
+mod commands;
+mod connection;
+mod plays;
+mod publisher;
+mod settings;
+
+pub(super) use calibration::Calibration;
+pub(super) use commands::{Commands, Reply};
+pub(super) use connection::{Connection, ConnectorMessage};
+pub(super) use plays::{NewPlay, Plays};
+pub(super) use publisher::Publisher;
+pub(super) use settings::ActiveSettings;
+
+use crate::receipts::{NoPrediction, refusal, state_name};
+use firmware_protocol::message::State as DeviceState;
+use meissner_api::{Event, NO_DEVICE, PredictedResponse, Problem};
+use meissner_stream::queues::{Command, CommandError, StreamEvent};
+use meissner_stream::time::HostInstant;
+
+/// See the module.
+#[derive(Debug)]
+pub(super) struct State {
+    pub(super) commands: Commands,
+    pub(super) plays: Plays,
+    pub(super) calibration: Calibration,
+    pub(super) connection: Connection,
+    pub(super) publisher: Publisher,
+    pub(super) settings: ActiveSettings,
+}
+
+impl State {
+    /// Sends a command, for the play of that id if it is about one.
+    pub(super) fn send(&mut self, command: Command, play: Option<u64>) -> Result<Reply, Problem> {
+        self.commands.accepts(&command)?;
+        self.forget_unanswered();
+        if matches!(command, Command::Arm { .. }) {
+            self.connection.armed_once = true;
+            if !self.is_armed() {
+                self.settings.advance();
+            }
+        }
+        self.commands.send(command, play)
+    }
+
+    /// Takes in what the streamer tells. Returns the event it is, and whether that is new to the log.
+    pub(super) fn apply(&mut self, streamed: StreamEvent) -> (Option<Event>, bool) {
+        let event = match &streamed {
+            StreamEvent::Answer { ticket, result } => {
+                let play = self.commands.answer(*ticket, *result);
+                play.and_then(|id| self.settle_play(id, result.is_ok()))
+            }
+            StreamEvent::Connected(_) => {
+                self.connection.established();
+                self.plays.measured.clear();
+                self.plays.receipts.apply(&streamed)
+            }
+            // A port that is no board is opened again and again: that is told once.
+            StreamEvent::Disconnected { reason, .. } => {
+                let is_new = self.connection.lost(self.plays.receipts.kind(), reason);
+                self.plays.receipts.apply(&streamed).filter(|_| is_new)
+            }
+            other => self.plays.receipts.apply(other),
+        };
+        if let Some(event) = &event {
+            self.publish(event);
+        }
+        if let StreamEvent::Disconnected { device, .. } = streamed {
+            self.connection.tell_connector(ConnectorMessage::Gone(device));
+        }
+        // At its end the daemon itself lets go of the device.
+        let expected = self.commands.is_closing() && matches!(event, Some(Event::Disconnected { .. }));
+        (event, !expected)
+    }
+
+    /// Publishes an event, in the session record with the user who ordered the play.
+    pub(super) fn publish(&mut self, event: &Event) {
+        let client = match event {
+            Event::Ended { receipt } => self.plays.client(receipt.id),
+            _ => None,
+        };
+        self.publisher.publish(event, client);
+    }
+
+    /// Puts a predicted response, or why there is none, into the play's receipt.
+    pub(super) fn set_prediction(&mut self, id: u64, prediction: Result<PredictedResponse, NoPrediction>) {
+        if let Some(event) = self.plays.receipts.set_prediction(id, prediction) {
+            self.publish(&event);
+        }
+    }
+
+    /// The streamer accepted a play, or not. The id of a play that was not accepted goes to the next one.
+    pub(super) fn settle_play(&mut self, id: u64, accepted: bool) -> Option<Event> {
+        if !accepted {
+            self.calibration.cancel(id);
+        }
+        self.plays.settle(id, accepted)
+    }
+
+    /// Gives up calls whose answers were lost, and their plays.
+    pub(super) fn forget_unanswered(&mut self) {
+        for id in self.commands.forget_unanswered(HostInstant::now()) {
+            self.calibration.cancel(id);
+            self.plays.forget(id);
+        }
+    }
+
+    /// Refuses what cannot happen during a calibration.
+    pub(super) fn check_not_calibrating(&self) -> Result<(), Problem> {
+        if self.calibration.running.is_some() { Err(refusal(CommandError::Playing)) } else { Ok(()) }
+    }
+
+    pub(super) fn is_armed(&self) -> bool {
+        let state = self.plays.receipts.device_state().state;
+        state == state_name(DeviceState::Armed) || state == state_name(DeviceState::Returning)
+    }
+
+    /// Whether nothing is played, waits or is armed, and no command is on its way.
+    pub(super) fn is_idle(&self) -> bool {
+        let state = self.plays.receipts.device_state().state;
+        let off = state == NO_DEVICE || state == state_name(DeviceState::Disarmed);
+        off && self.plays.receipts.is_idle() && self.calibration.running.is_none() && self.commands.is_idle()
+    }
+}

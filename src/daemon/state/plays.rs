@@ -1,0 +1,86 @@
+//! Plays: their receipts, who ordered them, and what was measured of them.
+//!
+//! Bounds: those of [`Receipts`] and [`MeasuredBursts`]; patterns and clients are kept only while a play is not over or its
+//! response is not predicted.
+
+use crate::daemon::predictor::MeasuredPlay;
+use crate::receipts::{MeasuredBursts, PlayedPattern, Receipts};
+use crate::session_record::Peer;
+use crate::store::Stored;
+use meissner_api::{Event, Receipt};
+use meissner_array::pattern::Pattern;
+use std::collections::HashMap;
+use std::sync::Arc;
+
+/// A play that is about to be sent to the streamer.
+#[derive(Debug)]
+pub(in crate::daemon) struct NewPlay {
+    pub(in crate::daemon) stored: Stored,
+    pub(in crate::daemon) seconds: Option<f64>,
+    pub(in crate::daemon) client: Peer,
+}
+
+/// See the module.
+#[derive(Debug, Default)]
+pub(in crate::daemon) struct Plays {
+    pub(in crate::daemon) receipts: Receipts,
+    pub(in crate::daemon) measured: MeasuredBursts,
+    /// Plays without a prediction: the pattern, and whether the device measures bursts.
+    unpredicted: HashMap<u64, (Arc<Pattern>, bool)>,
+    /// Who ordered the plays that are not over.
+    clients: HashMap<u64, Peer>,
+    last_id: u64,
+}
+
+impl Plays {
+    /// Gives a play an id and a receipt.
+    pub(in crate::daemon) fn add(&mut self, play: NewPlay) -> u64 {
+        let NewPlay { stored: Stored { pattern, sha256, .. }, seconds, client } = play;
+        let telemetry = self.receipts.device().is_some_and(|device| device.telemetry);
+        self.last_id += 1;
+        let id = self.last_id;
+        self.receipts.add(Receipt::new(id, pattern.name(), &sha256, seconds));
+        self.clients.insert(id, client);
+        self.unpredicted.insert(id, (Arc::new(pattern), telemetry));
+        id
+    }
+
+    /// The streamer accepted a play, or not. The id of a play that was not accepted goes to the next one.
+    pub(super) fn settle(&mut self, id: u64, accepted: bool) -> Option<Event> {
+        if accepted {
+            return self.receipts.settle(id, true);
+        }
+        if id == self.last_id {
+            self.last_id -= 1;
+        }
+        self.forget(id);
+        None
+    }
+
+    /// Drops a play that was never accepted.
+    pub(super) fn forget(&mut self, id: u64) {
+        self.receipts.settle(id, false);
+        self.unpredicted.remove(&id);
+        self.clients.remove(&id);
+    }
+
+    /// Who ordered a play that is not over.
+    pub(super) fn client(&self, id: u64) -> Option<Peer> {
+        self.clients.get(&id).copied()
+    }
+
+    /// Who ordered a play, asked once, at its end.
+    pub(in crate::daemon) fn take_client(&mut self, id: u64) -> Option<Peer> {
+        self.clients.remove(&id)
+    }
+
+    /// A play with its measured bursts, once.
+    pub(in crate::daemon) fn take_measured(&mut self, id: u64) -> Option<MeasuredPlay> {
+        let (pattern, telemetry) = self.unpredicted.remove(&id)?;
+        let receipt = self.receipts.receipt(id)?.clone();
+        let played = PlayedPattern::of(&receipt, &pattern);
+        let bursts = played.map(|play| self.measured.within(play.onset, play.until()).copied().collect());
+        let bursts = bursts.unwrap_or_default();
+        Some(MeasuredPlay { pattern, receipt, telemetry, bursts })
+    }
+}
