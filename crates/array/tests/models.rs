@@ -1,7 +1,6 @@
 use crate::plant::play;
-use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
-use meissner_array::motor::{HalfTick, Ramp, Shaft, SquareWave, SteadyState};
+use meissner_array::motor::{HalfTick, Shaft, SquareWave, SteadyState};
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::simulated::{Plant, PlantConfig};
 use meissner_array::strokes::Strokes;
@@ -27,10 +26,7 @@ fn a_drive_moves_the_shaft_as_the_reference_trace_says() {
     assert_eq!(traces.len(), 6);
     for Trace { drive, t_s, y_um } in traces {
         let wave = SquareWave::new(drive.frequency_hz, drive.amplitude_um, drive.phase).unwrap();
-        let mut ramps = wave.excursions().flat_map(|e| {
-            [(e.up, Direction::Up), (e.down, Direction::Down)]
-                .map(|(start, direction)| Ramp::new(Tick(start), e.pulses, direction, 1.0))
-        });
+        let mut ramps = wave.excursions().flat_map(|excursion| excursion.ramps());
         let mut next = ramps.next().unwrap();
         let mut shaft = Shaft::default();
         for (t_s, y_um) in t_s.into_iter().zip(y_um) {

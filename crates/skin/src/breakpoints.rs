@@ -9,11 +9,11 @@
 //!
 //! Invariant: a motor's breakpoints are in order of time.
 
-use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
-use meissner_array::motor::{Ramp, WINDOW_HALF_TICKS};
+use meissner_array::motor::{Excursion, Ramp, WINDOW_HALF_TICKS};
 use meissner_array::pattern::Drive;
-use meissner_array::units::{UM_PER_PULSE, seconds_to_ticks};
+use meissner_array::strokes::DriveStrokes;
+use meissner_array::units::UM_PER_PULSE;
 use std::collections::VecDeque;
 
 /// Half ticks of the moving average.
@@ -58,20 +58,10 @@ impl<'s> Breakpoints<'s> {
     /// The breakpoints of a motor's drives, which are in order of time. The last stroke is the last that begins before
     /// `end`, half ticks.
     pub(crate) fn new(motor: u8, drives: &'s [Drive], end: f64) -> Self {
-        let waves = drives.iter().filter_map(|drive| Some((drive, drive.wave().ok()?)));
-        let ramps = waves.flat_map(move |(drive, wave)| {
-            let start = seconds_to_ticks(drive.start());
-            let stop = drive.stop_s.map_or(u64::MAX, seconds_to_ticks);
-            let strokes = wave.excursions().take_while(move |excursion| {
-                start.saturating_add(excursion.end()) <= stop
-                    && half_ticks(Tick(start.saturating_add(excursion.up))) < end
-            });
-            strokes.flat_map(move |excursion| {
-                [(excursion.up, Direction::Up), (excursion.down, Direction::Down)].map(|(tick, direction)| {
-                    Ramp::new(Tick(start.saturating_add(tick)), excursion.pulses, direction, 1.0)
-                })
-            })
-        });
+        let drives = drives.iter().filter_map(|drive| DriveStrokes::of(drive).ok());
+        let before = move |stroke: &Excursion| half_ticks(Tick(stroke.up)) < end;
+        let strokes = drives.flat_map(move |strokes| strokes.take_while(before));
+        let ramps = strokes.flat_map(|stroke| stroke.ramps());
         Self::of(motor, Box::new(ramps), UM_PER_PULSE)
     }
 
@@ -119,4 +109,42 @@ impl Iterator for Breakpoints<'_> {
 
 fn half_ticks(tick: Tick) -> f64 {
     2.0 * tick.0 as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::time;
+    use meissner_array::pattern::Pattern;
+    use meissner_array::random::uniform;
+    use meissner_array::strokes::Strokes;
+
+    #[test]
+    fn the_simulator_takes_the_strokes_that_are_sent() {
+        for case in 0..200 {
+            let mut numbers = (0..).flat_map(|number| uniform([9, case, number, 0]));
+            let mut between = |low: f64, high: f64| low + (high - low) * numbers.next().unwrap();
+            let mut at = 0.0;
+            let drives = [(); 3].map(|()| {
+                let start = at + between(0.0, 0.1);
+                at = start + between(0.0001, 0.4);
+                Drive {
+                    motor: 3,
+                    frequency_hz: between(0.1, 300.0),
+                    amplitude_um: between(0.0, 400.0),
+                    phase: between(0.0, 1.0),
+                    start_s: Some(start),
+                    stop_s: Some(at),
+                }
+            });
+            let pattern = Pattern::new("test", None, drives.to_vec(), toml::Table::new()).unwrap();
+            let sent = Strokes::new(&pattern, None).unwrap().flat_map(|stroke| stroke.unwrap().bursts());
+            let ramps: Vec<_> = sent
+                .map(|burst| Ramp::new(burst.start, burst.pulses.into(), burst.direction, 1.0))
+                .collect();
+            let end = time::end(2.0);
+            let breakpoints: Vec<_> = Breakpoints::new(3, &drives, end).collect();
+            assert!(Breakpoints::of_ramps(3, &ramps, UM_PER_PULSE, end).eq(breakpoints), "{drives:?}");
+        }
+    }
 }

@@ -8,8 +8,10 @@ use firmware_protocol::limits::MAX_UP_PULSES;
 use firmware_protocol::stroke::{Burst, Direction, Stroke};
 use firmware_protocol::tick::Tick;
 use meissner_api::SensorFault;
-use meissner_array::motor::{Excursion, MotorError, SquareWave};
+use meissner_array::motor::{Excursion, MotorError};
+use meissner_array::pattern::Drive;
 use meissner_array::simulated::{Pin, PlantConfig};
+use meissner_array::strokes::DriveStrokes;
 use meissner_array::units::{TICKS_PER_MS, UM_PER_PULSE, seconds_in_ticks, seconds_to_ticks, ticks_to_ms};
 use std::collections::VecDeque;
 
@@ -98,7 +100,10 @@ impl MotorRun {
         mut lie: impl FnMut(Tick, i32) -> Option<i32>,
         mut tell: impl FnMut(&Period),
     ) -> Result<Option<SensorFault>, MotorError> {
-        let wave = SquareWave::new(self.frequency_hz, self.amplitude_um, 0.0)?;
+        let Self { frequency_hz, amplitude_um, .. } = *self;
+        let drive = Drive { motor: 0, frequency_hz, amplitude_um, phase: 0.0, start_s: None, stop_s: None };
+        // The first stroke is late enough to be corrected.
+        let strokes = DriveStrokes::of(&drive)?.shifted(2 * DUE, u64::MAX);
         let Self { seed, scatter: gain_sd, transient_gain, .. } = *self;
         let config = PlantConfig { seed, gain_sd, transient_gain, ..PlantConfig::default() };
         let pin = Pin::new(&config, 0).with_asymmetry(self.asymmetry).at(self.offset_um);
@@ -106,14 +111,10 @@ impl MotorRun {
         let start = Tick::BOOT;
         let end = start + seconds_to_ticks(seconds);
         let (lead, age) = (seconds_to_ticks(self.lead_ms / 1000.0), seconds_to_ticks(self.age_ms / 1000.0));
-        let to_stroke = |excursion: Excursion| {
-            let pulses = excursion.pulses.min(MAX_UP_PULSES.into()) as u16;
-            // The first one is late enough to be corrected.
-            let first = start + 2 * DUE;
-            let (up, down) = (first + excursion.up, first + excursion.down);
-            Stroke { motor: 0, up, up_pulses: pulses, down, down_pulses: pulses }
-        };
-        let mut strokes = wave.excursions().map(to_stroke);
+        let mut strokes = strokes.map(|stroke| {
+            let pulses = stroke.pulses.min(MAX_UP_PULSES.into());
+            Excursion { pulses, ..stroke }.stroke(0, start)
+        });
         let mut next = strokes.next();
         let mut motor = Motor { pin, queue: VecDeque::new(), half: 0, top_um: 0.0 };
         let mut samples: VecDeque<(Tick, i32)> = VecDeque::new();
@@ -200,5 +201,28 @@ impl Motor {
             Direction::Down => stroke.down_pulses = pulses,
         }
         true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use meissner_array::pattern::Pattern;
+    use meissner_array::strokes::Strokes;
+
+    #[test]
+    fn a_run_plays_the_strokes_that_a_pattern_sends() {
+        for (frequency_hz, amplitude_um) in [(60.0, 80.0), (7.3, 400.0), (299.0, 30.0), (150.1, 3.3)] {
+            let run = MotorRun { frequency_hz, amplitude_um, closed: false, ..MotorRun::default() };
+            let mut played = Vec::new();
+            run.run(1.0, |_, y| Some(y), |period| played.push((period.up - 2 * DUE, period.pulses))).unwrap();
+            let drive =
+                Drive { motor: 0, frequency_hz, amplitude_um, phase: 0.0, start_s: None, stop_s: None };
+            let pattern = Pattern::new("test", None, vec![drive], toml::Table::new()).unwrap();
+            let sent = Strokes::new(&pattern, Some(1.0)).unwrap().map(Result::unwrap);
+            let sent: Vec<_> =
+                sent.map(|stroke| (stroke.up.0, [stroke.up_pulses, stroke.down_pulses])).collect();
+            assert!(!played.is_empty() && sent.starts_with(&played), "{frequency_hz} Hz: {played:?}");
+        }
     }
 }

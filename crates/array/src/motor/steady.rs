@@ -7,12 +7,9 @@
 //!
 //! Invariant: both figures are exact up to f64; neither is sampled.
 
-use super::{
-    HalfTick, MotorError, Ramp, Shaft, SquareWave, WINDOW_HALF_TICKS, WINDOW_LENGTH_TICKS, WINDOW_TICKS,
-};
+use super::{HalfTick, MotorError, Shaft, SquareWave, WINDOW_HALF_TICKS, WINDOW_LENGTH_TICKS, WINDOW_TICKS};
 use crate::units::UM_PER_PULSE;
-use firmware_protocol::stroke::Direction;
-use firmware_protocol::tick::{TICK_HZ, Tick};
+use firmware_protocol::tick::TICK_HZ;
 use serde::Serialize;
 use std::collections::BTreeSet;
 
@@ -73,8 +70,7 @@ fn played(wave: &SquareWave) -> f64 {
     let mut breaks = BTreeSet::new();
     let mut range = Range::default();
     for excursion in wave.excursions().take(PERIODS) {
-        for (start, direction) in [(excursion.up, Direction::Up), (excursion.down, Direction::Down)] {
-            let ramp = Ramp::new(Tick(start), excursion.pulses, direction, 1.0);
+        for ramp in excursion.ramps() {
             let ends = [HalfTick::from(ramp.start), ramp.end().into()];
             while let Some(at) = breaks.pop_first() {
                 if at > ends[0] {

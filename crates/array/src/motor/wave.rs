@@ -6,9 +6,10 @@
 //!
 //! Invariant: an excursion's up and down bursts have the same number of pulses and do not overlap.
 
-use super::{MAX_AMPLITUDE_UM, MAX_FREQUENCY_HZ, MotorError};
+use super::{MAX_AMPLITUDE_UM, MAX_FREQUENCY_HZ, MotorError, Ramp};
 use crate::units::UM_PER_PULSE;
-use firmware_protocol::tick::TICK_HZ;
+use firmware_protocol::stroke::{Direction, Stroke};
+use firmware_protocol::tick::{TICK_HZ, Tick};
 
 /// A square-wave drive of one motor, in ticks of its own time.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -30,6 +31,22 @@ pub struct Excursion {
 }
 
 impl Excursion {
+    /// The stroke that a motor makes of it in a play that began at `onset`.
+    #[must_use]
+    pub fn stroke(&self, motor: u8, onset: Tick) -> Stroke {
+        // The controller's limits refuse more pulses than fit, as they should.
+        let pulses = u16::try_from(self.pulses).unwrap_or(u16::MAX);
+        let (up, down) = (onset + self.up, onset + self.down);
+        Stroke { motor, up, up_pulses: pulses, down, down_pulses: pulses }
+    }
+
+    /// The ramps of both bursts on an ideal motor, from tick 0 on.
+    #[must_use]
+    pub fn ramps(&self) -> [Ramp; 2] {
+        [(self.up, Direction::Up), (self.down, Direction::Down)]
+            .map(|(start, direction)| Ramp::new(Tick(start), self.pulses, direction, 1.0))
+    }
+
     /// The first tick after the down burst; beyond all time, where that is.
     #[must_use]
     pub const fn end(&self) -> u64 {

@@ -9,14 +9,18 @@
 //! Invariant: strokes of a motor do not overlap, each takes down what it took up, each is within the
 //! controller's limits. Every stroke is checked against that on its way out.
 
+mod drive;
 mod lane;
+
+pub use drive::DriveStrokes;
 
 use crate::pattern::{MAX_SECONDS, Pattern};
 use crate::units::seconds_to_ticks;
+use drive::NEVER;
 use firmware_protocol::limits::{self, Refusal};
 use firmware_protocol::stroke::{MOTORS, Stroke};
 use firmware_protocol::tick::Tick;
-use lane::{Lane, NEVER};
+use lane::Lane;
 
 /// Why a pattern cannot be played, or not on.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
