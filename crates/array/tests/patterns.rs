@@ -1,5 +1,6 @@
 use meissner_array::pattern::{Drive, Pattern, Problem};
 use meissner_array::strokes::Strokes;
+use meissner_input::document;
 use std::fs;
 use std::path::Path;
 
@@ -45,7 +46,7 @@ fn a_file_is_read_and_written_back_as_the_same_pattern() {
 const BAD: [(&str, &str, &str, &str); 36] = [
     ("format = 1", "format = 2", "bad.toml:1: `format` is 2", "format = 1"),
     ("format = 1", "", "bad.toml:1: `format` is missing", "add format = 1"),
-    ("format = 1", "format = \"1\"", "bad.toml:1: `format` is of type string", "a whole number"),
+    ("format = 1", "format = \"1\"", "bad.toml:1: `format` is string \"1\"", "a whole number"),
     ("name = \"good\"", "", "bad.toml:1: `name` is missing", "as the file is called"),
     ("\"good\"", "\"Good\"", "bad.toml:2: `name` is `Good`", "a-z, 0-9 and -"),
     ("\"good\"", "\"\"", "bad.toml:2: `name` is ``", "1 to 64"),
@@ -66,14 +67,14 @@ const BAD: [(&str, &str, &str, &str); 36] = [
     ("duration_s = 5", "duration_s = ", "bad.toml:3: not TOML", ""),
     ("motor = 9", "motor = 24", "bad.toml:6: drive 1: `motor` is 24", "0 to 23"),
     ("motor = 9", "motor = -1", "bad.toml:6: drive 1: `motor` is -1", "0 to 23"),
-    ("motor = 9", "motor = 9.0", "bad.toml:6: drive 1: `motor` is of type float", "a whole number"),
+    ("motor = 9", "motor = 9.0", "bad.toml:6: drive 1: `motor` is floating point `9.0`", "a whole number"),
     ("motor = 9", "motor = 99999999999999999999", "bad.toml:6: drive 1: `motor`", "a whole number"),
     ("motor = 9", "", "bad.toml:5: drive 1: `motor` is missing", "0 to 23"),
     (
         "motor = 9",
         "motor = 3",
-        "bad.toml:12: drive 2: motor 3 is still driven by drive 1",
-        "stop that by 1 s",
+        "bad.toml:12: drive 2: `motor` is 3, which drive 1 still drives",
+        "stop that one by 1 s",
     ),
     ("motor = 3", "motr = 3", "bad.toml:12: drive 2: unknown key `motr`", "did you mean `motor`?"),
     ("frequency_hz = 60.0", "frequency = 60.0", "bad.toml:7: drive 1: unknown key", "`frequency_hz`?"),
@@ -88,7 +89,7 @@ const BAD: [(&str, &str, &str, &str); 36] = [
     (
         "frequency_hz = 60.0",
         "frequency_hz = []",
-        "bad.toml:7: drive 1: `frequency_hz` is of type array",
+        "bad.toml:7: drive 1: `frequency_hz` is sequence",
         "a number",
     ),
     ("amplitude_um = 80\n", "amplitude_um = 401\n", "bad.toml:8: drive 1: `amplitude_um` is 401", "0 to 400"),
@@ -108,7 +109,7 @@ const BAD: [(&str, &str, &str, &str); 36] = [
         "did you mean `drive`?",
     ),
     ("model = 1", "made = 2013-01-01", "bad.toml:19: `provenance` holds a date at `made`", "quote it"),
-    ("[provenance]", "[[provenance]]", "bad.toml:19: `provenance` is of type array", "[provenance]"),
+    ("[provenance]", "[[provenance]]", "bad.toml:19: `provenance` is sequence", "must be a table"),
 ];
 
 #[test]
@@ -123,10 +124,11 @@ fn every_mistake_is_one_line_that_says_what_where_and_what_to_do() {
 #[test]
 fn size_and_number_of_drives_are_bounded() {
     let large = format!("{GOOD}#{}", "x".repeat(1 << 20));
-    assert!(matches!(Pattern::parse(&large, "f").unwrap_err().problem, Problem::TooLarge { .. }));
+    let problem = |text: &str| Pattern::parse(text, "f").unwrap_err().0.problem;
+    assert!(matches!(problem(&large), document::Problem::Own(Problem::TooLarge { .. })));
     let drive = "[[drive]]\nmotor = 0\nfrequency_hz = 60.0\namplitude_um = 80.0\n";
     let many = format!("format = 1\nname = \"many\"\n{}", drive.repeat(4097));
-    assert_eq!(Pattern::parse(&many, "f").unwrap_err().problem, Problem::TooManyDrives { count: 4097 });
+    assert_eq!(problem(&many), document::Problem::Own(Problem::TooManyDrives { count: 4097 }));
     // The name of a file is a line, too.
     assert!(!Pattern::parse("", "a\nb").unwrap_err().to_string().contains('\n'));
 }

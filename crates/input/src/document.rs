@@ -47,10 +47,15 @@ impl Place {
     pub fn joint(&self, problem: &dyn fmt::Display) -> &'static str {
         match () {
             () if *self == Self::default() => "",
-            () if !self.path.is_empty() && problem.to_string().starts_with("is ") => " ",
+            () if !self.path.is_empty() && reads_on(&problem.to_string()) => " ",
             () => ": ",
         }
     }
+}
+
+/// Whether a problem's text goes on after the name of its key.
+fn reads_on(problem: &str) -> bool {
+    problem.starts_with("is ") || problem.starts_with("holds ")
 }
 
 /// What can be wrong with any file of keys, and what to do.
@@ -119,6 +124,18 @@ impl<P> Fault<P> {
     /// A mistake that any document can have.
     pub const fn common(line: Option<usize>, path: String, mistake: Mistake) -> Self {
         Self { line, path, problem: Problem::Common(mistake) }
+    }
+
+    /// The same, with the line of its key in a TOML text, or of what the key is part of.
+    #[must_use]
+    pub fn in_text(self, text: &str) -> Self {
+        let mut path = self.path.as_str();
+        let mut line = self.line;
+        while line.is_none() && !path.is_empty() {
+            line = line_of(text, path);
+            path = path.rfind(['.', '[']).map_or("", |end| &path[..end]);
+        }
+        Self { line, ..self }
     }
 
     /// The key is part of `parent`.
@@ -257,6 +274,8 @@ fn in_words(message: &str) -> String {
         "f64" => "a number",
         "u64" => "a whole number, 0 or more",
         "u16" => "a whole number, 0 to 65535",
+        "i64" => "a whole number",
+        "a map" => "a table of keys and values",
         "a sequence" => "a list",
         other => other,
     };

@@ -1,112 +1,62 @@
 //! What can be wrong with a pattern, said in one line: what, where, what to do.
 //!
-//! A check knows the drive and the key; the file's name and line are added by who knows them. Text taken
-//! from a file is quoted and cut, so that it cannot break the line.
+//! Errors that any document can have are [`document`]'s; here are those of patterns.
 //!
 //! Invariant: the display of a [`PatternError`] holds no line break.
 
 use super::{FORMAT, MAX_DRIVES, MAX_FILE_BYTES};
+use meissner_input::document::{self, Place, Refused};
 use meissner_input::message::quote;
 use std::fmt;
 
-/// A pattern that was refused.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error("{place}: {problem}")]
-pub struct PatternError {
-    /// Where it is wrong.
-    pub place: Place,
-    /// What is wrong.
-    pub problem: Problem,
-}
+/// A pattern that was refused: what is wrong, and where.
+///
+/// Its message counts drives from 1, as people do: `sweep.toml:12: drive 2: ...`. The place counts them from 0.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PatternError(pub Refused<Problem>);
 
-/// A place in a pattern file.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Place {
-    /// The file as the caller named it.
-    pub file: String,
-    /// The line, from 1, if there is a file.
-    pub line: Option<usize>,
-    /// The drive, from 1, if it is about one.
-    pub drive: Option<usize>,
-}
-
-impl fmt::Display for Place {
+impl fmt::Display for PatternError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}", self.file.escape_debug())?;
-        if let Some(line) = self.line {
-            write!(f, ":{line}")?;
-        }
-        if let Some(drive) = self.drive {
-            write!(f, ": drive {drive}")?;
-        }
-        Ok(())
+        let Refused { place, problem } = &self.0;
+        let in_drive = place.path.strip_prefix("drive[").and_then(|path| {
+            let (index, key) = path.split_once(']')?;
+            Some((index.parse::<usize>().ok()?, key.trim_start_matches('.')))
+        });
+        let Some((index, key)) = in_drive else { return self.0.fmt(f) };
+        let place = Place { path: String::new(), ..place.clone() };
+        let of_drive = Place { path: key.to_owned(), ..Place::default() };
+        write!(f, "{place}: drive {}: {}", index + 1, Refused { place: of_drive, problem: problem.clone() })
     }
 }
 
-/// What is wrong, and what to do.
+impl std::error::Error for PatternError {}
+
+/// What can be wrong with a pattern only.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages say it")]
 pub enum Problem {
     #[error("{bytes} bytes are too many: a pattern file has at most {MAX_FILE_BYTES}")]
     TooLarge { bytes: usize },
-    #[error("not TOML: {message}")]
-    Syntax { message: String },
-    #[error("unknown key {key}: did you mean `{nearest}`?")]
-    UnknownKey { key: String, nearest: &'static str },
-    #[error("`{key}` is missing: add {wanted}")]
-    Missing { key: &'static str, wanted: &'static str },
-    #[error("`{key}` is of type {found}: must be {wanted}")]
-    Type { key: &'static str, found: &'static str, wanted: &'static str },
-    #[error("`format` is {found}: this version reads format = {FORMAT}")]
+    #[error("is {found}: this version reads format = {FORMAT}")]
     Format { found: i64 },
-    #[error("`name` is {found}: must be 1 to 64 of a-z, 0-9 and -")]
+    #[error("is {found}: must be 1 to 64 of a-z, 0-9 and -")]
     Name { found: String },
-    #[error("`{key}` is {found}: must be {range}")]
-    Range { key: &'static str, found: f64, range: &'static str },
-    #[error("`stop_s` is {stop_s}: must be above start_s, which is {start_s}")]
+    #[error("is {stop_s}: must be above start_s, which is {start_s}")]
     StopsBeforeStart { start_s: f64, stop_s: f64 },
-    #[error("`{key}` is {found}: beyond the pattern's end; lower it, or raise duration_s from {duration_s}")]
-    BeyondDuration { key: &'static str, found: f64, duration_s: f64 },
+    #[error("is {found}: beyond the pattern's end; lower it, or raise duration_s from {duration_s}")]
+    BeyondDuration { found: f64, duration_s: f64 },
     #[error(
-        "motor {motor} is still driven by drive {other}: stop that by {start_s} s, or start this one later"
+        "is {motor}, which drive {other} still drives: stop that one by {start_s} s, or start this one later"
     )]
     Overlap { motor: u8, other: usize, start_s: f64 },
     #[error("{count} drives are too many: a pattern has at most {MAX_DRIVES}")]
     TooManyDrives { count: usize },
-    #[error("`provenance` holds a date at {key}: leave it out, or quote it as a string")]
+    #[error("holds a date at {key}: leave it out, or quote it as a string")]
     Date { key: String },
 }
 
 /// A problem on its way to its place.
-#[derive(Debug)]
-pub(super) struct Fault {
-    /// Index of the drive.
-    pub(super) drive: Option<usize>,
-    /// The key it is about, by which its line can be found.
-    pub(super) key: Option<&'static str>,
-    /// Where in the text, if that is known already.
-    pub(super) offset: Option<usize>,
-    problem: Problem,
-}
-
-impl Fault {
-    pub(super) const fn key(key: &'static str, problem: Problem) -> Self {
-        Self { drive: None, key: Some(key), offset: None, problem }
-    }
-
-    pub(super) const fn offset(offset: usize, problem: Problem) -> Self {
-        Self { drive: None, key: None, offset: Some(offset), problem }
-    }
-
-    pub(super) fn in_drive(self, index: usize) -> Self {
-        Self { drive: Some(index), ..self }
-    }
-
-    pub(super) fn at(self, file: &str, line: Option<usize>) -> PatternError {
-        let drive = self.drive.map(|index| index + 1);
-        PatternError { place: Place { file: file.to_owned(), line, drive }, problem: self.problem }
-    }
-}
+pub(super) type Fault = document::Fault<Problem>;
 
 /// The key of the first date in a table, if there is one: what made a pattern does not depend on when.
 pub(super) fn date_in(table: &toml::Table) -> Option<String> {

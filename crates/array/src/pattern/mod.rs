@@ -12,12 +12,13 @@
 mod error;
 mod file;
 
-pub use error::{PatternError, Place, Problem};
+pub use error::{PatternError, Problem};
 
 use crate::motor::{MotorError, SquareWave};
 use crate::units::{UM_PER_PULSE, seconds_to_ticks};
 use error::Fault;
 use firmware_protocol::stroke::MOTORS;
+use meissner_input::document::in_range;
 use meissner_input::message::quote;
 use serde::Serialize;
 use std::fmt;
@@ -69,9 +70,6 @@ impl Drive {
     }
 
     fn check(&self, duration_s: Option<f64>) -> Result<(), Fault> {
-        let in_range = |key, found: f64, good: bool, range| {
-            if good { Ok(()) } else { Err(Fault::key(key, Problem::Range { key, found, range })) }
-        };
         in_range("motor", self.motor.into(), usize::from(self.motor) < MOTORS, "0 to 23")?;
         let hz = self.frequency_hz;
         in_range("frequency_hz", hz, FREQUENCY_HZ.contains(&hz), "0.1 to 300 Hz")?;
@@ -85,7 +83,7 @@ impl Drive {
             if let Some(duration_s) = duration_s
                 && (found > duration_s || (key == "start_s" && found >= duration_s))
             {
-                return Err(Fault::key(key, Problem::BeyondDuration { key, found, duration_s }));
+                return Err(Fault::key(key, Problem::BeyondDuration { found, duration_s }));
             }
         }
         match self.stop_s {
@@ -122,7 +120,7 @@ impl Pattern {
         provenance: toml::Table,
     ) -> Result<Self, PatternError> {
         let pattern = Self { format: FORMAT, name: name.to_owned(), duration_s, drives, provenance };
-        pattern.check().map_err(|fault| fault.at(name, None))?;
+        pattern.check().map_err(|fault| PatternError(fault.placed(Some(name))))?;
         Ok(pattern)
     }
 
@@ -185,17 +183,16 @@ impl Pattern {
         if !is_name(&self.name) {
             return Err(Fault::key("name", Problem::Name { found: quote(&self.name) }));
         }
-        if let Some(found) = self.duration_s
-            && !(found <= MAX_SECONDS && seconds_to_ticks(found) > 0)
-        {
+        if let Some(found) = self.duration_s {
+            let good = found <= MAX_SECONDS && seconds_to_ticks(found) > 0;
             let range = "at least one tick (1/85000 s) and at most 100000000 s";
-            return Err(Fault::key("duration_s", Problem::Range { key: "duration_s", found, range }));
+            in_range("duration_s", found, good, range)?;
         }
         if self.drives.len() > MAX_DRIVES {
             return Err(Fault::key("drive", Problem::TooManyDrives { count: self.drives.len() }));
         }
         for (index, drive) in self.drives.iter().enumerate() {
-            drive.check(self.duration_s).map_err(|fault| fault.in_drive(index))?;
+            drive.check(self.duration_s).map_err(|fault| fault.within(&format!("drive[{index}]")))?;
         }
         if let Some(key) = error::date_in(&self.provenance) {
             return Err(Fault::key("provenance", Problem::Date { key }));
@@ -203,7 +200,7 @@ impl Pattern {
         if let Some((first, second)) = overlap(&self.drives) {
             let Drive { motor, .. } = self.drives[second];
             let problem = Problem::Overlap { motor, other: first + 1, start_s: self.drives[second].start() };
-            return Err(Fault::key("motor", problem).in_drive(second));
+            return Err(Fault::key(&format!("drive[{second}].motor"), problem));
         }
         Ok(())
     }
