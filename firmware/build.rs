@@ -1,5 +1,6 @@
-//! Hands the memory layout to the linker, and the hash of the sources to the firmware: what the handshake
-//! calls its build.
+//! Passes the memory layout to the linker and a hash of the sources to the firmware.
+//!
+//! The handshake reports the hash as the build.
 
 use std::path::{Path, PathBuf};
 use std::{env, fs};
@@ -18,7 +19,7 @@ fn main() {
         list(Path::new(place), &mut files);
     }
     files.sort();
-    // FNV-1a: tells builds apart, proves nothing.
+    // FNV-1a: distinguishes builds; not for security.
     let mut hash = 0x811c_9dc5_u32;
     for file in files {
         for byte in fs::read(file).expect("sources can be read") {

@@ -1,19 +1,27 @@
-//! The packed lists inside messages: strokes of a batch, items of an amendment.
+//! Packed lists inside messages: the strokes of a batch and the items of an amendment.
 //!
-//! A stroke is `head | varint up | [varint up_pulses] | varint held | [varint correction]`, where `head`
-//! is the motor (bits 0–4), "as many up pulses as the stroke before" (bit 5) and "as many down as up
-//! pulses" (bit 6); `up` counts from the stroke before, or from the batch's base tick; `held` counts from
-//! the up burst's end to the down burst; `correction` is `down - up` pulses, zigzag. An amendment is
-//! `head | varint up (zigzag) | varint pulses` with the burst's direction (down = 1) in bit 5 of `head`.
-//! Varints are LEB128 of at most 5 bytes. What cannot be read whole is [`Malformed`].
+//! [`Packer`] writes a list; [`Strokes`] and [`Amendments`] read it, each item as an offset from the one before.
+//!
+//! ```text
+//! stroke     head | varint up | [varint up_pulses] | varint held | [varint correction]
+//! amendment  head | varint up (zigzag) | varint pulses
+//! ```
+//! - `head`: bits 0–4 are the motor. In a stroke, bit 5 set means that `up_pulses` is as in the stroke before and left out;
+//!   bit 6 set means that both bursts have as many pulses and `correction` is left out. In an amendment, bit 5 is the
+//!   burst's direction (1 = down).
+//! - `up`: ticks from the up tick of the item before; in the first item from the base tick.
+//! - `held`: ticks from the end of the up burst to the down burst.
+//! - `correction`: down pulses minus up pulses, zigzag.
+//!
+//! Varints are LEB128 of at most 5 bytes. A list that ends within an item, or with a number out of range, is [`Malformed`].
 
 use crate::stroke::{Direction, Stroke};
 use crate::tick::Tick;
 
-/// Strokes in one batch at the most: as many as a small chip can take between two blocks of lines, and no more than
-/// a verdict's mask has bits.
+/// Most strokes in a batch: as many as the chip can take between two blocks of lines, and at most the 64 bits of a
+/// verdict's mask.
 pub const MAX_BATCH: usize = 32;
-/// Bytes of packed items in one message at the most: what its longest header leaves.
+/// Most bytes of packed items in a message: what its longest header leaves.
 pub const BATCH_BYTES: usize = 232;
 
 const MOTOR: u8 = 0x1f;
@@ -21,15 +29,15 @@ const SAME_PULSES: u8 = 0x20;
 const BALANCED: u8 = 0x40;
 const AMENDS_DOWN: u8 = 0x20;
 
-/// A packed list ends inside an item, or an item has a number out of range.
+/// A packed list ends within an item, or an item has a number out of range.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Malformed;
 
-/// No room for one more item, or it does not follow its predecessor in time.
+/// There is no room for the item, or it does not follow the one before in time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Full;
 
-/// Packs items into a byte buffer; what does not fit leaves no trace.
+/// Packs items into a buffer of `N` bytes. An item that does not fit changes nothing.
 #[derive(Debug)]
 pub struct Packer<const N: usize> {
     bytes: [u8; N],
@@ -59,16 +67,16 @@ impl<const N: usize> Packer<N> {
         &self.bytes[..self.len]
     }
 
-    /// How many items it holds.
+    /// Number of items.
     #[must_use]
     pub fn items(&self) -> usize {
         self.items
     }
 
-    /// Appends a stroke. Its up burst must not begin before the last one's, nor end after its down burst begins.
+    /// Appends a stroke. Its up burst must begin no earlier than that of the stroke before, and end before its own down burst.
     ///
     /// # Errors
-    /// [`Full`] when it does not fit; the list is as before.
+    /// [`Full`] if it does not fit; the list is unchanged.
     pub fn stroke(&mut self, stroke: &Stroke) -> Result<(), Full> {
         let Ok(up) = u32::try_from(stroke.up.since(self.at)) else { return Err(Full) };
         let held = stroke.down.since(stroke.up + u64::from(stroke.up_pulses));
@@ -94,7 +102,7 @@ impl<const N: usize> Packer<N> {
     /// Appends an amendment.
     ///
     /// # Errors
-    /// [`Full`] when it does not fit; the list is as before.
+    /// [`Full`] if it does not fit; the list is unchanged.
     pub fn amendment(&mut self, amendment: &Amendment) -> Result<(), Full> {
         let Ok(up) = i32::try_from(amendment.up.since(self.at)) else { return Err(Full) };
         let down = if amendment.direction == Direction::Down { AMENDS_DOWN } else { 0 };
@@ -118,7 +126,7 @@ impl<const N: usize> Packer<N> {
     }
 }
 
-/// One item being packed: a head and at most four varints.
+/// An item being packed: a head and at most four varints.
 struct Item {
     bytes: [u8; 21],
     len: usize,
@@ -150,7 +158,7 @@ const fn unzigzag(value: u32) -> i32 {
     (value >> 1).cast_signed() ^ -(value & 1).cast_signed()
 }
 
-/// Reads packed items one by one.
+/// Reads bytes and varints of packed items.
 #[derive(Clone, Debug)]
 struct Unpacker<'a> {
     bytes: &'a [u8],
@@ -181,7 +189,7 @@ impl Unpacker<'_> {
     }
 }
 
-/// The strokes of a batch, in order. After an error it ends.
+/// The strokes of a batch, in order. Ends after an error.
 #[derive(Clone, Debug)]
 pub struct Strokes<'a> {
     rest: Unpacker<'a>,
@@ -227,15 +235,15 @@ impl Iterator for Strokes<'_> {
 pub struct Amendment {
     /// The stroke's motor.
     pub motor: u8,
-    /// The stroke's up tick: with the motor, its name.
+    /// The stroke's up tick, which identifies it together with the motor.
     pub up: Tick,
-    /// Which of its bursts.
+    /// Which of its two bursts.
     pub direction: Direction,
-    /// How many pulses it shall have, absolute.
+    /// The burst's new number of pulses, absolute.
     pub pulses: u16,
 }
 
-/// The items of an amendment message. After an error it ends.
+/// The items of an amendment message. Ends after an error.
 #[derive(Clone, Debug)]
 pub struct Amendments<'a>(Unpacker<'a>);
 
@@ -311,7 +319,7 @@ mod tests {
         }
 
         #[test]
-        fn any_bytes_end(bytes in prop::collection::vec(any::<u8>(), 0..250)) {
+        fn reading_any_bytes_ends(bytes in prop::collection::vec(any::<u8>(), 0..250)) {
             prop_assert!(Strokes::new(Tick(0), &bytes).count() <= bytes.len());
             prop_assert!(Amendments::new(Tick(0), &bytes).count() <= bytes.len());
         }
@@ -329,7 +337,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_fit_leaves_no_trace() {
+    fn an_item_that_does_not_fit_changes_nothing() {
         let mut packer = Packer::<8>::new(Tick(100));
         let stroke = Stroke { motor: 1, up: Tick(100), up_pulses: 147, down: Tick(300), down_pulses: 147 };
         assert_eq!(packer.stroke(&stroke), Ok(()));

@@ -1,33 +1,34 @@
-//! Frames: how a message becomes bytes between two zeros, and back.
+//! Frames: turns a message into bytes that end with a zero, and back.
+//!
+//! [`encode`] writes a frame; [`Decoder`] cuts a byte stream into bodies; [`read`] reads a body as a message.
 //!
 //! ```text
 //! message      version u8 | body (postcard) | CRC-32/ISO-HDLC of both, little-endian
-//! on the wire  COBS(message) | 0x00
+//! on the wire  COBS(message) | 0x00                                  at most MAX_FRAME bytes
 //! ```
-//! At most [`MAX_FRAME`] bytes with the delimiter. The decoder takes arbitrary chunks; whatever arrives,
-//! it answers with a message or a [`FrameError`], and is in step again after the next zero.
+//! The decoder takes chunks of any size. Whatever arrives, it returns a body or a [`FrameError`], and it is synchronised again
+//! after the next zero.
 
 use crc::{CRC_32_ISO_HDLC, Crc};
 use serde::{Deserialize, Serialize};
 
-/// The protocol's version: the first byte of every message, in every version.
+/// The protocol's version: the first byte of every message, in all versions.
 pub const PROTOCOL: u8 = 1;
-/// Version, body and CRC at the most: one COBS block.
+/// Most bytes of version, body and CRC: one COBS block.
 const MAX_MESSAGE: usize = 254;
 const CRC_LEN: usize = 4;
-/// A frame on the wire at the most: COBS code byte, message, delimiter.
+/// Most bytes of a frame: COBS code byte, message, delimiter.
 pub const MAX_FRAME: usize = 1 + MAX_MESSAGE + 1;
-/// Bytes of a frame that are not its body.
+/// Bytes of a frame besides its body.
 pub const FRAME_OVERHEAD: usize = 1 + 1 + CRC_LEN + 1;
 
-/// A frame without its delimiter that is short enough for `Hello` or an e-stop: code byte, version, tags and
-/// numbers, CRC.
+/// Most bytes of a `Hello` or an e-stop, without the delimiter: code byte, version, tags and numbers, CRC.
 pub(crate) const MAX_SHORT: usize = 1 + 1 + 8 + CRC_LEN;
 
 const FULL: postcard::Error = postcard::Error::SerializeBufferFull;
 const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
-/// Why bytes between two zeros are not a message.
+/// Why the bytes between two zeros are not a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameError {
     /// More than [`MAX_FRAME`] bytes, the zero included.
@@ -36,7 +37,7 @@ pub enum FrameError {
     Malformed,
     /// The CRC does not fit.
     Crc,
-    /// Whole and of this version, but the body is not one of its messages: an unknown variant, or bytes missing or left over.
+    /// Whole and of this version, but the body is no message: an unknown variant, or bytes missing or left over.
     Unknown,
     /// Whole, but of this other protocol version.
     Version(u8),
@@ -45,7 +46,7 @@ pub enum FrameError {
 /// Writes `body` as a frame to the start of `out` and returns its length.
 ///
 /// # Errors
-/// If the body is too long for a frame or `out` is shorter than the frame.
+/// If the body is too long for a frame, or `out` is shorter than the frame.
 pub fn encode(body: &impl Serialize, out: &mut [u8]) -> Result<usize, postcard::Error> {
     let mut message = [0; MAX_MESSAGE];
     message[0] = PROTOCOL;
@@ -69,7 +70,7 @@ pub fn read<'a, M: Deserialize<'a>>(body: Result<&'a [u8], FrameError>) -> Resul
     }
 }
 
-/// Cuts a byte stream into messages.
+/// Cuts a byte stream into bodies.
 #[derive(Debug)]
 pub struct Decoder {
     buffer: [u8; MAX_FRAME - 1],
@@ -80,12 +81,12 @@ pub struct Decoder {
 impl core::fmt::Display for FrameError {
     fn fmt(&self, out: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match self {
-            Self::TooLong => out.write_str("a frame without an end"),
-            Self::Malformed => out.write_str("a frame that cannot be read"),
+            Self::TooLong => out.write_str("a frame longer than the longest"),
+            Self::Malformed => out.write_str("a frame that is not COBS, or too short"),
             Self::Crc => out.write_str("a frame whose CRC does not fit"),
             Self::Unknown => out.write_str("a frame that holds no message of this version"),
             Self::Version(version) => {
-                write!(out, "protocol version {version}, this side speaks {PROTOCOL}")
+                write!(out, "a frame of protocol version {version}; this side has version {PROTOCOL}")
             }
         }
     }
@@ -100,14 +101,14 @@ impl Default for Decoder {
 }
 
 impl Decoder {
-    /// Nothing begun.
+    /// A decoder at the start of a frame.
     #[must_use]
     pub const fn new() -> Self {
         Self { buffer: [0; MAX_FRAME - 1], len: 0, overflow: false }
     }
 
-    /// Takes `bytes` up to the next delimiter and returns what was before it, the body of a message or
-    /// an error; `None` when `bytes` is used up. Call it until then. Nothing between two zeros is no error.
+    /// Takes `bytes` up to the next delimiter and returns the body before it, or an error. Returns `None` when `bytes` is
+    /// used up; call it until then. Two adjacent zeros are no error.
     pub fn next<'a>(&'a mut self, bytes: &mut &[u8]) -> Option<Result<&'a [u8], FrameError>> {
         loop {
             let zero = bytes.iter().position(|&byte| byte == 0);
@@ -133,7 +134,7 @@ impl Decoder {
         }
     }
 
-    /// Forgets a frame begun: the line was cut.
+    /// Forgets a frame that has begun, because the line was cut.
     pub fn reset(&mut self) {
         *self = Self::new();
     }
@@ -144,7 +145,7 @@ fn message(encoded: &mut [u8]) -> Result<&[u8], FrameError> {
     body(&encoded[..len])
 }
 
-/// The body of what was encoded, checked.
+/// The body of a decoded message, if CRC and version are right.
 pub(crate) fn body(message: &[u8]) -> Result<&[u8], FrameError> {
     let (message, crc) = message.split_last_chunk::<CRC_LEN>().ok_or(FrameError::Malformed)?;
     let (&version, body) = message.split_first().ok_or(FrameError::Malformed)?;
@@ -182,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn another_version_is_told_by_its_number() {
+    fn another_version_is_named_by_its_number() {
         let mut message = std::vec![9, 1, 2, 3];
         message.extend(CRC.checksum(&message).to_le_bytes());
         let mut bytes = [0; 20];
@@ -219,7 +220,7 @@ mod tests {
         }
 
         #[test]
-        fn noise_never_panics_and_the_next_frame_after_a_zero_is_read(noise in prop::collection::vec(any::<u8>(), 0..600)) {
+        fn noise_never_panics_and_the_next_frame_is_read(noise in prop::collection::vec(any::<u8>(), 0..600)) {
             let mut decoder = Decoder::default();
             let mut bytes = noise.clone();
             bytes.push(0);
@@ -232,7 +233,7 @@ mod tests {
         }
 
         #[test]
-        fn a_flipped_bit_is_noticed(bit in 0usize..8 * 30) {
+        fn a_flipped_bit_is_an_error(bit in 0usize..8 * 30) {
             let mut bytes = frame(&[0x55; 20]);
             let last = bytes.len() - 1;
             let bit = bit % (8 * last);

@@ -23,7 +23,8 @@
 //! let len = frame::encode(&HostMessage::Hello { session: 7 }, &mut bytes)?;
 //! device.receive(Tick::BOOT, &bytes[..len]);
 //! let len = device.transmit(Tick::BOOT, &mut bytes);
-//! let body = Decoder::new().next(&mut &bytes[..len]).expect("a whole frame");
+//! let mut decoder = Decoder::new();
+//! let body = decoder.next(&mut &bytes[..len]).expect("a whole frame");
 //! let DeviceMessage::Hello(hello) = frame::read(body)? else { panic!("a hello") };
 //! assert_eq!((hello.session, hello.motors), (7, 24));
 //! # Ok::<(), Box<dyn core::error::Error>>(())

@@ -1,27 +1,27 @@
-//! What the controller holds to, whatever the host asks: the last guard before a finger.
+//! Limits that the controller enforces whatever the host asks: the last guard before a finger.
 //!
-//! A stroke that breaks a limit is refused whole. Corrections stay within [`correction`] pulses of the
-//! stroke as planned; rates are pulses begun in any sliding second, counted by [`OnTime`].
+//! [`check`] accepts or refuses a whole stroke. [`correction`] bounds how far an amendment may change a burst. [`OnTime`]
+//! counts the pulses begun in any sliding second against [`OnTimeLimits`].
 
 use crate::stroke::{MOTORS, Stroke};
 use crate::tick::{TICK_HZ, Tick};
 use serde::{Deserialize, Serialize};
 
-/// Up pulses of one stroke at the most: 407 µm, the paper's motors' useful travel.
+/// Most up pulses of a stroke: 407 µm, the useful travel of the paper's motors.
 pub const MAX_UP_PULSES: u16 = 3_000;
-/// Down pulses of one stroke at the most, however it is corrected.
+/// Most down pulses of a stroke, corrections included.
 pub const MAX_DOWN_PULSES: u16 = MAX_UP_PULSES + correction(MAX_UP_PULSES);
-/// Net pulses by which moves may take a pin from where it was armed.
+/// Most net pulses by which moves may shift a pin from where it was at rest.
 pub const MAX_TRAVEL: u16 = 3_000;
 /// Motors that share a 30 V supply (a rail).
 pub const MOTORS_PER_RAIL: usize = 6;
 /// Rails of the array.
 pub const RAILS: usize = MOTORS / MOTORS_PER_RAIL;
 
-/// How far a correction may take a count of pulses from the stroke as planned: 30 %, at least 1.
+/// Most pulses by which a correction may change a planned count: 30 %, at least 1.
 #[must_use]
 pub const fn correction(planned: u16) -> u16 {
-    // Tenths by a multiplication, exact for 16 bits: a small chip's core has no division.
+    // Divides by ten with a multiplication, exact for 16 bits: the chip's core has no division.
     let planned = planned as u32;
     let tens = (planned * 52_429) >> 19;
     let part = tens * 3 + (((planned - tens * 10) * 3 * 52_429) >> 19);
@@ -45,29 +45,29 @@ pub enum Refusal {
     UpPulses,
     /// The up burst runs into the down burst.
     Bursts,
-    /// The down burst has no pulses, or undoes the up burst by more than a correction too little or too much.
+    /// The down burst has no pulses, or differs from the up burst by more than a correction.
     Unbalanced,
     /// The stroke begins before the one queued before it on the same motor has ended.
     Overlap,
     /// The stroke begins more than 2^30 ticks ahead.
     TooFar,
-    /// No free slot.
+    /// No free stroke slot.
     PoolFull,
-    /// The motor's pulses in a sliding second.
+    /// Too many pulses of the motor in a sliding second.
     MotorOnTime,
-    /// The rail's pulses in a sliding second.
+    /// Too many pulses of the rail in a sliding second.
     RailOnTime,
-    /// Arm asked for while the position is unknown, without `assume_rest`.
+    /// `arm` without `assume_rest` while the position is unknown.
     PositionUnknown,
-    /// The command does not fit the state (arm while armed or faulted, move while strokes are queued).
+    /// The state does not allow the command (arm while armed or faulted, move while strokes are queued).
     State,
-    /// A move beyond [`MAX_TRAVEL`].
+    /// The move goes beyond [`MAX_TRAVEL`].
     Travel,
-    /// The lines of a batch could not be read.
+    /// The batch could not be read.
     Malformed,
 }
 
-/// Pulses begun per sliding second, at the most. The defaults can never be reached: a site lowers them.
+/// Most pulses begun in a sliding second. The defaults cannot be reached; a site may lower them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OnTimeLimits {
     /// Per motor, pulses/s.
@@ -77,17 +77,17 @@ pub struct OnTimeLimits {
 }
 
 impl OnTimeLimits {
-    /// Every tick a pulse on every motor: no limit.
+    /// No limit: every motor may begin a pulse in every tick.
     pub const NONE: Self = Self { motor: TICK_HZ, rail: MOTORS_PER_RAIL as u32 * TICK_HZ };
 
-    /// The lower of both, limit by limit.
+    /// The lower value of each limit.
     #[must_use]
     pub fn min(self, other: Self) -> Self {
         Self { motor: self.motor.min(other.motor), rail: self.rail.min(other.rail) }
     }
 }
 
-/// Checks a stroke by itself: its motor, its counts, its order.
+/// Checks a stroke by itself: motor, pulse counts, order of its bursts.
 ///
 /// # Errors
 /// The first limit it breaks.
@@ -101,36 +101,36 @@ pub fn check(stroke: &Stroke) -> Result<(), Refusal> {
     if stroke.up + u64::from(stroke.up_pulses) > stroke.down {
         return Err(Refusal::Bursts);
     }
-    // Without a down burst, strokes could follow each other as one endless up burst.
+    // Without down bursts, successive strokes could form one endless up burst.
     if stroke.down_pulses == 0 || !within_correction(stroke.up_pulses, stroke.down_pulses) {
         return Err(Refusal::Unbalanced);
     }
     Ok(())
 }
 
-/// Ticks of a bucket of the on-time account: a second has 68 of them.
+/// Ticks of a bucket of the on-time count: a second has 68 buckets.
 const BUCKET: u64 = 1_250;
-/// A second and the bucket being filled.
+/// The buckets of a second, and the one being filled.
 const BUCKETS: usize = TICK_HZ as usize / BUCKET as usize + 1;
 
 /// Counts pulses per motor against [`OnTimeLimits`].
 ///
-/// A stroke counts from its first pulse until a second after its last one, so no sliding second ever holds
-/// more than the limit; it may refuse one stroke and 15 ms early. A limit of [`OnTimeLimits::NONE`] is off: a line
-/// that never rests is allowed then.
+/// A stroke counts from its first pulse until a second after its last one. So no sliding second ever holds more than the
+/// limit, but a stroke may be refused when the sum is one stroke or 15 ms below it. [`OnTimeLimits::NONE`] turns a
+/// limit off: a line may then pulse without rest.
 #[derive(Debug)]
 pub struct OnTime {
     limits: OnTimeLimits,
     /// Index of the bucket being filled.
     bucket: usize,
-    /// When the next one begins.
+    /// When the next bucket begins.
     next: Tick,
     ended: [[u16; MOTORS]; BUCKETS],
     charged: [u32; MOTORS],
 }
 
 impl OnTime {
-    /// An empty account at `now`.
+    /// An empty count at `now`.
     #[must_use]
     pub const fn new(now: Tick) -> Self {
         Self {
@@ -142,15 +142,15 @@ impl OnTime {
         }
     }
 
-    /// Sets the limits; what is charged stays.
+    /// Sets the limits. The pulses counted so far stay.
     pub fn set_limits(&mut self, limits: OnTimeLimits) {
         self.limits = limits;
     }
 
-    /// Charges a stroke of `pulses` that begins at `now`.
+    /// Counts a stroke of `pulses` that begins at `now`.
     ///
     /// # Errors
-    /// The limit it would break; nothing is charged then.
+    /// The limit that the stroke would break; then nothing is counted.
     pub fn begin(&mut self, now: Tick, motor: usize, pulses: u32) -> Result<(), Refusal> {
         self.forget(now);
         let off = OnTimeLimits::NONE;
@@ -168,7 +168,7 @@ impl OnTime {
         Ok(())
     }
 
-    /// A stroke charged with `charged` pulses has ended at `now` after `played` of them.
+    /// Ends at `now` a stroke counted with `charged` pulses, of which `played` were played.
     pub fn end(&mut self, now: Tick, motor: usize, charged: u32, played: u32) {
         self.forget(now);
         let ended = &mut self.ended[self.bucket][motor];
@@ -176,9 +176,9 @@ impl OnTime {
         self.charged[motor] = (self.charged[motor] + played).saturating_sub(charged);
     }
 
-    /// Takes what is a second old off the account.
+    /// Removes pulses that are more than a second old.
     fn forget(&mut self, now: Tick) {
-        // After a longer pause, one round clears all.
+        // After a long pause, one round over the buckets clears all.
         self.next = self.next.max(Tick(now.0.saturating_sub(BUCKET * BUCKETS as u64)));
         while self.next <= now {
             self.next = self.next + BUCKET;
@@ -200,7 +200,7 @@ mod tests {
     const GOOD: Stroke = Stroke { motor: 0, up: Tick(100), up_pulses: 10, down: Tick(110), down_pulses: 10 };
 
     #[test]
-    fn each_limit_of_a_stroke_has_its_edge() {
+    fn each_limit_of_a_stroke_is_exact() {
         assert_eq!(check(&GOOD), Ok(()));
         assert_eq!(check(&Stroke { motor: 23, ..GOOD }), Ok(()));
         assert_eq!(check(&Stroke { motor: 24, ..GOOD }), Err(Refusal::Motor));
@@ -224,7 +224,7 @@ mod tests {
     }
 
     proptest! {
-        /// The account against a plain list of pulses: no sliding second holds more than the limits.
+        /// Compared with a plain list of bursts.
         #[test]
         fn no_sliding_second_breaks_a_limit(strokes in prop::collection::vec((0usize..6, 0u64..2000, 1u32..400), 1..300)) {
             let limits = OnTimeLimits { motor: 2_000, rail: 5_000 };
@@ -256,7 +256,7 @@ mod tests {
     }
 
     #[test]
-    fn after_a_second_of_rest_the_account_is_empty() {
+    fn after_a_second_of_rest_nothing_counts() {
         let mut account = OnTime::new(Tick(0));
         account.set_limits(OnTimeLimits { motor: 100, rail: 600 });
         assert_eq!(account.begin(Tick(0), 5, 100), Ok(()));

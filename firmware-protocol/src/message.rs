@@ -1,7 +1,8 @@
-//! The messages: one enum per direction, whose variants are only ever appended.
+//! The messages of the protocol: [`HostMessage`] to the device, [`DeviceMessage`] from it.
 //!
-//! They are plain data; what they mean and which answer they get stands in the crate's documentation.
-//! Ticks are [`WireTick`]s and widen at the reader. Counts are varints (postcard).
+//! They are plain data. The crate's documentation says what they do and how they are answered. The reader widens a
+//! [`WireTick`]; integers are varints (postcard). The order of fields and variants is the wire format: `tests/golden.rs`
+//! keeps the bytes of this version.
 
 use crate::limits::{OnTimeLimits, Refusal};
 use crate::stroke::{Direction, MOTORS};
@@ -11,47 +12,47 @@ use serde::{Deserialize, Serialize};
 /// From the host to the device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum HostMessage<'a> {
-    /// Opens a session; `session` is a random number. Repeated until answered.
+    /// Opens a session. Repeated until answered.
     Hello {
-        /// Names the session: the same number again is a repetition.
+        /// A random number that names the session; the same number again is a repetition.
         session: u32,
     },
-    /// Keeps the lease, asks for a status.
+    /// Shows that the host is alive, and asks for a status.
     Ping {
-        /// Comes back in the status; not 0.
+        /// Comes back in the status. Not 0.
         token: u16,
-        /// Reports read so far, all before it included.
+        /// Number of the last report that the host has read; it has read all before it too.
         seen: u16,
     },
-    /// A command; begins the epoch it names. Repeated until a status names that epoch.
+    /// A command that begins a new epoch. Repeated until a status names that epoch.
     Control {
         /// The epoch it begins.
         epoch: u16,
         /// As in `Ping`.
         seen: u16,
-        /// What to do.
+        /// The command.
         op: Op,
     },
     /// The next frame of the ordered stream.
     Strokes {
-        /// The epoch it belongs to; older ones are acknowledged and ignored.
+        /// The epoch it belongs to. The device acknowledges and ignores other epochs.
         epoch: u16,
         /// Its number within the epoch, from 0.
         seq: u16,
         /// As in `Ping`.
         seen: u16,
-        /// `base` is the onset of a play: all its strokes are taken or none, and the onset is reported.
+        /// Whether it is the first frame of a play, with its onset at `base`: taken as a whole or not at all, and reported.
         onset: bool,
         /// The tick from which `batch` counts.
         base: WireTick,
         /// Packed strokes (see [`crate::batch`]).
         batch: &'a [u8],
     },
-    /// New pulse counts for queued bursts; outside the ordered stream, never repeated.
+    /// New pulse counts for queued bursts. Outside the ordered stream, never repeated.
     Amend {
         /// The epoch of the strokes it amends.
         epoch: u16,
-        /// Grows by one with each amendment message: the newest wins.
+        /// Grows by one with each amendment message; the newest wins.
         generation: u16,
         /// The tick from which `items` count.
         base: WireTick,
@@ -63,42 +64,42 @@ pub enum HostMessage<'a> {
 /// What a `Control` asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Op {
-    /// Return what pins are owed, then take strokes.
+    /// Play the outstanding return pulses, then take strokes.
     Arm {
-        /// Take every pin as being at rest: the position is known, nothing is owed.
+        /// Treat every pin as at rest: the position is known, and no return pulses are outstanding.
         assume_rest: bool,
-        /// Ticks without a valid frame after which the controller returns and disarms; at most 10 s.
+        /// Host watchdog timeout: the controller returns and disarms after this many ticks without a valid frame. At most 10 s.
         host_timeout: u32,
-        /// A site's limits; the lower of these and the device's own count.
+        /// The site's limits. The lower value of these and the device's own applies.
         limits: OnTimeLimits,
     },
     /// Return, then disarm, for this reason.
     Disarm(Cause),
     /// Return, stay armed.
     Stop,
-    /// All lines off at once; latched.
+    /// Turn all lines off at once and latch.
     EStop,
     /// From faulted to disarmed.
     Reset,
-    /// A burst of its own that shifts where a pin rests. Only armed and with nothing queued.
+    /// Shift the rest position of a pin by one burst. Only while armed with nothing queued.
     Move {
-        /// Which pin.
+        /// The pin's motor.
         motor: u8,
-        /// Which way.
+        /// Direction of the burst.
         direction: Direction,
-        /// How far.
+        /// Length of the burst.
         pulses: u16,
     },
 }
 
-/// What the controller is doing.
+/// The state of the controller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum State {
-    /// Lines off, strokes refused.
+    /// Lines off; refuses strokes.
     Disarmed,
     /// Takes strokes.
     Armed,
-    /// Plays down what pins are owed; strokes are refused.
+    /// Plays outstanding return pulses, refuses strokes.
     Returning,
     /// Lines off until a reset.
     Faulted,
@@ -107,29 +108,29 @@ pub enum State {
 /// Why the controller is in its state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Cause {
-    /// It has just started.
+    /// The device has just started.
     Boot,
-    /// The host asked for it: arm, disarm, reset.
+    /// The host asked for it by arm, disarm or reset.
     Request,
     /// The host stopped the play.
     Stop,
-    /// The host's daemon ends.
+    /// The host's daemon ended.
     Shutdown,
-    /// The host gave up a play because of late strokes.
+    /// The host aborted a play because of late strokes.
     Abort,
     /// The host's emergency stop.
     EStop,
-    /// No valid frame for the lease.
+    /// No valid frame for longer than the host watchdog timeout.
     HostTimeout,
-    /// The cable was pulled, the port closed.
+    /// The cable was unplugged or the port closed.
     LinkLost,
-    /// Another session was opened.
+    /// A host opened another session.
     NewHost,
     /// The lines ran out of rendered ticks.
     Starved,
-    /// The firmware panicked, or its core faulted.
+    /// The firmware panicked or its core faulted.
     Panic,
-    /// The firmware hung, and its watchdog restarted it.
+    /// The firmware hung and its watchdog restarted it.
     Watchdog,
 }
 
@@ -138,30 +139,30 @@ pub enum Cause {
 pub enum DeviceMessage {
     /// The answer to `Hello`, and to any frame of another protocol version.
     Hello(DeviceHello),
-    /// A frame came before a `Hello`: the device has restarted.
+    /// The answer to a frame before `Hello`: the device has restarted.
     NoSession,
-    /// After valid frames, and at every change of state.
+    /// The answer to a valid frame; also sent at every change of state.
     Status(Status),
-    /// Something that must not be lost: repeated until seen.
+    /// An event that must reach the host. Repeated until seen.
     Report {
         /// Its number, from 1, wrapping.
         number: u16,
         /// What happened.
         report: Report,
     },
-    /// Displacements of all pins, from a device that can sense them.
+    /// Displacements of all pins, from a device that senses them.
     Telemetry {
         /// When they were sampled.
         tick: WireTick,
-        /// In 0.01 µm.
+        /// Per motor, in 0.01 µm.
         y: [i32; MOTORS],
     },
 }
 
-/// Who the device is and what it can do.
+/// What the device is and what it can do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DeviceHello {
-    /// The session it answers.
+    /// The session that it answers.
     pub session: u32,
     /// Firmware version: major, minor, patch.
     pub firmware: [u8; 3],
@@ -175,21 +176,21 @@ pub struct DeviceHello {
     pub tick_hz: u32,
     /// Stroke slots.
     pub pool: u16,
-    /// Ticks rendered ahead at the most.
+    /// Most ticks rendered ahead.
     pub horizon: u8,
-    /// Up pulses of a stroke at the most.
+    /// Most up pulses of a stroke.
     pub max_up_pulses: u16,
-    /// On-time limits of its own.
+    /// The device's own on-time limits.
     pub limits: OnTimeLimits,
-    /// Bit 0: simulated; bit 1: telemetry.
+    /// [`Self::SIMULATED`] and [`Self::TELEMETRY`]; other bits are 0.
     pub features: u32,
-    /// The device's clock, all 64 bits.
+    /// The device's clock, in 64 bits.
     pub tick: u64,
     /// The present epoch.
     pub epoch: u16,
-    /// The number of the last report before this session's: its first has the next number.
+    /// Number of the last report before this session; the session's first report has the next number.
     pub reports: u16,
-    /// The last cut since boot, for a host that lost the link before it could read of it.
+    /// The last cut since boot, for a host that lost the link before it read the report.
     pub last_cut: Option<Cut>,
 }
 
@@ -200,62 +201,62 @@ impl DeviceHello {
     pub const TELEMETRY: u32 = 2;
 }
 
-/// How the device stands: acknowledgement, clock, credits and counters in one.
+/// The device's status: acknowledgement, clock, credits and counters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Status {
-    /// Of the last `Ping`, in the first status after it; else 0. So its round trip is known.
+    /// Token of the last `Ping`, in the first status after it; else 0. The host measures round trips with it.
     pub token: u16,
-    /// Now.
+    /// The device's clock.
     pub tick: WireTick,
-    /// The present epoch: acknowledges the `Control` that began it.
+    /// The present epoch; acknowledges the `Control` that began it.
     pub epoch: u16,
-    /// How that control ended, if it was refused.
+    /// Why that control was refused, if it was.
     pub refusal: Option<Refusal>,
-    /// The next frame of the ordered stream it waits for: acknowledges all before it.
+    /// The frame of the ordered stream that the device waits for; acknowledges all before it.
     pub next_seq: u16,
-    /// Bit i: frame `next_seq + 1 + i` has come early and is kept.
+    /// Bit i: frame `next_seq + 1 + i` arrived out of order and is buffered.
     pub out_of_order: u8,
-    /// Free stroke slots, after all frames before `next_seq`.
+    /// Free stroke slots after all frames before `next_seq`.
     pub credits: u16,
     /// Reports made so far.
     pub reports: u16,
-    /// What it is doing.
+    /// The state of the controller.
     pub state: State,
-    /// Why.
+    /// Why it is in that state.
     pub cause: Cause,
-    /// Whether it knows where the pins are.
+    /// Whether the device knows where the pins are.
     pub position_known: bool,
-    /// Down pulses owed by all pins together.
+    /// Outstanding return pulses of all pins together.
     pub outstanding: u32,
-    /// Since boot.
+    /// Counts since boot.
     pub counters: Counters,
 }
 
-/// What the controller has counted since boot. `bursts` are halves of strokes.
+/// Counts of the controller since boot. A stroke has two bursts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Counters {
-    /// Bursts of strokes that have ended, whole or cut.
+    /// Bursts played, whole or cut.
     pub played: u64,
-    /// Their pulses.
+    /// Pulses of those bursts.
     pub pulses: u64,
-    /// Bursts of accepted strokes that never began: flushed.
+    /// Bursts of accepted strokes that were flushed before they began.
     pub dropped: u64,
-    /// Bursts of strokes that came late.
+    /// Bursts of late strokes.
     pub late: u64,
-    /// Bursts of strokes refused.
+    /// Bursts of refused strokes.
     pub refused: u64,
-    /// Played bursts whose count an amendment had changed.
+    /// Played bursts whose count an amendment changed.
     pub amended: u64,
-    /// Amendments ignored: late, without a stroke, out of limits.
+    /// Amendments ignored: too late, without a stroke, or out of limits.
     pub amendments_ignored: u64,
-    /// Frames that could not be read.
+    /// Bad frames received (see the crate's documentation).
     pub bad_frames: u64,
-    /// Reports lost because the host did not read them.
+    /// Reports lost because the host did not read those before them.
     pub reports_lost: u64,
 }
 
 impl Counters {
-    /// Nothing yet.
+    /// All zero.
     pub const NONE: Self = Self {
         played: 0,
         pulses: 0,
@@ -269,60 +270,60 @@ impl Counters {
     };
 }
 
-/// What must reach the host.
+/// An event that must reach the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Report {
-    /// A frame of strokes was not taken as a whole.
+    /// Some strokes of a frame were not accepted.
     Verdict {
-        /// The frame.
+        /// The frame's number.
         seq: u16,
-        /// Bit i: its stroke i came late and was dropped.
+        /// Bit i: stroke i was late and dropped.
         late: u64,
-        /// Bit i: its stroke i was refused.
+        /// Bit i: stroke i was refused.
         refused: u64,
-        /// Why (the first of them).
+        /// Why the first of those was refused.
         reason: Option<Refusal>,
-        /// The first tick that was not rendered yet: the earliest start.
+        /// The first tick not rendered yet: the earliest possible start.
         rendered: WireTick,
     },
-    /// A play's first frame would have been late: nothing of it was taken.
+    /// The first frame of a play was late: nothing of it was taken.
     OnsetRefused {
-        /// The frame.
+        /// The frame's number.
         seq: u16,
-        /// The first tick that was not rendered yet.
+        /// The first tick not rendered yet.
         rendered: WireTick,
     },
-    /// A play's onset has passed.
+    /// The onset of a play has passed.
     Onset {
-        /// When.
+        /// The onset.
         tick: WireTick,
-        /// As they stood when all before the onset had been played.
+        /// Counts at the onset.
         counters: Counters,
     },
-    /// What ran was cut and the queue flushed.
+    /// Running strokes were cut and the queue was flushed.
     Cut(Cut),
-    /// A queued stroke was refused as it should have begun: an on-time limit.
+    /// A queued stroke was refused when it was to begin, because of an on-time limit.
     Refused {
-        /// Its motor.
+        /// The stroke's motor.
         motor: u8,
-        /// Its up tick.
+        /// The stroke's up tick.
         up: WireTick,
-        /// Which limit.
+        /// The limit.
         reason: Refusal,
     },
 }
 
-/// Where strokes were cut.
+/// When and why strokes were cut.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Cut {
-    /// Why.
+    /// The reason.
     pub cause: Cause,
-    /// The first tick at which nothing of the queue was played any more.
+    /// The first tick in which nothing of the queue was played.
     pub at: WireTick,
-    /// Whether pins are returned from here on; if not (e-stop, fault), they stay where they are.
+    /// Whether the pins return from this tick on. After an e-stop or a fault they stay where they are.
     pub returns: bool,
-    /// Strokes flushed whole.
+    /// Strokes flushed before they began.
     pub flushed: u16,
-    /// Down pulses owed from here on.
+    /// Outstanding return pulses at this tick.
     pub outstanding: u32,
 }

@@ -1,41 +1,40 @@
-//! What is played: strokes, the two bursts each consists of, and what they mean on a line, tick for tick.
+//! Strokes: what motors play, and what a line does in each tick of a stroke.
 //!
-//! A stroke is one excursion of one pin: an up burst and the down burst that undoes it. This is the only
-//! definition; the host's compiler makes strokes, the controller plays them, and tests compare both
-//! through [`Stroke::ticks`].
+//! A stroke is one excursion of one pin: an up burst and the down burst that undoes it. The host compiles patterns to
+//! strokes, the controller plays them, and tests compare both with [`Stroke::ticks`]. There is no other definition.
 
 use crate::tick::Tick;
 use serde::{Deserialize, Serialize};
 
-/// Motors, and so lines, of the array.
+/// Motors of the array; each has one line.
 pub const MOTORS: usize = 24;
 
-/// Which way a pulse moves the pin.
+/// The way a pulse moves the pin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Direction {
     /// Towards the finger: the line is high for the first 20 % of each pulse period.
     Up,
-    /// Away from it: high for the first 80 %.
+    /// Away from the finger: high for the first 80 %.
     Down,
 }
 
 /// What one line does in one tick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Line {
-    /// Low for the whole pulse period. A static high does not exist: it would leave DC on the piezo.
+    /// Low for the whole pulse period. No line is ever high for a whole period: that would put DC on the piezo.
     Off,
     /// One pulse.
     Pulse(Direction),
 }
 
-/// A train of pulses in one direction, one per tick.
+/// A train of pulses in one direction, one pulse per tick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Burst {
     /// The tick of the first pulse.
     pub start: Tick,
-    /// Which way it moves the pin.
+    /// The way it moves the pin.
     pub direction: Direction,
-    /// How many pulses, and so ticks.
+    /// Number of pulses, and of ticks.
     pub pulses: u16,
 }
 
@@ -47,7 +46,7 @@ impl Burst {
     }
 }
 
-/// One excursion of one pin. Valid when it holds `up + up_pulses <= down` (see [`crate::limits::check`]).
+/// One excursion of one pin. It is valid if [`crate::limits::check`] accepts it: `up + up_pulses <= down` and more.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stroke {
     /// 0..24, `4 * row + column`.
@@ -63,7 +62,7 @@ pub struct Stroke {
 }
 
 impl Stroke {
-    /// The first tick after the stroke: the pin is at rest again, by definition.
+    /// The first tick after the stroke. By definition the pin is at rest again.
     #[must_use]
     pub fn end(&self) -> Tick {
         self.down + u64::from(self.down_pulses)
@@ -84,7 +83,7 @@ impl Stroke {
         ]
     }
 
-    /// What the stroke's line does in every tick from its first pulse to its last.
+    /// The state of the stroke's line in every tick from its first pulse to its last.
     pub fn ticks(&self) -> impl Iterator<Item = (Tick, Line)> + use<> {
         let [up, down] = self.bursts();
         (up.start.0..self.end().0).map(move |tick| {
@@ -113,7 +112,7 @@ impl Lines {
     /// Every line low.
     pub const OFF: Self = Self { up: 0, down: 0 };
 
-    /// What motor `m`'s line does.
+    /// The state of the line of `motor`.
     #[must_use]
     pub fn line(&self, motor: u8) -> Line {
         match (self.up >> motor & 1, self.down >> motor & 1) {
@@ -137,7 +136,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_stroke_says_what_every_tick_carries() {
+    fn a_stroke_gives_the_line_of_every_tick() {
         let stroke = Stroke { motor: 3, up: Tick(10), up_pulses: 2, down: Tick(14), down_pulses: 3 };
         let lines: heapless::Vec<_, 16> = stroke.ticks().map(|(tick, line)| (tick.0, line)).collect();
         let (up, down) = (Line::Pulse(Direction::Up), Line::Pulse(Direction::Down));

@@ -1,7 +1,7 @@
-//! Device time: the pulse period of 1/85 000 s, counted.
+//! Device time: a count of pulse periods of 1/85 000 s.
 //!
-//! In memory a tick has 64 bits and never wraps. On the wire it has 32 and is read back as a signed
-//! distance from a tick the reader knows ([`WireTick::near`]): that is the one place where ticks widen.
+//! In memory a [`Tick`] has 64 bits and never wraps. On the wire a [`WireTick`] has 32 bits. [`WireTick::near`] reads it as a
+//! signed distance from a tick that the reader knows; ticks widen nowhere else.
 
 use core::ops::{Add, Sub};
 use serde::{Deserialize, Serialize};
@@ -15,8 +15,8 @@ pub const TICK_HZ: u32 = 85_000;
 pub struct Tick(pub u64);
 
 impl Tick {
-    /// Where every controller's clock starts: half a minute before the 32-bit wrap, so that each
-    /// longer run crosses it and the wrap is never a rare event.
+    /// The first tick of every controller's clock: half a minute before the 32-bit wrap, so that every longer run
+    /// crosses the wrap.
     pub const BOOT: Self = Self((1 << 32) - 30 * TICK_HZ as u64);
 
     /// The low 32 bits, as sent.
@@ -35,7 +35,7 @@ impl Tick {
 
 impl Add<u64> for Tick {
     type Output = Self;
-    /// The tick `ticks` later; the count ends after seven million years and stays there.
+    /// The tick `ticks` later. The count saturates after seven million years.
     fn add(self, ticks: u64) -> Self {
         Self(self.0.saturating_add(ticks))
     }
@@ -43,13 +43,13 @@ impl Add<u64> for Tick {
 
 impl Sub for Tick {
     type Output = u64;
-    /// The ticks from `rhs` to `self`, 0 if `rhs` is later.
+    /// The ticks from `rhs` to `self`; 0 if `rhs` is later.
     fn sub(self, rhs: Self) -> u64 {
         self.0.saturating_sub(rhs.0)
     }
 }
 
-/// The low 32 bits of a [`Tick`], little-endian, as they stand on the wire.
+/// The low 32 bits of a [`Tick`], little-endian, as sent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct WireTick(pub [u8; 4]);
 

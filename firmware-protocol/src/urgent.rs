@@ -1,13 +1,13 @@
-//! A short look at a byte stream for what must not wait its turn: an e-stop, and a host's hello.
+//! Finds an e-stop or a host's hello in a byte stream before the stream is read in order.
 //!
-//! A firmware looks at each packet as it comes in, in its interrupt, before anything is queued: an e-stop
-//! then takes effect while frames before it are still being read. What is found is checked as any frame is; what
-//! is not found here is read in its turn all the same. It answers nothing and changes nothing.
+//! A firmware gives each packet to [`Watch::look`] in its USB interrupt, before it queues the packet. So an e-stop takes
+//! effect while the device still reads earlier frames. Version, CRC and message are checked as in any frame. A frame
+//! that is missed here is still read in order later.
 
 use crate::frame::{self, MAX_SHORT};
 use crate::message::{HostMessage, Op};
 
-/// What was seen.
+/// An urgent message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Urgent {
     /// An e-stop that begins this epoch.
@@ -19,29 +19,29 @@ pub enum Urgent {
 /// Watches one stream.
 #[derive(Debug, Default)]
 pub struct Watch {
-    /// What came since the last delimiter, as far as it is short enough to matter.
+    /// The bytes since the last delimiter, up to the length of an urgent frame.
     frame: [u8; MAX_SHORT],
     len: usize,
 }
 
 impl Watch {
-    /// Nothing seen yet.
+    /// A watch at the start of a stream.
     #[must_use]
     pub const fn new() -> Self {
         Self { frame: [0; MAX_SHORT], len: 0 }
     }
 
-    /// Takes the next bytes of the stream; the last urgent message that ends in them. What follows an e-stop in them is
-    /// not looked at: there is no time to lose.
+    /// Takes the next bytes of the stream and returns the last urgent message that ends in them. It does not look at the
+    /// bytes after an e-stop, to save time.
     pub fn look(&mut self, bytes: &[u8]) -> Option<Urgent> {
-        // The fewest cycles per byte, of which there may be 64 in an interrupt.
+        // Written for few cycles per byte: an interrupt may bring 64 bytes.
         let (mut seen, mut len) = (None, self.len);
         for (at, &byte) in bytes.iter().enumerate() {
             if byte == 0 {
                 if let Some(frame) = self.frame.get_mut(..len) {
                     seen = urgent(frame).or(seen);
                     if matches!(seen, Some(Urgent::EStop(_))) {
-                        // The rest may begin a frame, which then has no beginning here.
+                        // The bytes left may begin a frame; mark it as too long.
                         len = if at + 1 == bytes.len() { 0 } else { MAX_SHORT + 1 };
                         break;
                     }
@@ -54,17 +54,16 @@ impl Watch {
                 len += 1;
             }
         }
-        // One beyond the end is as good as far beyond it.
         self.len = len.min(MAX_SHORT + 1);
         seen
     }
 }
 
-/// Not inlined: the loop over bytes needs the registers.
+/// Not inlined: the loop over the bytes needs the registers.
 #[inline(never)]
 fn urgent(frame: &mut [u8]) -> Option<Urgent> {
     let message = decode(frame)?;
-    // Neither `Hello` nor `Control`: not worth a CRC.
+    // Skip the CRC of what is neither `Hello` nor `Control`.
     if !matches!(message.get(1), Some(0 | 2)) {
         return None;
     }
@@ -75,8 +74,8 @@ fn urgent(frame: &mut [u8]) -> Option<Urgent> {
     }
 }
 
-/// Undoes the COBS of a short frame, in place. In an interrupt that is to be over within a pulse period the
-/// library's way, which also knows long blocks, takes too long.
+/// Decodes the COBS of a short frame in place. The library's decoder, which handles long blocks too, is too slow for an
+/// interrupt that must end within a pulse period.
 fn decode(frame: &mut [u8]) -> Option<&[u8]> {
     let mut code = 0;
     for (at, byte) in frame.iter_mut().enumerate() {
@@ -109,7 +108,7 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever comes before it, and however it is cut into packets.
+        /// With any bytes before them, in packets of any size.
         #[test]
         fn an_e_stop_and_a_hello_are_seen_in_any_stream(
             epoch: u16, seen: u16, session: u32, before in prop::collection::vec(any::<u8>(), 0..200),
@@ -126,7 +125,7 @@ mod tests {
                 let mut watch = Watch::new();
                 let found: Vec<_> = stream.chunks(packet).filter_map(|packet| watch.look(packet)).collect();
                 prop_assert_eq!(found.last(), Some(&want));
-                // Half a frame that follows is nobody's beginning.
+                // The first half of a frame behind an urgent one does not make its second half urgent.
                 stream.extend(&urgent[..3]);
                 stream.push(0);
                 prop_assert_eq!(watch.look(&stream), Some(want));

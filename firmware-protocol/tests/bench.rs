@@ -1,6 +1,7 @@
-//! A shell around the controller, as thin as the firmware's: it renders in blocks, holds the lines low while
-//! `forced_off`, and writes down every pulse. Time moves by [`Bench::tick`] alone; an event reaches the
-//! controller during the tick `now`, whose lines are out already (except in [`MOCK`]).
+//! A shell around the controller, as thin as the firmware's, that records every pulse.
+//!
+//! It renders in blocks and holds the lines low while `forced_off`. Only [`Bench::tick`] moves time. An event reaches the
+//! controller in the tick `now`, whose lines are already out (except in [`MOCK`]).
 
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
 use firmware_protocol::controller::{BLOCK, Controller, HORIZON, Identity, REORDER_WINDOW};
@@ -20,13 +21,13 @@ pub(crate) struct Shell {
 
 /// Blocks up to the horizon.
 pub(crate) const FIRMWARE: Shell = Shell { ahead: HORIZON as u64, block: BLOCK as u64 };
-/// The tick being played and no more.
+/// Only the tick being played.
 pub(crate) const TIGHT: Shell = Shell { ahead: 1, block: 1 };
-/// Bytes first, then the ticks up to now: an event comes when nothing is rendered ahead.
+/// Bytes first, then the ticks up to now: nothing is rendered ahead when an event comes.
 pub(crate) const MOCK: Shell = Shell { ahead: 0, block: 1 };
 pub(crate) const SHELLS: [Shell; 3] = [FIRMWARE, TIGHT, MOCK];
 
-/// The lease that [`Bench::arm`] asks for.
+/// The host watchdog timeout that [`Bench::arm`] sets.
 pub(crate) const HOST_TIMEOUT: u32 = 2 * TICK_HZ;
 
 pub(crate) struct Bench {
@@ -36,14 +37,14 @@ pub(crate) struct Bench {
     shell: Shell,
     ahead: VecDeque<(Lines, bool)>,
     log: Vec<(u64, Lines)>,
-    /// The ticks in which the trigger was high.
+    /// Ticks in which the trigger was high.
     pub(crate) triggered: Vec<u64>,
     decoder: Decoder,
-    /// All that the device has sent.
+    /// All messages that the device has sent.
     pub(crate) inbox: Vec<DeviceMessage>,
     pub(crate) epoch: u16,
     pub(crate) seq: u16,
-    /// Number of the last report read; sent as `seen` while `reading`.
+    /// Number of the last report read. Sent as `seen` while `reading`.
     pub(crate) seen: u16,
     pub(crate) reading: bool,
 }
@@ -100,7 +101,7 @@ impl Bench {
         bench
     }
 
-    /// A bench that is armed with every pin at rest.
+    /// An armed bench with every pin at rest.
     pub(crate) fn armed(shell: Shell) -> Self {
         let mut bench = Self::new(shell);
         bench.hello(1);
@@ -118,7 +119,7 @@ impl Bench {
         assert!(self.device.rendered() - Tick(self.now) <= u64::from(HORIZON));
     }
 
-    /// The lines go out for the tick `now`.
+    /// Puts out the lines of the tick `now`.
     fn play(&mut self) {
         let rendered = self.ahead.pop_front().expect("a rendered tick");
         let forced = self.device.forced_off(Tick(self.now));
@@ -133,7 +134,7 @@ impl Bench {
         }
     }
 
-    /// One tick passes.
+    /// Lets one tick pass.
     pub(crate) fn tick(&mut self) {
         if self.shell.ahead == 0 {
             self.fill(self.now + 1);
@@ -170,7 +171,7 @@ impl Bench {
         }
     }
 
-    /// What the device sends now.
+    /// Takes what the device sends now.
     pub(crate) fn drain(&mut self) {
         loop {
             let mut out = [0; MAX_FRAME];
@@ -198,7 +199,7 @@ impl Bench {
         self.drain();
     }
 
-    /// Takes the frames kept whose turn has come: one whenever the shell lets time pass.
+    /// Has the device take its buffered frames that are next in order, one with each poll.
     pub(crate) fn follow(&mut self) {
         for _ in 0..REORDER_WINDOW {
             self.device.poll(Tick(self.now));
@@ -239,7 +240,7 @@ impl Bench {
         bench
     }
 
-    /// The next frame of the stream.
+    /// Sends the next frame of the stream.
     pub(crate) fn frame(&mut self, onset: bool, base: u64, batch: &[u8]) {
         let (epoch, seq, seen) = (self.epoch, self.seq, self.seen());
         self.send(&HostMessage::Strokes { epoch, seq, seen, onset, base: Tick(base).wire(), batch });
@@ -289,7 +290,7 @@ impl Bench {
         *self.reports().last().expect("a report")
     }
 
-    /// What the motor's line did in every tick that had a pulse.
+    /// Tick and direction of every pulse of the motor.
     pub(crate) fn pulses(&self, motor: u8) -> impl Iterator<Item = (u64, Direction)> + '_ {
         self.log.iter().filter_map(move |(tick, lines)| match lines.line(motor) {
             Line::Pulse(direction) => Some((*tick, direction)),
@@ -297,7 +298,7 @@ impl Bench {
         })
     }
 
-    /// The same as bursts.
+    /// The pulses of the motor as bursts.
     pub(crate) fn bursts(&self, motor: u8) -> Vec<Burst> {
         let mut bursts: Vec<Burst> = Vec::new();
         for (tick, direction) in self.pulses(motor) {
@@ -309,7 +310,7 @@ impl Bench {
         bursts
     }
 
-    /// Up pulses less down pulses so far.
+    /// Up pulses minus down pulses so far.
     pub(crate) fn net(&self, motor: u8) -> i64 {
         self.pulses(motor).map(|(_, direction)| if direction == Direction::Up { 1 } else { -1 }).sum()
     }

@@ -1,4 +1,4 @@
-//! Version 1 on the wire, byte for byte. Nobody edits these: a change of one is another version.
+//! The bytes of version 1 on the wire. Never edit them: a changed byte is a new version.
 
 use crate::bench::{arm, pack, stroke};
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
@@ -70,7 +70,7 @@ fn bytes(message: &impl Serialize) -> Vec<u8> {
     out[..len].to_vec()
 }
 
-/// `message` is these bytes, and they are `message`.
+/// Checks that `message` is written as these bytes and read back from them.
 fn golden<'de, M: Serialize + Deserialize<'de> + PartialEq + Copy + Debug>(
     message: &M,
     hex: &str,
@@ -220,7 +220,7 @@ fn from_the_device() {
     }
 }
 
-/// Every message with every number at its longest.
+/// Every message with the longest numbers.
 #[test]
 fn messages_fit() {
     const ALL: u64 = u64::MAX;
@@ -289,7 +289,7 @@ fn messages_fit() {
     let (epoch, seq, seen, generation) = (u16::MAX, u16::MAX, u16::MAX, u16::MAX);
     let list = [0xff; BATCH_BYTES];
     let strokes = HostMessage::Strokes { epoch, seq, seen, onset: true, base: tick, batch: &list };
-    // The longest header and the longest batch fill a frame to its last byte.
+    // The longest header and batch exactly fill a frame.
     assert_eq!(bytes(&strokes).len(), MAX_FRAME);
     let amend = HostMessage::Amend { epoch, generation, base: tick, items: &list };
     assert!(bytes(&amend).len() <= MAX_FRAME);
@@ -299,7 +299,7 @@ fn messages_fit() {
 
 #[test]
 fn a_steady_play_takes_less_than_six_bytes_per_burst() {
-    // 24 motors at 60 Hz and 147 pulses, as many strokes to a frame as there is room for.
+    // 24 motors at 60 Hz and 147 pulses, as many strokes in the frame as fit.
     let mut packer = Packer::<BATCH_BYTES>::new(Tick(BASE));
     let mut k = 0;
     while packer.stroke(&stroke((k % 24) as u8, BASE + 59 * k, 147, 561, 147)).is_ok() {

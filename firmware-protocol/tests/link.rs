@@ -1,4 +1,6 @@
-//! What a bad line, a restart or a careless host does to the stream: nothing that was not asked for, once.
+//! The stream over a bad line, after a restart, and with a faulty host: every frame takes effect at most once.
+//!
+//! Sequence numbers, epochs, sessions, reports, and frames that cannot be read.
 
 use crate::bench::{Bench, FIRMWARE, SHELLS, frame, pack, stroke};
 use firmware_protocol::batch::MAX_BATCH;
@@ -8,7 +10,7 @@ use firmware_protocol::message::{Cause, DeviceMessage, HostMessage, Op, Report, 
 use firmware_protocol::stroke::{Direction, Stroke};
 use firmware_protocol::tick::{TICK_HZ, Tick};
 
-/// A frame of the stream with everything in it chosen.
+/// A frame of the stream with this epoch and number.
 fn strokes(bench: &Bench, epoch: u16, seq: u16, strokes: &[Stroke]) -> Vec<u8> {
     let base = strokes.first().map_or(bench.now, |stroke| stroke.up.0);
     let batch = pack(base, strokes);
@@ -20,7 +22,7 @@ fn control(epoch: u16, op: Op) -> Vec<u8> {
     frame(&HostMessage::Control { epoch, seen: 0, op })
 }
 
-/// Three frames of a stroke each.
+/// Three frames of one stroke each.
 fn three(bench: &Bench) -> ([Stroke; 3], [Vec<u8>; 3]) {
     let three = [0, 1, 2].map(|k| stroke(1, bench.now + 200 + 50 * k, 7, 6, 7));
     (three, [0, 1, 2].map(|k| strokes(bench, bench.epoch, k, &[three[usize::from(k)]])))
@@ -40,13 +42,13 @@ fn repeated_frames_are_taken_once() {
 }
 
 #[test]
-fn frames_out_of_order_and_after_a_gap_are_kept_until_the_missing_one_comes() {
+fn frames_out_of_order_are_buffered_until_the_missing_one_arrives() {
     let mut bench = Bench::armed(FIRMWARE);
     let (sent, frames) = three(&bench);
     for (i, next_seq, early) in [(2, 0, 0b10), (2, 0, 0b10), (1, 0, 0b11), (0, 3, 0), (1, 3, 0)] {
         bench.bytes(&frames[i]);
         if i == 0 {
-            // The others follow it, but not at once.
+            // The others are taken one by one.
             assert_eq!((bench.status().next_seq, bench.status().out_of_order), (1, 1));
             bench.follow();
         }
@@ -57,11 +59,11 @@ fn frames_out_of_order_and_after_a_gap_are_kept_until_the_missing_one_comes() {
 }
 
 #[test]
-fn a_frame_kept_and_repeated_before_it_is_followed_is_taken_once() {
+fn a_frame_buffered_and_repeated_is_taken_once() {
     let mut bench = Bench::armed(FIRMWARE);
     let (sent, frames) = three(&bench);
     bench.bytes(&frames[1]);
-    // In one packet: nothing can be followed in between.
+    // In one packet, so that no buffered frame is taken in between.
     bench.bytes(&[&frames[0][..], &frames[1], &frames[2]].concat());
     assert_eq!((bench.status().next_seq, bench.status().out_of_order), (3, 0));
     bench.follow();
@@ -71,7 +73,7 @@ fn a_frame_kept_and_repeated_before_it_is_followed_is_taken_once() {
 }
 
 #[test]
-fn a_frame_too_early_to_be_kept_is_ignored() {
+fn a_frame_beyond_the_reorder_window_is_ignored() {
     let mut bench = Bench::armed(FIRMWARE);
     let late = |bench: &Bench, seq| {
         let up = bench.now + 10_000 + u64::from(seq) * 100;
@@ -88,7 +90,7 @@ fn a_frame_too_early_to_be_kept_is_ignored() {
     }
     bench.follow();
     assert_eq!((bench.status().next_seq, bench.status().out_of_order), (REORDER_WINDOW as u16 + 1, 0));
-    // A new epoch knows nothing of frames kept in the old one.
+    // A new epoch drops the frames buffered in the old one.
     let frame = late(&bench, REORDER_WINDOW as u16 + 3);
     bench.bytes(&frame);
     assert_eq!(bench.status().out_of_order, 0b10);
@@ -102,7 +104,7 @@ fn frames_of_another_epoch_are_acknowledged_and_ignored() {
     let (_, frames) = three(&bench);
     bench.bytes(&frames[0]);
     bench.control(Op::Stop);
-    // What was on its way when the stop was sent.
+    // Frames that were on the line when the stop was sent.
     let answers = bench.inbox.len();
     bench.bytes(&frames[1]);
     bench.bytes(&frames[0]);
@@ -128,7 +130,7 @@ fn a_repeated_or_older_control_does_nothing() {
     }
     bench.is(State::Armed, Cause::Request);
     assert_eq!(bench.net(1), 10);
-    // As far ahead as counts as ahead.
+    // The farthest epoch that counts as newer.
     bench.bytes(&control(bench.epoch.wrapping_add(0x7fff), Op::EStop));
     bench.is(State::Faulted, Cause::EStop);
 }
@@ -160,7 +162,7 @@ fn the_sequence_and_the_epoch_wrap() {
     assert_eq!(bench.bursts(1), next.bursts());
 }
 
-/// The numbers of the reports sent since.
+/// The numbers of the reports sent since the last call.
 fn numbers(bench: &mut Bench) -> Vec<u16> {
     let numbers = bench.inbox.iter().filter_map(|message| match message {
         DeviceMessage::Report { number, .. } => Some(*number),
@@ -172,7 +174,7 @@ fn numbers(bench: &mut Bench) -> Vec<u16> {
 }
 
 #[test]
-fn a_report_is_repeated_every_ten_ms_of_a_host_that_is_heard_until_it_is_seen() {
+fn a_report_is_repeated_every_ten_ms_while_the_host_is_heard_until_it_is_seen() {
     let mut bench = Bench::armed(FIRMWARE);
     bench.reading = false;
     for motor in [24, 25] {
@@ -184,7 +186,7 @@ fn a_report_is_repeated_every_ten_ms_of_a_host_that_is_heard_until_it_is_seen() 
     bench.ping(1);
     assert_eq!(numbers(&mut bench), []);
     bench.tick();
-    // Not by itself: a host that is silent has no use for it.
+    // Only when the host is heard.
     bench.drain();
     assert_eq!(numbers(&mut bench), []);
     bench.ping(2);
@@ -192,7 +194,7 @@ fn a_report_is_repeated_every_ten_ms_of_a_host_that_is_heard_until_it_is_seen() 
     bench.run(repeat);
     bench.send(&HostMessage::Ping { token: 3, seen: 1 });
     assert_eq!(numbers(&mut bench), [2]);
-    // Numbers that were never sent say nothing.
+    // Numbers that were never sent are ignored.
     bench.run(repeat);
     bench.send(&HostMessage::Ping { token: 3, seen: 3 });
     bench.send(&HostMessage::Ping { token: 3, seen: 0x9000 });
@@ -214,14 +216,14 @@ fn a_full_ring_takes_no_strokes_and_loses_the_newest_report() {
     }
     assert_eq!((bench.status().next_seq, bench.status().reports), (kept, kept));
     assert_eq!(bench.device.counters().refused, 2 * u64::from(kept));
-    // Onsets and cuts have twelve places, then they are lost and counted.
+    // Onsets and cuts have twelve more places; then they are lost and counted.
     let waiting = bench.seq;
     for lost in [0; 12].into_iter().chain([1, 2]) {
         bench.control(Op::Stop);
         assert_eq!(bench.status().counters.reports_lost, lost);
     }
     assert_eq!((waiting, bench.status().reports), (kept, REPORTS as u16));
-    // A host that reads has them all, in order, and is taken from again.
+    // A host that reads gets all of them in order, and can send strokes again.
     bench.reading = true;
     bench.run(850);
     bench.ping(1);
@@ -261,7 +263,7 @@ fn before_a_hello_every_frame_is_answered_with_no_session_and_does_nothing() {
         assert_eq!(bench.inbox, [DeviceMessage::NoSession]);
     }
     bench.is(State::Disarmed, Cause::Boot);
-    // And again once the link was lost.
+    // The same after a lost link.
     let mut bench = Bench::armed(FIRMWARE);
     bench.strokes(&[stroke(1, bench.now + 70, 90, 6, 90)]);
     bench.run(80);
@@ -296,7 +298,7 @@ fn a_new_session_starts_with_clean_reports_and_an_epoch_of_its_own() {
     bench.bytes(&frames[0]);
     bench.onset(bench.now + 5_000, &[]);
     bench.run(180);
-    // An onset that is rendered and has not passed belongs to the old host as well.
+    // An onset that is rendered and has not passed belongs to the old session too.
     bench.onset(bench.device.rendered().0, &[]);
     bench.run(32);
     let old = bench.epoch;
@@ -339,7 +341,7 @@ fn another_version_is_answered_with_a_hello() {
         assert!(matches!(bench.inbox[..], [DeviceMessage::Hello(hello)] if hello.session == 0));
         assert_eq!(bench.device.counters().bad_frames, 0);
     }
-    // This version, but no message: not read to its last byte, or an unknown one.
+    // This version, but no message: an unknown variant, or bytes left over.
     let mut bench = Bench::armed(FIRMWARE);
     bench.inbox.clear();
     bench.bytes(&foreign(1));
@@ -347,11 +349,11 @@ fn another_version_is_answered_with_a_hello() {
 }
 
 #[test]
-fn what_cannot_be_read_is_counted_and_as_if_never_sent() {
+fn bad_frames_are_counted_and_change_nothing() {
     let mut bench = Bench::armed(FIRMWARE);
     let (_, frames) = three(&bench);
     let mut damaged = frames[0].clone();
-    // Not to a zero, which would make two frames of it.
+    // Not to a zero, which would split the frame.
     let at = damaged.iter().rposition(|&byte| byte > 1).unwrap();
     damaged[at] ^= 1;
     let cut_short = [&frames[0][..6], &[0]].concat();
@@ -372,7 +374,7 @@ fn what_cannot_be_read_is_counted_and_as_if_never_sent() {
         assert_eq!(bench.device.counters().bad_frames, i as u64 + 1);
     }
     assert_eq!(bench.inbox, []);
-    // In step again at once.
+    // The next frame is read.
     bench.bytes(&frames[0]);
     assert_eq!((bench.status().next_seq, bench.status().credits), (1, POOL as u16 - 1));
 }
@@ -380,11 +382,10 @@ fn what_cannot_be_read_is_counted_and_as_if_never_sent() {
 #[test]
 fn a_frame_may_have_256_bytes_and_no_more() {
     let mut bench = Bench::armed(FIRMWARE);
-    // A valid CRC does not help what is one byte too long.
+    // One byte too long is bad even with a valid CRC.
     for (len, bad_frames) in [(254 - 5, 0), (254 - 4, 1)] {
         let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
-        // Of a version that is only answered with a hello.
-        // With a zero in its middle COBS makes it one byte longer.
+        // Another version, which is answered with a hello only. A zero in the middle adds a byte of COBS.
         let mut message = vec![9; 1 + len];
         message[100] = 0;
         message.extend(crc.checksum(&message).to_le_bytes());
@@ -429,7 +430,7 @@ fn strokes_amendments_and_cuts_cross_the_wrap_of_the_wire_tick() {
             assert_eq!(bench.bursts(1), expected);
             assert_eq!((bench.net(2), bench.device.counters().amended), (0, 1));
             assert!(matches!(bench.reports()[..], [Report::Onset { tick, .. }] if tick == first.up.wire()));
-            // Before now, however the low bits look.
+            // Now it is in the past, whatever its low bits.
             bench.strokes(&[first]);
             assert_eq!(bench.device.counters().late, 2);
         }

@@ -1,4 +1,4 @@
-//! Whatever is asked in whatever order: no line does what no stroke says, and every pulse is accounted for.
+//! Random requests, faults and noise in any order: every pulse belongs to a stroke, and every pulse is counted.
 
 use crate::bench::{Bench, FIRMWARE, MOCK, Shell, TIGHT, arm, frame, pack, stroke};
 use firmware_protocol::controller::POOL;
@@ -12,7 +12,7 @@ use proptest::test_runner::RngSeed;
 #[derive(Clone, Copy, Debug)]
 struct Sent {
     motor: u8,
-    /// After the one before, on whatever motor.
+    /// Ticks after the stroke before, of any motor.
     after: u16,
     pulses: u16,
     hold: u16,
@@ -39,13 +39,13 @@ enum Op {
         direction: Direction,
         pulses: u16,
     },
-    /// So many ticks after the rendered end (or before).
+    /// From this many ticks after the rendered end, or before it.
     Strokes {
         onset: bool,
         from: i16,
         strokes: Vec<Sent>,
     },
-    /// Of a stroke sent before.
+    /// Amends a stroke sent before.
     Amend {
         pick: prop::sample::Index,
         generation: u16,
@@ -92,7 +92,7 @@ fn strokes(corrected: bool) -> impl Strategy<Value = Op> {
         .prop_map(|(onset, from, strokes)| Op::Strokes { onset, from, strokes })
 }
 
-/// What leaves a stroke its balance and a pin its rest.
+/// Requests that keep strokes balanced and pins at their rest position.
 fn tame(corrected: bool) -> impl Strategy<Value = Op> {
     prop_oneof![
         24 => (0u16..300).prop_map(Op::Run),
@@ -130,7 +130,7 @@ fn wild() -> impl Strategy<Value = Op> {
     ]
 }
 
-/// A bench and the book a bystander keeps of it.
+/// A bench, and counts kept beside it.
 struct World {
     bench: Bench,
     last_frame: Vec<u8>,
@@ -180,7 +180,7 @@ impl World {
 
     fn off(&mut self, off: impl FnOnce(&mut Bench)) {
         let latched = self.bench.device.state() == State::Faulted;
-        // A return that ends with this very tick is over.
+        // A return that ends with this tick is over.
         self.bench.device.poll(Tick(self.bench.now));
         let arming = self.arming && self.bench.device.state() == State::Returning;
         off(&mut self.bench);
@@ -315,7 +315,7 @@ fn config(cases: u32) -> ProptestConfig {
 proptest! {
     #![proptest_config(config(400))]
 
-    /// Balanced strokes, no moves, no forgiven debts: a pin that is not at rest is owed exactly what it is up.
+    /// With balanced strokes, without moves and `assume_rest`: the outstanding pulses of a pin are exactly what it is up.
     #[test]
     fn every_pin_returns(shell in shells(), ops in prop::collection::vec(tame(false), 1..80)) {
         let mut world = World::new(shell);
@@ -323,7 +323,7 @@ proptest! {
             world.apply(op);
             let state = world.bench.device.state();
             let out = (0..MOTORS as u8).filter(|&motor| world.bench.net(motor) != i64::from(world.bench.device.outstanding(motor)));
-            // Faulted or disarmed, nothing is under way.
+            // Faulted or disarmed, nothing is played.
             prop_assert!(matches!(state, State::Armed | State::Returning) || out.count() == 0, "{state:?}");
         }
         world.end(false);
@@ -335,7 +335,7 @@ proptest! {
         }
     }
 
-    /// Everything at once, corrected, amended, moved and malformed.
+    /// All requests: corrected, amended, moved and malformed.
     #[test]
     fn nothing_wild_gets_through(shell in shells(), ops in prop::collection::vec(wild(), 1..80)) {
         let mut world = World::new(shell);
@@ -345,7 +345,7 @@ proptest! {
             let (state, total) = (world.bench.device.state(), world.bench.total());
             let running = matches!(op, Op::Run(_) | Op::Pause);
             world.apply(op);
-            // The tick being played when the fault came is the last.
+            // The last pulse is in the tick of the fault.
             if running && matches!(state, State::Faulted | State::Disarmed) {
                 prop_assert_eq!(world.bench.total(), total, "{:?}", state);
             }

@@ -1,22 +1,22 @@
-//! The board: which pin does what, and how the board names itself. The one table to change for another wiring.
+//! The board: pins and USB names. Change this table for another wiring.
 //!
-//! All outputs are in one word, bit n is GPIO n, and all are low when the word is zero: a ring of words that
-//! nobody fills ends low. GPIO 23 and 24 serve the Pico's supply; 25 is its LED.
+//! One word holds all outputs: bit n is GPIO n. A word of zero is all outputs low. GPIO 23 and 24 belong to the Pico's
+//! supply; 25 is its LED.
 
 use firmware_protocol::stroke::MOTORS;
 
-/// The GPIO of each line; line m drives motor m.
+/// The GPIO of each line. Line m drives motor m.
 pub(crate) const LINES: [u8; MOTORS] =
     [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 26];
-/// Rises with the first tick of a play, for an EEG amplifier and the like.
+/// Rises with the first tick of a play, for example for an EEG amplifier.
 pub(crate) const TRIGGER: u8 = 27;
-/// Enables the LT3572s: high only while armed or returning.
+/// Enables the LT3572 drivers: high only while armed or returning.
 pub(crate) const ENABLE: u8 = 28;
 /// The Pico's LED: lit while the drivers are enabled.
 const LED: u8 = 25;
 /// Outputs that are high while the drivers are enabled.
 pub(crate) const ENABLED: u32 = 1 << ENABLE | 1 << LED;
-/// The trigger's bit.
+/// The bit of the trigger.
 pub(crate) const TRIGGERED: u32 = 1 << TRIGGER;
 /// All outputs, in the order in which they are forced low: the drivers' supply first.
 pub(crate) const OUTPUTS: [u8; MOTORS + 3] = {
@@ -32,12 +32,12 @@ pub(crate) const OUTPUTS: [u8; MOTORS + 3] = {
 
 /// USB vendor: pid.codes.
 pub(crate) const VENDOR: u16 = 0x1209;
-/// USB product: pid.codes' number for tests. Who ships boards takes one of their own.
+/// USB product: the number of pid.codes for tests. Get your own to ship boards.
 pub(crate) const PRODUCT: u16 = 0x0001;
-/// What the product is called: the host looks for this name.
+/// Name of the product. The host looks for this name.
 pub(crate) const NAME: &str = "meissner";
 
-/// Per byte of a mask of lines, the GPIOs it stands for.
+/// The GPIOs for each value of each byte of a mask of lines.
 static GPIOS: [[u32; 256]; 3] = {
     let mut table = [[0; 256]; 3];
     let mut byte = 0;

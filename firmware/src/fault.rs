@@ -1,6 +1,6 @@
-//! Panics, hard faults and hang-ups: all outputs low at once, then the watchdog restarts the chip.
+//! Panics, hard faults and hangs: turns all outputs low at once, then the watchdog restarts the chip.
 //!
-//! A reset leaves all pins inputs with their pull-downs. After it the controller is told why it started.
+//! A reset makes all pins inputs with pull-downs. [`watchdog`] then tells why the chip restarted.
 
 use crate::{shell, wave};
 use core::panic::PanicInfo;
@@ -12,13 +12,13 @@ use embassy_rp::watchdog::Watchdog;
 use embassy_time::{Duration, Timer};
 use firmware_protocol::message::Cause;
 
-/// A chip whose shell or executor stands still for so long is restarted.
+/// The watchdog restarts the chip after its shell or executor has hung for this time.
 const TIMEOUT: Duration = Duration::from_millis(100);
 const FEED_EVERY: Duration = Duration::from_millis(20);
-/// In a register that outlives the watchdog's reset: the firmware knew that it was going to die.
+/// Written to a register that survives the watchdog's reset: the firmware stopped itself.
 const DIED: u32 = 0x6d65_6973;
 
-/// Starts the watchdog and tells why the chip has started.
+/// Starts the watchdog and returns why the chip started.
 pub(crate) fn watchdog(peripheral: Peri<'static, WATCHDOG>) -> (Watchdog, Cause) {
     let mut watchdog = Watchdog::new(peripheral);
     let cause = match watchdog.reset_reason() {
@@ -32,7 +32,7 @@ pub(crate) fn watchdog(peripheral: Peri<'static, WATCHDOG>) -> (Watchdog, Cause)
     (watchdog, cause)
 }
 
-/// Feeds the watchdog for as long as this runs and the shell takes its turns.
+/// Feeds the watchdog while this task runs and the shell takes its turns.
 pub(crate) async fn feed(mut watchdog: Watchdog) -> ! {
     let mut before = shell::turns().wrapping_sub(1);
     loop {
@@ -45,7 +45,7 @@ pub(crate) async fn feed(mut watchdog: Watchdog) -> ! {
     }
 }
 
-/// Outputs low, and nothing any more until the watchdog bites.
+/// Turns all outputs low and waits for the watchdog's reset.
 fn die() -> ! {
     cortex_m::interrupt::disable();
     wave::force_low();
@@ -61,7 +61,7 @@ fn panic(_: &PanicInfo<'_>) -> ! {
 }
 
 #[exception(trampoline = false)]
-// SAFETY: it returns to nobody and relies on nothing.
+// SAFETY: it never returns and relies on no state.
 unsafe fn HardFault() -> ! {
     die()
 }

@@ -1,22 +1,25 @@
-//! The firmware of the board: 24 lines at 85 kHz on an RP2040, driven by `firmware_protocol`'s controller.
+//! The firmware of the board: 24 lines at 85 kHz on an RP2040, driven by the controller of `firmware_protocol`.
 //!
 //! ```text
-//!  USB interrupt ── e-stop ─▶ pins low at once
+//!  USB interrupt (usb) ── e-stop (estop) ─▶ pins low at once
 //!  USB tasks (usb) ─ packets ▶ shell (an interrupt): the controller ─ blocks ▶ ring (wave) ─ DMA ▶ PIO ▶ pins
 //!                  ◀─ frames ─                                                  │ cleared behind it
 //!  SysTick (wave): the tick count, wakes the shell at each block ◀──────────────┘
 //!  watchdog (fault): fed while shell and tasks live
 //! ```
-//! Priorities: clock and USB interrupts before the shell, the shell before the tasks. The specification is the
-//! documentation of `firmware_protocol`; nothing here decides what a line does.
+//! Priorities: clock and USB interrupts above the shell, the shell above the tasks. Modules use only those below them:
+//! `fault`, `shell`, `usb`, `estop`, `wave`, `wake` and `board`. The documentation of `firmware_protocol` is the
+//! specification; nothing here decides what a line does.
 
 #![no_std]
 #![no_main]
 
 mod board;
+mod estop;
 mod fault;
 mod shell;
 mod usb;
+mod wake;
 mod wave;
 
 use cortex_m::peripheral::SCB;
@@ -30,8 +33,8 @@ use embassy_rp::interrupt::{InterruptExt, Priority};
 use firmware_protocol::controller::Identity;
 use static_cell::StaticCell;
 
-// Where the second boot stage goes to, as to a vector table: copies the code to RAM (see `memory.x`), then goes on as
-// it would have gone on.
+// The second boot stage takes this for the vector table. It copies the code to RAM (see `memory.x`) and then continues at the
+// real reset handler.
 core::arch::global_asm!(
     ".section .entry,\"a\"",
     ".word _stack_start",
@@ -70,7 +73,7 @@ async fn main(_spawner: Spawner) {
     join(usb.run(), fault::feed(watchdog)).await;
 }
 
-/// Interrupts find their handlers in RAM too.
+/// Moves the interrupt vectors to RAM, where the handlers are.
 fn vectors_to_ram(scb: &mut SCB) {
     #[repr(C, align(256))]
     struct Vectors([u32; 48]);
@@ -78,7 +81,7 @@ fn vectors_to_ram(scb: &mut SCB) {
     // SAFETY: the table in use has 16 exceptions and 32 interrupts.
     let table = unsafe { (scb.vtor.read() as *const [u32; 48]).read() };
     let copy = VECTORS.init(Vectors(table));
-    // SAFETY: the copy has all entries, is aligned as it must be, and stays.
+    // SAFETY: the copy has all entries and the alignment that VTOR needs, and is static.
     unsafe { scb.vtor.write(copy.0.as_ptr() as u32) };
 }
 
@@ -94,11 +97,11 @@ fn identity() -> Identity {
     }
 }
 
-/// The chip's own number, which is its flash's: 16 hex digits.
+/// The chip's serial number, which is that of its flash: 16 hex digits.
 fn serial_number(flash: embassy_rp::Peri<'static, embassy_rp::peripherals::FLASH>) -> &'static str {
     static TEXT: StaticCell<[u8; 16]> = StaticCell::new();
     let mut number = [0; 8];
-    // On failure it is all zeros: a board without a number is still a board.
+    // All zeros on failure: the board works without a number.
     let _ = Flash::<_, Blocking, { 2 << 20 }>::new_blocking(flash).blocking_unique_id(&mut number);
     let text = TEXT.init([0; 16]);
     for (digits, byte) in text.chunks_exact_mut(2).zip(number) {

@@ -1,55 +1,51 @@
-//! The shell: the one place that has the controller, in an interrupt of its own.
+//! The shell: owns the controller, and runs it in a software interrupt.
 //!
-//! Woken at each block and with each packet it renders what is due, gives the controller what came in, and
-//! takes what is to be sent. It runs below the interrupts of clock and USB and above everything else, and nothing
-//! shares the controller with it. It decides nothing about strokes.
+//! At each block and with each packet it renders the blocks that are due, passes incoming packets to the controller and
+//! takes the frames to send. Its priority is below the interrupts of clock and USB and above all tasks. Nothing else
+//! touches the controller, and the shell decides nothing about strokes.
 //!
-//! Invariant: the lines do what the controller has booked. Rendered too late is a fault, and forced low.
+//! Invariant: the lines do what the controller has booked. A block rendered too late is a fault, and the lines are forced low.
 
-use crate::{usb, wave};
+use crate::{estop, usb, wave};
 use core::cell::UnsafeCell;
 use core::mem::MaybeUninit;
 use core::sync::atomic::{AtomicU32, Ordering::SeqCst};
 use embassy_rp::interrupt;
 use embassy_rp::interrupt::{InterruptExt, Priority};
-use firmware_protocol::controller::{BLOCK, Controller, HORIZON, Identity, newer};
+use firmware_protocol::controller::{BLOCK, Controller, HORIZON, Identity};
 use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::message::{Cause, State};
 use firmware_protocol::tick::Tick;
 use firmware_protocol::urgent::{Urgent, Watch};
 
-/// Least ticks between a block being rendered and its first word being fetched, while enabled: the bench reads it.
+/// Least ticks between the end of a block's rendering and the fetch of its first word, while enabled. The bench reads it by
+/// this name.
 #[unsafe(no_mangle)]
 static SLACK_MIN: AtomicU32 = AtomicU32::new(HORIZON);
-/// How often it has been woken: the watchdog is fed only while it goes on.
+/// Number of turns the shell has taken. The watchdog is fed only while it grows.
 static TURNS: AtomicU32 = AtomicU32::new(0);
-/// The controller's epoch as the USB interrupt may know it: [`OPEN`] and the epoch, or 0.
-static EPOCH: AtomicU32 = AtomicU32::new(0);
-/// An e-stop that the controller has not been told of: [`OPEN`] and its epoch, or 0.
-static E_STOP: AtomicU32 = AtomicU32::new(0);
-const OPEN: u32 = 1 << 16;
 
 struct Owned<T>(UnsafeCell<T>);
-// SAFETY: `start` alone touches what is in it before the interrupt is enabled, and after that the interrupt alone.
+// SAFETY: only `start` touches the content before the interrupt is enabled, and only the interrupt after that.
 unsafe impl<T> Sync for Owned<T> {}
-/// Made by the compiler: it would take the better part of the stack.
+/// Initialised at compile time: it would take most of the stack.
 static CONTROLLER: Owned<Controller> = Owned(UnsafeCell::new(Controller::new(Identity::NONE)));
 static SHELL: Owned<MaybeUninit<Shell>> = Owned(UnsafeCell::new(MaybeUninit::uninit()));
 
 struct Shell {
     controller: &'static mut Controller,
     ports: usb::Ports,
-    /// The pipe whose host has the session.
+    /// The pipe of the host that has the session.
     active: usize,
-    /// Looks for another host's hello on the other pipes.
+    /// Look for another host's hello on the other pipes.
     watches: [Watch; usb::PIPES],
-    /// What is being sent.
+    /// The frame being sent.
     frame: [u8; MAX_FRAME],
 }
 
-/// Takes the controller and begins.
+/// Sets up the shell and enables its interrupt.
 pub(crate) fn start(identity: Identity, cause: Cause, ports: usb::Ports) {
-    // SAFETY: this is called once, before the interrupt is enabled.
+    // SAFETY: called once, before the interrupt is enabled.
     let controller = unsafe { &mut *CONTROLLER.0.get() };
     controller.introduce(identity, cause);
     let shell = Shell {
@@ -59,56 +55,41 @@ pub(crate) fn start(identity: Identity, cause: Cause, ports: usb::Ports) {
         watches: [const { Watch::new() }; usb::PIPES],
         frame: [0; MAX_FRAME],
     };
-    // SAFETY: the interrupt is not enabled yet, nobody else has it.
+    // SAFETY: the interrupt is not enabled yet, and nothing else uses it.
     unsafe { (*SHELL.0.get()).write(shell) };
     interrupt::SWI_IRQ_0.set_priority(Priority::P2);
-    // SAFETY: no critical section relies on it being disabled.
+    // SAFETY: no critical section relies on this interrupt being disabled.
     unsafe { interrupt::SWI_IRQ_0.enable() };
 }
 
-/// Has the shell look. From any context.
-pub(crate) fn wake() {
-    interrupt::SWI_IRQ_0.pend();
-}
-
-/// How often it has looked.
+/// Number of turns the shell has taken.
 pub(crate) fn turns() -> u32 {
     TURNS.load(SeqCst)
 }
 
-/// An e-stop of the active host, seen in the USB interrupt: lines low at once, if it is news.
-pub(crate) fn e_stop(epoch: u16) {
-    let present = EPOCH.load(SeqCst);
-    if present & OPEN != 0 && newer(epoch, present as u16) && E_STOP.load(SeqCst) == 0 {
-        wave::freeze_low();
-        E_STOP.store(OPEN | u32::from(epoch), SeqCst);
-        wake();
-    }
-}
-
 #[embassy_rp::interrupt]
 fn SWI_IRQ_0() {
-    // SAFETY: it was filled before this interrupt was enabled, which alone touches it and does not preempt itself.
+    // SAFETY: `start` filled it before it enabled this interrupt. Only this interrupt touches it, and it does not preempt itself.
     unsafe { (*SHELL.0.get()).assume_init_mut() }.turn();
     TURNS.store(turns().wrapping_add(1), SeqCst);
 }
 
 impl Shell {
     fn turn(&mut self) {
-        // One thing at a time: blocks may have fallen due meanwhile.
+        // One action at a time: meanwhile blocks may have become due.
         loop {
             self.take_e_stop();
             self.hold();
             self.render();
             let followed = self.controller.poll(wave::now());
-            self.publish();
+            estop::set_epoch(self.controller.epoch());
             if !(followed || self.take_lost() || self.send() || self.take_packet()) {
                 break;
             }
         }
     }
 
-    /// Holds the outputs low for as long as the controller says so, and lets them go in the tick in which it ends.
+    /// Holds the outputs low while the controller says so, and releases them in the tick in which that ends.
     fn hold(&self) {
         if self.controller.forced_off(wave::now()) {
             wave::force_low();
@@ -126,17 +107,10 @@ impl Shell {
     }
 
     fn take_e_stop(&mut self) {
-        let e_stop = E_STOP.load(SeqCst);
-        if e_stop & OPEN != 0 {
-            self.controller.e_stop(wave::now(), e_stop as u16);
-            E_STOP.store(0, SeqCst);
-            wave::go_on();
+        if let Some(epoch) = estop::pending() {
+            self.controller.e_stop(wave::now(), epoch);
+            estop::done();
         }
-    }
-
-    /// Tells the USB interrupt which e-stop would be news.
-    fn publish(&self) {
-        EPOCH.store(self.controller.epoch().map_or(0, |epoch| OPEN | u32::from(epoch)), SeqCst);
     }
 
     /// Renders each block that fits the horizon.
@@ -159,21 +133,21 @@ impl Shell {
                 let slack = (begin - (now + wave::FETCHED)) as u32;
                 SLACK_MIN.store(slack.min(SLACK_MIN.load(SeqCst)), SeqCst);
                 if slack == 0 {
-                    // Some of it may have been fetched before it was written.
+                    // Some words may have been fetched before they were written.
                     self.starved(now);
                 }
             }
         }
     }
 
-    /// The DMA has come to what is not rendered. The lines are low there; what should have been played is not caught up with.
+    /// The DMA has reached ticks that are not rendered. The lines are low there; those ticks are skipped, not played later.
     fn starved(&mut self, now: Tick) {
         if matches!(self.controller.state(), State::Armed | State::Returning) {
             wave::force_low();
             self.controller.fault(now, Cause::Starved);
         }
         while self.controller.rendered() <= now + wave::FETCHED {
-            // Whole blocks, whatever changes in them: the ring is cleared by blocks.
+            // Whole blocks, because the ring is cleared by blocks.
             let end = self.controller.rendered() + u64::from(BLOCK);
             while self.controller.rendered() < end {
                 self.controller.render((end - self.controller.rendered()) as u32);
@@ -181,25 +155,25 @@ impl Shell {
         }
     }
 
-    /// Gives the controller the next packet; `false` when there is none.
+    /// Passes the next packet to the controller. Returns `false` if there is none.
     fn take_packet(&mut self) -> bool {
         let Some((pipe, packet)) = self.ports.take() else { return false };
         let now = wave::now();
         if pipe != self.active {
-            // A stray byte on the other pipe is nothing; a hello is another host.
+            // Ignore stray bytes on the other pipe; a hello there is another host.
             let Some(Urgent::Hello(session)) = self.watches[pipe].look(packet.bytes()) else { return true };
             self.active = pipe;
             usb::set_active(pipe);
-            // Ends what the host before may have begun to say.
+            // Ends a frame that the previous host may have begun.
             self.controller.receive(now, &[0]);
-            // It may have begun in a packet before; as far as it is in this one, it is a repetition.
+            // The hello may have begun in an earlier packet. If it is all in this one, what follows is a repetition.
             self.controller.open_session(now, session);
         }
         self.controller.receive(now, packet.bytes());
         true
     }
 
-    /// Sends the next frame, if there is one and room for it.
+    /// Sends the next frame if there is one, and room for it.
     fn send(&mut self) -> bool {
         if !self.ports.has_room(self.active) {
             return false;

@@ -1,13 +1,12 @@
-//! USB: a serial port (CDC-ACM) and a vendor interface with two bulk endpoints, the same frames on both.
+//! USB: a serial port (CDC-ACM) and a vendor interface with two bulk endpoints, which carry the same frames.
 //!
-//! Packets go to the shell as they come and bytes from it as they are there; what they say is not looked at, but for
-//! an e-stop, which the interrupt itself sees ([`Peek`]). A port that is closed, a bus that is reset or suspended and
-//! a configuration that is taken back are told to the shell as a lost link.
+//! Tasks move packets to the shell and bytes from it without reading them. Only e-stops are looked for, in the interrupt
+//! itself ([`Peek`]). A closed port, a reset or suspended bus and a lost configuration count as a lost link.
 //!
-//! Bounds: [`PACKETS`] from the host (then it has to wait), [`BYTES`] to it (then the controller keeps them).
+//! Bounds: [`PACKETS`] from the host, then the host waits; [`BYTES`] to the host, then the controller keeps its frames.
 
 use crate::board::{NAME, PRODUCT, VENDOR};
-use crate::shell;
+use crate::{estop, wake};
 use core::cell::UnsafeCell;
 use core::slice;
 use core::sync::atomic::{AtomicU32, Ordering::SeqCst};
@@ -27,31 +26,31 @@ use firmware_protocol::urgent::{Urgent, Watch};
 use heapless::spsc::{Consumer, Producer, Queue};
 use static_cell::StaticCell;
 
-/// Full speed's longest bulk packet.
+/// The longest bulk packet at full speed.
 const PACKET: usize = 64;
-/// Packets from the host that wait for the shell, less one.
+/// Packets from the host that can wait for the shell, plus one.
 const PACKETS: usize = 4;
-/// Bytes that wait for the host, less one.
+/// Bytes that can wait for the host, plus one.
 const BYTES: usize = 1024;
 /// The serial port and the bulk interface.
 pub(crate) const PIPES: usize = 2;
 const SERIAL: usize = 0;
 const BULK: usize = 1;
-/// Both pipes, as a lost link.
+/// Stands for both pipes, when the bus is lost.
 pub(crate) const ALL: usize = PIPES;
 
-/// Bit p: pipe p has lost its host; the last one: the bus.
+/// Bit p: pipe p has lost its host. Bit [`ALL`]: the bus is lost.
 static LOST: AtomicU32 = AtomicU32::new(0);
-/// The pipe whose host has the session.
+/// The pipe of the host that has the session.
 static ACTIVE: AtomicU32 = AtomicU32::new(SERIAL as u32);
-/// Rung when there are bytes for the host.
+/// Signalled when there are bytes for the host.
 static READY: [Signal<CriticalSectionRawMutex, ()>; PIPES] = [const { Signal::new() }; PIPES];
 
 bind_interrupts!(struct Irqs {
     USBCTRL_IRQ => Peek, InterruptHandler<USB>;
 });
 
-/// Up to a USB packet of bytes.
+/// The bytes of a USB packet.
 pub(crate) struct Packet {
     bytes: [u8; PACKET],
     len: usize,
@@ -78,21 +77,21 @@ impl Ports {
         self.from_host.iter_mut().enumerate().find_map(|(pipe, queue)| Some((pipe, queue.dequeue()?)))
     }
 
-    /// Whether a frame can be put.
+    /// Whether the pipe has room for a frame.
     pub(crate) fn has_room(&self, pipe: usize) -> bool {
         self.to_host[pipe].capacity() - self.to_host[pipe].len() >= MAX_FRAME
     }
 
     pub(crate) fn put(&mut self, pipe: usize, frame: &[u8]) {
         for &byte in frame {
-            // There was room.
+            // The caller has checked that there is room.
             let _ = self.to_host[pipe].enqueue(byte);
         }
         READY[pipe].signal(());
     }
 }
 
-/// A link that has been lost since the last call: a pipe's, or [`ALL`].
+/// A link that was lost since the last call: a pipe's number, or [`ALL`].
 pub(crate) fn take_lost() -> Option<usize> {
     critical_section::with(|_| {
         let lost = LOST.load(SeqCst);
@@ -104,19 +103,19 @@ pub(crate) fn take_lost() -> Option<usize> {
 
 fn lose(pipe: usize) {
     critical_section::with(|_| LOST.store(LOST.load(SeqCst) | 1 << pipe, SeqCst));
-    shell::wake();
+    wake::shell();
 }
 
-/// From now on this pipe's e-stops count.
+/// E-stops of this pipe take effect from now on.
 pub(crate) fn set_active(pipe: usize) {
     ACTIVE.store(pipe as u32, SeqCst);
 }
 
-/// Looks at each packet before embassy does, for an e-stop.
+/// Looks for an e-stop in each packet, before embassy handles it.
 struct Peek;
 
 struct Watches(UnsafeCell<[Watch; PIPES]>);
-// SAFETY: only the USB interrupt touches them, which does not preempt itself.
+// SAFETY: only the USB interrupt touches them, and it does not preempt itself.
 unsafe impl Sync for Watches {}
 static WATCHES: Watches = Watches(UnsafeCell::new([const { Watch::new() }; PIPES]));
 /// Number of each pipe's OUT endpoint.
@@ -133,20 +132,20 @@ impl OnInterrupt<USBCTRL_IRQ> for Peek {
             let len = pac::USB_DPRAM.ep_out_buffer_control(endpoint).read().length(0);
             let at = pac::USB_DPRAM.ep_out_control(endpoint - 1).read().buffer_address();
             let start = pac::USB_DPRAM.as_ptr().cast::<u8>().wrapping_add(at.into());
-            // SAFETY: the packet is in this memory until the endpoint is read, by a task below this interrupt.
+            // SAFETY: the packet stays in this memory until a task below this interrupt reads the endpoint.
             let packet = unsafe { slice::from_raw_parts(start, usize::from(len).min(PACKET)) };
             // SAFETY: see `Watches`.
             let watch = unsafe { &mut (*WATCHES.0.get())[pipe] };
             if let Some(Urgent::EStop(epoch)) = watch.look(packet)
                 && pipe == ACTIVE.load(SeqCst) as usize
             {
-                shell::e_stop(epoch);
+                estop::found(epoch);
             }
         }
     }
 }
 
-/// Tells the shell of a bus that is gone.
+/// Reports a lost bus to the shell.
 struct Bus;
 
 impl Handler for Bus {
@@ -168,7 +167,7 @@ impl Handler for Bus {
     }
 }
 
-/// The device, to be run.
+/// The USB device, ready to run.
 pub(crate) struct Usb {
     device: embassy_usb::UsbDevice<'static, Driver<'static, USB>>,
     serial: (
@@ -207,7 +206,7 @@ pub(crate) fn new(usb: Peri<'static, USB>, serial_number: &'static str) -> (Usb,
     let into = setting.endpoint_bulk_in(None, PACKET as u16);
     drop(function);
     ENDPOINTS[BULK].store(out.info().addr.index() as u32, SeqCst);
-    // The serial port's is the only other one.
+    // The serial port's is the only other OUT endpoint.
     ENDPOINTS[SERIAL].store(out.info().addr.index() as u32 - 1, SeqCst);
 
     let [a, b] = PACKET_QUEUES.init([const { Queue::new() }; PIPES]).each_mut().map(Queue::split);
@@ -224,7 +223,7 @@ pub(crate) fn new(usb: Peri<'static, USB>, serial_number: &'static str) -> (Usb,
 }
 
 impl Usb {
-    /// Runs for ever.
+    /// Runs the device. Never ends.
     pub(crate) async fn run(self) {
         let Self { mut device, serial: (sender, receiver, control), bulk: (into, out), to_shell, from_shell } =
             self;
@@ -242,13 +241,13 @@ impl Usb {
     }
 }
 
-/// What packets come from.
+/// An endpoint that packets come from.
 trait Source {
     async fn open(&mut self);
     async fn read(&mut self, packet: &mut [u8; PACKET]) -> Result<usize, EndpointError>;
 }
 
-/// Where packets go.
+/// An endpoint that packets go to.
 trait Sink {
     async fn open(&mut self);
     async fn write(&mut self, packet: &[u8]) -> Result<(), EndpointError>;
@@ -290,7 +289,7 @@ impl Sink for Endpoint<'static, USB, In> {
     }
 }
 
-/// Packets to the shell, in order; it takes each one before the next can come.
+/// Moves packets to the shell, in order. It waits while the shell's queue is full.
 async fn inbound(pipe: usize, mut source: impl Source, mut shell: Producer<'static, Packet>) {
     loop {
         source.open().await;
@@ -301,14 +300,14 @@ async fn inbound(pipe: usize, mut source: impl Source, mut shell: Producer<'stat
                 packet = unsent;
                 yield_now().await;
             }
-            shell::wake();
+            wake::shell();
         }
         lose(pipe);
     }
 }
 
-/// Bytes from the shell, in packets. What waits when a host goes reaches the next one, who knows by its session that it
-/// is not meant: embassy's endpoints wait for a host rather than fail.
+/// Moves bytes from the shell to the host, in packets. Bytes that wait when a host disconnects may reach the next one,
+/// because embassy's endpoints wait for a host instead of failing; the next host ignores them by their session.
 async fn outbound(pipe: usize, mut sink: impl Sink, mut shell: Consumer<'static, u8>) {
     loop {
         sink.open().await;
@@ -326,19 +325,19 @@ async fn outbound(pipe: usize, mut sink: impl Sink, mut shell: Consumer<'static,
                 READY[pipe].wait().await;
                 continue;
             }
-            // A transfer of full packets would not end for the host without an empty one.
+            // The host sees the end of a transfer of full packets only by an empty packet.
             if sink.write(&packet[..len]).await.is_err()
                 || (len == PACKET && shell.is_empty() && sink.write(&[]).await.is_err())
             {
                 break;
             }
-            // There may be room again for a frame that the controller keeps.
-            shell::wake();
+            // There may be room now for the controller's next frame.
+            wake::shell();
         }
     }
 }
 
-/// Tells the shell when a program has closed the serial port.
+/// Reports to the shell that a program has closed the serial port.
 async fn closed(control: ControlChanged<'static>) {
     let mut open = false;
     loop {

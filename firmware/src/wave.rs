@@ -1,14 +1,15 @@
 //! The waveform: PIO and DMA put a ring of words on the pins at 85 kHz, and SysTick counts the ticks.
 //!
-//! A tick is four words: all lines high, only the down lines (from 20 % on), no line (from 80 % on, twice). One
-//! DMA channel feeds a block of them to the PIO, another clears what was fed, and each starts the other: no CPU
-//! has to live for the waveform to end. Words that are not rendered in time are zero, and zero is all outputs low.
-//! What is to be rendered, and when that is late, is the shell's business.
+//! A tick is four words: all pulsing lines high, only the down lines (from 20 % on), no line (from 80 % on, twice). One DMA
+//! channel feeds a block of words to the PIO, another clears them, and each starts the other. So the waveform ends
+//! without the CPU: words that are not rendered in time are zero, and zero is all outputs low. The shell decides what to
+//! render, and when that is too late.
 //!
-//! Invariant: [`now`] is the tick on the pins, also while the drivers of both are held up. An e-stop stops it
-//! ([`freeze_low`]) until the controller knows of it.
+//! Invariant: [`now`] is the tick on the pins, even while interrupts are delayed. An e-stop freezes it ([`freeze_low`]) until
+//! the controller knows of the e-stop.
 
 use crate::board::{self, ENABLED, OUTPUTS, TRIGGERED};
+use crate::wake;
 use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering::SeqCst};
 use cortex_m::peripheral::syst::SystClkSource;
@@ -23,19 +24,19 @@ use firmware_protocol::tick::{TICK_HZ, Tick};
 
 /// The Pico's crystal.
 pub(crate) const CRYSTAL_HZ: u32 = 12_000_000;
-/// Makes [`SYSTEM_HZ`] of it, by way of 1020 MHz.
+/// Makes [`SYSTEM_HZ`] from the crystal, over 1020 MHz.
 pub(crate) const PLL: PllConfig = PllConfig { refdiv: 1, fbdiv: 85, post_div1: 4, post_div2: 2 };
-/// 85 kHz are 1500 cycles of it, exactly.
+/// The system clock: exactly 1500 cycles per tick of 85 kHz.
 const SYSTEM_HZ: u32 = 127_500_000;
 const CYCLES_PER_TICK: u32 = SYSTEM_HZ / TICK_HZ;
-/// System cycles per cycle of the PIO: a tick has 25, the lines fall after 5 or 20.
+/// System cycles per PIO cycle. A tick has 25 PIO cycles; lines fall after 5 or 20.
 const PIO_DIVIDER: u16 = 60;
 const WORDS: usize = 4;
 const RING_TICKS: usize = HORIZON as usize;
-/// The ring's size in bytes is 2 to this.
+/// The ring has 2 to the power of this many bytes.
 const RING_BITS: u8 = 10;
 const BLOCK_CYCLES: u32 = BLOCK * CYCLES_PER_TICK;
-/// The DMA is ahead of the pins: 8 words in the FIFO, one being shifted out and one on its way.
+/// Ticks that the DMA is ahead of the pins: 8 words in the FIFO, one in the shift register and one in transfer.
 pub(crate) const FETCHED: u64 = 3;
 const FEED: usize = 0;
 const CLEAR: usize = 1;
@@ -45,7 +46,7 @@ const _: () = assert!(SYSTEM_HZ.is_multiple_of(TICK_HZ) && CYCLES_PER_TICK == 25
 const _: () = assert!(RING_TICKS * WORDS * 4 == 1 << RING_BITS);
 const _: () = assert!(Tick::BOOT.0.is_multiple_of(BLOCK as u64));
 
-/// Read by the DMA while the CPU writes; the ring's address must be a multiple of its size.
+/// The DMA reads it while the CPU writes. The address must be a multiple of the size.
 #[repr(C, align(1024))]
 struct Ring(UnsafeCell<[[u32; WORDS]; RING_TICKS]>);
 // SAFETY: only `write` touches it, from one interrupt, and through volatile writes of single words.
@@ -53,16 +54,17 @@ unsafe impl Sync for Ring {}
 static RING: Ring = Ring(UnsafeCell::new([[0; WORDS]; RING_TICKS]));
 static ZERO: AtomicU32 = AtomicU32::new(0);
 
-/// Blocks that have begun, low and high half: written by `SysTick` alone. The bench holds it against the pins.
+/// Number of blocks that have begun, low and high half. Only `SysTick` writes it. The bench reads it by this name and
+/// compares it with the pins.
 #[unsafe(no_mangle)]
 static BLOCKS: [AtomicU32; 2] = [const { AtomicU32::new(0) }; 2];
-/// All outputs are forced low.
+/// Whether all outputs are forced low.
 static FORCED: AtomicBool = AtomicBool::new(false);
-/// Time stands still for the controller, at this tick, until it has been told of an e-stop.
+/// Whether the controller's clock is frozen at `FROZEN_AT`, until the controller knows of an e-stop.
 static FROZEN: AtomicBool = AtomicBool::new(false);
 static FROZEN_AT: [AtomicU32; 2] = [const { AtomicU32::new(0) }; 2];
 
-/// Sets up PIO, DMA and clock, and starts them. The ring is empty: all outputs are low.
+/// Sets up and starts PIO, DMA and clock. The ring is empty, so all outputs are low.
 pub(crate) fn start(syst: &mut SYST) {
     let program = pio_asm!(
         ".wrap_target",
@@ -89,7 +91,7 @@ pub(crate) fn start(syst: &mut SYST) {
         w.set_fjoin_tx(true);
     });
     for pin in OUTPUTS {
-        // Low before it is an output, and an output before it follows the PIO.
+        // First low, then an output, then connected to the PIO.
         machine.pinctrl().write(|w| {
             w.set_set_base(pin);
             w.set_set_count(1);
@@ -99,7 +101,7 @@ pub(crate) fn start(syst: &mut SYST) {
         pac::PADS_BANK0.gpio(pin.into()).modify(|w| w.set_od(false));
         pac::IO_BANK0.gpio(pin.into()).ctrl().write(|w| w.set_funcsel(PIO_FUNCTION));
     }
-    // From GPIO 0 to the last; those in between that are not outputs are not the PIO's, and do not change.
+    // From GPIO 0 to the last output. Pins in between that are not outputs are not connected to the PIO.
     let last = OUTPUTS.into_iter().max().unwrap_or(0);
     machine.pinctrl().write(|w| w.set_out_count(last + 1));
 
@@ -126,7 +128,7 @@ pub(crate) fn start(syst: &mut SYST) {
         ctrl.set_irq_quiet(true);
         pac::DMA.ch(channel).al1_ctrl().write_value(ctrl.0);
     }
-    // The CPU must not hold up the waveform.
+    // The CPU must not delay the waveform.
     pac::BUSCTRL.bus_priority().write(|w| {
         w.set_dma_r(true);
         w.set_dma_w(true);
@@ -137,8 +139,8 @@ pub(crate) fn start(syst: &mut SYST) {
     syst.set_reload(BLOCK_CYCLES - 1);
     syst.clear_current();
     syst.enable_interrupt();
-    // The clock is ahead of the pins by some cycles, so that none is high as a tick begins: a force that comes just
-    // then cuts pulses of the tick that it is booked in.
+    // The clock is some cycles ahead of the pins, so that no pin is high when a tick begins. Then forcing the pins low cuts
+    // only pulses of the tick in which it is booked.
     cortex_m::interrupt::free(|_| {
         syst.enable_counter();
         pac::PIO0.ctrl().write(|w| {
@@ -157,10 +159,10 @@ fn SysTick() {
     if low == 0 {
         BLOCKS[1].store(BLOCKS[1].load(SeqCst).wrapping_add(1), SeqCst);
     }
-    crate::shell::wake();
+    wake::shell();
 }
 
-/// The tick on the pins, or the one at which an e-stop was seen that the controller has not been told of.
+/// The tick on the pins, or the tick of an e-stop that the controller does not know of yet.
 pub(crate) fn now() -> Tick {
     if FROZEN.load(SeqCst) { Tick(join(&FROZEN_AT)) } else { running() }
 }
@@ -171,16 +173,16 @@ fn running() -> Tick {
         let blocks = join(&BLOCKS);
         let pending = SCB::is_pendst_pending();
         let left = SYST::get_current();
-        // Nothing has happened in between: the three belong together.
+        // Nothing changed in between: the three values belong together.
         if pending == SCB::is_pendst_pending() && blocks == join(&BLOCKS) {
             return tick(blocks + u64::from(pending), left, 0);
         }
     }
 }
 
-/// The tick of so many cycles (of less than a block) ago, when so many blocks had begun and `left` was on the counter.
+/// The tick `ago` cycles (less than a block) before the time at which `blocks` had begun and the counter showed `left`.
 fn tick(blocks: u64, left: u32, ago: u32) -> Tick {
-    // The exception comes as the counter reaches 0, one cycle before it is reloaded.
+    // The exception comes when the counter reaches 0, one cycle before it is reloaded.
     let cycles = if left == 0 { 0 } else { BLOCK_CYCLES - left };
     let (blocks, cycles) = if cycles >= ago {
         (blocks, cycles - ago)
@@ -223,7 +225,7 @@ pub(crate) fn force_low() {
     FORCED.store(true, SeqCst);
 }
 
-/// The control registers of all outputs. An e-stop has no time to work them out.
+/// The control registers of all outputs, worked out at compile time: an e-stop has no time for it.
 static CONTROLS: [usize; OUTPUTS.len()] = {
     let mut registers = [0; OUTPUTS.len()];
     let mut at = 0;
@@ -235,17 +237,17 @@ static CONTROLS: [usize; OUTPUTS.len()] = {
     registers
 };
 
-/// Cycles by which the clock is ahead of the pins, as `start` starts them (66, measured in the emulator), and some.
+/// Cycles by which the clock is ahead of the pins after [`start`]: 66, measured in the emulator, and a margin.
 const AHEAD: u32 = 75;
 
-/// Forces all outputs low and stops time for the controller, until [`go_on`]. From the USB interrupt, which `SysTick`
+/// Forces all outputs low and freezes the controller's clock until [`unfreeze`]. From the USB interrupt, which `SysTick`
 /// does not preempt.
 pub(crate) fn freeze_low() {
     force_low();
-    // Pulses of this tick and of no later one have begun, if only for the time that forcing takes.
+    // No pulse of a later tick has begun, except within the time that forcing takes.
     let left = SYST::get_current();
     let pending = SCB::is_pendst_pending();
-    // It may have begun another block since.
+    // Another block may have begun since.
     let since = left != 0 && SYST::get_current() > left;
     let at = tick((join(&BLOCKS) + u64::from(pending)).saturating_sub(since.into()), left, AHEAD);
     FROZEN_AT[0].store(at.0 as u32, SeqCst);
@@ -253,14 +255,14 @@ pub(crate) fn freeze_low() {
     FROZEN.store(true, SeqCst);
 }
 
-/// The controller has been told: time goes on.
-pub(crate) fn go_on() {
+/// Lets the controller's clock run again.
+pub(crate) fn unfreeze() {
     FROZEN.store(false, SeqCst);
 }
 
-/// Lets the outputs follow the waveform again, unless an e-stop has come meanwhile.
+/// Lets the outputs follow the waveform again, unless an e-stop came meanwhile.
 pub(crate) fn release() {
-    // The e-stop's interrupt must not come in between, or some pins would be let go after it.
+    // An e-stop's interrupt must not come in between: some pins would be released after it.
     critical_section::with(|_| {
         if FORCED.load(SeqCst) && !FROZEN.load(SeqCst) {
             for control in &CONTROLS {

@@ -1,4 +1,6 @@
-//! How strokes end: played and booked, cut and returned, or switched off with a debt.
+//! Completes strokes: books those that were played, cuts and returns them, or turns them off with return pulses outstanding.
+//!
+//! Every slot leaves the pool here, counted once as played or dropped.
 
 use crate::controller::pool::Kind;
 use crate::controller::{Controller, NEVER};
@@ -15,7 +17,7 @@ impl Controller {
         }
     }
 
-    /// Cuts what runs at the rendered end, flushes the queue and plays down what pins are owed.
+    /// Cuts running strokes at the rendered end, flushes the queue and plays the outstanding return pulses.
     pub(super) fn cut(&mut self, cause: Cause, then: State) {
         let at = self.rendered;
         let (mut flushed, mut outstanding) = (0, 0);
@@ -38,7 +40,7 @@ impl Controller {
         self.settle();
     }
 
-    /// E-stop and faults: nothing is played after the tick that is being played now, if there is one.
+    /// Turns all lines off after the tick being played, for an e-stop or a fault.
     pub(super) fn off(&mut self, cause: Cause) {
         if self.state == State::Faulted {
             return;
@@ -47,7 +49,7 @@ impl Controller {
         self.settle_strokes(at);
         let mut flushed = 0;
         for motor in 0..MOTORS {
-            // Most have not been rendered, and need no look at each.
+            // Most slots are not rendered yet; they are flushed together.
             let strokes = self.pool.flush(motor, true);
             flushed += strokes;
             self.counters.dropped += 2 * u64::from(strokes);
@@ -99,7 +101,7 @@ impl Controller {
         self.pending.status = true;
     }
 
-    /// Books what was played before now, in the order of time. What is not rendered was not played.
+    /// Books what was played before now, in order of time. What is not rendered was not played.
     pub(super) fn settle(&mut self) {
         let now = self.now.min(self.rendered);
         while let Some(&mark) = self.onsets.front().filter(|&&mark| mark <= now) {

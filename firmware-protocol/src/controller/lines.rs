@@ -1,4 +1,6 @@
-//! Rendering: what the lines do next, from the slots.
+//! Renders the lines from the slots.
+//!
+//! [`Controller::render`] looks at a line only when it changes: the loop over all lines takes most of the chip's time.
 
 use crate::controller::pool::Kind;
 use crate::controller::reports::RESERVE;
@@ -8,10 +10,10 @@ use crate::stroke::{Line, Stroke};
 use crate::tick::Tick;
 
 impl Controller {
-    /// The lines from the rendered end on, for `max` ticks or until a line changes.
+    /// Renders the lines from the rendered end on, for `max` ticks or until a line changes.
     pub fn render(&mut self, max: u32) -> Run {
         if max == 0 {
-            // A line is brought to a tick only together with rendering it: until then the tick can be amended.
+            // Do not bring lines to a tick that is not rendered: it can still be amended.
             return Run { lines: self.lines, trigger: false, ticks: 0 };
         }
         let (trigger, mut change) = self.trigger();
@@ -47,7 +49,7 @@ impl Controller {
         Run { lines: self.lines, trigger, ticks: ticks as u32 }
     }
 
-    /// Whether the trigger is high at the rendered end, and until when that holds.
+    /// Whether the trigger is high at the rendered end, and the tick until which it stays so.
     fn trigger(&mut self) -> (bool, Tick) {
         let now = self.rendered;
         let mut next = NEVER;
@@ -64,7 +66,7 @@ impl Controller {
         self.triggered = onset + u64::from(TRIGGER_TICKS);
     }
 
-    /// The line of `motor` has to be looked at when `tick` is rendered, or before.
+    /// Has the line of `motor` looked at no later than when `tick` is rendered.
     pub(super) fn change_by(&mut self, motor: usize, tick: Tick) {
         let bit = 1 << motor;
         let low = tick.0 as u32;
@@ -75,7 +77,7 @@ impl Controller {
         self.next_change = self.next_change.min(tick);
     }
 
-    /// Brings one line to the rendered end: what its slots say about that tick. Returns when it changes next.
+    /// Sets one line to what its slots give for the rendered end. Returns when it changes next.
     fn step(&mut self, motor: usize) -> Option<Tick> {
         let now = self.rendered;
         let (line, until) = loop {

@@ -1,13 +1,12 @@
-//! The device's whole behaviour as a sans-IO state machine: bytes and ticks in, line states and bytes out.
+//! The behaviour of the device as a state machine without I/O: bytes and ticks in, line states and bytes out.
 //!
-//! The firmware and the mock are thin shells around [`Controller`]. A shell calls [`Controller::receive`]
-//! with what arrived, [`Controller::poll`] as time passes, [`Controller::render`] to learn the lines ahead
-//! of now (by [`HORIZON`] ticks at the most) and [`Controller::transmit`] for what to send. While
-//! [`Controller::forced_off`] it holds all lines low whatever was rendered.
+//! The firmware and the mock are thin shells around [`Controller`]. A shell passes incoming bytes to
+//! [`Controller::receive`], calls [`Controller::poll`] as time passes, asks [`Controller::render`] for the lines at most
+//! [`HORIZON`] ticks ahead, and sends what [`Controller::transmit`] writes. While [`Controller::forced_off`] is true it
+//! holds all lines low. The rules are in the crate's documentation.
 //!
-//! The one invariant: what a line does follows from the queued slots alone, and a slot is only changed
-//! ahead of the rendered end. So whatever is cut, flushed or amended, the count of pulses played is known.
-//! The rules are in the crate's documentation.
+//! Invariant: the lines follow from the queued slots alone, and a slot changes only ahead of the rendered end. So the
+//! number of pulses played is known after any cut, flush or amendment.
 
 mod completion;
 mod lines;
@@ -32,21 +31,21 @@ pub use reports::REPORTS;
 use reports::Reports;
 use stream::Batch;
 
-/// Ticks rendered ahead of now at the most. What begins before the rendered end is late.
+/// Most ticks rendered ahead. A stroke that begins before the rendered end is late.
 pub const HORIZON: u32 = 64;
-/// Shells render in blocks of so many ticks, aligned to [`Tick::BOOT`], each as soon as it fits the horizon:
-/// all shells then cut at the same ticks.
+/// Ticks of a block. Shells render a block, aligned to [`Tick::BOOT`], as soon as it fits the horizon, so that all shells
+/// cut at the same ticks.
 pub const BLOCK: u32 = HORIZON / 4;
-/// How long the trigger output stays high after an onset: 10 ms, so that an amplifier at 200 Hz sees it.
+/// How long the trigger output stays high after an onset: 10 ms, long enough for an amplifier that samples at 200 Hz.
 pub const TRIGGER_TICKS: u32 = TICK_HZ / 100;
-/// How far ahead a stroke may lie.
+/// Most ticks from now to a stroke's down burst.
 const FARTHEST: i64 = 1 << 30;
-/// The longest lease.
+/// The longest host watchdog timeout.
 const MAX_HOST_TIMEOUT: u32 = 10 * TICK_HZ;
-/// Onsets of plays that have been queued and not begun, at the most.
+/// Most onsets of plays that are queued and have not begun.
 const MAX_ONSETS: usize = 8;
 
-/// Who a controller is: what its shell knows and the handshake tells.
+/// What the shell tells the controller about the device, for the handshake.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Identity {
     /// Firmware version: major, minor, patch.
@@ -59,18 +58,18 @@ pub struct Identity {
     pub features: u32,
 }
 
-/// A stretch of ticks in which no line changes.
+/// Consecutive ticks in which no line changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Run {
-    /// The lines in each of its ticks.
+    /// The lines in each of these ticks.
     pub lines: Lines,
-    /// The trigger output: rises on a play's onset, stays for [`TRIGGER_TICKS`].
+    /// The trigger output: rises at a play's onset and stays high for [`TRIGGER_TICKS`].
     pub trigger: bool,
-    /// How many ticks.
+    /// Number of ticks.
     pub ticks: u32,
 }
 
-/// What waits to be sent, besides reports.
+/// What is to be sent besides reports.
 #[derive(Debug)]
 struct Pending {
     hello: bool,
@@ -100,14 +99,14 @@ pub struct Controller {
 
     state: State,
     cause: Cause,
-    /// Where a return ends.
+    /// The state after a return.
     then: State,
     position_known: bool,
     outstanding: [u16; MOTORS],
-    /// Net pulses moved since armed with the pins at rest.
+    /// Net pulses of moves since the pins were last at rest.
     travel: [i16; MOTORS],
     host_timeout: u32,
-    heard: Tick,
+    last_heard: Tick,
     now: Tick,
     counters: Counters,
 
@@ -116,24 +115,24 @@ pub struct Controller {
     on_time: OnTime,
     rendered: Tick,
     lines: Lines,
-    /// Per motor, when its line changes next, if its bit in `waiting` is set: the low half of a tick. The loop over
-    /// all lines is where a small chip's time goes.
+    /// Per motor, the low half of the tick at which its line changes next, if its bit in `waiting` is set. Small, because
+    /// the loop over all lines takes most of the chip's time.
     changes: [u32; MOTORS],
     waiting: u32,
-    /// No line changes before.
+    /// No line changes before this tick.
     next_change: Tick,
-    /// No stroke ends before.
+    /// No stroke ends before this tick.
     next_end: Tick,
-    /// Until when the trigger is high.
+    /// The trigger is high until this tick.
     triggered: Tick,
-    /// What was rendered before an e-stop reaches to here.
+    /// End of what was rendered before an e-stop.
     off_until: Tick,
 }
 
 const NEVER: Tick = Tick(u64::MAX);
 
 impl Identity {
-    /// Nobody yet.
+    /// All zero.
     pub const NONE: Self = Self { firmware: [0; 3], build: [0; 4], boot: 0, features: 0 };
 }
 
@@ -144,7 +143,7 @@ impl Controller {
         Self::starting_at(identity, Tick::BOOT)
     }
 
-    /// Like [`Self::new`] with another start of the clock: for tests of long runs.
+    /// Like [`Self::new`], with another start of the clock, for tests of long runs.
     #[must_use]
     pub const fn starting_at(identity: Identity, now: Tick) -> Self {
         Self {
@@ -166,7 +165,7 @@ impl Controller {
             outstanding: [0; MOTORS],
             travel: [0; MOTORS],
             host_timeout: MAX_HOST_TIMEOUT,
-            heard: now,
+            last_heard: now,
             now,
             counters: Counters::NONE,
             pool: Pool::new(),
@@ -183,56 +182,56 @@ impl Controller {
         }
     }
 
-    /// Says who it is and why it has started (a panic, the watchdog): for a shell that learns it later.
+    /// Sets the identity and the reason of the start (a panic, the watchdog), for a shell that learns them later.
     pub fn introduce(&mut self, identity: Identity, cause: Cause) {
         (self.identity, self.cause) = (identity, cause);
     }
 
-    /// What it is doing.
+    /// The state of the controller.
     #[must_use]
     pub fn state(&self) -> State {
         self.state
     }
 
-    /// Why.
+    /// Why it is in that state.
     #[must_use]
     pub fn cause(&self) -> Cause {
         self.cause
     }
 
-    /// What it has counted since boot.
+    /// Counts since boot.
     #[must_use]
     pub fn counters(&self) -> Counters {
         self.counters
     }
 
-    /// The first tick that is not rendered yet.
+    /// The rendered end: the first tick not rendered yet.
     #[must_use]
     pub fn rendered(&self) -> Tick {
         self.rendered
     }
 
-    /// Down pulses a motor's pin is owed after an e-stop or a fault.
+    /// Outstanding return pulses of a motor's pin after an e-stop or a fault.
     #[must_use]
     pub fn outstanding(&self, motor: u8) -> u16 {
         self.outstanding.get(usize::from(motor)).copied().unwrap_or(0)
     }
 
-    /// Whether the shell must hold all lines low from `now` on, whatever was rendered. The tick that was
-    /// being played when it became so is booked as played.
+    /// Whether the shell must hold all lines low at `now`, whatever was rendered. The tick that was being played when this
+    /// became true counts as played.
     #[must_use]
     pub fn forced_off(&self, now: Tick) -> bool {
         self.state == State::Faulted || now < self.off_until
     }
 
-    /// The present epoch, while a session is open: an e-stop counts if it begins a newer one ([`newer`]).
+    /// The present epoch while a session is open. An e-stop takes effect if its epoch is [`newer`].
     #[must_use]
     pub fn epoch(&self) -> Option<u16> {
         self.session.map(|_| self.epoch)
     }
 
-    /// Carries out an e-stop that a shell has seen coming ([`crate::urgent`]) before all that came before it.
-    /// The frame itself, when it is received, is then a repetition.
+    /// Carries out an e-stop that the shell has found in the incoming bytes ([`crate::urgent`]), ahead of the bytes before
+    /// it. The frame itself is a repetition when it is received later.
     pub fn e_stop(&mut self, now: Tick, epoch: u16) {
         self.pass(now);
         if self.session.is_some() {
@@ -240,7 +239,7 @@ impl Controller {
         }
     }
 
-    /// Opens a session for a host whose `Hello` a shell has seen ([`crate::urgent`]), perhaps in parts.
+    /// Opens a session for a host whose `Hello` the shell has found ([`crate::urgent`]), perhaps over several packets.
     pub fn open_session(&mut self, now: Tick, session: u32) {
         self.pass(now);
         self.open(session);
@@ -250,7 +249,7 @@ impl Controller {
     pub fn receive(&mut self, now: Tick, mut bytes: &[u8]) {
         self.pass(now);
         while let Some(body) = self.decoder.next(&mut bytes) {
-            // A message that borrows from the decoder could not be handled.
+            // The message must not borrow from the decoder.
             let mut copy = [0; MAX_FRAME];
             let body = body.map(|body| {
                 let copy = &mut copy[..body.len()];
@@ -265,8 +264,8 @@ impl Controller {
         }
     }
 
-    /// Lets time pass: what lies before `now` has been played; a lease may expire; of the frames that came early, one
-    /// whose turn has come is taken, and then it is `true`. Call it at least once per block.
+    /// Lets time pass: books what was played before `now` and checks the host timeout. Then takes one buffered frame if it
+    /// is next in order, and returns whether it did. Call it at least once per block.
     pub fn poll(&mut self, now: Tick) -> bool {
         self.pass(now);
         self.follow()
@@ -276,12 +275,12 @@ impl Controller {
         self.now = self.now.max(now);
         self.settle();
         let listening = self.state == State::Armed || self.state == State::Returning;
-        if listening && self.now - self.heard > self.host_timeout.into() {
+        if listening && self.now - self.last_heard > self.host_timeout.into() {
             self.disarm(Cause::HostTimeout);
         }
     }
 
-    /// The cable was pulled or the port closed: return and disarm, forget the session.
+    /// Returns, disarms and forgets the session, because the cable was unplugged or the port closed.
     pub fn link_lost(&mut self, now: Tick) {
         self.pass(now);
         self.disarm(Cause::LinkLost);
@@ -290,20 +289,20 @@ impl Controller {
         self.decoder.reset();
     }
 
-    /// A fault of its own: all lines off at once, latched.
+    /// Turns all lines off at once and latches, because of the device's own fault.
     pub fn fault(&mut self, now: Tick, cause: Cause) {
         self.pass(now);
         self.off(cause);
     }
 
-    /// Displacements of all pins in 0.01 µm, sampled at `tick`: sent while armed, an unsent older sample is replaced.
+    /// Displacements of all pins in 0.01 µm, sampled at `tick`. Sent while armed; replaces a sample that is not sent yet.
     pub fn telemetry(&mut self, tick: Tick, y: [i32; MOTORS]) {
         if self.session.is_some() && matches!(self.state, State::Armed | State::Returning) {
             self.pending.telemetry = Some((tick.wire(), y));
         }
     }
 
-    /// Writes the next frame to send into `out` and returns its length; 0 when there is none.
+    /// Writes the next frame to send into `out` and returns its length, or 0 if there is none.
     pub fn transmit(&mut self, now: Tick, out: &mut [u8; MAX_FRAME]) -> usize {
         self.now = self.now.max(now);
         let pending = &mut self.pending;
@@ -324,7 +323,7 @@ impl Controller {
         } else {
             return 0;
         };
-        // Every message fits a frame; `messages_fit` in the tests shows it.
+        // Every message fits a frame: see `messages_fit` in the tests.
         frame::encode(&message, out).unwrap_or(0)
     }
 
@@ -393,7 +392,7 @@ impl Controller {
             };
             strokes = read;
         }
-        self.heard = self.now;
+        self.last_heard = self.now;
         self.pending.status = true;
         match message {
             HostMessage::Hello { .. } => {}
@@ -426,7 +425,7 @@ impl Controller {
 
     fn open(&mut self, session: u32) {
         self.pending.hello = true;
-        self.heard = self.now;
+        self.last_heard = self.now;
         if self.session == Some(session) {
             return;
         }
@@ -506,7 +505,7 @@ impl Controller {
         Ok(())
     }
 
-    /// A burst at the rendered end that belongs to no play. The queue is empty, so there is a slot.
+    /// Queues a burst at the rendered end that belongs to no play. The queue is empty, so there is a slot.
     fn queue_internal(&mut self, motor: u8, direction: Direction, pulses: u16, charged: Option<u32>) {
         let at = self.rendered;
         let stroke = match direction {
@@ -523,7 +522,7 @@ impl Controller {
         let idle = self.pool.current(motor).is_none();
         let queued = self.pool.push(slot);
         if idle && queued {
-            // The line may still have to come to the rendered end, where the last stroke was over.
+            // The line may not have been brought to the rendered end since its last stroke ended.
             self.change_by(motor, slot.stroke.up);
         }
         self.next_end = self.next_end.min(slot.stroke.end());
@@ -550,7 +549,7 @@ impl Controller {
     }
 }
 
-/// Whether epoch (or generation) `a` comes after `b`, as numbers that wrap.
+/// Whether epoch or generation `a` comes after `b`. These numbers wrap.
 #[must_use]
 pub fn newer(a: u16, b: u16) -> bool {
     (1..0x8000).contains(&a.wrapping_sub(b))

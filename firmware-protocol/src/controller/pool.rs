@@ -1,43 +1,43 @@
-//! Stroke slots and the queues of motors made of them.
+//! Stroke slots, and the queues of the motors made of them.
 //!
-//! Each motor has a list of slots in the order of time: first those played or being played (`head`), then
-//! the one that rendering has come to (`cursor`), then those to come (`tail`). A slot goes back to the pool
-//! when its stroke lies in the past. What a line does at a tick follows from the slots alone ([`Slot::at`]),
-//! so cutting a stroke means rewriting its slot, and nothing else remembers it.
+//! Each motor has a list of slots in order of time, from `head` (the oldest) over `cursor` (the one being rendered) to
+//! `tail` (the newest). A slot returns to the pool when its stroke lies in the past.
+//!
+//! Invariant: the state of a line at a tick follows from the slots alone ([`Slot::at`]). A cut rewrites the slot.
 
 use crate::stroke::{Direction, Line, MOTORS, Stroke};
 use crate::tick::Tick;
 
-/// Stroke slots of a controller.
+/// Number of stroke slots.
 pub const POOL: usize = 1024;
 
-/// An index into the slots, or none.
+/// The index that stands for no slot.
 pub(super) const NONE: u16 = u16::MAX;
 
-/// What a slot's stroke is for.
+/// The purpose of a slot's stroke.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     /// A stroke of a play.
     Play,
-    /// A play's stroke that was refused when it should have begun: it plays nothing.
+    /// A stroke of a play that was refused when it was to begin. It plays nothing.
     Void,
-    /// A debt played down, or a move: not part of any play.
+    /// Return pulses after an e-stop, or a move. Not part of a play.
     Internal,
 }
 
 /// A stroke in the queue.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Slot {
-    /// As it will be played.
+    /// The stroke as it will be played.
     pub(super) stroke: Stroke,
-    /// Pulses as sent in its batch, up and down; the reference of corrections.
+    /// Up and down pulses as sent in the batch: the reference for corrections.
     pub(super) planned: [u16; 2],
-    /// Generation of the amendment in force, up and down.
+    /// Generation of the amendment in force, per burst.
     pub(super) generation: [Option<u16>; 2],
     pub(super) kind: Kind,
-    /// It has begun, and so many pulses were charged to the on-time account.
+    /// Once the stroke has begun, the pulses counted for the on-time limits.
     pub(super) charged: Option<u32>,
-    /// A return cut it short.
+    /// A return has cut the stroke.
     pub(super) cut: bool,
     pub(super) next: u16,
 }
@@ -48,7 +48,7 @@ impl Slot {
         Self { stroke, planned, generation: [None; 2], kind, charged: None, cut: false, next: NONE }
     }
 
-    /// What the line does at `tick`, and until when; `None` once the stroke is over.
+    /// The state of the line at `tick` and the tick until which it lasts; `None` after the stroke.
     pub(super) fn at(&self, tick: Tick) -> Option<(Line, Tick)> {
         let [up, down] = self.stroke.bursts();
         if tick < up.start {
@@ -64,18 +64,18 @@ impl Slot {
         }
     }
 
-    /// Whether something of it lies before `tick`. A debt being played down counts from the moment it is queued.
+    /// Whether some of the stroke lies before `tick`. Return pulses count from the moment they are queued.
     pub(super) fn begun(&self, tick: Tick) -> bool {
         self.stroke.up < tick || (self.kind == Kind::Internal && self.stroke.up_pulses == 0)
     }
 
-    /// Pulses that a move takes a pin up by and that cutting it at `tick` gives back, once.
+    /// Pulses of a move's up burst that a cut at `tick` takes back, once.
     pub(super) fn shift_undone(&self, tick: Tick) -> u16 {
         let undone = self.kind == Kind::Internal && !self.cut && tick < self.stroke.bursts()[0].end();
         if undone { self.stroke.up_pulses } else { 0 }
     }
 
-    /// Pulses of the up and of the down burst before `tick`.
+    /// Up and down pulses before `tick`.
     pub(super) fn played_before(&self, tick: Tick) -> [u16; 2] {
         self.stroke.bursts().map(|burst| {
             let passed = tick - burst.start;
@@ -83,7 +83,7 @@ impl Slot {
         })
     }
 
-    /// Rewrites a begun stroke so that from `tick` on it only plays down what is owed; returns how much that is.
+    /// Rewrites a stroke that has begun: from `tick` on it plays only its outstanding return pulses. Returns their number.
     pub(super) fn cut_at(&mut self, tick: Tick) -> u16 {
         let outstanding = self.outstanding_at(tick);
         let stroke = &mut self.stroke;
@@ -97,7 +97,8 @@ impl Slot {
         outstanding
     }
 
-    /// Down pulses owed if the stroke is cut at `tick`: in the up burst those played; later the rest of the down burst.
+    /// Outstanding return pulses if the stroke is cut at `tick`: in its up burst the pulses played, later the rest of its down
+    /// burst.
     pub(super) fn outstanding_at(&self, tick: Tick) -> u16 {
         let [up, down] = self.played_before(tick);
         if up < self.stroke.up_pulses { up } else { self.stroke.down_pulses - down }
@@ -110,13 +111,13 @@ pub(super) struct Queue {
     pub(super) head: u16,
     pub(super) cursor: u16,
     pub(super) tail: u16,
-    /// How many slots it has.
+    /// Number of slots.
     len: u16,
-    /// How many of them are strokes of plays.
+    /// Number of slots that are strokes of plays.
     plays: u16,
 }
 
-/// All slots, and who has them.
+/// All slots, and the motors' queues.
 #[derive(Debug)]
 pub(super) struct Pool {
     slots: [Slot; POOL],
@@ -154,7 +155,7 @@ impl Pool {
         self.slots.get_mut(usize::from(index))
     }
 
-    /// The slot that rendering of `motor` has come to.
+    /// The slot of `motor` that is being rendered.
     pub(super) fn current(&self, motor: usize) -> Option<&Slot> {
         self.get(self.queues[motor].cursor)
     }
@@ -164,12 +165,12 @@ impl Pool {
         self.get(self.queues[motor].head)
     }
 
-    /// When the last stroke of `motor` ends.
+    /// End of the last stroke of `motor`.
     pub(super) fn end(&self, motor: usize) -> Option<Tick> {
         self.get(self.queues[motor].tail).map(|slot| slot.stroke.end())
     }
 
-    /// Queues a slot behind all others of its motor; `false` if there is none free.
+    /// Appends a slot to the queue of its motor. Returns `false` if the pool is full.
     pub(super) fn push(&mut self, slot: Slot) -> bool {
         let index = self.free;
         let Some(place) = self.slots.get_mut(usize::from(index)) else { return false };
@@ -200,7 +201,7 @@ impl Pool {
         self.queues[motor].cursor = next;
     }
 
-    /// Gives the first slot of `motor` back.
+    /// Returns the oldest slot of `motor` to the pool.
     pub(super) fn pop(&mut self, motor: usize) -> Option<Slot> {
         let index = self.queues[motor].head;
         let slot = *self.get(index)?;
@@ -218,8 +219,8 @@ impl Pool {
         Some(slot)
     }
 
-    /// Gives back what `motor` has not begun: all behind the cursor's slot, and that one too unless `keep_current`.
-    /// Returns how many strokes of plays there were. Takes no longer for many than for few.
+    /// Returns to the pool what `motor` has not begun: all slots behind the cursor, and the cursor's own unless
+    /// `keep_current`. Returns the number of strokes of plays among them. Takes as long for many as for few.
     pub(super) fn flush(&mut self, motor: usize, keep_current: bool) -> u16 {
         let Queue { head, cursor, tail, len, plays } = self.queues[motor];
         let first = if keep_current { self.current(motor).map_or(NONE, |slot| slot.next) } else { cursor };
@@ -248,14 +249,14 @@ impl Pool {
         plays - kept_plays
     }
 
-    /// Gives back the `count` slots that hang together from `first` to `last`.
+    /// Returns to the pool the `count` linked slots from `first` to `last`.
     fn release(&mut self, first: u16, last: u16, count: u16) {
         self.slots[usize::from(last)].next = self.free;
         self.free = first;
         self.used -= count;
     }
 
-    /// The slot of the stroke of `motor` that begins at `up`, from the cursor on.
+    /// The slot, from the cursor on, of the stroke of `motor` that begins at `up`.
     pub(super) fn find(&self, motor: usize, up: Tick) -> Option<u16> {
         let mut index = self.queues.get(motor)?.cursor;
         while let Some(slot) = self.get(index) {

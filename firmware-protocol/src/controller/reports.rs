@@ -1,24 +1,24 @@
-//! The reports the host has not seen yet: a bounded ring, repeated until seen.
+//! A bounded queue of the reports that the host has not seen yet. They are repeated until it has.
 //!
-//! A full ring loses the newest report and counts it. Frames of strokes are taken, and single refusals reported,
-//! only while more than [`RESERVE`] places are free: onsets and cuts find one as long as the host reads at all.
+//! A full queue loses the newest report; the caller counts it. The controller takes frames of strokes and reports single
+//! refusals only while more than [`RESERVE`] places are free. So onsets and cuts find a place as long as the host reads.
 
 use crate::message::Report;
 use crate::tick::{TICK_HZ, Tick};
 
-/// Unseen reports at the most.
+/// Most unseen reports.
 pub const REPORTS: usize = 32;
-/// Places kept free for the onsets that may be queued, and for cuts.
+/// Places reserved for queued onsets and for cuts.
 pub(super) const RESERVE: usize = 12;
-/// A report is repeated after this many ticks, when the host is heard again.
+/// Ticks after which unseen reports are repeated, once the host is heard again.
 const REPEAT: u64 = TICK_HZ as u64 / 100;
 
 #[derive(Debug)]
 pub(super) struct Reports {
     ring: heapless::Deque<Report, REPORTS>,
-    /// Number of the newest.
+    /// Number of the newest report.
     made: u16,
-    /// How many of the ring, from the front, have been sent since the last repetition.
+    /// Number of reports, from the front, sent since the last repetition.
     sent: usize,
     repeated: Tick,
 }
@@ -28,7 +28,7 @@ impl Reports {
         Self { ring: heapless::Deque::new(), made: 0, sent: 0, repeated: Tick(0) }
     }
 
-    /// Adds a report; `false` if it is lost.
+    /// Adds a report. Returns `false` if it is lost.
     #[must_use]
     pub(super) fn push(&mut self, report: Report) -> bool {
         let kept = self.ring.push_back(report).is_ok();
@@ -42,7 +42,7 @@ impl Reports {
         self.made
     }
 
-    /// Number of the last report that nobody waits for: the next is the oldest kept or yet to be made.
+    /// Number of the last report that the host has read or that was cleared.
     pub(super) fn read(&self) -> u16 {
         self.made.wrapping_sub(self.ring.len() as u16)
     }
@@ -51,13 +51,13 @@ impl Reports {
         REPORTS - self.ring.len()
     }
 
-    /// A new session knows nothing of the old one's plays.
+    /// Forgets all reports, for a new session.
     pub(super) fn clear(&mut self) {
         self.ring.clear();
         self.sent = 0;
     }
 
-    /// The host has read all up to number `seen`, and is listening: time to repeat the others.
+    /// The host has read all reports up to `seen` and is alive: repeat the others if it is time.
     pub(super) fn seen(&mut self, seen: u16, now: Tick) {
         let unseen = usize::from(self.made.wrapping_sub(seen));
         if unseen <= self.ring.len() {
@@ -72,7 +72,7 @@ impl Reports {
         }
     }
 
-    /// The next one to send, with its number.
+    /// The next report to send, with its number.
     pub(super) fn next(&mut self, now: Tick) -> Option<(u16, Report)> {
         let report = *self.ring.iter().nth(self.sent)?;
         let behind = self.ring.len() - 1 - self.sent;

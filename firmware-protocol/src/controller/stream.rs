@@ -1,4 +1,6 @@
-//! The ordered stream of strokes, and amendments beside it.
+//! Accepts the ordered stream of strokes, and amendments of queued strokes.
+//!
+//! [`Controller::stream`] takes frames in order and buffers the others; [`Controller::amend`] changes one burst.
 
 use crate::batch::{Amendment, MAX_BATCH, Strokes};
 use crate::controller::pool::{Kind, Slot};
@@ -13,19 +15,19 @@ use crate::tick::Tick;
 pub(super) type Batch = heapless::Vec<Stroke, MAX_BATCH>;
 
 impl Controller {
-    /// Takes a frame of the ordered stream if it is its turn, else keeps it for [`Self::follow`].
+    /// Takes a frame of the ordered stream if it is next in order, else buffers it for [`Self::follow`].
     pub(super) fn stream(&mut self, seq: u16, onset: bool, base: Tick, batch: &[u8], strokes: &Batch) {
         if seq != self.next_seq {
-            self.reorder.keep(self.next_seq, seq, onset, base, batch);
+            self.reorder.insert(self.next_seq, seq, onset, base, batch);
         } else if self.has_room(onset) {
             self.strokes(seq, onset, base, strokes);
         }
     }
 
-    /// Takes the next of the frames kept, if its turn has come. One at a time: a shell has lines to render.
+    /// Takes one buffered frame if it is next in order. One at a time, because the shell has lines to render.
     pub(super) fn follow(&mut self) -> bool {
         let Some(frame) = self.reorder.take(self.next_seq) else { return false };
-        // Without room it is forgotten, and comes again.
+        // Without room the frame is forgotten; the host sends it again.
         if self.has_room(frame.onset)
             && let Some(strokes) = unpack(frame.base, &frame.batch)
         {
@@ -35,7 +37,7 @@ impl Controller {
         true
     }
 
-    /// Whether a frame's reports and its mark would find a place.
+    /// Whether there is room for a frame's reports and its onset.
     fn has_room(&self, onset: bool) -> bool {
         self.reports.free() > RESERVE && (!onset || !self.onsets.is_full())
     }
@@ -43,16 +45,16 @@ impl Controller {
     /// Takes the next frame of the ordered stream.
     fn strokes(&mut self, seq: u16, onset: bool, base: Tick, strokes: &Batch) {
         self.next_seq = seq.wrapping_add(1);
-        // It may have been repeated before the copy kept was followed.
+        // The frame may have been repeated before its buffered copy was taken.
         let _ = self.reorder.take(seq);
         let rendered = self.rendered.wire();
         if onset && self.state == State::Armed {
-            // No stroke begins before the base it counts from.
+            // No stroke begins before the base.
             if base < self.rendered {
                 self.report(Report::OnsetRefused { seq, rendered });
                 return;
             }
-            // Room was checked by the caller.
+            // The caller has checked that there is room.
             let _ = self.onsets.push_back(base);
         }
         let (mut late, mut refused, mut reason) = (0u64, 0u64, None);
@@ -73,7 +75,7 @@ impl Controller {
         }
     }
 
-    /// Queues a stroke; `Ok(false)` if it is late.
+    /// Queues a stroke. `Ok(false)` if it is late.
     fn accept(&mut self, stroke: &Stroke) -> Result<bool, Refusal> {
         if self.state != State::Armed {
             return Err(Refusal::NotArmed);
@@ -91,7 +93,7 @@ impl Controller {
         if self.queue(Slot::new(*stroke, Kind::Play)) { Ok(true) } else { Err(Refusal::PoolFull) }
     }
 
-    /// Changes the count of a burst that is not rendered yet; `None` if that cannot be.
+    /// Changes the pulse count of a burst that is not rendered yet. `None` if the amendment is ignored.
     pub(super) fn amend(&mut self, generation: u16, item: &Amendment) -> Option<()> {
         let index = self.pool.find(item.motor.into(), item.up)?;
         let slot = self.pool.get(index)?;
@@ -127,7 +129,7 @@ impl Controller {
     }
 }
 
-/// The strokes of `batch` counted from `base`, if it can be read to its end.
+/// The strokes of `batch`, counted from `base`; `None` if it cannot be read to its end.
 pub(super) fn unpack(base: Tick, batch: &[u8]) -> Option<Batch> {
     let mut all = Batch::new();
     for stroke in Strokes::new(base, batch) {

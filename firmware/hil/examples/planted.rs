@@ -1,7 +1,7 @@
-//! `planted ELF...`: plays to each firmware and says what the judge sees. Exit 0 if it sees nothing wrong in the one
-//! called `unharmed`, and something in each of the others.
+//! `planted ELF...`: plays to each firmware and prints what the judge finds.
 //!
-//! A judge that lets everything pass would pass everything: `firmware/hil/mutants` makes firmware with planted bugs.
+//! `firmware/hil/mutants` makes firmware with planted bugs, to test the judge. Exit 0 if the judge finds nothing in the
+//! firmware called `unharmed` and something in each of the others.
 
 #[path = "../tests/play.rs"]
 #[expect(dead_code, clippy::unwrap_used, reason = "it is the tests', which use the rest of it")]
@@ -13,7 +13,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-/// Findings that are told of each.
+/// Most findings printed of each firmware.
 const TOLD: usize = 3;
 
 fn main() -> ExitCode {
@@ -32,7 +32,7 @@ fn main() -> ExitCode {
             }
         };
         let whole = Play { elf: Some(elf), ..Play::new(pattern, 0.3) };
-        // It may also never greet, or end no play: found as well.
+        // A firmware that never answers the handshake, or never ends a play, counts as found too.
         let seen = catch_unwind(AssertUnwindSafe(|| play(&whole).wrong()));
         let seen = seen.unwrap_or_else(|_| vec!["it does not even play".to_owned()]);
         let told =

@@ -1,6 +1,6 @@
-//! Judges one boot of a device: what its lines did against what they had to do, and on the chip every pin to the cycle.
+//! Judges one boot of a device: compares its lines with what they had to do, and on the chip checks every pin to the cycle.
 //!
-//! The chip's grid of ticks is found from its first pulse; from there on everything has to fit that one grid.
+//! The chip's first pulse gives the grid of ticks; everything after it must fit that grid.
 
 mod pins;
 
@@ -13,13 +13,13 @@ use firmware_protocol::message::Op;
 use firmware_protocol::tick::Tick;
 use std::fmt;
 
-/// Differences told of each boot, at the most.
+/// Most differences listed per boot.
 const TOLD: usize = 12;
 
-/// A time from which lines have to be low, until the next `arm` or the next onset.
+/// A time from which all lines must be low, until the next `arm` or onset.
 #[derive(Clone, Copy, Debug)]
 pub struct Quiet {
-    /// From when on.
+    /// The time.
     pub cycle: u64,
 }
 
@@ -28,21 +28,21 @@ pub struct Quiet {
 pub struct Boot {
     /// What went over the link.
     pub tap: Tap,
-    /// What the lines did.
+    /// The recording of the lines.
     pub played: Played,
-    /// Where its ticks lie: exactly on the mock, as estimated from the link on the chip.
+    /// The grid of its ticks: exact on the mock, estimated from the link on the chip.
     pub grid: Grid,
-    /// When its core failed.
+    /// Cycle at which its core failed.
     pub death: Option<u64>,
-    /// When lines had to be low.
+    /// Times from which lines had to be low.
     pub quiets: Vec<Quiet>,
-    /// When it began.
+    /// Its first cycle.
     pub from: u64,
-    /// When it ended.
+    /// Its last cycle.
     pub to: u64,
 }
 
-/// What is wrong with a boot.
+/// A fault of a boot.
 #[expect(missing_docs, reason = "the fields are what the text says")]
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Finding {
@@ -50,31 +50,31 @@ pub enum Finding {
     Width { line: usize, cycle: u64, tick: Tick, width: u64 },
     /// A pulse that does not rise where a tick begins.
     OffGrid { line: usize, cycle: u64, tick: Tick, late: u64 },
-    /// A line's first difference to what it had to do.
+    /// A line's first difference from what it had to do.
     Differs { line: usize, expected: Option<Train>, found: Option<Train> },
-    /// Pulses at the edge of a cut that nobody had planned.
+    /// Pulses at the edge of a cut that were not planned.
     NotPlanned { from: Tick, to: Tick },
-    /// A pulse though all lines had to be low.
+    /// A pulse while all lines had to be low.
     NotLow { since: u64, pulse: u64 },
     /// A line that stays high.
     Static { line: usize, since: u64 },
     /// The trigger did not rise in the tick of an onset.
     NoTrigger { onset: Tick },
-    /// The trigger rose though nothing began.
+    /// The trigger rose without an onset.
     Trigger { tick: Tick, late: u64 },
-    /// The trigger's length.
+    /// The trigger has the wrong length.
     TriggerLength { tick: Tick, cycles: u64 },
-    /// The drivers were on though disarmed.
+    /// The drivers were on while disarmed.
     Enabled { from: u64, to: u64, quiet_from: u64, quiet_to: u64 },
     /// A pulse while the drivers were off.
     NotEnabled { line: usize, cycle: u64 },
-    /// The LED says something else than the drivers' supply.
+    /// The LED differs from the drivers' supply.
     Led,
-    /// A pin that is none of ours.
+    /// A pin rose that is not an output.
     Stray { pin: usize, cycle: u64 },
-    /// The clock that the device tells is not the one its pins follow.
+    /// The device's clock differs from that of its pins.
     Clock { off: i64 },
-    /// The device's word against itself.
+    /// The device contradicts itself.
     Contradiction(String),
 }
 
@@ -122,21 +122,21 @@ impl fmt::Display for Finding {
     }
 }
 
-/// A boot, judged.
+/// A judged boot.
 #[derive(Debug)]
 pub struct Judged {
-    /// What is wrong; empty if nothing is.
+    /// The faults found.
     pub findings: Vec<Finding>,
-    /// What the lines did, in ticks.
+    /// The lines as recorded, in ticks.
     pub log: Log,
-    /// What they had to do.
+    /// The lines as expected.
     pub expected: Expected,
-    /// Where the ticks lie.
+    /// The grid of ticks.
     pub grid: Grid,
 }
 
 impl Boot {
-    /// Judges it.
+    /// Judges the boot.
     #[must_use]
     pub fn judge(&self) -> Judged {
         let death = |grid: Grid| self.death.map(|cycle| grid.tick(cycle).0);
@@ -189,7 +189,7 @@ impl Boot {
     }
 }
 
-/// Compares lines outside of soft stretches, and looks for what was not planned inside.
+/// Compares the lines outside of soft intervals, and finds pulses inside them that were not planned.
 fn compare(found: &Log, expected: &Expected, findings: &mut Vec<Finding>) {
     let (mut outside, mut wanted) = (found.clone(), expected.log.clone());
     for soft in &expected.soft {

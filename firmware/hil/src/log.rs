@@ -1,7 +1,7 @@
-//! What 24 lines did, tick for tick, as trains of pulses: the form in which mock, chip and expectation are compared.
+//! The pulses of 24 lines in ticks, as trains: the form in which mock, chip and expectation are compared.
 //!
-//! Invariant: of a line, trains are in order of time and do not overlap, and two that follow each other without a
-//! gap have different directions; so equal logs are equal in every tick.
+//! Invariant: the trains of a line are in order of time and do not overlap, and two trains without a gap between them have
+//! different directions. So equal logs are equal in every tick.
 
 use firmware_protocol::controller::Run;
 use firmware_protocol::stroke::{Direction, Line, MOTORS};
@@ -13,9 +13,9 @@ use std::fmt;
 pub struct Train {
     /// The tick of the first pulse.
     pub start: Tick,
-    /// Which way.
+    /// Their direction.
     pub direction: Direction,
-    /// How many.
+    /// Their number.
     pub pulses: u64,
 }
 
@@ -26,7 +26,7 @@ impl Train {
         self.start + self.pulses
     }
 
-    /// What of it lies in `from..to`.
+    /// The part in `from..to`.
     #[must_use]
     pub fn within(&self, from: Tick, to: Tick) -> Option<Self> {
         let start = self.start.max(from);
@@ -51,13 +51,13 @@ impl fmt::Debug for Train {
 /// The trains of every line.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Log {
-    /// By line, which is by motor.
+    /// Per motor.
     pub lines: [Vec<Train>; MOTORS],
 }
 
 impl Log {
-    /// Appends a train to a line; what follows without a gap in the same direction becomes one. A train that does
-    /// not come after the last stays for itself, so that it is found by whoever compares.
+    /// Appends a train to a line, and joins it to the last one if it continues that. A train that does not come after the
+    /// last stays separate, so that a comparison finds it.
     pub fn push(&mut self, line: usize, train: Train) {
         if train.pulses == 0 {
             return;
@@ -70,7 +70,7 @@ impl Log {
         }
     }
 
-    /// Appends what the mock's lines did.
+    /// Appends the recording of the mock's lines.
     pub fn extend(&mut self, trace: &[(Tick, Run)]) {
         for &(start, run) in trace {
             if run.lines.up | run.lines.down == 0 {
@@ -95,14 +95,14 @@ impl Log {
         log
     }
 
-    /// What of it lies in `from..to`.
+    /// The part in `from..to`.
     #[must_use]
     pub fn within(&self, from: Tick, to: Tick) -> Self {
         let cut = |line: &Vec<Train>| line.iter().filter_map(|train| train.within(from, to)).collect();
         Self { lines: self.lines.each_ref().map(cut) }
     }
 
-    /// It without what lies in `from..to`.
+    /// The log without the part in `from..to`.
     #[must_use]
     pub fn without(&self, from: Tick, to: Tick) -> Self {
         let sides = |train: &Train| [train.within(Tick(0), from), train.within(to, Tick(u64::MAX))];
@@ -110,7 +110,7 @@ impl Log {
         Self { lines: self.lines.each_ref().map(cut) }
     }
 
-    /// Whether every pulse of it is also one of `other`.
+    /// Whether every pulse is also in `other`.
     #[must_use]
     pub fn is_part_of(&self, other: &Self) -> bool {
         let covered = |train: &Train, by: &[Train]| {

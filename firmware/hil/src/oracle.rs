@@ -1,8 +1,8 @@
-//! What the lines have to do, from what went over the link: strokes as sent and amended, less what the device says it
-//! did not take, cut where and as the device says it cut.
+//! Computes what the lines have to do from what went over the link: the strokes sent and amended, without those that the
+//! device reports as not accepted, and cut where the device reports a cut.
 //!
-//! The rules are written down here a second time, from the specification and not from the controller. Where a pulse
-//! cannot be foretold, at an e-stop's or a failure's edge, there is a [`Soft`] stretch: it may be missing there.
+//! It implements the rules a second time, from the specification. At the edge of an e-stop or a failure a pulse cannot be
+//! predicted: there a [`Soft`] interval allows it to be missing.
 
 use crate::log::{Log, Train};
 use crate::tap::{Event, Tap};
@@ -12,48 +12,48 @@ use firmware_protocol::message::{Cause, Cut, Op, Report};
 use firmware_protocol::stroke::{Direction, MOTORS, Stroke};
 use firmware_protocol::tick::Tick;
 
-/// Ticks from an e-stop's cut on in which a pulse that was planned may still begin, and ticks before it in which one
-/// may be missing: the tick being played is booked as played whether it was cut off or not.
+/// Ticks before an e-stop's cut in which a planned pulse may be missing, and ticks after it in which one may still begin: the
+/// tick being played counts as played, whether it was cut off or not.
 const FORCE: (u64, u64) = (1, 1);
 /// Ticks after a failure of the core in which rendered pulses may still be played.
 pub const HORIZON: u64 = 64;
 
-/// A stretch in which any part of what was planned may have been played.
+/// An interval in which any part of the plan may have been played.
 #[derive(Clone, Debug)]
 pub struct Soft {
     /// The first tick.
     pub from: Tick,
     /// The first tick after it.
     pub to: Tick,
-    /// What was planned in it.
+    /// The plan within it.
     pub planned: Log,
 }
 
-/// A cut, by the device's word.
+/// A cut as the device reports it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CutAt {
-    /// Why.
+    /// The reason.
     pub cause: Cause,
-    /// The first tick at which nothing of the queue was played.
+    /// The first tick in which nothing of the queue was played.
     pub at: Tick,
     /// Whether pins were returned.
     pub returns: bool,
-    /// Down pulses owed.
+    /// Outstanding return pulses.
     pub outstanding: u32,
 }
 
 /// What is expected of the lines in one boot.
 #[derive(Clone, Debug, Default)]
 pub struct Expected {
-    /// Tick for tick, outside of the soft stretches.
+    /// The pulses, exact outside of the soft intervals.
     pub log: Log,
-    /// Where it may be less.
+    /// Intervals in which pulses may be missing.
     pub soft: Vec<Soft>,
-    /// Plays that have begun.
+    /// Onsets of the plays that have begun.
     pub onsets: Vec<Tick>,
-    /// In order.
+    /// The cuts, in order.
     pub cuts: Vec<CutAt>,
-    /// Contradictions of the device in its own words.
+    /// Contradictions between the device's reports.
     pub contradictions: Vec<String>,
 }
 
@@ -71,7 +71,7 @@ struct Live {
 struct Oracle {
     live: Vec<Live>,
     outstanding: [u16; MOTORS],
-    /// The device's epoch, as far as it has said.
+    /// The last epoch that the device has reported.
     epoch: u16,
     opened: usize,
     /// The last command and its event.
@@ -79,7 +79,7 @@ struct Oracle {
     out: Expected,
 }
 
-/// What the lines had to do, if the device died at tick `death` or not at all.
+/// What the lines had to do, if the core failed at tick `death` or not at all.
 #[must_use]
 pub fn expect(tap: &Tap, death: Option<Tick>) -> Expected {
     let mut oracle = Oracle::default();
@@ -88,7 +88,7 @@ pub fn expect(tap: &Tap, death: Option<Tick>) -> Expected {
     }
     let mut log = oracle.log();
     if let Some(death) = death {
-        // The tick in which it died may be cut short.
+        // The tick of the failure may be cut short.
         let (from, to) = (Tick(death.0 - 1), death + HORIZON);
         let planned = log.within(from, to);
         log = log.within(Tick(0), to);
@@ -167,7 +167,7 @@ impl Oracle {
         }
     }
 
-    /// A count by the rules of amendments that can be checked from outside; whether it came in time, the scenario sees to.
+    /// Applies an amendment by the rules that can be checked from outside. The scenario makes sure that it is in time.
     fn amend(&mut self, item: &Amendment) {
         let same = |live: &Live| live.alive && live.stroke.motor == item.motor;
         let after = self.live.iter().filter(|live| same(live) && live.stroke.up > item.up);
@@ -184,7 +184,7 @@ impl Oracle {
         }
     }
 
-    /// Cuts what events before `limit` have brought.
+    /// Cuts the strokes of events before `limit`.
     fn cut(&mut self, tap: &Tap, cut: &Cut, limit: usize) {
         let Cut { cause, returns, outstanding, .. } = *cut;
         let at = tap.tick(cut.at);
@@ -196,7 +196,7 @@ impl Oracle {
         let found = if returns { self.cut_and_return(at, limit) } else { self.force(at, limit) };
         if found != outstanding {
             let text = format!(
-                "{cause:?} at tick BOOT+{}: {outstanding} pulses outstanding by the device's word, {found} by the strokes",
+                "{cause:?} at tick BOOT+{}: the device reports {outstanding} outstanding return pulses, the strokes give {found}",
                 at.since(Tick::BOOT)
             );
             self.out.contradictions.push(text);
@@ -218,7 +218,7 @@ impl Oracle {
                 stroke.down = if at < stroke.down { at } else { stroke.down };
             }
         }
-        // What an e-stop left owed is played down at the next arm: that is a cut with nothing to cut.
+        // The next arm plays the return pulses that an e-stop left outstanding, and reports it as a cut.
         for motor in 0..MOTORS {
             let pulses = std::mem::take(&mut self.outstanding[motor]);
             if pulses > 0 {
@@ -240,8 +240,8 @@ impl Oracle {
             if stroke.end() <= at {
                 continue;
             }
-            let debt = stroke.up_pulses == 0;
-            if stroke.up >= at && !debt {
+            let returns = stroke.up_pulses == 0;
+            if stroke.up >= at && !returns {
                 live.alive = false;
                 continue;
             }

@@ -1,7 +1,7 @@
-//! What the chip's pins did, exact to the cycle: level changes in, pulses of each line out.
+//! Records the chip's pins to the cycle: level changes in, pulses of each line out.
 //!
-//! Nothing is judged or rounded here. Pulses of one width whose rises are exactly a tick apart are kept as one
-//! [`PinTrain`], so that an hour of clean pulses is short and each flaw stands out as a train of its own.
+//! It neither judges nor rounds. Pulses of one width that rise exactly a tick apart form one [`PinTrain`], so an hour of clean
+//! pulses is short, and each flaw is a train of its own.
 
 use crate::time::TICK;
 use firmware_protocol::stroke::MOTORS;
@@ -14,7 +14,7 @@ pub const ENABLE: usize = 28;
 pub const LED: usize = 25;
 const PINS: usize = 30;
 
-/// The pin of a line: GP23 to GP25 are taken on the board, so line 23 is on GP26.
+/// The pin of a line. The board uses GP23 to GP25 itself, so line 23 is on GP26.
 #[must_use]
 pub const fn pin_of(line: usize) -> usize {
     if line < 23 { line } else { line + 3 }
@@ -31,28 +31,28 @@ const fn line_of(pin: usize) -> Option<usize> {
 /// Pulses of one width, each a tick after the one before.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PinTrain {
-    /// When the first rises.
+    /// Cycle at which the first rises.
     pub cycle: u64,
-    /// How long each is high.
+    /// Cycles for which each is high.
     pub width: u64,
-    /// How many.
+    /// Their number.
     pub pulses: u64,
 }
 
 impl PinTrain {
-    /// When the last falls.
+    /// Cycle at which the last falls.
     #[must_use]
     pub const fn end(&self) -> u64 {
         self.cycle + (self.pulses - 1) * TICK + self.width
     }
 }
 
-/// A time for which a pin was high; `u64::MAX` while it still is.
+/// An interval in which a pin was high. It ends at `u64::MAX` while the pin still is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct High {
-    /// When it rose.
+    /// Cycle at which it rose.
     pub from: u64,
-    /// When it fell.
+    /// Cycle at which it fell.
     pub to: u64,
 }
 
@@ -61,7 +61,7 @@ pub struct High {
 pub struct Pins {
     levels: u32,
     rises: [u64; PINS],
-    /// By line.
+    /// Per line.
     pub lines: [Vec<PinTrain>; MOTORS],
     /// GP27.
     pub trigger: Vec<High>,
@@ -69,7 +69,7 @@ pub struct Pins {
     pub enable: Vec<High>,
     /// GP25.
     pub led: Vec<High>,
-    /// Pins that rose and are none of ours.
+    /// Pins that rose and are not outputs.
     pub strays: Vec<(usize, u64)>,
 }
 
@@ -88,7 +88,7 @@ impl Default for Pins {
 }
 
 impl Pins {
-    /// From `cycle` on the pins have these levels.
+    /// Records the levels of the pins from `cycle` on.
     pub fn change(&mut self, cycle: u64, levels: u32) {
         let mut changed = self.levels ^ levels;
         self.levels = levels;
@@ -131,7 +131,7 @@ impl Pins {
         }
     }
 
-    /// A line that is high now, and since when: no pulse lasts longer than a tick.
+    /// A line that is high now, and since which cycle. No pulse lasts longer than a tick.
     #[must_use]
     pub fn still_high(&self) -> Option<(usize, u64)> {
         (0..MOTORS)
@@ -139,13 +139,13 @@ impl Pins {
             .find_map(|(line, pin)| (self.levels >> pin & 1 == 1).then_some((line, self.rises[pin])))
     }
 
-    /// When the first pulse of all lines rises.
+    /// Cycle of the first rise of all lines.
     #[must_use]
     pub fn first(&self) -> Option<u64> {
         self.lines.iter().filter_map(|line| line.first()).map(|train| train.cycle).min()
     }
 
-    /// When the last pulse of all lines that rose before `cycle` has fallen.
+    /// Cycle at which the last pulse that rose before `before` has fallen.
     #[must_use]
     pub fn low_since(&self, before: u64) -> Option<u64> {
         let ends = self.lines.iter().flatten().filter(|train| train.cycle < before).map(|train| {

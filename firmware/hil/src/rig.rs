@@ -1,8 +1,8 @@
-//! The host's streamer and a device on a bench, in lock-step.
+//! Runs the host's streamer and a device on a bench in lock-step.
 //!
-//! As `meissner_stream::Simulation` does with the mock, but with a cable, a tty and an operating system between them:
-//! a device comes and goes, a process is held up or killed. Contains no logic of streamer or controller. What the
-//! host sends in a step the device gets at the beginning of the next.
+//! Unlike `meissner_stream::Simulation`, it has a cable, a tty and an operating system between them: a device is plugged in
+//! and out, a process is stalled or killed. It has no logic of streamer or controller. The device receives what the host
+//! sends at the beginning of the next step.
 
 mod faults;
 
@@ -20,9 +20,9 @@ use meissner_stream::link::LineRate;
 use meissner_stream::queues::{Command, Outcome, Request, StreamEvent};
 use meissner_stream::{Settings, Streamer};
 
-/// The host wakes up this often.
+/// Interval of the host's wake-ups.
 const STEP: u64 = MS / 2;
-/// The rate the host takes the line for: USB at full speed, as for a real board.
+/// The host's nominal line rate: USB at full speed, as for a real board.
 const RATE: LineRate = LineRate(800_000);
 
 /// Why a run cannot go on.
@@ -31,7 +31,7 @@ pub enum RigError {
     /// The device is gone.
     #[error(transparent)]
     Bench(#[from] BenchError),
-    /// Something did not happen.
+    /// Something expected did not happen.
     #[error("{0} did not happen within {1} ms")]
     Timeout(&'static str, u64),
 }
@@ -39,13 +39,13 @@ pub enum RigError {
 /// How a rig is set up.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct RigOptions {
-    /// The streamer's.
+    /// The streamer's settings.
     pub settings: Settings,
     /// The USB function the host uses.
     pub function: Function,
-    /// What the line does to the host's frames.
+    /// Faults of the line for the host's frames.
     pub faults: Faults,
-    /// Of the line's faults and session numbers.
+    /// Seed of the line's faults and the session numbers.
     pub seed: u64,
 }
 
@@ -60,7 +60,7 @@ pub struct Rig {
     now: u64,
     line: FaultyLine,
     to_host: Vec<u8>,
-    /// Whether the host opens what is plugged in.
+    /// Whether the host opens a device that is plugged in.
     hot_plug: bool,
     connected: bool,
     dead: bool,
@@ -72,7 +72,7 @@ pub struct Rig {
     quiets: Vec<Quiet>,
     from: u64,
     boots: Vec<Boot>,
-    /// What the host was told, in order.
+    /// The host's events, in order.
     pub notices: Vec<StreamEvent>,
     tickets: u64,
 }
@@ -112,13 +112,13 @@ impl Rig {
         self.now
     }
 
-    /// What went over the link in this boot.
+    /// The traffic of the link in this boot.
     #[must_use]
     pub fn tap(&self) -> &Tap {
         &self.tap
     }
 
-    /// The emulated chip, if it is one.
+    /// The emulated chip, if the bench is one.
     pub fn chip(&mut self) -> Option<&mut ChipBench> {
         match &mut self.bench {
             Bench::Mock(_) => None,
@@ -126,7 +126,7 @@ impl Rig {
         }
     }
 
-    /// Where the device's ticks lie: from its pins once they have played, before that from the link.
+    /// The grid of the device's ticks: from its pins once they have pulsed, before that from the link.
     #[must_use]
     pub fn grid(&self) -> Grid {
         match &self.bench {
@@ -138,7 +138,7 @@ impl Rig {
         }
     }
 
-    /// The grid as the link tells it: what says a tick was sent after that tick began, by the transfer's time at least.
+    /// The grid by the link: a message with a tick was sent after that tick began, at least by the time of its transfer.
     fn link_grid(&self) -> Grid {
         let told = self.tap.events.iter().filter_map(|(cycle, event)| match event {
             Event::Status(_, tick) => Some(Grid::through(*tick, *cycle)),
@@ -148,14 +148,14 @@ impl Rig {
         told.min_by_key(|grid| grid.origin).unwrap_or(Grid { origin: self.now.cast_signed() })
     }
 
-    /// Gives an order to the host's process; returns its ticket. A dead process takes none.
+    /// Gives the host's process a command and returns its ticket. A killed process takes none.
     pub fn order(&mut self, job: Command) -> u64 {
         self.tickets += 1;
         let now = host(self.now);
         let order = Request { ticket: self.tickets, issued_at: now, command: job };
         let notices = &mut self.notices;
         self.streamer.execute(now, order, &mut |notice| notices.push(notice));
-        // It wakes up at once.
+        // The process wakes up at once.
         self.host();
         self.tickets
     }
@@ -163,7 +163,7 @@ impl Rig {
     /// Runs up to a cycle.
     ///
     /// # Errors
-    /// If the device is gone; so for all that follow.
+    /// If the device is gone; also for the methods below.
     pub fn run_to(&mut self, cycle: u64) -> Result<(), RigError> {
         while self.now < cycle {
             let to = (self.now + STEP).min(cycle);
@@ -187,7 +187,7 @@ impl Rig {
         Ok(())
     }
 
-    /// Runs until play `id` has ended; what came of it.
+    /// Runs until play `id` has ended and returns its outcome.
     ///
     /// # Errors
     /// If that takes longer than `at_most` ms.
@@ -276,13 +276,13 @@ impl Rig {
         self.streamer.disconnect(host(self.now), why, &mut |notice| notices.push(notice));
     }
 
-    /// Plugs the cable in, or pulls it with whatever is on its way.
+    /// Plugs the cable in, or out with all bytes that are under way.
     ///
     /// # Errors
     /// As for [`Self::run_to`].
     pub fn plug(&mut self, plugged: bool) -> Result<(), RigError> {
         if !plugged {
-            // What was handed over before is on the wire; the rest is lost.
+            // Bytes handed over before are on the wire; the rest is lost.
             let bytes = self.line.take();
             self.bench.write(self.function, &bytes)?;
         }
@@ -293,7 +293,7 @@ impl Rig {
         Ok(())
     }
 
-    /// The host's process ends without a word and its tty is closed; `false`: another opens it.
+    /// Ends the host's process and closes its tty; with `false`, another process opens it.
     ///
     /// # Errors
     /// As for [`Self::run_to`].
@@ -306,12 +306,12 @@ impl Rig {
         Ok(())
     }
 
-    /// The host's process is held up until a cycle.
+    /// Stalls the host's process until a cycle.
     pub fn stall(&mut self, until: u64) {
         self.held_until = until;
     }
 
-    /// The host's process does nothing any more, but keeps its tty open; `false`: another one begins in its place.
+    /// Stops the host's process for ever, with its tty open; with `false`, another process takes its place.
     pub fn kill(&mut self, dead: bool) {
         self.dead = dead;
         if dead {
@@ -321,7 +321,7 @@ impl Rig {
         }
     }
 
-    /// Another host process takes over, through this function.
+    /// Has another host process take over, through this function.
     ///
     /// # Errors
     /// As for [`Self::run_to`].
@@ -336,17 +336,17 @@ impl Rig {
         Ok(())
     }
 
-    /// Changes what the line does to the host's frames.
+    /// Changes the faults of the line for the host's frames.
     pub fn set_faults(&mut self, faults: Faults) {
         self.line.set(faults);
     }
 
-    /// Bytes that are no frame of the host's, between its frames.
+    /// Sends bytes between the host's frames.
     pub fn raw(&mut self, bytes: &[u8]) {
         self.line.push(bytes);
     }
 
-    /// A message beside the streamer's, as if it had sent it.
+    /// Sends a message as if the streamer had sent it.
     pub fn message(&mut self, message: &HostMessage<'_>) {
         let mut frame = [0; MAX_FRAME];
         let len = encode(message, &mut frame).unwrap_or(0);
@@ -354,7 +354,7 @@ impl Rig {
         self.line.push(&frame[..len]);
     }
 
-    /// Bytes for the USB function that the host does not use.
+    /// Sends bytes to the USB function that the host does not use.
     ///
     /// # Errors
     /// As for [`Self::run_to`].
@@ -362,7 +362,7 @@ impl Rig {
         Ok(self.bench.write(self.function.other(), bytes)?)
     }
 
-    /// The core fails; the lines have to be low a horizon later.
+    /// Makes the core fail; the lines must be low a horizon later.
     ///
     /// # Errors
     /// As for [`Self::run_to`].
@@ -377,7 +377,7 @@ impl Rig {
         Ok(())
     }
 
-    /// So many ticks from now on all lines have to be low, until the next `arm` or onset.
+    /// From this many ticks from now, all lines must be low until the next `arm` or onset.
     pub fn low_from(&mut self, ticks: u64) {
         self.quiets.push(Quiet { cycle: self.now + ticks * TICK });
     }
@@ -400,7 +400,7 @@ impl Rig {
         }
     }
 
-    /// Ends the run: all boots of the device, the last one last.
+    /// Ends the run and returns all boots of the device, in order.
     #[must_use]
     pub fn finish(mut self) -> (Vec<Boot>, Vec<StreamEvent>) {
         self.end_boot();

@@ -1,7 +1,7 @@
-//! Reads along on the link, both ways: what the host has sent, and what the device has said about it.
+//! Reads the link in both directions: what the host has sent, and what the device has reported.
 //!
-//! It shares nothing with host and device but the frames. Repetitions are taken once; ticks are widened. What was
-//! lost or damaged on the way to the device stands here all the same: the host repeats it.
+//! It shares only the frames with host and device. It counts repetitions once and widens ticks. Frames that the line loses or
+//! damages are included, because the host repeats them.
 
 use firmware_protocol::batch::{Amendment, Amendments, Strokes};
 use firmware_protocol::frame::{self, Decoder};
@@ -16,9 +16,9 @@ pub struct Batch {
     pub epoch: u16,
     /// Its number within the epoch.
     pub seq: u16,
-    /// Whether it begins a play, at `base`.
+    /// Whether it begins a play at `base`.
     pub onset: bool,
-    /// The tick it counts from.
+    /// The tick from which its strokes count.
     pub base: Tick,
     /// Its strokes.
     pub strokes: Vec<Stroke>,
@@ -37,18 +37,18 @@ pub enum Event {
     Amend(Vec<Amendment>),
     /// The device answered the handshake.
     Greeted(DeviceHello),
-    /// The device told how it stands, at this tick.
+    /// The device sent its status, at this tick.
     Status(Status, Tick),
-    /// The device reported, once each.
+    /// The device sent a report.
     Report(Report),
-    /// The device knows no session.
+    /// The device has no session.
     NoSession,
 }
 
 /// Everything that went over the link in one boot of the device.
 #[derive(Debug, Default)]
 pub struct Tap {
-    /// With the cycle at which the host sent or read it.
+    /// Events, with the cycle at which the host sent or read them.
     pub events: Vec<(u64, Event)>,
     host: Decoder,
     device: Decoder,
@@ -63,7 +63,7 @@ pub struct Tap {
 }
 
 impl Tap {
-    /// The host sends.
+    /// Takes bytes that the host sends.
     pub fn from_host(&mut self, cycle: u64, mut bytes: &[u8]) {
         let mut decoder = std::mem::take(&mut self.host);
         while let Some(body) = decoder.next(&mut bytes) {
@@ -75,7 +75,7 @@ impl Tap {
         self.host = decoder;
     }
 
-    /// The device is read.
+    /// Takes bytes that the host reads.
     pub fn from_device(&mut self, cycle: u64, mut bytes: &[u8]) {
         let mut decoder = std::mem::take(&mut self.device);
         while let Some(body) = decoder.next(&mut bytes) {
@@ -87,19 +87,19 @@ impl Tap {
         self.device = decoder;
     }
 
-    /// The line was cut: what had begun does not go on.
+    /// Forgets frames that have begun, because the line was cut.
     pub fn broken(&mut self) {
         self.host.reset();
         self.device.reset();
     }
 
-    /// The epoch the host's frames belong to.
+    /// The epoch of the host's frames.
     #[must_use]
     pub fn epoch(&self) -> u16 {
         self.epoch.unwrap_or(0)
     }
 
-    /// What the device said last about itself.
+    /// The device's last status.
     #[must_use]
     pub fn status(&self) -> Option<Status> {
         self.events.iter().rev().find_map(|(_, event)| match event {
@@ -137,12 +137,12 @@ impl Tap {
                 Event::Control(epoch, op)
             }
             HostMessage::Strokes { epoch, seq, .. } if self.seen.contains(&(epoch, seq)) => return,
-            // Of another epoch, as a session sends them to measure the line: acknowledged and ignored.
+            // Frames of another epoch, which a session sends to measure the line, are ignored.
             HostMessage::Strokes { epoch, .. } if self.epoch.is_some_and(|present| present != epoch) => {
                 return;
             }
             HostMessage::Strokes { epoch, seq, onset, base, batch, .. } => {
-                // Numbers come again after 65 536 frames; the window is a few.
+                // Numbers repeat after 65 536 frames.
                 if self.seen.len() > 64 {
                     self.seen.remove(0);
                 }
@@ -186,7 +186,7 @@ impl Tap {
         self.events.push((cycle, event));
     }
 
-    /// A tick as a report names it.
+    /// Widens the tick of a report.
     #[must_use]
     pub fn tick(&self, tick: WireTick) -> Tick {
         self.near(tick)

@@ -1,7 +1,6 @@
-//! The one clock of a bench: cycles of the chip's system clock since power-up, for host, mock and chip alike.
+//! The clock of a bench for host, mock and chip: cycles of the chip's system clock since power-up.
 //!
-//! 127.5 MHz make 1500 cycles of a tick, and 51 cycles of 400 ns: a cycle becomes a host instant exactly or is
-//! rounded down by less than a cycle, always in the same way.
+//! At 127.5 MHz a tick has 1500 cycles, and 51 cycles are 400 ns. A host instant is a cycle, rounded down by less than one.
 
 use firmware_protocol::tick::Tick;
 use meissner_stream::time::HostInstant;
@@ -10,7 +9,7 @@ use meissner_stream::time::HostInstant;
 pub const TICK: u64 = 1_500;
 /// Cycles of a millisecond.
 pub const MS: u64 = 127_500;
-/// The host's clock at cycle 0: not near its zero, as on any machine that is up.
+/// The host's clock at cycle 0: far from zero, as on any running machine.
 const HOST_START_NS: u64 = 1_000_000_000;
 
 /// The host's time at a cycle.
@@ -19,7 +18,7 @@ pub const fn host(cycle: u64) -> HostInstant {
     HostInstant::from_ns(HOST_START_NS + cycle * 400 / 51)
 }
 
-/// Where a device's ticks lie on the cycles: known once its pins have played, estimated before.
+/// The grid of a device's ticks on the cycles: exact once its pins have pulsed, estimated before.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Grid {
     /// The cycle at which [`Tick::BOOT`] began.
@@ -40,7 +39,7 @@ impl Grid {
         if cycle < 0 { 0 } else { cycle.cast_unsigned() }
     }
 
-    /// The tick that lasts at `cycle`, and how many cycles of it have passed.
+    /// The tick at `cycle`, and the cycles of it that have passed.
     #[must_use]
     pub const fn tick(self, cycle: u64) -> (Tick, u64) {
         let since = cycle.cast_signed() - self.origin;

@@ -1,4 +1,4 @@
-//! From the e-stop's USB packet to all lines low: within a pulse period, at any phase, also under full load.
+//! An e-stop turns all lines off within a pulse period of its USB packet, at any phase and under full load.
 
 use crate::play::{armed, job};
 use meissner_hil::bench::chip::ChipOptions;
@@ -6,7 +6,7 @@ use meissner_hil::scenario::pattern;
 use meissner_hil::time::{MS, TICK};
 use meissner_stream::queues::Command;
 
-/// How often it is tried, each time at another phase of tick, block and USB frame.
+/// Number of tries, each at another phase of tick, block and USB frame.
 const TRIES: u64 = 12;
 
 /// Cycles from the packet to the last fall.
@@ -17,10 +17,10 @@ fn latency(rig: &mut meissner_hil::rig::Rig, name: &str, phase: u64) -> u64 {
     rig.order(Command::EStop);
     rig.run_to(rig.now() + 50 * MS).unwrap();
     let chip = rig.chip().unwrap();
-    // Those that follow repeat it.
+    // Later packets repeat it.
     let packet = chip.e_stopped[0];
     let low = chip.pins.low_since(u64::MAX).unwrap();
-    // High until the e-stop, also when no pulse is under way.
+    // High until the e-stop, even between pulses.
     let off = chip.pins.enable.last().unwrap().to;
     assert!(packet < off && off < packet + 50 * MS, "{name}: drivers off at {off}, packet at {packet}");
     assert!(chip.pins.still_high().is_none(), "{name}: lines go on 50 ms after the e-stop was sent");

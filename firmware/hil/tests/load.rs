@@ -1,4 +1,4 @@
-//! The most that can be asked for: 24 motors, each reversing 600 times a second.
+//! The maximum load: 24 motors, each reversing 600 times a second.
 
 use crate::play::{Play, play};
 use meissner_hil::scenario::pattern;

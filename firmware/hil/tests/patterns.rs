@@ -3,7 +3,7 @@
 use crate::play::{Play, play};
 use meissner_hil::scenario::{pattern, pattern_names};
 
-/// Long enough for each motor of each pattern to come to its own; a pattern that ends sooner is played once.
+/// Long enough for every motor of every pattern to play. A pattern that ends sooner is played once.
 const SECONDS: f64 = 0.6;
 
 fn shipped(share: usize, of: usize) {
@@ -22,7 +22,7 @@ macro_rules! shares {
     };
 }
 
-// Four tests, so that as many cores are used.
+// Four tests, to use up to four cores.
 shares! {
     shipped_patterns_1_of_4: 0,
     shipped_patterns_2_of_4: 1,

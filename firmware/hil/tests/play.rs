@@ -1,4 +1,4 @@
-//! One play on the chip, armed and played to its end, judged.
+//! Plays one pattern on the chip from arming to its end, and judges it.
 
 use firmware_protocol::controller::BLOCK;
 use firmware_protocol::tick::Tick;
@@ -29,9 +29,9 @@ impl Play {
     }
 }
 
-/// Cycles within which a block that has begun is counted: an interrupt, and what may hold it up.
+/// Most cycles until a block that has begun is counted: an interrupt and what may delay it.
 const CLOCK_LATE: u64 = 750;
-/// Cycles by which it may be counted early: clock and pins are started one after the other.
+/// Most cycles by which a block may be counted early: clock and pins start one after the other.
 const CLOCK_EARLY: u64 = 150;
 
 pub(crate) struct Played {
@@ -39,10 +39,10 @@ pub(crate) struct Played {
     pub(crate) judged: Judged,
     /// Differences to the compiled strokes, in words.
     pub(crate) against_strokes: Vec<String>,
-    /// Where the device's clock is not that of the pins.
+    /// Differences between the device's clock and that of the pins.
     pub(crate) clock: Vec<String>,
     pub(crate) pulses: u64,
-    /// Share of the cycles while it was played in which the core worked.
+    /// Share of the cycles of the play in which the core did not sleep.
     pub(crate) load: f64,
     /// The least slack of a block, in ticks.
     pub(crate) slack: u64,
@@ -100,7 +100,7 @@ pub(crate) fn play(play: &Play) -> Played {
     Played { outcome, judged, against_strokes, clock, pulses, load, slack }
 }
 
-/// Cycles, and the blocks that the device had counted by then: as many as show any phase of a block.
+/// Cycles, and the blocks that the device had counted by then, at all phases of a block.
 fn counts(rig: &mut Rig) -> Vec<(u64, u64)> {
     let steps = 0..32;
     let count = steps.map(|_| {
@@ -110,7 +110,7 @@ fn counts(rig: &mut Rig) -> Vec<(u64, u64)> {
     count.collect()
 }
 
-/// A block is counted once its first tick is on the pins, and soon.
+/// Checks that a block is counted soon after its first tick is on the pins.
 fn against_pins(grid: Grid, cycle: u64, blocks: u64) -> Option<String> {
     let begun = grid.cycle(Tick::BOOT + blocks * u64::from(BLOCK));
     let next = grid.cycle(Tick::BOOT + (blocks + 1) * u64::from(BLOCK));
@@ -122,7 +122,7 @@ fn against_pins(grid: Grid, cycle: u64, blocks: u64) -> Option<String> {
 }
 
 impl Played {
-    /// Everything that is wrong, in words.
+    /// All faults, in words.
     pub(crate) fn wrong(&self) -> Vec<String> {
         let findings = self.judged.findings.iter().map(ToString::to_string);
         findings.chain(self.against_strokes.iter().chain(&self.clock).cloned()).collect()

@@ -1,4 +1,4 @@
-//! Every scenario on the mock, and on the chip and compared with the mock.
+//! Plays every scenario on the mock and on the chip, and compares the two.
 
 use meissner_hil::bench::Which;
 use meissner_hil::bench::chip::ChipOptions;
@@ -72,7 +72,7 @@ fn every_file_has_its_test() {
     assert_eq!(Scenario::names().unwrap(), NAMED);
 }
 
-/// The mock is deterministic, so two runs of it are equal in all that is compared.
+/// The mock is deterministic: two runs are equal in all that is compared.
 #[test]
 fn a_scenario_is_equal_to_itself() {
     let (scenario, one) = clean("stop-many", &Which::Mock(1));

@@ -1,6 +1,6 @@
-//! What the emulator answers: a line of JSON and a binary tail whose size the line tells.
+//! Reads the emulator's answers: a line of JSON, and a binary tail whose size the line gives.
 //!
-//! Only reading; what a cut-off or senseless answer is, is an error and never a guess.
+//! A truncated or invalid answer is an error.
 
 use serde::Deserialize;
 use std::io::{self, BufRead};
@@ -8,7 +8,7 @@ use std::io::{self, BufRead};
 /// Bytes of a level change in the tail: cycle (u64 LE), levels (u32 LE).
 const RECORD: usize = 12;
 
-/// The line of an answer.
+/// The JSON line of an answer.
 #[derive(Clone, Debug, Default, Deserialize)]
 struct Head {
     #[serde(default)]
@@ -35,18 +35,18 @@ struct Head {
     hex: Option<String>,
 }
 
-/// An answer, whole.
+/// A whole answer.
 #[derive(Clone, Debug, Default)]
 pub struct Answer {
-    /// Where the chip's clock stands.
+    /// The chip's clock, in cycles.
     pub cycle: u64,
-    /// Level changes of GP0 to GP29 since the last answer: from when on, and the levels.
+    /// Level changes of GP0 to GP29 since the last answer: cycle and new levels.
     pub levels: Vec<(u64, u32)>,
     /// Bytes from the tty function.
     pub cdc: Vec<u8>,
     /// Bytes from the bulk function.
     pub bulk: Vec<u8>,
-    /// Packets that the chip has taken, each with its pipe, cycle and length.
+    /// Packets that the chip has taken: pipe, cycle and length.
     pub packets: Vec<(String, u64, u64)>,
     /// Whether the host has configured the device.
     pub configured: bool,
@@ -56,7 +56,7 @@ pub struct Answer {
     pub instructions: u64,
     /// Cycles slept since power-up.
     pub asleep: u64,
-    /// Memory that was asked for.
+    /// The memory asked for.
     pub memory: Vec<u8>,
 }
 
@@ -66,13 +66,13 @@ pub enum AnswerError {
     /// The emulator ended, or its pipe broke.
     #[error("the emulator is gone: {0}")]
     Gone(#[from] io::Error),
-    /// Not the line it should be.
+    /// The line is not valid.
     #[error("the emulator's answer cannot be read: {0}")]
     Line(#[from] serde_json::Error),
-    /// It refused.
+    /// The emulator refused the request.
     #[error("the emulator says: {0}")]
     Refused(String),
-    /// No hexadecimal digits.
+    /// Not hexadecimal digits.
     #[error("the emulator's memory dump is no hex: {0}")]
     Hex(String),
 }
@@ -81,7 +81,7 @@ impl Answer {
     /// Reads the next answer.
     ///
     /// # Errors
-    /// If there is none, or not one.
+    /// If there is none, or it is not valid.
     pub fn read(from: &mut impl BufRead) -> Result<Self, AnswerError> {
         let mut line = String::new();
         if from.read_line(&mut line)? == 0 {

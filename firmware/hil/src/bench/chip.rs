@@ -1,6 +1,6 @@
-//! The firmware in the emulated RP2040: a process of its own, in lock-step over its standard input and output.
+//! The firmware in the emulated RP2040: a child process, in lock-step over its standard input and output.
 //!
-//! It only passes on and records. The process ends with the bench.
+//! This module passes on and records. The process ends with the bench.
 
 use crate::bench::answer::{Answer, AnswerError, hex};
 use crate::bench::{BenchError, CpuEvent, Function, Heard};
@@ -11,14 +11,14 @@ use std::io::{BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
-/// How the chip is run.
+/// How to run the chip.
 #[derive(Clone, Debug)]
 pub struct ChipOptions {
-    /// The firmware.
+    /// The firmware's ELF file.
     pub elf: PathBuf,
-    /// Of the emulated ring oscillator, which boot ids come from.
+    /// Seed of the emulated ring oscillator, from which boot ids come.
     pub seed: u64,
-    /// How many times slower than the real one the core computes.
+    /// Factor by which the core is slower than the real one.
     pub slow: f64,
 }
 
@@ -50,11 +50,11 @@ pub struct ChipBench {
     /// Bytes written and taken so far.
     written: u64,
     taken: u64,
-    /// Looks for e-stops in what is written.
+    /// Finds e-stops in the bytes written.
     watch: Watch,
-    /// Where in the bytes written the e-stops end that the chip has not taken.
+    /// Positions, in the bytes written, of the ends of e-stops that the chip has not taken.
     e_stops: VecDeque<u64>,
-    /// When the chip took the packets in which e-stops end.
+    /// Cycles at which the chip took the packets in which e-stops end.
     pub e_stopped: Vec<u64>,
 }
 
@@ -62,7 +62,7 @@ impl ChipBench {
     /// Powers the chip up.
     ///
     /// # Errors
-    /// With one line that says what to build, if something is not there.
+    /// If something is missing, with one line that says what to build.
     pub fn start(options: &ChipOptions) -> Result<Self, BenchError> {
         let emulator = from_env("MEISSNER_EMULATOR", "../emulator/bench.mjs");
         if !options.elf.is_file() {
@@ -121,12 +121,12 @@ impl ChipBench {
         self.last.cycle - self.last.asleep
     }
 
-    /// What it has sent since the last call.
+    /// The bytes it has sent since the last call.
     pub fn take_heard(&mut self) -> Heard {
         std::mem::take(&mut self.heard)
     }
 
-    /// Bytes for one of its USB functions.
+    /// Sends bytes to one of its USB functions.
     ///
     /// # Errors
     /// If the emulator is gone or refuses.
@@ -161,7 +161,7 @@ impl ChipBench {
         self.ask(&serde_json::json!({ "dtr": open }))
     }
 
-    /// Plugs the cable in or pulls it.
+    /// Plugs the cable in or out.
     ///
     /// # Errors
     /// If the emulator is gone or refuses.
@@ -169,7 +169,7 @@ impl ChipBench {
         self.ask(&serde_json::json!({ "usb": if plugged { "plug" } else { "unplug" } }))
     }
 
-    /// Something happens to the core.
+    /// Makes the core fail.
     ///
     /// # Errors
     /// If the emulator is gone or refuses.
@@ -208,7 +208,7 @@ impl ChipBench {
 
 impl Drop for ChipBench {
     fn drop(&mut self) {
-        // It may have ended by itself: nothing to be done about it then.
+        // It may have ended by itself.
         let _ = self.process.kill();
         let _ = self.process.wait();
     }

@@ -1,7 +1,7 @@
 //! The library's mock as a board: two USB functions in front of one controller, a cable, a watchdog.
 //!
-//! Contains what the mock leaves to its owner: which function is heard, and that a board whose core fails is
-//! reset by its watchdog and starts anew with another boot id.
+//! It adds what the mock leaves to its owner: which USB function has the session, and that the watchdog resets a board whose
+//! core fails, with a new boot id.
 
 use crate::bench::{BenchError, Function, Heard};
 use crate::log::Log;
@@ -12,9 +12,9 @@ use firmware_protocol::tick::Tick;
 use meissner_array::simulated::PlantConfig;
 use meissner_stream::device::mock::Mock;
 
-/// From a core's failure to the first tick of the next boot.
+/// Time from a core's failure to the first tick of the next boot.
 const WATCHDOG: u64 = 100 * MS;
-/// From the plug, or the boot, to a configured device.
+/// Time from the plug, or the boot, to a configured device.
 const ENUMERATION: u64 = 20 * MS;
 
 /// The mock on a bench.
@@ -23,13 +23,13 @@ pub struct MockBench {
     mock: Mock,
     seed: u64,
     cycle: u64,
-    /// When the present boot's clock began.
+    /// Cycle at which the present boot's clock began.
     origin: u64,
     resets: u64,
     plugged: bool,
     configured_from: u64,
     dtr: bool,
-    /// The function whose host is heard: the last that a valid `Hello` came through.
+    /// The function that has the session: the last one with a valid `Hello`.
     function: Function,
     listeners: [Decoder; 2],
     heard: Heard,
@@ -47,7 +47,7 @@ impl MockBench {
     /// Powers it up.
     ///
     /// # Errors
-    /// Not with the default plant.
+    /// Never with the default plant.
     pub fn start(seed: u64) -> Result<Self, BenchError> {
         Ok(Self {
             mock: mock(seed)?,
@@ -83,18 +83,18 @@ impl MockBench {
         self.resets
     }
 
-    /// Where its ticks lie.
+    /// The grid of its ticks.
     #[must_use]
     pub fn grid(&self) -> Grid {
         Grid { origin: self.origin.cast_signed() }
     }
 
-    /// What it has sent since the last call.
+    /// The bytes it has sent since the last call.
     pub fn take_heard(&mut self) -> Heard {
         std::mem::take(&mut self.heard)
     }
 
-    /// Bytes for one of its functions. Those for the function that is not heard are only looked at for a `Hello`.
+    /// Sends bytes to one of its functions. A function without the session only looks for a `Hello`.
     pub fn write(&mut self, function: Function, mut bytes: &[u8]) {
         if !self.configured() || (function == Function::Cdc && !self.dtr) {
             return;
@@ -108,7 +108,7 @@ impl MockBench {
         while let Some(body) = decoder.next(&mut bytes) {
             if matches!(frame::read(body), Ok(HostMessage::Hello { .. })) {
                 self.function = function;
-                // Ends what the host before may have begun to say.
+                // Ends a frame that the previous host may have begun.
                 self.mock.write(&[0]);
                 self.mock.write(all);
                 return;
@@ -138,7 +138,7 @@ impl MockBench {
         }
     }
 
-    /// Opens or closes the tty; closed, the link is lost.
+    /// Opens or closes the tty. A closed tty is a lost link.
     pub fn dtr(&mut self, open: bool) {
         if self.dtr && !open && self.function == Function::Cdc {
             self.mock.unplug();
@@ -146,7 +146,7 @@ impl MockBench {
         self.dtr = open;
     }
 
-    /// Plugs the cable in or pulls it.
+    /// Plugs the cable in or out.
     pub fn usb(&mut self, plugged: bool) {
         if self.plugged && !plugged {
             self.mock.unplug();
@@ -158,10 +158,10 @@ impl MockBench {
         self.plugged = plugged;
     }
 
-    /// Its core fails, whichever way: lines low, and the watchdog starts it anew.
+    /// Makes the core fail: lines low, and the watchdog restarts it.
     ///
     /// # Errors
-    /// Not with the default plant.
+    /// Never with the default plant.
     pub fn fail(&mut self) -> Result<(), BenchError> {
         self.resets += 1;
         self.mock = mock(self.seed.wrapping_add(self.resets << 16))?;

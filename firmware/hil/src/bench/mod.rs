@@ -1,7 +1,6 @@
-//! What the host is connected to: the mock, or the firmware in an emulated chip. A closed set, so an enum.
+//! The device that the host is connected to: the mock, or the firmware in an emulated chip.
 //!
-//! Both run in lock-step on the cycles of [`crate::time`] and neither knows the host. Between two calls of
-//! [`Bench::run`] nothing happens on them.
+//! Both run in lock-step on the cycles of [`crate::time`]. Time passes on them only in [`Bench::run`].
 
 pub mod answer;
 pub mod chip;
@@ -12,7 +11,7 @@ use chip::{ChipBench, ChipOptions};
 use mock::MockBench;
 use std::path::PathBuf;
 
-/// A USB function through which a host may talk.
+/// A USB function of the board.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Function {
@@ -24,7 +23,7 @@ pub enum Function {
 }
 
 impl Function {
-    /// As the emulator calls it.
+    /// The emulator's name for it.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -43,11 +42,11 @@ impl Function {
     }
 }
 
-/// What may happen to the core.
+/// A failure of the core.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum CpuEvent {
-    /// It executes nothing any more.
+    /// It stops executing.
     Die,
     /// The firmware panics.
     Panic,
@@ -64,7 +63,7 @@ pub struct Heard {
     pub bulk: Vec<u8>,
 }
 
-/// Why there is no bench, or no longer.
+/// Why there is no bench, or it ended.
 #[derive(Debug, thiserror::Error)]
 pub enum BenchError {
     /// The firmware was not built.
@@ -142,10 +141,10 @@ impl Bench {
         }
     }
 
-    /// Bytes for one of its functions.
+    /// Sends bytes to one of its functions.
     ///
     /// # Errors
-    /// If the emulator is gone or refuses; so for all that follow.
+    /// If the emulator is gone or refuses; also for the methods below.
     pub fn write(&mut self, function: Function, bytes: &[u8]) -> Result<(), BenchError> {
         match self {
             Self::Mock(mock) => mock.write(function, bytes),
@@ -154,7 +153,7 @@ impl Bench {
         Ok(())
     }
 
-    /// Runs up to a cycle; what it sent until then.
+    /// Runs up to a cycle and returns what it sent.
     ///
     /// # Errors
     /// As for [`Self::write`].
@@ -183,7 +182,7 @@ impl Bench {
         Ok(())
     }
 
-    /// Plugs the cable in or pulls it.
+    /// Plugs the cable in or out.
     ///
     /// # Errors
     /// As for [`Self::write`].
@@ -195,7 +194,7 @@ impl Bench {
         Ok(())
     }
 
-    /// Something happens to the core.
+    /// Makes the core fail.
     ///
     /// # Errors
     /// As for [`Self::write`].
@@ -206,7 +205,7 @@ impl Bench {
         }
     }
 
-    /// Takes what the lines did since power-up or the last call.
+    /// Takes the recording of the lines since power-up or the last call.
     pub fn take_lines(&mut self) -> Played {
         match self {
             Self::Mock(mock) => Played::Ticks(Box::new(std::mem::take(&mut mock.log))),
@@ -215,7 +214,7 @@ impl Bench {
     }
 }
 
-/// What the lines of one boot did.
+/// The recording of the lines of one boot.
 #[derive(Clone, Debug)]
 pub enum Played {
     /// On the mock.

@@ -1,4 +1,4 @@
-//! The chip's pins to the cycle: widths, the grid, trigger, supply and LED.
+//! Checks the chip's pins to the cycle: widths, the grid, trigger, supply and LED.
 
 use crate::judge::{Boot, Finding};
 use crate::log::{Log, Train};
@@ -13,17 +13,17 @@ use firmware_protocol::tick::Tick;
 /// High for 20 % of a tick, and for 80 %.
 const UP: u64 = TICK / 5;
 const DOWN: u64 = TICK / 5 * 4;
-/// The trigger's length, to the tick.
+/// Length of the trigger, in ticks.
 const TRIGGER: u64 = 850 * TICK;
-/// From the tick of a status that says disarmed, to the supply being off.
+/// Most time from a status that says disarmed to the supply being off.
 const ENABLE_OFF: u64 = (64 + 16) * TICK;
-/// By how much the LED may follow later than the supply.
+/// Most time by which the LED may follow the supply.
 const LED_SLACK: u64 = TICK;
-/// By how much the clock read from the link may differ from the pins': transfer, processing and a step of the bench.
+/// Most difference between the clock read from the link and that of the pins: transfer, processing and a step of the bench.
 const CLOCK: std::ops::RangeInclusive<i64> = -(2 * MS as i64)..=(TICK as i64);
 
 impl Boot {
-    /// The pins as ticks; what is wrong with them goes to `findings`.
+    /// The pins as ticks; adds faults to `findings`.
     pub(super) fn judge_pins(
         &self,
         pins: &Pins,
@@ -58,7 +58,7 @@ impl Boot {
         log
     }
 
-    /// From when to when the supply has to be off: from the device's word to the next command to arm.
+    /// Intervals in which the supply must be off: from the device's status to the next command to arm.
     fn off_times(&self, grid: Grid) -> Vec<(u64, u64)> {
         let (mut times, mut from, mut epoch) = (Vec::new(), Some(self.from), None);
         for (cycle, event) in &self.tap.events {
@@ -70,7 +70,7 @@ impl Boot {
                         times.extend(from.take().map(|from| (from, *cycle)));
                     }
                 }
-                // A status from before the last command says nothing of after it.
+                // Skip a status from before the last command.
                 Event::Status(status, tick) if epoch.is_none_or(|epoch| epoch == status.epoch) => {
                     if matches!(status.state, State::Disarmed | State::Faulted) {
                         from = from.or(Some(grid.cycle(*tick) + ENABLE_OFF));
@@ -112,7 +112,7 @@ fn pulses(
     if late != 0 {
         findings.push(Finding::OffGrid { line, cycle: train.cycle, tick, late });
     }
-    // Cut off within the pulse: what it was to be, nobody can see, not even if it has the width of an up pulse.
+    // A pulse cut off has no known direction, even if it has the width of an up pulse.
     if train.pulses == 1 && train.width < DOWN && is_soft(soft, tick) {
         return;
     }
@@ -126,7 +126,7 @@ fn pulses(
 fn trigger(pins: &Pins, expected: &Expected, grid: Grid, findings: &mut Vec<Finding>) {
     let rises: Vec<_> = pins.trigger.iter().map(|high| (grid.tick(high.from), high)).collect();
     for &onset in &expected.onsets {
-        // Still high from the onset before, it cannot rise.
+        // It is still high from the onset before.
         let cycle = grid.cycle(onset);
         let high = pins.trigger.iter().any(|high| high.from < cycle && cycle < high.to);
         if !high && !rises.iter().any(|((tick, _), _)| *tick == onset) {

@@ -1,4 +1,4 @@
-//! The judge on pins made by hand: clean ones pass, each flaw is found and named.
+//! The judge on pins made by hand: it passes clean ones, and finds and names each flaw.
 
 use super::*;
 use crate::pins::{ENABLE, LED, Pins, TRIGGER, pin_of};
@@ -10,7 +10,7 @@ use firmware_protocol::stroke::Stroke;
 
 const ORIGIN: u64 = 7_777;
 
-/// What is planted.
+/// A planted bug.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Bug {
     None,

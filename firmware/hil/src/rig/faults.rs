@@ -1,9 +1,9 @@
-//! A line that damages and loses the host's frames, at random but the same in every run.
+//! A line that damages and loses the host's frames at random, the same in every run.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
-/// Shares of the host's frames to which something happens.
+/// Shares of the host's frames with a fault.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Faults {
@@ -11,11 +11,11 @@ pub struct Faults {
     pub loss: f64,
     /// Sent twice.
     pub repeat: f64,
-    /// With a bit flipped.
+    /// Damaged by a flipped bit.
     pub corrupt: f64,
 }
 
-/// What is on its way to the device.
+/// Bytes under way to the device.
 #[derive(Debug)]
 pub struct FaultyLine {
     faults: Faults,
@@ -50,7 +50,7 @@ impl FaultyLine {
         }
     }
 
-    /// Bytes to which nothing happens.
+    /// Appends bytes without faults.
     pub(super) fn push(&mut self, bytes: &[u8]) {
         self.bytes.extend(bytes);
     }

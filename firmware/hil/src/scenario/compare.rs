@@ -1,15 +1,14 @@
-//! The same scenario on two benches: what has to be equal.
+//! Compares the same scenario on two benches.
 //!
-//! Equal are the onsets, the causes of cuts, and every tick of every line, except between a cut and the next onset:
-//! a cut may lie some ticks apart (the file says how many), and what is returned after it follows from where it lies.
-//! How exact it was there each bench's judge has said.
+//! Onsets, causes of cuts and every tick of every line must be equal, except between a cut and the next onset: a cut may
+//! differ by some ticks (the file says how many), and the return depends on it. There each bench's judge checks the lines.
 
 use crate::judge::differences;
 use crate::log::Log;
 use crate::scenario::{Ran, Scenario};
 use firmware_protocol::tick::Tick;
 
-/// What differs, in words.
+/// The differences, in words.
 #[must_use]
 pub fn compare(scenario: &Scenario, one: &Ran, other: &Ran) -> Vec<String> {
     let mut wrong = Vec::new();

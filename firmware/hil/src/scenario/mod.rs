@@ -1,7 +1,7 @@
-//! Scenario files: what the host does, what goes wrong, and what has to come of it; the same for mock and chip.
+//! Scenario files: what the host does, what fails, and what must be the result, for mock and chip.
 //!
-//! Times are of the device's clock, from its boot; after a failure of the core those of the next boot. Onsets are
-//! given as ticks, so that both benches choose the same. Unknown keys are errors.
+//! Times are those of the device's clock since its boot; after a failure of the core, since the next boot. Onsets are
+//! converted to ticks, so both benches use the same. Unknown keys are errors.
 
 mod compare;
 mod outcome;
@@ -21,144 +21,144 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Scenario {
-    /// As its file.
+    /// Name, as that of its file.
     pub name: String,
     /// What it shows.
     pub description: String,
     /// The USB function the host uses.
     #[serde(default)]
     pub function: Function,
-    /// What the line does to the host's frames.
+    /// Faults of the line for the host's frames.
     #[serde(default)]
     pub faults: Faults,
-    /// How far cuts may lie apart on mock and chip: the chip takes bytes some ticks later. All else is equal.
+    /// Most ticks between a cut on the mock and on the chip, because the chip takes bytes some ticks later.
     #[serde(default)]
     pub slack_ticks: u64,
-    /// When it ends.
+    /// End of the scenario.
     pub end_ms: f64,
-    /// What happens.
+    /// The steps.
     #[serde(rename = "step")]
     pub steps: Vec<Step>,
-    /// What has to come of the plays that are not refused, in the order in which they were ordered.
+    /// Results of the plays that are not refused, in the order of their commands.
     #[serde(default)]
     pub plays: Vec<PlayEnd>,
-    /// Causes of all cuts, in order.
+    /// Expected causes of all cuts, in order.
     #[serde(default)]
     pub cuts: Vec<String>,
-    /// Whether the device has to have counted frames that it could not read.
+    /// Whether the device must have counted bad frames.
     #[serde(default)]
     pub bad_frames: bool,
 }
 
-/// Something that happens.
+/// A step.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Step {
-    /// When, on the device's clock.
+    /// Time on the device's clock.
     pub at_ms: f64,
-    /// So many ticks later.
+    /// This many ticks later.
     #[serde(default)]
     pub ticks: u64,
-    /// And so many cycles: the phase in the tick.
+    /// And this many cycles: the phase within the tick.
     #[serde(default)]
     pub cycles: u64,
-    /// What.
+    /// The action.
     pub act: Act,
-    /// From so many ticks later on all lines have to be low, until the next `arm` or onset.
+    /// From this many ticks later, all lines must be low until the next `arm` or onset.
     pub low_within_ticks: Option<u64>,
-    /// The order has to be refused.
+    /// The command must be refused.
     #[serde(default)]
     pub refused: bool,
 }
 
-/// What happens.
+/// An action.
 #[expect(missing_docs, reason = "the keys of the file say what they are")]
 #[derive(Clone, Debug, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Act {
-    /// The motors are armed; all pins are at rest, or nobody says so.
+    /// Arm the motors, with or without `assume_rest`.
     Arm { assume_rest: bool },
-    /// A pattern is played, open loop.
+    /// Play a pattern, open loop.
     Play {
         /// A shipped one, or `full-load`.
         pattern: String,
-        /// How long.
+        /// Duration.
         seconds: f64,
         /// Its onset.
         onset_ms: f64,
     },
-    /// The play is stopped.
+    /// Stop the play.
     Stop,
     /// Emergency stop.
     Estop,
-    /// The latch is left.
+    /// Reset after an e-stop or a fault.
     Reset,
-    /// The motors are disarmed.
+    /// Disarm the motors.
     Disarm,
-    /// A stroke of a motor gets new counts, by a message beside the streamer's: the n-th sent, from 0.
+    /// Amend the n-th stroke sent to a motor, from 0, by a message besides the streamer's.
     Amend { motor: u8, stroke: usize, up: Option<u16>, down: Option<u16> },
-    /// The host's process is held up for so many ms.
+    /// Stall the host's process for this many ms.
     Stall(f64),
-    /// The host's process does nothing any more.
+    /// Stop the host's process for ever.
     Kill,
-    /// Another host's process begins in its place.
+    /// Start another host process in its place.
     Revive,
-    /// Another host takes over, through this function.
+    /// Have another host take over, through this function.
     TakeOver(Function),
-    /// The cable is pulled.
+    /// Unplug the cable.
     Unplug,
-    /// It is plugged in.
+    /// Plug the cable in.
     Plug,
-    /// The tty is closed.
+    /// Close the tty.
     Close,
-    /// It is opened.
+    /// Open the tty.
     Open,
-    /// The first half of a frame is sent.
+    /// Send the first half of a frame.
     HalfFrame,
-    /// Bytes between frames, as hex digits.
+    /// Send bytes between frames, as hex digits.
     Raw(String),
-    /// Bytes for the function that the host does not use.
+    /// Send bytes to the function that the host does not use.
     Stray(String),
-    /// From now on the line does this.
+    /// Set the faults of the line.
     Faults(Faults),
-    /// The core fails.
+    /// Make the core fail.
     Cpu(CpuEvent),
-    /// How the device has to stand, by its own word.
+    /// Check the device's status.
     Check(Check),
 }
 
-/// How the device has to stand.
+/// Expected status of the device.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Check {
     /// `armed`, `disarmed`, `returning` or `faulted`.
     pub state: Option<String>,
-    /// As events name it.
+    /// The cause, as events name it.
     pub cause: Option<String>,
-    /// The same on the chip, whose firmware knows why it started; the mock just starts.
+    /// The cause on the chip, if it differs: the firmware knows why it started, the mock does not.
     pub chip_cause: Option<String>,
-    /// Whether it knows where pins are.
+    /// Whether the device knows where the pins are.
     pub position_known: Option<bool>,
-    /// Whether pins are owed something.
+    /// Whether return pulses are outstanding.
     pub outstanding: Option<bool>,
-    /// Whether a host can talk to it.
+    /// Whether USB is configured.
     pub connected: Option<bool>,
-    /// Boots so far.
+    /// Number of boots so far.
     pub boots: Option<usize>,
 }
 
-/// What has to come of a play.
+/// Expected result of a play.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlayEnd {
     /// How it ends.
     pub end: End,
-    /// Whether each planned burst is played, or some, or none.
+    /// Whether all planned bursts are played, or some, or none.
     pub played: Share,
-    /// Whether strokes come late.
+    /// Whether strokes are late.
     #[serde(default)]
     pub late: bool,
-    /// Bursts with an amended count.
+    /// Number of bursts with an amended count.
     #[serde(default)]
     pub amended: u64,
 }
@@ -175,31 +175,31 @@ pub enum Share {
     None,
 }
 
-/// Why there is no scenario.
+/// Why a scenario cannot be read or played.
 #[derive(Debug, thiserror::Error)]
 pub enum ScenarioError {
     /// The file cannot be read.
     #[error("{0}: {1}")]
     File(PathBuf, #[source] std::io::Error),
-    /// Not a scenario.
+    /// The file is not a scenario.
     #[error("{0}: {1}")]
     Toml(PathBuf, #[source] toml::de::Error),
-    /// Its name is not its file's.
+    /// Its name is not that of its file.
     #[error("{0}: is named `{1}` inside")]
     Name(PathBuf, String),
-    /// A pattern that cannot be played.
+    /// The pattern cannot be played.
     #[error(transparent)]
     Pattern(#[from] PatternError),
-    /// Strokes that cannot be made.
+    /// The pattern cannot be compiled to strokes.
     #[error(transparent)]
     Strokes(#[from] meissner_array::strokes::StrokesError),
-    /// The run broke off.
+    /// The bench failed.
     #[error(transparent)]
     Rig(#[from] crate::rig::RigError),
-    /// Digits that are none.
+    /// Not hex digits.
     #[error("`{0}`: no hex digits")]
     Hex(String),
-    /// A stroke to amend that was not sent.
+    /// The stroke to amend was not sent.
     #[error("motor {0} has no stroke {1} to amend yet")]
     NoStroke(u8, usize),
 }
@@ -223,17 +223,17 @@ impl Scenario {
     /// The names of all scenarios.
     ///
     /// # Errors
-    /// If their folder is not there.
+    /// If their folder is missing.
     pub fn names() -> Result<Vec<String>, ScenarioError> {
         let mut names: Vec<_> = files("../scenarios")?.iter().map(|path| stem(path)).collect();
         names.sort();
         Ok(names)
     }
 
-    /// Reads one by its name.
+    /// Reads a scenario by its name.
     ///
     /// # Errors
-    /// If it is not there, or none.
+    /// If it is missing or not valid.
     pub fn read(name: &str) -> Result<Self, ScenarioError> {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../scenarios/{name}.toml"));
         let text =
@@ -247,15 +247,15 @@ impl Scenario {
 /// The shipped patterns' names.
 ///
 /// # Errors
-/// If their folder is not there.
+/// If their folder is missing.
 pub fn pattern_names() -> Result<Vec<String>, ScenarioError> {
     Ok(files("../../patterns")?.iter().map(|path| stem(path)).collect())
 }
 
-/// A shipped pattern, or `full-load`: all motors reversing 600 times a second, each at a phase of its own.
+/// A shipped pattern, or `full-load`: all motors reverse 600 times a second, each with its own phase.
 ///
 /// # Errors
-/// If it is not there, or none.
+/// If it is missing or not valid.
 pub fn pattern(name: &str) -> Result<Pattern, ScenarioError> {
     if name == "full-load" {
         let drive = |motor: u8| Drive {

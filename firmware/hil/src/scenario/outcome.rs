@@ -1,4 +1,4 @@
-//! What came of a scenario's plays: the host's account, against the file and against the compiled strokes.
+//! Checks the results of a scenario's plays: the host's account against the file and the compiled strokes.
 
 use crate::judge::{Judged, differences};
 use crate::log::{Log, Train};
@@ -8,7 +8,7 @@ use meissner_array::strokes::Strokes;
 use meissner_stream::cause_text;
 use meissner_stream::queues::{End, Outcome, StreamEvent};
 
-/// What the lines have to do if strokes are played from `onset` on, to their end.
+/// What the lines have to do if all strokes are played from `onset` on.
 #[must_use]
 pub fn compiled(strokes: &Strokes, onset: Tick) -> Log {
     let mut strokes = strokes.clone();
@@ -66,7 +66,7 @@ pub(super) fn check(
     }
 }
 
-/// A play that was played as compiled, was: independent of what went over the link.
+/// Checks a play that ended as planned against its compiled strokes, whatever went over the link.
 fn against_strokes(id: u64, outcome: &Outcome, boots: &[Judged], wrong: &mut Vec<String>) {
     let (Some(onset), Some(length)) = (outcome.onset.map(|onset| onset.actual), outcome.play.strokes.end())
     else {

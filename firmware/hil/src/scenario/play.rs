@@ -16,37 +16,37 @@ use meissner_array::strokes::Strokes;
 use meissner_stream::queues::{At, Command, Play, StreamEvent};
 use meissner_stream::{Bandwidth, cause_text};
 
-/// A greeting comes within so many ms of a boot.
+/// Most ms from a boot to the handshake.
 const GREETING_MS: u64 = 3_000;
 
-/// What a scenario came to on one bench.
+/// The result of a scenario on one bench.
 #[derive(Debug)]
 pub struct Ran {
-    /// Each boot, judged.
+    /// The judged boots.
     pub boots: Vec<Judged>,
-    /// When a core failed, by boot.
+    /// Per boot, the tick at which its core failed.
     pub deaths: Vec<Option<Tick>>,
-    /// Everything that is wrong, in words.
+    /// All faults, in words.
     pub wrong: Vec<String>,
 }
 
 struct Runner<'a> {
     scenario: &'a Scenario,
     rig: Rig,
-    /// CommandQueue to play, and those of them that are not to be refused.
+    /// Number of play commands, and the ids of those that must not be refused.
     ordered: u64,
     plays: Vec<u64>,
-    /// Tickets, and whether the order has to be refused.
+    /// Tickets of commands, whether they must be refused, and their steps.
     tickets: Vec<(u64, bool, usize)>,
     generation: u16,
     boots: usize,
     wrong: Vec<String>,
 }
 
-/// Plays it.
+/// Plays the scenario.
 ///
 /// # Errors
-/// If the bench breaks off, or the scenario asks for what is not there.
+/// If the bench fails, or the scenario names something that is missing.
 pub fn run(scenario: &Scenario, which: &Which) -> Result<Ran, ScenarioError> {
     let options =
         RigOptions { function: scenario.function, faults: scenario.faults, seed: 1, ..RigOptions::default() };
@@ -137,7 +137,7 @@ impl Runner<'_> {
             Act::Cpu(event) => {
                 let boot = rig.tap().hello().map(|hello| hello.boot);
                 rig.fail(*event)?;
-                // Until the reset the old boot's handshake stands.
+                // The old boot's handshake is valid until the reset.
                 let end = rig.now() + GREETING_MS * crate::time::MS;
                 while rig.tap().hello().is_some() && rig.now() < end {
                     rig.run_to(rig.now() + crate::time::MS)?;

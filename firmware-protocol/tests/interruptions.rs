@@ -1,0 +1,398 @@
+//! Stops, faults and silent hosts, at every phase of a stroke: the pin returns to rest, or the return pulses stay outstanding.
+//!
+//! [`returned`] and [`off`] state the rules a second time; the tests compare them with what the lines did.
+
+use crate::bench::{Bench, FIRMWARE, SHELLS, Shell, TIGHT, arm, burst, stroke};
+use Direction::{Down, Up};
+use firmware_protocol::controller::POOL;
+use firmware_protocol::limits::OnTimeLimits;
+use firmware_protocol::message::{Cause, Op, Report, State};
+use firmware_protocol::stroke::{Burst, Direction, MOTORS, Stroke};
+use firmware_protocol::tick::{TICK_HZ, Tick};
+
+/// Each cause of a return, and the state after it.
+const RETURNS: [(Cause, State); 6] = [
+    (Cause::Stop, State::Armed),
+    (Cause::Request, State::Disarmed),
+    (Cause::Shutdown, State::Disarmed),
+    (Cause::Abort, State::Disarmed),
+    (Cause::LinkLost, State::Disarmed),
+    (Cause::NewHost, State::Disarmed),
+];
+
+fn ask_return(bench: &mut Bench, cause: Cause) {
+    match cause {
+        Cause::Stop => bench.control(Op::Stop),
+        Cause::LinkLost => bench.device.link_lost(Tick(bench.now)),
+        Cause::NewHost => bench.hello(2),
+        cause => bench.control(Op::Disarm(cause)),
+    }
+}
+
+/// Ticks at which a stroke is interrupted: from before it is rendered until after its end.
+fn phases(stroke: &Stroke) -> std::ops::Range<u64> {
+    stroke.up.0 - 68..stroke.end().0 + 3
+}
+
+/// Queues a stroke of 7 up pulses, held for 6 ticks, and `down` down pulses, 100 ticks from now, and one much later.
+fn queued(shell: Shell, down: u16) -> (Bench, Stroke) {
+    let mut bench = Bench::armed(shell);
+    let stroke = stroke(3, bench.now + 100, 7, 6, down);
+    let later = Stroke { up: stroke.up + 5_000, down: stroke.down + 5_000, ..stroke };
+    bench.strokes(&[stroke, later]);
+    (bench, stroke)
+}
+
+fn nonempty(bursts: [Burst; 2]) -> Vec<Burst> {
+    bursts.into_iter().filter(|burst| burst.pulses > 0).collect()
+}
+
+/// The bursts played of a stroke if a return begins at `at`.
+pub(crate) fn returned(stroke: &Stroke, at: u64) -> Vec<Burst> {
+    let (up, down) = (stroke.up.0, stroke.down.0);
+    let ups = at.saturating_sub(up).min(stroke.up_pulses.into());
+    let downs = if ups < u64::from(stroke.up_pulses) { ups } else { stroke.down_pulses.into() };
+    nonempty([burst(up, Up, ups), burst(down.min(at), Down, downs)])
+}
+
+/// The bursts played of a stroke if the lines go off at `at`, and the return pulses then outstanding.
+fn off(stroke: &Stroke, at: u64) -> (Vec<Burst>, u64) {
+    let ups = at.saturating_sub(stroke.up.0).min(stroke.up_pulses.into());
+    let downs = at.saturating_sub(stroke.down.0).min(stroke.down_pulses.into());
+    let whole = if ups < u64::from(stroke.up_pulses) { ups } else { stroke.down_pulses.into() };
+    (nonempty([burst(stroke.up.0, Up, ups), burst(stroke.down.0, Down, downs)]), whole - downs)
+}
+
+#[test]
+fn a_return_at_every_phase_undoes_what_was_played_and_no_more() {
+    for shell in SHELLS {
+        for (cause, then) in RETURNS {
+            for down in [7, 9] {
+                for event in phases(&queued(shell, down).1) {
+                    let (mut bench, stroke) = queued(shell, down);
+                    bench.run_to(event);
+                    let (booked, at) = (bench.device.counters(), bench.device.rendered().0);
+                    ask_return(&mut bench, cause);
+                    bench.settle();
+                    bench.is(then, cause);
+                    bench.run(6_000);
+                    let expected = returned(&stroke, at);
+                    assert_eq!(bench.bursts(3), expected, "{cause:?} at {event}, {shell:?}");
+                    assert!(down == 9 || bench.net(3) == 0);
+                    let counters = bench.device.counters();
+                    let begun = u64::from(at > stroke.up.0);
+                    assert_eq!((counters.played, counters.dropped), (2 * begun, 4 - 2 * begun));
+                    assert_eq!(counters.pulses, bench.total());
+                    assert!(counters.pulses >= booked.pulses);
+                    assert_eq!((counters.amended, bench.outstanding()), (0, 0));
+                    // After a lost link or with a new host nobody reads the reports.
+                    if !matches!(cause, Cause::LinkLost | Cause::NewHost) {
+                        let Report::Cut(cut) = bench.last_report() else { panic!("a cut") };
+                        assert_eq!((cut.cause, cut.at, cut.returns), (cause, Tick(at).wire(), true));
+                        assert_eq!(u64::from(cut.flushed), 2 - begun);
+                        // Outstanding from `at` on: the down pulses still to come.
+                        let (before, outstanding) = off(&stroke, at);
+                        assert!(before.len() < 3 && u64::from(cut.outstanding) == outstanding);
+                        assert_eq!(bench.status().credits, POOL as u16);
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_host_silent_at_every_phase_returns_and_disarms() {
+    for shell in SHELLS {
+        let due = queued(shell, 7).1;
+        for expires in phases(&due) {
+            let mut bench = Bench::new(shell);
+            bench.hello(1);
+            let host_timeout = u32::try_from(expires - bench.now).unwrap();
+            bench.control(arm(true, host_timeout, OnTimeLimits::NONE));
+            let stroke = stroke(3, bench.now + 100, 7, 6, 7);
+            bench.strokes(&[stroke]);
+            bench.run_to(expires);
+            bench.is(State::Armed, Cause::Request);
+            let mut at = 0;
+            while bench.device.cause() == Cause::Request {
+                at = bench.device.rendered().0;
+                bench.tick();
+                assert!(bench.now <= expires + shell.block.max(1));
+            }
+            // A shell that renders nothing ahead rendered the last tick before the poll.
+            let at = at + u64::from(shell.ahead == 0);
+            bench.settle();
+            bench.is(State::Disarmed, Cause::HostTimeout);
+            assert_eq!(bench.bursts(3), returned(&stroke, at), "{expires} {shell:?}");
+        }
+    }
+}
+
+#[test]
+fn a_frame_at_the_last_tick_is_in_time_and_no_host_timeout_is_longer_than_ten_seconds() {
+    let mut bench = Bench::new(TIGHT);
+    bench.hello(1);
+    bench.control(arm(true, 500, OnTimeLimits::NONE));
+    for token in 0..10 {
+        bench.run(500);
+        bench.ping(token);
+        bench.is(State::Armed, Cause::Request);
+    }
+    // Noise and bad frames do not count as the host.
+    bench.run(400);
+    bench.bytes(&[1, 2, 3, 0]);
+    bench.run(101);
+    bench.is(State::Disarmed, Cause::HostTimeout);
+
+    bench.control(arm(false, u32::MAX, OnTimeLimits::NONE));
+    bench.run(10 * u64::from(TICK_HZ));
+    bench.is(State::Armed, Cause::Request);
+    bench.tick();
+    bench.is(State::Disarmed, Cause::HostTimeout);
+}
+
+#[test]
+fn an_e_stop_or_a_fault_at_every_phase_ends_with_its_tick_and_keeps_the_return_pulses() {
+    for shell in SHELLS {
+        for cause in [Cause::EStop, Cause::Starved, Cause::Panic] {
+            for down in [7, 9] {
+                for event in phases(&queued(shell, down).1) {
+                    let (mut bench, stroke) = queued(shell, down);
+                    bench.run_to(event);
+                    let at = (event + 1).min(bench.device.rendered().0);
+                    match cause {
+                        Cause::EStop => bench.control(Op::EStop),
+                        cause => bench.device.fault(Tick(event), cause),
+                    }
+                    bench.is(State::Faulted, cause);
+                    bench.run(6_000);
+                    bench.is(State::Faulted, cause);
+                    let (played, outstanding) = off(&stroke, at);
+                    assert_eq!(bench.bursts(3), played, "{cause:?} at {event}, {shell:?}");
+                    assert_eq!(
+                        (bench.outstanding(), u64::from(bench.device.outstanding(3))),
+                        (outstanding, outstanding)
+                    );
+                    let counters = bench.device.counters();
+                    assert_eq!(counters.played + counters.dropped, 4);
+                    assert_eq!(counters.played, played.len() as u64);
+                    assert_eq!(counters.pulses, bench.total());
+                    let Report::Cut(cut) = bench.last_report() else { panic!("a cut") };
+                    assert_eq!((cut.cause, cut.at, cut.returns), (cause, Tick(at).wire(), false));
+                    assert_eq!(
+                        (u64::from(cut.outstanding), cut.flushed),
+                        (outstanding, 2 - u16::from(at > stroke.up.0))
+                    );
+
+                    // Reset moves nothing; arm plays exactly the outstanding pulses and reports it.
+                    bench.control(Op::Reset);
+                    bench.is(State::Disarmed, Cause::Request);
+                    bench.run(100);
+                    assert_eq!(bench.bursts(3), played);
+                    assert_eq!(
+                        (bench.outstanding(), bench.status().outstanding),
+                        (outstanding, outstanding as u32)
+                    );
+                    assert!(bench.status().position_known);
+                    let from = bench.device.rendered().0;
+                    bench.arm(false);
+                    assert_eq!(
+                        bench.device.state(),
+                        if outstanding > 0 { State::Returning } else { State::Armed }
+                    );
+                    bench.settle();
+                    bench.is(State::Armed, Cause::Request);
+                    bench.run(200);
+                    let back = (outstanding > 0).then(|| burst(from, Down, outstanding));
+                    assert_eq!(bench.bursts(3), [played, back.into_iter().collect()].concat());
+                    assert_eq!(bench.outstanding(), 0);
+                    if outstanding > 0 {
+                        let Report::Cut(cut) = bench.last_report() else { panic!("the return") };
+                        assert_eq!(
+                            (cut.returns, u64::from(cut.outstanding), cut.flushed),
+                            (true, outstanding, 0)
+                        );
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn an_e_stop_at_every_phase_of_a_return_leaves_the_rest_outstanding() {
+    for shell in SHELLS {
+        let due = queued(shell, 7).1;
+        for stop in (due.up.0 - 66..due.end().0).step_by(3) {
+            for delay in 0..80 {
+                let (mut bench, _) = queued(shell, 7);
+                bench.run_to(stop);
+                bench.control(Op::Stop);
+                bench.run(delay);
+                bench.control(Op::EStop);
+                bench.run(200);
+                assert_eq!(bench.net(3), bench.outstanding() as i64, "{stop} + {delay}, {shell:?}");
+                let counters = bench.device.counters();
+                assert_eq!((counters.played + counters.dropped, counters.pulses), (4, bench.total()));
+                bench.control(Op::Reset);
+                bench.arm(false);
+                bench.settle();
+                assert_eq!((bench.net(3), bench.outstanding()), (0, 0));
+            }
+        }
+    }
+}
+
+#[test]
+fn return_pulses_survive_any_number_of_e_stops_while_they_are_played() {
+    for shell in SHELLS {
+        let mut bench = Bench::armed(shell);
+        bench.strokes(&[stroke(5, bench.now + 100, 50, 50, 50)]);
+        bench.run(170);
+        bench.control(Op::EStop);
+        let mut rounds = 0;
+        while bench.outstanding() > 0 {
+            assert_eq!(bench.net(5), bench.outstanding() as i64);
+            bench.control(Op::Reset);
+            bench.arm(false);
+            bench.run(70);
+            bench.control(Op::EStop);
+            rounds += 1;
+        }
+        assert_eq!(bench.net(5), 0);
+        assert!(rounds >= 1 && bench.pulses(5).count() == 100);
+    }
+}
+
+#[test]
+fn an_e_stop_with_100_ms_of_24_motors_queued_turns_all_lines_off_after_its_tick() {
+    for shell in SHELLS {
+        for event in [150u64, 300, 999, 1_500, 2_345, 8_000] {
+            let mut bench = Bench::armed(shell);
+            let start = bench.now + 100;
+            let mut strokes: Vec<Stroke> = (0..MOTORS as u8)
+                .flat_map(|motor| (0..6).map(move |k| (motor, k)))
+                .map(|(motor, k)| stroke(motor, start + 59 * u64::from(motor) + 1_417 * k, 147, 561, 147))
+                .collect();
+            strokes.sort_by_key(|stroke| stroke.up);
+            for frame in strokes.chunks(20) {
+                bench.strokes(frame);
+            }
+            assert_eq!(bench.status().credits, POOL as u16 - 144);
+            bench.run_to(start + event);
+            bench.control(Op::EStop);
+            let at = bench.now;
+            bench.run(10_000);
+            assert!(bench.last_pulse().is_some_and(|last| last <= at));
+            let counters = bench.device.counters();
+            assert_eq!((counters.played + counters.dropped, counters.pulses), (288, bench.total()));
+            assert_eq!((bench.status().credits, counters.late + counters.refused), (POOL as u16, 0));
+            for motor in 0..MOTORS as u8 {
+                assert_eq!(bench.net(motor), i64::from(bench.device.outstanding(motor)));
+            }
+            bench.control(Op::Reset);
+            bench.arm(false);
+            bench.settle();
+            bench.run(1_000);
+            assert!((0..MOTORS as u8).all(|motor| bench.net(motor) == 0));
+        }
+    }
+}
+
+#[test]
+fn a_stop_of_24_motors_takes_at_most_one_burst_and_stays_armed() {
+    let mut bench = Bench::armed(FIRMWARE);
+    let start = bench.now + 100;
+    for motor in 0..MOTORS as u8 {
+        bench.strokes(&[stroke(motor, start + 20 * u64::from(motor), 147, 300, 147)]);
+    }
+    bench.run_to(start + 550);
+    let at = bench.device.rendered().0;
+    bench.control(Op::Stop);
+    bench.is(State::Returning, Cause::Stop);
+    bench.settle();
+    bench.is(State::Armed, Cause::Stop);
+    assert!(bench.last_pulse().is_some_and(|last| last < at + 147));
+    assert!((0..MOTORS as u8).all(|motor| bench.net(motor) == 0 && bench.pulses(motor).count() > 0));
+    // It takes strokes at once.
+    let next = stroke(0, bench.now + 100, 5, 5, 5);
+    bench.strokes(&[next]);
+    bench.run(200);
+    assert_eq!(bench.bursts(0)[2..], next.bursts());
+}
+
+#[test]
+fn a_pin_held_for_more_than_16_bits_of_ticks_is_returned_or_outstanding() {
+    for (event, down) in [(Op::Stop, true), (Op::EStop, false)] {
+        let mut bench = Bench::armed(FIRMWARE);
+        let held = stroke(3, bench.now + 100, 50, 100_000, 50);
+        bench.strokes(&[held]);
+        bench.run(70_000);
+        bench.control(event);
+        bench.run(40_000);
+        assert_eq!(bench.net(3), if down { 0 } else { 50 });
+        assert_eq!(bench.outstanding(), if down { 0 } else { 50 });
+        assert_eq!(bench.device.counters().pulses, bench.total());
+    }
+}
+
+#[test]
+fn what_was_rendered_before_an_e_stop_stays_off_through_reset_and_arm() {
+    let mut bench = Bench::armed(FIRMWARE);
+    let cut = stroke(3, bench.now + 64, 200, 5, 200);
+    bench.strokes(&[cut]);
+    bench.run_to(cut.up.0 + 10);
+    bench.control(Op::EStop);
+    bench.control(Op::Reset);
+    bench.arm(false);
+    let from = bench.device.rendered().0;
+    assert!(from > bench.now + 1 && bench.device.forced_off(Tick(from - 1)));
+    assert!(!bench.device.forced_off(Tick(from)));
+    bench.settle();
+    assert_eq!(bench.bursts(3), [burst(cut.up.0, Up, 11), burst(from, Down, 11)]);
+}
+
+#[test]
+fn a_starved_shell_counts_as_having_played_what_it_rendered() {
+    let mut bench = Bench::armed(FIRMWARE);
+    let starved = stroke(3, bench.now + 100, 200, 50, 200);
+    bench.strokes(&[starved]);
+    bench.run(80);
+    let rendered = bench.device.rendered();
+    bench.device.poll(rendered + 1_000);
+    bench.device.fault(rendered + 1_000, Cause::Starved);
+    assert_eq!(u64::from(bench.device.outstanding(3)), rendered - starved.up);
+    assert_eq!(bench.device.counters().pulses, rendered - starved.up);
+    assert_eq!((bench.device.counters().played, bench.device.counters().dropped), (1, 1));
+}
+
+#[test]
+fn an_e_stop_found_before_its_frame_counts_once_and_from_where_it_was_found() {
+    let mut bench = Bench::armed(FIRMWARE);
+    let first = stroke(1, bench.now + 100, 200, 5, 200);
+    bench.onset(first.up.0, &[first]);
+    bench.run_to(first.up.0 + 50);
+    let epoch = bench.epoch.wrapping_add(1);
+    // An e-stop of the present epoch does nothing.
+    bench.device.e_stop(Tick(bench.now), bench.epoch);
+    bench.is(State::Armed, Cause::Request);
+    assert_eq!(bench.device.epoch(), Some(bench.epoch));
+    bench.device.e_stop(Tick(bench.now), epoch);
+    bench.is(State::Faulted, Cause::EStop);
+    let at = bench.now;
+    // Frames before it, and its own, arrive afterwards.
+    bench.strokes(&[stroke(2, bench.now + 300, 9, 5, 9)]);
+    bench.run(3);
+    bench.control(Op::EStop);
+    bench.run(2_000);
+    assert_eq!(bench.last_pulse(), Some(at));
+    assert_eq!((bench.reports().len(), bench.epoch), (2, epoch));
+    assert_eq!(i64::from(bench.device.outstanding(1)), bench.net(1));
+    bench.control(Op::Reset);
+    bench.is(State::Disarmed, Cause::Request);
+
+    let mut alone = Bench::new(FIRMWARE);
+    alone.device.e_stop(Tick(alone.now), 1);
+    assert_eq!((alone.device.epoch(), alone.device.state()), (None, State::Disarmed));
+}

@@ -1,0 +1,171 @@
+//! Moves and their travel, and on-time limits of strokes, moves and amendments.
+
+use crate::bench::{Bench, SHELLS, arm, stroke};
+use Direction::{Down, Up};
+use firmware_protocol::limits::{OnTimeLimits, Refusal};
+use firmware_protocol::message::{Cause, Op, Report, State};
+use firmware_protocol::stroke::{Direction, Stroke};
+use firmware_protocol::tick::TICK_HZ;
+
+fn shift(motor: u8, direction: Direction, pulses: u16) -> Op {
+    Op::Move { motor, direction, pulses }
+}
+
+#[test]
+fn moves_shift_a_pin_within_its_travel() {
+    for shell in SHELLS {
+        let mut bench = Bench::armed(shell);
+        let ask = |bench: &mut Bench, direction, pulses, refusal| {
+            let before = bench.net(2);
+            bench.control(shift(2, direction, pulses));
+            assert_eq!(bench.status().refusal, refusal);
+            bench.run(u64::from(pulses) + 100);
+            let moved = if refusal.is_some() { 0 } else { i64::from(pulses) };
+            assert_eq!(bench.net(2) - before, if direction == Up { moved } else { -moved });
+        };
+        ask(&mut bench, Up, 3_001, Some(Refusal::Travel));
+        ask(&mut bench, Up, 100, None);
+        ask(&mut bench, Up, 2_900, None);
+        ask(&mut bench, Up, 1, Some(Refusal::Travel));
+        ask(&mut bench, Down, 6_000, None);
+        ask(&mut bench, Down, 1, Some(Refusal::Travel));
+        ask(&mut bench, Down, u16::MAX, Some(Refusal::Travel));
+        ask(&mut bench, Up, 0, None);
+        bench.control(shift(24, Up, 1));
+        assert_eq!(bench.status().refusal, Some(Refusal::Motor));
+        // Refused while anything is queued, moves included.
+        bench.control(shift(4, Up, 10));
+        bench.control(shift(5, Up, 10));
+        assert_eq!(bench.status().refusal, Some(Refusal::State));
+        bench.run(200);
+        bench.strokes(&[stroke(0, bench.now + 5_000, 5, 5, 5)]);
+        bench.control(shift(4, Up, 10));
+        assert_eq!(bench.status().refusal, Some(Refusal::State));
+        // Moves do not count as played.
+        assert_eq!(bench.device.counters().played, 0);
+    }
+}
+
+#[test]
+fn the_travel_of_a_cut_move_is_what_the_pin_has_moved() {
+    for shell in SHELLS {
+        for (direction, limit) in [(Up, 3_000), (Down, -3_000)] {
+            for stop in (0..120).step_by(7) {
+                for estop in (0..90).step_by(9).map(Some).chain([None]) {
+                    let mut bench = Bench::armed(shell);
+                    bench.control(shift(2, direction, 40));
+                    bench.run(stop);
+                    bench.control(Op::Stop);
+                    if let Some(estop) = estop {
+                        bench.run(estop);
+                        bench.control(Op::EStop);
+                        bench.control(Op::Reset);
+                        bench.arm(false);
+                    }
+                    bench.settle();
+                    bench.is(State::Armed, if estop.is_some() { Cause::Request } else { Cause::Stop });
+                    let room = u16::try_from((limit - bench.net(2)).abs()).unwrap();
+                    bench.control(shift(2, direction, room + 1));
+                    assert_eq!(bench.status().refusal, Some(Refusal::Travel), "{stop} {estop:?} {shell:?}");
+                    bench.control(shift(2, direction, room));
+                    assert_eq!(bench.status().refusal, None, "{stop} {estop:?} {shell:?}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn an_on_time_limit_refuses_strokes_when_they_begin_and_is_named() {
+    for shell in SHELLS {
+        for (motor, rail, reason) in [(30, 510_000, Refusal::MotorOnTime), (85_000, 30, Refusal::RailOnTime)]
+        {
+            let mut bench = Bench::limited(shell, motor, rail);
+            let strokes: Vec<_> = (0..3).map(|k| stroke(3, bench.now + 100 + 50 * k, 7, 6, 7)).collect();
+            bench.strokes(&strokes);
+            // The next rail is counted by itself.
+            bench.strokes(&[stroke(6, bench.now + 300, 7, 6, 7)]);
+            // A second later the strokes no longer count.
+            let again = stroke(3, bench.now + 200 + u64::from(TICK_HZ) + 2_500, 7, 6, 7);
+            bench.strokes(&[again]);
+            bench.run(90_000);
+            let played: Vec<_> = [strokes[0], strokes[1], again].iter().flat_map(Stroke::bursts).collect();
+            assert_eq!(bench.bursts(3), played, "{shell:?}");
+            assert_eq!(bench.pulses(6).count(), 14);
+            assert_eq!(bench.reports(), [Report::Refused { motor: 3, up: strokes[2].up.wire(), reason }]);
+            let counters = bench.device.counters();
+            assert_eq!((counters.played, counters.refused, counters.pulses), (8, 2, bench.total()));
+        }
+    }
+}
+
+#[test]
+fn every_pulse_counts_once_against_on_time() {
+    for shell in SHELLS {
+        // One stroke per 1.1 s, with as many pulses as the limit: none is refused.
+        let mut bench = Bench::limited(shell, 14, 600);
+        for _ in 0..5 {
+            bench.strokes(&[stroke(3, bench.now + 100, 7, 6, 7)]);
+            bench.run(93_500);
+        }
+        assert_eq!((bench.device.counters().played, bench.device.counters().refused), (10, 0));
+
+        // A stroke rendered to its end and cut by an e-stop is removed from the count once.
+        let mut bench = Bench::limited(shell, 28, 600);
+        let first = stroke(3, bench.now + 100, 7, 6, 7);
+        bench.strokes(&[first]);
+        bench.run_to(first.end().0 - 1);
+        bench.control(Op::EStop);
+        bench.control(Op::Reset);
+        bench.control(arm(false, 10 * TICK_HZ, OnTimeLimits { motor: 28, rail: 600 }));
+        // The second stroke still counts when the first no longer does; the fourth breaks the limit.
+        let second = u64::from(TICK_HZ);
+        for at in [80_000, second + 5_000, second + 10_000] {
+            bench.run_to(first.up.0 + at - 100);
+            bench.strokes(&[stroke(3, first.up.0 + at, 7, 6, 7)]);
+        }
+        bench.run(500);
+        assert_eq!((bench.device.counters().played, bench.device.counters().refused), (6, 2), "{shell:?}");
+    }
+}
+
+#[test]
+fn moves_and_amendments_of_begun_strokes_count_against_on_time() {
+    for shell in SHELLS {
+        let mut bench = Bench::limited(shell, 20, 600);
+        bench.control(shift(2, Up, 21));
+        assert_eq!(bench.status().refusal, Some(Refusal::MotorOnTime));
+        bench.control(shift(2, Up, 20));
+        assert_eq!(bench.status().refusal, None);
+        bench.run(200);
+        bench.control(shift(2, Down, 1));
+        assert_eq!(bench.status().refusal, Some(Refusal::MotorOnTime));
+        bench.run(90_000);
+        bench.control(shift(2, Down, 20));
+        assert_eq!(bench.status().refusal, None);
+        bench.run(200);
+        assert_eq!(bench.net(2), 0);
+
+        let begun = stroke(3, bench.now + 100, 9, 200, 9);
+        bench.strokes(&[begun]);
+        bench.run(120);
+        bench.amend(1, &begun, Down, 11);
+        bench.amend(2, &begun, Down, 10);
+        bench.amend(3, &begun, Down, 11);
+        bench.amend(4, &begun, Down, 10);
+        bench.amend(5, &begun, Down, 11);
+        assert_eq!(bench.device.counters().amendments_ignored, 0);
+        bench.run(400);
+        assert_eq!(bench.bursts(3)[1].pulses, 11);
+
+        let mut bench = Bench::limited(shell, 19, 600);
+        let begun = stroke(3, bench.now + 100, 9, 200, 9);
+        bench.strokes(&[begun]);
+        bench.run(120);
+        bench.amend(1, &begun, Down, 10);
+        bench.amend(2, &begun, Down, 11);
+        bench.run(400);
+        assert_eq!((bench.device.counters().amendments_ignored, bench.device.counters().amended), (1, 1));
+        assert_eq!(bench.bursts(3)[1].pulses, 10);
+    }
+}

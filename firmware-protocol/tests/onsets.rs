@@ -1,0 +1,141 @@
+//! The first frame of a play: all or nothing, reported at its onset, with the trigger output.
+
+use crate::bench::{Bench, FIRMWARE, SHELLS, stroke};
+use crate::strokes::verdict;
+use firmware_protocol::controller::{POOL, TRIGGER_TICKS};
+use firmware_protocol::limits::Refusal;
+use firmware_protocol::message::{Op, Report};
+use firmware_protocol::tick::Tick;
+
+#[test]
+fn an_onset_is_all_or_nothing_and_reported_when_it_has_passed() {
+    for shell in SHELLS {
+        let mut bench = Bench::armed(shell);
+        bench.run(50);
+        let rendered = bench.device.rendered();
+        // The strokes are in time, the onset is not.
+        let strokes = [stroke(1, rendered.0 + 10, 9, 5, 9), stroke(2, rendered.0 + 20, 9, 5, 9)];
+        bench.onset(rendered.0 - 1, &strokes);
+        assert_eq!(bench.reports(), [Report::OnsetRefused { seq: 0, rendered: rendered.wire() }]);
+        assert_eq!((bench.status().next_seq, bench.status().credits), (1, POOL as u16));
+        // At the rendered end it is in time. A stroke refused for another reason does not hold up the others.
+        let bad = stroke(30, rendered.0 + 12, 9, 5, 9);
+        bench.onset(rendered.0, &[strokes[0], bad, strokes[1]]);
+        assert_eq!(verdict(&bench), (0, 2, Some(Refusal::Motor)));
+        let later = rendered + 60;
+        bench.onset(later.0, &[]);
+        bench.run(300);
+        let onsets: Vec<_> = bench
+            .reports()
+            .into_iter()
+            .filter_map(|report| match report {
+                Report::Onset { tick, counters } => Some((tick, counters.played, counters.pulses)),
+                _ => None,
+            })
+            .collect();
+        assert_eq!(onsets, [(rendered.wire(), 0, 0), (later.wire(), 4, 36)]);
+        assert_eq!(
+            (bench.bursts(1), bench.bursts(2)),
+            (strokes[0].bursts().into(), strokes[1].bursts().into())
+        );
+        assert_eq!((bench.device.counters().late, bench.device.counters().refused), (0, 2));
+    }
+}
+
+#[test]
+fn the_trigger_rises_with_each_onset_and_stays_for_10_ms() {
+    let ms_10 = u64::from(TRIGGER_TICKS);
+    for shell in SHELLS {
+        let mut bench = Bench::armed(shell);
+        let base = bench.now + 100;
+        // The third comes while the trigger is high from the second: one long pulse.
+        let onsets = [base, base + 2_000, base + 2_500, base + 5_000];
+        for onset in onsets {
+            bench.onset(onset, &[stroke(1, onset + 3, 9, 5, 9)]);
+        }
+        bench.run_to(base + 5_100);
+        bench.control(Op::EStop);
+        let end = bench.now;
+        bench.run(2_000);
+        let high: Vec<u64> = (base..base + ms_10)
+            .chain(base + 2_000..base + 2_500 + ms_10)
+            .chain(base + 5_000..=end)
+            .collect();
+        let ends_with_the_tick = usize::from(shell.ahead == 0);
+        assert_eq!(bench.triggered, high[..high.len() - ends_with_the_tick]);
+        // A trigger that an e-stop ends does not continue after a reset.
+        bench.control(Op::Reset);
+        bench.arm(true);
+        let onset = bench.now + 100;
+        bench.onset(onset, &[]);
+        bench.run_to(onset + 200);
+        bench.control(Op::EStop);
+        let seen = bench.triggered.len();
+        bench.run(100);
+        bench.control(Op::Reset);
+        bench.run(2_000);
+        assert_eq!(bench.triggered.len(), seen);
+    }
+}
+
+#[test]
+fn an_onset_counts_what_ended_before_it_even_if_a_cut_is_booked_first() {
+    let mut bench = Bench::armed(FIRMWARE);
+    let rendered = bench.device.rendered().0 + 200;
+    let ends = stroke(1, rendered - 40, 10, 5, 10);
+    assert_eq!(ends.end().0, rendered - 15);
+    bench.strokes(&[ends]);
+    bench.onset(rendered - 5, &[]);
+    // Both are rendered already when the stop comes, and are played.
+    bench.run_to(rendered - 20);
+    bench.control(Op::Stop);
+    bench.run(300);
+    let onset = bench.reports().into_iter().find_map(|report| match report {
+        Report::Onset { counters, .. } => Some((counters.played, counters.pulses)),
+        _ => None,
+    });
+    assert_eq!(onset, Some((2, 20)));
+}
+
+#[test]
+fn onsets_flushed_by_a_cut_are_not_reported() {
+    for (shell, event) in SHELLS.iter().flat_map(|&shell| [(shell, Op::Stop), (shell, Op::EStop)]) {
+        let mut bench = Bench::armed(shell);
+        // Out of order, as a faulty host may send them.
+        for ahead in [5_000, 90, 3_000] {
+            bench.onset(bench.now + ahead, &[]);
+        }
+        bench.run(200);
+        bench.control(event);
+        bench.run(6_000);
+        assert!(!bench.reports().iter().any(
+            |report| matches!(report, Report::Onset { tick, .. } if tick.near(Tick(bench.now)).0 > bench.now - 4_000)
+        ));
+    }
+}
+
+#[test]
+fn an_e_stop_in_the_tick_before_an_onset_leaves_it_unplayed_and_unreported() {
+    for shell in SHELLS {
+        let mut bench = Bench::armed(shell);
+        let first = stroke(1, bench.now + 100, 9, 5, 9);
+        bench.onset(first.up.0, &[first]);
+        bench.run(99);
+        bench.control(Op::EStop);
+        bench.run(200);
+        assert_eq!((bench.total(), bench.reports().len()), (0, 1));
+        assert!(matches!(bench.last_report(), Report::Cut(cut) if cut.flushed == 1));
+    }
+}
+
+#[test]
+fn at_most_eight_onsets_wait() {
+    let mut bench = Bench::armed(FIRMWARE);
+    for k in 0..9 {
+        bench.onset(bench.now + 100 + k, &[]);
+    }
+    assert_eq!(bench.status().next_seq, 8);
+    bench.run(102);
+    bench.onset(bench.now + 100, &[]);
+    assert_eq!(bench.status().next_seq, 9);
+}
