@@ -1,11 +1,11 @@
-//! The choice of a method keeps what it says: measured on random scenes.
+//! The chosen method keeps to the allowed error, measured on random scenes.
 
 use meissner_skin::{Method, Options, Scene, choose, simulate};
 use meissner_test_support::random::Random;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// The true RMS over receptors of a method's rate error.
+/// A method's true rate error: RMS over afferents, impulses/s.
 fn rate_error_hz(scene: &Scene, method: Method) -> f64 {
     let counts = |method| simulate(scene, &Options::rates(method), &|_| ()).unwrap().counts;
     let (found, exact) = (counts(method), counts(Method::Exact));

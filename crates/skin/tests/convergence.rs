@@ -1,20 +1,20 @@
-//! The stepped methods come to the exact one as the step shrinks, each at its own order.
+//! The stepped methods converge to the exact one as the step shrinks, each at its own order.
 
 use meissner_skin::{Integrator, Method, Options, Precision, Scene, Stepping, simulate as solve};
 use meissner_test_support::random::Random;
 use meissner_test_support::{both, oracle};
 
 const STEPS_US: [u32; 6] = [400, 200, 100, 50, 25, 12];
-/// Spikes whose membrane meets its threshold less steeply, 1/s, are left out: their error goes with its root.
+/// Spikes whose membrane crosses the threshold less steeply, 1/s, are left out: their error shrinks with its root only.
 const STEEP: f64 = 15.0;
-/// A spike this far off is another one.
+/// A spike further off than this is another one.
 const MATCHED_S: f64 = 0.003;
 
 fn spikes(scene: &Scene, method: Method) -> Vec<Vec<f64>> {
     solve(scene, &Options::spikes(method), &|_| ()).unwrap().spikes_s.unwrap()
 }
 
-/// One motor, receptors around it, and how many leading spikes of each are well conditioned.
+/// One motor, afferents around it, and the number of well-conditioned leading spikes of each.
 fn scene(seed: u64, rectify: oracle::Rectify) -> (Scene, Vec<usize>) {
     let mut random = Random::new(seed);
     let motor = random.below(24);
@@ -36,18 +36,18 @@ fn scene(seed: u64, rectify: oracle::Rectify) -> (Scene, Vec<usize>) {
         hyperexcitability_depth: 0.3,
         sigma_mm: 1.1,
     };
-    let receptors =
+    let afferents =
         (0..8).map(|_| (pin.0 + random.between(-1.0, 1.0), pin.1 + random.between(-1.0, 1.0))).collect();
     let scene =
-        oracle::Scene { duration_s: 0.15, drives: vec![drive], receptors, model, offsets: Vec::new() };
+        oracle::Scene { duration_s: 0.15, drives: vec![drive], afferents, model, offsets: Vec::new() };
     let (theirs, ours) = both::both(scene, 0.0, seed);
     let steep =
         |train: &oracle::Train| train.spikes.iter().take_while(|spike| spike.margin > STEEP).count().min(4);
     (ours, oracle::spikes(&theirs).iter().map(steep).collect())
 }
 
-/// How a method's spikes differ from others, by step: mean over the spikes that are matched at every step, s; and
-/// the share of those.
+/// A method's error per step: the mean time between its spikes and the reference's over the spikes that match at every
+/// step, s; and the share of those.
 fn errors(
     scenes: &[(Scene, Vec<usize>)],
     method: impl Fn(u32) -> Method,
@@ -57,12 +57,12 @@ fn errors(
     for (scene, steep) in scenes {
         let by_step =
             STEPS_US.map(|step_us| (spikes(scene, method(step_us)), spikes(scene, reference(step_us))));
-        for (receptor, &steep) in steep.iter().enumerate() {
+        for (afferent, &steep) in steep.iter().enumerate() {
             for spike in 0..steep {
                 all += 1;
                 let error = |(found, expected): &(Vec<Vec<f64>>, Vec<Vec<f64>>)| {
-                    let found = found[receptor].get(spike)?;
-                    Some((found - expected[receptor].get(spike)?).abs()).filter(|&error| error < MATCHED_S)
+                    let found = found[afferent].get(spike)?;
+                    Some((found - expected[afferent].get(spike)?).abs()).filter(|&error| error < MATCHED_S)
                 };
                 let errors: Option<Vec<f64>> = by_step.iter().map(error).collect();
                 let Some(errors) = errors else { continue };
@@ -75,7 +75,7 @@ fn errors(
     (sums.map(|sum| sum / f64::from(matched)), f64::from(matched) / f64::from(all))
 }
 
-/// Of the logarithms, by least squares.
+/// The order of convergence: the slope of the logarithms, by least squares.
 fn order(errors: &[f64]) -> f64 {
     let n = errors.len() as f64;
     let points: Vec<_> =

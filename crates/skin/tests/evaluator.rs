@@ -1,4 +1,4 @@
-//! A scene changed motor by motor has the answer of one simulated afresh, and so has one that is only tried.
+//! A scene changed motor by motor, and every candidate, has the answer of a fresh simulation.
 
 use meissner_array::pattern::Drive;
 use meissner_skin::afferent::{AfferentModel, MIN_WEIGHT, Position, Rectify};
@@ -21,7 +21,7 @@ fn afresh(scene: &Scene, options: &Options) -> Vec<u64> {
     simulate(scene, options, &|_| ()).unwrap().counts
 }
 
-/// What an optimiser does to a motor: another frequency, another phase, off, on again, one drive after the other.
+/// A change that an optimiser makes to a motor: another frequency, another phase, off, on again, two drives in turn.
 fn changed(random: &mut Random, motor: u8, now: Option<Drive>) -> Vec<Drive> {
     let new = random.drive(motor);
     match (random.below(6), now) {
@@ -42,8 +42,8 @@ fn any_sequence_of_changes_ends_where_a_fresh_simulation_does() {
         let mut random = Random::new(seed);
         let scene = random.scene(0.5);
         let model = AfferentModel { noise_sd: [0.0, 0.05][seed as usize % 2], ..*scene.model() };
-        let (drives, receptors) = (scene.drives().to_vec(), scene.afferents().to_vec());
-        let mut scene = Scene::new(0.4, seed, drives, receptors, model).unwrap();
+        let (drives, afferents) = (scene.drives().to_vec(), scene.afferents().to_vec());
+        let mut scene = Scene::new(0.4, seed, drives, afferents, model).unwrap();
         let options = Options::rates(methods()[seed as usize % 3]);
         let mut evaluator = Evaluator::new(scene.clone(), options).unwrap();
         let mut reused = 0;
@@ -62,13 +62,13 @@ fn any_sequence_of_changes_ends_where_a_fresh_simulation_does() {
     }
 }
 
-/// A random scene of 0.4 s and an evaluator of it, now with and now without noise, gains, and a coarser reach.
+/// An evaluator of a random scene of 0.4 s: some with noise, with gains, or with a larger least weight.
 fn evaluated(seed: u64) -> (Random, Evaluator, Options) {
     let mut random = Random::new(seed);
     let scene = random.scene(0.7);
     let model = AfferentModel { noise_sd: [0.0, 0.05][seed as usize % 2], ..*scene.model() };
-    let (drives, receptors) = (scene.drives().to_vec(), scene.afferents().to_vec());
-    let mut scene = Scene::new(0.4, seed, drives, receptors, model).unwrap();
+    let (drives, afferents) = (scene.drives().to_vec(), scene.afferents().to_vec());
+    let mut scene = Scene::new(0.4, seed, drives, afferents, model).unwrap();
     if random.chance(0.3) {
         scene = scene.with_gains(&std::array::from_fn(|_| random.between(0.8, 1.2))).unwrap();
     }
@@ -94,7 +94,7 @@ fn tried(random: &mut Random, drives: &[Drive]) -> Vec<Drive> {
 }
 
 #[test]
-fn a_trial_comes_to_what_a_fresh_simulation_does_and_changes_nothing() {
+fn a_candidate_has_the_answer_of_a_fresh_simulation_and_changes_nothing() {
     for seed in 0..24 {
         let (mut random, mut evaluator, options) = evaluated(seed);
         let mut spared = false;
@@ -102,23 +102,23 @@ fn a_trial_comes_to_what_a_fresh_simulation_does_and_changes_nothing() {
             let (scene, counts) = (evaluator.scene().clone(), evaluator.counts().to_vec());
             let candidates: Vec<_> = (0..4).map(|_| tried(&mut random, scene.drives())).collect();
             // Several threads at once.
-            let mut trials: Vec<_> =
+            let mut evaluated: Vec<_> =
                 candidates.par_iter().map(|drives| evaluator.evaluate(drives).unwrap()).collect();
             assert_eq!((evaluator.scene(), evaluator.counts()), (&scene, &counts[..]));
-            for (trial, drives) in trials.iter().zip(&candidates) {
+            for (candidate, drives) in evaluated.iter().zip(&candidates) {
                 let expected = afresh(&scene.with_drives(drives.clone()).unwrap(), &options);
-                assert_eq!(trial.drives(), drives);
-                assert_eq!(trial.counts(), expected, "seed {seed}");
-                assert!(trial.changed().all(|(number, count)| expected[number as usize] == count));
-                assert_eq!(trial.changed().count(), trial.simulated());
-                spared |= (1..counts.len()).contains(&trial.simulated());
+                assert_eq!(candidate.drives(), drives);
+                assert_eq!(candidate.counts(), expected, "seed {seed}");
+                assert!(candidate.changed().all(|(number, count)| expected[number as usize] == count));
+                assert_eq!(candidate.changed().count(), candidate.simulated());
+                spared |= (1..counts.len()).contains(&candidate.simulated());
             }
-            let accepted = trials.swap_remove(random.below(4));
+            let accepted = evaluated.swap_remove(random.below(4));
             let (drives, counts) = (accepted.drives().to_vec(), accepted.counts());
             evaluator.accept(accepted);
             assert_eq!((evaluator.scene().drives(), evaluator.counts()), (&drives[..], &counts[..]));
-            // What was tried of the scene as it was before is not what it comes to now.
-            let late = trials.swap_remove(0);
+            // A candidate of the earlier scene is simulated again.
+            let late = evaluated.swap_remove(0);
             let drives = late.drives().to_vec();
             evaluator.accept(late);
             assert_eq!(evaluator.counts(), afresh(&scene.with_drives(drives).unwrap(), &options));
@@ -143,7 +143,7 @@ fn a_motor_set_to_what_it_does_is_not_simulated() {
     let drive = scene.drives()[0];
     let last = *scene.drives().last().unwrap();
     let mut evaluator = Evaluator::new(scene, Options::rates(Method::Exact)).unwrap();
-    // The last drive stays the last; the first one's place in the list changes, which matters to nobody.
+    // The last drive stays the last. The first one's place in the list changes, which must not matter.
     let skipped = evaluator.set_motor(last.motor, &[last]).unwrap();
     assert_eq!(skipped.afferents_reused, 306);
     assert_eq!(evaluator.set_motor(drive.motor, &[drive]).unwrap().afferents_reused, 306);
@@ -153,9 +153,9 @@ fn a_motor_set_to_what_it_does_is_not_simulated() {
 fn a_refused_change_leaves_everything_as_it_was() {
     let drive =
         Drive { motor: 9, frequency_hz: 60.0, amplitude_um: 80.0, phase: 0.0, start_s: None, stop_s: None };
-    let receptors = vec![Position { x_mm: -1.5, y_mm: 1.5 }, Position { x_mm: 4.0, y_mm: -7.0 }];
+    let afferents = vec![Position { x_mm: -1.5, y_mm: 1.5 }, Position { x_mm: 4.0, y_mm: -7.0 }];
     let model = AfferentModel::default_for(Rectify::Half, 0.05);
-    let scene = Scene::new(0.5, 1, vec![drive, Drive { motor: 23, ..drive }], receptors, model).unwrap();
+    let scene = Scene::new(0.5, 1, vec![drive, Drive { motor: 23, ..drive }], afferents, model).unwrap();
     for method in methods() {
         let mut evaluator = Evaluator::new(scene.clone(), Options::rates(method)).unwrap();
         let before = evaluator.counts().to_vec();
@@ -170,14 +170,14 @@ fn a_refused_change_leaves_everything_as_it_was() {
             evaluator.set_motor(motor, &drives).unwrap_err();
             assert_eq!((evaluator.scene(), evaluator.counts()), (&scene, &before[..]));
         }
-        // And it still works.
+        // It still works.
         evaluator.set_motor(9, &[]).unwrap();
         assert_eq!((evaluator.counts()[0], evaluator.counts()[1]), (0, before[1]));
     }
 }
 
 #[test]
-fn a_method_that_cannot_is_refused() {
+fn a_method_that_cannot_simulate_the_scene_is_refused() {
     let scene = Random::new(3).scene(0.0);
     let method = Stepping { step_us: 0, integrator: Integrator::Propagator, precision: Precision::F64 };
     Evaluator::new(scene, Options::rates(Method::Stepped(method))).unwrap_err();

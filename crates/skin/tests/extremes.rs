@@ -1,14 +1,13 @@
-//! Scenes at the edges of what a scene may be, by every method: each has one right answer, and says which.
+//! Extreme scenes, by every method: each has one right answer.
 //!
-//! Answers come from the oracle where it promises one, else from a closed form that is written down beside the test.
-//! A stepped method is held to what it defines: one spike per step at most, its step's error, never an answer that is
-//! not finite.
+//! The answer comes from the oracle where it promises one, else from a closed form beside the test. A stepped method is
+//! held to its definition: at most one spike per step, the error of its step, and only finite numbers.
 //!
-//! Invariant: whatever is simulated here is simulated with and without skipping, for spikes and for rates, and is the same.
+//! Invariant: every scene here is simulated with and without skipping, for spikes and for rates, with the same answer.
 
+mod afferents;
 mod drives;
 mod events;
-mod receptors;
 mod refusals;
 mod regressions;
 mod sizes;
@@ -32,7 +31,7 @@ fn drive(motor: u8, frequency_hz: f64, amplitude_um: f64) -> Drive {
     Drive { motor, frequency_hz, amplitude_um, phase: 0.0, start_s: None, stop_s: None }
 }
 
-/// A receptor so far to the right of a pin.
+/// The position `right_mm` to the right of a pin.
 fn beside(motor: u8, right_mm: f64) -> Position {
     let [x_mm, y_mm] = geometry::position_mm(motor);
     Position { x_mm: x_mm + right_mm, y_mm }
@@ -42,13 +41,13 @@ fn under(motor: u8) -> Position {
     beside(motor, 0.0)
 }
 
-fn scene(duration_s: f64, drives: &[Drive], receptors: &[Position], model: AfferentModel) -> Scene {
-    Scene::new(duration_s, 7, drives.to_vec(), receptors.to_vec(), model).unwrap()
+fn scene(duration_s: f64, drives: &[Drive], afferents: &[Position], model: AfferentModel) -> Scene {
+    Scene::new(duration_s, 7, drives.to_vec(), afferents.to_vec(), model).unwrap()
 }
 
-/// One stroke up at time 0, so that a touchy receptor spikes as often as it can.
-fn stroke_up(touchy: AfferentModel, duration_s: f64) -> Scene {
-    scene(duration_s, &[drive(9, 0.001, 80.0)], &[under(9)], touchy)
+/// One stroke up at time 0, so that a sensitive afferent spikes as often as it can.
+fn stroke_up(sensitive: AfferentModel, duration_s: f64) -> Scene {
+    scene(duration_s, &[drive(9, 0.001, 80.0)], &[under(9)], sensitive)
 }
 
 const fn stepping(step_us: u32, integrator: Integrator, precision: Precision) -> Method {
@@ -79,7 +78,7 @@ fn methods(step_us: u32) -> [Method; 5] {
     [Method::Exact, a, b, c, d]
 }
 
-/// Spikes, which have passed what holds of every scene and method.
+/// Spikes, checked for everything that holds for every scene and method.
 fn spikes(scene: &Scene, method: Method) -> Vec<Vec<f64>> {
     let options = Options::spikes(method);
     let answer = simulate(scene, &options, &|_| ()).unwrap();
@@ -119,7 +118,7 @@ fn exact(scene: &Scene) -> Vec<Vec<f64>> {
     spikes(scene, Method::Exact)
 }
 
-/// The scene as the oracle wants it, noise drawn.
+/// The scene for the oracle, with its noise drawn.
 fn for_oracle(scene: &Scene) -> oracle::Scene {
     let drive = |drive: &Drive| oracle::Drive {
         motor: drive.motor.into(),
@@ -131,14 +130,14 @@ fn for_oracle(scene: &Scene) -> oracle::Scene {
     };
     let model = scene.model();
     let most = 2 + (scene.duration_s() / model.refractory_s) as usize;
-    let offsets = |receptor: usize| {
-        let mut noise = Normals::new(scene.seed(), receptor as u64);
+    let offsets = |afferent: usize| {
+        let mut noise = Normals::new(scene.seed(), afferent as u64);
         (0..most).map(|_| model.noise_sd * noise.next().clamp(-8.0, 8.0)).collect()
     };
     oracle::Scene {
         duration_s: scene.duration_s(),
         drives: scene.drives().iter().map(drive).collect(),
-        receptors: scene.afferents().iter().map(|at| (at.x_mm, at.y_mm)).collect(),
+        afferents: scene.afferents().iter().map(|at| (at.x_mm, at.y_mm)).collect(),
         offsets: (0..scene.afferents().len()).map(offsets).collect(),
         model: oracle::Model {
             rectify: match model.rectify {
@@ -156,7 +155,7 @@ fn for_oracle(scene: &Scene) -> oracle::Scene {
     }
 }
 
-/// The exact method's spikes, at least `least` of which the oracle promises and has, too.
+/// The exact method's spikes. The oracle must promise, and have, at least `least` of them.
 fn as_the_oracle(scene: &Scene, least: usize) -> Vec<Vec<f64>> {
     let found = exact(scene);
     let compared = oracle::compare(&oracle::spikes(&for_oracle(scene)), &found, 1e-9).unwrap();
@@ -164,7 +163,7 @@ fn as_the_oracle(scene: &Scene, least: usize) -> Vec<Vec<f64>> {
     found
 }
 
-/// Of the stepped methods: each receptor has as many spikes as the exact one but for `off`.
+/// Checks that by the stepped methods each afferent has as many spikes as by the exact one, give or take `off`.
 fn counts_near(scene: &Scene, step_us: u32, off: usize) {
     let expected = exact(scene);
     for method in stepped(step_us) {

@@ -1,4 +1,4 @@
-//! A motor's gain scales what it does to the skin, whatever the method.
+//! A motor's gain scales its effect on the skin, by every method.
 
 use meissner_skin::afferent::AfferentModel;
 use meissner_skin::{
@@ -35,16 +35,16 @@ fn gains_are_those_of_the_oracle() {
     assert!(compared > 5_000, "{compared}");
 }
 
-/// The model is linear until it is rectified: all motors' gain is the receptors' sensitivity.
+/// The model is linear before rectification, so one gain of all motors acts like the afferents' sensitivity.
 #[test]
 fn the_same_gain_of_all_motors_is_alpha() {
     for seed in 0..12 {
         let scene = Random::new(seed).scene(0.5);
-        // By a power of 2, so that nothing is rounded differently.
+        // A power of 2, so that nothing is rounded differently.
         let gain = [0.5, 2.0][seed as usize % 2];
         let model = AfferentModel { alpha_per_um: gain * scene.model().alpha_per_um, ..*scene.model() };
-        let (drives, receptors) = (scene.drives().to_vec(), scene.afferents().to_vec());
-        let louder = Scene::new(scene.duration_s(), scene.seed(), drives, receptors, model).unwrap();
+        let (drives, afferents) = (scene.drives().to_vec(), scene.afferents().to_vec());
+        let louder = Scene::new(scene.duration_s(), scene.seed(), drives, afferents, model).unwrap();
         let gained = scene.with_gains(&[gain; 24]).unwrap();
         for method in METHODS {
             let (louder, gained) = (answer(&louder, method), answer(&gained, method));
@@ -75,9 +75,9 @@ fn a_gain_of_0_is_a_motor_left_out_and_of_1_none() {
     }
 }
 
-/// With gains that reach from nothing to ten times, what is skipped changes nothing, nor does an evaluator.
+/// With gains from 0 to 10, neither skipping nor an evaluator changes the answer.
 #[test]
-fn whoever_skips_knows_of_gains() {
+fn skipping_takes_gains_into_account() {
     for seed in 0..9 {
         let mut random = Random::new(seed);
         let gains = std::array::from_fn(|_| random.log_between(0.01, 10.0));

@@ -1,4 +1,4 @@
-//! What a receptor does depends on the scene alone: on nothing about how it is computed, to the last bit.
+//! An afferent's answer depends on the scene alone, to the last bit, and not on how it is computed.
 
 use meissner_array::pattern::Drive;
 use meissner_skin::afferent::{AfferentModel, Position, Rectify, population};
@@ -18,7 +18,7 @@ fn methods() -> Vec<Method> {
     methods
 }
 
-/// The oracle's, some with noise, and some of a whole finger, so long that they take several blocks.
+/// The oracle's scenes, some with noise, and some of a whole population, long enough for several blocks.
 fn scenes() -> Vec<Scene> {
     let oracles = (0..40)
         .map(|seed| both::both(oracle::random_scene(seed), [0.0, 0.05, 0.5][seed as usize % 3], seed).1);
@@ -26,24 +26,24 @@ fn scenes() -> Vec<Scene> {
     oracles.chain(fingers).chain([long(0.0), long(0.05)]).collect()
 }
 
-/// All motors at frequencies that have nothing to do with each other: some ten blocks of breaks, four of steps.
+/// All motors at unrelated frequencies: about ten blocks of breakpoints, four of steps.
 fn long(noise_sd: f64) -> Scene {
     let mut random = Random::new(99);
     let drives =
         (0..24).map(|motor| Drive { frequency_hz: random.between(100.0, 300.0), ..random.drive(motor) });
-    let receptors = population(5).into_iter().step_by(10).collect();
-    Scene::new(4.0, 5, drives.collect(), receptors, AfferentModel::default_for(Rectify::Half, noise_sd))
+    let afferents = population(5).into_iter().step_by(10).collect();
+    Scene::new(4.0, 5, drives.collect(), afferents, AfferentModel::default_for(Rectify::Half, noise_sd))
         .unwrap()
 }
 
 fn without_noise(scene: &Scene) -> Scene {
-    with_receptors(scene, scene.afferents().to_vec())
+    with_afferents(scene, scene.afferents().to_vec())
 }
 
-/// Other receptors, and no noise, which is keyed by their number.
-fn with_receptors(scene: &Scene, receptors: Vec<Position>) -> Scene {
+/// The scene with other afferents and without noise, which is keyed by their numbers.
+fn with_afferents(scene: &Scene, afferents: Vec<Position>) -> Scene {
     let model = AfferentModel { noise_sd: 0.0, ..*scene.model() };
-    Scene::new(scene.duration_s(), scene.seed(), scene.drives().to_vec(), receptors, model).unwrap()
+    Scene::new(scene.duration_s(), scene.seed(), scene.drives().to_vec(), afferents, model).unwrap()
 }
 
 fn spikes(scene: &Scene, method: Method) -> Answer {
@@ -72,47 +72,47 @@ fn threads_change_nothing() {
 }
 
 #[test]
-fn the_order_of_receptors_changes_nothing() {
+fn the_order_of_afferents_changes_nothing() {
     for (index, scene) in scenes().iter().enumerate() {
         let order = Random::new(index as u64).shuffled(scene.afferents().len());
         let shuffled = order.iter().map(|&number| scene.afferents()[number]).collect();
-        let (scene, shuffled) = (without_noise(scene), with_receptors(scene, shuffled));
+        let (scene, shuffled) = (without_noise(scene), with_afferents(scene, shuffled));
         for method in methods() {
             let (in_order, found) = (bits(&spikes(&scene, method)), bits(&spikes(&shuffled, method)));
             for (place, &number) in order.iter().enumerate() {
-                assert_eq!(found[place], in_order[number], "scene {index}, receptor {number}, {method:?}");
+                assert_eq!(found[place], in_order[number], "scene {index}, afferent {number}, {method:?}");
             }
         }
     }
 }
 
 #[test]
-fn a_receptor_alone_does_what_it_does_among_others() {
+fn an_afferent_alone_has_the_same_answer_as_among_others() {
     for (index, scene) in scenes().iter().enumerate() {
         let scene = without_noise(scene);
         for method in methods() {
             let together = bits(&spikes(&scene, method));
             let few = together.len().div_ceil(8);
             for (number, &at) in scene.afferents().iter().enumerate().step_by(few) {
-                let alone = bits(&spikes(&with_receptors(&scene, vec![at]), method));
-                assert_eq!(alone[0], together[number], "scene {index}, receptor {number}, {method:?}");
+                let alone = bits(&spikes(&with_afferents(&scene, vec![at]), method));
+                assert_eq!(alone[0], together[number], "scene {index}, afferent {number}, {method:?}");
             }
         }
     }
 }
 
-/// How long a block is depends on how many breaks there are, felt or not.
+/// The length of a block depends on the number of breakpoints, whether or not they reach an afferent.
 #[test]
 fn blocks_change_nothing() {
     let near =
         Drive { motor: 0, frequency_hz: 61.3, amplitude_um: 80.0, phase: 0.3, start_s: None, stop_s: None };
-    let receptors: Vec<_> = (0..9)
+    let afferents: Vec<_> = (0..9)
         .map(|i| Position { x_mm: -4.35 + 0.2 * f64::from(i), y_mm: 7.25 - 0.1 * f64::from(i) })
         .collect();
     for noise_sd in [0.0, 0.05] {
         let scene = |drives| {
             let model = AfferentModel::default_for(Rectify::Half, noise_sd);
-            Scene::new(3.0, 1, drives, receptors.clone(), model).unwrap()
+            Scene::new(3.0, 1, drives, afferents.clone(), model).unwrap()
         };
         let expected = bits(&spikes(&scene(vec![near]), Method::Exact));
         assert!(expected.iter().all(|(count, _)| *count > 100));
@@ -125,9 +125,9 @@ fn blocks_change_nothing() {
     }
 }
 
-/// Breaks and samples are kept for all of a scene if they are few; the same scene watched for longer has too many.
+/// Breakpoints and samples of a whole scene are kept if they are few; the same scene of a longer duration has too many.
 #[test]
-fn whether_breaks_and_samples_are_kept_changes_nothing() {
+fn whether_breakpoints_and_samples_are_kept_changes_nothing() {
     let drive = |motor, frequency_hz| Drive {
         motor,
         frequency_hz,
@@ -137,7 +137,7 @@ fn whether_breaks_and_samples_are_kept_changes_nothing() {
         stop_s: None,
     };
     let drives = vec![drive(9, 61.3), drive(10, 4321.0), drive(13, 170.0)];
-    let receptors: Vec<_> =
+    let afferents: Vec<_> =
         (0..20).map(|i| Position { x_mm: -1.5 + 0.1 * f64::from(i), y_mm: 1.0 }).collect();
     let finely = |precision| Stepping { step_us: 10, integrator: Integrator::Propagator, precision };
     for method in [
@@ -147,7 +147,7 @@ fn whether_breaks_and_samples_are_kept_changes_nothing() {
     ] {
         let until = |duration_s| {
             let model = AfferentModel::default_for(Rectify::Half, 0.05);
-            let scene = Scene::new(duration_s, 3, drives.clone(), receptors.clone(), model).unwrap();
+            let scene = Scene::new(duration_s, 3, drives.clone(), afferents.clone(), model).unwrap();
             let trains = spikes(&scene, method).spikes_s.unwrap().into_iter();
             trains.map(|train| train.into_iter().filter(|&t| t < 0.7).collect()).collect()
         };
@@ -157,7 +157,7 @@ fn whether_breaks_and_samples_are_kept_changes_nothing() {
     }
 }
 
-/// With and without what can be left out; what was.
+/// Simulates with and without skipping, checks that the answers agree, and returns what was skipped.
 fn both_ways(scene: &Scene, method: Method) -> Skipped {
     let options = Options::spikes(method);
     let whole = solve(scene, &Options { skip: false, ..options }, &|_| ()).unwrap();
@@ -175,7 +175,7 @@ fn both_ways(scene: &Scene, method: Method) -> Skipped {
 }
 
 #[test]
-fn what_is_left_out_changes_nothing() {
+fn skipping_changes_nothing() {
     for method in methods() {
         let mut all = Skipped::default();
         for scene in scenes() {
@@ -192,7 +192,7 @@ fn what_is_left_out_changes_nothing() {
     }
 }
 
-/// Receptor-seconds that were repetitions, of `copies` receptors each at twelve places beside a pin.
+/// Afferent-seconds that were repetitions, of `copies` afferents each at twelve places beside a pin.
 fn repeated_s(copies: usize, rectify: Rectify, frequencies_hz: &[f64]) -> f64 {
     let drives: Vec<_> = (9..)
         .zip(frequencies_hz)
@@ -221,7 +221,7 @@ fn every_rectification_repeats(copies: usize) {
             assert!(repeated_s > 5.0, "{rectify:?}, {frequencies_hz:?}: {repeated_s}");
         }
     }
-    // Nothing is repeated where nothing repeats.
+    // Without a common period there is no repetition.
     assert_eq!(repeated_s(copies, Rectify::Half, &[61.803_398]), 0.0);
 }
 
@@ -251,9 +251,9 @@ fn periodic_scenes_of_a_finger_are_the_same_with_and_without_repetition() {
             vec![drive(9, 50.0), drive(10, 100.0)],
             vec![drive(5, 60.0), drive(9, 50.0), drive(18, 85.0)],
         ] {
-            let receptors = population(2).into_iter().step_by(3).collect();
+            let afferents = population(2).into_iter().step_by(3).collect();
             let model = AfferentModel::default_for(rectify, 0.0);
-            let scene = Scene::new(9.77, 0, drives, receptors, model).unwrap();
+            let scene = Scene::new(9.77, 0, drives, afferents, model).unwrap();
             both_ways(&scene, Method::Exact);
         }
     }

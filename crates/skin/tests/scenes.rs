@@ -1,3 +1,5 @@
+//! Scene files: the same scene in both languages and by both names, and one line for every mistake.
+
 use meissner_input::document;
 use meissner_skin::afferent::{AfferentModel, Rectify, population};
 use meissner_skin::{MAX_JSON_BYTES, MAX_TOML_BYTES, Problem, Scene};
@@ -75,7 +77,33 @@ fn the_same_scene_is_the_same_in_both_languages() {
 }
 
 #[test]
-fn what_is_left_out_has_its_default() {
+fn afferents_may_have_their_old_name() {
+    let new = TOML.replace("[[receptors]]", "[[afferents]]").replace("[receptor]", "[afferent]");
+    assert_eq!(read(&new, "a.toml").unwrap(), read(TOML, "a.toml").unwrap());
+    for (good, bad, says) in [
+        ("5.354", "nan", "a.toml: `afferents[0].x_mm` is NaN"),
+        ("tau_s = 0.05", "tau_s = 0", "a.toml: `afferent.tau_s` is 0"),
+        ("\"full\"", "\"hlaf\"", "a.toml:25: `afferent.rectify` is `hlaf`"),
+        ("seed = 5", "population.seed = 5", "a.toml: `afferents` and `population` are both there"),
+        (
+            "[afferent]",
+            "[receptor]\n[afferent]",
+            "a.toml: `afferent` and `receptor` are both there and mean the same",
+        ),
+        (
+            "seed = 5",
+            "receptors = []",
+            "a.toml: `afferents` and `receptors` are both there and mean the same",
+        ),
+    ] {
+        assert!(new.contains(good), "{good}");
+        let line = read(&new.replacen(good, bad, 1), "a.toml").unwrap_err();
+        assert!(line.starts_with(says), "{bad}: {line}");
+    }
+}
+
+#[test]
+fn a_missing_key_has_its_default() {
     let scene = read("duration_s = 1\nreceptors = []", "a.toml").unwrap();
     assert_eq!((scene.seed(), scene.drives().len(), scene.afferents().len()), (0, 0, 0));
     assert_eq!(*scene.model(), AfferentModel::default_for(Rectify::Half, 0.0));
@@ -104,7 +132,7 @@ fn the_reference_scenes_are_read() {
     }
 }
 
-/// What to change in the good scene, and what the one line must then begin with and hold.
+/// A change of the good scene, the beginning of the error, and what else it must contain.
 const BAD: [(&str, &str, &str, &str); 56] = [
     ("duration_s = 2", "", "bad.toml:1: `duration_s` is missing", "add how long"),
     ("duration_s = 2", "duration_s = -1", "bad.toml: `duration_s` is -1", "0 to 1000000000 s"),
@@ -122,7 +150,12 @@ const BAD: [(&str, &str, &str, &str); 56] = [
     ("seed = 5", "population.seed = 5", "bad.toml: `receptors` and `population` are both", "leave one out"),
     ("seed = 5", "population = 5", "bad.toml:2: `population` is integer `5`", "a table"),
     ("seed = 5", "population.seeds = 5", "bad.toml:2: `population`: unknown key `seeds`", "`seed`?"),
-    ("[[receptors]]\nx_mm = 5.354\ny_mm = -1.901", "", "bad.toml: neither `receptors` nor", "add one"),
+    (
+        "[[receptors]]\nx_mm = 5.354\ny_mm = -1.901",
+        "",
+        "bad.toml: neither `afferents` (or `receptors`",
+        "add one",
+    ),
     ("motor = 3", "motor = 24", "bad.toml:7: `drives[0].motor` is 24", "must be 0 to 23"),
     ("motor = 3", "motor = -1", "bad.toml:7: `drives[0].motor` is -1", "must be 0 to 23"),
     ("motor = 3", "motor = 300", "bad.toml:7: `drives[0].motor` is 300", "must be 0 to 23"),
@@ -273,7 +306,7 @@ proptest! {
         let _ = read(&text, &text);
     }
 
-    /// Pieces that nearly make a scene come further.
+    /// Pieces that nearly make a scene get further.
     #[test]
     fn no_heap_of_pieces_makes_the_reader_panic(pieces in prop::collection::vec(prop::sample::select(vec![
         "{", "}", "[", "]", ":", ",", "=", "\n", "\"", "\\u2028", "\u{2028}", "\r", ".", "1", "-1e9", "nan", "null",
@@ -284,7 +317,7 @@ proptest! {
         let _ = (read(&text, "a.toml"), read(&text, "a.json"), read(&format!("{{{text}}}"), "a"));
     }
 
-    /// A good scene with a bite taken out.
+    /// A good scene with a part cut out.
     #[test]
     fn no_damage_makes_the_reader_panic(from in 0..TOML.len(), length in 0_usize..30, what in "\\PC{0,3}") {
         let to = (from + length).min(TOML.len());

@@ -1,19 +1,19 @@
-//! The tests of this crate, one binary, a module per theme.
+//! The tests of this crate: one binary, one module per theme.
 #![expect(clippy::unwrap_used, reason = "a test that panics has failed")]
 
-/// A method chosen for an allowed error keeps to it.
+/// The chosen method keeps to the allowed error.
 mod choose;
-/// The stepped methods come to the exact one as the step shrinks.
+/// The stepped methods converge to the exact one as the step shrinks.
 mod convergence;
-/// Trials and changes of single motors against fresh simulations.
+/// Candidates and changes of single motors against fresh simulations.
 mod evaluator;
-/// Scenes at the edges of what a scene may be, by every method: each has one right answer.
+/// Extreme scenes, by every method: each has one right answer.
 mod extremes;
-/// Motors that move by more or less than they should.
+/// Motors with gains.
 mod gains;
-/// The same bits whatever the threads, the order of receptors, the blocks, and what is skipped.
+/// The same bits whatever the threads, the order of afferents, the blocks, and the skipping.
 mod independence;
-/// Scene files: what is refused and how it is said.
+/// Scene files: what is read, what is refused, and the messages.
 mod scenes;
 /// Simulated spikes against another program's and the oracle's.
 mod simulate;

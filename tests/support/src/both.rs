@@ -1,4 +1,4 @@
-//! One scene for the oracle and for the simulator.
+//! Makes one scene for the oracle and for the simulator.
 
 use crate::oracle;
 use meissner_array::pattern::Drive;
@@ -6,7 +6,7 @@ use meissner_array::random::Normals;
 use meissner_skin::Scene;
 use meissner_skin::afferent::{AfferentModel, Position, Rectify};
 
-/// A scene of the oracle's as one of ours, and the noise in it as the oracle wants it.
+/// Turns an oracle's scene into one of the simulator's, and draws its noise for the oracle.
 pub fn both(mut scene: oracle::Scene, noise_sd: f64, seed: u64) -> (oracle::Scene, Scene) {
     let drives = scene.drives.iter().map(|drive| Drive {
         motor: drive.motor as u8,
@@ -30,12 +30,12 @@ pub fn both(mut scene: oracle::Scene, noise_sd: f64, seed: u64) -> (oracle::Scen
         sigma_mm: scene.model.sigma_mm,
         noise_sd,
     };
-    let receptors = scene.receptors.iter().map(|&(x_mm, y_mm)| Position { x_mm, y_mm }).collect();
-    let ours = Scene::new(scene.duration_s, seed, drives.collect(), receptors, model).unwrap();
+    let afferents = scene.afferents.iter().map(|&(x_mm, y_mm)| Position { x_mm, y_mm }).collect();
+    let ours = Scene::new(scene.duration_s, seed, drives.collect(), afferents, model).unwrap();
     let most = 2 + (scene.duration_s / scene.model.refractory_s) as usize;
-    scene.offsets = (0..scene.receptors.len() as u64)
-        .map(|receptor| {
-            let mut noise = Normals::new(seed, receptor);
+    scene.offsets = (0..scene.afferents.len() as u64)
+        .map(|afferent| {
+            let mut noise = Normals::new(seed, afferent);
             (0..most).map(|_| noise_sd * noise.next().clamp(-8.0, 8.0)).collect()
         })
         .collect();

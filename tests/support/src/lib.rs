@@ -1,9 +1,9 @@
-//! What the tests of several crates share. No program uses it.
+//! Code that the tests of several crates share. No program uses it.
 //!
 //! - [`random`]: random drives and scenes.
-//! - [`oracle`]: a second simulator, slow, written from the equations alone; [`both`] makes a scene for it and for ours.
-//! - [`rig`]: a streamer and a mock in virtual time whose lines are compared with compiled strokes.
-//! - [`played`]: what simulated motors make of a pattern.
+//! - [`oracle`]: a second simulator, slow, written from the equations alone; [`both`] makes a scene for both.
+//! - [`rig`]: a streamer and a mock in virtual time; its lines are compared with compiled strokes.
+//! - [`played`]: the bursts that simulated motors make of a pattern.
 
 #![expect(missing_docs, missing_debug_implementations, reason = "only tests use it")]
 #![expect(clippy::unwrap_used, clippy::missing_panics_doc, reason = "a test that panics has failed")]

@@ -1,4 +1,4 @@
-//! What simulated motors make of a pattern, burst by burst.
+//! The bursts that simulated motors make of a pattern, without control.
 
 use firmware_protocol::stroke::{Burst, Lines};
 use meissner_array::motor::Ramp;
@@ -6,8 +6,8 @@ use meissner_array::simulated::{Plant, PlantConfig};
 use meissner_array::strokes::Strokes;
 use meissner_design::Play;
 
-/// What the plant makes of it, nobody correcting anything: each burst by where its pin stood before and after, in pieces
-/// of so many ticks at the most.
+/// The bursts of simulated motors without control, with their motors. Each has the travel from its pin's position before
+/// to that after. Bursts are cut into parts of at most `most_ticks`.
 pub fn by_the_plant(config: PlantConfig, play: &Play<'_>, most_ticks: u16) -> Vec<(u8, Ramp)> {
     let mut strokes = Strokes::new(play.pattern, play.seconds).unwrap();
     strokes.begin(play.onset);
@@ -23,7 +23,7 @@ pub fn by_the_plant(config: PlantConfig, play: &Play<'_>, most_ticks: u16) -> Ve
         })
     });
     let mut toggles: Vec<_> = toggles.collect();
-    // A line that is let go and taken again in one tick goes on.
+    // A line that falls and rises in one tick stays up.
     toggles.sort_by_key(|&(tick, starts, ..)| (tick, starts));
     let mut plant = Plant::new(config, play.onset).unwrap();
     let (mut lines, mut from_um, mut ramps) = (Lines::OFF, [0.0; 24], Vec::new());

@@ -1,11 +1,11 @@
-//! Random numbers and random scenes, by a seed: for tests that compare the simulator with itself.
+//! Random numbers and random scenes by seed, for tests that compare the simulator with itself.
 
 use meissner_array::pattern::Drive;
 use meissner_array::random::uniform;
 use meissner_skin::Scene;
 use meissner_skin::afferent::{AfferentModel, Position, Rectify, population};
 
-/// Numbers by a seed.
+/// A source of random numbers.
 pub struct Random {
     seed: u64,
     drawn: u64,
@@ -41,7 +41,7 @@ impl Random {
         order
     }
 
-    /// A drive from the beginning to the end.
+    /// A random drive over the whole scene.
     pub fn drive(&mut self, motor: u8) -> Drive {
         let frequency_hz =
             if self.chance(0.5) { self.between(1.0, 300.0) } else { self.log_between(1.0, 300.0) };
@@ -55,13 +55,13 @@ impl Random {
         }
     }
 
-    /// Default receptors: a finger's in `populations` of the scenes, else 1 to 20 on the array or near it.
+    /// A random scene. A share of `populations` has a whole population, the others 1 to 20 afferents on the array or near it.
     pub fn scene(&mut self, populations: f64) -> Scene {
         let motors = self.shuffled(24);
         let count = if self.chance(0.3) { 24 } else { 1 + self.below(24) };
         let drives = motors[..count].iter().map(|&motor| self.drive(motor as u8)).collect();
         let seed = self.below(1000) as u64;
-        let receptors = if self.chance(populations) {
+        let afferents = if self.chance(populations) {
             population(seed)
         } else {
             let count = 1 + self.below(20);
@@ -71,6 +71,6 @@ impl Random {
         let rectify = [Rectify::Half, Rectify::Full, Rectify::Signed][self.below(3)];
         let noise_sd = if self.chance(0.5) { 0.05 } else { 0.0 };
         let model = AfferentModel::default_for(rectify, noise_sd);
-        Scene::new(self.between(0.2, 2.0), seed, drives, receptors, model).unwrap()
+        Scene::new(self.between(0.2, 2.0), seed, drives, afferents, model).unwrap()
     }
 }

@@ -1,4 +1,4 @@
-//! What motors may be asked for: the slowest and fastest, nothing and too much, phases and drives that touch.
+//! Extreme drives: slowest and fastest, nothing and too much, phases and drives that touch.
 
 use super::{
     NONE, as_the_oracle, assert_close, counts_near, drive, exact, methods, model, scene, spikes, stepped,
@@ -26,7 +26,7 @@ fn at_half_the_pulse_rate_one_pulse_goes_up_and_one_down() {
     let ripples = AfferentModel { alpha_per_um: 10.0, ..model(Rectify::Half) };
     let scene = scene(0.1, &[drive(9, 42_500.0, 80.0)], &[under(9)], ripples);
     let found = as_the_oracle(&scene, 3);
-    // More than a pulse each way there is not.
+    // There is no room for more than one pulse each way.
     let one_pulse = super::scene(0.1, &[drive(9, 42_500.0, UM_PER_PULSE)], &[under(9)], ripples);
     assert_eq!(exact(&one_pulse), found);
     // Euler samples a wave of 23.5 us only if its step is far below that; the propagator takes the mean of it, and
@@ -51,7 +51,7 @@ fn an_amplitude_below_half_a_pulse_is_nothing() {
 #[test]
 fn half_a_pulse_is_rounded_up() {
     for whole in [1.0, 3.0, 70.0] {
-        // So that the threshold is reached after the burst: how long that was decides when.
+        // The threshold is reached after the burst, so the length of the burst decides when.
         let alpha_per_um = 10.0 / whole;
         let model = AfferentModel { alpha_per_um, ..model(Rectify::Full) };
         let at = |pulses: f64| scene(0.1, &[drive(9, 60.0, pulses * UM_PER_PULSE)], &[under(9)], model);
@@ -64,7 +64,7 @@ fn half_a_pulse_is_rounded_up() {
 }
 
 #[test]
-fn more_than_fits_is_what_fits() {
+fn an_amplitude_that_does_not_fit_is_the_one_that_fits() {
     let at = |um| scene(0.2, &[drive(9, 300.0, um)], &[under(9)], model(Rectify::Half));
     as_the_oracle(&at(1e6), 1);
     for method in methods(100) {
@@ -136,7 +136,7 @@ fn all_motors_alike() {
             let found = spikes(&scene, method);
             // The array is symmetric.
             for mirrored in &found[2..] {
-                assert_close(mirrored, &found[1], 1e-5, "a mirrored receptor");
+                assert_close(mirrored, &found[1], 1e-5, "a mirrored afferent");
             }
         }
     }

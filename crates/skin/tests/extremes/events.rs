@@ -1,8 +1,8 @@
-//! What happens at one instant: a threshold that is only touched, a spike at a break, at the end of refractoriness,
+//! Events at one instant: a threshold that is only touched, and a spike at a breakpoint, at the end of refractoriness, or
 //! at the end of the scene.
 //!
-//! Equality of floats is not hit on purpose; it is surrounded: between two neighbouring numbers on both sides of which
-//! the answer is known, there is nowhere for a lost or a doubled spike to hide.
+//! The tests do not aim at exact equality of floats. They take the two neighbouring numbers between which the answer
+//! changes; a lost or doubled spike would show on one of the two sides.
 
 use super::{as_the_oracle, drive, exact, methods, model, propagator, scene, spikes, stepped, under};
 use meissner_skin::afferent::{AfferentModel, Rectify};
@@ -51,27 +51,31 @@ fn a_threshold_that_is_only_just_touched_is_reached() {
 }
 
 #[test]
-fn a_spike_at_a_break_is_one_spike() {
-    // The stroke's breaks: its end, and the window's length after its beginning.
-    for break_s in [589.0 / 85_000.0, 0.0043] {
+fn a_spike_at_a_breakpoint_is_one_spike() {
+    // The stroke's breakpoints: its end, and the window's length after its beginning.
+    for breakpoint_s in [589.0 / 85_000.0, 0.0043] {
         for rectify in [Rectify::Half, Rectify::Full, Rectify::Signed] {
             let of = |alpha_per_um| {
                 let model = AfferentModel { alpha_per_um, refractory_s: 1.0, ..model(rectify) };
                 scene(0.5, &[drive(9, 0.001, 80.0)], &[under(9)], model)
             };
-            let at = first(0.015, 1.0, |alpha| exact(&of(alpha))[0].first().is_some_and(|&t| t < break_s));
+            let at =
+                first(0.015, 1.0, |alpha| exact(&of(alpha))[0].first().is_some_and(|&t| t < breakpoint_s));
             let mut alpha = at;
             for _ in 0..4 {
                 alpha = alpha.next_down();
             }
             for _ in 0..9 {
                 let found = exact(&of(alpha));
-                assert!(found[0].len() == 1 && (found[0][0] - break_s).abs() < 1e-13, "{found:?}");
+                assert!(found[0].len() == 1 && (found[0][0] - breakpoint_s).abs() < 1e-13, "{found:?}");
                 alpha = alpha.next_up();
             }
             for method in propagator(10) {
                 let found = spikes(&of(at), method);
-                assert!(found[0].len() == 1 && (found[0][0] - break_s).abs() < 1e-5, "{method:?}: {found:?}");
+                assert!(
+                    found[0].len() == 1 && (found[0][0] - breakpoint_s).abs() < 1e-5,
+                    "{method:?}: {found:?}"
+                );
             }
         }
     }
@@ -106,7 +110,7 @@ fn a_threshold_reached_just_as_refractoriness_ends() {
 }
 
 #[test]
-fn a_spike_at_the_end_of_the_scene_is_no_part_of_it() {
+fn a_spike_at_the_end_of_the_scene_does_not_belong_to_it() {
     let of = |duration_s, start_s| {
         let drive = meissner_array::pattern::Drive { start_s: Some(start_s), ..drive(9, 0.001, 80.0) };
         scene(duration_s, &[drive], &[under(9)], AfferentModel { alpha_per_um: 0.3, ..model(Rectify::Half) })
@@ -116,7 +120,7 @@ fn a_spike_at_the_end_of_the_scene_is_no_part_of_it() {
             let all = spikes(&of(start_s + 0.1, start_s), method).remove(0);
             assert!(all.len() > 3, "{method:?}: {all:?}");
             for (number, &t) in all.iter().enumerate().skip(1) {
-                // A piece cut at the end of the scene: its spike may move by a last bit.
+                // A segment is cut at the end of the scene: its spike may move by a last bit.
                 let cut = |duration_s| spikes(&of(duration_s, start_s), method).remove(0);
                 for duration_s in [t.next_down(), t, t.next_up()] {
                     let found = cut(duration_s);

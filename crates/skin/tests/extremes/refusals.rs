@@ -1,4 +1,4 @@
-//! What a scene or a method may not be: refused, by the name it has in a file.
+//! Scenes and methods that are refused: the error names the key that a file would have.
 
 use super::{drive, methods, model, scene, under};
 use meissner_array::pattern::Drive;
@@ -7,8 +7,8 @@ use meissner_skin::{Method, Options, Scene, choose, simulate};
 
 const NOT_FINITE: [f64; 3] = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY];
 
-fn refusal(duration_s: f64, drive: Drive, receptor: Position, model: AfferentModel) -> String {
-    Scene::new(duration_s, 7, vec![drive], vec![receptor], model).unwrap_err().to_string()
+fn refusal(duration_s: f64, drive: Drive, afferent: Position, model: AfferentModel) -> String {
+    Scene::new(duration_s, 7, vec![drive], vec![afferent], model).unwrap_err().to_string()
 }
 
 #[test]
@@ -34,32 +34,32 @@ fn a_number_out_of_range_is_refused_by_its_name() {
     });
     asked("`drives[0].stop_s`", &[-1.0, 0.0, 1.1e9], &|wrong| driven(Drive { stop_s: Some(wrong), ..plain }));
     let placed = |at| refusal(1.0, plain, at, good);
-    asked("`receptors[0].x_mm`", &[-1.1e6, 1.1e6], &|x_mm| placed(Position { x_mm, y_mm: 0.0 }));
-    asked("`receptors[0].y_mm`", &[-1.1e6, 1.1e6], &|y_mm| placed(Position { x_mm: 0.0, y_mm }));
+    asked("`afferents[0].x_mm`", &[-1.1e6, 1.1e6], &|x_mm| placed(Position { x_mm, y_mm: 0.0 }));
+    asked("`afferents[0].y_mm`", &[-1.1e6, 1.1e6], &|y_mm| placed(Position { x_mm: 0.0, y_mm }));
     let made = |model| refusal(1.0, plain, under(9), model);
-    asked("`receptor.alpha_per_um`", &[-1e-12, -f64::from_bits(1), 1.1e15], &|alpha_per_um| {
+    asked("`afferent.alpha_per_um`", &[-1e-12, -f64::from_bits(1), 1.1e15], &|alpha_per_um| {
         made(AfferentModel { alpha_per_um, ..good })
     });
-    asked("`receptor.tau_s`", &[0.0, f64::from_bits(1), -0.044, 1.1e9], &|tau_s| {
+    asked("`afferent.tau_s`", &[0.0, f64::from_bits(1), -0.044, 1.1e9], &|tau_s| {
         made(AfferentModel { tau_s, ..good })
     });
-    asked("`receptor.refractory_s`", &[0.0, 1e-5_f64.next_down(), 1.1e9], &|refractory_s| {
+    asked("`afferent.refractory_s`", &[0.0, 1e-5_f64.next_down(), 1.1e9], &|refractory_s| {
         made(AfferentModel { refractory_s, ..good })
     });
-    asked("`receptor.hyperexcitability_s`", &[-1e-3, 1.1e9], &|hyperexcitability_s| {
+    asked("`afferent.hyperexcitability_s`", &[-1e-3, 1.1e9], &|hyperexcitability_s| {
         made(AfferentModel { hyperexcitability_s, ..good })
     });
-    asked("`receptor.hyperexcitability_depth`", &[-1e-9, 1.0_f64.next_up()], &|hyperexcitability_depth| {
+    asked("`afferent.hyperexcitability_depth`", &[-1e-9, 1.0_f64.next_up()], &|hyperexcitability_depth| {
         made(AfferentModel { hyperexcitability_depth, ..good })
     });
-    asked("`receptor.sigma_mm`", &[0.0, 1e-3_f64.next_down(), -1.1, 1.1e6], &|sigma_mm| {
+    asked("`afferent.sigma_mm`", &[0.0, 1e-3_f64.next_down(), -1.1, 1.1e6], &|sigma_mm| {
         made(AfferentModel { sigma_mm, ..good })
     });
-    asked("`receptor.noise_sd`", &[-0.05, 1.1e6], &|noise_sd| made(AfferentModel { noise_sd, ..good }));
+    asked("`afferent.noise_sd`", &[-0.05, 1.1e6], &|noise_sd| made(AfferentModel { noise_sd, ..good }));
 }
 
 #[test]
-fn a_drive_that_is_changed_is_checked_too() {
+fn a_changed_drive_is_checked_too() {
     let scene = scene(1.0, &[drive(9, 60.0, 80.0)], &[under(9)], model(Rectify::Half));
     for wrong in NOT_FINITE {
         let line = scene.with_motor(9, &[drive(9, wrong, 80.0)]).unwrap_err().to_string();

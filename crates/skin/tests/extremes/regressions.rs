@@ -1,11 +1,11 @@
-//! What went wrong once: ends within a step, groups that are not full, times that are long in single precision.
+//! Bugs that were fixed: ends within a step, groups that are not full, long times in single precision.
 
 use super::{beside, drive, model, propagator, scene, spikes, stroke_up, under};
 use meissner_array::pattern::Drive;
 use meissner_skin::afferent::{AfferentModel, Rectify, population};
 use meissner_skin::{MAX_SPIKES, Method, Options, Precision, Scene, Stepping, choose, simulate};
 
-/// The bound of who is silent ends with the scene, the last step after it.
+/// The proof of silence once ended with the scene, but the last step ends after it.
 #[test]
 fn a_scene_that_ends_within_a_step_is_the_same_with_and_without_skipping() {
     let model = AfferentModel { alpha_per_um: 0.3, ..model(Rectify::Half) };
@@ -14,7 +14,7 @@ fn a_scene_that_ends_within_a_step_is_the_same_with_and_without_skipping() {
     }
 }
 
-/// Lanes without a receptor stay at time 0, so that relative to now no two states are equal.
+/// Lanes without an afferent stay at time 0, so no two of their states are equal relative to now.
 #[test]
 fn a_group_that_is_not_full_repeats_itself_too() {
     let scene = scene(100.0, &[drive(9, 10.0, 80.0)], &[under(9), beside(9, 0.5)], model(Rectify::Half));
@@ -25,11 +25,12 @@ fn a_group_that_is_not_full_repeats_itself_too() {
 /// The time since a spike is a sum of steps, each rounded to the sum's last bit.
 #[test]
 fn single_precision_keeps_a_long_refractory_time() {
-    let touchy = AfferentModel { alpha_per_um: 1e3, refractory_s: 0.5, tau_s: 1e3, ..model(Rectify::Half) };
+    let sensitive =
+        AfferentModel { alpha_per_um: 1e3, refractory_s: 0.5, tau_s: 1e3, ..model(Rectify::Half) };
     for integrator in [super::Integrator::Euler, super::Integrator::Propagator] {
         for precision in [Precision::F64, Precision::F32] {
             let method = Method::Stepped(Stepping { step_us: 1, integrator, precision });
-            let found = spikes(&stroke_up(touchy, 0.9), method).remove(0);
+            let found = spikes(&stroke_up(sensitive, 0.9), method).remove(0);
             assert_eq!(found.len(), 2, "{method:?}: {found:?}");
             let interval_s = found[1] - found[0];
             assert!((interval_s - 0.5).abs() < 2e-6, "{method:?}: {interval_s} s instead of 0.5 s");
@@ -37,7 +38,7 @@ fn single_precision_keeps_a_long_refractory_time() {
     }
 }
 
-/// A lane is known up to its last break only, which may lie before the period's multiple.
+/// A lane is known only up to its last breakpoint, which may lie before the multiple of the period.
 #[test]
 fn a_repetition_reaches_to_the_end_of_the_scene() {
     let model = AfferentModel { tau_s: 0.01, ..model(Rectify::Signed) };
@@ -57,7 +58,7 @@ fn a_repetition_reaches_to_the_end_of_the_scene() {
     assert!(repeated > 10.0, "{repeated}");
 }
 
-/// A coarse step sees nothing of a fast drive, but that is no reason to trust it.
+/// A coarse step misses a fast drive entirely, which is no reason to choose it.
 #[test]
 fn a_method_is_not_chosen_because_it_sees_nothing() {
     let drives: Vec<_> = (0..24)
@@ -73,7 +74,7 @@ fn a_method_is_not_chosen_because_it_sees_nothing() {
     assert!(exact.iter().sum::<f64>() > 0.0 && error_hz <= 1.0, "{choice:?}: {error_hz}");
 }
 
-/// What `f32` cannot count is not chosen.
+/// A step that `f32` cannot count is not chosen.
 #[test]
 fn a_method_that_would_be_refused_is_not_chosen() {
     let model = AfferentModel { hyperexcitability_s: 45_000.0, ..model(Rectify::Half) };
@@ -81,7 +82,7 @@ fn a_method_that_would_be_refused_is_not_chosen() {
     choose(&scene, 5.0).unwrap().method.check(&scene).unwrap();
 }
 
-/// One after the other, they are not one within the other.
+/// Drives that follow each other do not overlap.
 #[test]
 fn a_motor_may_have_many_drives() {
     let drives: Vec<_> = (0..50_000)

@@ -1,4 +1,4 @@
-//! How large, how many, how long: nothing at all, a million receptors, a month.
+//! Extreme sizes: nothing at all, a million afferents, a month.
 
 use super::{
     NONE, as_the_oracle, assert_close, beside, drive, exact, methods, model, propagator, scene, spikes,
@@ -8,7 +8,7 @@ use meissner_skin::afferent::{AfferentModel, Position, Rectify};
 use meissner_skin::{Method, Options, Skipped, choose, simulate};
 
 #[test]
-fn nobody_there_and_nothing_driven() {
+fn no_afferents_and_no_drives() {
     let nobody = scene(1.0, &[drive(9, 60.0, 80.0)], &[], model(Rectify::Half));
     let nothing = scene(1.0, &[], &[under(9)], model(Rectify::Half));
     let neither = scene(1.0, &[], &[], model(Rectify::Half));
@@ -26,7 +26,7 @@ fn nobody_there_and_nothing_driven() {
 }
 
 #[test]
-fn two_receptors_at_one_place_differ_in_their_noise_alone() {
+fn two_afferents_at_one_place_differ_in_their_noise_alone() {
     for noise_sd in [0.0, 0.05] {
         let model = AfferentModel { noise_sd, ..model(Rectify::Half) };
         let scene = scene(1.0, &[drive(9, 60.0, 80.0)], &[beside(9, 0.3), beside(9, 0.3)], model);
@@ -39,17 +39,16 @@ fn two_receptors_at_one_place_differ_in_their_noise_alone() {
 }
 
 #[test]
-fn a_million_receptors_take_their_places_and_their_counts() {
-    // A thousand by a thousand, 20 mm by 20 mm; 4096 are worked on at a time, so what is kept is the answer:
-    // a count each, and no spikes.
+fn a_million_afferents_take_their_places_and_their_counts() {
+    // A thousand by a thousand, on 20 mm by 20 mm. Tiles hold 4096, so only the answer stays in memory: one count each.
     let at = |n: u32| f64::from(n) * 0.02 - 10.0;
     let places: Vec<Position> =
         (0..1_000_000).map(|n| Position { x_mm: at(n % 1000), y_mm: at(n / 1000) }).collect();
     let drives = [drive(9, 60.0, 80.0), drive(20, 300.0, 80.0)];
-    let touchy = AfferentModel { alpha_per_um: 0.2, ..model(Rectify::Half) };
+    let sensitive = AfferentModel { alpha_per_um: 0.2, ..model(Rectify::Half) };
     let some: Vec<usize> = (0..1_000_000).step_by(9973).collect();
     let few: Vec<Position> = some.iter().map(|&n| places[n]).collect();
-    let (all, few) = (scene(0.005, &drives, &places, touchy), scene(0.005, &drives, &few, touchy));
+    let (all, few) = (scene(0.005, &drives, &places, sensitive), scene(0.005, &drives, &few, sensitive));
     as_the_oracle(&few, 5);
     for method in methods(200) {
         let answer = simulate(&all, &Options::rates(method), &|_| ()).unwrap();
@@ -62,9 +61,9 @@ fn a_million_receptors_take_their_places_and_their_counts() {
 
 #[test]
 fn no_time_and_a_microsecond() {
-    let touchy = AfferentModel { alpha_per_um: 1e15, ..model(Rectify::Half) };
+    let sensitive = AfferentModel { alpha_per_um: 1e15, ..model(Rectify::Half) };
     for duration_s in [0.0, -0.0, f64::from_bits(1), f64::MIN_POSITIVE] {
-        let scene = scene(duration_s, &[drive(9, 60.0, 80.0)], &[under(9)], touchy);
+        let scene = scene(duration_s, &[drive(9, 60.0, 80.0)], &[under(9)], sensitive);
         for method in methods(100) {
             assert_eq!(spikes(&scene, method), [NONE], "{duration_s} s, {method:?}");
             let answer = simulate(&scene, &Options::rates(method), &|_| ()).unwrap();
@@ -73,21 +72,21 @@ fn no_time_and_a_microsecond() {
         choose(&scene, 1.0).unwrap();
     }
     // After 27 ps the threshold is reached.
-    let scene = scene(1e-6, &[drive(9, 60.0, 80.0)], &[under(9)], touchy);
+    let scene = scene(1e-6, &[drive(9, 60.0, 80.0)], &[under(9)], sensitive);
     let found = as_the_oracle(&scene, 0);
     assert!(found[0].len() == 1 && found[0][0] < 1e-10, "{found:?}");
     let answer = simulate(&scene, &Options::rates(Method::Exact), &|_| ()).unwrap();
     assert_eq!(answer.rates_hz(&scene), [1.0 / 1e-6]);
     for method in stepped(1) {
-        // One step: Euler's spike would be at its end, which is no part of the scene.
+        // One step: Euler's spike would be at its end, which does not belong to the scene.
         assert!(spikes(&scene, method)[0].len() <= 1, "{method:?}");
     }
 }
 
 #[test]
 fn a_scene_that_ends_in_mid_burst_is_the_beginning_of_a_longer_one() {
-    let touchy = AfferentModel { alpha_per_um: 0.5, ..model(Rectify::Half) };
-    let of = |duration_s| scene(duration_s, &[drive(9, 60.0, 80.0)], &[under(9)], touchy);
+    let sensitive = AfferentModel { alpha_per_um: 0.5, ..model(Rectify::Half) };
+    let of = |duration_s| scene(duration_s, &[drive(9, 60.0, 80.0)], &[under(9)], sensitive);
     // The bursts up last from 0 to 6.9 ms and from 16.7 to 23.6 ms.
     for duration_s in [0.003, 0.018_123_4, 0.02] {
         as_the_oracle(&of(duration_s), 1);
@@ -95,7 +94,7 @@ fn a_scene_that_ends_in_mid_burst_is_the_beginning_of_a_longer_one() {
             let mut longer = spikes(&of(0.1), method);
             longer[0].retain(|&t| t < duration_s);
             let shorter = spikes(&of(duration_s), method);
-            // The exact method's last piece ends with the scene.
+            // The exact method's last segment ends with the scene.
             assert_close(&shorter[0], &longer[0], 1e-13, &format!("{duration_s} s, {method:?}"));
         }
     }
@@ -139,7 +138,7 @@ fn a_month_with_noise_has_no_repetition_and_goes_through() {
 
 #[test]
 fn a_month_in_steps() {
-    // A period is 400 steps: every one is alike once the membrane has leaked dry.
+    // A period is 400 steps. All are alike once the membrane has leaked to rest.
     let model = AfferentModel { alpha_per_um: 0.1, ..model(Rectify::Full) };
     let of = |duration_s| scene(duration_s, &[drive(9, 0.01, 80.0)], &[under(9)], model);
     for method in propagator(250_000) {

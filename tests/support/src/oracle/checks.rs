@@ -1,4 +1,4 @@
-//! The oracle itself against the reference, against brute force, and against its own rules.
+//! Checks the oracle against the reference spikes, against brute force, and against its own rules.
 
 use super::{
     Burst, Drive, FULL, Model, Rectify, Scene, Train, all_bursts, bursts, compare, pin_weight, random_scene,
@@ -71,7 +71,7 @@ fn the_oracle_has_the_reference_spikes() {
         let scene = Scene {
             duration_s: reference.duration_s,
             drives: reference.drives.iter().map(drive).collect(),
-            receptors: reference.receptors.iter().map(|at| (at.x_mm, at.y_mm)).collect(),
+            afferents: reference.receptors.iter().map(|at| (at.x_mm, at.y_mm)).collect(),
             model: Model {
                 alpha_per_um: reference.receptor.alpha_per_um,
                 hyperexcitability_depth: reference.receptor.hyperexcitability_depth,
@@ -91,13 +91,13 @@ fn the_oracle_has_the_reference_spikes() {
                 assert!((found - listed).abs() < 1e-9, "scene {number}: {found} instead of {listed}");
             }
         }
-        // What it calls doubtful is not an excuse: it would have promised these too.
+        // The oracle must have promised all of these.
         compared += compare(&trains, &reference.spikes_s, 1e-9).unwrap();
     }
     assert_eq!(compared, references.iter().flat_map(|r| &r.spikes_s).map(Vec::len).sum::<usize>());
 }
 
-/// The motors that brute force knows.
+/// The motors that the brute-force simulation moves.
 const BRUTE: [usize; 2] = [9, 10];
 
 /// Forward Euler in steps of 0.5 us; the shafts' commanded positions summed over all bursts, twice.
@@ -119,7 +119,7 @@ fn by_brute_force(scene: &Scene, bursts: &[(usize, Burst)]) -> Vec<Vec<f64>> {
             BRUTE.iter().map(|&m| (commanded_um(m, t) - commanded_um(m, t - 0.0043)) / 0.0043).collect()
         })
         .collect();
-    let of_receptor = |(index, &position): (usize, &(f64, f64))| {
+    let of_afferent = |(index, &position): (usize, &(f64, f64))| {
         let weights: Vec<_> =
             BRUTE.iter().map(|&motor| pin_weight(position, motor, model.sigma_mm)).collect();
         let (mut p, mut spikes) = (0.0, Vec::<f64>::new());
@@ -145,7 +145,7 @@ fn by_brute_force(scene: &Scene, bursts: &[(usize, Burst)]) -> Vec<Vec<f64>> {
         }
         spikes
     };
-    scene.receptors.iter().enumerate().map(of_receptor).collect()
+    scene.afferents.iter().enumerate().map(of_afferent).collect()
 }
 
 #[test]
@@ -172,7 +172,7 @@ fn the_oracle_has_the_spikes_of_brute_force() {
                 drive(9, 131.3, 0.0, 0.071, None),
                 drive(10, 88.1, 0.7, 0.013, None),
             ],
-            receptors: vec![(-1.2, 1.1), (0.3, 1.9)],
+            afferents: vec![(-1.2, 1.1), (0.3, 1.9)],
             model,
             offsets: vec![
                 vec![offset; 200],
@@ -222,7 +222,7 @@ fn random_scenes_keep_the_oracle_s_own_rules() {
         }
         compared += compare(&trains, &times(&trains), 1e-9).unwrap();
     }
-    assert!(active > 50 && count > 1_000, "{active} active receptors, {count} spikes: too quiet a test");
+    assert!(active > 50 && count > 1_000, "{active} active afferents, {count} spikes: too quiet a test");
     assert!(
         compared * 10 > count * 9,
         "{compared} of {count} spikes promised, {doubtful} trains are doubtful"
@@ -233,11 +233,11 @@ fn random_scenes_keep_the_oracle_s_own_rules() {
 fn a_comparison_sees_a_spike_moved_lost_or_added() {
     let trains = spikes(&random_scene(2));
     let right = times(&trains);
-    let receptor = (0..right.len()).max_by_key(|&r| right[r].len()).unwrap();
-    assert!(right[receptor].len() > 2 && compare(&trains, &right, 1e-9).is_ok());
+    let afferent = (0..right.len()).max_by_key(|&r| right[r].len()).unwrap();
+    assert!(right[afferent].len() > 2 && compare(&trains, &right, 1e-9).is_ok());
     let wrong = |change: fn(&mut Vec<f64>)| {
         let mut wrong = right.clone();
-        change(&mut wrong[receptor]);
+        change(&mut wrong[afferent]);
         compare(&trains, &wrong, 1e-9).unwrap_err()
     };
     wrong(|spikes| spikes[1] += 2e-9);

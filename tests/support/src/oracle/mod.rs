@@ -1,12 +1,12 @@
-//! A second simulator, written from the equations alone: slow, scalar, one receptor after the other.
+//! A second simulator, written from the equations alone: slow, scalar, one afferent after the other.
 //!
-//! The exact simulator is compared with it on random scenes. It shares no code with the crate. Input breaks are
-//! integer half ticks and the window's content integer half pulses; between breaks every instant at which the
+//! Tests compare the exact simulator with it on random scenes. It shares no code with the crate. Input breakpoints are
+//! integer half ticks and the window's content integer half pulses; between breakpoints every instant at which the
 //! equations change (the input's sign, end of refractoriness, end of the lowered threshold, its floor) begins a
 //! new segment with a closed form. A segment is cut at its maximum, found by bisection, and so is the crossing.
 //!
-//! Invariant: what it cannot promise it says. Each spike carries how far two correct programs may differ in it,
-//! each receptor the first instant after which a rounding error decides what happens.
+//! Invariant: it says what it cannot promise. Each spike carries the difference that two correct programs may have, and
+//! each afferent the first instant after which a rounding error decides.
 
 #[cfg(test)]
 mod checks;
@@ -23,9 +23,9 @@ const WINDOW_HALF_TICKS: i64 = 731;
 const MOTORS: usize = 24;
 const MIN_WEIGHT: f64 = 1e-10;
 const MIN_THRESHOLD: f64 = 0.05;
-/// What two correct programs may differ by in `P`: rounding over some thousand segments.
+/// The difference in `P` that two correct programs may have: rounding over some thousand segments.
 const MEMBRANE_ERROR: f64 = 1e-12;
-/// `P` this close to the threshold without a clean crossing: who spikes is anyone's guess.
+/// If `P` comes this close to the threshold without a clean crossing, a spike is uncertain.
 const NEAR_MISS: f64 = 1e-9;
 /// A spike this close to the end may be counted or not.
 const END_SLACK_S: f64 = 1e-8;
@@ -36,11 +36,11 @@ pub struct Spike {
     pub t_s: f64,
     /// Slope of `P - threshold` at the crossing, 1/s; infinite if refractoriness alone held the spike back.
     pub margin: f64,
-    /// What [`MEMBRANE_ERROR`] can make of its time, the errors of the spikes before it included.
+    /// The error that [`MEMBRANE_ERROR`] can cause in its time, with the errors of the spikes before it.
     pub error_s: f64,
 }
 
-/// What a receptor does.
+/// An afferent's spikes.
 #[derive(Clone, Debug)]
 pub struct Train {
     pub spikes: Vec<Spike>,
@@ -48,31 +48,31 @@ pub struct Train {
     pub doubtful_from_s: f64,
 }
 
-/// What each receptor does, in their order.
+/// Each afferent's spikes, in the scene's order.
 pub fn spikes(scene: &Scene) -> Vec<Train> {
     spikes_with_gains(scene, &[1.0; MOTORS])
 }
 
-/// The same if each motor moves by its gain times as much.
+/// The same with each motor's travel multiplied by its gain.
 pub fn spikes_with_gains(scene: &Scene, gains: &[f64; MOTORS]) -> Vec<Train> {
     let bursts = all_bursts(scene);
-    (0..scene.receptors.len()).map(|receptor| train(scene, &bursts, gains, receptor)).collect()
+    (0..scene.afferents.len()).map(|afferent| train(scene, &bursts, gains, afferent)).collect()
 }
 
-/// The same if each burst moves its motor as it says, and the drives are not looked at.
+/// The same with these bursts in place of the drives.
 pub fn spikes_of_bursts(scene: &Scene, bursts: &[(usize, Burst)]) -> Vec<Train> {
     let gains = [1.0; MOTORS];
-    (0..scene.receptors.len()).map(|receptor| train(scene, bursts, &gains, receptor)).collect()
+    (0..scene.afferents.len()).map(|afferent| train(scene, bursts, &gains, afferent)).collect()
 }
 
-/// Compares up to what is promised; how many spikes that were. One that `expected` itself knows less well than
-/// to `tolerance_s` ends the comparison of its receptor.
+/// Compares all promised spikes and returns their number. A spike whose error in `expected` is above `tolerance_s` ends
+/// the comparison of its afferent.
 pub fn compare(expected: &[Train], found: &[Vec<f64>], tolerance_s: f64) -> Result<usize, String> {
     if expected.len() != found.len() {
-        return Err(format!("{} receptors instead of {}", found.len(), expected.len()));
+        return Err(format!("{} afferents instead of {}", found.len(), expected.len()));
     }
     let mut compared = 0;
-    for (receptor, (train, found)) in expected.iter().zip(found).enumerate() {
+    for (afferent, (train, found)) in expected.iter().zip(found).enumerate() {
         let mut promised_until = train.doubtful_from_s;
         let mut next = 0;
         for spike in &train.spikes {
@@ -85,12 +85,12 @@ pub fn compare(expected: &[Train], found: &[Vec<f64>], tolerance_s: f64) -> Resu
             match found.get(next) {
                 Some(t) if (t - spike.t_s).abs() <= tolerance_s => next += 1,
                 other => {
-                    return Err(format!("receptor {receptor}, spike {next}: {other:?} instead of {spike:?}"));
+                    return Err(format!("afferent {afferent}, spike {next}: {other:?} instead of {spike:?}"));
                 }
             }
         }
         if let Some(t) = found.get(next).filter(|&&t| t < promised_until - tolerance_s) {
-            return Err(format!("receptor {receptor}, spike {next}: at {t} s there is none"));
+            return Err(format!("afferent {afferent}, spike {next}: at {t} s there is none"));
         }
         compared += next;
     }
@@ -151,7 +151,7 @@ fn pin_weight((x_mm, y_mm): (f64, f64), motor: usize, sigma_mm: f64) -> f64 {
     if weight < MIN_WEIGHT { 0.0 } else { weight }
 }
 
-/// `u(t)` from one break to the next: `u + slope * (t - from_s)`.
+/// `u(t)` from one breakpoint to the next: `u + slope * (t - from_s)`.
 #[derive(Clone, Copy, Debug)]
 struct Piece {
     from_s: f64,
@@ -160,23 +160,23 @@ struct Piece {
     slope: f64,
 }
 
-/// All pieces of a receptor's input until `horizon_s`.
+/// All pieces of an afferent's input until `horizon_s`.
 fn pieces(
     scene: &Scene,
     moves: &[(usize, Burst)],
     gains: &[f64; MOTORS],
-    receptor: (f64, f64),
+    afferent: (f64, f64),
     horizon_s: f64,
 ) -> Vec<Piece> {
     // At a break: by how much the slope of which motor's `r(t) - r(t-W)` changes; full is half a pulse per half tick.
-    let mut breaks: BTreeMap<i64, Vec<(usize, i64)>> = BTreeMap::from([(0, Vec::new())]);
+    let mut breakpoints: BTreeMap<i64, Vec<(usize, i64)>> = BTreeMap::from([(0, Vec::new())]);
     let weights: Vec<f64> =
-        (0..MOTORS).map(|m| gains[m] * pin_weight(receptor, m, scene.model.sigma_mm)).collect();
+        (0..MOTORS).map(|m| gains[m] * pin_weight(afferent, m, scene.model.sigma_mm)).collect();
     for &(motor, Burst { start, end, speed }) in moves.iter().filter(|(motor, _)| weights[*motor] > 0.0) {
-        breaks.entry(start).or_default().push((motor, speed));
-        breaks.entry(end).or_default().push((motor, -speed));
-        breaks.entry(start + WINDOW_HALF_TICKS).or_default().push((motor, -speed));
-        breaks.entry(end + WINDOW_HALF_TICKS).or_default().push((motor, speed));
+        breakpoints.entry(start).or_default().push((motor, speed));
+        breakpoints.entry(end).or_default().push((motor, -speed));
+        breakpoints.entry(start + WINDOW_HALF_TICKS).or_default().push((motor, -speed));
+        breakpoints.entry(end + WINDOW_HALF_TICKS).or_default().push((motor, speed));
     }
     let scale = UM_PER_PULSE / 2.0 / WINDOW_S / FULL as f64;
     let felt = |pulses: &[i64; MOTORS]| -> f64 {
@@ -184,9 +184,9 @@ fn pieces(
     };
     let (mut content, mut slopes) = ([0_i64; MOTORS], [0_i64; MOTORS]);
     let mut pieces = Vec::new();
-    let times: Vec<i64> = breaks.keys().copied().collect();
+    let times: Vec<i64> = breakpoints.keys().copied().collect();
     for (index, &at) in times.iter().enumerate() {
-        for &(motor, change) in &breaks[&at] {
+        for &(motor, change) in &breakpoints[&at] {
             slopes[motor] += change;
         }
         let from_s = at as f64 / HALF_TICKS_PER_S;
@@ -311,12 +311,12 @@ fn threshold(model: &Model, offset: f64, last: Option<Last>, t_s: f64) -> (f64, 
     }
 }
 
-fn train(scene: &Scene, bursts: &[(usize, Burst)], gains: &[f64; MOTORS], receptor: usize) -> Train {
+fn train(scene: &Scene, bursts: &[(usize, Burst)], gains: &[f64; MOTORS], afferent: usize) -> Train {
     let model = &scene.model;
-    let offsets = scene.offsets.get(receptor).map_or(&[][..], Vec::as_slice);
+    let offsets = scene.offsets.get(afferent).map_or(&[][..], Vec::as_slice);
     let mut train = Train { spikes: Vec::new(), doubtful_from_s: f64::INFINITY };
     let (mut p, mut last) = (0.0, None::<Last>);
-    for piece in pieces(scene, bursts, gains, scene.receptors[receptor], scene.duration_s + END_SLACK_S) {
+    for piece in pieces(scene, bursts, gains, scene.afferents[afferent], scene.duration_s + END_SLACK_S) {
         let zero_s = piece.from_s - piece.u / piece.slope;
         let mut t = piece.from_s;
         while t < piece.to_s {

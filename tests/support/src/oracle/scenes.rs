@@ -1,14 +1,14 @@
 //! The oracle's scenes: plain numbers, and random ones.
 
-/// What is simulated.
+/// A scene to simulate.
 #[derive(Clone, Debug)]
 pub struct Scene {
     pub duration_s: f64,
     pub drives: Vec<Drive>,
-    /// Where they lie, mm.
-    pub receptors: Vec<(f64, f64)>,
+    /// The positions of the afferents, mm.
+    pub afferents: Vec<(f64, f64)>,
     pub model: Model,
-    /// Per receptor, what is added to the threshold in the interval after the n-th spike. Missing or empty: 0.
+    /// Per afferent, what is added to the threshold in the interval after the n-th spike. Missing or empty: 0.
     pub offsets: Vec<Vec<f64>>,
 }
 
@@ -31,7 +31,7 @@ pub enum Rectify {
 }
 
 impl Rectify {
-    /// With which a receptor under the pin fires once per cycle from 10 um at 40 Hz.
+    /// The α with which an afferent under the pin fires once per cycle from 10 µm at 40 Hz on.
     pub fn usual_alpha_per_um(self) -> f64 {
         match self {
             Self::Half => 0.0492,
@@ -85,7 +85,7 @@ impl Random {
     }
 }
 
-/// A scene by its seed: anything a scene file may say, within what is worth simulating.
+/// A random scene by its seed: anything that a scene file may contain, within sensible ranges.
 pub fn random_scene(seed: u64) -> Scene {
     let random = &mut Random(seed);
     let duration_s = random.between(0.1, 0.6);
@@ -113,12 +113,12 @@ pub fn random_scene(seed: u64) -> Scene {
     };
     let drives: Vec<Drive> =
         motors.iter().flat_map(|&motor| random_drives(random, motor, duration_s)).collect();
-    let receptors: Vec<_> = (0..=random.below(5)).map(|_| random_receptor(random, &motors)).collect();
+    let afferents: Vec<_> = (0..=random.below(5)).map(|_| random_afferent(random, &motors)).collect();
     let noise_sd = if random.chance(0.4) { random.between(0.01, 0.3) } else { 0.0 };
     let most_spikes = (duration_s / model.refractory_s) as usize + 3;
-    let offsets = if noise_sd > 0.0 { receptors.len() } else { 0 };
+    let offsets = if noise_sd > 0.0 { afferents.len() } else { 0 };
     let offsets = (0..offsets).map(|_| (0..most_spikes).map(|_| noise_sd * random.normal()).collect());
-    Scene { duration_s, drives, model, offsets: offsets.collect(), receptors }
+    Scene { duration_s, drives, model, offsets: offsets.collect(), afferents }
 }
 
 /// One drive, or two of which the second begins where the first stops.
@@ -142,7 +142,7 @@ fn random_drives(random: &mut Random, motor: usize, duration_s: f64) -> Vec<Driv
 }
 
 /// Half of them anywhere, the others near a pin that moves.
-fn random_receptor(random: &mut Random, motors: &[usize]) -> (f64, f64) {
+fn random_afferent(random: &mut Random, motors: &[usize]) -> (f64, f64) {
     if random.chance(0.5) {
         return (random.between(-7.0, 7.0), random.between(-9.0, 9.0));
     }

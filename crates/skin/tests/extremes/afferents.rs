@@ -1,4 +1,4 @@
-//! What receptors may be made of: no leak and nothing but leak, deaf and touchy ones, refractory for ever.
+//! Extreme parameters of afferents: no leak and only leak, insensitive and sensitive, refractory for ever.
 
 use super::{
     NONE, as_the_oracle, assert_close, beside, counts_near, drive, euler, exact, methods, model, propagator,
@@ -11,7 +11,7 @@ use meissner_array::units::UM_PER_PULSE;
 use meissner_skin::afferent::{AfferentModel, Position, Rectify};
 use meissner_skin::{Integrator, Method, MethodError, Stepping};
 
-/// How far up a shaft has come in all by `t_s`, each fall left out: a wave so slow that it settles between edges.
+/// The sum of a shaft's rises until `t_s`, without its falls, for a wave so slow that it settles between edges.
 fn risen_um(wave: SquareWave, t_s: f64) -> f64 {
     let half_ticks = t_s * 170_000.0;
     let at = half_ticks.floor();
@@ -34,7 +34,7 @@ fn risen_um(wave: SquareWave, t_s: f64) -> f64 {
 }
 
 #[test]
-fn without_a_leak_a_receptor_counts_micrometres() {
+fn without_a_leak_an_afferent_counts_micrometres() {
     // A spike each 20 um, faster than which it is not refractory.
     let leak_free = AfferentModel {
         tau_s: 1e6,
@@ -67,7 +67,7 @@ fn without_a_leak_a_receptor_counts_micrometres() {
 }
 
 #[test]
-fn with_nothing_but_a_leak_a_receptor_follows_the_velocity() {
+fn with_nothing_but_a_leak_an_afferent_follows_the_velocity() {
     // P = 1 at 5000 um/s, a microsecond late.
     let leaky = AfferentModel { tau_s: 1e-6, alpha_per_um: 200.0, ..model(Rectify::Half) };
     let scene = scene(0.1, &[drive(9, 10.0, 80.0)], &[under(9)], leaky);
@@ -108,20 +108,20 @@ fn beyond_the_time_constant_euler_refuses_and_the_propagator_answers() {
     }
 }
 
-/// How long the input of such a stroke lasts.
+/// How long the input of `stroke_up` lasts, s.
 const STROKE_S: f64 = 589.0 / 85_000.0 + 0.0043;
 
 #[test]
-fn a_touchy_receptor_spikes_at_once_then_whenever_it_may_and_once_after() {
+fn a_sensitive_afferent_spikes_at_once_then_after_each_refractory_time_and_once_after() {
     for rectify in [Rectify::Half, Rectify::Full, Rectify::Signed] {
-        let touchy = AfferentModel { alpha_per_um: 1e12, ..model(rectify) };
-        let scene = stroke_up(touchy, 100.0);
+        let sensitive = AfferentModel { alpha_per_um: 1e12, ..model(rectify) };
+        let scene = stroke_up(sensitive, 100.0);
         // The threshold is reached after sqrt(2 / (alpha acceleration)), 0.9 ns.
         let found = exact(&scene).remove(0);
         let expected: Vec<f64> = (0..13).map(|n| f64::from(n) * 1e-3).collect();
-        assert_close(&found, &expected, 1e-9, "touchy");
+        assert_close(&found, &expected, 1e-9, "sensitive");
         assert!((found[0] - (2.0 / (1e12 * UM_PER_PULSE * 85_000.0 / 0.0043)).sqrt()).abs() < 1e-13);
-        let often = super::scene(1.0, &[drive(9, 5.0, 80.0)], &[under(9)], touchy);
+        let often = super::scene(1.0, &[drive(9, 5.0, 80.0)], &[under(9)], sensitive);
         if rectify == Rectify::Half {
             assert_eq!(exact(&often)[0].len(), 5 * 13);
         }
@@ -129,12 +129,12 @@ fn a_touchy_receptor_spikes_at_once_then_whenever_it_may_and_once_after() {
 }
 
 #[test]
-fn a_touchy_receptor_stepped() {
-    let touchy = AfferentModel { alpha_per_um: 1e12, ..model(Rectify::Half) };
+fn a_sensitive_afferent_stepped() {
+    let sensitive = AfferentModel { alpha_per_um: 1e12, ..model(Rectify::Half) };
     // The refractory time is 10 steps, not a whole number of them, or less than one.
     for (step_us, interval_us) in [(100, [1000; 2]), (10, [1000; 2]), (300, [1200, 1000]), (2000, [2000; 2])]
     {
-        let scene = stroke_up(touchy, 0.5);
+        let scene = stroke_up(sensitive, 0.5);
         for method in stepped(step_us) {
             let found = spikes(&scene, method).remove(0);
             let Method::Stepped(Stepping { integrator, .. }) = method else { unreachable!() };
@@ -153,7 +153,7 @@ fn a_touchy_receptor_stepped() {
 }
 
 #[test]
-fn a_deaf_receptor_never_spikes() {
+fn an_insensitive_afferent_never_spikes() {
     for alpha_per_um in [0.0, f64::from_bits(1), f64::MIN_POSITIVE, 1e-12] {
         for rectify in [Rectify::Half, Rectify::Full, Rectify::Signed] {
             let deaf = AfferentModel { alpha_per_um, ..model(rectify) };
@@ -166,7 +166,7 @@ fn a_deaf_receptor_never_spikes() {
 }
 
 #[test]
-fn however_noisy_the_threshold_nothing_comes_of_nothing() {
+fn without_input_no_noise_makes_a_spike() {
     let noisy = AfferentModel { noise_sd: 10.0, ..model(Rectify::Signed) };
     let places: Vec<Position> = (0..24).map(under).collect();
     for drives in [vec![], vec![drive(0, 60.0, 0.0)]] {
@@ -175,7 +175,7 @@ fn however_noisy_the_threshold_nothing_comes_of_nothing() {
             assert!(spikes(&scene, method).iter().all(Vec::is_empty), "{method:?}");
         }
     }
-    // With a drive, the floor is what half of all intervals end at.
+    // With a drive, half of all intervals end at the floor of the threshold.
     for rectify in [Rectify::Half, Rectify::Full, Rectify::Signed] {
         let noisy = AfferentModel { noise_sd: 10.0, alpha_per_um: 1.0, ..model(rectify) };
         let scene = scene(0.5, &[drive(9, 60.0, 80.0)], &[under(9), beside(9, 1.0)], noisy);
@@ -187,7 +187,7 @@ fn however_noisy_the_threshold_nothing_comes_of_nothing() {
 }
 
 #[test]
-fn fields_as_narrow_and_as_wide_as_they_may_be() {
+fn the_narrowest_and_widest_fields() {
     let narrow = AfferentModel { sigma_mm: 1e-3, ..model(Rectify::Half) };
     let places = [under(9), beside(9, 0.1)];
     let alone = scene(0.2, &[drive(9, 60.0, 80.0)], &places[..1], model(Rectify::Half));
@@ -205,7 +205,7 @@ fn fields_as_narrow_and_as_wide_as_they_may_be() {
 }
 
 #[test]
-fn refractory_as_short_and_as_long_as_may_be() {
+fn the_shortest_and_longest_refractory_times() {
     let short = AfferentModel { refractory_s: 1e-5, alpha_per_um: 100.0, ..model(Rectify::Half) };
     let found = as_the_oracle(&stroke_up(short, 0.1), 100);
     assert!(found[0].len() > 200, "{}", found[0].len());
