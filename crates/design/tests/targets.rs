@@ -56,6 +56,23 @@ fn reads_back(target: &Target) {
 }
 
 #[test]
+fn the_table_of_afferents_may_have_its_old_name() {
+    let new = TOML.replace("[receptor]", "[afferent]");
+    assert_eq!(read(&new), read(TOML));
+    for (good, bad, says) in [
+        ("noise_sd = 0.01", "noise_sd = -1", "bad.toml:12: `afferent.noise_sd` is -1"),
+        (
+            "[afferent]",
+            "[receptor]\n[afferent]",
+            "`afferent` and `receptor` are both there and mean the same",
+        ),
+    ] {
+        let line = read(&new.replacen(good, bad, 1)).unwrap_err();
+        assert!(line.contains(says), "{line}");
+    }
+}
+
+#[test]
 fn every_shape_is_read_with_its_keys_and_written_again() {
     for shape in SHAPES {
         let target = named(shape).unwrap();
