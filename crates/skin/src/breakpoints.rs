@@ -139,9 +139,8 @@ mod tests {
             });
             let pattern = Pattern::new("test", None, drives.to_vec(), toml::Table::new()).unwrap();
             let sent = Strokes::new(&pattern, None).unwrap().flat_map(|stroke| stroke.unwrap().bursts());
-            let ramps: Vec<_> = sent
-                .map(|burst| Ramp::new(burst.start, burst.pulses.into(), burst.direction, 1.0))
-                .collect();
+            let ramps: Vec<_> =
+                sent.map(|burst| Ramp::new(burst.start, burst.pulses.into(), burst.direction, 1.0)).collect();
             let end = time::end(2.0);
             let breakpoints: Vec<_> = Breakpoints::new(3, &drives, end).collect();
             assert!(Breakpoints::of_ramps(3, &ramps, UM_PER_PULSE, end).eq(breakpoints), "{drives:?}");

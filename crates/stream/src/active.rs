@@ -1,7 +1,9 @@
-//! One play on its way: what of it was streamed, and the account of its bursts.
+//! The state of one play that the streamer has taken, and the account of its bursts.
 //!
-//! The account closes by itself: what was handed over and neither late nor refused was played or dropped, and how
-//! much was played the device has counted, between the play's onset and its end.
+//! The streamer counts strokes planned, late and refused in [`Active`]; [`Active::close`] makes the [`Outcome`].
+//!
+//! Invariant: `planned = played + late + dropped + refused`. The device counts the bursts played between the play's
+//! onset and its end; the rest was dropped.
 
 use crate::queues::{At, End, Onset, Outcome, Play};
 use crate::time::HostInstant;
@@ -11,16 +13,16 @@ use firmware_protocol::tick::Tick;
 use meissner_api::{BurstCounts, LateCause, LateCounts, PulseCounts};
 use std::time::Duration;
 
-/// How far along a play is.
+/// The progress of a play.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Phase {
-    /// Nothing was sent.
+    /// Nothing is sent.
     Waiting,
-    /// Its first frame waits for the device's verdict.
+    /// The first frame is sent and waits for the device's verdict.
     Offered,
-    /// The device has taken its onset.
+    /// The device has accepted the onset.
     Streaming,
-    /// All its strokes were sent.
+    /// All strokes are sent.
     Streamed,
 }
 
@@ -28,25 +30,25 @@ pub(super) enum Phase {
 pub(super) struct Active {
     pub(super) play: Box<Play>,
     pub(super) phase: Phase,
-    /// When the order was given.
-    pub(super) ordered: HostInstant,
-    /// Pattern time 0, once it is chosen.
+    /// When the client issued the command.
+    pub(super) issued_at: HostInstant,
+    /// The tick of pattern time 0, once chosen.
     pub(super) onset: Option<Tick>,
     /// The onset first chosen or asked for.
     pub(super) requested: Option<Tick>,
-    /// How far ahead the next try at an onset lies.
+    /// How far ahead of now the next onset is tried.
     pub(super) margin: Duration,
     /// The next stroke to send.
     pub(super) next: Option<Stroke>,
-    /// Strokes sent that have no verdict.
+    /// Strokes sent without a verdict.
     pub(super) undecided: u64,
     /// The end of the last stroke sent.
     pub(super) last_end: Tick,
-    /// Ended before its end, how and why.
+    /// How and why it was cut, if it was.
     pub(super) cut: Option<(End, &'static str)>,
-    /// The device's counters at its onset, once that has passed.
-    pub(super) begun: Option<Counters>,
-    began: Option<Onset>,
+    /// The device's counters at the onset, once it has passed.
+    pub(super) counters_at_onset: Option<Counters>,
+    actual_onset: Option<Onset>,
     planned_strokes: u64,
     planned_pulses: u64,
     late_strokes: u64,
@@ -55,20 +57,20 @@ pub(super) struct Active {
     wire_from: u64,
 }
 
-/// An onset is first tried this far ahead: the horizon, the link, and a wake-up.
+/// The first onset is tried this far ahead: the render horizon, the link and a wake-up.
 pub(super) const FIRST_MARGIN: Duration = Duration::from_millis(3);
 
 impl Active {
     pub(super) fn new(
         play: Box<Play>,
-        ordered: HostInstant,
+        issued_at: HostInstant,
         requested: Option<Tick>,
         margin: Duration,
     ) -> Self {
         Self {
             play,
             phase: Phase::Waiting,
-            ordered,
+            issued_at,
             onset: requested,
             requested,
             margin,
@@ -76,8 +78,8 @@ impl Active {
             undecided: 0,
             last_end: Tick(0),
             cut: None,
-            begun: None,
-            began: None,
+            counters_at_onset: None,
+            actual_onset: None,
             planned_strokes: 0,
             planned_pulses: 0,
             late_strokes: 0,
@@ -87,7 +89,7 @@ impl Active {
         }
     }
 
-    /// Begins to stream at `onset`, for the first time or again.
+    /// Starts to stream at `onset`, for the first time or again.
     pub(super) fn offer(&mut self, onset: Tick, wire: u64) {
         self.phase = Phase::Offered;
         self.onset = Some(onset);
@@ -98,24 +100,24 @@ impl Active {
         self.wire_from = wire;
     }
 
-    /// The first tick after it, if it has an end and an onset.
+    /// The first tick after the play, if it has an end and an onset.
     pub(super) fn end(&self) -> Option<Tick> {
         Some(self.onset? + self.play.strokes.end()?)
     }
 
-    /// The first tick at which a stroke of `motor` that was not handed over yet may begin.
+    /// The earliest tick at which a stroke of `motor` that is not sent yet may begin.
     pub(super) fn free_until(&self, motor: u8) -> Tick {
         let next = self.next.filter(|next| next.motor == motor).map(|next| next.up);
         let up = next.or_else(|| self.play.strokes.next_up(motor));
         up.or_else(|| self.end()).unwrap_or(self.last_end)
     }
 
-    /// Whether it is played at an onset that was asked for.
+    /// Whether the client asked for an onset.
     pub(super) fn is_fixed(&self) -> bool {
         self.play.at != At::Next
     }
 
-    /// A stroke is handed over, or would have been.
+    /// Counts a stroke sent, or too late to be sent.
     pub(super) fn plan(&mut self, stroke: &Stroke) {
         self.planned_strokes += 1;
         self.planned_pulses += u64::from(stroke.up_pulses) + u64::from(stroke.down_pulses);
@@ -134,7 +136,7 @@ impl Active {
         self.lateness
     }
 
-    /// Its onset came too late by so much: nothing of it was taken.
+    /// Counts all strokes as late: the device refused the onset.
     pub(super) fn late_as_a_whole(&mut self, late_ms: f64) {
         self.late_strokes = self.planned_strokes;
         self.lateness.link = self.planned_strokes;
@@ -145,25 +147,25 @@ impl Active {
         self.refused_strokes += 1;
     }
 
-    /// Its onset has passed.
+    /// The onset has passed.
     pub(super) fn began(&mut self, onset: Onset, counters: Counters) {
-        self.begun = Some(counters);
-        self.began = Some(onset);
+        self.counters_at_onset = Some(counters);
+        self.actual_onset = Some(onset);
     }
 
     pub(super) fn started(&self) -> Option<Onset> {
-        self.began
+        self.actual_onset
     }
 
-    /// Closes the account with the device's counters as they stand after it; `None` if it never had any.
+    /// Closes the account with the device's counters after the play; `None` if there are none.
     pub(super) fn close(
         self,
         after: Option<Counters>,
         wire: u64,
         rest_error_um: [f32; MOTORS],
     ) -> (u64, Outcome) {
-        let since = |now: fn(&Counters) -> u64| match (&after, &self.begun) {
-            (Some(after), Some(begun)) => now(after).saturating_sub(now(begun)),
+        let since = |now: fn(&Counters) -> u64| match (&after, &self.counters_at_onset) {
+            (Some(after), Some(counters_at_onset)) => now(after).saturating_sub(now(counters_at_onset)),
             _ => 0,
         };
         let planned = 2 * self.planned_strokes;
@@ -171,7 +173,7 @@ impl Active {
         let played = since(|counters| counters.played).min(planned.saturating_sub(late + refused));
         let rest = planned.saturating_sub(late + refused + played);
         let (end, cause) = self.cut.map_or((End::Done, None), |(end, cause)| (end, Some(cause)));
-        // Cut short, the rest was flushed. Else only refusals whose report was lost can be missing.
+        // After a cut the rest was flushed; else the rest was refused and the reports were lost.
         let (dropped, refused) = if self.cut.is_some() { (rest, refused) } else { (0, refused + rest) };
         let bursts = BurstCounts {
             planned,
@@ -184,7 +186,7 @@ impl Active {
         let outcome = Outcome {
             end,
             cause,
-            onset: self.began,
+            onset: self.actual_onset,
             bursts,
             pulses: PulseCounts { planned: self.planned_pulses, played: since(|counters| counters.pulses) },
             lateness: self.lateness,

@@ -1,9 +1,46 @@
-//! The streamer: keeps the controller fed, corrects strokes from telemetry, and accounts for every burst.
+//! Plays a pattern on a device: from a compiled play to bytes on the link, and from the device's reports back to a receipt.
 //!
-//! [`Streamer`] decides, sans-IO: it is told the time, orders and bytes, and says what to send and what has
-//! happened; it never sleeps, reads a clock or touches a port. `thread` runs it in real time around a device,
-//! [`simulate_play`] in virtual time around the mock: same code, same answers. In real time its loop does not
-//! allocate, lock, log or wait on anybody ([`port`]).
+//! # The data path
+//! 1. A client puts a [`queues::Request`] into the [`queues::CommandQueue`]; a play has its compiled strokes and the
+//!    [`Bandwidth`] it requires (`bandwidth`).
+//! 2. `thread` ([`spawn`]) runs the streamer in real time: it takes requests, moves bytes and sleeps until something is due.
+//! 3. `streamer` ([`Streamer`]) decides: it executes commands, chooses onsets and sends strokes ahead of time. `active` holds
+//!    the state and the account of one play.
+//! 4. `control` corrects bursts from telemetry shortly before they begin: position control, estimator, telemetry monitor.
+//! 5. [`link`] turns strokes, corrections and operations into frames, and keeps the clock of the device ([`time`]).
+//! 6. [`device`] carries the bytes: USB, a serial port, or the mock with simulated motors.
+//! 7. Back the same way: acknowledgements, verdicts, counters and telemetry reach the streamer, which reports
+//!    [`queues::StreamEvent`]s through the [`queues::EventQueue`].
+//!
+//! Beside the path: [`simulate_play`] and [`Simulation`] (`simulation`) run the same streamer against the mock in virtual
+//! time; [`MotorRun`] (`motor_run`) simulates the position control of one motor without a link; [`calibrate`] measures
+//! gains; [`diagnostics`] tests a link.
+//!
+//! # Example
+//! ```
+//! use meissner_array::{pattern::Pattern, simulated::PlantConfig};
+//! use meissner_stream::{Settings, simulate_play};
+//!
+//! let text = r#"
+//! format = 1
+//! name = "one-pin"
+//! duration_s = 0.5
+//! [[drive]]
+//! motor = 9
+//! frequency_hz = 60.0
+//! amplitude_um = 80.0
+//! phase = 0.0
+//! "#;
+//! let pattern = Pattern::parse(text, "one-pin.toml")?;
+//! let played = simulate_play(&pattern, None, &PlantConfig::default(), Settings::default(), false)?;
+//! assert_eq!(played.outcome.bursts.played, 60); // 30 periods, up and down
+//! assert!(played.rest.rms_um() < 20.0); // closed loop, 10 % scatter
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! # Invariants
+//! The streamer is sans-IO: it gets the time, requests and bytes, and never sleeps, reads a clock or touches a port. In
+//! real time its loop does not allocate, lock, log or wait for anybody.
 
 mod active;
 mod bandwidth;
@@ -28,30 +65,30 @@ pub use simulation::{Line, SimulatedPlay, Simulation, SimulationError, simulate_
 pub use streamer::{ANOTHER_DEVICE, Streamer, cause_text};
 pub use thread::{request_realtime, spawn};
 
-/// What the streamer is told once, at its start.
+/// The streamer's settings.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
-    /// How far ahead of now the controller is kept fed, ms.
+    /// How far ahead of now strokes are sent, ms.
     pub lead_ms: f64,
-    /// Silence after which the controller returns pins and disarms, ms; at least the lead + 50.
+    /// Host watchdog timeout: after such a silence the device returns the pins and disarms, ms; at least the lead + 50.
     pub lease_ms: f64,
     /// A site's on-time limits.
     pub limits: OnTimeLimits,
-    /// Dead reckoning's error, one standard deviation, above which a warning is given, µm.
+    /// Error of dead reckoning, one standard deviation, above which the streamer warns, µm.
     pub drift_warning_um: f32,
 }
 
 impl Default for Settings {
-    /// 100 ms ahead: stock kernels stall for 25 ms.
+    /// A lead of 100 ms: stock kernels stall for 25 ms.
     fn default() -> Self {
         Self { lead_ms: 100.0, lease_ms: 300.0, limits: OnTimeLimits::NONE, drift_warning_um: 100.0 }
     }
 }
 
-/// Strokes are handed over so often that a frame carries many of them.
+/// Longest batch of strokes, ms: a frame carries many strokes.
 const LONGEST_BATCH_MS: f64 = 12.5;
 
-/// Strokes are handed over in stretches of so many ticks.
+/// Length of a batch of strokes, ticks.
 fn batch_ticks(settings: &Settings) -> u64 {
     ms_in_ticks((settings.lead_ms / 4.0).min(LONGEST_BATCH_MS)) as u64
 }

@@ -1,9 +1,10 @@
-//! One motor and its loop at the level of bursts: the plant's pin, delayed telemetry, wake-ups; no link, no controller.
+//! Simulated run of one motor and its burst controller: a pin, delayed telemetry and wake-ups, without a link.
 //!
-//! It is what the loop is judged by over thousands of settings: a day of device time takes seconds. Same loop,
-//! same plant as in a play; the line's delay is part of how late corrections may come.
+//! [`MotorRun::run`] plays a square wave and reports each period. Reports and tests judge the position control with it over
+//! thousands of settings: a day of device time takes seconds. Controller and pin are those of a real play; the
+//! deadline for corrections includes the delay of the link.
 
-use crate::control::{BurstController, DUE, Gains, LONGEST_AGE};
+use crate::control::{BurstController, FINALISE_AT, Gains, LONGEST_AGE};
 use firmware_protocol::limits::MAX_UP_PULSES;
 use firmware_protocol::stroke::{Burst, Direction, Stroke};
 use firmware_protocol::tick::Tick;
@@ -18,37 +19,37 @@ use std::collections::VecDeque;
 /// The loop wakes up every millisecond.
 const WAKE_UP: u64 = TICKS_PER_MS;
 
-/// What is tried.
+/// The settings of a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotorRun {
     /// Of the square wave.
     pub frequency_hz: f64,
     /// Of the square wave, peak to peak.
     pub amplitude_um: f64,
-    /// How far ahead strokes are sent.
+    /// How far ahead strokes are sent, ms.
     pub lead_ms: f64,
-    /// How old telemetry is when it comes.
+    /// Age of telemetry at its arrival, ms.
     pub age_ms: f64,
-    /// Samples per second.
+    /// Telemetry samples per second.
     pub telemetry_hz: f64,
     /// Standard deviation of a burst's gain.
     pub scatter: f64,
-    /// The gain up is 1 and half of this, the gain down 1 less half of it.
+    /// Gain up minus gain down; their mean is 1.
     pub asymmetry: f64,
     /// Mean gain of a burst after half a second of rest.
     pub transient_gain: f64,
-    /// Where the pin stands at the beginning.
+    /// Position of the pin at the beginning, µm.
     pub offset_um: f64,
-    /// Which draws.
+    /// Seed of the random draws.
     pub seed: u64,
-    /// Corrections are made.
+    /// Correct bursts.
     pub closed: bool,
-    /// What the loop believes of the motor at the beginning.
+    /// The controller's initial gains.
     pub gains: Gains,
 }
 
 impl Default for MotorRun {
-    /// A motor as the paper has it, at 60 Hz and 80 µm, with telemetry as the mock's.
+    /// The paper's motor at 60 Hz and 80 µm, with the mock's telemetry.
     fn default() -> Self {
         Self {
             frequency_hz: 60.0,
@@ -67,7 +68,7 @@ impl Default for MotorRun {
     }
 }
 
-/// One period as it was really played.
+/// One period as played.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Period {
     /// When its stroke went up, ticks from the beginning.
@@ -83,31 +84,31 @@ pub struct Period {
 }
 
 impl MotorRun {
-    /// From a burst back to the newest sample that its count can go by, at the least, ms.
+    /// Least time from the newest sample that a burst's count can use to the burst, ms.
     #[must_use]
     pub fn delay_ms(&self) -> f64 {
-        self.age_ms + ticks_to_ms(DUE)
+        self.age_ms + ticks_to_ms(FINALISE_AT)
     }
 
-    /// Plays for so many seconds and tells of each period; `lie` may change samples (tick, 0.01 µm). Returns why the
-    /// loop gave its telemetry up, if it did.
+    /// Plays for `seconds` and calls `on_period` with each period; `alter` may change or drop samples (tick, 0.01 µm).
+    /// Returns the sensor fault, if the controller found one.
     ///
     /// # Errors
-    /// A frequency or amplitude no motor can be asked for.
+    /// If the frequency or amplitude is out of range.
     pub fn run(
         &self,
         seconds: f64,
-        mut lie: impl FnMut(Tick, i32) -> Option<i32>,
-        mut tell: impl FnMut(&Period),
+        mut alter: impl FnMut(Tick, i32) -> Option<i32>,
+        mut on_period: impl FnMut(&Period),
     ) -> Result<Option<SensorFault>, MotorError> {
         let Self { frequency_hz, amplitude_um, .. } = *self;
         let drive = Drive { motor: 0, frequency_hz, amplitude_um, phase: 0.0, start_s: None, stop_s: None };
         // The first stroke is late enough to be corrected.
-        let strokes = DriveStrokes::of(&drive)?.shifted(2 * DUE, u64::MAX);
+        let strokes = DriveStrokes::of(&drive)?.shifted(2 * FINALISE_AT, u64::MAX);
         let Self { seed, scatter: gain_sd, transient_gain, .. } = *self;
         let config = PlantConfig { seed, gain_sd, transient_gain, ..PlantConfig::default() };
         let pin = Pin::new(&config, 0).with_asymmetry(self.asymmetry).at(self.offset_um);
-        let mut burst_controller = BurstController::new(&self.gains);
+        let mut controller = BurstController::new(&self.gains);
         let start = Tick::BOOT;
         let end = start + seconds_to_ticks(seconds);
         let (lead, age) = (seconds_to_ticks(self.lead_ms / 1000.0), seconds_to_ticks(self.age_ms / 1000.0));
@@ -122,9 +123,9 @@ impl MotorRun {
         let sample_tick = |number: u64| start + (seconds_in_ticks(number as f64) / self.telemetry_hz) as u64;
         while now < end {
             now = now + WAKE_UP;
-            while let Some(stroke) = next.filter(|stroke| stroke.up < now + lead.max(2 * DUE)) {
-                burst_controller.sent(&stroke, self.closed, end);
-                burst_controller.accepted(stroke.up);
+            while let Some(stroke) = next.filter(|stroke| stroke.up < now + lead.max(2 * FINALISE_AT)) {
+                controller.sent(&stroke, self.closed, end);
+                controller.accepted(stroke.up);
                 motor.queue.push_back((stroke, stroke.up_pulses));
                 next = strokes.next();
             }
@@ -132,10 +133,10 @@ impl MotorRun {
                 let sample = sample_tick(number);
                 if let Some(burst) = motor.next().filter(|burst| burst.start <= sample.min(now)) {
                     if let Some(period) = motor.play(burst, start) {
-                        tell(&period);
+                        on_period(&period);
                     }
                 } else if sample <= now {
-                    samples.extend(lie(sample, motor.pin.quanta(sample)).map(|y| (sample, y)));
+                    samples.extend(alter(sample, motor.pin.quanta(sample)).map(|y| (sample, y)));
                     number += 1;
                 } else {
                     break;
@@ -143,27 +144,27 @@ impl MotorRun {
             }
             while let Some((tick, y)) = samples.front().copied().filter(|(tick, _)| *tick + age <= now) {
                 samples.pop_front();
-                burst_controller.follow(tick, false, |_| (), |_| ());
-                burst_controller.telemetry(tick, f64::from(y) * 0.01, |_| ());
+                controller.advance(tick, false, |_| (), |_| ());
+                controller.telemetry(tick, f64::from(y) * 0.01, |_| ());
                 sampled = tick;
             }
-            if burst_controller.next().is_some_and(|next| next <= now + DUE) {
+            if controller.next().is_some_and(|next| next <= now + FINALISE_AT) {
                 let free = || next.map_or(end, |stroke| stroke.up);
                 let fresh = now - sampled <= LONGEST_AGE;
                 let amend = |up, direction, pulses| motor.amend(up, direction, pulses);
-                burst_controller.correct(now, free, fresh, true, amend);
+                controller.correct(now, free, fresh, true, amend);
             }
         }
-        Ok(burst_controller.fault())
+        Ok(controller.fault())
     }
 }
 
-/// The device: strokes as they will be played, and the pin.
+/// The simulated device: strokes as they will be played, and the pin.
 struct Motor {
     pin: Pin,
-    /// Strokes, and their pulses as planned.
+    /// Strokes with their planned pulses.
     queue: VecDeque<(Stroke, u16)>,
-    /// Which burst of the first stroke is next.
+    /// The next burst of the first stroke: 0 up, 1 down.
     half: usize,
     top_um: f64,
 }
@@ -215,7 +216,8 @@ mod tests {
         for (frequency_hz, amplitude_um) in [(60.0, 80.0), (7.3, 400.0), (299.0, 30.0), (150.1, 3.3)] {
             let run = MotorRun { frequency_hz, amplitude_um, closed: false, ..MotorRun::default() };
             let mut played = Vec::new();
-            run.run(1.0, |_, y| Some(y), |period| played.push((period.up - 2 * DUE, period.pulses))).unwrap();
+            run.run(1.0, |_, y| Some(y), |period| played.push((period.up - 2 * FINALISE_AT, period.pulses)))
+                .unwrap();
             let drive =
                 Drive { motor: 0, frequency_hz, amplitude_um, phase: 0.0, start_s: None, stop_s: None };
             let pattern = Pattern::new("test", None, vec![drive], toml::Table::new()).unwrap();

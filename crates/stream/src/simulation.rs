@@ -1,8 +1,9 @@
-//! The streamer against the mock in virtual time, over a line that may be bad.
+//! Virtual-time simulation: the streamer against the mock, over a line that may be bad.
 //!
-//! Deterministic: the same seed, orders and stalls give the same bytes. Tests use it, and whoever wants to know
-//! beforehand what a play will do. It drives [`Streamer`] and [`Mock`] as the thread and a board would, and
-//! contains none of their logic.
+//! [`simulate_play`] plays a pattern and returns its outcome; [`Simulation`] gives tests control of time, commands and the
+//! line. It drives [`Streamer`] and [`Mock`] as the thread and a board would, and contains none of their logic.
+//!
+//! Invariant: deterministic. The same seed, commands and stalls give the same bytes.
 
 use crate::device::mock::Mock;
 use crate::link::LineRate;
@@ -23,23 +24,23 @@ use std::time::Duration;
 /// The streamer wakes up this often.
 const STEP: Duration = Duration::from_micros(500);
 
-/// So long after a play's end its last bursts have been measured, by telemetry of no age.
+/// So long after a play's end telemetry of no age has measured its last bursts.
 const MEASURED_WITHIN: Duration = Duration::from_millis(100);
 
-/// What a line does to frames, each way: shares of them, and how long they take.
+/// A simulated line, both ways: the shares of frames it damages, and its delays.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Line {
-    /// Lost.
+    /// Share of frames lost.
     pub loss: f64,
-    /// Delivered twice.
+    /// Share of frames delivered twice.
     pub repeat: f64,
-    /// With a byte changed.
+    /// Share of frames with a byte changed.
     pub corrupt: f64,
-    /// How long each takes.
+    /// Delay of each frame.
     pub delay: Duration,
-    /// Bytes per second towards the device at the most, one after the other; 0: no bound.
+    /// Most bytes per second towards the device; 0: no bound.
     pub bytes_per_s: u32,
-    /// By how much more at the most, at random: frames overtake each other.
+    /// Largest additional random delay: frames overtake each other.
     pub jitter: Duration,
 }
 
@@ -47,9 +48,9 @@ pub struct Line {
 struct Direction {
     line: Line,
     random: ChaCha8Rng,
-    /// Until when the bytes sent so far occupy the line.
+    /// The line is busy until then with the bytes sent so far.
     busy: HostInstant,
-    /// When each arrives; not sorted.
+    /// Arrival time and frame, unsorted.
     frames: Vec<(HostInstant, Vec<u8>)>,
 }
 
@@ -59,11 +60,11 @@ impl Direction {
     }
 
     fn send(&mut self, now: HostInstant, bytes: &[u8]) {
-        // A frame with its delimiter is what gets lost.
+        // The line loses whole frames, each with its delimiter.
         for frame in bytes.split_inclusive(|&byte| byte == 0) {
             let rate = u64::from(self.line.bytes_per_s);
             let taken = (frame.len() as u64 * 1_000_000_000).checked_div(rate).unwrap_or(0);
-            // A frame that gets lost has taken its time all the same.
+            // A lost frame has used the line's time too.
             self.busy = self.busy.max(now) + Duration::from_nanos(taken);
             if self.chance(self.line.loss) {
                 continue;
@@ -103,7 +104,7 @@ pub struct Simulation {
     tickets: u64,
 }
 
-/// What was told; measured bursts only if somebody asked for them.
+/// The events so far; measured bursts only on request.
 #[derive(Debug, Default)]
 struct EventLog {
     events: Vec<StreamEvent>,
@@ -120,14 +121,14 @@ impl EventLog {
     }
 }
 
-/// The host's time at the beginning, and the device's boot.
+/// The host's time at the device's boot.
 const STARTED: HostInstant = HostInstant::from_ns(1_000_000_000);
 
 impl Simulation {
-    /// A streamer that has just been connected to a mock that has just been switched on.
+    /// Connects a new streamer to a mock that was just switched on.
     ///
     /// # Errors
-    /// If the plant's settings are out of range.
+    /// If the settings of the simulated motors are out of range.
     pub fn new(plant: &PlantConfig, settings: Settings, line: Line, seed: u64) -> Result<Self, PlantError> {
         let direction = |salt, line| {
             let random = ChaCha8Rng::seed_from_u64(seed ^ salt);
@@ -146,14 +147,14 @@ impl Simulation {
         Ok(new)
     }
 
-    /// Opens a new session: the first, or after [`Self::unplug`].
+    /// Opens a new session, as after [`Self::unplug`].
     pub fn connect(&mut self) {
         let events = &mut self.events;
         let id = self.now.as_ns() as u32;
         self.streamer.connect(self.now, id, LineRate(800_000), &mut |event| events.push(event));
     }
 
-    /// Pulls the cable: the device returns pins, the streamer is told.
+    /// Pulls the cable: the device returns the pins, and the streamer sees the disconnect.
     pub fn unplug(&mut self) {
         self.mock.unplug();
         self.to_device.frames.clear();
@@ -173,12 +174,12 @@ impl Simulation {
         self.now
     }
 
-    /// Gives an order; returns its ticket.
+    /// Sends a command; returns its ticket.
     pub fn send(&mut self, command: Command) -> u64 {
         self.send_issued_at(self.now, command)
     }
 
-    /// An order that was given before now, while the host was held up; returns its ticket.
+    /// Sends a command issued before now, while the host was stalled; returns its ticket.
     pub fn send_issued_at(&mut self, given: HostInstant, command: Command) -> u64 {
         self.tickets += 1;
         let events = &mut self.events;
@@ -187,7 +188,7 @@ impl Simulation {
         self.tickets
     }
 
-    /// Lets time pass for both.
+    /// Advances the time of both.
     pub fn run(&mut self, time: Duration) {
         let end = self.now + time;
         while self.now < end {
@@ -197,7 +198,7 @@ impl Simulation {
         }
     }
 
-    /// Lets time pass for the device only: the host's process is held up. What the device sends waits.
+    /// Advances the time of the device only: the host stalls, and what the device sends waits.
     pub fn stall(&mut self, time: Duration) {
         let end = self.now + time;
         while self.now < end {
@@ -238,17 +239,17 @@ impl Simulation {
         }
     }
 
-    /// What has happened since the last call.
+    /// Takes the events since the last call.
     pub fn take_events(&mut self) -> Vec<StreamEvent> {
         std::mem::take(&mut self.events.events)
     }
 
-    /// From now on keeps what bursts really came to; gives out what was kept so far.
+    /// Takes the measured bursts since the last call; the first call starts to keep them.
     pub fn take_measured_bursts(&mut self) -> Vec<MeasuredBurst> {
         self.events.measured_bursts.replace(Vec::new()).unwrap_or_default()
     }
 
-    /// Runs until the play `id` has ended, for `at_most`; what came of it.
+    /// Runs until the play `id` has ended, for `at_most`; returns its outcome.
     pub fn run_to_end(&mut self, id: u64, at_most: Duration) -> Option<Outcome> {
         let end = self.now + at_most;
         while self.now < end {
@@ -267,35 +268,35 @@ impl Simulation {
     }
 }
 
-/// What a play came to in virtual time.
+/// The result of a simulated play.
 #[derive(Debug)]
 pub struct SimulatedPlay {
-    /// Where the pins really came to rest.
+    /// True rest errors of the pins.
     pub rest: RestStats,
-    /// The play's account.
+    /// The play's outcome.
     pub outcome: Outcome,
-    /// What its bursts came to, as they were measured.
+    /// Its bursts as telemetry measured them.
     pub measured_bursts: Vec<MeasuredBurst>,
 }
 
-/// Why a play could not be rehearsed.
+/// Why a play could not be simulated.
 #[derive(Debug, thiserror::Error)]
 pub enum SimulationError {
-    /// The plant's settings.
+    /// The settings of the simulated motors are out of range.
     #[error(transparent)]
     Plant(#[from] PlantError),
     /// The pattern could not be compiled.
     #[error(transparent)]
     Strokes(#[from] StrokesError),
-    /// A pattern without an end, and no length given.
+    /// The pattern has no end, and no length was given.
     #[error("pattern `{0}` has no end: say how many seconds")]
     Endless(String),
-    /// It did not end.
+    /// The play did not end.
     #[error("the simulation of pattern `{0}` did not end: a bug, please report it")]
     NoEnd(String),
 }
 
-/// Plays `pattern` on a fresh mock over a perfect line, in virtual time.
+/// Plays `pattern` for `seconds` (or to its end) on a new mock over a perfect line, in virtual time.
 ///
 /// # Errors
 /// If it cannot be compiled or has no end.
@@ -321,7 +322,7 @@ pub fn simulate_play(
     let length = Duration::from_secs_f64(ticks_to_seconds(end));
     let outcome = simulation.run_to_end(1, length + Duration::from_secs(2));
     let outcome = outcome.ok_or_else(|| SimulationError::NoEnd(name()))?;
-    // The last bursts are yet to be measured.
+    // Telemetry still has to measure the last bursts.
     simulation.run(MEASURED_WITHIN + Duration::from_millis(plant.telemetry_age_ms.into()));
     let measured_bursts = simulation.take_measured_bursts();
     Ok(SimulatedPlay { rest: simulation.mock.true_positions().rest(), outcome, measured_bursts })

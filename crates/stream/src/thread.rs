@@ -1,9 +1,11 @@
 //! The streamer's thread: runs [`Streamer`] in real time around a device.
 //!
-//! SCHED_FIFO, and locked memory, where the system allows it. The loop reads the clock, moves bytes and
-//! sleeps until the next thing is due, bytes arrive or an order comes; it decides nothing. In it nothing is
-//! allocated, locked, logged or waited for, but for a session's memory when a device comes or goes: what
-//! owns memory goes back through the queues.
+//! [`spawn`] starts it and returns the ends of its queues. It uses SCHED_FIFO and locked memory where the system allows.
+//! The loop reads the clock, moves bytes and sleeps until something is due, bytes arrive or a request comes; it decides
+//! nothing.
+//!
+//! Invariant: the loop does not allocate, lock, log or wait, except for a session's memory when a device comes or goes;
+//! whatever owns memory leaves through the event queue.
 
 use crate::device::{Device, priority};
 use crate::queues::{Command, CommandQueue, EventQueue, StreamEvent, ThreadQueues, queues};
@@ -18,32 +20,33 @@ use std::io;
 use std::ops::Range;
 use std::thread::JoinHandle;
 use std::time::Duration;
-/// Turns of reading and writing per wake-up, at the most: a device that never falls silent must not control up orders.
-const TURNS: usize = 32;
+
+/// Most rounds of reading and writing per wake-up: a device that never stops sending must not hold up requests.
+const ROUNDS: usize = 32;
 /// A queues that takes nothing for so long is gone.
 const STUCK_FOR: Duration = Duration::from_millis(500);
-/// Reads per turn, at the most, for the same reason.
-const READS: usize = 16;
+/// Most reads per round, for the same reason.
+const MAX_READS: usize = 16;
 
-/// Starts the streamer's thread; tells which real-time means the system granted.
+/// Starts the streamer's thread; also returns which real-time features the system granted.
 ///
 /// # Errors
 /// If the system gives no descriptors or no thread.
 pub fn spawn(settings: Settings) -> io::Result<(CommandQueue, EventQueue, Realtime, JoinHandle<()>)> {
     let (thread_queues, commands, events) = queues()?;
-    let (tell, told) = crossbeam_channel::bounded(1);
+    let (granted_in, granted) = crossbeam_channel::bounded(1);
     let thread = std::thread::Builder::new().name("streamer".into()).spawn(move || {
-        let _ = tell.send(request_realtime());
+        let _ = granted_in.send(request_realtime());
         Loop::new(settings, thread_queues).run();
     })?;
-    let realtime = told.recv().unwrap_or_default();
+    let realtime = granted.recv().unwrap_or_default();
     Ok((commands, events, realtime, thread))
 }
 
-/// Asks for SCHED_FIFO for the calling thread, and for locked memory for the process.
+/// Requests SCHED_FIFO for the calling thread and locked memory for the process; returns what the system granted.
 #[must_use]
 pub fn request_realtime() -> Realtime {
-    // Pages are locked as they are touched: what is never used costs nothing.
+    // Pages are locked at their first touch: unused memory costs nothing.
     let mlock = mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE | MlockAllFlags::ONFAULT).is_ok();
     Realtime { fifo: priority::fifo(), mlock }
 }
@@ -52,12 +55,12 @@ struct Loop {
     queues: ThreadQueues,
     streamer: Streamer,
     device: Option<Box<Device>>,
-    /// The frame being written, and what is left of it.
+    /// The frame being written, and its unwritten bytes.
     frame: [u8; MAX_FRAME],
     unsent: Range<usize>,
     /// Since when the queues takes nothing.
     stuck_since: Option<HostInstant>,
-    /// Makes session numbers.
+    /// Source of session ids.
     random: RandomState,
 }
 
@@ -105,7 +108,7 @@ impl Loop {
                     let old = self.device.replace(device);
                     let Self { queues, streamer, .. } = self;
                     streamer.connect(now, id, rate, &mut |event| queues.push(event));
-                    let reason = streamer.take_lost();
+                    let reason = streamer.take_disconnect_reason();
                     if let (Some(reason), Some(old)) = (reason, old) {
                         queues.push(StreamEvent::Disconnected { reason, device: Some(old) });
                     }
@@ -115,11 +118,11 @@ impl Loop {
         }
     }
 
-    /// Reads, decides and writes until nothing is left to say: an answer is acted upon in the wake-up that brought it.
+    /// Reads, decides and writes until there is nothing to write: the streamer reacts to a report in the wake-up that brought it.
     fn exchange(&mut self) {
-        for _ in 0..TURNS {
+        for _ in 0..ROUNDS {
             let now = HostInstant::now();
-            // What the device says first: after a stall it may have ended the play long ago.
+            // Read first: after a stall the device may have ended the play long ago.
             let wrote = self.read(now).and_then(|()| {
                 let Self { queues, streamer, .. } = self;
                 streamer.step(now, &mut |event| queues.push(event));
@@ -129,7 +132,7 @@ impl Loop {
                 let Self { queues, streamer, .. } = self;
                 streamer.disconnect(now, "the device was unplugged", &mut |event| queues.push(event));
             }
-            if let Some(reason) = self.streamer.take_lost() {
+            if let Some(reason) = self.streamer.take_disconnect_reason() {
                 self.give_back(reason);
             }
             if !wrote.unwrap_or(false) {
@@ -163,7 +166,7 @@ impl Loop {
     fn read(&mut self, now: HostInstant) -> io::Result<()> {
         let Self { queues, streamer, device: Some(device), .. } = self else { return Ok(()) };
         let mut bytes = [0; 1024];
-        for _ in 0..READS {
+        for _ in 0..MAX_READS {
             let len = device.read(now, &mut bytes)?;
             if len == 0 {
                 break;
@@ -182,12 +185,12 @@ impl Loop {
 
     fn sleep(&self) {
         let now = HostInstant::now();
-        // While a frame waits to be taken nothing else can be sent: what is due does not matter then.
+        // While a frame is unwritten nothing else can be sent: wait for the port, not for what is due.
         let least = if self.unsent.is_empty() { Duration::from_micros(1) } else { Duration::from_millis(1) };
         let wait = self.streamer.wake_at(now).since(now).max(least);
         let timeout = Timespec { tv_sec: wait.as_secs() as i64, tv_nsec: wait.subsec_nanos().into() };
         let commands = PollFd::from_borrowed_fd(self.queues.wake_fd(), PollFlags::IN);
-        // An early return, by a signal, only means an idle turn.
+        // An early return, by a signal, only causes an idle round.
         let _ = match self.device.as_ref().and_then(|device| Some((device, device.wake()?))) {
             Some((device, wake)) => {
                 let wants_room = !self.unsent.is_empty() && device.polls_writable();

@@ -1,9 +1,11 @@
-//! The best that any loop can do: the rest error that is left because scatter shows itself late.
+//! The lower bound on the rest error of any position control, because telemetry shows scatter late.
 //!
-//! A burst's error is normal with variance q² = s²A²/(1 - s²): scatter s, and A its mean travel, whose corrections
-//! scatter too. Telemetry shows a burst through the moving average, so often, quantised, and so late. What is
-//! left of the sum of all errors, given the samples there can be, is the least mean square of any estimate, and no
-//! correction can be better than the estimate it goes by.
+//! [`rest_bound_um`] computes it; reports and tests compare the loop with it.
+//!
+//! A burst's error is normal with variance q² = s²A²/(1 - s²): s is the scatter and A the mean travel, whose
+//! corrections scatter too. Telemetry is delayed, sampled and quantised, and shows a burst through the moving average.
+//! The bound is the least mean square error of any estimate of the summed errors from these samples: no correction is
+//! better than the estimate behind it.
 
 use firmware_protocol::tick::{TICK_HZ, Tick};
 use meissner_array::motor::{HalfTick, Ramp};
@@ -11,16 +13,18 @@ use meissner_array::units::{UM_PER_PULSE, seconds_in_ticks};
 
 /// Telemetry's quantum, µm.
 const QUANTUM_UM: f64 = 0.01;
-/// Seen bursts whose errors are told apart; what lies before them is one unknown.
+/// Bursts whose errors are separate unknowns; all earlier ones are one unknown.
 const SEEN: u64 = 8;
-/// Samples that are taken into account, the newest.
+/// Newest samples that count.
 const SAMPLES: u64 = 150;
-/// Places of the sampling against the bursts that are averaged.
+/// Offsets of the sampling against the bursts, averaged.
 const PHASES: u64 = 8;
 
-/// The least root mean square of the rest error, µm: bursts of `travel_um` at `frequency_hz`, whose gain has the standard
-/// deviation `scatter`; samples come `telemetry_hz` times a second, and a burst's count can go by those that were
-/// taken `delay_ms` before it or earlier. A count's own rounding is part of it.
+/// The least root mean square of the rest error, µm.
+///
+/// Bursts travel `travel_um` at `frequency_hz`; their gain has the standard deviation `scatter`. Telemetry samples
+/// `telemetry_hz` times a second; the count of a burst can use samples taken at least `delay_ms` before it. The
+/// bound includes the rounding to whole pulses.
 #[must_use]
 pub fn rest_bound_um(
     frequency_hz: f64,
@@ -34,12 +38,12 @@ pub fn rest_bound_um(
     let (half, every) = (f64::from(TICK_HZ) / frequency_hz / 2.0, f64::from(TICK_HZ) / telemetry_hz);
     let delay = seconds_in_ticks(delay_ms / 1000.0);
     let left = |phase: u64| {
-        // The burst in question begins at 0; times are ticks before it.
+        // The burst to correct begins at 0; times are ticks before it.
         let newest = delay + every * phase as f64 / PHASES as f64;
-        // Bursts that begin after the newest sample show nothing; this one is among them.
+        // Bursts that begin after the newest sample are unseen, this one included.
         let unseen = (newest / half).floor() + 1.0;
         let scale = variance / (QUANTUM_UM * QUANTUM_UM / 12.0);
-        // Errors in units of q; the last unknown is what lies before, of which nothing is known.
+        // Errors in units of q; nothing is known of the last unknown, the sum of all earlier ones.
         let count = SEEN as usize + 1;
         let mut information = vec![vec![0.0; count]; count];
         for (at, row) in information.iter_mut().enumerate() {
@@ -56,7 +60,7 @@ pub fn rest_bound_um(
                 let ramp = Ramp { start: Tick(0), ticks, um_per_tick: f64::from(ticks).recip() };
                 ramp.share_um(HalfTick((2.0 * after) as u64))
             };
-            // Directions alternate; it is squares that count, but between bursts the sign does.
+            // Directions alternate: the sign matters between bursts.
             let shares: Vec<f64> = (0..SEEN)
                 .map(|burst| share(burst) * if burst % 2 == 0 { 1.0 } else { -1.0 })
                 .chain([1.0])

@@ -1,19 +1,20 @@
-//! The closed loop: holds each shaft's rest position and amplitude by correcting bursts shortly before they begin.
+//! Position control: holds the rest position and amplitude of each shaft by correcting bursts shortly before they begin.
 //!
-//! Per motor a `burst_controller` knows the bursts on their way and settles the count of each as late as the link allows, from
-//! what its `estimator` makes of telemetry that is delayed, quantised, averaged and has gaps. `telemetry_monitor` looks whether that
-//! telemetry can be the motor's at all; if not, the motor plays on in open loop. Without telemetry all is dead
-//! reckoned: what a calibrated motor's gains say is corrected, and the error of the rest position is an estimate that grows.
+//! The streamer reports strokes and telemetry to [`PositionControl`] and asks it for corrections. Per motor, `estimator`
+//! tracks the shaft from delayed, quantised, averaged telemetry with gaps; `telemetry_monitor` detects sensor faults;
+//! `burst_controller` decides the count of each burst as late as the link allows. A motor with a sensor fault plays on
+//! in open loop. Without telemetry the loop reckons: it corrects what the gains of a calibrated motor predict, and the
+//! estimated error of the rest position grows. `bound` says how good any such loop can be.
 //!
-//! It only computes, and never allocates: counts stay within `limits::correction` of the plan and within the room between
-//! bursts, and only bursts that are planned are changed, so a motor that is not driven does not move.
+//! Invariant: it never allocates; counts stay within `limits::correction` of the plan and within the room between
+//! bursts; it changes planned bursts only, so a motor that is not driven does not move.
 
 mod bound;
 mod burst_controller;
 mod estimator;
 mod telemetry_monitor;
 
-pub(super) use burst_controller::{BurstController, DUE, LONGEST_AGE};
+pub(super) use burst_controller::{BurstController, FINALISE_AT, LONGEST_AGE};
 pub use estimator::Gains;
 
 use crate::queues::MeasuredBurst;
@@ -27,94 +28,94 @@ use meissner_api::SensorFault;
 use meissner_array::motor::WINDOW_TICKS;
 use meissner_array::units::TICKS_PER_S;
 
-/// The loop over all motors.
+/// The position control of all motors.
 #[derive(Debug)]
 pub(super) struct PositionControl {
     motors: [BurstController; MOTORS],
-    /// When the last telemetry was sampled.
-    sampled: Option<Tick>,
-    /// Up to where bursts were taken for played without telemetry: older samples come too late.
-    followed: Tick,
-    /// Bursts may get longer than planned: not where a site limits on-time, which the longer ones would use up.
-    longer: bool,
-    /// When the device's counters were last heard.
-    heard: Tick,
-    /// Bursts and pulses of strokes forgotten since the device's counters were last heard.
-    unheard: (u64, u64),
-    /// Samples before this still show motion from before the last cut; none if pins are not at rest yet.
+    /// The tick of the last sample.
+    last_sample: Option<Tick>,
+    /// Bursts up to this tick count as played without telemetry: older samples are too late.
+    advanced_to: Tick,
+    /// Bursts may get longer than planned: not with on-time limits, which longer bursts would use up.
+    may_lengthen: bool,
+    /// The tick of the device's last counters.
+    counters_at: Tick,
+    /// Bursts and pulses of strokes played and removed since the device's last counters.
+    uncounted: (u64, u64),
+    /// Earlier samples still show motion from before the last cut; `None`: pins are not at rest yet.
     valid_from: Option<Tick>,
 }
 
 impl PositionControl {
     pub(super) fn new(limits: &OnTimeLimits) -> Self {
         let mut control = Self {
-            longer: false,
-            heard: Tick(0),
+            may_lengthen: false,
+            counters_at: Tick(0),
             motors: std::array::from_fn(|_| BurstController::new(&Gains::default())),
-            sampled: None,
-            followed: Tick(0),
-            unheard: (0, 0),
+            last_sample: None,
+            advanced_to: Tick(0),
+            uncounted: (0, 0),
             valid_from: None,
         };
-        control.limit(limits);
+        control.set_limits(limits);
         control
     }
 
-    /// The site's limits from now on.
-    pub(super) fn limit(&mut self, limits: &OnTimeLimits) {
-        self.longer = *limits == OnTimeLimits::NONE;
+    /// Uses the site's limits.
+    pub(super) fn set_limits(&mut self, limits: &OnTimeLimits) {
+        self.may_lengthen = *limits == OnTimeLimits::NONE;
     }
 
-    /// What was queued is flushed, pins are being returned: what telemetry shows until they are at rest means nothing.
+    /// The device has flushed the queue and returns pins: telemetry means nothing until they are at rest.
     pub(super) fn cut(&mut self) {
         self.motors.iter_mut().for_each(BurstController::cut);
-        (self.sampled, self.followed) = (None, Tick(0));
+        (self.last_sample, self.advanced_to) = (None, Tick(0));
         self.valid_from = None;
     }
 
-    /// A command was sent that cuts what is played; when, nobody knows until it is answered.
+    /// A command was sent that cuts the play, at a tick unknown until the answer.
     pub(super) fn will_be_cut(&mut self) {
         self.valid_from = None;
     }
 
-    /// At `tick` the device takes strokes: after a cut all pins are at rest. Where they really are, telemetry tells.
+    /// At `tick` the device takes strokes: after a cut the pins have stopped, and telemetry shows where.
     pub(super) fn at_rest(&mut self, tick: Tick) {
         self.valid_from = self.valid_from.or(Some(tick + WINDOW_TICKS));
     }
 
-    /// Nothing is owed and nothing was moved: the person says all pins are at rest.
+    /// The operator says that all pins are at rest.
     pub(super) fn assume_rest(&mut self) {
         self.motors.iter_mut().for_each(BurstController::assume_rest);
     }
 
-    /// A person arms: telemetry that was not believed is given another chance.
+    /// The operator arms: clears the sensor faults.
     pub(super) fn clear_faults(&mut self) {
         self.motors.iter_mut().for_each(BurstController::clear_faults);
     }
 
-    /// Motors have been calibrated.
-    pub(super) fn calibrate(&mut self, gains: &[Gains; MOTORS]) {
-        self.motors.iter_mut().zip(gains).for_each(|(motor, gains)| motor.calibrate(gains));
+    /// Uses the gains of a calibration.
+    pub(super) fn set_gains(&mut self, gains: &[Gains; MOTORS]) {
+        self.motors.iter_mut().zip(gains).for_each(|(motor, gains)| motor.set_gains(gains));
     }
 
-    /// Why the telemetry of each motor is not believed.
+    /// The sensor fault of each motor.
     pub(super) fn faults(&self) -> [Option<SensorFault>; MOTORS] {
         self.motors.each_ref().map(BurstController::fault)
     }
 
-    /// How far a pin is from its rest, µm, and whether that was measured; `None` if there is nothing to go by.
-    pub(super) fn off_by_um(&self, motor: u8, now: Tick) -> Option<(f64, bool)> {
+    /// A pin's offset from rest, µm, and whether telemetry measured it; `None` without telemetry and calibration.
+    pub(super) fn offset_um(&self, motor: u8, now: Tick) -> Option<(f64, bool)> {
         let motor = self.motors.get(usize::from(motor)).filter(|motor| motor.fault().is_none())?;
-        let measured = self.is_heard(now) && motor.is_measured();
+        let measured = self.has_recent_telemetry(now) && motor.is_measured();
         (measured || motor.is_calibrated()).then(|| (motor.rest_um(), measured))
     }
 
-    /// Whether bursts may be corrected at all on a device with or without telemetry.
-    pub(super) fn steers(&self, telemetry: bool) -> bool {
+    /// Whether any burst can be corrected; `telemetry`: the device sends it.
+    pub(super) fn corrects(&self, telemetry: bool) -> bool {
         telemetry || self.motors.iter().any(BurstController::is_calibrated)
     }
 
-    /// Whether a motor's telemetry is not believed.
+    /// Whether a motor has a sensor fault.
     pub(super) fn is_faulted(&self, motor: u8) -> bool {
         self.motors.get(usize::from(motor)).is_some_and(|motor| motor.fault().is_some())
     }
@@ -124,7 +125,7 @@ impl PositionControl {
         self.motors.get(usize::from(motor)).map_or(1.0, |motor| motor.gain(direction))
     }
 
-    /// A move of a pin is over at `until`.
+    /// A move of a pin ends at `until`.
     pub(super) fn moved(&mut self, motor: u8, direction: Direction, pulses: u16, until: Tick) {
         if let Some(motor) = self.motor(motor) {
             motor.moved(direction, pulses);
@@ -132,13 +133,13 @@ impl PositionControl {
         self.valid_from = Some(until);
     }
 
-    /// Whether telemetry has told how things stand since `tick`.
+    /// Whether a sample was taken at `tick` or later.
     pub(super) fn sampled_after(&self, tick: Tick) -> bool {
-        self.sampled.is_some_and(|sampled| sampled >= tick)
+        self.last_sample.is_some_and(|sampled| sampled >= tick)
     }
 
     /// The largest error by dead reckoning, one standard deviation, µm.
-    pub(super) fn reckoned_um(&self, now: Tick) -> f32 {
+    pub(super) fn dead_reckoning_sd_um(&self, now: Tick) -> f32 {
         let all = self.rest_error_um(now).into_iter();
         let reckoned = all.filter(|(_, source)| *source == ErrorSource::DeadReckoning);
         reckoned.map(|(um, _)| um).fold(0.0, f32::max)
@@ -148,120 +149,123 @@ impl PositionControl {
         self.motors.get_mut(usize::from(motor))
     }
 
-    /// A stroke of a play that ends at `until` was sent to the device.
-    pub(super) fn sent(&mut self, stroke: &Stroke, steered: bool, until: Tick) {
+    /// A stroke was sent to the device; its play ends at `until`.
+    pub(super) fn sent(&mut self, stroke: &Stroke, closed_loop: bool, until: Tick) {
         if let Some(motor) = self.motor(stroke.motor) {
-            motor.sent(stroke, steered, until);
+            motor.sent(stroke, closed_loop, until);
         }
     }
 
-    /// The device has accepted it.
+    /// The device has accepted a stroke.
     pub(super) fn accepted(&mut self, motor: u8, up: Tick) {
         if let Some(motor) = self.motor(motor) {
             motor.accepted(up);
         }
     }
 
-    /// The device will not play it.
+    /// The device will not play a stroke.
     pub(super) fn withdrawn(&mut self, motor: u8, up: Tick) {
         if let Some(motor) = self.motor(motor) {
             motor.withdrawn(up);
         }
     }
 
-    /// Nothing sent with an up tick from `onset` on was taken.
+    /// The device took no stroke with an up tick from `onset` on.
     pub(super) fn withdraw_from(&mut self, onset: Tick) {
         self.motors.iter_mut().for_each(|motor| motor.withdraw_from(onset));
     }
 
-    /// The device has told its counters as they stood at `tick`.
-    pub(super) fn heard(&mut self, tick: Tick) {
-        (self.heard, self.unheard) = (tick, (0, 0));
+    /// The device has reported its counters at `tick`.
+    pub(super) fn counters_heard(&mut self, tick: Tick) {
+        (self.counters_at, self.uncounted) = (tick, (0, 0));
     }
 
-    /// Bursts and pulses played since the device's counters were heard at `heard`, if the link was lost at `lost`:
-    /// what had begun by then the device has brought to its end.
-    pub(super) fn played_unheard(&self, heard: Tick, lost: Tick) -> (u64, u64) {
+    /// Bursts and pulses played after the counters of tick `heard`, if the link was lost at `lost`: the device finishes
+    /// the strokes that had begun by then.
+    pub(super) fn played_since_counters(&self, heard: Tick, lost: Tick) -> (u64, u64) {
         let queued = self.motors.iter().flat_map(BurstController::in_device);
         let played = queued.filter(|stroke| stroke.end() > heard && stroke.up < lost);
-        played
-            .fold(self.unheard, |(bursts, pulses), stroke| (bursts + 2, pulses + u64::from(stroke.pulses())))
+        played.fold(self.uncounted, |(bursts, pulses), stroke| {
+            (bursts + 2, pulses + u64::from(stroke.pulses()))
+        })
     }
 
-    /// Displacements in 0.01 µm. Tells what bursts have come to.
+    /// Takes a sample of all displacements, 0.01 µm. Calls `over` with each burst measured.
     pub(super) fn telemetry(&mut self, tick: Tick, y: &[i32; MOTORS], mut over: impl FnMut(MeasuredBurst)) {
-        let old = self.sampled.is_some_and(|last| tick <= last) || tick < self.followed;
+        let old = self.last_sample.is_some_and(|last| tick <= last) || tick < self.advanced_to;
         if old || self.valid_from.is_none_or(|from| tick < from) {
             return;
         }
-        self.sampled = Some(tick);
-        let (unheard, heard) = (&mut self.unheard, self.heard);
+        self.last_sample = Some(tick);
+        let (uncounted, heard) = (&mut self.uncounted, self.counters_at);
         for ((motor, &y), index) in self.motors.iter_mut().zip(y).zip(0..) {
             let mut over = |travel: estimator::Travel| over(travel.of(index));
-            if motor.follow(tick, false, &mut over, |stroke| count(unheard, heard, stroke)) {
+            if motor.advance(tick, false, &mut over, |stroke| count(uncounted, heard, stroke)) {
                 motor.telemetry(tick, f64::from(y) * 0.01, &mut over);
             }
         }
     }
 
-    /// Settles the counts of bursts that begin soon, telling those that change. Strokes of a motor that were not sent yet
-    /// do not begin before `free`.
+    /// Finalises the counts of bursts that begin soon, and calls `amend` with those that change. Strokes of a motor that
+    /// are not sent yet do not begin before `free`.
     pub(super) fn correct(
         &mut self,
         now: Tick,
         free: impl Fn(u8) -> Tick,
         mut amend: impl FnMut(&Amendment) -> bool,
     ) {
-        let fresh = self.sampled.is_some_and(|sampled| now - sampled <= LONGEST_AGE);
+        let fresh = self.last_sample.is_some_and(|sampled| now - sampled <= LONGEST_AGE);
         if !fresh {
-            let (unheard, heard) = (&mut self.unheard, self.heard);
+            let (uncounted, heard) = (&mut self.uncounted, self.counters_at);
             let past = Tick(now.0.saturating_sub(LONGEST_AGE));
             for motor in &mut self.motors {
-                motor.follow(past, true, |_| (), |stroke| count(unheard, heard, stroke));
+                motor.advance(past, true, |_| (), |stroke| count(uncounted, heard, stroke));
             }
-            self.followed = past;
+            self.advanced_to = past;
         }
         let mut next = self.motors.iter().filter_map(BurstController::next);
-        if next.all(|next| next > now + DUE) {
+        if next.all(|next| next > now + FINALISE_AT) {
             return;
         }
-        let longer = self.longer;
+        let may_lengthen = self.may_lengthen;
         for (motor, index) in self.motors.iter_mut().zip(0..) {
             motor.correct(
                 now,
                 || free(index),
                 fresh,
-                longer,
+                may_lengthen,
                 |up, direction, pulses| amend(&Amendment { motor: index, up, direction, pulses }),
             );
         }
     }
 
-    /// Whether no stroke is on its way.
+    /// Whether no burst is left to finalise.
     pub(super) fn is_idle(&self) -> bool {
         self.motors.iter().all(|motor| motor.next().is_none())
     }
 
-    /// Whether telemetry was taken within a second.
-    fn is_heard(&self, now: Tick) -> bool {
-        self.sampled.is_some_and(|sampled| now - sampled <= TICKS_PER_S)
+    /// Whether the last sample is less than a second old.
+    fn has_recent_telemetry(&self, now: Tick) -> bool {
+        self.last_sample.is_some_and(|sampled| now - sampled <= TICKS_PER_S)
     }
 
-    /// Where each shaft is thought to rest, µm, and how that is known. By dead reckoning: one standard deviation.
+    /// Estimated rest error of each shaft, µm, and its source. By dead reckoning: one standard deviation.
     pub(super) fn rest_error_um(&self, now: Tick) -> [(f32, ErrorSource); MOTORS] {
-        let fresh = self.is_heard(now);
-        self.motors.each_ref().map(|motor| match (fresh && motor.fault().is_none(), motor.reckoned_um()) {
-            (true, _) => (motor.rest_um() as f32, ErrorSource::Telemetry),
-            (false, 0.0) => (motor.rest_um() as f32, ErrorSource::None),
-            (false, reckoned) => (reckoned as f32, ErrorSource::DeadReckoning),
+        let fresh = self.has_recent_telemetry(now);
+        self.motors.each_ref().map(|motor| {
+            match (fresh && motor.fault().is_none(), motor.dead_reckoning_sd_um()) {
+                (true, _) => (motor.rest_um() as f32, ErrorSource::Telemetry),
+                (false, 0.0) => (motor.rest_um() as f32, ErrorSource::None),
+                (false, reckoned) => (reckoned as f32, ErrorSource::DeadReckoning),
+            }
         })
     }
 }
 
-/// Counts a stroke that is forgotten, unless the device's counters already control it.
-fn count(unheard: &mut (u64, u64), heard: Tick, stroke: &Stroke) {
+/// Counts a stroke that leaves the queue, unless the device's counters include it.
+fn count(uncounted: &mut (u64, u64), heard: Tick, stroke: &Stroke) {
     if stroke.end() > heard {
-        unheard.0 += 2;
-        unheard.1 += u64::from(stroke.pulses());
+        uncounted.0 += 2;
+        uncounted.1 += u64::from(stroke.pulses());
     }
 }

@@ -1,114 +1,117 @@
-//! Whether a motor's telemetry can be believed: what it says of the bursts that were played.
+//! The telemetry monitor of one motor: detects sensor faults by comparing telemetry with the bursts played.
 //!
-//! What is looked at: A sample that no burst under way explains is odd; a run of odd samples is a jump, and
-//! jumps that come again and again are a sensor that jumps, lags behind or belongs to another motor. A burst's gain
-//! may scatter, but bursts whose gain is implausible one after the other are a sensor that is stuck or has another
-//! scale. Scatter beyond all motors' says that telemetry and bursts have little to do with each other. Corrections that stand
-//! at their limit without bringing the shaft nearer push in vain. And a move between plays must show as it was made.
+//! The burst controller asks [`TelemetryMonitor::check`] about each sample, and reports bursts, limited corrections and
+//! moves. The faults:
+//! - `Jumps`: an outlier is a sample that no burst under way explains; a run of outliers is a jump. A sensor that jumps
+//!   often is loose, lags behind or belongs to another motor.
+//! - `Gain`: successive bursts have an implausible gain, or a move does not show as made: the sensor is stuck or has
+//!   another scale.
+//! - `Scatter`: bursts scatter more than any motor does: telemetry and bursts are unrelated.
+//! - `Limit`: corrections stay at their limit without bringing the shaft nearer.
 //!
-//! It only judges. Believing again is up to a person: after `arm`.
+//! Invariant: a fault stays until the operator arms again.
 
 use super::estimator::{Estimator, Sample, Travel};
 use firmware_protocol::tick::Tick;
 use meissner_api::SensorFault;
 use meissner_array::units::{TICKS_PER_MS, ticks_to_seconds};
 
-/// A sample may always differ by so much, µm: a finger moves what it touches.
+/// A sample may always differ by so much, µm: a finger moves the pin it touches.
 const SLACK_UM: f64 = 2.0;
-/// By so many standard deviations.
+/// Plus so many standard deviations.
 const SLACK_SD: f64 = 6.0;
-/// And by so much of the travel under way: five standard deviations of 35 % scatter.
+/// Plus this share of the travel under way: five standard deviations of 35 % scatter.
 const SLACK_SHARE: f64 = 1.75;
-/// So many odd samples in a row are where the shaft is now: something has moved it.
+/// After so many outliers in a row the shaft is where they say: something has moved it.
 const JUMP: u32 = 8;
-/// Jumps above one per second, before they are too many. A correction that the line loses is one: the burst was another.
+/// Jumps above one per second that make a fault. A correction that the link loses causes one.
 const JUMPS: f64 = 5.0;
-/// Odd samples within this time are one jump.
+/// Outliers within this time are one jump, ticks.
 const ONE_JUMP: u64 = 50 * TICKS_PER_MS;
-/// How long after an odd sample nothing is corrected.
-const DOUBT: u64 = 50 * TICKS_PER_MS;
-/// Standard deviation that a burst's gain is believed to have at the most, 0.35, and how a sum of squares of
-/// deviations in this unit above [`GAIN_EXPECTED`] shows that it is no motor's: four bursts of a stuck sensor.
+/// Corrections pause so long after an outlier, ticks.
+const SUSPENDED: u64 = 50 * TICKS_PER_MS;
+/// The largest plausible standard deviation of a burst's gain. Squared deviations in this unit, capped at [`GAIN_MOST`],
+/// less [`GAIN_EXPECTED`], sum up; above [`GAIN_SUM`] it is a fault: after four bursts of a stuck sensor.
 const GAIN_SD: f64 = 0.35;
 const GAIN_EXPECTED: f64 = 3.0;
 const GAIN_MOST: f64 = 9.0;
 const GAIN_SUM: f64 = 20.0;
-/// A burst that is not measured to this share of its travel says nothing.
+/// A burst counts only if it is measured to this share of its travel.
 const MEASURED: f64 = 0.1;
-/// Scatter that no motor has, once so many bursts show it.
+/// Scatter that no motor has, and how many bursts must show it.
 const SCATTER: f64 = 0.5;
 const SCATTER_EVIDENCE: f64 = 30.0;
-/// Corrections at their limit, added up, that should have moved a shaft from one end stop to the other, µm, so many at least that
-/// scatter does not make up for them, and the share of that which it must have come nearer to its rest.
+/// Limited corrections one way that should have moved a shaft from end stop to end stop, µm; how many there must be, so
+/// that scatter cannot explain them; and the share of it by which the shaft must have come nearer to rest.
 const PUSHED_UM: f64 = 1000.0;
 const PUSHES: u32 = 60;
 const COME_NEARER: f64 = 0.25;
-/// By how much a move's travel may differ from what is expected: by this share of it, and by this, µm.
+/// How far a move may differ from its expected travel: this share of it, plus this, µm.
 const MOVE_SHARE: f64 = 0.6;
 const MOVE_UM: f64 = 0.5;
 
-/// What to do with a sample.
+/// The verdict on a sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Seen {
-    /// Take it in.
-    Good,
-    /// Leave it out.
-    Odd,
-    /// The shaft is there now, whatever moved it.
+pub(super) enum Plausibility {
+    /// Use it.
+    Plausible,
+    /// Ignore it.
+    Outlier,
+    /// Something has moved the shaft: it is there now.
     Moved,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct TelemetryMonitor {
-    odd: u32,
+    outliers: u32,
     jumps: f64,
     last_jump: Tick,
-    doubt_until: Tick,
+    suspended_until: Tick,
     gain_sum: f64,
-    /// Corrections at their limit one way, signed, µm, and how far off the shaft was when they began.
+    /// Limited corrections one way: their sum, signed, µm; their number; the shaft's offset when they began, µm.
     pushed_um: f64,
     pushes: u32,
     pushed_from: f64,
-    lost: Option<SensorFault>,
+    fault: Option<SensorFault>,
 }
 
 impl TelemetryMonitor {
-    /// Why it is not believed.
-    pub(super) fn lost(&self) -> Option<SensorFault> {
-        self.lost
+    /// The sensor fault, if there is one.
+    pub(super) fn fault(&self) -> Option<SensorFault> {
+        self.fault
     }
 
-    /// Whether corrections may be made at `now`.
-    pub(super) fn steers(&self, now: Tick) -> bool {
-        self.lost.is_none() && now >= self.doubt_until
+    /// Whether the controller may correct at `now`.
+    pub(super) fn allows_correction(&self, now: Tick) -> bool {
+        self.fault.is_none() && now >= self.suspended_until
     }
 
-    pub(super) fn sample(&mut self, tick: Tick, sample: &Sample) -> Seen {
+    /// Judges a sample.
+    pub(super) fn check(&mut self, tick: Tick, sample: &Sample) -> Plausibility {
         let limit = SLACK_UM + SLACK_SD * sample.variance.sqrt() + SLACK_SHARE * sample.shown_um;
-        if sample.surprise_um.abs() <= limit {
-            self.odd = 0;
-            return Seen::Good;
+        if sample.innovation_um.abs() <= limit {
+            self.outliers = 0;
+            return Plausibility::Plausible;
         }
-        self.doubt_until = tick + DOUBT;
-        if self.odd == 0 && tick - self.last_jump > ONE_JUMP {
+        self.suspended_until = tick + SUSPENDED;
+        if self.outliers == 0 && tick - self.last_jump > ONE_JUMP {
             let leak = ticks_to_seconds(tick - self.last_jump);
             self.jumps = (self.jumps - leak).max(0.0) + 1.0;
             self.last_jump = tick;
             if self.jumps > JUMPS {
-                self.lost = self.lost.or(Some(SensorFault::Jumps));
+                self.fault = self.fault.or(Some(SensorFault::Jumps));
             }
         }
-        self.odd += 1;
-        if self.odd < JUMP {
-            return Seen::Odd;
+        self.outliers += 1;
+        if self.outliers < JUMP {
+            return Plausibility::Outlier;
         }
-        self.odd = 0;
-        Seen::Moved
+        self.outliers = 0;
+        Plausibility::Moved
     }
 
-    /// A burst was settled at a limit, where it corrects the shaft by so much, or within its limits; the shaft is thought to
-    /// rest at `rest_um`.
-    pub(super) fn limit(&mut self, um: Option<f64>, rest_um: f64) {
+    /// A burst was corrected: by `um` at a limit, or within its limits (`None`). The estimated rest position is `rest_um`.
+    pub(super) fn corrected(&mut self, um: Option<f64>, rest_um: f64) {
         if um.is_none_or(|um| um * self.pushed_um < 0.0) {
             (self.pushed_um, self.pushes, self.pushed_from) = (0.0, 0, rest_um.abs());
         }
@@ -119,29 +122,29 @@ impl TelemetryMonitor {
             && self.pushes > PUSHES
             && nearer < COME_NEARER * self.pushed_um.abs()
         {
-            self.lost = self.lost.or(Some(SensorFault::Limit));
+            self.fault = self.fault.or(Some(SensorFault::Limit));
         }
     }
 
-    /// Telemetry shows that a move has shifted the shaft by so much, where so much was expected, µm.
+    /// A move has shifted the shaft by `um`; expected was `expected_um`.
     pub(super) fn moved(&mut self, um: f64, expected_um: f64) {
         if (um - expected_um).abs() > MOVE_SHARE * expected_um.abs() + MOVE_UM {
-            self.lost = self.lost.or(Some(SensorFault::Gain));
+            self.fault = self.fault.or(Some(SensorFault::Gain));
         }
     }
 
-    /// A burst is over, of a motor whose calibrated gain is `nominal`.
+    /// A burst was measured; the motor's calibrated gain is `nominal`.
     pub(super) fn travel(&mut self, travel: &Travel, nominal: f64, estimator: &Estimator) {
         if travel.sd_um < MEASURED * travel.um_ideal() {
             let deviation = (travel.gain - nominal) / GAIN_SD;
             let square = (deviation * deviation).min(GAIN_MOST);
             self.gain_sum = (self.gain_sum + square - GAIN_EXPECTED).max(0.0);
             if self.gain_sum > GAIN_SUM {
-                self.lost = self.lost.or(Some(SensorFault::Gain));
+                self.fault = self.fault.or(Some(SensorFault::Gain));
             }
         }
         if estimator.scatter() > SCATTER && estimator.evidence() > SCATTER_EVIDENCE {
-            self.lost = self.lost.or(Some(SensorFault::Scatter));
+            self.fault = self.fault.or(Some(SensorFault::Scatter));
         }
     }
 }

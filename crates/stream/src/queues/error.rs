@@ -1,9 +1,11 @@
-//! Why an order was not carried out, in words for a person.
+//! Why a command was refused, as a message for the operator.
+//!
+//! The streamer answers a request with [`CommandError`]; the API shows its text.
 
 use crate::queues::MAX_QUEUED_PLAYS;
 use firmware_protocol::limits::Refusal;
 
-/// Why an order was not carried out.
+/// Why a command was refused or failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CommandError {
     /// No device is connected.
@@ -12,25 +14,25 @@ pub enum CommandError {
     /// The controller is not armed.
     #[error("the motors are disarmed: run `meissner arm` first")]
     Disarmed,
-    /// Emergency stop or fault is latched.
+    /// An emergency stop or fault is latched.
     #[error("an emergency stop or fault is latched: find out why, then `meissner reset` and `meissner arm`")]
     Faulted,
-    /// Pins are being returned.
-    #[error("pins are being returned: try again in a moment")]
+    /// The device is returning pins.
+    #[error("the pins are returning to rest: try again in a moment")]
     Returning,
-    /// Homing and calibrating wait for no play.
+    /// Homing and calibration need an idle streamer.
     #[error("a play is running or queued: wait for its end, or `meissner stop`")]
     Playing,
-    /// Neither telemetry nor a calibration says where pins are.
+    /// Neither telemetry nor a calibration shows where the pins are.
     #[error(
         "no telemetry and no calibration say where the pins are: level them by hand, then `meissner disarm` and \
          `meissner arm --assume-rest`"
     )]
     NoPositionEstimate,
-    /// Homing is over and not all pins are home.
+    /// Homing has ended and not all pins are home.
     #[error(
-        "not all pins are home: `meissner status` says how far each is off, or that its telemetry is not believed; level those \
-         by hand, then `meissner disarm` and `meissner arm --assume-rest`"
+        "not all pins are home: `meissner status` shows how far off each is, and sensor faults; level those pins by hand, \
+         then `meissner disarm` and `meissner arm --assume-rest`"
     )]
     NotHome,
     /// [`MAX_QUEUED_PLAYS`] plays wait.
@@ -39,23 +41,23 @@ pub enum CommandError {
     /// The play before it has no end.
     #[error("the play before it has no end: stop it, or use --replace")]
     BehindEndless,
-    /// The onset asked for cannot be kept.
+    /// The onset asked for is too soon.
     #[error("the onset asked for is too soon or already past: choose a later one")]
     TooSoon,
-    /// The onset asked for is further ahead than the protocol reaches.
+    /// The onset asked for is beyond the protocol's range.
     #[error("the onset asked for is more than an hour and a half ahead: choose a sooner one")]
     TooFar,
-    /// The onset asked for lies within the play before it.
+    /// The onset asked for lies within a queued play.
     #[error(
         "the onset asked for lies before the end of the plays queued: choose a later one, or use --replace"
     )]
     Overlaps,
-    /// More than the line carries.
+    /// The play requires more bandwidth than the line has.
     #[error("the pattern needs {:.1} kB/s at its peak, the line carries {:.1}: lower frequencies, fewer pins, or USB", kilo(*.needs), kilo(*.carries))]
     LineTooSlow {
-        /// Bytes per second it needs.
+        /// Bytes per second required.
         needs: u32,
-        /// Bytes per second the line was measured to carry.
+        /// Bytes per second measured.
         carries: u32,
     },
     /// The device refused the command.
@@ -70,7 +72,7 @@ fn kilo(bytes: u32) -> f64 {
     f64::from(bytes) / 1000.0
 }
 
-/// A refusal in words for a person.
+/// The text of a device's refusal.
 #[must_use]
 pub fn refusal_text(refusal: Refusal) -> &'static str {
     match refusal {

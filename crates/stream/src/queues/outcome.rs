@@ -1,4 +1,6 @@
-//! What came of a play, and how everything stands: the figures that receipts and the status are made of.
+//! The outcome of a play and the snapshot of the streamer: the data of receipts and of the status.
+//!
+//! The streamer fills them; the daemon turns them into the API's types.
 
 use crate::link::BadFrames;
 use crate::queues::Play;
@@ -12,11 +14,11 @@ use meissner_api::{BurstCounts, ErrorSource, LateCounts, OnsetRecord, PlayState,
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum End {
-    /// All of it was streamed and is over.
+    /// Played to its end.
     Done,
     /// By a stop, replace, disarm, e-stop, lost link.
     Stopped,
-    /// By late strokes under `LatePolicy::Abort`, or an onset that could not be kept.
+    /// By late strokes under `LatePolicy::Abort`, or an onset missed.
     Aborted,
 }
 
@@ -39,9 +41,9 @@ pub struct Onset {
     pub actual: Tick,
     /// The same on `CLOCK_MONOTONIC`.
     pub at: HostInstant,
-    /// How well that is known, ns.
+    /// Its uncertainty, ns.
     pub uncertainty_ns: u64,
-    /// From the order to the onset, ns.
+    /// From the command to the onset, ns.
     pub latency_ns: u64,
 }
 
@@ -63,7 +65,7 @@ pub struct Outcome {
     pub end: End,
     /// Why, unless it is done.
     pub cause: Option<&'static str>,
-    /// When it began; `None` if it never did.
+    /// When it began; `None`: never.
     pub onset: Option<Onset>,
     /// Its bursts.
     pub bursts: BurstCounts,
@@ -71,7 +73,7 @@ pub struct Outcome {
     pub pulses: PulseCounts,
     /// Its late strokes.
     pub lateness: LateCounts,
-    /// Bytes of the frames sent to the device while it ran, all overhead included.
+    /// Bytes sent to the device while it ran, all overhead included.
     pub wire_bytes: u64,
     /// Estimated rest error of each motor at the end, µm.
     pub rest_error_um: [f32; MOTORS],
@@ -79,7 +81,7 @@ pub struct Outcome {
     pub play: Box<Play>,
 }
 
-/// What a burst really came to, as telemetry shows it.
+/// A burst as telemetry has measured it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeasuredBurst {
     /// Its motor.
@@ -90,7 +92,7 @@ pub struct MeasuredBurst {
     pub direction: Direction,
     /// Its pulses, as corrected.
     pub pulses: u16,
-    /// How far the shaft went, µm; up is positive.
+    /// Travel of the shaft, µm; up is positive.
     pub travel_um: f32,
     /// One standard deviation of that, µm.
     pub sd_um: f32,
@@ -98,10 +100,10 @@ pub struct MeasuredBurst {
     pub rested: bool,
 }
 
-/// How everything stands, published on change and ten times a second while something is played.
+/// The state of streamer and device, reported on change and ten times a second while playing.
 #[derive(Clone, Copy, Debug)]
 pub struct Snapshot {
-    /// When this was true.
+    /// When it was taken.
     pub at: HostInstant,
     /// Whether a device answers.
     pub connected: bool,
@@ -113,23 +115,23 @@ pub struct Snapshot {
     pub position_known: bool,
     /// The device's clock, estimated for `at`.
     pub tick: Tick,
-    /// How well it is known, µs.
+    /// Its uncertainty, µs.
     pub clock_uncertainty_us: f64,
     /// The running play's id and how long it has played, s.
     pub play: Option<(u64, f64)>,
-    /// Lead that is really reached, ms: less than asked for if the device's credits do not allow it.
+    /// The lead reached, ms: less than set if the device's credits do not allow more.
     pub lead_ms: f64,
-    /// The lease that is gone by, ms.
+    /// The host watchdog timeout in use, ms.
     pub lease_ms: f64,
     /// Estimated rest error per motor, µm.
     pub rest_error_um: [f32; MOTORS],
     /// Where the estimates come from.
     pub source: [ErrorSource; MOTORS],
-    /// Bytes per second the line was measured to carry; `None` until it is.
+    /// Measured capacity of the line, bytes/s; `None` before the link probe.
     pub line_bytes_per_s: Option<u32>,
-    /// Bytes sent to and received from the device since it was connected.
+    /// Bytes sent to the device since it was connected.
     pub bytes_out: u64,
-    /// Bytes received.
+    /// Bytes received since then.
     pub bytes_in: u64,
     /// Frames sent again.
     pub retransmitted: u64,

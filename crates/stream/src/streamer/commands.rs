@@ -1,62 +1,66 @@
-//! CommandQueue: which can be taken now, and the commands they become, one at a time.
+//! Executes commands: decides which are possible now, and sends their operations to the device one at a time.
+//!
+//! [`Streamer::execute`] takes each request; [`Streamer::expire`] answers those that the device does not answer in time.
 
 use crate::active::{Active, FIRST_MARGIN};
 use crate::link::Session;
 use crate::queues::{At, Command, CommandError, End, MAX_QUEUED_PLAYS, Play, Request, StreamEvent};
-use crate::streamer::{ANSWER_WITHIN, CONTROLS, Streamer, Taken, Tell, Waiting, answer, cuts};
+use crate::streamer::{
+    ANSWER_WITHIN, Emit, MAX_PENDING_OPS, OpResult, PendingOp, Streamer, answer, cuts_play,
+};
 use crate::time::HostInstant;
 use firmware_protocol::message::{Cause, Op, State};
 use firmware_protocol::tick::Tick;
 use meissner_array::units::{duration_to_ticks, ms_in_ticks};
 use std::time::Duration;
 
-/// How far ahead an onset may lie: half of what a stroke may, so that every wire tick is read as it was meant.
+/// Farthest onset ahead, ticks: half of what a stroke may have, so that every wire tick is unambiguous.
 const FARTHEST: u64 = 1 << 29;
 
-/// The part of the first margin that is not for the line: the horizon, and a wake-up.
+/// The part of the first margin for the render horizon and a wake-up, not for the link.
 const WAKE_UP: Duration = Duration::from_micros(1500);
 
 impl Streamer {
-    /// Takes an order. [`Command::Connect`] is not for here: the thread opens the session.
-    pub fn execute(&mut self, now: HostInstant, request: Request, tell: Tell<'_>) {
+    /// Executes a request. [`Command::Connect`] does nothing here: the thread opens the session with [`Self::connect`].
+    pub fn execute(&mut self, now: HostInstant, request: Request, emit: Emit<'_>) {
         let Request { ticket, issued_at: given, .. } = request;
-        // Whoever gave it has been told by now that nothing came of it.
+        // The client has given up waiting by now.
         let stale = now.since(given) >= ANSWER_WITHIN;
         let taken = match request.command {
             Command::Connect(_) => Ok(None),
             Command::Play(play) if stale => {
-                answer(ticket, Err(CommandError::Timeout), tell);
-                tell(StreamEvent::PlayRejected(play));
+                answer(ticket, Err(CommandError::Timeout), emit);
+                emit(StreamEvent::PlayRejected(play));
                 return;
             }
             Command::Arm { .. } | Command::Reset if stale => Err(CommandError::Timeout),
             Command::Play(play) => match self.play(now, given, play) {
                 Ok(()) => Ok(None),
                 Err((refused, play)) => {
-                    answer(ticket, Err(refused), tell);
-                    tell(StreamEvent::PlayRejected(play));
+                    answer(ticket, Err(refused), emit);
+                    emit(StreamEvent::PlayRejected(play));
                     return;
                 }
             },
             Command::Stop => self.stop(),
-            Command::EStop => self.emergency_stop(now, tell),
+            Command::EStop => self.emergency_stop(now, emit),
             Command::Reset => self.reset(),
             Command::Arm { assume_rest } => self.arm(assume_rest),
             Command::Home => match self.home(ticket) {
-                // It is answered when the pins are home.
+                // The answer comes when the pins are home.
                 Ok(_) => return,
                 Err(refused) => Err(refused),
             },
             Command::SetGains(gains) => {
-                self.control.calibrate(&gains);
-                tell(StreamEvent::GainsApplied(gains));
+                self.control.set_gains(&gains);
+                emit(StreamEvent::GainsApplied(gains));
                 Ok(None)
             }
             Command::Configure(settings) => {
                 self.next_settings = settings;
-                // What the device was armed with holds until it is armed again.
+                // An armed device keeps its settings until it is armed again.
                 if !self.wants_armed && !matches!(self.state(), State::Armed | State::Returning) {
-                    self.settle();
+                    self.apply_settings();
                 }
                 Ok(None)
             }
@@ -65,25 +69,25 @@ impl Streamer {
                 self.closing = Some((ticket, now));
                 self.wants_armed = false;
                 self.cut_all(End::Stopped, "shutdown");
-                self.end_homing(Err(CommandError::Returning), tell);
+                self.end_homing(Err(CommandError::Returning), emit);
                 if self.session.is_some() {
-                    self.control(now, 0, Op::Disarm(Cause::Shutdown), tell);
+                    self.queue_op(now, 0, Op::Disarm(Cause::Shutdown), emit);
                 }
                 return;
             }
         };
         match taken {
             Ok(Some(op)) => {
-                self.end_homing(Err(CommandError::Returning), tell);
-                self.control(given, ticket, op, tell);
+                self.end_homing(Err(CommandError::Returning), emit);
+                self.queue_op(given, ticket, op, emit);
             }
-            Ok(None) => answer(ticket, Ok(()), tell),
-            Err(refused) => answer(ticket, Err(refused), tell),
+            Ok(None) => answer(ticket, Ok(()), emit),
+            Err(refused) => answer(ticket, Err(refused), emit),
         }
         self.snapshot_due = now;
     }
 
-    /// Whether commands can be given: they wait for a handshake that is under way.
+    /// Whether the device can take commands; they wait for a handshake under way.
     fn ready(&self) -> Result<(), CommandError> {
         match (&self.session, self.state()) {
             (None, _) if !self.latched => Err(CommandError::NoDevice),
@@ -92,7 +96,7 @@ impl Streamer {
         }
     }
 
-    /// Whether the device takes strokes, or will when the commands given are carried out.
+    /// Whether the device takes strokes, or will after the pending operations.
     pub(super) fn takes_plays(&self) -> Result<(), CommandError> {
         self.ready()?;
         match self.state() {
@@ -113,7 +117,7 @@ impl Streamer {
             Ok((requested, margin)) => {
                 if play.replace && self.plays.iter().any(|active| active.cut.is_none()) {
                     self.cut_all(End::Stopped, "replaced");
-                    self.controls.push_back(Waiting { ticket: 0, op: Op::Stop, since: now });
+                    self.pending_ops.push_back(PendingOp { ticket: 0, op: Op::Stop, since: now });
                 }
                 self.plays.push_back(Active::new(play, given, requested, margin));
                 Ok(())
@@ -121,24 +125,27 @@ impl Streamer {
         }
     }
 
-    /// How far ahead of its onset a play has to be sent from, if the line carries it at all.
+    /// How long before its onset a play must be sent.
+    ///
+    /// # Errors
+    /// If the line does not carry the play.
     pub(super) fn margin(&self, session: &Session, play: &Play) -> Result<Duration, CommandError> {
-        let steered = !play.open_loop && self.control.steers(self.telemetry);
-        let demand = if steered { play.bandwidth.closed } else { play.bandwidth.open };
-        match session.rate_left(demand.frames) {
-            Some(carries) if demand.rate > carries => {
-                Err(CommandError::LineTooSlow { needs: demand.rate, carries })
+        let closed_loop = !play.open_loop && self.control.corrects(self.telemetry);
+        let required = if closed_loop { play.bandwidth.closed } else { play.bandwidth.open };
+        match session.rate_left(required.frames) {
+            Some(carries) if required.rate > carries => {
+                Err(CommandError::LineTooSlow { needs: required.rate, carries })
             }
             Some(carries) => {
-                // Before there is a lead, two slow answers in a row must not make what follows the first frame late.
+                // There is no lead yet: two slow answers in a row must not delay what follows the first frame.
                 let waiting = 2 * session.ack_wait().unwrap_or_default();
-                Ok(FIRST_MARGIN.max(WAKE_UP + waiting + demand.ahead(carries)))
+                Ok(FIRST_MARGIN.max(WAKE_UP + waiting + required.ahead(carries)))
             }
             None => Ok(FIRST_MARGIN),
         }
     }
 
-    /// Whether a play can be queued, the onset it asks for, and how far ahead it has to be sent.
+    /// Decides whether a play can be queued; returns the onset it asks for and its first margin.
     fn place(&self, now: HostInstant, play: &Play) -> Result<(Option<Tick>, Duration), CommandError> {
         self.takes_plays()?;
         if self.homing.is_some() {
@@ -148,7 +155,7 @@ impl Streamer {
             return Err(CommandError::NoDevice);
         };
         let queued = || self.plays.iter().filter(|active| active.cut.is_none() && !play.replace);
-        let held = self.plays.len() > 2 * MAX_QUEUED_PLAYS || self.controls.len() == CONTROLS;
+        let held = self.plays.len() > 2 * MAX_QUEUED_PLAYS || self.pending_ops.len() == MAX_PENDING_OPS;
         if queued().count() > MAX_QUEUED_PLAYS || held {
             return Err(CommandError::QueueFull);
         }
@@ -172,7 +179,7 @@ impl Streamer {
         if requested - tick > FARTHEST {
             return Err(CommandError::TooFar);
         }
-        // A play that has no onset yet follows the one before it: its end is not known better than this.
+        // A play without an onset follows the one before it: this is the best estimate of its end.
         let free = queued().fold(tick, |free, active| {
             active
                 .end()
@@ -184,25 +191,25 @@ impl Streamer {
         Ok((Some(requested), margin))
     }
 
-    fn stop(&mut self) -> Taken {
+    fn stop(&mut self) -> OpResult {
         self.ready()?;
-        if self.controls.len() == CONTROLS {
+        if self.pending_ops.len() == MAX_PENDING_OPS {
             return Err(CommandError::Returning);
         }
         self.cut_all(End::Stopped, "stop");
         Ok(Some(Op::Stop))
     }
 
-    fn disarm(&mut self) -> Taken {
+    fn disarm(&mut self) -> OpResult {
         self.ready()?;
         self.wants_armed = false;
         self.cut_all(End::Stopped, "disarm");
         Ok(Some(Op::Disarm(Cause::Request)))
     }
 
-    fn arm(&mut self, assume_rest: bool) -> Taken {
+    fn arm(&mut self, assume_rest: bool) -> OpResult {
         self.ready()?;
-        // A command begins a new epoch: it must not get between a play and its strokes for nothing.
+        // An operation begins a new epoch: do not send one between a play and its strokes for nothing.
         match self.state() {
             State::Armed if self.wants_armed => return Ok(None),
             State::Armed | State::Returning if !self.wants_armed => return Err(CommandError::Returning),
@@ -211,7 +218,7 @@ impl Streamer {
             _ => {}
         }
         self.wants_armed = true;
-        self.settle();
+        self.apply_settings();
         self.control.clear_faults();
         if assume_rest {
             self.control.assume_rest();
@@ -220,96 +227,100 @@ impl Streamer {
         Ok(Some(Op::Arm { assume_rest, host_timeout, limits: self.settings.limits }))
     }
 
-    /// Goes by the settings that were ordered last.
-    fn settle(&mut self) {
+    /// Applies the settings configured last.
+    fn apply_settings(&mut self) {
         self.settings = self.next_settings;
-        self.control.limit(&self.settings.limits);
+        self.control.set_limits(&self.settings.limits);
     }
 
-    fn emergency_stop(&mut self, now: HostInstant, tell: Tell<'_>) -> Taken {
+    fn emergency_stop(&mut self, now: HostInstant, emit: Emit<'_>) -> OpResult {
         self.latched = true;
         self.wants_armed = false;
         self.cut_all(End::Stopped, "estop");
-        // It overtakes whatever waits.
-        while let Some(waiting) = self.controls.pop_front() {
-            answer(waiting.ticket, Err(CommandError::Faulted), tell);
+        // An emergency stop overtakes all other operations.
+        while let Some(waiting) = self.pending_ops.pop_front() {
+            answer(waiting.ticket, Err(CommandError::Faulted), emit);
         }
         self.in_flight = false;
         self.snapshot_due = now;
         Ok(self.session.is_some().then_some(Op::EStop))
     }
 
-    fn reset(&mut self) -> Taken {
+    fn reset(&mut self) -> OpResult {
         let faulted = self.state() == State::Faulted;
         self.latched = false;
         let open = self.session.as_ref().is_some_and(Session::can_command);
         Ok((open && faulted).then_some(Op::Reset))
     }
 
-    pub(super) fn control(&mut self, given: HostInstant, ticket: u64, op: Op, tell: Tell<'_>) {
+    /// Queues an operation for the device, which `ticket` waits for.
+    pub(super) fn queue_op(&mut self, given: HostInstant, ticket: u64, op: Op, emit: Emit<'_>) {
         if matches!(op, Op::Disarm(_)) {
-            // It makes whatever waits pointless, and must not wait behind it.
-            while self.controls.len() > usize::from(self.in_flight) {
-                let Some(waiting) = self.controls.pop_back() else { break };
-                answer(waiting.ticket, Err(CommandError::Returning), tell);
+            // A disarm makes pending operations pointless, and must not wait for them.
+            while self.pending_ops.len() > usize::from(self.in_flight) {
+                let Some(waiting) = self.pending_ops.pop_back() else { break };
+                answer(waiting.ticket, Err(CommandError::Returning), emit);
             }
         }
-        if self.controls.len() == CONTROLS {
-            answer(ticket, Err(CommandError::Timeout), tell);
+        if self.pending_ops.len() == MAX_PENDING_OPS {
+            answer(ticket, Err(CommandError::Timeout), emit);
             return;
         }
-        self.controls.push_back(Waiting { ticket, op, since: given });
-        self.next_control();
+        self.pending_ops.push_back(PendingOp { ticket, op, since: given });
+        self.send_next_op();
     }
 
-    /// Ends everything because of a play: return, disarm.
-    pub(super) fn abort(&mut self, now: HostInstant, tell: Tell<'_>) {
+    /// A play aborts: returns the pins and disarms.
+    pub(super) fn abort(&mut self, now: HostInstant, emit: Emit<'_>) {
         self.wants_armed = false;
-        self.control(now, 0, Op::Disarm(Cause::Abort), tell);
+        self.queue_op(now, 0, Op::Disarm(Cause::Abort), emit);
     }
 
-    /// Whether no command is on its way.
-    pub(super) fn may_feed(&self) -> bool {
-        self.controls.is_empty()
+    /// Whether no operation is pending.
+    pub(super) fn no_op_pending(&self) -> bool {
+        self.pending_ops.is_empty()
     }
 
-    pub(super) fn next_control(&mut self) {
+    /// Sends the next operation if none is in flight.
+    pub(super) fn send_next_op(&mut self) {
         let Some(session) = self.session.as_mut().filter(|session| session.can_command()) else { return };
-        if let (false, Some(first)) = (self.in_flight, self.controls.front()) {
-            // What the line carries is measured while nothing can move.
+        if let (false, Some(first)) = (self.in_flight, self.pending_ops.front()) {
+            // The link probe measures the line while nothing can move.
             if matches!(first.op, Op::Arm { .. }) && !session.is_probed() {
                 return;
             }
             self.in_flight = true;
-            if cuts(&first.op) {
+            if cuts_play(&first.op) {
                 self.control.will_be_cut();
             }
             session.command(first.op);
         }
     }
 
-    /// Tells who asked that no answer came in time. An arm or reset that waits is not sent any more, an arm that was
-    /// sent is followed by a disarm: nobody expects them later. All else is sent until it is answered.
-    pub(super) fn expire(&mut self, now: HostInstant, tell: Tell<'_>) {
+    /// Answers operations that took too long with a timeout.
+    ///
+    /// A late arm must not enable motors when nobody expects it: an arm or reset not sent yet is removed, and an arm already
+    /// sent is replaced by a disarm. Everything else is sent until the device answers.
+    pub(super) fn expire(&mut self, now: HostInstant, emit: Emit<'_>) {
         let mut index = usize::from(self.in_flight);
         while let Some(waiting) =
-            self.controls.get_mut(index).filter(|it| now.since(it.since) >= ANSWER_WITHIN)
+            self.pending_ops.get_mut(index).filter(|it| now.since(it.since) >= ANSWER_WITHIN)
         {
-            answer(std::mem::take(&mut waiting.ticket), Err(CommandError::Timeout), tell);
+            answer(std::mem::take(&mut waiting.ticket), Err(CommandError::Timeout), emit);
             let op = waiting.op;
             if !matches!(op, Op::Arm { .. } | Op::Reset) {
                 index += 1;
                 continue;
             }
-            self.controls.remove(index);
+            self.pending_ops.remove(index);
             if matches!(op, Op::Arm { .. }) {
                 self.wants_armed = false;
                 self.cut_all(End::Stopped, "not armed in time");
             }
         }
-        let (Some(first), Some(session)) = (self.controls.front_mut(), &mut self.session) else { return };
+        let (Some(first), Some(session)) = (self.pending_ops.front_mut(), &mut self.session) else { return };
         if now.since(first.since) >= ANSWER_WITHIN {
-            answer(std::mem::take(&mut first.ticket), Err(CommandError::Timeout), tell);
+            answer(std::mem::take(&mut first.ticket), Err(CommandError::Timeout), emit);
             if matches!(first.op, Op::Arm { .. }) {
                 first.op = Op::Disarm(Cause::Request);
                 self.wants_armed = false;

@@ -1,9 +1,11 @@
-//! What the device says, and what it means for the plays.
+//! Handles what the device reports: answers, status, verdicts on strokes, onsets, cuts and telemetry.
+//!
+//! [`Streamer::receive`] passes bytes to the link session, whose events are handled here.
 
 use crate::active::{Active, FIRST_MARGIN, Phase};
 use crate::link::{Event, Verdict};
 use crate::queues::{CommandError, End, Onset, StreamEvent};
-use crate::streamer::{IDLE_PING, Streamer, Tell, answer, cause_text, cuts};
+use crate::streamer::{Emit, IDLE_PING, Streamer, answer, cause_text, cuts_play};
 use crate::time::HostInstant;
 use firmware_protocol::message::{Cause, Counters, DeviceHello, Op, State, Status};
 use firmware_protocol::stroke::Stroke;
@@ -12,52 +14,52 @@ use meissner_api::{LateCause, LatePolicy};
 use meissner_array::units::{duration_to_ticks, ms_to_duration, ticks_to_ms};
 use std::time::Duration;
 
-/// A frame that left so long before its stroke was sent in time: if the stroke came late, the link was slow.
+/// A frame that left this long before its stroke was sent in time: if the stroke is late, the link was slow.
 const IN_TIME: Duration = Duration::from_millis(3);
 
 impl Streamer {
     /// Takes bytes from the device.
-    pub fn receive(&mut self, now: HostInstant, bytes: &[u8], tell: Tell<'_>) {
+    pub fn receive(&mut self, now: HostInstant, bytes: &[u8], emit: Emit<'_>) {
         let Some(session) = &mut self.session else { return };
         let events = &mut self.events;
         session.receive(now, bytes, &mut |event| events.push_back(event));
-        self.drain(now, tell);
+        self.handle_link_events(now, emit);
     }
 
-    pub(super) fn drain(&mut self, now: HostInstant, tell: Tell<'_>) {
+    pub(super) fn handle_link_events(&mut self, now: HostInstant, emit: Emit<'_>) {
         while let Some(event) = self.events.pop_front() {
-            self.event(now, event, tell);
+            self.event(now, event, emit);
         }
     }
 
-    fn event(&mut self, now: HostInstant, event: Event, tell: Tell<'_>) {
+    fn event(&mut self, now: HostInstant, event: Event, emit: Emit<'_>) {
         match event {
             Event::Opened(hello) => {
                 self.telemetry = hello.features & DeviceHello::TELEMETRY != 0;
-                tell(StreamEvent::Connected(hello));
+                emit(StreamEvent::Connected(hello));
                 if self.latched {
-                    self.control(now, 0, Op::EStop, tell);
+                    self.queue_op(now, 0, Op::EStop, emit);
                 }
             }
             Event::Lost(reason) => {
-                self.disconnect(now, reason.text(), tell);
+                self.disconnect(now, reason.text(), emit);
             }
             Event::Control(result) => {
                 self.in_flight = false;
-                if let Some(done) = self.controls.pop_front() {
+                if let Some(done) = self.pending_ops.pop_front() {
                     if result.is_err() && !matches!(done.op, Op::Move { .. }) {
                         self.wants_armed = false;
                         self.cut_all(End::Stopped, "the device refused the command before it");
                     }
-                    // Who reads the answer finds everything as it stands after it.
-                    tell(StreamEvent::Snapshot(self.snapshot(now)));
-                    answer(done.ticket, result.map_err(CommandError::Device), tell);
-                    if cuts(&done.op) {
+                    // The client must see the new state when it gets the answer.
+                    emit(StreamEvent::Snapshot(self.snapshot(now)));
+                    answer(done.ticket, result.map_err(CommandError::Device), emit);
+                    if cuts_play(&done.op) {
                         self.control.cut();
                     }
-                    self.moved(now, done.op, result.map_err(CommandError::Device), tell);
-                    // It may have been disarmed while the command was on its way.
-                    if let (true, Some((status, _))) = (self.controls.is_empty(), self.status)
+                    self.moved(now, done.op, result.map_err(CommandError::Device), emit);
+                    // The device may have disarmed in the meantime.
+                    if let (true, Some((status, _))) = (self.pending_ops.is_empty(), self.status)
                         && !matches!(status.state, State::Armed | State::Returning)
                     {
                         self.wants_armed = false;
@@ -65,21 +67,21 @@ impl Streamer {
                     }
                 }
             }
-            Event::Status { status, tick } => self.status(now, status, tick, tell),
-            Event::Stroke(stroke, verdict) => self.verdict(now, &stroke, verdict, tell),
+            Event::Status { status, tick } => self.status(now, status, tick, emit),
+            Event::Stroke(stroke, verdict) => self.verdict(now, &stroke, verdict, emit),
             Event::OnsetRefused { rendered } => self.onset_refused(now, rendered),
             Event::OnsetAccepted => {
                 if let Some(active) = self.plays.iter_mut().find(|active| active.phase == Phase::Offered) {
                     active.phase = Phase::Streaming;
                 }
             }
-            Event::Onset { tick, counters } => self.onset(tick, counters, tell),
+            Event::Onset { tick, counters } => self.onset(tick, counters, emit),
             Event::Cut { cut, .. } => {
-                // A report of what was cut before the device was armed again says nothing of what is played now.
+                // A report from before the device was armed again does not concern the present play.
                 if !matches!(cut.cause, Cause::Stop | Cause::Request) && self.state() != State::Armed {
                     self.cut_all(End::Stopped, cause_text(cut.cause));
                 }
-                // What was sent since the device answered a stop is not what the report of that stop speaks of.
+                // The report of a stop does not concern strokes sent after the device answered the stop.
                 if self.state() != State::Armed || self.control.is_idle() {
                     self.control.cut();
                 }
@@ -91,22 +93,22 @@ impl Streamer {
                 if let Some(active) = self.owner(up) {
                     active.refused();
                     let id = active.play.id;
-                    tell(StreamEvent::StrokeRefused { id, motor, up, reason });
+                    emit(StreamEvent::StrokeRefused { id, motor, up, reason });
                 }
             }
-            // A sample of the future would let nothing after it count.
+            // Ignore samples of the future: all true samples after one would look old.
             Event::Telemetry { tick, y }
                 if tick <= self.tick_at(now).unwrap_or_default() + duration_to_ticks(IN_TIME) =>
             {
-                self.control.telemetry(tick, &y, |travel| tell(StreamEvent::MeasuredBurst(travel)));
+                self.control.telemetry(tick, &y, |burst| emit(StreamEvent::MeasuredBurst(burst)));
             }
             Event::Telemetry { .. } => {}
         }
     }
 
-    fn status(&mut self, now: HostInstant, status: Status, tick: Tick, tell: Tell<'_>) {
+    fn status(&mut self, now: HostInstant, status: Status, tick: Tick, emit: Emit<'_>) {
         let before = self.status.replace((status, tick)).map(|(status, _)| status);
-        self.control.heard(tick);
+        self.control.counters_heard(tick);
         if status.state == State::Armed && !self.in_flight {
             self.control.at_rest(tick);
         }
@@ -123,15 +125,15 @@ impl Streamer {
         if let Some(session) = &mut self.session {
             session.keep_alive_every(if armed { lease / 5 } else { IDLE_PING }, now);
         }
-        if !armed && self.controls.is_empty() {
+        if !armed && self.pending_ops.is_empty() {
             self.wants_armed = false;
             self.cut_all(End::Stopped, cause_text(status.cause));
             self.control.cut();
-            self.end_homing(Err(CommandError::Disarmed), tell);
+            self.end_homing(Err(CommandError::Disarmed), emit);
         }
     }
 
-    /// The play that a stroke which goes up at `up` belongs to.
+    /// The play that a stroke with this up tick belongs to.
     fn owner(&mut self, up: Tick) -> Option<&mut Active> {
         self.plays
             .iter_mut()
@@ -139,12 +141,12 @@ impl Streamer {
             .find(|active| active.phase != Phase::Waiting && active.onset.is_some_and(|onset| onset <= up))
     }
 
-    fn verdict(&mut self, now: HostInstant, stroke: &Stroke, verdict: Verdict, tell: Tell<'_>) {
-        let earliest = duration_to_ticks(IN_TIME);
+    fn verdict(&mut self, now: HostInstant, stroke: &Stroke, verdict: Verdict, emit: Emit<'_>) {
+        let in_time = duration_to_ticks(IN_TIME);
         let sent_tick = |sent| self.tick_at(sent).unwrap_or_default();
         let cause = match verdict {
             Verdict::Late { retransmitted: true, .. } => LateCause::Link,
-            Verdict::Late { sent, .. } if sent_tick(sent) + earliest > stroke.up => LateCause::Host,
+            Verdict::Late { sent, .. } if sent_tick(sent) + in_time > stroke.up => LateCause::Host,
             _ => LateCause::Link,
         };
         let (motor, up) = (stroke.motor, stroke.up);
@@ -159,30 +161,30 @@ impl Streamer {
             Verdict::Accepted => {}
             Verdict::Refused(reason) => {
                 active.refused();
-                tell(StreamEvent::StrokeRefused { id, motor, up, reason });
+                emit(StreamEvent::StrokeRefused { id, motor, up, reason });
             }
-            Verdict::Late { rendered, .. } => self.late(now, stroke, rendered, cause, tell),
+            Verdict::Late { rendered, .. } => self.late(now, stroke, rendered, cause, emit),
         }
     }
 
-    /// A stroke could not be played any more when `free` was the first tick that could.
+    /// Counts and reports a late stroke; `free` was the first tick that could be played.
     pub(super) fn late(
         &mut self,
         now: HostInstant,
         stroke: &Stroke,
         free: Tick,
         cause: LateCause,
-        tell: Tell<'_>,
+        emit: Emit<'_>,
     ) {
         let late_ms = ticks_to_ms(free - stroke.up);
         let Some(active) = self.owner(stroke.up) else { return };
         let counts = active.late(late_ms, cause);
         let (id, policy, cut) = (active.play.id, active.play.late, active.cut.is_some());
         let (motor, up) = (stroke.motor, stroke.up);
-        tell(StreamEvent::StrokeLate { id, motor, up, late_ms, cause, counts });
+        emit(StreamEvent::StrokeLate { id, motor, up, late_ms, cause, counts });
         if policy == LatePolicy::Abort && !cut {
             self.cut_all(End::Aborted, "late strokes");
-            self.abort(now, tell);
+            self.abort(now, emit);
         }
     }
 
@@ -204,11 +206,11 @@ impl Streamer {
         if let Some(onset) = onset {
             self.control.withdraw_from(onset);
         }
-        self.fed = rendered;
+        self.fed_until = rendered;
         self.snapshot_due = now;
     }
 
-    fn onset(&mut self, tick: Tick, counters: Counters, tell: Tell<'_>) {
+    fn onset(&mut self, tick: Tick, counters: Counters, emit: Emit<'_>) {
         let Some(session) = &self.session else { return };
         let clock = session.clock();
         let Some(active) = self.plays.iter_mut().find(|active| active.onset == Some(tick)) else { return };
@@ -218,9 +220,9 @@ impl Streamer {
             actual: tick,
             at,
             uncertainty_ns: clock.uncertainty(at).unwrap_or_default().as_nanos() as u64,
-            latency_ns: at.since(active.ordered).as_nanos() as u64,
+            latency_ns: at.since(active.issued_at).as_nanos() as u64,
         };
         active.began(onset, counters);
-        tell(StreamEvent::PlayStarted { id: active.play.id, onset });
+        emit(StreamEvent::PlayStarted { id: active.play.id, onset });
     }
 }

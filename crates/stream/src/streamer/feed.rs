@@ -1,12 +1,14 @@
-//! Feeding: which strokes go to the device now, and at which onset a play begins.
+//! Sends strokes to the device ahead of time, and chooses the onset of each play.
 //!
-//! Strokes are handed over in stretches (`batch`), so that a frame carries many, and always at least the lead
-//! ahead. A play's first frame waits for the device's verdict before anything follows.
+//! [`Streamer::feed`] runs at each step. It sends in batches, so that a frame carries many strokes, and at least the lead
+//! ahead of now.
+//!
+//! Invariant: nothing follows a play's first frame before the device has accepted it.
 
 use crate::active::{Active, Phase};
 use crate::batch_ticks;
 use crate::queues::{At, End};
-use crate::streamer::{Streamer, Tell};
+use crate::streamer::{Emit, Streamer};
 use crate::time::HostInstant;
 use firmware_protocol::message::State;
 use firmware_protocol::tick::Tick;
@@ -14,26 +16,36 @@ use meissner_api::LateCause;
 use meissner_array::units::{duration_to_ticks, ms_in_ticks};
 use std::time::Duration;
 
-/// A device that was full is asked for room so often. Its strokes last for longer, and keep-alives may be seconds apart.
+/// The host polls a full device this often. Its strokes last longer, and keep-alives may be seconds apart.
 const CREDITS_EVERY: Duration = Duration::from_millis(50);
 
-/// What came of trying to hand over strokes.
+/// The result of sending strokes.
 enum Fed {
-    /// All up to the horizon.
+    /// All strokes up to the horizon are sent.
     Horizon,
-    /// The play has no more.
+    /// The play has no more strokes.
     Exhausted,
-    /// The session takes no more for now.
+    /// The session takes no more strokes for now.
     Blocked,
     /// The compiler's own check failed.
     Broken,
 }
 
+/// When a waiting play starts.
+enum Start {
+    /// Now, with this onset.
+    At(Tick),
+    /// Later than the horizon.
+    Later,
+    /// Not at all, for this reason.
+    Never(&'static str),
+}
+
 impl Streamer {
-    /// Hands over all strokes due at `tick`.
-    pub(super) fn feed(&mut self, now: HostInstant, tick: Tick, tell: Tell<'_>) {
+    /// Sends all strokes due at `tick`.
+    pub(super) fn feed(&mut self, now: HostInstant, tick: Tick, emit: Emit<'_>) {
         let Some(session) = &self.session else { return };
-        if self.state() != State::Armed || !self.may_feed() {
+        if self.state() != State::Armed || !self.no_op_pending() {
             return;
         }
         let lead = ms_in_ticks(self.settings.lead_ms) as u64;
@@ -42,62 +54,39 @@ impl Streamer {
             self.plays.iter().filter(|active| active.cut.is_none() && active.phase != Phase::Streamed);
         let fresh = unfed.next().is_some_and(|active| active.phase == Phase::Waiting);
         let blocked = !session.has_room();
-        if blocked || (!fresh && self.fed >= tick + lead) {
+        if blocked || (!fresh && self.fed_until >= tick + lead) {
             return;
         }
         let horizon = tick + lead + batch;
         for index in 0..self.plays.len() {
-            let mut before = self.plays.iter().take(index).rev().filter(|active| active.cut.is_none());
-            let previous_end = before.next().and_then(Active::end);
-            let wire = self.session.as_ref().map_or(0, |session| session.traffic().bytes_out);
-            let carried = session_carries(self, index);
-            let active = &mut self.plays[index];
-            if active.cut.is_some() || active.phase == Phase::Streamed {
-                continue;
-            }
-            if active.phase == Phase::Waiting && !carried {
-                // Ordered together with the arm, before the line was measured.
-                active.cut = Some((End::Aborted, "the line does not carry the pattern"));
-                active.onset = None;
-                continue;
-            }
-            if active.phase == Phase::Offered {
-                break;
-            }
-            if active.phase == Phase::Waiting {
-                let Some(onset) = choose_onset(active, previous_end, tick) else { break };
-                if onset > horizon {
-                    break;
-                }
-                if previous_end.is_some_and(|end| onset < end) {
-                    // The play before it began later than could be known when this one was taken.
-                    active.cut = Some((End::Aborted, "the onset could not be kept"));
-                    active.onset = None;
-                    continue;
-                }
-                active.offer(onset, wire);
-                if let Some(session) = &mut self.session {
-                    session.begin(onset);
-                }
-            }
-            match self.hand_over(now, index, tick, horizon, tell) {
-                Fed::Exhausted => {
-                    // The onset frame still waits for its verdict: it is not streaming yet.
-                    if self.plays[index].phase == Phase::Streaming {
-                        self.plays[index].phase = Phase::Streamed;
+            let active = &self.plays[index];
+            match active.phase {
+                _ if active.cut.is_some() => continue,
+                Phase::Streamed => continue,
+                Phase::Offered => break,
+                Phase::Streaming => {}
+                Phase::Waiting => match self.onset_of(index, tick, horizon) {
+                    Start::At(onset) => self.start(index, onset),
+                    Start::Later => break,
+                    Start::Never(why) => {
+                        let active = &mut self.plays[index];
+                        (active.cut, active.onset) = (Some((End::Aborted, why)), None);
+                        continue;
                     }
-                    if self.plays[index].phase == Phase::Offered {
-                        break;
-                    }
-                }
+                },
+            }
+            match self.send_strokes(now, index, tick, horizon, emit) {
+                Fed::Exhausted => match self.plays[index].phase {
+                    Phase::Streaming => self.plays[index].phase = Phase::Streamed,
+                    // The onset frame still waits for its verdict.
+                    Phase::Offered => break,
+                    Phase::Waiting | Phase::Streamed => {}
+                },
                 Fed::Horizon | Fed::Blocked => break,
                 Fed::Broken => {
-                    let cut = (
-                        End::Aborted,
-                        "the compiled strokes failed their own check: a bug, please report it",
-                    );
-                    self.plays[index].cut = Some(cut);
-                    self.abort(now, tell);
+                    let why = "the compiled strokes failed their own check: a bug, please report it";
+                    self.plays[index].cut = Some((End::Aborted, why));
+                    self.abort(now, emit);
                     break;
                 }
             }
@@ -107,14 +96,43 @@ impl Streamer {
         }
     }
 
-    /// Hands over strokes of one play until the horizon, its end, or until the session takes no more.
-    fn hand_over(
+    /// Decides when a waiting play starts.
+    fn onset_of(&self, index: usize, tick: Tick, horizon: Tick) -> Start {
+        let active = &self.plays[index];
+        // A play sent together with the arm was taken before the link probe measured the line.
+        if self.session.as_ref().is_some_and(|session| self.margin(session, &active.play).is_err()) {
+            return Start::Never("the line does not carry the pattern");
+        }
+        let mut before = self.plays.iter().take(index).rev().filter(|active| active.cut.is_none());
+        let previous_end = before.next().and_then(Active::end);
+        match choose_onset(active, previous_end, tick) {
+            Some(onset) if onset > horizon => Start::Later,
+            // The play before it began later than predicted when this one was taken.
+            Some(onset) if previous_end.is_some_and(|end| onset < end) => {
+                Start::Never("the onset could not be kept")
+            }
+            Some(onset) => Start::At(onset),
+            None => Start::Later,
+        }
+    }
+
+    /// Starts to stream a play at `onset`.
+    fn start(&mut self, index: usize, onset: Tick) {
+        let wire = self.session.as_ref().map_or(0, |session| session.traffic().bytes_out);
+        self.plays[index].offer(onset, wire);
+        if let Some(session) = &mut self.session {
+            session.begin(onset);
+        }
+    }
+
+    /// Sends strokes of one play up to the horizon, to its end, or until the session takes no more.
+    fn send_strokes(
         &mut self,
         now: HostInstant,
         index: usize,
         tick: Tick,
         horizon: Tick,
-        tell: Tell<'_>,
+        emit: Emit<'_>,
     ) -> Fed {
         loop {
             let (Some(session), Some(active)) = (&mut self.session, self.plays.get_mut(index)) else {
@@ -123,7 +141,7 @@ impl Streamer {
             if active.next.is_none() {
                 active.next = match active.play.strokes.next() {
                     None => {
-                        self.fed = self.fed.max(horizon);
+                        self.fed_until = self.fed_until.max(horizon);
                         return Fed::Exhausted;
                     }
                     Some(Err(_)) => return Fed::Broken,
@@ -132,16 +150,16 @@ impl Streamer {
             }
             let Some(stroke) = active.next else { continue };
             if stroke.up >= horizon {
-                self.fed = horizon;
+                self.fed_until = horizon;
                 self.short_of_credits = false;
                 return Fed::Horizon;
             }
             if stroke.up < tick && active.phase == Phase::Streaming {
-                // The device could only say that it is late: not worth its bytes.
+                // Too late: the device would only reject it.
                 let cause = if self.short_of_credits { LateCause::Device } else { LateCause::Host };
                 active.plan(&stroke);
                 active.next = None;
-                self.late(now, &stroke, tick, cause, tell);
+                self.late(now, &stroke, tick, cause, emit);
                 if self.plays[index].cut.is_some() {
                     return Fed::Blocked;
                 }
@@ -152,7 +170,7 @@ impl Streamer {
                 if self.short_of_credits {
                     session.request_status_within(CREDITS_EVERY);
                 }
-                self.fed = stroke.up;
+                self.fed_until = stroke.up;
                 return Fed::Blocked;
             }
             let until = active.end().unwrap_or(Tick(u64::MAX));
@@ -164,14 +182,7 @@ impl Streamer {
     }
 }
 
-/// Whether the line carries a play, as far as is known.
-fn session_carries(streamer: &Streamer, index: usize) -> bool {
-    let play = streamer.plays.get(index).map(|active| &active.play);
-    let both = streamer.session.as_ref().zip(play);
-    both.is_none_or(|(session, play)| streamer.margin(session, play).is_ok())
-}
-
-/// Where a play that waits can begin: as asked for, right behind the one before it, or as soon as the link allows.
+/// The onset of a waiting play: as asked for, at the end of the play before it, or as soon as the link allows.
 fn choose_onset(active: &Active, previous_end: Option<Tick>, tick: Tick) -> Option<Tick> {
     let soonest = tick + duration_to_ticks(active.margin);
     match active.play.at {

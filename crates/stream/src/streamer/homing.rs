@@ -1,13 +1,15 @@
-//! Homing: between plays, moves each pin back to where it ought to rest.
+//! Homing: moves each pin back to its rest position, between plays.
 //!
-//! One motor after the other, because a move is a command of its own; then, with telemetry, all again, until none is
-//! off by more than [`NEAR_UM`] or [`ROUNDS`] are over: each move scatters by a tenth of its way. Telemetry that does not show
-//! a motor's first small move as it ought to is not believed, and the motor not moved again. Without telemetry a
-//! calibrated motor is moved once, by what its gains say that strokes have left; the scatter stays. A motor
-//! of which neither is known is not moved. If a pin is not home in the end, the answer says so.
+//! [`Streamer::home`] starts it; [`Streamer::step_homing`] sends one move after the other, since each move is an operation of its
+//! own. With telemetry it repeats until every pin is within [`NEAR_UM`] or after [`ROUNDS`] rounds: each move scatters
+//! by a tenth of its travel. The first move is small: if telemetry does not show it as expected, that is a sensor
+//! fault, and the motor is not moved again. Without telemetry a calibrated motor moves once, by the offset that its
+//! gains predict; the scatter stays. A motor without either does not move.
+//!
+//! Invariant: the answer is an error unless every pin is home.
 
 use crate::queues::CommandError;
-use crate::streamer::{Streamer, Taken, Tell, answer};
+use crate::streamer::{Emit, OpResult, Streamer, answer};
 use crate::time::HostInstant;
 use firmware_protocol::limits::{MAX_TRAVEL, Refusal};
 use firmware_protocol::message::{Op, State};
@@ -16,16 +18,16 @@ use firmware_protocol::tick::Tick;
 use meissner_array::motor::WINDOW_TICKS;
 use meissner_array::units::{TICKS_PER_MS, TICKS_PER_S, UM_PER_PULSE};
 
-/// A pin that is so near is home, µm, and one that is so near at the end is near enough.
+/// A pin this near to rest is not moved, µm; one this near at the end counts as home.
 const NEAR_UM: f64 = 0.5;
 const NEAR_ENOUGH_UM: f64 = 2.0;
-/// The first move goes no further, µm: it shows whether telemetry is the motor's.
+/// Longest first move, µm: it tests the sensor.
 const FIRST_UM: f64 = 30.0;
-/// Rounds over all motors at the most.
+/// Most rounds over all motors.
 const ROUNDS: u8 = 6;
-/// From the end of a move until the next one is sent, and until telemetry can show where it led: the window, and a wake-up.
+/// Time from the end of a move until telemetry shows its result, ticks: the moving average, and a wake-up.
 const SETTLED: u64 = WINDOW_TICKS + 2 * TICKS_PER_MS;
-/// Telemetry that does not come within this after a round does not come.
+/// How long to wait for telemetry after a round, ticks.
 const SILENT: u64 = TICKS_PER_S / 2;
 
 #[derive(Clone, Copy, Debug)]
@@ -35,26 +37,26 @@ pub(super) struct Homing {
     motor: u8,
     /// A pin was moved in this round.
     moved: bool,
-    /// A pin is further off than moves may take it.
+    /// A pin is farther off than moves may take it.
     beyond: bool,
-    /// A move was sent and not answered.
+    /// A move is sent and not answered.
     moving: bool,
-    /// When the last move is over.
+    /// When the last move is over and visible.
     until: Tick,
 }
 
 impl Streamer {
-    /// Begins to home.
-    pub(super) fn home(&mut self, ticket: u64) -> Taken {
+    /// Starts homing.
+    pub(super) fn home(&mut self, ticket: u64) -> OpResult {
         self.takes_plays()?;
-        if self.state() != State::Armed || !self.may_feed() || self.homing.is_some() {
+        if self.state() != State::Armed || !self.no_op_pending() || self.homing.is_some() {
             return Err(CommandError::Returning);
         }
         if !self.plays.is_empty() {
             return Err(CommandError::Playing);
         }
         let Some(tick) = self.status.map(|(_, tick)| tick) else { return Err(CommandError::NoDevice) };
-        if (0..MOTORS as u8).all(|motor| self.control.off_by_um(motor, tick).is_none()) {
+        if (0..MOTORS as u8).all(|motor| self.control.offset_um(motor, tick).is_none()) {
             return Err(CommandError::NoPositionEstimate);
         }
         self.homing = Some(Homing {
@@ -69,13 +71,13 @@ impl Streamer {
         Ok(None)
     }
 
-    /// The device has answered a move, which may have been the last one of a homing that was given up.
+    /// The device has answered a move, possibly of a homing that has ended.
     pub(super) fn moved(
         &mut self,
         now: HostInstant,
         op: Op,
         result: Result<(), CommandError>,
-        tell: Tell<'_>,
+        emit: Emit<'_>,
     ) {
         let Op::Move { motor, direction, pulses } = op else { return };
         let over = self.tick_at(now).unwrap_or_default() + u64::from(pulses) + SETTLED;
@@ -88,13 +90,13 @@ impl Streamer {
         homing.motor += 1;
         match result {
             Ok(()) => (homing.moved, homing.until) = (true, over),
-            // The others come home all the same.
+            // The other pins can still come home.
             Err(CommandError::Device(Refusal::Travel)) => homing.beyond = true,
-            Err(refused) => self.end_homing(Err(refused), tell),
+            Err(refused) => self.end_homing(Err(refused), emit),
         }
     }
 
-    /// What was going on was cut: a move upwards that was under way has been taken back.
+    /// The device was cut: it takes back a move upwards that was under way.
     pub(super) fn undo_move(&mut self, now: HostInstant) {
         let tick = self.tick_at(now).unwrap_or_default();
         if let Some((motor, pulses, over)) = self.last_move.take().filter(|&(_, _, over)| tick < over) {
@@ -102,15 +104,16 @@ impl Streamer {
         }
     }
 
-    pub(super) fn end_homing(&mut self, result: Result<(), CommandError>, tell: Tell<'_>) {
+    /// Answers a homing, if there is one.
+    pub(super) fn end_homing(&mut self, result: Result<(), CommandError>, emit: Emit<'_>) {
         if let Some(homing) = self.homing.take() {
-            answer(homing.ticket, result, tell);
+            answer(homing.ticket, result, emit);
         }
     }
 
     /// Sends the next move when the last one is over.
-    pub(super) fn go_home(&mut self, now: HostInstant, tick: Tick, tell: Tell<'_>) {
-        if self.homing.is_none() || self.state() != State::Armed || !self.may_feed() {
+    pub(super) fn step_homing(&mut self, now: HostInstant, tick: Tick, emit: Emit<'_>) {
+        if self.homing.is_none() || self.state() != State::Armed || !self.no_op_pending() {
             return;
         }
         let Some(homing) = self.homing.as_mut().filter(|homing| !homing.moving && tick >= homing.until)
@@ -118,8 +121,8 @@ impl Streamer {
             return;
         };
         while usize::from(homing.motor) < MOTORS {
-            // Without telemetry one round is all that can be done.
-            let known = self.control.off_by_um(homing.motor, tick);
+            // Without telemetry a second round cannot improve anything.
+            let known = self.control.offset_um(homing.motor, tick);
             let known = known.filter(|&(_, measured)| measured || homing.round == 0);
             if let Some((um, measured)) = known.filter(|(um, _)| um.abs() > NEAR_UM) {
                 let direction = if um > 0.0 { Direction::Down } else { Direction::Up };
@@ -130,14 +133,14 @@ impl Streamer {
                 let pulses = pulses.clamp(1.0, MAX_TRAVEL.into()) as u16;
                 homing.moving = true;
                 let op = Op::Move { motor: homing.motor, direction, pulses };
-                self.control(now, 0, op, tell);
+                self.queue_op(now, 0, op, emit);
                 return;
             }
             homing.motor += 1;
         }
         if !homing.moved || homing.round + 1 == ROUNDS {
             let far = (0..MOTORS as u8).any(|motor| {
-                let off = self.control.off_by_um(motor, tick);
+                let off = self.control.offset_um(motor, tick);
                 self.control.is_faulted(motor) || off.is_some_and(|(um, _)| um.abs() > NEAR_ENOUGH_UM)
             });
             let result = match (homing.beyond, far) {
@@ -145,9 +148,9 @@ impl Streamer {
                 (false, true) => Err(CommandError::NotHome),
                 (false, false) => Ok(()),
             };
-            return self.end_homing(result, tell);
+            return self.end_homing(result, emit);
         }
-        // The next round goes by what telemetry shows after the last move.
+        // The next round needs telemetry from after the last move.
         if self.control.sampled_after(homing.until) || tick >= homing.until + SILENT {
             (homing.round, homing.motor, homing.moved) = (homing.round + 1, 0, false);
         }

@@ -1,8 +1,11 @@
-//! The deciding part of the streamer: orders, controls, what the device says, and the ends of plays.
+//! The streamer's decisions: executes commands, sends strokes, handles the device's reports and ends plays.
 //!
-//! CommandQueue are taken in `orders`, what the device says in `events`, strokes are fed ahead in `feed`, and plays end
-//! in `ends`. Invariant: each play that was taken ends with exactly one
-//! [`StreamEvent::PlayEnded`], and each order that asks for an answer gets exactly one.
+//! Its owner calls [`Streamer::execute`] with requests and [`Streamer::receive`] with bytes, then [`Streamer::step`] and
+//! [`Streamer::transmit`]. `commands` executes, `feed` sends strokes, `events` handles reports, `homing` moves pins back
+//! to rest, and `ends` ends plays.
+//!
+//! Invariant: each play taken ends with exactly one [`StreamEvent::PlayEnded`], and each request with a ticket gets exactly
+//! one answer. Nothing here allocates, except for a new session.
 
 mod commands;
 mod ends;
@@ -25,71 +28,73 @@ use meissner_array::units::{ticks_to_ms, ticks_to_seconds};
 use std::collections::VecDeque;
 use std::time::Duration;
 
-/// Controls that wait for the one before them, at the most.
-const CONTROLS: usize = 8;
+/// Most operations that wait for the device.
+const MAX_PENDING_OPS: usize = 8;
 /// How long an answer may take.
 const ANSWER_WITHIN: Duration = Duration::from_secs(1);
-/// While something is going on the streamer looks this often.
+/// How often the streamer wakes up while anything is going on.
 const BUSY_EVERY: Duration = Duration::from_millis(1);
+/// Interval of snapshots while playing.
 const SNAPSHOT_EVERY: Duration = Duration::from_millis(100);
-/// Keep-alives when nothing is armed.
+/// Interval of keep-alives while disarmed.
 const IDLE_PING: Duration = Duration::from_secs(1);
 
-/// Says what happened.
-pub(super) type Tell<'a> = &'a mut dyn FnMut(StreamEvent);
+/// Reports an event.
+pub(super) type Emit<'a> = &'a mut dyn FnMut(StreamEvent);
 
-/// What an order came to: refused or done at once, or waiting for the device.
-type Taken = Result<Option<Op>, CommandError>;
+/// A command's result: refused, done at once (`None`), or an operation for the device.
+type OpResult = Result<Option<Op>, CommandError>;
 
+/// An operation for the device, and the request that waits for it.
 #[derive(Clone, Copy, Debug)]
-struct Waiting {
+struct PendingOp {
     ticket: u64,
     op: Op,
     since: HostInstant,
 }
 
-/// Why a device is disconnected when another takes its place.
+/// The reason of a disconnect when another device takes its place.
 pub const ANOTHER_DEVICE: &str = "another device was opened";
 
 /// The streamer of one device.
 #[derive(Debug)]
 pub struct Streamer {
     pub(super) settings: Settings,
-    /// Those to go by from the next `arm` on.
+    /// The settings from the next `arm` on.
     next_settings: Settings,
     pub(super) session: Option<Session>,
     events: VecDeque<Event>,
-    /// The device's last word and the tick of it.
+    /// The device's last status and its tick.
     status: Option<(Status, Tick)>,
-    /// An e-stop was ordered and not reset: also kept for a device that comes later.
+    /// An emergency stop is latched, also for a device that comes later.
     latched: bool,
     /// The device sends telemetry.
     telemetry: bool,
-    /// Controls to send, the first is being sent.
-    controls: VecDeque<Waiting>,
+    /// Operations for the device, oldest first.
+    pending_ops: VecDeque<PendingOp>,
+    /// The first pending operation is sent and not answered.
     in_flight: bool,
-    /// What the last command leads to: armed or not.
+    /// Whether the device is armed, or will be after the pending operations.
     wants_armed: bool,
-    lost: Option<&'static str>,
+    disconnect_reason: Option<&'static str>,
     pub(super) plays: VecDeque<Active>,
     pub(super) control: PositionControl,
-    /// Up to where the device is fed.
-    pub(super) fed: Tick,
-    /// The last stroke had to wait for credits.
+    /// Strokes are sent up to this tick.
+    pub(super) fed_until: Tick,
+    /// The next stroke waits for credits.
     pub(super) short_of_credits: bool,
     homing: Option<Homing>,
-    /// The last move, if it went up: motor, pulses, when it is over.
+    /// The last move, if it went up: motor, pulses, its end.
     last_move: Option<(u8, u16, Tick)>,
-    /// Motors whose telemetry was told not to be believed.
-    told_doubts: [bool; MOTORS],
-    told_drift: bool,
+    /// Motors whose sensor fault is reported.
+    reported_faults: [bool; MOTORS],
+    reported_drift: bool,
     closing: Option<(u64, HostInstant)>,
     closed: bool,
     snapshot_due: HostInstant,
-    /// Whether the last snapshot said that a device is there.
-    told_there: bool,
-    /// And what the line carries.
-    told_line: Option<u32>,
+    /// Whether the last snapshot showed a device, and which line rate.
+    reported_connected: bool,
+    reported_line_rate: Option<u32>,
 }
 
 impl Streamer {
@@ -104,72 +109,72 @@ impl Streamer {
             status: None,
             latched: false,
             telemetry: false,
-            controls: VecDeque::with_capacity(CONTROLS),
+            pending_ops: VecDeque::with_capacity(MAX_PENDING_OPS),
             in_flight: false,
             wants_armed: false,
-            lost: None,
+            disconnect_reason: None,
             plays: VecDeque::with_capacity(2 * MAX_QUEUED_PLAYS + 2),
             control: PositionControl::new(&settings.limits),
-            fed: Tick(0),
+            fed_until: Tick(0),
             short_of_credits: false,
             homing: None,
             last_move: None,
-            told_doubts: [false; MOTORS],
-            told_drift: false,
+            reported_faults: [false; MOTORS],
+            reported_drift: false,
             closing: None,
             closed: false,
             snapshot_due: HostInstant::default(),
-            told_there: false,
-            told_line: None,
+            reported_connected: false,
+            reported_line_rate: None,
         }
     }
 
-    /// A device was opened; `id` is a random number.
-    pub fn connect(&mut self, now: HostInstant, id: u32, rate: LineRate, tell: Tell<'_>) {
-        self.disconnect(now, ANOTHER_DEVICE, tell);
+    /// A device was opened: starts a session with this random id.
+    pub fn connect(&mut self, now: HostInstant, id: u32, rate: LineRate, emit: Emit<'_>) {
+        self.disconnect(now, ANOTHER_DEVICE, emit);
         self.session = Some(Session::new(id, rate, now));
     }
 
-    /// The device is gone: plays end, with what is known of them.
-    pub fn disconnect(&mut self, now: HostInstant, cause: &'static str, tell: Tell<'_>) {
+    /// The device is gone: ends all plays with the counts known.
+    pub fn disconnect(&mut self, now: HostInstant, cause: &'static str, emit: Emit<'_>) {
         let Some(session) = self.session.take() else { return };
-        self.lost = Some(cause);
+        self.disconnect_reason = Some(cause);
         self.wants_armed = false;
         self.cut_all(End::Stopped, cause);
         let counters = self.status.map(|(status, tick)| {
             let lost = session.clock().tick_at(now).unwrap_or(tick);
-            let (bursts, pulses) = self.control.played_unheard(tick, lost);
+            let (bursts, pulses) = self.control.played_since_counters(tick, lost);
             let counters = status.counters;
             Counters { played: counters.played + bursts, pulses: counters.pulses + pulses, ..counters }
         });
         let wire = session.traffic().bytes_out;
         let tick = self.status.map_or(Tick(0), |(_, tick)| tick);
         let rest_um = self.control.rest_error_um(tick).map(|(um, _)| um);
-        self.close_all(counters, wire, rest_um, tell);
-        while let Some(waiting) = self.controls.pop_front() {
-            answer(waiting.ticket, Err(CommandError::NoDevice), tell);
+        self.close_all(counters, wire, rest_um, emit);
+        while let Some(waiting) = self.pending_ops.pop_front() {
+            answer(waiting.ticket, Err(CommandError::NoDevice), emit);
         }
-        self.end_homing(Err(CommandError::NoDevice), tell);
+        self.end_homing(Err(CommandError::NoDevice), emit);
         self.in_flight = false;
         self.status = None;
         self.control.cut();
-        (self.fed, self.short_of_credits) = (Tick(0), false);
+        (self.fed_until, self.short_of_credits) = (Tick(0), false);
         if let Some((ticket, _)) = self.closing.take() {
             self.closed = true;
-            answer(ticket, Ok(()), tell);
+            answer(ticket, Ok(()), emit);
         }
         self.snapshot_due = now;
     }
 
-    /// Whether the order to shut down has been carried out.
+    /// Whether the shutdown is complete.
     #[must_use]
     pub fn is_closed(&self) -> bool {
         self.closed
     }
 
-    /// Why the device was lost, once.
-    pub fn take_lost(&mut self) -> Option<&'static str> {
-        self.lost.take()
+    /// Takes the reason of the last disconnect.
+    pub fn take_disconnect_reason(&mut self) -> Option<&'static str> {
+        self.disconnect_reason.take()
     }
 
     /// The device's tick at `now`.
@@ -178,8 +183,8 @@ impl Streamer {
         self.session.as_ref().and_then(|session| session.clock().tick_at(now))
     }
 
-    /// Whether a device has said how it stands.
-    fn is_there(&self) -> bool {
+    /// Whether a device has answered the handshake and reported its status.
+    fn is_connected(&self) -> bool {
         self.status.is_some() && self.session.as_ref().is_some_and(Session::can_command)
     }
 
@@ -191,60 +196,62 @@ impl Streamer {
         }
     }
 
-    /// Does what is due at `now`. Call it after [`Self::receive`] and [`Self::execute`], before [`Self::transmit`].
-    pub fn step(&mut self, now: HostInstant, tell: Tell<'_>) {
+    /// Does everything due at `now`. Call it after [`Self::receive`] and [`Self::execute`], before [`Self::transmit`].
+    pub fn step(&mut self, now: HostInstant, emit: Emit<'_>) {
         if let Some(session) = &mut self.session {
             let events = &mut self.events;
             session.check_silence(now, &mut |event| events.push_back(event));
         }
-        self.drain(now, tell);
-        self.next_control();
-        self.expire(now, tell);
+        self.handle_link_events(now, emit);
+        self.send_next_op();
+        self.expire(now, emit);
         if let Some(tick) = self.tick_at(now) {
-            self.go_home(now, tick, tell);
-            self.feed(now, tick, tell);
+            self.step_homing(now, tick, emit);
+            self.feed(now, tick, emit);
             self.correct(tick);
-            self.finish(tick, tell);
+            self.finish(tick, emit);
         } else if self.session.is_none() {
-            self.close_all(None, 0, [0.0; MOTORS], tell);
+            self.close_all(None, 0, [0.0; MOTORS], emit);
         }
-        self.close(now, tell);
-        let there = self.is_there();
+        self.close(now, emit);
+        let connected = self.is_connected();
         let line = self.session.as_ref().and_then(Session::capacity);
-        if now >= self.snapshot_due || there != self.told_there || line != self.told_line {
-            (self.told_there, self.told_line) = (there, line);
+        if now >= self.snapshot_due || connected != self.reported_connected || line != self.reported_line_rate
+        {
+            (self.reported_connected, self.reported_line_rate) = (connected, line);
             let playing = !self.plays.is_empty() || self.state() == State::Returning;
             let far = if playing { SNAPSHOT_EVERY } else { IDLE_PING };
             self.snapshot_due = now + far;
-            self.warn(now, tell);
-            tell(StreamEvent::Snapshot(self.snapshot(now)));
+            self.report_warnings(now, emit);
+            emit(StreamEvent::Snapshot(self.snapshot(now)));
         }
     }
 
     fn correct(&mut self, tick: Tick) {
         let idle = self.in_flight || self.state() != State::Armed;
         let Some(session) = self.session.as_mut().filter(|_| !idle) else { return };
-        // Plays are fed in order: what is not sent yet belongs to the last one that is being fed, or comes after it.
+        // Plays are fed in order: unsent strokes belong to the last play being fed, or come after it.
         let fed =
             self.plays.iter().rev().find(|active| active.cut.is_none() && active.phase != Phase::Waiting);
         let free = |motor| fed.map_or(tick, |active| active.free_until(motor));
         self.control.correct(tick, free, |item| session.amend(item));
     }
 
-    /// Tells of motors whose telemetry is not believed, and of drift.
-    fn warn(&mut self, now: HostInstant, tell: Tell<'_>) {
-        for ((told, fault), motor) in self.told_doubts.iter_mut().zip(self.control.faults()).zip(0..) {
-            if let Some(fault) = fault.filter(|_| !*told) {
-                tell(StreamEvent::SensorFault { motor, fault });
+    /// Reports new sensor faults and drift.
+    fn report_warnings(&mut self, now: HostInstant, emit: Emit<'_>) {
+        for ((reported, fault), motor) in self.reported_faults.iter_mut().zip(self.control.faults()).zip(0..)
+        {
+            if let Some(fault) = fault.filter(|_| !*reported) {
+                emit(StreamEvent::SensorFault { motor, fault });
             }
-            *told = fault.is_some();
+            *reported = fault.is_some();
         }
-        let um = self.control.reckoned_um(self.tick_at(now).unwrap_or_default());
+        let um = self.control.dead_reckoning_sd_um(self.tick_at(now).unwrap_or_default());
         let drifted = um > self.settings.drift_warning_um;
-        if drifted && !self.told_drift {
-            tell(StreamEvent::DriftWarning { um });
+        if drifted && !self.reported_drift {
+            emit(StreamEvent::DriftWarning { um });
         }
-        self.told_drift = drifted;
+        self.reported_drift = drifted;
     }
 
     fn snapshot(&self, now: HostInstant) -> Snapshot {
@@ -260,10 +267,10 @@ impl Streamer {
             let since = active.onset.map_or(0, |onset| tick - onset);
             (active.play.id, ticks_to_seconds(since))
         };
-        let lead = ticks_to_ms(self.fed - tick);
+        let lead = ticks_to_ms(self.fed_until - tick);
         Snapshot {
             at: now,
-            connected: self.is_there(),
+            connected: self.is_connected(),
             state: self.state(),
             cause: if self.latched {
                 Cause::EStop
@@ -289,26 +296,26 @@ impl Streamer {
         }
     }
 
-    /// Writes the next frame that is due into `out` and returns its length; 0 when none is.
-    pub fn transmit(&mut self, now: HostInstant, out: &mut [u8; MAX_FRAME], tell: Tell<'_>) -> usize {
+    /// Writes the next due frame into `out` and returns its length; 0 if none is due.
+    pub fn transmit(&mut self, now: HostInstant, out: &mut [u8; MAX_FRAME], emit: Emit<'_>) -> usize {
         let Some(session) = &mut self.session else { return 0 };
         let events = &mut self.events;
         let len = session.transmit(now, out, &mut |event| events.push_back(event));
-        self.drain(now, tell);
+        self.handle_link_events(now, emit);
         len
     }
 
-    /// When [`Self::step`] is due, if nothing happens before.
+    /// When to call [`Self::step`] next, if nothing happens before.
     #[must_use]
     pub fn wake_at(&self, now: HostInstant) -> HostInstant {
         let quiet = self.plays.is_empty()
-            && self.controls.is_empty()
+            && self.pending_ops.is_empty()
             && self.homing.is_none()
             && self.closing.is_none()
             && self.state() != State::Returning;
         let Some(session) = &self.session else {
-            // That it is gone is still to be told.
-            let far = if self.told_there { Duration::ZERO } else { Duration::from_secs(3600) };
+            // The disconnect is still to be reported.
+            let far = if self.reported_connected { Duration::ZERO } else { Duration::from_secs(3600) };
             return now + far;
         };
         let next = session.wake_at(now).min(self.snapshot_due);
@@ -316,18 +323,18 @@ impl Streamer {
     }
 }
 
-fn answer(ticket: u64, result: Result<(), CommandError>, tell: Tell<'_>) {
+fn answer(ticket: u64, result: Result<(), CommandError>, emit: Emit<'_>) {
     if ticket != 0 {
-        tell(StreamEvent::Answer { ticket, result });
+        emit(StreamEvent::Answer { ticket, result });
     }
 }
 
-/// Whether a command ends what is played.
-const fn cuts(op: &Op) -> bool {
+/// Whether an operation ends the plays.
+const fn cuts_play(op: &Op) -> bool {
     matches!(op, Op::Stop | Op::Disarm(_) | Op::EStop)
 }
 
-/// A cause as events, receipts and the API name it.
+/// The name of a cause in events, receipts and the API.
 #[must_use]
 pub fn cause_text(cause: Cause) -> &'static str {
     match cause {
