@@ -1,50 +1,74 @@
-//! What happens to a pattern, from file to motor.
+//! Meissner drives a tactile display of 24 piezo pins: it plays patterns on the motors, tick by tick, and predicts what the skin's
+//! RA afferents respond. This crate is the program: the daemon and the commands. The other crates do the parts, from file to motor.
 //!
-//! A [`pattern`] is a TOML file: which pins of the [`array`](mod@array) vibrate, at which frequency, amplitude and phase, and
-//! when. The [`store`] keeps the shipped ones and a site's own. A person says `meissner play edge-45`: the [`cli`]
-//! hands it over by [`client`] to the [`daemon`], which may run as a service: systemd starts it by its socket, hears how it stands and
-//! that its streamer lives. Requests, the status and errors are defined in [`api`].
+//! # The data path
 //!
-//! The daemon compiles the pattern to [`strokes`]: excursions of one pin, an up burst and the down burst that
-//! undoes it, each at an exact tick of 1/85 000 s. A stroke is defined once, in `firmware_protocol`, for everybody
-//! who makes, sends, plays or simulates one.
+//! 1. **Target** (`targets/*.toml`, a shape on the skin) → [`meissner_design`]: `search` and `make` find the pattern for it with the
+//!    skin model; `judge` scores the result. Command: `cli/optimise.rs`.
+//! 2. **Pattern** (`patterns/*.toml`: which pins vibrate, at which frequency, amplitude and phase, when) →
+//!    [`meissner_array::pattern`] reads and checks it. [`store`] holds the shipped patterns and a site's own.
+//! 3. **Request** → `meissner play NAME` ([`cli`]) goes through [`meissner_client`] to the [`daemon`]: `daemon/http.rs` has the routes,
+//!    [`meissner_api`] the JSON types, errors and events of both sides. Located errors of all input come from [`meissner_input`].
+//! 4. **Play** → `daemon/play.rs` compiles the pattern to strokes ([`meissner_array::strokes`]), evaluates the bandwidth it needs,
+//!    opens its receipt and sends it to the streamer.
+//! 5. **Stroke**: one excursion of one pin, an up burst and the down burst that undoes it, at exact ticks of 1/85 000 s.
+//!    [`firmware_protocol::stroke`] defines it for everyone who makes, sends, plays or simulates one.
+//! 6. **Streamer** ([`meissner_stream`], a real-time thread) → chooses the onset, keeps the controller fed `lead_ms` ahead, and
+//!    corrects each burst from telemetry shortly before it begins (`control`). It accounts for every burst.
+//! 7. **Link** ([`meissner_stream::link`]) → a reliable, ordered stream of frames with credits; it estimates the device's clock and
+//!    probes what the line carries. The wire format is specified in [`firmware_protocol`].
+//! 8. **Device** ([`meissner_stream::device`]) → a board's serial port, its USB interface, or the mock. `daemon/connector.rs` opens it.
+//! 9. **Controller** ([`firmware_protocol::controller`], the same code on boards and in the mock) → plays the ticks, guards the limits,
+//!    returns the pins when it is stopped or no longer hears its host. `firmware/` is the shell around it on a board.
+//! 10. **Motors** → real ones, or [`meissner_array::simulated`], after the model of [`meissner_array::motor`].
 //!
-//! The [`stream`] is the heart. Its thread takes the play through a bounded ring, chooses an onset a few
-//! milliseconds ahead, and keeps the controller fed 100 ms ahead of now through the [`link`], which makes a
-//! reliable, ordered stream out of frames that may get lost, and estimates the device's clock ([`link::Clock`], in
-//! [`units`] that cannot be mixed up). Telemetry, from a device that has it, comes back the same way; from it the streamer corrects each burst
-//! shortly before it begins, within `firmware_protocol::limits`, so that shafts keep their rest position.
+//! # The way back
 //!
-//! A [`device`] is whatever a controller can be reached through: a board's serial port or its own USB interface, or
-//! the mock. The controller is the same code in all, `firmware_protocol::controller`: it plays ticks, guards the limits,
-//! and returns the pins when it is told to stop or no longer hears its host. On a board it runs in `firmware/`, which is
-//! built and tested on its own, in an emulator that the real streamer plays to (`firmware/hil`). On the mock its lines
-//! go to the [`plant`], 24 shafts after the [`motor`] model with the scatter that was measured on real ones ([`draw`]
-//! makes it repeatable).
+//! Streamer events enter the daemon in `daemon/event_loop.rs`. [`receipts`] turns them into receipts, totals and the API's events: at
+//! its end, each burst of a play was played, late, dropped or refused. There are two records: the [`log`](mod@log) for operators
+//! (worded in `daemon/log_lines.rs`), and the [`session_record`] for experiments, a file of JSON lines per day. Neither can delay an
+//! emergency stop. [`meissner_stream::calibrate`] fits each motor's gain from the bursts of a calibration pattern;
+//! `daemon/calibrate.rs` plays, stores and applies it.
 //!
-//! When a device is connected, the link measures what the line carries, and a play that needs more is refused (counted
-//! by [`stream::Need`]). The doctor looks at a device closer, without a daemon (measured by [`checkup`], judged by its
-//! command), and at what on this machine could be in the way.
+//! # The skin model
 //!
-//! By how much each pin's travel is off the model is measured: [`calibrate`] plays bursts of several lengths, an ordinary
-//! pattern, and makes of the travels a gain for each motor and direction, kept in a file. The daemon has them measured, and the
-//! streamer goes by them as long as the same device is connected.
+//! [`meissner_skin`] simulates the afferents' spikes for a scene, exactly or by steps. The daemon runs it in one place,
+//! `daemon/predictor.rs`: from the measured bursts of a play it predicts the afferent response to the play's first minute. That is
+//! safe beside the real-time thread: the predictor has one thread of its own with nice 10, at most 16 plays wait for it, nothing
+//! waits for it, and it shares no lock with the streamer. Offline, [`meissner_report`] draws figures and compares methods (`meissner
+//! report`, `tradeoff`).
 //!
-//! What happened comes out as notices; [`receipts`] makes of them the receipts and events that clients see. In the
-//! end every burst of every play was played, late, dropped or refused, and the receipt says which, and what the skin felt of it.
-//! The [`session_record`] keeps receipts, events and who asked for what, a file per day, for years. Lines for whoever runs the machine are
-//! worded in `daemon/notebook.rs` and go where [`log`](mod@log) says: to the terminal or to journald. Neither can hold up an
-//! emergency stop.
+//! # Where to look first
 //!
-//! What the [`skin`] makes of a pattern is computed offline: [`simulate`] takes a scene of drives and receptors to
-//! spikes, exactly or by a step, and [`report`] says what each way of doing so costs and by how much it errs, and draws
-//! what motors and skin make of a pattern. It also tries the streamer's lead on stalls that were recorded on a real machine.
-//! What one is to feel is a target, a shape on the skin; [`optimise`] finds the pattern that tells it best from its surroundings.
-//! It says, too, what was left of that when motors did not do quite what they were told ([`optimise::felt()`]).
+//! | to change | open |
+//! |---|---|
+//! | a route, a request's or answer's JSON | `daemon/http.rs`, `crates/api` |
+//! | a receipt's field | `crates/api/src/receipt.rs`, `receipts/mod.rs`, `cli/text.rs` |
+//! | a command or flag | `cli/mod.rs` |
+//! | a configuration key | `config.rs`; what a reload applies: `daemon/reload.rs` |
+//! | when plays start, queue and end | `crates/stream/src/streamer` |
+//! | corrections from telemetry | `crates/stream/src/control` |
+//! | a message on the wire, a limit, safety behaviour | `firmware-protocol` |
+//! | a kind of device | `crates/stream/src/device` |
+//! | the motor model, the pattern file | `crates/array` |
+//! | an afferent's model or parameters | `crates/skin` |
+//! | systemd, signals, the socket | `daemon/service.rs`, `signals.rs`, `socket.rs` |
 //!
-//! Tests run streamer, link, controller and plant in virtual time ([`stream::Simulation`]): same code, no clock.
-//! Rooms are listed lowest first in `tests/layers.rs`; a room uses only what stands before it. [`config`] is read
-//! at the daemon's start, and again when it is told to; what it takes while it runs stands in `daemon/reload.rs`.
+//! The modules of this crate use one another in this order: [`log`](mod@log), [`session_record`], [`receipts`], [`store`],
+//! [`config`], [`daemon`], [`cli`]. Tests run streamer, link, controller and simulated motors in virtual time
+//! ([`meissner_stream::Simulation`]): the same code without a clock.
+//!
+//! # Example
+//!
+//! ```
+//! use meissner::store::Store;
+//! use meissner_array::strokes::Strokes;
+//!
+//! let edge = Store::new(None, false)?.get("edge-45")?;
+//! let first = Strokes::new(&edge.pattern, Some(1.0))?.next().expect("an edge moves pins")?;
+//! assert_eq!(first.up_pulses, first.down_pulses);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 pub mod cli;
 pub mod config;

@@ -1,3 +1,5 @@
+//! The local API of a real daemon: commands, receipts, events, errors, and the end.
+
 use crate::harness::{Daemon, assert_accounts, problem};
 use meissner_api::MAX_BODY;
 use meissner_api::{Event, PlayState};
@@ -37,7 +39,7 @@ fn the_status_is_complete_from_the_start() {
 }
 
 #[test]
-fn nothing_is_played_before_a_person_has_armed() {
+fn nothing_is_played_before_a_person_arms() {
     let daemon = Daemon::start();
     let mut client = daemon.client();
     let refused = problem(client.post("/v1/play", &json!({"pattern": "edge-45"})));
@@ -50,7 +52,7 @@ fn nothing_is_played_before_a_person_has_armed() {
     assert_eq!(problem(client.get("/v1/plays/last")).code, "not-found");
 }
 
-/// The lease counts from the arming, not from the last keep-alive of an idle second before it.
+/// The host watchdog counts from the arming, not from the last keep-alive of an idle second before it.
 #[test]
 fn a_device_that_was_idle_stays_armed() {
     let daemon = Daemon::with("mock", "lease_ms = 500\n");
@@ -62,14 +64,11 @@ fn a_device_that_was_idle_stays_armed() {
 }
 
 #[test]
-fn a_play_is_told_as_it_happens_and_has_a_receipt() {
+fn a_play_has_events_and_a_receipt() {
     let daemon = Daemon::start();
     let mut client = daemon.armed();
     let mut events = client.events().unwrap();
-    assert!(
-        matches!(events.next(TIMEOUT).unwrap(), Some(Event::State { .. })),
-        "how things stand comes first"
-    );
+    assert!(matches!(events.next(TIMEOUT).unwrap(), Some(Event::State { .. })), "the state comes first");
     let id = play(&mut client, &json!({"pattern": "edge-45", "seconds": 0.5}));
     next(&mut events, |event| matches!(event, Event::Queued { id: of, .. } if *of == id));
     next(&mut events, |event| matches!(event, Event::Began { id: of, .. } if *of == id));
@@ -209,7 +208,7 @@ fn metrics_count_what_was_played() {
 }
 
 #[test]
-fn told_to_end_it_ends_streams_and_takes_its_socket_along() {
+fn a_daemon_that_ends_closes_event_streams_and_removes_its_socket() {
     let mut daemon = Daemon::start();
     let mut client = daemon.armed();
     let mut events = client.events().unwrap();
@@ -234,7 +233,7 @@ fn who_changed_something_is_in_the_log() {
 }
 
 #[test]
-fn a_receipt_tells_what_was_felt_when_the_bursts_were_measured() {
+fn a_receipt_has_the_predicted_response_once_bursts_are_measured() {
     let daemon = Daemon::start();
     let mut client = daemon.armed();
     let mut events = client.events().unwrap();
@@ -252,7 +251,7 @@ fn a_receipt_tells_what_was_felt_when_the_bursts_were_measured() {
     let receipt: Value = client.get(&format!("/v1/plays/{id}")).unwrap();
     assert_eq!(receipt["predicted_response"], serde_json::to_value(&prediction.response).unwrap());
     assert_eq!(receipt["felt"], receipt["predicted_response"], "the deprecated key holds the same");
-    // A stall of a busy machine may keep telemetry away: then it says so.
+    // A stall of a busy machine may delay telemetry; the receipt then says so.
     let Some(response) = prediction.response else {
         assert!(prediction.unknown.is_some_and(|why| why.contains("bursts were not measured")));
         return;
@@ -284,7 +283,7 @@ fn without_telemetry_a_receipt_says_that_nobody_measured() {
 }
 
 #[test]
-fn an_emergency_stop_that_comes_in_pieces_is_answered() {
+fn an_emergency_stop_whose_body_comes_later_is_answered() {
     let daemon = Daemon::start();
     daemon.armed();
     let mut stream = UnixStream::connect(daemon.socket()).unwrap();

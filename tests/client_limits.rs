@@ -1,3 +1,5 @@
+//! More clients than there are places, and clients that do not read.
+
 use crate::harness::{Daemon, problem};
 use meissner_api::Event;
 use meissner_api::MAX_CLIENTS;
@@ -6,7 +8,7 @@ use serde_json::{Value, json};
 use std::time::Duration;
 
 #[test]
-fn the_65th_client_is_told_so_and_the_others_go_on() {
+fn the_65th_client_gets_an_error_and_the_others_go_on() {
     let daemon = Daemon::start();
     let mut clients: Vec<Client> = (0..MAX_CLIENTS).map(|_| daemon.client()).collect();
     for client in &mut clients {
@@ -24,14 +26,14 @@ fn the_65th_client_is_told_so_and_the_others_go_on() {
         std::thread::sleep(Duration::from_millis(5));
         daemon.client().get::<Value>("/v1/status").is_ok()
     };
-    assert!((0..2000).any(lets_in), "a place that was left is free again");
+    assert!((0..2000).any(lets_in), "the place of a client that left is free again");
 }
 
 #[test]
-fn a_listener_that_does_not_read_holds_nobody_up() {
+fn a_listener_that_does_not_read_delays_nothing() {
     let daemon = Daemon::start();
     let mut client = daemon.armed();
-    let _deaf: Vec<_> = (0..8).map(|_| client.events().unwrap()).collect();
+    let _unread: Vec<_> = (0..8).map(|_| client.events().unwrap()).collect();
     let mut events = client.events().unwrap();
     for _ in 0..50 {
         let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.01})).unwrap();

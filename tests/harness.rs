@@ -1,3 +1,5 @@
+//! A real daemon in a directory of its own, and helpers for the other tests.
+
 use assert_cmd::Command;
 use meissner_api::{Problem, Status};
 use meissner_client::{Client, ClientError};
@@ -11,44 +13,44 @@ use std::thread;
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
-/// For whatever must happen some time: far longer than it takes on a slow machine.
+/// For whatever must happen: far longer than it takes on a slow machine.
 pub(crate) const TIMEOUT: Duration = Duration::from_secs(20);
 
 /// The program under test.
 pub(crate) const PROGRAM: &str = env!("CARGO_BIN_EXE_meissner");
 
-/// A real daemon on a simulated device, in a directory of its own; gone with this.
+/// A real daemon on a simulated device, in a directory of its own. Dropping this ends both.
 pub(crate) struct Daemon {
     child: Child,
     dir: TempDir,
 }
 
 impl Daemon {
-    /// One whose device is connected.
+    /// Starts one and waits for its device.
     pub(crate) fn start() -> Self {
         Self::on("mock")
     }
 
-    /// One on this device. Its lease is long, so that a stall of a busy test machine does not disarm.
+    /// Starts one on this device, with a long host watchdog timeout: a stall of a busy machine must not disarm it.
     pub(crate) fn on(device: &str) -> Self {
         Self::with(device, "lease_ms = 5000\n")
     }
 
-    /// One on this device, with these lines in its configuration.
+    /// Starts one on this device, with these lines in its configuration.
     pub(crate) fn with(device: &str, config: &str) -> Self {
         let dir = tempfile::tempdir().unwrap();
         let log = File::create(dir.path().join("log")).unwrap();
         Self::spawn(dir, device, config, log.into())
     }
 
-    /// One whose log goes elsewhere.
+    /// Starts one whose log goes elsewhere.
     pub(crate) fn logging_to(stderr: impl Into<Stdio>) -> Self {
         let dir = tempfile::tempdir().unwrap();
         File::create(dir.path().join("log")).unwrap();
         Self::spawn(dir, "mock", "lease_ms = 5000\n", stderr.into())
     }
 
-    /// One on a device that will not answer.
+    /// Starts one on a device that does not answer.
     pub(crate) fn without_device(device: &str) -> Self {
         let dir = tempfile::tempdir().unwrap();
         let log = File::create(dir.path().join("log")).unwrap();
@@ -61,7 +63,7 @@ impl Daemon {
         daemon
     }
 
-    /// One that another program starts with these arguments behind its own, or that has more in its environment.
+    /// Starts one by another command, to which the daemon's arguments are appended.
     pub(crate) fn by(command: std::process::Command) -> Self {
         let dir = tempfile::tempdir().unwrap();
         let log = File::create(dir.path().join("log")).unwrap();
@@ -95,7 +97,7 @@ impl Daemon {
         Self { child, dir }
     }
 
-    /// Waits until its log says so, and gives it back.
+    /// Waits until its log contains this, and returns the log.
     pub(crate) fn wait_for_log(&self, what: &str) -> String {
         let begun = Instant::now();
         loop {
@@ -118,7 +120,7 @@ impl Daemon {
         }
     }
 
-    /// Its configuration is this from now on, with the patterns' directory; it hears nothing of that.
+    /// Replaces its configuration, without telling it.
     pub(crate) fn write_config(&self, config: &str) {
         write_config(self.dir.path(), config);
     }
@@ -146,14 +148,14 @@ impl Daemon {
         client
     }
 
-    /// The command line, speaking to this daemon.
+    /// The command line, connected to this daemon.
     pub(crate) fn meissner(&self) -> Command {
         let mut command = meissner();
         command.env("MEISSNER_SOCKET", self.socket()).current_dir(self.dir.path());
         command
     }
 
-    /// Sends a request that asks for the connection's end, and reads until then.
+    /// Sends a request that closes the connection, and reads the answer.
     pub(crate) fn raw(&self, bytes: &[u8]) -> String {
         let mut stream = UnixStream::connect(self.socket()).unwrap();
         stream.set_read_timeout(Some(TIMEOUT)).unwrap();
@@ -224,7 +226,7 @@ pub(crate) fn document(command: &mut Command) -> Value {
     serde_json::from_str(&printed(command)).unwrap()
 }
 
-/// The problem a call came to.
+/// The problem that a call returned.
 pub(crate) fn problem(answer: Result<Value, ClientError>) -> Problem {
     match answer {
         Err(ClientError::Problem(problem)) => {

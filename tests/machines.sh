@@ -1,12 +1,12 @@
 # shellcheck shell=bash
-# Sourced by tests/usb/run, tests/install/run and tests/realtime/run: Debian made into a machine, to be booted by QEMU or
-# as a container. Whoever sources it has said `set -Eeuo pipefail` and what it is called (`name=usb`).
+# Makes a minimal Debian system that QEMU or a container boots. Sourced by tests/usb/run, tests/install/run and
+# tests/realtime/run, which set `-Eeuo pipefail` and `name` first.
 
 suite=trixie
 keyring=/usr/share/keyrings/debian-archive-keyring.gpg
 
 die() {
-    # shellcheck disable=SC2154 # who sources this
+    # shellcheck disable=SC2154 # set by the script that sources this
     printf '%s: %s\n' "$name" "$*" >&2
     exit 1
 }
@@ -21,7 +21,7 @@ as_root() {
     fi
 }
 
-# need PACKAGE FILE-OR-COMMAND: installs what is missing
+# need PACKAGE FILE-OR-COMMAND: installs the package if the file or command is missing
 need() {
     if command -v "$2" >/dev/null || [[ $2 == /* && -e $2 ]]; then return 0; fi
     command -v apt-get >/dev/null || die "no $2 and no apt: install it"
@@ -33,7 +33,7 @@ need() {
     } || die "apt cannot install $1"
 }
 
-# debian TREE LOG PACKAGE...: Debian's minimal system, systemd and these
+# debian TREE LOG PACKAGE...: makes a minimal Debian system with systemd and these packages
 debian() {
     local tree=$1 log=$2 mirror more
     need debootstrap debootstrap
@@ -50,13 +50,13 @@ debian() {
         $suite "$tree" "$mirror" >"$log" 2>&1 || die "debootstrap failed: see $log"
 }
 
-# What a test does not look at.
+# slim TREE: removes what no test reads
 slim() {
     as_root sh -c "cd '$1' && rm -rf tmp/* var/cache/apt/* var/lib/apt/lists/* usr/share/doc usr/share/man \
         usr/share/locale usr/share/info"
 }
 
-# kernel TREE VMLINUZ LOG MODULE...: Debian's stock kernel; of its modules only these, and what they use
+# kernel TREE VMLINUZ LOG MODULE...: Debian's stock kernel, with only these modules and those they need
 kernel() {
     local tree=$1 log=$3 package version needed module
     package=$(as_root chroot "$tree" apt-cache depends linux-image-amd64 | sed -n 's/.*Depends: \(linux-image-.*\)/\1/p')
@@ -71,7 +71,7 @@ kernel() {
     as_root cp -a "$tree/tmp/modules" "$tree/usr/lib/modules/$version"
     as_root chroot "$tree" depmod "$version"
     needed=$(as_root chroot "$tree" modprobe -S "$version" --show-depends -a "${@:4}" | sed -n 's/^insmod //p')
-    # Only what is used: the whole lives in memory.
+    # Only those in use: the whole tree lives in memory.
     as_root rm -rf "$tree/usr/lib/modules/$version/kernel"
     for module in $needed; do
         as_root install -D -m 644 "$tree/tmp/modules/${module#*/"$version"/}" "$tree/usr/$module"
@@ -79,7 +79,7 @@ kernel() {
     as_root chroot "$tree" depmod "$version"
 }
 
-# Packs a machine for QEMU, and takes its tree away: pack TREE CPIO
+# pack TREE CPIO: packs a tree for QEMU and removes it
 pack() {
     as_root ln -sf usr/lib/systemd/systemd "$1/init"
     (cd "$1" && as_root find . -xdev -print0 | as_root cpio --null --quiet -o -H newc) >"$2.new"
@@ -87,13 +87,13 @@ pack() {
     mv "$2.new" "$2"
 }
 
-# What of a program is needed to run it: without debug information it is a quarter of the memory.
+# program FROM TO: copies a program without debug information, which takes a quarter of the memory
 program() { strip -o "$2" "$1" 2>/dev/null || cp "$1" "$2"; }
 
-# The program's Debian package, from the sources below here: package PROFILE FILE
+# package PROFILE FILE: builds the Debian package from the sources in this directory
 package() {
-    # A version that is known to do it. Without optimisation: in a fresh clone it is compiled more often than used. It packs
-    # with xz.
+    # A tested version of cargo-deb, built without optimisation: in a fresh clone its build takes longer than its use. It
+    # packs with xz.
     local version=3.8.0 tools=$PWD/target/tools said=$2.log quiet=()
     if [ "$("$tools/bin/cargo-deb" --version 2>/dev/null)" != "cargo-deb $version" ]; then
         say "building cargo-deb (some minutes, once)"
@@ -105,15 +105,15 @@ package() {
     need dpkg-dev dpkg-shlibdeps
     say "building the package"
     cargo build --profile "$1" --locked --quiet || die "meissner does not build"
-    # Of `dev` it says that nobody should get such a package. Nobody does.
+    # It warns that a package of profile `dev` should not be released. This one is not.
     [ "$1" != dev ] || quiet=(--quiet)
     "$tools/bin/cargo-deb" --no-build "${quiet[@]}" --strip --no-dbgsym --profile "$1" -o "$2" >/dev/null 2>"$said" ||
         die "cargo deb: $(<"$said")"
-    # It warns of nothing that is meant so.
+    # All other warnings are errors.
     [ ! -s "$said" ] || die "cargo deb: $(<"$said")"
 }
 
-# boot LIMIT_S VMLINUZ INITRD UNIT [QEMU-OPTION...]: the console's text on stdout, without what is for a screen
+# boot LIMIT_S VMLINUZ INITRD UNIT [QEMU-OPTION...]: prints the console's text without escape sequences
 boot() {
     timeout --foreground "$1" qemu-system-x86_64 -accel tcg,thread=multi -cpu max -m 1500 -smp 2 -nic none \
         -nographic -no-reboot -kernel "$2" -initrd "$3" "${@:5}" \
@@ -121,7 +121,7 @@ boot() {
         sed -u 's/\r//g; s/\x1b\][^\x1b\a]*\(\x1b\\\|\a\)//g; s/\x1b[c7]//g; s/\x1b\[[0-9;?!]*[A-Za-z]//g'
 }
 
-# Judged by what was seen, in the console's log: a step that was not run has failed. judge LOG STEP...
+# judge LOG STEP...: fails unless the console's log has an ok line for every step
 judge() {
     local log=$1 seen step
     seen=$(grep -E "^(FAIL|WRONG)" "$log" | tr -s " " | paste -sd\;) || true

@@ -1,3 +1,5 @@
+//! Predicted responses to simulated plays: with position control and without, cut, and unmeasured.
+
 use firmware_protocol::tick::TICK_HZ;
 use meissner::receipts::{NoPrediction, PlayedPattern};
 use meissner_array::pattern::Pattern;
@@ -12,21 +14,21 @@ fn played(pattern: &Pattern, seconds: f64, plant: &PlantConfig, open_loop: bool)
     simulate_play(pattern, Some(seconds), plant, Settings::default(), open_loop).unwrap()
 }
 
-fn look<'p>(pattern: &'p Pattern, seconds: f64, played: &SimulatedPlay) -> PlayedPattern<'p> {
+fn measured_play<'p>(pattern: &'p Pattern, seconds: f64, played: &SimulatedPlay) -> PlayedPattern<'p> {
     let onset = played.outcome.onset.unwrap().actual;
     PlayedPattern { pattern, seconds: Some(seconds), onset, cut: false, unplayed: HashSet::new() }
 }
 
-/// A minute of a shipped edge. Without the loop pins drift to their end stops, where they go on vibrating: receptors that feel
-/// velocity lose little by that, no more than by the loop's corrections.
+/// A minute of a shipped edge. In open loop, pins drift to their end stops and go on vibrating there. Afferents respond to
+/// velocity, so that costs little contrast, no more than the corrections of position control.
 #[test]
-fn with_the_loop_and_without_it_an_edge_has_nearly_the_contrast_as_designed() {
+fn an_edge_keeps_nearly_its_designed_contrast_with_and_without_position_control() {
     let edge = pattern("edge-45");
     let plant = PlantConfig::default();
     let [closed, open] = [false, true].map(|open_loop| {
         let played = played(&edge, MOST_OBSERVED_S, &plant, open_loop);
         assert_eq!(played.outcome.bursts.played, played.outcome.bursts.planned);
-        let found = look(&edge, MOST_OBSERVED_S, &played).response(&played.measured_bursts).unwrap();
+        let found = measured_play(&edge, MOST_OBSERVED_S, &played).response(&played.measured_bursts).unwrap();
         assert_eq!((found.unmeasured, found.seconds), (0, MOST_OBSERVED_S));
         (found, played.rest.max_abs_um, played.outcome.onset.unwrap().actual)
     });
@@ -40,76 +42,76 @@ fn with_the_loop_and_without_it_an_edge_has_nearly_the_contrast_as_designed() {
     assert_eq!(closed.0.designed_hz, open.0.designed_hz);
     assert!(designed > 150.0 && (with / designed - 1.0).abs() < 0.03, "{designed} {with}");
     assert!((without / designed - 1.0).abs() < 0.1, "{designed} {without}");
-    // The filter knows no end stops: of bursts that meet one it tells a little too much.
+    // The estimator knows no end stops: it reports a little too much travel for bursts that meet one.
     let play =
         Play { pattern: &edge, seconds: Some(MOST_OBSERVED_S), onset: open.2, observed_s: MOST_OBSERVED_S };
     let truth =
         contrast(predict_response(&play, by_the_plant(plant, &play, u16::MAX)).unwrap().played_hz.contrast);
     println!("in truth without {truth:.2}");
     assert!((without - truth).abs() < 2.0, "{without} {truth}");
-    // It is not that the pins did not drift.
+    // The pins did drift.
     assert!(closed.1 < 100.0 && open.1 > 300.0, "{} {}", closed.1, open.1);
 }
 
 #[test]
-fn motors_that_do_what_they_are_told_are_felt_as_designed() {
+fn ideal_motors_give_the_designed_response() {
     let edge = pattern("edge-45");
     let played = played(&edge, 2.0, &PlantConfig::ideal(), true);
-    let found = look(&edge, 2.0, &played).response(&played.measured_bursts).unwrap();
+    let found = measured_play(&edge, 2.0, &played).response(&played.measured_bursts).unwrap();
     let [designed, played] = [found.designed_hz, found.played_hz].map(|rates| rates.contrast.unwrap());
     // Telemetry has a quantum of 0.01 um.
     assert!((designed - played).abs() < 0.1, "{designed} {played}");
 }
 
 #[test]
-fn bursts_that_nobody_measured_are_counted_and_too_many_are_a_reason() {
+fn unmeasured_bursts_are_counted_and_too_many_prevent_a_prediction() {
     let edge = pattern("edge-45");
     let played = played(&edge, 2.0, &PlantConfig::default(), false);
     let bursts = played.outcome.bursts.played;
-    let mut look = look(&edge, 2.0, &played);
+    let mut play = measured_play(&edge, 2.0, &played);
     let without = |one_in: usize| -> Vec<_> {
         let some = played.measured_bursts.iter().enumerate().filter(|(n, _)| n % one_in > 0);
         some.map(|(_, travel)| *travel).collect()
     };
-    let found = look.response(&without(200)).unwrap();
+    let found = play.response(&without(200)).unwrap();
     assert_eq!(found.unmeasured, bursts.div_ceil(200));
     let missing = bursts.div_ceil(50);
-    assert_eq!(look.response(&without(50)), Err(NoPrediction::Unmeasured { missing, bursts }));
-    assert_eq!(look.response(&[]), Err(NoPrediction::Unmeasured { missing: bursts, bursts }));
-    // What the streamer only reckoned is no measurement.
+    assert_eq!(play.response(&without(50)), Err(NoPrediction::Unmeasured { missing, bursts }));
+    assert_eq!(play.response(&[]), Err(NoPrediction::Unmeasured { missing: bursts, bursts }));
+    // The streamer's own estimate is no measurement.
     let mut reckoned = played.measured_bursts.clone();
     reckoned.iter_mut().for_each(|travel| travel.sd_um = 0.1 * travel.travel_um.abs());
-    assert_eq!(look.response(&reckoned), Err(NoPrediction::Unmeasured { missing: bursts, bursts }));
-    // Strokes that were late had nothing to be measured.
+    assert_eq!(play.response(&reckoned), Err(NoPrediction::Unmeasured { missing: bursts, bursts }));
+    // Late strokes have nothing to measure.
     let late: Vec<_> =
         played.measured_bursts.iter().filter(|travel| travel.travel_um > 0.0).step_by(20).collect();
-    look.unplayed = late.iter().map(|travel| (travel.motor, travel.start)).collect();
+    play.unplayed = late.iter().map(|travel| (travel.motor, travel.start)).collect();
     let gone = |travel: &&meissner_stream::queues::MeasuredBurst| {
-        !look.unplayed.contains(&(travel.motor, travel.start))
+        !play.unplayed.contains(&(travel.motor, travel.start))
     };
     let left: Vec<_> = played.measured_bursts.iter().filter(gone).copied().collect();
-    // Their down bursts are measured here, and not asked for.
-    let less = look.response(&left).unwrap();
+    // Their down bursts are measured here, but not needed.
+    let less = play.response(&left).unwrap();
     assert_eq!(less.unmeasured, 0);
     assert!(less.played_hz.all < found.played_hz.all, "{less:?}");
 }
 
 #[test]
-fn of_a_play_that_was_cut_counts_what_was_played_of_it() {
+fn a_play_that_was_cut_counts_as_far_as_it_was_played() {
     let edge = pattern("edge-45");
     let played = played(&edge, 2.0, &PlantConfig::default(), false);
-    let mut look = look(&edge, 60.0, &played);
-    look.cut = true;
-    let found = look.response(&played.measured_bursts).unwrap();
+    let mut play = measured_play(&edge, 60.0, &played);
+    play.cut = true;
+    let found = play.response(&played.measured_bursts).unwrap();
     assert!(found.seconds > 1.9 && found.seconds < 2.0, "{found:?}");
     assert_eq!(found.unmeasured, 0);
     let early: Vec<_> = played
         .measured_bursts
         .iter()
-        .filter(|travel| travel.start - look.onset < u64::from(TICK_HZ) / 100)
+        .filter(|travel| travel.start - play.onset < u64::from(TICK_HZ) / 100)
         .copied()
         .collect();
     assert!(!early.is_empty());
-    assert_eq!(look.response(&early), Err(NoPrediction::Cut));
-    assert_eq!(look.response(&[]), Err(NoPrediction::Cut));
+    assert_eq!(play.response(&early), Err(NoPrediction::Cut));
+    assert_eq!(play.response(&[]), Err(NoPrediction::Cut));
 }

@@ -1,6 +1,9 @@
+//! The daemon as a service: notifications, watchdog, socket activation, reload, and a newer program.
+
 use crate::harness::{Daemon, PROGRAM, TIMEOUT, complaint, meissner, printed};
 use meissner_api::Status;
 use rustix::process::Signal;
+use std::io;
 use std::os::fd::OwnedFd;
 use std::os::unix::fs::FileTypeExt;
 use std::os::unix::net::{UnixDatagram, UnixListener};
@@ -8,7 +11,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-/// A service manager's end of the notices.
+/// A service manager's end of the notifications.
 struct Manager {
     socket: UnixDatagram,
     dir: tempfile::TempDir,
@@ -26,7 +29,7 @@ impl Manager {
         self.start_program(PROGRAM.as_ref(), watchdog)
     }
 
-    /// Starts a program as a service does: no terminal to be closed, somebody to be told.
+    /// Starts a program as a service manager does: without a terminal, with a notification socket.
     fn start_program(&self, program: &Path, watchdog: Option<Duration>) -> Daemon {
         let mut command = Command::new("sh");
         command.args(["-c", "trap '' HUP; exec \"$0\" \"$@\""]).arg(program).stdin(Stdio::null());
@@ -38,83 +41,91 @@ impl Manager {
         Daemon::by(command)
     }
 
-    fn hear(&self) -> String {
+    /// Receives a notification; a signal of this process does not end the wait.
+    fn receive(&self) -> io::Result<String> {
         let mut bytes = [0; 4096];
-        let len = self.socket.recv(&mut bytes).expect("a word in time");
-        String::from_utf8_lossy(&bytes[..len]).trim_end().to_owned()
-    }
-
-    fn hear_until(&self, what: impl Fn(&str) -> bool) -> String {
-        let begun = Instant::now();
         loop {
-            let word = self.hear();
-            if what(&word) {
-                return word;
+            match self.socket.recv(&mut bytes) {
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                received => {
+                    let bytes = &bytes[..received?];
+                    return Ok(String::from_utf8_lossy(bytes).trim_end().to_owned());
+                }
             }
-            assert!(begun.elapsed() < TIMEOUT, "not heard; last `{word}`");
         }
     }
 
-    /// Whether nothing is said for so long.
-    fn is_told_nothing(&self, during: Duration) -> bool {
+    fn wait_for(&self, what: impl Fn(&str) -> bool) -> String {
+        let begun = Instant::now();
+        loop {
+            let text = self.receive().expect("a notification in time");
+            if what(&text) {
+                return text;
+            }
+            assert!(begun.elapsed() < TIMEOUT, "not received; last `{text}`");
+        }
+    }
+
+    /// Whether no notification comes for so long.
+    fn is_silent(&self, during: Duration) -> bool {
         self.socket.set_read_timeout(Some(during)).unwrap();
-        let nothing = self.socket.recv(&mut [0; 4096]).is_err();
+        let received = self.receive();
         self.socket.set_read_timeout(Some(TIMEOUT)).unwrap();
-        nothing
+        received.is_err()
     }
 }
 
 #[test]
-fn a_service_manager_hears_when_it_is_ready_how_it_stands_and_when_it_ends() {
+fn a_service_manager_gets_ready_status_and_stopping() {
     let manager = Manager::new();
     let mut daemon = manager.start(None);
-    manager.hear_until(|word| word == "READY=1");
+    manager.wait_for(|text| text == "READY=1");
     let status: Status = daemon.client().get("/v1/status").unwrap();
     assert!(status.is_connected(), "the first command finds a device");
     daemon.armed();
-    manager.hear_until(|word| word.starts_with("STATUS=armed") && word.contains("mock, simulated"));
+    manager.wait_for(|text| text.starts_with("STATUS=armed") && text.contains("mock, simulated"));
     printed(daemon.meissner().args(["play", "wave"]));
-    manager.hear_until(|word| word.contains("plays wave (play 1)"));
+    manager.wait_for(|text| text.contains("plays wave (play 1)"));
     printed(daemon.meissner().arg("stop"));
-    manager.hear_until(|word| word.starts_with("STATUS=armed") && !word.contains("plays"));
-    assert!(manager.is_told_nothing(Duration::from_millis(300)), "idle, it has nothing to say");
+    manager.wait_for(|text| text.starts_with("STATUS=armed") && !text.contains("plays"));
+    assert!(manager.is_silent(Duration::from_millis(300)), "an idle daemon sends nothing");
     daemon.signal(Signal::TERM);
-    manager.hear_until(|word| word == "STOPPING=1");
+    manager.wait_for(|text| text == "STOPPING=1");
     assert!(daemon.wait().success());
 }
 
 #[test]
-fn a_daemon_that_stands_still_gives_no_sign_of_life() {
+fn a_daemon_that_hangs_sends_no_watchdog_notification() {
     let manager = Manager::new();
     let mut daemon = manager.start(Some(Duration::from_millis(200)));
     for _ in 0..3 {
-        manager.hear_until(|word| word == "WATCHDOG=1");
+        manager.wait_for(|text| text == "WATCHDOG=1");
     }
     daemon.signal(Signal::STOP);
-    while !manager.is_told_nothing(Duration::from_millis(400)) {}
+    while !manager.is_silent(Duration::from_millis(400)) {}
     daemon.signal(Signal::CONT);
-    manager.hear_until(|word| word == "WATCHDOG=1");
+    manager.wait_for(|text| text == "WATCHDOG=1");
     daemon.signal(Signal::TERM);
     assert!(daemon.wait().success());
 }
 
 #[test]
-fn a_client_that_dawdles_costs_no_sign_of_life() {
+fn a_slow_client_costs_no_watchdog_notification() {
     use std::io::Write;
     let manager = Manager::new();
     let daemon = manager.start(Some(Duration::from_millis(200)));
-    manager.hear_until(|word| word == "READY=1");
+    manager.wait_for(|text| text == "READY=1");
     let mut slow = std::os::unix::net::UnixStream::connect(daemon.socket()).unwrap();
     // Less than the daemon would wait for the rest of the request, if it waited.
     manager.socket.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
     slow.write_all(b"POST /v1/play HTTP/1.1\r\nHost: m\r\nContent-Length: 999\r\n\r\n{").unwrap();
     for _ in 0..5 {
-        manager.hear_until(|word| word == "WATCHDOG=1");
+        manager.wait_for(|text| text == "WATCHDOG=1");
     }
 }
 
 #[test]
-fn a_newer_program_is_started_once_nobody_is_armed() {
+fn a_newer_program_is_started_when_motors_are_disarmed() {
     let manager = Manager::new();
     let program = manager.dir.path().join("meissner");
     std::fs::copy(PROGRAM, &program).unwrap();
@@ -133,11 +144,11 @@ fn a_newer_program_is_started_once_nobody_is_armed() {
 }
 
 #[test]
-fn a_socket_that_is_handed_over_is_used_and_left_alone() {
+fn a_socket_that_is_handed_over_is_used_and_not_removed() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("activated.sock");
     let listener = UnixListener::bind(&path).unwrap();
-    // Connected before there is a daemon, as the command that starts it.
+    // Connected before there is a daemon, like the command that starts it.
     let first = std::thread::spawn({
         let path = path.clone();
         move || printed(meissner().args(["arm", "--assume-rest", "--socket"]).arg(path))
@@ -146,36 +157,36 @@ fn a_socket_that_is_handed_over_is_used_and_left_alone() {
     let script = "exec 3<&0 </dev/null; LISTEN_PID=$$ LISTEN_FDS=1 exec \"$0\" \"$@\"";
     command.args(["-c", script, PROGRAM]).stdin(Stdio::from(OwnedFd::from(listener)));
     let mut daemon = Daemon::by(command);
-    assert!(first.join().unwrap().starts_with("armed"), "it waited for the device");
-    assert!(!daemon.socket().exists(), "it made none of its own");
+    assert!(first.join().unwrap().starts_with("armed"), "it waits for the device");
+    assert!(!daemon.socket().exists(), "it makes no socket of its own");
     assert!(daemon.wait_for_log("listening on").contains(&format!("listening on {}", path.display())));
     assert!(daemon.log().contains("`socket` in the configuration is ignored"));
     daemon.signal(Signal::TERM);
     assert!(daemon.wait().success());
     assert!(
         std::fs::symlink_metadata(&path).unwrap().file_type().is_socket(),
-        "it is not the daemon's to remove"
+        "the daemon does not remove it"
     );
 }
 
 #[test]
-fn what_can_change_while_it_runs_is_taken_and_the_rest_is_said() {
+fn a_reload_applies_what_can_change_and_names_the_rest() {
     let manager = Manager::new();
     let daemon = manager.start(None);
-    manager.hear_until(|word| word == "READY=1");
+    manager.wait_for(|text| text == "READY=1");
     let status = || daemon.client().get::<Status>("/v1/status").unwrap();
     let reload = |config: &str| {
         daemon.write_config(config);
         daemon.signal(Signal::HUP);
-        manager.hear_until(|word| word.starts_with("RELOADING=1"));
-        manager.hear_until(|word| word == "READY=1");
+        manager.wait_for(|text| text.starts_with("RELOADING=1"));
+        manager.wait_for(|text| text == "READY=1");
         daemon.log().lines().last().unwrap().to_owned()
     };
     assert!(reload("lease_ms = 5000\n").contains("says what it said before"));
     daemon.armed();
     let line = reload("lead_ms = 50\nlease_ms = 4000\n");
     assert!(line.contains("`lead_ms`") && line.contains("from the next `arm` on"), "{line}");
-    // An answered order comes behind the one that carried the settings.
+    // An answered command comes after the one that carried the settings.
     printed(daemon.meissner().args(["play", "wave", "--seconds", "0.1", "--wait"]));
     assert_eq!((status().lead_ms, status().lease_ms), (100.0, 5000.0), "armed with these");
     printed(daemon.meissner().arg("disarm"));
@@ -200,7 +211,7 @@ fn what_can_change_while_it_runs_is_taken_and_the_rest_is_said() {
     let file = daemon.path("mine.toml");
     std::fs::write(&file, "format = 1\nname = \"mine\"\nduration_s = 1.0\n").unwrap();
     printed(daemon.meissner().arg("import").arg(&file));
-    assert!(daemon.path("patterns/mine.toml").exists(), "the old directory is still gone by");
+    assert!(daemon.path("patterns/mine.toml").exists(), "the old directory is still in use");
     std::fs::create_dir(&other).unwrap();
     daemon.signal(Signal::HUP);
     daemon.wait_for_log("`patterns_dir` at once");

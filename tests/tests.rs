@@ -1,7 +1,7 @@
 //! The integration tests, one binary, a module per theme.
 #![expect(clippy::unwrap_used, reason = "a test that panics has failed")]
 
-/// The local API of a real daemon: commands, receipts, events, problems, the end.
+/// The local API of a real daemon: commands, receipts, events, errors, and the end.
 mod api;
 /// What people and scripts get wrong: one line with what, where, what to do; nothing moves.
 mod bad_input;
@@ -11,13 +11,13 @@ mod boards;
 mod calibration;
 /// The command line against a real daemon.
 mod cli;
-/// More clients than there are places, and clients that do not listen.
+/// More clients than there are places, and clients that do not read.
 mod client_limits;
 /// `tradeoff --loop`: a corner of its grid within the limits, the same bytes on any cores, its document and plot.
 mod control_tradeoff;
 /// `report`: figures against the models, the page, places that cannot be written to.
 mod figures;
-/// A real daemon in a directory of its own, for the others.
+/// A real daemon in a directory of its own, and helpers for the other tests.
 mod harness;
 /// `tradeoff --stream`: the lead under recorded stalls, traces that are refused, its document and plot.
 mod lead;
@@ -25,9 +25,9 @@ mod lead;
 mod manual;
 /// `optimise`: files and documents, budgets, interruptions, mistakes.
 mod optimise;
-/// What was felt of plays as they were measured: with the loop and without, cut, unmeasured.
+/// Predicted responses to simulated plays: with position control and without, cut, and unmeasured.
 mod played;
-/// What is left when the daemon is killed at any moment, the disk is full or nothing may be written: patterns, the logbook, and a play that goes on.
+/// What survives when the daemon is killed at any moment, the disk is full or nothing may be written; and the session record.
 mod power;
 /// A whole session through a pseudo-terminal and the serial transport; the daemon ended and killed in mid-play.
 mod pty;
@@ -35,5 +35,5 @@ mod pty;
 mod readme;
 /// `simulate` and `tradeoff`: documents, mistakes, the comparison of methods and its plot; the shipped scenes.
 mod report;
-/// As a service: notices, watchdog, a socket that is handed over, a configuration that is read again.
+/// The daemon as a service: notifications, watchdog, socket activation, reload, and a newer program.
 mod service;

@@ -1,9 +1,9 @@
-//! journald's own protocol: a line is one datagram of named fields.
+//! journald's native protocol: a line is one datagram of named fields.
 //!
-//! `MESSAGE`, `PRIORITY`, `SYSLOG_IDENTIFIER`, `TARGET`, and each field of the event in capitals: `play_id` is `PLAY_ID`. Spans are
-//! not told. The usual crate for this sends with a socket that blocks: a journald that is stuck would hold up an emergency stop.
+//! The fields are `MESSAGE`, `PRIORITY`, `SYSLOG_IDENTIFIER`, `TARGET`, and each field of the event in capitals: `play_id` is
+//! `PLAY_ID`. Spans are ignored. The usual crate for this sends on a blocking socket: a stuck journald would hold up an emergency stop.
 //!
-//! Invariant: sending never waits; a line nobody takes is lost.
+//! Invariant: sending never blocks; a line that journald does not take is lost.
 
 use std::fmt::{self, Write};
 use std::io;
@@ -14,21 +14,21 @@ use tracing::{Event, Level, Subscriber};
 use tracing_subscriber::Layer;
 use tracing_subscriber::layer::Context;
 
-/// Bytes of a field's value, at the most: a datagram that is too large would be lost whole.
-const MOST_OF_A_VALUE: usize = 8 << 10;
-/// Bytes of a field's name, at the most, as journald has it.
-const MOST_OF_A_NAME: usize = 64;
+/// Most bytes of a field's value: a datagram that is too large would be lost whole.
+const MAX_VALUE: usize = 8 << 10;
+/// Most bytes of a field's name: journald's limit.
+const MAX_NAME: usize = 64;
 
 /// A layer that sends events to journald.
 #[derive(Debug)]
 pub(super) struct Journal {
     socket: UnixDatagram,
-    /// Looked up for each line: journald may be started again.
+    /// Resolved for each line: journald may restart.
     path: PathBuf,
 }
 
 impl Journal {
-    /// Sends to the socket at `path`, which must be there.
+    /// Sends to the socket at `path`, which must exist.
     pub(super) fn new(path: &Path) -> io::Result<Self> {
         path.metadata()?;
         let socket = UnixDatagram::unbound()?;
@@ -44,12 +44,12 @@ impl<S: Subscriber> Layer<S> for Journal {
         line.field("SYSLOG_IDENTIFIER", "meissner");
         line.field("TARGET", event.metadata().target());
         event.record(&mut line);
-        // Lost if nobody takes it.
+        // An error means that the line is lost.
         let _ = self.socket.send_to(&line.bytes, &self.path);
     }
 }
 
-/// As syslog counts: what is our bug, what the world does, what a lab reads, and what is for looking for faults.
+/// The syslog priority of a level.
 const fn priority(level: Level) -> &'static str {
     match level {
         Level::ERROR => "3",
@@ -69,7 +69,7 @@ struct Line {
 impl Line {
     /// `NAME=value`, or with a newline in it `NAME`, the value's length in eight bytes, little-endian, and the value.
     fn field(&mut self, name: &str, value: &str) {
-        let value = &value[..value.floor_char_boundary(MOST_OF_A_VALUE)];
+        let value = &value[..value.floor_char_boundary(MAX_VALUE)];
         self.bytes.extend_from_slice(name.as_bytes());
         if value.contains('\n') {
             self.bytes.push(b'\n');
@@ -84,7 +84,7 @@ impl Line {
     fn value(&mut self, field: &Field, value: &dyn fmt::Display) {
         let mut text = std::mem::take(&mut self.text);
         text.clear();
-        // Writing to a text cannot fail; a value that cannot be told is told as far as it goes.
+        // Writing to a string cannot fail; a value whose formatting fails is cut there.
         let _ = write!(text, "{value}");
         if field.name() == "message" {
             self.field("MESSAGE", &text);
@@ -95,10 +95,10 @@ impl Line {
     }
 }
 
-/// A field's name as journald takes it: capitals, digits and underscores, a letter first; none for what would pass for ours or its own.
+/// A field's name for journald: capitals, digits and underscores, a letter first. None for a name that is ours or journald's own.
 fn name(field: &str) -> Option<String> {
     let capital = |c: char| if c.is_ascii_alphanumeric() { c.to_ascii_uppercase() } else { '_' };
-    let name: String = field.chars().take(MOST_OF_A_NAME).map(capital).collect();
+    let name: String = field.chars().take(MAX_NAME).map(capital).collect();
     let ours = ["MESSAGE", "PRIORITY", "SYSLOG_IDENTIFIER", "TARGET"].contains(&name.as_str());
     (name.starts_with(|c: char| c.is_ascii_uppercase()) && !ours).then_some(name)
 }
@@ -158,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn fields_come_with_the_message() {
+    fn a_message_has_its_fields() {
         with_journald(|read, _| {
             let (play_id, tick) = (3_u64, 123_456_u64);
             let none: Option<u8> = None;
@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn whatever_a_value_holds_it_makes_no_other_field() {
+    fn a_value_cannot_make_another_field() {
         with_journald(|read, _| {
             let text = "two\nPRIORITY=0\n\u{1b}[31mlines\n";
             tracing::info!(
@@ -201,12 +201,12 @@ mod tests {
             assert_eq!((&*fields["MESSAGE"], &*fields["CAUSE"], &*fields["PRIORITY"]), (text, text, "6"));
             assert_eq!((&*fields["TYPE"], &*fields["A_B"], fields.len()), ("2", "3", 8));
             tracing::info!("{}", "ä".repeat(100_000));
-            assert_eq!(read()["MESSAGE"].len(), MOST_OF_A_VALUE);
+            assert_eq!(read()["MESSAGE"].len(), MAX_VALUE);
         });
     }
 
     #[test]
-    fn a_journald_that_is_stuck_or_gone_holds_nobody_up() {
+    fn a_stuck_or_missing_journald_delays_nothing() {
         with_journald(|read, journald| {
             let begun = Instant::now();
             for line in 0..20_000 {

@@ -1,10 +1,10 @@
-//! Where log lines go: to stderr, or under systemd straight to journald, with fields that `journalctl` finds plays and motors by.
+//! The log for operators: lines on stderr, or under systemd in journald, with fields by which `journalctl` finds plays and motors.
 //!
-//! What is logged, and how grave it is, is its writers' business; all mean the same by it: an error is a bug of ours, a warning says
-//! that the world misbehaves, an info line is what a lab wants to read later, and debug is for whoever looks for a fault.
-//! `$RUST_LOG` chooses; every message reads alone, and its fields repeat what can be sought by.
+//! [`start`] sets it up; all modules log with `tracing`. An error is a bug of ours, a warning says that the world misbehaves, an info
+//! line is what a lab reads later, debug is for finding faults. `$RUST_LOG` chooses the level. Each message reads alone; its fields
+//! repeat what one searches by.
 //!
-//! Invariant: nobody waits for whoever reads the log: a line that is not taken at once is lost. An emergency stop must work.
+//! Invariant: nothing waits for the log's reader: a line that cannot be written at once is lost. An emergency stop must work.
 
 mod journal;
 
@@ -23,10 +23,10 @@ use tracing_subscriber::util::SubscriberInitExt;
 
 /// Where journald listens.
 const JOURNALD: &str = "/run/systemd/journal/socket";
-/// Bytes a pipe takes at once (PIPE_BUF).
+/// Bytes that a pipe takes in one write (PIPE_BUF).
 const ATOMIC: usize = 4096;
 
-/// Starts the log of this process: `level` and graver, unless `$RUST_LOG` says otherwise.
+/// Starts the log of this process: `level` and above, unless `$RUST_LOG` says otherwise.
 pub fn start(level: Level) {
     let asked = env::var_os("RUST_LOG").filter(|asked| !asked.is_empty());
     let filter = asked.as_ref().map(|asked| asked.to_string_lossy().parse::<Targets>());
@@ -41,7 +41,7 @@ pub fn start(level: Level) {
             .log_internal_errors(false)
             .with_ansi(io::stderr().is_terminal())
             .with_target(false)
-            // Messages read alone; what their fields say again is for who seeks in the journal.
+            // Messages read alone; fields are for searching the journal.
             .fmt_fields(format::debug_fn(|out, field, value| match field.name() {
                 "message" => write!(out, "{value:?}"),
                 _ => Ok(()),
@@ -54,26 +54,25 @@ pub fn start(level: Level) {
     }
 }
 
-/// Whether stderr is the stream that journald gave this process, by `$JOURNAL_STREAM`: device and inode. A stderr that was led
-/// elsewhere since is not.
+/// Whether stderr is the stream that journald gave this process, by device and inode in `$JOURNAL_STREAM`; a redirected stderr is
+/// not.
 fn is_journal(stream: &str) -> bool {
     let Some((device, inode)) = stream.split_once(':') else { return false };
     let same = |stat: rustix::fs::Stat| device.parse() == Ok(stat.st_dev) && inode.parse() == Ok(stat.st_ino);
     fstat(io::stderr()).is_ok_and(same)
 }
 
-/// Stderr as the log's end: a line that nobody takes is lost, and never waited for, complained about or a reason to
-/// stop.
+/// Stderr as the log's output: a line that cannot be written at once is lost, without an error.
 struct Stderr;
 
 impl Write for Stderr {
     fn write(&mut self, line: &[u8]) -> io::Result<usize> {
-        // Locked first: two lines must not find room for one.
+        // Locked first: two threads must not both find room for one line.
         let mut stderr = io::stderr().lock();
         let mut ready = [PollFd::new(&stderr, PollFlags::OUT)];
         let now = Timespec { tv_sec: 0, tv_nsec: 0 };
         if poll(&mut ready, Some(&now)).is_ok() && ready[0].revents() == PollFlags::OUT {
-            // A pipe that is ready takes so many without waiting.
+            // A pipe that is ready takes that many bytes without blocking.
             let (line, rest) = line.split_at(line.len().min(ATOMIC - 1));
             let _ = stderr
                 .write_all(line)
@@ -92,7 +91,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_the_stream_that_stderr_is_is_the_journals() {
+    fn stderr_is_the_journal_only_if_it_is_its_stream() {
         let stat = fstat(io::stderr()).unwrap();
         assert!(is_journal(&format!("{}:{}", stat.st_dev, stat.st_ino)));
         for other in [format!("{}:{}", stat.st_dev, stat.st_ino + 1), String::new(), "a:b".into(), "1".into()]

@@ -1,4 +1,4 @@
-//! The streamer's and the controller's types in the words of the API.
+//! Converts the streamer's and the controller's types to the API's.
 
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{DeviceHello, State};
@@ -6,7 +6,7 @@ use meissner_api::{CalibrateRequest, Code, DeviceInfo, Problem};
 use meissner_stream::calibrate::Plan;
 use meissner_stream::queues::CommandError;
 
-/// The controller's state as the API calls it.
+/// The controller's state as the API names it.
 #[must_use]
 pub const fn state_name(state: State) -> &'static str {
     match state {
@@ -17,7 +17,7 @@ pub const fn state_name(state: State) -> &'static str {
     }
 }
 
-/// What a device said of itself, reached by `kind`.
+/// What a device told in the handshake; `kind` says how it is reached.
 #[must_use]
 pub fn device_info(kind: &str, hello: &DeviceHello) -> DeviceInfo {
     let [major, minor, patch] = hello.firmware;
@@ -55,10 +55,10 @@ pub fn refusal(refused: CommandError) -> Problem {
     Problem::new(code, refused.to_string())
 }
 
-/// What a request for a calibration asks to be played.
+/// The plan that a calibration request asks for.
 ///
 /// # Errors
-/// A `bad-request` that says what is wrong with it.
+/// A `bad-request` that says what is wrong.
 pub fn calibration_plan(request: &CalibrateRequest) -> Result<Plan, Problem> {
     let default = Plan::default();
     let pulses = request.pulses.as_deref().unwrap_or(default.pulses());

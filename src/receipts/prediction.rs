@@ -1,11 +1,11 @@
-//! What was felt of a play, by its bursts as they were measured.
+//! The predicted afferent response to a play, from its measured bursts.
 //!
-//! Each burst of the pattern is looked up among those that were measured. Strokes that the receipt lists as late or refused were not
-//! played; any other burst without a measurement is counted, and of too many of those nothing is said: a burst that is
-//! taken as commanded would be flattery. Of a play that was cut its last twentieth of a second is left out, in which
-//! bursts were cut before they were measured.
+//! [`PlayedPattern::response`] finds the measurement of each burst of the pattern and passes the travels to the skin model. Strokes
+//! that the receipt lists as late or refused were not played. Any other burst without a measurement is counted; with too many of
+//! them there is no prediction, because bursts taken as commanded would look better than they were. Of a play that was cut, the last
+//! twentieth of a second is left out: its bursts were cut before they were measured.
 //!
-//! Invariant: a [`PredictedResponse`] is about bursts of which no more than one in a hundred is unmeasured.
+//! Invariant: a [`PredictedResponse`] is about bursts of which at most one in a hundred is unmeasured.
 
 use firmware_protocol::tick::Tick;
 use meissner_api::{PlayState, PredictedResponse, Rates, Receipt};
@@ -17,62 +17,62 @@ use meissner_design::{MOST_OBSERVED_S, PredictionError};
 use meissner_stream::queues::MeasuredBurst;
 use std::collections::{HashMap, HashSet};
 
-/// One burst in so many may be unmeasured.
+/// At most one burst in so many may be unmeasured.
 const ONE_IN: u64 = 100;
-/// What is left out of a play that was cut, ticks: the longest burst, a correction, and the motor's window.
+/// Left out at the end of a play that was cut, ticks: the longest burst, a correction, and the motor's window.
 const CUT: u64 = 3000 + 900 + WINDOW_TICKS;
-/// A measurement that is known no better, as a share of what an ideal motor would travel and µm besides, is none: half of
-/// what bursts scatter by.
-const UNKNOWN: (f64, f64) = (0.05, 0.02);
+/// Largest standard deviation of a measurement that counts: a share of an ideal motor's travel, plus µm. Half of the scatter of
+/// bursts.
+const MAX_SD: (f64, f64) = (0.05, 0.02);
 
-/// Why it is not known what was felt of a play.
+/// Why there is no prediction for a play.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum NoPrediction {
-    /// Nobody measures.
+    /// The device does not measure bursts.
     #[error("the device has no telemetry")]
     NoTelemetry,
-    /// It has no onset.
+    /// The play has no onset.
     #[error("it did not begin")]
     NotBegun,
-    /// It was cut at once.
+    /// It was cut before a burst was measured.
     #[error("it was cut before a burst was measured")]
     Cut,
-    /// Too few measurements.
+    /// Too many bursts were not measured.
     #[error("{missing} of {bursts} bursts were not measured, more than 1 %")]
     Unmeasured {
-        /// Without a measurement.
+        /// Bursts without a measurement.
         missing: u64,
-        /// In all.
+        /// All bursts.
         bursts: u64,
     },
-    /// Many plays ended at once.
-    #[error("too many plays waited to be looked at")]
+    /// Too many plays ended at once.
+    #[error("too many plays waited for their prediction")]
     Busy,
-    /// What cannot have been played.
+    /// The pattern does not compile.
     #[error(transparent)]
     Strokes(#[from] StrokesError),
-    /// The simulation.
+    /// The simulation failed.
     #[error(transparent)]
     Prediction(#[from] PredictionError),
 }
 
-/// A play whose measured bursts are to be looked at.
+/// A play whose response is to be predicted.
 #[derive(Clone, Debug)]
 pub struct PlayedPattern<'p> {
-    /// What was played.
+    /// Its pattern.
     pub pattern: &'p Pattern,
-    /// For how long it was asked for.
+    /// The duration asked for, s.
     pub seconds: Option<f64>,
-    /// When it began.
+    /// Its onset.
     pub onset: Tick,
-    /// It ended before its end.
+    /// It was stopped or aborted.
     pub cut: bool,
     /// Strokes that were not played: motor and up tick.
     pub unplayed: HashSet<(u8, Tick)>,
 }
 
 impl<'p> PlayedPattern<'p> {
-    /// At a play that is in the record: one that is over, or has lasted for [`MOST_OBSERVED_S`].
+    /// The play of a receipt: one that is over, or has lasted for [`MOST_OBSERVED_S`].
     ///
     /// # Errors
     /// If it never began.
@@ -89,17 +89,17 @@ impl<'p> PlayedPattern<'p> {
         })
     }
 
-    /// The first tick of which nothing counts.
+    /// The first tick that does not count.
     #[must_use]
     pub fn until(&self) -> Tick {
         self.onset + seconds_to_ticks(MOST_OBSERVED_S)
     }
 
-    /// What was felt, by these bursts; those of other plays may be among them. Takes a second of computing for a minute of
-    /// a shipped pattern.
+    /// Predicts the response from these bursts; bursts of other plays are ignored. Computes for about a second per minute of a
+    /// shipped pattern.
     ///
     /// # Errors
-    /// Why that is not known.
+    /// Why there is no prediction.
     pub fn response(&self, bursts: &[MeasuredBurst]) -> Result<PredictedResponse, NoPrediction> {
         let mut strokes = Strokes::new(self.pattern, self.seconds)?;
         let mut until = strokes.end().map_or(self.until(), |end| self.until().min(self.onset + end));
@@ -141,12 +141,12 @@ impl<'p> PlayedPattern<'p> {
         }
         let observed_s = ticks_to_seconds(until - self.onset);
         let Self { pattern, seconds, onset, .. } = *self;
-        let felt = meissner_design::predict_response(
+        let predicted = meissner_design::predict_response(
             &meissner_design::Play { pattern, seconds, onset, observed_s },
             ramps,
         )?;
         let meissner_design::PredictedResponse { seconds, target, population_seed, designed_hz, played_hz } =
-            felt;
+            predicted;
         let [designed_hz, played_hz] = [designed_hz, played_hz].map(|rates| {
             let meissner_design::Rates { all, on, off, contrast } = rates;
             Rates { all, on, off, contrast }
@@ -162,8 +162,8 @@ impl<'p> PlayedPattern<'p> {
     }
 }
 
-/// Whether telemetry has seen it: if not, the streamer tells what it would have bet on.
+/// Whether telemetry has measured the burst: if not, the streamer reports its own estimate, with a large deviation.
 fn is_known(burst: &MeasuredBurst) -> bool {
-    let (share, um) = UNKNOWN;
+    let (share, um) = MAX_SD;
     f64::from(burst.sd_um) <= share * f64::from(burst.pulses) * UM_PER_PULSE + um
 }

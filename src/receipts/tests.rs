@@ -133,10 +133,10 @@ fn a_play_goes_from_queued_to_its_receipt() {
 }
 
 #[test]
-fn a_play_that_was_not_taken_leaves_nothing() {
+fn a_play_that_was_not_accepted_leaves_nothing() {
     let mut receipts = Receipts::default();
     receipts.add(Receipt::new(1, "a", "", None));
-    assert!(receipts.receipt(1).is_none(), "not before it is taken");
+    assert!(receipts.receipt(1).is_none(), "not before it is accepted");
     assert_eq!(receipts.settle(1, false), None);
     assert!(receipts.last().is_none());
     assert!(receipts.apply(&ended(1, End::Done)).is_none());
@@ -217,4 +217,17 @@ fn every_events_name_is_its_json_tag() {
         assert_eq!(json["event"], event.name());
         assert_eq!(serde_json::from_value::<Event>(json).unwrap(), event);
     }
+}
+
+/// Receipts of older daemons have the deprecated keys alone.
+#[test]
+fn a_prediction_is_written_under_both_names_and_read_under_either() {
+    let mut receipt = Receipt::new(1, "edge-45", "", None);
+    receipt.prediction.unknown = Some("it did not begin".to_owned());
+    let mut json = serde_json::to_value(&receipt).unwrap();
+    assert_eq!(json["predicted_response_unknown"], "it did not begin");
+    assert_eq!(json["felt_unknown"], "it did not begin");
+    assert!(json["predicted_response"].is_null() && json["felt"].is_null());
+    json.as_object_mut().unwrap().retain(|key, _| !key.starts_with("predicted"));
+    assert_eq!(serde_json::from_value::<Receipt>(json).unwrap(), receipt);
 }

@@ -209,11 +209,11 @@ fn a_full_disk_is_one_line_and_what_is_missing_is_counted() {
         write(2);
         assert_eq!(lines(dir.path(), "2026-11-22").len(), 1, "the part was cut back");
         write(3);
-        thread::sleep(Duration::from_millis(1010));
+        thread::sleep(Duration::from_millis(110));
         write(4);
         ROOM.set(usize::MAX);
         write(5);
-        thread::sleep(Duration::from_millis(1010));
+        thread::sleep(Duration::from_millis(110));
         write(6);
         writer.finish();
     });
@@ -236,7 +236,7 @@ fn a_directory_that_is_not_there_is_waited_for_and_one_that_vanishes_is_made_aga
             |monotonic_ns| writer.write(stamp("2026-11-22T12:00:00Z", monotonic_ns), 0, &started());
         write(1);
         fs::create_dir(&site).unwrap();
-        thread::sleep(Duration::from_millis(1010));
+        thread::sleep(Duration::from_millis(110));
         write(2);
         fs::remove_dir_all(site.join("logbook")).unwrap();
         write(3);

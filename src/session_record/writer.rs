@@ -92,6 +92,7 @@ pub(super) struct Writer {
     unsynced: u64,
     /// Why nothing can be written, for the status.
     problem: Arc<Mutex<Option<String>>>,
+    retry_after: Duration,
     /// When to try a failing disk again.
     failing: Option<Instant>,
     /// When lines have to be made durable.
@@ -108,6 +109,7 @@ impl Writer {
             open: None,
             missing: 0,
             unsynced: 0,
+            retry_after: RETRY_AFTER,
             failing: None,
             due: None,
         }
@@ -115,7 +117,7 @@ impl Writer {
 
     #[cfg(test)]
     pub(super) fn on(self, disk: Disk, zone: TimeZone) -> Self {
-        Self { disk, zone: Some(zone), ..self }
+        Self { disk, zone: Some(zone), retry_after: RETRY_AFTER / 10, ..self }
     }
 
     /// Where it tells why nothing can be written.
@@ -192,7 +194,7 @@ impl Writer {
 
     fn fail(&mut self, failure: &Failure) {
         self.set_problem(Some(format!("the session record cannot be written: {failure}")));
-        if self.failing.replace(Instant::now() + RETRY_AFTER).is_none() {
+        if self.failing.replace(Instant::now() + self.retry_after).is_none() {
             warn!(
                 "the session record cannot be written: {failure}; make room there and see that the daemon may write, or \
                  set `logbook_dir`; playing goes on"

@@ -1,11 +1,11 @@
 #!/bin/bash
-# Runs in the container, as root; prints a line per step: ok, WRONG (it goes on) or FAIL (it ends). `run` starts it, and
-# knows which lines there must be. With the argument `image` systemd does not run: somebody builds an image.
+# Runs in the container, as root; prints a line per step: ok, WRONG (then goes on) or FAIL (then exits). `run` starts it and
+# checks that every line is there. With the argument `image` systemd does not run, as when an image is built.
 # shellcheck disable=SC2015 # `fail` ends it: A && B || fail is what is meant
 set -uo pipefail
 mkdir -p /tmp/out && cd /tmp/out || exit
 export LC_ALL=C PATH=/usr/local/bin:/usr/bin:/usr/sbin:/bin:/sbin
-# As in a shell of nobody in particular: what is found is found by the program's own defaults.
+# As in an ordinary shell: the program uses its own defaults.
 unset MEISSNER_SOCKET XDG_RUNTIME_DIR
 
 part=package player=''
@@ -34,7 +34,7 @@ used_ms() { cat "/proc/$1/task/"*/schedstat | awk '{ sum += $1 } END { printf "%
 line() { tr '\n' ' ' <"$1" | tr -s ' ' | cut -c1-300; }
 one_line() { [ "$(grep -c . "$1")" = 1 ]; }
 
-# alice is of the group, bob is not
+# alice is a member of the group, bob is not
 alice() { runuser -u alice -- meissner "$@"; }
 bob() { runuser -u bob -- meissner "$@"; }
 json() { alice "$1" --json | jq -er "$2"; }
@@ -46,20 +46,19 @@ since() { journalctl -u meissner.service -u meissner.socket --since "@$1" -o cat
 arm() { state_is armed || { within 5 state_is disarmed && alice arm --assume-rest >out.log 2>&1; } || fail "$1: arm: $(line out.log)"; }
 disarm() { alice disarm >out.log 2>&1; within 3 state_is disarmed || fail "$1: disarm: $(line out.log)"; }
 
-# The last play's state and accounts, which must be closed
+# The last play's state and burst counts, which must add up
 accounts() {
     # shellcheck disable=SC2016 # jq's variable
     json receipt '.bursts as $b | select($b.planned > 0 and $b.planned == $b.played + $b.late + $b.dropped + $b.refused)
         | "\(.state), \($b.planned) bursts: \($b.played) played, \($b.late) late, \($b.dropped) dropped, \($b.refused) refused"'
 }
-# Arms and plays for so many seconds, to the end; once more if this machine stood still so long that it was given up.
-# In $sum what came of it.
+# play STEP SECONDS: arms and plays to the end; again if a stall of this machine aborted the play. $sum has the result.
 play() {
     local try
     for try in 1 2 3; do
         arm "$1"
         alice play edge-45 --seconds "$2" --wait >out.log 2>&1
-        sum=$(accounts) || fail "$1: accounts are not closed: $(json receipt .bursts)"
+        sum=$(accounts) || fail "$1: burst counts do not add up: $(json receipt .bursts)"
         [[ $sum != done,* ]] || return 0
         echo "      once more: $sum ($(json receipt .cause))"
     done
@@ -113,7 +112,7 @@ done
 ok "install: active; $(ms "$from" "$to"), $(dpkg-query -W -f '${Version}, ${Installed-Size} kB' meissner)"
 ok "enabled: $(stat -c '%A %U %G' /run/meissner/meissner.sock), $(stat -c '%A %U %G' /var/lib/meissner), runs as $(ps -o user=,group=,supgrp= -p "$(pid)" | tr -s ' ')"
 usermod -aG haptics alice
-# Without rights to real time, on a machine that is busy with other things: what counts here is not time.
+# Without real-time rights, on a busy machine: timing is not tested here.
 sed -i 's/^lead_ms = .*/lead_ms = 300/; s/^lease_ms = .*/lease_ms = 9000/' /etc/meissner/meissner.toml
 systemctl restart meissner.service || fail "ready: restart"
 within 5 alice arm --assume-rest || fail "ready: arm: $(alice arm --assume-rest 2>&1)"
@@ -173,7 +172,7 @@ sleep 10
 used=$(awk -v from="$used" -v to="$(used_ms "$was")" 'BEGIN { printf "%.1f", to - from }')
 memory=$(awk '/VmRSS/ { print $2 }' "/proc/$was/status")
 sleep 2
-[ "$(pid) $(unit NRestarts)" = "$was $restarts" ] || fail "slow: a client that sends half a request had it restarted"
+[ "$(pid) $(unit NRestarts)" = "$was $restarts" ] || fail "slow: a client that sends half a request caused a restart"
 ok "slow: a client that sent half a request 13 s ago changes nothing"
 kill $slow
 part=idle
@@ -192,7 +191,7 @@ arm streamer
 tid=$(grep -lx streamer "/proc/$was/task/"*/comm | cut -d/ -f5)
 [ -n "$tid" ] || fail "streamer: no such thread"
 from=$(now)
-# PTRACE_ATTACH stops the one thread. Its end must be waited for by who traces it, or the process does not end.
+# PTRACE_ATTACH stops the one thread. The tracer must wait for its end, or the process does not end.
 # shellcheck disable=SC2016 # Perl's
 perl -e '$tid = $ARGV[0] + 0; syscall(101, 16, $tid, 0, 0) == 0 or die "ptrace: $!"; 1 while waitpid($tid, 0x40000000) > 0' \
     "$tid" 2>out.log &
@@ -215,7 +214,7 @@ ok "good: the lead went from 300 to 200 ms, same process"
 from=$(now)
 echo 'laed_ms = 5' >>$conf
 systemctl reload meissner.service >out.log 2>&1 && fail "bad: systemctl reload did not fail"
-systemctl is-active --quiet meissner.service && [ "$(pid)" = "$was" ] && lead_is 200 || fail "bad: it has changed something"
+systemctl is-active --quiet meissner.service && [ "$(pid)" = "$was" ] && lead_is 200 || fail "bad: it changed something"
 why=$(since "${from%.*}" | grep -m 1 laed_ms) || fail "bad: the journal does not say why"
 kill -HUP "$was"
 sleep 0.5
@@ -234,7 +233,7 @@ dpkg -i /test/next.deb >out.log 2>&1 || fail "playing: $(line out.log)"
 told=$(grep '^meissner: ' out.log) || fail "playing: not told: $(line out.log)"
 json status .play >/dev/null || fail "playing: the play is gone"
 wait $player
-sum=$(accounts) || fail "playing: accounts are not closed"
+sum=$(accounts) || fail "playing: burst counts do not add up"
 [[ $sum == done,* ]] || fail "playing: $sum ($(json receipt .cause))"
 [ "$(pid)" = "$was" ] || fail "playing: another process"
 ok "playing: $sum"
@@ -283,7 +282,7 @@ fi
 part=trouble
 disarm full
 systemctl stop meissner.service 2>/dev/null
-# Before the start: the unit would not see it later, it has mounts of its own.
+# Before the start: the unit has its own mounts and would not see it later.
 mount -t tmpfs -o size=256k,mode=0750 tmpfs /var/lib/meissner && mkdir /var/lib/meissner/patterns &&
     chown -R meissner:haptics /var/lib/meissner || fail "full: no tmpfs"
 dd if=/dev/zero of=/var/lib/meissner/ballast bs=4k >/dev/null 2>&1

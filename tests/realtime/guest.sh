@@ -1,6 +1,6 @@
 #!/bin/bash
-# Runs in the guest, as root; prints a line per step: ok, WRONG (it goes on) or FAIL (it ends). `run` starts it, cuts its
-# power while it tells what is kept, boots it again, and knows which lines there must be.
+# Runs in the guest, as root; prints a line per step: ok, WRONG (then goes on) or FAIL (then exits). `run` starts it, cuts its
+# power while it prints what was acknowledged, boots it again, and checks that every line is there.
 # shellcheck disable=SC2015 # `fail` ends it: A && B || fail is what is meant
 set -uo pipefail
 mkdir -p /tmp/out && cd /tmp/out || exit
@@ -39,7 +39,7 @@ arm() { state_is armed || { within 20 state_is disarmed && meissner arm --assume
 book() { cat /var/lib/meissner/logbook/*.jsonl; }
 installed() {
     dpkg -i /test/meissner.deb >out.log 2>&1 || fail "$1: dpkg: $(tail -n 1 out.log)"
-    # An emulated processor stands still for longer than a real one.
+    # An emulated processor stalls for longer than a real one.
     sed -i 's/^lead_ms = .*/lead_ms = 1000/; s/^lease_ms = .*/lease_ms = 10000/' /etc/meissner/meissner.toml
 }
 disk() {
@@ -69,7 +69,7 @@ first() {
     for try in 1 2 3; do
         arm play
         meissner play edge-45 --seconds 2 --wait >out.log 2>&1
-        sum=$(accounts) || fail "play: accounts are not closed: $(json receipt .bursts)"
+        sum=$(accounts) || fail "play: burst counts do not add up: $(json receipt .bursts)"
         [[ $sum != done,* ]] || break
         [ $try -lt 3 ] || fail "play: $sum ($(json receipt .cause))"
     done
@@ -86,7 +86,7 @@ first() {
         hour=$(date +%H:%M:%S)
         date -s "@$(($(date +%s) - 3600))" >/dev/null || fail "play: the clock cannot be set"
         wait $!
-        sum=$(accounts) || fail "play: accounts are not closed: $(json receipt .bursts)"
+        sum=$(accounts) || fail "play: burst counts do not add up: $(json receipt .bursts)"
         [[ $sum != done,* ]] || break
         [ $try -lt 3 ] || fail "play: $sum ($(json receipt .cause))"
     done
@@ -113,7 +113,7 @@ first() {
     systemctl start meissner.socket meissner.service || fail "disk: start"
     local n=0
     arm disk
-    # What was answered is kept; `run` reads these lines, and cuts the power.
+    # What is acknowledged must survive; `run` reads these lines and cuts the power.
     while [ $n -lt 1000 ]; do
         n=$((n + 1))
         sed "s/^name = .*/name = \"site-$n\"/" /usr/share/meissner/patterns/pin-60.toml >pattern.toml
@@ -129,7 +129,7 @@ first() {
 second() {
     local last what n at lost=0 acked=0 missing='' plays
     part="cut"
-    # For its patterns; the daemon shall not mend anything yet.
+    # For its patterns; the daemon must not repair anything yet.
     installed disk
     systemctl stop meissner.service meissner.socket
     disk
@@ -139,7 +139,7 @@ second() {
     while read -r _ what n at; do
         [ "$what" = upload ] || continue
         acked=$((acked + 1))
-        # One that is there is whole.
+        # A pattern that is there must be whole.
         if [ -e "/mnt/patterns/site-$n.toml" ]; then
             cmp -s <(sed "s/^name = .*/name = \"site-$n\"/" /usr/share/meissner/patterns/pin-60.toml) "/mnt/patterns/site-$n.toml" ||
                 fail "uploads: site-$n is not what was sent"
@@ -151,7 +151,7 @@ second() {
     ok "uploads: $acked answered, $lost missing$missing"
     plays=$(awk -v last="$last" '$2 == "play" && last - $4 > 1 { print $3 }' /test/kept.txt)
     cat /mnt/logbook/*.jsonl >book.jsonl || fail "logbook: no file"
-    # The line that was being written may be half a line: the daemon mends that when it starts.
+    # The last line may be torn: the daemon repairs that when it starts.
     head -c "$(($(wc -c <book.jsonl) - $(tail -n 1 book.jsonl | wc -c)))" book.jsonl | jq -es length >/dev/null || fail "logbook: lines do not parse"
     for n in $plays; do
         grep -q '"event":"ended".*"id":'"$n"'[,}]' book.jsonl || fail "logbook: play $n is missing, which had ended more than a second before"
