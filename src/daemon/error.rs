@@ -32,11 +32,11 @@ pub enum DaemonError {
     },
     /// The event loop ended by itself: our bug.
     #[error(
-        "internal error: the daemon does not hear its streamer any more; motors go off when the lease ends"
+        "internal error: the daemon gets no more events from its streamer; motors go off when the host watchdog (`lease_ms`) expires"
     )]
     EventLoop,
     /// The streamer ended by itself: our bug.
-    #[error("internal error: the streamer's thread has ended; motors go off when the lease ends")]
+    #[error("internal error: the streamer's thread has ended; motors go off when the host watchdog (`lease_ms`) expires")]
     Streamer,
 }
 

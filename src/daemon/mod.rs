@@ -174,7 +174,7 @@ impl Daemon {
                     _ => break Ok(Exit::Requested),
                 },
                 () = engine.replaced.notified() => {
-                    info!("another version was installed and nobody is armed: starting it");
+                    info!("another version was installed and motors are disarmed: starting it");
                     // New clients wait in the socket for the new program.
                     let _ = close.send(true);
                     break Ok(Exit::Replaced);
