@@ -36,7 +36,7 @@ pub struct Spike {
     pub t_s: f64,
     /// Slope of `P - threshold` at the crossing, 1/s; infinite if refractoriness alone held the spike back.
     pub margin: f64,
-    /// The error that [`MEMBRANE_ERROR`] can cause in its time, with the errors of the spikes before it.
+    /// The error that `MEMBRANE_ERROR` can cause in its time, with the errors of the spikes before it.
     pub error_s: f64,
 }
 
@@ -179,7 +179,7 @@ fn pieces(
         breakpoints.entry(end + WINDOW_HALF_TICKS).or_default().push((motor, speed));
     }
     let scale = UM_PER_PULSE / 2.0 / WINDOW_S / FULL as f64;
-    let felt = |pulses: &[i64; MOTORS]| -> f64 {
+    let weighted = |pulses: &[i64; MOTORS]| -> f64 {
         weights.iter().zip(pulses).map(|(weight, &pulses)| weight * scale * pulses as f64).sum()
     };
     let (mut content, mut slopes) = ([0_i64; MOTORS], [0_i64; MOTORS]);
@@ -193,7 +193,12 @@ fn pieces(
         let to_s =
             times.get(index + 1).map_or(horizon_s, |&next| next as f64 / HALF_TICKS_PER_S).min(horizon_s);
         if from_s < to_s {
-            pieces.push(Piece { from_s, to_s, u: felt(&content), slope: felt(&slopes) * HALF_TICKS_PER_S });
+            pieces.push(Piece {
+                from_s,
+                to_s,
+                u: weighted(&content),
+                slope: weighted(&slopes) * HALF_TICKS_PER_S,
+            });
         }
         if let Some(next) = times.get(index + 1) {
             for (content, slope) in content.iter_mut().zip(slopes) {
