@@ -1,26 +1,26 @@
-//! The daemon's configuration: a TOML file, every key optional, and the rules for what is not in it.
+//! The daemon's configuration: a TOML file in which every key is optional.
 //!
-//! It says which device to use, where clients connect, where patterns and the logbook lie, how far ahead to feed and
-//! what a site's limits are. The array itself cannot be configured yet: the motors' wiring is the controller's.
-//! Nothing is opened here but the file.
+//! It names the device, the socket, the directories of patterns and session records, how far ahead the streamer feeds the
+//! controller, and a site's limits. [`Config::read`] reads it; what is left out has its default. The motors' wiring is the
+//! controller's and cannot be configured. This module opens no file but the configuration.
 //!
-//! Invariant: a [`Config`] that was read is within the ranges written here; an unknown key is an error at its line.
+//! Invariant: every value of a [`Config`] that was read is within the ranges written here; an unknown key is an error.
 
 use crate::session_record::Location;
 use firmware_protocol::limits::OnTimeLimits;
-use firmware_protocol::tick::Tick;
-use meissner_array::simulated::{Plant, PlantConfig, PlantError};
+use meissner_array::simulated::{PlantConfig, PlantError};
 use meissner_client::default_socket;
+use meissner_input::document::{self, Keyed, Refused, from_toml, in_range};
+use meissner_input::message::quote;
 use meissner_stream::Settings;
-use meissner_stream::device::Spec;
+use meissner_stream::device::{Spec, SpecError};
 use rustix::fs::OFlags;
 use serde::Deserialize;
 use std::env;
-use std::fs::OpenOptions;
+use std::fs::{File, OpenOptions};
 use std::io::{self, Read};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
-use toml::de::DeTable;
 
 /// Leads that make sense, ms.
 pub const LEAD_MS: std::ops::RangeInclusive<f64> = 5.0..=1000.0;
@@ -37,24 +37,7 @@ const MAX_LOGBOOK_DAYS: u32 = 36_500;
 /// Bytes of a configuration file at the most.
 const MAX_BYTES: u64 = 1 << 20;
 
-const KEYS: [&str; 11] = [
-    "device",
-    "socket",
-    "patterns_dir",
-    "calibration",
-    "logbook_dir",
-    "logbook_days",
-    "lead_ms",
-    "lease_ms",
-    "drift_warning_um",
-    "limits",
-    "mock",
-];
-const LIMIT_KEYS: [&str; 2] = ["motor_pulses_per_s", "rail_pulses_per_s"];
-const MOCK_KEYS: [&str; 7] =
-    ["seed", "gain_sd", "asymmetry_sd", "transient_gain", "end_stop_um", "telemetry_hz", "telemetry_age_ms"];
-
-/// What the daemon is told.
+/// The settings of a daemon.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Config {
     /// Which device to use.
@@ -126,7 +109,7 @@ impl Source {
     }
 }
 
-/// A configuration that was refused.
+/// A configuration that cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
     /// The file cannot be read.
@@ -137,57 +120,28 @@ pub enum ConfigError {
         /// What the system said.
         source: io::Error,
     },
-    /// Not TOML, or a value of the wrong type.
-    #[error("{}{}: {message}", .file.display(), line_text(.line))]
-    Text {
-        /// The file.
-        file: PathBuf,
-        /// The line, from 1.
-        line: Option<usize>,
-        /// What is wrong with it.
-        message: String,
-    },
-    /// A key nobody knows.
-    #[error("{}:{line}: unknown key `{key}`: did you mean `{nearest}`?", .file.display())]
-    UnknownKey {
-        /// The file.
-        file: PathBuf,
-        /// Its line, from 1.
-        line: usize,
-        /// The key.
-        key: String,
-        /// The nearest there is.
-        nearest: &'static str,
-    },
-    /// A number out of its range.
-    #[error("{}: `{key}` is {found}: must be {range}", .file.display())]
-    Range {
-        /// The file.
-        file: PathBuf,
-        /// Its key.
-        key: &'static str,
-        /// What it is.
-        found: f64,
-        /// What it may be.
-        range: String,
-    },
-    /// The mock's settings.
-    #[error("{}: {source}", .file.display())]
-    Mock {
-        /// The file.
-        file: PathBuf,
-        /// Which and why.
-        source: PlantError,
-    },
+    /// Its text is refused.
+    #[error(transparent)]
+    Refused(#[from] Refused<Problem>),
 }
 
-#[expect(clippy::ref_option, reason = "as thiserror hands it over")]
-fn line_text(line: &Option<usize>) -> String {
-    line.map_or_else(String::new, |line| format!(":{line}"))
+/// What can be wrong with a configuration only.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages say it")]
+pub enum Problem {
+    #[error("is {found}: {source}")]
+    Device { found: String, source: SpecError },
+    #[error("is empty: name one, or leave the key out")]
+    EmptyPath,
+    #[error("holds a control character: name a path without")]
+    ControlCharacter,
 }
+
+type Fault = document::Fault<Problem>;
 
 #[derive(Deserialize)]
-struct File {
+#[serde(deny_unknown_fields)]
+struct RawConfig {
     device: Option<String>,
     socket: Option<PathBuf>,
     patterns_dir: Option<PathBuf>,
@@ -197,14 +151,13 @@ struct File {
     lead_ms: Option<f64>,
     lease_ms: Option<f64>,
     drift_warning_um: Option<f64>,
-    #[serde(default)]
-    limits: Limits,
-    #[serde(default)]
-    mock: PlantConfig,
+    limits: Option<Keyed<RawLimits>>,
+    mock: Option<Keyed<PlantConfig>>,
 }
 
 #[derive(Default, Deserialize)]
-struct Limits {
+#[serde(deny_unknown_fields)]
+struct RawLimits {
     motor_pulses_per_s: Option<u32>,
     rail_pulses_per_s: Option<u32>,
 }
@@ -226,136 +179,70 @@ impl Config {
     /// # Errors
     /// The first thing that is wrong with it, in one line.
     pub fn parse(text: &str, file: &Path) -> Result<Self, ConfigError> {
-        let wrong = |error: toml::de::Error| ConfigError::Text {
-            file: file.to_owned(),
-            line: error.span().map(|span| line_at(text, span.start)),
-            message: in_words(error.message()),
-        };
-        let table = DeTable::parse(text).map_err(wrong)?;
-        check_keys(table.get_ref(), &KEYS, text, file)?;
-        for (name, known) in [("limits", &LIMIT_KEYS[..]), ("mock", &MOCK_KEYS)] {
-            let Some(value) = table.get_ref().get(name) else { continue };
-            let Some(section) = value.get_ref().as_table() else {
-                return Err(ConfigError::Text {
-                    file: file.to_owned(),
-                    line: Some(line_at(text, value.span().start)),
-                    message: format!("`{name}` must be a table: write [{name}] and its keys below"),
-                });
-            };
-            check_keys(section, known, text, file)?;
-        }
-        toml::from_str::<File>(text).map_err(wrong)?.check(file)
+        // Every key may be left out.
+        let wanted = |_: &str| "it";
+        let config = from_toml(text, wanted).and_then(|Keyed(raw): Keyed<RawConfig>| raw.check());
+        Ok(config.map_err(|fault: Fault| fault.in_text(text).placed(Some(&file.display().to_string())))?)
     }
 }
 
-/// The file's bytes, at most so many. A pipe or a device in place of a file is refused without waiting for it.
-pub(crate) fn read_regular(path: &Path, most: u64) -> io::Result<Vec<u8>> {
+/// Opens a file for reading. Refuses a pipe or a device without waiting for it.
+pub(crate) fn open_regular(path: &Path) -> io::Result<File> {
     let mut options = OpenOptions::new();
     let file = options.read(true).custom_flags(OFlags::NONBLOCK.bits().cast_signed()).open(path)?;
     if !file.metadata()?.is_file() {
         return Err(io::Error::other("is not a regular file"));
     }
+    Ok(file)
+}
+
+/// The bytes of a regular file, refused if there are more than `most`.
+pub(crate) fn read_regular(path: &Path, most: u64) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
-    file.take(most + 1).read_to_end(&mut bytes)?;
+    open_regular(path)?.take(most + 1).read_to_end(&mut bytes)?;
     if bytes.len() as u64 > most {
         return Err(io::Error::other(format!("more than {most} bytes")));
     }
     Ok(bytes)
 }
 
-/// What serde and TOML say, on one line and without the names of our types.
-fn in_words(message: &str) -> String {
-    let line = message.lines().collect::<Vec<_>>().join("; ").replace("expected f64", "expected a number");
-    let line = line.replace("expected path string", "expected a path in quotes");
-    let line = line.replace("expected u32", &format!("expected a whole number from 0 to {}", u32::MAX));
-    line.replace("expected u64", &format!("expected a whole number from 0 to {}", i64::MAX))
-}
-
-fn line_at(text: &str, offset: usize) -> usize {
-    1 + text.bytes().take(offset).filter(|&byte| byte == b'\n').count()
-}
-
-fn check_keys(
-    table: &DeTable<'_>,
-    known: &[&'static str],
-    text: &str,
-    file: &Path,
-) -> Result<(), ConfigError> {
-    let unknown = table.keys().filter(|key| !known.contains(&key.get_ref().as_ref()));
-    let Some(key) = unknown.min_by_key(|key| key.span().start) else { return Ok(()) };
-    let piece: String = key.get_ref().chars().take(64).collect();
-    let nearest = known.iter().min_by_key(|known| strsim::damerau_levenshtein(known, &piece));
-    Err(ConfigError::UnknownKey {
-        file: file.to_owned(),
-        line: line_at(text, key.span().start),
-        key: piece.escape_debug().to_string(),
-        nearest: nearest.copied().unwrap_or_default(),
-    })
-}
-
-impl File {
-    fn check(self, file: &Path) -> Result<Config, ConfigError> {
-        let range = |key, found, good: bool, range: &dyn Fn() -> String| {
-            if good {
-                Ok(())
-            } else {
-                Err(ConfigError::Range { file: file.to_owned(), key, found, range: range() })
-            }
-        };
-        let asked = self.device.as_deref().unwrap_or("auto");
-        let device = match asked.parse::<Spec>() {
-            Ok(device) => device,
-            Err(error) => {
-                let message = format!("device `{}`: {error}", asked.escape_debug());
-                return Err(ConfigError::Text { file: file.to_owned(), line: None, message });
-            }
-        };
-        let paths = [
-            ("socket", &self.socket),
-            ("patterns_dir", &self.patterns_dir),
-            ("calibration", &self.calibration),
-            ("logbook_dir", &self.logbook_dir),
-        ];
-        for (key, path) in paths {
-            let odd = path
-                .as_ref()
-                .and_then(|path| path.to_str())
-                .is_some_and(|path| path.contains(char::is_control));
-            if odd {
-                let message = format!("`{key}` holds a control character: name a path without");
-                return Err(ConfigError::Text { file: file.to_owned(), line: None, message });
-            }
-            if path.as_ref().is_some_and(|path| path.as_os_str().is_empty()) {
-                let message = format!("`{key}` is empty: name one, or leave the key out");
-                return Err(ConfigError::Text { file: file.to_owned(), line: None, message });
-            }
-        }
+impl RawConfig {
+    fn check(self) -> Result<Config, Fault> {
+        let device = self.device.as_deref().map_or(Ok(Spec::Auto), |found| {
+            let problem = |source| Problem::Device { found: quote(found), source };
+            found.parse().map_err(|source| Fault::key("device", problem(source)))
+        })?;
+        check_path("socket", self.socket.as_deref())?;
+        check_path("patterns_dir", self.patterns_dir.as_deref())?;
+        check_path("calibration", self.calibration.as_deref())?;
+        check_path("logbook_dir", self.logbook_dir.as_deref())?;
         let logbook_days = self.logbook_days.unwrap_or(LOGBOOK_DAYS);
-        let days_range = || format!("0 to {MAX_LOGBOOK_DAYS} days");
-        range("logbook_days", logbook_days.into(), logbook_days <= MAX_LOGBOOK_DAYS, &days_range)?;
+        let good = logbook_days <= MAX_LOGBOOK_DAYS;
+        in_range("logbook_days", logbook_days.into(), good, format!("0 to {MAX_LOGBOOK_DAYS} days"))?;
         let lead_ms = self.lead_ms.unwrap_or(Settings::default().lead_ms);
-        let lead_range = || format!("{} to {} ms", LEAD_MS.start(), LEAD_MS.end());
-        range("lead_ms", lead_ms, LEAD_MS.contains(&lead_ms), &lead_range)?;
+        let range = format!("{} to {} ms", LEAD_MS.start(), LEAD_MS.end());
+        in_range("lead_ms", lead_ms, LEAD_MS.contains(&lead_ms), range)?;
         let lease_ms = self.lease_ms.unwrap_or(lead_ms + DEFAULT_LEASE_OVER_LEAD_MS);
         let least = lead_ms + MIN_LEASE_OVER_LEAD_MS;
-        let lease_range =
-            || format!("{least} to {MAX_LEASE_MS} ms, at least lead_ms + {MIN_LEASE_OVER_LEAD_MS}");
-        range("lease_ms", lease_ms, (least..=MAX_LEASE_MS).contains(&lease_ms), &lease_range)?;
+        let range = format!("{least} to {MAX_LEASE_MS} ms, at least lead_ms + {MIN_LEASE_OVER_LEAD_MS}");
+        in_range("lease_ms", lease_ms, (least..=MAX_LEASE_MS).contains(&lease_ms), range)?;
         let drift_warning_um = self.drift_warning_um.unwrap_or(Settings::default().drift_warning_um.into());
-        let (key, most) = ("drift_warning_um", 10_000.0);
-        let good = (1.0..=most).contains(&drift_warning_um);
-        range(key, drift_warning_um, good, &|| format!("1 to {most} um"))?;
+        let good = (1.0..=10_000.0).contains(&drift_warning_um);
+        in_range("drift_warning_um", drift_warning_um, good, "1 to 10000 um")?;
         let drift_warning_um = drift_warning_um as f32;
+        let Keyed(limits) = self.limits.unwrap_or(Keyed(RawLimits::default()));
         let none = OnTimeLimits::NONE;
-        let motor = self.limits.motor_pulses_per_s.unwrap_or(none.motor);
-        let rail = self.limits.rail_pulses_per_s.unwrap_or(none.rail);
-        for (key, found, most) in
-            [("limits.motor_pulses_per_s", motor, none.motor), ("limits.rail_pulses_per_s", rail, none.rail)]
-        {
-            range(key, found.into(), (1..=most).contains(&found), &|| format!("1 to {most} pulses/s"))?;
+        let limit = |key: &str, found: Option<u32>, most: u32| {
+            let found = found.unwrap_or(most);
+            let good = (1..=most).contains(&found);
+            in_range(key, found.into(), good, format!("1 to {most} pulses/s")).map(|()| found)
+        };
+        let motor = limit("limits.motor_pulses_per_s", limits.motor_pulses_per_s, none.motor)?;
+        let rail = limit("limits.rail_pulses_per_s", limits.rail_pulses_per_s, none.rail)?;
+        let Keyed(mock) = self.mock.unwrap_or(Keyed(PlantConfig::default()));
+        if let Err(PlantError { key, found, most }) = mock.check() {
+            in_range(&format!("mock.{key}"), found, false, format!("0 to {most}"))?;
         }
-        Plant::new(self.mock, Tick(0))
-            .map_err(|source| ConfigError::Mock { file: file.to_owned(), source })?;
         let patterns = self.patterns_dir.map_or_else(default_patterns, PatternsDir::Configured);
         Ok(Config {
             device,
@@ -364,9 +251,20 @@ impl File {
             patterns,
             logbook: keep(self.logbook_dir, logbook_days),
             settings: Settings { lead_ms, lease_ms, limits: OnTimeLimits { motor, rail }, drift_warning_um },
-            mock: self.mock,
+            mock,
         })
     }
+}
+
+fn check_path(key: &str, path: Option<&Path>) -> Result<(), Fault> {
+    let Some(path) = path else { return Ok(()) };
+    if path.as_os_str().is_empty() {
+        return Err(Fault::key(key, Problem::EmptyPath));
+    }
+    if path.to_str().is_some_and(|path| path.contains(char::is_control)) {
+        return Err(Fault::key(key, Problem::ControlCharacter));
+    }
+    Ok(())
 }
 
 /// A variable that is set and not empty.
@@ -442,29 +340,32 @@ mod tests {
     fn what_is_wrong_is_one_line_with_its_place() {
         for (text, says) in [
             ("\nlaed_ms = 5", "m.toml:2: unknown key `laed_ms`: did you mean `lead_ms`?"),
-            ("[mock]\nsede = 1", "m.toml:2: unknown key `sede`: did you mean `seed`?"),
-            ("[limits]\n\nmotor = 1", "m.toml:3: unknown key `motor`: did you mean `motor_pulses_per_s`?"),
-            ("lead_ms = 4", "`lead_ms` is 4: must be 5 to 1000 ms"),
+            ("[mock]\nsede = 1", "m.toml:2: `mock`: unknown key `sede`: did you mean `seed`?"),
+            (
+                "[limits]\n\nmotor = 1",
+                "m.toml:3: `limits`: unknown key `motor`: did you mean `motor_pulses_per_s`?",
+            ),
+            ("lead_ms = 4", "m.toml:1: `lead_ms` is 4: must be 5 to 1000 ms"),
             ("lead_ms = nan", "`lead_ms` is NaN"),
             ("drift_warning_um = 0.5", "`drift_warning_um` is 0.5: must be 1 to 10000 um"),
             ("lease_ms = 149", "`lease_ms` is 149: must be 150 to"),
             ("limits.rail_pulses_per_s = 0", "`limits.rail_pulses_per_s` is 0"),
-            ("limits = 3", "m.toml:1: `limits` must be a table"),
-            ("\nmock = []", "m.toml:2: `mock` must be a table"),
-            ("lead_ms = \"5\"", "m.toml:1: invalid type: string \"5\", expected a number"),
-            ("limits.motor_pulses_per_s = -1", "expected a whole number from 0 to 4294967295"),
-            ("mock.seed = -1", "expected a whole number from 0 to 9223372036854775807"),
-            ("socket = 1", "expected a path in quotes"),
-            ("patterns_dir = \"\"", "m.toml: `patterns_dir` is empty"),
-            ("socket = \"\"", "m.toml: `socket` is empty"),
-            ("calibration = \"\"", "m.toml: `calibration` is empty"),
-            ("logbook_dir = \"\"", "m.toml: `logbook_dir` is empty"),
+            ("limits = 3", "m.toml:1: `limits` is integer `3`: must be a table"),
+            ("\nmock = []", "m.toml:2: `mock` is sequence: must be a table"),
+            ("lead_ms = \"5\"", "m.toml:1: `lead_ms` is string \"5\": must be a number"),
+            ("limits.motor_pulses_per_s = -1", "integer `-1`: must be a whole number, 0 to 4294967295"),
+            ("mock.seed = -1", "`mock.seed` is integer `-1`: must be a whole number, 0 or more"),
+            ("socket = 1", "must be a path in quotes"),
+            ("patterns_dir = \"\"", "m.toml:1: `patterns_dir` is empty"),
+            ("socket = \"\"", "m.toml:1: `socket` is empty"),
+            ("calibration = \"\"", "m.toml:1: `calibration` is empty"),
+            ("logbook_dir = \"\"", "m.toml:1: `logbook_dir` is empty"),
             ("logbook_days = 36501", "`logbook_days` is 36501: must be 0 to 36500 days"),
-            ("logbook_days = -1", "expected a whole number from 0 to 4294967295"),
-            ("mock.gain_sd = -1.0", "mock.gain_sd is -1"),
-            ("device = \"uart\"", "device `uart`: not one of"),
-            ("device = 3", "m.toml:1: invalid type"),
-            ("lead_ms = ", "m.toml:1: "),
+            ("logbook_days = -1", "integer `-1`: must be a whole number, 0 to 4294967295"),
+            ("mock.gain_sd = -1.0", "m.toml:1: `mock.gain_sd` is -1: must be 0 to 1"),
+            ("device = \"uart\"", "m.toml:1: `device` is `uart`: not one of"),
+            ("device = 3", "m.toml:1: `device` is integer `3`: must be a string"),
+            ("lead_ms = ", "m.toml:1: not TOML: "),
         ] {
             let line = parse(text).unwrap_err();
             assert!(line.contains(says) && !line.contains('\n'), "{text}: {line}");

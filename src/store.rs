@@ -1,22 +1,23 @@
 //! The pattern store: the library that is part of the program, and a directory of the site's own patterns.
 //!
-//! The directory is read again at every request, so a file dropped in by hand is there at once; a `get` reads
-//! one file, a `list` at most [`MAX_FILES`]. Patterns of the library cannot be overwritten or shadowed. It
-//! plays nothing and knows no client; calls block for as long as the disk takes.
+//! The store reads the directory at every request, so it finds a file that was put there by hand at once. [`Store::get`]
+//! reads one file, [`Store::list`] at most [`MAX_FILES`]. Patterns of the library cannot be overwritten or shadowed.
+//! Calls block for as long as the disk takes.
 //!
-//! Invariant: a file of the directory is replaced whole or not at all, and only by one that parses and bears
+//! Invariant: a file of the directory is replaced whole or not at all, and only by one that parses and has
 //! the file's name.
 
+use crate::config::open_regular;
 use include_dir::{Dir, include_dir};
 use meissner_api::{PatternList, PatternSummary};
-use meissner_array::pattern::{MAX_FILE_BYTES, Pattern, PatternError};
-use rustix::fs::OFlags;
+use meissner_array::pattern::{MAX_FILE_BYTES, Pattern, PatternError, is_name};
+use meissner_input::message::quote;
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
-use std::fs::{self, File, OpenOptions};
+use std::fs::{self, File};
 use std::io::{self, Read, Write};
-use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 static LIBRARY: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/patterns");
 
@@ -25,7 +26,7 @@ pub const MAX_FILES: usize = 10_000;
 /// Names offered in place of an unknown one, at the most.
 const OFFERED: usize = 3;
 
-/// What the store cannot do.
+/// Why the store refuses.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
     /// No pattern of that name.
@@ -53,7 +54,7 @@ pub enum StoreError {
         /// Its name.
         name: String,
     },
-    /// A file that is no text.
+    /// A file that is not UTF-8 text.
     #[error("{}: not UTF-8 text: write patterns as TOML in UTF-8", .path.display())]
     NotText {
         /// The file.
@@ -67,14 +68,9 @@ pub enum StoreError {
     Io {
         /// Where.
         path: PathBuf,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
-}
-
-fn quote(name: &str) -> String {
-    let shown: String = name.chars().take(64).flat_map(char::escape_debug).collect();
-    format!("`{shown}`")
 }
 
 fn offer(nearest: &[String]) -> String {
@@ -84,11 +80,11 @@ fn offer(nearest: &[String]) -> String {
     }
 }
 
-/// A pattern and the hash of the bytes it was read from.
+/// A pattern and the hash of its file. Clones share the pattern.
 #[derive(Clone, Debug)]
 pub struct Stored {
     /// The pattern.
-    pub pattern: Pattern,
+    pub pattern: Arc<Pattern>,
     /// SHA-256 of its file.
     pub sha256: String,
     /// Whether it is part of the library.
@@ -104,10 +100,10 @@ pub struct Store {
 }
 
 impl Store {
-    /// The library and a directory, which is made when something is first stored in it if `make_dir` says so.
+    /// A store of the library and a directory. With `make_dir`, [`Self::put`] makes the directory if it is missing.
     ///
     /// # Errors
-    /// A file of the library that does not parse, which a test excludes.
+    /// If a file of the library does not parse, which a test excludes.
     pub fn new(dir: Option<PathBuf>, make_dir: bool) -> Result<Self, StoreError> {
         let mut library = BTreeMap::new();
         for file in LIBRARY.files() {
@@ -120,7 +116,7 @@ impl Store {
         Ok(Self { library, dir, make_dir })
     }
 
-    /// Whether the directory can be read.
+    /// Checks that the directory can be read.
     ///
     /// # Errors
     /// If it cannot.
@@ -128,7 +124,7 @@ impl Store {
         self.file_names().map(drop)
     }
 
-    /// The pattern of that name, if it is part of the library: without a look at the disk.
+    /// The pattern of that name, if it is part of the library. Does not read the disk.
     #[must_use]
     pub fn library(&self, name: &str) -> Option<&Stored> {
         self.library.get(name)
@@ -137,7 +133,7 @@ impl Store {
     /// The pattern of that name.
     ///
     /// # Errors
-    /// If there is none (with the nearest names), or its file is no pattern of that name.
+    /// If there is none (with the nearest names), or its file holds no pattern of that name.
     pub fn get(&self, name: &str) -> Result<Stored, StoreError> {
         if let Some(stored) = self.library(name) {
             return Ok(stored.clone());
@@ -152,7 +148,7 @@ impl Store {
         }
     }
 
-    /// All patterns, and a line for each file that is none.
+    /// All patterns, and a line for each file that cannot be read as one.
     #[must_use]
     pub fn list(&self) -> PatternList {
         let mut list = PatternList::default();
@@ -183,10 +179,10 @@ impl Store {
         list
     }
 
-    /// Stores a pattern under its name, in place of an older one of that name. Says whether it is a new name.
+    /// Stores a pattern under its name, in place of an older one of that name. Returns whether the name is new.
     ///
     /// # Errors
-    /// If it is no pattern of that name, belongs to the library, or cannot be written.
+    /// If the text is no pattern of that name, the name belongs to the library, or the file cannot be written.
     pub fn put(&self, name: &str, text: &str) -> Result<(Stored, bool), StoreError> {
         if self.library.contains_key(name) {
             return Err(StoreError::InLibrary { name: name.to_owned() });
@@ -204,11 +200,9 @@ impl Store {
         Ok((stored, new))
     }
 
-    /// The file a name belongs to; `None` for what is no name, so that none leads out of the directory.
+    /// The file of a pattern; `None` if the name is not valid, so that no path leads out of the directory.
     fn path(&self, name: &str) -> Option<PathBuf> {
-        let letter = |byte: u8| byte.is_ascii_lowercase() || byte.is_ascii_digit() || byte == b'-';
-        let good = (1..=64).contains(&name.len()) && name.bytes().all(letter);
-        good.then_some(())?;
+        is_name(name).then_some(())?;
         Some(self.dir.as_ref()?.join(format!("{name}.toml")))
     }
 
@@ -222,7 +216,7 @@ impl Store {
             .filter_map(|entry| {
                 entry.ok()?.file_name().into_string().ok()?.strip_suffix(".toml").map(str::to_owned)
             })
-            // Editors and our own writer leave such files for a moment.
+            // Temporary files of editors and of `replace`.
             .filter(|name| !name.starts_with('.'))
             .take(MAX_FILES)
             .collect();
@@ -233,7 +227,7 @@ impl Store {
     fn unknown(&self, name: &str) -> StoreError {
         let mut names = self.file_names().unwrap_or_default();
         names.extend(self.library.keys().cloned());
-        // Only the beginning is compared: the measure takes time and memory for each letter.
+        // Only the beginning is compared: the comparison takes time and memory for each letter.
         let asked: String = name.chars().take(64).collect();
         let mut near: Vec<_> = names
             .into_iter()
@@ -247,11 +241,11 @@ impl Store {
 }
 
 impl Stored {
-    /// A pattern that is in no store.
+    /// A pattern that is not from the store.
     #[must_use]
     pub fn made(pattern: Pattern) -> Self {
         let sha256 = hex(&Sha256::digest(pattern.to_toml()));
-        Self { pattern, sha256, library: false }
+        Self { pattern: Arc::new(pattern), sha256, library: false }
     }
 
     fn entry(&self) -> PatternSummary {
@@ -275,30 +269,24 @@ fn named(name: &str, stored: Stored) -> Result<Stored, StoreError> {
 fn parse(bytes: &[u8], path: &Path, library: bool) -> Result<Stored, StoreError> {
     let text = std::str::from_utf8(bytes).map_err(|_| StoreError::NotText { path: path.to_owned() })?;
     let pattern = Pattern::parse(text, &path.display().to_string())?;
-    Ok(Stored { pattern, sha256: hex(&Sha256::digest(bytes)), library })
+    Ok(Stored { pattern: Arc::new(pattern), sha256: hex(&Sha256::digest(bytes)), library })
 }
 
 fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// The file's bytes, one more than a pattern may have at the most. A pipe in place of a file does not block.
+/// The file's bytes, cut at one more than a pattern may have, which the parser refuses.
 fn read(path: &Path) -> Result<Vec<u8>, StoreError> {
     let read = || {
-        let mut options = OpenOptions::new();
-        options.read(true).custom_flags(OFlags::NONBLOCK.bits().cast_signed());
-        let file = options.open(path)?;
-        if !file.metadata()?.is_file() {
-            return Err(io::Error::other("not a regular file"));
-        }
         let mut bytes = Vec::new();
-        file.take(MAX_FILE_BYTES as u64 + 1).read_to_end(&mut bytes)?;
+        open_regular(path)?.take(MAX_FILE_BYTES as u64 + 1).read_to_end(&mut bytes)?;
         Ok(bytes)
     };
     read().map_err(|source| StoreError::Io { path: path.to_owned(), source })
 }
 
-/// Writes beside the file and renames, so that a crash leaves the old file or the new one.
+/// Replaces a file by writing beside it and renaming, so that a crash leaves the old file or the new one.
 pub(crate) fn replace(dir: &Path, path: &Path, bytes: &[u8]) -> io::Result<()> {
     use std::os::unix::fs::PermissionsExt;
     let mut file = tempfile::Builder::new().prefix(".import-").tempfile_in(dir)?;

@@ -11,7 +11,7 @@ use serde_json::Value;
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 /// The whole library's, made once.
@@ -20,7 +20,10 @@ fn library() -> &'static Report {
     REPORT.get_or_init(|| {
         let store = Store::new(None, false).unwrap();
         let names = store.list().patterns.into_iter().map(|entry| entry.name);
-        let subject = |name: String| Subject { pattern: store.get(&name).unwrap().pattern, argument: name };
+        let subject = |name: String| Subject {
+            pattern: Arc::unwrap_or_clone(store.get(&name).unwrap().pattern),
+            argument: name,
+        };
         report(&names.map(subject).collect::<Vec<_>>(), &|_| ()).unwrap()
     })
 }

@@ -13,6 +13,7 @@ use meissner_report::figures::{self, Figures, INDEX, Subject};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::Arc;
 use std::time::Instant;
 
 #[derive(Debug, Args)]
@@ -72,7 +73,7 @@ fn subjects(asked: &[String]) -> Result<Vec<Subject>> {
             let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
             Subject { pattern, argument: name }
         } else {
-            Subject { pattern: store.get(&argument)?.pattern, argument }
+            Subject { pattern: Arc::unwrap_or_clone(store.get(&argument)?.pattern), argument }
         };
         if subjects.iter().any(|other| other.pattern.name() == subject.pattern.name()) {
             bail!("`{}` is the name of two patterns: leave one out, or rename it", subject.pattern.name());

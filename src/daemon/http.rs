@@ -279,7 +279,7 @@ async fn list(State(app): State<App>) -> Answer<Response> {
 async fn show(State(app): State<App>, name: Result<Path<String>, PathRejection>) -> Answer<Json<Value>> {
     let Stored { pattern, sha256, library } = find(&app.store, &path(name)?).await?;
     let warnings = texts(&pattern.warnings());
-    Ok(Json(json!({"pattern": pattern, "sha256": sha256, "library": library, "warnings": warnings})))
+    Ok(Json(json!({"pattern": &*pattern, "sha256": sha256, "library": library, "warnings": warnings})))
 }
 
 fn texts(warnings: &[Warning]) -> Vec<String> {

@@ -11,6 +11,7 @@ use serde::de::value::MapAccessDeserializer;
 use serde::de::{MapAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 use serde_path_to_error::{Path, Segment};
+use std::borrow::Cow;
 use std::fmt;
 use std::marker::PhantomData;
 use toml::de::{DeTable, DeValue};
@@ -74,7 +75,7 @@ pub enum Mistake {
     #[error("{message}")]
     Value { message: String },
     #[error("is {}: must be {range}", figure(*.found))]
-    Range { found: f64, range: &'static str },
+    Range { found: f64, range: Cow<'static, str> },
 }
 
 /// What is wrong with a document: what can be wrong with any, or what its own reader found.
@@ -161,8 +162,14 @@ impl<P: std::error::Error + 'static> Fault<P> {
 ///
 /// # Errors
 /// [`Mistake::Range`].
-pub fn in_range<P>(key: &str, found: f64, good: bool, range: &'static str) -> Result<(), Fault<P>> {
-    if good { Ok(()) } else { Err(Fault::common(None, key.to_owned(), Mistake::Range { found, range })) }
+pub fn in_range<P>(
+    key: &str,
+    found: f64,
+    good: bool,
+    range: impl Into<Cow<'static, str>>,
+) -> Result<(), Fault<P>> {
+    let range = || Mistake::Range { found, range: range.into() };
+    if good { Ok(()) } else { Err(Fault::common(None, key.to_owned(), range())) }
 }
 
 /// The line of what a path leads to in a TOML text, from 1; none if it is not there.
@@ -273,9 +280,11 @@ fn in_words(message: &str) -> String {
     let wanted = match wanted {
         "f64" => "a number",
         "u64" => "a whole number, 0 or more",
+        "u32" => "a whole number, 0 to 4294967295",
         "u16" => "a whole number, 0 to 65535",
         "i64" => "a whole number",
         "a map" => "a table of keys and values",
+        "path string" => "a path in quotes",
         "a sequence" => "a list",
         other => other,
     };

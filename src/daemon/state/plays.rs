@@ -41,7 +41,7 @@ impl Plays {
         let id = self.last_id;
         self.receipts.add(Receipt::new(id, pattern.name(), &sha256, seconds));
         self.clients.insert(id, client);
-        self.unpredicted.insert(id, (Arc::new(pattern), telemetry));
+        self.unpredicted.insert(id, (pattern, telemetry));
         id
     }
 

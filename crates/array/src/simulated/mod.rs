@@ -83,7 +83,11 @@ impl PlantConfig {
         )
     }
 
-    fn check(&self) -> Result<(), PlantError> {
+    /// Checks every setting.
+    ///
+    /// # Errors
+    /// The first setting out of its range.
+    pub fn check(&self) -> Result<(), PlantError> {
         let checks = [
             ("gain_sd", self.gain_sd, 1.0),
             ("asymmetry_sd", self.asymmetry_sd, 1.0),
