@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Makes the patterns of the library again, from targets/: the same bytes, unless models, search or targets have
-# changed. Says how long each took. Usage: docs/library.sh [DIR], into patterns/ if none is named
+# Makes the patterns of the library again from targets/. The bytes are the same unless models, search or targets have
+# changed. Prints the time of each. Usage: docs/library.sh [DIR]; without DIR it writes into patterns/
 set -euo pipefail
 cd "$(dirname "$0")/.."
 out=${1:-patterns}

@@ -1,12 +1,40 @@
 #!/usr/bin/env bash
-# The figures of docs/measurements.md that need no benchmark harness: twenty demos idle and twenty beside four busy
-# loops, and what an idle daemon costs. Prints one line each. Usage: docs/measure.sh [demos|idle]
+# Prints the figures of docs/measurements.md that need no benchmark, one line each. Usage: docs/measure.sh [demos|idle|cold]
+#   demos  twenty demos on a quiet machine and twenty beside four busy loops
+#   idle   processor time and memory of an idle daemon
+#   cold   the README's two commands from an empty target directory, with the registry's crates downloaded
+# Without an argument: demos and idle.
 set -euo pipefail
 cd "$(dirname "$0")/.."
-cargo build --release --quiet
-meissner=target/release/meissner
+case ${1-} in
+    "" | demos | idle | cold) ;;
+    *) sed -n 's/^# \{0,1\}//p' "$0" | sed -n '2,6p' >&2; exit 2 ;;
+esac
 
-demos() { # what it is called
+seconds_of() { # COMMAND...: prints its wall time, s; its output goes to stderr
+    local begun=$SECONDS
+    "$@" >&2 || echo "exit code $?: $*" >&2
+    echo $((SECONDS - begun))
+}
+
+cold() (
+    dir=$(mktemp -d)
+    trap 'rm -rf "$dir"' EXIT
+    cargo fetch --locked
+    export CARGO_TARGET_DIR=$dir
+    demo=$(seconds_of cargo run --release -- demo)
+    tests=$(seconds_of cargo test)
+    echo "cold: cargo run --release -- demo $demo s, cargo test $tests s, together $((demo + tests)) s"
+)
+
+if [ "${1-}" = cold ]; then
+    cold
+    exit
+fi
+cargo build --release --quiet
+meissner=${CARGO_TARGET_DIR:-target}/release/meissner
+
+demos() { # LABEL
     local sum
     sum=$(for _ in $(seq 20); do "$meissner" demo --seconds 5 --json || true; done | python3 -c '
 import json, sys
