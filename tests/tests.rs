@@ -5,6 +5,8 @@
 mod api;
 /// What people and scripts get wrong: one line with what, where, what to do; nothing moves.
 mod bad_input;
+/// The README, the book and the example configuration: commands run, snippets parse, links lead somewhere.
+mod book;
 /// Boards: found or not, in use, or no boards at all; the doctor's look at them.
 mod boards;
 /// `calibrate` on a real daemon: played, fitted, stored, used by its own device alone.
@@ -31,8 +33,6 @@ mod played;
 mod power;
 /// A whole session through a pseudo-terminal and the serial transport; the daemon ended and killed in mid-play.
 mod pty;
-/// What the README and the example configuration say is true.
-mod readme;
 /// `simulate` and `tradeoff`: documents, mistakes, the comparison of methods and its plot; the shipped scenes.
 mod report;
 /// The daemon as a service: notifications, watchdog, socket activation, reload, and a newer program.

@@ -309,7 +309,7 @@ fn every_shipped_target_is_good() {
     assert_eq!((meissner_design::shipped("edge-46"), meissner_design::shipped("../Cargo")), (None, None));
 }
 
-/// As `tradeoff` and the README describe it.
+/// As `tradeoff` and the book describe it.
 #[test]
 fn the_yardstick_is_twelve_mm_at_45_degrees() {
     let target = meissner_design::shipped(meissner_design::YARDSTICK).unwrap();
@@ -322,8 +322,8 @@ fn the_yardstick_is_twelve_mm_at_45_degrees() {
 }
 
 #[test]
-fn the_readmes_target_is_read() {
-    let blocks = include_str!("../../../README.md").split("```toml\n").skip(1);
+fn the_target_of_the_reference_is_read() {
+    let blocks = include_str!("../../../docs/reference/target.md").split("```toml\n").skip(1);
     let mut targets =
         blocks.filter_map(|rest| rest.split("```").next()).filter(|text| text.contains("\nshape ="));
     let target = read(targets.next().unwrap()).unwrap();

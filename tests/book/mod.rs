@@ -1,0 +1,164 @@
+//! The README and the book in `docs/`: their commands run, their snippets parse, their links lead somewhere.
+//!
+//! `pages` reads the pages; `run` runs commands; `generated` keeps the pages that are made from the program up to date
+//! (`MEISSNER_RENEW=1 cargo test --test tests manual`).
+
+mod generated;
+mod pages;
+mod run;
+
+use meissner::config::{Config, PatternsDir, LOGBOOK_DAYS};
+use meissner::logbook::Keep;
+use meissner_api::Receipt;
+use meissner_array::pattern::Pattern;
+use meissner_design::Target;
+use meissner_skin::simulate::Scene;
+use meissner_stream::calibrate::Calibration;
+use meissner_stream::device::Spec;
+use pages::{Page, book, documents, read, root};
+use serde_json::Value;
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+const README_LINES: usize = 150;
+
+#[test]
+fn the_readme_is_short_and_begins_with_the_demo() {
+    let readme = read("README.md");
+    assert!(readme.text.lines().count() <= README_LINES, "README.md: the rest belongs into docs/");
+    assert!(readme.text.lines().take(20).any(|line| line == "cargo run --release -- demo"));
+}
+
+/// The example holds every key, commented with its meaning, at its default.
+#[test]
+fn the_example_configuration_is_the_default() {
+    let file = root().join("deploy/meissner.toml");
+    let mut config = Config::read(&file).unwrap();
+    let default = Config::default();
+    assert_eq!(config.patterns, PatternsDir::Configured(PathBuf::from("/var/lib/meissner/patterns")));
+    assert_eq!(config.socket, PathBuf::from("/run/meissner/meissner.sock"));
+    assert_eq!(config.device, Spec::Auto);
+    assert_eq!(config.calibration, Some(PathBuf::from("/var/lib/meissner/calibration.toml")));
+    let (dir, days) = (PathBuf::from("/var/lib/meissner/logbook"), LOGBOOK_DAYS);
+    assert_eq!(config.logbook, Some(Keep { dir, days }));
+    config.logbook.clone_from(&default.logbook);
+    (config.patterns, config.socket) = (default.patterns.clone(), default.socket.clone());
+    config.calibration.clone_from(&default.calibration);
+    assert_eq!(config, default);
+}
+
+/// Reads a TOML block as the kind of file that its keys say.
+fn read_toml(text: &str, place: &str) -> Result<&'static str, String> {
+    let has = |key: &str| text.lines().any(|line| line.starts_with(key));
+    let word = |error: &dyn std::fmt::Display| error.to_string();
+    if has("[[drive]]") {
+        Pattern::parse(text, place).map(|_| "pattern").map_err(|error| word(&error))
+    } else if has("shape =") {
+        Target::read(text, place).map(|_| "target").map_err(|error| word(&error))
+    } else if has("[[motor]]") {
+        Calibration::parse(text, place).map(|_| "calibration").map_err(|error| word(&error))
+    } else if has("[[drives]]") {
+        Scene::read(text, place).map(|_| "scene").map_err(|error| word(&error))
+    } else {
+        Config::parse(text, Path::new(place)).map(|_| "configuration").map_err(|error| word(&error))
+    }
+}
+
+#[test]
+fn every_toml_and_json_snippet_is_good() {
+    let mut kinds = BTreeSet::new();
+    for page in book() {
+        for block in page.blocks() {
+            let place = format!("{}:{}", page.name, block.line);
+            match block.language {
+                "toml" => {
+                    kinds.insert(read_toml(block.text, &place).unwrap_or_else(|line| panic!("{line}")));
+                }
+                "json" if block.text.contains("\"drives\"") => {
+                    Scene::read(block.text, &place).unwrap();
+                }
+                "json" => {
+                    serde_json::from_str::<Value>(block.text)
+                        .unwrap_or_else(|error| panic!("{place}: {error}"));
+                }
+                _ => {}
+            }
+        }
+    }
+    let all = BTreeSet::from(["pattern", "target", "calibration", "scene", "configuration"]);
+    assert_eq!(kinds, all, "the book has an example of each kind of file");
+}
+
+#[test]
+fn every_block_says_what_it_is() {
+    for page in book() {
+        for block in page.blocks() {
+            let known = ["sh", "bash", "python", "toml", "json", "text"].contains(&block.language);
+            assert!(known, "{}:{}: a block marked `{}`", page.name, block.line, block.language);
+        }
+    }
+}
+
+/// A link's page, and a heading in it, if it names one.
+fn assert_link(page: &Page, link: &str) {
+    let (file, heading) = link.split_once('#').unwrap_or((link, ""));
+    let path = if file.is_empty() { page.path() } else { page.path().parent().unwrap().join(file) };
+    assert!(path.exists(), "{} links to {link}, which is not there", page.name);
+    if !heading.is_empty() {
+        let target = pages::read_path(&path);
+        let anchors = target.anchors();
+        assert!(anchors.contains(heading), "{} links to {link}: no such heading of {anchors:?}", page.name);
+    }
+}
+
+#[test]
+fn every_link_leads_somewhere() {
+    let mut links = 0;
+    for page in documents() {
+        for link in page.links().filter(|link| !link.contains("://")) {
+            links += 1;
+            assert_link(&page, link);
+        }
+    }
+    assert!(links > 100, "{links}");
+}
+
+/// A path in backquotes is a path of this repository.
+#[test]
+fn every_path_that_a_page_names_is_there() {
+    let mut paths = 0;
+    for page in documents().filter(|page| !page.name.starts_with("firmware")) {
+        for path in page.code_words() {
+            let folder = path.split_once('/').map_or("", |(folder, _)| folder);
+            let ours = ["src", "crates", "firmware-protocol", "docs", "deploy", "scenes", "targets", "traces"];
+            if ours.contains(&folder) && !path.contains(['<', '*', ' ']) {
+                paths += 1;
+                assert!(root().join(path).exists(), "{} names {path}, which is not there", page.name);
+            }
+        }
+    }
+    assert!(paths > 20, "{paths}");
+}
+
+#[test]
+fn every_page_is_in_the_summary_once() {
+    let summary = read("docs/SUMMARY.md");
+    let mut listed: Vec<String> = summary.links().map(|link| format!("docs/{link}")).collect();
+    listed.sort();
+    let mut pages: Vec<String> = book().map(|page| page.name).filter(|name| name != "README.md").collect();
+    pages.sort();
+    assert_eq!(listed, pages);
+}
+
+#[test]
+fn the_reference_names_every_key_of_a_receipt_and_every_target() {
+    let receipt = serde_json::to_value(Receipt::new(1, "a", "b", None)).unwrap();
+    let page = read("docs/reference/receipt.md").text;
+    for key in receipt.as_object().unwrap().keys() {
+        assert!(page.contains(&format!("`{key}")), "docs/reference/receipt.md does not name `{key}`");
+    }
+    let page = read("docs/reference/target.md").text;
+    for name in meissner_design::shipped_names() {
+        assert!(page.contains(&format!("`{name}`")), "docs/reference/target.md does not name {name}");
+    }
+}

@@ -1,0 +1,118 @@
+//! Reads the pages: their code blocks, links, headings and words in backquotes.
+//!
+//! Invariant: what stands in a code block is no link and no heading.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// The repository.
+pub(super) fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// A page of Markdown.
+pub(super) struct Page {
+    /// Its path from the root.
+    pub(super) name: String,
+    pub(super) text: String,
+}
+
+/// A fenced block.
+pub(super) struct Block<'p> {
+    pub(super) language: &'p str,
+    /// The line of its first line, from 1.
+    pub(super) line: usize,
+    pub(super) text: &'p str,
+}
+
+pub(super) fn read(name: &str) -> Page {
+    let text = fs::read_to_string(root().join(name)).unwrap_or_else(|error| panic!("{name}: {error}"));
+    Page { name: name.to_owned(), text }
+}
+
+pub(super) fn read_path(path: &Path) -> Page {
+    let path = path.canonicalize().unwrap();
+    read(path.strip_prefix(root().canonicalize().unwrap()).unwrap().to_str().unwrap())
+}
+
+fn markdown(folder: &str) -> Vec<String> {
+    let mut found = Vec::new();
+    for entry in fs::read_dir(root().join(folder)).unwrap() {
+        let entry = entry.unwrap();
+        let name = format!("{folder}/{}", entry.file_name().to_str().unwrap());
+        if entry.file_type().unwrap().is_dir() {
+            found.extend(markdown(&name));
+        } else if name.ends_with(".md") {
+            found.push(name);
+        }
+    }
+    found.sort();
+    found
+}
+
+/// The README and every page of the book.
+pub(super) fn book() -> impl Iterator<Item = Page> {
+    let pages = markdown("docs").into_iter().filter(|name| !name.ends_with("SUMMARY.md"));
+    std::iter::once("README.md".to_owned()).chain(pages).map(|name| read(&name))
+}
+
+/// The book, and the documents that stand beside what they are about.
+pub(super) fn documents() -> impl Iterator<Item = Page> {
+    let others = [
+        "docs/SUMMARY.md",
+        "CHANGELOG.md",
+        "deploy/README.md",
+        "tests/install/README.md",
+        "tests/realtime/README.md",
+        "tests/usb/README.md",
+        "firmware/README.md",
+        "firmware/hil/README.md",
+        "firmware/emulator/README.md",
+    ];
+    book().chain(others.into_iter().map(read))
+}
+
+impl Page {
+    pub(super) fn path(&self) -> PathBuf {
+        root().join(&self.name)
+    }
+
+    pub(super) fn blocks(&self) -> impl Iterator<Item = Block<'_>> {
+        self.text.split("\n```").collect::<Vec<_>>().into_iter().enumerate().filter_map(|(index, part)| {
+            // Parts alternate: text, block, text, ...
+            let (language, text) = part.split_once('\n').filter(|_| index % 2 == 1)?;
+            let before = part.as_ptr() as usize - self.text.as_ptr() as usize;
+            let line = self.text[..before].lines().count() + 1;
+            Some(Block { language, line, text })
+        })
+    }
+
+    /// The text without code blocks.
+    fn prose(&self) -> String {
+        self.text.split("\n```").step_by(2).collect::<Vec<_>>().join("\n")
+    }
+
+    pub(super) fn links(&self) -> impl Iterator<Item = &str> {
+        let parts = self.text.split("\n```").step_by(2);
+        parts.flat_map(|part| part.split("](").skip(1).filter_map(|rest| rest.split(')').next()))
+    }
+
+    /// Headings as links name them.
+    pub(super) fn anchors(&self) -> BTreeSet<String> {
+        let prose = self.prose();
+        let headings = prose.lines().filter_map(|line| line.strip_prefix('#'));
+        let anchor = |heading: &str| {
+            let kept = heading.trim_start_matches('#').trim().to_lowercase();
+            let kept = kept.chars().filter(|c| c.is_alphanumeric() || matches!(c, ' ' | '-' | '_'));
+            kept.map(|c| if c == ' ' { '-' } else { c }).collect()
+        };
+        headings.map(anchor).collect()
+    }
+
+    /// Words in backquotes, outside of code blocks.
+    pub(super) fn code_words(&self) -> Vec<&str> {
+        let lines = self.text.split("\n```").step_by(2).flat_map(str::lines);
+        lines.flat_map(|line| line.split('`').skip(1).step_by(2)).collect()
+    }
+}
