@@ -256,7 +256,10 @@ fn the_page_says_where_the_amplitude_does_not_matter_and_it_is_so() {
     assert!((sixty.saturated_from_um - 11_535.7 / 120.0).abs() < 0.01);
     let sentence = format!("less than 10 % between {} and 400 µm", sixty.from_um);
     assert!(library().page.contains(&sentence));
-    assert!(include_str!("../docs/how-to/report.md").contains(&format!("At 60 Hz it does from {} µm on", sixty.from_um)));
+    assert!(
+        include_str!("../docs/how-to/report.md")
+            .contains(&format!("At 60 Hz it does from {} µm on", sixty.from_um))
+    );
     for (hz, um) in [(60.0, 80.0), (100.0, 30.0), (30.0, 150.0)] {
         let row = found.iter().find(|row| (row[0], row[1]) == (hz, um)).unwrap();
         assert!((row[2] - rate_hz(hz, um)).abs() < 3.0, "{row:?}: {}", rate_hz(hz, um));

@@ -5,10 +5,10 @@
 mod api;
 /// What people and scripts get wrong: one line with what, where, what to do; nothing moves.
 mod bad_input;
-/// The README, the book and the example configuration: commands run, snippets parse, links lead somewhere.
-mod book;
 /// Boards: found or not, in use, or no boards at all; the doctor's look at them.
 mod boards;
+/// The README, the book and the example configuration: commands run, snippets parse, links lead somewhere.
+mod book;
 /// `calibrate` on a real daemon: played, fitted, stored, used by its own device alone.
 mod calibration;
 /// The command line against a real daemon.

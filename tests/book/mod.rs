@@ -7,12 +7,12 @@ mod generated;
 mod pages;
 mod run;
 
-use meissner::config::{Config, PatternsDir, LOGBOOK_DAYS};
-use meissner::logbook::Keep;
+use meissner::config::{Config, LOGBOOK_DAYS, PatternsDir};
+use meissner::session_record::Location;
 use meissner_api::Receipt;
 use meissner_array::pattern::Pattern;
 use meissner_design::Target;
-use meissner_skin::simulate::Scene;
+use meissner_skin::Scene;
 use meissner_stream::calibrate::Calibration;
 use meissner_stream::device::Spec;
 use pages::{Page, book, documents, read, root};
@@ -40,7 +40,7 @@ fn the_example_configuration_is_the_default() {
     assert_eq!(config.device, Spec::Auto);
     assert_eq!(config.calibration, Some(PathBuf::from("/var/lib/meissner/calibration.toml")));
     let (dir, days) = (PathBuf::from("/var/lib/meissner/logbook"), LOGBOOK_DAYS);
-    assert_eq!(config.logbook, Some(Keep { dir, days }));
+    assert_eq!(config.logbook, Some(Location { dir, days }));
     config.logbook.clone_from(&default.logbook);
     (config.patterns, config.socket) = (default.patterns.clone(), default.socket.clone());
     config.calibration.clone_from(&default.calibration);
@@ -130,7 +130,8 @@ fn every_path_that_a_page_names_is_there() {
     for page in documents().filter(|page| !page.name.starts_with("firmware")) {
         for path in page.code_words() {
             let folder = path.split_once('/').map_or("", |(folder, _)| folder);
-            let ours = ["src", "crates", "firmware-protocol", "docs", "deploy", "scenes", "targets", "traces"];
+            let ours =
+                ["src", "crates", "firmware-protocol", "docs", "deploy", "scenes", "targets", "traces"];
             if ours.contains(&folder) && !path.contains(['<', '*', ' ']) {
                 paths += 1;
                 assert!(root().join(path).exists(), "{} names {path}, which is not there", page.name);
