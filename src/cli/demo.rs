@@ -28,9 +28,9 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 const PATTERN: &str = "edge-45";
-/// MethodLabel long the mock may take to answer the handshake.
+/// How long the mock may take to answer the handshake.
 const TIMEOUT: Duration = Duration::from_secs(5);
-/// MethodLabel long it may take to compute what was felt.
+/// How long it may take to compute what was felt.
 const FELT_PATIENCE: Duration = Duration::from_secs(60);
 
 #[derive(Debug, Serialize)]

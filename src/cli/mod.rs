@@ -51,7 +51,7 @@ struct Cli {
 enum Command {
     /// Daemon, simulated device and client in one process: plays a shipped edge and sums it up
     Demo {
-        /// MethodLabel long it plays
+        /// How long it plays
         #[arg(long, value_name = "S", default_value_t = 5.0, allow_negative_numbers = true, value_parser = positive)]
         seconds: f64,
         /// No corrections from telemetry
@@ -114,7 +114,7 @@ enum Command {
         #[command(flatten)]
         plain: Plain,
     },
-    /// MethodLabel everything stands
+    /// Show how everything stands
     Status {
         /// Again at every change
         #[arg(long)]
@@ -147,15 +147,16 @@ enum Command {
     /// The pattern that makes a target felt
     Optimise(optimise::Optimise),
     /// Time and error of every way to simulate a scene, measured on this machine; or what the streamer's lead is worth
+    #[command(name = "tradeoff")]
     MethodTradeoff(tradeoff::MethodTradeoff),
     /// Figures of the models and of patterns, as SVG and CSV, and a page that shows them
     Report(report::Report),
-    /// PlayedPattern for what could keep this machine or its device from playing; exit 0 only if nothing does
+    /// Look for what could keep this machine or its device from playing; exit 0 only if nothing does
     Doctor {
         /// Which device, as for `daemon`; without it, the daemon's, else the first board
         #[arg(long, value_name = "DEVICE")]
         device: Option<Spec>,
-        /// MethodLabel long wake-ups are measured, 0.1 to 3600: the longer, the rarer the stalls it sees
+        /// How long wake-ups are measured, 0.1 to 3600: the longer, the rarer the stalls it sees
         #[arg(long, value_name = "S", default_value_t = 5.0, allow_negative_numbers = true, value_parser = measured)]
         seconds: f64,
         #[command(flatten)]
@@ -217,13 +218,13 @@ impl Plain {
     }
 }
 
-/// A finite number, not negative. MethodLabel much is too much, the daemon says.
+/// A finite number, not negative. How much is too much, the daemon says.
 fn positive(text: &str) -> Result<f64, &'static str> {
     let number = text.parse().ok().filter(|number: &f64| number.is_finite() && *number >= 0.0);
     number.ok_or("a number is wanted, 0 or more")
 }
 
-/// MethodLabel long something is measured, s.
+/// How long something is measured, s.
 fn measured(text: &str) -> Result<f64, &'static str> {
     let number = text.parse().ok().filter(|number| (0.1..=3600.0).contains(number));
     number.ok_or("a number is wanted, 0.1 to 3600")
@@ -321,7 +322,7 @@ fn run(command: Command) -> Result<ExitCode> {
     }
 }
 
-/// MethodLabel a daemon ends that wants to be started again, as the unit knows (`RestartForceExitStatus=`): EX_TEMPFAIL.
+/// How a daemon ends that wants to be started again, as the unit knows (`RestartForceExitStatus=`): EX_TEMPFAIL.
 const START_AGAIN: u8 = 75;
 
 fn serve(source: Source) -> Result<ExitCode> {

@@ -45,7 +45,7 @@ pub(super) fn waiting<T>(what: &'static str, work: impl FnOnce() -> T) -> T {
     work()
 }
 
-/// MethodLabel a search stands: beside a spinner on a terminal, else a line every second, on stderr.
+/// How a search stands: beside a spinner on a terminal, else a line every second, on stderr.
 #[derive(Debug)]
 pub(super) struct Search {
     meter: Meter,

@@ -23,7 +23,7 @@ const STEP_US: u32 = 200;
 pub(super) struct Simulate {
     /// The scene: a TOML or JSON file, or - for stdin
     scene: PathBuf,
-    /// MethodLabel; a step, integrator or precision means stepped, else it is exact
+    /// Method; a step, integrator or precision means stepped, else it is exact
     #[arg(long, value_enum)]
     method: Option<Name>,
     /// The step [default: 200]
