@@ -1,7 +1,7 @@
-//! The board: the mock in wall time, and the transfers that its host has asked for.
+//! The board: the mock in wall time, and the transfers that the host has requested.
 //!
-//! A transfer to the board is done at once; one from it waits until there are bytes, as on a real bus. Frames are answered on the
-//! pipe they came from. A serial port that is closed (DTR falls) is a host that has gone; on the vendor pipe only the lease tells.
+//! A transfer to the board completes at once; one from it waits until there are bytes, as on a real bus. The board answers frames on
+//! the pipe they came from. A closed serial port (DTR falls) is a lost link; on the vendor pipe only the host timeout ends a session.
 
 use crate::descriptors::{self, NOTIFICATIONS, SERIAL, VENDOR};
 use firmware_protocol::message::State;
@@ -19,14 +19,14 @@ use usbip::usbip_protocol::{
 /// Bytes for the host.
 pub(crate) type Reply = Vec<u8>;
 
-/// MethodLabel often the clock is followed while pins may move, and while nothing can happen.
+/// Intervals at which the board follows the clock: while pins may move, and while nothing can happen.
 const AWAKE: Duration = Duration::from_millis(1);
 const QUIET: Duration = Duration::from_secs(1);
 
-/// Real boards send none; the default of the simulated ones, 1000, is more than an emulated processor fetches.
+/// Telemetry rate. Real boards send none; an emulated processor cannot read the mock's default of 1000 Hz.
 const TELEMETRY_HZ: u32 = 100;
 
-/// A transfer's end, as Linux numbers errors.
+/// Results of a transfer, as Linux error numbers.
 const DONE: u32 = 0;
 const STALLED: u32 = (-32_i32).cast_unsigned();
 const UNLINKED: u32 = (-104_i32).cast_unsigned();
@@ -46,7 +46,7 @@ pub(crate) struct Board {
     boot: u32,
     started: Instant,
     waiting: VecDeque<Waiting>,
-    /// The endpoint whose host spoke last.
+    /// The endpoint that last received from the host.
     pipe: u32,
     line_coding: Vec<u8>,
     dtr: bool,
@@ -72,7 +72,7 @@ impl Board {
         self.boot
     }
 
-    /// MethodLabel long it may be left alone.
+    /// Time until the board must follow the clock again.
     pub(crate) fn nap(&self) -> Duration {
         match self.mock.controller().state() {
             State::Disarmed | State::Faulted => QUIET,
@@ -108,19 +108,19 @@ impl Board {
             UsbIpCommand::UsbIpCmdUnlink { mut header, unlink_seqnum } => {
                 header.command = USBIP_RET_UNLINK.into();
                 let found = self.waiting.iter().position(|waiting| waiting.header.seqnum == unlink_seqnum);
-                // One that is not waiting has been answered.
+                // A transfer that no longer waits has been answered.
                 let status =
                     if found.and_then(|at| self.waiting.remove(at)).is_some() { UNLINKED } else { DONE };
                 replies.push(UsbIpResponse::UsbIpRetUnlink { header, status }.to_bytes());
             }
-            // Asked once more of what it is: the connection is past that.
+            // A request for the device list has no place in this phase of the connection.
             UsbIpCommand::OpReqDevlist { .. } | UsbIpCommand::OpReqImport { .. } => {}
         }
     }
 
     fn hear(&mut self, pipe: u32, mut bytes: &[u8]) {
         if pipe != self.pipe {
-            // What the other host has not fetched was not for this one.
+            // Drop what the other host has not read.
             let mut unread = [0; 4096];
             while self.mock.read(&mut unread) > 0 {}
             self.pipe = pipe;
@@ -137,7 +137,7 @@ impl Board {
         self.mock.run(Tick::BOOT + ticks as u64);
     }
 
-    /// Plays up to now and gives the host what there is for it.
+    /// Plays up to now and completes the host's waiting transfers.
     pub(crate) fn run(&mut self, replies: &mut Vec<Reply>) {
         self.pass();
         while let Some(at) =
@@ -155,7 +155,7 @@ impl Board {
         }
     }
 
-    /// A request on endpoint 0: what it answers, or nothing for one that is not understood.
+    /// Answers a request on endpoint 0; `None` if it is unknown.
     fn control(&mut self, setup: [u8; 8], data: &[u8]) -> Option<Vec<u8>> {
         let [kind, request, low, high, _, _, len_low, len_high] = setup;
         let mut answer = match (kind, request) {
@@ -192,7 +192,6 @@ fn done(mut header: UsbIpHeaderBasic, status: u32, len: usize, bytes: Vec<u8>) -
     let response = UsbIpResponse::UsbIpRetSubmit {
         header,
         status,
-        // A host asks for no more than a u32 says.
         actual_length: len as u32,
         start_frame: 0,
         number_of_packets: 0,

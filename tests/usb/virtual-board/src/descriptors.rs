@@ -1,8 +1,8 @@
-//! What the board says it is: a CDC-ACM port, of which the kernel makes a `ttyACM`, and a vendor interface with the same frames.
+//! The board's USB descriptors: a CDC-ACM port, which becomes a `ttyACM`, and a vendor interface with the same frames.
 
 use usbip::{UsbDevice, UsbSpeed};
 
-/// Endpoints, by number; the top bit of an address is the way to the host.
+/// Endpoint numbers. The top bit of an address means: to the host.
 pub(crate) const NOTIFICATIONS: u32 = 1;
 pub(crate) const SERIAL: u32 = 2;
 pub(crate) const VENDOR: u32 = 3;
@@ -13,7 +13,7 @@ const PACKET: u8 = 64;
 const VENDOR_ID: u16 = 0x1209;
 const PRODUCT_ID: u16 = 0x0001;
 
-/// The board as USB/IP exports it; the rest the host asks it itself.
+/// The board as USB/IP exports it. The host requests the rest from the board.
 pub(crate) fn exported() -> UsbDevice {
     let mut device = UsbDevice::new(0);
     device.speed = UsbSpeed::Full as u32;
@@ -48,7 +48,7 @@ fn device() -> Vec<u8> {
 
 fn string(text: &str) -> Vec<u8> {
     let units: Vec<u8> = text.encode_utf16().flat_map(u16::to_le_bytes).collect();
-    // The length is one byte: a serial number is not that long.
+    // The length is one byte, enough for a serial number.
     let len = u8::try_from(units.len() + 2).unwrap_or(u8::MAX);
     [vec![len, 3], units].concat()
 }
@@ -59,7 +59,7 @@ fn configuration() -> Vec<u8> {
         // Interfaces 0 and 1 belong together.
         vec![8, 11, 0, 2, 2, 2, 0, 0],
         interface(0, 1, [2, 2, 0]),
-        // CDC 1.10; no call management; line coding and state; interface 0 rules 1.
+        // CDC 1.10; no call management; line coding and state; interface 0 controls 1.
         vec![5, 0x24, 0, 0x10, 0x01],
         vec![5, 0x24, 1, 0, 1],
         vec![4, 0x24, 2, 2],
@@ -74,7 +74,7 @@ fn configuration() -> Vec<u8> {
     ];
     let body = parts.concat();
     let [low, high] = (body.len() as u16 + 9).to_le_bytes();
-    // Three interfaces, configuration 1, fed by the bus with up to 500 mA.
+    // Three interfaces, configuration 1, powered by the bus with up to 500 mA.
     [vec![9, 2, low, high, 3, 1, 0, 0x80, 250], body].concat()
 }
 

@@ -1,12 +1,12 @@
-//! A USB board of software: the program's own controller and simulated array, served by USB/IP.
+//! A virtual USB board: the program's own controller and simulated array, served by USB/IP.
 //!
 //!     virtual-board [SERIAL]
 //!
-//! `usbip attach -r 127.0.0.1 -b 0-0-0` plugs it in, `usbip detach` pulls the cable. The board lives on its cable: plugged in again,
-//! it has just been switched on, with a new boot id. It has one socket: while it is plugged in, nobody else is answered.
+//! `usbip attach -r 127.0.0.1 -b 0-0-0` plugs it in, `usbip detach` unplugs it. USB powers the board: each plug is a power-up with a new
+//! boot id. It serves one connection at a time.
 //!
-//! `usbip` speaks the protocol. Its server is not used: it answers a read with no bytes at once, upon which the kernel reads
-//! again, and so on, where a board would keep the host waiting.
+//! The `usbip` crate provides the protocol. Its server is not used: it answers a read at once with no bytes, and the kernel then
+//! reads again without a pause. A board lets the host wait.
 
 mod board;
 mod descriptors;
@@ -23,9 +23,9 @@ use usbip::usbip_protocol::{UsbIpCommand, UsbIpResponse};
 
 /// Where `usbip` looks for devices.
 const LISTEN: (&str, u16) = ("127.0.0.1", 3240);
-/// What a board that was not given a number is called.
+/// The default serial number.
 const SERIAL: &str = "E6614C0001";
-/// Commands read ahead; the host's writes are answered one by one, so it waits beyond that.
+/// Most commands read ahead. Beyond that the host waits.
 const AHEAD: usize = 64;
 
 #[tokio::main(flavor = "current_thread")]
@@ -43,19 +43,19 @@ async fn main() -> io::Result<()> {
 async fn accept(listener: &TcpListener, serial: &str) -> io::Result<()> {
     loop {
         let (stream, _) = listener.accept().await?;
-        // The end of a cable, or somebody who does not speak the protocol: the next one, please.
+        // Unplugged, or a client with another protocol: take the next connection.
         if let Err(error) = serve(stream, serial).await {
             eprintln!("board {serial}: {error}");
         }
     }
 }
 
-/// One connection: a question for the list of devices, or a host's whole time with the board.
+/// One connection: a request for the list of devices, or a host's whole session with the board.
 async fn serve(stream: TcpStream, serial: &str) -> io::Result<()> {
     stream.set_nodelay(true)?;
     let (reader, mut writer) = stream.into_split();
     let (sender, mut commands) = mpsc::channel(AHEAD);
-    // Reading cannot be given up half way through a command: a task of its own.
+    // Reading a command cannot be cancelled half-way, so it has a task of its own.
     let reading = tokio::spawn(read(reader, sender));
     let device = descriptors::exported();
     let mut board: Option<Board> = None;
