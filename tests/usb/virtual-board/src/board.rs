@@ -6,8 +6,8 @@
 use crate::descriptors::{self, NOTIFICATIONS, SERIAL, VENDOR};
 use firmware_protocol::message::State;
 use firmware_protocol::tick::{TICK_HZ, Tick};
-use meissner_stream::device::mock::Mock;
 use meissner_array::simulated::PlantConfig;
+use meissner_stream::device::mock::Mock;
 use std::collections::VecDeque;
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::io;
