@@ -23,7 +23,7 @@ use std::time::Duration;
 
 /// Most rounds of reading and writing per wake-up: a device that never stops sending must not hold up requests.
 const ROUNDS: usize = 32;
-/// A queues that takes nothing for so long is gone.
+/// A port that takes no bytes for so long is gone.
 const STUCK_FOR: Duration = Duration::from_millis(500);
 /// Most reads per round, for the same reason.
 const MAX_READS: usize = 16;
@@ -58,7 +58,7 @@ struct Loop {
     /// The frame being written, and its unwritten bytes.
     frame: [u8; MAX_FRAME],
     unsent: Range<usize>,
-    /// Since when the queues takes nothing.
+    /// Since when the port takes no bytes.
     stuck_since: Option<HostInstant>,
     /// Source of session ids.
     random: RandomState,

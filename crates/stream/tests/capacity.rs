@@ -1,3 +1,7 @@
+//! Bandwidth: the link probe measures the line, and the streamer refuses what the line does not carry.
+//!
+//! The tests look for the slowest line that each pattern is accepted on, and check that it then plays in time.
+
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::strokes::Strokes;
 use meissner_stream::queues::{Command, CommandError, StreamEvent};
@@ -36,13 +40,13 @@ fn slow(bytes_per_s: u32) -> Rig {
     rig
 }
 
-/// Plays on a line of `bytes_per_s`: the refusal, or what came of it.
+/// Plays on a line of `bytes_per_s`: checks the play, or returns the refusal.
 fn try_on(bytes_per_s: u32, pattern: &Pattern, open_loop: bool) -> Result<(), CommandError> {
     let mut rig = slow(bytes_per_s);
     let mut play = rig.play(pattern, Some(4.0));
     play.open_loop = open_loop;
     rig.send(Command::Play(Box::new(play)));
-    let answer = rig.take_events().into_iter().find_map(|notice| match notice {
+    let answer = rig.take_events().into_iter().find_map(|event| match event {
         StreamEvent::Answer { result, .. } => Some(result),
         _ => None,
     });
@@ -56,23 +60,22 @@ fn try_on(bytes_per_s: u32, pattern: &Pattern, open_loop: bool) -> Result<(), Co
 }
 
 #[test]
-fn what_a_line_carries_just_so_is_played_without_lateness_and_what_it_does_not_is_refused_with_numbers() {
+fn a_line_plays_what_it_just_carries_and_refuses_more_with_numbers() {
     let patterns =
         [rig::pattern("edge-45"), rig::pattern("all-in-phase"), all_at(33.3), all_at(210.0), bursts()];
     for (pattern, open_loop) in patterns.iter().flat_map(|pattern| [(pattern, true), (pattern, false)]) {
         let strokes = Strokes::new(pattern, Some(4.0)).unwrap();
         let bandwidth = Bandwidth::of(&strokes, &Settings::default());
-        let demand = if open_loop { bandwidth.open } else { bandwidth.closed };
-        let wanted = demand.rate;
+        let required = if open_loop { bandwidth.open } else { bandwidth.closed };
+        let wanted = required.rate;
         let mut line = wanted / 2;
         loop {
             match try_on(line, pattern, open_loop) {
                 Ok(()) => break,
                 Err(CommandError::LineTooSlow { needs, carries }) => {
                     assert_eq!(needs, wanted);
-                    // Whole frames on their way, for a millisecond or two there and back. (A simulation measures by
-                    // half milliseconds.)
-                    let waits = f64::from(demand.frames) / f64::from((line / 500 / 256).max(1));
+                    // Full frames wait for an answer, a millisecond or two; the simulation steps by 0.5 ms.
+                    let waits = f64::from(required.frames) / f64::from((line / 500 / 256).max(1));
                     let bounds = [0.0022, 0.0006].map(|wait_s| f64::from(line) * (1.0 - waits * wait_s));
                     assert!(
                         bounds[0] * 0.95 < f64::from(carries) && f64::from(carries) < bounds[1] * 1.05,
@@ -83,14 +86,14 @@ fn what_a_line_carries_just_so_is_played_without_lateness_and_what_it_does_not_i
                 Err(other) => panic!("{other}"),
             }
         }
-        let frames = demand.frames;
+        let frames = required.frames;
         println!("{} {open_loop}: needs {wanted}, {frames} frames, accepted at {line}", pattern.name());
         assert!(line >= wanted, "{wanted} {line}");
     }
 }
 
 #[test]
-fn what_a_play_needs_covers_what_it_sends() {
+fn the_bandwidth_of_a_play_covers_what_it_sends() {
     for pattern in rig::shipped() {
         for open_loop in [true, false] {
             let mut rig = Rig::new(Line::default(), 6);
@@ -100,15 +103,15 @@ fn what_a_play_needs_covers_what_it_sends() {
             let bandwidth = if open_loop { play.bandwidth.open } else { play.bandwidth.closed };
             rig.send(Command::Play(Box::new(play)));
             let outcome = rig.run_to_end(1, Duration::from_secs(6)).expect("it ends");
-            // The lead's worth is sent in the first instant.
+            // The strokes of the lead are sent at once.
             let mean = outcome.wire_bytes as f64 / 4.1;
             assert!(f64::from(bandwidth.rate) > mean, "{}: {} of {mean}", pattern.name(), bandwidth.rate);
         }
     }
 }
 
-/// Answers that take long, now more, now less, as on a machine that has no time: what is accepted is in time, and what is not
-/// says why, whatever the fastest answer was. The longest frames, not the most, carry it.
+/// Answers with a long and varying delay, as on a busy machine: an accepted play is in time, a refusal has numbers,
+/// whatever the fastest answer was.
 #[test]
 fn on_a_link_that_jitters_a_play_is_in_time_or_refused_with_numbers() {
     const MS: Duration = Duration::from_millis(1);
@@ -130,7 +133,7 @@ fn on_a_link_that_jitters_a_play_is_in_time_or_refused_with_numbers() {
             let mut play = rig.play(pattern, Some(4.0));
             (play.open_loop, play.bandwidth) = (true, Bandwidth::of(&strokes, &settings));
             rig.send(Command::Play(Box::new(play)));
-            let answer = rig.take_events().into_iter().find_map(|notice| match notice {
+            let answer = rig.take_events().into_iter().find_map(|event| match event {
                 StreamEvent::Answer { result, .. } => Some(result),
                 _ => None,
             });
@@ -164,7 +167,7 @@ fn on_a_link_that_jitters_a_play_is_in_time_or_refused_with_numbers() {
 fn a_uart_is_measured_and_says_what_it_carries() {
     let mut rig = Rig::new(Line { bytes_per_s: 11_520, ..Line::default() }, 7);
     rig.run(Duration::from_millis(600));
-    let carried = rig.take_events().into_iter().rev().find_map(|notice| match notice {
+    let carried = rig.take_events().into_iter().rev().find_map(|event| match event {
         StreamEvent::Snapshot(snapshot) => snapshot.line_bytes_per_s,
         _ => None,
     });
@@ -173,7 +176,7 @@ fn a_uart_is_measured_and_says_what_it_carries() {
     rig.arm();
     let play = rig.play(&all_at(300.0), None);
     rig.send(Command::Play(Box::new(play)));
-    let line = rig.take_events().into_iter().find_map(|notice| match notice {
+    let line = rig.take_events().into_iter().find_map(|event| match event {
         StreamEvent::Answer { result: Err(refused), .. } => Some(refused.to_string()),
         _ => None,
     });
@@ -184,14 +187,14 @@ fn a_uart_is_measured_and_says_what_it_carries() {
     );
 }
 
-/// What is measured costs no more than a few frames, and a lossy line is measured too.
+/// A probe costs a few frames only, and measures a lossy line too.
 #[test]
 fn measuring_is_bounded_and_deterministic() {
     for line in [Line::default(), rig::bad_line(), Line { bytes_per_s: 5_000, ..Line::default() }] {
         let run = || {
             let mut rig = Rig::new(line, 8);
             rig.run(Duration::from_millis(900));
-            let last = rig.take_events().into_iter().rev().find_map(|notice| match notice {
+            let last = rig.take_events().into_iter().rev().find_map(|event| match event {
                 StreamEvent::Snapshot(snapshot) => Some((snapshot.line_bytes_per_s, snapshot.bytes_out)),
                 _ => None,
             });

@@ -1,4 +1,6 @@
-//! The streamer against the mock in virtual time: what comes out of the lines is what was compiled.
+//! The streamer against the mock in virtual time: the lines carry what was compiled.
+//!
+//! Good and bad lines, stalls, stops and pulled cables; accounts that close; no allocation.
 
 use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::limits::OnTimeLimits;
@@ -93,7 +95,7 @@ fn the_wire_carries_a_burst_in_less_than_six_bytes() {
 }
 
 #[test]
-fn the_loop_holds_the_rest_position() {
+fn position_control_holds_the_rest_position() {
     let plant = PlantConfig::default();
     let run = |open_loop| {
         simulate_play(&rig::pattern("edge-45"), Some(10.0), &plant, Settings::default(), open_loop).unwrap()
@@ -131,17 +133,17 @@ fn plays_follow_each_other_without_a_gap() {
         rig.send(Command::Play(Box::new(play)));
     }
     rig.run(3000 * MS);
-    let notices = rig.take_events();
-    let onsets: Vec<_> = notices
+    let events = rig.take_events();
+    let onsets: Vec<_> = events
         .iter()
-        .filter_map(|notice| match notice {
+        .filter_map(|event| match event {
             StreamEvent::PlayStarted { onset, .. } => Some(onset.actual.0),
             _ => None,
         })
         .collect();
     assert_eq!(onsets.len(), 4);
     assert!(onsets.windows(2).all(|pair| pair[1] - pair[0] == 42_500), "{onsets:?}");
-    let ended = rig::outcomes(&notices);
+    let ended = rig::outcomes(&events);
     assert!(ended.iter().all(|o| o.bursts.played == o.bursts.planned && o.pulses.played == o.pulses.planned));
     // 30 periods each; the last stroke of one ends at or before the onset of the next.
     assert_eq!(ended.iter().map(|o| o.bursts.planned).collect::<Vec<_>>(), [60; 4]);
@@ -181,7 +183,7 @@ fn an_arm_that_timed_out_does_not_come_to_life_when_the_link_is_back() {
     rig.run(1100 * MS);
     rig.set_line(Line::default());
     rig.run(2000 * MS);
-    let timeout = |notice: &StreamEvent| matches!(notice, StreamEvent::Answer { result: Err(_), .. });
+    let timeout = |event: &StreamEvent| matches!(event, StreamEvent::Answer { result: Err(_), .. });
     assert!(rig.take_events().iter().any(timeout));
     assert_eq!(rig.mock.controller().state(), State::Disarmed);
 }
@@ -206,7 +208,7 @@ fn a_site_limit_that_refuses_thousands_of_strokes_holds_no_play_up() {
     assert_eq!(played, rig.mock.controller().counters().played);
 }
 
-/// Plays with a stall of the host in the middle; its outcome, and the strokes told to be late.
+/// Plays with a stall of the host in the middle; returns the outcome and the reported late strokes.
 fn stalled(policy: LatePolicy, stall: Duration) -> (Rig, meissner_stream::queues::Outcome, Vec<LateCause>) {
     let mut rig = Rig::new(Line::default(), 8);
     rig.arm();
@@ -216,8 +218,8 @@ fn stalled(policy: LatePolicy, stall: Duration) -> (Rig, meissner_stream::queues
     rig.run(1000 * MS);
     rig.stall(stall);
     rig.run(2500 * MS);
-    let notices = rig.take_events();
-    let late = notices.iter().filter_map(|notice| match notice {
+    let events = rig.take_events();
+    let late = events.iter().filter_map(|event| match event {
         StreamEvent::StrokeLate { cause, late_ms, .. } => {
             assert!(*late_ms > 0.0);
             Some(*cause)
@@ -225,7 +227,7 @@ fn stalled(policy: LatePolicy, stall: Duration) -> (Rig, meissner_stream::queues
         _ => None,
     });
     let late = late.collect();
-    let mut ended = rig::into_outcomes(notices);
+    let mut ended = rig::into_outcomes(events);
     assert_eq!(ended.len(), 1);
     (rig, ended.remove(0), late)
 }
@@ -256,7 +258,7 @@ fn a_stall_longer_than_the_lead_ends_the_play_if_it_asks_for_that() {
 }
 
 #[test]
-fn a_stall_longer_than_the_lease_returns_the_pins_and_disarms() {
+fn a_stall_longer_than_the_watchdog_timeout_returns_the_pins_and_disarms() {
     let (mut rig, outcome, _) = stalled(LatePolicy::Drop, 700 * MS);
     assert_eq!((outcome.end, outcome.cause), (End::Stopped, Some("lease")));
     rig::assert_closed(&outcome);
@@ -278,7 +280,7 @@ fn an_e_stop_with_the_lead_full_leaves_no_line_high_and_arming_returns_the_pins(
         rig.run(500 * MS + phase * MS / 2);
         rig.mock.take_trace();
         rig.send(Command::EStop);
-        // To the device it takes two steps of the simulation; then nothing is played any more.
+        // The command takes two steps of the simulation to the device.
         rig.run(MS);
         assert_eq!(rig.mock.controller().state(), State::Faulted);
         rig.mock.take_trace();
@@ -317,8 +319,8 @@ fn pulling_the_cable_ends_the_play_and_the_device_comes_back_disarmed() {
     rig.run(100 * MS);
     let play = rig.play(&rig::pattern("pin-60"), Some(1.0));
     rig.send(Command::Play(Box::new(play)));
-    let refused = |notice: &StreamEvent| {
-        matches!(notice, StreamEvent::Answer { result: Err(CommandError::Disarmed), .. })
+    let refused = |event: &StreamEvent| {
+        matches!(event, StreamEvent::Answer { result: Err(CommandError::Disarmed), .. })
     };
     assert!(rig.take_events().iter().any(refused));
 }
@@ -335,26 +337,25 @@ fn an_onset_asked_for_is_kept_to_the_tick_or_refused() {
     soon.at = At::Tick(rig.mock.now() + 10);
     rig.send(Command::Play(Box::new(soon)));
     rig.run(2000 * MS);
-    let notices = rig.take_events();
-    let began = |notice: &StreamEvent| matches!(notice, StreamEvent::PlayStarted { id: 1, onset } if onset.actual == at);
-    let refused = |notice: &StreamEvent| {
-        matches!(notice, StreamEvent::Answer { result: Err(CommandError::TooSoon), .. })
-    };
-    assert!(notices.iter().any(began) && notices.iter().any(refused), "{notices:?}");
+    let events = rig.take_events();
+    let began = |event: &StreamEvent| matches!(event, StreamEvent::PlayStarted { id: 1, onset } if onset.actual == at);
+    let refused =
+        |event: &StreamEvent| matches!(event, StreamEvent::Answer { result: Err(CommandError::TooSoon), .. });
+    assert!(events.iter().any(began) && events.iter().any(refused), "{events:?}");
 }
 
 #[test]
 fn the_streamer_allocates_nothing_while_it_plays() {
     let mut mock = Mock::new(PlantConfig::default(), 1).unwrap();
     let mut streamer = Streamer::new(Settings::default());
-    let mut notices = Vec::with_capacity(10_000);
+    let mut events = Vec::with_capacity(10_000);
     let (mut now, mut frame) = (HostInstant::from_ns(0), [0; MAX_FRAME]);
     let mut bytes = [0; 4096];
     let (id, rate) = (1, LineRate(800_000));
-    streamer.connect(now, id, rate, &mut |notice| notices.push(notice));
+    streamer.connect(now, id, rate, &mut |event| events.push(event));
     for ms in 0..4000u64 {
         now = HostInstant::from_ns(ms * 1_000_000);
-        let job = match ms {
+        let command = match ms {
             100 => Some(Command::Arm { assume_rest: true }),
             200 | 1000 => {
                 let strokes = Strokes::new(&wild(), Some(if ms == 200 { 0.5 } else { 5.0 })).unwrap();
@@ -381,13 +382,13 @@ fn the_streamer_allocates_nothing_while_it_plays() {
         let mut end = 0;
         assert_no_alloc::assert_no_alloc(|| {
             // Measured bursts have a ring of their own.
-            let tell = &mut |notice| {
-                if !matches!(notice, StreamEvent::MeasuredBurst(_)) {
-                    notices.push(notice);
+            let tell = &mut |event| {
+                if !matches!(event, StreamEvent::MeasuredBurst(_)) {
+                    events.push(event);
                 }
             };
-            if let Some(job) = job {
-                streamer.execute(now, Request { ticket: ms, issued_at: now, command: job }, tell);
+            if let Some(command) = command {
+                streamer.execute(now, Request { ticket: ms, issued_at: now, command }, tell);
             }
             streamer.receive(now, &bytes[..len], tell);
             streamer.step(now, tell);
@@ -402,16 +403,16 @@ fn the_streamer_allocates_nothing_while_it_plays() {
         });
         mock.write(&to_device[..end]);
     }
-    let ended = rig::outcomes(&notices);
+    let ended = rig::outcomes(&events);
     assert_eq!(ended.iter().map(|outcome| outcome.end).collect::<Vec<_>>(), [End::Done, End::Stopped]);
     assert!(ended.iter().all(|outcome| outcome.bursts.amended > 0));
-    assert!(!notices.iter().any(|notice| matches!(notice, StreamEvent::Answer { result: Err(_), .. })));
+    assert!(!events.iter().any(|event| matches!(event, StreamEvent::Answer { result: Err(_), .. })));
 }
 
-/// A play without strokes, replaced at once by one with some, while the line loses what would tell: the play before must
-/// not count what came after.
+/// A play without strokes is replaced at once, while the line loses reports: the play before must not count the bursts of
+/// the one after.
 #[test]
-fn a_play_without_strokes_hides_no_boundary() {
+fn a_play_without_strokes_separates_its_neighbours() {
     for seed in 100..140 {
         let mut rig = Rig::new(Line::default(), seed);
         rig.arm();
@@ -477,8 +478,8 @@ fn op() -> impl Strategy<Value = Op> {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(60) })]
 
-    /// Whatever is ordered and whatever happens: one answer per order, one end per play, closed accounts,
-    /// and in the end no line carries anything and each pin has come down as far as it went up.
+    /// Any commands and events: one answer per request, one end per play, closed accounts, and in the end all lines are off
+    /// and each pin has come down as far as it went up.
     #[test]
     fn whatever_happens_accounts_close_and_lines_end_low(ops in prop::collection::vec(op(), 1..40), seed in 0u64..1000) {
         let patterns = rig::shipped();
@@ -514,17 +515,17 @@ proptest! {
         rig.run(200 * MS);
         tickets.push(rig.send(Command::Disarm));
         rig.run(2000 * MS);
-        let notices = rig.take_events();
+        let events = rig.take_events();
         for ticket in tickets {
-            let answers = notices.iter().filter(|n| matches!(n, StreamEvent::Answer { ticket: t, .. } if *t == ticket));
+            let answers = events.iter().filter(|n| matches!(n, StreamEvent::Answer { ticket: t, .. } if *t == ticket));
             prop_assert_eq!(answers.count(), 1, "ticket {}", ticket);
         }
-        let mut ended: Vec<_> = notices.iter().filter_map(|notice| match notice {
+        let mut ended: Vec<_> = events.iter().filter_map(|event| match event {
             StreamEvent::PlayEnded { id, .. } => Some(*id),
             StreamEvent::PlayRejected(play) => Some(play.id),
             _ => None,
         }).collect();
-        let outcomes = rig::into_outcomes(notices);
+        let outcomes = rig::into_outcomes(events);
         ended.sort_unstable();
         prop_assert_eq!(ended, plays);
         for outcome in &outcomes {
@@ -536,7 +537,7 @@ proptest! {
         let counters = rig.mock.controller().counters();
         prop_assert_eq!(counters.reports_lost, 0);
         if unplugged {
-            // What was played after the last status could only be estimated.
+            // Bursts played after the last status are estimated.
             return Ok(());
         }
         let played: u64 = outcomes.iter().map(|outcome| outcome.bursts.played).sum();
@@ -546,9 +547,9 @@ proptest! {
     }
 }
 
-/// As the thread does it, which sleeps until the next thing is due: nobody orders anything or says anything any more.
+/// Like the thread, which sleeps until something is due; no request and no report comes any more.
 #[test]
-fn that_the_device_is_gone_is_told_without_any_further_order() {
+fn a_disconnect_is_reported_without_a_further_request() {
     let mut rig = Rig::new(Line::default(), 31);
     rig.arm();
     rig.run(100 * MS);
@@ -562,7 +563,7 @@ fn that_the_device_is_gone_is_told_without_any_further_order() {
         if now >= end {
             break;
         }
-        rig.streamer.step(now, &mut |notice| told.push(notice));
+        rig.streamer.step(now, &mut |event| told.push(event));
         steps += 1;
     }
     let [StreamEvent::Snapshot(snapshot)] = told.as_slice() else { panic!("{told:?}") };

@@ -3,14 +3,12 @@
 
 /// `calibrate`: what a plan plays, gains found again on the plant, files and what is refused in them.
 mod calibrate;
-/// What a line carries: measured, compared with what plays bandwidth, on lines that carry it just so.
 mod capacity;
 mod closed_loop;
-/// CommandQueue that cross each other, the device's word, and the end of a lease: nothing comes to life that is over.
+mod position_control;
 mod races;
 /// A session and a controller over a line that loses: one verdict per stroke.
 mod session;
-/// The streamer against the mock: tick for tick, over bad lines, through stalls, stops and pulled cables.
 mod streaming;
 
 /// Lets `assert_no_alloc` see every allocation of the tests.

@@ -1,0 +1,312 @@
+//! Position control of one motor without a link: near its bound, stable, and safe with faulty sensors.
+//!
+//! Each test plays a [`MotorRun`] and looks at its periods.
+
+use firmware_protocol::limits::within_correction;
+use firmware_protocol::tick::Tick;
+use meissner_api::SensorFault;
+use meissner_array::units::UM_PER_PULSE;
+use meissner_stream::{Gains, MotorRun, Period, rest_bound_um};
+use meissner_test_support::random::Random;
+
+/// The periods of a run after its first seconds, and the sensor fault.
+#[derive(Debug, Default)]
+struct Result {
+    periods: Vec<Period>,
+    fault: Option<SensorFault>,
+}
+
+impl Result {
+    fn of(motor_run: &MotorRun, seconds: f64) -> Self {
+        let skipped = 2f64.max(motor_run.delay_ms() / 100.0) * 85_000.0;
+        let mut result = Self::default();
+        let keep = |period: &Period| {
+            if period.up as f64 >= skipped {
+                result.periods.push(*period);
+            }
+        };
+        result.fault = motor_run.run(seconds, |_, y| Some(y), keep).unwrap();
+        result
+    }
+
+    fn rest_rms(periods: &[Period]) -> f64 {
+        (periods.iter().map(|period| period.rest_um.powi(2)).sum::<f64>() / periods.len() as f64).sqrt()
+    }
+
+    /// Mean amplitude error (top minus adjacent rests, minus plan), and its standard error, µm.
+    fn amplitude_error(&self) -> (f64, f64) {
+        let errors: Vec<f64> = self
+            .periods
+            .windows(2)
+            .map(|two| two[1].top_um - (two[0].rest_um + two[1].rest_um) / 2.0 - two[1].planned_um)
+            .collect();
+        let count = errors.len() as f64;
+        let mean = errors.iter().sum::<f64>() / count;
+        let variance = errors.iter().map(|error| (error - mean).powi(2)).sum::<f64>() / count;
+        (mean, (variance / count).sqrt())
+    }
+}
+
+/// Checks what must hold at every setting.
+fn check(motor_run: &MotorRun, seconds: f64) {
+    let result = Result::of(motor_run, seconds);
+    let name = format!("{motor_run:?}");
+    assert_eq!(result.fault, None, "{name}");
+    let planned = result.periods[0].planned_um;
+    let rms = Result::rest_rms(&result.periods);
+    let bound = rest_bound_um(
+        motor_run.frequency_hz,
+        planned,
+        motor_run.scatter,
+        motor_run.delay_ms(),
+        motor_run.telemetry_hz,
+    );
+    let most = match motor_run.scatter {
+        0.0 => UM_PER_PULSE,
+        ..=0.1 => 1.2 * bound,
+        _ => 1.5 * bound,
+    };
+    // Errors within the delay are correlated: so many are independent.
+    let alone = result.periods.len() as f64 / (1.0 + motor_run.delay_ms() / 1000.0 * motor_run.frequency_hz);
+    let chance = 1.0 + 3.0 / (2.0 * alone).sqrt();
+    assert!(rms <= most * chance, "{name}: {rms} um rms where the bound is {bound}");
+    let (early, late) = result.periods.split_at(result.periods.len() / 2);
+    let (early, late) = (Result::rest_rms(early), Result::rest_rms(late));
+    assert!(late <= early * chance * chance + UM_PER_PULSE, "{name}: it grows from {early} to {late}");
+    if motor_run.scatter == 0.0 {
+        let most =
+            late.max(result.periods.iter().rev().take(50).map(|p| p.rest_um.abs()).fold(0.0, f64::max));
+        assert!(most <= UM_PER_PULSE, "{name}: a cycle of {most} um");
+    }
+    let pulses = (planned / UM_PER_PULSE).round() as u16;
+    for period in &result.periods {
+        let whole = (period.planned_um / UM_PER_PULSE).round() as u16;
+        assert!(period.pulses.iter().all(|&count| within_correction(whole, count)), "{name}: {period:?}");
+    }
+    let room = 42_500.0 / motor_run.frequency_hz / f64::from(pulses);
+    if room >= 1.3 {
+        let (error, chance) = result.amplitude_error();
+        let most = (0.01 * planned).max(UM_PER_PULSE / 2.0) + 3.0 * chance;
+        assert!(error.abs() <= most, "{name}: amplitude off by {error} um");
+    }
+}
+
+#[test]
+fn forty_settings_rest_near_the_bound() {
+    let mut random = Random::new(6);
+    let mut pick = |from: &[f64]| from[(random.between(0.0, 1.0) * from.len() as f64) as usize % from.len()];
+    for number in 0..40 {
+        let motor_run = MotorRun {
+            frequency_hz: pick(&[1.0, 10.0, 60.0, 150.0, 300.0]),
+            amplitude_um: pick(&[2.0, 10.0, 80.0, 200.0]),
+            lead_ms: pick(&[20.0, 100.0, 500.0]),
+            age_ms: pick(&[1.0, 5.0, 20.0, 100.0]),
+            scatter: pick(&[0.0, 0.1, 0.3]),
+            asymmetry: pick(&[0.0, 0.02, 0.1]),
+            seed: number,
+            ..MotorRun::default()
+        };
+        check(&motor_run, (200.0 / motor_run.frequency_hz).clamp(8.0, 150.0));
+    }
+}
+
+/// An hour of device time at each corner of the settings.
+#[test]
+fn an_hour_at_each_corner_is_as_good_as_its_first_minute() {
+    let base = MotorRun::default();
+    let corners = [
+        ("slow and small", MotorRun { frequency_hz: 1.0, amplitude_um: 2.0, ..base }),
+        ("slow and large", MotorRun { frequency_hz: 1.0, amplitude_um: 200.0, scatter: 0.3, ..base }),
+        ("fast and full", MotorRun { frequency_hz: 300.0, amplitude_um: 200.0, ..base }),
+        ("fast and small", MotorRun { frequency_hz: 300.0, amplitude_um: 2.0, scatter: 0.3, ..base }),
+        ("old telemetry", MotorRun { age_ms: 100.0, ..base }),
+        ("old telemetry, fast", MotorRun { age_ms: 100.0, frequency_hz: 300.0, scatter: 0.3, ..base }),
+        (
+            "all at once",
+            MotorRun { age_ms: 100.0, scatter: 0.3, asymmetry: 0.1, frequency_hz: 150.0, ..base },
+        ),
+        ("no scatter", MotorRun { scatter: 0.0, asymmetry: 0.1, ..base }),
+        ("nothing to do", MotorRun { scatter: 0.0, asymmetry: 0.0, frequency_hz: 10.0, ..base }),
+        ("seldom telemetry", MotorRun { telemetry_hz: 20.0, ..base }),
+        ("far off", MotorRun { offset_um: 400.0, frequency_hz: 10.0, ..base }),
+        ("barely fed", MotorRun { lead_ms: 20.0, amplitude_um: 200.0, asymmetry: 0.1, ..base }),
+    ];
+    for (name, motor_run) in corners {
+        let motor_run = MotorRun { seed: name.len() as u64, ..motor_run };
+        let (mut minutes, mut fault) = (vec![(0u64, 0.0)], None);
+        let tell = |period: &Period| {
+            let minute = period.up as usize / (60 * 85_000);
+            minutes.resize(minutes.len().max(minute + 1), (0, 0.0));
+            minutes[minute].0 += 1;
+            minutes[minute].1 += period.rest_um.powi(2);
+            if let Some(why) = fault.take() {
+                panic!("{name}: {why:?}");
+            }
+        };
+        fault = motor_run.run(3600.0, |_, y| Some(y), tell).unwrap();
+        assert_eq!(fault, None, "{name}");
+        let rms: Vec<f64> = minutes.iter().map(|(count, sum)| (sum / *count as f64).sqrt()).collect();
+        assert_eq!(rms.len(), 60, "{name}");
+        let (first, last) = (rms[1..11].iter().sum::<f64>() / 10.0, rms[50..].iter().sum::<f64>() / 10.0);
+        assert!(last <= 1.25 * first + UM_PER_PULSE / 2.0, "{name}: from {first} to {last} um rms");
+    }
+}
+
+/// Rest error caused by an initial offset: the run with it minus the run without it.
+fn left(motor_run: MotorRun, seconds: f64) -> Vec<f64> {
+    let rests = |motor_run: &MotorRun| {
+        let mut rests = Vec::new();
+        // The estimator takes the first burst as a transient, which it is not here.
+        let later = |tick: Tick, y| (tick - Tick::BOOT > 60 * 85).then_some(y);
+        motor_run.run(seconds, later, |period| rests.push(period.rest_um)).unwrap();
+        rests
+    };
+    let calm = rests(&MotorRun { offset_um: 0.0, ..motor_run });
+    rests(&motor_run).into_iter().zip(calm).map(|(off, calm)| off - calm).collect()
+}
+
+/// The poles of `stream::control::burst_controller`: z^N = -δ. What a wrong gain leaves of an error is corrected N bursts later.
+#[test]
+fn an_error_dies_out_as_the_poles_say() {
+    let certain = |gain: f64| Gains { mean: [gain; 2], sd: [1e-9; 2], scatter: 0.1 };
+    // Bursts every 50 ms; telemetry shows a whole burst 22 ms after its beginning.
+    for (age_ms, delay) in [(1.0, 1), (100.0, 3), (300.0, 7)] {
+        for delta in [0.0, 0.1, -0.1] {
+            let motor_run = MotorRun {
+                frequency_hz: 10.0,
+                amplitude_um: 200.0,
+                scatter: 0.0,
+                asymmetry: 0.0,
+                age_ms,
+                transient_gain: 1.0,
+                offset_um: 15.0,
+                gains: certain(1.0 / (1.0 + delta)),
+                ..MotorRun::default()
+            };
+            let left = left(motor_run, 4.0);
+            // The error after each burst, and the correction intended with each.
+            let (mut off, mut meant) = (vec![15.0; delay], vec![0.0; delay]);
+            for burst in 0..2 * left.len() {
+                let anchored = 50.0 * burst as f64 + 3.0 > age_ms + 60.0;
+                let under_way: f64 = meant[burst + 1..].iter().sum();
+                meant.push(if anchored { -(off[burst] + under_way) } else { 0.0 });
+                off.push(off[off.len() - 1] + (1.0 + delta) * meant[meant.len() - 1]);
+            }
+            for (period, um) in left.iter().enumerate() {
+                let expected = off[delay + 2 * period + 1];
+                assert!(
+                    (um - expected).abs() <= 2.0 * UM_PER_PULSE,
+                    "δ {delta}, {age_ms} ms, period {period}: {um} um left, by the poles {expected}"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn an_initial_offset_is_corrected_without_overshoot() {
+    for frequency_hz in [1.0, 10.0, 60.0, 300.0] {
+        for amplitude_um in [2.0, 10.0, 80.0] {
+            for offset_um in [100.0, -100.0] {
+                let motor_run = MotorRun {
+                    frequency_hz,
+                    amplitude_um,
+                    scatter: 0.0,
+                    asymmetry: 0.0,
+                    offset_um,
+                    age_ms: 5.0,
+                    ..MotorRun::default()
+                };
+                let mut rests = Vec::new();
+                let mut planned = 0.0;
+                // A stroke corrects at most 30 % of both its bursts; without room to lengthen, of one.
+                let seconds = 6.0 + 100.0 / (0.25 * amplitude_um) / frequency_hz * 1.5;
+                let tell = |period: &Period| {
+                    rests.push(period.rest_um * offset_um.signum());
+                    planned = period.planned_um;
+                };
+                motor_run.run(seconds, |_, y| Some(y), tell).unwrap();
+                let name = format!("{frequency_hz} Hz, {amplitude_um} um, from {offset_um}");
+                let beyond = rests.iter().fold(0.0, |most: f64, um| most.max(-um));
+                assert!(beyond <= planned, "{name}: {beyond} um too far");
+                let last = rests[rests.len() - 1].abs();
+                assert!(last <= 2.0 * UM_PER_PULSE, "{name}: {last} um left after {} periods", rests.len());
+            }
+        }
+    }
+}
+
+#[test]
+fn a_gap_in_telemetry_is_dead_reckoned() {
+    let motor_run = MotorRun { scatter: 0.0, asymmetry: 0.1, ..MotorRun::default() };
+    let gap = |tick: Tick, y| {
+        let ms = (tick - Tick::BOOT) / 85;
+        (ms % 1000 < 700).then_some(y)
+    };
+    let mut worst: f64 = 0.0;
+    let tell = |period: &Period| {
+        if period.up > 5 * 85_000 {
+            worst = worst.max(period.rest_um.abs());
+        }
+    };
+    assert_eq!(motor_run.run(20.0, gap, tell).unwrap(), None);
+    assert!(worst <= 4.0 * UM_PER_PULSE, "{worst} um, though the gains are known");
+}
+
+/// A faulty sensor: its sample at so many ms after the start, from the true one and the past.
+type Fault = fn(u64, i32, &mut Vec<i32>) -> i32;
+
+#[test]
+fn faulty_telemetry_is_detected_and_corrects_nothing() {
+    let faults: [(&str, Option<SensorFault>, Fault); 9] = [
+        ("stuck", None, |_, _, past| past[0]),
+        ("stuck high", None, |_, _, _| 30_000),
+        ("ten times", None, |_, y, _| 10 * y),
+        ("twice", None, |_, y, _| 2 * y),
+        ("a tenth", Some(SensorFault::Gain), |_, y, _| y / 10),
+        ("inverted", None, |_, y, _| -y),
+        ("jumping", None, |ms, y, _| if ms % 37 < 3 { y + 20_000 } else { y }),
+        ("stale", None, |_, _, past| past[past.len().saturating_sub(44)]),
+        ("another's", None, |ms, _, _| if ms % 25 < 12 { 8_000 } else { 0 }),
+    ];
+    for (name, why, alter) in faults {
+        for amplitude_um in [10.0, 80.0] {
+            let motor_run = MotorRun { amplitude_um, ..MotorRun::default() };
+            let (mut past, mut after) = (Vec::new(), Vec::new());
+            // Two seconds of true samples first.
+            let sample = |tick: Tick, y| {
+                let ms = (tick - Tick::BOOT) / 85;
+                past.push(y);
+                Some(if ms < 2000 { y } else { alter(ms, y, &mut past) })
+            };
+            let tell = |period: &Period| {
+                if period.up > 5 * 85_000 {
+                    after.push(period.pulses);
+                }
+            };
+            let fault = motor_run.run(8.0, sample, tell).unwrap();
+            assert!(fault.is_some(), "{name} at {amplitude_um} um: no sensor fault");
+            assert!(why.is_none() || fault == why, "{name} at {amplitude_um} um: {fault:?}");
+            let planned = (amplitude_um / UM_PER_PULSE).round() as u16;
+            assert!(after.iter().all(|&pulses| pulses == [planned; 2]), "{name}: still corrected");
+        }
+    }
+}
+
+/// No motor scatters this much: a sensor fault.
+#[test]
+fn implausible_scatter_is_a_sensor_fault() {
+    let motor_run = MotorRun { frequency_hz: 10.0, amplitude_um: 10.0, scatter: 0.6, ..MotorRun::default() };
+    assert_eq!(motor_run.run(60.0, |_, y| Some(y), |_| ()).unwrap(), Some(SensorFault::Scatter));
+}
+
+/// A sensor whose zero drifts takes the pin along to its end stop, where corrections have no effect.
+#[test]
+fn corrections_without_effect_are_a_sensor_fault() {
+    for frequency_hz in [60.0, 300.0] {
+        let motor_run = MotorRun { frequency_hz, ..MotorRun::default() };
+        let drift = |tick: Tick, y: i32| Some(y + ((tick - Tick::BOOT) as f64 / 85_000.0 * 20_000.0) as i32);
+        let fault = motor_run.run(30.0, drift, |_| ()).unwrap();
+        assert!(fault.is_some(), "{frequency_hz} Hz");
+    }
+}
