@@ -151,7 +151,7 @@ impl Simulation {
     pub fn connect(&mut self) {
         let events = &mut self.events;
         let id = self.now.as_ns() as u32;
-        self.streamer.connect(self.now, id, LineRate(800_000), &mut |event| events.push(event));
+        self.streamer.connect(self.now, id, LineRate::USB_FULL_SPEED, &mut |event| events.push(event));
     }
 
     /// Pulls the cable: the device returns the pins, and the streamer sees the disconnect.

@@ -98,7 +98,7 @@ fn a_device_whose_clock_begins_anew_plays_as_the_one_before() {
     for (boot, start) in [(1, Tick::BOOT + 600 * 85_000), (2, Tick::BOOT)] {
         let mut mock = Mock::starting_at(PlantConfig::default(), boot, start).unwrap();
         let tell = &mut |event| events.push(event);
-        streamer.connect(HostInstant::from_ns(ms * 1_000_000), boot, LineRate(800_000), tell);
+        streamer.connect(HostInstant::from_ns(ms * 1_000_000), boot, LineRate::USB_FULL_SPEED, tell);
         for since in 0..3000u64 {
             ms += 1;
             let now = HostInstant::from_ns(ms * 1_000_000);

@@ -174,7 +174,8 @@ fn frames_that_cannot_be_read_are_counted_by_kind() {
     let len = encode(&(DeviceMessage::NoSession, 7u8), &mut frame).unwrap();
     let with_a_byte_more = frame[..len].to_vec();
     let mut damaged = with_a_byte_more.clone();
-    damaged[2] ^= 1;
+    // The payload 7 becomes 6. (The tag before it would become 0, which ends a frame.)
+    damaged[3] ^= 1;
     let not_cobs = [9, 1, 0];
     let endless = [[1; MAX_FRAME].as_slice(), &[0]].concat();
 

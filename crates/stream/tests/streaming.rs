@@ -351,7 +351,7 @@ fn the_streamer_allocates_nothing_while_it_plays() {
     let mut events = Vec::with_capacity(10_000);
     let (mut now, mut frame) = (HostInstant::from_ns(0), [0; MAX_FRAME]);
     let mut bytes = [0; 4096];
-    let (id, rate) = (1, LineRate(800_000));
+    let (id, rate) = (1, LineRate::USB_FULL_SPEED);
     streamer.connect(now, id, rate, &mut |event| events.push(event));
     for ms in 0..4000u64 {
         now = HostInstant::from_ns(ms * 1_000_000);

@@ -23,7 +23,7 @@ use meissner_stream::{Settings, Streamer};
 /// Interval of the host's wake-ups.
 const STEP: u64 = MS / 2;
 /// The host's nominal line rate: USB at full speed, as for a real board.
-const RATE: LineRate = LineRate(800_000);
+const RATE: LineRate = LineRate::USB_FULL_SPEED;
 
 /// Why a run cannot go on.
 #[derive(Debug, thiserror::Error)]
