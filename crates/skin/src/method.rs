@@ -58,6 +58,9 @@ pub enum Precision {
 }
 
 impl Integrator {
+    /// All integrators, as the trade-off table lists them.
+    pub const ALL: [Self; 2] = [Self::Euler, Self::Propagator];
+
     /// The name on the command line and in documents.
     #[must_use]
     pub const fn name(self) -> &'static str {
@@ -69,6 +72,9 @@ impl Integrator {
 }
 
 impl Precision {
+    /// All precisions, as the trade-off table lists them.
+    pub const ALL: [Self; 2] = [Self::F32, Self::F64];
+
     /// The name on the command line and in documents.
     #[must_use]
     pub const fn name(self) -> &'static str {

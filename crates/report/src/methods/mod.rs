@@ -150,8 +150,8 @@ fn partition(scene: &Scene) -> Partition {
 
 fn stepped(steps: &[u32]) -> Vec<Method> {
     let mut methods = Vec::new();
-    for integrator in [Integrator::Euler, Integrator::Propagator] {
-        for precision in [Precision::F32, Precision::F64] {
+    for integrator in Integrator::ALL {
+        for precision in Precision::ALL {
             let method = |&step_us| Method::Stepped(Stepping { step_us, integrator, precision });
             methods.extend(steps.iter().map(method));
         }

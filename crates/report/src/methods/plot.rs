@@ -10,6 +10,7 @@ use plotters::prelude::*;
 use std::fmt::Display;
 
 const SIZE: (u32, u32) = (960, 640);
+/// Colours of the series; a fifth series takes the first again.
 const COLORS: [RGBColor; 4] =
     [RGBColor(31, 119, 180), RGBColor(255, 127, 14), RGBColor(44, 160, 44), RGBColor(214, 39, 40)];
 
@@ -66,7 +67,7 @@ pub fn plot(tradeoff: &MethodTradeoff) -> Result<String, PlotError> {
                 .label("exact (no error)")
                 .legend(|(x, y)| PathElement::new([(x, y), (x + 20, y)], BLACK.stroke_width(2)));
         }
-        for ((name, points), color) in series.iter().zip(COLORS) {
+        for ((name, points), color) in series.iter().zip(COLORS.into_iter().cycle()) {
             let line = points.iter().map(|point| (point.time, point.error));
             chart
                 .draw_series(LineSeries::new(line, color.stroke_width(1)))
