@@ -21,20 +21,18 @@ use axum::http::header::CONTENT_TYPE;
 use axum::http::{Method, StatusCode, Uri};
 use axum::response::sse::{self, Sse};
 use axum::response::{IntoResponse, Response};
-use axum::routing::{get, post};
+use axum::routing::{MethodFilter, MethodRouter, on};
 use axum::{Json, Router};
 use futures_util::stream::{self, Stream, StreamExt};
-use meissner_api::parse_empty;
 use meissner_api::{
-    self, ArmRequest, CalibrateRequest, CalibrationReport, Code, ImportedPattern, MAX_BODY, PlayAccepted,
-    PlayRequest, Problem, Status,
+    ArmRequest, CalibrateRequest, CalibrationReport, Code, Event, ImportedPattern, MAX_BODY, PatternDetails,
+    PlayAccepted, PlayRequest, Problem, REFERENCE, Receipt, Route, Status, parse_empty,
 };
-use meissner_api::{Event, Receipt};
 use meissner_array::pattern::Warning;
 use meissner_stream::queues::Command;
-use serde_json::{Value, json};
+use serde_json::json;
 use std::convert::Infallible;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, LazyLock, Mutex, PoisonError};
 use std::time::Duration;
 use tokio_stream::wrappers::BroadcastStream;
 use tokio_stream::wrappers::errors::BroadcastStreamRecvError;
@@ -110,32 +108,44 @@ impl SharedStore {
 type Answer<T> = Result<T, ErrorResponse>;
 
 pub(super) fn router(app: App) -> Router {
-    Router::new()
-        .route("/v1/play", post(play))
-        .route("/v1/stop", post(stop))
-        .route("/v1/estop", post(estop))
-        .route("/v1/reset", post(reset))
-        .route("/v1/arm", post(arm))
-        .route("/v1/disarm", post(disarm))
-        .route("/v1/home", post(home))
-        .route("/v1/calibrate", post(calibrate))
-        .route("/v1/calibration", get(calibration))
-        .route("/v1/status", get(status))
-        .route("/v1/patterns", get(list))
-        .route("/v1/patterns/{name}", get(show).put(import))
-        .route("/v1/plays/{id}", get(receipt))
-        .route("/v1/events", get(events))
-        .route("/v1/metrics", get(metrics_text))
-        .fallback(no_route)
-        .method_not_allowed_fallback(no_method)
-        .with_state(app)
+    let routes = Route::ALL
+        .into_iter()
+        .fold(Router::new(), |router, route| router.route(route.path(), handler(route)));
+    routes.fallback(no_route).method_not_allowed_fallback(no_method).with_state(app)
+}
+
+fn handler(route: Route) -> MethodRouter<App> {
+    let method = match route.method() {
+        meissner_api::Method::Get => MethodFilter::GET,
+        meissner_api::Method::Post => MethodFilter::POST,
+        meissner_api::Method::Put => MethodFilter::PUT,
+    };
+    match route {
+        Route::Play => on(method, play),
+        Route::Stop => on(method, stop),
+        Route::EStop => on(method, estop),
+        Route::Reset => on(method, reset),
+        Route::Arm => on(method, arm),
+        Route::Disarm => on(method, disarm),
+        Route::Home => on(method, home),
+        Route::Status => on(method, status),
+        Route::Receipt => on(method, receipt),
+        Route::Events => on(method, events),
+        Route::Patterns => on(method, list),
+        Route::Pattern => on(method, show),
+        Route::Import => on(method, import),
+        Route::Calibrate => on(method, calibrate),
+        Route::Calibration => on(method, calibration),
+        Route::Metrics => on(method, metrics_text),
+        Route::OpenApi => on(method, openapi),
+    }
 }
 
 async fn no_route(uri: Uri) -> ErrorResponse {
     let path: String = uri.path().chars().take(100).collect();
     ErrorResponse(Problem::new(
         Code::NotFound,
-        format!("there is no {path}: addresses begin with /v1/, see the API's documentation"),
+        format!("there is no {path}: addresses begin with /v1/, see {REFERENCE}"),
     ))
 }
 
@@ -143,7 +153,7 @@ async fn no_method(method: Method, uri: Uri) -> ErrorResponse {
     let path: String = uri.path().chars().take(100).collect();
     ErrorResponse(Problem::new(
         Code::MethodNotAllowed,
-        format!("{path} does not take {method}: see the API's documentation"),
+        format!("{path} does not take {method}: see {REFERENCE}"),
     ))
 }
 
@@ -276,10 +286,15 @@ async fn list(State(app): State<App>) -> Answer<Response> {
     Ok(Json(blocking(move || app.store.get().list()).await?).into_response())
 }
 
-async fn show(State(app): State<App>, name: Result<Path<String>, PathRejection>) -> Answer<Json<Value>> {
+async fn show(
+    State(app): State<App>,
+    name: Result<Path<String>, PathRejection>,
+) -> Answer<Json<PatternDetails>> {
     let Stored { pattern, sha256, library } = find(&app.store, &path(name)?).await?;
     let warnings = texts(&pattern.warnings());
-    Ok(Json(json!({"pattern": &*pattern, "sha256": sha256, "library": library, "warnings": warnings})))
+    // A checked pattern can be written.
+    let pattern = serde_json::to_value(&*pattern).unwrap_or_default();
+    Ok(Json(PatternDetails { pattern, sha256, library, warnings }))
 }
 
 fn texts(warnings: &[Warning]) -> Vec<String> {
@@ -350,4 +365,10 @@ async fn events(State(app): State<App>) -> Answer<Sse<impl Stream<Item = Result<
 async fn metrics_text(State(app): State<App>) -> Response {
     let text = metrics::text(&app.engine.lock().plays.receipts);
     ([(CONTENT_TYPE, "text/plain; version=0.0.4")], text).into_response()
+}
+
+async fn openapi() -> Response {
+    // Made once: it takes milliseconds of the runtime's only thread.
+    static DOCUMENT: LazyLock<String> = LazyLock::new(|| meissner_api::openapi::document().to_string());
+    ([(CONTENT_TYPE, "application/json")], DOCUMENT.as_str()).into_response()
 }

@@ -1,64 +1,93 @@
-//! What a calibration measured, and how it was made.
+//! The stored calibration: the gains that were measured, and how they were measured.
+//!
+//! `GET /v1/calibration` answers with a [`CalibrationReport`]; [`Provenance`] also stands in the calibration file.
 
 use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
 
-/// How a calibration was made.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+/// How a calibration was measured.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Provenance {
-    /// The kind of device, as `mock`.
+    /// The kind of device, for example `mock`.
     pub device: String,
-    /// Its firmware's version and build.
+    /// The device's firmware: version and build.
     pub firmware: String,
-    /// Which one it is: a serial number, or a mock's seed.
+    /// The device's serial number, or a simulated device's seed. Another device does not use this calibration.
     pub identity: String,
-    /// What measured the displacements, as `plant`.
+    /// What measured the displacements: `plant` (the simulated motors) or `device`.
     pub telemetry: String,
-    /// The plan's numbers of pulses.
+    /// The burst lengths that were played, pulses each.
     pub pulses: Vec<u16>,
-    /// The plan's groups of each.
+    /// Groups of bursts per burst length.
+    #[schema(minimum = 1, maximum = 50)]
     pub repetitions: u16,
-    /// Groups of each motor.
+    /// Groups of bursts per motor: burst lengths times repetitions.
+    #[schema(minimum = 2, maximum = 100)]
     pub groups: u64,
-    /// The model's constant, by which gains are counted.
+    /// The motor model's travel per pulse, µm; a gain of 1 moves a pin this far.
+    #[schema(minimum = 0.0)]
     pub um_per_pulse: f64,
-    /// When, in the caller's words.
+    /// When the calibration was measured, UTC, for example `2026-03-04T12:00:00Z`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub date: Option<String>,
 }
 
-/// What a calibration found of a motor. Gains are what a pulse moves the pin by over what the model says.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+/// What a calibration measured of one motor. A gain is the measured travel per pulse over the motor model's.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct CalibratedMotor {
-    /// Its number.
+    /// The motor's number, 4 × row + column.
+    #[schema(minimum = 0, maximum = 23)]
     pub motor: u8,
-    /// Upwards.
+    /// Gain upwards, a ratio.
+    #[schema(minimum = 0.0)]
     pub gain_up: f64,
-    /// Standard error of that.
+    /// Standard error of `gain_up`, a ratio.
+    #[schema(minimum = 0.0)]
     pub gain_up_se: f64,
-    /// Downwards.
+    /// Gain downwards, a ratio.
+    #[schema(minimum = 0.0)]
     pub gain_down: f64,
-    /// Standard error of that.
+    /// Standard error of `gain_down`, a ratio.
+    #[schema(minimum = 0.0)]
     pub gain_down_se: f64,
     /// Standard deviation of single bursts upwards, as a share of their travel.
+    #[schema(minimum = 0.0)]
     pub relative_sd_up: f64,
-    /// Downwards.
+    /// Standard deviation of single bursts downwards, as a share of their travel.
+    #[schema(minimum = 0.0)]
     pub relative_sd_down: f64,
 }
 
-/// `GET /v1/calibration`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+/// The stored calibration, and whether the daemon uses it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[schema(examples(json!({
+    "file": "/var/lib/meissner/calibration.toml",
+    "used": true,
+    "unused": null,
+    "motors": [{
+        "motor": 3, "gain_up": 0.94, "gain_up_se": 0.006, "gain_down": 0.95, "gain_down_se": 0.006,
+        "relative_sd_up": 0.05, "relative_sd_down": 0.05
+    }],
+    "provenance": {
+        "device": "mock", "firmware": "0.1.0 (6d656973)", "identity": "mock seed 0", "telemetry": "plant",
+        "pulses": [14, 70, 140], "repetitions": 2, "groups": 6, "um_per_pulse": 0.2, "date": "2026-03-04T12:00:00Z"
+    },
+    "toml": "format = 1\n..."
+})))]
 pub struct CalibrationReport {
-    /// Where it is stored.
+    /// The calibration file's path.
     pub file: String,
-    /// Whether bursts are corrected by it.
+    /// Whether the daemon corrects bursts with these gains.
     pub used: bool,
-    /// Why not.
+    /// Why the daemon does not use the calibration; null if it does.
+    #[schema(required)]
     pub unused: Option<String>,
-    /// What it says of each motor that was calibrated.
+    /// The calibrated motors; a motor that is missing here has a gain of 1.
+    #[schema(max_items = 24)]
     pub motors: Vec<CalibratedMotor>,
-    /// What it was made by.
+    /// How the calibration was measured.
     pub provenance: Provenance,
-    /// The file's text.
+    /// The calibration file's text, TOML.
     pub toml: String,
 }

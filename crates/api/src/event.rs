@@ -1,30 +1,33 @@
-//! Events: what the daemon tells whoever listens, as it happens.
+//! Events: what the daemon reports as it happens, to every listener of `GET /v1/events`.
 //!
-//! One enum, which the daemon writes and the client reads. An event says what changed, not all that is known: a
-//! listener that missed some reads status and receipts.
+//! The daemon writes this enum and the client reads it. An event says what changed, not all that is known: a listener that
+//! missed some reads the status and the receipts.
 //!
 //! Invariant: [`Event::name`] is the `event` key of its JSON.
 
-use crate::receipt::{LateStroke, OnsetRecord, Prediction, Receipt, RefusedStroke};
+use crate::receipt::{LateStroke, OnsetRecord, Prediction, PredictionKeys, Receipt, RefusedStroke};
 use crate::status::{DeviceInfo, RunningPlay};
 use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
 
-/// Why the telemetry of a motor is not believed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+/// Why the daemon does not trust the telemetry of a motor: `jumps` (the signal moves where the motor rests), `gain` (it shows far
+/// less or more travel than bursts make), `scatter` (equal bursts differ too much) or `limit` (corrections at their limit
+/// have not helped).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum SensorFault {
-    /// It jumps where nothing moved, or moves where it should rest.
+    /// The signal jumps where nothing moved, or moves where the motor should rest.
     Jumps,
-    /// What it shows of bursts is far from what any motor does: too little, too much.
+    /// The travel it shows per burst is far below or above any motor's.
     Gain,
-    /// What it shows of equal bursts differs by more than any motor's scatter.
+    /// Equal bursts differ by more than any motor's scatter.
     Scatter,
-    /// Corrections have stood at their limit for long, and the shaft has not come nearer to its rest.
+    /// Corrections have stood at their limit for long, and the shaft has not come nearer to rest.
     Limit,
 }
 
 impl SensorFault {
-    /// In words.
+    /// The fault, as a clause about the motor.
     #[must_use]
     pub const fn text(self) -> &'static str {
         match self {
@@ -37,117 +40,157 @@ impl SensorFault {
 }
 
 /// Something that happened.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(tag = "event", rename_all = "kebab-case")]
 pub enum Event {
-    /// How everything stands: on change, ten times a second while something is played, and first of all.
+    /// The state: first of all, at every change, and ten times a second during a play.
+    #[schema(examples(json!({
+        "event": "state", "state": "armed", "cause": "request", "position": "known", "tick": 6442450944_u64,
+        "play": {"id": 7, "pattern": "edge-45", "played_s": 0.52}
+    })))]
     State {
         /// As in the status.
         state: String,
-        /// Why.
+        /// As in the status.
         cause: String,
-        /// `known` or `unknown`.
+        /// Whether the device knows where its pins are: `known` or `unknown`.
         position: String,
-        /// The device's clock.
+        /// The device's clock, ticks of 1/85000 s; 0 without a device.
         tick: u64,
-        /// The running play.
+        /// The running play; null without one.
+        #[schema(required)]
         play: Option<RunningPlay>,
     },
-    /// A device answered the handshake.
+    /// A device has completed the handshake.
+    #[schema(examples(json!({
+        "event": "connected",
+        "device": {
+            "kind": "mock", "firmware": "0.1.0", "build": "6d656973", "boot": 305419896, "simulated": true, "telemetry": true
+        }
+    })))]
     Connected {
-        /// Which.
+        /// The device.
         device: DeviceInfo,
     },
     /// The device is gone.
+    #[schema(examples(json!({"event": "disconnected", "reason": "the device does not answer any more"})))]
     Disconnected {
-        /// Why.
+        /// Why, in one line.
         reason: String,
     },
-    /// A play was taken.
+    /// A play was queued.
+    #[schema(examples(json!({"event": "queued", "id": 7, "pattern": "edge-45", "seconds": 2.0})))]
     Queued {
-        /// Its id.
+        /// The play's id.
         id: u64,
-        /// Its pattern.
+        /// The pattern's name.
         pattern: String,
-        /// How long it will play; null: as long as the pattern lasts.
+        /// Requested duration, s; null: as long as the pattern lasts.
+        #[schema(required, minimum = 0.0, maximum = 1e8)]
         seconds: Option<f64>,
     },
     /// A play has begun.
+    #[schema(examples(json!({
+        "event": "began", "id": 7,
+        "onset": {
+            "requested_tick": 6442460000_u64, "actual_tick": 6442460000_u64, "monotonic_ns": 75793647058823_u64,
+            "uncertainty_ns": 9600
+        }
+    })))]
     Began {
-        /// Its id.
+        /// The play's id.
         id: u64,
-        /// When.
+        /// When the play began.
         onset: OnsetRecord,
     },
-    /// A stroke came late and was dropped whole.
+    /// A stroke came too late; the device dropped it whole.
+    #[schema(examples(json!({
+        "event": "late", "id": 7, "motor": 3, "tick": 6442470000_u64, "late_ms": 1.8, "cause": "host"
+    })))]
     Late {
         /// The play's id.
         id: u64,
-        /// Which and why.
+        /// The stroke, and why it came late.
         #[serde(flatten)]
         stroke: LateStroke,
     },
-    /// A stroke was refused.
+    /// The device refused a stroke.
+    #[schema(examples(json!({
+        "event": "refused", "id": 7, "motor": 3, "tick": 6442470000_u64, "reason": "a motor's on-time limit"
+    })))]
     Refused {
         /// The play's id.
         id: u64,
-        /// Which and why.
+        /// The stroke, and why the device refused it.
         #[serde(flatten)]
         stroke: RefusedStroke,
     },
-    /// A play is over.
+    /// A play has ended.
     Ended {
-        /// What came of it.
+        /// The play's result.
         receipt: Box<Receipt>,
     },
-    /// The predicted response to a play, or why there is none: some time after its end or its first minute. The event keeps its
-    /// old name, `felt`.
+    /// The predicted afferent response to a play, or why there is none: some time after the play's end, or after its first minute.
+    /// The event keeps its old name, `felt`.
     #[serde(rename = "felt")]
+    #[schema(examples(json!({
+        "event": "felt", "id": 7, "predicted_response": null, "predicted_response_unknown": "the device has no telemetry",
+        "felt": null, "felt_unknown": "the device has no telemetry"
+    })))]
     PredictedResponse {
         /// The play's id.
         id: u64,
-        /// As in its receipt.
+        /// As in the receipt.
         #[serde(flatten)]
+        #[schema(value_type = PredictionKeys)]
         prediction: Prediction,
     },
-    /// A calibration was stored and is used from now on, or was not.
+    /// A calibration has ended: the daemon has stored and uses it, or says why not.
+    #[schema(examples(json!({"event": "calibrated", "id": 7, "motors": [3], "problem": null})))]
     Calibrated {
-        /// The play that measured it.
+        /// The id of the play that measured it.
         id: u64,
-        /// The motors it measured.
+        /// The motors that were measured.
         motors: Vec<u8>,
         /// Why nothing was stored; null if it was.
+        #[schema(required)]
         problem: Option<String>,
     },
-    /// The telemetry of a motor is not believed: it plays in open loop until the next `arm`.
+    /// The daemon does not trust the telemetry of a motor: the motor plays in open loop until the next `arm`.
     #[serde(rename = "doubted")]
+    #[schema(examples(json!({"event": "doubted", "motor": 3, "doubt": "jumps"})))]
     SensorFault {
-        /// Its motor.
+        /// The motor's number, 4 × row + column.
+        #[schema(minimum = 0, maximum = 23)]
         motor: u8,
         /// Why.
         #[serde(rename = "doubt")]
         fault: SensorFault,
     },
-    /// Without telemetry pins may have drifted further than the site wants to be warned of: `home` offers itself.
+    /// Without telemetry, pins may have drifted beyond the configured `drift_warning_um`: home them.
+    #[schema(examples(json!({"event": "drifted", "um": 21.5})))]
     Drifted {
-        /// The largest error of all motors, one standard deviation, µm.
+        /// Largest expected offset from rest of all motors, one standard deviation, µm.
+        #[schema(minimum = 0.0)]
         um: f32,
     },
-    /// Notices from the streamer were lost: events are missing here, the receipts' counts are right.
+    /// The daemon was too slow for its streamer: events are missing. The receipts' counts are right.
+    #[schema(examples(json!({"event": "lost", "notices": 3})))]
     Lost {
-        /// How many.
+        /// Number of events that are missing.
         #[serde(rename = "notices")]
         events: u64,
     },
     /// This listener was too slow.
+    #[schema(examples(json!({"event": "lagged", "events": 12})))]
     Lagged {
-        /// Events it did not get.
+        /// Number of events this listener did not get.
         events: u64,
     },
 }
 
 impl Event {
-    /// The name under which it is sent.
+    /// The name under which the daemon sends it.
     #[must_use]
     pub const fn name(&self) -> &'static str {
         match self {

@@ -1,32 +1,52 @@
-//! The words of the local API: requests, answers, events and problems.
+//! Types of the daemon's local HTTP API: routes, requests, answers, events, errors, and the OpenAPI document made from them.
 //!
-//! The daemon writes these types and clients read them; every type has its JSON form by serde. [`request`] holds what a
-//! client sends, [`status`], [`receipt`], [`pattern`] and [`calibration`] what the daemon answers, [`event`] what it
-//! tells as it happens, [`problem`] what it refuses. How they travel is not said here.
+//! The daemon writes these types and clients read them, so both sides agree by construction; serde gives each type its JSON
+//! form. How the bytes travel is not defined here. Modules, in the order of a call:
 //!
-//! The crate also holds the few words that the streamer shares with the API, as [`LatePolicy`] and [`BurstCounts`], so that
-//! each exists once.
+//! - [`route`]: every route with its method, body, answer and error codes. The daemon builds its router from this table.
+//! - [`request`]: the bodies a client sends; [`PlayRequest::parse`] and its like name the key that is wrong.
+//! - [`status`], [`receipt`], [`pattern`], [`calibration`]: what the daemon answers.
+//! - [`event`]: what the daemon reports as it happens.
+//! - [`problem`]: errors, as `application/problem+json`.
+//! - [`openapi`]: the OpenAPI document of all of the above, served at `GET /v1/openapi.json`.
+//!
+//! The streamer shares a few of these types, such as [`LatePolicy`] and [`BurstCounts`], so that each exists once.
+//!
+//! ```
+//! use meissner_api::PlayRequest;
+//!
+//! let request = PlayRequest::parse(br#"{"pattern": "edge-45", "seconds": 2}"#)?;
+//! assert_eq!(request.seconds, Some(2.0));
+//!
+//! let problem = PlayRequest::parse(br#"{"pattern": "edge-45", "secnods": 2}"#).unwrap_err();
+//! assert_eq!(problem.status, 400);
+//! assert_eq!(problem.detail, "unknown key `secnods`: did you mean `seconds`?");
+//! # Ok::<(), meissner_api::Problem>(())
+//! ```
 
 pub mod calibration;
 pub mod event;
+pub mod openapi;
 pub mod pattern;
 pub mod problem;
 pub mod receipt;
 pub mod request;
+pub mod route;
 pub mod status;
 
 pub use calibration::{CalibratedMotor, CalibrationReport, Provenance};
 pub use event::{Event, SensorFault};
-pub use pattern::{ImportedPattern, PatternList, PatternSummary};
-pub use problem::{Code, Problem};
+pub use pattern::{ImportedPattern, PatternDetails, PatternList, PatternSummary};
+pub use problem::{Code, Problem, REFERENCE};
 pub use receipt::{
     BurstCounts, LateCause, LateCounts, LateStroke, LatenessRecord, LinkTraffic, MAX_LISTED, OnsetRecord,
     PlayState, PredictedResponse, Prediction, PulseCounts, Rates, Receipt, RefusedStroke,
 };
 pub use request::{ArmRequest, CalibrateRequest, LatePolicy, MAX_AT_MS, MAX_BODY, PlayRequest, parse_empty};
+pub use route::{Method, Route};
 pub use status::{
     DeviceInfo, ErrorSource, MotorStatus, NO_DEVICE, PlayAccepted, QueuedPlay, Realtime, RunningPlay, Status,
 };
 
-/// Clients connected at the same time, at the most.
+/// Clients connected at the same time, at most.
 pub const MAX_CLIENTS: usize = 64;

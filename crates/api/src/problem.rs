@@ -1,99 +1,169 @@
-//! Errors of the API: `application/problem+json` with a stable code.
+//! Errors of the API: `application/problem+json` (RFC 9457) with a stable code.
+//!
+//! The daemon makes a [`Problem`] from a [`Code`] and one line of detail; clients switch on [`Problem::code`].
 //!
 //! Invariant: a published code keeps its meaning and its HTTP status.
 
 use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
 
-/// What can go wrong: its stable name, its HTTP status, its title.
+/// The page of the book that describes the API; error messages point there.
+pub const REFERENCE: &str = "docs/reference/api.md";
+
+/// The kinds of errors. [`Code::parts`] gives each its stable name, HTTP status and title.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[expect(missing_docs, reason = "their titles say it")]
 pub enum Code {
+    /// The body or the address cannot be read, or a value is out of range.
     BadRequest,
+    /// The text is not a valid pattern, or not one of this name.
     BadPattern,
+    /// There is no such route, pattern, play or calibration.
     NotFound,
+    /// The route exists, but not with this HTTP method.
     MethodNotAllowed,
+    /// The name belongs to the built-in library.
     Exists,
+    /// The body is larger than the route allows.
     TooLarge,
+    /// The body did not arrive within 10 s.
     Slow,
+    /// The motors are off: arm first.
     Disarmed,
+    /// An emergency stop or a fault is latched: reset first.
     Faulted,
+    /// The device returns pins to rest or carries out another command: try again in a moment.
     Returning,
+    /// A play is queued, runs or is being measured.
     Playing,
+    /// Neither telemetry nor a calibration tells where the pins are, so homing cannot move them.
     NoPositionEstimate,
+    /// Homing has ended, but some pins are not at rest.
     NotHome,
+    /// The queue holds 16 plays.
     QueueFull,
+    /// The play in front has no end.
     BehindEndless,
+    /// The requested onset is too close or has passed.
     TooSoon,
+    /// The requested onset lies within a play that is queued.
     Overlaps,
+    /// The pattern needs more bandwidth than the line to the device carries.
     LineTooSlow,
+    /// `boot` names an earlier start of the device, so `at_tick` belongs to another clock.
     StaleBoot,
+    /// The device does not know where the pins are: level them and arm with `assume_rest`.
     PositionUnknown,
+    /// The device refused the command for another reason.
     DeviceRefused,
+    /// No device is connected.
     NoDevice,
+    /// The device did not answer in time.
     Timeout,
+    /// Too many commands wait for the device.
     Busy,
+    /// Too many clients are connected.
     TooManyClients,
+    /// The daemon shuts down.
     ShuttingDown,
+    /// The daemon cannot read or write its files.
     Store,
+    /// The device does not measure where its pins are.
     NoTelemetry,
 }
 
 impl Code {
-    /// Name, HTTP status and title.
+    /// Every code, in the order of the API reference: by HTTP status.
+    pub const ALL: [Self; 28] = [
+        Self::BadRequest,
+        Self::NotFound,
+        Self::MethodNotAllowed,
+        Self::Slow,
+        Self::Exists,
+        Self::Disarmed,
+        Self::Faulted,
+        Self::Returning,
+        Self::Playing,
+        Self::NoPositionEstimate,
+        Self::NotHome,
+        Self::BehindEndless,
+        Self::TooSoon,
+        Self::Overlaps,
+        Self::LineTooSlow,
+        Self::StaleBoot,
+        Self::PositionUnknown,
+        Self::DeviceRefused,
+        Self::NoTelemetry,
+        Self::TooLarge,
+        Self::BadPattern,
+        Self::QueueFull,
+        Self::Store,
+        Self::NoDevice,
+        Self::Busy,
+        Self::TooManyClients,
+        Self::ShuttingDown,
+        Self::Timeout,
+    ];
+
+    /// The code's stable name, its HTTP status and its title.
     #[must_use]
     pub const fn parts(self) -> (&'static str, u16, &'static str) {
         match self {
             Self::BadRequest => ("bad-request", 400, "The request cannot be read"),
-            Self::BadPattern => ("bad-pattern", 422, "Not a pattern"),
+            Self::BadPattern => ("bad-pattern", 422, "Not a valid pattern"),
             Self::NotFound => ("not-found", 404, "There is no such thing"),
-            Self::MethodNotAllowed => ("method-not-allowed", 405, "Not with this method"),
+            Self::MethodNotAllowed => ("method-not-allowed", 405, "The route does not take this method"),
             Self::Exists => ("exists", 409, "The name is taken"),
             Self::TooLarge => ("too-large", 413, "The request is too large"),
             Self::Slow => ("slow-request", 408, "The request took too long to arrive"),
             Self::Disarmed => ("disarmed", 409, "The motors are disarmed"),
             Self::Faulted => ("faulted", 409, "An emergency stop or fault is latched"),
-            Self::Returning => ("returning", 409, "Pins are being returned"),
-            Self::Playing => ("playing", 409, "A play is running"),
-            Self::NotHome => ("not-home", 409, "Not all pins are home"),
-            Self::NoPositionEstimate => ("nothing-to-go-by", 409, "Nothing says where the pins are"),
+            Self::Returning => ("returning", 409, "The device returns pins to rest"),
+            Self::Playing => ("playing", 409, "A play is queued or running"),
+            Self::NotHome => ("not-home", 409, "Not all pins are at rest"),
+            Self::NoPositionEstimate => ("nothing-to-go-by", 409, "Nothing tells where the pins are"),
             Self::QueueFull => ("queue-full", 429, "Too many plays are queued"),
-            Self::BehindEndless => ("behind-endless", 409, "The play before it has no end"),
+            Self::BehindEndless => ("behind-endless", 409, "The play in front has no end"),
             Self::TooSoon => ("too-soon", 409, "The onset cannot be kept"),
             Self::Overlaps => ("overlaps", 409, "The onset lies within a queued play"),
             Self::LineTooSlow => ("line-too-slow", 409, "The line does not carry the pattern"),
-            Self::StaleBoot => ("stale-boot", 409, "The device has restarted since"),
-            Self::PositionUnknown => ("position-unknown", 409, "Where the pins are is not known"),
+            Self::StaleBoot => ("stale-boot", 409, "The device has restarted"),
+            Self::PositionUnknown => ("position-unknown", 409, "The positions of the pins are unknown"),
             Self::DeviceRefused => ("device-refused", 409, "The device refused"),
             Self::NoDevice => ("no-device", 503, "No device is connected"),
             Self::Timeout => ("timeout", 504, "The device does not answer"),
-            Self::Busy => ("busy", 503, "Too many orders wait"),
+            Self::Busy => ("busy", 503, "Too many commands wait"),
             Self::TooManyClients => ("too-many-clients", 503, "Too many clients"),
-            Self::ShuttingDown => ("shutting-down", 503, "The daemon is ending"),
-            Self::NoTelemetry => ("no-telemetry", 409, "Nobody measures how far pins go"),
-            Self::Store => ("store", 500, "The pattern directory cannot be used"),
+            Self::ShuttingDown => ("shutting-down", 503, "The daemon shuts down"),
+            Self::NoTelemetry => ("no-telemetry", 409, "The device has no telemetry"),
+            Self::Store => ("store", 500, "The daemon cannot use its files"),
         }
     }
 }
 
-/// An error as `application/problem+json` (RFC 9457).
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
+/// An error, as `application/problem+json` (RFC 9457).
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema, thiserror::Error)]
 #[error("{detail}")]
+#[schema(examples(json!({
+    "type": "urn:meissner:problem:bad-request", "title": "The request cannot be read", "status": 400,
+    "detail": "unknown key `secnods`: did you mean `seconds`?", "code": "bad-request"
+})))]
 pub struct Problem {
-    /// A URI for its code.
+    /// A URI for the code: `urn:meissner:problem:CODE`.
     #[serde(rename = "type")]
     pub kind: String,
-    /// The same for every problem of this code.
+    /// The code's title, the same for every error of this code.
     pub title: String,
     /// The HTTP status.
+    #[schema(minimum = 400, maximum = 599)]
     pub status: u16,
-    /// What, where, what to do: one line.
+    /// What is wrong, where, and what to do: one line.
     pub detail: String,
-    /// Its stable name.
+    /// The code's stable name.
     pub code: String,
 }
 
 impl Problem {
-    /// A problem of that code.
+    /// An error of this code.
     #[must_use]
     pub fn new(code: Code, detail: impl Into<String>) -> Self {
         let (name, status, title) = code.parts();
@@ -104,5 +174,20 @@ impl Problem {
             detail: detail.into(),
             code: name.to_owned(),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_code_is_listed_once_by_status() {
+        let mut names: Vec<_> = Code::ALL.iter().map(|code| code.parts().0).collect();
+        names.sort_unstable();
+        names.dedup();
+        // The last variant of the enum: a variant that is not in `ALL` would raise this number.
+        assert_eq!((names.len(), Code::ALL.len()), (28, Code::NoTelemetry as usize + 1));
+        assert!(Code::ALL.is_sorted_by_key(|code| code.parts().1));
     }
 }

@@ -1,33 +1,35 @@
-//! Receipts: what was asked of a play, what came of it, and when.
+//! Receipts: what a play was asked to do, what happened to its bursts, and when.
 //!
-//! They are plain data, the same in the daemon that fills them and in the client that reads them. A figure that
-//! is not known yet is null, not zero.
+//! The daemon fills a [`Receipt`] as the play goes on; clients read the same type. A figure that is not known yet is null,
+//! not zero. A stroke is one cycle of a motor: a burst of pulses upwards and one downwards.
 //!
-//! Invariant: once a receipt has ended, `planned = played + late + dropped + refused` as the streamer counted.
+//! Invariant: in the receipt of an ended play, `planned = played + late + dropped + refused`, as the streamer counted.
 
 use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
 
-/// Strokes listed one by one in a receipt, at the most: late ones and refused ones each.
+/// Strokes listed one by one in a receipt, at most: late ones and refused ones each.
 pub const MAX_LISTED: usize = 100;
 
-/// Where a play stands.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+/// Where a play stands: `queued`, `running`, or ended as `done` (it came to its end), `stopped` (by a stop, replace, disarm,
+/// e-stop or lost link) or `aborted` (by late strokes, or because its onset could not be kept).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum PlayState {
-    /// Waits for the plays before it.
+    /// The play waits for those before it.
     Queued,
-    /// Is being played.
+    /// The play runs.
     Running,
-    /// All of it was streamed and is over.
+    /// The play has come to its end.
     Done,
-    /// Ended by a stop, replace, disarm, e-stop or lost link.
+    /// A stop, replace, disarm, e-stop or lost link ended the play.
     Stopped,
-    /// Ended by late strokes, or its onset could not be kept.
+    /// Late strokes ended the play, or its onset could not be kept.
     Aborted,
 }
 
 impl PlayState {
-    /// As it stands in the JSON.
+    /// The state's name in the JSON.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -39,126 +41,133 @@ impl PlayState {
         }
     }
 
-    /// Whether nothing more comes of it.
+    /// Whether the play has ended.
     #[must_use]
     pub const fn is_over(self) -> bool {
         !matches!(self, Self::Queued | Self::Running)
     }
 }
 
-/// When a play began, on both clocks.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+/// When a play began, on the device's clock and on the host's.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct OnsetRecord {
-    /// The tick first asked for.
+    /// The tick that was first asked for, ticks of 1/85000 s.
     pub requested_tick: u64,
-    /// The tick at which it began.
+    /// The tick at which the play began, ticks of 1/85000 s.
     pub actual_tick: u64,
-    /// The same on `CLOCK_MONOTONIC`.
+    /// The same instant on the host's `CLOCK_MONOTONIC`, ns.
     pub monotonic_ns: u64,
-    /// How well that is known.
+    /// Uncertainty of `monotonic_ns`, ns.
     pub uncertainty_ns: u64,
 }
 
-/// A stroke that came late.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+/// A stroke that came too late.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct LateStroke {
-    /// Its motor.
+    /// The motor's number, 4 × row + column.
+    #[schema(minimum = 0, maximum = 23)]
     pub motor: u8,
-    /// Its up tick.
+    /// Start of the stroke's upward burst, ticks of 1/85000 s.
     pub tick: u64,
-    /// How late.
+    /// How late the stroke came, ms.
+    #[schema(minimum = 0.0)]
     pub late_ms: f64,
-    /// Why.
+    /// Where the time was lost.
     pub cause: LateCause,
 }
 
-/// A stroke that was refused.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+/// A stroke that the device refused.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct RefusedStroke {
-    /// Its motor.
+    /// The motor's number, 4 × row + column.
+    #[schema(minimum = 0, maximum = 23)]
     pub motor: u8,
-    /// Its up tick.
+    /// Start of the stroke's upward burst, ticks of 1/85000 s.
     pub tick: u64,
-    /// Why.
+    /// Why the device refused it.
     pub reason: String,
 }
 
-/// What came of a play: how its bursts (halves of strokes) ended.
-/// At the end `planned = played + late + dropped + refused`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+/// What happened to the bursts of a play; a stroke has two. At the end `planned = played + late + dropped + refused`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct BurstCounts {
-    /// Handed to the link, or late before they could be.
+    /// Number of bursts handed to the link, or late before they could be.
     pub planned: u64,
-    /// Played, whole or cut.
+    /// Number of bursts played, whole or cut.
     pub played: u64,
-    /// Too late to be played.
+    /// Number of bursts that came too late.
     pub late: u64,
-    /// Flushed by a stop, a fault or a lost link.
+    /// Number of bursts flushed by a stop, a fault or a lost link.
     pub dropped: u64,
-    /// Against a limit.
+    /// Number of bursts the device refused, because of a limit.
     pub refused: u64,
-    /// Played with a corrected count.
+    /// Number of bursts played with a pulse count that feedback corrected.
     pub amended: u64,
 }
 
-/// PulseCounts of a play.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+/// The pulses of a play.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct PulseCounts {
-    /// Of the planned bursts.
+    /// Number of pulses in the planned bursts.
     pub planned: u64,
-    /// As the device counted them.
+    /// Number of pulses the device counted.
     pub played: u64,
 }
 
-/// Where a late stroke lost its time.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+/// Where a late stroke lost its time: in the `host` (the streamer woke up too late), on the `link`, or for want of credits from
+/// the `device`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum LateCause {
     /// The streamer woke up too late.
     Host,
-    /// Sent in time, but it took the link too long.
+    /// The streamer sent it in time, but the link took too long.
     Link,
     /// The device gave no credits in time.
     Device,
 }
 
-/// The late strokes of a play.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+/// The late strokes of a play, counted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct LateCounts {
-    /// Strokes by cause.
+    /// Number of strokes late because the streamer woke up too late.
     pub host: u64,
-    /// Strokes by cause.
+    /// Number of strokes late on the link.
     pub link: u64,
-    /// Strokes by cause.
+    /// Number of strokes late because the device gave no credits.
     pub device: u64,
-    /// The latest, ms.
+    /// The largest delay, ms; 0 without late strokes.
+    #[schema(minimum = 0.0)]
     pub worst_ms: f64,
 }
 
-/// The late strokes of a play: how many by cause, the worst, and the first [`MAX_LISTED`].
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+/// The late strokes of a play: counts by cause, the largest delay, and the first 100 strokes.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct LatenessRecord {
     /// The counts.
     #[serde(flatten)]
     pub counts: LateCounts,
-    /// The first of them.
+    /// The first 100 of them.
+    #[schema(max_items = 100)]
     pub strokes: Vec<LateStroke>,
 }
 
-/// The afferent response predicted for a play, from its bursts as they were measured.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+/// The response of the RA afferents predicted for a play, from its bursts as telemetry measured them.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct PredictedResponse {
-    /// How much of the play this covers, from its onset on, s.
+    /// The part of the play that the prediction covers, from the onset on, s.
+    #[schema(minimum = 0.0, maximum = 60.0)]
     pub seconds: f64,
-    /// The target the pattern was made for; null: it was made for none.
+    /// The target the pattern was made for; null if it was made for none.
+    #[schema(required)]
     pub target: Option<String>,
-    /// The seed of the population of afferents and of their noise.
+    /// Seed of the population of afferents and of their noise.
     pub population_seed: u64,
     /// Rates predicted for the pattern as designed, impulses/s.
     pub designed_hz: Rates,
     /// Rates predicted for the bursts as measured, impulses/s.
     pub played_hz: Rates,
-    /// BurstCounts without a measurement: they count as not played.
+    /// Number of bursts without a measurement; the prediction takes them as not played.
     pub unmeasured: u64,
 }
 
@@ -183,20 +192,25 @@ impl Prediction {
     }
 }
 
-/// The keys of a [`Prediction`].
-#[derive(Serialize, Deserialize)]
-struct PredictionKeys {
-    /// The predicted response; null until it is known.
+/// The predicted afferent response to a play, under its present and its deprecated keys.
+#[derive(Serialize, Deserialize, ToSchema)]
+#[schema(as = Prediction)]
+pub(crate) struct PredictionKeys {
+    /// The predicted response; null until it is computed.
     #[serde(default)]
+    #[schema(required)]
     predicted_response: Option<PredictedResponse>,
-    /// Why it cannot be predicted; null until the daemon has tried, and if it could.
+    /// Why the response cannot be predicted; null if it can, or was not tried yet.
     #[serde(default)]
+    #[schema(required)]
     predicted_response_unknown: Option<String>,
     /// Deprecated: read `predicted_response`.
     #[serde(default)]
+    #[schema(required, deprecated)]
     felt: Option<PredictedResponse>,
     /// Deprecated: read `predicted_response_unknown`.
     #[serde(default)]
+    #[schema(required, deprecated)]
     felt_unknown: Option<String>,
 }
 
@@ -220,30 +234,35 @@ impl From<Prediction> for PredictionKeys {
     }
 }
 
-/// Mean rates, impulses/s. Null: the pattern has no target, or no frame of its motion was observed.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+/// Mean impulse rates. Null: the pattern has no target, or no frame of the target's motion was observed.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Rates {
-    /// Of all afferents.
+    /// Mean rate of all afferents, impulses/s.
+    #[schema(minimum = 0.0)]
     pub all: f64,
-    /// Of the afferents within reach of the target.
+    /// Mean rate of the on-target afferents, impulses/s.
+    #[schema(required, minimum = 0.0)]
     pub on: Option<f64>,
-    /// Of the others.
+    /// Mean rate of the off-target afferents, impulses/s.
+    #[schema(required, minimum = 0.0)]
     pub off: Option<f64>,
-    /// On-target minus off-target.
+    /// Contrast: on-target minus off-target rate, impulses/s.
+    #[schema(required)]
     pub contrast: Option<f64>,
 }
 
-/// What went over the wire to the device while a play ran, all overhead included.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+/// What the daemon sent to the device while a play ran, all overhead included.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct LinkTraffic {
-    /// Bytes of all frames.
+    /// Size of all frames, bytes.
     pub bytes_to_device: u64,
-    /// Per planned burst; null without bursts.
+    /// Size of all frames per planned burst, bytes; null without bursts.
+    #[schema(required, minimum = 0.0)]
     pub bytes_per_burst: Option<f64>,
 }
 
 impl LinkTraffic {
-    /// So many bytes for so many bursts.
+    /// The traffic of `bytes_to_device` bytes for `bursts` planned bursts.
     #[must_use]
     #[expect(clippy::cast_precision_loss, reason = "a quotient to read")]
     pub fn new(bytes_to_device: u64, bursts: u64) -> Self {
@@ -252,44 +271,88 @@ impl LinkTraffic {
     }
 }
 
-/// A play, from its order to its end.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+/// The result of a play.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[schema(examples(json!({
+    "id": 7, "pattern": "edge-45",
+    "pattern_sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08",
+    "seconds": 2.0, "state": "done", "cause": null,
+    "onset": {
+        "requested_tick": 6442460000_u64, "actual_tick": 6442460000_u64, "monotonic_ns": 75793647058823_u64,
+        "uncertainty_ns": 9600
+    },
+    "onset_latency_ms": 106.3,
+    "bursts": {"planned": 1240, "played": 1238, "late": 2, "dropped": 0, "refused": 0, "amended": 1221},
+    "pulses": {"planned": 86800, "played": 86660},
+    "lateness": {
+        "host": 1, "link": 0, "device": 0, "worst_ms": 1.8,
+        "strokes": [{"motor": 3, "tick": 6442470000_u64, "late_ms": 1.8, "cause": "host"}]
+    },
+    "refusals": [],
+    "wire": {"bytes_to_device": 14260, "bytes_per_burst": 11.5},
+    "rest_error_um": [0.4, -0.2],
+    "predicted_response": {
+        "seconds": 2.0, "target": "edge-45", "population_seed": 0,
+        "designed_hz": {"all": 40.1, "on": 200.0, "off": 9.5, "contrast": 190.5},
+        "played_hz": {"all": 39.8, "on": 197.5, "off": 10.0, "contrast": 187.5},
+        "unmeasured": 0
+    },
+    "predicted_response_unknown": null,
+    "felt": {
+        "seconds": 2.0, "target": "edge-45", "population_seed": 0,
+        "designed_hz": {"all": 40.1, "on": 200.0, "off": 9.5, "contrast": 190.5},
+        "played_hz": {"all": 39.8, "on": 197.5, "off": 10.0, "contrast": 187.5},
+        "unmeasured": 0
+    },
+    "felt_unknown": null
+})))]
 pub struct Receipt {
-    /// Its number since the daemon's start, from 1.
+    /// The play's id: its number since the daemon's start.
+    #[schema(minimum = 1)]
     pub id: u64,
     /// The pattern's name.
     pub pattern: String,
-    /// SHA-256 of the pattern's file.
+    /// SHA-256 of the pattern's file, in hexadecimal.
     pub pattern_sha256: String,
-    /// How long it was to play; null: as long as the pattern lasts.
+    /// Requested duration, s; null: as long as the pattern lasts.
+    #[schema(required, minimum = 0.0, maximum = 1e8)]
     pub seconds: Option<f64>,
-    /// Where it stands.
+    /// Where the play stands.
     pub state: PlayState,
-    /// Why it ended, unless it is done.
+    /// Why the play ended; null if it is not over or came to its end.
+    #[schema(required)]
     pub cause: Option<String>,
-    /// When it began.
+    /// When the play began; null before.
+    #[schema(required)]
     pub onset: Option<OnsetRecord>,
-    /// From the order to the onset.
+    /// Time from the request to the onset, ms; null before the onset.
+    #[schema(required, minimum = 0.0)]
     pub onset_latency_ms: Option<f64>,
-    /// How its bursts ended; null until it is over.
+    /// What happened to the bursts; null until the play is over.
+    #[schema(required)]
     pub bursts: Option<BurstCounts>,
-    /// Its pulses; null until it is over.
+    /// The pulses; null until the play is over.
+    #[schema(required)]
     pub pulses: Option<PulseCounts>,
-    /// Its late strokes, so far.
+    /// The late strokes so far.
     pub lateness: LatenessRecord,
-    /// Its refused strokes, so far: the first [`MAX_LISTED`].
+    /// The refused strokes so far: the first 100.
+    #[schema(max_items = 100)]
     pub refusals: Vec<RefusedStroke>,
-    /// What went over the wire; null until it is over.
+    /// What was sent to the device; null until the play is over.
+    #[schema(required)]
     pub wire: Option<LinkTraffic>,
-    /// Estimated rest error of each motor at the end; null until it is over.
+    /// Estimated offset of each pin from rest at the end, µm, by motor; null until the play is over.
+    #[schema(required, max_items = 24)]
     pub rest_error_um: Option<Vec<f32>>,
-    /// The predicted response to its first minute, from its measured bursts; not known until some time after the play's end.
+    /// The predicted afferent response to the play's first minute; unknown until some time after the play's end.
     #[serde(flatten)]
+    #[schema(value_type = PredictionKeys)]
     pub prediction: Prediction,
 }
 
 impl Receipt {
-    /// A play that was just ordered.
+    /// The receipt of a play that was just requested.
     #[must_use]
     pub fn new(id: u64, pattern: &str, pattern_sha256: &str, seconds: Option<f64>) -> Self {
         Self {
@@ -311,7 +374,7 @@ impl Receipt {
         }
     }
 
-    /// Whether it ended by itself with every burst played.
+    /// Whether the play came to its end with every burst played.
     #[must_use]
     pub fn all_played(&self) -> bool {
         self.state == PlayState::Done && self.bursts.is_some_and(|bursts| bursts.played == bursts.planned)

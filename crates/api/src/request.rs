@@ -1,210 +1,185 @@
-//! Requests, read key by key.
+//! Request bodies: JSON objects, read with serde.
 //!
-//! An error names the key; for an unknown key it offers the nearest known one.
+//! [`PlayRequest::parse`], [`ArmRequest::parse`], [`CalibrateRequest::parse`] and [`parse_empty`] read a body. A key that is null
+//! counts as absent. An error is one line that names the key; for an unknown key it offers the nearest known one.
 
-use crate::problem::{Code, Problem};
-use meissner_input::message::{nearest, quote};
-use serde::de::{DeserializeOwned, MapAccess, Visitor};
+use crate::problem::{Code, Problem, REFERENCE};
+use meissner_input::document::{self, Fault, Keyed, Mistake, Wanted};
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer, Serialize};
-use serde_json::{Map, Value};
-use std::fmt;
+use std::convert::Infallible;
+use utoipa::ToSchema;
+use utoipa::openapi::schema::{ArrayBuilder, ObjectBuilder, Schema, Type};
 
-/// Bytes of a request's body at the most.
+/// Size of a request's body, at most, bytes.
 pub const MAX_BODY: usize = 1 << 20;
 
-/// `POST /v1/play`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+/// A pattern to play, when, and how.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(examples(json!({"pattern": "edge-45", "seconds": 2.0, "at_ms": 500.0, "late": "abort"})))]
 pub struct PlayRequest {
-    /// Which pattern.
+    /// The pattern's name.
     pub pattern: String,
-    /// Cuts it, or repeats it if it is finite.
+    /// Duration, s: truncates the pattern, or repeats it if it is finite. Without it the pattern plays once, or without end.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(minimum = 0.0, maximum = 1e8)]
     pub seconds: Option<f64>,
-    /// At this tick of the device's clock.
+    /// Onset on the device's clock, ticks of 1/85000 s. Excludes `at_ms`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub at_tick: Option<u64>,
-    /// So long after the order.
+    /// Delay from the request to the onset, ms. Excludes `at_tick`.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(minimum = 0.0, maximum = 3_600_000.0)]
     pub at_ms: Option<f64>,
-    /// The boot `at_tick` belongs to, as `device.boot` in the status; another one is refused.
+    /// The boot that `at_tick` belongs to, as `device.boot` in the status. The daemon refuses another one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub boot: Option<u32>,
-    /// What to do when strokes come late.
+    /// What to do when strokes come late: `drop` them (the default) or `abort` the play.
+    #[serde(default, deserialize_with = "null_as_default")]
     pub late: LatePolicy,
-    /// Stop what runs and clear the queue first.
+    /// Whether to stop the running play and clear the queue first.
+    #[serde(default, deserialize_with = "null_as_default")]
     pub replace: bool,
-    /// No corrections from telemetry.
+    /// Whether to play without corrections from telemetry.
+    #[serde(default, deserialize_with = "null_as_default")]
     pub open_loop: bool,
 }
 
-/// What to do when strokes come late.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+/// What to do when strokes come late: `drop` them and go on, or `abort` the play, return the pins to rest and disarm.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum LatePolicy {
-    /// Drop them whole and go on.
+    /// Drop late strokes whole and go on.
     #[default]
     Drop,
-    /// End the play: return the pins and disarm.
+    /// End the play: return the pins to rest and disarm.
     Abort,
 }
 
-/// `at_ms` at the most: an hour.
+/// `at_ms` at most, ms: an hour.
 pub const MAX_AT_MS: f64 = 3_600_000.0;
 
 impl PlayRequest {
-    const KEYS: [&str; 8] =
-        ["pattern", "seconds", "at_tick", "at_ms", "boot", "late", "replace", "open_loop"];
-
-    /// Reads a request's body.
+    /// Reads a body.
     ///
     /// # Errors
     /// A `bad-request` that names the key.
     pub fn parse(body: &[u8]) -> Result<Self, Problem> {
-        let mut object = object(body, &Self::KEYS)?;
-        let request = Self {
-            pattern: key(&mut object, "pattern")?.ok_or_else(|| bad("`pattern` is missing: name one"))?,
-            seconds: key(&mut object, "seconds")?,
-            at_tick: key(&mut object, "at_tick")?,
-            at_ms: key(&mut object, "at_ms")?,
-            boot: key(&mut object, "boot")?,
-            late: key(&mut object, "late")?.unwrap_or_default(),
-            replace: key(&mut object, "replace")?.unwrap_or_default(),
-            open_loop: key(&mut object, "open_loop")?.unwrap_or_default(),
-        };
-        match request.at_ms {
-            Some(_) if request.at_tick.is_some() => {
-                Err(bad("`at_tick` and `at_ms` exclude each other: leave one out"))
-            }
-            Some(ms) if !(0.0..=MAX_AT_MS).contains(&ms) => {
-                Err(bad(format!("`at_ms` is {ms}: must be 0 to {MAX_AT_MS}")))
-            }
-            _ => Ok(request),
+        let request: Self = read(body)?;
+        if request.at_ms.is_some() && request.at_tick.is_some() {
+            return Err(bad("`at_tick` and `at_ms` exclude each other: leave one out"));
         }
+        if let Some(ms) = request.at_ms {
+            let good = (0.0..=MAX_AT_MS).contains(&ms);
+            document::in_range("at_ms", ms, good, "0 to 3600000 ms, an hour").map_err(problem)?;
+        }
+        Ok(request)
     }
 }
 
-/// `POST /v1/arm`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+/// How to arm.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(examples(json!({"assume_rest": true})))]
 pub struct ArmRequest {
-    /// Take every pin as being at rest.
+    /// Whether to take every pin as at rest: only after somebody has levelled them.
+    #[serde(default, deserialize_with = "null_as_default")]
     pub assume_rest: bool,
 }
 
 impl ArmRequest {
-    /// Reads a request's body; an empty one takes the defaults.
+    /// Reads a body; an empty one gives the defaults.
     ///
     /// # Errors
     /// A `bad-request` that names the key.
     pub fn parse(body: &[u8]) -> Result<Self, Problem> {
-        if body.is_empty() {
-            return Ok(Self::default());
-        }
-        let mut object = object(body, &["assume_rest"])?;
-        Ok(Self { assume_rest: key(&mut object, "assume_rest")?.unwrap_or_default() })
+        read_or_default(body)
     }
 }
 
-/// `POST /v1/calibrate`.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+/// What to calibrate, and how.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(examples(json!({"motor": 3, "pulses": [14, 70, 140], "repetitions": 4})))]
 pub struct CalibrateRequest {
-    /// One motor; without it, all.
+    /// The one motor to calibrate, 4 × row + column; without it, all motors.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(minimum = 0, maximum = 23)]
     pub motor: Option<u8>,
-    /// The bursts' numbers of pulses; without it the default numbers.
+    /// Burst lengths, pulses, at least two different ones, each 7 to 200; without it 14, 28, ... 140.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(schema_with = pulses_schema)]
     pub pulses: Option<Vec<u16>>,
-    /// How often each is played; without it the default.
+    /// Groups of bursts per burst length; without it 2. Burst lengths times repetitions are at most 100.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(minimum = 1, maximum = 50)]
     pub repetitions: Option<u16>,
 }
 
+fn pulses_schema() -> Schema {
+    let pulses = ObjectBuilder::new().schema_type(Type::Integer).minimum(Some(7)).maximum(Some(200));
+    let text =
+        "Burst lengths, pulses, at least two different ones, each 7 to 200; without it 14, 28, ... 140.";
+    ArrayBuilder::new().items(pulses).min_items(Some(2)).max_items(Some(100)).description(Some(text)).into()
+}
+
 impl CalibrateRequest {
-    /// Reads a request's body; an empty one takes the defaults.
+    /// Reads a body; an empty one gives the defaults.
     ///
     /// # Errors
     /// A `bad-request` that names the key.
     pub fn parse(body: &[u8]) -> Result<Self, Problem> {
-        if body.is_empty() {
-            return Ok(Self::default());
-        }
-        let mut object = object(body, &["motor", "pulses", "repetitions"])?;
-        let (motor, pulses) = (key(&mut object, "motor")?, key(&mut object, "pulses")?);
-        Ok(Self { motor, pulses, repetitions: key(&mut object, "repetitions")? })
+        read_or_default(body)
     }
 }
 
-/// Reads the body of a request without arguments.
+/// Reads the body of a request without arguments: empty, or `{}`.
 ///
 /// # Errors
-/// A `bad-request` if there is something in it.
+/// A `bad-request` if the body holds anything else.
 pub fn parse_empty(body: &[u8]) -> Result<(), Problem> {
-    if body.is_empty() {
-        return Ok(());
-    }
-    match object(body, &[])?.keys().next() {
-        None => Ok(()),
-        Some(unknown) => Err(bad(format!("unknown key {}: this command has none", quote(unknown)))),
-    }
+    #[derive(Default, Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct NoArguments {}
+    let NoArguments {} = read_or_default(body)?;
+    Ok(())
+}
+
+fn read_or_default<T: DeserializeOwned + Default>(body: &[u8]) -> Result<T, Problem> {
+    if body.is_empty() { Ok(T::default()) } else { read(body) }
+}
+
+fn read<T: DeserializeOwned>(body: &[u8]) -> Result<T, Problem> {
+    const WANTED: Wanted = |key| if key == "pattern" { "the name of a pattern" } else { "it" };
+    let text =
+        std::str::from_utf8(body).map_err(|_| bad("the body is not UTF-8 text: send JSON in UTF-8"))?;
+    document::from_json(text, WANTED).map(|Keyed(request)| request).map_err(problem)
+}
+
+/// A fault of a body; one of the whole body gets a pointer to the API reference.
+fn problem(fault: Fault<Infallible>) -> Problem {
+    let is_key = matches!(
+        fault.problem,
+        document::Problem::Common(Mistake::UnknownKey { .. } | Mistake::NoKeys { .. })
+    );
+    let is_whole = fault.path.is_empty() && !is_key;
+    let refused = fault.placed(None);
+    bad(if is_whole {
+        format!("the body is not a JSON object: {refused}; see {REFERENCE}")
+    } else {
+        refused.to_string()
+    })
 }
 
 fn bad(detail: impl Into<String>) -> Problem {
     Problem::new(Code::BadRequest, detail)
 }
 
-/// An object, and a key that is in its text twice.
-struct Keys {
-    object: Map<String, Value>,
-    twice: Option<String>,
-}
-
-impl<'de> Deserialize<'de> for Keys {
-    fn deserialize<D: Deserializer<'de>>(source: D) -> Result<Self, D::Error> {
-        struct Pairs;
-        impl<'de> Visitor<'de> for Pairs {
-            type Value = Keys;
-            fn expecting(&self, text: &mut fmt::Formatter<'_>) -> fmt::Result {
-                text.write_str("an object")
-            }
-            fn visit_map<A: MapAccess<'de>>(self, mut pairs: A) -> Result<Keys, A::Error> {
-                let mut keys = Keys { object: Map::new(), twice: None };
-                while let Some((key, value)) = pairs.next_entry::<String, Value>()? {
-                    if keys.object.insert(key.clone(), value).is_some() {
-                        keys.twice = Some(key);
-                    }
-                }
-                Ok(keys)
-            }
-        }
-        source.deserialize_map(Pairs)
-    }
-}
-
-fn object(body: &[u8], known: &[&str]) -> Result<Map<String, Value>, Problem> {
-    let Keys { object, twice } = serde_json::from_slice(body).map_err(|error| {
-        bad(format!("the body is not a JSON object: {error}; see the API's documentation"))
-    })?;
-    if let Some(key) = twice {
-        return Err(bad(format!("{} is there twice: leave one out", quote(&key))));
-    }
-    match object.keys().find(|key| !known.contains(&key.as_str())) {
-        Some(unknown) if !known.is_empty() => {
-            Err(bad(format!("unknown key {}: did you mean `{}`?", quote(unknown), nearest(known, unknown))))
-        }
-        _ => Ok(object),
-    }
-}
-
-/// Takes a key; null is the same as absent.
-fn key<T: DeserializeOwned>(object: &mut Map<String, Value>, key: &str) -> Result<Option<T>, Problem> {
-    let value = object.remove(key).unwrap_or_default();
-    serde_json::from_value(value).map_err(|error| bad(format!("`{key}`: {}", in_words(&error))))
-}
-
-/// What serde says, without the names of our types.
-fn in_words(error: &serde_json::Error) -> String {
-    let line = error.to_string().replace("expected f64", "expected a number");
-    let line = line.replace("expected u32", &format!("expected a whole number from 0 to {}", u32::MAX));
-    line.replace("expected u64", &format!("expected a whole number from 0 to {}", u64::MAX))
+fn null_as_default<'de, D: Deserializer<'de>, T: Deserialize<'de> + Default>(
+    source: D,
+) -> Result<T, D::Error> {
+    Option::deserialize(source).map(Option::unwrap_or_default)
 }
 
 #[cfg(test)]
@@ -212,41 +187,60 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_play_request_is_read_key_by_key() {
+    fn errors_name_the_key() {
         let read = |text: &str| PlayRequest::parse(text.as_bytes());
-        let request = read(r#"{"pattern":"edge-45","seconds":2,"late":"abort","at_ms":null}"#).unwrap();
+        let request =
+            read(r#"{"pattern":"edge-45","seconds":2,"late":"abort","at_ms":null,"replace":null}"#).unwrap();
         assert_eq!(
-            (request.pattern.as_str(), request.seconds, request.late),
-            ("edge-45", Some(2.0), LatePolicy::Abort)
+            (request.pattern.as_str(), request.seconds, request.late, request.replace),
+            ("edge-45", Some(2.0), LatePolicy::Abort, false)
         );
         let json = serde_json::to_vec(&request).unwrap();
         assert_eq!(PlayRequest::parse(&json).unwrap(), request);
         for (text, says) in [
             (r#"{"pattern":"a","secnods":2}"#, "unknown key `secnods`: did you mean `seconds`?"),
-            (r#"{"seconds":2}"#, "`pattern` is missing"),
-            (r#"{"pattern":"a","seconds":"2"}"#, "`seconds`: invalid type: string \"2\", expected a number"),
-            (r#"{"pattern":"a","boot":-1}"#, "expected a whole number from 0 to 4294967295"),
-            (r#"{"pattern":"a","at_tick":1.5}"#, "expected a whole number from 0 to 18446744073709551615"),
+            (r#"{"seconds":2}"#, "`pattern` is missing: add the name of a pattern"),
+            (r#"{"pattern":null}"#, "`pattern` is null"),
+            (r#"{"pattern":"a","seconds":"2"}"#, "`seconds` is string \"2\": must be a number"),
+            (
+                r#"{"pattern":"a","boot":-1}"#,
+                "`boot` is integer `-1`: must be a whole number, 0 to 4294967295",
+            ),
+            (r#"{"pattern":"a","at_tick":1.5}"#, "`at_tick` is floating point `1.5`: must be a whole number"),
             (r#"{"pattern":"a","seconds":1,"pattern":"b"}"#, "`pattern` is there twice: leave one out"),
-            (r#"{"pattern":"a","late":"never"}"#, "`late`: unknown variant"),
-            (r#"{"pattern":"a","at_ms":-1}"#, "`at_ms` is -1"),
+            (
+                r#"{"pattern":"a","late":"never"}"#,
+                "`late`: unknown variant `never`, expected `drop` or `abort`",
+            ),
+            (r#"{"pattern":"a","replace":1}"#, "`replace` is integer `1`: must be true or false"),
+            (r#"{"pattern":"a","at_ms":-1}"#, "`at_ms` is -1: must be 0 to 3600000 ms"),
             (r#"{"pattern":"a","at_ms":1,"at_tick":1}"#, "exclude"),
-            ("[]", "not a JSON object"),
-            ("", "not a JSON object"),
+            (
+                "[]",
+                "the body is not a JSON object: is sequence: must be a table of keys and values; see docs/",
+            ),
+            ("", "the body is not a JSON object"),
+            (r#"{"pattern":"a"}}"#, "the body is not a JSON object"),
         ] {
             let problem = read(text).unwrap_err();
             assert!(problem.detail.contains(says), "{text}: {}", problem.detail);
             assert_eq!((problem.code.as_str(), problem.status), ("bad-request", 400));
             assert!(!problem.detail.contains('\n'));
         }
+        assert!(PlayRequest::parse(b"\xff").unwrap_err().detail.contains("not UTF-8"));
+        assert!(MAX_AT_MS == 3_600_000.0, "the message above says so");
     }
 
     #[test]
     fn commands_without_arguments_take_none() {
         assert!(parse_empty(b"").is_ok() && parse_empty(b"{}").is_ok());
-        assert!(parse_empty(br#"{"now":true}"#).unwrap_err().detail.contains("`now`"));
+        let problem = parse_empty(br#"{"now":true}"#).unwrap_err();
+        assert_eq!(problem.detail, "unknown key `now`: leave it out, no keys are known here");
+        assert!(parse_empty(b"null").unwrap_err().detail.contains("not a JSON object"));
         assert!(ArmRequest::parse(b"").is_ok_and(|arm| !arm.assume_rest));
         assert!(ArmRequest::parse(br#"{"assume_rest":true}"#).unwrap().assume_rest);
         assert!(ArmRequest::parse(br#"{"assume_rset":true}"#).unwrap_err().detail.contains("`assume_rest`"));
+        let motor = CalibrateRequest::parse(br#"{"motor":256}"#).unwrap_err();
+        assert_eq!(motor.detail, "`motor` is integer `256`: must be a whole number, 0 to 255");
     }
 }

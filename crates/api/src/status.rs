@@ -1,148 +1,187 @@
-//! The status: the device, the running play, the queue, the motors.
+//! The status: the device, the running play, the queue, the clock, the motors.
+//!
+//! `GET /v1/status` and every command but `play` and `calibrate` answer with a [`Status`].
 
 use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
 
 /// The state when no device answers and no emergency stop is latched.
 pub const NO_DEVICE: &str = "no-device";
 
-/// Which device is connected.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+/// The connected device.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct DeviceInfo {
-    /// How it is reached: `mock`, `pty:PATH`, `serial:PATH`.
+    /// How the device is reached: `mock`, `pty:PATH`, `serial:PATH` or `usb:SERIAL`.
     pub kind: String,
     /// Firmware version.
     pub firmware: String,
-    /// Hash of the firmware's build.
+    /// Hash of the firmware's build, in hexadecimal.
     pub build: String,
-    /// Random at every boot; a tick belongs to a boot.
+    /// A random number, new at every start of the device. A tick belongs to one boot.
     pub boot: u32,
-    /// Whether the shafts are simulated.
+    /// Whether the motors are simulated.
     pub simulated: bool,
-    /// Whether it measures where its pins are; without that, bursts are not corrected.
-    #[serde(default = "usually")]
+    /// Whether the device measures where its pins are; without telemetry the daemon corrects no bursts by measurement.
+    #[serde(default = "has_telemetry")]
+    #[schema(required)]
     pub telemetry: bool,
 }
 
-/// A daemon that does not say has devices that do.
-const fn usually() -> bool {
+/// Daemons that do not send the key have devices with telemetry.
+const fn has_telemetry() -> bool {
     true
 }
 
 /// The running play.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct RunningPlay {
-    /// Its id.
+    /// The play's id.
+    #[schema(minimum = 1)]
     pub id: u64,
-    /// Its pattern.
+    /// The pattern's name.
     pub pattern: String,
-    /// How long it has played, s.
+    /// Time since the onset, s.
+    #[schema(minimum = 0.0)]
     pub played_s: f64,
 }
 
-/// `202` to `POST /v1/play`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+/// A play or calibration that the daemon has queued.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[schema(examples(json!({"id": 7})))]
 pub struct PlayAccepted {
-    /// The play's id.
+    /// The play's id; its receipt is at `/v1/plays/ID`.
+    #[schema(minimum = 1)]
     pub id: u64,
 }
 
-/// A play that waits.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+/// A play that waits in the queue.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct QueuedPlay {
-    /// Its id.
+    /// The play's id.
+    #[schema(minimum = 1)]
     pub id: u64,
-    /// Its pattern.
+    /// The pattern's name.
     pub pattern: String,
 }
 
-/// Which real-time means the system granted.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+/// Which real-time rights the system granted the daemon.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct Realtime {
-    /// The streamer's thread runs under SCHED_FIFO.
+    /// Whether the streamer's thread runs under `SCHED_FIFO`.
     pub fifo: bool,
-    /// The process's memory is locked.
+    /// Whether the process's memory is locked (`mlockall`).
     pub mlock: bool,
 }
 
-/// Where the estimate of a rest error comes from.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+/// Where the estimate of a rest error comes from: `telemetry` measured it, `dead-reckoning` computed it from the bursts that were
+/// played, `none`: there is no estimate.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum ErrorSource {
-    /// Nothing is known.
+    /// There is no estimate.
     #[default]
     None,
-    /// Measured by telemetry.
+    /// Telemetry measured it.
     Telemetry,
-    /// Dead reckoning from the bursts played.
+    /// Dead reckoning: computed from the bursts that were played.
     DeadReckoning,
 }
 
-/// A motor's part of the status.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+/// The state of one motor.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct MotorStatus {
-    /// Estimated rest error.
+    /// Estimated offset of the pin from rest, µm, positive upwards.
     pub rest_error_um: f32,
-    /// Where the estimate comes from.
+    /// Where the estimate comes from: `none`, `telemetry` or `dead-reckoning`.
     pub source: ErrorSource,
-    /// Whether its gains were measured by a calibration that is used.
+    /// Whether the calibration in use holds gains of this motor.
     #[serde(default)]
+    #[schema(required)]
     pub calibrated: bool,
 }
 
-/// `GET /v1/status`, and the answer to every command but `play`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+/// How the daemon and its device stand.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[schema(examples(json!({
+    "state": "armed", "cause": "request", "position": "known",
+    "device": {
+        "kind": "mock", "firmware": "0.1.0", "build": "6d656973", "boot": 305419896, "simulated": true, "telemetry": true
+    },
+    "wanted": "mock", "missing": null,
+    "play": {"id": 7, "pattern": "edge-45", "played_s": 0.52},
+    "queued": [{"id": 8, "pattern": "pin-60"}],
+    "tick": 6442450944_u64, "clock_uncertainty_us": 9.6, "lead_ms": 100.0, "lease_ms": 300.0,
+    "line_bytes_per_s": 1000000,
+    "motors": [{"rest_error_um": 0.4, "source": "telemetry", "calibrated": false}],
+    "calibrated": null, "realtime": {"fifo": true, "mlock": true}, "logbook_problem": null,
+    "socket": "/run/meissner/meissner.sock", "version": "0.1.0", "pid": 1234
+})))]
 pub struct Status {
-    /// `disarmed`, `armed`, `returning`, `faulted`, or `no-device`.
+    /// `disarmed`, `armed`, `returning` (pins return to rest), `faulted` or `no-device`.
     pub state: String,
-    /// Why.
+    /// Why the device is in this state: `boot`, `request`, `stop`, `shutdown`, `abort`, `estop`, `lease` (the host watchdog
+    /// ran out), `link-lost`, `new-host`, `starved`, `panic`, `watchdog` or `no-device`.
     pub cause: String,
-    /// `known` or `unknown`.
+    /// Whether the device knows where its pins are: `known` or `unknown`.
     pub position: String,
-    /// The connected device.
+    /// The connected device; null without one.
+    #[schema(required)]
     pub device: Option<DeviceInfo>,
-    /// The device asked for, as `--device` names it.
+    /// The device the daemon looks for, as `--device` names it.
     #[serde(default, rename = "wanted")]
+    #[schema(required)]
     pub requested_device: String,
-    /// Why no device is connected, and what to do, as it was found last; null if one is, or was not looked for yet.
+    /// Why no device is connected, and what to do; null if one is connected or the daemon has not looked yet.
     #[serde(default, rename = "missing")]
+    #[schema(required)]
     pub no_device_reason: Option<String>,
-    /// The running play.
+    /// The running play; null without one.
+    #[schema(required)]
     pub play: Option<RunningPlay>,
-    /// Plays that wait behind it.
+    /// The plays that wait, in their order.
     pub queued: Vec<QueuedPlay>,
-    /// The device's clock, now; null without a device.
+    /// The device's clock now, ticks of 1/85000 s since the device's start; null without a device.
+    #[schema(required)]
     pub tick: Option<u64>,
-    /// How well it is known.
+    /// Uncertainty of `tick`, µs; null without a device.
+    #[schema(required, minimum = 0.0)]
     pub clock_uncertainty_us: Option<f64>,
-    /// The lead asked for; while something is played, the lead that is reached.
+    /// How far ahead the daemon sends strokes, ms: the configured lead; during a play the lead that is reached.
     pub lead_ms: f64,
-    /// The lease.
+    /// Host watchdog timeout, ms: the device stops when the daemon is silent for longer.
+    #[schema(minimum = 0.0, maximum = 10000.0)]
     pub lease_ms: f64,
-    /// What the line to the device was measured to carry, bytes per second; null until it is.
+    /// Measured capacity of the line to the device, bytes/s; null until it is measured.
     #[serde(default)]
+    #[schema(required)]
     pub line_bytes_per_s: Option<u32>,
-    /// The motors, by number.
+    /// The motors, by number; empty until a device has connected.
+    #[schema(max_items = 24)]
     pub motors: Vec<MotorStatus>,
-    /// When the calibration that is used was made, UTC; null if there is none.
+    /// When the calibration in use was measured, UTC; null if none is used.
     #[serde(default)]
+    #[schema(required)]
     pub calibrated: Option<String>,
-    /// Which real-time means the system granted the daemon; null from an older one.
+    /// The daemon's real-time rights; null from an older daemon.
     #[serde(default)]
+    #[schema(required)]
     pub realtime: Option<Realtime>,
-    /// Why the logbook is not written at present; null if it is, or none is kept.
+    /// Why the daemon cannot write the session record; null if it can, or keeps none.
     #[serde(default)]
+    #[schema(required)]
     pub logbook_problem: Option<String>,
-    /// Where the daemon listens; empty from an older one.
+    /// The socket the daemon listens on; empty from an older daemon.
     #[serde(default)]
+    #[schema(required)]
     pub socket: String,
     /// The daemon's version.
     pub version: String,
-    /// The daemon's process.
+    /// The daemon's process id.
     pub pid: u32,
 }
 
 impl Status {
-    /// Whether a device has said who it is and how it stands: before, it takes no orders.
+    /// Whether a device has completed the handshake; before that the daemon takes no commands for it.
     #[must_use]
     pub fn is_connected(&self) -> bool {
         self.device.is_some() && self.state != NO_DEVICE && self.tick.is_some()

@@ -67,6 +67,8 @@ pub enum Mistake {
     Syntax { language: &'static str, message: String },
     #[error("unknown key {key}: did you mean `{nearest}`?")]
     UnknownKey { key: String, nearest: String },
+    #[error("unknown key {key}: leave it out, no keys are known here")]
+    NoKeys { key: String },
     #[error("is missing: add {wanted}")]
     Missing { wanted: &'static str },
     #[error("is there twice: leave one out")]
@@ -259,6 +261,11 @@ fn data<P>(path: &Path, line: Option<usize>, message: &str, wanted: Wanted) -> F
         named(key, false);
         let known: Vec<&str> = known.split('`').skip(1).step_by(2).collect();
         Mistake::UnknownKey { key: quote(key), nearest: nearest(&known, key).to_owned() }
+    } else if let Some(key) =
+        message.strip_prefix("unknown field `").and_then(|rest| rest.strip_suffix("`, there are no fields"))
+    {
+        named(key, false);
+        Mistake::NoKeys { key: quote(key) }
     } else if let Some(key) = field("missing field `") {
         named(key, true);
         Mistake::Missing { wanted: wanted(key) }
@@ -282,6 +289,8 @@ fn in_words(message: &str) -> String {
         "u64" => "a whole number, 0 or more",
         "u32" => "a whole number, 0 to 4294967295",
         "u16" => "a whole number, 0 to 65535",
+        "u8" => "a whole number, 0 to 255",
+        "a boolean" => "true or false",
         "i64" => "a whole number",
         "a map" => "a table of keys and values",
         "path string" => "a path in quotes",

@@ -1,0 +1,157 @@
+//! The OpenAPI document, made from the route table and from the types' schemas.
+//!
+//! The daemon serves [`document`] at `GET /v1/openapi.json`; the book holds a copy, and a page made from it. Descriptions are
+//! the types' doc comments, so those give units and meaning; examples stand beside the types.
+
+use crate::problem::{Code, Problem};
+use crate::route::{Answer, Body, Method, Operation, Route};
+use crate::{
+    ArmRequest, CalibrateRequest, CalibrationReport, Event, ImportedPattern, PatternDetails, PatternList,
+    PlayAccepted, PlayRequest, Receipt, Status,
+};
+use serde_json::{Map, Value, json};
+use std::collections::BTreeMap;
+use utoipa::OpenApi;
+
+/// The schemas; those that they refer to come along.
+#[derive(OpenApi)]
+#[openapi(components(schemas(
+    ArmRequest,
+    CalibrateRequest,
+    CalibrationReport,
+    Event,
+    ImportedPattern,
+    PatternDetails,
+    PatternList,
+    PlayAccepted,
+    PlayRequest,
+    Problem,
+    Receipt,
+    Status,
+)))]
+struct Schemas;
+
+/// A pattern file, as the example of a body.
+const PATTERN: &str = "format = 1\nname = \"two-pins\"\nduration_s = 1.0\n\n[[drive]]\nmotor = 9\nfrequency_hz = 60.0\n\
+                       amplitude_um = 40.0\nstop_s = 0.5\n";
+
+const ABOUT: &str = "HTTP/1.1 over the daemon's Unix socket: `$MEISSNER_SOCKET`, else `$XDG_RUNTIME_DIR/meissner.sock`, else \
+                     `/run/meissner/meissner.sock`. At most 64 clients are connected at the same time; the daemon closes a connection \
+                     that sends nothing for 30 s. Who may use the socket may use the whole API. The body of a command has at \
+                     most 16 KiB. A key that is null counts as absent; an unknown key is an error. Every error, also of an unknown \
+                     address (`not-found`) or method (`method-not-allowed`), is `application/problem+json` with a stable `code`. \
+                     Times: `_s` is seconds, `_ms` milliseconds, a tick 1/85000 s on the device's clock.";
+
+/// The document.
+#[must_use]
+pub fn document() -> Value {
+    // Schemas are plain data: they can always be written.
+    let mut schemas = serde_json::to_value(Schemas::openapi().components).unwrap_or_default();
+    schemas["schemas"]["Problem"]["properties"]["code"]["enum"] =
+        Code::ALL.map(|code| code.parts().0).to_vec().into();
+    let example = |schema: &str| schemas["schemas"][schema]["examples"][0].clone();
+    let mut paths: BTreeMap<&str, Map<String, Value>> = BTreeMap::new();
+    for route in Route::ALL {
+        let operation = route.operation();
+        paths
+            .entry(operation.path)
+            .or_default()
+            .insert(method_name(operation.method).to_owned(), described(route, &operation, &example));
+    }
+    json!({
+        "openapi": "3.1.0",
+        "info": {
+            "title": "meissner",
+            "description": ABOUT,
+            "version": env!("CARGO_PKG_VERSION"),
+            "license": {"name": "MIT OR Apache-2.0", "identifier": "MIT OR Apache-2.0"}
+        },
+        "servers": [{"url": "http://localhost", "description": "over the daemon's Unix socket"}],
+        "paths": paths,
+        "components": schemas
+    })
+}
+
+/// A method as OpenAPI writes it.
+#[must_use]
+pub const fn method_name(method: Method) -> &'static str {
+    match method {
+        Method::Get => "get",
+        Method::Post => "post",
+        Method::Put => "put",
+    }
+}
+
+fn reference(schema: &str) -> Value {
+    json!({"$ref": format!("#/components/schemas/{schema}")})
+}
+
+fn described(route: Route, operation: &Operation, example: &dyn Fn(&str) -> Value) -> Value {
+    let json_of =
+        |schema| json!({"application/json": {"schema": reference(schema), "example": example(schema)}});
+    let mut out = json!({
+        "operationId": format!("{route:?}"),
+        "summary": operation.summary,
+        "description": operation.description,
+    });
+    if let (Some(text), Some((_, name))) = (operation.parameter, operation.path.split_once('{')) {
+        let name = name.trim_end_matches('}');
+        out["parameters"] = json!([
+            {"name": name, "in": "path", "required": true, "description": text, "schema": {"type": "string"}}
+        ]);
+    }
+    let body = match operation.body {
+        Body::None => None,
+        Body::Empty => Some((
+            json!({"application/json": {"schema": {"type": "object", "additionalProperties": false}, "example": {}}}),
+            false,
+        )),
+        Body::Json(schema) => Some((json_of(schema), true)),
+        Body::OptionalJson(schema) => Some((json_of(schema), false)),
+        Body::Toml => {
+            Some((json!({"application/toml": {"schema": {"type": "string"}, "example": PATTERN}}), true))
+        }
+    };
+    if let Some((content, required)) = body {
+        out["requestBody"] = json!({"content": content, "required": required});
+    }
+    let content = match operation.answer {
+        Answer::Json(schema) => json_of(schema),
+        Answer::Events => json!({"text/event-stream": {"schema": reference("Event"), "example": EVENT}}),
+        Answer::Text(media, example) => json!({media: {"schema": {"type": "string"}, "example": example}}),
+        Answer::OpenApi => json!({
+            "application/json": {"schema": {"type": "object"}, "example": {"openapi": "3.1.0"}}
+        }),
+    };
+    let mut responses = Map::new();
+    for (status, meaning) in operation.statuses {
+        responses.insert(status.to_string(), json!({"description": meaning, "content": content}));
+    }
+    responses.extend(errors(operation));
+    out["responses"] = responses.into();
+    out
+}
+
+/// One event as it is sent.
+const EVENT: &str =
+    "event: queued\ndata: {\"event\":\"queued\",\"id\":7,\"pattern\":\"edge-45\",\"seconds\":2.0}\n\n";
+
+/// The errors of a route, by HTTP status: several codes may share one.
+fn errors(operation: &Operation) -> Map<String, Value> {
+    let mut by_status: BTreeMap<u16, Vec<Code>> = BTreeMap::new();
+    for code in operation.errors() {
+        by_status.entry(code.parts().1).or_default().push(code);
+    }
+    let response = |codes: Vec<Code>| {
+        let names: Vec<_> = codes.iter().map(|code| code.parts().0).collect();
+        let mut schema = reference("Problem");
+        schema["properties"] = json!({"code": {"enum": names}});
+        let (name, _, title) = codes[0].parts();
+        let example = json!({"summary": title, "value": Problem::new(codes[0], title)});
+        json!({
+            "description": format!("`{}`", names.join("`, `")),
+            "content": {"application/problem+json": {"schema": schema, "examples": {name: example}}}
+        })
+    };
+    by_status.into_iter().map(|(status, codes)| (status.to_string(), response(codes))).collect()
+}

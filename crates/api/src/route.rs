@@ -1,0 +1,341 @@
+//! Routes: every address of the API with its method, body, answer and error codes.
+//!
+//! The daemon builds its router from [`Route::ALL`], [`Route::method`] and [`Route::path`]; [`crate::openapi`] builds the
+//! document from [`Route::operation`]. So the router and the document cannot name different routes.
+
+use crate::problem::Code;
+
+/// The routes, in the order of the API reference.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[expect(missing_docs, reason = "`operation` describes each")]
+pub enum Route {
+    Play,
+    Stop,
+    EStop,
+    Reset,
+    Arm,
+    Disarm,
+    Home,
+    Status,
+    Receipt,
+    Events,
+    Patterns,
+    Pattern,
+    Import,
+    Calibrate,
+    Calibration,
+    Metrics,
+    OpenApi,
+}
+
+/// An HTTP method.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[expect(missing_docs, reason = "their names say it")]
+pub enum Method {
+    Get,
+    Post,
+    Put,
+}
+
+/// What a route takes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Body {
+    /// Nothing.
+    None,
+    /// Nothing, or `{}`.
+    Empty,
+    /// A JSON object of this schema.
+    Json(&'static str),
+    /// A JSON object of this schema; without a body, every default.
+    OptionalJson(&'static str),
+    /// A pattern file.
+    Toml,
+}
+
+/// What a route answers with on success.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Answer {
+    /// A JSON object of this schema.
+    Json(&'static str),
+    /// Server-sent events, each of the schema `Event`.
+    Events,
+    /// A text of this media type, with an example.
+    Text(&'static str, &'static str),
+    /// The OpenAPI document.
+    OpenApi,
+}
+
+/// A route in words, for the API reference.
+#[derive(Clone, Copy, Debug)]
+pub struct Operation {
+    /// The HTTP method.
+    pub method: Method,
+    /// The address; `{name}` and `{id}` stand for a part of it.
+    pub path: &'static str,
+    /// What the route does, in the imperative.
+    pub summary: &'static str,
+    /// When it answers, and what else a caller has to know.
+    pub description: &'static str,
+    /// What the path's variable part means.
+    pub parameter: Option<&'static str>,
+    /// What it takes.
+    pub body: Body,
+    /// HTTP statuses of success, each with its meaning.
+    pub statuses: &'static [(u16, &'static str)],
+    /// What it answers with.
+    pub answer: Answer,
+    errors: &'static [&'static [Code]],
+}
+
+impl Operation {
+    /// The codes of the errors it may answer with.
+    pub fn errors(&self) -> impl Iterator<Item = Code> {
+        self.errors.iter().copied().flatten().copied()
+    }
+}
+
+/// Every connection may be one too many.
+const ANY: &[Code] = &[Code::TooManyClients];
+/// Every body may be malformed, too large or too slow.
+const BODY: &[Code] = &[Code::BadRequest, Code::TooLarge, Code::Slow];
+/// Every command goes through the daemon's command queue to the device.
+const COMMAND: &[Code] = &[Code::NoDevice, Code::Timeout, Code::Busy, Code::ShuttingDown];
+/// Plays and calibrations are queued by the same rules.
+const QUEUE: &[Code] = &[
+    Code::Disarmed,
+    Code::Faulted,
+    Code::Returning,
+    Code::Playing,
+    Code::QueueFull,
+    Code::LineTooSlow,
+    Code::Store,
+];
+
+const OK: &[(u16, &str)] = &[(200, "Done")];
+const ACCEPTED: &[(u16, &str)] = &[(202, "Queued")];
+const STATUS: Answer = Answer::Json("Status");
+
+impl Route {
+    /// Every route.
+    pub const ALL: [Self; 17] = [
+        Self::Play,
+        Self::Stop,
+        Self::EStop,
+        Self::Reset,
+        Self::Arm,
+        Self::Disarm,
+        Self::Home,
+        Self::Status,
+        Self::Receipt,
+        Self::Events,
+        Self::Patterns,
+        Self::Pattern,
+        Self::Import,
+        Self::Calibrate,
+        Self::Calibration,
+        Self::Metrics,
+        Self::OpenApi,
+    ];
+
+    /// The HTTP method.
+    #[must_use]
+    pub const fn method(self) -> Method {
+        self.operation().method
+    }
+
+    /// The address.
+    #[must_use]
+    pub const fn path(self) -> &'static str {
+        self.operation().path
+    }
+
+    /// The route in words.
+    #[must_use]
+    pub const fn operation(self) -> Operation {
+        match self {
+            Self::Play => Operation {
+                summary: "Queue a play of a pattern",
+                description: "The daemon answers when the streamer has taken the play. The receipt and the events `queued`, \
+                              `began`, `late`, `refused`, `ended` and `felt` report what happens to it. At most 16 plays wait.",
+                body: Body::Json("PlayRequest"),
+                statuses: ACCEPTED,
+                answer: Answer::Json("PlayAccepted"),
+                errors: &[
+                    BODY,
+                    &[
+                        Code::NotFound,
+                        Code::BadPattern,
+                        Code::StaleBoot,
+                        Code::BehindEndless,
+                        Code::TooSoon,
+                        Code::Overlaps,
+                    ],
+                    QUEUE,
+                    COMMAND,
+                    ANY,
+                ],
+                ..Operation::post("/v1/play")
+            },
+            Self::Stop => Operation {
+                summary: "Stop the running play and clear the queue",
+                description: "The device returns the pins to rest. The motors stay armed.",
+                errors: &[BODY, &[Code::Faulted, Code::Returning, Code::DeviceRefused], COMMAND, ANY],
+                ..Operation::post("/v1/stop")
+            },
+            Self::EStop => Operation {
+                summary: "Stop at once, switch the motors off and latch the fault",
+                description: "The daemon acts before it reads the body, and passes the command on even if its queue is full, \
+                              too many clients are connected or it shuts down. `POST /v1/reset` clears the latch.",
+                body: Body::None,
+                errors: &[&[Code::Faulted, Code::NoDevice, Code::Timeout]],
+                ..Operation::post("/v1/estop")
+            },
+            Self::Reset => Operation {
+                summary: "Clear a latched emergency stop or fault",
+                description: "The motors stay disarmed.",
+                errors: &[BODY, &[Code::Faulted, Code::Returning, Code::DeviceRefused], COMMAND, ANY],
+                ..Operation::post("/v1/reset")
+            },
+            Self::Arm => Operation {
+                summary: "Enable the motors",
+                description: "With `assume_rest` the device takes every pin as at rest; without it, it must know where the pins are.",
+                body: Body::OptionalJson("ArmRequest"),
+                errors: &[
+                    BODY,
+                    &[Code::Faulted, Code::Returning, Code::PositionUnknown, Code::DeviceRefused],
+                    COMMAND,
+                    ANY,
+                ],
+                ..Operation::post("/v1/arm")
+            },
+            Self::Disarm => Operation {
+                summary: "Stop, return the pins to rest and switch the motors off",
+                description: "It takes precedence over commands that wait; those end with `returning`.",
+                errors: &[BODY, &[Code::Faulted, Code::Returning, Code::DeviceRefused], COMMAND, ANY],
+                ..Operation::post("/v1/disarm")
+            },
+            Self::Home => Operation {
+                summary: "Move every pin to rest",
+                description: "The daemon answers when the pins are at rest, after up to 25 s. The motors must be armed, and no play \
+                              queued. Without telemetry it moves each pin once, by the drift it expects.",
+                errors: &[
+                    BODY,
+                    &[
+                        Code::Disarmed,
+                        Code::Faulted,
+                        Code::Returning,
+                        Code::Playing,
+                        Code::NoPositionEstimate,
+                        Code::NotHome,
+                        Code::DeviceRefused,
+                    ],
+                    COMMAND,
+                    ANY,
+                ],
+                ..Operation::post("/v1/home")
+            },
+            Self::Status => Operation {
+                summary: "Show the device, the running play, the queue and the motors",
+                description: "All parts belong to one instant.",
+                answer: STATUS,
+                ..Operation::get("/v1/status")
+            },
+            Self::Receipt => Operation {
+                summary: "Show the result of a play",
+                description: "The daemon keeps every play that waits or runs, and the last 1000 that have ended.",
+                parameter: Some("The play's id, or `last`"),
+                answer: Answer::Json("Receipt"),
+                errors: &[&[Code::BadRequest, Code::NotFound], ANY],
+                ..Operation::get("/v1/plays/{id}")
+            },
+            Self::Events => Operation {
+                summary: "Listen to events",
+                description: "Server-sent events, without end: `event:` is the event's name, `data:` its JSON on one line. The first \
+                              one is `state`. A listener that falls 1024 events behind gets `lagged` in their place.",
+                answer: Answer::Events,
+                errors: &[&[Code::ShuttingDown], ANY],
+                ..Operation::get("/v1/events")
+            },
+            Self::Patterns => Operation {
+                summary: "List the patterns",
+                description: "The built-in library and the pattern directory, which the daemon reads anew.",
+                answer: Answer::Json("PatternList"),
+                errors: &[&[Code::Store], ANY],
+                ..Operation::get("/v1/patterns")
+            },
+            Self::Pattern => Operation {
+                summary: "Show a pattern",
+                description: "The pattern has the keys of its file.",
+                parameter: Some("The pattern's name"),
+                answer: Answer::Json("PatternDetails"),
+                errors: &[&[Code::BadRequest, Code::NotFound, Code::BadPattern, Code::Store], ANY],
+                ..Operation::get("/v1/patterns/{name}")
+            },
+            Self::Import => Operation {
+                method: Method::Put,
+                summary: "Store a pattern",
+                description: "The daemon checks the file and writes it to its pattern directory, in place of an older one of that name. \
+                              The file must bear the name of the address, and has at most 1 MiB.",
+                parameter: Some("The pattern's name"),
+                body: Body::Toml,
+                statuses: &[(201, "Stored under a new name"), (200, "Stored in place of an older pattern")],
+                answer: Answer::Json("ImportedPattern"),
+                errors: &[BODY, &[Code::BadPattern, Code::Exists, Code::Store], ANY],
+                ..Operation::get("/v1/patterns/{name}")
+            },
+            Self::Calibrate => Operation {
+                summary: "Measure the gains of the motors",
+                description: "The daemon queues a play of bursts of several lengths, open loop, for about a minute. The event \
+                              `calibrated` reports whether it has stored the gains. No other play is taken meanwhile.",
+                body: Body::OptionalJson("CalibrateRequest"),
+                statuses: ACCEPTED,
+                answer: Answer::Json("PlayAccepted"),
+                errors: &[BODY, &[Code::NoTelemetry], QUEUE, COMMAND, ANY],
+                ..Operation::post("/v1/calibrate")
+            },
+            Self::Calibration => Operation {
+                summary: "Show the stored calibration",
+                description: "The daemon uses a calibration only for the device it was measured on.",
+                answer: Answer::Json("CalibrationReport"),
+                errors: &[&[Code::NotFound], ANY],
+                ..Operation::get("/v1/calibration")
+            },
+            Self::Metrics => Operation {
+                summary: "Show counters and gauges for Prometheus",
+                description: "In the text format 0.0.4 of Prometheus.",
+                answer: Answer::Text(
+                    "text/plain; version=0.0.4",
+                    "meissner_plays_total{end=\"done\"} 1\nmeissner_state{state=\"armed\"} 1\n",
+                ),
+                ..Operation::get("/v1/metrics")
+            },
+            Self::OpenApi => Operation {
+                summary: "Show this document",
+                description: "OpenAPI 3.1, made from the types that the daemon uses.",
+                answer: Answer::OpenApi,
+                ..Operation::get("/v1/openapi.json")
+            },
+        }
+    }
+}
+
+impl Operation {
+    /// A command without arguments that answers with the status.
+    const fn post(path: &'static str) -> Self {
+        Self { method: Method::Post, body: Body::Empty, ..Self::get(path) }
+    }
+
+    const fn get(path: &'static str) -> Self {
+        Self {
+            method: Method::Get,
+            path,
+            summary: "",
+            description: "",
+            parameter: None,
+            body: Body::None,
+            statuses: OK,
+            answer: STATUS,
+            errors: &[ANY],
+        }
+    }
+}
