@@ -25,6 +25,8 @@ mod harness;
 mod lead;
 /// The manual pages and completions in `deploy` are what the command line makes of itself today.
 mod manual;
+/// The API reference: routes, answers and the book's copies agree with the OpenAPI document.
+mod openapi;
 /// `optimise`: files and documents, budgets, interruptions, mistakes.
 mod optimise;
 /// Predicted responses to simulated plays: with position control and without, cut, and unmeasured.

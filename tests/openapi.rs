@@ -1,0 +1,322 @@
+//! The API reference: the daemon's routes and answers agree with the OpenAPI document, and the book's copies are up to date.
+//!
+//! `MEISSNER_RENEW=1 cargo test --test tests openapi` writes `docs/reference/openapi.json` and `docs/reference/api.md`.
+
+/// The book's page, made from the document.
+mod page;
+/// A value against a schema.
+mod schema;
+
+use crate::harness::{Daemon, problem};
+use meissner_api::route::{Answer, Body};
+use meissner_api::{
+    ArmRequest, CalibrateRequest, CalibrationReport, Code, Event, ImportedPattern, Method, PatternDetails,
+    PatternList, PlayAccepted, PlayRequest, Problem, REFERENCE, Receipt, Route, Status, openapi,
+};
+use schema::check;
+use serde::de::DeserializeOwned;
+use serde_json::{Value, json};
+use std::collections::BTreeSet;
+use std::path::Path;
+use std::time::Duration;
+use std::{env, fs};
+
+const RENEW: &str = "MEISSNER_RENEW=1 cargo test --test tests openapi";
+
+#[test]
+fn the_books_copies_are_up_to_date() {
+    let document = openapi::document();
+    let book = Path::new(env!("CARGO_MANIFEST_DIR"));
+    for (file, text) in
+        [("docs/reference/openapi.json", format!("{document:#}\n")), (REFERENCE, page::page(&document))]
+    {
+        let path = book.join(file);
+        if env::var_os("MEISSNER_RENEW").is_some() {
+            fs::create_dir_all(path.parent().unwrap()).unwrap();
+            fs::write(&path, &text).unwrap();
+        }
+        let kept = fs::read_to_string(&path).unwrap_or_default();
+        assert!(kept == text, "{file} is not what the types say today: {RENEW}");
+    }
+}
+
+/// Calls `see` with each schema below this one, and the way to it.
+fn walk(schema: &Value, way: &str, see: &mut dyn FnMut(&Value, &str)) {
+    see(schema, way);
+    match schema {
+        Value::Object(keys) => {
+            for (key, below) in keys.iter().filter(|(key, _)| *key != "examples" && *key != "example") {
+                walk(below, &format!("{way}/{key}"), see);
+            }
+        }
+        Value::Array(items) => items.iter().for_each(|below| walk(below, way, see)),
+        _ => {}
+    }
+}
+
+#[test]
+fn every_key_has_a_description_and_every_number_its_unit_and_range() {
+    // Offsets and differences may be negative; a lead that is reached may be.
+    const SIGNED: [&str; 4] = ["rest_error_um", "contrast", "lead_ms", "items"];
+    const UNITS: [(&str, &str); 9] = [
+        ("_s", ", s"),
+        ("_ms", ", ms"),
+        ("_us", ", µs"),
+        ("_ns", ", ns"),
+        ("um", ", µm"),
+        ("_hz", ", Hz"),
+        ("tick", "1/85000 s"),
+        ("seconds", ", s"),
+        ("bytes_per_s", ", bytes/s"),
+    ];
+    let document = openapi::document();
+    let mut numbers = 0;
+    walk(&document["components"]["schemas"], "", &mut |value, way| {
+        let Some(keys) = value["properties"].as_object() else { return };
+        for (key, below) in keys.iter().filter(|(key, _)| *key != "event") {
+            let place = format!("{way}: {key}");
+            let text = below["description"].as_str().or(below["oneOf"][0]["description"].as_str());
+            let text = text.unwrap_or_else(|| panic!("{place} has no description"));
+            assert!(!text.contains("[`"), "{place}: a link that the book cannot follow: {text}");
+            let is_number = below["type"] == "number"
+                || below["type"] == "integer"
+                || below["type"]
+                    .as_array()
+                    .is_some_and(|of| of.contains(&"number".into()) || of.contains(&"integer".into()));
+            if !is_number {
+                continue;
+            }
+            numbers += 1;
+            assert!(SIGNED.contains(&key.as_str()) || below["minimum"].is_number(), "{place} has no minimum");
+            let rate = key == "um_per_pulse";
+            let unit = UNITS.iter().rev().find(|(end, _)| key.ends_with(end) && !rate);
+            if let Some((_, unit)) = unit {
+                assert!(text.contains(unit), "{place} has no unit `{unit}`: {text}");
+            }
+        }
+    });
+    assert!(numbers > 60, "{numbers}");
+}
+
+#[test]
+fn ranges_are_those_that_the_daemon_checks() {
+    use meissner_array::pattern::{AMPLITUDE_UM, FREQUENCY_HZ, MAX_DRIVES, MAX_SECONDS};
+    use meissner_stream::calibrate::{MAX_GROUPS, PULSES_RANGE};
+    let document = openapi::document();
+    let property =
+        |schema: &str, key: &str| document["components"]["schemas"][schema]["properties"][key].clone();
+    let range = |value: &Value| (value["minimum"].as_f64().unwrap(), value["maximum"].as_f64().unwrap());
+    let drive = |key| range(&property("PatternDrive", key));
+    assert_eq!(drive("frequency_hz"), (*FREQUENCY_HZ.start(), *FREQUENCY_HZ.end()));
+    assert_eq!(drive("amplitude_um"), (*AMPLITUDE_UM.start(), *AMPLITUDE_UM.end()));
+    assert_eq!(drive("motor"), (0.0, 23.0));
+    assert_eq!(drive("stop_s"), (0.0, MAX_SECONDS));
+    assert_eq!(range(&property("PlayRequest", "seconds")), (0.0, MAX_SECONDS));
+    assert_eq!(range(&property("PlayRequest", "at_ms")), (0.0, meissner_api::MAX_AT_MS));
+    assert_eq!(property("PatternFile", "drive")["maxItems"], MAX_DRIVES);
+    let pulses = property("CalibrateRequest", "pulses");
+    assert_eq!(range(&pulses["items"]), ((*PULSES_RANGE.start()).into(), (*PULSES_RANGE.end()).into()));
+    assert_eq!(pulses["maxItems"], MAX_GROUPS);
+    assert_eq!(property("CalibrateRequest", "repetitions")["maximum"], MAX_GROUPS / 2);
+    assert_eq!(property("Receipt", "refusals")["maxItems"], meissner_api::MAX_LISTED);
+    assert_eq!(property("Status", "lease_ms")["maximum"].as_f64().unwrap(), meissner::config::MAX_LEASE_MS);
+}
+
+fn parses<T: DeserializeOwned>(value: &Value) {
+    let read: Result<T, _> = serde_json::from_value(value.clone());
+    if let Err(error) = read {
+        panic!("{}: {error}: {value}", std::any::type_name::<T>());
+    }
+}
+
+#[test]
+fn every_route_has_examples_that_are_what_they_show() {
+    let document = openapi::document();
+    let parse = |schema: &str, example: &Value| match schema {
+        "ArmRequest" => drop(ArmRequest::parse(example.to_string().as_bytes()).unwrap()),
+        "PlayRequest" => drop(PlayRequest::parse(example.to_string().as_bytes()).unwrap()),
+        "CalibrateRequest" => {
+            let request = CalibrateRequest::parse(example.to_string().as_bytes()).unwrap();
+            meissner::record::calibration_plan(&request).unwrap();
+        }
+        "PlayAccepted" => parses::<PlayAccepted>(example),
+        "Status" => parses::<Status>(example),
+        "Receipt" => parses::<Receipt>(example),
+        "PatternList" => parses::<PatternList>(example),
+        "PatternDetails" => parses::<PatternDetails>(example),
+        "ImportedPattern" => parses::<ImportedPattern>(example),
+        "CalibrationReport" => parses::<CalibrationReport>(example),
+        "Problem" => parses::<Problem>(example),
+        other => panic!("{other} has no example that is tested"),
+    };
+    let shown = |content: &Value| {
+        for (media, content) in content.as_object().unwrap() {
+            let examples = content["examples"].as_object();
+            let example =
+                examples.map_or(&content["example"], |examples| &examples.values().next().unwrap()["value"]);
+            assert!(!example.is_null(), "{content}");
+            let schema = content["schema"]["$ref"].as_str().and_then(|way| way.rsplit('/').next());
+            if let Some(schema) = schema.filter(|_| media != "text/event-stream") {
+                check(&document, &content["schema"], example).unwrap();
+                parse(schema, example);
+            }
+        }
+    };
+    for route in Route::ALL {
+        let operation = route.operation();
+        let described = &document["paths"][operation.path][openapi::method_name(operation.method)];
+        if operation.body != Body::None {
+            shown(&described["requestBody"]["content"]);
+        }
+        for answer in described["responses"].as_object().unwrap().values() {
+            shown(&answer["content"]);
+        }
+    }
+    let pattern = &document["paths"]["/v1/patterns/{name}"]["put"]["requestBody"]["content"]["application/toml"]
+        ["example"];
+    meissner_array::pattern::Pattern::parse(pattern.as_str().unwrap(), "example").unwrap();
+    let mut names = BTreeSet::new();
+    for variant in document["components"]["schemas"]["Event"]["oneOf"].as_array().unwrap() {
+        let (name, example) = page::event(&document, variant);
+        check(&document, &json!({"$ref": "#/components/schemas/Event"}), &example).unwrap();
+        let event: Event = serde_json::from_value(example).unwrap();
+        assert_eq!(event.name(), name);
+        names.insert(name);
+    }
+    assert_eq!(names.len(), 14);
+}
+
+#[test]
+fn every_code_has_a_route_or_belongs_to_addresses_without_one() {
+    let given: BTreeSet<&str> = Route::ALL
+        .iter()
+        .flat_map(|route| route.operation().errors().collect::<Vec<_>>())
+        .map(|code| code.parts().0)
+        .collect();
+    let all: BTreeSet<&str> = Code::ALL.iter().map(|code| code.parts().0).collect();
+    assert_eq!(all.difference(&given).copied().collect::<Vec<_>>(), [Code::MethodNotAllowed.parts().0]);
+}
+
+/// A client's call, whatever its method.
+fn call(daemon: &Daemon, method: &str, path: &str, body: &str) -> (u16, Value) {
+    let length = body.len();
+    let head = format!(
+        "{method} {path} HTTP/1.1\r\nhost: x\r\nconnection: close\r\ncontent-length: {length}\r\n\r\n"
+    );
+    let answer = daemon.raw((head + body).as_bytes());
+    let status = answer[9..12].parse().unwrap();
+    let body = answer.split_once("\r\n\r\n").unwrap().1;
+    (status, serde_json::from_str(body).unwrap_or_default())
+}
+
+#[test]
+fn the_daemon_and_the_document_have_the_same_routes() {
+    let daemon = Daemon::start();
+    let document = openapi::document();
+    let (status, served) = call(&daemon, "GET", "/v1/openapi.json", "");
+    assert!(status == 200 && served == document);
+    for path in document["paths"].as_object().unwrap().keys().filter(|path| *path != "/v1/events") {
+        let at = path.replace("{id}", "99").replace("{name}", "none");
+        for method in ["GET", "POST", "PUT", "DELETE", "PATCH"] {
+            let (status, answer) = call(&daemon, method, &at, "not JSON");
+            let described = &document["paths"][path][method.to_lowercase()];
+            assert_eq!(status != 405, described.is_object(), "{method} {path}: {answer}");
+            if described.is_object() && status >= 400 {
+                let code = answer["code"].as_str().unwrap_or_else(|| panic!("{method} {path}: {status}"));
+                let codes = &described["responses"][status.to_string()]["content"]["application/problem+json"]
+                    ["schema"]["properties"]["code"]["enum"];
+                assert!(
+                    codes.as_array().is_some_and(|codes| codes.contains(&code.into())),
+                    "{method} {path}: {answer}"
+                );
+            }
+        }
+    }
+    // The other way round: each line of the router is a route of the table, which the document shows.
+    let operations: usize =
+        document["paths"].as_object().unwrap().values().map(|of| of.as_object().unwrap().len()).sum();
+    assert_eq!(operations, Route::ALL.len());
+    assert_eq!(call(&daemon, "GET", "/v1/play/", "").0, 404);
+}
+
+#[test]
+fn what_a_daemon_answers_is_what_the_document_says() {
+    let daemon = Daemon::start();
+    let document = openapi::document();
+    let mut client = daemon.client();
+    let fits = |route: Route, answer: &Value| {
+        let Answer::Json(schema) = route.operation().answer else { panic!("{route:?} answers no JSON") };
+        let reference = json!({"$ref": format!("#/components/schemas/{schema}")});
+        check(&document, &reference, answer).unwrap_or_else(|error| panic!("{route:?}: {error}: {answer}"));
+    };
+    let event = |event: &Event| {
+        let event = serde_json::to_value(event).unwrap();
+        check(&document, &json!({"$ref": "#/components/schemas/Event"}), &event)
+            .unwrap_or_else(|error| panic!("{error}: {event}"));
+    };
+    let refused = |route: Route, answer| {
+        let problem = problem(answer);
+        check(
+            &document,
+            &json!({"$ref": "#/components/schemas/Problem"}),
+            &serde_json::to_value(&problem).unwrap(),
+        )
+        .unwrap();
+        assert!(
+            route
+                .operation()
+                .errors()
+                .any(|code| code.parts().0 == problem.code && code.parts().1 == problem.status),
+            "{route:?}: {problem:?}"
+        );
+    };
+    // Everything is refused first: the motors are disarmed.
+    refused(Route::Play, client.post("/v1/play", &json!({"pattern": "edge-45"})));
+    refused(Route::Play, client.post("/v1/play", &json!({"pattern": "none"})));
+    refused(Route::Calibrate, client.post("/v1/calibrate", &json!({"repetitions": 0})));
+    refused(Route::Calibration, client.get("/v1/calibration"));
+    refused(Route::Home, client.post("/v1/home", &json!({})));
+    refused(Route::Arm, client.post("/v1/arm", &json!({})));
+    refused(Route::Receipt, client.get("/v1/plays/last"));
+    refused(Route::Import, client.put("/v1/patterns/edge-45", String::new()));
+    refused(Route::Pattern, client.get("/v1/patterns/none"));
+    for route in [Route::Status, Route::Patterns] {
+        assert_eq!(route.method(), Method::Get);
+        fits(route, &client.get(route.path()).unwrap());
+    }
+    let list: PatternList = client.get("/v1/patterns").unwrap();
+    for pattern in list.patterns {
+        fits(Route::Pattern, &client.get(&format!("/v1/patterns/{}", pattern.name)).unwrap());
+    }
+    let mine = "format = 1\nname = \"mine\"\nduration_s = 1\n[[drive]]\nmotor = 3\nfrequency_hz = 300\namplitude_um = 80\nstart_s = 0.5\n";
+    fits(Route::Import, &client.put("/v1/patterns/mine", mine.to_owned()).unwrap());
+    fits(Route::Pattern, &client.get("/v1/patterns/mine").unwrap());
+    let mut events = client.events().unwrap();
+    fits(Route::Arm, &client.post("/v1/arm", &json!({"assume_rest": true})).unwrap());
+    fits(Route::Play, &client.post("/v1/play", &json!({"pattern": "edge-45", "seconds": 0.3})).unwrap());
+    fits(Route::Status, &client.get("/v1/status").unwrap());
+    fits(Route::Receipt, &client.get("/v1/plays/last").unwrap());
+    loop {
+        let next = events.next(Some(Duration::from_secs(20))).unwrap().unwrap();
+        event(&next);
+        if matches!(next, Event::PredictedResponse { .. }) {
+            break;
+        }
+    }
+    fits(Route::Receipt, &client.get("/v1/plays/last").unwrap());
+    fits(
+        Route::Calibrate,
+        &client.post("/v1/calibrate", &json!({"motor": 3, "pulses": [70, 140], "repetitions": 1})).unwrap(),
+    );
+    loop {
+        let next = events.next(Some(Duration::from_secs(20))).unwrap().unwrap();
+        event(&next);
+        if matches!(next, Event::Calibrated { .. }) {
+            break;
+        }
+    }
+    fits(Route::Calibration, &client.get("/v1/calibration").unwrap());
+    for route in [Route::Stop, Route::Disarm, Route::EStop, Route::Reset] {
+        fits(route, &client.post(route.path(), &json!({})).unwrap());
+    }
+}
