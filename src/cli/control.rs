@@ -34,7 +34,7 @@ pub(super) fn command(plain: &Plain, name: &str) -> Result<ExitCode> {
 pub(super) fn estop(plain: &Plain) -> Result<ExitCode> {
     let endpoint = plain.endpoint();
     let (tell, answers) = mpsc::channel();
-    for socket in [Some(&endpoint.socket), endpoint.other.as_ref()].into_iter().flatten() {
+    for socket in [Some(&endpoint.socket), endpoint.fallback.as_ref()].into_iter().flatten() {
         let (socket, tell) = (socket.clone(), tell.clone());
         thread::spawn(move || {
             let answer = Client::new(&socket).and_then(|mut client| client.post("/v1/estop", &json!({})));

@@ -1,16 +1,16 @@
-//! Which socket a client goes to, if nobody names one.
+//! Chooses the socket that a client connects to.
 //!
-//! A machine may have a daemon of the user's own and an installed one, and a session has `$XDG_RUNTIME_DIR` either way: so
-//! there are two places, and the client takes the first at which somebody listens. Nothing is tried here: trying is
-//! connecting, and a connection made only to look would take a client's endpoint.
+//! [`Endpoint::at`] is for a socket that the caller names, [`Endpoint::find`] for the usual places. A machine may run a user's own
+//! daemon and an installed service, so there may be two sockets: the client takes the first at which a daemon listens. This
+//! module does not connect: a trial connection would take one of the daemon's places for clients.
 //!
-//! Invariant: a socket that was named, on the command line or by `$MEISSNER_SOCKET`, is the only endpoint.
+//! Invariant: a socket named on the command line or by `$MEISSNER_SOCKET` has no fallback.
 
 use std::env;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-/// Where systemd has units.
+/// Directories where systemd looks for units.
 const UNITS: [&str; 5] = [
     "etc/systemd/system",
     "run/systemd/system",
@@ -19,29 +19,29 @@ const UNITS: [&str; 5] = [
     "lib/systemd/system",
 ];
 
-/// Where the installed service listens.
+/// The socket of the installed service.
 pub const SERVICE_SOCKET: &str = "/run/meissner/meissner.sock";
 
-/// Where a daemon is looked for.
+/// The socket of a daemon, and perhaps a second one to try.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Endpoint {
-    /// The socket.
+    /// The socket to connect to first.
     pub socket: PathBuf,
-    /// Where to go if nobody listens there.
-    pub other: Option<PathBuf>,
-    /// Whether an installed service would listen at one of them.
-    pub service: bool,
+    /// The socket to connect to if no daemon listens at the first.
+    pub fallback: Option<PathBuf>,
+    /// Whether one of them belongs to a service that is installed on this machine.
+    pub service_installed: bool,
 }
 
 impl Endpoint {
-    /// This one socket.
+    /// This socket alone.
     #[must_use]
     pub fn at(socket: &Path) -> Self {
-        let service = socket == Path::new(SERVICE_SOCKET) && is_installed(Path::new("/"));
-        Self { socket: socket.to_owned(), other: None, service }
+        let service_installed = socket == Path::new(SERVICE_SOCKET) && is_installed(Path::new("/"));
+        Self { socket: socket.to_owned(), fallback: None, service_installed }
     }
 
-    /// `$MEISSNER_SOCKET`, else `$XDG_RUNTIME_DIR/meissner.sock` and, after it, the service's.
+    /// `$MEISSNER_SOCKET`; without it `$XDG_RUNTIME_DIR/meissner.sock`, with the service's socket as the fallback.
     #[must_use]
     pub fn find() -> Self {
         Self::of(named_socket(), users_socket())
@@ -52,16 +52,17 @@ impl Endpoint {
         match (named, users) {
             (Some(named), _) => Self::at(&named),
             (None, Some(users)) if users != service => {
-                Self { socket: users, other: Some(service.to_owned()), service: is_installed(Path::new("/")) }
+                let service_installed = is_installed(Path::new("/"));
+                Self { socket: users, fallback: Some(service.to_owned()), service_installed }
             }
             (None, _) => Self::at(service),
         }
     }
 
-    /// What starts a daemon there.
+    /// How to start a daemon at this endpoint, for a message.
     #[must_use]
-    pub const fn start(&self) -> &'static str {
-        if self.service {
+    pub const fn how_to_start(&self) -> &'static str {
+        if self.service_installed {
             "`sudo systemctl start meissner`, or start one with `meissner daemon`"
         } else {
             "start one with `meissner daemon`"
@@ -70,21 +71,21 @@ impl Endpoint {
 }
 
 impl fmt::Display for Endpoint {
-    /// Where nobody was found.
+    /// The sockets, as in "no daemon answers at A, nor at B".
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(out, "{}", self.socket.display())?;
-        self.other.as_ref().map_or(Ok(()), |other| write!(out, ", nor at {}", other.display()))
+        self.fallback.as_ref().map_or(Ok(()), |other| write!(out, ", nor at {}", other.display()))
     }
 }
 
-/// Whether systemd runs this machine and has our service.
+/// Whether systemd runs the machine whose file system is at `root`, and has a unit of the service.
 #[must_use]
 pub fn is_installed(root: &Path) -> bool {
     root.join("run/systemd/system").is_dir()
         && UNITS.iter().any(|units| root.join(units).join("meissner.service").exists())
 }
 
-/// Where the daemon listens if nobody says: `$MEISSNER_SOCKET`, else `$XDG_RUNTIME_DIR/meissner.sock`, else
+/// Where a daemon listens by default: `$MEISSNER_SOCKET`, else `$XDG_RUNTIME_DIR/meissner.sock`, else
 /// `/run/meissner/meissner.sock`.
 #[must_use]
 pub fn default_socket() -> PathBuf {
@@ -96,12 +97,12 @@ fn named_socket() -> Option<PathBuf> {
     set("MEISSNER_SOCKET")
 }
 
-/// Where a user's own daemon listens.
+/// The socket of a user's own daemon.
 fn users_socket() -> Option<PathBuf> {
     set("XDG_RUNTIME_DIR").map(|dir| dir.join("meissner.sock"))
 }
 
-/// A variable of the environment, if it is there and not empty.
+/// An environment variable that is set and not empty.
 fn set(name: &str) -> Option<PathBuf> {
     env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from)
 }
@@ -112,10 +113,11 @@ mod tests {
     use std::fs;
 
     #[test]
-    fn a_socket_that_was_named_is_the_only_place() {
+    fn a_named_socket_has_no_fallback() {
         let sockets = |named: Option<&str>, users: Option<&str>| {
-            let Endpoint { socket, other, .. } = Endpoint::of(named.map(Into::into), users.map(Into::into));
-            (socket, other)
+            let Endpoint { socket, fallback, .. } =
+                Endpoint::of(named.map(Into::into), users.map(Into::into));
+            (socket, fallback)
         };
         let service = PathBuf::from("/run/meissner/meissner.sock");
         assert_eq!(sockets(Some("/a"), Some("/b")), ("/a".into(), None));
@@ -125,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn a_service_is_installed_where_systemd_runs_and_has_its_unit() {
+    fn a_service_is_installed_if_systemd_runs_and_has_its_unit() {
         let dir = tempfile::tempdir().unwrap();
         let root = dir.path();
         let units = root.join("usr/lib/systemd/system");

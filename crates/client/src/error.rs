@@ -1,8 +1,8 @@
-//! What a call to the daemon can come to, in words.
+//! The errors of a call to the daemon, each one line that says what to do.
 //!
-//! It knows no HTTP; who made an error says where it came from.
+//! [`ClientError::Problem`] is the daemon's own answer; all others mean that no usable answer came.
 //!
-//! Invariant: the display of a [`ClientError`] is one line that says what to do.
+//! Invariant: the display of a [`ClientError`] holds no line break.
 
 use super::{Endpoint, MAX_SOCKET_PATH, is_hidden};
 use meissner_api::Problem;
@@ -10,75 +10,75 @@ use std::io;
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// What a call can come to.
+/// Why a call failed.
 #[derive(Debug, thiserror::Error)]
 pub enum ClientError {
-    /// Nobody answers.
-    #[error("no daemon answers at {endpoint}: {}", .endpoint.start())]
+    /// No daemon listens at the endpoint.
+    #[error("no daemon answers at {endpoint}: {}", .endpoint.how_to_start())]
     NoDaemon {
-        /// Where.
+        /// The sockets that were tried.
         endpoint: Endpoint,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
-    /// We may not, and it can be said why.
+    /// The system denies access to the socket, and groups or file modes explain why.
     #[error("{}: {found}: {advice}", .socket.display())]
     Denied {
-        /// Where.
+        /// The socket.
         socket: PathBuf,
-        /// Why.
+        /// Why the user may not use it.
         found: String,
         /// What to do.
         advice: String,
     },
-    /// It is not to be had.
-    #[error("{}: {source}; see that you may use the socket (its group), or choose another with --socket", .socket.display())]
+    /// The socket cannot be used for another reason.
+    #[error("{}: {source}; check that you may use the socket (its group), or choose another with --socket", .socket.display())]
     Connect {
-        /// Where.
+        /// The socket.
         socket: PathBuf,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
-    /// More than the system takes.
+    /// The socket's path is longer than the system allows.
     #[error("{}: a socket's path has at most {MAX_SOCKET_PATH} bytes: choose a shorter one with --socket", .socket.display())]
     TooLong {
-        /// Where.
+        /// The socket.
         socket: PathBuf,
     },
-    /// The daemon says no.
+    /// The daemon answered with an error.
     #[error(transparent)]
     Problem(#[from] Problem),
-    /// The connection broke.
-    #[error("{}: the daemon hung up: see its log", .socket.display())]
+    /// The connection broke before the answer was complete.
+    #[error("{}: the daemon closed the connection: see its log", .socket.display())]
     HungUp {
-        /// Where.
+        /// The socket.
         socket: PathBuf,
-        /// What HTTP said.
+        /// The HTTP library's error.
         source: Option<hyper::Error>,
     },
-    /// It takes too long.
+    /// No answer, or no event, came in time.
     #[error("{}: no answer within {} s: see the daemon's log", .socket.display(), .timeout.as_secs_f32())]
-    Slow {
-        /// Where.
+    Timeout {
+        /// The socket.
         socket: PathBuf,
-        /// How long it was waited for.
+        /// How long the client waited.
         timeout: Duration,
     },
-    /// Something else answers there, or another version.
-    #[error("{}: not an answer of this version's daemon: {what}; restart it, or choose another with --socket", .socket.display())]
-    Answer {
-        /// Where.
+    /// The answer is not one of this version's daemon.
+    #[error("{}: not an answer of this version's daemon: {what}; restart the daemon, or choose another with --socket", .socket.display())]
+    BadAnswer {
+        /// The socket.
         socket: PathBuf,
-        /// What is odd about it.
+        /// What is wrong with the answer.
         what: String,
     },
-    /// No runtime.
-    #[error("cannot start: {0}")]
+    /// The system gives the client no event queue.
+    #[error("cannot start the client: {0}")]
     Runtime(#[source] io::Error),
 }
 
 impl ClientError {
-    /// Whether there is a socket that is not even to be seen: `su` leaves one with the runtime directory of somebody else.
+    /// Whether the directory of the socket may not even be searched, as after `su`, which keeps another user's runtime directory.
     #[must_use]
     pub fn is_hidden(&self) -> bool {
         matches!(self, Self::Connect { socket, source } if is_hidden(source, socket))

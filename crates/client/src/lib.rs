@@ -1,10 +1,34 @@
-//! A client of the daemon: one kept-alive HTTP/1.1 connection over its Unix socket, and event streams.
+//! A blocking client of the daemon: HTTP/1.1 over its Unix socket, and streams of events.
 //!
-//! Calls block; each connection has a small runtime of its own. It knows addresses and JSON, not what commands
-//! mean. A call that takes longer than [`TIMEOUT`] fails, unless it was given more; an event stream waits for as long as
-//! there is one. Which daemon, if none is named, says [`Endpoint`]; who may speak to it, [`access`].
+//! A [`Client`] keeps one connection open and sends JSON; `meissner-api` has the types of requests and answers, and
+//! `docs/reference/api.md` describes the routes. In the order of a call:
 //!
-//! Invariant: a request that may change something is sent once.
+//! - [`Endpoint`]: which socket to connect to.
+//! - [`Client`]: calls that wait for their answer, by default for [`ANSWER_TIMEOUT`]. Each client has a small runtime of its own.
+//! - [`Events`]: the daemon's events, on a connection of their own.
+//! - [`ClientError`]: what can fail, each in one line that says what to do; [`access`] explains denied sockets.
+//!
+//! ```no_run
+//! use meissner_api::{ArmRequest, Event, PlayAccepted, PlayRequest, Status};
+//! use meissner_client::{Client, Endpoint};
+//!
+//! let mut client = Client::at(Endpoint::find())?;
+//! let mut events = client.events()?;
+//! let _: Status = client.post("/v1/arm", &ArmRequest { assume_rest: true })?;
+//! let request = PlayRequest { pattern: "edge-45".to_owned(), seconds: Some(2.0), ..PlayRequest::default() };
+//! let PlayAccepted { id } = client.post("/v1/play", &request)?;
+//! while let Some(event) = events.next(None)? {
+//!     if let Event::Ended { receipt } = event
+//!         && receipt.id == id
+//!     {
+//!         println!("{}: {:?}", receipt.state.name(), receipt.bursts);
+//!         break;
+//!     }
+//! }
+//! # Ok::<(), meissner_client::ClientError>(())
+//! ```
+//!
+//! Invariant: the client sends a request that may change something once.
 
 pub mod access;
 mod endpoint;
@@ -28,17 +52,17 @@ use std::time::Duration;
 use tokio::net::UnixStream;
 use tokio::runtime::{Builder, Runtime};
 
-/// How long an answer may take: longer than the daemon waits for the device.
-pub const TIMEOUT: Duration = Duration::from_secs(5);
-/// How long pins may take to be home: longer than the daemon waits for them, which is 25 s.
+/// How long the client waits for an answer. The daemon waits for its device for 1 s.
+pub const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
+/// How long to wait for `POST /v1/home`. The daemon waits for the pins for 25 s.
 pub const HOME_TIMEOUT: Duration = Duration::from_secs(30);
-/// Bytes of an answer, or of one event, at the most.
+/// Size of an answer, or of one event, at most, bytes.
 const MAX_ANSWER: usize = 16 << 20;
 
-/// Bytes of a socket's path at the most: what `sun_path` holds.
+/// Length of a socket's path, at most, bytes: `sun_path` holds 108 with the terminating zero.
 pub const MAX_SOCKET_PATH: usize = 107;
 
-/// A connection to the daemon.
+/// A client of one daemon.
 #[derive(Debug)]
 pub struct Client {
     endpoint: Endpoint,
@@ -47,40 +71,40 @@ pub struct Client {
 }
 
 impl Client {
-    /// A client of the daemon at `socket`. It connects at the first call, and again if the daemon hung up.
+    /// A client of the daemon at `socket`. It connects at the first call, and again if the daemon has closed the connection.
     ///
     /// # Errors
-    /// If the system has no means for it.
+    /// [`ClientError::Runtime`].
     pub fn new(socket: &Path) -> Result<Self, ClientError> {
         Self::at(Endpoint::at(socket))
     }
 
-    /// As [`Self::new`], of the first daemon that listens at this endpoint.
+    /// A client of the first daemon that listens at this endpoint.
     ///
     /// # Errors
-    /// If the system has no means for it.
+    /// [`ClientError::Runtime`].
     pub fn at(endpoint: Endpoint) -> Result<Self, ClientError> {
         let runtime = Builder::new_current_thread().enable_all().build().map_err(ClientError::Runtime)?;
         Ok(Self { endpoint, runtime, sender: None })
     }
 
-    /// `GET`.
+    /// Sends a `GET` and reads the JSON answer.
     ///
     /// # Errors
     /// See [`ClientError`].
     pub fn get<T: DeserializeOwned>(&mut self, path: &str) -> Result<T, ClientError> {
-        self.call(Method::GET, path, Bytes::new(), TIMEOUT)
+        self.call(Method::GET, path, Bytes::new(), ANSWER_TIMEOUT)
     }
 
-    /// `POST` of a JSON document.
+    /// Sends a `POST` with a JSON body and reads the JSON answer.
     ///
     /// # Errors
     /// See [`ClientError`].
     pub fn post<T: DeserializeOwned>(&mut self, path: &str, body: &impl Serialize) -> Result<T, ClientError> {
-        self.post_within(TIMEOUT, path, body)
+        self.post_within(ANSWER_TIMEOUT, path, body)
     }
 
-    /// As [`Self::post`], for what takes its time.
+    /// [`Self::post`] with another timeout.
     ///
     /// # Errors
     /// See [`ClientError`].
@@ -90,16 +114,16 @@ impl Client {
         path: &str,
         body: &impl Serialize,
     ) -> Result<T, ClientError> {
-        let body = serde_json::to_vec(body).map_err(|error| self.odd(&error))?;
+        let body = serde_json::to_vec(body).map_err(|error| self.bad_answer(&error))?;
         self.call(Method::POST, path, body.into(), timeout)
     }
 
-    /// `PUT` of a text.
+    /// Sends a `PUT` with a text and reads the JSON answer.
     ///
     /// # Errors
     /// See [`ClientError`].
     pub fn put<T: DeserializeOwned>(&mut self, path: &str, text: String) -> Result<T, ClientError> {
-        self.call(Method::PUT, path, text.into(), TIMEOUT)
+        self.call(Method::PUT, path, text.into(), ANSWER_TIMEOUT)
     }
 
     fn call<T: DeserializeOwned>(
@@ -111,18 +135,19 @@ impl Client {
     ) -> Result<T, ClientError> {
         let idle = self.sender.is_some();
         let mut answer = self.exchange(&method, path, &body, timeout);
-        // A connection that was idle for half a minute the daemon has closed: what only asks may ask again.
+        // The daemon closes a connection that was idle for 30 s. A `GET` changes nothing, so it is sent again.
         if idle && method == Method::GET && matches!(answer, Err(ClientError::HungUp { .. })) {
             answer = self.exchange(&method, path, &body, timeout);
         }
         let (good, bytes) = answer?;
         if good {
-            return serde_json::from_slice(&bytes).map_err(|error| self.odd(&error));
+            return serde_json::from_slice(&bytes).map_err(|error| self.bad_answer(&error));
         }
-        Err(serde_json::from_slice::<Problem>(&bytes).map_or_else(|error| self.odd(&error), Into::into))
+        Err(serde_json::from_slice::<Problem>(&bytes)
+            .map_or_else(|error| self.bad_answer(&error), Into::into))
     }
 
-    /// One request and its answer, and whether that is a good one.
+    /// Sends one request; returns whether it succeeded, and the answer's body.
     fn exchange(
         &mut self,
         method: &Method,
@@ -133,11 +158,11 @@ impl Client {
         let Self { endpoint, runtime, sender } = self;
         let answer = runtime.block_on(async {
             let exchange = async {
-                // A connection that was idle for long may have been closed; nothing was sent on it then.
+                // Nothing was sent on a connection that the daemon has closed while it was idle.
                 if sender.as_mut().is_none_or(|sender| sender.is_closed()) {
                     let (found, socket) = connect(endpoint).await?;
                     *sender = Some(found);
-                    // There it stays, whoever else begins to listen.
+                    // Later calls go to the same daemon, even if another one starts.
                     *endpoint = Endpoint::at(&socket);
                 }
                 let socket = &endpoint.socket;
@@ -148,7 +173,7 @@ impl Client {
                 read_all(socket, response.map_err(|source| hung_up(socket, Some(source)))?).await
             };
             let answer = tokio::time::timeout(timeout, exchange).await;
-            answer.unwrap_or_else(|_| Err(ClientError::Slow { socket: endpoint.socket.clone(), timeout }))
+            answer.unwrap_or_else(|_| Err(ClientError::Timeout { socket: endpoint.socket.clone(), timeout }))
         });
         if answer.is_err() {
             self.sender = None;
@@ -156,11 +181,11 @@ impl Client {
         answer
     }
 
-    fn odd(&self, error: &serde_json::Error) -> ClientError {
-        ClientError::Answer { socket: self.endpoint.socket.clone(), what: error.to_string() }
+    fn bad_answer(&self, error: &serde_json::Error) -> ClientError {
+        ClientError::BadAnswer { socket: self.endpoint.socket.clone(), what: error.to_string() }
     }
 
-    /// Listens to events on a connection of its own. What happens after this has returned is heard.
+    /// Listens to events on a connection of its own. Events that happen after the return are not missed.
     ///
     /// # Errors
     /// See [`ClientError`].
@@ -169,7 +194,7 @@ impl Client {
         let (socket, response) = runtime.block_on(async {
             let (mut sender, socket) = connect(&self.endpoint).await?;
             let request = request(Method::GET, "/v1/events", Bytes::new());
-            let slow = |_| Err(ClientError::Slow { socket: socket.clone(), timeout: TIMEOUT });
+            let slow = |_| Err(ClientError::Timeout { socket: socket.clone(), timeout: ANSWER_TIMEOUT });
             let response = async {
                 let response = sender.send_request(request).await;
                 let response = response.map_err(|source| hung_up(&socket, Some(source)))?;
@@ -179,23 +204,23 @@ impl Client {
                 let (_, bytes) = read_all(&socket, response).await?;
                 let problem = serde_json::from_slice::<Problem>(&bytes);
                 Err(problem.map_or_else(
-                    |error| ClientError::Answer { socket: socket.clone(), what: error.to_string() },
+                    |error| ClientError::BadAnswer { socket: socket.clone(), what: error.to_string() },
                     Into::into,
                 ))
             };
-            let response = tokio::time::timeout(TIMEOUT, response).await.unwrap_or_else(slow)?;
+            let response = tokio::time::timeout(ANSWER_TIMEOUT, response).await.unwrap_or_else(slow)?;
             Ok::<_, ClientError>((socket, response))
         })?;
         Ok(Events { socket, runtime, body: response.into_body(), rest: Vec::new() })
     }
 }
 
-/// A connection to the first that listens, and where that is.
+/// Connects to the first socket at which a daemon listens, and says which one that is.
 async fn connect(endpoint: &Endpoint) -> Result<(SendRequest<Full<Bytes>>, PathBuf), ClientError> {
     let mut socket = &endpoint.socket;
     let mut stream = UnixStream::connect(socket).await;
-    if let (Err(error), Some(other)) = (&stream, &endpoint.other)
-        && (is_nobody(error) || is_hidden(error, socket))
+    if let (Err(error), Some(other)) = (&stream, &endpoint.fallback)
+        && (is_absent(error) || is_hidden(error, socket))
     {
         socket = other;
         stream = UnixStream::connect(socket).await;
@@ -204,7 +229,7 @@ async fn connect(endpoint: &Endpoint) -> Result<(SendRequest<Full<Bytes>>, PathB
         let socket = socket.clone();
         match source.kind() {
             _ if socket.as_os_str().len() > MAX_SOCKET_PATH => ClientError::TooLong { socket },
-            _ if is_nobody(&source) => ClientError::NoDaemon { endpoint: endpoint.clone(), source },
+            _ if is_absent(&source) => ClientError::NoDaemon { endpoint: endpoint.clone(), source },
             io::ErrorKind::PermissionDenied => match access::denied(&socket) {
                 Some((found, advice)) => ClientError::Denied { socket, found, advice },
                 None => ClientError::Connect { socket, source },
@@ -214,17 +239,17 @@ async fn connect(endpoint: &Endpoint) -> Result<(SendRequest<Full<Bytes>>, PathB
     })?;
     let (sender, connection) =
         handshake(TokioIo::new(stream)).await.map_err(|source| hung_up(socket, Some(source)))?;
-    // Its errors come out of the requests too.
+    // The requests report its errors.
     tokio::spawn(connection);
     Ok((sender, socket.clone()))
 }
 
-/// Whether it says that nobody listens.
-fn is_nobody(error: &io::Error) -> bool {
+/// Whether the error means that no daemon listens.
+fn is_absent(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::ConnectionRefused)
 }
 
-/// Whether it is not even to be seen: `su` leaves one with the runtime directory of somebody else.
+/// Whether the directory of the socket may not even be searched, as after `su`, which keeps another user's runtime directory.
 fn is_hidden(error: &io::Error, socket: &Path) -> bool {
     error.kind() == io::ErrorKind::PermissionDenied && socket.metadata().is_err()
 }
@@ -244,12 +269,12 @@ async fn read_all(socket: &Path, response: Response<Incoming>) -> Result<(bool, 
     let body = Limited::new(response.into_body(), MAX_ANSWER).collect().await;
     let body = body.map_err(|error| match error.downcast::<hyper::Error>() {
         Ok(source) => hung_up(socket, Some(*source)),
-        Err(error) => ClientError::Answer { socket: socket.to_owned(), what: error.to_string() },
+        Err(error) => ClientError::BadAnswer { socket: socket.to_owned(), what: error.to_string() },
     })?;
     Ok((good, body.to_bytes()))
 }
 
-/// A part of an address: what is no letter, digit or `-` is escaped.
+/// Escapes a part of an address: everything but letters, digits and `-`.
 #[must_use]
 pub fn escape(part: &str) -> String {
     let plain = |byte: u8| byte.is_ascii_alphanumeric() || byte == b'-';
@@ -257,7 +282,7 @@ pub fn escape(part: &str) -> String {
     part.bytes().map(escaped).collect()
 }
 
-/// Events as they come.
+/// A stream of events.
 #[derive(Debug)]
 pub struct Events {
     socket: PathBuf,
@@ -267,24 +292,25 @@ pub struct Events {
 }
 
 impl Events {
-    /// Waits for the next event; `None` when the daemon ends. After `timeout` without one: `Slow`.
+    /// Waits for the next event; `None` when the daemon ends the stream.
     ///
     /// # Errors
-    /// If the connection broke or what came is no event.
+    /// [`ClientError::Timeout`] after `timeout` without an event, [`ClientError::HungUp`] if the connection broke,
+    /// [`ClientError::BadAnswer`] if something else than an event came.
     pub fn next(&mut self, timeout: Option<Duration>) -> Result<Option<Event>, ClientError> {
         loop {
             while let Some(end) = self.rest.windows(2).position(|pair| pair == b"\n\n") {
                 let block: Vec<u8> = self.rest.drain(..end + 2).collect();
                 let lines = block.split(|&byte| byte == b'\n');
                 let data = lines.filter_map(|line| line.strip_prefix(b"data:")).collect::<Vec<_>>().concat();
-                // Comments keep the connection alive; they carry nothing.
+                // A block without data is a comment that keeps the connection alive.
                 if !data.is_empty() {
                     let event = serde_json::from_slice(&data);
-                    return event.map(Some).map_err(|error| self.odd(error.to_string()));
+                    return event.map(Some).map_err(|error| self.bad_answer(error.to_string()));
                 }
             }
             if self.rest.len() > MAX_ANSWER {
-                return Err(self.odd("an event without end".to_owned()));
+                return Err(self.bad_answer("an event without end".to_owned()));
             }
             let frame = async {
                 let frame = self.body.frame();
@@ -296,7 +322,7 @@ impl Events {
             match self.runtime.block_on(frame) {
                 Err(_) => {
                     let timeout = timeout.unwrap_or_default();
-                    return Err(ClientError::Slow { socket: self.socket.clone(), timeout });
+                    return Err(ClientError::Timeout { socket: self.socket.clone(), timeout });
                 }
                 Ok(None) => return Ok(None),
                 Ok(Some(Err(source))) => return Err(hung_up(&self.socket, Some(source))),
@@ -305,8 +331,8 @@ impl Events {
         }
     }
 
-    fn odd(&self, what: String) -> ClientError {
-        ClientError::Answer { socket: self.socket.clone(), what }
+    fn bad_answer(&self, what: String) -> ClientError {
+        ClientError::BadAnswer { socket: self.socket.clone(), what }
     }
 }
 

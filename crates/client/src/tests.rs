@@ -1,11 +1,11 @@
-//! The client against sockets that are not there, are mute, rude or brief.
+//! The client against sockets that do not exist, do not answer, or close the connection.
 //!
-//! No daemon runs here; what one answers is tested with a real one.
+//! No daemon runs here; `tests/api.rs` of the program tests the client with a real one.
 
 use super::*;
 
 #[test]
-fn without_a_daemon_it_says_how_to_start_one() {
+fn without_a_daemon_the_error_says_how_to_start_one() {
     let dir = tempfile::tempdir().unwrap();
     let socket = dir.path().join("none.sock");
     let mut client = Client::new(&socket).unwrap();
@@ -17,29 +17,30 @@ fn without_a_daemon_it_says_how_to_start_one() {
 }
 
 #[test]
-fn both_places_and_the_service_are_named() {
+fn the_error_names_both_sockets_and_the_service() {
     let dir = tempfile::tempdir().unwrap();
-    let (socket, other) = (dir.path().join("a"), Some(dir.path().join("b")));
+    let (socket, fallback) = (dir.path().join("a"), Some(dir.path().join("b")));
     let line = |endpoint: Endpoint| Client::at(endpoint).unwrap().events().unwrap_err().to_string();
-    let endpoint = Endpoint { socket: socket.clone(), other, service: true };
+    let endpoint = Endpoint { socket: socket.clone(), fallback, service_installed: true };
     let says = format!("no daemon answers at {0}/a, nor at {0}/b: ", dir.path().display());
     let start = "start one with `meissner daemon`";
     assert_eq!(line(endpoint.clone()), format!("{says}`sudo systemctl start meissner`, or {start}"));
-    assert_eq!(line(Endpoint { service: false, ..endpoint }), format!("{says}{start}"));
+    assert_eq!(line(Endpoint { service_installed: false, ..endpoint }), format!("{says}{start}"));
 }
 
 #[test]
-fn the_first_that_listens_is_the_daemon() {
+fn the_client_connects_to_the_first_daemon_that_listens() {
     let dir = tempfile::tempdir().unwrap();
     let (users, service) = (dir.path().join("u.sock"), dir.path().join("s.sock"));
-    let endpoint = Endpoint { socket: users.clone(), other: Some(service.clone()), service: false };
+    let endpoint =
+        Endpoint { socket: users.clone(), fallback: Some(service.clone()), service_installed: false };
     let runtime = Builder::new_current_thread().enable_all().build().unwrap();
     let found = || runtime.block_on(connect(&endpoint)).map(|(_, socket)| socket).ok();
     let listen = |socket| std::os::unix::net::UnixListener::bind(socket).unwrap();
     assert_eq!(found(), None);
     let installed = listen(&service);
     assert_eq!(found(), Some(service.clone()));
-    // A file that is left over is nobody.
+    // A socket file that was left over has no daemon.
     drop(listen(&users));
     assert!(users.exists() && found().as_ref() == Some(&service));
     std::fs::remove_file(&users).unwrap();
@@ -50,7 +51,7 @@ fn the_first_that_listens_is_the_daemon() {
 }
 
 #[test]
-fn what_takes_its_time_gets_it() {
+fn a_call_fails_after_its_timeout() {
     let dir = tempfile::tempdir().unwrap();
     let socket = dir.path().join("mute.sock");
     let _mute = std::os::unix::net::UnixListener::bind(&socket).unwrap();
@@ -61,7 +62,7 @@ fn what_takes_its_time_gets_it() {
 }
 
 #[test]
-fn what_hangs_up_at_once_is_said() {
+fn a_closed_connection_is_an_error() {
     let dir = tempfile::tempdir().unwrap();
     let socket = dir.path().join("rude.sock");
     let listener = std::os::unix::net::UnixListener::bind(&socket).unwrap();
@@ -72,7 +73,7 @@ fn what_hangs_up_at_once_is_said() {
 }
 
 #[test]
-fn a_connection_that_was_closed_while_idle_is_made_again() {
+fn a_connection_that_was_closed_while_idle_is_reopened() {
     use std::io::{Read, Write};
     let dir = tempfile::tempdir().unwrap();
     let socket = dir.path().join("brief.sock");
@@ -82,7 +83,7 @@ fn a_connection_that_was_closed_while_idle_is_made_again() {
             let (mut stream, _) = listener.accept().unwrap();
             stream.read_exact(&mut [0; 16]).unwrap();
             stream.write_all(b"HTTP/1.1 200 OK\r\ncontent-length: 1\r\n\r\n7").unwrap();
-            // The rest of the request is read, or closing would take the answer back.
+            // Closing with unread data would discard the answer.
             stream.set_read_timeout(Some(Duration::from_millis(100))).unwrap();
             while stream.read(&mut [0; 1024]).is_ok_and(|len| len > 0) {}
         }
@@ -95,7 +96,7 @@ fn a_connection_that_was_closed_while_idle_is_made_again() {
 }
 
 #[test]
-fn a_name_cannot_change_an_address() {
+fn a_name_cannot_lead_to_another_address() {
     assert_eq!(escape("edge-45"), "edge-45");
     assert_eq!(escape("../x y/é"), "%2E%2E%2Fx%20y%2F%C3%A9");
 }

@@ -32,7 +32,7 @@ pub(super) fn findings(
     let status = match status {
         Ok(status) => status,
         Err(ClientError::NoDaemon { endpoint, .. }) => {
-            let advice = format!("to play, {}, or name its socket with --socket", endpoint.start());
+            let advice = format!("to play, {}, or name its socket with --socket", endpoint.how_to_start());
             findings.push(Finding::warn("daemon", format!("no daemon answers at {endpoint}"), advice));
             return None;
         }
@@ -123,8 +123,8 @@ mod tests {
     fn a_daemon_that_does_not_answer_is_a_finding() {
         let endpoint = meissner_client::Endpoint {
             socket: PathBuf::from("/a"),
-            other: Some(PathBuf::from("/b")),
-            service: true,
+            fallback: Some(PathBuf::from("/b")),
+            service_installed: true,
         };
         let source = std::io::ErrorKind::NotFound.into();
         assert_eq!(

@@ -20,7 +20,7 @@ use board::Examined;
 use finding::{Finding, Level};
 use meissner_api::Status;
 use meissner_client::ClientError;
-use meissner_client::access::Me;
+use meissner_client::access::CurrentUser;
 use meissner_stream::device::Spec;
 use serde::Serialize;
 use std::path::Path;
@@ -50,7 +50,7 @@ pub(super) fn run(asked: Option<Spec>, time: Duration, plain: &Plain) -> Result<
     findings.extend(service::findings(root, &units));
     let denied = daemon::is_denied(&status);
     // A refusal by the daemon already explains the groups.
-    if !denied && let Some(me) = Me::look_up() {
+    if !denied && let Some(me) = CurrentUser::look_up() {
         findings.extend(service::group(root, &units, &me));
     }
     let daemons = daemon::findings(root, &mut findings, asked.is_none(), status, &units);

@@ -8,7 +8,7 @@
 use super::finding::Finding;
 use crate::config::{Config, ConfigError};
 use meissner_client::SERVICE_SOCKET;
-use meissner_client::access::{Me, Members, Standing, join};
+use meissner_client::access::{CurrentUser, Membership, UserGroup, join_command};
 use meissner_client::is_installed;
 use std::collections::HashMap;
 use std::fs;
@@ -228,17 +228,17 @@ fn rules(root: &Path, units: &Units) -> Option<Finding> {
 }
 
 /// Whether this user may use the service's socket.
-pub(super) fn group(root: &Path, units: &Units, me: &Me) -> Option<Finding> {
+pub(super) fn group(root: &Path, units: &Units, me: &CurrentUser) -> Option<Finding> {
     let socket = fs::metadata(root.join(SERVICE_SOCKET.trim_start_matches('/'))).ok();
     if !units.installed && socket.is_none() {
         return None;
     }
-    let owner = socket.and_then(|socket| Members::of(socket.gid()));
-    Some(judged(me, Members::named(GROUP).as_ref(), owner.as_ref()))
+    let owner = socket.and_then(|socket| UserGroup::of(socket.gid()));
+    Some(judged(me, UserGroup::named(GROUP).as_ref(), owner.as_ref()))
 }
 
 /// A site may have given the socket to another group; that group counts.
-fn judged(me: &Me, haptics: Option<&Members>, owner: Option<&Members>) -> Finding {
+fn judged(me: &CurrentUser, haptics: Option<&UserGroup>, owner: Option<&UserGroup>) -> Finding {
     if owner.is_some_and(|owner| owner.gid == 0) {
         let found = format!("the socket belongs to the group `root`, not to `{GROUP}`");
         return Finding::warn("group", found, format!("`sudo systemctl restart {SOCKET} {SERVICE}`"));
@@ -248,17 +248,17 @@ fn judged(me: &Me, haptics: Option<&Members>, owner: Option<&Members>) -> Findin
         let advice = format!("`sudo groupadd --system {GROUP} && sudo systemctl restart {SOCKET}`");
         return Finding::warn("group", found, advice);
     };
-    let (Me { name, .. }, Members { group, .. }) = (me, members);
-    match me.stands(members) {
+    let (CurrentUser { name, .. }, UserGroup { group, .. }) = (me, members);
+    match me.membership(members) {
         _ if me.uid == 0 => Finding::ok("group", format!("root needs no group; other users need `{group}`")),
-        Standing::In => Finding::ok("group", format!("you ({name}) are in `{group}`")),
-        Standing::AfterLogin => {
+        Membership::Member => Finding::ok("group", format!("you ({name}) are in `{group}`")),
+        Membership::MemberAfterLogin => {
             let found = format!("you ({name}) are in `{group}`, but not yet in this session");
             Finding::warn("group", found, "log in again")
         }
-        Standing::Out => {
+        Membership::NotMember => {
             let found = format!("you ({name}) are not in `{group}`: the service refuses you");
-            Finding::warn("group", found, join(me, members))
+            Finding::warn("group", found, join_command(me, members))
         }
     }
 }

@@ -37,7 +37,7 @@ fn nothing_is_wrong_where_nothing_is_installed() {
         fake::all(&findings(dir.path(), &units)),
         ["Ok service: no service is installed: start `meissner daemon` by hand -> "]
     );
-    let me = Me { name: "anna".into(), uid: 1000, login_gid: 1000, gids: vec![1000] };
+    let me = CurrentUser { name: "anna".into(), uid: 1000, login_gid: 1000, gids: vec![1000] };
     assert!(group(dir.path(), &units, &me).is_none() && !units.runs(812));
 }
 
@@ -156,14 +156,15 @@ fn missing_or_hidden_rules_are_reported() {
 
 #[test]
 fn a_user_outside_the_group_learns_how_to_join() {
-    let me = |uid, gids: &[u32]| Me { name: "anna".into(), uid, login_gid: 1000, gids: gids.to_vec() };
-    let members = |group: &str, gid, names: &[&str]| Members {
+    let me =
+        |uid, gids: &[u32]| CurrentUser { name: "anna".into(), uid, login_gid: 1000, gids: gids.to_vec() };
+    let members = |group: &str, gid, names: &[&str]| UserGroup {
         group: group.to_owned(),
         gid,
         names: names.iter().map(|&name| name.to_owned()).collect(),
     };
     let (empty, hers) = (members("haptics", 991, &[]), members("haptics", 991, &["anna"]));
-    let line = |me: &Me, group, owner| fake::line(&judged(me, group, owner));
+    let line = |me: &CurrentUser, group, owner| fake::line(&judged(me, group, owner));
     let anna = me(1000, &[1000]);
     assert_eq!(
         line(&anna, Some(&empty), None),
