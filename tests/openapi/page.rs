@@ -64,7 +64,7 @@ fn operation(out: &mut String, document: &Value, route: Route) {
     }
     if let Some(body) = described["requestBody"].as_object() {
         let optional = if body["required"] == true { "" } else { ", may be empty" };
-        content(out, &format!("Body{optional}"), &body["content"]);
+        content(out, route, &format!("Body{optional}"), &body["content"]);
     }
     let responses = described["responses"].as_object().unwrap();
     let mut statuses: Vec<String> = Vec::new();
@@ -72,7 +72,7 @@ fn operation(out: &mut String, document: &Value, route: Route) {
         statuses.push(format!("`{status}` ({})", meaning.to_lowercase()));
     }
     let success = &responses[&operation.statuses[0].0.to_string()];
-    content(out, &format!("Answer {}", statuses.join(" or ")), &success["content"]);
+    content(out, route, &format!("Answer {}", statuses.join(" or ")), &success["content"]);
     let is_error = |status: &str| status.starts_with(['4', '5']);
     let errors: Vec<String> = responses
         .iter()
@@ -82,11 +82,15 @@ fn operation(out: &mut String, document: &Value, route: Route) {
     writeln!(out, "\nErrors: {}.", errors.join("; ")).unwrap();
 }
 
-/// A body or an answer: its media type, its type and an example.
-fn content(out: &mut String, title: &str, content: &Value) {
+/// A body or an answer: its media type, its type and an example. Most commands answer with the status, which is shown once.
+fn content(out: &mut String, route: Route, title: &str, content: &Value) {
     for (media, content) in content.as_object().unwrap() {
         let kind =
             content["schema"]["$ref"].as_str().map_or_else(String::new, |way| format!(", {}", link(way)));
+        if kind.contains("#status)") && route != Route::Status {
+            writeln!(out, "\n{title}: `{media}`{kind}, as of [`GET /v1/status`](#get-v1status)").unwrap();
+            continue;
+        }
         writeln!(out, "\n{title}: `{media}`{kind}\n").unwrap();
         match &content["example"] {
             Value::String(example) => writeln!(out, "```text\n{}\n```", example.trim_end()).unwrap(),

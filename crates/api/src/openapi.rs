@@ -146,11 +146,9 @@ fn errors(operation: &Operation) -> Map<String, Value> {
         let names: Vec<_> = codes.iter().map(|code| code.parts().0).collect();
         let mut schema = reference("Problem");
         schema["properties"] = json!({"code": {"enum": names}});
-        let (name, _, title) = codes[0].parts();
-        let example = json!({"summary": title, "value": Problem::new(codes[0], title)});
         json!({
             "description": format!("`{}`", names.join("`, `")),
-            "content": {"application/problem+json": {"schema": schema, "examples": {name: example}}}
+            "content": {"application/problem+json": {"schema": schema}}
         })
     };
     by_status.into_iter().map(|(status, codes)| (status.to_string(), response(codes))).collect()
