@@ -173,7 +173,7 @@ fn patterns_are_listed_shown_and_imported() {
     assert!(printed(daemon.meissner().arg("list")).contains("edge-45"));
     assert!(printed(daemon.meissner().args(["show", "pin-60"])).contains("60.0 Hz"));
     let sweep = printed(daemon.meissner().args(["show", "sweep"]));
-    assert!(sweep.contains("fingertip, 0 to 0.25 s\n") && sweep.contains("and 2 more stretches"), "{sweep}");
+    assert!(sweep.contains("fingertip, 0 to 0.25 s\n") && sweep.contains("and 2 more segments"), "{sweep}");
     write_pattern(&daemon.path("f.toml"), "mine", "");
     let imported = document(daemon.meissner().args(["import", "f.toml", "--json"]));
     assert_eq!(imported["name"], "mine");

@@ -36,7 +36,9 @@ pub enum DaemonError {
     )]
     EventLoop,
     /// The streamer ended by itself: our bug.
-    #[error("internal error: the streamer's thread has ended; motors go off when the host watchdog (`lease_ms`) expires")]
+    #[error(
+        "internal error: the streamer's thread has ended; motors go off when the host watchdog (`lease_ms`) expires"
+    )]
     Streamer,
 }
 
