@@ -10,7 +10,7 @@ use crate::session_record::Location;
 use firmware_protocol::limits::OnTimeLimits;
 use meissner_array::simulated::{PlantConfig, PlantError};
 use meissner_client::default_socket;
-use meissner_input::document::{self, Keyed, Refused, from_toml, in_range};
+use meissner_input::document::{self, DocumentError, Table, from_toml, in_range};
 use meissner_input::message::quote;
 use meissner_stream::Settings;
 use meissner_stream::device::{Spec, SpecError};
@@ -122,7 +122,7 @@ pub enum ConfigError {
     },
     /// Its text is refused.
     #[error(transparent)]
-    Refused(#[from] Refused<Problem>),
+    Refused(#[from] DocumentError<Problem>),
 }
 
 /// What can be wrong with a configuration only.
@@ -137,7 +137,7 @@ pub enum Problem {
     ControlCharacter,
 }
 
-type Fault = document::Fault<Problem>;
+type KeyError = document::KeyError<Problem>;
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -151,8 +151,8 @@ struct RawConfig {
     lead_ms: Option<f64>,
     lease_ms: Option<f64>,
     drift_warning_um: Option<f64>,
-    limits: Option<Keyed<RawLimits>>,
-    mock: Option<Keyed<PlantConfig>>,
+    limits: Option<Table<RawLimits>>,
+    mock: Option<Table<PlantConfig>>,
 }
 
 #[derive(Default, Deserialize)]
@@ -181,8 +181,9 @@ impl Config {
     pub fn parse(text: &str, file: &Path) -> Result<Self, ConfigError> {
         // Every key may be left out.
         let wanted = |_: &str| "it";
-        let config = from_toml(text, wanted).and_then(|Keyed(raw): Keyed<RawConfig>| raw.check());
-        Ok(config.map_err(|fault: Fault| fault.in_text(text).placed(Some(&file.display().to_string())))?)
+        let config = from_toml(text, wanted).and_then(|Table(raw): Table<RawConfig>| raw.check());
+        Ok(config
+            .map_err(|fault: KeyError| fault.in_text(text).in_file(Some(&file.display().to_string())))?)
     }
 }
 
@@ -207,10 +208,10 @@ pub(crate) fn read_regular(path: &Path, most: u64) -> io::Result<Vec<u8>> {
 }
 
 impl RawConfig {
-    fn check(self) -> Result<Config, Fault> {
+    fn check(self) -> Result<Config, KeyError> {
         let device = self.device.as_deref().map_or(Ok(Spec::Auto), |found| {
             let problem = |source| Problem::Device { found: quote(found), source };
-            found.parse().map_err(|source| Fault::key("device", problem(source)))
+            found.parse().map_err(|source| KeyError::key("device", problem(source)))
         })?;
         check_path("socket", self.socket.as_deref())?;
         check_path("patterns_dir", self.patterns_dir.as_deref())?;
@@ -230,7 +231,7 @@ impl RawConfig {
         let good = (1.0..=10_000.0).contains(&drift_warning_um);
         in_range("drift_warning_um", drift_warning_um, good, "1 to 10000 um")?;
         let drift_warning_um = drift_warning_um as f32;
-        let Keyed(limits) = self.limits.unwrap_or(Keyed(RawLimits::default()));
+        let Table(limits) = self.limits.unwrap_or(Table(RawLimits::default()));
         let none = OnTimeLimits::NONE;
         let limit = |key: &str, found: Option<u32>, most: u32| {
             let found = found.unwrap_or(most);
@@ -239,7 +240,7 @@ impl RawConfig {
         };
         let motor = limit("limits.motor_pulses_per_s", limits.motor_pulses_per_s, none.motor)?;
         let rail = limit("limits.rail_pulses_per_s", limits.rail_pulses_per_s, none.rail)?;
-        let Keyed(mock) = self.mock.unwrap_or(Keyed(PlantConfig::default()));
+        let Table(mock) = self.mock.unwrap_or(Table(PlantConfig::default()));
         if let Err(PlantError { key, found, most }) = mock.check() {
             in_range(&format!("mock.{key}"), found, false, format!("0 to {most}"))?;
         }
@@ -256,13 +257,13 @@ impl RawConfig {
     }
 }
 
-fn check_path(key: &str, path: Option<&Path>) -> Result<(), Fault> {
+fn check_path(key: &str, path: Option<&Path>) -> Result<(), KeyError> {
     let Some(path) = path else { return Ok(()) };
     if path.as_os_str().is_empty() {
-        return Err(Fault::key(key, Problem::EmptyPath));
+        return Err(KeyError::key(key, Problem::EmptyPath));
     }
     if path.to_str().is_some_and(|path| path.contains(char::is_control)) {
-        return Err(Fault::key(key, Problem::ControlCharacter));
+        return Err(KeyError::key(key, Problem::ControlCharacter));
     }
     Ok(())
 }

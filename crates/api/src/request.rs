@@ -4,7 +4,7 @@
 //! counts as absent. An error is one line that names the key; for an unknown key it offers the nearest known one.
 
 use crate::problem::{Code, Problem, REFERENCE};
-use meissner_input::document::{self, Fault, Keyed, Mistake, Wanted};
+use meissner_input::document::{self, CommonProblem, KeyError, Table, Wanted};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer, Serialize};
 use std::convert::Infallible;
@@ -154,17 +154,17 @@ fn read<T: DeserializeOwned>(body: &[u8]) -> Result<T, Problem> {
     const WANTED: Wanted = |key| if key == "pattern" { "the name of a pattern" } else { "it" };
     let text =
         std::str::from_utf8(body).map_err(|_| bad("the body is not UTF-8 text: send JSON in UTF-8"))?;
-    document::from_json(text, WANTED).map(|Keyed(request)| request).map_err(problem)
+    document::from_json(text, WANTED).map(|Table(request)| request).map_err(problem)
 }
 
 /// A fault of a body; one of the whole body gets a pointer to the API reference.
-fn problem(fault: Fault<Infallible>) -> Problem {
+fn problem(fault: KeyError<Infallible>) -> Problem {
     let is_key = matches!(
         fault.problem,
-        document::Problem::Common(Mistake::UnknownKey { .. } | Mistake::NoKeys { .. })
+        document::Problem::Common(CommonProblem::UnknownKey { .. } | CommonProblem::NoKeys { .. })
     );
     let is_whole = fault.path.is_empty() && !is_key;
-    let refused = fault.placed(None);
+    let refused = fault.in_file(None);
     bad(if is_whole {
         format!("the body is not a JSON object: {refused}; see {REFERENCE}")
     } else {

@@ -1,9 +1,9 @@
-//! The array: where the 24 pins stand and how their motors are wired.
+//! The geometry of the array: where the 24 pins stand and how their motors are wired.
 //!
-//! Motor `4 * row + column`; row 0 is the most distal. The origin is the middle of the array, x runs
-//! across the finger, y towards the fingertip. Nothing here moves.
+//! A motor's number is `4 * row + column`; row 0 is the most distal. The origin is the middle of the array, x runs
+//! across the finger, y towards the fingertip.
 //!
-//! Invariant: every function takes a motor in 0..24; beyond it the answer means nothing.
+//! Invariant: every function takes a motor in 0..24; for other numbers the result has no meaning.
 
 use firmware_protocol::limits::MOTORS_PER_RAIL;
 use firmware_protocol::stroke::MOTORS;
@@ -14,7 +14,7 @@ pub const ROWS: u8 = 6;
 pub const COLUMNS: u8 = 4;
 /// Distance of neighbouring pins, mm: the paper's nominal pitch.
 pub const PITCH_MM: f64 = 2.9;
-/// An LT3572 drives two motors.
+/// Motors that an LT3572 drives.
 pub const MOTORS_PER_CHIP: u8 = 2;
 
 const _: () = assert!(ROWS as usize * COLUMNS as usize == MOTORS);

@@ -1,13 +1,44 @@
-//! The pin array and its motors, from a pattern to the displacement of each pin.
+//! The pin array and its motors, from a pattern file to the displacement of each pin.
 //!
-//! - [`geometry`]: where the 24 pins stand.
-//! - [`pattern`]: pattern files, which pins vibrate, at which frequency, amplitude and phase, and when.
-//! - [`motor`]: the motor model: a square-wave drive becomes bursts of pulses, bursts become displacement.
-//! - [`strokes`]: a pattern compiled to strokes at exact ticks. Streamer, simulated motors and skin model all use it.
-//! - [`simulated`]: 24 simulated motors with scatter, asymmetry, end stops and telemetry.
-//! - [`units`]: seconds, ticks and micrometres; [`random`]: random numbers that depend on a key alone.
+//! The modules, in the order of the data path:
+//!
+//! 1. [`geometry`]: where the 24 pins stand.
+//! 2. [`pattern`]: reads and checks pattern files: which pins vibrate, at which frequency, amplitude and phase, and when.
+//! 3. [`strokes`]: compiles a pattern to strokes at exact ticks. The streamer, the simulated motors and the skin model all use it.
+//! 4. [`motor`]: the model of an ideal motor: a square wave becomes bursts of pulses, bursts become displacement.
+//! 5. [`simulated`]: 24 simulated motors with scatter, asymmetry, end stops and telemetry.
+//!
+//! [`units`] converts seconds, ticks and micrometres. [`random`] makes random numbers that depend on a key alone.
 //!
 //! The crate opens no file and reads no clock.
+//!
+//! ```
+//! use meissner_array::motor::{HalfTick, Shaft};
+//! use meissner_array::pattern::Pattern;
+//! use meissner_array::strokes::{DriveStrokes, Strokes};
+//!
+//! let text = r#"
+//!     format = 1
+//!     name = "pin-9"
+//!     duration_s = 0.1
+//!     [[drive]]
+//!     motor = 9
+//!     frequency_hz = 60.0
+//!     amplitude_um = 80.0
+//! "#;
+//! let pattern = Pattern::parse(text, "pin-9.toml")?;
+//! let strokes = Strokes::new(&pattern, Some(1.0))?.collect::<Result<Vec<_>, _>>()?;
+//! assert_eq!(strokes.len(), 60);
+//! assert_eq!((strokes[0].up_pulses, strokes[1].up.0), (589, 1417));
+//!
+//! // The displacement of the pin's shaft when the first burst up is over, and 4.3 ms later.
+//! let mut shaft = Shaft::default();
+//! let first = DriveStrokes::of(&pattern.drives()[0])?.next().unwrap();
+//! shaft.push(first.ramps()[0]);
+//! assert!(shaft.displacement_um(HalfTick(2 * 589)) < 60.0);
+//! assert!((shaft.displacement_um(HalfTick(2 * 589 + 731)) - 80.0).abs() < 0.1);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 pub mod geometry;
 pub mod motor;

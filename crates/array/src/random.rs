@@ -1,12 +1,12 @@
-//! Random draws that depend on what they are for and on nothing else.
+//! Keyed random numbers: each depends on its key alone.
 //!
-//! A draw is a function of its key (a seed, and what the draw is for: a motor and a tick, say), not of how many
-//! draws came before. So leaving one out, or asking in another order or on another thread, changes no other. ChaCha8
-//! turns the key into bits, Box–Muller by `libm` turns the bits into a normal deviate. Where a normal deviate has to cost
-//! a few nanoseconds, [`Normals`] is a stream for each receptor, by `rand_distr`'s ziggurat: the n-th depends on
-//! seed, receptor and n. (One in a few thousand of those lies in the tail, where the platform's logarithm is used.)
+//! The key is a seed and what the number is for, for example a motor and a tick. Numbers do not depend on how many came before,
+//! so leaving one out, or asking in another order or on another thread, changes no other. ChaCha8 turns the key into bits, and
+//! Box–Muller with `libm` turns the bits into a normal deviate. Where a normal deviate may cost only a few nanoseconds, [`Normals`]
+//! is a stream per afferent with the ziggurat of `rand_distr`: the n-th number depends on seed, afferent and n. (One in a few
+//! thousand of those lies in the tail, where the platform's logarithm is used.)
 //!
-//! Invariant: the same key gives the same bits, for ever; the golden values hold it to that.
+//! Invariant: the same key always gives the same bits; the golden values in the tests hold it to that.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -21,8 +21,8 @@ pub fn normal(key: [u64; 4]) -> f64 {
     (-2.0 * libm::log(radius)).sqrt() * libm::cos(std::f64::consts::TAU * turns)
 }
 
-/// Two numbers uniform in [0, 1), multiples of 2⁻⁵³, that belong to `key`. [`normal`] of the same key is made of
-/// the same two: who needs both gives them different keys.
+/// Two numbers uniform in [0, 1), multiples of 2⁻⁵³, that belong to `key`. [`normal`] uses the same two for the same key: to
+/// use both functions, use different keys.
 #[must_use]
 #[expect(clippy::cast_precision_loss, reason = "53 bits fit")]
 pub fn uniform(key: [u64; 4]) -> [f64; 2] {
@@ -39,7 +39,7 @@ pub fn uniform(key: [u64; 4]) -> [f64; 2] {
 pub struct Normals(ChaCha8Rng);
 
 impl Normals {
-    /// The stream that belongs to a seed and, say, a receptor.
+    /// The stream that belongs to a seed and, for example, an afferent.
     #[must_use]
     pub fn new(seed: u64, stream: u64) -> Self {
         let mut bits = ChaCha8Rng::seed_from_u64(seed);
@@ -47,7 +47,7 @@ impl Normals {
         Self(bits)
     }
 
-    /// The next one.
+    /// The next number.
     #[must_use]
     #[inline(always)]
     #[expect(clippy::should_implement_trait, reason = "it never ends")]
@@ -73,7 +73,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stream_never_changes_and_has_a_place_for_each_receptor() {
+    fn a_stream_never_changes_and_differs_by_afferent() {
         let mut stream = Normals::new(1, 2);
         let first: Vec<u64> = (0..4).map(|_| stream.next().to_bits()).collect();
         assert_eq!(first, GOLDEN_STREAM, "{first:#x?}");

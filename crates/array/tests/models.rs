@@ -1,3 +1,5 @@
+//! The motor model against reference traces and amplitudes.
+
 use crate::plant::play;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::{HalfTick, Shaft, SquareWave, SteadyState};

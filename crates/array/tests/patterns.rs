@@ -1,3 +1,5 @@
+//! Pattern files: what is refused and in which words; the shipped library.
+
 use meissner_array::pattern::{Drive, Pattern, Problem};
 use meissner_array::strokes::Strokes;
 use meissner_input::document;
@@ -42,7 +44,7 @@ fn a_file_is_read_and_written_back_as_the_same_pattern() {
     assert_eq!(json["provenance"]["method"], "hand-made");
 }
 
-/// What to change in the good file, and what the one line must then begin with and hold.
+/// A change of the good file, and what the message must then begin with and contain.
 const BAD: [(&str, &str, &str, &str); 36] = [
     ("format = 1", "format = 2", "bad.toml:1: `format` is 2", "format = 1"),
     ("format = 1", "", "bad.toml:1: `format` is missing", "add format = 1"),
@@ -113,7 +115,7 @@ const BAD: [(&str, &str, &str, &str); 36] = [
 ];
 
 #[test]
-fn every_mistake_is_one_line_that_says_what_where_and_what_to_do() {
+fn every_error_is_one_line_that_says_what_where_and_what_to_do() {
     for (good, bad, start, advice) in BAD {
         assert!(GOOD.contains(good), "{good}");
         let line = Pattern::parse(&GOOD.replacen(good, bad, 1), "bad.toml").unwrap_err().to_string();
@@ -129,7 +131,7 @@ fn size_and_number_of_drives_are_bounded() {
     let drive = "[[drive]]\nmotor = 0\nfrequency_hz = 60.0\namplitude_um = 80.0\n";
     let many = format!("format = 1\nname = \"many\"\n{}", drive.repeat(4097));
     assert_eq!(problem(&many), document::Problem::Own(Problem::TooManyDrives { count: 4097 }));
-    // The name of a file is a line, too.
+    // A file's name does not break the line either.
     assert!(!Pattern::parse("", "a\nb").unwrap_err().to_string().contains('\n'));
 }
 
@@ -162,7 +164,7 @@ fn every_shipped_pattern_is_sound_and_moves() {
         names.push(pattern.name().to_owned());
     }
     names.sort();
-    // What was made by hand; the rest is made for targets (see `library`).
+    // Made by hand; the design crate makes the others for targets.
     for name in ["all-in-phase", "pin-60", "sweep", "wave"] {
         assert!(names.contains(&name.to_owned()), "{name}");
     }

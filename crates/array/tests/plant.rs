@@ -1,3 +1,5 @@
+//! The simulated motors: scatter, end stops, telemetry, and times a month away.
+
 use firmware_protocol::stroke::{Burst, Direction, Lines, Stroke};
 use firmware_protocol::tick::Tick;
 use meissner_array::pattern::{Drive, Pattern};
@@ -8,7 +10,7 @@ use meissner_array::units::UM_PER_PULSE;
 const MONTH: u64 = 30 * 86_400 * 85_000;
 const SECOND: u64 = 85_000;
 
-/// Plays bursts on a plant for so many ticks, as a controller would; `look` sees it after every step.
+/// Plays bursts on a plant for `ticks` ticks, as a controller would; calls `look` after every step.
 pub(crate) fn play(
     plant: &mut Plant,
     strokes: impl IntoIterator<Item = Result<Stroke, StrokesError>>,

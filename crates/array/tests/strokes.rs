@@ -1,3 +1,5 @@
+//! From patterns to strokes: exact ticks, repeats and cuts, and invariants on random patterns.
+
 use firmware_protocol::limits;
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
@@ -18,8 +20,8 @@ fn all(pattern: &Pattern, seconds: Option<f64>) -> Vec<Stroke> {
     Strokes::new(pattern, seconds).unwrap().map(Result::unwrap).collect()
 }
 
-/// The rule as the models state it, drive by drive, sorted at the end: what `Strokes` must come to.
-fn by_the_book(pattern: &Pattern, seconds: f64) -> Vec<Stroke> {
+/// The strokes of a pattern by the rule of the model, drive by drive and sorted at the end: what `Strokes` must return.
+fn by_the_rule(pattern: &Pattern, seconds: f64) -> Vec<Stroke> {
     let ticks = |seconds: f64| (seconds * 85_000.0 + 0.5).floor() as u64;
     let end = ticks(seconds);
     let mut strokes = Vec::new();
@@ -62,7 +64,7 @@ fn by_the_book(pattern: &Pattern, seconds: f64) -> Vec<Stroke> {
     strokes
 }
 
-/// Drives of a motor in turn, with gaps, in 0.2 s at the most.
+/// Successive drives of a motor, with gaps, in at most 0.4 s.
 fn drives_of(motor: u8) -> impl Strategy<Value = Vec<Drive>> {
     let drive = (0.1..300.0f64, 0.0..400.0f64, 0.0..1.0f64, 0.0..0.03f64, 0.001..0.1f64);
     (prop::collection::vec(drive, 0..4), any::<bool>()).prop_map(move |(settings, open)| {
@@ -73,7 +75,7 @@ fn drives_of(motor: u8) -> impl Strategy<Value = Vec<Drive>> {
             at = start + length;
             Drive {
                 motor,
-                // Skewed to where several periods fit.
+                // Mostly high frequencies, of which several periods fit.
                 frequency_hz: (300.0 - hz).max(0.1),
                 amplitude_um,
                 phase,
@@ -95,9 +97,9 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 64, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn any_pattern_plays_by_the_book_and_harms_nothing(pattern in patterns(), seconds in 0.0..2.0f64) {
+    fn any_pattern_plays_by_the_rule_and_within_the_limits(pattern in patterns(), seconds in 0.0..2.0f64) {
         let strokes = all(&pattern, Some(seconds));
-        prop_assert_eq!(&strokes, &by_the_book(&pattern, seconds));
+        prop_assert_eq!(&strokes, &by_the_rule(&pattern, seconds));
         let mut busy = [Tick(0); 24];
         for stroke in &strokes {
             prop_assert!(limits::check(stroke).is_ok() && stroke.up_pulses == stroke.down_pulses);
@@ -120,14 +122,14 @@ proptest! {
 
 #[test]
 fn a_repeat_a_tick_too_short_is_left_out() {
-    // One saturated period to a repeat: whether it fits hangs on how the repeat's ends round.
+    // One saturated period in a repeat: whether it fits depends on how the ends of the repeat round.
     for hz in [299.0, 150.5, 201.3, 290.1, 233.0, 77.7] {
         for ticks in [-1.0, -0.6, -0.3, 0.0, 0.3] {
             let period = pattern(
                 Some(1.0 / hz + ticks / 85_000.0),
                 vec![drive(0, hz, 400.0), drive(1, hz / 2.0, 9.0)],
             );
-            assert_eq!(all(&period, Some(3.0)), by_the_book(&period, 3.0), "{hz} Hz, {ticks}");
+            assert_eq!(all(&period, Some(3.0)), by_the_rule(&period, 3.0), "{hz} Hz, {ticks}");
         }
     }
 }
@@ -181,7 +183,7 @@ fn seconds_cut_and_a_stroke_is_whole_or_absent() {
 }
 
 #[test]
-fn what_has_no_strokes_ends() {
+fn a_pattern_without_strokes_ends() {
     let silent = drive(0, 60.0, 0.05);
     assert_eq!(all(&pattern(None, vec![silent]), None), []);
     assert_eq!(all(&pattern(Some(0.01), vec![silent]), Some(1e8)), []);
@@ -198,7 +200,7 @@ fn what_has_no_strokes_ends() {
 }
 
 #[test]
-fn no_length_is_refused() {
+fn a_duration_out_of_range_is_refused() {
     for seconds in [-1.0, f64::NAN, f64::INFINITY] {
         let refused = Strokes::new(&pattern(None, vec![]), Some(seconds));
         assert!(matches!(refused, Err(StrokesError::Seconds { .. })));

@@ -1,23 +1,22 @@
-//! Text from outside, made fit to stand in a line of ours.
+//! Formats foreign text for a message of one line.
 //!
-//! What a file or a person wrote is shown in errors: quoted, escaped and cut. And where a key is not known, the
-//! nearest known one is offered. No module's errors are defined here.
+//! Errors show text from a file or a person quoted, escaped and cut, and offer the nearest known key for an unknown one.
 //!
-//! Invariant: nothing that comes out of here holds a line break or is longer than a line bears.
+//! Invariant: no text from here holds a line break or is too long for a line.
 
-/// Characters of somebody else's name that are shown.
+/// The most characters of a foreign name that are shown.
 const SHOWN: usize = 64;
-/// Characters of a parser's message that are shown.
+/// The most characters of a parser's message that are shown.
 const SHOWN_OF_MESSAGE: usize = 200;
 
-/// A name from outside, in backticks.
+/// A foreign name, in backticks.
 pub fn quote(text: &str) -> String {
     let cut = if text.chars().nth(SHOWN).is_some() { "..." } else { "" };
     let shown: String = text.chars().take(SHOWN).flat_map(char::escape_debug).collect();
     format!("`{shown}{cut}`")
 }
 
-/// A parser's message, its lines joined. It has quoted what it shows, so quotes and backslashes stay.
+/// A parser's message with its lines joined. The parser has quoted what it shows, so quotes and backslashes stay.
 pub fn one_line(message: &str) -> String {
     let cut = if message.chars().nth(SHOWN_OF_MESSAGE).is_some() { "..." } else { "" };
     let mut shown = String::new();
@@ -31,15 +30,15 @@ pub fn one_line(message: &str) -> String {
     shown + cut
 }
 
-/// A number, short also if it is very large or very small.
-pub fn figure(number: f64) -> String {
+/// A number, in short form also if it is very large or very small.
+pub fn short_number(number: f64) -> String {
     let plain = number == 0.0 || !number.is_finite() || (1e-6..1e16).contains(&number.abs());
     if plain { number.to_string() } else { format!("{number:e}") }
 }
 
-/// The known key that is nearest to one that is not.
+/// The known key that is nearest to an unknown one.
 pub fn nearest<'k>(known: &[&'k str], key: &str) -> &'k str {
-    // Measured on a piece: a key may be as long as the file, and the measure takes memory for each letter.
+    // Compares only the beginning: a key may be as long as the file, and the comparison takes memory for each letter.
     let piece: String = key.chars().take(SHOWN).collect();
     let distance = |known: &&&str| strsim::damerau_levenshtein(known, &piece);
     known.iter().min_by_key(distance).copied().unwrap_or_default()
@@ -50,7 +49,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn nothing_breaks_the_line_or_goes_on_for_ever() {
+    fn text_is_one_line_of_bounded_length() {
         let odd = "a\nb\r\u{2028}\u{85}\t\0";
         for line in [quote(odd), one_line(odd)] {
             assert!(line.chars().all(|c| !c.is_control() && c != '\u{2028}'), "{line:?}");

@@ -1,13 +1,13 @@
-//! A shaft's displacement, exactly, from the ramps of its commanded position.
+//! The exact displacement of a shaft, from the ramps of its commanded position.
 //!
-//! `y(t) = (1/W) ∫ r` over the last W = 365.5 ticks. A ramp's share in that integral is a polynomial in whole
-//! half ticks counted from the ramp's own start, so it is an integer before it is multiplied by the ramp's
-//! rate: it costs no precision however late it is. A ramp that ended W ago is added to a base and forgotten.
+//! `y(t) = (1/W) ∫ r` over the last W = 365.5 ticks. The share of a ramp in that integral is a polynomial in whole
+//! half ticks since the ramp's start, so it is an integer until it is multiplied by the ramp's speed, and loses no precision
+//! however late it is. A ramp that ended W ago is added to a base and dropped.
 //!
-//! Streaming: ramps are pushed in order of time, and nothing is asked about instants before the start of
-//! the newest. That bounds the memory: one pulse is the shortest ramp, so [`MAX_RAMPS`] fill the window.
+//! Push ramps in order of time, and ask only about instants from the start of the newest ramp on. This bounds the memory: the
+//! shortest ramp is one pulse, so [`MAX_RAMPS`] fill the window.
 
-use super::WINDOW_HALF_TICKS;
+use super::model::WINDOW_HALF_TICKS;
 use crate::units::UM_PER_PULSE;
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
@@ -18,7 +18,7 @@ const MAX_RAMPS: usize = WINDOW_HALF_TICKS as usize / 2 + 3;
 
 const WINDOW: i64 = WINDOW_HALF_TICKS.cast_signed();
 
-/// An instant of device time in half ticks: all breaks of the model are multiples of one.
+/// An instant of device time in half ticks: all breakpoints of the model are multiples of one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct HalfTick(pub u64);
 
@@ -35,7 +35,7 @@ impl HalfTick {
     }
 }
 
-/// A stretch of constant speed of the commanded position.
+/// A segment of constant speed of the commanded position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ramp {
     /// When it begins.
@@ -47,7 +47,7 @@ pub struct Ramp {
 }
 
 impl Ramp {
-    /// So many pulses from `start` on, played with a gain; 1 is the ideal motor.
+    /// `ticks` pulses from `start` on, played with a gain; 1 is the ideal motor.
     #[must_use]
     pub fn new(start: Tick, ticks: u32, direction: Direction, gain: f64) -> Self {
         let um_per_tick = match direction {
@@ -57,8 +57,7 @@ impl Ramp {
         Self { start, ticks, um_per_tick }
     }
 
-    /// A burst by what it really travelled, µm, upwards positive, at the same speed throughout; without pulses it travels
-    /// nothing.
+    /// A burst with a measured travel, µm, upwards positive, at constant speed. Without pulses it has no travel.
     #[must_use]
     pub fn travelled(start: Tick, pulses: u32, travel_um: f64) -> Self {
         let um_per_tick = if pulses == 0 { 0.0 } else { travel_um / f64::from(pulses) };
@@ -90,8 +89,8 @@ impl Ramp {
         self.share_after(at.since(self.start.into()))
     }
 
-    /// The ramp's share in the displacement, `after` half ticks after its start, µm: the mean over the window
-    /// of what it has travelled. Before the window it did `before`; inside it runs on until it ends.
+    /// The ramp's share in the displacement, `after` half ticks after its start, µm: the mean of its travel over the
+    /// window. `before` half ticks of it lie before the window.
     #[expect(clippy::cast_precision_loss, reason = "below 2^44")]
     fn share_after(&self, after: i64) -> f64 {
         let before = self.done(after - WINDOW);
@@ -102,7 +101,7 @@ impl Ramp {
         let inside = after.clamp(0, WINDOW);
         let done = inside.min(left);
         let twice_area = 2 * WINDOW * before + done * (2 * inside - done);
-        // Half for the doubled area, half for the half ticks.
+        // A factor 1/2 for the doubled area, and one for half ticks.
         self.um_per_tick * (twice_area as f64 / (4 * WINDOW) as f64)
     }
 }
@@ -121,14 +120,14 @@ impl Default for Shaft {
 }
 
 impl Shaft {
-    /// Back to rest at 0, without giving memory up.
+    /// Returns to rest at 0. Keeps the memory.
     pub fn reset(&mut self) {
         self.base_um = 0.0;
         self.ramps.clear();
     }
 
-    /// Adds the next ramp, which must not begin before the end of the last. One that goes on where the
-    /// last ended, at the same speed, prolongs it. From now on nothing may be asked before its start.
+    /// Adds the next ramp, which must not begin before the end of the last. A ramp that begins where the last ended and has
+    /// the same speed prolongs it. From now on, ask about no instant before its start.
     pub fn push(&mut self, ramp: Ramp) {
         debug_assert!(self.ramps.back().is_none_or(|last| last.end() <= ramp.start), "{ramp:?} out of order");
         if ramp.ticks == 0 {

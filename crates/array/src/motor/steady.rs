@@ -1,20 +1,22 @@
-//! What a drive comes to in the steady state: the curve the paper measured as its Fig. 3.
+//! The steady amplitude of a drive: the curve that the paper measured as its Fig. 3.
 //!
-//! The ideal figure is a closed form. The square wave with limited slope is a trapezoid, odd about its mean
-//! and repeating after T, so a window of W sees only W mod T of it, and sees most of it when it is
-//! centred on a plateau: half the peak to peak is the integral from -x to x of the trapezoid about its
-//! mean, over W. The played figure is that of the drive with its edges at ticks, walked piece by piece.
+//! The ideal amplitude has a closed form. The square wave with limited slope is a trapezoid with period T, odd about its
+//! mean. A window of W therefore depends only on W mod T, and the average is largest when the window is centred on a
+//! plateau: half the peak to peak is the integral of the trapezoid about its mean from -x to x, over W. The played amplitude is
+//! that of the drive with its edges at ticks, evaluated piece by piece.
 //!
-//! Invariant: both figures are exact up to f64; neither is sampled.
+//! Invariant: both amplitudes are exact up to f64; neither is sampled.
 
-use super::{HalfTick, MotorError, Shaft, SquareWave, WINDOW_HALF_TICKS, WINDOW_LENGTH_TICKS, WINDOW_TICKS};
+use super::model::{MotorError, WINDOW_HALF_TICKS, WINDOW_LENGTH_TICKS, WINDOW_TICKS};
+use super::shaft::{HalfTick, Shaft};
+use super::wave::SquareWave;
 use crate::units::UM_PER_PULSE;
 use firmware_protocol::tick::TICK_HZ;
 use serde::Serialize;
 use std::collections::BTreeSet;
 
-/// Periods watched for the played figure. Tick rounding makes the wave drift through its possible shapes;
-/// this many show them for every frequency but a few near ratios of small numbers.
+/// Periods evaluated for the played amplitude. Rounding to ticks makes the wave drift through its possible shapes;
+/// this many periods show them all, except at a few frequencies near ratios of small numbers.
 const PERIODS: usize = 1024;
 
 /// A drive's steady state.
@@ -26,7 +28,7 @@ pub struct SteadyState {
     pub pulses: u32,
     /// Displacement between the highest and the lowest point, as played.
     pub played_peak_to_peak_um: f64,
-    /// Whether the frequency leaves too little room for the amplitude: the square becomes a triangle.
+    /// Whether the amplitude does not fit into half a period, so that the square becomes a triangle.
     pub saturated: bool,
 }
 
@@ -54,7 +56,7 @@ fn ideal(frequency_hz: f64, amplitude_um: f64) -> f64 {
     let plateau = (period / 2.0 - reached / UM_PER_PULSE) / 2.0;
     let cycles = window / period;
     let seen = (cycles - cycles.floor()) * period / 2.0;
-    // A window of T - w sees what one of w sees, the other way round.
+    // Windows of T - w and w give the same, mirrored.
     let seen = seen.min(period / 2.0 - seen);
     2.0 / window * (reached * seen - UM_PER_PULSE * (seen - plateau).max(0.0).powi(2))
 }
@@ -67,14 +69,14 @@ fn played(wave: &SquareWave) -> f64 {
     }
     let settled = HalfTick(2 * wave.edge(0) + WINDOW_HALF_TICKS);
     let mut shaft = Shaft::default();
-    let mut breaks = BTreeSet::new();
+    let mut breakpoints = BTreeSet::new();
     let mut range = Range::default();
     for excursion in wave.excursions().take(PERIODS) {
         for ramp in excursion.ramps() {
             let ends = [HalfTick::from(ramp.start), ramp.end().into()];
-            while let Some(at) = breaks.pop_first() {
+            while let Some(at) = breakpoints.pop_first() {
                 if at > ends[0] {
-                    breaks.insert(at);
+                    breakpoints.insert(at);
                     break;
                 }
                 if at >= settled {
@@ -82,14 +84,14 @@ fn played(wave: &SquareWave) -> f64 {
                 }
             }
             shaft.push(ramp);
-            breaks.extend(ends);
-            breaks.extend(ends.map(|end| HalfTick(end.0 + WINDOW_HALF_TICKS)));
+            breakpoints.extend(ends);
+            breakpoints.extend(ends.map(|end| HalfTick(end.0 + WINDOW_HALF_TICKS)));
         }
     }
     range.highest - range.lowest
 }
 
-/// The highest and lowest displacement over the pieces walked so far.
+/// The highest and lowest displacement over the pieces so far.
 #[derive(Default)]
 struct Range {
     /// Where the last piece ended: instant, displacement, velocity.
@@ -99,8 +101,8 @@ struct Range {
 }
 
 impl Range {
-    /// Takes in the piece from the last break to the one `at`: its ends, and its vertex if that lies between.
-    #[expect(clippy::cast_precision_loss, reason = "a distance of breaks")]
+    /// Adds the piece from the last breakpoint to `at`: its ends, and its vertex if that lies between.
+    #[expect(clippy::cast_precision_loss, reason = "a distance of breakpoints")]
     fn piece_to(&mut self, at: HalfTick, shaft: &Shaft) {
         let (y, velocity) = (shaft.displacement_um(at), shaft.velocity_um_per_tick(at));
         match self.last {

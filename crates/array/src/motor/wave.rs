@@ -1,12 +1,13 @@
-//! The one rule that turns a drive into edges at ticks and pulses between them.
+//! Turns a drive into edges at ticks and pulses between them.
 //!
-//! A drive is a square wave, up first. Each edge is computed from its number, never from the edge before,
-//! so the millionth is as exact as the first. The `f64` result, in the order of operations written here,
-//! is the definition: streamer, plant and simulator get the same ticks because they all ask here.
+//! A drive is a square wave that goes up first. Each edge is computed from its number, never from the edge before, so the
+//! millionth edge is as exact as the first. The `f64` result, in the order of operations written here, is the
+//! definition: everything that needs the ticks of a drive gets them from this module.
 //!
-//! Invariant: an excursion's up and down bursts have the same number of pulses and do not overlap.
+//! Invariant: the up and down bursts of an excursion have the same number of pulses and do not overlap.
 
-use super::{MAX_AMPLITUDE_UM, MAX_FREQUENCY_HZ, MotorError, Ramp};
+use super::model::{MAX_AMPLITUDE_UM, MAX_FREQUENCY_HZ, MotorError};
+use super::shaft::Ramp;
 use crate::units::UM_PER_PULSE;
 use firmware_protocol::stroke::{Direction, Stroke};
 use firmware_protocol::tick::{TICK_HZ, Tick};
@@ -47,7 +48,7 @@ impl Excursion {
             .map(|(start, direction)| Ramp::new(Tick(start), self.pulses, direction, 1.0))
     }
 
-    /// The first tick after the down burst; beyond all time, where that is.
+    /// The first tick after the down burst. Saturates.
     #[must_use]
     pub const fn end(&self) -> u64 {
         self.down.saturating_add(self.pulses as u64)
@@ -78,21 +79,21 @@ impl SquareWave {
         Ok(Self { frequency_hz, phase, pulses })
     }
 
-    /// The pulses the amplitude asks for, whether or not the frequency leaves room for them.
+    /// Pulses that the amplitude asks for, whether or not they fit into half a period.
     #[must_use]
     pub const fn wanted_pulses(&self) -> u32 {
         self.pulses
     }
 
-    /// The pulses every excursion has: what is wanted, or else what fits into half a period of whole ticks.
-    /// (Now and then, where the edges round that way, a saturated excursion has one more.)
+    /// Pulses of a burst: those the amplitude asks for, or as many as fit into half a period of whole ticks.
+    /// (Where the edges round that way, an excursion of a saturated drive has one more.)
     #[must_use]
     pub fn pulses(&self) -> u32 {
         u32::try_from(self.half_period_ticks()).map_or(self.pulses, |room| room.min(self.pulses))
     }
 
-    /// Half a period in whole ticks, rounded down; the billionth lets one that is whole but for the
-    /// rounding of `f64` be whole.
+    /// Half a period in ticks, rounded down. The added billionth keeps half periods whole that are whole but for the
+    /// rounding of `f64`.
     #[expect(
         clippy::cast_possible_truncation,
         clippy::cast_sign_loss,
@@ -114,19 +115,19 @@ impl SquareWave {
         (((h as f64 / 2.0 + self.phase) * f64::from(TICK_HZ)) / self.frequency_hz + 0.5) as u64
     }
 
-    /// The drive's excursions from its beginning on, without end.
+    /// The drive's excursions from its beginning, without end.
     #[must_use]
     pub fn excursions(self) -> Excursions {
         Excursions { wave: self, h: 0, up: self.edge(0) }
     }
 }
 
-/// The excursions of a drive in order of time. It never ends: who asks knows when to stop.
+/// The excursions of a drive in order of time, without end.
 #[derive(Clone, Debug)]
 pub struct Excursions {
     wave: SquareWave,
     h: u64,
-    /// Edge `h`: the next excursion's first edge is this one's last.
+    /// The tick of edge `h`.
     up: u64,
 }
 
@@ -139,7 +140,7 @@ impl Iterator for Excursions {
         let (up, down, next_up) = (self.up, self.wave.edge(self.h + 1), self.wave.edge(self.h + 2));
         self.h += 2;
         self.up = next_up;
-        // Edges beyond all time saturate: nothing comes after them that could be in the way.
+        // A saturated edge never comes, so it limits nothing.
         let room = if next_up == u64::MAX { u64::MAX } else { next_up - down };
         let pulses = u64::from(self.wave.pulses).min(down - up).min(room) as u32;
         Some(Excursion { up, down, pulses })

@@ -1,11 +1,11 @@
-//! What can be wrong with a pattern, said in one line: what, where, what to do.
+//! The errors of patterns, each in one line: what, where, what to do.
 //!
-//! Errors that any document can have are [`document`]'s; here are those of patterns.
+//! Errors that any document can have are in [`document`].
 //!
 //! Invariant: the display of a [`PatternError`] holds no line break.
 
-use super::{FORMAT, MAX_DRIVES, MAX_FILE_BYTES};
-use meissner_input::document::{self, Place, Refused};
+use super::limits::{FORMAT, MAX_DRIVES, MAX_FILE_BYTES};
+use meissner_input::document::{self, DocumentError, Place};
 use meissner_input::message::quote;
 use std::fmt;
 
@@ -13,11 +13,11 @@ use std::fmt;
 ///
 /// Its message counts drives from 1, as people do: `sweep.toml:12: drive 2: ...`. The place counts them from 0.
 #[derive(Clone, Debug, PartialEq)]
-pub struct PatternError(pub Refused<Problem>);
+pub struct PatternError(pub DocumentError<Problem>);
 
 impl fmt::Display for PatternError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Refused { place, problem } = &self.0;
+        let DocumentError { place, problem } = &self.0;
         let in_drive = place.path.strip_prefix("drive[").and_then(|path| {
             let (index, key) = path.split_once(']')?;
             Some((index.parse::<usize>().ok()?, key.trim_start_matches('.')))
@@ -25,7 +25,12 @@ impl fmt::Display for PatternError {
         let Some((index, key)) = in_drive else { return self.0.fmt(f) };
         let place = Place { path: String::new(), ..place.clone() };
         let of_drive = Place { path: key.to_owned(), ..Place::default() };
-        write!(f, "{place}: drive {}: {}", index + 1, Refused { place: of_drive, problem: problem.clone() })
+        write!(
+            f,
+            "{place}: drive {}: {}",
+            index + 1,
+            DocumentError { place: of_drive, problem: problem.clone() }
+        )
     }
 }
 
@@ -55,8 +60,8 @@ pub enum Problem {
     Date { key: String },
 }
 
-/// A problem on its way to its place.
-pub(super) type Fault = document::Fault<Problem>;
+/// A problem with a key of a pattern.
+pub(super) type KeyError = document::KeyError<Problem>;
 
 /// The key of the first date in a table, if there is one: what made a pattern does not depend on when.
 pub(super) fn date_in(table: &toml::Table) -> Option<String> {

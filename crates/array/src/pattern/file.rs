@@ -5,30 +5,38 @@
 //!
 //! Invariant: no key is ignored.
 
-use super::error::{Fault, PatternError};
-use super::{Drive, FORMAT, MAX_FILE_BYTES, Pattern, Problem};
+use super::Pattern;
+use super::drive::Drive;
+use super::error::{KeyError, PatternError, Problem};
+use super::limits::{FORMAT, MAX_FILE_BYTES};
 use firmware_protocol::stroke::MOTORS;
-use meissner_input::document::{Keyed, from_toml, in_range};
+use meissner_input::document::{Table, from_toml, in_range};
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 
-pub(super) fn parse(text: &str, file: &str) -> Result<Pattern, PatternError> {
-    read(text).map_err(|fault| PatternError(fault.in_text(text).placed(Some(file))))
+impl Pattern {
+    /// Reads a pattern file; `file` is its name in errors.
+    ///
+    /// # Errors
+    /// The first problem, in one line.
+    pub fn parse(text: &str, file: &str) -> Result<Self, PatternError> {
+        read(text).map_err(|error| PatternError(error.in_text(text).in_file(Some(file))))
+    }
 }
 
-fn read(text: &str) -> Result<Pattern, Fault> {
+fn read(text: &str) -> Result<Pattern, KeyError> {
     if text.len() > MAX_FILE_BYTES {
-        return Err(Fault::whole(None, Problem::TooLarge { bytes: text.len() }));
+        return Err(KeyError::whole(None, Problem::TooLarge { bytes: text.len() }));
     }
     // The format comes first: another one may have other keys.
-    let Keyed(RawFormat { format }) = from_toml(text, wanted)?;
+    let Table(RawFormat { format }) = from_toml(text, wanted)?;
     if format != i64::from(FORMAT) {
-        return Err(Fault::key("format", Problem::Format { found: format }));
+        return Err(KeyError::key("format", Problem::Format { found: format }));
     }
-    let Keyed(RawPattern { format: _, name, duration_s, drive, provenance }) = from_toml(text, wanted)?;
+    let Table(RawPattern { format: _, name, duration_s, drive, provenance }) = from_toml(text, wanted)?;
     let drives = drive.into_iter().enumerate();
     let drives = drives
-        .map(|(index, Keyed(raw))| raw.drive().map_err(|fault| fault.within(&format!("drive[{index}]"))));
+        .map(|(index, Table(raw))| raw.drive().map_err(|error| error.within(&format!("drive[{index}]"))));
     let drives = drives.collect::<Result<_, _>>()?;
     let pattern = Pattern { format: FORMAT, name, duration_s, drives, provenance };
     pattern.check()?;
@@ -58,7 +66,7 @@ struct RawPattern {
     name: String,
     duration_s: Option<f64>,
     #[serde(default)]
-    drive: Vec<Keyed<RawDrive>>,
+    drive: Vec<Table<RawDrive>>,
     #[serde(default)]
     provenance: toml::Table,
 }
@@ -77,7 +85,7 @@ struct RawDrive {
 
 impl RawDrive {
     #[expect(clippy::cast_precision_loss, reason = "only shown")]
-    fn drive(self) -> Result<Drive, Fault> {
+    fn drive(self) -> Result<Drive, KeyError> {
         let Self { motor, frequency_hz, amplitude_um, phase, start_s, stop_s } = self;
         let good = (0..MOTORS as i64).contains(&motor);
         in_range("motor", motor as f64, good, "0 to 23")?;

@@ -1,10 +1,10 @@
-//! How far from rest a pin comes back.
+//! Rest errors: how far from rest a pin is after its down bursts.
 //!
-//! One figure per down burst: the true position at its end. Rest is 0, so the figure is the error itself.
+//! One value per down burst: the true position at its end. Rest is 0, so the position is the error.
 //!
-//! Invariant: merging the figures of two stretches gives those of both together.
+//! Invariant: merging the sums of two segments of time gives the sums of both together.
 
-/// Rest errors, summed up.
+/// Sums over rest errors.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RestStats {
     /// Down bursts that ended.
@@ -20,14 +20,14 @@ impl RestStats {
         self.merge(&Self { count: 1, sum_squares: error_um * error_um, max_abs_um: error_um.abs() });
     }
 
-    /// Takes in the figures of another motor or another time.
+    /// Adds the sums of another motor or another time.
     pub fn merge(&mut self, other: &Self) {
         self.count += other.count;
         self.sum_squares += other.sum_squares;
         self.max_abs_um = self.max_abs_um.max(other.max_abs_um);
     }
 
-    /// The root of the mean square, µm; 0 if nothing was counted.
+    /// The root mean square, µm; 0 if nothing was counted.
     #[must_use]
     #[expect(clippy::cast_precision_loss, reason = "a count of bursts")]
     pub fn rms_um(&self) -> f64 {

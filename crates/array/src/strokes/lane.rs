@@ -1,13 +1,12 @@
 //! One motor's drives, walked in order of time, repeat after repeat.
 //!
-//! A lane knows its next stroke before it is asked, so that [`Strokes`](super::Strokes) merges lanes by looking at one
-//! tick each. All its ticks are pattern time, counted from the first repeat's beginning; the onset is added last.
+//! A lane knows its next stroke in advance, so that `Strokes` merges lanes by looking at one tick each. All its ticks are pattern time, counted from the first repeat's beginning; the onset is added last.
 //!
 //! Invariant: a drive that fits no stroke into any repeat has no segment in a lane, and a repeat that
 //! is a tick too short for all segments is skipped. So a lane finds its next stroke at once, or there is none.
 
-use super::StrokesError;
 use super::drive::{DriveStrokes, NEVER};
+use super::error::StrokesError;
 use crate::motor::Excursion;
 use crate::pattern::{Drive, Pattern};
 use crate::units::seconds_to_ticks;

@@ -1,87 +1,50 @@
-//! From a pattern to strokes at device ticks, one at a time, for as long as it plays.
+//! Compiles a pattern to strokes at device ticks, one at a time, for as long as it plays.
 //!
-//! Each motor has a lane that walks its drives in order of time, repeat after repeat; the strokes come out
-//! merged in order of (up tick, motor). Edges are those of [`SquareWave`](crate::motor::SquareWave), computed
-//! from their number in pattern time, so a stroke is as exact after a month as in the first second. Nothing
-//! is allocated after [`Strokes::new`]. A stroke exists only if its down burst has ended by its drive's `stop_s`,
-//! by the end of the pattern's run, and by the end asked for. Nothing here knows a clock, a wire or a correction.
+//! Each motor has a lane that walks its drives in order of time, repeat after repeat; [`Strokes`] merges the lanes in
+//! order of (up tick, motor). The strokes of one drive are [`DriveStrokes`]. Edges are those of
+//! [`SquareWave`](crate::motor::SquareWave), computed from their number in pattern time, so a stroke is as exact after a
+//! month as in the first second. Nothing is allocated after [`Strokes::new`]. A stroke exists only if its down burst has ended by
+//! the `stop_s` of its drive, by the end of the repeat, and by the end of the play.
 //!
-//! Invariant: strokes of a motor do not overlap, each takes down what it took up, each is within the
-//! controller's limits. Every stroke is checked against that on its way out.
+//! Invariant: strokes of a motor do not overlap, each returns its pin to rest, and each is within the controller's limits.
+//! Every stroke is checked against that before it is returned.
 
 mod drive;
+mod error;
 mod lane;
 
 pub use drive::DriveStrokes;
+pub use error::StrokesError;
 
 use crate::pattern::{MAX_SECONDS, Pattern};
 use crate::units::seconds_to_ticks;
 use drive::NEVER;
-use firmware_protocol::limits::{self, Refusal};
+use firmware_protocol::limits;
 use firmware_protocol::stroke::{MOTORS, Stroke};
 use firmware_protocol::tick::Tick;
 use lane::Lane;
 
-/// Why a pattern cannot be played, or not on.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-pub enum StrokesError {
-    /// A length that is no length.
-    #[error("{seconds} s: must be at least 0 and at most {MAX_SECONDS} s")]
-    Seconds {
-        /// As asked for.
-        seconds: f64,
-    },
-    /// A drive no motor can play.
-    #[error("a drive of motor {motor}: {source}")]
-    Drive {
-        /// Whose drive.
-        motor: u8,
-        /// What is wrong with it.
-        source: crate::motor::MotorError,
-    },
-    /// Our bug: a stroke outside the controller's limits.
-    #[error("internal error, nothing more is played: {stroke:?} breaks the limit {refusal:?}")]
-    Limit {
-        /// The stroke.
-        stroke: Stroke,
-        /// The limit.
-        refusal: Refusal,
-    },
-    /// Our bug: a stroke that does not undo itself.
-    #[error("internal error, nothing more is played: {stroke:?} does not end where it began")]
-    Unbalanced {
-        /// The stroke.
-        stroke: Stroke,
-    },
-    /// Our bug: a stroke before the end of the last on its motor, or before the last that was given out.
-    #[error("internal error, nothing more is played: {stroke:?} is out of order")]
-    Order {
-        /// The stroke.
-        stroke: Stroke,
-    },
-}
-
-/// The strokes of a pattern. After an error it gives out nothing more.
+/// The strokes of a pattern, in order of (up tick, motor). After an error the iterator ends.
 #[derive(Clone, Debug)]
 pub struct Strokes {
     lanes: Vec<Lane>,
-    /// When each lane's next stroke goes up, in pattern time; [`NEVER`] if there is none.
+    /// When the next stroke of each lane goes up, in pattern time; [`NEVER`] if there is none.
     ups: [u64; MOTORS],
     end: Option<u64>,
     onset: Tick,
-    /// Up tick and motor of the last stroke given out.
+    /// Up tick and motor of the last stroke that was returned.
     last: (Tick, u8),
     /// Until when each motor is busy.
     busy: [Tick; MOTORS],
 }
 
 impl Strokes {
-    /// The strokes of `pattern`, beginning at tick 0 until [`Self::begin`] says otherwise. `seconds` cuts it, or
-    /// repeats it if it has a duration. Without `seconds` a pattern with a duration is played once; one
-    /// without goes on until its last drive stops, for ever if one has no `stop_s`.
+    /// The strokes of `pattern` from tick 0, or from where [`Self::begin`] puts it. `seconds` cuts the pattern, or
+    /// repeats it if it has a duration. Without `seconds` a pattern with a duration is played once. A pattern
+    /// without a duration goes on until its last drive stops, and without end if a drive has no `stop_s`.
     ///
     /// # Errors
-    /// If `seconds` is no length.
+    /// [`StrokesError::Seconds`] if `seconds` is negative, not a number or above [`MAX_SECONDS`].
     pub fn new(pattern: &Pattern, seconds: Option<f64>) -> Result<Self, StrokesError> {
         if let Some(seconds) = seconds
             && !(0.0..=MAX_SECONDS).contains(&seconds)
@@ -105,7 +68,7 @@ impl Strokes {
         Ok(strokes)
     }
 
-    /// Starts, or starts again, with pattern time 0 at `onset`.
+    /// Begins, or begins again, with pattern time 0 at `onset`.
     pub fn begin(&mut self, onset: Tick) {
         for (lane, up) in self.lanes.iter_mut().zip(&mut self.ups) {
             *up = lane.begin();
@@ -115,7 +78,7 @@ impl Strokes {
         self.busy = [onset; MOTORS];
     }
 
-    /// How long it plays, in ticks from the onset; `None`: without end.
+    /// The end of the play, in ticks from the onset; `None`: without end.
     #[must_use]
     pub const fn end(&self) -> Option<u64> {
         self.end
@@ -149,7 +112,7 @@ impl Iterator for Strokes {
 
     #[inline]
     fn next(&mut self) -> Option<Self::Item> {
-        // Lanes are in order of motor, so of equal ticks the first is the one of the lower motor.
+        // Lanes are in order of motor, so of equal ticks the first has the lower motor.
         let (mut first, mut earliest) = (0, NEVER);
         for (index, &up) in self.ups[..self.lanes.len()].iter().enumerate() {
             if up < earliest {

@@ -6,12 +6,12 @@
 
 use super::MAX_BYTES;
 use meissner_input::document;
-use meissner_input::message::figure;
+use meissner_input::message::short_number;
 use meissner_skin::TwoNames;
 use meissner_skin::afferent::{PAD_LENGTH_MM, PAD_WIDTH_MM};
 
 /// A target that was refused.
-pub type TargetError = document::Refused<Problem>;
+pub type TargetError = document::DocumentError<Problem>;
 
 /// What is wrong, and what to do.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -62,8 +62,8 @@ fn when(frame: Option<(usize, usize)>) -> String {
 
 /// A computed number as people read it: to a ten thousandth.
 pub(super) fn number(value: f64) -> String {
-    figure((value * 1e4).round() / 1e4)
+    short_number((value * 1e4).round() / 1e4)
 }
 
 /// A problem on its way to its place.
-pub(super) type Fault = document::Fault<Problem>;
+pub(super) type KeyError = document::KeyError<Problem>;

@@ -5,10 +5,10 @@
 //!
 //! Invariant: no key is ignored.
 
-use super::error::{Fault, Problem};
+use super::error::{KeyError, Problem};
 use super::{Frame, MAX_FRAMES, Motion, Shape, Target};
 use crate::{braille, shape};
-use meissner_input::document::{Keyed, Mistake, from_toml, in_range, line_of};
+use meissner_input::document::{CommonProblem, Table, from_toml, in_range, line_of};
 use meissner_input::message::quote;
 use meissner_skin::afferent;
 use meissner_skin::{RawAfferent, as_written, one_name};
@@ -28,15 +28,15 @@ const REACH_MM: f64 = 1.5;
 const AMPLITUDE_UM: f64 = 80.0;
 const DURATION_S: f64 = 5.0;
 
-pub(super) fn read(text: &str) -> Result<Target, Fault> {
+pub(super) fn read(text: &str) -> Result<Target, KeyError> {
     if text.len() > MAX_BYTES {
-        return Err(Fault::whole(None, Problem::TooLarge { bytes: text.len() }));
+        return Err(KeyError::whole(None, Problem::TooLarge { bytes: text.len() }));
     }
     let text = text.strip_prefix('\u{feff}').unwrap_or(text);
-    let Keyed(raw): Keyed<RawTarget> = from_toml(text, wanted)?;
+    let Table(raw): Table<RawTarget> = from_toml(text, wanted)?;
     // What is wrong with a key that is not there is the shape's fault.
     let line = |path: &str| line_of(text, path).or_else(|| line_of(text, "shape"));
-    raw.target().map_err(|fault| Fault { line: fault.line.or_else(|| line(&fault.path)), ..fault })
+    raw.target().map_err(|fault| KeyError { line: fault.line.or_else(|| line(&fault.path)), ..fault })
 }
 
 fn wanted(key: &str) -> &'static str {
@@ -67,11 +67,11 @@ struct RawTarget {
     reach_mm: Option<f64>,
     amplitude_um: Option<f64>,
     duration_s: Option<f64>,
-    population: Option<Keyed<RawPopulation>>,
-    afferent: Option<Keyed<RawAfferent>>,
+    population: Option<Table<RawPopulation>>,
+    afferent: Option<Table<RawAfferent>>,
     /// Deprecated: the old name of `afferent`.
-    receptor: Option<Keyed<RawAfferent>>,
-    motion: Option<Keyed<RawMotion>>,
+    receptor: Option<Table<RawAfferent>>,
+    motion: Option<Table<RawMotion>>,
 }
 
 #[derive(Deserialize)]
@@ -131,14 +131,14 @@ enum Placed {
 }
 
 impl RawTarget {
-    fn target(mut self) -> Result<Target, Fault> {
+    fn target(mut self) -> Result<Target, KeyError> {
         let (shape, placed) = self.shape()?;
         let (duration_s, motion) = match self.motion {
             None => (self.duration_s.unwrap_or(DURATION_S), None),
             Some(_) if self.duration_s.is_some() => {
-                return Err(Fault::key("duration_s", Problem::DurationOfMotion));
+                return Err(KeyError::key("duration_s", Problem::DurationOfMotion));
             }
-            Some(Keyed(raw)) => {
+            Some(Table(raw)) => {
                 let motion = raw.motion(&shape).map_err(|fault| fault.within("motion"))?;
                 (raw.duration_s, Some(motion))
             }
@@ -148,15 +148,15 @@ impl RawTarget {
             None => vec![Frame { shape: shape.clone(), start_s: None, stop_s: None }],
         };
         let (raw, written) = one_name(("afferent", self.afferent), ("receptor", self.receptor))
-            .map_err(|two| Fault::whole(None, two.into()))?;
-        let raw = raw.map_or_else(RawAfferent::default, |Keyed(raw)| raw);
+            .map_err(|two| KeyError::whole(None, two.into()))?;
+        let raw = raw.map_or_else(RawAfferent::default, |Table(raw)| raw);
         let target = Target {
             name: self.name,
             shape,
             reach_mm: self.reach_mm.unwrap_or(REACH_MM),
             amplitude_um: self.amplitude_um.unwrap_or(AMPLITUDE_UM),
             duration_s,
-            population_seed: self.population.map_or(0, |Keyed(raw)| raw.seed),
+            population_seed: self.population.map_or(0, |Table(raw)| raw.seed),
             model: raw.model(afferent::POPULATION_NOISE_SD),
             motion,
             frames,
@@ -165,10 +165,11 @@ impl RawTarget {
         target.checked().map_err(|fault| as_written(fault, "afferent", written))
     }
 
-    fn shape(&mut self) -> Result<(Shape, Placed), Fault> {
+    fn shape(&mut self) -> Result<(Shape, Placed), KeyError> {
         self.check_keys()?;
-        let missing =
-            |key: &str| Fault::common(None, key.to_owned(), Mistake::Missing { wanted: wanted(key) });
+        let missing = |key: &str| {
+            KeyError::common(None, key.to_owned(), CommonProblem::Missing { wanted: wanted(key) })
+        };
         let number = |key: &str, value: Option<f64>| value.ok_or_else(|| missing(key));
         let Point(center_mm) = self.center_mm.unwrap_or(Point([0.0; 2]));
         match self.shape {
@@ -181,7 +182,7 @@ impl RawTarget {
                 };
                 let count = points.len();
                 if !(least..=most).contains(&count) {
-                    return Err(Fault::key("points", Problem::Count { count, wanted }));
+                    return Err(KeyError::key("points", Problem::Count { count, wanted }));
                 }
                 let points = points.into_iter().map(|Point(at)| at).collect();
                 let of = if self.shape == Kind::Dots { Shape::Dots } else { Shape::Polyline };
@@ -196,7 +197,7 @@ impl RawTarget {
                 let pitch_mm = self.dot_pitch_mm.unwrap_or(DOT_PITCH_MM);
                 in_range("dot_pitch_mm", pitch_mm, (0.1..=24.0).contains(&pitch_mm), "0.1 to 24 mm")?;
                 let dots = braille::dots(&text, pitch_mm, center_mm)
-                    .ok_or_else(|| Fault::key("character", Problem::Character { found: quote(&text) }))?;
+                    .ok_or_else(|| KeyError::key("character", Problem::Character { found: quote(&text) }))?;
                 let (numbers, dots) = dots.into_iter().unzip();
                 Ok((Shape::Dots(dots), Placed::Character(numbers)))
             }
@@ -212,7 +213,7 @@ impl RawTarget {
     }
 
     /// Refuses keys of other shapes.
-    fn check_keys(&self) -> Result<(), Fault> {
+    fn check_keys(&self) -> Result<(), KeyError> {
         use Kind::{Braille, Disc, Dots, Grating, Polyline, Segment};
         let keys = [
             ("points", self.points.is_some(), &[Segment, Polyline, Dots][..], "segment, polyline or dots"),
@@ -226,7 +227,7 @@ impl RawTarget {
         ];
         for (key, there, kinds, of) in keys {
             if there && !kinds.contains(&self.shape) {
-                return Err(Fault::key(key, Problem::Foreign { of, shape: self.shape.word() }));
+                return Err(KeyError::key(key, Problem::Foreign { of, shape: self.shape.word() }));
             }
         }
         Ok(())
@@ -234,7 +235,7 @@ impl RawTarget {
 }
 
 impl RawMotion {
-    fn motion(&self, shape: &Shape) -> Result<Motion, Fault> {
+    fn motion(&self, shape: &Shape) -> Result<Motion, KeyError> {
         let Self { duration_s, speed_mm_s, direction_deg, turn_deg_s, frames } = *self;
         let mut motion = Motion { speed_mm_s, direction_deg, turn_deg_s, frames: MAX_FRAMES };
         motion.check(duration_s)?;
@@ -254,7 +255,7 @@ impl RawMotion {
 
 impl Placed {
     /// Whether all points lie on the pad, in every frame.
-    fn check(&self, target: &Target) -> Result<(), Fault> {
+    fn check(&self, target: &Target) -> Result<(), KeyError> {
         for (index, frame) in target.frames.iter().enumerate() {
             let off = frame.shape.points().iter().position(|&at| !shape::on_pad(at));
             let Some(point) = off else { continue };
@@ -264,7 +265,7 @@ impl Placed {
                 Self::Character(dots) => ("character".to_owned(), Some(dots[point])),
             };
             let (at, frame) = (frame.shape.points()[point], target.frame_number(index));
-            return Err(Fault::key(&path, Problem::OffPad { dot, at, frame }));
+            return Err(KeyError::key(&path, Problem::OffPad { dot, at, frame }));
         }
         Ok(())
     }

@@ -16,7 +16,7 @@ pub use file::{MAX_BYTES, MAX_POINTS};
 
 use super::partition::Partition;
 use super::shape::{self, Shape};
-use error::{Fault, number};
+use error::{KeyError, number};
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::geometry::{self, PITCH_MM};
 use meissner_array::pattern::{self, AMPLITUDE_UM, MAX_SECONDS, Pattern};
@@ -84,7 +84,7 @@ impl Target {
     /// # Errors
     /// The first thing that is wrong with it, in one line.
     pub fn read(text: &str, file: &str) -> Result<Self, TargetError> {
-        file::read(text).map_err(|fault| fault.placed(Some(file)))
+        file::read(text).map_err(|fault| fault.in_file(Some(file)))
     }
 
     /// The target a pattern was made for, if its provenance holds one that reads.
@@ -99,7 +99,7 @@ impl Target {
     /// # Errors
     /// If in some frame none of them is within reach, or all are, or if a file could not hold the seed.
     pub fn with_population_seed(&self, population_seed: u64) -> Result<Self, TargetError> {
-        Self { population_seed, ..self.clone() }.checked().map_err(|fault| fault.placed(None))
+        Self { population_seed, ..self.clone() }.checked().map_err(|fault| fault.in_file(None))
     }
 
     /// The target by another amplitude, µm peak to peak.
@@ -107,7 +107,7 @@ impl Target {
     /// # Errors
     /// If it is beyond what a pattern may have.
     pub fn with_amplitude_um(&self, amplitude_um: f64) -> Result<Self, TargetError> {
-        Self { amplitude_um, ..self.clone() }.checked().map_err(|fault| fault.placed(None))
+        Self { amplitude_um, ..self.clone() }.checked().map_err(|fault| fault.in_file(None))
     }
 
     /// Its name: 1 to 64 of a-z, 0-9 and -.
@@ -240,9 +240,9 @@ impl Target {
     }
 
     /// All but where its points lie, which a file has its own words for.
-    fn checked(self) -> Result<Self, Fault> {
+    fn checked(self) -> Result<Self, KeyError> {
         if !pattern::is_name(&self.name) {
-            return Err(Fault::key("name", Problem::Name { found: quote(&self.name) }));
+            return Err(KeyError::key("name", Problem::Name { found: quote(&self.name) }));
         }
         check_shape(&self.shape)?;
         within("reach_mm", self.reach_mm, &(0.0..=PAD_LENGTH_MM), "0 to 24 mm")?;
@@ -264,7 +264,7 @@ impl Target {
         Ok(self)
     }
 
-    fn check_sides(&self) -> Result<(), Fault> {
+    fn check_sides(&self) -> Result<(), KeyError> {
         let (receptors, reach_mm) = (afferent::population(self.population_seed), self.reach_mm);
         for (index, frame) in self.frames.iter().enumerate() {
             let partition = Partition::of(&frame.shape, reach_mm, &receptors);
@@ -274,7 +274,7 @@ impl Target {
                 (_, 0) => Problem::AllOn { of, frame, reach_mm },
                 _ => continue,
             };
-            return Err(Fault::key("reach_mm", problem));
+            return Err(KeyError::key("reach_mm", problem));
         }
         Ok(())
     }
@@ -285,7 +285,7 @@ impl Target {
     }
 }
 
-fn check_shape(shape: &Shape) -> Result<(), Fault> {
+fn check_shape(shape: &Shape) -> Result<(), KeyError> {
     match *shape {
         Shape::Polyline(_) | Shape::Dots(_) => Ok(()),
         Shape::Disc { radius_mm, .. } => within("radius_mm", radius_mm, &(0.0..=PAD_LENGTH_MM), "0 to 24 mm"),
@@ -298,11 +298,11 @@ fn check_shape(shape: &Shape) -> Result<(), Fault> {
 }
 
 /// How long a pattern or a motion lasts.
-fn seconds(found: f64) -> Result<(), Fault> {
+fn seconds(found: f64) -> Result<(), KeyError> {
     within("duration_s", found, &(0.001..=MAX_SECONDS), "0.001 to 100000000 s")
 }
 
-fn within(key: &str, found: f64, wanted: &RangeInclusive<f64>, range: &'static str) -> Result<(), Fault> {
+fn within(key: &str, found: f64, wanted: &RangeInclusive<f64>, range: &'static str) -> Result<(), KeyError> {
     in_range(key, found, wanted.contains(&found), range)
 }
 

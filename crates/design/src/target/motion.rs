@@ -5,7 +5,7 @@
 //!
 //! Invariant: frames follow each other without a gap, from 0 to the motion's end, and each is as long as the others.
 
-use super::error::Fault;
+use super::error::KeyError;
 use super::{Frame, MAX_FRAMES, SAME_MM, within};
 use crate::shape::{Shape, direction};
 use meissner_array::geometry::PITCH_MM;
@@ -29,7 +29,7 @@ pub(super) struct Motion {
 }
 
 impl Motion {
-    pub(super) fn check(&self, duration_s: f64) -> Result<(), Fault> {
+    pub(super) fn check(&self, duration_s: f64) -> Result<(), KeyError> {
         within("duration_s", duration_s, &(SHORTEST_FRAME_S..=LONGEST_S), "0.01 to 20 s")?;
         within("speed_mm_s", self.speed_mm_s, &(-1e3..=1e3), "-1000 to 1000 mm/s")?;
         within("direction_deg", self.direction_deg, &(-360.0..=360.0), "-360 to 360 degrees")?;

@@ -3,7 +3,7 @@
 //! Invariant: a model that [`check_model`] accepts overflows nowhere in the simulator.
 
 use crate::afferent::{AfferentModel, Rectify};
-use meissner_input::document::{Fault, in_range};
+use meissner_input::document::{KeyError, in_range};
 use meissner_input::message::quote;
 use serde::de::{Error, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
@@ -58,7 +58,7 @@ impl From<AfferentModel> for RawAfferent {
 }
 
 /// Checks a time of a scene. Up to 30 years, seconds in `f64` resolve ticks.
-pub(super) fn seconds<P>(key: &str, found: f64) -> Result<(), Fault<P>> {
+pub(super) fn seconds<P>(key: &str, found: f64) -> Result<(), KeyError<P>> {
     in_range(key, found, (0.0..=1e9).contains(&found), "0 to 1000000000 s")
 }
 
@@ -69,7 +69,7 @@ pub const MAX_ALPHA_PER_UM: f64 = 1e15;
 ///
 /// # Errors
 /// The first parameter that is out of range, by its key.
-pub fn check_model<P>(model: &AfferentModel) -> Result<(), Fault<P>> {
+pub fn check_model<P>(model: &AfferentModel) -> Result<(), KeyError<P>> {
     let AfferentModel { alpha_per_um, tau_s, refractory_s, noise_sd, sigma_mm, .. } = *model;
     let (lasting_s, depth) = (model.hyperexcitability_s, model.hyperexcitability_depth);
     in_range(

@@ -8,10 +8,10 @@
 use super::names::TwoNames;
 use meissner_array::motor::MotorError;
 use meissner_input::document;
-use meissner_input::message::figure;
+use meissner_input::message::short_number;
 
 /// A scene that was refused.
-pub type SceneError = document::Refused<Problem>;
+pub type SceneError = document::DocumentError<Problem>;
 
 /// What is wrong with a scene, and what to do.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -27,7 +27,7 @@ pub enum Problem {
     TwoNames(#[from] TwoNames),
     #[error("{0}")]
     Wave(#[source] MotorError),
-    #[error("is {}: must be above start_s, which is {}", figure(*.stop_s), figure(*.start_s))]
+    #[error("is {}: must be above start_s, which is {}", short_number(*.stop_s), short_number(*.start_s))]
     StopsBeforeStart { start_s: f64, stop_s: f64 },
     #[error(
         "motor {motor} is still driven by drives[{other}]: stop that by {start_s} s, or start this one later"
@@ -36,4 +36,4 @@ pub enum Problem {
 }
 
 /// A problem whose place in the file is not complete yet.
-pub(super) type Fault = document::Fault<Problem>;
+pub(super) type KeyError = document::KeyError<Problem>;

@@ -5,14 +5,14 @@
 //!
 //! Invariant: no key is ignored but `spikes_s` and `promised_spikes`, the answers of reference scenes.
 
-use super::error::{Fault, Problem};
+use super::error::{KeyError, Problem};
 use super::names::{as_written, one_name};
 use super::{MOTOR_RANGE, NO_GAINS, RawAfferent, Scene};
 use crate::afferent::{self, Position};
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::pattern::Drive;
-use meissner_input::document::{Keyed, from_json, from_toml};
-use meissner_input::message::figure;
+use meissner_input::document::{Table, from_json, from_toml};
+use meissner_input::message::short_number;
 use serde::de::{Error, IgnoredAny, Unexpected, Visitor};
 use serde::{Deserialize, Deserializer};
 use std::fmt;
@@ -24,7 +24,7 @@ pub const MAX_JSON_BYTES: usize = 256 << 20;
 /// 240 times for a hostile file (measured).
 pub const MAX_TOML_BYTES: usize = 16 << 20;
 
-pub(super) fn read(text: &str, file: &str) -> Result<Scene, Fault> {
+pub(super) fn read(text: &str, file: &str) -> Result<Scene, KeyError> {
     let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     let ends_in =
         |ending| std::path::Path::new(file).extension().is_some_and(|e| e.eq_ignore_ascii_case(ending));
@@ -34,9 +34,9 @@ pub(super) fn read(text: &str, file: &str) -> Result<Scene, Fault> {
         false => ("TOML", MAX_TOML_BYTES, "; write it as JSON, which may have more"),
     };
     if text.len() > most {
-        return Err(Fault::whole(None, Problem::TooLarge { bytes: text.len(), language, most, advice }));
+        return Err(KeyError::whole(None, Problem::TooLarge { bytes: text.len(), language, most, advice }));
     }
-    let Keyed(raw): Keyed<RawScene> = if json { from_json(text, wanted) } else { from_toml(text, wanted) }?;
+    let Table(raw): Table<RawScene> = if json { from_json(text, wanted) } else { from_toml(text, wanted) }?;
     raw.checked_scene()
 }
 
@@ -57,14 +57,14 @@ struct RawScene {
     #[serde(default)]
     seed: u64,
     #[serde(default)]
-    drives: Vec<Keyed<RawDrive>>,
-    afferents: Option<Vec<Keyed<Position>>>,
+    drives: Vec<Table<RawDrive>>,
+    afferents: Option<Vec<Table<Position>>>,
     /// Deprecated: the old name of `afferents`.
-    receptors: Option<Vec<Keyed<Position>>>,
-    population: Option<Keyed<RawPopulation>>,
-    afferent: Option<Keyed<RawAfferent>>,
+    receptors: Option<Vec<Table<Position>>>,
+    population: Option<Table<RawPopulation>>,
+    afferent: Option<Table<RawAfferent>>,
     /// Deprecated: the old name of `afferent`.
-    receptor: Option<Keyed<RawAfferent>>,
+    receptor: Option<Table<RawAfferent>>,
     #[serde(rename = "spikes_s")]
     _spikes_s: Option<IgnoredAny>,
     #[serde(rename = "promised_spikes")]
@@ -92,20 +92,20 @@ struct RawPopulation {
 }
 
 impl RawScene {
-    fn checked_scene(self) -> Result<Scene, Fault> {
-        let own = |problem: Problem| Fault::whole(None, problem);
+    fn checked_scene(self) -> Result<Scene, KeyError> {
+        let own = |problem: Problem| KeyError::whole(None, problem);
         let (afferents, list) = one_name(("afferents", self.afferents), ("receptors", self.receptors))
             .map_err(|two| own(two.into()))?;
         let (afferent, table) = one_name(("afferent", self.afferent), ("receptor", self.receptor))
             .map_err(|two| own(two.into()))?;
         let (afferents, noise_sd) = match (afferents, self.population) {
             // Collected in place: a million of them are held once.
-            (Some(afferents), None) => (afferents.into_iter().map(|Keyed(at)| at).collect(), 0.0),
-            (None, Some(Keyed(of))) => (afferent::population(of.seed), afferent::POPULATION_NOISE_SD),
+            (Some(afferents), None) => (afferents.into_iter().map(|Table(at)| at).collect(), 0.0),
+            (None, Some(Table(of))) => (afferent::population(of.seed), afferent::POPULATION_NOISE_SD),
             (None, None) => return Err(own(Problem::NoAfferents)),
             (Some(_), Some(_)) => return Err(own(Problem::TwoPopulations { afferents: list })),
         };
-        let drive = |Keyed(raw): Keyed<RawDrive>| {
+        let drive = |Table(raw): Table<RawDrive>| {
             let RawDrive { motor, frequency_hz, amplitude_um, phase, start_s, stop_s } = raw;
             Drive { motor, frequency_hz, amplitude_um, phase, start_s, stop_s }
         };
@@ -115,7 +115,7 @@ impl RawScene {
             drives: self.drives.into_iter().map(drive).collect(),
             afferents: Arc::new(afferents),
             gains: NO_GAINS,
-            model: afferent.map_or_else(RawAfferent::default, |Keyed(raw)| raw).model(noise_sd),
+            model: afferent.map_or_else(RawAfferent::default, |Table(raw)| raw).model(noise_sd),
         };
         let written = |fault| as_written(as_written(fault, "afferents", list), "afferent", table);
         scene.checked().map_err(written)
@@ -149,7 +149,7 @@ fn motor<'de, D: Deserializer<'de>>(source: D) -> Result<u8, D::Error> {
         /// JSON's whole numbers beyond 64 bits.
         fn visit_f64<E: Error>(self, found: f64) -> Result<u8, E> {
             match found.abs() >= 9e18 && found.is_finite() {
-                true => number(None, &figure(found)),
+                true => number(None, &short_number(found)),
                 false => Err(E::invalid_type(Unexpected::Float(found), &self)),
             }
         }

@@ -20,7 +20,7 @@ pub use names::{TwoNames, as_written, one_name};
 
 use crate::afferent::{AfferentModel, Position};
 use afferent::seconds;
-use error::Fault;
+use error::KeyError;
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::motor::MotorError;
 use meissner_array::pattern::{self, Drive};
@@ -59,7 +59,7 @@ impl Scene {
         let afferents = Arc::new(afferents);
         Self { duration_s, seed, drives, afferents, model, gains: NO_GAINS }
             .checked()
-            .map_err(|fault| fault.placed(None))
+            .map_err(|fault| fault.in_file(None))
     }
 
     /// The scene with other drives. Only they are checked, so it takes no longer for more afferents.
@@ -67,7 +67,7 @@ impl Scene {
     /// # Errors
     /// The first thing that is wrong with them, by the key it would have in a file.
     pub fn with_drives(&self, drives: Vec<Drive>) -> Result<Self, SceneError> {
-        check_drives(&drives).map_err(|fault| fault.placed(None))?;
+        check_drives(&drives).map_err(|fault| fault.in_file(None))?;
         Ok(Self { drives, ..self.clone() })
     }
 
@@ -89,7 +89,7 @@ impl Scene {
     pub fn with_gains(&self, gains: &[f64; MOTORS]) -> Result<Self, SceneError> {
         for (motor, &gain) in gains.iter().enumerate() {
             in_range("gains", gain, (0.0..=MAX_GAIN).contains(&gain), "0 to 10")
-                .map_err(|fault| Fault { path: format!("gains[{motor}]"), ..fault }.placed(None))?;
+                .map_err(|fault| KeyError { path: format!("gains[{motor}]"), ..fault }.in_file(None))?;
         }
         Ok(Self { gains: *gains, ..self.clone() })
     }
@@ -100,7 +100,7 @@ impl Scene {
     /// # Errors
     /// The first thing that is wrong with it, in one line.
     pub fn read(text: &str, file: &str) -> Result<Self, SceneError> {
-        file::read(text, file).map_err(|fault| fault.placed(Some(file)))
+        file::read(text, file).map_err(|fault| fault.in_file(Some(file)))
     }
 
     /// The simulated time, s. It only ends the observation: every burst that starts before it takes place.
@@ -148,7 +148,7 @@ impl Scene {
         if count == 0 { 0.0 } else { count as f64 / self.duration_s }
     }
 
-    fn checked(self) -> Result<Self, Fault> {
+    fn checked(self) -> Result<Self, KeyError> {
         seconds("duration_s", self.duration_s)?;
         check_drives(&self.drives)?;
         check_afferents(&self.afferents)?;
@@ -160,17 +160,17 @@ impl Scene {
 /// The range of a motor's number, for messages.
 const MOTOR_RANGE: &str = "0 to 23";
 
-fn check_drives(drives: &[Drive]) -> Result<(), Fault> {
+fn check_drives(drives: &[Drive]) -> Result<(), KeyError> {
     for (index, drive) in drives.iter().enumerate() {
         check_drive(drive).map_err(|fault| fault.within(&format!("drives[{index}]")))?;
     }
     let Some((first, second)) = pattern::overlap(drives) else { return Ok(()) };
     let later = &drives[second];
     let problem = Problem::Overlap { motor: later.motor, other: first, start_s: later.start() };
-    Err(Fault::key("motor", problem).within(&format!("drives[{second}]")))
+    Err(KeyError::key("motor", problem).within(&format!("drives[{second}]")))
 }
 
-fn check_afferents(afferents: &[Position]) -> Result<(), Fault> {
+fn check_afferents(afferents: &[Position]) -> Result<(), KeyError> {
     for (index, at) in afferents.iter().enumerate() {
         for (key, found) in [("x_mm", at.x_mm), ("y_mm", at.y_mm)] {
             in_range(key, found, found.abs() <= 1e6, "-1000000 to 1000000 mm")
@@ -180,7 +180,7 @@ fn check_afferents(afferents: &[Position]) -> Result<(), Fault> {
     Ok(())
 }
 
-fn check_drive(drive: &Drive) -> Result<(), Fault> {
+fn check_drive(drive: &Drive) -> Result<(), KeyError> {
     in_range("motor", drive.motor.into(), usize::from(drive.motor) < MOTORS, MOTOR_RANGE)?;
     drive.wave().map_err(|source| {
         let key = match source {
@@ -188,14 +188,14 @@ fn check_drive(drive: &Drive) -> Result<(), Fault> {
             MotorError::Amplitude { .. } => "amplitude_um",
             MotorError::Phase { .. } => "phase",
         };
-        Fault::key(key, Problem::Wave(source))
+        KeyError::key(key, Problem::Wave(source))
     })?;
     for (key, time) in [("start_s", drive.start_s), ("stop_s", drive.stop_s)] {
         time.map_or(Ok(()), |found| seconds(key, found))?;
     }
     match drive.stop_s {
         Some(stop_s) if stop_s <= drive.start() => {
-            Err(Fault::key("stop_s", Problem::StopsBeforeStart { start_s: drive.start(), stop_s }))
+            Err(KeyError::key("stop_s", Problem::StopsBeforeStart { start_s: drive.start(), stop_s }))
         }
         _ => Ok(()),
     }

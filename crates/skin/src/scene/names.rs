@@ -1,6 +1,6 @@
 //! Keys of a file that have a deprecated name as well: a file may have either, but not both.
 
-use meissner_input::document::Fault;
+use meissner_input::document::KeyError;
 
 /// Both names of a key are there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -28,10 +28,10 @@ pub fn one_name<T>(
 
 /// A fault about the key `name`, or about a part of it, by the name that the file has.
 #[must_use]
-pub fn as_written<P>(fault: Fault<P>, name: &str, written: &str) -> Fault<P> {
+pub fn as_written<P>(fault: KeyError<P>, name: &str, written: &str) -> KeyError<P> {
     match fault.path.strip_prefix(name) {
         Some(rest) if rest.is_empty() || rest.starts_with(['.', '[']) => {
-            Fault { path: format!("{written}{rest}"), ..fault }
+            KeyError { path: format!("{written}{rest}"), ..fault }
         }
         _ => fault,
     }

@@ -11,7 +11,7 @@ use firmware_protocol::stroke::{Direction, MOTORS};
 use meissner_api::Provenance;
 use meissner_array::units::UM_PER_PULSE;
 use meissner_input::document::{self, in_range};
-use meissner_input::message::figure;
+use meissner_input::message::short_number;
 
 /// The version of the file format that this program reads and writes.
 pub const FORMAT: u8 = 1;
@@ -29,7 +29,7 @@ const LEAST_SD: f64 = 0.005;
 const LEAST_SCATTER: f64 = 0.002;
 
 /// A calibration that was refused.
-pub type CalibrationError = document::Refused<Problem>;
+pub type CalibrationError = document::DocumentError<Problem>;
 
 /// What is wrong with a calibration, and what to do. The display holds no line break.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -43,9 +43,9 @@ pub enum Problem {
     NoMotor,
     #[error("is {motor}, as is motor[{other}]: leave one out")]
     Twice { motor: u8, other: usize },
-    #[error("is {}, but slope_um_per_pulse gives {}: edit neither by hand, calibrate again", figure(*.found), figure(*.slope))]
+    #[error("is {}, but slope_um_per_pulse gives {}: edit neither by hand, calibrate again", short_number(*.found), short_number(*.slope))]
     Gain { found: f64, slope: f64 },
-    #[error("is {}: this version's model has {UM_PER_PULSE}, so the gains do not apply; calibrate again", figure(*.found))]
+    #[error("is {}: this version's model has {UM_PER_PULSE}, so the gains do not apply; calibrate again", short_number(*.found))]
     Model { found: f64 },
     #[error("is not a valid plan: {0}")]
     Plan(#[source] PlanError),
@@ -56,7 +56,7 @@ pub enum Problem {
 }
 
 /// A problem that does not know its file and line yet.
-pub(super) type Fault = document::Fault<Problem>;
+pub(super) type KeyError = document::KeyError<Problem>;
 
 /// The fits of the calibrated motors, and how they were made.
 #[derive(Clone, Debug, PartialEq)]
@@ -90,11 +90,11 @@ impl Calibration {
     /// The first thing that is wrong with it.
     pub fn new(mut motors: Vec<MotorFit>, provenance: Provenance) -> Result<Self, CalibrationError> {
         motors.sort_by_key(|fit| fit.motor);
-        Self::checked(motors, provenance).map_err(|fault| fault.placed(None))
+        Self::checked(motors, provenance).map_err(|fault| fault.in_file(None))
     }
 
     /// Like [`Self::new`], but a fault counts motors in the order given.
-    pub(super) fn checked(motors: Vec<MotorFit>, provenance: Provenance) -> Result<Self, Fault> {
+    pub(super) fn checked(motors: Vec<MotorFit>, provenance: Provenance) -> Result<Self, KeyError> {
         let mut calibration = Self { motors, provenance };
         calibration.check()?;
         calibration.motors.sort_by_key(|fit| fit.motor);
@@ -141,16 +141,16 @@ impl Calibration {
         })
     }
 
-    fn check(&self) -> Result<(), Fault> {
+    fn check(&self) -> Result<(), KeyError> {
         if self.motors.is_empty() {
-            return Err(Fault::key("motor", Problem::NoMotor));
+            return Err(KeyError::key("motor", Problem::NoMotor));
         }
         for (index, fit) in self.motors.iter().enumerate() {
             let (motor, of) = (fit.motor, format!("motor[{index}]"));
             in_range("motor", motor.into(), usize::from(motor) < MOTORS, "0 to 23")
-                .map_err(|fault| Fault::from(fault).within(&of))?;
+                .map_err(|fault| KeyError::from(fault).within(&of))?;
             if let Some(other) = self.motors[..index].iter().position(|other| other.motor == motor) {
-                return Err(Fault::key("motor", Problem::Twice { motor, other }).within(&of));
+                return Err(KeyError::key("motor", Problem::Twice { motor, other }).within(&of));
             }
             for (direction, fit) in [("up", &fit.up), ("down", &fit.down)] {
                 fit.check().map_err(|fault| fault.within(direction).within(&of))?;
@@ -160,7 +160,7 @@ impl Calibration {
     }
 }
 
-fn check_provenance(provenance: &Provenance) -> Result<(), Fault> {
+fn check_provenance(provenance: &Provenance) -> Result<(), KeyError> {
     let Provenance { device, firmware, identity, telemetry, pulses, repetitions, groups, um_per_pulse, date } =
         provenance;
     let words = [
@@ -173,23 +173,23 @@ fn check_provenance(provenance: &Provenance) -> Result<(), Fault> {
     for (key, words) in words {
         let count = words.map_or(0, |words| words.chars().count());
         if count > MAX_WORDS {
-            return Err(Fault::key(key, Problem::Words { count }));
+            return Err(KeyError::key(key, Problem::Words { count }));
         }
     }
-    let plan =
-        Plan::new(None, pulses, *repetitions).map_err(|error| Fault::key("pulses", Problem::Plan(error)))?;
+    let plan = Plan::new(None, pulses, *repetitions)
+        .map_err(|error| KeyError::key("pulses", Problem::Plan(error)))?;
     if *groups != plan.groups() as u64 {
-        return Err(Fault::key("groups", Problem::Groups { found: *groups, groups: plan.groups() }));
+        return Err(KeyError::key("groups", Problem::Groups { found: *groups, groups: plan.groups() }));
     }
     let same = (um_per_pulse - UM_PER_PULSE).abs() <= ROUNDING;
     if !same {
-        return Err(Fault::key("um_per_pulse", Problem::Model { found: *um_per_pulse }));
+        return Err(KeyError::key("um_per_pulse", Problem::Model { found: *um_per_pulse }));
     }
     Ok(())
 }
 
 impl Fit {
-    fn check(&self) -> Result<(), Fault> {
+    fn check(&self) -> Result<(), KeyError> {
         let Self { slope_um_per_pulse, slope_se_um_per_pulse, offset_um, relative_sd, bursts } = *self;
         let good = GAIN_RANGE.contains(&self.gain());
         in_range("slope_um_per_pulse", slope_um_per_pulse, good, "0.5 to 1.5 times the model's, 0.95/7")?;

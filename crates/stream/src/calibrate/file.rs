@@ -7,12 +7,12 @@
 //! Invariant: a written calibration reads back as the same calibration, bit for bit; no key is ignored.
 
 use crate::calibrate::calibration::{
-    Calibration, CalibrationError, FORMAT, Fault, MAX_BYTES, Problem, ROUNDING,
+    Calibration, CalibrationError, FORMAT, KeyError, MAX_BYTES, Problem, ROUNDING,
 };
 use crate::calibrate::fit::{Fit, MotorFit};
 use firmware_protocol::stroke::MOTORS;
 use meissner_api::Provenance;
-use meissner_input::document::{Keyed, from_toml, in_range, line_of};
+use meissner_input::document::{Table, from_toml, in_range, line_of};
 use serde::{Deserialize, Serialize};
 
 impl Calibration {
@@ -21,7 +21,7 @@ impl Calibration {
     /// # Errors
     /// The first thing that is wrong with it, in one line.
     pub fn parse(text: &str, file: &str) -> Result<Self, CalibrationError> {
-        read(text).map_err(|fault| fault.placed(Some(file)))
+        read(text).map_err(|fault| fault.in_file(Some(file)))
     }
 
     /// The text of its file, which [`Self::parse`] reads back as the same calibration.
@@ -30,13 +30,13 @@ impl Calibration {
     pub fn to_toml(&self) -> String {
         let motor = self.motors().iter().map(|&MotorFit { motor, up, down }| RawMotor {
             motor: motor.into(),
-            up: Keyed(up.into()),
-            down: Keyed(down.into()),
+            up: Table(up.into()),
+            down: Table(down.into()),
         });
         let file = RawFile {
             format: FORMAT.into(),
-            motor: motor.map(Keyed).collect(),
-            provenance: Keyed(self.provenance().clone()),
+            motor: motor.map(Table).collect(),
+            provenance: Table(self.provenance().clone()),
         };
         toml::to_string(&file).expect("a calibration is tables of strings and numbers")
     }
@@ -46,16 +46,16 @@ impl Calibration {
 #[serde(deny_unknown_fields)]
 struct RawFile {
     format: u64,
-    motor: Vec<Keyed<RawMotor>>,
-    provenance: Keyed<Provenance>,
+    motor: Vec<Table<RawMotor>>,
+    provenance: Table<Provenance>,
 }
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RawMotor {
     motor: u64,
-    up: Keyed<RawFit>,
-    down: Keyed<RawFit>,
+    up: Table<RawFit>,
+    down: Table<RawFit>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -89,40 +89,41 @@ fn wanted(key: &str) -> &'static str {
     }
 }
 
-fn read(text: &str) -> Result<Calibration, Fault> {
+fn read(text: &str) -> Result<Calibration, KeyError> {
     if text.len() > MAX_BYTES {
-        return Err(Fault::whole(None, Problem::TooLarge { bytes: text.len() }));
+        return Err(KeyError::whole(None, Problem::TooLarge { bytes: text.len() }));
     }
     let text = text.strip_prefix('\u{feff}').unwrap_or(text);
-    let placed = |fault: Fault| Fault { line: fault.line.or_else(|| line_of(text, &fault.path)), ..fault };
-    let Keyed(Version { format: found }) = from_toml(text, wanted)?;
+    let placed =
+        |fault: KeyError| KeyError { line: fault.line.or_else(|| line_of(text, &fault.path)), ..fault };
+    let Table(Version { format: found }) = from_toml(text, wanted)?;
     if found != u64::from(FORMAT) {
-        return Err(placed(Fault::key("format", Problem::Format { found })));
+        return Err(placed(KeyError::key("format", Problem::Format { found })));
     }
-    let Keyed(raw): Keyed<RawFile> = from_toml(text, wanted)?;
+    let Table(raw): Table<RawFile> = from_toml(text, wanted)?;
     raw.calibration().map_err(placed)
 }
 
 impl RawFile {
-    fn calibration(self) -> Result<Calibration, Fault> {
+    fn calibration(self) -> Result<Calibration, KeyError> {
         let motors = self.motor.into_iter().enumerate();
         let motors = motors
-            .map(|(index, Keyed(raw))| raw.fit().map_err(|fault| fault.within(&format!("motor[{index}]"))));
+            .map(|(index, Table(raw))| raw.fit().map_err(|fault| fault.within(&format!("motor[{index}]"))));
         Calibration::checked(motors.collect::<Result<_, _>>()?, self.provenance.0)
     }
 }
 
 impl RawMotor {
-    fn fit(self) -> Result<MotorFit, Fault> {
+    fn fit(self) -> Result<MotorFit, KeyError> {
         let motor = u8::try_from(self.motor).unwrap_or(u8::MAX);
         in_range("motor", self.motor as f64, usize::from(motor) < MOTORS, "0 to 23")?;
-        let fit = |Keyed(raw): Keyed<RawFit>, direction| raw.fit().map_err(|fault| fault.within(direction));
+        let fit = |Table(raw): Table<RawFit>, direction| raw.fit().map_err(|fault| fault.within(direction));
         Ok(MotorFit { motor, up: fit(self.up, "up")?, down: fit(self.down, "down")? })
     }
 }
 
 impl RawFit {
-    fn fit(self) -> Result<Fit, Fault> {
+    fn fit(self) -> Result<Fit, KeyError> {
         let Self { gain, slope_um_per_pulse, slope_se_um_per_pulse, offset_um, relative_sd, blocks } = self;
         let bursts = usize::try_from(blocks).unwrap_or(usize::MAX);
         let fit = Fit { slope_um_per_pulse, slope_se_um_per_pulse, offset_um, relative_sd, bursts };
@@ -130,7 +131,7 @@ impl RawFit {
         if (gain - slope).abs() <= ROUNDING || !slope.is_finite() {
             return Ok(fit);
         }
-        Err(Fault::key("gain", Problem::Gain { found: gain, slope }))
+        Err(KeyError::key("gain", Problem::Gain { found: gain, slope }))
     }
 }
 

@@ -9,7 +9,7 @@
 use crate::calibrate::travel::BurstTravel;
 use firmware_protocol::stroke::{Direction, MOTORS};
 use meissner_array::units::UM_PER_PULSE;
-use meissner_input::message::figure;
+use meissner_input::message::short_number;
 use serde::Serialize;
 use std::ops::RangeInclusive;
 
@@ -93,7 +93,7 @@ const fn name(direction: Direction) -> &'static str {
 
 /// To a ten thousandth.
 fn rounded(number: f64) -> String {
-    figure((number * 1e4).round() / 1e4)
+    short_number((number * 1e4).round() / 1e4)
 }
 
 /// Fits every motor that has travels, in order of the motors. Warm-up strokes do not count.

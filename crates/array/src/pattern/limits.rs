@@ -1,0 +1,16 @@
+//! The version of the pattern format, and the ranges of its values.
+
+use std::ops::RangeInclusive;
+
+/// The version of the file format this program reads and writes.
+pub const FORMAT: u8 = 1;
+/// The most drives of one pattern: 170 in turn on every motor.
+pub const MAX_DRIVES: usize = 4096;
+/// The most bytes of a pattern file; [`MAX_DRIVES`] written out take less.
+pub const MAX_FILE_BYTES: usize = 1 << 20;
+/// The latest time in a pattern, s: three years, far below where `f64` seconds no longer distinguish ticks.
+pub const MAX_SECONDS: f64 = 1e8;
+/// Frequencies of a drive, Hz: the paper's motors vibrate up to 300 Hz.
+pub const FREQUENCY_HZ: RangeInclusive<f64> = 0.1..=300.0;
+/// Amplitudes of a drive, µm peak to peak: they stay below the controller's limit of 3 000 pulses.
+pub const AMPLITUDE_UM: RangeInclusive<f64> = 0.0..=400.0;

@@ -1,0 +1,45 @@
+//! Why a pattern has no strokes, or no more.
+
+use crate::motor::MotorError;
+use crate::pattern::MAX_SECONDS;
+use firmware_protocol::limits::Refusal;
+use firmware_protocol::stroke::Stroke;
+
+/// Why a pattern cannot be played, or not to its end.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum StrokesError {
+    /// A duration outside its range.
+    #[error("{seconds} s: must be at least 0 and at most {MAX_SECONDS} s")]
+    Seconds {
+        /// The duration that was refused.
+        seconds: f64,
+    },
+    /// A drive that no motor can play.
+    #[error("a drive of motor {motor}: {source}")]
+    Drive {
+        /// The motor.
+        motor: u8,
+        /// What is wrong with the drive.
+        source: MotorError,
+    },
+    /// Our bug: a stroke outside the controller's limits.
+    #[error("internal error, nothing more is played: {stroke:?} breaks the limit {refusal:?}")]
+    Limit {
+        /// The stroke.
+        stroke: Stroke,
+        /// The limit.
+        refusal: Refusal,
+    },
+    /// Our bug: a stroke that does not return the pin to where it began.
+    #[error("internal error, nothing more is played: {stroke:?} does not end where it began")]
+    Unbalanced {
+        /// The stroke.
+        stroke: Stroke,
+    },
+    /// Our bug: a stroke before the end of the last one of its motor, or before the last one that was returned.
+    #[error("internal error, nothing more is played: {stroke:?} is out of order")]
+    Order {
+        /// The stroke.
+        stroke: Stroke,
+    },
+}

@@ -1,0 +1,156 @@
+//! Reads TOML and JSON documents of known keys with serde.
+//!
+//! [`from_toml`] and [`from_json`] read a struct that is wrapped in [`Table`]. They turn the errors of serde into
+//! [`KeyError`]s: in our words, with the path and the line, and with the nearest known key for an unknown one. Which values are
+//! good is for the reader of each kind of document: it checks with [`in_range`] and has problems of its own.
+//!
+//! Invariant: no error displays a line break.
+
+mod error;
+mod lines;
+
+pub use error::{CommonProblem, DocumentError, KeyError, Place, Problem, in_range};
+pub use lines::line_of;
+
+use crate::message::{nearest, one_line, quote};
+use lines::line_at;
+use serde::de::value::MapAccessDeserializer;
+use serde::de::{MapAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize};
+use serde_path_to_error::{Path, Segment};
+use std::fmt;
+use std::marker::PhantomData;
+
+/// Names what to add where the given key is missing.
+pub type Wanted = fn(&str) -> &'static str;
+
+/// Reads JSON. `wanted` names what to add where a key is missing.
+///
+/// # Errors
+/// The first problem, with its key and line.
+pub fn from_json<'t, T: Deserialize<'t>, P>(text: &'t str, wanted: Wanted) -> Result<Table<T>, KeyError<P>> {
+    let mut source = serde_json::Deserializer::from_str(text);
+    let read = serde_path_to_error::deserialize(&mut source).map_err(|error| {
+        let (path, error) = (error.path().clone(), error.into_inner());
+        let out_of_range = error.to_string().starts_with("number out of range");
+        if error.is_data() || out_of_range {
+            data(&path, Some(error.line()), &without_place(&error), wanted)
+        } else {
+            json_syntax(&error)
+        }
+    })?;
+    source.end().map_err(|error| json_syntax(&error))?;
+    Ok(read)
+}
+
+fn json_syntax<P>(error: &serde_json::Error) -> KeyError<P> {
+    let message = format!("{} (column {})", one_line(&without_place(error)), error.column());
+    KeyError::common(Some(error.line()), String::new(), CommonProblem::Syntax { language: "JSON", message })
+}
+
+/// The message without its place: errors have a place of their own.
+fn without_place(error: &serde_json::Error) -> String {
+    let mut message = error.to_string();
+    let place = format!(" at line {} column {}", error.line(), error.column());
+    message.truncate(message.strip_suffix(&place).map_or(message.len(), str::len));
+    message
+}
+
+/// Reads TOML. `wanted` names what to add where a key is missing.
+///
+/// # Errors
+/// The first problem, with its key and line.
+pub fn from_toml<'t, T: Deserialize<'t>, P>(text: &'t str, wanted: Wanted) -> Result<Table<T>, KeyError<P>> {
+    let line = |error: &toml::de::Error| Some(line_at(text, error.span()?.start));
+    let source = toml::Deserializer::parse(text).map_err(|error| {
+        let message = one_line(error.message());
+        KeyError::common(line(&error), String::new(), CommonProblem::Syntax { language: "TOML", message })
+    })?;
+    serde_path_to_error::deserialize(source)
+        .map_err(|error| data(error.path(), line(error.inner()), error.inner().message(), wanted))
+}
+
+/// An error of serde, in the words of [`CommonProblem`].
+fn data<P>(path: &Path, line: Option<usize>, message: &str, wanted: Wanted) -> KeyError<P> {
+    let mut keys: Vec<String> = path
+        .iter()
+        .map(|segment| match segment {
+            Segment::Seq { index } => format!("[{index}]"),
+            Segment::Map { key } => format!(".{key}"),
+            Segment::Enum { .. } | Segment::Unknown => String::new(),
+        })
+        .collect();
+    // The path may end with the wrong key or before it.
+    let mut named = |key: &str, stays: bool| {
+        keys.pop_if(|last| last.strip_prefix('.') == Some(key));
+        if stays {
+            keys.push(format!(".{key}"));
+        }
+    };
+    let field = |kind: &str| message.strip_prefix(kind)?.strip_suffix('`');
+    let problem = if let Some((key, known)) =
+        message.strip_prefix("unknown field `").and_then(|rest| rest.rsplit_once("`, expected "))
+    {
+        named(key, false);
+        let known: Vec<&str> = known.split('`').skip(1).step_by(2).collect();
+        CommonProblem::UnknownKey { key: quote(key), nearest: nearest(&known, key).to_owned() }
+    } else if let Some(key) =
+        message.strip_prefix("unknown field `").and_then(|rest| rest.strip_suffix("`, there are no fields"))
+    {
+        named(key, false);
+        CommonProblem::NoKeys { key: quote(key) }
+    } else if let Some(key) = field("missing field `") {
+        named(key, true);
+        CommonProblem::Missing { wanted: wanted(key) }
+    } else if let Some(key) = field("duplicate field `") {
+        named(key, true);
+        CommonProblem::Twice
+    } else {
+        CommonProblem::Value { message: in_words(message) }
+    };
+    let path = one_line(keys.concat().trim_start_matches('.'));
+    KeyError::common(line.filter(|&line| line > 0), path, problem)
+}
+
+/// The message of serde about a value, without names of Rust types.
+fn in_words(message: &str) -> String {
+    let mistyped = message.strip_prefix("invalid type: ").or_else(|| message.strip_prefix("invalid value: "));
+    let Some((found, wanted)) = mistyped.and_then(|rest| rest.rsplit_once(", expected ")) else {
+        return one_line(message);
+    };
+    let wanted = match wanted {
+        "f64" => "a number",
+        "u64" => "a whole number, 0 or more",
+        "u32" => "a whole number, 0 to 4294967295",
+        "u16" => "a whole number, 0 to 65535",
+        "u8" => "a whole number, 0 to 255",
+        "a boolean" => "true or false",
+        "i64" => "a whole number",
+        "a map" => "a table of keys and values",
+        "path string" => "a path in quotes",
+        "a sequence" => "a list",
+        other => other,
+    };
+    format!("is {}: must be {wanted}", one_line(found))
+}
+
+/// A struct that is written as a table of its keys. (The reader that serde derives also takes a list of its values.)
+#[derive(Debug, Serialize)]
+#[serde(transparent)]
+pub struct Table<T>(pub T);
+
+impl<'de, T: Deserialize<'de>> Deserialize<'de> for Table<T> {
+    fn deserialize<D: Deserializer<'de>>(source: D) -> Result<Self, D::Error> {
+        struct Keys<T>(PhantomData<T>);
+        impl<'de, T: Deserialize<'de>> Visitor<'de> for Keys<T> {
+            type Value = Table<T>;
+            fn expecting(&self, text: &mut fmt::Formatter<'_>) -> fmt::Result {
+                text.write_str("a table of keys and values")
+            }
+            fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Table<T>, A::Error> {
+                T::deserialize(MapAccessDeserializer::new(map)).map(Table)
+            }
+        }
+        source.deserialize_map(Keys(PhantomData))
+    }
+}
