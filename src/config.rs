@@ -22,19 +22,19 @@ use std::io::{self, Read};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
-/// Leads that make sense, ms.
+/// The range of the lead, ms.
 pub const LEAD_MS: std::ops::RangeInclusive<f64> = 5.0..=1000.0;
-/// The lease is at least the lead and so much, ms.
+/// The host watchdog timeout exceeds the lead at least by this, ms.
 pub const MIN_LEASE_OVER_LEAD_MS: f64 = 50.0;
-/// The lease without configuration is the lead and so much, ms.
+/// Without configuration, the host watchdog timeout exceeds the lead by this, ms.
 pub const DEFAULT_LEASE_OVER_LEAD_MS: f64 = 200.0;
-/// The longest lease a controller takes, ms.
+/// The longest host watchdog timeout that a controller takes, ms.
 pub const MAX_LEASE_MS: f64 = 10_000.0;
-/// How long files of the logbook are kept if nobody says, days: a year and what it takes to write about it.
+/// How long files of the session record are kept by default, days: a year of experiments, and time to write about them.
 pub const LOGBOOK_DAYS: u32 = 400;
-/// The longest they can be kept, days.
+/// The longest time they can be kept, days.
 const MAX_LOGBOOK_DAYS: u32 = 36_500;
-/// Bytes of a configuration file at the most.
+/// The most bytes of a configuration file.
 const MAX_BYTES: u64 = 1 << 20;
 
 /// The settings of a daemon.
@@ -46,22 +46,22 @@ pub struct Config {
     pub socket: PathBuf,
     /// The site's own patterns.
     pub patterns: PatternsDir,
-    /// Where the calibration is kept; none: nowhere.
+    /// The file of the calibration; none: it is not stored.
     pub calibration: Option<PathBuf>,
-    /// Where the logbook is kept, and for how many days; none: nowhere.
+    /// Where the session record is kept, and for how long; none: there is none.
     pub logbook: Option<Location>,
-    /// For the streamer.
+    /// The settings of the streamer.
     pub settings: Settings,
-    /// How the mock's motors are.
+    /// The simulated array.
     pub mock: PlantConfig,
 }
 
 /// The directory of the site's own patterns.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PatternsDir {
-    /// Named by the configuration: it must be there.
+    /// From the configuration: it must exist.
     Configured(PathBuf),
-    /// The user's or the service's: made when something is first stored in it.
+    /// The user's or the service's: made when a pattern is first stored.
     Default(PathBuf),
     /// There is none.
     None,
@@ -81,19 +81,19 @@ impl Default for Config {
     }
 }
 
-/// Where a configuration comes from: a file, and what the command line says instead.
+/// Where a configuration comes from: a file, and options of the command line.
 #[derive(Clone, Debug, Default)]
 pub struct Source {
     /// The file; without one every key has its default.
     pub file: Option<PathBuf>,
-    /// In place of its `device`.
+    /// Replaces the `device` of the file.
     pub device: Option<Spec>,
-    /// In place of its `socket`.
+    /// Replaces the `socket` of the file.
     pub socket: Option<PathBuf>,
 }
 
 impl Source {
-    /// Reads it.
+    /// Reads the configuration.
     ///
     /// # Errors
     /// As [`Config::read`].
@@ -117,7 +117,7 @@ pub enum ConfigError {
     Read {
         /// The file.
         file: PathBuf,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
     /// Its text is refused.
@@ -166,7 +166,7 @@ impl Config {
     /// Reads a configuration file.
     ///
     /// # Errors
-    /// The first thing that is wrong with it, in one line.
+    /// The first problem, in one line.
     pub fn read(file: &Path) -> Result<Self, ConfigError> {
         let wrong = |source| ConfigError::Read { file: file.to_owned(), source };
         let bytes = read_regular(file, MAX_BYTES).map_err(wrong)?;
@@ -174,10 +174,10 @@ impl Config {
         Self::parse(&text, file)
     }
 
-    /// Reads a configuration's text; `file` is what errors call it.
+    /// Reads the text of a configuration; `file` is its name in errors.
     ///
     /// # Errors
-    /// The first thing that is wrong with it, in one line.
+    /// The first problem, in one line.
     pub fn parse(text: &str, file: &Path) -> Result<Self, ConfigError> {
         // Every key may be left out.
         let wanted = |_: &str| "it";
@@ -268,17 +268,17 @@ fn check_path(key: &str, path: Option<&Path>) -> Result<(), KeyError> {
     Ok(())
 }
 
-/// A variable that is set and not empty.
+/// A variable of the environment, if it is set and not empty.
 fn variable(name: &str) -> Option<PathBuf> {
     env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from)
 }
 
-/// `$STATE_DIRECTORY`: systemd's, which names all that a unit has, the outermost first, with colons in between.
+/// `$STATE_DIRECTORY` of systemd: it lists the directories of a unit with colons in between, the outermost first.
 fn state_dir() -> Option<PathBuf> {
     variable("STATE_DIRECTORY").and_then(|dirs| env::split_paths(&dirs).next())
 }
 
-/// systemd's `$STATE_DIRECTORY` for the service, else the user's data directory.
+/// The default directory of patterns: the service's state directory, else the user's data directory.
 fn default_patterns() -> PatternsDir {
     state_dir()
         .map(|dir| dir.join("patterns"))
@@ -287,13 +287,13 @@ fn default_patterns() -> PatternsDir {
         .map_or(PatternsDir::None, PatternsDir::Default)
 }
 
-/// Where the logbook is kept: without a directory in the service's; a person who tries something out leaves no record of it.
+/// Where the session record is kept. By default the service keeps one and a daemon that a user starts does not.
 fn keep(dir: Option<PathBuf>, days: u32) -> Option<Location> {
     let dir = dir.or_else(|| state_dir().map(|dir| dir.join("logbook")))?;
     (days > 0).then_some(Location { dir, days })
 }
 
-/// Where the calibration is kept if nobody says: beside the site's own patterns.
+/// The default file of the calibration: beside the site's own patterns.
 fn beside(patterns: &PatternsDir) -> Option<PathBuf> {
     let (PatternsDir::Configured(dir) | PatternsDir::Default(dir)) = patterns else { return None };
     Some(dir.parent().unwrap_or(Path::new("")).join("calibration.toml"))

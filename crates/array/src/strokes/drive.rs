@@ -6,7 +6,7 @@
 //!
 //! Invariant: strokes are in order of time and do not overlap.
 
-use crate::motor::{Excursion, Excursions, MotorError, SquareWave};
+use crate::motor::{Excursion, Excursions, MotorError};
 use crate::pattern::Drive;
 use crate::units::seconds_to_ticks;
 
@@ -27,7 +27,7 @@ impl DriveStrokes {
     /// # Errors
     /// If a number is out of the motor's range, which in a checked pattern none is.
     pub fn of(drive: &Drive) -> Result<Self, MotorError> {
-        let wave = SquareWave::new(drive.frequency_hz, drive.amplitude_um, drive.phase)?;
+        let wave = drive.wave()?;
         let moves = wave.wanted_pulses() > 0;
         let stop = drive.stop_s.map_or(NEVER, seconds_to_ticks);
         Ok(Self {
