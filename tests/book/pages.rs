@@ -79,29 +79,28 @@ impl Page {
     }
 
     pub(super) fn blocks(&self) -> impl Iterator<Item = Block<'_>> {
-        self.text.split("\n```").collect::<Vec<_>>().into_iter().enumerate().filter_map(|(index, part)| {
-            // Parts alternate: text, block, text, ...
+        let mut fence = 1;
+        // Parts alternate: text, block, text, ...
+        self.text.split("\n```").enumerate().filter_map(move |(index, part)| {
+            let line = fence + 1;
+            fence += part.matches('\n').count() + 1;
             let (language, text) = part.split_once('\n').filter(|_| index % 2 == 1)?;
-            let before = part.as_ptr() as usize - self.text.as_ptr() as usize;
-            let line = self.text[..before].lines().count() + 1;
             Some(Block { language, line, text })
         })
     }
 
-    /// The text without code blocks.
-    fn prose(&self) -> String {
-        self.text.split("\n```").step_by(2).collect::<Vec<_>>().join("\n")
+    /// The text between code blocks.
+    fn prose(&self) -> impl Iterator<Item = &str> {
+        self.text.split("\n```").step_by(2)
     }
 
     pub(super) fn links(&self) -> impl Iterator<Item = &str> {
-        let parts = self.text.split("\n```").step_by(2);
-        parts.flat_map(|part| part.split("](").skip(1).filter_map(|rest| rest.split(')').next()))
+        self.prose().flat_map(|part| part.split("](").skip(1).filter_map(|rest| rest.split(')').next()))
     }
 
     /// Headings as links name them.
     pub(super) fn anchors(&self) -> BTreeSet<String> {
-        let prose = self.prose();
-        let headings = prose.lines().filter_map(|line| line.strip_prefix('#'));
+        let headings = self.prose().flat_map(str::lines).filter(|line| line.starts_with('#'));
         let anchor = |heading: &str| {
             let kept = heading.trim_start_matches('#').trim().to_lowercase();
             let kept = kept.chars().filter(|c| c.is_alphanumeric() || matches!(c, ' ' | '-' | '_'));
@@ -111,8 +110,7 @@ impl Page {
     }
 
     /// Words in backquotes, outside of code blocks.
-    pub(super) fn code_words(&self) -> Vec<&str> {
-        let lines = self.text.split("\n```").step_by(2).flat_map(str::lines);
-        lines.flat_map(|line| line.split('`').skip(1).step_by(2)).collect()
+    pub(super) fn code_words(&self) -> impl Iterator<Item = &str> {
+        self.prose().flat_map(|part| part.split('`').skip(1).step_by(2))
     }
 }
