@@ -39,7 +39,7 @@ complete -c meissner -n "__fish_meissner_needs_command" -f -a "calibrate" -d 'Me
 complete -c meissner -n "__fish_meissner_needs_command" -f -a "list" -d 'All patterns'
 complete -c meissner -n "__fish_meissner_needs_command" -f -a "show" -d 'A pattern: its motors, drives and warnings'
 complete -c meissner -n "__fish_meissner_needs_command" -f -a "import" -d 'Store a pattern file with the daemon, under the name in it'
-complete -c meissner -n "__fish_meissner_needs_command" -f -a "status" -d 'How everything stands'
+complete -c meissner -n "__fish_meissner_needs_command" -f -a "status" -d 'Show how everything stands'
 complete -c meissner -n "__fish_meissner_needs_command" -f -a "events" -d 'What happens, as it happens; with --json one document per line'
 complete -c meissner -n "__fish_meissner_needs_command" -f -a "receipt" -d 'What came of a play'
 complete -c meissner -n "__fish_meissner_needs_command" -f -a "motor" -d 'What a drive comes to in the steady state, by the motor model'
@@ -87,10 +87,10 @@ complete -c meissner -n "__fish_meissner_using_subcommand disarm" -s h -l help -
 complete -c meissner -n "__fish_meissner_using_subcommand home" -l socket -d 'The daemon\'s socket [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand home" -l json -d 'One JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand home" -s h -l help -d 'Print help'
-complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -l motor -d 'One motor, 0 to 23; without it, all' -r
-complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -l repetitions -d 'How often each number of pulses is played, half a minute each [default: 2]' -r
-complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -l pulses -d 'Numbers of pulses, 7 to 200, 3 s each [default: 14,28,42,56,70,84,98,112,126,140]' -r
-complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -s o -l out -d 'Write the calibration\'s file here, too' -r -F
+complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -l motor -d 'Calibrate one motor, 0 to 23 [default: all]' -r
+complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -l repetitions -d 'Play each number of pulses N times; with the default numbers each time takes half a minute [default: 2]' -r
+complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -l pulses -d 'Play bursts of these numbers of pulses, 7 to 200, 3 s each [default: 14,28,42,56,70,84,98,112,126,140]' -r
+complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -s o -l out -d 'Also write the calibration to FILE' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -l socket -d 'The daemon\'s socket [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -l json -d 'One JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -s h -l help -d 'Print help'
@@ -117,7 +117,7 @@ complete -c meissner -n "__fish_meissner_using_subcommand motor" -l frequency-hz
 complete -c meissner -n "__fish_meissner_using_subcommand motor" -l amplitude-um -d 'Its amplitude, peak to peak' -r
 complete -c meissner -n "__fish_meissner_using_subcommand motor" -l json -d 'One JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand motor" -s h -l help -d 'Print help'
-complete -c meissner -n "__fish_meissner_using_subcommand simulate" -l method -d 'How; a step, integrator or precision means stepped, else it is exact' -r -f -a "exact\t'From event to event, without a step'
+complete -c meissner -n "__fish_meissner_using_subcommand simulate" -l method -d 'Method; a step, integrator or precision means stepped, else it is exact' -r -f -a "exact\t'From event to event, without a step'
 stepped\t'By a fixed step'"
 complete -c meissner -n "__fish_meissner_using_subcommand simulate" -l step-us -d 'The step [default: 200]' -r
 complete -c meissner -n "__fish_meissner_using_subcommand simulate" -l integrator -d 'What is done in a step [default: propagator]' -r -f -a "euler\t'The paper\'s eq. 2: input and leak as they are at the step\'s start, a spike at its end'
@@ -164,7 +164,7 @@ complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_s
 complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play stop estop reset arm disarm home calibrate list show import status events receipt motor simulate optimise tradeoff report doctor help" -f -a "list" -d 'All patterns'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play stop estop reset arm disarm home calibrate list show import status events receipt motor simulate optimise tradeoff report doctor help" -f -a "show" -d 'A pattern: its motors, drives and warnings'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play stop estop reset arm disarm home calibrate list show import status events receipt motor simulate optimise tradeoff report doctor help" -f -a "import" -d 'Store a pattern file with the daemon, under the name in it'
-complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play stop estop reset arm disarm home calibrate list show import status events receipt motor simulate optimise tradeoff report doctor help" -f -a "status" -d 'How everything stands'
+complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play stop estop reset arm disarm home calibrate list show import status events receipt motor simulate optimise tradeoff report doctor help" -f -a "status" -d 'Show how everything stands'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play stop estop reset arm disarm home calibrate list show import status events receipt motor simulate optimise tradeoff report doctor help" -f -a "events" -d 'What happens, as it happens; with --json one document per line'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play stop estop reset arm disarm home calibrate list show import status events receipt motor simulate optimise tradeoff report doctor help" -f -a "receipt" -d 'What came of a play'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play stop estop reset arm disarm home calibrate list show import status events receipt motor simulate optimise tradeoff report doctor help" -f -a "motor" -d 'What a drive comes to in the steady state, by the motor model'

@@ -17,7 +17,7 @@ pub(super) fn page(document: &Value) -> String {
     .unwrap();
     writeln!(
         out,
-        "```console\n$ curl --unix-socket \"$XDG_RUNTIME_DIR/meissner.sock\" http://localhost/v1/status\n```\n"
+        "```bash\ncurl --unix-socket \"$XDG_RUNTIME_DIR/meissner.sock\" http://localhost/v1/status\n```\n"
     )
     .unwrap();
     writeln!(out, "## Routes\n\n| route | |\n|---|---|").unwrap();
