@@ -18,7 +18,7 @@ fn a_bad_pattern_is_refused_with_its_file_and_line() {
         (drive("3", "nan", "80.0"), "bad.toml:5: drive 1: `frequency_hz` is NaN"),
         (drive("3", "60.0", "500"), "bad.toml:6: drive 1: `amplitude_um` is 500"),
         (good.replace("frequency", "freqency"), "unknown key `freqency_hz`: did you mean `frequency_hz`?"),
-        (good.repeat(2), "motor 3 is still driven by drive 1"),
+        (good.repeat(2), "`motor` is 3, which drive 1 still drives"),
     ] {
         write_pattern(&daemon.path("bad.toml"), "bad", &drives);
         let line = complaint(daemon.meissner().args(["import", "bad.toml"]));
@@ -63,7 +63,7 @@ fn a_bad_configuration_keeps_the_daemon_from_starting() {
         ("laed_ms = 5\n", "m.toml:1: unknown key `laed_ms`: did you mean `lead_ms`?"),
         ("lead_ms = 2\n", "`lead_ms` is 2: must be 5 to 1000 ms"),
         ("lease_ms = 120\n", "`lease_ms` is 120: must be 150"),
-        ("device = \"uart\"\n", "device `uart`"),
+        ("device = \"uart\"\n", "`device` is `uart`"),
         ("patterns_dir = \"/nonexistent\"\n", "m.toml: `patterns_dir`: /nonexistent: No such file"),
         ("patterns_dir = \"/dev/null\"\n", "/dev/null: Not a directory"),
         ("socket = \"/nonexistent/m.sock\"\n", "/nonexistent/m.sock"),

@@ -235,7 +235,7 @@ fn a_configuration_is_checked_without_a_daemon() {
         ("patterns_dir = \"/nonexistent/patterns\"\n", "m.toml: `patterns_dir`: /nonexistent/patterns"),
         ("logbook_dir = \"/nonexistent/a/b\"\n", "m.toml: `logbook_dir`: /nonexistent/a/b: neither it nor"),
         (&format!("socket = \"/{}\"\n", "x".repeat(200)), "at most 107 bytes"),
-        ("device = \"ua\\nrt\"\n", "device `ua\\nrt`"),
+        ("device = \"ua\\nrt\"\n", "`device` is `ua\\nrt`"),
         ("socket = \"/a\\u0000\"\n", "`socket` holds a control character"),
     ] {
         std::fs::write(&file, text).unwrap();
