@@ -5,8 +5,9 @@
 
 use crate::descriptors::{self, NOTIFICATIONS, SERIAL, VENDOR};
 use firmware_protocol::message::State;
-use firmware_protocol::tick::{TICK_HZ, Tick};
+use firmware_protocol::tick::Tick;
 use meissner_array::simulated::PlantConfig;
+use meissner_array::units::duration_to_ticks;
 use meissner_stream::device::mock::Mock;
 use std::collections::VecDeque;
 use std::hash::{BuildHasher, Hasher, RandomState};
@@ -133,8 +134,7 @@ impl Board {
     }
 
     fn pass(&mut self) {
-        let ticks = self.started.elapsed().as_nanos() * u128::from(TICK_HZ) / 1_000_000_000;
-        self.mock.run(Tick::BOOT + ticks as u64);
+        self.mock.run(Tick::BOOT + duration_to_ticks(self.started.elapsed()));
     }
 
     /// Plays up to now and completes the host's waiting transfers.
