@@ -9,5 +9,5 @@ mod prediction;
 mod search;
 /// Shapes and partition against slow ways to the same: samples of an outline, pairs of receptors.
 mod shapes;
-/// Target files: what is refused and how it is said; the shipped targets.
+/// Target files: the messages of refused files, and the shipped targets.
 mod targets;

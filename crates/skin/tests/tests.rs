@@ -13,7 +13,7 @@ mod extremes;
 mod gains;
 /// The same bits whatever the threads, the order of afferents, the blocks, and the skipping.
 mod independence;
-/// Scene files: what is read, what is refused, and the messages.
+/// Scene files: accepted keys, and the messages of refused files.
 mod scenes;
 /// Simulated spikes against another program's and the oracle's.
 mod simulate;

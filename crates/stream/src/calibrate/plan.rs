@@ -1,6 +1,6 @@
 //! The calibration plan: which bursts are played, with how many pulses, in which order, when.
 //!
-//! [`Plan::pattern`] is what the streamer plays, open loop; [`Plan::bursts`] lists the same bursts for whoever measures.
+//! [`Plan::pattern`] is what the streamer plays, open loop; [`Plan::bursts`] lists the same bursts for the measurement.
 //!
 //! A group is one warm-up stroke, then [`STROKES_PER_GROUP`] measured strokes of the same number of pulses, an eighth of a
 //! second from burst to burst. The warm-up stroke is the first after more than half a second of rest and comes out short

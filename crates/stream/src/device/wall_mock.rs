@@ -1,4 +1,4 @@
-//! The mock in wall time: whoever reads it lets it run up to now.
+//! The mock in wall time: each read lets it run up to now.
 //!
 //! It has no thread: its time passes only when its owner calls it with the host's instant.
 
