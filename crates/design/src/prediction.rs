@@ -196,7 +196,7 @@ impl Watch {
         let receptors = scene.afferents().len();
         let mut counts = vec![vec![0_u64; receptors]; self.frames.len()];
         let mut all = 0;
-        simulate_ramps(scene, ramps, |receptor, spikes_s| {
+        simulate_ramps(scene, ramps, &mut |receptor, spikes_s| {
             all += spikes_s.len();
             for at_s in spikes_s {
                 let begin_s = self.begin_s(self.repeat(at_s));

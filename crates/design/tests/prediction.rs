@@ -23,8 +23,10 @@ fn spikes_of(scene: &Scene) -> Vec<Vec<f64>> {
 
 fn spikes_of_ramps(scene: &Scene, ramps: impl IntoIterator<Item = (u8, Ramp)>) -> Vec<Vec<f64>> {
     let mut spikes = vec![Vec::new(); scene.afferents().len()];
-    simulate_ramps(scene, &Ramps::new(ramps).unwrap(), |receptor, train| spikes[receptor as usize] = train)
-        .unwrap();
+    simulate_ramps(scene, &Ramps::new(ramps).unwrap(), &mut |receptor, train| {
+        spikes[receptor as usize] = train;
+    })
+    .unwrap();
     spikes
 }
 

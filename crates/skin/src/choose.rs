@@ -106,7 +106,7 @@ fn counts(scene: &Scene, numbers: &[u32], method: Method) -> Vec<u64> {
     let mut counts = vec![0; scene.afferents().len()];
     let options = Options::rates(method);
     let tracks = of_scene(scene, method);
-    let ran = engine::run(scene, &tracks, numbers, &options, &|_| (), |(number, count, _)| {
+    let ran = engine::run(scene, &tracks, numbers, &options, &|_| (), &mut |(number, count, _)| {
         counts[number as usize] = count;
     });
     ran.expect("no spikes are kept, so there are never too many");

@@ -50,6 +50,8 @@ const STEPS: u64 = 256 * TILE as u64;
 
 /// An afferent's number, its number of spikes, and their times, half ticks, if they are kept.
 pub(crate) type Train = (u32, u64, Vec<f64>);
+/// Takes the spike train of an afferent. A trait object: the simulation is compiled once, not once for each caller.
+pub(crate) type Give<'g> = dyn FnMut(Train) + 'g;
 
 /// Simulates some of a scene's afferents. `give` is called with the spike train of each, in no particular order.
 pub(crate) fn run(
@@ -58,7 +60,7 @@ pub(crate) fn run(
     numbers: &[u32],
     options: &Options,
     progress: &(dyn Fn(f64) + Sync),
-    give: impl FnMut(Train),
+    give: &mut Give<'_>,
 ) -> Result<Skipped, MethodError> {
     run_on(Arch::new(), scene, tracks, numbers, options, progress, give)
 }
@@ -71,10 +73,10 @@ pub(crate) fn run_on(
     numbers: &[u32],
     options: &Options,
     progress: &(dyn Fn(f64) + Sync),
-    mut give: impl FnMut(Train),
+    give: &mut Give<'_>,
 ) -> Result<Skipped, MethodError> {
     let work = Work { arch, ..Work::new(scene, options, tracks, &[]) };
-    work.run(&by_place(scene, numbers), progress, &mut give)
+    work.run(&by_place(scene, numbers), progress, give)
 }
 
 /// The afferents that are not proven silent: a method may find spikes there.
@@ -128,7 +130,7 @@ impl<'w> Work<'w> {
         &self,
         order: &[u32],
         progress: &(dyn Fn(f64) + Sync),
-        give: &mut impl FnMut(Train),
+        give: &mut Give<'_>,
     ) -> Result<Skipped, MethodError> {
         let motors_at_rest = MOTORS as u32 - self.moving.count_ones();
         let mut skipped = Skipped { motors_at_rest, ..Skipped::default() };
@@ -152,7 +154,7 @@ impl<'w> Work<'w> {
         numbers: &[u32],
         skipped: &mut Skipped,
         progress: &(dyn Fn(f64) + Sync),
-        give: &mut impl FnMut(Train),
+        give: &mut Give<'_>,
     ) -> Result<u32, MethodError> {
         let mut members: Vec<_> =
             numbers.par_iter().with_min_len(64).map(|&number| self.member(number)).collect();
@@ -235,7 +237,7 @@ impl<'w> Work<'w> {
         &self,
         members: Vec<Member>,
         progress: &(dyn Fn(f64) + Sync),
-        give: &mut impl FnMut(Train),
+        give: &mut Give<'_>,
     ) -> Result<f64, MethodError> {
         if members.is_empty() {
             return Ok(0.0);
@@ -278,7 +280,7 @@ impl<'w> Work<'w> {
         stepping: Stepping,
         members: Vec<Member>,
         progress: &(dyn Fn(f64) + Sync),
-        give: &mut impl FnMut(Train),
+        give: &mut Give<'_>,
     ) -> Result<(), MethodError> {
         let length = stepping.half_ticks();
         let model = StepModel::new(&self.membrane, stepping.integrator, length);

@@ -14,7 +14,7 @@
 //! Invariant: a motor's ramps are in order of time and do not overlap.
 
 use crate::breakpoints::in_parts;
-use crate::engine::run;
+use crate::engine::{Train, run};
 use crate::member::by_place;
 use crate::method::{Method, MethodError, Options};
 use crate::scene::{MAX_GAIN, Scene};
@@ -125,15 +125,14 @@ fn gain(um_per_tick: f64) -> f64 {
 pub fn simulate_ramps(
     scene: &Scene,
     ramps: &Ramps,
-    mut give: impl FnMut(u32, Vec<f64>),
+    give: &mut dyn FnMut(u32, Vec<f64>),
 ) -> Result<(), MethodError> {
     let gains = ramps.gains();
     let (scene, tracks) = (scene.without_drives(gains), ramps.tracks(&gains, scene.duration_s()));
     let all: Vec<u32> = (0..scene.afferents().len() as u32).collect();
     for some in by_place(&scene, &all).chunks(AT_A_TIME) {
-        run(&scene, &tracks, some, &Options::spikes(Method::Exact), &|_| (), |(number, _, half_ticks)| {
-            give(number, in_seconds(half_ticks));
-        })?;
+        let mut give = |(number, _, half_ticks): Train| give(number, in_seconds(half_ticks));
+        run(&scene, &tracks, some, &Options::spikes(Method::Exact), &|_| (), &mut give)?;
     }
     Ok(())
 }

@@ -1,6 +1,6 @@
 //! A whole scene, simulated once: [`simulate`] and its [`Answer`].
 
-use crate::engine::{self, Skipped};
+use crate::engine::{self, Skipped, Train};
 use crate::method::{Keep, MethodError, Options};
 use crate::scene::Scene;
 use crate::time::in_seconds;
@@ -39,12 +39,13 @@ pub fn simulate(
     let mut counts = vec![0; numbers.len()];
     let mut spikes = vec![Vec::new(); if options.keep == Keep::Spikes { numbers.len() } else { 0 }];
     let tracks = track::of_scene(scene, options.method);
-    let skipped = engine::run(scene, &tracks, &numbers, options, progress, |(number, count, half_ticks)| {
+    let mut give = |(number, count, half_ticks): Train| {
         counts[number as usize] = count;
         if let Some(spikes) = spikes.get_mut(number as usize) {
             *spikes = in_seconds(half_ticks);
         }
-    })?;
+    };
+    let skipped = engine::run(scene, &tracks, &numbers, options, progress, &mut give)?;
     let spikes_s = (options.keep == Keep::Spikes).then_some(spikes);
     Ok(Answer { counts, spikes_s, skipped })
 }

@@ -55,7 +55,7 @@ fn bits(arch: Arch, scene: &Scene, tracks: &Tracks, method: Method) -> Vec<(u32,
     let all: Vec<u32> = (0..scene.afferents().len() as u32).collect();
     let options = Options::spikes(method);
     let mut trains = Vec::new();
-    run_on(arch, scene, tracks, &all, &options, &|_| (), |(number, count, half_ticks)| {
+    run_on(arch, scene, tracks, &all, &options, &|_| (), &mut |(number, count, half_ticks)| {
         trains.push((number, count, half_ticks.into_iter().map(f64::to_bits).collect()));
     })
     .unwrap();
