@@ -8,7 +8,7 @@
 
 use crate::session_record::Location;
 use firmware_protocol::limits::OnTimeLimits;
-use meissner_array::simulated::{PlantConfig, PlantError};
+use meissner_array::simulated::{SimulatedMotorsConfig, SimulatedMotorsError};
 use meissner_client::default_socket;
 use meissner_input::document::{self, DocumentError, Table, from_toml, in_range};
 use meissner_input::message::quote;
@@ -53,7 +53,7 @@ pub struct Config {
     /// The settings of the streamer.
     pub settings: Settings,
     /// The simulated array.
-    pub mock: PlantConfig,
+    pub mock: SimulatedMotorsConfig,
 }
 
 /// The directory of the site's own patterns.
@@ -76,7 +76,7 @@ impl Default for Config {
             patterns: default_patterns(),
             logbook: keep(None, LOGBOOK_DAYS),
             settings: Settings::default(),
-            mock: PlantConfig::default(),
+            mock: SimulatedMotorsConfig::default(),
         }
     }
 }
@@ -152,7 +152,7 @@ struct RawConfig {
     lease_ms: Option<f64>,
     drift_warning_um: Option<f64>,
     limits: Option<Table<RawLimits>>,
-    mock: Option<Table<PlantConfig>>,
+    mock: Option<Table<SimulatedMotorsConfig>>,
 }
 
 #[derive(Default, Deserialize)]
@@ -240,8 +240,8 @@ impl RawConfig {
         };
         let motor = limit("limits.motor_pulses_per_s", limits.motor_pulses_per_s, none.motor)?;
         let rail = limit("limits.rail_pulses_per_s", limits.rail_pulses_per_s, none.rail)?;
-        let Table(mock) = self.mock.unwrap_or(Table(PlantConfig::default()));
-        if let Err(PlantError { key, found, most }) = mock.check() {
+        let Table(mock) = self.mock.unwrap_or(Table(SimulatedMotorsConfig::default()));
+        if let Err(SimulatedMotorsError { key, found, most }) = mock.check() {
             in_range(&format!("mock.{key}"), found, false, format!("0 to {most}"))?;
         }
         let patterns = self.patterns_dir.map_or_else(default_patterns, PatternsDir::Configured);
@@ -333,7 +333,7 @@ mod tests {
             config.settings,
             Settings { lead_ms: 50.0, lease_ms: 100.0, limits, drift_warning_um: 30.0 }
         );
-        assert_eq!(config.mock, PlantConfig { seed: 3, gain_sd: 0.0, ..PlantConfig::default() });
+        assert_eq!(config.mock, SimulatedMotorsConfig { seed: 3, gain_sd: 0.0, ..SimulatedMotorsConfig::default() });
         assert_eq!(parse("lead_ms = 50").unwrap().settings.lease_ms, 250.0);
     }
 

@@ -2,7 +2,7 @@
 
 use crate::harness::{Daemon, TIMEOUT, complaint, meissner, printed};
 use meissner_api::Status;
-use meissner_array::simulated::PlantConfig;
+use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_stream::device::{self, DeviceError, PtyMock, Spec, WallMock};
 use meissner_stream::time::HostInstant;
 use serde_json::Value;
@@ -13,7 +13,7 @@ use std::thread::{sleep, spawn};
 use std::time::{Duration, Instant};
 
 fn board() -> PtyMock {
-    PtyMock::spawn(WallMock::new(&PlantConfig::default(), HostInstant::now()).unwrap()).unwrap()
+    PtyMock::spawn(WallMock::new(&SimulatedMotorsConfig::default(), HostInstant::now()).unwrap()).unwrap()
 }
 
 /// The doctor's report, go or no go: no test depends on how fast this machine is.
@@ -79,7 +79,7 @@ fn a_file_that_is_no_serial_port_is_reported() {
         assert_eq!(found["found"], format!("serial port {name}: not a serial port"));
         assert!(found["advice"].as_str().unwrap().contains("ls /dev/serial/by-id"), "{found}");
     }
-    let usb = device::open(&"usb:0123abcd".parse().unwrap(), &PlantConfig::default()).unwrap_err();
+    let usb = device::open(&"usb:0123abcd".parse().unwrap(), &SimulatedMotorsConfig::default()).unwrap_err();
     assert!(
         usb.to_string().contains("`lsusb -d 1209:0001`") && usb.to_string().contains("2e8a:0003"),
         "{usb}"
@@ -130,7 +130,7 @@ fn a_daemon_without_a_device_says_which_one_it_wants() {
 
 #[test]
 fn the_doctor_warns_that_a_device_without_telemetry_drifts() {
-    let blind = PlantConfig { telemetry_hz: 0, ..PlantConfig::default() };
+    let blind = SimulatedMotorsConfig { telemetry_hz: 0, ..SimulatedMotorsConfig::default() };
     let board = PtyMock::spawn(WallMock::new(&blind, HostInstant::now()).unwrap()).unwrap();
     let device = format!("serial:{}", board.path().display());
     // As above: on a machine that stalls, try again.
@@ -159,7 +159,7 @@ fn a_port_has_one_user() {
     let name = format!("serial:{}", board.path().display());
     let daemon = Daemon::on(&name);
     let spec: Spec = name.parse().unwrap();
-    let refused = device::open(&spec, &PlantConfig::default()).unwrap_err();
+    let refused = device::open(&spec, &SimulatedMotorsConfig::default()).unwrap_err();
     assert!(matches!(refused, DeviceError::InUse(_)), "{refused}");
     let report = report(&["--device", &name]);
     let found = finding(&report, "device").to_string();

@@ -168,7 +168,7 @@ fn the_displacement_follows_the_pulses_as_the_paper_has_it() {
 }
 
 #[test]
-fn the_amplitude_is_the_model_s_and_the_plant_scatters_around_it() {
+fn the_amplitude_is_the_model_s_and_simulated_motors_scatter_around_it() {
     let head = "frequency_hz,amplitude_um,model_um,measured_um,measured_sd_um";
     let found = rows::<5>(file(library(), "amplitude.csv"), head);
     let figures = library().figures.amplitude;

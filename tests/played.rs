@@ -3,15 +3,15 @@
 use firmware_protocol::tick::TICK_HZ;
 use meissner::receipts::{NoPrediction, PlayedPattern};
 use meissner_array::pattern::Pattern;
-use meissner_array::simulated::PlantConfig;
+use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_design::{MOST_OBSERVED_S, Play, predict_response};
 use meissner_stream::{Settings, SimulatedPlay, simulate_play};
-use meissner_test_support::played::by_the_plant;
+use meissner_test_support::played::by_simulated_motors;
 use meissner_test_support::rig::pattern;
 use std::collections::HashSet;
 
-fn played(pattern: &Pattern, seconds: f64, plant: &PlantConfig, open_loop: bool) -> SimulatedPlay {
-    simulate_play(pattern, Some(seconds), plant, Settings::default(), open_loop).unwrap()
+fn played(pattern: &Pattern, seconds: f64, motors: &SimulatedMotorsConfig, open_loop: bool) -> SimulatedPlay {
+    simulate_play(pattern, Some(seconds), motors, Settings::default(), open_loop).unwrap()
 }
 
 fn measured_play<'p>(pattern: &'p Pattern, seconds: f64, played: &SimulatedPlay) -> PlayedPattern<'p> {
@@ -24,9 +24,9 @@ fn measured_play<'p>(pattern: &'p Pattern, seconds: f64, played: &SimulatedPlay)
 #[test]
 fn an_edge_keeps_nearly_its_designed_contrast_with_and_without_position_control() {
     let edge = pattern("edge-45");
-    let plant = PlantConfig::default();
+    let motors = SimulatedMotorsConfig::default();
     let [closed, open] = [false, true].map(|open_loop| {
-        let played = played(&edge, MOST_OBSERVED_S, &plant, open_loop);
+        let played = played(&edge, MOST_OBSERVED_S, &motors, open_loop);
         assert_eq!(played.outcome.bursts.played, played.outcome.bursts.planned);
         let found = measured_play(&edge, MOST_OBSERVED_S, &played).response(&played.measured_bursts).unwrap();
         assert_eq!((found.unmeasured, found.seconds), (0, MOST_OBSERVED_S));
@@ -46,7 +46,7 @@ fn an_edge_keeps_nearly_its_designed_contrast_with_and_without_position_control(
     let play =
         Play { pattern: &edge, seconds: Some(MOST_OBSERVED_S), onset: open.2, observed_s: MOST_OBSERVED_S };
     let truth =
-        contrast(predict_response(&play, by_the_plant(plant, &play, u16::MAX)).unwrap().played_hz.contrast);
+        contrast(predict_response(&play, by_simulated_motors(motors, &play, u16::MAX)).unwrap().played_hz.contrast);
     println!("in truth without {truth:.2}");
     assert!((without - truth).abs() < 2.0, "{without} {truth}");
     // The pins did drift.
@@ -56,7 +56,7 @@ fn an_edge_keeps_nearly_its_designed_contrast_with_and_without_position_control(
 #[test]
 fn ideal_motors_give_the_designed_response() {
     let edge = pattern("edge-45");
-    let played = played(&edge, 2.0, &PlantConfig::ideal(), true);
+    let played = played(&edge, 2.0, &SimulatedMotorsConfig::ideal(), true);
     let found = measured_play(&edge, 2.0, &played).response(&played.measured_bursts).unwrap();
     let [designed, played] = [found.designed_hz, found.played_hz].map(|rates| rates.contrast.unwrap());
     // Telemetry has a quantum of 0.01 um.
@@ -66,7 +66,7 @@ fn ideal_motors_give_the_designed_response() {
 #[test]
 fn unmeasured_bursts_are_counted_and_too_many_prevent_a_prediction() {
     let edge = pattern("edge-45");
-    let played = played(&edge, 2.0, &PlantConfig::default(), false);
+    let played = played(&edge, 2.0, &SimulatedMotorsConfig::default(), false);
     let bursts = played.outcome.bursts.played;
     let mut play = measured_play(&edge, 2.0, &played);
     let without = |one_in: usize| -> Vec<_> {
@@ -99,7 +99,7 @@ fn unmeasured_bursts_are_counted_and_too_many_prevent_a_prediction() {
 #[test]
 fn a_play_that_was_cut_counts_as_far_as_it_was_played() {
     let edge = pattern("edge-45");
-    let played = played(&edge, 2.0, &PlantConfig::default(), false);
+    let played = played(&edge, 2.0, &SimulatedMotorsConfig::default(), false);
     let mut play = measured_play(&edge, 60.0, &played);
     play.cut = true;
     let found = play.response(&played.measured_bursts).unwrap();

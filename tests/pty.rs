@@ -4,7 +4,7 @@ use crate::harness::{Daemon, complaint, printed};
 use firmware_protocol::message::{Cause, State};
 use meissner_api::Receipt;
 use meissner_api::Status;
-use meissner_array::simulated::PlantConfig;
+use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_stream::device::{PtyMock, WallMock};
 use meissner_stream::time::HostInstant;
 use meissner_test_support::rig::{OFF, bursts_on_the_lines};
@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 
 /// A board at the far end of a terminal: it outlives the daemon, and records what its lines did.
 fn board() -> PtyMock {
-    let mut mock = WallMock::new(&PlantConfig::default(), HostInstant::now()).unwrap();
+    let mut mock = WallMock::new(&SimulatedMotorsConfig::default(), HostInstant::now()).unwrap();
     mock.mock().record();
     PtyMock::spawn(mock).unwrap()
 }

@@ -1,14 +1,14 @@
 //! What the closed loop computes: `cargo bench --bench control`. Times are for a millisecond of device time of 24 motors at 80 µm,
 //! with telemetry every millisecond.
 //!
-//! `loop and plant` is [`MotorRun`], with the simulated pins it measures; `plant` is the same pins, bursts and samples alone.
+//! `loop and pins` is [`MotorRun`], with the simulated pins it measures; `pins` is the same pins, bursts and samples alone.
 //! The loop is the difference.
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use firmware_protocol::stroke::{Burst, Direction, MOTORS};
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::SquareWave;
-use meissner_array::simulated::{Pin, PlantConfig};
+use meissner_array::simulated::{Pin, SimulatedMotorsConfig};
 use meissner_array::units::TICKS_PER_MS;
 use meissner_stream::MotorRun;
 use std::hint::black_box;
@@ -33,10 +33,10 @@ fn loops(frequency_hz: f64) {
 }
 
 /// All motors, as planned.
-fn plants(frequency_hz: f64) {
+fn pins(frequency_hz: f64) {
     let wave = SquareWave::new(frequency_hz, MotorRun::default().amplitude_um, 0.0).expect("in range");
     for seed in 0..MOTORS as u64 {
-        let mut pin = Pin::new(&PlantConfig { seed, ..PlantConfig::default() }, 0);
+        let mut pin = Pin::new(&SimulatedMotorsConfig { seed, ..SimulatedMotorsConfig::default() }, 0);
         let mut bursts = wave.excursions().flat_map(|excursion| {
             let pulses = excursion.pulses as u16;
             let burst = |start, direction| Burst { start: Tick::BOOT + start, direction, pulses };
@@ -57,7 +57,7 @@ fn plants(frequency_hz: f64) {
 fn control(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("control, 24 motors, per ms");
     for frequency_hz in [60.0, 300.0] {
-        for (name, work) in [("loop and plant", loops as fn(f64)), ("plant", plants)] {
+        for (name, work) in [("loop and pins", loops as fn(f64)), ("pins", pins)] {
             group.bench_function(format!("{name}, {frequency_hz} Hz"), |bencher| {
                 bencher.iter_custom(|times| {
                     let begun = Instant::now();

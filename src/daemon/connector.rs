@@ -15,7 +15,7 @@ use super::engine::Engine;
 use super::state::{ConnectorMessage, State};
 use crossbeam_channel::{Receiver, RecvError, Sender, bounded, never, select};
 use firmware_protocol::stroke::MOTORS;
-use meissner_array::simulated::PlantConfig;
+use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_stream::Gains;
 use meissner_stream::device::{self, Device, Spec};
 use meissner_stream::queues::Command;
@@ -35,20 +35,20 @@ const TRIES: usize = 10;
 /// Starts the connector. The daemon does not wait for its end: a system call may hold it.
 pub(super) fn spawn(
     spec: Spec,
-    plant: PlantConfig,
+    motors: SimulatedMotorsConfig,
     engine: Arc<Engine>,
 ) -> io::Result<Sender<ConnectorMessage>> {
     let (sender, messages) = bounded(4);
     engine.lock().connection.set_connector(sender.clone());
     let connector =
-        Connector { spec, plant, engine, messages, plugged: never(), failure: None, opened: String::new() };
+        Connector { spec, motors, engine, messages, plugged: never(), failure: None, opened: String::new() };
     thread::Builder::new().name("connector".into()).spawn(move || connector.run())?;
     Ok(sender)
 }
 
 struct Connector {
     spec: Spec,
-    plant: PlantConfig,
+    motors: SimulatedMotorsConfig,
     engine: Arc<Engine>,
     messages: Receiver<ConnectorMessage>,
     /// A device with a board's ids was plugged in.
@@ -63,7 +63,7 @@ impl Connector {
     fn run(mut self) {
         self.watch();
         loop {
-            let gone = match device::open(&self.spec, &self.plant) {
+            let gone = match device::open(&self.spec, &self.motors) {
                 Ok(device) => {
                     self.note_opened(&device);
                     match self.engine.connect(Box::new(device)) {
@@ -183,7 +183,7 @@ impl Connector {
                 "it has been armed".clone_into(&mut why_not);
                 break;
             }
-            match device::open(&Spec::Board, &self.plant) {
+            match device::open(&Spec::Board, &self.motors) {
                 Ok(device) => {
                     let kind = device.kind();
                     if self.engine.replace_mock(Box::new(device)).is_ok() {
@@ -261,7 +261,7 @@ mod tests {
         let ((arrivals, plugged), (sender, messages)) = (bounded(1), bounded(4));
         let mut connector = Connector {
             spec,
-            plant: PlantConfig::default(),
+            motors: SimulatedMotorsConfig::default(),
             engine,
             messages,
             plugged,
@@ -283,7 +283,7 @@ mod tests {
     fn a_board_replaces_the_mock_until_that_was_armed() {
         let (mut port, commands, _events) = queues().unwrap();
         let engine = Engine::new(commands, Settings::default(), "auto".to_owned(), None);
-        let device = || Box::new(device::open(&Spec::Mock, &PlantConfig::default()).unwrap());
+        let device = || Box::new(device::open(&Spec::Mock, &SimulatedMotorsConfig::default()).unwrap());
         engine.connect(device()).unwrap();
         engine.replace_mock(device()).unwrap();
         drop(engine.send(Command::Arm { assume_rest: false }).unwrap());

@@ -1,10 +1,10 @@
 //! The motor model against reference traces and amplitudes.
 
-use crate::plant::play;
+use crate::simulated::play;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::{HalfTick, Shaft, SquareWave, SteadyState};
 use meissner_array::pattern::{Drive, Pattern};
-use meissner_array::simulated::{Plant, PlantConfig};
+use meissner_array::simulated::{SimulatedMotors, SimulatedMotorsConfig};
 use meissner_array::strokes::Strokes;
 use serde::Deserialize;
 
@@ -64,7 +64,7 @@ fn the_closed_form_and_the_played_drive_have_the_reference_amplitude() {
 }
 
 #[test]
-fn the_plant_without_scatter_has_the_reference_amplitude() {
+fn simulated_motors_without_scatter_have_the_reference_amplitude() {
     for rows in amplitudes().chunks(24) {
         let drives = rows.iter().zip(0..).map(|(&[frequency_hz, amplitude_um, _], motor)| Drive {
             motor,
@@ -76,12 +76,12 @@ fn the_plant_without_scatter_has_the_reference_amplitude() {
         });
         let pattern = Pattern::new("amplitudes", None, drives.collect(), toml::Table::new()).unwrap();
         let mut strokes = Strokes::new(&pattern, Some(2.1)).unwrap();
-        let config = PlantConfig { telemetry_hz: 10_000, ..PlantConfig::ideal() };
-        let mut plant = Plant::new(config, Tick::BOOT).unwrap();
+        let config = SimulatedMotorsConfig { telemetry_hz: 10_000, ..SimulatedMotorsConfig::ideal() };
+        let mut motors = SimulatedMotors::new(config, Tick::BOOT).unwrap();
         strokes.begin(Tick::BOOT);
         let mut ranges = [(i32::MAX, i32::MIN); 24];
-        play(&mut plant, strokes, 2 * 85_000, |plant| {
-            while let Some(sample) = plant.telemetry() {
+        play(&mut motors, strokes, 2 * 85_000, |motors| {
+            while let Some(sample) = motors.telemetry() {
                 // From half a second on: past every transient, and a whole period of the slowest.
                 if sample.tick >= Tick::BOOT + 42_500 {
                     for (range, y) in ranges.iter_mut().zip(sample.y) {

@@ -3,7 +3,7 @@
 
 mod models;
 mod patterns;
-mod plant;
+mod simulated;
 mod strokes;
 
 /// Lets `assert_no_alloc` see every allocation of the tests.

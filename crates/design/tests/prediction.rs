@@ -2,7 +2,7 @@ use firmware_protocol::stroke::{Burst, Direction};
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::Ramp;
 use meissner_array::pattern::Pattern;
-use meissner_array::simulated::PlantConfig;
+use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_array::strokes::Strokes;
 use meissner_array::units::UM_PER_PULSE;
 use meissner_design::{
@@ -10,7 +10,7 @@ use meissner_design::{
 };
 use meissner_skin::afferent::population;
 use meissner_skin::{Method, Options, Ramps, RampsError, Scene, simulate as solve, simulate_ramps};
-use meissner_test_support::played::by_the_plant;
+use meissner_test_support::played::by_simulated_motors;
 use meissner_test_support::random::Random;
 use meissner_test_support::{both, oracle};
 use rayon::ThreadPoolBuilder;
@@ -255,13 +255,13 @@ fn only_what_was_observed_counts() {
 fn a_minute_of_pins_that_wander_to_their_stops_is_told_as_it_is() {
     let pattern = pattern("edge-45");
     let minute = play(&pattern, 60.0);
-    let bursts = by_the_plant(PlantConfig::default(), &minute, u16::MAX);
+    let bursts = by_simulated_motors(SimulatedMotorsConfig::default(), &minute, u16::MAX);
     assert!((farthest_um(&bursts) - 500.0).abs() < 1e-6, "{}", farthest_um(&bursts));
     let found = predict_response(&minute, bursts).unwrap();
     let (designed_hz, played_hz) = (found.designed_hz.contrast.unwrap(), found.played_hz.contrast.unwrap());
     assert!(designed_hz > 150.0 && played_hz < designed_hz && played_hz > 0.9 * designed_hz, "{found:?}");
     let short = play(&pattern, 3.0);
-    let ideal = predict_response(&short, by_the_plant(PlantConfig::ideal(), &short, u16::MAX)).unwrap();
+    let ideal = predict_response(&short, by_simulated_motors(SimulatedMotorsConfig::ideal(), &short, u16::MAX)).unwrap();
     assert_eq!(ideal.played_hz, ideal.designed_hz);
 }
 
@@ -273,9 +273,9 @@ fn a_burst_that_meets_its_stop_may_be_told_as_a_slower_one_if_that_is_far() {
     for (end_stop_um, seconds, too_low_hz) in
         [(500.0, 5.0, -0.5..0.5), (60.0, 2.0, 0.5..4.0), (30.0, 2.0, 10.0..30.0)]
     {
-        let (config, play) = (PlantConfig { end_stop_um, ..PlantConfig::default() }, play(&pattern, seconds));
+        let (config, play) = (SimulatedMotorsConfig { end_stop_um, ..SimulatedMotorsConfig::default() }, play(&pattern, seconds));
         let [told, real] = [u16::MAX, 16].map(|ticks| {
-            let bursts = by_the_plant(config, &play, ticks);
+            let bursts = by_simulated_motors(config, &play, ticks);
             assert!(farthest_um(&bursts) > end_stop_um - 1e-6);
             predict_response(&play, bursts).unwrap().played_hz.contrast.unwrap()
         });
@@ -289,7 +289,7 @@ fn it_is_the_same_on_any_number_of_threads() {
     for name in ["edge-45", "moving-edge"] {
         let pattern = pattern(name);
         let play = play(&pattern, 3.3);
-        let bursts = by_the_plant(PlantConfig { seed: 7, ..PlantConfig::default() }, &play, u16::MAX);
+        let bursts = by_simulated_motors(SimulatedMotorsConfig { seed: 7, ..SimulatedMotorsConfig::default() }, &play, u16::MAX);
         let of = |threads| {
             let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             pool.install(|| predict_response(&play, bursts.iter().copied()).unwrap())

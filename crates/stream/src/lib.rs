@@ -18,7 +18,7 @@
 //!
 //! # Example
 //! ```
-//! use meissner_array::{pattern::Pattern, simulated::PlantConfig};
+//! use meissner_array::{pattern::Pattern, simulated::SimulatedMotorsConfig};
 //! use meissner_stream::{Settings, simulate_play};
 //!
 //! let text = r#"
@@ -32,7 +32,7 @@
 //! phase = 0.0
 //! "#;
 //! let pattern = Pattern::parse(text, "one-pin.toml")?;
-//! let played = simulate_play(&pattern, None, &PlantConfig::default(), Settings::default(), false)?;
+//! let played = simulate_play(&pattern, None, &SimulatedMotorsConfig::default(), Settings::default(), false)?;
 //! assert_eq!(played.outcome.bursts.played, 60); // 30 periods, up and down
 //! assert!(played.rest.rms_um() < 20.0); // closed loop, 10 % scatter
 //! # Ok::<(), Box<dyn std::error::Error>>(())

@@ -11,7 +11,7 @@ use firmware_protocol::tick::Tick;
 use meissner_api::SensorFault;
 use meissner_array::motor::{Excursion, MotorError};
 use meissner_array::pattern::Drive;
-use meissner_array::simulated::{Pin, PlantConfig};
+use meissner_array::simulated::{Pin, SimulatedMotorsConfig};
 use meissner_array::strokes::DriveStrokes;
 use meissner_array::units::{TICKS_PER_MS, UM_PER_PULSE, seconds_in_ticks, seconds_to_ticks, ticks_to_ms};
 use std::collections::VecDeque;
@@ -59,7 +59,7 @@ impl Default for MotorRun {
             telemetry_hz: 1000.0,
             scatter: 0.1,
             asymmetry: 0.02,
-            transient_gain: PlantConfig::default().transient_gain,
+            transient_gain: SimulatedMotorsConfig::default().transient_gain,
             offset_um: 0.0,
             seed: 0,
             closed: true,
@@ -106,7 +106,7 @@ impl MotorRun {
         // The first stroke is late enough to be corrected.
         let strokes = DriveStrokes::of(&drive)?.shifted(2 * FINALISE_AT, u64::MAX);
         let Self { seed, scatter: gain_sd, transient_gain, .. } = *self;
-        let config = PlantConfig { seed, gain_sd, transient_gain, ..PlantConfig::default() };
+        let config = SimulatedMotorsConfig { seed, gain_sd, transient_gain, ..SimulatedMotorsConfig::default() };
         let pin = Pin::new(&config, 0).with_asymmetry(self.asymmetry).at(self.offset_um);
         let mut controller = BurstController::new(&self.gains);
         let start = Tick::BOOT;

@@ -14,7 +14,7 @@ use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::tick::Tick;
 use meissner_api::LatePolicy;
 use meissner_array::pattern::Pattern;
-use meissner_array::simulated::{PlantConfig, PlantError, RestStats};
+use meissner_array::simulated::{SimulatedMotorsConfig, SimulatedMotorsError, RestStats};
 use meissner_array::strokes::{Strokes, StrokesError};
 use meissner_array::units::{duration_to_ticks, ticks_to_seconds};
 use rand_chacha::ChaCha8Rng;
@@ -129,14 +129,14 @@ impl Simulation {
     ///
     /// # Errors
     /// If the settings of the simulated motors are out of range.
-    pub fn new(plant: &PlantConfig, settings: Settings, line: Line, seed: u64) -> Result<Self, PlantError> {
+    pub fn new(motors: &SimulatedMotorsConfig, settings: Settings, line: Line, seed: u64) -> Result<Self, SimulatedMotorsError> {
         let direction = |salt, line| {
             let random = ChaCha8Rng::seed_from_u64(seed ^ salt);
             Direction { line, random, busy: HostInstant::default(), frames: Vec::new() }
         };
         let mut new = Self {
             streamer: Streamer::new(settings),
-            mock: Mock::new(*plant, seed as u32)?,
+            mock: Mock::new(*motors, seed as u32)?,
             now: STARTED,
             to_device: direction(0x5eed, line),
             to_host: direction(0xfeed, Line { bytes_per_s: 0, ..line }),
@@ -284,7 +284,7 @@ pub struct SimulatedPlay {
 pub enum SimulationError {
     /// The settings of the simulated motors are out of range.
     #[error(transparent)]
-    Plant(#[from] PlantError),
+    Motors(#[from] SimulatedMotorsError),
     /// The pattern could not be compiled.
     #[error(transparent)]
     Strokes(#[from] StrokesError),
@@ -303,14 +303,14 @@ pub enum SimulationError {
 pub fn simulate_play(
     pattern: &Pattern,
     seconds: Option<f64>,
-    plant: &PlantConfig,
+    motors: &SimulatedMotorsConfig,
     settings: Settings,
     open_loop: bool,
 ) -> Result<SimulatedPlay, SimulationError> {
     let strokes = Strokes::new(pattern, seconds)?;
     let name = || pattern.name().to_owned();
     let end = strokes.end().ok_or_else(|| SimulationError::Endless(name()))?;
-    let mut simulation = Simulation::new(plant, settings, Line::default(), plant.seed)?;
+    let mut simulation = Simulation::new(motors, settings, Line::default(), motors.seed)?;
     simulation.take_measured_bursts();
     simulation.run(Duration::from_millis(100));
     simulation.send(Command::Arm { assume_rest: true });
@@ -323,7 +323,7 @@ pub fn simulate_play(
     let outcome = simulation.run_to_end(1, length + Duration::from_secs(2));
     let outcome = outcome.ok_or_else(|| SimulationError::NoEnd(name()))?;
     // Telemetry still has to measure the last bursts.
-    simulation.run(MEASURED_WITHIN + Duration::from_millis(plant.telemetry_age_ms.into()));
+    simulation.run(MEASURED_WITHIN + Duration::from_millis(motors.telemetry_age_ms.into()));
     let measured_bursts = simulation.take_measured_bursts();
     Ok(SimulatedPlay { rest: simulation.mock.true_positions().rest(), outcome, measured_bursts })
 }

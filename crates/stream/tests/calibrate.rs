@@ -4,7 +4,7 @@ use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use meissner_api::Provenance;
 use meissner_array::random;
-use meissner_array::simulated::{Plant, PlantConfig};
+use meissner_array::simulated::{SimulatedMotors, SimulatedMotorsConfig};
 use meissner_array::strokes::Strokes;
 use meissner_array::units::UM_PER_PULSE;
 use meissner_stream::calibrate::{
@@ -96,22 +96,22 @@ fn no_two_motors_pulse_at_once() {
 }
 
 /// The true gains of a simulated motor, up and down.
-fn true_gains(config: &PlantConfig, motor: u8) -> [f64; 2] {
+fn true_gains(config: &SimulatedMotorsConfig, motor: u8) -> [f64; 2] {
     let asymmetry = config.asymmetry_sd * random::normal([config.seed, motor.into(), 0, 2]);
     [1.0 + asymmetry / 2.0, 1.0 - asymmetry / 2.0]
 }
 
-fn measured(plan: &Plan, config: PlantConfig) -> Vec<BurstTravel> {
-    let mut plant = Plant::new(PlantConfig { telemetry_hz: 0, ..config }, Tick::BOOT).unwrap();
-    let travels = travels_by_sensor(plan, &mut plant);
-    assert!((0..24).all(|motor| plant.displacement_um(motor).abs() < 0.9 * config.end_stop_um));
+fn measured(plan: &Plan, config: SimulatedMotorsConfig) -> Vec<BurstTravel> {
+    let mut motors = SimulatedMotors::new(SimulatedMotorsConfig { telemetry_hz: 0, ..config }, Tick::BOOT).unwrap();
+    let travels = travels_by_sensor(plan, &mut motors);
+    assert!((0..24).all(|motor| motors.displacement_um(motor).abs() < 0.9 * config.end_stop_um));
     assert_eq!(travels.len(), plan.bursts(Tick::BOOT).count());
     travels
 }
 
 #[test]
 fn without_scatter_the_true_gains_are_found_exactly() {
-    let config = PlantConfig { seed: 4, gain_sd: 0.0, asymmetry_sd: 0.05, ..PlantConfig::default() };
+    let config = SimulatedMotorsConfig { seed: 4, gain_sd: 0.0, asymmetry_sd: 0.05, ..SimulatedMotorsConfig::default() };
     let travels = measured(&Plan::default(), config);
     let fits = fit(&travels).unwrap();
     assert_eq!(fits.iter().map(|fit| fit.motor).collect::<Vec<_>>(), (0..24).collect::<Vec<_>>());
@@ -135,7 +135,7 @@ fn without_scatter_the_true_gains_are_found_exactly() {
 #[test]
 fn with_scatter_the_gains_are_found_within_the_stated_error() {
     for seed in [0, 1] {
-        let config = PlantConfig { seed, ..PlantConfig::default() };
+        let config = SimulatedMotorsConfig { seed, ..SimulatedMotorsConfig::default() };
         for found in fit(&measured(&Plan::default(), config)).unwrap() {
             for (fit, truth) in [found.up, found.down].iter().zip(true_gains(&config, found.motor)) {
                 let se = fit.slope_se_um_per_pulse / UM_PER_PULSE;
@@ -152,7 +152,7 @@ fn with_scatter_the_gains_are_found_within_the_stated_error() {
 
 #[test]
 fn one_motor_is_calibrated_alone() {
-    let config = PlantConfig::default();
+    let config = SimulatedMotorsConfig::default();
     let plan = Plan::new(Some(7), &[20, 100, 180], 2).unwrap();
     let fits = fit(&measured(&plan, config)).unwrap();
     let [found] = fits[..] else { panic!("{fits:?}") };
@@ -160,7 +160,7 @@ fn one_motor_is_calibrated_alone() {
 }
 
 /// The travels of a plan that the streamer plays, measured by telemetry.
-fn played(plan: &Plan, config: &PlantConfig) -> Vec<BurstTravel> {
+fn played(plan: &Plan, config: &SimulatedMotorsConfig) -> Vec<BurstTravel> {
     let played = simulate_play(&plan.pattern(), None, config, Settings::default(), true).unwrap();
     assert_eq!(played.outcome.bursts.played as usize, plan.bursts(Tick(0)).count());
     travels_by_telemetry(plan, played.outcome.onset.unwrap().actual, &played.measured_bursts)
@@ -168,7 +168,7 @@ fn played(plan: &Plan, config: &PlantConfig) -> Vec<BurstTravel> {
 
 #[test]
 fn on_a_device_without_scatter_telemetry_finds_the_true_gains() {
-    let config = PlantConfig { seed: 4, gain_sd: 0.0, asymmetry_sd: 0.05, ..PlantConfig::default() };
+    let config = SimulatedMotorsConfig { seed: 4, gain_sd: 0.0, asymmetry_sd: 0.05, ..SimulatedMotorsConfig::default() };
     let fits = fit(&played(&Plan::default(), &config)).unwrap();
     assert_eq!(fits.len(), 24);
     for found in &fits {
@@ -180,7 +180,7 @@ fn on_a_device_without_scatter_telemetry_finds_the_true_gains() {
 
 #[test]
 fn on_a_device_with_scatter_telemetry_finds_the_gains_within_the_stated_error() {
-    let config = PlantConfig { seed: 2, ..PlantConfig::default() };
+    let config = SimulatedMotorsConfig { seed: 2, ..SimulatedMotorsConfig::default() };
     let fits = fit(&played(&Plan::default(), &config)).unwrap();
     let gains = Calibration::new(fits.clone(), provenance()).unwrap().gains();
     for (found, gains) in fits.iter().zip(&gains) {
@@ -215,11 +215,11 @@ fn home(simulation: &mut Simulation) -> Option<Result<(), CommandError>> {
 /// Without telemetry the host knows no positions, until a calibration gives it gains for dead reckoning.
 #[test]
 fn home_uses_the_calibration_that_was_handed_over() {
-    let config = PlantConfig::default();
+    let config = SimulatedMotorsConfig::default();
     let fits = fit(&measured(&Plan::new(Some(3), &[14, 70, 140], 1).unwrap(), config)).unwrap();
     let gains = Calibration::new(fits, provenance()).unwrap().gains();
     assert!(gains[3] != Gains::default() && gains[4] == Gains::default());
-    let blind = PlantConfig { telemetry_hz: 0, ..config };
+    let blind = SimulatedMotorsConfig { telemetry_hz: 0, ..config };
     let mut simulation = Simulation::new(&blind, Settings::default(), Line::default(), 1).unwrap();
     simulation.run(Duration::from_millis(500));
     simulation.send(Command::Arm { assume_rest: true });
@@ -237,7 +237,7 @@ fn provenance() -> Provenance {
 
 #[test]
 fn a_file_is_read_back_as_the_same_calibration() {
-    let fits = fit(&measured(&Plan::default(), PlantConfig::default())).unwrap();
+    let fits = fit(&measured(&Plan::default(), SimulatedMotorsConfig::default())).unwrap();
     let all = Calibration::new(fits.clone(), provenance()).unwrap();
     let text = all.to_toml();
     assert!(text.starts_with("format = 1\n") && text.len() < MAX_BYTES, "{text}");

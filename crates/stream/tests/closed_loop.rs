@@ -7,7 +7,7 @@ use firmware_protocol::stroke::{Burst, Direction, Line as Pulse, MOTORS};
 use firmware_protocol::tick::Tick;
 use meissner_api::ErrorSource;
 use meissner_array::pattern::{Drive, Pattern};
-use meissner_array::simulated::{Pin, PlantConfig, Sample};
+use meissner_array::simulated::{Pin, SimulatedMotorsConfig, Sample};
 use meissner_array::units::UM_PER_PULSE;
 use meissner_stream::queues::{Command, CommandError, Snapshot, StreamEvent};
 use meissner_stream::{Gains, Line, Settings, Simulation, rest_bound_um};
@@ -79,10 +79,10 @@ fn a_minute_of_all_motors_is_near_the_bound_and_fits_the_wire() {
     let drives = (0..MOTORS as u8).map(|motor| drive(motor, 60.0));
     let drives = drives.map(|drive| Drive { phase: f64::from(drive.motor) / 24.0, ..drive }).collect();
     let pattern = Pattern::new("all", Some(60.0), drives, toml::Table::new()).unwrap();
-    let plant = PlantConfig::default();
+    let motors = SimulatedMotorsConfig::default();
     let simulated =
-        meissner_stream::simulate_play(&pattern, None, &plant, Settings::default(), false).unwrap();
-    let bound = rest_bound_um(60.0, 80.0, plant.gain_sd, 5.5, 1000.0);
+        meissner_stream::simulate_play(&pattern, None, &motors, Settings::default(), false).unwrap();
+    let bound = rest_bound_um(60.0, 80.0, motors.gain_sd, 5.5, 1000.0);
     let (rms, bursts) = (simulated.rest.rms_um(), simulated.outcome.bursts);
     let bytes = simulated.outcome.wire_bytes as f64 / bursts.planned as f64;
     println!("24 motors x 60 Hz, 60 s: {rms:.2} um rms, bound {bound:.2}; {bytes:.2} bytes per burst");
@@ -123,7 +123,7 @@ fn home_returns_pins_between_plays_or_says_why_not() {
     }
 
     // Without telemetry and calibration there is no position estimate.
-    let blind = PlantConfig { telemetry_hz: 0, ..PlantConfig::default() };
+    let blind = SimulatedMotorsConfig { telemetry_hz: 0, ..SimulatedMotorsConfig::default() };
     let mut simulation = Simulation::new(&blind, Settings::default(), Line::default(), 1).unwrap();
     simulation.run(Duration::from_millis(500));
     simulation.send(Command::Arm { assume_rest: true });
@@ -136,10 +136,10 @@ fn home_returns_pins_between_plays_or_says_why_not() {
 /// True rest errors after plays in open loop match dead reckoning.
 #[test]
 fn without_telemetry_the_error_is_reckoned_and_the_streamer_warns() {
-    let blind = PlantConfig { telemetry_hz: 0, end_stop_um: 10_000.0, ..PlantConfig::default() };
+    let blind = SimulatedMotorsConfig { telemetry_hz: 0, end_stop_um: 10_000.0, ..SimulatedMotorsConfig::default() };
     let drives = (0..MOTORS as u8).map(|motor| drive(motor, 60.0)).collect();
     let pattern = Pattern::new("all", Some(2.0), drives, toml::Table::new()).unwrap();
-    let mut rig = Rig::plant(&blind, 9);
+    let mut rig = Rig::of(&blind, 9);
     rig.arm();
     let mut reckoned = vec![0.0];
     let mut warned = 0;
@@ -164,27 +164,27 @@ fn without_telemetry_the_error_is_reckoned_and_the_streamer_warns() {
 /// Asymmetric motors drift fast; calibrated gains remove the drift, the scatter stays.
 #[test]
 fn calibrated_gains_hold_pins_without_telemetry() {
-    let plant = PlantConfig {
+    let motors = SimulatedMotorsConfig {
         telemetry_hz: 0,
         gain_sd: 0.0,
         transient_gain: 0.8,
         asymmetry_sd: 0.05,
         end_stop_um: 10_000.0,
-        ..PlantConfig::default()
+        ..SimulatedMotorsConfig::default()
     };
     let drives = (0..MOTORS as u8).map(|motor| drive(motor, 60.0)).collect();
     let pattern = Pattern::new("all", Some(3.0), drives, toml::Table::new()).unwrap();
     // Each motor's asymmetry is random: one stroke of known length shows it.
     let gains: [Gains; MOTORS] = std::array::from_fn(|motor| {
-        let mut pin = Pin::new(&plant, motor as u64);
+        let mut pin = Pin::new(&motors, motor as u64);
         let burst = |start: u64, direction| Burst { start: Tick(start), direction, pulses: 1000 };
         pin.play(burst(0, Direction::Up));
         pin.play(burst(2000, Direction::Down));
-        let top = pin.position_um(Tick(2000)) / (1000.0 * UM_PER_PULSE * plant.transient_gain);
+        let top = pin.position_um(Tick(2000)) / (1000.0 * UM_PER_PULSE * motors.transient_gain);
         Gains { mean: [top, 2.0 - top], sd: [0.005; 2], scatter: 0.1 }
     });
     let drift = |gains: Option<&[Gains; MOTORS]>| {
-        let mut rig = Rig::plant(&plant, 3);
+        let mut rig = Rig::of(&motors, 3);
         rig.arm();
         if let Some(gains) = gains {
             rig.send(Command::SetGains(Box::new(*gains)));
@@ -282,15 +282,15 @@ fn corrections_make_the_device_refuse_nothing() {
     // 588 pulses up and down, 60 times a second, plus a margin for the sliding second.
     let limits = OnTimeLimits { motor: 74_000, ..OnTimeLimits::NONE };
     let settings = Settings { limits, ..Settings::default() };
-    let plant = PlantConfig::default();
-    let outcome = meissner_stream::simulate_play(&pattern, None, &plant, settings, false).unwrap().outcome;
+    let motors = SimulatedMotorsConfig::default();
+    let outcome = meissner_stream::simulate_play(&pattern, None, &motors, settings, false).unwrap().outcome;
     assert_eq!((outcome.bursts.refused, outcome.bursts.planned), (0, outcome.bursts.played));
     assert!(outcome.bursts.amended > 0);
 
     let drives =
         (0..MOTORS as u8).map(|motor| Drive { phase: f64::from(motor) / 31.0, ..drive(motor, 300.0) });
     let pattern = Pattern::new("full", None, drives.collect(), toml::Table::new()).unwrap();
-    let mut rig = Rig::plant(&PlantConfig { gain_sd: 0.3, ..plant }, 2);
+    let mut rig = Rig::of(&SimulatedMotorsConfig { gain_sd: 0.3, ..motors }, 2);
     rig.arm();
     for seconds in [1.0, 0.999, 1.0] {
         let mut play = rig.play(&pattern, Some(seconds));

@@ -7,7 +7,7 @@ use firmware_protocol::limits::OnTimeLimits;
 use firmware_protocol::message::State;
 use firmware_protocol::tick::Tick;
 use meissner_api::LatePolicy;
-use meissner_array::simulated::PlantConfig;
+use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_array::strokes::Strokes;
 use meissner_stream::device::mock::Mock;
 use meissner_stream::link::LineRate;
@@ -96,7 +96,7 @@ fn a_device_whose_clock_begins_anew_plays_as_the_one_before() {
     let mut streamer = Streamer::new(Settings::default());
     let (mut events, mut frame, mut bytes, mut ms) = (Vec::new(), [0; MAX_FRAME], [0; 4096], 0);
     for (boot, start) in [(1, Tick::BOOT + 600 * 85_000), (2, Tick::BOOT)] {
-        let mut mock = Mock::starting_at(PlantConfig::default(), boot, start).unwrap();
+        let mut mock = Mock::starting_at(SimulatedMotorsConfig::default(), boot, start).unwrap();
         let tell = &mut |event| events.push(event);
         streamer.connect(HostInstant::from_ns(ms * 1_000_000), boot, LineRate::USB_FULL_SPEED, tell);
         for since in 0..3000u64 {

@@ -8,7 +8,7 @@ use firmware_protocol::message::State;
 use firmware_protocol::tick::Tick;
 use meissner_api::{LateCause, LatePolicy};
 use meissner_array::pattern::{Drive, Pattern};
-use meissner_array::simulated::PlantConfig;
+use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_array::strokes::Strokes;
 use meissner_stream::device::mock::Mock;
 use meissner_stream::link::LineRate;
@@ -96,9 +96,9 @@ fn the_wire_carries_a_burst_in_less_than_six_bytes() {
 
 #[test]
 fn position_control_holds_the_rest_position() {
-    let plant = PlantConfig::default();
+    let motors = SimulatedMotorsConfig::default();
     let run = |open_loop| {
-        simulate_play(&rig::pattern("edge-45"), Some(10.0), &plant, Settings::default(), open_loop).unwrap()
+        simulate_play(&rig::pattern("edge-45"), Some(10.0), &motors, Settings::default(), open_loop).unwrap()
     };
     let (open, closed) = (run(true), run(false));
     assert_eq!(open.outcome.bursts.amended, 0);
@@ -346,7 +346,7 @@ fn an_onset_asked_for_is_kept_to_the_tick_or_refused() {
 
 #[test]
 fn the_streamer_allocates_nothing_while_it_plays() {
-    let mut mock = Mock::new(PlantConfig::default(), 1).unwrap();
+    let mut mock = Mock::new(SimulatedMotorsConfig::default(), 1).unwrap();
     let mut streamer = Streamer::new(Settings::default());
     let mut events = Vec::with_capacity(10_000);
     let (mut now, mut frame) = (HostInstant::from_ns(0), [0; MAX_FRAME]);

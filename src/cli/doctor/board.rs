@@ -9,7 +9,7 @@ use crate::cli::text;
 use crate::receipts::device_info;
 use firmware_protocol::frame::PROTOCOL;
 use meissner_api::DeviceInfo;
-use meissner_array::simulated::PlantConfig;
+use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_stream::Settings;
 use meissner_stream::device::{self, DeviceError, Spec};
 use meissner_stream::diagnostics::{self, Drift, LinkReport, RoundTripStats};
@@ -50,7 +50,7 @@ pub(super) struct Examined {
 
 /// Opens and measures a device, and adds what it found to `findings`; `None` if that failed.
 pub(super) fn examine(root: &Path, spec: &Spec, findings: &mut Vec<Finding>) -> Option<Examined> {
-    let mut device = match device::open(spec, &PlantConfig::default()) {
+    let mut device = match device::open(spec, &SimulatedMotorsConfig::default()) {
         Ok(device) => device,
         Err(error) => {
             findings.push(Finding::fail("device", error.found(), error.advice()));

@@ -2,13 +2,13 @@
 
 use firmware_protocol::stroke::{Burst, Lines};
 use meissner_array::motor::Ramp;
-use meissner_array::simulated::{Plant, PlantConfig};
+use meissner_array::simulated::{SimulatedMotors, SimulatedMotorsConfig};
 use meissner_array::strokes::Strokes;
 use meissner_design::Play;
 
 /// The bursts of simulated motors without control, with their motors. Each has the travel from its pin's position before
 /// to that after. Bursts are cut into parts of at most `most_ticks`.
-pub fn by_the_plant(config: PlantConfig, play: &Play<'_>, most_ticks: u16) -> Vec<(u8, Ramp)> {
+pub fn by_simulated_motors(config: SimulatedMotorsConfig, play: &Play<'_>, most_ticks: u16) -> Vec<(u8, Ramp)> {
     let mut strokes = Strokes::new(play.pattern, play.seconds).unwrap();
     strokes.begin(play.onset);
     let bursts = strokes.flat_map(|stroke| {
@@ -25,11 +25,11 @@ pub fn by_the_plant(config: PlantConfig, play: &Play<'_>, most_ticks: u16) -> Ve
     let mut toggles: Vec<_> = toggles.collect();
     // A line that falls and rises in one tick stays up.
     toggles.sort_by_key(|&(tick, starts, ..)| (tick, starts));
-    let mut plant = Plant::new(config, play.onset).unwrap();
+    let mut motors = SimulatedMotors::new(config, play.onset).unwrap();
     let (mut lines, mut from_um, mut ramps) = (Lines::OFF, [0.0; 24], Vec::new());
     for (tick, starts, motor, Burst { start, direction, pulses }) in toggles {
-        plant.advance(lines, tick - plant.now());
-        let at_um = plant.position_um(motor);
+        motors.advance(lines, tick - motors.now());
+        let at_um = motors.position_um(motor);
         let from_um = &mut from_um[usize::from(motor)];
         if starts {
             *from_um = at_um;

@@ -7,7 +7,7 @@ use firmware_protocol::stroke::{Burst, Direction, Line as Pulse, Lines, MOTORS, 
 use firmware_protocol::tick::Tick;
 use meissner_api::LatePolicy;
 use meissner_array::pattern::Pattern;
-use meissner_array::simulated::PlantConfig;
+use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_array::strokes::Strokes;
 use meissner_stream::queues::{At, Command, Outcome, Play, StreamEvent};
 use meissner_stream::{Bandwidth, Line, Settings, Simulation};
@@ -118,15 +118,15 @@ impl Rig {
     }
 
     /// A rig with these simulated motors; records no lines.
-    pub fn plant(plant: &PlantConfig, seed: u64) -> Self {
+    pub fn of(motors: &SimulatedMotorsConfig, seed: u64) -> Self {
         Self {
-            simulation: Simulation::new(plant, Settings::default(), Line::default(), seed).unwrap(),
+            simulation: Simulation::new(motors, Settings::default(), Line::default(), seed).unwrap(),
             plays: 0,
         }
     }
 
     pub fn with(settings: Settings, line: Line, seed: u64) -> Self {
-        let mut simulation = Simulation::new(&PlantConfig::default(), settings, line, seed).unwrap();
+        let mut simulation = Simulation::new(&SimulatedMotorsConfig::default(), settings, line, seed).unwrap();
         simulation.mock.record();
         Self { simulation, plays: 0 }
     }

@@ -11,7 +11,7 @@ pub const MAX_TELEMETRY_AGE_MS: u32 = 1_000;
 /// How the simulated motors differ from ideal ones, and their telemetry.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct PlantConfig {
+pub struct SimulatedMotorsConfig {
     /// The seed of all random numbers: it stands for one individual array.
     pub seed: u64,
     /// Standard deviation of the gain of a burst: 0.10 by the paper's Fig. 2.
@@ -28,7 +28,7 @@ pub struct PlantConfig {
     pub telemetry_age_ms: u32,
 }
 
-impl Default for PlantConfig {
+impl Default for SimulatedMotorsConfig {
     fn default() -> Self {
         Self {
             seed: 0,
@@ -42,7 +42,7 @@ impl Default for PlantConfig {
     }
 }
 
-impl PlantConfig {
+impl SimulatedMotorsConfig {
     /// The default without scatter, asymmetry and transient: every pulse follows the model.
     #[must_use]
     pub fn ideal() -> Self {
@@ -63,7 +63,7 @@ impl PlantConfig {
     ///
     /// # Errors
     /// The first setting out of its range.
-    pub fn check(&self) -> Result<(), PlantError> {
+    pub fn check(&self) -> Result<(), SimulatedMotorsError> {
         let checks = [
             ("gain_sd", self.gain_sd, 1.0),
             ("asymmetry_sd", self.asymmetry_sd, 1.0),
@@ -73,7 +73,7 @@ impl PlantConfig {
             ("telemetry_age_ms", self.telemetry_age_ms.into(), MAX_TELEMETRY_AGE_MS.into()),
         ];
         match checks.into_iter().find(|&(_, found, most)| !(0.0..=most).contains(&found)) {
-            Some((key, found, most)) => Err(PlantError { key, found, most }),
+            Some((key, found, most)) => Err(SimulatedMotorsError { key, found, most }),
             None => Ok(()),
         }
     }
@@ -82,7 +82,7 @@ impl PlantConfig {
 /// A setting outside its range.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error("mock.{key} is {found}: must be 0 to {most}")]
-pub struct PlantError {
+pub struct SimulatedMotorsError {
     /// Which setting.
     pub key: &'static str,
     /// Its value.

@@ -5,10 +5,10 @@
 //! less changes no other. Shafts are integrated exactly and times are ticks, so a month later it is as exact as at
 //! the start.
 //!
-//! [`Plant::advance`] lets time pass, one segment of constant lines per call; where nothing moves, a month costs no more than
-//! the samples that are kept of it. Samples are taken at multiples of the telemetry period after the start.
-//! [`Plant::telemetry`] returns them when they are as old as configured. The queue holds the samples that are not due yet and
-//! [`SPARE_SAMPLES`] more; beyond that it drops the oldest.
+//! [`SimulatedMotors::advance`] lets time pass, one segment of constant lines per call. Where nothing moves, a month costs
+//! no more than the samples that are kept of it. Samples are taken at multiples of the telemetry period after the start.
+//! [`SimulatedMotors::telemetry`] returns them when they are as old as configured. The queue holds the samples that are
+//! not due yet and [`SPARE_SAMPLES`] more; beyond that it drops the oldest.
 //!
 //! Invariant: the result does not depend on how a segment is cut into calls.
 
@@ -16,7 +16,7 @@ mod config;
 mod pin;
 mod rest;
 
-pub use config::{MAX_TELEMETRY_AGE_MS, MAX_TELEMETRY_HZ, PlantConfig, PlantError};
+pub use config::{MAX_TELEMETRY_AGE_MS, MAX_TELEMETRY_HZ, SimulatedMotorsConfig, SimulatedMotorsError};
 pub use pin::Pin;
 pub use rest::RestStats;
 
@@ -38,8 +38,8 @@ pub struct Sample {
 
 /// The simulated array.
 #[derive(Debug)]
-pub struct Plant {
-    config: PlantConfig,
+pub struct SimulatedMotors {
+    config: SimulatedMotorsConfig,
     start: Tick,
     now: Tick,
     /// The lines up to now.
@@ -50,14 +50,14 @@ pub struct Plant {
     samples: VecDeque<Sample>,
 }
 
-impl Plant {
+impl SimulatedMotors {
     /// An array at rest, every pin at 0, at `start`.
     ///
     /// # Errors
     /// The first setting out of its range.
-    pub fn new(config: PlantConfig, start: Tick) -> Result<Self, PlantError> {
+    pub fn new(config: SimulatedMotorsConfig, start: Tick) -> Result<Self, SimulatedMotorsError> {
         config.check()?;
-        let mut plant = Self {
+        let mut motors = Self {
             config,
             start,
             now: start,
@@ -66,13 +66,13 @@ impl Plant {
             next_sample: 1,
             samples: VecDeque::new(),
         };
-        plant.samples.reserve_exact(plant.queue_bound());
-        Ok(plant)
+        motors.samples.reserve_exact(motors.queue_bound());
+        Ok(motors)
     }
 
     /// Its settings.
     #[must_use]
-    pub const fn config(&self) -> &PlantConfig {
+    pub const fn config(&self) -> &SimulatedMotorsConfig {
         &self.config
     }
 

@@ -5,7 +5,7 @@
 //!
 //! Invariant: a gain is never negative, and the position never passes an end stop by more than rounding.
 
-use super::config::PlantConfig;
+use super::config::SimulatedMotorsConfig;
 use super::rest::RestStats;
 use crate::motor::{Ramp, Shaft, TRANSIENT_REST_TICKS};
 use crate::random;
@@ -29,7 +29,7 @@ const ASYMMETRY_KEY: u64 = 2;
 /// A pin and its motor.
 #[derive(Debug)]
 pub struct Pin {
-    config: PlantConfig,
+    config: SimulatedMotorsConfig,
     motor: u64,
     pub(super) shaft: Shaft,
     pub(super) rest: RestStats,
@@ -55,7 +55,7 @@ struct Burst {
 impl Pin {
     /// A pin of this motor, at rest at 0.
     #[must_use]
-    pub fn new(config: &PlantConfig, motor: u64) -> Self {
+    pub fn new(config: &SimulatedMotorsConfig, motor: u64) -> Self {
         Self {
             config: *config,
             motor,

@@ -18,7 +18,7 @@ use firmware_protocol::tick::TICK_HZ;
 use meissner_api::SensorFault;
 use meissner_array::motor::MotorError;
 use meissner_array::pattern::Pattern;
-use meissner_array::simulated::PlantConfig;
+use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_array::units::{UM_PER_PULSE, seconds_in_ticks};
 use meissner_skin::Scene;
 use meissner_stream::{MotorRun, Period, Settings, rest_bound_um, simulate_play};
@@ -374,7 +374,7 @@ impl WireRow {
         let pattern = Pattern::new("sixty-hertz", None, scene.drives().to_vec(), toml::Table::new())
             .expect("its drives are a pattern's, as a test shows");
         let played =
-            simulate_play(&pattern, Some(WIRE_S), &PlantConfig::default(), Settings::default(), open_loop)
+            simulate_play(&pattern, Some(WIRE_S), &SimulatedMotorsConfig::default(), Settings::default(), open_loop)
                 .expect("it has an end, and the default plant is one");
         let (bursts, bytes) = (played.outcome.bursts, played.outcome.wire_bytes as f64);
         Self {

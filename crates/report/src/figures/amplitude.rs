@@ -14,7 +14,7 @@ use firmware_protocol::stroke::{Direction, Lines, MOTORS};
 use firmware_protocol::tick::Tick;
 use meissner_array::geometry;
 use meissner_array::motor::{MotorError, SquareWave, SteadyState, WINDOW_HALF_TICKS, WINDOW_LENGTH_TICKS};
-use meissner_array::simulated::{Plant, PlantConfig};
+use meissner_array::simulated::{SimulatedMotors, SimulatedMotorsConfig};
 use meissner_array::units::TICKS_PER_S;
 use plotters::chart::SeriesLabelPosition;
 use rayon::prelude::*;
@@ -159,13 +159,13 @@ fn rows(progress: &(dyn Fn(f64) + Sync)) -> Result<Vec<Row>, FiguresError> {
 
 /// The peak to peak of each measured cycle, µm, by amplitude: row r of the array plays the r-th.
 fn measure(frequency_hz: f64) -> Result<[Vec<f64>; AMPLITUDES_UM.len()], FiguresError> {
-    let config = PlantConfig {
+    let config = SimulatedMotorsConfig {
         seed: SEED,
         end_stop_um: END_STOP_UM,
         telemetry_hz: SAMPLES_HZ,
-        ..PlantConfig::default()
+        ..SimulatedMotorsConfig::default()
     };
-    let mut plant = Plant::new(config, Tick(0))?;
+    let mut plant = SimulatedMotors::new(config, Tick(0))?;
     let periods = WINDOW_S * frequency_hz;
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "below 2")]
     let skipped = TRANSIENT + periods.ceil() as usize;
@@ -196,7 +196,7 @@ fn measure(frequency_hz: f64) -> Result<[Vec<f64>; AMPLITUDES_UM.len()], Figures
 
     let mut readings: Vec<Vec<f64>> = vec![Vec::new(); MOTORS];
     let mut taken = 0;
-    let mut pass = |plant: &mut Plant, lines: Lines, until: Tick| {
+    let mut pass = |plant: &mut SimulatedMotors, lines: Lines, until: Tick| {
         while plant.now() < until {
             plant.advance(lines, ASK_TICKS.min(until - plant.now()));
             while let Some(sample) = plant.telemetry() {

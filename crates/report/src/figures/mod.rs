@@ -33,7 +33,7 @@ pub use target::{FrameFigures, TargetFigures};
 use super::PlotError;
 use meissner_array::motor::MotorError;
 use meissner_array::pattern::Pattern;
-use meissner_array::simulated::PlantError;
+use meissner_array::simulated::SimulatedMotorsError;
 use meissner_design::TargetError;
 use meissner_skin::{MethodError, SceneError};
 use meissner_stream::calibrate::FitProblem;
@@ -86,7 +86,7 @@ pub enum FiguresError {
     #[error("internal error: {0}")]
     Fit(#[from] FitProblem),
     #[error("internal error: {0}")]
-    Plant(#[from] PlantError),
+    Motors(#[from] SimulatedMotorsError),
     #[error("internal error: {0}")]
     Scene(#[from] SceneError),
     #[error("internal error: {0}")]

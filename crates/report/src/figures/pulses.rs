@@ -11,7 +11,7 @@ use super::table::{number, table};
 use super::{FiguresError, mean_and_sd};
 use firmware_protocol::stroke::{Direction, MOTORS};
 use firmware_protocol::tick::Tick;
-use meissner_array::simulated::{Plant, PlantConfig};
+use meissner_array::simulated::{SimulatedMotors, SimulatedMotorsConfig};
 use meissner_array::units::{UM_PER_PULSE, ticks_to_seconds};
 use meissner_stream::calibrate::{BurstTravel, Fit, Plan, STROKES_PER_GROUP, travels_by_sensor};
 use plotters::chart::SeriesLabelPosition;
@@ -46,8 +46,8 @@ pub struct Pulses {
 /// Measures, draws, and says what it comes to.
 pub(super) fn section() -> Result<(Section, Pulses), FiguresError> {
     let plan = Plan::default();
-    let config = PlantConfig { seed: SEED, telemetry_hz: 0, ..PlantConfig::default() };
-    let blocks = travels_by_sensor(&plan, &mut Plant::new(config, Tick(0))?);
+    let config = SimulatedMotorsConfig { seed: SEED, telemetry_hz: 0, ..SimulatedMotorsConfig::default() };
+    let blocks = travels_by_sensor(&plan, &mut SimulatedMotors::new(config, Tick(0))?);
     let drawn: Vec<BurstTravel> = blocks.iter().filter(|block| block.motor == MOTOR).copied().collect();
     let fit = |direction| Fit::of(drawn.iter().filter(|block| block.direction == direction));
     let firsts = blocks.iter().filter(|block| block.warm_up && block.direction == Direction::Up);

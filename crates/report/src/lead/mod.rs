@@ -17,7 +17,7 @@ use crate::figures::Parts;
 use crate::methods::SIXTY_HERTZ;
 use meissner_api::{BurstCounts, LatePolicy};
 use meissner_array::pattern::Pattern;
-use meissner_array::simulated::PlantConfig;
+use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_array::strokes::Strokes;
 use meissner_array::units::ns_to_ms;
 use meissner_skin::Scene;
@@ -130,7 +130,7 @@ impl<'t> Replay<'t> {
     /// Armed, at the trace's start.
     fn new(trace: &'t Trace, lead_ms: f64) -> Self {
         let settings = Settings { lead_ms, lease_ms: lead_ms + LEASE_OVER_LEAD_MS, ..Settings::default() };
-        let plant = PlantConfig::default();
+        let plant = SimulatedMotorsConfig::default();
         let mut simulation =
             Simulation::new(&plant, settings, Line::default(), plant.seed).expect("the default plant is one");
         simulation.run(Duration::from_millis(500));

@@ -8,7 +8,7 @@ use crate::calibrate::plan::{Plan, PlannedBurst};
 use crate::queues::MeasuredBurst;
 use firmware_protocol::stroke::{Burst, Direction, Lines};
 use firmware_protocol::tick::Tick;
-use meissner_array::simulated::Plant;
+use meissner_array::simulated::SimulatedMotors;
 use meissner_array::units::UM_PER_PULSE;
 use std::collections::HashMap;
 
@@ -73,8 +73,8 @@ enum Event {
 
 /// Plays a plan on simulated motors, from now on, and measures every burst with an ideal displacement sensor, as the paper
 /// did with its laser: at any tick, without a quantum. Returns the travels in the order in which the pins came to rest.
-pub fn travels_by_sensor(plan: &Plan, plant: &mut Plant) -> Vec<BurstTravel> {
-    let bursts: Vec<PlannedBurst> = plan.bursts(plant.now()).collect();
+pub fn travels_by_sensor(plan: &Plan, motors: &mut SimulatedMotors) -> Vec<BurstTravel> {
+    let bursts: Vec<PlannedBurst> = plan.bursts(motors.now()).collect();
     let events = bursts.iter().enumerate().flat_map(|(index, planned)| {
         let burst = planned.burst;
         [(burst.start, Event::Begins), (burst.end(), Event::Ends), (planned.rests_at(), Event::Rests)]
@@ -85,12 +85,12 @@ pub fn travels_by_sensor(plan: &Plan, plant: &mut Plant) -> Vec<BurstTravel> {
     let (mut lines, mut before_um) = (Lines::OFF, vec![0.0; bursts.len()]);
     let mut travels = Vec::with_capacity(bursts.len());
     for (tick, index, event) in events {
-        plant.advance(lines, tick - plant.now());
+        motors.advance(lines, tick - motors.now());
         let PlannedBurst { motor, burst, .. } = bursts[index];
         match event {
-            Event::Begins => before_um[index] = plant.displacement_um(motor),
+            Event::Begins => before_um[index] = motors.displacement_um(motor),
             Event::Rests => {
-                let after_um = plant.displacement_um(motor);
+                let after_um = motors.displacement_um(motor);
                 travels.push(BurstTravel::between(&bursts[index], before_um[index], after_um));
             }
             Event::Ends => {}

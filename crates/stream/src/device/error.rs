@@ -40,7 +40,7 @@ pub enum DeviceError {
     /// The system gave no pseudo-terminal.
     Pty(#[source] io::Error),
     /// The settings of the simulated motors are out of range.
-    Plant(#[from] meissner_array::simulated::PlantError),
+    Motors(#[from] meissner_array::simulated::SimulatedMotorsError),
 }
 
 impl DeviceError {
@@ -66,7 +66,7 @@ impl DeviceError {
                 usb(place, &format!("the system gave no thread for it: {error}"))
             }
             Self::Pty(error) => format!("no pseudo-terminal for the mock: {error}"),
-            Self::Plant(error) => error.to_string(),
+            Self::Motors(error) => error.to_string(),
         }
     }
 
@@ -93,7 +93,7 @@ impl DeviceError {
             Self::UsbDenied(_) => "install deploy/70-meissner.rules and plug the board in again".to_owned(),
             Self::UsbInterface(_) => "update its firmware, or use its serial port".to_owned(),
             Self::UsbThreads(..) | Self::Pty(_) => "check this machine's limits (`ulimit -a`)".to_owned(),
-            Self::Plant(_) => "check [mock] in the configuration".to_owned(),
+            Self::Motors(_) => "check [mock] in the configuration".to_owned(),
         }
     }
 }

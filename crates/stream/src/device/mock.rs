@@ -12,7 +12,7 @@ use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::message::{DeviceHello, State};
 use firmware_protocol::stroke::{Lines, MOTORS};
 use firmware_protocol::tick::Tick;
-use meissner_array::simulated::{Plant, PlantConfig, PlantError, RestStats, Sample};
+use meissner_array::simulated::{SimulatedMotors, SimulatedMotorsConfig, SimulatedMotorsError, RestStats, Sample};
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -41,7 +41,7 @@ impl TruePositions {
 #[derive(Debug)]
 pub struct Mock {
     controller: Box<Controller>,
-    plant: Plant,
+    motors: SimulatedMotors,
     /// Rendered but not played.
     ahead: VecDeque<Run>,
     /// The first tick not played.
@@ -59,23 +59,23 @@ impl Mock {
     ///
     /// # Errors
     /// If the settings of the simulated motors are out of range.
-    pub fn new(plant: PlantConfig, boot: u32) -> Result<Self, PlantError> {
-        Self::starting_at(plant, boot, Tick::BOOT)
+    pub fn new(motors: SimulatedMotorsConfig, boot: u32) -> Result<Self, SimulatedMotorsError> {
+        Self::starting_at(motors, boot, Tick::BOOT)
     }
 
     /// Like [`Self::new`], but its clock starts at `now`.
     ///
     /// # Errors
     /// If the settings of the simulated motors are out of range.
-    pub fn starting_at(plant: PlantConfig, boot: u32, now: Tick) -> Result<Self, PlantError> {
+    pub fn starting_at(motors: SimulatedMotorsConfig, boot: u32, now: Tick) -> Result<Self, SimulatedMotorsError> {
         let mut version = env!("CARGO_PKG_VERSION").split('.').map(|part| part.parse().unwrap_or(0));
         let firmware = std::array::from_fn(|_| version.next().unwrap_or(0));
-        let telemetry = if plant.telemetry_hz > 0 { DeviceHello::TELEMETRY } else { 0 };
+        let telemetry = if motors.telemetry_hz > 0 { DeviceHello::TELEMETRY } else { 0 };
         let features = DeviceHello::SIMULATED | telemetry;
         let identity = Identity { firmware, build: *b"mock", boot, features };
         Ok(Self {
             controller: Box::new(Controller::starting_at(identity, now)),
-            plant: Plant::new(plant, now)?,
+            motors: SimulatedMotors::new(motors, now)?,
             ahead: VecDeque::with_capacity(2 * HORIZON as usize),
             now,
             to_controller: Vec::with_capacity(BUFFER),
@@ -103,7 +103,7 @@ impl Mock {
     /// If there is no such motor.
     #[must_use]
     pub fn position_um(&self, motor: u8) -> f64 {
-        self.plant.position_um(motor)
+        self.motors.position_um(motor)
     }
 
     /// The runs played since [`Self::record`] or the last call: for each its first tick, lines and length.
@@ -123,10 +123,10 @@ impl Mock {
         self.now
     }
 
-    /// Which simulated array it is: see [`PlantConfig::identity`].
+    /// Which simulated array it is: see [`SimulatedMotorsConfig::identity`].
     #[must_use]
     pub fn identity(&self) -> String {
-        self.plant.config().identity()
+        self.motors.config().identity()
     }
 
     /// The true positions of its pins, for other threads to read.
@@ -174,7 +174,7 @@ impl Mock {
         self.pass(until);
         // Send after all blocks were played: a status must carry the tick of now, not of an earlier block.
         self.send();
-        while let Some(mut sample) = self.plant.telemetry() {
+        while let Some(mut sample) = self.motors.telemetry() {
             if let Some(distort) = self.distort {
                 distort(&mut sample);
             }
@@ -182,7 +182,7 @@ impl Mock {
             self.send();
         }
         if let Ok(mut rest) = self.positions.rest.try_lock() {
-            for (all, new) in rest.iter_mut().zip(self.plant.take_rest_stats()) {
+            for (all, new) in rest.iter_mut().zip(self.motors.take_rest_stats()) {
                 all.merge(&new);
             }
         }
@@ -235,7 +235,7 @@ impl Mock {
         if let Some(trace) = &mut self.trace {
             trace.push((self.now, Run { lines, trigger, ticks }));
         }
-        self.plant.advance(lines, ticks.into());
+        self.motors.advance(lines, ticks.into());
         self.now = self.now + u64::from(ticks);
     }
 

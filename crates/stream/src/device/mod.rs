@@ -40,7 +40,7 @@ use crate::device::mock::TruePositions;
 use crate::link::LineRate;
 use crate::time::HostInstant;
 pub use error::DeviceError;
-use meissner_array::simulated::PlantConfig;
+use meissner_array::simulated::SimulatedMotorsConfig;
 pub use pty::PtyMock;
 use rustix::fd::BorrowedFd;
 pub use serial::SerialPort;
@@ -67,8 +67,8 @@ pub enum Device {
 ///
 /// # Errors
 /// If the device cannot be opened; the error's one line says why and what to do.
-pub fn open(spec: &Spec, plant: &PlantConfig) -> Result<Device, DeviceError> {
-    let mock = || Ok(Device::Mock(Box::new(WallMock::new(plant, HostInstant::now())?)));
+pub fn open(spec: &Spec, motors: &SimulatedMotorsConfig) -> Result<Device, DeviceError> {
+    let mock = || Ok(Device::Mock(Box::new(WallMock::new(motors, HostInstant::now())?)));
     match spec {
         Spec::Auto => match board() {
             // A board that is plugged in but cannot be opened must not be replaced by the mock silently.
@@ -78,7 +78,7 @@ pub fn open(spec: &Spec, plant: &PlantConfig) -> Result<Device, DeviceError> {
         Spec::Board => board(),
         Spec::Mock => mock(),
         Spec::Pty => {
-            let mock = PtyMock::spawn(WallMock::new(plant, HostInstant::now())?)?;
+            let mock = PtyMock::spawn(WallMock::new(motors, HostInstant::now())?)?;
             let port = SerialPort::open(mock.path())?;
             Ok(Device::Pty(port, mock))
         }

@@ -6,7 +6,7 @@ use crate::device::error::DeviceError;
 use crate::device::mock::{Mock, TruePositions};
 use crate::time::HostInstant;
 use firmware_protocol::tick::Tick;
-use meissner_array::simulated::PlantConfig;
+use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_array::units::duration_to_ticks;
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::sync::Arc;
@@ -24,9 +24,9 @@ impl WallMock {
     ///
     /// # Errors
     /// If the settings of the simulated motors are out of range.
-    pub fn new(plant: &PlantConfig, now: HostInstant) -> Result<Self, DeviceError> {
+    pub fn new(motors: &SimulatedMotorsConfig, now: HostInstant) -> Result<Self, DeviceError> {
         let boot = RandomState::new().build_hasher().finish() as u32;
-        Ok(Self { mock: Mock::new(*plant, boot)?, started: now })
+        Ok(Self { mock: Mock::new(*motors, boot)?, started: now })
     }
 
     /// The mock itself.
@@ -34,7 +34,7 @@ impl WallMock {
         &mut self.mock
     }
 
-    /// Which simulated array it is: see [`PlantConfig::identity`].
+    /// Which simulated array it is: see [`SimulatedMotorsConfig::identity`].
     #[must_use]
     pub fn identity(&self) -> String {
         self.mock.identity()

@@ -9,7 +9,7 @@ use crate::time::{Grid, MS, TICK};
 use firmware_protocol::frame::{self, Decoder};
 use firmware_protocol::message::HostMessage;
 use firmware_protocol::tick::Tick;
-use meissner_array::simulated::PlantConfig;
+use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_stream::device::mock::Mock;
 
 /// Time from a core's failure to the first tick of the next boot.
@@ -38,7 +38,7 @@ pub struct MockBench {
 }
 
 fn mock(boot: u64) -> Result<Mock, BenchError> {
-    let mut mock = Mock::new(PlantConfig::default(), boot as u32)?;
+    let mut mock = Mock::new(SimulatedMotorsConfig::default(), boot as u32)?;
     mock.record();
     Ok(mock)
 }
@@ -47,7 +47,7 @@ impl MockBench {
     /// Powers it up.
     ///
     /// # Errors
-    /// Never with the default plant.
+    /// Never with the default motors.
     pub fn start(seed: u64) -> Result<Self, BenchError> {
         Ok(Self {
             mock: mock(seed)?,
@@ -161,7 +161,7 @@ impl MockBench {
     /// Makes the core fail: lines low, and the watchdog restarts it.
     ///
     /// # Errors
-    /// Never with the default plant.
+    /// Never with the default motors.
     pub fn fail(&mut self) -> Result<(), BenchError> {
         self.resets += 1;
         self.mock = mock(self.seed.wrapping_add(self.resets << 16))?;

@@ -80,7 +80,7 @@ pub enum BenchError {
     Answer(#[from] answer::AnswerError),
     /// The mock's settings.
     #[error(transparent)]
-    Plant(#[from] meissner_array::simulated::PlantError),
+    Motors(#[from] meissner_array::simulated::SimulatedMotorsError),
 }
 
 /// A device on the bench.

@@ -6,7 +6,7 @@
 use crate::descriptors::{self, NOTIFICATIONS, SERIAL, VENDOR};
 use firmware_protocol::message::State;
 use firmware_protocol::tick::Tick;
-use meissner_array::simulated::PlantConfig;
+use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_array::units::duration_to_ticks;
 use meissner_stream::device::mock::Mock;
 use std::collections::VecDeque;
@@ -58,7 +58,7 @@ impl Board {
         let boot = RandomState::new().build_hasher().finish() as u32;
         Ok(Self {
             serial: serial.to_owned(),
-            mock: Mock::new(PlantConfig { telemetry_hz: TELEMETRY_HZ, ..PlantConfig::default() }, boot)
+            mock: Mock::new(SimulatedMotorsConfig { telemetry_hz: TELEMETRY_HZ, ..SimulatedMotorsConfig::default() }, boot)
                 .map_err(io::Error::other)?,
             boot,
             started: Instant::now(),

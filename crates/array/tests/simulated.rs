@@ -3,24 +3,24 @@
 use firmware_protocol::stroke::{Burst, Direction, Lines, Stroke};
 use firmware_protocol::tick::Tick;
 use meissner_array::pattern::{Drive, Pattern};
-use meissner_array::simulated::{Plant, PlantConfig, RestStats, SPARE_SAMPLES};
+use meissner_array::simulated::{SimulatedMotors, SimulatedMotorsConfig, RestStats, SPARE_SAMPLES};
 use meissner_array::strokes::{Strokes, StrokesError};
 use meissner_array::units::UM_PER_PULSE;
 
 const MONTH: u64 = 30 * 86_400 * 85_000;
 const SECOND: u64 = 85_000;
 
-/// Plays bursts on a plant for `ticks` ticks, as a controller would; calls `look` after every step.
+/// Plays bursts on simulated motors for `ticks` ticks, as a controller would; calls `look` after every step.
 pub(crate) fn play(
-    plant: &mut Plant,
+    motors: &mut SimulatedMotors,
     strokes: impl IntoIterator<Item = Result<Stroke, StrokesError>>,
     ticks: u64,
-    look: impl FnMut(&mut Plant),
+    look: impl FnMut(&mut SimulatedMotors),
 ) {
-    let end = plant.now() + ticks;
+    let end = motors.now() + ticks;
     let strokes = strokes.into_iter().map(Result::unwrap).take_while(|stroke| stroke.up < end);
     play_bursts(
-        plant,
+        motors,
         strokes.flat_map(|stroke| stroke.bursts().map(|burst| (stroke.motor, burst))),
         end,
         look,
@@ -28,10 +28,10 @@ pub(crate) fn play(
 }
 
 fn play_bursts(
-    plant: &mut Plant,
+    motors: &mut SimulatedMotors,
     bursts: impl IntoIterator<Item = (u8, Burst)>,
     end: Tick,
-    mut look: impl FnMut(&mut Plant),
+    mut look: impl FnMut(&mut SimulatedMotors),
 ) {
     let mut toggles: Vec<(Tick, u8, Direction)> = bursts
         .into_iter()
@@ -41,13 +41,13 @@ fn play_bursts(
     let mut lines = Lines::OFF;
     for (tick, motor, direction) in toggles {
         if tick < end {
-            plant.advance(lines, tick - plant.now());
-            look(plant);
+            motors.advance(lines, tick - motors.now());
+            look(motors);
         }
         *lines.mask_mut(direction) ^= 1 << motor;
     }
-    plant.advance(Lines::OFF, end - plant.now());
-    look(plant);
+    motors.advance(Lines::OFF, end - motors.now());
+    look(motors);
 }
 
 fn drive(motor: u8, frequency_hz: f64, amplitude_um: f64) -> Drive {
@@ -66,22 +66,22 @@ fn one_burst(direction: Direction, start: Tick, pulses: u16) -> (u8, Burst) {
 }
 
 /// One motor, one line for so long.
-fn pulse(plant: &mut Plant, direction: Direction, ticks: u64) {
+fn pulse(motors: &mut SimulatedMotors, direction: Direction, ticks: u64) {
     let mut lines = Lines::OFF;
     *lines.mask_mut(direction) = 1 << 5;
-    plant.advance(lines, ticks);
+    motors.advance(lines, ticks);
 }
 
 #[test]
 fn a_month_in_it_moves_as_at_the_start() {
     let run = |onset: Tick| {
         let drives = (0..24).map(|motor| drive(motor, 7.3 + 11.0 * f64::from(motor), 80.0)).collect();
-        let mut plant = Plant::new(PlantConfig::ideal(), Tick(0)).unwrap();
-        plant.advance(Lines::OFF, onset.0);
+        let mut motors = SimulatedMotors::new(SimulatedMotorsConfig::ideal(), Tick(0)).unwrap();
+        motors.advance(Lines::OFF, onset.0);
         let mut seen = Vec::new();
-        play(&mut plant, strokes(drives, 10.0, onset), 10 * SECOND, |plant| {
-            let displacements: [f64; 24] = std::array::from_fn(|motor| plant.displacement_um(motor as u8));
-            seen.push((plant.now() - onset, displacements));
+        play(&mut motors, strokes(drives, 10.0, onset), 10 * SECOND, |motors| {
+            let displacements: [f64; 24] = std::array::from_fn(|motor| motors.displacement_um(motor as u8));
+            seen.push((motors.now() - onset, displacements));
         });
         seen
     };
@@ -96,18 +96,18 @@ fn a_month_in_it_moves_as_at_the_start() {
 
 #[test]
 fn a_month_of_strokes_leaves_nothing_behind() {
-    let config = PlantConfig { telemetry_hz: 0, ..PlantConfig::ideal() };
-    let mut plant = Plant::new(config, Tick::BOOT).unwrap();
+    let config = SimulatedMotorsConfig { telemetry_hz: 0, ..SimulatedMotorsConfig::ideal() };
+    let mut motors = SimulatedMotors::new(config, Tick::BOOT).unwrap();
     for stroke in strokes(vec![drive(5, 1.0, 80.0)], 30.0 * 86_400.0, Tick::BOOT) {
         for burst in stroke.unwrap().bursts() {
-            plant.advance(Lines::OFF, burst.start - plant.now());
-            pulse(&mut plant, burst.direction, burst.pulses.into());
+            motors.advance(Lines::OFF, burst.start - motors.now());
+            pulse(&mut motors, burst.direction, burst.pulses.into());
         }
     }
-    plant.advance(Lines::OFF, 400);
-    assert!(plant.now() > Tick::BOOT + (MONTH - SECOND));
-    assert_eq!(plant.displacement_um(5), 0.0);
-    let rest = plant.take_rest_stats()[5];
+    motors.advance(Lines::OFF, 400);
+    assert!(motors.now() > Tick::BOOT + (MONTH - SECOND));
+    assert_eq!(motors.displacement_um(5), 0.0);
+    let rest = motors.take_rest_stats()[5];
     assert_eq!((rest.count, rest.max_abs_um), (30 * 86_400, 0.0));
 }
 
@@ -117,13 +117,13 @@ fn leaving_out_a_burst_changes_no_other() {
         .flat_map(|stroke| stroke.unwrap().bursts().map(|burst| (5, burst)))
         .collect();
     let travels = |bursts: &[(u8, Burst)]| {
-        let mut plant = Plant::new(PlantConfig { seed: 11, ..PlantConfig::default() }, Tick::BOOT).unwrap();
+        let mut motors = SimulatedMotors::new(SimulatedMotorsConfig { seed: 11, ..SimulatedMotorsConfig::default() }, Tick::BOOT).unwrap();
         let (mut last, mut travels) = (0.0, Vec::new());
-        play_bursts(&mut plant, bursts.to_vec(), Tick::BOOT + SECOND, |plant| {
-            let travel = plant.position_um(5) - last;
+        play_bursts(&mut motors, bursts.to_vec(), Tick::BOOT + SECOND, |motors| {
+            let travel = motors.position_um(5) - last;
             last += travel;
             if travel != 0.0 {
-                travels.push((plant.now(), travel));
+                travels.push((motors.now(), travel));
             }
         });
         travels
@@ -140,15 +140,15 @@ fn leaving_out_a_burst_changes_no_other() {
 
 #[test]
 fn gains_scatter_as_configured_and_the_first_burst_after_rest_falls_short() {
-    let config = PlantConfig { asymmetry_sd: 0.0, end_stop_um: 10_000.0, ..PlantConfig::default() };
+    let config = SimulatedMotorsConfig { asymmetry_sd: 0.0, end_stop_um: 10_000.0, ..SimulatedMotorsConfig::default() };
     let gains = |pause: u64| {
-        let mut plant = Plant::new(config, Tick::BOOT).unwrap();
+        let mut motors = SimulatedMotors::new(config, Tick::BOOT).unwrap();
         let gains: Vec<f64> = (0..2000)
             .map(|i| {
-                plant.advance(Lines::OFF, pause);
-                let before = plant.position_um(5);
-                pulse(&mut plant, if i % 2 == 0 { Direction::Up } else { Direction::Down }, 100);
-                (plant.position_um(5) - before).abs() / (100.0 * UM_PER_PULSE)
+                motors.advance(Lines::OFF, pause);
+                let before = motors.position_um(5);
+                pulse(&mut motors, if i % 2 == 0 { Direction::Up } else { Direction::Down }, 100);
+                (motors.position_um(5) - before).abs() / (100.0 * UM_PER_PULSE)
             })
             .collect();
         let mean = gains.iter().sum::<f64>() / 2000.0;
@@ -164,12 +164,12 @@ fn gains_scatter_as_configured_and_the_first_burst_after_rest_falls_short() {
 
 #[test]
 fn each_motor_has_an_asymmetry_of_its_own() {
-    let config = PlantConfig { asymmetry_sd: 0.02, ..PlantConfig::ideal() };
-    let mut plant = Plant::new(config, Tick::BOOT).unwrap();
-    plant.advance(Lines { up: 0xff_ffff, down: 0 }, 1000);
-    let up: Vec<f64> = (0..24).map(|motor| plant.position_um(motor)).collect();
-    plant.advance(Lines { up: 0, down: 0xff_ffff }, 1000);
-    let ratios = up.iter().zip(0..).map(|(up, motor)| up / (up - plant.position_um(motor)) - 1.0);
+    let config = SimulatedMotorsConfig { asymmetry_sd: 0.02, ..SimulatedMotorsConfig::ideal() };
+    let mut motors = SimulatedMotors::new(config, Tick::BOOT).unwrap();
+    motors.advance(Lines { up: 0xff_ffff, down: 0 }, 1000);
+    let up: Vec<f64> = (0..24).map(|motor| motors.position_um(motor)).collect();
+    motors.advance(Lines { up: 0, down: 0xff_ffff }, 1000);
+    let ratios = up.iter().zip(0..).map(|(up, motor)| up / (up - motors.position_um(motor)) - 1.0);
     let ratios: Vec<f64> = ratios.collect();
     let rms = (ratios.iter().map(|ratio| ratio * ratio).sum::<f64>() / 24.0).sqrt();
     assert!((0.01..0.03).contains(&rms), "{ratios:?}");
@@ -178,38 +178,38 @@ fn each_motor_has_an_asymmetry_of_its_own() {
 
 #[test]
 fn a_pin_stays_at_its_end_stop_and_leaves_it_at_once() {
-    let config = PlantConfig { end_stop_um: 10.05, ..PlantConfig::ideal() };
-    let mut plant = Plant::new(config, Tick::BOOT).unwrap();
-    pulse(&mut plant, Direction::Up, 74);
-    assert!((plant.position_um(5) - 74.0 * UM_PER_PULSE).abs() < 1e-12);
-    pulse(&mut plant, Direction::Up, 1);
-    assert!((plant.position_um(5) - 10.05).abs() < 1e-12);
-    pulse(&mut plant, Direction::Up, 5000);
-    assert!((plant.position_um(5) - 10.05).abs() < 1e-12);
-    pulse(&mut plant, Direction::Down, 10);
-    assert!((plant.position_um(5) - (10.05 - 10.0 * UM_PER_PULSE)).abs() < 1e-12);
-    pulse(&mut plant, Direction::Down, 5000);
-    assert!((plant.position_um(5) + 10.05).abs() < 1e-12);
-    plant.advance(Lines::OFF, 366);
-    assert!((plant.displacement_um(5) + 10.05).abs() < 1e-12);
-    let rest = plant.take_rest_stats()[5];
+    let config = SimulatedMotorsConfig { end_stop_um: 10.05, ..SimulatedMotorsConfig::ideal() };
+    let mut motors = SimulatedMotors::new(config, Tick::BOOT).unwrap();
+    pulse(&mut motors, Direction::Up, 74);
+    assert!((motors.position_um(5) - 74.0 * UM_PER_PULSE).abs() < 1e-12);
+    pulse(&mut motors, Direction::Up, 1);
+    assert!((motors.position_um(5) - 10.05).abs() < 1e-12);
+    pulse(&mut motors, Direction::Up, 5000);
+    assert!((motors.position_um(5) - 10.05).abs() < 1e-12);
+    pulse(&mut motors, Direction::Down, 10);
+    assert!((motors.position_um(5) - (10.05 - 10.0 * UM_PER_PULSE)).abs() < 1e-12);
+    pulse(&mut motors, Direction::Down, 5000);
+    assert!((motors.position_um(5) + 10.05).abs() < 1e-12);
+    motors.advance(Lines::OFF, 366);
+    assert!((motors.displacement_um(5) + 10.05).abs() < 1e-12);
+    let rest = motors.take_rest_stats()[5];
     assert!(
         rest.count == 1 && (rest.max_abs_um - 10.05).abs() < 1e-12 && (rest.rms_um() - 10.05).abs() < 1e-12
     );
-    assert_eq!(plant.take_rest_stats()[5], RestStats::default());
+    assert_eq!(motors.take_rest_stats()[5], RestStats::default());
 }
 
 #[test]
 fn it_does_not_matter_how_time_is_cut() {
-    let config = PlantConfig { end_stop_um: 30.0, ..PlantConfig::default() };
+    let config = SimulatedMotorsConfig { end_stop_um: 30.0, ..SimulatedMotorsConfig::default() };
     let bursts =
         [one_burst(Direction::Up, Tick::BOOT + 10, 600), one_burst(Direction::Down, Tick::BOOT + 700, 1000)];
     let end = Tick::BOOT + 3000;
     let (mut whole, mut pieces) =
-        (Plant::new(config, Tick::BOOT).unwrap(), Plant::new(config, Tick::BOOT).unwrap());
+        (SimulatedMotors::new(config, Tick::BOOT).unwrap(), SimulatedMotors::new(config, Tick::BOOT).unwrap());
     let mut whole_samples = Vec::new();
-    play_bursts(&mut whole, bursts, end, |plant| {
-        whole_samples.extend(std::iter::from_fn(|| plant.telemetry()));
+    play_bursts(&mut whole, bursts, end, |motors| {
+        whole_samples.extend(std::iter::from_fn(|| motors.telemetry()));
     });
     let mut piece_samples = Vec::new();
     while pieces.now() < end {
@@ -229,35 +229,35 @@ fn it_does_not_matter_how_time_is_cut() {
 
 #[test]
 fn telemetry_comes_on_time_and_of_a_month_at_rest_only_the_end_is_kept() {
-    let config = PlantConfig { telemetry_age_ms: 5, ..PlantConfig::ideal() };
-    let mut plant = Plant::new(config, Tick::BOOT).unwrap();
-    pulse(&mut plant, Direction::Up, 85 + 5 * 85 - 1);
-    assert_eq!(plant.telemetry(), None);
-    pulse(&mut plant, Direction::Up, 1);
-    let sample = plant.telemetry().unwrap();
+    let config = SimulatedMotorsConfig { telemetry_age_ms: 5, ..SimulatedMotorsConfig::ideal() };
+    let mut motors = SimulatedMotors::new(config, Tick::BOOT).unwrap();
+    pulse(&mut motors, Direction::Up, 85 + 5 * 85 - 1);
+    assert_eq!(motors.telemetry(), None);
+    pulse(&mut motors, Direction::Up, 1);
+    let sample = motors.telemetry().unwrap();
     // 85 ticks up: the mean of the ramp over the window, 85² / 2 / 365.5 pulses.
     let expected = (100.0 * UM_PER_PULSE * 85.0 * 85.0 / 2.0 / 365.5_f64).round() as i32;
     assert_eq!((sample.tick, sample.y[5], sample.y[6]), (Tick::BOOT + 85, expected, 0));
-    assert_eq!(plant.telemetry(), None);
+    assert_eq!(motors.telemetry(), None);
 
-    plant.advance(Lines::OFF, MONTH);
-    let samples: Vec<_> = std::iter::from_fn(|| plant.telemetry()).collect();
+    motors.advance(Lines::OFF, MONTH);
+    let samples: Vec<_> = std::iter::from_fn(|| motors.telemetry()).collect();
     assert_eq!(samples.len(), SPARE_SAMPLES);
     assert!(samples.windows(2).all(|pair| pair[1].tick == pair[0].tick + 85));
     let newest = samples.last().unwrap();
-    assert!(plant.now() - newest.tick >= 5 * 85 && plant.now() - newest.tick < 6 * 85);
+    assert!(motors.now() - newest.tick >= 5 * 85 && motors.now() - newest.tick < 6 * 85);
     assert_eq!(newest.y[5], (100.0 * 510.0 * UM_PER_PULSE).round() as i32);
 }
 
 #[test]
 fn a_setting_out_of_range_is_refused_in_one_line() {
     for config in [
-        PlantConfig { gain_sd: -0.1, ..PlantConfig::default() },
-        PlantConfig { asymmetry_sd: f64::NAN, ..PlantConfig::default() },
-        PlantConfig { telemetry_hz: 85_000, ..PlantConfig::default() },
-        PlantConfig { telemetry_age_ms: 1_001, ..PlantConfig::default() },
+        SimulatedMotorsConfig { gain_sd: -0.1, ..SimulatedMotorsConfig::default() },
+        SimulatedMotorsConfig { asymmetry_sd: f64::NAN, ..SimulatedMotorsConfig::default() },
+        SimulatedMotorsConfig { telemetry_hz: 85_000, ..SimulatedMotorsConfig::default() },
+        SimulatedMotorsConfig { telemetry_age_ms: 1_001, ..SimulatedMotorsConfig::default() },
     ] {
-        let line = Plant::new(config, Tick(0)).unwrap_err().to_string();
+        let line = SimulatedMotors::new(config, Tick(0)).unwrap_err().to_string();
         assert!(line.starts_with("mock.") && line.contains("must be 0 to"), "{line}");
     }
 }
