@@ -279,7 +279,7 @@ fn without_telemetry_a_receipt_says_that_nobody_measured() {
     assert_eq!(receipt["predicted_response_unknown"], "the device has no telemetry");
     assert_eq!(receipt["felt_unknown"], receipt["predicted_response_unknown"]);
     let text = crate::harness::printed(daemon.meissner().arg("receipt"));
-    assert!(text.contains("felt        not known: the device has no telemetry"), "{text}");
+    assert!(text.contains("predicted RA response  not known: the device has no telemetry"), "{text}");
 }
 
 #[test]

@@ -123,7 +123,7 @@ fn a_daemon_without_a_device_says_which_one_it_wants() {
     );
     let text = printed(daemon.meissner().arg("estop"));
     assert!(
-        text.starts_with("faulted (estop)\n") && text.contains("no line was put low: cut the supply"),
+        text.starts_with("faulted (estop)\n") && text.contains("no line was turned off: cut the supply"),
         "{text}"
     );
 }

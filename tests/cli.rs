@@ -18,14 +18,20 @@ fn a_play_is_ordered_waited_for_and_summed_up() {
     assert!(complaint(daemon.meissner().args(["play", "edge-45"])).contains("meissner arm"));
     assert!(printed(daemon.meissner().args(["arm", "--assume-rest"])).starts_with("armed"));
     let text = printed(daemon.meissner().args(["play", "edge-45", "--seconds", "0.3", "--wait"]));
-    assert!(text.contains("play 1 began at tick") && text.contains("state       done"), "{text}");
-    // MethodLabel soon that is known is up to the machine; this one is not always too busy.
-    let felt = |_| {
+    let shows = |text: &str, label: &str, value: &str| {
+        text.lines().any(|line| line.strip_prefix(label).is_some_and(|rest| rest.trim_start().starts_with(value)))
+    };
+    assert!(text.contains("play 1 began at tick") && shows(&text, "state", "done"), "{text}");
+    // A busy machine may not predict in time; one of these plays finds it less busy.
+    let predicted = |_| {
         let output =
             daemon.meissner().args(["play", "pin-60", "--seconds", "0.1", "--wait"]).output().unwrap();
-        String::from_utf8(output.stdout).unwrap().contains("\nfelt        mean rate")
+        shows(&String::from_utf8(output.stdout).unwrap(), "predicted RA response", "mean rate")
     };
-    assert!(text.contains("felt        contrast") || (0..20).any(felt), "{text}");
+    assert!(
+        shows(&text, "predicted RA response", "on-target minus off-target") || (0..20).any(predicted),
+        "{text}"
+    );
     let receipt = document(daemon.meissner().args(["receipt", "--json"]));
     assert_accounts(&receipt);
     let played = document(daemon.meissner().args(["play", "pin-60", "--at", "+1", "--json"]));
@@ -240,7 +246,7 @@ fn without_a_daemon_both_places_are_named() {
             .env("XDG_RUNTIME_DIR", dir.path())
             .args(["status", "--json"]),
     );
-    // Of both places an e-stop is told what it came to where there is somebody.
+    // An e-stop prints the answer of the one daemon that runs.
     let mut estop = meissner();
     estop.env_remove("MEISSNER_SOCKET").env("XDG_RUNTIME_DIR", dir.path()).arg("estop");
     assert!(printed(&mut estop).starts_with("faulted (estop)"));
@@ -315,7 +321,7 @@ fn the_doctor_measures_and_says_what_keeps_it_from_playing() {
     let output = meissner().args(["doctor", "--json"]).assert().code(1).get_output().stdout.clone();
     let report: serde_json::Value = serde_json::from_slice(&output).unwrap();
     assert!(report["wake_up"]["p50_us"].as_f64().unwrap() > 0.0 && report["ok"] == false);
-    assert_eq!(report["wake_up"]["count"], 5000, "five seconds, if nobody says otherwise");
+    assert_eq!(report["wake_up"]["count"], 5000, "five seconds by default");
     let daemon = Daemon::start();
     let report = document(daemon.meissner().args(["doctor", "--json", "--seconds", "0.5"]));
     let findings = report["findings"].as_array().unwrap();

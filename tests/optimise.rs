@@ -51,7 +51,7 @@ fn the_document_is_complete_and_its_pattern_is_the_file() {
     let output = meissner().args(["optimise", "dot", "--budget", "60"]).output().unwrap();
     let (out, err) = (String::from_utf8(output.stdout).unwrap(), String::from_utf8(output.stderr).unwrap());
     assert_eq!(out, text.replace("\"my-dot\"", "\"dot\""));
-    for word in ["cost", "held out", "gain", "1 mm off", "receptors", "drive", "the budget is used up"] {
+    for word in ["contrast", "held out", "gain", "1 mm off", "afferents", "drive", "the budget is used up"] {
         assert!(err.contains(word), "{word}: {err}");
     }
 }
@@ -142,7 +142,7 @@ fn what_cannot_be_is_one_line_before_the_work() {
     assert!(line(&["./edge-45"]).contains("cannot be read; name a target file"));
     assert!(line(&[&place("wrong.toml")]).contains("wrong.toml:2: `shape`"));
     assert!(line(&[&place("off.toml")]).contains("off.toml:3: `points"));
-    assert!(line(&["dot", "-o", &place("My Dot.toml")]).contains("is no pattern's name"));
+    assert!(line(&["dot", "-o", &place("My Dot.toml")]).contains("not a pattern's name"));
     assert!(line(&["dot", "-o", &place("no/where.toml")]).contains("cannot be written"));
     assert!(line(&["dot", "--resume", &place("none.toml")]).contains("none.toml: cannot be read"));
     // However it is called.
@@ -151,7 +151,7 @@ fn what_cannot_be_is_one_line_before_the_work() {
     for other in [place("itself.toml"), place("./itself.toml")] {
         let found = line(&[&place("itself.toml"), "-o", &other]);
         assert!(
-            found.contains("itself.toml: is the target itself; write the pattern to another file\n"),
+            found.contains("itself.toml: this is the target's file: write the pattern to another\n"),
             "{found}"
         );
     }
@@ -173,7 +173,7 @@ fn what_cannot_be_is_one_line_before_the_work() {
 }
 
 #[test]
-fn at_no_amplitude_it_says_that_nothing_will_be_felt() {
+fn at_no_amplitude_it_says_that_no_pin_moves() {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("still.toml");
     fs::write(&file, "name = \"still\"\nshape = \"disc\"\nradius_mm = 2\namplitude_um = 0\n").unwrap();

@@ -119,13 +119,13 @@ fn people_get_a_summary() {
     let (_dir, file) = scene(SMALL);
     let text = printed(meissner().arg("simulate").arg(&file));
     for part in
-        ["receptors  3, for 0.1 s", "method     exact", "impulses/s in the mean", "motors at rest", "22"]
+        ["afferents  3, for 0.1 s", "method     exact", "rate       mean", "motors at rest", "22"]
     {
         assert!(text.contains(part), "{part}: {text}");
     }
     let empty = "duration_s = 0\nreceptors = []\n";
     let text = printed(meissner().args(["simulate", "-"]).write_stdin(empty));
-    assert!(text.contains("receptors  0, for 0 s") && text.contains("rate       -"), "{text}");
+    assert!(text.contains("afferents  0, for 0 s") && text.contains("rate       -"), "{text}");
 }
 
 #[test]
@@ -265,7 +265,7 @@ fn a_refusal_that_is_not_eulers_is_not_called_unstable() {
 #[test]
 fn a_plot_that_cannot_be_written_is_one_line() {
     let (dir, file) = scene(SMALL);
-    for (plot, says) in [("nowhere/a.svg", "nowhere/a.svg: cannot be written"), (".", "is not a plain file")]
+    for (plot, says) in [("nowhere/a.svg", "nowhere/a.svg: cannot be written"), (".", "is not a regular file")]
     {
         let mut command = meissner();
         command.current_dir(dir.path()).arg("tradeoff").arg(&file).args(["--plot", plot]);

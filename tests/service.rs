@@ -229,7 +229,7 @@ fn a_configuration_is_checked_without_a_daemon() {
         command
     };
     std::fs::write(&file, "lead_ms = 50\n").unwrap();
-    assert!(printed(&mut check()).ends_with("m.toml: good\n"));
+    assert!(printed(&mut check()).ends_with("m.toml: valid\n"));
     for (text, says) in [
         ("laed_ms = 50\n", "m.toml:1: unknown key `laed_ms`"),
         ("patterns_dir = \"/nonexistent/patterns\"\n", "m.toml: `patterns_dir`: /nonexistent/patterns"),

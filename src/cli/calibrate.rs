@@ -4,8 +4,10 @@
 //!
 //! Invariant: it exits with 0 only if the calibration of every requested motor was stored.
 
+use super::arguments::ClientOptions;
+use super::output::give;
 use super::progress::Progress;
-use super::{Plain, control, files, give, text};
+use super::{control, files, text};
 use crate::receipts::calibration_plan;
 use anyhow::{Result, bail};
 use clap::Args;
@@ -35,7 +37,7 @@ pub(super) struct Calibrate {
     #[arg(short, long, value_name = "FILE")]
     out: Option<PathBuf>,
     #[command(flatten)]
-    plain: Plain,
+    options: ClientOptions,
 }
 
 pub(super) fn run(asked: &Calibrate) -> Result<ExitCode> {
@@ -43,11 +45,11 @@ pub(super) fn run(asked: &Calibrate) -> Result<ExitCode> {
     let Calibrate { motor, repetitions, ref pulses, .. } = *asked;
     let request = CalibrateRequest { motor, pulses: pulses.clone(), repetitions };
     let plan = calibration_plan(&request)?;
-    let mut client = asked.plain.client()?;
+    let mut client = asked.options.client()?;
     let mut events = client.events()?;
     let over = control::leave_on_interrupt()?;
     let PlayAccepted { id } = client.post("/v1/calibrate", &request)?;
-    let json = asked.plain.output.json;
+    let json = asked.options.output.json;
     let mut progress = Progress::new(Some(plan.duration_s()), json);
     control::follow(&mut client, &mut events, id, &mut progress)?;
     over.store(true, Ordering::Relaxed);

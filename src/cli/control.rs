@@ -1,16 +1,18 @@
 //! Commands that change something: play, stop, estop, reset, arm, disarm, home.
 //!
-//! They send one request and print what it came to. `play --wait` listens before it asks, so that no event of
-//! its play can be missed; what a slow terminal misses, it asks for.
+//! They send one request and print its result. `play --wait` subscribes to events before it sends the request, so it
+//! misses no event of its play; if a slow terminal loses events, it asks the daemon for the receipt.
 //!
-//! Invariant: nothing is sent twice.
+//! Invariant: no request is sent twice.
 
+use super::arguments::{ClientOptions, Onset, choice, positive};
+use super::output::{give, say};
 use super::progress::Progress;
-use super::{Onset, Plain, Play, give, say, text};
+use super::text;
 use crate::daemon;
 use anyhow::{Result, bail};
-use meissner_api::{ArmRequest, PlayAccepted, PlayRequest, Status};
-use meissner_api::{Event, Receipt};
+use clap::Args;
+use meissner_api::{ArmRequest, Event, LatePolicy, PlayAccepted, PlayRequest, Receipt, Status};
 use meissner_client::{Client, ClientError, Events, HOME_TIMEOUT, escape};
 use serde_json::{Value, json};
 use std::io::{self, Write};
@@ -21,37 +23,64 @@ use std::thread;
 use std::time::{Duration, Instant};
 use tokio::signal::unix::{SignalKind, signal};
 
-/// What was felt is known so soon after a play, of any but long ones on a busy machine; the receipt has it later.
-const FELT_PATIENCE: Duration = Duration::from_secs(1);
+/// How long to wait for the predicted response after a play. Long plays on a busy machine take longer; their receipt has
+/// it later.
+const PREDICTION_TIMEOUT: Duration = Duration::from_secs(1);
 
-pub(super) fn command(plain: &Plain, name: &str) -> Result<ExitCode> {
-    let status: Status = plain.client()?.post(&format!("/v1/{name}"), &json!({}))?;
-    stands(plain, &status)
+#[derive(Debug, Args)]
+pub(super) struct Play {
+    /// Play the pattern of this name
+    name: String,
+    /// Play for S seconds: truncate or loop the pattern
+    #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = positive)]
+    seconds: Option<f64>,
+    /// Begin at TICK of the device's clock, or MS milliseconds after the request
+    #[arg(long, value_name = "TICK|+MS")]
+    at: Option<Onset>,
+    /// Choose what happens to late strokes
+    #[arg(long, default_value = "drop", value_parser = choice::<LatePolicy>(&[("drop", "Drop them whole and go on"), ("abort", "End the play")]))]
+    late: LatePolicy,
+    /// Stop the running play and clear the queue first
+    #[arg(long)]
+    replace: bool,
+    /// Play without corrections from telemetry
+    #[arg(long)]
+    open_loop: bool,
+    /// Wait for the end and print the receipt; exit 1 if not all was played. Ctrl-C ends the waiting (exit 130), not the play
+    #[arg(long)]
+    wait: bool,
+    #[command(flatten)]
+    options: ClientOptions,
 }
 
-/// Goes to every daemon that may be meant, at once: whoever asks has no time to say which. Each answer is told as it comes; the
+pub(super) fn command(options: &ClientOptions, name: &str) -> Result<ExitCode> {
+    let status: Status = options.client()?.post(&format!("/v1/{name}"), &json!({}))?;
+    print_state(options, &status)
+}
+
+/// Sends the e-stop to both possible daemons at once: there is no time to choose. Prints each answer as it comes; the
 /// document of `--json` is the first.
-pub(super) fn estop(plain: &Plain) -> Result<ExitCode> {
-    let endpoint = plain.endpoint();
+pub(super) fn estop(options: &ClientOptions) -> Result<ExitCode> {
+    let endpoint = options.endpoint();
     let (tell, answers) = mpsc::channel();
     for socket in [Some(&endpoint.socket), endpoint.fallback.as_ref()].into_iter().flatten() {
         let (socket, tell) = (socket.clone(), tell.clone());
         thread::spawn(move || {
             let answer = Client::new(&socket).and_then(|mut client| client.post("/v1/estop", &json!({})));
-            // Nobody waits for it any more only if this process ends.
+            // Fails only if this process is ending.
             let _ = tell.send((socket, answer));
         });
     }
     drop(tell);
     let (mut stopped, mut failed): (Vec<Status>, Vec<ClientError>) = (Vec::new(), Vec::new());
-    // Whoever reads, or does not: every answer is waited for, or this process might end before it has asked.
+    // Wait for every answer even if stdout is closed: this process must not end before each request is sent.
     let mut said = Ok(());
     for (socket, answer) in answers {
         match answer {
             Ok(status) => {
                 said = said.and(match stopped.is_empty() {
-                    true => give(plain.output.json, &status, || text::state(&status)),
-                    false if plain.output.json => Ok(()),
+                    true => give(options.output.json, &status, || text::state(&status)),
+                    false if options.output.json => Ok(()),
                     false => say(&format!("{}: {}", socket.display(), text::state(&status))),
                 });
                 stopped.push(status);
@@ -60,15 +89,15 @@ pub(super) fn estop(plain: &Plain) -> Result<ExitCode> {
         }
     }
     said?;
-    if !stopped.is_empty() && !plain.output.json && !stopped.iter().any(Status::is_connected) {
+    if !stopped.is_empty() && !options.output.json && !stopped.iter().any(Status::is_connected) {
         say(
-            "no device is connected, so no line was put low: cut the supply if pins move, and see `meissner status`",
+            "no device is connected, so no line was turned off: cut the supply if pins move, and see `meissner status`",
         )?;
     }
-    // Where one was stopped, a daemon that is not ours is not missed.
-    let nobody = |error: &ClientError| matches!(error, ClientError::NoDaemon { .. }) || error.is_hidden();
+    // Once one daemon was stopped, another user's daemon may refuse.
+    let absent = |error: &ClientError| matches!(error, ClientError::NoDaemon { .. }) || error.is_hidden();
     let foreign = |error: &ClientError| matches!(error, ClientError::Denied { .. }) && !stopped.is_empty();
-    match failed.iter().position(|error| !nobody(error) && !foreign(error)) {
+    match failed.iter().position(|error| !absent(error) && !foreign(error)) {
         Some(at) => Err(failed.swap_remove(at).into()),
         None if !stopped.is_empty() => Ok(ExitCode::SUCCESS),
         None => Err(match failed.swap_remove(0) {
@@ -79,26 +108,26 @@ pub(super) fn estop(plain: &Plain) -> Result<ExitCode> {
     }
 }
 
-pub(super) fn home(plain: &Plain) -> Result<ExitCode> {
-    let status: Status = plain.client()?.post_within(HOME_TIMEOUT, "/v1/home", &json!({}))?;
-    stands(plain, &status)
+pub(super) fn home(options: &ClientOptions) -> Result<ExitCode> {
+    let status: Status = options.client()?.post_within(HOME_TIMEOUT, "/v1/home", &json!({}))?;
+    print_state(options, &status)
 }
 
-pub(super) fn arm(plain: &Plain, assume_rest: bool) -> Result<ExitCode> {
-    let status: Status = plain.client()?.post("/v1/arm", &ArmRequest { assume_rest })?;
+pub(super) fn arm(options: &ClientOptions, assume_rest: bool) -> Result<ExitCode> {
+    let status: Status = options.client()?.post("/v1/arm", &ArmRequest { assume_rest })?;
     if !matches!(status.state.as_str(), "armed" | "returning") {
         bail!("not armed: {} ({}); see `meissner status` and the daemon's log", status.state, status.cause);
     }
-    stands(plain, &status)
+    print_state(options, &status)
 }
 
-fn stands(plain: &Plain, status: &Status) -> Result<ExitCode> {
-    give(plain.output.json, status, || text::state(status))?;
+fn print_state(options: &ClientOptions, status: &Status) -> Result<ExitCode> {
+    give(options.output.json, status, || text::state(status))?;
     Ok(ExitCode::SUCCESS)
 }
 
 pub(super) fn play(play: &Play) -> Result<ExitCode> {
-    let mut client = play.plain.client()?;
+    let mut client = play.options.client()?;
     let (at_tick, at_ms) = match play.at {
         None => (None, None),
         Some(Onset::Tick(tick)) => (Some(tick), None),
@@ -114,7 +143,7 @@ pub(super) fn play(play: &Play) -> Result<ExitCode> {
         replace: play.replace,
         open_loop: play.open_loop,
     };
-    let json = play.plain.output.json;
+    let json = play.options.output.json;
     if !play.wait {
         let played: PlayAccepted = client.post("/v1/play", &request)?;
         give(json, &played, || format!("play {}: {}", played.id, play.name))?;
@@ -126,12 +155,12 @@ pub(super) fn play(play: &Play) -> Result<ExitCode> {
     let mut progress = Progress::new(length(&mut client, &request)?, json);
     let receipt = follow(&mut client, &mut events, id, &mut progress)?;
     over.store(true, Ordering::Relaxed);
-    let receipt = felt(&mut client, &mut events, receipt, FELT_PATIENCE);
+    let receipt = with_prediction(&mut client, &mut events, receipt, PREDICTION_TIMEOUT);
     give(json, &receipt, || text::receipt(&receipt))?;
     Ok(if receipt.all_played() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-/// Ends this process at Ctrl-C, and says what that does not end, until the play is said to be over.
+/// Ends this process at Ctrl-C and prints that the play goes on, or, once the returned flag is set, that it is over.
 pub(super) fn leave_on_interrupt() -> Result<Arc<AtomicBool>> {
     let over = Arc::new(AtomicBool::new(false));
     let is_over = Arc::clone(&over);
@@ -139,12 +168,12 @@ pub(super) fn leave_on_interrupt() -> Result<Arc<AtomicBool>> {
     let mut interrupt = runtime.block_on(async { signal(SignalKind::interrupt()) })?;
     thread::Builder::new().name("interrupt".into()).spawn(move || {
         if runtime.block_on(interrupt.recv()).is_some() {
-            let says = match is_over.load(Ordering::Relaxed) {
+            let hint = match is_over.load(Ordering::Relaxed) {
                 true => "the play is over: see `meissner receipt`",
                 false => "still playing: `meissner stop` ends it",
             };
-            // If stderr is gone, nobody is left to tell.
-            let _ = writeln!(io::stderr(), "{says}");
+            // If stderr is closed, there is no one to tell.
+            let _ = writeln!(io::stderr(), "{hint}");
             process::exit(130);
         }
     })?;
@@ -185,11 +214,11 @@ pub(super) fn follow(
     Ok(ended)
 }
 
-/// The receipt once it says what was felt, or why that is not known; as it is, if that takes longer than `timeout` or the
-/// daemon ends.
-pub(super) fn felt(client: &mut Client, events: &mut Events, receipt: Receipt, timeout: Duration) -> Receipt {
+/// Waits until the receipt has its predicted response, or the reason why there is none; returns it as it is after
+/// `timeout`, or if the daemon ends.
+pub(super) fn with_prediction(client: &mut Client, events: &mut Events, receipt: Receipt, timeout: Duration) -> Receipt {
     let until = Instant::now() + timeout;
-    // Of what was computed already no event comes any more.
+    // If the prediction is already there, no event comes.
     let mut receipt = client.get(&format!("/v1/plays/{}", receipt.id)).unwrap_or(receipt);
     while !receipt.prediction.is_settled() {
         match events.next(Some(until.saturating_duration_since(Instant::now()))) {

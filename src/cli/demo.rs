@@ -1,22 +1,22 @@
-//! The demo: a daemon with a simulated device in this process, a client of its socket, and a shipped edge.
+//! `demo`: runs a daemon with simulated motors in this process and plays a shipped edge as a client of its socket.
 //!
-//! It goes the whole way a pattern goes: socket, store, streamer, link, controller, shafts. What the shafts really
-//! did is read from the simulation; the comparison without the loop is the same array in virtual time.
+//! The play takes the whole data path: socket, store, streamer, link, controller, motors. The true pin positions come from
+//! the simulation. For comparison, the same array plays in virtual time without position control.
 //!
 //! Invariant: it exits with 0 only if every planned burst was played.
 
+use super::output::give;
 use super::progress::Progress;
-use super::{control, give, text};
+use super::{control, text};
 use crate::config::{Config, PatternsDir};
 use crate::daemon::{Daemon, Hosted};
 use crate::receipts::PlayedPattern;
 use crate::store::Store;
 use anyhow::{Context, Result, bail};
-use meissner_api::Rates;
-use meissner_api::Realtime;
-use meissner_api::{ArmRequest, PlayAccepted, PlayRequest, Status};
-use meissner_api::{BurstCounts, PulseCounts};
-use meissner_api::{LinkTraffic, Receipt};
+use meissner_api::{
+    ArmRequest, BurstCounts, LinkTraffic, PlayAccepted, PlayRequest, PulseCounts, Rates, Realtime, Receipt,
+    Status,
+};
 use meissner_array::pattern::Pattern;
 use meissner_client::{Client, Events};
 use meissner_stream::device::Spec;
@@ -30,8 +30,8 @@ use std::time::{Duration, Instant};
 const PATTERN: &str = "edge-45";
 /// How long the mock may take to answer the handshake.
 const TIMEOUT: Duration = Duration::from_secs(5);
-/// How long it may take to compute what was felt.
-const FELT_PATIENCE: Duration = Duration::from_secs(60);
+/// How long the predicted response may take.
+const PREDICTION_TIMEOUT: Duration = Duration::from_secs(60);
 
 #[derive(Debug, Serialize)]
 struct Report {
@@ -46,7 +46,7 @@ struct Report {
     onset_latency_ms: Option<f64>,
     lead_ms: f64,
     rest_error_um: RestReport,
-    felt: FeltReport,
+    felt: ResponseReport,
     realtime: Realtime,
     duration_s: f64,
 }
@@ -66,16 +66,16 @@ struct RestReport {
     max: f64,
 }
 
-/// What the skin felt of the first minute, impulses/s.
+/// The predicted response to the first minute, impulses/s.
 #[derive(Debug, Serialize)]
-struct FeltReport {
+struct ResponseReport {
     seconds: Option<f64>,
     target: Option<String>,
     designed_hz: Option<Rates>,
     /// As played; null with `--open-loop`.
     closed_loop_hz: Option<Rates>,
     open_loop_hz: Option<Rates>,
-    /// Why the play's is not known.
+    /// Why the play has no prediction.
     unknown: Option<String>,
 }
 
@@ -102,7 +102,7 @@ pub(super) fn run(seconds: f64, open_loop: bool, json: bool) -> Result<ExitCode>
     };
     let mut events = client.events()?;
     let receipt = play(&mut client, &mut events, &request, json)?;
-    let receipt = control::felt(&mut client, &mut events, receipt, FELT_PATIENCE);
+    let receipt = control::with_prediction(&mut client, &mut events, receipt, PREDICTION_TIMEOUT);
     let report = report(&config, &hosted, &status, &request, &receipt, begun)?;
     hosted.stop()?;
     give(json, &report, || summary(&report))?;
@@ -125,33 +125,33 @@ fn connected(client: &mut Client) -> Result<Status> {
 }
 
 fn play(client: &mut Client, events: &mut Events, request: &PlayRequest, json: bool) -> Result<Receipt> {
-    // Simulated shafts are at rest.
+    // Simulated pins begin at rest.
     let _: Status = client.post("/v1/arm", &ArmRequest { assume_rest: true })?;
     let PlayAccepted { id } = client.post("/v1/play", request)?;
     let mut progress = Progress::new(request.seconds, json);
     control::follow(client, events, id, &mut progress)
 }
 
-/// What was felt of the play, and what would have been without the loop.
-fn felt_report(
+/// The predicted responses to the play, and to the same play without position control.
+fn response_report(
     request: &PlayRequest,
     receipt: &Receipt,
     pattern: &Pattern,
     open: &SimulatedPlay,
-) -> FeltReport {
+) -> ResponseReport {
     let open = open.outcome.onset.and_then(|onset| {
         let onset = onset.actual;
-        let look =
+        let played =
             PlayedPattern { pattern, seconds: request.seconds, onset, cut: false, unplayed: HashSet::new() };
-        look.response(&open.measured_bursts).ok()
+        played.response(&open.measured_bursts).ok()
     });
     let played = receipt.prediction.response.as_ref();
     let any = played.or(open.as_ref());
-    FeltReport {
-        seconds: any.map(|felt| felt.seconds),
-        target: any.and_then(|felt| felt.target.clone()),
-        designed_hz: any.map(|felt| felt.designed_hz),
-        closed_loop_hz: played.filter(|_| !request.open_loop).map(|felt| felt.played_hz),
+    ResponseReport {
+        seconds: any.map(|response| response.seconds),
+        target: any.and_then(|response| response.target.clone()),
+        designed_hz: any.map(|response| response.designed_hz),
+        closed_loop_hz: played.filter(|_| !request.open_loop).map(|response| response.played_hz),
         open_loop_hz: open.as_ref().map(|open| open.played_hz),
         unknown: receipt.prediction.unknown.clone(),
     }
@@ -165,7 +165,7 @@ fn report(
     receipt: &Receipt,
     begun: Instant,
 ) -> Result<Report> {
-    let truth = hosted.true_positions().context("internal error: the mock has no shafts")?.rest();
+    let truth = hosted.true_positions().context("internal error: the mock has no pins")?.rest();
     let pattern = Store::new(None, false)?.get(PATTERN)?.pattern;
     let seconds = request.seconds.unwrap_or_default();
     let open = simulate_play(&pattern, request.seconds, &config.mock, config.settings, true)?;
@@ -191,7 +191,7 @@ fn report(
             closed_loop_rms: (!request.open_loop).then(|| truth.rms_um()),
             max: truth.max_abs_um,
         },
-        felt: felt_report(request, receipt, &pattern, &open),
+        felt: response_report(request, receipt, &pattern, &open),
         realtime: hosted.realtime(),
         duration_s: begun.elapsed().as_secs_f64(),
     })
@@ -204,28 +204,24 @@ fn summary(report: &Report) -> String {
         contrast.map_or_else(|| "-".to_owned(), |contrast| format!("{contrast:.1}"))
     };
     let figure = |figure: Option<f64>| figure.map_or_else(|| "-".to_owned(), |figure| format!("{figure:.2}"));
-    let cause = report.cause.as_ref().map_or_else(String::new, |cause| format!(" ({cause})"));
     let yes = |granted| if granted { "yes" } else { "no" };
     text::pairs(&[
         (
             "pattern",
             format!(
-                "{}, {} s on the {}: {}{cause}",
-                report.pattern, report.seconds, report.device, report.state
+                "{}, {} s on the {}: {}",
+                report.pattern,
+                report.seconds,
+                report.device,
+                text::end(report.state, report.cause.as_deref())
             ),
         ),
-        (
-            "bursts",
-            format!(
-                "{} planned: {} played, {} late, {} dropped, {} refused; {} amended",
-                bursts.planned, bursts.played, bursts.late, bursts.dropped, bursts.refused, bursts.amended
-            ),
-        ),
+        ("bursts", text::burst_counts(bursts)),
         ("pulses", format!("{} planned, {} played", pulses.planned, pulses.played)),
         (
             "wire",
             format!(
-                "{} bytes, {} per burst; {} without the loop",
+                "{} bytes, {} per burst; {} without feedback",
                 wire.bytes_to_device,
                 figure(wire.bytes_per_burst),
                 figure(wire.bytes_per_burst_open_loop)
@@ -233,21 +229,22 @@ fn summary(report: &Report) -> String {
         ),
         (
             "onset",
-            format!("{} ms after the order, lead {} ms", figure(report.onset_latency_ms), report.lead_ms),
+            format!("{} ms after the request, lead {} ms", figure(report.onset_latency_ms), report.lead_ms),
         ),
         (
             "rest error",
             format!(
-                "{} um rms, {:.2} um without the loop; {:.2} um at worst",
+                "{} um RMS, {:.2} um without feedback; {} {:.2} um",
                 figure(rest_error_um.closed_loop_rms),
                 rest_error_um.open_loop_rms,
+                text::LARGEST_OFFSET,
                 rest_error_um.max
             ),
         ),
         (
-            "felt",
+            text::PREDICTED,
             format!(
-                "contrast {} of {} impulses/s as designed, {} without the loop",
+                "on-target minus off-target {} impulses/s (designed: {}), {} without feedback",
                 contrast(felt.closed_loop_hz),
                 contrast(felt.designed_hz),
                 contrast(felt.open_loop_hz)

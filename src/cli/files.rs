@@ -1,12 +1,10 @@
-//! Files that a command reads, and those it writes: beside their place first, then renamed into it.
+//! Reads and writes the files of commands.
 //!
-//! What has a slash or ends in `.toml` is a file; other words are names of what is shipped.
+//! An argument with a slash or the ending `.toml` is a file; others are names of shipped patterns and targets. A new file
+//! is made beside its place before the work, so that an unwritable place is reported first, then renamed. A device, a
+//! pipe or a link is refused: the rename would replace it.
 //!
-//! Whether a place can be written to is found out before the work, by making the file beside it. A place that is a
-//! device, a pipe or a link is refused: it would be replaced, not written to.
-//!
-//! Invariant: what is there already is replaced whole or not at all; what is too large or not a file is not read into
-//! memory.
+//! Invariant: an existing file is replaced whole or not at all; a file that is too large is not read into memory.
 
 use crate::config;
 use anyhow::{Result, anyhow, bail};
@@ -16,7 +14,7 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use tempfile::NamedTempFile;
 
-/// A new file, and the place it is for.
+/// A new file, and its final place.
 #[derive(Debug)]
 pub(super) struct Beside {
     new: NamedTempFile,
@@ -28,7 +26,7 @@ pub(super) fn is_file(argument: &str) -> bool {
     argument.contains('/') || argument.ends_with(".toml")
 }
 
-/// The text of a file of a kind, at most so many bytes.
+/// Reads a file of at most `most` bytes; errors call it a `kind` file.
 pub(super) fn text(place: &Path, most: u64, kind: &str) -> Result<String> {
     let at = shown(place);
     if let Ok(found) = fs::metadata(place)
@@ -45,7 +43,7 @@ pub(super) fn text(place: &Path, most: u64, kind: &str) -> Result<String> {
 /// Makes a new file beside a place.
 pub(super) fn beside(place: &Path) -> Result<Beside> {
     if fs::symlink_metadata(place).is_ok_and(|found| !found.is_file()) {
-        bail!("{}: is not a plain file: name one to be written", shown(place));
+        bail!("{}: is not a regular file: name a regular or a new file", shown(place));
     }
     let dir = place.parent().filter(|dir| !dir.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let new = tempfile::Builder::new().permissions(Permissions::from_mode(0o666)).tempfile_in(dir);
@@ -53,7 +51,7 @@ pub(super) fn beside(place: &Path) -> Result<Beside> {
 }
 
 impl Beside {
-    /// Writes the file and puts it in its place.
+    /// Writes the text and renames the file into its place.
     pub(super) fn write(self, text: &str) -> Result<()> {
         let Self { mut new, place } = self;
         let written = new.write_all(text.as_bytes()).and_then(|()| Ok(new.persist(&place).map(drop)?));
@@ -61,16 +59,16 @@ impl Beside {
     }
 }
 
-/// Sees that a directory is there, or makes it.
+/// Makes a directory if it does not exist.
 pub(super) fn directory(dir: &Path) -> Result<()> {
     if fs::metadata(dir).is_ok_and(|found| !found.is_dir()) {
-        bail!("{}: is not a directory: name one, or a new one", shown(dir));
+        bail!("{}: is not a directory: name a directory or a new one", shown(dir));
     }
     fs::create_dir_all(dir)
-        .map_err(|error| anyhow!("{}: cannot be made; see that you may ({error})", shown(dir)))
+        .map_err(|error| anyhow!("{}: cannot be made; check that you may write there ({error})", shown(dir)))
 }
 
-/// A place on one line.
+/// A path, escaped to fit on one line.
 pub(super) fn shown(place: &Path) -> String {
     place.to_string_lossy().escape_debug().to_string()
 }
@@ -78,5 +76,5 @@ pub(super) fn shown(place: &Path) -> String {
 fn cannot_write(place: &Path, error: &io::Error) -> anyhow::Error {
     let cause =
         error.get_ref().and_then(std::error::Error::source).map_or(error.to_string(), ToString::to_string);
-    anyhow!("{}: cannot be written; see that the directory is there and you may ({cause})", shown(place))
+    anyhow!("{}: cannot be written; check that the directory exists and that you may write there ({cause})", shown(place))
 }

@@ -1,11 +1,11 @@
 //! Commands about patterns and motors: list, show, import, motor.
 //!
-//! `import` checks the file itself first, so that a mistake is named by file and line; the daemon checks again.
-//! `motor` asks no daemon.
-//!
-//! Invariant: the daemon is asked to store only what has been read and checked here.
+//! `import` checks the file before it sends it, so that errors name the file and line; the daemon checks again. `motor`
+//! needs no daemon.
 
-use super::{Plain, files, give, say, say_json, text};
+use super::arguments::ClientOptions;
+use super::output::{give, say, say_json};
+use super::{files, text};
 use anyhow::{Result, bail};
 use meissner_api::ImportedPattern;
 use meissner_array::motor::SteadyState;
@@ -16,9 +16,9 @@ use std::path::Path;
 use std::process::ExitCode;
 use toml::Table;
 
-pub(super) fn list(plain: &Plain) -> Result<ExitCode> {
-    let list: Value = plain.client()?.get("/v1/patterns")?;
-    if plain.output.json {
+pub(super) fn list(options: &ClientOptions) -> Result<ExitCode> {
+    let list: Value = options.client()?.get("/v1/patterns")?;
+    if options.output.json {
         say_json(&list)?;
         return Ok(ExitCode::SUCCESS);
     }
@@ -42,27 +42,27 @@ pub(super) fn list(plain: &Plain) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-pub(super) fn show(plain: &Plain, name: &str) -> Result<ExitCode> {
-    let shown: Value = plain.client()?.get(&format!("/v1/patterns/{}", escape(name)))?;
-    give(plain.output.json, &shown, || text::pattern(&shown))?;
+pub(super) fn show(options: &ClientOptions, name: &str) -> Result<ExitCode> {
+    let shown: Value = options.client()?.get(&format!("/v1/patterns/{}", escape(name)))?;
+    give(options.output.json, &shown, || text::pattern(&shown))?;
     Ok(ExitCode::SUCCESS)
 }
 
 /// Reads a pattern file: the pattern, and its text.
 pub(super) fn read(file: &Path) -> Result<(Pattern, String)> {
     let text = files::text(file, MAX_FILE_BYTES as u64, "pattern")?;
-    // A target has no format: to ask for one would lead astray.
+    // A target has no format: the parser's error would mislead.
     if text.parse::<Table>().is_ok_and(|table| table.contains_key("shape") && !table.contains_key("format")) {
         bail!("{}: this is a target: make a pattern of it with `meissner optimise`", files::shown(file));
     }
     Ok((Pattern::parse(&text, &file.to_string_lossy())?, text))
 }
 
-pub(super) fn import(plain: &Plain, file: &Path) -> Result<ExitCode> {
+pub(super) fn import(options: &ClientOptions, file: &Path) -> Result<ExitCode> {
     let (pattern, text) = read(file)?;
     let imported: ImportedPattern =
-        plain.client()?.put(&format!("/v1/patterns/{}", escape(pattern.name())), text)?;
-    if plain.output.json {
+        options.client()?.put(&format!("/v1/patterns/{}", escape(pattern.name())), text)?;
+    if options.output.json {
         say_json(&imported)?;
         return Ok(ExitCode::SUCCESS);
     }
@@ -79,7 +79,7 @@ pub(super) fn motor(frequency_hz: f64, amplitude_um: f64, json: bool) -> Result<
         say_json(&steady)?;
         return Ok(ExitCode::SUCCESS);
     }
-    let saturated = if steady.saturated { ", saturated: the frequency leaves room for no more" } else { "" };
+    let saturated = if steady.saturated { ", saturated: a period is too short for more" } else { "" };
     say(&text::pairs(&[
         ("peak to peak", format!("{:.2} um (ideal)", steady.peak_to_peak_um)),
         ("as played", format!("{:.2} um", steady.played_peak_to_peak_um)),

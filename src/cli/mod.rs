@@ -1,12 +1,12 @@
-//! The command line: what is asked for, and where the answer goes.
+//! The command line: parses arguments, runs the command, prints its answer.
 //!
-//! Each command is a function that prints its answer on stdout: with `--json` one document and nothing else. Logs
-//! and bars go to stderr. A command that fails prints one line, `meissner: what, where, what to do`, and exits
-//! with 1; one that cannot be understood exits with 2. Nothing is decided here that a script could not decide
-//! through the API.
+//! Each command is a function that prints its answer on stdout; with `--json`, one document and nothing else. Logs and
+//! progress bars go to stderr. A command that fails prints one line, `meissner: what, where, what to do`, and exits with
+//! 1; a command line that cannot be understood exits with 2. Commands use the API as any client does.
 //!
 //! Invariant: names and flags are stable; a command that is not built does not exist.
 
+mod arguments;
 mod calibrate;
 mod control;
 mod demo;
@@ -14,6 +14,7 @@ mod doctor;
 mod files;
 mod library;
 mod optimise;
+mod output;
 mod progress;
 mod report;
 mod simulate;
@@ -25,17 +26,13 @@ use crate::config::Source;
 use crate::daemon::{self, Daemon, DaemonError, Exit, Signals};
 use crate::log;
 use anyhow::{Result, anyhow};
-use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use clap::{Args, CommandFactory, Parser, Subcommand};
-use meissner_api::LatePolicy;
-use meissner_client::{Client, Endpoint};
+use arguments::{ClientOptions, Output, measured, positive};
+use clap::{CommandFactory, Parser, Subcommand};
 use meissner_stream::device::Spec;
-use serde::Serialize;
-use serde::de::DeserializeOwned;
-use std::io::{self, BufWriter, Write};
+use output::{is_broken_pipe, say};
+use std::io::{self, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::str::FromStr;
 use std::time::Duration;
 use tracing::Level;
 
@@ -49,12 +46,12 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Daemon, simulated device and client in one process: plays a shipped edge and sums it up
+    /// Play a shipped edge on a simulated array and print a summary: daemon, device and client in one process
     Demo {
-        /// How long it plays
+        /// Play for S seconds
         #[arg(long, value_name = "S", default_value_t = 5.0, allow_negative_numbers = true, value_parser = positive)]
         seconds: f64,
-        /// No corrections from telemetry
+        /// Play without corrections from telemetry
         #[arg(long)]
         open_loop: bool,
         #[command(flatten)]
@@ -62,205 +59,110 @@ enum Command {
     },
     /// Drive a device for the clients of a socket, until SIGTERM
     Daemon {
-        /// Configuration file (TOML)
+        /// Read the configuration from file F (TOML)
         #[arg(long, value_name = "F")]
         config: Option<PathBuf>,
-        /// Only say whether the configuration is good; exit 1 if it is not
+        /// Check the configuration and end; exit 1 if it is not valid
         #[arg(long)]
         check_config: bool,
-        /// auto, mock, pty, serial[:PATH|:SERIAL|:VID:PID[:SERIAL]] or usb[:SERIAL] [default: the configuration's, else auto]
+        /// Use this device: auto, mock, pty, serial[:PATH|:SERIAL|:VID:PID[:SERIAL]] or usb[:SERIAL] [default: the
+        /// configuration's, else auto]
         #[arg(long, value_name = "DEVICE")]
         device: Option<Spec>,
-        /// Where clients connect [default: the configuration's, else $MEISSNER_SOCKET, else
+        /// Listen for clients at PATH [default: the configuration's, else $MEISSNER_SOCKET, else
         /// $XDG_RUNTIME_DIR/meissner.sock, else /run/meissner/meissner.sock]
         #[arg(long, value_name = "PATH")]
         socket: Option<PathBuf>,
     },
-    /// Play a pattern, behind what is queued
-    Play(Play),
-    /// End the running play and clear the queue; stays armed
-    Stop(Plain),
-    /// All lines off at once, latched until `reset`
-    Estop(Plain),
-    /// Leave an emergency stop or fault: disarmed
-    Reset(Plain),
-    /// Take strokes from now on
+    /// Play a pattern after the queued ones
+    Play(control::Play),
+    /// End the running play and clear the queue; the motors stay armed
+    Stop(ClientOptions),
+    /// Turn all lines off at once; they stay off until `reset`
+    Estop(ClientOptions),
+    /// Leave an emergency stop or a fault; the motors are disarmed
+    Reset(ClientOptions),
+    /// Enable the motors
     Arm {
-        /// Take every pin as being at rest: only after looking
+        /// State that all pins are at rest: look at them first
         #[arg(long)]
         assume_rest: bool,
         #[command(flatten)]
-        plain: Plain,
+        options: ClientOptions,
     },
-    /// Return pins, motors off
-    Disarm(Plain),
-    /// Move pins to where they ought to rest, between plays
-    Home(Plain),
-    /// Measure what each motor really does: plays bursts for a minute, open loop, and stores the gains; motors must be armed
+    /// Return the pins and switch the motors off
+    Disarm(ClientOptions),
+    /// Move the pins to their rest position, between plays
+    Home(ClientOptions),
+    /// Measure the gains of the motors and store them: play bursts for a minute, open loop, with armed motors
     Calibrate(calibrate::Calibrate),
-    /// All patterns
-    List(Plain),
-    /// A pattern: its motors, drives and warnings
+    /// List all patterns
+    List(ClientOptions),
+    /// Show the motors, drives and warnings of a pattern
     Show {
-        /// Its name
+        /// Show the pattern of this name
         name: String,
         #[command(flatten)]
-        plain: Plain,
+        options: ClientOptions,
     },
     /// Store a pattern file with the daemon, under the name in it
     Import {
-        /// The file (TOML)
+        /// Read the pattern from this file (TOML)
         file: PathBuf,
         #[command(flatten)]
-        plain: Plain,
+        options: ClientOptions,
     },
-    /// Show how everything stands
+    /// Show the state of the daemon, its device and its queue
     Status {
-        /// Again at every change
+        /// Show it again at every change
         #[arg(long)]
         watch: bool,
         #[command(flatten)]
-        plain: Plain,
+        options: ClientOptions,
     },
-    /// What happens, as it happens; with --json one document per line
-    Events(Plain),
-    /// What came of a play
+    /// Print events as they happen; with --json one document per line
+    Events(ClientOptions),
+    /// Show the result of a play
     Receipt {
-        /// Its id; without it, the last one
+        /// Show the play with this id [default: the last one]
         id: Option<u64>,
         #[command(flatten)]
-        plain: Plain,
+        options: ClientOptions,
     },
-    /// What a drive comes to in the steady state, by the motor model
+    /// Compute the steady state of a drive by the motor model
     Motor {
-        /// Its frequency
+        /// Drive with F Hz
         #[arg(long, value_name = "F", allow_negative_numbers = true)]
         frequency_hz: f64,
-        /// Its amplitude, peak to peak
+        /// Drive with A um, peak to peak
         #[arg(long, value_name = "A", allow_negative_numbers = true)]
         amplitude_um: f64,
         #[command(flatten)]
         output: Output,
     },
-    /// What the skin's receptors make of a scene: spikes and rates
+    /// Simulate afferent spikes for a scene
     Simulate(simulate::Simulate),
-    /// The pattern that makes a target felt
+    /// Find a pattern for a target shape
     Optimise(optimise::Optimise),
-    /// Time and error of every way to simulate a scene, measured on this machine; or what the streamer's lead is worth
+    /// Compare simulation methods by time and error on this machine; or the streamer's leads, or position control settings
     #[command(name = "tradeoff")]
     MethodTradeoff(tradeoff::MethodTradeoff),
-    /// Figures of the models and of patterns, as SVG and CSV, and a page that shows them
+    /// Draw figures of the models and of patterns, as SVG and CSV, and a page that shows them
     Report(report::Report),
-    /// Look for what could keep this machine or its device from playing; exit 0 only if nothing does
+    /// Check what could keep this machine or its device from playing; exit 0 only if nothing does
     Doctor {
-        /// Which device, as for `daemon`; without it, the daemon's, else the first board
+        /// Check this device, named as for `daemon` [default: the daemon's, else the first board]
         #[arg(long, value_name = "DEVICE")]
         device: Option<Spec>,
-        /// How long wake-ups are measured, 0.1 to 3600: the longer, the rarer the stalls it sees
+        /// Measure wake-ups for S seconds, 0.1 to 3600: the longer, the rarer the stalls it sees
         #[arg(long, value_name = "S", default_value_t = 5.0, allow_negative_numbers = true, value_parser = measured)]
         seconds: f64,
         #[command(flatten)]
-        plain: Plain,
+        options: ClientOptions,
     },
 }
 
-#[derive(Debug, Args)]
-struct Play {
-    /// Which pattern
-    name: String,
-    /// Cuts it, or repeats it if it has a duration
-    #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = positive)]
-    seconds: Option<f64>,
-    /// A tick of the device's clock, or so many ms after the order
-    #[arg(long, value_name = "TICK|+MS")]
-    at: Option<Onset>,
-    /// What to do when strokes come late
-    #[arg(long, default_value = "drop", value_parser = choice::<LatePolicy>(&[("drop", "Drop them whole and go on"), ("abort", "End the play")]))]
-    late: LatePolicy,
-    /// Stop what runs and clear the queue first
-    #[arg(long)]
-    replace: bool,
-    /// No corrections from telemetry
-    #[arg(long)]
-    open_loop: bool,
-    /// Wait for its end and sum it up; exit 1 if not all was played. Ctrl-C ends the waiting (exit 130), not the play
-    #[arg(long)]
-    wait: bool,
-    #[command(flatten)]
-    plain: Plain,
-}
-
-/// What a client command needs.
-#[derive(Debug, Args)]
-struct Plain {
-    /// The daemon's socket [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and
-    /// /run/meissner/meissner.sock at which a daemon listens]
-    #[arg(long, value_name = "PATH")]
-    socket: Option<PathBuf>,
-    #[command(flatten)]
-    output: Output,
-}
-
-#[derive(Clone, Copy, Debug, Args)]
-struct Output {
-    /// One JSON document on stdout and nothing else
-    #[arg(long)]
-    json: bool,
-}
-
-impl Plain {
-    fn client(&self) -> Result<Client> {
-        Ok(Client::at(self.endpoint())?)
-    }
-
-    fn endpoint(&self) -> Endpoint {
-        self.socket.as_deref().map_or_else(Endpoint::find, Endpoint::at)
-    }
-}
-
-/// A finite number, not negative. How much is too much, the daemon says.
-fn positive(text: &str) -> Result<f64, &'static str> {
-    let number = text.parse().ok().filter(|number: &f64| number.is_finite() && *number >= 0.0);
-    number.ok_or("a number is wanted, 0 or more")
-}
-
-/// How long something is measured, s.
-fn measured(text: &str) -> Result<f64, &'static str> {
-    let number = text.parse().ok().filter(|number| (0.1..=3600.0).contains(number));
-    number.ok_or("a number is wanted, 0.1 to 3600")
-}
-
-/// `--at`.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Onset {
-    Tick(u64),
-    AfterMs(f64),
-}
-
-impl FromStr for Onset {
-    type Err = &'static str;
-    fn from_str(text: &str) -> Result<Self, Self::Err> {
-        match text.strip_prefix('+') {
-            Some(ms) => {
-                let wrong = "after the + a number of milliseconds is wanted, 0 or more";
-                positive(ms).map(Self::AfterMs).map_err(|_| wrong)
-            }
-            None => {
-                text.parse().map(Self::Tick).map_err(|_| "a tick (a whole number), or + and milliseconds")
-            }
-        }
-    }
-}
-
-/// Values of a flag, each with what it means, as the type `T` that serde reads from the value's name.
-fn choice<T: DeserializeOwned + Clone + Send + Sync + 'static>(
-    values: &'static [(&'static str, &'static str)],
-) -> impl TypedValueParser<Value = T> {
-    let values = values.iter().map(|(name, help)| PossibleValue::new(name).help(help));
-    PossibleValuesParser::new(values).try_map(|name| serde_json::from_value(name.into()))
-}
-
-/// All commands and their flags, as clap knows them: what manual pages and shell completions are made from.
+/// All commands and their flags, as clap describes them: the source of manual pages and shell completions.
 #[must_use]
 pub fn command() -> clap::Command {
     Cli::command()
@@ -274,18 +176,17 @@ pub fn main() -> ExitCode {
     log::start(level);
     match run(cli.command) {
         Ok(code) => code,
-        // Whoever read the output has seen enough.
+        // The reader of the output has seen enough.
         Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
-        Err(error) => {
-            // If stderr is gone too, nobody is left to tell.
-            let _ = writeln!(io::stderr(), "meissner: {error}");
-            ExitCode::FAILURE
-        }
+        Err(error) => match error.downcast::<clap::Error>() {
+            Ok(usage) => usage.format(&mut command()).exit(),
+            Err(error) => {
+                // If stderr is closed too, there is no one to tell.
+                let _ = writeln!(io::stderr(), "meissner: {error}");
+                ExitCode::FAILURE
+            }
+        },
     }
-}
-
-fn is_broken_pipe(error: &anyhow::Error) -> bool {
-    error.downcast_ref::<io::Error>().is_some_and(|error| error.kind() == io::ErrorKind::BrokenPipe)
 }
 
 fn run(command: Command) -> Result<ExitCode> {
@@ -296,19 +197,19 @@ fn run(command: Command) -> Result<ExitCode> {
             if check { check_config(&source) } else { serve(source) }
         }
         Command::Play(play) => control::play(&play),
-        Command::Stop(plain) => control::command(&plain, "stop"),
-        Command::Estop(plain) => control::estop(&plain),
-        Command::Reset(plain) => control::command(&plain, "reset"),
-        Command::Arm { assume_rest, plain } => control::arm(&plain, assume_rest),
-        Command::Disarm(plain) => control::command(&plain, "disarm"),
-        Command::Home(plain) => control::home(&plain),
+        Command::Stop(options) => control::command(&options, "stop"),
+        Command::Estop(options) => control::estop(&options),
+        Command::Reset(options) => control::command(&options, "reset"),
+        Command::Arm { assume_rest, options } => control::arm(&options, assume_rest),
+        Command::Disarm(options) => control::command(&options, "disarm"),
+        Command::Home(options) => control::home(&options),
         Command::Calibrate(asked) => calibrate::run(&asked),
-        Command::List(plain) => library::list(&plain),
-        Command::Show { name, plain } => library::show(&plain, &name),
-        Command::Import { file, plain } => library::import(&plain, &file),
-        Command::Status { watch, plain } => watch::status(&plain, watch),
-        Command::Events(plain) => watch::events(&plain),
-        Command::Receipt { id, plain } => watch::receipt(&plain, id),
+        Command::List(options) => library::list(&options),
+        Command::Show { name, options } => library::show(&options, &name),
+        Command::Import { file, options } => library::import(&options, &file),
+        Command::Status { watch, options } => watch::status(&options, watch),
+        Command::Events(options) => watch::events(&options),
+        Command::Receipt { id, options } => watch::receipt(&options, id),
         Command::Motor { frequency_hz, amplitude_um, output } => {
             library::motor(frequency_hz, amplitude_um, output.json)
         }
@@ -316,13 +217,13 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Optimise(asked) => optimise::run(&asked),
         Command::MethodTradeoff(asked) => tradeoff::run(&asked),
         Command::Report(asked) => report::run(&asked),
-        Command::Doctor { device, seconds, plain } => {
-            doctor::run(device, Duration::from_secs_f64(seconds), &plain)
+        Command::Doctor { device, seconds, options } => {
+            doctor::run(device, Duration::from_secs_f64(seconds), &options)
         }
     }
 }
 
-/// How a daemon ends that wants to be started again, as the unit knows (`RestartForceExitStatus=`): EX_TEMPFAIL.
+/// The exit code of a daemon that systemd must start again (`RestartForceExitStatus=` of the unit): EX_TEMPFAIL.
 const START_AGAIN: u8 = 75;
 
 fn serve(source: Source) -> Result<ExitCode> {
@@ -333,7 +234,7 @@ fn serve(source: Source) -> Result<ExitCode> {
         let daemon = Daemon::start(&config).map_err(|error| named(&source, error))?;
         anyhow::Ok(daemon.run(signals, Some(source)).await?)
     });
-    // What hangs in a disk is not waited for.
+    // Do not wait for threads that a disk blocks.
     runtime.shutdown_background();
     Ok(match ended? {
         Exit::Requested => ExitCode::SUCCESS,
@@ -341,18 +242,18 @@ fn serve(source: Source) -> Result<ExitCode> {
     })
 }
 
-/// What a daemon would refuse of the configuration, or complain of.
+/// What a daemon would refuse of the configuration, or comoptions of.
 fn check_config(source: &Source) -> Result<ExitCode> {
     let config = source.read()?;
     daemon::check(&config).map_err(|error| named(source, error))?;
     match &source.file {
-        Some(file) => say(&format!("{}: good", file.display()))?,
-        None => say("no file was named with --config: every key has its default, which is good")?,
+        Some(file) => say(&format!("{}: valid", file.display()))?,
+        None => say("no file was named with --config: every key has its default, which is valid")?,
     }
     Ok(ExitCode::SUCCESS)
 }
 
-/// With the file in which it has to be mended.
+/// Adds the file in which the error must be corrected.
 fn named(source: &Source, error: DaemonError) -> anyhow::Error {
     match (&source.file, error) {
         (Some(file), error @ (DaemonError::Store(_) | DaemonError::SessionRecord { .. })) => {
@@ -362,47 +263,10 @@ fn named(source: &Source, error: DaemonError) -> anyhow::Error {
     }
 }
 
-/// Prints a line, or many.
-fn say(text: &str) -> Result<()> {
-    Ok(writeln!(io::stdout(), "{text}")?)
-}
-
-/// Prints the answer: as a document, or as text. Whether it was good does not depend on who has read it.
-fn give(json: bool, document: &impl Serialize, text: impl FnOnce() -> String) -> Result<()> {
-    match if json { say_json(document) } else { say(&text()) } {
-        Err(error) if is_broken_pipe(&error) => Ok(()),
-        said => said,
-    }
-}
-
-/// Prints the document of `--json`, on one line, while it is made: it may be as large as a simulation's spikes.
-fn say_json(document: &impl Serialize) -> Result<()> {
-    let mut out = BufWriter::new(io::stdout().lock());
-    serde_json::to_writer(&mut out, document).map_err(io::Error::from)?;
-    out.write_all(b"\n")?;
-    Ok(out.flush()?)
-}
-
 #[cfg(test)]
 mod tests {
-    use super::*;
-
     #[test]
     fn the_command_line_is_consistent() {
-        command().debug_assert();
-    }
-
-    #[test]
-    fn an_onset_is_a_tick_or_a_delay() {
-        assert_eq!("4294967296".parse(), Ok(Onset::Tick(1 << 32)));
-        assert_eq!("+12.5".parse(), Ok(Onset::AfterMs(12.5)));
-        assert!(
-            "soon".parse::<Onset>().is_err()
-                && "+".parse::<Onset>().is_err()
-                && "-3".parse::<Onset>().is_err()
-                && "+-3".parse::<Onset>().is_err()
-                && "+nan".parse::<Onset>().is_err()
-                && "+inf".parse::<Onset>().is_err()
-        );
+        super::command().debug_assert();
     }
 }

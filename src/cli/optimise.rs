@@ -1,14 +1,15 @@
-//! The command optimise: from a target to a pattern file. It asks no daemon.
+//! `optimise`: finds a pattern for a target and writes it to a file. It needs no daemon.
 //!
-//! A target is named as the shipped ones are, or is a file. Everything that can be wrong
-//! with what was asked is said before the work. Ctrl-C ends the search, not the program: the best so far is judged and
-//! written. With `-o` the pattern is written there and summed up on stdout; without, it goes to stdout itself and
-//! the summary to stderr.
+//! A target is the name of a shipped one, or a file. All arguments are checked before the search. Ctrl-C ends the search,
+//! not the program: the best pattern so far is judged and written. With `-o` the pattern goes to that file and a summary
+//! to stdout; without it, the pattern goes to stdout and the summary to stderr.
 //!
-//! Invariant: what was there before under the pattern's name is replaced only by a whole pattern.
+//! Invariant: an existing file is replaced only by a whole pattern.
 
+use super::arguments::{Output, choice, positive};
+use super::output::{is_broken_pipe, say, say_json};
 use super::progress::Search;
-use super::{Output, choice, files, is_broken_pipe, library, say, say_json, text};
+use super::{files, library, text};
 use crate::daemon;
 use anyhow::{Result, anyhow, bail};
 use clap::Args;
@@ -33,24 +34,25 @@ use tokio::signal::unix::{SignalKind, signal};
 
 #[derive(Debug, Args)]
 pub(super) struct Optimise {
-    /// Name of a shipped target, or a target file (TOML)
+    /// Find a pattern for this target: the name of a shipped one, or a file (TOML)
     target: String,
-    /// Where to write the pattern; its name is the file's [default: stdout]
+    /// Write the pattern to PATTERN, whose name it takes [default: stdout]
     #[arg(short = 'o', long = "out", value_name = "PATTERN")]
     file: Option<PathBuf>,
-    /// Of the search
+    /// Seed the search with N
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
     seed: u64,
-    /// What may be chosen: motors may be off, 5 to 150 Hz; or always on, 5 to 300 Hz
-    #[arg(long, default_value = "default", value_parser = choice::<Setting>(&[("default", "Motors may be off; 5 to 150 Hz"), ("always_on", "The paper's: every motor vibrates; 5 to 300 Hz")]))]
+    /// Choose the search space
+    #[arg(long, default_value = "default", value_parser = choice::<Setting>(&[("default", "Motors may be off; 5 to 150 Hz"), ("always_on", "All motors vibrate, as in the paper; 5 to 300 Hz")]))]
     setting: Setting,
-    /// About so many evaluations (for each frame of a moving target; or a list, N,N,...), or seconds in all (Ns) [default: until nothing improves]
+    /// Stop after about N evaluations (per frame of a moving target; or N,N,... for each), or N seconds in all (Ns)
+    /// [default: until nothing improves]
     #[arg(long, value_name = "N|Ns")]
     budget: Option<Limit>,
-    /// For the mean over eight populations of receptors in place of one
+    /// Maximise the mean over eight populations of afferents, not one population
     #[arg(long)]
     robust: bool,
-    /// Begin with what a pattern file does, and improve on it
+    /// Begin with the pattern in file PATTERN and improve it
     #[arg(long, value_name = "PATTERN")]
     resume: Option<PathBuf>,
     #[command(flatten)]
@@ -65,9 +67,9 @@ impl FromStr for Limit {
     type Err = &'static str;
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
-        let wrong = "evaluations (500, or a number for each frame: 500,300), or seconds (1.5s)";
+        let wrong = "must be evaluations (500, or a number for each frame: 500,300), or seconds (1.5s)";
         if let Some(seconds) = text.strip_suffix('s') {
-            return super::positive(seconds).map(|seconds| Self(Budget::Seconds(seconds))).map_err(|_| wrong);
+            return positive(seconds).map(|seconds| Self(Budget::Seconds(seconds))).map_err(|_| wrong);
         }
         let each: Result<Vec<u64>, _> = text.split(',').map(str::parse).collect();
         each.map(|each| Self(Budget::Evaluations(each))).map_err(|_| wrong)
@@ -103,7 +105,7 @@ pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
     let begun = Instant::now();
     let target = target(&asked.target)?;
     if let Some(file) = asked.file.as_deref().filter(|file| is_itself(&asked.target, file)) {
-        bail!("{}: is the target itself; write the pattern to another file", files::shown(file));
+        bail!("{}: this is the target's file: write the pattern to another", files::shown(file));
     }
     let start = asked.resume.as_deref().map(library::read).transpose()?;
     let request = Request {
@@ -115,17 +117,17 @@ pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
     };
     let name = match &asked.file {
         Some(file) => {
-            // Only to see that it can be: whatever ends the search, nothing half made is left behind.
+            // Checks that the file can be made; removes it, so that no end of the search leaves half a file.
             drop(files::beside(file)?);
             name(file)?
         }
         None => target.name().to_owned(),
     };
-    let told = told_to_stop()?;
+    let interrupted = stop_on_interrupt()?;
     let mut shown = Search::new(asked.output.json);
     let made = make(&target, &name, &request, &mut |progress| {
         shown.show(&progress);
-        if told.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        if interrupted.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     })?;
     drop(shown);
     let text = made.pattern.to_toml();
@@ -159,13 +161,13 @@ pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
         (false, Some(_)) => say(&summary(&target, &document, &made)),
         (false, None) => {
             let said = say(document.pattern.trim_end());
-            // The pattern matters; whoever closed stderr does not want the rest.
+            // The pattern matters more than a closed stderr.
             let _ = writeln!(io::stderr(), "{}", summary(&target, &document, &made));
             said
         }
     };
     said.or_else(|error| if is_broken_pipe(&error) { Ok(()) } else { Err(error) })?;
-    // As a shell has it of what Ctrl-C ended.
+    // The exit code that shells use for a program ended by Ctrl-C.
     Ok(if made.ended() == Ended::Interrupted { ExitCode::from(130) } else { ExitCode::SUCCESS })
 }
 
@@ -178,36 +180,36 @@ fn target(argument: &str) -> Result<Target> {
     shipped(argument).ok_or_else(|| {
         let nearest = nearest(&shipped_names(), argument);
         anyhow!(
-            "no target is called `{}`: did you mean `{nearest}`? A file's name has a slash or ends in .toml",
+            "no target is called `{}`: did you mean `{nearest}`? The name of a file has a slash or ends in .toml",
             argument.escape_debug()
         )
     })
 }
 
-/// Whether a file that is to be written is the one the target was read from, by whatever way.
+/// Whether the target was read from this file, also through links.
 fn is_itself(target: &str, file: &Path) -> bool {
     let found = |file: &Path| fs::canonicalize(file).ok();
     files::is_file(target) && found(file).is_some_and(|file| Some(file) == found(Path::new(target)))
 }
 
-/// The name of a pattern that is written to a file: the store wants them to be the same.
+/// The name of a pattern that is written to a file: the store requires that both have the same name.
 fn name(file: &Path) -> Result<String> {
     let stem = file.file_stem().and_then(|stem| stem.to_str()).filter(|stem| pattern::is_name(stem));
     stem.map(str::to_owned).ok_or_else(|| {
         let place = file.to_string_lossy();
-        anyhow!("{}: is no pattern's name: 1 to 64 of a-z, 0-9 and -, then .toml", place.escape_debug())
+        anyhow!("{}: not a pattern's name: write 1 to 64 of a-z, 0-9 and -, then .toml", place.escape_debug())
     })
 }
 
-/// From now on Ctrl-C is a wish, once; the second time it is an order.
-fn told_to_stop() -> Result<Arc<AtomicBool>> {
-    let told = Arc::new(AtomicBool::new(false));
+/// The first Ctrl-C sets the returned flag; the second ends the program.
+fn stop_on_interrupt() -> Result<Arc<AtomicBool>> {
+    let interrupted = Arc::new(AtomicBool::new(false));
     let runtime = daemon::runtime()?;
     let mut interrupts = {
         let _within = runtime.enter();
         signal(SignalKind::interrupt())?
     };
-    let flag = Arc::clone(&told);
+    let flag = Arc::clone(&interrupted);
     thread::spawn(move || {
         runtime.block_on(async {
             while interrupts.recv().await.is_some() {
@@ -217,20 +219,20 @@ fn told_to_stop() -> Result<Arc<AtomicBool>> {
             }
         });
     });
-    Ok(told)
+    Ok(interrupted)
 }
 
 fn summary(target: &Target, document: &Document<'_>, made: &Made) -> String {
     let range = |costs: &[f64]| {
         let mean = costs.iter().sum::<f64>() / costs.len().max(1) as f64;
         let least = costs.iter().fold(f64::INFINITY, |least, &cost| least.min(cost));
-        format!("{mean:.1} in the mean, {least:.1} at worst")
+        format!("mean {mean:.1}, lowest {least:.1}")
     };
     let Robustness { held_out_hz, gain_90_percent_hz, gain_110_percent_hz, shifted_1_mm_hz, .. } =
         document.robustness;
     let Robustness { half_hz, full_hz, signed_hz, .. } = document.robustness;
     let ended = match made.ended() {
-        Ended::Converged => "nothing improves any more",
+        Ended::Converged => "converged: nothing improves any more",
         Ended::Limit => "the budget is used up",
         Ended::Interrupted => "interrupted; this is the best so far",
     };
@@ -245,12 +247,12 @@ fn summary(target: &Target, document: &Document<'_>, made: &Made) -> String {
         (
             "search",
             format!(
-                "{evaluations} evaluations, {:.0} receptor-seconds, {:.1} s: {ended}",
+                "{evaluations} evaluations, {:.0} afferent-seconds, {:.1} s: {ended}",
                 document.receptor_s, document.wall_s
             ),
         ),
         (
-            "cost",
+            "contrast",
             format!(
                 "{:.1} impulses/s on {}: {:.1} ON, {:.1} OFF; AUC {:.3}",
                 document.verdict.cost_hz,
@@ -270,16 +272,16 @@ fn summary(target: &Target, document: &Document<'_>, made: &Made) -> String {
         ),
         ("gain", format!("{gain_90_percent_hz:.1} at 90 %, {gain_110_percent_hz:.1} at 110 %")),
         ("1 mm off", range(shifted_1_mm_hz)),
-        ("receptors", format!("{half_hz:.1} half, {full_hz:.1} full, {signed_hz:.1} signed")),
+        ("afferents", format!("{half_hz:.1} half, {full_hz:.1} full, {signed_hz:.1} signed")),
         ("drive", format!("{:.0} pulses/s", document.pulses_per_s)),
     ];
     if document.verdict.cost_hz <= 0.0 {
         let why = if target.amplitude_um() == 0.0 {
             "at 0 um no pin moves"
         } else {
-            "nothing tells the shape from its surroundings"
+            "the response does not stand out on the shape"
         };
-        lines.push(("note", format!("{why}: the pattern will not be felt as meant")));
+        lines.push(("note", format!("{why}: the pattern will not feel like the target")));
     }
     lines.extend(document.warnings.iter().map(|warning| ("warning", warning.clone())));
     lines.extend(document.file.iter().map(|file| ("written", file.escape_debug().to_string())));

@@ -1,28 +1,23 @@
-//! Progress of a play: a bar on a terminal, plain lines in a pipe. Of a computation: a bar, if it lasts,
-//! or a spinner.
+//! Shows the progress of plays and computations.
 //!
-//! The bar goes to stderr and is gone at the end; lines go to stdout, one when it begins, one for every second
-//! of it and one for each late or refused stroke (the first ten). With `--json` there are no lines, and a bar only if
-//! stderr is a terminal.
-//!
-//! Invariant: nothing here changes what is played.
+//! On a terminal, a bar or a spinner on stderr, removed at the end. Else a play prints lines on stdout: at its beginning,
+//! every second, and for each late or refused stroke (the first ten). With `--json` there are no lines.
 
-use super::{is_broken_pipe, say};
+use super::output::{is_broken_pipe, say};
 use anyhow::Result;
 use indicatif::{ProgressBar, ProgressStyle};
 use meissner_api::Event;
-use meissner_design;
 use std::io::{self, IsTerminal, Write};
 use std::time::{Duration, Instant};
 
-/// What is done sooner needs no bar.
+/// Work that takes less needs no bar.
 const SHORT: Duration = Duration::from_secs(1);
-/// A spinner turns so often.
+/// How often a spinner turns.
 const TURN: Duration = Duration::from_millis(100);
-/// Parts of a computation's bar.
+/// Steps of a computation's bar.
 const PARTS: f64 = 1000.0;
 
-/// Computes something that says how far it is; on a terminal under a bar, once it has lasted a second.
+/// Runs work that reports its progress, 0 to 1; on a terminal, shows a bar after the first second.
 pub(super) fn metered<T>(work: impl FnOnce(&(dyn Fn(f64) + Sync)) -> T) -> T {
     let style = ProgressStyle::with_template("{wide_bar} {percent:>3} %");
     let meter = Meter::new(|| {
@@ -36,7 +31,7 @@ pub(super) fn metered<T>(work: impl FnOnce(&(dyn Fn(f64) + Sync)) -> T) -> T {
     })
 }
 
-/// Computes something that does not say how far it is; on a terminal beside a spinner.
+/// Runs work that reports no progress; on a terminal, shows a spinner.
 pub(super) fn waiting<T>(what: &'static str, work: impl FnOnce() -> T) -> T {
     let meter = Meter::new(|| ProgressBar::new_spinner().with_message(what));
     if let Some(bar) = &meter.0 {
@@ -45,26 +40,26 @@ pub(super) fn waiting<T>(what: &'static str, work: impl FnOnce() -> T) -> T {
     work()
 }
 
-/// How a search stands: beside a spinner on a terminal, else a line every second, on stderr.
+/// Progress of a search, on stderr: a spinner on a terminal, else a line every second.
 #[derive(Debug)]
 pub(super) struct Search {
     meter: Meter,
     lines: bool,
-    told: Instant,
+    shown: Instant,
 }
 
 impl Search {
     pub(super) fn new(json: bool) -> Self {
         let meter = Meter::new(ProgressBar::new_spinner);
-        Self { lines: !json && meter.0.is_none(), meter, told: Instant::now() }
+        Self { lines: !json && meter.0.is_none(), meter, shown: Instant::now() }
     }
 
     pub(super) fn show(&mut self, progress: &meissner_design::Progress) {
         let now = Instant::now();
-        if now.duration_since(self.told) < if self.lines { SHORT } else { TURN } {
+        if now.duration_since(self.shown) < if self.lines { SHORT } else { TURN } {
             return;
         }
-        self.told = now;
+        self.shown = now;
         let meissner_design::Progress { frame, frames, spent, score } = progress;
         let of = if *frames > 1 { format!("frame {} of {frames}, ", frame + 1) } else { String::new() };
         let line = format!(
@@ -78,13 +73,13 @@ impl Search {
             bar.set_message(line);
             bar.tick();
         } else if self.lines {
-            // Whoever does not listen need not hear it.
+            // A closed stderr does not stop the search.
             let _ = writeln!(io::stderr(), "{line}");
         }
     }
 }
 
-/// A bar on a terminal, gone when this is dropped: at the end, or at an error.
+/// A bar on a terminal; dropping it removes the bar.
 #[derive(Debug)]
 struct Meter(Option<ProgressBar>);
 
@@ -93,7 +88,7 @@ impl Meter {
         Self(io::stderr().is_terminal().then(bar))
     }
 
-    /// So much of it is done, 0 to 1.
+    /// Shows that `part` of the work is done, 0 to 1.
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped")]
     fn at(&self, part: f64) {
         if let Some(bar) = &self.0 {
@@ -123,7 +118,7 @@ pub(super) struct Progress {
 }
 
 impl Progress {
-    /// Of a play of so many seconds, or without end.
+    /// For a play of `seconds`; endless if `None`.
     pub(super) fn new(seconds: Option<f64>, json: bool) -> Self {
         let bar = io::stderr().is_terminal().then(|| bar(seconds));
         Self { lines: !json && bar.is_none(), bar, second: 0, late: 0, refused: 0 }
@@ -137,21 +132,19 @@ impl Progress {
             }
             Event::Late { id: of, stroke } if *of == id => {
                 self.late += 1;
-                let told = self.late <= LINES;
-                self.count(told, || {
+                self.count(self.late <= LINES, || {
                     format!("late by {:.1} ms: motor {}, {:?}", stroke.late_ms, stroke.motor, stroke.cause)
                 })
             }
             Event::Refused { id: of, stroke } if *of == id => {
                 self.refused += 1;
-                let told = self.refused <= LINES;
-                self.count(told, || format!("refused: motor {}, {}", stroke.motor, stroke.reason))
+                self.count(self.refused <= LINES, || format!("refused: motor {}, {}", stroke.motor, stroke.reason))
             }
             _ => Ok(()),
         }
     }
 
-    /// Takes the bar away.
+    /// Removes the bar.
     pub(super) fn finish(&self) {
         if let Some(bar) = &self.bar {
             bar.finish_and_clear();
@@ -173,16 +166,16 @@ impl Progress {
         Ok(())
     }
 
-    fn count(&mut self, told: bool, line: impl FnOnce() -> String) -> Result<()> {
+    fn count(&mut self, print: bool, line: impl FnOnce() -> String) -> Result<()> {
         if let Some(bar) = &self.bar {
             bar.set_message(format!("{} late, {} refused", self.late, self.refused));
         }
-        if told { self.line(line) } else { Ok(()) }
+        if print { self.line(line) } else { Ok(()) }
     }
 
     fn line(&mut self, line: impl FnOnce() -> String) -> Result<()> {
         match if self.lines { say(&line()) } else { Ok(()) } {
-            // Whoever read has seen enough; the play goes on, and its result counts.
+            // The reader has seen enough; the play goes on, and its result counts.
             Err(error) if is_broken_pipe(&error) => self.lines = false,
             said => return said,
         }

@@ -1,11 +1,13 @@
-//! The command report: figures and a page, written into a directory. It asks no daemon.
+//! `report`: writes figures and a page into a directory. It needs no daemon.
 //!
-//! A pattern is named as in the library, or is a file. Everything that can be wrong
-//! with what was asked is said before the work. The page is written last, so that what it names is there.
+//! A pattern is a name of the library or a file. All arguments are checked before the work. The page is written last, so
+//! that every file it names exists.
 //!
 //! Invariant: no two patterns of a report have the same name.
 
-use super::{Output, files, give, library, progress, text};
+use super::arguments::Output;
+use super::output::give;
+use super::{files, library, progress, text};
 use crate::store::Store;
 use anyhow::{Result, bail};
 use clap::Args;
@@ -18,10 +20,10 @@ use std::time::Instant;
 
 #[derive(Debug, Args)]
 pub(super) struct Report {
-    /// Names of the library, or pattern files [default: all of the library]
+    /// Draw these patterns: names of the library, or files [default: all of the library]
     #[arg(value_name = "PATTERN")]
     patterns: Vec<String>,
-    /// Where to write; made if it is not there
+    /// Write to directory DIR; make it if it does not exist
     #[arg(long, value_name = "DIR", default_value = "report")]
     out: PathBuf,
     #[command(flatten)]
@@ -60,7 +62,7 @@ pub(super) fn run(asked: &Report) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// The patterns that were asked for, in that order; all of the library if none was.
+/// The requested patterns in their order; all of the library if none is named.
 fn subjects(asked: &[String]) -> Result<Vec<Subject>> {
     let store = Store::new(None, false)?;
     let all = || store.list().patterns.into_iter().map(|entry| entry.name).collect();
@@ -76,7 +78,7 @@ fn subjects(asked: &[String]) -> Result<Vec<Subject>> {
             Subject { pattern: Arc::unwrap_or_clone(store.get(&argument)?.pattern), argument }
         };
         if subjects.iter().any(|other| other.pattern.name() == subject.pattern.name()) {
-            bail!("`{}` is the name of two patterns: leave one out, or rename it", subject.pattern.name());
+            bail!("two patterns are called `{}`: leave one out, or rename it", subject.pattern.name());
         }
         subjects.push(subject);
     }
@@ -100,7 +102,7 @@ fn summary(out: &Path, document: &Document<'_>) -> String {
         (
             "amplitude",
             format!(
-                "measured is {:.3} of the model in the mean, off by {:.1} % at worst",
+                "on average {:.3} of the model, off by {:.1} % at most",
                 amplitude.measured_over_model,
                 amplitude.worst_deviation * 100.0
             ),
@@ -108,7 +110,7 @@ fn summary(out: &Path, document: &Document<'_>) -> String {
     ];
     for plateau in rate.by_amplitude.iter().filter(|plateau| plateau.frequency_hz == 60.0) {
         let line = format!(
-            "at {} Hz it changes by less than 10 % from {} to {} um",
+            "at {} Hz, changes by less than 10 % from {} to {} um",
             plateau.frequency_hz, plateau.from_um, plateau.to_um
         );
         lines.push(("rate", line));
@@ -121,7 +123,7 @@ fn summary(out: &Path, document: &Document<'_>) -> String {
         lines.push(("", line));
     }
     let line = format!(
-        "{}: the cost goes from {:.1} to {:.1} impulses/s, the motors near it to {} Hz",
+        "{}: the contrast goes from {:.1} to {:.1} impulses/s, the motors near it to {} Hz",
         edge.target, edge.before.cost_hz, edge.after.cost_hz, edge.near_after_hz
     );
     lines.push(("edge", line));

@@ -1,11 +1,13 @@
-//! The command that simulates the skin. It asks no daemon.
+//! `simulate`: simulates the afferents of a scene. It needs no daemon.
 //!
-//! Invariant: a scene that is too large or not a file is not read into memory.
+//! Invariant: a scene that is too large is not read into memory.
 
-use super::{Cli, Output, choice, files, give, progress, text};
+use super::arguments::{Output, choice};
+use super::output::give;
+use super::{files, progress, text};
 use anyhow::{Result, anyhow};
 use clap::error::ErrorKind;
-use clap::{Args, CommandFactory, ValueEnum};
+use clap::{Args, ValueEnum};
 use meissner_report::{Count, MethodLabel, Reason};
 use meissner_skin::{
     Answer, Integrator, Keep, MAX_JSON_BYTES, Method, Options, Precision, Scene, Stepping, choose, simulate,
@@ -16,26 +18,26 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
 
-/// The step when none is given, µs.
+/// The default step, µs.
 const STEP_US: u32 = 200;
 
 #[derive(Debug, Args)]
 pub(super) struct Simulate {
-    /// The scene: a TOML or JSON file, or - for stdin
+    /// Simulate this scene: a TOML or JSON file, or - for stdin
     scene: PathBuf,
-    /// Method; a step, integrator or precision means stepped, else it is exact
+    /// Choose the method [default: stepped if a step, integrator or precision is given, else exact]
     #[arg(long, value_enum)]
     method: Option<Name>,
-    /// The step [default: 200]
+    /// Take steps of N us [default: 200]
     #[arg(long, value_name = "N")]
     step_us: Option<u32>,
-    /// What is done in a step [default: propagator]
-    #[arg(long, value_parser = choice::<Integrator>(&[("euler", "The paper's eq. 2: input and leak as they are at the step's start, a spike at its end"), ("propagator", "The leak exactly, the input by its mean, crossings within the step")]))]
+    /// Choose how a step is integrated [default: propagator]
+    #[arg(long, value_parser = choice::<Integrator>(&[("euler", "Use eq. 2 of the paper: input and leak at the step's start, a spike at its end"), ("propagator", "Use the exact leak, the mean input, and threshold crossings within the step")]))]
     integrator: Option<Integrator>,
-    /// What it is computed with [default: f32]
+    /// Choose the floating-point precision [default: f32]
     #[arg(long, value_parser = choice::<Precision>(&[("f32", "Single precision"), ("f64", "Double precision")]))]
     precision: Option<Precision>,
-    /// Choose the cheapest method whose rates err by at most so many impulses/s, RMS over receptors
+    /// Use the fastest method whose rates err by at most X impulses/s, RMS over afferents
     #[arg(
         long,
         value_name = "X",
@@ -43,7 +45,7 @@ pub(super) struct Simulate {
         conflicts_with_all = ["method", "step_us", "integrator", "precision"]
     )]
     max_rate_error: Option<f64>,
-    /// Count spikes, and do not keep their times
+    /// Count spikes without keeping their times
     #[arg(long)]
     rates_only: bool,
     #[command(flatten)]
@@ -52,9 +54,9 @@ pub(super) struct Simulate {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Name {
-    /// From event to event, without a step
+    /// Go from event to event, without a step
     Exact,
-    /// By a fixed step
+    /// Go by a fixed step
     Stepped,
 }
 
@@ -68,11 +70,11 @@ struct Document<'a> {
     spikes_s: Option<&'a [Vec<f64>]>,
     rates_hz: Vec<f64>,
     skipped: Vec<Reason>,
-    /// Of the simulation, and of the choice if there was one.
+    /// Of the simulation, and of the choice of a method.
     wall_s: f64,
 }
 
-/// What `--max-rate-error` found out.
+/// The choice of `--max-rate-error`.
 #[derive(Clone, Copy, Debug, Serialize)]
 struct Chosen {
     estimated_rate_error_hz: f64,
@@ -80,7 +82,7 @@ struct Chosen {
 }
 
 pub(super) fn run(asked: &Simulate) -> Result<ExitCode> {
-    let stepping = stepping(asked);
+    let stepping = stepping(asked)?;
     let scene = read(&asked.scene)?;
     let begun = Instant::now();
     let (method, chosen) = match asked.max_rate_error {
@@ -93,10 +95,10 @@ pub(super) fn run(asked: &Simulate) -> Result<ExitCode> {
     };
     let how = MethodLabel::from(method);
     if let (Some(chosen), false) = (chosen, asked.output.json) {
-        // If stderr is gone, the answer names the method too.
+        // If stderr is closed, the answer names the method too.
         let _ = writeln!(
             io::stderr(),
-            "chosen: {how}, estimated to err by {:.3} impulses/s RMS (from {} receptors)",
+            "chosen: {how}, estimated error {:.3} impulses/s RMS (from {} afferents)",
             chosen.estimated_rate_error_hz,
             chosen.sampled
         );
@@ -116,18 +118,19 @@ pub(super) fn run(asked: &Simulate) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// The step that was asked for, if one was. Contradictions are usage errors.
-fn stepping(asked: &Simulate) -> Option<Stepping> {
+/// The requested stepping, if any. Contradictions are usage errors.
+fn stepping(asked: &Simulate) -> Result<Option<Stepping>, clap::Error> {
     let implied = asked.step_us.is_some() || asked.integrator.is_some() || asked.precision.is_some();
     if asked.method == Some(Name::Exact) && implied {
         let message = "the exact method has no step, integrator or precision: leave them out, or take \
                        --method stepped";
-        Cli::command().error(ErrorKind::ArgumentConflict, message).exit();
+        return Err(clap::Error::raw(ErrorKind::ArgumentConflict, message));
     }
     let integrator = asked.integrator.unwrap_or_default();
     let precision = asked.precision.unwrap_or_default();
     let step_us = asked.step_us.unwrap_or(STEP_US);
-    (implied || asked.method == Some(Name::Stepped)).then_some(Stepping { step_us, integrator, precision })
+    let stepped = implied || asked.method == Some(Name::Stepped);
+    Ok(stepped.then_some(Stepping { step_us, integrator, precision }))
 }
 
 /// Reads a scene from a file, or from stdin.
@@ -150,10 +153,10 @@ fn summary(scene: &Scene, answer: &Answer, document: &Document<'_>) -> String {
     let rate = if rates.is_empty() {
         "-".to_owned()
     } else {
-        format!("{mean:.1} impulses/s in the mean, {least:.1} to {most:.1}")
+        format!("mean {mean:.1} impulses/s, {least:.1} to {most:.1}")
     };
     let mut lines = vec![
-        ("receptors", format!("{}, for {} s", rates.len(), scene.duration_s())),
+        ("afferents", format!("{}, for {} s", rates.len(), scene.duration_s())),
         ("method", document.how.to_string()),
         ("spikes", answer.counts.iter().sum::<u64>().to_string()),
         ("rate", rate),

@@ -1,27 +1,24 @@
-//! What people read: receipts, status and patterns as text.
+//! Receipts, status, events and patterns as text.
 //!
-//! Only words and columns; every figure is one of the JSON's.
-//!
-//! Invariant: no line depends on the terminal.
+//! Every number is one of the JSON's. Invariant: no line depends on the terminal; units are ASCII (`um`, `us`).
 
 use comfy_table::presets::{NOTHING, UTF8_FULL};
 use comfy_table::{CellAlignment, Table};
-use meissner_api::Status;
-use meissner_api::{Event, NO_DEVICE, PredictedResponse, Prediction, Receipt};
+use meissner_api::{BurstCounts, Event, NO_DEVICE, PredictedResponse, Prediction, Receipt, Status};
 use meissner_array::geometry::{COLUMNS, ROWS};
 use meissner_array::pattern::Drive;
 use meissner_report::figures::segments;
 use serde_json::Value;
 use std::fmt::Write;
 
-/// Two columns, the left one names.
+/// Two columns: labels and values.
 pub(super) fn pairs(pairs: &[(&str, String)]) -> String {
     let width = pairs.iter().map(|(name, _)| name.len()).max().unwrap_or_default();
     let lines = pairs.iter().map(|(name, value)| format!("{name:<width$}  {value}"));
     lines.collect::<Vec<_>>().join("\n")
 }
 
-/// A table without lines, with or without a head.
+/// A table without rules; the head may be empty.
 pub(super) fn columns(head: &[&str], rows: impl IntoIterator<Item = Vec<String>>) -> String {
     let mut table = Table::new();
     table.load_style(NOTHING).add_rows(rows);
@@ -35,20 +32,15 @@ pub(super) fn columns(head: &[&str], rows: impl IntoIterator<Item = Vec<String>>
 }
 
 pub(super) fn receipt(receipt: &Receipt) -> String {
-    let cause = receipt.cause.as_ref().map_or_else(String::new, |cause| format!(" ({cause})"));
     let mut lines = vec![
         ("play", format!("{} of {}", receipt.id, receipt.pattern)),
-        ("state", format!("{}{cause}", receipt.state.name())),
+        ("state", end(receipt.state.name(), receipt.cause.as_deref())),
     ];
     if let (Some(onset), Some(ms)) = (&receipt.onset, receipt.onset_latency_ms) {
-        lines.push(("onset", format!("tick {}, {ms:.2} ms after the order", onset.actual_tick)));
+        lines.push(("onset", format!("tick {}, {ms:.2} ms after the request", onset.actual_tick)));
     }
     if let Some(bursts) = &receipt.bursts {
-        let text = format!(
-            "{} planned: {} played, {} late, {} dropped, {} refused; {} amended",
-            bursts.planned, bursts.played, bursts.late, bursts.dropped, bursts.refused, bursts.amended
-        );
-        lines.push(("bursts", text));
+        lines.push(("bursts", burst_counts(bursts)));
     }
     if let Some(pulses) = &receipt.pulses {
         lines.push(("pulses", format!("{} planned, {} played", pulses.planned, pulses.played)));
@@ -56,7 +48,7 @@ pub(super) fn receipt(receipt: &Receipt) -> String {
     let late = &receipt.lateness.counts;
     if late.host + late.link + late.device > 0 {
         let text = format!(
-            "{} by the host, {} by the link, {} by the device; at worst {:.1} ms",
+            "{} by the host, {} by the link, {} by the device; by {:.1} ms at most",
             late.host, late.link, late.device, late.worst_ms
         );
         lines.push(("late strokes", text));
@@ -68,20 +60,45 @@ pub(super) fn receipt(receipt: &Receipt) -> String {
     }
     if let Some(errors) = &receipt.rest_error_um {
         let worst = errors.iter().fold(0.0_f32, |worst, error| worst.max(error.abs()));
-        lines.push(("rest error", format!("{worst:.2} um at worst, as estimated")));
+        lines.push(("rest error", format!("{LARGEST_OFFSET} {worst:.2} um (estimated)")));
     }
-    lines.extend(felt(&receipt.prediction).map(|text| ("felt", text)));
+    lines.extend(predicted(&receipt.prediction).map(|text| (PREDICTED, text)));
     pairs(&lines)
 }
 
-/// What was felt of a play, if that was looked at: contrast if it has a target, else the mean rate.
-fn felt(prediction: &Prediction) -> Option<String> {
+/// How a play ended: its state and cause.
+pub(super) fn end(state: &str, cause: Option<&str>) -> String {
+    match cause {
+        None => state.to_owned(),
+        Some(HOST_TIMEOUT) => {
+            format!("{state}: the PC was silent for longer than the host watchdog timeout")
+        }
+        Some(cause) => format!("{state} ({cause})"),
+    }
+}
+
+/// The cause in the API when the host watchdog ran out.
+const HOST_TIMEOUT: &str = "lease";
+pub(super) const PREDICTED: &str = "predicted RA response";
+pub(super) const LARGEST_OFFSET: &str = "largest offset from rest, driven pins:";
+
+pub(super) fn burst_counts(bursts: &BurstCounts) -> String {
+    let BurstCounts { planned, played, late, dropped, refused, amended } = bursts;
+    format!(
+        "{planned} planned: {played} played, {late} late, {dropped} dropped, {refused} refused; {amended} corrected by \
+         feedback"
+    )
+}
+
+/// The predicted response, if there is one or a reason why there is none: the contrast of a pattern with a target, else the
+/// mean rate.
+fn predicted(prediction: &Prediction) -> Option<String> {
     let Some(PredictedResponse { seconds, played_hz, designed_hz, unmeasured, .. }) = &prediction.response
     else {
         return prediction.unknown.as_ref().map(|why| format!("not known: {why}"));
     };
     let (what, played, designed) = match (played_hz.contrast, designed_hz.contrast) {
-        (Some(played), Some(designed)) => ("contrast", played, designed),
+        (Some(played), Some(designed)) => ("on-target minus off-target", played, designed),
         _ => ("mean rate", played_hz.all, designed_hz.all),
     };
     let missing = match unmeasured {
@@ -89,26 +106,27 @@ fn felt(prediction: &Prediction) -> Option<String> {
         count => format!("; {count} bursts not measured"),
     };
     let seconds = (seconds * 1000.0).round() / 1000.0;
-    Some(format!("{what} {played:.1} of {designed:.1} impulses/s as designed, over {seconds} s{missing}"))
+    Some(format!("{what} {played:.1} impulses/s (designed: {designed:.1}), over {seconds} s{missing}"))
 }
 
-/// What a device without telemetry comes to, and what to do.
+/// What the lack of telemetry means, and what to do.
 pub(super) const NO_TELEMETRY: &str = "none: bursts are not corrected, pins drift";
 pub(super) const SHORT_PLAYS: &str = "keep plays short";
 
 /// State and cause.
 pub(super) fn state(status: &Status) -> String {
-    if status.state == NO_DEVICE {
-        "no device".to_owned()
-    } else {
-        format!("{} ({})", status.state, status.cause)
+    let Status { state, cause, lease_ms, .. } = status;
+    match cause.as_str() {
+        _ if state == NO_DEVICE => "no device".to_owned(),
+        HOST_TIMEOUT => format!("{state}: the PC was silent for more than {lease_ms} ms"),
+        cause => format!("{state} ({cause})"),
     }
 }
 
 pub(super) fn status(status: &Status) -> String {
     let none = || match &status.no_device_reason {
         Some(missing) => format!("none: {missing}"),
-        None => format!("none yet: `{}` was asked for", status.requested_device),
+        None => format!("none yet: the daemon looks for `{}`", status.requested_device),
     };
     let device = status.device.as_ref().map_or_else(none, |device| {
         format!("{}, firmware {} ({})", device.kind, device.firmware, device.build)
@@ -121,7 +139,7 @@ pub(super) fn status(status: &Status) -> String {
         ("state", state(status)),
         ("position", status.position.clone()),
         ("device", device),
-        ("plays", play),
+        ("playing", play),
     ];
     if !status.queued.is_empty() {
         let waiting = status.queued.iter().map(|play| format!("{} of {}", play.id, play.pattern));
@@ -131,14 +149,14 @@ pub(super) fn status(status: &Status) -> String {
         lines.push(("telemetry", format!("{NO_TELEMETRY}; {SHORT_PLAYS}")));
     }
     if let Some(problem) = &status.logbook_problem {
-        lines.push(("logbook", problem.clone()));
+        lines.push(("session record", problem.clone()));
     }
     if let Some(date) = &status.calibrated {
         let count = status.motors.iter().filter(|motor| motor.calibrated).count();
         lines.push(("calibrated", format!("{count} of {} motors, {date}", status.motors.len())));
     }
     if let (Some(tick), Some(uncertainty_us)) = (status.tick, status.clock_uncertainty_us) {
-        lines.push(("tick", format!("{tick}, known to {uncertainty_us:.1} us")));
+        lines.push(("clock", format!("synchronised to +-{uncertainty_us:.1} us, at tick {tick}")));
     }
     if let Some(bytes) = status.line_bytes_per_s {
         lines.push(("line", format!("{:.1} kB/s", f64::from(bytes) / 1000.0)));
@@ -146,7 +164,7 @@ pub(super) fn status(status: &Status) -> String {
     if !status.socket.is_empty() {
         lines.push(("daemon", format!("{}, pid {}", status.socket, status.pid)));
     }
-    lines.push(("lead", format!("{} ms, lease {} ms", status.lead_ms, status.lease_ms)));
+    lines.push(("lead", format!("{} ms, host watchdog timeout {} ms", status.lead_ms, status.lease_ms)));
     pairs(&lines)
 }
 
@@ -168,33 +186,30 @@ pub(super) fn event(event: &Event) -> String {
         }
         Event::Refused { id, stroke } => format!("refused: {id}, motor {}, {}", stroke.motor, stroke.reason),
         Event::Ended { receipt } => {
-            let cause = receipt.cause.as_ref().map_or_else(String::new, |cause| format!(" ({cause})"));
-            format!("ended: {} {}{cause}", receipt.id, receipt.state.name())
+            format!("ended: {} {}", receipt.id, end(receipt.state.name(), receipt.cause.as_deref()))
         }
         Event::PredictedResponse { id, prediction } => {
-            format!("felt: {id}, {}", felt(prediction).unwrap_or_default())
+            format!("{PREDICTED}: {id}, {}", predicted(prediction).unwrap_or_default())
         }
         Event::Calibrated { id, motors, problem: None } => {
             format!("calibrated: {} motors by play {id}", motors.len())
         }
         Event::Calibrated { id, problem: Some(problem), .. } => format!("not calibrated: {id}, {problem}"),
         Event::SensorFault { motor, fault } => {
-            format!("doubted: motor {motor}, {}; it plays in open loop until the next arm", fault.text())
+            format!("sensor fault: motor {motor}, {}; it plays in open loop until the next arm", fault.text())
         }
         Event::Drifted { um } => {
-            format!(
-                "drifted: pins may be {um:.0} um off; `meissner home` between plays, or level them by hand"
-            )
+            format!("drifted: pins may be {um:.0} um off; `meissner home` between plays, or level them by hand")
         }
-        Event::Lost { events } => format!("lost: {events} notices"),
-        Event::Lagged { events } => format!("lagged: {events} events"),
+        Event::Lost { events } => format!("lost: {events} events of the streamer"),
+        Event::Lagged { events } => format!("lagged: this client missed {events} events"),
     }
 }
 
-/// Maps of a pattern at the most; what else it does is in the list of its drives.
+/// Maps of a pattern at most; the list of drives has the rest.
 const MAPS: usize = 4;
 
-/// A pattern as the daemon shows it: the array as one looks down on it, fingertip up, then the drives.
+/// A pattern from the daemon: the array seen from above, fingertip up, then the drives.
 pub(super) fn pattern(shown: &Value) -> String {
     let pattern = &shown["pattern"];
     let none = Vec::new();
@@ -202,19 +217,17 @@ pub(super) fn pattern(shown: &Value) -> String {
     let mut text = pattern["name"].as_str().unwrap_or_default().to_owned();
     let duration_s = pattern["duration_s"].as_f64();
     // Writing to a string does not fail.
-    let _ = match duration_s {
-        Some(seconds) => writeln!(text, ", {seconds} s, {} drives", drives.len()),
-        None => writeln!(text, ", endless, {} drives", drives.len()),
-    };
+    let duration = duration_s.map_or_else(|| "endless".to_owned(), |seconds| format!("{seconds} s"));
+    let _ = writeln!(text, ", {duration}, {} drives", drives.len());
     let parsed: Vec<Drive> = drives.iter().filter_map(drive).collect();
     let segments = segments(&parsed, duration_s);
-    for stretch in segments.iter().take(MAPS) {
-        let when = match (segments.len(), stretch.stop_s) {
+    for segment in segments.iter().take(MAPS) {
+        let when = match (segments.len(), segment.stop_s) {
             (1, _) => String::new(),
-            (_, Some(stop_s)) => format!(", {} to {stop_s} s", stretch.start_s),
-            (_, None) => format!(", from {} s on", stretch.start_s),
+            (_, Some(stop_s)) => format!(", {} to {stop_s} s", segment.start_s),
+            (_, None) => format!(", from {} s on", segment.start_s),
         };
-        let _ = writeln!(text, "fingertip{when}\n{}", map(&stretch.drives));
+        let _ = writeln!(text, "fingertip{when}\n{}", map(&segment.drives));
     }
     if let more @ 1.. = segments.len().saturating_sub(MAPS) {
         let _ = writeln!(text, "and {more} more segments, see below");
@@ -228,7 +241,7 @@ pub(super) fn pattern(shown: &Value) -> String {
     text
 }
 
-/// The array, what each motor does in its cell; `.` is off.
+/// The array with each motor's drive in its cell; `.` is off.
 fn map(drives: &[Drive]) -> String {
     let cell = |motor: u8| match drives.iter().find(|drive| drive.motor == motor) {
         Some(drive) => format!("{motor}\n{:?} Hz\n{:?} um", drive.frequency_hz, drive.amplitude_um),
@@ -245,7 +258,7 @@ fn map(drives: &[Drive]) -> String {
     table.to_string()
 }
 
-/// A drive as the daemon shows it.
+/// Reads a drive from the daemon's JSON.
 fn drive(shown: &Value) -> Option<Drive> {
     Some(Drive {
         motor: shown["motor"].as_u64()?.try_into().ok()?,

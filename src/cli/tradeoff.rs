@@ -1,10 +1,12 @@
-//! The command that weighs one thing against another. It asks no daemon.
+//! `tradeoff`: compares methods and settings by measurement. It needs no daemon.
 //!
-//! Without a flag the methods of the simulator are compared on a scene, time against error; with `--stream` the streamer's
-//! leads under recorded stalls; with `--loop` the closed loop's rest errors against their bound. One of these at a time: each is a member of the group `what`, and a variant of
-//! [`What`]. What is measured and what is recommended is `report`'s; here it is laid out.
+//! Without a flag it compares simulation methods on a scene, time against error; with `--stream`, leads of the streamer
+//! under recorded stalls; with `--loop`, rest errors of position control with their bound. `meissner_report` measures and
+//! recommends; this module prints. Each comparison is a member of the argument group `what` and a variant of [`What`].
 
-use super::{Output, files, give, progress, simulate, text};
+use super::arguments::Output;
+use super::output::give;
+use super::{files, progress, simulate, text};
 use anyhow::Result;
 use clap::Args;
 use meissner_design::YARDSTICK;
@@ -20,33 +22,33 @@ use std::process::ExitCode;
 
 #[derive(Debug, Args)]
 pub(super) struct MethodTradeoff {
-    /// The scene: a TOML or JSON file, or - for stdin [default: 24 motors at 60 Hz, 306 receptors, 1 s]
+    /// Compare methods on this scene: a TOML or JSON file, or - for stdin [default: 24 motors at 60 Hz, 306 afferents, 1 s]
     #[arg(group = "what")]
     scene: Option<PathBuf>,
-    /// Not a scene: the streamer's lead against late bursts, onsets and bytes, in virtual time under recorded stalls
+    /// Compare leads of the streamer, not methods: late bursts, onsets and bytes, in virtual time under recorded stalls
     #[arg(long, group = "what")]
     stream: bool,
-    /// Not a scene: the closed loop's rest errors and amplitudes against what is possible, over all settings (minutes)
+    /// Compare position control, not methods: rest errors and amplitudes with their bounds, at all settings (minutes)
     #[arg(long = "loop", group = "what")]
     closed_loop: bool,
-    /// With --stream: stalls recorded on another machine, by the example `record_stalls`
-    // What is required is not missed where it would conflict: so the conflict is said, too.
+    /// Use the stalls in FILE, recorded with the example `record_stalls` (with --stream)
+    // clap does not report a missing `--stream` where it would conflict: the conflicts are listed too.
     #[arg(long, value_name = "FILE", requires = "stream", conflicts_with_all = ["scene", "closed_loop"])]
     trace: Option<PathBuf>,
-    /// Draw it into this file (SVG)
+    /// Draw the comparison into FILE (SVG)
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
     #[command(flatten)]
     output: Output,
 }
 
-/// What is weighed.
+/// What to compare.
 enum What<'a> {
-    /// The simulator's methods, on a scene.
+    /// Simulation methods, on a scene.
     Methods(Option<&'a Path>),
-    /// The streamer's leads, on a trace.
+    /// Leads of the streamer, on a trace of stalls.
     Leads(Option<&'a Path>),
-    /// The closed loop, at all settings.
+    /// Position control, at all settings.
     Loop,
 }
 
@@ -91,14 +93,14 @@ pub(super) fn run(asked: &MethodTradeoff) -> Result<ExitCode> {
     }
 }
 
-/// Measures, draws if that was asked for, and prints.
+/// Measures, draws if requested, and prints.
 fn answer<T: Serialize>(
     asked: &MethodTradeoff,
     measure: impl FnOnce() -> Result<T>,
     draw: impl FnOnce(&T) -> Result<String, meissner_report::PlotError>,
     table: impl FnOnce(&T) -> Vec<String>,
 ) -> Result<ExitCode> {
-    // A place that cannot be written to is said before the work.
+    // Reports an unwritable place before the work.
     let plot = asked.plot.as_deref().map(files::beside).transpose()?;
     let found = measure()?;
     if let Some(plot) = plot {
@@ -118,7 +120,7 @@ fn figure(figure: Option<f64>, digits: usize) -> String {
 
 fn methods_table(tradeoff: &meissner_report::MethodTradeoff) -> Vec<String> {
     let head =
-        ["method", "us/receptor/s", "matched", "error us", "rate RMS", "rate bias", "cost error", "front"];
+        ["method", "us/afferent/s", "matched", "error us", "rate RMS", "rate bias", "contrast error", "front"];
     let row = |row: &meissner_report::Row| {
         let front = match (&row.reason, row.pareto) {
             (Some(_), _) => "refused",
@@ -137,14 +139,14 @@ fn methods_table(tradeoff: &meissner_report::MethodTradeoff) -> Vec<String> {
         ]
     };
     let scene = format!(
-        "{} receptors for {} s, {} spikes; the exact method took {:.3} s; rates and cost in impulses/s",
+        "{} afferents for {} s, {} spikes; the exact method took {:.3} s; rates and contrast in impulses/s",
         tradeoff.receptors, tradeoff.duration_s, tradeoff.spikes, tradeoff.exact_wall_s
     );
     let mut lines = vec![scene, text::columns(&head, tradeoff.rows.iter().map(row))];
     lines.push(format!(
-        "Cost (exact: {}): mean impulse rate of the receptors within 1.5 mm of the edge minus that of the others \
-         (what `meissner optimise` maximises); the edge is the target `{YARDSTICK}`, 12 mm long, at 45 degrees through \
-         the array's middle; - if one side is empty.",
+        "Contrast (exact: {}): mean rate of the afferents within 1.5 mm of the edge minus mean rate of the others, which \
+         `meissner optimise` maximises. The edge is the target `{YARDSTICK}`, 12 mm long, at 45 degrees through the \
+         array's middle; - if there are no afferents on one side.",
         figure(tradeoff.cost_hz, 3)
     ));
     // Rows may share a reason: Euler's is the same in f32 and f64.
@@ -156,8 +158,8 @@ fn methods_table(tradeoff: &meissner_report::MethodTradeoff) -> Vec<String> {
     }
     if tradeoff.rows.iter().any(|row| row.unstable) {
         lines.push(format!(
-            "Explicit Euler alternates in sign between tau ({} s) and 2 tau and grows without end above 2 tau; it is \
-             refused above tau.",
+            "With steps between tau ({} s) and 2 tau explicit Euler alternates in sign; above 2 tau it diverges. Steps \
+             above tau are refused.",
             tradeoff.tau_s
         ));
     }
@@ -190,7 +192,7 @@ fn leads_table(tradeoff: &LeadTradeoff) -> Vec<String> {
     let mut lines = vec![
         format!(
             "24 motors at 60 Hz in virtual time under {} s of recorded stalls: {} wake-ups came late, {} by more than 5 ms, \
-             the latest by {:.1} ms; onsets of {orders} short plays beside",
+             the latest by {:.1} ms. Onsets of {orders} short plays.",
             trace.seconds,
             trace.late_wake_ups,
             trace.late_by_5_ms,
@@ -202,7 +204,8 @@ fn leads_table(tradeoff: &LeadTradeoff) -> Vec<String> {
         tradeoff.rows.iter().filter(|row| row.end != End::Done).map(|row| row.lead_ms.to_string()).collect();
     if !cut.is_empty() {
         lines.push(format!(
-            "At {} ms a stall outlasted the lease, and the device ended the play: what came after it is not counted.",
+            "At {} ms a stall was longer than the host watchdog timeout, and the device ended the play: later bursts are not \
+             counted.",
             cut.join(", ")
         ));
     }
@@ -210,18 +213,18 @@ fn leads_table(tradeoff: &LeadTradeoff) -> Vec<String> {
     lines
 }
 
-/// At most so many of the worst cells are named.
-const NAMED: usize = 8;
+/// Most settings that miss their limit and get a line.
+const LISTED: usize = 8;
 
 fn loop_table(tradeoff: &ControlTradeoff) -> Vec<String> {
     let head = [
         "Hz",
         "scatter",
-        "hold",
+        "within limit",
         "of",
         "rest/bound",
-        "at most",
-        "where: um",
+        "limit",
+        "worst at: um",
         "age ms",
         "asymmetry",
         "amplitude %",
@@ -242,22 +245,22 @@ fn loop_table(tradeoff: &ControlTradeoff) -> Vec<String> {
     };
     let summary = &tradeoff.summary;
     let leads = if summary.leads_alike {
-        "the lead makes no difference, to the last bit"
+        "The lead makes no difference, to the last bit."
     } else {
-        "the lead makes a difference"
+        "The lead makes a difference."
     };
     let mut lines = vec![
         format!(
-            "The closed loop at {} settings, one motor in device time. The worst of each frequency and scatter: rest error \
-             RMS over the least there can be (without scatter: in pulses), and the mean amplitude's error where half a \
-             period is 1.3 bursts or longer; {leads}",
+            "Position control at {} settings, one motor in device time. For each frequency and scatter, the worst setting: \
+             rest error RMS divided by its lower bound (without scatter: in pulses), and the error of the mean amplitude \
+             where half a period is 1.3 bursts or longer. {leads}",
             summary.cells
         ),
         text::columns(&head, summary.worst.iter().map(row)),
         format!(
-            "{} of {} settings hold; at {} more the amplitude is off by more than 1 % or half a pulse, but by no more than \
-             chance explains (2.5 standard errors); {} do not hold: {} by their rest error, {} by their amplitude, {} \
-             because honest telemetry was not believed.",
+            "{} of {} settings are within their limits. At {} more the amplitude is off by more than 1 % or half a pulse, but \
+             within 2.5 standard errors. {} miss their limit: {} by rest error, {} by amplitude, {} by a sensor fault found \
+             in correct telemetry.",
             summary.hold,
             summary.cells,
             summary.chance,
@@ -268,15 +271,15 @@ fn loop_table(tradeoff: &ControlTradeoff) -> Vec<String> {
         ),
     ];
     lines.push(format!(
-        "If samples count as a millisecond fresher, as between two wake-ups they may be, {} rest errors exceed the limit.",
+        "If samples were a millisecond fresher, as they can be between two wake-ups, {} rest errors would exceed the limit.",
         summary.strict_rest_misses
     ));
     let bias = |bias: &Bias| {
         let (mean, error) = (100.0 * bias.amplitude_error, 100.0 * bias.amplitude_se);
-        format!("{mean:+.2} % at scatter {} (known to {error:.2})", bias.scatter)
+        format!("{mean:+.2} % at scatter {} (+-{error:.2})", bias.scatter)
     };
     let biases: Vec<_> = summary.biases.iter().map(bias).collect();
-    lines.push(format!("On average amplitudes that have room are off by {}.", biases.join(", ")));
+    lines.push(format!("On average, unsaturated amplitudes are off by {}.", biases.join(", ")));
     lines.extend(worst_cells(tradeoff));
     let head = ["Hz", "samples/s", "rest um", "bound um", "ratio"];
     let row = |row: &ControlRow| {
@@ -288,9 +291,9 @@ fn loop_table(tradeoff: &ControlTradeoff) -> Vec<String> {
             format!("{:.2}", row.ratio()),
         ]
     };
-    lines.push("Telemetry's rate, at 80 um and 10 % scatter:".to_owned());
+    lines.push("By telemetry rate, at 80 um and 10 % scatter:".to_owned());
     lines.push(text::columns(&head, tradeoff.rates.iter().map(row)));
-    let head = ["wire", "B/burst", "B/s", "bursts", "amended", "rest um"];
+    let head = ["wire", "B/burst", "B/s", "bursts", "corrected", "rest um"];
     let row = |(name, row): (&str, &WireRow)| {
         vec![
             name.to_owned(),
@@ -302,24 +305,24 @@ fn loop_table(tradeoff: &ControlTradeoff) -> Vec<String> {
         ]
     };
     let wire = &tradeoff.wire;
-    lines.push(format!("The wire, 24 motors at 60 Hz for {} s through link and controller:", wire.seconds));
-    lines.push(text::columns(&head, [("loop on", &wire.on), ("open", &wire.off)].map(row)));
+    lines.push(format!("Bytes on the wire, 24 motors at 60 Hz for {} s through link and controller:", wire.seconds));
+    lines.push(text::columns(&head, [("closed loop", &wire.on), ("open loop", &wire.off)].map(row)));
     lines.push(tradeoff.recommendation.clone());
     lines
 }
 
-/// Settings that do not hold, the worst first; of those that differ by their lead alone, one, if leads make no difference.
+/// Settings that miss their limit, the worst first. If leads make no difference, settings of one lead only.
 fn worst_cells(tradeoff: &ControlTradeoff) -> Vec<String> {
     let lead_ms = tradeoff.rows.first().map(|row| row.lead_ms);
-    let told = |row: &&ControlRow| !tradeoff.summary.leads_alike || Some(row.lead_ms) == lead_ms;
+    let listed = |row: &&ControlRow| !tradeoff.summary.leads_alike || Some(row.lead_ms) == lead_ms;
     let missed = tradeoff.rows.iter().filter(|row| row.verdict == Verdict::Misses);
-    let mut missed: Vec<_> = missed.filter(told).collect();
+    let mut missed: Vec<_> = missed.filter(listed).collect();
     missed.sort_by(|a, b| b.over_limit().total_cmp(&a.over_limit()));
     let line = |row: &&ControlRow| {
-        let doubt = row.doubt.map_or_else(String::new, |doubt| format!("; given up: {}", doubt.text()));
+        let fault = row.doubt.map_or_else(String::new, |fault| format!("; sensor fault: {}", fault.text()));
         format!(
-            "Does not hold: {} Hz, {} um, telemetry {} ms old, scatter {}, asymmetry {}, lead {} ms: rest {:.3} um (limit \
-             {:.3}), amplitude {:+.2} % (known to {:.2}){doubt}.",
+            "Misses its limit: {} Hz, {} um, telemetry {} ms old, scatter {}, asymmetry {}, lead {} ms: rest {:.3} um (limit \
+             {:.3}), amplitude {:+.2} % (+-{:.2}){fault}.",
             row.frequency_hz,
             row.amplitude_um,
             row.age_ms,
@@ -332,9 +335,9 @@ fn worst_cells(tradeoff: &ControlTradeoff) -> Vec<String> {
             100.0 * row.amplitude_se
         )
     };
-    let mut lines: Vec<_> = missed.iter().take(NAMED).map(line).collect();
-    if missed.len() > NAMED {
-        lines.push(format!("So do {} more, which --json names.", missed.len() - NAMED));
+    let mut lines: Vec<_> = missed.iter().take(LISTED).map(line).collect();
+    if missed.len() > LISTED {
+        lines.push(format!("{} more miss their limit; --json lists all.", missed.len() - LISTED));
     }
     lines
 }
@@ -345,7 +348,7 @@ mod tests {
     use meissner_api::SensorFault;
 
     #[test]
-    fn what_does_not_hold_is_named_the_worst_first() {
+    fn settings_that_miss_their_limit_are_listed_the_worst_first() {
         let grid = ControlGrid {
             frequencies_hz: vec![60.0],
             amplitudes_um: vec![80.0],
@@ -359,17 +362,17 @@ mod tests {
         };
         let mut found = meissner_report::control_tradeoff(&grid, &|_| ()).unwrap();
         let text = loop_table(&found).join("\n");
-        assert!(!text.contains("Does not hold") && text.contains("the lead makes no difference"), "{text}");
-        assert!(text.contains("0 do not hold") && text.ends_with(&found.recommendation), "{text}");
+        assert!(!text.contains("Misses its limit") && text.contains("The lead makes no difference"), "{text}");
+        assert!(text.contains(" 0 miss their limit") && text.ends_with(&found.recommendation), "{text}");
         for row in &mut found.rows {
             (row.verdict, row.rest_rms_um) = (Verdict::Misses, 2.0 * row.limit_um);
         }
         found.rows[1].doubt = Some(SensorFault::Gain);
-        // Of two leads that make no difference one is told.
+        // Of two leads that make no difference, one is listed.
         let lines = worst_cells(&found);
         assert_eq!(lines.len(), 2, "{lines:?}");
         assert!(
-            lines[0].contains("telemetry 20 ms old") && lines[0].contains("given up: its telemetry"),
+            lines[0].contains("telemetry 20 ms old") && lines[0].contains("sensor fault: its telemetry"),
             "{lines:?}"
         );
         assert!(lines[1].contains("60 Hz, 80 um, telemetry 1 ms old, scatter 0.1"), "{lines:?}");

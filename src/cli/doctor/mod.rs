@@ -14,7 +14,9 @@ mod port;
 mod rights;
 mod service;
 
-use super::{Plain, give, text};
+use super::arguments::ClientOptions;
+use super::output::give;
+use super::text;
 use anyhow::Result;
 use board::Examined;
 use finding::{Finding, Level};
@@ -38,10 +40,10 @@ struct Report {
 }
 
 /// `asked`: which device; without it, the daemon's, else the first board. `time`: how long to measure wake-ups.
-pub(super) fn run(asked: Option<Spec>, time: Duration, plain: &Plain) -> Result<ExitCode> {
+pub(super) fn run(asked: Option<Spec>, time: Duration, options: &ClientOptions) -> Result<ExitCode> {
     let root = Path::new("/");
     let (realtime, wake_up) = host::measure(time);
-    let status: Result<Status, ClientError> = plain.client()?.get("/v1/status");
+    let status: Result<Status, ClientError> = options.client()?.get("/v1/status");
     let granted = status.as_ref().ok().and_then(|status| status.realtime);
     let units = service::units(root);
     let mut findings = Vec::from(rights::of_user(realtime, granted, units.is_installed()));
@@ -72,7 +74,7 @@ pub(super) fn run(asked: Option<Spec>, time: Duration, plain: &Plain) -> Result<
         (true, true) => "go, on a simulated device",
         (false, _) => "no go: see the lines marked FAIL",
     };
-    give(plain.output.json, &report, || format!("{}\n{verdict}", lines(&report.findings)))?;
+    give(options.output.json, &report, || format!("{}\n{verdict}", lines(&report.findings)))?;
     Ok(if ok { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 

@@ -1,0 +1,93 @@
+//! Arguments that several commands share, and the types of their values.
+
+use anyhow::Result;
+use clap::Args;
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use meissner_client::{Client, Endpoint};
+use serde::de::DeserializeOwned;
+use std::path::PathBuf;
+use std::str::FromStr;
+
+/// The options of every command that asks a daemon.
+#[derive(Debug, Args)]
+pub(super) struct ClientOptions {
+    /// Connect to the daemon at PATH [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and
+    /// /run/meissner/meissner.sock at which a daemon listens]
+    #[arg(long, value_name = "PATH")]
+    socket: Option<PathBuf>,
+    #[command(flatten)]
+    pub(super) output: Output,
+}
+
+#[derive(Clone, Copy, Debug, Args)]
+pub(super) struct Output {
+    /// Print one JSON document on stdout and nothing else
+    #[arg(long)]
+    pub(super) json: bool,
+}
+
+impl ClientOptions {
+    pub(super) fn client(&self) -> Result<Client> {
+        Ok(Client::at(self.endpoint())?)
+    }
+
+    pub(super) fn endpoint(&self) -> Endpoint {
+        self.socket.as_deref().map_or_else(Endpoint::find, Endpoint::at)
+    }
+}
+
+/// A finite number, 0 or more. The daemon checks the upper bound.
+pub(super) fn positive(text: &str) -> Result<f64, &'static str> {
+    let number = text.parse().ok().filter(|number: &f64| number.is_finite() && *number >= 0.0);
+    number.ok_or("must be a number, 0 or more")
+}
+
+/// How long to measure, s.
+pub(super) fn measured(text: &str) -> Result<f64, &'static str> {
+    let number = text.parse().ok().filter(|number| (0.1..=3600.0).contains(number));
+    number.ok_or("must be a number, 0.1 to 3600")
+}
+
+/// When a play begins.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Onset {
+    Tick(u64),
+    AfterMs(f64),
+}
+
+impl FromStr for Onset {
+    type Err = &'static str;
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        match text.strip_prefix('+') {
+            Some(ms) => positive(ms)
+                .map(Self::AfterMs)
+                .map_err(|_| "after the + there must be a number of milliseconds, 0 or more"),
+            None => text
+                .parse()
+                .map(Self::Tick)
+                .map_err(|_| "must be a tick (a whole number), or + and milliseconds"),
+        }
+    }
+}
+
+/// Parses one of `values`, each with its help, as the type `T` that serde reads from the value's name.
+pub(super) fn choice<T: DeserializeOwned + Clone + Send + Sync + 'static>(
+    values: &'static [(&'static str, &'static str)],
+) -> impl TypedValueParser<Value = T> {
+    let values = values.iter().map(|(name, help)| PossibleValue::new(name).help(help));
+    PossibleValuesParser::new(values).try_map(|name| serde_json::from_value(name.into()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_onset_is_a_tick_or_a_delay() {
+        assert_eq!("4294967296".parse(), Ok(Onset::Tick(1 << 32)));
+        assert_eq!("+12.5".parse(), Ok(Onset::AfterMs(12.5)));
+        for text in ["soon", "+", "-3", "+-3", "+nan", "+inf"] {
+            assert!(text.parse::<Onset>().is_err(), "{text}");
+        }
+    }
+}
