@@ -105,13 +105,12 @@ impl Receipts {
         &self.kind
     }
 
-    /// Applies an event of the streamer. Answers, freed boxes and measured bursts concern other parts of the daemon.
+    /// Applies an event of the streamer. Answers and freed boxes concern other parts of the daemon.
     pub fn apply(&mut self, event: &StreamEvent) -> Option<Event> {
         match event {
             StreamEvent::Answer { .. }
             | StreamEvent::PlayRejected(_)
             | StreamEvent::GainsApplied(_)
-            | StreamEvent::MeasuredBurst(_)
             | StreamEvent::ThreadEnded => None,
             StreamEvent::SensorFault { motor, fault } => {
                 Some(Event::SensorFault { motor: *motor, fault: *fault })

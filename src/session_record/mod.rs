@@ -15,45 +15,20 @@ mod writer;
 
 pub use entry::{CommandEntry, Entry, Note, Peer};
 pub use users::Users;
-pub use writer::SYNC_AFTER;
+pub use writer::{Location, SYNC_AFTER};
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
-use jiff::Timestamp;
-use meissner_stream::time::HostInstant;
 use std::io;
-use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 use tracing::warn;
-use writer::Writer;
+use writer::{Stamp, Writer};
 
 /// How long an entry waits for its user's name. After one directory service that took longer, entries do not wait: it may hang.
 const NAME_TIMEOUT: Duration = Duration::from_millis(200);
 /// Entries that may wait for the disk: more than a session has in a minute.
 pub const WAITING: usize = 1024;
-
-/// When an entry was added, by both clocks.
-#[derive(Clone, Copy, Debug)]
-struct Stamp {
-    wall: Timestamp,
-    monotonic: HostInstant,
-}
-
-impl Stamp {
-    fn now() -> Self {
-        Self { wall: Timestamp::now(), monotonic: HostInstant::now() }
-    }
-}
-
-/// Where the session record is kept, and for how long.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Location {
-    /// The directory. It is made if it is missing; its parent is not.
-    pub dir: PathBuf,
-    /// Days after which a file is removed.
-    pub days: u32,
-}
 
 /// A message to the thread.
 #[derive(Debug)]

@@ -6,10 +6,11 @@
 //! Invariant: after each call the file ends with a whole line, or is not open.
 
 use super::entry::{Entry, Note};
-use super::{Location, Stamp, days};
-use jiff::Zoned;
+use super::days;
 use jiff::civil::Date;
 use jiff::tz::TimeZone;
+use jiff::{Timestamp, Zoned};
+use meissner_stream::time::HostInstant;
 use rustix::fs::{FlockOperation, OFlags, flock};
 use rustix::io::Errno;
 use serde::Serialize;
@@ -26,6 +27,28 @@ use tracing::{info, warn};
 pub const SYNC_AFTER: Duration = Duration::from_millis(500);
 /// Time between tries on a disk that failed.
 const RETRY_AFTER: Duration = Duration::from_secs(1);
+
+/// When an entry was added, by both clocks.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Stamp {
+    pub(super) wall: Timestamp,
+    pub(super) monotonic: HostInstant,
+}
+
+impl Stamp {
+    pub(super) fn now() -> Self {
+        Self { wall: Timestamp::now(), monotonic: HostInstant::now() }
+    }
+}
+
+/// Where the session record is kept, and for how long.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Location {
+    /// The directory. It is made if it is missing; its parent is not.
+    pub dir: PathBuf,
+    /// Days after which a file is removed.
+    pub days: u32,
+}
 
 /// The disk's operations; tests replace them.
 pub(super) struct Disk {

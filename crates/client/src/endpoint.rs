@@ -8,6 +8,7 @@
 
 use std::env;
 use std::fmt;
+use std::io;
 use std::path::{Path, PathBuf};
 
 /// Directories where systemd looks for units.
@@ -19,6 +20,8 @@ const UNITS: [&str; 5] = [
     "lib/systemd/system",
 ];
 
+/// Length of a socket's path, at most, bytes: `sun_path` holds 108 with the terminating zero.
+pub const MAX_SOCKET_PATH: usize = 107;
 /// The socket of the installed service.
 pub const SERVICE_SOCKET: &str = "/run/meissner/meissner.sock";
 
@@ -83,6 +86,11 @@ impl fmt::Display for Endpoint {
 pub fn is_installed(root: &Path) -> bool {
     root.join("run/systemd/system").is_dir()
         && UNITS.iter().any(|units| root.join(units).join("meissner.service").exists())
+}
+
+/// Whether the user may not search the directory of the socket, as after `su`, which keeps another user's runtime directory.
+pub(crate) fn is_hidden(error: &io::Error, socket: &Path) -> bool {
+    error.kind() == io::ErrorKind::PermissionDenied && socket.metadata().is_err()
 }
 
 /// Where a daemon listens by default: `$MEISSNER_SOCKET`, else `$XDG_RUNTIME_DIR/meissner.sock`, else

@@ -4,7 +4,7 @@
 //!
 //! Invariant: the display of a [`ClientError`] holds no line break.
 
-use super::{Endpoint, MAX_SOCKET_PATH, is_hidden};
+use crate::endpoint::{Endpoint, MAX_SOCKET_PATH, is_hidden};
 use meissner_api::Problem;
 use std::io;
 use std::path::PathBuf;
@@ -78,7 +78,7 @@ pub enum ClientError {
 }
 
 impl ClientError {
-    /// Whether the directory of the socket may not even be searched, as after `su`, which keeps another user's runtime directory.
+    /// Whether the user may not search the directory of the socket, as after `su`, which keeps another user's runtime directory.
     #[must_use]
     pub fn is_hidden(&self) -> bool {
         matches!(self, Self::Connect { socket, source } if is_hidden(source, socket))

@@ -34,7 +34,8 @@ pub mod access;
 mod endpoint;
 mod error;
 
-pub use endpoint::{Endpoint, SERVICE_SOCKET, default_socket, is_installed};
+use endpoint::is_hidden;
+pub use endpoint::{Endpoint, MAX_SOCKET_PATH, SERVICE_SOCKET, default_socket, is_installed};
 pub use error::ClientError;
 use http_body_util::{BodyExt, Full, Limited};
 use hyper::body::{Bytes, Incoming};
@@ -42,8 +43,7 @@ use hyper::client::conn::http1::{SendRequest, handshake};
 use hyper::header::{CONTENT_TYPE, HOST};
 use hyper::{Method, Request, Response};
 use hyper_util::rt::TokioIo;
-use meissner_api::Event;
-use meissner_api::Problem;
+use meissner_api::{Event, Problem};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::io;
@@ -58,9 +58,6 @@ pub const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
 pub const HOME_TIMEOUT: Duration = Duration::from_secs(30);
 /// Size of an answer, or of one event, at most, bytes.
 const MAX_ANSWER: usize = 16 << 20;
-
-/// Length of a socket's path, at most, bytes: `sun_path` holds 108 with the terminating zero.
-pub const MAX_SOCKET_PATH: usize = 107;
 
 /// A client of one daemon.
 #[derive(Debug)]
@@ -247,11 +244,6 @@ async fn connect(endpoint: &Endpoint) -> Result<(SendRequest<Full<Bytes>>, PathB
 /// Whether the error means that no daemon listens.
 fn is_absent(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::ConnectionRefused)
-}
-
-/// Whether the directory of the socket may not even be searched, as after `su`, which keeps another user's runtime directory.
-fn is_hidden(error: &io::Error, socket: &Path) -> bool {
-    error.kind() == io::ErrorKind::PermissionDenied && socket.metadata().is_err()
 }
 
 fn hung_up(socket: &Path, source: Option<hyper::Error>) -> ClientError {

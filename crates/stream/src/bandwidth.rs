@@ -13,7 +13,7 @@
 //! them one by one in constant memory, and how frames are really packed depends on the onset and the credits. To keep
 //! them would cost megabytes per play.
 
-use crate::{Settings, batch_ticks};
+use crate::settings::{Settings, batch_ticks};
 use firmware_protocol::batch::{BATCH_BYTES, Packer};
 use firmware_protocol::tick::Tick;
 use meissner_array::strokes::Strokes;

@@ -7,9 +7,11 @@
 
 use crate::device::mock::Mock;
 use crate::link::LineRate;
-use crate::queues::{At, Command, MeasuredBurst, Outcome, Play, Request, StreamEvent};
+use crate::bandwidth::Bandwidth;
+use crate::queues::{At, Command, Emit, MeasuredBurst, Outcome, Play, Request, StreamEvent};
+use crate::settings::Settings;
+use crate::streamer::Streamer;
 use crate::time::HostInstant;
-use crate::{Bandwidth, Settings, Streamer};
 use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::tick::Tick;
 use meissner_api::LatePolicy;
@@ -111,13 +113,13 @@ struct EventLog {
     measured_bursts: Option<Vec<MeasuredBurst>>,
 }
 
-impl EventLog {
-    fn push(&mut self, event: StreamEvent) {
-        match (event, &mut self.measured_bursts) {
-            (StreamEvent::MeasuredBurst(burst), Some(measured_bursts)) => measured_bursts.push(burst),
-            (StreamEvent::MeasuredBurst(_), None) => {}
-            (event, _) => self.events.push(event),
-        }
+impl Emit for EventLog {
+    fn event(&mut self, event: StreamEvent) {
+        self.events.push(event);
+    }
+
+    fn measured(&mut self, burst: MeasuredBurst) {
+        self.measured_bursts.iter_mut().for_each(|kept| kept.push(burst));
     }
 }
 
@@ -149,9 +151,8 @@ impl Simulation {
 
     /// Opens a new session, as after [`Self::unplug`].
     pub fn connect(&mut self) {
-        let events = &mut self.events;
         let id = self.now.as_ns() as u32;
-        self.streamer.connect(self.now, id, LineRate::USB_FULL_SPEED, &mut |event| events.push(event));
+        self.streamer.connect(self.now, id, LineRate::USB_FULL_SPEED, &mut self.events);
     }
 
     /// Pulls the cable: the device returns the pins, and the streamer sees the disconnect.
@@ -159,8 +160,7 @@ impl Simulation {
         self.mock.unplug();
         self.to_device.frames.clear();
         self.to_host.frames.clear();
-        let events = &mut self.events;
-        self.streamer.disconnect(self.now, "unplugged", &mut |event| events.push(event));
+        self.streamer.disconnect(self.now, "unplugged", &mut self.events);
     }
 
     /// Changes the line.
@@ -182,9 +182,8 @@ impl Simulation {
     /// Sends a command issued before now, while the host was stalled; returns its ticket.
     pub fn send_issued_at(&mut self, given: HostInstant, command: Command) -> u64 {
         self.tickets += 1;
-        let events = &mut self.events;
         let request = Request { ticket: self.tickets, issued_at: given, command };
-        self.streamer.execute(self.now, request, &mut |event| events.push(event));
+        self.streamer.execute(self.now, request, &mut self.events);
         self.tickets
     }
 
@@ -223,15 +222,14 @@ impl Simulation {
 
     /// The host wakes up now, as after [`Self::stall`]: it reads, decides and sends.
     pub fn wake(&mut self) {
-        let events = &mut self.events;
-        let tell = &mut |event| events.push(event);
+        let emit = &mut self.events;
         for chunk in self.to_host.arrived(self.now).chunks(1024) {
-            self.streamer.receive(self.now, chunk, tell);
+            self.streamer.receive(self.now, chunk, emit);
         }
-        self.streamer.step(self.now, tell);
+        self.streamer.step(self.now, emit);
         let mut frame = [0; MAX_FRAME];
         loop {
-            let len = self.streamer.transmit(self.now, &mut frame, tell);
+            let len = self.streamer.transmit(self.now, &mut frame, emit);
             if len == 0 {
                 break;
             }

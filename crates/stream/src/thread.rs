@@ -8,9 +8,10 @@
 //! whatever owns memory leaves through the event queue.
 
 use crate::device::{Device, priority};
-use crate::queues::{Command, CommandQueue, EventQueue, StreamEvent, ThreadQueues, queues};
+use crate::queues::{Command, CommandQueue, Emit, EventQueue, StreamEvent, ThreadQueues, queues};
+use crate::settings::Settings;
+use crate::streamer::Streamer;
 use crate::time::HostInstant;
-use crate::{Settings, Streamer};
 use firmware_protocol::frame::MAX_FRAME;
 use meissner_api::Realtime;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -90,30 +91,28 @@ impl Loop {
             self.sleep();
         }
         if let Some(device) = self.device.take() {
-            self.queues.push(StreamEvent::Disconnected { reason: "shutdown", device: Some(device) });
+            self.queues.event(StreamEvent::Disconnected { reason: "shutdown", device: Some(device) });
         }
-        self.queues.push(StreamEvent::ThreadEnded);
+        self.queues.event(StreamEvent::ThreadEnded);
         self.queues.wake_listener();
     }
 
     fn execute_requests(&mut self, now: HostInstant) {
         self.queues.clear_wake();
         while let Some(request) = self.queues.pop() {
-            let Self { queues, streamer, .. } = self;
             match request.command {
                 Command::Connect(device) => {
                     let rate = device.rate();
                     let id = self.random.hash_one(now.as_ns()) as u32;
                     (self.unsent, self.stuck_since) = (0..0, None);
                     let old = self.device.replace(device);
-                    let Self { queues, streamer, .. } = self;
-                    streamer.connect(now, id, rate, &mut |event| queues.push(event));
-                    let reason = streamer.take_disconnect_reason();
+                    self.streamer.connect(now, id, rate, &mut self.queues);
+                    let reason = self.streamer.take_disconnect_reason();
                     if let (Some(reason), Some(old)) = (reason, old) {
-                        queues.push(StreamEvent::Disconnected { reason, device: Some(old) });
+                        self.queues.event(StreamEvent::Disconnected { reason, device: Some(old) });
                     }
                 }
-                _ => streamer.execute(now, request, &mut |event| queues.push(event)),
+                _ => self.streamer.execute(now, request, &mut self.queues),
             }
         }
     }
@@ -124,13 +123,11 @@ impl Loop {
             let now = HostInstant::now();
             // Read first: after a stall the device may have ended the play long ago.
             let wrote = self.read(now).and_then(|()| {
-                let Self { queues, streamer, .. } = self;
-                streamer.step(now, &mut |event| queues.push(event));
+                self.streamer.step(now, &mut self.queues);
                 self.write(now)
             });
             if wrote.is_err() {
-                let Self { queues, streamer, .. } = self;
-                streamer.disconnect(now, "the device was unplugged", &mut |event| queues.push(event));
+                self.streamer.disconnect(now, "the device was unplugged", &mut self.queues);
             }
             if let Some(reason) = self.streamer.take_disconnect_reason() {
                 self.give_back(reason);
@@ -146,7 +143,7 @@ impl Loop {
         let mut wrote = false;
         loop {
             if self.unsent.is_empty() {
-                self.unsent = 0..streamer.transmit(now, &mut self.frame, &mut |event| queues.push(event));
+                self.unsent = 0..streamer.transmit(now, &mut self.frame, queues);
             }
             if self.unsent.is_empty() {
                 return Ok(wrote);
@@ -171,7 +168,7 @@ impl Loop {
             if len == 0 {
                 break;
             }
-            streamer.receive(now, &bytes[..len], &mut |event| queues.push(event));
+            streamer.receive(now, &bytes[..len], queues);
         }
         Ok(())
     }
@@ -179,7 +176,7 @@ impl Loop {
     fn give_back(&mut self, reason: &'static str) {
         if let Some(device) = self.device.take() {
             (self.unsent, self.stuck_since) = (0..0, None);
-            self.queues.push(StreamEvent::Disconnected { reason, device: Some(device) });
+            self.queues.event(StreamEvent::Disconnected { reason, device: Some(device) });
         }
     }
 

@@ -94,11 +94,10 @@ fn two_arms_in_a_row_leave_it_armed_and_playing() {
 #[test]
 fn a_device_whose_clock_begins_anew_plays_as_the_one_before() {
     let mut streamer = Streamer::new(Settings::default());
-    let (mut events, mut frame, mut bytes, mut ms) = (Vec::new(), [0; MAX_FRAME], [0; 4096], 0);
+    let (mut events, mut frame, mut bytes, mut ms) = (Vec::<StreamEvent>::new(), [0; MAX_FRAME], [0; 4096], 0);
     for (boot, start) in [(1, Tick::BOOT + 600 * 85_000), (2, Tick::BOOT)] {
         let mut mock = Mock::starting_at(SimulatedMotorsConfig::default(), boot, start).unwrap();
-        let tell = &mut |event| events.push(event);
-        streamer.connect(HostInstant::from_ns(ms * 1_000_000), boot, LineRate::USB_FULL_SPEED, tell);
+        streamer.connect(HostInstant::from_ns(ms * 1_000_000), boot, LineRate::USB_FULL_SPEED, &mut events);
         for since in 0..3000u64 {
             ms += 1;
             let now = HostInstant::from_ns(ms * 1_000_000);
@@ -122,12 +121,12 @@ fn a_device_whose_clock_begins_anew_plays_as_the_one_before() {
                 _ => None,
             };
             if let Some(command) = command {
-                streamer.execute(now, Request { ticket: ms, issued_at: now, command }, tell);
+                streamer.execute(now, Request { ticket: ms, issued_at: now, command }, &mut events);
             }
-            streamer.receive(now, &bytes[..len], tell);
-            streamer.step(now, tell);
+            streamer.receive(now, &bytes[..len], &mut events);
+            streamer.step(now, &mut events);
             loop {
-                let len = streamer.transmit(now, &mut frame, tell);
+                let len = streamer.transmit(now, &mut frame, &mut events);
                 if len == 0 {
                     break;
                 }

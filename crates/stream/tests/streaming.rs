@@ -348,11 +348,11 @@ fn an_onset_asked_for_is_kept_to_the_tick_or_refused() {
 fn the_streamer_allocates_nothing_while_it_plays() {
     let mut mock = Mock::new(SimulatedMotorsConfig::default(), 1).unwrap();
     let mut streamer = Streamer::new(Settings::default());
-    let mut events = Vec::with_capacity(10_000);
+    let mut events: Vec<StreamEvent> = Vec::with_capacity(10_000);
     let (mut now, mut frame) = (HostInstant::from_ns(0), [0; MAX_FRAME]);
     let mut bytes = [0; 4096];
     let (id, rate) = (1, LineRate::USB_FULL_SPEED);
-    streamer.connect(now, id, rate, &mut |event| events.push(event));
+    streamer.connect(now, id, rate, &mut events);
     for ms in 0..4000u64 {
         now = HostInstant::from_ns(ms * 1_000_000);
         let command = match ms {
@@ -381,19 +381,13 @@ fn the_streamer_allocates_nothing_while_it_plays() {
         let mut to_device = [0; 16 * MAX_FRAME];
         let mut end = 0;
         assert_no_alloc::assert_no_alloc(|| {
-            // Measured bursts have a ring of their own.
-            let tell = &mut |event| {
-                if !matches!(event, StreamEvent::MeasuredBurst(_)) {
-                    events.push(event);
-                }
-            };
             if let Some(command) = command {
-                streamer.execute(now, Request { ticket: ms, issued_at: now, command }, tell);
+                streamer.execute(now, Request { ticket: ms, issued_at: now, command }, &mut events);
             }
-            streamer.receive(now, &bytes[..len], tell);
-            streamer.step(now, tell);
+            streamer.receive(now, &bytes[..len], &mut events);
+            streamer.step(now, &mut events);
             while end + MAX_FRAME <= to_device.len() {
-                let len = streamer.transmit(now, &mut frame, tell);
+                let len = streamer.transmit(now, &mut frame, &mut events);
                 if len == 0 {
                     break;
                 }
@@ -555,7 +549,7 @@ fn a_disconnect_is_reported_without_a_further_request() {
     rig.run(100 * MS);
     rig.unplug();
     rig.take_events();
-    let (mut now, mut told) = (rig.now(), Vec::new());
+    let (mut now, mut told) = (rig.now(), Vec::<StreamEvent>::new());
     let end = now + Duration::from_secs(10);
     let mut steps = 0;
     loop {
@@ -563,7 +557,7 @@ fn a_disconnect_is_reported_without_a_further_request() {
         if now >= end {
             break;
         }
-        rig.streamer.step(now, &mut |event| told.push(event));
+        rig.streamer.step(now, &mut told);
         steps += 1;
     }
     let [StreamEvent::Snapshot(snapshot)] = told.as_slice() else { panic!("{told:?}") };

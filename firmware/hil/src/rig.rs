@@ -153,8 +153,7 @@ impl Rig {
         self.tickets += 1;
         let now = host(self.now);
         let order = Request { ticket: self.tickets, issued_at: now, command: job };
-        let notices = &mut self.notices;
-        self.streamer.execute(now, order, &mut |notice| notices.push(notice));
+        self.streamer.execute(now, order, &mut self.notices);
         // The process wakes up at once.
         self.host();
         self.tickets
@@ -241,15 +240,14 @@ impl Rig {
             return;
         }
         let now = host(self.now);
-        let notices = &mut self.notices;
-        let tell = &mut |notice| notices.push(notice);
+        let emit = &mut self.notices;
         for chunk in std::mem::take(&mut self.to_host).chunks(1024) {
-            self.streamer.receive(now, chunk, tell);
+            self.streamer.receive(now, chunk, emit);
         }
-        self.streamer.step(now, tell);
+        self.streamer.step(now, emit);
         let mut frame = [0; MAX_FRAME];
         loop {
-            let len = self.streamer.transmit(now, &mut frame, tell);
+            let len = self.streamer.transmit(now, &mut frame, emit);
             if len == 0 {
                 break;
             }
@@ -262,8 +260,7 @@ impl Rig {
     pub fn connect(&mut self) {
         self.sessions = self.sessions.wrapping_add(1);
         self.connected = true;
-        let notices = &mut self.notices;
-        self.streamer.connect(host(self.now), self.sessions, RATE, &mut |notice| notices.push(notice));
+        self.streamer.connect(host(self.now), self.sessions, RATE, &mut self.notices);
     }
 
     /// The host's operating system says that the device is gone.
@@ -272,8 +269,7 @@ impl Rig {
         self.line.clear();
         self.to_host.clear();
         self.tap.broken();
-        let notices = &mut self.notices;
-        self.streamer.disconnect(host(self.now), why, &mut |notice| notices.push(notice));
+        self.streamer.disconnect(host(self.now), why, &mut self.notices);
     }
 
     /// Plugs the cable in, or out with all bytes that are under way.
@@ -316,8 +312,7 @@ impl Rig {
         self.dead = dead;
         if dead {
             self.connected = false;
-            let notices = &mut self.notices;
-            self.streamer.disconnect(host(self.now), "killed", &mut |notice| notices.push(notice));
+            self.streamer.disconnect(host(self.now), "killed", &mut self.notices);
         }
     }
 

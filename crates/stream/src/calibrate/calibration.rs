@@ -4,7 +4,7 @@
 //!
 //! Invariant: a [`Calibration`] passed every check here, so each of its gains lies within [`GAIN_RANGE`].
 
-use crate::Gains;
+use crate::control::Gains;
 use crate::calibrate::fit::{Fit, GAIN_RANGE, MAX_SLOPE_SE, MIN_BURSTS, MotorFit};
 use crate::calibrate::plan::{Plan, PlanError};
 use firmware_protocol::stroke::{Direction, MOTORS};

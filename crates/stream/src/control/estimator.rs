@@ -13,7 +13,6 @@
 //! Invariant: numbers stay small. A burst merges into the position when the window has passed it, and each variance
 //! has a floor, so nothing becomes singular in an hour.
 
-use crate::queues::MeasuredBurst;
 use firmware_protocol::stroke::{Burst, Direction};
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::{HalfTick, Ramp, TRANSIENT_GAIN, TRANSIENT_REST_TICKS, WINDOW_HALF_TICKS};
@@ -64,7 +63,26 @@ impl Default for Gains {
     }
 }
 
-/// A burst as measured.
+/// A burst as telemetry has measured it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MeasuredBurst {
+    /// Its motor.
+    pub motor: u8,
+    /// Its first tick.
+    pub start: Tick,
+    /// Its direction.
+    pub direction: Direction,
+    /// Its pulses, as corrected.
+    pub pulses: u16,
+    /// Travel of the shaft, µm; up is positive.
+    pub travel_um: f32,
+    /// One standard deviation of that, µm.
+    pub sd_um: f32,
+    /// It came after half a second of rest: the transient of the paper's Fig. 2.
+    pub rested: bool,
+}
+
+/// A burst of one motor, as measured.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Travel {
     pub(crate) burst: Burst,

@@ -15,9 +15,8 @@ mod estimator;
 mod telemetry_monitor;
 
 pub(super) use burst_controller::{BurstController, FINALISE_AT, LONGEST_AGE};
-pub use estimator::Gains;
+pub use estimator::{Gains, MeasuredBurst};
 
-use crate::queues::MeasuredBurst;
 pub use bound::rest_bound_um;
 use firmware_protocol::batch::Amendment;
 use firmware_protocol::limits::OnTimeLimits;

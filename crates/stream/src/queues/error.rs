@@ -2,8 +2,10 @@
 //!
 //! The streamer answers a request with [`CommandError`]; the API shows its text.
 
-use crate::queues::MAX_QUEUED_PLAYS;
 use firmware_protocol::limits::Refusal;
+
+/// Most plays that wait behind the running one.
+pub const MAX_QUEUED_PLAYS: usize = 16;
 
 /// Why a command was refused or failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]

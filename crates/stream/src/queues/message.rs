@@ -1,15 +1,17 @@
 //! The messages of the queues: requests to the streamer, and the events that it reports.
 
 use crate::device::Device;
-use crate::queues::{CommandError, MeasuredBurst, Onset, Outcome, Snapshot};
+use crate::control::{Gains, MeasuredBurst};
+use crate::queues::error::CommandError;
+use crate::queues::outcome::{Onset, Outcome, Snapshot};
+use crate::queues::play::Play;
+use crate::settings::Settings;
 use crate::time::HostInstant;
-use crate::{Bandwidth, Gains, Settings};
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::DeviceHello;
 use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
-use meissner_api::{LateCause, LateCounts, LatePolicy, SensorFault};
-use meissner_array::strokes::Strokes;
+use meissner_api::{LateCause, LateCounts, SensorFault};
 
 /// A command with a ticket; [`StreamEvent::Answer`] carries the same ticket.
 #[derive(Debug)]
@@ -50,36 +52,6 @@ pub enum Command {
     Disarm,
     /// Disarm and end the thread. The answer comes when the device is off, or after a second.
     Shutdown,
-}
-
-/// When a play begins.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum At {
-    /// As soon as possible, or without a gap after the play before it.
-    Next,
-    /// At this tick of the device's present boot.
-    Tick(Tick),
-    /// So many nanoseconds after the streamer takes the command.
-    After(u64),
-}
-
-/// A compiled pattern, ready to be played.
-#[derive(Debug)]
-pub struct Play {
-    /// Identifies the play in events.
-    pub id: u64,
-    /// Its strokes.
-    pub strokes: Strokes,
-    /// When it begins.
-    pub at: At,
-    /// What to do when strokes are late.
-    pub late: LatePolicy,
-    /// Stop the running play and clear the queue first.
-    pub replace: bool,
-    /// Do not correct from telemetry.
-    pub open_loop: bool,
-    /// The bandwidth it requires; [`Bandwidth::default`] requires none.
-    pub bandwidth: Bandwidth,
 }
 
 /// What happened.
@@ -147,8 +119,6 @@ pub enum StreamEvent {
         /// How it ended.
         outcome: Outcome,
     },
-    /// Telemetry has measured a burst.
-    MeasuredBurst(MeasuredBurst),
     /// The telemetry of a motor is implausible: it plays on in open loop until the next `arm`.
     SensorFault {
         /// Its motor.
@@ -165,4 +135,21 @@ pub enum StreamEvent {
     EventsLost(u64),
     /// The thread ends.
     ThreadEnded,
+}
+
+/// Takes what the streamer reports: events, and measured bursts, which are far more frequent and have a queue of their own.
+pub trait Emit {
+    /// Takes an event.
+    fn event(&mut self, event: StreamEvent);
+    /// Takes a burst that telemetry has measured.
+    fn measured(&mut self, burst: MeasuredBurst);
+}
+
+/// Keeps the events, ignores measured bursts.
+impl Emit for Vec<StreamEvent> {
+    fn event(&mut self, event: StreamEvent) {
+        self.push(event);
+    }
+
+    fn measured(&mut self, _: MeasuredBurst) {}
 }

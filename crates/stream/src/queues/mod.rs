@@ -11,6 +11,7 @@
 mod error;
 mod message;
 mod outcome;
+mod play;
 
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
@@ -19,12 +20,12 @@ use rustix::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-pub use error::{CommandError, refusal_text};
-pub use message::{At, Command, Play, Request, StreamEvent};
-pub use outcome::{End, MeasuredBurst, Onset, Outcome, Snapshot};
+pub use crate::control::MeasuredBurst;
+pub use error::{CommandError, MAX_QUEUED_PLAYS, refusal_text};
+pub use message::{Command, Emit, Request, StreamEvent};
+pub use outcome::{End, Onset, Outcome, Snapshot};
+pub use play::{At, Play};
 
-/// Most plays that wait behind the running one.
-pub const MAX_QUEUED_PLAYS: usize = 16;
 /// Most requests that wait.
 const COMMANDS: usize = 64;
 /// Most events that wait.
@@ -175,13 +176,17 @@ impl ThreadQueues {
         clear_wake(&self.requests_wake);
     }
 
-    /// Queues an event; [`Self::wake_listener`] then wakes the caller.
-    pub fn push(&mut self, event: StreamEvent) {
-        if let StreamEvent::MeasuredBurst(burst) = event {
-            // If the caller does not keep up, the newest are lost: nobody needs them later.
-            let _ = self.measured.push(burst);
-            return;
+    /// Wakes the caller if there are new events.
+    pub fn wake_listener(&mut self) {
+        if std::mem::take(&mut self.must_wake) {
+            set_wake(&self.events_wake);
         }
+    }
+}
+
+impl Emit for ThreadQueues {
+    /// Queues an event; [`Self::wake_listener`] then wakes the caller.
+    fn event(&mut self, event: StreamEvent) {
         // Frequent events must not displace those that come once.
         let frequent = matches!(
             event,
@@ -197,11 +202,9 @@ impl ThreadQueues {
         self.must_wake = true;
     }
 
-    /// Wakes the caller if there are new events.
-    pub fn wake_listener(&mut self) {
-        if std::mem::take(&mut self.must_wake) {
-            set_wake(&self.events_wake);
-        }
+    /// Queues a measured burst. If the caller does not keep up, the newest are lost.
+    fn measured(&mut self, burst: MeasuredBurst) {
+        let _ = self.measured.push(burst);
     }
 }
 

@@ -3,10 +3,10 @@
 //! The streamer fills them; the daemon turns them into the API's types.
 
 use crate::link::BadFrames;
-use crate::queues::Play;
+use crate::queues::play::Play;
 use crate::time::HostInstant;
 use firmware_protocol::message::{Cause, State};
-use firmware_protocol::stroke::{Direction, MOTORS};
+use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
 use meissner_api::{BurstCounts, ErrorSource, LateCounts, OnsetRecord, PlayState, PulseCounts};
 
@@ -79,25 +79,6 @@ pub struct Outcome {
     pub rest_error_um: [f32; MOTORS],
     /// The play itself, to be dropped outside the thread.
     pub play: Box<Play>,
-}
-
-/// A burst as telemetry has measured it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct MeasuredBurst {
-    /// Its motor.
-    pub motor: u8,
-    /// Its first tick.
-    pub start: Tick,
-    /// Its direction.
-    pub direction: Direction,
-    /// Its pulses, as corrected.
-    pub pulses: u16,
-    /// Travel of the shaft, µm; up is positive.
-    pub travel_um: f32,
-    /// One standard deviation of that, µm.
-    pub sd_um: f32,
-    /// It came after half a second of rest: the transient of the paper's Fig. 2.
-    pub rested: bool,
 }
 
 /// The state of streamer and device, reported on change and ten times a second while playing.

@@ -4,9 +4,9 @@
 
 use crate::active::{Active, FIRST_MARGIN};
 use crate::link::Session;
-use crate::queues::{At, Command, CommandError, End, MAX_QUEUED_PLAYS, Play, Request, StreamEvent};
+use crate::queues::{At, Command, CommandError, Emit, End, MAX_QUEUED_PLAYS, Play, Request, StreamEvent};
 use crate::streamer::{
-    ANSWER_WITHIN, Emit, MAX_PENDING_OPS, OpResult, PendingOp, Streamer, answer, cuts_play,
+    ANSWER_WITHIN, MAX_PENDING_OPS, OpResult, PendingOp, Streamer, answer, cuts_play,
 };
 use crate::time::HostInstant;
 use firmware_protocol::message::{Cause, Op, State};
@@ -22,7 +22,7 @@ const WAKE_UP: Duration = Duration::from_micros(1500);
 
 impl Streamer {
     /// Executes a request. [`Command::Connect`] does nothing here: the thread opens the session with [`Self::connect`].
-    pub fn execute(&mut self, now: HostInstant, request: Request, emit: Emit<'_>) {
+    pub fn execute(&mut self, now: HostInstant, request: Request, emit: &mut dyn Emit) {
         let Request { ticket, issued_at: given, .. } = request;
         // The client has given up waiting by now.
         let stale = now.since(given) >= ANSWER_WITHIN;
@@ -30,7 +30,7 @@ impl Streamer {
             Command::Connect(_) => Ok(None),
             Command::Play(play) if stale => {
                 answer(ticket, Err(CommandError::Timeout), emit);
-                emit(StreamEvent::PlayRejected(play));
+                emit.event(StreamEvent::PlayRejected(play));
                 return;
             }
             Command::Arm { .. } | Command::Reset if stale => Err(CommandError::Timeout),
@@ -38,7 +38,7 @@ impl Streamer {
                 Ok(()) => Ok(None),
                 Err((refused, play)) => {
                     answer(ticket, Err(refused), emit);
-                    emit(StreamEvent::PlayRejected(play));
+                    emit.event(StreamEvent::PlayRejected(play));
                     return;
                 }
             },
@@ -53,7 +53,7 @@ impl Streamer {
             },
             Command::SetGains(gains) => {
                 self.control.set_gains(&gains);
-                emit(StreamEvent::GainsApplied(gains));
+                emit.event(StreamEvent::GainsApplied(gains));
                 Ok(None)
             }
             Command::Configure(settings) => {
@@ -233,7 +233,7 @@ impl Streamer {
         self.control.set_limits(&self.settings.limits);
     }
 
-    fn emergency_stop(&mut self, now: HostInstant, emit: Emit<'_>) -> OpResult {
+    fn emergency_stop(&mut self, now: HostInstant, emit: &mut dyn Emit) -> OpResult {
         self.latched = true;
         self.wants_armed = false;
         self.cut_all(End::Stopped, "estop");
@@ -254,7 +254,7 @@ impl Streamer {
     }
 
     /// Queues an operation for the device, which `ticket` waits for.
-    pub(super) fn queue_op(&mut self, given: HostInstant, ticket: u64, op: Op, emit: Emit<'_>) {
+    pub(super) fn queue_op(&mut self, given: HostInstant, ticket: u64, op: Op, emit: &mut dyn Emit) {
         if matches!(op, Op::Disarm(_)) {
             // A disarm makes pending operations pointless, and must not wait for them.
             while self.pending_ops.len() > usize::from(self.in_flight) {
@@ -271,7 +271,7 @@ impl Streamer {
     }
 
     /// A play aborts: returns the pins and disarms.
-    pub(super) fn abort(&mut self, now: HostInstant, emit: Emit<'_>) {
+    pub(super) fn abort(&mut self, now: HostInstant, emit: &mut dyn Emit) {
         self.wants_armed = false;
         self.queue_op(now, 0, Op::Disarm(Cause::Abort), emit);
     }
@@ -301,7 +301,7 @@ impl Streamer {
     ///
     /// A late arm must not enable motors when nobody expects it: an arm or reset not sent yet is removed, and an arm already
     /// sent is replaced by a disarm. Everything else is sent until the device answers.
-    pub(super) fn expire(&mut self, now: HostInstant, emit: Emit<'_>) {
+    pub(super) fn expire(&mut self, now: HostInstant, emit: &mut dyn Emit) {
         let mut index = usize::from(self.in_flight);
         while let Some(waiting) =
             self.pending_ops.get_mut(index).filter(|it| now.since(it.since) >= ANSWER_WITHIN)

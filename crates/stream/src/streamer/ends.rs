@@ -3,8 +3,8 @@
 //! Invariant: the account of a play closes with device counters that include all of this play and nothing of the next.
 
 use crate::active::Phase;
-use crate::queues::{CommandError, End, StreamEvent};
-use crate::streamer::{ANSWER_WITHIN, Emit, Streamer, answer};
+use crate::queues::{CommandError, Emit, End, StreamEvent};
+use crate::streamer::{ANSWER_WITHIN, Streamer, answer};
 use crate::time::HostInstant;
 use firmware_protocol::message::{Counters, State};
 use firmware_protocol::stroke::MOTORS;
@@ -24,17 +24,17 @@ impl Streamer {
         after: Option<Counters>,
         wire: u64,
         rest_um: [f32; MOTORS],
-        emit: Emit<'_>,
+        emit: &mut dyn Emit,
     ) {
         while let Some(active) = self.plays.pop_front() {
             let until = self.plays.iter().find_map(|next| next.counters_at_onset).or(after);
             let (id, outcome) = active.close(until, wire, rest_um);
-            emit(StreamEvent::PlayEnded { id, outcome });
+            emit.event(StreamEvent::PlayEnded { id, outcome });
         }
     }
 
     /// Ends the plays that are over, in order.
-    pub(super) fn finish(&mut self, tick: Tick, emit: Emit<'_>) {
+    pub(super) fn finish(&mut self, tick: Tick, emit: &mut dyn Emit) {
         let returning = self.state() == State::Returning;
         let Some(session) = &mut self.session else { return };
         while let Some(first) = self.plays.front() {
@@ -62,7 +62,7 @@ impl Streamer {
             let rest_um = self.control.rest_error_um(tick).map(|(um, _)| um);
             let Some(active) = self.plays.pop_front() else { break };
             let (id, outcome) = active.close(Some(next_counters.unwrap_or(after)), wire, rest_um);
-            emit(StreamEvent::PlayEnded { id, outcome });
+            emit.event(StreamEvent::PlayEnded { id, outcome });
         }
         let over = self.plays.front().is_some_and(|first| {
             first.cut.is_some()
@@ -74,7 +74,7 @@ impl Streamer {
     }
 
     /// Ends the thread once the device is off, or after a timeout.
-    pub(super) fn close(&mut self, now: HostInstant, emit: Emit<'_>) {
+    pub(super) fn close(&mut self, now: HostInstant, emit: &mut dyn Emit) {
         let Some((ticket, since)) = self.closing else { return };
         let off = match (&self.session, &self.status) {
             (Some(session), Some((status, _))) => {

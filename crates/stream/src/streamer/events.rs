@@ -4,8 +4,8 @@
 
 use crate::active::{Active, FIRST_MARGIN, Phase};
 use crate::link::{Event, Verdict};
-use crate::queues::{CommandError, End, Onset, StreamEvent};
-use crate::streamer::{Emit, IDLE_PING, Streamer, answer, cause_text, cuts_play};
+use crate::queues::{CommandError, Emit, End, Onset, StreamEvent};
+use crate::streamer::{IDLE_PING, Streamer, answer, cause_text, cuts_play};
 use crate::time::HostInstant;
 use firmware_protocol::message::{Cause, Counters, DeviceHello, Op, State, Status};
 use firmware_protocol::stroke::Stroke;
@@ -19,24 +19,24 @@ const IN_TIME: Duration = Duration::from_millis(3);
 
 impl Streamer {
     /// Takes bytes from the device.
-    pub fn receive(&mut self, now: HostInstant, bytes: &[u8], emit: Emit<'_>) {
+    pub fn receive(&mut self, now: HostInstant, bytes: &[u8], emit: &mut dyn Emit) {
         let Some(session) = &mut self.session else { return };
         let events = &mut self.events;
         session.receive(now, bytes, &mut |event| events.push_back(event));
         self.handle_link_events(now, emit);
     }
 
-    pub(super) fn handle_link_events(&mut self, now: HostInstant, emit: Emit<'_>) {
+    pub(super) fn handle_link_events(&mut self, now: HostInstant, emit: &mut dyn Emit) {
         while let Some(event) = self.events.pop_front() {
             self.event(now, event, emit);
         }
     }
 
-    fn event(&mut self, now: HostInstant, event: Event, emit: Emit<'_>) {
+    fn event(&mut self, now: HostInstant, event: Event, emit: &mut dyn Emit) {
         match event {
             Event::Opened(hello) => {
                 self.telemetry = hello.features & DeviceHello::TELEMETRY != 0;
-                emit(StreamEvent::Connected(hello));
+                emit.event(StreamEvent::Connected(hello));
                 if self.latched {
                     self.queue_op(now, 0, Op::EStop, emit);
                 }
@@ -52,7 +52,7 @@ impl Streamer {
                         self.cut_all(End::Stopped, "the device refused the command before it");
                     }
                     // The client must see the new state when it gets the answer.
-                    emit(StreamEvent::Snapshot(self.snapshot(now)));
+                    emit.event(StreamEvent::Snapshot(self.snapshot(now)));
                     answer(done.ticket, result.map_err(CommandError::Device), emit);
                     if cuts_play(&done.op) {
                         self.control.cut();
@@ -93,20 +93,20 @@ impl Streamer {
                 if let Some(active) = self.owner(up) {
                     active.refused();
                     let id = active.play.id;
-                    emit(StreamEvent::StrokeRefused { id, motor, up, reason });
+                    emit.event(StreamEvent::StrokeRefused { id, motor, up, reason });
                 }
             }
             // Ignore samples of the future: all true samples after one would look old.
             Event::Telemetry { tick, y }
                 if tick <= self.tick_at(now).unwrap_or_default() + duration_to_ticks(IN_TIME) =>
             {
-                self.control.telemetry(tick, &y, |burst| emit(StreamEvent::MeasuredBurst(burst)));
+                self.control.telemetry(tick, &y, |burst| emit.measured(burst));
             }
             Event::Telemetry { .. } => {}
         }
     }
 
-    fn status(&mut self, now: HostInstant, status: Status, tick: Tick, emit: Emit<'_>) {
+    fn status(&mut self, now: HostInstant, status: Status, tick: Tick, emit: &mut dyn Emit) {
         let before = self.status.replace((status, tick)).map(|(status, _)| status);
         self.control.counters_heard(tick);
         if status.state == State::Armed && !self.in_flight {
@@ -121,9 +121,9 @@ impl Streamer {
         }
         self.snapshot_due = now;
         let armed = matches!(status.state, State::Armed | State::Returning);
-        let lease = ms_to_duration(self.settings.lease_ms);
+        let host_timeout = ms_to_duration(self.settings.lease_ms);
         if let Some(session) = &mut self.session {
-            session.keep_alive_every(if armed { lease / 5 } else { IDLE_PING }, now);
+            session.keep_alive_every(if armed { host_timeout / 5 } else { IDLE_PING }, now);
         }
         if !armed && self.pending_ops.is_empty() {
             self.wants_armed = false;
@@ -141,7 +141,7 @@ impl Streamer {
             .find(|active| active.phase != Phase::Waiting && active.onset.is_some_and(|onset| onset <= up))
     }
 
-    fn verdict(&mut self, now: HostInstant, stroke: &Stroke, verdict: Verdict, emit: Emit<'_>) {
+    fn verdict(&mut self, now: HostInstant, stroke: &Stroke, verdict: Verdict, emit: &mut dyn Emit) {
         let in_time = duration_to_ticks(IN_TIME);
         let sent_tick = |sent| self.tick_at(sent).unwrap_or_default();
         let cause = match verdict {
@@ -161,7 +161,7 @@ impl Streamer {
             Verdict::Accepted => {}
             Verdict::Refused(reason) => {
                 active.refused();
-                emit(StreamEvent::StrokeRefused { id, motor, up, reason });
+                emit.event(StreamEvent::StrokeRefused { id, motor, up, reason });
             }
             Verdict::Late { rendered, .. } => self.late(now, stroke, rendered, cause, emit),
         }
@@ -174,14 +174,14 @@ impl Streamer {
         stroke: &Stroke,
         free: Tick,
         cause: LateCause,
-        emit: Emit<'_>,
+        emit: &mut dyn Emit,
     ) {
         let late_ms = ticks_to_ms(free - stroke.up);
         let Some(active) = self.owner(stroke.up) else { return };
         let counts = active.late(late_ms, cause);
         let (id, policy, cut) = (active.play.id, active.play.late, active.cut.is_some());
         let (motor, up) = (stroke.motor, stroke.up);
-        emit(StreamEvent::StrokeLate { id, motor, up, late_ms, cause, counts });
+        emit.event(StreamEvent::StrokeLate { id, motor, up, late_ms, cause, counts });
         if policy == LatePolicy::Abort && !cut {
             self.cut_all(End::Aborted, "late strokes");
             self.abort(now, emit);
@@ -210,7 +210,7 @@ impl Streamer {
         self.snapshot_due = now;
     }
 
-    fn onset(&mut self, tick: Tick, counters: Counters, emit: Emit<'_>) {
+    fn onset(&mut self, tick: Tick, counters: Counters, emit: &mut dyn Emit) {
         let Some(session) = &self.session else { return };
         let clock = session.clock();
         let Some(active) = self.plays.iter_mut().find(|active| active.onset == Some(tick)) else { return };
@@ -223,6 +223,6 @@ impl Streamer {
             latency_ns: at.since(active.issued_at).as_nanos() as u64,
         };
         active.began(onset, counters);
-        emit(StreamEvent::PlayStarted { id: active.play.id, onset });
+        emit.event(StreamEvent::PlayStarted { id: active.play.id, onset });
     }
 }

@@ -6,9 +6,9 @@
 //! Invariant: nothing follows a play's first frame before the device has accepted it.
 
 use crate::active::{Active, Phase};
-use crate::batch_ticks;
-use crate::queues::{At, End};
-use crate::streamer::{Emit, Streamer};
+use crate::queues::{At, Emit, End};
+use crate::settings::batch_ticks;
+use crate::streamer::Streamer;
 use crate::time::HostInstant;
 use firmware_protocol::message::State;
 use firmware_protocol::tick::Tick;
@@ -43,7 +43,7 @@ enum Start {
 
 impl Streamer {
     /// Sends all strokes due at `tick`.
-    pub(super) fn feed(&mut self, now: HostInstant, tick: Tick, emit: Emit<'_>) {
+    pub(super) fn feed(&mut self, now: HostInstant, tick: Tick, emit: &mut dyn Emit) {
         let Some(session) = &self.session else { return };
         if self.state() != State::Armed || !self.no_op_pending() {
             return;
@@ -132,7 +132,7 @@ impl Streamer {
         index: usize,
         tick: Tick,
         horizon: Tick,
-        emit: Emit<'_>,
+        emit: &mut dyn Emit,
     ) -> Fed {
         loop {
             let (Some(session), Some(active)) = (&mut self.session, self.plays.get_mut(index)) else {

@@ -8,8 +8,8 @@
 //!
 //! Invariant: the answer is an error unless every pin is home.
 
-use crate::queues::CommandError;
-use crate::streamer::{Emit, OpResult, Streamer, answer};
+use crate::queues::{CommandError, Emit};
+use crate::streamer::{Homing, OpResult, Streamer, answer};
 use crate::time::HostInstant;
 use firmware_protocol::limits::{MAX_TRAVEL, Refusal};
 use firmware_protocol::message::{Op, State};
@@ -29,21 +29,6 @@ const ROUNDS: u8 = 6;
 const SETTLED: u64 = WINDOW_TICKS + 2 * TICKS_PER_MS;
 /// How long to wait for telemetry after a round, ticks.
 const SILENT: u64 = TICKS_PER_S / 2;
-
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Homing {
-    ticket: u64,
-    round: u8,
-    motor: u8,
-    /// A pin was moved in this round.
-    moved: bool,
-    /// A pin is farther off than moves may take it.
-    beyond: bool,
-    /// A move is sent and not answered.
-    moving: bool,
-    /// When the last move is over and visible.
-    until: Tick,
-}
 
 impl Streamer {
     /// Starts homing.
@@ -77,7 +62,7 @@ impl Streamer {
         now: HostInstant,
         op: Op,
         result: Result<(), CommandError>,
-        emit: Emit<'_>,
+        emit: &mut dyn Emit,
     ) {
         let Op::Move { motor, direction, pulses } = op else { return };
         let over = self.tick_at(now).unwrap_or_default() + u64::from(pulses) + SETTLED;
@@ -105,14 +90,14 @@ impl Streamer {
     }
 
     /// Answers a homing, if there is one.
-    pub(super) fn end_homing(&mut self, result: Result<(), CommandError>, emit: Emit<'_>) {
+    pub(super) fn end_homing(&mut self, result: Result<(), CommandError>, emit: &mut dyn Emit) {
         if let Some(homing) = self.homing.take() {
             answer(homing.ticket, result, emit);
         }
     }
 
     /// Sends the next move when the last one is over.
-    pub(super) fn step_homing(&mut self, now: HostInstant, tick: Tick, emit: Emit<'_>) {
+    pub(super) fn step_homing(&mut self, now: HostInstant, tick: Tick, emit: &mut dyn Emit) {
         if self.homing.is_none() || self.state() != State::Armed || !self.no_op_pending() {
             return;
         }

@@ -13,17 +13,16 @@ mod events;
 mod feed;
 mod homing;
 
-use crate::Settings;
 use crate::active::{Active, Phase};
 use crate::control::PositionControl;
 use crate::link::{Event, LineRate, Session};
-use crate::queues::{CommandError, End, MAX_QUEUED_PLAYS, Snapshot, StreamEvent};
+use crate::queues::{CommandError, Emit, End, MAX_QUEUED_PLAYS, Snapshot, StreamEvent};
+use crate::settings::Settings;
 use crate::time::HostInstant;
 use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::message::{Cause, Counters, Op, State, Status};
 use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
-use homing::Homing;
 use meissner_array::units::{ticks_to_ms, ticks_to_seconds};
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -39,9 +38,6 @@ const SNAPSHOT_EVERY: Duration = Duration::from_millis(100);
 /// Interval of keep-alives while disarmed.
 const IDLE_PING: Duration = Duration::from_secs(1);
 
-/// Reports an event.
-pub(super) type Emit<'a> = &'a mut dyn FnMut(StreamEvent);
-
 /// A command's result: refused, done at once (`None`), or an operation for the device.
 type OpResult = Result<Option<Op>, CommandError>;
 
@@ -51,6 +47,22 @@ struct PendingOp {
     ticket: u64,
     op: Op,
     since: HostInstant,
+}
+
+/// A homing under way.
+#[derive(Clone, Copy, Debug)]
+struct Homing {
+    ticket: u64,
+    round: u8,
+    motor: u8,
+    /// A pin was moved in this round.
+    moved: bool,
+    /// A pin is farther off than moves may take it.
+    beyond: bool,
+    /// A move is sent and not answered.
+    moving: bool,
+    /// When the last move is over and visible.
+    until: Tick,
 }
 
 /// The reason of a disconnect when another device takes its place.
@@ -130,13 +142,13 @@ impl Streamer {
     }
 
     /// A device was opened: starts a session with this random id.
-    pub fn connect(&mut self, now: HostInstant, id: u32, rate: LineRate, emit: Emit<'_>) {
+    pub fn connect(&mut self, now: HostInstant, id: u32, rate: LineRate, emit: &mut dyn Emit) {
         self.disconnect(now, ANOTHER_DEVICE, emit);
         self.session = Some(Session::new(id, rate, now));
     }
 
     /// The device is gone: ends all plays with the counts known.
-    pub fn disconnect(&mut self, now: HostInstant, cause: &'static str, emit: Emit<'_>) {
+    pub fn disconnect(&mut self, now: HostInstant, cause: &'static str, emit: &mut dyn Emit) {
         let Some(session) = self.session.take() else { return };
         self.disconnect_reason = Some(cause);
         self.wants_armed = false;
@@ -197,7 +209,7 @@ impl Streamer {
     }
 
     /// Does everything due at `now`. Call it after [`Self::receive`] and [`Self::execute`], before [`Self::transmit`].
-    pub fn step(&mut self, now: HostInstant, emit: Emit<'_>) {
+    pub fn step(&mut self, now: HostInstant, emit: &mut dyn Emit) {
         if let Some(session) = &mut self.session {
             let events = &mut self.events;
             session.check_silence(now, &mut |event| events.push_back(event));
@@ -223,7 +235,7 @@ impl Streamer {
             let far = if playing { SNAPSHOT_EVERY } else { IDLE_PING };
             self.snapshot_due = now + far;
             self.report_warnings(now, emit);
-            emit(StreamEvent::Snapshot(self.snapshot(now)));
+            emit.event(StreamEvent::Snapshot(self.snapshot(now)));
         }
     }
 
@@ -238,18 +250,18 @@ impl Streamer {
     }
 
     /// Reports new sensor faults and drift.
-    fn report_warnings(&mut self, now: HostInstant, emit: Emit<'_>) {
+    fn report_warnings(&mut self, now: HostInstant, emit: &mut dyn Emit) {
         for ((reported, fault), motor) in self.reported_faults.iter_mut().zip(self.control.faults()).zip(0..)
         {
             if let Some(fault) = fault.filter(|_| !*reported) {
-                emit(StreamEvent::SensorFault { motor, fault });
+                emit.event(StreamEvent::SensorFault { motor, fault });
             }
             *reported = fault.is_some();
         }
         let um = self.control.dead_reckoning_sd_um(self.tick_at(now).unwrap_or_default());
         let drifted = um > self.settings.drift_warning_um;
         if drifted && !self.reported_drift {
-            emit(StreamEvent::DriftWarning { um });
+            emit.event(StreamEvent::DriftWarning { um });
         }
         self.reported_drift = drifted;
     }
@@ -297,7 +309,7 @@ impl Streamer {
     }
 
     /// Writes the next due frame into `out` and returns its length; 0 if none is due.
-    pub fn transmit(&mut self, now: HostInstant, out: &mut [u8; MAX_FRAME], emit: Emit<'_>) -> usize {
+    pub fn transmit(&mut self, now: HostInstant, out: &mut [u8; MAX_FRAME], emit: &mut dyn Emit) -> usize {
         let Some(session) = &mut self.session else { return 0 };
         let events = &mut self.events;
         let len = session.transmit(now, out, &mut |event| events.push_back(event));
@@ -323,9 +335,9 @@ impl Streamer {
     }
 }
 
-fn answer(ticket: u64, result: Result<(), CommandError>, emit: Emit<'_>) {
+fn answer(ticket: u64, result: Result<(), CommandError>, emit: &mut dyn Emit) {
     if ticket != 0 {
-        emit(StreamEvent::Answer { ticket, result });
+        emit.event(StreamEvent::Answer { ticket, result });
     }
 }
 

@@ -1,0 +1,32 @@
+//! The settings of the streamer, and the length of a batch that follows from them.
+
+use firmware_protocol::limits::OnTimeLimits;
+use meissner_array::units::ms_in_ticks;
+
+/// The streamer's settings.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Settings {
+    /// How far ahead of now strokes are sent, ms.
+    pub lead_ms: f64,
+    /// Host watchdog timeout: after such a silence the device returns the pins and disarms, ms; at least the lead + 50.
+    pub lease_ms: f64,
+    /// A site's on-time limits.
+    pub limits: OnTimeLimits,
+    /// Error of dead reckoning, one standard deviation, above which the streamer warns, µm.
+    pub drift_warning_um: f32,
+}
+
+impl Default for Settings {
+    /// A lead of 100 ms: stock kernels stall for 25 ms.
+    fn default() -> Self {
+        Self { lead_ms: 100.0, lease_ms: 300.0, limits: OnTimeLimits::NONE, drift_warning_um: 100.0 }
+    }
+}
+
+/// Longest batch of strokes, ms: a frame carries many strokes.
+const LONGEST_BATCH_MS: f64 = 12.5;
+
+/// Length of a batch of strokes, ticks.
+pub(crate) fn batch_ticks(settings: &Settings) -> u64 {
+    ms_in_ticks((settings.lead_ms / 4.0).min(LONGEST_BATCH_MS)) as u64
+}
