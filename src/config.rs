@@ -1,8 +1,8 @@
 //! The daemon's configuration: a TOML file in which every key is optional.
 //!
 //! It names the device, the socket, the directories of patterns and session records, how far ahead the streamer feeds the
-//! controller, and a site's limits. [`Config::read`] reads it; what is left out has its default. The motors' wiring is the
-//! controller's and cannot be configured. This module opens no file but the configuration.
+//! controller, and a site's limits. [`Config::read`] reads it; missing keys have their defaults. The controller fixes the motors'
+//! wiring: it cannot be configured. This module opens no file but the configuration.
 //!
 //! Invariant: every value of a [`Config`] that was read is within the ranges written here; an unknown key is an error.
 
@@ -46,9 +46,9 @@ pub struct Config {
     pub socket: PathBuf,
     /// The site's own patterns.
     pub patterns: PatternsDir,
-    /// The file of the calibration; none: it is not stored.
+    /// The file of the calibration; `None`: it is not stored.
     pub calibration: Option<PathBuf>,
-    /// Where the session record is kept, and for how long; none: there is none.
+    /// Where the session record is kept, and for how long; `None`: there is no session record.
     pub logbook: Option<Location>,
     /// The settings of the streamer.
     pub settings: Settings,
@@ -125,7 +125,7 @@ pub enum ConfigError {
     Refused(#[from] DocumentError<Problem>),
 }
 
-/// What can be wrong with a configuration only.
+/// A problem of one key, besides those that all documents share.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages say it")]
 pub enum Problem {
@@ -133,7 +133,7 @@ pub enum Problem {
     Device { found: String, source: SpecError },
     #[error("is empty: name one, or leave the key out")]
     EmptyPath,
-    #[error("holds a control character: name a path without")]
+    #[error("contains a control character: name a path without one")]
     ControlCharacter,
 }
 
@@ -338,7 +338,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_one_line_with_its_place() {
+    fn an_error_is_one_line_with_its_place() {
         for (text, says) in [
             ("\nlaed_ms = 5", "m.toml:2: unknown key `laed_ms`: did you mean `lead_ms`?"),
             ("[mock]\nsede = 1", "m.toml:2: `mock`: unknown key `sede`: did you mean `seed`?"),

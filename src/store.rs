@@ -21,7 +21,7 @@ use std::sync::Arc;
 
 static LIBRARY: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/patterns");
 
-/// Files of the directory that are looked at, at the most.
+/// Most files of the directory that are read.
 pub const MAX_FILES: usize = 10_000;
 /// Names offered in place of an unknown one, at the most.
 const OFFERED: usize = 3;
@@ -64,7 +64,7 @@ pub enum StoreError {
     #[error("there is no pattern directory: set patterns_dir in the daemon's configuration")]
     NoDirectory,
     /// The disk or the permissions.
-    #[error("{}: {source}; see that it exists, that the disk has room and that the daemon may use it", .path.display())]
+    #[error("{}: {source}; check that it exists, that the disk has space and that the daemon may use it", .path.display())]
     Io {
         /// Where.
         path: PathBuf,
@@ -170,7 +170,7 @@ impl Store {
                 Ok(stored) => list.patterns.push(stored.entry()),
                 // Removed since the names were read, or no name a pattern can have.
                 Err(StoreError::Unknown { .. }) => {
-                    list.errors.push(format!("{}: not a pattern's name: a-z, 0-9 and - only", quote(&name)));
+                    list.errors.push(format!("{}: not a pattern's name: use a-z, 0-9 and - only", quote(&name)));
                 }
                 Err(error) => list.errors.push(error.to_string()),
             }
@@ -227,7 +227,7 @@ impl Store {
     fn unknown(&self, name: &str) -> StoreError {
         let mut names = self.file_names().unwrap_or_default();
         names.extend(self.library.keys().cloned());
-        // Only the beginning is compared: the comparison takes time and memory for each letter.
+        // Compare the beginning only: time and memory grow with each letter.
         let asked: String = name.chars().take(64).collect();
         let mut near: Vec<_> = names
             .into_iter()

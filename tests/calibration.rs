@@ -89,7 +89,7 @@ fn a_calibration_is_played_fitted_stored_and_used() {
     assert_eq!(refused(&mut client, "/v1/calibrate", &quick(3)), ("no-telemetry".into(), 409));
     let other = Daemon::with("mock", &format!("{at}seed = 9\n"));
     let log = other.log();
-    assert!(log.contains("is of another device: not used; run `meissner calibrate`"), "{log}");
+    assert!(log.contains("belongs to another device: not used; run `meissner calibrate`"), "{log}");
     let report: Value = other.client().get("/v1/calibration").unwrap();
     assert_eq!((&report["used"], report["motors"].as_array().unwrap().len()), (&false.into(), 2));
     let status: Value = other.client().get("/v1/status").unwrap();
@@ -124,7 +124,7 @@ fn a_bad_file_is_reported_once_and_not_used() {
     let daemon = Daemon::with("mock", &format!("calibration = {file:?}\n"));
     let log = daemon.log();
     assert_eq!(log.matches("unknown key `motr`").count(), 1, "{log}");
-    assert!(log.contains("mend it, or run `meissner calibrate`"), "{log}");
+    assert!(log.contains("correct it, or run `meissner calibrate`"), "{log}");
     let mut client = daemon.client();
     assert_eq!(problem(client.get("/v1/calibration")).code, "not-found");
     assert_eq!(refused(&mut client, "/v1/calibrate", &json!({"motor": 24})), ("bad-request".into(), 400));

@@ -195,7 +195,7 @@ fn a_log_filter_that_is_none_is_said() {
         command.args(["daemon", "--device", "mock"]).env("RUST_LOG", filter);
         String::from_utf8(command.assert().code(1).get_output().stderr.clone()).unwrap()
     };
-    assert_eq!(daemon("meissner=loud").matches("RUST_LOG is no filter").count(), 1);
+    assert_eq!(daemon("meissner=loud").matches("RUST_LOG is not a valid filter").count(), 1);
     assert!(!daemon("").contains("RUST_LOG"));
 }
 

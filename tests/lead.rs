@@ -86,7 +86,7 @@ fn the_shipped_trace_is_a_recording_under_which_shorter_leads_lose_more() {
 }
 
 #[test]
-fn a_stall_that_outlasts_the_lease_ends_the_play_and_no_such_lead_is_recommended() {
+fn a_stall_longer_than_the_host_watchdog_timeout_ends_the_play_and_its_lead_is_not_recommended() {
     let found = tried("seconds 2\n500000 400000\n", &[100.0, 500.0]);
     assert_eq!((found.rows[0].end, found.rows[1].end), (End::Stopped, End::Done));
     assert!(found.rows[0].onsets < found.rows[0].orders);

@@ -182,7 +182,7 @@ fn a_reload_applies_what_can_change_and_names_the_rest() {
         manager.wait_for(|text| text == "READY=1");
         daemon.log().lines().last().unwrap().to_owned()
     };
-    assert!(reload("lease_ms = 5000\n").contains("says what it said before"));
+    assert!(reload("lease_ms = 5000\n").contains("has not changed"));
     daemon.armed();
     let line = reload("lead_ms = 50\nlease_ms = 4000\n");
     assert!(line.contains("`lead_ms`") && line.contains("from the next `arm` on"), "{line}");
@@ -236,7 +236,7 @@ fn a_configuration_is_checked_without_a_daemon() {
         ("logbook_dir = \"/nonexistent/a/b\"\n", "m.toml: `logbook_dir`: /nonexistent/a/b: neither it nor"),
         (&format!("socket = \"/{}\"\n", "x".repeat(200)), "at most 107 bytes"),
         ("device = \"ua\\nrt\"\n", "`device` is `ua\\nrt`"),
-        ("socket = \"/a\\u0000\"\n", "`socket` holds a control character"),
+        ("socket = \"/a\\u0000\"\n", "`socket` contains a control character"),
     ] {
         std::fs::write(&file, text).unwrap();
         let line = complaint(&mut check());

@@ -1,4 +1,4 @@
-//! MethodLabel fast the daemon answers, on this machine, in wall time: `cargo bench --bench latency`.
+//! How fast the daemon answers, on this machine, in wall time: `cargo bench --bench latency`.
 //!
 //! A daemon on the mock in this process, asked over its real socket. Beside the figures stands how late this
 //! machine's timers wake an ordinary thread: no tail can be better than that. It asserts nothing.

@@ -176,7 +176,7 @@ fn against_coordinates() {
     }
 }
 
-/// MethodLabel soon the yardstick's search, had it been stopped, would have come within 1 % of what it finds in the end.
+/// How soon the yardstick's search, had it been stopped, would have come within 1 % of what it finds in the end.
 fn soon() {
     println!("{YARDSTICK}, default, to convergence, and when it was first within 1 % of that:");
     let target = target(YARDSTICK);

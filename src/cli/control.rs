@@ -61,7 +61,7 @@ pub(super) fn command(options: &ClientOptions, name: &str) -> Result<ExitCode> {
 /// Sends the e-stop to both possible daemons at once: there is no time to choose. Prints each answer as it comes; the
 /// document of `--json` is the first.
 pub(super) fn estop(options: &ClientOptions) -> Result<ExitCode> {
-    let endpoint = options.endpoint();
+    let (endpoint, json) = (options.endpoint(), options.output.json);
     let (tell, answers) = mpsc::channel();
     for socket in [Some(&endpoint.socket), endpoint.fallback.as_ref()].into_iter().flatten() {
         let (socket, tell) = (socket.clone(), tell.clone());
@@ -74,14 +74,15 @@ pub(super) fn estop(options: &ClientOptions) -> Result<ExitCode> {
     drop(tell);
     let (mut stopped, mut failed): (Vec<Status>, Vec<ClientError>) = (Vec::new(), Vec::new());
     // Wait for every answer even if stdout is closed: this process must not end before each request is sent.
-    let mut said = Ok(());
+    let mut said = Ok(ExitCode::SUCCESS);
     for (socket, answer) in answers {
         match answer {
             Ok(status) => {
+                let state = text::state(&status);
                 said = said.and(match stopped.is_empty() {
-                    true => give(options.output.json, &status, || text::state(&status)),
-                    false if options.output.json => Ok(()),
-                    false => say(&format!("{}: {}", socket.display(), text::state(&status))),
+                    true => give(json, &status, || state),
+                    false if json => Ok(ExitCode::SUCCESS),
+                    false => say(&format!("{}: {state}", socket.display())).map(|()| ExitCode::SUCCESS),
                 });
                 stopped.push(status);
             }
@@ -89,7 +90,7 @@ pub(super) fn estop(options: &ClientOptions) -> Result<ExitCode> {
         }
     }
     said?;
-    if !stopped.is_empty() && !options.output.json && !stopped.iter().any(Status::is_connected) {
+    if !stopped.is_empty() && !json && !stopped.iter().any(Status::is_connected) {
         say(
             "no device is connected, so no line was turned off: cut the supply if pins move, and see `meissner status`",
         )?;
@@ -122,8 +123,7 @@ pub(super) fn arm(options: &ClientOptions, assume_rest: bool) -> Result<ExitCode
 }
 
 fn print_state(options: &ClientOptions, status: &Status) -> Result<ExitCode> {
-    give(options.output.json, status, || text::state(status))?;
-    Ok(ExitCode::SUCCESS)
+    give(options.output.json, status, || text::state(status))
 }
 
 pub(super) fn play(play: &Play) -> Result<ExitCode> {
@@ -146,8 +146,7 @@ pub(super) fn play(play: &Play) -> Result<ExitCode> {
     let json = play.options.output.json;
     if !play.wait {
         let played: PlayAccepted = client.post("/v1/play", &request)?;
-        give(json, &played, || format!("play {}: {}", played.id, play.name))?;
-        return Ok(ExitCode::SUCCESS);
+        return give(json, &played, || format!("play {}: {}", played.id, play.name));
     }
     let mut events = client.events()?;
     let over = leave_on_interrupt()?;

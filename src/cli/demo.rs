@@ -10,7 +10,7 @@ use super::progress::Progress;
 use super::{control, text};
 use crate::config::{Config, PatternsDir};
 use crate::daemon::{Daemon, Hosted};
-use crate::receipts::PlayedPattern;
+use crate::receipts::{PlayedPattern, end_text};
 use crate::store::Store;
 use anyhow::{Context, Result, bail};
 use meissner_api::{
@@ -213,7 +213,7 @@ fn summary(report: &Report) -> String {
                 report.pattern,
                 report.seconds,
                 report.device,
-                text::end(report.state, report.cause.as_deref())
+                end_text(report.state, report.cause.as_deref())
             ),
         ),
         ("bursts", text::burst_counts(bursts)),

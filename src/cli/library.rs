@@ -4,7 +4,7 @@
 //! needs no daemon.
 
 use super::arguments::ClientOptions;
-use super::output::{give, say, say_json};
+use super::output::give;
 use super::{files, text};
 use anyhow::{Result, bail};
 use meissner_api::ImportedPattern;
@@ -18,10 +18,6 @@ use toml::Table;
 
 pub(super) fn list(options: &ClientOptions) -> Result<ExitCode> {
     let list: Value = options.client()?.get("/v1/patterns")?;
-    if options.output.json {
-        say_json(&list)?;
-        return Ok(ExitCode::SUCCESS);
-    }
     let none = Vec::new();
     let row = |entry: &Value| {
         let duration =
@@ -34,18 +30,19 @@ pub(super) fn list(options: &ClientOptions) -> Result<ExitCode> {
             from.into(),
         ]
     };
-    let rows = list["patterns"].as_array().unwrap_or(&none).iter().map(row);
-    say(&text::columns(&["name", "length", "drives", "from"], rows))?;
-    for line in list["errors"].as_array().unwrap_or(&none) {
-        say(&format!("not listed: {}", line.as_str().unwrap_or_default()))?;
-    }
-    Ok(ExitCode::SUCCESS)
+    give(options.output.json, &list, || {
+        let rows = list["patterns"].as_array().unwrap_or(&none).iter().map(row);
+        let mut text = text::columns(&["name", "length", "drives", "from"], rows);
+        for line in list["errors"].as_array().unwrap_or(&none) {
+            text += &format!("\nnot listed: {}", line.as_str().unwrap_or_default());
+        }
+        text
+    })
 }
 
 pub(super) fn show(options: &ClientOptions, name: &str) -> Result<ExitCode> {
     let shown: Value = options.client()?.get(&format!("/v1/patterns/{}", escape(name)))?;
-    give(options.output.json, &shown, || text::pattern(&shown))?;
-    Ok(ExitCode::SUCCESS)
+    give(options.output.json, &shown, || text::pattern(&shown))
 }
 
 /// Reads a pattern file: the pattern, and its text.
@@ -62,28 +59,23 @@ pub(super) fn import(options: &ClientOptions, file: &Path) -> Result<ExitCode> {
     let (pattern, text) = read(file)?;
     let imported: ImportedPattern =
         options.client()?.put(&format!("/v1/patterns/{}", escape(pattern.name())), text)?;
-    if options.output.json {
-        say_json(&imported)?;
-        return Ok(ExitCode::SUCCESS);
-    }
-    say(&format!("imported {} (sha256 {})", imported.name, imported.sha256))?;
-    for warning in imported.warnings {
-        say(&format!("warning: {warning}"))?;
-    }
-    Ok(ExitCode::SUCCESS)
+    give(options.output.json, &imported, || {
+        let mut text = format!("imported {} (sha256 {})", imported.name, imported.sha256);
+        for warning in &imported.warnings {
+            text += &format!("\nwarning: {warning}");
+        }
+        text
+    })
 }
 
 pub(super) fn motor(frequency_hz: f64, amplitude_um: f64, json: bool) -> Result<ExitCode> {
     let steady = SteadyState::of(frequency_hz, amplitude_um)?;
-    if json {
-        say_json(&steady)?;
-        return Ok(ExitCode::SUCCESS);
-    }
     let saturated = if steady.saturated { ", saturated: a period is too short for more" } else { "" };
-    say(&text::pairs(&[
-        ("peak to peak", format!("{:.2} um (ideal)", steady.peak_to_peak_um)),
-        ("as played", format!("{:.2} um", steady.played_peak_to_peak_um)),
-        ("pulses", format!("{} each way{saturated}", steady.pulses)),
-    ]))?;
-    Ok(ExitCode::SUCCESS)
+    give(json, &steady, || {
+        text::pairs(&[
+            ("peak to peak", format!("{:.2} um (ideal)", steady.peak_to_peak_um)),
+            ("as played", format!("{:.2} um", steady.played_peak_to_peak_um)),
+            ("pulses", format!("{} each way{saturated}", steady.pulses)),
+        ])
+    })
 }

@@ -3,6 +3,7 @@
 use anyhow::Result;
 use serde::Serialize;
 use std::io::{self, BufWriter, Write};
+use std::process::ExitCode;
 
 /// Whether the reader of the output has closed it.
 pub(super) fn is_broken_pipe(error: &anyhow::Error) -> bool {
@@ -15,10 +16,10 @@ pub(super) fn say(text: &str) -> Result<()> {
 }
 
 /// Prints the answer: as a document, or as text. A closed stdout is no error: the exit code depends on the answer alone.
-pub(super) fn give(json: bool, document: &impl Serialize, text: impl FnOnce() -> String) -> Result<()> {
+pub(super) fn give(json: bool, document: &impl Serialize, text: impl FnOnce() -> String) -> Result<ExitCode> {
     match if json { say_json(document) } else { say(&text()) } {
-        Err(error) if is_broken_pipe(&error) => Ok(()),
-        said => said,
+        Err(error) if !is_broken_pipe(&error) => Err(error),
+        _ => Ok(ExitCode::SUCCESS),
     }
 }
 

@@ -58,8 +58,7 @@ pub(super) fn run(asked: &Report) -> Result<ExitCode> {
         figures: &report.figures,
         wall_s: begun.elapsed().as_secs_f64(),
     };
-    give(asked.output.json, &document, || summary(&asked.out, &document))?;
-    Ok(ExitCode::SUCCESS)
+    give(asked.output.json, &document, || summary(&asked.out, &document))
 }
 
 /// The requested patterns in their order; all of the library if none is named.

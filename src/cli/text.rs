@@ -2,6 +2,7 @@
 //!
 //! Every number is one of the JSON's. Invariant: no line depends on the terminal; units are ASCII (`um`, `us`).
 
+use crate::receipts::{HOST_TIMEOUT, end_text};
 use comfy_table::presets::{NOTHING, UTF8_FULL};
 use comfy_table::{CellAlignment, Table};
 use meissner_api::{BurstCounts, Event, NO_DEVICE, PredictedResponse, Prediction, Receipt, Status};
@@ -34,7 +35,7 @@ pub(super) fn columns(head: &[&str], rows: impl IntoIterator<Item = Vec<String>>
 pub(super) fn receipt(receipt: &Receipt) -> String {
     let mut lines = vec![
         ("play", format!("{} of {}", receipt.id, receipt.pattern)),
-        ("state", end(receipt.state.name(), receipt.cause.as_deref())),
+        ("state", end_text(receipt.state.name(), receipt.cause.as_deref())),
     ];
     if let (Some(onset), Some(ms)) = (&receipt.onset, receipt.onset_latency_ms) {
         lines.push(("onset", format!("tick {}, {ms:.2} ms after the request", onset.actual_tick)));
@@ -66,19 +67,6 @@ pub(super) fn receipt(receipt: &Receipt) -> String {
     pairs(&lines)
 }
 
-/// How a play ended: its state and cause.
-pub(super) fn end(state: &str, cause: Option<&str>) -> String {
-    match cause {
-        None => state.to_owned(),
-        Some(HOST_TIMEOUT) => {
-            format!("{state}: the PC was silent for longer than the host watchdog timeout")
-        }
-        Some(cause) => format!("{state} ({cause})"),
-    }
-}
-
-/// The cause in the API when the host watchdog ran out.
-const HOST_TIMEOUT: &str = "lease";
 pub(super) const PREDICTED: &str = "predicted RA response";
 pub(super) const LARGEST_OFFSET: &str = "largest offset from rest, driven pins:";
 
@@ -186,7 +174,7 @@ pub(super) fn event(event: &Event) -> String {
         }
         Event::Refused { id, stroke } => format!("refused: {id}, motor {}, {}", stroke.motor, stroke.reason),
         Event::Ended { receipt } => {
-            format!("ended: {} {}", receipt.id, end(receipt.state.name(), receipt.cause.as_deref()))
+            format!("ended: {} {}", receipt.id, end_text(receipt.state.name(), receipt.cause.as_deref()))
         }
         Event::PredictedResponse { id, prediction } => {
             format!("{PREDICTED}: {id}, {}", predicted(prediction).unwrap_or_default())

@@ -14,8 +14,7 @@ pub(super) fn status(options: &ClientOptions, watch: bool) -> Result<ExitCode> {
     let mut client = options.client()?;
     if !watch {
         let status: Status = client.get("/v1/status")?;
-        give(options.output.json, &status, || text::status(&status))?;
-        return Ok(ExitCode::SUCCESS);
+        return give(options.output.json, &status, || text::status(&status));
     }
     let mut events = client.events()?;
     while let Some(event) = events.next(None)? {
@@ -52,6 +51,5 @@ pub(super) fn events(options: &ClientOptions) -> Result<ExitCode> {
 pub(super) fn receipt(options: &ClientOptions, id: Option<u64>) -> Result<ExitCode> {
     let id = id.map_or_else(|| "last".to_owned(), |id| id.to_string());
     let receipt: Receipt = options.client()?.get(&format!("/v1/plays/{id}"))?;
-    give(options.output.json, &receipt, || text::receipt(&receipt))?;
-    Ok(ExitCode::SUCCESS)
+    give(options.output.json, &receipt, || text::receipt(&receipt))
 }

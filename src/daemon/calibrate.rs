@@ -1,6 +1,6 @@
-//! Calibrating in the daemon: read the stored gains when a device connects, play a plan, fit it, store the result.
+//! Calibration in the daemon: reads the stored gains when a device connects, plays a plan, fits it, and stores the result.
 //!
-//! The request returns when the plan is accepted; the event `calibrated` tells the result.
+//! The request returns when the streamer accepts the plan; the event `calibrated` reports the result.
 //!
 //! Invariant: only a calibration of the connected device is stored and used.
 
@@ -19,7 +19,7 @@ use std::sync::Arc;
 use tracing::{info, warn};
 
 impl Engine {
-    /// Reads the stored calibration for a device; none: no device is connected. Logs what is wrong with it, if that is new.
+    /// Reads the stored calibration for a device (`None`: no device is connected). Logs a new problem with it.
     pub(super) fn load_calibration(&self, identity: Option<&str>) {
         let file = self.lock().calibration.file.clone();
         let (found, bad) = match read(file.as_deref(), identity) {
@@ -46,16 +46,16 @@ impl Engine {
         }
     }
 
-    /// Stores calibrations there from now on; the file is read at the next connection.
+    /// Changes the file of the calibration; the daemon reads it at the next connection.
     pub(super) fn set_calibration_file(&self, file: Option<PathBuf>) {
         self.lock().calibration.file = file;
     }
 
-    /// Orders the play of a plan, open loop, and waits until it is accepted.
+    /// Begins a plan's play, open loop, and waits until the streamer accepts it.
     pub(super) async fn calibrate(&self, plan: Plan, client: Peer) -> Result<u64, Problem> {
         if self.lock().calibration.file.is_none() {
             let detail =
-                "there is no place for a calibration: set `calibration` in the daemon's configuration";
+                "there is no file for the calibration: set `calibration` in the daemon's configuration";
             return Err(Problem::new(Code::Store, detail));
         }
         let stored = Stored::made(plan.pattern());
@@ -88,7 +88,7 @@ impl Engine {
         report(state.calibration.file.as_ref(), &state.calibration.stored)
     }
 
-    /// Has a plan fitted and stored, if this play was one and is over.
+    /// Fits and stores the calibration that this play measured, if it was one and is over.
     pub(super) fn finish_calibration(self: &Arc<Self>, predictor: &Predictor, id: u64) {
         let (run, receipt, device, identity) = {
             let mut state = self.lock();
@@ -106,13 +106,13 @@ impl Engine {
         });
     }
 
-    /// Stores a calibration and uses it from now on; or publishes why there is none.
+    /// Stores a calibration, uses it and publishes the result, or publishes why there is none.
     fn store_calibration(&self, id: u64, fitted: Result<Calibration, String>) {
         let motors = fitted.iter().flat_map(|new| new.motors().iter().map(|fit| fit.motor)).collect();
         let stored = fitted.and_then(|new| {
             let (file, all) = {
                 let state = self.lock();
-                let file = state.calibration.file.clone().ok_or("there is no place for it")?;
+                let file = state.calibration.file.clone().ok_or("there is no file for it")?;
                 (file, with_other_motors(new, state.calibration.stored.as_ref().ok()))
             };
             write(&file, &all)?;
@@ -125,7 +125,7 @@ impl Engine {
                 let sent = state.commands.set_gains(stored.calibration.gains());
                 state.calibration.gains_set = true;
                 state.calibration.stored = Ok(stored);
-                let busy = "it is stored, but too many commands wait: it is used from the next connection on";
+                let busy = "it is stored, but too many commands wait: the daemon uses it from the next connection on";
                 sent.err().map(|_| busy.to_owned())
             }
             Err(problem) => Some(problem),

@@ -1,4 +1,4 @@
-//! Calibrations as files and as what a played plan comes to; no part of the daemon's state.
+//! Calibration files, and the fit of a played plan; no part of the daemon's state.
 //!
 //! [`read`] and [`write`] are the file, [`CalibrationRun`] collects the measured bursts of a plan and fits them, [`report`] is
 //! what clients see.
@@ -22,7 +22,7 @@ use std::sync::Arc;
 const MAX_BURSTS: usize = 1 << 17;
 const ADVICE: &str = "run `meissner calibrate`";
 
-/// A plan that is being played, and what was measured of it.
+/// A plan that is being played, and its measured bursts.
 #[derive(Debug)]
 pub(super) struct CalibrationRun {
     pub(super) id: u64,
@@ -41,7 +41,7 @@ impl CalibrationRun {
         }
     }
 
-    /// Takes out what was measured; what stays still blocks other plays.
+    /// Takes the measured bursts; the rest stays and blocks other plays.
     pub(super) fn take(&mut self) -> Self {
         let Self { id, plan, bursts } = self;
         Self { id: *id, plan: plan.clone(), bursts: std::mem::take(bursts) }
@@ -72,7 +72,7 @@ impl CalibrationRun {
             fit(&travels_by_telemetry(&self.plan, onset, &self.bursts)).map_err(|error| error.to_string())?;
         if fits.is_empty() {
             return Err(format!(
-                "no burst of play {} was measured: see `meissner receipt`, then again",
+                "no burst of play {} was measured: see `meissner receipt`, then calibrate again",
                 self.id
             ));
         }
@@ -92,23 +92,23 @@ pub(super) struct StoredCalibration {
     pub(super) unused: Option<String>,
 }
 
-/// Reads the file for the device of that identity. An error says why there is no calibration, and whether the file is at fault.
+/// Reads the file for the device of that identity. An error holds why there is no calibration, and whether the file is at fault.
 pub(super) fn read(file: Option<&Path>, identity: Option<&str>) -> Result<StoredCalibration, (String, bool)> {
     let none = || (format!("nothing was calibrated yet: {ADVICE}"), false);
     let file = file.ok_or_else(none)?;
     let bytes = match config::read_regular(file, MAX_BYTES as u64) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Err(none()),
         bytes => {
-            bytes.map_err(|error| (format!("{}: {error}; mend it, or {ADVICE}", file.display()), true))?
+            bytes.map_err(|error| (format!("{}: {error}; correct it, or {ADVICE}", file.display()), true))?
         }
     };
-    let bad = |what: String| (format!("{what}; not used: mend it, or {ADVICE}"), true);
+    let bad = |what: String| (format!("{what}; not used: correct it, or {ADVICE}"), true);
     let name = file.display().to_string();
     let text = String::from_utf8(bytes).map_err(|_| bad(format!("{name}: not UTF-8 text")))?;
     let calibration = Calibration::parse(&text, &name).map_err(|error| bad(error.to_string()))?;
     let unused = match identity {
         Some(identity) if identity == calibration.provenance().identity => None,
-        Some(_) => Some(format!("{name} is of another device: not used; {ADVICE}")),
+        Some(_) => Some(format!("{name} belongs to another device: not used; {ADVICE}")),
         None => Some("no device is connected".to_owned()),
     };
     Ok(StoredCalibration { calibration: Arc::new(calibration), unused })
@@ -122,7 +122,7 @@ pub(super) fn with_other_motors(new: Calibration, old: Option<&StoredCalibration
     };
     let others = old.motors().iter().filter(|fit| new.motor(fit.motor).is_none());
     let motors: Vec<MotorFit> = new.motors().iter().chain(others).copied().collect();
-    // Both were checked when they were made.
+    // Both are valid calibrations.
     Calibration::new(motors, new.provenance().clone()).unwrap_or(new)
 }
 
@@ -139,7 +139,7 @@ pub(super) fn write(file: &Path, calibration: &Calibration) -> Result<(), String
     })
 }
 
-/// The calibration as clients see it.
+/// The calibration for clients.
 pub(super) fn report(
     file: Option<&PathBuf>,
     stored: &Result<StoredCalibration, String>,

@@ -1,6 +1,6 @@
-//! Whether the daemon could run with a configuration: at the start, at a reload, and for `meissner daemon --check-config`.
+//! Checks whether the daemon can run with a configuration: at its start, at a reload, and for `meissner daemon --check-config`.
 //!
-//! Nothing is made or changed here.
+//! It makes and changes nothing.
 
 use super::error::DaemonError;
 use super::socket;
@@ -12,7 +12,7 @@ use std::path::Path;
 /// Checks a configuration and opens its patterns.
 ///
 /// # Errors
-/// The first thing the daemon would refuse.
+/// The first problem that would keep the daemon from starting.
 pub fn check(config: &Config) -> Result<Store, DaemonError> {
     socket::check(&config.socket)?;
     if let Some(Location { dir, .. }) = &config.logbook {

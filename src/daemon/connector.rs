@@ -1,13 +1,12 @@
 //! The connector: a thread that opens the device, hands it to the streamer, and opens it again when it is gone.
 //!
-//! Opening a device may block, and so may dropping what the streamer gives back; both happen here and nowhere else. While there is
-//! no device, the connector tries every [`RETRY_EVERY`], and at once when the system tells that a board was plugged in. While there
-//! is one, it sleeps.
+//! Opening and dropping a device may block; both happen only here. While there is no device, the connector tries every
+//! [`RETRY_EVERY`], and at once when the system reports that a board was plugged in. While there is one, it sleeps.
 //!
 //! - A device that comes back is disarmed: a person arms it again.
-//! - What `auto` found is kept: the connector waits for a board that was pulled out, and does not replace it by the mock.
-//! - A mock that is in use because there was no board is replaced by one that comes later (a boot may be faster than the bus), until
-//!   a client has armed it. From then on it stays, or what a person takes for a simulation would move pins.
+//! - `auto` chooses once: the connector waits for a board that was pulled out, and does not replace it by the mock.
+//! - If `auto` chose the mock, a board that comes later replaces it (a boot may be faster than the bus), until a client has armed
+//!   the mock. From then on the mock stays: a user who works with a simulation must not move real pins.
 //!
 //! Invariant: at most one board is open; the old one is closed before the next is opened.
 
@@ -27,7 +26,7 @@ use tracing::{debug, info, warn};
 
 /// Time between tries while there is no device.
 const RETRY_EVERY: Duration = Duration::from_millis(250);
-/// A board has its names and rights so long after it was plugged in.
+/// Time after which a board that was plugged in has its names and rights.
 const SETTLED: Duration = Duration::from_millis(500);
 /// Tries to open a board in the mock's place: at boot that may take seconds.
 const TRIES: usize = 10;
@@ -53,9 +52,9 @@ struct Connector {
     messages: Receiver<ConnectorMessage>,
     /// A device with a board's ids was plugged in.
     plugged: Receiver<()>,
-    /// Why nothing could be opened the last time, and whether that was logged.
+    /// Why the last try failed, and whether that was logged.
     failure: Option<(String, bool)>,
-    /// What was opened last.
+    /// The kind of the device that was opened last.
     opened: String,
 }
 
@@ -78,7 +77,7 @@ impl Connector {
             };
             match gone {
                 Some(ConnectorMessage::Quit) => return,
-                // Closed before the next try: its name would be taken.
+                // Close it before the next try, which may use the same name.
                 Some(ConnectorMessage::Gone(device)) => drop(device),
                 None => {}
             }
@@ -108,7 +107,7 @@ impl Connector {
         }
     }
 
-    /// Whether something was plugged in. A watch that has ended is replaced by one that never reports, or it would always be ready.
+    /// Whether something was plugged in. Replaces a watch that has ended by one that never reports: an ended one is always ready.
     fn is_arrival(&mut self, arrival: Result<(), RecvError>) -> bool {
         if arrival.is_err() {
             debug!("the system reports no more arrivals");

@@ -1,8 +1,8 @@
 //! The engine: the daemon's state behind one lock, and the way for commands to the streamer.
 //!
-//! Request handlers, the event loop and the connector share it. Other modules add what concerns them: `play` and `calibrate` order
-//! plays, `connector` hands over devices, `status` reports, `log_lines` words events. The engine decides nothing about motors:
-//! the streamer and the controller do.
+//! Request handlers, the event loop and the connector share it. Other modules add methods: `play` and `calibrate` begin plays,
+//! `connector` hands over devices, `status` reports, `log_lines` logs events. The streamer and the controller decide about motors,
+//! not the engine.
 //!
 //! Invariant: the lock is never held across a wait.
 
@@ -31,11 +31,11 @@ const SHUTDOWN_TIMEOUT: Duration = Duration::from_millis(1500);
 /// See the module.
 #[derive(Debug)]
 pub(super) struct Engine {
-    /// The device asked for, as the configuration writes it.
+    /// The requested device, as the configuration writes it.
     pub(super) wanted: String,
     /// Whether a device has answered or could not be opened.
     first_device_known: watch::Sender<bool>,
-    /// Something has changed that no event of the streamer tells.
+    /// Something has changed that no event of the streamer reports.
     pub(super) changed: Notify,
     /// Another version of the program is installed, and the daemon is idle.
     pub(super) replaced: Notify,
@@ -81,7 +81,7 @@ impl Engine {
     }
 
     pub(super) fn lock(&self) -> MutexGuard<'_, State> {
-        // Nothing panics under this lock; if something did, an emergency stop would have to go through all the same.
+        // Nothing panics under this lock; even if something did, an emergency stop must go through.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -134,7 +134,7 @@ impl Engine {
         Ok(())
     }
 
-    /// Refuses further commands, and has the pins returned and the motors switched off.
+    /// Refuses further commands; has the streamer return the pins and switch the motors off.
     pub(super) async fn shut_down(&self) {
         let reply = self.send(Command::Shutdown);
         self.lock().commands.close();
@@ -155,7 +155,7 @@ impl Engine {
         Some((state.plays.receipts.state_event(HostInstant::now()), receiver))
     }
 
-    /// Who ordered a play that has ended; asked once.
+    /// The client of a play that has ended, once.
     pub(super) fn take_client(&self, play: u64) -> Option<Peer> {
         self.lock().plays.take_client(play)
     }

@@ -1,7 +1,6 @@
-//! The event loop: takes in what the streamer tells, and has ended plays predicted.
+//! The event loop: processes the streamer's events, and starts predictions of ended plays.
 //!
-//! Streamer events become answers, receipts and published events under the engine's lock, in their order; the log gets them after
-//! that. The loop decides nothing.
+//! Under the engine's lock, streamer events become answers, receipts and published events, in their order; then the loop logs them.
 //!
 //! Invariant: no event waits for the log, a listener or the disk.
 
@@ -18,12 +17,12 @@ use std::time::{Duration, Instant};
 use tokio::io::Interest;
 use tokio::io::unix::AsyncFd;
 
-/// How long after a play's end the streamer is woken: by then the device has measured its last bursts.
+/// How long after a play's end the loop wakes the streamer: by then the device has measured the last bursts.
 const MEASURED_AFTER: Duration = Duration::from_millis(300);
-/// How long after that the measurements have been read.
+/// How long after that the streamer has read the measurements.
 const READ_AFTER: Duration = Duration::from_millis(50);
 
-/// A play that is to be predicted.
+/// A play that waits for its prediction.
 struct Due {
     at: Instant,
     play: u64,
@@ -76,7 +75,7 @@ impl Engine {
                 let (event, is_new) = self.lock().apply(streamed);
                 match &event {
                     Some(Event::Connected { .. }) => self.set_first_device_known(),
-                    // Measured bursts are kept for little more than the first minute, so a long play is predicted before its end.
+                    // Measured bursts are kept for little more than a minute: the prediction of a long play begins before its end.
                     Some(Event::Began { id, .. }) => {
                         due.push(Due::after(Duration::from_secs_f64(MOST_OBSERVED_S) + MEASURED_AFTER, *id));
                     }
@@ -86,7 +85,7 @@ impl Engine {
                     }
                     _ => {}
                 }
-                // After it is published, and outside of the lock: the log may be slow.
+                // After publishing and outside of the lock: the log may be slow.
                 if let Some(event) = event.filter(|_| is_new) {
                     self.log(&event);
                 }
@@ -105,7 +104,7 @@ impl Engine {
         }
     }
 
-    /// Has the response to a play predicted, once; or its calibration fitted, if it was one.
+    /// Starts the prediction of a play, once; or the fit, if the play was a calibration.
     fn predict(self: &Arc<Self>, predictor: &Predictor, id: u64) {
         self.finish_calibration(predictor, id);
         let Some(play) = self.lock().plays.take_measured(id) else { return };

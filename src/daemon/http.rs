@@ -1,9 +1,9 @@
-//! The API's routes: a request becomes a command to the engine, a result its answer.
+//! The API's routes: turns a request into a command to the engine, and the result into an answer.
 //!
 //! Work that touches the disk runs on a blocking thread, so that an emergency stop never waits for a disk. Every error, also for an
 //! unknown route, is `application/problem+json`.
 //!
-//! Invariant: who changed something, and the answer, are in the session record's queue before the client gets the answer
+//! Invariant: a command, its client and its answer are in the session record's queue before the client gets the answer
 //! ([`LoggedRequest`]).
 
 use super::body;
@@ -80,7 +80,7 @@ impl IntoResponse for ErrorResponse {
     }
 }
 
-/// What handlers work on.
+/// The state of the handlers.
 #[derive(Clone, Debug)]
 pub(super) struct App {
     pub(super) engine: Arc<Engine>,
@@ -190,7 +190,7 @@ async fn play(
     logged.result(result)
 }
 
-/// Answers when the plan is accepted; the event `calibrated` tells the result.
+/// Answers when the streamer accepts the plan; the event `calibrated` reports the result.
 async fn calibrate(
     State(app): State<App>,
     Extension(peer): Extension<Peer>,
@@ -238,7 +238,7 @@ async fn stop(State(app): State<App>, Extension(peer): Extension<Peer>, body: Bo
     simple_command(&app, peer, body, "stop", Command::Stop, TIMEOUT).await
 }
 
-/// Carried out whatever its body holds.
+/// Carries the stop out whatever the body holds.
 async fn estop(State(app): State<App>, Extension(peer): Extension<Peer>, body: Body) -> Answer<Json<Status>> {
     let logged = LoggedRequest::new(&app.engine, "estop", peer);
     let result = carry_out(&app, Command::EStop, TIMEOUT).await;
@@ -340,7 +340,7 @@ async fn receipt(State(app): State<App>, id: Result<Path<String>, PathRejection>
     };
     let none = || {
         let detail = if id == "last" {
-            "nothing was played yet: play something first".to_owned()
+            "there is no play yet: play a pattern first".to_owned()
         } else {
             format!("there is no play {id}: only the last {KEPT} that ended are kept; see `meissner receipt`")
         };

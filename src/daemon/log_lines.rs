@@ -1,10 +1,7 @@
-//! The words of log lines about events and plays.
-//!
-//! A play is one line, at its end. Events that come often have none.
-//!
-//! Invariant: no line comes once per burst.
+//! Writes log lines about events and plays: one line for a play, at its end, and none for events that come often.
 
 use super::engine::Engine;
+use crate::receipts::end_text;
 use jiff::{SignedDuration, Timestamp, Zoned};
 use meissner_api::{Event, PlayState, Receipt};
 use meissner_stream::ANOTHER_DEVICE;
@@ -13,7 +10,7 @@ use std::fmt::Write;
 use tracing::{info, warn};
 
 impl Engine {
-    /// Logs an event, if it is one for the log.
+    /// Logs an event, if operators need it.
     pub(super) fn log(&self, event: &Event) {
         match event {
             Event::Connected { device } => {
@@ -22,7 +19,7 @@ impl Engine {
             }
             Event::Disconnected { reason } if reason == ANOTHER_DEVICE => info!("{reason}"),
             Event::Disconnected { reason } => {
-                warn!(cause = reason, "device disconnected: {reason}; it is looked for again");
+                warn!(cause = reason, "device disconnected: {reason}; the daemon looks for it again");
             }
             Event::Ended { receipt } => self.log_play(receipt),
             Event::SensorFault { motor, fault } => {
@@ -65,19 +62,16 @@ impl Engine {
 
 /// The outcome of a play that has just ended, in words.
 fn outcome(receipt: &Receipt, now: HostInstant, wall: &Zoned) -> String {
-    let mut text = receipt.state.name().to_owned();
-    // Writing to a text cannot fail.
-    if let Some(cause) = &receipt.cause {
-        let _ = write!(text, " ({cause})");
-    }
+    let mut text = end_text(receipt.state.name(), receipt.cause.as_deref());
     let Some(onset) = receipt.onset else { return text + ", it did not begin" };
     let began = HostInstant::from_ns(onset.monotonic_ns);
     let (since, until) = (now.since(began), began.since(now));
     let since = SignedDuration::try_from(since).unwrap_or_default()
         - SignedDuration::try_from(until).unwrap_or_default();
-    // By the present wall clock, which may have been set since the play began.
+    // Counted back from the present wall clock, which may have been set since the play began.
     let at = wall.saturating_sub(since).strftime("%H:%M:%S%.6f");
     let (tick, us) = (onset.actual_tick, onset.uncertainty_ns.div_ceil(1000));
+    // Writing to a string cannot fail.
     let _ = write!(text, ", began {at} (tick {tick}, ±{us} us)");
     let asked = receipt.seconds.filter(|_| receipt.state == PlayState::Done);
     let seconds = since.as_secs_f64().max(0.0).min(asked.unwrap_or(f64::INFINITY));

@@ -114,13 +114,13 @@ pub(super) fn text(receipts: &Receipts) -> String {
     text.family(
         "bad_frames_total",
         "counter",
-        "Frames from the device that the host could not read, by kind; begins again when a device is connected.",
+        "Frames from the device that the host could not read, by kind; restarts when a device is connected.",
         kinds,
     );
     text.family(
         "device_bad_frames_total",
         "counter",
-        "Frames from the host that the device could not read; begins again when the device starts.",
+        "Frames from the host that the device could not read; restarts when the device starts.",
         [("", &of(|at| at.device_bad_frames))],
     );
     let line = snapshot.and_then(|at| at.line_bytes_per_s).map_or(f64::NAN, f64::from);

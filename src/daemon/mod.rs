@@ -1,19 +1,19 @@
 //! The daemon: the streamer's thread, and around it clients, patterns, devices, receipts and the session record.
 //!
-//! [`Daemon::start`] takes everything that the system may refuse (socket, patterns, threads); [`Daemon::run`] works until it is told
-//! to end. Threads: `streamer` (real time), `connector` (opens devices), `predictor` (skin model), `session record` (disk), and the
+//! [`Daemon::start`] acquires everything that the system may refuse (socket, patterns, threads); [`Daemon::run`] works until a signal
+//! or a request ends it. Threads: `streamer` (real time), `connector` (opens devices), `predictor` (skin model), `session record` (disk), and the
 //! runtime's one thread for clients and events. No timer runs while nothing happens, except a service manager's watchdog.
 //!
 //! The modules, each of which uses only those before it:
 //! - `socket`, `error`, `signals`, `runtime`, `check`, `names`, `metrics`: the system around the daemon.
 //! - `calibration`, `predictor`: calibrations as files and fits; predicted responses.
 //! - `state`, `engine`: the daemon's state behind one lock, and commands to the streamer.
-//! - `log_lines`, `request_log`, `status`: what the log, the session record and clients get.
-//! - `play`, `calibrate`, `connector`: order plays, calibrate, open devices.
+//! - `log_lines`, `request_log`, `status`: text and data for the log, the session record and clients.
+//! - `play`, `calibrate`, `connector`: begin plays, calibrate, open devices.
 //! - `service`, `event_loop`: the service manager; the streamer's events.
 //! - `body`, `http`, `reload`, `server`, `hosted`: clients, configuration, and daemons inside this process.
 //!
-//! Invariant: whatever ends the daemon, it first returns the pins, switches motors off and removes its socket.
+//! Invariant: before the daemon ends, it returns the pins, switches the motors off and removes its socket.
 
 mod body;
 mod calibrate;
@@ -68,7 +68,7 @@ use tracing::{info, warn};
 
 /// How long closing the session record may take; a service manager waits longer.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
-/// How long the streamer may take to end after it has answered that it will.
+/// How long the streamer may take to end after its answer to the shutdown.
 const STREAMER_TIMEOUT: Duration = Duration::from_millis(500);
 
 /// A daemon whose socket is bound and whose streamer runs.
@@ -85,12 +85,12 @@ pub struct Daemon {
     connector: crossbeam_channel::Sender<ConnectorMessage>,
 }
 
-/// Why a daemon ended in good order.
+/// Why a daemon ended without an error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Exit {
-    /// It was told to.
+    /// A signal or a request ended it.
     Requested,
-    /// Another version of the program is installed, and the service manager is to start that.
+    /// Another version of the program is installed, and the service manager must start it.
     Replaced,
 }
 
@@ -98,7 +98,7 @@ impl Daemon {
     /// Binds the socket and starts the threads.
     ///
     /// # Errors
-    /// What is missing, and what to do.
+    /// What the system refused, and what to do.
     pub fn start(config: &Config) -> Result<Self, DaemonError> {
         let store = check::store(config)?;
         let bound = Bound::take_over(&config.socket)?.map_or_else(|| Bound::new(&config.socket), Ok)?;
@@ -144,7 +144,7 @@ impl Daemon {
         Ok(Hosted { engine, realtime, end: Some(end), thread: Some(thread) })
     }
 
-    /// Works until it is told to end, then shuts down. A reload reads `source`; without one it ends the daemon.
+    /// Works until a signal or a request ends it, then shuts down. A reload reads `source`; without a source it ends the daemon.
     ///
     /// # Errors
     /// If the system fails, or the streamer ended by itself.
@@ -158,7 +158,7 @@ impl Daemon {
         let mut event_loop = tokio::spawn(Arc::clone(&engine).event_loop(events, predictor, reporter));
         let watchdog = tokio::spawn(service::watchdog(manager.clone(), Arc::clone(&engine)));
         let mut streamer = ended(streamer).map_err(system("thread"))?;
-        // The first command may be what started the daemon: it must not find that there is no device yet.
+        // A client's first command may have started the daemon: give the device time to connect.
         engine.first_device().await;
         let router = http::router(App { engine: Arc::clone(&engine), store: store.clone() });
         let server = tokio::spawn(server::serve(listener, Arc::clone(&engine), router, closing));
@@ -169,7 +169,7 @@ impl Daemon {
         let result = loop {
             tokio::select! {
                 action = signals.next() => match (action, &reloads) {
-                    // A reload that waits already does for this one, too.
+                    // A full queue means that a reload waits already.
                     (Action::Reload, Some(reloads)) => drop(reloads.try_send(())),
                     _ => break Ok(Exit::Requested),
                 },
@@ -188,7 +188,7 @@ impl Daemon {
         let _ = connector.try_send(ConnectorMessage::Quit);
         if !matches!(result, Err(DaemonError::Streamer)) {
             engine.shut_down().await;
-            // The streamer's last events are the receipts of what was cut.
+            // The streamer's last events complete the receipts of the plays that were cut.
             if result.is_ok() && tokio::time::timeout(STREAMER_TIMEOUT, &mut event_loop).await.is_err() {
                 warn!("the streamer did not end in time");
             }
@@ -206,7 +206,7 @@ impl Daemon {
             record.close(CLOSE_TIMEOUT);
             let _ = sender.send(());
         };
-        // On a thread of its own: the runtime's blocking threads may all wait for the disk.
+        // A thread of its own: the runtime's blocking threads may all wait for the disk.
         if thread::Builder::new().name("close".into()).spawn(close).is_ok() {
             let _ = closed.await;
         }
@@ -218,7 +218,7 @@ impl Daemon {
 fn ended(thread: JoinHandle<()>) -> io::Result<oneshot::Receiver<()>> {
     let (sender, receiver) = oneshot::channel();
     thread::Builder::new().name("watch".into()).spawn(move || {
-        // The log says how it ended. The daemon may be gone by now.
+        // A panic is in the log already. The receiver may be gone.
         let _ = thread.join();
         let _ = sender.send(());
     })?;

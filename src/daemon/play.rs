@@ -1,9 +1,9 @@
-//! Orders plays: a request is prepared without the lock, then begun under it.
+//! Begins plays: prepares a request without the lock, then sends it under the lock.
 //!
 //! [`PreparedPlay::new`] compiles the pattern and evaluates its bandwidth; [`State::begin`] gives the play an id and a receipt and
-//! sends it. The daemon refuses here what makes no sense; the streamer refuses what the device cannot take.
+//! sends it. This module refuses invalid requests; the streamer refuses plays that the device cannot take.
 //!
-//! Invariant: a play is in the receipts before the streamer can speak of it, and the id of a refused play goes to the next one.
+//! Invariant: a play is in the receipts before the streamer reports anything about it; the id of a refused play goes to the next.
 
 use super::engine::{Engine, TIMEOUT, answer};
 use super::state::{NewPlay, Reply, State};
@@ -15,7 +15,7 @@ use meissner_array::strokes::Strokes;
 use meissner_stream::queues::{At, Command, Play};
 use meissner_stream::{Bandwidth, Settings};
 
-/// A play that lacks nothing but an id.
+/// A play that still needs an id.
 #[derive(Debug)]
 pub(super) struct PreparedPlay {
     play: Play,
@@ -24,7 +24,7 @@ pub(super) struct PreparedPlay {
 }
 
 impl PreparedPlay {
-    /// Compiles what a request asks for.
+    /// Compiles the pattern of a request.
     pub(super) async fn new(
         request: &PlayRequest,
         stored: Stored,
@@ -32,9 +32,9 @@ impl PreparedPlay {
     ) -> Result<Self, Problem> {
         let strokes = Strokes::new(&stored.pattern, request.seconds)
             .map_err(|error| Problem::new(Code::BadRequest, format!("`seconds`: {error}")))?;
-        // With another play at the same tick, their results could not be told apart.
+        // The results of this play and the next, at the same tick, could not be told apart.
         if strokes.end() == Some(0) {
-            let detail = "`seconds`: less than a tick of 1/85000 s, nothing would be played: ask for more";
+            let detail = "`seconds`: less than a tick of 1/85000 s, so nothing would be played: ask for more";
             return Err(Problem::new(Code::BadRequest, detail));
         }
         // A long pattern has a hundred thousand strokes: other commands must not wait while they are counted.
@@ -68,7 +68,7 @@ impl State {
 }
 
 impl Engine {
-    /// Orders a play and waits until it is accepted. Returns its id.
+    /// Begins a play and waits until the streamer accepts it. Returns its id.
     pub(super) async fn play(
         &self,
         request: &PlayRequest,

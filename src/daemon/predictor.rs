@@ -20,10 +20,10 @@ use tracing::error;
 
 /// Plays that wait, with the one in work: as many as may be queued. Each holds up to a minute of bursts.
 const WAITING: usize = 16;
-/// A ninth of other threads' claim on the processor: at 19 a busy machine would hardly get to it.
+/// A ninth of the processor time of a thread with nice 0: at 19 a busy machine would hardly run it.
 const NICE: i32 = 10;
 
-/// A play, with what was measured of it.
+/// A play and its measured bursts.
 #[derive(Debug)]
 pub(super) struct MeasuredPlay {
     pub(super) pattern: Arc<Pattern>,
@@ -49,7 +49,7 @@ pub(super) struct Predictor {
 impl Predictor {
     pub(super) fn new() -> Result<Self, ThreadPoolBuildError> {
         let start = |_| {
-            // Of the calling thread, on Linux. If the system refuses, it has nice 0, still below the streamer.
+            // On Linux this concerns the calling thread alone. If the system refuses, it has nice 0, still below the streamer.
             let _ = rustix::process::nice(NICE);
         };
         let pool = ThreadPoolBuilder::new()
@@ -60,13 +60,12 @@ impl Predictor {
         Ok(Self { pool: pool.build()?, waiting: Arc::default() })
     }
 
-    /// Runs other work that nothing waits for.
+    /// Runs work for which nothing waits.
     pub(super) fn compute(&self, work: impl FnOnce() + Send + 'static) {
         self.pool.spawn(work);
     }
 
-    /// Predicts the response to a play after those before it, and reports the result. A play whose turn comes when `cancelled`
-    /// says so gets no report.
+    /// Predicts the response to a play after those that wait, and reports the result; no report if `cancelled` returns true by then.
     pub(super) fn predict(
         &self,
         play: MeasuredPlay,

@@ -21,7 +21,7 @@ use std::thread;
 use std::time::Duration;
 use tracing::{info, warn};
 
-/// How long the session record's old disk may take to write what waits.
+/// How long the old disk of the session record may take to write waiting entries.
 const TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Starts the thread that reads the configuration whenever it gets a message. It may wait for the disk; nothing waits for it.
@@ -45,7 +45,7 @@ pub(super) fn spawn(
     Ok(sender)
 }
 
-/// Reads the configuration and applies what can change; `running` is what is in use, before and after.
+/// Reads the configuration and applies what can change; `running` is the configuration in use.
 fn reload(source: &Source, running: &mut Config, engine: &Engine, store: &SharedStore) {
     let mut applied = Vec::new();
     let problem = apply(source, running, engine, store, &mut applied).err();
@@ -86,7 +86,7 @@ fn apply(
     if new.calibration != running.calibration {
         engine.set_calibration_file(new.calibration.clone());
         running.calibration.clone_from(&new.calibration);
-        applied.push("`calibration` for what is stored, and read at the next connection".to_owned());
+        applied.push("`calibration`: new calibrations go there; it is read at the next connection".to_owned());
     }
     if new.logbook != running.logbook {
         let users = Arc::clone(&engine.names.users);
@@ -102,7 +102,7 @@ fn apply(
     ];
     let fixed: Vec<&str> = fixed.iter().filter(|(_, changed)| *changed).map(|(key, _)| *key).collect();
     match (applied.is_empty(), fixed.is_empty()) {
-        (true, true) => info!("the configuration says what it said before"),
+        (true, true) => info!("the configuration has not changed"),
         (false, _) => info!("the configuration was read again: {}", applied.join(", ")),
         _ => {}
     }

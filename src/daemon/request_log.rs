@@ -16,7 +16,7 @@ use tracing::{debug, info};
 /// Characters kept of a refusal's reason.
 const MAX_DETAIL: usize = 500;
 
-/// A request that is being carried out. One that is dropped without a result: its client has hung up.
+/// A request under way. Dropping it without a result means that its client has hung up.
 #[derive(Debug)]
 pub(super) struct LoggedRequest {
     engine: Arc<Engine>,
@@ -36,13 +36,13 @@ impl LoggedRequest {
         }
     }
 
-    /// Sets what the client asked for.
+    /// Sets the arguments of the command.
     pub(super) fn set_arguments(&mut self, arguments: &impl Serialize) {
-        // What was parsed can be written.
+        // Parsed arguments can be serialized.
         self.entry.asked = serde_json::to_value(arguments).unwrap_or_default();
     }
 
-    /// Sets the command's name in the log, if the plain one says too little.
+    /// Sets the command's name in the log, if its own is too short.
     pub(super) fn set_title(&mut self, title: String) {
         self.title = title;
     }
@@ -56,7 +56,7 @@ impl LoggedRequest {
     pub(super) fn result<T, E: AsRef<Problem>>(mut self, result: Result<T, E>) -> Result<T, E> {
         let problem = result.as_ref().err().map(AsRef::as_ref);
         self.entry.answer = problem.map_or_else(|| "ok".to_owned(), |problem| problem.code.clone());
-        // It may repeat what the client sent.
+        // It may quote what the client sent.
         self.entry.detail = problem.map(|problem| problem.detail.chars().take(MAX_DETAIL).collect());
         result
     }
@@ -69,7 +69,7 @@ impl Drop for LoggedRequest {
         let answer = match (&self.entry.detail, &*self.entry.answer) {
             (Some(detail), code) => format!("refused ({code}): {detail}"),
             (None, "ok") => "done".to_owned(),
-            (None, _) => "they hung up before it was answered".to_owned(),
+            (None, _) => "the client hung up before the answer".to_owned(),
         };
         // A play has a line at its end; refused plays may come by the thousand.
         if self.entry.command == "play" {

@@ -62,7 +62,7 @@ pub(super) async fn serve(
             Ok((stream, _)) if refused.len() < REFUSED => {
                 refused.spawn(refuse(stream, router.clone()));
             }
-            Ok(_) => warn!("far too many clients: one was disconnected"),
+            Ok(_) => warn!("too many clients: one was disconnected"),
             Err(error) => {
                 // Out of descriptors: some may be free later.
                 warn!("cannot accept a client: {error}");
@@ -97,7 +97,7 @@ async fn serve_client(stream: UnixStream, peer: Peer, router: Router, mut closin
     }
 }
 
-/// Answers that there is no place. An emergency stop needs none and is carried out.
+/// Refuses a client for whom there is no place, but carries out an emergency stop.
 async fn refuse(stream: UnixStream, router: Router) {
     let peer = peer(&stream);
     let service = service_fn(async |mut request: Request<Incoming>| {
@@ -111,11 +111,11 @@ async fn refuse(stream: UnixStream, router: Router) {
     });
     let mut http = http1::Builder::new();
     http.keep_alive(false).timer(TokioTimer::new()).header_read_timeout(REQUEST_TIMEOUT);
-    // Its result is of no interest.
+    // The client is refused, whether or not it reads the answer.
     let _ = tokio::time::timeout(REFUSAL_TIMEOUT, http.serve_connection(TokioIo::new(stream), service)).await;
 }
 
-/// Who a client is, as the kernel says; pid -1 and the highest uid if it does not.
+/// The client's process and user, from the kernel; pid -1 and the highest uid if unknown.
 fn peer(stream: &UnixStream) -> Peer {
     let unknown = Peer { pid: -1, uid: u32::MAX };
     stream.peer_cred().map_or(unknown, |cred| Peer { pid: cred.pid().unwrap_or(-1), uid: cred.uid() })

@@ -58,7 +58,7 @@ impl Manager {
         self.0.is_some()
     }
 
-    /// Queues a notification; says whether there was room.
+    /// Queues a notification; returns whether there was room.
     pub(super) fn notify(&self, notification: Notification) -> bool {
         let Some(Line { queue, .. }) = &self.0 else { return false };
         (notification != Notification::Alive || queue.len() < QUEUE / 2)
@@ -86,12 +86,12 @@ impl StatusReporter {
         Self { manager, last: String::new() }
     }
 
-    /// Reports the status if it has changed, and ends an idle daemon for a newer program, which the service manager then starts.
+    /// Reports a changed status. Ends an idle daemon whose program was replaced: the service manager starts the new one.
     pub(super) fn update(&mut self, engine: &Engine) {
         if !self.manager.is_there() {
             return;
         }
-        // A line of its protocol ends a value.
+        // In the protocol a line break ends the value.
         let line = engine.status_line().replace(char::is_control, " ");
         if line != self.last {
             self.last.clone_from(&line);
@@ -125,7 +125,7 @@ fn send_all(queue: &Receiver<Notification>, status: &Mutex<Option<String>>) {
     }
 }
 
-/// Sends watchdog notifications while the streamer's loop runs, as often as the service manager wants them.
+/// Sends watchdog notifications while the streamer's loop runs, at the service manager's interval.
 pub(super) async fn watchdog(manager: Manager, engine: Arc<Engine>) {
     match sd_notify::watchdog_enabled() {
         Some(interval) if manager.is_there() => watch(manager, engine, interval / CHECKS).await,
@@ -136,7 +136,7 @@ pub(super) async fn watchdog(manager: Manager, engine: Arc<Engine>) {
 async fn watch(manager: Manager, engine: Arc<Engine>, every: Duration) {
     let mut seen = engine.lock().commands.loop_count();
     loop {
-        // An idle streamer sleeps: it is woken to run its loop.
+        // An idle streamer sleeps: waking it makes it run its loop.
         engine.lock().commands.wake_streamer();
         tokio::time::sleep(every).await;
         let count = engine.lock().commands.loop_count();

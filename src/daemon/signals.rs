@@ -1,9 +1,9 @@
-//! Signals: they end the daemon, or have it read its configuration again.
+//! Signals that end the daemon, or make it read its configuration again.
 //!
-//! SIGTERM and SIGINT end it. SIGHUP ends it if it was started from a terminal, which has then been closed. Without a terminal, or
-//! under nohup, SIGHUP has it read its configuration again.
+//! SIGTERM and SIGINT end it. SIGHUP ends a daemon that was started from a terminal: the terminal was closed. Without a terminal,
+//! or under nohup, SIGHUP makes it read its configuration again.
 //!
-//! Invariant: from [`Signals::new`] on none of them kills the process, nor does SIGXFSZ, a file that may not grow.
+//! Invariant: after [`Signals::new`] none of them kills the process, nor does SIGXFSZ (a file reached the size limit).
 
 use super::error::{DaemonError, system};
 use std::fs::{self, File};

@@ -19,7 +19,7 @@ use tracing::warn;
 /// Owner and group may connect: members of the group may drive the motors.
 const MODE: u32 = 0o660;
 
-/// Why there is no socket.
+/// Why the daemon has no socket.
 #[derive(Debug, thiserror::Error)]
 pub enum SocketError {
     /// Another daemon has it.
@@ -31,7 +31,7 @@ pub enum SocketError {
         pid: Option<i32>,
     },
     /// Another user's daemon has it.
-    #[error("{} is another user's, mostly the installed service's: use that one, or choose another with --socket", .socket.display())]
+    #[error("{} belongs to another user, usually the installed service: use that daemon, or choose another socket with --socket", .socket.display())]
     Foreign {
         /// Where.
         socket: PathBuf,
@@ -57,7 +57,7 @@ pub enum SocketError {
         source: io::Error,
     },
     /// The directory or the permissions are wrong.
-    #[error("{}: {source}; see that its directory exists and may be written to, or choose another with --socket", .path.display())]
+    #[error("{}: {source}; check that its directory exists and that you may write there, or choose another with --socket", .path.display())]
     Io {
         /// Where.
         path: PathBuf,

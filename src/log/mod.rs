@@ -1,10 +1,10 @@
 //! The log for operators: lines on stderr, or under systemd in journald, with fields by which `journalctl` finds plays and motors.
 //!
-//! [`start`] sets it up; all modules log with `tracing`. An error is a bug of ours, a warning says that the world misbehaves, an info
-//! line is what a lab reads later, debug is for finding faults. `$RUST_LOG` chooses the level. Each message reads alone; its fields
-//! repeat what one searches by.
+//! [`start`] sets it up; all modules log with `tracing`. Levels: error, a bug of the program; warn, a fault of device, system or
+//! configuration; info, for the lab's notes; debug, for finding faults. `$RUST_LOG` chooses the level. Each message is complete
+//! without its fields, which are for searching.
 //!
-//! Invariant: nothing waits for the log's reader: a line that cannot be written at once is lost. An emergency stop must work.
+//! Invariant: nothing waits for the log's reader; a line that cannot be written at once is lost. An emergency stop must work.
 
 mod journal;
 
@@ -26,7 +26,7 @@ const JOURNALD: &str = "/run/systemd/journal/socket";
 /// Bytes that a pipe takes in one write (PIPE_BUF).
 const ATOMIC: usize = 4096;
 
-/// Starts the log of this process: `level` and above, unless `$RUST_LOG` says otherwise.
+/// Starts the log of this process at `level`, or at the level of `$RUST_LOG`.
 pub fn start(level: Level) {
     let asked = env::var_os("RUST_LOG").filter(|asked| !asked.is_empty());
     let filter = asked.as_ref().map(|asked| asked.to_string_lossy().parse::<Targets>());
@@ -41,7 +41,7 @@ pub fn start(level: Level) {
             .log_internal_errors(false)
             .with_ansi(io::stderr().is_terminal())
             .with_target(false)
-            // Messages read alone; fields are for searching the journal.
+            // Fields are for searching the journal.
             .fmt_fields(format::debug_fn(|out, field, value| match field.name() {
                 "message" => write!(out, "{value:?}"),
                 _ => Ok(()),
@@ -50,7 +50,7 @@ pub fn start(level: Level) {
     let lines = journal.map_or_else(|| text().boxed(), Layer::boxed);
     tracing_subscriber::registry().with(filter).with(lines).init();
     if refused {
-        warn!("RUST_LOG is no filter: write for example RUST_LOG=debug; it is taken as `{level}`");
+        warn!("RUST_LOG is not a valid filter, using `{level}`: write for example RUST_LOG=debug");
     }
 }
 

@@ -17,7 +17,7 @@ pub const fn state_name(state: State) -> &'static str {
     }
 }
 
-/// What a device told in the handshake; `kind` says how it is reached.
+/// What a device reported in the handshake; `kind` says how it is reached.
 #[must_use]
 pub fn device_info(kind: &str, hello: &DeviceHello) -> DeviceInfo {
     let [major, minor, patch] = hello.firmware;
@@ -28,6 +28,21 @@ pub fn device_info(kind: &str, hello: &DeviceHello) -> DeviceInfo {
         boot: hello.boot,
         simulated: hello.features & DeviceHello::SIMULATED != 0,
         telemetry: hello.features & DeviceHello::TELEMETRY != 0,
+    }
+}
+
+/// The API's cause of a state or an end after the host watchdog timed out.
+pub const HOST_TIMEOUT: &str = "lease";
+
+/// How a play ended, in words: its state and cause.
+#[must_use]
+pub fn end_text(state: &str, cause: Option<&str>) -> String {
+    match cause {
+        None => state.to_owned(),
+        Some(HOST_TIMEOUT) => {
+            format!("{state}: the PC was silent for longer than the host watchdog timeout")
+        }
+        Some(cause) => format!("{state} ({cause})"),
     }
 }
 

@@ -1,6 +1,6 @@
-//! Receipts: turns what the streamer tells into receipts, totals, the device's state, and the API's events.
+//! Receipts: turns the streamer's events into receipts, totals, the device's state, and the API's events.
 //!
-//! The daemon adds each play it orders ([`Receipts::add`]) and applies each [`StreamEvent`] ([`Receipts::apply`]); it publishes the
+//! The daemon adds each play before it sends it ([`Receipts::add`]) and applies each [`StreamEvent`] ([`Receipts::apply`]); it publishes the
 //! events that come back. Nothing here reads a clock or sends anything.
 //!
 //! A new field of a receipt needs three edits: the field (`crates/api/src/receipt.rs`), the code that fills it
@@ -13,7 +13,7 @@ mod convert;
 mod measured_bursts;
 mod prediction;
 
-pub use convert::{calibration_plan, device_info, refusal, state_name};
+pub use convert::{HOST_TIMEOUT, calibration_plan, device_info, end_text, refusal, state_name};
 pub use measured_bursts::{KEPT_S, MeasuredBursts};
 pub use prediction::{NoPrediction, PlayedPattern};
 
@@ -105,7 +105,7 @@ impl Receipts {
         &self.kind
     }
 
-    /// Applies an event of the streamer. Answers and freed boxes concern other parts of the daemon.
+    /// Applies an event of the streamer. Answers and returned memory concern other parts of the daemon.
     pub fn apply(&mut self, event: &StreamEvent) -> Option<Event> {
         match event {
             StreamEvent::Answer { .. }

@@ -10,7 +10,7 @@ use std::io;
 use std::os::unix::fs::FileExt;
 use std::path::Path;
 
-/// Files of earlier days were written by a clock that was never set. Their age is unknown: they stay.
+/// Files of earlier days were written with a clock that was never set. Their age is unknown, so they stay.
 const FIRST: Date = date(2026, 1, 1);
 /// Bytes read at a time.
 const PIECE: u64 = 1 << 16;
@@ -26,7 +26,7 @@ fn day(file: &str) -> Option<Date> {
     (name(day) == file).then_some(day)
 }
 
-/// Cuts off what follows the last newline. Returns the new length and the number of bytes cut.
+/// Cuts off the bytes after the last newline. Returns the new length and the number of bytes cut.
 pub(super) fn cut_torn(file: &File) -> io::Result<(u64, u64)> {
     let length = file.metadata()?.len();
     let mut end = length;
@@ -50,7 +50,7 @@ pub(super) fn cut_torn(file: &File) -> io::Result<(u64, u64)> {
 /// Removes files more than so many days old.
 ///
 /// Age is counted from today or from the newest other day, whichever is earlier: a clock that jumps ahead makes one file with a
-/// distant date, and that alone ages no file. The price: after a pause, old files are removed one day of use later.
+/// distant date, and that alone ages no file. After a pause, old files are therefore removed one day of use later.
 pub(super) fn remove_old(dir: &Path, today: Date, days: u32) -> io::Result<()> {
     let mut found = Vec::new();
     for entry in fs::read_dir(dir)? {
@@ -61,7 +61,7 @@ pub(super) fn remove_old(dir: &Path, today: Date, days: u32) -> io::Result<()> {
     // Out of the calendar's range: everything stays.
     let Ok(oldest) = from.checked_sub(jiff::Span::new().days(days)) else { return Ok(()) };
     let old = found.into_iter().filter(|day| (FIRST..oldest).contains(day));
-    // A file that cannot be removed does not keep the others.
+    // Go on after a file that cannot be removed.
     old.map(|day| fs::remove_file(dir.join(name(day)))).fold(Ok(()), Result::and)
 }
 

@@ -1,4 +1,4 @@
-//! Entries: what a line of the session record says, besides the time.
+//! Entries: the content of a line of the session record, besides the time.
 //!
 //! Most are the daemon's events as clients see them; the others are commands, and the daemon's start, reloads and end. Events that
 //! come ten times a second or once per stroke are left out: receipts sum them up.
@@ -68,12 +68,12 @@ pub enum Note {
         version: &'static str,
         /// Its process.
         pid: u32,
-        /// The device asked for.
+        /// The requested device.
         wanted: String,
     },
     /// The daemon has ended in good order, or because of a problem it could report.
     DaemonEnded {
-        /// The problem; null: it was told to end.
+        /// The problem; null: a signal or a request ended it.
         problem: Option<String>,
     },
     /// The configuration was read again.
@@ -113,7 +113,7 @@ pub enum Entry {
 }
 
 impl Entry {
-    /// The entry for an event, if it is one for the session record; `client` ordered the play it is about.
+    /// The entry for an event, if the session record keeps it; `client`: whose play it is about.
     #[must_use]
     pub fn of(event: &Event, client: Option<Peer>) -> Option<Self> {
         match event {

@@ -1,9 +1,9 @@
 //! The session record (configuration keys `logbook_dir` and `logbook_days`): JSON lines about a lab's sessions, one file per local day.
 //!
 //! `DIR/2026-11-22.jsonl` holds each command with its client and answer, each play with its receipt, what devices did, and the
-//! daemon's start and end. Experiments read it later; the daemon reads nothing back. [`SessionRecord::add`] stamps an entry and queues
-//! it for a thread, which writes it, makes it durable [`SYNC_AFTER`] later, and sleeps while there is nothing to do. An entry that
-//! finds no room is counted, and the next line says so.
+//! daemon's start and end. Experiments read it later; the daemon never reads it. [`SessionRecord::add`] stamps an entry and queues
+//! it for a thread, which writes it, makes it durable [`SYNC_AFTER`] later, and sleeps while there is nothing to do. Entries that
+//! find no room are counted; the next line holds the count.
 //!
 //! Invariants: nothing waits for the disk; every line of a file that was closed or opened again parses; lines of one daemon are in
 //! the order of `CLOCK_MONOTONIC`; missing entries are counted.
@@ -25,7 +25,7 @@ use std::time::{Duration, Instant};
 use tracing::warn;
 use writer::{Stamp, Writer};
 
-/// How long an entry waits for its user's name. After one directory service that took longer, entries do not wait: it may hang.
+/// How long an entry waits for its user's name. Once a look-up took longer, entries do not wait: the directory service may hang.
 const NAME_TIMEOUT: Duration = Duration::from_millis(200);
 /// Entries that may wait for the disk: more than a session has in a minute.
 pub const WAITING: usize = 1024;
@@ -68,7 +68,7 @@ impl Queue {
     }
 }
 
-/// The way to add entries. Clones share one record.
+/// A handle to the record. Clones share one record.
 #[derive(Clone, Debug)]
 pub struct SessionRecord {
     /// None: nothing is recorded, or it is closed.
@@ -82,8 +82,8 @@ impl SessionRecord {
         Self { queue: Arc::new(Mutex::new(None)) }
     }
 
-    /// Starts a record at a location, or none. A location that cannot be written is a line in the log, and entries are counted
-    /// as lost until it can.
+    /// Starts a record at a location, or none. While the location cannot be written, a line in the log says so, and entries count
+    /// as lost.
     ///
     /// # Errors
     /// If the system gives no thread.
@@ -143,18 +143,18 @@ impl SessionRecord {
         *missed = messages.try_send(message).map_or(*missed + 1, |()| 0);
     }
 
-    /// Writes what waits, makes it durable, and records nothing more; waits for that for `timeout` at most.
+    /// Writes waiting entries, makes them durable and ends the record; waits for at most `timeout`.
     pub fn close(&self, timeout: Duration) {
         let until = Instant::now() + timeout;
         let Some(Queue { messages, missed, ended, .. }) = self.lock().take() else { return };
-        let mut untold = missed;
+        let mut uncounted = missed;
         if missed > 0 {
             let entry = Note::Lost { entries: 1 }.into();
             let message = Message::Entry { stamp: Stamp::now(), missed: missed - 1, entry };
-            untold = messages.send_deadline(message, until).map_or(missed, |()| 0);
+            uncounted = messages.send_deadline(message, until).map_or(missed, |()| 0);
         }
         drop(messages);
-        if ended.recv_deadline(until) == Err(RecvTimeoutError::Timeout) || untold > 0 {
+        if ended.recv_deadline(until) == Err(RecvTimeoutError::Timeout) || uncounted > 0 {
             warn!("the session record's disk is too slow: the last entries may be missing from it");
         }
     }

@@ -4,6 +4,7 @@ use super::writer::Disk;
 use super::*;
 use jiff::tz::{TimeZone, offset};
 use meissner_api::{DeviceInfo, Event, Receipt};
+use meissner_stream::time::HostInstant;
 use serde_json::{Value, json};
 use std::cell::Cell;
 use std::fs::{self, File};

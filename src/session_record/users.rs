@@ -1,7 +1,6 @@
 //! Names of users, by their numbers; for display only, never for access.
 //!
-//! The system may ask a remote directory service: [`Users::look_up`] does so on a thread of its own, [`Users::known`] returns what
-//! is known without waiting.
+//! The system may ask a remote directory service: [`Users::look_up`] asks on a thread of its own, [`Users::known`] never waits.
 //!
 //! Invariants: nothing is looked up under the lock; one name at a time, so that a directory service that hangs costs one thread.
 

@@ -1,7 +1,7 @@
 //! Writes lines to the file of their day, makes them durable, and survives a failing disk.
 //!
-//! The session record's thread calls it, and waits as long as the disk takes. A line is one write in append mode; a partial write is
-//! cut back. While the disk fails, entries are counted, and the writer tries again with the next entry after [`RETRY_AFTER`].
+//! The session record's thread calls it and waits for the disk. A line is one write in append mode; a partial write is cut back.
+//! While the disk fails, the writer counts entries and tries again with the next entry after [`RETRY_AFTER`].
 //!
 //! Invariant: after each call the file ends with a whole line, or is not open.
 
@@ -109,7 +109,7 @@ pub(super) struct Writer {
     zone: Option<TimeZone>,
     disk: Disk,
     open: Option<Open>,
-    /// Entries that are missing and that no line has told yet.
+    /// Missing entries that no line has reported yet.
     missing: u64,
     /// Lines that are not durable yet.
     unsynced: u64,
@@ -143,7 +143,7 @@ impl Writer {
         Self { disk, zone: Some(zone), retry_after: RETRY_AFTER / 10, ..self }
     }
 
-    /// Where it tells why nothing can be written.
+    /// Why nothing can be written, shared with the status.
     pub(super) fn problem(&self) -> Arc<Mutex<Option<String>>> {
         Arc::clone(&self.problem)
     }
@@ -196,7 +196,7 @@ impl Writer {
         self.unsynced = 0;
     }
 
-    /// Writes the following entries to another location, which also tells what is missing.
+    /// Writes the following entries, and the count of missing ones, to another location.
     pub(super) fn move_to(&mut self, location: Location) {
         self.sync();
         (self.location, self.open, self.failing) = (location, None, None);
@@ -219,7 +219,7 @@ impl Writer {
         self.set_problem(Some(format!("the session record cannot be written: {failure}")));
         if self.failing.replace(Instant::now() + self.retry_after).is_none() {
             warn!(
-                "the session record cannot be written: {failure}; make room there and see that the daemon may write, or \
+                "the session record cannot be written: {failure}; free space there and check that the daemon may write, or \
                  set `logbook_dir`; playing goes on"
             );
         }

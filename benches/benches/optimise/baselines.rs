@@ -27,7 +27,7 @@ const SIGMA: f64 = 0.3;
 /// Sets these draws apart from others of the same seed.
 const WORD: u64 = 6;
 
-/// MethodLabel to search.
+/// How to search.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Method {
     /// Ours.

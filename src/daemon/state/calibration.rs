@@ -13,7 +13,7 @@ pub(in crate::daemon) struct Calibration {
     pub(in crate::daemon) file: Option<PathBuf>,
     /// What is stored, or why nothing is.
     pub(in crate::daemon) stored: Result<StoredCalibration, String>,
-    /// The device that was connected last.
+    /// The identity of the device that was connected last.
     pub(in crate::daemon) identity: String,
     /// A plan that is being played, measured or fitted: no play is accepted meanwhile.
     pub(in crate::daemon) running: Option<CalibrationRun>,

@@ -13,7 +13,7 @@ use std::collections::HashMap;
 use std::time::Duration;
 use tokio::sync::oneshot;
 
-/// After this long no answer comes any more: the streamer drops a command that waited for a second, and homing ends before.
+/// An answer that is still missing after this time does not come: commands expire after a second, and homing ends before.
 const LOST_AFTER: Duration = Duration::from_secs(30);
 
 /// Where an answer arrives.
@@ -59,7 +59,7 @@ impl Commands {
         let estop = matches!(command, Command::EStop);
         if self.queue.send(Request { ticket, issued_at, command }).is_err() {
             if estop {
-                // Only another emergency stop can have taken the last place: its answer is for both.
+                // Only another emergency stop can have taken the last place: both get its answer.
                 if let Some(ticket) = self.waiting.get_mut(&self.last_estop) {
                     ticket.replies.push(reply);
                 }
@@ -118,12 +118,12 @@ impl Commands {
         self.closing
     }
 
-    /// How many turns the streamer's loop has made.
+    /// How often the streamer's loop has run.
     pub(in crate::daemon) fn loop_count(&self) -> u64 {
         self.queue.loop_count()
     }
 
-    /// Has the streamer's loop make a turn.
+    /// Wakes the streamer, so that its loop runs once.
     pub(in crate::daemon) fn wake_streamer(&self) {
         self.queue.wake_thread();
     }

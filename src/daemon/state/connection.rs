@@ -5,10 +5,10 @@ use meissner_stream::device::Device;
 use meissner_stream::device::mock::TruePositions;
 use std::sync::Arc;
 
-/// What the connector's thread is told.
+/// A message to the connector's thread.
 #[derive(Debug)]
 pub(in crate::daemon) enum ConnectorMessage {
-    /// The device is gone; drop what is left of it.
+    /// The device is gone; drop it.
     Gone(Option<Box<Device>>),
     /// The daemon ends.
     Quit,
@@ -22,7 +22,7 @@ pub(in crate::daemon) struct Connection {
     pub(in crate::daemon) true_positions: Option<Arc<TruePositions>>,
     /// Why the device was lost, until one answers again.
     lost: Option<&'static str>,
-    /// Why no device is connected, as it was found last.
+    /// Why no device is connected, by the last try.
     pub(in crate::daemon) missing: Option<String>,
     /// A client has asked to arm, whatever device there was.
     pub(in crate::daemon) armed_once: bool,
@@ -46,7 +46,7 @@ impl Connection {
         (self.lost, self.missing) = (None, None);
     }
 
-    /// The device of that kind is gone. Says whether the reason is new.
+    /// The device of that kind is gone. Returns whether the reason is new.
     pub(super) fn lost(&mut self, kind: &str, reason: &'static str) -> bool {
         self.missing = Some(format!("{kind}: {reason}"));
         self.lost.replace(reason) != Some(reason)

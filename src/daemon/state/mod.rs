@@ -1,14 +1,14 @@
 //! The daemon's state: six parts with one job each, behind the engine's one lock.
 //!
 //! - [`Commands`]: commands to the streamer, and the calls that wait for their answers.
-//! - [`Plays`]: receipts, who ordered which play, and the bursts that were measured.
+//! - [`Plays`]: receipts, the clients of plays, and measured bursts.
 //! - [`Calibration`]: the stored calibration, and a calibration that is being measured.
 //! - [`Connection`]: the connected device, or why there is none.
 //! - [`Publisher`]: events to listeners and to the session record.
 //! - [`ActiveSettings`]: the streamer's settings, now and after the next `arm`.
 //!
 //! A part uses no other part; a rule that concerns several is a method of [`State`]. There is one lock because such rules hold
-//! across parts: a play is in the receipts before the streamer can speak of it, and events are published in the order of the
+//! across parts: a play is in the receipts before the streamer reports anything about it, and events are published in the order of the
 //! receipts.
 //!
 //! Invariant: nothing here waits: the lock is held for microseconds.
@@ -58,7 +58,7 @@ impl State {
         self.commands.send(command, play)
     }
 
-    /// Takes in what the streamer tells. Returns the event it is, and whether that is new to the log.
+    /// Applies an event of the streamer. Returns the API's event, and whether the log needs it.
     pub(super) fn apply(&mut self, streamed: StreamEvent) -> (Option<Event>, bool) {
         let event = match &streamed {
             StreamEvent::Answer { ticket, result } => {
@@ -70,7 +70,7 @@ impl State {
                 self.plays.measured.clear();
                 self.plays.receipts.apply(&streamed)
             }
-            // A port that is no board is opened again and again: that is told once.
+            // A port that is no board is opened again and again: report that once.
             StreamEvent::Disconnected { reason, .. } => {
                 let is_new = self.connection.lost(self.plays.receipts.kind(), reason);
                 self.plays.receipts.apply(&streamed).filter(|_| is_new)
@@ -83,7 +83,7 @@ impl State {
         if let StreamEvent::Disconnected { device, .. } = streamed {
             self.connection.tell_connector(ConnectorMessage::Gone(device));
         }
-        // At its end the daemon itself lets go of the device.
+        // When it ends, the daemon itself closes the device.
         let expected = self.commands.is_closing() && matches!(event, Some(Event::Disconnected { .. }));
         (event, !expected)
     }
@@ -120,7 +120,7 @@ impl State {
         }
     }
 
-    /// Refuses what cannot happen during a calibration.
+    /// Refuses a play during a calibration.
     pub(super) fn check_not_calibrating(&self) -> Result<(), Problem> {
         if self.calibration.running.is_some() { Err(refusal(CommandError::Playing)) } else { Ok(()) }
     }

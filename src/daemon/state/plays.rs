@@ -1,4 +1,4 @@
-//! Plays: their receipts, who ordered them, and what was measured of them.
+//! Plays: their receipts, clients and measured bursts.
 //!
 //! Bounds: those of [`Receipts`] and [`MeasuredBursts`]; patterns and clients are kept only while a play is not over or its
 //! response is not predicted.
@@ -27,7 +27,7 @@ pub(in crate::daemon) struct Plays {
     pub(in crate::daemon) measured: MeasuredBursts,
     /// Plays without a prediction: the pattern, and whether the device measures bursts.
     unpredicted: HashMap<u64, (Arc<Pattern>, bool)>,
-    /// Who ordered the plays that are not over.
+    /// The clients of the plays that are not over.
     clients: HashMap<u64, Peer>,
     last_id: u64,
 }
@@ -64,12 +64,12 @@ impl Plays {
         self.clients.remove(&id);
     }
 
-    /// Who ordered a play that is not over.
+    /// The client of a play that is not over.
     pub(super) fn client(&self, id: u64) -> Option<Peer> {
         self.clients.get(&id).copied()
     }
 
-    /// Who ordered a play, asked once, at its end.
+    /// Takes the client of a play, at its end.
     pub(in crate::daemon) fn take_client(&mut self, id: u64) -> Option<Peer> {
         self.clients.remove(&id)
     }

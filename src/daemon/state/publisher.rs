@@ -22,7 +22,7 @@ impl Publisher {
         Self { session_record, listeners: Some(broadcast::channel(EVENTS).0) }
     }
 
-    /// Publishes an event; `client` ordered the play it is about.
+    /// Publishes an event; `client`: whose play it is about.
     pub(super) fn publish(&self, event: &Event, client: Option<Peer>) {
         if let Some(entry) = Entry::of(event, client) {
             self.session_record.add(entry);

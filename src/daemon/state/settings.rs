@@ -16,7 +16,7 @@ impl ActiveSettings {
         Self { current: settings, next: settings }
     }
 
-    /// Sets what is in use from the next `arm` on, or at once if nothing is armed.
+    /// Sets the settings from the next `arm` on, or at once if the motors are disarmed.
     pub(in crate::daemon) const fn set(&mut self, settings: Settings, is_armed: bool) {
         self.next = settings;
         if !is_armed {

@@ -33,17 +33,8 @@ const RETRY: (Duration, Duration) = (Duration::from_millis(3), Duration::from_mi
 const FIRST_PINGS: u32 = 8;
 /// Pings that may be under way at once and still be told apart.
 const PINGS: usize = 64;
-const FIRST_PING_EVERY: Duration = Duration::from_millis(2);
-/// The device is lost when it leaves so many pings in a row unanswered, over so long.
-const MAX_UNANSWERED: u32 = 5;
-const UNANSWERED_FOR: Duration = Duration::from_millis(400);
-/// Once a ping is unanswered, the session pings this often.
-const RECHECK_EVERY: Duration = Duration::from_millis(100);
 /// A session that waits for a status asks this often.
 const STATUS_EVERY: Duration = Duration::from_millis(1);
-/// The session ends after so many hellos without an answer.
-const HELLO_EVERY: Duration = Duration::from_millis(50);
-const MAX_HELLOS: u32 = 40;
 
 /// A frame of strokes from its first stroke to its verdict.
 #[derive(Debug)]

@@ -2,10 +2,7 @@
 
 use crate::link::session::event::{Event, LostReason};
 use crate::link::session::probe::{QUIET_TIMEOUT, Step};
-use crate::link::session::{
-    FIRST_PING_EVERY, FIRST_PINGS, HELLO_EVERY, MAX_HELLOS, MAX_UNANSWERED, Phase, RECHECK_EVERY, Session,
-    UNANSWERED_FOR,
-};
+use crate::link::session::{FIRST_PINGS, Phase, Session};
 use crate::time::HostInstant;
 use firmware_protocol::batch::{BATCH_BYTES, Packer};
 use firmware_protocol::frame::{self, MAX_FRAME};
@@ -13,6 +10,17 @@ use firmware_protocol::message::HostMessage;
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
 use std::time::Duration;
+
+/// Interval of the first pings.
+const FIRST_PING_EVERY: Duration = Duration::from_millis(2);
+/// The device is lost when it leaves so many pings in a row unanswered, over so long.
+const MAX_UNANSWERED: u32 = 5;
+const UNANSWERED_FOR: Duration = Duration::from_millis(400);
+/// Once a ping is unanswered, the session pings this often.
+const RECHECK_EVERY: Duration = Duration::from_millis(100);
+/// Interval and largest number of hellos without an answer.
+const HELLO_EVERY: Duration = Duration::from_millis(50);
+const MAX_HELLOS: u32 = 40;
 
 impl Session {
     /// Writes the next frame that is due into `out` and returns its length; 0 when none is.
