@@ -12,7 +12,7 @@
 //! 4. **Play** → `daemon/play.rs` compiles the pattern to strokes ([`meissner_array::strokes`]), evaluates the bandwidth it needs,
 //!    opens its receipt and sends it to the streamer.
 //! 5. **Stroke**: one excursion of one pin, an up burst and the down burst that undoes it, at exact ticks of 1/85 000 s.
-//!    [`firmware_protocol::stroke`] defines it for everyone who makes, sends, plays or simulates one.
+//!    [`firmware_protocol::stroke`] defines it once for streamer, controller and simulators.
 //! 6. **Streamer** ([`meissner_stream`], a real-time thread) → chooses the onset, keeps the controller fed `lead_ms` ahead, and
 //!    corrects each burst from telemetry shortly before it begins (`control`). It accounts for every burst.
 //! 7. **Link** ([`meissner_stream::link`]) → a reliable, ordered stream of frames with credits; it estimates the device's clock and

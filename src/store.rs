@@ -32,7 +32,7 @@ pub enum StoreError {
     /// No pattern of that name.
     #[error("no pattern is called {}{} `meissner list` shows all", quote(.name), offer(.nearest))]
     Unknown {
-        /// As asked for.
+        /// The requested name.
         name: String,
         /// The nearest names there are.
         nearest: Vec<String>,

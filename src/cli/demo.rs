@@ -46,7 +46,8 @@ struct Report {
     onset_latency_ms: Option<f64>,
     lead_ms: f64,
     rest_error_um: RestReport,
-    felt: ResponseReport,
+    #[serde(rename = "felt")]
+    response: ResponseReport,
     realtime: Realtime,
     duration_s: f64,
 }
@@ -191,14 +192,14 @@ fn report(
             closed_loop_rms: (!request.open_loop).then(|| truth.rms_um()),
             max: truth.max_abs_um,
         },
-        felt: response_report(request, receipt, &pattern, &open),
+        response: response_report(request, receipt, &pattern, &open),
         realtime: hosted.realtime(),
         duration_s: begun.elapsed().as_secs_f64(),
     })
 }
 
 fn summary(report: &Report) -> String {
-    let Report { bursts, pulses, wire, rest_error_um, felt, realtime, .. } = report;
+    let Report { bursts, pulses, wire, rest_error_um, response, realtime, .. } = report;
     let contrast = |rates: Option<Rates>| {
         let contrast = rates.and_then(|rates| rates.contrast);
         contrast.map_or_else(|| "-".to_owned(), |contrast| format!("{contrast:.1}"))
@@ -245,9 +246,9 @@ fn summary(report: &Report) -> String {
             text::PREDICTED,
             format!(
                 "on-target minus off-target {} impulses/s (designed: {}), {} without feedback",
-                contrast(felt.closed_loop_hz),
-                contrast(felt.designed_hz),
-                contrast(felt.open_loop_hz)
+                contrast(response.closed_loop_hz),
+                contrast(response.designed_hz),
+                contrast(response.open_loop_hz)
             ),
         ),
         ("real time", format!("SCHED_FIFO {}, memory locked {}", yes(realtime.fifo), yes(realtime.mlock))),

@@ -9,7 +9,7 @@ use std::time::Duration;
 const TIMEOUT: Duration = Duration::from_secs(10);
 /// Most bytes of a command's body. Commands are parsed on the runtime's only thread: they must be small.
 const MAX_COMMAND: usize = 16 << 10;
-/// Bytes read of a body that is too large, so that its sender comes to read the answer.
+/// Most bytes read of a body that is too large, so that its sender reaches the answer.
 const MAX_SKIPPED: usize = 32 << 20;
 
 /// Reads a command's body.

@@ -25,7 +25,7 @@ pub enum DaemonError {
     /// The system gave no descriptor or thread.
     #[error("the system gives no {what}: {source}")]
     System {
-        /// What was asked for.
+        /// What the daemon requested.
         what: &'static str,
         /// The system's answer.
         source: io::Error,

@@ -238,7 +238,7 @@ async fn stop(State(app): State<App>, Extension(peer): Extension<Peer>, body: Bo
     simple_command(&app, peer, body, "stop", Command::Stop, TIMEOUT).await
 }
 
-/// Carries the stop out whatever the body holds.
+/// Carries the stop out before it reads the body, which may hold anything.
 async fn estop(State(app): State<App>, Extension(peer): Extension<Peer>, body: Body) -> Answer<Json<Status>> {
     let logged = LoggedRequest::new(&app.engine, "estop", peer);
     let result = carry_out(&app, Command::EStop, TIMEOUT).await;

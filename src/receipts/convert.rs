@@ -87,6 +87,13 @@ mod tests {
     use super::*;
 
     #[test]
+    fn an_end_names_its_cause() {
+        assert_eq!(end_text("done", None), "done");
+        assert_eq!(end_text("stopped", Some("estop")), "stopped (estop)");
+        assert!(end_text("stopped", Some(HOST_TIMEOUT)).starts_with("stopped: the PC was silent"));
+    }
+
+    #[test]
     fn refusals_have_their_codes() {
         for (refused, code, status) in [
             (CommandError::Disarmed, "disarmed", 409),

@@ -61,7 +61,7 @@ pub enum NoPrediction {
 pub struct PlayedPattern<'p> {
     /// Its pattern.
     pub pattern: &'p Pattern,
-    /// The duration asked for, s.
+    /// The requested duration, s.
     pub seconds: Option<f64>,
     /// Its onset.
     pub onset: Tick,

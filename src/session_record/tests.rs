@@ -278,7 +278,7 @@ fn lines_are_synced_once_for_many_and_never_for_none() {
     assert_eq!(SYNCS.get(), 1);
 }
 
-/// The thread is held up in its first line; what does not fit then is told by the next line that does.
+/// The thread is held up in its first line; the next line that finds room counts the entries that did not.
 #[test]
 fn a_full_queue_does_not_wait_and_is_told() {
     static HELD: Mutex<()> = Mutex::new(());
@@ -308,10 +308,10 @@ fn a_full_queue_does_not_wait_and_is_told() {
     let lines: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     let entries = |line: &Value| line["entries"].as_u64().unwrap();
     let written = lines.iter().filter(|line| line["event"] == "lost" && entries(line) >= 100).count() as u64;
-    let told: u64 =
+    let counted: u64 =
         lines.iter().filter(|line| line["entries"].as_u64().is_some_and(|n| n < 100)).map(entries).sum();
     assert!((4..=5).contains(&written), "{written}");
-    assert_eq!((told, &lines[lines.len() - 1]["event"]), (20 - written, &json!("daemon-started")));
+    assert_eq!((counted, &lines[lines.len() - 1]["event"]), (20 - written, &json!("daemon-started")));
 }
 
 #[test]

@@ -81,8 +81,8 @@ pub(super) fn findings(
 /// Judges the daemon's device by what the daemon reports.
 fn held(findings: &mut Vec<Finding>, status: &Status, device: &DeviceInfo) {
     let found = format!("{}, firmware {}", device.kind, device.firmware);
-    let instead = "plug a board in, which takes its place until somebody has armed; after that, or for another `device`, \
-                   restart the daemon";
+    let instead = "plug a board in, which replaces it until a client has armed; after that, or for another `device`, restart the \
+                   daemon";
     findings.push(board::device(device.simulated, found, instead));
     let state = format!("{} ({}), position {}", status.state, status.cause, status.position);
     let (level, advice) = match (status.state.as_str(), status.position.as_str()) {

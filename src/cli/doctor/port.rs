@@ -73,8 +73,8 @@ pub(super) fn holders(root: &Path, path: &Path, known: bool) -> Option<Finding> 
 /// Whether ModemManager, which looks for a modem at every serial port, runs without a rule to leave boards alone.
 pub(super) fn modem_manager(root: &Path) -> Option<Finding> {
     let runs = processes(root).into_iter().any(|process| process.name == MODEM_MANAGER);
-    let told = service::rules_text(root).is_some_and(|rules| rules.contains("ID_MM_DEVICE_IGNORE"));
-    (runs && !told).then(|| {
+    let ignored = service::rules_text(root).is_some_and(|rules| rules.contains("ID_MM_DEVICE_IGNORE"));
+    (runs && !ignored).then(|| {
         let advice = format!(
             "`sudo cp deploy/70-meissner.rules /etc/udev/rules.d/ && {}`, or, on a machine without a modem, `sudo \
              systemctl disable --now ModemManager`",

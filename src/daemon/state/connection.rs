@@ -24,7 +24,7 @@ pub(in crate::daemon) struct Connection {
     lost: Option<&'static str>,
     /// Why no device is connected, by the last try.
     pub(in crate::daemon) missing: Option<String>,
-    /// A client has asked to arm, whatever device there was.
+    /// A client has requested to arm, with or without a device.
     pub(in crate::daemon) armed_once: bool,
 }
 

@@ -28,7 +28,7 @@ impl Publisher {
             self.session_record.add(entry);
         }
         if let Some(listeners) = &self.listeners {
-            // An error means that nobody listens.
+            // An error means that there is no listener.
             let _ = listeners.send(event.clone());
         }
     }

@@ -41,13 +41,13 @@ const JOURNAL: &str = "`journalctl -u meissner -e` shows why";
 #[derive(Debug, Default)]
 pub(super) struct Units {
     installed: bool,
-    told: HashMap<String, HashMap<String, String>>,
+    reported: HashMap<String, HashMap<String, String>>,
 }
 
 impl Units {
-    fn new(root: &Path, told: Option<String>) -> Self {
-        let told = told.as_deref().map(parse).unwrap_or_default();
-        Self { installed: is_installed(root), told }
+    fn new(root: &Path, reported: Option<String>) -> Self {
+        let reported = reported.as_deref().map(parse).unwrap_or_default();
+        Self { installed: is_installed(root), reported }
     }
 
     pub(super) const fn is_installed(&self) -> bool {
@@ -60,7 +60,7 @@ impl Units {
     }
 
     fn of(&self, unit: &str, property: &str) -> &str {
-        self.told.get(unit).and_then(|unit| unit.get(property)).map_or("", String::as_str)
+        self.reported.get(unit).and_then(|unit| unit.get(property)).map_or("", String::as_str)
     }
 }
 
@@ -68,8 +68,8 @@ impl Units {
 pub(super) fn units(root: &Path) -> Units {
     let mut show = Command::new("systemctl");
     show.args(["show", SERVICE, SOCKET, "--no-pager", "-p", ASKED]);
-    let told = move || said(show, TIMEOUT).inspect_err(|error| tracing::debug!("systemctl: {error}")).ok();
-    Units::new(root, is_installed(root).then(told).flatten())
+    let reported = move || said(show, TIMEOUT).inspect_err(|error| tracing::debug!("systemctl: {error}")).ok();
+    Units::new(root, is_installed(root).then(reported).flatten())
 }
 
 /// The output of a command that ends within `timeout`.
@@ -112,7 +112,7 @@ fn state(units: &Units) -> Vec<Finding> {
     if !units.installed {
         return vec![Finding::ok("service", "no service is installed: start `meissner daemon` by hand")];
     }
-    if units.told.is_empty() {
+    if units.reported.is_empty() {
         let advice = "see `systemctl status meissner.service`";
         return vec![Finding::warn(
             "service",
