@@ -6,7 +6,7 @@
 use crate::link::clock::Clock;
 use crate::link::session::event::{Event, LostReason, Verdict};
 use crate::link::session::line::RoundTrip;
-use crate::link::session::{Phase, Session};
+use crate::link::session::state::{Phase, Session};
 use crate::time::HostInstant;
 use firmware_protocol::batch::Strokes;
 use firmware_protocol::controller::REORDER_WINDOW;

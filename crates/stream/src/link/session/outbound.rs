@@ -2,7 +2,7 @@
 
 use crate::link::session::event::{Event, LostReason};
 use crate::link::session::probe::{QUIET_TIMEOUT, Step};
-use crate::link::session::{FIRST_PINGS, Phase, Session};
+use crate::link::session::state::{FIRST_PINGS, Phase, Session};
 use crate::time::HostInstant;
 use firmware_protocol::batch::{BATCH_BYTES, Packer};
 use firmware_protocol::frame::{self, MAX_FRAME};

@@ -1,0 +1,360 @@
+//! The state of a session, and the calls of the streamer.
+
+use crate::link::clock::Clock;
+use crate::link::session::line::{LineRate, MeasuredLine, RoundTrip, Traffic};
+use crate::link::session::probe::{Budget, Probe};
+use crate::time::HostInstant;
+use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
+use firmware_protocol::controller::{REORDER_WINDOW, REPORTS};
+use firmware_protocol::frame::{Decoder, MAX_FRAME};
+use firmware_protocol::message::{Op, Report};
+use firmware_protocol::stroke::Stroke;
+use firmware_protocol::tick::Tick;
+use std::collections::VecDeque;
+use std::time::Duration;
+
+/// Unacknowledged frames at most: the next in order, and those the device keeps out of order (selective repeat).
+const WINDOW: usize = 1 + REORDER_WINDOW;
+/// The host retransmits a frame after a few round trips, within these bounds.
+const RETRY: (Duration, Duration) = (Duration::from_millis(3), Duration::from_millis(50));
+/// Round trips right after the handshake, to set the clock.
+pub(super) const FIRST_PINGS: u32 = 8;
+/// Pings that may be under way at once and still be told apart.
+const PINGS: usize = 64;
+/// A session that waits for a status asks this often.
+const STATUS_EVERY: Duration = Duration::from_millis(1);
+
+/// A frame of strokes from its first stroke to its verdict.
+#[derive(Debug)]
+pub(super) struct Batch {
+    pub(super) seq: u16,
+    pub(super) onset: bool,
+    pub(super) strokes: Packer<BATCH_BYTES>,
+    /// Its bytes on the wire, once sent.
+    pub(super) len: usize,
+    pub(super) first_sent: Option<HostInstant>,
+    pub(super) last_sent: HostInstant,
+    /// To be sent, or sent again.
+    pub(super) due: bool,
+    /// The device keeps it, but misses one before it.
+    pub(super) kept: bool,
+    pub(super) retransmitted: bool,
+}
+
+#[derive(Debug)]
+pub(super) struct Control {
+    pub(super) op: Op,
+    pub(super) sent: Option<HostInstant>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Phase {
+    Opening,
+    Open,
+    Over,
+}
+
+/// The host's end of one session.
+#[derive(Debug)]
+pub struct Session {
+    pub(super) phase: Phase,
+    pub(super) id: u32,
+    /// The line's rate as its transport knows it, and as the probe measured it.
+    nominal: LineRate,
+    pub(super) line: Option<MeasuredLine>,
+    pub(super) window_bytes: usize,
+    pub(super) probe: Probe,
+    pub(super) decoder: Decoder,
+    pub(super) hellos: u32,
+    pub(super) clock: Clock,
+    pub(super) traffic: Traffic,
+
+    pub(super) epoch: u16,
+    /// The epoch the session began with.
+    pub(super) first_epoch: u16,
+    pub(super) control: Option<Control>,
+    pub(super) window: VecDeque<Batch>,
+    open_batch: Option<Batch>,
+    pub(super) next_seq: u16,
+    /// The device acknowledged all frames before this one.
+    pub(super) acked: u16,
+    /// The device's free stroke slots, after the frames before `acked`.
+    pub(super) credits: usize,
+    pub(super) last_sent: Option<HostInstant>,
+    pub(super) amendments: Packer<BATCH_BYTES>,
+    pub(super) generation: u16,
+
+    /// The last report read; all before it were read too.
+    pub(super) seen: u16,
+    /// The last report that the device is known to have made.
+    pub(super) announced: u16,
+    /// The tick of the newest status.
+    pub(super) newest: Tick,
+    /// Verdicts up to this report belong to an epoch that is over.
+    pub(super) stale: u16,
+    /// Verdicts that came before their acknowledgement.
+    pub(super) verdicts: VecDeque<Report>,
+
+    pub(super) token: u16,
+    /// The last ping that the device answered.
+    pub(super) answered: u16,
+    /// The last pings and when they left: an answer may come after later pings have left.
+    pub(super) pinged: [(u16, HostInstant); PINGS],
+    pub(super) last_ping: HostInstant,
+    pub(super) ping_due: HostInstant,
+    pub(super) ping_every: Duration,
+    pub(super) first_pings: u32,
+    pub(super) unanswered: u32,
+    pub(super) first_unanswered: HostInstant,
+    pub(super) round_trip: Duration,
+    /// The shortest round trip so far.
+    pub(super) shortest_trip: Duration,
+    pub(super) last_trip: Option<RoundTrip>,
+}
+
+impl Session {
+    /// A session over a line of this rate; `id` is a random number. It begins with the handshake.
+    #[must_use]
+    pub fn new(id: u32, rate: LineRate, now: HostInstant) -> Self {
+        Self {
+            phase: Phase::Opening,
+            id,
+            nominal: rate,
+            line: None,
+            window_bytes: rate.window_bytes(),
+            probe: Probe::new(Budget::default(), rate),
+            decoder: Decoder::default(),
+            hellos: 0,
+            clock: Clock::default(),
+            traffic: Traffic::default(),
+            epoch: 0,
+            first_epoch: 0,
+            control: None,
+            window: VecDeque::with_capacity(WINDOW + 1),
+            open_batch: None,
+            next_seq: 0,
+            acked: 0,
+            credits: 0,
+            last_sent: None,
+            amendments: Packer::new(Tick(0)),
+            generation: 0,
+            seen: 0,
+            announced: 0,
+            newest: Tick(0),
+            stale: 0,
+            verdicts: VecDeque::with_capacity(REPORTS),
+            token: 0,
+            answered: 0,
+            pinged: [(0, HostInstant::default()); PINGS],
+            last_ping: HostInstant::default(),
+            ping_due: now,
+            ping_every: Duration::from_secs(1),
+            first_pings: 0,
+            unanswered: 0,
+            first_unanswered: now,
+            round_trip: RETRY.0,
+            shortest_trip: Duration::MAX,
+            last_trip: None,
+        }
+    }
+
+    /// The device's clock.
+    #[must_use]
+    pub fn clock(&self) -> &Clock {
+        &self.clock
+    }
+
+    /// Bytes and frames so far.
+    #[must_use]
+    pub fn traffic(&self) -> Traffic {
+        self.traffic
+    }
+
+    /// The last round trip; each is returned once.
+    pub fn take_round_trip(&mut self) -> Option<RoundTrip> {
+        self.last_trip.take()
+    }
+
+    /// Whether the link probe is over; before that, the line's rate is unknown.
+    #[must_use]
+    pub fn is_probed(&self) -> bool {
+        self.probe.is_over()
+    }
+
+    /// Probes the line again with this budget, for a closer measurement. Not while a play runs.
+    pub fn probe(&mut self, budget: Budget) {
+        self.probe = Probe::new(budget, self.nominal);
+    }
+
+    /// Takes over what the probe measured, once it is over.
+    pub(super) fn adopt_probe(&mut self) {
+        if self.probe.is_over() {
+            self.line = self.probe.result();
+            self.window_bytes = self.line.map_or(self.nominal, |line| line.rate).window_bytes();
+        }
+    }
+
+    /// Bytes per second of full frames that the device acknowledges: the line's rate, or less where the host waits for
+    /// acknowledgements because few bytes may be unacknowledged. `None` until measured.
+    #[must_use]
+    pub fn capacity(&self) -> Option<u32> {
+        let MeasuredLine { rate, ack_wait } = self.line?;
+        let under_way = (self.frames_under_way() * MAX_FRAME) as f64;
+        let waiting = under_way / (ack_wait + rate.time(MAX_FRAME)).as_secs_f64();
+        Some(waiting.min(rate.0.into()) as u32)
+    }
+
+    /// Bytes per second left on the line while so many frames a second, however short, wait for acknowledgements.
+    /// `None` until measured.
+    #[must_use]
+    pub fn rate_left(&self, frames_per_s: u32) -> Option<u32> {
+        let waiting = f64::from(frames_per_s) * self.ack_wait()?.as_secs_f64();
+        Some((f64::from(self.line?.rate.0) * (1.0 - waiting)) as u32)
+    }
+
+    /// How long a frame waits, besides its bytes' time, until the device has acknowledged the frames before it.
+    #[must_use]
+    pub fn ack_wait(&self) -> Option<Duration> {
+        Some(self.line?.ack_wait / self.frames_under_way() as u32)
+    }
+
+    /// Whole frames that may be unacknowledged at once.
+    fn frames_under_way(&self) -> usize {
+        self.window_bytes / MAX_FRAME
+    }
+
+    /// Whether the session takes plays: the handshake is done, the clock is set and the session is not over.
+    #[must_use]
+    pub fn is_open(&self) -> bool {
+        self.phase == Phase::Open && self.first_pings >= FIRST_PINGS
+    }
+
+    /// Whether the device answered every command, and the session read every report.
+    #[must_use]
+    pub fn is_answered(&self) -> bool {
+        self.control.is_none() && self.seen == self.announced
+    }
+
+    /// Whether the session takes commands: the handshake is done and the session is not over.
+    #[must_use]
+    pub fn can_command(&self) -> bool {
+        self.phase == Phase::Open
+    }
+
+    /// Pings at least this often, so that the device's host watchdog does not time out.
+    pub fn keep_alive_every(&mut self, every: Duration, now: HostInstant) {
+        self.ping_every = every;
+        self.ping_due = self.ping_due.min(now + every);
+    }
+
+    /// Asks for a status soon. Callers may repeat it until the status comes.
+    pub fn request_status(&mut self) {
+        self.ping_due = self.ping_due.min(self.last_ping + STATUS_EVERY);
+    }
+
+    /// Asks for a status within this time. Statuses report free slots; a host without credits sends nothing else that
+    /// would bring one.
+    pub fn request_status_within(&mut self, time: Duration) {
+        self.ping_due = self.ping_due.min(self.last_ping + time);
+    }
+
+    /// Sends a command in a new epoch, until the device answers. The session forgets strokes that have no verdict yet.
+    pub fn command(&mut self, op: Op) {
+        self.epoch = self.epoch.wrapping_add(1);
+        self.control = Some(Control { op, sent: None });
+        self.window.clear();
+        self.open_batch = None;
+        self.verdicts.clear();
+        (self.next_seq, self.acked, self.generation) = (0, 0, 0);
+        self.amendments = Packer::new(Tick(0));
+    }
+
+    /// Begins a play: the next strokes go into a frame of their own, which the device takes whole or not at all.
+    /// Once that frame is sealed, nothing can be pushed until the device answers it.
+    pub fn begin(&mut self, onset: Tick) {
+        self.seal();
+        self.open_batch = Some(self.batch(onset, true));
+    }
+
+    fn batch(&self, base: Tick, onset: bool) -> Batch {
+        let strokes = Packer::new(base);
+        Batch {
+            seq: self.next_seq,
+            onset,
+            strokes,
+            len: 0,
+            first_sent: None,
+            last_sent: HostInstant::default(),
+            due: true,
+            kept: false,
+            retransmitted: false,
+        }
+    }
+
+    /// Strokes that the device's credits still allow.
+    #[must_use]
+    pub fn credits(&self) -> usize {
+        let open = self.open_batch.as_ref().map_or(0, |batch| batch.strokes.items());
+        let out: usize = self.window.iter().map(|batch| batch.strokes.items()).sum();
+        self.credits.saturating_sub(out + open)
+    }
+
+    /// Whether a frame may be begun: the window has room, and no onset waits for its verdict.
+    #[must_use]
+    pub fn has_room(&self) -> bool {
+        self.control.is_none()
+            && self.window.len() < WINDOW
+            && !self.window.back().is_some_and(|batch| batch.onset)
+    }
+
+    /// Takes a stroke that does not begin before the last one; `false` if it must wait for credits, the window or an
+    /// onset's verdict.
+    pub fn push(&mut self, stroke: &Stroke) -> bool {
+        if self.phase != Phase::Open || !self.has_room() || self.credits() == 0 {
+            return false;
+        }
+        if let Some(batch) = &mut self.open_batch {
+            if batch.strokes.stroke(stroke).is_ok() {
+                return true;
+            }
+            self.seal();
+            return self.push(stroke);
+        }
+        // A frame that waits takes more strokes: on a link with slow answers frames get longer, not more.
+        if let Some(last) = self.window.back_mut()
+            && last.first_sent.is_none()
+            && !last.onset
+            && last.strokes.stroke(stroke).is_ok()
+        {
+            return true;
+        }
+        let mut batch = self.batch(stroke.up, false);
+        let packed = batch.strokes.stroke(stroke).is_ok();
+        self.open_batch = Some(batch);
+        packed
+    }
+
+    /// Ends the open frame, so that it can be sent. While it waits, it takes more strokes, unless it is an onset's.
+    pub fn seal(&mut self) {
+        if let Some(batch) = self.open_batch.take() {
+            self.next_seq = self.next_seq.wrapping_add(1);
+            self.window.push_back(batch);
+        }
+    }
+
+    /// Adds a corrected pulse count for a queued burst to the next amendment message; `false` if that is full.
+    pub fn amend(&mut self, amendment: &Amendment) -> bool {
+        if self.amendments.items() == 0 {
+            self.amendments = Packer::new(amendment.up);
+        }
+        self.amendments.amendment(amendment).is_ok()
+    }
+
+    /// How long the session waits for an acknowledgement before it retransmits.
+    pub(super) fn retry_after(&self) -> Duration {
+        let usual = (self.round_trip * 3).clamp(RETRY.0, RETRY.1);
+        // A frame on a slow line is late, not lost.
+        let line = self.line.map_or(Duration::ZERO, |line| line.rate.time(self.window_bytes + MAX_FRAME));
+        usual.max(self.round_trip.min(RETRY.1) + line)
+    }
+}
