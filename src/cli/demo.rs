@@ -200,11 +200,7 @@ fn report(
 
 fn summary(report: &Report) -> String {
     let Report { bursts, pulses, wire, rest_error_um, response, realtime, .. } = report;
-    let contrast = |rates: Option<Rates>| {
-        let contrast = rates.and_then(|rates| rates.contrast);
-        contrast.map_or_else(|| "-".to_owned(), |contrast| format!("{contrast:.1}"))
-    };
-    let figure = |figure: Option<f64>| figure.map_or_else(|| "-".to_owned(), |figure| format!("{figure:.2}"));
+    let contrast = |rates: Option<Rates>| text::number(rates.and_then(|rates| rates.contrast), 1);
     let yes = |granted| if granted { "yes" } else { "no" };
     text::pairs(&[
         (
@@ -224,19 +220,19 @@ fn summary(report: &Report) -> String {
             format!(
                 "{} bytes, {} per burst; {} without feedback",
                 wire.bytes_to_device,
-                figure(wire.bytes_per_burst),
-                figure(wire.bytes_per_burst_open_loop)
+                text::number(wire.bytes_per_burst, 2),
+                text::number(wire.bytes_per_burst_open_loop, 2)
             ),
         ),
         (
             "onset",
-            format!("{} ms after the request, lead {} ms", figure(report.onset_latency_ms), report.lead_ms),
+            format!("{} ms after the request, lead {} ms", text::number(report.onset_latency_ms, 2), report.lead_ms),
         ),
         (
             "rest error",
             format!(
                 "{} um RMS, {:.2} um without feedback; {} {:.2} um",
-                figure(rest_error_um.closed_loop_rms),
+                text::number(rest_error_um.closed_loop_rms, 2),
                 rest_error_um.open_loop_rms,
                 text::LARGEST_OFFSET,
                 rest_error_um.max

@@ -32,6 +32,11 @@ pub(super) fn columns(head: &[&str], rows: impl IntoIterator<Item = Vec<String>>
     table.trim_fmt()
 }
 
+/// A number with so many digits after the point; `-` if there is none.
+pub(super) fn number(number: Option<f64>, digits: usize) -> String {
+    number.map_or_else(|| "-".to_owned(), |number| format!("{number:.digits$}"))
+}
+
 pub(super) fn receipt(receipt: &Receipt) -> String {
     let mut lines = vec![
         ("play", format!("{} of {}", receipt.id, receipt.pattern)),

@@ -6,6 +6,7 @@
 
 use super::arguments::Output;
 use super::output::give;
+use super::text::number;
 use super::{files, progress, simulate, text};
 use anyhow::Result;
 use clap::Args;
@@ -113,10 +114,6 @@ fn answer<T: Serialize>(
     })
 }
 
-fn figure(figure: Option<f64>, digits: usize) -> String {
-    figure.map_or_else(|| "-".to_owned(), |figure| format!("{figure:.digits$}"))
-}
-
 fn methods_table(tradeoff: &meissner_report::MethodTradeoff) -> Vec<String> {
     let head =
         ["method", "us/afferent/s", "matched", "error us", "rate RMS", "rate bias", "contrast error", "front"];
@@ -128,12 +125,12 @@ fn methods_table(tradeoff: &meissner_report::MethodTradeoff) -> Vec<String> {
         };
         vec![
             row.how.to_string(),
-            figure(row.us_per_receptor_s, 2),
-            figure(row.spikes_matched_share, 4),
-            figure(row.mean_error_us, 1),
-            figure(row.rate_rms_hz, 3),
-            figure(row.rate_bias, 5),
-            figure(row.cost_error_hz, 3),
+            number(row.us_per_receptor_s, 2),
+            number(row.spikes_matched_share, 4),
+            number(row.mean_error_us, 1),
+            number(row.rate_rms_hz, 3),
+            number(row.rate_bias, 5),
+            number(row.cost_error_hz, 3),
             front.to_owned(),
         ]
     };
@@ -146,7 +143,7 @@ fn methods_table(tradeoff: &meissner_report::MethodTradeoff) -> Vec<String> {
         "Contrast (exact: {}): mean rate of the afferents within 1.5 mm of the edge minus mean rate of the others, which \
          `meissner optimise` maximises. The edge is the target `{YARDSTICK}`, 12 mm long, at 45 degrees through the \
          array's middle; - if there are no afferents on one side.",
-        figure(tradeoff.cost_hz, 3)
+        number(tradeoff.cost_hz, 3)
     ));
     // Rows may share a reason: Euler's is the same in f32 and f64.
     for reason in tradeoff.rows.iter().filter_map(|row| row.reason.as_ref()) {
@@ -179,9 +176,9 @@ fn leads_table(tradeoff: &LeadTradeoff) -> Vec<String> {
             row.late_bursts.to_string(),
             row.planned_bursts.to_string(),
             format!("{:.4}", 100.0 * row.late_share),
-            figure(row.onset_ms_p50, 2),
-            figure(row.onset_ms_p99, 2),
-            figure(row.onset_ms_max, 2),
+            number(row.onset_ms_p50, 2),
+            number(row.onset_ms_p99, 2),
+            number(row.onset_ms_max, 2),
             format!("{:.2}", row.bytes_per_burst_loop),
             format!("{:.2}", row.bytes_per_burst_open),
         ]
@@ -239,7 +236,7 @@ fn loop_table(tradeoff: &ControlTradeoff) -> Vec<String> {
             worst.amplitude_um.to_string(),
             worst.age_ms.to_string(),
             worst.asymmetry.to_string(),
-            figure(worst.amplitude_error.map(|share| 100.0 * share), 2),
+            number(worst.amplitude_error.map(|share| 100.0 * share), 2),
         ]
     };
     let summary = &tradeoff.summary;
