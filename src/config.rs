@@ -333,7 +333,10 @@ mod tests {
             config.settings,
             Settings { lead_ms: 50.0, lease_ms: 100.0, limits, drift_warning_um: 30.0 }
         );
-        assert_eq!(config.mock, SimulatedMotorsConfig { seed: 3, gain_sd: 0.0, ..SimulatedMotorsConfig::default() });
+        assert_eq!(
+            config.mock,
+            SimulatedMotorsConfig { seed: 3, gain_sd: 0.0, ..SimulatedMotorsConfig::default() }
+        );
         assert_eq!(parse("lead_ms = 50").unwrap().settings.lease_ms, 250.0);
     }
 

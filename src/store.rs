@@ -170,7 +170,8 @@ impl Store {
                 Ok(stored) => list.patterns.push(stored.entry()),
                 // Removed since the names were read, or no name a pattern can have.
                 Err(StoreError::Unknown { .. }) => {
-                    list.errors.push(format!("{}: not a pattern's name: use a-z, 0-9 and - only", quote(&name)));
+                    list.errors
+                        .push(format!("{}: not a pattern's name: use a-z, 0-9 and - only", quote(&name)));
                 }
                 Err(error) => list.errors.push(error.to_string()),
             }

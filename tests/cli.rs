@@ -19,7 +19,8 @@ fn a_play_is_ordered_waited_for_and_summed_up() {
     assert!(printed(daemon.meissner().args(["arm", "--assume-rest"])).starts_with("armed"));
     let text = printed(daemon.meissner().args(["play", "edge-45", "--seconds", "0.3", "--wait"]));
     let shows = |text: &str, label: &str, value: &str| {
-        text.lines().any(|line| line.strip_prefix(label).is_some_and(|rest| rest.trim_start().starts_with(value)))
+        text.lines()
+            .any(|line| line.strip_prefix(label).is_some_and(|rest| rest.trim_start().starts_with(value)))
     };
     assert!(text.contains("play 1 began at tick") && shows(&text, "state", "done"), "{text}");
     // A busy machine may not predict in time; one of these plays finds it less busy.

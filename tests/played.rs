@@ -45,8 +45,9 @@ fn an_edge_keeps_nearly_its_designed_contrast_with_and_without_position_control(
     // The estimator knows no end stops: it reports a little too much travel for bursts that meet one.
     let play =
         Play { pattern: &edge, seconds: Some(MOST_OBSERVED_S), onset: open.2, observed_s: MOST_OBSERVED_S };
-    let truth =
-        contrast(predict_response(&play, by_simulated_motors(motors, &play, u16::MAX)).unwrap().played_hz.contrast);
+    let truth = contrast(
+        predict_response(&play, by_simulated_motors(motors, &play, u16::MAX)).unwrap().played_hz.contrast,
+    );
     println!("in truth without {truth:.2}");
     assert!((without - truth).abs() < 2.0, "{without} {truth}");
     // The pins did drift.

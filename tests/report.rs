@@ -118,9 +118,7 @@ fn an_error_that_is_allowed_chooses_a_method_and_says_which() {
 fn people_get_a_summary() {
     let (_dir, file) = scene(SMALL);
     let text = printed(meissner().arg("simulate").arg(&file));
-    for part in
-        ["afferents  3, for 0.1 s", "method     exact", "rate       mean", "motors at rest", "22"]
-    {
+    for part in ["afferents  3, for 0.1 s", "method     exact", "rate       mean", "motors at rest", "22"] {
         assert!(text.contains(part), "{part}: {text}");
     }
     let empty = "duration_s = 0\nreceptors = []\n";
@@ -265,7 +263,8 @@ fn a_refusal_that_is_not_eulers_is_not_called_unstable() {
 #[test]
 fn a_plot_that_cannot_be_written_is_one_line() {
     let (dir, file) = scene(SMALL);
-    for (plot, says) in [("nowhere/a.svg", "nowhere/a.svg: cannot be written"), (".", "is not a regular file")]
+    for (plot, says) in
+        [("nowhere/a.svg", "nowhere/a.svg: cannot be written"), (".", "is not a regular file")]
     {
         let mut command = meissner();
         command.current_dir(dir.path()).arg("tradeoff").arg(&file).args(["--plot", plot]);

@@ -215,7 +215,12 @@ pub(super) fn follow(
 
 /// Waits until the receipt has its predicted response, or the reason why there is none; returns it as it is after
 /// `timeout`, or if the daemon ends.
-pub(super) fn with_prediction(client: &mut Client, events: &mut Events, receipt: Receipt, timeout: Duration) -> Receipt {
+pub(super) fn with_prediction(
+    client: &mut Client,
+    events: &mut Events,
+    receipt: Receipt,
+    timeout: Duration,
+) -> Receipt {
     let until = Instant::now() + timeout;
     // If the prediction is already there, no event comes.
     let mut receipt = client.get(&format!("/v1/plays/{}", receipt.id)).unwrap_or(receipt);

@@ -226,7 +226,11 @@ fn summary(report: &Report) -> String {
         ),
         (
             "onset",
-            format!("{} ms after the request, lead {} ms", text::number(report.onset_latency_ms, 2), report.lead_ms),
+            format!(
+                "{} ms after the request, lead {} ms",
+                text::number(report.onset_latency_ms, 2),
+                report.lead_ms
+            ),
         ),
         (
             "rest error",

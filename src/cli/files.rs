@@ -76,5 +76,8 @@ pub(super) fn shown(place: &Path) -> String {
 fn cannot_write(place: &Path, error: &io::Error) -> anyhow::Error {
     let cause =
         error.get_ref().and_then(std::error::Error::source).map_or(error.to_string(), ToString::to_string);
-    anyhow!("{}: cannot be written; check that the directory exists and that you may write there ({cause})", shown(place))
+    anyhow!(
+        "{}: cannot be written; check that the directory exists and that you may write there ({cause})",
+        shown(place)
+    )
 }

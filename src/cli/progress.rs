@@ -138,7 +138,9 @@ impl Progress {
             }
             Event::Refused { id: of, stroke } if *of == id => {
                 self.refused += 1;
-                self.count(self.refused <= LINES, || format!("refused: motor {}, {}", stroke.motor, stroke.reason))
+                self.count(self.refused <= LINES, || {
+                    format!("refused: motor {}, {}", stroke.motor, stroke.reason)
+                })
             }
             _ => Ok(()),
         }

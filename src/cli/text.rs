@@ -192,7 +192,9 @@ pub(super) fn event(event: &Event) -> String {
             format!("sensor fault: motor {motor}, {}; it plays in open loop until the next arm", fault.text())
         }
         Event::Drifted { um } => {
-            format!("drifted: pins may be {um:.0} um off; `meissner home` between plays, or level them by hand")
+            format!(
+                "drifted: pins may be {um:.0} um off; `meissner home` between plays, or level them by hand"
+            )
         }
         Event::Lost { events } => format!("lost: {events} events of the streamer"),
         Event::Lagged { events } => format!("lagged: this client missed {events} events"),

@@ -115,8 +115,16 @@ fn answer<T: Serialize>(
 }
 
 fn methods_table(tradeoff: &meissner_report::MethodTradeoff) -> Vec<String> {
-    let head =
-        ["method", "us/afferent/s", "matched", "error us", "rate RMS", "rate bias", "contrast error", "front"];
+    let head = [
+        "method",
+        "us/afferent/s",
+        "matched",
+        "error us",
+        "rate RMS",
+        "rate bias",
+        "contrast error",
+        "front",
+    ];
     let row = |row: &meissner_report::Row| {
         let front = match (&row.reason, row.pareto) {
             (Some(_), _) => "refused",
@@ -301,7 +309,10 @@ fn loop_table(tradeoff: &ControlTradeoff) -> Vec<String> {
         ]
     };
     let wire = &tradeoff.wire;
-    lines.push(format!("Bytes on the wire, 24 motors at 60 Hz for {} s through link and controller:", wire.seconds));
+    lines.push(format!(
+        "Bytes on the wire, 24 motors at 60 Hz for {} s through link and controller:",
+        wire.seconds
+    ));
     lines.push(text::columns(&head, [("closed loop", &wire.on), ("open loop", &wire.off)].map(row)));
     lines.push(tradeoff.recommendation.clone());
     lines
@@ -358,7 +369,10 @@ mod tests {
         };
         let mut found = meissner_report::control_tradeoff(&grid, &|_| ()).unwrap();
         let text = loop_table(&found).join("\n");
-        assert!(!text.contains("Misses its limit") && text.contains("The lead makes no difference"), "{text}");
+        assert!(
+            !text.contains("Misses its limit") && text.contains("The lead makes no difference"),
+            "{text}"
+        );
         assert!(text.contains(" 0 miss their limit") && text.ends_with(&found.recommendation), "{text}");
         for row in &mut found.rows {
             (row.verdict, row.rest_rms_um) = (Verdict::Misses, 2.0 * row.limit_um);

@@ -86,7 +86,8 @@ fn apply(
     if new.calibration != running.calibration {
         engine.set_calibration_file(new.calibration.clone());
         running.calibration.clone_from(&new.calibration);
-        applied.push("`calibration`: new calibrations go there; it is read at the next connection".to_owned());
+        applied
+            .push("`calibration`: new calibrations go there; it is read at the next connection".to_owned());
     }
     if new.logbook != running.logbook {
         let users = Arc::clone(&engine.names.users);

@@ -5,8 +5,8 @@
 //!
 //! Invariant: after each call the file ends with a whole line, or is not open.
 
-use super::entry::{Entry, Note};
 use super::days;
+use super::entry::{Entry, Note};
 use jiff::civil::Date;
 use jiff::tz::TimeZone;
 use jiff::{Timestamp, Zoned};

@@ -3,7 +3,7 @@
 use firmware_protocol::stroke::{Burst, Direction, Lines, Stroke};
 use firmware_protocol::tick::Tick;
 use meissner_array::pattern::{Drive, Pattern};
-use meissner_array::simulated::{SimulatedMotors, SimulatedMotorsConfig, RestStats, SPARE_SAMPLES};
+use meissner_array::simulated::{RestStats, SPARE_SAMPLES, SimulatedMotors, SimulatedMotorsConfig};
 use meissner_array::strokes::{Strokes, StrokesError};
 use meissner_array::units::UM_PER_PULSE;
 
@@ -117,7 +117,11 @@ fn leaving_out_a_burst_changes_no_other() {
         .flat_map(|stroke| stroke.unwrap().bursts().map(|burst| (5, burst)))
         .collect();
     let travels = |bursts: &[(u8, Burst)]| {
-        let mut motors = SimulatedMotors::new(SimulatedMotorsConfig { seed: 11, ..SimulatedMotorsConfig::default() }, Tick::BOOT).unwrap();
+        let mut motors = SimulatedMotors::new(
+            SimulatedMotorsConfig { seed: 11, ..SimulatedMotorsConfig::default() },
+            Tick::BOOT,
+        )
+        .unwrap();
         let (mut last, mut travels) = (0.0, Vec::new());
         play_bursts(&mut motors, bursts.to_vec(), Tick::BOOT + SECOND, |motors| {
             let travel = motors.position_um(5) - last;
@@ -140,7 +144,11 @@ fn leaving_out_a_burst_changes_no_other() {
 
 #[test]
 fn gains_scatter_as_configured_and_the_first_burst_after_rest_falls_short() {
-    let config = SimulatedMotorsConfig { asymmetry_sd: 0.0, end_stop_um: 10_000.0, ..SimulatedMotorsConfig::default() };
+    let config = SimulatedMotorsConfig {
+        asymmetry_sd: 0.0,
+        end_stop_um: 10_000.0,
+        ..SimulatedMotorsConfig::default()
+    };
     let gains = |pause: u64| {
         let mut motors = SimulatedMotors::new(config, Tick::BOOT).unwrap();
         let gains: Vec<f64> = (0..2000)
@@ -205,8 +213,10 @@ fn it_does_not_matter_how_time_is_cut() {
     let bursts =
         [one_burst(Direction::Up, Tick::BOOT + 10, 600), one_burst(Direction::Down, Tick::BOOT + 700, 1000)];
     let end = Tick::BOOT + 3000;
-    let (mut whole, mut pieces) =
-        (SimulatedMotors::new(config, Tick::BOOT).unwrap(), SimulatedMotors::new(config, Tick::BOOT).unwrap());
+    let (mut whole, mut pieces) = (
+        SimulatedMotors::new(config, Tick::BOOT).unwrap(),
+        SimulatedMotors::new(config, Tick::BOOT).unwrap(),
+    );
     let mut whole_samples = Vec::new();
     play_bursts(&mut whole, bursts, end, |motors| {
         whole_samples.extend(std::iter::from_fn(|| motors.telemetry()));

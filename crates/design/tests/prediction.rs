@@ -261,7 +261,9 @@ fn a_minute_of_pins_that_wander_to_their_stops_is_told_as_it_is() {
     let (designed_hz, played_hz) = (found.designed_hz.contrast.unwrap(), found.played_hz.contrast.unwrap());
     assert!(designed_hz > 150.0 && played_hz < designed_hz && played_hz > 0.9 * designed_hz, "{found:?}");
     let short = play(&pattern, 3.0);
-    let ideal = predict_response(&short, by_simulated_motors(SimulatedMotorsConfig::ideal(), &short, u16::MAX)).unwrap();
+    let ideal =
+        predict_response(&short, by_simulated_motors(SimulatedMotorsConfig::ideal(), &short, u16::MAX))
+            .unwrap();
     assert_eq!(ideal.played_hz, ideal.designed_hz);
 }
 
@@ -273,7 +275,10 @@ fn a_burst_that_meets_its_stop_may_be_told_as_a_slower_one_if_that_is_far() {
     for (end_stop_um, seconds, too_low_hz) in
         [(500.0, 5.0, -0.5..0.5), (60.0, 2.0, 0.5..4.0), (30.0, 2.0, 10.0..30.0)]
     {
-        let (config, play) = (SimulatedMotorsConfig { end_stop_um, ..SimulatedMotorsConfig::default() }, play(&pattern, seconds));
+        let (config, play) = (
+            SimulatedMotorsConfig { end_stop_um, ..SimulatedMotorsConfig::default() },
+            play(&pattern, seconds),
+        );
         let [told, real] = [u16::MAX, 16].map(|ticks| {
             let bursts = by_simulated_motors(config, &play, ticks);
             assert!(farthest_um(&bursts) > end_stop_um - 1e-6);
@@ -289,7 +294,11 @@ fn it_is_the_same_on_any_number_of_threads() {
     for name in ["edge-45", "moving-edge"] {
         let pattern = pattern(name);
         let play = play(&pattern, 3.3);
-        let bursts = by_simulated_motors(SimulatedMotorsConfig { seed: 7, ..SimulatedMotorsConfig::default() }, &play, u16::MAX);
+        let bursts = by_simulated_motors(
+            SimulatedMotorsConfig { seed: 7, ..SimulatedMotorsConfig::default() },
+            &play,
+            u16::MAX,
+        );
         let of = |threads| {
             let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             pool.install(|| predict_response(&play, bursts.iter().copied()).unwrap())

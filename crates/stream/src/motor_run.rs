@@ -106,7 +106,8 @@ impl MotorRun {
         // The first stroke is late enough to be corrected.
         let strokes = DriveStrokes::of(&drive)?.shifted(2 * FINALISE_AT, u64::MAX);
         let Self { seed, scatter: gain_sd, transient_gain, .. } = *self;
-        let config = SimulatedMotorsConfig { seed, gain_sd, transient_gain, ..SimulatedMotorsConfig::default() };
+        let config =
+            SimulatedMotorsConfig { seed, gain_sd, transient_gain, ..SimulatedMotorsConfig::default() };
         let pin = Pin::new(&config, 0).with_asymmetry(self.asymmetry).at(self.offset_um);
         let mut controller = BurstController::new(&self.gains);
         let start = Tick::BOOT;

@@ -5,9 +5,9 @@
 //!
 //! Invariant: deterministic. The same seed, commands and stalls give the same bytes.
 
+use crate::bandwidth::Bandwidth;
 use crate::device::mock::Mock;
 use crate::link::LineRate;
-use crate::bandwidth::Bandwidth;
 use crate::queues::{At, Command, Emit, MeasuredBurst, Outcome, Play, Request, StreamEvent};
 use crate::settings::Settings;
 use crate::streamer::Streamer;
@@ -16,7 +16,7 @@ use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::tick::Tick;
 use meissner_api::LatePolicy;
 use meissner_array::pattern::Pattern;
-use meissner_array::simulated::{SimulatedMotorsConfig, SimulatedMotorsError, RestStats};
+use meissner_array::simulated::{RestStats, SimulatedMotorsConfig, SimulatedMotorsError};
 use meissner_array::strokes::{Strokes, StrokesError};
 use meissner_array::units::{duration_to_ticks, ticks_to_seconds};
 use rand_chacha::ChaCha8Rng;
@@ -131,7 +131,12 @@ impl Simulation {
     ///
     /// # Errors
     /// If the settings of the simulated motors are out of range.
-    pub fn new(motors: &SimulatedMotorsConfig, settings: Settings, line: Line, seed: u64) -> Result<Self, SimulatedMotorsError> {
+    pub fn new(
+        motors: &SimulatedMotorsConfig,
+        settings: Settings,
+        line: Line,
+        seed: u64,
+    ) -> Result<Self, SimulatedMotorsError> {
         let direction = |salt, line| {
             let random = ChaCha8Rng::seed_from_u64(seed ^ salt);
             Direction { line, random, busy: HostInstant::default(), frames: Vec::new() }

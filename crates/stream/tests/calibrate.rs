@@ -102,7 +102,8 @@ fn true_gains(config: &SimulatedMotorsConfig, motor: u8) -> [f64; 2] {
 }
 
 fn measured(plan: &Plan, config: SimulatedMotorsConfig) -> Vec<BurstTravel> {
-    let mut motors = SimulatedMotors::new(SimulatedMotorsConfig { telemetry_hz: 0, ..config }, Tick::BOOT).unwrap();
+    let mut motors =
+        SimulatedMotors::new(SimulatedMotorsConfig { telemetry_hz: 0, ..config }, Tick::BOOT).unwrap();
     let travels = travels_by_sensor(plan, &mut motors);
     assert!((0..24).all(|motor| motors.displacement_um(motor).abs() < 0.9 * config.end_stop_um));
     assert_eq!(travels.len(), plan.bursts(Tick::BOOT).count());
@@ -111,7 +112,12 @@ fn measured(plan: &Plan, config: SimulatedMotorsConfig) -> Vec<BurstTravel> {
 
 #[test]
 fn without_scatter_the_true_gains_are_found_exactly() {
-    let config = SimulatedMotorsConfig { seed: 4, gain_sd: 0.0, asymmetry_sd: 0.05, ..SimulatedMotorsConfig::default() };
+    let config = SimulatedMotorsConfig {
+        seed: 4,
+        gain_sd: 0.0,
+        asymmetry_sd: 0.05,
+        ..SimulatedMotorsConfig::default()
+    };
     let travels = measured(&Plan::default(), config);
     let fits = fit(&travels).unwrap();
     assert_eq!(fits.iter().map(|fit| fit.motor).collect::<Vec<_>>(), (0..24).collect::<Vec<_>>());
@@ -168,7 +174,12 @@ fn played(plan: &Plan, config: &SimulatedMotorsConfig) -> Vec<BurstTravel> {
 
 #[test]
 fn on_a_device_without_scatter_telemetry_finds_the_true_gains() {
-    let config = SimulatedMotorsConfig { seed: 4, gain_sd: 0.0, asymmetry_sd: 0.05, ..SimulatedMotorsConfig::default() };
+    let config = SimulatedMotorsConfig {
+        seed: 4,
+        gain_sd: 0.0,
+        asymmetry_sd: 0.05,
+        ..SimulatedMotorsConfig::default()
+    };
     let fits = fit(&played(&Plan::default(), &config)).unwrap();
     assert_eq!(fits.len(), 24);
     for found in &fits {

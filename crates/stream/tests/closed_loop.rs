@@ -7,7 +7,7 @@ use firmware_protocol::stroke::{Burst, Direction, Line as Pulse, MOTORS};
 use firmware_protocol::tick::Tick;
 use meissner_api::ErrorSource;
 use meissner_array::pattern::{Drive, Pattern};
-use meissner_array::simulated::{Pin, SimulatedMotorsConfig, Sample};
+use meissner_array::simulated::{Pin, Sample, SimulatedMotorsConfig};
 use meissner_array::units::UM_PER_PULSE;
 use meissner_stream::queues::{Command, CommandError, Snapshot, StreamEvent};
 use meissner_stream::{Gains, Line, Settings, Simulation, rest_bound_um};
@@ -136,7 +136,8 @@ fn home_returns_pins_between_plays_or_says_why_not() {
 /// True rest errors after plays in open loop match dead reckoning.
 #[test]
 fn without_telemetry_the_error_is_reckoned_and_the_streamer_warns() {
-    let blind = SimulatedMotorsConfig { telemetry_hz: 0, end_stop_um: 10_000.0, ..SimulatedMotorsConfig::default() };
+    let blind =
+        SimulatedMotorsConfig { telemetry_hz: 0, end_stop_um: 10_000.0, ..SimulatedMotorsConfig::default() };
     let drives = (0..MOTORS as u8).map(|motor| drive(motor, 60.0)).collect();
     let pattern = Pattern::new("all", Some(2.0), drives, toml::Table::new()).unwrap();
     let mut rig = Rig::of(&blind, 9);

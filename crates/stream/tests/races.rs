@@ -94,7 +94,8 @@ fn two_arms_in_a_row_leave_it_armed_and_playing() {
 #[test]
 fn a_device_whose_clock_begins_anew_plays_as_the_one_before() {
     let mut streamer = Streamer::new(Settings::default());
-    let (mut events, mut frame, mut bytes, mut ms) = (Vec::<StreamEvent>::new(), [0; MAX_FRAME], [0; 4096], 0);
+    let (mut events, mut frame, mut bytes, mut ms) =
+        (Vec::<StreamEvent>::new(), [0; MAX_FRAME], [0; 4096], 0);
     for (boot, start) in [(1, Tick::BOOT + 600 * 85_000), (2, Tick::BOOT)] {
         let mut mock = Mock::starting_at(SimulatedMotorsConfig::default(), boot, start).unwrap();
         streamer.connect(HostInstant::from_ns(ms * 1_000_000), boot, LineRate::USB_FULL_SPEED, &mut events);

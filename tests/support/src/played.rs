@@ -8,7 +8,11 @@ use meissner_design::Play;
 
 /// The bursts of simulated motors without control, with their motors. Each has the travel from its pin's position before
 /// to that after. Bursts are cut into parts of at most `most_ticks`.
-pub fn by_simulated_motors(config: SimulatedMotorsConfig, play: &Play<'_>, most_ticks: u16) -> Vec<(u8, Ramp)> {
+pub fn by_simulated_motors(
+    config: SimulatedMotorsConfig,
+    play: &Play<'_>,
+    most_ticks: u16,
+) -> Vec<(u8, Ramp)> {
     let mut strokes = Strokes::new(play.pattern, play.seconds).unwrap();
     strokes.begin(play.onset);
     let bursts = strokes.flat_map(|stroke| {

@@ -126,7 +126,8 @@ impl Rig {
     }
 
     pub fn with(settings: Settings, line: Line, seed: u64) -> Self {
-        let mut simulation = Simulation::new(&SimulatedMotorsConfig::default(), settings, line, seed).unwrap();
+        let mut simulation =
+            Simulation::new(&SimulatedMotorsConfig::default(), settings, line, seed).unwrap();
         simulation.mock.record();
         Self { simulation, plays: 0 }
     }

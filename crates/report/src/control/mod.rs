@@ -373,9 +373,14 @@ impl WireRow {
         let scene = Scene::read(SIXTY_HERTZ, "sixty-hertz.toml").expect("it is shipped, as a test shows");
         let pattern = Pattern::new("sixty-hertz", None, scene.drives().to_vec(), toml::Table::new())
             .expect("its drives are a pattern's, as a test shows");
-        let played =
-            simulate_play(&pattern, Some(WIRE_S), &SimulatedMotorsConfig::default(), Settings::default(), open_loop)
-                .expect("it has an end, and the default plant is one");
+        let played = simulate_play(
+            &pattern,
+            Some(WIRE_S),
+            &SimulatedMotorsConfig::default(),
+            Settings::default(),
+            open_loop,
+        )
+        .expect("it has an end, and the default plant is one");
         let (bursts, bytes) = (played.outcome.bursts, played.outcome.wire_bytes as f64);
         Self {
             bytes_per_burst: bytes / bursts.planned.max(1) as f64,

@@ -4,9 +4,9 @@
 //!
 //! Invariant: a [`Calibration`] passed every check here, so each of its gains lies within [`GAIN_RANGE`].
 
-use crate::control::Gains;
 use crate::calibrate::fit::{Fit, GAIN_RANGE, MAX_SLOPE_SE, MIN_BURSTS, MotorFit};
 use crate::calibrate::plan::{Plan, PlanError};
+use crate::control::Gains;
 use firmware_protocol::stroke::{Direction, MOTORS};
 use meissner_api::Provenance;
 use meissner_array::units::UM_PER_PULSE;

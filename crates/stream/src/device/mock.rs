@@ -12,7 +12,9 @@ use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::message::{DeviceHello, State};
 use firmware_protocol::stroke::{Lines, MOTORS};
 use firmware_protocol::tick::Tick;
-use meissner_array::simulated::{SimulatedMotors, SimulatedMotorsConfig, SimulatedMotorsError, RestStats, Sample};
+use meissner_array::simulated::{
+    RestStats, Sample, SimulatedMotors, SimulatedMotorsConfig, SimulatedMotorsError,
+};
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -67,7 +69,11 @@ impl Mock {
     ///
     /// # Errors
     /// If the settings of the simulated motors are out of range.
-    pub fn starting_at(motors: SimulatedMotorsConfig, boot: u32, now: Tick) -> Result<Self, SimulatedMotorsError> {
+    pub fn starting_at(
+        motors: SimulatedMotorsConfig,
+        boot: u32,
+        now: Tick,
+    ) -> Result<Self, SimulatedMotorsError> {
         let mut version = env!("CARGO_PKG_VERSION").split('.').map(|part| part.parse().unwrap_or(0));
         let firmware = std::array::from_fn(|_| version.next().unwrap_or(0));
         let telemetry = if motors.telemetry_hz > 0 { DeviceHello::TELEMETRY } else { 0 };

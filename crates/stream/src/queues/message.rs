@@ -1,7 +1,7 @@
 //! The messages of the queues: requests to the streamer, and the events that it reports.
 
-use crate::device::Device;
 use crate::control::{Gains, MeasuredBurst};
+use crate::device::Device;
 use crate::queues::error::CommandError;
 use crate::queues::outcome::{Onset, Outcome, Snapshot};
 use crate::queues::play::Play;

@@ -5,9 +5,7 @@
 use crate::active::{Active, FIRST_MARGIN};
 use crate::link::Session;
 use crate::queues::{At, Command, CommandError, Emit, End, MAX_QUEUED_PLAYS, Play, Request, StreamEvent};
-use crate::streamer::{
-    ANSWER_WITHIN, MAX_PENDING_OPS, OpResult, PendingOp, Streamer, answer, cuts_play,
-};
+use crate::streamer::{ANSWER_WITHIN, MAX_PENDING_OPS, OpResult, PendingOp, Streamer, answer, cuts_play};
 use crate::time::HostInstant;
 use firmware_protocol::message::{Cause, Op, State};
 use firmware_protocol::tick::Tick;

@@ -68,7 +68,8 @@ impl Units {
 pub(super) fn units(root: &Path) -> Units {
     let mut show = Command::new("systemctl");
     show.args(["show", SERVICE, SOCKET, "--no-pager", "-p", ASKED]);
-    let reported = move || said(show, TIMEOUT).inspect_err(|error| tracing::debug!("systemctl: {error}")).ok();
+    let reported =
+        move || said(show, TIMEOUT).inspect_err(|error| tracing::debug!("systemctl: {error}")).ok();
     Units::new(root, is_installed(root).then(reported).flatten())
 }
 
