@@ -144,7 +144,7 @@ enum Command {
     Simulate(simulate::Simulate),
     /// Find a pattern for a target shape
     Optimise(optimise::Optimise),
-    /// Compare simulation methods by time and error on this machine; or the streamer's leads, or position control settings
+    /// Compare simulation methods on this machine, leads of the streamer, or position control
     #[command(name = "tradeoff")]
     MethodTradeoff(tradeoff::MethodTradeoff),
     /// Draw figures of the models and of patterns, as SVG and CSV, and a page that shows them

@@ -36,7 +36,7 @@ use tokio::signal::unix::{SignalKind, signal};
 pub(super) struct Optimise {
     /// Find a pattern for this target: the name of a shipped one, or a file (TOML)
     target: String,
-    /// Write the pattern to PATTERN, whose name it takes [default: stdout]
+    /// Write the pattern to PATTERN and name it after the file [default: stdout]
     #[arg(short = 'o', long = "out", value_name = "PATTERN")]
     file: Option<PathBuf>,
     /// Seed the search with N
