@@ -45,7 +45,7 @@ complete -c meissner -n "__fish_meissner_needs_command" -f -a "receipt" -d 'Show
 complete -c meissner -n "__fish_meissner_needs_command" -f -a "motor" -d 'Compute the steady state of a drive by the motor model'
 complete -c meissner -n "__fish_meissner_needs_command" -f -a "simulate" -d 'Simulate afferent spikes for a scene'
 complete -c meissner -n "__fish_meissner_needs_command" -f -a "optimise" -d 'Find a pattern for a target shape'
-complete -c meissner -n "__fish_meissner_needs_command" -f -a "tradeoff" -d 'Compare simulation methods by time and error on this machine; or the streamer\'s leads, or position control settings'
+complete -c meissner -n "__fish_meissner_needs_command" -f -a "tradeoff" -d 'Compare simulation methods on this machine, leads of the streamer, or position control'
 complete -c meissner -n "__fish_meissner_needs_command" -f -a "report" -d 'Draw figures of the models and of patterns, as SVG and CSV, and a page that shows them'
 complete -c meissner -n "__fish_meissner_needs_command" -f -a "doctor" -d 'Check what could keep this machine or its device from playing; exit 0 only if nothing does'
 complete -c meissner -n "__fish_meissner_needs_command" -f -a "help" -d 'Print this message or the help of the given subcommand(s)'
@@ -128,7 +128,7 @@ complete -c meissner -n "__fish_meissner_using_subcommand simulate" -l max-rate-
 complete -c meissner -n "__fish_meissner_using_subcommand simulate" -l rates-only -d 'Count spikes without keeping their times'
 complete -c meissner -n "__fish_meissner_using_subcommand simulate" -l json -d 'Print one JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand simulate" -s h -l help -d 'Print help (see more with \'--help\')'
-complete -c meissner -n "__fish_meissner_using_subcommand optimise" -s o -l out -d 'Write the pattern to PATTERN, whose name it takes [default: stdout]' -r -F
+complete -c meissner -n "__fish_meissner_using_subcommand optimise" -s o -l out -d 'Write the pattern to PATTERN and name it after the file [default: stdout]' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand optimise" -l seed -d 'Seed the search with N' -r
 complete -c meissner -n "__fish_meissner_using_subcommand optimise" -l setting -d 'Choose the search space' -r -f -a "default\t'Motors may be off; 5 to 150 Hz'
 always_on\t'All motors vibrate, as in the paper; 5 to 300 Hz'"
@@ -170,7 +170,7 @@ complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_s
 complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play stop estop reset arm disarm home calibrate list show import status events receipt motor simulate optimise tradeoff report doctor help" -f -a "motor" -d 'Compute the steady state of a drive by the motor model'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play stop estop reset arm disarm home calibrate list show import status events receipt motor simulate optimise tradeoff report doctor help" -f -a "simulate" -d 'Simulate afferent spikes for a scene'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play stop estop reset arm disarm home calibrate list show import status events receipt motor simulate optimise tradeoff report doctor help" -f -a "optimise" -d 'Find a pattern for a target shape'
-complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play stop estop reset arm disarm home calibrate list show import status events receipt motor simulate optimise tradeoff report doctor help" -f -a "tradeoff" -d 'Compare simulation methods by time and error on this machine; or the streamer\'s leads, or position control settings'
+complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play stop estop reset arm disarm home calibrate list show import status events receipt motor simulate optimise tradeoff report doctor help" -f -a "tradeoff" -d 'Compare simulation methods on this machine, leads of the streamer, or position control'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play stop estop reset arm disarm home calibrate list show import status events receipt motor simulate optimise tradeoff report doctor help" -f -a "report" -d 'Draw figures of the models and of patterns, as SVG and CSV, and a page that shows them'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play stop estop reset arm disarm home calibrate list show import status events receipt motor simulate optimise tradeoff report doctor help" -f -a "doctor" -d 'Check what could keep this machine or its device from playing; exit 0 only if nothing does'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play stop estop reset arm disarm home calibrate list show import status events receipt motor simulate optimise tradeoff report doctor help" -f -a "help" -d 'Print this message or the help of the given subcommand(s)'
