@@ -133,7 +133,7 @@ pub enum Problem {
     Device { found: String, source: SpecError },
     #[error("is empty: name one, or leave the key out")]
     EmptyPath,
-    #[error("contains a control character: name a path without one")]
+    #[error("holds a control character: name a path without one")]
     ControlCharacter,
 }
 

@@ -150,7 +150,7 @@ fn the_doctor_warns_that_a_device_without_telemetry_drifts() {
     );
     let text = printed(daemon.meissner().args(["doctor", "--seconds", "0.5"]));
     assert!(text.ends_with("\ngo, on a simulated device\n"), "{text}");
-    assert!(text.contains("no real pin moves: plug a board in, which takes its place"), "{text}");
+    assert!(text.contains("no real pin moves: plug a board in, which replaces it"), "{text}");
 }
 
 #[test]

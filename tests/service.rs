@@ -236,7 +236,7 @@ fn a_configuration_is_checked_without_a_daemon() {
         ("logbook_dir = \"/nonexistent/a/b\"\n", "m.toml: `logbook_dir`: /nonexistent/a/b: neither it nor"),
         (&format!("socket = \"/{}\"\n", "x".repeat(200)), "at most 107 bytes"),
         ("device = \"ua\\nrt\"\n", "`device` is `ua\\nrt`"),
-        ("socket = \"/a\\u0000\"\n", "`socket` contains a control character"),
+        ("socket = \"/a\\u0000\"\n", "`socket` holds a control character"),
     ] {
         std::fs::write(&file, text).unwrap();
         let line = complaint(&mut check());
