@@ -38,22 +38,9 @@
 //! waits for it, and it shares no lock with the streamer. Offline, [`meissner_report`] draws figures and compares methods (`meissner
 //! report`, `tradeoff`).
 //!
-//! # Where to look first
+//! # Modules
 //!
-//! | to change | open |
-//! |---|---|
-//! | a route, a request's or answer's JSON | `daemon/http.rs`, `crates/api` |
-//! | a receipt's field | `crates/api/src/receipt.rs`, `receipts/mod.rs`, `cli/text.rs` |
-//! | a command or flag | `cli/mod.rs` |
-//! | a configuration key | `config.rs`; what a reload applies: `daemon/reload.rs` |
-//! | when plays start, queue and end | `crates/stream/src/streamer` |
-//! | corrections from telemetry | `crates/stream/src/control` |
-//! | a message on the wire, a limit, safety behaviour | `firmware-protocol` |
-//! | a kind of device | `crates/stream/src/device` |
-//! | the motor model, the pattern file | `crates/array` |
-//! | an afferent's model or parameters | `crates/skin` |
-//! | systemd, signals, the socket | `daemon/service.rs`, `signals.rs`, `socket.rs` |
-//!
+//! `docs/explanation/architecture.md` says which file to open for which change.
 //! The modules of this crate use one another in this order: [`log`](mod@log), [`session_record`], [`receipts`], [`store`],
 //! [`config`], [`daemon`], [`cli`]. Tests run streamer, link, controller and simulated motors in virtual time
 //! ([`meissner_stream::Simulation`]): the same code without a clock.

@@ -39,7 +39,7 @@ pub(crate) fn periods(drives: &[Drive], end: f64) -> Periods {
 /// The shortest time, in ticks, after which each edge before `end` has another of its kind.
 fn period(drive: &Drive, end: f64) -> Option<u64> {
     let wave = drive.wave().ok()?;
-    if wave.wanted_pulses() == 0 {
+    if !wave.moves() {
         return Some(0);
     }
     if drive.start_s.is_some_and(|start| start > 0.0) || drive.stop_s.is_some() {

@@ -82,7 +82,7 @@ pub(crate) fn of_scene(scene: &Scene, method: Method) -> Tracks {
 impl Track {
     /// A motor's track, if it moves.
     pub(crate) fn new(scene: &Scene, method: Method, motor: u8) -> Option<Self> {
-        let moves = |drive: &&Drive| drive.wave().is_ok_and(|wave| wave.wanted_pulses() > 0);
+        let moves = |drive: &&Drive| drive.wave().is_ok_and(|wave| wave.moves());
         let of_motor = scene.drives().iter().filter(|drive| drive.motor == motor);
         let mut drives: Vec<_> = of_motor.filter(moves).copied().collect();
         drives.sort_by(|a, b| a.start().total_cmp(&b.start()));

@@ -85,6 +85,12 @@ impl SquareWave {
         self.pulses
     }
 
+    /// Whether it moves a pin: its amplitude is at least half a pulse.
+    #[must_use]
+    pub const fn moves(&self) -> bool {
+        self.pulses > 0
+    }
+
     /// Pulses of a burst: those the amplitude asks for, or as many as fit into half a period of whole ticks.
     /// (Where the edges round that way, an excursion of a saturated drive has one more.)
     #[must_use]

@@ -28,11 +28,10 @@ impl DriveStrokes {
     /// If a number is out of the motor's range, which in a checked pattern none is.
     pub fn of(drive: &Drive) -> Result<Self, MotorError> {
         let wave = drive.wave()?;
-        let moves = wave.wanted_pulses() > 0;
         let stop = drive.stop_s.map_or(NEVER, seconds_to_ticks);
         Ok(Self {
             start: seconds_to_ticks(drive.start()),
-            stop: if moves { stop } else { 0 },
+            stop: if wave.moves() { stop } else { 0 },
             excursions: wave.excursions(),
         })
     }
