@@ -26,8 +26,6 @@ use std::path::{Path, PathBuf};
 pub const LEAD_MS: std::ops::RangeInclusive<f64> = 5.0..=1000.0;
 /// The host watchdog timeout exceeds the lead at least by this, ms.
 pub const MIN_LEASE_OVER_LEAD_MS: f64 = 50.0;
-/// Without configuration, the host watchdog timeout exceeds the lead by this, ms.
-pub const DEFAULT_LEASE_OVER_LEAD_MS: f64 = 200.0;
 /// The longest host watchdog timeout that a controller takes, ms.
 pub const MAX_LEASE_MS: f64 = 10_000.0;
 /// How long files of the session record are kept by default, days: a year of experiments, and time to write about them.
@@ -223,7 +221,7 @@ impl RawConfig {
         let lead_ms = self.lead_ms.unwrap_or(Settings::default().lead_ms);
         let range = format!("{} to {} ms", LEAD_MS.start(), LEAD_MS.end());
         in_range("lead_ms", lead_ms, LEAD_MS.contains(&lead_ms), range)?;
-        let lease_ms = self.lease_ms.unwrap_or(lead_ms + DEFAULT_LEASE_OVER_LEAD_MS);
+        let lease_ms = self.lease_ms.unwrap_or(Settings::for_lead(lead_ms).lease_ms);
         let least = lead_ms + MIN_LEASE_OVER_LEAD_MS;
         let range = format!("{least} to {MAX_LEASE_MS} ms, at least lead_ms + {MIN_LEASE_OVER_LEAD_MS}");
         in_range("lease_ms", lease_ms, (least..=MAX_LEASE_MS).contains(&lease_ms), range)?;

@@ -3,6 +3,9 @@
 //! No daemon runs here; `tests/api.rs` of the program tests the client with a real one.
 
 use super::*;
+use crate::connection::connect;
+use std::time::Duration;
+use tokio::runtime::Builder;
 
 #[test]
 fn without_a_daemon_the_error_says_how_to_start_one() {

@@ -16,10 +16,22 @@ pub struct Settings {
     pub drift_warning_um: f32,
 }
 
+/// Without configuration, the host watchdog timeout exceeds the lead by this, ms.
+const LEASE_OVER_LEAD_MS: f64 = 200.0;
+
+impl Settings {
+    /// The settings that a lead of `lead_ms` has without further configuration.
+    #[must_use]
+    pub const fn for_lead(lead_ms: f64) -> Self {
+        let lease_ms = lead_ms + LEASE_OVER_LEAD_MS;
+        Self { lead_ms, lease_ms, limits: OnTimeLimits::NONE, drift_warning_um: 100.0 }
+    }
+}
+
 impl Default for Settings {
     /// A lead of 100 ms: stock kernels stall for 25 ms.
     fn default() -> Self {
-        Self { lead_ms: 100.0, lease_ms: 300.0, limits: OnTimeLimits::NONE, drift_warning_um: 100.0 }
+        Self::for_lead(100.0)
     }
 }
 

@@ -33,8 +33,6 @@ use trace::{PERIOD, Stall};
 
 /// Leads that are compared, ms: from the shortest that a configuration may ask for to half of the longest.
 pub const LEADS_MS: [f64; 8] = [5.0, 10.0, 20.0, 30.0, 50.0, 100.0, 200.0, 500.0];
-/// The lease is so much longer than the lead, ms: as without `lease_ms` in the configuration.
-const LEASE_OVER_LEAD_MS: f64 = 200.0;
 /// Of a lead so much is for stalls; the rest is for the line (`stream::Bandwidth`).
 const FOR_STALLS: f64 = 0.5;
 /// An order every so often, and how long its play is. No whole number of steps or periods: all their phases are met.
@@ -129,7 +127,7 @@ struct Replay<'t> {
 impl<'t> Replay<'t> {
     /// Armed, at the trace's start.
     fn new(trace: &'t Trace, lead_ms: f64) -> Self {
-        let settings = Settings { lead_ms, lease_ms: lead_ms + LEASE_OVER_LEAD_MS, ..Settings::default() };
+        let settings = Settings::for_lead(lead_ms);
         let plant = SimulatedMotorsConfig::default();
         let mut simulation =
             Simulation::new(&plant, settings, Line::default(), plant.seed).expect("the default plant is one");

@@ -1,0 +1,172 @@
+//! Calls that wait for their answer: [`Client`].
+
+use crate::connection::{connect, hung_up, read_all, request};
+use crate::{ClientError, Endpoint, Events};
+use http_body_util::Full;
+use hyper::Method;
+use hyper::body::Bytes;
+use hyper::client::conn::http1::SendRequest;
+use meissner_api::Problem;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use std::path::Path;
+use std::time::Duration;
+use tokio::runtime::{Builder, Runtime};
+
+/// How long the client waits for an answer. The daemon waits for its device for 1 s.
+pub const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
+/// How long to wait for `POST /v1/home`. The daemon waits for the pins for 25 s.
+pub const HOME_TIMEOUT: Duration = Duration::from_secs(30);
+
+/// A client of one daemon.
+#[derive(Debug)]
+pub struct Client {
+    endpoint: Endpoint,
+    runtime: Runtime,
+    sender: Option<SendRequest<Full<Bytes>>>,
+}
+
+impl Client {
+    /// A client of the daemon at `socket`. It connects at the first call, and again if the daemon has closed the connection.
+    ///
+    /// # Errors
+    /// [`ClientError::Runtime`].
+    pub fn new(socket: &Path) -> Result<Self, ClientError> {
+        Self::at(Endpoint::at(socket))
+    }
+
+    /// A client of the first daemon that listens at this endpoint.
+    ///
+    /// # Errors
+    /// [`ClientError::Runtime`].
+    pub fn at(endpoint: Endpoint) -> Result<Self, ClientError> {
+        let runtime = Builder::new_current_thread().enable_all().build().map_err(ClientError::Runtime)?;
+        Ok(Self { endpoint, runtime, sender: None })
+    }
+
+    /// Sends a `GET` and reads the JSON answer.
+    ///
+    /// # Errors
+    /// See [`ClientError`].
+    pub fn get<T: DeserializeOwned>(&mut self, path: &str) -> Result<T, ClientError> {
+        self.call(Method::GET, path, Bytes::new(), ANSWER_TIMEOUT)
+    }
+
+    /// Sends a `POST` with a JSON body and reads the JSON answer.
+    ///
+    /// # Errors
+    /// See [`ClientError`].
+    pub fn post<T: DeserializeOwned>(&mut self, path: &str, body: &impl Serialize) -> Result<T, ClientError> {
+        self.post_within(ANSWER_TIMEOUT, path, body)
+    }
+
+    /// [`Self::post`] with another timeout.
+    ///
+    /// # Errors
+    /// See [`ClientError`].
+    pub fn post_within<T: DeserializeOwned>(
+        &mut self,
+        timeout: Duration,
+        path: &str,
+        body: &impl Serialize,
+    ) -> Result<T, ClientError> {
+        let body = serde_json::to_vec(body).map_err(|error| self.bad_answer(&error))?;
+        self.call(Method::POST, path, body.into(), timeout)
+    }
+
+    /// Sends a `PUT` with a text and reads the JSON answer.
+    ///
+    /// # Errors
+    /// See [`ClientError`].
+    pub fn put<T: DeserializeOwned>(&mut self, path: &str, text: String) -> Result<T, ClientError> {
+        self.call(Method::PUT, path, text.into(), ANSWER_TIMEOUT)
+    }
+
+    fn call<T: DeserializeOwned>(
+        &mut self,
+        method: Method,
+        path: &str,
+        body: Bytes,
+        timeout: Duration,
+    ) -> Result<T, ClientError> {
+        let idle = self.sender.is_some();
+        let mut answer = self.exchange(&method, path, &body, timeout);
+        // The daemon closes a connection that was idle for 30 s. A `GET` changes nothing, so it is sent again.
+        if idle && method == Method::GET && matches!(answer, Err(ClientError::HungUp { .. })) {
+            answer = self.exchange(&method, path, &body, timeout);
+        }
+        let (good, bytes) = answer?;
+        if good {
+            return serde_json::from_slice(&bytes).map_err(|error| self.bad_answer(&error));
+        }
+        Err(serde_json::from_slice::<Problem>(&bytes)
+            .map_or_else(|error| self.bad_answer(&error), Into::into))
+    }
+
+    /// Sends one request; returns whether it succeeded, and the answer's body.
+    fn exchange(
+        &mut self,
+        method: &Method,
+        path: &str,
+        body: &Bytes,
+        timeout: Duration,
+    ) -> Result<(bool, Bytes), ClientError> {
+        let Self { endpoint, runtime, sender } = self;
+        let answer = runtime.block_on(async {
+            let exchange = async {
+                // Nothing was sent on a connection that the daemon has closed while it was idle.
+                if sender.as_mut().is_none_or(|sender| sender.is_closed()) {
+                    let (found, socket) = connect(endpoint).await?;
+                    *sender = Some(found);
+                    // Later calls go to the same daemon, even if another one starts.
+                    *endpoint = Endpoint::at(&socket);
+                }
+                let socket = &endpoint.socket;
+                let Some(sender) = sender.as_mut() else { return Err(hung_up(socket, None)) };
+                sender.ready().await.map_err(|source| hung_up(socket, Some(source)))?;
+                let request = request(method.clone(), path, body.clone());
+                let response = sender.send_request(request).await;
+                read_all(socket, response.map_err(|source| hung_up(socket, Some(source)))?).await
+            };
+            let answer = tokio::time::timeout(timeout, exchange).await;
+            answer.unwrap_or_else(|_| Err(ClientError::Timeout { socket: endpoint.socket.clone(), timeout }))
+        });
+        if answer.is_err() {
+            self.sender = None;
+        }
+        answer
+    }
+
+    fn bad_answer(&self, error: &serde_json::Error) -> ClientError {
+        ClientError::BadAnswer { socket: self.endpoint.socket.clone(), what: error.to_string() }
+    }
+
+    /// Listens to events on a connection of its own. Events that happen after the return are not missed.
+    ///
+    /// # Errors
+    /// See [`ClientError`].
+    pub fn events(&self) -> Result<Events, ClientError> {
+        let runtime = Builder::new_current_thread().enable_all().build().map_err(ClientError::Runtime)?;
+        let (socket, response) = runtime.block_on(async {
+            let (mut sender, socket) = connect(&self.endpoint).await?;
+            let request = request(Method::GET, "/v1/events", Bytes::new());
+            let slow = |_| Err(ClientError::Timeout { socket: socket.clone(), timeout: ANSWER_TIMEOUT });
+            let response = async {
+                let response = sender.send_request(request).await;
+                let response = response.map_err(|source| hung_up(&socket, Some(source)))?;
+                if response.status().is_success() {
+                    return Ok(response);
+                }
+                let (_, bytes) = read_all(&socket, response).await?;
+                let problem = serde_json::from_slice::<Problem>(&bytes);
+                Err(problem.map_or_else(
+                    |error| ClientError::BadAnswer { socket: socket.clone(), what: error.to_string() },
+                    Into::into,
+                ))
+            };
+            let response = tokio::time::timeout(ANSWER_TIMEOUT, response).await.unwrap_or_else(slow)?;
+            Ok::<_, ClientError>((socket, response))
+        })?;
+        Ok(Events::new(socket, runtime, response.into_body()))
+    }
+}

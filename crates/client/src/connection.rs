@@ -1,0 +1,81 @@
+//! One HTTP connection to a daemon's socket: connect, make a request, read the whole answer.
+
+use crate::endpoint::{MAX_SOCKET_PATH, is_hidden};
+use crate::{ClientError, Endpoint, access};
+use http_body_util::{BodyExt, Full, Limited};
+use hyper::body::{Bytes, Incoming};
+use hyper::client::conn::http1::{SendRequest, handshake};
+use hyper::header::{CONTENT_TYPE, HOST};
+use hyper::{Method, Request, Response};
+use hyper_util::rt::TokioIo;
+use std::io;
+use std::path::{Path, PathBuf};
+use tokio::net::UnixStream;
+
+/// Size of an answer, or of one event, at most, bytes.
+pub(crate) const MAX_ANSWER: usize = 16 << 20;
+
+/// Connects to the first socket at which a daemon listens, and says which one that is.
+pub(crate) async fn connect(endpoint: &Endpoint) -> Result<(SendRequest<Full<Bytes>>, PathBuf), ClientError> {
+    let mut socket = &endpoint.socket;
+    let mut stream = UnixStream::connect(socket).await;
+    if let (Err(error), Some(other)) = (&stream, &endpoint.fallback)
+        && (is_absent(error) || is_hidden(error, socket))
+    {
+        socket = other;
+        stream = UnixStream::connect(socket).await;
+    }
+    let stream = stream.map_err(|source| {
+        let socket = socket.clone();
+        match source.kind() {
+            _ if socket.as_os_str().len() > MAX_SOCKET_PATH => ClientError::TooLong { socket },
+            _ if is_absent(&source) => ClientError::NoDaemon { endpoint: endpoint.clone(), source },
+            io::ErrorKind::PermissionDenied => match access::denied(&socket) {
+                Some((found, advice)) => ClientError::Denied { socket, found, advice },
+                None => ClientError::Connect { socket, source },
+            },
+            _ => ClientError::Connect { socket, source },
+        }
+    })?;
+    let (sender, connection) =
+        handshake(TokioIo::new(stream)).await.map_err(|source| hung_up(socket, Some(source)))?;
+    // The requests report its errors.
+    tokio::spawn(connection);
+    Ok((sender, socket.clone()))
+}
+
+/// Whether the error means that no daemon listens.
+fn is_absent(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::ConnectionRefused)
+}
+
+pub(crate) fn hung_up(socket: &Path, source: Option<hyper::Error>) -> ClientError {
+    ClientError::HungUp { socket: socket.to_owned(), source }
+}
+
+pub(crate) fn request(method: Method, path: &str, body: Bytes) -> Request<Full<Bytes>> {
+    let request = Request::builder().method(method).uri(path).header(HOST, "localhost");
+    let request = request.header(CONTENT_TYPE, "application/json");
+    request.body(Full::new(body)).expect("paths are made of checked parts")
+}
+
+pub(crate) async fn read_all(
+    socket: &Path,
+    response: Response<Incoming>,
+) -> Result<(bool, Bytes), ClientError> {
+    let good = response.status().is_success();
+    let body = Limited::new(response.into_body(), MAX_ANSWER).collect().await;
+    let body = body.map_err(|error| match error.downcast::<hyper::Error>() {
+        Ok(source) => hung_up(socket, Some(*source)),
+        Err(error) => ClientError::BadAnswer { socket: socket.to_owned(), what: error.to_string() },
+    })?;
+    Ok((good, body.to_bytes()))
+}
+
+/// Escapes a part of an address: everything but letters, digits and `-`.
+#[must_use]
+pub fn escape(part: &str) -> String {
+    let plain = |byte: u8| byte.is_ascii_alphanumeric() || byte == b'-';
+    let escaped = |byte: u8| if plain(byte) { char::from(byte).to_string() } else { format!("%{byte:02X}") };
+    part.bytes().map(escaped).collect()
+}
