@@ -58,8 +58,11 @@ impl Board {
         let boot = RandomState::new().build_hasher().finish() as u32;
         Ok(Self {
             serial: serial.to_owned(),
-            mock: Mock::new(SimulatedMotorsConfig { telemetry_hz: TELEMETRY_HZ, ..SimulatedMotorsConfig::default() }, boot)
-                .map_err(io::Error::other)?,
+            mock: Mock::new(
+                SimulatedMotorsConfig { telemetry_hz: TELEMETRY_HZ, ..SimulatedMotorsConfig::default() },
+                boot,
+            )
+            .map_err(io::Error::other)?,
             boot,
             started: Instant::now(),
             waiting: VecDeque::new(),
