@@ -33,7 +33,7 @@ pub(super) struct Calibrate {
     /// Play bursts of these numbers of pulses, 7 to 200, 3 s each [default: 14,28,42,56,70,84,98,112,126,140]
     #[arg(long, value_name = "N,N,...", value_delimiter = ',')]
     pulses: Option<Vec<u16>>,
-    /// Also write the calibration to FILE
+    /// Write the calibration to FILE, too
     #[arg(short, long, value_name = "FILE")]
     out: Option<PathBuf>,
     #[command(flatten)]

@@ -242,7 +242,7 @@ fn serve(source: Source) -> Result<ExitCode> {
     })
 }
 
-/// What a daemon would refuse of the configuration, or comoptions of.
+/// Checks the configuration as a daemon does at its start.
 fn check_config(source: &Source) -> Result<ExitCode> {
     let config = source.read()?;
     daemon::check(&config).map_err(|error| named(source, error))?;

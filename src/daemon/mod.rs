@@ -1,10 +1,10 @@
 //! The daemon: the streamer's thread, and around it clients, patterns, devices, receipts and the session record.
 //!
 //! [`Daemon::start`] acquires everything that the system may refuse (socket, patterns, threads); [`Daemon::run`] works until a signal
-//! or a request ends it. Threads: `streamer` (real time), `connector` (opens devices), `predictor` (skin model), `session record` (disk), and the
-//! runtime's one thread for clients and events. No timer runs while nothing happens, except a service manager's watchdog.
+//! or a request ends it. Threads: `streamer` (real time), `connector` (opens devices), `predictor` (skin model), `session record`
+//! (disk), and the runtime's one thread for clients and events. An idle daemon runs no timer but a service manager's watchdog.
 //!
-//! The modules, each of which uses only those before it:
+//! The modules; each uses only those before it:
 //! - `socket`, `error`, `signals`, `runtime`, `check`, `names`, `metrics`: the system around the daemon.
 //! - `calibration`, `predictor`: calibrations as files and fits; predicted responses.
 //! - `state`, `engine`: the daemon's state behind one lock, and commands to the streamer.

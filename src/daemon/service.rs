@@ -15,7 +15,7 @@ use std::thread;
 use std::time::Duration;
 use tracing::warn;
 
-/// Notifications that wait; more are dropped. The watchdog's leave half of the room to the others.
+/// Notifications that wait; more are dropped. Watchdog notifications leave half of the queue to the others.
 const QUEUE: usize = 64;
 /// Checks per watchdog interval: a run may be seen one check late, and a notification may wait for the machine.
 const CHECKS: u32 = 4;

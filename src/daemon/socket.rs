@@ -69,7 +69,7 @@ pub enum SocketError {
 fn pid_text(pid: Option<i32>) -> String {
     match pid {
         None => String::new(),
-        // Peer listens there before the service is up.
+        // Process 1: systemd listens until the service is up.
         Some(1) => " (the installed service, for which systemd listens)".to_owned(),
         Some(pid) => format!(" (pid {pid})"),
     }

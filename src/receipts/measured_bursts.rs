@@ -7,7 +7,7 @@ use meissner_array::units::TICKS_PER_S;
 use meissner_stream::queues::MeasuredBurst;
 use std::collections::VecDeque;
 
-/// How long they are kept, s: a prediction reads the first minute of a play when that is over.
+/// How long they are kept, s: a prediction reads the first minute of a play, soon after that minute.
 pub const KEPT_S: u64 = 65;
 /// How many are kept: 24 motors at 300 Hz for that long, 30 MB; a fifth of that at 60 Hz.
 const MAX_BURSTS: usize = 24 * 600 * KEPT_S as usize;

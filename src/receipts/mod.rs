@@ -1,7 +1,7 @@
 //! Receipts: turns the streamer's events into receipts, totals, the device's state, and the API's events.
 //!
-//! The daemon adds each play before it sends it ([`Receipts::add`]) and applies each [`StreamEvent`] ([`Receipts::apply`]); it publishes the
-//! events that come back. Nothing here reads a clock or sends anything.
+//! The daemon adds each play before it sends it ([`Receipts::add`]), applies each [`StreamEvent`] ([`Receipts::apply`]), and publishes
+//! the events that this returns. Nothing here reads a clock or sends anything.
 //!
 //! A new field of a receipt needs three edits: the field (`crates/api/src/receipt.rs`), the code that fills it
 //! (`began`, `complete` or [`Receipts::apply`] here), and the code that prints it (`src/cli/text.rs`).

@@ -1,9 +1,9 @@
 //! The predicted afferent response to a play, from its measured bursts.
 //!
 //! [`PlayedPattern::response`] finds the measurement of each burst of the pattern and passes the travels to the skin model. Strokes
-//! that the receipt lists as late or refused were not played. Any other burst without a measurement is counted; with too many of
-//! them there is no prediction, because bursts taken as commanded would look better than they were. Of a play that was cut, the last
-//! twentieth of a second is left out: its bursts were cut before they were measured.
+//! that the receipt lists as late or refused were not played. Other bursts without a measurement are left out and counted. If there
+//! are too many, there is no prediction. The last twentieth of a second of a play that was cut is left out: its bursts were cut
+//! before they were measured.
 //!
 //! Invariant: a [`PredictedResponse`] is about bursts of which at most one in a hundred is unmeasured.
 
@@ -56,7 +56,7 @@ pub enum NoPrediction {
     Prediction(#[from] PredictionError),
 }
 
-/// A play whose response is to be predicted.
+/// A play, for the prediction of its response.
 #[derive(Clone, Debug)]
 pub struct PlayedPattern<'p> {
     /// Its pattern.

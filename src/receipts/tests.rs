@@ -1,4 +1,4 @@
-//! The receipts, fed with events: what it says of plays, devices and bad times.
+//! Receipts made from events: of plays, devices, and losses.
 
 use super::*;
 use firmware_protocol::limits::{OnTimeLimits, Refusal};
