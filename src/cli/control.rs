@@ -163,20 +163,28 @@ pub(super) fn play(play: &Play) -> Result<ExitCode> {
 pub(super) fn leave_on_interrupt() -> Result<Arc<AtomicBool>> {
     let over = Arc::new(AtomicBool::new(false));
     let is_over = Arc::clone(&over);
-    let runtime = daemon::runtime()?;
-    let mut interrupt = runtime.block_on(async { signal(SignalKind::interrupt()) })?;
-    thread::Builder::new().name("interrupt".into()).spawn(move || {
-        if runtime.block_on(interrupt.recv()).is_some() {
-            let hint = match is_over.load(Ordering::Relaxed) {
-                true => "the play is over: see `meissner receipt`",
-                false => "still playing: `meissner stop` ends it",
-            };
-            // If stderr is closed, there is no one to tell.
-            let _ = writeln!(io::stderr(), "{hint}");
-            process::exit(130);
-        }
+    on_interrupt(move || {
+        let hint = match is_over.load(Ordering::Relaxed) {
+            true => "the play is over: see `meissner receipt`",
+            false => "still playing: `meissner stop` ends it",
+        };
+        // If stderr is closed, there is no one to tell.
+        let _ = writeln!(io::stderr(), "{hint}");
+        process::exit(130);
     })?;
     Ok(over)
+}
+
+/// Calls `work` at every Ctrl-C from now on, on a thread of its own.
+pub(super) fn on_interrupt(mut work: impl FnMut() + Send + 'static) -> Result<()> {
+    let runtime = daemon::runtime()?;
+    let mut interrupts = runtime.block_on(async { signal(SignalKind::interrupt()) })?;
+    thread::Builder::new().name("interrupt".into()).spawn(move || {
+        while runtime.block_on(interrupts.recv()).is_some() {
+            work();
+        }
+    })?;
+    Ok(())
 }
 
 fn length(client: &mut Client, request: &PlayRequest) -> Result<Option<f64>> {

@@ -7,10 +7,10 @@
 //! Invariant: an existing file is replaced only by a whole pattern.
 
 use super::arguments::{Output, choice, positive};
+use super::control::on_interrupt;
 use super::output::{is_broken_pipe, say, say_json};
 use super::progress::Search;
 use super::{files, library, text};
-use crate::daemon;
 use anyhow::{Result, anyhow, bail};
 use clap::Args;
 use meissner_array::pattern;
@@ -28,9 +28,7 @@ use std::process::{self, ExitCode};
 use std::str::FromStr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread;
 use std::time::Instant;
-use tokio::signal::unix::{SignalKind, signal};
 
 #[derive(Debug, Args)]
 pub(super) struct Optimise {
@@ -123,7 +121,14 @@ pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
         }
         None => target.name().to_owned(),
     };
-    let interrupted = stop_on_interrupt()?;
+    let interrupted = Arc::new(AtomicBool::new(false));
+    let flag = Arc::clone(&interrupted);
+    // The first Ctrl-C ends the search, the second the program.
+    on_interrupt(move || {
+        if flag.swap(true, Ordering::Relaxed) {
+            process::exit(130);
+        }
+    })?;
     let mut shown = Search::new(asked.output.json);
     let made = make(&target, &name, &request, &mut |progress| {
         shown.show(&progress);
@@ -199,27 +204,6 @@ fn name(file: &Path) -> Result<String> {
         let place = file.to_string_lossy();
         anyhow!("{}: not a pattern's name: write 1 to 64 of a-z, 0-9 and -, then .toml", place.escape_debug())
     })
-}
-
-/// The first Ctrl-C sets the returned flag; the second ends the program.
-fn stop_on_interrupt() -> Result<Arc<AtomicBool>> {
-    let interrupted = Arc::new(AtomicBool::new(false));
-    let runtime = daemon::runtime()?;
-    let mut interrupts = {
-        let _within = runtime.enter();
-        signal(SignalKind::interrupt())?
-    };
-    let flag = Arc::clone(&interrupted);
-    thread::spawn(move || {
-        runtime.block_on(async {
-            while interrupts.recv().await.is_some() {
-                if flag.swap(true, Ordering::Relaxed) {
-                    process::exit(130);
-                }
-            }
-        });
-    });
-    Ok(interrupted)
 }
 
 fn summary(target: &Target, document: &Document<'_>, made: &Made) -> String {

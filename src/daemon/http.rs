@@ -185,8 +185,8 @@ async fn play(
         let id = app.engine.play(&request, stored, peer).await?;
         logged.set_play(id);
         Ok((StatusCode::ACCEPTED, Json(PlayAccepted { id })))
-    };
-    let result = result.await;
+    }
+    .await;
     logged.result(result)
 }
 
@@ -203,8 +203,8 @@ async fn calibrate(
         let id = app.engine.calibrate(calibration_plan(&request)?, peer).await?;
         logged.set_play(id);
         Ok((StatusCode::ACCEPTED, Json(PlayAccepted { id })))
-    };
-    let result = result.await;
+    }
+    .await;
     logged.result(result)
 }
 
@@ -260,8 +260,8 @@ async fn arm(State(app): State<App>, Extension(peer): Extension<Peer>, body: Bod
             logged.set_title("arm, assuming rest,".to_owned());
         }
         carry_out(&app, Command::Arm { assume_rest: request.assume_rest }, TIMEOUT).await
-    };
-    let result = result.await;
+    }
+    .await;
     logged.result(result)
 }
 
@@ -321,8 +321,8 @@ async fn import(
         let status = if new { StatusCode::CREATED } else { StatusCode::OK };
         let warnings = texts(&pattern.warnings());
         Ok((status, Json(ImportedPattern { name: pattern.name().to_owned(), sha256, warnings })))
-    };
-    let result = result.await;
+    }
+    .await;
     logged.result(result)
 }
 

@@ -26,6 +26,14 @@ impl Text {
             let _ = writeln!(self.0, "meissner_{name}{labels} {value}");
         }
     }
+
+    fn counter(&mut self, name: &str, help: &str, value: &dyn Display) {
+        self.family(name, "counter", help, [("", value)]);
+    }
+
+    fn gauge(&mut self, name: &str, help: &str, value: &dyn Display) {
+        self.family(name, "gauge", help, [("", value)]);
+    }
 }
 
 /// The whole text.
@@ -51,13 +59,8 @@ pub(super) fn text(receipts: &Receipts) -> String {
         ("{fate=\"refused\"}", &bursts.refused),
     ];
     text.family("bursts_total", "counter", "Planned bursts of ended plays, by their fate.", fates);
-    text.family(
-        "bursts_amended_total",
-        "counter",
-        "Bursts played with a corrected pulse count.",
-        [("", &bursts.amended)],
-    );
-    text.family("pulses_total", "counter", "Pulses played.", [("", &totals.pulses.played)]);
+    text.counter("bursts_amended_total", "Bursts played with a corrected pulse count.", &bursts.amended);
+    text.counter("pulses_total", "Pulses played.", &totals.pulses.played);
     let late = &totals.lateness;
     let causes: [(_, &dyn Display); 3] = [
         ("{cause=\"host\"}", &late.host),
@@ -65,44 +68,26 @@ pub(super) fn text(receipts: &Receipts) -> String {
         ("{cause=\"device\"}", &late.device),
     ];
     text.family("late_strokes_total", "counter", "Late strokes, by cause.", causes);
-    text.family(
-        "late_worst_ms",
-        "gauge",
-        "Largest lateness of a stroke since the start.",
-        [("", &late.worst_ms)],
-    );
-    text.family("queued_plays", "gauge", "Plays that wait.", [("", &receipts.queued().count())]);
-    text.family(
-        "play_bytes_total",
-        "counter",
-        "Bytes sent to the device by ended plays.",
-        [("", &totals.wire_bytes)],
-    );
-    text.family("connects_total", "counter", "Devices connected.", [("", &totals.connects)]);
-    text.family(
-        "notices_lost_total",
-        "counter",
-        "Events lost because the daemon was too slow.",
-        [("", &totals.lost)],
-    );
+    text.gauge("late_worst_ms", "Largest lateness of a stroke since the start.", &late.worst_ms);
+    text.gauge("queued_plays", "Plays that wait.", &receipts.queued().count());
+    text.counter("play_bytes_total", "Bytes sent to the device by ended plays.", &totals.wire_bytes);
+    text.counter("connects_total", "Devices connected.", &totals.connects);
+    text.counter("notices_lost_total", "Events lost because the daemon was too slow.", &totals.lost);
     let of = |figure: fn(&meissner_stream::queues::Snapshot) -> u64| snapshot.map_or(0, figure);
-    text.family(
+    text.counter(
         "sent_bytes_total",
-        "counter",
         "Bytes sent; restarts when a device is connected.",
-        [("", &of(|at| at.bytes_out))],
+        &of(|at| at.bytes_out),
     );
-    text.family(
+    text.counter(
         "received_bytes_total",
-        "counter",
         "Bytes received; restarts when a device is connected.",
-        [("", &of(|at| at.bytes_in))],
+        &of(|at| at.bytes_in),
     );
-    text.family(
+    text.counter(
         "retransmitted_frames_total",
-        "counter",
         "Frames retransmitted; restarts when a device is connected.",
-        [("", &of(|at| at.retransmitted))],
+        &of(|at| at.retransmitted),
     );
     let bad = snapshot.map(|at| at.bad_frames).unwrap_or_default();
     let kinds: [(_, &dyn Display); 4] = [
@@ -117,28 +102,17 @@ pub(super) fn text(receipts: &Receipts) -> String {
         "Frames from the device that the host could not read, by kind; restarts when a device is connected.",
         kinds,
     );
-    text.family(
+    text.counter(
         "device_bad_frames_total",
-        "counter",
         "Frames from the host that the device could not read; restarts when the device starts.",
-        [("", &of(|at| at.device_bad_frames))],
+        &of(|at| at.device_bad_frames),
     );
     let line = snapshot.and_then(|at| at.line_bytes_per_s).map_or(f64::NAN, f64::from);
-    text.family(
-        "line_bytes_per_second",
-        "gauge",
-        "Measured capacity of the line to the device.",
-        [("", &line)],
-    );
+    text.gauge("line_bytes_per_second", "Measured capacity of the line to the device.", &line);
     let uncertainty = snapshot.map_or(f64::NAN, |at| at.clock_uncertainty_us);
-    text.family(
-        "clock_uncertainty_us",
-        "gauge",
-        "Uncertainty of the estimate of the device's clock.",
-        [("", &uncertainty)],
-    );
+    text.gauge("clock_uncertainty_us", "Uncertainty of the estimate of the device's clock.", &uncertainty);
     let lead = snapshot.map_or(f64::NAN, |at| at.lead_ms);
-    text.family("lead_ms", "gauge", "How far ahead of now strokes are sent.", [("", &lead)]);
+    text.gauge("lead_ms", "How far ahead of now strokes are sent.", &lead);
     text.0
 }
 
