@@ -90,7 +90,7 @@ complete -c meissner -n "__fish_meissner_using_subcommand home" -s h -l help -d 
 complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -l motor -d 'Calibrate one motor, 0 to 23 [default: all]' -r
 complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -l repetitions -d 'Play each number of pulses N times; with the default numbers each time takes half a minute [default: 2]' -r
 complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -l pulses -d 'Play bursts of these numbers of pulses, 7 to 200, 3 s each [default: 14,28,42,56,70,84,98,112,126,140]' -r
-complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -s o -l out -d 'Also write the calibration to FILE' -r -F
+complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -s o -l out -d 'Write the calibration to FILE, too' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -l socket -d 'Connect to the daemon at PATH [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -l json -d 'Print one JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -s h -l help -d 'Print help'
