@@ -1,6 +1,6 @@
 //! Calibration files, and the fit of a played plan; no part of the daemon's state.
 //!
-//! [`read`] and [`write`] are the file, [`CalibrationRun`] collects the measured bursts of a plan and fits them, [`report`] is
+//! [`read`] and [`write()`] are the file, [`CalibrationRun`] collects the measured bursts of a plan and fits them, [`report`] is
 //! what clients see.
 //!
 //! Invariant: the file is replaced whole or not at all.
