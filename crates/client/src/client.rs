@@ -1,7 +1,9 @@
 //! Calls that wait for their answer: [`Client`].
 
 use crate::connection::{connect, hung_up, read_all, request};
-use crate::{ClientError, Endpoint, Events};
+use crate::endpoint::Endpoint;
+use crate::error::ClientError;
+use crate::events::Events;
 use http_body_util::Full;
 use hyper::Method;
 use hyper::body::Bytes;

@@ -1,7 +1,8 @@
 //! One HTTP connection to a daemon's socket: connect, make a request, read the whole answer.
 
-use crate::endpoint::{MAX_SOCKET_PATH, is_hidden};
-use crate::{ClientError, Endpoint, access};
+use crate::access;
+use crate::endpoint::{Endpoint, MAX_SOCKET_PATH, is_hidden};
+use crate::error::ClientError;
 use http_body_util::{BodyExt, Full, Limited};
 use hyper::body::{Bytes, Incoming};
 use hyper::client::conn::http1::{SendRequest, handshake};

@@ -1,7 +1,7 @@
 //! The daemon's events, on a connection of their own: [`Events`].
 
-use crate::ClientError;
 use crate::connection::{MAX_ANSWER, hung_up};
+use crate::error::ClientError;
 use http_body_util::BodyExt;
 use hyper::body::Incoming;
 use meissner_api::Event;
