@@ -135,7 +135,7 @@ impl Sums {
         if self.sums.is_empty() {
             return 0;
         }
-        let slack_s = settings.lead_ms / 2000.0;
+        let slack_s = settings.stall_ms() / 1000.0;
         // Bisection, to one per second.
         let (mut low, mut high) = (0u32, 1u32 << 30);
         while low + 1 < high {

@@ -26,6 +26,12 @@ impl Settings {
         let lease_ms = lead_ms + LEASE_OVER_LEAD_MS;
         Self { lead_ms, lease_ms, limits: OnTimeLimits::NONE, drift_warning_um: 100.0 }
     }
+
+    /// The half of the lead that is for stalls of the PC, ms. The other half is for the line.
+    #[must_use]
+    pub const fn stall_ms(&self) -> f64 {
+        self.lead_ms / 2.0
+    }
 }
 
 impl Default for Settings {

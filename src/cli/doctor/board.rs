@@ -124,7 +124,7 @@ fn judged(at: &Examined) -> Vec<Finding> {
         trip.count
     );
     // Half the lead: beyond it, strokes that are sent a lead ahead may be late.
-    let half_lead_us = Settings::default().lead_ms * 500.0;
+    let half_lead_us = Settings::default().stall_ms() * 1000.0;
     let level = match trip.p99_us {
         us if us > half_lead_us => Level::Fail,
         us if us > CORRECTION_US => Level::Warn,

@@ -33,8 +33,6 @@ use trace::{PERIOD, Stall};
 
 /// Leads that are compared, ms: from the shortest that a configuration may ask for to half of the longest.
 pub const LEADS_MS: [f64; 8] = [5.0, 10.0, 20.0, 30.0, 50.0, 100.0, 200.0, 500.0];
-/// Of a lead so much is for stalls; the rest is for the line (`stream::Bandwidth`).
-const FOR_STALLS: f64 = 0.5;
 /// An order every so often, and how long its play is. No whole number of steps or periods: all their phases are met.
 const ORDER_EVERY: Duration = Duration::from_micros(251_371);
 const SHORT_S: f64 = 0.1;
@@ -248,7 +246,7 @@ fn recommendation(trace: &Summary, rows: &[LeadRow]) -> String {
     let fails = |row: &LeadRow| row.late_bursts > 0 || row.end != End::Done;
     let longest_ms = trace.longest_us as f64 / 1000.0;
     let safe = &rows[rows.iter().rposition(fails).map_or(0, |last| last + 1)..];
-    let ample = safe.iter().find(|row| row.lead_ms * FOR_STALLS >= longest_ms);
+    let ample = safe.iter().find(|row| Settings::for_lead(row.lead_ms).stall_ms() >= longest_ms);
     match (ample, safe) {
         (Some(row), [first, ..]) => format!(
             "Take a lead of {} ms: from {} ms on no burst came late, and half of it, which is for stalls, outlasts the \
