@@ -1,6 +1,6 @@
 use crate::harness::meissner;
 use meissner_report::{ControlGrid, ControlRow, ControlTradeoff, Verdict, control_tradeoff, plot_control};
-use meissner_stream::rest_bound_um;
+use meissner_stream::{MotorRun, rest_bound_um};
 use serde_json::Value;
 use std::sync::OnceLock;
 
@@ -63,12 +63,18 @@ fn every_cell_has_its_names_and_holds() {
         assert_eq!(told["doubt"], Value::Null, "{told}");
         assert_eq!(
             row.bound_um,
-            rest_bound_um(row.frequency_hz, row.planned_um, row.scatter, row.delay_ms, row.telemetry_hz)
+            rest_bound_um(
+                row.run.frequency_hz,
+                row.planned_um,
+                row.run.scatter,
+                row.delay_ms,
+                row.run.telemetry_hz
+            )
         );
         // 2 s of 6 are left out; chance has a few hundred periods to average out in.
-        assert!(row.periods as f64 >= 3.9 * row.frequency_hz, "{row:?}");
+        assert!(row.periods as f64 >= 3.9 * row.run.frequency_hz, "{row:?}");
         assert!(row.verdict != Verdict::Misses, "{row:?}");
-        if row.scatter == 0.0 {
+        if row.run.scatter == 0.0 {
             assert!(row.rest_rms_um <= 0.95 / 7.0 && row.amplitude_se < 0.002, "{row:?}");
         } else {
             let ratio = row.rest_rms_um / row.bound_um;
@@ -80,7 +86,8 @@ fn every_cell_has_its_names_and_holds() {
     assert_eq!(summary.worst.iter().map(|worst| worst.cells).sum::<usize>(), 32);
     assert!(summary.worst.iter().all(|worst| worst.ratio <= worst.limit && worst.hold == worst.cells));
     // 80 um fit into no half period at 300 Hz: there is no room, and no limit.
-    let full = found.rows.iter().find(|row| row.frequency_hz == 300.0 && row.amplitude_um == 80.0).unwrap();
+    let full =
+        found.rows.iter().find(|row| row.run.frequency_hz == 300.0 && row.run.amplitude_um == 80.0).unwrap();
     assert!(full.planned_um < 20.0 && full.room < 1.1 && full.amplitude_limit.is_none(), "{full:?}");
 }
 
@@ -90,15 +97,20 @@ fn the_lead_makes_no_difference_and_age_and_rate_do() {
     let found = found();
     assert!(found.summary.leads_alike);
     let of = |lead_ms: f64| {
-        let rows = found.rows.iter().filter(move |row| row.lead_ms == lead_ms);
-        rows.map(|row| ControlRow { lead_ms: 0.0, ..*row }).collect::<Vec<_>>()
+        let rows = found.rows.iter().filter(move |row| row.run.lead_ms == lead_ms);
+        rows.map(|row| ControlRow { run: MotorRun { lead_ms: 0.0, ..row.run }, ..*row }).collect::<Vec<_>>()
     };
     assert_eq!(of(20.0), of(500.0));
     assert_eq!(of(20.0).len(), 16);
     let rest = |rows: &[ControlRow], age_ms: f64, telemetry_hz: f64| {
         let is = |row: &&ControlRow| {
-            (row.frequency_hz, row.amplitude_um, row.scatter, row.age_ms, row.telemetry_hz)
-                == (60.0, 80.0, 0.1, age_ms, telemetry_hz)
+            (
+                row.run.frequency_hz,
+                row.run.amplitude_um,
+                row.run.scatter,
+                row.run.age_ms,
+                row.run.telemetry_hz,
+            ) == (60.0, 80.0, 0.1, age_ms, telemetry_hz)
         };
         rows.iter().find(is).unwrap().rest_rms_um
     };

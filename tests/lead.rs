@@ -105,17 +105,17 @@ fn what_is_no_trace_is_one_line() {
     let file = dir.path().join("trace.txt");
     let complaint = || complaint(meissner().args(["tradeoff", "--stream", "--trace"]).arg(&file));
     for (text, says) in [
-        ("", "trace.txt: does not say for how long was recorded: record one with"),
+        ("", "trace.txt: has no duration: record one with"),
         ("seconds 0", "begin with `seconds N`, 1 to 3600"),
-        ("seconds 1e3", "does not say for how long"),
-        ("1000 2000", "does not say for how long"),
+        ("seconds 1e3", "has no duration"),
+        ("1000 2000", "has no duration"),
         (
             "# why\nseconds 9\n\n5000 300 1",
             "trace.txt:4: `5000 300 1` is no late wake-up: write when it was due",
         ),
         ("seconds 9\n5000 0", "trace.txt:2: `5000 0` is no late wake-up"),
         ("seconds 9\n5000 -3", "is no late wake-up"),
-        ("seconds 9\n5000 10000001", "later it came, 1 to 10000000 us"),
+        ("seconds 9\n5000 10000001", "how late it came, 1 to 10000000 us"),
         (
             "seconds 9\n9000001 300",
             "trace.txt:2: was due 9000001 us after the start: must be at most 9000000",

@@ -256,7 +256,7 @@ fn a_refusal_that_is_not_eulers_is_not_called_unstable() {
     assert!(!refused.is_empty());
     for row in refused {
         assert!(!row.unstable && row.reason.as_ref().unwrap().contains("f32 counts"), "{row:?}");
-        assert_eq!((row.how.precision, row.rate_rms_hz), (Some(Precision::F32), None));
+        assert_eq!((row.method.precision, row.difference.rate_rms_hz), (Some(Precision::F32), None));
     }
 }
 
@@ -284,7 +284,7 @@ fn the_finer_the_step_the_smaller_the_error() {
             how.step_us == Some(step_us)
                 && (how.integrator, how.precision) == (Some(Integrator::Propagator), Some(Precision::F64))
         };
-        found.rows.iter().find(|row| of(&row.how)).unwrap().mean_error_us.unwrap()
+        found.rows.iter().find(|row| of(&row.method)).unwrap().difference.mean_error_us.unwrap()
     };
     assert!(error(1) < 1.0 && error(1) < error(1000), "{} {}", error(1), error(1000));
     assert!(found.cost_hz.is_some() && found.spikes > 0);
@@ -301,7 +301,12 @@ fn expensive_steps_are_left_out_and_named() {
     let found = tradeoff(&scene, &|_| ()).unwrap();
     assert_eq!(found.left_out.unwrap().steps_us, [1]);
     assert_eq!(found.rows.len(), 1 + 4 * (STEPS_US.len() - 1));
-    assert!(found.rows.iter().all(|row| row.spikes_matched_share.is_none() && row.rate_bias.is_none()));
+    assert!(
+        found
+            .rows
+            .iter()
+            .all(|row| row.difference.spikes_matched_share.is_none() && row.difference.rate_bias.is_none())
+    );
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! The search against others, at the same price: receptors simulated, times how long they were watched.
+//! The search against others, at the same price: afferents simulated, times how long they were watched.
 //!
 //! Before criterion's times it prints what each method has found by several budgets, on several targets, and, on the
 //! yardstick, how it compares with a coordinate search on ten populations; how soon it is within 1 % of what it finds in the
@@ -100,7 +100,7 @@ fn costs(method: Method, target: &Target, setting: Setting) -> Vec<Vec<f64>> {
 
 /// Ours over each other method's, of all targets, seeds and both settings.
 fn table() {
-    println!("Cost, impulses/s, by receptor-seconds: means of {SEEDS} seeds.");
+    println!("Cost, impulses/s, by afferent-seconds: means of {SEEDS} seeds.");
     println!("{:>36} {:^26} {:^26}", "", "always on", "default");
     print!("{:<16} {:<19}", "target", "method");
     (0..2).flat_map(|_| BUDGETS).for_each(|budget| print!(" {budget:>8}"));
@@ -155,15 +155,15 @@ fn against_coordinates() {
             let ratios = [0.2, 1.0].map(|share| {
                 [&fixed, &free].map(|space| {
                     let job = Command::new(&target, space.clone(), seed);
-                    let found = job.search(Limit::ReceptorSeconds(share * trail.receptor_s), &mut |_, _| ());
+                    let found = job.search(Limit::AfferentSeconds(share * trail.afferent_s), &mut |_, _| ());
                     job.exact_hz(found.point) / theirs_hz
                 })
             });
-            (trail.receptor_s, theirs_hz, ratios)
+            (trail.afferent_s, theirs_hz, ratios)
         };
         let all: Vec<_> = (0..POPULATIONS).into_par_iter().map(of_seed).collect();
-        for (seed, (receptor_s, hz, [fifth, full])) in all.iter().enumerate() {
-            print!("  population {seed}: {hz:.1}/s for {receptor_s:.0}");
+        for (seed, (afferent_s, hz, [fifth, full])) in all.iter().enumerate() {
+            print!("  population {seed}: {hz:.1}/s for {afferent_s:.0}");
             print!("; at a fifth {:.3} | {:.3}", fifth[0], fifth[1]);
             println!("; at the same {:.3} | {:.3}", full[0], full[1]);
         }
@@ -194,20 +194,20 @@ fn soon() {
                 job.exact_hz(found.point) >= 0.99 * final_hz
             }
         });
-        let Spent { evaluations, receptor_s } = found.spent;
+        let Spent { evaluations, afferent_s } = found.spent;
         println!(
-            "  seed {seed}: {final_hz:.1}/s, {evaluations} evaluations, {receptor_s:.0} receptor-s, {took:.2?}"
+            "  seed {seed}: {final_hz:.1}/s, {evaluations} evaluations, {afferent_s:.0} afferent-s, {took:.2?}"
         );
-        if let Some(Spent { evaluations, receptor_s }) = near {
+        if let Some(Spent { evaluations, afferent_s }) = near {
             let (_, when) = times.iter().find(|(by, _)| *by >= evaluations).expect("it was heard of");
-            println!("    within 1 %: {evaluations} evaluations, {receptor_s:.0} receptor-s, {when:.2?}");
+            println!("    within 1 %: {evaluations} evaluations, {afferent_s:.0} afferent-s, {when:.2?}");
         }
     }
 }
 
 /// Where differences and diminishing steps end: five times the budget, and when they last found something better.
 fn stuck() {
-    println!("Subgradients on {YARDSTICK}, always on, phases fixed, 400 000 receptor-s:");
+    println!("Subgradients on {YARDSTICK}, always on, phases fixed, 400 000 afferent-s:");
     let target = target(YARDSTICK);
     let space = Space { phases: false, ..Setting::AlwaysOn.space() };
     for root in [false, true] {

@@ -148,7 +148,7 @@ pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
         robust: asked.robust,
         populations: populations(&target, asked.robust),
         evaluations: made.found.iter().map(|found| found.spent.evaluations).collect(),
-        receptor_s: spent.receptor_s,
+        receptor_s: spent.afferent_s,
         ended: match made.ended() {
             Ended::Converged => "converged",
             Ended::Limit => "budget",

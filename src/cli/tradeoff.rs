@@ -132,19 +132,19 @@ fn methods_table(tradeoff: &meissner_report::MethodTradeoff) -> Vec<String> {
             (None, false) => "",
         };
         vec![
-            row.how.to_string(),
-            number(row.us_per_receptor_s, 2),
-            number(row.spikes_matched_share, 4),
-            number(row.mean_error_us, 1),
-            number(row.rate_rms_hz, 3),
-            number(row.rate_bias, 5),
-            number(row.cost_error_hz, 3),
+            row.method.to_string(),
+            number(row.us_per_afferent_s, 2),
+            number(row.difference.spikes_matched_share, 4),
+            number(row.difference.mean_error_us, 1),
+            number(row.difference.rate_rms_hz, 3),
+            number(row.difference.rate_bias, 5),
+            number(row.difference.cost_error_hz, 3),
             front.to_owned(),
         ]
     };
     let scene = format!(
         "{} afferents for {} s, {} spikes; the exact method took {:.3} s; rates and contrast in impulses/s",
-        tradeoff.receptors, tradeoff.duration_s, tradeoff.spikes, tradeoff.exact_wall_s
+        tradeoff.afferents, tradeoff.duration_s, tradeoff.spikes, tradeoff.exact_wall_s
     );
     let mut lines = vec![scene, text::columns(&head, tradeoff.rows.iter().map(row))];
     lines.push(format!(
@@ -288,8 +288,8 @@ fn loop_table(tradeoff: &ControlTradeoff) -> Vec<String> {
     let head = ["Hz", "samples/s", "rest um", "bound um", "ratio"];
     let row = |row: &ControlRow| {
         vec![
-            row.frequency_hz.to_string(),
-            row.telemetry_hz.to_string(),
+            row.run.frequency_hz.to_string(),
+            row.run.telemetry_hz.to_string(),
             format!("{:.2}", row.rest_rms_um),
             format!("{:.2}", row.bound_um),
             format!("{:.2}", row.ratio()),
@@ -320,8 +320,8 @@ fn loop_table(tradeoff: &ControlTradeoff) -> Vec<String> {
 
 /// Settings that miss their limit, the worst first. If leads make no difference, settings of one lead only.
 fn worst_cells(tradeoff: &ControlTradeoff) -> Vec<String> {
-    let lead_ms = tradeoff.rows.first().map(|row| row.lead_ms);
-    let listed = |row: &&ControlRow| !tradeoff.summary.leads_alike || Some(row.lead_ms) == lead_ms;
+    let lead_ms = tradeoff.rows.first().map(|row| row.run.lead_ms);
+    let listed = |row: &&ControlRow| !tradeoff.summary.leads_alike || Some(row.run.lead_ms) == lead_ms;
     let missed = tradeoff.rows.iter().filter(|row| row.verdict == Verdict::Misses);
     let mut missed: Vec<_> = missed.filter(listed).collect();
     missed.sort_by(|a, b| b.over_limit().total_cmp(&a.over_limit()));
@@ -330,12 +330,12 @@ fn worst_cells(tradeoff: &ControlTradeoff) -> Vec<String> {
         format!(
             "Misses its limit: {} Hz, {} um, telemetry {} ms old, scatter {}, asymmetry {}, lead {} ms: rest {:.3} um (limit \
              {:.3}), amplitude {:+.2} % (+-{:.2}){fault}.",
-            row.frequency_hz,
-            row.amplitude_um,
-            row.age_ms,
-            row.scatter,
-            row.asymmetry,
-            row.lead_ms,
+            row.run.frequency_hz,
+            row.run.amplitude_um,
+            row.run.age_ms,
+            row.run.scatter,
+            row.run.asymmetry,
+            row.run.lead_ms,
             row.rest_rms_um,
             row.limit_um,
             100.0 * row.amplitude_error,

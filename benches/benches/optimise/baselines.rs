@@ -1,7 +1,7 @@
 //! Other searches, for ours to be compared with: each is what its textbook says, and no more.
 //!
-//! All see the cost by simulation as ours does, with the same noise, and pay for it by the same measure: receptors
-//! simulated, times how long they were watched. Where single motors change, only the receptors that feel them are
+//! All see the cost by simulation as ours does, with the same noise, and pay for it by the same measure: afferents
+//! simulated, times how long they were watched. Where single motors change, only the afferents that feel them are
 //! simulated and paid for. Whatever a method does, the best point it has simulated so far is what it has found.
 //!
 //! Invariant: a method's trail depends on the brief and the start alone, and its costs rise.
@@ -65,7 +65,7 @@ impl Method {
         }
     }
 
-    /// What it has found when it has spent so many receptor-seconds, for each of `budgets`, the last the largest.
+    /// What it has found when it has spent so many afferent-seconds, for each of `budgets`, the last the largest.
     pub(crate) fn found(self, brief: &Brief<'_>, start: Point, budgets: &[f64]) -> Vec<Point> {
         let most = budgets.iter().copied().fold(0.0, f64::max);
         match self {
@@ -93,31 +93,31 @@ impl Method {
 /// What was spent and found on the way.
 #[derive(Clone, Debug)]
 pub(crate) struct Trail {
-    pub(crate) receptor_s: f64,
+    pub(crate) afferent_s: f64,
     /// When something better was found, what it seemed to come to, and what it was.
     pub(crate) best: Vec<(f64, f64, Point)>,
 }
 
 impl Trail {
     const fn new() -> Self {
-        Self { receptor_s: 0.0, best: Vec::new() }
+        Self { afferent_s: 0.0, best: Vec::new() }
     }
 
-    fn note(&mut self, receptor_s: f64, score: Score, point: Point) {
-        self.receptor_s += receptor_s;
+    fn note(&mut self, afferent_s: f64, score: Score, point: Point) {
+        self.afferent_s += afferent_s;
         if self.best.last().is_none_or(|&(_, best_hz, _)| score.cost_hz() > best_hz) {
-            self.best.push((self.receptor_s, score.cost_hz(), point));
+            self.best.push((self.afferent_s, score.cost_hz(), point));
         }
     }
 
     /// The best by then; the start if nothing was known by then.
-    pub(crate) fn at(&self, receptor_s: f64) -> Point {
-        self.best.iter().rev().find(|(when, ..)| *when <= receptor_s).unwrap_or(&self.best[0]).2
+    pub(crate) fn at(&self, afferent_s: f64) -> Point {
+        self.best.iter().rev().find(|(when, ..)| *when <= afferent_s).unwrap_or(&self.best[0]).2
     }
 }
 
 fn ours(brief: &Brief<'_>, start: Point, most: f64) -> Point {
-    let limit = Limit::ReceptorSeconds(most);
+    let limit = Limit::AfferentSeconds(most);
     search(brief, start, limit, &mut |_, _| ControlFlow::Continue(())).expect("the method can").point
 }
 
@@ -128,7 +128,7 @@ fn objective(brief: &Brief<'_>, fidelity: Fidelity) -> Objective {
 /// A point simulated as a whole.
 fn whole(objective: &Objective, point: Point, trail: &mut Trail) -> f64 {
     let score = objective.at(point).expect("the method can").score();
-    trail.note(objective.receptors() as f64 * objective.duration_s(), score, point);
+    trail.note(objective.afferents() as f64 * objective.duration_s(), score, point);
     score.cost_hz()
 }
 
@@ -137,7 +137,7 @@ fn random(brief: &Brief<'_>, start: Point, most: f64) -> Trail {
     whole(&objective, start, &mut trail);
     let space = &brief.space;
     for number in 0.. {
-        if trail.receptor_s >= most {
+        if trail.afferent_s >= most {
             break;
         }
         let vibration = |motor: usize| {
@@ -161,25 +161,25 @@ fn coordinates(brief: &Brief<'_>, start: Point, logarithmic: bool, most: f64) ->
         if logarithmic { space.frequency_hz(part) } else { ends_hz[0] + part * (ends_hz[1] - ends_hz[0]) }
     });
     let grid: Vec<f64> = grid.collect();
-    let mut standing = objective.at(start).expect("the method can");
-    trail.note(objective.receptors() as f64 * objective.duration_s(), standing.score(), start);
+    let mut incumbent = objective.at(start).expect("the method can");
+    trail.note(objective.afferents() as f64 * objective.duration_s(), incumbent.score(), start);
     for motor in (0..SWEEPS).flat_map(|_| 0..start.0.len()) {
-        if trail.receptor_s >= most {
+        if trail.afferent_s >= most {
             break;
         }
-        let here = *standing.point();
+        let here = *incumbent.point();
         let phase = here.0[motor].map_or(0.0, Vibration::phase);
         let vibrations = grid.iter().map(|&hz| Some(space.vibration(hz, phase)));
         let candidates = vibrations.chain(space.may_be_off.then_some(None));
-        let tried = standing.try_all(candidates.map(|vibration| with(here, motor, vibration)).collect());
+        let tried = incumbent.try_all(candidates.map(|vibration| with(here, motor, vibration)).collect());
         for tried in &tried {
-            trail.note(tried.receptors as f64 * objective.duration_s(), tried.score, tried.point);
+            trail.note(tried.afferents as f64 * objective.duration_s(), tried.score, tried.point);
         }
         let best = tried
             .into_iter()
             .reduce(|best, next| if next.score.cost_hz() > best.score.cost_hz() { next } else { best });
-        if let Some(best) = best.filter(|best| best.score.cost_hz() > standing.score().cost_hz()) {
-            standing.go(best);
+        if let Some(best) = best.filter(|best| best.score.cost_hz() > incumbent.score().cost_hz()) {
+            incumbent.move_to(best);
         }
     }
     trail
@@ -234,10 +234,10 @@ fn subgradient(brief: &Brief<'_>, start: Point, root: bool, most: f64) -> Trail 
     let (objective, mut trail) = (objective(brief, LOOK), Trail::new());
     let variables = Variables::new(&brief.space, false);
     let mut here = variables.of(&start);
-    let mut standing = objective.at(start).expect("the method can");
-    trail.note(objective.receptors() as f64 * objective.duration_s(), standing.score(), start);
+    let mut incumbent = objective.at(start).expect("the method can");
+    trail.note(objective.afferents() as f64 * objective.duration_s(), incumbent.score(), start);
     let mut number = 0.0;
-    while trail.receptor_s < most {
+    while trail.afferent_s < most {
         number += 1.0;
         let beside = |sign: f64| {
             let here = &here;
@@ -248,9 +248,9 @@ fn subgradient(brief: &Brief<'_>, start: Point, root: bool, most: f64) -> Trail 
                 variables.point(&beside)
             })
         };
-        let tried = standing.try_all(beside(1.0).chain(beside(-1.0)).collect());
+        let tried = incumbent.try_all(beside(1.0).chain(beside(-1.0)).collect());
         for tried in &tried {
-            trail.note(tried.receptors as f64 * objective.duration_s(), tried.score, tried.point);
+            trail.note(tried.afferents as f64 * objective.duration_s(), tried.score, tried.point);
         }
         let (up, down) = tried.split_at(here.len());
         let differences = up.iter().zip(down).enumerate().map(|(at, (up, down))| {
@@ -262,9 +262,9 @@ fn subgradient(brief: &Brief<'_>, start: Point, root: bool, most: f64) -> Trail 
         if length > 0.0 {
             here.iter_mut().zip(&differences).for_each(|(here, by)| *here += step * by / length);
         }
-        let next = standing.try_all(vec![variables.point(&here)]).remove(0);
-        trail.note(next.receptors as f64 * objective.duration_s(), next.score, next.point);
-        standing.go(next);
+        let next = incumbent.try_all(vec![variables.point(&here)]).remove(0);
+        trail.note(next.afferents as f64 * objective.duration_s(), next.score, next.point);
+        incumbent.move_to(next);
     }
     trail
 }
@@ -276,16 +276,16 @@ fn cma_es(brief: &Brief<'_>, start: Point, most: f64) -> Trail {
     let mut mean = variables.of(&start);
     // It may end by itself before the budget does: then it begins again elsewhere.
     for pass in 1.. {
-        let mut spent = trail.receptor_s;
+        let mut spent = trail.afferent_s;
         let cost = |at: &DVector<f64>| -whole(&objective, variables.point(at.as_slice()), &mut trail);
         let options = CMAESOptions::new(mean.clone(), SIGMA).seed(brief.seed << 8 | pass);
         let mut state = options.build(cost).expect("the options are good");
-        let generation = state.parameters().lambda() as f64 * objective.receptors() as f64;
+        let generation = state.parameters().lambda() as f64 * objective.afferents() as f64;
         while state.next().is_none() && spent < most {
             spent += generation * objective.duration_s();
         }
         drop(state);
-        if trail.receptor_s >= most {
+        if trail.afferent_s >= most {
             break;
         }
         mean = variables.of(&brief.space.random(brief.seed << 8 | pass));

@@ -1,19 +1,41 @@
-//! Patterns that make receptors feel a shape: what is to be felt, the search for it, and what the outcome is worth.
+//! Finds vibration patterns for target shapes, and predicts how well they work.
 //!
-//! A [`Target`] is a [`Shape`] on the skin, read from a TOML file (`target`): an edge, a disc, dots, a Braille character
-//! (`braille`), a grating, each at rest or in motion; a moving one is cut into [`Frame`]s. [`Partition`] parts a population's
-//! receptors into those that should fire, because they lie within reach of the shape, and the others. The cost is the
-//! difference of the two mean rates; a pattern is the better, the higher it is.
+//! A [`Target`] is a shape on the skin. Afferents within its reach should fire (ON), the others should not (OFF). The
+//! contrast, mean rate of ON minus mean rate of OFF in impulses/s, is what the search maximises; files call it `cost`.
+//! [`make()`] is the whole way from a target to a pattern; its parts can be used alone.
 //!
-//! What may be chosen is a [`Point`] of a [`Space`]: who vibrates, how fast, and when. An [`Objective`] scores points by
-//! simulation; [`search()`] goes from one to better ones (`moves` says where to). [`make()`] does so for every frame
-//! and writes the pattern; [`judge()`] and [`robustness()`] say what it is worth, also where it was not made for;
-//! [`predict_response()`], what was left of it when it was really played.
+//! The modules, each above those it uses:
 //!
-//! Some targets are [`shipped`]; the one called [`YARDSTICK`] is what methods are compared on.
+//! 1. `shape`: a [`Shape`], and the distance of a place from it. `braille`: the dots of a Braille character.
+//! 2. `partition`: a [`Partition`] of afferents into ON and OFF; rates give its [`Verdict`].
+//! 3. `target`: reads and checks target files; cuts a moving target into [`Frame`]s.
+//! 4. `shipped`: the targets that are built in, among them the [`YARDSTICK`].
+//! 5. `point`: a [`Point`] says how each motor vibrates; a [`Space`] says what a search may choose.
+//! 6. `objective`: an [`Objective`] simulates the contrast of points. `moves`: the points to try next.
+//! 7. `search`: [`search()`] goes from a start to better points.
+//! 8. `judge`: [`judge()`] simulates a pattern exactly; [`robustness()`] does so in other conditions.
+//! 9. `make`: [`make()`] searches frame by frame, judges the result and writes the pattern.
+//! 10. `prediction`: [`predict_response()`] compares the bursts of a play with those of its pattern.
 //!
-//! Invariant: which receptors are on a shape, and which pattern is made for it, depends on what is asked alone, bit for
-//! bit on every machine.
+//! Invariant: results depend on the request alone, bit for bit on every machine. Only a search that a clock or its
+//! caller ends depends on when that happens.
+//!
+//! ```
+//! use meissner_design::{Brief, Conditions, Limit, Setting, judge, search, shipped};
+//! use std::ops::ControlFlow;
+//!
+//! let target = shipped("dot").unwrap();
+//! let space = Setting::Default.space();
+//! let start = space.random(0);
+//! let brief =
+//!     Brief { target: &target, frame: &target.frames()[0], populations: &[0], noise_seed: 0, space, seed: 0 };
+//! let found = search(&brief, start, Limit::Evaluations(50), &mut |_, _| ControlFlow::Continue(()))?;
+//!
+//! let drives = found.point.drives(target.amplitude_um(), None, None);
+//! let verdict = judge(&target, &drives, &Conditions::plain(vec![0], 0))?.unwrap();
+//! assert!(verdict.on_hz > verdict.off_hz);
+//! # Ok::<(), meissner_skin::MethodError>(())
+//! ```
 
 mod braille;
 mod judge;
@@ -25,53 +47,16 @@ mod point;
 mod prediction;
 mod search;
 mod shape;
+mod shipped;
 mod target;
 
-pub use judge::{Circumstances, HELD_OUT, Robustness, WATCHED_S, judge, pulses_per_s, robustness};
+pub use judge::{Conditions, HELD_OUT, Robustness, STEADY_S, judge, pulses_per_s, robustness};
 pub use make::{Budget, Made, MakeError, Progress, ROBUST_POPULATIONS, Request, make, populations};
-pub use objective::{Fidelity, Objective, Score, Standing, Tried};
+pub use objective::{Fidelity, Incumbent, Objective, Score, Tried};
 pub use partition::{Partition, Verdict};
-pub use point::{Point, Space, Vibration};
+pub use point::{Point, Setting, Space, Vibration};
 pub use prediction::{MOST_OBSERVED_S, Play, PredictedResponse, PredictionError, Rates, predict_response};
 pub use search::{Brief, Ended, Found, Limit, Spent, Step, resume, search};
 pub use shape::Shape;
+pub use shipped::{YARDSTICK, shipped, shipped_names};
 pub use target::{Frame, MAX_BYTES, MAX_FRAMES, MAX_POINTS, Problem, Target, TargetError};
-
-use include_dir::{Dir, include_dir};
-use serde::{Deserialize, Serialize};
-
-/// The shipped target files, as they are.
-static LIBRARY: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/../../targets");
-
-/// The shipped target by which patterns are commonly judged: an edge at 45°, 12 mm long, through the array's middle.
-pub const YARDSTICK: &str = "edge-45";
-
-/// What a search may choose from.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Setting {
-    /// Motors may be off; 5 to 150 Hz.
-    #[default]
-    Default,
-    /// The paper's: every motor vibrates; 5 to 300 Hz.
-    AlwaysOn,
-}
-
-/// The shipped target of that name.
-#[must_use]
-#[expect(clippy::missing_panics_doc, reason = "it does not happen: a test reads them all")]
-pub fn shipped(name: &str) -> Option<Target> {
-    let file = LIBRARY.get_file(format!("{name}.toml"))?;
-    let text = file.contents_utf8().expect("targets are text");
-    Some(Target::read(text, &file.path().to_string_lossy()).expect("shipped targets are good"))
-}
-
-/// What the shipped targets are called, in order.
-#[must_use]
-pub fn shipped_names() -> Vec<&'static str> {
-    let paths = LIBRARY.files().map(include_dir::File::path);
-    let toml = paths.filter(|path| path.extension().is_some_and(|extension| extension == "toml"));
-    let mut names: Vec<_> = toml.filter_map(|path| path.file_stem()?.to_str()).collect();
-    names.sort_unstable();
-    names
-}

@@ -1,18 +1,19 @@
-//! From a target to a pattern, with what made it.
+//! From a target to a pattern and its provenance.
 //!
-//! A target at rest is searched for once, a moving one frame by frame, each from what was found for the frame before.
-//! The drives of all frames are one pattern. It is judged exactly, also where it was not made for, and its provenance
-//! says all that is needed to make the same bytes again: the target, the setting, the seed, the number of evaluations
-//! and, if there was one, the start.
+//! [`make()`] searches once for a target at rest. For a moving target it searches frame by frame, each from the result of
+//! the frame before. The drives of all frames are one pattern. It is judged exactly, also in conditions that it was not
+//! made for. Its provenance holds all that is needed to make the same bytes again: the target, the setting, the seed,
+//! the number of evaluations and, if there was one, the start.
 //!
-//! Invariant: a request with the evaluations that the provenance names makes the same bytes again, whatever the threads;
-//! so does the request itself, if neither a clock nor a person ended it.
+//! Invariant: a request with the evaluations of the provenance makes the same bytes again, on any number of threads. So
+//! does the request itself, unless a clock or the caller ended it.
 
-use super::judge::{Circumstances, Robustness, judge, pulses_per_s, robustness};
-use super::target::DEFINITION;
-use super::{
-    Brief, Ended, Found, Frame, Limit, Point, Score, Setting, Space, Spent, Target, Verdict, resume, search,
-};
+use crate::judge::{Conditions, Robustness, judge, pulses_per_s, robustness};
+use crate::objective::Score;
+use crate::partition::Verdict;
+use crate::point::{Point, Setting, Space};
+use crate::search::{Brief, Ended, Found, Limit, Spent, resume, search};
+use crate::target::{DEFINITION, Frame, Target};
 use meissner_array::pattern::{Drive, Pattern, PatternError};
 use meissner_array::strokes::StrokesError;
 use meissner_skin::MethodError;
@@ -20,116 +21,111 @@ use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
 use toml::{Table, Value};
 
-/// Populations over which a robust pattern's cost is the mean: the target's and those of the seeds that follow.
+/// The number of populations of a robust pattern: the target's seed and those that follow.
 pub const ROBUST_POPULATIONS: u64 = 8;
-/// The version of the models, in the provenance.
+/// The version of the models, as the provenance names it.
 const MODEL: i64 = 1;
 
-/// How much may be simulated.
+/// How long to search.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Budget {
-    /// As much as it takes: until nothing improves any more.
+    /// Until nothing improves.
     #[default]
     Enough,
-    /// About so many evaluations for each frame: the batch that reaches it is the last. The last number is that of all
-    /// further frames.
+    /// About so many evaluations for each frame: the batch that reaches the number is the last. The last number holds
+    /// for all further frames.
     Evaluations(Vec<u64>),
-    /// About so many seconds, shared out evenly over the frames.
+    /// About so many seconds, in equal parts for the frames.
     Seconds(f64),
 }
 
-/// What is asked for.
+/// How to make a pattern.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Request {
-    /// What may be chosen.
+    /// The search space.
     pub setting: Setting,
-    /// Of the search.
+    /// Seed of the search.
     pub seed: u64,
-    /// Whether the cost is the mean over [`ROBUST_POPULATIONS`].
+    /// Whether the objective is the mean over [`ROBUST_POPULATIONS`].
     pub robust: bool,
-    /// When to stop.
+    /// How long to search.
     pub budget: Budget,
-    /// Where to begin: the drives of a pattern made before.
+    /// The start: the drives of an earlier pattern.
     pub start: Option<Vec<Drive>>,
 }
 
-/// How far it is.
+/// The state of the work.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Progress {
-    /// The frame that is searched for, from 0.
+    /// The current frame, from 0.
     pub frame: usize,
-    /// How many there are.
+    /// The number of frames.
     pub frames: usize,
-    /// For this frame.
+    /// The work for this frame.
     pub spent: Spent,
-    /// As the search sees where it stands.
+    /// The best score for this frame, at the search's fidelity.
     pub score: Score,
 }
 
-/// A pattern and how it came about.
+/// A pattern, with the searches and figures behind it.
 #[derive(Clone, Debug)]
 pub struct Made {
     /// The pattern, with its provenance.
     pub pattern: Pattern,
-    /// The searches, frame by frame.
+    /// The result of the search for each frame.
     pub found: Vec<Found>,
-    /// What the pattern is worth to the receptors it was made for.
+    /// The verdict on the populations that it was made for.
     pub verdict: Verdict,
-    /// What it is worth elsewhere.
+    /// The contrast in other conditions.
     pub robustness: Robustness,
-    /// Over its duration.
+    /// The mean over its duration.
     pub pulses_per_s: f64,
 }
 
 /// Why there is no pattern.
 #[derive(Debug, thiserror::Error)]
 pub enum MakeError {
-    /// The target's receptors cannot be simulated.
+    /// The target's afferents cannot be simulated.
     #[error("the target cannot be simulated: {0}")]
     Method(#[from] MethodError),
-    /// The pattern's name is none.
+    /// The pattern's name is invalid.
     #[error(transparent)]
     Pattern(#[from] PatternError),
-    /// Our bug.
+    /// A bug of ours.
     #[error("internal error: {0}")]
     Strokes(#[from] StrokesError),
 }
 
 impl Made {
-    /// What was simulated for it in all.
+    /// The work for all frames.
     #[must_use]
     pub fn spent(&self) -> Spent {
         self.found.iter().fold(Spent::default(), |sum, found| Spent {
             evaluations: sum.evaluations + found.spent.evaluations,
-            receptor_s: sum.receptor_s + found.spent.receptor_s,
+            afferent_s: sum.afferent_s + found.spent.afferent_s,
         })
     }
 
-    /// Why it ended: converged only if every frame did.
+    /// Why the search ended: it converged only if it did for every frame.
     #[must_use]
     pub fn ended(&self) -> Ended {
-        let ended = |ended| self.found.iter().any(|found| found.ended == ended);
-        if ended(Ended::Interrupted) {
-            Ended::Interrupted
-        } else if ended(Ended::Limit) {
-            Ended::Limit
-        } else {
-            Ended::Converged
-        }
+        let any = |ended: &Ended| self.found.iter().any(|found| found.ended == *ended);
+        [Ended::Interrupted, Ended::Limit].into_iter().find(any).unwrap_or(Ended::Converged)
     }
 }
 
-/// Seeds of the populations a pattern is made for.
+/// Seeds of the populations that a pattern is made for.
 #[must_use]
 pub fn populations(target: &Target, robust: bool) -> Vec<u64> {
     let count = if robust { ROBUST_POPULATIONS } else { 1 };
     (0..count).map(|number| target.population_seed().wrapping_add(number)).collect()
 }
 
-/// Makes a pattern called `name` for a target. `watch` may end the search; what was found by then is made a pattern of.
+/// Makes a pattern called `name` for a target. `watch` may end the search; the pattern is then made of the best points
+/// so far.
 ///
 /// # Errors
-/// If the target cannot be simulated, or `name` is no name.
+/// If the target cannot be simulated, or if `name` is invalid.
 pub fn make(
     target: &Target,
     name: &str,
@@ -157,23 +153,23 @@ pub fn make(
         } else {
             request.budget.limit(number, frames.len(), begun)
         };
-        let mut told = |spent, score| watch(Progress { frame: number, frames: frames.len(), spent, score });
+        let mut report = |spent, score| watch(Progress { frame: number, frames: frames.len(), spent, score });
         let before = found.last().map(|found| found.point);
-        let start = request.start.as_deref().map(|start| at(start, frame, &space));
+        let start = request.start.as_deref().map(|start| point_at(start, frame, &space));
         if let Some((starts, start)) = starts.as_mut().zip(start) {
             starts.extend(start.drives(target.amplitude_um(), frame.start_s, frame.stop_s));
         }
         let this = match start.or(before) {
-            Some(start) => resume(&brief, start, limit, &mut told)?,
-            None => search(&brief, space.random(request.seed), limit, &mut told)?,
+            Some(start) => resume(&brief, start, limit, &mut report)?,
+            None => search(&brief, space.random(request.seed), limit, &mut report)?,
         };
         interrupted |= this.ended == Ended::Interrupted;
         drives.extend(this.point.drives(target.amplitude_um(), frame.start_s, frame.stop_s));
         found.push(this);
     }
-    let made_for = Circumstances::plain(populations, noise_seed);
+    let made_for = Conditions::plain(populations, noise_seed);
     let verdict = judge(target, &drives, &made_for)?;
-    let verdict = verdict.expect("a checked target has receptors of both kinds");
+    let verdict = verdict.expect("a checked target has ON and OFF afferents");
     let robustness = robustness(target, &drives, &made_for)?;
     let pattern = Pattern::new(name, Some(target.duration_s()), drives.clone(), Table::new())?;
     let mut made = Made { pulses_per_s: pulses_per_s(&pattern)?, pattern, found, verdict, robustness };
@@ -202,8 +198,8 @@ impl Budget {
     }
 }
 
-/// What some drives do in the middle of a frame.
-fn at(start: &[Drive], frame: &Frame, space: &Space) -> Point {
+/// The point of some drives in the middle of a frame.
+fn point_at(start: &[Drive], frame: &Frame, space: &Space) -> Point {
     let middle_s =
         frame.start_s.zip(frame.stop_s).map_or(0.0, |(start_s, stop_s)| f64::midpoint(start_s, stop_s));
     let plays =
@@ -211,19 +207,19 @@ fn at(start: &[Drive], frame: &Frame, space: &Space) -> Point {
     space.of_drives(&start.iter().filter(plays).copied().collect::<Vec<_>>())
 }
 
-/// All that is needed to make it again, and what came of it.
+/// All that is needed to make the pattern again, and its figures.
 fn provenance(target: &Target, request: &Request, made: &Made, starts: Option<&[Drive]>) -> Table {
     let mut table = Table::new();
     let mut put = |key: &str, value: Value| table.insert(key.to_owned(), value);
     put("target", target.name().into());
     put("method", "subgradient".into());
     put("model", MODEL.into());
-    put("setting", Value::try_from(request.setting).expect("a word"));
+    put("setting", Value::try_from(request.setting).expect("a string"));
     put("seed", whole(request.seed));
     put("robust", request.robust.into());
     let evaluations: Vec<Value> = made.found.iter().map(|found| whole(found.spent.evaluations)).collect();
     put("evaluations", evaluations.into());
-    put("receptor_s", made.spent().receptor_s.into());
+    put("receptor_s", made.spent().afferent_s.into());
     put("cost", made.verdict.cost_hz.into());
     put("on_hz", made.verdict.on_hz.into());
     put("off_hz", made.verdict.off_hz.into());
@@ -231,7 +227,7 @@ fn provenance(target: &Target, request: &Request, made: &Made, starts: Option<&[
     put("pulses_per_s", made.pulses_per_s.into());
     put(DEFINITION, target.definition().into());
     put("robustness", Table::try_from(&made.robustness).expect("numbers and lists of numbers").into());
-    // Not as it was read: what was taken of it is the same points again, and bounded.
+    // The start as the search took it: bounded in size, and it leads to the same points.
     if let Some(starts) = starts {
         let start: Vec<Value> = starts.iter().map(|drive| Value::try_from(drive).expect("numbers")).collect();
         put("start", start.into());
@@ -239,7 +235,6 @@ fn provenance(target: &Target, request: &Request, made: &Made, starts: Option<&[
     table
 }
 
-/// A number that TOML may hold: seeds beyond are refused where they are read.
 fn whole(number: u64) -> Value {
-    Value::Integer(i64::try_from(number).expect("seeds beyond are refused where they are read"))
+    Value::Integer(i64::try_from(number).expect("larger seeds are refused where they are read"))
 }

@@ -1,27 +1,28 @@
-//! Where a search may go from a point: the trial moves, each a pure function of the point.
+//! The moves of the search: points to try next.
 //!
 //! Invariant: every move stays within the space.
 
-use super::point::{Point, Space, Vibration};
+use crate::point::{Point, Space, Vibration};
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::geometry;
 
-/// Frequencies that are tried over the whole range.
+/// The number of frequencies to try over the whole range.
 const SPREAD: u8 = 6;
-/// Unisons whose frequencies lie further apart than this do not try to merge: an octave.
+/// Unisons try to merge only if the ratio of their frequencies is below this.
 const OCTAVE: f64 = 2.0;
 
-/// One motor elsewhere: off, at frequencies over the whole range (`jitter`, 0 to 1, shifts them), or in unison with a
-/// neighbour; with the largest unison around also a quarter or half a cycle apart, to cancel it where it spreads; and
-/// where it is, but an eighth of a cycle earlier and later.
-pub(super) fn elsewhere(point: &Point, motor: usize, space: &Space, jitter: f64) -> Vec<Point> {
+/// Moves of one motor: off, to frequencies over the whole range (`jitter`, 0 to 1, shifts them), to a phase an eighth of
+/// a cycle away, and into unison with a neighbour. With the largest neighbouring unison it tries four phases, so that it
+/// may cancel the unison where that spreads.
+pub(crate) fn of_motor(point: &Point, motor: usize, space: &Space, jitter: f64) -> Vec<Point> {
     let phase = point.0[motor].map_or(0.0, Vibration::phase);
     let mut found = Vec::new();
     if space.may_be_off {
         found.push(None);
     }
-    found.extend((0..SPREAD).map(|part| {
-        Some(space.vibration(space.frequency_hz((f64::from(part) + jitter) / f64::from(SPREAD)), phase))
+    found.extend((0..SPREAD).map(|number| {
+        let share = (f64::from(number) + jitter) / f64::from(SPREAD);
+        Some(space.vibration(space.frequency_hz(share), phase))
     }));
     if let Some(vibration) = point.0[motor].filter(|_| space.phases) {
         found.extend(
@@ -51,9 +52,9 @@ pub(super) fn elsewhere(point: &Point, motor: usize, space: &Space, jitter: f64)
     found.into_iter().map(|vibration| point.with(&[motor], |_| vibration)).collect()
 }
 
-/// Motors in unison at another frequency: by `radius` of it higher or lower, by twice that, and, if `merge`, at that of
-/// each other unison less than an octave away, in step with it and against it.
-pub(super) fn together(
+/// Moves of a unison: up and down in frequency by the share `radius` and by twice that. With `merge`, also to the
+/// frequency of each other unison less than an octave away, in phase and in antiphase.
+pub(crate) fn of_unison(
     point: &Point,
     motors: &[usize],
     space: &Space,

@@ -1,12 +1,14 @@
-//! The cost of a point, by simulation, and that of points near it for less.
+//! The objective: the contrast of a point, by simulation, and that of nearby points for less work.
 //!
-//! The receptors of one population or of several are one scene, each with noise of its own, so that the cost is a mean
-//! over populations. Every point meets the same receptors and the same noise: what differs between two costs is what
-//! the motors do. Spikes are counted in whole numbers and added up first, so that the cost does not depend on any order.
+//! The afferents of all populations are one scene, each with its own noise, so the contrast is a mean over populations.
+//! Every point meets the same afferents and the same noise: two contrasts differ only by what the motors do. Spikes are
+//! counted in whole numbers and summed first, so that no order changes the contrast.
 //!
-//! Invariant: a [`Standing`]'s score is that of its point, whichever way it was reached.
+//! Invariant: the score of an [`Incumbent`] is that of its point, however it was reached.
 
-use super::{Frame, Partition, Point, Target};
+use crate::partition::Partition;
+use crate::point::Point;
+use crate::target::{Frame, Target};
 use meissner_array::pattern::Drive;
 use meissner_skin::afferent::{self, MIN_WEIGHT, Position};
 use meissner_skin::{
@@ -14,19 +16,19 @@ use meissner_skin::{
 };
 use rayon::prelude::*;
 
-/// How well a cost is simulated: what a search may do with less.
+/// How accurately a contrast is simulated: a search begins with less.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fidelity {
-    /// How long is watched.
+    /// Duration of the simulation, s.
     pub duration_s: f64,
-    /// By the propagator with this step; without, by the exact method.
+    /// The step of the propagator; none simulates exactly.
     pub step_us: Option<u32>,
     /// Weights below this count as 0.
     pub min_weight: f64,
 }
 
 impl Fidelity {
-    /// The model's own: a second, exactly.
+    /// One second, exactly.
     pub const FULL: Self = Self { duration_s: 1.0, step_us: None, min_weight: MIN_WEIGHT };
 
     fn options(self) -> Options {
@@ -37,45 +39,45 @@ impl Fidelity {
     }
 }
 
-/// Mean rates, impulses/s, over the populations that have receptors of both kinds.
+/// Mean rates over the populations that have ON and OFF afferents, impulses/s.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Score {
-    /// Of the receptors within reach.
+    /// Of the ON afferents.
     pub on_hz: f64,
-    /// Of the others.
+    /// Of the OFF afferents.
     pub off_hz: f64,
 }
 
 impl Score {
-    /// The cost: the higher, the better.
+    /// The contrast; higher is better.
     #[must_use]
     pub fn cost_hz(self) -> f64 {
         self.on_hz - self.off_hz
     }
 }
 
-/// What is to be felt and by whom.
+/// What a search maximises: the contrast of a frame, as a function of the point.
 #[derive(Clone, Debug)]
 pub struct Objective {
-    /// With its receptors, and without drives.
+    /// The afferents; no drives.
     scene: Scene,
     options: Options,
     amplitude_um: f64,
-    /// From when to when a point is played: once and for ever, or for a frame's time again and again.
+    /// The times at which a point is played: once without end, or again and again for the frame's duration.
     times: Vec<(Option<f64>, Option<f64>)>,
-    /// Of each receptor: its population, and whether it is within reach.
+    /// The population of each afferent, and whether it is ON.
     kinds: Vec<(usize, bool)>,
-    /// Of each population: how many are OFF and ON.
+    /// The numbers of OFF and ON afferents of each population.
     counts: Vec<[usize; 2]>,
 }
 
 impl Objective {
-    /// The cost of a frame for the populations of some seeds; those without receptors of both kinds are left out.
-    /// `noise_seed` keys the thresholds. A frame that ends is repeated: what its end costs, because a stroke that does not
-    /// fit into it is not played, is part of the cost.
+    /// The contrast of a frame over the populations of some seeds; those without ON or OFF afferents are left out.
+    /// `noise_seed` seeds the threshold noise. A frame that ends is repeated, so the contrast counts the strokes that its
+    /// end leaves out.
     ///
     /// # Panics
-    /// If the fidelity's duration is none that a scene can have.
+    /// If no scene can have the fidelity's duration.
     #[must_use]
     pub fn new(
         target: &Target,
@@ -84,18 +86,18 @@ impl Objective {
         noise_seed: u64,
         fidelity: Fidelity,
     ) -> Self {
-        let (mut receptors, mut kinds, mut counts) = (Vec::<Position>::new(), Vec::new(), Vec::new());
+        let (mut afferents, mut kinds, mut counts) = (Vec::<Position>::new(), Vec::new(), Vec::new());
         for &seed in populations {
-            let places = afferent::population(seed);
-            let partition = Partition::of(&frame.shape, target.reach_mm(), &places);
-            if partition.on_count() > 0 && partition.off_count() > 0 {
+            let population = afferent::population(seed);
+            let partition = Partition::of(&frame.shape, target.reach_mm(), &population);
+            if partition.has_both() {
                 kinds.extend(partition.on().iter().map(|&on| (counts.len(), on)));
                 counts.push([partition.off_count(), partition.on_count()]);
-                receptors.extend(places);
+                afferents.extend(population);
             }
         }
-        let scene = Scene::new(fidelity.duration_s, noise_seed, Vec::new(), receptors, *target.model());
-        let scene = scene.expect("a checked target is made of what a scene is made of");
+        let scene = Scene::new(fidelity.duration_s, noise_seed, Vec::new(), afferents, *target.model());
+        let scene = scene.expect("the parts of a checked target make a scene");
         let times = match frame.start_s.zip(frame.stop_s) {
             None => vec![(None, None)],
             Some((start_s, stop_s)) => {
@@ -108,24 +110,24 @@ impl Objective {
         Self { scene, options, amplitude_um, times, kinds, counts }
     }
 
-    /// Simulates a point as a whole.
+    /// Simulates a point with all afferents.
     ///
     /// # Errors
-    /// If the method cannot simulate the target's receptors.
-    pub fn at(&self, point: Point) -> Result<Standing<'_>, MethodError> {
+    /// If the method cannot simulate the target's afferents.
+    pub fn at(&self, point: Point) -> Result<Incumbent<'_>, MethodError> {
         let scene = self.scene.with_drives(self.drives(&point));
-        let scene = scene.expect("a space has no drives that a scene has not");
+        let scene = scene.expect("a scene can have every drive of a space");
         let evaluator = Evaluator::new(scene, self.options)?;
-        Ok(Standing { objective: self, point, score: self.score(evaluator.counts()), evaluator })
+        Ok(Incumbent { objective: self, point, score: self.score(evaluator.counts()), evaluator })
     }
 
-    /// Receptors of all populations.
+    /// The number of afferents in all populations.
     #[must_use]
-    pub fn receptors(&self) -> usize {
+    pub fn afferents(&self) -> usize {
         self.kinds.len()
     }
 
-    /// How long is watched.
+    /// Duration of the simulation, s.
     #[must_use]
     pub const fn duration_s(&self) -> f64 {
         self.scene.duration_s()
@@ -141,71 +143,71 @@ impl Objective {
         for (&(population, on), count) in self.kinds.iter().zip(counts) {
             spikes[population][usize::from(on)] += count;
         }
-        let mean = |side: usize| {
-            let rates =
-                spikes.iter().zip(&self.counts).map(|(spikes, of)| spikes[side] as f64 / of[side] as f64);
+        let mean = |on: usize| {
+            let rates = spikes.iter().zip(&self.counts).map(|(spikes, of)| spikes[on] as f64 / of[on] as f64);
             rates.sum::<f64>() / (self.counts.len().max(1) as f64 * self.duration_s())
         };
         Score { on_hz: mean(1), off_hz: mean(0) }
     }
 }
 
-/// A point and its score.
+/// The point at which a search stands, with its score.
 #[derive(Clone, Debug)]
-pub struct Standing<'o> {
+pub struct Incumbent<'o> {
     objective: &'o Objective,
     point: Point,
     score: Score,
     evaluator: Evaluator,
 }
 
-/// Another point and its score.
+/// Another point, with its score.
 #[derive(Clone, Debug)]
 pub struct Tried {
-    /// Where.
+    /// The point.
     pub point: Point,
-    /// What it comes to.
+    /// Its score.
     pub score: Score,
-    /// Receptors that were simulated for it.
-    pub receptors: usize,
-    trial: Candidate,
+    /// The number of afferents that were simulated for it.
+    pub afferents: usize,
+    candidate: Candidate,
 }
 
-impl<'o> Standing<'o> {
-    /// Where it stands.
+impl<'o> Incumbent<'o> {
+    /// The point.
     #[must_use]
     pub const fn point(&self) -> &Point {
         &self.point
     }
 
-    /// What that comes to.
+    /// Its score.
     #[must_use]
     pub const fn score(&self) -> Score {
         self.score
     }
 
-    /// What it stands on.
+    /// The objective that scored it.
     #[must_use]
     pub const fn objective(&self) -> &'o Objective {
         self.objective
     }
 
-    /// Tries other points, on as many threads as there are.
+    /// Scores other points in parallel. Only the afferents that a changed motor reaches are simulated.
     #[must_use]
     pub fn try_all(&self, points: Vec<Point>) -> Vec<Tried> {
         let tried = |point: Point| {
-            let trial = self
+            let candidate = self
                 .evaluator
                 .evaluate(&self.objective.drives(&point))
-                .expect("a space has no drives that a scene has not");
-            Tried { point, score: self.objective.score(&trial.counts()), receptors: trial.simulated(), trial }
+                .expect("a scene can have every drive of a space");
+            let score = self.objective.score(&candidate.counts());
+            Tried { point, score, afferents: candidate.simulated(), candidate }
         };
         points.into_par_iter().map(tried).collect()
     }
 
-    /// Goes there.
-    pub fn go(&mut self, tried: Tried) {
+    /// Makes a tried point the incumbent.
+    pub fn move_to(&mut self, tried: Tried) {
         (self.point, self.score) = (tried.point, tried.score);
-        self.evaluator.accept(tried.trial);
+        self.evaluator.accept(tried.candidate);
     }
 }

@@ -1,103 +1,97 @@
-//! The two partition of a target: receptors that should fire and receptors that should not, and how well they come apart.
+//! The ON/OFF partition of a target's afferents, and how well rates separate the two.
 //!
-//! The cost is what a search maximises: the mean rate of those ON minus the mean rate of those OFF. The area under the
-//! curve says how well a single receptor tells which side it is on, whatever the rates' scale.
+//! The contrast is the mean rate of the ON afferents minus that of the OFF afferents. The AUC says how well the rate of
+//! a single afferent tells ON from OFF, whatever the scale of the rates.
 //!
-//! Invariant: every receptor is ON or OFF, by its place alone.
+//! Invariant: the place of an afferent alone decides whether it is ON.
 
-use super::Shape;
+use crate::shape::Shape;
 use meissner_skin::afferent::Position;
 use serde::Serialize;
 
-/// Which receptors are ON: within reach of a shape.
+/// The afferents within reach of a shape (ON), and the others (OFF). Its functions of rates panic unless there is one rate
+/// per afferent.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Partition {
     on: Vec<bool>,
     count: usize,
 }
 
-/// What rates are worth.
+/// How well rates separate ON from OFF.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Verdict {
-    /// Mean rate of the receptors ON, impulses/s.
+    /// Mean rate of the ON afferents, impulses/s.
     pub on_hz: f64,
-    /// Mean rate of those OFF, impulses/s.
+    /// Mean rate of the OFF afferents, impulses/s.
     pub off_hz: f64,
-    /// The difference of the two: the higher, the better.
+    /// The contrast, `on_hz - off_hz`; higher is better.
     pub cost_hz: f64,
-    /// How well one receptor tells ON from OFF ([`Partition::auc`]).
+    /// The area under the curve ([`Partition::auc`]), 0 to 1.
     pub auc: f64,
 }
 
 impl Partition {
-    /// The partition of a shape; a receptor at exactly `reach_mm` is ON.
+    /// The partition for a shape. An afferent at exactly `reach_mm` is ON.
     #[must_use]
-    pub fn of(shape: &Shape, reach_mm: f64, receptors: &[Position]) -> Self {
-        let on: Vec<bool> = receptors.iter().map(|&at| shape.distance_mm(at) <= reach_mm).collect();
+    pub fn of(shape: &Shape, reach_mm: f64, afferents: &[Position]) -> Self {
+        let on: Vec<bool> = afferents.iter().map(|&at| shape.distance_mm(at) <= reach_mm).collect();
         let count = on.iter().filter(|&&on| on).count();
         Self { on, count }
     }
 
-    /// Of each receptor, whether it is ON.
+    /// Whether each afferent is ON.
     #[must_use]
     pub fn on(&self) -> &[bool] {
         &self.on
     }
 
-    /// How many are ON.
+    /// The number of ON afferents.
     #[must_use]
     pub const fn on_count(&self) -> usize {
         self.count
     }
 
-    /// How many are OFF.
+    /// The number of OFF afferents.
     #[must_use]
     pub fn off_count(&self) -> usize {
         self.on.len() - self.count
     }
 
-    /// Mean of the rates of those ON; none if there are none.
-    ///
-    /// # Panics
-    /// If there are not as many rates as receptors.
+    /// Whether there are ON and OFF afferents: only then there is a contrast.
+    #[must_use]
+    pub fn has_both(&self) -> bool {
+        self.on_count() > 0 && self.off_count() > 0
+    }
+
+    /// Mean rate of the ON afferents; none if there are none.
     #[must_use]
     pub fn on_hz(&self, rates_hz: &[f64]) -> Option<f64> {
         self.mean(true, self.on_count(), rates_hz)
     }
 
-    /// Mean of the rates of those OFF; none if there are none.
-    ///
-    /// # Panics
-    /// If there are not as many rates as receptors.
+    /// Mean rate of the OFF afferents; none if there are none.
     #[must_use]
     pub fn off_hz(&self, rates_hz: &[f64]) -> Option<f64> {
         self.mean(false, self.off_count(), rates_hz)
     }
 
-    /// Mean rate ON minus mean rate OFF; none if a side is empty.
-    ///
-    /// # Panics
-    /// If there are not as many rates as receptors.
+    /// The contrast; none unless there are ON and OFF afferents.
     #[must_use]
     pub fn cost_hz(&self, rates_hz: &[f64]) -> Option<f64> {
         Some(self.on_hz(rates_hz)? - self.off_hz(rates_hz)?)
     }
 
-    /// How likely a receptor drawn from those ON has a higher rate than one drawn from those OFF, a tie counting
-    /// half: 0.5 tells nothing, 1 everything. None if a side is empty.
-    ///
-    /// # Panics
-    /// If there are not as many rates as receptors.
+    /// The probability that a random ON afferent fires faster than a random OFF one; a tie counts half. None unless
+    /// there are both.
     #[must_use]
     pub fn auc(&self, rates_hz: &[f64]) -> Option<f64> {
         self.check(rates_hz);
-        let (on, off) = (self.on_count(), self.off_count());
-        if on == 0 || off == 0 {
+        if !self.has_both() {
             return None;
         }
         let mut order: Vec<(f64, bool)> = rates_hz.iter().copied().zip(self.on.iter().copied()).collect();
         order.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
-        // In halves, so that all of it is counted in whole numbers.
+        // Counted in halves, so that the sum is exact.
         let (mut halves, mut off_below) = (0_u64, 0_u64);
         for tied in order.chunk_by(|a, b| a.0 == b.0) {
             let on = tied.iter().filter(|(_, on)| *on).count() as u64;
@@ -105,13 +99,10 @@ impl Partition {
             halves += on * (2 * off_below + off);
             off_below += off;
         }
-        Some(halves as f64 / (2.0 * on as f64 * off as f64))
+        Some(halves as f64 / (2.0 * self.on_count() as f64 * self.off_count() as f64))
     }
 
-    /// All of it; none if a side is empty.
-    ///
-    /// # Panics
-    /// If there are not as many rates as receptors.
+    /// All figures; none unless there are ON and OFF afferents.
     #[must_use]
     pub fn verdict(&self, rates_hz: &[f64]) -> Option<Verdict> {
         Some(Verdict {
@@ -122,15 +113,15 @@ impl Partition {
         })
     }
 
-    fn mean(&self, side: bool, count: usize, rates_hz: &[f64]) -> Option<f64> {
+    fn mean(&self, on: bool, count: usize, rates_hz: &[f64]) -> Option<f64> {
         self.check(rates_hz);
-        let rates = self.on.iter().zip(rates_hz).filter(|(on, _)| **on == side);
+        let rates = self.on.iter().zip(rates_hz).filter(|(is_on, _)| **is_on == on);
         let sum = rates.fold(0.0, |sum, (_, rate)| sum + rate);
         (count > 0).then(|| sum / count as f64)
     }
 
     fn check(&self, rates_hz: &[f64]) {
-        assert_eq!(rates_hz.len(), self.on.len(), "a rate for each receptor");
+        assert_eq!(rates_hz.len(), self.on.len(), "one rate per afferent");
     }
 }
 
@@ -138,14 +129,14 @@ impl Partition {
 mod tests {
     use super::*;
 
-    /// Two ON, two OFF.
+    /// ON, OFF, ON, OFF.
     fn partition() -> Partition {
-        let receptors = [0.0, 5.0, 1.5, 1.6].map(|x_mm| Position { x_mm, y_mm: 0.0 });
-        Partition::of(&Shape::Dots(vec![[0.0, 0.0]]), 1.5, &receptors)
+        let afferents = [0.0, 5.0, 1.5, 1.6].map(|x_mm| Position { x_mm, y_mm: 0.0 });
+        Partition::of(&Shape::Dots(vec![[0.0, 0.0]]), 1.5, &afferents)
     }
 
     #[test]
-    fn the_cost_needs_both_kinds() {
+    fn the_contrast_needs_on_and_off() {
         let partition = partition();
         assert_eq!(partition.on(), [true, false, true, false]);
         let rates = [60.0, 10.0, 50.0, 20.0];

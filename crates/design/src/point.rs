@@ -1,46 +1,57 @@
-//! What the search may choose: per motor whether it vibrates, how fast, and when in the cycle it goes up.
+//! The variables of the search: for each motor whether it vibrates, its frequency and its phase.
 //!
-//! Frequencies are whole tenths of a hertz and phases whole hundredths of a cycle: finer is not felt, files stay
-//! readable, and equal points compare equal. Motors of one frequency are in [unison](Point::unisons): their
-//! displacements add up on the skin or cancel, whereas others merely beat.
+//! Frequencies are whole tenths of a hertz, phases whole hundredths of a cycle: files stay readable, and equal points
+//! compare equal. Motors of one frequency are in [unison](Point::unisons): their displacements add up on the skin or
+//! cancel; other motors beat.
 //!
-//! Invariant: a point that was made within a [`Space`] lies in it.
+//! Invariant: a point that a [`Space`] makes lies in it.
 
-use super::Setting;
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::pattern::Drive;
 use meissner_array::random;
+use serde::{Deserialize, Serialize};
 use std::ops::RangeInclusive;
 
-/// How a motor vibrates.
+/// The vibration of a motor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Vibration {
-    /// Tenths of a hertz.
+    /// Frequency, tenths of a hertz.
     pub decihertz: u16,
-    /// Hundredths of a cycle, below 100.
+    /// Phase, hundredths of a cycle, below 100.
     pub percent: u8,
 }
 
-/// What all motors do; one that is off is `None`.
+/// The vibrations of all motors; `None` is off.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Point(pub [Option<Vibration>; MOTORS]);
 
-/// What a search may choose from.
+/// The points that a search may choose.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Space {
-    /// Tenths of a hertz.
+    /// Frequencies, tenths of a hertz.
     pub decihertz: RangeInclusive<u16>,
     /// Whether a motor may be off.
     pub may_be_off: bool,
-    /// Whether phases are free; else a motor keeps the one it starts with, 0 if it starts off.
+    /// Whether phases may change. If not, a motor keeps its phase from the start, 0 if it starts off.
     pub phases: bool,
 }
 
-/// Sets these draws apart from others of the same seed; 0 to 3 are the plant's and the population's.
+/// A named [`Space`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Setting {
+    /// Motors may be off; 5 to 150 Hz.
+    #[default]
+    Default,
+    /// The paper's: all motors vibrate; 5 to 300 Hz.
+    AlwaysOn,
+}
+
+/// Separates these random numbers from others of the same seed; the simulated motors and the population use 0 to 3.
 const START_WORD: u64 = 4;
 
 impl Setting {
-    /// What may be chosen under it.
+    /// Its space.
     #[must_use]
     pub const fn space(self) -> Space {
         match self {
@@ -51,7 +62,7 @@ impl Setting {
 }
 
 impl Space {
-    /// The vibration of this frequency, or the nearest the space has, at this phase, cycles of any number.
+    /// The vibration of the space's nearest frequency, at a phase in cycles; whole cycles are dropped.
     #[must_use]
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped")]
     pub fn vibration(&self, frequency_hz: f64, phase: f64) -> Vibration {
@@ -60,24 +71,24 @@ impl Space {
         Vibration { decihertz: (10.0 * frequency_hz).round().clamp(low, high) as u16, percent }
     }
 
-    /// The frequency at a part of the range, 0 to 1, by its logarithm, Hz.
+    /// The frequency, Hz, at a share of the logarithmic range, 0 to 1.
     #[must_use]
-    pub fn frequency_hz(&self, part: f64) -> f64 {
+    pub fn frequency_hz(&self, share: f64) -> f64 {
         let (low, high) = (f64::from(*self.decihertz.start()), f64::from(*self.decihertz.end()));
-        low / 10.0 * libm::pow(high / low, part)
+        low / 10.0 * libm::pow(high / low, share)
     }
 
-    /// A start: every motor on, at a random frequency, all of them first going up at once.
+    /// A random start: every motor is on, at phase 0.
     #[must_use]
     pub fn random(&self, seed: u64) -> Point {
         Point(std::array::from_fn(|motor| {
-            let [part, _] = random::uniform([seed, motor as u64, 0, START_WORD]);
-            Some(self.vibration(self.frequency_hz(part), 0.0))
+            let [share, _] = random::uniform([seed, motor as u64, 0, START_WORD]);
+            Some(self.vibration(self.frequency_hz(share), 0.0))
         }))
     }
 
-    /// What drives come to in this space: the first one of each motor. A motor without is off, if it may be, else as
-    /// fast as can be, which moves it least.
+    /// The point of some drives: the first drive of each motor. A motor without a drive is off if the space allows,
+    /// else at the highest frequency, which moves it least.
     #[must_use]
     pub fn of_drives(&self, drives: &[Drive]) -> Point {
         Point(std::array::from_fn(|motor| {
@@ -91,13 +102,13 @@ impl Space {
 }
 
 impl Vibration {
-    /// Its frequency.
+    /// The frequency, Hz.
     #[must_use]
     pub fn frequency_hz(self) -> f64 {
         f64::from(self.decihertz) / 10.0
     }
 
-    /// Its phase, cycles.
+    /// The phase, cycles.
     #[must_use]
     pub fn phase(self) -> f64 {
         f64::from(self.percent) / 100.0
@@ -105,7 +116,7 @@ impl Vibration {
 }
 
 impl Point {
-    /// The drives that play it, from one time to another, if any.
+    /// The drives that play the point from `start_s` to `stop_s`; none means from the beginning, without end.
     #[must_use]
     pub fn drives(&self, amplitude_um: f64, start_s: Option<f64>, stop_s: Option<f64>) -> Vec<Drive> {
         let drive = |(motor, vibration): (usize, &Option<Vibration>)| {
@@ -122,7 +133,7 @@ impl Point {
         self.0.iter().enumerate().filter_map(drive).collect()
     }
 
-    /// The motors of each frequency, in order of their first motor.
+    /// The motors of each frequency, ordered by their first motor.
     #[must_use]
     pub fn unisons(&self) -> Vec<Vec<usize>> {
         let mut unisons: Vec<(u16, Vec<usize>)> = Vec::new();
@@ -136,9 +147,9 @@ impl Point {
         unisons.into_iter().map(|(_, motors)| motors).collect()
     }
 
-    /// The point with some motors doing something else.
+    /// The point with the vibrations of some motors changed.
     #[must_use]
-    pub(super) fn with(
+    pub(crate) fn with(
         mut self,
         motors: &[usize],
         change: impl Fn(Option<Vibration>) -> Option<Vibration>,

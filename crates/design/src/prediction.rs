@@ -1,15 +1,16 @@
-//! What receptors felt of a play, beside what they should have felt.
+//! The predicted response to a play: the rates for the measured bursts, beside those for the pattern as designed.
 //!
-//! A pattern says how each pin is to move. How it moved is told burst by burst, by the travel of each. Both are simulated on
-//! the receptors the pattern's target was made for, exactly and with the same noise: the rates differ by what the motors
-//! did, and by nothing else. Of a pattern without a target only the mean of all receptors is known.
+//! A pattern says how each pin should move; measured bursts say how it moved. Both are simulated exactly, on the
+//! population of the pattern's target and with the same noise, so the rates differ only by what the motors did. For a
+//! pattern without a target only the mean rate of all afferents is known.
 //!
-//! Rates are as [`judge`](super::judge()) has them. A target at rest is watched for as long as the play was observed; of one that
-//! moves, each frame in its own time, in every repeat in which that was observed as a whole.
+//! Rates are those of [`judge`](crate::judge()). A target at rest counts for the observed time. Each frame of a moving
+//! target counts in every repeat in which it was observed whole.
 //!
-//! Invariant: of bursts that travelled as designed the rates are those designed, bit for bit.
+//! Invariant: bursts that travel as designed give the designed rates, bit for bit.
 
-use super::{Frame, Partition, Target};
+use crate::partition::Partition;
+use crate::target::{Frame, Target};
 use firmware_protocol::stroke::Burst;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::Ramp;
@@ -20,63 +21,63 @@ use meissner_skin::afferent::{AfferentModel, POPULATION_NOISE_SD, Rectify, popul
 use meissner_skin::{MethodError, Ramps, RampsError, Scene, simulate_ramps};
 use serde::{Deserialize, Serialize};
 
-/// How much of a play is looked at, s: what comes later is not.
+/// The longest observed time, s; later bursts do not count.
 pub const MOST_OBSERVED_S: f64 = 60.0;
 
-/// A play, and how much of it was observed.
+/// A play, and the time for which it was observed.
 #[derive(Clone, Copy, Debug)]
 pub struct Play<'p> {
-    /// What was played.
+    /// Its pattern.
     pub pattern: &'p Pattern,
-    /// For how long it was asked for, as [`Strokes::new`] has it.
+    /// The requested duration, s, as for [`Strokes::new`].
     pub seconds: Option<f64>,
-    /// When it began.
+    /// Its first tick.
     pub onset: Tick,
-    /// How much of it, from the onset on, is known burst by burst, s. No more counts than was asked for.
+    /// The time from the onset for which its bursts are known, s. At most the requested duration counts.
     pub observed_s: f64,
 }
 
-/// What receptors felt of a play.
+/// The predicted response to a play.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PredictedResponse {
-    /// How much of the play this is about, from its onset on: at most [`MOST_OBSERVED_S`].
+    /// The time from the onset that it covers, s; at most [`MOST_OBSERVED_S`].
     pub seconds: f64,
-    /// The target the pattern was made for; null: it was made for none.
+    /// The target that the pattern was made for, if any.
     pub target: Option<String>,
-    /// Whose receptors: of the target's population, or 0; it seeds their noise, too.
+    /// Seed of the population and its noise: the target's, or 0.
     pub population_seed: u64,
-    /// What they should have fired, impulses/s.
+    /// Rates as designed.
     pub designed_hz: Rates,
-    /// What they fired, impulses/s.
+    /// Rates as played.
     pub played_hz: Rates,
 }
 
-/// Mean rates, impulses/s. Null is what is not known: there is no target, or no frame of its motion was observed.
+/// Mean rates, impulses/s. Only `all` is known without a target, or if no frame was observed whole.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Rates {
-    /// Of all receptors, over all that was observed.
+    /// Of all afferents, over the observed time.
     pub all: f64,
-    /// Of those within reach of the target.
+    /// Of the ON afferents.
     pub on: Option<f64>,
-    /// Of the others.
+    /// Of the OFF afferents.
     pub off: Option<f64>,
-    /// The difference of the two: what tells the shape from its surroundings.
+    /// `on - off`.
     pub contrast: Option<f64>,
 }
 
-/// Why nothing can be said of a play.
+/// Why there is no prediction for a play.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum PredictionError {
-    /// There is no time to look at.
-    #[error("nothing can be said of what was felt: {observed_s} s of the play were observed")]
+    /// The observed time is empty.
+    #[error("no response can be predicted: {observed_s} s of the play were observed")]
     Nothing {
-        /// As given.
+        /// The observed time, s.
         observed_s: f64,
     },
-    /// It cannot have been played.
+    /// The pattern cannot be played.
     #[error("the pattern cannot be played: {0}")]
     Strokes(#[from] StrokesError),
-    /// Bursts that no motor made.
+    /// No motor can have made these bursts.
     #[error(transparent)]
     Ramps(#[from] RampsError),
     /// Too many spikes.
@@ -84,14 +85,14 @@ pub enum PredictionError {
     Method(#[from] MethodError),
 }
 
-/// Compares what receptors felt of a play with what they should have felt. `bursts` are those that were played, with their
-/// motors, each motor's in order; those that begin before the onset, or after what was observed, belong to others and
-/// are left out. One that met an end stop on its way counts as a slower one ([`simulate_ramps`]).
+/// Predicts the response to a play, as designed and as played. `bursts` are the bursts played, with their motors, in order
+/// for each motor. Bursts that begin before the onset or after the observed time are left out. A burst that met an end
+/// stop counts as a slower burst ([`simulate_ramps`]).
 ///
-/// Skin and shafts are at rest at the onset.
+/// The afferents and shafts are at rest at the onset.
 ///
 /// # Errors
-/// If nothing was observed, or of motors that cannot be.
+/// If the observed time is empty, the pattern cannot be played, or no motor can have made the bursts.
 pub fn predict_response(
     play: &Play<'_>,
     bursts: impl IntoIterator<Item = (u8, Ramp)>,
@@ -100,18 +101,18 @@ pub fn predict_response(
     let strokes = Strokes::new(pattern, seconds)?;
     let lasts_s = strokes.end().map_or(f64::INFINITY, ticks_to_seconds);
     let observed_s = observed_s.min(lasts_s).min(MOST_OBSERVED_S);
-    // NaN would have become a minute.
+    // `min` would have turned NaN into a minute.
     if play.observed_s.is_nan() || observed_s <= 0.0 {
         return Err(PredictionError::Nothing { observed_s: play.observed_s });
     }
     let end = seconds_in_ticks(observed_s);
     let target = Target::made_for(pattern);
     let seed = target.as_ref().map_or(0, Target::population_seed);
-    let anybody = AfferentModel::default_for(Rectify::default(), POPULATION_NOISE_SD);
-    let model = target.as_ref().map_or(anybody, |target| *target.model());
+    let default = AfferentModel::default_for(Rectify::default(), POPULATION_NOISE_SD);
+    let model = target.as_ref().map_or(default, |target| *target.model());
     let scene = Scene::new(observed_s, seed, Vec::new(), population(seed), model);
-    let scene = scene.expect("a finger's receptors and a target's model make a scene");
-    let watch = Watch::new(target.as_ref(), pattern, &scene);
+    let scene = scene.expect("a population and a target's model make a scene");
+    let frames = ObservedFrames::new(target.as_ref(), pattern, &scene);
 
     let mut failed = None;
     let strokes = strokes
@@ -125,78 +126,76 @@ pub fn predict_response(
     if let Some(error) = failed {
         return Err(error.into());
     }
-    let designed_hz = watch.rates(&scene, &designed)?;
+    let designed_hz = frames.rates(&scene, &designed)?;
     drop(designed);
     let played = bursts.into_iter().filter_map(|(motor, ramp)| {
         let start = ramp.start.0.checked_sub(onset.0).filter(|&start| (start as f64) < end)?;
         Some((motor, Ramp { start: Tick(start), ..ramp }))
     });
-    let played_hz = watch.rates(&scene, &Ramps::new(played)?)?;
+    let played_hz = frames.rates(&scene, &Ramps::new(played)?)?;
     let target = target.map(|target| target.name().to_owned());
     Ok(PredictedResponse { seconds: observed_s, target, population_seed: seed, designed_hz, played_hz })
 }
 
-/// What of the receptors' spikes counts, and for which frame.
-struct Watch {
-    frames: Vec<Watched>,
+/// The frames that count.
+struct ObservedFrames {
+    frames: Vec<Observed>,
     observed_s: f64,
-    /// After which the frames come again; none: they do not.
+    /// The time after which the frames repeat, if they do.
     repeat_s: Option<f64>,
 }
 
-/// A frame, and in how many repeats it was observed as a whole.
-struct Watched {
+/// A frame, and the number of repeats in which it was observed whole.
+struct Observed {
     partition: Partition,
     start_s: f64,
     stop_s: f64,
     times: u64,
 }
 
-impl Watch {
+impl ObservedFrames {
     fn new(target: Option<&Target>, pattern: &Pattern, scene: &Scene) -> Self {
         let observed_s = scene.duration_s();
         let repeat_s = pattern.duration_s();
         let frames = target.map_or(&[][..], Target::frames);
-        let moves = frames.iter().any(|frame| frame.start_s.is_some());
-        let mut watch = Self { frames: Vec::new(), observed_s, repeat_s: repeat_s.filter(|_| moves) };
-        let watched = |frame: &Frame| {
+        let moves = target.is_some_and(Target::moves);
+        let mut found = Self { frames: Vec::new(), observed_s, repeat_s: repeat_s.filter(|_| moves) };
+        let observed = |frame: &Frame| {
             let (start_s, stop_s) = (frame.start_s.unwrap_or(0.0), frame.stop_s.unwrap_or(observed_s));
-            let whole = |&repeat: &u64| watch.begin_s(repeat) + stop_s <= observed_s;
-            let repeats = if watch.repeat_s.is_some() { u64::MAX } else { 1 };
+            let whole = |&repeat: &u64| found.begin_s(repeat) + stop_s <= observed_s;
+            let repeats = if found.repeat_s.is_some() { u64::MAX } else { 1 };
             let times = (0..repeats).take_while(whole).count() as u64;
             let reach_mm = target.map_or(0.0, Target::reach_mm);
             let partition = Partition::of(&frame.shape, reach_mm, scene.afferents());
-            Watched { partition, start_s, stop_s, times }
+            Observed { partition, start_s, stop_s, times }
         };
-        let mut frames: Vec<_> = frames.iter().map(watched).collect();
-        // Nor what a pattern that was cut by hand does not come to.
-        frames.retain(|frame| {
-            frame.times > 0 && watch.repeat_s.is_none_or(|repeat_s| frame.stop_s <= repeat_s)
-        });
-        watch.frames = frames;
-        watch
+        // A pattern that was shortened by hand may end before its target does.
+        let fits = |frame: &Observed| found.repeat_s.is_none_or(|repeat_s| frame.stop_s <= repeat_s);
+        let frames = frames.iter().map(observed).filter(|frame| frame.times > 0 && fits(frame)).collect();
+        found.frames = frames;
+        found
     }
 
-    /// When a repeat begins, as strokes have it.
+    /// The beginning of a repeat, at a whole tick as for strokes, s.
     fn begin_s(&self, repeat: u64) -> f64 {
         let ticks = self.repeat_s.map_or(0, |repeat_s| seconds_to_ticks(repeat as f64 * repeat_s));
         ticks_to_seconds(ticks)
     }
 
-    /// The repeat in which an instant lies.
+    /// The repeat that contains a time.
     fn repeat(&self, at_s: f64) -> u64 {
         let Some(repeat_s) = self.repeat_s else { return 0 };
-        // It begins within a tick of where it should.
+        // Rounding to ticks may move its beginning past the time.
         let about = (at_s / repeat_s) as u64;
         (about.saturating_sub(1)..=about + 1).rev().find(|&repeat| self.begin_s(repeat) <= at_s).unwrap_or(0)
     }
 
-    /// The mean rates of a scene's receptors under some ramps.
+    /// The mean rates for some ramps.
     fn rates(&self, scene: &Scene, ramps: &Ramps) -> Result<Rates, MethodError> {
-        let receptors = scene.afferents().len();
-        let mut counts = vec![vec![0_u64; receptors]; self.frames.len()];
+        let afferents = scene.afferents().len();
+        let mut counts = vec![vec![0_u64; afferents]; self.frames.len()];
         let mut all = 0;
-        simulate_ramps(scene, ramps, &mut |receptor, spikes_s| {
+        simulate_ramps(scene, ramps, &mut |afferent, spikes_s| {
             all += spikes_s.len();
             for at_s in spikes_s {
                 let begin_s = self.begin_s(self.repeat(at_s));
@@ -206,7 +205,7 @@ impl Watch {
                     && within_s < self.frames[index].stop_s
                     && begin_s + self.frames[index].stop_s <= self.observed_s
                 {
-                    counts[index][receptor as usize] += 1;
+                    counts[index][afferent as usize] += 1;
                 }
             }
         })?;
@@ -214,13 +213,15 @@ impl Watch {
         for (frame, counts) in self.frames.iter().zip(&counts) {
             let seconds = (frame.stop_s - frame.start_s) * frame.times as f64;
             let rates_hz: Vec<f64> = counts.iter().map(|&count| count as f64 / seconds).collect();
-            on += frame.partition.on_hz(&rates_hz).expect("a checked target has receptors of both kinds");
-            off += frame.partition.off_hz(&rates_hz).expect("a checked target has receptors of both kinds");
+            let verdict = frame.partition.verdict(&rates_hz);
+            let verdict = verdict.expect("a checked target has ON and OFF afferents");
+            on += verdict.on_hz;
+            off += verdict.off_hz;
         }
         let frames = self.frames.len() as f64;
         let mean = |sum: f64| (frames > 0.0).then(|| sum / frames);
         let (on, off) = (mean(on), mean(off));
         let contrast = on.zip(off).map(|(on, off)| on - off);
-        Ok(Rates { all: all as f64 / receptors as f64 / self.observed_s, on, off, contrast })
+        Ok(Rates { all: all as f64 / afferents as f64 / self.observed_s, on, off, contrast })
     }
 }

@@ -1,29 +1,29 @@
-//! The search: from a start to the point whose cost cannot be raised any more, by a subgradient method on blocks.
+//! The search: a subgradient method on blocks of motors, from a start to a point that no move improves.
 //!
-//! The paper names a subgradient method and prints no more of it. Taken literally, with a difference of the cost for
-//! every motor's frequency and diminishing steps, it creeps far below (`cargo bench --bench optimise` shows where), for
-//! three reasons; each has its remedy here, and each remedy its source.
+//! The paper names a subgradient method and prints no more of it. Taken literally, with a difference of the contrast for
+//! every motor's frequency and diminishing steps, it stays far below (`cargo bench -p meissner-benches --bench optimise`
+//! shows where), for three reasons. Each has a remedy with a source:
 //!
-//! - *The cost has ridges.* Motors of one frequency add up on the skin, and beat as soon as one of them departs, by
-//!   however little: on such a ridge every single difference is negative. So motors that vibrate in unison are one block,
-//!   moved together (block coordinates: Nesterov, Efficiency of coordinate descent methods, 2012).
-//! - *It is jagged and flat.* Rates are counts, and a receptor that keeps step with its pin does not change its count
-//!   for a while. So differences are taken over a radius, wide at first, which smooths the cost over it (Nesterov
-//!   & Spokoiny, Random gradient-free minimization, 2017), with the same noise at both ends; the radius, and with it the
-//!   step, halves when all blocks have been through. A step that does not improve is not taken.
-//! - *It has many local maxima.* Single motors look around far away: at frequencies over the whole range, off, in unison
-//!   with a neighbour at four phases (larger trial moves: Kolda, Lewis & Torczon, Optimization by direct search,
-//!   2003). The whole begins again from other random starts, and the best of all is kept.
+//! - *The contrast has ridges.* Motors of one frequency add up on the skin, and beat as soon as one of them departs. On
+//!   such a ridge every single difference is negative. So motors in unison form one block and move together (block
+//!   coordinates: Nesterov, Efficiency of coordinate descent methods, 2012).
+//! - *It is jagged and flat.* Rates are counts, and an afferent that keeps step with its pin does not change its count
+//!   for a while. So differences are taken over a radius, wide at first, with the same noise at both ends (smoothing:
+//!   Nesterov & Spokoiny, Random gradient-free minimization, 2017). The radius halves when all blocks have been through.
+//!   A step is taken only if it improves.
+//! - *It has many local maxima.* Single motors try frequencies over the whole range, off, and unison with a neighbour at
+//!   four phases (direct search: Kolda, Lewis & Torczon, Optimization by direct search, 2003). The whole begins again
+//!   from other random starts, and the best result is kept.
 //!
-//! A trial simulates only the receptors that feel a motor it changes. The first rounds watch a quarter of a second and
-//! leave out weak weights; the last watch a second. Only receptors' counts are compared, all of one fidelity.
+//! A move simulates only the afferents that a changed motor reaches. The first rounds simulate a quarter of a second and
+//! leave out small weights; the last simulate a second. Only scores of one fidelity are compared.
 //!
-//! Invariant: what is found depends on the brief, the start and the number of evaluations: not on threads or clocks.
+//! Invariant: the result depends on the brief, the start and the number of evaluations, not on threads or clocks.
 
-use super::moves;
-use super::objective::{Fidelity, Objective, Score, Standing, Tried};
-use super::point::{Point, Space};
-use super::{Frame, Target};
+use crate::moves;
+use crate::objective::{Fidelity, Incumbent, Objective, Score, Tried};
+use crate::point::{Point, Space};
+use crate::target::{Frame, Target};
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::random;
 use meissner_skin::{MethodError, SEARCH_MIN_WEIGHT};
@@ -31,88 +31,88 @@ use std::collections::HashSet;
 use std::ops::ControlFlow;
 use std::time::Instant;
 
-/// What is searched for.
+/// The task of a search.
 #[derive(Clone, Debug)]
 pub struct Brief<'b> {
-    /// Its reach, amplitude and receptors.
+    /// The target: its reach, amplitude and afferent model.
     pub target: &'b Target,
-    /// Which of its frames.
+    /// One of its frames.
     pub frame: &'b Frame,
-    /// Seeds of the populations over which the cost is the mean.
+    /// Seeds of the populations over which the contrast is the mean.
     pub populations: &'b [u64],
-    /// Of the thresholds' noise.
+    /// Seed of the threshold noise.
     pub noise_seed: u64,
-    /// What may be chosen.
+    /// The points to choose from.
     pub space: Space,
-    /// Of the search's own draws.
+    /// Seed of the search's random numbers.
     pub seed: u64,
 }
 
-/// When a search stops, if it has not converged before. It is asked before each batch of trials.
+/// When a search stops that has not converged. It is checked before each batch of moves.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Limit {
     /// After so many evaluations.
     Evaluations(u64),
-    /// After so many simulated receptor-seconds.
-    ReceptorSeconds(f64),
-    /// At a time.
+    /// After so many simulated afferent-seconds.
+    AfferentSeconds(f64),
+    /// At this time.
     Until(Instant),
 }
 
-/// What has been simulated.
+/// The work of a search so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Spent {
-    /// Points whose cost was asked for.
+    /// The number of points that were scored.
     pub evaluations: u64,
-    /// Receptors simulated for them, times how long.
-    pub receptor_s: f64,
+    /// Simulated afferents times the duration of their simulation, s.
+    pub afferent_s: f64,
 }
 
-/// A point the search went to.
+/// A step of a search: it moved to a better point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Step {
-    /// What had been simulated by then.
+    /// The work up to this step.
     pub spent: Spent,
-    /// Where.
+    /// The new point.
     pub point: Point,
-    /// As the search saw it.
+    /// Its score at the fidelity of the stage.
     pub score: Score,
-    /// How well it saw it, s.
+    /// Duration of the simulation at that fidelity, s.
     pub duration_s: f64,
-    /// From which start it came: 0 is the first.
+    /// The number of the start, from 0.
     pub pass: u8,
 }
 
 /// Why a search ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ended {
-    /// No move improves any more.
+    /// No move improves.
     Converged,
-    /// Its limit.
+    /// It reached its limit.
     Limit,
-    /// It was told to.
+    /// The caller ended it.
     Interrupted,
 }
 
-/// What a search found.
+/// The result of a search.
 #[derive(Clone, Debug)]
 pub struct Found {
     /// The best point.
     pub point: Point,
-    /// What was simulated in all.
+    /// The work in all.
     pub spent: Spent,
-    /// Every step, in order.
+    /// All steps, in order.
     pub trace: Vec<Step>,
-    /// Why it ended.
+    /// Why the search ended.
     pub ended: Ended,
 }
 
-/// One kind of move, made for all motors or blocks in turn.
+/// Moves of one kind, for all motors or blocks in turn.
 #[derive(Clone, Copy, Debug)]
 enum Round {
-    /// Single motors, far away.
+    /// Single motors, over the whole range.
     Far,
-    /// Blocks by a radius, as a share of their frequency, that is halved so many times.
+    /// Blocks, by a radius that is halved so many times. The radius is a share of their frequency.
     Near { radius: f64, halvings: u8 },
 }
 use Round::{Far, Near};
@@ -135,21 +135,21 @@ const DESCENT: [Stage; 3] = [
     Stage { fidelity: MIDDLE, rounds: &[Near { radius: 0.1, halvings: 3 }] },
     Stage { fidelity: FINE, rounds: &[Near { radius: 0.05, halvings: 2 }] },
 ];
-/// Repeated until it finds nothing better.
+/// Repeated until it improves nothing.
 const POLISH: Stage = Stage { fidelity: FINE, rounds: &[Far, Near { radius: 0.05, halvings: 3 }] };
-/// A descent that ends further below the best, as a share of it, is not polished.
+/// A descent that ends further below the best than this share of it is not polished.
 const HOPELESS: f64 = 0.1;
-/// Starts besides the first.
+/// The number of starts besides the first.
 const RESTARTS: u8 = 4;
 
-/// Sets the search's draws apart from others of the same seed.
+/// Separates the search's random numbers from others of the same seed.
 const SEARCH_WORD: u64 = 5;
 
-/// Searches from a start. `watch` hears after every batch of trials what was spent and how the best point so far is
-/// scored, and may end it; then the best so far is what is found.
+/// Searches from a start. After every batch of moves `watch` gets the work so far and the score of the best point, and
+/// may end the search; the result is then the best point so far.
 ///
 /// # Errors
-/// If the method cannot simulate the target's receptors.
+/// If the method cannot simulate the target's afferents.
 pub fn search(
     brief: &Brief<'_>,
     start: Point,
@@ -159,10 +159,10 @@ pub fn search(
     begin(brief, start, limit, watch, &DESCENT)
 }
 
-/// Searches on from a point that is good already: what is found is no worse than that.
+/// Searches on from a point that is already good. The result is no worse.
 ///
 /// # Errors
-/// If the method cannot simulate the target's receptors.
+/// If the method cannot simulate the target's afferents.
 pub fn resume(
     brief: &Brief<'_>,
     point: Point,
@@ -180,49 +180,45 @@ fn begin(
     descent: &[Stage],
 ) -> Result<Found, MethodError> {
     let (spent, trace) = (Spent::default(), Vec::new());
-    let mut walk = Walk { brief, limit, watch, spent, trace, ended: None, draws: 0, pass: 0, best: None };
-    let first = walk.pass(start, descent, f64::NEG_INFINITY)?;
+    let mut run = Run { brief, limit, watch, spent, trace, ended: None, drawn: 0, pass: 0, best: None };
+    let first = run.pass(start, descent, f64::NEG_INFINITY)?;
     let (mut point, mut score) = first.unwrap_or((start, Score::default()));
     for pass in 1..=RESTARTS {
-        if walk.over() {
+        if run.over() {
             break;
         }
-        (walk.pass, walk.best) = (pass, Some(score));
-        let elsewhere = brief.space.random(draw_seed(brief.seed, pass));
-        if let Some(better) = walk.pass(elsewhere, &DESCENT, score.cost_hz())? {
+        (run.pass, run.best) = (pass, Some(score));
+        // Not of a neighbouring seed, which another search may use.
+        let start = brief.space.random(brief.seed ^ (u64::from(pass) << 56));
+        if let Some(better) = run.pass(start, &DESCENT, score.cost_hz())? {
             (point, score) = better;
         }
     }
-    Ok(Found { point, spent: walk.spent, trace: walk.trace, ended: walk.ended.unwrap_or(Ended::Converged) })
+    Ok(Found { point, spent: run.spent, trace: run.trace, ended: run.ended.unwrap_or(Ended::Converged) })
 }
 
-/// The seed of a restart.
-const fn draw_seed(seed: u64, pass: u8) -> u64 {
-    // Neighbouring seeds are other people's searches.
-    seed ^ ((pass as u64) << 56)
-}
-
-struct Walk<'w> {
-    brief: &'w Brief<'w>,
+struct Run<'r> {
+    brief: &'r Brief<'r>,
     limit: Limit,
-    watch: &'w mut dyn FnMut(Spent, Score) -> ControlFlow<()>,
+    watch: &'r mut dyn FnMut(Spent, Score) -> ControlFlow<()>,
     spent: Spent,
     trace: Vec<Step>,
     ended: Option<Ended>,
-    draws: u64,
+    /// The number of random numbers so far.
+    drawn: u64,
     pass: u8,
-    /// Of the passes before.
+    /// The best score of the passes before.
     best: Option<Score>,
 }
 
-/// Where a stage stands, and where it has been: nothing is tried twice.
-struct Ground<'g> {
-    standing: Standing<'g>,
+/// The state of a stage. No point is tried twice.
+struct StageState<'s> {
+    incumbent: Incumbent<'s>,
     seen: HashSet<Point>,
 }
 
-impl Walk<'_> {
-    /// From a start up; none if it comes to no more than `cost_hz`, or is cut short before that can be said.
+impl Run<'_> {
+    /// One pass from a start. None if its result is not above `cost_hz`, or if it ended before that is known.
     fn pass(
         &mut self,
         start: Point,
@@ -252,71 +248,71 @@ impl Walk<'_> {
     fn stage(&mut self, stage: &Stage, point: Point) -> Result<(Point, Score), MethodError> {
         let Brief { target, frame, populations, noise_seed, .. } = *self.brief;
         let objective = Objective::new(target, frame, populations, noise_seed, stage.fidelity);
-        let mut ground = Ground { standing: objective.at(point)?, seen: HashSet::from([point]) };
-        self.spend(objective.receptors(), &objective);
-        self.note(&ground);
-        self.tell(&ground);
+        let mut state = StageState { incumbent: objective.at(point)?, seen: HashSet::from([point]) };
+        self.spend(objective.afferents(), &objective);
+        self.record(&state);
+        self.report(&state);
         for &round in stage.rounds {
             match round {
-                Far => self.far(&mut ground),
-                Near { radius, halvings } => self.near(&mut ground, radius, halvings),
+                Far => self.far(&mut state),
+                Near { radius, halvings } => self.near(&mut state, radius, halvings),
             }
         }
-        Ok((*ground.standing.point(), ground.standing.score()))
+        Ok((*state.incumbent.point(), state.incumbent.score()))
     }
 
     /// Every motor once, in random order.
-    fn far(&mut self, ground: &mut Ground<'_>) {
+    fn far(&mut self, state: &mut StageState<'_>) {
         let mut order: Vec<usize> = (0..MOTORS).collect();
         for last in (1..MOTORS).rev() {
-            let other = (self.draw() * (last + 1) as f64) as usize;
+            let other = (self.random() * (last + 1) as f64) as usize;
             order.swap(last, other);
         }
         for motor in order {
-            let jitter = self.draw();
-            self.improve(ground, moves::elsewhere(ground.standing.point(), motor, &self.brief.space, jitter));
+            let jitter = self.random();
+            self.improve(state, moves::of_motor(state.incumbent.point(), motor, &self.brief.space, jitter));
         }
     }
 
-    /// Every block once for each radius; blocks that have merged on the way are one.
-    fn near(&mut self, ground: &mut Ground<'_>, mut radius: f64, halvings: u8) {
+    /// Every block once for each radius. Blocks that merge become one.
+    fn near(&mut self, state: &mut StageState<'_>, mut radius: f64, halvings: u8) {
         for halving in 0..=halvings {
-            let mut been = 0_u32;
-            let next = |point: &Point, been: u32| {
-                point.unisons().into_iter().find(|motors| been >> motors[0] & 1 == 0)
+            let mut done = 0_u32;
+            let next = |point: &Point, done: u32| {
+                point.unisons().into_iter().find(|motors| done >> motors[0] & 1 == 0)
             };
-            while let Some(motors) = next(ground.standing.point(), been) {
-                been |= 1 << motors[0];
-                let here = ground.standing.point();
-                self.improve(ground, moves::together(here, &motors, &self.brief.space, radius, halving == 0));
+            while let Some(motors) = next(state.incumbent.point(), done) {
+                done |= 1 << motors[0];
+                let here = state.incumbent.point();
+                self.improve(state, moves::of_unison(here, &motors, &self.brief.space, radius, halving == 0));
             }
             radius /= 2.0;
         }
     }
 
-    /// Tries points and goes to the best of them, if it is better than where it stands.
-    fn improve(&mut self, ground: &mut Ground<'_>, points: Vec<Point>) {
+    /// Tries points, and moves to the best of them if it improves.
+    fn improve(&mut self, state: &mut StageState<'_>, points: Vec<Point>) {
         if self.over() {
             return;
         }
-        let new = points.into_iter().filter(|point| ground.seen.insert(*point)).collect();
-        let tried = ground.standing.try_all(new);
-        tried.iter().for_each(|tried| self.spend(tried.receptors, ground.standing.objective()));
+        let new = points.into_iter().filter(|point| state.seen.insert(*point)).collect();
+        let tried = state.incumbent.try_all(new);
+        tried.iter().for_each(|tried| self.spend(tried.afferents, state.incumbent.objective()));
         let cost_hz = |tried: &Tried| tried.score.cost_hz();
-        // Of equals the first, whatever the threads.
+        // The first of equals, so that threads do not matter.
         let best =
             tried.into_iter().reduce(|best, next| if cost_hz(&next) > cost_hz(&best) { next } else { best });
-        if let Some(best) = best.filter(|best| cost_hz(best) > ground.standing.score().cost_hz()) {
-            ground.standing.go(best);
-            self.note(ground);
+        if let Some(best) = best.filter(|best| cost_hz(best) > state.incumbent.score().cost_hz()) {
+            state.incumbent.move_to(best);
+            self.record(state);
         }
-        self.tell(ground);
+        self.report(state);
     }
 
     fn over(&mut self) -> bool {
         let reached = match self.limit {
             Limit::Evaluations(most) => self.spent.evaluations >= most,
-            Limit::ReceptorSeconds(most) => self.spent.receptor_s >= most,
+            Limit::AfferentSeconds(most) => self.spent.afferent_s >= most,
             Limit::Until(end) => Instant::now() >= end,
         };
         if reached {
@@ -325,28 +321,28 @@ impl Walk<'_> {
         self.ended.is_some()
     }
 
-    fn draw(&mut self) -> f64 {
-        self.draws += 1;
-        let [draw, _] = random::uniform([self.brief.seed, self.draws, 0, SEARCH_WORD]);
-        draw
+    /// A random number, 0 to 1.
+    fn random(&mut self) -> f64 {
+        self.drawn += 1;
+        random::uniform([self.brief.seed, self.drawn, 0, SEARCH_WORD])[0]
     }
 
-    fn spend(&mut self, receptors: usize, objective: &Objective) {
+    fn spend(&mut self, afferents: usize, objective: &Objective) {
         self.spent.evaluations += 1;
-        self.spent.receptor_s += receptors as f64 * objective.duration_s();
+        self.spent.afferent_s += afferents as f64 * objective.duration_s();
     }
 
-    fn note(&mut self, ground: &Ground<'_>) {
-        let (point, score) = (*ground.standing.point(), ground.standing.score());
-        let duration_s = ground.standing.objective().duration_s();
+    fn record(&mut self, state: &StageState<'_>) {
+        let (point, score) = (*state.incumbent.point(), state.incumbent.score());
+        let duration_s = state.incumbent.objective().duration_s();
         self.trace.push(Step { spent: self.spent, point, score, duration_s, pass: self.pass });
     }
 
-    fn tell(&mut self, ground: &Ground<'_>) {
-        let here = ground.standing.score();
-        // A coarser look is no match for a finer one.
-        let alike = ground.standing.objective().duration_s() >= FINE.duration_s;
-        let best = self.best.filter(|best| !alike || best.cost_hz() > here.cost_hz());
+    fn report(&mut self, state: &StageState<'_>) {
+        let here = state.incumbent.score();
+        // Scores of a coarser stage do not compare with the best.
+        let comparable = state.incumbent.objective().duration_s() >= FINE.duration_s;
+        let best = self.best.filter(|best| !comparable || best.cost_hz() > here.cost_hz());
         if (self.watch)(self.spent, best.unwrap_or(here)).is_break() {
             self.ended.get_or_insert(Ended::Interrupted);
         }

@@ -1,42 +1,42 @@
-//! Shapes on the skin, and how far a place is from one.
+//! Shapes on the skin, and the distance of a place from them.
 //!
-//! A shape is where one should feel something; how far around it is felt is the target's reach. All lengths are in mm,
-//! in the array's axes. Sines and roots are `libm`'s, because two machines must agree.
+//! All lengths are in mm, in the array's axes: x across the finger, y towards the fingertip. Sines and roots are
+//! `libm`'s, so that all machines agree.
 //!
-//! Invariant: moving shape and place alike changes no distance, but for rounding.
+//! Invariant: moving a shape and a place together keeps their distance, but for rounding.
 
 use meissner_skin::afferent::{PAD_LENGTH_MM, PAD_WIDTH_MM, Position};
 
-/// Points of the circle as which a disc is drawn.
+/// Corners of the polygon that draws a disc.
 const CIRCLE_POINTS: u8 = 48;
 
-/// Where something is to be felt.
+/// Where afferents should fire.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Shape {
-    /// Lines from point to point; a segment has two.
+    /// Lines from point to point; a segment has two points.
     Polyline(Vec<[f64; 2]>),
     /// A filled circle.
     Disc {
-        /// Its middle.
+        /// The centre.
         center_mm: [f64; 2],
-        /// 0 is a dot.
+        /// The radius; 0 makes a dot.
         radius_mm: f64,
     },
-    /// Points on their own.
+    /// Separate points.
     Dots(Vec<[f64; 2]>),
     /// Parallel lines without end.
     Grating {
-        /// From line to line, above 0.
+        /// The distance from line to line, above 0.
         period_mm: f64,
-        /// Which way they run: 0 is along x, and it grows anticlockwise.
+        /// The direction of the lines, anticlockwise from x.
         angle_deg: f64,
-        /// How far from the array's middle one of them is, to the left of the way they run.
+        /// The distance of one line from the array's middle, to the left of that direction.
         offset_mm: f64,
     },
 }
 
 impl Shape {
-    /// From a place to the nearest point of the shape; 0 within a disc, infinite if there are no points.
+    /// The distance from a place to the nearest point of the shape; 0 within a disc, infinite if there is no point.
     #[must_use]
     pub fn distance_mm(&self, at: Position) -> f64 {
         let at = [at.x_mm, at.y_mm];
@@ -55,7 +55,7 @@ impl Shape {
         }
     }
 
-    /// The shape turned about the array's middle, anticlockwise, and then shifted.
+    /// The shape rotated anticlockwise about the array's middle, then shifted.
     #[must_use]
     pub fn moved(&self, by_mm: [f64; 2], turned_deg: f64) -> Self {
         let [cos, sin] = direction(turned_deg);
@@ -75,8 +75,8 @@ impl Shape {
         }
     }
 
-    /// Lines from point to point by which to draw the shape: a dot is one point, a disc a closed circle of 48
-    /// corners. A grating's lines end at the edge of the pad; a disc may reach beyond it.
+    /// Polylines that draw the shape. A dot is a single point, a disc a closed polygon of 48 corners. A grating's
+    /// lines end at the edge of the pad; a disc may reach beyond it.
     #[must_use]
     pub fn outline(&self) -> Vec<Vec<[f64; 2]>> {
         match self {
@@ -103,8 +103,8 @@ impl Shape {
         }
     }
 
-    /// How far from the array's middle the shape reaches, no further than the pad does.
-    pub(super) fn extent_mm(&self) -> f64 {
+    /// The largest distance of the shape from the array's middle, at most that of the pad.
+    pub(crate) fn extent_mm(&self) -> f64 {
         let most = PAD_LENGTH_MM.max(PAD_WIDTH_MM) / 2.0;
         let furthest =
             |points: &[[f64; 2]]| points.iter().map(|&point| distance(point, [0.0; 2])).fold(0.0, f64::max);
@@ -116,8 +116,8 @@ impl Shape {
         extent.min(most)
     }
 
-    /// The points that place it: none of a grating, which is everywhere.
-    pub(super) fn points(&self) -> &[[f64; 2]] {
+    /// The points that place the shape; a grating has none.
+    pub(crate) fn points(&self) -> &[[f64; 2]] {
         match self {
             Self::Polyline(points) | Self::Dots(points) => points,
             Self::Disc { center_mm, .. } => std::slice::from_ref(center_mm),
@@ -127,22 +127,22 @@ impl Shape {
 }
 
 /// Whether a point lies on the pad.
-pub(super) fn on_pad([x, y]: [f64; 2]) -> bool {
+pub(crate) fn on_pad([x, y]: [f64; 2]) -> bool {
     libm::hypot(x / (PAD_WIDTH_MM / 2.0), y / (PAD_LENGTH_MM / 2.0)) <= 1.0
 }
 
-/// A step of 1 in a direction: cosine and sine.
-pub(super) fn direction(deg: f64) -> [f64; 2] {
+/// The unit vector of a direction.
+pub(crate) fn direction(deg: f64) -> [f64; 2] {
     let angle = deg.to_radians();
     [libm::cos(angle), libm::sin(angle)]
 }
 
-/// What is left of a length after whole periods: at most half of one either way.
+/// A length minus the nearest whole number of periods.
 fn within_period(length: f64, period: f64) -> f64 {
     length - period * (length / period).round()
 }
 
-pub(super) fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
+pub(crate) fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
     libm::hypot(a[0] - b[0], a[1] - b[1])
 }
 
@@ -150,16 +150,16 @@ fn to_segment(at: [f64; 2], start: [f64; 2], end: [f64; 2]) -> f64 {
     let (dx, dy) = (end[0] - start[0], end[1] - start[1]);
     let (x, y) = (at[0] - start[0], at[1] - start[1]);
     let squared = dx * dx + dy * dy;
-    // Both ends may be the same point.
+    // The ends may coincide.
     let along = if squared > 0.0 { ((x * dx + y * dy) / squared).clamp(0.0, 1.0) } else { 0.0 };
     libm::hypot(x - along * dx, y - along * dy)
 }
 
-/// The part of a line that lies on the pad, if there is one.
+/// The part of a line that lies on the pad, if any.
 fn chord(angle_deg: f64, offset_mm: f64) -> Option<[[f64; 2]; 2]> {
     let [x, y] = direction(angle_deg);
     let (a, b) = (PAD_WIDTH_MM / 2.0, PAD_LENGTH_MM / 2.0);
-    // In units of the half-axes the pad is the unit circle: |foot + t way| = 1.
+    // In units of the half-axes the pad is the unit circle: solve |foot + t way| = 1.
     let (foot, way) = ([-y * offset_mm / a, x * offset_mm / b], [x / a, y / b]);
     let squared = way[0] * way[0] + way[1] * way[1];
     let middle = -(foot[0] * way[0] + foot[1] * way[1]) / squared;
@@ -178,21 +178,21 @@ mod tests {
     }
 
     #[test]
-    fn the_nearest_point_of_a_segment_is_within_it_or_an_end() {
+    fn a_segment_is_nearest_between_its_ends_or_at_one() {
         let segment = Shape::Polyline(vec![[1.0, 1.0], [5.0, 1.0]]);
         for (point, expected) in
             [(at(2.0, 3.0), 2.0), (at(9.0, 4.0), 5.0), (at(-2.0, -3.0), 5.0), (at(5.0, 1.0), 0.0)]
         {
             assert!((segment.distance_mm(point) - expected).abs() < 1e-12, "{point:?}");
         }
-        let nothing_long = Shape::Polyline(vec![[1.0, 1.0]; 2]);
-        assert_eq!(nothing_long.distance_mm(at(4.0, 5.0)), 5.0);
+        let no_length = Shape::Polyline(vec![[1.0, 1.0]; 2]);
+        assert_eq!(no_length.distance_mm(at(4.0, 5.0)), 5.0);
         assert_eq!(Shape::Polyline(vec![[1.0, 1.0]]).distance_mm(at(4.0, 5.0)), 5.0);
         assert_eq!(Shape::Dots(vec![]).distance_mm(at(0.0, 0.0)), f64::INFINITY);
     }
 
     #[test]
-    fn a_disc_is_full_and_a_grating_is_everywhere() {
+    fn a_disc_is_filled_and_a_grating_has_no_end() {
         let disc = Shape::Disc { center_mm: [1.0, 0.0], radius_mm: 2.0 };
         assert_eq!((disc.distance_mm(at(2.0, 1.0)), disc.distance_mm(at(1.0, 5.0))), (0.0, 3.0));
         let grating = Shape::Grating { period_mm: 6.0, angle_deg: 0.0, offset_mm: 1.0 };
@@ -214,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gratings_lines_end_at_the_edge_of_the_pad() {
+    fn the_lines_of_a_grating_end_at_the_edge_of_the_pad() {
         let grating = Shape::Grating { period_mm: 5.0, angle_deg: 30.0, offset_mm: 2.0 };
         let lines = grating.outline();
         assert_eq!(lines.len(), 4);

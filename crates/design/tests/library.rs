@@ -1,6 +1,6 @@
 use meissner_array::pattern::Pattern;
 use meissner_design::{
-    Budget, Circumstances, Request, Setting, Target, judge, make, populations, pulses_per_s, robustness,
+    Budget, Conditions, Request, Setting, Target, judge, make, populations, pulses_per_s, robustness,
     shipped, shipped_names,
 };
 use rayon::ThreadPoolBuilder;
@@ -13,15 +13,14 @@ fn file(name: &str) -> String {
     fs::read_to_string(dir.join(format!("{name}.toml"))).unwrap()
 }
 
-/// A pattern of the library, and the target that is written in it.
+/// A pattern of the library, and its target.
 fn made(name: &str) -> (Pattern, Target) {
     let pattern = meissner_test_support::rig::pattern(name);
-    let definition = pattern.provenance()["definition"].as_table().unwrap();
-    let target = Target::read(&toml::to_string(definition).unwrap(), name).unwrap();
+    let target = Target::made_for(&pattern).unwrap();
     (pattern, target)
 }
 
-/// All that its provenance says of how to make it.
+/// The request that a provenance describes.
 fn request(pattern: &Pattern) -> Request {
     let provenance = pattern.provenance();
     let whole = |value: &toml::Value| value.as_integer().unwrap().try_into().unwrap();
@@ -37,9 +36,8 @@ fn request(pattern: &Pattern) -> Request {
     }
 }
 
-/// From nothing but what is in the file, on one thread and on two.
 #[test]
-fn a_pattern_of_the_library_is_made_again_byte_for_byte() {
+fn a_pattern_is_made_again_from_its_provenance_on_one_thread_and_on_two() {
     let (pattern, target) = made("dot");
     let text = file("dot");
     for threads in [1, 2] {
@@ -50,7 +48,7 @@ fn a_pattern_of_the_library_is_made_again_byte_for_byte() {
 }
 
 #[test]
-fn every_target_has_its_pattern_and_every_pattern_says_what_it_is_worth() {
+fn every_target_has_a_pattern_with_the_right_figures() {
     let names = shipped_names();
     assert!(names.len() >= 16);
     for name in names {
@@ -60,12 +58,11 @@ fn every_target_has_its_pattern_and_every_pattern_says_what_it_is_worth() {
         let provenance = pattern.provenance();
         let stored = |key: &str| provenance[key].as_float().unwrap();
         assert!(request(&pattern).robust);
-        let made_for = Circumstances::plain(populations(&target, true), target.population_seed());
+        let made_for = Conditions::plain(populations(&target, true), target.population_seed());
         let verdict = judge(&target, pattern.drives(), &made_for).unwrap().unwrap();
         let found = [verdict.cost_hz, verdict.on_hz, verdict.off_hz, verdict.auc];
         assert_eq!(found, ["cost", "on_hz", "off_hz", "auc"].map(stored), "{name}");
         assert_eq!(pulses_per_s(&pattern).unwrap(), stored("pulses_per_s"), "{name}");
-        // What it is worth to fingers it was not made for.
         let held_out = provenance["robustness"]["held_out_hz"].as_array().unwrap();
         let mean = held_out.iter().map(|cost| cost.as_float().unwrap()).sum::<f64>() / held_out.len() as f64;
         assert_eq!(held_out.len(), 20, "{name}");
@@ -75,17 +72,17 @@ fn every_target_has_its_pattern_and_every_pattern_says_what_it_is_worth() {
 }
 
 #[test]
-fn robustness_is_what_is_found_again() {
+fn robustness_is_as_stored() {
     for name in ["edge-45", "two-dots"] {
         let (pattern, target) = made(name);
-        let made_for = Circumstances::plain(populations(&target, true), target.population_seed());
+        let made_for = Conditions::plain(populations(&target, true), target.population_seed());
         let found = robustness(&target, pattern.drives(), &made_for).unwrap();
         let stored = pattern.provenance()["robustness"].clone();
         assert_eq!(toml::Value::try_from(&found).unwrap(), stored, "{name}");
-        // The receptors it was made for are half-rectifying ones; more travel is more spikes.
+        // The pattern was made for half-rectifying afferents. More travel gives more spikes.
         assert_eq!(found.half_hz, pattern.provenance()["cost"].as_float().unwrap());
         assert!(found.gain_90_percent_hz < found.half_hz && found.half_hz < found.gain_110_percent_hz);
-        // A finger that is off feels less of it in the mean; one way it may meet more receptors.
+        // A shift lowers the mean contrast; in one direction the pattern may meet more afferents.
         assert!(found.shifted_1_mm_hz.iter().all(|&cost| cost > 0.0));
         assert!(found.shifted_1_mm_hz.iter().sum::<f64>() / 8.0 < found.half_hz);
     }

@@ -6,7 +6,7 @@ use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_array::strokes::Strokes;
 use meissner_array::units::UM_PER_PULSE;
 use meissner_design::{
-    Circumstances, Partition, Play, PredictedResponse, PredictionError, Target, judge, predict_response,
+    Conditions, Partition, Play, PredictedResponse, PredictionError, Target, judge, predict_response,
 };
 use meissner_skin::afferent::population;
 use meissner_skin::{Method, Options, Ramps, RampsError, Scene, simulate as solve, simulate_ramps};
@@ -23,14 +23,14 @@ fn spikes_of(scene: &Scene) -> Vec<Vec<f64>> {
 
 fn spikes_of_ramps(scene: &Scene, ramps: impl IntoIterator<Item = (u8, Ramp)>) -> Vec<Vec<f64>> {
     let mut spikes = vec![Vec::new(); scene.afferents().len()];
-    simulate_ramps(scene, &Ramps::new(ramps).unwrap(), &mut |receptor, train| {
-        spikes[receptor as usize] = train;
+    simulate_ramps(scene, &Ramps::new(ramps).unwrap(), &mut |afferent, train| {
+        spikes[afferent as usize] = train;
     })
     .unwrap();
     spikes
 }
 
-/// The bursts of a scene whose drives last from beginning to end, each with a travel of `gain` of the model's.
+/// The bursts of a scene whose drives last from beginning to end, each with `gain` times the model's travel.
 fn ramps(scene: &Scene, mut gain: impl FnMut(u8) -> f64) -> Vec<(u8, Ramp)> {
     let mut ramps = Vec::new();
     for drive in scene.drives() {
@@ -46,9 +46,9 @@ fn ramps(scene: &Scene, mut gain: impl FnMut(u8) -> f64) -> Vec<(u8, Ramp)> {
     ramps
 }
 
-/// Though each travel is divided by its pulses again, which rounds.
+/// The division of each travel by its pulses rounds, but no spike changes.
 #[test]
-fn bursts_that_travel_as_designed_are_felt_as_the_drives_are() {
+fn bursts_that_travel_as_designed_give_the_spikes_of_the_drives() {
     let mut count = 0;
     for seed in 0..24 {
         let scene = Random::new(seed).scene(0.3);
@@ -60,14 +60,14 @@ fn bursts_that_travel_as_designed_are_felt_as_the_drives_are() {
 }
 
 #[test]
-fn bursts_of_one_gain_are_felt_as_a_motor_of_that_gain() {
+fn bursts_of_one_gain_give_the_spikes_of_a_motor_of_that_gain() {
     let mut count = 0;
     for seed in 0..24 {
         let mut random = Random::new(seed);
         let scene = random.scene(0.2);
         let gains: [f64; 24] = std::array::from_fn(|_| random.between(0.3, 3.0));
         let gained = spikes_of(&scene.with_gains(&gains).unwrap());
-        // Nobody looks at the gains of a scene that ramps move.
+        // Ramps replace the drives: the gains of their scene do not matter.
         let played = ramps(&scene, |motor| gains[usize::from(motor)]);
         let played = spikes_of_ramps(&scene.with_gains(&[0.5; 24]).unwrap(), played);
         for (gained, played) in gained.iter().zip(&played) {
@@ -79,9 +79,9 @@ fn bursts_of_one_gain_are_felt_as_a_motor_of_that_gain() {
     assert!(count > 10_000, "{count}");
 }
 
-/// Gains as they may be, among them bursts that move nothing, or the wrong way.
+/// Among them are bursts that move nothing, or in the wrong direction.
 #[test]
-fn bursts_of_any_gain_are_felt_as_the_oracle_has_it() {
+fn bursts_of_any_gain_give_the_spikes_of_the_oracle() {
     let mut compared = 0;
     for seed in 0..150 {
         let noise_sd = [0.0, 0.05][seed as usize % 2];
@@ -109,7 +109,7 @@ fn bursts_of_any_gain_are_felt_as_the_oracle_has_it() {
 }
 
 #[test]
-fn what_no_motor_made_is_refused() {
+fn bursts_that_no_motor_can_make_are_refused() {
     let ramp = |start, um_per_tick| Ramp { start: Tick(start), ticks: 100, um_per_tick };
     let refused = |ramps: &[(u8, Ramp)]| Ramps::new(ramps.iter().copied()).unwrap_err();
     assert_eq!(refused(&[(24, ramp(0, 0.1))]), RampsError::Motor { motor: 24 });
@@ -133,7 +133,7 @@ fn play(pattern: &Pattern, seconds: f64) -> Play<'_> {
     Play { pattern, seconds: Some(seconds), onset: ONSET, observed_s: seconds }
 }
 
-/// As the pattern has it, from the onset on.
+/// The bursts of the pattern, from the onset.
 fn designed(play: &Play<'_>) -> Vec<(u8, Ramp)> {
     let strokes = Strokes::new(play.pattern, play.seconds).unwrap().map(Result::unwrap);
     let ramp =
@@ -141,7 +141,7 @@ fn designed(play: &Play<'_>) -> Vec<(u8, Ramp)> {
     strokes.flat_map(|stroke| stroke.bursts().map(|burst| (stroke.motor, ramp(burst)))).collect()
 }
 
-/// How far a pin ever was from where it began.
+/// The largest distance of a pin from its start.
 fn farthest_um(ramps: &[(u8, Ramp)]) -> f64 {
     let (mut at_um, mut farthest_um) = ([0.0; 24], 0.0_f64);
     for &(motor, ramp) in ramps {
@@ -152,20 +152,20 @@ fn farthest_um(ramps: &[(u8, Ramp)]) -> f64 {
     farthest_um
 }
 
-/// The target at rest for a second, and the moving one for a repeat, are what `judge` watches.
+/// `judge` simulates a target at rest for a second, and a moving one for one repeat.
 #[test]
-fn the_rates_as_designed_are_the_verdict_on_the_targets_own_population() {
+fn designed_rates_are_the_verdict_on_the_targets_own_population() {
     for name in ["edge-45", "braille-w", "moving-edge", "rotating-edge"] {
         let pattern = pattern(name);
         let target = Target::made_for(&pattern).unwrap();
-        let watched_s = if target.frames().len() > 1 { target.duration_s() } else { 1.0 };
-        let play = Play { observed_s: watched_s, ..play(&pattern, target.duration_s()) };
+        let observed_s = if target.moves() { target.duration_s() } else { 1.0 };
+        let play = Play { observed_s, ..play(&pattern, target.duration_s()) };
         let seed = target.population_seed();
         let verdict =
-            judge(&target, pattern.drives(), &Circumstances::plain(vec![seed], seed)).unwrap().unwrap();
+            judge(&target, pattern.drives(), &Conditions::plain(vec![seed], seed)).unwrap().unwrap();
         let found = predict_response(&play, designed(&play)).unwrap();
         assert_eq!(found.designed_hz, found.played_hz, "{name}");
-        assert_eq!((found.seconds, found.population_seed), (watched_s, seed));
+        assert_eq!((found.seconds, found.population_seed), (observed_s, seed));
         assert_eq!(found.target.as_deref(), Some(name));
         let rates = found.designed_hz;
         assert_eq!(rates.contrast.unwrap().to_bits(), verdict.cost_hz.to_bits(), "{name}");
@@ -173,9 +173,9 @@ fn the_rates_as_designed_are_the_verdict_on_the_targets_own_population() {
     }
 }
 
-/// Two repeats and a half: the first frames were seen three times, the last ones twice.
+/// In two and a half repeats the first frames occur three times, the last ones twice.
 #[test]
-fn each_frame_of_a_motion_is_watched_in_every_repeat_that_was_observed() {
+fn each_frame_counts_in_every_repeat_in_which_it_was_observed_whole() {
     let pattern = pattern("moving-edge");
     let target = Target::made_for(&pattern).unwrap();
     let play = play(&pattern, 2.5);
@@ -184,9 +184,9 @@ fn each_frame_of_a_motion_is_watched_in_every_repeat_that_was_observed() {
     bursts.iter_mut().for_each(|(_, ramp)| ramp.um_per_tick *= random.between(0.7, 1.3));
     let found = predict_response(&play, bursts.iter().copied()).unwrap();
 
-    let receptors = population(target.population_seed());
+    let afferents = population(target.population_seed());
     let scene =
-        Scene::new(2.5, target.population_seed(), vec![], receptors.clone(), *target.model()).unwrap();
+        Scene::new(2.5, target.population_seed(), vec![], afferents.clone(), *target.model()).unwrap();
     let from_onset = bursts.iter().map(|&(m, ramp)| (m, Ramp { start: Tick(ramp.start - ONSET), ..ramp }));
     let spikes = spikes_of_ramps(&scene, from_onset);
     let mut sum = 0.0;
@@ -199,18 +199,18 @@ fn each_frame_of_a_motion_is_watched_in_every_repeat_that_was_observed() {
             train.iter().filter(in_frame).count() as f64 / repeats.len() as f64 / (stop_s - start_s)
         };
         let rates: Vec<f64> = spikes.iter().map(rate).collect();
-        sum += Partition::of(&frame.shape, target.reach_mm(), &receptors).cost_hz(&rates).unwrap();
+        sum += Partition::of(&frame.shape, target.reach_mm(), &afferents).cost_hz(&rates).unwrap();
     }
     let contrast = found.played_hz.contrast.unwrap();
     assert!((contrast - sum / target.frames().len() as f64).abs() < 1e-9, "{contrast} {sum}");
     assert_ne!(found.played_hz, found.designed_hz);
-    // Not a single frame.
+    // No frame was observed whole.
     let short = predict_response(&Play { observed_s: 0.05, ..play }, bursts.iter().copied()).unwrap();
     assert_eq!((short.played_hz.contrast, short.target.as_deref()), (None, Some("moving-edge")));
 }
 
 #[test]
-fn without_a_target_the_mean_of_all_receptors_is_known_and_nothing_else() {
+fn without_a_target_only_the_mean_of_all_afferents_is_known() {
     let pattern = pattern("pin-60");
     let play = play(&pattern, 1.0);
     let mut bursts = designed(&play);
@@ -227,32 +227,32 @@ fn without_a_target_the_mean_of_all_receptors_is_known_and_nothing_else() {
 }
 
 #[test]
-fn only_what_was_observed_counts() {
+fn only_the_observed_time_counts() {
     let pattern = pattern("edge-45");
     let play = play(&pattern, 1.0);
     for nothing in [0.0, -1.0, f64::NAN] {
         let found = predict_response(&Play { observed_s: nothing, ..play }, []);
         assert!(matches!(found, Err(PredictionError::Nothing { .. })), "{nothing}: {found:?}");
     }
-    // Nothing came of it.
+    // No burst was played.
     let silent = predict_response(&play, []).unwrap();
     assert_eq!((silent.played_hz.all, silent.played_hz.contrast), (0.0, Some(0.0)));
     assert!(silent.designed_hz.contrast.unwrap() > 150.0);
-    // What came before it, and after.
+    // Bursts before the onset and after the observed time.
     let at = |tick| (6, Ramp::new(Tick(tick), 500, Direction::Up, 1.0));
     let bursts = [at(ONSET.0 - 600)].into_iter().chain(designed(&play)).chain([at(ONSET.0 + 90_000)]);
     let found = predict_response(&play, bursts).unwrap();
     assert_eq!(found.played_hz, found.designed_hz);
-    // Longer than was asked for, and longer than a minute.
+    // Longer than requested, and longer than a minute.
     assert_eq!(predict_response(&Play { observed_s: 9.0, ..play }, []).unwrap().seconds, 1.0);
     let long = Play { seconds: Some(70.0), observed_s: 65.0, ..play };
     assert_eq!(predict_response(&long, []).unwrap().seconds, 60.0);
 }
 
-/// Nobody corrects anything, so the pins wander to their stops; there they go on vibrating, by less. Receptors that feel
-/// velocity feel little of that.
+/// Without correction the pins drift to their end stops, where they vibrate less. Afferents respond to velocity, so the
+/// contrast falls little.
 #[test]
-fn a_minute_of_pins_that_wander_to_their_stops_is_told_as_it_is() {
+fn pins_that_drift_to_their_stops_in_a_minute_keep_nine_tenths_of_the_contrast() {
     let pattern = pattern("edge-45");
     let minute = play(&pattern, 60.0);
     let bursts = by_simulated_motors(SimulatedMotorsConfig::default(), &minute, u16::MAX);
@@ -267,10 +267,10 @@ fn a_minute_of_pins_that_wander_to_their_stops_is_told_as_it_is() {
     assert_eq!(ideal.played_hz, ideal.designed_hz);
 }
 
-/// Told as a slower burst, one that ends at a stop is felt less: by next to nothing where stops are as far as they should be, by
-/// an eighth where they take a burst's second half.
+/// A burst that ends at a stop counts as a slower one. That costs next to no contrast if the stops are as far as usual,
+/// and an eighth if they cut the second half of a burst.
 #[test]
-fn a_burst_that_meets_its_stop_may_be_told_as_a_slower_one_if_that_is_far() {
+fn a_burst_that_meets_a_distant_stop_may_count_as_a_slower_one() {
     let pattern = pattern("edge-45");
     for (end_stop_um, seconds, too_low_hz) in
         [(500.0, 5.0, -0.5..0.5), (60.0, 2.0, 0.5..4.0), (30.0, 2.0, 10.0..30.0)]
@@ -279,18 +279,18 @@ fn a_burst_that_meets_its_stop_may_be_told_as_a_slower_one_if_that_is_far() {
             SimulatedMotorsConfig { end_stop_um, ..SimulatedMotorsConfig::default() },
             play(&pattern, seconds),
         );
-        let [told, real] = [u16::MAX, 16].map(|ticks| {
+        let [slower, real] = [u16::MAX, 16].map(|ticks| {
             let bursts = by_simulated_motors(config, &play, ticks);
             assert!(farthest_um(&bursts) > end_stop_um - 1e-6);
             predict_response(&play, bursts).unwrap().played_hz.contrast.unwrap()
         });
-        println!("stops at {end_stop_um} um: contrast {real:.2}, told as {told:.2} impulses/s");
-        assert!(too_low_hz.contains(&(real - told)), "{end_stop_um}: {told} {real}");
+        println!("stops at {end_stop_um} um: contrast {real:.2}, with slower bursts {slower:.2} impulses/s");
+        assert!(too_low_hz.contains(&(real - slower)), "{end_stop_um}: {slower} {real}");
     }
 }
 
 #[test]
-fn it_is_the_same_on_any_number_of_threads() {
+fn the_response_is_the_same_on_any_number_of_threads() {
     for name in ["edge-45", "moving-edge"] {
         let pattern = pattern(name);
         let play = play(&pattern, 3.3);

@@ -17,7 +17,7 @@ fn shape() -> impl Strategy<Value = Shape> {
     ]
 }
 
-/// Places on the shape, close together, as they follow from what the shape is.
+/// Places on the shape, close together.
 fn samples(shape: &Shape) -> Vec<[f64; 2]> {
     const PIECES: u32 = 2000;
     let parts = || (0..=PIECES).map(|piece| f64::from(piece) / f64::from(PIECES));
@@ -41,7 +41,7 @@ fn samples(shape: &Shape) -> Vec<[f64; 2]> {
 
 proptest! {
     #[test]
-    fn distances_are_those_to_the_nearest_of_many_samples(shape in shape(), [x, y] in point()) {
+    fn distances_are_those_of_the_nearest_sample(shape in shape(), [x, y] in point()) {
         let near = samples(&shape).iter().map(|at| (at[0] - x).hypot(at[1] - y)).fold(f64::INFINITY, f64::min);
         let inside = matches!(&shape, Shape::Disc { center_mm, radius_mm }
             if (center_mm[0] - x).hypot(center_mm[1] - y) <= *radius_mm);
@@ -52,7 +52,7 @@ proptest! {
     }
 
     #[test]
-    fn what_moves_with_the_shape_stays_as_far_from_it(
+    fn a_place_that_moves_with_the_shape_keeps_its_distance(
         shape in shape(), [x, y] in point(), by in point(), turned_deg in -400.0..400.0
     ) {
         let (sin, cos) = f64::to_radians(turned_deg).sin_cos();
@@ -63,7 +63,7 @@ proptest! {
     }
 
     #[test]
-    fn what_is_drawn_lies_on_the_shape(shape in shape()) {
+    fn the_outline_lies_on_the_shape(shape in shape()) {
         for [x_mm, y_mm] in shape.outline().concat() {
             let found = shape.distance_mm(Position { x_mm, y_mm });
             prop_assert!(found < 1e-9, "{found} at {x_mm} {y_mm}");
@@ -71,12 +71,12 @@ proptest! {
     }
 
     #[test]
-    fn the_area_under_the_curve_is_a_count_of_pairs(rates in prop::collection::vec(0_u8..9, 306), seed in 0..9_u64) {
+    fn the_auc_is_a_count_of_pairs(rates in prop::collection::vec(0_u8..9, 306), seed in 0..9_u64) {
         let rates: Vec<f64> = rates.into_iter().map(f64::from).collect();
-        let edge = &shipped("edge-45").unwrap().frames()[0].shape.clone();
-        let partition = Partition::of(edge, 1.5, &afferent::population(seed));
-        let of = |side: bool| {
-            let rates = partition.on().iter().zip(&rates).filter(move |(on, _)| **on == side);
+        let edge = shipped("edge-45").unwrap();
+        let partition = Partition::of(&edge.frames()[0].shape, 1.5, &afferent::population(seed));
+        let of = |on: bool| {
+            let rates = partition.on().iter().zip(&rates).filter(move |(is_on, _)| **is_on == on);
             rates.map(|(_, &rate)| rate).collect::<Vec<f64>>()
         };
         let (on, off) = (of(true), of(false));

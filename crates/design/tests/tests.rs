@@ -1,13 +1,13 @@
 //! The tests of this crate, one binary, a module per theme.
 #![expect(clippy::unwrap_used, reason = "a test that panics has failed")]
 
-/// The library: made again byte for byte, and worth what it says.
+/// The library's patterns: made again byte for byte, with the figures that they state.
 mod library;
-/// What was felt of a play whose bursts travelled otherwise than designed, beside what should have been felt.
+/// The predicted response to bursts that do not travel as designed.
 mod prediction;
-/// The search: the paper's frequencies, a coordinate search's price, threads, budgets, flat places, its space.
+/// The search: the paper's frequencies, its work against a coordinate search's, threads, limits, flat objectives, its space.
 mod search;
-/// Shapes and partition against slow ways to the same: samples of an outline, pairs of receptors.
+/// Shapes and partitions against slow computations: samples of an outline, pairs of afferents.
 mod shapes;
 /// Target files: the messages of refused files, and the shipped targets.
 mod targets;

@@ -1,19 +1,39 @@
-//! What people look at: figures, made of what the models say.
+//! Figures and comparisons for people: what the models, the search and position control say, as SVG, CSV and HTML.
 //!
-//! [`tradeoff`] says what each way to simulate a scene costs and by how much it errs, on this machine (`tradeoff`);
-//! [`lead_tradeoff`] says what the streamer's lead is worth under a machine's recorded stalls (`lead`);
-//! [`control_tradeoff`] says how far pins rest off with the closed loop, against the least there can be (`hold`);
-//! [`reasons`] says why what was skipped need not be computed. [`figures`] draws what the paper drew and a section for
-//! each pattern: what its motors do, and what the skin makes of it. All is computed by the models and the search; nothing is
-//! read or written.
+//! A caller computes a result, serialises it or draws it, and writes the files itself: this crate opens none.
 //!
-//! Invariant: errors and figures depend on what is asked alone; only times, and what follows from them, on the machine.
+//! - [`figures`]: [`report`](figures::report) makes an HTML page with the paper's figures and a section per pattern.
+//! - `methods`: [`tradeoff`] compares the simulation methods on a scene, time against error; [`plot`] draws it, and
+//!   [`reasons`] says why skipped work does not change an answer.
+//! - `lead`: [`lead_tradeoff`] compares leads of the streamer under recorded stalls; [`plot_lead`] draws it.
+//! - `control`: [`control_tradeoff`] measures rest errors under position control against the least possible;
+//!   [`plot_control`] draws it.
+//! - `chart` draws lines and points on axes, `sixty_hertz` is the standard scene, `progress` and `statistics` are small
+//!   helpers of all parts.
+//!
+//! Invariant: results depend on the request alone. Only wall times, and what follows from them, depend on the machine.
+//!
+//! ```
+//! use meissner_report::{Trace, lead_tradeoff, plot_lead};
+//!
+//! // A second in which the thread due at 500 ms woke up 25 ms late: a lead of 50 ms is enough.
+//! let trace = Trace::read("seconds 1\n500000 25000\n", "trace.txt")?;
+//! let found = lead_tradeoff(&trace, &[50.0], &|_| ());
+//! assert_eq!(found.rows[0].late_bursts, 0);
+//! assert!(plot_lead(&found)?.starts_with("<svg"));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
+mod chart;
 mod control;
 pub mod figures;
 mod lead;
 mod methods;
+mod progress;
+mod sixty_hertz;
+mod statistics;
 
+pub use chart::PlotError;
 pub use control::{
     Bias, ControlGrid, ControlRow, ControlSummary, ControlTradeoff, Verdict, Wire, WireRow, Worst,
     control_tradeoff, plot_control,
@@ -23,6 +43,7 @@ pub use lead::{
     plot_lead,
 };
 pub use methods::{
-    Count, LeftOut, MATCH_S, MOST_STEPS, MethodLabel, MethodTradeoff, PlotError, Reason, Row, SIXTY_HERTZ,
-    STEPS_US, matching, plot, reasons, tradeoff,
+    Count, Difference, LeftOut, MATCH_S, MOST_STEPS, MethodLabel, MethodTradeoff, Reason, Row, STEPS_US,
+    matching, plot, reasons, tradeoff,
 };
+pub use sixty_hertz::SIXTY_HERTZ;

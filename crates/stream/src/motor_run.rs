@@ -14,13 +14,14 @@ use meissner_array::pattern::Drive;
 use meissner_array::simulated::{Pin, SimulatedMotorsConfig};
 use meissner_array::strokes::DriveStrokes;
 use meissner_array::units::{TICKS_PER_MS, UM_PER_PULSE, seconds_in_ticks, seconds_to_ticks, ticks_to_ms};
+use serde::Serialize;
 use std::collections::VecDeque;
 
 /// The loop wakes up every millisecond.
 const WAKE_UP: u64 = TICKS_PER_MS;
 
-/// The settings of a run.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// The settings of a run. Documents hold those that a grid varies.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct MotorRun {
     /// Of the square wave.
     pub frequency_hz: f64,
@@ -37,14 +38,19 @@ pub struct MotorRun {
     /// Gain up minus gain down; their mean is 1.
     pub asymmetry: f64,
     /// Mean gain of a burst after half a second of rest.
+    #[serde(skip)]
     pub transient_gain: f64,
     /// Position of the pin at the beginning, µm.
+    #[serde(skip)]
     pub offset_um: f64,
     /// Seed of the random draws.
+    #[serde(skip)]
     pub seed: u64,
     /// Correct bursts.
+    #[serde(skip)]
     pub closed: bool,
     /// The controller's initial gains.
+    #[serde(skip)]
     pub gains: Gains,
 }
 

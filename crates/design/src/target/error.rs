@@ -1,16 +1,17 @@
-//! What can be wrong with a target, said in one line: what, where, what to do.
+//! Errors of target files: one line that says what is wrong, where, and what to do.
 //!
-//! What may be wrong with any file of keys is `keyed`'s; here are the mistakes of shapes.
+//! Errors that any file may have are those of [`document`]; here are those of shapes and afferents.
 //!
-//! Invariant: the display of a [`TargetError`] holds no line break.
+//! Invariant: the text of a [`TargetError`] has no line break.
 
-use super::MAX_BYTES;
-use meissner_input::document;
+use crate::target::limits::MAX_BYTES;
+use meissner_input::document::{self, in_range};
 use meissner_input::message::short_number;
 use meissner_skin::TwoNames;
 use meissner_skin::afferent::{PAD_LENGTH_MM, PAD_WIDTH_MM};
+use std::ops::RangeInclusive;
 
-/// A target that was refused.
+/// The error of a refused target.
 pub type TargetError = document::DocumentError<Problem>;
 
 /// What is wrong, and what to do.
@@ -27,43 +28,49 @@ pub enum Problem {
     Count { count: usize, wanted: &'static str },
     #[error("is {found}: must be a letter a to z, or a six-dot Braille character, U+2801 to U+283F")]
     Character { found: String },
-    #[error("is there, and `[motion]` has its own: leave it out")]
+    #[error("is there, but `[motion]` has its own: leave it out")]
     DurationOfMotion,
     #[error(transparent)]
     TwoNames(#[from] TwoNames),
-    /// Of a Braille character it is a dot; frames are told as which of how many, if there are several.
+    /// A point off the pad: `dot` is its number in a Braille character, `frame` the frame and their count, if several.
     #[error(
         "{}is at [{}, {}] mm{}: must be on the pad, an ellipse {PAD_WIDTH_MM} mm wide and {PAD_LENGTH_MM} mm \
          long about the array's middle",
-        which(*.dot), number(.at[0]), number(.at[1]), when(*.frame)
+        dot_number(*.dot), number(.at[0]), number(.at[1]), in_frame(*.frame)
     )]
     OffPad { dot: Option<u8>, at: [f64; 2], frame: Option<(usize, usize)> },
     #[error(
-        "is {reach_mm}: none of the {of} receptors is so near to the shape{}; raise it, or take another \
+        "is {reach_mm}: none of the {of} afferents is within reach of the shape{}; raise it, or take another \
          population.seed",
-        when(*.frame)
+        in_frame(*.frame)
     )]
     NoneOn { of: usize, frame: Option<(usize, usize)>, reach_mm: f64 },
-    #[error(
-        "is {reach_mm}: all {of} receptors are so near to the shape{}, and none is left that should not fire; \
-         lower it",
-        when(*.frame)
-    )]
+    #[error("is {reach_mm}: all {of} afferents are within reach of the shape{}; lower it", in_frame(*.frame))]
     AllOn { of: usize, frame: Option<(usize, usize)>, reach_mm: f64 },
 }
 
-fn which(dot: Option<u8>) -> String {
+fn dot_number(dot: Option<u8>) -> String {
     dot.map_or_else(String::new, |dot| format!("dot {dot} "))
 }
 
-fn when(frame: Option<(usize, usize)>) -> String {
+fn in_frame(frame: Option<(usize, usize)>) -> String {
     frame.map_or_else(String::new, |(frame, of)| format!(" in frame {frame} of {of}"))
 }
 
-/// A computed number as people read it: to a ten thousandth.
+/// A computed number for people, to four decimals.
 pub(super) fn number(value: f64) -> String {
     short_number((value * 1e4).round() / 1e4)
 }
 
-/// A problem on its way to its place.
+/// A problem whose place is not yet known.
 pub(super) type KeyError = document::KeyError<Problem>;
+
+/// Refuses a number outside its range.
+pub(super) fn within(
+    key: &str,
+    found: f64,
+    wanted: &RangeInclusive<f64>,
+    range: &'static str,
+) -> Result<(), KeyError> {
+    in_range(key, found, wanted.contains(&found), range)
+}

@@ -1,13 +1,17 @@
-//! Reading a target file.
+//! Reading and writing target files.
 //!
-//! Which keys there may be depends on the shape, so one that belongs to another shape is refused by hand; so are points
-//! off the pad, in the words of the key that placed them. The rest is the target's own check.
+//! The shape decides which keys a file may have: a key of another shape is refused. So is a point off the pad, named by
+//! the key that placed it. [`Target::checked`] checks the rest.
 //!
 //! Invariant: no key is ignored.
 
-use super::error::{KeyError, Problem};
-use super::{Frame, MAX_FRAMES, Motion, Shape, Target};
-use crate::{braille, shape};
+use crate::braille;
+use crate::shape::{Shape, on_pad};
+use crate::target::checked::Target;
+use crate::target::error::{KeyError, Problem, TargetError, within};
+use crate::target::limits::{FINEST_MM, MAX_BYTES, MAX_FRAMES, MAX_POINTS};
+use crate::target::motion::{Frame, Motion};
+use meissner_array::pattern::Pattern;
 use meissner_input::document::{CommonProblem, Table, from_toml, in_range, line_of};
 use meissner_input::message::quote;
 use meissner_skin::afferent;
@@ -15,39 +19,111 @@ use meissner_skin::{RawAfferent, as_written, one_name};
 use serde::de::{Error, IgnoredAny, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 use std::fmt;
+use toml::Value;
 
-/// Bytes of a target file at the most; [`MAX_POINTS`] written out take far less.
-pub const MAX_BYTES: usize = 64 << 10;
-/// Points of a shape at the most.
-pub const MAX_POINTS: usize = 64;
+/// The key of a pattern's provenance under which it keeps its target.
+pub(crate) const DEFINITION: &str = "definition";
 
-/// Of a Braille cell, mm: two pin pitches.
-const DOT_PITCH_MM: f64 = super::FINEST_MM;
+/// Defaults. The amplitude is the paper's; it drives afferents well into their plateau.
+const DOT_PITCH_MM: f64 = FINEST_MM;
 const REACH_MM: f64 = 1.5;
-/// Where receptors are driven well into their plateau: the paper's.
 const AMPLITUDE_UM: f64 = 80.0;
 const DURATION_S: f64 = 5.0;
 
-pub(super) fn read(text: &str) -> Result<Target, KeyError> {
+impl Target {
+    /// Reads a target file. Errors call it `file`.
+    ///
+    /// # Errors
+    /// The first thing that is wrong with it, in one line.
+    pub fn read(text: &str, file: &str) -> Result<Self, TargetError> {
+        read(text).map_err(|fault| fault.in_file(Some(file)))
+    }
+
+    /// The target that a pattern was made for, if its provenance holds one that can be read.
+    #[must_use]
+    pub fn made_for(pattern: &Pattern) -> Option<Self> {
+        let text = toml::to_string(pattern.provenance().get(DEFINITION)?.as_table()?).ok()?;
+        Self::read(&text, DEFINITION).ok()
+    }
+
+    /// The target as a table with every key. [`Self::read`] makes an equal target of it: a polyline of two points is
+    /// written as a segment, a Braille character as its dots.
+    #[must_use]
+    #[expect(clippy::missing_panics_doc, reason = "the values of a checked target are TOML values")]
+    pub fn definition(&self) -> toml::Table {
+        let population =
+            [("seed", i64::try_from(self.population_seed).expect("the seed was checked").into())];
+        let afferent = toml::Table::try_from(RawAfferent::from(self.model)).expect("a string and numbers");
+        let duration_s = ("duration_s", self.duration_s.into());
+        let times = match self.motion {
+            None => duration_s,
+            Some(Motion { speed_mm_s, direction_deg, turn_deg_s, frames }) => {
+                let motion = [
+                    duration_s,
+                    ("speed_mm_s", speed_mm_s.into()),
+                    ("direction_deg", direction_deg.into()),
+                    ("turn_deg_s", turn_deg_s.into()),
+                    ("frames", i64::from(frames).into()),
+                ];
+                ("motion", table(motion).into())
+            }
+        };
+        let keys = [
+            ("name", self.name.as_str().into()),
+            ("reach_mm", self.reach_mm.into()),
+            ("amplitude_um", self.amplitude_um.into()),
+            ("population", table(population).into()),
+            // The old name: the bytes of the library's patterns stay the same.
+            ("receptor", afferent.into()),
+            times,
+        ];
+        table(shape_keys(&self.shape).into_iter().chain(keys))
+    }
+}
+
+fn table(keys: impl IntoIterator<Item = (&'static str, Value)>) -> toml::Table {
+    keys.into_iter().map(|(key, value)| (key.to_owned(), value)).collect()
+}
+
+fn shape_keys(shape: &Shape) -> Vec<(&'static str, Value)> {
+    let point = |&[x, y]: &[f64; 2]| Value::Array(vec![x.into(), y.into()]);
+    let points = |points: &[[f64; 2]]| ("points", Value::Array(points.iter().map(point).collect()));
+    let (name, mut keys) = match shape {
+        Shape::Polyline(ends) if ends.len() == 2 => ("segment", vec![points(ends)]),
+        Shape::Polyline(corners) => ("polyline", vec![points(corners)]),
+        Shape::Dots(dots) => ("dots", vec![points(dots)]),
+        Shape::Disc { center_mm, radius_mm } => {
+            ("disc", vec![("center_mm", point(center_mm)), ("radius_mm", (*radius_mm).into())])
+        }
+        &Shape::Grating { period_mm, angle_deg, offset_mm } => {
+            let keys = [("period_mm", period_mm), ("angle_deg", angle_deg), ("offset_mm", offset_mm)];
+            ("grating", keys.map(|(key, value)| (key, value.into())).into())
+        }
+    };
+    keys.push(("shape", name.into()));
+    keys
+}
+
+fn read(text: &str) -> Result<Target, KeyError> {
     if text.len() > MAX_BYTES {
         return Err(KeyError::whole(None, Problem::TooLarge { bytes: text.len() }));
     }
     let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     let Table(raw): Table<RawTarget> = from_toml(text, wanted)?;
-    // What is wrong with a key that is not there is the shape's fault.
+    // A missing key has no line: the error then names the line of the shape.
     let line = |path: &str| line_of(text, path).or_else(|| line_of(text, "shape"));
     raw.target().map_err(|fault| KeyError { line: fault.line.or_else(|| line(&fault.path)), ..fault })
 }
 
 fn wanted(key: &str) -> &'static str {
     match key {
-        "name" => "name = \"...\", as the file is called",
+        "name" => "name = \"...\", the name of the file",
         "shape" => "shape = \"segment\", \"polyline\", \"disc\", \"dots\", \"braille\" or \"grating\"",
         "points" => "points = [[x, y], ...], in mm from the array's middle",
         "radius_mm" => "a radius, 0 to 24 mm",
         "character" => "a letter, or a six-dot Braille character",
-        "period_mm" => "how far it is from line to line, in mm",
-        _ => "how long the motion lasts, in s",
+        "period_mm" => "the distance from line to line, in mm",
+        _ => "the duration of the motion, in s",
     }
 }
 
@@ -120,19 +196,17 @@ impl Kind {
     }
 }
 
-/// Who placed the points of a shape.
-enum Placed {
-    /// `points[i]`
+/// The key that placed the points of a shape.
+enum PlacedBy {
     Points,
-    /// `center_mm`
     Center,
-    /// A character's dots of these numbers.
+    /// `character`, whose dots have these numbers.
     Character(Vec<u8>),
 }
 
 impl RawTarget {
     fn target(mut self) -> Result<Target, KeyError> {
-        let (shape, placed) = self.shape()?;
+        let (shape, placed_by) = self.shape()?;
         let (duration_s, motion) = match self.motion {
             None => (self.duration_s.unwrap_or(DURATION_S), None),
             Some(_) if self.duration_s.is_some() => {
@@ -161,11 +235,11 @@ impl RawTarget {
             motion,
             frames,
         };
-        placed.check(&target)?;
+        placed_by.check(&target)?;
         target.checked().map_err(|fault| as_written(fault, "afferent", written))
     }
 
-    fn shape(&mut self) -> Result<(Shape, Placed), KeyError> {
+    fn shape(&mut self) -> Result<(Shape, PlacedBy), KeyError> {
         self.check_keys()?;
         let missing = |key: &str| {
             KeyError::common(None, key.to_owned(), CommonProblem::Missing { wanted: wanted(key) })
@@ -186,28 +260,28 @@ impl RawTarget {
                 }
                 let points = points.into_iter().map(|Point(at)| at).collect();
                 let of = if self.shape == Kind::Dots { Shape::Dots } else { Shape::Polyline };
-                Ok((of(points), Placed::Points))
+                Ok((of(points), PlacedBy::Points))
             }
             Kind::Disc => {
                 let radius_mm = number("radius_mm", self.radius_mm)?;
-                Ok((Shape::Disc { center_mm, radius_mm }, Placed::Center))
+                Ok((Shape::Disc { center_mm, radius_mm }, PlacedBy::Center))
             }
             Kind::Braille => {
                 let text = self.character.take().ok_or_else(|| missing("character"))?;
                 let pitch_mm = self.dot_pitch_mm.unwrap_or(DOT_PITCH_MM);
-                in_range("dot_pitch_mm", pitch_mm, (0.1..=24.0).contains(&pitch_mm), "0.1 to 24 mm")?;
+                within("dot_pitch_mm", pitch_mm, &(0.1..=24.0), "0.1 to 24 mm")?;
                 let dots = braille::dots(&text, pitch_mm, center_mm)
                     .ok_or_else(|| KeyError::key("character", Problem::Character { found: quote(&text) }))?;
                 let (numbers, dots) = dots.into_iter().unzip();
-                Ok((Shape::Dots(dots), Placed::Character(numbers)))
+                Ok((Shape::Dots(dots), PlacedBy::Character(numbers)))
             }
             Kind::Grating => {
                 let period_mm = number("period_mm", self.period_mm)?;
                 let (angle_deg, offset_mm) = (self.angle_deg.unwrap_or(0.0), self.offset_mm.unwrap_or(0.0));
-                // Frames are made before the rest is checked: lines must have a distance.
-                in_range("period_mm", period_mm, (0.1..=1e3).contains(&period_mm), "0.1 to 1000 mm")?;
-                // Nothing places a grating: it is everywhere.
-                Ok((Shape::Grating { period_mm, angle_deg, offset_mm }, Placed::Points))
+                // Checked here already: frames are made before the rest is checked.
+                within("period_mm", period_mm, &(0.1..=1e3), "0.1 to 1000 mm")?;
+                // No key places a grating.
+                Ok((Shape::Grating { period_mm, angle_deg, offset_mm }, PlacedBy::Points))
             }
         }
     }
@@ -253,11 +327,11 @@ impl RawMotion {
     }
 }
 
-impl Placed {
-    /// Whether all points lie on the pad, in every frame.
+impl PlacedBy {
+    /// Refuses points off the pad, in any frame.
     fn check(&self, target: &Target) -> Result<(), KeyError> {
         for (index, frame) in target.frames.iter().enumerate() {
-            let off = frame.shape.points().iter().position(|&at| !shape::on_pad(at));
+            let off = frame.shape.points().iter().position(|&at| !on_pad(at));
             let Some(point) = off else { continue };
             let (path, dot) = match self {
                 Self::Points => (format!("points[{point}]"), None),
@@ -277,7 +351,7 @@ impl<'de> Deserialize<'de> for Kind {
         impl Visitor<'_> for Word {
             type Value = Kind;
             fn expecting(&self, text: &mut fmt::Formatter<'_>) -> fmt::Result {
-                text.write_str("the name of a shape, as \"segment\"")
+                text.write_str("the name of a shape, such as \"segment\"")
             }
             fn visit_str<E: Error>(self, found: &str) -> Result<Kind, E> {
                 Kind::ALL.into_iter().find(|kind| kind.word() == found).ok_or_else(|| {
@@ -290,7 +364,7 @@ impl<'de> Deserialize<'de> for Kind {
     }
 }
 
-/// A place as `[x, y]`. What serde derives for an array would not say what is wrong with a list of three.
+/// A place, `[x, y]`. Serde's own message about a list of three does not say so.
 #[derive(Clone, Copy)]
 struct Point([f64; 2]);
 

@@ -1,18 +1,19 @@
-//! The rest error against telemetry's age and against its rate as an SVG, one above the other: the bound as a line, what
-//! was measured as discs. Where there is no room, bursts are shorter than planned and scatter less than the bound takes them to.
+//! The rest error against the age and the rate of telemetry as SVG: bounds as lines, measurements as discs.
+//!
+//! Without room bursts are shorter than planned, so they scatter less than the bound assumes.
 //!
 //! Invariant: the same figures make the same bytes.
 
-use super::summary::yardstick;
-use super::{ControlRow, ControlTradeoff};
-use crate::PlotError;
-use crate::figures::chart::{Axis, Chart, Dot, Point, Scale, Series, stacked};
+use crate::chart::{Axis, Chart, PlotError, Point, Scale, Series, stacked};
+use crate::control::row::ControlRow;
+use crate::control::summary::yardstick;
+use crate::control::tradeoff::ControlTradeoff;
 use plotters::prelude::SeriesLabelPosition;
 
-/// Draws a trade-off of the loop; the text of an SVG file.
+/// Draws rest errors against telemetry; returns the text of an SVG file.
 ///
 /// # Errors
-/// If the drawing library gives up.
+/// If the drawing library fails.
 pub fn plot_control(tradeoff: &ControlTradeoff) -> Result<String, PlotError> {
     let ages: Vec<_> = yardstick(&tradeoff.rows).collect();
     let rates: Vec<_> = tradeoff.rates.iter().collect();
@@ -21,14 +22,14 @@ pub fn plot_control(tradeoff: &ControlTradeoff) -> Result<String, PlotError> {
             "Rest error at 80 um and 10 % scatter against telemetry's age (lines: bound)",
             "age of telemetry, ms",
             &ages,
-            |row| row.age_ms,
+            |row| row.run.age_ms,
             SeriesLabelPosition::UpperLeft,
         ),
         chart(
             "Rest error at 80 um and 10 % scatter against telemetry's rate (lines: bound)",
             "telemetry, samples per second",
             &rates,
-            |row| row.telemetry_hz,
+            |row| row.run.telemetry_hz,
             SeriesLabelPosition::UpperRight,
         ),
     ])
@@ -42,16 +43,13 @@ fn chart<'a>(
     x: impl Fn(&ControlRow) -> f64,
     legend: SeriesLabelPosition,
 ) -> Chart<'a> {
-    let mut frequencies: Vec<f64> = rows.iter().map(|row| row.frequency_hz).collect();
+    let mut frequencies: Vec<f64> = rows.iter().map(|row| row.run.frequency_hz).collect();
     frequencies.dedup();
     let series = |hz: f64| {
-        let rows = || rows.iter().filter(move |row| row.frequency_hz == hz);
-        Series {
-            name: format!("{hz} Hz"),
-            line: rows().map(|row| (x(row), row.bound_um)).collect(),
-            points: rows().map(|row| Point { x: x(row), y: row.rest_rms_um, sd: 0.0 }).collect(),
-            dot: Dot::Disc,
-        }
+        let rows = || rows.iter().filter(move |row| row.run.frequency_hz == hz);
+        let points = rows().map(|row| Point { x: x(row), y: row.rest_rms_um, sd: 0.0 }).collect();
+        let bounds = rows().map(|row| (x(row), row.bound_um)).collect();
+        Series { points, ..Series::line(format!("{hz} Hz"), bounds) }
     };
     let series = frequencies.into_iter().map(series).collect();
     let errors = rows.iter().flat_map(|row| [row.rest_rms_um, row.bound_um]);
@@ -64,9 +62,9 @@ fn chart<'a>(
     }
 }
 
-/// What holds these numbers, which are above 0, and so much more on either side. One, or none, has no width.
+/// A range of positive numbers, `margin` times larger on either side. A single number, or none, gives no range.
 fn scale(numbers: impl Iterator<Item = f64> + Clone, margin: f64) -> Scale {
     let (from, to) = (numbers.clone().fold(f64::INFINITY, f64::min), numbers.fold(0.0, f64::max));
     let (from, to) = if 0.0 < from && from < to { (from / margin, to * margin) } else { (1.0, 1000.0) };
-    Scale { from, to, logarithmic: true }
+    Scale::logarithmic(from, to)
 }

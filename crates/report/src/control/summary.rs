@@ -1,48 +1,49 @@
-//! What the grid's cells come to: how many hold, the worst of them, and what follows for telemetry.
+//! The cells in numbers: how many are within their limits, the worst, and what follows for telemetry.
 
-use super::{CALM_UM, ControlRow, Verdict, Wire};
+use crate::control::row::{CALM_UM, ControlRow, Verdict};
+use crate::control::wire::Wire;
 use serde::Serialize;
 
-/// An age or a rate that costs no more than this is as good as the best.
+/// An age or rate with at most so many times the best rest error is as good.
 const AS_GOOD: f64 = 1.1;
-/// What the sentence is about: the paper's amplitude, the plant's scatter and asymmetry.
+/// The recommendation is for the paper's amplitude and the simulated motors' scatter and asymmetry.
 const AMPLITUDE_UM: f64 = 80.0;
 const SCATTER: f64 = 0.1;
 const ASYMMETRY: f64 = 0.02;
 
-/// MethodLabel many cells hold.
+/// The number of cells within their limits, and the worst cells.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ControlSummary {
-    /// All.
+    /// All cells.
     pub cells: usize,
-    /// Within all limits.
+    /// Cells within all limits.
     pub hold: usize,
-    /// Beyond the amplitude's limit by no more than chance explains.
+    /// Cells beyond the amplitude's limit by no more than chance.
     pub chance: usize,
-    /// Beyond a limit.
+    /// Cells beyond a limit.
     pub miss: usize,
-    /// Of those: by their rest errors.
+    /// Rest errors beyond their limit.
     pub rest_misses: usize,
-    /// Rest errors that would be beyond their limit by [`ControlRow::strict_bound_um`].
+    /// Rest errors beyond the limit that follows from [`ControlRow::strict_bound_um`].
     pub strict_rest_misses: usize,
-    /// Amplitudes beyond their limit by more than chance explains.
+    /// Amplitudes beyond their limit by more than chance.
     pub amplitude_misses: usize,
-    /// Motors whose honest telemetry was given up.
+    /// Cells with a sensor fault, although the telemetry is sound.
     pub doubts: usize,
-    /// Whether cells that differ by their lead alone have the same figures, to the last bit.
+    /// Whether cells that differ only by their lead have the same figures, bit for bit.
     pub leads_alike: bool,
-    /// By how much amplitudes are off on average, by scatter: what is left when chance has averaged out.
+    /// The mean error of amplitudes, by scatter.
     pub biases: Vec<Bias>,
     /// The worst cell of each frequency and scatter.
     pub worst: Vec<Worst>,
 }
 
-/// The mean of all amplitudes' relative errors at a scatter.
+/// The mean relative error of all amplitudes at a scatter.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Bias {
-    /// Of all these cells.
+    /// The scatter of these cells.
     pub scatter: f64,
-    /// Cells with room, each once: at one lead.
+    /// The number of cells with room, at one lead.
     pub cells: usize,
     /// Their mean error.
     pub amplitude_error: f64,
@@ -53,25 +54,25 @@ pub struct Bias {
 /// The worst of the cells of a frequency and a scatter.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Worst {
-    /// Of all these cells.
+    /// Their frequency.
     pub frequency_hz: f64,
-    /// Of all these cells.
+    /// Their scatter.
     pub scatter: f64,
-    /// MethodLabel many.
+    /// Their number.
     pub cells: usize,
-    /// Of them those that hold, those included that chance explains.
+    /// Those within their limits, or beyond by chance.
     pub hold: usize,
     /// Largest rest error over its bound; without scatter, in pulses.
     pub ratio: f64,
-    /// The most that this may be.
+    /// The limit of that ratio.
     pub limit: f64,
-    /// The cell where it is.
+    /// The amplitude of the cell with the largest ratio.
     pub amplitude_um: f64,
-    /// The same cell's.
+    /// Its age of telemetry.
     pub age_ms: f64,
-    /// The same cell's.
+    /// Its asymmetry.
     pub asymmetry: f64,
-    /// Largest relative error of an amplitude that has room; none if none has.
+    /// Largest relative error of an amplitude with room; none without.
     pub amplitude_error: Option<f64>,
 }
 
@@ -80,11 +81,13 @@ impl ControlSummary {
         let count = |which: &dyn Fn(&ControlRow) -> bool| rows.iter().filter(|row| which(row)).count();
         let same = |row: &ControlRow| {
             let first = rows.iter().find(|first| first.cell() == row.cell());
-            first.is_none_or(|first| ControlRow { lead_ms: first.lead_ms, ..*row } == *first)
+            first.is_none_or(|first| ControlRow { run: first.run, ..*row } == *first)
         };
         let mut worst: Vec<Worst> = Vec::new();
         for row in rows {
-            let of = |worst: &Worst| (worst.frequency_hz, worst.scatter) == (row.frequency_hz, row.scatter);
+            let of = |worst: &Worst| {
+                (worst.frequency_hz, worst.scatter) == (row.run.frequency_hz, row.run.scatter)
+            };
             let known = worst.iter().position(of);
             let at = known.unwrap_or_else(|| {
                 worst.push(Worst::none(row));
@@ -112,11 +115,11 @@ impl ControlSummary {
 
 fn biases(rows: &[ControlRow]) -> Vec<Bias> {
     let mut biases: Vec<Bias> = Vec::new();
-    let lead_ms = rows.first().map(|row| row.lead_ms);
-    for row in rows.iter().filter(|row| Some(row.lead_ms) == lead_ms && row.amplitude_limit.is_some()) {
-        let at = biases.iter().position(|bias| bias.scatter == row.scatter).unwrap_or(biases.len());
+    let lead_ms = rows.first().map(|row| row.run.lead_ms);
+    for row in rows.iter().filter(|row| Some(row.run.lead_ms) == lead_ms && row.amplitude_limit.is_some()) {
+        let at = biases.iter().position(|bias| bias.scatter == row.run.scatter).unwrap_or(biases.len());
         if at == biases.len() {
-            biases.push(Bias { scatter: row.scatter, cells: 0, amplitude_error: 0.0, amplitude_se: 0.0 });
+            biases.push(Bias { scatter: row.run.scatter, cells: 0, amplitude_error: 0.0, amplitude_se: 0.0 });
         }
         let bias = &mut biases[at];
         bias.cells += 1;
@@ -133,15 +136,15 @@ fn biases(rows: &[ControlRow]) -> Vec<Bias> {
 impl Worst {
     fn none(row: &ControlRow) -> Self {
         Self {
-            frequency_hz: row.frequency_hz,
-            scatter: row.scatter,
+            frequency_hz: row.run.frequency_hz,
+            scatter: row.run.scatter,
             cells: 0,
             hold: 0,
             ratio: 0.0,
-            limit: row.limit_um / if row.scatter > 0.0 { row.bound_um } else { CALM_UM },
-            amplitude_um: row.amplitude_um,
-            age_ms: row.age_ms,
-            asymmetry: row.asymmetry,
+            limit: row.limit_um / if row.run.scatter > 0.0 { row.bound_um } else { CALM_UM },
+            amplitude_um: row.run.amplitude_um,
+            age_ms: row.run.age_ms,
+            asymmetry: row.run.asymmetry,
             amplitude_error: None,
         }
     }
@@ -151,64 +154,64 @@ impl Worst {
         self.hold += usize::from(row.verdict != Verdict::Misses);
         if row.ratio() > self.ratio {
             self.ratio = row.ratio();
-            (self.amplitude_um, self.age_ms, self.asymmetry) = (row.amplitude_um, row.age_ms, row.asymmetry);
+            let run = &row.run;
+            (self.amplitude_um, self.age_ms, self.asymmetry) = (run.amplitude_um, run.age_ms, run.asymmetry);
         }
         let error = row.amplitude_limit.map(|_| row.amplitude_error.abs());
         self.amplitude_error = error.into_iter().chain(self.amplitude_error).reduce(f64::max);
     }
 }
 
-/// What telemetry's age and rate are worth at the yardstick, by what was measured.
+/// The effect of the age and rate of telemetry, for the amplitude and motors of [`yardstick`].
 pub(super) fn recommendation(rows: &[ControlRow], rates: &[ControlRow], wire: &Wire) -> String {
     let mut sentences = Vec::new();
-    // The paper's best frequency tells ages.
-    let ages: Vec<_> = yardstick(rows).filter(|row| row.frequency_hz == 60.0).collect();
+    // At the paper's best frequency.
+    let ages: Vec<_> = yardstick(rows).filter(|row| row.run.frequency_hz == 60.0).collect();
     if let [first, .., last] = ages[..] {
         let each: Vec<_> =
-            ages.iter().map(|row| format!("{:.1} um at {} ms", row.rest_rms_um, row.age_ms)).collect();
+            ages.iter().map(|row| format!("{:.1} um at {} ms", row.rest_rms_um, row.run.age_ms)).collect();
         let as_good = ages.iter().take_while(|row| row.rest_rms_um <= AS_GOOD * first.rest_rms_um).last();
-        let as_good = as_good.map_or(first.age_ms, |row| row.age_ms);
+        let as_good = as_good.map_or(first.run.age_ms, |row| row.run.age_ms);
         sentences.push(format!(
-            "At 80 um, 60 Hz and 10 % scatter pins rest off by what telemetry's age makes of it ({}); up to {as_good} ms costs \
-             nothing ({:.0} % at most), and {} ms makes it {:.1} times as much.",
+            "At 80 um, 60 Hz and 10 % scatter the rest error depends on telemetry's age ({}); up to {as_good} ms it grows by \
+             {:.0} % at most, and at {} ms it is {:.1} times as large.",
             each.join(", "),
             100.0 * (AS_GOOD - 1.0),
-            last.age_ms,
+            last.run.age_ms,
             last.rest_rms_um / first.rest_rms_um
         ));
     }
-    let mut frequencies: Vec<f64> = rates.iter().map(|row| row.frequency_hz).collect();
+    let mut frequencies: Vec<f64> = rates.iter().map(|row| row.run.frequency_hz).collect();
     frequencies.dedup();
     let enough: Vec<_> = frequencies.iter().filter_map(|&hz| Some((hz, slowest(rates, hz)?))).collect();
     if let Some(most) = enough.iter().map(|(_, rate)| *rate).reduce(f64::max) {
         let each: Vec<_> = enough.iter().map(|(hz, rate)| format!("{rate} at {hz} Hz")).collect();
         sentences.push(format!(
-            "Samples per second that cost less than {:.0} % over the most: {}; take {most} if all frequencies are to be \
-             played.",
+            "Samples per second that raise the rest error by less than {:.0} %: {}; take {most} to play all frequencies.",
             100.0 * (AS_GOOD - 1.0),
             each.join(", ")
         ));
     }
     sentences.push(format!(
-        "The loop takes {:.1} bytes per burst where there are {:.1} without it, and leaves {:.1} um where there are {:.0}.",
+        "Position control takes {:.1} bytes per burst instead of {:.1}, and leaves a rest error of {:.1} um instead of {:.0}.",
         wire.on.bytes_per_burst, wire.off.bytes_per_burst, wire.on.rest_rms_um, wire.off.rest_rms_um
     ));
     sentences.join(" ")
 }
 
-/// Rows at the paper's amplitude and the plant's scatter and asymmetry, of the first lead.
+/// Rows at the paper's amplitude and the simulated motors' scatter and asymmetry, with the first lead.
 pub(super) fn yardstick(rows: &[ControlRow]) -> impl Iterator<Item = &ControlRow> {
-    let lead_ms = rows.first().map(|row| row.lead_ms);
+    let lead_ms = rows.first().map(|row| row.run.lead_ms);
     rows.iter().filter(move |row| {
-        (row.amplitude_um, row.scatter, row.asymmetry) == (AMPLITUDE_UM, SCATTER, ASYMMETRY)
-            && Some(row.lead_ms) == lead_ms
+        (row.run.amplitude_um, row.run.scatter, row.run.asymmetry) == (AMPLITUDE_UM, SCATTER, ASYMMETRY)
+            && Some(row.run.lead_ms) == lead_ms
     })
 }
 
-/// The slowest rate down to which the rest error at a frequency is as good as at the fastest.
+/// The slowest rate down to which the rest error at a frequency is as good as the best.
 fn slowest(rates: &[ControlRow], frequency_hz: f64) -> Option<f64> {
-    let mut rows: Vec<_> = rates.iter().filter(|row| row.frequency_hz == frequency_hz).collect();
-    rows.sort_by(|a, b| b.telemetry_hz.total_cmp(&a.telemetry_hz));
+    let mut rows: Vec<_> = rates.iter().filter(|row| row.run.frequency_hz == frequency_hz).collect();
+    rows.sort_by(|a, b| b.run.telemetry_hz.total_cmp(&a.run.telemetry_hz));
     let best = rows.first()?.rest_rms_um;
-    rows.iter().take_while(|row| row.rest_rms_um <= AS_GOOD * best).last().map(|row| row.telemetry_hz)
+    rows.iter().take_while(|row| row.rest_rms_um <= AS_GOOD * best).last().map(|row| row.run.telemetry_hz)
 }

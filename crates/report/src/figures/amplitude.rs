@@ -1,15 +1,17 @@
-//! What a motor reaches of the amplitude that is asked for: the paper's Fig. 3.
+//! The amplitude that a motor reaches against frequency: the paper's Fig. 3.
 //!
-//! Lines are the model in closed form. Points are measured on the simulated plant, whose bursts scatter, through its
-//! telemetry: four pins play each amplitude, the loop open. Of each cycle the top counts minus the mean of the bottoms
-//! before and after it, read where the model has them: a pin that wanders does not seem to vibrate more for it.
+//! Lines are the model in closed form. Points are measured by the telemetry of simulated motors, whose bursts scatter, in
+//! open loop: four pins play each amplitude. The amplitude of a cycle is its top minus the mean of the bottoms before and
+//! after it, at the model's instants, so drift does not count.
 //!
-//! Invariant: a measurement is made of telemetry alone, in its quantum.
+//! Invariant: a measurement uses telemetry alone, in its quantum.
 
-use super::FiguresError;
-use super::chart::{Axis, Chart, Dot, Point, Scale, Series, draw};
-use super::page::Section;
-use super::table::number;
+use crate::chart::{Axis, Chart, Point, Scale, Series, draw};
+use crate::figures::error::FiguresError;
+use crate::figures::page::Section;
+use crate::figures::table::number;
+use crate::progress::Parts;
+use crate::statistics::mean_and_sd;
 use firmware_protocol::stroke::{Direction, Lines, MOTORS};
 use firmware_protocol::tick::Tick;
 use meissner_array::geometry;
@@ -21,29 +23,29 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::fmt::Write;
 
-/// Commanded amplitudes, µm: one per row of the array.
+/// Commanded amplitudes, µm, one per row of the array.
 pub const AMPLITUDES_UM: [f64; geometry::ROWS as usize] = [10.0, 20.0, 40.0, 80.0, 160.0, 320.0];
-/// Measured frequencies, Hz; 233 lies at the model's null.
+/// Measured frequencies, Hz; 233 is near the model's null.
 const FREQUENCIES_HZ: [f64; 23] = [
     1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0, 15.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, 120.0, 150.0,
     180.0, 200.0, 233.0, 260.0, 300.0,
 ];
-/// Points of a line.
+/// The number of points of a line.
 const LINE: u32 = 160;
-/// Cycles that are measured, on each of four pins.
+/// The number of measured cycles on each of four pins.
 const CYCLES: usize = 20;
-/// Cycles left out at the beginning, besides those that the window holds: the first burst after a rest is short.
+/// The number of cycles left out at the beginning, besides those in the window: the first burst after a rest is short.
 const TRANSIENT: usize = 3;
-/// Samples per second: the most the plant gives.
+/// Telemetry samples per second.
 const SAMPLES_HZ: u32 = meissner_array::simulated::MAX_TELEMETRY_HZ;
-/// Telemetry is asked at least so often, before its queue is full: 47 samples.
+/// The time between reads of telemetry: 47 samples, fewer than its queue holds.
 const ASK_TICKS: u64 = 400;
-/// Without the loop pins wander: no end stop is in their way.
+/// End stops out of reach, because pins drift in open loop.
 const END_STOP_UM: f64 = 10_000.0;
 const SEED: u64 = 0;
-/// The window, in periods of 1 Hz.
+/// The window of the moving average, s.
 const WINDOW_S: f64 = WINDOW_LENGTH_TICKS / TICKS_PER_S as f64;
-/// Below this a share says nothing, µm.
+/// The least model amplitude at which the ratio is evaluated, µm.
 const WORTH_UM: f64 = 5.0;
 
 /// A point of the figure.
@@ -56,20 +58,20 @@ struct Row {
     sd_um: f64,
 }
 
-/// What the figure comes to.
+/// The key figures.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Amplitude {
-    /// Of the plant's scatter.
+    /// Seed of the simulated motors.
     pub seed: u64,
-    /// MethodLabel many were measured.
+    /// The number of measured points.
     pub points: usize,
-    /// Measured over model, mean of the points at which the model moves by 5 µm or more.
+    /// Measured over model: the mean over points with a model amplitude of 5 µm or more.
     pub measured_over_model: f64,
     /// The largest deviation of that ratio from 1.
     pub worst_deviation: f64,
 }
 
-/// Measures, draws, and says what it comes to.
+/// Makes the section and the key figures.
 pub(super) fn section(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Amplitude), FiguresError> {
     let rows = rows(progress)?;
     let ratios =
@@ -84,11 +86,12 @@ pub(super) fn section(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Ampli
     let caption = format!(
         "Steady amplitude of a pin, peak to peak, against the frequency of its drive, for amplitudes of {} µm. Lines: \
          the motor model (slope limited to 11.5 mm/s, moving average over {:.1} ms) in closed form. Points: mean and \
-         standard deviation of {} cycles of the simulated plant (seed {SEED}, gain of each burst scattered by 10 %, no \
-         closed loop, end stops out of reach), read from its telemetry at {SAMPLES_HZ} Hz in steps of 0.01 µm after the \
-         transient; a cycle is its top minus the mean of the bottoms beside it, at the model's instants. Where the model \
-         moves by {WORTH_UM} µm or more, measured is {} times that in the mean, and off by {} % at worst. What is below \
-         {LEAST_UM} µm is drawn there; the model's null at 232.6 Hz is that of a moving average, not of a motor.",
+         standard deviation of {} cycles of simulated motors (seed {SEED}, gain of each burst scattered by 10 %, open \
+         loop, end stops out of reach), from telemetry at {SAMPLES_HZ} Hz in steps of 0.01 µm after the transient; the \
+         amplitude of a cycle is its top minus the mean of the bottoms beside it, at the model's instants. Where the \
+         model moves by {WORTH_UM} µm or more, the ratio of measured to model is {} in the mean, and off by {} % at \
+         worst. Amplitudes below {LEAST_UM} µm are drawn there. The model's null at 232.6 Hz is that of a moving \
+         average, not of a motor.",
         AMPLITUDES_UM.map(number).join(", "),
         WINDOW_S * 1000.0,
         CYCLES * usize::from(geometry::COLUMNS),
@@ -109,7 +112,7 @@ fn csv(rows: &[Row]) -> String {
     csv
 }
 
-/// Where the axis of amplitudes begins, µm.
+/// The lower end of the amplitude axis, µm.
 const LEAST_UM: f64 = 0.5;
 
 fn plot(rows: &[Row]) -> Result<String, FiguresError> {
@@ -121,20 +124,13 @@ fn plot(rows: &[Row]) -> Result<String, FiguresError> {
         let line = line_hz.iter().map(|&hz| Ok((hz, SteadyState::of(hz, um)?.peak_to_peak_um)));
         let of_amplitude = rows.iter().filter(|row| row.amplitude_um == um);
         let point = |row: &Row| Point { x: row.frequency_hz, y: row.measured_um, sd: row.sd_um };
-        Ok(Series {
-            name: format!("{um} um"),
-            line: line.collect::<Result<_, MotorError>>()?,
-            points: of_amplitude.map(point).collect(),
-            dot: Dot::Disc,
-        })
+        let line = Series::line(format!("{um} um"), line.collect::<Result<_, MotorError>>()?);
+        Ok(Series { points: of_amplitude.map(point).collect(), ..line })
     });
     let chart = Chart {
-        title: "Amplitude of a pin: model (lines) and simulated plant (points)",
-        x: Axis { name: "frequency, Hz", scale: Scale { from: 1.0, to: 300.0, logarithmic: true } },
-        y: Axis {
-            name: "amplitude, um peak to peak",
-            scale: Scale { from: LEAST_UM, to: 500.0, logarithmic: true },
-        },
+        title: "Amplitude of a pin: model (lines) and simulated motors (points)",
+        x: Axis { name: "frequency, Hz", scale: Scale::logarithmic(1.0, 300.0) },
+        y: Axis { name: "amplitude, um peak to peak", scale: Scale::logarithmic(LEAST_UM, 500.0) },
         legend: SeriesLabelPosition::UpperRight,
         series: series.collect::<Result<_, MotorError>>()?,
     };
@@ -142,11 +138,11 @@ fn plot(rows: &[Row]) -> Result<String, FiguresError> {
 }
 
 fn rows(progress: &(dyn Fn(f64) + Sync)) -> Result<Vec<Row>, FiguresError> {
-    let parts = super::Parts::new(FREQUENCIES_HZ.len(), progress);
+    let parts = Parts::new(FREQUENCIES_HZ.len(), progress);
     let measured = FREQUENCIES_HZ.par_iter().map(|&frequency_hz| {
         let cycles = measure(frequency_hz)?;
         let rows = AMPLITUDES_UM.into_iter().zip(cycles).map(|(amplitude_um, cycles)| {
-            let (measured_um, sd_um) = super::mean_and_sd(&cycles);
+            let (measured_um, sd_um) = mean_and_sd(&cycles);
             let model_um = SteadyState::of(frequency_hz, amplitude_um)?.peak_to_peak_um;
             Ok(Row { frequency_hz, amplitude_um, model_um, measured_um, sd_um })
         });
@@ -157,7 +153,7 @@ fn rows(progress: &(dyn Fn(f64) + Sync)) -> Result<Vec<Row>, FiguresError> {
     Ok(measured.collect::<Result<Vec<_>, FiguresError>>()?.concat())
 }
 
-/// The peak to peak of each measured cycle, µm, by amplitude: row r of the array plays the r-th.
+/// The peak-to-peak amplitudes of the measured cycles, µm. Row r of the array plays the r-th amplitude.
 fn measure(frequency_hz: f64) -> Result<[Vec<f64>; AMPLITUDES_UM.len()], FiguresError> {
     let config = SimulatedMotorsConfig {
         seed: SEED,
@@ -165,13 +161,13 @@ fn measure(frequency_hz: f64) -> Result<[Vec<f64>; AMPLITUDES_UM.len()], Figures
         telemetry_hz: SAMPLES_HZ,
         ..SimulatedMotorsConfig::default()
     };
-    let mut plant = SimulatedMotors::new(config, Tick(0))?;
+    let mut motors = SimulatedMotors::new(config, Tick(0))?;
     let periods = WINDOW_S * frequency_hz;
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "below 2")]
     let skipped = TRANSIENT + periods.ceil() as usize;
 
     let mut toggles: Vec<(Tick, u8, Direction)> = Vec::new();
-    // For each motor the samples that are its bottoms and tops, in turn, bottoms first and last.
+    // For each motor the numbers of its samples at bottoms and tops in turn, bottoms first and last.
     let mut wanted: Vec<Vec<u64>> = Vec::new();
     for motor in 0..MOTORS as u8 {
         let wave = SquareWave::new(frequency_hz, AMPLITUDES_UM[usize::from(geometry::row(motor))], 0.0)?;
@@ -188,7 +184,7 @@ fn measure(frequency_hz: f64) -> Result<[Vec<f64>; AMPLITUDES_UM.len()], Figures
             samples.push(sample(this.end() + next.up));
             samples.push(sample(next.up + u64::from(next.pulses) + next.down));
         }
-        // What follows the last top is no bottom: it has none after it.
+        // No bottom follows the last top.
         samples.pop();
         wanted.push(samples);
     }
@@ -196,10 +192,10 @@ fn measure(frequency_hz: f64) -> Result<[Vec<f64>; AMPLITUDES_UM.len()], Figures
 
     let mut readings: Vec<Vec<f64>> = vec![Vec::new(); MOTORS];
     let mut taken = 0;
-    let mut pass = |plant: &mut SimulatedMotors, lines: Lines, until: Tick| {
-        while plant.now() < until {
-            plant.advance(lines, ASK_TICKS.min(until - plant.now()));
-            while let Some(sample) = plant.telemetry() {
+    let mut advance = |motors: &mut SimulatedMotors, lines: Lines, until: Tick| {
+        while motors.now() < until {
+            motors.advance(lines, ASK_TICKS.min(until - motors.now()));
+            while let Some(sample) = motors.telemetry() {
                 taken += 1;
                 for ((readings, wanted), y) in readings.iter_mut().zip(&wanted).zip(sample.y) {
                     if wanted.get(readings.len()) == Some(&taken) {
@@ -211,13 +207,13 @@ fn measure(frequency_hz: f64) -> Result<[Vec<f64>; AMPLITUDES_UM.len()], Figures
     };
     let mut lines = Lines::OFF;
     for (tick, motor, direction) in toggles {
-        pass(&mut plant, lines, tick);
+        advance(&mut motors, lines, tick);
         *lines.mask_mut(direction) ^= 1 << motor;
     }
-    let end = plant.now() + 2 * WINDOW_HALF_TICKS;
-    pass(&mut plant, Lines::OFF, end);
+    let end = motors.now() + 2 * WINDOW_HALF_TICKS;
+    advance(&mut motors, Lines::OFF, end);
 
-    // Beyond each whole period in the window the wave is upside down.
+    // With an odd number of whole periods in the window the wave is inverted.
     let sign = if periods.floor() % 2.0 == 0.0 { 1.0 } else { -1.0 };
     let mut cycles: [Vec<f64>; AMPLITUDES_UM.len()] = Default::default();
     for (motor, readings) in (0..).zip(&readings) {
@@ -228,8 +224,8 @@ fn measure(frequency_hz: f64) -> Result<[Vec<f64>; AMPLITUDES_UM.len()], Figures
     Ok(cycles)
 }
 
-/// The sample nearest to where the shaft shows the middle of a plateau, which lies at half of `twice` ticks: the
-/// moving average comes half a window later.
+/// The number of the sample nearest to the middle of a plateau, which the command reaches at half of `twice` ticks. The
+/// shaft follows half a window later.
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time, rounded")]
 fn sample(twice: u64) -> u64 {
     let ticks = (twice as f64 + WINDOW_LENGTH_TICKS) / 2.0;

@@ -1,14 +1,13 @@
-//! Maps: the array with what each motor does, and the pad with what each receptor sends.
+//! Maps: the array with the vibration of each motor, and the fingertip's pad with the rate of each afferent.
 //!
-//! Both are seen as one looks down on the array, fingertip up. Panels stand beside each other under titles of their own, all
-//! on one colour scale: what looks alike is alike. On a pad the shape to be felt may be drawn, and the receptors that
-//! should feel it ringed.
+//! Both are seen from above the array, fingertip up. All panels of a map share one colour scale. A pad may show the shape
+//! of a target, with rings around the ON afferents.
 //!
-//! Invariant: every motor has its place in every panel, whether it moves or not.
+//! Invariant: every panel shows every motor, on or off.
 
-use super::color::{color, ink};
-use super::svg::{Anchor, Drawing, Paint};
-use super::table::number;
+use crate::figures::color::{color, ink};
+use crate::figures::svg::{Anchor, Drawing, Paint};
+use crate::figures::table::number;
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::geometry::{self, COLUMNS, ROWS};
 use meissner_array::pattern::Drive;
@@ -16,40 +15,40 @@ use meissner_skin::afferent::{PAD_LENGTH_MM, PAD_WIDTH_MM, Position};
 
 const INK: &str = "#222222";
 const FAINT: &str = "#bbbbbb";
-/// Of the shape to be felt and of what belongs to it: not on the colour scale, and seen by who sees no red or green.
+/// The colour of the target: not on the colour scale, and visible to red-green blind people.
 const AIMED: &str = "#d55e00";
 const NONE: &str = "none";
-/// Which way is up, above a map that needs no other title.
+/// The direction up: the title of a map that needs no other.
 pub(super) const FINGERTIP: &str = "fingertip";
 
-/// Between neighbouring motors, px.
+/// The distance of neighbouring motors, px.
 const PITCH: f64 = 72.0;
-/// Of a motor's circle, px.
+/// The radius of a motor's circle, px.
 const RADIUS: f64 = 31.0;
-/// Above a panel, for its title, px.
+/// The height of a panel's title, px.
 const HEAD: f64 = 48.0;
-/// Panels beside each other.
+/// The most panels in a row.
 const ACROSS: usize = 4;
-/// A colour bar and its words, px.
+/// Width with its text, and height, of a colour bar, px.
 const BAR: (f64, f64) = (110.0, 300.0);
-/// Frequencies at the ends of the colour scale, Hz; it is logarithmic.
+/// Frequencies at the ends of the logarithmic colour scale, Hz.
 const COLORED_HZ: (f64, f64) = (5.0, 300.0);
 
-/// A frequency's place on the colour scale.
+/// The place of a frequency on the colour scale, 0 to 1.
 fn place(frequency_hz: f64) -> f64 {
     let (low, high) = COLORED_HZ;
     (frequency_hz / low).ln() / (high / low).ln()
 }
 
-/// What the motors do at a time, or in a segment of it.
+/// The vibrations of the motors in a segment of time.
 #[derive(Clone, Debug)]
 pub(super) struct Panel<'a> {
     pub(super) title: String,
-    /// One of a motor at the most.
+    /// At most one per motor.
     pub(super) drives: &'a [Drive],
 }
 
-/// The array in each panel: a circle per motor, coloured by frequency, with frequency and phase; off is hollow.
+/// Draws the array in each panel: a circle per motor, coloured by frequency, with frequency and phase; off is hollow.
 pub(super) fn motors(panels: &[Panel<'_>]) -> String {
     let (width, height) = (PITCH * f64::from(COLUMNS) + 24.0, PITCH * f64::from(ROWS) + HEAD + 12.0);
     let across = panels.len().clamp(1, ACROSS);
@@ -67,9 +66,9 @@ pub(super) fn motors(panels: &[Panel<'_>]) -> String {
                 drawing.words((x, y + 4.0), 11, Anchor::Middle, FAINT, &motor.to_string());
                 continue;
             };
-            let part = place(drive.frequency_hz);
-            let ink = ink(part);
-            drawing.circle((x, y), RADIUS, Paint { fill: &color(part), stroke: INK });
+            let share = place(drive.frequency_hz);
+            let ink = ink(share);
+            drawing.circle((x, y), RADIUS, Paint { fill: &color(share), stroke: INK });
             drawing.words((x, y - 12.0), 9, Anchor::Middle, ink, &motor.to_string());
             let hz = format!("{} Hz", number(drive.frequency_hz));
             drawing.words((x, y + 3.0), 12, Anchor::Middle, ink, &hz);
@@ -81,56 +80,56 @@ pub(super) fn motors(panels: &[Panel<'_>]) -> String {
     drawing.finish()
 }
 
-/// A colour bar with its unit above it and marks beside it.
+/// Draws a colour bar, its unit above it, and marks beside it.
 fn bar(drawing: &mut Drawing, (x, y): (f64, f64), unit: &str, marks: &[(f64, String)]) {
     const PIECES: u32 = 60;
     let height = BAR.1 / f64::from(PIECES);
     drawing.words((x, y - 10.0), 12, Anchor::Start, INK, unit);
     for piece in 0..PIECES {
-        let part = (f64::from(piece) + 0.5) / f64::from(PIECES);
+        let share = (f64::from(piece) + 0.5) / f64::from(PIECES);
         let top = y + BAR.1 - height * f64::from(piece + 1);
         // A little taller, so that no seams show.
-        drawing.rectangle((x, top), (18.0, height + 0.5), Paint { fill: &color(part), stroke: NONE });
+        drawing.rectangle((x, top), (18.0, height + 0.5), Paint { fill: &color(share), stroke: NONE });
     }
-    for (part, mark) in marks {
-        drawing.words((x + 24.0, y + BAR.1 * (1.0 - part) + 4.0), 11, Anchor::Start, INK, mark);
+    for (share, mark) in marks {
+        drawing.words((x + 24.0, y + BAR.1 * (1.0 - share) + 4.0), 11, Anchor::Start, INK, mark);
     }
 }
 
-/// Pixels per mm of skin: of one pad or two, and of more, which are then no wider together.
+/// Pixels per mm of skin, for up to two pads and for more.
 const PER_MM: (f64, f64) = (20.0, 12.0);
-/// Around a pad, px.
+/// The margin around a pad, px.
 const MARGIN: f64 = 30.0;
-/// A pin, a receptor and the ring around one, mm in radius.
+/// Radii of a pin, an afferent and the ring around an afferent, mm.
 const SIZES_MM: [f64; 3] = [0.45, 0.225, 0.34];
 
-/// A finger's pad with its pins, and receptors on it.
+/// A fingertip's pad with the pins and its afferents.
 #[derive(Clone, Debug)]
 pub(super) struct Pad<'a> {
     pub(super) title: String,
-    pub(super) receptors: &'a [Position],
-    /// Of each, impulses/s; without, they are all grey.
+    pub(super) afferents: &'a [Position],
+    /// The rate of each afferent, impulses/s; without rates all are grey.
     pub(super) rates_hz: Option<&'a [f64]>,
-    /// What is to be felt there.
+    /// The target.
     pub(super) aim: Option<Aim<'a>>,
 }
 
-/// What is to be felt.
+/// A target on a pad.
 #[derive(Clone, Debug)]
 pub(super) struct Aim<'a> {
-    /// Lines from point to point, mm; of one point it is a dot.
+    /// Polylines, mm; a single point is a dot.
     pub(super) outline: Vec<Vec<[f64; 2]>>,
-    /// Of each receptor, whether it should feel it.
+    /// Whether each afferent is ON.
     pub(super) on: &'a [bool],
 }
 
-/// Pads beside each other, with one colour bar if any has rates.
+/// Draws pads beside each other, with a colour bar if any has rates.
 pub(super) fn pads(pads: &[Pad<'_>]) -> String {
     let per_mm = if pads.len() > 2 { PER_MM.1 } else { PER_MM.0 };
     let (width, height) = (PAD_WIDTH_MM * per_mm, PAD_LENGTH_MM * per_mm);
     let rates = || pads.iter().filter_map(|pad| pad.rates_hz).flatten();
     let highest = rates().fold(0.0_f64, |highest, &rate| highest.max(rate));
-    // Whole fifties, so that the marks are round.
+    // A multiple of 50, so that the marks are round.
     let top_hz = (highest / 50.0).ceil().max(1.0) * 50.0;
     let bar_width = if rates().next().is_some() { BAR.0 + 6.0 } else { 0.0 };
     let step = width + MARGIN;
@@ -141,7 +140,7 @@ pub(super) fn pads(pads: &[Pad<'_>]) -> String {
         pad.draw(&mut drawing, middle, per_mm, top_hz);
     }
     if bar_width > 0.0 {
-        let marks = [0.0, 0.2, 0.4, 0.6, 0.8, 1.0].map(|part| (part, number(part * top_hz)));
+        let marks = [0.0, 0.2, 0.4, 0.6, 0.8, 1.0].map(|share| (share, number(share * top_hz)));
         bar(&mut drawing, (all - BAR.0, HEAD + 40.0), "impulses/s", &marks);
     }
     drawing.finish()
@@ -158,7 +157,7 @@ impl Pad<'_> {
         for motor in 0..MOTORS as u8 {
             drawing.circle(place(geometry::position_mm(motor)), pin, Paint { fill: NONE, stroke: FAINT });
         }
-        for (index, at) in self.receptors.iter().enumerate() {
+        for (index, at) in self.afferents.iter().enumerate() {
             let fill =
                 self.rates_hz.map_or_else(|| "#777777".to_owned(), |rates| color(rates[index] / top_hz));
             let at = place([at.x_mm, at.y_mm]);
@@ -167,7 +166,7 @@ impl Pad<'_> {
                 drawing.circle(at, ring, Paint { fill: NONE, stroke: AIMED });
             }
         }
-        // A disc may reach beyond the pad, but not into the next one. A line's end on the pad's edge is rounded.
+        // The outline of a disc is cut at the pad. The ends of lines on its edge are rounded.
         let beyond =
             |&[x_mm, y_mm]: &[f64; 2]| x_mm.abs() > half_width + 1e-6 || y_mm.abs() > half_length + 1e-6;
         let outline = self.aim.iter().flat_map(|aim| &aim.outline);
@@ -185,19 +184,11 @@ impl Pad<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use meissner_array::pattern::Drive;
 
     #[test]
-    fn every_motor_is_on_the_map_and_up_is_towards_the_fingertip() {
-        let drive = Drive {
-            motor: 9,
-            frequency_hz: 60.0,
-            amplitude_um: 80.0,
-            phase: 0.25,
-            start_s: None,
-            stop_s: None,
-        };
-        let drives = [drive];
+    fn every_motor_is_on_the_map() {
+        let (frequency_hz, amplitude_um, phase) = (60.0, 80.0, 0.25);
+        let drives = [Drive { motor: 9, frequency_hz, amplitude_um, phase, start_s: None, stop_s: None }];
         let panel = |title: &str| Panel { title: title.to_owned(), drives: &drives };
         let svg = motors(&[panel("before"), panel("<after>")]);
         assert_eq!((svg.matches("<ellipse").count(), svg.matches(">60 Hz<").count()), (48, 2));
@@ -206,24 +197,18 @@ mod tests {
         assert_eq!((place(5.0), place(300.0)), (0.0, 1.0));
     }
 
-    /// Where the ellipses of a drawing are, and what they are filled with.
+    /// The centres and fills of the ellipses of a drawing.
     fn ellipses(svg: &str) -> Vec<(f64, f64, &str)> {
-        let of = |element: &'_ str, key: &str| element.find(key).map(|at| at + key.len()).unwrap();
-        let word =
-            |element: &'_ str, key: &str| element[of(element, key)..].find('"').unwrap() + of(element, key);
-        svg.lines()
-            .filter(|line| line.starts_with("<ellipse"))
-            .map(|line| {
-                let value = |key: &str| &line[of(line, key)..word(line, key)];
-                (value("cx=\"").parse().unwrap(), value("cy=\"").parse().unwrap(), value("fill=\""))
-            })
-            .collect()
+        let elements = svg.lines().filter(|line| line.starts_with("<ellipse"));
+        // The values of cx, cy, rx, ry and fill are the odd pieces between quotation marks.
+        let values = elements.map(|line| line.split('"').skip(1).step_by(2).collect::<Vec<_>>());
+        values.map(|of| (of[0].parse().unwrap(), of[1].parse().unwrap(), of[4])).collect()
     }
 
     #[test]
-    fn pads_show_every_receptor_on_one_scale_with_what_is_to_be_felt() {
-        let receptors = [0.0, 1.0, -2.0].map(|y_mm| Position { x_mm: 0.0, y_mm });
-        let pad = |rates_hz, aim| Pad { title: "t".to_owned(), receptors: &receptors, rates_hz, aim };
+    fn pads_show_every_afferent_on_one_scale_and_the_target() {
+        let afferents = [0.0, 1.0, -2.0].map(|y_mm| Position { x_mm: 0.0, y_mm });
+        let pad = |rates_hz, aim| Pad { title: "t".to_owned(), afferents: &afferents, rates_hz, aim };
         let svg = pads(&[pad(Some(&[0.0, 10.0, 120.0]), None), pad(Some(&[0.0, 60.0, 0.0]), None)]);
         let found = ellipses(&svg);
         assert_eq!(found.len(), 2 * (1 + 24 + 3));

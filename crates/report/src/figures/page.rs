@@ -1,34 +1,34 @@
-//! The page: sections, one below the other, in one HTML file without scripts and without anything from elsewhere.
+//! The page: all sections in one HTML file, without scripts or links to other sites.
 //!
-//! Drawings and tables of numbers are files beside it; the page names them. It says what was computed and by which command,
-//! and nothing of the machine or the time.
+//! Drawings and numbers are files beside it. The page states what was computed and by which command, but neither machine
+//! nor time.
 //!
 //! Invariant: every file that a section names is one of its files.
 
-use super::svg::escape;
+use crate::figures::svg::escape;
 use std::fmt::Write;
 
-/// The page's name.
+/// The file name of the page.
 pub const INDEX: &str = "index.html";
 
 /// A file beside the page.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct File {
-    /// Its name, without a directory.
+    /// The name, without a directory.
     pub name: String,
-    /// All of it.
+    /// The content.
     pub text: String,
 }
 
-/// A part of the page.
+/// A section of the page.
 #[derive(Clone, Debug)]
 pub(super) struct Section {
-    /// What links to it name: a-z, 0-9 and -.
+    /// The anchor of links: a-z, 0-9 and -.
     pub(super) id: String,
     pub(super) title: String,
-    /// What stands below the title.
+    /// The HTML below the title.
     pub(super) html: String,
-    /// The drawings and numbers that it names.
+    /// The files that it names.
     pub(super) files: Vec<File>,
 }
 
@@ -37,18 +37,18 @@ impl Section {
         Self { id: id.to_owned(), title: title.to_owned(), html: String::new(), files: Vec::new() }
     }
 
-    /// A paragraph. `words` are escaped.
+    /// Adds a paragraph; `words` are escaped.
     pub(super) fn say(&mut self, words: &str) {
         // Writing to a string does not fail.
         let _ = writeln!(self.html, "<p>{}</p>", escape(words));
     }
 
-    /// A table with its heading.
+    /// Adds a table with its heading.
     pub(super) fn table(&mut self, heading: &str, table: &str) {
         let _ = write!(self.html, "<h3>{}</h3>\n{table}", escape(heading));
     }
 
-    /// A drawing with its caption, the numbers it was drawn from if they are given, and the command that makes it.
+    /// Adds a drawing with its numbers if there are any, its caption, and the command that makes it.
     pub(super) fn figure(
         &mut self,
         name: &str,
@@ -57,7 +57,7 @@ impl Section {
         caption: &str,
         command: &str,
     ) {
-        // Who does not see it hears what it is; the rest is in the caption, for everybody.
+        // The first sentence of the caption replaces the image for those who cannot see it.
         let alt = escape(caption.split_inclusive(". ").next().unwrap_or_default().trim_end());
         let (caption, command) = (escape(caption), escape(command));
         let numbers = csv

@@ -1,18 +1,18 @@
-//! A pattern's section: what its motors do, and what the skin would make of it.
+//! The section of a pattern: its motors, and the predicted rates of the afferents.
 //!
-//! A map of the array for each segment, a table of the drives with what the motors reach, the rates of a finger's
-//! receptors, and what the pattern says of itself; if it says for which target it was made (`target`), the receptors are
-//! that target's, and what it comes to is drawn and said. A pattern that stays as it is, is watched for a second or its
-//! duration if that is shorter; one whose motors start and stop, or whose target moves, as far as ten seconds.
+//! It has a map of the array for each segment, a table of the drives with the amplitudes reached, the rates of a
+//! fingertip's afferents, and the provenance. If the provenance holds a target, the afferents are the target's, and its
+//! verdict is drawn and stated (`target`). A steady pattern is simulated for a second at most; one whose motors start and
+//! stop, or whose target moves, for ten seconds at most.
 //!
-//! Invariant: nothing is shown of a pattern that was not computed from it or written in it.
+//! Invariant: all that is shown is computed from the pattern or written in it.
 
-use super::map::{Aim, FINGERTIP, Pad, Panel, motors, pads};
-use super::page::Section;
-use super::segments::{Segment, segments};
-use super::table::{number, provenance, robustness, table};
-use super::target::{self, TargetFigures, Watched};
-use super::{FiguresError, Subject};
+use crate::figures::error::FiguresError;
+use crate::figures::map::{Aim, FINGERTIP, Pad, Panel, motors, pads};
+use crate::figures::page::Section;
+use crate::figures::segments::{Segment, segments};
+use crate::figures::table::{number, provenance, robustness, table};
+use crate::figures::target::{self, FrameRates, TargetFigures};
 use meissner_array::motor::{MotorError, SteadyState};
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_design::{Frame, Target, Verdict};
@@ -23,40 +23,49 @@ use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 use std::fmt::Write;
 
-/// Of receptors and their noise; a target has receptors of its own.
+/// Seed of the population and its noise, unless the pattern has a target.
 const SEED: u64 = 0;
-/// For how long a pattern is watched that stays as it is, s.
+/// The longest simulation of a steady pattern, s.
 const STEADY_S: f64 = 1.0;
-/// For how long any pattern is watched at the most, s.
+/// The longest simulation of any pattern, s.
 const LONGEST_S: f64 = 10.0;
-/// Why a cost of the report and one of the provenance differ.
+/// Why the contrast differs from the one in the provenance.
 const ONE_POPULATION: &str =
-    " This is on one population; the provenance's cost is the mean over those the pattern was made for.";
-/// Maps of a pattern at the most.
+    " This is on one population; the cost in the provenance is the mean over those the pattern was made for.";
+/// The most maps of a pattern.
 const MAPS: usize = 16;
 
-/// What a pattern comes to.
+/// A pattern to report on, and its name on the command line.
+#[derive(Clone, Debug)]
+pub struct Subject {
+    /// The pattern. All patterns of a report have different names.
+    pub pattern: Pattern,
+    /// The name in the library, or the file name without its directory.
+    pub argument: String,
+}
+
+/// The key figures of a pattern.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PatternFigures {
     /// Its name.
     pub name: String,
-    /// Its drives.
+    /// The number of its drives.
     pub drives: usize,
-    /// Stretches in which different drives run.
+    /// The number of its segments.
     pub segments: usize,
-    /// Pulses per second of all motors, in the segment that has most.
+    /// Pulses per second of all motors, in the segment with the most.
     pub busiest_pulses_per_s: f64,
-    /// For how long the receptors were watched.
+    /// Duration of the simulation, s.
     pub watched_s: f64,
-    /// Mean rate of the receptors, impulses/s.
+    /// Mean rate of the afferents, impulses/s.
     pub mean_rate_hz: f64,
-    /// Rate of the receptor that fires most, impulses/s.
+    /// Highest rate of an afferent, impulses/s.
     pub highest_rate_hz: f64,
-    /// MethodLabel well it does what it was made for, if it says for what.
+    /// Verdicts for the target, if the provenance holds one.
     pub target: Option<TargetFigures>,
 }
 
-/// Simulates, draws, and says what it comes to.
+/// Makes the section and the key figures.
 pub(super) fn section(
     subject: &Subject,
     progress: &(dyn Fn(f64) + Sync),
@@ -66,8 +75,8 @@ pub(super) fn section(
     let (shown, more) = segments.split_at(segments.len().min(MAPS));
     let reached = Reached::of(pattern.drives())?;
     let target = Target::made_for(pattern);
-    let felt = PredictedResponse::by(pattern, &segments, target.as_ref(), progress)?;
-    let watched = target.as_ref().map(|target| felt.watched(target)).unwrap_or_default();
+    let response = Response::of(pattern, &segments, target.as_ref(), progress)?;
+    let frames = target.as_ref().map(|target| response.frames(target)).unwrap_or_default();
     let figures = PatternFigures {
         name: pattern.name().to_owned(),
         drives: pattern.drives().len(),
@@ -76,12 +85,12 @@ pub(super) fn section(
             .iter()
             .map(|segment| segment.drives.iter().map(|drive| reached.pulses_per_s(drive)).sum())
             .fold(0.0, f64::max),
-        watched_s: felt.watched_s,
-        mean_rate_hz: felt.rates_hz.iter().sum::<f64>() / felt.rates_hz.len() as f64,
-        highest_rate_hz: felt.rates_hz.iter().copied().fold(0.0, f64::max),
+        watched_s: response.duration_s,
+        mean_rate_hz: response.rates_hz.iter().sum::<f64>() / response.rates_hz.len() as f64,
+        highest_rate_hz: response.rates_hz.iter().copied().fold(0.0, f64::max),
         target: target.as_ref().map(|target| TargetFigures {
             name: target.name().to_owned(),
-            frames: watched.iter().map(Watched::figures).collect(),
+            frames: frames.iter().map(FrameRates::figures).collect(),
         }),
     };
 
@@ -94,8 +103,8 @@ pub(super) fn section(
         more => format!(" The first {MAPS} segments; {more} more are in the table."),
     };
     let caption = format!(
-        "What each motor of {name} does: its number, frequency and phase (cycles), coloured by frequency; off is \
-         hollow. Seen from above, fingertip up.{left_out}"
+        "The motors of {name}: number, frequency and phase (cycles), coloured by frequency; off is hollow. Seen from \
+         above, fingertip up.{left_out}"
     );
     section.figure(&format!("pattern-{name}-motors"), motors(&panels(shown)), None, &caption, &command);
 
@@ -103,28 +112,28 @@ pub(super) fn section(
         || format!("population and noise seed {SEED}, indentation only"),
         |target| {
             let seed = target.population_seed();
-            format!("those of its target {}, population and noise seed {seed}", target.name())
+            format!("those of the target {}, population and noise seed {seed}", target.name())
         },
     );
-    // A shape that moves is drawn where it is in each frame, below.
-    let still = watched.first().filter(|watched| watched.frame.start_s.is_none());
+    // A moving target is drawn below, in its frames.
+    let still = frames.first().filter(|rates| rates.frame.start_s.is_none());
     let mut caption = format!(
-        "Predicted impulse rates of {} receptors ({of}) on the finger's pad, simulated exactly over {}{} s of {name}: \
-         {} impulses/s in the mean, {} at most. Grey circles: the pins.",
-        felt.receptors.len(),
-        if felt.watched_s < run_s(&segments) { "the first " } else { "the whole " },
-        number(felt.watched_s),
+        "Predicted rates of {} afferents ({of}) on the fingertip's pad, simulated exactly over {}{} s of {name}: {} \
+         impulses/s in the mean, {} at most. Grey circles: the pins.",
+        response.afferents.len(),
+        if response.duration_s < run_s(&segments) { "the first " } else { "the whole " },
+        number(response.duration_s),
         number(figures.mean_rate_hz),
         number(figures.highest_rate_hz)
     );
-    if let (Some(watched), Some(target)) = (still, &target) {
-        caption.push_str(&verdict(target, watched));
+    if let (Some(rates), Some(target)) = (still, &target) {
+        caption.push_str(&verdict(target, rates));
     }
-    let numbers = csv(&felt, still.map(Watched::aim).as_ref());
-    let pad = felt.pad(FINGERTIP, &felt.rates_hz, still.map(Watched::aim));
+    let numbers = csv(&response, still.map(FrameRates::aim).as_ref());
+    let pad = response.pad(FINGERTIP, &response.rates_hz, still.map(FrameRates::aim));
     section.figure(&format!("pattern-{name}-rates"), pads(&[pad]), Some(numbers), &caption, &command);
     if let (Some(target), None) = (&target, still) {
-        frames(&mut section, &felt, target, &watched, (name, &command));
+        frame_figure(&mut section, &response, target, &frames, (name, &command));
     }
 
     if !pattern.drives().is_empty() {
@@ -154,7 +163,7 @@ fn summary(pattern: &Pattern, figures: &PatternFigures) -> String {
     )
 }
 
-/// MethodLabel long a run lasts.
+/// The duration of a run, s.
 fn run_s(segments: &[Segment]) -> f64 {
     segments.last().and_then(|last| last.stop_s).unwrap_or(f64::INFINITY)
 }
@@ -168,70 +177,65 @@ fn panels(segments: &[Segment]) -> Vec<Panel<'_>> {
     segments.iter().map(|segment| Panel { title: title(segment), drives: &segment.drives }).collect()
 }
 
-/// What a finger's receptors make of a pattern.
-struct PredictedResponse {
-    receptors: Vec<Position>,
-    watched_s: f64,
+/// The simulated response of a fingertip's afferents.
+struct Response {
+    afferents: Vec<Position>,
+    duration_s: f64,
     rates_hz: Vec<f64>,
-    /// Kept if there are frames to be told apart.
+    /// The spikes, if the target moves.
     spikes_s: Option<Vec<Vec<f64>>>,
 }
 
-impl PredictedResponse {
-    fn by(
+impl Response {
+    fn of(
         pattern: &Pattern,
         segments: &[Segment],
         target: Option<&Target>,
         progress: &(dyn Fn(f64) + Sync),
     ) -> Result<Self, FiguresError> {
-        let moves = target.is_some_and(moves);
+        let moves = target.is_some_and(Target::moves);
         let most = if segments.len() == 1 && !moves { STEADY_S } else { LONGEST_S };
-        let watched_s = run_s(segments).min(most);
-        // As the maker does: a target's population seeds the noise too.
+        let duration_s = run_s(segments).min(most);
+        // The seed of a target's population is that of the noise, too, as in the search.
         let seed = target.map_or(SEED, Target::population_seed);
         let model = target.map_or_else(
             || AfferentModel::default_for(Rectify::Half, POPULATION_NOISE_SD),
             |target| *target.model(),
         );
-        // In a pattern a stroke exists only if it has ended by the pattern's end; in a scene, by its drive's.
+        // A stroke must end before the pattern does; in a scene, before its drive does.
         let stop_s = |drive: &Drive| drive.stop_s.or(pattern.duration_s());
         let drives = pattern.drives().iter().map(|drive| Drive { stop_s: stop_s(drive), ..*drive }).collect();
-        let scene = Scene::new(watched_s, seed, drives, population(seed), model)?;
+        let scene = Scene::new(duration_s, seed, drives, population(seed), model)?;
         let keep = if moves { Keep::Spikes } else { Keep::Rates };
         let answer = simulate(&scene, &Options { keep, ..Options::rates(Method::Exact) }, progress)?;
         let rates_hz = answer.rates_hz(&scene);
-        Ok(Self { receptors: scene.afferents().to_vec(), watched_s, rates_hz, spikes_s: answer.spikes_s })
+        Ok(Self { afferents: scene.afferents().to_vec(), duration_s, rates_hz, spikes_s: answer.spikes_s })
     }
 
-    /// The frames of its target that were watched: all of it, if it does not move.
-    fn watched<'t>(&self, target: &'t Target) -> Vec<Watched<'t>> {
+    /// The rates in the frames of the target that were simulated whole; a target at rest has one frame.
+    fn frames<'t>(&self, target: &'t Target) -> Vec<FrameRates<'t>> {
         match (&self.spikes_s, target.frames()) {
-            (Some(spikes_s), _) => target::frames(target, &self.receptors, spikes_s, self.watched_s),
+            (Some(spikes_s), _) => target::frames(target, &self.afferents, spikes_s, self.duration_s),
             (None, frames) => {
-                let whole = |frame| Watched::new(target, frame, &self.receptors, self.rates_hz.clone());
+                let whole = |frame| FrameRates::new(target, frame, &self.afferents, self.rates_hz.clone());
                 frames.iter().take(1).filter_map(whole).collect()
             }
         }
     }
 
     fn pad<'f>(&'f self, title: &str, rates_hz: &'f [f64], aim: Option<Aim<'f>>) -> Pad<'f> {
-        Pad { title: title.to_owned(), receptors: &self.receptors, rates_hz: Some(rates_hz), aim }
+        Pad { title: title.to_owned(), afferents: &self.afferents, rates_hz: Some(rates_hz), aim }
     }
 }
 
-/// Whether a target's frames have times of their own.
-fn moves(target: &Target) -> bool {
-    target.frames().iter().any(|frame| frame.start_s.is_some())
-}
-
-/// What the drawn target is, and what the drawn rates are worth, in a sentence.
-fn verdict(target: &Target, watched: &Watched<'_>) -> String {
-    let Verdict { on_hz, off_hz, cost_hz, auc } = watched.verdict;
+/// The verdict on the drawn rates, as a part of the caption.
+fn verdict(target: &Target, rates: &FrameRates<'_>) -> String {
+    let Verdict { on_hz, off_hz, cost_hz, auc } = rates.verdict;
     format!(
-        " Orange: the target, and rings around the {} receptors within {} mm of it. They have {} impulses/s in the mean, \
-         the others {}: the cost is {}, and one of them has a higher rate than one of the others with a probability \
-         of {} (AUC).{ONE_POPULATION}",
-        watched.partition.on_count(),
+        " Orange: the target, and rings around the {} afferents within {} mm of it (ON). The mean rate of ON is {} \
+         impulses/s, that of the others (OFF) {}: the contrast is {}. An ON afferent fires faster than an OFF one with \
+         a probability of {} (AUC).{ONE_POPULATION}",
+        rates.partition.on_count(),
         number(target.reach_mm()),
         number(on_hz),
         number(off_hz),
@@ -240,55 +244,57 @@ fn verdict(target: &Target, watched: &Watched<'_>) -> String {
     )
 }
 
-/// Some frames of a moving target, and what all of them come to.
-fn frames(
+/// Draws some frames of a moving target, and lists the verdicts of all.
+fn frame_figure(
     section: &mut Section,
-    felt: &PredictedResponse,
+    response: &Response,
     target: &Target,
-    watched: &[Watched<'_>],
+    frames: &[FrameRates<'_>],
     (name, command): (&str, &str),
 ) {
-    let drawn: Vec<&Watched<'_>> = target::drawn(watched.len()).into_iter().map(|at| &watched[at]).collect();
+    let drawn: Vec<&FrameRates<'_>> = target::drawn(frames.len()).into_iter().map(|at| &frames[at]).collect();
     let time = |time_s: Option<f64>| time_s.map_or("-".to_owned(), number);
     let times = |frame: &Frame| format!("{} to {} s", time(frame.start_s), time(frame.stop_s));
-    let mut shown = Vec::new();
-    for watched in &drawn {
-        shown.push(felt.pad(&times(watched.frame), &watched.rates_hz, Some(watched.aim())));
-    }
+    let shown: Vec<_> = drawn
+        .iter()
+        .map(|rates| response.pad(&times(rates.frame), &rates.rates_hz, Some(rates.aim())))
+        .collect();
     if shown.is_empty() {
         return;
     }
     let caption = format!(
-        "Predicted impulse rates in {} of the {} frames of {}, each from its spikes in that time. Orange: the target as \
-         it is in the frame, and rings around the receptors within {} mm of it.{ONE_POPULATION}",
+        "Predicted rates in {} of the {} frames of {}, each from the spikes in its time. Orange: the target in the frame, \
+         and rings around the afferents within {} mm of it.{ONE_POPULATION}",
         shown.len(),
         target.frames().len(),
         target.name(),
         number(target.reach_mm())
     );
     let mut numbers = String::from("start_s,stop_s,x_mm,y_mm,on,rate_hz\n");
-    for watched in &drawn {
-        let [start_s, stop_s] = [watched.frame.start_s, watched.frame.stop_s].map(Option::unwrap_or_default);
-        let on = watched.partition.on();
-        for ((Position { x_mm, y_mm }, on), rate) in felt.receptors.iter().zip(on).zip(&watched.rates_hz) {
+    for rates in &drawn {
+        let [start_s, stop_s] = [rates.frame.start_s, rates.frame.stop_s].map(Option::unwrap_or_default);
+        let on = rates.partition.on();
+        for ((Position { x_mm, y_mm }, on), rate) in response.afferents.iter().zip(on).zip(&rates.rates_hz) {
             // Writing to a string does not fail.
             let _ = writeln!(numbers, "{start_s},{stop_s},{x_mm:.4},{y_mm:.4},{},{rate:.4}", u8::from(*on));
         }
     }
     section.figure(&format!("pattern-{name}-frames"), pads(&shown), Some(numbers), &caption, command);
-    let head = ["from, s", "to, s", "ON, impulses/s", "OFF, impulses/s", "cost, impulses/s", "AUC"];
-    let row = |watched: &Watched<'_>| {
-        let Verdict { on_hz, off_hz, cost_hz, auc } = watched.verdict;
-        let mut row = vec![time(watched.frame.start_s), time(watched.frame.stop_s)];
+    let head = ["from, s", "to, s", "ON, impulses/s", "OFF, impulses/s", "contrast, impulses/s", "AUC"];
+    let row = |rates: &FrameRates<'_>| {
+        let Verdict { on_hz, off_hz, cost_hz, auc } = rates.verdict;
+        let mut row = vec![time(rates.frame.start_s), time(rates.frame.stop_s)];
         row.extend([on_hz, off_hz, cost_hz, auc].map(number));
         row
     };
-    section.table(&format!("Frames of {}", target.name()), &table(&head, watched.iter().map(row)));
+    section.table(&format!("Frames of {}", target.name()), &table(&head, frames.iter().map(row)));
 }
 
-fn csv(felt: &PredictedResponse, aim: Option<&Aim<'_>>) -> String {
+fn csv(response: &Response, aim: Option<&Aim<'_>>) -> String {
     let mut csv = String::from(if aim.is_some() { "x_mm,y_mm,rate_hz,on\n" } else { "x_mm,y_mm,rate_hz\n" });
-    for (index, (Position { x_mm, y_mm }, rate)) in felt.receptors.iter().zip(&felt.rates_hz).enumerate() {
+    for (index, (Position { x_mm, y_mm }, rate)) in
+        response.afferents.iter().zip(&response.rates_hz).enumerate()
+    {
         let on = aim.map_or_else(String::new, |aim| format!(",{}", u8::from(aim.on[index])));
         // Writing to a string does not fail.
         let _ = writeln!(csv, "{x_mm:.4},{y_mm:.4},{rate:.4}{on}");
@@ -296,7 +302,7 @@ fn csv(felt: &PredictedResponse, aim: Option<&Aim<'_>>) -> String {
     csv
 }
 
-/// What motors make of drives: computed once for each frequency and amplitude.
+/// The steady states of drives, computed once for each frequency and amplitude.
 struct Reached(HashMap<(u64, u64), SteadyState>);
 
 impl Reached {
@@ -318,7 +324,7 @@ impl Reached {
         self.0.get(&Self::key(drive)).map_or(f64::NAN, |steady| steady.played_peak_to_peak_um)
     }
 
-    /// Both ways.
+    /// Pulses up and down.
     fn pulses_per_s(&self, drive: &Drive) -> f64 {
         let pulses = self.0.get(&Self::key(drive)).map_or(0, |steady| steady.pulses);
         2.0 * f64::from(pulses) * drive.frequency_hz

@@ -1,14 +1,16 @@
-//! MethodLabel far a burst moves a pin: the paper's Fig. 2.
+//! The travel of a burst against its number of pulses: the paper's Fig. 2.
 //!
-//! The default plan of a calibration is played on the simulated plant, and every burst's travel read at rest before and
-//! after it, as the paper did with its laser. One motor's blocks are drawn, as the paper drew one motor's; all motors' are fitted.
+//! Simulated motors play the default plan of a calibration. The travel of every burst is the displacement at rest before
+//! and after it, as the paper measured it with a laser. The bursts of one motor are drawn, as in the paper; those of all
+//! motors are fitted.
 //!
-//! Invariant: what is drawn and what is fitted are the same blocks, as `calibrate` makes them.
+//! Invariant: drawing and fit use the same bursts, as `calibrate` makes them.
 
-use super::chart::{Axis, Chart, Dot, Point, Scale, Series, draw};
-use super::page::Section;
-use super::table::{number, table};
-use super::{FiguresError, mean_and_sd};
+use crate::chart::{Axis, Chart, Dot, Point, Scale, Series, draw};
+use crate::figures::error::FiguresError;
+use crate::figures::page::Section;
+use crate::figures::table::{number, table};
+use crate::statistics::mean_and_sd;
 use firmware_protocol::stroke::{Direction, MOTORS};
 use firmware_protocol::tick::Tick;
 use meissner_array::simulated::{SimulatedMotors, SimulatedMotorsConfig};
@@ -18,39 +20,39 @@ use plotters::chart::SeriesLabelPosition;
 use serde::Serialize;
 use std::fmt::Write;
 
-/// Whose blocks are drawn: the motor of the other figures.
+/// The motor whose bursts are drawn, as in the other figures.
 const MOTOR: u8 = 9;
 const SEED: u64 = 0;
-/// In the drawing up bursts stand so many pulses to the left of their number, down bursts to the right.
+/// The drawing shifts up bursts to the left by so many pulses, down bursts to the right.
 const ASIDE: f64 = 1.5;
 
-/// What the figure comes to.
+/// The key figures.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Pulses {
-    /// Of the plant's scatter.
+    /// Seed of the simulated motors.
     pub seed: u64,
-    /// Whose blocks are drawn.
+    /// The motor that is drawn.
     pub motor: u8,
-    /// What a pulse does by the model, µm.
+    /// Travel of a pulse in the model, µm.
     pub model_um_per_pulse: f64,
-    /// Of the motor that is drawn.
+    /// Fit of its up bursts.
     pub up: Fit,
-    /// Of the motor that is drawn.
+    /// Fit of its down bursts.
     pub down: Fit,
-    /// Of all motors, up and down.
+    /// Fit of all bursts of all motors.
     pub all: Fit,
-    /// What a group's first burst travels on the mean of all motors, over the model's.
+    /// Travel of the first burst of a group over the model's, mean of all motors.
     pub transient_gain: f64,
 }
 
-/// Measures, draws, and says what it comes to.
+/// Makes the section and the key figures.
 pub(super) fn section() -> Result<(Section, Pulses), FiguresError> {
     let plan = Plan::default();
     let config = SimulatedMotorsConfig { seed: SEED, telemetry_hz: 0, ..SimulatedMotorsConfig::default() };
-    let blocks = travels_by_sensor(&plan, &mut SimulatedMotors::new(config, Tick(0))?);
-    let drawn: Vec<BurstTravel> = blocks.iter().filter(|block| block.motor == MOTOR).copied().collect();
-    let fit = |direction| Fit::of(drawn.iter().filter(|block| block.direction == direction));
-    let firsts = blocks.iter().filter(|block| block.warm_up && block.direction == Direction::Up);
+    let bursts = travels_by_sensor(&plan, &mut SimulatedMotors::new(config, Tick(0))?);
+    let drawn: Vec<BurstTravel> = bursts.iter().filter(|burst| burst.motor == MOTOR).copied().collect();
+    let fit = |direction| Fit::of(drawn.iter().filter(|burst| burst.direction == direction));
+    let firsts = bursts.iter().filter(|burst| burst.warm_up && burst.direction == Direction::Up);
     let firsts: Vec<f64> = firsts.map(over_model).collect();
     let (transient_gain, _) = mean_and_sd(&firsts);
     let figures = Pulses {
@@ -59,20 +61,20 @@ pub(super) fn section() -> Result<(Section, Pulses), FiguresError> {
         model_um_per_pulse: UM_PER_PULSE,
         up: fit(Direction::Up)?,
         down: fit(Direction::Down)?,
-        all: Fit::of(&blocks)?,
+        all: Fit::of(&bursts)?,
         transient_gain,
     };
 
     let mut section = Section::new("pulses", "Displacement against pulses (the paper's Fig. 2)");
     let all = figures.all;
     let caption = format!(
-        "Displacement of a pin by a burst against the burst's number of pulses. Line: the motor model, 0.95/7 = {} µm per \
-         pulse. Circles: bursts of motor {MOTOR} of the simulated plant (seed {SEED}, gain of each burst scattered by 10 %), \
-         upwards to the left and downwards to the right of their number, by the displacement at rest before and after \
-         each; discs: their mean and standard deviation. They were played as `meissner calibrate` plays them: groups of \
-         {} strokes of one number, a group every {} s, the numbers mixed, all motors side by side. A group's first stroke, up \
-         and down, is drawn as squares and counts neither in the mean nor in a fit: its up burst comes after more than half a \
-         second of rest and travels {} of the model's on the mean, which is the paper's transient.",
+        "Travel of a burst against its number of pulses. Line: the motor model, 0.95/7 = {} µm per pulse. Circles: bursts \
+         of the simulated motor {MOTOR} (seed {SEED}, gain of each burst scattered by 10 %), upwards to the left and \
+         downwards to the right of their number, from the displacement at rest before and after each. Discs: their mean \
+         and standard deviation. They are played as by `meissner calibrate`: groups of {} strokes of one number, a group \
+         every {} s, in mixed order, all motors at once. Squares: the first stroke of each group, which counts neither in \
+         the mean nor in a fit. Its up burst follows more than half a second of rest and travels {} of the model's on the \
+         mean, which is the paper's transient.",
         number(UM_PER_PULSE),
         1 + STROKES_PER_GROUP,
         number(meissner_stream::calibrate::GROUP_S),
@@ -80,8 +82,9 @@ pub(super) fn section() -> Result<(Section, Pulses), FiguresError> {
     );
     section.figure("pulses", plot(&plan, &drawn)?, Some(csv(&drawn)), &caption, "meissner report");
     section.say(&format!(
-        "Of the {} measured bursts of all {MOTORS} motors the fitted slope is {} µm per pulse (standard error {}), {} of the model's 0.95/7, \
-         with an offset of {} µm; a burst scatters around it by {} % of its travel (the paper: about 10 %).",
+        "For the {} measured bursts of all {MOTORS} motors the fitted slope is {} µm per pulse (standard error {}), {} of \
+         the model's 0.95/7, with an offset of {} µm. Bursts scatter around it by {} % of their travel (the paper: \
+         about 10 %).",
         all.bursts,
         number(all.slope_um_per_pulse),
         number(all.slope_se_um_per_pulse),
@@ -93,8 +96,8 @@ pub(super) fn section() -> Result<(Section, Pulses), FiguresError> {
     Ok((section, figures))
 }
 
-fn over_model(block: &BurstTravel) -> f64 {
-    block.travel_um / (f64::from(block.pulses) * UM_PER_PULSE)
+fn over_model(burst: &BurstTravel) -> f64 {
+    burst.travel_um / (f64::from(burst.pulses) * UM_PER_PULSE)
 }
 
 fn fits(figures: &Pulses) -> String {
@@ -127,45 +130,39 @@ fn fits(figures: &Pulses) -> String {
     table(&head, rows)
 }
 
-fn csv(blocks: &[BurstTravel]) -> String {
+fn csv(bursts: &[BurstTravel]) -> String {
     let mut csv = String::from("start_s,up,settling,pulses,travel_um\n");
-    for block in blocks {
-        let start_s = ticks_to_seconds(block.start.0);
-        let (up, settling) = (u8::from(block.direction == Direction::Up), u8::from(block.warm_up));
+    for burst in bursts {
+        let start_s = ticks_to_seconds(burst.start.0);
+        let (up, settling) = (u8::from(burst.direction == Direction::Up), u8::from(burst.warm_up));
         // Writing to a string does not fail.
-        let _ = writeln!(csv, "{start_s:.6},{up},{settling},{},{:.4}", block.pulses, block.travel_um);
+        let _ = writeln!(csv, "{start_s:.6},{up},{settling},{},{:.4}", burst.pulses, burst.travel_um);
     }
     csv
 }
 
-fn plot(plan: &Plan, blocks: &[BurstTravel]) -> Result<String, FiguresError> {
-    let of = |warm_up: bool| blocks.iter().filter(move |travel| travel.warm_up == warm_up);
-    let point = |block: &BurstTravel| {
-        let aside = if block.direction == Direction::Up { -ASIDE } else { ASIDE };
-        Point { x: f64::from(block.pulses) + aside, y: block.travel_um, sd: 0.0 }
+fn plot(plan: &Plan, bursts: &[BurstTravel]) -> Result<String, FiguresError> {
+    let of = |warm_up: bool| bursts.iter().filter(move |travel| travel.warm_up == warm_up);
+    let point = |burst: &BurstTravel| {
+        let aside = if burst.direction == Direction::Up { -ASIDE } else { ASIDE };
+        Point { x: f64::from(burst.pulses) + aside, y: burst.travel_um, sd: 0.0 }
     };
     let mean = |&pulses: &u16| {
         let travels: Vec<f64> =
-            of(false).filter(|block| block.pulses == pulses).map(|block| block.travel_um).collect();
+            of(false).filter(|burst| burst.pulses == pulses).map(|burst| burst.travel_um).collect();
         let (y, sd) = mean_and_sd(&travels);
         Point { x: pulses.into(), y, sd }
     };
     let most = f64::from(plan.pulses().iter().copied().max().unwrap_or_default()) + 10.0;
-    let highest = blocks.iter().map(|block| block.travel_um).fold(0.0, f64::max);
-    let series = |name: &str, points, dot| Series { name: name.to_owned(), line: Vec::new(), points, dot };
+    let highest = bursts.iter().map(|burst| burst.travel_um).fold(0.0, f64::max);
+    let series = |name, points, dot| Series { points, dot, ..Series::line(name, Vec::new()) };
     let chart = Chart {
-        title: "Displacement of a pin by a burst: model (line) and simulated plant",
-        x: Axis { name: "pulses", scale: Scale { from: 0.0, to: most, logarithmic: false } },
-        y: Axis {
-            name: "displacement, um",
-            scale: Scale { from: 0.0, to: (highest / 5.0).ceil() * 5.0, logarithmic: false },
-        },
+        title: "Travel of a burst: model (line) and simulated motors",
+        x: Axis { name: "pulses", scale: Scale::linear(0.0, most) },
+        y: Axis { name: "travel, um", scale: Scale::linear(0.0, (highest / 5.0).ceil() * 5.0) },
         legend: SeriesLabelPosition::UpperLeft,
         series: vec![
-            Series {
-                line: vec![(0.0, 0.0), (most, most * UM_PER_PULSE)],
-                ..series("model: 0.95/7 um per pulse", Vec::new(), Dot::Disc)
-            },
+            Series::line("model: 0.95/7 um per pulse", vec![(0.0, 0.0), (most, most * UM_PER_PULSE)]),
             series("bursts", of(false).map(point).collect(), Dot::Ring),
             series("first stroke of a group", of(true).map(point).collect(), Dot::Square),
             series("mean and standard deviation", plan.pulses().iter().map(mean).collect(), Dot::Disc),

@@ -1,15 +1,17 @@
-//! What a receptor under a pin makes of amplitude and frequency.
+//! The rate of an afferent under a pin, against amplitude and against frequency.
 //!
-//! The paper remarks that the amplitude does not matter much. Rate against amplitude, for some frequencies, says where that
-//! holds and where not; rate against frequency, for two amplitudes, where receptors fire most. Receptors are simulated
-//! exactly; each draws its own threshold noise, and the mean over them is shown.
+//! The paper remarks that the amplitude does not matter much. Rate against amplitude, for some frequencies, shows where
+//! that holds. Rate against frequency, for two amplitudes, shows where afferents fire most. Rates are means over
+//! afferents that differ in their threshold noise, simulated exactly.
 //!
-//! Invariant: what the page says in numbers is found in the numbers that are drawn.
+//! Invariant: the numbers in the text follow from the numbers that are drawn.
 
-use super::chart::{Axis, Chart, Dot, Scale, Series, draw};
-use super::page::Section;
-use super::table::{number, table};
-use super::{FiguresError, Parts, mean_and_sd};
+use crate::chart::{Axis, Chart, Scale, Series, draw};
+use crate::figures::error::FiguresError;
+use crate::figures::page::Section;
+use crate::figures::table::{number, table};
+use crate::progress::Parts;
+use crate::statistics::mean_and_sd;
 use firmware_protocol::tick::TICK_HZ;
 use meissner_array::geometry;
 use meissner_array::pattern::{AMPLITUDE_UM, Drive};
@@ -21,23 +23,23 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::fmt::Write;
 
-/// Whose pin the receptors lie under; its neighbours rest.
+/// The motor of the pin above the afferents; all others are off.
 const MOTOR: u8 = 9;
-const RECEPTORS: usize = 8;
+const AFFERENTS: usize = 8;
 const DURATION_S: f64 = 1.0;
 const SEED: u64 = 0;
 /// Frequencies whose rates are drawn against the amplitude, Hz.
 const FREQUENCIES_HZ: [f64; 6] = [10.0, 20.0, 30.0, 60.0, 100.0, 150.0];
-/// Between amplitudes, µm; the first is one, the last a pattern's largest.
+/// The step of amplitudes, µm, up to the largest of a pattern.
 const STEP_UM: f64 = 5.0;
-/// Amplitudes whose rates are drawn against the frequency, µm: the paper's, and one that saturates at none of the
-/// frequencies at which receptors fire most.
+/// Amplitudes whose rates are drawn against the frequency, µm: the paper's, and one that does not saturate at the
+/// frequencies where afferents fire most.
 const AMPLITUDES_UM: [f64; 2] = [30.0, 80.0];
-/// 5 to 300 Hz, by 1.
+/// Frequencies against which rates are drawn, Hz.
 const SWEPT_HZ: std::ops::RangeInclusive<u32> = 5..=300;
-/// Rates that differ by less are the same, as a share of the larger.
+/// Rates that differ by less are equal, as a share of the larger.
 const SAME: f64 = 0.10;
-/// Rates so near to the peak belong to it, as a share of it.
+/// The width of a peak is that of rates so near to it, as a share.
 const NEAR_PEAK: f64 = 0.03;
 
 /// A simulated rate.
@@ -49,7 +51,7 @@ struct Row {
     sd_hz: f64,
 }
 
-/// What the figures come to.
+/// The key figures.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Rate {
     /// One for each frequency.
@@ -58,26 +60,26 @@ pub struct Rate {
     pub by_frequency: Vec<Peak>,
 }
 
-/// Amplitudes that do not matter much, at one frequency.
+/// The range in which the amplitude does not matter much, at one frequency.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Plateau {
     /// The frequency.
     pub frequency_hz: f64,
-    /// From here on the drive is a triangle that no amplitude makes larger.
+    /// The drive is saturated from this amplitude on: a triangle that no amplitude makes larger.
     pub saturated_from_um: f64,
-    /// The widest range of amplitudes in which the rate is above 0 and changes by less than 10 %: from here ...
+    /// Lower end of the widest range in which the rate is above 0 and changes by less than 10 %.
     pub from_um: f64,
-    /// ... to here.
+    /// Upper end of that range.
     pub to_um: f64,
     /// Lowest rate in that range, impulses/s.
     pub lowest_hz: f64,
     /// Highest rate in that range, impulses/s.
     pub highest_hz: f64,
-    /// Rate at the smallest amplitude, impulses/s.
+    /// Rate at the smallest amplitude of the grid, impulses/s.
     pub first_hz: f64,
 }
 
-/// Where receptors fire most, at one amplitude.
+/// The frequency at which afferents fire most, at one amplitude.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Peak {
     /// The amplitude.
@@ -86,22 +88,22 @@ pub struct Peak {
     pub frequency_hz: f64,
     /// That rate, impulses/s.
     pub rate_hz: f64,
-    /// Around it the rate is within 3 % of the highest: from here ...
+    /// Lower end of the range around it with rates within 3 % of the highest.
     pub from_hz: f64,
-    /// ... to here.
+    /// Upper end of that range.
     pub to_hz: f64,
 }
 
-/// Simulates, draws, and says what it comes to.
+/// Makes the section and the key figures.
 pub(super) fn section(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Rate), FiguresError> {
     let last_um = *AMPLITUDE_UM.end();
-    let steps = (1..).map(|n| f64::from(n) * STEP_UM).take_while(|um| *um <= last_um);
-    let amplitudes: Vec<f64> = steps.collect();
+    let amplitudes: Vec<f64> =
+        (1..).map(|n| f64::from(n) * STEP_UM).take_while(|um| *um <= last_um).collect();
     let by_amplitude = FREQUENCIES_HZ.iter().flat_map(|&hz| amplitudes.iter().map(move |&um| (hz, um)));
     let by_frequency = AMPLITUDES_UM.iter().flat_map(|&um| SWEPT_HZ.map(move |hz| (f64::from(hz), um)));
-    let asked: Vec<(f64, f64)> = by_amplitude.chain(by_frequency).collect();
-    let parts = Parts::new(asked.len(), progress);
-    let rows = asked.into_par_iter().map(|(frequency_hz, amplitude_um)| {
+    let settings: Vec<(f64, f64)> = by_amplitude.chain(by_frequency).collect();
+    let parts = Parts::new(settings.len(), progress);
+    let rows = settings.into_par_iter().map(|(frequency_hz, amplitude_um)| {
         let row = row(frequency_hz, amplitude_um);
         parts.done();
         row
@@ -113,14 +115,21 @@ pub(super) fn section(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Rate)
         by_frequency: by_frequency.chunks(SWEPT_HZ.count()).filter_map(peak).collect(),
     };
 
-    let mut section = Section::new("rate", "Impulse rate of a receptor under a pin");
+    let mut section = Section::new("rate", "Rate of an afferent under a pin");
     let what = format!(
-        "Mean of {RECEPTORS} receptors under the pin of motor {MOTOR}, simulated exactly for {} s (noise seed {SEED}, SD \
+        "Mean of {AFFERENTS} afferents under the pin of motor {MOTOR}, simulated exactly for {} s (noise seed {SEED}, SD \
          {POPULATION_NOISE_SD} of the threshold, indentation only), all other motors off.",
         number(DURATION_S)
     );
     let caption = format!("Impulse rate against amplitude, for {} frequencies. {what}", FREQUENCIES_HZ.len());
-    let drawn = by_amplitude_plot(&by_amplitude)?;
+    let drawn = plot(
+        "Rate against amplitude, under one pin",
+        Axis { name: "amplitude of the drive, um peak to peak", scale: Scale::linear(0.0, last_um) },
+        SeriesLabelPosition::LowerRight,
+        &by_amplitude,
+        |row| format!("{} Hz", row.frequency_hz),
+        |row| row.amplitude_um,
+    )?;
     let numbers = csv("frequency_hz,amplitude_um", &by_amplitude, |row| (row.frequency_hz, row.amplitude_um));
     section.figure("rate-amplitude", drawn, Some(numbers), &caption, "meissner report");
     for plateau in figures.by_amplitude.iter().filter(|plateau| plateau.frequency_hz == 60.0) {
@@ -140,7 +149,14 @@ pub(super) fn section(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Rate)
     });
     let peaks = peaks.collect::<Vec<_>>().join("; ");
     let caption = format!("Impulse rate against frequency: {peaks}. {what}");
-    let drawn = by_frequency_plot(&by_frequency)?;
+    let drawn = plot(
+        "Rate against frequency, under one pin",
+        Axis { name: "frequency, Hz", scale: Scale::linear(0.0, 300.0) },
+        SeriesLabelPosition::UpperRight,
+        &by_frequency,
+        |row| format!("{} um", row.amplitude_um),
+        |row| row.frequency_hz,
+    )?;
     let numbers = csv("amplitude_um,frequency_hz", &by_frequency, |row| (row.amplitude_um, row.frequency_hz));
     section.figure("rate-frequency", drawn, Some(numbers), &caption, "meissner report");
     Ok((section, figures))
@@ -149,15 +165,15 @@ pub(super) fn section(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Rate)
 fn row(frequency_hz: f64, amplitude_um: f64) -> Result<Row, FiguresError> {
     let [x_mm, y_mm] = geometry::position_mm(MOTOR);
     let drive = Drive { motor: MOTOR, frequency_hz, amplitude_um, phase: 0.0, start_s: None, stop_s: None };
-    let receptors = vec![Position { x_mm, y_mm }; RECEPTORS];
+    let afferents = vec![Position { x_mm, y_mm }; AFFERENTS];
     let model = AfferentModel::default_for(Rectify::Half, POPULATION_NOISE_SD);
-    let scene = Scene::new(DURATION_S, SEED, vec![drive], receptors, model)?;
+    let scene = Scene::new(DURATION_S, SEED, vec![drive], afferents, model)?;
     let answer = simulate(&scene, &Options::rates(Method::Exact), &|_| ())?;
     let (rate_hz, sd_hz) = mean_and_sd(&answer.rates_hz(&scene));
     Ok(Row { frequency_hz, amplitude_um, rate_hz, sd_hz })
 }
 
-/// The widest range of a frequency's amplitudes with nearly the same rate.
+/// The widest range of amplitudes with nearly one rate, at one frequency.
 fn plateau(rows: &[Row]) -> Option<Plateau> {
     let mut widest: Option<Plateau> = None;
     for (index, first) in rows.iter().enumerate() {
@@ -186,7 +202,7 @@ fn plateau(rows: &[Row]) -> Option<Plateau> {
 }
 
 fn peak(rows: &[Row]) -> Option<Peak> {
-    // Of equal ones the first.
+    // The first of equals.
     let highest = rows.iter().map(|row| row.rate_hz).fold(f64::NEG_INFINITY, f64::max);
     let at = rows.iter().position(|row| row.rate_hz == highest)?;
     let near = |row: &&Row| row.rate_hz >= highest * (1.0 - NEAR_PEAK);
@@ -201,14 +217,14 @@ fn peak(rows: &[Row]) -> Option<Peak> {
     })
 }
 
-/// MethodLabel far the paper's remark holds, in a sentence of computed numbers.
+/// Where the paper's remark holds, in computed numbers.
 fn remark(plateau: &Plateau) -> String {
     let Plateau { frequency_hz, saturated_from_um, from_um, to_um, lowest_hz, highest_hz, first_hz } =
         *plateau;
     format!(
         "The paper remarks that the amplitude does not affect much. At {} Hz the rate changes by less than {} % between \
-         {} and {} µm ({} to {} impulses/s); the drive saturates from {} µm on, beyond which the motor does the same \
-         whatever is asked. Below that range it matters: at {} µm the rate is {} impulses/s.",
+         {} and {} µm ({} to {} impulses/s); the drive saturates from {} µm on, so larger amplitudes change nothing. \
+         Below that range the amplitude matters: at {} µm the rate is {} impulses/s.",
         number(frequency_hz),
         number(SAME * 100.0),
         number(from_um),
@@ -247,55 +263,21 @@ fn csv(keys: &str, rows: &[Row], of: impl Fn(&Row) -> (f64, f64)) -> String {
     csv
 }
 
-const RATE: &str = "rate, impulses/s";
-
-fn by_amplitude_plot(rows: &[Row]) -> Result<String, FiguresError> {
-    let curve = |hz: f64| {
-        let of_frequency = rows.iter().filter(|row| row.frequency_hz == hz);
-        Series {
-            name: format!("{hz} Hz"),
-            line: of_frequency.map(|row| (row.amplitude_um, row.rate_hz)).collect(),
-            points: Vec::new(),
-            dot: Dot::Disc,
-        }
-    };
-    let chart = Chart {
-        title: "Rate against amplitude, under one pin",
-        x: Axis {
-            name: "amplitude asked for, um peak to peak",
-            scale: Scale { from: 0.0, to: *AMPLITUDE_UM.end(), logarithmic: false },
-        },
-        y: Axis { name: RATE, scale: rate_scale(rows) },
-        legend: SeriesLabelPosition::LowerRight,
-        series: FREQUENCIES_HZ.map(curve).into(),
-    };
-    Ok(draw(&chart)?)
-}
-
-fn by_frequency_plot(rows: &[Row]) -> Result<String, FiguresError> {
-    let curve = |um: f64| {
-        let of_amplitude = rows.iter().filter(|row| row.amplitude_um == um);
-        Series {
-            name: format!("{um} um"),
-            line: of_amplitude.map(|row| (row.frequency_hz, row.rate_hz)).collect(),
-            points: Vec::new(),
-            dot: Dot::Disc,
-        }
-    };
-    let chart = Chart {
-        title: "Rate against frequency, under one pin",
-        x: Axis { name: "frequency, Hz", scale: Scale { from: 0.0, to: 300.0, logarithmic: false } },
-        y: Axis { name: RATE, scale: rate_scale(rows) },
-        legend: SeriesLabelPosition::UpperRight,
-        series: AMPLITUDES_UM.map(curve).into(),
-    };
-    Ok(draw(&chart)?)
-}
-
-/// From 0 to the next fifty.
-fn rate_scale(rows: &[Row]) -> Scale {
+/// Draws the rates of each group, which `name` names, against `x`.
+fn plot(
+    title: &str,
+    x: Axis<'_>,
+    legend: SeriesLabelPosition,
+    rows: &[Row],
+    name: impl Fn(&Row) -> String,
+    place: impl Fn(&Row) -> f64,
+) -> Result<String, FiguresError> {
+    let groups = rows.chunk_by(|a, b| name(a) == name(b));
+    let series = groups
+        .map(|rows| Series::line(name(&rows[0]), rows.iter().map(|row| (place(row), row.rate_hz)).collect()));
     let highest = rows.iter().map(|row| row.rate_hz).fold(0.0, f64::max);
-    Scale { from: 0.0, to: (highest / 50.0).ceil().max(1.0) * 50.0, logarithmic: false }
+    let y = Axis { name: "rate, impulses/s", scale: Scale::fifties(0.0, highest) };
+    Ok(draw(&Chart { title, x, y, legend, series: series.collect() })?)
 }
 
 #[cfg(test)]
@@ -321,7 +303,7 @@ mod tests {
     }
 
     #[test]
-    fn a_peak_has_a_width() {
+    fn a_peak_has_a_place_and_a_width() {
         let found = peak(&rows(&[97.5, 90.0, 98.0, 100.0, 97.0, 96.9])).unwrap();
         assert_eq!((found.frequency_hz, found.rate_hz), (90.0, 100.0));
         assert_eq!((found.from_hz, found.to_hz), (80.0, 100.0));

@@ -1,9 +1,9 @@
-//! A pattern cut into segments in which the same drives run.
+//! The segments of a pattern: times in which the same drives run.
 //!
-//! A drive that starts or stops ends a segment and begins the next. Neighbours in which the same motors do the same are
-//! one. Drives of amplitude 0 are off and in none. Times of the same tick are the same time.
+//! A segment ends when a drive starts or stops. Neighbouring segments with equal drives are merged. Drives of amplitude 0
+//! are left out. Times in the same tick are equal.
 //!
-//! Invariant: segments follow each other without a gap, from 0 to the pattern's end; no motor is twice in one.
+//! Invariant: segments follow each other without a gap, from 0 to the end of the pattern. No motor occurs twice in one.
 
 use meissner_array::pattern::Drive;
 use meissner_array::units::seconds_to_ticks;
@@ -13,13 +13,13 @@ use meissner_array::units::seconds_to_ticks;
 pub struct Segment {
     /// When it begins, s.
     pub start_s: f64,
-    /// When it ends, s; none: it does not.
+    /// When it ends, s; none if it does not end.
     pub stop_s: Option<f64>,
-    /// What runs.
+    /// The drives that run.
     pub drives: Vec<Drive>,
 }
 
-/// The segments of a pattern's drives; at least one. A pattern without a duration ends when its last drive has stopped.
+/// The segments of some drives, at least one. Without a duration the pattern ends when its last drive stops.
 #[must_use]
 pub fn segments(drives: &[Drive], duration_s: Option<f64>) -> Vec<Segment> {
     let drives: Vec<Drive> = drives.iter().filter(|drive| drive.amplitude_um > 0.0).copied().collect();
@@ -61,7 +61,7 @@ mod tests {
     }
 
     #[test]
-    fn drives_that_stay_are_one_stretch() {
+    fn steady_drives_are_one_segment() {
         for duration_s in [None, Some(5.0)] {
             let found = segments(&[drive(3, None, None), drive(4, Some(0.0), duration_s)], duration_s);
             assert_eq!((found.len(), found[0].start_s, found[0].stop_s), (1, 0.0, duration_s));
@@ -74,7 +74,7 @@ mod tests {
     }
 
     #[test]
-    fn starts_and_stops_cut_and_gaps_are_stretches_too() {
+    fn starts_and_stops_end_a_segment_and_gaps_are_segments() {
         let drives = [drive(0, None, Some(1.0)), drive(1, Some(0.5), Some(1.0)), drive(2, Some(2.0), None)];
         let found = segments(&drives, Some(3.0));
         let times: Vec<_> = found.iter().map(|segment| (segment.start_s, segment.stop_s.unwrap())).collect();
@@ -84,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_duration_the_last_stop_is_the_end() {
+    fn without_a_duration_the_last_stop_ends_the_pattern() {
         let found = segments(&[drive(0, None, Some(1.0)), drive(1, Some(1.0), Some(2.5))], None);
         assert_eq!(found.last().unwrap().stop_s, Some(2.5));
         assert_eq!(found.len(), 2);

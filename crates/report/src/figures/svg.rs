@@ -1,12 +1,12 @@
-//! A drawing of circles, lines and words, as an SVG: what a chart does not draw.
+//! A drawing of circles, lines and text as SVG, for maps.
 //!
 //! Coordinates are pixels from the upper left corner. Numbers are written with two decimals.
 //!
-//! Invariant: words are escaped and elements closed, so that every drawing is well formed.
+//! Invariant: text is escaped and elements are closed, so every drawing is well formed.
 
 use std::fmt::Write;
 
-/// Text as it stands in SVG and HTML, in attributes too.
+/// Escapes text for SVG and HTML, attributes included.
 pub(super) fn escape(text: &str) -> String {
     let mut escaped = String::with_capacity(text.len());
     for c in text.chars() {
@@ -16,7 +16,7 @@ pub(super) fn escape(text: &str) -> String {
             '>' => escaped.push_str("&gt;"),
             '"' => escaped.push_str("&quot;"),
             '\'' => escaped.push_str("&#39;"),
-            // No control character but these is allowed there, escaped or not.
+            // Other control characters are not allowed, not even escaped.
             c if c.is_control() && !matches!(c, '\n' | '\t') => escaped.push('\u{fffd}'),
             c => escaped.push(c),
         }
@@ -24,14 +24,14 @@ pub(super) fn escape(text: &str) -> String {
     escaped
 }
 
-/// Where a word begins.
+/// The point of a text that lies at its coordinates.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Anchor {
     Start,
     Middle,
 }
 
-/// A drawing in the making.
+/// An unfinished drawing.
 #[derive(Debug)]
 pub(super) struct Drawing {
     width: f64,
@@ -39,7 +39,7 @@ pub(super) struct Drawing {
     elements: String,
 }
 
-/// MethodLabel a closed shape is painted, in CSS colours.
+/// The CSS colours of a closed shape.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Paint<'a> {
     pub(super) fill: &'a str,
@@ -112,7 +112,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn words_cannot_leave_their_element() {
+    fn text_cannot_leave_its_element() {
         let mut drawing = Drawing::new(10.0, 20.0);
         drawing.words((1.0, 2.0), 9, Anchor::Middle, "#000", "</text><script>\"&'\u{1}");
         let svg = drawing.finish();

@@ -1,20 +1,19 @@
-//! Tables of the page: of any figures, of a pattern's provenance, and of its robustness.
+//! Tables of the page: figures, and the provenance and robustness of a pattern.
 //!
-//! Provenance is a free table of whoever made the pattern; it is laid out without knowing its keys. Tables in it become
-//! keys with dots.
+//! Provenance may have any keys. The keys of inner tables are joined with dots.
 //!
 //! Invariant: every cell is escaped.
 
-use super::svg::escape;
+use crate::figures::svg::escape;
 use std::fmt::Write;
 use toml::{Table, Value};
 
-/// The key of the provenance that says what the pattern is worth where it was not optimised.
-pub(super) const ROBUSTNESS: &str = "robustness";
-/// Numbers of an array that are written out.
+/// The key of the provenance with the pattern's robustness.
+const ROBUSTNESS: &str = "robustness";
+/// The most numbers of an array in a cell.
 const SHOWN: usize = 24;
 
-/// Four significant digits.
+/// A number with four significant digits.
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped")]
 pub(super) fn number(number: f64) -> String {
     if number == 0.0 || !number.is_finite() {
@@ -25,7 +24,7 @@ pub(super) fn number(number: f64) -> String {
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
 }
 
-/// A table with a head.
+/// A table with a header row.
 pub(super) fn table(head: &[&str], rows: impl IntoIterator<Item = Vec<String>>) -> String {
     let mut html = String::from("<table>\n<tr>");
     // Writing to a string does not fail.
@@ -43,7 +42,7 @@ pub(super) fn table(head: &[&str], rows: impl IntoIterator<Item = Vec<String>>) 
     html + "</table>\n"
 }
 
-/// What made a pattern, without its robustness; none if nothing is said.
+/// The provenance of a pattern, without its robustness; none if it is empty.
 pub(super) fn provenance(provenance: &Table) -> Option<String> {
     let mut rows = Vec::new();
     flatten("", provenance, &mut |key, value| {
@@ -54,7 +53,7 @@ pub(super) fn provenance(provenance: &Table) -> Option<String> {
     (!rows.is_empty()).then(|| table(&["key", "value"], rows))
 }
 
-/// The numbers and arrays of numbers of the robustness table, with what they come to; none if there are none.
+/// The numbers of the robustness table, and arrays with their mean, least and most; none if there are none.
 pub(super) fn robustness(provenance: &Table) -> Option<String> {
     let mut rows = Vec::new();
     flatten("", provenance.get(ROBUSTNESS)?.as_table()?, &mut |key, value| {
@@ -74,7 +73,7 @@ pub(super) fn robustness(provenance: &Table) -> Option<String> {
     (!rows.is_empty()).then(|| table(&["figure", "value", "mean", "least", "most"], rows))
 }
 
-/// Every value that is no table, in the table's order, under its keys joined by dots.
+/// Visits every value except tables, in order, with its keys joined by dots.
 fn flatten(above: &str, table: &Table, take: &mut impl FnMut(String, &Value)) {
     for (key, value) in table {
         let key = if above.is_empty() { key.clone() } else { format!("{above}.{key}") };
@@ -85,7 +84,7 @@ fn flatten(above: &str, table: &Table, take: &mut impl FnMut(String, &Value)) {
     }
 }
 
-/// The numbers of a value that is one, or an array of nothing else.
+/// A number, or the numbers of an array that holds nothing else.
 fn numbers(value: &Value) -> Vec<f64> {
     #[expect(clippy::cast_precision_loss, reason = "only shown")]
     let one = |value: &Value| value.as_float().or(value.as_integer().map(|number| number as f64));
@@ -125,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn provenance_is_laid_out_whatever_it_holds() {
+    fn any_provenance_becomes_a_table() {
         let made: Table = r#"
             method = "<search>"
             seeds = [1, 2]

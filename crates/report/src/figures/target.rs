@@ -1,58 +1,56 @@
-//! What a pattern was made for, and how well it comes to it.
+//! The verdict on a pattern for the target in its provenance.
 //!
-//! A pattern made for a target keeps it in its provenance. Receptors within reach of the target
-//! should fire and the others should not; how far they do, is said of rates that somebody else has simulated. Of a
-//! target that moves each frame is judged by the spikes in its own time.
+//! Each frame of a moving target is judged by the spikes in its time.
 //!
-//! Invariant: a verdict depends on the rates it is given and on where the receptors are, and on no word of the maker's.
+//! Invariant: a verdict depends on the rates and the places of the afferents, on nothing else in the provenance.
 
-use super::map::Aim;
+use crate::figures::map::Aim;
 use meissner_design::{Frame, Partition, Target, Verdict};
 use meissner_skin::afferent::Position;
 use serde::Serialize;
 
-/// Frames that are drawn at the most.
+/// The most frames that are drawn.
 const DRAWN: usize = 4;
 
-/// What a pattern comes to for the target it was made for.
+/// The verdicts on a pattern for its target.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TargetFigures {
-    /// What the target is called.
+    /// The name of the target.
     pub name: String,
-    /// Every frame that was watched as a whole; of a target at rest there is one.
+    /// The frames that were simulated whole; a target at rest has one.
     pub frames: Vec<FrameFigures>,
 }
 
-/// A frame, and what comes of it.
+/// A frame and its verdict.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct FrameFigures {
-    /// When it begins; none if the target does not move.
+    /// When it begins, s; none for a target at rest.
     pub start_s: Option<f64>,
-    /// When it ends.
+    /// When it ends, s.
     pub stop_s: Option<f64>,
-    /// What the rates are worth.
+    /// The verdict on the rates.
     #[serde(flatten)]
     pub verdict: Verdict,
 }
 
-/// A frame with the rates in its time.
+/// A frame and the rates in its time.
 #[derive(Clone, Debug)]
-pub(super) struct Watched<'t> {
+pub(super) struct FrameRates<'t> {
     pub(super) frame: &'t Frame,
     pub(super) partition: Partition,
     pub(super) rates_hz: Vec<f64>,
     pub(super) verdict: Verdict,
 }
 
-impl<'t> Watched<'t> {
-    /// A frame, if there are receptors on both partition.
+impl<'t> FrameRates<'t> {
+    /// The frame with its verdict; none without ON or OFF afferents.
     pub(super) fn new(
         target: &Target,
         frame: &'t Frame,
-        receptors: &[Position],
+        afferents: &[Position],
         rates_hz: Vec<f64>,
     ) -> Option<Self> {
-        let partition = Partition::of(&frame.shape, target.reach_mm(), receptors);
+        let partition = Partition::of(&frame.shape, target.reach_mm(), afferents);
         let verdict = partition.verdict(&rates_hz)?;
         Some(Self { frame, partition, rates_hz, verdict })
     }
@@ -66,21 +64,21 @@ impl<'t> Watched<'t> {
     }
 }
 
-/// The frames of a moving target that end by `watched_s`, each with the rates from its beginning to its end.
+/// The frames of a moving target that end by `duration_s`, with the rates in their times.
 pub(super) fn frames<'t>(
     target: &'t Target,
-    receptors: &[Position],
+    afferents: &[Position],
     spikes_s: &[Vec<f64>],
-    watched_s: f64,
-) -> Vec<Watched<'t>> {
-    let watched = |frame: &'t Frame| {
-        frame.stop_s.filter(|stop_s| *stop_s <= watched_s)?;
-        Watched::new(target, frame, receptors, frame.rates_hz(spikes_s)?)
+    duration_s: f64,
+) -> Vec<FrameRates<'t>> {
+    let rates = |frame: &'t Frame| {
+        frame.stop_s.filter(|stop_s| *stop_s <= duration_s)?;
+        FrameRates::new(target, frame, afferents, frame.rates_hz(spikes_s)?)
     };
-    target.frames().iter().filter_map(watched).collect()
+    target.frames().iter().filter_map(rates).collect()
 }
 
-/// Which of so many frames are drawn: the first, the last and two between, or all if they are no more than that.
+/// The frames to draw: the first, the last and two between, or all if there are at most four.
 pub(super) fn drawn(frames: usize) -> Vec<usize> {
     match frames.checked_sub(1) {
         Some(last) if last >= DRAWN => (0..DRAWN).map(|part| (part * last + 1) / (DRAWN - 1)).collect(),
@@ -104,22 +102,22 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_has_the_spikes_of_its_own_time() {
+    fn a_frame_counts_the_spikes_in_its_time() {
         let target = shipped("moving-edge").unwrap();
-        let receptors = population(0);
+        let afferents = population(0);
         let count = target.frames().len();
         let edges = |n: usize| target.frames()[n].start_s.unwrap();
-        // One spike at each frame's very beginning, but two in the second.
+        // One spike at the beginning of each frame, and one more in the second.
         let mut train: Vec<f64> = (0..count).map(edges).collect();
         train.insert(2, edges(1) + 1e-6);
-        let spikes_s = vec![train; receptors.len()];
-        let found = frames(&target, &receptors, &spikes_s, 1.0);
+        let spikes_s = vec![train; afferents.len()];
+        let found = frames(&target, &afferents, &spikes_s, 1.0);
         assert_eq!(found.len(), count);
-        for (index, watched) in found.iter().enumerate() {
+        for (index, rates) in found.iter().enumerate() {
             let expected = if index == 1 { 2.0 } else { 1.0 } * count as f64;
-            assert!(watched.rates_hz.iter().all(|rate| (rate - expected).abs() < 1e-6));
-            assert_eq!((watched.verdict.cost_hz, watched.verdict.auc), (0.0, 0.5));
+            assert!(rates.rates_hz.iter().all(|rate| (rate - expected).abs() < 1e-6));
+            assert_eq!((rates.verdict.cost_hz, rates.verdict.auc), (0.0, 0.5));
         }
-        assert_eq!(frames(&target, &receptors, &spikes_s, 0.5 * edges(1)).len(), 0);
+        assert_eq!(frames(&target, &afferents, &spikes_s, 0.5 * edges(1)).len(), 0);
     }
 }

@@ -1,26 +1,25 @@
-//! The lead against late bursts, onsets and bytes as an SVG: three charts, one above the other, over the same leads.
+//! Late bursts, onsets and bytes against the lead as SVG: three charts, one above the other.
 //!
 //! Invariant: the same figures make the same bytes.
 
-use super::{LeadRow, LeadTradeoff};
-use crate::PlotError;
-use crate::figures::chart::{Axis, Chart, Dot, Point, Scale, Series, stacked};
+use crate::chart::{Axis, Chart, PlotError, Scale, Series, stacked};
+use crate::lead::tradeoff::{LeadRow, LeadTradeoff};
 use plotters::prelude::SeriesLabelPosition;
 
-/// A series: its name, and its figure of a row.
+/// The name of a series, and its value for a row.
 type Curve<'a> = (&'a str, &'a dyn Fn(&LeadRow) -> Option<f64>);
 
-/// Draws a trade-off of leads; the text of an SVG file.
+/// Draws a comparison of leads; returns the text of an SVG file.
 ///
 /// # Errors
-/// If the drawing library gives up.
+/// If the drawing library fails.
 pub fn plot_lead(tradeoff: &LeadTradeoff) -> Result<String, PlotError> {
     let late = format!("Late bursts, under {} s of recorded stalls", tradeoff.trace.seconds);
     stacked(&[
         chart(tradeoff, &late, "late, percent", &[("late bursts", &|row| Some(100.0 * row.late_share))]),
         chart(
             tradeoff,
-            "From an order to its onset",
+            "From a request to its onset",
             "onset latency, ms",
             &[
                 ("longest", &|row| row.onset_ms_max),
@@ -40,27 +39,22 @@ pub fn plot_lead(tradeoff: &LeadTradeoff) -> Result<String, PlotError> {
     ])
 }
 
-/// One quantity, from 0 up.
+/// A chart of one quantity, from 0 up.
 fn chart<'a>(tradeoff: &LeadTradeoff, title: &'a str, name: &'a str, curves: &[Curve<'_>]) -> Chart<'a> {
     let series = |&(name, figure): &Curve<'_>| {
         let points = tradeoff.rows.iter().filter_map(|row| Some((row.lead_ms, figure(row)?)));
-        let line: Vec<_> = points.collect();
-        let points = line.iter().map(|&(x, y)| Point { x, y, sd: 0.0 }).collect();
-        Series { name: name.to_owned(), line, points, dot: Dot::Disc }
+        Series::marked(name, points.collect())
     };
     let series: Vec<_> = curves.iter().map(series).collect();
     let most = series.iter().flat_map(|series| &series.line).map(|point| point.1).fold(0.0, f64::max);
     let leads = || tradeoff.rows.iter().map(|row| row.lead_ms);
     let (from, to) = (leads().fold(f64::INFINITY, f64::min), leads().fold(0.0, f64::max));
-    // One lead, or none, has no width.
+    // A single lead, or none, gives no range.
     let (from, to) = if from < to { (from, to) } else { (1.0, 1000.0) };
     Chart {
         title,
-        x: Axis { name: "lead, ms", scale: Scale { from, to, logarithmic: true } },
-        y: Axis {
-            name,
-            scale: Scale { from: 0.0, to: if most > 0.0 { most * 1.1 } else { 1.0 }, logarithmic: false },
-        },
+        x: Axis { name: "lead, ms", scale: Scale::logarithmic(from, to) },
+        y: Axis { name, scale: Scale::linear(0.0, if most > 0.0 { most * 1.1 } else { 1.0 }) },
         legend: SeriesLabelPosition::UpperRight,
         series,
     }

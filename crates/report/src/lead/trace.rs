@@ -1,30 +1,30 @@
-//! A recorded trace: how a machine held up a thread that was due every millisecond.
+//! A recorded trace of stalls: the late wake-ups of a thread that was due every millisecond.
 //!
-//! A trace is text; `examples/record_stalls.rs` writes one. Lines that begin with `#` tell people how it was made. The
-//! first other line is `seconds N`, for how long was recorded. Each line after it is a wake-up that came late: when it was
-//! due, in µs since the start, and by how much later it came, in µs. What is not written came in time.
+//! A trace is text; `examples/record_stalls.rs` writes one. Lines that begin with `#` are comments. The first other line
+//! is `seconds N`, the duration of the recording. Each further line is a late wake-up: when it was due, µs since the
+//! start, and how late it came, µs. All other wake-ups came in time.
 //!
-//! The thread was awake a period before a late wake-up and not again until that came: for so long it was held up. When in that
-//! period the machine stood still nobody knows; counting all of it is on the safe side.
+//! A stall lasts from the wake-up before a late one, a period earlier, until the late one came. The machine may have
+//! stood still for less; the whole time is the safe assumption.
 //!
-//! Invariant: a [`Trace`] that exists has its stalls in order, each begun after the one before it had ended.
+//! Invariant: the stalls of a [`Trace`] are in order and do not overlap.
 
 use meissner_input::message::quote;
 use serde::Serialize;
 use std::time::Duration;
 
-/// The shipped one, recorded on a virtual machine whose host steals time now and then.
+/// The shipped trace, recorded on a virtual machine whose host sometimes steals time.
 pub const STALLS: &str = include_str!("../../../../traces/stalls.txt");
-/// Bytes of a trace file at the most.
+/// The largest trace file, bytes.
 pub const MAX_TRACE_BYTES: usize = 1 << 20;
-/// Seconds of a trace at the most.
+/// The longest trace, s.
 const MAX_SECONDS: u64 = 3600;
-/// The latest a wake-up may come, µs: the longest lease, after which no device waits for a host.
+/// The latest wake-up, µs: the longest host watchdog timeout.
 const MAX_LATE_US: u64 = 10_000_000;
-/// The recorded thread was due so often, as the streamer's is while it plays.
+/// The period of the recorded thread, as the streamer's during a play.
 pub(super) const PERIOD: Duration = Duration::from_millis(1);
 
-/// For how long the host did not wake up, since the start of the trace.
+/// A time in which the host did not wake up, since the start of the trace.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Stall {
     pub(super) from: Duration,
@@ -39,16 +39,16 @@ pub struct Trace {
     summary: Summary,
 }
 
-/// What a trace holds, in figures.
+/// The figures of a trace.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Summary {
-    /// For how long was recorded.
+    /// Its duration, s.
     pub seconds: u64,
-    /// Wake-ups that came late enough to be written.
+    /// The number of late wake-ups.
     pub late_wake_ups: usize,
-    /// Those that came more than 5 ms late: the shortest lead.
+    /// The number of wake-ups more than 5 ms late; 5 ms is the shortest lead.
     pub late_by_5_ms: usize,
-    /// MethodLabel late the latest came.
+    /// The largest lateness, µs.
     pub longest_us: u64,
 }
 
@@ -57,23 +57,25 @@ pub struct Summary {
 #[expect(missing_docs, reason = "the messages say it")]
 pub enum TraceError {
     #[error(
-        "{file}: does not say for how long was recorded: record one with the example `record_stalls`, or begin with \
+        "{file}: has no duration: record one with the example `record_stalls`, or begin with \
          `seconds N`, 1 to {MAX_SECONDS}"
     )]
     Seconds { file: String },
     #[error(
-        "{file}:{line}: {text} is no late wake-up: write when it was due, in us since the start, a blank, and by how much \
-         later it came, 1 to {MAX_LATE_US} us"
+        "{file}:{line}: {text} is no late wake-up: write when it was due, in us since the start, a blank, and how late \
+         it came, 1 to {MAX_LATE_US} us"
     )]
     Line { file: String, line: usize, text: String },
     #[error("{file}:{line}: was due {due_us} us after the start: must be at most {end_us}, the end")]
     BehindTheEnd { file: String, line: usize, due_us: u64, end_us: u64 },
-    #[error("{file}:{line}: was due at {due_us} us: must be after {came_us}, when the one before it came")]
+    #[error(
+        "{file}:{line}: was due at {due_us} us: must be after {came_us}, when the wake-up before it came"
+    )]
     Order { file: String, line: usize, due_us: u64, came_us: u64 },
 }
 
 impl Trace {
-    /// Reads a trace; `file` is what errors call it.
+    /// Reads a trace. Errors call it `file`.
     ///
     /// # Errors
     /// The first thing that is wrong with it.
@@ -109,14 +111,14 @@ impl Trace {
         Ok(Self { length: Duration::from_secs(seconds), stalls, summary })
     }
 
-    /// What it holds.
+    /// The figures of the trace.
     #[must_use]
     pub fn summary(&self) -> Summary {
         self.summary
     }
 }
 
-/// When it was due and by how much later it came, µs.
+/// When a late wake-up was due, and how late it came, µs.
 fn wake_up(text: &str) -> Option<(u64, u64)> {
     let (due_us, late_us) = text.split_once(' ')?;
     let late_us = late_us.parse().ok().filter(|late_us| (1..=MAX_LATE_US).contains(late_us))?;

@@ -1,30 +1,30 @@
-//! What a simulation did not compute, and why the answer is exact all the same.
+//! The work that a simulation skipped, and why the answer does not change.
 //!
-//! Invariant: whatever is counted has a reason; what did not occur is not named.
+//! Invariant: each count above 0 has a reason; others are left out.
 
 use meissner_skin::Skipped;
 use meissner_skin::afferent::MIN_WEIGHT;
 use serde::Serialize;
 use std::borrow::Cow;
 
-/// Something that was not computed.
+/// Work that was skipped.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Reason {
-    /// The name of the count.
+    /// The name of the count, a key of documents.
     pub what: &'static str,
-    /// MethodLabel many, or how much.
+    /// The amount.
     pub count: Count,
-    /// Why it need not be computed.
+    /// Why the answer does not change.
     pub why: Cow<'static, str>,
 }
 
-/// A number of things, or of receptor-seconds.
+/// A number of motors or afferents, or of afferent-seconds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(untagged)]
 pub enum Count {
-    /// Things.
+    /// Motors or afferents.
     Number(u64),
-    /// Receptor-seconds.
+    /// Afferent-seconds.
     Seconds(f64),
 }
 
@@ -34,7 +34,7 @@ impl Count {
     }
 }
 
-/// What was skipped, with the reasons.
+/// The work that was skipped, with the reasons.
 #[must_use]
 pub fn reasons(skipped: &Skipped) -> Vec<Reason> {
     let Skipped {
@@ -54,7 +54,7 @@ pub fn reasons(skipped: &Skipped) -> Vec<Reason> {
         (
             "motors_out_of_reach",
             Count::Number(motors_out_of_reach.into()),
-            format!("the motor's weight is below {MIN_WEIGHT:e} at every receptor, which counts as 0").into(),
+            format!("the motor's weight is below {MIN_WEIGHT:e} at every afferent, which counts as 0").into(),
         ),
         (
             "receptors_out_of_reach",
@@ -75,7 +75,7 @@ pub fn reasons(skipped: &Skipped) -> Vec<Reason> {
         (
             "receptors_reused",
             Count::Number(afferents_reused),
-            "no motor that changed reaches the receptor, so its answer is the last one".into(),
+            "no motor that changed reaches the afferent, so its answer is the last one".into(),
         ),
     ];
     let reason = |(what, count, why)| Reason { what, count, why };
@@ -88,7 +88,7 @@ mod tests {
     use serde_json::json;
 
     #[test]
-    fn only_what_was_skipped_is_named() {
+    fn only_skipped_work_is_named() {
         assert_eq!(reasons(&Skipped::default()), []);
         let found = reasons(&Skipped { motors_at_rest: 3, repeated_afferent_s: 1.5, ..Skipped::default() });
         let found = serde_json::to_value(found).unwrap();
@@ -96,6 +96,6 @@ mod tests {
         assert_eq!((&found[1]["what"], &found[1]["count"]), (&json!("repeated_receptor_s"), &json!(1.5)));
         assert_eq!(found.as_array().unwrap().len(), 2);
         let found = reasons(&Skipped { motors_out_of_reach: 1, ..Skipped::default() });
-        assert!(found[0].why.contains("below 1e-10 at every receptor"), "{}", found[0].why);
+        assert!(found[0].why.contains("below 1e-10 at every afferent"), "{}", found[0].why);
     }
 }

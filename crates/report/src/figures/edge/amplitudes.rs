@@ -1,13 +1,14 @@
-//! What the search comes to at other amplitudes than the paper's.
+//! The search at other amplitudes than the paper's, with fewer evaluations.
 //!
-//! Above some amplitude the drive saturates, and the best frequency falls with it; below, it rises. Each amplitude is
-//! searched with fewer evaluations than the figure.
+//! The best frequency falls as the amplitude rises, because drives saturate.
 //!
-//! Invariant: costs are those of [`Fidelity::FULL`](meissner_design::Fidelity::FULL).
+//! Invariant: contrasts are those of [`Fidelity::FULL`](meissner_design::Fidelity::FULL).
 
-use super::{NEAR_PAPER_HZ, PAPER_HZ, SETTING, exactly, fifties, found, in_unison, near_hz};
-use crate::figures::FiguresError;
-use crate::figures::chart::{Axis, Chart, Dot, Point as Mark, Scale, Series, draw};
+use crate::chart::{Axis, Chart, Scale, Series, draw};
+use crate::figures::edge::tuning::{
+    NEAR_PAPER_HZ, PAPER_HZ, SETTING, exact_objective, found, in_unison, near_hz,
+};
+use crate::figures::error::FiguresError;
 use crate::figures::table::{number, table};
 use firmware_protocol::tick::TICK_HZ;
 use meissner_array::units::UM_PER_PULSE;
@@ -16,23 +17,23 @@ use plotters::chart::SeriesLabelPosition;
 use serde::Serialize;
 use std::fmt::Write;
 
-/// Amplitudes that are compared, µm.
+/// The amplitudes, µm.
 pub(super) const AMPLITUDES_UM: [f64; 6] = [20.0, 30.0, 40.0, 60.0, 80.0, 120.0];
-/// Evaluations for each of these: a descent and part of a restart.
+/// Evaluations for each amplitude: a descent and part of a restart.
 const EVALUATIONS: u64 = 1_500;
 
-/// What the search comes to at an amplitude.
+/// The key figures of a search at one amplitude.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ByAmplitude {
-    /// Of all motors.
+    /// The amplitude of all motors, µm.
     pub amplitude_um: f64,
-    /// The median frequency of the motors within reach.
+    /// The median frequency of the motors within reach, Hz.
     pub near_hz: f64,
-    /// The cost.
+    /// The contrast, impulses/s.
     pub cost_hz: f64,
-    /// The cost if these motors and all in unison with them vibrated at 60 Hz.
+    /// The contrast with these motors, and all in unison with them, at 60 Hz instead.
     pub cost_at_60_hz: f64,
-    /// From here on the drive is saturated at this amplitude, Hz.
+    /// The drive is saturated from this frequency on, Hz.
     pub saturated_from_hz: f64,
 }
 
@@ -43,7 +44,7 @@ pub(super) fn at(target: &Target, near: &[u8]) -> Result<ByAmplitude, FiguresErr
     for vibration in at_60.0.iter_mut().flatten().filter(|vibration| tuned(vibration)) {
         *vibration = SETTING.space().vibration(PAPER_HZ, vibration.phase());
     }
-    let objective = exactly(target);
+    let objective = exact_objective(target);
     let amplitude_um = target.amplitude_um();
     Ok(ByAmplitude {
         amplitude_um,
@@ -84,25 +85,12 @@ pub(super) fn plot(rows: &[ByAmplitude]) -> Result<String, FiguresError> {
     let highest = rows.iter().fold(PAPER_HZ, |highest, row| highest.max(row.near_hz));
     let chart = Chart {
         title: "Frequency of the motors near the edge, after the search",
-        x: Axis {
-            name: "amplitude asked for, um peak to peak",
-            scale: Scale { from: 0.0, to: most_um, logarithmic: false },
-        },
-        y: Axis { name: "median frequency, Hz", scale: fifties(0.0, highest) },
+        x: Axis { name: "amplitude of the drives, um peak to peak", scale: Scale::linear(0.0, most_um) },
+        y: Axis { name: "median frequency, Hz", scale: Scale::fifties(0.0, highest) },
         legend: SeriesLabelPosition::LowerRight,
         series: vec![
-            Series {
-                name: "found".to_owned(),
-                points: found.iter().map(|&(x, y)| Mark { x, y, sd: 0.0 }).collect(),
-                line: found,
-                dot: Dot::Disc,
-            },
-            Series {
-                name: format!("the paper: {PAPER_HZ} Hz"),
-                line: vec![(0.0, PAPER_HZ), (most_um, PAPER_HZ)],
-                points: Vec::new(),
-                dot: Dot::Disc,
-            },
+            Series::marked("found", found),
+            Series::line(format!("the paper: {PAPER_HZ} Hz"), vec![(0.0, PAPER_HZ), (most_um, PAPER_HZ)]),
         ],
     };
     Ok(draw(&chart)?)
@@ -112,8 +100,8 @@ pub(super) fn in_rows(rows: &[ByAmplitude]) -> String {
     let head = [
         "amplitude, µm",
         "median frequency near the edge, Hz",
-        "cost, impulses/s",
-        "cost with these at 60 Hz, impulses/s",
+        "contrast, impulses/s",
+        "contrast with these at 60 Hz, impulses/s",
         "drive saturates from, Hz",
     ];
     let row = |row: &ByAmplitude| {

@@ -1,99 +1,78 @@
-//! The paper's Fig. 4: an edge to be felt, the motors before and after the search has tuned them, and what receptors make of both.
+//! The paper's Fig. 4: the motors before and after the search has tuned them to an edge, and the afferents' rates.
 //!
-//! The search sees costs at several fidelities and begins again several times; what is shown here is one yardstick. Every
-//! point that was the best of its fidelity when the search came to it is simulated again, exactly, and the best of them by
-//! that is the one shown. The paper tunes all motors at one amplitude and finds near 60 Hz along the edge; the same for
-//! other amplitudes says how far that holds. It depends on no pattern, so a program makes it once.
+//! The search scores points at several fidelities and begins several times. Here every point that was the best of its
+//! fidelity is simulated again, exactly, and the best of these is shown (`tuning`). The paper uses one amplitude and finds
+//! about 60 Hz along the edge; `amplitudes` repeats the search for others. The section depends on no pattern, so a program
+//! makes it once.
 //!
-//! Invariant: every cost in this section is that of [`Fidelity::FULL`].
+//! Invariant: every contrast in this section is that of [`Fidelity::FULL`].
 
 mod amplitudes;
+mod tuning;
 
 pub use amplitudes::ByAmplitude;
 
-use super::chart::{Axis, Chart, Dot, Point as Mark, Scale, Series, draw};
-use super::map::{FINGERTIP, Pad, Panel, motors, pads};
-use super::page::Section;
-use super::table::number;
-use super::target::Watched;
-use super::{FiguresError, Parts};
-use firmware_protocol::stroke::MOTORS;
-use meissner_array::geometry;
+use crate::chart::{Axis, Chart, Point as Mark, Scale, Series, draw};
+use crate::figures::error::FiguresError;
+use crate::figures::map::{FINGERTIP, Pad, Panel, motors, pads};
+use crate::figures::page::Section;
+use crate::figures::table::number;
+use crate::figures::target::FrameRates;
+use crate::progress::Parts;
 use meissner_array::motor::SteadyState;
-use meissner_design::{
-    Brief, Fidelity, Found, Limit, Objective, Point, Score, Setting, Step, Target, Verdict, Vibration,
-    YARDSTICK, search, shipped,
-};
+use meissner_design::{Fidelity, Limit, Point, Score, Target, Verdict, YARDSTICK, shipped};
 use meissner_skin::afferent::{Position, population};
 use meissner_skin::{Method, Options, Scene, simulate};
 use plotters::chart::SeriesLabelPosition;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::fmt::Write;
-use std::ops::{ControlFlow, RangeInclusive};
 use std::sync::OnceLock;
+use tuning::{NEAR_PAPER_HZ, Record, SEED, found, in_unison, near, near_hz, records};
 
-/// Of the start and the search's draws, and of the thresholds' noise.
-const SEED: u64 = 0;
-/// The paper's: every motor vibrates.
-const SETTING: Setting = Setting::AlwaysOn;
-/// What the paper finds near the edge, Hz.
-const PAPER_HZ: f64 = 60.0;
-/// Near that, Hz: at 80 µm a receptor under a pin fires there within 3 % of its most.
-const NEAR_PAPER_HZ: RangeInclusive<f64> = 54.0..=70.0;
-
-/// What the search comes to.
+/// The key figures.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Edge {
-    /// The target.
+    /// The name of the target.
     pub target: String,
-    /// Of the random start and of the search.
+    /// Seed of the random start and of the search.
     pub seed: u64,
-    /// Points the search asked the cost of.
+    /// Evaluations of the search.
     pub evaluations: u64,
-    /// What the start is worth.
+    /// The verdict on the start.
     pub before: Verdict,
-    /// What the best point is worth.
+    /// The verdict on the best point.
     pub after: Verdict,
     /// Motors whose pins are within the target's reach.
     pub near_motors: Vec<u8>,
-    /// The median of their frequencies at the start.
+    /// The median of their frequencies at the start, Hz.
     pub near_before_hz: f64,
-    /// And at the best point.
+    /// The median of their frequencies at the best point, Hz.
     pub near_after_hz: f64,
-    /// From so many evaluations on that median stayed near 60 Hz at the best point so far; none if it is not.
+    /// The evaluations after which that median stayed near 60 Hz; none if it is not near in the end.
     pub near_paper_from: Option<u64>,
     /// The other motors.
     pub others: Others,
-    /// The same for other amplitudes.
+    /// The search at other amplitudes.
     pub by_amplitude: Vec<ByAmplitude>,
 }
 
-/// What motors do that are not within reach.
+/// The motors whose pins are not within reach.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Others {
-    /// Vibrate at the frequency of one that is.
+    /// In unison with a motor within reach.
     pub same: usize,
-    /// Are slower than the median of those.
+    /// Slower than the median of those within reach.
     pub slower: usize,
-    /// Are faster.
+    /// Faster.
     pub faster: usize,
-    /// MethodLabel far the pin of a faster one moves at the most, µm peak to peak.
+    /// The largest amplitude of a faster one, µm peak to peak.
     pub faster_reach_um: f64,
 }
 
-/// A point better than all before.
-#[derive(Clone, Copy, Debug)]
-struct Record {
-    evaluations: u64,
-    point: Point,
-    score: Score,
-    near_hz: f64,
-}
-
-/// Searches, draws, and says what it comes to.
+/// Makes the section and the key figures.
 pub(super) fn section(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Edge), FiguresError> {
-    // It depends on nothing, and one who reports many times, as tests do, need not search for it again.
+    // Programs that report several times, such as tests, search once.
     static MADE: OnceLock<Result<(Section, Edge), FiguresError>> = OnceLock::new();
     MADE.get_or_init(|| make(progress)).clone()
 }
@@ -115,14 +94,14 @@ fn make(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Edge), FiguresError
     });
     let by_amplitude = by_amplitude.collect::<Result<Vec<_>, FiguresError>>()?;
 
-    let receptors = population(target.population_seed());
-    let judged = |point: &Point| -> Result<Watched<'_>, FiguresError> {
-        let rates_hz = rates_hz(&target, point, &receptors)?;
-        let watched = Watched::new(&target, &target.frames()[0], &receptors, rates_hz);
-        Ok(watched.expect("a checked target has receptors on both partition"))
+    let afferents = population(target.population_seed());
+    let judged = |point: &Point| -> Result<FrameRates<'_>, FiguresError> {
+        let rates_hz = rates_hz(&target, point, &afferents)?;
+        let rates = FrameRates::new(&target, &target.frames()[0], &afferents, rates_hz);
+        Ok(rates.expect("a checked target has ON and OFF afferents"))
     };
     let (before, after) = (judged(&first.point)?, judged(&last.point)?);
-    // At the end, and back from there.
+    // From the end backwards.
     let near_paper = records.iter().rev().take_while(|record| NEAR_PAPER_HZ.contains(&record.near_hz));
     let figures = Edge {
         target: target.name().to_owned(),
@@ -142,23 +121,21 @@ fn make(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Edge), FiguresError
     let mut put = |name: &str, svg: String, csv: Option<String>, caption: String| {
         section.figure(name, svg, csv, &caption, "meissner report");
     };
-    let aimed =
-        Pad { title: FINGERTIP.to_owned(), receptors: &receptors, rates_hz: None, aim: Some(after.aim()) };
-    put("edge-target", pads(&[aimed]), None, about_target(&target, &after, &near));
+    let pad =
+        Pad { title: FINGERTIP.to_owned(), afferents: &afferents, rates_hz: None, aim: Some(after.aim()) };
+    put("edge-target", pads(&[pad]), None, about_target(&target, &after, &near));
     let [drives_before, drives_after] =
         [&first.point, &last.point].map(|point| point.drives(target.amplitude_um(), None, None));
     let panels = [("before", &drives_before), ("after", &drives_after)]
         .map(|(title, drives)| Panel { title: title.to_owned(), drives });
     put("edge-frequencies", motors(&panels), None, about_frequencies(&target, &figures));
-    let pad = |title: &str, watched: &Watched<'_>| (title.to_owned(), watched.rates_hz.clone());
-    let titled = [pad("before", &before), pad("after", &after)];
-    let both = titled.each_ref().map(|(title, rates_hz)| Pad {
-        title: title.clone(),
-        receptors: &receptors,
-        rates_hz: Some(rates_hz),
-        aim: Some(after.aim()),
+    let both = [("before", &before), ("after", &after)].map(|(title, rates)| Pad {
+        title: title.to_owned(),
+        afferents: &afferents,
+        rates_hz: Some(&rates.rates_hz),
+        aim: Some(rates.aim()),
     });
-    let numbers = rates_csv(&receptors, &before, &after);
+    let numbers = rates_csv(&afferents, &before, &after);
     put("edge-rates", pads(&both), Some(numbers), about_rates(&figures));
     let end = figures.evaluations;
     put("edge-cost", cost_plot(&records, end)?, Some(cost_csv(&records, end)), about_cost(&figures));
@@ -167,74 +144,6 @@ fn make(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Edge), FiguresError
     put("edge-amplitudes", amplitudes::plot(&figures.by_amplitude)?, Some(numbers), caption);
     section.table("The search at other amplitudes", &amplitudes::in_rows(&figures.by_amplitude));
     Ok((section, figures))
-}
-
-/// The motors whose pins are within reach.
-fn near(target: &Target) -> Vec<u8> {
-    let shape = &target.frames()[0].shape;
-    let within = |motor: &u8| {
-        let [x_mm, y_mm] = geometry::position_mm(*motor);
-        shape.distance_mm(Position { x_mm, y_mm }) <= target.reach_mm()
-    };
-    (0..MOTORS as u8).filter(within).collect()
-}
-
-/// The median of some motors' frequencies.
-fn near_hz(point: &Point, motors: &[u8]) -> f64 {
-    let vibrations = motors.iter().filter_map(|&motor| point.0[usize::from(motor)]);
-    let mut found: Vec<f64> = vibrations.map(Vibration::frequency_hz).collect();
-    found.sort_by(f64::total_cmp);
-    match found.len() {
-        0 => f64::NAN,
-        count => f64::midpoint(found[(count - 1) / 2], found[count / 2]),
-    }
-}
-
-fn found(target: &Target, limit: Limit) -> Result<Found, FiguresError> {
-    let brief = Brief {
-        target,
-        frame: &target.frames()[0],
-        populations: &[target.population_seed()],
-        noise_seed: SEED,
-        space: SETTING.space(),
-        seed: SEED,
-    };
-    let start = brief.space.random(SEED);
-    Ok(search(&brief, start, limit, &mut |_, _| ControlFlow::Continue(()))?)
-}
-
-fn exactly(target: &Target) -> Objective {
-    Objective::new(target, &target.frames()[0], &[target.population_seed()], SEED, Fidelity::FULL)
-}
-
-/// The points of a trace that are better than all before them, the start among them.
-fn records(target: &Target, trace: &[Step], near: &[u8]) -> Result<Vec<Record>, FiguresError> {
-    let objective = exactly(target);
-    // What the search saw, and how well: costs of different durations are not compared.
-    let mut seen: Vec<(f64, f64)> = Vec::new();
-    let best = |step: &&Step| {
-        let (duration_s, cost_hz) = (step.duration_s, step.score.cost_hz());
-        let best = seen.iter().all(|seen| seen.0 != duration_s || cost_hz > seen.1);
-        seen.push((duration_s, cost_hz));
-        best
-    };
-    let steps: Vec<&Step> = trace.iter().filter(best).collect();
-    let scores = steps.par_iter().map(|step| Ok(objective.at(step.point)?.score()));
-    let scores = scores.collect::<Result<Vec<Score>, FiguresError>>()?;
-    let mut records: Vec<Record> = Vec::new();
-    for (step, score) in steps.into_iter().zip(scores) {
-        if records.last().is_none_or(|best| score.cost_hz() > best.score.cost_hz()) {
-            let (evaluations, point) = (step.spent.evaluations, step.point);
-            records.push(Record { evaluations, point, score, near_hz: near_hz(&point, near) });
-        }
-    }
-    Ok(records)
-}
-
-/// Whether one of these motors has the same frequency.
-fn in_unison(point: &Point, motors: &[u8], vibration: Vibration) -> bool {
-    let mut others = motors.iter().filter_map(|&motor| point.0[usize::from(motor)]);
-    others.any(|other| other.decihertz == vibration.decihertz)
 }
 
 fn others(target: &Target, point: &Point, near: &[u8]) -> Result<Others, FiguresError> {
@@ -255,23 +164,23 @@ fn others(target: &Target, point: &Point, near: &[u8]) -> Result<Others, Figures
     Ok(others)
 }
 
-fn rates_hz(target: &Target, point: &Point, receptors: &[Position]) -> Result<Vec<f64>, FiguresError> {
+fn rates_hz(target: &Target, point: &Point, afferents: &[Position]) -> Result<Vec<f64>, FiguresError> {
     let drives = point.drives(target.amplitude_um(), None, None);
-    let scene = Scene::new(Fidelity::FULL.duration_s, SEED, drives, receptors.to_vec(), *target.model())?;
+    let scene = Scene::new(Fidelity::FULL.duration_s, SEED, drives, afferents.to_vec(), *target.model())?;
     let answer = simulate(&scene, &Options::rates(Method::Exact), &|_| ())?;
     Ok(answer.rates_hz(&scene))
 }
 
-fn about_target(target: &Target, watched: &Watched<'_>, near: &[u8]) -> String {
+fn about_target(target: &Target, rates: &FrameRates<'_>, near: &[u8]) -> String {
     let near = near.iter().map(u8::to_string).collect::<Vec<_>>().join(", ");
     format!(
-        "The target {} on the finger's pad (orange), the 24 pins (grey circles) and {} receptors (population seed {}). \
-         The {} receptors ringed lie within {} mm of it and should fire (ON), the others should not (OFF). The pins of \
-         motors {near} lie as near.",
+        "The target {} on the fingertip's pad (orange), the 24 pins (grey circles) and {} afferents (population seed {}). \
+         The {} ringed afferents lie within {} mm of it and should fire (ON), the others should not (OFF). The pins of \
+         motors {near} are as near.",
         target.name(),
-        watched.rates_hz.len(),
+        rates.rates_hz.len(),
         target.population_seed(),
-        watched.partition.on_count(),
+        rates.partition.on_count(),
         number(target.reach_mm()),
     )
 }
@@ -283,10 +192,10 @@ fn about_frequencies(target: &Target, figures: &Edge) -> String {
         |from| format!("near the 60 Hz of the paper and so from {from} evaluations on"),
     );
     format!(
-        "What the motors do, all of them at {} µm: at the random start of seed {SEED}, and after {} evaluations. The \
-         median frequency of the {} motors within reach of the edge went from {} to {} Hz, {from}. Of the others, which \
-         the paper has at higher or lower frequencies, {same} vibrate in unison with these, {slower} are slower and \
-         {faster} faster; those move their pins by {} µm at the most.",
+        "The motors, all of them at {} µm: at the random start of seed {SEED}, and after {} evaluations. The median \
+         frequency of the {} motors within reach of the edge went from {} to {} Hz, {from}. The paper has the others at \
+         higher or lower frequencies: {same} vibrate in unison with these, {slower} are slower and {faster} faster; the \
+         faster ones move their pins by {} µm at most.",
         number(target.amplitude_um()),
         figures.evaluations,
         figures.near_motors.len(),
@@ -300,10 +209,10 @@ fn about_rates(figures: &Edge) -> String {
     let words = |verdict: &Verdict| {
         let Verdict { on_hz, off_hz, auc, .. } = *verdict;
         let [on, off, auc] = [on_hz, off_hz, auc].map(number);
-        format!("{on} impulses/s in the mean of the receptors ON, {off} OFF, AUC {auc}")
+        format!("mean rate of ON {on} impulses/s, of OFF {off}, AUC {auc}")
     };
     format!(
-        "Impulse rates before and after on one colour scale, simulated exactly for {} s. Before: {}. After: {}.",
+        "Rates before and after on one colour scale, simulated exactly for {} s. Before: {}. After: {}.",
         number(Fidelity::FULL.duration_s),
         words(&figures.before),
         words(&figures.after),
@@ -312,9 +221,9 @@ fn about_rates(figures: &Edge) -> String {
 
 fn about_cost(figures: &Edge) -> String {
     format!(
-        "Cost of the best point so far against evaluations. It is the mean rate of the receptors ON minus that of those \
-         OFF, and goes from {} to {} impulses/s in {} evaluations. All of it is simulated exactly for {} s, whatever the \
-         search itself saw. Blue: the median frequency of the motors within reach of the edge is {} to {} Hz.",
+        "Contrast of the best point so far against evaluations: mean rate of ON minus mean rate of OFF. It goes from {} to \
+         {} impulses/s in {} evaluations, each simulated exactly for {} s. Blue: the median frequency of the motors \
+         within reach of the edge is {} to {} Hz.",
         number(figures.before.cost_hz),
         number(figures.after.cost_hz),
         figures.evaluations,
@@ -324,11 +233,11 @@ fn about_cost(figures: &Edge) -> String {
     )
 }
 
-fn rates_csv(receptors: &[Position], before: &Watched<'_>, after: &Watched<'_>) -> String {
+fn rates_csv(afferents: &[Position], before: &FrameRates<'_>, after: &FrameRates<'_>) -> String {
     let mut csv = String::from("x_mm,y_mm,on,before_hz,after_hz\n");
-    for (index, Position { x_mm, y_mm }) in receptors.iter().enumerate() {
+    for (index, Position { x_mm, y_mm }) in afferents.iter().enumerate() {
         let on = u8::from(after.partition.on()[index]);
-        let [before, after] = [before, after].map(|watched| watched.rates_hz[index]);
+        let [before, after] = [before, after].map(|rates| rates.rates_hz[index]);
         // Writing to a string does not fail.
         let _ = writeln!(csv, "{x_mm:.4},{y_mm:.4},{on},{before:.4},{after:.4}");
     }
@@ -352,7 +261,7 @@ fn cost_plot(records: &[Record], end: u64) -> Result<String, FiguresError> {
     for (evaluations, cost_hz) in
         records.iter().map(|record| (record.evaluations, record.score.cost_hz())).chain(last)
     {
-        // It stays until something better comes.
+        // A step: the best stays until a better point comes.
         line.extend(line.last().map(|&(_, before_hz)| (evaluations as f64, before_hz)));
         line.push((evaluations as f64, cost_hz));
     }
@@ -362,22 +271,14 @@ fn cost_plot(records: &[Record], end: u64) -> Result<String, FiguresError> {
     let highest = line.iter().fold(0.0_f64, |highest, point| highest.max(point.1));
     let marked = format!("motors near the edge at {} to {} Hz", NEAR_PAPER_HZ.start(), NEAR_PAPER_HZ.end());
     let chart = Chart {
-        title: "Cost of the best point so far",
-        x: Axis {
-            name: "evaluations",
-            scale: Scale { from: 1.0, to: (end as f64).max(2.0), logarithmic: true },
-        },
-        y: Axis { name: "cost, impulses/s", scale: fifties(lowest, highest) },
+        title: "Contrast of the best point so far",
+        x: Axis { name: "evaluations", scale: Scale::logarithmic(1.0, (end as f64).max(2.0)) },
+        y: Axis { name: "contrast, impulses/s", scale: Scale::fifties(lowest, highest) },
         legend: SeriesLabelPosition::LowerRight,
         series: vec![
-            Series { name: "best so far".to_owned(), line, points: Vec::new(), dot: Dot::Disc },
-            Series { name: marked, line: Vec::new(), points: near_paper.map(mark).collect(), dot: Dot::Disc },
+            Series::line("best so far", line),
+            Series { points: near_paper.map(mark).collect(), ..Series::line(marked, Vec::new()) },
         ],
     };
     Ok(draw(&chart)?)
-}
-
-fn fifties(lowest: f64, highest: f64) -> Scale {
-    let to = (highest / 50.0).ceil().max(1.0) * 50.0;
-    Scale { from: (lowest / 50.0).floor() * 50.0, to, logarithmic: false }
 }

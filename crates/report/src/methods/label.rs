@@ -1,4 +1,4 @@
-//! A method in the words of a document: `method`, `step_us`, `integrator`, `precision`.
+//! The name of a method: the keys `method`, `step_us`, `integrator` and `precision` of a document, and a text.
 //!
 //! Invariant: the exact method has no step, no integrator and no precision.
 
@@ -6,21 +6,21 @@ use meissner_skin::{Integrator, Method, Precision, Stepping};
 use serde::Serialize;
 use std::fmt;
 
-/// A method, for documents and people.
+/// A method, as documents and texts name it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct MethodLabel {
     /// `exact` or `stepped`.
     pub method: &'static str,
-    /// None: exact.
+    /// The step, µs; none if exact.
     pub step_us: Option<u32>,
-    /// None: exact.
+    /// None if exact.
     pub integrator: Option<Integrator>,
-    /// None: exact.
+    /// None if exact.
     pub precision: Option<Precision>,
 }
 
 impl MethodLabel {
-    /// The integrator and precision as one writes them.
+    /// The names of integrator and precision; none if exact.
     #[must_use]
     pub fn names(&self) -> Option<(&'static str, &'static str)> {
         Some((self.integrator?.name(), self.precision?.name()))

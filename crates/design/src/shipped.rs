@@ -1,0 +1,30 @@
+//! The targets that are built into the program.
+
+use crate::target::Target;
+use include_dir::{Dir, File, include_dir};
+
+/// The target files of the repository.
+static LIBRARY: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/../../targets");
+
+/// The shipped target on which methods and patterns are compared: an edge at 45°, 12 mm long, through the array's
+/// middle.
+pub const YARDSTICK: &str = "edge-45";
+
+/// The shipped target of that name, if there is one.
+#[must_use]
+#[expect(clippy::missing_panics_doc, reason = "a test reads all shipped targets")]
+pub fn shipped(name: &str) -> Option<Target> {
+    let file = LIBRARY.get_file(format!("{name}.toml"))?;
+    let text = file.contents_utf8().expect("targets are text");
+    Some(Target::read(text, &file.path().to_string_lossy()).expect("shipped targets are valid"))
+}
+
+/// The names of the shipped targets, sorted.
+#[must_use]
+pub fn shipped_names() -> Vec<&'static str> {
+    let paths = LIBRARY.files().map(File::path);
+    let toml = paths.filter(|path| path.extension().is_some_and(|extension| extension == "toml"));
+    let mut names: Vec<_> = toml.filter_map(|path| path.file_stem()?.to_str()).collect();
+    names.sort_unstable();
+    names
+}

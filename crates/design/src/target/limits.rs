@@ -1,0 +1,16 @@
+//! Limits of a target.
+
+use meissner_array::geometry::PITCH_MM;
+
+/// The largest target file, bytes; [`MAX_POINTS`] written out take far less.
+pub const MAX_BYTES: usize = 64 << 10;
+/// The most points of a shape.
+pub const MAX_POINTS: usize = 64;
+/// The most frames of a motion; each is optimised on its own.
+pub const MAX_FRAMES: u8 = 64;
+/// The longest motion, s. It is simulated as a whole, and every spike is kept.
+pub(crate) const LONGEST_S: f64 = 20.0;
+/// The detail that the array can show, mm: between two pins there must be one at rest.
+pub(super) const FINEST_MM: f64 = 2.0 * PITCH_MM;
+/// Lengths that differ by less are equal, mm.
+pub(super) const SAME_MM: f64 = 1e-9;

@@ -1,0 +1,28 @@
+//! The error of a report.
+
+use crate::chart::PlotError;
+use meissner_array::motor::MotorError;
+use meissner_array::simulated::SimulatedMotorsError;
+use meissner_design::TargetError;
+use meissner_skin::{MethodError, SceneError};
+use meissner_stream::calibrate::FitProblem;
+
+/// A figure that could not be made: a bug of ours, because patterns have been checked.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages say it")]
+pub enum FiguresError {
+    #[error(transparent)]
+    Plot(#[from] PlotError),
+    #[error("internal error: {0}")]
+    Motor(#[from] MotorError),
+    #[error("internal error: {0}")]
+    Fit(#[from] FitProblem),
+    #[error("internal error: {0}")]
+    Motors(#[from] SimulatedMotorsError),
+    #[error("internal error: {0}")]
+    Scene(#[from] SceneError),
+    #[error("internal error: {0}")]
+    Method(#[from] MethodError),
+    #[error("internal error: {0}")]
+    Target(#[from] TargetError),
+}
