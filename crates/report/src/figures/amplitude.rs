@@ -9,7 +9,7 @@
 use crate::chart::{Axis, Chart, Point, Scale, Series, draw};
 use crate::figures::error::FiguresError;
 use crate::figures::page::Section;
-use crate::figures::table::number;
+use crate::figures::table::{csv, number};
 use crate::progress::Parts;
 use crate::statistics::mean_and_sd;
 use firmware_protocol::stroke::{Direction, Lines, MOTORS};
@@ -21,7 +21,6 @@ use meissner_array::units::TICKS_PER_S;
 use plotters::chart::SeriesLabelPosition;
 use rayon::prelude::*;
 use serde::Serialize;
-use std::fmt::Write;
 
 /// Commanded amplitudes, µm, one per row of the array.
 pub const AMPLITUDES_UM: [f64; geometry::ROWS as usize] = [10.0, 20.0, 40.0, 80.0, 160.0, 320.0];
@@ -98,18 +97,14 @@ pub(super) fn section(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Ampli
         number(figures.measured_over_model),
         number((figures.worst_deviation * 1000.0).round() / 10.0),
     );
-    section.figure("amplitude", plot(&rows)?, Some(csv(&rows)), &caption, "meissner report");
-    Ok((section, figures))
-}
-
-fn csv(rows: &[Row]) -> String {
-    let mut csv = String::from("frequency_hz,amplitude_um,model_um,measured_um,measured_sd_um\n");
-    for row in rows {
+    let row = |row: &Row| {
         let Row { frequency_hz, amplitude_um, model_um, measured_um, sd_um } = row;
-        // Writing to a string does not fail.
-        let _ = writeln!(csv, "{frequency_hz},{amplitude_um},{model_um},{measured_um:.4},{sd_um:.4}");
-    }
-    csv
+        format!("{frequency_hz},{amplitude_um},{model_um},{measured_um:.4},{sd_um:.4}")
+    };
+    let head = "frequency_hz,amplitude_um,model_um,measured_um,measured_sd_um";
+    let numbers = csv(head, rows.iter().map(row));
+    section.figure("amplitude", plot(&rows)?, Some(numbers), &caption, "meissner report");
+    Ok((section, figures))
 }
 
 /// The lower end of the amplitude axis, µm.

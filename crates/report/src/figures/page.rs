@@ -6,7 +6,6 @@
 //! Invariant: every file that a section names is one of its files.
 
 use crate::figures::svg::escape;
-use std::fmt::Write;
 
 /// The file name of the page.
 pub const INDEX: &str = "index.html";
@@ -39,13 +38,12 @@ impl Section {
 
     /// Adds a paragraph; `words` are escaped.
     pub(super) fn say(&mut self, words: &str) {
-        // Writing to a string does not fail.
-        let _ = writeln!(self.html, "<p>{}</p>", escape(words));
+        self.html += &format!("<p>{}</p>\n", escape(words));
     }
 
     /// Adds a table with its heading.
     pub(super) fn table(&mut self, heading: &str, table: &str) {
-        let _ = write!(self.html, "<h3>{}</h3>\n{table}", escape(heading));
+        self.html += &format!("<h3>{}</h3>\n{table}", escape(heading));
     }
 
     /// Adds a drawing with its numbers if there are any, its caption, and the command that makes it.
@@ -63,10 +61,9 @@ impl Section {
         let numbers = csv
             .as_ref()
             .map_or_else(String::new, |_| format!(" Numbers: <a href=\"{name}.csv\">{name}.csv</a>."));
-        let _ = writeln!(
-            self.html,
+        self.html += &format!(
             "<figure>\n<img src=\"{name}.svg\" alt=\"{alt}\"/>\n<figcaption>{caption}{numbers} Command: \
-             <code>{command}</code></figcaption>\n</figure>"
+             <code>{command}</code></figcaption>\n</figure>\n"
         );
         self.files.push(File { name: format!("{name}.svg"), text: svg });
         self.files.extend(csv.map(|text| File { name: format!("{name}.csv"), text }));
@@ -92,11 +89,11 @@ pub(super) fn page(sections: &[Section]) -> String {
         env!("CARGO_PKG_VERSION")
     );
     for Section { id, title, .. } in sections {
-        let _ = writeln!(html, "<li><a href=\"#{id}\">{}</a></li>", escape(title));
+        html += &format!("<li><a href=\"#{id}\">{}</a></li>\n", escape(title));
     }
     html.push_str("</ul>\n");
     for Section { id, title, html: body, .. } in sections {
-        let _ = write!(html, "<section id=\"{id}\">\n<h2>{}</h2>\n{body}</section>\n", escape(title));
+        html += &format!("<section id=\"{id}\">\n<h2>{}</h2>\n{body}</section>\n", escape(title));
     }
     html + "</body>\n</html>\n"
 }

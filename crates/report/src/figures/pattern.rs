@@ -11,7 +11,7 @@ use crate::figures::error::FiguresError;
 use crate::figures::map::{Aim, FINGERTIP, Pad, Panel, motors, pads};
 use crate::figures::page::Section;
 use crate::figures::segments::{Segment, segments};
-use crate::figures::table::{number, provenance, robustness, table};
+use crate::figures::table::{csv, number, provenance, robustness, table};
 use crate::figures::target::{self, FrameRates, TargetFigures};
 use meissner_array::motor::{MotorError, SteadyState};
 use meissner_array::pattern::{Drive, Pattern};
@@ -21,7 +21,6 @@ use meissner_skin::{Keep, Method, Options, Scene, simulate};
 use serde::Serialize;
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
-use std::fmt::Write;
 
 /// Seed of the population and its noise, unless the pattern has a target.
 const SEED: u64 = 0;
@@ -129,7 +128,7 @@ pub(super) fn section(
     if let (Some(rates), Some(target)) = (still, &target) {
         caption.push_str(&verdict(target, rates));
     }
-    let numbers = csv(&response, still.map(FrameRates::aim).as_ref());
+    let numbers = rates_csv(&response, still.map(FrameRates::aim).as_ref());
     let pad = response.pad(FINGERTIP, &response.rates_hz, still.map(FrameRates::aim));
     section.figure(&format!("pattern-{name}-rates"), pads(&[pad]), Some(numbers), &caption, &command);
     if let (Some(target), None) = (&target, still) {
@@ -270,15 +269,14 @@ fn frame_figure(
         target.name(),
         number(target.reach_mm())
     );
-    let mut numbers = String::from("start_s,stop_s,x_mm,y_mm,on,rate_hz\n");
-    for rates in &drawn {
+    let rows = drawn.iter().flat_map(|rates| {
         let [start_s, stop_s] = [rates.frame.start_s, rates.frame.stop_s].map(Option::unwrap_or_default);
-        let on = rates.partition.on();
-        for ((Position { x_mm, y_mm }, on), rate) in response.afferents.iter().zip(on).zip(&rates.rates_hz) {
-            // Writing to a string does not fail.
-            let _ = writeln!(numbers, "{start_s},{stop_s},{x_mm:.4},{y_mm:.4},{},{rate:.4}", u8::from(*on));
-        }
-    }
+        let of_frame = response.afferents.iter().zip(rates.partition.on()).zip(&rates.rates_hz);
+        of_frame.map(move |((Position { x_mm, y_mm }, on), rate)| {
+            format!("{start_s},{stop_s},{x_mm:.4},{y_mm:.4},{},{rate:.4}", u8::from(*on))
+        })
+    });
+    let numbers = csv("start_s,stop_s,x_mm,y_mm,on,rate_hz", rows);
     section.figure(&format!("pattern-{name}-frames"), pads(&shown), Some(numbers), &caption, command);
     let head = ["from, s", "to, s", "ON, impulses/s", "OFF, impulses/s", "contrast, impulses/s", "AUC"];
     let row = |rates: &FrameRates<'_>| {
@@ -290,16 +288,13 @@ fn frame_figure(
     section.table(&format!("Frames of {}", target.name()), &table(&head, frames.iter().map(row)));
 }
 
-fn csv(response: &Response, aim: Option<&Aim<'_>>) -> String {
-    let mut csv = String::from(if aim.is_some() { "x_mm,y_mm,rate_hz,on\n" } else { "x_mm,y_mm,rate_hz\n" });
-    for (index, (Position { x_mm, y_mm }, rate)) in
-        response.afferents.iter().zip(&response.rates_hz).enumerate()
-    {
+fn rates_csv(response: &Response, aim: Option<&Aim<'_>>) -> String {
+    let head = if aim.is_some() { "x_mm,y_mm,rate_hz,on" } else { "x_mm,y_mm,rate_hz" };
+    let row = |(index, (Position { x_mm, y_mm }, rate)): (usize, (&Position, &f64))| {
         let on = aim.map_or_else(String::new, |aim| format!(",{}", u8::from(aim.on[index])));
-        // Writing to a string does not fail.
-        let _ = writeln!(csv, "{x_mm:.4},{y_mm:.4},{rate:.4}{on}");
-    }
-    csv
+        format!("{x_mm:.4},{y_mm:.4},{rate:.4}{on}")
+    };
+    csv(head, response.afferents.iter().zip(&response.rates_hz).enumerate().map(row))
 }
 
 /// The steady states of drives, computed once for each frequency and amplitude.

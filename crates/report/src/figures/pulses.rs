@@ -9,7 +9,7 @@
 use crate::chart::{Axis, Chart, Dot, Point, Scale, Series, draw};
 use crate::figures::error::FiguresError;
 use crate::figures::page::Section;
-use crate::figures::table::{number, table};
+use crate::figures::table::{csv, number, table};
 use crate::statistics::mean_and_sd;
 use firmware_protocol::stroke::{Direction, MOTORS};
 use firmware_protocol::tick::Tick;
@@ -18,7 +18,6 @@ use meissner_array::units::{UM_PER_PULSE, ticks_to_seconds};
 use meissner_stream::calibrate::{BurstTravel, Fit, Plan, STROKES_PER_GROUP, travels_by_sensor};
 use plotters::chart::SeriesLabelPosition;
 use serde::Serialize;
-use std::fmt::Write;
 
 /// The motor whose bursts are drawn, as in the other figures.
 const MOTOR: u8 = 9;
@@ -80,7 +79,7 @@ pub(super) fn section() -> Result<(Section, Pulses), FiguresError> {
         number(meissner_stream::calibrate::GROUP_S),
         number(transient_gain),
     );
-    section.figure("pulses", plot(&plan, &drawn)?, Some(csv(&drawn)), &caption, "meissner report");
+    section.figure("pulses", plot(&plan, &drawn)?, Some(numbers(&drawn)), &caption, "meissner report");
     section.say(&format!(
         "For the {} measured bursts of all {MOTORS} motors the fitted slope is {} µm per pulse (standard error {}), {} of \
          the model's 0.95/7, with an offset of {} µm. Bursts scatter around it by {} % of their travel (the paper: \
@@ -130,15 +129,13 @@ fn fits(figures: &Pulses) -> String {
     table(&head, rows)
 }
 
-fn csv(bursts: &[BurstTravel]) -> String {
-    let mut csv = String::from("start_s,up,settling,pulses,travel_um\n");
-    for burst in bursts {
+fn numbers(bursts: &[BurstTravel]) -> String {
+    let row = |burst: &BurstTravel| {
         let start_s = ticks_to_seconds(burst.start.0);
         let (up, settling) = (u8::from(burst.direction == Direction::Up), u8::from(burst.warm_up));
-        // Writing to a string does not fail.
-        let _ = writeln!(csv, "{start_s:.6},{up},{settling},{},{:.4}", burst.pulses, burst.travel_um);
-    }
-    csv
+        format!("{start_s:.6},{up},{settling},{},{:.4}", burst.pulses, burst.travel_um)
+    };
+    csv("start_s,up,settling,pulses,travel_um", bursts.iter().map(row))
 }
 
 fn plot(plan: &Plan, bursts: &[BurstTravel]) -> Result<String, FiguresError> {

@@ -9,7 +9,7 @@
 use crate::chart::{Axis, Chart, Scale, Series, draw};
 use crate::figures::error::FiguresError;
 use crate::figures::page::Section;
-use crate::figures::table::{number, table};
+use crate::figures::table::{csv, number, table};
 use crate::progress::Parts;
 use crate::statistics::mean_and_sd;
 use firmware_protocol::tick::TICK_HZ;
@@ -21,7 +21,6 @@ use meissner_skin::{Method, Options, Scene, simulate};
 use plotters::chart::SeriesLabelPosition;
 use rayon::prelude::*;
 use serde::Serialize;
-use std::fmt::Write;
 
 /// The motor of the pin above the afferents; all others are off.
 const MOTOR: u8 = 9;
@@ -130,7 +129,11 @@ pub(super) fn section(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Rate)
         |row| format!("{} Hz", row.frequency_hz),
         |row| row.amplitude_um,
     )?;
-    let numbers = csv("frequency_hz,amplitude_um", &by_amplitude, |row| (row.frequency_hz, row.amplitude_um));
+    let row = |row: &Row| {
+        let Row { frequency_hz, amplitude_um, rate_hz, sd_hz } = row;
+        format!("{frequency_hz},{amplitude_um},{rate_hz:.4},{sd_hz:.4}")
+    };
+    let numbers = csv("frequency_hz,amplitude_um,rate_hz,rate_sd_hz", by_amplitude.iter().map(row));
     section.figure("rate-amplitude", drawn, Some(numbers), &caption, "meissner report");
     for plateau in figures.by_amplitude.iter().filter(|plateau| plateau.frequency_hz == 60.0) {
         section.say(&remark(plateau));
@@ -157,7 +160,11 @@ pub(super) fn section(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Rate)
         |row| format!("{} um", row.amplitude_um),
         |row| row.frequency_hz,
     )?;
-    let numbers = csv("amplitude_um,frequency_hz", &by_frequency, |row| (row.amplitude_um, row.frequency_hz));
+    let row = |row: &Row| {
+        let Row { frequency_hz, amplitude_um, rate_hz, sd_hz } = row;
+        format!("{amplitude_um},{frequency_hz},{rate_hz:.4},{sd_hz:.4}")
+    };
+    let numbers = csv("amplitude_um,frequency_hz,rate_hz,rate_sd_hz", by_frequency.iter().map(row));
     section.figure("rate-frequency", drawn, Some(numbers), &caption, "meissner report");
     Ok((section, figures))
 }
@@ -251,16 +258,6 @@ fn plateaus(plateaus: &[Plateau]) -> String {
         [frequency_hz, from_um, to_um, lowest_hz, highest_hz, saturated_from_um].map(number).to_vec()
     };
     table(&head, plateaus.iter().map(row))
-}
-
-fn csv(keys: &str, rows: &[Row], of: impl Fn(&Row) -> (f64, f64)) -> String {
-    let mut csv = format!("{keys},rate_hz,rate_sd_hz\n");
-    for row in rows {
-        let (first, second) = of(row);
-        // Writing to a string does not fail.
-        let _ = writeln!(csv, "{first},{second},{:.4},{:.4}", row.rate_hz, row.sd_hz);
-    }
-    csv
 }
 
 /// Draws the rates of each group, which `name` names, against `x`.

@@ -23,11 +23,10 @@ pub struct Segment {
 #[must_use]
 pub fn segments(drives: &[Drive], duration_s: Option<f64>) -> Vec<Segment> {
     let drives: Vec<Drive> = drives.iter().filter(|drive| drive.amplitude_um > 0.0).copied().collect();
-    let begins = |drive: &Drive| drive.start_s.unwrap_or(0.0);
     let ends = |drive: &Drive| drive.stop_s.unwrap_or(f64::INFINITY);
     let end = duration_s.unwrap_or_else(|| drives.iter().map(ends).fold(0.0, f64::max));
     let end = if drives.is_empty() { duration_s.unwrap_or(f64::INFINITY) } else { end };
-    let mut bounds: Vec<f64> = drives.iter().flat_map(|drive| [begins(drive), ends(drive)]).collect();
+    let mut bounds: Vec<f64> = drives.iter().flat_map(|drive| [drive.start(), ends(drive)]).collect();
     bounds.extend([0.0, end]);
     bounds.retain(|&at| at <= end);
     bounds.sort_by(f64::total_cmp);
@@ -37,7 +36,7 @@ pub fn segments(drives: &[Drive], duration_s: Option<f64>) -> Vec<Segment> {
     for pair in bounds.windows(2) {
         let [from, to] = [pair[0], pair[1]].map(seconds_to_ticks);
         let runs =
-            |drive: &&Drive| seconds_to_ticks(begins(drive)) <= from && seconds_to_ticks(ends(drive)) >= to;
+            |drive: &&Drive| seconds_to_ticks(drive.start()) <= from && seconds_to_ticks(ends(drive)) >= to;
         let running: Vec<Drive> = drives.iter().filter(runs).copied().collect();
         let stop_s = Some(pair[1]).filter(|stop| stop.is_finite());
         match found.last_mut() {

@@ -4,8 +4,6 @@
 //!
 //! Invariant: text is escaped and elements are closed, so every drawing is well formed.
 
-use std::fmt::Write;
-
 /// Escapes text for SVG and HTML, attributes included.
 pub(super) fn escape(text: &str) -> String {
     let mut escaped = String::with_capacity(text.len());
@@ -96,14 +94,12 @@ impl Drawing {
     /// The text of an SVG file.
     pub(super) fn finish(self) -> String {
         let Self { width, height, elements } = self;
-        let mut svg = String::new();
-        // Writing to a string does not fail.
-        let _ = writeln!(
-            svg,
-            r#"<svg width="{width:.0}" height="{height:.0}" viewBox="0 0 {width:.0} {height:.0}" xmlns="http://www.w3.org/2000/svg" font-family="sans-serif">"#
-        );
-        let _ = writeln!(svg, r##"<rect width="100%" height="100%" fill="#ffffff"/>"##);
-        svg + &elements + "</svg>\n"
+        format!(
+            r##"<svg width="{width:.0}" height="{height:.0}" viewBox="0 0 {width:.0} {height:.0}" xmlns="http://www.w3.org/2000/svg" font-family="sans-serif">
+<rect width="100%" height="100%" fill="#ffffff"/>
+{elements}</svg>
+"##
+        )
     }
 }
 

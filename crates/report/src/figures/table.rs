@@ -5,7 +5,6 @@
 //! Invariant: every cell is escaped.
 
 use crate::figures::svg::escape;
-use std::fmt::Write;
 use toml::{Table, Value};
 
 /// The key of the provenance with the pattern's robustness.
@@ -27,19 +26,19 @@ pub(super) fn number(number: f64) -> String {
 /// A table with a header row.
 pub(super) fn table(head: &[&str], rows: impl IntoIterator<Item = Vec<String>>) -> String {
     let mut html = String::from("<table>\n<tr>");
-    // Writing to a string does not fail.
-    for cell in head {
-        let _ = write!(html, "<th>{}</th>", escape(cell));
-    }
+    html.extend(head.iter().map(|cell| format!("<th>{}</th>", escape(cell))));
     html.push_str("</tr>\n");
     for row in rows {
         html.push_str("<tr>");
-        for cell in row {
-            let _ = write!(html, "<td>{}</td>", escape(&cell));
-        }
+        html.extend(row.iter().map(|cell| format!("<td>{}</td>", escape(cell))));
         html.push_str("</tr>\n");
     }
     html + "</table>\n"
+}
+
+/// A CSV text of a header line and rows.
+pub(super) fn csv(head: &str, rows: impl IntoIterator<Item = String>) -> String {
+    rows.into_iter().fold(format!("{head}\n"), |csv, row| csv + &row + "\n")
 }
 
 /// The provenance of a pattern, without its robustness; none if it is empty.

@@ -1,8 +1,8 @@
 //! The simulation methods compared: time against error on one scene, measured on this machine.
 //!
-//! [`tradeoff`] runs a scene by every method and step, and compares each with the exact one (`compare`): by spikes, by
-//! rates and by the contrast on the target [`YARDSTICK`](meissner_design::YARDSTICK). `label` names a method, [`plot`]
-//! draws the result, and [`reasons`] says why work that was skipped does not change the answer.
+//! [`tradeoff()`] runs a scene by every method and step, and compares each with the exact one (`compare`): by spikes, by
+//! rates and by the contrast on the target [`YARDSTICK`](meissner_design::YARDSTICK). `label` names a method, [`plot()`]
+//! draws the result, and [`reasons()`] says why work that was skipped does not change the answer.
 
 mod compare;
 mod label;

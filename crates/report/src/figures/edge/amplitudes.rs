@@ -9,13 +9,12 @@ use crate::figures::edge::tuning::{
     NEAR_PAPER_HZ, PAPER_HZ, SETTING, exact_objective, found, in_unison, near_hz,
 };
 use crate::figures::error::FiguresError;
-use crate::figures::table::{number, table};
+use crate::figures::table::{csv, number, table};
 use firmware_protocol::tick::TICK_HZ;
 use meissner_array::units::UM_PER_PULSE;
 use meissner_design::{Limit, Target, Vibration};
 use plotters::chart::SeriesLabelPosition;
 use serde::Serialize;
-use std::fmt::Write;
 
 /// The amplitudes, µm.
 pub(super) const AMPLITUDES_UM: [f64; 6] = [20.0, 30.0, 40.0, 60.0, 80.0, 120.0];
@@ -70,13 +69,12 @@ pub(super) fn about(rows: &[ByAmplitude]) -> String {
     )
 }
 
-pub(super) fn csv(rows: &[ByAmplitude]) -> String {
-    let mut csv = String::from("amplitude_um,near_median_hz,cost_hz,cost_at_60_hz,saturated_from_hz\n");
-    for ByAmplitude { amplitude_um, near_hz, cost_hz, cost_at_60_hz, saturated_from_hz } in rows {
-        let _ =
-            writeln!(csv, "{amplitude_um},{near_hz},{cost_hz:.4},{cost_at_60_hz:.4},{saturated_from_hz:.4}");
-    }
-    csv
+pub(super) fn numbers(rows: &[ByAmplitude]) -> String {
+    let row = |row: &ByAmplitude| {
+        let ByAmplitude { amplitude_um, near_hz, cost_hz, cost_at_60_hz, saturated_from_hz } = row;
+        format!("{amplitude_um},{near_hz},{cost_hz:.4},{cost_at_60_hz:.4},{saturated_from_hz:.4}")
+    };
+    csv("amplitude_um,near_median_hz,cost_hz,cost_at_60_hz,saturated_from_hz", rows.iter().map(row))
 }
 
 pub(super) fn plot(rows: &[ByAmplitude]) -> Result<String, FiguresError> {

@@ -16,7 +16,7 @@ use crate::chart::{Axis, Chart, Point as Mark, Scale, Series, draw};
 use crate::figures::error::FiguresError;
 use crate::figures::map::{FINGERTIP, Pad, Panel, motors, pads};
 use crate::figures::page::Section;
-use crate::figures::table::number;
+use crate::figures::table::{csv, number};
 use crate::figures::target::FrameRates;
 use crate::progress::Parts;
 use meissner_array::motor::SteadyState;
@@ -26,7 +26,6 @@ use meissner_skin::{Method, Options, Scene, simulate};
 use plotters::chart::SeriesLabelPosition;
 use rayon::prelude::*;
 use serde::Serialize;
-use std::fmt::Write;
 use std::sync::OnceLock;
 use tuning::{NEAR_PAPER_HZ, Record, SEED, found, in_unison, near, near_hz, records};
 
@@ -139,7 +138,7 @@ fn make(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Edge), FiguresError
     put("edge-rates", pads(&both), Some(numbers), about_rates(&figures));
     let end = figures.evaluations;
     put("edge-cost", cost_plot(&records, end)?, Some(cost_csv(&records, end)), about_cost(&figures));
-    let numbers = amplitudes::csv(&figures.by_amplitude);
+    let numbers = amplitudes::numbers(&figures.by_amplitude);
     let caption = amplitudes::about(&figures.by_amplitude);
     put("edge-amplitudes", amplitudes::plot(&figures.by_amplitude)?, Some(numbers), caption);
     section.table("The search at other amplitudes", &amplitudes::in_rows(&figures.by_amplitude));
@@ -234,25 +233,22 @@ fn about_cost(figures: &Edge) -> String {
 }
 
 fn rates_csv(afferents: &[Position], before: &FrameRates<'_>, after: &FrameRates<'_>) -> String {
-    let mut csv = String::from("x_mm,y_mm,on,before_hz,after_hz\n");
-    for (index, Position { x_mm, y_mm }) in afferents.iter().enumerate() {
+    let row = |(index, Position { x_mm, y_mm }): (usize, &Position)| {
         let on = u8::from(after.partition.on()[index]);
         let [before, after] = [before, after].map(|rates| rates.rates_hz[index]);
-        // Writing to a string does not fail.
-        let _ = writeln!(csv, "{x_mm:.4},{y_mm:.4},{on},{before:.4},{after:.4}");
-    }
-    csv
+        format!("{x_mm:.4},{y_mm:.4},{on},{before:.4},{after:.4}")
+    };
+    csv("x_mm,y_mm,on,before_hz,after_hz", afferents.iter().enumerate().map(row))
 }
 
 /// A row for each better point, and one for the end.
 fn cost_csv(records: &[Record], end: u64) -> String {
-    let mut csv = String::from("evaluations,cost_hz,on_hz,off_hz,near_median_hz\n");
     let last = records.last().map(|last| Record { evaluations: end, ..*last });
-    for Record { evaluations, score, near_hz, .. } in records.iter().copied().chain(last) {
+    let row = |Record { evaluations, score, near_hz, .. }: Record| {
         let Score { on_hz, off_hz } = score;
-        let _ = writeln!(csv, "{evaluations},{:.4},{on_hz:.4},{off_hz:.4},{near_hz}", score.cost_hz());
-    }
-    csv
+        format!("{evaluations},{:.4},{on_hz:.4},{off_hz:.4},{near_hz}", score.cost_hz())
+    };
+    csv("evaluations,cost_hz,on_hz,off_hz,near_median_hz", records.iter().copied().chain(last).map(row))
 }
 
 fn cost_plot(records: &[Record], end: u64) -> Result<String, FiguresError> {
