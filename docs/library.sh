@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Makes the patterns of the library again from targets/. The bytes are the same unless models, search or targets have
-# changed. Prints the time of each. Usage: docs/library.sh [DIR]; without DIR it writes into patterns/
+# Makes the patterns of the library again from targets/, and prints the time of each. The bytes are the same unless models,
+# search or targets have changed. Usage: docs/library.sh [DIR]; without DIR it writes into patterns/
 set -euo pipefail
 cd "$(dirname "$0")/.."
 out=${1:-patterns}

@@ -50,7 +50,7 @@ debian() {
         $suite "$tree" "$mirror" >"$log" 2>&1 || die "debootstrap failed: see $log"
 }
 
-# slim TREE: removes what no test reads
+# slim TREE: removes files that no test reads
 slim() {
     as_root sh -c "cd '$1' && rm -rf tmp/* var/cache/apt/* var/lib/apt/lists/* usr/share/doc usr/share/man \
         usr/share/locale usr/share/info"
@@ -92,8 +92,8 @@ program() { strip -o "$2" "$1" 2>/dev/null || cp "$1" "$2"; }
 
 # package PROFILE FILE: builds the Debian package from the sources in this directory
 package() {
-    # A tested version of cargo-deb, built without optimisation: in a fresh clone its build takes longer than its use. It
-    # packs with xz.
+    # A tested version of cargo-deb, built without optimisation, because in a fresh clone building it takes longer than using it.
+    # It packs with xz.
     local version=3.8.0 tools=$PWD/target/tools said=$2.log quiet=()
     if [ "$("$tools/bin/cargo-deb" --version 2>/dev/null)" != "cargo-deb $version" ]; then
         say "building cargo-deb (some minutes, once)"

@@ -1,5 +1,5 @@
 #!/usr/bin/env node
-// bench.mjs ELF [--seed N] [--slow F] [--serial HEX]: the emulated board on a leash. One JSON request per line on stdin, one
+// bench.mjs ELF [--seed N] [--slow F] [--serial HEX]: runs the emulated board on request. One JSON request per line on stdin, one
 // JSON answer per line on stdout, each followed by its binary tail (README.md has the table). Nothing advances between
 // requests, so a test decides what happens in which cycle. Needs no network and no real time.
 
@@ -7,7 +7,7 @@ import { parseArgs } from 'node:util';
 import fs from 'node:fs';
 import { Board } from './board.mjs';
 
-/** One run of a board under requests: what has come since the last answer, and how to answer. */
+/** One run of a board: carries out requests, and collects what the board sends between two answers. */
 export class Bench {
   constructor(board) {
     this.board = board;
@@ -56,7 +56,7 @@ export class Bench {
     const { length, cycles, levels } = this.board.recorder;
     const tail = Buffer.alloc(12 * length);
     for (let i = 0; i < length; i++) {
-      tail.writeUIntLE(cycles[i], 12 * i, 6); // 48 bits of the 64 last for 25 days of clk_sys
+      tail.writeUIntLE(cycles[i], 12 * i, 6); // 48 bits of 64: enough for 25 days of clk_sys
       tail.writeUInt32LE(levels[i], 12 * i + 8);
     }
     return tail;
@@ -64,7 +64,7 @@ export class Bench {
   perform(request) {
     const { board } = this;
     const { host } = board;
-    // The key that is no argument of another, wherever it stands.
+    // The verb is the key that is not an argument of another verb, at any place.
     const verb = Object.keys(request).find((key) => !['until', 'hex', 'bytes'].includes(key));
     const value = request[verb];
     switch (verb) {
@@ -101,7 +101,7 @@ export class Bench {
     if (!Number.isSafeInteger(cycles) || cycles < 0) throw new Error('run: a whole number of cycles, please');
     if (![null, 'configured', 'cdc', 'bulk'].includes(until)) throw new Error(`run: until ${until}?`);
     this.until = until;
-    // what is awaited may already be there
+    // the awaited event may have happened already
     const there = until === 'configured' ? this.board.host.configured : until && this.received[until].length > 0;
     if (!there) this.board.run(cycles);
     this.until = null;

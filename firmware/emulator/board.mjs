@@ -1,6 +1,6 @@
-// The whole emulated Pico: the chip with its mended parts, the ELF in its flash, the pins' record, the USB host; and resets.
-// A chip reset makes a new chip around the old memories: nothing but SRAM, flash, the watchdog's scratch registers and the
-// clock survives, so nothing can be forgotten.
+// The whole emulated Pico: the chip with its corrected parts, the ELF in its flash, the record of the pins, the USB host, resets.
+// A chip reset makes a new chip around the old memories. Only SRAM, flash, the watchdog's scratch registers and the clock
+// survive, so no state can be left over by mistake.
 
 import { ConsoleLogger, LogLevel, RP2040 } from 'rp2040js';
 import { Bus } from './bus.mjs';
@@ -63,7 +63,7 @@ export class Board {
     this.clock.clear();
     const mcu = new RP2040(this.clock);
     mcu.logger = new ConsoleLogger(LogLevel.Error, false);
-    // rp2040js starts at 125 MHz; the chip does not
+    // rp2040js starts at 125 MHz; the real chip starts from the ring oscillator
     mcu.clkSys = ROSC_HZ;
     this.clock.setFrequency(ROSC_HZ);
     mcu.addClockListener((hz) => this.clock.setFrequency(hz));
@@ -108,7 +108,7 @@ export class Board {
     this.host.connect(mcu.usbCtrl);
   }
 
-  /** What the ROM does at reset: checks boot2, copies it to SRAM and calls it. */
+  /** Does what the ROM does at reset: checks boot2, copies it to SRAM and calls it. */
   boot() {
     const { mcu, core } = this;
     for (const { address, bytes } of this.segments) {
@@ -119,7 +119,7 @@ export class Board {
     if (crc32(boot2.subarray(0, 252)) !== mcu.flashView.getUint32(252, true)) throw new Error('boot2 checksum: a real RP2040 would stay in BOOTSEL');
     mcu.sram.set(boot2, BOOT2 - SRAM);
     core.r[13] = BOOT2;
-    core.r[14] = 0; // boot2 takes 0 for "go on to the vector table"
+    core.r[14] = 0; // 0 tells boot2 to continue at the vector table
     core.r[15] = BOOT2;
   }
   wantReset() {
@@ -148,7 +148,7 @@ export class Board {
   run(cycles) {
     this.runTo(this.clock.cycle + cycles);
   }
-  /** For callbacks: makes the run end after the instruction under way. */
+  /** Called by callbacks: ends the run after the current instruction. */
   stop() {
     this.stopWanted = true;
     this.core.stop();

@@ -1,7 +1,7 @@
-// What the core and the DMA reach at which address: SRAM and flash directly, everything else through rp2040js's address map.
-// A word that is not aligned, or an address where nothing is, is a fault as on the chip (rp2040js only warns).
+// Memory accesses of the core and the DMA: SRAM and flash directly, everything else through rp2040js's address map.
+// An unaligned word or an unmapped address is a fault, as on the chip (rp2040js only warns).
 
-/** A failed access or an undefined instruction; the core makes a HardFault of it, the DMA stops its channel. */
+/** A failed access or an undefined instruction: the core raises a HardFault, the DMA stops its channel. */
 export class Fault extends Error {}
 
 const SRAM_BYTES = 264 * 1024;
@@ -90,7 +90,7 @@ export class Bus {
     if (peripheral === undefined) throw new Fault(`nothing to write at ${a.toString(16)}`);
     peripheral.writeUint32Atomic(a & 0xfff, v >>> 0, (a >> 12) & 3);
   }
-  /** Bytes and halfwords: memory takes them, a peripheral's register sees them on all lanes. */
+  /** Writes bytes and halfwords to memory; a peripheral's register sees them on all byte lanes. */
   writeNarrow(a, v, bytes) {
     if (a >>> 12 === 0x50100) {
       this.mcu.usbDPRAM[a & 0xfff] = v;

@@ -1,6 +1,6 @@
-// Time of the whole emulation, counted in clk_sys cycles, and the queue of things that will happen.
-// It stands in for rp2040js's nanosecond clock (same createAlarm interface), because the firmware's contract is in cycles
-// and sums of 7.843 ns steps drift. It knows nothing of peripherals; a change of clk_sys is told to it.
+// Time of the whole emulation in clk_sys cycles, and the queue of future events.
+// It replaces rp2040js's nanosecond clock (same createAlarm interface), because the firmware's contract is in cycles
+// and sums of 7.843 ns steps drift. It knows no peripherals; the board reports each change of clk_sys to it.
 
 /** Indices of `Clock.t`, a typed array so that the interpreter's hot loop reads it without boxing. */
 export const NOW = 0;
@@ -10,12 +10,12 @@ class Alarm {
   constructor(clock, callback) {
     Object.assign(this, { clock, callback, next: null, cycle: 0, nanos: NaN, scheduled: false });
   }
-  /** rp2040js's interface: in real time, so that it moves when clk_sys changes. */
+  /** rp2040js's interface, in nanoseconds: the alarm's cycle changes when clk_sys does. */
   schedule(deltaNanos) {
     this.nanos = this.clock.nanos + deltaNanos;
     this.clock.link(this, this.clock.cycleOf(this.nanos));
   }
-  /** In cycles, for what is clocked by clk_sys. */
+  /** In cycles, for parts clocked by clk_sys. */
   scheduleAt(cycle) {
     this.nanos = NaN;
     this.clock.link(this, cycle);
@@ -56,7 +56,7 @@ export class Clock {
     this.clear();
     for (const a of all) this.link(a, Number.isNaN(a.nanos) ? a.cycle : this.cycleOf(a.nanos));
   }
-  /** Forgets every alarm: what a chip reset does to its peripherals. */
+  /** Removes every alarm, as a chip reset does. */
   clear() {
     for (let a = this.head; a; a = a.next) a.scheduled = false;
     this.head = null;
@@ -68,7 +68,7 @@ export class Clock {
     alarm.scheduled = true;
     let before = null;
     let at = this.head;
-    // alarms of the same cycle go off in the order they were set, so that runs repeat exactly
+    // alarms of the same cycle fire in the order in which they were set, so that every run is the same
     while (at !== null && at.cycle <= cycle) {
       before = at;
       at = at.next;
@@ -93,7 +93,7 @@ export class Clock {
       }
     }
   }
-  /** Runs what is due. Each callback sees the clock at its own cycle, though the instruction under way may have passed it. */
+  /** Runs the events that are due. Each callback sees the clock at its own cycle, even if the current instruction ends later. */
   runDue() {
     const { t } = this;
     const reached = t[NOW];

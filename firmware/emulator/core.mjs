@@ -1,7 +1,7 @@
-// The Cortex-M0+ of core 0: the loop that runs it, exception entry and return, sleep, faults. rp2040js takes exceptions in
-// spite of PRIMASK, loses wake-ups and knows no faults. Not here: the instructions (interpreter.mjs), which exception is next
-// (exceptions.mjs), the bus (bus.mjs). Flash waits, the second core and bus contention are not modelled.
-// Invariant: `t[NOW]` is the cycle at which the instruction under way began; peripherals see that time.
+// The Cortex-M0+ of core 0: its loop, exception entry and return, sleep, faults. rp2040js takes exceptions despite PRIMASK,
+// loses wake-ups and has no faults. Elsewhere: the instructions (interpreter.mjs), which exception is next (exceptions.mjs),
+// the bus (bus.mjs). Flash waits, the second core and bus contention are not modelled.
+// Invariant: `t[NOW]` is the cycle at which the current instruction began; peripherals see that time.
 
 import { Fault } from './bus.mjs';
 import { NEXT, NOW } from './clock.mjs';
@@ -9,10 +9,10 @@ import { Exceptions, HARDFAULT } from './exceptions.mjs';
 import { Interpreter, WFE, WFI } from './interpreter.mjs';
 
 const AWAKE = 0;
-/** Asleep for good: lockup, or the bench has stopped the core. */
+/** Asleep until a reset: lockup, or the bench has stopped the core. */
 const DEAD = 3;
 
-// TRM: exception entry takes 15 cycles with zero-wait memory; the way back about as long less the fetch of the vector.
+// TRM: exception entry takes 15 cycles with zero-wait memory; the return takes about as long, without fetching a vector.
 const ENTRY_CYCLES = 15;
 const RETURN_CYCLES = 10;
 
@@ -106,7 +106,7 @@ export class Core extends Interpreter {
     return executed;
   }
 
-  /** Takes the next exception, or wakes, or goes on. Returns the cycles spent. */
+  /** Takes the next exception, or wakes, or continues. Returns the cycles spent. */
   attend() {
     this.attention = false;
     if (this.asleep === DEAD) return 0;
@@ -143,7 +143,7 @@ export class Core extends Interpreter {
       handler = bus.read32(this.vtor + 4 * number) & ~1;
     } catch (e) {
       if (!(e instanceof Fault)) throw e;
-      // no stack or no vector to fault with: the chip locks up
+      // without a stack or a vector for the fault the chip locks up
       this.fault = `lockup: ${e.message} on exception entry`;
       return this.die();
     }
@@ -173,7 +173,7 @@ export class Core extends Interpreter {
     this.exceptions.leave(number);
     if (this.sleepOnExit && this.ipsr === 0) this.asleep = WFI;
   }
-  /** As a real fault; the stacked address is that of the instruction or, for a bad access, of the one after it. */
+  /** Raises a fault; the stacked address is that of the instruction or, after a bad access, of the next one. */
   hardFault(text) {
     this.fault = `${text} near ${(this.r[15] >>> 0).toString(16)}`;
     if (this.asleep === DEAD) return;
@@ -184,9 +184,9 @@ export class Core extends Interpreter {
   }
   sleep(how) {
     this.asleep = how;
-    this.attention = true; // what is pending already ends it at once
+    this.attention = true; // a pending exception ends it at once
   }
-  /** Where BX, POP and MOV to PC go: an address, or out of an exception. */
+  /** BX, POP and MOV to PC: jumps to an address, or returns from an exception. */
   branch(address) {
     if (this.ipsr !== 0 && address >>> 28 === 0xf) {
       this.leave(address);

@@ -1,6 +1,6 @@
 #!/usr/bin/env node
 // decode.mjs ELF --run CYCLES [--cdc HEX] [--bulk HEX]: boots, waits for USB, sends the bytes, runs, and prints what a logic
-// analyser on the pins would: per line the pulses, the histogram of their widths, and that of the spacing of their starts.
+// analyser on the pins would show: per line the pulses, and histograms of their widths and of the spacings of their starts.
 
 import { parseArgs } from 'node:util';
 import { BOARD_OPTIONS, boardOf } from './bench.mjs';

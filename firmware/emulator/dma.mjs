@@ -1,6 +1,6 @@
 // The DMA controller: paced by the PIO's FIFOs or unpaced, rings, chains, interrupts.
-// rp2040js sets an alarm per transfer; here a paced channel moves what the FIFO asks for at once, and an unpaced one moves a
-// word a cycle, in steps of `STEP` words. Not modelled: pacing timers, sniffer, byte swap, the few cycles between a request
+// rp2040js sets an alarm per transfer; here a paced channel moves at once all words that the FIFO requests, and an unpaced one
+// moves a word per cycle, in steps of `STEP` words. Not modelled: pacing timers, sniffer, byte swap, the few cycles between a request
 // and its transfer, contention for the bus, and priorities between channels.
 
 import { BasePeripheral } from 'rp2040js';
@@ -14,7 +14,7 @@ const BUSY = 1 << 24;
 const BUS_ERROR = (1 << 31) | (1 << 30);
 const QUIET = 1 << 21;
 const IRQ0 = 11;
-// which register each of a channel's 16 words is: 0 read, 1 write, 2 count, 3 control; the last of each four triggers
+// the register of each of a channel's 16 words: 0 read, 1 write, 2 count, 3 control; the last of each four triggers
 const ALIASES = [0, 1, 2, 3, 3, 0, 1, 2, 3, 2, 0, 1, 3, 1, 2, 0];
 
 class Channel {
@@ -27,7 +27,7 @@ class Channel {
     this.reload = 0;
     this.moving = false;
     this.alarm = dma.rp2040.clock.createAlarm(() => this.stride());
-    this.control = index << 11; // chained to itself is chained to none
+    this.control = index << 11; // a channel chained to itself is not chained
     this.unpack();
   }
   unpack() {
@@ -36,7 +36,7 @@ class Channel {
     this.treq = (c >> 15) & 63;
     this.chain = (c >> 11) & 15;
     const ring = (1 << ((c >> 6) & 15)) - 1;
-    // bits of the address that may change: all, or those of the ring
+    // bits of the address that change: all, or those of the ring
     this.readMask = c & (1 << 10) || !ring ? -1 : ring;
     this.writeMask = c & (1 << 10) && ring ? ring : -1;
     this.readStep = c & (1 << 4) ? 1 << this.size : 0;
@@ -66,9 +66,9 @@ class Channel {
     if (this.count === 0) this.finish();
     else this.go();
   }
-  /** Moves words as long as the requesting FIFO has room, or holds something. */
+  /** Moves words while the requesting FIFO has room, or holds data. */
   paced() {
-    // feeding a FIFO that has still room makes it ask again
+    // a FIFO that still has room requests again
     if (this.moving || this.treq > 15) return;
     const machine = this.dma.rp2040.pio[this.treq >> 3].machines[this.treq & 3];
     this.moving = true;
@@ -82,7 +82,7 @@ class Channel {
     this.moving = false;
     if (this.count === 0) this.finish();
   }
-  /** Our firmware's case, without the way over the bus. */
+  /** The firmware's case, without the detour through the bus. */
   feed(machine) {
     const { bus } = this.dma.rp2040;
     const fifo = machine.txFIFO;
@@ -132,7 +132,7 @@ class Channel {
       else this.go();
     }
     if ((word & 3) !== 3) return;
-    // the null trigger: writing zero starts nothing, and interrupts if the channel is quiet
+    // the null trigger: writing zero starts nothing, and raises the interrupt if the channel is in quiet mode
     if (v !== 0) this.trigger();
     else if (this.control & QUIET) this.dma.raise(1 << this.index);
   }
@@ -158,7 +158,7 @@ export class Dma extends BasePeripheral {
       if (c.treq === treq && c.busy && c.control & EN) c.paced();
     }
   }
-  // rp2040js's other peripherals name their requests in these; none of them is served
+  // the requests of rp2040js's other peripherals; none of them is served
   setDREQ() {}
   clearDREQ() {}
   raise(bits) {

@@ -1,5 +1,5 @@
-// What the ARMv6-M core knows of exceptions: pending, enabled, active and their priorities. It decides which exception comes
-// next; taking it (stack frame, vector) is the core's work, the registers are in ppb.mjs.
+// Exceptions of the ARMv6-M core: pending, enabled, active, priorities. It decides which exception comes next. The core takes
+// it (stack frame, vector); the registers are in ppb.mjs.
 // Lines are level-sensitive as on the M0+'s NVIC: a rise is latched, and a line still high when its handler returns pends again.
 
 export const NMI = 2;
@@ -7,7 +7,7 @@ export const HARDFAULT = 3;
 export const SVCALL = 11;
 export const PENDSV = 14;
 export const SYSTICK = 15;
-/** Lower than any exception's: thread mode. */
+/** Priority of thread mode: lower than any exception's. */
 const THREAD = 4;
 
 export class Exceptions {
@@ -18,7 +18,7 @@ export class Exceptions {
     this.enabled = 0;
     this.system = 0; // pending exceptions 2..15, by number
     this.active = []; // innermost last
-    this.current = THREAD; // priority of what is running, PRIMASK apart
+    this.current = THREAD; // priority of the running code, without PRIMASK
     this.priority = new Int8Array(48);
     this.priority[NMI] = -2;
     this.priority[HARDFAULT] = -1;

@@ -1,5 +1,5 @@
 // The flash chip behind the SSI: the commands that boot2 and embassy-rp send it (status, JEDEC id, unique id), byte by byte.
-// Reading through XIP does not pass here, and nothing erases or programs: the firmware never does.
+// Reads through XIP do not pass here. Erase and program are missing: the firmware never uses them.
 
 import { BasePeripheral } from 'rp2040js';
 
@@ -46,7 +46,7 @@ export class Ssi extends BasePeripheral {
   get mode() {
     return ((this.words.get(0) ?? 0) >> 8) & 3;
   }
-  /** In EEPROM-read mode the frames of CTRLR1 + 1 follow by themselves once the command is out. */
+  /** In EEPROM-read mode CTRLR1 + 1 frames follow by themselves after the command. */
   clockIn() {
     while (this.toRead > 0) {
       this.received.push(this.chip.exchange(0));
@@ -76,7 +76,7 @@ export class Ssi extends BasePeripheral {
       return;
     }
     if (offset === 8) {
-      // disabling flushes the FIFOs and lets go of the chip
+      // disabling flushes the FIFOs and releases the chip
       this.received = [];
       this.toRead = 0;
       this.chip.deselect();

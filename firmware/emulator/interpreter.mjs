@@ -1,7 +1,6 @@
-// The ARMv6-M instructions: registers, flags, and what each opcode does and costs. It replaces rp2040js's interpreter, whose
-// flags (ADCS, SBCS, shifts by register) and STM write-back are not the architecture's, and which is slow.
-// What happens between instructions, exceptions and sleep, is the core's (core.mjs), which extends this class.
-// Costs are the TRM's for zero-wait memory.
+// The ARMv6-M instructions: registers, flags, and the effect and cycles of each opcode. It replaces rp2040js's interpreter,
+// which is slow and gets flags (ADCS, SBCS, shifts by register) and STM write-back wrong. The core (core.mjs) extends this
+// class with exceptions and sleep. Cycles are the TRM's for zero-wait memory.
 
 import { Fault } from './bus.mjs';
 import { SVCALL } from './exceptions.mjs';
@@ -25,7 +24,7 @@ export class Interpreter {
     this.primask = 0;
     this.ipsr = 0;
     this.event = false;
-    /** Something outside the plain run of instructions is to be looked at. */
+    /** The core must look at something besides the next instruction. */
     this.attention = false;
   }
 

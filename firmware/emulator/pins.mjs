@@ -1,6 +1,6 @@
-// The levels on the pads GP0..29: what drives each, the overrides of IO_BANK0, pulls; and the record of every change.
-// rp2040js asks each pin in turn and keeps no times; here the levels are one word computed with masks.
-// Nothing drives the pins from outside: an input has the level of its pull.
+// The levels of the pads GP0..29: drivers, the overrides of IO_BANK0, pulls, and the record of every change.
+// rp2040js asks each pin in turn and records no times; here the levels are one word computed with masks.
+// No pin is driven from outside: an input has the level of its pull.
 
 const PINS = 30;
 const FUNCTION = { PWM: 4, SIO: 5, PIO0: 6, PIO1: 7 };
@@ -11,7 +11,7 @@ export class Recorder {
     this.length = 0;
     this.cycles = new Float64Array(1 << 14);
     this.levels = new Uint32Array(1 << 14);
-    /** What the pads are at, over chip resets as well. */
+    /** The pads' levels; kept over chip resets. */
     this.last = 0;
   }
   add(cycle, levels) {

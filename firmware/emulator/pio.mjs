@@ -1,6 +1,6 @@
 // The PIO blocks in time: state machines that step on their divided clock, with delays, joined FIFOs and autopull.
-// rp2040js executes the instructions but free-runs them; only `OUT PINS, 32` with autopull, 340 000 a second in our firmware,
-// is executed here. A machine that waits costs nothing: it is woken, and goes on at its next own clock tick.
+// rp2040js executes the instructions, but without a clock. `OUT PINS, 32` with autopull is executed here: the firmware runs it
+// 340 000 times a second. A waiting machine costs no time: an event wakes it, and it continues at its next own clock tick.
 // Not modelled: OUT_STICKY, INLINE_OUT_EN, the input synchronisers.
 
 import { FIFO, RPPIO, StateMachine } from 'rp2040js';
@@ -18,7 +18,7 @@ class Machine extends StateMachine {
   constructor(...args) {
     super(...args);
     this.at = 0; // cycle of its next step; a fraction if the divider has one
-    this.resting = false; // waits, or is stalled
+    this.resting = false; // waiting or stalled
     this.outStalled = false;
     this.stepping = false;
     this.outputShiftCount = 32; // the OSR is empty out of reset
@@ -47,7 +47,7 @@ class Machine extends StateMachine {
     this.updateDMATx();
     if (this.resting) this.checkWait();
     if (pio.irq0IntEnable | pio.irq1IntEnable) pio.checkInterrupts();
-    // the OSR refills by itself, FIFO or not, unless an OUT is already waiting for it
+    // the OSR refills by itself unless an OUT is already waiting for it
     if (this.fast && this.enabled && !this.outStalled && this.osrEmpty) this.refill();
   }
   refill() {
@@ -69,7 +69,7 @@ class Machine extends StateMachine {
     this.at = this.rp2040.clock.cycle + 1;
     this.resting = this.outStalled = false;
   }
-  /** To its next own clock tick, after it has rested. */
+  /** Moves on to its next own clock tick after a wait. */
   realign() {
     const now = this.rp2040.clock.cycle;
     if (this.at <= now) this.at += (Math.floor((now - this.at) / this.divider) + 1) * this.divider;
@@ -86,7 +86,7 @@ class Machine extends StateMachine {
     }
     this.fast = (this.shiftCtrl & (AUTOPULL | PULL_THRESHOLD)) === AUTOPULL && this.sidesetCount === 0;
   }
-  /** rp2040js calls this whenever what a machine may wait for has changed. */
+  /** rp2040js calls this whenever a condition that a machine may wait for has changed. */
   checkWait() {
     if (this.stepping) return super.checkWait();
     if (!this.resting || !(this.waiting || this.outStalled)) return;
@@ -107,7 +107,7 @@ class Machine extends StateMachine {
     }
     this.stepping = false;
     if (this.waiting) this.resting = true;
-    // an instruction that had waited spends its own cycle now
+    // an instruction that has waited takes its own cycle now
     else this.at += Math.max(1, this.cycles - before) * this.divider;
   }
   outPins(delay) {

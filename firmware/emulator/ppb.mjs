@@ -26,7 +26,7 @@ export class SysTick {
     if (gone <= this.from) return this.from - gone;
     return this.reload - ((gone - this.from - 1) % (this.reload + 1));
   }
-  /** Restarts the arithmetic at the value of now, before something that it depends on changes. */
+  /** Sets a new anchor at the present value, before a setting changes. */
   hold(value = this.value) {
     this.from = value;
     this.anchor = this.clock.cycle;
@@ -153,7 +153,7 @@ export class PrivatePeripherals {
         this.core.vtor = v & 0xffffff00;
         break;
       case 0xd0c:
-        // AIRCR.SYSRESETREQ, with the key that guards it
+        // AIRCR.SYSRESETREQ, with its key
         if (v >>> 16 === 0x05fa && v & 4) this.core.onResetRequest?.();
         break;
       case 0xd10:

@@ -1,6 +1,6 @@
-// A synthetic boot ROM: the function table that embassy-rp looks functions up in, and the few functions it then calls, as
-// Thumb code of our own. The flash functions do nothing, because flash.mjs needs no mode change. No boot code: the board does
-// what the ROM does at reset. A function that is not in the table is looked up as 0, as on the chip.
+// A synthetic boot ROM: the function table that embassy-rp searches, and the few functions that it calls, as Thumb code
+// written for this emulator. The flash functions do nothing, because flash.mjs needs no mode change. There is no boot code:
+// board.mjs does the ROM's work at reset. A missing function is found as 0, as on the chip.
 
 const BX_LR = 0x4770;
 

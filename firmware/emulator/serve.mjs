@@ -1,7 +1,7 @@
 #!/usr/bin/env node
 // serve.mjs ELF [--port N | --unix PATH] [--vcd FILE] [--pace real|free]: the emulated board's USB serial port on a socket, one
-// client at a time. A connection is an open tty: DTR is up while it lasts. serial_port.py makes a serial device of it.
-// With --pace real it never runs ahead of the wall clock, and falls behind if the machine is too slow; it says so at the end.
+// client at a time. A connection is an open tty: DTR is up while it lasts. serial_port.py turns the socket into a serial device.
+// With --pace real it never runs ahead of the wall clock; on a slow machine it falls behind, and prints by how much at the end.
 
 import net from 'node:net';
 import fs from 'node:fs';
@@ -10,7 +10,7 @@ import { BOARD_OPTIONS, boardOf } from './bench.mjs';
 import { Vcd } from './vcd.mjs';
 
 const SLICE_NS = 1e6;
-/** Bytes waiting for the device at which the client is held back, and let go again. */
+/** Bytes waiting for the device above which the client is paused, and below which it is resumed. */
 const FULL = 65536;
 const LOW = 16384;
 

@@ -1,12 +1,12 @@
 // The small system peripherals that rp2040js lacks or gets wrong: tick, timer, watchdog, reset controller, ring oscillator
-// (random bits), voltage regulator. What a watchdog does to the chip is the board's work.
+// (random bits), voltage regulator. board.mjs carries out a watchdog's reset.
 // Times are whole ticks of the crystal's 12 MHz divided by WATCHDOG_TICK, so an alarm never fires before its microsecond.
 
 import { BasePeripheral } from 'rp2040js';
 
 const CRYSTAL_HZ = 12e6;
 
-/** The 1 µs tick that watchdog and timer share; stands still until the firmware starts it. */
+/** The 1 µs tick of watchdog and timer; it stands still until the firmware starts it. */
 export class Tick {
   constructor(clock) {
     this.clock = clock;
@@ -51,7 +51,7 @@ export class Timer extends BasePeripheral {
     a.alarm.cancel();
     if (!a.armed || this.tick.nanosPerTick === Infinity) return;
     const now = this.time;
-    const ahead = (a.target - (now % 2 ** 32)) >>> 0; // a moment just passed comes again in 72 minutes
+    const ahead = (a.target - (now % 2 ** 32)) >>> 0; // a time that has just passed comes again in 72 minutes
     a.alarm.schedule(Math.max(0, this.tick.nanosUntil(now - this.offset + ahead)));
   }
   fire(i) {
@@ -111,7 +111,7 @@ export class Timer extends BasePeripheral {
   }
 }
 
-/** SCRATCH and REASON outlive a watchdog reset, so they are handed in by the board. */
+/** SCRATCH and REASON survive a watchdog reset, so the board passes them in. */
 export class Watchdog extends BasePeripheral {
   constructor(rp2040, tick, kept, onReset) {
     super(rp2040, 'WATCHDOG');
@@ -157,7 +157,7 @@ export class Watchdog extends BasePeripheral {
   }
 }
 
-/** RESETS: a peripheral put into reset really loses its state, if it is one that can (`blocks`: bit → reset function). */
+/** RESETS: a peripheral in reset loses its state, if it has a reset function (`blocks`: bit → function). */
 export class Resets extends BasePeripheral {
   constructor(rp2040, blocks) {
     super(rp2040, 'RESETS');
@@ -177,7 +177,7 @@ export class Resets extends BasePeripheral {
   }
 }
 
-/** RANDOMBIT is the only register with a behaviour; the sequence is the board's, and goes on over chip resets. */
+/** Only RANDOMBIT has a behaviour. The sequence belongs to the board and continues over chip resets. */
 export class RingOscillator extends BasePeripheral {
   constructor(rp2040, random) {
     super(rp2040, 'ROSC');
@@ -208,7 +208,7 @@ export class Regulator extends BasePeripheral {
   }
 }
 
-/** Registers that only remember: for blocks that the firmware sets up and that have no effect here. */
+/** Registers that only store: for blocks that the firmware sets up and that have no effect here. */
 export class Memory extends BasePeripheral {
   constructor(rp2040, name) {
     super(rp2040, name);
@@ -222,7 +222,7 @@ export class Memory extends BasePeripheral {
   }
 }
 
-/** xorshift32, so that a seed gives the same boot ids on every machine. */
+/** xorshift32: a seed gives the same boot ids on every machine. */
 export function randomBits(seed) {
   let x = (seed * 0x9e3779b1 + 0x6d2b79f5) >>> 0 || 1;
   return () => {

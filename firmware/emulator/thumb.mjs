@@ -1,6 +1,6 @@
 // The ARMv6-M instruction set as a table: for each 16-bit opcode the number of its operation. Built once, so that the
-// interpreter (core.mjs) has one dense switch instead of a chain of tests. It executes nothing.
-// The numbers are literals here and in the switch: a switch over literals is a jump table, over named constants it is not.
+// interpreter (interpreter.mjs) has one dense switch instead of a chain of tests.
+// The numbers are literals here and in the switch: only a switch over literals becomes a jump table.
 
 const PATTERNS = `
 1 LSL imm     00000___________ | 2 LSR imm     00001___________ | 3 ASR imm     00010___________
@@ -37,6 +37,6 @@ for (const line of PATTERNS.trim().split(/[|\n]/)) {
   const bits = words.at(-1);
   const mask = parseInt(bits.replace(/[01]/g, '1').replace(/_/g, '0'), 2);
   const want = parseInt(bits.replace(/_/g, '0'), 2);
-  // a narrower pattern stands after the wider one that it is cut out of
+  // a narrower pattern comes after the wider one that contains it
   for (let op = 0; op < 65536; op++) if ((op & mask) === want) DECODE[op] = Number(words[0]);
 }

@@ -1,6 +1,6 @@
 // The RP2040's USB controller in device mode, as the firmware sees it: DPRAM buffer control, SIE status, interrupts.
-// rp2040js clears AVAILABLE as soon as the firmware sets it, knows no NAK, STALL, suspend or start of frame; here a buffer
-// stays AVAILABLE until its transaction is over. When transactions happen is the host's business (usb-host.mjs).
+// rp2040js clears AVAILABLE as soon as the firmware sets it, and has no NAK, STALL, suspend or start of frame. Here a buffer
+// stays AVAILABLE until its transaction is over. The host (usb-host.mjs) decides when transactions happen.
 // Not modelled: host mode, isochronous endpoints, remote wake-up, bus errors.
 
 import { BasePeripheral } from 'rp2040js';
@@ -36,7 +36,7 @@ const LINE_J = 1 << 2;
 export class UsbDevice extends BasePeripheral {
   constructor(rp2040) {
     super(rp2040, 'USB');
-    /** Set by the board: told of attachment, and of every buffer that becomes available. */
+    /** Set by the board: called at attachment, and for every buffer that becomes available. */
     this.host = null;
     this.reset();
   }
@@ -53,7 +53,7 @@ export class UsbDevice extends BasePeripheral {
     return !!(this.mainCtrl & 1 && this.sieCtrl & (1 << 16));
   }
 
-  // ---- what the host does to it
+  // ---- for the host
 
   busReset() {
     this.address = 0;
@@ -80,7 +80,7 @@ export class UsbDevice extends BasePeripheral {
     this.second[0] = this.second[1] = 0;
     this.flag(SIE.SETUP);
   }
-  /** Would the endpoint answer now: 'nak', 'stall' or 'ready'. */
+  /** The endpoint's answer now: 'nak', 'stall' or 'ready'. */
   state(ep, out) {
     const { word, shift } = this.buffer(ep, out);
     const half = word >>> shift;
@@ -101,7 +101,7 @@ export class UsbDevice extends BasePeripheral {
     this.done(ep, false);
     return { bytes, data1: !!(half & DATA1) };
   }
-  /** Gives a packet; false if its PID was not the expected one, when the device acknowledges and forgets it. */
+  /** Gives a packet. Returns false if its PID is not the expected one: the device then acknowledges and drops it. */
   giveOut(ep, bytes, data1) {
     const { register, word, shift, offset } = this.buffer(ep, true);
     if (!!((word >>> shift) & DATA1) !== data1) {
@@ -182,7 +182,7 @@ export class UsbDevice extends BasePeripheral {
         return this.sie;
       case 0x58:
         return this.buffers;
-      case 0x64: // EP_ABORT_DONE: at once, since no transaction is cut here
+      case 0x64: // EP_ABORT_DONE: at once, because no transaction is ever cut here
         return this.other.get(0x60) ?? 0;
       case 0x68:
         return this.stallArm;

@@ -1,14 +1,14 @@
 // The other end of the cable: a full-speed host that enumerates, opens a CDC-ACM port and a vendor interface's bulk pair.
 // One transaction at a time, each as long as its bytes take on the bus. A NAKed endpoint is asked again as soon as the device
 // has armed it (a real host polls; the mean wait is `POLL_NS`). Not modelled: hubs, bus errors, bit stuffing, other devices.
-// CDC IN is polled only while DTR is up: that is what an open tty does, and a firmware must live with it.
+// CDC IN is polled only while DTR is up, as with an open tty.
 
 const NANOS_PER_BYTE = 8e3 / 12;
 /** Sync, PIDs, token, CRCs, handshake and turn-around of a bulk transaction. */
 const OVERHEAD_BYTES = 13;
 const POLL_NS = 3e3;
 const MS = 1e6;
-// Linux debounces for 100 ms; nothing in the firmware can tell, so the bench does not spend it
+// Linux debounces for 100 ms; the firmware sees no difference, so the bench leaves it out
 const DEBOUNCE_NS = 5 * MS;
 const RESET_NS = 10 * MS;
 const SUSPEND_NS = 3 * MS;
@@ -18,7 +18,7 @@ const SETTLE_NS = 0.2 * MS;
 const request = (type, code, value, index, length) =>
   Uint8Array.of(type, code, value & 255, value >> 8, index & 255, index >> 8, length & 255, length >> 8);
 
-/** Bytes on their way out: packets never span two sends, as with one URB per write. */
+/** Bytes to send: packets never span two writes, as with one URB per write. */
 class Outbox {
   constructor() {
     this.sends = [];
@@ -64,14 +64,14 @@ export class UsbHost {
     this.sof = this.clock.createAlarm(() => this.frame());
     this.quiet = this.clock.createAlarm(() => this.device?.suspend());
   }
-  /** A chip reset has emptied the clock's queue, and put a new controller in the device's place. */
+  /** Called after a chip reset, which has emptied the clock's queue and made a new controller. */
   connect(device) {
     this.createAlarms();
     this.device = device;
     device.host = this;
     this.forget();
   }
-  /** The device is gone: what was on its way to it too, and an open tty with it. Asked for before, both wait. */
+  /** The device is gone, with the bytes under way to it and an open tty. Requests made before attachment wait. */
   forget() {
     if (this.configured) {
       this.out.cdc.clear();
@@ -166,7 +166,7 @@ export class UsbHost {
     const { done } = this.control;
     this.control = null;
     done(result);
-    // a driver needs a moment between requests
+    // a driver takes some time between requests
     if (!this.stage.scheduled) this.after(SETTLE_NS, () => this.nextControl());
   }
   enumerate() {
@@ -231,7 +231,7 @@ export class UsbHost {
   armed() {
     this.pump();
   }
-  /** Starts the next transaction that the device would accept, if the bus is free. */
+  /** Starts the next transaction that the device accepts, if the bus is free. */
   pump() {
     if (this.current || !this.plugged || this.state === 'detached' || this.state === 'reset' || this.state === 'suspended') return;
     const next = this.nextOnControl() ?? this.nextOnPipes();
@@ -286,7 +286,7 @@ export class UsbHost {
     return null;
   }
   outPacket(pipe) {
-    if (this.device.state(pipe.ep, true) !== 'ready') return; // taken back meanwhile
+    if (this.device.state(pipe.ep, true) !== 'ready') return; // the device has withdrawn the buffer meanwhile
     const bytes = this.out[pipe.name].peek(pipe.size);
     if (!this.device.giveOut(pipe.ep, bytes, pipe.data1)) this.toggleErrors++;
     this.out[pipe.name].drop(bytes.length);
@@ -297,7 +297,7 @@ export class UsbHost {
     if (this.device.state(pipe.ep, false) !== 'ready') return;
     const { bytes, data1 } = this.device.takeIn(pipe.ep);
     if (data1 !== pipe.data1) {
-      this.toggleErrors++; // a repeated packet, to the host
+      this.toggleErrors++; // the host takes it for a repeated packet
       return;
     }
     pipe.data1 = !pipe.data1;

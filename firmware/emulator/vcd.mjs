@@ -1,5 +1,5 @@
-// Writes the pins' record as a VCD file, for a wave viewer. Times are nanoseconds of clk_sys at 127.5 MHz once the PLL runs;
-// before that no pin moves.
+// Writes the record of the pins as a VCD file, for a wave viewer. Times are nanoseconds of clk_sys at 127.5 MHz. No pin moves
+// before the PLL runs.
 
 import fs from 'node:fs';
 
@@ -14,7 +14,7 @@ export class Vcd {
     const head = pins.map((g) => `$var wire 1 ${name(g)} GP${g} $end\n`).join('');
     fs.writeSync(this.out, `$timescale 1ns $end\n${head}$enddefinitions $end\n#0\n${pins.map((g) => `0${name(g)}\n`).join('')}`);
   }
-  /** Writes and empties the record. */
+  /** Writes the record and empties it. */
   take(recorder, clock) {
     let text = '';
     for (let i = 0; i < recorder.length; i++) {

@@ -1,7 +1,7 @@
 //! Wakes the shell: requests the software interrupt in which it runs.
 //!
-//! The clock calls this at each block, USB with each packet. It lies below all of them, so that nobody who wakes the shell
-//! needs to know it.
+//! The clock calls this at each block, USB with each packet. It lies below all of them, so that none of them depends on the
+//! shell.
 
 use embassy_rp::interrupt;
 use embassy_rp::interrupt::InterruptExt;

@@ -113,7 +113,7 @@ first() {
     systemctl start meissner.socket meissner.service || fail "disk: start"
     local n=0
     arm disk
-    # What is acknowledged must survive; `run` reads these lines and cuts the power.
+    # Acknowledged files must survive. `run` reads these lines and cuts the power.
     while [ $n -lt 1000 ]; do
         n=$((n + 1))
         sed "s/^name = .*/name = \"site-$n\"/" /usr/share/meissner/patterns/pin-60.toml >pattern.toml
@@ -123,13 +123,13 @@ first() {
         meissner play edge-45 --seconds 0.3 --wait >out.log 2>&1
         echo "kept play $(json receipt .id) $(uptime_s)"
     done
-    fail "cut: nobody cut the power"
+    fail "cut: the power was not cut"
 }
 
 second() {
     local last what n at lost=0 acked=0 missing='' plays
     part="cut"
-    # For its patterns; the daemon must not repair anything yet.
+    # Read before the daemon starts, which would repair the files.
     installed disk
     systemctl stop meissner.service meissner.socket
     disk

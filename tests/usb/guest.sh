@@ -1,6 +1,6 @@
 #!/bin/bash
-# Runs in the guest, as root, with systemd and udev up; prints a line per step: ok, WRONG (it goes on) or FAIL (it ends).
-# `run` starts it, and knows which lines there must be.
+# Runs in the guest, as root, with systemd and udev up; prints a line per step: ok, WRONG (then goes on) or FAIL (then exits).
+# `run` starts it and checks that every line is there.
 set -uo pipefail
 cd /usb || exit
 export PATH=/usb:$PATH LC_ALL=C
@@ -38,7 +38,7 @@ json() { meissner "$1" --json | jq -er "$2"; }
 has_device() { json status .device >/dev/null && ! state_is no-device; }
 state_is() { [ "$(json status .state)" = "$1" ]; }
 said() { grep -e "$1" daemon.log | tail -n 1 | cut -d' ' -f2- | sed 's/^ *//'; }
-# When the daemon logged the last line with these words, as seconds; nothing if it did not
+# The time of the daemon's last log line with these words, s; nothing if there is none
 logged() {
     local line
     line=$(grep -e "$1" daemon.log | tail -n 1) && date -d "${line%%Z*}Z" +%s.%N
@@ -51,14 +51,13 @@ attach() {
 }
 detach() { usbip detach -p 0 >usbip.log 2>&1 || fail "usbip detach: $(tail -n 1 usbip.log)"; }
 
-# The receipt of the last play: its state and accounts, which must be closed
+# The last play's state and burst counts, which must add up
 accounts() {
     json receipt '.bursts as $b | select($b.planned > 0 and $b.planned == $b.played + $b.late + $b.dropped + $b.refused)
         | "\(.state), \($b.planned) bursts: \($b.played) played, \($b.late) late, \($b.dropped) dropped, \($b.refused) refused"'
 }
 arm() { state_is armed || meissner arm --assume-rest >out.log 2>&1 || fail "$1: arm: $(cat out.log)"; }
-# Arms and plays; once more if the machine stood still for so long that the play was given up, or that the line was measured
-# as too slow for it
+# Arms and plays. Tries once more if a stall of the machine aborted the play, or made the line seem too slow for it
 less=()
 play() {
     local code sum try
@@ -80,14 +79,14 @@ play() {
     ok "$1: $sum, exit $code; onset after $(json receipt .onset_latency_ms) ms"
 }
 
-# Everything once, over one way to the board
+# Everything once, through one of the board's interfaces
 over() {
     way=$1
     less=()
     local device=$2 boot before line from cut to
     echo "== $device"
 
-    # As somebody who may use boards and nothing else. What it finds of the machine is not judged here.
+    # As a user who may only use boards. Its findings about the machine do not matter here.
     setpriv --reuid nobody --regid nogroup --groups haptics meissner doctor --device "$device" >out.log 2>&1
     line=$(grep 'round trip' out.log) || fail "doctor: $(tail -n 3 out.log)"
     ok "doctor: ${line#*round trip }"
@@ -122,7 +121,7 @@ over() {
     detach
     within 5 logged 'device disconnected' || fail "unplug: the daemon did not say so"
     to=$(logged 'device disconnected')
-    # When the kernel let go of it, by its own clock; before that, usbip was started and the connection shut.
+    # When the kernel released the board, by its own clock. Before that, usbip started and closed the connection.
     cut=$(dmesg | awk -F '[][]' -v from="$from" '/meissner: now/ { now = $2 } /USB disconnect/ { cut = $2 }
         END { printf "%.6f", from + cut - now }')
     ok "unplug: said $(ms "$cut" "$to") after the kernel ($(ms "$from" "$to") after usbip was told): $(said 'device disconnected')"

@@ -1,5 +1,5 @@
-// A board without firmware for the self-tests: registers are written as the core would write them, and tiny Thumb programs
-// run from SRAM. Not a test itself.
+// A board without firmware for the self-tests: tests write registers as the core would, and run tiny Thumb programs from SRAM.
+// Not a test itself.
 
 import { Board } from '../board.mjs';
 

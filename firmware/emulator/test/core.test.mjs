@@ -60,9 +60,9 @@ test('SysTick pends behind PRIMASK, ICSR shows it and clears it', () => {
   assert.equal(read(b, ICSR) & (1 << 26), 0);
 });
 
-test('an interrupt preempts only what is less urgent, and equals wait', () => {
+test('an interrupt preempts only lower priorities, and equal ones wait', () => {
   const b = chip();
-  // SWI 0 (irq 26, priority 2) pends USB (irq 5, priority 0) and SWI 1 (irq 27, priority 2); each handler notes itself in r7
+  // SWI 0 (irq 26, priority 2) pends USB (irq 5, priority 0) and SWI 1 (irq 27, priority 2); each handler records itself in r7
   const note = (n) => [0x01bf, 0x3700 | n]; // lsls r7, r7, #6 ; adds r7, #n
   load(b, [0x6021, NOP, NOP, HERE]); // str r1, [r4]
   load(b, [...note(1), 0x6022, NOP, ...note(2), BX_LR], CODE + 0x100); // str r2, [r4]
@@ -96,7 +96,7 @@ test('SysTick at priority 0 preempts a software interrupt at 2', () => {
   assert.equal(b.core.ipsr, 42);
 });
 
-test('WFE: an event that came before is not lost, and is used up', () => {
+test('WFE: an earlier event is not lost, and counts once', () => {
   const b = chip();
   load(b, [SEV, WFE, 0x3701, WFE, 0x3701, HERE]);
   start(b);
@@ -105,7 +105,7 @@ test('WFE: an event that came before is not lost, and is used up', () => {
   assert.ok(b.core.counts[1] > 900, 'asleep in the second');
 });
 
-test('WFE: an exception wakes, also one that came just before', () => {
+test('WFE: an exception wakes the core, also one just before', () => {
   const b = chip();
   load(b, [WFE, 0x3701, 0xe7fc]); // wfe; adds r7, #1; b back
   load(b, [BX_LR], CODE + 0x100);
@@ -181,7 +181,7 @@ test('STM writes its base back even when it stores it, and 1.5 times slower cost
   assert.equal(cost(1.5), 3750);
 });
 
-test('no vector to go to is a lockup, not an end of the bench', () => {
+test('a missing vector is a lockup, and the bench goes on', () => {
   const b = chip();
   load(b, [0xe7fe]);
   start(b);

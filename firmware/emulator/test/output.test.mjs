@@ -1,4 +1,4 @@
-// The way from the ring to the pins: PIO timing, DMA rings and chains, output overrides.
+// From the ring to the pins: PIO timing, DMA rings and chains, output overrides.
 
 import assert from 'node:assert/strict';
 import { test } from 'node:test';
@@ -27,7 +27,7 @@ test('a joined FIFO takes eight words, and the OSR a ninth while it runs', () =>
   assert.equal(read(b, 0x5020000c) & 15, 6, 'one word on the pins, one in the OSR');
 });
 
-test('an empty FIFO stalls the machine where it is, and FDEBUG says so', () => {
+test('an empty FIFO stalls the machine, and FDEBUG shows it', () => {
   const b = chip();
   setUpPio(b);
   write(b, TXF0, 1);
@@ -40,7 +40,7 @@ test('an empty FIFO stalls the machine where it is, and FDEBUG says so', () => {
   assert.equal(levels(b).at(-1)[1], 0);
 });
 
-test('the ring plays for ever, and what was played is cleared', () => {
+test('the ring plays for ever, and played words are cleared', () => {
   const b = chip();
   setUpPio(b);
   setUpRing(b);
@@ -80,7 +80,7 @@ test('channels reload their count at each trigger and go on from their addresses
   assert.equal(read(b, 0x5000000c) & (1 << 24), 1 << 24, 'D busy');
 });
 
-test('OUTOVER forces a pin at once while the PIO goes on, and lets it go again', () => {
+test('OUTOVER forces a pin at once while the PIO goes on, and releases it again', () => {
   const b = chip();
   setUpPio(b);
   for (const w of [3, 3, 0, 0]) write(b, TXF0, w);

@@ -35,7 +35,7 @@ test('the watchdog resets the chip after LOAD half-microseconds, keeps the scrat
   assert.ok(b.clock.cycle > t0);
 });
 
-test('feeding in time holds it off; TRIGGER bites at once', () => {
+test('feeding in time prevents the reset; TRIGGER resets at once', () => {
   const b = chip();
   write(b, WATCHDOG + 4, 2000);
   write(b, WATCHDOG, 1 << 30);

@@ -1,6 +1,6 @@
-//! `meissner-uf2 ELF UF2`: makes the file that is dropped on a Pico, and prints what the firmware takes.
+//! `meissner-uf2 ELF UF2`: makes the file to copy onto a Pico, and prints the size of the firmware.
 //!
-//! The format is Microsoft's UF2: blocks of 512 bytes, each with 256 bytes of flash and where they go.
+//! The format is Microsoft's UF2: blocks of 512 bytes, each with 256 bytes of flash and their address.
 
 use anyhow::{Context, Result, ensure};
 use object::read::elf::{ElfFile32, FileHeader, ProgramHeader, SectionHeader};
@@ -13,11 +13,11 @@ const FLASH: std::ops::Range<u32> = 0x1000_0000..0x1020_0000;
 /// Banks 0 to 3, as `memory.x` divides them.
 const RAM: std::ops::Range<u32> = 0x2000_0000..0x2004_0000;
 const STACK: u32 = 32 << 10;
-/// What a block carries: a page of flash.
+/// The payload of a block: a page of flash.
 const PAGE: usize = 256;
 /// The RP2040's number among UF2 families.
 const FAMILY: u32 = 0xe48b_ff56;
-/// A family's number is given.
+/// Flag: the block names its family.
 const FAMILY_GIVEN: u32 = 0x2000;
 
 fn main() -> Result<()> {
@@ -53,7 +53,7 @@ fn main() -> Result<()> {
     Ok(())
 }
 
-/// Spreads a segment over pages, which are zero where nothing is said.
+/// Spreads a segment over pages. Bytes outside of all segments are zero.
 fn put(pages: &mut BTreeMap<u32, [u8; PAGE]>, at: u32, data: &[u8]) {
     for (address, &byte) in (at..).zip(data) {
         let offset = address as usize % PAGE;
