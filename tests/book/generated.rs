@@ -14,7 +14,7 @@ fn one_line(text: impl ToString) -> String {
     text.to_string().split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-/// As it is typed, and what it does.
+/// An argument as typed, and its meaning.
 fn row(arg: &Arg) -> String {
     let value = arg.get_value_names().filter(|_| arg.get_action().takes_values());
     let value = value.map_or_else(String::new, |names| names.join(" "));

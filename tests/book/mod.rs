@@ -1,4 +1,4 @@
-//! The README and the book in `docs/`: their commands run, their snippets parse, their links lead somewhere.
+//! The README and the book in `docs/`: their commands run, their snippets parse, their links have targets.
 //!
 //! `pages` reads the pages; `run` runs commands; `generated` keeps the pages that are made from the program up to date
 //! (`MEISSNER_RENEW=1 cargo test --test tests manual`).
@@ -90,7 +90,7 @@ fn every_toml_and_json_snippet_is_good() {
 }
 
 #[test]
-fn every_block_says_what_it_is() {
+fn every_code_block_names_its_language() {
     for page in book() {
         for block in page.blocks() {
             let known = ["sh", "bash", "python", "toml", "json", "text"].contains(&block.language);
@@ -112,7 +112,7 @@ fn assert_link(page: &Page, link: &str) {
 }
 
 #[test]
-fn every_link_leads_somewhere() {
+fn every_link_has_a_target() {
     let mut links = 0;
     for page in documents() {
         for link in page.links().filter(|link| !link.contains("://")) {

@@ -1,6 +1,6 @@
 //! Reads the pages: their code blocks, links, headings and words in backquotes.
 //!
-//! Invariant: what stands in a code block is no link and no heading.
+//! Invariant: text in a code block is neither a link nor a heading.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -57,7 +57,7 @@ pub(super) fn book() -> impl Iterator<Item = Page> {
     std::iter::once("README.md".to_owned()).chain(pages).map(|name| read(&name))
 }
 
-/// The book, and the documents that stand beside what they are about.
+/// The book, and the documents beside the code.
 pub(super) fn documents() -> impl Iterator<Item = Page> {
     let others = [
         "docs/SUMMARY.md",
