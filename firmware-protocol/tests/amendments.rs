@@ -107,7 +107,7 @@ fn an_amendment_without_its_stroke_is_counted_and_ignored() {
     }
     assert_eq!(Amended { bench, first }.played(), (20, 20, 0, 4));
 
-    // What a return plays cannot be amended.
+    // Bursts of a return cannot be amended.
     let Amended { mut bench, first } = Amended::new();
     bench.run(220 - 64);
     bench.control(Op::Stop);

@@ -10,6 +10,7 @@ use firmware_protocol::limits::OnTimeLimits;
 use firmware_protocol::message::{Cause, DeviceMessage, HostMessage, Op, Report, State, Status};
 use firmware_protocol::stroke::{Burst, Direction, Line, Lines, MOTORS, Stroke};
 use firmware_protocol::tick::{TICK_HZ, Tick};
+use serde::Serialize;
 use std::collections::VecDeque;
 
 /// How a shell renders: blocks of `block` ticks, up to `ahead` ticks from now.
@@ -58,7 +59,7 @@ pub(crate) fn burst(start: u64, direction: Direction, pulses: u64) -> Burst {
 }
 
 /// `message` as a frame.
-pub(crate) fn frame(message: &HostMessage<'_>) -> Vec<u8> {
+pub(crate) fn frame(message: &impl Serialize) -> Vec<u8> {
     let mut out = [0; MAX_FRAME];
     let len = encode(message, &mut out).expect("a message that fits");
     out[..len].to_vec()
@@ -171,7 +172,7 @@ impl Bench {
         }
     }
 
-    /// Takes what the device sends now.
+    /// Takes the frames that the device sends now.
     pub(crate) fn drain(&mut self) {
         loop {
             let mut out = [0; MAX_FRAME];

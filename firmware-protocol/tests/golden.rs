@@ -1,8 +1,8 @@
 //! The bytes of version 1 on the wire. Never edit them: a changed byte is a new version.
 
-use crate::bench::{arm, pack, stroke};
+use crate::bench::{arm, frame, pack, stroke};
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
-use firmware_protocol::frame::{Decoder, FRAME_OVERHEAD, MAX_FRAME, PROTOCOL, encode};
+use firmware_protocol::frame::{Decoder, FRAME_OVERHEAD, MAX_FRAME, PROTOCOL};
 use firmware_protocol::limits::{OnTimeLimits, Refusal};
 use firmware_protocol::message::{
     Cause, Counters, Cut, DeviceHello, DeviceMessage, HostMessage, Op, Report, State, Status,
@@ -64,19 +64,13 @@ const HELLO: DeviceHello = DeviceHello {
     last_cut: Some(CUT),
 };
 
-fn bytes(message: &impl Serialize) -> Vec<u8> {
-    let mut out = [0; MAX_FRAME];
-    let len = encode(message, &mut out).expect("a message that fits");
-    out[..len].to_vec()
-}
-
 /// Checks that `message` is written as these bytes and read back from them.
 fn golden<'de, M: Serialize + Deserialize<'de> + PartialEq + Copy + Debug>(
     message: &M,
     hex: &str,
     room: &'de mut Vec<u8>,
 ) {
-    let written: String = bytes(message).iter().map(|byte| format!("{byte:02x}")).collect();
+    let written: String = frame(message).iter().map(|byte| format!("{byte:02x}")).collect();
     assert_eq!(written, hex, "{message:?}");
     let wire: Vec<u8> =
         (0..hex.len()).step_by(2).map(|at| u8::from_str_radix(&hex[at..at + 2], 16).expect("hex")).collect();
@@ -283,18 +277,18 @@ fn messages_fit() {
         report(Report::Refused { motor: u8::MAX, up: tick, reason }),
         DeviceMessage::Telemetry { tick, y: [i32::MIN; MOTORS] },
     ];
-    let longest = device.iter().map(|message| bytes(message).len()).max();
+    let longest = device.iter().map(|message| frame(message).len()).max();
     assert!(longest.is_some_and(|longest| longest <= MAX_FRAME), "{longest:?}");
 
     let (epoch, seq, seen, generation) = (u16::MAX, u16::MAX, u16::MAX, u16::MAX);
     let list = [0xff; BATCH_BYTES];
     let strokes = HostMessage::Strokes { epoch, seq, seen, onset: true, base: tick, batch: &list };
     // The longest header and batch exactly fill a frame.
-    assert_eq!(bytes(&strokes).len(), MAX_FRAME);
+    assert_eq!(frame(&strokes).len(), MAX_FRAME);
     let amend = HostMessage::Amend { epoch, generation, base: tick, items: &list };
-    assert!(bytes(&amend).len() <= MAX_FRAME);
+    assert!(frame(&amend).len() <= MAX_FRAME);
     let op = Op::Arm { assume_rest: true, host_timeout: u32::MAX, limits };
-    assert!(bytes(&HostMessage::Control { epoch, seen, op }).len() <= MAX_FRAME);
+    assert!(frame(&HostMessage::Control { epoch, seen, op }).len() <= MAX_FRAME);
 }
 
 #[test]
@@ -306,7 +300,7 @@ fn a_steady_play_takes_less_than_six_bytes_per_burst() {
         k += 1;
     }
     let base = packer.base().wire();
-    let frame = bytes(&HostMessage::Strokes {
+    let frame = frame(&HostMessage::Strokes {
         epoch: u16::MAX,
         seq: u16::MAX,
         seen: u16::MAX,

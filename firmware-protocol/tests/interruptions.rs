@@ -1,6 +1,6 @@
 //! Stops, faults and silent hosts, at every phase of a stroke: the pin returns to rest, or the return pulses stay outstanding.
 //!
-//! [`returned`] and [`off`] state the rules a second time; the tests compare them with what the lines did.
+//! [`returned`] and [`off`] state the rules a second time; the tests compare them with the lines.
 
 use crate::bench::{Bench, FIRMWARE, SHELLS, Shell, TIGHT, arm, burst, stroke};
 use Direction::{Down, Up};
@@ -85,7 +85,7 @@ fn a_return_at_every_phase_undoes_what_was_played_and_no_more() {
                     assert_eq!(counters.pulses, bench.total());
                     assert!(counters.pulses >= booked.pulses);
                     assert_eq!((counters.amended, bench.outstanding()), (0, 0));
-                    // After a lost link or with a new host nobody reads the reports.
+                    // After a lost link or with a new host the reports are not read.
                     if !matches!(cause, Cause::LinkLost | Cause::NewHost) {
                         let Report::Cut(cut) = bench.last_report() else { panic!("a cut") };
                         assert_eq!((cut.cause, cut.at, cut.returns), (cause, Tick(at).wire(), true));
@@ -338,7 +338,7 @@ fn a_pin_held_for_more_than_16_bits_of_ticks_is_returned_or_outstanding() {
 }
 
 #[test]
-fn what_was_rendered_before_an_e_stop_stays_off_through_reset_and_arm() {
+fn ticks_rendered_before_an_e_stop_stay_off_through_reset_and_arm() {
     let mut bench = Bench::armed(FIRMWARE);
     let cut = stroke(3, bench.now + 64, 200, 5, 200);
     bench.strokes(&[cut]);
@@ -354,7 +354,7 @@ fn what_was_rendered_before_an_e_stop_stays_off_through_reset_and_arm() {
 }
 
 #[test]
-fn a_starved_shell_counts_as_having_played_what_it_rendered() {
+fn a_starved_shell_counts_as_played_up_to_the_rendered_end() {
     let mut bench = Bench::armed(FIRMWARE);
     let starved = stroke(3, bench.now + 100, 200, 50, 200);
     bench.strokes(&[starved]);
@@ -368,7 +368,7 @@ fn a_starved_shell_counts_as_having_played_what_it_rendered() {
 }
 
 #[test]
-fn an_e_stop_found_before_its_frame_counts_once_and_from_where_it_was_found() {
+fn an_e_stop_seen_before_its_frame_takes_effect_once_and_at_once() {
     let mut bench = Bench::armed(FIRMWARE);
     let first = stroke(1, bench.now + 100, 200, 5, 200);
     bench.onset(first.up.0, &[first]);

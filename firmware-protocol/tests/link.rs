@@ -430,7 +430,7 @@ fn strokes_amendments_and_cuts_cross_the_wrap_of_the_wire_tick() {
             assert_eq!(bench.bursts(1), expected);
             assert_eq!((bench.net(2), bench.device.counters().amended), (0, 1));
             assert!(matches!(bench.reports()[..], [Report::Onset { tick, .. }] if tick == first.up.wire()));
-            // Now it is in the past, whatever its low bits.
+            // Now it is in the past, although its low bits may look newer.
             bench.strokes(&[first]);
             assert_eq!(bench.device.counters().late, 2);
         }

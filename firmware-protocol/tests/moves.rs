@@ -47,7 +47,7 @@ fn moves_shift_a_pin_within_its_travel() {
 }
 
 #[test]
-fn the_travel_of_a_cut_move_is_what_the_pin_has_moved() {
+fn the_travel_of_a_cut_move_counts_as_far_as_it_went() {
     for shell in SHELLS {
         for (direction, limit) in [(Up, 3_000), (Down, -3_000)] {
             for stop in (0..120).step_by(7) {

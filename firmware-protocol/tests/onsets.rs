@@ -79,7 +79,7 @@ fn the_trigger_rises_with_each_onset_and_stays_for_10_ms() {
 }
 
 #[test]
-fn an_onset_counts_what_ended_before_it_even_if_a_cut_is_booked_first() {
+fn an_onset_counts_bursts_that_ended_before_it_even_if_a_cut_is_booked_first() {
     let mut bench = Bench::armed(FIRMWARE);
     let rendered = bench.device.rendered().0 + 200;
     let ends = stroke(1, rendered - 40, 10, 5, 10);

@@ -315,7 +315,7 @@ fn config(cases: u32) -> ProptestConfig {
 proptest! {
     #![proptest_config(config(400))]
 
-    /// With balanced strokes, without moves and `assume_rest`: the outstanding pulses of a pin are exactly what it is up.
+    /// With balanced strokes, without moves and `assume_rest`: a pin's outstanding pulses equal its height.
     #[test]
     fn every_pin_returns(shell in shells(), ops in prop::collection::vec(tame(false), 1..80)) {
         let mut world = World::new(shell);
@@ -337,7 +337,7 @@ proptest! {
 
     /// All requests: corrected, amended, moved and malformed.
     #[test]
-    fn nothing_wild_gets_through(shell in shells(), ops in prop::collection::vec(wild(), 1..80)) {
+    fn wild_requests_break_no_limit_and_no_account(shell in shells(), ops in prop::collection::vec(wild(), 1..80)) {
         let mut world = World::new(shell);
         let moves = ops.iter().any(|op| matches!(op, Op::Move { .. } | Op::Arm { assume_rest: true, .. }));
         let moved = if moves { 4 * MAX_TRAVEL } else { 0 };
