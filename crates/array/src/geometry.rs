@@ -65,7 +65,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_corners_stand_where_the_model_says() {
+    fn the_corner_pins_have_their_positions() {
         for (motor, x, y) in [(0, -4.35, 7.25), (3, 4.35, 7.25), (20, -4.35, -7.25), (23, 4.35, -7.25)] {
             let position = position_mm(motor);
             assert!(

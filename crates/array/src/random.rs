@@ -59,6 +59,7 @@ impl Normals {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use meissner_test_support::statistics::{mean, sd};
 
     /// Computed by a second implementation of ChaCha8, in another language.
     #[test]
@@ -79,19 +80,18 @@ mod tests {
         assert_eq!(first, GOLDEN_STREAM, "{first:#x?}");
         let mut other = Normals::new(1, 3);
         assert_ne!(other.next().to_bits(), first[0]);
-        let n = 100_000;
-        let draws: Vec<f64> = (0..n).map(|_| stream.next()).collect();
-        let mean = draws.iter().sum::<f64>() / f64::from(n);
-        let variance = draws.iter().map(|draw| (draw - mean).powi(2)).sum::<f64>() / f64::from(n);
-        // Four standard errors each.
-        assert!(
-            mean.abs() < 4.0 / f64::from(n).sqrt()
-                && (variance - 1.0).abs() < 4.0 * (2.0 / f64::from(n)).sqrt()
-        );
+        assert_standard(&(0..100_000).map(|_| stream.next()).collect::<Vec<_>>());
     }
 
     const GOLDEN_STREAM: [u64; 4] =
         [0x3ff9_9541_e215_1edb, 0x3fd5_b32d_eed8_f9bc, 0xbfe3_21f6_bc0c_c51a, 0x3fa7_84dc_4d81_52b7];
+
+    /// Mean 0 and variance 1, each within four standard errors.
+    fn assert_standard(draws: &[f64]) {
+        let (n, mean, variance) = (draws.len() as f64, mean(draws), sd(draws).powi(2));
+        assert!(mean.abs() < 4.0 / n.sqrt(), "{mean}");
+        assert!((variance - 1.0).abs() < 4.0 * (2.0 / n).sqrt(), "{variance}");
+    }
 
     /// By the same second implementation.
     #[test]
@@ -109,13 +109,9 @@ mod tests {
     fn mean_sd_and_neighbouring_keys() {
         const N: u32 = 40_000;
         let draws: Vec<f64> = (0..u64::from(N)).map(|i| normal([7, i % 24, i / 24, 1])).collect();
+        assert_standard(&draws);
         let n = f64::from(N);
-        let mean = draws.iter().sum::<f64>() / n;
-        let variance = draws.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / n;
         let covariance = draws.windows(2).map(|w| w[0] * w[1]).sum::<f64>() / n;
-        // Four standard errors each.
-        assert!(mean.abs() < 4.0 / n.sqrt(), "{mean}");
-        assert!((variance - 1.0).abs() < 4.0 * (2.0 / n).sqrt(), "{variance}");
         assert!(covariance.abs() < 4.0 / n.sqrt(), "{covariance}");
     }
 

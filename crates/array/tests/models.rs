@@ -3,9 +3,9 @@
 use crate::simulated::play;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::{HalfTick, Shaft, SquareWave, SteadyState};
-use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::simulated::{SimulatedMotors, SimulatedMotorsConfig};
 use meissner_array::strokes::Strokes;
+use meissner_test_support::patterns::{self, drive};
 use serde::Deserialize;
 
 #[derive(Deserialize)]
@@ -23,7 +23,7 @@ struct TraceDrive {
 }
 
 #[test]
-fn a_drive_moves_the_shaft_as_the_reference_trace_says() {
+fn a_drive_moves_the_shaft_like_the_reference_trace() {
     let traces: Vec<Trace> = serde_json::from_str(include_str!("data/motor_trace.json")).unwrap();
     assert_eq!(traces.len(), 6);
     for Trace { drive, t_s, y_um } in traces {
@@ -66,15 +66,8 @@ fn the_closed_form_and_the_played_drive_have_the_reference_amplitude() {
 #[test]
 fn simulated_motors_without_scatter_have_the_reference_amplitude() {
     for rows in amplitudes().chunks(24) {
-        let drives = rows.iter().zip(0..).map(|(&[frequency_hz, amplitude_um, _], motor)| Drive {
-            motor,
-            frequency_hz,
-            amplitude_um,
-            phase: 0.0,
-            start_s: None,
-            stop_s: None,
-        });
-        let pattern = Pattern::new("amplitudes", None, drives.collect(), toml::Table::new()).unwrap();
+        let drives = rows.iter().zip(0..).map(|(&[hz, um, _], motor)| drive(motor, hz, um));
+        let pattern = patterns::pattern("amplitudes", None, drives);
         let mut strokes = Strokes::new(&pattern, Some(2.1)).unwrap();
         let config = SimulatedMotorsConfig { telemetry_hz: 10_000, ..SimulatedMotorsConfig::ideal() };
         let mut motors = SimulatedMotors::new(config, Tick::BOOT).unwrap();
@@ -98,7 +91,7 @@ fn simulated_motors_without_scatter_have_the_reference_amplitude() {
 }
 
 #[test]
-fn at_the_window_s_own_frequency_and_its_multiples_nothing_moves() {
+fn nothing_moves_at_multiples_of_the_window_s_frequency() {
     for multiple in 1..=20 {
         for um in [1.0, 20.0, 80.0, 400.0] {
             let steady = SteadyState::of(f64::from(multiple) * 85_000.0 / 365.5, um).unwrap();

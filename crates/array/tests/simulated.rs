@@ -2,10 +2,12 @@
 
 use firmware_protocol::stroke::{Burst, Direction, Lines, Stroke};
 use firmware_protocol::tick::Tick;
-use meissner_array::pattern::{Drive, Pattern};
+use meissner_array::pattern::Drive;
 use meissner_array::simulated::{RestStats, SPARE_SAMPLES, SimulatedMotors, SimulatedMotorsConfig};
 use meissner_array::strokes::{Strokes, StrokesError};
 use meissner_array::units::UM_PER_PULSE;
+use meissner_test_support::patterns;
+use meissner_test_support::statistics::{mean, rms, sd};
 
 const MONTH: u64 = 30 * 86_400 * 85_000;
 const SECOND: u64 = 85_000;
@@ -19,12 +21,8 @@ pub(crate) fn play(
 ) {
     let end = motors.now() + ticks;
     let strokes = strokes.into_iter().map(Result::unwrap).take_while(|stroke| stroke.up < end);
-    play_bursts(
-        motors,
-        strokes.flat_map(|stroke| stroke.bursts().map(|burst| (stroke.motor, burst))),
-        end,
-        look,
-    );
+    let bursts = strokes.flat_map(|stroke| stroke.bursts().map(|burst| (stroke.motor, burst)));
+    play_bursts(motors, bursts, end, look);
 }
 
 fn play_bursts(
@@ -51,12 +49,11 @@ fn play_bursts(
 }
 
 fn drive(motor: u8, frequency_hz: f64, amplitude_um: f64) -> Drive {
-    Drive { motor, frequency_hz, amplitude_um, phase: f64::from(motor) / 24.0, start_s: None, stop_s: None }
+    Drive { phase: f64::from(motor) / 24.0, ..patterns::drive(motor, frequency_hz, amplitude_um) }
 }
 
 fn strokes(drives: Vec<Drive>, seconds: f64, onset: Tick) -> Strokes {
-    let pattern = Pattern::new("test", None, drives, toml::Table::new()).unwrap();
-    let mut strokes = Strokes::new(&pattern, Some(seconds)).unwrap();
+    let mut strokes = Strokes::new(&patterns::pattern("test", None, drives), Some(seconds)).unwrap();
     strokes.begin(onset);
     strokes
 }
@@ -73,7 +70,7 @@ fn pulse(motors: &mut SimulatedMotors, direction: Direction, ticks: u64) {
 }
 
 #[test]
-fn a_month_in_it_moves_as_at_the_start() {
+fn a_month_later_motors_move_as_at_the_start() {
     let run = |onset: Tick| {
         let drives = (0..24).map(|motor| drive(motor, 7.3 + 11.0 * f64::from(motor), 80.0)).collect();
         let mut motors = SimulatedMotors::new(SimulatedMotorsConfig::ideal(), Tick(0)).unwrap();
@@ -95,7 +92,7 @@ fn a_month_in_it_moves_as_at_the_start() {
 }
 
 #[test]
-fn a_month_of_strokes_leaves_nothing_behind() {
+fn after_a_month_of_strokes_the_pin_is_at_rest() {
     let config = SimulatedMotorsConfig { telemetry_hz: 0, ..SimulatedMotorsConfig::ideal() };
     let mut motors = SimulatedMotors::new(config, Tick::BOOT).unwrap();
     for stroke in strokes(vec![drive(5, 1.0, 80.0)], 30.0 * 86_400.0, Tick::BOOT) {
@@ -112,7 +109,7 @@ fn a_month_of_strokes_leaves_nothing_behind() {
 }
 
 #[test]
-fn leaving_out_a_burst_changes_no_other() {
+fn a_burst_left_out_changes_no_other_burst() {
     let bursts: Vec<_> = strokes(vec![drive(5, 60.0, 40.0)], 1.0, Tick::BOOT)
         .flat_map(|stroke| stroke.unwrap().bursts().map(|burst| (5, burst)))
         .collect();
@@ -159,9 +156,7 @@ fn gains_scatter_as_configured_and_the_first_burst_after_rest_falls_short() {
                 (motors.position_um(5) - before).abs() / (100.0 * UM_PER_PULSE)
             })
             .collect();
-        let mean = gains.iter().sum::<f64>() / 2000.0;
-        let sd = (gains.iter().map(|gain| (gain - mean).powi(2)).sum::<f64>() / 2000.0).sqrt();
-        (mean, sd)
+        (mean(&gains), sd(&gains))
     };
     // Four standard errors: 0.1 / sqrt(2000) of the mean, that over sqrt(2) of the deviation.
     for (pause, expected) in [(42_499, 1.0), (42_500, 0.8)] {
@@ -179,8 +174,7 @@ fn each_motor_has_an_asymmetry_of_its_own() {
     motors.advance(Lines { up: 0, down: 0xff_ffff }, 1000);
     let ratios = up.iter().zip(0..).map(|(up, motor)| up / (up - motors.position_um(motor)) - 1.0);
     let ratios: Vec<f64> = ratios.collect();
-    let rms = (ratios.iter().map(|ratio| ratio * ratio).sum::<f64>() / 24.0).sqrt();
-    assert!((0.01..0.03).contains(&rms), "{ratios:?}");
+    assert!((0.01..0.03).contains(&rms(ratios.iter().copied())), "{ratios:?}");
     assert!(ratios.windows(2).all(|pair| (pair[0] - pair[1]).abs() > 1e-9), "{ratios:?}");
 }
 
@@ -208,7 +202,7 @@ fn a_pin_stays_at_its_end_stop_and_leaves_it_at_once() {
 }
 
 #[test]
-fn it_does_not_matter_how_time_is_cut() {
+fn steps_of_any_length_give_the_same_motion() {
     let config = SimulatedMotorsConfig { end_stop_um: 30.0, ..SimulatedMotorsConfig::default() };
     let bursts =
         [one_burst(Direction::Up, Tick::BOOT + 10, 600), one_burst(Direction::Down, Tick::BOOT + 700, 1000)];
@@ -238,7 +232,7 @@ fn it_does_not_matter_how_time_is_cut() {
 }
 
 #[test]
-fn telemetry_comes_on_time_and_of_a_month_at_rest_only_the_end_is_kept() {
+fn telemetry_comes_on_time_and_only_the_newest_samples_are_kept() {
     let config = SimulatedMotorsConfig { telemetry_age_ms: 5, ..SimulatedMotorsConfig::ideal() };
     let mut motors = SimulatedMotors::new(config, Tick::BOOT).unwrap();
     pulse(&mut motors, Direction::Up, 85 + 5 * 85 - 1);

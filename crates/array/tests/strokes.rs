@@ -6,14 +6,11 @@ use firmware_protocol::tick::Tick;
 use meissner_array::motor::SquareWave;
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::strokes::{Strokes, StrokesError};
+use meissner_test_support::patterns::{self, drive};
 use proptest::prelude::*;
 
-fn drive(motor: u8, frequency_hz: f64, amplitude_um: f64) -> Drive {
-    Drive { motor, frequency_hz, amplitude_um, phase: 0.0, start_s: None, stop_s: None }
-}
-
 fn pattern(duration_s: Option<f64>, drives: Vec<Drive>) -> Pattern {
-    Pattern::new("test", duration_s, drives, toml::Table::new()).unwrap()
+    patterns::pattern("test", duration_s, drives)
 }
 
 fn all(pattern: &Pattern, seconds: Option<f64>) -> Vec<Stroke> {
@@ -47,15 +44,8 @@ fn by_the_rule(pattern: &Pattern, seconds: f64) -> Vec<Stroke> {
                     break;
                 }
                 if pulses > 0 {
-                    let (up, down) = (Tick(up), Tick(down));
-                    let pulses = pulses as u16;
-                    strokes.push(Stroke {
-                        motor: drive.motor,
-                        up,
-                        up_pulses: pulses,
-                        down,
-                        down_pulses: pulses,
-                    });
+                    let (motor, up, down, pulses) = (drive.motor, Tick(up), Tick(down), pulses as u16);
+                    strokes.push(Stroke { motor, up, up_pulses: pulses, down, down_pulses: pulses });
                 }
             }
         }
@@ -87,7 +77,7 @@ fn drives_of(motor: u8) -> impl Strategy<Value = Vec<Drive>> {
     })
 }
 
-fn patterns() -> impl Strategy<Value = Pattern> {
+fn any_pattern() -> impl Strategy<Value = Pattern> {
     let drives = (0..24).map(drives_of).collect::<Vec<_>>();
     (drives, prop::option::of(0.4..0.7f64))
         .prop_map(|(drives, duration_s)| pattern(duration_s, drives.concat()))
@@ -97,7 +87,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 64, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn any_pattern_plays_by_the_rule_and_within_the_limits(pattern in patterns(), seconds in 0.0..2.0f64) {
+    fn any_pattern_plays_by_the_rule_and_within_the_limits(pattern in any_pattern(), seconds in 0.0..2.0f64) {
         let strokes = all(&pattern, Some(seconds));
         prop_assert_eq!(&strokes, &by_the_rule(&pattern, seconds));
         let mut busy = [Tick(0); 24];
@@ -121,7 +111,7 @@ proptest! {
 }
 
 #[test]
-fn a_repeat_a_tick_too_short_is_left_out() {
+fn a_stroke_that_a_repeat_is_too_short_for_is_left_out() {
     // One saturated period in a repeat: whether it fits depends on how the ends of the repeat round.
     for hz in [299.0, 150.5, 201.3, 290.1, 233.0, 77.7] {
         for ticks in [-1.0, -0.6, -0.3, 0.0, 0.3] {
@@ -157,7 +147,7 @@ fn repeats_follow_without_a_gap() {
 }
 
 #[test]
-fn the_rare_repeat_that_is_long_enough_is_found_at_once() {
+fn a_rare_repeat_that_is_long_enough_is_found_at_once() {
     // A saturated period of 425 ticks in repeats of 424, but one in ten thousand million of 425.
     let duration_s = (424.0 + 1e-10) / 85_000.0;
     let begin = |repeat: u64| (repeat as f64 * duration_s * 85_000.0 + 0.5).floor() as u64;
@@ -172,7 +162,7 @@ fn the_rare_repeat_that_is_long_enough_is_found_at_once() {
 }
 
 #[test]
-fn seconds_cut_and_a_stroke_is_whole_or_absent() {
+fn seconds_truncate_and_a_stroke_is_whole_or_absent() {
     let once = pattern(Some(1.0), vec![drive(0, 10.0, 80.0)]);
     assert_eq!(all(&once, None).len(), 10);
     // The sixth stroke comes down from tick 46 750 to 47 339.

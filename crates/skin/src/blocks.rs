@@ -151,18 +151,12 @@ mod tests {
     use crate::time::end;
     use crate::track::{Tracks, of_scene};
     use meissner_array::pattern::Drive;
+    use meissner_test_support::patterns::drive;
     use std::sync::Arc;
 
     /// Drives of all kinds: slow, fast, faster than the window, one after the other.
     fn scene() -> Scene {
-        let drive = |motor, frequency_hz, amplitude_um| Drive {
-            motor,
-            frequency_hz,
-            amplitude_um,
-            phase: 0.1 * f64::from(motor),
-            start_s: None,
-            stop_s: None,
-        };
+        let drive = |motor: u8, hz, um| Drive { phase: 0.1 * f64::from(motor), ..drive(motor, hz, um) };
         let drives = vec![
             drive(0, 3.7, 120.0),
             drive(1, 61.0, 80.0),

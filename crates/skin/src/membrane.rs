@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn a_segment_may_be_cut_anywhere() {
+    fn a_segment_cut_anywhere_gives_the_same_membrane() {
         for tau_s in [1e-4, TAU_S, 1e6] {
             let model = AfferentModel { tau_s, ..AfferentModel::default_for(Rectify::Half, 0.0) };
             let membrane = Membrane::of(&model);

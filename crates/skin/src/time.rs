@@ -29,7 +29,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_lies_before_the_end_lies_before_it_in_seconds() {
+    fn an_instant_before_the_end_is_before_it_in_seconds() {
         for duration_s in [0.0, 0.1, 0.3, 1.0, 1.1, 7.7e8, 1e9, 1e-6] {
             let end = end(duration_s);
             assert!(end <= 0.0 || end.next_down() / HALF_TICKS_PER_S < duration_s, "{duration_s}");

@@ -5,6 +5,7 @@ use meissner_skin::afferent::{AfferentModel, MIN_WEIGHT, Position, Rectify};
 use meissner_skin::{
     Evaluator, Integrator, Method, Options, Precision, SEARCH_MIN_WEIGHT, Scene, Stepping, simulate,
 };
+use meissner_test_support::patterns::drive;
 use meissner_test_support::random::Random;
 use rayon::prelude::*;
 
@@ -36,14 +37,18 @@ fn changed(random: &mut Random, motor: u8, now: Option<Drive>) -> Vec<Drive> {
     }
 }
 
+/// A random scene of 0.4 s, every other one with noise. A share of `populations` has a whole population.
+fn short(random: &mut Random, seed: u64, populations: f64) -> Scene {
+    let scene = random.scene(populations);
+    let model = AfferentModel { noise_sd: [0.0, 0.05][seed as usize % 2], ..*scene.model() };
+    Scene::new(0.4, seed, scene.drives().to_vec(), scene.afferents().to_vec(), model).unwrap()
+}
+
 #[test]
-fn any_sequence_of_changes_ends_where_a_fresh_simulation_does() {
+fn after_any_changes_the_answer_is_that_of_a_fresh_simulation() {
     for seed in 0..12 {
         let mut random = Random::new(seed);
-        let scene = random.scene(0.5);
-        let model = AfferentModel { noise_sd: [0.0, 0.05][seed as usize % 2], ..*scene.model() };
-        let (drives, afferents) = (scene.drives().to_vec(), scene.afferents().to_vec());
-        let mut scene = Scene::new(0.4, seed, drives, afferents, model).unwrap();
+        let mut scene = short(&mut random, seed, 0.5);
         let options = Options::rates(methods()[seed as usize % 3]);
         let mut evaluator = Evaluator::new(scene.clone(), options).unwrap();
         let mut reused = 0;
@@ -62,13 +67,10 @@ fn any_sequence_of_changes_ends_where_a_fresh_simulation_does() {
     }
 }
 
-/// An evaluator of a random scene of 0.4 s: some with noise, with gains, or with a larger least weight.
+/// An evaluator of a random scene: some with noise, with gains, or with a larger least weight.
 fn evaluated(seed: u64) -> (Random, Evaluator, Options) {
     let mut random = Random::new(seed);
-    let scene = random.scene(0.7);
-    let model = AfferentModel { noise_sd: [0.0, 0.05][seed as usize % 2], ..*scene.model() };
-    let (drives, afferents) = (scene.drives().to_vec(), scene.afferents().to_vec());
-    let mut scene = Scene::new(0.4, seed, drives, afferents, model).unwrap();
+    let mut scene = short(&mut random, seed, 0.7);
     if random.chance(0.3) {
         scene = scene.with_gains(&std::array::from_fn(|_| random.between(0.8, 1.2))).unwrap();
     }
@@ -138,7 +140,7 @@ fn drives_in_another_order_or_the_same_are_not_simulated() {
 }
 
 #[test]
-fn a_motor_set_to_what_it_does_is_not_simulated() {
+fn a_motor_set_to_its_own_drives_is_not_simulated() {
     let scene = Random::new(3).scene(1.0);
     let drive = scene.drives()[0];
     let last = *scene.drives().last().unwrap();
@@ -151,8 +153,7 @@ fn a_motor_set_to_what_it_does_is_not_simulated() {
 
 #[test]
 fn a_refused_change_leaves_everything_as_it_was() {
-    let drive =
-        Drive { motor: 9, frequency_hz: 60.0, amplitude_um: 80.0, phase: 0.0, start_s: None, stop_s: None };
+    let drive = drive(9, 60.0, 80.0);
     let afferents = vec![Position { x_mm: -1.5, y_mm: 1.5 }, Position { x_mm: 4.0, y_mm: -7.0 }];
     let model = AfferentModel::default_for(Rectify::Half, 0.05);
     let scene = Scene::new(0.5, 1, vec![drive, Drive { motor: 23, ..drive }], afferents, model).unwrap();

@@ -14,10 +14,11 @@ mod sizes;
 
 use meissner_array::geometry;
 use meissner_array::pattern::Drive;
-use meissner_array::random::Normals;
 use meissner_skin::afferent::{AfferentModel, Position, Rectify};
 use meissner_skin::{Integrator, Method, Options, Precision, Scene, Stepping, simulate};
+use meissner_test_support::both::for_oracle;
 use meissner_test_support::oracle;
+use meissner_test_support::patterns::drive;
 
 /// No spikes.
 const NONE: [f64; 0] = [];
@@ -25,10 +26,6 @@ const NONE: [f64; 0] = [];
 /// Without noise.
 fn model(rectify: Rectify) -> AfferentModel {
     AfferentModel::default_for(rectify, 0.0)
-}
-
-fn drive(motor: u8, frequency_hz: f64, amplitude_um: f64) -> Drive {
-    Drive { motor, frequency_hz, amplitude_um, phase: 0.0, start_s: None, stop_s: None }
 }
 
 /// The position `right_mm` to the right of a pin.
@@ -116,43 +113,6 @@ fn spikes(scene: &Scene, method: Method) -> Vec<Vec<f64>> {
 
 fn exact(scene: &Scene) -> Vec<Vec<f64>> {
     spikes(scene, Method::Exact)
-}
-
-/// The scene for the oracle, with its noise drawn.
-fn for_oracle(scene: &Scene) -> oracle::Scene {
-    let drive = |drive: &Drive| oracle::Drive {
-        motor: drive.motor.into(),
-        frequency_hz: drive.frequency_hz,
-        amplitude_um: drive.amplitude_um,
-        phase: drive.phase,
-        start_s: drive.start_s.unwrap_or(0.0),
-        stop_s: drive.stop_s,
-    };
-    let model = scene.model();
-    let most = 2 + (scene.duration_s() / model.refractory_s) as usize;
-    let offsets = |afferent: usize| {
-        let mut noise = Normals::new(scene.seed(), afferent as u64);
-        (0..most).map(|_| model.noise_sd * noise.next().clamp(-8.0, 8.0)).collect()
-    };
-    oracle::Scene {
-        duration_s: scene.duration_s(),
-        drives: scene.drives().iter().map(drive).collect(),
-        afferents: scene.afferents().iter().map(|at| (at.x_mm, at.y_mm)).collect(),
-        offsets: (0..scene.afferents().len()).map(offsets).collect(),
-        model: oracle::Model {
-            rectify: match model.rectify {
-                Rectify::Half => oracle::Rectify::Half,
-                Rectify::Full => oracle::Rectify::Full,
-                Rectify::Signed => oracle::Rectify::Signed,
-            },
-            alpha_per_um: model.alpha_per_um,
-            tau_s: model.tau_s,
-            refractory_s: model.refractory_s,
-            hyperexcitability_s: model.hyperexcitability_s,
-            hyperexcitability_depth: model.hyperexcitability_depth,
-            sigma_mm: model.sigma_mm,
-        },
-    }
 }
 
 /// The exact method's spikes. The oracle must promise, and have, at least `least` of them.

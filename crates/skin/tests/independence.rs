@@ -5,8 +5,10 @@ use meissner_skin::afferent::{AfferentModel, Position, Rectify, population};
 use meissner_skin::{
     Answer, Integrator, Keep, Method, Options, Precision, Scene, Skipped, Stepping, simulate as solve,
 };
+use meissner_test_support::patterns::drive;
 use meissner_test_support::random::Random;
 use meissner_test_support::{both, oracle};
+use std::sync::LazyLock;
 
 fn methods() -> Vec<Method> {
     let mut methods = vec![Method::Exact];
@@ -36,22 +38,30 @@ fn long(noise_sd: f64) -> Scene {
         .unwrap()
 }
 
-fn without_noise(scene: &Scene) -> Scene {
-    with_afferents(scene, scene.afferents().to_vec())
-}
-
 /// The scene with other afferents and without noise, which is keyed by their numbers.
 fn with_afferents(scene: &Scene, afferents: Vec<Position>) -> Scene {
     let model = AfferentModel { noise_sd: 0.0, ..*scene.model() };
     Scene::new(scene.duration_s(), scene.seed(), scene.drives().to_vec(), afferents, model).unwrap()
 }
 
+/// The scenes without noise, with the bits of each method.
+static WITHOUT_NOISE: LazyLock<Vec<(Scene, Answers)>> = LazyLock::new(|| {
+    let answers =
+        |scene: &Scene| methods().into_iter().map(|method| (method, bits(&spikes(scene, method)))).collect();
+    let scenes = scenes().into_iter().map(|scene| with_afferents(&scene, scene.afferents().to_vec()));
+    scenes.map(|scene| (scene.clone(), answers(&scene))).collect()
+});
+
 fn spikes(scene: &Scene, method: Method) -> Answer {
     solve(scene, &Options::spikes(method), &|_| ()).unwrap()
 }
 
-/// Counts and spike times, bit by bit.
-fn bits(answer: &Answer) -> Vec<(u64, Vec<u64>)> {
+/// Counts and spike times of the afferents, bit by bit.
+type Bits = Vec<(u64, Vec<u64>)>;
+/// The bits of each method.
+type Answers = Vec<(Method, Bits)>;
+
+fn bits(answer: &Answer) -> Bits {
     let trains = answer.spikes_s.as_ref().unwrap();
     let bits = trains.iter().map(|train| train.iter().map(|t| t.to_bits()).collect());
     answer.counts.iter().copied().zip(bits).collect()
@@ -73,12 +83,11 @@ fn threads_change_nothing() {
 
 #[test]
 fn the_order_of_afferents_changes_nothing() {
-    for (index, scene) in scenes().iter().enumerate() {
+    for (index, (scene, answers)) in WITHOUT_NOISE.iter().enumerate() {
         let order = Random::new(index as u64).shuffled(scene.afferents().len());
-        let shuffled = order.iter().map(|&number| scene.afferents()[number]).collect();
-        let (scene, shuffled) = (without_noise(scene), with_afferents(scene, shuffled));
-        for method in methods() {
-            let (in_order, found) = (bits(&spikes(&scene, method)), bits(&spikes(&shuffled, method)));
+        let shuffled = with_afferents(scene, order.iter().map(|&number| scene.afferents()[number]).collect());
+        for (method, in_order) in answers {
+            let found = bits(&spikes(&shuffled, *method));
             for (place, &number) in order.iter().enumerate() {
                 assert_eq!(found[place], in_order[number], "scene {index}, afferent {number}, {method:?}");
             }
@@ -88,13 +97,11 @@ fn the_order_of_afferents_changes_nothing() {
 
 #[test]
 fn an_afferent_alone_has_the_same_answer_as_among_others() {
-    for (index, scene) in scenes().iter().enumerate() {
-        let scene = without_noise(scene);
-        for method in methods() {
-            let together = bits(&spikes(&scene, method));
+    for (index, (scene, answers)) in WITHOUT_NOISE.iter().enumerate() {
+        for (method, together) in answers {
             let few = together.len().div_ceil(8);
             for (number, &at) in scene.afferents().iter().enumerate().step_by(few) {
-                let alone = bits(&spikes(&with_afferents(&scene, vec![at]), method));
+                let alone = bits(&spikes(&with_afferents(scene, vec![at]), *method));
                 assert_eq!(alone[0], together[number], "scene {index}, afferent {number}, {method:?}");
             }
         }
@@ -103,9 +110,8 @@ fn an_afferent_alone_has_the_same_answer_as_among_others() {
 
 /// The length of a block depends on the number of breakpoints, whether or not they reach an afferent.
 #[test]
-fn blocks_change_nothing() {
-    let near =
-        Drive { motor: 0, frequency_hz: 61.3, amplitude_um: 80.0, phase: 0.3, start_s: None, stop_s: None };
+fn the_length_of_blocks_changes_nothing() {
+    let near = Drive { phase: 0.3, ..drive(0, 61.3, 80.0) };
     let afferents: Vec<_> = (0..9)
         .map(|i| Position { x_mm: -4.35 + 0.2 * f64::from(i), y_mm: 7.25 - 0.1 * f64::from(i) })
         .collect();
@@ -127,16 +133,9 @@ fn blocks_change_nothing() {
 
 /// Breakpoints and samples of a whole scene are kept if they are few; the same scene of a longer duration has too many.
 #[test]
-fn whether_breakpoints_and_samples_are_kept_changes_nothing() {
-    let drive = |motor, frequency_hz| Drive {
-        motor,
-        frequency_hz,
-        amplitude_um: 80.0,
-        phase: 0.3,
-        start_s: None,
-        stop_s: None,
-    };
-    let drives = vec![drive(9, 61.3), drive(10, 4321.0), drive(13, 170.0)];
+fn kept_breakpoints_and_samples_change_nothing() {
+    let drives = [(9, 61.3), (10, 4321.0), (13, 170.0)];
+    let drives = drives.map(|(motor, hz)| Drive { phase: 0.3, ..drive(motor, hz, 80.0) }).to_vec();
     let afferents: Vec<_> =
         (0..20).map(|i| Position { x_mm: -1.5 + 0.1 * f64::from(i), y_mm: 1.0 }).collect();
     let finely = |precision| Stepping { step_us: 10, integrator: Integrator::Propagator, precision };
@@ -157,7 +156,7 @@ fn whether_breakpoints_and_samples_are_kept_changes_nothing() {
     }
 }
 
-/// Simulates with and without skipping, checks that the answers agree, and returns what was skipped.
+/// Simulates with and without skipping, checks that the answers agree, and returns the counts of skipped parts.
 fn both_ways(scene: &Scene, method: Method) -> Skipped {
     let options = Options::spikes(method);
     let whole = solve(scene, &Options { skip: false, ..options }, &|_| ()).unwrap();
@@ -194,17 +193,7 @@ fn skipping_changes_nothing() {
 
 /// Afferent-seconds that were repetitions, of `copies` afferents each at twelve places beside a pin.
 fn repeated_s(copies: usize, rectify: Rectify, frequencies_hz: &[f64]) -> f64 {
-    let drives: Vec<_> = (9..)
-        .zip(frequencies_hz)
-        .map(|(motor, &frequency_hz)| Drive {
-            motor,
-            frequency_hz,
-            amplitude_um: 80.0,
-            phase: 0.0,
-            start_s: None,
-            stop_s: None,
-        })
-        .collect();
+    let drives: Vec<_> = (9..).zip(frequencies_hz).map(|(motor, &hz)| drive(motor, hz, 80.0)).collect();
     let at = |place: u32| Position { x_mm: -1.45 + 0.2 * f64::from(place), y_mm: 1.5 };
     let model = AfferentModel::default_for(rectify, 0.0);
     let repeated = (0..12).map(|place| {
@@ -237,14 +226,7 @@ fn a_repetition_is_found_however_few_there_are() {
 
 #[test]
 fn periodic_scenes_of_a_finger_are_the_same_with_and_without_repetition() {
-    let drive = |motor, frequency_hz| Drive {
-        motor,
-        frequency_hz,
-        amplitude_um: 80.0,
-        phase: 0.25 * f64::from(motor % 4),
-        start_s: None,
-        stop_s: None,
-    };
+    let drive = |motor: u8, hz| Drive { phase: 0.25 * f64::from(motor % 4), ..drive(motor, hz, 80.0) };
     for rectify in [Rectify::Half, Rectify::Full, Rectify::Signed] {
         for drives in [
             vec![drive(9, 60.0)],

@@ -11,7 +11,7 @@ mod evaluator;
 mod extremes;
 /// Motors with gains.
 mod gains;
-/// The same bits whatever the threads, the order of afferents, the blocks, and the skipping.
+/// The same bits with any threads, order of afferents, blocks, and with and without skipping.
 mod independence;
 /// Scene files: accepted keys, and the messages of refused files.
 mod scenes;

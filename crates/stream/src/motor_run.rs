@@ -215,8 +215,8 @@ impl Motor {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use meissner_array::pattern::Pattern;
     use meissner_array::strokes::Strokes;
+    use meissner_test_support::patterns::{drive, pattern};
 
     #[test]
     fn a_run_plays_the_strokes_that_a_pattern_sends() {
@@ -225,9 +225,7 @@ mod tests {
             let mut played = Vec::new();
             run.run(1.0, |_, y| Some(y), |period| played.push((period.up - 2 * FINALISE_AT, period.pulses)))
                 .unwrap();
-            let drive =
-                Drive { motor: 0, frequency_hz, amplitude_um, phase: 0.0, start_s: None, stop_s: None };
-            let pattern = Pattern::new("test", None, vec![drive], toml::Table::new()).unwrap();
+            let pattern = pattern("test", None, [drive(0, frequency_hz, amplitude_um)]);
             let sent = Strokes::new(&pattern, Some(1.0)).unwrap().map(Result::unwrap);
             let sent: Vec<_> =
                 sent.map(|stroke| (stroke.up.0, [stroke.up_pulses, stroke.down_pulses])).collect();

@@ -1,4 +1,4 @@
-//! Calibration from plan to file: what is planned, measured, fitted, written and read again.
+//! Calibration from plan to file: plan, measure, fit, write and read again.
 
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
@@ -11,10 +11,12 @@ use meissner_stream::calibrate::{
     BurstTravel, Calibration, Fit, MAX_BYTES, MotorFit, PULSES_RANGE, Plan, PlannedBurst, STROKES_PER_GROUP,
     fit, travels_by_sensor, travels_by_telemetry,
 };
-use meissner_stream::queues::{Command, CommandError, StreamEvent};
-use meissner_stream::{Gains, Line, Settings, Simulation, simulate_play};
+use meissner_stream::queues::{Command, CommandError};
+use meissner_stream::{Gains, Settings, simulate_play};
+use meissner_test_support::documents::{assert_changes_refused, in_one_line};
+use meissner_test_support::rig::{Rig, answer};
+use meissner_test_support::statistics::mean;
 use std::collections::BTreeMap;
-use std::time::Duration;
 
 const HALF_SECOND: u64 = 42_500;
 
@@ -24,7 +26,7 @@ fn of_motor(plan: &Plan, motor: u8) -> Vec<PlannedBurst> {
 }
 
 #[test]
-fn a_plan_plays_what_it_says_and_no_measured_burst_comes_after_a_rest() {
+fn a_plan_plays_its_strokes_and_measures_no_burst_after_a_rest() {
     for plan in [Plan::default(), Plan::new(Some(23), &[200, 7, 70], 3).unwrap()] {
         assert_eq!(plan.pattern().warnings(), []);
         for motor in plan.motors() {
@@ -73,7 +75,7 @@ fn a_motor_that_slowly_changes_gives_the_same_slope() {
         .chunks(2 * (1 + STROKES_PER_GROUP))
         .map(|group| group[0].burst.pulses.into())
         .collect();
-    let mean = groups.iter().sum::<f64>() / groups.len() as f64;
+    let mean = mean(&groups);
     let drift: f64 = groups.iter().enumerate().map(|(n, pulses)| (n as f64 - 9.5) * (pulses - mean)).sum();
     assert!(drift.abs() < 1e-9, "{groups:?}");
     // Within a round too, neighbours are far apart.
@@ -214,13 +216,10 @@ fn on_a_device_with_scatter_telemetry_finds_the_gains_within_the_stated_error() 
     assert_eq!(travels_by_telemetry(&plan, onset + 1, &played.measured_bursts), []);
 }
 
-fn home(simulation: &mut Simulation) -> Option<Result<(), CommandError>> {
-    let ticket = simulation.send(Command::Home);
-    simulation.run(Duration::from_millis(1000));
-    simulation.take_events().into_iter().find_map(|notice| match notice {
-        StreamEvent::Answer { ticket: of, result } if of == ticket => Some(result),
-        _ => None,
-    })
+fn home(rig: &mut Rig) -> Option<Result<(), CommandError>> {
+    let ticket = rig.send(Command::Home);
+    rig.run_ms(1000);
+    answer(&rig.take_events(), ticket)
 }
 
 /// Without telemetry the host knows no positions, until a calibration gives it gains for dead reckoning.
@@ -231,13 +230,11 @@ fn home_uses_the_calibration_that_was_handed_over() {
     let gains = Calibration::new(fits, provenance()).unwrap().gains();
     assert!(gains[3] != Gains::default() && gains[4] == Gains::default());
     let blind = SimulatedMotorsConfig { telemetry_hz: 0, ..config };
-    let mut simulation = Simulation::new(&blind, Settings::default(), Line::default(), 1).unwrap();
-    simulation.run(Duration::from_millis(500));
-    simulation.send(Command::Arm { assume_rest: true });
-    simulation.run(Duration::from_millis(100));
-    assert_eq!(home(&mut simulation), Some(Err(CommandError::NoPositionEstimate)));
-    simulation.send(Command::SetGains(Box::new(gains)));
-    assert_eq!(home(&mut simulation), Some(Ok(())));
+    let mut rig = Rig::of(&blind, 1);
+    rig.arm();
+    assert_eq!(home(&mut rig), Some(Err(CommandError::NoPositionEstimate)));
+    rig.send(Command::SetGains(Box::new(gains)));
+    assert_eq!(home(&mut rig), Some(Ok(())));
 }
 
 fn provenance() -> Provenance {
@@ -297,141 +294,67 @@ groups = 4
 um_per_pulse = 0.13571428571428570
 "#;
 
-/// A change to the good file, and how the line that refuses it begins.
-const BAD: [(&str, &str, &str); 35] = [
-    ("format = 1", "", "bad.toml:1: `format` is missing: add format = 1"),
-    ("format = 1", "format = 2\nnew = 1", "bad.toml:1: `format` is 2: this version reads format = 1"),
-    ("format = 1", "format = \"1\"", "bad.toml:1: `format` is string \"1\": must be a whole number"),
-    ("format = 1", "format = 1\nmotors = 1", "bad.toml:2: unknown key `motors`: did you mean `motor`?"),
-    ("motor = 3", "motr = 3", "bad.toml:4: `motor[0]`: unknown key `motr`: did you mean `motor`?"),
-    ("motor = 3", "", "bad.toml:3: `motor[0].motor` is missing: add a motor's number, 0 to 23"),
-    ("motor = 3", "motor = 24", "bad.toml:4: `motor[0].motor` is 24: must be 0 to 23"),
-    ("motor = 3", "motor = 300", "bad.toml:4: `motor[0].motor` is 300: must be 0 to 23"),
-    (
-        "motor = 3",
-        "motor = -1",
-        "bad.toml:4: `motor[0].motor` is integer `-1`: must be a whole number, 0 or more",
-    ),
-    (
-        "motor = 3",
-        "motor = 3.5",
-        "bad.toml:4: `motor[0].motor` is floating point `3.5`: must be a whole number",
-    ),
-    ("motor = 3", "motor = 3\nmotor = 4", "bad.toml:5: not TOML: duplicate key"),
-    ("[motor.down]", "[motor.dwon]", "bad.toml:12: `motor[0]`: unknown key `dwon`: did you mean `down`?"),
-    (
-        "gain = 0.98\n",
-        "",
-        "bad.toml:12: `motor[0].down.gain` is missing: add a number, as `meissner calibrate` writes it",
-    ),
-    (
-        "gain = 1.05",
-        "gain = 1.06",
-        "bad.toml:6: `motor[0].up.gain` is 1.06, but slope_um_per_pulse gives 1.05",
-    ),
-    ("gain = 1.05", "gain = nan", "bad.toml:6: `motor[0].up.gain` is NaN, but slope_um_per_pulse gives 1.05"),
-    ("gain = 1.05", "gain = true", "bad.toml:6: `motor[0].up.gain` is boolean `true`: must be a number"),
-    (
-        "gain = 1.05\nslope_um_per_pulse = 0.1425",
-        "gain = 1.75\nslope_um_per_pulse = 0.2375",
-        "bad.toml:7: `motor[0].up.slope_um_per_pulse` is 0.2375: must be 0.5 to 1.5 times the model's, 0.95/7",
-    ),
-    (
-        "gain = 1.05\nslope_um_per_pulse = 0.1425",
-        "gain = nan\nslope_um_per_pulse = nan",
-        "bad.toml:7: `motor[0].up.slope_um_per_pulse` is NaN: must be",
-    ),
-    (
-        "slope_se_um_per_pulse = 0.001\noffset_um = 0.01",
-        "slope_se_um_per_pulse = 0.01\noffset_um = 0.01",
-        "bad.toml:8: `motor[0].up.slope_se_um_per_pulse` is 0.01: must be 0 to 5 % of the slope",
-    ),
-    (
-        "offset_um = -0.01",
-        "offset_um = -inf",
-        "bad.toml:16: `motor[0].down.offset_um` is -inf: must be -100 to 100 um",
-    ),
-    (
-        "relative_sd = 0.1\n",
-        "relative_sd = -0.1\n",
-        "bad.toml:10: `motor[0].up.relative_sd` is -0.1: must be 0 to 1",
-    ),
-    ("blocks = 180\n\n", "blocks = 9\n\n", "bad.toml:18: `motor[0].down.blocks` is 9: must be 10 or more"),
-    ("[provenance]", "[provenence]", "bad.toml:20: unknown key `provenence`: did you mean `provenance`?"),
-    (
-        "device = \"mock\"\n",
-        "",
-        "bad.toml:20: `provenance.device` is missing: add its description, in quotes",
-    ),
-    ("device = \"mock\"", "device = [\"mock\"]", "bad.toml:21: `provenance.device` is"),
-    ("device", "date = 2024-05-01\ndevice", "bad.toml:21: `provenance.date` is map: must be a string"),
-    (
-        "repetitions = 2",
-        "repetition = 2",
-        "bad.toml:26: `provenance`: unknown key `repetition`: did you mean `repetitions`?",
-    ),
-    (
-        "repetitions = 2",
-        "repetitions = 0",
-        "bad.toml:25: `provenance.pulses` is not a valid plan: 0 repetitions: must be 1 to 50",
-    ),
-    (
-        "[14, 70]",
-        "[14, 14]",
-        "bad.toml:25: `provenance.pulses` is not a valid plan: bursts of 14 pulses are listed twice",
-    ),
-    (
-        "[14, 70]",
-        "[14, \"70\"]",
-        "bad.toml:25: `provenance.pulses[1]` is string \"70\": must be a whole number, 0 to 65535",
-    ),
-    ("groups = 4", "groups = 5", "bad.toml:27: `provenance.groups` is 5, but pulses and repetitions give 4"),
-    (
-        "um_per_pulse = 0.1357",
-        "um_per_pulse = 0.1358",
-        "bad.toml:28: `provenance.um_per_pulse` is 0.1358142857142857: this version's model has 0.1357142857142857",
-    ),
-    (
-        "um_per_pulse = 0.13571428571428570",
-        "um_per_pulse = nan",
-        "bad.toml:28: `provenance.um_per_pulse` is NaN: this",
-    ),
-    ("[provenance]\n", "[provenance]\ndate = \"", "bad.toml:21: not TOML: "),
-    ("[[motor]]", "[motor]", "bad.toml:3: `motor` is map: must be a list"),
-];
-
-fn refused(text: &str) -> String {
-    let line = Calibration::parse(text, "bad.toml").unwrap_err().to_string();
-    assert!(!line.contains(|c: char| c.is_control()) && line.len() < 600, "{line:?}");
-    line
-}
+const MISTAKES: &str = r#"
+format = 1 =>  => 1: `format` is missing: add format = 1
+format = 1 => format = 2⏎new = 1 => 1: `format` is 2: this version reads format = 1
+format = 1 => format = "1" => 1: `format` is string "1": must be a whole number, 0 or more
+format = 1 => format = 1⏎motors = 1 => 2: unknown key `motors`: did you mean `motor`?
+motor = 3 => motr = 3 => 4: `motor[0]`: unknown key `motr`: did you mean `motor`?
+motor = 3 =>  => 3: `motor[0].motor` is missing: add a motor's number, 0 to 23, below each [[motor]]
+motor = 3 => motor = 24 => 4: `motor[0].motor` is 24: must be 0 to 23
+motor = 3 => motor = 300 => 4: `motor[0].motor` is 300: must be 0 to 23
+motor = 3 => motor = -1 => 4: `motor[0].motor` is integer `-1`: must be a whole number, 0 or more
+motor = 3 => motor = 3.5 => 4: `motor[0].motor` is floating point `3.5`: must be a whole number, 0 or more
+motor = 3 => motor = 3⏎motor = 4 => 5: not TOML: duplicate key…
+[motor.down] => [motor.dwon] => 12: `motor[0]`: unknown key `dwon`: did you mean `down`?
+gain = 0.98⏎ =>  => 12: `motor[0].down.gain` is missing: add a number, as `meissner calibrate` writes it
+gain = 1.05 => gain = 1.06 => 6: `motor[0].up.gain` is 1.06, but slope_um_per_pulse gives 1.05…
+gain = 1.05 => gain = nan => 6: `motor[0].up.gain` is NaN, but slope_um_per_pulse gives 1.05…
+gain = 1.05 => gain = true => 6: `motor[0].up.gain` is boolean `true`: must be a number
+gain = 1.05⏎slope_um_per_pulse = 0.1425 => gain = 1.75⏎slope_um_per_pulse = 0.2375 => 7: `motor[0].up.slope_um_per_pulse` is 0.2375: must be 0.5 to 1.5 times the model's, 0.95/7…
+gain = 1.05⏎slope_um_per_pulse = 0.1425 => gain = nan⏎slope_um_per_pulse = nan => 7: `motor[0].up.slope_um_per_pulse` is NaN: must be…
+slope_se_um_per_pulse = 0.001⏎offset_um = 0.01 => slope_se_um_per_pulse = 0.01⏎offset_um = 0.01 => 8: `motor[0].up.slope_se_um_per_pulse` is 0.01: must be 0 to 5 % of the slope
+offset_um = -0.01 => offset_um = -inf => 16: `motor[0].down.offset_um` is -inf: must be -100 to 100 um
+relative_sd = 0.1⏎ => relative_sd = -0.1⏎ => 10: `motor[0].up.relative_sd` is -0.1: must be 0 to 1
+blocks = 180⏎⏎ => blocks = 9⏎⏎ => 18: `motor[0].down.blocks` is 9: must be 10 or more
+[provenance] => [provenence] => 20: unknown key `provenence`: did you mean `provenance`?
+device = "mock"⏎ =>  => 20: `provenance.device` is missing: add its description, in quotes
+device = "mock" => device = ["mock"] => 21: `provenance.device` is…
+device => date = 2024-05-01⏎device => 21: `provenance.date` is map: must be a string
+repetitions = 2 => repetition = 2 => 26: `provenance`: unknown key `repetition`: did you mean `repetitions`?
+repetitions = 2 => repetitions = 0 => 25: `provenance.pulses` is not a valid plan: 0 repetitions: must be 1 to 50…
+[14, 70] => [14, 14] => 25: `provenance.pulses` is not a valid plan: bursts of 14 pulses are listed twice: leave one out
+[14, 70] => [14, "70"] => 25: `provenance.pulses[1]` is string "70": must be a whole number, 0 to 65535
+groups = 4 => groups = 5 => 27: `provenance.groups` is 5, but pulses and repetitions give 4
+um_per_pulse = 0.1357 => um_per_pulse = 0.1358 => 28: `provenance.um_per_pulse` is 0.1358142857142857: this version's model has 0.1357142857142857…
+um_per_pulse = 0.13571428571428570 => um_per_pulse = nan => 28: `provenance.um_per_pulse` is NaN: this…
+[provenance]⏎ => [provenance]⏎date = " => 21: not TOML: …
+[[motor]] => [motor] => 3: `motor` is map: must be a list
+"#;
 
 #[test]
-fn a_bad_file_is_refused_in_one_line_with_its_place() {
+fn a_mistake_is_refused_in_one_line_with_place_and_remedy() {
     let good = Calibration::parse(FILE, "good.toml").unwrap();
     assert!((good.gain(3, Direction::Up) - 1.05).abs() < 1e-9 && good.gain(9, Direction::Up) == 1.0);
-    let wrong = BAD.iter().filter_map(|(from, to, says)| {
-        assert!(FILE.contains(from), "{from}");
-        let line = refused(&FILE.replacen(from, to, 1));
-        (!line.starts_with(says)).then(|| format!("{from} -> {to}:\n{line}\n{says}"))
-    });
-    let wrong: Vec<String> = wrong.collect();
-    assert!(wrong.is_empty(), "{}", wrong.join("\n\n"));
+    assert_changes_refused(FILE, MISTAKES, Calibration::parse);
     let (head, motor) = FILE.split_at(FILE.find("[[motor]]").unwrap());
     let (motor, made) = motor.split_at(motor.find("[provenance]").unwrap());
-    let line = refused(&format!("{head}{motor}{motor}{made}"));
-    assert_eq!(line, "bad.toml:21: `motor[1].motor` is 3, as is motor[0]: leave one out");
-    let line = refused(&format!("{head}{made}"));
-    assert!(
-        line.ends_with("`motor` is missing: add a motor's number, 0 to 23, below each [[motor]]"),
-        "{line}"
-    );
-    let line = refused(&format!("{head}motor = []\n{made}"));
-    assert_eq!(line, "bad.toml:3: `motor` is empty: calibrate at least one motor");
-    let line = refused(&format!("{FILE}date = {:?}", "x".repeat(201)));
-    assert_eq!(line, "bad.toml:29: `provenance.date` is 201 characters long: must be at most 200");
-    let line = refused(&" ".repeat(MAX_BYTES + 1));
-    assert_eq!(line, "bad.toml: 65537 bytes are too many: a calibration file has at most 65536");
+    for (document, says) in [
+        (format!("{head}{motor}{motor}{made}"), ":21: `motor[1].motor` is 3, as is motor[0]: leave one out"),
+        (
+            format!("{head}{made}"),
+            ":1: `motor` is missing: add a motor's number, 0 to 23, below each [[motor]]",
+        ),
+        (format!("{head}motor = []\n{made}"), ":3: `motor` is empty: calibrate at least one motor"),
+        (
+            format!("{FILE}date = {:?}", "x".repeat(201)),
+            ":29: `provenance.date` is 201 characters long: must be at most 200",
+        ),
+        (" ".repeat(MAX_BYTES + 1), ": 65537 bytes are too many: a calibration file has at most 65536"),
+    ] {
+        let line = in_one_line(Calibration::parse(&document, "bad.toml")).unwrap_err();
+        assert_eq!(line, format!("bad.toml{says}"));
+    }
 }
 
 #[test]

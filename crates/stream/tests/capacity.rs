@@ -1,56 +1,33 @@
-//! Bandwidth: the link probe measures the line, and the streamer refuses what the line does not carry.
+//! Bandwidth: the link probe measures the line, and the streamer refuses plays that the line does not carry.
 //!
 //! The tests look for the slowest line that each pattern is accepted on, and check that it then plays in time.
 
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::strokes::Strokes;
-use meissner_stream::queues::{Command, CommandError, StreamEvent};
+use meissner_stream::queues::CommandError;
 use meissner_stream::{Bandwidth, Line, Settings};
-use meissner_test_support::rig::{self, Rig, assert_closed};
+use meissner_test_support::patterns::{self, drive};
+use meissner_test_support::rig::{self, Rig, answer, assert_closed, last_snapshot};
 use std::time::Duration;
 
 fn all_at(frequency_hz: f64) -> Pattern {
-    let drive = |motor| Drive {
-        motor,
-        frequency_hz,
-        amplitude_um: 20.0,
-        phase: f64::from(motor * 7 % 24) / 24.0,
-        start_s: None,
-        stop_s: None,
-    };
-    Pattern::new("all-at", None, (0..24).map(drive).collect(), toml::Table::new()).unwrap()
+    let drive =
+        |motor: u8| Drive { phase: f64::from(motor * 7 % 24) / 24.0, ..drive(motor, frequency_hz, 20.0) };
+    patterns::pattern("all-at", None, (0..24).map(drive))
 }
 
 /// Nothing for a second, then all pins at 250 Hz for 60 ms, again and again.
 fn bursts() -> Pattern {
-    let drive = |motor| Drive {
-        motor,
-        frequency_hz: 250.0,
-        amplitude_um: 10.0,
-        phase: 0.0,
-        start_s: Some(1.0),
-        stop_s: Some(1.06),
-    };
-    Pattern::new("bursts", Some(1.5), (0..24).map(drive).collect(), toml::Table::new()).unwrap()
-}
-
-fn slow(bytes_per_s: u32) -> Rig {
-    let mut rig = Rig::new(Line { bytes_per_s, delay: Duration::from_micros(300), ..Line::default() }, 5);
-    rig.arm();
-    rig
+    let drive = |motor| Drive { start_s: Some(1.0), stop_s: Some(1.06), ..drive(motor, 250.0, 10.0) };
+    patterns::pattern("bursts", Some(1.5), (0..24).map(drive))
 }
 
 /// Plays on a line of `bytes_per_s`: checks the play, or returns the refusal.
 fn try_on(bytes_per_s: u32, pattern: &Pattern, open_loop: bool) -> Result<(), CommandError> {
-    let mut rig = slow(bytes_per_s);
-    let mut play = rig.play(pattern, Some(4.0));
-    play.open_loop = open_loop;
-    rig.send(Command::Play(Box::new(play)));
-    let answer = rig.take_events().into_iter().find_map(|event| match event {
-        StreamEvent::Answer { result, .. } => Some(result),
-        _ => None,
-    });
-    answer.unwrap()?;
+    let line = Line { bytes_per_s, delay: Duration::from_micros(300), ..Line::default() };
+    let mut rig = Rig::armed(line, 5);
+    let play = rig.start_with(pattern, Some(4.0), |play| play.open_loop = open_loop);
+    answer(&rig.take_events(), play).unwrap()?;
     let outcome = rig.run_to_end(1, Duration::from_secs(6)).expect("it ends");
     assert_closed(&outcome);
     let name = pattern.name();
@@ -60,7 +37,7 @@ fn try_on(bytes_per_s: u32, pattern: &Pattern, open_loop: bool) -> Result<(), Co
 }
 
 #[test]
-fn a_line_plays_what_it_just_carries_and_refuses_more_with_numbers() {
+fn a_line_plays_up_to_its_capacity_and_refuses_more_with_numbers() {
     let patterns =
         [rig::pattern("edge-45"), rig::pattern("all-in-phase"), all_at(33.3), all_at(210.0), bursts()];
     for (pattern, open_loop) in patterns.iter().flat_map(|pattern| [(pattern, true), (pattern, false)]) {
@@ -96,12 +73,10 @@ fn a_line_plays_what_it_just_carries_and_refuses_more_with_numbers() {
 fn the_bandwidth_of_a_play_covers_what_it_sends() {
     for pattern in rig::shipped() {
         for open_loop in [true, false] {
-            let mut rig = Rig::new(Line::default(), 6);
-            rig.arm();
-            let mut play = rig.play(&pattern, Some(4.0));
-            play.open_loop = open_loop;
-            let bandwidth = if open_loop { play.bandwidth.open } else { play.bandwidth.closed };
-            rig.send(Command::Play(Box::new(play)));
+            let mut rig = Rig::armed(Line::default(), 6);
+            let bandwidth = rig::play(1, &pattern, Some(4.0)).bandwidth;
+            let bandwidth = if open_loop { bandwidth.open } else { bandwidth.closed };
+            rig.start_with(&pattern, Some(4.0), |play| play.open_loop = open_loop);
             let outcome = rig.run_to_end(1, Duration::from_secs(6)).expect("it ends");
             // The strokes of the lead are sent at once.
             let mean = outcome.wire_bytes as f64 / 4.1;
@@ -110,8 +85,7 @@ fn the_bandwidth_of_a_play_covers_what_it_sends() {
     }
 }
 
-/// Answers with a long and varying delay, as on a busy machine: an accepted play is in time, a refusal has numbers,
-/// whatever the fastest answer was.
+/// Answers with a long and varying delay, as on a busy machine: an accepted play is in time, a refusal has numbers.
 #[test]
 fn on_a_link_that_jitters_a_play_is_in_time_or_refused_with_numbers() {
     const MS: Duration = Duration::from_millis(1);
@@ -130,15 +104,11 @@ fn on_a_link_that_jitters_a_play_is_in_time_or_refused_with_numbers() {
             rig.arm();
             rig.take_events();
             let strokes = Strokes::new(pattern, Some(4.0)).unwrap();
-            let mut play = rig.play(pattern, Some(4.0));
-            (play.open_loop, play.bandwidth) = (true, Bandwidth::of(&strokes, &settings));
-            rig.send(Command::Play(Box::new(play)));
-            let answer = rig.take_events().into_iter().find_map(|event| match event {
-                StreamEvent::Answer { result, .. } => Some(result),
-                _ => None,
+            let play = rig.start_with(pattern, Some(4.0), |play| {
+                play.bandwidth = Bandwidth::of(&strokes, &settings);
             });
             let what = format!("{} over {delay} + {jitter} ms, lead {lead_ms}, seed {seed}", pattern.name());
-            match answer.unwrap() {
+            match answer(&rig.take_events(), play).unwrap() {
                 Ok(()) => {
                     let outcome = rig.run_to_end(1, Duration::from_secs(8)).expect("it ends");
                     assert_closed(&outcome);
@@ -164,23 +134,14 @@ fn on_a_link_that_jitters_a_play_is_in_time_or_refused_with_numbers() {
 }
 
 #[test]
-fn a_uart_is_measured_and_says_what_it_carries() {
+fn the_rate_of_a_uart_is_measured_and_named_in_the_refusal() {
     let mut rig = Rig::new(Line { bytes_per_s: 11_520, ..Line::default() }, 7);
-    rig.run(Duration::from_millis(600));
-    let carried = rig.take_events().into_iter().rev().find_map(|event| match event {
-        StreamEvent::Snapshot(snapshot) => snapshot.line_bytes_per_s,
-        _ => None,
-    });
-    let carried = carried.expect("it was measured");
+    rig.run_ms(600);
+    let carried = last_snapshot(&rig.take_events()).line_bytes_per_s.expect("it was measured");
     assert!((10_500..=11_520).contains(&carried), "{carried}");
     rig.arm();
-    let play = rig.play(&all_at(300.0), None);
-    rig.send(Command::Play(Box::new(play)));
-    let line = rig.take_events().into_iter().find_map(|event| match event {
-        StreamEvent::Answer { result: Err(refused), .. } => Some(refused.to_string()),
-        _ => None,
-    });
-    let line = line.expect("it is refused");
+    let play = rig.start(&all_at(300.0), None);
+    let line = answer(&rig.take_events(), play).unwrap().unwrap_err().to_string();
     assert!(
         line.starts_with("the pattern needs ") && line.contains("kB/s at its peak, the line carries 11."),
         "{line}"
@@ -193,12 +154,9 @@ fn measuring_is_bounded_and_deterministic() {
     for line in [Line::default(), rig::bad_line(), Line { bytes_per_s: 5_000, ..Line::default() }] {
         let run = || {
             let mut rig = Rig::new(line, 8);
-            rig.run(Duration::from_millis(900));
-            let last = rig.take_events().into_iter().rev().find_map(|event| match event {
-                StreamEvent::Snapshot(snapshot) => Some((snapshot.line_bytes_per_s, snapshot.bytes_out)),
-                _ => None,
-            });
-            last.unwrap()
+            rig.run_ms(900);
+            let last = last_snapshot(&rig.take_events());
+            (last.line_bytes_per_s, last.bytes_out)
         };
         let (carried, bytes) = run();
         assert!(carried.is_some() && bytes < 12_000, "{line:?}: {carried:?}, {bytes} bytes");

@@ -9,25 +9,23 @@ use meissner_api::ErrorSource;
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::simulated::{Pin, Sample, SimulatedMotorsConfig};
 use meissner_array::units::UM_PER_PULSE;
-use meissner_stream::queues::{Command, CommandError, Snapshot, StreamEvent};
-use meissner_stream::{Gains, Line, Settings, Simulation, rest_bound_um};
-use meissner_test_support::rig::Rig;
+use meissner_stream::queues::{Command, CommandError, StreamEvent};
+use meissner_stream::{Gains, Line, Settings, rest_bound_um};
+use meissner_test_support::patterns::{drive, pattern};
+use meissner_test_support::rig::{self, Rig, answer, last_snapshot};
 use std::time::Duration;
 
-fn drive(motor: u8, frequency_hz: f64) -> Drive {
-    Drive { motor, frequency_hz, amplitude_um: 80.0, phase: 0.0, start_s: None, stop_s: None }
+/// All motors at 60 Hz and 80 um.
+fn all_motors(duration_s: f64) -> Pattern {
+    pattern("all", Some(duration_s), (0..MOTORS as u8).map(|motor| drive(motor, 60.0, 80.0)))
 }
 
 fn two_motors() -> Pattern {
-    Pattern::new("two", Some(6.0), vec![drive(3, 60.0), drive(8, 45.0)], toml::Table::new()).unwrap()
+    pattern("two", Some(6.0), [drive(3, 60.0, 80.0), drive(8, 45.0, 80.0)])
 }
 
-fn last_snapshot(events: &[StreamEvent]) -> Snapshot {
-    let snapshot = events.iter().rev().find_map(|event| match event {
-        StreamEvent::Snapshot(snapshot) => Some(*snapshot),
-        _ => None,
-    });
-    snapshot.expect("there are snapshots")
+fn one_motor() -> Pattern {
+    pattern("one", None, [drive(3, 60.0, 80.0)])
 }
 
 /// The sensors of two motors are swapped: both faults are reported, both motors play on as planned, and no other motor
@@ -37,10 +35,8 @@ fn swapped_sensors_are_reported_and_both_motors_play_on_in_open_loop() {
     let mut rig = Rig::new(Line::default(), 1);
     rig.mock.distort_telemetry(|sample: &mut Sample| sample.y.swap(3, 8));
     rig.arm();
-    let mut play = rig.play(&two_motors(), None);
-    play.open_loop = false;
-    rig.send(Command::Play(Box::new(play)));
-    rig.run(Duration::from_millis(7000));
+    rig.start_closed(&two_motors(), None);
+    rig.run_ms(7000);
     let events = rig.take_events();
     let mut faulted: Vec<u8> = events
         .iter()
@@ -57,7 +53,7 @@ fn swapped_sensors_are_reported_and_both_motors_play_on_in_open_loop() {
             if motor == 3 || motor == 8 { ErrorSource::DeadReckoning } else { ErrorSource::Telemetry };
         assert_eq!(snapshot.source[motor], expected, "motor {motor}");
     }
-    let outcome = meissner_test_support::rig::outcomes(&events)[0].bursts;
+    let outcome = rig::outcomes(&events)[0].bursts;
     assert_eq!(outcome.played, outcome.planned);
     assert!(outcome.amended < outcome.planned / 10, "{outcome:?}");
     for (_, run) in rig.mock.take_trace() {
@@ -67,18 +63,18 @@ fn swapped_sensors_are_reported_and_both_motors_play_on_in_open_loop() {
     }
     // The next arm clears the sensor faults.
     rig.send(Command::Disarm);
-    rig.run(Duration::from_millis(200));
+    rig.run_ms(200);
     rig.send(Command::Arm { assume_rest: false });
-    rig.run(Duration::from_millis(1500));
+    rig.run_ms(1500);
     assert_eq!(last_snapshot(&rig.take_events()).source, [ErrorSource::Telemetry; MOTORS]);
 }
 
 /// All motors for a minute through link and controller: the bound, and the bytes per burst.
 #[test]
 fn a_minute_of_all_motors_is_near_the_bound_and_fits_the_wire() {
-    let drives = (0..MOTORS as u8).map(|motor| drive(motor, 60.0));
-    let drives = drives.map(|drive| Drive { phase: f64::from(drive.motor) / 24.0, ..drive }).collect();
-    let pattern = Pattern::new("all", Some(60.0), drives, toml::Table::new()).unwrap();
+    let drives =
+        (0..MOTORS as u8).map(|motor| Drive { phase: f64::from(motor) / 24.0, ..drive(motor, 60.0, 80.0) });
+    let pattern = pattern("all", Some(60.0), drives);
     let motors = SimulatedMotorsConfig::default();
     let simulated =
         meissner_stream::simulate_play(&pattern, None, &motors, Settings::default(), false).unwrap();
@@ -91,30 +87,19 @@ fn a_minute_of_all_motors_is_near_the_bound_and_fits_the_wire() {
     assert!(bytes <= 12.0, "{bytes} bytes per burst");
 }
 
-/// The answer to a request.
-fn answer(events: &[StreamEvent], of: u64) -> Option<Result<(), CommandError>> {
-    events.iter().find_map(|event| match event {
-        StreamEvent::Answer { ticket, result } if *ticket == of => Some(*result),
-        _ => None,
-    })
-}
-
 #[test]
-fn home_returns_pins_between_plays_or_says_why_not() {
-    let mut rig = Rig::new(Line::default(), 5);
-    rig.arm();
-    let endless = Pattern::new("on", None, vec![drive(3, 60.0)], toml::Table::new()).unwrap();
-    let play = rig.play(&endless, Some(1.2));
-    rig.send(Command::Play(Box::new(play)));
-    rig.run(Duration::from_millis(1000));
+fn home_returns_pins_between_plays_or_gives_the_reason() {
+    let mut rig = Rig::armed(Line::default(), 5);
+    rig.start(&one_motor(), Some(1.2));
+    rig.run_ms(1000);
     let early = rig.send(Command::Home);
-    rig.run(Duration::from_millis(5000));
+    rig.run_ms(5000);
     let events = rig.take_events();
     assert_eq!(answer(&events, early), Some(Err(CommandError::Playing)));
     let before = rig.mock.position_um(3);
     assert!(before.abs() > 20.0, "{before} um of drift in open loop");
     let home = rig.send(Command::Home);
-    rig.run(Duration::from_millis(3000));
+    rig.run_ms(3000);
     let events = rig.take_events();
     assert_eq!(answer(&events, home), Some(Ok(())), "{events:?}");
     for motor in 0..MOTORS as u8 {
@@ -124,13 +109,11 @@ fn home_returns_pins_between_plays_or_says_why_not() {
 
     // Without telemetry and calibration there is no position estimate.
     let blind = SimulatedMotorsConfig { telemetry_hz: 0, ..SimulatedMotorsConfig::default() };
-    let mut simulation = Simulation::new(&blind, Settings::default(), Line::default(), 1).unwrap();
-    simulation.run(Duration::from_millis(500));
-    simulation.send(Command::Arm { assume_rest: true });
-    simulation.run(Duration::from_millis(100));
-    let home = simulation.send(Command::Home);
-    simulation.run(Duration::from_millis(100));
-    assert_eq!(answer(&simulation.take_events(), home), Some(Err(CommandError::NoPositionEstimate)));
+    let mut rig = Rig::of(&blind, 1);
+    rig.arm();
+    let home = rig.send(Command::Home);
+    rig.run_ms(100);
+    assert_eq!(answer(&rig.take_events(), home), Some(Err(CommandError::NoPositionEstimate)));
 }
 
 /// True rest errors after plays in open loop match dead reckoning.
@@ -138,16 +121,13 @@ fn home_returns_pins_between_plays_or_says_why_not() {
 fn without_telemetry_the_error_is_reckoned_and_the_streamer_warns() {
     let blind =
         SimulatedMotorsConfig { telemetry_hz: 0, end_stop_um: 10_000.0, ..SimulatedMotorsConfig::default() };
-    let drives = (0..MOTORS as u8).map(|motor| drive(motor, 60.0)).collect();
-    let pattern = Pattern::new("all", Some(2.0), drives, toml::Table::new()).unwrap();
     let mut rig = Rig::of(&blind, 9);
     rig.arm();
     let mut reckoned = vec![0.0];
     let mut warned = 0;
     for _ in 0..3 {
-        let play = rig.play(&pattern, None);
-        rig.send(Command::Play(Box::new(play)));
-        rig.run(Duration::from_millis(3500));
+        rig.start(&all_motors(2.0), None);
+        rig.run_ms(3500);
         let events = rig.take_events();
         warned += events.iter().filter(|event| matches!(event, StreamEvent::DriftWarning { .. })).count();
         let snapshot = last_snapshot(&events);
@@ -156,8 +136,7 @@ fn without_telemetry_the_error_is_reckoned_and_the_streamer_warns() {
     }
     assert!(reckoned.windows(2).all(|two| two[1] > 1.2 * two[0]), "{reckoned:?}");
     assert_eq!(warned, 1, "once is enough");
-    let squares = (0..MOTORS as u8).map(|motor| rig.mock.position_um(motor).powi(2)).sum::<f64>();
-    let really = (squares / MOTORS as f64).sqrt();
+    let really = rig.rest_rms_um();
     let ratio = really / reckoned[3];
     assert!((0.6..1.6).contains(&ratio), "really {really} um, reckoned {reckoned:?}");
 }
@@ -173,8 +152,6 @@ fn calibrated_gains_hold_pins_without_telemetry() {
         end_stop_um: 10_000.0,
         ..SimulatedMotorsConfig::default()
     };
-    let drives = (0..MOTORS as u8).map(|motor| drive(motor, 60.0)).collect();
-    let pattern = Pattern::new("all", Some(3.0), drives, toml::Table::new()).unwrap();
     // Each motor's asymmetry is random: one stroke of known length shows it.
     let gains: [Gains; MOTORS] = std::array::from_fn(|motor| {
         let mut pin = Pin::new(&motors, motor as u64);
@@ -190,12 +167,9 @@ fn calibrated_gains_hold_pins_without_telemetry() {
         if let Some(gains) = gains {
             rig.send(Command::SetGains(Box::new(*gains)));
         }
-        let mut play = rig.play(&pattern, None);
-        play.open_loop = false;
-        rig.send(Command::Play(Box::new(play)));
-        rig.run(Duration::from_millis(4000));
-        let squares = (0..MOTORS as u8).map(|motor| rig.mock.position_um(motor).powi(2)).sum::<f64>();
-        (squares / MOTORS as f64).sqrt()
+        rig.start_closed(&all_motors(3.0), None);
+        rig.run_ms(4000);
+        rig.rest_rms_um()
     };
     let (unknown, known) = (drift(None), drift(Some(&gains)));
     assert!(unknown > 300.0, "{unknown} um");
@@ -215,17 +189,14 @@ fn home_moves_no_pin_far_with_a_faulty_sensor() {
         ("swapped", |sample| sample.y.swap(3, 8)),
     ];
     for (name, alter) in faults {
-        let mut rig = Rig::new(Line::default(), 5);
-        rig.arm();
-        let pattern = Pattern::new("on", None, vec![drive(3, 60.0)], toml::Table::new()).unwrap();
-        let play = rig.play(&pattern, Some(0.5));
-        rig.send(Command::Play(Box::new(play)));
-        rig.run(Duration::from_millis(1000));
+        let mut rig = Rig::armed(Line::default(), 5);
+        rig.start(&one_motor(), Some(0.5));
+        rig.run_ms(1000);
         rig.mock.distort_telemetry(alter);
-        rig.run(Duration::from_millis(300));
+        rig.run_ms(300);
         let before: Vec<f64> = (0..MOTORS as u8).map(|motor| rig.mock.position_um(motor)).collect();
         let home = rig.send(Command::Home);
-        rig.run(Duration::from_millis(3000));
+        rig.run_ms(3000);
         assert_eq!(answer(&rig.take_events(), home), Some(Err(CommandError::NotHome)), "{name}");
         for (motor, before) in (0u8..).zip(before) {
             let um = rig.mock.position_um(motor);
@@ -236,23 +207,17 @@ fn home_moves_no_pin_far_with_a_faulty_sensor() {
 
 #[test]
 fn a_homing_cut_by_the_device_is_answered_once() {
-    let mut rig = Rig::new(Line::default(), 5);
-    rig.arm();
-    let pattern = Pattern::new("on", None, vec![drive(3, 60.0)], toml::Table::new()).unwrap();
-    let play = rig.play(&pattern, Some(1.0));
-    rig.send(Command::Play(Box::new(play)));
-    rig.run(Duration::from_millis(1500));
+    let mut rig = Rig::armed(Line::default(), 5);
+    rig.start(&one_motor(), Some(1.0));
+    rig.run_ms(1500);
     let home = rig.send(Command::Home);
-    rig.run(Duration::from_millis(5));
+    rig.run_ms(5);
     rig.stall(Duration::from_millis(600));
-    rig.run(Duration::from_millis(1000));
-    let events = rig.take_events();
-    let answers =
-        events.iter().filter(|event| matches!(event, StreamEvent::Answer { ticket, .. } if *ticket == home));
-    assert_eq!(answers.count(), 1);
+    rig.run_ms(1000);
+    assert_eq!(rig::answers(&rig.take_events(), home).count(), 1);
 }
 
-/// Acknowledgements lost now and then, stops, immediate plays: the loop knows what is played and finds no fault.
+/// Lost acknowledgements, stops and immediate plays: position control finds no sensor fault.
 #[test]
 fn a_bad_line_causes_no_sensor_fault() {
     for seed in 0..12 {
@@ -260,15 +225,15 @@ fn a_bad_line_causes_no_sensor_fault() {
             Rig::new(Line { loss: 0.002, jitter: Duration::from_micros(500), ..Line::default() }, seed);
         rig.arm();
         for round in 0..10 {
-            let mut play = rig.play(&two_motors(), Some(0.4));
-            (play.open_loop, play.replace) = (false, round % 3 == 1);
-            rig.send(Command::Play(Box::new(play)));
-            rig.run(Duration::from_millis(150 + 40 * round));
+            rig.start_with(&two_motors(), Some(0.4), |play| {
+                (play.open_loop, play.replace) = (false, round % 3 == 1);
+            });
+            rig.run_ms(150 + 40 * round);
             if round % 4 == 2 {
                 rig.send(Command::Stop);
             }
         }
-        rig.run(Duration::from_millis(1000));
+        rig.run_ms(1000);
         let faulted =
             rig.take_events().into_iter().find(|event| matches!(event, StreamEvent::SensorFault { .. }));
         assert!(faulted.is_none(), "seed {seed}: {faulted:?}");
@@ -278,29 +243,25 @@ fn a_bad_line_causes_no_sensor_fault() {
 /// Corrections use no on-time that the plan needs, and cross no play's end.
 #[test]
 fn corrections_make_the_device_refuse_nothing() {
-    let drives = (0..6).map(|motor| drive(motor, 60.0)).collect();
-    let pattern = Pattern::new("six", Some(6.0), drives, toml::Table::new()).unwrap();
+    let six = pattern("six", Some(6.0), (0..6).map(|motor| drive(motor, 60.0, 80.0)));
     // 588 pulses up and down, 60 times a second, plus a margin for the sliding second.
     let limits = OnTimeLimits { motor: 74_000, ..OnTimeLimits::NONE };
     let settings = Settings { limits, ..Settings::default() };
     let motors = SimulatedMotorsConfig::default();
-    let outcome = meissner_stream::simulate_play(&pattern, None, &motors, settings, false).unwrap().outcome;
+    let outcome = meissner_stream::simulate_play(&six, None, &motors, settings, false).unwrap().outcome;
     assert_eq!((outcome.bursts.refused, outcome.bursts.planned), (0, outcome.bursts.played));
     assert!(outcome.bursts.amended > 0);
 
     let drives =
-        (0..MOTORS as u8).map(|motor| Drive { phase: f64::from(motor) / 31.0, ..drive(motor, 300.0) });
-    let pattern = Pattern::new("full", None, drives.collect(), toml::Table::new()).unwrap();
+        (0..MOTORS as u8).map(|motor| Drive { phase: f64::from(motor) / 31.0, ..drive(motor, 300.0, 80.0) });
+    let full = pattern("full", None, drives);
     let mut rig = Rig::of(&SimulatedMotorsConfig { gain_sd: 0.3, ..motors }, 2);
     rig.arm();
     for seconds in [1.0, 0.999, 1.0] {
-        let mut play = rig.play(&pattern, Some(seconds));
-        play.open_loop = false;
-        rig.send(Command::Play(Box::new(play)));
+        rig.start_closed(&full, Some(seconds));
     }
-    rig.run(Duration::from_millis(4000));
-    let events = rig.take_events();
-    let outcomes = meissner_test_support::rig::outcomes(&events);
+    rig.run_ms(4000);
+    let outcomes = rig.outcomes();
     assert_eq!(outcomes.len(), 3);
     for outcome in outcomes {
         assert_eq!((outcome.bursts.refused, outcome.bursts.late), (0, 0), "{:?}", outcome.bursts);

@@ -8,6 +8,7 @@ use meissner_api::SensorFault;
 use meissner_array::units::UM_PER_PULSE;
 use meissner_stream::{Gains, MotorRun, Period, rest_bound_um};
 use meissner_test_support::random::Random;
+use meissner_test_support::statistics::{mean, rms, standard_error};
 
 /// The periods of a run after its first seconds, and the sensor fault.
 #[derive(Debug, Default)]
@@ -30,7 +31,7 @@ impl Result {
     }
 
     fn rest_rms(periods: &[Period]) -> f64 {
-        (periods.iter().map(|period| period.rest_um.powi(2)).sum::<f64>() / periods.len() as f64).sqrt()
+        rms(periods.iter().map(|period| period.rest_um))
     }
 
     /// Mean amplitude error (top minus adjacent rests, minus plan), and its standard error, µm.
@@ -40,14 +41,11 @@ impl Result {
             .windows(2)
             .map(|two| two[1].top_um - (two[0].rest_um + two[1].rest_um) / 2.0 - two[1].planned_um)
             .collect();
-        let count = errors.len() as f64;
-        let mean = errors.iter().sum::<f64>() / count;
-        let variance = errors.iter().map(|error| (error - mean).powi(2)).sum::<f64>() / count;
-        (mean, (variance / count).sqrt())
+        (mean(&errors), standard_error(&errors))
     }
 }
 
-/// Checks what must hold at every setting.
+/// Checks the conditions of every setting.
 fn check(motor_run: &MotorRun, seconds: f64) {
     let result = Result::of(motor_run, seconds);
     let name = format!("{motor_run:?}");
@@ -147,7 +145,7 @@ fn an_hour_at_each_corner_is_as_good_as_its_first_minute() {
         assert_eq!(fault, None, "{name}");
         let rms: Vec<f64> = minutes.iter().map(|(count, sum)| (sum / *count as f64).sqrt()).collect();
         assert_eq!(rms.len(), 60, "{name}");
-        let (first, last) = (rms[1..11].iter().sum::<f64>() / 10.0, rms[50..].iter().sum::<f64>() / 10.0);
+        let (first, last) = (mean(&rms[1..11]), mean(&rms[50..]));
         assert!(last <= 1.25 * first + UM_PER_PULSE / 2.0, "{name}: from {first} to {last} um rms");
     }
 }
@@ -165,7 +163,7 @@ fn left(motor_run: MotorRun, seconds: f64) -> Vec<f64> {
     rests(&motor_run).into_iter().zip(calm).map(|(off, calm)| off - calm).collect()
 }
 
-/// The poles of `stream::control::burst_controller`: z^N = -δ. What a wrong gain leaves of an error is corrected N bursts later.
+/// The poles of `stream::control::burst_controller`: z^N = -δ. The rest that a wrong gain leaves of an error is corrected N bursts later.
 #[test]
 fn an_error_dies_out_as_the_poles_say() {
     let certain = |gain: f64| Gains { mean: [gain; 2], sd: [1e-9; 2], scatter: 0.1 };

@@ -1,4 +1,4 @@
-//! Commands that cross each other, the device's reports and the host watchdog: what has ended never plays later.
+//! Commands that cross each other, the device's reports and the host watchdog: ended plays never start later.
 //!
 //! Each test sends commands at an awkward moment and counts the plays that start and end.
 
@@ -6,22 +6,19 @@ use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::limits::OnTimeLimits;
 use firmware_protocol::message::State;
 use firmware_protocol::tick::Tick;
-use meissner_api::LatePolicy;
 use meissner_array::simulated::SimulatedMotorsConfig;
-use meissner_array::strokes::Strokes;
 use meissner_stream::device::mock::Mock;
 use meissner_stream::link::LineRate;
-use meissner_stream::queues::{At, Command, CommandError, End, Play, Request, StreamEvent};
+use meissner_stream::queues::{At, Command, CommandError, End, Request, StreamEvent};
 use meissner_stream::time::HostInstant;
-use meissner_stream::{Bandwidth, Line, Settings, Streamer};
+use meissner_stream::{Line, Settings, Streamer};
 use meissner_test_support::rig::{self, Rig};
 use std::time::Duration;
 
 const MS: Duration = Duration::from_millis(1);
 
-fn send_play(rig: &mut Rig, pattern: &str, seconds: Option<f64>, at: At) {
-    let play = rig.play(&rig::pattern(pattern), seconds);
-    rig.send(Command::Play(Box::new(Play { at, ..play })));
+fn send_play(rig: &mut Rig, pattern: &str, seconds: Option<f64>, at: At) -> u64 {
+    rig.start_with(&rig::pattern(pattern), seconds, |play| play.at = at)
 }
 
 /// How many plays have started and ended.
@@ -32,45 +29,41 @@ fn started_and_ended(events: &[StreamEvent]) -> (usize, usize) {
 
 /// Arms again and advances time: no earlier play may start.
 fn nothing_starts_later(rig: &mut Rig) {
-    rig.run(10_000 * MS);
+    rig.run_ms(10_000);
     rig.take_events();
     rig.send(Command::Arm { assume_rest: true });
-    rig.run(500 * MS);
+    rig.run_ms(500);
     assert_eq!(started_and_ended(&rig.take_events()), (0, 0));
     assert_eq!(rig.mock.controller().state(), State::Armed);
 }
 
 #[test]
 fn a_play_after_a_watchdog_timeout_and_a_stop_is_refused_for_good() {
-    let mut rig = Rig::new(Line::default(), 8);
-    rig.arm();
+    let mut rig = Rig::armed(Line::default(), 8);
     rig.stall(900 * MS);
     rig.send(Command::Stop);
-    rig.run(500 * MS);
+    rig.run_ms(500);
     rig.take_events();
-    send_play(&mut rig, "pin-60", None, At::Next);
-    let refused = |event: &StreamEvent| {
-        matches!(event, StreamEvent::Answer { result: Err(CommandError::Disarmed), .. })
-    };
-    assert!(rig.take_events().iter().any(refused));
+    let play = send_play(&mut rig, "pin-60", None, At::Next);
+    assert_eq!(rig::answer(&rig.take_events(), play), Some(Err(CommandError::Disarmed)));
     nothing_starts_later(&mut rig);
 }
 
 #[test]
 fn a_play_behind_an_arm_that_timed_out_ends_with_it() {
     let mut rig = Rig::new(Line::default(), 23);
-    rig.run(500 * MS);
+    rig.run_ms(500);
     // The line slows down until no answer comes in time, but gradually, so that it does not seem dead.
     for delay in (0..560).step_by(20) {
         rig.set_line(Line { delay: delay * MS, ..Line::default() });
-        rig.run(40 * MS);
+        rig.run_ms(40);
     }
-    rig.run(1500 * MS);
+    rig.run_ms(1500);
     rig.send(Command::Arm { assume_rest: true });
     send_play(&mut rig, "pin-60", None, At::Next);
-    rig.run(5000 * MS);
+    rig.run_ms(5000);
     rig.set_line(Line::default());
-    rig.run(1000 * MS);
+    rig.run_ms(1000);
     assert_eq!(started_and_ended(&rig.take_events()), (0, 1));
     assert_eq!(rig.mock.controller().state(), State::Disarmed);
     nothing_starts_later(&mut rig);
@@ -79,15 +72,15 @@ fn a_play_behind_an_arm_that_timed_out_ends_with_it() {
 #[test]
 fn two_arms_in_a_row_leave_it_armed_and_playing() {
     let mut rig = Rig::new(Line::default(), 23);
-    rig.run(500 * MS);
+    rig.run_ms(500);
     rig.send(Command::Arm { assume_rest: true });
     rig.send(Command::Arm { assume_rest: true });
     send_play(&mut rig, "pin-60", Some(0.2), At::Next);
-    rig.run(1000 * MS);
-    let outcomes = rig::into_outcomes(rig.take_events());
+    rig.run_ms(1000);
+    let outcomes = rig.outcomes();
     assert_eq!(outcomes.iter().map(|outcome| outcome.end).collect::<Vec<_>>(), [End::Done]);
     send_play(&mut rig, "pin-60", Some(0.2), At::Next);
-    rig.run(1000 * MS);
+    rig.run_ms(1000);
     assert_eq!(started_and_ended(&rig.take_events()), (1, 1));
 }
 
@@ -107,17 +100,7 @@ fn a_device_whose_clock_begins_anew_plays_as_the_one_before() {
             let command = match since {
                 200 => Some(Command::Arm { assume_rest: true }),
                 400 | 1500 => {
-                    let strokes = Strokes::new(&rig::pattern("pin-60"), Some(0.05)).unwrap();
-                    let (id, at, late) = (ms, At::Next, LatePolicy::Drop);
-                    Some(Command::Play(Box::new(Play {
-                        id,
-                        strokes,
-                        at,
-                        late,
-                        replace: false,
-                        open_loop: true,
-                        bandwidth: Bandwidth::default(),
-                    })))
+                    Some(Command::Play(Box::new(rig::play(ms, &rig::pattern("pin-60"), Some(0.05)))))
                 }
                 _ => None,
             };
@@ -146,7 +129,7 @@ fn tens_of_thousands_of_reports_later_verdicts_still_count() {
     rig.arm();
     for round in 0..10 {
         send_play(&mut rig, "all-in-phase", Some(6.0), At::Next);
-        rig.run(7000 * MS);
+        rig.run_ms(7000);
         rig.mock.take_trace();
         assert_eq!(started_and_ended(&rig.take_events()), (1, 1), "round {round}");
     }
@@ -159,10 +142,9 @@ fn strokes_refused_as_they_begin_do_not_mislead_position_control() {
     let rest = |open_loop| {
         let mut rig = Rig::with(settings, Line::default(), 24);
         rig.arm();
-        let play = rig.play(&rig::pattern("edge-45"), Some(5.0));
-        rig.send(Command::Play(Box::new(Play { open_loop, ..play })));
-        rig.run(6000 * MS);
-        assert!(rig::into_outcomes(rig.take_events())[0].bursts.refused > 1000);
+        rig.start_with(&rig::pattern("edge-45"), Some(5.0), |play| play.open_loop = open_loop);
+        rig.run_ms(6000);
+        assert!(rig.outcomes()[0].bursts.refused > 1000);
         rig.mock.true_positions().rest().rms_um()
     };
     let (open, closed) = (rest(true), rest(false));
@@ -172,14 +154,14 @@ fn strokes_refused_as_they_begin_do_not_mislead_position_control() {
 #[test]
 fn a_play_whose_onset_falls_into_the_play_before_it_is_aborted() {
     let mut rig = Rig::new(Line { delay: 20 * MS, ..Line::default() }, 24);
-    rig.run(1000 * MS);
+    rig.run_ms(1000);
     rig.send(Command::Arm { assume_rest: true });
     let at = rig.streamer.tick_at(rig.now()).unwrap() + 42_500 + 300;
     send_play(&mut rig, "pin-60", Some(0.5), At::Next);
     send_play(&mut rig, "pin-60", Some(0.5), At::Tick(at));
     send_play(&mut rig, "pin-60", Some(0.5), At::Next);
-    rig.run(4000 * MS);
-    let outcomes = rig::into_outcomes(rig.take_events());
+    rig.run_ms(4000);
+    let outcomes = rig.outcomes();
     let ends: Vec<_> = outcomes.iter().map(|outcome| (outcome.play.id, outcome.end)).collect();
     assert_eq!(ends, [(1, End::Done), (2, End::Aborted), (3, End::Done)]);
     outcomes.iter().for_each(rig::assert_closed);

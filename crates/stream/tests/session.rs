@@ -89,7 +89,7 @@ impl Pair {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(300) })]
 
-    /// Whatever is pushed, lost, commanded or forged: each stroke gets one verdict, in the order of pushing, unless a
+    /// With any strokes, losses, commands and forged bytes: each stroke gets one verdict, in the order of pushing, unless a
     /// command came between. A late stroke begins before the device's first free tick.
     #[test]
     fn each_stroke_has_one_verdict(ops in prop::collection::vec(op(), 1..80)) {

@@ -1,7 +1,7 @@
 //! The tests of this crate, one binary, a module per theme.
 #![expect(clippy::unwrap_used, reason = "a test that panics has failed")]
 
-/// `calibrate`: what a plan plays, gains found again on the simulated motors, files and what is refused in them.
+/// `calibrate`: plans, fitted gains of simulated motors, files and their mistakes.
 mod calibrate;
 mod capacity;
 mod closed_loop;

@@ -7,7 +7,7 @@ use meissner_skin::Scene;
 use meissner_skin::afferent::{AfferentModel, Position, Rectify};
 
 /// Turns an oracle's scene into one of the simulator's, and draws its noise for the oracle.
-pub fn both(mut scene: oracle::Scene, noise_sd: f64, seed: u64) -> (oracle::Scene, Scene) {
+pub fn both(scene: oracle::Scene, noise_sd: f64, seed: u64) -> (oracle::Scene, Scene) {
     let drives = scene.drives.iter().map(|drive| Drive {
         motor: drive.motor as u8,
         frequency_hz: drive.frequency_hz,
@@ -16,28 +16,61 @@ pub fn both(mut scene: oracle::Scene, noise_sd: f64, seed: u64) -> (oracle::Scen
         start_s: Some(drive.start_s),
         stop_s: drive.stop_s,
     });
+    let oracle::Model { alpha_per_um, tau_s, refractory_s, hyperexcitability_s, .. } = scene.model;
+    let oracle::Model { hyperexcitability_depth, sigma_mm, .. } = scene.model;
+    let rectify = match scene.model.rectify {
+        oracle::Rectify::Half => Rectify::Half,
+        oracle::Rectify::Full => Rectify::Full,
+        oracle::Rectify::Signed => Rectify::Signed,
+    };
     let model = AfferentModel {
-        rectify: match scene.model.rectify {
-            oracle::Rectify::Half => Rectify::Half,
-            oracle::Rectify::Full => Rectify::Full,
-            oracle::Rectify::Signed => Rectify::Signed,
-        },
-        alpha_per_um: scene.model.alpha_per_um,
-        tau_s: scene.model.tau_s,
-        refractory_s: scene.model.refractory_s,
-        hyperexcitability_s: scene.model.hyperexcitability_s,
-        hyperexcitability_depth: scene.model.hyperexcitability_depth,
-        sigma_mm: scene.model.sigma_mm,
+        rectify,
+        alpha_per_um,
+        tau_s,
+        refractory_s,
+        hyperexcitability_s,
+        hyperexcitability_depth,
+        sigma_mm,
         noise_sd,
     };
     let afferents = scene.afferents.iter().map(|&(x_mm, y_mm)| Position { x_mm, y_mm }).collect();
     let ours = Scene::new(scene.duration_s, seed, drives.collect(), afferents, model).unwrap();
-    let most = 2 + (scene.duration_s / scene.model.refractory_s) as usize;
-    scene.offsets = (0..scene.afferents.len() as u64)
-        .map(|afferent| {
-            let mut noise = Normals::new(seed, afferent);
-            (0..most).map(|_| noise_sd * noise.next().clamp(-8.0, 8.0)).collect()
-        })
-        .collect();
-    (scene, ours)
+    (for_oracle(&ours), ours)
+}
+
+/// The scene for the oracle, with its noise drawn.
+pub fn for_oracle(scene: &Scene) -> oracle::Scene {
+    let drive = |drive: &Drive| oracle::Drive {
+        motor: drive.motor.into(),
+        frequency_hz: drive.frequency_hz,
+        amplitude_um: drive.amplitude_um,
+        phase: drive.phase,
+        start_s: drive.start_s.unwrap_or(0.0),
+        stop_s: drive.stop_s,
+    };
+    let model = scene.model();
+    let most = 2 + (scene.duration_s() / model.refractory_s) as usize;
+    let offsets = |afferent: usize| {
+        let mut noise = Normals::new(scene.seed(), afferent as u64);
+        (0..most).map(|_| model.noise_sd * noise.next().clamp(-8.0, 8.0)).collect()
+    };
+    oracle::Scene {
+        duration_s: scene.duration_s(),
+        drives: scene.drives().iter().map(drive).collect(),
+        afferents: scene.afferents().iter().map(|at| (at.x_mm, at.y_mm)).collect(),
+        offsets: (0..scene.afferents().len()).map(offsets).collect(),
+        model: oracle::Model {
+            rectify: match model.rectify {
+                Rectify::Half => oracle::Rectify::Half,
+                Rectify::Full => oracle::Rectify::Full,
+                Rectify::Signed => oracle::Rectify::Signed,
+            },
+            alpha_per_um: model.alpha_per_um,
+            tau_s: model.tau_s,
+            refractory_s: model.refractory_s,
+            hyperexcitability_s: model.hyperexcitability_s,
+            hyperexcitability_depth: model.hyperexcitability_depth,
+            sigma_mm: model.sigma_mm,
+        },
+    }
 }

@@ -1,6 +1,8 @@
 //! Code that the tests of several crates share. No program uses it.
 //!
-//! - [`random`]: random drives and scenes.
+//! - [`documents`]: tables of mistakes that readers refuse.
+//! - [`patterns`]: drives and patterns in few words; [`random`]: random drives and scenes.
+//! - [`statistics`]: mean, standard deviation, root mean square.
 //! - [`oracle`]: a second simulator, slow, written from the equations alone; [`both`] makes a scene for both.
 //! - [`rig`]: a streamer and a mock in virtual time; its lines are compared with compiled strokes.
 //! - [`played`]: the bursts that simulated motors make of a pattern.
@@ -9,7 +11,10 @@
 #![expect(clippy::unwrap_used, clippy::missing_panics_doc, reason = "a test that panics has failed")]
 
 pub mod both;
+pub mod documents;
 pub mod oracle;
+pub mod patterns;
 pub mod played;
 pub mod random;
 pub mod rig;
+pub mod statistics;

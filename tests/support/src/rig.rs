@@ -2,6 +2,7 @@
 //!
 //! A test arms a [`Rig`], sends commands, advances time, and compares the recorded lines with the compiled strokes.
 
+use crate::statistics::rms;
 use firmware_protocol::controller::Run;
 use firmware_protocol::stroke::{Burst, Direction, Line as Pulse, Lines, MOTORS, Stroke};
 use firmware_protocol::tick::Tick;
@@ -9,8 +10,9 @@ use meissner_api::LatePolicy;
 use meissner_array::pattern::Pattern;
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_array::strokes::Strokes;
-use meissner_stream::queues::{At, Command, Outcome, Play, StreamEvent};
+use meissner_stream::queues::{At, Command, CommandError, Outcome, Play, Snapshot, StreamEvent};
 use meissner_stream::{Bandwidth, Line, Settings, Simulation};
+
 use std::ops::{Deref, DerefMut};
 use std::time::Duration;
 
@@ -47,6 +49,27 @@ pub fn into_outcomes(events: Vec<StreamEvent>) -> Vec<Outcome> {
         _ => None,
     });
     ended.collect()
+}
+
+/// The answers to a request.
+pub fn answers(events: &[StreamEvent], of: u64) -> impl Iterator<Item = Result<(), CommandError>> {
+    events.iter().filter_map(move |event| match event {
+        StreamEvent::Answer { ticket, result } if *ticket == of => Some(*result),
+        _ => None,
+    })
+}
+
+/// The first answer to a request.
+pub fn answer(events: &[StreamEvent], of: u64) -> Option<Result<(), CommandError>> {
+    answers(events, of).next()
+}
+
+pub fn last_snapshot(events: &[StreamEvent]) -> Snapshot {
+    let snapshot = events.iter().rev().find_map(|event| match event {
+        StreamEvent::Snapshot(snapshot) => Some(*snapshot),
+        _ => None,
+    });
+    snapshot.expect("there are snapshots")
 }
 
 /// Every planned burst has exactly one fate.
@@ -132,21 +155,61 @@ impl Rig {
         Self { simulation, plays: 0 }
     }
 
-    pub fn arm(&mut self) {
-        self.run(Duration::from_millis(500));
-        let ticket = self.send(Command::Arm { assume_rest: true });
-        self.run(Duration::from_millis(100));
-        let answered = |event: &StreamEvent| matches!(event, StreamEvent::Answer { ticket: t, result: Ok(()) } if *t == ticket);
-        let events = self.take_events();
-        assert!(events.iter().any(answered), "{events:?}");
+    /// An armed rig.
+    pub fn armed(line: Line, seed: u64) -> Self {
+        let mut rig = Self::new(line, seed);
+        rig.arm();
+        rig
     }
 
+    pub fn arm(&mut self) {
+        self.run_ms(500);
+        let ticket = self.send(Command::Arm { assume_rest: true });
+        self.run_ms(100);
+        let events = self.take_events();
+        assert_eq!(answer(&events, ticket), Some(Ok(())), "{events:?}");
+    }
+
+    pub fn run_ms(&mut self, ms: u64) {
+        self.run(Duration::from_millis(ms));
+    }
+
+    /// The outcomes of the plays that have ended since the last call.
+    pub fn outcomes(&mut self) -> Vec<Outcome> {
+        into_outcomes(self.take_events())
+    }
+
+    /// The pins' distances from rest, µm, root mean square.
+    pub fn rest_rms_um(&self) -> f64 {
+        rms((0..MOTORS as u8).map(|motor| self.mock.position_um(motor)))
+    }
+
+    /// Sends a play in open loop; returns its ticket.
+    pub fn start(&mut self, pattern: &Pattern, seconds: Option<f64>) -> u64 {
+        self.start_with(pattern, seconds, |_| ())
+    }
+
+    /// Sends a play in closed loop; returns its ticket.
+    pub fn start_closed(&mut self, pattern: &Pattern, seconds: Option<f64>) -> u64 {
+        self.start_with(pattern, seconds, |play| play.open_loop = false)
+    }
+
+    /// Sends a changed play; returns its ticket.
+    pub fn start_with(
+        &mut self,
+        pattern: &Pattern,
+        seconds: Option<f64>,
+        change: impl FnOnce(&mut Play),
+    ) -> u64 {
+        let mut play = self.play(pattern, seconds);
+        change(&mut play);
+        self.send(Command::Play(Box::new(play)))
+    }
+
+    /// A play in open loop, with the next id.
     pub fn play(&mut self, pattern: &Pattern, seconds: Option<f64>) -> Play {
         self.plays += 1;
-        let strokes = Strokes::new(pattern, seconds).unwrap();
-        let late = LatePolicy::Drop;
-        let bandwidth = Bandwidth::of(&strokes, &Settings::default());
-        Play { id: self.plays, strokes, at: At::Next, late, replace: false, open_loop: true, bandwidth }
+        play(self.plays, pattern, seconds)
     }
 
     /// Plays open loop to the end and compares every tick of every line with the compiled strokes.
@@ -158,6 +221,7 @@ impl Rig {
         self.send(Command::Play(Box::new(play)));
         let outcome = self.run_to_end(id, Duration::from_secs_f64(seconds + 2.0)).expect("it ends");
         assert_eq!(outcome.bursts.played, outcome.bursts.planned, "{}: {outcome:?}", pattern.name());
+        assert_closed(&outcome);
         compiled.begin(outcome.onset.expect("it began").actual);
         let strokes: Vec<_> = compiled.map(Result::unwrap).collect();
         assert_lines(&self.mock.take_trace(), &strokes);
@@ -165,7 +229,14 @@ impl Rig {
     }
 }
 
-/// Asserts that every tick of every line is what the strokes say, and off where they say nothing.
+/// A play in open loop.
+pub fn play(id: u64, pattern: &Pattern, seconds: Option<f64>) -> Play {
+    let strokes = Strokes::new(pattern, seconds).unwrap();
+    let bandwidth = Bandwidth::of(&strokes, &Settings::default());
+    Play { id, strokes, at: At::Next, late: LatePolicy::Drop, replace: false, open_loop: true, bandwidth }
+}
+
+/// Asserts that each line is as the strokes plan it in every tick, and off elsewhere.
 ///
 /// Compares the bursts (trains of equal ticks) of each line, in order: the same as tick by tick, and much faster.
 pub fn assert_lines(trace: &[(Tick, Run)], strokes: &[Stroke]) {

@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn a_slow_drive_is_played_as_asked_in_whole_pulses() {
+    fn a_slow_drive_has_its_amplitude_in_whole_pulses() {
         let steady = SteadyState::of(10.0, 9.5).unwrap();
         assert!((steady.peak_to_peak_um - 9.5).abs() < 1e-12 && !steady.saturated && steady.pulses == 70);
         assert!((steady.played_peak_to_peak_um - 9.5).abs() < 1e-12);

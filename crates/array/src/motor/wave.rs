@@ -158,7 +158,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_slow_drive_plays_what_is_asked_and_a_fast_one_what_fits() {
+    fn a_slow_drive_plays_all_its_pulses_and_a_fast_one_as_many_as_fit() {
         let slow = SquareWave::new(60.0, 20.0, 0.0).unwrap();
         assert_eq!((slow.wanted_pulses(), slow.pulses()), (147, 147));
         let first: Vec<_> = slow.excursions().take(2).collect();
@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_driven_is_refused_in_one_line() {
+    fn an_impossible_drive_is_refused_in_one_line() {
         let refused = [
             SquareWave::new(0.0, 1.0, 0.0),
             SquareWave::new(42_500.1, 1.0, 0.0),

@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn what_would_harm_comes_out_as_an_error_and_ends_it() {
+    fn a_harmful_stroke_is_an_error_and_the_last_item() {
         let good = one_pin().next().unwrap().unwrap();
         let refused = |stroke| one_pin().check(stroke).unwrap_err();
         assert!(matches!(refused(Stroke { motor: 24, ..good }), StrokesError::Limit { .. }));

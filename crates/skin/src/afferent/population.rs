@@ -47,6 +47,7 @@ fn count(per_cm2: f64) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use meissner_test_support::statistics::{mean, standard_error};
 
     #[test]
     fn both_halves_are_full_and_no_afferent_lies_outside() {
@@ -68,12 +69,9 @@ mod tests {
         for upper in [true, false] {
             let half: Vec<_> = all.iter().filter(|at| (at.y_mm >= 0.0) == upper).collect();
             let check = |name, expected: f64, f: &dyn Fn(f64, f64) -> f64| {
-                let values = || half.iter().map(|at| f(at.x_mm / 9.0, at.y_mm.abs() / 12.0));
-                let n = half.len() as f64;
-                let mean = values().sum::<f64>() / n;
-                let variance = values().map(|v| (v - mean).powi(2)).sum::<f64>() / n;
-                // Four standard errors.
-                assert!((mean - expected).abs() < 4.0 * (variance / n).sqrt(), "{name}: {mean}");
+                let values: Vec<_> = half.iter().map(|at| f(at.x_mm / 9.0, at.y_mm.abs() / 12.0)).collect();
+                let mean = mean(&values);
+                assert!((mean - expected).abs() < 4.0 * standard_error(&values), "{name}: {mean}");
             };
             check("x", 0.0, &|x, _| x);
             check("xx", 0.25, &|x, _| x * x);

@@ -17,8 +17,8 @@ use firmware_protocol::tick::Tick;
 use meissner_array::motor::{HalfTick, Ramp, Shaft, WINDOW_HALF_TICKS};
 use meissner_array::pattern::Drive;
 use meissner_array::random::uniform;
-use meissner_array::units::HALF_TICKS_PER_S;
-use meissner_array::units::UM_PER_PULSE;
+use meissner_array::units::{HALF_TICKS_PER_S, UM_PER_PULSE};
+use meissner_test_support::patterns::drive;
 use pulp::Arch;
 use std::sync::Arc;
 
@@ -64,7 +64,7 @@ fn bits(arch: Arch, scene: &Scene, tracks: &Tracks, method: Method) -> Vec<(u32,
 }
 
 #[test]
-fn the_width_of_vectors_changes_nothing() {
+fn every_width_of_vectors_gives_the_same_bits() {
     let mut methods = vec![Method::Exact];
     for integrator in [Integrator::Euler, Integrator::Propagator] {
         for precision in [Precision::F32, Precision::F64] {
@@ -157,12 +157,8 @@ fn samples(scene: &Scene, method: Method, steps: usize, at_a_time: usize) -> Vec
 
 #[test]
 fn samples_do_not_depend_on_how_many_are_read_at_a_time() {
-    for (seed, integrator) in [
-        (1, Integrator::Euler),
-        (2, Integrator::Propagator),
-        (3, Integrator::Euler),
-        (4, Integrator::Propagator),
-    ] {
+    for seed in 1..5 {
+        let integrator = [Integrator::Propagator, Integrator::Euler][seed as usize % 2];
         for step_us in [30, 500, 10_000, 176_471] {
             let (scene, method) = (scene(seed), stepping(step_us, integrator));
             let steps = (scene.duration_s() * 1e6 / f64::from(step_us)).ceil() as usize;
@@ -183,7 +179,7 @@ fn samples_do_not_depend_on_how_many_are_read_at_a_time() {
 }
 
 #[test]
-fn the_mean_velocity_is_what_the_shaft_moves_in_a_step() {
+fn the_mean_velocity_times_the_step_is_the_shaft_s_motion() {
     for seed in 0..6 {
         let scene = scene(seed);
         let (step, steps) = (85_u64, 2400);
@@ -221,14 +217,7 @@ fn the_mean_velocity_is_what_the_shaft_moves_in_a_step() {
 /// Two strokes in the first 0.12 s of a second.
 #[test]
 fn samples_at_rest_are_zero() {
-    let drive = Drive {
-        motor: 5,
-        frequency_hz: 17.3,
-        amplitude_um: 33.0,
-        phase: 0.123,
-        start_s: Some(0.01),
-        stop_s: Some(0.13),
-    };
+    let drive = Drive { phase: 0.123, start_s: Some(0.01), stop_s: Some(0.13), ..drive(5, 17.3, 33.0) };
     let model = AfferentModel::default_for(Rectify::Half, 0.0);
     let scene = Scene::new(1.0, 0, vec![drive], vec![], model).unwrap();
     for integrator in [Integrator::Euler, Integrator::Propagator] {
@@ -246,22 +235,15 @@ fn samples_at_rest_are_zero() {
 
 /// A state that never repeats within the scene: the spikes buffered meanwhile stay within their bound.
 #[test]
-fn counting_rates_buffers_no_more_in_a_longer_scene() {
-    let drive = |motor, frequency_hz| Drive {
-        motor,
-        frequency_hz,
-        amplitude_um: 80.0,
-        phase: 0.0,
-        start_s: None,
-        stop_s: None,
-    };
+fn counted_spikes_are_buffered_within_a_bound() {
     let model = AfferentModel {
         alpha_per_um: 1e6,
         refractory_s: 1e-4,
         ..AfferentModel::default_for(Rectify::Half, 0.0)
     };
     // Together they repeat only after 10 s.
-    let scene = Scene::new(60.0, 0, vec![drive(9, 10.0), drive(10, 10.1)], Vec::new(), model).unwrap();
+    let scene =
+        Scene::new(60.0, 0, vec![drive(9, 10.0, 80.0), drive(10, 10.1, 80.0)], Vec::new(), model).unwrap();
     let (membrane, end) = (Membrane::of(scene.model()), end(scene.duration_s()));
     let mut weights = [0.0; MOTORS];
     (weights[9], weights[10]) = (1.0, 0.5);

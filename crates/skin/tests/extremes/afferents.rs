@@ -34,7 +34,7 @@ fn risen_um(wave: SquareWave, t_s: f64) -> f64 {
 }
 
 #[test]
-fn without_a_leak_an_afferent_counts_micrometres() {
+fn without_a_leak_an_afferent_spikes_every_so_many_micrometres() {
     // A spike each 20 um, faster than which it is not refractory.
     let leak_free = AfferentModel {
         tau_s: 1e6,
@@ -51,7 +51,7 @@ fn without_a_leak_an_afferent_counts_micrometres() {
         assert!((0.0..2e-6).contains(&(off + 1e-9)), "spike {number} at {t}: {off}");
     }
     for method in stepped(100) {
-        // Euler's spike comes up to a step late, and what came before its end is lost; its sum of inputs at the
+        // Euler's spike comes up to a step late, and input before its end is lost; its sum of inputs at the
         // starts of steps is off by half a step.
         let step_um = 11_536.0 * 1e-4;
         let (early_um, late_um) =
@@ -67,7 +67,7 @@ fn without_a_leak_an_afferent_counts_micrometres() {
 }
 
 #[test]
-fn with_nothing_but_a_leak_an_afferent_follows_the_velocity() {
+fn with_a_fast_leak_an_afferent_follows_the_velocity() {
     // P = 1 at 5000 um/s, a microsecond late.
     let leaky = AfferentModel { tau_s: 1e-6, alpha_per_um: 200.0, ..model(Rectify::Half) };
     let scene = scene(0.1, &[drive(9, 10.0, 80.0)], &[under(9)], leaky);

@@ -30,7 +30,7 @@ fn at_half_the_pulse_rate_one_pulse_goes_up_and_one_down() {
     let one_pulse = super::scene(0.1, &[drive(9, 42_500.0, UM_PER_PULSE)], &[under(9)], ripples);
     assert_eq!(exact(&one_pulse), found);
     // Euler samples a wave of 23.5 us only if its step is far below that; the propagator takes the mean of it, and
-    // that of what is rectified only then.
+    // rectifies only that mean.
     counts_near(&scene, 1, 1);
     for method in stepped(1_000) {
         spikes(&scene, method);
@@ -38,7 +38,7 @@ fn at_half_the_pulse_rate_one_pulse_goes_up_and_one_down() {
 }
 
 #[test]
-fn an_amplitude_below_half_a_pulse_is_nothing() {
+fn an_amplitude_below_half_a_pulse_moves_nothing() {
     let sensitive = AfferentModel { alpha_per_um: 1e6, ..model(Rectify::Full) };
     for um in [0.0, f64::from_bits(1), 0.49 * UM_PER_PULSE] {
         let scene = scene(0.1, &[drive(9, 60.0, um)], &[under(9)], sensitive);
@@ -157,7 +157,7 @@ fn two_drives_that_touch_are_one() {
 }
 
 #[test]
-fn a_drive_below_every_frequency_goes_up_once_and_stays() {
+fn an_extremely_slow_drive_goes_up_once_and_stays() {
     for hz in [f64::from_bits(1), f64::MIN_POSITIVE, 1e-300, 1e-15] {
         for start_s in [None, Some(0.01)] {
             let slow = Drive { start_s, ..drive(9, hz, 80.0) };

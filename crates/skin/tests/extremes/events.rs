@@ -110,7 +110,7 @@ fn a_threshold_reached_just_as_refractoriness_ends() {
 }
 
 #[test]
-fn a_spike_at_the_end_of_the_scene_does_not_belong_to_it() {
+fn a_spike_at_the_end_of_the_scene_does_not_count() {
     let of = |duration_s, start_s| {
         let drive = meissner_array::pattern::Drive { start_s: Some(start_s), ..drive(9, 0.001, 80.0) };
         scene(duration_s, &[drive], &[under(9)], AfferentModel { alpha_per_um: 0.3, ..model(Rectify::Half) })

@@ -106,7 +106,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_bound_is_what_the_sum_of_unseen_bursts_leaves() {
+    fn the_bound_is_the_scatter_of_the_unseen_bursts() {
         // 80 um, 10 % scatter, 60 Hz, as computed by hand: q = 8.04 um, and 1, 2.4 to 3, 12 to 13 bursts.
         for (delay_ms, um) in [(5.0, 8.0), (20.0, 13.9), (100.0, 28.8)] {
             let bound = rest_bound_um(60.0, 80.0, 0.1, delay_ms, 1000.0);
@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn seldom_telemetry_costs() {
+    fn rare_telemetry_raises_the_bound() {
         let at = |hz| rest_bound_um(60.0, 80.0, 0.1, 5.0, hz);
         assert!(at(1000.0) < at(100.0) && at(100.0) < at(20.0));
     }

@@ -105,7 +105,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_device_is_written_as_it_is_read() {
+    fn a_device_is_read_and_written_alike() {
         for text in [
             "auto",
             "mock",

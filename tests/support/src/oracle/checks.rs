@@ -190,7 +190,7 @@ fn the_oracle_has_the_spikes_of_brute_force() {
         for (Train { spikes: expected, .. }, found) in expected.iter().zip(found) {
             assert!(expected.len() > 5 && expected.len() == found.len(), "{expected:?}\n{found:?}");
             for (expected, found) in expected.iter().zip(found) {
-                // A step late at most, and what a membrane wrong by 2e-4 makes of it.
+                // At most a step late, and the effect of a membrane that is wrong by 2e-4.
                 let allowed = 1e-6 + expected.error_s * 2e8;
                 assert!(
                     (expected.t_s - found).abs() < allowed,

@@ -5,7 +5,7 @@
 //! equations change (the input's sign, end of refractoriness, end of the lowered threshold, its floor) begins a
 //! new segment with a closed form. A segment is cut at its maximum, found by bisection, and so is the crossing.
 //!
-//! Invariant: it says what it cannot promise. Each spike carries the difference that two correct programs may have, and
+//! Invariant: it marks what it cannot promise. Each spike carries the difference that two correct programs may have, and
 //! each afferent the first instant after which a rounding error decides.
 
 #[cfg(test)]
@@ -97,7 +97,7 @@ pub fn compare(expected: &[Train], found: &[Vec<f64>], tolerance_s: f64) -> Resu
     Ok(compared)
 }
 
-/// Full speed: whole numbers, so that what the window holds stays whole.
+/// Full speed, as a whole number, so that sums over the window are exact.
 pub const FULL: i64 = 1 << 20;
 
 /// From `start` to `end` (half ticks) a motor's shaft moves at a speed, [`FULL`] being a pulse per tick upwards.
@@ -289,7 +289,7 @@ fn bisect(mut no: f64, mut yes: f64, is: impl Fn(f64) -> bool) -> f64 {
     }
 }
 
-/// The last spike, and what the membrane would have risen by had it come a second later.
+/// The last spike, and the rise of the membrane per second of delay of that spike.
 #[derive(Clone, Copy, Debug)]
 struct Last {
     t_s: f64,
@@ -348,7 +348,7 @@ fn train(scene: &Scene, bursts: &[(usize, Burst)], gains: &[f64; MOTORS], affere
             };
             let length = to - t;
             let crossing = if t < ready_s { None } else { segment.crossing(length) };
-            // What the excess inherits from the last spike's error.
+            // The error of the excess because of the last spike's error.
             let inherited = last.map_or(0.0, |last| {
                 last.error_s * (last.drive.abs() + threshold_slope + segment.excess_slope(0.0).abs())
             });

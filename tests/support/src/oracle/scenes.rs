@@ -8,7 +8,7 @@ pub struct Scene {
     /// The positions of the afferents, mm.
     pub afferents: Vec<(f64, f64)>,
     pub model: Model,
-    /// Per afferent, what is added to the threshold in the interval after the n-th spike. Missing or empty: 0.
+    /// Per afferent, the addition to the threshold in the interval after the n-th spike. Missing or empty: 0.
     pub offsets: Vec<Vec<f64>>,
 }
 
