@@ -1,8 +1,7 @@
 //! The local API of a real daemon: commands, receipts, events, errors, and the end.
 
-use crate::harness::{Daemon, assert_accounts, problem};
-use meissner_api::MAX_BODY;
-use meissner_api::{Event, PlayState};
+use crate::harness::{Daemon, TIMEOUT, assert_accounts, began, ended, next, problem, refusal};
+use meissner_api::{Event, MAX_BODY, PlayState, Prediction};
 use meissner_client::{Client, Events};
 use rustix::process::Signal;
 use serde_json::{Value, json};
@@ -11,15 +10,15 @@ use std::os::unix::net::UnixStream;
 use std::thread;
 use std::time::Duration;
 
-const TIMEOUT: Option<Duration> = Some(Duration::from_secs(20));
+fn wait_for(events: &mut Events, wanted: impl Fn(&Event) -> bool) {
+    next(events, |event| wanted(&event).then_some(()));
+}
 
-fn next(events: &mut Events, wanted: impl Fn(&Event) -> bool) -> Event {
-    loop {
-        let event = events.next(TIMEOUT).unwrap().expect("the stream goes on");
-        if wanted(&event) {
-            return event;
-        }
-    }
+fn prediction(events: &mut Events) -> (u64, Prediction) {
+    next(events, |event| match event {
+        Event::PredictedResponse { id, prediction } => Some((id, prediction)),
+        _ => None,
+    })
 }
 
 fn play(client: &mut Client, request: &Value) -> u64 {
@@ -39,11 +38,10 @@ fn the_status_is_complete_from_the_start() {
 }
 
 #[test]
-fn nothing_is_played_before_a_person_arms() {
+fn plays_are_refused_until_motors_are_armed() {
     let daemon = Daemon::start();
     let mut client = daemon.client();
-    let refused = problem(client.post("/v1/play", &json!({"pattern": "edge-45"})));
-    assert_eq!((refused.code.as_str(), refused.status), ("disarmed", 409));
+    assert_eq!(refusal(client.post("/v1/play", &json!({"pattern": "edge-45"}))), ("disarmed".into(), 409));
     let refused = problem(client.post("/v1/arm", &json!({})));
     assert_eq!((refused.code.as_str(), refused.status), ("position-unknown", 409));
     assert!(refused.detail.contains("--assume-rest"));
@@ -68,14 +66,15 @@ fn a_play_has_events_and_a_receipt() {
     let daemon = Daemon::start();
     let mut client = daemon.armed();
     let mut events = client.events().unwrap();
-    assert!(matches!(events.next(TIMEOUT).unwrap(), Some(Event::State { .. })), "the state comes first");
+    assert!(
+        matches!(events.next(Some(TIMEOUT)).unwrap(), Some(Event::State { .. })),
+        "the state comes first"
+    );
     let id = play(&mut client, &json!({"pattern": "edge-45", "seconds": 0.5}));
-    next(&mut events, |event| matches!(event, Event::Queued { id: of, .. } if *of == id));
-    next(&mut events, |event| matches!(event, Event::Began { id: of, .. } if *of == id));
-    next(&mut events, |event| matches!(event, Event::State { play: Some(play), .. } if play.id == id));
-    let Event::Ended { receipt } = next(&mut events, |event| matches!(event, Event::Ended { .. })) else {
-        unreachable!()
-    };
+    wait_for(&mut events, |event| matches!(event, Event::Queued { id: of, .. } if *of == id));
+    assert_eq!(began(&mut events), id);
+    wait_for(&mut events, |event| matches!(event, Event::State { play: Some(play), .. } if play.id == id));
+    let receipt = ended(&mut events);
     assert_eq!((receipt.id, receipt.state), (id, PlayState::Done));
     let receipt: Value = client.get(&format!("/v1/plays/{id}")).unwrap();
     assert_eq!(receipt, client.get::<Value>("/v1/plays/last").unwrap());
@@ -95,22 +94,20 @@ fn plays_queue_and_the_queue_is_bounded() {
     let long = json!({"pattern": "edge-45", "seconds": 60.0});
     let running = play(&mut client, &long);
     let waiting: Vec<u64> = (0..16).map(|_| play(&mut client, &long)).collect();
-    let refused = problem(client.post("/v1/play", &long));
-    assert_eq!((refused.code.as_str(), refused.status), ("queue-full", 429));
+    assert_eq!(refusal(client.post("/v1/play", &long)), ("queue-full".into(), 429));
     let receipt: Value = client.get(&format!("/v1/plays/{}", waiting[15])).unwrap();
     assert!(receipt["state"] == "queued" && receipt["bursts"].is_null());
     let mut events = client.events().unwrap();
     let instead = play(&mut client, &json!({"pattern": "pin-60", "replace": true}));
-    next(&mut events, |event| matches!(event, Event::Began { id, .. } if *id == instead));
+    wait_for(&mut events, |event| matches!(event, Event::Began { id, .. } if *id == instead));
     for id in waiting.into_iter().chain([running]) {
         let receipt: Value = client.get(&format!("/v1/plays/{id}")).unwrap();
         assert_eq!(receipt["state"], "stopped", "{receipt}");
     }
-    let refused = problem(client.post("/v1/play", &long));
-    assert_eq!((refused.code.as_str(), refused.status), ("behind-endless", 409));
+    assert_eq!(refusal(client.post("/v1/play", &long)), ("behind-endless".into(), 409));
     let status: Value = client.post("/v1/stop", &json!({})).unwrap();
     assert_ne!(status["state"], "disarmed");
-    next(&mut events, |event| matches!(event, Event::Ended { receipt } if receipt.id == instead));
+    wait_for(&mut events, |event| matches!(event, Event::Ended { receipt } if receipt.id == instead));
     assert_accounts(&client.get(&format!("/v1/plays/{running}")).unwrap());
 }
 
@@ -120,10 +117,10 @@ fn an_emergency_stop_is_latched() {
     let mut client = daemon.armed();
     let mut events = client.events().unwrap();
     let id = play(&mut client, &json!({"pattern": "all-in-phase"}));
-    next(&mut events, |event| matches!(event, Event::Began { .. }));
+    began(&mut events);
     let status: Value = client.post("/v1/estop", &json!({})).unwrap();
     assert_eq!((&status["state"], &status["cause"]), (&"faulted".into(), &"estop".into()));
-    next(&mut events, |event| matches!(event, Event::Ended { receipt } if receipt.id == id));
+    assert_eq!(ended(&mut events).id, id);
     assert_eq!(client.get::<Value>("/v1/plays/last").unwrap()["state"], "stopped");
     assert_eq!(problem(client.post("/v1/play", &json!({"pattern": "edge-45"}))).code, "faulted");
     let status: Value = client.post("/v1/reset", &json!({})).unwrap();
@@ -137,16 +134,19 @@ fn an_onset_can_be_asked_for_by_tick_and_by_delay() {
     let mut events = client.events().unwrap();
     let tick = client.get::<Value>("/v1/status").unwrap()["tick"].as_u64().unwrap() + 85_000;
     let id = play(&mut client, &json!({"pattern": "edge-45", "seconds": 0.2, "at_tick": tick}));
-    next(&mut events, |event| matches!(event, Event::Ended { receipt } if receipt.id == id));
+    assert_eq!(ended(&mut events).id, id);
     let receipt: Value = client.get(&format!("/v1/plays/{id}")).unwrap();
     assert_eq!(receipt["onset"]["requested_tick"], tick);
     let id = play(&mut client, &json!({"pattern": "edge-45", "seconds": 0.2, "at_ms": 200.0}));
-    next(&mut events, |event| matches!(event, Event::Ended { receipt } if receipt.id == id));
-    let refused = problem(client.post("/v1/play", &json!({"pattern": "edge-45", "at_tick": 5})));
-    assert_eq!((refused.code.as_str(), refused.status), ("too-soon", 409));
-    let refused =
-        problem(client.post("/v1/play", &json!({"pattern": "edge-45", "at_tick": tick, "boot": 0})));
-    assert_eq!((refused.code.as_str(), refused.status), ("stale-boot", 409));
+    assert_eq!(ended(&mut events).id, id);
+    assert_eq!(
+        refusal(client.post("/v1/play", &json!({"pattern": "edge-45", "at_tick": 5}))),
+        ("too-soon".into(), 409)
+    );
+    assert_eq!(
+        refusal(client.post("/v1/play", &json!({"pattern": "edge-45", "at_tick": tick, "boot": 0}))),
+        ("stale-boot".into(), 409)
+    );
 }
 
 #[test]
@@ -163,8 +163,7 @@ fn patterns_are_listed_shown_and_stored() {
     let names: Vec<_> = list["patterns"].as_array().unwrap().iter().map(|entry| &entry["name"]).collect();
     assert!(names.contains(&&"mine".into()) && names.contains(&&"edge-45".into()), "{list}");
     assert_eq!(problem(client.put("/v1/patterns/edge-45", text.to_owned())).code, "exists");
-    let refused = problem(client.put("/v1/patterns/other", text.to_owned()));
-    assert_eq!((refused.code.as_str(), refused.status), ("bad-pattern", 422));
+    assert_eq!(refusal(client.put("/v1/patterns/other", text.to_owned())), ("bad-pattern".into(), 422));
 }
 
 #[test]
@@ -196,12 +195,12 @@ fn every_error_is_a_problem() {
 }
 
 #[test]
-fn metrics_count_what_was_played() {
+fn metrics_count_plays() {
     let daemon = Daemon::start();
     let mut client = daemon.armed();
     let mut events = client.events().unwrap();
     play(&mut client, &json!({"pattern": "edge-45", "seconds": 0.2}));
-    next(&mut events, |event| matches!(event, Event::Ended { .. }));
+    ended(&mut events);
     let text = daemon.raw(b"GET /v1/metrics HTTP/1.1\r\nhost: x\r\nconnection: close\r\n\r\n");
     assert!(text.contains("meissner_plays_total{end=\"done\"} 1\n"), "{text}");
     assert!(text.contains("meissner_state{state=\"armed\"} 1\n"), "{text}");
@@ -213,19 +212,16 @@ fn a_daemon_that_ends_closes_event_streams_and_removes_its_socket() {
     let mut client = daemon.armed();
     let mut events = client.events().unwrap();
     play(&mut client, &json!({"pattern": "all-in-phase"}));
-    next(&mut events, |event| matches!(event, Event::Began { .. }));
+    began(&mut events);
     daemon.signal(Signal::TERM);
-    let Event::Ended { receipt } = next(&mut events, |event| matches!(event, Event::Ended { .. })) else {
-        unreachable!()
-    };
-    assert_eq!(receipt.state, PlayState::Stopped);
-    while events.next(TIMEOUT).unwrap().is_some() {}
+    assert_eq!(ended(&mut events).state, PlayState::Stopped);
+    while events.next(Some(TIMEOUT)).unwrap().is_some() {}
     assert!(daemon.wait().success());
     assert!(!daemon.socket().exists());
 }
 
 #[test]
-fn who_changed_something_is_in_the_log() {
+fn the_log_names_the_client_of_each_change() {
     let daemon = Daemon::start();
     let _client = daemon.armed();
     let line = format!("pid {})", std::process::id());
@@ -238,15 +234,8 @@ fn a_receipt_has_the_predicted_response_once_bursts_are_measured() {
     let mut client = daemon.armed();
     let mut events = client.events().unwrap();
     let id = play(&mut client, &json!({"pattern": "edge-45", "seconds": 0.5}));
-    let Event::Ended { receipt } = next(&mut events, |event| matches!(event, Event::Ended { .. })) else {
-        unreachable!()
-    };
-    assert!(!receipt.prediction.is_settled(), "the end does not wait for the prediction");
-    let Event::PredictedResponse { id: of, prediction } =
-        next(&mut events, |event| matches!(event, Event::PredictedResponse { .. }))
-    else {
-        unreachable!()
-    };
+    assert!(!ended(&mut events).prediction.is_settled(), "the end does not wait for the prediction");
+    let (of, prediction) = prediction(&mut events);
     assert_eq!(of, id);
     let receipt: Value = client.get(&format!("/v1/plays/{id}")).unwrap();
     assert_eq!(receipt["predicted_response"], serde_json::to_value(&prediction.response).unwrap());
@@ -265,15 +254,13 @@ fn a_receipt_has_the_predicted_response_once_bursts_are_measured() {
 }
 
 #[test]
-fn without_telemetry_a_receipt_says_that_nobody_measured() {
+fn without_telemetry_a_receipt_says_so() {
     let daemon = Daemon::with("mock", "lease_ms = 5000\n[mock]\ntelemetry_hz = 0\n");
     let mut client = daemon.armed();
     let mut events = client.events().unwrap();
     let id = play(&mut client, &json!({"pattern": "edge-45", "seconds": 0.2}));
-    next(
-        &mut events,
-        |event| matches!(event, Event::PredictedResponse { id: of, prediction } if *of == id && prediction.response.is_none()),
-    );
+    let (of, prediction) = prediction(&mut events);
+    assert!(of == id && prediction.response.is_none());
     let receipt: Value = client.get(&format!("/v1/plays/{id}")).unwrap();
     assert_eq!((&receipt["predicted_response"], &receipt["state"]), (&Value::Null, &"done".into()));
     assert_eq!(receipt["predicted_response_unknown"], "the device has no telemetry");
@@ -287,7 +274,7 @@ fn an_emergency_stop_whose_body_comes_later_is_answered() {
     let daemon = Daemon::start();
     daemon.armed();
     let mut stream = UnixStream::connect(daemon.socket()).unwrap();
-    stream.set_read_timeout(TIMEOUT).unwrap();
+    stream.set_read_timeout(Some(TIMEOUT)).unwrap();
     let mut say = |text: &[u8]| stream.write_all(text).unwrap();
     say(b"POST /v1/estop HTTP/1.1\r\nHost: m\r\nConnection: close\r\nContent-Length: 2\r\n\r\n");
     thread::sleep(Duration::from_millis(30));

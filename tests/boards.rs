@@ -1,6 +1,6 @@
-//! Boards: found or not, in use, or no boards at all; and what the doctor reports about them.
+//! Boards: found, missing, in use, or something else; and the doctor's report about them.
 
-use crate::harness::{Daemon, TIMEOUT, complaint, meissner, printed};
+use crate::harness::{Daemon, complaint, document, meissner, printed, wait_until};
 use meissner_api::Status;
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_stream::device::{self, DeviceError, PtyMock, Spec, WallMock};
@@ -10,18 +10,25 @@ use std::io::Write;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{sleep, spawn};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 fn board() -> PtyMock {
     PtyMock::spawn(WallMock::new(&SimulatedMotorsConfig::default(), HostInstant::now()).unwrap()).unwrap()
 }
 
-/// The doctor's report, go or no go: no test depends on how fast this machine is.
-fn report(arguments: &[&str]) -> Value {
-    let output = meissner().args(["doctor", "--json", "--seconds", "0.5"]).args(arguments).output().unwrap();
+/// The doctor's report on a device, go or no go: no test depends on how fast this machine is.
+fn report(device: &str) -> Value {
+    let output =
+        meissner().args(["doctor", "--json", "--seconds", "0.5", "--device", device]).output().unwrap();
     let report: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(report["ok"] == true, output.status.success());
     report
+}
+
+/// The report on a device that answers. On a machine that stalls for half a second it counts as lost, so the doctor looks again.
+fn measured(device: &str) -> Value {
+    let again = || Some(report(device)).filter(|report| !report["device"].is_null());
+    (0..4).find_map(|_| again()).unwrap_or_else(|| report(device))
 }
 
 fn finding<'a>(report: &'a Value, what: &str) -> &'a Value {
@@ -33,9 +40,7 @@ fn finding<'a>(report: &'a Value, what: &str) -> &'a Value {
 fn the_doctor_measures_a_device() {
     let board = board();
     for device in ["mock".to_owned(), "pty".to_owned(), format!("serial:{}", board.path().display())] {
-        // On a machine that stalls for half a second the device counts as lost: try again.
-        let again = || Some(report(&["--device", &device])).filter(|report| !report["device"].is_null());
-        let report = (0..4).find_map(|_| again()).unwrap_or_else(|| report(&["--device", &device]));
+        let report = measured(&device);
         let measured = &report["device"];
         let number = |pointer: &str| measured.pointer(pointer).and_then(Value::as_f64).unwrap_or(f64::NAN);
         assert!(number("/round_trip/count") >= 500.0, "{report}");
@@ -52,14 +57,14 @@ fn the_doctor_measures_a_device() {
 }
 
 #[test]
-fn a_missing_board_is_reported_with_what_was_looked_for() {
+fn a_missing_board_is_reported_with_its_identity() {
     let sought = "USB 1209:0001 `meissner`";
     for (device, says) in [
         ("serial:0123abcd", "serial number 0123abcd"),
         ("usb:0123abcd", "serial number 0123abcd"),
         ("serial:/dev/nowhere", "/dev/nowhere: not there"),
     ] {
-        let report = report(&["--device", device]);
+        let report = report(device);
         let found = finding(&report, "device");
         assert!(found["found"].as_str().unwrap().contains(says), "{found}");
         assert!(device.contains('/') || found["found"].as_str().unwrap().contains(sought), "{found}");
@@ -74,7 +79,7 @@ fn a_missing_board_is_reported_with_what_was_looked_for() {
 #[test]
 fn a_file_that_is_no_serial_port_is_reported() {
     for name in ["/dev/null", "/tmp"] {
-        let report = report(&["--device", &format!("serial:{name}")]);
+        let report = report(&format!("serial:{name}"));
         let found = finding(&report, "device");
         assert_eq!(found["found"], format!("serial port {name}: not a serial port"));
         assert!(found["advice"].as_str().unwrap().contains("ls /dev/serial/by-id"), "{found}");
@@ -133,11 +138,9 @@ fn the_doctor_warns_that_a_device_without_telemetry_drifts() {
     let blind = SimulatedMotorsConfig { telemetry_hz: 0, ..SimulatedMotorsConfig::default() };
     let board = PtyMock::spawn(WallMock::new(&blind, HostInstant::now()).unwrap()).unwrap();
     let device = format!("serial:{}", board.path().display());
-    // As above: on a machine that stalls, try again.
-    let again = || Some(report(&["--device", &device])).filter(|report| !report["device"].is_null());
-    let examined = (0..4).find_map(|_| again()).unwrap_or_else(|| report(&["--device", &device]));
+    let examined = measured(&device);
     let daemon = Daemon::with("mock", "lease_ms = 5000\n[mock]\ntelemetry_hz = 0\n");
-    let asked = crate::harness::document(daemon.meissner().args(["doctor", "--json", "--seconds", "0.5"]));
+    let asked = document(daemon.meissner().args(["doctor", "--json", "--seconds", "0.5"]));
     for report in [examined, asked] {
         let found = finding(&report, "telemetry");
         assert_eq!((&found["level"], &found["advice"]), (&"warn".into(), &"keep plays short".into()));
@@ -161,7 +164,7 @@ fn a_port_has_one_user() {
     let spec: Spec = name.parse().unwrap();
     let refused = device::open(&spec, &SimulatedMotorsConfig::default()).unwrap_err();
     assert!(matches!(refused, DeviceError::InUse(_)), "{refused}");
-    let report = report(&["--device", &name]);
+    let report = report(&name);
     let found = finding(&report, "device").to_string();
     assert!(
         found.contains("in use by another program") && found.contains(&board.path().display().to_string()),
@@ -176,7 +179,7 @@ fn a_port_has_one_user() {
     // The daemon that has the port noticed nothing.
     let status: Status = daemon.client().get("/v1/status").unwrap();
     assert!(status.is_connected());
-    let asked = crate::harness::document(daemon.meissner().args(["doctor", "--json", "--seconds", "0.5"]));
+    let asked = document(daemon.meissner().args(["doctor", "--json", "--seconds", "0.5"]));
     assert!(asked["device"].is_null() && finding(&asked, "daemon").to_string().contains(&name), "{asked}");
     finding(&asked, "line");
 }
@@ -213,12 +216,10 @@ fn a_port_without_a_board_is_reported_once() {
 #[test]
 fn a_daemon_reports_what_the_line_of_a_mock_carries() {
     let daemon = Daemon::start();
-    let begun = Instant::now();
-    loop {
-        let status: Status = daemon.client().get("/v1/status").unwrap();
-        match status.line_bytes_per_s {
-            Some(bytes) => break assert!(bytes > 0),
-            None => assert!(begun.elapsed() < TIMEOUT),
-        }
-    }
+    let mut carried = None;
+    wait_until(|| {
+        carried = daemon.client().get::<Status>("/v1/status").unwrap().line_bytes_per_s;
+        carried.is_some()
+    });
+    assert!(carried > Some(0));
 }

@@ -1,14 +1,13 @@
 //! `meissner calibrate` and its API: measure, fit, store, use; refuse and stop.
 
-use crate::harness::{Daemon, document, meissner, printed, problem};
+use crate::harness::{Daemon, complaint, document, ended, meissner, next, printed, problem, refusal};
 use meissner_api::Event;
-use meissner_client::{Client, Events};
+use meissner_client::Events;
 use meissner_stream::calibrate::Calibration;
 use serde_json::{Value, json};
 use std::fs;
-use std::time::Duration;
 
-/// Takes six seconds; with little scatter they are enough.
+/// Takes six seconds, which are enough for motors with little scatter.
 fn quick(motor: u8) -> Value {
     json!({"motor": motor, "pulses": [14, 140], "repetitions": 1})
 }
@@ -16,17 +15,10 @@ fn quick(motor: u8) -> Value {
 const STEADY: &str = "gain_sd = 0.01\nasymmetry_sd = 0.05\n";
 
 fn outcome(events: &mut Events) -> (Vec<u8>, Option<String>) {
-    loop {
-        let event = events.next(Some(Duration::from_secs(20))).unwrap().expect("the stream goes on");
-        if let Event::Calibrated { motors, problem, .. } = event {
-            return (motors, problem);
-        }
-    }
-}
-
-fn refused(client: &mut Client, path: &str, body: &Value) -> (String, u16) {
-    let problem = problem(client.post(path, body));
-    (problem.code, problem.status)
+    next(events, |event| match event {
+        Event::Calibrated { motors, problem, .. } => Some((motors, problem)),
+        _ => None,
+    })
 }
 
 #[test]
@@ -34,13 +26,13 @@ fn a_calibration_is_played_fitted_stored_and_used() {
     let daemon = Daemon::with("mock", &format!("lease_ms = 5000\n[mock]\n{STEADY}"));
     let mut client = daemon.client();
     assert_eq!(problem(client.get("/v1/calibration")).code, "not-found");
-    assert_eq!(refused(&mut client, "/v1/calibrate", &quick(3)), ("disarmed".into(), 409));
+    assert_eq!(refusal(client.post("/v1/calibrate", &quick(3))), ("disarmed".into(), 409));
     let mut client = daemon.armed();
     let mut events = client.events().unwrap();
     let id = client.post::<Value>("/v1/calibrate", &quick(3)).unwrap()["id"].as_u64().unwrap();
     // It is a play, and no other may run beside it.
-    assert_eq!(refused(&mut client, "/v1/play", &json!({"pattern": "edge-45"})), ("playing".into(), 409));
-    assert_eq!(refused(&mut client, "/v1/calibrate", &quick(4)), ("playing".into(), 409));
+    assert_eq!(refusal(client.post("/v1/play", &json!({"pattern": "edge-45"}))), ("playing".into(), 409));
+    assert_eq!(refusal(client.post("/v1/calibrate", &quick(4))), ("playing".into(), 409));
     assert_eq!(outcome(&mut events), (vec![3], None));
     let receipt: Value = client.get(&format!("/v1/plays/{id}")).unwrap();
     assert_eq!((&receipt["pattern"], &receipt["state"]), (&"calibration".into(), &"done".into()));
@@ -58,19 +50,8 @@ fn a_calibration_is_played_fitted_stored_and_used() {
     );
     assert_eq!(status["calibrated"], report["provenance"]["date"]);
     // A second motor, from the command line.
-    let mut command = daemon.meissner();
-    command.args([
-        "calibrate",
-        "--motor",
-        "5",
-        "--pulses",
-        "14,140",
-        "--repetitions",
-        "1",
-        "-o",
-        "copy.toml",
-    ]);
-    let text = printed(&mut command);
+    let arguments = "calibrate --motor 5 --pulses 14,140 --repetitions 1 -o copy.toml".split(' ');
+    let text = printed(daemon.meissner().args(arguments));
     assert!(text.contains("motor  gain up") && text.contains("\n5      "), "{text}");
     assert!(text.contains("calibration.toml") && text.contains("copy.toml"), "{text}");
     let stored = fs::read_to_string(daemon.path("calibration.toml")).unwrap();
@@ -86,7 +67,7 @@ fn a_calibration_is_played_fitted_stored_and_used() {
     let blind = Daemon::with("mock", &format!("{at}telemetry_hz = 0\n"));
     assert_eq!(document(blind.meissner().args(["status", "--json"]))["motors"][5]["calibrated"], true);
     let mut client = blind.armed();
-    assert_eq!(refused(&mut client, "/v1/calibrate", &quick(3)), ("no-telemetry".into(), 409));
+    assert_eq!(refusal(client.post("/v1/calibrate", &quick(3))), ("no-telemetry".into(), 409));
     let other = Daemon::with("mock", &format!("{at}seed = 9\n"));
     let log = other.log();
     assert!(log.contains("belongs to another device: not used; run `meissner calibrate`"), "{log}");
@@ -102,11 +83,11 @@ fn a_calibration_that_is_stopped_stores_nothing() {
     let mut client = daemon.armed();
     let mut events = client.events().unwrap();
     let play: Value = client.post("/v1/play", &json!({"pattern": "pin-60"})).unwrap();
-    assert_eq!(refused(&mut client, "/v1/calibrate", &json!({})), ("playing".into(), 409));
+    assert_eq!(refusal(client.post("/v1/calibrate", &json!({}))), ("playing".into(), 409));
     let _: Value = client.post("/v1/stop", &json!({})).unwrap();
-    while !matches!(events.next(None).unwrap(), Some(Event::Ended { receipt }) if receipt.id == play["id"]) {}
-    let _: Value = client.post("/v1/calibrate", &json!({})).unwrap();
-    while !matches!(events.next(None).unwrap(), Some(Event::Began { .. })) {}
+    assert_eq!(ended(&mut events).id, play["id"]);
+    let id = client.post::<Value>("/v1/calibrate", &json!({})).unwrap()["id"].as_u64().unwrap();
+    next(&mut events, |event| matches!(event, Event::Began { id: of, .. } if of == id).then_some(()));
     let _: Value = client.post("/v1/stop", &json!({})).unwrap();
     let (motors, problem) = outcome(&mut events);
     let problem = problem.unwrap();
@@ -127,14 +108,14 @@ fn a_bad_file_is_reported_once_and_not_used() {
     assert!(log.contains("correct it, or run `meissner calibrate`"), "{log}");
     let mut client = daemon.client();
     assert_eq!(problem(client.get("/v1/calibration")).code, "not-found");
-    assert_eq!(refused(&mut client, "/v1/calibrate", &json!({"motor": 24})), ("bad-request".into(), 400));
-    assert_eq!(refused(&mut client, "/v1/calibrate", &json!({"moter": 2})), ("bad-request".into(), 400));
+    assert_eq!(refusal(client.post("/v1/calibrate", &json!({"motor": 24}))), ("bad-request".into(), 400));
+    assert_eq!(refusal(client.post("/v1/calibrate", &json!({"moter": 2}))), ("bad-request".into(), 400));
 }
 
 #[test]
 fn an_invalid_plan_is_refused_before_the_daemon_is_asked() {
-    let line = crate::harness::complaint(meissner().args(["calibrate", "--pulses", "14"]));
+    let line = complaint(meissner().args(["calibrate", "--pulses", "14"]));
     assert!(line.contains("name two numbers of pulses or more"), "{line}");
-    let line = crate::harness::complaint(meissner().args(["calibrate", "-o", "/nonexistent/c.toml"]));
+    let line = complaint(meissner().args(["calibrate", "-o", "/nonexistent/c.toml"]));
     assert!(line.contains("/nonexistent/c.toml"), "{line}");
 }

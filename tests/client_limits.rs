@@ -1,11 +1,9 @@
 //! More clients than there are places, and clients that do not read.
 
-use crate::harness::{Daemon, problem};
-use meissner_api::Event;
+use crate::harness::{Daemon, ended, refusal, wait_until};
 use meissner_api::MAX_CLIENTS;
 use meissner_client::Client;
 use serde_json::{Value, json};
-use std::time::Duration;
 
 #[test]
 fn the_65th_client_gets_an_error_and_the_others_go_on() {
@@ -15,18 +13,14 @@ fn the_65th_client_gets_an_error_and_the_others_go_on() {
         client.get::<Value>("/v1/status").unwrap();
     }
     for _ in 0..3 {
-        let refused = problem(daemon.client().get("/v1/status"));
-        assert_eq!((refused.code.as_str(), refused.status), ("too-many-clients", 503));
+        assert_eq!(refusal(daemon.client().get("/v1/status")), ("too-many-clients".into(), 503));
     }
     for client in &mut clients {
         client.get::<Value>("/v1/status").unwrap();
     }
     clients.pop();
-    let lets_in = |_| {
-        std::thread::sleep(Duration::from_millis(5));
-        daemon.client().get::<Value>("/v1/status").is_ok()
-    };
-    assert!((0..2000).any(lets_in), "the place of a client that left is free again");
+    // The place of a client that left is free again.
+    wait_until(|| daemon.client().get::<Value>("/v1/status").is_ok());
 }
 
 #[test]
@@ -37,7 +31,7 @@ fn a_listener_that_does_not_read_delays_nothing() {
     let mut events = client.events().unwrap();
     for _ in 0..50 {
         let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.01})).unwrap();
-        while !matches!(events.next(Some(Duration::from_secs(20))).unwrap(), Some(Event::Ended { .. })) {}
+        ended(&mut events);
     }
     client.get::<Value>("/v1/status").unwrap();
 }

@@ -1,8 +1,8 @@
-use crate::harness::meissner;
+use crate::harness::{complaint, meissner};
 use meissner_report::{ControlGrid, ControlRow, ControlTradeoff, Verdict, control_tradeoff, plot_control};
 use meissner_stream::{MotorRun, rest_bound_um};
 use serde_json::Value;
-use std::sync::OnceLock;
+use std::sync::LazyLock;
 
 /// A corner of the grid, in which every quantity takes two values; short, so that it can be had without optimisation.
 fn corner() -> ControlGrid {
@@ -24,40 +24,18 @@ fn measured(grid: &ControlGrid) -> ControlTradeoff {
     control_tradeoff(grid, &at).unwrap()
 }
 
-fn found() -> &'static ControlTradeoff {
-    static FOUND: OnceLock<ControlTradeoff> = OnceLock::new();
-    FOUND.get_or_init(|| measured(&corner()))
-}
+static FOUND: LazyLock<ControlTradeoff> = LazyLock::new(|| measured(&corner()));
 
 #[test]
-fn every_cell_has_its_names_and_holds() {
-    let found = found();
+fn every_cell_is_complete_and_keeps_its_limit() {
+    let found = &*FOUND;
     let document = serde_json::to_value(found).unwrap();
     assert_eq!((found.rows.len(), found.rates.len()), (32, 4));
-    for (row, told) in found
-        .rows
-        .iter()
-        .chain(&found.rates)
-        .zip(document["rows"].as_array().unwrap().iter().chain(document["rates"].as_array().unwrap()))
-    {
-        for name in [
-            "frequency_hz",
-            "amplitude_um",
-            "lead_ms",
-            "age_ms",
-            "scatter",
-            "asymmetry",
-            "rest_rms_um",
-            "bound_um",
-            "amplitude_error",
-            "amplitude_se",
-            "periods",
-            "planned_um",
-            "delay_ms",
-            "room",
-            "telemetry_hz",
-            "corrected_share",
-        ] {
+    let documented = ["rows", "rates"].into_iter().flat_map(|key| document[key].as_array().unwrap());
+    let names = "frequency_hz amplitude_um lead_ms age_ms scatter asymmetry rest_rms_um bound_um amplitude_error \
+                 amplitude_se periods planned_um delay_ms room telemetry_hz corrected_share";
+    for (row, told) in found.rows.iter().chain(&found.rates).zip(documented) {
+        for name in names.split_whitespace() {
             assert!(told[name].as_f64().is_some_and(f64::is_finite), "{name}: {told}");
         }
         assert_eq!(told["doubt"], Value::Null, "{told}");
@@ -91,10 +69,10 @@ fn every_cell_has_its_names_and_holds() {
     assert!(full.planned_um < 20.0 && full.room < 1.1 && full.amplitude_limit.is_none(), "{full:?}");
 }
 
-/// Corrections go by what is known shortly before a burst, however long ago it was sent.
+/// Corrections use the telemetry from shortly before a burst, at every lead.
 #[test]
 fn the_lead_makes_no_difference_and_age_and_rate_do() {
-    let found = found();
+    let found = &*FOUND;
     assert!(found.summary.leads_alike);
     let of = |lead_ms: f64| {
         let rows = found.rows.iter().filter(move |row| row.run.lead_ms == lead_ms);
@@ -119,8 +97,8 @@ fn the_lead_makes_no_difference_and_age_and_rate_do() {
 }
 
 #[test]
-fn corrections_cost_bytes_and_are_worth_them() {
-    let wire = &found().wire;
+fn corrections_cost_bytes_and_keep_pins_near_rest() {
+    let wire = &FOUND.wire;
     assert!(wire.on.bytes_per_burst <= 12.0 && wire.off.bytes_per_burst <= 3.0, "{wire:?}");
     assert!(wire.on.bytes_per_burst > wire.off.bytes_per_burst && wire.on.bursts == wire.off.bursts);
     assert!(wire.on.amended > wire.on.bursts / 2 && wire.off.amended == 0, "{wire:?}");
@@ -146,11 +124,8 @@ fn the_same_grid_makes_the_same_bytes_on_any_number_of_cores() {
         "{}",
         found.recommendation
     );
-    assert!(
-        plot_control(&ControlTradeoff { rows: Vec::new(), rates: Vec::new(), ..found })
-            .unwrap()
-            .starts_with("<svg")
-    );
+    let empty = ControlTradeoff { rows: Vec::new(), rates: Vec::new(), ..found };
+    assert!(plot_control(&empty).unwrap().starts_with("<svg"));
 }
 
 #[test]
@@ -160,19 +135,7 @@ fn a_grid_that_no_motor_can_play_is_refused() {
 }
 
 #[test]
-fn the_loop_is_weighed_alone() {
-    for arguments in [
-        &["--loop", "--stream"][..],
-        &["--loop", "x.toml"],
-        &["x.toml", "--loop"],
-        &["--loop", "--trace", "x.txt"],
-        &["--loop", "--stream", "--trace", "x.txt"],
-        &["--loop", "--loop"],
-    ] {
-        meissner().arg("tradeoff").args(arguments).assert().code(2);
-    }
-    // A place that cannot be written to is said before minutes of work.
-    let complaint =
-        crate::harness::complaint(meissner().args(["tradeoff", "--loop", "--plot", "/no/such/dir/x.svg"]));
-    assert!(complaint.contains("/no/such/dir"), "{complaint}");
+fn a_file_that_cannot_be_written_is_reported_before_the_work() {
+    let line = complaint(meissner().args(["tradeoff", "--loop", "--plot", "/no/such/dir/x.svg"]));
+    assert!(line.contains("/no/such/dir"), "{line}");
 }

@@ -1,28 +1,33 @@
 //! A real daemon in a directory of its own, and helpers for the other tests.
 
 use assert_cmd::Command;
-use meissner_api::{Problem, Status};
-use meissner_client::{Client, ClientError};
+use meissner_api::{Event, Problem, Receipt, Status};
+use meissner_client::{Client, ClientError, Events};
+use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 use std::fs::{self, File};
 use std::io::{Read, Write};
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
-use std::process::{Child, ExitStatus, Stdio};
+use std::process::{self, Child, ExitStatus, Stdio};
+use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
-/// For whatever must happen: far longer than it takes on a slow machine.
+/// Longest wait for an event that must happen: far longer than it takes on a slow machine.
 pub(crate) const TIMEOUT: Duration = Duration::from_secs(20);
+
+/// The configuration of a daemon that a stall of a busy machine must not disarm.
+pub(crate) const PATIENT: &str = "lease_ms = 5000\n";
 
 /// The program under test.
 pub(crate) const PROGRAM: &str = env!("CARGO_BIN_EXE_meissner");
 
-/// A real daemon on a simulated device, in a directory of its own. Dropping this ends both.
+/// A real daemon on a simulated device, in a directory of its own. Dropping it kills it.
 pub(crate) struct Daemon {
     child: Child,
-    dir: TempDir,
+    dir: Arc<TempDir>,
 }
 
 impl Daemon {
@@ -33,63 +38,66 @@ impl Daemon {
 
     /// Starts one on this device, with a long host watchdog timeout: a stall of a busy machine must not disarm it.
     pub(crate) fn on(device: &str) -> Self {
-        Self::with(device, "lease_ms = 5000\n")
+        Self::with(device, PATIENT)
     }
 
-    /// Starts one on this device, with these lines in its configuration.
+    /// Starts one on this device with this configuration.
     pub(crate) fn with(device: &str, config: &str) -> Self {
-        let dir = tempfile::tempdir().unwrap();
-        let log = File::create(dir.path().join("log")).unwrap();
-        Self::spawn(dir, device, config, log.into())
-    }
-
-    /// Starts one whose log goes elsewhere.
-    pub(crate) fn logging_to(stderr: impl Into<Stdio>) -> Self {
-        let dir = tempfile::tempdir().unwrap();
-        File::create(dir.path().join("log")).unwrap();
-        Self::spawn(dir, "mock", "lease_ms = 5000\n", stderr.into())
-    }
-
-    /// Starts one on a device that does not answer.
-    pub(crate) fn without_device(device: &str) -> Self {
-        let dir = tempfile::tempdir().unwrap();
-        let log = File::create(dir.path().join("log")).unwrap();
-        Self::begin(dir, device, "", log.into())
-    }
-
-    fn spawn(dir: TempDir, device: &str, config: &str, stderr: Stdio) -> Self {
-        let mut daemon = Self::begin(dir, device, config, stderr);
+        let dir = directory();
+        let log = log_file(&dir);
+        let mut daemon = Self::launch(dir, device, config, log, program());
         daemon.wait_for_device();
         daemon
     }
 
+    /// Starts one whose log goes elsewhere.
+    pub(crate) fn logging_to(stderr: impl Into<Stdio>) -> Self {
+        let dir = directory();
+        drop(log_file(&dir));
+        let mut daemon = Self::launch(dir, "mock", PATIENT, stderr, program());
+        daemon.wait_for_device();
+        daemon
+    }
+
+    /// Starts one on a device that does not answer.
+    pub(crate) fn without_device(device: &str) -> Self {
+        let dir = directory();
+        let log = log_file(&dir);
+        Self::launch(dir, device, "", log, program())
+    }
+
     /// Starts one by another command, to which the daemon's arguments are appended.
-    pub(crate) fn by(command: std::process::Command) -> Self {
-        let dir = tempfile::tempdir().unwrap();
-        let log = File::create(dir.path().join("log")).unwrap();
-        Self::launch(dir, "mock", "lease_ms = 5000\n", log.into(), command)
+    pub(crate) fn by(command: process::Command) -> Self {
+        let dir = directory();
+        let log = log_file(&dir);
+        Self::launch(dir, "mock", PATIENT, log, command)
     }
 
-    fn begin(dir: TempDir, device: &str, config: &str, stderr: Stdio) -> Self {
-        let mut command = std::process::Command::new(PROGRAM);
-        command.stdin(Stdio::null());
-        Self::launch(dir, device, config, stderr, command)
+    /// Starts another one in this one's directory, and waits for its device.
+    pub(crate) fn again(&self) -> Self {
+        let dir = Arc::clone(&self.dir);
+        let log = log_file(&dir);
+        let mut daemon = Self::launch(dir, "mock", PATIENT, log, program());
+        daemon.wait_for_device();
+        daemon
     }
 
-    fn launch(
-        dir: TempDir,
+    /// Starts one in a directory that another one may have used.
+    pub(crate) fn launch(
+        dir: Arc<TempDir>,
         device: &str,
         config: &str,
-        stderr: Stdio,
-        mut command: std::process::Command,
+        stderr: impl Into<Stdio>,
+        mut command: process::Command,
     ) -> Self {
-        fs::create_dir(dir.path().join("patterns")).unwrap();
+        fs::create_dir_all(dir.path().join("patterns")).unwrap();
         write_config(dir.path(), config);
         let child = command
             .args(["daemon", "--device", device, "--config"])
             .arg(dir.path().join("meissner.toml"))
             .env("MEISSNER_SOCKET", dir.path().join("m.sock"))
             .env_remove("RUST_LOG")
+            .env_remove("STATE_DIRECTORY")
             .stdout(Stdio::null())
             .stderr(stderr)
             .spawn()
@@ -99,25 +107,16 @@ impl Daemon {
 
     /// Waits until its log contains this, and returns the log.
     pub(crate) fn wait_for_log(&self, what: &str) -> String {
-        let begun = Instant::now();
-        loop {
-            let log = self.log();
-            if log.contains(what) {
-                return log;
-            }
-            assert!(begun.elapsed() < TIMEOUT, "no `{what}`:\n{log}");
-            thread::sleep(Duration::from_millis(10));
-        }
+        wait_until(|| self.log().contains(what));
+        self.log()
     }
 
     pub(crate) fn wait_for_device(&mut self) {
         let mut client = self.client();
-        let begun = Instant::now();
-        while !client.get::<Status>("/v1/status").is_ok_and(|status| status.is_connected()) {
-            let ended = self.child.try_wait().unwrap();
-            assert!(ended.is_none() && begun.elapsed() < TIMEOUT, "no device ({ended:?}):\n{}", self.log());
-            thread::sleep(Duration::from_millis(10));
-        }
+        wait_until(|| {
+            assert_eq!(self.child.try_wait().unwrap(), None, "the daemon has ended");
+            client.get::<Status>("/v1/status").is_ok_and(|status| status.is_connected())
+        });
     }
 
     /// Replaces its configuration, without telling it.
@@ -165,27 +164,47 @@ impl Daemon {
         answer
     }
 
-    pub(crate) fn signal(&self, signal: rustix::process::Signal) {
-        let pid = rustix::process::Pid::from_child(&self.child);
-        rustix::process::kill_process(pid, signal).unwrap();
+    pub(crate) fn signal(&self, signal: Signal) {
+        kill_process(Pid::from_child(&self.child), signal).unwrap();
     }
 
     /// Waits until it has ended.
     pub(crate) fn wait(&mut self) -> ExitStatus {
-        let begun = Instant::now();
-        loop {
-            if let Some(status) = self.child.try_wait().unwrap() {
-                return status;
-            }
-            assert!(begun.elapsed() < TIMEOUT, "it does not end:\n{}", self.log());
-            thread::sleep(Duration::from_millis(10));
-        }
+        let mut ended = None;
+        wait_until(|| {
+            ended = self.child.try_wait().unwrap();
+            ended.is_some()
+        });
+        ended.unwrap()
+    }
+
+    /// Ends it with SIGTERM.
+    pub(crate) fn end(&mut self) -> ExitStatus {
+        self.signal(Signal::TERM);
+        self.wait()
     }
 }
 
+/// The patterns are in the daemon's directory, unless the configuration says where they are.
 fn write_config(dir: &Path, config: &str) {
-    let text = format!("patterns_dir = {:?}\n{config}", dir.join("patterns"));
-    fs::write(dir.join("meissner.toml"), text).unwrap();
+    let own = format!("patterns_dir = {:?}\n", dir.join("patterns"));
+    let own = if config.contains("patterns_dir") { "" } else { &own };
+    fs::write(dir.join("meissner.toml"), format!("{own}{config}")).unwrap();
+}
+
+/// A directory for daemons.
+pub(crate) fn directory() -> Arc<TempDir> {
+    Arc::new(tempfile::tempdir().unwrap())
+}
+
+fn log_file(dir: &TempDir) -> File {
+    File::create(dir.path().join("log")).unwrap()
+}
+
+fn program() -> process::Command {
+    let mut command = process::Command::new(PROGRAM);
+    command.stdin(Stdio::null());
+    command
 }
 
 impl Drop for Daemon {
@@ -202,12 +221,51 @@ impl Drop for Daemon {
 
 /// The command line, without a daemon.
 pub(crate) fn meissner() -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_meissner"));
+    let mut command = Command::new(PROGRAM);
     command.env_remove("RUST_LOG").env("MEISSNER_SOCKET", "/nonexistent/m.sock").timeout(TIMEOUT);
     command
 }
 
-/// What a command said when it failed: exit 1 and one line on stderr.
+/// Waits until something has happened.
+#[track_caller]
+pub(crate) fn wait_until(mut happened: impl FnMut() -> bool) {
+    let begun = Instant::now();
+    while !happened() {
+        assert!(begun.elapsed() < TIMEOUT, "it has not happened in {TIMEOUT:?}");
+        thread::sleep(Duration::from_millis(5));
+    }
+}
+
+/// Waits for the first of the next events for which `wanted` has an answer.
+#[track_caller]
+pub(crate) fn next<T>(events: &mut Events, wanted: impl Fn(Event) -> Option<T>) -> T {
+    loop {
+        let event = events.next(Some(TIMEOUT)).unwrap().expect("the stream goes on");
+        if let Some(found) = wanted(event) {
+            return found;
+        }
+    }
+}
+
+/// The receipt of the next play that ends.
+#[track_caller]
+pub(crate) fn ended(events: &mut Events) -> Receipt {
+    next(events, |event| match event {
+        Event::Ended { receipt } => Some(*receipt),
+        _ => None,
+    })
+}
+
+/// The play that begins next.
+#[track_caller]
+pub(crate) fn began(events: &mut Events) -> u64 {
+    next(events, |event| match event {
+        Event::Began { id, .. } => Some(id),
+        _ => None,
+    })
+}
+
+/// The message of a command that fails: exit 1 and one line on stderr.
 pub(crate) fn complaint(command: &mut Command) -> String {
     let output = command.assert().failure().code(1).get_output().clone();
     let line = String::from_utf8(output.stderr).unwrap();
@@ -216,12 +274,12 @@ pub(crate) fn complaint(command: &mut Command) -> String {
     line
 }
 
-/// What a command printed when it succeeded.
+/// The output of a command that succeeds.
 pub(crate) fn printed(command: &mut Command) -> String {
     String::from_utf8(command.assert().success().get_output().stdout.clone()).unwrap()
 }
 
-/// The one document a command printed when it succeeded.
+/// The JSON document that a command prints.
 pub(crate) fn document(command: &mut Command) -> Value {
     serde_json::from_str(&printed(command)).unwrap()
 }
@@ -235,6 +293,12 @@ pub(crate) fn problem(answer: Result<Value, ClientError>) -> Problem {
         }
         other => panic!("{other:?}"),
     }
+}
+
+/// The code and HTTP status of the problem that a call returned.
+pub(crate) fn refusal(answer: Result<Value, ClientError>) -> (String, u16) {
+    let problem = problem(answer);
+    (problem.code, problem.status)
 }
 
 /// `planned = played + late + dropped + refused`, and something was planned.

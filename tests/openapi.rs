@@ -7,7 +7,7 @@ mod page;
 /// A value against a schema.
 mod schema;
 
-use crate::harness::{Daemon, problem};
+use crate::harness::{Daemon, next, problem};
 use meissner_api::route::{Answer, Body};
 use meissner_api::{
     ArmRequest, CalibrateRequest, CalibrationReport, Code, Event, ImportedPattern, Method, PatternDetails,
@@ -18,7 +18,6 @@ use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use std::path::Path;
-use std::time::Duration;
 use std::{env, fs};
 
 const RENEW: &str = "MEISSNER_RENEW=1 cargo test --test tests openapi";
@@ -139,7 +138,7 @@ fn parses<T: DeserializeOwned>(value: &Value) {
 }
 
 #[test]
-fn every_route_has_examples_that_are_what_they_show() {
+fn every_route_has_examples_that_parse() {
     let document = openapi::document();
     let parse = |schema: &str, example: &Value| match schema {
         "ArmRequest" => drop(ArmRequest::parse(example.to_string().as_bytes()).unwrap()),
@@ -205,7 +204,7 @@ fn every_code_has_a_route_or_belongs_to_addresses_without_one() {
     assert_eq!(all.difference(&given).copied().collect::<Vec<_>>(), [Code::MethodNotAllowed.parts().0]);
 }
 
-/// A client's call, whatever its method.
+/// A call with any method.
 fn call(daemon: &Daemon, method: &str, path: &str, body: &str) -> (u16, Value) {
     let length = body.len();
     let head = format!(
@@ -248,7 +247,7 @@ fn the_daemon_and_the_document_have_the_same_routes() {
 }
 
 #[test]
-fn what_a_daemon_answers_is_what_the_document_says() {
+fn a_daemon_s_answers_fit_the_document() {
     // Little scatter: a short calibration measures gains well enough to be stored, whenever it begins.
     let daemon = Daemon::with("mock", "lease_ms = 5000\nmock.gain_sd = 0.02\n");
     let document = openapi::document();
@@ -305,26 +304,20 @@ fn what_a_daemon_answers_is_what_the_document_says() {
     fits(Route::Play, &client.post("/v1/play", &json!({"pattern": "edge-45", "seconds": 0.3})).unwrap());
     fits(Route::Status, &client.get("/v1/status").unwrap());
     fits(Route::Receipt, &client.get("/v1/plays/last").unwrap());
-    loop {
-        let next = events.next(Some(Duration::from_secs(20))).unwrap().unwrap();
+    next(&mut events, |next| {
         event(&next);
-        if matches!(next, Event::PredictedResponse { .. }) {
-            break;
-        }
-    }
+        matches!(next, Event::PredictedResponse { .. }).then_some(())
+    });
     fits(Route::Receipt, &client.get("/v1/plays/last").unwrap());
     fits(
         Route::Calibrate,
         &client.post("/v1/calibrate", &json!({"motor": 3, "pulses": [70, 140], "repetitions": 1})).unwrap(),
     );
-    loop {
-        let next = events.next(Some(Duration::from_secs(20))).unwrap().unwrap();
+    let problem = next(&mut events, |next| {
         event(&next);
-        if let Event::Calibrated { problem, .. } = next {
-            assert_eq!(problem, None);
-            break;
-        }
-    }
+        if let Event::Calibrated { problem, .. } = next { Some(problem) } else { None }
+    });
+    assert_eq!(problem, None);
     fits(Route::Calibration, &client.get("/v1/calibration").unwrap());
     for route in [Route::Stop, Route::Disarm, Route::EStop, Route::Reset] {
         fits(route, &client.post(route.path(), &json!({})).unwrap());

@@ -98,7 +98,7 @@ fn unmeasured_bursts_are_counted_and_too_many_prevent_a_prediction() {
 }
 
 #[test]
-fn a_play_that_was_cut_counts_as_far_as_it_was_played() {
+fn a_cut_play_counts_up_to_its_cut() {
     let edge = pattern("edge-45");
     let played = played(&edge, 2.0, &SimulatedMotorsConfig::default(), false);
     let mut play = measured_play(&edge, 60.0, &played);

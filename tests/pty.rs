@@ -1,9 +1,8 @@
 //! A daemon on a mock behind a real pseudo-terminal: it plays, ends, hangs, dies, and loses its board.
 
-use crate::harness::{Daemon, complaint, printed};
+use crate::harness::{Daemon, assert_accounts, complaint, document, printed, wait_until};
 use firmware_protocol::message::{Cause, State};
-use meissner_api::Receipt;
-use meissner_api::Status;
+use meissner_api::{Receipt, Status};
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_stream::device::{PtyMock, WallMock};
 use meissner_stream::time::HostInstant;
@@ -12,9 +11,9 @@ use rustix::process::Signal;
 use serde_json::json;
 use std::os::unix::fs::symlink;
 use std::thread::sleep;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-/// A board at the far end of a terminal: it outlives the daemon, and records what its lines did.
+/// A board at the far end of a terminal. It survives the daemon and records its lines.
 fn board() -> PtyMock {
     let mut mock = WallMock::new(&SimulatedMotorsConfig::default(), HostInstant::now()).unwrap();
     mock.mock().record();
@@ -23,16 +22,17 @@ fn board() -> PtyMock {
 
 #[test]
 fn a_session_over_a_terminal_plays_and_accounts() {
-    let daemon = Daemon::on("pty");
+    let mut daemon = Daemon::on("pty");
+    let status = printed(daemon.meissner().args(["status", "--json"]));
+    assert!(status.contains("\"kind\":\"pty:/dev/pts/"), "{status}");
     printed(daemon.meissner().args(["arm", "--assume-rest"]));
     let summary = printed(daemon.meissner().args(["play", "all-in-phase", "--seconds", "1", "--wait"]));
     assert!(summary.contains("2880 planned"), "{summary}");
-    let receipt: Receipt = daemon.client().get("/v1/plays/last").unwrap();
-    let bursts = receipt.bursts.unwrap();
-    assert_eq!(bursts.planned, bursts.played + bursts.late + bursts.dropped + bursts.refused);
-    let status = printed(daemon.meissner().args(["status", "--json"]));
-    assert!(status.contains("\"kind\":\"pty:/dev/pts/"), "{status}");
-    printed(daemon.meissner().arg("disarm"));
+    let receipt = document(daemon.meissner().args(["receipt", "--json"]));
+    assert_eq!(receipt["state"], "done", "{receipt}");
+    assert_accounts(&receipt);
+    printed(daemon.meissner().args(["play", "wave"]));
+    assert!(daemon.end().success() && !daemon.socket().exists());
 }
 
 /// A daemon on such a board in mid-play, its pins half way up.
@@ -63,8 +63,7 @@ fn assert_returned(board: PtyMock, causes: &[Cause]) {
 #[test]
 fn a_daemon_that_ends_in_mid_play_returns_the_pins() {
     let (board, mut daemon) = in_mid_play();
-    daemon.signal(Signal::TERM);
-    assert!(daemon.wait().success());
+    assert!(daemon.end().success());
     assert!(!daemon.socket().exists());
     assert_returned(board, &[Cause::Shutdown]);
 }
@@ -98,11 +97,7 @@ fn a_board_that_is_plugged_in_again_is_found_and_disarmed() {
     let mut client = daemon.armed();
     let _: serde_json::Value = client.post("/v1/play", &json!({"pattern": "wave"})).unwrap();
     let until = |wanted: &dyn Fn(&Status) -> bool| {
-        let begun = Instant::now();
-        while !wanted(&daemon.client().get("/v1/status").unwrap()) {
-            assert!(begun.elapsed() < Duration::from_secs(20), "{}", daemon.log());
-            sleep(Duration::from_millis(20));
-        }
+        wait_until(|| wanted(&daemon.client().get("/v1/status").unwrap()));
     };
     until(&|status| status.play.is_some());
     drop(first);

@@ -1,9 +1,10 @@
 use crate::harness::{complaint, document, meissner, printed};
-use meissner_report::{MethodLabel, STEPS_US, matching, plot, tradeoff};
+use meissner_report::{MethodLabel, MethodTradeoff, STEPS_US, matching, plot, tradeoff};
 use meissner_skin::{Integrator, MAX_TOML_BYTES, Method, Options, Precision, Scene, simulate};
 use serde_json::{Value, json};
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
 use tempfile::TempDir;
 
 /// Two pins, one receptor between them, one on the edge's end, one out of reach.
@@ -102,7 +103,7 @@ fn rates_without_spikes_are_the_same_rates() {
 }
 
 #[test]
-fn an_error_that_is_allowed_chooses_a_method_and_says_which() {
+fn an_allowed_error_chooses_a_method_and_names_it() {
     let found = simulated(&["--max-rate-error", "20"]);
     assert!(found["chosen"]["estimated_rate_error_hz"].as_f64().unwrap() <= 20.0);
     assert_eq!(found["chosen"]["sampled"], 3);
@@ -115,7 +116,7 @@ fn an_error_that_is_allowed_chooses_a_method_and_says_which() {
 }
 
 #[test]
-fn people_get_a_summary() {
+fn without_json_the_command_prints_a_summary() {
     let (_dir, file) = scene(SMALL);
     let text = printed(meissner().arg("simulate").arg(&file));
     for part in ["afferents  3, for 0.1 s", "method     exact", "rate       mean", "motors at rest", "22"] {
@@ -127,7 +128,7 @@ fn people_get_a_summary() {
 }
 
 #[test]
-fn a_scene_may_come_by_stdin_in_either_language() {
+fn a_scene_on_stdin_may_be_toml_or_json() {
     let json = serde_json::to_string(&toml::from_str::<toml::Table>(SMALL).unwrap()).unwrap();
     for text in [SMALL, &json] {
         let found = document(meissner().args(["simulate", "-", "--json"]).write_stdin(text));
@@ -138,7 +139,7 @@ fn a_scene_may_come_by_stdin_in_either_language() {
 }
 
 #[test]
-fn what_cannot_be_simulated_is_one_line() {
+fn a_scene_that_cannot_be_simulated_is_refused_in_one_line() {
     let (dir, file) = scene(SMALL);
     let file = file.to_str().unwrap();
     for (arguments, says) in [
@@ -157,24 +158,6 @@ fn what_cannot_be_simulated_is_one_line() {
     assert!(complaint(meissner().arg("simulate").arg(dir.path().join("latin"))).contains("not UTF-8 text"));
     File::create(dir.path().join("l.toml")).unwrap().set_len(MAX_TOML_BYTES as u64 + 1).unwrap();
     assert!(complaint(meissner().arg("tradeoff").arg(dir.path().join("l.toml"))).contains("too many"));
-}
-
-#[test]
-fn contradictions_are_usage_errors() {
-    for arguments in [
-        &["simulate"][..],
-        &["simulate", "x", "--method", "quick"],
-        &["simulate", "x", "--method", "exact", "--step-us", "5"],
-        &["simulate", "x", "--method", "exact", "--precision", "f32"],
-        &["simulate", "x", "--max-rate-error", "1", "--method", "exact"],
-        &["simulate", "x", "--max-rate-error", "1", "--step-us", "5"],
-        &["simulate", "x", "--max-rate-error", "1", "--integrator", "euler"],
-        &["simulate", "x", "--max-rate-error", "1", "--precision", "f64"],
-        &["simulate", "x", "--step-us", "0.5"],
-        &["tradeoff", "x", "--method", "exact"],
-    ] {
-        meissner().args(arguments).assert().code(2);
-    }
 }
 
 /// Euler is beyond tau from 2000 us on.
@@ -244,7 +227,7 @@ fn the_tradeoff_has_a_row_for_every_method_and_step() {
 
 /// A membrane and times for which `f32` cannot count the steps, and no step is too long for Euler.
 #[test]
-fn a_refusal_that_is_not_eulers_is_not_called_unstable() {
+fn only_euler_is_called_unstable() {
     let text =
         SMALL.replace("0.1\nseed", "100\nseed").replace("noise_sd = 0.05", "hyperexcitability_s = 1e9");
     let mut scene = Scene::read(&text, "small.toml").unwrap();
@@ -273,12 +256,15 @@ fn a_plot_that_cannot_be_written_is_one_line() {
     }
 }
 
+/// The comparison of all methods on the small scene.
+static COMPARED: LazyLock<MethodTradeoff> = LazyLock::new(|| {
+    let at = |part| assert!((0.0..=1.0).contains(&part), "{part}");
+    tradeoff(&Scene::read(SMALL, "small.toml").unwrap(), &at).unwrap()
+});
+
 #[test]
 fn the_finer_the_step_the_smaller_the_error() {
-    let found = tradeoff(&Scene::read(SMALL, "small.toml").unwrap(), &|part| {
-        assert!((0.0..=1.0).contains(&part), "{part}");
-    })
-    .unwrap();
+    let found = &*COMPARED;
     let error = |step_us| {
         let of = |how: &MethodLabel| {
             how.step_us == Some(step_us)
@@ -294,7 +280,7 @@ fn the_finer_the_step_the_smaller_the_error() {
 fn expensive_steps_are_left_out_and_named() {
     let text = SMALL.replace("0.1\nseed", "250\nseed").replace("8.5, y_mm = -7", "-8.5, y_mm = -7");
     let mut scene = Scene::read(&text, "small.toml").unwrap();
-    // Nothing moves: what is left is quick.
+    // Nothing moves, so that the rest is quick.
     for motor in [9, 10] {
         scene = scene.with_motor(motor, &[]).unwrap();
     }
@@ -310,10 +296,9 @@ fn expensive_steps_are_left_out_and_named() {
 }
 
 #[test]
-fn the_plot_is_the_same_for_the_same_figures_and_says_what_it_shows() {
-    let mut found = tradeoff(&Scene::read(SMALL, "small.toml").unwrap(), &|_| ()).unwrap();
-    let svg = plot(&found).unwrap();
-    assert_eq!(svg, plot(&found).unwrap());
+fn a_plot_depends_on_the_figures_alone_and_has_labels() {
+    let svg = plot(&COMPARED).unwrap();
+    assert_eq!(svg, plot(&COMPARED).unwrap());
     for label in [
         "euler f32",
         "euler f64",
@@ -326,8 +311,8 @@ fn the_plot_is_the_same_for_the_same_figures_and_says_what_it_shows() {
     ] {
         assert!(svg.contains(label), "{label}");
     }
-    found.rows.clear();
-    assert!(plot(&found).unwrap().starts_with("<svg"), "nothing to draw is drawn");
+    let empty = MethodTradeoff { rows: Vec::new(), ..COMPARED.clone() };
+    assert!(plot(&empty).unwrap().starts_with("<svg"), "nothing to draw is drawn");
     let nothing = Scene::read("duration_s = 0\nreceptors = []", "-").unwrap();
     let nothing = tradeoff(&nothing, &|_| ()).unwrap();
     assert!(nothing.recommendation.contains("nothing to compare"));

@@ -105,8 +105,7 @@ fn a_daemon_that_hangs_sends_no_watchdog_notification() {
     while !manager.is_silent(Duration::from_millis(400)) {}
     daemon.signal(Signal::CONT);
     manager.wait_for(|text| text == "WATCHDOG=1");
-    daemon.signal(Signal::TERM);
-    assert!(daemon.wait().success());
+    assert!(daemon.end().success());
 }
 
 #[test]
@@ -161,8 +160,7 @@ fn a_socket_that_is_handed_over_is_used_and_not_removed() {
     assert!(!daemon.socket().exists(), "it makes no socket of its own");
     assert!(daemon.wait_for_log("listening on").contains(&format!("listening on {}", path.display())));
     assert!(daemon.log().contains("`socket` in the configuration is ignored"));
-    daemon.signal(Signal::TERM);
-    assert!(daemon.wait().success());
+    assert!(daemon.end().success());
     assert!(
         std::fs::symlink_metadata(&path).unwrap().file_type().is_socket(),
         "the daemon does not remove it"
@@ -201,11 +199,7 @@ fn a_reload_applies_what_can_change_and_names_the_rest() {
     assert!(line.contains("[mock] cannot change while the daemon runs"), "{line}");
 
     let other = daemon.path("other");
-    std::fs::write(
-        daemon.path("meissner.toml"),
-        format!("patterns_dir = {other:?}\nlead_ms = 50\nlease_ms = 4000\n"),
-    )
-    .unwrap();
+    daemon.write_config(&format!("patterns_dir = {other:?}\nlead_ms = 50\nlease_ms = 4000\n"));
     daemon.signal(Signal::HUP);
     daemon.wait_for_log("`patterns_dir`: ");
     let file = daemon.path("mine.toml");

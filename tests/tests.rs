@@ -3,11 +3,11 @@
 
 /// The local API of a real daemon: commands, receipts, events, errors, and the end.
 mod api;
-/// What people and scripts get wrong: one line with what, where, what to do; nothing moves.
+/// Mistakes in files, commands and requests: refused in one line with place and remedy; nothing moves.
 mod bad_input;
-/// Boards: found or not, in use, or no boards at all; the doctor's look at them.
+/// Boards: found, missing, in use, or something else; the doctor's report about them.
 mod boards;
-/// The README, the book and the example configuration: commands run, snippets parse, links lead somewhere.
+/// The README, the book and the example configuration: commands run, snippets parse, links have targets.
 mod book;
 /// `calibrate` on a real daemon: played, fitted, stored, used by its own device alone.
 mod calibration;
@@ -23,7 +23,7 @@ mod figures;
 mod harness;
 /// `tradeoff --stream`: the lead under recorded stalls, traces that are refused, its document and plot.
 mod lead;
-/// The manual pages and completions in `deploy` are what the command line makes of itself today.
+/// The manual pages and completions in `deploy` are up to date.
 mod manual;
 /// The API reference: routes, answers and the book's copies agree with the OpenAPI document.
 mod openapi;
@@ -31,7 +31,7 @@ mod openapi;
 mod optimise;
 /// Predicted responses to simulated plays: with position control and without, cut, and unmeasured.
 mod played;
-/// What survives when the daemon is killed at any moment, the disk is full or nothing may be written; and the session record.
+/// Kills at any moment, full disks and read-only directories; the session record.
 mod power;
 /// A whole session through a pseudo-terminal and the serial transport; the daemon ended and killed in mid-play.
 mod pty;

@@ -5,22 +5,28 @@ use meissner_api::{Code, Route};
 use serde_json::Value;
 use std::fmt::Write;
 
+/// Writes a line to the page.
+macro_rules! put {
+    ($($line:tt)*) => { writeln!($($line)*).unwrap() };
+}
+
 /// The page.
 pub(super) fn page(document: &Value) -> String {
     let mut out = String::new();
-    writeln!(out, "# API\n\n<!-- Made by `MEISSNER_RENEW=1 cargo test --test tests openapi` from the types in crates/api. -->\n").unwrap();
-    writeln!(out, "{}\n", text(&document["info"]["description"])).unwrap();
-    writeln!(
+    put!(
+        out,
+        "# API\n\n<!-- Made by `MEISSNER_RENEW=1 cargo test --test tests openapi` from the types in crates/api. -->\n"
+    );
+    put!(out, "{}\n", text(&document["info"]["description"]));
+    put!(
         out,
         "The daemon serves the [OpenAPI document](openapi.json) of this page at `GET /v1/openapi.json`.\n"
-    )
-    .unwrap();
-    writeln!(
+    );
+    put!(
         out,
         "```bash\ncurl --unix-socket \"$XDG_RUNTIME_DIR/meissner.sock\" http://localhost/v1/status\n```\n"
-    )
-    .unwrap();
-    writeln!(out, "## Routes\n\n| route | |\n|---|---|").unwrap();
+    );
+    put!(out, "## Routes\n\n| route | |\n|---|---|");
     for route in Route::ALL {
         let operation = route.operation();
         let method = method_name(operation.method).to_uppercase();
@@ -33,17 +39,17 @@ pub(super) fn page(document: &Value) -> String {
                 _ => None,
             })
             .collect();
-        writeln!(out, "| [`{method} {}`](#{anchor}) | {} |", operation.path, operation.summary).unwrap();
+        put!(out, "| [`{method} {}`](#{anchor}) | {} |", operation.path, operation.summary);
     }
     for route in Route::ALL {
         operation(&mut out, document, route);
     }
     events(&mut out, document);
     errors(&mut out);
-    writeln!(out, "\n## Types").unwrap();
+    put!(out, "\n## Types");
     let schemas = document["components"]["schemas"].as_object().unwrap();
     for (name, schema) in schemas.iter().filter(|(name, _)| *name != "Event") {
-        writeln!(out, "\n### {name}\n\n{}", text(&schema["description"])).unwrap();
+        put!(out, "\n### {name}\n\n{}", text(&schema["description"]));
         table(&mut out, document, schema);
     }
     out
@@ -57,10 +63,10 @@ fn operation(out: &mut String, document: &Value, route: Route) {
     let operation = route.operation();
     let method = method_name(operation.method);
     let described = &document["paths"][operation.path][method];
-    writeln!(out, "\n### {} {}\n", method.to_uppercase(), operation.path).unwrap();
-    writeln!(out, "{}. {}", operation.summary, operation.description).unwrap();
+    put!(out, "\n### {} {}\n", method.to_uppercase(), operation.path);
+    put!(out, "{}. {}", operation.summary, operation.description);
     for parameter in described["parameters"].as_array().into_iter().flatten() {
-        writeln!(out, "\n`{{{}}}`: {}.", text(&parameter["name"]), text(&parameter["description"])).unwrap();
+        put!(out, "\n`{{{}}}`: {}.", text(&parameter["name"]), text(&parameter["description"]));
     }
     if let Some(body) = described["requestBody"].as_object() {
         let optional = if body["required"] == true { "" } else { ", may be empty" };
@@ -79,7 +85,7 @@ fn operation(out: &mut String, document: &Value, route: Route) {
         .filter(|(status, _)| is_error(status))
         .map(|(status, answer)| format!("{status}: {}", text(&answer["description"])))
         .collect();
-    writeln!(out, "\nErrors: {}.", errors.join("; ")).unwrap();
+    put!(out, "\nErrors: {}.", errors.join("; "));
 }
 
 /// A body or an answer: its media type, its type and an example. Most commands answer with the status, which is shown once.
@@ -88,13 +94,13 @@ fn content(out: &mut String, route: Route, title: &str, content: &Value) {
         let kind =
             content["schema"]["$ref"].as_str().map_or_else(String::new, |way| format!(", {}", link(way)));
         if kind.contains("#status)") && route != Route::Status {
-            writeln!(out, "\n{title}: `{media}`{kind}, as of [`GET /v1/status`](#get-v1status)").unwrap();
+            put!(out, "\n{title}: `{media}`{kind}, as of [`GET /v1/status`](#get-v1status)");
             continue;
         }
-        writeln!(out, "\n{title}: `{media}`{kind}\n").unwrap();
+        put!(out, "\n{title}: `{media}`{kind}\n");
         match &content["example"] {
-            Value::String(example) => writeln!(out, "```text\n{}\n```", example.trim_end()).unwrap(),
-            example => writeln!(out, "```json\n{example:#}\n```").unwrap(),
+            Value::String(example) => put!(out, "```text\n{}\n```", example.trim_end()),
+            example => put!(out, "```json\n{example:#}\n```"),
         }
     }
 }
@@ -121,24 +127,23 @@ pub(super) fn event(document: &Value, variant: &Value) -> (String, Value) {
 
 fn events(out: &mut String, document: &Value) {
     let schema = &document["components"]["schemas"]["Event"];
-    writeln!(out, "\n## Events\n\n`GET /v1/events` sends these. The key `event` names the kind.").unwrap();
+    put!(out, "\n## Events\n\n`GET /v1/events` sends these. The key `event` names the kind.");
     for variant in schema["oneOf"].as_array().unwrap() {
         let (name, example) = event(document, variant);
-        writeln!(out, "\n### {name}\n\n{}", text(&variant["description"])).unwrap();
+        put!(out, "\n### {name}\n\n{}", text(&variant["description"]));
         table(out, document, variant);
         if name != "ended" {
-            writeln!(out, "\n```json\n{example}\n```").unwrap();
+            put!(out, "\n```json\n{example}\n```");
         }
     }
 }
 
 fn errors(out: &mut String) {
-    writeln!(
+    put!(
         out,
         "\n## Errors\n\nEvery error is a [Problem](#problem). Its `type` is `urn:meissner:problem:CODE`.\n"
-    )
-    .unwrap();
-    writeln!(out, "| code | status | meaning | routes |\n|---|---|---|---|").unwrap();
+    );
+    put!(out, "| code | status | meaning | routes |\n|---|---|---|---|");
     for code in Code::ALL {
         let (name, status, title) = code.parts();
         let gives = |route: &&Route| route.operation().errors().any(|given| given == code);
@@ -154,7 +159,7 @@ fn errors(out: &mut String) {
                 routes.iter().map(name).collect::<Vec<_>>().join(", ")
             }
         };
-        writeln!(out, "| `{name}` | {status} | {title} | {routes} |").unwrap();
+        put!(out, "| `{name}` | {status} | {title} | {routes} |");
     }
 }
 
@@ -188,7 +193,7 @@ fn keys(rows: &mut String, document: &Value, schema: &Value) {
             range(inner)
         };
         let meaning = text(&inner["description"]).replace('|', "\\|");
-        writeln!(rows, "| `{key}` | {}{null}{optional} | {range} | {meaning} |", kind(inner)).unwrap();
+        put!(rows, "| `{key}` | {}{null}{optional} | {range} | {meaning} |", kind(inner));
     }
 }
 
