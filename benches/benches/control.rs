@@ -1,4 +1,4 @@
-//! What the closed loop computes: `cargo bench --bench control`. Times are for a millisecond of device time of 24 motors at 80 µm,
+//! The cost of position control: `cargo bench --bench control`. Times are for a millisecond of device time of 24 motors at 80 µm,
 //! with telemetry every millisecond.
 //!
 //! `loop and pins` is [`MotorRun`], with the simulated pins it measures; `pins` is the same pins, bursts and samples alone.

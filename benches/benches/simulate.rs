@@ -1,7 +1,7 @@
-//! What a second of skin costs: 24 motors at 60 Hz and 80 um with random phases, 306 receptors, noise.
+//! The cost of simulating a second: 24 motors at 60 Hz and 80 um with random phases, 306 receptors, noise.
 //!
 //! Exact and stepped, on one core and on two, and trials of the scene with one motor changed. Before criterion's
-//! figures it prints what is not a time: how many spikes, and what a search's coarser reach does to the rates.
+//! figures it prints the number of spikes, and the effect of a search's coarser reach on the rates.
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use firmware_protocol::tick::Tick;
@@ -57,7 +57,7 @@ fn whole(criterion: &mut Criterion) {
     group.finish();
 }
 
-/// Receptors near their pins only: looking for what can be skipped finds nothing, and should cost next to nothing.
+/// Afferents near their pins only: nothing can be skipped, and looking for it should cost next to nothing.
 fn nothing_to_skip(criterion: &mut Criterion) {
     let place = |number: u32| {
         let [x_mm, y_mm] = geometry::position_mm((number % 24) as u8);
@@ -90,7 +90,7 @@ fn faster(scene: &Scene, motor: u8) -> Vec<Drive> {
     scene.drives().iter().map(drive).collect()
 }
 
-/// With one motor after the other it is tried what another frequency would come to: the mean over the 24.
+/// Tries another frequency of one motor after the other: the mean over the 24.
 fn changed(criterion: &mut Criterion) {
     let scene = scene();
     let coarsely = Method::Stepped(Stepping {
