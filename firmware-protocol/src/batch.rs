@@ -21,6 +21,8 @@ use crate::tick::Tick;
 /// Most strokes in a batch: as many as the chip can take between two blocks of lines, and at most the 64 bits of a
 /// verdict's mask.
 pub const MAX_BATCH: usize = 32;
+/// The strokes of a frame.
+pub(crate) type Batch = heapless::Vec<Stroke, MAX_BATCH>;
 /// Most bytes of packed items in a message: what its longest header leaves.
 pub const BATCH_BYTES: usize = 232;
 
@@ -275,6 +277,15 @@ impl Iterator for Amendments<'_> {
         }
         Some(item)
     }
+}
+
+/// The strokes of `batch`, counted from `base`; `None` if it cannot be read to its end.
+pub(crate) fn unpack(base: Tick, batch: &[u8]) -> Option<Batch> {
+    let mut all = Batch::new();
+    for stroke in Strokes::new(base, batch) {
+        all.push(stroke.ok()?).ok()?;
+    }
+    Some(all)
 }
 
 #[cfg(test)]

@@ -15,7 +15,7 @@ mod reorder;
 mod reports;
 mod stream;
 
-use crate::batch::Amendments;
+use crate::batch::{Amendments, Batch, unpack};
 use crate::frame::{self, Decoder, FrameError, MAX_FRAME};
 use crate::limits::{self, MAX_TRAVEL, OnTime, OnTimeLimits, Refusal};
 use crate::message::{
@@ -29,7 +29,6 @@ pub use reorder::REORDER_WINDOW;
 use reorder::ReorderBuffer;
 pub use reports::REPORTS;
 use reports::Reports;
-use stream::Batch;
 
 /// Most ticks rendered ahead. A stroke that begins before the rendered end is late.
 pub const HORIZON: u32 = 64;
@@ -386,7 +385,7 @@ impl Controller {
         }
         let mut strokes = Batch::new();
         if let HostMessage::Strokes { base, batch, .. } = message {
-            let Some(read) = stream::unpack(base.near(self.now), batch) else {
+            let Some(read) = unpack(base.near(self.now), batch) else {
                 self.counters.bad_frames += 1;
                 return;
             };

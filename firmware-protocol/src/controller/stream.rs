@@ -2,7 +2,7 @@
 //!
 //! [`Controller::stream`] takes frames in order and buffers the others; [`Controller::amend`] changes one burst.
 
-use crate::batch::{Amendment, MAX_BATCH, Strokes};
+use crate::batch::{Amendment, Batch, unpack};
 use crate::controller::pool::{Kind, Slot};
 use crate::controller::reports::RESERVE;
 use crate::controller::{Controller, FARTHEST, NEVER, newer};
@@ -10,9 +10,6 @@ use crate::limits::{self, Refusal};
 use crate::message::{Report, State};
 use crate::stroke::{Direction, Stroke};
 use crate::tick::Tick;
-
-/// The strokes of a frame.
-pub(super) type Batch = heapless::Vec<Stroke, MAX_BATCH>;
 
 impl Controller {
     /// Takes a frame of the ordered stream if it is next in order, else buffers it for [`Self::follow`].
@@ -127,13 +124,4 @@ impl Controller {
         self.next_end = self.next_end.min(stroke.end());
         Some(())
     }
-}
-
-/// The strokes of `batch`, counted from `base`; `None` if it cannot be read to its end.
-pub(super) fn unpack(base: Tick, batch: &[u8]) -> Option<Batch> {
-    let mut all = Batch::new();
-    for stroke in Strokes::new(base, batch) {
-        all.push(stroke.ok()?).ok()?;
-    }
-    Some(all)
 }

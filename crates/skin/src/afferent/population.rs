@@ -6,7 +6,7 @@
 //!
 //! Invariant: the same seed gives the same positions, bit for bit, on every machine.
 
-use super::Position;
+use super::model::Position;
 use meissner_array::random;
 use std::f64::consts::PI;
 

@@ -5,9 +5,10 @@
 //!
 //! Invariant: no key is ignored but `spikes_s` and `promised_spikes`, the answers of reference scenes.
 
-use super::error::{KeyError, Problem};
+use super::afferent::RawAfferent;
+use super::checked::{MOTOR_RANGE, NO_GAINS, Scene};
+use super::error::{KeyError, Problem, SceneError};
 use super::names::{as_written, one_name};
-use super::{MOTOR_RANGE, NO_GAINS, RawAfferent, Scene};
 use crate::afferent::{self, Position};
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::pattern::Drive;
@@ -24,7 +25,18 @@ pub const MAX_JSON_BYTES: usize = 256 << 20;
 /// 240 times for a hostile file (measured).
 pub const MAX_TOML_BYTES: usize = 16 << 20;
 
-pub(super) fn read(text: &str, file: &str) -> Result<Scene, KeyError> {
+impl Scene {
+    /// Reads a scene file; `file` is its name in errors. The ending `.json` or `.toml` decides the format; without one, a
+    /// text that begins with a brace is JSON.
+    ///
+    /// # Errors
+    /// The first thing that is wrong with it, in one line.
+    pub fn read(text: &str, file: &str) -> Result<Self, SceneError> {
+        read(text, file).map_err(|fault| fault.in_file(Some(file)))
+    }
+}
+
+fn read(text: &str, file: &str) -> Result<Scene, KeyError> {
     let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     let ends_in =
         |ending| std::path::Path::new(file).extension().is_some_and(|e| e.eq_ignore_ascii_case(ending));
