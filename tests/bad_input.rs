@@ -15,8 +15,6 @@ fn a_bad_pattern_is_refused_with_its_file_and_line() {
     for (drives, says) in [
         (drive("24", "60.0", "80.0"), "bad.toml:4: drive 1: `motor` is 24: must be 0 to 23"),
         (drive("3", "-60.0", "80.0"), "bad.toml:5: drive 1: `frequency_hz` is -60"),
-        (drive("3", "nan", "80.0"), "bad.toml:5: drive 1: `frequency_hz` is NaN"),
-        (drive("3", "60.0", "500"), "bad.toml:6: drive 1: `amplitude_um` is 500"),
         (good.replace("frequency", "freqency"), "unknown key `freqency_hz`: did you mean `frequency_hz`?"),
         (good.repeat(2), "`motor` is 3, which drive 1 still drives"),
     ] {
@@ -60,9 +58,6 @@ fn a_bad_configuration_keeps_the_daemon_from_starting() {
     let file = dir.path().join("m.toml");
     for (text, says) in [
         ("laed_ms = 5\n", "m.toml:1: unknown key `laed_ms`: did you mean `lead_ms`?"),
-        ("lead_ms = 2\n", "`lead_ms` is 2: must be 5 to 1000 ms"),
-        ("lease_ms = 120\n", "`lease_ms` is 120: must be 150"),
-        ("device = \"uart\"\n", "`device` is `uart`"),
         ("patterns_dir = \"/nonexistent\"\n", "m.toml: `patterns_dir`: /nonexistent: No such file"),
         ("patterns_dir = \"/dev/null\"\n", "/dev/null: Not a directory"),
         ("socket = \"/nonexistent/m.sock\"\n", "/nonexistent/m.sock"),

@@ -5,6 +5,7 @@ use meissner_api::{Event, Problem, Receipt, Status};
 use meissner_client::{Client, ClientError, Events};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
+use std::env;
 use std::fs::{self, File};
 use std::io::{Read, Write};
 use std::os::unix::net::UnixStream;
@@ -306,6 +307,18 @@ pub(crate) fn assert_accounts(receipt: &Value) {
     let of = |fate: &str| receipt["bursts"][fate].as_u64().unwrap();
     assert_eq!(of("planned"), of("played") + of("late") + of("dropped") + of("refused"), "{receipt}");
     assert!(of("planned") > 0, "{receipt}");
+}
+
+/// Asserts that a file of the repository is as the program makes it today. With MEISSNER_RENEW set it writes the file.
+pub(crate) fn assert_up_to_date(file: impl AsRef<Path>, made: &[u8]) {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(&file);
+    if env::var_os("MEISSNER_RENEW").is_some() {
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(&path, made).unwrap();
+    }
+    let renew = "MEISSNER_RENEW=1 cargo test --test tests up_to_date";
+    let kept = fs::read(&path).unwrap_or_default();
+    assert!(kept == made, "{} is out of date: {renew}", file.as_ref().display());
 }
 
 /// Writes a pattern file.

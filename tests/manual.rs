@@ -1,11 +1,9 @@
+use crate::harness::assert_up_to_date;
 use clap_complete::{Shell, generate};
 use clap_mangen::Man;
 use std::collections::{BTreeMap, BTreeSet};
-use std::env;
 use std::fs;
 use std::path::{Path, PathBuf};
-
-const RENEW: &str = "MEISSNER_RENEW=1 cargo test --test tests manual";
 
 /// A page for the command and one for each below it.
 fn pages(command: clap::Command, files: &mut BTreeMap<PathBuf, Vec<u8>>) {
@@ -41,23 +39,13 @@ fn the_manual_and_the_completions_are_up_to_date() {
     let deploy = Path::new(env!("CARGO_MANIFEST_DIR")).join("deploy");
     let made = made();
     assert!(made.len() > 20);
-    if env::var_os("MEISSNER_RENEW").is_some() {
-        for folder in ["man", "completions"] {
-            let _ = fs::remove_dir_all(deploy.join(folder));
-            fs::create_dir_all(deploy.join(folder)).unwrap();
-        }
-        for (name, text) in &made {
-            fs::write(deploy.join(name), text).unwrap();
-        }
-    }
     for (name, text) in &made {
-        let kept = fs::read(deploy.join(name)).unwrap_or_default();
-        assert!(kept == *text, "deploy/{} is not what the commands are today: {RENEW}", name.display());
+        assert_up_to_date(Path::new("deploy").join(name), text);
     }
     let kept: BTreeSet<_> = ["man", "completions"]
         .iter()
         .flat_map(|folder| fs::read_dir(deploy.join(folder)).unwrap())
         .map(|entry| entry.unwrap().path().strip_prefix(&deploy).unwrap().to_owned())
         .collect();
-    assert_eq!(kept, made.into_keys().collect(), "in deploy there is a page too many: {RENEW}");
+    assert_eq!(kept, made.into_keys().collect(), "deploy has a file too many");
 }

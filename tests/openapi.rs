@@ -7,7 +7,7 @@ mod page;
 /// A value against a schema.
 mod schema;
 
-use crate::harness::{Daemon, next, problem};
+use crate::harness::{Daemon, assert_up_to_date, next, problem};
 use meissner_api::route::{Answer, Body};
 use meissner_api::{
     ArmRequest, CalibrateRequest, CalibrationReport, Code, Event, ImportedPattern, Method, PatternDetails,
@@ -17,26 +17,12 @@ use schema::check;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
-use std::path::Path;
-use std::{env, fs};
-
-const RENEW: &str = "MEISSNER_RENEW=1 cargo test --test tests openapi";
 
 #[test]
 fn the_books_copies_are_up_to_date() {
     let document = openapi::document();
-    let book = Path::new(env!("CARGO_MANIFEST_DIR"));
-    for (file, text) in
-        [("docs/reference/openapi.json", format!("{document:#}\n")), (REFERENCE, page::page(&document))]
-    {
-        let path = book.join(file);
-        if env::var_os("MEISSNER_RENEW").is_some() {
-            fs::create_dir_all(path.parent().unwrap()).unwrap();
-            fs::write(&path, &text).unwrap();
-        }
-        let kept = fs::read_to_string(&path).unwrap_or_default();
-        assert!(kept == text, "{file} is not what the types say today: {RENEW}");
-    }
+    assert_up_to_date("docs/reference/openapi.json", format!("{document:#}\n").as_bytes());
+    assert_up_to_date(REFERENCE, page::page(&document).as_bytes());
 }
 
 /// Calls `see` with each schema below this one, and the way to it.

@@ -3,12 +3,10 @@
 //! With MEISSNER_RENEW set the test writes them: `MEISSNER_RENEW=1 cargo test --test tests manual`.
 
 use super::pages::root;
+use crate::harness::assert_up_to_date;
 use clap::{Arg, Command};
-use std::env;
 use std::fmt::Write;
 use std::fs;
-
-const RENEW: &str = "MEISSNER_RENEW=1 cargo test --test tests manual";
 
 fn one_line(text: impl ToString) -> String {
     text.to_string().split_whitespace().collect::<Vec<_>>().join(" ")
@@ -100,11 +98,6 @@ fn configuration() -> String {
 #[test]
 fn the_manual_in_the_book_is_up_to_date() {
     for (name, made) in [("commands", commands()), ("configuration", configuration())] {
-        let file = root().join(format!("docs/reference/{name}.md"));
-        if env::var_os("MEISSNER_RENEW").is_some() {
-            fs::write(&file, &made).unwrap();
-        }
-        let kept = fs::read_to_string(&file).unwrap_or_default();
-        assert!(kept == made, "{} is not what the program says today: {RENEW}", file.display());
+        assert_up_to_date(format!("docs/reference/{name}.md"), made.as_bytes());
     }
 }
