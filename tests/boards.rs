@@ -39,8 +39,10 @@ fn finding<'a>(report: &'a Value, what: &str) -> &'a Value {
 #[test]
 fn the_doctor_measures_a_device() {
     let board = board();
-    for device in ["mock".to_owned(), "pty".to_owned(), format!("serial:{}", board.path().display())] {
-        let report = measured(&device);
+    let devices = ["mock".to_owned(), "pty".to_owned(), format!("serial:{}", board.path().display())];
+    let reports = devices.map(|device| spawn(move || measured(&device)));
+    for report in reports {
+        let report = report.join().unwrap();
         let measured = &report["device"];
         let number = |pointer: &str| measured.pointer(pointer).and_then(Value::as_f64).unwrap_or(f64::NAN);
         assert!(number("/round_trip/count") >= 500.0, "{report}");

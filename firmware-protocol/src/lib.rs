@@ -74,9 +74,9 @@
 //! # Reports
 //! `Verdict`, `OnsetRefused`, `Onset`, `Cut` and `Refused` must reach the host. The device numbers them and repeats them
 //! every 10 ms while it hears the host, until the host's `seen` includes their number. `Status` gives the number of
-//! reports made, so the host knows whether one is missing. The device stores 32. While 12 or fewer places are free, it
-//! takes no `Strokes` and only counts a `Refused`, to leave room for `Onset` and `Cut`. If there is no place at all, it
-//! loses the newest report and counts it.
+//! reports made, so the host knows whether one is missing. The device stores 32. The last 12 places are for `Onset`
+//! and `Cut`: when no others are free, the device takes no `Strokes`, and counts a `Refused` without reporting it. When no
+//! place is free, the device loses the newest report and counts it.
 //!
 //! # Outside the stream
 //! `Control` (arm, disarm, stop, e-stop, reset, move) names the epoch that it begins. The host repeats it until a `Status`
@@ -97,7 +97,7 @@
 //! first line counts as lost.
 //!
 //! *Outstanding return pulses* are the down pulses that a pin still needs to be back at rest. If a stroke is cut in its up
-//! burst, they are the up pulses played; later they are the rest of its down burst. A *return* begins at the rendered
+//! burst, the up pulses played are outstanding; later, the rest of its down burst is. A *return* begins at the rendered
 //! end: it cuts the running strokes, flushes the queue and at once plays the outstanding return pulses, then the lines are off.
 //! On-time limits do not apply to it.
 //!

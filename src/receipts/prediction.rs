@@ -7,6 +7,7 @@
 //!
 //! Invariant: a [`PredictedResponse`] is about bursts of which at most one in a hundred is unmeasured.
 
+use firmware_protocol::limits::MAX_DOWN_PULSES;
 use firmware_protocol::tick::Tick;
 use meissner_api::{PlayState, PredictedResponse, Rates, Receipt};
 use meissner_array::motor::{Ramp, WINDOW_TICKS};
@@ -19,8 +20,8 @@ use std::collections::{HashMap, HashSet};
 
 /// At most one burst in so many may be unmeasured.
 const ONE_IN: u64 = 100;
-/// Left out at the end of a play that was cut, ticks: the longest burst, a correction, and the motor's window.
-const CUT: u64 = 3000 + 900 + WINDOW_TICKS;
+/// Left out at the end of a play that was cut, ticks: the longest corrected burst, and the motor's window.
+const CUT: u64 = MAX_DOWN_PULSES as u64 + WINDOW_TICKS;
 /// Largest standard deviation of a measurement that counts: a share of an ideal motor's travel, plus µm. Half of the scatter of
 /// bursts.
 const MAX_SD: (f64, f64) = (0.05, 0.02);

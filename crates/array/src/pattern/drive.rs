@@ -3,7 +3,7 @@
 //! Invariant: [`Drive::check`] accepts only values within the ranges of `limits` and within the pattern's duration.
 
 use super::error::{KeyError, Problem};
-use super::limits::{AMPLITUDE_UM, FREQUENCY_HZ, MAX_SECONDS};
+use super::limits::{AMPLITUDE_RANGE, AMPLITUDE_UM, FREQUENCY_HZ, MAX_SECONDS};
 use crate::motor::{MotorError, SquareWave};
 use crate::units::UM_PER_PULSE;
 use firmware_protocol::stroke::MOTORS;
@@ -50,7 +50,7 @@ impl Drive {
         let hz = self.frequency_hz;
         in_range("frequency_hz", hz, FREQUENCY_HZ.contains(&hz), "0.1 to 300 Hz")?;
         let um = self.amplitude_um;
-        in_range("amplitude_um", um, AMPLITUDE_UM.contains(&um), "0 to 400 um")?;
+        in_range("amplitude_um", um, AMPLITUDE_UM.contains(&um), AMPLITUDE_RANGE)?;
         in_range("phase", self.phase, (0.0..1.0).contains(&self.phase), "at least 0 and below 1")?;
         for (key, time) in [("start_s", self.start_s), ("stop_s", self.stop_s)] {
             let Some(found) = time else { continue };

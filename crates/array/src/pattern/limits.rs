@@ -14,3 +14,5 @@ pub const MAX_SECONDS: f64 = 1e8;
 pub const FREQUENCY_HZ: RangeInclusive<f64> = 0.1..=300.0;
 /// Amplitudes of a drive, µm peak to peak: they stay below the controller's limit of 3 000 pulses.
 pub const AMPLITUDE_UM: RangeInclusive<f64> = 0.0..=400.0;
+/// [`AMPLITUDE_UM`] in messages.
+pub const AMPLITUDE_RANGE: &str = "0 to 400 um";

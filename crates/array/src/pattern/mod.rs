@@ -16,7 +16,9 @@ mod limits;
 
 pub use drive::{Drive, Warning, overlap};
 pub use error::{PatternError, Problem};
-pub use limits::{AMPLITUDE_UM, FORMAT, FREQUENCY_HZ, MAX_DRIVES, MAX_FILE_BYTES, MAX_SECONDS};
+pub use limits::{
+    AMPLITUDE_RANGE, AMPLITUDE_UM, FORMAT, FREQUENCY_HZ, MAX_DRIVES, MAX_FILE_BYTES, MAX_SECONDS,
+};
 
 use crate::units::seconds_to_ticks;
 use error::KeyError;

@@ -7,7 +7,7 @@ use crate::partition::Partition;
 use crate::shape::Shape;
 use crate::target::error::{KeyError, Problem, TargetError, within};
 use crate::target::motion::{Frame, Motion};
-use meissner_array::pattern::{self, AMPLITUDE_UM, MAX_SECONDS};
+use meissner_array::pattern::{self, AMPLITUDE_RANGE, AMPLITUDE_UM, MAX_SECONDS};
 use meissner_input::document::in_range;
 use meissner_input::message::quote;
 use meissner_skin::afferent::{self, AfferentModel, PAD_LENGTH_MM};
@@ -102,7 +102,7 @@ impl Target {
         }
         check_shape(&self.shape)?;
         within("reach_mm", self.reach_mm, &(0.0..=PAD_LENGTH_MM), "0 to 24 mm")?;
-        within("amplitude_um", self.amplitude_um, &AMPLITUDE_UM, "0 to 400 um")?;
+        within("amplitude_um", self.amplitude_um, &AMPLITUDE_UM, AMPLITUDE_RANGE)?;
         match self.motion {
             None => within("duration_s", self.duration_s, &(0.001..=MAX_SECONDS), "0.001 to 100000000 s"),
             Some(motion) => motion.check(self.duration_s).map_err(|fault| fault.within("motion")),

@@ -80,7 +80,7 @@ pub fn refusal_text(refusal: Refusal) -> &'static str {
     match refusal {
         Refusal::NotArmed => "it is not armed",
         Refusal::Motor => "there is no such motor",
-        Refusal::UpPulses => "a stroke of no or more than 3000 pulses",
+        Refusal::UpPulses => "a stroke without pulses, or with more than the controller allows",
         Refusal::Bursts => "a stroke's bursts overlap",
         Refusal::Unbalanced => "a stroke does not come back to rest",
         Refusal::Overlap => "two strokes of one motor overlap",
