@@ -92,7 +92,10 @@ fn a_closed_terminal_ends_the_daemon_like_sigterm() {
     let terminal = ptsname(&screen, Vec::new()).unwrap().into_string().unwrap();
     // The terminal is the daemon's own, as that of a shell is: when it is closed, the kernel says so.
     let mut command = std::process::Command::new("setsid");
-    command.args(["--ctty", PROGRAM]).stdin(File::options().read(true).write(true).open(terminal).unwrap());
+    // The tests may run under nohup, which programs inherit.
+    command
+        .args(["--ctty", "env", "--default-signal=HUP", PROGRAM])
+        .stdin(File::options().read(true).write(true).open(terminal).unwrap());
     let mut daemon = Daemon::by(command);
     daemon.wait_for_device();
     daemon.armed();

@@ -74,9 +74,9 @@
 //! # Reports
 //! `Verdict`, `OnsetRefused`, `Onset`, `Cut` and `Refused` must reach the host. The device numbers them and repeats them
 //! every 10 ms while it hears the host, until the host's `seen` includes their number. `Status` gives the number of
-//! reports made, so the host knows whether one is missing. The device stores 32. The last 12 places are for `Onset`
-//! and `Cut`: when no others are free, the device takes no `Strokes`, and counts a `Refused` without reporting it. When no
-//! place is free, the device loses the newest report and counts it.
+//! reports made, so the host knows whether one is missing. The device stores 32. It keeps the last 12 of these
+//! places for `Onset` and `Cut`: when only they are free, it takes no `Strokes`, and counts a refusal without a report. When
+//! no place is free, it loses the newest report and counts it.
 //!
 //! # Outside the stream
 //! `Control` (arm, disarm, stop, e-stop, reset, move) names the epoch that it begins. The host repeats it until a `Status`
@@ -96,10 +96,10 @@
 //! the bytes that came earlier. Where hosts can connect over several lines, a `Hello` on another line takes over, and the
 //! first line counts as lost.
 //!
-//! *Outstanding return pulses* are the down pulses that a pin still needs to be back at rest. If a stroke is cut in its up
-//! burst, the up pulses played are outstanding; later, the rest of its down burst is. A *return* begins at the rendered
-//! end: it cuts the running strokes, flushes the queue and at once plays the outstanding return pulses, then the lines are off.
-//! On-time limits do not apply to it.
+//! *Outstanding return pulses* are the down pulses that a pin still needs to be back at rest. A stroke that is cut in its up
+//! burst leaves the up pulses played outstanding. A stroke that is cut later leaves the rest of its down burst outstanding.
+//! A *return* begins at the rendered end: it cuts the running strokes, flushes the queue and at once plays the outstanding
+//! return pulses, then the lines are off. On-time limits do not apply to it.
 //!
 //! | event | what the controller does |
 //! |---|---|
