@@ -55,6 +55,8 @@ fn play(client: &mut Client, seconds: f64) -> Value {
 fn lines(folder: &Path) -> Vec<Value> {
     let entries = fs::read_dir(folder).map(|files| files.map(|file| file.unwrap().path()).collect());
     let mut files: Vec<PathBuf> = entries.unwrap_or_default();
+    // The other one is the list of days.
+    files.retain(|file| file.extension().is_some_and(|extension| extension == "jsonl"));
     files.sort();
     let mut lines = Vec::new();
     for file in files {

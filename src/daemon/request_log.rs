@@ -103,7 +103,8 @@ mod tests {
         let engine = Arc::new(engine.with(record.clone(), Realtime::default(), PathBuf::new()));
         drop(LoggedRequest::new(&engine, "home", Peer { pid: 7, uid: 0 }));
         record.close(Duration::from_secs(10));
-        let file = fs::read_dir(folder).unwrap().next().unwrap().unwrap().path();
+        let mut files = fs::read_dir(folder).unwrap().map(|file| file.unwrap().path());
+        let file = files.find(|file| file.extension().is_some()).unwrap();
         let line: Value = serde_json::from_str(&fs::read_to_string(file).unwrap()).unwrap();
         let said = ["event", "command", "user", "answer"].map(|key| line[key].as_str().unwrap());
         assert_eq!(said, ["command", "home", "root", "hung-up"]);

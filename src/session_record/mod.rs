@@ -10,6 +10,7 @@
 
 mod days;
 mod entry;
+mod removal;
 mod users;
 mod writer;
 

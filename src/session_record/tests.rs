@@ -63,6 +63,12 @@ fn lines(dir: &Path, day: &str) -> Vec<Value> {
     text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
 }
 
+/// The file of the record's only day.
+fn only_file(folder: &Path) -> fs::DirEntry {
+    let mut files = fs::read_dir(folder).unwrap().map(Result::unwrap);
+    files.find(|file| file.file_name().to_str().unwrap().ends_with(".jsonl")).unwrap()
+}
+
 /// What is logged while `work` runs.
 fn log_of(work: impl FnOnce()) -> Vec<String> {
     #[derive(Clone, Default)]
@@ -116,7 +122,7 @@ fn a_line_says_when_who_and_what() {
     log.add(started());
     let folder = dir.path().join("logbook");
     assert_eq!(fs::metadata(&folder).unwrap().permissions().mode() & 0o777, 0o750);
-    let file = fs::read_dir(&folder).unwrap().next().unwrap().unwrap();
+    let file = only_file(&folder);
     assert_eq!(file.metadata().unwrap().permissions().mode() & 0o777, 0o640);
     let day = file.file_name().into_string().unwrap();
     let lines = lines(dir.path(), day.strip_suffix(".jsonl").unwrap());
@@ -185,17 +191,20 @@ fn a_torn_line_is_cut_and_told() {
     assert!(said.len() == 1 && said[0].contains("cut off 14 bytes"), "{said:?}");
 }
 
+/// The daemon runs through; each day has an entry.
 #[test]
 fn a_change_of_day_removes_old_files() {
+    const DAY_NS: u64 = 86_400_000_000_000;
     let dir = tempfile::tempdir().unwrap();
     let mut writer = Writer::new(location(dir.path(), 2)).on(REAL, TimeZone::UTC);
     for day in 18..=23 {
-        writer.write(stamp(&format!("2026-11-{day}T12:00:00Z"), day), 0, &started());
+        writer.write(stamp(&format!("2026-11-{day}T12:00:00Z"), day * DAY_NS), 0, &started());
     }
     let mut left: Vec<_> =
         fs::read_dir(dir.path().join("logbook")).unwrap().map(|e| e.unwrap().file_name()).collect();
     left.sort();
-    assert_eq!(left, ["2026-11-20.jsonl", "2026-11-21.jsonl", "2026-11-22.jsonl", "2026-11-23.jsonl"]);
+    let days = ["2026-11-20.jsonl", "2026-11-21.jsonl", "2026-11-22.jsonl", "2026-11-23.jsonl"];
+    assert_eq!(left, [&days[..], &["days"]].concat());
 }
 
 #[test]
@@ -303,7 +312,7 @@ fn a_full_queue_does_not_wait_and_is_told() {
     }
     log.add(started());
     log.close(Duration::from_secs(10));
-    let file = fs::read_dir(dir.path().join("logbook")).unwrap().next().unwrap().unwrap().path();
+    let file = only_file(&dir.path().join("logbook")).path();
     let text = fs::read_to_string(file).unwrap();
     let lines: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     let entries = |line: &Value| line["entries"].as_u64().unwrap();
@@ -321,7 +330,7 @@ fn a_record_that_moves_loses_nothing() {
     let log = SessionRecord::none();
     log.move_to(Some(location(first.path(), 1)), Arc::clone(&users), timeout).unwrap();
     let entries = |dir: &Path| {
-        let file = fs::read_dir(dir.join("logbook")).unwrap().next().unwrap().unwrap().path();
+        let file = only_file(&dir.join("logbook")).path();
         fs::read_to_string(file).unwrap().lines().count()
     };
     log.add(started());

@@ -7,6 +7,7 @@
 
 use super::days;
 use super::entry::{Entry, Note};
+use super::removal::Removal;
 use jiff::civil::Date;
 use jiff::tz::TimeZone;
 use jiff::{Timestamp, Zoned};
@@ -46,7 +47,7 @@ impl Stamp {
 pub struct Location {
     /// The directory. It is made if it is missing; its parent is not.
     pub dir: PathBuf,
-    /// Days after which a file is removed.
+    /// Days of writing after which a file is removed.
     pub days: u32,
 }
 
@@ -88,6 +89,8 @@ struct Open {
     length: u64,
     /// Device and inode: its name may lead to another file by now.
     identity: (u64, u64),
+    /// It has a line of this opening, and the list of days says so.
+    listed: bool,
     /// Locked while the file is open: two daemons would cut each other's lines.
     _dir: File,
 }
@@ -109,6 +112,7 @@ pub(super) struct Writer {
     zone: Option<TimeZone>,
     disk: Disk,
     open: Option<Open>,
+    removal: Removal,
     /// Missing entries that no line has reported yet.
     missing: u64,
     /// Lines that are not durable yet.
@@ -130,6 +134,7 @@ impl Writer {
             zone: None,
             disk: Disk::REAL,
             open: None,
+            removal: Removal::default(),
             missing: 0,
             unsynced: 0,
             retry_after: RETRY_AFTER,
@@ -237,7 +242,18 @@ impl Writer {
             (self.missing, self.unsynced) = (0, self.unsynced + missing - 1);
         }
         self.append(&time, stamp, entry)?;
+        self.list_day(stamp);
         Ok(missing)
+    }
+
+    /// Lists the day of the open file once it has a line, and removes old files.
+    fn list_day(&mut self, stamp: Stamp) {
+        let Some(open) = self.open.as_mut().filter(|open| !open.listed) else { return };
+        open.listed = true;
+        let Location { dir, days } = &self.location;
+        if let Err(error) = self.removal.written(dir, open.day, stamp.monotonic, *days) {
+            warn!("{}: old files cannot be removed: {error}; remove them by hand", dir.display());
+        }
     }
 
     fn append(&mut self, time: &Zoned, stamp: Stamp, entry: &Entry) -> Result<(), Failure> {
@@ -285,12 +301,6 @@ impl Writer {
             warn!("{}: cut off {cut} bytes of a line that was never finished", open.path.display());
         }
         self.open = Some(open);
-        if let Err(error) = days::remove_old(&self.location.dir, day, self.location.days) {
-            warn!(
-                "{}: old files cannot be removed: {error}; remove them by hand",
-                self.location.dir.display()
-            );
-        }
         Ok(())
     }
 }
@@ -342,7 +352,7 @@ fn open(dir: &Path, day: Date) -> Result<(Open, u64), Failure> {
     }
     let (length, cut) = days::cut_torn(&file).map_err(wrong)?;
     let identity = (metadata.dev(), metadata.ino());
-    Ok((Open { day, path, file, length, identity, _dir: kept }, cut))
+    Ok((Open { day, path, file, length, identity, listed: false, _dir: kept }, cut))
 }
 
 fn sync_dir(dir: &Path) -> Result<(), Failure> {
