@@ -1,6 +1,8 @@
 //! Pattern files: valid ones, mistakes, and the shipped library.
 
-use meissner_array::pattern::{Drive, Pattern, Problem};
+use meissner_array::pattern::{
+    Drive, MAX_PROVENANCE_TABLES, MAX_PROVENANCE_TEXT, MAX_PROVENANCE_VALUES, Pattern, Problem,
+};
 use meissner_array::strokes::Strokes;
 use meissner_input::document;
 use meissner_test_support::documents::{assert_changes_refused, in_one_line};
@@ -99,6 +101,69 @@ fn size_and_number_of_drives_are_bounded() {
     assert_eq!(problem(&many), document::Problem::Own(Problem::TooManyDrives { count: 4097 }));
     // A file's name does not break the line either.
     in_one_line(Pattern::parse("", "a\nb")).unwrap_err();
+}
+
+/// A pattern's text with `drives` drives on all motors in turn, every key written out, and a comment on each line.
+fn long(drives: usize) -> String {
+    let mut text = "format = 1\nname = \"long\"\nduration_s = 1e4\n".to_owned();
+    for number in 0..drives {
+        let (motor, start_s) = (number % 24, (number / 24) as f64);
+        text += &format!(
+            "[[drive]] #\nmotor = {motor} #\nfrequency_hz = 60.5 #\namplitude_um = 80.5 #\nphase = 0.25 #\n"
+        );
+        text += &format!("start_s = {start_s:.3} #\nstop_s = {:.3} #\n\n", start_s + 0.875);
+    }
+    text
+}
+
+#[test]
+fn the_longest_pattern_with_a_full_provenance_is_read() {
+    let lists = format!("{:?}", [0; 127]).repeat(MAX_PROVENANCE_VALUES / 128 - 1).replace("][", "], [");
+    let text = format!("{}[provenance]\nlists = [{lists}]\ntext = {:?}\n", long(4096), "x".repeat(1 << 16));
+    let pattern = Pattern::parse(&text, "long.toml").unwrap();
+    assert_eq!(pattern.drives().len(), 4096);
+    let again = Pattern::parse(&pattern.to_toml(), "again").unwrap();
+    assert_eq!(again, pattern);
+}
+
+#[test]
+fn a_large_provenance_is_refused_with_place_and_remedy() {
+    let remedy = "leave some out, or keep them in a file of their own";
+    let nested =
+        |open: &str, close: &str, count| [open.repeat(count), "1".into(), close.repeat(count)].concat();
+    for (provenance, says) in [
+        (format!("a = {:?}", [1; MAX_PROVENANCE_VALUES]), "16384 keys and list items"),
+        (format!("a = [{}]", "{},".repeat(MAX_PROVENANCE_TABLES + 1)), "2048 tables"),
+        (format!("a = {:?}", "x".repeat(MAX_PROVENANCE_TEXT)), "131072 bytes of text"),
+        (format!("{} = 1", "x".repeat(MAX_PROVENANCE_TEXT + 1)), "131072 bytes of text"),
+        (format!("a = {}", nested("[", "]", 16)), "16 tables and lists within one another"),
+        (format!("a.{} = 1", nested("b.", "c", 15)), "16 tables and lists within one another"),
+    ] {
+        let head = "format = 1\nname = \"large\"\n[provenance]\n";
+        let line = in_one_line(Pattern::parse(&format!("{head}{provenance}\n"), "large.toml")).unwrap_err();
+        assert_eq!(line, format!("large.toml:3: `provenance` holds more than {says}: {remedy}"));
+    }
+    let deep = format!("{GOOD}a = {}", nested("[", "]", 15));
+    Pattern::parse(&deep, "deep.toml").unwrap();
+}
+
+/// What the parser would allocate is counted before it allocates: a table for each dot, 24 bytes for each sign.
+#[test]
+fn a_text_that_would_fill_the_memory_is_refused_before_it_is_read() {
+    let dotted: String = (0..8000).map(|key| format!("k{key}{} = 1\n", ".a".repeat(60))).collect();
+    let tables = "t = [{}, {}, {}, {}, {}, {}, {}, {}]\n".repeat(1 << 11);
+    for (text, says) in [
+        (dotted, "GOOD.toml:159: more than 8192 tables (each dot of a key makes one): leave some out"),
+        (tables, "more than 8192 tables"),
+        (
+            format!("t = [{}]\n", "[1],".repeat(1 << 15)),
+            "GOOD.toml:23: more than 40964 values: leave some out",
+        ),
+        ("\n".repeat((1 << 20) - GOOD.len()), "more than 524288 words and signs: leave some out"),
+    ] {
+        let line = in_one_line(Pattern::parse(&format!("{GOOD}{text}"), "GOOD.toml")).unwrap_err();
+        assert!(line.contains(says), "{line}");
+    }
 }
 
 #[test]

@@ -6,7 +6,6 @@
 
 use super::limits::{FORMAT, MAX_DRIVES, MAX_FILE_BYTES};
 use meissner_input::document::{self, DocumentError, Place};
-use meissner_input::message::quote;
 use std::fmt;
 
 /// A pattern that was refused: what is wrong, and where.
@@ -56,22 +55,11 @@ pub enum Problem {
     Overlap { motor: u8, other: usize, start_s: f64 },
     #[error("{count} drives are too many: a pattern has at most {MAX_DRIVES}")]
     TooManyDrives { count: usize },
+    #[error("holds more than {most} {what}: leave some out, or keep them in a file of their own")]
+    LargeProvenance { what: &'static str, most: usize },
     #[error("holds a date at {key}: leave it out, or quote it as a string")]
     Date { key: String },
 }
 
 /// A problem with a key of a pattern.
 pub(super) type KeyError = document::KeyError<Problem>;
-
-/// The key of the first date in a table, if there is one: what made a pattern does not depend on when.
-pub(super) fn date_in(table: &toml::Table) -> Option<String> {
-    fn is_or_holds(value: &toml::Value) -> bool {
-        match value {
-            toml::Value::Datetime(_) => true,
-            toml::Value::Array(values) => values.iter().any(is_or_holds),
-            toml::Value::Table(table) => table.values().any(is_or_holds),
-            _ => false,
-        }
-    }
-    table.iter().find(|(_, value)| is_or_holds(value)).map(|(key, _)| quote(key))
-}

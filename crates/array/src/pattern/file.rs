@@ -8,9 +8,9 @@
 use super::Pattern;
 use super::drive::Drive;
 use super::error::{KeyError, PatternError, Problem};
-use super::limits::{FORMAT, MAX_FILE_BYTES};
+use super::limits::{FORMAT, MAX_FILE_BYTES, MAX_SIZE};
 use firmware_protocol::stroke::MOTORS;
-use meissner_input::document::{Table, from_toml, in_range};
+use meissner_input::document::{Table, check_size, from_toml, in_range};
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 
@@ -28,6 +28,7 @@ fn read(text: &str) -> Result<Pattern, KeyError> {
     if text.len() > MAX_FILE_BYTES {
         return Err(KeyError::whole(None, Problem::TooLarge { bytes: text.len() }));
     }
+    check_size(text, MAX_SIZE)?;
     // The format comes first: another one may have other keys.
     let Table(RawFormat { format }) = from_toml(text, wanted)?;
     if format != i64::from(FORMAT) {

@@ -1,5 +1,6 @@
 //! The version of the pattern format, and the ranges of its values.
 
+use meissner_input::document::Size;
 use std::ops::RangeInclusive;
 
 /// The version of the file format this program reads and writes.
@@ -8,6 +9,17 @@ pub const FORMAT: u8 = 1;
 pub const MAX_DRIVES: usize = 4096;
 /// The most bytes of a pattern file; [`MAX_DRIVES`] written out take less.
 pub const MAX_FILE_BYTES: usize = 1 << 20;
+/// Most keys and list items of a provenance; `meissner optimise` writes at most 12 000.
+pub const MAX_PROVENANCE_VALUES: usize = 1 << 14;
+/// Most tables of a provenance.
+pub const MAX_PROVENANCE_TABLES: usize = 1 << 11;
+/// Most bytes of a provenance's keys and strings.
+pub const MAX_PROVENANCE_TEXT: usize = 1 << 17;
+/// Most tables and lists within one another in a provenance. Readers of JSON stop at 128.
+pub const MAX_PROVENANCE_DEPTH: usize = 16;
+/// The most that is read of a pattern file: [`MAX_DRIVES`] with every key, a full provenance, and comments.
+pub(super) const MAX_SIZE: Size =
+    Size { tokens: 1 << 19, tables: 2 * MAX_DRIVES, values: 6 * MAX_DRIVES + MAX_PROVENANCE_VALUES + 4 };
 /// The latest time in a pattern, s: three years, far below where `f64` seconds no longer distinguish ticks.
 pub const MAX_SECONDS: f64 = 1e8;
 /// Frequencies of a drive, Hz: the paper's motors vibrate up to 300 Hz.

@@ -13,11 +13,13 @@ mod drive;
 mod error;
 mod file;
 mod limits;
+mod provenance;
 
 pub use drive::{Drive, Warning, overlap};
 pub use error::{PatternError, Problem};
 pub use limits::{
-    AMPLITUDE_RANGE, AMPLITUDE_UM, FORMAT, FREQUENCY_HZ, MAX_DRIVES, MAX_FILE_BYTES, MAX_SECONDS,
+    AMPLITUDE_RANGE, AMPLITUDE_UM, FORMAT, FREQUENCY_HZ, MAX_DRIVES, MAX_FILE_BYTES, MAX_PROVENANCE_DEPTH,
+    MAX_PROVENANCE_TABLES, MAX_PROVENANCE_TEXT, MAX_PROVENANCE_VALUES, MAX_SECONDS,
 };
 
 use crate::units::seconds_to_ticks;
@@ -117,9 +119,7 @@ impl Pattern {
         for (index, drive) in self.drives.iter().enumerate() {
             drive.check(self.duration_s).map_err(|error| error.within(&format!("drive[{index}]")))?;
         }
-        if let Some(key) = error::date_in(&self.provenance) {
-            return Err(KeyError::key("provenance", Problem::Date { key }));
-        }
+        provenance::check(&self.provenance).map_err(|problem| KeyError::key("provenance", problem))?;
         if let Some((first, second)) = overlap(&self.drives) {
             let Drive { motor, .. } = self.drives[second];
             let problem = Problem::Overlap { motor, other: first + 1, start_s: self.drives[second].start() };

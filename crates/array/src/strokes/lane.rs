@@ -12,6 +12,7 @@ use crate::pattern::{Drive, Pattern};
 use crate::units::seconds_to_ticks;
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
+use std::sync::Arc;
 
 /// A drive's segment of a repeat.
 #[derive(Clone, Debug)]
@@ -26,7 +27,8 @@ struct Segment {
 #[derive(Clone, Debug)]
 pub(super) struct Lane {
     motor: u8,
-    segments: Vec<Segment>,
+    /// Clones share them: a count of a play's bytes takes a clone.
+    segments: Arc<[Segment]>,
     duration_s: Option<f64>,
     /// The end of the play.
     end: u64,
@@ -107,7 +109,7 @@ impl Lane {
             motor,
             shortest: segments.iter().map(|segment| segment.first_end).fold(NEVER, u64::min),
             strokes: first.strokes.clone(),
-            segments,
+            segments: segments.into(),
             duration_s,
             end: end.unwrap_or(NEVER),
             repeat: Repeat::of(0, duration_s),
@@ -156,5 +158,30 @@ impl Lane {
         self.segment = segment;
         self.strokes =
             self.segments[segment].strokes.shifted(self.repeat.start, self.repeat.end.min(self.end));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pattern::MAX_DRIVES;
+    use toml::Table;
+
+    /// The memory of a play: its drives as segments, shared by all who walk them.
+    #[test]
+    fn a_lane_of_the_longest_pattern_takes_64_bytes_a_drive_and_a_clone_none() {
+        let drive = |number: usize| Drive {
+            motor: 5,
+            frequency_hz: 60.0,
+            amplitude_um: 80.0,
+            phase: 0.0,
+            start_s: Some(number as f64),
+            stop_s: Some(number as f64 + 1.0),
+        };
+        let drives = (0..MAX_DRIVES).map(drive).collect();
+        let pattern = Pattern::new("long", Some(1e4), drives, Table::new()).unwrap();
+        let lane = Lane::of(5, &pattern, None).unwrap().unwrap();
+        assert_eq!((lane.segments.len(), size_of_val(&*lane.segments)), (4096, 1 << 18));
+        assert!(Arc::ptr_eq(&lane.clone().segments, &lane.segments) && size_of::<Lane>() <= 256);
     }
 }

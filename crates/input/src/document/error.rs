@@ -67,6 +67,8 @@ pub enum CommonProblem {
     /// A value of the wrong type.
     #[error("{message}")]
     Value { message: String },
+    #[error("more than {most} {what}: leave some out")]
+    TooMany { what: &'static str, most: usize },
     #[error("is {}: must be {range}", short_number(*.found))]
     Range { found: f64, range: Cow<'static, str> },
 }

@@ -2,15 +2,18 @@
 //!
 //! [`from_toml`] and [`from_json`] read a struct that is wrapped in [`Table`]. They turn the errors of serde into
 //! [`KeyError`]s: in our words, with the path and the line, and with the nearest known key for an unknown one. Which values are
-//! good is for the reader of each kind of document: it checks with [`in_range`] and has problems of its own.
+//! good is for the reader of each kind of document: it checks with [`in_range`] and has problems of its own. A reader of texts
+//! that strangers send calls [`check_size`] first.
 //!
 //! Invariant: no error displays a line break.
 
 mod error;
 mod lines;
+mod size;
 
 pub use error::{CommonProblem, DocumentError, KeyError, Place, Problem, in_range};
 pub use lines::line_of;
+pub use size::{Size, check_size};
 
 use crate::message::{nearest, one_line, quote};
 use lines::line_at;
