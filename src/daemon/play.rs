@@ -57,6 +57,11 @@ impl PreparedPlay {
 impl State {
     /// Gives a play its id and receipt, and sends it to the streamer. Returns the id and where the answer arrives.
     pub(super) fn begin(&mut self, prepared: PreparedPlay, client: Peer) -> Result<(u64, Reply), Problem> {
+        if !self.publisher.session_record.takes_plays() {
+            let detail = "the session record keeps every play and has no room for more at this rate: play less often; see \
+                          docs/reference/session-record.md";
+            return Err(Problem::new(Code::TooManyPlays, detail));
+        }
         let PreparedPlay { play, stored, seconds } = prepared;
         let id = self.plays.add(NewPlay { stored, seconds, client });
         let sent = self.send(Command::Play(Box::new(Play { id, ..play })), Some(id));

@@ -9,12 +9,8 @@ use super::engine::Engine;
 use crate::session_record::{CommandEntry, Note, Peer};
 use meissner_api::Problem;
 use serde::Serialize;
-use serde_json::Value;
 use std::sync::Arc;
 use tracing::{debug, info};
-
-/// Characters kept of a refusal's reason.
-const MAX_DETAIL: usize = 500;
 
 /// A request under way. Dropping it without a result means that its client has hung up.
 #[derive(Debug)]
@@ -30,7 +26,7 @@ impl LoggedRequest {
     pub(super) fn new(engine: &Arc<Engine>, command: &'static str, client: Peer) -> Self {
         Self {
             engine: Arc::clone(engine),
-            entry: CommandEntry::new(command, client, Value::Null),
+            entry: CommandEntry::new(command, client),
             client,
             title: command.to_owned(),
         }
@@ -39,7 +35,7 @@ impl LoggedRequest {
     /// Sets the arguments of the command.
     pub(super) fn set_arguments(&mut self, arguments: &impl Serialize) {
         // Parsed arguments can be serialized.
-        self.entry.asked = serde_json::to_value(arguments).unwrap_or_default();
+        self.entry.set_arguments(serde_json::to_value(arguments).unwrap_or_default());
     }
 
     /// Sets the command's name in the log, if its own is too short.
@@ -56,8 +52,9 @@ impl LoggedRequest {
     pub(super) fn result<T, E: AsRef<Problem>>(mut self, result: Result<T, E>) -> Result<T, E> {
         let problem = result.as_ref().err().map(AsRef::as_ref);
         self.entry.answer = problem.map_or_else(|| "ok".to_owned(), |problem| problem.code.clone());
-        // It may quote what the client sent.
-        self.entry.detail = problem.map(|problem| problem.detail.chars().take(MAX_DETAIL).collect());
+        if let Some(problem) = problem {
+            self.entry.set_detail(&problem.detail);
+        }
         result
     }
 }
@@ -66,7 +63,7 @@ impl Drop for LoggedRequest {
     fn drop(&mut self) {
         let Peer { pid, uid } = self.client;
         let (title, client) = (&self.title, self.engine.names.client(self.client));
-        let answer = match (&self.entry.detail, &*self.entry.answer) {
+        let answer = match (self.entry.detail(), &*self.entry.answer) {
             (Some(detail), code) => format!("refused ({code}): {detail}"),
             (None, "ok") => "done".to_owned(),
             (None, _) => "the client hung up before the answer".to_owned(),
@@ -88,6 +85,7 @@ mod tests {
     use meissner_api::Realtime;
     use meissner_stream::Settings;
     use meissner_stream::queues::queues;
+    use serde_json::Value;
     use std::fs;
     use std::path::PathBuf;
     use std::time::Duration;

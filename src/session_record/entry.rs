@@ -3,11 +3,23 @@
 //! Most are the daemon's events as clients see them; the others are commands, and the daemon's start, reloads and end. Events that
 //! come ten times a second or once per stroke are left out: receipts sum them up.
 //!
+//! A command keeps at most [`MAX_TEXT`] characters of each text that its client sent, and [`MAX_ITEMS`] items of a list.
+//!
 //! Invariant: the `event` key of a line determines its other keys.
 
 use meissner_api::Event;
 use serde::Serialize;
 use serde_json::Value;
+use std::io;
+
+/// Characters kept of a text among a command's arguments: more than any name has.
+const MAX_TEXT: usize = 100;
+/// Items kept of a list among them: as many as a calibration takes.
+const MAX_ITEMS: usize = 100;
+/// Characters kept of a problem.
+const MAX_DETAIL: usize = 500;
+/// Bytes of a line beside its entry: the times, and the user's name, which is added later.
+const LINE: u64 = 160;
 
 /// A client, as the kernel identifies it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -29,32 +41,67 @@ pub struct CommandEntry {
     uid: Option<u32>,
     /// That user's name; null: not known.
     user: Option<String>,
-    /// Its arguments; null: none.
-    pub asked: Value,
+    /// Its arguments, cut; null: none.
+    asked: Value,
     /// The play it began.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub play: Option<u64>,
     /// `ok`, the problem's code, or `hung-up` if the client did not wait for the answer.
     pub answer: String,
-    /// The problem, in one line.
+    /// The problem, in one line, cut.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub detail: Option<String>,
+    detail: Option<String>,
 }
 
 impl CommandEntry {
     /// A command that is not answered yet.
     #[must_use]
-    pub fn new(command: &'static str, client: Peer, asked: Value) -> Self {
+    pub fn new(command: &'static str, client: Peer) -> Self {
         Self {
             command,
             pid: (client.pid > 0).then_some(client.pid),
             uid: (client.uid != u32::MAX).then_some(client.uid),
             user: None,
-            asked,
+            asked: Value::Null,
             play: None,
             answer: "hung-up".to_owned(),
             detail: None,
         }
+    }
+
+    /// Sets the arguments.
+    pub fn set_arguments(&mut self, mut asked: Value) {
+        cut(&mut asked);
+        self.asked = asked;
+    }
+
+    /// Sets the problem.
+    pub fn set_detail(&mut self, detail: &str) {
+        self.detail = Some(detail.chars().take(MAX_DETAIL).collect());
+    }
+
+    /// The problem.
+    #[must_use]
+    pub fn detail(&self) -> Option<&str> {
+        self.detail.as_deref()
+    }
+}
+
+/// Cuts long texts and lists.
+fn cut(value: &mut Value) {
+    match value {
+        Value::String(text) => {
+            if let Some((at, _)) = text.char_indices().nth(MAX_TEXT) {
+                text.truncate(at);
+                text.push_str("...");
+            }
+        }
+        Value::Array(items) => {
+            items.truncate(MAX_ITEMS);
+            items.iter_mut().for_each(cut);
+        }
+        Value::Object(keys) => keys.values_mut().for_each(cut),
+        _ => {}
     }
 }
 
@@ -90,6 +137,39 @@ pub enum Note {
         /// How many.
         entries: u64,
     },
+    /// Clients or devices made more entries than the record takes.
+    LeftOut {
+        /// How many were left out since the last such entry.
+        entries: u64,
+        /// Whose they were.
+        of: Vec<LeftOut>,
+    },
+}
+
+/// Entries of one kind that were left out.
+#[derive(Clone, Debug, Serialize)]
+pub struct LeftOut {
+    /// The client's user; null: not known, or none.
+    pub(super) uid: Option<u32>,
+    /// That user's name; null: not known.
+    pub(super) user: Option<String>,
+    /// The command, or the event without a client.
+    pub(super) what: &'static str,
+    /// How many.
+    pub(super) entries: u64,
+}
+
+/// Entries that share a bound.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kind {
+    /// A play that was accepted, and what became of it.
+    Play,
+    /// An emergency stop.
+    EStop,
+    /// Another command.
+    Command,
+    /// What the daemon and its device did.
+    Daemon,
 }
 
 /// The content of a line.
@@ -126,20 +206,65 @@ impl Entry {
         }
     }
 
-    /// The user whose name is not set yet.
-    pub(super) fn unnamed_user(&self) -> Option<u32> {
+    /// Sets the names of users.
+    pub(super) fn name_users(&mut self, mut name: impl FnMut(u32) -> Option<String>) {
         match self {
-            Self::Note(Note::Command(CommandEntry { user: None, uid, .. }))
-            | Self::Event { user: None, uid, .. } => *uid,
-            _ => None,
+            Self::Note(Note::Command(CommandEntry { user, uid, .. })) | Self::Event { user, uid, .. } => {
+                *user = uid.and_then(name);
+            }
+            Self::Note(Note::LeftOut { of, .. }) => {
+                for row in of {
+                    row.user = row.uid.and_then(&mut name);
+                }
+            }
+            Self::Note(_) => {}
         }
     }
 
-    pub(super) fn set_user(&mut self, name: Option<String>) {
+    /// Its kind, its client's user, and the command or event.
+    pub(super) fn kind(&self) -> (Kind, Option<u32>, &'static str) {
+        let daemon = |name| (Kind::Daemon, None, name);
         match self {
-            Self::Note(Note::Command(CommandEntry { user, .. })) | Self::Event { user, .. } => *user = name,
-            Self::Note(_) => {}
+            Self::Note(Note::Command(CommandEntry { command, uid, play, .. })) => {
+                let kind = match (*command, play) {
+                    (_, Some(_)) => Kind::Play,
+                    ("estop", _) => Kind::EStop,
+                    _ => Kind::Command,
+                };
+                (kind, *uid, command)
+            }
+            Self::Note(Note::DaemonStarted { .. }) => daemon("daemon-started"),
+            Self::Note(Note::DaemonEnded { .. }) => daemon("daemon-ended"),
+            Self::Note(Note::Reloaded { .. }) => daemon("reloaded"),
+            Self::Note(Note::Lost { .. }) => daemon("lost"),
+            Self::Note(Note::LeftOut { .. }) => daemon("left-out"),
+            Self::Event { event, .. } => match **event {
+                Event::Queued { .. }
+                | Event::Began { .. }
+                | Event::Ended { .. }
+                | Event::PredictedResponse { .. }
+                | Event::Calibrated { .. } => (Kind::Play, None, event.name()),
+                _ => daemon(event.name()),
+            },
         }
+    }
+
+    /// The bytes of its line, at most.
+    pub(super) fn bytes(&self) -> u64 {
+        struct Count(u64);
+        impl io::Write for Count {
+            fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+                self.0 += bytes.len() as u64;
+                Ok(bytes.len())
+            }
+            fn flush(&mut self) -> io::Result<()> {
+                Ok(())
+            }
+        }
+        let mut count = Count(LINE);
+        // An entry can be serialized, and counting does not fail.
+        let _ = serde_json::to_writer(&mut count, self);
+        count.0
     }
 }
 

@@ -3,24 +3,30 @@
 //! `DIR/2026-11-22.jsonl` holds each command with its client and answer, each play with its receipt, what devices did, and the
 //! daemon's start and end. Experiments read it later; the daemon never reads it. [`SessionRecord::add`] stamps an entry and queues
 //! it for a thread, which writes it, makes it durable [`SYNC_AFTER`] later, and sleeps while there is nothing to do. Entries that
-//! find no room are counted; the next line holds the count.
+//! find no room are counted; the next line holds the count. The record is bounded in bytes per day ([`BYTES_PER_DAY`]): entries beyond
+//! are counted by client and command, and entries about plays and the first e-stops are never among them.
 //!
 //! Invariants: nothing waits for the disk; every line of a file that was closed or opened again parses; lines of one daemon are in
 //! the order of `CLOCK_MONOTONIC`; missing entries are counted.
 
+mod budget;
 mod days;
 mod entry;
 mod removal;
 mod users;
 mod writer;
 
+pub use budget::BYTES_PER_DAY;
 pub use entry::{CommandEntry, Entry, Note, Peer};
 pub use users::Users;
 pub use writer::{Location, SYNC_AFTER};
 
+use budget::{Budget, REPORT_AFTER};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
+use entry::Kind;
+use meissner_stream::time::HostInstant;
 use std::io;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::thread;
 use std::time::{Duration, Instant};
 use tracing::warn;
@@ -42,12 +48,17 @@ enum Message {
     },
     /// Write the following entries there.
     Move(Location),
+    /// Entries are left out: say so after [`REPORT_AFTER`].
+    LeftOut,
 }
 
 /// The thread's queue. Entries are stamped in the order in which they are queued.
 #[derive(Debug)]
 struct Queue {
     messages: Sender<Message>,
+    /// Entries that may wait unless they are about plays or e-stops. The rest of the queue is for those.
+    room: usize,
+    budget: Budget,
     missed: u64,
     /// Disconnected when the thread has ended.
     ended: Receiver<()>,
@@ -55,17 +66,55 @@ struct Queue {
 }
 
 impl Queue {
-    /// Starts the thread.
-    fn open(writer: Writer, users: Arc<Users>, room: usize) -> io::Result<Self> {
+    /// Starts the thread for the record that owns the queue.
+    fn open(
+        writer: Writer,
+        users: Arc<Users>,
+        room: usize,
+        owner: Weak<Mutex<Option<Self>>>,
+    ) -> io::Result<Self> {
         let (messages, queue) = bounded(room);
         let (alive, ended) = bounded::<()>(0);
         let problem = writer.problem();
         let work = move || {
-            write_all(writer, &queue, &users);
+            write_all(writer, &queue, &users, &owner);
             drop(alive);
         };
         thread::Builder::new().name("session record".into()).spawn(work)?;
-        Ok(Self { messages, missed: 0, ended, problem })
+        let budget = Budget::new(HostInstant::now());
+        Ok(Self { messages, room: room.div_ceil(2), budget, missed: 0, ended, problem })
+    }
+
+    fn add(&mut self, entry: Entry, bytes: u64) {
+        let stamp = Stamp::now();
+        let had_left_out = self.budget.has_left_out();
+        if self.budget.takes(&entry, bytes, stamp.monotonic) {
+            self.send(stamp, entry);
+        } else if !had_left_out && self.messages.try_send(Message::LeftOut).is_err() {
+            // The queue is full: this entry is one of the missing ones, and the next one tries again.
+            self.budget.reported();
+            self.missed += 1;
+        }
+    }
+
+    fn send(&mut self, stamp: Stamp, entry: Entry) {
+        let first = matches!(entry.kind().0, Kind::Play | Kind::EStop);
+        let message = Message::Entry { stamp, missed: self.missed, entry };
+        // The thread outlives the queue: an error means that it is full.
+        let sent = (first || self.messages.len() < self.room) && self.messages.try_send(message).is_ok();
+        self.missed = if sent { 0 } else { self.missed + 1 };
+    }
+
+    /// Adds an entry about what was left out. Without room in the queue, it is tried again later.
+    fn report(&mut self) {
+        if self.budget.has_left_out() {
+            let message =
+                Message::Entry { stamp: Stamp::now(), missed: self.missed, entry: self.budget.report() };
+            if self.messages.try_send(message).is_ok() {
+                self.budget.reported();
+                self.missed = 0;
+            }
+        }
     }
 }
 
@@ -94,8 +143,10 @@ impl SessionRecord {
     }
 
     fn with(writer: Writer, users: Arc<Users>, room: usize) -> io::Result<Self> {
-        let queue = Queue::open(writer, users, room)?;
-        Ok(Self { queue: Arc::new(Mutex::new(Some(queue))) })
+        let record = Self::none();
+        let queue = Queue::open(writer, users, room, Arc::downgrade(&record.queue))?;
+        *record.lock() = Some(queue);
+        Ok(record)
     }
 
     /// Moves the record, or ends it: each entry is at the old location or at the new one. May wait `timeout` for the disk.
@@ -118,7 +169,8 @@ impl SessionRecord {
                 .send_timeout(Message::Move(location), timeout)
                 .map_err(|_| io::ErrorKind::TimedOut.into()),
             None => {
-                *self.lock() = Some(Queue::open(Writer::new(location), users, WAITING)?);
+                let owner = Arc::downgrade(&self.queue);
+                *self.lock() = Some(Queue::open(Writer::new(location), users, WAITING, owner)?);
                 Ok(())
             }
         }
@@ -137,22 +189,30 @@ impl SessionRecord {
 
     /// Adds an entry, stamped now. Never waits for the disk.
     pub fn add(&self, entry: impl Into<Entry>) {
-        let mut queue = self.lock();
-        let Some(Queue { messages, missed, .. }) = queue.as_mut() else { return };
-        let message = Message::Entry { stamp: Stamp::now(), missed: *missed, entry: entry.into() };
-        // The thread outlives the queue: an error means that it is full.
-        *missed = messages.try_send(message).map_or(*missed + 1, |()| 0);
+        let entry = entry.into();
+        let bytes = entry.bytes();
+        if let Some(queue) = self.lock().as_mut() {
+            queue.add(entry, bytes);
+        }
+    }
+
+    /// Whether it has room for more plays: entries about plays are never left out, so the daemon refuses plays while it has none.
+    #[must_use]
+    pub fn takes_plays(&self) -> bool {
+        self.lock().as_mut().is_none_or(|queue| queue.budget.takes_plays(HostInstant::now()))
     }
 
     /// Writes waiting entries, makes them durable and ends the record; waits for at most `timeout`.
     pub fn close(&self, timeout: Duration) {
         let until = Instant::now() + timeout;
-        let Some(Queue { messages, missed, ended, .. }) = self.lock().take() else { return };
-        let mut uncounted = missed;
+        let Some(mut queue) = self.lock().take() else { return };
+        queue.report();
+        let mut uncounted = queue.missed + u64::from(queue.budget.has_left_out());
+        let Queue { messages, missed, ended, .. } = queue;
         if missed > 0 {
             let entry = Note::Lost { entries: 1 }.into();
             let message = Message::Entry { stamp: Stamp::now(), missed: missed - 1, entry };
-            uncounted = messages.send_deadline(message, until).map_or(missed, |()| 0);
+            uncounted -= messages.send_deadline(message, until).map_or(0, |()| missed);
         }
         drop(messages);
         if ended.recv_deadline(until) == Err(RecvTimeoutError::Timeout) || uncounted > 0 {
@@ -162,30 +222,49 @@ impl SessionRecord {
 }
 
 /// The thread: writes entries until the queue is closed.
-fn write_all(mut writer: Writer, queue: &Receiver<Message>, users: &Arc<Users>) {
+fn write_all(
+    mut writer: Writer,
+    queue: &Receiver<Message>,
+    users: &Arc<Users>,
+    owner: &Weak<Mutex<Option<Queue>>>,
+) {
     let mut slow = false;
+    let mut report: Option<Instant> = None;
     loop {
-        let message = match writer.due() {
+        let message = match writer.due().into_iter().chain(report).min() {
             // Nothing is due: no timer.
             None => queue.recv().map_err(|_| RecvTimeoutError::Disconnected),
             Some(at) => queue.recv_deadline(at),
         };
         match message {
             Ok(Message::Move(location)) => writer.move_to(location),
+            Ok(Message::LeftOut) => report = Some(Instant::now() + REPORT_AFTER),
             Ok(Message::Entry { stamp, missed, mut entry }) => {
-                if let Some(uid) = entry.unnamed_user() {
-                    entry.set_user(name(users, uid, &mut slow));
-                }
+                entry.name_users(|uid| name(users, uid, &mut slow));
                 writer.write(stamp, missed, &entry);
             }
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => break,
         }
-        if writer.due().is_some_and(|at| at <= Instant::now()) {
+        let now = Instant::now();
+        if writer.due().is_some_and(|at| at <= now) {
             writer.sync();
+        }
+        if report.take_if(|at| *at <= now).is_some() {
+            report = report_left_out(owner).then(|| now + REPORT_AFTER);
         }
     }
     writer.finish();
+}
+
+/// Has the record add an entry about what it left out. Returns whether the queue had no room for it.
+fn report_left_out(owner: &Weak<Mutex<Option<Queue>>>) -> bool {
+    let Some(owner) = owner.upgrade() else { return false };
+    let mut queue = owner.lock().unwrap_or_else(PoisonError::into_inner);
+    queue.as_mut().is_some_and(|queue| {
+        queue.report();
+        queue.budget.has_left_out()
+    })
 }
 
 /// A user's name, if it is known within [`NAME_TIMEOUT`].

@@ -305,6 +305,7 @@ mod tests {
     }
 
     proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
         /// Whatever the clock shows, the record was written on more than `keep` days since a removed file's last line. True time
         /// bounds that number: a day in each [`MIN_APART`], and one at each start.
         #[test]

@@ -95,11 +95,12 @@ fn a_line_says_when_who_and_what() {
     let dir = tempfile::tempdir().unwrap();
     let users = Arc::new(Users::default());
     let log = SessionRecord::with(writer(dir.path(), REAL), users, WAITING).unwrap();
-    let mut command = CommandEntry::new("arm", Peer { pid: 12, uid: 0 }, json!({"assume_rest": true}));
+    let mut command = CommandEntry::new("arm", Peer { pid: 12, uid: 0 });
+    command.set_arguments(json!({"assume_rest": true}));
     command.answer = "no-device".to_owned();
     log.add(started());
     log.add(Note::Command(command));
-    log.add(Note::Command(CommandEntry::new("stop", Peer { pid: -1, uid: u32::MAX }, Value::Null)));
+    log.add(Note::Command(CommandEntry::new("stop", Peer { pid: -1, uid: u32::MAX })));
     let hello = DeviceInfo {
         kind: "mock".to_owned(),
         firmware: "1.0.0".to_owned(),
@@ -300,7 +301,7 @@ fn a_full_queue_does_not_wait_and_is_told() {
     };
     let dir = tempfile::tempdir().unwrap();
     let held = HELD.lock().unwrap();
-    let log = SessionRecord::with(writer(dir.path(), STUCK), Arc::new(Users::default()), 4).unwrap();
+    let log = SessionRecord::with(writer(dir.path(), STUCK), Arc::new(Users::default()), 8).unwrap();
     let begun = Instant::now();
     for entries in 100..120 {
         log.add(lost(entries));
@@ -378,4 +379,39 @@ fn a_pipe_in_the_directorys_place_is_a_line_and_hangs_nobody() {
     let mut writer = writer(dir.path(), REAL);
     let log = log_of(|| writer.write(stamp("2026-11-22T13:03:22Z", 1), 0, &started()));
     assert!(log[0].contains("Not a directory"), "{log:?}");
+}
+
+/// Every entry is a line, or is counted as left out (the budget) or lost (the queue); plays and e-stops have lines.
+#[test]
+fn a_flood_is_counted_and_plays_and_e_stops_stay() {
+    const FLOOD: u64 = 20_000;
+    let dir = tempfile::tempdir().unwrap();
+    let log = SessionRecord::with(writer(dir.path(), REAL), Arc::new(Users::default()), WAITING).unwrap();
+    let command = |name| CommandEntry::new(name, Peer { pid: 12, uid: 0 });
+    for round in 0..FLOOD {
+        log.add(Note::Command(command("stop")));
+        if round % 100 == 0 {
+            assert!(log.takes_plays());
+            let mut play = command("play");
+            play.play = Some(round);
+            log.add(Note::Command(play));
+            log.add(Note::Command(command("estop")));
+        }
+    }
+    log.close(Duration::from_secs(60));
+    let text = fs::read_to_string(only_file(&dir.path().join("logbook")).path()).unwrap();
+    let lines: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let of = |name: &str| lines.iter().filter(|line| line["command"] == name).count() as u64;
+    assert_eq!((of("play"), of("estop")), (FLOOD / 100, FLOOD / 100));
+    let lost: u64 = lines
+        .iter()
+        .filter(|line| line["event"] == "lost")
+        .map(|line| line["entries"].as_u64().unwrap())
+        .sum();
+    let left_out = lines.iter().find(|line| line["event"] == "left-out").unwrap();
+    let count = FLOOD - of("stop") - lost;
+    assert_eq!(left_out["entries"], count);
+    assert_eq!(left_out["of"], json!([{"uid": 0, "user": "root", "what": "stop", "entries": count}]));
+    let times: Vec<_> = lines.iter().map(|line| line["monotonic_ns"].as_u64().unwrap()).collect();
+    assert!(times.is_sorted());
 }

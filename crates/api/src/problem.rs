@@ -41,6 +41,8 @@ pub enum Code {
     NotHome,
     /// The queue holds 16 plays.
     QueueFull,
+    /// The session record has no room for more plays at this rate.
+    TooManyPlays,
     /// The play in front has no end.
     BehindEndless,
     /// The requested onset is too close or has passed.
@@ -73,7 +75,7 @@ pub enum Code {
 
 impl Code {
     /// Every code, in the order of the API reference: by HTTP status.
-    pub const ALL: [Self; 28] = [
+    pub const ALL: [Self; 29] = [
         Self::BadRequest,
         Self::NotFound,
         Self::MethodNotAllowed,
@@ -96,6 +98,7 @@ impl Code {
         Self::TooLarge,
         Self::BadPattern,
         Self::QueueFull,
+        Self::TooManyPlays,
         Self::Store,
         Self::NoDevice,
         Self::Busy,
@@ -122,6 +125,7 @@ impl Code {
             Self::NotHome => ("not-home", 409, "Not all pins are at rest"),
             Self::NoPositionEstimate => ("nothing-to-go-by", 409, "Nothing tells where the pins are"),
             Self::QueueFull => ("queue-full", 429, "Too many plays are queued"),
+            Self::TooManyPlays => ("too-many-plays", 429, "Too many plays for the session record"),
             Self::BehindEndless => ("behind-endless", 409, "The play in front has no end"),
             Self::TooSoon => ("too-soon", 409, "The onset cannot be kept"),
             Self::Overlaps => ("overlaps", 409, "The onset lies within a queued play"),
@@ -187,7 +191,7 @@ mod tests {
         names.sort_unstable();
         names.dedup();
         // The last variant of the enum: a variant that is not in `ALL` would raise this number.
-        assert_eq!((names.len(), Code::ALL.len()), (28, Code::NoTelemetry as usize + 1));
+        assert_eq!((names.len(), Code::ALL.len()), (29, Code::NoTelemetry as usize + 1));
         assert!(Code::ALL.is_sorted_by_key(|code| code.parts().1));
     }
 }

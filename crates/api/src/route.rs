@@ -107,6 +107,7 @@ const QUEUE: &[Code] = &[
     Code::Returning,
     Code::Playing,
     Code::QueueFull,
+    Code::TooManyPlays,
     Code::LineTooSlow,
     Code::Store,
 ];

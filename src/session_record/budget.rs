@@ -1,0 +1,373 @@
+//! Bounds the bytes of the session record, and counts the entries that it leaves out.
+//!
+//! Each kind of entry has a reserve of bytes that refills with time ([`Rate`]): plays, e-stops, the daemon's own entries, and the
+//! other commands, of which each user also has a reserve. An entry for which the reserve has no room is left out and counted by
+//! client and command. Entries about plays are never left out: while their reserve is empty, the daemon refuses new plays.
+//!
+//! Bounds: [`BYTES_PER_DAY`]; [`USERS`] and [`ROWS`].
+//!
+//! Invariant: an entry is taken or counted.
+
+use super::entry::{Entry, Kind, LeftOut, Note};
+use meissner_stream::time::HostInstant;
+use std::collections::{BTreeMap, HashMap};
+use std::time::Duration;
+
+/// Seconds of a day.
+const DAY_S: u64 = 86_400;
+
+/// A reserve of bytes.
+#[derive(Debug)]
+struct Rate {
+    /// Its size.
+    burst: u64,
+    /// Bytes per second that come back.
+    per_s: u64,
+}
+
+impl Rate {
+    /// The most bytes that it gives in a day.
+    const fn per_day(&self) -> u64 {
+        self.burst + self.per_s * DAY_S
+    }
+}
+
+/// Plays, with their receipts: a session of 80 000 plays at once, and three plays a second for ever.
+const PLAYS: Rate = Rate { burst: 128 << 20, per_s: 4 << 10 };
+/// E-stops: 4 000 at once, and one a second.
+const ESTOPS: Rate = Rate { burst: 1 << 20, per_s: 256 };
+/// Entries that no client causes: starts, reloads, devices.
+const DAEMON: Rate = Rate { burst: 1 << 20, per_s: 256 };
+/// The other commands of a user: 3 000 at once, and one a second.
+const USER: Rate = Rate { burst: 1 << 20, per_s: 256 };
+/// The other commands of all users.
+const ALL_USERS: Rate = Rate { burst: 4 << 20, per_s: 1 << 10 };
+/// Users with a reserve of their own at a time: more than a lab has. Further users share one.
+const USERS: usize = 64;
+/// Rows of an entry about what is left out. What finds no row is counted together.
+const ROWS: usize = 32;
+/// The most bytes of an entry that is not about a play.
+pub(super) const MAX_ENTRY: u64 = 8 << 10;
+/// How long left-out entries are counted before an entry says so.
+pub(super) const REPORT_AFTER: Duration = Duration::from_secs(60);
+/// Queued plays that may end after their reserve is empty, with the longest receipts.
+const IN_FLIGHT: u64 = 2 << 20;
+
+/// The most bytes that a running daemon writes in a day.
+pub const BYTES_PER_DAY: u64 = PLAYS.per_day()
+    + IN_FLIGHT
+    + ESTOPS.per_day()
+    + DAEMON.per_day()
+    + ALL_USERS.per_day()
+    + MAX_ENTRY * (DAY_S / REPORT_AFTER.as_secs() + 1);
+
+/// What a reserve holds now.
+#[derive(Debug)]
+struct Reserve {
+    rate: &'static Rate,
+    /// Below zero: more was taken than there was.
+    bytes: f64,
+    at: HostInstant,
+}
+
+impl Reserve {
+    const fn new(rate: &'static Rate, now: HostInstant) -> Self {
+        Self { rate, bytes: rate.burst as f64, at: now }
+    }
+
+    fn refill(&mut self, now: HostInstant) {
+        let new = self.rate.per_s as f64 * now.since(self.at).as_secs_f64();
+        (self.bytes, self.at) = ((self.bytes + new).min(self.rate.burst as f64), now);
+    }
+
+    fn has(&self, bytes: u64) -> bool {
+        self.bytes >= bytes as f64
+    }
+
+    fn take(&mut self, bytes: u64) {
+        self.bytes -= bytes as f64;
+    }
+}
+
+/// See the module.
+#[derive(Debug)]
+pub(super) struct Budget {
+    plays: Reserve,
+    estops: Reserve,
+    daemon: Reserve,
+    all_users: Reserve,
+    /// By user; the highest number stands for the users that share a reserve.
+    users: HashMap<u32, Reserve>,
+    left_out: BTreeMap<(Option<u32>, &'static str), u64>,
+}
+
+impl Budget {
+    pub(super) fn new(now: HostInstant) -> Self {
+        Self {
+            plays: Reserve::new(&PLAYS, now),
+            estops: Reserve::new(&ESTOPS, now),
+            daemon: Reserve::new(&DAEMON, now),
+            all_users: Reserve::new(&ALL_USERS, now),
+            users: HashMap::new(),
+            left_out: BTreeMap::new(),
+        }
+    }
+
+    /// Whether an entry of so many bytes is to be written; if not, it is counted.
+    pub(super) fn takes(&mut self, entry: &Entry, bytes: u64, now: HostInstant) -> bool {
+        let (kind, uid, name) = entry.kind();
+        let taken = match kind {
+            Kind::Play => {
+                self.plays.refill(now);
+                self.plays.take(bytes);
+                return true;
+            }
+            _ if bytes > MAX_ENTRY => false,
+            Kind::EStop => take(&mut [&mut self.estops], bytes, now),
+            Kind::Daemon => take(&mut [&mut self.daemon], bytes, now),
+            Kind::Command => {
+                let user = uid.unwrap_or(u32::MAX);
+                self.users.retain(|&uid, reserve| {
+                    reserve.refill(now);
+                    uid == user || !reserve.has(USER.burst)
+                });
+                let own = self.users.len() < USERS || self.users.contains_key(&user);
+                let user = if own { user } else { u32::MAX };
+                let reserve = self.users.entry(user).or_insert_with(|| Reserve::new(&USER, now));
+                take(&mut [reserve, &mut self.all_users], bytes, now)
+            }
+        };
+        if !taken {
+            let key = (uid, name);
+            let is_new = !self.left_out.contains_key(&key);
+            let row = if is_new && self.left_out.len() >= ROWS - 1 { (None, "other") } else { key };
+            *self.left_out.entry(row).or_default() += 1;
+        }
+        taken
+    }
+
+    /// Whether the reserve for plays has room.
+    pub(super) fn takes_plays(&mut self, now: HostInstant) -> bool {
+        self.plays.refill(now);
+        self.plays.has(1)
+    }
+
+    pub(super) fn has_left_out(&self) -> bool {
+        !self.left_out.is_empty()
+    }
+
+    /// The entry about what was left out.
+    pub(super) fn report(&self) -> Entry {
+        let row = |(&(uid, what), &entries): (&(Option<u32>, &'static str), &u64)| LeftOut {
+            uid,
+            user: None,
+            what,
+            entries,
+        };
+        let of: Vec<_> = self.left_out.iter().map(row).collect();
+        Note::LeftOut { entries: of.iter().map(|row| row.entries).sum(), of }.into()
+    }
+
+    /// The entry about what was left out is queued.
+    pub(super) fn reported(&mut self) {
+        self.left_out.clear();
+    }
+}
+
+/// Takes bytes from all of these reserves, or from none.
+fn take(reserves: &mut [&mut Reserve], bytes: u64, now: HostInstant) -> bool {
+    for reserve in reserves.iter_mut() {
+        reserve.refill(now);
+    }
+    let has = reserves.iter().all(|reserve| reserve.has(bytes));
+    if has {
+        reserves.iter_mut().for_each(|reserve| reserve.take(bytes));
+    }
+    has
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::session_record::{CommandEntry, Peer};
+    use meissner_api::{
+        BurstCounts, Event, LateCause, LateStroke, MAX_LISTED, OnsetRecord, Receipt, RefusedStroke,
+    };
+    use serde_json::{Value, json};
+
+    fn command(name: &'static str, uid: u32, asked: Value) -> CommandEntry {
+        let mut entry = CommandEntry::new(name, Peer { pid: 4_194_304, uid });
+        entry.set_arguments(asked);
+        entry.answer = "ok".to_owned();
+        entry
+    }
+
+    fn refused_play(uid: u32, name: &str) -> Entry {
+        let mut entry = command(
+            "play",
+            uid,
+            json!({"pattern": name, "late": "drop", "replace": false, "open_loop": false}),
+        );
+        entry.answer = "not-found".to_owned();
+        entry.set_detail(&format!("no pattern is called `{name}`; `meissner list` shows all"));
+        Note::Command(entry).into()
+    }
+
+    fn at(seconds: f64) -> HostInstant {
+        HostInstant::from_ns(1_000_000_000) + Duration::from_secs_f64(seconds)
+    }
+
+    /// What a day under load writes.
+    #[derive(Debug, Default)]
+    struct Day {
+        asked: u64,
+        taken: u64,
+        bytes: u64,
+        left_out: u64,
+    }
+
+    impl Day {
+        fn add(&mut self, budget: &mut Budget, (entry, bytes): &(Entry, u64), now: HostInstant) -> bool {
+            let takes = budget.takes(entry, *bytes, now);
+            self.asked += 1;
+            if takes {
+                (self.taken, self.bytes) = (self.taken + 1, self.bytes + bytes);
+            }
+            takes
+        }
+
+        fn report(&mut self, budget: &mut Budget) {
+            if budget.has_left_out() {
+                let report = budget.report();
+                let Entry::Note(Note::LeftOut { entries, of }) = &report else { panic!("{report:?}") };
+                assert_eq!(of.iter().map(|row| row.entries).sum::<u64>(), *entries);
+                self.left_out += entries;
+                self.bytes += report.bytes();
+                assert!(report.bytes() <= MAX_ENTRY);
+                budget.reported();
+            }
+        }
+    }
+
+    fn play(id: u64, receipt: Receipt) -> [Entry; 4] {
+        let mut accepted =
+            command("play", 1000, json!({"pattern": receipt.pattern, "seconds": 1.0, "late": "drop"}));
+        accepted.play = Some(id);
+        let onset = OnsetRecord {
+            requested_tick: 1 << 33,
+            actual_tick: 1 << 33,
+            monotonic_ns: 1 << 45,
+            uncertainty_ns: 9600,
+        };
+        let events = [
+            Event::Queued { id, pattern: receipt.pattern.clone(), seconds: Some(1.0) },
+            Event::Began { id, onset },
+            Event::Ended { receipt: Box::new(receipt) },
+        ];
+        let [queued, began, ended] =
+            events.map(|event| Entry::of(&event, Some(Peer { pid: 7, uid: 1000 })).unwrap());
+        [Note::Command(accepted).into(), queued, began, ended]
+    }
+
+    /// A day in which five users each send `load` once a second; a sixth plays each second, stops after each play, and stops in an
+    /// emergency each minute.
+    fn day(load: impl Fn(u32) -> Entry) -> Day {
+        let mut budget = Budget::new(at(0.0));
+        let mut day = Day::default();
+        let mut receipt = Receipt::new(3, "edge-45", &"0".repeat(64), Some(1.0));
+        receipt.bursts = Some(BurstCounts { planned: 1200, played: 1200, ..BurstCounts::default() });
+        let counted = |entry: Entry| {
+            let bytes = entry.bytes();
+            (entry, bytes)
+        };
+        let loads = [1, 2, 3, 4, 5].map(|uid| counted(load(uid)));
+        let play = play(3, receipt).map(counted);
+        let estop = counted(Note::Command(command("estop", 6, Value::Null)).into());
+        for second in 0..DAY_S {
+            let now = at(second as f64);
+            assert!(budget.takes_plays(now));
+            assert!(play.iter().all(|entry| day.add(&mut budget, entry, now)));
+            for load in &loads {
+                day.add(&mut budget, load, now);
+            }
+            if second % 60 == 0 {
+                assert!(day.add(&mut budget, &estop, now));
+                day.report(&mut budget);
+            }
+        }
+        day.report(&mut budget);
+        assert_eq!(day.asked, day.taken + day.left_out, "{day:?}");
+        assert!(day.bytes <= BYTES_PER_DAY && day.left_out > DAY_S, "{day:?}");
+        day
+    }
+
+    #[test]
+    fn a_day_of_refused_plays_and_a_day_of_stops_are_bounded_and_lose_no_play() {
+        const { assert!(BYTES_PER_DAY < 650_000_000) };
+        let long = "x".repeat(15_000);
+        let plays = 4 * DAY_S;
+        let stops = day(|uid| Note::Command(command("stop", uid, Value::Null)).into());
+        let refused = day(|uid| refused_play(uid, &long));
+        for day in [&stops, &refused] {
+            assert!(day.taken > plays + DAY_S / 60);
+        }
+        println!("stops: {stops:?}\nrefused plays: {refused:?}");
+    }
+
+    #[test]
+    fn the_longest_entries_are_bounded() {
+        for letter in ["x", "\u{1}", "\"", "\u{10ffff}", "\u{202e}"] {
+            let entry = refused_play(1, &letter.repeat(16 << 10));
+            assert!(entry.bytes() <= MAX_ENTRY, "{letter:?}: {}", entry.bytes());
+        }
+        let pulses = Note::Command(command("calibrate", 1, json!({"pulses": vec![200; 8000]}))).into();
+        assert!(Entry::bytes(&pulses) <= MAX_ENTRY);
+        let mut receipt = Receipt::new(u64::MAX, &"x".repeat(64), &"0".repeat(64), Some(1e8));
+        let (motor, tick) = (23, u64::MAX);
+        receipt.lateness.strokes =
+            vec![LateStroke { motor, tick, late_ms: 0.123_456_789, cause: LateCause::Device }; MAX_LISTED];
+        let reason = "x".repeat(64);
+        receipt.refusals = vec![RefusedStroke { motor, tick, reason }; MAX_LISTED];
+        receipt.rest_error_um = Some(vec![0.123_456_79; 24]);
+        let bytes: u64 = play(1, receipt).iter().map(Entry::bytes).sum();
+        // The running play, 32 that wait, and one that begins.
+        assert!(34 * bytes < IN_FLIGHT, "{bytes}");
+    }
+
+    #[test]
+    fn plays_are_refused_while_their_reserve_is_empty_and_never_left_out() {
+        let mut budget = Budget::new(at(0.0));
+        let entries = play(1, Receipt::new(3, "edge-45", &"0".repeat(64), Some(1.0)));
+        let mut plays = 0;
+        while budget.takes_plays(at(0.0)) {
+            assert!(entries.iter().all(|entry| budget.takes(entry, entry.bytes(), at(0.0))));
+            plays += 1;
+        }
+        assert!(plays > 50_000 && !budget.has_left_out(), "{plays}");
+        assert!(!budget.takes_plays(at(0.0)) && budget.takes_plays(at(2.0)));
+    }
+
+    #[test]
+    fn a_flood_costs_other_users_and_e_stops_nothing() {
+        let mut budget = Budget::new(at(0.0));
+        let stop = |uid| Note::Command(command("stop", uid, Value::Null)).into();
+        let flood: Entry = stop(1);
+        let taken = (0..100_000).filter(|_| budget.takes(&flood, flood.bytes(), at(0.0))).count();
+        assert!((1000..10_000).contains(&taken), "{taken}");
+        let others = [
+            stop(2),
+            Note::Command(command("estop", 1, Value::Null)).into(),
+            Entry::from(Note::DaemonEnded { problem: None }),
+        ];
+        assert!(others.iter().all(|entry| budget.takes(entry, entry.bytes(), at(0.0))));
+        // More users and commands than there are reserves and rows.
+        for uid in 0..1000 {
+            let stop: Entry = stop(uid);
+            for _ in 0..100 {
+                budget.takes(&stop, stop.bytes(), at(0.0));
+            }
+        }
+        assert!(budget.users.len() <= USERS + 1 && budget.left_out.len() <= ROWS);
+        assert!(budget.report().bytes() <= MAX_ENTRY, "{}", budget.report().bytes());
+    }
+}
