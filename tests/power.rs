@@ -5,6 +5,7 @@ use jiff::Zoned;
 use meissner::store::Store;
 use meissner_api::{ImportedPattern, Status};
 use meissner_client::{Client, ClientError};
+use meissner_input::message::is_plain;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use rustix::process::Signal;
@@ -265,6 +266,82 @@ fn the_session_record_tells_a_session_from_start_to_end() {
     assert!(plays[0].contains("INFO play 1 edge-45 by ") && plays[0].contains(": done, began "), "{log}");
     let armed = log.lines().filter(|line| line.contains("arm, assuming rest, by ")).collect::<Vec<_>>();
     assert!(armed.len() == 1 && armed[0].contains(&format!("pid {pid})")), "{log}");
+}
+
+/// Every text that a client or a configuration can send, with line breaks, terminal escapes and direction marks, and at length.
+#[test]
+fn foreign_text_makes_no_line_of_its_own_and_is_cut() {
+    const ODD: &str = "x\n2026-11-22T00:00:00Z  INFO estop by ada\r\u{1b}[2J\u{9b}1m\u{2028}\u{202e}\u{7f}";
+    let dir = directory();
+    let mut daemon = start(&dir, "trap '' HUP; export RUST_LOG=debug;");
+    armed(&mut daemon);
+    for text in [ODD.to_owned(), "x".repeat(5000)] {
+        let json = serde_json::to_string(&text).unwrap();
+        let toml = json.replace('\u{7f}', "\\u007f");
+        let escaped: String = text.bytes().map(|byte| format!("%{byte:02x}")).collect();
+        let bodies = [
+            "{\"pattern\": TEXT}",
+            "{\"late\": TEXT}",
+            "{TEXT: 1}",
+            "{\"motor\": TEXT}",
+            "{\"assume_rest\": TEXT}",
+            "TEXT",
+        ];
+        let mut requests = Vec::new();
+        for body in bodies {
+            let body = body.replace("TEXT", &json);
+            for command in ["play", "arm", "calibrate", "stop", "home", "reset"] {
+                requests.push((format!("POST /v1/{command}"), body.clone()));
+            }
+        }
+        for path in
+            [format!("/v1/{escaped}"), format!("/v1/plays/{escaped}"), format!("/v1/patterns/{escaped}")]
+        {
+            requests.extend(["GET", "PUT", "XX"].map(|method| (format!("{method} {path}"), toml.clone())));
+        }
+        for pattern in
+            ["name = TEXT", "TEXT = 1", "[provenance]\nTEXT = 1979-05-27", "[[drive]]\nTEXT = TEXT"]
+        {
+            let body = format!("format = 1\n{}\n", pattern.replace("TEXT", &toml));
+            requests.push(("PUT /v1/patterns/odd".to_owned(), body));
+        }
+        requests.push((format!("{} /v1/status", "X".repeat(5000)), String::new()));
+        for (request, body) in requests {
+            let length = body.len();
+            let answer = daemon.raw(
+                format!("{request} HTTP/1.1\r\nHost: m\r\nConnection: close\r\nContent-Length: {length}\r\n\r\n{body}")
+                    .as_bytes(),
+            );
+            let problem =
+                answer.split_once("\r\n\r\n").map(|(_, body)| body).filter(|body| body.starts_with('{'));
+            if let Some(detail) = problem.and_then(|problem| {
+                let problem: Value = serde_json::from_str(problem).ok()?;
+                problem["detail"].as_str().map(str::to_owned)
+            }) {
+                assert!(detail.chars().all(is_plain) && detail.len() < 600, "{request}: {detail:?}");
+            }
+        }
+        let file = dir.path().join("meissner.toml");
+        let config = fs::read_to_string(&file).unwrap();
+        fs::write(&file, format!("{toml} = 1\n{config}")).unwrap();
+        daemon.signal(Signal::HUP);
+        daemon.wait_for_log("the configuration stays as it was");
+        fs::write(&file, config).unwrap();
+    }
+    assert!(daemon.end().success());
+    let log = daemon.log();
+    for line in log.lines() {
+        assert!(line.starts_with("20") && line[..30].contains('Z'), "{line:?}");
+        assert!(line.chars().all(is_plain) && line.len() < 1000, "{line:?}");
+    }
+    assert!(log.contains(r"late`: unknown variant `x\n2026"), "{log}");
+    let folder = dir.path().join("logbook");
+    let entries = lines(&folder);
+    assert!(entries.iter().any(|line| line["asked"]["pattern"] == ODD), "the text as it was");
+    let files = fs::read_dir(folder).unwrap().map(|file| fs::read_to_string(file.unwrap().path()).unwrap());
+    for line in files.flat_map(|text| text.lines().map(str::to_owned).collect::<Vec<_>>()) {
+        assert!(line.chars().all(is_plain) && line.len() < 8192, "{line:?}");
+    }
 }
 
 /// An administrator may move it while the daemon runs.

@@ -3,8 +3,9 @@
 //! The fields are `MESSAGE`, `PRIORITY`, `SYSLOG_IDENTIFIER`, `TARGET`, and each field of the event in capitals: `play_id` is
 //! `PLAY_ID`. Spans are ignored. The usual crate for this sends on a blocking socket: a stuck journald would hold up an emergency stop.
 //!
-//! Invariant: sending never blocks; a line that journald does not take is lost.
+//! Invariants: sending never blocks; a line that journald does not take is lost; a value holds no line break.
 
+use meissner_input::message::Escaping;
 use std::fmt::{self, Write};
 use std::io;
 use std::os::unix::net::UnixDatagram;
@@ -67,16 +68,11 @@ struct Line {
 }
 
 impl Line {
-    /// `NAME=value`, or with a newline in it `NAME`, the value's length in eight bytes, little-endian, and the value.
+    /// `NAME=value`. The value is escaped: journald would take the text after a newline as another field.
     fn field(&mut self, name: &str, value: &str) {
         let value = &value[..value.floor_char_boundary(MAX_VALUE)];
         self.bytes.extend_from_slice(name.as_bytes());
-        if value.contains('\n') {
-            self.bytes.push(b'\n');
-            self.bytes.extend_from_slice(&(value.len() as u64).to_le_bytes());
-        } else {
-            self.bytes.push(b'=');
-        }
+        self.bytes.push(b'=');
         self.bytes.extend_from_slice(value.as_bytes());
         self.bytes.push(b'\n');
     }
@@ -85,7 +81,7 @@ impl Line {
         let mut text = std::mem::take(&mut self.text);
         text.clear();
         // Writing to a string cannot fail; a value whose formatting fails is cut there.
-        let _ = write!(text, "{value}");
+        let _ = write!(Escaping(&mut text), "{value}");
         if field.name() == "message" {
             self.field("MESSAGE", &text);
         } else if let Some(name) = name(field.name()) {
@@ -125,13 +121,9 @@ mod tests {
         let mut fields = BTreeMap::new();
         while !bytes.is_empty() {
             let at = bytes.iter().position(|byte| b"=\n".contains(byte)).unwrap();
+            assert_eq!(bytes[at], b'=', "no value has a line break");
             let (name, rest) = (String::from_utf8(bytes[..at].to_vec()).unwrap(), &bytes[at + 1..]);
-            let (value, rest) = if bytes[at] == b'=' {
-                rest.split_at(rest.iter().position(|&byte| byte == b'\n').unwrap())
-            } else {
-                let (length, rest) = rest.split_at(8);
-                rest.split_at(u64::from_le_bytes(length.try_into().unwrap()) as usize)
-            };
+            let (value, rest) = rest.split_at(rest.iter().position(|&byte| byte == b'\n').unwrap());
             assert!(fields.insert(name, String::from_utf8(value.to_vec()).unwrap()).is_none());
             assert_eq!(rest[0], b'\n');
             bytes = &rest[1..];
@@ -187,7 +179,8 @@ mod tests {
     #[test]
     fn a_value_cannot_make_another_field() {
         with_journald(|read, _| {
-            let text = "two\nPRIORITY=0\n\u{1b}[31mlines\n";
+            let text = "two\nPRIORITY=0\n\u{1b}[31mlines\u{2028}\u{202e}";
+            let shown = r"two\nPRIORITY=0\n\u{1b}[31mlines\u{2028}\u{202e}";
             tracing::info!(
                 cause = text,
                 _private = 1,
@@ -198,7 +191,7 @@ mod tests {
                 "{text}"
             );
             let fields = read();
-            assert_eq!((&*fields["MESSAGE"], &*fields["CAUSE"], &*fields["PRIORITY"]), (text, text, "6"));
+            assert_eq!((&*fields["MESSAGE"], &*fields["CAUSE"], &*fields["PRIORITY"]), (shown, shown, "6"));
             assert_eq!((&*fields["TYPE"], &*fields["A_B"], fields.len()), ("2", "3", 8));
             tracing::info!("{}", "ä".repeat(100_000));
             assert_eq!(read()["MESSAGE"].len(), MAX_VALUE);

@@ -4,21 +4,25 @@
 //! configuration; info, for the lab's notes; debug, for finding faults. `$RUST_LOG` chooses the level. Each message is complete
 //! without its fields, which are for searching.
 //!
-//! Invariant: nothing waits for the log's reader; a line that cannot be written at once is lost. An emergency stop must work.
+//! Invariants: nothing waits for the log's reader; a line that cannot be written at once is lost. An emergency stop must work. Messages
+//! and fields are escaped here, whatever they quote: no text of a client, a file or a device makes a line of its own.
 
 mod journal;
 
 use journal::Journal;
+use meissner_input::message::Escaping;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::fstat;
 use std::env;
+use std::fmt::Write as _;
 use std::io::{self, IsTerminal, Write};
 use std::path::Path;
-use tracing::{Level, warn};
+use tracing::{Level, Subscriber, warn};
 use tracing_subscriber::Layer;
 use tracing_subscriber::filter::Targets;
-use tracing_subscriber::fmt::format;
+use tracing_subscriber::fmt::{MakeWriter, format};
 use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::registry::LookupSpan;
 use tracing_subscriber::util::SubscriberInitExt;
 
 /// Where journald listens.
@@ -35,23 +39,30 @@ pub fn start(level: Level) {
     let journal = is_journal(&env::var("JOURNAL_STREAM").unwrap_or_default())
         .then(|| Journal::new(Path::new(JOURNALD)).ok())
         .flatten();
-    let text = || {
-        tracing_subscriber::fmt::layer()
-            .with_writer(|| Stderr)
-            .log_internal_errors(false)
-            .with_ansi(io::stderr().is_terminal())
-            .with_target(false)
-            // Fields are for searching the journal.
-            .fmt_fields(format::debug_fn(|out, field, value| match field.name() {
-                "message" => write!(out, "{value:?}"),
-                _ => Ok(()),
-            }))
-    };
-    let lines = journal.map_or_else(|| text().boxed(), Layer::boxed);
+    let text = || lines(|| Stderr, io::stderr().is_terminal()).boxed();
+    let lines = journal.map_or_else(text, Layer::boxed);
     tracing_subscriber::registry().with(filter).with(lines).init();
     if refused {
         warn!("RUST_LOG is not a valid filter, using `{level}`: write for example RUST_LOG=debug");
     }
+}
+
+/// A layer that writes lines of text.
+fn lines<S, W>(to: W, ansi: bool) -> impl Layer<S>
+where
+    S: Subscriber + for<'s> LookupSpan<'s>,
+    W: for<'w> MakeWriter<'w> + Send + Sync + 'static,
+{
+    tracing_subscriber::fmt::layer()
+        .with_writer(to)
+        .log_internal_errors(false)
+        .with_ansi(ansi)
+        .with_target(false)
+        // Fields are for searching the journal.
+        .fmt_fields(format::debug_fn(|out, field, value| match field.name() {
+            "message" => write!(Escaping(out), "{value:?}"),
+            _ => Ok(()),
+        }))
 }
 
 /// Whether stderr is the stream that journald gave this process, by device and inode in `$JOURNAL_STREAM`; a redirected stderr is
@@ -89,6 +100,37 @@ impl Write for Stderr {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::sync::{Arc, Mutex};
+
+    #[derive(Clone, Default)]
+    struct Kept(Arc<Mutex<Vec<u8>>>);
+
+    impl Write for Kept {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            self.0.lock().unwrap().extend_from_slice(bytes);
+            Ok(bytes.len())
+        }
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn foreign_text_makes_no_line() {
+        let kept = Kept::default();
+        let writer = kept.clone();
+        let log = tracing_subscriber::registry().with(lines(move || writer.clone(), false));
+        let text = "x\n2026-11-22 INFO estop by ada\r\u{1b}[2J\u{9b}1m\u{2028}\u{202e}";
+        tracing::subscriber::with_default(log, || {
+            tracing::info!(cause = text, "by {text}: \"done\" \\");
+            tracing::info!("{}", text);
+        });
+        let text = String::from_utf8(kept.0.lock().unwrap().clone()).unwrap();
+        let lines: Vec<_> = text.lines().collect();
+        let shown = r"x\n2026-11-22 INFO estop by ada\r\u{1b}[2J\u{9b}1m\u{2028}\u{202e}";
+        assert!(lines.len() == 2 && lines[0].ends_with(&format!("by {shown}: \"done\" \\")), "{lines:?}");
+        assert!(lines[1].ends_with(shown), "{lines:?}");
+    }
 
     #[test]
     fn stderr_is_the_journal_only_if_it_is_its_stream() {

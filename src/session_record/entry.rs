@@ -7,7 +7,9 @@
 //!
 //! Invariant: the `event` key of a line determines its other keys.
 
-use meissner_api::Event;
+use super::json;
+use meissner_api::{Event, MAX_DETAIL};
+use meissner_input::message;
 use serde::Serialize;
 use serde_json::Value;
 use std::io;
@@ -16,8 +18,6 @@ use std::io;
 const MAX_TEXT: usize = 100;
 /// Items kept of a list among them: as many as a calibration takes.
 const MAX_ITEMS: usize = 100;
-/// Characters kept of a problem.
-const MAX_DETAIL: usize = 500;
 /// Bytes of a line beside its entry: the times, and the user's name, which is added later.
 const LINE: u64 = 160;
 
@@ -77,7 +77,7 @@ impl CommandEntry {
 
     /// Sets the problem.
     pub fn set_detail(&mut self, detail: &str) {
-        self.detail = Some(detail.chars().take(MAX_DETAIL).collect());
+        self.detail = Some(message::cut(detail, MAX_DETAIL));
     }
 
     /// The problem.
@@ -263,7 +263,7 @@ impl Entry {
         }
         let mut count = Count(LINE);
         // An entry can be serialized, and counting does not fail.
-        let _ = serde_json::to_writer(&mut count, self);
+        let _ = json::write(&mut count, self);
         count.0
     }
 }

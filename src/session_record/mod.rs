@@ -12,6 +12,7 @@
 mod budget;
 mod days;
 mod entry;
+mod json;
 mod removal;
 mod users;
 mod writer;

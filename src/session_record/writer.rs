@@ -7,6 +7,7 @@
 
 use super::days;
 use super::entry::{Entry, Note};
+use super::json;
 use super::removal::Removal;
 use jiff::civil::Date;
 use jiff::tz::TimeZone;
@@ -260,7 +261,8 @@ impl Writer {
         let Some(open) = &mut self.open else { return Ok(()) };
         let time = time.strftime("%Y-%m-%dT%H:%M:%S%.6f%:z").to_string();
         let line = Line { time, monotonic_ns: stamp.monotonic.as_ns(), entry };
-        let bytes = serde_json::to_vec(&line).map_err(io::Error::from).map(|mut bytes| {
+        let mut bytes = Vec::new();
+        let bytes = json::write(&mut bytes, &line).map(|()| {
             bytes.push(b'\n');
             bytes
         });

@@ -37,7 +37,7 @@ pub mod status;
 pub use calibration::{CalibratedMotor, CalibrationReport, Provenance};
 pub use event::{Event, SensorFault};
 pub use pattern::{ImportedPattern, PatternDetails, PatternList, PatternSummary};
-pub use problem::{Code, Problem, REFERENCE};
+pub use problem::{Code, MAX_DETAIL, Problem, REFERENCE};
 pub use receipt::{
     BurstCounts, LateCause, LateCounts, LateStroke, LatenessRecord, LinkTraffic, MAX_LISTED, OnsetRecord,
     PlayState, PredictedResponse, Prediction, PulseCounts, Rates, Receipt, RefusedStroke,

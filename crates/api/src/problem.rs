@@ -2,13 +2,17 @@
 //!
 //! The daemon makes a [`Problem`] from a [`Code`] and one line of detail; clients switch on [`Problem::code`].
 //!
-//! Invariant: a published code keeps its meaning and its HTTP status.
+//! Invariants: a published code keeps its meaning and its HTTP status; a detail is one line of bounded length, whatever it quotes.
 
+use meissner_input::message::cut;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 /// The page of the book that describes the API; error messages point there.
 pub const REFERENCE: &str = "docs/reference/api.md";
+
+/// Characters of [`Problem::detail`], at most; three dots follow a longer one.
+pub const MAX_DETAIL: usize = 500;
 
 /// The kinds of errors. [`Code::parts`] gives each its stable name, HTTP status and title.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -167,15 +171,15 @@ pub struct Problem {
 }
 
 impl Problem {
-    /// An error of this code.
+    /// An error of this code. The detail is escaped and cut: it may quote what a client sent.
     #[must_use]
-    pub fn new(code: Code, detail: impl Into<String>) -> Self {
+    pub fn new(code: Code, detail: impl AsRef<str>) -> Self {
         let (name, status, title) = code.parts();
         Self {
             kind: format!("urn:meissner:problem:{name}"),
             title: title.to_owned(),
             status,
-            detail: detail.into(),
+            detail: cut(detail.as_ref(), MAX_DETAIL),
             code: name.to_owned(),
         }
     }
@@ -193,5 +197,14 @@ mod tests {
         // The last variant of the enum: a variant that is not in `ALL` would raise this number.
         assert_eq!((names.len(), Code::ALL.len()), (29, Code::NoTelemetry as usize + 1));
         assert!(Code::ALL.is_sorted_by_key(|code| code.parts().1));
+    }
+
+    #[test]
+    fn a_detail_is_one_line_of_bounded_length() {
+        let problem =
+            Problem::new(Code::NotFound, "no `a\n\u{1b}[1m\u{2028}\u{202e}`".to_owned() + &"x".repeat(5000));
+        let shown = "no `a\\n\\u{1b}[1m\\u{2028}\\u{202e}`xxx";
+        assert!(problem.detail.starts_with(shown) && problem.detail.ends_with("x..."), "{problem}");
+        assert!(problem.detail.len() < MAX_DETAIL + 40);
     }
 }

@@ -172,7 +172,7 @@ fn problem(fault: KeyError<Infallible>) -> Problem {
     })
 }
 
-fn bad(detail: impl Into<String>) -> Problem {
+fn bad(detail: impl AsRef<str>) -> Problem {
     Problem::new(Code::BadRequest, detail)
 }
 
@@ -230,6 +230,43 @@ mod tests {
         assert!(PlayRequest::parse(b"\xff").unwrap_err().detail.contains("not UTF-8"));
         // The message above says so.
         assert_eq!(MAX_AT_MS.to_string(), "3600000");
+    }
+
+    /// Each key and each kind of value, with text that would break a line or hide it, and with much of it.
+    #[test]
+    fn foreign_text_is_escaped_and_cut() {
+        for text in ["x\n2026 INFO estop by ada\r\u{1b}[2J\u{9b}\u{2028}\u{202e}\u{7f}", &"x".repeat(5000)] {
+            let text = serde_json::to_string(text).unwrap();
+            let long = text.len() > 5000;
+            let keys = ["pattern", "seconds", "at_tick", "at_ms", "boot", "late", "replace", "open_loop"];
+            let values = keys.iter().flat_map(|key| {
+                ["TEXT", "[TEXT]", "{TEXT: TEXT}"].map(|value| format!("{{\"{key}\": {value}}}"))
+            });
+            let whole = [
+                "TEXT",
+                "[TEXT]",
+                "{TEXT: 1}",
+                "{TEXT: {TEXT: TEXT}}",
+                "{\"pattern\": \"a\"} TEXT",
+                "TEXT: 1",
+            ];
+            for body in values.chain(whole.map(str::to_owned)) {
+                let body = body.replace("TEXT", &text).into_bytes();
+                let parsed = [
+                    PlayRequest::parse(&body).err(),
+                    ArmRequest::parse(&body).err(),
+                    CalibrateRequest::parse(&body).err(),
+                    parse_empty(&body).err(),
+                ];
+                for problem in parsed.into_iter().flatten() {
+                    let detail = &problem.detail;
+                    assert!(detail.chars().all(meissner_input::message::is_plain), "{detail:?}");
+                    assert!(!long || detail.len() < 400, "{}: {detail}", detail.len());
+                }
+            }
+        }
+        let late = PlayRequest::parse(br#"{"late": "x\n\u001b[1m"}"#).unwrap_err();
+        assert_eq!(late.detail, r"`late`: unknown variant `x\n\u{1b}[1m`, expected `drop` or `abort`");
     }
 
     #[test]

@@ -1,13 +1,60 @@
 //! Formats foreign text for a message of one line.
 //!
 //! Errors show text from a file or a person quoted, escaped and cut, and offer the nearest known key for an unknown one.
+//! Answers and logs pass through [`cut`] and [`Escaping`] once more, whatever made them.
 //!
-//! Invariant: no text from here holds a line break or is too long for a line.
+//! Invariant: no text from here holds a character that breaks the line, moves the cursor, or changes how its neighbours are shown.
+
+use std::fmt::{self, Write};
 
 /// The most characters of a foreign name that are shown.
 const SHOWN: usize = 64;
 /// The most characters of a parser's message that are shown.
 const SHOWN_OF_MESSAGE: usize = 200;
+
+/// Whether a character is shown as it is. Line breaks, control characters (also those that begin terminal escapes), Unicode's line
+/// and paragraph separators, direction marks and invisible letters are not.
+#[must_use]
+pub fn is_plain(c: char) -> bool {
+    match c {
+        ' '..='~' => true,
+        _ => c.escape_debug().len() == 1,
+    }
+}
+
+/// Writes text with the characters escaped that are not [plain](is_plain), as `\u{1b}` or `\n`. Quotes and backslashes stay: text
+/// may pass twice.
+#[derive(Debug)]
+pub struct Escaping<W>(pub W);
+
+impl<W: Write> Write for Escaping<W> {
+    fn write_str(&mut self, text: &str) -> fmt::Result {
+        for piece in text.split_inclusive(|c| !is_plain(c)) {
+            let plain = piece.trim_end_matches(|c| !is_plain(c));
+            self.0.write_str(plain)?;
+            piece[plain.len()..].chars().try_for_each(|c| write!(self.0, "{}", c.escape_debug()))?;
+        }
+        Ok(())
+    }
+}
+
+/// Text, escaped.
+#[must_use]
+pub fn escape(text: &str) -> String {
+    let mut shown = Escaping(String::new());
+    // Writing to a string cannot fail.
+    let _ = shown.write_str(text);
+    shown.0
+}
+
+/// The first `most` characters of a text, escaped; three dots say that there are more.
+#[must_use]
+pub fn cut(text: &str, most: usize) -> String {
+    match text.char_indices().nth(most) {
+        Some((end, _)) => escape(&text[..end]) + "...",
+        None => escape(text),
+    }
+}
 
 /// A foreign name, in backticks.
 pub fn quote(text: &str) -> String {
@@ -16,18 +63,14 @@ pub fn quote(text: &str) -> String {
     format!("`{shown}{cut}`")
 }
 
-/// A parser's message with its lines joined. The parser has quoted what it shows, so quotes and backslashes stay.
+/// A parser's message, which quotes foreign text.
+pub fn foreign(message: &str) -> String {
+    cut(message, SHOWN_OF_MESSAGE)
+}
+
+/// A parser's message with its own lines joined.
 pub fn one_line(message: &str) -> String {
-    let cut = if message.chars().nth(SHOWN_OF_MESSAGE).is_some() { "..." } else { "" };
-    let mut shown = String::new();
-    for c in message.trim_end().chars().take(SHOWN_OF_MESSAGE) {
-        match c {
-            '\n' => shown.push_str("; "),
-            '"' | '\'' | '\\' => shown.push(c),
-            c => shown.extend(c.escape_debug()),
-        }
-    }
-    shown + cut
+    cut(&message.trim_end().replace('\n', "; "), SHOWN_OF_MESSAGE)
 }
 
 /// A number, in short form also if it is very large or very small.
@@ -50,10 +93,12 @@ mod tests {
 
     #[test]
     fn text_is_one_line_of_bounded_length() {
-        let odd = "a\nb\r\u{2028}\u{85}\t\0";
-        for line in [quote(odd), one_line(odd)] {
-            assert!(line.chars().all(|c| !c.is_control() && c != '\u{2028}'), "{line:?}");
+        let odd = "a\nb\r\u{2028}\u{2029}\u{85}\t\0\u{1b}[2J\u{9b}\u{7f}\u{202e}\u{2066}\u{61c}\u{200b}\u{feff}\u{ad}\u{e0041}";
+        for line in [quote(odd), one_line(odd), foreign(odd), escape(odd), cut(odd, 100)] {
+            assert!(line.is_ascii() && line.chars().all(is_plain), "{line:?}");
         }
+        assert_eq!(escape("1 µm, naïve \"x\" \\ `y` 手\n\u{1b}"), "1 µm, naïve \"x\" \\ `y` 手\\n\\u{1b}");
+        assert_eq!((&*cut("äöü", 3), &*cut("äöü", 2)), ("äöü", "äö..."));
         assert_eq!(one_line("one\ntwo \"three\"\n"), "one; two \"three\"");
         assert_eq!(quote(&"x".repeat(1000)).len(), 64 + 5);
         assert_eq!(one_line(&"x".repeat(1000)).len(), 203);

@@ -15,7 +15,7 @@ pub use error::{CommonProblem, DocumentError, KeyError, Place, Problem, in_range
 pub use lines::line_of;
 pub use size::{Size, check_size};
 
-use crate::message::{nearest, one_line, quote};
+use crate::message::{foreign, nearest, one_line, quote};
 use lines::line_at;
 use serde::de::value::MapAccessDeserializer;
 use serde::de::{MapAccess, Visitor};
@@ -47,7 +47,7 @@ pub fn from_json<'t, T: Deserialize<'t>, P>(text: &'t str, wanted: Wanted) -> Re
 }
 
 fn json_syntax<P>(error: &serde_json::Error) -> KeyError<P> {
-    let message = format!("{} (column {})", one_line(&without_place(error)), error.column());
+    let message = format!("{} (column {})", foreign(&without_place(error)), error.column());
     KeyError::common(Some(error.line()), String::new(), CommonProblem::Syntax { language: "JSON", message })
 }
 
@@ -111,15 +111,19 @@ fn data<P>(path: &Path, line: Option<usize>, message: &str, wanted: Wanted) -> K
     } else {
         CommonProblem::Value { message: in_words(message) }
     };
-    let path = one_line(keys.concat().trim_start_matches('.'));
+    let path = foreign(keys.concat().trim_start_matches('.'));
     KeyError::common(line.filter(|&line| line > 0), path, problem)
 }
 
 /// The message of serde about a value, without names of Rust types.
 fn in_words(message: &str) -> String {
+    let variant = message.strip_prefix("unknown variant `").and_then(|rest| rest.rsplit_once("`, expected "));
+    if let Some((found, wanted)) = variant {
+        return format!("unknown variant {}, expected {wanted}", quote(found));
+    }
     let mistyped = message.strip_prefix("invalid type: ").or_else(|| message.strip_prefix("invalid value: "));
     let Some((found, wanted)) = mistyped.and_then(|rest| rest.rsplit_once(", expected ")) else {
-        return one_line(message);
+        return foreign(message);
     };
     let wanted = match wanted {
         "f64" => "a number",
@@ -134,7 +138,7 @@ fn in_words(message: &str) -> String {
         "a sequence" => "a list",
         other => other,
     };
-    format!("is {}: must be {wanted}", one_line(found))
+    format!("is {}: must be {wanted}", foreign(found))
 }
 
 /// A struct that is written as a table of its keys. (The reader that serde derives also takes a list of its values.)

@@ -5,6 +5,7 @@
 //!
 //! Invariant: nothing here opens a device.
 
+use meissner_input::message::escape;
 use serialport::{SerialPortInfo, SerialPortType};
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -91,12 +92,12 @@ pub(super) fn port(query: &BoardQuery, ports: &[SerialPortInfo]) -> Option<PathB
     first.map(|port| PathBuf::from(&port.port_name))
 }
 
-/// The serial number of the USB device behind a port, if it has one.
+/// The serial number of the USB device behind a port, if it has one, escaped: the device may send any text.
 pub(super) fn serial_of(path: &Path, ports: &[SerialPortInfo]) -> Option<String> {
     let path = path.canonicalize().ok()?;
     let port = ports.iter().find(|port| Path::new(&port.port_name) == path)?;
     match &port.port_type {
-        SerialPortType::UsbPort(usb) => usb.serial_number.clone(),
+        SerialPortType::UsbPort(usb) => usb.serial_number.as_deref().map(escape),
         _ => None,
     }
 }
@@ -116,6 +117,13 @@ mod tests {
             interface: Some(0),
         };
         SerialPortInfo { port_name: name.to_owned(), port_type: SerialPortType::UsbPort(usb) }
+    }
+
+    #[test]
+    fn a_serial_number_is_plain_text() {
+        let path = std::env::current_exe().unwrap();
+        let ports = [usb(path.to_str().unwrap(), BOARD, PRODUCT, Some("e6\n\u{1b}[2J\u{202e}"))];
+        assert_eq!(serial_of(&path, &ports).unwrap(), r"e6\n\u{1b}[2J\u{202e}");
     }
 
     #[test]

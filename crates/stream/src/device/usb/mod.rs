@@ -12,6 +12,7 @@ use crate::device::error::DeviceError;
 use crate::device::find::BoardQuery;
 use crate::link::LineRate;
 use interface::Interface;
+use meissner_input::message::escape;
 use pipe::Pipe;
 use rusb::{Context, DeviceHandle, UsbContext};
 use rustix::fd::BorrowedFd;
@@ -54,7 +55,7 @@ impl UsbPort {
             let product = handle.read_product_string_ascii(&descriptor).ok();
             let serial = handle.read_serial_number_string_ascii(&descriptor).ok();
             if query.matches(ids, product.as_deref(), serial.as_deref()) {
-                return Self::claim(handle, place, serial.unwrap_or_default());
+                return Self::claim(handle, place, escape(&serial.unwrap_or_default()));
             }
         }
         Err(denied.unwrap_or_else(none))
