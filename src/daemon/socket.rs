@@ -1,14 +1,16 @@
 //! The daemon's socket: bound here with a lock file beside it, or handed over by a service manager.
 //!
 //! The lock (`SOCKET.lock`, flock) decides between daemons that start at the same time, and ends with its process. Its file stays,
-//! because removing it would race. A socket file that no process answers is replaced. No directories are made.
+//! because removing it would race; only a file that other users may have open is replaced. A socket file that no process answers is
+//! replaced. No directories are made.
 //!
 //! Invariant: while a [`Bound`] lives, no other daemon is bound to its path.
 
 use listenfd::ListenFd;
 use meissner_client::MAX_SOCKET_PATH;
-use rustix::fs::{FlockOperation, flock};
+use rustix::fs::{FlockOperation, OFlags, flock};
 use rustix::net::sockopt::socket_acceptconn;
+use rustix::process::geteuid;
 use std::fs::{self, File, OpenOptions, Permissions};
 use std::io::{self, Read, Write};
 use std::os::unix::fs::{FileTypeExt, MetadataExt, OpenOptionsExt, PermissionsExt};
@@ -18,6 +20,8 @@ use tracing::warn;
 
 /// Owner and group may connect: members of the group may drive the motors.
 const MODE: u32 = 0o660;
+/// How often a lock file is replaced or found replaced before the daemon gives up.
+const LOCK_TRIES: u32 = 4;
 
 /// Why the daemon has no socket.
 #[derive(Debug, thiserror::Error)]
@@ -151,35 +155,59 @@ pub(super) fn check(socket: &Path) -> Result<(), SocketError> {
     Ok(())
 }
 
+/// Takes the lock. The directory may be one where others write: the file must be a regular file of this user, and its content
+/// changes only if no other user can open it and it has no other name.
 fn lock(socket: &Path) -> Result<File, SocketError> {
     let mut path = socket.as_os_str().to_owned();
     path.push(".lock");
     let path = PathBuf::from(path);
     let wrong = |source| SocketError::Io { path: path.clone(), source };
-    let mut options = OpenOptions::new();
-    options.read(true).write(true).create(true).truncate(false).mode(0o644);
-    let mut file = options.open(&path).map_err(|source| match source.kind() {
-        io::ErrorKind::PermissionDenied if socket.exists() => {
-            SocketError::Foreign { socket: socket.to_owned() }
+    for _ in 0..LOCK_TRIES {
+        let mut file = open_lock(socket, &path)?;
+        let found = file.metadata().map_err(wrong)?;
+        let private = found.mode() & 0o077 == 0 && found.nlink() == 1;
+        match flock(&file, FlockOperation::NonBlockingLockExclusive) {
+            Ok(()) if private && identity(&path) == Some((found.dev(), found.ino())) => {
+                file.set_len(0).and_then(|()| writeln!(file, "{}", std::process::id())).map_err(wrong)?;
+                return Ok(file);
+            }
+            Err(rustix::io::Errno::WOULDBLOCK) if private || UnixStream::connect(socket).is_ok() => {
+                let mut pid = String::new();
+                // For the message only.
+                let _ = (&mut file).take(16).read_to_string(&mut pid);
+                return Err(SocketError::Taken { socket: socket.to_owned(), pid: pid.trim().parse().ok() });
+            }
+            // Another daemon has replaced the file: take the new one.
+            Ok(()) if private => {}
+            // Other users may have it open, and hold a lock on it. No daemon answers, so this daemon replaces it.
+            Ok(()) | Err(rustix::io::Errno::WOULDBLOCK) => fs::remove_file(&path).map_err(wrong)?,
+            Err(errno) => return Err(wrong(errno.into())),
         }
-        _ => wrong(source),
-    })?;
-    match flock(&file, FlockOperation::NonBlockingLockExclusive) {
-        Ok(()) => {}
-        Err(rustix::io::Errno::WOULDBLOCK) => {
-            let mut pid = String::new();
-            // For the message only.
-            let _ = (&mut file).take(16).read_to_string(&mut pid);
-            return Err(SocketError::Taken { socket: socket.to_owned(), pid: pid.trim().parse().ok() });
-        }
-        Err(errno) => return Err(wrong(errno.into())),
     }
-    let write = |file: &mut File| {
-        file.set_len(0)?;
-        writeln!(file, "{}", std::process::id())
+    Err(wrong(io::Error::other("another process replaces it again and again")))
+}
+
+/// Opens the lock file, or makes it for this user alone. Follows no link, and does not wait for a pipe.
+fn open_lock(socket: &Path, path: &Path) -> Result<File, SocketError> {
+    let wrong = |source| SocketError::Io { path: path.to_owned(), source };
+    let mut options = OpenOptions::new();
+    options.read(true).write(true).create(true).truncate(false).mode(0o600);
+    options.custom_flags((OFlags::NOFOLLOW | OFlags::NONBLOCK).bits().cast_signed());
+    let file = options.open(path);
+    let found = match &file {
+        Ok(file) => file.metadata(),
+        Err(_) => fs::symlink_metadata(path),
     };
-    write(&mut file).map_err(wrong)?;
-    Ok(file)
+    match (file, found) {
+        (_, Ok(found)) if !found.is_file() => Err(wrong(io::Error::other("not a regular file: remove it"))),
+        (_, Ok(found)) if found.uid() != geteuid().as_raw() => {
+            Err(SocketError::Foreign { socket: socket.to_owned() })
+        }
+        (Err(error), _) if error.kind() == io::ErrorKind::PermissionDenied && socket.exists() => {
+            Err(SocketError::Foreign { socket: socket.to_owned() })
+        }
+        (file, _) => file.map_err(wrong),
+    }
 }
 
 /// Removes a stale socket. The lock is held: a process that answers here has lost its lock or never had one.
@@ -235,6 +263,67 @@ mod tests {
         fs::write(&socket, "precious").unwrap();
         assert!(matches!(Bound::new(&socket), Err(SocketError::NotASocket { .. })));
         assert_eq!(fs::read_to_string(&socket).unwrap(), "precious");
+    }
+
+    #[test]
+    fn a_lock_file_that_leads_elsewhere_is_not_written() {
+        let dir = tempfile::tempdir().unwrap();
+        let (socket, lock, precious) =
+            (dir.path().join("m.sock"), dir.path().join("m.sock.lock"), dir.path().join("key"));
+        fs::write(&precious, "precious").unwrap();
+        std::os::unix::fs::symlink(&precious, &lock).unwrap();
+        let line = Bound::new(&socket).unwrap_err().to_string();
+        assert!(line.contains("m.sock.lock: not a regular file: remove it"), "{line}");
+        fs::remove_file(&lock).unwrap();
+        std::os::unix::fs::symlink(dir.path().join("nothing"), &lock).unwrap();
+        assert!(Bound::new(&socket).is_err() && !dir.path().join("nothing").exists());
+        fs::remove_file(&lock).unwrap();
+        for mode in [0o600, 0o644] {
+            fs::set_permissions(&precious, Permissions::from_mode(mode)).unwrap();
+            fs::hard_link(&precious, &lock).unwrap();
+            drop(Bound::new(&socket).unwrap());
+            fs::remove_file(&lock).unwrap();
+        }
+        assert_eq!(fs::read_to_string(&precious).unwrap(), "precious");
+        rustix::fs::mknodat(rustix::fs::CWD, &lock, rustix::fs::FileType::Fifo, 0o600.into(), 0).unwrap();
+        assert!(Bound::new(&socket).unwrap_err().to_string().contains("not a regular file"));
+    }
+
+    /// Older daemons made the file readable for all, and a reader may lock it.
+    #[test]
+    fn a_readers_lock_does_not_stop_the_daemon() {
+        let dir = tempfile::tempdir().unwrap();
+        let (socket, lock) = (dir.path().join("m.sock"), dir.path().join("m.sock.lock"));
+        fs::write(&lock, "12\n").unwrap();
+        fs::set_permissions(&lock, Permissions::from_mode(0o644)).unwrap();
+        let reader = File::open(&lock).unwrap();
+        flock(&reader, FlockOperation::NonBlockingLockShared).unwrap();
+        let bound = Bound::new(&socket).unwrap();
+        assert_eq!(fs::metadata(&lock).unwrap().mode() & 0o777, 0o600);
+        assert_eq!(fs::read_to_string(&lock).unwrap(), format!("{}\n", std::process::id()));
+        assert!(matches!(Bound::new(&socket), Err(SocketError::Taken { pid: Some(_), .. })));
+        drop(bound);
+        drop(Bound::new(&socket).unwrap());
+        // An older daemon that runs keeps its lock.
+        let listener = UnixListener::bind(&socket).unwrap();
+        fs::set_permissions(&lock, Permissions::from_mode(0o644)).unwrap();
+        let older = File::open(&lock).unwrap();
+        flock(&older, FlockOperation::NonBlockingLockExclusive).unwrap();
+        assert!(matches!(Bound::new(&socket), Err(SocketError::Taken { pid: Some(_), .. })));
+        drop(listener);
+    }
+
+    #[test]
+    fn another_users_lock_file_is_left_alone() {
+        if !geteuid().is_root() {
+            return;
+        }
+        let dir = tempfile::tempdir().unwrap();
+        let (socket, lock) = (dir.path().join("m.sock"), dir.path().join("m.sock.lock"));
+        fs::write(&lock, "precious").unwrap();
+        std::os::unix::fs::chown(&lock, Some(12_345), None).unwrap();
+        assert!(matches!(Bound::new(&socket), Err(SocketError::Foreign { .. })));
+        assert_eq!(fs::read_to_string(&lock).unwrap(), "precious");
     }
 
     #[test]
