@@ -62,8 +62,8 @@
 //! A `Strokes` frame carries at most [`batch::MAX_BATCH`] packed strokes. Frames are numbered from 0 in each epoch (`seq`).
 //! The device takes frames in order. It buffers the next 8 that arrive out of order and ignores repeated ones. It
 //! answers each valid frame with a `Status`: `next_seq` acknowledges all frames before it, `out_of_order` names those that
-//! are buffered, and `credits` is the number of free stroke slots. The host sends no more strokes than it has credits and
-//! no frame beyond those 8. It sends again what is neither acknowledged nor buffered (selective repeat).
+//! are buffered, and `credits` is the number of strokes that it can still queue. The host sends no more strokes than it has
+//! credits and no frame beyond those 8. It sends again what is neither acknowledged nor buffered (selective repeat).
 //! The device accepts, refuses or drops a stroke as a whole. A `Verdict` lists the strokes of a frame that were not
 //! accepted; a frame without a verdict was accepted as sent.
 //!
@@ -73,10 +73,14 @@
 //!
 //! # Reports
 //! `Verdict`, `OnsetRefused`, `Onset`, `Cut` and `Refused` must reach the host. The device numbers them and repeats them
-//! every 10 ms while it hears the host, until the host's `seen` includes their number. `Status` gives the number of
-//! reports made, so the host knows whether one is missing. The device stores 32. It keeps the last 12 of these
-//! places for `Onset` and `Cut`: when only they are free, it takes no `Strokes`, and counts a refusal without a report. When
-//! no place is free, it loses the newest report and counts it.
+//! every 10 ms while it hears the host, until the host's `seen` includes their number. At most 32 are sent and not seen.
+//! `Status` gives the number of reports made, so the host knows whether one is missing. A host that has read all of them
+//! knows what became of every stroke that began before the tick of that status.
+//!
+//! `Refused` is never lost: the device has a place for each stroke that can be queued, and a refused stroke takes a credit
+//! until the host has seen its report. The device stores 32 of the other reports. It keeps the last 12 of these places for
+//! `Onset` and `Cut`: when only they are free, it takes no `Strokes`. When no place is free, it loses the newest report and
+//! counts it.
 //!
 //! # Outside the stream
 //! `Control` (arm, disarm, stop, e-stop, reset, move) names the epoch that it begins. The host repeats it until a `Status`

@@ -216,7 +216,7 @@ pub struct Status {
     pub next_seq: u16,
     /// Bit i: frame `next_seq + 1 + i` arrived out of order and is buffered.
     pub out_of_order: u8,
-    /// Free stroke slots after all frames before `next_seq`.
+    /// Free stroke slots after all frames before `next_seq`, less the refused strokes whose report is not seen.
     pub credits: u16,
     /// Reports made so far.
     pub reports: u16,

@@ -2,6 +2,7 @@
 
 use crate::bench::{Bench, SHELLS, arm, stroke};
 use Direction::{Down, Up};
+use firmware_protocol::controller::POOL;
 use firmware_protocol::limits::{OnTimeLimits, Refusal};
 use firmware_protocol::message::{Cause, Op, Report, State};
 use firmware_protocol::stroke::{Direction, Stroke};
@@ -167,5 +168,46 @@ fn moves_and_amendments_of_begun_strokes_count_against_on_time() {
         bench.run(400);
         assert_eq!((bench.device.counters().amendments_ignored, bench.device.counters().amended), (1, 1));
         assert_eq!(bench.bursts(3)[1].pulses, 10);
+    }
+}
+
+/// A host that reads no report for a while then learns of each refused stroke. Until then each takes a credit, so the device
+/// never holds more of them than it has places.
+#[test]
+fn no_report_of_a_refused_stroke_is_lost() {
+    for shell in SHELLS {
+        let mut bench = Bench::limited(shell, 20, 510_000);
+        bench.reading = false;
+        let mut refused = Vec::new();
+        for round in 0..44 {
+            // The first stroke of each motor uses up its on-time. The last round finds 16 credits.
+            let next: Vec<_> = (0..24).map(|motor| stroke(motor, bench.now + 100, 7, 6, 7)).collect();
+            bench.strokes(&next);
+            bench.run(130);
+            let taken = if round < 43 { 24 } else { POOL - refused.len() };
+            refused.extend(next[..taken].iter().filter(|_| round > 0).map(|one| (one.motor, one.up.wire())));
+        }
+        bench.ping(1);
+        let (status, counters) = (bench.status(), bench.device.counters());
+        assert_eq!((refused.len(), status.credits, counters.reports_lost), (POOL, 0, 0));
+        assert_eq!((usize::from(status.reports), counters.refused), (POOL + 1, 2 * (POOL as u64 + 8)));
+        bench.reading = true;
+        for _ in 0..40 {
+            bench.run(850);
+            bench.ping(2);
+        }
+        let (mut reported, mut full) = (Vec::new(), 0);
+        for report in bench.reports() {
+            match report {
+                Report::Refused { motor, up, reason: Refusal::MotorOnTime } => reported.push((motor, up)),
+                Report::Verdict { refused, reason: Some(Refusal::PoolFull), .. } => {
+                    full += refused.count_ones();
+                }
+                other => panic!("{other:?}"),
+            }
+        }
+        assert_eq!(full, 8);
+        assert_eq!(reported, refused, "{shell:?}");
+        assert_eq!(usize::from(bench.status().credits), POOL);
     }
 }

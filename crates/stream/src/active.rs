@@ -2,8 +2,8 @@
 //!
 //! The streamer counts strokes planned, late and refused in [`Active`]; [`Active::close`] makes the [`Outcome`].
 //!
-//! Invariant: `planned = played + late + dropped + refused`. The device counts the bursts played between the play's
-//! onset and its end; the rest was dropped.
+//! Invariant: `planned = played + late + dropped + refused`. The device reports each late and each refused stroke, and counts
+//! the bursts played between the play's onset and its end. The rest was dropped.
 
 use crate::queues::{At, End, Onset, Outcome, Play};
 use crate::time::HostInstant;
@@ -171,10 +171,8 @@ impl Active {
         let planned = 2 * self.planned_strokes;
         let (late, refused) = (2 * self.late_strokes, 2 * self.refused_strokes);
         let played = since(|counters| counters.played).min(planned.saturating_sub(late + refused));
-        let rest = planned.saturating_sub(late + refused + played);
+        let dropped = planned.saturating_sub(late + refused + played);
         let (end, cause) = self.cut.map_or((End::Done, None), |(end, cause)| (end, Some(cause)));
-        // After a cut the rest was flushed; else the rest was refused and the reports were lost.
-        let (dropped, refused) = if self.cut.is_some() { (rest, refused) } else { (0, refused + rest) };
         let bursts = BurstCounts {
             planned,
             played,

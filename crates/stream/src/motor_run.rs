@@ -151,7 +151,7 @@ impl MotorRun {
             }
             while let Some((tick, y)) = samples.front().copied().filter(|(tick, _)| *tick + age <= now) {
                 samples.pop_front();
-                controller.advance(tick, false, |_| (), |_| ());
+                controller.advance(tick, Some(tick), |_| (), |_| ());
                 controller.telemetry(tick, f64::from(y) * 0.01, |_| ());
                 sampled = tick;
             }

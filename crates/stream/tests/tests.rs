@@ -5,6 +5,7 @@
 mod calibrate;
 mod capacity;
 mod closed_loop;
+mod on_time;
 mod position_control;
 mod races;
 /// A session and a controller over a line that loses: one verdict per stroke.

@@ -3,7 +3,6 @@
 //! [`Controller::render`] looks at a line only when it changes: the loop over all lines takes most of the chip's time.
 
 use crate::controller::pool::Kind;
-use crate::controller::reports::RESERVE;
 use crate::controller::{Controller, NEVER, Run, TRIGGER_TICKS};
 use crate::message::Report;
 use crate::stroke::{Line, Stroke};
@@ -92,11 +91,7 @@ impl Controller {
                         slot.stroke = Stroke { up_pulses: 0, down: stroke.up, down_pulses: 0, ..stroke };
                         self.next_end = self.next_end.min(stroke.up);
                         self.counters.refused += 2;
-                        if self.reports.free() > RESERVE {
-                            self.report(Report::Refused { motor: motor as u8, up: stroke.up.wire(), reason });
-                        } else {
-                            self.counters.reports_lost += 1;
-                        }
+                        self.report(Report::Refused { motor: motor as u8, up: stroke.up.wire(), reason });
                         continue;
                     }
                 }

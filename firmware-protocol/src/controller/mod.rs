@@ -354,7 +354,7 @@ impl Controller {
             refusal: self.refusal,
             next_seq: self.next_seq,
             out_of_order: self.reorder.mask(self.next_seq),
-            credits: self.pool.free(),
+            credits: self.credits(),
             reports: self.reports.made(),
             state: self.state,
             cause: self.cause,
@@ -362,6 +362,12 @@ impl Controller {
             outstanding: self.outstanding_total(),
             counters: self.counters,
         }
+    }
+
+    /// Stroke slots that the host may fill. Each refused stroke takes one until the host has seen its report: so there
+    /// is always a place for the next report.
+    fn credits(&self) -> u16 {
+        self.pool.free().saturating_sub(self.reports.refused())
     }
 
     fn outstanding_total(&self) -> u32 {

@@ -1,39 +1,69 @@
-//! A bounded queue of the reports that the host has not seen yet. They are repeated until it has.
+//! The reports that the host has not seen yet, in the order of their numbers. They are repeated until it has.
 //!
-//! A full queue loses the newest report; the caller counts it. The controller takes frames of strokes and reports single
-//! refusals only while more than [`RESERVE`] places are free. So onsets and cuts find a place as long as the host reads.
+//! Refused strokes have a queue of their own, with a place for every stroke that a host can queue: their reports are never
+//! lost. The other reports share [`REPORTS`] places. A full queue loses the newest report; the caller counts it. The
+//! controller takes frames of strokes only while more than [`RESERVE`] places are free. So onsets and cuts find a place as
+//! long as the host reads.
+//!
+//! Invariant: each report after the last one seen is in exactly one of the two queues. A number that `ring` does not hold is
+//! that of a refused stroke.
 
+use crate::controller::newer;
+use crate::controller::pool::POOL;
+use crate::limits::Refusal;
 use crate::message::Report;
-use crate::tick::{TICK_HZ, Tick};
+use crate::tick::{TICK_HZ, Tick, WireTick};
 
-/// Most unseen reports.
+/// Most unseen reports besides refused strokes; also the most reports sent and not seen yet.
 pub const REPORTS: usize = 32;
 /// Places reserved for queued onsets and for cuts.
 pub(super) const RESERVE: usize = 12;
 /// Ticks after which unseen reports are repeated, once the host is heard again.
 const REPEAT: u64 = TICK_HZ as u64 / 100;
 
+/// A queued stroke that was refused when it was to begin.
+#[derive(Clone, Copy, Debug)]
+struct RefusedStroke {
+    up: WireTick,
+    motor: u8,
+    reason: Refusal,
+}
+
 #[derive(Debug)]
 pub(super) struct Reports {
-    ring: heapless::Deque<Report, REPORTS>,
+    /// Reports with their numbers.
+    ring: heapless::Deque<(u16, Report), REPORTS>,
+    refused: heapless::Deque<RefusedStroke, POOL>,
     /// Number of the newest report.
     made: u16,
-    /// Number of reports, from the front, sent since the last repetition.
+    /// Number of reports, from the oldest, sent since the last repetition.
     sent: usize,
     repeated: Tick,
 }
 
 impl Reports {
     pub(super) const fn new() -> Self {
-        Self { ring: heapless::Deque::new(), made: 0, sent: 0, repeated: Tick(0) }
+        Self {
+            ring: heapless::Deque::new(),
+            refused: heapless::Deque::new(),
+            made: 0,
+            sent: 0,
+            repeated: Tick(0),
+        }
     }
 
     /// Adds a report. Returns `false` if it is lost.
     #[must_use]
     pub(super) fn push(&mut self, report: Report) -> bool {
-        let kept = self.ring.push_back(report).is_ok();
+        let number = self.made.wrapping_add(1);
+        let kept = match report {
+            Report::Refused { motor, up, reason } => {
+                self.refused.push_back(RefusedStroke { up, motor, reason }).is_ok()
+            }
+            other => self.ring.push_back((number, other)).is_ok(),
+        };
         if kept {
-            self.made = self.made.wrapping_add(1);
+            self.made = number;
         }
         kept
     }
@@ -44,27 +74,40 @@ impl Reports {
 
     /// Number of the last report that the host has read or that was cleared.
     pub(super) fn read(&self) -> u16 {
-        self.made.wrapping_sub(self.ring.len() as u16)
+        self.made.wrapping_sub(self.unseen() as u16)
+    }
+
+    fn unseen(&self) -> usize {
+        self.ring.len() + self.refused.len()
     }
 
     pub(super) fn free(&self) -> usize {
         REPORTS - self.ring.len()
     }
 
+    /// Refused strokes that the host has not seen.
+    pub(super) fn refused(&self) -> u16 {
+        self.refused.len() as u16
+    }
+
     /// Forgets all reports, for a new session.
     pub(super) fn clear(&mut self) {
         self.ring.clear();
+        self.refused.clear();
         self.sent = 0;
     }
 
     /// The host has read all reports up to `seen` and is alive: repeat the others if it is time.
     pub(super) fn seen(&mut self, seen: u16, now: Tick) {
         let unseen = usize::from(self.made.wrapping_sub(seen));
-        if unseen <= self.ring.len() {
-            while self.ring.len() > unseen {
+        while self.unseen() > unseen {
+            let oldest = self.read().wrapping_add(1);
+            if self.ring.front().is_some_and(|&(number, _)| number == oldest) {
                 self.ring.pop_front();
-                self.sent = self.sent.saturating_sub(1);
+            } else {
+                self.refused.pop_front();
             }
+            self.sent = self.sent.saturating_sub(1);
         }
         if now - self.repeated >= REPEAT {
             self.sent = 0;
@@ -74,9 +117,19 @@ impl Reports {
 
     /// The next report to send, with its number.
     pub(super) fn next(&mut self, now: Tick) -> Option<(u16, Report)> {
-        let report = *self.ring.iter().nth(self.sent)?;
-        let behind = self.ring.len() - 1 - self.sent;
-        let number = self.made.wrapping_sub(u16::try_from(behind).unwrap_or(0));
+        if self.sent == self.unseen().min(REPORTS) {
+            return None;
+        }
+        let number = self.read().wrapping_add(1 + self.sent as u16);
+        // Both queues are in order, so this many of the reports sent came from the ring, and the others were refused strokes.
+        let before = self.ring.iter().filter(|&&(other, _)| newer(number, other)).count();
+        let report = match self.ring.iter().nth(before) {
+            Some(&(found, report)) if found == number => report,
+            _ => {
+                let &RefusedStroke { motor, up, reason } = self.refused.iter().nth(self.sent - before)?;
+                Report::Refused { motor, up, reason }
+            }
+        };
         if self.sent == 0 {
             self.repeated = now;
         }

@@ -87,7 +87,8 @@ impl Controller {
         if self.pool.end(stroke.motor.into()).is_some_and(|end| stroke.up < end) {
             return Err(Refusal::Overlap);
         }
-        if self.queue(Slot::new(*stroke, Kind::Play)) { Ok(true) } else { Err(Refusal::PoolFull) }
+        let room = self.credits() > 0;
+        if room && self.queue(Slot::new(*stroke, Kind::Play)) { Ok(true) } else { Err(Refusal::PoolFull) }
     }
 
     /// Changes the pulse count of a burst that is not rendered yet. `None` if the amendment is ignored.

@@ -52,8 +52,19 @@ struct Queued {
     counted: [i64; 2],
     accepted: bool,
     closed_loop: bool,
+    /// For the telemetry monitor: the corrections of its bursts, which count once the device has played them.
+    corrections: [Option<Correction>; 2],
     /// The end of its play: no correction may cross it.
     until: Tick,
+}
+
+/// A correction as the telemetry monitor judges it.
+#[derive(Clone, Copy, Debug)]
+struct Correction {
+    /// By how much, if a limit cut it, µm.
+    limited_um: Option<f64>,
+    /// The estimated rest position at that time, µm.
+    rest_um: f64,
 }
 
 impl Queued {
@@ -72,8 +83,6 @@ pub(crate) struct BurstController {
     finalised: usize,
     /// Tenths of pulses, up and down, of bursts finalised and not begun.
     pending: [i64; 2],
-    /// When the last finalised burst ends.
-    finalised_end: Option<Tick>,
     gains: Gains,
     estimator: Estimator,
     monitor: TelemetryMonitor,
@@ -95,6 +104,7 @@ impl BurstController {
             counted: [0; 2],
             accepted: false,
             closed_loop: false,
+            corrections: [None; 2],
             until: Tick(0),
         };
         let mut queue = VecDeque::with_capacity(POOL + PAST);
@@ -106,7 +116,6 @@ impl BurstController {
             begun: 0,
             finalised: 0,
             pending: [0; 2],
-            finalised_end: None,
             gains: *gains,
             estimator: Estimator::new(gains),
             monitor: TelemetryMonitor::default(),
@@ -123,11 +132,12 @@ impl BurstController {
         if self.queue.len() == self.queue.capacity()
             && let Some(first) = self.queue.front()
         {
-            self.advance(first.stroke.end() + 1, true, |_| (), |_| ());
+            self.advance(first.stroke.end() + 1, None, |_| (), |_| ());
         }
         let planned = [stroke.up_pulses, stroke.down_pulses];
-        let (counted, accepted) = ([0; 2], false);
-        self.queue.push_back(Queued { stroke: *stroke, planned, counted, accepted, closed_loop, until });
+        let (counted, accepted, corrections) = ([0; 2], false, [None; 2]);
+        let stroke = *stroke;
+        self.queue.push_back(Queued { stroke, planned, counted, accepted, closed_loop, corrections, until });
     }
 
     fn find(&self, up: Tick) -> Option<usize> {
@@ -249,22 +259,32 @@ impl BurstController {
     fn finalise(&mut self) {
         let (at, half) = (self.finalised / 2, self.finalised % 2);
         let burst = self.queue[at].burst(half);
-        let tenths = if after_rest(self.finalised_end, burst.start) < 1.0 { 8 } else { 10 };
+        let tenths = if after_rest(self.finalised_end(), burst.start) < 1.0 { 8 } else { 10 };
         let counted = i64::from(burst.pulses) * tenths;
         self.queue[at].counted[half] = counted;
         self.pending[half] += counted;
-        self.finalised_end = Some(burst.end());
         self.finalised += 1;
+    }
+
+    /// When the last finalised burst ends that the device has not refused.
+    fn finalised_end(&self) -> Option<Tick> {
+        if self.finalised == self.begun {
+            return self.estimator.last_end();
+        }
+        let last = self.finalised - 1;
+        Some(self.queue[last / 2].burst(last % 2).end())
     }
 
     /// Advances to `tick`: takes bursts that have begun as played, and removes strokes that are over.
     ///
-    /// At a stroke that the device has not answered it stops and returns false, or with `give_up` removes the stroke.
-    /// Calls `over` with each burst that has left the moving average, and `gone` with each stroke removed as played.
+    /// The device has reported which strokes before `known_to` it refused. At a stroke without a verdict, or that begins
+    /// later, it stops and returns false. With `None` it waits for no report: it removes a stroke without a verdict, and
+    /// takes the others as played. Calls `over` with each burst that has left the moving average, and `gone` with each
+    /// stroke removed as played.
     pub(crate) fn advance(
         &mut self,
         tick: Tick,
-        give_up: bool,
+        known_to: Option<Tick>,
         mut over: impl FnMut(Travel),
         mut gone: impl FnMut(&Stroke),
     ) -> bool {
@@ -275,18 +295,24 @@ impl BurstController {
             if burst.start >= tick {
                 break;
             }
-            if !next.accepted && half == 0 {
-                if !give_up {
+            if half == 0 {
+                if known_to.is_some_and(|known_to| !next.accepted || burst.start >= known_to) {
                     known = false;
                     break;
                 }
-                self.remove(self.begun / 2);
-                continue;
+                if !next.accepted {
+                    self.remove(self.begun / 2);
+                    continue;
+                }
             }
             if self.finalised == self.begun {
                 self.finalise();
             }
-            self.pending[half] -= self.queue[self.begun / 2].counted[half];
+            let Queued { counted, corrections, .. } = self.queue[self.begun / 2];
+            self.pending[half] -= counted[half];
+            if let Some(Correction { limited_um, rest_um }) = corrections[half] {
+                self.monitor.corrected(limited_um, rest_um);
+            }
             self.estimator.forget(HalfTick::from(burst.start), &mut over);
             if let Some(travel) = self.estimator.begin(burst) {
                 over(travel);
@@ -387,7 +413,7 @@ impl BurstController {
         let up_most = most(0, stroke.down - stroke.up, MAX_UP_PULSES);
         let down_most = most(1, next - stroke.down, MAX_DOWN_PULSES).max(planned[1]);
         let burst = stroke.bursts()[half];
-        let gain = self.estimator.gain(burst.direction) * after_rest(self.finalised_end, burst.start);
+        let gain = self.estimator.gain(burst.direction) * after_rest(self.finalised_end(), burst.start);
         let position = self.position_um() / UM_PER_PULSE;
         let (way, most) = match burst.direction {
             Direction::Up => {
@@ -435,8 +461,9 @@ impl BurstController {
             let reckoned = !fresh && self.is_calibrated() && self.monitor.fault().is_none();
             if (measured || reckoned) && queued.closed_loop && queued.accepted && burst.start >= now + SEND_BY
             {
-                let (pulses, limited) = self.target_pulses(&free, may_lengthen);
-                self.monitor.corrected(limited, self.rest_um());
+                let (pulses, limited_um) = self.target_pulses(&free, may_lengthen);
+                let correction = Correction { limited_um, rest_um: self.rest_um() };
+                self.queue[self.finalised / 2].corrections[half] = Some(correction);
                 if pulses != burst.pulses && amend(queued.stroke.up, burst.direction, pulses) {
                     let stroke = &mut self.queue[self.finalised / 2].stroke;
                     match burst.direction {

@@ -213,6 +213,11 @@ impl Estimator {
         self.mean[POSITION] + self.mean[3..self.states()].iter().sum::<f64>()
     }
 
+    /// When the last burst ends that has begun.
+    pub(super) fn last_end(&self) -> Option<Tick> {
+        self.last_end
+    }
+
     /// Variance of [`Self::position_um`], µm².
     pub(super) fn variance(&self) -> f64 {
         let of = || (0..self.states()).filter(|state| !GAINS.contains(state));

@@ -35,8 +35,9 @@ pub(super) struct PositionControl {
     last_sample: Option<Tick>,
     /// Bursts up to this tick count as played without telemetry: older samples are too late.
     advanced_to: Tick,
-    /// Bursts may get longer than planned: not with on-time limits, which longer bursts would use up.
-    may_lengthen: bool,
+    /// There are on-time limits. The device may refuse strokes as they begin. Bursts do not get longer than planned: that
+    /// would use up on-time.
+    limited: bool,
     /// The tick of the device's last counters.
     counters_at: Tick,
     /// Bursts and pulses of strokes played and removed since the device's last counters.
@@ -48,7 +49,7 @@ pub(super) struct PositionControl {
 impl PositionControl {
     pub(super) fn new(limits: &OnTimeLimits) -> Self {
         let mut control = Self {
-            may_lengthen: false,
+            limited: false,
             counters_at: Tick(0),
             motors: std::array::from_fn(|_| BurstController::new(&Gains::default())),
             last_sample: None,
@@ -62,7 +63,7 @@ impl PositionControl {
 
     /// Uses the site's limits.
     pub(super) fn set_limits(&mut self, limits: &OnTimeLimits) {
-        self.may_lengthen = *limits == OnTimeLimits::NONE;
+        self.limited = *limits != OnTimeLimits::NONE;
     }
 
     /// The device has flushed the queue and returns pins: telemetry means nothing until they are at rest.
@@ -190,19 +191,33 @@ impl PositionControl {
     }
 
     /// Takes a sample of all displacements, 0.01 µm. Calls `over` with each burst measured.
-    pub(super) fn telemetry(&mut self, tick: Tick, y: &[i32; MOTORS], mut over: impl FnMut(MeasuredBurst)) {
+    ///
+    /// The device has reported which strokes before `known_to` it refused. A motor with a later stroke that may have begun
+    /// does not use the sample; then it returns false.
+    pub(super) fn telemetry(
+        &mut self,
+        tick: Tick,
+        y: &[i32; MOTORS],
+        known_to: Tick,
+        mut over: impl FnMut(MeasuredBurst),
+    ) -> bool {
         let old = self.last_sample.is_some_and(|last| tick <= last) || tick < self.advanced_to;
         if old || self.valid_from.is_none_or(|from| tick < from) {
-            return;
+            return true;
         }
         self.last_sample = Some(tick);
+        let known_to = Some(if self.limited { known_to } else { tick });
+        let mut known = true;
         let (uncounted, heard) = (&mut self.uncounted, self.counters_at);
         for ((motor, &y), index) in self.motors.iter_mut().zip(y).zip(0..) {
             let mut over = |travel: estimator::Travel| over(travel.of(index));
-            if motor.advance(tick, false, &mut over, |stroke| count(uncounted, heard, stroke)) {
+            if motor.advance(tick, known_to, &mut over, |stroke| count(uncounted, heard, stroke)) {
                 motor.telemetry(tick, f64::from(y) * 0.01, &mut over);
+            } else {
+                known = false;
             }
         }
+        known
     }
 
     /// Finalises the counts of bursts that begin soon, and calls `amend` with those that change. Strokes of a motor that
@@ -218,7 +233,7 @@ impl PositionControl {
             let (uncounted, heard) = (&mut self.uncounted, self.counters_at);
             let past = Tick(now.0.saturating_sub(LONGEST_AGE));
             for motor in &mut self.motors {
-                motor.advance(past, true, |_| (), |stroke| count(uncounted, heard, stroke));
+                motor.advance(past, None, |_| (), |stroke| count(uncounted, heard, stroke));
             }
             self.advanced_to = past;
         }
@@ -226,7 +241,7 @@ impl PositionControl {
         if next.all(|next| next > now + FINALISE_AT) {
             return;
         }
-        let may_lengthen = self.may_lengthen;
+        let may_lengthen = !self.limited;
         for (motor, index) in self.motors.iter_mut().zip(0..) {
             motor.correct(
                 now,

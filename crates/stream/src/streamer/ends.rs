@@ -55,7 +55,7 @@ impl Streamer {
                 let next_onset = later().find_map(|next| next.onset).unwrap_or(Tick(u64::MAX));
                 let now_known = (*at >= end && *at < next_onset && first.counters_at_onset.is_some())
                     .then_some(status.counters);
-                next_counters.or(now_known).filter(|_| decided && tick >= end)
+                next_counters.or(now_known).filter(|_| decided && tick >= end && session.known_to() >= end)
             };
             let Some(after) = after else { break };
             let wire = session.traffic().bytes_out;

@@ -97,10 +97,13 @@ impl Streamer {
                 }
             }
             // Ignore samples of the future: all true samples after one would look old.
-            Event::Telemetry { tick, y }
+            Event::Telemetry { tick, y, known_to }
                 if tick <= self.tick_at(now).unwrap_or_default() + duration_to_ticks(IN_TIME) =>
             {
-                self.control.telemetry(tick, &y, |burst| emit.measured(burst));
+                let known = self.control.telemetry(tick, &y, known_to, |burst| emit.measured(burst));
+                if let (false, Some(session)) = (known, &mut self.session) {
+                    session.request_status();
+                }
             }
             Event::Telemetry { .. } => {}
         }

@@ -140,5 +140,7 @@ pub enum Event {
         tick: Tick,
         /// Per motor.
         y: [i32; MOTORS],
+        /// The events so far name each accepted stroke before this tick that the device has refused.
+        known_to: Tick,
     },
 }

@@ -6,15 +6,20 @@
 use crate::link::clock::Clock;
 use crate::link::session::event::{Event, LostReason, Verdict};
 use crate::link::session::line::RoundTrip;
-use crate::link::session::state::{Phase, Session};
+use crate::link::session::state::{Phase, Reported, Session};
 use crate::time::HostInstant;
 use firmware_protocol::batch::Strokes;
-use firmware_protocol::controller::REORDER_WINDOW;
+use firmware_protocol::controller::{REORDER_WINDOW, REPORTS};
 use firmware_protocol::frame::{self, FrameError};
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{DeviceHello, DeviceMessage, Op, Report, Status};
 use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
+use std::time::Duration;
+
+/// The device learns so soon that its reports were read. Until then it sends [`REPORTS`] of them: at 8 000 a second, more
+/// than 24 motors at 300 Hz can make, none waits.
+const SEEN_WITHIN: Duration = Duration::from_millis(4);
 
 impl Session {
     /// Takes bytes from the device, in any chunks.
@@ -51,22 +56,15 @@ impl Session {
             DeviceMessage::NoSession => self.lose(LostReason::Restarted, emit),
             DeviceMessage::Status(status) => self.status(now, status, emit),
             DeviceMessage::Report { number, report } => {
-                // In order: the device sends again what comes after a gap.
-                if number == self.seen.wrapping_add(1) {
-                    self.seen = number;
-                    if self.announced.wrapping_sub(number) > u16::MAX / 2 {
-                        self.announced = number;
-                    }
-                    self.report(now, number, report, emit);
-                    // The mark follows, or numbers that wrapped would count as before it.
-                    if self.stale.wrapping_sub(number) >= u16::MAX / 2 {
-                        self.stale = number;
-                    }
-                    self.conclude(now, emit);
+                let ahead = number.wrapping_sub(self.seen);
+                if (1..=REPORTS as u16).contains(&ahead) {
+                    self.early[usize::from(number) % REPORTS] = Some((number, report));
+                    self.read_reports(now, emit);
                 }
             }
             DeviceMessage::Telemetry { tick, y } => {
-                emit(Event::Telemetry { tick: near(tick, &self.clock), y });
+                let known_to = self.known_to();
+                emit(Event::Telemetry { tick: near(tick, &self.clock), y, known_to });
             }
         }
     }
@@ -82,6 +80,7 @@ impl Session {
         self.phase = Phase::Open;
         (self.epoch, self.first_epoch) = (hello.epoch, hello.epoch);
         (self.seen, self.announced, self.stale) = (hello.reports, hello.reports, hello.reports);
+        self.latest = Reported { reports: hello.reports, ..Reported::default() };
         self.credits = 0;
         // The first statuses' ticks are widened with the hello's; later round trips outweigh its own.
         let sent = self.last_sent.unwrap_or(now);
@@ -132,6 +131,7 @@ impl Session {
                 batch.kept = usize::from(early) < REORDER_WINDOW && status.out_of_order >> early & 1 == 1;
             }
         }
+        self.latest = Reported { reports: status.reports, tick, next_seq: self.acked };
         if self.seen != self.announced {
             // A report is missing: the device repeats it once it hears from the host.
             self.request_status();
@@ -140,6 +140,27 @@ impl Session {
         if let Some(answer) = answered {
             emit(Event::Control(answer));
         }
+        self.conclude(now, emit);
+    }
+
+    /// Reads the reports that are next in order.
+    fn read_reports(&mut self, now: HostInstant, emit: &mut dyn FnMut(Event)) {
+        loop {
+            let number = self.seen.wrapping_add(1);
+            let next = &mut self.early[usize::from(number) % REPORTS];
+            let Some((_, report)) = next.take_if(|(found, _)| *found == number) else { break };
+            self.seen = number;
+            if self.announced.wrapping_sub(number) > u16::MAX / 2 {
+                self.announced = number;
+            }
+            self.report(now, number, report, emit);
+            // The mark follows, or numbers that wrapped would count as before it.
+            if self.stale.wrapping_sub(number) >= u16::MAX / 2 {
+                self.stale = number;
+            }
+        }
+        // The next ping tells the device that they are read.
+        self.request_status_within(SEEN_WITHIN);
         self.conclude(now, emit);
     }
 
@@ -160,14 +181,21 @@ impl Session {
         }
     }
 
-    /// Emits the verdicts of acknowledged frames, once all reports that the acknowledgement counts are read.
+    /// Emits the verdicts of acknowledged frames, once all reports that the acknowledgement counts are read. Later reports
+    /// may be missing: on a line that loses frames, one always is while the device refuses many strokes.
     fn conclude(&mut self, now: HostInstant, emit: &mut dyn FnMut(Event)) {
-        if self.seen != self.announced {
-            return;
+        let is_read = |mark: &Reported| self.seen.wrapping_sub(mark.reports) <= u16::MAX / 2;
+        if is_read(&self.latest) {
+            (self.concluded, self.waiting) = (self.latest, None);
+        } else if let Some(read) = self.waiting.take_if(|waiting| is_read(waiting)) {
+            self.concluded = read;
+        }
+        if !is_read(&self.latest) {
+            self.waiting = self.waiting.or(Some(self.latest));
         }
         let Some(tick) = self.clock.tick_at(now) else { return };
         while let Some(batch) = self.window.front() {
-            let decided = self.acked.wrapping_sub(batch.seq);
+            let decided = self.concluded.next_seq.wrapping_sub(batch.seq);
             if decided == 0 || decided > u16::MAX / 2 {
                 break;
             }

@@ -47,6 +47,17 @@ pub(super) struct Control {
     pub(super) sent: Option<HostInstant>,
 }
 
+/// What a status says about strokes once all the reports that it counts are read.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Reported {
+    /// Number of the last of these reports.
+    pub(super) reports: u16,
+    /// The fate of the strokes that begin before is decided.
+    pub(super) tick: Tick,
+    /// The frames before have their verdicts.
+    pub(super) next_seq: u16,
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Phase {
     Opening,
@@ -86,10 +97,16 @@ pub struct Session {
 
     /// The last report read; all before it were read too.
     pub(super) seen: u16,
+    /// Reports that overtook one before them, by number: the device sends no others ahead.
+    pub(super) early: [Option<(u16, Report)>; REPORTS],
     /// The last report that the device is known to have made.
     pub(super) announced: u16,
     /// The tick of the newest status.
     pub(super) newest: Tick,
+    /// The newest status all of whose reports are read; the oldest with a report missing; the newest of all.
+    pub(super) concluded: Reported,
+    pub(super) waiting: Option<Reported>,
+    pub(super) latest: Reported,
     /// Verdicts up to this report belong to an epoch that is over.
     pub(super) stale: u16,
     /// Verdicts that came before their acknowledgement.
@@ -139,8 +156,12 @@ impl Session {
             amendments: Packer::new(Tick(0)),
             generation: 0,
             seen: 0,
+            early: [None; REPORTS],
             announced: 0,
             newest: Tick(0),
+            concluded: Reported::default(),
+            waiting: None,
+            latest: Reported::default(),
             stale: 0,
             verdicts: VecDeque::with_capacity(REPORTS),
             token: 0,
@@ -235,6 +256,12 @@ impl Session {
         self.control.is_none() && self.seen == self.announced
     }
 
+    /// The session knows which of the accepted strokes before this tick the device has refused as they began.
+    #[must_use]
+    pub fn known_to(&self) -> Tick {
+        self.concluded.tick
+    }
+
     /// Whether the session takes commands: the handshake is done and the session is not over.
     #[must_use]
     pub fn can_command(&self) -> bool {
@@ -266,6 +293,8 @@ impl Session {
         self.open_batch = None;
         self.verdicts.clear();
         (self.next_seq, self.acked, self.generation) = (0, 0, 0);
+        let marks = [Some(&mut self.concluded), self.waiting.as_mut(), Some(&mut self.latest)];
+        marks.into_iter().flatten().for_each(|mark| mark.next_seq = 0);
         self.amendments = Packer::new(Tick(0));
     }
 
