@@ -93,7 +93,11 @@ fn outcome(receipt: &Receipt, now: HostInstant, wall: &Zoned) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use meissner_api::{BurstCounts, OnsetRecord};
+    use crate::log::tests::logged;
+    use meissner_api::{BurstCounts, DeviceInfo, OnsetRecord};
+    use meissner_input::message::is_plain;
+    use meissner_stream::Settings;
+    use meissner_stream::queues::queues;
 
     #[test]
     fn a_play_is_a_line_that_reads_alone() {
@@ -116,5 +120,28 @@ mod tests {
         (receipt.state, receipt.cause) = (PlayState::Done, None);
         receipt.bursts = Some(BurstCounts { planned: 1200, played: 1200, ..BurstCounts::default() });
         assert_eq!(outcome(&receipt, now, &wall), format!("done, {began}, 5.0 s, 1200 bursts"));
+    }
+
+    /// Texts that a device, a file or a directory of users chooses: each event is one line.
+    #[test]
+    fn no_text_of_an_event_makes_a_line_of_its_own() {
+        let odd = || "x\n2026-11-22T00:00:00Z  INFO estop by ada\r\u{1b}[2J\u{9b}\u{2028}\u{202e}".to_owned();
+        let (commands, settings) = (queues().unwrap().1, Settings::default());
+        let engine = Engine::new(commands, settings, odd(), None);
+        let (simulated, telemetry) = (true, true);
+        let device = DeviceInfo { kind: odd(), firmware: odd(), build: odd(), boot: 1, simulated, telemetry };
+        let mut receipt = Receipt::new(3, &odd(), &odd(), None);
+        receipt.cause = Some(odd());
+        let events = [
+            Event::Connected { device },
+            Event::Disconnected { reason: odd() },
+            Event::Ended { receipt: Box::new(receipt) },
+            Event::Calibrated { id: 1, motors: vec![1], problem: Some(odd()) },
+        ];
+        let text = logged(|| events.iter().for_each(|event| engine.log(event)));
+        assert_eq!(text.lines().count(), events.len(), "{text}");
+        for line in text.lines() {
+            assert!(line.chars().all(is_plain) && line.contains(r"x\n2026-11-22T00"), "{line:?}");
+        }
     }
 }

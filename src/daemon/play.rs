@@ -109,3 +109,39 @@ impl Engine {
 fn nanoseconds(ms: f64) -> u64 {
     (ms * 1e6) as u64
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::daemon::runtime;
+    use crate::session_record::{Location, SessionRecord};
+    use crate::store::Store;
+    use meissner_api::Realtime;
+    use meissner_stream::queues::queues;
+    use std::path::PathBuf;
+    use std::sync::Arc;
+    use std::time::Duration;
+
+    #[test]
+    fn a_play_is_refused_while_the_session_record_has_no_room_for_it() {
+        let dir = tempfile::tempdir().unwrap();
+        let record =
+            SessionRecord::start(Some(Location { dir: dir.path().join("logbook"), days: 1 }), Arc::default());
+        let record = record.unwrap();
+        let (mut port, commands, _events) = queues().unwrap();
+        let engine = Engine::new(commands, Settings::default(), "mock".to_owned(), None);
+        let engine = engine.with(record.clone(), Realtime::default(), PathBuf::new());
+        let stored = Store::new(None, false).unwrap().library("pin-60").unwrap().clone();
+        let mut play = || {
+            let request = PlayRequest { pattern: "pin-60".to_owned(), ..PlayRequest::default() };
+            let played = engine.play(&request, stored.clone(), Peer { pid: 1, uid: 0 });
+            let problem = runtime().unwrap().block_on(played).unwrap_err();
+            (problem.code, port.pop().is_some())
+        };
+        // No streamer answers.
+        assert_eq!(play(), ("timeout".to_owned(), true));
+        record.use_up_plays();
+        assert_eq!(play(), ("too-many-plays".to_owned(), false));
+        record.close(Duration::from_secs(10));
+    }
+}

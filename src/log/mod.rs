@@ -98,9 +98,18 @@ impl Write for Stderr {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use std::sync::{Arc, Mutex};
+
+    /// What is logged as text while `work` runs.
+    pub(crate) fn logged(work: impl FnOnce()) -> String {
+        let kept = Kept::default();
+        let writer = kept.clone();
+        let log = tracing_subscriber::registry().with(lines(move || writer.clone(), false));
+        tracing::subscriber::with_default(log, work);
+        String::from_utf8(kept.0.lock().unwrap().clone()).unwrap()
+    }
 
     #[derive(Clone, Default)]
     struct Kept(Arc<Mutex<Vec<u8>>>);
@@ -117,15 +126,11 @@ mod tests {
 
     #[test]
     fn foreign_text_makes_no_line() {
-        let kept = Kept::default();
-        let writer = kept.clone();
-        let log = tracing_subscriber::registry().with(lines(move || writer.clone(), false));
         let text = "x\n2026-11-22 INFO estop by ada\r\u{1b}[2J\u{9b}1m\u{2028}\u{202e}";
-        tracing::subscriber::with_default(log, || {
+        let text = logged(|| {
             tracing::info!(cause = text, "by {text}: \"done\" \\");
             tracing::info!("{}", text);
         });
-        let text = String::from_utf8(kept.0.lock().unwrap().clone()).unwrap();
         let lines: Vec<_> = text.lines().collect();
         let shown = r"x\n2026-11-22 INFO estop by ada\r\u{1b}[2J\u{9b}1m\u{2028}\u{202e}";
         assert!(lines.len() == 2 && lines[0].ends_with(&format!("by {shown}: \"done\" \\")), "{lines:?}");

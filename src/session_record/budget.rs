@@ -152,6 +152,11 @@ impl Budget {
         self.plays.has(1)
     }
 
+    #[cfg(test)]
+    pub(super) fn use_up_plays(&mut self) {
+        self.plays.bytes = -1e9;
+    }
+
     pub(super) fn has_left_out(&self) -> bool {
         !self.left_out.is_empty()
     }
@@ -217,6 +222,11 @@ mod tests {
         HostInstant::from_ns(1_000_000_000) + Duration::from_secs_f64(seconds)
     }
 
+    fn counted(entry: Entry) -> (Entry, u64) {
+        let bytes = entry.bytes();
+        (entry, bytes)
+    }
+
     /// What a day under load writes.
     #[derive(Debug, Default)]
     struct Day {
@@ -276,10 +286,6 @@ mod tests {
         let mut day = Day::default();
         let mut receipt = Receipt::new(3, "edge-45", &"0".repeat(64), Some(1.0));
         receipt.bursts = Some(BurstCounts { planned: 1200, played: 1200, ..BurstCounts::default() });
-        let counted = |entry: Entry| {
-            let bytes = entry.bytes();
-            (entry, bytes)
-        };
         let loads = [1, 2, 3, 4, 5].map(|uid| counted(load(uid)));
         let play = play(3, receipt).map(counted);
         let estop = counted(Note::Command(command("estop", 6, Value::Null)).into());
@@ -337,10 +343,10 @@ mod tests {
     #[test]
     fn plays_are_refused_while_their_reserve_is_empty_and_never_left_out() {
         let mut budget = Budget::new(at(0.0));
-        let entries = play(1, Receipt::new(3, "edge-45", &"0".repeat(64), Some(1.0)));
+        let entries = play(1, Receipt::new(3, "edge-45", &"0".repeat(64), Some(1.0))).map(counted);
         let mut plays = 0;
         while budget.takes_plays(at(0.0)) {
-            assert!(entries.iter().all(|entry| budget.takes(entry, entry.bytes(), at(0.0))));
+            assert!(entries.iter().all(|(entry, bytes)| budget.takes(entry, *bytes, at(0.0))));
             plays += 1;
         }
         assert!(plays > 50_000 && !budget.has_left_out(), "{plays}");
@@ -351,8 +357,8 @@ mod tests {
     fn a_flood_costs_other_users_and_e_stops_nothing() {
         let mut budget = Budget::new(at(0.0));
         let stop = |uid| Note::Command(command("stop", uid, Value::Null)).into();
-        let flood: Entry = stop(1);
-        let taken = (0..100_000).filter(|_| budget.takes(&flood, flood.bytes(), at(0.0))).count();
+        let (flood, bytes) = counted(stop(1));
+        let taken = (0..100_000).filter(|_| budget.takes(&flood, bytes, at(0.0))).count();
         assert!((1000..10_000).contains(&taken), "{taken}");
         let others = [
             stop(2),
@@ -362,9 +368,9 @@ mod tests {
         assert!(others.iter().all(|entry| budget.takes(entry, entry.bytes(), at(0.0))));
         // More users and commands than there are reserves and rows.
         for uid in 0..1000 {
-            let stop: Entry = stop(uid);
+            let (stop, bytes) = counted(stop(uid));
             for _ in 0..100 {
-                budget.takes(&stop, stop.bytes(), at(0.0));
+                budget.takes(&stop, bytes, at(0.0));
             }
         }
         assert!(budget.users.len() <= USERS + 1 && budget.left_out.len() <= ROWS);

@@ -203,6 +203,14 @@ impl SessionRecord {
         self.lock().as_mut().is_none_or(|queue| queue.budget.takes_plays(HostInstant::now()))
     }
 
+    /// As if plays had taken all their reserve.
+    #[cfg(test)]
+    pub(crate) fn use_up_plays(&self) {
+        if let Some(queue) = self.lock().as_mut() {
+            queue.budget.use_up_plays();
+        }
+    }
+
     /// Writes waiting entries, makes them durable and ends the record; waits for at most `timeout`.
     pub fn close(&self, timeout: Duration) {
         let until = Instant::now() + timeout;
