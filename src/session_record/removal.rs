@@ -15,7 +15,7 @@ use meissner_stream::time::HostInstant;
 use rustix::fs::OFlags;
 use std::collections::BTreeMap;
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, Write};
+use std::io::{self, Read, Write};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 use std::time::Duration;
@@ -24,6 +24,8 @@ use std::time::Duration;
 pub(super) const LIST: &str = "days";
 /// The next list, until it is durable.
 const NEXT: &str = "days.new";
+/// The most bytes of a list: a century.
+const MAX_LIST: u64 = 1 << 20;
 /// Files of earlier days were written with a clock that was never set. Their age is unknown, so they stay.
 const FIRST: Date = date(2026, 1, 1);
 /// Files removed on one day, at most.
@@ -71,7 +73,7 @@ impl Removal {
         let count = listed.values().max().copied().unwrap_or(0);
         let waited = self.counted.is_none_or(|counted| now.since(counted) >= MIN_APART);
         let is_new_day = waited && !listed.contains_key(&today);
-        let count = count + u64::from(is_new_day);
+        let count = count.saturating_add(is_new_day.into());
         let mut files: Files =
             present.iter().map(|&day| (day, listed.get(&day).copied().unwrap_or(count))).collect();
         files.insert(today, count);
@@ -85,17 +87,19 @@ fn old(files: &Files, today: Date, keep: u32) -> Vec<Date> {
     let newest = files.keys().copied().filter(|&day| day != today).max().unwrap_or(today);
     // Out of the calendar's range: everything stays.
     let oldest = newest.min(today).checked_sub(Span::new().days(keep)).unwrap_or(FIRST);
-    let is_old = |day: Date, last: u64| (FIRST..oldest).contains(&day) && count - last > keep.into();
+    let is_old =
+        |day: Date, last: u64| (FIRST..oldest).contains(&day) && count.saturating_sub(last) > keep.into();
     let mut old: Vec<_> = files.iter().filter(|&(&day, &last)| is_old(day, last)).collect();
     old.sort_by_key(|&(day, last)| (last, day));
     old.into_iter().take(MOST).map(|(&day, _)| day).collect()
 }
 
-/// Reads the list; a line that cannot be read is ignored.
+/// Reads the list, at most [`MAX_LIST`] bytes; a line that cannot be read is ignored.
 fn read(dir: &Path) -> io::Result<Files> {
-    let text = match fs::read(dir.join(LIST)) {
+    let mut text = Vec::new();
+    match File::open(dir.join(LIST)) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Files::new()),
-        text => text?,
+        list => list?.take(MAX_LIST).read_to_end(&mut text)?,
     };
     let line = |line: &str| {
         let (day, count) = line.split_once(' ')?;
@@ -276,7 +280,11 @@ mod tests {
         let left = (0..6).map(|day| name(date(2026, 3, 1) + day.days()).exists()).collect::<Vec<_>>();
         assert_eq!(left, [false, false, true, true, true, true]);
         // Lines that cannot be read are lines that are not there.
-        fs::write(dir.path().join(LIST), b"\xff\n2026-03-03\n2026-03-04 x\n").unwrap();
+        fs::write(
+            dir.path().join(LIST),
+            b"\xff\n2026-03-03\n2026-03-04 x\n2026-03-06 18446744073709551615\n",
+        )
+        .unwrap();
         assert!(write(6) && name(date(2026, 3, 3)).exists());
         // Without a list nothing is removed.
         fs::create_dir(dir.path().join(NEXT)).unwrap();

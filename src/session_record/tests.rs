@@ -384,7 +384,7 @@ fn a_pipe_in_the_directorys_place_is_a_line_and_hangs_nobody() {
 /// Every entry is a line, or is counted as left out (the budget) or lost (the queue); plays and e-stops have lines.
 #[test]
 fn a_flood_is_counted_and_plays_and_e_stops_stay() {
-    const FLOOD: u64 = 20_000;
+    const FLOOD: u64 = 60_000;
     let dir = tempfile::tempdir().unwrap();
     let log = SessionRecord::with(writer(dir.path(), REAL), Arc::new(Users::default()), WAITING).unwrap();
     let command = |name| CommandEntry::new(name, Peer { pid: 12, uid: 0 });
@@ -398,6 +398,11 @@ fn a_flood_is_counted_and_plays_and_e_stops_stay() {
             log.add(Note::Command(command("estop")));
         }
     }
+    while log.lock().as_ref().is_some_and(|queue| !queue.messages.is_empty()) {
+        thread::sleep(Duration::from_millis(1));
+    }
+    // As the thread does a minute later.
+    assert!(!report_left_out(&Arc::downgrade(&log.queue)), "there is room for it");
     log.close(Duration::from_secs(60));
     let text = fs::read_to_string(only_file(&dir.path().join("logbook")).path()).unwrap();
     let lines: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
