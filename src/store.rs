@@ -1,23 +1,27 @@
 //! The pattern store: the library that is part of the program, and a directory of the site's own patterns.
 //!
 //! The store reads the directory at every request, so it finds a file that was put there by hand at once. [`Store::get`]
-//! reads one file, [`Store::list`] at most [`MAX_FILES`]. Patterns of the library cannot be overwritten or shadowed.
+//! reads one file, [`Store::list`] at most [`MAX_FILES`]. All who hold a pattern share it. Patterns of the library cannot be overwritten or shadowed.
 //! Calls block for as long as the disk takes.
 //!
 //! Invariant: a file of the directory is replaced whole or not at all, and only by one that parses and has
 //! the file's name.
 
+mod in_use;
+
 use crate::config::open_regular;
+use in_use::InUse;
 use include_dir::{Dir, include_dir};
-use meissner_api::{PatternList, PatternSummary};
+use meissner_api::{MAX_LISTED, PatternList, PatternSummary};
 use meissner_array::pattern::{MAX_FILE_BYTES, Pattern, PatternError, is_name};
 use meissner_input::message::quote;
+use serde::Serialize;
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 static LIBRARY: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/patterns");
 
@@ -80,7 +84,7 @@ fn offer(nearest: &[String]) -> String {
     }
 }
 
-/// A pattern and the hash of its file. Clones share the pattern.
+/// A pattern and the hash of its file. Clones share the pattern and its JSON.
 #[derive(Clone, Debug)]
 pub struct Stored {
     /// The pattern.
@@ -89,12 +93,23 @@ pub struct Stored {
     pub sha256: String,
     /// Whether it is part of the library.
     pub library: bool,
+    json: Arc<OnceLock<Arc<[u8]>>>,
+}
+
+/// A pattern in full, with the keys of [`PatternDetails`](meissner_api::PatternDetails).
+#[derive(Serialize)]
+struct Details<'a> {
+    pattern: &'a Pattern,
+    sha256: &'a str,
+    library: bool,
+    warnings: Vec<String>,
 }
 
 /// The store.
 #[derive(Debug)]
 pub struct Store {
     library: BTreeMap<String, Stored>,
+    in_use: InUse,
     dir: Option<PathBuf>,
     make_dir: bool,
 }
@@ -109,11 +124,13 @@ impl Store {
         for file in LIBRARY.files() {
             let path = file.path();
             if path.extension().is_some_and(|extension| extension == "toml") {
-                let stored = parse(file.contents(), path, true)?;
+                let contents = file.contents();
+                let pattern = Arc::new(parse(contents, path)?);
+                let stored = Stored::new(pattern, hash(contents), true);
                 library.insert(stored.pattern.name().to_owned(), stored);
             }
         }
-        Ok(Self { library, dir, make_dir })
+        Ok(Self { library, in_use: InUse::default(), dir, make_dir })
     }
 
     /// Checks that the directory can be read.
@@ -144,11 +161,18 @@ impl Store {
                 Err(self.unknown(name))
             }
             Err(other) => Err(other),
-            Ok(bytes) => named(name, parse(&bytes, &path, false)?),
+            Ok(bytes) => named(name, self.parse(&bytes, &path)?),
         }
     }
 
-    /// All patterns, and a line for each file that cannot be read as one.
+    /// The pattern in a file of the directory.
+    fn parse(&self, bytes: &[u8], path: &Path) -> Result<Stored, StoreError> {
+        let sha256 = hash(bytes);
+        let pattern = self.in_use.get(&sha256, || parse(bytes, path))?;
+        Ok(Stored::new(pattern, sha256, false))
+    }
+
+    /// All patterns, and a line for each file that cannot be read as one, up to [`MAX_LISTED`].
     #[must_use]
     pub fn list(&self) -> PatternList {
         let mut list = PatternList::default();
@@ -176,6 +200,7 @@ impl Store {
                 Err(error) => list.errors.push(error.to_string()),
             }
         }
+        list.errors = first(list.errors, "files cannot be read as patterns");
         list.patterns.sort_by(|a, b| a.name.cmp(&b.name));
         list
     }
@@ -188,7 +213,7 @@ impl Store {
         if self.library.contains_key(name) {
             return Err(StoreError::InLibrary { name: name.to_owned() });
         }
-        let stored = parse(text.as_bytes(), Path::new(&format!("{name}.toml")), false)?;
+        let stored = self.parse(text.as_bytes(), Path::new(&format!("{name}.toml")))?;
         let stored = named(name, stored)?;
         let (Some(dir), Some(path)) = (&self.dir, self.path(name)) else {
             return Err(StoreError::NoDirectory);
@@ -245,8 +270,37 @@ impl Stored {
     /// A pattern that is not from the store.
     #[must_use]
     pub fn made(pattern: Pattern) -> Self {
-        let sha256 = hex(&Sha256::digest(pattern.to_toml()));
-        Self { pattern: Arc::new(pattern), sha256, library: false }
+        let sha256 = hash(pattern.to_toml().as_bytes());
+        Self::new(Arc::new(pattern), sha256, false)
+    }
+
+    fn new(pattern: Arc<Pattern>, sha256: String, library: bool) -> Self {
+        Self { pattern, sha256, library, json: Arc::default() }
+    }
+
+    /// One line for each thing that may not be meant, up to [`MAX_LISTED`].
+    #[must_use]
+    pub fn warnings(&self) -> Vec<String> {
+        let lines = self.pattern.warnings().iter().map(ToString::to_string).collect();
+        first(lines, "drives are saturated")
+    }
+
+    /// [`PatternDetails`](meissner_api::PatternDetails) as JSON: made once, in milliseconds for a long pattern.
+    #[must_use]
+    pub fn json(&self) -> Arc<[u8]> {
+        let made = self.json.get_or_init(|| {
+            let Self { pattern, sha256, library, .. } = self;
+            let details = Details { pattern, sha256, library: *library, warnings: self.warnings() };
+            // A checked pattern can be written.
+            serde_json::to_vec(&details).unwrap_or_default().into()
+        });
+        Arc::clone(made)
+    }
+
+    /// The JSON, if it was made already.
+    #[must_use]
+    pub fn made_json(&self) -> Option<Arc<[u8]>> {
+        self.json.get().cloned()
     }
 
     fn entry(&self) -> PatternSummary {
@@ -267,14 +321,24 @@ fn named(name: &str, stored: Stored) -> Result<Stored, StoreError> {
     Err(StoreError::Name { name: name.to_owned(), inside: stored.pattern.name().to_owned() })
 }
 
-fn parse(bytes: &[u8], path: &Path, library: bool) -> Result<Stored, StoreError> {
+fn parse(bytes: &[u8], path: &Path) -> Result<Pattern, StoreError> {
     let text = std::str::from_utf8(bytes).map_err(|_| StoreError::NotText { path: path.to_owned() })?;
-    let pattern = Pattern::parse(text, &path.display().to_string())?;
-    Ok(Stored { pattern: Arc::new(pattern), sha256: hex(&Sha256::digest(bytes)), library })
+    Ok(Pattern::parse(text, &path.display().to_string())?)
 }
 
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+/// SHA-256 in hexadecimal.
+fn hash(bytes: &[u8]) -> String {
+    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// The first [`MAX_LISTED`] lines, and how many more there are.
+fn first(mut lines: Vec<String>, of_what: &str) -> Vec<String> {
+    let more = lines.len().saturating_sub(MAX_LISTED);
+    lines.truncate(MAX_LISTED);
+    if more > 0 {
+        lines.push(format!("{more} more {of_what}"));
+    }
+    lines
 }
 
 /// The file's bytes, cut at one more than a pattern may have, which the parser refuses.
@@ -301,6 +365,7 @@ pub(crate) fn replace(dir: &Path, path: &Path, bytes: &[u8]) -> io::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use meissner_api::PatternDetails;
 
     const TEXT: &str = "format = 1\nname = \"my-edge\"\nduration_s = 1.0\n";
 
@@ -335,6 +400,50 @@ mod tests {
         assert_eq!(list.errors.len(), 5, "{:?}", list.errors);
         assert!(list.errors.iter().all(|line| !line.contains('\n')));
         assert!(list.errors.iter().any(|line| line.contains("bad.toml:2") && line.contains("`name`")));
+    }
+
+    #[test]
+    fn all_who_hold_a_pattern_share_it_and_it_goes_with_the_last() {
+        let (dir, store) = store();
+        let (put, _) = store.put("my-edge", TEXT).unwrap();
+        let [first, second] = [(); 2].map(|()| store.get("my-edge").unwrap());
+        assert!([&put, &first].iter().all(|held| Arc::ptr_eq(&held.pattern, &second.pattern)));
+        fs::write(dir.path().join("my-edge.toml"), format!("# changed\n{TEXT}")).unwrap();
+        let changed = store.get("my-edge").unwrap();
+        assert!(!Arc::ptr_eq(&changed.pattern, &first.pattern) && changed.sha256 != first.sha256);
+        drop((put, first, second));
+        store.get("my-edge").unwrap();
+        store.put("other", &TEXT.replace("my-edge", "other")).unwrap();
+        assert_eq!((store.in_use.len(), Arc::strong_count(&changed.pattern)), (2, 1));
+        let library = store.get("edge-45").unwrap();
+        assert!(Arc::ptr_eq(&library.json(), &store.get("edge-45").unwrap().made_json().unwrap()));
+    }
+
+    #[test]
+    fn the_json_of_a_pattern_is_bounded_and_is_its_details() {
+        let (_dir, store) = store();
+        let drive = |number: usize| {
+            let (motor, start_s) = (number % 24, (number / 24) as f64 + 0.123_456_789_012);
+            format!(
+                "[[drive]]\nmotor = {motor}\nfrequency_hz = 123.456789012345\namplitude_um = 399.123456789\n\
+                 phase = 0.0123456789\nstart_s = {start_s}\nstop_s = {}\n",
+                start_s + 0.5
+            )
+        };
+        let text = format!("{TEXT}[provenance]\ntext = \"{}\"\n", "\\u0001".repeat(1 << 16));
+        let text = text.replace("1.0", "1000.0").replace("my-edge", "long");
+        let drives: String = (0..4096).map(drive).collect();
+        let text = text.replace("[prov", &format!("{drives}[prov"));
+        let (stored, _) = store.put("long", &text).unwrap();
+        let json = stored.json();
+        assert!(json.len() < 2 << 20, "{} bytes", json.len());
+        let details: PatternDetails = serde_json::from_slice(&json).unwrap();
+        assert_eq!(details.pattern, serde_json::to_value(&*stored.pattern).unwrap());
+        assert_eq!((details.sha256, details.library), (stored.sha256, false));
+        assert_eq!(
+            (details.warnings.len(), &*details.warnings[100]),
+            (101, "3996 more drives are saturated")
+        );
     }
 
     #[test]

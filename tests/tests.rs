@@ -25,6 +25,8 @@ mod harness;
 mod lead;
 /// The manual pages and completions in `deploy` are up to date.
 mod manual;
+/// The daemon's memory: files that would fill it, a full queue of the longest pattern, the stated bound.
+mod memory;
 /// The API reference: routes, answers and the book's copies agree with the OpenAPI document.
 mod openapi;
 /// `optimise`: files and documents, budgets, interruptions, mistakes.

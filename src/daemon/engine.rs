@@ -7,10 +7,13 @@
 //! Invariant: the lock is never held across a wait.
 
 use super::names::Names;
-use super::state::{ActiveSettings, Calibration, Commands, Connection, Plays, Publisher, Reply, State};
+use super::state::{
+    ActiveSettings, Calibration, Commands, Connection, Plays, Publisher, Reply, State, frame,
+};
 use crate::receipts::refusal;
 use crate::session_record::{Peer, SessionRecord};
-use meissner_api::{Event, Problem, Realtime};
+use axum::body::Bytes;
+use meissner_api::{Problem, Realtime};
 use meissner_stream::Settings;
 use meissner_stream::device::mock::TruePositions;
 use meissner_stream::queues::{Command, CommandError, CommandQueue};
@@ -149,10 +152,10 @@ impl Engine {
     }
 
     /// The state now, and every event from now on; none once the daemon ends.
-    pub(super) fn subscribe(&self) -> Option<(Event, broadcast::Receiver<Event>)> {
+    pub(super) fn subscribe(&self) -> Option<(Bytes, broadcast::Receiver<Bytes>)> {
         let state = self.lock();
         let receiver = state.publisher.subscribe()?;
-        Some((state.plays.receipts.state_event(HostInstant::now()), receiver))
+        Some((frame(&state.plays.receipts.state_event(HostInstant::now())), receiver))
     }
 
     /// The client of a play that has ended, once.

@@ -10,35 +10,41 @@ use super::body;
 use super::engine::{Engine, TIMEOUT};
 use super::metrics;
 use super::request_log::LoggedRequest;
-use super::runtime::blocking;
+use super::runtime::{blocking, computing};
+use super::state::frame;
 use crate::receipts::{KEPT, calibration_plan};
 use crate::session_record::Peer;
 use crate::store::{Store, StoreError, Stored};
-use axum::body::Body;
+use axum::body::{Body, Bytes};
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Extension, Path, State};
-use axum::http::header::CONTENT_TYPE;
+use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
 use axum::http::{Method, StatusCode, Uri};
-use axum::response::sse::{self, Sse};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{MethodFilter, MethodRouter, on};
 use axum::{Json, Router};
-use futures_util::stream::{self, Stream, StreamExt};
+use futures_util::stream::{self, StreamExt};
 use meissner_api::{
-    ArmRequest, CalibrateRequest, CalibrationReport, Code, Event, ImportedPattern, MAX_BODY, PatternDetails,
-    PlayAccepted, PlayRequest, Problem, REFERENCE, Receipt, Route, Status, parse_empty,
+    ArmRequest, CalibrateRequest, CalibrationReport, Code, Event, ImportedPattern, MAX_BODY, PlayAccepted,
+    PlayRequest, Problem, REFERENCE, Receipt, Route, Status, parse_empty,
 };
-use meissner_array::pattern::Warning;
 use meissner_stream::queues::Command;
 use serde_json::json;
 use std::convert::Infallible;
 use std::sync::{Arc, LazyLock, Mutex, PoisonError};
 use std::time::Duration;
+use tokio::sync::{Semaphore, SemaphorePermit};
 use tokio_stream::wrappers::BroadcastStream;
 use tokio_stream::wrappers::errors::BroadcastStreamRecvError;
 
 /// How long homing may take: six rounds for 24 pins that start at one end of their travel.
 const HOME_TIMEOUT: Duration = Duration::from_secs(25);
+/// Imports in work, from the first byte of the body: each holds a file, and further ones wait.
+static IMPORTS: Semaphore = Semaphore::const_new(4);
+/// How long an import waits for the others.
+const IMPORT_TIMEOUT: Duration = Duration::from_secs(10);
+/// Patterns of the directory that requests hold, until a play has begun or the answer is made; further requests wait.
+static PATTERNS: Semaphore = Semaphore::const_new(4);
 /// How long to wait for the body of an emergency stop that was carried out.
 const ESTOP_BODY: Duration = Duration::from_millis(100);
 
@@ -163,13 +169,15 @@ fn path<T>(path: Result<Path<T>, PathRejection>) -> Answer<T> {
     Ok(path.map(|Path(part)| part).map_err(bad)?)
 }
 
-async fn find(store: &SharedStore, name: &str) -> Answer<Stored> {
+/// A pattern, and its place among [`PATTERNS`]: those of the library need none, they are in memory anyway.
+async fn find(store: &SharedStore, name: &str) -> Answer<(Stored, Option<SemaphorePermit<'static>>)> {
     let store = store.get();
     if let Some(stored) = store.library(name) {
-        return Ok(stored.clone());
+        return Ok((stored.clone(), None));
     }
+    let place = PATTERNS.acquire().await.ok();
     let name = name.to_owned();
-    Ok(blocking(move || store.get(&name)).await??)
+    Ok((blocking(move || store.get(&name)).await??, place))
 }
 
 async fn play(
@@ -181,7 +189,7 @@ async fn play(
     let result = async {
         let request = PlayRequest::parse(&body::read_command(body).await?)?;
         logged.set_arguments(&request);
-        let stored = find(&app.store, &request.pattern).await?;
+        let (stored, _place) = find(&app.store, &request.pattern).await?;
         let id = app.engine.play(&request, stored, peer).await?;
         logged.set_play(id);
         Ok((StatusCode::ACCEPTED, Json(PlayAccepted { id })))
@@ -283,22 +291,22 @@ async fn status(State(app): State<App>) -> Json<Status> {
 }
 
 async fn list(State(app): State<App>) -> Answer<Response> {
-    Ok(Json(blocking(move || app.store.get().list()).await?).into_response())
+    let _place = PATTERNS.acquire().await;
+    let list = blocking(move || serde_json::to_vec(&app.store.get().list()).unwrap_or_default()).await?;
+    Ok(json_response(list.into()))
 }
 
-async fn show(
-    State(app): State<App>,
-    name: Result<Path<String>, PathRejection>,
-) -> Answer<Json<PatternDetails>> {
-    let Stored { pattern, sha256, library } = find(&app.store, &path(name)?).await?;
-    let warnings = texts(&pattern.warnings());
-    // A checked pattern can be written.
-    let pattern = serde_json::to_value(&*pattern).unwrap_or_default();
-    Ok(Json(PatternDetails { pattern, sha256, library, warnings }))
+async fn show(State(app): State<App>, name: Result<Path<String>, PathRejection>) -> Answer<Response> {
+    let (stored, _place) = find(&app.store, &path(name)?).await?;
+    let json = match stored.made_json() {
+        Some(made) => made,
+        None => computing(move || stored.json()).await?,
+    };
+    Ok(json_response(Bytes::from_owner(json)))
 }
 
-fn texts(warnings: &[Warning]) -> Vec<String> {
-    warnings.iter().map(ToString::to_string).collect()
+fn json_response(json: Bytes) -> Response {
+    ([(CONTENT_TYPE, "application/json")], json).into_response()
 }
 
 async fn import(
@@ -313,14 +321,15 @@ async fn import(
         let shown: String = name.chars().take(100).collect();
         logged.set_title(format!("import of {shown:?}"));
         logged.set_arguments(&json!({"name": shown}));
+        let busy = |_| Problem::new(Code::Busy, "too many imports are in work: try again in a moment");
+        let _place = tokio::time::timeout(IMPORT_TIMEOUT, IMPORTS.acquire()).await.map_err(busy)?;
         let text = String::from_utf8(body::read(body, MAX_BODY).await?)
             .map_err(|_| Problem::new(Code::BadPattern, "not UTF-8 text: write patterns as TOML in UTF-8"))?;
         let (stored, new) = blocking(move || app.store.get().put(&name, &text)).await??;
-        let Stored { pattern, sha256, .. } = stored;
-        logged.set_arguments(&json!({"name": shown, "sha256": sha256}));
+        logged.set_arguments(&json!({"name": shown, "sha256": stored.sha256}));
         let status = if new { StatusCode::CREATED } else { StatusCode::OK };
-        let warnings = texts(&pattern.warnings());
-        Ok((status, Json(ImportedPattern { name: pattern.name().to_owned(), sha256, warnings })))
+        let (name, warnings) = (stored.pattern.name().to_owned(), stored.warnings());
+        Ok((status, Json(ImportedPattern { name, sha256: stored.sha256, warnings })))
     }
     .await;
     logged.result(result)
@@ -349,17 +358,15 @@ async fn receipt(State(app): State<App>, id: Result<Path<String>, PathRejection>
     Ok(Json(found.cloned().ok_or_else(none)?))
 }
 
-async fn events(State(app): State<App>) -> Answer<Sse<impl Stream<Item = Result<sse::Event, Infallible>>>> {
+async fn events(State(app): State<App>) -> Answer<Response> {
     let gone = || Problem::new(Code::ShuttingDown, "the daemon is ending: start it again");
     let (now, receiver) = app.engine.subscribe().ok_or_else(gone)?;
     let later = BroadcastStream::new(receiver).map(|event| {
-        event.unwrap_or_else(|BroadcastStreamRecvError::Lagged(events)| Event::Lagged { events })
+        event.unwrap_or_else(|BroadcastStreamRecvError::Lagged(events)| frame(&Event::Lagged { events }))
     });
-    let all = stream::once(async { now }).chain(later);
-    Ok(Sse::new(all.map(|event| {
-        let data = serde_json::to_string(&event).unwrap_or_default();
-        Ok(sse::Event::default().event(event.name()).data(data))
-    })))
+    let all = stream::once(async { now }).chain(later).map(Ok::<_, Infallible>);
+    let head = [(CONTENT_TYPE, "text/event-stream"), (CACHE_CONTROL, "no-cache")];
+    Ok((head, Body::from_stream(all)).into_response())
 }
 
 async fn metrics_text(State(app): State<App>) -> Response {

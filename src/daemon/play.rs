@@ -6,6 +6,7 @@
 //! Invariant: a play is in the receipts before the streamer reports anything about it; the id of a refused play goes to the next.
 
 use super::engine::{Engine, TIMEOUT, answer};
+use super::runtime::computing;
 use super::state::{NewPlay, Reply, State};
 use crate::session_record::Peer;
 use crate::store::Stored;
@@ -38,11 +39,7 @@ impl PreparedPlay {
             return Err(Problem::new(Code::BadRequest, detail));
         }
         // A long pattern has a hundred thousand strokes: other commands must not wait while they are counted.
-        let counted =
-            tokio::task::spawn_blocking(move || (Bandwidth::of(&strokes, &settings), strokes)).await;
-        let (bandwidth, strokes) = counted.map_err(|_| {
-            Problem::new(Code::Busy, "the pattern could not be counted: try again, and see the daemon's log")
-        })?;
+        let (bandwidth, strokes) = computing(move || (Bandwidth::of(&strokes, &settings), strokes)).await?;
         let at = match (request.at_tick, request.at_ms) {
             (Some(tick), _) => At::Tick(Tick(tick)),
             (None, Some(ms)) => At::After(nanoseconds(ms)),

@@ -3,8 +3,8 @@
 //! This is the only place where the daemon runs the skin model (crates/skin and crates/design) in the process that streams.
 //! That is safe:
 //! - The thread has nice [`NICE`]; the streamer has real-time priority or nice 0, and its own memory and queues. They share no lock.
-//! - The work is bounded: a play counts for its first minute, at most [`WAITING`] plays wait, and further plays get
-//!   [`NoPrediction::Busy`].
+//! - The work is bounded: a play counts for its first minute, at most [`WAITING`] plays wait with at most [`WAITING_BURSTS`] bursts,
+//!   and further plays get [`NoPrediction::Busy`].
 //! - Nothing waits for a prediction: a play's `ended` event comes before it, and the daemon ends without it.
 //!
 //! Fitting a calibration uses the same thread ([`Predictor::compute`]).
@@ -18,8 +18,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use tracing::error;
 
-/// Plays that wait, with the one in work: as many as may be queued. Each holds up to a minute of bursts.
+/// Plays that wait, with the one in work: as many as may be queued.
 const WAITING: usize = 16;
+/// The bursts of all plays that wait: more than a minute of 24 motors at 300 Hz, 25 MB.
+const WAITING_BURSTS: usize = 1 << 20;
 /// A ninth of the processor time of a thread with nice 0: at 19 a busy machine would hardly run it.
 const NICE: i32 = 10;
 
@@ -43,7 +45,31 @@ impl MeasuredPlay {
 #[derive(Debug)]
 pub(super) struct Predictor {
     pool: ThreadPool,
-    waiting: Arc<AtomicUsize>,
+    waiting: Arc<Waiting>,
+}
+
+#[derive(Debug, Default)]
+struct Waiting {
+    plays: AtomicUsize,
+    bursts: AtomicUsize,
+}
+
+impl Waiting {
+    /// Counts a play, if there is a place for it.
+    fn add(&self, bursts: usize) -> bool {
+        let plays = self.plays.fetch_add(1, Ordering::Relaxed);
+        let waiting = self.bursts.fetch_add(bursts, Ordering::Relaxed);
+        let fits = plays < WAITING && waiting + bursts <= WAITING_BURSTS;
+        if !fits {
+            self.remove(bursts);
+        }
+        fits
+    }
+
+    fn remove(&self, bursts: usize) {
+        self.plays.fetch_sub(1, Ordering::Relaxed);
+        self.bursts.fetch_sub(bursts, Ordering::Relaxed);
+    }
 }
 
 impl Predictor {
@@ -72,10 +98,10 @@ impl Predictor {
         cancelled: impl FnOnce() -> bool + Send + 'static,
         report: impl FnOnce(Result<PredictedResponse, NoPrediction>) + Send + 'static,
     ) {
+        let bursts = play.bursts.len();
         if !play.telemetry {
             report(Err(NoPrediction::NoTelemetry));
-        } else if self.waiting.fetch_add(1, Ordering::Relaxed) >= WAITING {
-            self.waiting.fetch_sub(1, Ordering::Relaxed);
+        } else if !self.waiting.add(bursts) {
             report(Err(NoPrediction::Busy));
         } else {
             let waiting = Arc::clone(&self.waiting);
@@ -83,8 +109,24 @@ impl Predictor {
                 if !cancelled() {
                     report(play.response());
                 }
-                waiting.fetch_sub(1, Ordering::Relaxed);
+                waiting.remove(bursts);
             });
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn plays_that_wait_are_bounded_in_number_and_in_bursts() {
+        let waiting = Waiting::default();
+        assert!((0..WAITING).all(|_| waiting.add(0)) && !waiting.add(0));
+        (0..WAITING).for_each(|_| waiting.remove(0));
+        assert!(waiting.add(WAITING_BURSTS) && !waiting.add(1) && waiting.add(0));
+        assert_eq!(size_of::<MeasuredBurst>(), 24, "25 MB for those that wait");
+        waiting.remove(WAITING_BURSTS);
+        assert!(waiting.add(WAITING_BURSTS - 1) && waiting.add(1));
     }
 }

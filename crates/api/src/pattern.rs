@@ -36,7 +36,7 @@ pub struct PatternSummary {
 pub struct PatternList {
     /// The patterns, sorted by name.
     pub patterns: Vec<PatternSummary>,
-    /// One line for each file that cannot be read as a pattern.
+    /// One line for each file that cannot be read as a pattern: the first 100, and how many more there are.
     pub errors: Vec<String>,
 }
 
@@ -59,7 +59,7 @@ pub struct PatternDetails {
     pub sha256: String,
     /// Whether the pattern belongs to the built-in library.
     pub library: bool,
-    /// One line for each thing that may not be meant, for example a saturated drive.
+    /// One line for each thing that may not be meant, for example a saturated drive: the first 100, and how many more.
     pub warnings: Vec<String>,
 }
 
@@ -79,7 +79,7 @@ pub struct PatternFile {
     #[serde(default)]
     #[schema(max_items = 4096)]
     pub drive: Vec<PatternDrive>,
-    /// What made the pattern: target, seed, settings, method. Any keys.
+    /// What made the pattern: target, seed, settings, method. Any keys, at most 16384 with the items of lists.
     #[serde(default)]
     pub provenance: Map<String, Value>,
 }
@@ -120,6 +120,6 @@ pub struct ImportedPattern {
     pub name: String,
     /// SHA-256 of the bytes that were sent, in hexadecimal.
     pub sha256: String,
-    /// One line for each thing that may not be meant, for example a saturated drive.
+    /// One line for each thing that may not be meant, for example a saturated drive: the first 100, and how many more.
     pub warnings: Vec<String>,
 }

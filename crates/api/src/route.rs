@@ -276,12 +276,13 @@ impl Route {
                 method: Method::Put,
                 summary: "Store a pattern",
                 description: "The daemon checks the file and writes it to its pattern directory, in place of an older one of that name. \
-                              The file must bear the name of the address, and has at most 1 MiB.",
+                              The file must bear the name of the address, and has at most 1 MiB. Four imports are in work at a \
+                              time; further ones wait, for 10 s at most.",
                 parameter: Some("The pattern's name"),
                 body: Body::Toml,
                 statuses: &[(201, "Stored under a new name"), (200, "Stored in place of an older pattern")],
                 answer: Answer::Json("ImportedPattern"),
-                errors: &[BODY, &[Code::BadPattern, Code::Exists, Code::Store], ANY],
+                errors: &[BODY, &[Code::BadPattern, Code::Exists, Code::Store, Code::Busy], ANY],
                 ..Operation::get("/v1/patterns/{name}")
             },
             Self::Calibrate => Operation {

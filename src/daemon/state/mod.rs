@@ -24,7 +24,7 @@ pub(super) use calibration::Calibration;
 pub(super) use commands::{Commands, Reply};
 pub(super) use connection::{Connection, ConnectorMessage};
 pub(super) use plays::{NewPlay, Plays};
-pub(super) use publisher::Publisher;
+pub(super) use publisher::{Publisher, frame};
 pub(super) use settings::ActiveSettings;
 
 use crate::receipts::{NoPrediction, refusal, state_name};

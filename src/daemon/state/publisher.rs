@@ -1,20 +1,33 @@
 //! Events on their way to listeners and to the session record.
 //!
-//! Bounds: a listener may be [`EVENTS`] behind, then it gets [`Event::Lagged`].
+//! An event is written once, as the bytes of its server-sent event; all listeners share them.
+//!
+//! Bounds: a listener may be [`EVENTS`] behind, then it gets [`Event::Lagged`]. The events that wait take at most 25 MB: the
+//! receipt of a play has at most 24 KiB.
 
 use crate::session_record::{Entry, Peer, SessionRecord};
+use axum::body::Bytes;
 use meissner_api::Event;
 use tokio::sync::broadcast;
 
 /// Events a listener may be behind.
 const EVENTS: usize = 1024;
 
+/// An event as listeners get it: one server-sent event, whose data is one line.
+pub(in crate::daemon) fn frame(event: &Event) -> Bytes {
+    let mut frame = format!("event: {}\ndata: ", event.name()).into_bytes();
+    // Writing to a vector does not fail, and events can be serialized.
+    let _ = serde_json::to_writer(&mut frame, event);
+    frame.extend_from_slice(b"\n\n");
+    frame.into()
+}
+
 /// See the module.
 #[derive(Debug)]
 pub(in crate::daemon) struct Publisher {
     pub(in crate::daemon) session_record: SessionRecord,
     /// None once the daemon ends: listeners get what was published before, then the end.
-    listeners: Option<broadcast::Sender<Event>>,
+    listeners: Option<broadcast::Sender<Bytes>>,
 }
 
 impl Publisher {
@@ -27,19 +40,86 @@ impl Publisher {
         if let Some(entry) = Entry::of(event, client) {
             self.session_record.add(entry);
         }
-        if let Some(listeners) = &self.listeners {
-            // An error means that there is no listener.
-            let _ = listeners.send(event.clone());
+        if let Some(listeners) = self.listeners.as_ref().filter(|listeners| listeners.receiver_count() > 0) {
+            // An error means that the last listener has gone.
+            let _ = listeners.send(frame(event));
         }
     }
 
     /// A listener to everything from now on; none once the daemon ends.
-    pub(in crate::daemon) fn subscribe(&self) -> Option<broadcast::Receiver<Event>> {
+    pub(in crate::daemon) fn subscribe(&self) -> Option<broadcast::Receiver<Bytes>> {
         Some(self.listeners.as_ref()?.subscribe())
     }
 
     /// Ends the streams of all listeners.
     pub(in crate::daemon) fn close(&mut self) {
         self.listeners = None;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use meissner_api::{
+        BurstCounts, LateCause, LateCounts, LateStroke, LatenessRecord, LinkTraffic, MAX_LISTED, OnsetRecord,
+        PlayState, PredictedResponse, Prediction, PulseCounts, Rates, Receipt, RefusedStroke,
+    };
+
+    #[test]
+    fn listeners_share_the_bytes_of_an_event() {
+        let publisher = Publisher::new(SessionRecord::none());
+        let mut listeners = [(); 2].map(|()| publisher.subscribe().unwrap());
+        publisher.publish(&Event::Lost { events: 3 }, None);
+        let [first, second] = listeners.each_mut().map(|listener| listener.try_recv().unwrap());
+        assert_eq!(&*first, b"event: lost\ndata: {\"event\":\"lost\",\"notices\":3}\n\n");
+        assert_eq!(first.as_ptr(), second.as_ptr());
+    }
+
+    #[test]
+    fn the_longest_event_has_24_kib() {
+        let (most, number) = (u64::MAX, -123.456_789_012_345_67);
+        let rates = Rates { all: number, on: Some(number), off: Some(number), contrast: Some(number) };
+        let response = PredictedResponse {
+            seconds: number,
+            target: Some("x".repeat(64)),
+            population_seed: most,
+            designed_hz: rates,
+            played_hz: rates,
+            unmeasured: most,
+        };
+        let late = LateStroke { motor: 23, tick: most, late_ms: number, cause: LateCause::Device };
+        let reason = "the motor's on-time limit: fewer pulses per second, please".to_owned();
+        let refused = RefusedStroke { motor: 23, tick: most, reason };
+        let receipt = Receipt {
+            state: PlayState::Stopped,
+            cause: Some("x".repeat(64)),
+            onset: Some(OnsetRecord {
+                requested_tick: most,
+                actual_tick: most,
+                monotonic_ns: most,
+                uncertainty_ns: most,
+            }),
+            onset_latency_ms: Some(number),
+            bursts: Some(BurstCounts {
+                planned: most,
+                played: most,
+                late: most,
+                dropped: most,
+                refused: most,
+                amended: most,
+            }),
+            pulses: Some(PulseCounts { planned: most, played: most }),
+            lateness: LatenessRecord {
+                counts: LateCounts { host: most, link: most, device: most, worst_ms: number },
+                strokes: vec![late; MAX_LISTED],
+            },
+            refusals: vec![refused; MAX_LISTED],
+            wire: Some(LinkTraffic { bytes_to_device: most, bytes_per_burst: Some(number) }),
+            rest_error_um: Some(vec![number as f32; 24]),
+            prediction: Prediction { response: Some(response), unknown: None },
+            ..Receipt::new(most, &"x".repeat(64), &"0".repeat(64), Some(number))
+        };
+        let frame = frame(&Event::Ended { receipt: Box::new(receipt) });
+        assert!((20 << 10..24 << 10).contains(&frame.len()), "{} bytes", frame.len());
     }
 }

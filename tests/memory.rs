@@ -1,0 +1,90 @@
+use crate::harness::{Daemon, problem};
+use meissner::daemon::MEMORY_BOUND;
+use serde_json::{Value, json};
+use std::fmt::Write as _;
+use std::fs;
+use std::path::Path;
+use std::thread;
+
+/// What imports and plays may add to the daemon's memory in these tests, kB: a tenth of the bound.
+const SMALL_KB: usize = 64 << 10;
+
+/// The most memory that the daemon has had, kB.
+fn peak_kb(daemon: &Daemon) -> usize {
+    let status: Value = daemon.client().get("/v1/status").unwrap();
+    let process = fs::read_to_string(format!("/proc/{}/status", status["pid"])).unwrap();
+    let peak = process.lines().find_map(|line| line.strip_prefix("VmHWM:")).unwrap();
+    peak.trim().trim_end_matches(" kB").parse().unwrap()
+}
+
+/// A megabyte of keys with 60 dots each: half a million tables.
+fn dotted(name: &str) -> String {
+    let mut text = format!("format = 1\nname = \"{name}\"\nduration_s = 60.0\n[provenance]\n");
+    for key in 0..8000 {
+        let _ = writeln!(text, "k{key}{} = 1", ".a".repeat(60));
+    }
+    text
+}
+
+/// The most drives that a pattern may have, with every key.
+fn longest(name: &str) -> String {
+    let mut text = format!("format = 1\nname = \"{name}\"\nduration_s = 1000.0\n");
+    for number in 0..4096 {
+        let (motor, start_s) = (number % 24, f64::from(number / 24) * 5.5);
+        let _ = write!(
+            text,
+            "[[drive]]\nmotor = {motor}\nfrequency_hz = 60.125\namplitude_um = 10.125\nphase = 0.125\n\
+             start_s = {start_s}\nstop_s = {}\n",
+            start_s + 5.25
+        );
+    }
+    text
+}
+
+#[test]
+fn files_that_would_fill_the_memory_are_refused_and_leave_nothing() {
+    let daemon = Daemon::start();
+    let before = peak_kb(&daemon);
+    thread::scope(|scope| {
+        for number in 0..6 {
+            let (name, mut client) = (format!("d{number}"), daemon.client());
+            scope.spawn(move || {
+                let refused = problem(client.put(&format!("/v1/patterns/{name}"), dotted(&name)));
+                assert_eq!((refused.code.as_str(), refused.status), ("bad-pattern", 422));
+                let says = format!("{name}.toml:141: more than 8192 tables (each dot of a key makes one)");
+                assert!(refused.detail.starts_with(&says), "{}", refused.detail);
+            });
+        }
+    });
+    let added = peak_kb(&daemon) - before;
+    assert!(added < SMALL_KB, "{added} kB");
+    assert_eq!(fs::read_dir(daemon.path("patterns")).unwrap().count(), 0);
+}
+
+#[test]
+fn a_full_queue_of_the_longest_pattern_takes_little_memory() {
+    let daemon = Daemon::start();
+    let mut client = daemon.armed();
+    let before = peak_kb(&daemon);
+    let _: Value = client.put("/v1/patterns/longest", longest("longest")).unwrap();
+    for _ in 0..17 {
+        let _: Value = client.post("/v1/play", &json!({"pattern": "longest"})).unwrap();
+    }
+    let shown: Value = client.get("/v1/patterns/longest").unwrap();
+    assert_eq!(shown["pattern"]["drive"].as_array().unwrap().len(), 4096);
+    let _: Value = client.post("/v1/estop", &json!({})).unwrap();
+    let added = peak_kb(&daemon) - before;
+    assert!(added < SMALL_KB, "{added} kB");
+}
+
+/// The bound is the program's; the page and the unit that name it follow.
+#[test]
+fn the_page_and_the_unit_name_the_bound() {
+    let read = |file: &str| fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(file)).unwrap();
+    let mib = MEMORY_BOUND >> 20;
+    assert!(read("docs/explanation/limits.md").contains(&format!("at most {mib} MiB")));
+    let unit = read("deploy/meissner.service");
+    let most = unit.lines().find_map(|line| line.strip_prefix("MemoryMax=")).unwrap();
+    let most: usize = most.strip_suffix('M').unwrap().parse().unwrap();
+    assert!((mib..=2 * mib).contains(&most), "{most}");
+}
