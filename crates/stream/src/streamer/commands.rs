@@ -228,7 +228,7 @@ impl Streamer {
     /// Applies the settings configured last.
     fn apply_settings(&mut self) {
         self.settings = self.next_settings;
-        self.control.set_limits(&self.settings.limits);
+        self.control.configure(&self.settings);
     }
 
     fn emergency_stop(&mut self, now: HostInstant, emit: &mut dyn Emit) -> OpResult {
