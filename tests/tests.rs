@@ -9,6 +9,8 @@ mod bad_input;
 mod boards;
 /// The README, the book and the example configuration: commands run, snippets parse, links have targets.
 mod book;
+/// The builds that tests run check for overflows.
+mod build_checks;
 /// `calibrate` on a real daemon: played, fitted, stored, used by its own device alone.
 mod calibration;
 /// The command line against a real daemon.

@@ -94,6 +94,42 @@
 //!
 //! `Telemetry` comes while the device is armed, if it has that feature. It is not repeated.
 //!
+//! # Bounds of what a device says
+//! A frame with a right CRC may still be untrue: a fault of the firmware, its memory or its clock. The host checks every
+//! message against these bounds in one place, before it uses anything of it.
+//!
+//! | field | bound | beyond it |
+//! |---|---|---|
+//! | `Hello`: `motors`, `tick_hz` | 24, 85 000 | the link closes: another array |
+//! | `Hello`: `tick`; `pool`, `max_up_pulses` | at most 2^56; at least 1 | contradiction `hello` |
+//! | `Hello`: `session`; `epoch`, `reports` | the host's own; any | ignored; later statuses contradict a false number |
+//! | `Hello`: others | any: for people, or not used | |
+//! | ticks of statuses, reports, telemetry | from the handshake to now (reports of cuts, verdicts: plus `horizon`), by the host's estimate of the clock ± (twice its uncertainty + 3 ms) | contradiction `clock` |
+//! | `Status`: `tick` | not before the ping it answers; at most 1 s before the newest status | contradiction `clock`; a little older: ignored, a later one overtook it |
+//! | `Status`: `token` | one of the last 64 pings | measures nothing |
+//! | `Status`: `epoch`, `refusal` | from the last one named to the last one sent; what the command can be refused for; faulted after an e-stop, not armed after a disarm | contradiction `command` |
+//! | `Status`: `next_seq`, `out_of_order` | not before the last one; frames that were sent | contradiction `stream` |
+//! | `Status`: `credits` | at most `pool` | contradiction `credits` |
+//! | `Status`: `reports` | does not shrink; at most `pool` + 32 beyond the last one read, not before it | contradiction `reports` |
+//! | `Status`: `state`, `cause`, `position_known` | arms and leaves faults only after a command; returns for at most 1 s; knows positions after `arm` only | contradiction `state` |
+//! | `Status`: `outstanding` | at most 24 · 65 535 | contradiction `state` |
+//! | counters of statuses and onsets | do not shrink; at most 2^62; `played` and `pulses` grow by at most a pulse per tick and line, and a stroke | contradiction `counters` |
+//! | `Report`: `number` | the next one | ignored: the device repeats what is missing |
+//! | `Verdict`, `OnsetRefused` | a frame sent and not judged; strokes of that frame, each late or refused; a first frame whose base is before `rendered` | contradiction `report` |
+//! | `Onset`: `tick` | an onset sent and not reported | contradiction `report` |
+//! | `Cut`: `flushed`, `outstanding` | at most `pool`; as in `Status` | contradiction `report` |
+//! | `Refused`: `motor`, `reason` | 0 to 23; an on-time limit | contradiction `report` |
+//! | `Telemetry` | only with that feature; any displacement: the monitor of each motor judges it | contradiction `telemetry` |
+//! | answer to a `Control`, a report announced, the report of an onset | within 3 s; 3 s; 5 s after the play's end | the link closes |
+//!
+//! A *contradiction* is ignored as a whole and counted by kind; the host asks for another status at once. So a single lie
+//! does nothing, and a lie that was believed shows, because the truth then contradicts it. After five contradictions within a
+//! second the host does not trust the device: it repeats an e-stop for 100 ms, each in an epoch a third of their range from
+//! the last, so that one is newer whatever the device's is. Then it closes the link and opens a new session, which forgets all
+//! it has learned. It resets its own e-stop there: the device comes back disarmed.
+//!
+//! The controller in turn takes any message of a host: [`limits`] bound what it does, and frames bound what it stores.
+//!
 //! # What the controller does
 //! It renders lines at most [`controller::HORIZON`] ticks ahead, in blocks of [`controller::BLOCK`]. A stroke is *late* if
 //! it begins before the rendered end. A firmware looks for e-stops in the bytes as they arrive ([`urgent`]), before it reads

@@ -358,3 +358,9 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn this_optimised_build_checks_for_overflows() {
+    assert!(cfg!(debug_assertions));
+    assert!(std::panic::catch_unwind(|| std::hint::black_box(u8::MAX) + std::hint::black_box(1)).is_err());
+}

@@ -191,6 +191,9 @@ pub(super) fn event(event: &Event) -> String {
         Event::SensorFault { motor, fault } => {
             format!("sensor fault: motor {motor}, {}; it plays in open loop until the next arm", fault.text())
         }
+        Event::Contradiction { kind } => {
+            format!("contradiction: the device sent a {kind} that cannot be true")
+        }
         Event::Drifted { um } => {
             format!(
                 "drifted: pins may be {um:.0} um off; `meissner home` between plays, or level them by hand"

@@ -26,6 +26,13 @@ impl Engine {
                 let cause = fault.text();
                 warn!(motor, cause, "motor {motor}: {cause}; it plays in open loop until the next `arm`");
             }
+            Event::Contradiction { kind } => {
+                warn!(
+                    cause = kind,
+                    "the device contradicts itself ({kind}): the daemon ignores the message, and turns the device off if \
+                     it goes on; `meissner_contradictions_total` counts on"
+                );
+            }
             Event::Drifted { um } => {
                 warn!(
                     um,

@@ -6,6 +6,7 @@
 
 use crate::receipts::Receipts;
 use meissner_api::NO_DEVICE;
+use meissner_stream::link::Contradiction;
 use std::fmt::{Display, Write};
 
 const STATES: [&str; 5] = ["disarmed", "armed", "returning", "faulted", NO_DEVICE];
@@ -102,6 +103,15 @@ pub(super) fn text(receipts: &Receipts) -> String {
         "Frames from the device that the host could not read, by kind; restarts when a device is connected.",
         kinds,
     );
+    let contradictions = snapshot.map(|at| at.contradictions).unwrap_or_default();
+    let kinds =
+        Contradiction::ALL.map(|kind| (format!("{{kind=\"{}\"}}", kind.name()), contradictions.of(kind)));
+    text.family(
+        "contradictions_total",
+        "counter",
+        "Undamaged messages from the device that cannot be true, by kind; restarts when a device is connected.",
+        kinds.each_ref().map(|(kind, count)| (&**kind, count as &dyn Display)),
+    );
     text.counter(
         "device_bad_frames_total",
         "Frames from the host that the device could not read; restarts when the device starts.",
@@ -126,6 +136,7 @@ mod tests {
         assert!(text.contains("meissner_state{state=\"no-device\"} 1\n"));
         assert!(text.contains("meissner_bursts_total{fate=\"late\"} 0\n"));
         assert!(text.contains("meissner_bad_frames_total{kind=\"unknown\"} 0\n"));
+        assert!(text.contains("meissner_contradictions_total{kind=\"clock\"} 0\n"));
         for line in text.lines() {
             let sample = line.starts_with("meissner_") && line.split(' ').count() == 2;
             assert!(sample || line.starts_with("# HELP ") || line.starts_with("# TYPE "), "{line}");

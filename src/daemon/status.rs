@@ -40,6 +40,7 @@ impl Engine {
             lead_ms: snapshot.map_or(daemon.settings.current.lead_ms, |snapshot| snapshot.lead_ms),
             lease_ms: snapshot.map_or(daemon.settings.current.lease_ms, |snapshot| snapshot.lease_ms),
             line_bytes_per_s: snapshot.filter(|at| at.connected).and_then(|at| at.line_bytes_per_s),
+            contradictions: snapshot.map_or(0, |at| at.contradictions.total()),
             motors: snapshot
                 .map(|at| at.rest_error_um.iter().zip(&at.source).zip(0..).map(motor).collect())
                 .unwrap_or_default(),

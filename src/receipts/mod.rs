@@ -115,6 +115,7 @@ impl Receipts {
             StreamEvent::SensorFault { motor, fault } => {
                 Some(Event::SensorFault { motor: *motor, fault: *fault })
             }
+            StreamEvent::Contradiction(how) => Some(Event::Contradiction { kind: how.name().to_owned() }),
             StreamEvent::DriftWarning { um } => Some(Event::Drifted { um: *um }),
             StreamEvent::Connected(hello) => {
                 self.totals.connects += 1;

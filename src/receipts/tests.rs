@@ -8,7 +8,7 @@ use meissner_api::{LateCause, LatePolicy};
 use meissner_array::pattern::Pattern;
 use meissner_array::strokes::Strokes;
 use meissner_stream::Bandwidth;
-use meissner_stream::link::BadFrames;
+use meissner_stream::link::{BadFrames, Contradictions};
 use meissner_stream::queues::{At, End, Onset, Play};
 
 fn hello() -> DeviceHello {
@@ -50,6 +50,7 @@ fn snapshot(connected: bool, state: State, play: Option<(u64, f64)>) -> Snapshot
         bytes_in: 0,
         retransmitted: 0,
         bad_frames: BadFrames::default(),
+        contradictions: Contradictions::default(),
         device_bad_frames: 0,
     }
 }

@@ -167,6 +167,13 @@ pub enum Event {
         #[serde(rename = "doubt")]
         fault: SensorFault,
     },
+    /// The device contradicted itself, in this way for the first time since it was connected. The daemon ignored the message; it
+    /// counts all of them in the metrics, and disconnects a device that goes on.
+    #[schema(examples(json!({"event": "contradiction", "kind": "clock"})))]
+    Contradiction {
+        /// The kind of contradiction, as in the metric `meissner_contradictions_total`.
+        kind: String,
+    },
     /// Without telemetry, pins may have drifted beyond the configured `drift_warning_um`: home them.
     #[schema(examples(json!({"event": "drifted", "um": 21.5})))]
     Drifted {
@@ -202,6 +209,7 @@ impl Event {
             Self::Late { .. } => "late",
             Self::Refused { .. } => "refused",
             Self::SensorFault { .. } => "doubted",
+            Self::Contradiction { .. } => "contradiction",
             Self::Drifted { .. } => "drifted",
             Self::Ended { .. } => "ended",
             Self::PredictedResponse { .. } => "felt",

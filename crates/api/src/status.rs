@@ -113,6 +113,7 @@ pub struct MotorStatus {
     "queued": [{"id": 8, "pattern": "pin-60"}],
     "tick": 6442450944_u64, "clock_uncertainty_us": 9.6, "lead_ms": 100.0, "lease_ms": 300.0,
     "line_bytes_per_s": 1000000,
+    "contradictions": 0,
     "motors": [{"rest_error_um": 0.4, "source": "telemetry", "calibrated": false}],
     "calibrated": null, "realtime": {"fifo": true, "mlock": true}, "logbook_problem": null,
     "socket": "/run/meissner/meissner.sock", "version": "0.1.0", "pid": 1234
@@ -156,6 +157,10 @@ pub struct Status {
     #[serde(default)]
     #[schema(required)]
     pub line_bytes_per_s: Option<u32>,
+    /// Undamaged messages from the device that cannot be true, since it was connected. 0 from a sound device.
+    #[serde(default)]
+    #[schema(required)]
+    pub contradictions: u64,
     /// The motors, by number; empty until a device has connected.
     #[schema(max_items = 24)]
     pub motors: Vec<MotorStatus>,

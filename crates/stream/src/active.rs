@@ -179,7 +179,7 @@ impl Active {
             late,
             dropped,
             refused,
-            amended: since(|counters| counters.amended),
+            amended: since(|counters| counters.amended).min(played),
         };
         let outcome = Outcome {
             end,

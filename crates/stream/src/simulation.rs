@@ -12,7 +12,8 @@ use crate::queues::{At, Command, Emit, MeasuredBurst, Outcome, Play, Request, St
 use crate::settings::Settings;
 use crate::streamer::Streamer;
 use crate::time::HostInstant;
-use firmware_protocol::frame::MAX_FRAME;
+use firmware_protocol::frame::{self, Decoder, MAX_FRAME};
+use firmware_protocol::message::DeviceMessage;
 use firmware_protocol::tick::Tick;
 use meissner_api::LatePolicy;
 use meissner_array::pattern::Pattern;
@@ -92,6 +93,31 @@ impl Direction {
     }
 }
 
+/// Changes messages of the device before they are sent.
+struct Liar {
+    decoder: Decoder,
+    lie: Box<dyn FnMut(&mut DeviceMessage)>,
+}
+
+impl std::fmt::Debug for Liar {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        out.write_str("Liar")
+    }
+}
+
+impl Liar {
+    /// The bytes of the device with changed messages, each in a frame that is whole.
+    fn change(&mut self, mut bytes: &[u8], mut send: impl FnMut(&[u8])) {
+        while let Some(body) = self.decoder.next(&mut bytes) {
+            let Ok(mut message) = frame::read(body) else { continue };
+            (self.lie)(&mut message);
+            let mut out = [0; MAX_FRAME];
+            let len = frame::encode(&message, &mut out).unwrap_or(0);
+            send(&out[..len]);
+        }
+    }
+}
+
 /// A streamer and a mock in virtual time.
 #[derive(Debug)]
 pub struct Simulation {
@@ -102,6 +128,7 @@ pub struct Simulation {
     now: HostInstant,
     to_device: Direction,
     to_host: Direction,
+    liar: Option<Liar>,
     events: EventLog,
     tickets: u64,
 }
@@ -111,10 +138,12 @@ pub struct Simulation {
 struct EventLog {
     events: Vec<StreamEvent>,
     measured_bursts: Option<Vec<MeasuredBurst>>,
+    contradictions: u64,
 }
 
 impl Emit for EventLog {
     fn event(&mut self, event: StreamEvent) {
+        self.contradictions += u64::from(matches!(event, StreamEvent::Contradiction(_)));
         self.events.push(event);
     }
 
@@ -147,6 +176,7 @@ impl Simulation {
             now: STARTED,
             to_device: direction(0x5eed, line),
             to_host: direction(0xfeed, Line { bytes_per_s: 0, ..line }),
+            liar: None,
             events: EventLog::default(),
             tickets: 0,
         };
@@ -171,6 +201,22 @@ impl Simulation {
     /// Changes the line.
     pub fn set_line(&mut self, line: Line) {
         (self.to_device.line, self.to_host.line) = (line, Line { bytes_per_s: 0, ..line });
+    }
+
+    /// From here on `lie` may change each message of the device before it is sent: the device lies, the line does not.
+    pub fn lie(&mut self, lie: impl FnMut(&mut DeviceMessage) + 'static) {
+        self.liar = Some(Liar { decoder: Decoder::new(), lie: Box::new(lie) });
+    }
+
+    /// From here on the device's messages are sent as they are.
+    pub fn stop_lying(&mut self) {
+        self.liar = None;
+    }
+
+    /// How often the streamer reported that the device contradicts itself.
+    #[must_use]
+    pub fn contradictions(&self) -> u64 {
+        self.events.contradictions
     }
 
     /// Virtual time.
@@ -221,7 +267,11 @@ impl Simulation {
             if len == 0 {
                 break;
             }
-            self.to_host.send(self.now, &bytes[..len]);
+            let (now, to_host) = (self.now, &mut self.to_host);
+            match &mut self.liar {
+                Some(liar) => liar.change(&bytes[..len], |frame| to_host.send(now, frame)),
+                None => to_host.send(now, &bytes[..len]),
+            }
         }
     }
 

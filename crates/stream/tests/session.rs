@@ -160,6 +160,7 @@ proptest! {
                         pair.session.command(Command::Stop);
                     }
                     Event::Lost(reason) => prop_assert!(false, "{reason:?}"),
+                    Event::Contradiction(how) => prop_assert!(false, "a true device was doubted: {how:?}"),
                     _ => {}
                 }
             }

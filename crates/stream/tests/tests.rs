@@ -5,6 +5,8 @@
 mod calibrate;
 mod capacity;
 mod closed_loop;
+/// A device that lies: undamaged messages that cannot be true.
+mod lies;
 mod on_time;
 mod position_control;
 mod races;

@@ -223,6 +223,7 @@ impl Rig {
         compiled.begin(outcome.onset.expect("it began").actual);
         let strokes: Vec<_> = compiled.map(Result::unwrap).collect();
         assert_lines(&self.mock.take_trace(), &strokes);
+        assert_eq!(self.contradictions(), 0, "a true device was doubted: {:?}", self.take_events());
         outcome
     }
 }

@@ -24,7 +24,7 @@ pub struct HalfTick(pub u64);
 
 impl From<Tick> for HalfTick {
     fn from(tick: Tick) -> Self {
-        Self(2 * tick.0)
+        Self(tick.0.saturating_mul(2))
     }
 }
 
@@ -93,7 +93,7 @@ impl Ramp {
     /// window. `before` half ticks of it lie before the window.
     #[expect(clippy::cast_precision_loss, reason = "below 2^44")]
     fn share_after(&self, after: i64) -> f64 {
-        let before = self.done(after - WINDOW);
+        let before = self.done(after.saturating_sub(WINDOW));
         let left = self.half_ticks() - before;
         if left == 0 {
             return self.travel_um();

@@ -12,4 +12,7 @@ mod clock;
 mod session;
 
 pub use clock::Clock;
-pub use session::{BadFrames, Budget, Event, LineRate, LostReason, RoundTrip, Session, Traffic, Verdict};
+pub use session::{
+    BadFrames, Budget, Contradiction, Contradictions, Event, LineRate, LostReason, RoundTrip, Session,
+    Traffic, Verdict,
+};

@@ -2,6 +2,7 @@
 
 use crate::control::{Gains, MeasuredBurst};
 use crate::device::Device;
+use crate::link::Contradiction;
 use crate::queues::error::CommandError;
 use crate::queues::outcome::{Onset, Outcome, Snapshot};
 use crate::queues::play::Play;
@@ -126,6 +127,8 @@ pub enum StreamEvent {
         /// Why.
         fault: SensorFault,
     },
+    /// The device contradicted itself, in this way for the first time since it was connected. The link ignored the message.
+    Contradiction(Contradiction),
     /// The error of dead reckoning exceeds [`Settings::drift_warning_um`].
     DriftWarning {
         /// The largest of all motors, one standard deviation, µm.

@@ -2,7 +2,7 @@
 //!
 //! The streamer fills them; the daemon turns them into the API's types.
 
-use crate::link::BadFrames;
+use crate::link::{BadFrames, Contradictions};
 use crate::queues::play::Play;
 use crate::time::HostInstant;
 use firmware_protocol::message::{Cause, State};
@@ -118,6 +118,8 @@ pub struct Snapshot {
     pub retransmitted: u64,
     /// Frames from the device that the host could not read since it was connected.
     pub bad_frames: BadFrames,
+    /// Undamaged messages from the device that cannot be true, since it was connected.
+    pub contradictions: Contradictions,
     /// Frames from the host that the device could not read since it was switched on.
     pub device_bad_frames: u64,
 }

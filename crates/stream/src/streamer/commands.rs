@@ -233,6 +233,7 @@ impl Streamer {
 
     fn emergency_stop(&mut self, now: HostInstant, emit: &mut dyn Emit) -> OpResult {
         self.latched = true;
+        self.resets_own_e_stop = false;
         self.wants_armed = false;
         self.cut_all(End::Stopped, "estop");
         // An emergency stop overtakes all other operations.

@@ -3,12 +3,17 @@
 //! Invariant: the account of a play closes with device counters that include all of this play and nothing of the next.
 
 use crate::active::Phase;
+use crate::link::Contradiction;
 use crate::queues::{CommandError, Emit, End, StreamEvent};
 use crate::streamer::{ANSWER_WITHIN, Streamer, answer};
 use crate::time::HostInstant;
 use firmware_protocol::message::{Counters, State};
 use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
+use meissner_array::units::TICKS_PER_S;
+
+/// The device reports a play's onset and all strokes within this time after its end, ticks, or withholds reports.
+const REPORTED_WITHIN: u64 = 5 * TICKS_PER_S;
 
 impl Streamer {
     /// Cuts all plays, for this reason unless they have one already.
@@ -57,7 +62,14 @@ impl Streamer {
                     .then_some(status.counters);
                 next_counters.or(now_known).filter(|_| decided && tick >= end && session.known_to() >= end)
             };
-            let Some(after) = after else { break };
+            let Some(after) = after else {
+                let end = first.end().filter(|&end| tick >= end + REPORTED_WITHIN);
+                if first.cut.is_none() && end.is_some() {
+                    let events = &mut self.events;
+                    session.distrust(Contradiction::Reports, &mut |event| events.push_back(event));
+                }
+                break;
+            };
             let wire = session.traffic().bytes_out;
             let rest_um = self.control.rest_error_um(tick).map(|(um, _)| um);
             let Some(active) = self.plays.pop_front() else { break };

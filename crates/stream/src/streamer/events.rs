@@ -3,7 +3,7 @@
 //! [`Streamer::receive`] passes bytes to the link session, whose events are handled here.
 
 use crate::active::{Active, FIRST_MARGIN, Phase};
-use crate::link::{Event, Verdict};
+use crate::link::{Event, LostReason, Verdict};
 use crate::queues::{CommandError, Emit, End, Onset, StreamEvent};
 use crate::streamer::{IDLE_PING, Streamer, answer, cause_text, cuts_play};
 use crate::time::HostInstant;
@@ -42,8 +42,12 @@ impl Streamer {
                 }
             }
             Event::Lost(reason) => {
+                // The session has sent an e-stop of its own. The next one takes it back, and no other.
+                self.resets_own_e_stop =
+                    matches!(reason, LostReason::Contradicts(_)) && self.state() != State::Faulted;
                 self.disconnect(now, reason.text(), emit);
             }
+            Event::Contradiction(how) => emit.event(StreamEvent::Contradiction(how)),
             Event::Control(result) => {
                 self.in_flight = false;
                 if let Some(done) = self.pending_ops.pop_front() {
@@ -96,22 +100,22 @@ impl Streamer {
                     emit.event(StreamEvent::StrokeRefused { id, motor, up, reason });
                 }
             }
-            // Ignore samples of the future: all true samples after one would look old.
-            Event::Telemetry { tick, y, known_to }
-                if tick <= self.tick_at(now).unwrap_or_default() + duration_to_ticks(IN_TIME) =>
-            {
+            Event::Telemetry { tick, y, known_to } => {
                 let known = self.control.telemetry(tick, &y, known_to, |burst| emit.measured(burst));
                 if let (false, Some(session)) = (known, &mut self.session) {
                     session.request_status();
                 }
             }
-            Event::Telemetry { .. } => {}
         }
     }
 
     fn status(&mut self, now: HostInstant, status: Status, tick: Tick, emit: &mut dyn Emit) {
         let before = self.status.replace((status, tick)).map(|(status, _)| status);
         self.control.counters_heard(tick);
+        self.resets_own_e_stop &= (status.state, status.cause) == (State::Faulted, Cause::EStop);
+        if self.resets_own_e_stop && !self.latched && self.no_op_pending() {
+            self.queue_op(now, 0, Op::Reset, emit);
+        }
         if status.state == State::Armed && !self.in_flight {
             self.control.at_rest(tick);
         }
@@ -127,6 +131,8 @@ impl Streamer {
         let host_timeout = ms_to_duration(self.settings.lease_ms);
         if let Some(session) = &mut self.session {
             session.keep_alive_every(if armed { host_timeout / 5 } else { IDLE_PING }, now);
+            // If this status was a lie, the next one contradicts it while the device is still fed.
+            session.request_status();
         }
         if !armed && self.pending_ops.is_empty() {
             self.wants_armed = false;

@@ -80,6 +80,8 @@ pub struct Streamer {
     status: Option<(Status, Tick)>,
     /// An emergency stop is latched, also for a device that comes later.
     latched: bool,
+    /// The last session sent an e-stop because the device contradicted itself: the next one resets it.
+    resets_own_e_stop: bool,
     /// The device sends telemetry.
     telemetry: bool,
     /// Operations for the device, oldest first.
@@ -120,6 +122,7 @@ impl Streamer {
             events: VecDeque::with_capacity(4096),
             status: None,
             latched: false,
+            resets_own_e_stop: false,
             telemetry: false,
             pending_ops: VecDeque::with_capacity(MAX_PENDING_OPS),
             in_flight: false,
@@ -304,6 +307,7 @@ impl Streamer {
             bytes_in: traffic.bytes_in,
             retransmitted: traffic.retransmitted,
             bad_frames: traffic.bad,
+            contradictions: traffic.contradictions,
             device_bad_frames: status.map_or(0, |status| status.counters.bad_frames),
         }
     }

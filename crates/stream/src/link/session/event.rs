@@ -1,5 +1,6 @@
 //! What a session reports: its [`Event`]s, the [`Verdict`] on each stroke, and why a session ends.
 
+use crate::link::session::contradiction::Contradiction;
 use crate::time::HostInstant;
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{Counters, Cut, DeviceHello, Status};
@@ -37,12 +38,29 @@ pub enum LostReason {
     Version,
     /// The device reports other motors or another tick rate.
     WrongArray,
+    /// The device contradicts itself, last in this.
+    Contradicts(Contradiction),
 }
 
 /// The whole text, what was found, and what to do.
 macro_rules! text {
     ($found:literal, $advice:literal) => {
         (concat!($found, ": ", $advice), $found, $advice)
+    };
+}
+
+/// The same of a device that contradicts itself.
+macro_rules! contradicts {
+    ($how:literal) => {
+        (
+            concat!(
+                "the device contradicts itself, ",
+                $how,
+                ": power it off and on, and update its firmware"
+            ),
+            concat!("the device contradicts itself, ", $how),
+            "power it off and on, and update its firmware",
+        )
     };
 }
 
@@ -82,6 +100,18 @@ impl LostReason {
                     "check its firmware"
                 )
             }
+            Self::Contradicts(how) => match how {
+                Contradiction::Hello => contradicts!("its first message has values out of range"),
+                Contradiction::Clock => contradicts!("its clock jumps"),
+                Contradiction::Command => contradicts!("it answers a command that it was not sent"),
+                Contradiction::Stream => contradicts!("it acknowledges strokes that it was not sent"),
+                Contradiction::Credits => contradicts!("it reports more free stroke slots than it has"),
+                Contradiction::Reports => contradicts!("reports that it announces do not come"),
+                Contradiction::Report => contradicts!("it reports about strokes that it was not sent"),
+                Contradiction::State => contradicts!("its state changes without a command"),
+                Contradiction::Counters => contradicts!("its counts of bursts shrink or jump"),
+                Contradiction::Telemetry => contradicts!("it sends telemetry without having sensors"),
+            },
         }
     }
 }
@@ -93,6 +123,8 @@ pub enum Event {
     Opened(DeviceHello),
     /// The session is over; this is its last event.
     Lost(LostReason),
+    /// The device contradicted itself, in this session for the first time in this way. The session ignored the message.
+    Contradiction(Contradiction),
     /// The device carried a command out, or refused it.
     Control(Result<(), Refusal>),
     /// The device's status.

@@ -1,9 +1,11 @@
 //! Reads what the device says: acknowledgements, credits, reports and verdicts, and puts them in order.
 //!
+//! Each message passes its bounds (`bounds`) first; the session ignores one that cannot be true, and counts it.
 //! The session concludes an acknowledged frame only once it has read all reports that the acknowledgement counts: the
 //! device accepted every stroke that no report names.
 
-use crate::link::clock::Clock;
+use crate::link::session::bounds::StatusRead;
+use crate::link::session::contradiction::Contradiction;
 use crate::link::session::event::{Event, LostReason, Verdict};
 use crate::link::session::line::RoundTrip;
 use crate::link::session::state::{Phase, Reported, Session};
@@ -28,9 +30,14 @@ impl Session {
         let mut decoder = std::mem::take(&mut self.decoder);
         while let Some(body) = decoder.next(&mut bytes) {
             match frame::read(body) {
-                Ok(message) if self.phase != Phase::Over => self.handle(now, message, emit),
-                Ok(_) => {}
-                Err(FrameError::Version(_)) => self.lose(LostReason::Version, emit),
+                Ok(message) => {
+                    if let Err(how) = self.handle(now, message, emit) {
+                        self.contradicts(now, how, emit);
+                    }
+                }
+                Err(FrameError::Version(_)) if matches!(self.phase, Phase::Opening | Phase::Open) => {
+                    self.lose(LostReason::Version, emit);
+                }
                 // Damaged on the way: the device sends again what matters.
                 Err(error) => self.traffic.bad.count(error),
             }
@@ -45,72 +52,88 @@ impl Session {
         }
     }
 
-    fn handle(&mut self, now: HostInstant, message: DeviceMessage, emit: &mut dyn FnMut(Event)) {
+    fn handle(
+        &mut self,
+        now: HostInstant,
+        message: DeviceMessage,
+        emit: &mut dyn FnMut(Event),
+    ) -> Result<(), Contradiction> {
         self.unanswered = 0;
-        let near = |tick: firmware_protocol::tick::WireTick, clock: &Clock| {
-            clock.tick_at(now).map_or(Tick(0), |now| tick.near(now))
-        };
         match message {
-            DeviceMessage::Hello(hello) => self.opened(now, hello, emit),
-            _ if self.phase == Phase::Opening => {}
+            DeviceMessage::Hello(hello) if self.phase == Phase::Opening => self.opened(now, hello, emit)?,
+            DeviceMessage::Hello(_) => {}
+            _ if self.phase != Phase::Open => {}
             DeviceMessage::NoSession => self.lose(LostReason::Restarted, emit),
-            DeviceMessage::Status(status) => self.status(now, status, emit),
+            DeviceMessage::Status(status) => self.status(now, status, emit)?,
             DeviceMessage::Report { number, report } => {
                 let ahead = number.wrapping_sub(self.seen);
                 if (1..=REPORTS as u16).contains(&ahead) {
                     self.early[usize::from(number) % REPORTS] = Some((number, report));
-                    self.read_reports(now, emit);
+                    self.read_reports(now, emit)?;
                 }
             }
             DeviceMessage::Telemetry { tick, y } => {
-                let known_to = self.known_to();
-                emit(Event::Telemetry { tick: near(tick, &self.clock), y, known_to });
+                let (tick, known_to) = (self.read_telemetry(now, tick)?, self.known_to());
+                emit(Event::Telemetry { tick, y, known_to });
             }
         }
+        Ok(())
     }
 
-    fn opened(&mut self, now: HostInstant, hello: DeviceHello, emit: &mut dyn FnMut(Event)) {
-        if self.phase != Phase::Opening || hello.session != self.id {
-            return;
+    fn opened(
+        &mut self,
+        now: HostInstant,
+        hello: DeviceHello,
+        emit: &mut dyn FnMut(Event),
+    ) -> Result<(), Contradiction> {
+        if hello.session != self.id {
+            return Ok(());
         }
         if usize::from(hello.motors) != MOTORS || hello.tick_hz != firmware_protocol::tick::TICK_HZ {
             self.lose(LostReason::WrongArray, emit);
-            return;
+            return Ok(());
         }
+        Self::read_hello(&hello)?;
         self.phase = Phase::Open;
         (self.epoch, self.first_epoch) = (hello.epoch, hello.epoch);
         (self.seen, self.announced, self.stale) = (hello.reports, hello.reports, hello.reports);
         self.latest = Reported { reports: hello.reports, ..Reported::default() };
         self.credits = 0;
-        // The first statuses' ticks are widened with the hello's; later round trips outweigh its own.
-        let sent = self.last_sent.unwrap_or(now);
+        // The first statuses' ticks are widened with the hello's; later round trips outweigh its own. The device may
+        // answer any of the hellos.
+        let sent = self.first_hello.unwrap_or(now);
         self.clock.round_trip(sent, Tick(hello.tick), now);
+        self.known.open(&hello, self.clock_by(now));
         self.ping_due = now;
         emit(Event::Opened(hello));
+        Ok(())
     }
 
-    fn status(&mut self, now: HostInstant, status: Status, emit: &mut dyn FnMut(Event)) {
-        let Some(host_tick) = self.clock.tick_at(now) else { return };
-        let tick = status.tick.near(host_tick);
-        let (token, sent) = self.pinged[usize::from(status.token) % self.pinged.len()];
-        if status.token != 0 && token == status.token {
-            self.answered = token;
+    fn status(
+        &mut self,
+        now: HostInstant,
+        status: Status,
+        emit: &mut dyn FnMut(Event),
+    ) -> Result<(), Contradiction> {
+        let StatusRead { tick, pinged, newest } = self.read_status(now, &status)?;
+        if let Some(sent) = pinged {
+            self.answered = status.token;
             // A ping behind the probe's frames measures neither the clock nor an idle round trip.
-            if self.probe.answered(now, token, self.shortest_trip) {
+            if self.probe.answered(now, status.token, self.shortest_trip) {
                 self.adopt_probe();
             } else {
                 self.clock.round_trip(sent, tick, now);
                 self.round_trip = (self.round_trip * 7 + now.since(sent)) / 8;
                 self.shortest_trip = self.shortest_trip.min(now.since(sent));
-                self.first_pings += 1;
+                self.first_pings = self.first_pings.saturating_add(1);
                 self.last_trip = Some(RoundTrip { sent, tick, received: now });
             }
         }
-        if tick < self.newest {
+        if !newest {
             // A later status overtook it, and says all this and more.
-            return;
+            return Ok(());
         }
-        self.newest = tick;
+        self.known.status(status, tick, self.epoch);
         let ahead = status.reports.wrapping_sub(self.announced);
         if ahead < u16::MAX / 2 {
             self.announced = status.reports;
@@ -141,44 +164,49 @@ impl Session {
             emit(Event::Control(answer));
         }
         self.conclude(now, emit);
+        Ok(())
     }
 
     /// Reads the reports that are next in order.
-    fn read_reports(&mut self, now: HostInstant, emit: &mut dyn FnMut(Event)) {
+    fn read_reports(&mut self, now: HostInstant, emit: &mut dyn FnMut(Event)) -> Result<(), Contradiction> {
         loop {
             let number = self.seen.wrapping_add(1);
             let next = &mut self.early[usize::from(number) % REPORTS];
             let Some((_, report)) = next.take_if(|(found, _)| *found == number) else { break };
-            self.seen = number;
-            if self.announced.wrapping_sub(number) > u16::MAX / 2 {
-                self.announced = number;
-            }
-            self.report(now, number, report, emit);
-            // The mark follows, or numbers that wrapped would count as before it.
-            if self.stale.wrapping_sub(number) >= u16::MAX / 2 {
-                self.stale = number;
-            }
+            self.report(now, number, report, emit)?;
         }
         // The next ping tells the device that they are read.
         self.request_status_within(SEEN_WITHIN);
         self.conclude(now, emit);
+        Ok(())
     }
 
-    fn report(&mut self, now: HostInstant, number: u16, report: Report, emit: &mut dyn FnMut(Event)) {
-        let Some(now) = self.clock.tick_at(now) else { return };
-        match report {
-            Report::Verdict { .. } | Report::OnsetRefused { .. } => {
-                let stale = self.stale.wrapping_sub(number) < u16::MAX / 2;
-                if self.control.is_none() && !stale {
-                    self.verdicts.push_back(report);
-                }
-            }
-            Report::Onset { tick, counters } => emit(Event::Onset { tick: tick.near(now), counters }),
-            Report::Cut(cut) => emit(Event::Cut { cut, at: cut.at.near(now) }),
-            Report::Refused { motor, up, reason } => {
-                emit(Event::StrokeRefused { motor, up: up.near(now), reason });
-            }
+    fn report(
+        &mut self,
+        now: HostInstant,
+        number: u16,
+        report: Report,
+        emit: &mut dyn FnMut(Event),
+    ) -> Result<(), Contradiction> {
+        let stale = self.control.is_some() || self.stale.wrapping_sub(number) < u16::MAX / 2;
+        let tick = self.read_report(now, &report, stale)?;
+        self.known.report(&report, tick, self.clock_by(now));
+        self.seen = number;
+        if self.announced.wrapping_sub(number) > u16::MAX / 2 {
+            self.announced = number;
         }
+        match report {
+            Report::Verdict { .. } | Report::OnsetRefused { .. } if stale => {}
+            Report::Verdict { .. } | Report::OnsetRefused { .. } => self.verdicts.push_back(report),
+            Report::Onset { counters, .. } => emit(Event::Onset { tick, counters }),
+            Report::Cut(cut) => emit(Event::Cut { cut, at: tick }),
+            Report::Refused { motor, reason, .. } => emit(Event::StrokeRefused { motor, up: tick, reason }),
+        }
+        // The mark follows, or numbers that wrapped would count as before it.
+        if self.stale.wrapping_sub(number) >= u16::MAX / 2 {
+            self.stale = number;
+        }
+        Ok(())
     }
 
     /// Emits the verdicts of acknowledged frames, once all reports that the acknowledgement counts are read. Later reports

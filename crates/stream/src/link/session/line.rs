@@ -1,5 +1,6 @@
 //! The line as a session sees it: its rate, the bytes it carried, and its round trips.
 
+use crate::link::session::contradiction::Contradictions;
 use crate::time::HostInstant;
 use firmware_protocol::frame::{FrameError, MAX_FRAME};
 use firmware_protocol::tick::Tick;
@@ -45,6 +46,8 @@ pub struct Traffic {
     pub retransmitted: u64,
     /// Frames from the device that could not be read.
     pub bad: BadFrames,
+    /// Undamaged messages from the device that cannot be true.
+    pub contradictions: Contradictions,
 }
 
 /// Frames that could not be read, by kind. What they held is lost, or comes again if the protocol repeats it.

@@ -1,8 +1,11 @@
 //! One session with one device.
 //!
 //! The streamer pushes strokes, amendments and commands into a [`Session`] (`state`). `outbound` writes the frame that is due,
-//! `inbound` reads what the device says; the session reports both as [`Event`]s. `probe` measures the line.
+//! `inbound` reads what the device says, within its `bounds`; the session reports both as [`Event`]s. `probe` measures the
+//! line.
 
+mod bounds;
+mod contradiction;
 mod event;
 mod inbound;
 mod line;
@@ -10,6 +13,7 @@ mod outbound;
 mod probe;
 mod state;
 
+pub use contradiction::{Contradiction, Contradictions};
 pub use event::{Event, LostReason, Verdict};
 pub use line::{BadFrames, LineRate, RoundTrip, Traffic};
 pub use probe::Budget;

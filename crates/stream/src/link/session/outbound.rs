@@ -1,12 +1,13 @@
 //! Writes what is due: commands first, then corrections, frames the device misses, the link probe's, and pings.
 
+use crate::link::session::contradiction::Contradiction;
 use crate::link::session::event::{Event, LostReason};
 use crate::link::session::probe::{QUIET_TIMEOUT, Step};
 use crate::link::session::state::{FIRST_PINGS, Phase, Session};
 use crate::time::HostInstant;
 use firmware_protocol::batch::{BATCH_BYTES, Packer};
 use firmware_protocol::frame::{self, MAX_FRAME};
-use firmware_protocol::message::HostMessage;
+use firmware_protocol::message::{HostMessage, Op};
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
 use std::time::Duration;
@@ -21,6 +22,13 @@ const RECHECK_EVERY: Duration = Duration::from_millis(100);
 /// Interval and largest number of hellos without an answer.
 const HELLO_EVERY: Duration = Duration::from_millis(50);
 const MAX_HELLOS: u32 = 40;
+/// E-stops to a device that is not trusted: a tenth of a second in all.
+const E_STOPS: u16 = 20;
+const E_STOP_EVERY: Duration = Duration::from_millis(5);
+/// Each begins an epoch a third of their range from the last: whatever the device's is, one of three is newer.
+const E_STOP_EPOCHS: u16 = 0x5555;
+/// A device that answers pings also answers commands and sends the reports that it announces: every 10 ms until it was heard.
+const WITHHELD_FOR: Duration = Duration::from_secs(3);
 
 impl Session {
     /// Writes the next frame that is due into `out` and returns its length; 0 when none is.
@@ -33,6 +41,7 @@ impl Session {
         let len = match self.phase {
             Phase::Opening => self.next_hello(now, out, emit),
             Phase::Open => self.next_frame(now, out),
+            Phase::Closing(how) => self.next_e_stop(now, how, out, emit),
             Phase::Over => 0,
         };
         self.traffic.bytes_out += len as u64;
@@ -54,9 +63,31 @@ impl Session {
         }
         self.hellos += 1;
         self.last_sent = Some(now);
+        self.first_hello.get_or_insert(now);
         // The leading zero ends a frame that an earlier session may have left half sent.
         out[0] = 0;
         1 + encoded(&HostMessage::Hello { session: self.id }, &mut out[1..])
+    }
+
+    /// The last frames to a device that is not trusted.
+    fn next_e_stop(
+        &mut self,
+        now: HostInstant,
+        how: Contradiction,
+        out: &mut [u8; MAX_FRAME],
+        emit: &mut dyn FnMut(Event),
+    ) -> usize {
+        if self.last_sent.is_some_and(|sent| now.since(sent) < E_STOP_EVERY) {
+            return 0;
+        }
+        if self.e_stops == E_STOPS {
+            self.lose(LostReason::Contradicts(how), emit);
+            return 0;
+        }
+        self.e_stops += 1;
+        self.last_sent = Some(now);
+        let epoch = self.epoch.wrapping_add(1).wrapping_add(self.e_stops.wrapping_mul(E_STOP_EPOCHS));
+        encoded(&HostMessage::Control { epoch, seen: self.seen, op: Op::EStop }, out)
     }
 
     fn next_frame(&mut self, now: HostInstant, out: &mut [u8; MAX_FRAME]) -> usize {
@@ -65,6 +96,7 @@ impl Session {
             && control.sent.is_none_or(|sent| now.since(sent) >= retry)
         {
             self.traffic.retransmitted += u64::from(control.sent.is_some());
+            control.first_sent.get_or_insert(now);
             control.sent = Some(now);
             return encoded(&HostMessage::Control { epoch, seen, op: control.op }, out);
         }
@@ -117,8 +149,12 @@ impl Session {
         self.traffic.retransmitted += u64::from(next.retransmitted);
         next.due = false;
         next.len = len;
+        let first = next.first_sent.is_none();
         next.first_sent = next.first_sent.or(Some(now));
         next.last_sent = now;
+        if first && onset {
+            self.known.onset_sent(next.strokes.base());
+        }
         Some(len)
     }
 
@@ -163,8 +199,17 @@ impl Session {
         encoded(&HostMessage::Strokes { epoch, seq: 0, seen: self.seen, onset: false, base, batch }, out)
     }
 
-    /// Ends the session if the device has not answered for too long.
+    /// Ends the session if the device has not answered for too long, or withholds an answer or a report.
     pub fn check_silence(&mut self, now: HostInstant, emit: &mut dyn FnMut(Event)) {
+        let missing = self.missing.filter(|&(seen, _)| seen == self.seen).or(Some((self.seen, now)));
+        self.missing = missing.filter(|_| self.seen != self.announced);
+        let withheld =
+            |since: Option<HostInstant>| since.is_some_and(|since| now.since(since) >= WITHHELD_FOR);
+        if withheld(self.missing.map(|(_, since)| since)) {
+            self.distrust(Contradiction::Reports, emit);
+        } else if withheld(self.control.as_ref().and_then(|control| control.first_sent)) {
+            self.distrust(Contradiction::Command, emit);
+        }
         let silent = self.unanswered >= MAX_UNANSWERED && now.since(self.first_unanswered) >= UNANSWERED_FOR;
         if self.phase == Phase::Open && silent {
             self.lose(LostReason::NoAnswer, emit);
@@ -202,6 +247,7 @@ impl Session {
         let retry = self.retry_after();
         match self.phase {
             Phase::Opening => self.last_sent.map_or(now, |sent| sent + HELLO_EVERY),
+            Phase::Closing(_) => self.last_sent.map_or(now, |sent| sent + E_STOP_EVERY),
             Phase::Over => now + Duration::from_secs(1),
             Phase::Open => {
                 let control = self.control.as_ref().map(|c| c.sent.map_or(now, |sent| sent + retry));

@@ -1,6 +1,9 @@
 //! The state of a session, and the calls of the streamer.
 
 use crate::link::clock::Clock;
+use crate::link::session::bounds::Known;
+use crate::link::session::contradiction::Contradiction;
+use crate::link::session::event::{Event, LostReason};
 use crate::link::session::line::{LineRate, MeasuredLine, RoundTrip, Traffic};
 use crate::link::session::probe::{Budget, Probe};
 use crate::time::HostInstant;
@@ -44,6 +47,7 @@ pub(super) struct Batch {
 #[derive(Debug)]
 pub(super) struct Control {
     pub(super) op: Op,
+    pub(super) first_sent: Option<HostInstant>,
     pub(super) sent: Option<HostInstant>,
 }
 
@@ -62,8 +66,14 @@ pub(super) struct Reported {
 pub(super) enum Phase {
     Opening,
     Open,
+    /// The device is not trusted: the session repeats an e-stop, and reads nothing.
+    Closing(Contradiction),
     Over,
 }
+
+/// So many contradictions within this time close the link.
+const MAX_CONTRADICTIONS: usize = 5;
+const CONTRADICTIONS_WITHIN: Duration = Duration::from_secs(1);
 
 /// The host's end of one session.
 #[derive(Debug)]
@@ -77,6 +87,14 @@ pub struct Session {
     pub(super) probe: Probe,
     pub(super) decoder: Decoder,
     pub(super) hellos: u32,
+    pub(super) first_hello: Option<HostInstant>,
+    pub(super) known: Known,
+    /// When the device contradicted itself: the last times.
+    contradicted: [Option<HostInstant>; MAX_CONTRADICTIONS],
+    /// E-stops sent to a device that is not trusted.
+    pub(super) e_stops: u16,
+    /// Since when the report after this number is announced and missing.
+    pub(super) missing: Option<(u16, HostInstant)>,
     pub(super) clock: Clock,
     pub(super) traffic: Traffic,
 
@@ -101,8 +119,6 @@ pub struct Session {
     pub(super) early: [Option<(u16, Report)>; REPORTS],
     /// The last report that the device is known to have made.
     pub(super) announced: u16,
-    /// The tick of the newest status.
-    pub(super) newest: Tick,
     /// The newest status all of whose reports are read; the oldest with a report missing; the newest of all.
     pub(super) concluded: Reported,
     pub(super) waiting: Option<Reported>,
@@ -142,6 +158,11 @@ impl Session {
             probe: Probe::new(Budget::default(), rate),
             decoder: Decoder::default(),
             hellos: 0,
+            first_hello: None,
+            known: Known::new(),
+            contradicted: [None; MAX_CONTRADICTIONS],
+            e_stops: 0,
+            missing: None,
             clock: Clock::default(),
             traffic: Traffic::default(),
             epoch: 0,
@@ -158,7 +179,6 @@ impl Session {
             seen: 0,
             early: [None; REPORTS],
             announced: 0,
-            newest: Tick(0),
             concluded: Reported::default(),
             waiting: None,
             latest: Reported::default(),
@@ -268,6 +288,37 @@ impl Session {
         self.phase == Phase::Open
     }
 
+    /// The device contradicted itself. One contradiction is counted; several in a row close the link.
+    pub(super) fn contradicts(&mut self, now: HostInstant, how: Contradiction, emit: &mut dyn FnMut(Event)) {
+        if self.traffic.contradictions.count(how) {
+            emit(Event::Contradiction(how));
+        }
+        self.contradicted.rotate_right(1);
+        self.contradicted[0] = Some(now);
+        let first = self.contradicted[MAX_CONTRADICTIONS - 1];
+        if first.is_some_and(|first| now.since(first) <= CONTRADICTIONS_WITHIN) {
+            self.distrust(how, emit);
+        } else {
+            // The next status shows soon which of the two was wrong.
+            self.request_status();
+        }
+    }
+
+    /// Closes the link to a device that cannot be trusted: turns its lines off first.
+    pub fn distrust(&mut self, how: Contradiction, emit: &mut dyn FnMut(Event)) {
+        match self.phase {
+            Phase::Opening => self.lose(LostReason::Contradicts(how), emit),
+            Phase::Open => {
+                self.phase = Phase::Closing(how);
+                self.control = None;
+                self.window.clear();
+                self.open_batch = None;
+                self.last_sent = None;
+            }
+            Phase::Closing(_) | Phase::Over => {}
+        }
+    }
+
     /// Pings at least this often, so that the device's host watchdog does not time out.
     pub fn keep_alive_every(&mut self, every: Duration, now: HostInstant) {
         self.ping_every = every;
@@ -288,7 +339,8 @@ impl Session {
     /// Sends a command in a new epoch, until the device answers. The session forgets strokes that have no verdict yet.
     pub fn command(&mut self, op: Op) {
         self.epoch = self.epoch.wrapping_add(1);
-        self.control = Some(Control { op, sent: None });
+        self.known.command(&op);
+        self.control = Some(Control { op, first_sent: None, sent: None });
         self.window.clear();
         self.open_batch = None;
         self.verdicts.clear();
@@ -331,7 +383,8 @@ impl Session {
     /// Whether a frame may be begun: the window has room, and no onset waits for its verdict.
     #[must_use]
     pub fn has_room(&self) -> bool {
-        self.control.is_none()
+        self.phase == Phase::Open
+            && self.control.is_none()
             && self.window.len() < WINDOW
             && !self.window.back().is_some_and(|batch| batch.onset)
     }

@@ -1,0 +1,388 @@
+//! The bounds of all that a device says: the one place where its messages are checked.
+//!
+//! Each function takes a message and returns what the session may use of it, or a [`Contradiction`]: then the session
+//! ignores the message. Bounds follow from the protocol and from what was sent. The table is in the specification
+//! (`firmware_protocol`, "Bounds of what a device says").
+//!
+//! Invariant: a device that follows the specification never contradicts itself here, whatever the line loses, repeats,
+//! delays or reorders; time that passes only for the device (the host is suspended) is the exception.
+
+use crate::link::session::contradiction::Contradiction;
+use crate::link::session::state::{Batch, Session};
+use crate::time::HostInstant;
+use firmware_protocol::controller::{REORDER_WINDOW, REPORTS};
+use firmware_protocol::limits::{MAX_DOWN_PULSES, MAX_UP_PULSES, Refusal};
+use firmware_protocol::message::{Cause, Counters, Cut, DeviceHello, Op, Report, State, Status};
+use firmware_protocol::stroke::MOTORS;
+use firmware_protocol::tick::{Tick, WireTick};
+use meissner_array::units::{TICKS_PER_MS, TICKS_PER_S, duration_to_ticks};
+use std::collections::VecDeque;
+
+/// The clock of a device that has run for longer is a lie: 26 thousand years. Arithmetic on ticks has room above it.
+const LATEST_CLOCK: Tick = Tick(1 << 56);
+/// How far a tick may lie beyond twice the clock's uncertainty.
+const CLOCK_SLACK: u64 = 3 * TICKS_PER_MS;
+/// A status that another overtook is no older than this; lines delay by milliseconds.
+const OVERTAKEN: u64 = TICKS_PER_S;
+/// A return takes at most one burst, 6000 pulses.
+const LONGEST_RETURN: u64 = TICKS_PER_S;
+/// Between two statuses at most so much counts as spent in a return: nobody saw the rest.
+const RETURN_SEEN: u64 = 100 * TICKS_PER_MS;
+/// Onsets whose reports may be on their way: as many as there are reports.
+const ONSETS: usize = REPORTS;
+/// Most pulses of a stroke, which are counted when it ends.
+const STROKE_PULSES: u64 = MAX_UP_PULSES as u64 + MAX_DOWN_PULSES as u64;
+
+/// What the session knows of the device besides the stream.
+#[derive(Debug)]
+pub(super) struct Known {
+    pool: u16,
+    horizon: u32,
+    telemetry: bool,
+    /// The clock and the number of reports at the handshake.
+    opened: Tick,
+    reports: u16,
+    /// The newest status and its tick.
+    status: Option<(Status, Tick)>,
+    /// The newest epoch in a status.
+    epoch: u16,
+    /// The last report with counters: later ones are not below these.
+    reported: Counters,
+    /// The device's clock was not beyond this when the last report was read.
+    report_read_by: Tick,
+    /// Sent since the last command whose epoch a status named: one that arms, one that resets.
+    arms: bool,
+    resets: bool,
+    /// Ticks of a return that the statuses show.
+    returning: u64,
+    /// Onsets sent that may still be reported.
+    onsets: VecDeque<Tick>,
+}
+
+/// What a status says.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct StatusRead {
+    /// Its tick, widened.
+    pub(super) tick: Tick,
+    /// When the ping left that it answers.
+    pub(super) pinged: Option<HostInstant>,
+    /// No later status has overtaken it.
+    pub(super) newest: bool,
+}
+
+impl Known {
+    pub(super) fn new() -> Self {
+        Self {
+            pool: 0,
+            horizon: 0,
+            telemetry: false,
+            opened: Tick(0),
+            reports: 0,
+            status: None,
+            epoch: 0,
+            reported: Counters::NONE,
+            report_read_by: Tick(0),
+            arms: false,
+            resets: false,
+            returning: 0,
+            onsets: VecDeque::with_capacity(ONSETS),
+        }
+    }
+
+    /// A command is about to be sent.
+    pub(super) fn command(&mut self, op: &Op) {
+        self.arms |= matches!(op, Op::Arm { .. });
+        self.resets |= matches!(op, Op::Reset);
+    }
+
+    /// The first frame of a play leaves.
+    pub(super) fn onset_sent(&mut self, onset: Tick) {
+        if self.onsets.len() == ONSETS {
+            self.onsets.pop_front();
+        }
+        self.onsets.push_back(onset);
+    }
+
+    /// The handshake is done; `by`: the device's clock is not beyond this.
+    pub(super) fn open(&mut self, hello: &DeviceHello, by: Tick) {
+        (self.pool, self.telemetry) = (hello.pool, hello.features & DeviceHello::TELEMETRY != 0);
+        (self.horizon, self.reports) = (hello.horizon.into(), hello.reports);
+        (self.opened, self.epoch, self.report_read_by) = (Tick(hello.tick), hello.epoch, by);
+    }
+
+    /// Takes over the newest status; `current`: the epoch that the session has begun last.
+    pub(super) fn status(&mut self, status: Status, tick: Tick, current: u16) {
+        let before = self.status.replace((status, tick)).map_or(tick, |(_, before)| before);
+        self.returning = match status.state {
+            State::Returning => self.returning + (tick - before).min(RETURN_SEEN),
+            _ => 0,
+        };
+        self.epoch = status.epoch;
+        if status.epoch == current {
+            (self.arms, self.resets) = (false, false);
+        }
+    }
+
+    /// Takes over a report.
+    pub(super) fn report(&mut self, report: &Report, onset: Tick, by: Tick) {
+        self.report_read_by = by;
+        if let Report::Onset { counters, .. } = report {
+            let at = self.onsets.iter().position(|&sent| sent == onset);
+            at.and_then(|at| self.onsets.remove(at));
+            self.reported = *counters;
+        }
+    }
+
+    /// Whether a status that says `now` may follow what is known.
+    fn may_become(&self, now: &Status) -> bool {
+        let begins_epoch = now.epoch != self.epoch;
+        let (arms, resets) = (self.arms && begins_epoch, self.resets && begins_epoch);
+        // At the handshake an armed device returns its pins.
+        let (before, cause) = self
+            .status
+            .map_or((State::Returning, Cause::NewHost), |(status, _)| (status.state, status.cause));
+        match (before, now.state) {
+            (_, State::Faulted) | (State::Armed, _) => true,
+            (State::Disarmed | State::Returning, State::Disarmed) | (State::Returning, State::Returning) => {
+                true
+            }
+            (State::Returning, State::Armed) => arms || matches!(cause, Cause::Stop | Cause::Request),
+            (State::Disarmed, _) => arms,
+            (State::Faulted, State::Disarmed) => resets,
+            (State::Faulted, _) => resets && arms,
+        }
+    }
+}
+
+impl Session {
+    /// The device's clock is not beyond this at `now`.
+    pub(super) fn clock_by(&self, now: HostInstant) -> Tick {
+        self.clock.tick_at(now).unwrap_or(LATEST_CLOCK) + self.clock_slack(now)
+    }
+
+    fn clock_slack(&self, now: HostInstant) -> u64 {
+        2 * duration_to_ticks(self.clock.uncertainty(now).unwrap_or_default()) + CLOCK_SLACK
+    }
+
+    /// Widens a tick that lies between the handshake and `ahead` ticks from `now`.
+    fn tick_within(&self, now: HostInstant, tick: WireTick, ahead: u32) -> Result<Tick, Contradiction> {
+        let tick = tick.near(self.clock.tick_at(now).ok_or(Contradiction::Clock)?);
+        let from = Tick(self.known.opened.0.saturating_sub(self.clock_slack(now)));
+        let by = self.clock_by(now) + u64::from(ahead);
+        if (from..=by).contains(&tick) { Ok(tick) } else { Err(Contradiction::Clock) }
+    }
+
+    pub(super) fn read_hello(hello: &DeviceHello) -> Result<(), Contradiction> {
+        let sane = Tick(hello.tick) <= LATEST_CLOCK && hello.pool > 0 && hello.max_up_pulses > 0;
+        if sane { Ok(()) } else { Err(Contradiction::Hello) }
+    }
+
+    pub(super) fn read_status(&self, now: HostInstant, status: &Status) -> Result<StatusRead, Contradiction> {
+        let tick = self.tick_within(now, status.tick, 0)?;
+        let (token, sent) = self.pinged[usize::from(status.token) % self.pinged.len()];
+        let pinged = Some(sent).filter(|_| status.token != 0 && token == status.token);
+        let earliest = |sent| self.clock.tick_at(sent).map(|at| at.0.saturating_sub(self.clock_slack(sent)));
+        if pinged.and_then(earliest).is_some_and(|earliest| tick.0 < earliest) {
+            return Err(Contradiction::Clock);
+        }
+        let newest = self.known.status.map_or(Tick(0), |(_, tick)| tick);
+        if tick < newest {
+            let overtaken = newest - tick <= OVERTAKEN;
+            return if overtaken {
+                Ok(StatusRead { tick, pinged, newest: false })
+            } else {
+                Err(Contradiction::Clock)
+            };
+        }
+        match self.status_follows(status, tick) {
+            Ok(()) => Ok(StatusRead { tick, pinged, newest: true }),
+            // Of two statuses of one tick the later may have come first.
+            Err(_) if tick == newest => Ok(StatusRead { tick, pinged, newest: false }),
+            Err(how) => Err(how),
+        }
+    }
+
+    /// Whether a status may follow the newest one.
+    fn status_follows(&self, status: &Status, tick: Tick) -> Result<(), Contradiction> {
+        let known = &self.known;
+        self.check_command(status)?;
+        if status.epoch == self.epoch {
+            let sent_until = self.window.iter().rev().find(|batch| batch.first_sent.is_some());
+            let sent_until = sent_until.map_or(self.acked, |batch| batch.seq.wrapping_add(1));
+            let sent = usize::from(sent_until.wrapping_sub(self.acked));
+            let acked = usize::from(status.next_seq.wrapping_sub(self.acked));
+            let buffered = REORDER_WINDOW - status.out_of_order.leading_zeros() as usize;
+            if acked > sent || (buffered > 0 && acked + buffered >= sent) {
+                return Err(Contradiction::Stream);
+            }
+        }
+        if status.credits > known.pool {
+            return Err(Contradiction::Credits);
+        }
+        let before = known.status.map_or(known.reports, |(status, _)| status.reports);
+        let unread = status.reports.wrapping_sub(self.seen);
+        let read_before = unread > u16::MAX / 2;
+        if status.reports.wrapping_sub(before) > u16::MAX / 2
+            || (!read_before && usize::from(unread) > REPORTS + usize::from(known.pool))
+            || (read_before && tick > known.report_read_by)
+        {
+            return Err(Contradiction::Reports);
+        }
+        if !known.may_become(status) || status.outstanding > MOTORS as u32 * u32::from(u16::MAX) {
+            return Err(Contradiction::State);
+        }
+        if known.returning > LONGEST_RETURN && status.state == State::Returning {
+            return Err(Contradiction::State);
+        }
+        if let Some((before, _)) = &known.status
+            && before.position_known != status.position_known
+            && !(known.arms && status.position_known)
+        {
+            return Err(Contradiction::State);
+        }
+        self.check_counters(&status.counters, tick)
+    }
+
+    /// Whether the epoch of a status was begun, and is answered as its command may be.
+    fn check_command(&self, status: &Status) -> Result<(), Contradiction> {
+        let unsent = self.control.as_ref().is_some_and(|control| control.sent.is_none());
+        let begun = self.epoch.wrapping_sub(self.known.epoch).saturating_sub(unsent.into());
+        let answers = status.epoch.wrapping_sub(self.known.epoch);
+        if answers > begun {
+            return Err(Contradiction::Command);
+        }
+        let Some(control) = self.control.as_ref().filter(|_| status.epoch == self.epoch) else {
+            return Ok(());
+        };
+        let fits = match (control.op, status.refusal) {
+            (_, None) => true,
+            (Op::Arm { .. }, Some(why)) => matches!(why, Refusal::State | Refusal::PositionUnknown),
+            (Op::Move { .. }, Some(why)) => matches!(
+                why,
+                Refusal::State
+                    | Refusal::Motor
+                    | Refusal::Travel
+                    | Refusal::MotorOnTime
+                    | Refusal::RailOnTime
+            ),
+            _ => false,
+        };
+        let obeyed = match control.op {
+            Op::EStop => status.state == State::Faulted,
+            Op::Disarm(_) => status.state != State::Armed,
+            _ => true,
+        };
+        if fits && obeyed { Ok(()) } else { Err(Contradiction::Command) }
+    }
+
+    /// Whether a status may have these counters at `tick`.
+    fn check_counters(&self, now: &Counters, tick: Tick) -> Result<(), Contradiction> {
+        let known = &self.known;
+        let before = known.status.map_or(Counters::NONE, |(status, _)| status.counters);
+        let after_report = tick <= known.report_read_by || grows(&known.reported, now);
+        if grows(&before, now) && after_report {
+            self.check_pace(now, tick)
+        } else {
+            Err(Contradiction::Counters)
+        }
+    }
+
+    /// Whether the counters at `tick` are within what all lines can have played since the newest status.
+    fn check_pace(&self, now: &Counters, tick: Tick) -> Result<(), Contradiction> {
+        let Some((before, at)) = &self.known.status else { return Ok(()) };
+        // Each line plays at most a pulse per tick; a stroke counts at its end.
+        let most = MOTORS as u64 * ((tick - *at) + STROKE_PULSES);
+        let jumps = |count: fn(&Counters) -> u64| count(now).saturating_sub(count(&before.counters)) > most;
+        let jumps = jumps(|counts| counts.pulses) || jumps(|counts| counts.played);
+        if jumps { Err(Contradiction::Counters) } else { Ok(()) }
+    }
+
+    /// The frame in the window with this number, if it was sent.
+    fn sent_frame(&self, seq: u16) -> Result<&Batch, Contradiction> {
+        let sent = |batch: &&Batch| batch.seq == seq && batch.first_sent.is_some();
+        let unjudged = !self.verdicts.iter().any(|report| {
+            matches!(report, Report::Verdict { seq: of, .. } | Report::OnsetRefused { seq: of, .. } if *of == seq)
+        });
+        self.window.iter().find(sent).filter(|_| unjudged).ok_or(Contradiction::Report)
+    }
+
+    /// Reads a report; returns its tick, widened. `stale`: a verdict of an epoch that is over.
+    pub(super) fn read_report(
+        &self,
+        now: HostInstant,
+        report: &Report,
+        stale: bool,
+    ) -> Result<Tick, Contradiction> {
+        match *report {
+            Report::Verdict { rendered, .. } | Report::OnsetRefused { rendered, .. } if stale => {
+                self.tick_within(now, rendered, self.known.horizon)
+            }
+            Report::Verdict { seq, late, refused, reason, rendered } => {
+                let strokes = self.sent_frame(seq)?.strokes.items();
+                let listed = late | refused;
+                let fits = late & refused == 0
+                    && listed != 0
+                    && listed.checked_shr(strokes as u32).unwrap_or(0) == 0
+                    && reason.is_some() == (refused != 0);
+                if fits {
+                    self.tick_within(now, rendered, self.known.horizon)
+                } else {
+                    Err(Contradiction::Report)
+                }
+            }
+            Report::OnsetRefused { seq, rendered } => {
+                let frame = self.sent_frame(seq)?;
+                let rendered = self.tick_within(now, rendered, self.known.horizon)?;
+                let fits = frame.onset && frame.strokes.base() < rendered;
+                if fits { Ok(rendered) } else { Err(Contradiction::Report) }
+            }
+            Report::Onset { tick, counters } => {
+                let tick = self.tick_within(now, tick, 0)?;
+                if !self.known.onsets.contains(&tick) {
+                    return Err(Contradiction::Report);
+                }
+                if !grows(&self.known.reported, &counters) {
+                    return Err(Contradiction::Counters);
+                }
+                self.check_pace(&counters, tick).map(|()| tick)
+            }
+            Report::Cut(Cut { at, flushed, outstanding, .. }) => {
+                let fits = flushed <= self.known.pool && outstanding <= MOTORS as u32 * u32::from(u16::MAX);
+                if fits { self.tick_within(now, at, self.known.horizon) } else { Err(Contradiction::Report) }
+            }
+            Report::Refused { motor, up, reason } => {
+                let limit = matches!(reason, Refusal::MotorOnTime | Refusal::RailOnTime);
+                let fits = usize::from(motor) < MOTORS && limit;
+                if fits { self.tick_within(now, up, self.known.horizon) } else { Err(Contradiction::Report) }
+            }
+        }
+    }
+
+    /// The tick of a telemetry sample, widened. Its displacements are for the telemetry monitors, motor by motor.
+    pub(super) fn read_telemetry(&self, now: HostInstant, tick: WireTick) -> Result<Tick, Contradiction> {
+        if self.known.telemetry { self.tick_within(now, tick, 0) } else { Err(Contradiction::Telemetry) }
+    }
+}
+
+fn fields(counters: &Counters) -> [u64; 9] {
+    let Counters {
+        played,
+        pulses,
+        dropped,
+        late,
+        refused,
+        amended,
+        amendments_ignored,
+        bad_frames,
+        reports_lost,
+    } = *counters;
+    [played, pulses, dropped, late, refused, amended, amendments_ignored, bad_frames, reports_lost]
+}
+
+/// Whether no count of `later` is below that of `earlier`, or beyond all that a device can count.
+fn grows(earlier: &Counters, later: &Counters) -> bool {
+    fields(earlier)
+        .into_iter()
+        .zip(fields(later))
+        .all(|(earlier, later)| earlier <= later && later <= 1 << 62)
+}
