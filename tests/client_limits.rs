@@ -1,9 +1,37 @@
-//! More clients than there are places, and clients that do not read.
+//! More clients than there are places, clients that do not read, hang up or send nonsense, and few descriptors.
 
-use crate::harness::{Daemon, ended, refusal, wait_until};
-use meissner_api::MAX_CLIENTS;
-use meissner_client::Client;
+use crate::harness::{Daemon, TIMEOUT, ended, refusal, wait_until};
+use meissner_api::{MAX_CLIENTS, Problem, Status};
+use meissner_client::{Client, Events, STOPPED, estop, estop_socket};
 use serde_json::{Value, json};
+use std::io::{Read, Write};
+use std::net::Shutdown;
+use std::os::unix::fs::PermissionsExt;
+use std::os::unix::net::UnixStream;
+use std::process;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+
+const ESTOP: &[u8] = b"POST /v1/estop HTTP/1.1\r\nhost: x\r\nconnection: close\r\n\r\n";
+
+/// Sends bytes on a new connection, closes this half of it, and reads the answer.
+fn half_closed(daemon: &Daemon, bytes: &[u8]) -> String {
+    let mut stream = UnixStream::connect(daemon.socket()).unwrap();
+    stream.set_read_timeout(Some(TIMEOUT)).unwrap();
+    stream.write_all(bytes).unwrap();
+    stream.shutdown(Shutdown::Write).unwrap();
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    answer
+}
+
+fn is_faulted(client: &mut Client) -> bool {
+    client.get::<Status>("/v1/status").unwrap().state == "faulted"
+}
+
+fn reset(client: &mut Client) {
+    let _: Status = client.post("/v1/reset", &json!({"force": true})).unwrap();
+}
 
 #[test]
 fn the_65th_client_gets_an_error_and_the_others_go_on() {
@@ -18,9 +46,110 @@ fn the_65th_client_gets_an_error_and_the_others_go_on() {
     for client in &mut clients {
         client.get::<Value>("/v1/status").unwrap();
     }
-    clients.pop();
-    // The place of a client that left is free again.
+    // A client that is idle for some seconds gives its place to the next one.
     wait_until(|| daemon.client().get::<Value>("/v1/status").is_ok());
+    clients.pop();
+    wait_until(|| daemon.client().get::<Value>("/v1/status").is_ok());
+    let metrics = daemon.raw(b"GET /v1/metrics HTTP/1.1\r\nhost: x\r\nconnection: close\r\n\r\n");
+    assert!(metrics.contains("\nmeissner_clients_refused_total "), "{metrics}");
+    let lines = daemon.log().lines().filter(|line| line.contains("too many clients")).count();
+    assert!((1..4).contains(&lines), "refusals are counted, not logged one by one");
+}
+
+#[test]
+fn every_emergency_stop_gets_through_while_clients_hold_places_and_connect() {
+    let daemon = Daemon::start();
+    let mut held: Vec<Client> = (0..MAX_CLIENTS).map(|_| daemon.client()).collect();
+    for client in &mut held {
+        client.get::<Value>("/v1/status").unwrap();
+    }
+    let silent: Vec<_> = (0..150).map(|_| UnixStream::connect(daemon.socket()).unwrap()).collect();
+    let over = AtomicBool::new(false);
+    thread::scope(|scope| {
+        for _ in 0..2 {
+            scope.spawn(|| {
+                while !over.load(Ordering::Relaxed) {
+                    let _ = UnixStream::connect(daemon.socket());
+                }
+            });
+        }
+        for _ in 0..50 {
+            estop(&daemon.socket()).unwrap();
+            let answer = daemon.raw(ESTOP);
+            assert!(answer.starts_with("HTTP/1.1 200 "), "{answer}");
+        }
+        over.store(true, Ordering::Relaxed);
+    });
+    drop((held, silent));
+}
+
+#[test]
+fn a_request_of_a_client_that_hangs_up_counts() {
+    let daemon = Daemon::start();
+    let mut client = daemon.client();
+    let status = b"GET /v1/status HTTP/1.1\r\nhost: x\r\nconnection: close\r\n\r\n";
+    for _ in 0..20 {
+        assert!(half_closed(&daemon, status).contains("\"disarmed\""));
+        assert!(half_closed(&daemon, ESTOP).contains("\"faulted\""));
+        reset(&mut client);
+        UnixStream::connect(daemon.socket()).unwrap().write_all(ESTOP).unwrap();
+        wait_until(|| is_faulted(&mut client));
+        reset(&mut client);
+        UnixStream::connect(estop_socket(&daemon.socket())).unwrap().write_all(b"x").unwrap();
+        wait_until(|| is_faulted(&mut client));
+        reset(&mut client);
+        // The second request of a connection.
+        let mut stream = UnixStream::connect(daemon.socket()).unwrap();
+        stream.write_all(b"GET /v1/status HTTP/1.1\r\nhost: x\r\n\r\n").unwrap();
+        assert!(stream.read(&mut [0; 1]).unwrap() > 0);
+        stream.write_all(ESTOP).unwrap();
+        drop(stream);
+        wait_until(|| is_faulted(&mut client));
+        reset(&mut client);
+    }
+}
+
+#[test]
+fn the_socket_for_emergency_stops_takes_a_byte_and_names_the_client() {
+    let mut daemon = Daemon::start();
+    let socket = estop_socket(&daemon.socket());
+    assert_eq!(socket.metadata().unwrap().permissions().mode() & 0o777, 0o660);
+    let mut stream = UnixStream::connect(&socket).unwrap();
+    // In pieces: the first byte counts.
+    stream.write_all(b"s").unwrap();
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    assert_eq!(answer, format!("{STOPPED}\n"));
+    let log = daemon.wait_for_log("estop by ");
+    assert!(log.contains(&format!("pid {}): done", process::id())), "{log}");
+    assert!(is_faulted(&mut daemon.client()));
+    daemon.end();
+    assert!(!socket.exists());
+}
+
+#[test]
+fn another_client_resets_an_emergency_stop_later_or_by_force() {
+    let daemon = Daemon::start();
+    let mut client = daemon.client();
+    // A session of its own, as another terminal has.
+    let other = |command: &str| {
+        let mut setsid = process::Command::new("setsid");
+        setsid.args(["--wait", crate::harness::PROGRAM, command]).env("MEISSNER_SOCKET", daemon.socket());
+        assert!(setsid.stdout(process::Stdio::null()).status().unwrap().success());
+    };
+    other("estop");
+    assert_eq!(refusal(client.post("/v1/reset", &json!({}))), ("recent-estop".into(), 409));
+    assert!(is_faulted(&mut client));
+    daemon.meissner().args(["reset", "--force"]).assert().success();
+    daemon.wait_for_log("reset, forced, by ");
+    other("estop");
+    wait_until(|| client.post::<Value>("/v1/reset", &json!({})).is_ok());
+    // Its own.
+    let _: Status = client.post("/v1/estop", &json!({})).unwrap();
+    let _: Status = client.post("/v1/reset", &json!({})).unwrap();
+    // The commands of one terminal are one client.
+    daemon.meissner().arg("estop").assert().success();
+    daemon.meissner().arg("reset").assert().success();
 }
 
 #[test]
@@ -34,4 +163,68 @@ fn a_listener_that_does_not_read_delays_nothing() {
         ended(&mut events);
     }
     client.get::<Value>("/v1/status").unwrap();
+}
+
+#[test]
+fn event_streams_leave_places_for_commands() {
+    let daemon = Daemon::start();
+    let listen = || daemon.client().events();
+    let streams: Vec<Events> = (0..MAX_CLIENTS).map_while(|_| listen().ok()).collect();
+    assert_eq!(streams.len(), MAX_CLIENTS * 3 / 4);
+    assert_eq!(refusal(listen().map(|_| Value::Null)), ("too-many-clients".into(), 503));
+    let _: Status = daemon.client().post("/v1/stop", &json!({})).unwrap();
+    drop(streams);
+    wait_until(|| listen().is_ok());
+}
+
+#[test]
+fn with_few_descriptors_there_are_fewer_clients_and_emergency_stops_work() {
+    let mut shell = process::Command::new("sh");
+    shell.args(["-c", "ulimit -n 64; exec \"$0\" \"$@\"", crate::harness::PROGRAM]);
+    let mut daemon = Daemon::by(shell);
+    daemon.wait_for_device();
+    daemon.wait_for_log("only 64 descriptors");
+    let connect = |_| UnixStream::connect(daemon.socket()).unwrap();
+    let mut clients: Vec<_> = (0..90).map(connect).collect();
+    for client in &mut clients {
+        // The daemon may have closed it for the ones after it.
+        let _ = client.write_all(b"GET /v1/status HTTP/1.1\r\nhost: x\r\n\r\n");
+    }
+    for _ in 0..10 {
+        estop(&daemon.socket()).unwrap();
+        assert!(daemon.raw(ESTOP).starts_with("HTTP/1.1 200 "));
+    }
+    drop(clients);
+    wait_until(|| daemon.client().get::<Value>("/v1/status").is_ok());
+}
+
+#[test]
+fn requests_that_are_not_http_get_a_problem() {
+    let daemon = Daemon::start();
+    let line = |target: &str| format!("GET {target} HTTP/1.1\r\nhost: x\r\n\r\n");
+    let many = format!("GET / HTTP/1.1\r\n{}\r\n", "x: y\r\n".repeat(500));
+    let large = format!("GET / HTTP/1.1\r\nx: {}\r\n\r\n", "y".repeat(1 << 20));
+    let requests = [
+        ("nonsense\r\n\r\n".to_owned(), 400),
+        (line("/\u{1}"), 400),
+        (line(&"/".repeat(70_000)), 414),
+        (many, 431),
+        (large, 431),
+        // Behind a good one.
+        (line("/v1/status") + "nonsense\r\n\r\n", 400),
+    ];
+    for (request, status) in requests {
+        let mut stream = UnixStream::connect(daemon.socket()).unwrap();
+        // The daemon may answer before it has everything.
+        let _ = stream.write_all(request.as_bytes());
+        let mut answer = Vec::new();
+        let _ = stream.read_to_end(&mut answer);
+        let answer = String::from_utf8(answer).unwrap();
+        let last = &answer[answer.rfind("HTTP/1.1 ").expect("an answer")..];
+        assert!(last.starts_with(&format!("HTTP/1.1 {status} ")), "{answer}");
+        assert!(last.contains("content-type: application/problem+json"), "{answer}");
+        let body = last.split_once("\r\n\r\n").unwrap().1;
+        let problem: Problem = serde_json::from_str(body).unwrap();
+        assert_eq!(problem.status, status);
+    }
 }

@@ -11,7 +11,8 @@ use crate::harness::{Daemon, assert_up_to_date, next, problem};
 use meissner_api::route::{Answer, Body};
 use meissner_api::{
     ArmRequest, CalibrateRequest, CalibrationReport, Code, Event, ImportedPattern, Method, PatternDetails,
-    PatternList, PlayAccepted, PlayRequest, Problem, REFERENCE, Receipt, Route, Status, openapi,
+    PatternList, PlayAccepted, PlayRequest, Problem, REFERENCE, Receipt, ResetRequest, Route, Status,
+    openapi,
 };
 use schema::check;
 use serde::de::DeserializeOwned;
@@ -127,6 +128,7 @@ fn parses<T: DeserializeOwned>(value: &Value) {
 fn every_route_has_examples_that_parse() {
     let document = openapi::document();
     let parse = |schema: &str, example: &Value| match schema {
+        "ResetRequest" => drop(ResetRequest::parse(example.to_string().as_bytes()).unwrap()),
         "ArmRequest" => drop(ArmRequest::parse(example.to_string().as_bytes()).unwrap()),
         "PlayRequest" => drop(PlayRequest::parse(example.to_string().as_bytes()).unwrap()),
         "CalibrateRequest" => {

@@ -228,7 +228,7 @@ fn a_configuration_is_checked_without_a_daemon() {
         ("laed_ms = 50\n", "m.toml:1: unknown key `laed_ms`"),
         ("patterns_dir = \"/nonexistent/patterns\"\n", "m.toml: `patterns_dir`: /nonexistent/patterns"),
         ("logbook_dir = \"/nonexistent/a/b\"\n", "m.toml: `logbook_dir`: /nonexistent/a/b: neither it nor"),
-        (&format!("socket = \"/{}\"\n", "x".repeat(200)), "at most 107 bytes"),
+        (&format!("socket = \"/{}\"\n", "x".repeat(200)), "at most 101 bytes"),
         ("device = \"ua\\nrt\"\n", "`device` is `ua\\nrt`"),
         ("socket = \"/a\\u0000\"\n", "`socket` holds a control character"),
     ] {

@@ -1,1 +1,3 @@
-//! Benchmarks of meissner: `cargo bench -p meissner-benches`. Each has a file in `benches/`.
+//! Benchmarks of meissner: `cargo bench -p meissner-benches`. Each has a file in `benches/`; here is what they share.
+
+pub mod board;

@@ -871,7 +871,7 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__reset)
-            opts="-h --socket --json --help"
+            opts="-h --force --socket --json --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0

@@ -12,10 +12,11 @@ use super::text;
 use crate::daemon;
 use anyhow::{Result, bail};
 use clap::Args;
-use meissner_api::{ArmRequest, Event, LatePolicy, PlayAccepted, PlayRequest, Receipt, Status};
+use meissner_api::{ArmRequest, Event, LatePolicy, PlayAccepted, PlayRequest, Receipt, ResetRequest, Status};
 use meissner_client::{Client, ClientError, Events, HOME_TIMEOUT, escape};
 use serde_json::{Value, json};
 use std::io::{self, Write};
+use std::path::Path;
 use std::process::{self, ExitCode};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
@@ -58,6 +59,17 @@ pub(super) fn command(options: &ClientOptions, name: &str) -> Result<ExitCode> {
     print_state(options, &status)
 }
 
+/// Stops at this socket, then reads the status.
+fn stop_at(socket: &Path) -> Result<Status, ClientError> {
+    meissner_client::estop(socket)?;
+    // The emergency stop is confirmed; what follows may take its time on a busy daemon.
+    Client::new(socket)?.get("/v1/status").inspect_err(|_| {
+        // If stderr is closed, there is no one to tell.
+        let _ =
+            writeln!(io::stderr(), "{}: the emergency stop is confirmed; no status came:", socket.display());
+    })
+}
+
 /// Sends the e-stop to both possible daemons at once: there is no time to choose. Prints each answer as it comes; the
 /// document of `--json` is the first.
 pub(super) fn estop(options: &ClientOptions) -> Result<ExitCode> {
@@ -66,7 +78,7 @@ pub(super) fn estop(options: &ClientOptions) -> Result<ExitCode> {
     for socket in [Some(&endpoint.socket), endpoint.fallback.as_ref()].into_iter().flatten() {
         let (socket, tell) = (socket.clone(), tell.clone());
         thread::spawn(move || {
-            let answer = Client::new(&socket).and_then(|mut client| client.post("/v1/estop", &json!({})));
+            let answer = stop_at(&socket);
             // Fails only if this process is ending.
             let _ = tell.send((socket, answer));
         });
@@ -107,6 +119,11 @@ pub(super) fn estop(options: &ClientOptions) -> Result<ExitCode> {
         }
         .into()),
     }
+}
+
+pub(super) fn reset(options: &ClientOptions, force: bool) -> Result<ExitCode> {
+    let status: Status = options.client()?.post("/v1/reset", &ResetRequest { force })?;
+    print_state(options, &status)
 }
 
 pub(super) fn home(options: &ClientOptions) -> Result<ExitCode> {

@@ -81,7 +81,13 @@ enum Command {
     /// Turn all lines off at once; they stay off until `reset`
     Estop(ClientOptions),
     /// Leave an emergency stop or a fault; the motors are disarmed
-    Reset(ClientOptions),
+    Reset {
+        /// Reset although another client has ordered an emergency stop within the last 2 s
+        #[arg(long)]
+        force: bool,
+        #[command(flatten)]
+        options: ClientOptions,
+    },
     /// Enable the motors
     Arm {
         /// State that all pins are at rest: look at them first
@@ -199,7 +205,7 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Play(play) => control::play(&play),
         Command::Stop(options) => control::command(&options, "stop"),
         Command::Estop(options) => control::estop(&options),
-        Command::Reset(options) => control::command(&options, "reset"),
+        Command::Reset { force, options } => control::reset(&options, force),
         Command::Arm { assume_rest, options } => control::arm(&options, assume_rest),
         Command::Disarm(options) => control::command(&options, "disarm"),
         Command::Home(options) => control::home(&options),

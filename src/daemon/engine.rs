@@ -6,6 +6,7 @@
 //!
 //! Invariant: the lock is never held across a wait.
 
+use super::estop::{EStops, Origin};
 use super::names::Names;
 use super::state::{
     ActiveSettings, Calibration, Commands, Connection, Plays, Publisher, Reply, State, frame,
@@ -47,6 +48,7 @@ pub(super) struct Engine {
     /// Where the daemon listens.
     pub(super) socket: PathBuf,
     pub(super) names: Names,
+    pub(super) estops: Arc<EStops>,
     state: Mutex<State>,
 }
 
@@ -57,8 +59,9 @@ impl Engine {
         wanted: String,
         calibration: Option<PathBuf>,
     ) -> Self {
+        let estops = Arc::new(EStops::new(commands.estop_switch()));
         let state = State {
-            commands: Commands::new(commands),
+            commands: Commands::new(commands, estops.switch.clone()),
             plays: Plays::default(),
             calibration: Calibration::new(calibration),
             connection: Connection::default(),
@@ -73,6 +76,7 @@ impl Engine {
             realtime: Realtime::default(),
             socket: PathBuf::new(),
             names: Names::default(),
+            estops,
             state: Mutex::new(state),
         }
     }
@@ -117,6 +121,19 @@ impl Engine {
     pub(super) async fn carry_out(&self, command: Command, timeout: Duration) -> Result<(), Problem> {
         let reply = self.send(command)?;
         answer(reply, timeout).await
+    }
+
+    /// Orders an emergency stop and waits for the device's answer.
+    pub(super) async fn estop(&self, origin: Origin) -> Result<(), Problem> {
+        self.estop_answer(self.estops.request(origin)).await
+    }
+
+    /// Waits for the answer to the emergency stop of this number.
+    pub(super) async fn estop_answer(&self, number: u64) -> Result<(), Problem> {
+        let reply = self.lock().commands.wait_for_estop(number);
+        // The event with the answer may be lost; the switch keeps it.
+        let waited = answer(reply, TIMEOUT).await;
+        self.estops.switch.answer(number).map_or(waited, |answer| answer.map_err(refusal))
     }
 
     /// Ends the daemon for a newer program, if it is idle.
@@ -176,11 +193,11 @@ pub(super) async fn answer(reply: Reply, timeout: Duration) -> Result<(), Proble
 #[cfg(test)]
 mod tests {
     use super::*;
-    use meissner_stream::queues::{StreamEvent, queues};
+    use meissner_stream::queues::{Emit, StreamEvent, queues};
 
     #[test]
-    fn a_full_queue_refuses_every_command_but_an_emergency_stop() {
-        let (mut port, commands, _events) = queues().unwrap();
+    fn a_full_queue_takes_emergency_stops_and_answers_each() {
+        let (mut port, commands, mut events) = queues().unwrap();
         let engine = Engine::new(commands, Settings::default(), "mock".to_owned(), None);
         let mut waiting = 0;
         let busy = loop {
@@ -190,14 +207,19 @@ mod tests {
             }
         };
         assert_eq!(busy.code, "busy");
-        let mut first = engine.send(Command::EStop).unwrap();
-        let mut second = engine.send(Command::EStop).unwrap();
+        let numbers = [(); 2].map(|()| engine.estops.request(Origin::default()));
+        let mut replies = numbers.map(|number| engine.lock().commands.wait_for_estop(number));
         for _ in 0..waiting {
             assert!(matches!(port.pop().unwrap().command, Command::Stop));
         }
         let estop = port.pop().unwrap();
-        assert!(matches!(estop.command, Command::EStop) && port.pop().is_none());
-        engine.lock().apply(StreamEvent::Answer { ticket: estop.ticket, result: Ok(()) });
-        assert_eq!((first.try_recv(), second.try_recv()), (Ok(Ok(())), Ok(Ok(()))));
+        assert!(matches!(estop.command, Command::EStop) && port.pop().is_none(), "one does for both");
+        port.event(StreamEvent::Answer { ticket: estop.ticket, result: Ok(()) });
+        engine.lock().apply(events.pop().unwrap());
+        for reply in &mut replies {
+            assert_eq!(reply.try_recv(), Ok(Ok(())));
+        }
+        let mut late = engine.lock().commands.wait_for_estop(numbers[1]);
+        assert_eq!(late.try_recv(), Ok(Ok(())), "answered already");
     }
 }

@@ -6,11 +6,14 @@
 //! Invariant: a command, its client and its answer are in the session record's queue before the client gets the answer
 //! ([`LoggedRequest`]).
 
+use super::acceptor::{Bounds, Counts};
 use super::body;
 use super::engine::{Engine, TIMEOUT};
+use super::estop::{GUARD, Origin};
 use super::metrics;
 use super::request_log::LoggedRequest;
 use super::runtime::{blocking, computing};
+use super::server::Ordered;
 use super::state::frame;
 use crate::receipts::{KEPT, calibration_plan};
 use crate::session_record::Peer;
@@ -26,7 +29,7 @@ use axum::{Json, Router};
 use futures_util::stream::{self, StreamExt};
 use meissner_api::{
     ArmRequest, CalibrateRequest, CalibrationReport, Code, Event, ImportedPattern, MAX_BODY, PlayAccepted,
-    PlayRequest, Problem, REFERENCE, Receipt, Route, Status, parse_empty,
+    PlayRequest, Problem, REFERENCE, Receipt, ResetRequest, Route, Status, parse_empty,
 };
 use meissner_stream::queues::Command;
 use serde_json::json;
@@ -89,8 +92,17 @@ impl IntoResponse for ErrorResponse {
 /// The state of the handlers.
 #[derive(Clone, Debug)]
 pub(super) struct App {
-    pub(super) engine: Arc<Engine>,
-    pub(super) store: SharedStore,
+    engine: Arc<Engine>,
+    store: SharedStore,
+    counts: Arc<Counts>,
+    /// A permit for each event stream.
+    event_streams: Arc<Semaphore>,
+}
+
+impl App {
+    pub(super) fn new(engine: Arc<Engine>, store: SharedStore, bounds: &Bounds, counts: Arc<Counts>) -> Self {
+        Self { engine, store, counts, event_streams: Arc::new(Semaphore::new(bounds.event_streams)) }
+    }
 }
 
 /// The pattern store in use; a reload may replace it.
@@ -246,17 +258,48 @@ async fn stop(State(app): State<App>, Extension(peer): Extension<Peer>, body: Bo
     simple_command(&app, peer, body, "stop", Command::Stop, TIMEOUT).await
 }
 
-/// Carries the stop out before it reads the body, which may hold anything.
-async fn estop(State(app): State<App>, Extension(peer): Extension<Peer>, body: Body) -> Answer<Json<Status>> {
+/// Orders the stop before it reads the body, which may hold anything. The acceptor may have ordered it already.
+async fn estop(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+    Extension(origin): Extension<Origin>,
+    ordered: Option<Extension<Ordered>>,
+    body: Body,
+) -> Answer<Json<Status>> {
     let logged = LoggedRequest::new(&app.engine, "estop", peer);
-    let result = carry_out(&app, Command::EStop, TIMEOUT).await;
+    let result = match ordered {
+        Some(Extension(Ordered(number))) => app.engine.estop_answer(number).await,
+        None => app.engine.estop(origin).await,
+    };
     // Read only now: a client that sends the body separately must not find the connection closed.
     let _ = tokio::time::timeout(ESTOP_BODY, body::read_command(body)).await;
-    logged.result(result)
+    logged.result(result.map(|()| Json(app.engine.status())).map_err(ErrorResponse::from))
 }
 
-async fn reset(State(app): State<App>, Extension(peer): Extension<Peer>, body: Body) -> Answer<Json<Status>> {
-    simple_command(&app, peer, body, "reset", Command::Reset, TIMEOUT).await
+async fn reset(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+    Extension(origin): Extension<Origin>,
+    body: Body,
+) -> Answer<Json<Status>> {
+    let mut logged = LoggedRequest::new(&app.engine, "reset", peer);
+    let result = async {
+        let ResetRequest { force } = ResetRequest::parse(&body::read_command(body).await?)?;
+        logged.set_arguments(&ResetRequest { force });
+        if force {
+            logged.set_title("reset, forced,".to_owned());
+        } else if let Some(ago) = app.engine.estops.recent_by_another(origin) {
+            let detail = format!(
+                "another client ordered an emergency stop {:.1} s ago: find out why, then reset after {} s, or with `force`",
+                ago.as_secs_f64(),
+                GUARD.as_secs()
+            );
+            return Err(Problem::new(Code::RecentEStop, detail).into());
+        }
+        carry_out(&app, Command::Reset, TIMEOUT).await
+    }
+    .await;
+    logged.result(result)
 }
 
 async fn arm(State(app): State<App>, Extension(peer): Extension<Peer>, body: Body) -> Answer<Json<Status>> {
@@ -359,18 +402,27 @@ async fn receipt(State(app): State<App>, id: Result<Path<String>, PathRejection>
 }
 
 async fn events(State(app): State<App>) -> Answer<Response> {
+    let many = |_| {
+        let detail = "too many event streams are open: close one; the other places are for commands";
+        Problem::new(Code::TooManyClients, detail)
+    };
+    let permit = Arc::clone(&app.event_streams).try_acquire_owned().map_err(many)?;
     let gone = || Problem::new(Code::ShuttingDown, "the daemon is ending: start it again");
     let (now, receiver) = app.engine.subscribe().ok_or_else(gone)?;
     let later = BroadcastStream::new(receiver).map(|event| {
         event.unwrap_or_else(|BroadcastStreamRecvError::Lagged(events)| frame(&Event::Lagged { events }))
     });
-    let all = stream::once(async { now }).chain(later).map(Ok::<_, Infallible>);
+    let all = stream::once(async { now }).chain(later).map(move |event| {
+        // Held as long as the stream.
+        let _ = &permit;
+        Ok::<_, Infallible>(event)
+    });
     let head = [(CONTENT_TYPE, "text/event-stream"), (CACHE_CONTROL, "no-cache")];
     Ok((head, Body::from_stream(all)).into_response())
 }
 
 async fn metrics_text(State(app): State<App>) -> Response {
-    let text = metrics::text(&app.engine.lock().plays.receipts);
+    let text = metrics::text(&app.engine.lock().plays.receipts, &app.counts);
     ([(CONTENT_TYPE, "text/plain; version=0.0.4")], text).into_response()
 }
 

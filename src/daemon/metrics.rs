@@ -4,10 +4,12 @@
 //!
 //! Invariant: a published name keeps its meaning and unit.
 
+use super::acceptor::Counts;
 use crate::receipts::Receipts;
 use meissner_api::NO_DEVICE;
 use meissner_stream::link::Contradiction;
 use std::fmt::{Display, Write};
+use std::sync::atomic::{AtomicU64, Ordering};
 
 const STATES: [&str; 5] = ["disarmed", "armed", "returning", "faulted", NO_DEVICE];
 
@@ -38,7 +40,7 @@ impl Text {
 }
 
 /// The whole text.
-pub(super) fn text(receipts: &Receipts) -> String {
+pub(super) fn text(receipts: &Receipts, clients: &Counts) -> String {
     let totals = receipts.totals();
     let state = receipts.device_state().state;
     let snapshot = receipts.snapshot();
@@ -74,6 +76,13 @@ pub(super) fn text(receipts: &Receipts) -> String {
     text.counter("play_bytes_total", "Bytes sent to the device by ended plays.", &totals.wire_bytes);
     text.counter("connects_total", "Devices connected.", &totals.connects);
     text.counter("notices_lost_total", "Events lost because the daemon was too slow.", &totals.lost);
+    let of_clients = |count: &AtomicU64| count.load(Ordering::Relaxed);
+    text.counter("clients_refused_total", "Clients that found no place.", &of_clients(&clients.refused));
+    text.counter(
+        "clients_evicted_total",
+        "Idle clients disconnected because others needed their places.",
+        &of_clients(&clients.evicted),
+    );
     let of = |figure: fn(&meissner_stream::queues::Snapshot) -> u64| snapshot.map_or(0, figure);
     text.counter(
         "sent_bytes_total",
@@ -132,7 +141,7 @@ mod tests {
 
     #[test]
     fn every_line_is_a_comment_or_a_sample() {
-        let text = text(&Receipts::default());
+        let text = text(&Receipts::default(), &Counts::default());
         assert!(text.contains("meissner_state{state=\"no-device\"} 1\n"));
         assert!(text.contains("meissner_bursts_total{fate=\"late\"} 0\n"));
         assert!(text.contains("meissner_bad_frames_total{kind=\"unknown\"} 0\n"));

@@ -1,27 +1,31 @@
 //! The daemon: the streamer's thread, and around it clients, patterns, devices, receipts and the session record.
 //!
 //! [`Daemon::start`] acquires everything that the system may refuse (socket, patterns, threads); [`Daemon::run`] works until a signal
-//! or a request ends it. Threads: `streamer` (real time), `connector` (opens devices), `predictor` (skin model), `session record`
-//! (disk), and the runtime's one thread for clients and events. An idle daemon runs no timer but a service manager's watchdog.
+//! or a request ends it. Threads: `streamer` and `acceptor` (real time; an emergency stop needs no other), `connector` (opens
+//! devices), `predictor` (skin model), `session record` (disk), and the runtime's one thread for clients and events. An idle daemon runs no timer but a service manager's watchdog.
 //!
 //! The modules; each uses only those before it:
 //! - `socket`, `error`, `signals`, `runtime`, `check`, `names`, `metrics`: the system around the daemon.
 //! - `calibration`, `predictor`: calibrations as files and fits; predicted responses.
-//! - `state`, `engine`: the daemon's state behind one lock, and commands to the streamer.
+//! - `estop`, `state`, `engine`: emergency stops; the daemon's state behind one lock, and commands to the streamer.
+//! - `acceptor`: connections up to their first bytes, on a thread of its own.
 //! - `log_lines`, `request_log`, `status`: text and data for the log, the session record and clients.
 //! - `play`, `calibrate`, `connector`: begin plays, calibrate, open devices.
 //! - `service`, `event_loop`: the service manager; the streamer's events.
-//! - `body`, `http`, `reload`, `server`, `hosted`: clients, configuration, and daemons inside this process.
+//! - `body`, `http`, `reload`, `connection`, `server`, `hosted`: clients, configuration, and daemons inside this process.
 //!
 //! Invariant: before the daemon ends, it returns the pins, switches the motors off and removes its socket.
 
+mod acceptor;
 mod body;
 mod calibrate;
 mod calibration;
 mod check;
+mod connection;
 mod connector;
 mod engine;
 mod error;
+mod estop;
 mod event_loop;
 mod hosted;
 mod http;
@@ -49,20 +53,22 @@ pub use socket::SocketError;
 
 use crate::config::{Config, Source};
 use crate::session_record::{Note, SessionRecord};
+use acceptor::{Acceptor, Bounds, Counts};
 use engine::Engine;
 use error::system;
 use http::{App, SharedStore};
 use meissner_api::Realtime;
 use meissner_stream::queues::EventQueue;
 use predictor::Predictor;
+use server::Server;
 use service::{Manager, Notification, StatusReporter};
 use socket::Bound;
 use state::ConnectorMessage;
 use std::io;
+use std::os::unix::net::UnixListener;
 use std::sync::Arc;
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
-use tokio::net::UnixListener;
 use tokio::sync::{oneshot, watch};
 use tracing::{info, warn};
 
@@ -153,8 +159,14 @@ impl Daemon {
     /// If the system fails, or the streamer ended by itself.
     pub async fn run(self, mut signals: Signals, source: Option<Source>) -> Result<Exit, DaemonError> {
         let Self { config, bound, engine, store, events, predictor, streamer, connector, .. } = self;
-        let listener =
-            bound.listener.try_clone().and_then(UnixListener::from_std).map_err(system("socket"))?;
+        let api = bound.listener.try_clone().map_err(system("socket"))?;
+        let estop =
+            bound.estop.as_ref().map(UnixListener::try_clone).transpose().map_err(system("socket"))?;
+        let (bounds, counts) = (Bounds::of_process(), Arc::new(Counts::default()));
+        let (acceptor, handovers) =
+            Acceptor::spawn(api, estop, Arc::clone(&engine.estops), bounds, Arc::clone(&counts))
+                .map_err(system("acceptor's thread"))?;
+        let mut acceptor = Some(acceptor);
         let manager = Manager::find().map_err(system("thread"))?;
         let (close, closing) = watch::channel(false);
         let reporter = StatusReporter::new(manager.clone());
@@ -163,8 +175,9 @@ impl Daemon {
         let mut streamer = ended(streamer).map_err(system("thread"))?;
         // A client's first command may have started the daemon: give the device time to connect.
         engine.first_device().await;
-        let router = http::router(App { engine: Arc::clone(&engine), store: store.clone() });
-        let server = tokio::spawn(server::serve(listener, Arc::clone(&engine), router, closing));
+        let router = http::router(App::new(Arc::clone(&engine), store.clone(), &bounds, Arc::clone(&counts)));
+        let server = Server::new(Arc::clone(&engine), router, bounds, counts);
+        let server = tokio::spawn(server.serve(handovers, closing));
         let reloads =
             source.map(|source| reload::spawn(source, config, Arc::clone(&engine), store, manager.clone()));
         let reloads = reloads.transpose()?;
@@ -179,6 +192,7 @@ impl Daemon {
                 () = engine.replaced.notified() => {
                     info!("another version was installed and motors are disarmed: starting it");
                     // New clients wait in the socket for the new program.
+                    drop(acceptor.take());
                     let _ = close.send(true);
                     break Ok(Exit::Replaced);
                 }
@@ -198,6 +212,7 @@ impl Daemon {
         }
         watchdog.abort();
         engine.lock().publisher.close();
+        drop(acceptor.take());
         // An error means that the server has ended already.
         let _ = close.send(true);
         let _ = server.await;

@@ -11,6 +11,8 @@ use meissner_api::{Code, Problem};
 use tokio::runtime::{Builder, Runtime};
 use tokio::sync::Semaphore;
 
+/// Tasks between two looks at the sockets: a client that sends without a pause must not delay the others.
+const EVENT_INTERVAL: u32 = 1;
 /// Threads for blocking work.
 const BLOCKING_THREADS: usize = 4;
 
@@ -20,7 +22,8 @@ const BLOCKING_THREADS: usize = 4;
 /// If the system gives no event queue.
 pub fn runtime() -> Result<Runtime, DaemonError> {
     let mut builder = Builder::new_current_thread();
-    builder.enable_all().max_blocking_threads(BLOCKING_THREADS).build().map_err(system("event queue"))
+    builder.enable_all().event_interval(EVENT_INTERVAL).max_blocking_threads(BLOCKING_THREADS);
+    builder.build().map_err(system("event queue"))
 }
 
 /// Runs work that may wait for a disk on a thread of its own.

@@ -1,90 +1,182 @@
-//! The server: accepts clients on the Unix socket, bounds them, and closes them at the end.
+//! The server: answers the clients that the acceptor hands over, bounds them, and closes them at the end.
 //!
-//! hyper speaks HTTP/1.1; [`http`] handles the requests. At most [`MAX_CLIENTS`] clients are connected; the next [`REFUSED`] get an
-//! error, further ones are closed. A client that sends nothing for [`IDLE`] is closed.
+//! hyper speaks HTTP/1.1 on a [`Connection`]; [`http`](super::http) handles the requests. If more clients are connected than
+//! [`Bounds::clients`], the server disconnects the laziest one, which reads nothing or sends nothing; if all are active, the new
+//! client gets an error.
 //!
-//! Invariant: a client occupies one place and its own buffers; it cannot block the daemon.
+//! Invariant: a client occupies one place and its own buffers; between two of its requests all other clients have their turn.
 
+use super::acceptor::{Accepted, Bounds, Client, Counts, Handover, IDLE, SILENT, refuse, too_many_clients};
+use super::connection::{Activity, Connection};
 use super::engine::Engine;
-use super::http;
-use crate::session_record::Peer;
+use super::request_log::LoggedRequest;
 use axum::Router;
-use axum::response::IntoResponse;
+use axum::http::header::CONTENT_TYPE;
 use hyper::Request;
 use hyper::body::Incoming;
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper_util::rt::{TokioIo, TokioTimer};
-use meissner_api::{Code, MAX_CLIENTS, Problem};
-use std::convert::Infallible;
+use std::collections::HashMap;
 use std::pin::pin;
 use std::sync::Arc;
-use std::time::Duration;
-use tokio::net::{UnixListener, UnixStream};
-use tokio::sync::watch;
-use tokio::task::JoinSet;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+use tokio::net::UnixStream;
+use tokio::sync::{mpsc, watch};
+use tokio::task::{AbortHandle, Id, JoinSet};
 use tower::ServiceExt;
 use tracing::{debug, warn};
 
-/// How long a client may take to send a request's head.
-const IDLE: Duration = Duration::from_secs(30);
-/// How long a refused client may take to send its request: its place must soon be free for an emergency stop.
-const REQUEST_TIMEOUT: Duration = Duration::from_millis(100);
-/// How long a refused client may stay.
-const REFUSAL_TIMEOUT: Duration = Duration::from_secs(2);
-/// Clients beyond the bound that get an error at the same time.
-const REFUSED: usize = 16;
 /// How long requests may take that run at the end.
 const DRAIN: Duration = Duration::from_secs(1);
+/// How often the log says that clients were refused or disconnected.
+const REPORT_EVERY: Duration = Duration::from_secs(10);
 
-/// Serves until `closing` turns true, then finishes the running requests, for [`DRAIN`] at most.
-pub(super) async fn serve(
-    listener: UnixListener,
+/// The number of the emergency stop that the acceptor has ordered for this request.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Ordered(pub(super) u64);
+
+/// See the module.
+#[derive(Debug)]
+pub(super) struct Server {
     engine: Arc<Engine>,
     router: Router,
-    mut closing: watch::Receiver<bool>,
-) {
-    let mut clients = JoinSet::new();
-    let mut refused = JoinSet::new();
-    loop {
-        let accepted = tokio::select! {
-            accepted = listener.accept() => accepted,
-            Some(_) = clients.join_next() => continue,
-            Some(_) = refused.join_next() => continue,
-            () = closed(&mut closing) => break,
-        };
-        match accepted {
-            Ok((stream, _)) if clients.len() < MAX_CLIENTS => {
-                let peer = peer(&stream);
-                engine.names.users.look_up(peer.uid);
-                clients.spawn(serve_client(stream, peer, router.clone(), closing.clone()));
+    bounds: Bounds,
+    counts: Arc<Counts>,
+    clients: JoinSet<()>,
+    /// The clients' tasks, by which the server ends them.
+    tasks: HashMap<Id, (AbortHandle, Arc<Activity>)>,
+    /// The refusals and evictions that the log has, and when it was written last.
+    reported: (u64, u64),
+    reported_at: Option<Instant>,
+}
+
+impl Server {
+    pub(super) fn new(engine: Arc<Engine>, router: Router, bounds: Bounds, counts: Arc<Counts>) -> Self {
+        let (clients, tasks, reported, reported_at) = Default::default();
+        Self { engine, router, bounds, counts, clients, tasks, reported, reported_at }
+    }
+
+    /// Serves until `closing` turns true, then finishes the running requests, for [`DRAIN`] at most.
+    pub(super) async fn serve(
+        mut self,
+        mut handovers: mpsc::Receiver<Handover>,
+        mut closing: watch::Receiver<bool>,
+    ) {
+        loop {
+            tokio::select! {
+                Some(handover) = handovers.recv() => match handover {
+                    Handover::Client(accepted) => self.take(accepted, &closing),
+                    Handover::EStop { client, number } => self.record_estop(client, number),
+                },
+                Some(ended) = self.clients.join_next_with_id() => {
+                    let id = ended.map_or_else(|error| error.id(), |(id, ())| id);
+                    self.tasks.remove(&id);
+                }
+                () = closed(&mut closing) => break,
             }
-            Ok((stream, _)) if refused.len() < REFUSED => {
-                refused.spawn(refuse(stream, router.clone()));
-            }
-            Ok(_) => warn!("too many clients: one was disconnected"),
-            Err(error) => {
-                // Out of descriptors: some may be free later.
-                warn!("cannot accept a client: {error}");
-                tokio::time::sleep(Duration::from_millis(100)).await;
-            }
+            self.report();
+        }
+        let drained = async { while self.clients.join_next().await.is_some() {} };
+        if tokio::time::timeout(DRAIN, drained).await.is_err() {
+            warn!("clients were disconnected in mid-request");
         }
     }
-    drop(listener);
-    let drained = async { while clients.join_next().await.is_some() {} };
-    if tokio::time::timeout(DRAIN, drained).await.is_err() {
-        warn!("clients were disconnected in mid-request");
+
+    fn take(&mut self, accepted: Accepted, closing: &watch::Receiver<bool>) {
+        let served = self.tasks.values().filter(|(handle, _)| !handle.is_finished()).count();
+        let full = served + self.counts.silent() >= self.bounds.clients;
+        if full && !self.evict() && accepted.estop.is_none() {
+            self.counts.refused.fetch_add(1, Ordering::Relaxed);
+            refuse(&accepted.stream, &too_many_clients(self.bounds.clients));
+            return;
+        }
+        let Accepted { stream, head, client, estop, place } = accepted;
+        self.engine.names.users.look_up(client.peer.uid);
+        let Ok(stream) = UnixStream::from_std(stream) else { return };
+        let (connection, activity) = Connection::new(stream, head);
+        let (router, closing, watched) = (self.router.clone(), closing.clone(), Arc::clone(&activity));
+        let handle = self.clients.spawn(async move {
+            serve_client(connection, watched, client, estop, router, closing).await;
+            drop(place);
+        });
+        self.tasks.insert(handle.id(), (handle, activity));
+    }
+
+    /// Disconnects the laziest client; returns whether there was one.
+    fn evict(&mut self) -> bool {
+        let lazy = self.tasks.values().filter(|(handle, _)| !handle.is_finished());
+        let lazy = lazy.filter_map(|(handle, activity)| Some((activity.lazy_for(IDLE)?, handle)));
+        let Some((_, laziest)) = lazy.max_by_key(|(still, _)| *still) else { return false };
+        laziest.abort();
+        let id = laziest.id();
+        self.tasks.remove(&id);
+        self.counts.evicted.fetch_add(1, Ordering::Relaxed);
+        true
+    }
+
+    /// Writes an emergency stop that the acceptor has ordered to the log and the session record, once it is answered.
+    fn record_estop(&mut self, client: Client, number: u64) {
+        self.engine.names.users.look_up(client.peer.uid);
+        let engine = Arc::clone(&self.engine);
+        tokio::spawn(async move {
+            let logged = LoggedRequest::new(&engine, "estop", client.peer);
+            let _ =
+                logged.result(engine.estop_answer(number).await.map_err(super::http::ErrorResponse::from));
+        });
+    }
+
+    fn report(&mut self) {
+        let now = (self.counts.refused.load(Ordering::Relaxed), self.counts.evicted.load(Ordering::Relaxed));
+        let lately = self.reported_at.is_some_and(|at| at.elapsed() < REPORT_EVERY);
+        if now == self.reported || lately {
+            return;
+        }
+        let (refused, evicted) = (now.0 - self.reported.0, now.1 - self.reported.1);
+        warn!(
+            refused,
+            evicted, "too many clients: {refused} were refused, {evicted} idle ones were disconnected"
+        );
+        (self.reported, self.reported_at) = (now, Some(Instant::now()));
     }
 }
 
-async fn serve_client(stream: UnixStream, peer: Peer, router: Router, mut closing: watch::Receiver<bool>) {
+async fn serve_client(
+    connection: Connection,
+    activity: Arc<Activity>,
+    client: Client,
+    estop: Option<u64>,
+    router: Router,
+    mut closing: watch::Receiver<bool>,
+) {
+    // Numbers begin at 1.
+    let ordered = AtomicU64::new(estop.unwrap_or(0));
     let service = service_fn(move |mut request: Request<Incoming>| {
-        request.extensions_mut().insert(peer);
-        router.clone().oneshot(request)
+        let (router, activity) = (router.clone(), Arc::clone(&activity));
+        activity.busy.store(true, Ordering::Relaxed);
+        request.extensions_mut().insert(client.peer);
+        request.extensions_mut().insert(client.origin);
+        let number = ordered.swap(0, Ordering::Relaxed);
+        if number > 0 {
+            request.extensions_mut().insert(Ordered(number));
+        }
+        async move {
+            // A client that sends one request after the other waits for its turn.
+            tokio::task::yield_now().await;
+            let response = router.oneshot(request).await;
+            let streams = |response: &axum::response::Response| {
+                response.headers().get(CONTENT_TYPE).is_some_and(|kind| kind == "text/event-stream")
+            };
+            activity.streaming.store(response.as_ref().is_ok_and(streams), Ordering::Relaxed);
+            activity.busy.store(false, Ordering::Relaxed);
+            response
+        }
     });
     let mut http = http1::Builder::new();
-    http.timer(TokioTimer::new()).header_read_timeout(IDLE);
-    let mut connection = pin!(http.serve_connection(TokioIo::new(stream), service));
+    // A client that has sent its request may close its half of the connection.
+    http.half_close(true).timer(TokioTimer::new()).header_read_timeout(SILENT);
+    let mut connection = pin!(http.serve_connection(TokioIo::new(connection), service));
     let ended = tokio::select! {
         ended = connection.as_mut() => ended,
         () = closed(&mut closing) => {
@@ -93,32 +185,8 @@ async fn serve_client(stream: UnixStream, peer: Peer, router: Router, mut closin
         }
     };
     if let Err(error) = ended {
-        debug!(pid = peer.pid, "a client's connection broke: {error}");
+        debug!(pid = client.peer.pid, "a client's connection broke: {error}");
     }
-}
-
-/// Refuses a client for whom there is no place, but carries out an emergency stop.
-async fn refuse(stream: UnixStream, router: Router) {
-    let peer = peer(&stream);
-    let service = service_fn(async |mut request: Request<Incoming>| {
-        if request.uri().path() == "/v1/estop" {
-            request.extensions_mut().insert(peer);
-            return router.clone().oneshot(request).await;
-        }
-        let detail =
-            format!("{MAX_CLIENTS} clients are connected already: close one, or try again in a moment");
-        Ok::<_, Infallible>(http::ErrorResponse(Problem::new(Code::TooManyClients, detail)).into_response())
-    });
-    let mut http = http1::Builder::new();
-    http.keep_alive(false).timer(TokioTimer::new()).header_read_timeout(REQUEST_TIMEOUT);
-    // The client is refused, whether or not it reads the answer.
-    let _ = tokio::time::timeout(REFUSAL_TIMEOUT, http.serve_connection(TokioIo::new(stream), service)).await;
-}
-
-/// The client's process and user, from the kernel; pid -1 and the highest uid if unknown.
-fn peer(stream: &UnixStream) -> Peer {
-    let unknown = Peer { pid: -1, uid: u32::MAX };
-    stream.peer_cred().map_or(unknown, |cred| Peer { pid: cred.pid().unwrap_or(-1), uid: cred.uid() })
 }
 
 /// Resolves when the daemon ends.

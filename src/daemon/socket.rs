@@ -1,4 +1,5 @@
-//! The daemon's socket: bound here with a lock file beside it, or handed over by a service manager.
+//! The daemon's two sockets, for the API and for emergency stops (`SOCKET.estop`): bound here with a lock file beside them, or handed
+//! over by a service manager.
 //!
 //! The lock (`SOCKET.lock`, flock) decides between daemons that start at the same time, and ends with its process. Its file stays,
 //! because removing it would race; only a file that other users may have open is replaced. A socket file that no process answers is
@@ -7,7 +8,7 @@
 //! Invariant: while a [`Bound`] lives, no other daemon is bound to its path.
 
 use listenfd::ListenFd;
-use meissner_client::MAX_SOCKET_PATH;
+use meissner_client::{MAX_SOCKET_PATH, estop_socket};
 use rustix::fs::{FlockOperation, OFlags, flock};
 use rustix::net::sockopt::socket_acceptconn;
 use rustix::process::geteuid;
@@ -79,41 +80,43 @@ fn pid_text(pid: Option<i32>) -> String {
     }
 }
 
-/// A bound socket. Dropping it removes its file if this process made it.
+/// The bound sockets. Dropping them removes the files that this process made.
 #[derive(Debug)]
 pub(super) struct Bound {
     pub(super) listener: UnixListener,
+    /// For emergency stops; none if the service manager listens for the API alone.
+    pub(super) estop: Option<UnixListener>,
     socket: PathBuf,
-    /// Device and inode of the file it made.
-    file: Option<(u64, u64)>,
+    _files: Vec<SocketFile>,
     /// Held while this lives; none if the service manager listens.
     _lock: Option<File>,
 }
 
 impl Bound {
-    /// The socket on which the service manager listens for this process, if it does: a connection starts the daemon, and the
-    /// service manager owns the file's mode, group and removal.
+    /// The sockets on which the service manager listens for this process, if it does: a connection starts the daemon, and the
+    /// service manager owns the files' mode, group and removal.
     pub(super) fn take_over(wanted: &Path) -> Result<Option<Self>, SocketError> {
-        let wrong = |source| SocketError::HandedOver { source };
-        let Some(listener) = ListenFd::from_env().take_unix_listener(0).map_err(wrong)? else {
-            return Ok(None);
-        };
-        if !socket_acceptconn(&listener).map_err(io::Error::from).map_err(wrong)? {
-            return Err(wrong(io::Error::other("it does not listen")));
-        }
-        let address = listener.local_addr().map_err(wrong)?;
-        let socket = address.as_pathname().unwrap_or(Path::new("a socket without a file")).to_owned();
+        let mut handed_over = ListenFd::from_env();
+        let Some((listener, socket)) = next_listener(&mut handed_over, 0)? else { return Ok(None) };
         if socket != wanted {
             warn!(
                 "the service manager listens on {}: `socket` in the configuration is ignored",
                 socket.display()
             );
         }
-        listener.set_nonblocking(true).map_err(wrong)?;
-        Ok(Some(Self { listener, socket, file: None, _lock: None }))
+        let estop = next_listener(&mut handed_over, 1)?;
+        let estop = estop.filter(|(_, path)| *path == estop_socket(&socket)).map(|(listener, _)| listener);
+        if estop.is_none() {
+            warn!(
+                "the service manager does not listen on {}: emergency stops use the API's socket; \
+                 add a second ListenStream= to meissner.socket",
+                estop_socket(&socket).display()
+            );
+        }
+        Ok(Some(Self { listener, estop, socket, _files: Vec::new(), _lock: None }))
     }
 
-    /// Its path.
+    /// The path of the API's socket.
     pub(super) fn socket(&self) -> &Path {
         &self.socket
     }
@@ -121,23 +124,56 @@ impl Bound {
     pub(super) fn new(socket: &Path) -> Result<Self, SocketError> {
         check(socket)?;
         let lock = lock(socket)?;
-        clear(socket)?;
-        let wrong = |source| SocketError::Io { path: socket.to_owned(), source };
-        // Until the mode is set, the umask decides, which is stricter by default.
-        let listener = UnixListener::bind(socket).map_err(wrong)?;
-        let file = identity(socket);
-        let bound = Self { listener, socket: socket.to_owned(), file, _lock: Some(lock) };
-        fs::set_permissions(socket, Permissions::from_mode(MODE)).map_err(wrong)?;
-        bound.listener.set_nonblocking(true).map_err(wrong)?;
-        Ok(bound)
+        // The one for emergency stops first: a client that finds the API finds it, too.
+        let (estop, estop_file) = bind(&estop_socket(socket))?;
+        let (listener, file) = bind(socket)?;
+        let (socket, _files) = (socket.to_owned(), vec![estop_file, file]);
+        Ok(Self { listener, estop: Some(estop), socket, _files, _lock: Some(lock) })
     }
 }
 
-impl Drop for Bound {
+/// The socket of this index that the service manager hands over, and its path.
+fn next_listener(
+    handed_over: &mut ListenFd,
+    index: usize,
+) -> Result<Option<(UnixListener, PathBuf)>, SocketError> {
+    let wrong = |source| SocketError::HandedOver { source };
+    if index >= handed_over.len() {
+        return Ok(None);
+    }
+    let Some(listener) = handed_over.take_unix_listener(index).map_err(wrong)? else { return Ok(None) };
+    if !socket_acceptconn(&listener).map_err(io::Error::from).map_err(wrong)? {
+        return Err(wrong(io::Error::other("it does not listen")));
+    }
+    listener.set_nonblocking(true).map_err(wrong)?;
+    let address = listener.local_addr().map_err(wrong)?;
+    let path = address.as_pathname().unwrap_or(Path::new("a socket without a file")).to_owned();
+    Ok(Some((listener, path)))
+}
+
+fn bind(path: &Path) -> Result<(UnixListener, SocketFile), SocketError> {
+    clear(path)?;
+    let wrong = |source| SocketError::Io { path: path.to_owned(), source };
+    // Until the mode is set, the umask decides, which is stricter by default.
+    let listener = UnixListener::bind(path).map_err(wrong)?;
+    let file = SocketFile { path: path.to_owned(), identity: identity(path) };
+    fs::set_permissions(path, Permissions::from_mode(MODE)).map_err(wrong)?;
+    listener.set_nonblocking(true).map_err(wrong)?;
+    Ok((listener, file))
+}
+
+/// A socket's file that this process made; removed when dropped.
+#[derive(Debug)]
+struct SocketFile {
+    path: PathBuf,
+    identity: Option<(u64, u64)>,
+}
+
+impl Drop for SocketFile {
     fn drop(&mut self) {
         // A file that another process has put there since stays.
-        if self.file.is_some() && identity(&self.socket) == self.file {
-            let _ = fs::remove_file(&self.socket);
+        if self.identity.is_some() && identity(&self.path) == self.identity {
+            let _ = fs::remove_file(&self.path);
         }
     }
 }
@@ -328,8 +364,8 @@ mod tests {
 
     #[test]
     fn a_missing_directory_and_a_long_path_are_said() {
-        let long = Bound::new(Path::new(&format!("/tmp/{}", "x".repeat(103)))).unwrap_err().to_string();
-        assert!(long.contains("at most 107 bytes: choose a shorter one"), "{long}");
+        let long = Bound::new(Path::new(&format!("/tmp/{}", "x".repeat(97)))).unwrap_err().to_string();
+        assert!(long.contains("at most 101 bytes: choose a shorter one"), "{long}");
         let line = Bound::new(Path::new("/nonexistent/m.sock")).unwrap_err().to_string();
         assert!(line.contains("/nonexistent/m.sock") && line.contains("--socket"), "{line}");
     }

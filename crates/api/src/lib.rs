@@ -42,7 +42,9 @@ pub use receipt::{
     BurstCounts, LateCause, LateCounts, LateStroke, LatenessRecord, LinkTraffic, MAX_LISTED, OnsetRecord,
     PlayState, PredictedResponse, Prediction, PulseCounts, Rates, Receipt, RefusedStroke,
 };
-pub use request::{ArmRequest, CalibrateRequest, LatePolicy, MAX_AT_MS, MAX_BODY, PlayRequest, parse_empty};
+pub use request::{
+    ArmRequest, CalibrateRequest, LatePolicy, MAX_AT_MS, MAX_BODY, PlayRequest, ResetRequest, parse_empty,
+};
 pub use route::{Method, Route};
 pub use status::{
     DeviceInfo, ErrorSource, MotorStatus, NO_DEVICE, PlayAccepted, QueuedPlay, Realtime, RunningPlay, Status,

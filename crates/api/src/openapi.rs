@@ -7,7 +7,7 @@ use crate::problem::{Code, Problem};
 use crate::route::{Answer, Body, Method, Operation, Route};
 use crate::{
     ArmRequest, CalibrateRequest, CalibrationReport, Event, ImportedPattern, PatternDetails, PatternList,
-    PlayAccepted, PlayRequest, Receipt, Status,
+    PlayAccepted, PlayRequest, Receipt, ResetRequest, Status,
 };
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
@@ -17,6 +17,7 @@ use utoipa::OpenApi;
 #[derive(OpenApi)]
 #[openapi(components(schemas(
     ArmRequest,
+    ResetRequest,
     CalibrateRequest,
     CalibrationReport,
     Event,

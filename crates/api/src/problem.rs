@@ -35,6 +35,8 @@ pub enum Code {
     Disarmed,
     /// An emergency stop or a fault is latched: reset first.
     Faulted,
+    /// Another client has just ordered an emergency stop: find out why, then reset again or with `force`.
+    RecentEStop,
     /// The device returns pins to rest or carries out another command: try again in a moment.
     Returning,
     /// A play is queued, runs or is being measured.
@@ -79,7 +81,7 @@ pub enum Code {
 
 impl Code {
     /// Every code, in the order of the API reference: by HTTP status.
-    pub const ALL: [Self; 29] = [
+    pub const ALL: [Self; 30] = [
         Self::BadRequest,
         Self::NotFound,
         Self::MethodNotAllowed,
@@ -87,6 +89,7 @@ impl Code {
         Self::Exists,
         Self::Disarmed,
         Self::Faulted,
+        Self::RecentEStop,
         Self::Returning,
         Self::Playing,
         Self::NoPositionEstimate,
@@ -124,6 +127,7 @@ impl Code {
             Self::Slow => ("slow-request", 408, "The request took too long to arrive"),
             Self::Disarmed => ("disarmed", 409, "The motors are disarmed"),
             Self::Faulted => ("faulted", 409, "An emergency stop or fault is latched"),
+            Self::RecentEStop => ("recent-estop", 409, "Another client has just ordered an emergency stop"),
             Self::Returning => ("returning", 409, "The device returns pins to rest"),
             Self::Playing => ("playing", 409, "A play is queued or running"),
             Self::NotHome => ("not-home", 409, "Not all pins are at rest"),
@@ -195,7 +199,7 @@ mod tests {
         names.sort_unstable();
         names.dedup();
         // The last variant of the enum: a variant that is not in `ALL` would raise this number.
-        assert_eq!((names.len(), Code::ALL.len()), (29, Code::NoTelemetry as usize + 1));
+        assert_eq!((names.len(), Code::ALL.len()), (30, Code::NoTelemetry as usize + 1));
         assert!(Code::ALL.is_sorted_by_key(|code| code.parts().1));
     }
 

@@ -1,6 +1,6 @@
 //! Request bodies: JSON objects, read with serde.
 //!
-//! [`PlayRequest::parse`], [`ArmRequest::parse`], [`CalibrateRequest::parse`] and [`parse_empty`] read a body. A key that is null
+//! [`PlayRequest::parse`], [`ArmRequest::parse`], [`ResetRequest::parse`], [`CalibrateRequest::parse`] and [`parse_empty`] read a body. A key that is null
 //! counts as absent. An error is one line that names the key; for an unknown key it offers the nearest known one.
 
 use crate::problem::{Code, Problem, REFERENCE};
@@ -89,6 +89,26 @@ pub struct ArmRequest {
 }
 
 impl ArmRequest {
+    /// Reads a body; an empty one gives the defaults.
+    ///
+    /// # Errors
+    /// A `bad-request` that names the key.
+    pub fn parse(body: &[u8]) -> Result<Self, Problem> {
+        read_or_default(body)
+    }
+}
+
+/// How to reset.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(examples(json!({"force": true})))]
+pub struct ResetRequest {
+    /// Whether to reset although another client has ordered an emergency stop within the last 2 s.
+    #[serde(default, deserialize_with = "null_as_default")]
+    pub force: bool,
+}
+
+impl ResetRequest {
     /// Reads a body; an empty one gives the defaults.
     ///
     /// # Errors

@@ -186,15 +186,23 @@ impl Route {
             Self::EStop => Operation {
                 summary: "Stop at once, switch the motors off and latch the fault",
                 description: "The daemon acts before it reads the body, and passes the command on even if its queue is full, \
-                              too many clients are connected or it shuts down. `POST /v1/reset` clears the latch.",
+                              too many clients are connected or it shuts down. As the first request of a connection it \
+                              waits for no other client. `POST /v1/reset` clears the latch.",
                 body: Body::None,
-                errors: &[&[Code::Faulted, Code::NoDevice, Code::Timeout]],
+                errors: &[&[Code::NoDevice, Code::Timeout], ANY],
                 ..Operation::post("/v1/estop")
             },
             Self::Reset => Operation {
                 summary: "Clear a latched emergency stop or fault",
-                description: "The motors stay disarmed.",
-                errors: &[BODY, &[Code::Faulted, Code::Returning, Code::DeviceRefused], COMMAND, ANY],
+                description: "The motors stay disarmed. Within 2 s of an emergency stop only its own client may reset; others need \
+                              `force`. A client is a process, or the commands of one terminal session.",
+                body: Body::OptionalJson("ResetRequest"),
+                errors: &[
+                    BODY,
+                    &[Code::Faulted, Code::RecentEStop, Code::Returning, Code::DeviceRefused],
+                    COMMAND,
+                    ANY,
+                ],
                 ..Operation::post("/v1/reset")
             },
             Self::Arm => Operation {
@@ -252,7 +260,8 @@ impl Route {
             Self::Events => Operation {
                 summary: "Listen to events",
                 description: "Server-sent events, without end: `event:` is the event's name, `data:` its JSON on one line. The first \
-                              one is `state`. A listener that falls 1024 events behind gets `lagged` in their place.",
+                              one is `state`. A listener that falls 1024 events behind gets `lagged` in their place; one that reads nothing \
+                              for a minute is disconnected. At most 48 streams are open, so that commands find places.",
                 answer: Answer::Events,
                 errors: &[&[Code::ShuttingDown], ANY],
                 ..Operation::get("/v1/events")

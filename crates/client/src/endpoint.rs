@@ -20,8 +20,10 @@ const UNITS: [&str; 5] = [
     "lib/systemd/system",
 ];
 
-/// Length of a socket's path, at most, bytes: `sun_path` holds 108 with the terminating zero.
-pub const MAX_SOCKET_PATH: usize = 107;
+/// What the path of the socket for emergency stops adds to the socket's.
+const ESTOP: &str = ".estop";
+/// Length of a socket's path, at most, bytes: `sun_path` holds 108 with the terminating zero, also of [`estop_socket`].
+pub const MAX_SOCKET_PATH: usize = 107 - ESTOP.len();
 /// The socket of the installed service.
 pub const SERVICE_SOCKET: &str = "/run/meissner/meissner.sock";
 
@@ -91,6 +93,14 @@ pub fn is_installed(root: &Path) -> bool {
 /// Whether the user may not search the directory of the socket, as after `su`, which keeps another user's runtime directory.
 pub(crate) fn is_hidden(error: &io::Error, socket: &Path) -> bool {
     error.kind() == io::ErrorKind::PermissionDenied && socket.metadata().is_err()
+}
+
+/// The socket for emergency stops alone, `SOCKET.estop`: any byte stops, and the daemon answers with one line.
+#[must_use]
+pub fn estop_socket(socket: &Path) -> PathBuf {
+    let mut path = socket.as_os_str().to_owned();
+    path.push(ESTOP);
+    path.into()
 }
 
 /// Where a daemon listens by default: `$MEISSNER_SOCKET`, else `$XDG_RUNTIME_DIR/meissner.sock`, else

@@ -6,6 +6,7 @@
 //! - [`Endpoint`]: which socket to connect to.
 //! - [`Client`]: calls that wait for their answer, by default for [`ANSWER_TIMEOUT`]. Each client has a small runtime of its own.
 //! - [`Events`]: the daemon's events, on a connection of their own.
+//! - [`estop`]: an emergency stop, on a socket of its own.
 //! - [`ClientError`]: what can fail, each in one line that says what to do; [`access`] explains denied sockets.
 //!
 //! ```no_run
@@ -28,19 +29,22 @@
 //! # Ok::<(), meissner_client::ClientError>(())
 //! ```
 //!
-//! Invariant: the client sends a request that may change something once.
+//! Invariant: the client sends a request that may change something once; only an emergency stop it may send again.
 
 pub mod access;
 mod client;
 mod connection;
 mod endpoint;
 mod error;
+mod estop;
 mod events;
 
 pub use client::{ANSWER_TIMEOUT, Client, HOME_TIMEOUT};
 pub use connection::escape;
-pub use endpoint::{Endpoint, MAX_SOCKET_PATH, SERVICE_SOCKET, default_socket, is_installed};
+pub use endpoint::{Endpoint, MAX_SOCKET_PATH, SERVICE_SOCKET, default_socket, estop_socket, is_installed};
+
 pub use error::ClientError;
+pub use estop::{STOPPED, estop};
 pub use events::Events;
 
 #[cfg(test)]

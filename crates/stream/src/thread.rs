@@ -49,7 +49,7 @@ pub fn spawn(settings: Settings) -> io::Result<(CommandQueue, EventQueue, Realti
 pub fn request_realtime() -> Realtime {
     // Pages are locked at their first touch: unused memory costs nothing.
     let mlock = mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE | MlockAllFlags::ONFAULT).is_ok();
-    Realtime { fifo: priority::fifo(), mlock }
+    Realtime { fifo: priority::fifo(priority::FIFO_PRIORITY), mlock }
 }
 
 struct Loop {

@@ -1,13 +1,15 @@
 //! Commands to the streamer: a ticket for each, and the calls that wait for its answer.
 //!
+//! Emergency stops go to the streamer by their own switch; here are only the calls that wait for the answers.
+//!
 //! Bounds: the queue (a full one is [`Code::Busy`]), and the tickets of the last [`LOST_AFTER`].
 //!
-//! Invariant: an emergency stop is always accepted, and always answered.
+//! Invariant: each call gets an answer, or learns that there is none.
 
 use firmware_protocol::stroke::MOTORS;
 use meissner_api::{Code, Problem};
 use meissner_stream::Gains;
-use meissner_stream::queues::{Command, CommandError, CommandQueue, Request};
+use meissner_stream::queues::{Command, CommandError, CommandQueue, ESTOP_TICKETS, EStopSwitch, Request};
 use meissner_stream::time::HostInstant;
 use std::collections::HashMap;
 use std::time::Duration;
@@ -19,10 +21,10 @@ const LOST_AFTER: Duration = Duration::from_secs(30);
 /// Where an answer arrives.
 pub(in crate::daemon) type Reply = oneshot::Receiver<Result<(), CommandError>>;
 
-/// Calls that wait for the answer to one command.
+/// A call that waits for the answer to a command.
 #[derive(Debug)]
 struct Ticket {
-    replies: Vec<oneshot::Sender<Result<(), CommandError>>>,
+    reply: oneshot::Sender<Result<(), CommandError>>,
     issued_at: HostInstant,
     play: Option<u64>,
 }
@@ -32,20 +34,23 @@ struct Ticket {
 pub(in crate::daemon) struct Commands {
     queue: CommandQueue,
     last_ticket: u64,
-    last_estop: u64,
     waiting: HashMap<u64, Ticket>,
+    estop: EStopSwitch,
+    /// Calls that wait for the emergency stop of this number.
+    waiting_estops: Vec<(u64, oneshot::Sender<Result<(), CommandError>>)>,
     /// The daemon ends: it accepts emergency stops only.
     closing: bool,
 }
 
 impl Commands {
-    pub(in crate::daemon) fn new(queue: CommandQueue) -> Self {
-        Self { queue, last_ticket: 0, last_estop: 0, waiting: HashMap::new(), closing: false }
+    pub(in crate::daemon) fn new(queue: CommandQueue, estop: EStopSwitch) -> Self {
+        let (waiting, waiting_estops) = Default::default();
+        Self { queue, last_ticket: 0, waiting, estop, waiting_estops, closing: false }
     }
 
     /// Whether a command may be sent now.
     pub(super) fn accepts(&self, command: &Command) -> Result<(), Problem> {
-        if self.closing && !matches!(command, Command::EStop | Command::Shutdown) {
+        if self.closing && !matches!(command, Command::Shutdown) {
             return Err(Problem::new(Code::ShuttingDown, "the daemon is ending: start it again"));
         }
         Ok(())
@@ -56,25 +61,33 @@ impl Commands {
         self.last_ticket += 1;
         let (ticket, issued_at) = (self.last_ticket, HostInstant::now());
         let (reply, receiver) = oneshot::channel();
-        let estop = matches!(command, Command::EStop);
         if self.queue.send(Request { ticket, issued_at, command }).is_err() {
-            if estop {
-                // Only another emergency stop can have taken the last place: both get its answer.
-                if let Some(ticket) = self.waiting.get_mut(&self.last_estop) {
-                    ticket.replies.push(reply);
-                }
-                return Ok(receiver);
-            }
             return Err(Problem::new(
                 Code::Busy,
                 "too many commands wait for the device: try again in a moment",
             ));
         }
-        if estop {
-            self.last_estop = ticket;
-        }
-        self.waiting.insert(ticket, Ticket { replies: vec![reply], issued_at, play });
+        self.waiting.insert(ticket, Ticket { reply, issued_at, play });
         Ok(receiver)
+    }
+
+    /// Returns where the answer to the emergency stop of this number arrives.
+    pub(in crate::daemon) fn wait_for_estop(&mut self, number: u64) -> Reply {
+        let (reply, receiver) = oneshot::channel();
+        self.waiting_estops.retain(|(_, reply)| !reply.is_closed());
+        self.waiting_estops.push((number, reply));
+        self.answer_estops();
+        receiver
+    }
+
+    fn answer_estops(&mut self) {
+        for (number, reply) in std::mem::take(&mut self.waiting_estops) {
+            match self.estop.answer(number) {
+                // The client may have hung up meanwhile.
+                Some(answer) => drop(reply.send(answer)),
+                None => self.waiting_estops.push((number, reply)),
+            }
+        }
     }
 
     /// Sends a command whose answer nothing waits for; gives it back if the queue is full.
@@ -88,13 +101,15 @@ impl Commands {
         self.send_unanswered(Command::SetGains(Box::new(gains)))
     }
 
-    /// Passes an answer to the calls that wait for it. Returns the play it is about.
+    /// Passes an answer to the call that waits for it. Returns the play it is about.
     pub(super) fn answer(&mut self, ticket: u64, result: Result<(), CommandError>) -> Option<u64> {
-        let ticket = self.waiting.remove(&ticket)?;
-        for reply in ticket.replies {
-            // The client may have hung up meanwhile.
-            let _ = reply.send(result);
+        if ticket >= ESTOP_TICKETS {
+            self.answer_estops();
+            return None;
         }
+        let ticket = self.waiting.remove(&ticket)?;
+        // The client may have hung up meanwhile.
+        let _ = ticket.reply.send(result);
         ticket.play
     }
 

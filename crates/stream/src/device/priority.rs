@@ -9,12 +9,14 @@ use thread_priority::{ThreadPriority, ThreadPriorityValue};
 
 /// The priority: above ordinary programs, below the kernel's own threads.
 pub const FIFO_PRIORITY: u8 = 50;
+/// For threads that must be as prompt, but must not hold up the streamer.
+pub const BELOW_STREAMER: u8 = FIFO_PRIORITY - 1;
 
-/// Requests SCHED_FIFO; returns whether the system granted it.
+/// Requests SCHED_FIFO at this priority; returns whether the system granted it.
 #[must_use]
-pub fn fifo() -> bool {
+pub fn fifo(priority: u8) -> bool {
     let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
-    ThreadPriorityValue::try_from(FIFO_PRIORITY).is_ok_and(|value| {
+    ThreadPriorityValue::try_from(priority).is_ok_and(|value| {
         let priority = ThreadPriority::Crossplatform(value);
         set_thread_priority_and_policy(thread_native_id(), priority, policy).is_ok()
     })

@@ -1,7 +1,7 @@
 //! The bounded queues between the streamer's thread and its callers: requests in, events out.
 //!
 //! [`queues`] makes both ends. A caller puts a [`Request`] into the [`CommandQueue`] and takes each [`StreamEvent`] from
-//! the [`EventQueue`]; the thread holds [`ThreadQueues`].
+//! the [`EventQueue`]; the thread holds [`ThreadQueues`]. Emergency stops have a way of their own, [`EStopSwitch`].
 //!
 //! Invariant: the thread never waits. A full command queue hands the request back to the caller. A nearly full event
 //! queue drops single late strokes, refused strokes and snapshots first, and counts what it drops
@@ -9,10 +9,12 @@
 //! Whatever owns memory leaves through the event queue, to be dropped outside the thread.
 
 mod error;
+mod estop;
 mod message;
 mod outcome;
 mod play;
 
+use crate::time::HostInstant;
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use rustix::event::{EventfdFlags, eventfd};
@@ -22,6 +24,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 pub use crate::control::MeasuredBurst;
 pub use error::{CommandError, MAX_QUEUED_PLAYS, refusal_text};
+pub use estop::{ESTOP_TICKETS, EStopSwitch};
 pub use message::{Command, Emit, Request, StreamEvent};
 pub use outcome::{End, Onset, Outcome, Snapshot};
 pub use play::{At, Play};
@@ -40,6 +43,7 @@ const RESERVED: usize = 1024;
 pub struct CommandQueue {
     ring: rtrb::Producer<Request>,
     wake: Arc<OwnedFd>,
+    estop: EStopSwitch,
     loops: Arc<AtomicU64>,
 }
 
@@ -47,14 +51,17 @@ impl CommandQueue {
     /// Sends a request to the thread and wakes it.
     ///
     /// # Errors
-    /// Hands the request back if the queue is full. The last place is reserved for an emergency stop.
+    /// Hands the request back if the queue is full.
     pub fn send(&mut self, request: Request) -> Result<(), Request> {
-        if self.ring.slots() <= 1 && !matches!(request.command, Command::EStop) {
-            return Err(request);
-        }
         self.ring.push(request).map_err(|rtrb::PushError::Full(request)| request)?;
         self.wake_thread();
         Ok(())
+    }
+
+    /// The switch for emergency stops.
+    #[must_use]
+    pub fn estop_switch(&self) -> EStopSwitch {
+        self.estop.clone()
     }
 
     /// Wakes the thread: it reads what the device has sent meanwhile, and reports it.
@@ -108,6 +115,9 @@ pub struct ThreadQueues {
     measured: rtrb::Producer<MeasuredBurst>,
     requests_wake: Arc<OwnedFd>,
     events_wake: Arc<OwnedFd>,
+    estop: EStopSwitch,
+    /// The newest emergency stop that the thread has executed.
+    last_estop: u64,
     loops: Arc<AtomicU64>,
     lost: u64,
     must_wake: bool,
@@ -120,6 +130,7 @@ pub struct ThreadQueues {
 pub fn queues() -> std::io::Result<(ThreadQueues, CommandQueue, EventQueue)> {
     let flags = EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK;
     let (requests_wake, events_wake) = (Arc::new(eventfd(0, flags)?), Arc::new(eventfd(0, flags)?));
+    let estop = EStopSwitch::new(Arc::clone(&requests_wake), eventfd(0, flags)?);
     let (request_in, requests) = rtrb::RingBuffer::new(COMMANDS);
     // Both event rings are touched once: memory is locked page by page, and the first touch must not fall into a play.
     let (mut events, mut event_out) = rtrb::RingBuffer::new(EVENTS);
@@ -138,8 +149,12 @@ pub fn queues() -> std::io::Result<(ThreadQueues, CommandQueue, EventQueue)> {
     while measured.push(blank).is_ok() {}
     while measured_out.pop().is_ok() {}
     let loops = Arc::default();
-    let commands =
-        CommandQueue { ring: request_in, wake: Arc::clone(&requests_wake), loops: Arc::clone(&loops) };
+    let commands = CommandQueue {
+        ring: request_in,
+        wake: Arc::clone(&requests_wake),
+        estop: estop.clone(),
+        loops: Arc::clone(&loops),
+    };
     let listener = EventQueue { ring: event_out, measured: measured_out, wake: Arc::clone(&events_wake) };
     let thread = ThreadQueues {
         requests,
@@ -147,6 +162,8 @@ pub fn queues() -> std::io::Result<(ThreadQueues, CommandQueue, EventQueue)> {
         measured,
         requests_wake,
         events_wake,
+        estop,
+        last_estop: 0,
         loops,
         lost: 0,
         must_wake: false,
@@ -155,9 +172,16 @@ pub fn queues() -> std::io::Result<(ThreadQueues, CommandQueue, EventQueue)> {
 }
 
 impl ThreadQueues {
-    /// Takes the oldest request.
+    /// Takes the oldest request, and after them all the newest emergency stop.
     pub fn pop(&mut self) -> Option<Request> {
-        self.requests.pop().ok()
+        self.requests.pop().ok().or_else(|| self.pop_estop())
+    }
+
+    fn pop_estop(&mut self) -> Option<Request> {
+        let newest = self.estop.newest();
+        let is_new = std::mem::replace(&mut self.last_estop, newest) != newest;
+        let (ticket, issued_at) = (ESTOP_TICKETS + newest, HostInstant::now());
+        is_new.then_some(Request { ticket, issued_at, command: Command::EStop })
     }
 
     /// Counts one run of the thread's loop.
@@ -187,6 +211,9 @@ impl ThreadQueues {
 impl Emit for ThreadQueues {
     /// Queues an event; [`Self::wake_listener`] then wakes the caller.
     fn event(&mut self, event: StreamEvent) {
+        if let StreamEvent::Answer { ticket: ticket @ ESTOP_TICKETS.., result } = event {
+            self.estop.set_answer(ticket - ESTOP_TICKETS, result);
+        }
         // Frequent events must not displace those that come once.
         let frequent = matches!(
             event,

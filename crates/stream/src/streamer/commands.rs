@@ -4,7 +4,9 @@
 
 use crate::active::{Active, FIRST_MARGIN};
 use crate::link::Session;
-use crate::queues::{At, Command, CommandError, Emit, End, MAX_QUEUED_PLAYS, Play, Request, StreamEvent};
+use crate::queues::{
+    At, Command, CommandError, ESTOP_TICKETS, Emit, End, MAX_QUEUED_PLAYS, Play, Request, StreamEvent,
+};
 use crate::streamer::{ANSWER_WITHIN, MAX_PENDING_OPS, OpResult, PendingOp, Streamer, answer, cuts_play};
 use crate::time::HostInstant;
 use firmware_protocol::message::{Cause, Op, State};
@@ -41,7 +43,10 @@ impl Streamer {
                 }
             },
             Command::Stop => self.stop(),
-            Command::EStop => self.emergency_stop(now, emit),
+            Command::EStop => {
+                self.emergency_stop(now, ticket, emit);
+                return;
+            }
             Command::Reset => self.reset(),
             Command::Arm { assume_rest } => self.arm(assume_rest),
             Command::Home => match self.home(ticket) {
@@ -228,21 +233,37 @@ impl Streamer {
     /// Applies the settings configured last.
     fn apply_settings(&mut self) {
         self.settings = self.next_settings;
-        self.control.configure(&self.settings);
+        self.control.set_limits(&self.settings.limits);
     }
 
-    fn emergency_stop(&mut self, now: HostInstant, emit: &mut dyn Emit) -> OpResult {
+    /// Overtakes all other operations. If an earlier emergency stop is on its way, one answer of the device is for both.
+    fn emergency_stop(&mut self, now: HostInstant, ticket: u64, emit: &mut dyn Emit) {
         self.latched = true;
         self.resets_own_e_stop = false;
         self.wants_armed = false;
         self.cut_all(End::Stopped, "estop");
-        // An emergency stop overtakes all other operations.
-        while let Some(waiting) = self.pending_ops.pop_front() {
+        self.end_homing(Err(CommandError::Returning), emit);
+        self.snapshot_due = now;
+        let waits = self.pending_ops.front().is_some_and(|first| first.op == Op::EStop);
+        while self.pending_ops.len() > usize::from(waits) {
+            let Some(waiting) = self.pending_ops.pop_back() else { break };
             answer(waiting.ticket, Err(CommandError::Faulted), emit);
         }
-        self.in_flight = false;
-        self.snapshot_due = now;
-        Ok(self.session.is_some().then_some(Op::EStop))
+        match self.pending_ops.front_mut() {
+            // Of the switch's tickets, the answer to the newest answers all.
+            Some(first) => {
+                let earlier = std::mem::replace(&mut first.ticket, ticket);
+                first.since = now;
+                if earlier < ESTOP_TICKETS {
+                    answer(earlier, Err(CommandError::Faulted), emit);
+                }
+            }
+            None if self.session.is_some() => {
+                self.in_flight = false;
+                self.queue_op(now, ticket, Op::EStop, emit);
+            }
+            None => answer(ticket, Ok(()), emit),
+        }
     }
 
     fn reset(&mut self) -> OpResult {

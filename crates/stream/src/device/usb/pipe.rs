@@ -87,7 +87,7 @@ impl Pipe {
         let reader = {
             let (handle, shared) = (Arc::clone(&handle), Arc::clone(&shared));
             let run = move || {
-                let _ = priority::fifo();
+                let _ = priority::fifo(priority::FIFO_PRIORITY);
                 fill(&handle, interface, &shared, filled);
             };
             Builder::new().name("usb-in".into()).spawn(run)?
@@ -95,7 +95,7 @@ impl Pipe {
         let mut pipe = Self { shared, incoming, outgoing, threads: [Some(reader), None] };
         let shared = Arc::clone(&pipe.shared);
         let run = move || {
-            let _ = priority::fifo();
+            let _ = priority::fifo(priority::FIFO_PRIORITY);
             empty(&handle, interface, &shared, emptied);
         };
         pipe.threads[1] = Some(Builder::new().name("usb-out".into()).spawn(run)?);

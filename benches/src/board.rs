@@ -1,0 +1,117 @@
+//! A board on a pseudo-terminal that notes when it is told an emergency stop.
+//!
+//! It is the mock in wall time, on a real-time thread where the system allows it, so that the load on the daemon does not delay
+//! the measurement.
+
+use firmware_protocol::tick::Tick;
+use firmware_protocol::urgent::{Urgent, Watch};
+use meissner_array::simulated::SimulatedMotorsConfig;
+use meissner_stream::device::mock::Mock;
+use meissner_stream::device::priority;
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::fd::OwnedFd;
+use rustix::fs::{Mode, OFlags};
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
+use std::io;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::{self, JoinHandle};
+use std::time::Instant;
+
+const TICKS_PER_S: f64 = 85_000.0;
+
+/// See the module. Dropping it ends its thread.
+#[derive(Debug)]
+pub struct Board {
+    path: PathBuf,
+    /// The epoch and time of each emergency stop, once.
+    estops: crossbeam_channel::Receiver<(u16, Instant)>,
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+    /// Held open, so that the terminal stays.
+    _slave: OwnedFd,
+}
+
+impl Board {
+    /// Starts one.
+    ///
+    /// # Errors
+    /// If the system gives no pseudo-terminal.
+    pub fn start() -> io::Result<Self> {
+        let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
+        grantpt(&master)?;
+        unlockpt(&master)?;
+        let path = PathBuf::from(ptsname(&master, Vec::new())?.to_string_lossy().into_owned());
+        let slave = rustix::fs::open(&path, OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC, Mode::empty())?;
+        let mut settings = tcgetattr(&slave)?;
+        settings.make_raw();
+        tcsetattr(&slave, OptionalActions::Now, &settings)?;
+        let flags = rustix::fs::fcntl_getfl(&master)?;
+        rustix::fs::fcntl_setfl(&master, flags | OFlags::NONBLOCK)?;
+        let motors = SimulatedMotorsConfig { telemetry_hz: 0, ..SimulatedMotorsConfig::default() };
+        let mock = Mock::new(motors, 1).map_err(io::Error::other)?;
+        let (told, estops) = crossbeam_channel::unbounded();
+        let stop = Arc::new(AtomicBool::new(false));
+        let stopped = Arc::clone(&stop);
+        let thread = thread::Builder::new().name("board".into()).spawn(move || {
+            let _ = priority::fifo(priority::FIFO_PRIORITY);
+            serve(mock, &master, &stopped, &told);
+        })?;
+        Ok(Self { path, estops, stop, thread: Some(thread), _slave: slave })
+    }
+
+    /// The terminal to open as a serial port.
+    #[must_use]
+    pub const fn path(&self) -> &PathBuf {
+        &self.path
+    }
+
+    /// When the board was told each emergency stop since the last call, and later ones.
+    #[must_use]
+    pub const fn estops(&self) -> &crossbeam_channel::Receiver<(u16, Instant)> {
+        &self.estops
+    }
+}
+
+impl Drop for Board {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        let _ = self.thread.take().map(JoinHandle::join);
+    }
+}
+
+fn serve(
+    mut mock: Mock,
+    master: &OwnedFd,
+    stop: &AtomicBool,
+    told: &crossbeam_channel::Sender<(u16, Instant)>,
+) {
+    let (begun, mut watch, mut last) = (Instant::now(), Watch::new(), None);
+    let (mut bytes, mut outgoing) = ([0; 4096], [0; 4096]);
+    let millisecond = Timespec { tv_sec: 0, tv_nsec: 1_000_000 };
+    while !stop.load(Ordering::Relaxed) {
+        let _ = poll(&mut [PollFd::new(master, PollFlags::IN)], Some(&millisecond));
+        while let Ok(len @ 1..) = rustix::io::read(master, &mut bytes) {
+            for &byte in &bytes[..len] {
+                if let Some(Urgent::EStop(epoch)) = watch.look(&[byte])
+                    && last.replace(epoch) != Some(epoch)
+                {
+                    let _ = told.send((epoch, Instant::now()));
+                }
+            }
+            mock.write(&bytes[..len]);
+        }
+        let ticks = (begun.elapsed().as_secs_f64() * TICKS_PER_S) as u64;
+        mock.run(Tick::BOOT + ticks);
+        loop {
+            let len = mock.read(&mut outgoing);
+            if len == 0 {
+                break;
+            }
+            // The daemon reads all the time: what finds no room is lost, as on a line.
+            let _ = rustix::io::write(master, &outgoing[..len]);
+        }
+    }
+}

@@ -1,0 +1,89 @@
+//! The switch for emergency stops: any thread asks, the streamer answers, and neither waits for a queue or a lock.
+//!
+//! [`EStopSwitch::request`] numbers an emergency stop and wakes the streamer. The streamer executes it after the requests that wait,
+//! so that a `reset` sent before it cannot undo it. Emergency stops that come while one is on its way to the device share its
+//! answer.
+//!
+//! Invariant: once [`EStopSwitch::request`] has returned, the streamer executes the emergency stop in its next round.
+
+use crate::queues::{CommandError, clear_wake, set_wake};
+use rustix::fd::{AsFd, BorrowedFd, OwnedFd};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+
+/// Tickets from here on belong to emergency stops: the ticket of the one with number n is `ESTOP_TICKETS` + n.
+pub const ESTOP_TICKETS: u64 = 1 << 63;
+
+/// See the module. Its descriptor is readable when there are new answers.
+#[derive(Clone, Debug)]
+pub struct EStopSwitch(Arc<Shared>);
+
+#[derive(Debug)]
+struct Shared {
+    requested: AtomicU64,
+    /// The newest one that the device has confirmed; with no device, that the daemon has latched.
+    confirmed: AtomicU64,
+    /// The newest one that was answered, also by an error.
+    answered: AtomicU64,
+    /// The last error was that no device is connected; otherwise that it did not answer.
+    no_device: AtomicBool,
+    streamer_wake: Arc<OwnedFd>,
+    answer_wake: OwnedFd,
+}
+
+impl EStopSwitch {
+    pub(super) fn new(streamer_wake: Arc<OwnedFd>, answer_wake: OwnedFd) -> Self {
+        let (requested, confirmed, answered) = Default::default();
+        let no_device = AtomicBool::new(false);
+        Self(Arc::new(Shared { requested, confirmed, answered, no_device, streamer_wake, answer_wake }))
+    }
+
+    /// Orders an emergency stop; returns its number.
+    #[must_use]
+    pub fn request(&self) -> u64 {
+        let number = self.0.requested.fetch_add(1, Ordering::AcqRel) + 1;
+        set_wake(&self.0.streamer_wake);
+        number
+    }
+
+    /// The streamer's answer to the emergency stop of this number: [`CommandError::Timeout`] or [`CommandError::NoDevice`] if the
+    /// device did not confirm it. None if the answer is still to come.
+    #[must_use]
+    pub fn answer(&self, number: u64) -> Option<Result<(), CommandError>> {
+        let Shared { confirmed, answered, no_device, .. } = &*self.0;
+        if confirmed.load(Ordering::Acquire) >= number {
+            return Some(Ok(()));
+        }
+        (answered.load(Ordering::Acquire) >= number).then(|| match no_device.load(Ordering::Acquire) {
+            true => Err(CommandError::NoDevice),
+            false => Err(CommandError::Timeout),
+        })
+    }
+
+    /// Makes the descriptor unreadable until there are more answers.
+    pub fn clear_answers(&self) {
+        clear_wake(&self.0.answer_wake);
+    }
+
+    /// The newest number requested.
+    pub(super) fn newest(&self) -> u64 {
+        self.0.requested.load(Ordering::Acquire)
+    }
+
+    /// The streamer answers this one and all before it.
+    pub(super) fn set_answer(&self, number: u64, result: Result<(), CommandError>) {
+        let Shared { confirmed, answered, no_device, answer_wake, .. } = &*self.0;
+        match result {
+            Ok(()) => drop(confirmed.fetch_max(number, Ordering::AcqRel)),
+            Err(error) => no_device.store(error == CommandError::NoDevice, Ordering::Release),
+        }
+        answered.fetch_max(number, Ordering::AcqRel);
+        set_wake(answer_wake);
+    }
+}
+
+impl AsFd for EStopSwitch {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.0.answer_wake.as_fd()
+    }
+}

@@ -1,0 +1,82 @@
+//! How many connections there may be: the usual bounds, or fewer if the system gives the daemon few descriptors.
+
+use meissner_api::MAX_CLIENTS;
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+use tracing::warn;
+
+/// Descriptors for everything but clients: device, event descriptors, files of patterns and of the session record.
+const RESERVED: u64 = 40;
+
+/// Connections, at most.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::daemon) struct Bounds {
+    /// Clients of the API.
+    pub(in crate::daemon) clients: usize,
+    /// Event streams among them: the other places are free for commands.
+    pub(in crate::daemon) event_streams: usize,
+    /// Connections whose first line is not complete; the newest ones displace the oldest.
+    pub(super) silent: usize,
+    /// Emergency stops at the same time, on each socket.
+    pub(super) estops: usize,
+}
+
+impl Bounds {
+    const USUAL: Self = Self::new(MAX_CLIENTS, 192, 64);
+
+    const fn new(clients: usize, silent: usize, estops: usize) -> Self {
+        Self { clients, event_streams: clients * 3 / 4, silent, estops }
+    }
+
+    /// The bounds of this process. Raises its limit of descriptors as far as that is needed and allowed.
+    pub(in crate::daemon) fn of_process() -> Self {
+        let needed = Self::USUAL.descriptors() + RESERVED;
+        let Rlimit { current, maximum } = getrlimit(Resource::Nofile);
+        let raised = maximum.map_or(needed, |maximum| maximum.min(needed));
+        let current = match current {
+            Some(current) if current < raised => {
+                let limit = Rlimit { current: Some(raised), maximum };
+                if setrlimit(Resource::Nofile, limit).is_ok() { raised } else { current }
+            }
+            current => current.unwrap_or(needed),
+        };
+        let bounds = Self::within(current);
+        if bounds != Self::USUAL {
+            warn!(
+                "only {current} descriptors: at most {} clients instead of {MAX_CLIENTS}; raise the limit to {needed} \
+                 (LimitNOFILE=, ulimit -n)",
+                bounds.clients
+            );
+        }
+        bounds
+    }
+
+    /// The bounds for a process that may open so many descriptors.
+    pub(super) fn within(descriptors: u64) -> Self {
+        let left = usize::try_from(descriptors.saturating_sub(RESERVED)).unwrap_or(usize::MAX);
+        if left as u64 >= Self::USUAL.descriptors() {
+            return Self::USUAL;
+        }
+        // Below this the daemon works, but may run out of descriptors: then connections to the API are closed first.
+        let part = (left / 6).max(2);
+        Self::new((2 * part).min(MAX_CLIENTS), 2 * part, part)
+    }
+
+    const fn descriptors(&self) -> u64 {
+        (self.clients + self.silent + 2 * self.estops) as u64
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn connections_fit_into_the_descriptors() {
+        assert_eq!(Bounds::within(1024), Bounds::USUAL);
+        for descriptors in 52..1024 {
+            let bounds = Bounds::within(descriptors);
+            assert!(bounds.descriptors() + RESERVED <= descriptors, "{descriptors}: {bounds:?}");
+            assert!(bounds.clients >= 4 && bounds.estops >= 2 && bounds.event_streams < bounds.clients);
+        }
+    }
+}

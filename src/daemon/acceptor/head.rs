@@ -1,0 +1,60 @@
+//! Recognises an emergency stop by the first line of an HTTP request.
+
+/// Length of a request line that is looked at, at most, bytes. The API's addresses are shorter.
+pub(super) const MAX_LINE: usize = 512;
+
+/// Whether a request that begins with these bytes is an emergency stop; none if more bytes are needed.
+pub(super) fn is_estop(head: &[u8]) -> Option<bool> {
+    const METHOD: &[u8] = b"POST ";
+    // HTTP allows empty lines before a request.
+    let head = &head[head.iter().take_while(|byte| matches!(byte, b'\r' | b'\n')).count()..];
+    let Some(target) = head.strip_prefix(METHOD) else {
+        return (!METHOD.starts_with(head)).then_some(false);
+    };
+    match target.iter().position(|byte| matches!(byte, b' ' | b'?' | b'#' | b'\r' | b'\n')) {
+        Some(end) => Some(path(&target[..end]) == b"/v1/estop"),
+        None => (target.len() >= MAX_LINE).then_some(false),
+    }
+}
+
+/// The path of a request's target, which may begin with a scheme and a host.
+fn path(target: &[u8]) -> &[u8] {
+    let Some(rest) = target.strip_prefix(b"http://") else { return target };
+    rest.iter().position(|&byte| byte == b'/').map_or(b"", |at| &rest[at..])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_emergency_stop_is_recognised_as_soon_as_its_address_is_complete() {
+        for line in [
+            "POST /v1/estop HTTP/1.1\r\n",
+            "\r\nPOST /v1/estop?x HTTP/1.0\r\n",
+            "POST http://localhost/v1/estop HTTP/1.1\r\n",
+        ] {
+            let end = line.find("estop").unwrap() + "estop".len();
+            for len in 0..line.len() {
+                let expected = (len > end).then_some(true);
+                assert_eq!(is_estop(&line.as_bytes()[..len]), expected, "{:?}", &line[..len]);
+            }
+        }
+    }
+
+    #[test]
+    fn other_requests_are_none() {
+        for line in [
+            "GET /v1/estop HTTP/1.1\r\n",
+            "POST /v1/estopp HTTP/1.1\r\n",
+            "POST /v1/stop HTTP/1.1\r\n",
+            "POST http://localhost HTTP/1.1\r\n",
+            "PUT ",
+            "post /v1/estop ",
+            "\u{1}",
+        ] {
+            assert_eq!(is_estop(line.as_bytes()), Some(false), "{line:?}");
+        }
+        assert_eq!(is_estop(&[b"POST /", "x".repeat(MAX_LINE).as_bytes()].concat()), Some(false));
+    }
+}

@@ -1,0 +1,374 @@
+//! The acceptor: a real-time thread that accepts every connection, reads its first bytes, and carries out emergency stops itself.
+//!
+//! It hands all other connections to the server ([`Handover`]). An emergency stop therefore needs two threads, this one and the
+//! streamer; it does not wait for the runtime, the engine's lock, the log or the disk. It arrives in two ways:
+//! - any byte on the socket for emergency stops; the answer is one line, then the connection is closed;
+//! - `POST /v1/estop` as the first request of a connection to the API's socket. The server answers it. (A later request of a connection
+//!   goes through the server alone.)
+//!
+//! An emergency stop that has arrived is carried out, whether or not its client still waits.
+//!
+//! Bounds: [`Bounds`]. A connection that has sent nothing is closed after [`SILENT`], or earlier if others need its place. The server's
+//! queue is bounded; a client that finds it full gets an error.
+//!
+//! Invariant: the thread waits for nothing but its descriptors.
+
+mod bounds;
+mod head;
+mod listeners;
+mod refusal;
+mod waiting;
+
+pub(super) use bounds::Bounds;
+pub(super) use refusal::{malformed, refuse, response};
+
+use super::estop::{EStops, Origin};
+use crate::session_record::Peer;
+use listeners::{Listeners, accept, spare_descriptor};
+use meissner_api::{Code, Problem};
+use meissner_stream::device::priority;
+use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
+use rustix::fd::OwnedFd;
+use std::collections::VecDeque;
+use std::io;
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::task::Poll;
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+use tokio::sync::mpsc;
+use waiting::{Silent, Stopping};
+
+/// How long a client may take to send the first line of its request.
+pub(super) const SILENT: Duration = Duration::from_secs(30);
+/// How long a client without a request keeps its place when others need it.
+pub(super) const IDLE: Duration = Duration::from_secs(5);
+/// How long an emergency stop may take: its byte, and its answer.
+const STOPPING: Duration = Duration::from_secs(5);
+/// Connections accepted per round: emergency stops that wait come next.
+const ROUND: usize = 32;
+
+/// A connection whose first bytes were read.
+#[derive(Debug)]
+pub(super) struct Accepted {
+    pub(super) stream: UnixStream,
+    /// The first bytes of its request.
+    pub(super) head: Vec<u8>,
+    pub(super) client: Client,
+    /// Its first request is this emergency stop, which was ordered.
+    pub(super) estop: Option<u64>,
+    /// Its place, freed when this is dropped.
+    pub(super) place: Place,
+}
+
+/// Who is at the other end of a connection.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Client {
+    pub(super) peer: Peer,
+    pub(super) origin: Origin,
+}
+
+/// What the acceptor passes to the server.
+#[derive(Debug)]
+pub(super) enum Handover {
+    Client(Accepted),
+    /// An emergency stop on the socket for these was ordered.
+    EStop {
+        client: Client,
+        number: u64,
+    },
+}
+
+/// What acceptor and server count together.
+#[derive(Debug, Default)]
+pub(super) struct Counts {
+    /// Connections that the server has.
+    served: AtomicUsize,
+    /// Connections that have sent no request.
+    silent: AtomicUsize,
+    /// Clients that got an error because too many were connected.
+    pub(super) refused: AtomicU64,
+    /// Clients that were disconnected because others needed their places.
+    pub(super) evicted: AtomicU64,
+}
+
+impl Counts {
+    /// Connections that have sent no request.
+    pub(super) fn silent(&self) -> usize {
+        self.silent.load(Ordering::Relaxed)
+    }
+}
+
+/// A place among the connections that the server has.
+#[derive(Debug)]
+pub(super) struct Place(Arc<Counts>);
+
+impl Place {
+    fn new(counts: &Arc<Counts>) -> Self {
+        counts.served.fetch_add(1, Ordering::Relaxed);
+        Self(Arc::clone(counts))
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        self.0.served.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+/// The running thread. Dropping it ends it.
+#[derive(Debug)]
+pub(super) struct Acceptor {
+    stop: Arc<OwnedFd>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Acceptor {
+    /// Starts the thread on the API's socket and the one for emergency stops.
+    pub(super) fn spawn(
+        api: UnixListener,
+        estop: Option<UnixListener>,
+        estops: Arc<EStops>,
+        bounds: Bounds,
+        counts: Arc<Counts>,
+    ) -> io::Result<(Self, mpsc::Receiver<Handover>)> {
+        let (sender, handovers) = mpsc::channel(bounds.clients + bounds.estops);
+        let stop = Arc::new(eventfd(0, EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK)?);
+        let work = Work {
+            listeners: Listeners { api, estop, spare: spare_descriptor() },
+            estops,
+            bounds,
+            counts,
+            sender,
+            silent: VecDeque::with_capacity(bounds.silent + 1),
+            stopping: VecDeque::with_capacity(bounds.estops + 1),
+        };
+        let stopped = Arc::clone(&stop);
+        let thread = thread::Builder::new().name("acceptor".into()).spawn(move || work.run(&stopped))?;
+        Ok((Self { stop, thread: Some(thread) }, handovers))
+    }
+}
+
+impl Drop for Acceptor {
+    fn drop(&mut self) {
+        let _ = rustix::io::write(&self.stop, &1u64.to_ne_bytes());
+        // A panic is in the log already.
+        let _ = self.thread.take().map(JoinHandle::join);
+    }
+}
+
+struct Work {
+    listeners: Listeners,
+    estops: Arc<EStops>,
+    bounds: Bounds,
+    counts: Arc<Counts>,
+    sender: mpsc::Sender<Handover>,
+    /// Oldest first.
+    silent: VecDeque<Silent>,
+    /// Oldest first.
+    stopping: VecDeque<Stopping>,
+}
+
+impl Work {
+    fn run(mut self, stop: &OwnedFd) {
+        // Without real-time rights an emergency stop competes with other programs: `meissner doctor` names the right.
+        let _ = priority::fifo(priority::BELOW_STREAMER);
+        loop {
+            let ready = self.wait(stop);
+            if ready.stop {
+                return;
+            }
+            if ready.answers {
+                self.estops.switch.clear_answers();
+            }
+            self.accept_estops();
+            self.read_estops();
+            self.answer_estops();
+            // Later ones first, so that the places of the others stay.
+            for at in ready.silent {
+                self.read_silent(at);
+            }
+            if ready.api {
+                self.accept_clients();
+            }
+            self.close_late(Instant::now());
+            self.counts.silent.store(self.silent.len(), Ordering::Relaxed);
+        }
+    }
+
+    fn wait(&self, stop: &OwnedFd) -> Ready {
+        let watch = |stream| PollFd::new(stream, PollFlags::IN);
+        let mut fds = Vec::with_capacity(4 + self.silent.len() + self.stopping.len());
+        fds.extend(self.silent.iter().map(|it| watch(&it.stream)));
+        fds.push(PollFd::new(stop, PollFlags::IN));
+        fds.push(PollFd::new(&self.estops.switch, PollFlags::IN));
+        fds.push(PollFd::new(&self.listeners.api, PollFlags::IN));
+        fds.extend(self.listeners.estop.as_ref().map(|estop| PollFd::new(estop, PollFlags::IN)));
+        // A connection that waits for its answer is readable when its client has closed it: do not watch it.
+        fds.extend(self.stopping.iter().filter(|it| it.number.is_none()).map(|it| watch(&it.stream)));
+        let due = self.due().map(|due| due.saturating_duration_since(Instant::now()));
+        let due = due.map(|due| Timespec {
+            tv_sec: due.as_secs().try_into().unwrap_or(i64::MAX),
+            tv_nsec: due.subsec_nanos().into(),
+        });
+        // An early return, by a signal, only causes an idle round.
+        let _ = poll(&mut fds, due.as_ref());
+        let is_ready = |at: usize| !fds[at].revents().is_empty();
+        let silent = self.silent.len();
+        Ready {
+            stop: is_ready(silent),
+            answers: is_ready(silent + 1),
+            api: is_ready(silent + 2),
+            silent: (0..silent).rev().filter(|&at| is_ready(at)).collect(),
+        }
+    }
+
+    /// When the oldest connection has taken too long.
+    fn due(&self) -> Option<Instant> {
+        let silent = self.silent.front().map(|it| it.since + SILENT);
+        let stopping = self.stopping.front().map(|it| it.since + STOPPING);
+        silent.into_iter().chain(stopping).min()
+    }
+
+    fn accept_estops(&mut self) {
+        for _ in 0..ROUND {
+            let Some(listener) = &self.listeners.estop else { return };
+            let accepted = accept(listener, &mut self.listeners.spare);
+            let Some((stream, client)) = self.accepted(accepted) else { return };
+            self.stopping.push_back(Stopping { stream, client, since: Instant::now(), number: None });
+            if self.stopping.len() > self.bounds.estops {
+                // Bytes may have come meanwhile. Connections without one go first.
+                self.read_estops();
+                let first = self.stopping.iter().position(|it| it.number.is_none()).unwrap_or(0);
+                self.stopping.remove(first);
+            }
+        }
+    }
+
+    fn read_estops(&mut self) {
+        let Self { stopping, estops, sender, .. } = self;
+        stopping.retain_mut(|it| {
+            let read = if it.number.is_none() { it.read(estops) } else { Ok(None) };
+            if let Ok(Some(number)) = read {
+                // Without room it goes unrecorded; the emergency stops that took the room are recorded.
+                let _ = sender.try_send(Handover::EStop { client: it.client, number });
+            }
+            read.is_ok()
+        });
+    }
+
+    fn answer_estops(&mut self) {
+        let Self { stopping, estops, .. } = self;
+        stopping.retain_mut(|it| !it.answer(estops));
+    }
+
+    fn accept_clients(&mut self) {
+        for _ in 0..ROUND {
+            let accepted = accept(&self.listeners.api, &mut self.listeners.spare);
+            let Some((stream, client)) = self.accepted(accepted) else { return };
+            if self.silent.len() >= self.bounds.silent {
+                self.evict_oldest();
+            }
+            self.silent.push_back(Silent { stream, head: Vec::new(), client, since: Instant::now() });
+            self.read_silent(self.silent.len() - 1);
+        }
+    }
+
+    /// Reads what this connection has sent, and hands it over or drops it if that is decided.
+    fn read_silent(&mut self, at: usize) {
+        let decided = self.silent[at].read();
+        if decided.is_pending() {
+            return;
+        }
+        let Some(silent) = self.silent.remove(at) else { return };
+        if let Poll::Ready(Ok(is_estop)) = decided {
+            self.hand_over(silent, is_estop);
+        }
+    }
+
+    /// Orders an emergency stop, then passes the connection to the server.
+    fn hand_over(&mut self, silent: Silent, is_estop: bool) {
+        let Silent { stream, head, client, .. } = silent;
+        let estop = is_estop.then(|| self.estops.request(client.origin));
+        let Self { bounds, counts, .. } = self;
+        counts.silent.store(self.silent.len(), Ordering::Relaxed);
+        let served = counts.served.load(Ordering::Relaxed);
+        let full = served >= bounds.clients + bounds.estops;
+        // In the server's queue, too, there are places for emergency stops alone.
+        if full || (!is_estop && self.sender.capacity() <= bounds.estops) {
+            return self.refuse(&stream, is_estop);
+        }
+        let crowded = served + self.silent.len() >= bounds.clients;
+        if crowded && self.silent.front().is_some_and(|it| it.since.elapsed() >= IDLE) {
+            self.evict_oldest();
+        }
+        let place = Place::new(&self.counts);
+        let accepted = Accepted { stream, head, client, estop, place };
+        if let Err(back) = self.sender.try_send(Handover::Client(accepted))
+            && let Handover::Client(Accepted { stream, .. }) = back.into_inner()
+        {
+            self.refuse(&stream, is_estop);
+        }
+    }
+
+    /// The connection that was accepted, if there is one. Without a descriptor for it, makes room for the next round.
+    fn accepted(
+        &mut self,
+        accepted: io::Result<Option<(UnixStream, Client)>>,
+    ) -> Option<(UnixStream, Client)> {
+        accepted.unwrap_or_else(|_| {
+            if self.silent.is_empty() {
+                // Only others can close descriptors: do not use up the processor until then.
+                thread::sleep(Duration::from_millis(1));
+            } else {
+                self.evict_oldest();
+            }
+            None
+        })
+    }
+
+    fn evict_oldest(&mut self) {
+        self.counts.evicted.fetch_add(1, Ordering::Relaxed);
+        self.silent.pop_front();
+        self.counts.silent.store(self.silent.len(), Ordering::Relaxed);
+    }
+
+    fn refuse(&self, stream: &UnixStream, is_estop: bool) {
+        let problem = if is_estop {
+            let detail = "the emergency stop was ordered, but too many clients wait: see `meissner status` for its result";
+            Problem::new(Code::TooManyClients, detail)
+        } else {
+            too_many_clients(self.bounds.clients)
+        };
+        self.counts.refused.fetch_add(1, Ordering::Relaxed);
+        refuse(stream, &problem);
+    }
+
+    fn close_late(&mut self, now: Instant) {
+        while self.silent.front().is_some_and(|it| now >= it.since + SILENT) {
+            self.silent.pop_front();
+        }
+        while self.stopping.front().is_some_and(|it| now >= it.since + STOPPING) {
+            self.stopping.pop_front();
+        }
+    }
+}
+
+/// What a wait has found.
+struct Ready {
+    stop: bool,
+    answers: bool,
+    api: bool,
+    /// Silent connections that have sent something, the newest first.
+    silent: Vec<usize>,
+}
+
+/// The error for one client too many.
+pub(super) fn too_many_clients(most: usize) -> Problem {
+    let detail = format!("{most} clients are connected already: close one, or try again in a moment");
+    Problem::new(Code::TooManyClients, detail)
+}
+
+#[cfg(test)]
+mod tests;

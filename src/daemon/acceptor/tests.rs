@@ -1,0 +1,79 @@
+//! The acceptor without a server: nothing takes its handovers, and the engine's lock is held.
+
+use super::{Acceptor, Bounds, Counts};
+use crate::daemon::engine::Engine;
+use crate::daemon::estop::Origin;
+use meissner_client::estop;
+use meissner_stream::Settings;
+use meissner_stream::queues::{Command, CommandError, Emit, StreamEvent, ThreadQueues, queues};
+use std::io::{Read, Write};
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::thread;
+use std::time::Duration;
+
+/// Answers the next emergency stop as the streamer does.
+fn answer(port: &mut ThreadQueues, result: Result<(), CommandError>) {
+    let request = loop {
+        match port.pop() {
+            Some(request) => break request,
+            None => thread::sleep(Duration::from_millis(1)),
+        }
+    };
+    assert!(matches!(request.command, Command::EStop));
+    port.event(StreamEvent::Answer { ticket: request.ticket, result });
+}
+
+fn listener(path: &std::path::Path) -> UnixListener {
+    let listener = UnixListener::bind(path).unwrap();
+    listener.set_nonblocking(true).unwrap();
+    listener
+}
+
+#[test]
+fn an_emergency_stop_needs_no_server_no_runtime_and_no_lock() {
+    let dir = tempfile::tempdir().unwrap();
+    let (socket, stop) = (dir.path().join("m"), dir.path().join("m.estop"));
+    let (mut port, commands, _events) = queues().unwrap();
+    let engine = Engine::new(commands, Settings::default(), "mock".to_owned(), None);
+    let (bounds, counts) = (Bounds::within(200), Arc::new(Counts::default()));
+    let listeners = (listener(&socket), Some(listener(&stop)));
+    let estops = Arc::clone(&engine.estops);
+    let (acceptor, mut handovers) =
+        Acceptor::spawn(listeners.0, listeners.1, estops, bounds, Arc::clone(&counts)).unwrap();
+    let held = engine.lock();
+    // More requests than the server's queue has room for: the rest get an error.
+    let request = |target: &str| {
+        let mut stream = UnixStream::connect(&socket).unwrap();
+        stream.write_all(format!("POST {target} HTTP/1.1\r\nhost: x\r\n\r\n").as_bytes()).unwrap();
+        stream
+    };
+    let mut stops: Vec<_> = (0..bounds.clients + 5).map(|_| request("/v1/stop")).collect();
+    let mut refused = String::new();
+    stops.pop().unwrap().read_to_string(&mut refused).unwrap();
+    assert!(refused.starts_with("HTTP/1.1 503 ") && refused.contains("too-many-clients"), "{refused}");
+    assert_eq!(counts.refused.load(Ordering::Relaxed), 5);
+
+    let result = thread::scope(|scope| {
+        let stopped = scope.spawn(|| estop(&socket));
+        answer(&mut port, Ok(()));
+        stopped.join().unwrap()
+    });
+    result.unwrap();
+    let result = thread::scope(|scope| {
+        let stopped = scope.spawn(|| estop(&socket));
+        answer(&mut port, Err(CommandError::NoDevice));
+        stopped.join().unwrap()
+    });
+    assert!(result.unwrap_err().to_string().contains("no device is connected"));
+    // By HTTP, also of a client that is gone, and more of them than there are places.
+    for _ in 0..2 * bounds.estops {
+        drop(request("/v1/estop"));
+        answer(&mut port, Ok(()));
+    }
+    drop((held, acceptor));
+    assert!(engine.estops.recent_by_another(Origin::default()).is_some());
+    let handed_over = std::iter::from_fn(|| handovers.try_recv().ok()).count();
+    assert_eq!(handed_over, bounds.clients + bounds.estops, "as many as there are places");
+}
