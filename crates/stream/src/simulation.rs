@@ -39,6 +39,8 @@ pub struct Line {
     pub repeat: f64,
     /// Share of frames with a byte changed.
     pub corrupt: f64,
+    /// Share of bytes lost, those between frames too.
+    pub byte_loss: f64,
     /// Delay of each frame.
     pub delay: Duration,
     /// Most bytes per second towards the device; 0: no bound.
@@ -76,6 +78,9 @@ impl Direction {
             if self.chance(self.line.corrupt) {
                 let at = self.random.next_u32() as usize % frame.len();
                 frame[at] ^= 1 << (self.random.next_u32() % 8);
+            }
+            if self.line.byte_loss > 0.0 {
+                frame.retain(|_| !self.chance(self.line.byte_loss));
             }
             let copies = 1 + usize::from(self.chance(self.line.repeat));
             for _ in 0..copies {

@@ -7,6 +7,8 @@ mod capacity;
 mod closed_loop;
 /// A device that lies: undamaged messages that cannot be true.
 mod lies;
+/// A line that loses bytes.
+mod noise;
 mod on_time;
 mod position_control;
 mod races;

@@ -24,6 +24,7 @@ pub fn bad_line() -> Line {
         loss: 0.05,
         repeat: 0.05,
         corrupt: 0.05,
+        byte_loss: 0.0,
         delay: Duration::from_micros(300),
         jitter: Duration::from_millis(2),
         bytes_per_s: 0,

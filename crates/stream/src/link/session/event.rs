@@ -38,6 +38,11 @@ pub enum LostReason {
     Version,
     /// The device reports other motors or another tick rate.
     WrongArray,
+    /// The line damages too many of the device's frames.
+    Noisy {
+        /// The share damaged, percent.
+        percent: u8,
+    },
     /// The device contradicts itself, last in this.
     Contradicts(Contradiction),
 }
@@ -46,6 +51,21 @@ pub enum LostReason {
 macro_rules! text {
     ($found:literal, $advice:literal) => {
         (concat!($found, ": ", $advice), $found, $advice)
+    };
+}
+
+/// The same of a line that damages this share of frames. `tests/noise.rs` shows what plays need.
+macro_rules! noisy {
+    ($share:literal) => {
+        (
+            concat!(
+                "the line damages ",
+                $share,
+                " of the device's frames; plays need a fifth of them whole: use a shorter or shielded cable, away from motors"
+            ),
+            concat!("the line damages ", $share, " of the device's frames; plays need a fifth of them whole"),
+            "use a shorter or shielded cable, away from motors",
+        )
     };
 }
 
@@ -100,6 +120,12 @@ impl LostReason {
                     "check its firmware"
                 )
             }
+            Self::Noisy { percent: 99.. } => noisy!("99 % or more"),
+            Self::Noisy { percent: 95.. } => noisy!("95 % or more"),
+            Self::Noisy { percent: 90.. } => noisy!("90 % or more"),
+            Self::Noisy { percent: 75.. } => noisy!("75 % or more"),
+            Self::Noisy { percent: 50.. } => noisy!("50 % or more"),
+            Self::Noisy { .. } => noisy!("many"),
             Self::Contradicts(how) => match how {
                 Contradiction::Hello => contradicts!("its first message has values out of range"),
                 Contradiction::Clock => contradicts!("its clock jumps"),

@@ -31,6 +31,7 @@ impl Session {
         while let Some(body) = decoder.next(&mut bytes) {
             match frame::read(body) {
                 Ok(message) => {
+                    (self.traffic.good, self.noise) = (self.traffic.good + 1, 0);
                     if let Err(how) = self.handle(now, message, emit) {
                         self.contradicts(now, how, emit);
                     }
@@ -39,7 +40,10 @@ impl Session {
                     self.lose(LostReason::Version, emit);
                 }
                 // Damaged on the way: the device sends again what matters.
-                Err(error) => self.traffic.bad.count(error),
+                Err(error) => {
+                    self.noise = self.noise.saturating_add(1);
+                    self.traffic.bad.count(error);
+                }
             }
         }
         self.decoder = decoder;
@@ -134,6 +138,7 @@ impl Session {
             return Ok(());
         }
         self.known.status(status, tick, self.epoch);
+        self.quality.heard(status.counters.bad_frames);
         let ahead = status.reports.wrapping_sub(self.announced);
         if ahead < u16::MAX / 2 {
             self.announced = status.reports;

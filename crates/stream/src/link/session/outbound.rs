@@ -19,6 +19,10 @@ const MAX_UNANSWERED: u32 = 5;
 const UNANSWERED_FOR: Duration = Duration::from_millis(400);
 /// Once a ping is unanswered, the session pings this often.
 const RECHECK_EVERY: Duration = Duration::from_millis(100);
+/// The same while the line damages the answers; and so many damaged frames in a row make a line noisy.
+const NOISY_EVERY: Duration = Duration::from_millis(10);
+const MAX_UNANSWERED_NOISY: u32 = 40;
+const NOISE: u32 = 5;
 /// Interval and largest number of hellos without an answer.
 const HELLO_EVERY: Duration = Duration::from_millis(50);
 const MAX_HELLOS: u32 = 40;
@@ -45,7 +49,19 @@ impl Session {
             Phase::Over => 0,
         };
         self.traffic.bytes_out += len as u64;
+        if len > 0 {
+            self.quality.sent(len);
+        }
         len
+    }
+
+    /// Why the device is lost that does not answer.
+    fn silent(&self, otherwise: LostReason) -> LostReason {
+        if self.noise < NOISE {
+            otherwise
+        } else {
+            LostReason::Noisy { percent: self.traffic.damaged_percent() as u8 }
+        }
     }
 
     fn next_hello(
@@ -57,8 +73,10 @@ impl Session {
         if self.last_sent.is_some_and(|sent| now.since(sent) < HELLO_EVERY) {
             return 0;
         }
-        if self.hellos == MAX_HELLOS {
-            self.lose(LostReason::NoBoard, emit);
+        // A device that is heard, if damaged, deserves more tries.
+        let most = if self.noise < NOISE { MAX_HELLOS } else { 4 * MAX_HELLOS };
+        if self.hellos >= most {
+            self.lose(self.silent(LostReason::NoBoard), emit);
             return 0;
         }
         self.hellos += 1;
@@ -210,9 +228,10 @@ impl Session {
         } else if withheld(self.control.as_ref().and_then(|control| control.first_sent)) {
             self.distrust(Contradiction::Command, emit);
         }
-        let silent = self.unanswered >= MAX_UNANSWERED && now.since(self.first_unanswered) >= UNANSWERED_FOR;
+        let most = if self.noise == 0 { MAX_UNANSWERED } else { MAX_UNANSWERED_NOISY };
+        let silent = self.unanswered >= most && now.since(self.first_unanswered) >= UNANSWERED_FOR;
         if self.phase == Phase::Open && silent {
-            self.lose(LostReason::NoAnswer, emit);
+            self.lose(self.silent(LostReason::NoAnswer), emit);
         }
     }
 
@@ -231,6 +250,7 @@ impl Session {
         let setting_clock = self.first_pings < FIRST_PINGS;
         let every = match self.unanswered {
             _ if setting_clock || !self.is_answered() => FIRST_PING_EVERY,
+            _ if self.noise > 0 => NOISY_EVERY,
             1 => self.ping_every,
             _ => self.ping_every.min(RECHECK_EVERY),
         };

@@ -4,7 +4,7 @@ use crate::link::clock::Clock;
 use crate::link::session::bounds::Known;
 use crate::link::session::contradiction::Contradiction;
 use crate::link::session::event::{Event, LostReason};
-use crate::link::session::line::{LineRate, MeasuredLine, RoundTrip, Traffic};
+use crate::link::session::line::{LineRate, MeasuredLine, Quality, RoundTrip, Traffic};
 use crate::link::session::probe::{Budget, Probe};
 use crate::time::HostInstant;
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
@@ -24,6 +24,8 @@ const RETRY: (Duration, Duration) = (Duration::from_millis(3), Duration::from_mi
 pub(super) const FIRST_PINGS: u32 = 8;
 /// Pings that may be under way at once and still be told apart.
 const PINGS: usize = 64;
+/// Bytes of a stroke in a frame, usually; at most 21.
+const STROKE_BYTES: usize = 8;
 /// A session that waits for a status asks this often.
 const STATUS_EVERY: Duration = Duration::from_millis(1);
 
@@ -42,6 +44,15 @@ pub(super) struct Batch {
     /// The device keeps it, but misses one before it.
     pub(super) kept: bool,
     pub(super) retransmitted: bool,
+}
+
+impl Batch {
+    /// Whether one more stroke leaves the frame within this length.
+    fn has_space(&self, longest: usize) -> bool {
+        longest == MAX_FRAME
+            || self.strokes.items() == 0
+            || MAX_FRAME - BATCH_BYTES + self.strokes.bytes().len() + STROKE_BYTES <= longest
+    }
 }
 
 #[derive(Debug)]
@@ -97,6 +108,9 @@ pub struct Session {
     pub(super) missing: Option<(u16, HostInstant)>,
     pub(super) clock: Clock,
     pub(super) traffic: Traffic,
+    pub(super) quality: Quality,
+    /// Damaged frames since the last whole one.
+    pub(super) noise: u32,
 
     pub(super) epoch: u16,
     /// The epoch the session began with.
@@ -165,6 +179,8 @@ impl Session {
             missing: None,
             clock: Clock::default(),
             traffic: Traffic::default(),
+            quality: Quality::default(),
+            noise: 0,
             epoch: 0,
             first_epoch: 0,
             control: None,
@@ -240,17 +256,18 @@ impl Session {
     #[must_use]
     pub fn capacity(&self) -> Option<u32> {
         let MeasuredLine { rate, ack_wait } = self.line?;
+        let share = self.quality.share;
         let under_way = (self.frames_under_way() * MAX_FRAME) as f64;
         let waiting = under_way / (ack_wait + rate.time(MAX_FRAME)).as_secs_f64();
-        Some(waiting.min(rate.0.into()) as u32)
+        Some((waiting.min(rate.0.into()) * share) as u32)
     }
 
     /// Bytes per second left on the line while so many frames a second, however short, wait for acknowledgements.
     /// `None` until measured.
     #[must_use]
     pub fn rate_left(&self, frames_per_s: u32) -> Option<u32> {
-        let waiting = f64::from(frames_per_s) * self.ack_wait()?.as_secs_f64();
-        Some((f64::from(self.line?.rate.0) * (1.0 - waiting)) as u32)
+        let waiting = f64::from(frames_per_s) * self.ack_wait()?.as_secs_f64() / self.quality.share;
+        Some((f64::from(self.line?.rate.0) * self.quality.share * (1.0 - waiting)) as u32)
     }
 
     /// How long a frame waits, besides its bytes' time, until the device has acknowledged the frames before it.
@@ -395,8 +412,9 @@ impl Session {
         if self.phase != Phase::Open || !self.has_room() || self.credits() == 0 {
             return false;
         }
+        let longest = self.quality.frame_bytes;
         if let Some(batch) = &mut self.open_batch {
-            if batch.strokes.stroke(stroke).is_ok() {
+            if batch.has_space(longest) && batch.strokes.stroke(stroke).is_ok() {
                 return true;
             }
             self.seal();
@@ -406,6 +424,7 @@ impl Session {
         if let Some(last) = self.window.back_mut()
             && last.first_sent.is_none()
             && !last.onset
+            && last.has_space(longest)
             && last.strokes.stroke(stroke).is_ok()
         {
             return true;

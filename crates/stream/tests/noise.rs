@@ -1,0 +1,80 @@
+//! A line that loses bytes: frames short enough to get through, and a clear word when none do.
+
+use meissner_stream::Line;
+use meissner_stream::queues::{Command, StreamEvent};
+use meissner_test_support::rig::{self, Rig, answer, assert_closed, last_snapshot};
+
+/// The connector opens a lost device again after this time.
+const REOPENED_MS: u64 = 250;
+
+/// What came of a play over a line that loses this share of bytes.
+#[derive(Debug, Default)]
+struct Tried {
+    connected: bool,
+    armed: bool,
+    bursts: (u64, u64),
+    /// Why the link was lost, each time.
+    lost: Vec<&'static str>,
+}
+
+fn try_play(pattern: &str, byte_loss: f64, seed: u64) -> Tried {
+    let mut rig = Rig::new(Line { byte_loss, ..Line::default() }, seed);
+    let mut tried = Tried::default();
+    let mut run = |rig: &mut Rig, ms: u64| {
+        for _ in 0..ms / 10 {
+            rig.run_ms(10);
+            if let Some(reason) = rig.streamer.take_disconnect_reason() {
+                tried.lost.push(reason);
+                rig.run_ms(REOPENED_MS);
+                rig.connect();
+                let _ = rig.streamer.take_disconnect_reason();
+            }
+        }
+    };
+    run(&mut rig, 9000);
+    tried.connected = last_snapshot(&rig.take_events()).connected;
+    let ticket = rig.send(Command::Arm { assume_rest: true });
+    run(&mut rig, 1100);
+    let armed = answer(&rig.take_events(), ticket) == Some(Ok(()));
+    rig.start(&rig::pattern(pattern), Some(2.0));
+    run(&mut rig, 4000);
+    let events = rig.take_events();
+    let doubted = events.iter().find(|event| matches!(event, StreamEvent::Contradiction(_)));
+    assert!(doubted.is_none(), "{doubted:?}");
+    tried.armed = armed;
+    for outcome in rig::outcomes(&events) {
+        assert_closed(outcome);
+        tried.bursts = (outcome.bursts.played, outcome.bursts.planned);
+    }
+    println!("{pattern}, {:.1} % of bytes lost: {tried:?}", 100.0 * byte_loss);
+    tried
+}
+
+#[test]
+fn a_line_that_loses_a_byte_in_fifty_plays_all_of_a_light_pattern_and_most_of_the_heaviest() {
+    for seed in 0..3 {
+        let light = try_play("wave", 0.02, seed);
+        assert!(light.armed && light.lost.is_empty() && light.bursts.0 == light.bursts.1, "{light:?}");
+        let heavy = try_play("all-in-phase", 0.02, seed);
+        assert!(heavy.armed && heavy.bursts.0 * 100 >= heavy.bursts.1 * 95, "{heavy:?}");
+    }
+}
+
+#[test]
+fn a_line_that_loses_a_byte_in_twenty_connects_and_arms() {
+    for seed in 0..3 {
+        let tried = try_play("wave", 0.05, seed);
+        assert!(tried.connected && tried.armed, "{tried:?}");
+    }
+}
+
+#[test]
+fn a_line_that_loses_a_byte_in_ten_is_named_with_what_it_damages() {
+    for seed in 0..3 {
+        let tried = try_play("wave", 0.1, seed);
+        assert!(!tried.connected && !tried.armed && tried.bursts.1 == 0, "{tried:?}");
+        let named =
+            |reason: &&str| reason.starts_with("the line damages 9") && reason.contains("shielded cable");
+        assert!(!tried.lost.is_empty() && tried.lost.iter().all(named), "{tried:?}");
+    }
+}
