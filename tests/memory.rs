@@ -1,10 +1,14 @@
 use crate::harness::{Daemon, problem};
 use meissner::daemon::MEMORY_BOUND;
+use meissner_api::MAX_CLIENTS;
 use serde_json::{Value, json};
 use std::fmt::Write as _;
 use std::fs;
+use std::io::Write as _;
+use std::os::unix::net::UnixStream;
 use std::path::Path;
 use std::thread;
+use std::time::Duration;
 
 /// What imports and plays may add to the daemon's memory in these tests, kB: a tenth of the bound.
 const SMALL_KB: usize = 64 << 10;
@@ -12,7 +16,11 @@ const SMALL_KB: usize = 64 << 10;
 /// The most memory that the daemon has had, kB.
 fn peak_kb(daemon: &Daemon) -> usize {
     let status: Value = daemon.client().get("/v1/status").unwrap();
-    let process = fs::read_to_string(format!("/proc/{}/status", status["pid"])).unwrap();
+    peak_of(&status["pid"])
+}
+
+fn peak_of(pid: &Value) -> usize {
+    let process = fs::read_to_string(format!("/proc/{pid}/status")).unwrap();
     let peak = process.lines().find_map(|line| line.strip_prefix("VmHWM:")).unwrap();
     peak.trim().trim_end_matches(" kB").parse().unwrap()
 }
@@ -74,6 +82,39 @@ fn a_full_queue_of_the_longest_pattern_takes_little_memory() {
     assert_eq!(shown["pattern"]["drive"].as_array().unwrap().len(), 4096);
     let _: Value = client.post("/v1/estop", &json!({})).unwrap();
     let added = peak_kb(&daemon) - before;
+    assert!(added < SMALL_KB, "{added} kB");
+}
+
+/// Four imports are in work; the bodies of the others stay in their sockets.
+#[test]
+fn the_bodies_of_64_clients_do_not_pile_up() {
+    let daemon = Daemon::start();
+    let status: Value = daemon.client().get("/v1/status").unwrap();
+    let before = peak_of(&status["pid"]);
+    let request = "PUT /v1/patterns/x HTTP/1.1\r\nhost: x\r\ncontent-length: 1048576\r\n\r\n";
+    let request = format!("{request}{}", "#".repeat((1 << 20) - 1));
+    let uploads: Vec<_> = (0..MAX_CLIENTS)
+        .map(|_| {
+            let stream = UnixStream::connect(daemon.socket()).unwrap();
+            stream.set_nonblocking(true).unwrap();
+            stream
+        })
+        .collect();
+    let mut sent = vec![0; MAX_CLIENTS];
+    let mut idle_rounds = 0;
+    while idle_rounds < 50 {
+        idle_rounds += 1;
+        for (mut stream, sent) in uploads.iter().zip(&mut sent) {
+            if let Ok(more) = stream.write(&request.as_bytes()[*sent..])
+                && more > 0
+            {
+                (*sent, idle_rounds) = (*sent + more, 0);
+            }
+        }
+        thread::sleep(Duration::from_millis(5));
+    }
+    assert_eq!(sent.iter().filter(|&&sent| sent == request.len()).count(), 4, "{sent:?}");
+    let added = peak_of(&status["pid"]) - before;
     assert!(added < SMALL_KB, "{added} kB");
 }
 
