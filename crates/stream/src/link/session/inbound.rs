@@ -8,14 +8,14 @@ use crate::link::session::bounds::StatusRead;
 use crate::link::session::contradiction::Contradiction;
 use crate::link::session::event::{Event, LostReason, Verdict};
 use crate::link::session::line::RoundTrip;
-use crate::link::session::state::{Phase, Reported, Session};
+use crate::link::session::state::{Batch, Phase, Reported, Session};
 use crate::time::HostInstant;
 use firmware_protocol::batch::Strokes;
 use firmware_protocol::controller::{REORDER_WINDOW, REPORTS};
 use firmware_protocol::frame::{self, FrameError};
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{DeviceHello, DeviceMessage, Op, Report, Status};
-use firmware_protocol::stroke::MOTORS;
+use firmware_protocol::stroke::{MOTORS, Stroke};
 use firmware_protocol::tick::Tick;
 use std::time::Duration;
 
@@ -201,7 +201,12 @@ impl Session {
             self.announced = number;
         }
         match report {
-            Report::Verdict { .. } | Report::OnsetRefused { .. } if stale => {}
+            Report::Verdict { .. } | Report::OnsetRefused { .. } if stale => {
+                let full = self.retired.verdicts.len() == REPORTS;
+                if !full && number.wrapping_sub(self.retired.after) <= u16::MAX / 2 {
+                    self.retired.verdicts.push_back(report);
+                }
+            }
             Report::Verdict { .. } | Report::OnsetRefused { .. } => self.verdicts.push_back(report),
             Report::Onset { counters, .. } => emit(Event::Onset { tick, counters }),
             Report::Cut(cut) => emit(Event::Cut { cut, at: tick }),
@@ -217,6 +222,7 @@ impl Session {
     /// Emits the verdicts of acknowledged frames, once all reports that the acknowledgement counts are read. Later reports
     /// may be missing: on a line that loses frames, one always is while the device refuses many strokes.
     fn conclude(&mut self, now: HostInstant, emit: &mut dyn FnMut(Event)) {
+        self.conclude_retired(now, emit);
         let is_read = |mark: &Reported| self.seen.wrapping_sub(mark.reports) <= u16::MAX / 2;
         if is_read(&self.latest) {
             (self.concluded, self.waiting) = (self.latest, None);
@@ -233,36 +239,61 @@ impl Session {
                 break;
             }
             let Some(batch) = self.window.pop_front() else { break };
-            let strokes = Strokes::new(batch.strokes.base(), batch.strokes.bytes()).flatten();
-            let (mut late_mask, mut refused_mask, mut why, mut free) = (0, 0, Refusal::Malformed, tick);
-            match self.verdicts.front().copied() {
-                Some(Report::OnsetRefused { seq, rendered }) if seq == batch.seq => {
-                    self.verdicts.pop_front();
-                    emit(Event::OnsetRefused { rendered: rendered.near(tick) });
-                    continue;
-                }
-                Some(Report::Verdict { seq, late, refused, reason, rendered }) if seq == batch.seq => {
-                    self.verdicts.pop_front();
-                    (late_mask, refused_mask) = (late, refused);
-                    why = reason.unwrap_or(why);
-                    free = rendered.near(tick);
-                }
-                _ => {}
+            let is_its = |report: &mut Report| match *report {
+                Report::Verdict { seq, .. } | Report::OnsetRefused { seq, .. } => seq == batch.seq,
+                _ => false,
+            };
+            let report = self.verdicts.pop_front_if(is_its);
+            if let Some(Report::OnsetRefused { rendered, .. }) = report {
+                emit(Event::OnsetRefused { rendered: rendered.near(tick) });
+                continue;
             }
             if batch.onset {
                 emit(Event::OnsetAccepted);
             }
-            for (i, stroke) in strokes.enumerate() {
-                let verdict = if late_mask >> i & 1 == 1 {
-                    let sent = batch.first_sent.unwrap_or(now);
-                    Verdict::Late { rendered: free, sent, retransmitted: batch.retransmitted }
-                } else if refused_mask >> i & 1 == 1 {
-                    Verdict::Refused(why)
-                } else {
-                    Verdict::Accepted
-                };
-                emit(Event::Stroke(stroke, verdict));
-            }
+            verdicts(&batch, report, tick, now)
+                .for_each(|(stroke, verdict)| emit(Event::Stroke(stroke, verdict)));
         }
     }
+
+    /// Emits what is known of the strokes that had no verdict when a command ended their epoch.
+    fn conclude_retired(&mut self, now: HostInstant, emit: &mut dyn FnMut(Event)) {
+        let Some(tick) = self.clock.tick_at(now) else { return };
+        while let Some(report) = self.retired.verdicts.pop_front() {
+            let Report::Verdict { seq, .. } = report else { continue };
+            let found = self.retired.frames.iter().position(|batch| batch.seq == seq);
+            let Some(batch) = found.and_then(|at| self.retired.frames.remove(at)) else { continue };
+            let decided = verdicts(&batch, Some(report), tick, now);
+            decided
+                .filter(|(_, verdict)| *verdict != Verdict::Accepted)
+                .for_each(|(stroke, verdict)| emit(Event::Stroke(stroke, verdict)));
+        }
+    }
+}
+
+/// The strokes of a frame with their verdicts, by the device's report if there is one.
+fn verdicts(
+    batch: &Batch,
+    report: Option<Report>,
+    tick: Tick,
+    now: HostInstant,
+) -> impl Iterator<Item = (Stroke, Verdict)> {
+    let (late, refused, why, free) = match report {
+        Some(Report::Verdict { late, refused, reason, rendered, .. }) => {
+            (late, refused, reason.unwrap_or(Refusal::Malformed), rendered.near(tick))
+        }
+        _ => (0, 0, Refusal::Malformed, tick),
+    };
+    let sent = batch.first_sent.unwrap_or(now);
+    let strokes = Strokes::new(batch.strokes.base(), batch.strokes.bytes()).flatten();
+    strokes.enumerate().map(move |(i, stroke)| {
+        let verdict = if late >> i & 1 == 1 {
+            Verdict::Late { rendered: free, sent, retransmitted: batch.retransmitted }
+        } else if refused >> i & 1 == 1 {
+            Verdict::Refused(why)
+        } else {
+            Verdict::Accepted
+        };
+        (stroke, verdict)
+    })
 }

@@ -55,6 +55,16 @@ impl Batch {
     }
 }
 
+/// The frames that had no verdict when a command ended their epoch. The device may have refused strokes of them before.
+#[derive(Debug)]
+pub(super) struct Retired {
+    pub(super) frames: VecDeque<Batch>,
+    /// Their verdicts that are read and not emitted. There is at most one for a frame.
+    pub(super) verdicts: VecDeque<Report>,
+    /// Reports up to this one are about earlier epochs.
+    pub(super) after: u16,
+}
+
 #[derive(Debug)]
 pub(super) struct Control {
     pub(super) op: Op,
@@ -141,6 +151,7 @@ pub struct Session {
     pub(super) stale: u16,
     /// Verdicts that came before their acknowledgement.
     pub(super) verdicts: VecDeque<Report>,
+    pub(super) retired: Retired,
 
     pub(super) token: u16,
     /// The last ping that the device answered.
@@ -200,6 +211,11 @@ impl Session {
             latest: Reported::default(),
             stale: 0,
             verdicts: VecDeque::with_capacity(REPORTS),
+            retired: Retired {
+                frames: VecDeque::with_capacity(WINDOW + 1),
+                verdicts: VecDeque::with_capacity(REPORTS),
+                after: 0,
+            },
             token: 0,
             answered: 0,
             pinged: [(0, HostInstant::default()); PINGS],
@@ -353,10 +369,16 @@ impl Session {
         self.ping_due = self.ping_due.min(self.last_ping + time);
     }
 
-    /// Sends a command in a new epoch, until the device answers. The session forgets strokes that have no verdict yet.
+    /// Sends a command in a new epoch, until the device answers. Of strokes that have no verdict yet, the session emits
+    /// only the verdicts late and refused, as the device reports them.
     pub fn command(&mut self, op: Op) {
         self.epoch = self.epoch.wrapping_add(1);
         self.known.command(&op);
+        if self.control.is_none() {
+            std::mem::swap(&mut self.window, &mut self.retired.frames);
+            std::mem::swap(&mut self.verdicts, &mut self.retired.verdicts);
+            self.retired.after = self.stale;
+        }
         self.control = Some(Control { op, first_sent: None, sent: None });
         self.window.clear();
         self.open_batch = None;
