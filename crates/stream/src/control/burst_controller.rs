@@ -58,13 +58,13 @@ struct Queued {
     until: Tick,
 }
 
-/// A correction as the telemetry monitor judges it.
+/// A correction as the telemetry monitor judges it. Small: there is one for each of many thousands of queued bursts.
 #[derive(Clone, Copy, Debug)]
 struct Correction {
     /// By how much, if a limit cut it, µm.
-    limited_um: Option<f64>,
+    limited_um: Option<f32>,
     /// The estimated rest position at that time, µm.
-    rest_um: f64,
+    rest_um: f32,
 }
 
 impl Queued {
@@ -311,7 +311,7 @@ impl BurstController {
             let Queued { counted, corrections, .. } = self.queue[self.begun / 2];
             self.pending[half] -= counted[half];
             if let Some(Correction { limited_um, rest_um }) = corrections[half] {
-                self.monitor.corrected(limited_um, rest_um);
+                self.monitor.corrected(limited_um.map(f64::from), rest_um.into());
             }
             self.estimator.forget(HalfTick::from(burst.start), &mut over);
             if let Some(travel) = self.estimator.begin(burst) {
@@ -462,7 +462,8 @@ impl BurstController {
             if (measured || reckoned) && queued.closed_loop && queued.accepted && burst.start >= now + SEND_BY
             {
                 let (pulses, limited_um) = self.target_pulses(&free, may_lengthen);
-                let correction = Correction { limited_um, rest_um: self.rest_um() };
+                let limited_um = limited_um.map(|um| um as f32);
+                let correction = Correction { limited_um, rest_um: self.rest_um() as f32 };
                 self.queue[self.finalised / 2].corrections[half] = Some(correction);
                 if pulses != burst.pulses && amend(queued.stroke.up, burst.direction, pulses) {
                     let stroke = &mut self.queue[self.finalised / 2].stroke;
