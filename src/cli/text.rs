@@ -154,6 +154,12 @@ pub(super) fn status(status: &Status) -> String {
     if let Some(bytes) = status.line_bytes_per_s {
         lines.push(("line", format!("{:.1} kB/s", f64::from(bytes) / 1000.0)));
     }
+    if status.contradictions > 0 {
+        lines.push((
+            "doubt",
+            format!("{} messages of the device cannot be true; see the log", status.contradictions),
+        ));
+    }
     if !status.socket.is_empty() {
         lines.push(("daemon", format!("{}, pid {}", status.socket, status.pid)));
     }

@@ -234,6 +234,10 @@ impl Runner<'_> {
                 wrong.push(format!("boot {number}: {} frames that cannot be read", boot.tap.unreadable));
             }
         }
+        wrong.extend(notices.iter().filter_map(|notice| match notice {
+            StreamEvent::Contradiction(how) => Some(format!("the host doubts a true device: {}", how.name())),
+            _ => None,
+        }));
         for (ticket, refused, number) in tickets {
             let mut answers = notices.iter().filter_map(|notice| match notice {
                 StreamEvent::Answer { ticket: t, result } if *t == ticket => Some(result),
