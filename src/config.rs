@@ -149,6 +149,7 @@ struct RawConfig {
     lead_ms: Option<f64>,
     lease_ms: Option<f64>,
     drift_warning_um: Option<f64>,
+    end_stop_um: Option<f64>,
     limits: Option<Table<RawLimits>>,
     mock: Option<Table<SimulatedMotorsConfig>>,
 }
@@ -242,6 +243,12 @@ impl RawConfig {
         if let Err(SimulatedMotorsError { key, found, most }) = mock.check() {
             in_range(&format!("mock.{key}"), found, false, format!("0 to {most}"))?;
         }
+        // The simulated array's own, unless the file knows those of the motors.
+        let end_stop_um = self.end_stop_um.unwrap_or(mock.end_stop_um);
+        let good = (0.0..=10_000.0).contains(&end_stop_um);
+        in_range("end_stop_um", end_stop_um, good, "0 to 10000 um")?;
+        let limits = OnTimeLimits { motor, rail };
+        let end_stop_um = end_stop_um as f32;
         let patterns = self.patterns_dir.map_or_else(default_patterns, PatternsDir::Configured);
         Ok(Config {
             device,
@@ -249,7 +256,7 @@ impl RawConfig {
             calibration: self.calibration.or_else(|| beside(&patterns)),
             patterns,
             logbook: keep(self.logbook_dir, logbook_days),
-            settings: Settings { lead_ms, lease_ms, limits: OnTimeLimits { motor, rail }, drift_warning_um },
+            settings: Settings { lead_ms, lease_ms, limits, drift_warning_um, end_stop_um },
             mock,
         })
     }
@@ -314,6 +321,7 @@ mod tests {
     #[test]
     fn every_key_is_read() {
         let text = "device = \"pty\"\nsocket = \"/s\"\npatterns_dir = \"/s/p\"\nlead_ms = 50\nlease_ms = 100.0\ndrift_warning_um = 30\n\
+                    end_stop_um = 250\n\
                     [limits]\nmotor_pulses_per_s = 40000\nrail_pulses_per_s = 90000\n[mock]\nseed = 3\ngain_sd = 0.0\n";
         let config = parse(text).unwrap();
         assert_eq!((config.device, config.socket), (Spec::Pty, "/s".into()));
@@ -329,8 +337,10 @@ mod tests {
         let limits = OnTimeLimits { motor: 40_000, rail: 90_000 };
         assert_eq!(
             config.settings,
-            Settings { lead_ms: 50.0, lease_ms: 100.0, limits, drift_warning_um: 30.0 }
+            Settings { lead_ms: 50.0, lease_ms: 100.0, limits, drift_warning_um: 30.0, end_stop_um: 250.0 }
         );
+        // Without it, the simulated array's.
+        assert_eq!(parse("mock.end_stop_um = 90").unwrap().settings.end_stop_um, 90.0);
         assert_eq!(
             config.mock,
             SimulatedMotorsConfig { seed: 3, gain_sd: 0.0, ..SimulatedMotorsConfig::default() }
@@ -350,6 +360,7 @@ mod tests {
             ("lead_ms = 4", "m.toml:1: `lead_ms` is 4: must be 5 to 1000 ms"),
             ("lead_ms = nan", "`lead_ms` is NaN"),
             ("drift_warning_um = 0.5", "`drift_warning_um` is 0.5: must be 1 to 10000 um"),
+            ("end_stop_um = -1", "`end_stop_um` is -1: must be 0 to 10000 um"),
             ("lease_ms = 149", "`lease_ms` is 149: must be 150 to"),
             ("limits.rail_pulses_per_s = 0", "`limits.rail_pulses_per_s` is 0"),
             ("limits = 3", "m.toml:1: `limits` is integer `3`: must be a table"),

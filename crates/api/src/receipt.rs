@@ -342,7 +342,7 @@ pub struct Receipt {
     /// What was sent to the device; null until the play is over.
     #[schema(required)]
     pub wire: Option<LinkTraffic>,
-    /// Estimated offset of each pin from rest at the end, µm, by motor; null until the play is over.
+    /// Estimated offset of each pin from rest at the end, µm, by motor, as in the status; null until the play is over.
     #[schema(required, max_items = 24)]
     pub rest_error_um: Option<Vec<f32>>,
     /// The predicted afferent response to the play's first minute; unknown until some time after the play's end.

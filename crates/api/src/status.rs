@@ -90,7 +90,8 @@ pub enum ErrorSource {
 /// The state of one motor.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct MotorStatus {
-    /// Estimated offset of the pin from rest, µm, positive upwards.
+    /// Estimated offset of the pin from rest, µm, positive upwards. By dead reckoning: one standard deviation, at most the
+    /// distance of the end stops.
     pub rest_error_um: f32,
     /// Where the estimate comes from: `none`, `telemetry` or `dead-reckoning`.
     pub source: ErrorSource,

@@ -14,8 +14,13 @@ pub struct Settings {
     pub limits: OnTimeLimits,
     /// Error of dead reckoning, one standard deviation, above which the streamer warns, µm.
     pub drift_warning_um: f32,
+    /// Distance of the end stops from rest, µm: dead reckoning finds no pin farther off.
+    pub end_stop_um: f32,
 }
 
+/// Distance of the end stops from rest without configuration, µm. Our choice, as for the simulated array: no data sheet was
+/// found.
+const END_STOP_UM: f32 = 500.0;
 /// Without configuration, the host watchdog timeout exceeds the lead by this, ms.
 const LEASE_OVER_LEAD_MS: f64 = 200.0;
 
@@ -24,7 +29,13 @@ impl Settings {
     #[must_use]
     pub const fn for_lead(lead_ms: f64) -> Self {
         let lease_ms = lead_ms + LEASE_OVER_LEAD_MS;
-        Self { lead_ms, lease_ms, limits: OnTimeLimits::NONE, drift_warning_um: 100.0 }
+        Self {
+            lead_ms,
+            lease_ms,
+            limits: OnTimeLimits::NONE,
+            drift_warning_um: 100.0,
+            end_stop_um: END_STOP_UM,
+        }
     }
 
     /// The half of the lead that is for stalls of the PC, ms. The other half is for the line.

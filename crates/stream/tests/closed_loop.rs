@@ -141,6 +141,30 @@ fn without_telemetry_the_error_is_reckoned_and_the_streamer_warns() {
     assert!((0.6..1.6).contains(&ratio), "really {really} um, reckoned {reckoned:?}");
 }
 
+/// A minute without telemetry: the estimated error ends at the end stops, as the pins do.
+#[test]
+fn without_telemetry_the_estimated_error_stays_within_the_end_stops() {
+    let blind = SimulatedMotorsConfig { telemetry_hz: 0, ..SimulatedMotorsConfig::default() };
+    let mut rig = Rig::of(&blind, 9);
+    rig.arm();
+    let mut estimates = Vec::new();
+    for seconds in [1.0, 9.0, 50.0] {
+        rig.start(&all_motors(seconds), None);
+        rig.run_ms((seconds * 1000.0) as u64 + 1500);
+        let snapshot = last_snapshot(&rig.take_events());
+        assert_eq!(snapshot.source, [ErrorSource::DeadReckoning; MOTORS]);
+        let farthest = (0..24).map(|motor| rig.mock.position_um(motor).abs()).fold(0.0, f64::max);
+        println!(
+            "after {seconds} s: estimate {} um, farthest pin {farthest:.0} um",
+            snapshot.rest_error_um[0]
+        );
+        assert!(farthest <= blind.end_stop_um);
+        estimates.push(f64::from(snapshot.rest_error_um[0]));
+    }
+    assert!(estimates[0] < 200.0, "{estimates:?}");
+    assert_eq!(estimates[1..], [blind.end_stop_um; 2]);
+}
+
 /// Asymmetric motors drift fast; calibrated gains remove the drift, the scatter stays.
 #[test]
 fn calibrated_gains_hold_pins_without_telemetry() {

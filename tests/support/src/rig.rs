@@ -141,12 +141,10 @@ impl Rig {
         Self::with(Settings::default(), line, seed)
     }
 
-    /// A rig with these simulated motors; records no lines.
+    /// A rig with these simulated motors, whose end stops it knows; records no lines.
     pub fn of(motors: &SimulatedMotorsConfig, seed: u64) -> Self {
-        Self {
-            simulation: Simulation::new(motors, Settings::default(), Line::default(), seed).unwrap(),
-            plays: 0,
-        }
+        let settings = Settings { end_stop_um: motors.end_stop_um as f32, ..Settings::default() };
+        Self { simulation: Simulation::new(motors, settings, Line::default(), seed).unwrap(), plays: 0 }
     }
 
     pub fn with(settings: Settings, line: Line, seed: u64) -> Self {

@@ -4,7 +4,7 @@
 //! tracks the shaft from delayed, quantised, averaged telemetry with gaps; `telemetry_monitor` detects sensor faults;
 //! `burst_controller` decides the count of each burst as late as the link allows. A motor with a sensor fault plays on
 //! in open loop. Without telemetry the loop reckons: it corrects what the gains of a calibrated motor predict, and the
-//! estimated error of the rest position grows. `bound` says how good any such loop can be.
+//! estimated error of the rest position grows, up to the end stops. `bound` says how good any such loop can be.
 //!
 //! Invariant: it never allocates; counts stay within `limits::correction` of the plan and within the room between
 //! bursts; it changes planned bursts only, so a motor that is not driven does not move.
@@ -17,6 +17,7 @@ mod telemetry_monitor;
 pub(super) use burst_controller::{BurstController, FINALISE_AT, LONGEST_AGE};
 pub use estimator::{Gains, MeasuredBurst};
 
+use crate::settings::Settings;
 pub use bound::rest_bound_um;
 use firmware_protocol::batch::Amendment;
 use firmware_protocol::limits::OnTimeLimits;
@@ -38,6 +39,8 @@ pub(super) struct PositionControl {
     /// There are on-time limits. The device may refuse strokes as they begin. Bursts do not get longer than planned: that
     /// would use up on-time.
     limited: bool,
+    /// Distance of the end stops from rest, µm.
+    end_stop_um: f32,
     /// The tick of the device's last counters.
     counters_at: Tick,
     /// Bursts and pulses of strokes played and removed since the device's last counters.
@@ -47,9 +50,10 @@ pub(super) struct PositionControl {
 }
 
 impl PositionControl {
-    pub(super) fn new(limits: &OnTimeLimits) -> Self {
+    pub(super) fn new(settings: &Settings) -> Self {
         let mut control = Self {
             limited: false,
+            end_stop_um: settings.end_stop_um,
             counters_at: Tick(0),
             motors: std::array::from_fn(|_| BurstController::new(&Gains::default())),
             last_sample: None,
@@ -57,13 +61,14 @@ impl PositionControl {
             uncounted: (0, 0),
             valid_from: None,
         };
-        control.set_limits(limits);
+        control.configure(settings);
         control
     }
 
-    /// Uses the site's limits.
-    pub(super) fn set_limits(&mut self, limits: &OnTimeLimits) {
-        self.limited = *limits != OnTimeLimits::NONE;
+    /// Uses the site's limits and end stops.
+    pub(super) fn configure(&mut self, settings: &Settings) {
+        self.limited = settings.limits != OnTimeLimits::NONE;
+        self.end_stop_um = settings.end_stop_um;
     }
 
     /// The device has flushed the queue and returns pins: telemetry means nothing until they are at rest.
@@ -107,7 +112,8 @@ impl PositionControl {
     pub(super) fn offset_um(&self, motor: u8, now: Tick) -> Option<(f64, bool)> {
         let motor = self.motors.get(usize::from(motor)).filter(|motor| motor.fault().is_none())?;
         let measured = self.has_recent_telemetry(now) && motor.is_measured();
-        (measured || motor.is_calibrated()).then(|| (motor.rest_um(), measured))
+        let stop = if measured { f64::INFINITY } else { self.end_stop_um.into() };
+        (measured || motor.is_calibrated()).then(|| (motor.rest_um().clamp(-stop, stop), measured))
     }
 
     /// Whether any burst can be corrected; `telemetry`: the device sends it.
@@ -263,14 +269,15 @@ impl PositionControl {
         self.last_sample.is_some_and(|sampled| now - sampled <= TICKS_PER_S)
     }
 
-    /// Estimated rest error of each shaft, µm, and its source. By dead reckoning: one standard deviation.
+    /// Estimated rest error of each shaft, µm, and its source. By dead reckoning: one standard deviation, and at most the
+    /// distance of the end stops, because no shaft can be farther off.
     pub(super) fn rest_error_um(&self, now: Tick) -> [(f32, ErrorSource); MOTORS] {
         let fresh = self.has_recent_telemetry(now);
         self.motors.each_ref().map(|motor| {
             match (fresh && motor.fault().is_none(), motor.dead_reckoning_sd_um()) {
                 (true, _) => (motor.rest_um() as f32, ErrorSource::Telemetry),
                 (false, 0.0) => (motor.rest_um() as f32, ErrorSource::None),
-                (false, reckoned) => (reckoned as f32, ErrorSource::DeadReckoning),
+                (false, reckoned) => ((reckoned as f32).min(self.end_stop_um), ErrorSource::DeadReckoning),
             }
         })
     }

@@ -233,7 +233,7 @@ impl Streamer {
     /// Applies the settings configured last.
     fn apply_settings(&mut self) {
         self.settings = self.next_settings;
-        self.control.set_limits(&self.settings.limits);
+        self.control.configure(&self.settings);
     }
 
     /// Overtakes all other operations. If an earlier emergency stop is on its way, one answer of the device is for both.

@@ -129,7 +129,7 @@ impl Streamer {
             wants_armed: false,
             disconnect_reason: None,
             plays: VecDeque::with_capacity(2 * MAX_QUEUED_PLAYS + 2),
-            control: PositionControl::new(&settings.limits),
+            control: PositionControl::new(&settings),
             fed_until: Tick(0),
             short_of_credits: false,
             homing: None,
