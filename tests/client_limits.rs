@@ -207,7 +207,7 @@ fn requests_that_are_not_http_get_a_problem() {
     let requests = [
         ("nonsense\r\n\r\n".to_owned(), 400),
         (line("/\u{1}"), 400),
-        (line(&"/".repeat(70_000)), 414),
+        (line(&"/".repeat(70_000)), 431),
         (many, 431),
         (large, 431),
         // Behind a good one.

@@ -126,14 +126,21 @@ fn is_closed(stream: &UnixStream) -> bool {
     poll(&mut fds, Some(&now)).is_ok_and(|_| fds[0].revents().contains(PollFlags::HUP))
 }
 
-/// The API's error for an answer of hyper's own: the last response in these bytes, with an error's status and no body.
+/// The API's error for an answer of hyper's own, and where that begins: the last response in these bytes, with an error's
+/// status and no body.
 fn error_of(bytes: &[u8]) -> Option<(usize, Vec<u8>)> {
     const BEGIN: &[u8] = b"HTTP/1.1 ";
-    let at = bytes.windows(BEGIN.len()).rposition(|window| window == BEGIN)?;
-    let text = std::str::from_utf8(&bytes[at..]).ok()?;
-    let empty = text.ends_with("\r\n\r\n") && text.contains("\r\ncontent-length: 0\r\n");
-    let status = text.get(BEGIN.len()..BEGIN.len() + 3)?.parse().ok().filter(|_| empty)?;
-    Some((at, response(&malformed(status)?)))
+    /// It is shorter than this.
+    const LONGEST: usize = 256;
+    if !bytes.ends_with(b"\r\n\r\n") {
+        return None;
+    }
+    let tail = &bytes[bytes.len().saturating_sub(LONGEST)..];
+    let last = &tail[tail.windows(BEGIN.len()).rposition(|window| window == BEGIN)?..];
+    let text = std::str::from_utf8(last).ok()?;
+    let status = text.get(BEGIN.len()..BEGIN.len() + 3)?.parse().ok();
+    let status = status.filter(|_| text.contains("\r\ncontent-length: 0\r\n"))?;
+    Some((bytes.len() - last.len(), response(&malformed(status)?)))
 }
 
 impl AsyncRead for Connection {

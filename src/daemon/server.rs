@@ -28,6 +28,8 @@ use tokio::task::{AbortHandle, Id, JoinSet};
 use tower::ServiceExt;
 use tracing::{debug, warn};
 
+/// What hyper holds of a client in each direction, bytes: a request's head fits.
+const BUFFER: usize = 32 << 10;
 /// How long requests may take that run at the end.
 const DRAIN: Duration = Duration::from_secs(1);
 /// How often the log says that clients were refused or disconnected.
@@ -175,7 +177,7 @@ async fn serve_client(
     });
     let mut http = http1::Builder::new();
     // A client that has sent its request may close its half of the connection.
-    http.half_close(true).timer(TokioTimer::new()).header_read_timeout(SILENT);
+    http.half_close(true).max_buf_size(BUFFER).timer(TokioTimer::new()).header_read_timeout(SILENT);
     let mut connection = pin!(http.serve_connection(TokioIo::new(connection), service));
     let ended = tokio::select! {
         ended = connection.as_mut() => ended,

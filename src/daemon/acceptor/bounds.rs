@@ -21,6 +21,8 @@ pub(in crate::daemon) struct Bounds {
 }
 
 impl Bounds {
+    /// Descriptors that the acceptor watches: with its own four.
+    pub(super) const MOST: usize = Self::USUAL.silent + Self::USUAL.estops + 6;
     const USUAL: Self = Self::new(MAX_CLIENTS, 192, 64);
 
     const fn new(clients: usize, silent: usize, estops: usize) -> Self {

@@ -28,7 +28,7 @@ use listeners::{Listeners, accept, spare_descriptor};
 use meissner_api::{Code, Problem};
 use meissner_stream::device::priority;
 use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
-use rustix::fd::OwnedFd;
+use rustix::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::collections::VecDeque;
 use std::io;
 use std::os::unix::net::{UnixListener, UnixStream};
@@ -198,15 +198,19 @@ impl Work {
     }
 
     fn wait(&self, stop: &OwnedFd) -> Ready {
-        let watch = |stream| PollFd::new(stream, PollFlags::IN);
-        let mut fds = Vec::with_capacity(4 + self.silent.len() + self.stopping.len());
-        fds.extend(self.silent.iter().map(|it| watch(&it.stream)));
-        fds.push(PollFd::new(stop, PollFlags::IN));
-        fds.push(PollFd::new(&self.estops.switch, PollFlags::IN));
-        fds.push(PollFd::new(&self.listeners.api, PollFlags::IN));
-        fds.extend(self.listeners.estop.as_ref().map(|estop| PollFd::new(estop, PollFlags::IN)));
+        // Not on the heap: its lock may be held by a thread that does not run.
+        let mut fds = heapless::Vec::<_, { Bounds::MOST }>::new();
+        let mut watch = |fd: BorrowedFd<'_>| {
+            // There are never more than `Bounds::MOST`.
+            let _ = fds.push(PollFd::from_borrowed_fd(fd, PollFlags::IN));
+        };
+        self.silent.iter().for_each(|it| watch(it.stream.as_fd()));
+        watch(stop.as_fd());
+        watch(self.estops.switch.as_fd());
+        watch(self.listeners.api.as_fd());
+        self.listeners.estop.iter().for_each(|estop| watch(estop.as_fd()));
         // A connection that waits for its answer is readable when its client has closed it: do not watch it.
-        fds.extend(self.stopping.iter().filter(|it| it.number.is_none()).map(|it| watch(&it.stream)));
+        self.stopping.iter().filter(|it| it.number.is_none()).for_each(|it| watch(it.stream.as_fd()));
         let due = self.due().map(|due| due.saturating_duration_since(Instant::now()));
         let due = due.map(|due| Timespec {
             tv_sec: due.as_secs().try_into().unwrap_or(i64::MAX),
@@ -270,7 +274,12 @@ impl Work {
             if self.silent.len() >= self.bounds.silent {
                 self.evict_oldest();
             }
-            self.silent.push_back(Silent { stream, head: Vec::new(), client, since: Instant::now() });
+            self.silent.push_back(Silent {
+                stream,
+                head: heapless::Vec::new(),
+                client,
+                since: Instant::now(),
+            });
             self.read_silent(self.silent.len() - 1);
         }
     }
@@ -304,7 +313,7 @@ impl Work {
             self.evict_oldest();
         }
         let place = Place::new(&self.counts);
-        let accepted = Accepted { stream, head, client, estop, place };
+        let accepted = Accepted { stream, head: head.to_vec(), client, estop, place };
         if let Err(back) = self.sender.try_send(Handover::Client(accepted))
             && let Handover::Client(Accepted { stream, .. }) = back.into_inner()
         {
@@ -361,7 +370,7 @@ struct Ready {
     answers: bool,
     api: bool,
     /// Silent connections that have sent something, the newest first.
-    silent: Vec<usize>,
+    silent: heapless::Vec<usize, { Bounds::MOST }>,
 }
 
 /// The error for one client too many.

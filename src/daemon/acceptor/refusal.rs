@@ -8,10 +8,9 @@ use std::os::unix::net::UnixStream;
 const MAX_DRAINED: usize = 64 << 10;
 
 /// The errors that hyper answers by itself, with an empty body.
-pub(in crate::daemon) const PROBLEMS: [(u16, Code, &str); 3] = [
+const PROBLEMS: [(u16, Code, &str); 2] = [
     (400, Code::BadRequest, "the request is not HTTP/1.1, or a header is malformed"),
-    (414, Code::TooLarge, "the request's address is too long"),
-    (431, Code::TooLarge, "the request's headers are too large"),
+    (431, Code::TooLarge, "the request's address and headers are too large"),
 ];
 
 /// An HTTP response that closes the connection.

@@ -15,7 +15,7 @@ use std::time::Instant;
 #[derive(Debug)]
 pub(super) struct Silent {
     pub(super) stream: UnixStream,
-    pub(super) head: Vec<u8>,
+    pub(super) head: heapless::Vec<u8, { 2 * MAX_LINE }>,
     pub(super) client: Client,
     pub(super) since: Instant,
 }
@@ -27,7 +27,11 @@ impl Silent {
         loop {
             match self.stream.read(&mut bytes) {
                 Ok(0) => return Poll::Ready(Err(())),
-                Ok(len) => self.head.extend_from_slice(&bytes[..len]),
+                Ok(len) => {
+                    if self.head.extend_from_slice(&bytes[..len]).is_err() {
+                        return Poll::Ready(Err(()));
+                    }
+                }
                 Err(error) if may_go_on(&error) => return Poll::Pending,
                 Err(_) => return Poll::Ready(Err(())),
             }
