@@ -3,7 +3,7 @@
 //! They send one request and print its result. `play --wait` subscribes to events before it sends the request, so it
 //! misses no event of its play; if a slow terminal loses events, it asks the daemon for the receipt.
 //!
-//! Invariant: no request is sent twice.
+//! Invariant: no request is sent twice, except an e-stop.
 
 use super::arguments::{ClientOptions, Onset, choice, positive};
 use super::output::{give, say};
@@ -12,7 +12,9 @@ use super::text;
 use crate::daemon;
 use anyhow::{Result, bail};
 use clap::Args;
-use meissner_api::{ArmRequest, Event, LatePolicy, PlayAccepted, PlayRequest, Receipt, ResetRequest, Status};
+use meissner_api::{
+    ArmRequest, Code, Event, LatePolicy, PlayAccepted, PlayRequest, Receipt, ResetRequest, Status,
+};
 use meissner_client::{Client, ClientError, Events, HOME_TIMEOUT, escape};
 use serde_json::{Value, json};
 use std::io::{self, Write};
@@ -61,7 +63,11 @@ pub(super) fn command(options: &ClientOptions, name: &str) -> Result<ExitCode> {
 
 /// Stops at this socket, then reads the status.
 fn stop_at(socket: &Path) -> Result<Status, ClientError> {
-    meissner_client::estop(socket)?;
+    match meissner_client::estop(socket) {
+        // The emergency stop is latched; the status says that there is no device.
+        Err(ClientError::Problem(problem)) if problem.code == Code::NoDevice.parts().0 => {}
+        stopped => stopped?,
+    }
     // The emergency stop is confirmed; what follows may take its time on a busy daemon.
     Client::new(socket)?.get("/v1/status").inspect_err(|_| {
         // If stderr is closed, there is no one to tell.

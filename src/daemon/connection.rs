@@ -3,9 +3,10 @@
 //! It gives hyper the bytes that the acceptor has read, then those of the socket. hyper answers a request that it cannot parse with
 //! an empty error; the connection puts the API's error in its place. A client that reads nothing for [`UNREAD`] is disconnected.
 //!
-//! Invariant: [`Activity`] tells whether anybody would miss the connection.
+//! Invariant: [`Activity`] tells whether the connection may be ended to make a place free.
 
 use super::acceptor::{malformed, response};
+use futures_util::task::AtomicWaker;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use std::future::Future;
 use std::io::{self, ErrorKind};
@@ -35,12 +36,16 @@ pub(super) struct Activity {
     pub(super) busy: AtomicBool,
     /// The answer is a stream of events, which ends with the connection.
     pub(super) streaming: AtomicBool,
+    /// The connection ends when nothing that the client has sent is left to read.
+    evicted: AtomicBool,
+    task: AtomicWaker,
 }
 
 impl Activity {
     fn new() -> Self {
-        let (moved_ms, blocked, busy, streaming) = Default::default();
-        Self { begun: Instant::now(), moved_ms, blocked, busy, streaming }
+        let (moved_ms, blocked, busy, streaming, evicted) = Default::default();
+        let (begun, task) = (Instant::now(), AtomicWaker::new());
+        Self { begun, moved_ms, blocked, busy, streaming, evicted, task }
     }
 
     fn moved(&self) {
@@ -48,7 +53,17 @@ impl Activity {
         self.moved_ms.store(ms, Ordering::Relaxed);
     }
 
-    /// Since when nobody would miss the connection, if that is so: it reads nothing, or it has been idle for `idle`.
+    /// Ends the connection. A request that has come is still carried out.
+    pub(super) fn evict(&self) {
+        self.evicted.store(true, Ordering::Release);
+        self.task.wake();
+    }
+
+    pub(super) fn is_evicted(&self) -> bool {
+        self.evicted.load(Ordering::Acquire)
+    }
+
+    /// For how long the connection has been one that may be ended: it reads nothing, or has been idle for `idle` at least.
     pub(super) fn lazy_for(&self, idle: Duration) -> Option<Duration> {
         let moved = Duration::from_millis(self.moved_ms.load(Ordering::Relaxed));
         let still = self.begun.elapsed().saturating_sub(moved);
@@ -92,7 +107,11 @@ impl Connection {
                 Poll::Ready(written)
             }
             Poll::Pending => {
+                self.activity.task.register(context.waker());
                 self.activity.blocked.store(true, Ordering::Relaxed);
+                if self.activity.is_evicted() {
+                    return Poll::Ready(Err(io::Error::new(ErrorKind::TimedOut, "the client does not read")));
+                }
                 let unread = self.unread.get_or_insert_with(|| Box::pin(sleep(UNREAD)));
                 ready!(unread.as_mut().poll(context));
                 Poll::Ready(Err(io::Error::new(ErrorKind::TimedOut, "the client does not read")))
@@ -119,11 +138,17 @@ impl Connection {
     }
 }
 
+/// What has happened on the connection: bytes have come, or the client has closed it.
+fn events(stream: &UnixStream) -> PollFlags {
+    let mut fds = [PollFd::new(stream, PollFlags::IN)];
+    let now = Timespec { tv_sec: 0, tv_nsec: 0 };
+    // An error is answered as an event: it shows when the connection is read.
+    poll(&mut fds, Some(&now)).map_or(PollFlags::ERR, |_| fds[0].revents())
+}
+
 /// Whether the client has closed the whole connection, not only its half.
 fn is_closed(stream: &UnixStream) -> bool {
-    let mut fds = [PollFd::new(stream, PollFlags::empty())];
-    let now = Timespec { tv_sec: 0, tv_nsec: 0 };
-    poll(&mut fds, Some(&now)).is_ok_and(|_| fds[0].revents().contains(PollFlags::HUP))
+    events(stream).contains(PollFlags::HUP)
 }
 
 /// The API's error for an answer of hyper's own, and where that begins: the last response in these bytes, with an error's
@@ -156,7 +181,15 @@ impl AsyncRead for Connection {
             return Poll::Ready(Ok(()));
         }
         let before = buffer.filled().len();
-        ready!(Pin::new(&mut self.stream).poll_read(context, buffer))?;
+        self.activity.task.register(context.waker());
+        match Pin::new(&mut self.stream).poll_read(context, buffer) {
+            Poll::Ready(read) => read?,
+            // The runtime may not know yet that bytes have come.
+            Poll::Pending if self.activity.is_evicted() && events(&self.stream).is_empty() => {
+                return Poll::Ready(Ok(()));
+            }
+            Poll::Pending => return Poll::Pending,
+        }
         if buffer.filled().len() > before {
             self.activity.moved();
         } else if is_closed(&self.stream) && !self.activity.busy.load(Ordering::Relaxed) {
@@ -193,5 +226,64 @@ impl AsyncWrite for Connection {
     fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
         ready!(self.write_error(context))?;
         Pin::new(&mut self.stream).poll_shutdown(context)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Write;
+    use tokio::io::{AsyncReadExt, AsyncWriteExt};
+
+    fn pair(head: &[u8]) -> (std::os::unix::net::UnixStream, Connection, Arc<Activity>) {
+        let (client, stream) = std::os::unix::net::UnixStream::pair().unwrap();
+        stream.set_nonblocking(true).unwrap();
+        let (connection, activity) = Connection::new(UnixStream::from_std(stream).unwrap(), head.to_vec());
+        (client, connection, activity)
+    }
+
+    #[test]
+    fn a_connection_that_is_ended_gives_what_has_come_first() {
+        crate::daemon::runtime().unwrap().block_on(async {
+            let (mut client, mut connection, activity) = pair(b"PO");
+            client.write_all(b"ST").unwrap();
+            activity.evict();
+            let mut text = String::new();
+            connection.read_to_string(&mut text).await.unwrap();
+            assert_eq!(text, "POST");
+        });
+    }
+
+    #[test]
+    fn a_connection_may_be_ended_when_it_is_idle_or_unread() {
+        crate::daemon::runtime().unwrap().block_on(async {
+            let (_client, mut connection, activity) = pair(b"");
+            let lazy = || activity.lazy_for(Duration::ZERO).is_some();
+            assert!(lazy() && activity.lazy_for(Duration::from_secs(3600)).is_none());
+            activity.busy.store(true, Ordering::Relaxed);
+            assert!(!lazy());
+            // The client reads nothing, and the socket's buffer fills.
+            let flood = vec![0; 1 << 22];
+            let _ = tokio::time::timeout(BLOCKED, connection.write_all(&flood)).await.unwrap_err();
+            assert!(lazy());
+            activity.evict();
+            assert!(connection.write_all(&flood).await.is_err());
+        });
+    }
+
+    #[test]
+    fn hypers_empty_errors_get_a_body() {
+        let empty = b"HTTP/1.1 400 Bad Request\r\nconnection: close\r\ncontent-length: 0\r\n\r\n";
+        let (at, error) = error_of(empty).unwrap();
+        assert!(at == 0 && String::from_utf8(error).unwrap().contains("\"code\":\"bad-request\""));
+        let behind = [b"HTTP/1.1 200 OK\r\ncontent-length: 2\r\n\r\n{}".as_slice(), empty].concat();
+        assert_eq!(error_of(&behind).unwrap().0, behind.len() - empty.len());
+        for good in [
+            b"HTTP/1.1 200 OK\r\ncontent-length: 0\r\n\r\n".as_slice(),
+            b"HTTP/1.1 400 Bad Request\r\ncontent-length: 9\r\n\r\n",
+            b"",
+        ] {
+            assert!(error_of(good).is_none());
+        }
     }
 }

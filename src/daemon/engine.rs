@@ -133,7 +133,12 @@ impl Engine {
         let reply = self.lock().commands.wait_for_estop(number);
         // The event with the answer may be lost; the switch keeps it.
         let waited = answer(reply, TIMEOUT).await;
-        self.estops.switch.answer(number).map_or(waited, |answer| answer.map_err(refusal))
+        match self.estops.switch.answer(number) {
+            // Latched; the status says that no device was told.
+            Some(Ok(()) | Err(CommandError::NoDevice)) => Ok(()),
+            Some(Err(error)) => Err(refusal(error)),
+            None => waited,
+        }
     }
 
     /// Ends the daemon for a newer program, if it is idle.

@@ -8,7 +8,7 @@
 use crate::session_record::Peer;
 use meissner_stream::queues::EStopSwitch;
 use meissner_stream::time::HostInstant;
-use rustix::process::{Pid, getsid};
+use nix::unistd::{Pid, getsid};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
@@ -27,9 +27,9 @@ impl Origin {
     /// The origin of a client that is connected now.
     pub(super) fn of(peer: Peer) -> Self {
         let pid = u32::try_from(peer.pid).unwrap_or(0);
-        let known = Pid::from_raw(peer.pid).filter(|_| pid != 0);
-        let session = known.and_then(|pid| getsid(Some(pid)).ok()).map_or(0, Pid::as_raw_pid);
-        Self { pid, session: u32::try_from(session).unwrap_or(0) }
+        // For process 0 the kernel would tell the daemon's own session.
+        let session = if pid == 0 { None } else { getsid(Some(Pid::from_raw(peer.pid))).ok() };
+        Self { pid, session: session.and_then(|session| u32::try_from(session.as_raw()).ok()).unwrap_or(0) }
     }
 
     fn is_same(self, other: Self) -> bool {
@@ -54,10 +54,14 @@ impl EStops {
 
     /// Orders an emergency stop; returns its number.
     pub(super) fn request(&self, origin: Origin) -> u64 {
-        let number = self.switch.request();
-        self.last_origin.store(u64::from(origin.pid) << 32 | u64::from(origin.session), Ordering::Release);
-        self.last_at.store(HostInstant::now().as_ns(), Ordering::Release);
-        number
+        // Before the streamer knows: a client that sees the fault must find the guard. A client that stops after another one does not
+        // get the right to reset by that.
+        if self.recent_by_another(origin).is_none() {
+            self.last_origin
+                .store(u64::from(origin.pid) << 32 | u64::from(origin.session), Ordering::Release);
+            self.last_at.store(HostInstant::now().as_ns(), Ordering::Release);
+        }
+        self.switch.request()
     }
 
     /// How long ago another client ordered an emergency stop, if that is less than [`GUARD`].

@@ -36,9 +36,8 @@ use serde_json::json;
 use std::convert::Infallible;
 use std::sync::{Arc, LazyLock, Mutex, PoisonError};
 use std::time::Duration;
+use tokio::sync::broadcast::error::RecvError;
 use tokio::sync::{Semaphore, SemaphorePermit};
-use tokio_stream::wrappers::BroadcastStream;
-use tokio_stream::wrappers::errors::BroadcastStreamRecvError;
 
 /// How long homing may take: six rounds for 24 pins that start at one end of their travel.
 const HOME_TIMEOUT: Duration = Duration::from_secs(25);
@@ -48,6 +47,8 @@ static IMPORTS: Semaphore = Semaphore::const_new(4);
 const IMPORT_TIMEOUT: Duration = Duration::from_secs(10);
 /// Patterns of the directory that requests hold, until a play has begun or the answer is made; further requests wait.
 static PATTERNS: Semaphore = Semaphore::const_new(4);
+/// How often an event stream without events gets a comment.
+const COMMENT_EVERY: Duration = Duration::from_secs(15);
 /// How long to wait for the body of an emergency stop that was carried out.
 const ESTOP_BODY: Duration = Duration::from_millis(100);
 
@@ -285,6 +286,8 @@ async fn reset(
     let mut logged = LoggedRequest::new(&app.engine, "reset", peer);
     let result = async {
         let ResetRequest { force } = ResetRequest::parse(&body::read_command(body).await?)?;
+        // Before the check: the streamer refuses the reset if an emergency stop comes between the two.
+        let estops_seen = app.engine.estops.switch.newest();
         logged.set_arguments(&ResetRequest { force });
         if force {
             logged.set_title("reset, forced,".to_owned());
@@ -296,7 +299,7 @@ async fn reset(
             );
             return Err(Problem::new(Code::RecentEStop, detail).into());
         }
-        carry_out(&app, Command::Reset, TIMEOUT).await
+        carry_out(&app, Command::Reset { estops_seen }, TIMEOUT).await
     }
     .await;
     logged.result(result)
@@ -409,14 +412,18 @@ async fn events(State(app): State<App>) -> Answer<Response> {
     let permit = Arc::clone(&app.event_streams).try_acquire_owned().map_err(many)?;
     let gone = || Problem::new(Code::ShuttingDown, "the daemon is ending: start it again");
     let (now, receiver) = app.engine.subscribe().ok_or_else(gone)?;
-    let later = BroadcastStream::new(receiver).map(|event| {
-        event.unwrap_or_else(|BroadcastStreamRecvError::Lagged(events)| frame(&Event::Lagged { events }))
+    // The permit is held as long as the stream.
+    let later = stream::unfold((receiver, permit), async |(mut receiver, permit)| {
+        let frame = match tokio::time::timeout(COMMENT_EVERY, receiver.recv()).await {
+            Ok(Ok(event)) => event,
+            Ok(Err(RecvError::Lagged(events))) => frame(&Event::Lagged { events }),
+            Ok(Err(RecvError::Closed)) => return None,
+            // A comment: writing it shows whether the client is still there.
+            Err(_) => Bytes::from_static(b":\n\n"),
+        };
+        Some((frame, (receiver, permit)))
     });
-    let all = stream::once(async { now }).chain(later).map(move |event| {
-        // Held as long as the stream.
-        let _ = &permit;
-        Ok::<_, Infallible>(event)
-    });
+    let all = stream::once(async { now }).chain(later).map(Ok::<_, Infallible>);
     let head = [(CONTENT_TYPE, "text/event-stream"), (CACHE_CONTROL, "no-cache")];
     Ok((head, Body::from_stream(all)).into_response())
 }

@@ -163,7 +163,7 @@ impl Daemon {
         let estop =
             bound.estop.as_ref().map(UnixListener::try_clone).transpose().map_err(system("socket"))?;
         let (bounds, counts) = (Bounds::of_process(), Arc::new(Counts::default()));
-        let (acceptor, handovers) =
+        let (acceptor, handovers, mut acceptor_ended) =
             Acceptor::spawn(api, estop, Arc::clone(&engine.estops), bounds, Arc::clone(&counts))
                 .map_err(system("acceptor's thread"))?;
         let mut acceptor = Some(acceptor);
@@ -197,6 +197,7 @@ impl Daemon {
                     break Ok(Exit::Replaced);
                 }
                 _ = &mut streamer => break Err(DaemonError::Streamer),
+                _ = &mut acceptor_ended => break Err(DaemonError::Acceptor),
                 _ = &mut event_loop => break Err(DaemonError::EventLoop),
             }
         };

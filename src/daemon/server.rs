@@ -1,10 +1,10 @@
 //! The server: answers the clients that the acceptor hands over, bounds them, and closes them at the end.
 //!
 //! hyper speaks HTTP/1.1 on a [`Connection`]; [`http`](super::http) handles the requests. If more clients are connected than
-//! [`Bounds::clients`], the server disconnects the laziest one, which reads nothing or sends nothing; if all are active, the new
-//! client gets an error.
+//! [`Bounds::clients`], the server disconnects the one that has sent or read nothing for the longest time; if all are active, the
+//! new client gets an error.
 //!
-//! Invariant: a client occupies one place and its own buffers; between two of its requests all other clients have their turn.
+//! Invariant: a client occupies one place and its own buffers; between two of its requests the server takes one of each other client.
 
 use super::acceptor::{Accepted, Bounds, Client, Counts, Handover, IDLE, SILENT, refuse, too_many_clients};
 use super::connection::{Activity, Connection};
@@ -47,7 +47,9 @@ pub(super) struct Server {
     bounds: Bounds,
     counts: Arc<Counts>,
     clients: JoinSet<()>,
-    /// The clients' tasks, by which the server ends them.
+    /// Emergency stops that wait for their answers, to be recorded.
+    estops: JoinSet<()>,
+    /// The clients' tasks, and how active each is.
     tasks: HashMap<Id, (AbortHandle, Arc<Activity>)>,
     /// The refusals and evictions that the log has, and when it was written last.
     reported: (u64, u64),
@@ -56,8 +58,8 @@ pub(super) struct Server {
 
 impl Server {
     pub(super) fn new(engine: Arc<Engine>, router: Router, bounds: Bounds, counts: Arc<Counts>) -> Self {
-        let (clients, tasks, reported, reported_at) = Default::default();
-        Self { engine, router, bounds, counts, clients, tasks, reported, reported_at }
+        let (clients, estops, tasks, reported, reported_at) = Default::default();
+        Self { engine, router, bounds, counts, clients, estops, tasks, reported, reported_at }
     }
 
     /// Serves until `closing` turns true, then finishes the running requests, for [`DRAIN`] at most.
@@ -76,6 +78,7 @@ impl Server {
                     let id = ended.map_or_else(|error| error.id(), |(id, ())| id);
                     self.tasks.remove(&id);
                 }
+                Some(_) = self.estops.join_next() => {}
                 () = closed(&mut closing) => break,
             }
             self.report();
@@ -87,8 +90,7 @@ impl Server {
     }
 
     fn take(&mut self, accepted: Accepted, closing: &watch::Receiver<bool>) {
-        let served = self.tasks.values().filter(|(handle, _)| !handle.is_finished()).count();
-        let full = served + self.counts.silent() >= self.bounds.clients;
+        let full = self.clients_now().count() + self.counts.silent() >= self.bounds.clients;
         if full && !self.evict() && accepted.estop.is_none() {
             self.counts.refused.fetch_add(1, Ordering::Relaxed);
             refuse(&accepted.stream, &too_many_clients(self.bounds.clients));
@@ -106,23 +108,30 @@ impl Server {
         self.tasks.insert(handle.id(), (handle, activity));
     }
 
-    /// Disconnects the laziest client; returns whether there was one.
+    /// Ends the connection that has been idle or unread longest; returns whether there was one.
     fn evict(&mut self) -> bool {
-        let lazy = self.tasks.values().filter(|(handle, _)| !handle.is_finished());
-        let lazy = lazy.filter_map(|(handle, activity)| Some((activity.lazy_for(IDLE)?, handle)));
+        let lazy = self.clients_now().filter_map(|activity| Some((activity.lazy_for(IDLE)?, activity)));
         let Some((_, laziest)) = lazy.max_by_key(|(still, _)| *still) else { return false };
-        laziest.abort();
-        let id = laziest.id();
-        self.tasks.remove(&id);
+        laziest.evict();
         self.counts.evicted.fetch_add(1, Ordering::Relaxed);
         true
     }
 
+    /// The connections that are served and not about to end.
+    fn clients_now(&self) -> impl Iterator<Item = &Activity> {
+        let running = self.tasks.values().filter(|(handle, _)| !handle.is_finished());
+        running.map(|(_, activity)| &**activity).filter(|activity| !activity.is_evicted())
+    }
+
     /// Writes an emergency stop that the acceptor has ordered to the log and the session record, once it is answered.
     fn record_estop(&mut self, client: Client, number: u64) {
+        // Beyond the bound it goes unrecorded: the device does not answer, and those before it are recorded.
+        if self.estops.len() >= self.bounds.estops {
+            return;
+        }
         self.engine.names.users.look_up(client.peer.uid);
         let engine = Arc::clone(&self.engine);
-        tokio::spawn(async move {
+        self.estops.spawn(async move {
             let logged = LoggedRequest::new(&engine, "estop", client.peer);
             let _ =
                 logged.result(engine.estop_answer(number).await.map_err(super::http::ErrorResponse::from));

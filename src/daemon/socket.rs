@@ -97,15 +97,25 @@ impl Bound {
     /// service manager owns the files' mode, group and removal.
     pub(super) fn take_over(wanted: &Path) -> Result<Option<Self>, SocketError> {
         let mut handed_over = ListenFd::from_env();
-        let Some((listener, socket)) = next_listener(&mut handed_over, 0)? else { return Ok(None) };
+        let Some(first) = next_listener(&mut handed_over, 0)? else { return Ok(None) };
+        let second = next_listener(&mut handed_over, 1)?;
+        // In either order.
+        let ((listener, socket), other) = match second {
+            Some(second) if first.1 == estop_socket(&second.1) => (second, Some(first)),
+            second => (first, second),
+        };
+        if let Some((_, other)) = other.as_ref().filter(|(_, path)| *path != estop_socket(&socket)) {
+            let what =
+                format!("{} is not the socket for emergency stops of {}", other.display(), socket.display());
+            return Err(SocketError::HandedOver { source: io::Error::other(what) });
+        }
         if socket != wanted {
             warn!(
                 "the service manager listens on {}: `socket` in the configuration is ignored",
                 socket.display()
             );
         }
-        let estop = next_listener(&mut handed_over, 1)?;
-        let estop = estop.filter(|(_, path)| *path == estop_socket(&socket)).map(|(listener, _)| listener);
+        let estop = other.map(|(listener, _)| listener);
         if estop.is_none() {
             warn!(
                 "the service manager does not listen on {}: emergency stops use the API's socket; \
@@ -124,7 +134,7 @@ impl Bound {
     pub(super) fn new(socket: &Path) -> Result<Self, SocketError> {
         check(socket)?;
         let lock = lock(socket)?;
-        // The one for emergency stops first: a client that finds the API finds it, too.
+        // The socket for emergency stops first: it is there before any client connects.
         let (estop, estop_file) = bind(&estop_socket(socket))?;
         let (listener, file) = bind(socket)?;
         let (socket, _files) = (socket.to_owned(), vec![estop_file, file]);

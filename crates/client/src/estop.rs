@@ -3,9 +3,9 @@
 //! The daemon serves [`estop_socket`] on a real-time thread of its own, whatever its other clients do. If that socket does not answer,
 //! [`estop`] sends `POST /v1/estop` to the API's socket.
 //!
-//! Invariant: an emergency stop is sent until the daemon answers, or no way is left: sending it twice does no harm.
+//! Invariant: no way is left untried while no answer has come. Sending an emergency stop twice does no harm.
 
-use crate::client::{ANSWER_TIMEOUT, Client};
+use crate::client::Client;
 use crate::endpoint::estop_socket;
 use crate::error::ClientError;
 use meissner_api::{Code, Problem, Status};
@@ -13,9 +13,14 @@ use serde_json::json;
 use std::io::{self, Read, Write};
 use std::os::unix::net::UnixStream;
 use std::path::Path;
+use std::sync::mpsc;
+use std::thread;
+use std::time::Duration;
 
 /// Tries on the socket for emergency stops.
 const TRIES: usize = 3;
+/// How long these tries may take.
+const TIMEOUT: Duration = Duration::from_millis(1500);
 /// Length of the daemon's line, at most, bytes.
 const MAX_LINE: u64 = 4096;
 /// The daemon's line after the device has confirmed an emergency stop.
@@ -24,9 +29,17 @@ pub const STOPPED: &str = "stopped";
 /// Stops at once, switches the motors off and latches the fault; waits for the device's confirmation.
 ///
 /// # Errors
-/// [`ClientError::Problem`] if the device did not confirm it; else see [`ClientError`].
+/// [`ClientError::Problem`] if the device did not confirm it; with the code `no-device` the daemon has latched it. Else see
+/// [`ClientError`].
 pub fn estop(socket: &Path) -> Result<(), ClientError> {
-    let line = (0..TRIES).find_map(|_| ask(&estop_socket(socket)).ok());
+    let (tell, line) = mpsc::channel();
+    let path = estop_socket(socket);
+    // On a thread: the system may hold a connection to a daemon that hangs.
+    thread::spawn(move || {
+        // Fails only if the caller does not wait any longer.
+        (0..TRIES).find_map(|_| ask(&path).ok()).map(|line| tell.send(line))
+    });
+    let line = line.recv_timeout(TIMEOUT).ok();
     match line.as_deref().map(|line| line.split_once(": ").unwrap_or((line, ""))) {
         Some((STOPPED, _)) => Ok(()),
         Some((name, detail))
@@ -41,8 +54,8 @@ pub fn estop(socket: &Path) -> Result<(), ClientError> {
 /// Sends a byte; returns the daemon's line.
 fn ask(socket: &Path) -> io::Result<String> {
     let mut stream = UnixStream::connect(socket)?;
-    stream.set_read_timeout(Some(ANSWER_TIMEOUT))?;
-    stream.set_write_timeout(Some(ANSWER_TIMEOUT))?;
+    stream.set_read_timeout(Some(TIMEOUT))?;
+    stream.set_write_timeout(Some(TIMEOUT))?;
     stream.write_all(b"!")?;
     let mut line = String::new();
     stream.take(MAX_LINE).read_to_string(&mut line)?;

@@ -24,7 +24,7 @@ fn latency(rig: &mut meissner_hil::rig::Rig, name: &str, phase: u64) -> u64 {
     let off = chip.pins.enable.last().unwrap().to;
     assert!(packet < off && off < packet + 50 * MS, "{name}: drivers off at {off}, packet at {packet}");
     assert!(chip.pins.still_high().is_none(), "{name}: lines go on 50 ms after the e-stop was sent");
-    rig.order(Command::Reset);
+    rig.order(Command::Reset { estops_seen: u64::MAX });
     rig.run_to(rig.now() + 20 * MS).unwrap();
     rig.order(Command::Arm { assume_rest: true });
     rig.run_to(rig.now() + 20 * MS).unwrap();

@@ -17,7 +17,7 @@ pub(in crate::daemon) struct Bounds {
     /// Connections whose first line is not complete; the newest ones displace the oldest.
     pub(super) silent: usize,
     /// Emergency stops at the same time, on each socket.
-    pub(super) estops: usize,
+    pub(in crate::daemon) estops: usize,
 }
 
 impl Bounds {

@@ -1,19 +1,22 @@
 //! Recognises an emergency stop by the first line of an HTTP request.
 
-/// Length of a request line that is looked at, at most, bytes. The API's addresses are shorter.
+/// Length of a request line that is looked at, at most, bytes, with empty lines before it. The API's addresses are shorter.
 pub(super) const MAX_LINE: usize = 512;
 
-/// Whether a request that begins with these bytes is an emergency stop; none if more bytes are needed.
-pub(super) fn is_estop(head: &[u8]) -> Option<bool> {
+/// Whether a request that begins with these bytes is an emergency stop; `None` if more bytes are needed.
+pub(super) fn is_estop(all: &[u8]) -> Option<bool> {
     const METHOD: &[u8] = b"POST ";
     // HTTP allows empty lines before a request.
-    let head = &head[head.iter().take_while(|byte| matches!(byte, b'\r' | b'\n')).count()..];
+    let head = &all[all.iter().take_while(|byte| matches!(byte, b'\r' | b'\n')).count()..];
+    if all.len() >= MAX_LINE && head.len() < METHOD.len() {
+        return Some(false);
+    }
     let Some(target) = head.strip_prefix(METHOD) else {
         return (!METHOD.starts_with(head)).then_some(false);
     };
     match target.iter().position(|byte| matches!(byte, b' ' | b'?' | b'#' | b'\r' | b'\n')) {
         Some(end) => Some(path(&target[..end]) == b"/v1/estop"),
-        None => (target.len() >= MAX_LINE).then_some(false),
+        None => (all.len() >= MAX_LINE).then_some(false),
     }
 }
 
@@ -55,6 +58,7 @@ mod tests {
         ] {
             assert_eq!(is_estop(line.as_bytes()), Some(false), "{line:?}");
         }
+        assert_eq!(is_estop(&[b'\n'; MAX_LINE]), Some(false), "empty lines without end");
         assert_eq!(is_estop(&[b"POST /", "x".repeat(MAX_LINE).as_bytes()].concat()), Some(false));
     }
 }

@@ -7,7 +7,7 @@ use nix::sys::socket::{getsockopt, sockopt::PeerCredentials};
 use rustix::event::{EventfdFlags, eventfd};
 use rustix::fd::OwnedFd;
 use rustix::io::Errno;
-use std::io;
+use std::io::{self, ErrorKind};
 use std::os::unix::net::{UnixListener, UnixStream};
 
 #[derive(Debug)]
@@ -22,25 +22,26 @@ pub(super) fn spare_descriptor() -> Option<OwnedFd> {
     eventfd(0, EventfdFlags::CLOEXEC).ok()
 }
 
-/// Accepts a connection, if one waits.
+/// Accepts a connection, if one waits. Without a descriptor left it uses the spare one.
 ///
 /// # Errors
-/// No descriptor is left.
+/// The system cannot give the connection.
 pub(super) fn accept(
     listener: &UnixListener,
     spare: &mut Option<OwnedFd>,
 ) -> io::Result<Option<(UnixStream, Client)>> {
-    let stream = match listener.accept() {
-        Ok((stream, _)) => stream,
-        Err(error) if is_out_of_descriptors(&error) => {
-            drop(spare.take().ok_or(error)?);
-            listener.accept()?.0
-        }
-        Err(_) => return Ok(None),
-    };
+    let mut accepted = listener.accept();
+    if accepted.as_ref().is_err_and(is_out_of_descriptors) && spare.take().is_some() {
+        accepted = listener.accept();
+    }
     if spare.is_none() {
         *spare = spare_descriptor();
     }
+    let stream = match accepted {
+        Ok((stream, _)) => stream,
+        Err(error) if is_nothing(&error) => return Ok(None),
+        Err(error) => return Err(error),
+    };
     stream.set_nonblocking(true)?;
     let unknown = Peer { pid: -1, uid: u32::MAX };
     let peer = getsockopt(&stream, PeerCredentials);
@@ -49,6 +50,10 @@ pub(super) fn accept(
 }
 
 fn is_out_of_descriptors(error: &io::Error) -> bool {
-    let error = Errno::from_io_error(error);
-    matches!(error, Some(Errno::MFILE | Errno::NFILE))
+    matches!(Errno::from_io_error(error), Some(Errno::MFILE | Errno::NFILE))
+}
+
+/// Whether no connection waits, or the one that waited has gone.
+fn is_nothing(error: &io::Error) -> bool {
+    matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted | ErrorKind::ConnectionAborted)
 }

@@ -6,7 +6,7 @@
 //! - `POST /v1/estop` as the first request of a connection to the API's socket. The server answers it. (A later request of a connection
 //!   goes through the server alone.)
 //!
-//! An emergency stop that has arrived is carried out, whether or not its client still waits.
+//! The thread orders an emergency stop that has arrived, also if its client is gone.
 //!
 //! Bounds: [`Bounds`]. A connection that has sent nothing is closed after [`SILENT`], or earlier if others need its place. The server's
 //! queue is bounded; a client that finds it full gets an error.
@@ -28,7 +28,7 @@ use listeners::{Listeners, accept, spare_descriptor};
 use meissner_api::{Code, Problem};
 use meissner_stream::device::priority;
 use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
-use rustix::fd::{AsFd, BorrowedFd, OwnedFd};
+use rustix::fd::{AsFd, OwnedFd};
 use std::collections::VecDeque;
 use std::io;
 use std::os::unix::net::{UnixListener, UnixStream};
@@ -37,7 +37,7 @@ use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::task::Poll;
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, oneshot};
 use waiting::{Silent, Stopping};
 
 /// How long a client may take to send the first line of its request.
@@ -125,14 +125,15 @@ pub(super) struct Acceptor {
 }
 
 impl Acceptor {
-    /// Starts the thread on the API's socket and the one for emergency stops.
+    /// Starts the thread on the API's socket and the one for emergency stops. The last receiver resolves when the thread has ended.
     pub(super) fn spawn(
         api: UnixListener,
         estop: Option<UnixListener>,
         estops: Arc<EStops>,
         bounds: Bounds,
         counts: Arc<Counts>,
-    ) -> io::Result<(Self, mpsc::Receiver<Handover>)> {
+    ) -> io::Result<(Self, mpsc::Receiver<Handover>, oneshot::Receiver<()>)> {
+        let (alive, ended) = oneshot::channel();
         let (sender, handovers) = mpsc::channel(bounds.clients + bounds.estops);
         let stop = Arc::new(eventfd(0, EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK)?);
         let work = Work {
@@ -145,8 +146,12 @@ impl Acceptor {
             stopping: VecDeque::with_capacity(bounds.estops + 1),
         };
         let stopped = Arc::clone(&stop);
-        let thread = thread::Builder::new().name("acceptor".into()).spawn(move || work.run(&stopped))?;
-        Ok((Self { stop, thread: Some(thread) }, handovers))
+        let thread = thread::Builder::new().name("acceptor".into()).spawn(move || {
+            // Dropped at the end, also by a panic.
+            let _alive = alive;
+            work.run(&stopped);
+        })?;
+        Ok((Self { stop, thread: Some(thread) }, handovers, ended))
     }
 }
 
@@ -182,13 +187,12 @@ impl Work {
             if ready.answers {
                 self.estops.switch.clear_answers();
             }
-            self.accept_estops();
+            if ready.estop {
+                self.accept_estops();
+            }
             self.read_estops();
             self.answer_estops();
-            // Later ones first, so that the places of the others stay.
-            for at in ready.silent {
-                self.read_silent(at);
-            }
+            self.read_ready();
             if ready.api {
                 self.accept_clients();
             }
@@ -197,35 +201,32 @@ impl Work {
         }
     }
 
-    fn wait(&self, stop: &OwnedFd) -> Ready {
-        // Not on the heap: its lock may be held by a thread that does not run.
-        let mut fds = heapless::Vec::<_, { Bounds::MOST }>::new();
-        let mut watch = |fd: BorrowedFd<'_>| {
-            // There are never more than `Bounds::MOST`.
-            let _ = fds.push(PollFd::from_borrowed_fd(fd, PollFlags::IN));
-        };
-        self.silent.iter().for_each(|it| watch(it.stream.as_fd()));
-        watch(stop.as_fd());
-        watch(self.estops.switch.as_fd());
-        watch(self.listeners.api.as_fd());
-        self.listeners.estop.iter().for_each(|estop| watch(estop.as_fd()));
-        // A connection that waits for its answer is readable when its client has closed it: do not watch it.
-        self.stopping.iter().filter(|it| it.number.is_none()).for_each(|it| watch(it.stream.as_fd()));
+    fn wait(&mut self, stop: &OwnedFd) -> Ready {
         let due = self.due().map(|due| due.saturating_duration_since(Instant::now()));
         let due = due.map(|due| Timespec {
             tv_sec: due.as_secs().try_into().unwrap_or(i64::MAX),
             tv_nsec: due.subsec_nanos().into(),
         });
+        // Not on the heap: its lock may be held by a thread that does not run.
+        let mut fds = heapless::Vec::<_, { Bounds::MOST }>::new();
+        let estop = self.listeners.estop.as_ref().map_or(stop.as_fd(), AsFd::as_fd);
+        let own = [stop.as_fd(), self.estops.switch.as_fd(), self.listeners.api.as_fd(), estop];
+        let silent = self.silent.iter().map(|it| it.stream.as_fd());
+        // A connection that waits for its answer is readable when its client has closed it: do not watch it.
+        let stopping = self.stopping.iter().filter(|it| it.number.is_none()).map(|it| it.stream.as_fd());
+        for fd in own.into_iter().chain(silent).chain(stopping) {
+            // There are never more than `Bounds::MOST`.
+            let _ = fds.push(PollFd::from_borrowed_fd(fd, PollFlags::IN));
+        }
         // An early return, by a signal, only causes an idle round.
         let _ = poll(&mut fds, due.as_ref());
-        let is_ready = |at: usize| !fds[at].revents().is_empty();
-        let silent = self.silent.len();
-        Ready {
-            stop: is_ready(silent),
-            answers: is_ready(silent + 1),
-            api: is_ready(silent + 2),
-            silent: (0..silent).rev().filter(|&at| is_ready(at)).collect(),
+        let is_ready: heapless::Vec<_, { Bounds::MOST }> =
+            fds.iter().map(|fd| !fd.revents().is_empty()).collect();
+        drop(fds);
+        for (it, &ready) in self.silent.iter_mut().zip(&is_ready[own.len()..]) {
+            it.ready = ready;
         }
+        Ready { stop: is_ready[0], answers: is_ready[1], api: is_ready[2], estop: is_ready[3] }
     }
 
     /// When the oldest connection has taken too long.
@@ -274,26 +275,32 @@ impl Work {
             if self.silent.len() >= self.bounds.silent {
                 self.evict_oldest();
             }
-            self.silent.push_back(Silent {
-                stream,
-                head: heapless::Vec::new(),
-                client,
-                since: Instant::now(),
-            });
+            let (head, since) = (heapless::Vec::new(), Instant::now());
+            self.silent.push_back(Silent { stream, head, client, since, ready: false });
             self.read_silent(self.silent.len() - 1);
         }
     }
 
-    /// Reads what this connection has sent, and hands it over or drops it if that is decided.
-    fn read_silent(&mut self, at: usize) {
-        let decided = self.silent[at].read();
-        if decided.is_pending() {
-            return;
+    /// Reads the connections that have sent something. One that moves up meanwhile has its turn in the next round.
+    fn read_ready(&mut self) {
+        let mut at = 0;
+        while let Some(silent) = self.silent.get_mut(at) {
+            if !(std::mem::take(&mut silent.ready) && self.read_silent(at)) {
+                at += 1;
+            }
         }
-        let Some(silent) = self.silent.remove(at) else { return };
-        if let Poll::Ready(Ok(is_estop)) = decided {
+    }
+
+    /// Reads what this connection has sent; hands it over or drops it if that is decided, and returns whether it was.
+    fn read_silent(&mut self, at: usize) -> bool {
+        let Some(read) = self.silent.get_mut(at).map(Silent::read) else { return false };
+        if read.is_pending() {
+            return false;
+        }
+        if let (Some(silent), Poll::Ready(Ok(is_estop))) = (self.silent.remove(at), read) {
             self.hand_over(silent, is_estop);
         }
+        true
     }
 
     /// Orders an emergency stop, then passes the connection to the server.
@@ -309,8 +316,10 @@ impl Work {
             return self.refuse(&stream, is_estop);
         }
         let crowded = served + self.silent.len() >= bounds.clients;
-        if crowded && self.silent.front().is_some_and(|it| it.since.elapsed() >= IDLE) {
-            self.evict_oldest();
+        if crowded && self.silent.front().is_some_and(|it| it.since.elapsed() >= IDLE && !it.ready) {
+            self.silent.pop_front();
+            counts.evicted.fetch_add(1, Ordering::Relaxed);
+            counts.silent.store(self.silent.len(), Ordering::Relaxed);
         }
         let place = Place::new(&self.counts);
         let accepted = Accepted { stream, head: head.to_vec(), client, estop, place };
@@ -337,10 +346,11 @@ impl Work {
         })
     }
 
+    /// Drops the oldest connection, unless its request has come by now.
     fn evict_oldest(&mut self) {
-        self.counts.evicted.fetch_add(1, Ordering::Relaxed);
-        self.silent.pop_front();
-        self.counts.silent.store(self.silent.len(), Ordering::Relaxed);
+        if !self.read_silent(0) && self.silent.pop_front().is_some() {
+            self.counts.evicted.fetch_add(1, Ordering::Relaxed);
+        }
     }
 
     fn refuse(&self, stream: &UnixStream, is_estop: bool) {
@@ -356,7 +366,7 @@ impl Work {
 
     fn close_late(&mut self, now: Instant) {
         while self.silent.front().is_some_and(|it| now >= it.since + SILENT) {
-            self.silent.pop_front();
+            self.evict_oldest();
         }
         while self.stopping.front().is_some_and(|it| now >= it.since + STOPPING) {
             self.stopping.pop_front();
@@ -364,13 +374,12 @@ impl Work {
     }
 }
 
-/// What a wait has found.
+/// The descriptors of its own that a wait has found ready.
 struct Ready {
     stop: bool,
     answers: bool,
     api: bool,
-    /// Silent connections that have sent something, the newest first.
-    silent: heapless::Vec<usize, { Bounds::MOST }>,
+    estop: bool,
 }
 
 /// The error for one client too many.

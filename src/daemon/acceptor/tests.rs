@@ -12,6 +12,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::thread;
 use std::time::Duration;
+use tokio::sync::oneshot;
 
 /// Answers the next emergency stop as the streamer does.
 fn answer(port: &mut ThreadQueues, result: Result<(), CommandError>) {
@@ -40,7 +41,7 @@ fn an_emergency_stop_needs_no_server_no_runtime_and_no_lock() {
     let (bounds, counts) = (Bounds::within(200), Arc::new(Counts::default()));
     let listeners = (listener(&socket), Some(listener(&stop)));
     let estops = Arc::clone(&engine.estops);
-    let (acceptor, mut handovers) =
+    let (acceptor, mut handovers, _ended) =
         Acceptor::spawn(listeners.0, listeners.1, estops, bounds, Arc::clone(&counts)).unwrap();
     let held = engine.lock();
     // More requests than the server's queue has room for: the rest get an error.
@@ -76,4 +77,33 @@ fn an_emergency_stop_needs_no_server_no_runtime_and_no_lock() {
     assert!(engine.estops.recent_by_another(Origin::default()).is_some());
     let handed_over = std::iter::from_fn(|| handovers.try_recv().ok()).count();
     assert_eq!(handed_over, bounds.clients + bounds.estops, "as many as there are places");
+}
+
+#[test]
+fn a_request_that_has_come_is_read_before_its_connection_is_dropped() {
+    let dir = tempfile::tempdir().unwrap();
+    let socket = dir.path().join("m");
+    let (mut port, commands, _events) = queues().unwrap();
+    let engine = Engine::new(commands, Settings::default(), "mock".to_owned(), None);
+    let (bounds, counts) = (Bounds::within(52), Arc::new(Counts::default()));
+    let estops = Arc::clone(&engine.estops);
+    let (acceptor, mut handovers, mut ended) =
+        Acceptor::spawn(listener(&socket), None, estops, bounds, Arc::clone(&counts)).unwrap();
+    for round in 0..100 {
+        // More than there are places for silent connections; some speak, in another order, and hang up.
+        let mut streams: Vec<_> = (0..9).map(|_| UnixStream::connect(&socket).unwrap()).collect();
+        streams.rotate_left(round % 9);
+        let mut newest = UnixStream::connect(&socket).unwrap();
+        for stream in &mut streams {
+            // It may have been dropped for the newer ones.
+            let _ = stream.write_all(b"GET / HTTP/1.1\r\n");
+        }
+        newest.write_all(b"POST /v1/estop HTTP/1.1\r\n").unwrap();
+        drop((newest, streams));
+        answer(&mut port, Ok(()));
+        while handovers.try_recv().is_ok() {}
+    }
+    assert!(counts.evicted.load(Ordering::Relaxed) > 0);
+    assert!(ended.try_recv().is_err_and(|error| error == oneshot::error::TryRecvError::Empty), "it runs");
+    drop(acceptor);
 }

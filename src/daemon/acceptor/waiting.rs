@@ -18,6 +18,8 @@ pub(super) struct Silent {
     pub(super) head: heapless::Vec<u8, { 2 * MAX_LINE }>,
     pub(super) client: Client,
     pub(super) since: Instant,
+    /// It has sent something that is not read.
+    pub(super) ready: bool,
 }
 
 impl Silent {

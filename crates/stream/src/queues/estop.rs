@@ -4,7 +4,8 @@
 //! so that a `reset` sent before it cannot undo it. Emergency stops that come while one is on its way to the device share its
 //! answer.
 //!
-//! Invariant: once [`EStopSwitch::request`] has returned, the streamer executes the emergency stop in its next round.
+//! Invariant: once [`EStopSwitch::request`] has returned, the streamer executes the emergency stop in its next round, after the at
+//! most 64 requests that wait.
 
 use crate::queues::{CommandError, clear_wake, set_wake};
 use rustix::fd::{AsFd, BorrowedFd, OwnedFd};
@@ -21,7 +22,7 @@ pub struct EStopSwitch(Arc<Shared>);
 #[derive(Debug)]
 struct Shared {
     requested: AtomicU64,
-    /// The newest one that the device has confirmed; with no device, that the daemon has latched.
+    /// The newest one that the device has confirmed.
     confirmed: AtomicU64,
     /// The newest one that was answered, also by an error.
     answered: AtomicU64,
@@ -46,18 +47,19 @@ impl EStopSwitch {
         number
     }
 
-    /// The streamer's answer to the emergency stop of this number: [`CommandError::Timeout`] or [`CommandError::NoDevice`] if the
-    /// device did not confirm it. None if the answer is still to come.
+    /// The streamer's answer to the emergency stop of this number; none if it is still to come. [`CommandError::Timeout`]: the
+    /// device did not confirm it in time. [`CommandError::NoDevice`]: it is latched, but there is no device to tell.
     #[must_use]
     pub fn answer(&self, number: u64) -> Option<Result<(), CommandError>> {
         let Shared { confirmed, answered, no_device, .. } = &*self.0;
+        // Read in the reverse order of `set_answer`: whoever sees an answer sees whether it is a confirmation.
+        let is_answered = answered.load(Ordering::Acquire) >= number;
+        let no_device = no_device.load(Ordering::Acquire);
         if confirmed.load(Ordering::Acquire) >= number {
             return Some(Ok(()));
         }
-        (answered.load(Ordering::Acquire) >= number).then(|| match no_device.load(Ordering::Acquire) {
-            true => Err(CommandError::NoDevice),
-            false => Err(CommandError::Timeout),
-        })
+        let error = if no_device { CommandError::NoDevice } else { CommandError::Timeout };
+        is_answered.then_some(Err(error))
     }
 
     /// Makes the descriptor unreadable until there are more answers.
@@ -66,7 +68,8 @@ impl EStopSwitch {
     }
 
     /// The newest number requested.
-    pub(super) fn newest(&self) -> u64 {
+    #[must_use]
+    pub fn newest(&self) -> u64 {
         self.0.requested.load(Ordering::Acquire)
     }
 

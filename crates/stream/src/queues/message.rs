@@ -36,8 +36,11 @@ pub enum Command {
     Stop,
     /// Switch all lines off and latch; works without a device too.
     EStop,
-    /// Leave the latched state: disarmed.
-    Reset,
+    /// Leave the latched state: disarmed. Refused if an emergency stop was executed that its client does not know.
+    Reset {
+        /// The newest emergency stop when the client's order was checked ([`super::EStopSwitch::newest`]).
+        estops_seen: u64,
+    },
     /// Enable the motors.
     Arm {
         /// Take every pin as being at rest.

@@ -33,7 +33,7 @@ impl Streamer {
                 emit.event(StreamEvent::PlayRejected(play));
                 return;
             }
-            Command::Arm { .. } | Command::Reset if stale => Err(CommandError::Timeout),
+            Command::Arm { .. } | Command::Reset { .. } if stale => Err(CommandError::Timeout),
             Command::Play(play) => match self.play(now, given, play) {
                 Ok(()) => Ok(None),
                 Err((refused, play)) => {
@@ -47,7 +47,7 @@ impl Streamer {
                 self.emergency_stop(now, ticket, emit);
                 return;
             }
-            Command::Reset => self.reset(),
+            Command::Reset { estops_seen } => self.reset(estops_seen),
             Command::Arm { assume_rest } => self.arm(assume_rest),
             Command::Home => match self.home(ticket) {
                 // The answer comes when the pins are home.
@@ -239,6 +239,7 @@ impl Streamer {
     /// Overtakes all other operations. If an earlier emergency stop is on its way, one answer of the device is for both.
     fn emergency_stop(&mut self, now: HostInstant, ticket: u64, emit: &mut dyn Emit) {
         self.latched = true;
+        self.last_estop = self.last_estop.max(ticket.saturating_sub(ESTOP_TICKETS));
         self.resets_own_e_stop = false;
         self.wants_armed = false;
         self.cut_all(End::Stopped, "estop");
@@ -253,20 +254,27 @@ impl Streamer {
             // Of the switch's tickets, the answer to the newest answers all.
             Some(first) => {
                 let earlier = std::mem::replace(&mut first.ticket, ticket);
-                first.since = now;
-                if earlier < ESTOP_TICKETS {
-                    answer(earlier, Err(CommandError::Faulted), emit);
+                match earlier {
+                    // Nothing waited for it any more: the later one has its own time.
+                    0 => first.since = now,
+                    1..ESTOP_TICKETS => answer(earlier, Err(CommandError::Faulted), emit),
+                    _ => {}
                 }
             }
             None if self.session.is_some() => {
                 self.in_flight = false;
                 self.queue_op(now, ticket, Op::EStop, emit);
             }
-            None => answer(ticket, Ok(()), emit),
+            // Latched, for a device that comes later.
+            None if ticket < ESTOP_TICKETS => answer(ticket, Ok(()), emit),
+            None => answer(ticket, Err(CommandError::NoDevice), emit),
         }
     }
 
-    fn reset(&mut self) -> OpResult {
+    fn reset(&mut self, estops_seen: u64) -> OpResult {
+        if self.last_estop > estops_seen {
+            return Err(CommandError::Faulted);
+        }
         let faulted = self.state() == State::Faulted;
         self.latched = false;
         let open = self.session.as_ref().is_some_and(Session::can_command);

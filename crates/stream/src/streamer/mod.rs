@@ -80,6 +80,8 @@ pub struct Streamer {
     status: Option<(Status, Tick)>,
     /// An emergency stop is latched, also for a device that comes later.
     latched: bool,
+    /// The number of the newest emergency stop.
+    last_estop: u64,
     /// The last session sent an e-stop because the device contradicted itself: the next one resets it.
     resets_own_e_stop: bool,
     /// The device sends telemetry.
@@ -122,6 +124,7 @@ impl Streamer {
             events: VecDeque::with_capacity(4096),
             status: None,
             latched: false,
+            last_estop: 0,
             resets_own_e_stop: false,
             telemetry: false,
             pending_ops: VecDeque::with_capacity(MAX_PENDING_OPS),

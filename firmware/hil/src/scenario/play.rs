@@ -104,7 +104,7 @@ impl Runner<'_> {
             }
             Act::Stop => Command::Stop,
             Act::Estop => Command::EStop,
-            Act::Reset => Command::Reset,
+            Act::Reset => Command::Reset { estops_seen: u64::MAX },
             Act::Disarm => Command::Disarm,
             other => return self.happen(number, other),
         };
