@@ -263,26 +263,20 @@ async fn stop(State(app): State<App>, Extension(peer): Extension<Peer>, body: Bo
 async fn estop(
     State(app): State<App>,
     Extension(peer): Extension<Peer>,
-    Extension(origin): Extension<Origin>,
     ordered: Option<Extension<Ordered>>,
     body: Body,
 ) -> Answer<Json<Status>> {
     let logged = LoggedRequest::new(&app.engine, "estop", peer);
     let result = match ordered {
         Some(Extension(Ordered(number))) => app.engine.estop_answer(number).await,
-        None => app.engine.estop(origin).await,
+        None => app.engine.estop(Origin::of(peer)).await,
     };
     // Read only now: a client that sends the body separately must not find the connection closed.
     let _ = tokio::time::timeout(ESTOP_BODY, body::read_command(body)).await;
     logged.result(result.map(|()| Json(app.engine.status())).map_err(ErrorResponse::from))
 }
 
-async fn reset(
-    State(app): State<App>,
-    Extension(peer): Extension<Peer>,
-    Extension(origin): Extension<Origin>,
-    body: Body,
-) -> Answer<Json<Status>> {
+async fn reset(State(app): State<App>, Extension(peer): Extension<Peer>, body: Body) -> Answer<Json<Status>> {
     let mut logged = LoggedRequest::new(&app.engine, "reset", peer);
     let result = async {
         let ResetRequest { force } = ResetRequest::parse(&body::read_command(body).await?)?;
@@ -291,7 +285,7 @@ async fn reset(
         logged.set_arguments(&ResetRequest { force });
         if force {
             logged.set_title("reset, forced,".to_owned());
-        } else if let Some(ago) = app.engine.estops.recent_by_another(origin) {
+        } else if let Some(ago) = app.engine.estops.recent_by_another(Origin::of(peer)) {
             let detail = format!(
                 "another client ordered an emergency stop {:.1} s ago: find out why, then reset after {} s, or with `force`",
                 ago.as_secs_f64(),

@@ -6,10 +6,11 @@
 //!
 //! Invariant: a client occupies one place and its own buffers; between two of its requests the server takes one of each other client.
 
-use super::acceptor::{Accepted, Bounds, Client, Counts, Handover, IDLE, SILENT, refuse, too_many_clients};
+use super::acceptor::{Accepted, Bounds, Counts, Handover, IDLE, SILENT, refuse, response, too_many_clients};
 use super::connection::{Activity, Connection};
 use super::engine::Engine;
 use super::request_log::LoggedRequest;
+use crate::session_record::Peer;
 use axum::Router;
 use axum::http::header::CONTENT_TYPE;
 use hyper::Request;
@@ -72,7 +73,7 @@ impl Server {
             tokio::select! {
                 Some(handover) = handovers.recv() => match handover {
                     Handover::Client(accepted) => self.take(accepted, &closing),
-                    Handover::EStop { client, number } => self.record_estop(client, number),
+                    Handover::EStop { peer, number } => self.record_estop(peer, number),
                 },
                 Some(ended) = self.clients.join_next_with_id() => {
                     let id = ended.map_or_else(|error| error.id(), |(id, ())| id);
@@ -93,16 +94,16 @@ impl Server {
         let full = self.clients_now().count() + self.counts.silent() >= self.bounds.clients;
         if full && !self.evict() && accepted.estop.is_none() {
             self.counts.refused.fetch_add(1, Ordering::Relaxed);
-            refuse(&accepted.stream, &too_many_clients(self.bounds.clients));
+            refuse(&accepted.stream, &response(&too_many_clients(self.bounds.clients)));
             return;
         }
-        let Accepted { stream, head, client, estop, place } = accepted;
-        self.engine.names.users.look_up(client.peer.uid);
+        let Accepted { stream, head, peer, estop, place } = accepted;
+        self.engine.names.users.look_up(peer.uid);
         let Ok(stream) = UnixStream::from_std(stream) else { return };
         let (connection, activity) = Connection::new(stream, head);
         let (router, closing, watched) = (self.router.clone(), closing.clone(), Arc::clone(&activity));
         let handle = self.clients.spawn(async move {
-            serve_client(connection, watched, client, estop, router, closing).await;
+            serve_client(connection, watched, peer, estop, router, closing).await;
             drop(place);
         });
         self.tasks.insert(handle.id(), (handle, activity));
@@ -124,15 +125,15 @@ impl Server {
     }
 
     /// Writes an emergency stop that the acceptor has ordered to the log and the session record, once it is answered.
-    fn record_estop(&mut self, client: Client, number: u64) {
+    fn record_estop(&mut self, peer: Peer, number: u64) {
         // Beyond the bound it goes unrecorded: the device does not answer, and those before it are recorded.
         if self.estops.len() >= self.bounds.estops {
             return;
         }
-        self.engine.names.users.look_up(client.peer.uid);
+        self.engine.names.users.look_up(peer.uid);
         let engine = Arc::clone(&self.engine);
         self.estops.spawn(async move {
-            let logged = LoggedRequest::new(&engine, "estop", client.peer);
+            let logged = LoggedRequest::new(&engine, "estop", peer);
             let _ =
                 logged.result(engine.estop_answer(number).await.map_err(super::http::ErrorResponse::from));
         });
@@ -156,7 +157,7 @@ impl Server {
 async fn serve_client(
     connection: Connection,
     activity: Arc<Activity>,
-    client: Client,
+    peer: Peer,
     estop: Option<u64>,
     router: Router,
     mut closing: watch::Receiver<bool>,
@@ -166,8 +167,7 @@ async fn serve_client(
     let service = service_fn(move |mut request: Request<Incoming>| {
         let (router, activity) = (router.clone(), Arc::clone(&activity));
         activity.busy.store(true, Ordering::Relaxed);
-        request.extensions_mut().insert(client.peer);
-        request.extensions_mut().insert(client.origin);
+        request.extensions_mut().insert(peer);
         let number = ordered.swap(0, Ordering::Relaxed);
         if number > 0 {
             request.extensions_mut().insert(Ordered(number));
@@ -196,7 +196,7 @@ async fn serve_client(
         }
     };
     if let Err(error) = ended {
-        debug!(pid = client.peer.pid, "a client's connection broke: {error}");
+        debug!(pid = peer.pid, "a client's connection broke: {error}");
     }
 }
 

@@ -16,7 +16,7 @@ pub(in crate::daemon) struct Bounds {
     pub(in crate::daemon) event_streams: usize,
     /// Connections whose first line is not complete; the newest ones displace the oldest.
     pub(super) silent: usize,
-    /// Emergency stops at the same time, on each socket.
+    /// Emergency stops at the same time on each socket, and clients for which the server makes room.
     pub(in crate::daemon) estops: usize,
 }
 
@@ -59,12 +59,12 @@ impl Bounds {
             return Self::USUAL;
         }
         // Below this the daemon works, but may run out of descriptors: then connections to the API are closed first.
-        let part = (left / 6).max(2);
+        let part = (left / 7).max(2);
         Self::new((2 * part).min(MAX_CLIENTS), 2 * part, part)
     }
 
     const fn descriptors(&self) -> u64 {
-        (self.clients + self.silent + 2 * self.estops) as u64
+        (self.clients + self.silent + 3 * self.estops) as u64
     }
 }
 
@@ -75,7 +75,7 @@ mod tests {
     #[test]
     fn connections_fit_into_the_descriptors() {
         assert_eq!(Bounds::within(1024), Bounds::USUAL);
-        for descriptors in 52..1024 {
+        for descriptors in 54..1024 {
             let bounds = Bounds::within(descriptors);
             assert!(bounds.descriptors() + RESERVED <= descriptors, "{descriptors}: {bounds:?}");
             assert!(bounds.clients >= 4 && bounds.estops >= 2 && bounds.event_streams < bounds.clients);

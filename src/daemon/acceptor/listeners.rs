@@ -1,13 +1,11 @@
 //! Accepts connections, and finds out who is at the other end.
 
-use super::Client;
-use crate::daemon::estop::Origin;
 use crate::session_record::Peer;
 use nix::sys::socket::{getsockopt, sockopt::PeerCredentials};
 use rustix::event::{EventfdFlags, eventfd};
 use rustix::fd::OwnedFd;
 use rustix::io::Errno;
-use std::io::{self, ErrorKind};
+use rustix::net::{SocketFlags, accept_with};
 use std::os::unix::net::{UnixListener, UnixStream};
 
 #[derive(Debug)]
@@ -29,31 +27,25 @@ pub(super) fn spare_descriptor() -> Option<OwnedFd> {
 pub(super) fn accept(
     listener: &UnixListener,
     spare: &mut Option<OwnedFd>,
-) -> io::Result<Option<(UnixStream, Client)>> {
-    let mut accepted = listener.accept();
-    if accepted.as_ref().is_err_and(is_out_of_descriptors) && spare.take().is_some() {
-        accepted = listener.accept();
+) -> Result<Option<UnixStream>, Errno> {
+    let accept = || accept_with(listener, SocketFlags::NONBLOCK | SocketFlags::CLOEXEC);
+    let mut accepted = accept();
+    if matches!(accepted, Err(Errno::MFILE | Errno::NFILE)) && spare.take().is_some() {
+        accepted = accept();
     }
     if spare.is_none() {
         *spare = spare_descriptor();
     }
-    let stream = match accepted {
-        Ok((stream, _)) => stream,
-        Err(error) if is_nothing(&error) => return Ok(None),
-        Err(error) => return Err(error),
-    };
-    stream.set_nonblocking(true)?;
+    match accepted {
+        Ok(stream) => Ok(Some(stream.into())),
+        // None waits, or the one that waited has gone.
+        Err(Errno::AGAIN | Errno::INTR | Errno::CONNABORTED) => Ok(None),
+        Err(error) => Err(error),
+    }
+}
+
+/// The process and user at the other end, from the kernel; pid -1 and the highest uid if unknown.
+pub(in crate::daemon) fn peer(stream: &UnixStream) -> Peer {
     let unknown = Peer { pid: -1, uid: u32::MAX };
-    let peer = getsockopt(&stream, PeerCredentials);
-    let peer = peer.map_or(unknown, |peer| Peer { pid: peer.pid(), uid: peer.uid() });
-    Ok(Some((stream, Client { peer, origin: Origin::of(peer) })))
-}
-
-fn is_out_of_descriptors(error: &io::Error) -> bool {
-    matches!(Errno::from_io_error(error), Some(Errno::MFILE | Errno::NFILE))
-}
-
-/// Whether no connection waits, or the one that waited has gone.
-fn is_nothing(error: &io::Error) -> bool {
-    matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted | ErrorKind::ConnectionAborted)
+    getsockopt(stream, PeerCredentials).map_or(unknown, |peer| Peer { pid: peer.pid(), uid: peer.uid() })
 }

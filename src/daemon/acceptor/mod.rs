@@ -8,7 +8,7 @@
 //!
 //! The thread orders an emergency stop that has arrived, also if its client is gone.
 //!
-//! Bounds: [`Bounds`]. A connection that has sent nothing is closed after [`SILENT`], or earlier if others need its place. The server's
+//! Bounds: [`Bounds`], and half of a processor for clients of the API. A connection that has sent nothing is closed after [`SILENT`], or earlier if others need its place. The server's
 //! queue is bounded; a client that finds it full gets an error.
 //!
 //! Invariant: the thread waits for nothing but its descriptors.
@@ -24,11 +24,12 @@ pub(super) use refusal::{malformed, refuse, response};
 
 use super::estop::{EStops, Origin};
 use crate::session_record::Peer;
-use listeners::{Listeners, accept, spare_descriptor};
+use listeners::{Listeners, accept, peer, spare_descriptor};
 use meissner_api::{Code, Problem};
 use meissner_stream::device::priority;
 use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
 use rustix::fd::{AsFd, OwnedFd};
+use rustix::io::Errno;
 use std::collections::VecDeque;
 use std::io;
 use std::os::unix::net::{UnixListener, UnixStream};
@@ -46,6 +47,13 @@ pub(super) const SILENT: Duration = Duration::from_secs(30);
 pub(super) const IDLE: Duration = Duration::from_secs(5);
 /// How long an emergency stop may take: its byte, and its answer.
 const STOPPING: Duration = Duration::from_secs(5);
+/// What an emergency stop is told for which the server has no place.
+const ORDERED: &str =
+    "the emergency stop was ordered, but too many clients wait: see `meissner status` for its result";
+/// See [`Window`]. Linux stops real-time threads that run for more than 95 % of a second.
+const WINDOW: Duration = Duration::from_millis(4);
+/// See [`Window`].
+const SHARE: Duration = Duration::from_millis(2);
 /// Connections accepted per round: emergency stops that wait come next.
 const ROUND: usize = 32;
 
@@ -55,18 +63,11 @@ pub(super) struct Accepted {
     pub(super) stream: UnixStream,
     /// The first bytes of its request.
     pub(super) head: Vec<u8>,
-    pub(super) client: Client,
+    pub(super) peer: Peer,
     /// Its first request is this emergency stop, which was ordered.
     pub(super) estop: Option<u64>,
     /// Its place, freed when this is dropped.
     pub(super) place: Place,
-}
-
-/// Who is at the other end of a connection.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Client {
-    pub(super) peer: Peer,
-    pub(super) origin: Origin,
 }
 
 /// What the acceptor passes to the server.
@@ -75,7 +76,7 @@ pub(super) enum Handover {
     Client(Accepted),
     /// An emergency stop on the socket for these was ordered.
     EStop {
-        client: Client,
+        peer: Peer,
         number: u64,
     },
 }
@@ -134,7 +135,7 @@ impl Acceptor {
         counts: Arc<Counts>,
     ) -> io::Result<(Self, mpsc::Receiver<Handover>, oneshot::Receiver<()>)> {
         let (alive, ended) = oneshot::channel();
-        let (sender, handovers) = mpsc::channel(bounds.clients + bounds.estops);
+        let (sender, handovers) = mpsc::channel(bounds.clients + 3 * bounds.estops);
         let stop = Arc::new(eventfd(0, EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK)?);
         let work = Work {
             listeners: Listeners { api, estop, spare: spare_descriptor() },
@@ -142,6 +143,11 @@ impl Acceptor {
             bounds,
             counts,
             sender,
+            refusals: [
+                response(&too_many_clients(bounds.clients)),
+                response(&Problem::new(Code::TooManyClients, ORDERED)),
+            ],
+            window: Window::new(),
             silent: VecDeque::with_capacity(bounds.silent + 1),
             stopping: VecDeque::with_capacity(bounds.estops + 1),
         };
@@ -169,6 +175,9 @@ struct Work {
     bounds: Bounds,
     counts: Arc<Counts>,
     sender: mpsc::Sender<Handover>,
+    /// The answers to a client, and to an emergency stop, for which there is no place.
+    refusals: [Vec<u8>; 2],
+    window: Window,
     /// Oldest first.
     silent: VecDeque<Silent>,
     /// Oldest first.
@@ -192,9 +201,12 @@ impl Work {
             }
             self.read_estops();
             self.answer_estops();
-            self.read_ready();
-            if ready.api {
-                self.accept_clients();
+            if let Some(begun) = self.window.open(Instant::now()) {
+                self.read_ready();
+                if ready.api {
+                    self.accept_clients();
+                }
+                self.window.used += begun.elapsed();
             }
             self.close_late(Instant::now());
             self.counts.silent.store(self.silent.len(), Ordering::Relaxed);
@@ -202,7 +214,10 @@ impl Work {
     }
 
     fn wait(&mut self, stop: &OwnedFd) -> Ready {
-        let due = self.due().map(|due| due.saturating_duration_since(Instant::now()));
+        let now = Instant::now();
+        let open = self.window.open(now).is_some();
+        let due = if open { self.due() } else { Some(self.window.end()) };
+        let due = due.map(|due| due.saturating_duration_since(now));
         let due = due.map(|due| Timespec {
             tv_sec: due.as_secs().try_into().unwrap_or(i64::MAX),
             tv_nsec: due.subsec_nanos().into(),
@@ -210,8 +225,10 @@ impl Work {
         // Not on the heap: its lock may be held by a thread that does not run.
         let mut fds = heapless::Vec::<_, { Bounds::MOST }>::new();
         let estop = self.listeners.estop.as_ref().map_or(stop.as_fd(), AsFd::as_fd);
-        let own = [stop.as_fd(), self.estops.switch.as_fd(), self.listeners.api.as_fd(), estop];
-        let silent = self.silent.iter().map(|it| it.stream.as_fd());
+        // Outside of the window the clients of the API wait.
+        let api = if open { self.listeners.api.as_fd() } else { stop.as_fd() };
+        let own = [stop.as_fd(), self.estops.switch.as_fd(), api, estop];
+        let silent = self.silent.iter().take(if open { usize::MAX } else { 0 }).map(|it| it.stream.as_fd());
         // A connection that waits for its answer is readable when its client has closed it: do not watch it.
         let stopping = self.stopping.iter().filter(|it| it.number.is_none()).map(|it| it.stream.as_fd());
         for fd in own.into_iter().chain(silent).chain(stopping) {
@@ -240,8 +257,8 @@ impl Work {
         for _ in 0..ROUND {
             let Some(listener) = &self.listeners.estop else { return };
             let accepted = accept(listener, &mut self.listeners.spare);
-            let Some((stream, client)) = self.accepted(accepted) else { return };
-            self.stopping.push_back(Stopping { stream, client, since: Instant::now(), number: None });
+            let Some(stream) = self.accepted(accepted) else { return };
+            self.stopping.push_back(Stopping { stream, since: Instant::now(), number: None });
             if self.stopping.len() > self.bounds.estops {
                 // Bytes may have come meanwhile. Connections without one go first.
                 self.read_estops();
@@ -257,7 +274,7 @@ impl Work {
             let read = if it.number.is_none() { it.read(estops) } else { Ok(None) };
             if let Ok(Some(number)) = read {
                 // Without room it goes unrecorded; the emergency stops that took the room are recorded.
-                let _ = sender.try_send(Handover::EStop { client: it.client, number });
+                let _ = sender.try_send(Handover::EStop { peer: peer(&it.stream), number });
             }
             read.is_ok()
         });
@@ -271,12 +288,12 @@ impl Work {
     fn accept_clients(&mut self) {
         for _ in 0..ROUND {
             let accepted = accept(&self.listeners.api, &mut self.listeners.spare);
-            let Some((stream, client)) = self.accepted(accepted) else { return };
+            let Some(stream) = self.accepted(accepted) else { return };
             if self.silent.len() >= self.bounds.silent {
                 self.evict_oldest();
             }
             let (head, since) = (heapless::Vec::new(), Instant::now());
-            self.silent.push_back(Silent { stream, head, client, since, ready: false });
+            self.silent.push_back(Silent { stream, head, since, ready: false });
             self.read_silent(self.silent.len() - 1);
         }
     }
@@ -305,14 +322,15 @@ impl Work {
 
     /// Orders an emergency stop, then passes the connection to the server.
     fn hand_over(&mut self, silent: Silent, is_estop: bool) {
-        let Silent { stream, head, client, .. } = silent;
-        let estop = is_estop.then(|| self.estops.request(client.origin));
+        let Silent { stream, head, .. } = silent;
+        let peer = peer(&stream);
+        let estop = is_estop.then(|| self.estops.request(Origin::of(peer)));
         let Self { bounds, counts, .. } = self;
         counts.silent.store(self.silent.len(), Ordering::Relaxed);
         let served = counts.served.load(Ordering::Relaxed);
-        let full = served >= bounds.clients + bounds.estops;
-        // In the server's queue, too, there are places for emergency stops alone.
-        if full || (!is_estop && self.sender.capacity() <= bounds.estops) {
+        // The server disconnects idle clients for some of those beyond the bound. Emergency stops have further places.
+        let places = bounds.clients + if is_estop { 2 * bounds.estops } else { bounds.estops };
+        if served >= places {
             return self.refuse(&stream, is_estop);
         }
         let crowded = served + self.silent.len() >= bounds.clients;
@@ -322,7 +340,7 @@ impl Work {
             counts.silent.store(self.silent.len(), Ordering::Relaxed);
         }
         let place = Place::new(&self.counts);
-        let accepted = Accepted { stream, head: head.to_vec(), client, estop, place };
+        let accepted = Accepted { stream, head: head.to_vec(), peer, estop, place };
         if let Err(back) = self.sender.try_send(Handover::Client(accepted))
             && let Handover::Client(Accepted { stream, .. }) = back.into_inner()
         {
@@ -331,10 +349,7 @@ impl Work {
     }
 
     /// The connection that was accepted, if there is one. Without a descriptor for it, makes room for the next round.
-    fn accepted(
-        &mut self,
-        accepted: io::Result<Option<(UnixStream, Client)>>,
-    ) -> Option<(UnixStream, Client)> {
+    fn accepted(&mut self, accepted: Result<Option<UnixStream>, Errno>) -> Option<UnixStream> {
         accepted.unwrap_or_else(|_| {
             if self.silent.is_empty() {
                 // Only others can close descriptors: do not use up the processor until then.
@@ -354,14 +369,8 @@ impl Work {
     }
 
     fn refuse(&self, stream: &UnixStream, is_estop: bool) {
-        let problem = if is_estop {
-            let detail = "the emergency stop was ordered, but too many clients wait: see `meissner status` for its result";
-            Problem::new(Code::TooManyClients, detail)
-        } else {
-            too_many_clients(self.bounds.clients)
-        };
         self.counts.refused.fetch_add(1, Ordering::Relaxed);
-        refuse(stream, &problem);
+        refuse(stream, &self.refusals[usize::from(is_estop)]);
     }
 
     fn close_late(&mut self, now: Instant) {
@@ -371,6 +380,32 @@ impl Work {
         while self.stopping.front().is_some_and(|it| now >= it.since + STOPPING) {
             self.stopping.pop_front();
         }
+    }
+}
+
+/// The time for clients of the API: [`SHARE`] of each [`WINDOW`]. A flood of connections must not use up the processor time that
+/// the system leaves to real-time threads: the streamer needs it.
+#[derive(Debug)]
+struct Window {
+    begun: Instant,
+    used: Duration,
+}
+
+impl Window {
+    fn new() -> Self {
+        Self { begun: Instant::now(), used: Duration::ZERO }
+    }
+
+    fn end(&self) -> Instant {
+        self.begun + WINDOW
+    }
+
+    /// Returns `now` if there is time left for clients.
+    fn open(&mut self, now: Instant) -> Option<Instant> {
+        if now >= self.end() {
+            *self = Self { begun: now, used: Duration::ZERO };
+        }
+        (self.used < SHARE).then_some(now)
     }
 }
 

@@ -31,8 +31,8 @@ pub(in crate::daemon) fn malformed(status: u16) -> Option<Problem> {
     Some(Problem { status, ..Problem::new(code, format!("{what}: see {REFERENCE}")) })
 }
 
-/// Writes an error and drops what the client has sent: closed with unread bytes, the connection would lose the answer.
-pub(in crate::daemon) fn refuse(mut stream: &UnixStream, problem: &Problem) {
+/// Writes an error's [`response`] and drops what the client has sent: closed with unread bytes, the connection would lose the answer.
+pub(in crate::daemon) fn refuse(mut stream: &UnixStream, response: &[u8]) {
     let mut drained = 0;
     let mut bytes = [0; 4096];
     while let Ok(len @ 1..) = stream.read(&mut bytes) {
@@ -42,5 +42,5 @@ pub(in crate::daemon) fn refuse(mut stream: &UnixStream, problem: &Problem) {
         }
     }
     // The socket is new, so its buffer has room. The client may be gone.
-    let _ = stream.write_all(&response(problem));
+    let _ = stream.write_all(response);
 }

@@ -1,6 +1,6 @@
 //! The acceptor without a server: nothing takes its handovers, and the engine's lock is held.
 
-use super::{Acceptor, Bounds, Counts};
+use super::{Acceptor, Bounds, Counts, Handover};
 use crate::daemon::engine::Engine;
 use crate::daemon::estop::Origin;
 use meissner_client::estop;
@@ -44,13 +44,13 @@ fn an_emergency_stop_needs_no_server_no_runtime_and_no_lock() {
     let (acceptor, mut handovers, _ended) =
         Acceptor::spawn(listeners.0, listeners.1, estops, bounds, Arc::clone(&counts)).unwrap();
     let held = engine.lock();
-    // More requests than the server's queue has room for: the rest get an error.
+    // More requests than there are places: the rest get an error.
     let request = |target: &str| {
         let mut stream = UnixStream::connect(&socket).unwrap();
         stream.write_all(format!("POST {target} HTTP/1.1\r\nhost: x\r\n\r\n").as_bytes()).unwrap();
         stream
     };
-    let mut stops: Vec<_> = (0..bounds.clients + 5).map(|_| request("/v1/stop")).collect();
+    let mut stops: Vec<_> = (0..bounds.clients + bounds.estops + 5).map(|_| request("/v1/stop")).collect();
     let mut refused = String::new();
     stops.pop().unwrap().read_to_string(&mut refused).unwrap();
     assert!(refused.starts_with("HTTP/1.1 503 ") && refused.contains("too-many-clients"), "{refused}");
@@ -75,8 +75,10 @@ fn an_emergency_stop_needs_no_server_no_runtime_and_no_lock() {
     }
     drop((held, acceptor));
     assert!(engine.estops.recent_by_another(Origin::default()).is_some());
-    let handed_over = std::iter::from_fn(|| handovers.try_recv().ok()).count();
-    assert_eq!(handed_over, bounds.clients + bounds.estops, "as many as there are places");
+    let handed_over: Vec<_> = std::iter::from_fn(|| handovers.try_recv().ok()).collect();
+    let clients = handed_over.iter().filter(|it| matches!(it, Handover::Client(_))).count();
+    assert_eq!(clients, bounds.clients + 2 * bounds.estops, "as many as there are places");
+    assert_eq!(handed_over.len() - clients, 2, "the two on the socket are to be recorded");
 }
 
 #[test]

@@ -1,8 +1,8 @@
 //! Connections that the acceptor reads: those that have not sent their first line, and those for emergency stops.
 
-use super::Client;
 use super::head::{MAX_LINE, is_estop};
-use crate::daemon::estop::EStops;
+use super::listeners::peer;
+use crate::daemon::estop::{EStops, Origin};
 use crate::receipts::refusal;
 use meissner_api::Problem;
 use meissner_client::STOPPED;
@@ -16,7 +16,6 @@ use std::time::Instant;
 pub(super) struct Silent {
     pub(super) stream: UnixStream,
     pub(super) head: heapless::Vec<u8, { 2 * MAX_LINE }>,
-    pub(super) client: Client,
     pub(super) since: Instant,
     /// It has sent something that is not read.
     pub(super) ready: bool,
@@ -48,7 +47,6 @@ impl Silent {
 #[derive(Debug)]
 pub(super) struct Stopping {
     pub(super) stream: UnixStream,
-    pub(super) client: Client,
     pub(super) since: Instant,
     /// Its emergency stop, once its byte has come.
     pub(super) number: Option<u64>,
@@ -60,7 +58,7 @@ impl Stopping {
         match self.stream.read(&mut [0; 16]) {
             Ok(0) => Err(()),
             Ok(_) => {
-                self.number = Some(estops.request(self.client.origin));
+                self.number = Some(estops.request(Origin::of(peer(&self.stream))));
                 Ok(self.number)
             }
             Err(error) if may_go_on(&error) => Ok(None),
