@@ -1,6 +1,7 @@
 //! One HTTP connection to a daemon's socket: connect, make a request, read the whole answer.
 
 use crate::access;
+use crate::client::ANSWER_TIMEOUT;
 use crate::endpoint::{Endpoint, MAX_SOCKET_PATH, is_hidden};
 use crate::error::ClientError;
 use http_body_util::{BodyExt, Full, Limited};
@@ -11,20 +12,23 @@ use hyper::{Method, Request, Response};
 use hyper_util::rt::TokioIo;
 use std::io;
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 use tokio::net::UnixStream;
 
+/// Time between two tries to connect to a daemon whose queue is full.
+const FULL: Duration = Duration::from_millis(2);
 /// Size of an answer, or of one event, at most, bytes.
 pub(crate) const MAX_ANSWER: usize = 16 << 20;
 
 /// Connects to the first socket at which a daemon listens, and says which one that is.
 pub(crate) async fn connect(endpoint: &Endpoint) -> Result<(SendRequest<Full<Bytes>>, PathBuf), ClientError> {
     let mut socket = &endpoint.socket;
-    let mut stream = UnixStream::connect(socket).await;
+    let mut stream = connect_to(socket).await;
     if let (Err(error), Some(other)) = (&stream, &endpoint.fallback)
         && (is_absent(error) || is_hidden(error, socket))
     {
         socket = other;
-        stream = UnixStream::connect(socket).await;
+        stream = connect_to(socket).await;
     }
     let stream = stream.map_err(|source| {
         let socket = socket.clone();
@@ -43,6 +47,19 @@ pub(crate) async fn connect(endpoint: &Endpoint) -> Result<(SendRequest<Full<Byt
     // The requests report its errors.
     tokio::spawn(connection);
     Ok((sender, socket.clone()))
+}
+
+/// Connects. While the daemon's queue of connections is full it tries again, for as long as an answer may take.
+async fn connect_to(socket: &Path) -> io::Result<UnixStream> {
+    let until = Instant::now() + ANSWER_TIMEOUT;
+    loop {
+        match UnixStream::connect(socket).await {
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock && Instant::now() < until => {
+                tokio::time::sleep(FULL).await;
+            }
+            connected => return connected,
+        }
+    }
 }
 
 /// Whether the error means that no daemon listens.

@@ -30,6 +30,7 @@ use meissner_stream::device::priority;
 use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
 use rustix::fd::{AsFd, OwnedFd};
 use rustix::io::Errno;
+use rustix::net::listen;
 use std::collections::VecDeque;
 use std::io;
 use std::os::unix::net::{UnixListener, UnixStream};
@@ -54,6 +55,8 @@ const ORDERED: &str =
 const WINDOW: Duration = Duration::from_millis(4);
 /// See [`Window`].
 const SHARE: Duration = Duration::from_millis(2);
+/// Connections to the API that wait in the kernel; further clients wait in `connect`.
+const BACKLOG: i32 = 64;
 /// Connections accepted per round: emergency stops that wait come next.
 const ROUND: usize = 32;
 
@@ -135,6 +138,8 @@ impl Acceptor {
         counts: Arc<Counts>,
     ) -> io::Result<(Self, mpsc::Receiver<Handover>, oneshot::Receiver<()>)> {
         let (alive, ended) = oneshot::channel();
+        // The kernel's queue is first come, first served: a flood must not fill it with more than an emergency stop can wait for.
+        listen(&api, BACKLOG)?;
         let (sender, handovers) = mpsc::channel(bounds.clients + 3 * bounds.estops);
         let stop = Arc::new(eventfd(0, EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK)?);
         let work = Work {
