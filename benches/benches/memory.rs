@@ -40,7 +40,7 @@ const LOADS: [(&str, Load); 11] = [
     ("17 plays of the largest valid", |daemon| plays(daemon, |_| largest("p0"))),
     ("17 plays of 17 such", |daemon| plays(daemon, |number| largest(&format!("p{number}")))),
     ("64 clients with 1 MB bodies", bodies),
-    ("60 event streams that do not read", streams),
+    ("48 event streams that do not read", streams),
     ("5000 refused plays, names of 15 kB", |daemon| {
         let mut client = daemon.client()?;
         for _ in 0..5000 {
@@ -228,7 +228,7 @@ fn bodies(daemon: &Daemon) -> Result<Kept, Box<dyn Error>> {
 /// Two thousand plays, each with its events, while nobody reads them.
 fn streams(daemon: &Daemon) -> Result<Kept, Box<dyn Error>> {
     let mut client = daemon.client()?;
-    let events: Vec<_> = (0..60).map(|_| client.events()).collect::<Result<_, _>>()?;
+    let events: Vec<_> = (0..48).map(|_| client.events()).collect::<Result<_, _>>()?;
     client.post::<Status>("/v1/arm", &json!({"assume_rest": true}))?;
     for _ in 0..2000 {
         let _ = client.post::<Value>("/v1/play", &json!({"pattern": "pin-60", "seconds": 1.0}));

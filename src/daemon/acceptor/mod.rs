@@ -1,15 +1,15 @@
-//! The acceptor: a real-time thread that accepts every connection, reads its first bytes, and carries out emergency stops itself.
+//! The acceptor: a real-time thread that accepts every connection, reads its first bytes, and orders emergency stops itself.
 //!
-//! It hands all other connections to the server ([`Handover`]). An emergency stop therefore needs two threads, this one and the
-//! streamer; it does not wait for the runtime, the engine's lock, the log or the disk. It arrives in two ways:
+//! It hands the connections to the server ([`Handover`]). An emergency stop needs two threads, this one and the streamer. It does not
+//! wait for the runtime, the engine's lock, the log or the disk. It arrives in two ways:
 //! - any byte on the socket for emergency stops; the answer is one line, then the connection is closed;
 //! - `POST /v1/estop` as the first request of a connection to the API's socket. The server answers it. (A later request of a connection
 //!   goes through the server alone.)
 //!
 //! The thread orders an emergency stop that has arrived, also if its client is gone.
 //!
-//! Bounds: [`Bounds`], and half of a processor for clients of the API. A connection that has sent nothing is closed after [`SILENT`], or earlier if others need its place. The server's
-//! queue is bounded; a client that finds it full gets an error.
+//! Bounds: [`Bounds`], and half of a processor for clients of the API ([`Window`]). A connection that has sent nothing is closed
+//! after [`SILENT`], or earlier if others need its place. A client for which the server has no place gets an error.
 //!
 //! Invariant: the thread waits for nothing but its descriptors.
 
@@ -245,8 +245,10 @@ impl Work {
         let is_ready: heapless::Vec<_, { Bounds::MOST }> =
             fds.iter().map(|fd| !fd.revents().is_empty()).collect();
         drop(fds);
-        for (it, &ready) in self.silent.iter_mut().zip(&is_ready[own.len()..]) {
-            it.ready = ready;
+        if open {
+            for (it, &ready) in self.silent.iter_mut().zip(&is_ready[own.len()..]) {
+                it.ready = ready;
+            }
         }
         Ready { stop: is_ready[0], answers: is_ready[1], api: is_ready[2], estop: is_ready[3] }
     }

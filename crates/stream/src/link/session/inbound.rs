@@ -203,7 +203,8 @@ impl Session {
         match report {
             Report::Verdict { .. } | Report::OnsetRefused { .. } if stale => {
                 let full = self.retired.verdicts.len() == REPORTS;
-                if !full && number.wrapping_sub(self.retired.after) <= u16::MAX / 2 {
+                let is_later = (1..=u16::MAX / 2).contains(&number.wrapping_sub(self.retired.after));
+                if !full && is_later {
                     self.retired.verdicts.push_back(report);
                 }
             }
