@@ -59,7 +59,7 @@ const LOADS: [(&str, Load); 11] = [
     ("status8: eight that pipeline GET status", |place, over| pipeline(place, over, 8, STATUS)),
     ("bodies60: sixty that send commands of 16 kB", bodies),
     ("streams64: 64 event streams that are not read, and plays", streams),
-    ("uploads: six that store patterns of 1 MB", uploads),
+    ("uploads: six that send patterns of 0.9 MB", uploads),
     ("fuzz: eight that send random bytes and half requests", fuzz),
     ("shells: 300 shells that loop `meissner status`", shells),
 ];
