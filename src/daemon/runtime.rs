@@ -12,7 +12,7 @@ use tokio::runtime::{Builder, Runtime};
 use tokio::sync::Semaphore;
 
 /// Tasks between two looks at the sockets: a client that sends without a pause must not delay the others.
-const EVENT_INTERVAL: u32 = 1;
+const EVENT_INTERVAL: u32 = 8;
 /// Threads for blocking work.
 const BLOCKING_THREADS: usize = 4;
 
