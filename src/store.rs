@@ -1,7 +1,7 @@
 //! The pattern store: the library that is part of the program, and a directory of the site's own patterns.
 //!
 //! The store reads the directory at every request, so it finds a file that was put there by hand at once. [`Store::get`]
-//! reads one file, [`Store::list`] at most [`MAX_FILES`]. All who hold a pattern share it. Patterns of the library cannot be overwritten or shadowed.
+//! reads one file, [`Store::list`] at most [`MAX_FILES`]. Callers that hold the same file share one pattern. Patterns of the library cannot be overwritten or shadowed.
 //! Calls block for as long as the disk takes.
 //!
 //! Invariant: a file of the directory is replaced whole or not at all, and only by one that parses and has

@@ -225,7 +225,7 @@ fn bodies(daemon: &Daemon) -> Result<Kept, Box<dyn Error>> {
     Ok(Kept { _streams: streams.into_iter().map(|(stream, _)| stream).collect(), ..Kept::default() })
 }
 
-/// Two thousand plays, each with its events, while nobody reads them.
+/// Two thousand plays, each with its events, which no listener reads.
 fn streams(daemon: &Daemon) -> Result<Kept, Box<dyn Error>> {
     let mut client = daemon.client()?;
     let events: Vec<_> = (0..48).map(|_| client.events()).collect::<Result<_, _>>()?;

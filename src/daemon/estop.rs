@@ -1,4 +1,4 @@
-//! Emergency stops: the switch to the streamer, and who used it last.
+//! Emergency stops: the switch to the streamer, and its last user.
 //!
 //! The acceptor's thread and request handlers share it. No lock is involved: an emergency stop works while the rest of the daemon is
 //! busy or hangs.

@@ -69,25 +69,9 @@ fn only_file(folder: &Path) -> fs::DirEntry {
     files.find(|file| file.file_name().to_str().unwrap().ends_with(".jsonl")).unwrap()
 }
 
-/// What is logged while `work` runs.
+/// The lines that `work` logs.
 fn log_of(work: impl FnOnce()) -> Vec<String> {
-    #[derive(Clone, Default)]
-    struct Kept(Arc<Mutex<Vec<u8>>>);
-    impl Write for Kept {
-        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-            self.0.lock().unwrap().extend_from_slice(bytes);
-            Ok(bytes.len())
-        }
-        fn flush(&mut self) -> io::Result<()> {
-            Ok(())
-        }
-    }
-    let kept = Kept::default();
-    let writer = kept.clone();
-    let log = tracing_subscriber::fmt().with_ansi(false).with_writer(move || writer.clone()).finish();
-    tracing::subscriber::with_default(log, work);
-    let text = String::from_utf8(kept.0.lock().unwrap().clone()).unwrap();
-    text.lines().map(str::to_owned).collect()
+    crate::log::tests::logged(work).lines().map(str::to_owned).collect()
 }
 
 #[test]

@@ -1,9 +1,9 @@
-//! Patterns of the directory that are in use: who reads a file again gets the pattern that others hold.
+//! Patterns of the directory that are in use: a caller that reads a file again gets the pattern that others hold.
 //!
 //! Plays queue by the dozen, mostly of one pattern. The store still reads the file each time, since somebody may have changed
 //! it; the hash of its bytes says whether the pattern is held.
 //!
-//! Invariant: one file is parsed at a time, and a pattern that nobody holds takes no memory.
+//! Invariant: one file is parsed at a time, and a pattern takes memory only while a caller holds it.
 
 use meissner_array::pattern::Pattern;
 use std::collections::HashMap;

@@ -7,7 +7,7 @@ use meissner_test_support::rig::{self, Rig, answer, assert_closed, last_snapshot
 /// The connector opens a lost device again after this time.
 const REOPENED_MS: u64 = 250;
 
-/// What came of a play over a line that loses this share of bytes.
+/// The result of a play over a line that loses this share of bytes.
 #[derive(Debug, Default)]
 struct Tried {
     connected: bool,

@@ -341,10 +341,8 @@ impl Work {
             return self.refuse(&stream, is_estop);
         }
         let crowded = served + self.silent.len() >= bounds.clients;
-        if crowded && self.silent.front().is_some_and(|it| it.since.elapsed() >= IDLE && !it.ready) {
-            self.silent.pop_front();
-            counts.evicted.fetch_add(1, Ordering::Relaxed);
-            counts.silent.store(self.silent.len(), Ordering::Relaxed);
+        if crowded && self.silent.front().is_some_and(|it| it.since.elapsed() >= IDLE) {
+            self.evict_oldest();
         }
         let place = Place::new(&self.counts);
         let accepted = Accepted { stream, head: head.to_vec(), peer, estop, place };
@@ -372,6 +370,7 @@ impl Work {
     fn evict_oldest(&mut self) {
         if !self.read_silent(0) && self.silent.pop_front().is_some() {
             self.counts.evicted.fetch_add(1, Ordering::Relaxed);
+            self.counts.silent.store(self.silent.len(), Ordering::Relaxed);
         }
     }
 

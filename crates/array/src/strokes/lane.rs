@@ -167,7 +167,7 @@ mod tests {
     use crate::pattern::MAX_DRIVES;
     use toml::Table;
 
-    /// The memory of a play: its drives as segments, shared by all who walk them.
+    /// The memory of a play: its drives as segments, which clones share.
     #[test]
     fn a_lane_of_the_longest_pattern_takes_64_bytes_a_drive_and_a_clone_none() {
         let drive = |number: usize| Drive {

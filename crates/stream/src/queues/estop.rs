@@ -52,7 +52,7 @@ impl EStopSwitch {
     #[must_use]
     pub fn answer(&self, number: u64) -> Option<Result<(), CommandError>> {
         let Shared { confirmed, answered, no_device, .. } = &*self.0;
-        // Read in the reverse order of `set_answer`: whoever sees an answer sees whether it is a confirmation.
+        // Read in the reverse order of `set_answer`: an answer that is seen here is seen with its confirmation.
         let is_answered = answered.load(Ordering::Acquire) >= number;
         let no_device = no_device.load(Ordering::Acquire);
         if confirmed.load(Ordering::Acquire) >= number {

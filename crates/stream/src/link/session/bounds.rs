@@ -26,7 +26,7 @@ const CLOCK_SLACK: u64 = 3 * TICKS_PER_MS;
 const OVERTAKEN: u64 = TICKS_PER_S;
 /// A return takes at most one burst, 6000 pulses.
 const LONGEST_RETURN: u64 = TICKS_PER_S;
-/// Between two statuses at most so much counts as spent in a return: nobody saw the rest.
+/// Between two statuses at most so much counts as spent in a return: the host did not see the rest.
 const RETURN_SEEN: u64 = 100 * TICKS_PER_MS;
 /// Onsets whose reports may be on their way: as many as there are reports.
 const ONSETS: usize = REPORTS;
