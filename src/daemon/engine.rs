@@ -212,7 +212,7 @@ mod tests {
             }
         };
         assert_eq!(busy.code, "busy");
-        let numbers = [(); 2].map(|()| engine.estops.request(Origin::default()));
+        let numbers = [(); 2].map(|()| engine.estops.request(Origin::UNKNOWN));
         let mut replies = numbers.map(|number| engine.lock().commands.wait_for_estop(number));
         for _ in 0..waiting {
             assert!(matches!(port.pop().unwrap().command, Command::Stop));

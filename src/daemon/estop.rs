@@ -16,24 +16,35 @@ use std::time::Duration;
 pub(super) const GUARD: Duration = Duration::from_secs(2);
 
 /// A client as far as `reset` must tell it from others: its process, and its session, which the commands of one terminal share.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Origin {
     pid: u32,
-    /// 0 if unknown.
+    /// [`UNKNOWN`] if the kernel does not tell. 0 is a session that began outside of the daemon's PID namespace, as of all commands of a
+    /// container that a terminal's own session started.
     session: u32,
 }
 
+/// No session's number: they are positive as `pid_t`.
+const UNKNOWN: u32 = u32::MAX;
+
 impl Origin {
+    /// A client of which the kernel tells nothing.
+    #[cfg(test)]
+    pub(super) const UNKNOWN: Self = Self { pid: 0, session: UNKNOWN };
+
     /// The origin of a client that is connected now.
     pub(super) fn of(peer: Peer) -> Self {
         let pid = u32::try_from(peer.pid).unwrap_or(0);
         // For process 0 the kernel would tell the daemon's own session.
         let session = if pid == 0 { None } else { getsid(Some(Pid::from_raw(peer.pid))).ok() };
-        Self { pid, session: session.and_then(|session| u32::try_from(session.as_raw()).ok()).unwrap_or(0) }
+        Self {
+            pid,
+            session: session.and_then(|session| u32::try_from(session.as_raw()).ok()).unwrap_or(UNKNOWN),
+        }
     }
 
     fn is_same(self, other: Self) -> bool {
-        (self.pid != 0 && self.pid == other.pid) || (self.session != 0 && self.session == other.session)
+        (self.pid != 0 && self.pid == other.pid) || (self.session != UNKNOWN && self.session == other.session)
     }
 }
 

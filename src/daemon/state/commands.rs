@@ -36,6 +36,8 @@ pub(in crate::daemon) struct Commands {
     last_ticket: u64,
     waiting: HashMap<u64, Ticket>,
     estop: EStopSwitch,
+    /// The newest emergency stop whose answer has come as an event. The status then shows it, because events come in order.
+    reported_estop: u64,
     /// Calls that wait for the emergency stop of this number.
     waiting_estops: Vec<(u64, oneshot::Sender<Result<(), CommandError>>)>,
     /// The daemon ends: it accepts emergency stops only.
@@ -45,7 +47,7 @@ pub(in crate::daemon) struct Commands {
 impl Commands {
     pub(in crate::daemon) fn new(queue: CommandQueue, estop: EStopSwitch) -> Self {
         let (waiting, waiting_estops) = Default::default();
-        Self { queue, last_ticket: 0, waiting, estop, waiting_estops, closing: false }
+        Self { queue, last_ticket: 0, waiting, estop, reported_estop: 0, waiting_estops, closing: false }
     }
 
     /// Whether a command may be sent now.
@@ -71,7 +73,7 @@ impl Commands {
         Ok(receiver)
     }
 
-    /// Returns where the answer to the emergency stop of this number arrives.
+    /// Returns where the answer to the emergency stop of this number arrives, once the status shows it.
     pub(in crate::daemon) fn wait_for_estop(&mut self, number: u64) -> Reply {
         let (reply, receiver) = oneshot::channel();
         self.waiting_estops.retain(|(_, reply)| !reply.is_closed());
@@ -84,8 +86,8 @@ impl Commands {
         for (number, reply) in std::mem::take(&mut self.waiting_estops) {
             match self.estop.answer(number) {
                 // The client may have hung up meanwhile.
-                Some(answer) => drop(reply.send(answer)),
-                None => self.waiting_estops.push((number, reply)),
+                Some(answer) if number <= self.reported_estop => drop(reply.send(answer)),
+                _ => self.waiting_estops.push((number, reply)),
             }
         }
     }
@@ -103,7 +105,8 @@ impl Commands {
 
     /// Passes an answer to the call that waits for it. Returns the play it is about.
     pub(super) fn answer(&mut self, ticket: u64, result: Result<(), CommandError>) -> Option<u64> {
-        if ticket >= ESTOP_TICKETS {
+        if let Some(number) = ticket.checked_sub(ESTOP_TICKETS) {
+            self.reported_estop = self.reported_estop.max(number);
             self.answer_estops();
             return None;
         }
