@@ -49,10 +49,10 @@
 //!
 //! ```
 //! use meissner::store::Store;
-//! use meissner_array::strokes::Strokes;
+//! use meissner_array::strokes::{StrokeOptions, Strokes};
 //!
 //! let edge = Store::new(None, false)?.get("edge-45")?;
-//! let first = Strokes::new(&edge.pattern, Some(1.0))?.next().expect("an edge moves pins")?;
+//! let first = Strokes::new(&edge.pattern, &StrokeOptions::lasting(1.0))?.next().expect("an edge moves pins")?;
 //! assert_eq!(first.up_pulses, first.down_pulses);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```

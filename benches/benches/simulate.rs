@@ -9,7 +9,7 @@ use meissner_array::geometry;
 use meissner_array::motor::Ramp;
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::random::normal;
-use meissner_array::strokes::Strokes;
+use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_design::{Play, predict_response};
 use meissner_skin::afferent::Position;
 use meissner_skin::{
@@ -144,7 +144,7 @@ fn minute_played(criterion: &mut Criterion) {
         ("all-in-phase", include_str!("../../patterns/all-in-phase.toml")),
     ] {
         let pattern = Pattern::parse(text, name).expect("it is shipped");
-        let strokes = Strokes::new(&pattern, Some(60.0)).expect("a minute can be played");
+        let strokes = Strokes::new(&pattern, &StrokeOptions::lasting(60.0)).expect("a minute can be played");
         let bursts = strokes.flat_map(|stroke| {
             let stroke = stroke.expect("a shipped pattern can be played");
             stroke.bursts().map(|burst| {

@@ -7,7 +7,7 @@ use firmware_protocol::frame::{MAX_FRAME, encode};
 use firmware_protocol::message::HostMessage;
 use firmware_protocol::tick::Tick;
 use meissner_array::pattern::{Drive, Pattern};
-use meissner_array::strokes::Strokes;
+use meissner_array::strokes::{StrokeOptions, Strokes};
 use std::hint::black_box;
 
 /// About a minute of play.
@@ -24,7 +24,7 @@ fn strokes(criterion: &mut Criterion) {
     };
     let pattern =
         Pattern::new("bench", None, (0..24).map(drive).collect(), toml::Table::new()).expect("in range");
-    let mut strokes = Strokes::new(&pattern, None).expect("endless");
+    let mut strokes = Strokes::new(&pattern, &StrokeOptions::default()).expect("endless");
     let mut group = criterion.benchmark_group("strokes");
     group.throughput(Throughput::Elements(2 * STROKES as u64));
     group.bench_function("compile", |bencher| {

@@ -12,7 +12,7 @@ use crate::session_record::Peer;
 use crate::store::Stored;
 use firmware_protocol::tick::Tick;
 use meissner_api::{Code, PlayRequest, Problem};
-use meissner_array::strokes::Strokes;
+use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_stream::queues::{At, Command, Play};
 use meissner_stream::{Bandwidth, Settings};
 
@@ -31,7 +31,7 @@ impl PreparedPlay {
         stored: Stored,
         settings: Settings,
     ) -> Result<Self, Problem> {
-        let strokes = Strokes::new(&stored.pattern, request.seconds)
+        let strokes = Strokes::new(&stored.pattern, &StrokeOptions::lasting(request.seconds))
             .map_err(|error| Problem::new(Code::BadRequest, format!("`seconds`: {error}")))?;
         // The results of this play and the next, at the same tick, could not be told apart.
         if strokes.end() == Some(0) {

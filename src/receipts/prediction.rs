@@ -12,7 +12,7 @@ use firmware_protocol::tick::Tick;
 use meissner_api::{PlayState, PredictedResponse, Rates, Receipt};
 use meissner_array::motor::{Ramp, WINDOW_TICKS};
 use meissner_array::pattern::Pattern;
-use meissner_array::strokes::{Strokes, StrokesError};
+use meissner_array::strokes::{StrokeOptions, Strokes, StrokesError};
 use meissner_array::units::{UM_PER_PULSE, seconds_to_ticks, ticks_to_seconds};
 use meissner_design::{MOST_OBSERVED_S, PredictionError};
 use meissner_stream::queues::MeasuredBurst;
@@ -102,7 +102,7 @@ impl<'p> PlayedPattern<'p> {
     /// # Errors
     /// Why there is no prediction.
     pub fn response(&self, bursts: &[MeasuredBurst]) -> Result<PredictedResponse, NoPrediction> {
-        let mut strokes = Strokes::new(self.pattern, self.seconds)?;
+        let mut strokes = Strokes::new(self.pattern, &StrokeOptions::lasting(self.seconds))?;
         let mut until = strokes.end().map_or(self.until(), |end| self.until().min(self.onset + end));
         strokes.begin(self.onset);
         let measured: HashMap<(u8, Tick), &MeasuredBurst> = bursts

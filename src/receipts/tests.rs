@@ -6,7 +6,7 @@ use firmware_protocol::message::Cause;
 use firmware_protocol::stroke::MOTORS;
 use meissner_api::{LateCause, LatePolicy};
 use meissner_array::pattern::Pattern;
-use meissner_array::strokes::Strokes;
+use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_stream::Bandwidth;
 use meissner_stream::link::{BadFrames, Contradictions};
 use meissner_stream::queues::{At, End, Onset, Play};
@@ -68,7 +68,7 @@ fn onset() -> Onset {
 
 fn ended(id: u64, end: End) -> StreamEvent {
     let pattern = Pattern::new("nothing", Some(1.0), Vec::new(), toml::Table::new()).unwrap();
-    let strokes = Strokes::new(&pattern, None).unwrap();
+    let strokes = Strokes::new(&pattern, &StrokeOptions::default()).unwrap();
     let play = Play {
         id,
         strokes,

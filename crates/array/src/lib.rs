@@ -4,9 +4,10 @@
 //!
 //! 1. [`geometry`]: where the 24 pins stand.
 //! 2. [`pattern`]: reads and checks pattern files: which pins vibrate, at which frequency, amplitude and phase, and when.
-//! 3. [`strokes`]: compiles a pattern to strokes at exact ticks. The streamer, the simulated motors and the skin model all use it.
-//! 4. [`motor`]: the model of an ideal motor: a square wave becomes bursts of pulses, bursts become displacement.
-//! 5. [`simulated`]: 24 simulated motors with scatter, asymmetry, end stops and telemetry.
+//! 3. [`reflected_walk`]: theory of the rest error of a pin above a lower stop, and the surplus that keeps it small.
+//! 4. [`strokes`]: compiles a pattern to strokes at exact ticks. The streamer, the simulated motors and the skin model all use it.
+//! 5. [`motor`]: the model of an ideal motor: a square wave becomes bursts of pulses, bursts become displacement.
+//! 6. [`simulated`]: 24 simulated motors with scatter, asymmetry, end stops and telemetry.
 //!
 //! [`units`] converts seconds, ticks and micrometres. [`random`] makes random numbers that depend on a key alone.
 //!
@@ -15,7 +16,7 @@
 //! ```
 //! use meissner_array::motor::{HalfTick, Shaft};
 //! use meissner_array::pattern::Pattern;
-//! use meissner_array::strokes::{DriveStrokes, Strokes};
+//! use meissner_array::strokes::{DriveStrokes, StrokeOptions, Strokes};
 //!
 //! let text = r#"
 //!     format = 1
@@ -27,7 +28,7 @@
 //!     amplitude_um = 80.0
 //! "#;
 //! let pattern = Pattern::parse(text, "pin-9.toml")?;
-//! let strokes = Strokes::new(&pattern, Some(1.0))?.collect::<Result<Vec<_>, _>>()?;
+//! let strokes = Strokes::new(&pattern, &StrokeOptions::lasting(1.0))?.collect::<Result<Vec<_>, _>>()?;
 //! assert_eq!(strokes.len(), 60);
 //! assert_eq!((strokes[0].up_pulses, strokes[1].up.0), (589, 1417));
 //!
@@ -44,6 +45,7 @@ pub mod geometry;
 pub mod motor;
 pub mod pattern;
 pub mod random;
+pub mod reflected_walk;
 pub mod simulated;
 pub mod strokes;
 pub mod units;

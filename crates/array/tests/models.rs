@@ -4,7 +4,7 @@ use crate::simulated::play;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::{HalfTick, Shaft, SquareWave, SteadyState};
 use meissner_array::simulated::{SimulatedMotors, SimulatedMotorsConfig};
-use meissner_array::strokes::Strokes;
+use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_test_support::patterns::{self, drive};
 use serde::Deserialize;
 
@@ -68,7 +68,7 @@ fn simulated_motors_without_scatter_have_the_reference_amplitude() {
     for rows in amplitudes().chunks(24) {
         let drives = rows.iter().zip(0..).map(|(&[hz, um, _], motor)| drive(motor, hz, um));
         let pattern = patterns::pattern("amplitudes", None, drives);
-        let mut strokes = Strokes::new(&pattern, Some(2.1)).unwrap();
+        let mut strokes = Strokes::new(&pattern, &StrokeOptions::lasting(2.1)).unwrap();
         let config = SimulatedMotorsConfig { telemetry_hz: 10_000, ..SimulatedMotorsConfig::ideal() };
         let mut motors = SimulatedMotors::new(config, Tick::BOOT).unwrap();
         strokes.begin(Tick::BOOT);

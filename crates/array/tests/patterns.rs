@@ -3,7 +3,7 @@
 use meissner_array::pattern::{
     Drive, MAX_PROVENANCE_TABLES, MAX_PROVENANCE_TEXT, MAX_PROVENANCE_VALUES, Pattern, Problem,
 };
-use meissner_array::strokes::Strokes;
+use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_input::document;
 use meissner_test_support::documents::{assert_changes_refused, in_one_line};
 use std::fs;
@@ -188,7 +188,7 @@ fn every_shipped_pattern_is_sound_and_moves() {
         assert_eq!(path.file_stem().unwrap(), pattern.name());
         assert_eq!(pattern.warnings(), []);
         assert!(pattern.provenance().contains_key("method"), "{}", pattern.name());
-        let strokes = Strokes::new(&pattern, Some(1.0)).unwrap().map(Result::unwrap);
+        let strokes = Strokes::new(&pattern, &StrokeOptions::lasting(1.0)).unwrap().map(Result::unwrap);
         assert!(strokes.count() > 5, "{}", pattern.name());
         names.push(pattern.name().to_owned());
     }

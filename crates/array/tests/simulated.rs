@@ -4,7 +4,7 @@ use firmware_protocol::stroke::{Burst, Direction, Lines, Stroke};
 use firmware_protocol::tick::Tick;
 use meissner_array::pattern::Drive;
 use meissner_array::simulated::{RestStats, SPARE_SAMPLES, SimulatedMotors, SimulatedMotorsConfig};
-use meissner_array::strokes::{Strokes, StrokesError};
+use meissner_array::strokes::{StrokeOptions, Strokes, StrokesError};
 use meissner_array::units::UM_PER_PULSE;
 use meissner_test_support::patterns;
 use meissner_test_support::statistics::{mean, rms, sd};
@@ -53,7 +53,8 @@ fn drive(motor: u8, frequency_hz: f64, amplitude_um: f64) -> Drive {
 }
 
 fn strokes(drives: Vec<Drive>, seconds: f64, onset: Tick) -> Strokes {
-    let mut strokes = Strokes::new(&patterns::pattern("test", None, drives), Some(seconds)).unwrap();
+    let mut strokes =
+        Strokes::new(&patterns::pattern("test", None, drives), &StrokeOptions::lasting(seconds)).unwrap();
     strokes.begin(onset);
     strokes
 }

@@ -5,7 +5,9 @@ use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::SquareWave;
 use meissner_array::pattern::{Drive, Pattern};
-use meissner_array::strokes::{Strokes, StrokesError};
+use meissner_array::reflected_walk::Spread;
+use meissner_array::strokes::{AutoSurplus, Fit, StrokeOptions, Strokes, StrokesError, Surplus, reached};
+use meissner_array::units::UM_PER_PULSE;
 use meissner_test_support::patterns::{self, drive};
 use proptest::prelude::*;
 
@@ -14,13 +16,20 @@ fn pattern(duration_s: Option<f64>, drives: Vec<Drive>) -> Pattern {
 }
 
 fn all(pattern: &Pattern, seconds: Option<f64>) -> Vec<Stroke> {
-    Strokes::new(pattern, seconds).unwrap().map(Result::unwrap).collect()
+    with(pattern, &StrokeOptions::lasting(seconds))
+}
+
+fn with(pattern: &Pattern, options: &StrokeOptions) -> Vec<Stroke> {
+    Strokes::new(pattern, options).unwrap().map(Result::unwrap).collect()
 }
 
 /// The strokes of a pattern by the rule of the model, drive by drive and sorted at the end: what `Strokes` must return.
-fn by_the_rule(pattern: &Pattern, seconds: f64) -> Vec<Stroke> {
+fn by_the_rule(pattern: &Pattern, options: &StrokeOptions) -> Vec<Stroke> {
     let ticks = |seconds: f64| (seconds * 85_000.0 + 0.5).floor() as u64;
-    let end = ticks(seconds);
+    let end = ticks(options.seconds.unwrap());
+    let Surplus::Fixed(surplus_um) = options.surplus else { panic!("{options:?}") };
+    let asked = (surplus_um / (0.95 / 7.0) - 1e-9).ceil() as u64;
+    let surplus = |pulses: u64| if asked == 0 { 0 } else { asked.min((pulses * 3 / 10).max(1)) };
     let mut strokes = Vec::new();
     for repeat in 0.. {
         let begin = |repeat: i32| {
@@ -30,8 +39,17 @@ fn by_the_rule(pattern: &Pattern, seconds: f64) -> Vec<Stroke> {
         if start >= end || (repeat > 0 && pattern.duration_s().is_none()) {
             break;
         }
+        // A play that covers its end goes beyond the last repeat.
+        let covers = options.fit == Fit::Cover && begin(repeat + 1).is_none_or(|next| next >= end);
         for drive in pattern.drives() {
-            let wanted = (drive.amplitude_um / (0.95 / 7.0) + 0.5).floor() as u64;
+            let mut wanted = (drive.amplitude_um * options.scale / (0.95 / 7.0) + 0.5).floor() as u64;
+            let period = 85_000.0 / drive.frequency_hz + 1e-9;
+            if asked > 0 {
+                wanted = wanted.min((period / 2.0).floor() as u64);
+                while (2 * wanted + surplus(wanted)) as f64 > period {
+                    wanted -= 1;
+                }
+            }
             let edge = |h: i32| {
                 let tick = ((f64::from(h) / 2.0 + drive.phase) * 85_000.0) / drive.frequency_hz + 0.5;
                 start + tick.floor() as u64 + drive.start_s.map_or(0, ticks)
@@ -39,13 +57,22 @@ fn by_the_rule(pattern: &Pattern, seconds: f64) -> Vec<Stroke> {
             for h in (0..).step_by(2) {
                 let (up, down) = (edge(h), edge(h + 1));
                 let pulses = wanted.min(down - up).min(edge(h + 2) - down);
+                let back = pulses + surplus(pulses);
+                let down = if asked == 0 { down } else { down.min(edge(h + 2) - back) };
                 let stop = drive.stop_s.map_or(u64::MAX, |stop| start + ticks(stop));
-                if down + pulses > stop.min(begin(repeat + 1).unwrap_or(u64::MAX)).min(end) {
+                let repeat_end = begin(repeat + 1).unwrap_or(u64::MAX).min(end);
+                if up >= end || down + back > if covers { stop } else { stop.min(repeat_end) } {
                     break;
                 }
                 if pulses > 0 {
-                    let (motor, up, down, pulses) = (drive.motor, Tick(up), Tick(down), pulses as u16);
-                    strokes.push(Stroke { motor, up, up_pulses: pulses, down, down_pulses: pulses });
+                    let (motor, up, down) = (drive.motor, Tick(up), Tick(down));
+                    strokes.push(Stroke {
+                        motor,
+                        up,
+                        up_pulses: pulses as u16,
+                        down,
+                        down_pulses: back as u16,
+                    });
                 }
             }
         }
@@ -83,21 +110,51 @@ fn any_pattern() -> impl Strategy<Value = Pattern> {
         .prop_map(|(drives, duration_s)| pattern(duration_s, drives.concat()))
 }
 
+fn any_options() -> impl Strategy<Value = StrokeOptions> {
+    let surplus = prop_oneof![Just(0.0), 0.0..130.0f64];
+    let fit = prop_oneof![Just(Fit::Whole), Just(Fit::Cover)];
+    (0.0..2.0f64, prop_oneof![Just(1.0), 0.0..1.0f64], fit, surplus).prop_map(
+        |(seconds, scale, fit, surplus)| StrokeOptions {
+            seconds: Some(seconds),
+            scale,
+            fit,
+            surplus: Surplus::Fixed(surplus),
+        },
+    )
+}
+
+/// The strokes of three seconds are those of the rule.
+fn assert_rule(pattern: &Pattern, fit: Fit, surplus_um: f64) {
+    let options = StrokeOptions { fit, surplus: Surplus::Fixed(surplus_um), ..StrokeOptions::lasting(3.0) };
+    assert_eq!(with(pattern, &options), by_the_rule(pattern, &options), "{options:?}");
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 64, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn any_pattern_plays_by_the_rule_and_within_the_limits(pattern in any_pattern(), seconds in 0.0..2.0f64) {
-        let strokes = all(&pattern, Some(seconds));
-        prop_assert_eq!(&strokes, &by_the_rule(&pattern, seconds));
+    fn any_pattern_plays_by_the_rule_and_within_the_limits(pattern in any_pattern(), options in any_options()) {
+        let mut compiled = Strokes::new(&pattern, &options).unwrap();
+        let strokes: Vec<Stroke> = compiled.by_ref().map(Result::unwrap).collect();
+        prop_assert_eq!(&strokes, &by_the_rule(&pattern, &options));
         let mut busy = [Tick(0); 24];
         for stroke in &strokes {
-            prop_assert!(limits::check(stroke).is_ok() && stroke.up_pulses == stroke.down_pulses);
+            prop_assert!(limits::check(stroke).is_ok());
             let busy = &mut busy[usize::from(stroke.motor)];
             prop_assert!(stroke.up >= *busy);
             *busy = stroke.end();
         }
         prop_assert!(strokes.windows(2).all(|pair| (pair[0].up, pair[0].motor) < (pair[1].up, pair[1].motor)));
+        // The end that was asked for, or that of the last stroke.
+        let asked = (options.seconds.unwrap() * 85_000.0 + 0.5).floor() as u64;
+        prop_assert_eq!(compiled.end(), busy.iter().map(|end| end.0).max().max(Some(asked)));
+        // What is said of the drives is what is played.
+        let reached = reached(&pattern, &options).unwrap();
+        for motor in 0..24 {
+            let drives = pattern.drives().iter().zip(&reached).filter(|(drive, _)| drive.motor == motor);
+            let count: u64 = drives.map(|(_, reached)| reached.strokes.unwrap()).sum();
+            prop_assert_eq!(count, strokes.iter().filter(|stroke| stroke.motor == motor).count() as u64);
+        }
     }
 
     #[test]
@@ -119,7 +176,9 @@ fn a_stroke_that_a_repeat_is_too_short_for_is_left_out() {
                 Some(1.0 / hz + ticks / 85_000.0),
                 vec![drive(0, hz, 400.0), drive(1, hz / 2.0, 9.0)],
             );
-            assert_eq!(all(&period, Some(3.0)), by_the_rule(&period, 3.0), "{hz} Hz, {ticks}");
+            assert_rule(&period, Fit::Whole, 0.0);
+            assert_rule(&period, Fit::Cover, 0.0);
+            assert_rule(&period, Fit::Cover, 3.0);
         }
     }
 }
@@ -127,7 +186,7 @@ fn a_stroke_that_a_repeat_is_too_short_for_is_left_out() {
 #[test]
 fn a_play_can_begin_anywhere_and_again() {
     let pattern = pattern(None, vec![drive(3, 60.0, 80.0), drive(9, 47.0, 30.0)]);
-    let mut strokes = Strokes::new(&pattern, Some(1.0)).unwrap();
+    let mut strokes = Strokes::new(&pattern, &StrokeOptions::lasting(1.0)).unwrap();
     let first: Vec<_> = strokes.by_ref().map(Result::unwrap).collect();
     assert_eq!((first.len(), strokes.end()), (60 + 47, Some(85_000)));
     strokes.begin(Tick::BOOT);
@@ -152,7 +211,8 @@ fn a_rare_repeat_that_is_long_enough_is_found_at_once() {
     let duration_s = (424.0 + 1e-10) / 85_000.0;
     let begin = |repeat: u64| (repeat as f64 * duration_s * 85_000.0 + 0.5).floor() as u64;
     let mut strokes =
-        Strokes::new(&pattern(Some(duration_s), vec![drive(0, 200.0, 80.0)]), Some(1e8)).unwrap();
+        Strokes::new(&pattern(Some(duration_s), vec![drive(0, 200.0, 80.0)]), &StrokeOptions::lasting(1e8))
+            .unwrap();
     let ups: Vec<_> = strokes.by_ref().map(|stroke| stroke.unwrap().up.0).collect();
     assert_eq!(ups.len(), 2);
     for up in ups {
@@ -173,6 +233,91 @@ fn seconds_truncate_and_a_stroke_is_whole_or_absent() {
 }
 
 #[test]
+fn a_play_may_cover_its_end_with_whole_strokes() {
+    // "300 ms" at 60 Hz and 80 um: the last stroke begins at 300 ms - 16.7 ms, and ends at 298.6 ms.
+    let cover = |pattern: &Pattern, seconds: Option<f64>| {
+        let options = StrokeOptions { fit: Fit::Cover, ..StrokeOptions::lasting(seconds) };
+        let mut strokes = Strokes::new(pattern, &options).unwrap();
+        (
+            strokes.by_ref().map(Result::unwrap).count(),
+            strokes.end().unwrap(),
+            reached(pattern, &options).unwrap()[0].strokes,
+        )
+    };
+    let once = pattern(Some(0.3), vec![drive(0, 60.0, 80.0)]);
+    assert_eq!((all(&once, None).len(), cover(&once, None)), (18, (18, 25_500, Some(18))));
+    // A stroke begins at tick 25 500 of a longer play, and comes down at 26 208 for 589 ticks.
+    assert_eq!(all(&once, Some(0.301)).len(), 18);
+    assert_eq!(cover(&once, Some(0.301)), (19, 26_797, Some(19)));
+    assert_eq!(cover(&once, Some(0.3)), (18, 25_500, Some(18)));
+    // Repeats in the middle are as they are; the last one may be as short as a stroke's beginning.
+    let slow = pattern(Some(0.05), vec![drive(0, 10.0, 80.0)]);
+    assert_eq!(
+        (all(&slow, Some(0.2)).len(), cover(&slow, Some(0.2))),
+        (0, (1, 12_750 + 4_250 + 589, Some(1)))
+    );
+    assert_eq!(cover(&slow, Some(0.0)), (0, 0, Some(0)));
+    // A drive that must have stopped stops.
+    let stops = pattern(None, vec![Drive { stop_s: Some(0.05), ..drive(0, 10.0, 80.0) }]);
+    assert_eq!(cover(&stops, None), (0, 4_250, Some(0)));
+}
+
+#[test]
+fn a_scale_lowers_amplitudes_and_nothing_else() {
+    let two = pattern(None, vec![drive(3, 60.0, 80.0), drive(9, 47.0, 30.0)]);
+    let scaled = |scale| with(&two, &StrokeOptions { scale, ..StrokeOptions::lasting(1.0) });
+    for (full, half) in all(&two, Some(1.0)).into_iter().zip(scaled(0.5)) {
+        let pulses = if full.motor == 3 { 295 } else { 111 };
+        assert_eq!(half, Stroke { up_pulses: pulses, down_pulses: pulses, ..full });
+    }
+    assert_eq!(scaled(0.0), []);
+    let options = StrokeOptions { scale: 0.5, ..StrokeOptions::lasting(1.0) };
+    let amplitudes: Vec<f64> =
+        reached(&two, &options).unwrap().iter().map(|drive| drive.amplitude_um).collect();
+    assert_eq!(amplitudes, [295.0 * UM_PER_PULSE, 111.0 * UM_PER_PULSE]);
+}
+
+#[test]
+fn an_automatic_surplus_suits_each_motor_and_amplitude() {
+    let mut spread = [Spread { scatter: 0.1, asymmetry: 0.0 }; 24];
+    spread[9].asymmetry = 0.06;
+    let surplus = Surplus::Auto(Box::new(AutoSurplus { spread, rest_error_um: 4.0 }));
+    let two = pattern(None, vec![drive(3, 60.0, 80.0), drive(9, 60.0, 80.0), drive(5, 60.0, 20.0)]);
+    let options = StrokeOptions { surplus: surplus.clone(), ..StrokeOptions::lasting(1.0) };
+    let reached = reached(&two, &options).unwrap();
+    for (drive, reached) in two.drives().iter().zip(&reached) {
+        let um = surplus
+            .um(drive.motor, f64::from((drive.amplitude_um / UM_PER_PULSE).round() as u32) * UM_PER_PULSE);
+        assert!(
+            reached.surplus_um >= um - 1e-9 && reached.surplus_um < um + UM_PER_PULSE,
+            "{um} {reached:?}"
+        );
+        let stroke = with(&two, &options).into_iter().find(|stroke| stroke.motor == drive.motor).unwrap();
+        assert_eq!(f64::from(stroke.down_pulses - stroke.up_pulses) * UM_PER_PULSE, reached.surplus_um);
+    }
+    // The asymmetric motor needs its climb of 4.8 um more; a small amplitude scatters within the bound.
+    let [even, climbing, small] = reached[..] else { panic!() };
+    assert!((3.0..7.0).contains(&(climbing.surplus_um - even.surplus_um)), "{reached:?}");
+    assert!(small.surplus_um < 2.0, "{reached:?}");
+}
+
+#[test]
+fn a_surplus_that_does_not_fit_lowers_the_amplitude_and_that_is_said() {
+    let fast = pattern(None, vec![drive(0, 72.0, 80.0)]);
+    let at = |surplus_um| {
+        let options = StrokeOptions { surplus: Surplus::Fixed(surplus_um), ..StrokeOptions::lasting(1.0) };
+        reached(&fast, &options).unwrap()[0]
+    };
+    // A period of 1180 ticks holds two bursts of 589 pulses and two pulses more.
+    assert_eq!((at(0.0).amplitude_um, at(0.0).surplus_um), (589.0 * UM_PER_PULSE, 0.0));
+    assert_eq!((at(0.2).amplitude_um, at(0.2).surplus_um), (589.0 * UM_PER_PULSE, 2.0 * UM_PER_PULSE));
+    assert_eq!(at(13.5).surplus_um, 100.0 * UM_PER_PULSE);
+    assert_eq!(at(13.5).amplitude_um, 540.0 * UM_PER_PULSE);
+    // Never more than the controller takes: 30 %.
+    assert_eq!((at(400.0).amplitude_um, at(400.0).surplus_um), (513.0 * UM_PER_PULSE, 153.0 * UM_PER_PULSE));
+}
+
+#[test]
 fn a_pattern_without_strokes_ends() {
     let silent = drive(0, 60.0, 0.05);
     assert_eq!(all(&pattern(None, vec![silent]), None), []);
@@ -180,7 +325,7 @@ fn a_pattern_without_strokes_ends() {
     // Too short for one stroke, repeated for three years.
     assert_eq!(all(&pattern(Some(0.01), vec![drive(0, 10.0, 80.0)]), Some(1e8)), []);
     assert_eq!(all(&pattern(None, vec![]), None), []);
-    let ends = |pattern: &Pattern| Strokes::new(pattern, None).unwrap().end();
+    let ends = |pattern: &Pattern| Strokes::new(pattern, &StrokeOptions::default()).unwrap().end();
     assert_eq!(ends(&pattern(None, vec![])), Some(0));
     assert_eq!(ends(&pattern(None, vec![drive(0, 60.0, 80.0)])), None);
     let stops = Drive { stop_s: Some(0.5), ..drive(0, 60.0, 80.0) };
@@ -190,17 +335,26 @@ fn a_pattern_without_strokes_ends() {
 }
 
 #[test]
-fn a_duration_out_of_range_is_refused() {
-    for seconds in [-1.0, f64::NAN, f64::INFINITY] {
-        let refused = Strokes::new(&pattern(None, vec![]), Some(seconds));
-        assert!(matches!(refused, Err(StrokesError::Seconds { .. })));
+fn an_option_out_of_range_is_refused() {
+    let refused = |options| Strokes::new(&pattern(None, vec![]), &options).unwrap_err();
+    for number in [-1.0, f64::NAN, f64::INFINITY] {
+        assert!(matches!(refused(StrokeOptions::lasting(number)), StrokesError::Seconds { .. }));
+        let scale = StrokeOptions { scale: number, ..StrokeOptions::default() };
+        assert!(matches!(refused(scale), StrokesError::Scale { .. }));
+        let surplus = |surplus| StrokeOptions { surplus, ..StrokeOptions::default() };
+        assert!(matches!(refused(surplus(Surplus::Fixed(number))), StrokesError::Surplus { .. }));
+        let spread = [Spread { scatter: 0.1, asymmetry: 0.0 }; 24];
+        let auto = Surplus::Auto(Box::new(AutoSurplus { spread, rest_error_um: number }));
+        assert!(matches!(refused(surplus(auto)), StrokesError::RestError { .. }));
     }
 }
 
 #[test]
 fn nothing_is_allocated_while_it_plays() {
     let drives = (0..24).map(|motor| drive(motor, 60.0 + f64::from(motor), 20.0)).collect();
-    let mut strokes = Strokes::new(&pattern(Some(0.5), drives), Some(60.0)).unwrap();
+    let options =
+        StrokeOptions { fit: Fit::Cover, surplus: Surplus::Fixed(5.0), ..StrokeOptions::lasting(60.0) };
+    let mut strokes = Strokes::new(&pattern(Some(0.5), drives), &options).unwrap();
     let count = assert_no_alloc::assert_no_alloc(|| {
         strokes.begin(Tick::BOOT);
         strokes.by_ref().filter(Result::is_ok).count()

@@ -10,7 +10,7 @@ use crate::partition::{Partition, Verdict};
 use crate::target::{LONGEST_S, Target};
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::pattern::{Drive, Pattern};
-use meissner_array::strokes::{Strokes, StrokesError};
+use meissner_array::strokes::{StrokeOptions, Strokes, StrokesError};
 use meissner_skin::afferent::{self, AfferentModel, Position, Rectify};
 use meissner_skin::{MAX_ALPHA_PER_UM, Method, MethodError, Options, Scene, simulate};
 use serde::Serialize;
@@ -189,7 +189,7 @@ pub fn robustness(
 pub fn pulses_per_s(pattern: &Pattern) -> Result<f64, StrokesError> {
     let duration_s = pattern.duration_s().unwrap_or(STEADY_S).min(LONGEST_S);
     let mut pulses = 0;
-    for stroke in Strokes::new(pattern, Some(duration_s))? {
+    for stroke in Strokes::new(pattern, &StrokeOptions::lasting(duration_s))? {
         let stroke = stroke?;
         pulses += u64::from(stroke.up_pulses) + u64::from(stroke.down_pulses);
     }

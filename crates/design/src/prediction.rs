@@ -15,7 +15,7 @@ use firmware_protocol::stroke::Burst;
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::Ramp;
 use meissner_array::pattern::Pattern;
-use meissner_array::strokes::{Strokes, StrokesError};
+use meissner_array::strokes::{StrokeOptions, Strokes, StrokesError};
 use meissner_array::units::{seconds_in_ticks, seconds_to_ticks, ticks_to_seconds};
 use meissner_skin::afferent::{AfferentModel, POPULATION_NOISE_SD, Rectify, population};
 use meissner_skin::{MethodError, Ramps, RampsError, Scene, simulate_ramps};
@@ -98,7 +98,7 @@ pub fn predict_response(
     bursts: impl IntoIterator<Item = (u8, Ramp)>,
 ) -> Result<PredictedResponse, PredictionError> {
     let &Play { pattern, seconds, onset, observed_s } = play;
-    let strokes = Strokes::new(pattern, seconds)?;
+    let strokes = Strokes::new(pattern, &StrokeOptions::lasting(seconds))?;
     let lasts_s = strokes.end().map_or(f64::INFINITY, ticks_to_seconds);
     let observed_s = observed_s.min(lasts_s).min(MOST_OBSERVED_S);
     // `min` would have turned NaN into a minute.

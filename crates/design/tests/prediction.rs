@@ -3,7 +3,7 @@ use firmware_protocol::tick::Tick;
 use meissner_array::motor::Ramp;
 use meissner_array::pattern::Pattern;
 use meissner_array::simulated::SimulatedMotorsConfig;
-use meissner_array::strokes::Strokes;
+use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_array::units::UM_PER_PULSE;
 use meissner_design::{
     Conditions, Partition, Play, PredictedResponse, PredictionError, Target, judge, predict_response,
@@ -135,7 +135,8 @@ fn play(pattern: &Pattern, seconds: f64) -> Play<'_> {
 
 /// The bursts of the pattern, from the onset.
 fn designed(play: &Play<'_>) -> Vec<(u8, Ramp)> {
-    let strokes = Strokes::new(play.pattern, play.seconds).unwrap().map(Result::unwrap);
+    let strokes =
+        Strokes::new(play.pattern, &StrokeOptions::lasting(play.seconds)).unwrap().map(Result::unwrap);
     let ramp =
         |Burst { start, direction, pulses }| Ramp::new(play.onset + start.0, pulses.into(), direction, 1.0);
     strokes.flat_map(|stroke| stroke.bursts().map(|burst| (stroke.motor, ramp(burst)))).collect()

@@ -117,7 +117,7 @@ mod tests {
     use crate::time;
     use meissner_array::pattern::Pattern;
     use meissner_array::random::uniform;
-    use meissner_array::strokes::Strokes;
+    use meissner_array::strokes::{StrokeOptions, Strokes};
 
     #[test]
     fn the_simulator_takes_the_strokes_that_are_sent() {
@@ -138,7 +138,9 @@ mod tests {
                 }
             });
             let pattern = Pattern::new("test", None, drives.to_vec(), toml::Table::new()).unwrap();
-            let sent = Strokes::new(&pattern, None).unwrap().flat_map(|stroke| stroke.unwrap().bursts());
+            let sent = Strokes::new(&pattern, &StrokeOptions::default())
+                .unwrap()
+                .flat_map(|stroke| stroke.unwrap().bursts());
             let ramps: Vec<_> =
                 sent.map(|burst| Ramp::new(burst.start, burst.pulses.into(), burst.direction, 1.0)).collect();
             let end = time::end(2.0);

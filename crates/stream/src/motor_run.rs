@@ -215,7 +215,7 @@ impl Motor {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use meissner_array::strokes::Strokes;
+    use meissner_array::strokes::{StrokeOptions, Strokes};
     use meissner_test_support::patterns::{drive, pattern};
 
     #[test]
@@ -226,7 +226,7 @@ mod tests {
             run.run(1.0, |_, y| Some(y), |period| played.push((period.up - 2 * FINALISE_AT, period.pulses)))
                 .unwrap();
             let pattern = pattern("test", None, [drive(0, frequency_hz, amplitude_um)]);
-            let sent = Strokes::new(&pattern, Some(1.0)).unwrap().map(Result::unwrap);
+            let sent = Strokes::new(&pattern, &StrokeOptions::lasting(1.0)).unwrap().map(Result::unwrap);
             let sent: Vec<_> =
                 sent.map(|stroke| (stroke.up.0, [stroke.up_pulses, stroke.down_pulses])).collect();
             assert!(!played.is_empty() && sent.starts_with(&played), "{frequency_hz} Hz: {played:?}");

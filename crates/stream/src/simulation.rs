@@ -18,7 +18,7 @@ use firmware_protocol::tick::Tick;
 use meissner_api::LatePolicy;
 use meissner_array::pattern::Pattern;
 use meissner_array::simulated::{RestStats, SimulatedMotorsConfig, SimulatedMotorsError};
-use meissner_array::strokes::{Strokes, StrokesError};
+use meissner_array::strokes::{StrokeOptions, Strokes, StrokesError};
 use meissner_array::units::{duration_to_ticks, ticks_to_seconds};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -365,7 +365,7 @@ pub fn simulate_play(
     settings: Settings,
     open_loop: bool,
 ) -> Result<SimulatedPlay, SimulationError> {
-    let strokes = Strokes::new(pattern, seconds)?;
+    let strokes = Strokes::new(pattern, &StrokeOptions::lasting(seconds))?;
     let name = || pattern.name().to_owned();
     let end = strokes.end().ok_or_else(|| SimulationError::Endless(name()))?;
     let mut simulation = Simulation::new(motors, settings, Line::default(), motors.seed)?;

@@ -5,7 +5,7 @@ use firmware_protocol::tick::Tick;
 use meissner_api::Provenance;
 use meissner_array::random;
 use meissner_array::simulated::{SimulatedMotors, SimulatedMotorsConfig};
-use meissner_array::strokes::Strokes;
+use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_array::units::UM_PER_PULSE;
 use meissner_stream::calibrate::{
     BurstTravel, Calibration, Fit, MAX_BYTES, MotorFit, PULSES_RANGE, Plan, PlannedBurst, STROKES_PER_GROUP,
@@ -90,7 +90,7 @@ fn no_two_motors_pulse_at_once() {
         bursts.sort_by_key(|burst| burst.start);
         assert!(bursts.windows(2).all(|pair| pair[0].end() <= pair[1].start));
         // The streamer plays the same bursts.
-        let strokes = Strokes::new(&plan.pattern(), None).unwrap();
+        let strokes = Strokes::new(&plan.pattern(), &StrokeOptions::default()).unwrap();
         let mut played: Vec<_> = strokes.flat_map(|stroke| stroke.unwrap().bursts()).collect();
         played.sort_by_key(|burst| burst.start);
         assert_eq!(played, bursts);

@@ -3,7 +3,7 @@
 //! The tests look for the slowest line that each pattern is accepted on, and check that it then plays in time.
 
 use meissner_array::pattern::{Drive, Pattern};
-use meissner_array::strokes::Strokes;
+use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_stream::queues::CommandError;
 use meissner_stream::{Bandwidth, Line, Settings};
 use meissner_test_support::patterns::{self, drive};
@@ -41,7 +41,7 @@ fn a_line_plays_up_to_its_capacity_and_refuses_more_with_numbers() {
     let patterns =
         [rig::pattern("edge-45"), rig::pattern("all-in-phase"), all_at(33.3), all_at(210.0), bursts()];
     for (pattern, open_loop) in patterns.iter().flat_map(|pattern| [(pattern, true), (pattern, false)]) {
-        let strokes = Strokes::new(pattern, Some(4.0)).unwrap();
+        let strokes = Strokes::new(pattern, &StrokeOptions::lasting(4.0)).unwrap();
         let bandwidth = Bandwidth::of(&strokes, &Settings::default());
         let required = if open_loop { bandwidth.open } else { bandwidth.closed };
         let wanted = required.rate;
@@ -103,7 +103,7 @@ fn on_a_link_that_jitters_a_play_is_in_time_or_refused_with_numbers() {
             rig.run(Duration::from_secs(2));
             rig.arm();
             rig.take_events();
-            let strokes = Strokes::new(pattern, Some(4.0)).unwrap();
+            let strokes = Strokes::new(pattern, &StrokeOptions::lasting(4.0)).unwrap();
             let play = rig.start_with(pattern, Some(4.0), |play| {
                 play.bandwidth = Bandwidth::of(&strokes, &settings);
             });

@@ -4,7 +4,7 @@ use firmware_protocol::controller::BLOCK;
 use firmware_protocol::tick::Tick;
 use meissner_api::LatePolicy;
 use meissner_array::pattern::Pattern;
-use meissner_array::strokes::Strokes;
+use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_hil::bench::Which;
 use meissner_hil::bench::chip::ChipOptions;
 use meissner_hil::judge::{Judged, differences};
@@ -60,7 +60,7 @@ pub(crate) fn armed(options: ChipOptions) -> Rig {
 }
 
 pub(crate) fn job(pattern: &Pattern, seconds: f64) -> Command {
-    let strokes = Strokes::new(pattern, Some(seconds)).unwrap();
+    let strokes = Strokes::new(pattern, &StrokeOptions::lasting(seconds)).unwrap();
     let (at, late) = (At::Next, LatePolicy::Drop);
     Command::Play(Box::new(meissner_stream::queues::Play {
         id: 1,

@@ -9,7 +9,7 @@ use firmware_protocol::tick::Tick;
 use meissner_api::LatePolicy;
 use meissner_array::pattern::Pattern;
 use meissner_array::simulated::SimulatedMotorsConfig;
-use meissner_array::strokes::Strokes;
+use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_stream::queues::{At, Command, CommandError, Outcome, Play, Snapshot, StreamEvent};
 use meissner_stream::{Bandwidth, Line, Settings, Simulation};
 
@@ -231,7 +231,7 @@ impl Rig {
 
 /// A play in open loop.
 pub fn play(id: u64, pattern: &Pattern, seconds: Option<f64>) -> Play {
-    let strokes = Strokes::new(pattern, seconds).unwrap();
+    let strokes = Strokes::new(pattern, &StrokeOptions::lasting(seconds)).unwrap();
     let bandwidth = Bandwidth::of(&strokes, &Settings::default());
     Play { id, strokes, at: At::Next, late: LatePolicy::Drop, replace: false, open_loop: true, bandwidth }
 }

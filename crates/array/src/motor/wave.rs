@@ -4,11 +4,15 @@
 //! millionth edge is as exact as the first. The `f64` result, in the order of operations written here, is the
 //! definition: everything that needs the ticks of a drive gets them from this module.
 //!
-//! Invariant: the up and down bursts of an excursion have the same number of pulses and do not overlap.
+//! Above a lower stop a down burst may be longer than its up burst by a surplus ([`SquareWave::with_surplus`]). Where it does not
+//! fit between the down edge and the next up edge, it begins before the down edge.
+//!
+//! Invariant: the down burst of an excursion has as many pulses as the up burst, and the surplus; the two do not overlap.
 
 use super::model::{MAX_AMPLITUDE_UM, MAX_FREQUENCY_HZ, MotorError};
 use super::shaft::Ramp;
 use crate::units::UM_PER_PULSE;
+use firmware_protocol::limits;
 use firmware_protocol::stroke::{Direction, Stroke};
 use firmware_protocol::tick::{TICK_HZ, Tick};
 
@@ -18,6 +22,8 @@ pub struct SquareWave {
     frequency_hz: f64,
     phase: f64,
     pulses: u32,
+    /// Pulses by which a down burst is longer than its up burst.
+    surplus: u32,
 }
 
 /// One period of a drive: an up burst and the down burst that undoes it.
@@ -27,8 +33,10 @@ pub struct Excursion {
     pub up: u64,
     /// Start of the down burst.
     pub down: u64,
-    /// Pulses of either.
+    /// Pulses of the up burst, and of the down burst without its surplus.
     pub pulses: u32,
+    /// Further pulses of the down burst, which a lower stop takes.
+    pub surplus: u32,
 }
 
 impl Excursion {
@@ -36,12 +44,13 @@ impl Excursion {
     #[must_use]
     pub fn stroke(&self, motor: u8, onset: Tick) -> Stroke {
         // The controller's limits refuse more pulses than fit, as they should.
-        let pulses = u16::try_from(self.pulses).unwrap_or(u16::MAX);
+        let [up_pulses, down_pulses] = [self.pulses, self.pulses.saturating_add(self.surplus)]
+            .map(|pulses| u16::try_from(pulses).unwrap_or(u16::MAX));
         let (up, down) = (onset + self.up, onset + self.down);
-        Stroke { motor, up, up_pulses: pulses, down, down_pulses: pulses }
+        Stroke { motor, up, up_pulses, down, down_pulses }
     }
 
-    /// The ramps of both bursts on an ideal motor, from tick 0 on.
+    /// The ramps of both bursts on an ideal motor, from tick 0 on. The stop takes the whole surplus: it moves nothing.
     #[must_use]
     pub fn ramps(&self) -> [Ramp; 2] {
         [(self.up, Direction::Up), (self.down, Direction::Down)]
@@ -51,7 +60,7 @@ impl Excursion {
     /// The first tick after the down burst. Saturates.
     #[must_use]
     pub const fn end(&self) -> u64 {
-        self.down.saturating_add(self.pulses as u64)
+        self.down.saturating_add(self.pulses as u64).saturating_add(self.surplus as u64)
     }
 }
 
@@ -76,7 +85,35 @@ impl SquareWave {
             return Err(MotorError::Phase { cycles: phase });
         }
         let pulses = (amplitude_um / UM_PER_PULSE + 0.5) as u32;
-        Ok(Self { frequency_hz, phase, pulses })
+        Ok(Self { frequency_hz, phase, pulses, surplus: 0 })
+    }
+
+    /// The same drive with down bursts that are longer than their up bursts. `surplus` says by how many pulses, for a number of
+    /// pulses up; the controller's [`correction`](limits::correction) bounds it. The more pulses up, the more surplus.
+    /// If both bursts do not fit into a period, the drive gets as many pulses as do.
+    #[must_use]
+    pub fn with_surplus(self, surplus: impl Fn(u32) -> u32) -> Self {
+        let surplus = |pulses: u32| surplus(pulses).min(most_surplus(pulses));
+        let wanted = surplus(self.pulses());
+        if wanted == 0 {
+            return self;
+        }
+        let fits = |pulses: u32| 2 * u64::from(pulses) + u64::from(surplus(pulses)) <= self.period_ticks();
+        let (mut pulses, mut too_many) = (0, self.pulses());
+        if fits(too_many) {
+            return Self { pulses: too_many, surplus: wanted, ..self };
+        }
+        while pulses + 1 < too_many {
+            let middle = u32::midpoint(pulses, too_many);
+            if fits(middle) { pulses = middle } else { too_many = middle }
+        }
+        Self { pulses, surplus: surplus(pulses), ..self }
+    }
+
+    /// Pulses by which a down burst is longer than an up burst of so many pulses.
+    #[must_use]
+    pub fn surplus(&self, pulses: u32) -> u32 {
+        if self.surplus == 0 { 0 } else { self.surplus.min(most_surplus(pulses)) }
     }
 
     /// Pulses that the amplitude asks for, whether or not they fit into half a period.
@@ -109,6 +146,16 @@ impl SquareWave {
         (f64::from(TICK_HZ) / 2.0 / self.frequency_hz + 1e-9) as u64
     }
 
+    /// A period in ticks, rounded down as [`Self::half_period_ticks`].
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "the cast is the floor, and saturates"
+    )]
+    fn period_ticks(&self) -> u64 {
+        (f64::from(TICK_HZ) / self.frequency_hz + 1e-9) as u64
+    }
+
     /// The tick of edge `h`; even edges go up, odd edges down.
     #[must_use]
     #[expect(
@@ -126,6 +173,31 @@ impl SquareWave {
     pub fn excursions(self) -> Excursions {
         Excursions { wave: self, h: 0, up: self.edge(0) }
     }
+
+    /// The excursion between edges at these ticks.
+    #[inline]
+    #[expect(clippy::cast_possible_truncation, reason = "not above the pulses wanted")]
+    fn between(&self, up: u64, down: u64, next_up: u64) -> Excursion {
+        // A saturated edge never comes, so it limits nothing.
+        let room = if next_up == u64::MAX { u64::MAX } else { next_up - down };
+        let mut pulses = u64::from(self.pulses).min(down - up).min(room) as u32;
+        if self.surplus == 0 {
+            return Excursion { up, down, pulses, surplus: 0 };
+        }
+        let mut surplus = self.surplus(pulses);
+        // Rounding shortens a period by a tick at most.
+        while pulses > 0 && 2 * u64::from(pulses) + u64::from(surplus) > next_up - up {
+            pulses -= 1;
+            surplus = self.surplus(pulses);
+        }
+        let latest = next_up.saturating_sub(u64::from(pulses) + u64::from(surplus));
+        Excursion { up, down: down.min(latest), pulses, surplus }
+    }
+}
+
+/// The controller's bound on the difference of the bursts of a stroke.
+fn most_surplus(pulses: u32) -> u32 {
+    limits::correction(u16::try_from(pulses).unwrap_or(u16::MAX)).into()
 }
 
 /// The excursions of a drive in order of time, without end.
@@ -137,19 +209,30 @@ pub struct Excursions {
     up: u64,
 }
 
+impl Excursions {
+    /// The drive.
+    #[must_use]
+    pub const fn wave(&self) -> &SquareWave {
+        &self.wave
+    }
+
+    /// The excursion of this number, counted from the beginning of the drive.
+    #[must_use]
+    pub fn number(&self, number: u64) -> Excursion {
+        let edge = |more: u64| self.wave.edge((2 * number).saturating_add(more));
+        self.wave.between(edge(0), edge(1), edge(2))
+    }
+}
+
 impl Iterator for Excursions {
     type Item = Excursion;
 
     #[inline]
-    #[expect(clippy::cast_possible_truncation, reason = "not above the pulses wanted")]
     fn next(&mut self) -> Option<Excursion> {
         let (up, down, next_up) = (self.up, self.wave.edge(self.h + 1), self.wave.edge(self.h + 2));
         self.h += 2;
         self.up = next_up;
-        // A saturated edge never comes, so it limits nothing.
-        let room = if next_up == u64::MAX { u64::MAX } else { next_up - down };
-        let pulses = u64::from(self.wave.pulses).min(down - up).min(room) as u32;
-        Some(Excursion { up, down, pulses })
+        Some(self.wave.between(up, down, next_up))
     }
 }
 
@@ -162,13 +245,55 @@ mod tests {
         let slow = SquareWave::new(60.0, 20.0, 0.0).unwrap();
         assert_eq!((slow.wanted_pulses(), slow.pulses()), (147, 147));
         let first: Vec<_> = slow.excursions().take(2).collect();
-        assert_eq!(first[0], Excursion { up: 0, down: 708, pulses: 147 });
-        assert_eq!(first[1], Excursion { up: 1417, down: 2125, pulses: 147 });
+        assert_eq!(first[0], Excursion { up: 0, down: 708, pulses: 147, surplus: 0 });
+        assert_eq!(first[1], Excursion { up: 1417, down: 2125, pulses: 147, surplus: 0 });
         let fast = SquareWave::new(300.0, 80.0, 0.0).unwrap();
         assert_eq!((fast.wanted_pulses(), fast.pulses()), (589, 141));
         assert!(fast.excursions().take(1000).all(|e| (141..=142).contains(&e.pulses)));
         let fastest = SquareWave::new(42_500.0, 80.0, 0.0).unwrap();
         assert!(fastest.excursions().take(1000).all(|e| e.pulses == 1 && e.end() == e.up + 2));
+    }
+
+    #[test]
+    fn a_surplus_moves_the_down_burst_forward_and_then_takes_pulses_from_both() {
+        let wave = |hz, um, surplus| SquareWave::new(hz, um, 0.3).unwrap().with_surplus(|_| surplus);
+        let plain: Vec<_> = SquareWave::new(60.0, 80.0, 0.3).unwrap().excursions().take(200).collect();
+        // 589 pulses in half a period of 708 ticks: 100 more fit behind the down edge, 177 do not.
+        for (surplus, earlier) in [(100, 0), (150, 31), (10_000, 57)] {
+            let longest = surplus.min(176);
+            for (plain, found) in plain.iter().zip(wave(60.0, 80.0, surplus).excursions()) {
+                let moved = plain.down - found.down;
+                assert_eq!((found.up, found.pulses, found.surplus), (plain.up, 589, longest));
+                assert!((earlier..=earlier + 1).contains(&moved) || moved + 1 == earlier, "{moved}");
+            }
+        }
+        // 15 % of 80 um do not fit into a period of 1062 ticks at 80 Hz with 30 % more down than up.
+        for (hz, um, surplus) in
+            [(80.0, 80.0, 200), (300.0, 80.0, 60), (42_500.0, 80.0, 5), (233.3, 19.0, 20)]
+        {
+            let wave = wave(hz, um, surplus);
+            let mut end = 0;
+            for Excursion { up, down, pulses, surplus: more } in wave.excursions().take(1000) {
+                assert!(up >= end && up + u64::from(pulses) <= down, "{hz} {up} {down} {pulses}");
+                assert!(pulses == 0 || more == surplus.min(most_surplus(pulses)), "{hz}: {pulses} {more}");
+                end = down + u64::from(pulses + more);
+            }
+            let full = SquareWave::new(hz, um, 0.3).unwrap().pulses();
+            let most = f64::from(TICK_HZ) / hz;
+            let both = |pulses: u32| f64::from(2 * pulses + surplus.min(most_surplus(pulses)));
+            assert!(
+                both(wave.pulses()) <= most
+                    && (wave.pulses() == full || both(wave.pulses() + 1) > most.floor())
+            );
+        }
+    }
+
+    #[test]
+    fn an_excursion_is_found_by_its_number() {
+        let excursions = SquareWave::new(233.3, 19.0, 0.7).unwrap().with_surplus(|_| 20).excursions();
+        for (number, excursion) in excursions.clone().take(500).enumerate() {
+            assert_eq!(excursions.number(number as u64), excursion);
+        }
     }
 
     #[test]

@@ -2,11 +2,13 @@
 //!
 //! The streamer's lanes, the skin simulation and the simulated runs of one motor all take a drive's strokes from
 //! [`DriveStrokes`], so what is simulated is what is sent. A stroke belongs to a drive if its down burst has ended by
-//! the drive's `stop_s`. Later strokes end later, so the first stroke that does not fit ends the sequence.
+//! the drive's `stop_s`. Later strokes end later, so the first stroke that does not fit ends the sequence. Each stroke is
+//! computed from its number, so they are counted without being walked.
 //!
 //! Invariant: strokes are in order of time and do not overlap.
 
-use crate::motor::{Excursion, Excursions, MotorError};
+use super::options::StrokeOptions;
+use crate::motor::{Excursion, Excursions, MotorError, SquareWave};
 use crate::pattern::Drive;
 use crate::units::seconds_to_ticks;
 
@@ -27,13 +29,26 @@ impl DriveStrokes {
     /// # Errors
     /// If a number is out of the motor's range, which in a checked pattern none is.
     pub fn of(drive: &Drive) -> Result<Self, MotorError> {
-        let wave = drive.wave()?;
+        Ok(Self::playing(drive, drive.wave()?))
+    }
+
+    /// The strokes of a drive with the scale and the surplus of these options.
+    ///
+    /// # Errors
+    /// As [`Self::of`].
+    pub fn with(drive: &Drive, options: &StrokeOptions) -> Result<Self, MotorError> {
+        let wave = SquareWave::new(drive.frequency_hz, drive.amplitude_um * options.scale, drive.phase)?;
+        let surplus = |pulses| options.surplus.pulses(drive.motor, pulses);
+        Ok(Self::playing(drive, wave.with_surplus(surplus)))
+    }
+
+    fn playing(drive: &Drive, wave: SquareWave) -> Self {
         let stop = drive.stop_s.map_or(NEVER, seconds_to_ticks);
-        Ok(Self {
+        Self {
             start: seconds_to_ticks(drive.start()),
             stop: if wave.moves() { stop } else { 0 },
             excursions: wave.excursions(),
-        })
+        }
     }
 
     /// The same strokes `ticks` later, as far as they have ended by `end`.
@@ -50,6 +65,45 @@ impl DriveStrokes {
     pub(super) const fn start(&self) -> u64 {
         self.start
     }
+
+    /// Pulses by which the down burst of a stroke is longer than its up burst of so many pulses.
+    pub(super) fn surplus(&self, pulses: u16) -> u16 {
+        // The controller's bound is far below.
+        u16::try_from(self.excursions.wave().surplus(pulses.into())).unwrap_or(u16::MAX)
+    }
+
+    /// The stroke of this number, counted from the beginning of the drive, whether or not it has ended by its end.
+    pub(super) fn number(&self, number: u64) -> Excursion {
+        self.placed(self.excursions.number(number))
+    }
+
+    /// How many of the strokes begin before this tick. Takes some 100 steps.
+    pub(super) fn begun_before(&self, before: u64) -> u64 {
+        let is_one = |number| {
+            let stroke = self.number(number);
+            stroke.up < before && stroke.end() <= self.stop
+        };
+        if !is_one(0) {
+            return 0;
+        }
+        // The number of a stroke that is played, and of one that is not; at 2^62 every edge is saturated.
+        let (mut one, mut none) = (0, 1);
+        while none < 1 << 62 && is_one(none) {
+            (one, none) = (none, 2 * none);
+        }
+        while one + 1 < none {
+            let middle = u64::midpoint(one, none);
+            if is_one(middle) { one = middle } else { none = middle }
+        }
+        none
+    }
+
+    #[inline]
+    fn placed(&self, stroke: Excursion) -> Excursion {
+        let Excursion { up, down, pulses, surplus } = stroke;
+        let (up, down) = (self.start.saturating_add(up), self.start.saturating_add(down));
+        Excursion { up, down, pulses, surplus }
+    }
 }
 
 impl Iterator for DriveStrokes {
@@ -57,9 +111,8 @@ impl Iterator for DriveStrokes {
 
     #[inline]
     fn next(&mut self) -> Option<Excursion> {
-        let Excursion { up, down, pulses } = self.excursions.next()?;
-        let (up, down) = (self.start.saturating_add(up), self.start.saturating_add(down));
-        let stroke = Excursion { up, down, pulses };
+        let stroke = self.excursions.next()?;
+        let stroke = self.placed(stroke);
         if stroke.end() > self.stop {
             self.stop = 0;
             return None;

@@ -1,7 +1,7 @@
 //! Why a pattern has no strokes, or no more.
 
 use crate::motor::MotorError;
-use crate::pattern::MAX_SECONDS;
+use crate::pattern::{AMPLITUDE_RANGE, MAX_SECONDS};
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::stroke::Stroke;
 
@@ -13,6 +13,24 @@ pub enum StrokesError {
     Seconds {
         /// The duration that was refused.
         seconds: f64,
+    },
+    /// A scale outside 0 to 1.
+    #[error("scale {scale}: must be at least 0 and at most 1")]
+    Scale {
+        /// The scale that was refused.
+        scale: f64,
+    },
+    /// A surplus outside its range.
+    #[error("surplus {um} um: must be {AMPLITUDE_RANGE}")]
+    Surplus {
+        /// The surplus that was refused.
+        um: f64,
+    },
+    /// A rest error that no surplus can keep.
+    #[error("rest error {um} um: must be above 0")]
+    RestError {
+        /// The rest error that was refused.
+        um: f64,
     },
     /// A drive that no motor can play.
     #[error("a drive of motor {motor}: {source}")]
@@ -30,8 +48,8 @@ pub enum StrokesError {
         /// The limit.
         refusal: Refusal,
     },
-    /// Our bug: a stroke that does not return the pin to where it began.
-    #[error("internal error, nothing more is played: {stroke:?} does not end where it began")]
+    /// Our bug: a stroke that does not return the pin to where it began, or pushes more against the stop than it should.
+    #[error("internal error, nothing more is played: {stroke:?} is not as long down as up and the surplus")]
     Unbalanced {
         /// The stroke.
         stroke: Stroke,

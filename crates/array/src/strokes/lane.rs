@@ -7,6 +7,8 @@
 
 use super::drive::{DriveStrokes, NEVER};
 use super::error::StrokesError;
+use super::options::{Fit, StrokeOptions};
+use super::repeat::Repeat;
 use crate::motor::Excursion;
 use crate::pattern::{Drive, Pattern};
 use crate::units::seconds_to_ticks;
@@ -17,7 +19,7 @@ use std::sync::Arc;
 /// A drive's segment of a repeat.
 #[derive(Clone, Debug)]
 struct Segment {
-    /// When its first stroke has ended.
+    /// When its first stroke has ended; [`NEVER`] if only the last repeat of a play has room for it.
     first_end: u64,
     /// Its strokes in repeat 0, copied for each repeat.
     strokes: DriveStrokes,
@@ -32,7 +34,9 @@ pub(super) struct Lane {
     duration_s: Option<f64>,
     /// The end of the play.
     end: u64,
-    /// The shortest repeat that holds a stroke.
+    /// The last repeat of a play that covers its end ([`Fit::Cover`]).
+    covered: Option<Repeat>,
+    /// The shortest repeat that holds a stroke; [`NEVER`] if none does.
     shortest: u64,
     repeat: Repeat,
     /// The segment being walked, and what is left of it.
@@ -42,66 +46,36 @@ pub(super) struct Lane {
     next: Excursion,
 }
 
-/// One run of the pattern.
-#[derive(Clone, Copy, Debug)]
-struct Repeat {
-    number: u64,
-    start: u64,
-    end: u64,
-}
-
 impl Segment {
-    /// The drive's segment, if at least one stroke fits into it in the longest repeat.
-    fn of(drive: &Drive, duration_s: Option<f64>) -> Result<Option<Self>, StrokesError> {
-        let strokes =
-            DriveStrokes::of(drive).map_err(|source| StrokesError::Drive { motor: drive.motor, source })?;
+    /// The drive's segment, if at least one stroke fits into it in the longest repeat, or in the last.
+    fn of(
+        drive: &Drive,
+        duration_s: Option<f64>,
+        options: &StrokeOptions,
+    ) -> Result<Option<Self>, StrokesError> {
+        let strokes = DriveStrokes::with(drive, options)
+            .map_err(|source| StrokesError::Drive { motor: drive.motor, source })?;
         // Two beginnings, each rounded to a tick, lie at most one tick further apart than the duration.
         let longest = duration_s.map_or(NEVER, |duration_s| seconds_to_ticks(duration_s) + 1);
-        let first = strokes.shifted(0, longest).next();
-        Ok(first.map(|first| Self { first_end: first.end(), strokes }))
+        let first_end = strokes.shifted(0, longest).next().map(|first| first.end());
+        let in_last = options.fit == Fit::Cover && strokes.clone().next().is_some();
+        let first_end = first_end.or(in_last.then_some(NEVER));
+        Ok(first_end.map(|first_end| Self { first_end, strokes }))
     }
-}
-
-impl Repeat {
-    fn of(number: u64, duration_s: Option<f64>) -> Self {
-        let end = if duration_s.is_some() { begin(number + 1, duration_s) } else { NEVER };
-        Self { number, start: begin(number, duration_s), end }
-    }
-
-    /// The next repeat that lasts `ticks` or longer. The lengths of repeats differ by a tick, because their beginnings are
-    /// rounded, so many repeats in a row may be too short. The search halves the interval.
-    fn next(self, ticks: u64, duration_s: Option<f64>, play_end: u64) -> Self {
-        let next = Self::of(self.number + 1, duration_s);
-        if next.end - next.start >= ticks {
-            return next;
-        }
-        // Each repeat that is too short is so by one tick: the sum stays at this until one is long enough.
-        let short =
-            |count: u64| begin(next.number + count, duration_s) - next.start < count * (ticks - 1) + 1;
-        let (mut enough, mut too_few) = (2, 1);
-        while short(enough) && begin(next.number + enough, duration_s) < play_end {
-            (enough, too_few) = (2 * enough, enough);
-        }
-        while too_few + 1 < enough {
-            let middle = u64::midpoint(too_few, enough);
-            if short(middle) { too_few = middle } else { enough = middle }
-        }
-        Self::of(next.number + too_few, duration_s)
-    }
-}
-
-/// When repeat `number` begins: `floor(number * duration_s * 85000 + 0.5)`.
-#[expect(clippy::cast_precision_loss, reason = "a repeat lasts a tick at least: 2^53 last 3 000 years")]
-fn begin(number: u64, duration_s: Option<f64>) -> u64 {
-    duration_s.map_or(0, |duration_s| seconds_to_ticks(number as f64 * duration_s))
 }
 
 impl Lane {
     /// A motor's lane through a pattern that ends at `end`; none if the motor never moves.
-    pub(super) fn of(motor: u8, pattern: &Pattern, end: Option<u64>) -> Result<Option<Self>, StrokesError> {
+    pub(super) fn of(
+        motor: u8,
+        pattern: &Pattern,
+        end: Option<u64>,
+        options: &StrokeOptions,
+    ) -> Result<Option<Self>, StrokesError> {
         let duration_s = pattern.duration_s();
         let drives = pattern.drives().iter().filter(|drive| drive.motor == motor);
-        let segments = drives.map(|drive| Segment::of(drive, duration_s)).filter_map(Result::transpose);
+        let segments =
+            drives.map(|drive| Segment::of(drive, duration_s, options)).filter_map(Result::transpose);
         let mut segments = segments.collect::<Result<Vec<_>, _>>()?;
         segments.sort_by_key(|segment| segment.strokes.start());
         let Some(first) = segments.first() else { return Ok(None) };
@@ -112,9 +86,10 @@ impl Lane {
             segments: segments.into(),
             duration_s,
             end: end.unwrap_or(NEVER),
+            covered: end.filter(|_| options.fit == Fit::Cover).map(|end| Repeat::last(duration_s, end)),
             repeat: Repeat::of(0, duration_s),
             segment: 0,
-            next: Excursion { up: 0, down: 0, pulses: 0 },
+            next: Excursion { up: 0, down: 0, pulses: 0, surplus: 0 },
         }))
     }
 
@@ -135,18 +110,36 @@ impl Lane {
         self.next.stroke(self.motor, onset)
     }
 
+    /// Pulses by which the next stroke's down burst must be longer than its up burst.
+    #[inline]
+    pub(super) fn surplus(&self, up_pulses: u16) -> u16 {
+        self.strokes.surplus(up_pulses)
+    }
+
+    /// When the last stroke has ended, if the play covers its end.
+    pub(super) fn covers_until(&self) -> Option<u64> {
+        let last = self.covered?;
+        let ends = self.segments.iter().filter_map(|segment| {
+            let strokes = segment.strokes.shifted(last.start, NEVER);
+            let last = strokes.begun_before(self.end).checked_sub(1)?;
+            Some(strokes.number(last).end())
+        });
+        ends.max()
+    }
+
     /// Goes on to the stroke after the next; returns when that goes up.
     #[inline]
     pub(super) fn advance(&mut self) -> u64 {
         loop {
-            if let Some(next) = self.strokes.next() {
+            // Only the last repeat of a play that covers its end has a stroke that begins later.
+            if let Some(next) = self.strokes.next().filter(|next| next.up < self.end) {
                 self.next = next;
                 return next.up;
             }
             if self.segment + 1 < self.segments.len() {
                 self.walk(self.segment + 1);
-            } else if self.repeat.end < self.end && self.duration_s.is_some() {
-                self.repeat = self.repeat.next(self.shortest, self.duration_s, self.end);
+            } else if let Some(repeat) = self.next_repeat() {
+                self.repeat = repeat;
                 self.walk(0);
             } else {
                 return NEVER;
@@ -154,10 +147,26 @@ impl Lane {
         }
     }
 
+    /// The next repeat that holds a stroke, or the last one.
+    fn next_repeat(&self) -> Option<Repeat> {
+        if self.repeat.end >= self.end || self.duration_s.is_none() {
+            return None;
+        }
+        let Some(last) = self.covered else {
+            return Some(self.repeat.next(self.shortest, self.duration_s, self.end));
+        };
+        if self.shortest == NEVER {
+            return Some(last);
+        }
+        let next = self.repeat.next(self.shortest, self.duration_s, self.end);
+        Some(if next.number < last.number { next } else { last })
+    }
+
     fn walk(&mut self, segment: usize) {
         self.segment = segment;
-        self.strokes =
-            self.segments[segment].strokes.shifted(self.repeat.start, self.repeat.end.min(self.end));
+        let is_last = self.covered.is_some_and(|last| last.number == self.repeat.number);
+        let end = if is_last { NEVER } else { self.repeat.end.min(self.end) };
+        self.strokes = self.segments[segment].strokes.shifted(self.repeat.start, end);
     }
 }
 
@@ -180,7 +189,7 @@ mod tests {
         };
         let drives = (0..MAX_DRIVES).map(drive).collect();
         let pattern = Pattern::new("long", Some(1e4), drives, Table::new()).unwrap();
-        let lane = Lane::of(5, &pattern, None).unwrap().unwrap();
+        let lane = Lane::of(5, &pattern, None, &StrokeOptions::default()).unwrap().unwrap();
         assert_eq!((lane.segments.len(), size_of_val(&*lane.segments)), (4096, 1 << 18));
         assert!(Arc::ptr_eq(&lane.clone().segments, &lane.segments) && size_of::<Lane>() <= 256);
     }

@@ -4,19 +4,25 @@
 //! order of (up tick, motor). The strokes of one drive are [`DriveStrokes`]. Edges are those of
 //! [`SquareWave`](crate::motor::SquareWave), computed from their number in pattern time, so a stroke is as exact after a
 //! month as in the first second. Nothing is allocated after [`Strokes::new`]. A stroke exists only if its down burst has ended by
-//! the `stop_s` of its drive, by the end of the repeat, and by the end of the play.
+//! the `stop_s` of its drive, by the end of the repeat, and by the end of the play ([`Fit`] says what a play may do at its end).
+//! [`reached`] says what each drive of a pattern reaches, without walking its strokes.
 //!
-//! Invariant: strokes of a motor do not overlap, each returns its pin to rest, and each is within the controller's limits.
-//! Every stroke is checked against that before it is returned.
+//! Invariant: strokes of a motor do not overlap, each returns its pin to rest, or by its surplus against the lower stop, and
+//! each is within the controller's limits. Every stroke is checked against that before it is returned.
 
 mod drive;
 mod error;
 mod lane;
+mod options;
+mod reached;
+mod repeat;
 
 pub use drive::DriveStrokes;
 pub use error::StrokesError;
+pub use options::{AutoSurplus, Fit, StrokeOptions, Surplus};
+pub use reached::{Reached, reached};
 
-use crate::pattern::{MAX_SECONDS, Pattern};
+use crate::pattern::Pattern;
 use crate::units::seconds_to_ticks;
 use drive::NEVER;
 use firmware_protocol::limits;
@@ -39,27 +45,22 @@ pub struct Strokes {
 }
 
 impl Strokes {
-    /// The strokes of `pattern` from tick 0, or from where [`Self::begin`] puts it. `seconds` cuts the pattern, or
-    /// repeats it if it has a duration. Without `seconds` a pattern with a duration is played once. A pattern
-    /// without a duration goes on until its last drive stops, and without end if a drive has no `stop_s`.
+    /// The strokes of `pattern` from tick 0, or from where [`Self::begin`] puts it.
     ///
     /// # Errors
-    /// [`StrokesError::Seconds`] if `seconds` is negative, not a number or above [`MAX_SECONDS`].
-    pub fn new(pattern: &Pattern, seconds: Option<f64>) -> Result<Self, StrokesError> {
-        if let Some(seconds) = seconds
-            && !(0.0..=MAX_SECONDS).contains(&seconds)
-        {
-            return Err(StrokesError::Seconds { seconds });
-        }
-        let mut stops = pattern.drives().iter().map(|drive| drive.stop_s);
-        let last_stop = stops.try_fold(0.0, |last: f64, stop| stop.map(|stop| last.max(stop)));
-        let end = seconds.or(pattern.duration_s()).or(last_stop).map(seconds_to_ticks);
-        let lanes =
-            (0..MOTORS as u8).map(|motor| Lane::of(motor, pattern, end)).filter_map(Result::transpose);
+    /// If an option is outside its range.
+    pub fn new(pattern: &Pattern, options: &StrokeOptions) -> Result<Self, StrokesError> {
+        options.check()?;
+        let end = end(pattern, options.seconds);
+        let lanes = (0..MOTORS as u8)
+            .map(|motor| Lane::of(motor, pattern, end, options))
+            .filter_map(Result::transpose);
+        let lanes = lanes.collect::<Result<Vec<_>, _>>()?;
+        let covered = lanes.iter().filter_map(Lane::covers_until).max();
         let mut strokes = Self {
-            lanes: lanes.collect::<Result<_, _>>()?,
+            lanes,
             ups: [NEVER; MOTORS],
-            end,
+            end: end.max(covered),
             onset: Tick(0),
             last: (Tick(0), 0),
             busy: [Tick(0); MOTORS],
@@ -78,7 +79,8 @@ impl Strokes {
         self.busy = [onset; MOTORS];
     }
 
-    /// The end of the play, in ticks from the onset; `None`: without end.
+    /// The end of the play, in ticks from the onset; `None`: without end. With [`Fit::Cover`] this is the later of the end that was
+    /// asked for and the end of the last stroke.
     #[must_use]
     pub const fn end(&self) -> Option<u64> {
         self.end
@@ -91,9 +93,10 @@ impl Strokes {
         (self.ups[lane] != NEVER).then(|| self.onset + self.ups[lane])
     }
 
-    fn check(&mut self, stroke: Stroke) -> Result<Stroke, StrokesError> {
+    /// Checks a stroke of a drive with this surplus.
+    fn check(&mut self, stroke: Stroke, surplus: u16) -> Result<Stroke, StrokesError> {
         limits::check(&stroke).map_err(|refusal| StrokesError::Limit { stroke, refusal })?;
-        if stroke.up_pulses != stroke.down_pulses {
+        if stroke.up_pulses.checked_add(surplus) != Some(stroke.down_pulses) {
             return Err(StrokesError::Unbalanced { stroke });
         }
         let busy = &mut self.busy[usize::from(stroke.motor)];
@@ -124,13 +127,21 @@ impl Iterator for Strokes {
         }
         let lane = &mut self.lanes[first];
         let stroke = lane.stroke(self.onset);
+        let surplus = lane.surplus(stroke.up_pulses);
         self.ups[first] = lane.advance();
-        let checked = self.check(stroke);
+        let checked = self.check(stroke, surplus);
         if checked.is_err() {
             self.ups = [NEVER; MOTORS];
         }
         Some(checked)
     }
+}
+
+/// The end of a play as asked for, in ticks; `None`: without end.
+fn end(pattern: &Pattern, seconds: Option<f64>) -> Option<u64> {
+    let mut stops = pattern.drives().iter().map(|drive| drive.stop_s);
+    let last_stop = stops.try_fold(0.0, |last: f64, stop| stop.map(|stop| last.max(stop)));
+    seconds.or(pattern.duration_s()).or(last_stop).map(seconds_to_ticks)
 }
 
 #[cfg(test)]
@@ -148,18 +159,19 @@ mod tests {
             stop_s: None,
         };
         let pattern = Pattern::new("test", Some(1.0), vec![drive], toml::Table::new()).unwrap();
-        Strokes::new(&pattern, None).unwrap()
+        Strokes::new(&pattern, &StrokeOptions::default()).unwrap()
     }
 
     #[test]
     fn a_harmful_stroke_is_an_error_and_the_last_item() {
         let good = one_pin().next().unwrap().unwrap();
-        let refused = |stroke| one_pin().check(stroke).unwrap_err();
+        let refused = |stroke| one_pin().check(stroke, 0).unwrap_err();
         assert!(matches!(refused(Stroke { motor: 24, ..good }), StrokesError::Limit { .. }));
         assert!(matches!(refused(Stroke { down_pulses: 588, ..good }), StrokesError::Unbalanced { .. }));
+        assert!(matches!(one_pin().check(good, 1), Err(StrokesError::Unbalanced { .. })));
         let mut strokes = one_pin();
-        strokes.check(good).unwrap();
-        assert!(matches!(strokes.check(good), Err(StrokesError::Order { .. })));
+        strokes.check(good, 0).unwrap();
+        assert!(matches!(strokes.check(good, 0), Err(StrokesError::Order { .. })));
         strokes.busy[5] = Tick(1 << 40);
         assert!(strokes.next().unwrap().is_err() && strokes.next().is_none());
         strokes.begin(Tick(9));

@@ -8,7 +8,7 @@ use crate::sixty_hertz;
 use meissner_api::{BurstCounts, LatePolicy};
 use meissner_array::pattern::Pattern;
 use meissner_array::simulated::SimulatedMotorsConfig;
-use meissner_array::strokes::Strokes;
+use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_array::units::ns_to_ms;
 use meissner_stream::queues::{At, Command, End, Play, StreamEvent};
 use meissner_stream::time::HostInstant;
@@ -90,7 +90,8 @@ impl<'t> Replay<'t> {
     }
 
     fn strokes(&self, seconds: f64) -> (Strokes, Bandwidth) {
-        let strokes = Strokes::new(&self.pattern, Some(seconds)).expect("a trace's length is a play's");
+        let strokes = Strokes::new(&self.pattern, &StrokeOptions::lasting(seconds))
+            .expect("a trace's length is a play's");
         let bandwidth = Bandwidth::of(&strokes, &self.settings);
         (strokes, bandwidth)
     }

@@ -14,7 +14,7 @@ use firmware_protocol::stroke::{Burst, MOTORS};
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::WINDOW_TICKS;
 use meissner_array::pattern::{Drive, MAX_DRIVES, Pattern};
-use meissner_array::strokes::Strokes;
+use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_array::units::UM_PER_PULSE;
 
 /// Pulses of a burst: at least a micrometre, at most so many that no two motors pulse at once.
@@ -179,7 +179,8 @@ impl Plan {
     /// Its bursts if it begins at `onset`, in the order of their strokes.
     #[expect(clippy::missing_panics_doc, reason = "it does not happen")]
     pub fn bursts(&self, onset: Tick) -> impl Iterator<Item = PlannedBurst> + use<> {
-        let mut strokes = Strokes::new(&self.pattern(), None).expect("a plan's drives can be played");
+        let mut strokes =
+            Strokes::new(&self.pattern(), &StrokeOptions::default()).expect("a plan's drives can be played");
         strokes.begin(onset);
         let mut played = [0_usize; MOTORS];
         strokes.flat_map(move |stroke| {

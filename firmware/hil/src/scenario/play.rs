@@ -12,7 +12,7 @@ use firmware_protocol::message::HostMessage;
 use firmware_protocol::stroke::{Direction, Stroke};
 use firmware_protocol::tick::Tick;
 use meissner_api::LatePolicy;
-use meissner_array::strokes::Strokes;
+use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_stream::queues::{At, Command, Play, StreamEvent};
 use meissner_stream::{Bandwidth, cause_text};
 
@@ -89,7 +89,7 @@ impl Runner<'_> {
                 if !step.refused {
                     self.plays.push(self.ordered);
                 }
-                let strokes = Strokes::new(&pattern(name)?, Some(*seconds))?;
+                let strokes = Strokes::new(&pattern(name)?, &StrokeOptions::lasting(*seconds))?;
                 let (id, at) = (self.ordered, At::Tick(tick(*onset_ms)));
                 let late = LatePolicy::Drop;
                 Command::Play(Box::new(Play {

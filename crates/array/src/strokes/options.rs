@@ -1,0 +1,114 @@
+//! How a pattern becomes strokes: for how long, at which amplitude, and with which surplus of the down bursts.
+//!
+//! Invariant: the default options change nothing; every number is checked by [`StrokeOptions::check`].
+
+use super::error::StrokesError;
+use crate::pattern::{AMPLITUDE_UM, MAX_SECONDS};
+use crate::reflected_walk::{Spread, surplus_um};
+use crate::units::UM_PER_PULSE;
+use firmware_protocol::stroke::MOTORS;
+
+/// How a play differs from its pattern.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StrokeOptions {
+    /// Cuts the pattern, or repeats it if it has a duration, s. Without it a pattern with a duration is played once. A pattern
+    /// without a duration goes on until its last drive stops, and without end if a drive has no `stop_s`.
+    pub seconds: Option<f64>,
+    /// Multiplies the amplitude of every drive, 0 to 1.
+    pub scale: f64,
+    /// Which strokes are played at the end.
+    pub fit: Fit,
+    /// How much longer a down burst is than its up burst.
+    pub surplus: Surplus,
+}
+
+/// Which strokes are played at the end of the play.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Fit {
+    /// Those that have ended by the end of the play.
+    #[default]
+    Whole,
+    /// Those that begin before the end of the play. They are played whole, and the play ends with the last of them. Strokes at
+    /// the end of earlier repeats, and those of drives with a `stop_s`, are as for [`Fit::Whole`].
+    Cover,
+}
+
+/// How much longer each down burst is than its up burst. A lower stop takes what is too much.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub enum Surplus {
+    /// Down bursts are as long as their up bursts.
+    #[default]
+    None,
+    /// A fixed length, µm.
+    Fixed(f64),
+    /// The smallest that keeps every motor's rest error within a bound.
+    Auto(Box<AutoSurplus>),
+}
+
+/// What [`Surplus::Auto`] is computed from.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AutoSurplus {
+    /// The spread of each motor's bursts.
+    pub spread: [Spread; MOTORS],
+    /// Root mean square of the rest error that is allowed, µm, above 0.
+    pub rest_error_um: f64,
+}
+
+impl Default for StrokeOptions {
+    fn default() -> Self {
+        Self { seconds: None, scale: 1.0, fit: Fit::Whole, surplus: Surplus::None }
+    }
+}
+
+impl StrokeOptions {
+    /// Only a duration, s.
+    #[must_use]
+    pub fn lasting(seconds: impl Into<Option<f64>>) -> Self {
+        Self { seconds: seconds.into(), ..Self::default() }
+    }
+
+    pub(super) fn check(&self) -> Result<(), StrokesError> {
+        if let Some(seconds) = self.seconds
+            && !(0.0..=MAX_SECONDS).contains(&seconds)
+        {
+            return Err(StrokesError::Seconds { seconds });
+        }
+        if !(0.0..=1.0).contains(&self.scale) {
+            return Err(StrokesError::Scale { scale: self.scale });
+        }
+        match &self.surplus {
+            Surplus::Fixed(um) if !AMPLITUDE_UM.contains(um) => Err(StrokesError::Surplus { um: *um }),
+            Surplus::Auto(auto) if !(auto.rest_error_um > 0.0 && auto.rest_error_um.is_finite()) => {
+                Err(StrokesError::RestError { um: auto.rest_error_um })
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+impl Surplus {
+    /// The surplus that a motor's strokes of this amplitude need, µm. Where no surplus up to the amplitude keeps the rest error
+    /// within its bound, it is the amplitude.
+    ///
+    /// # Panics
+    /// If there is no such motor.
+    #[must_use]
+    pub fn um(&self, motor: u8, amplitude_um: f64) -> f64 {
+        match self {
+            Self::None => 0.0,
+            Self::Fixed(um) => *um,
+            Self::Auto(auto) => {
+                let spread = auto.spread[usize::from(motor)];
+                surplus_um(amplitude_um, spread, auto.rest_error_um).unwrap_or(amplitude_um)
+            }
+        }
+    }
+
+    /// [`Self::um`] in whole pulses, rounded up, for bursts of so many pulses.
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "the cast saturates")]
+    pub(super) fn pulses(&self, motor: u8, pulses: u32) -> u32 {
+        let um = self.um(motor, f64::from(pulses) * UM_PER_PULSE);
+        // The billionth keeps whole pulses whole that are whole but for the rounding of `f64`.
+        (um / UM_PER_PULSE - 1e-9).ceil() as u32
+    }
+}
