@@ -13,7 +13,7 @@ use crc::{CRC_32_ISO_HDLC, Crc};
 use serde::{Deserialize, Serialize};
 
 /// The protocol's version: the first byte of every message, in all versions.
-pub const PROTOCOL: u8 = 1;
+pub const PROTOCOL: u8 = 2;
 /// Most bytes of version, body and CRC: one COBS block.
 const MAX_MESSAGE: usize = 254;
 const CRC_LEN: usize = 4;

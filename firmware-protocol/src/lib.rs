@@ -67,9 +67,18 @@
 //! The device accepts, refuses or drops a stroke as a whole. A `Verdict` lists the strokes of a frame that were not
 //! accepted; a frame without a verdict was accepted as sent.
 //!
-//! The first frame of a play has `onset` set, and its `base` is the onset. It is all or nothing: if the onset is late, the
-//! device takes none of it and reports `OnsetRefused`. When the onset has passed, the device reports `Onset` with the
-//! counters of that moment. The trigger output rises at the onset and stays high for [`controller::TRIGGER_TICKS`].
+//! The first frame of a play has a `mark`, and its `base` is the onset. It is all or nothing: if the onset is late, the
+//! device takes none of it and reports `OnsetRefused`. The first frame of a later item of a play has a mark, too. If that one
+//! is late, the device refuses the mark alone and judges the strokes one by one. When a mark has passed, the device reports
+//! `Onset` with the counters of that moment. At most 8 marks wait.
+//!
+//! A mark may have a `trigger`, which the trigger output gives from the mark's tick on, exact to the tick:
+//! ```text
+//! code 0:      one pulse of `width` ticks
+//! code 1..255: ten cells of `width` ticks: high | bit 0 | bit 1 | … | bit 7 | low      (1 is high; idle is low)
+//! ```
+//! A code is a serial frame (one start bit, eight data bits, one stop bit) of 85 000 / `width` baud with inverted levels. A
+//! later mark with a trigger ends the one before.
 //!
 //! # Reports
 //! `Verdict`, `OnsetRefused`, `Onset`, `Cut` and `Refused` must reach the host. The device numbers them and repeats them
@@ -111,14 +120,14 @@
 //! | `Status`: `next_seq`, `out_of_order` | not before the last one; frames that were sent | contradiction `stream` |
 //! | `Status`: `credits` | at most `pool` | contradiction `credits` |
 //! | `Status`: `reports` | does not shrink; at most `pool` + 32 beyond the last one read, not before it | contradiction `reports` |
-//! | `Status`: `state`, `cause`, `position_known` | arms and leaves faults only after a command; returns for at most 1 s; knows positions after `arm` only | contradiction `state` |
+//! | `Status`: `state`, `cause`, `position_known` | arms and leaves faults only after a command; returns for at most 1 s; learns positions after `arm` or a seek, and forgets them in a seek only | contradiction `state` |
 //! | `Status`: `outstanding` | at most 24 · 65 535 | contradiction `state` |
 //! | counters of statuses and onsets | do not shrink; at most 2^62; `played` and `pulses` grow by at most a pulse per tick and line, and a stroke | contradiction `counters` |
 //! | `Report`: `number` | the next one | ignored: the device repeats what is missing |
-//! | `Verdict`, `OnsetRefused` | a frame sent and not judged; strokes of that frame, each late or refused; a first frame whose base is before `rendered` | contradiction `report` |
-//! | `Onset`: `tick` | an onset sent and not reported | contradiction `report` |
+//! | `Verdict`, `OnsetRefused` | a frame sent and not judged; strokes of that frame, each late or refused; a frame with a mark whose base is before `rendered` | contradiction `report` |
+//! | `Onset`: `tick` | a mark sent and not reported | contradiction `report` |
 //! | `Cut`: `flushed`, `outstanding` | at most `pool`; as in `Status` | contradiction `report` |
-//! | `Refused`: `motor`, `reason` | 0 to 23; an on-time limit | contradiction `report` |
+//! | `Refused`: `motor`, `reason` | 0 to 23; an on-time limit or the limit on pushing | contradiction `report` |
 //! | `Telemetry` | only with that feature; any displacement: the monitor of each motor judges it | contradiction `telemetry` |
 //! | answer to a `Control`, a report announced, the report of an onset | within 3 s; 3 s; 5 s after the play's end | the link closes |
 //!
@@ -137,14 +146,16 @@
 //! first line counts as lost.
 //!
 //! *Outstanding return pulses* are the down pulses that a pin still needs to be back at rest. A stroke that is cut in its up
-//! burst leaves the up pulses played outstanding. A stroke that is cut later leaves the rest of its down burst outstanding.
+//! burst leaves the up pulses played outstanding, and its surplus. A stroke that is cut later leaves the rest of its down burst
+//! outstanding.
 //! A *return* begins at the rendered end: it cuts the running strokes, flushes the queue and at once plays the outstanding
 //! return pulses, then the lines are off. On-time limits do not apply to it.
 //!
 //! | event | what the controller does |
 //! |---|---|
 //! | power-up, panic, watchdog reset, core fault | turns all lines off; disarmed with that cause, position unknown: it refuses `arm` without `assume_rest` |
-//! | `arm` | only from disarmed: plays the outstanding return pulses first and reports them (`Cut`). It refuses strokes unless armed |
+//! | `arm` | only from disarmed: plays the outstanding return pulses first and reports them (`Cut`), or seeks the lower stop. It refuses strokes unless armed |
+//! | seek | with a lower stop, in `arm` or while armed and idle: drives all pins down by as many pulses as asked and reports them (`Cut`); then their position is known and no return pulses are outstanding |
 //! | stop | returns, stays armed |
 //! | disarm, shutdown, abort, host silent, link lost, another session | returns, then disarms |
 //! | e-stop, own fault | turns lines off after the tick being played; latches; keeps the outstanding return pulses per pin. `reset` leads to disarmed |
@@ -153,10 +164,22 @@
 //!
 //! At the end of a stroke its pin is at rest by definition: pulses that a correction adds or removes are not outstanding.
 //!
+//! # Lower stop
+//! A *lower stop* is a plate below which no pin can go: a motor that pushes against it slips. `arm` says whether the array has
+//! one ([`message::LowerStop`]). With a stop, the down burst of a stroke may be longer than its up burst by a *surplus*, so
+//! that scatter and asymmetry cannot add up. Without one, the controller refuses such a stroke (`Pushing`), because it would
+//! take the pin lower each time. A down burst is never planned shorter than its up burst: a stroke leaves no pin higher than it
+//! was. Corrections count from the planned counts, as without a stop.
+//!
+//! A seek needs no known position. It is a return that is longer than the whole travel: a stop, a silent host or a lost link do
+//! not cut it short, and on-time limits do not refuse it, but it counts. An e-stop cuts it, and then the position is unknown.
+//! To bound wear and heat, no motor may push more than `pulses_per_s` pulses in a sliding second against the stop, surplus and
+//! seeks together, and never more than [`limits::MAX_PUSHES_PER_S`].
+//!
 //! # Limits
 //! The controller enforces [`limits`] whatever the host asks: up pulses per stroke, balance of its bursts, size of
-//! corrections, travel of moves, on-time per motor and per rail, sizes of pool and queues. It refuses and reports a stroke
-//! that breaks one. It checks on-time limits when a stroke begins, and for a move when it is asked for. An amendment of a
+//! corrections, travel of moves, on-time per motor and per rail, pushing, sizes of pool and queues. It refuses and reports a
+//! stroke that breaks one. It checks on-time limits and pushing when a stroke begins, and for a move when it is asked for. An amendment of a
 //! stroke that has begun counts too, and is ignored if it breaks a limit.
 
 #![no_std]

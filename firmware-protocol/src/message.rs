@@ -6,7 +6,7 @@
 
 use crate::limits::{OnTimeLimits, Refusal};
 use crate::stroke::{Direction, MOTORS};
-use crate::tick::WireTick;
+use crate::tick::{TICK_HZ, WireTick};
 use serde::{Deserialize, Serialize};
 
 /// From the host to the device.
@@ -41,8 +41,8 @@ pub enum HostMessage<'a> {
         seq: u16,
         /// As in `Ping`.
         seen: u16,
-        /// Whether it is the first frame of a play, with its onset at `base`: taken as a whole or not at all, and reported.
-        onset: bool,
+        /// The mark at `base`, if the frame begins a play or a later item of it.
+        mark: Option<Mark>,
         /// The tick from which `batch` counts.
         base: WireTick,
         /// Packed strokes (see [`crate::batch`]).
@@ -61,6 +61,39 @@ pub enum HostMessage<'a> {
     },
 }
 
+/// The onset of a play or of one of its later items. The device reports it when it has passed ([`Report::Onset`]).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Mark {
+    /// Whose onset it is.
+    pub kind: MarkKind,
+    /// What the trigger output does from this tick on.
+    pub trigger: Option<Trigger>,
+}
+
+/// Whose onset a [`Mark`] is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum MarkKind {
+    /// A play's: the device takes the frame as a whole or not at all.
+    Play,
+    /// A later item's: if the mark is late, the device refuses it alone and judges each stroke by itself.
+    Item,
+}
+
+/// A pulse or a code on the trigger output.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Trigger {
+    /// Ticks of the pulse, or of each of the ten cells of a code; 0 counts as 1.
+    pub width: u16,
+    /// 0: one pulse. Otherwise a start cell (high), eight cells with the bits of the code, lowest first (high is 1), and a low
+    /// cell: a serial frame with one start bit and one stop bit, idle low.
+    pub code: u8,
+}
+
+impl Trigger {
+    /// One pulse of 10 ms: long enough for an amplifier that samples at 200 Hz.
+    pub const PULSE: Self = Self { width: (TICK_HZ / 100) as u16, code: 0 };
+}
+
 /// What a `Control` asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Op {
@@ -72,6 +105,8 @@ pub enum Op {
         host_timeout: u32,
         /// The site's limits. The lower value of these and the device's own applies.
         limits: OnTimeLimits,
+        /// The array's lower stop, if it has one.
+        lower_stop: Option<LowerStop>,
     },
     /// Return, then disarm, for this reason.
     Disarm(Cause),
@@ -90,6 +125,20 @@ pub enum Op {
         /// Length of the burst.
         pulses: u16,
     },
+    /// Drive all pins down to the lower stop by so many pulses: the position is known then. Only while armed with nothing queued.
+    Seek {
+        /// At most [`crate::limits::MAX_SEEK`].
+        pulses: u16,
+    },
+}
+
+/// What the controller may do against a lower stop: a plate below which no pin can go.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LowerStop {
+    /// Most pulses in a sliding second by which a motor's down bursts may exceed their up bursts.
+    pub pulses_per_s: u32,
+    /// Drive all pins down to the stop by so many pulses first, instead of the outstanding return pulses; 0: do not.
+    pub seek: u16,
 }
 
 /// The state of the controller.
@@ -286,23 +335,23 @@ pub enum Report {
         /// The first tick not rendered yet: the earliest possible start.
         rendered: WireTick,
     },
-    /// The first frame of a play was late: nothing of it was taken.
+    /// A mark was late. If it was a play's, nothing of its frame was taken.
     OnsetRefused {
         /// The frame's number.
         seq: u16,
         /// The first tick not rendered yet.
         rendered: WireTick,
     },
-    /// The onset of a play has passed.
+    /// A mark has passed, and its trigger began at its tick.
     Onset {
-        /// The onset.
+        /// The mark's tick.
         tick: WireTick,
         /// Counts at the onset.
         counters: Counters,
     },
     /// Running strokes were cut and the queue was flushed.
     Cut(Cut),
-    /// A queued stroke was refused when it was to begin, because of an on-time limit.
+    /// A queued stroke was refused when it was to begin, because of an on-time limit or the limit on pushing.
     Refused {
         /// The stroke's motor.
         motor: u8,

@@ -127,7 +127,7 @@ fn an_amended_stroke_is_returned_as_amended() {
         let at = bench.device.rendered().0;
         bench.control(Op::Stop);
         bench.settle();
-        let expected = returned(&amended, at);
+        let expected = returned(&amended, 0, at);
         assert_eq!(bench.bursts(1)[..expected.len()], expected);
     }
 }

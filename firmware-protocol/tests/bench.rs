@@ -6,8 +6,10 @@
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
 use firmware_protocol::controller::{BLOCK, Controller, HORIZON, Identity, REORDER_WINDOW};
 use firmware_protocol::frame::{Decoder, MAX_FRAME, encode};
-use firmware_protocol::limits::OnTimeLimits;
-use firmware_protocol::message::{Cause, DeviceMessage, HostMessage, Op, Report, State, Status};
+use firmware_protocol::limits::{MAX_PUSHES_PER_S, OnTimeLimits};
+use firmware_protocol::message::{
+    Cause, DeviceMessage, HostMessage, LowerStop, Mark, MarkKind, Op, Report, State, Status, Trigger,
+};
 use firmware_protocol::stroke::{Burst, Direction, Line, Lines, MOTORS, Stroke};
 use firmware_protocol::tick::{TICK_HZ, Tick};
 use serde::Serialize;
@@ -27,6 +29,12 @@ pub(crate) const TIGHT: Shell = Shell { ahead: 1, block: 1 };
 /// Bytes first, then the ticks up to now: nothing is rendered ahead when an event comes.
 pub(crate) const MOCK: Shell = Shell { ahead: 0, block: 1 };
 pub(crate) const SHELLS: [Shell; 3] = [FIRMWARE, TIGHT, MOCK];
+
+/// The mark of a play with a usual trigger.
+pub(crate) const ONSET: Mark = Mark { kind: MarkKind::Play, trigger: Some(Trigger::PULSE) };
+
+/// The lower stop that [`arm`] names.
+pub(crate) const STOP: LowerStop = LowerStop { pulses_per_s: MAX_PUSHES_PER_S, seek: 0 };
 
 /// The host watchdog timeout that [`Bench::arm`] sets.
 pub(crate) const HOST_TIMEOUT: u32 = 2 * TICK_HZ;
@@ -242,19 +250,19 @@ impl Bench {
     }
 
     /// Sends the next frame of the stream.
-    pub(crate) fn frame(&mut self, onset: bool, base: u64, batch: &[u8]) {
+    pub(crate) fn frame(&mut self, mark: Option<Mark>, base: u64, batch: &[u8]) {
         let (epoch, seq, seen) = (self.epoch, self.seq, self.seen());
-        self.send(&HostMessage::Strokes { epoch, seq, seen, onset, base: Tick(base).wire(), batch });
+        self.send(&HostMessage::Strokes { epoch, seq, seen, mark, base: Tick(base).wire(), batch });
         self.seq = self.status().next_seq;
     }
 
     pub(crate) fn strokes(&mut self, strokes: &[Stroke]) {
         let base = strokes[0].up.0;
-        self.frame(false, base, pack(base, strokes).bytes());
+        self.frame(None, base, pack(base, strokes).bytes());
     }
 
     pub(crate) fn onset(&mut self, base: u64, strokes: &[Stroke]) {
-        self.frame(true, base, pack(base, strokes).bytes());
+        self.frame(Some(ONSET), base, pack(base, strokes).bytes());
     }
 
     pub(crate) fn amend(&mut self, generation: u16, stroke: &Stroke, direction: Direction, pulses: u16) {
@@ -336,5 +344,5 @@ impl Bench {
 }
 
 pub(crate) fn arm(assume_rest: bool, host_timeout: u32, limits: OnTimeLimits) -> Op {
-    Op::Arm { assume_rest, host_timeout, limits }
+    Op::Arm { assume_rest, host_timeout, limits, lower_stop: Some(STOP) }
 }

@@ -1,11 +1,12 @@
-//! The bytes of version 1 on the wire. Never edit them: a changed byte is a new version.
+//! The bytes of version 2 on the wire. Never edit them: a changed byte is a new version.
 
-use crate::bench::{arm, frame, pack, stroke};
+use crate::bench::{ONSET, frame, pack, stroke};
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
 use firmware_protocol::frame::{Decoder, FRAME_OVERHEAD, MAX_FRAME, PROTOCOL};
 use firmware_protocol::limits::{OnTimeLimits, Refusal};
 use firmware_protocol::message::{
-    Cause, Counters, Cut, DeviceHello, DeviceMessage, HostMessage, Op, Report, State, Status,
+    Cause, Counters, Cut, DeviceHello, DeviceMessage, HostMessage, LowerStop, Mark, MarkKind, Op, Report,
+    State, Status, Trigger,
 };
 use firmware_protocol::stroke::{Direction, MOTORS};
 use firmware_protocol::tick::{Tick, WireTick};
@@ -96,32 +97,51 @@ fn from_the_host() {
         items.amendment(&Amendment { motor, up: Tick(up), direction, pulses }).unwrap();
     }
     let base = Tick(BASE).wire();
-    let control = |op| HostMessage::Control { epoch: 7, seen: 400, op };
     let limits = OnTimeLimits { motor: 20_000, rail: 90_000 };
+    let arm = |lower_stop| Op::Arm { assume_rest: true, host_timeout: 25_500, limits, lower_stop };
+    let control = |op| HostMessage::Control { epoch: 7, seen: 400, op };
+    let coded = Mark { kind: MarkKind::Item, trigger: Some(Trigger { width: 85, code: 200 }) };
+    let silent = Mark { kind: MarkKind::Play, trigger: None };
+    let marked =
+        |mark| HostMessage::Strokes { epoch: 7, seq: 1, seen: 1, mark: Some(mark), base, batch: &[] };
     let cases = [
-        (HostMessage::Hello { session: 0xdead_beef }, "02010aeffdb6f50d59a13a3300"),
-        (HostMessage::Ping { token: 513, seen: 0 }, "0501018104057b0d65c700"),
-        (control(arm(true, 25_500, limits)), "0601020790030f019cc701a09c0190bf05b44d6ea200"),
-        (control(Op::Disarm(Cause::Shutdown)), "0c01020790030103d796e7fb00"),
-        (control(Op::Disarm(Cause::Abort)), "0c010207900301047403836500"),
-        (control(Op::Stop), "0b010207900302c093b9a500"),
-        (control(Op::EStop), "0b01020790030356a3bed200"),
-        (control(Op::Reset), "0b010207900304f536da4c00"),
+        (HostMessage::Hello { session: 0xdead_beef }, "02020aeffdb6f50dc4bbd20200"),
+        (HostMessage::Ping { token: 513, seen: 0 }, "050201810405ab77c58000"),
+        (control(arm(None)), "0602020790030b019cc701a09c0190bf0505d1ad364d00"),
+        (
+            control(arm(Some(LowerStop { pulses_per_s: 17_000, seek: 7_400 }))),
+            "06020207900315019cc701a09c0190bf0501e88401e8394a2d24d100",
+        ),
+        (control(Op::Seek { pulses: 7_400 }), "0d020207900306e83925fc01a300"),
+        (control(Op::Disarm(Cause::Shutdown)), "0c020207900301034a8c0fca00"),
+        (control(Op::Disarm(Cause::Abort)), "0c02020790030104e9196b5400"),
+        (control(Op::Stop), "0b0202079003026ee12d2300"),
+        (control(Op::EStop), "0b020207900303f8d12a5400"),
+        (control(Op::Reset), "0b0202079003045b444eca00"),
         (
             control(Op::Move { motor: 5, direction: Direction::Down, pulses: 1_000 }),
-            "0f0102079003050501e80777df18b700",
+            "0f0202079003050501e80774642f5c00",
         ),
         (
-            HostMessage::Strokes { epoch: 7, seq: 0, seen: 1, onset: true, base, batch: strokes.bytes() },
-            "040103070901010df0edfe1340109301b104373bb1040604e58c06b8170601cb0c61d000",
+            HostMessage::Strokes {
+                epoch: 7,
+                seq: 0,
+                seen: 1,
+                mark: Some(ONSET),
+                base,
+                batch: strokes.bytes(),
+            },
+            "040203070301010401d206070df0edfe1340109301b104373bb1040604e58c06b8170601694d691c00",
         ),
+        (marked(coded), "0f020307010101010155c80df0edfe05a67adac900"),
+        (marked(silent), "0702030701010101050df0edfe058f166d5000"),
         (
-            HostMessage::Strokes { epoch: 7, seq: 65_535, seen: 1, onset: false, base, batch: &[] },
-            "08010307ffff0301050df0edfe05aad2445900",
+            HostMessage::Strokes { epoch: 7, seq: 65_535, seen: 1, mark: None, base, batch: &[] },
+            "08020307ffff0301050df0edfe0564be8ee400",
         ),
         (
             HostMessage::Amend { epoch: 7, generation: 1_000, base, items: items.bytes() },
-            "18010407e8070df0edfe09099216970137218f0187a5e49000",
+            "18020407e8070df0edfe09099216970137218f012e23b23300",
         ),
     ];
     for (message, hex) in cases {
@@ -140,40 +160,40 @@ fn from_the_device() {
     let cases = [
         (
             DeviceMessage::Hello(HELLO),
-            "02010beffdb6f50d010203cafe19016318889805800840b817889805b0901f03b0b4e4fe0f010f01060102030401ac024d7a11ed9100",
+            "02020beffdb6f50d010203cafe19016318889805800840b817889805b0901f03b0b4e4fe0f010f01060102030401ac024d1e243fd700",
         ),
         (
             DeviceMessage::Hello(DeviceHello { last_cut: None, ..HELLO }),
-            "02010beffdb6f50d010203cafe19016318889805800840b817889805b0901f03b0b4e4fe0f0101058c2fbdbb00",
+            "02020beffdb6f50d010203cafe19016318889805800840b817889805b0901f03b0b4e4fe0f0101057733266800",
         ),
-        (DeviceMessage::NoSession, "0701012813c52f00"),
+        (DeviceMessage::NoSession, "070201eb40e80400"),
         (
             DeviceMessage::Status(STATUS),
-            "0601028104ff04fe7f020aac02058008050101010f01a6020304050607080981eb467200",
+            "0602028104ff04fe7f020aac02058008050101010f01a6020304050607080999cee73600",
         ),
         (
             status(State::Disarmed, Cause::Boot, Some(Refusal::PositionUnknown)),
-            "0601028104ff0cfe7f02010aac02058008050102010f01a602030405060708094060f90500",
+            "0602028104ff0cfe7f02010aac02058008050102010f01a602030405060708093359d11600",
         ),
         (
             status(State::Returning, Cause::LinkLost, Some(Refusal::State)),
-            "0601028104ff0ffe7f02010bac02058008050207010f01a602030405060708092b213e0600",
+            "0602028104ff0ffe7f02010bac02058008050207010f01a602030405060708095818161500",
         ),
         (
             status(State::Returning, Cause::NewHost, Some(Refusal::Travel)),
-            "0601028104ff0ffe7f02010cac02058008050208010f01a602030405060708094672a94800",
+            "0602028104ff0ffe7f02010cac02058008050208010f01a60203040506070809354b815b00",
         ),
         (
             status(State::Faulted, Cause::EStop, None),
-            "0601028104ff04fe7f020aac02058008050305010f01a60203040506070809ba45915300",
+            "0602028104ff04fe7f020aac02058008050305010f01a60203040506070809a260301700",
         ),
         (
             status(State::Faulted, Cause::Starved, None),
-            "0601028104ff04fe7f020aac02058008050309010f01a6020304050607080941fc2bc900",
+            "0602028104ff04fe7f020aac02058008050309010f01a6020304050607080959d98a8d00",
         ),
         (
             status(State::Faulted, Cause::Panic, Some(Refusal::Malformed)),
-            "0601028104ff0ffe7f02010dac0205800805030a010f01a60203040506070809e5a5202a00",
+            "0602028104ff0ffe7f02010dac0205800805030a010f01a60203040506070809969c083900",
         ),
         (
             report(Report::Verdict {
@@ -183,30 +203,31 @@ fn from_the_device() {
                 reason: Some(Refusal::NotArmed),
                 rendered,
             }),
-            "050103c8010fac02018080808080808080800101094df0edfe85377fdc00",
+            "050203c8010fac02018080808080808080800101094df0edfead9e618400",
         ),
-        (report(Report::OnsetRefused { seq: 1, rendered }), "0f0103c80101014df0edfe2433a2a100"),
+        (report(Report::OnsetRefused { seq: 1, rendered }), "0f0203c80101014df0edfe2788954a00"),
         (
             report(Report::Onset { tick: rendered, counters: COUNTERS }),
-            "180103c801024df0edfe01a60203040506070809a9feebc800",
+            "140203c801024df0edfe01a602030405060708090478bd6b00",
         ),
-        (report(Report::Cut(CUT)), "130103c80103060102030401ac024dcf1ed18400"),
+        (report(Report::Cut(CUT)), "130203c80103060102030401ac024d143bb0f800"),
         (
             report(Report::Cut(Cut { cause: Cause::Stop, returns: false, ..CUT })),
-            "0b0103c80103020102030408ac024da628816100",
+            "0b0203c80103020102030408ac024d7d0de01d00",
         ),
-        (refused(Refusal::Motor), "100103c80104110df0edfe018cecba9000"),
-        (refused(Refusal::UpPulses), "100103c80104110df0edfe0236bdb30900"),
-        (refused(Refusal::Bursts), "100103c80104110df0edfe03a08db47e00"),
-        (refused(Refusal::Unbalanced), "100103c80104110df0edfe040318d0e000"),
-        (refused(Refusal::Overlap), "100103c80104110df0edfe059528d79700"),
-        (refused(Refusal::TooFar), "100103c80104110df0edfe062f79de0e00"),
-        (refused(Refusal::PoolFull), "100103c80104110df0edfe07b949d97900"),
-        (refused(Refusal::MotorOnTime), "100103c80104110df0edfe08285466e900"),
-        (refused(Refusal::RailOnTime), "100103c80104110df0edfe09be64619e00"),
+        (refused(Refusal::Motor), "100203c80104110df0edfe018d8a580900"),
+        (refused(Refusal::UpPulses), "100203c80104110df0edfe0237db519000"),
+        (refused(Refusal::Bursts), "100203c80104110df0edfe03a1eb56e700"),
+        (refused(Refusal::Unbalanced), "100203c80104110df0edfe04027e327900"),
+        (refused(Refusal::Overlap), "100203c80104110df0edfe05944e350e00"),
+        (refused(Refusal::TooFar), "100203c80104110df0edfe062e1f3c9700"),
+        (refused(Refusal::PoolFull), "100203c80104110df0edfe07b82f3be000"),
+        (refused(Refusal::MotorOnTime), "100203c80104110df0edfe082932847000"),
+        (refused(Refusal::Pushing), "100203c80104110df0edfe0e1c97e79900"),
+        (refused(Refusal::RailOnTime), "100203c80104110df0edfe09bf02830700"),
         (
             DeviceMessage::Telemetry { tick: rendered, y },
-            "0901044df0edfe0201010101010101010101010101010101010101010c807dffffffff0f41d7eab000",
+            "0902044df0edfe0201010101010101010101010101010101010101010c807dffffffff0f58e9393b00",
         ),
     ];
     for (message, hex) in cases {
@@ -282,12 +303,15 @@ fn messages_fit() {
 
     let (epoch, seq, seen, generation) = (u16::MAX, u16::MAX, u16::MAX, u16::MAX);
     let list = [0xff; BATCH_BYTES];
-    let strokes = HostMessage::Strokes { epoch, seq, seen, onset: true, base: tick, batch: &list };
+    let trigger = Some(Trigger { width: u16::MAX, code: u8::MAX });
+    let mark = Some(Mark { kind: MarkKind::Item, trigger });
+    let strokes = HostMessage::Strokes { epoch, seq, seen, mark, base: tick, batch: &list };
     // The longest header and batch exactly fill a frame.
     assert_eq!(frame(&strokes).len(), MAX_FRAME);
     let amend = HostMessage::Amend { epoch, generation, base: tick, items: &list };
     assert!(frame(&amend).len() <= MAX_FRAME);
-    let op = Op::Arm { assume_rest: true, host_timeout: u32::MAX, limits };
+    let lower_stop = Some(LowerStop { pulses_per_s: u32::MAX, seek: u16::MAX });
+    let op = Op::Arm { assume_rest: true, host_timeout: u32::MAX, limits, lower_stop };
     assert!(frame(&HostMessage::Control { epoch, seen, op }).len() <= MAX_FRAME);
 }
 
@@ -304,10 +328,10 @@ fn a_steady_play_takes_less_than_six_bytes_per_burst() {
         epoch: u16::MAX,
         seq: u16::MAX,
         seen: u16::MAX,
-        onset: true,
+        mark: Some(ONSET),
         base,
         batch: packer.bytes(),
     });
     assert!(frame.len() > FRAME_OVERHEAD && frame.len() as u64 <= 6 * 2 * k, "{} for {k}", frame.len());
-    assert_eq!(PROTOCOL, 1);
+    assert_eq!(PROTOCOL, 2);
 }

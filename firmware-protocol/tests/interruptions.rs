@@ -47,11 +47,24 @@ fn nonempty(bursts: [Burst; 2]) -> Vec<Burst> {
     bursts.into_iter().filter(|burst| burst.pulses > 0).collect()
 }
 
-/// The bursts played of a stroke if a return begins at `at`.
-pub(crate) fn returned(stroke: &Stroke, at: u64) -> Vec<Burst> {
+/// Return pulses after `ups` up pulses, less than the burst has: as many, and the surplus.
+fn return_pulses(surplus: u16, ups: u64) -> u64 {
+    if ups > 0 { ups + u64::from(surplus) } else { 0 }
+}
+
+fn surplus(stroke: &Stroke) -> u16 {
+    stroke.down_pulses - stroke.up_pulses
+}
+
+/// The bursts played of a stroke planned with this surplus, if a return begins at `at`.
+pub(crate) fn returned(stroke: &Stroke, surplus: u16, at: u64) -> Vec<Burst> {
     let (up, down) = (stroke.up.0, stroke.down.0);
     let ups = at.saturating_sub(up).min(stroke.up_pulses.into());
-    let downs = if ups < u64::from(stroke.up_pulses) { ups } else { stroke.down_pulses.into() };
+    let downs = if ups < u64::from(stroke.up_pulses) {
+        return_pulses(surplus, ups)
+    } else {
+        stroke.down_pulses.into()
+    };
     nonempty([burst(up, Up, ups), burst(down.min(at), Down, downs)])
 }
 
@@ -59,7 +72,11 @@ pub(crate) fn returned(stroke: &Stroke, at: u64) -> Vec<Burst> {
 fn off(stroke: &Stroke, at: u64) -> (Vec<Burst>, u64) {
     let ups = at.saturating_sub(stroke.up.0).min(stroke.up_pulses.into());
     let downs = at.saturating_sub(stroke.down.0).min(stroke.down_pulses.into());
-    let whole = if ups < u64::from(stroke.up_pulses) { ups } else { stroke.down_pulses.into() };
+    let whole = if ups < u64::from(stroke.up_pulses) {
+        return_pulses(surplus(stroke), ups)
+    } else {
+        stroke.down_pulses.into()
+    };
     (nonempty([burst(stroke.up.0, Up, ups), burst(stroke.down.0, Down, downs)]), whole - downs)
 }
 
@@ -76,7 +93,7 @@ fn a_return_at_every_phase_undoes_what_was_played_and_no_more() {
                     bench.settle();
                     bench.is(then, cause);
                     bench.run(6_000);
-                    let expected = returned(&stroke, at);
+                    let expected = returned(&stroke, surplus(&stroke), at);
                     assert_eq!(bench.bursts(3), expected, "{cause:?} at {event}, {shell:?}");
                     assert!(down == 9 || bench.net(3) == 0);
                     let counters = bench.device.counters();
@@ -124,7 +141,7 @@ fn a_host_silent_at_every_phase_returns_and_disarms() {
             let at = at + u64::from(shell.ahead == 0);
             bench.settle();
             bench.is(State::Disarmed, Cause::HostTimeout);
-            assert_eq!(bench.bursts(3), returned(&stroke, at), "{expires} {shell:?}");
+            assert_eq!(bench.bursts(3), returned(&stroke, surplus(&stroke), at), "{expires} {shell:?}");
         }
     }
 }

@@ -2,9 +2,10 @@
 //!
 //! Sequence numbers, epochs, sessions, reports, and frames that cannot be read.
 
-use crate::bench::{Bench, FIRMWARE, SHELLS, frame, pack, stroke};
+use crate::bench::{Bench, FIRMWARE, ONSET, SHELLS, frame, pack, stroke};
 use firmware_protocol::batch::MAX_BATCH;
 use firmware_protocol::controller::{POOL, REORDER_WINDOW, REPORTS};
+use firmware_protocol::frame::PROTOCOL;
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{Cause, DeviceMessage, HostMessage, Op, Report, State};
 use firmware_protocol::stroke::{Direction, Stroke};
@@ -15,7 +16,7 @@ fn strokes(bench: &Bench, epoch: u16, seq: u16, strokes: &[Stroke]) -> Vec<u8> {
     let base = strokes.first().map_or(bench.now, |stroke| stroke.up.0);
     let batch = pack(base, strokes);
     let (seen, base) = (bench.seen(), Tick(base).wire());
-    frame(&HostMessage::Strokes { epoch, seq, seen, onset: false, base, batch: batch.bytes() })
+    frame(&HostMessage::Strokes { epoch, seq, seen, mark: None, base, batch: batch.bytes() })
 }
 
 fn control(epoch: u16, op: Op) -> Vec<u8> {
@@ -140,7 +141,7 @@ fn the_sequence_and_the_epoch_wrap() {
     let mut bench = Bench::armed(FIRMWARE);
     for round in 0..65_536u32 + 3 {
         assert_eq!(u32::from(bench.seq), round % 65_536);
-        bench.frame(false, bench.now, &[]);
+        bench.frame(None, bench.now, &[]);
         bench.inbox.drain(..bench.inbox.len() - 1);
     }
     let next = stroke(1, bench.now + 100, 7, 6, 7);
@@ -335,7 +336,7 @@ fn foreign(version: u8) -> Vec<u8> {
 
 #[test]
 fn another_version_is_answered_with_a_hello() {
-    for version in [0, 2, 255] {
+    for version in [0, 1, 3, 255] {
         let mut bench = Bench::new(FIRMWARE);
         bench.bytes(&foreign(version));
         assert!(matches!(bench.inbox[..], [DeviceMessage::Hello(hello)] if hello.session == 0));
@@ -344,7 +345,7 @@ fn another_version_is_answered_with_a_hello() {
     // This version, but no message: an unknown variant, or bytes left over.
     let mut bench = Bench::armed(FIRMWARE);
     bench.inbox.clear();
-    bench.bytes(&foreign(1));
+    bench.bytes(&foreign(PROTOCOL));
     assert_eq!((bench.inbox.len(), bench.device.counters().bad_frames), (0, 1));
 }
 
@@ -365,7 +366,7 @@ fn bad_frames_are_counted_and_change_nothing() {
     }
     let in_a_frame = |batch: &[u8]| {
         let (epoch, base) = (bench.epoch, Tick(bench.now).wire());
-        frame(&HostMessage::Strokes { epoch, seq: 0, seen: 0, onset: true, base, batch })
+        frame(&HostMessage::Strokes { epoch, seq: 0, seen: 0, mark: Some(ONSET), base, batch })
     };
     let (crowd, half) = (in_a_frame(&crowd), in_a_frame(&[0x40, 1]));
     bench.inbox.clear();

@@ -1,10 +1,10 @@
-//! The first frame of a play: all or nothing, reported at its onset, with the trigger output.
+//! The first frame of a play or of a later item: reported at its onset, with the trigger output.
 
-use crate::bench::{Bench, FIRMWARE, SHELLS, stroke};
+use crate::bench::{Bench, FIRMWARE, SHELLS, pack, stroke};
 use crate::strokes::verdict;
-use firmware_protocol::controller::{POOL, TRIGGER_TICKS};
+use firmware_protocol::controller::POOL;
 use firmware_protocol::limits::Refusal;
-use firmware_protocol::message::{Op, Report};
+use firmware_protocol::message::{Mark, MarkKind, Op, Report, State, Trigger};
 use firmware_protocol::tick::Tick;
 
 #[test]
@@ -44,7 +44,7 @@ fn an_onset_is_all_or_nothing_and_reported_when_it_has_passed() {
 
 #[test]
 fn the_trigger_rises_with_each_onset_and_stays_for_10_ms() {
-    let ms_10 = u64::from(TRIGGER_TICKS);
+    let ms_10 = u64::from(Trigger::PULSE.width);
     for shell in SHELLS {
         let mut bench = Bench::armed(shell);
         let base = bench.now + 100;
@@ -138,4 +138,52 @@ fn at_most_eight_onsets_wait() {
     bench.run(102);
     bench.onset(bench.now + 100, &[]);
     assert_eq!(bench.status().next_seq, 9);
+}
+
+#[test]
+fn a_late_mark_of_an_item_is_refused_alone() {
+    for shell in SHELLS {
+        let mut bench = Bench::armed(shell);
+        bench.run(50);
+        let rendered = bench.device.rendered();
+        let strokes = [stroke(1, rendered.0 - 1, 9, 5, 9), stroke(2, rendered.0 + 20, 9, 5, 9)];
+        let item = Mark { kind: MarkKind::Item, trigger: Some(Trigger::PULSE) };
+        bench.frame(Some(item), rendered.0 - 1, pack(rendered.0 - 1, &strokes).bytes());
+        bench.run(2_000);
+        let rendered = rendered.wire();
+        assert_eq!(
+            bench.reports(),
+            [
+                Report::OnsetRefused { seq: 0, rendered },
+                Report::Verdict { seq: 0, late: 1, refused: 0, reason: None, rendered }
+            ]
+        );
+        assert_eq!((bench.bursts(1), bench.bursts(2)), (vec![], strokes[1].bursts().into()));
+        assert_eq!((bench.triggered.len(), bench.device.state()), (0, State::Armed));
+    }
+}
+
+#[test]
+fn the_trigger_gives_each_code_as_a_serial_frame() {
+    for shell in SHELLS {
+        let mut bench = Bench::armed(shell);
+        let mut onset = bench.now + 100;
+        for (width, code) in [(1, 1), (0, 85), (7, 0b1011_0010), (850, 255), (85, 128), (300, 0)] {
+            let cell = u64::from(width).max(1);
+            let kind = if code % 2 == 0 { MarkKind::Item } else { MarkKind::Play };
+            bench.frame(Some(Mark { kind, trigger: Some(Trigger { width, code }) }), onset, &[]);
+            bench.triggered.clear();
+            bench.run_to(onset + 12 * cell + 40);
+            let cells = (0..10u64).filter(|&k| k == 0 || (k <= 8 && code >> (k - 1) & 1 == 1));
+            let high: Vec<u64> = cells.flat_map(|k| (0..cell).map(move |i| onset + k * cell + i)).collect();
+            assert_eq!(bench.triggered, high, "width {width}, code {code}, {shell:?}");
+            onset = bench.now + 100;
+        }
+        // A play without a trigger is reported, and the output stays low.
+        bench.triggered.clear();
+        bench.frame(Some(Mark { kind: MarkKind::Play, trigger: None }), onset, &[]);
+        bench.run(1_000);
+        assert!(matches!(bench.last_report(), Report::Onset { tick, .. } if tick == Tick(onset).wire()));
+        assert_eq!(bench.triggered, []);
+    }
 }

@@ -3,7 +3,9 @@
 use crate::bench::{Bench, FIRMWARE, MOCK, Shell, TIGHT, arm, frame, pack, stroke};
 use firmware_protocol::controller::POOL;
 use firmware_protocol::limits::{MAX_DOWN_PULSES, MAX_TRAVEL, OnTimeLimits};
-use firmware_protocol::message::{Cause, DeviceMessage, HostMessage, Op as Command, State};
+use firmware_protocol::message::{
+    Cause, DeviceMessage, HostMessage, Mark, MarkKind, Op as Command, State, Trigger,
+};
 use firmware_protocol::stroke::{Direction, MOTORS, Stroke};
 use firmware_protocol::tick::{Tick, WireTick};
 use proptest::prelude::*;
@@ -41,7 +43,7 @@ enum Op {
     },
     /// From this many ticks after the rendered end, or before it.
     Strokes {
-        onset: bool,
+        mark: Option<Mark>,
         from: i16,
         strokes: Vec<Sent>,
     },
@@ -61,7 +63,7 @@ enum Op {
         epoch: u16,
         seq: u16,
         seen: u16,
-        onset: bool,
+        mark: Option<Mark>,
         base: [u8; 4],
         batch: Vec<u8>,
     },
@@ -76,24 +78,27 @@ enum Op {
     },
 }
 
-fn sent(corrected: bool) -> impl Strategy<Value = Sent> {
+fn sent(surplus: bool) -> impl Strategy<Value = Sent> {
     let pulses = prop_oneof![8 => 1u16..60, 1 => 2_900u16..3_002];
-    let correction = if corrected { -3..4i8 } else { 0..1i8 };
+    let correction = if surplus { 0..4i8 } else { 0..1i8 };
     (0u8..26, 0u16..120, pulses, 0u16..100, correction)
         .prop_map(|(motor, after, pulses, hold, correction)| Sent { motor, after, pulses, hold, correction })
 }
 
-fn strokes(corrected: bool) -> impl Strategy<Value = Op> {
-    (
-        any::<bool>(),
-        prop_oneof![4 => 0i16..300, 1 => -40i16..0],
-        prop::collection::vec(sent(corrected), 0..12),
-    )
-        .prop_map(|(onset, from, strokes)| Op::Strokes { onset, from, strokes })
+fn mark() -> impl Strategy<Value = Option<Mark>> {
+    let kind = prop::sample::select(vec![MarkKind::Play, MarkKind::Item]);
+    let trigger =
+        prop::option::of((0u16..300, any::<u8>()).prop_map(|(width, code)| Trigger { width, code }));
+    prop::option::of((kind, trigger).prop_map(|(kind, trigger)| Mark { kind, trigger }))
+}
+
+fn strokes(surplus: bool) -> impl Strategy<Value = Op> {
+    (mark(), prop_oneof![4 => 0i16..300, 1 => -40i16..0], prop::collection::vec(sent(surplus), 0..12))
+        .prop_map(|(mark, from, strokes)| Op::Strokes { mark, from, strokes })
 }
 
 /// Requests that keep strokes balanced and pins at their rest position.
-fn tame(corrected: bool) -> impl Strategy<Value = Op> {
+fn tame(surplus: bool) -> impl Strategy<Value = Op> {
     prop_oneof![
         24 => (0u16..300).prop_map(Op::Run),
         1 => Just(Op::Pause),
@@ -104,7 +109,7 @@ fn tame(corrected: bool) -> impl Strategy<Value = Op> {
         2 => Just(Op::Stop),
         2 => Just(Op::EStop),
         3 => Just(Op::Reset),
-        24 => strokes(corrected),
+        24 => strokes(surplus),
         2 => Just(Op::Again),
         1 => Just(Op::LinkLost),
         1 => Just(Op::Fault),
@@ -122,8 +127,8 @@ fn wild() -> impl Strategy<Value = Op> {
         2 => (0u8..26, direction, pulses).prop_map(|(motor, direction, pulses)| Op::Move { motor, direction, pulses }),
         8 => (any::<prop::sample::Index>(), 0u16..6, any::<bool>(), -9i16..10)
             .prop_map(|(pick, generation, down, change)| Op::Amend { pick, generation, down, change }),
-        2 => (0u16..4, 0u16..4, any::<u16>(), any::<bool>(), any::<[u8; 4]>(), bytes())
-            .prop_map(|(epoch, seq, seen, onset, base, batch)| Op::WildStrokes { epoch, seq, seen, onset, base, batch }),
+        2 => (0u16..4, 0u16..4, any::<u16>(), mark(), any::<[u8; 4]>(), bytes())
+            .prop_map(|(epoch, seq, seen, mark, base, batch)| Op::WildStrokes { epoch, seq, seen, mark, base, batch }),
         1 => (any::<u16>(), any::<[u8; 4]>(), bytes())
             .prop_map(|(generation, base, items)| Op::WildAmend { generation, base, items }),
         1 => (any::<u16>(), any::<u32>()).prop_map(|(epoch, host_timeout)| Op::WildControl { epoch, host_timeout }),
@@ -215,7 +220,7 @@ impl World {
             Op::Move { motor, direction, pulses } => {
                 bench.control(Command::Move { motor, direction, pulses });
             }
-            Op::Strokes { onset, from, strokes } => {
+            Op::Strokes { mark, from, strokes } => {
                 let base = bench.device.rendered().0.wrapping_add_signed(from.into());
                 let mut up = base;
                 let strokes: Vec<Stroke> = strokes
@@ -229,7 +234,7 @@ impl World {
                 let batch = pack(base, &strokes);
                 let (epoch, seq, seen) = (bench.epoch, bench.seq, bench.seen());
                 let (base, batch) = (Tick(base).wire(), batch.bytes());
-                let bytes = frame(&HostMessage::Strokes { epoch, seq, seen, onset, base, batch });
+                let bytes = frame(&HostMessage::Strokes { epoch, seq, seen, mark, base, batch });
                 self.strokes.extend(&strokes);
                 self.send(bytes);
             }
@@ -245,10 +250,10 @@ impl World {
             Op::Again => self.send(self.last_frame.clone()),
             Op::LinkLost => bench.device.link_lost(Tick(bench.now)),
             Op::Noise(bytes) => bench.bytes(&bytes),
-            Op::WildStrokes { epoch, seq, seen, onset, base, batch } => {
+            Op::WildStrokes { epoch, seq, seen, mark, base, batch } => {
                 let (epoch, seq) = (bench.epoch.wrapping_sub(epoch), bench.seq.wrapping_add(seq));
                 let base = WireTick(base);
-                self.send(frame(&HostMessage::Strokes { epoch, seq, seen, onset, base, batch: &batch }));
+                self.send(frame(&HostMessage::Strokes { epoch, seq, seen, mark, base, batch: &batch }));
             }
             Op::WildAmend { generation, base, items } => {
                 let epoch = bench.epoch;

@@ -1,6 +1,6 @@
 //! The effect of each event in each state of the controller, and the device's reports about itself.
 
-use crate::bench::{Bench, FIRMWARE, HOST_TIMEOUT, SHELLS, Shell, frame, pack, stroke};
+use crate::bench::{Bench, FIRMWARE, HOST_TIMEOUT, ONSET, SHELLS, Shell, frame, pack, stroke};
 use firmware_protocol::controller::Identity;
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{Cause, DeviceMessage, HostMessage, Op, Report, State};
@@ -243,7 +243,7 @@ fn the_clock_may_start_anywhere_and_go_backward() {
     bench.hello(1);
     bench.arm(true);
     let batch = pack(0, &[stroke(1, 1, 3_000, 1 << 20, 3_000), stroke(2, 1 << 30, 3_000, 1 << 20, 3_000)]);
-    bench.frame(true, u64::MAX - 100, batch.bytes());
+    bench.frame(Some(ONSET), u64::MAX - 100, batch.bytes());
     bench.run(200);
     bench.control(Op::EStop);
     bench.run(20);

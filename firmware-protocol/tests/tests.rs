@@ -3,11 +3,12 @@
 mod amendments;
 /// A shell around the controller that plays it tick by tick and records the lines.
 mod bench;
-/// The bytes of version 1.
+/// The bytes of version 2.
 mod golden;
 mod interruptions;
 /// Sequence numbers, epochs, sessions and reports on a bad line.
 mod link;
+mod lower_stop;
 mod moves;
 mod onsets;
 /// Random requests and faults in any order.

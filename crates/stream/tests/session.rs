@@ -123,7 +123,12 @@ fn run(ops: Vec<Op>) -> Result<(), TestCaseError> {
         pair.wait(170);
     }
     prop_assert!(pair.session.is_open());
-    let arm = Command::Arm { assume_rest: true, host_timeout: 850_000, limits: OnTimeLimits::NONE };
+    let arm = Command::Arm {
+        assume_rest: true,
+        host_timeout: 850_000,
+        limits: OnTimeLimits::NONE,
+        lower_stop: None,
+    };
     pair.session.command(arm);
     let (mut waiting, mut forgotten) = (VecDeque::new(), Vec::new());
     let (mut last, mut judged) = (Tick(0), 0u64);
@@ -147,7 +152,7 @@ fn run(ops: Vec<Op>) -> Result<(), TestCaseError> {
             }
             Op::Begin(ahead) if pair.session.has_room() => {
                 last = last.max(at(ahead));
-                pair.session.begin(last);
+                pair.session.begin(last, None);
             }
             Op::Begin(_) => {}
             Op::Seal => pair.session.seal(),

@@ -2,6 +2,7 @@
 //!
 //! Every slot leaves the pool here, counted once as played or dropped.
 
+use crate::controller::lines::TriggerOutput;
 use crate::controller::pool::Kind;
 use crate::controller::{Controller, NEVER};
 use crate::message::{Cause, Cut, Report, State};
@@ -58,10 +59,11 @@ impl Controller {
                 if let Some(charged) = slot.charged {
                     let played = u32::from(up) + u32::from(down);
                     self.on_time.end(self.rendered, motor, charged, played);
+                    self.pushing.end(self.rendered, motor, slot.surplus().into());
                 }
                 self.travel[motor] -= slot.shift_undone(at).cast_signed();
                 let begun = slot.begun(at);
-                if begun {
+                if begun && slot.kind != Kind::Seek {
                     self.outstanding[motor] = self.outstanding[motor].saturating_add(slot.outstanding_at(at));
                 }
                 if slot.kind == Kind::Play {
@@ -74,7 +76,9 @@ impl Controller {
             }
         }
         (self.waiting, self.next_change) = (0, NEVER);
-        self.triggered = self.triggered.min(at);
+        self.trigger_output = TriggerOutput::LOW;
+        // A seek that was not finished leaves the position unknown.
+        self.seeks = false;
         self.lines = Lines::OFF;
         self.off_until = self.rendered;
         self.state = State::Faulted;
@@ -82,7 +86,7 @@ impl Controller {
     }
 
     fn finish_cut(&mut self, cause: Cause, returns: bool, flushed: u16, outstanding: u32, at: Tick) {
-        self.onsets.retain(|&mark| mark < at);
+        self.marks.retain(|&(mark, _)| mark < at);
         self.cause = cause;
         self.report_cut(cause, returns, flushed, outstanding, at);
     }
@@ -104,17 +108,20 @@ impl Controller {
     /// Books what was played before now, in order of time. What is not rendered was not played.
     pub(super) fn settle(&mut self) {
         let now = self.now.min(self.rendered);
-        while let Some(&mark) = self.onsets.front().filter(|&&mark| mark <= now) {
+        while let Some(&(mark, trigger)) = self.marks.front().filter(|(mark, _)| *mark <= now) {
             self.settle_strokes(mark);
-            self.onsets.pop_front();
-            if mark == self.rendered {
-                self.trigger_from(mark);
+            self.marks.pop_front();
+            if mark == self.rendered
+                && let Some(trigger) = trigger
+            {
+                self.trigger_output.begin(mark, trigger);
             }
             self.report(Report::Onset { tick: mark.wire(), counters: self.counters });
         }
         self.settle_strokes(now);
         if self.state == State::Returning && self.pool.is_empty() {
             self.state = self.then;
+            self.position_known |= core::mem::take(&mut self.seeks);
             self.pending.status = true;
         }
     }
@@ -134,6 +141,7 @@ impl Controller {
                 let Some(slot) = self.pool.pop(motor) else { break };
                 if let Some(charged) = slot.charged {
                     self.on_time.end(self.rendered, motor, charged, slot.stroke.pulses());
+                    self.pushing.end(self.rendered, motor, slot.surplus().into());
                 }
                 if slot.kind != Kind::Play {
                     continue;

@@ -3,10 +3,43 @@
 //! [`Controller::render`] looks at a line only when it changes: the loop over all lines takes most of the chip's time.
 
 use crate::controller::pool::Kind;
-use crate::controller::{Controller, NEVER, Run, TRIGGER_TICKS};
-use crate::message::Report;
+use crate::controller::{Controller, NEVER, Run};
+use crate::message::{Report, Trigger};
 use crate::stroke::{Line, Stroke};
 use crate::tick::Tick;
+
+/// The trigger output: the cells of a pulse or a code, one after the other.
+#[derive(Debug)]
+pub(super) struct TriggerOutput {
+    /// Bit 0 is the present cell, bit 1 the next one.
+    cells: u16,
+    /// Ticks of a cell.
+    width: u16,
+    /// The end of the present cell.
+    cell_end: Tick,
+}
+
+impl TriggerOutput {
+    /// An output that is low.
+    pub(super) const LOW: Self = Self { cells: 0, width: 1, cell_end: Tick(0) };
+
+    /// Begins at `now`; ends what is on its way.
+    pub(super) fn begin(&mut self, now: Tick, trigger: Trigger) {
+        // The start cell, then the code's bits. A code has no high cell after them.
+        self.cells = 1 | u16::from(trigger.code) << 1;
+        self.width = trigger.width.max(1);
+        self.cell_end = now + u64::from(self.width);
+    }
+
+    /// Whether it is high at `now`, and the tick until which its cell lasts.
+    fn level(&mut self, now: Tick) -> (bool, Tick) {
+        while self.cells != 0 && self.cell_end <= now {
+            self.cells >>= 1;
+            self.cell_end = self.cell_end + u64::from(self.width);
+        }
+        if self.cells == 0 { (false, NEVER) } else { (self.cells & 1 == 1, self.cell_end) }
+    }
+}
 
 impl Controller {
     /// Renders the lines from the rendered end on, for `max` ticks or until a line changes.
@@ -52,17 +85,17 @@ impl Controller {
     fn trigger(&mut self) -> (bool, Tick) {
         let now = self.rendered;
         let mut next = NEVER;
-        if self.onsets.iter().any(|&mark| mark == now) {
-            self.trigger_from(now);
+        for &(mark, trigger) in &self.marks {
+            if mark > now {
+                next = next.min(mark);
+            } else if mark == now
+                && let Some(trigger) = trigger
+            {
+                self.trigger_output.begin(now, trigger);
+            }
         }
-        for &mark in self.onsets.iter().filter(|&&mark| mark > now) {
-            next = next.min(mark);
-        }
-        if now < self.triggered { (true, next.min(self.triggered)) } else { (false, next) }
-    }
-
-    pub(super) fn trigger_from(&mut self, onset: Tick) {
-        self.triggered = onset + u64::from(TRIGGER_TICKS);
+        let (high, until) = self.trigger_output.level(now);
+        (high, next.min(until))
     }
 
     /// Has the line of `motor` looked at no later than when `tick` is rendered.
@@ -84,7 +117,13 @@ impl Controller {
             let Some(slot) = self.pool.get_mut(index) else { break (Line::Off, NEVER) };
             let stroke = slot.stroke;
             if slot.kind == Kind::Play && slot.charged.is_none() && stroke.up <= now {
-                match self.on_time.begin(now, motor, stroke.pulses()) {
+                let surplus = slot.surplus().into();
+                let begun = self.on_time.begin(now, motor, stroke.pulses()).and_then(|()| {
+                    self.pushing.begin(now, motor, surplus).inspect_err(|_| {
+                        self.on_time.end(now, motor, stroke.pulses(), 0);
+                    })
+                });
+                match begun {
                     Ok(()) => slot.charged = Some(stroke.pulses()),
                     Err(reason) => {
                         slot.kind = Kind::Void;
@@ -101,6 +140,7 @@ impl Controller {
             }
             if let Some(charged) = slot.charged.take() {
                 self.on_time.end(now, motor, charged, stroke.pulses());
+                self.pushing.end(now, motor, slot.surplus().into());
             }
             self.pool.advance(motor);
         };

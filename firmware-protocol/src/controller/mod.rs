@@ -17,12 +17,14 @@ mod stream;
 
 use crate::batch::{Amendments, Batch, unpack};
 use crate::frame::{self, Decoder, FrameError, MAX_FRAME};
-use crate::limits::{self, MAX_TRAVEL, OnTime, OnTimeLimits, Refusal};
+use crate::limits::{self, MAX_SEEK, MAX_TRAVEL, OnTime, OnTimeLimits, Pushing, Refusal};
 use crate::message::{
-    Cause, Counters, Cut, DeviceHello, DeviceMessage, HostMessage, Op, Report, State, Status,
+    Cause, Counters, Cut, DeviceHello, DeviceMessage, HostMessage, LowerStop, Op, Report, State, Status,
+    Trigger,
 };
 use crate::stroke::{Direction, Lines, MOTORS, Stroke};
 use crate::tick::{TICK_HZ, Tick, WireTick};
+use lines::TriggerOutput;
 pub use pool::POOL;
 use pool::{Kind, Pool, Slot};
 pub use reorder::REORDER_WINDOW;
@@ -35,14 +37,12 @@ pub const HORIZON: u32 = 64;
 /// Ticks of a block. Shells render a block, aligned to [`Tick::BOOT`], as soon as it fits the horizon, so that all shells
 /// cut at the same ticks.
 pub const BLOCK: u32 = HORIZON / 4;
-/// How long the trigger output stays high after an onset: 10 ms, long enough for an amplifier that samples at 200 Hz.
-pub const TRIGGER_TICKS: u32 = TICK_HZ / 100;
 /// Most ticks from now to a stroke's down burst.
 const FARTHEST: i64 = 1 << 30;
 /// The longest host watchdog timeout.
 const MAX_HOST_TIMEOUT: u32 = 10 * TICK_HZ;
-/// Most onsets of plays that are queued and have not begun.
-const MAX_ONSETS: usize = 8;
+/// Most marks that are queued and have not passed.
+const MAX_MARKS: usize = 8;
 
 /// What the shell tells the controller about the device, for the handshake.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -62,7 +62,7 @@ pub struct Identity {
 pub struct Run {
     /// The lines in each of these ticks.
     pub lines: Lines,
-    /// The trigger output: rises at a play's onset and stays high for [`TRIGGER_TICKS`].
+    /// The trigger output, which a [`Trigger`] drives from a mark on.
     pub trigger: bool,
     /// Number of ticks.
     pub ticks: u32,
@@ -101,6 +101,8 @@ pub struct Controller {
     /// The state after a return.
     then: State,
     position_known: bool,
+    /// All pins are being driven down to the lower stop.
+    seeks: bool,
     outstanding: [u16; MOTORS],
     /// Net pulses of moves since the pins were last at rest.
     travel: [i16; MOTORS],
@@ -110,8 +112,10 @@ pub struct Controller {
     counters: Counters,
 
     pool: Pool,
-    onsets: heapless::Deque<Tick, MAX_ONSETS>,
+    marks: heapless::Deque<(Tick, Option<Trigger>), MAX_MARKS>,
+    trigger_output: TriggerOutput,
     on_time: OnTime,
+    pushing: Pushing,
     rendered: Tick,
     lines: Lines,
     /// Per motor, the low half of the tick at which its line changes next, if its bit in `waiting` is set. Small, because
@@ -122,8 +126,6 @@ pub struct Controller {
     next_change: Tick,
     /// No stroke ends before this tick.
     next_end: Tick,
-    /// The trigger is high until this tick.
-    triggered: Tick,
     /// End of what was rendered before an e-stop.
     off_until: Tick,
 }
@@ -161,6 +163,7 @@ impl Controller {
             cause: Cause::Boot,
             then: State::Disarmed,
             position_known: false,
+            seeks: false,
             outstanding: [0; MOTORS],
             travel: [0; MOTORS],
             host_timeout: MAX_HOST_TIMEOUT,
@@ -168,15 +171,16 @@ impl Controller {
             now,
             counters: Counters::NONE,
             pool: Pool::new(),
-            onsets: heapless::Deque::new(),
+            marks: heapless::Deque::new(),
+            trigger_output: TriggerOutput::LOW,
             on_time: OnTime::new(now),
+            pushing: Pushing::new(now),
             rendered: now,
             lines: Lines::OFF,
             changes: [0; MOTORS],
             waiting: 0,
             next_change: NEVER,
             next_end: NEVER,
-            triggered: now,
             off_until: now,
         }
     }
@@ -409,10 +413,10 @@ impl Controller {
                 self.reports.seen(seen, self.now);
                 self.control(epoch, op);
             }
-            HostMessage::Strokes { epoch, seq, seen, onset, base, batch } => {
+            HostMessage::Strokes { epoch, seq, seen, mark, base, batch } => {
                 self.reports.seen(seen, self.now);
                 if epoch == self.epoch {
-                    self.stream(seq, onset, base.near(self.now), batch, &strokes);
+                    self.stream(seq, mark, base.near(self.now), batch, &strokes);
                 }
             }
             HostMessage::Amend { epoch, generation, base, items } => {
@@ -441,7 +445,7 @@ impl Controller {
         self.reorder.clear();
         self.refusal = None;
         self.reports.clear();
-        self.onsets.clear();
+        self.marks.clear();
     }
 
     fn control(&mut self, epoch: u16, op: Op) {
@@ -455,7 +459,9 @@ impl Controller {
 
     fn perform(&mut self, op: Op) -> Result<(), Refusal> {
         match op {
-            Op::Arm { assume_rest, host_timeout, limits } => self.arm(assume_rest, host_timeout, limits),
+            Op::Arm { assume_rest, host_timeout, limits, lower_stop } => {
+                self.arm(assume_rest, host_timeout, limits, lower_stop)
+            }
             Op::Disarm(cause) => {
                 self.disarm(cause);
                 Ok(())
@@ -477,31 +483,46 @@ impl Controller {
                 Ok(())
             }
             Op::Move { motor, direction, pulses } => self.shift(motor, direction, pulses),
+            Op::Seek { pulses } if self.state == State::Armed && self.pool.is_empty() => self.seek(pulses),
+            Op::Seek { .. } => Err(Refusal::State),
         }
     }
 
-    fn arm(&mut self, assume_rest: bool, host_timeout: u32, limits: OnTimeLimits) -> Result<(), Refusal> {
+    fn arm(
+        &mut self,
+        assume_rest: bool,
+        host_timeout: u32,
+        limits: OnTimeLimits,
+        lower_stop: Option<LowerStop>,
+    ) -> Result<(), Refusal> {
         if self.state != State::Disarmed {
             return Err(Refusal::State);
         }
-        if assume_rest {
+        let LowerStop { pulses_per_s, seek } = lower_stop.unwrap_or(LowerStop { pulses_per_s: 0, seek: 0 });
+        self.pushing.set_limit(pulses_per_s);
+        if seek > 0 {
+            self.seek(seek)?;
+        } else if assume_rest {
             self.position_known = true;
             self.outstanding = [0; MOTORS];
             self.travel = [0; MOTORS];
         }
-        if !self.position_known {
+        if !self.position_known && !self.seeks {
             return Err(Refusal::PositionUnknown);
         }
         self.host_timeout = host_timeout.min(MAX_HOST_TIMEOUT);
         self.on_time.set_limits(OnTimeLimits::NONE.min(limits));
         self.cause = Cause::Request;
+        if self.seeks {
+            return Ok(());
+        }
         self.state = State::Armed;
         let outstanding = self.outstanding_total();
         if outstanding > 0 {
             for motor in 0..MOTORS {
                 let pulses = core::mem::take(&mut self.outstanding[motor]);
                 if pulses > 0 {
-                    self.queue_internal(motor as u8, Direction::Down, pulses, None);
+                    self.queue_internal(Kind::Internal, motor as u8, Direction::Down, pulses, None);
                 }
             }
             (self.state, self.then) = (State::Returning, State::Armed);
@@ -511,7 +532,14 @@ impl Controller {
     }
 
     /// Queues a burst at the rendered end that belongs to no play. The queue is empty, so there is a slot.
-    fn queue_internal(&mut self, motor: u8, direction: Direction, pulses: u16, charged: Option<u32>) {
+    fn queue_internal(
+        &mut self,
+        kind: Kind,
+        motor: u8,
+        direction: Direction,
+        pulses: u16,
+        charged: Option<u32>,
+    ) {
         let at = self.rendered;
         let stroke = match direction {
             Direction::Up => {
@@ -519,7 +547,7 @@ impl Controller {
             }
             Direction::Down => Stroke { motor, up: at, up_pulses: 0, down: at, down_pulses: pulses },
         };
-        self.queue(Slot { charged, ..Slot::new(stroke, Kind::Internal) });
+        self.queue(Slot { charged, ..Slot::new(stroke, kind) });
     }
 
     fn queue(&mut self, slot: Slot) -> bool {
@@ -548,8 +576,30 @@ impl Controller {
             let charge = u32::from(pulses);
             self.on_time.begin(self.rendered, motor.into(), charge)?;
             *travel = sum as i16;
-            self.queue_internal(motor, direction, pulses, Some(charge));
+            self.queue_internal(Kind::Internal, motor, direction, pulses, Some(charge));
         }
+        Ok(())
+    }
+
+    /// Drives all pins down to the lower stop. Once they are there, the position is known and no return pulses are outstanding.
+    fn seek(&mut self, pulses: u16) -> Result<(), Refusal> {
+        if pulses == 0 || pulses > MAX_SEEK {
+            return Err(Refusal::Travel);
+        }
+        let charge = u32::from(pulses);
+        if !self.pushing.allows_all(self.rendered, charge) {
+            return Err(Refusal::Pushing);
+        }
+        (self.position_known, self.seeks) = (false, true);
+        (self.outstanding, self.travel) = ([0; MOTORS], [0; MOTORS]);
+        for motor in 0..MOTORS {
+            // Like a return, a seek breaks no on-time limit, but counts.
+            self.on_time.count(self.rendered, motor, charge);
+            self.pushing.begin(self.rendered, motor, charge)?;
+            self.queue_internal(Kind::Seek, motor as u8, Direction::Down, pulses, Some(charge));
+        }
+        (self.state, self.then, self.cause) = (State::Returning, State::Armed, Cause::Request);
+        self.report_cut(Cause::Request, true, 0, MOTORS as u32 * charge, self.rendered);
         Ok(())
     }
 }

@@ -23,6 +23,15 @@ pub(super) enum Kind {
     Void,
     /// Return pulses after an e-stop, or a move. Not part of a play.
     Internal,
+    /// A seek of the lower stop. Not part of a play.
+    Seek,
+}
+
+impl Kind {
+    /// Whether it is a stroke of a play.
+    const fn is_of_play(self) -> bool {
+        matches!(self, Self::Play | Self::Void)
+    }
 }
 
 /// A stroke in the queue.
@@ -66,13 +75,18 @@ impl Slot {
 
     /// Whether some of the stroke lies before `tick`. Return pulses count from the moment they are queued.
     pub(super) fn begun(&self, tick: Tick) -> bool {
-        self.stroke.up < tick || (self.kind == Kind::Internal && self.stroke.up_pulses == 0)
+        self.stroke.up < tick || (!self.kind.is_of_play() && self.stroke.up_pulses == 0)
     }
 
     /// Pulses of a move's up burst that a cut at `tick` takes back, once.
     pub(super) fn shift_undone(&self, tick: Tick) -> u16 {
         let undone = self.kind == Kind::Internal && !self.cut && tick < self.stroke.bursts()[0].end();
         if undone { self.stroke.up_pulses } else { 0 }
+    }
+
+    /// Planned pulses against the lower stop.
+    pub(super) fn surplus(&self) -> u16 {
+        if self.kind == Kind::Internal { 0 } else { self.planned[1].saturating_sub(self.planned[0]) }
     }
 
     /// Up and down pulses before `tick`.
@@ -88,7 +102,8 @@ impl Slot {
         let outstanding = self.outstanding_at(tick);
         let stroke = &mut self.stroke;
         if tick < stroke.up + u64::from(stroke.up_pulses) {
-            stroke.up_pulses = outstanding;
+            // At most the pulses of the burst.
+            stroke.up_pulses = (tick - stroke.up) as u16;
         }
         if tick < stroke.down {
             (stroke.down, stroke.down_pulses) = (tick, outstanding);
@@ -97,11 +112,11 @@ impl Slot {
         outstanding
     }
 
-    /// Outstanding return pulses if the stroke is cut at `tick`: in its up burst the pulses played, later the rest of its down
-    /// burst.
+    /// Outstanding return pulses if the stroke is cut at `tick`: in its up burst the pulses played and the surplus, later the
+    /// rest of its down burst.
     pub(super) fn outstanding_at(&self, tick: Tick) -> u16 {
         let [up, down] = self.played_before(tick);
-        if up < self.stroke.up_pulses { up } else { self.stroke.down_pulses - down }
+        if up < self.stroke.up_pulses { up + self.surplus() } else { self.stroke.down_pulses - down }
     }
 }
 
@@ -191,7 +206,7 @@ impl Pool {
         }
         queue.tail = index;
         queue.len += 1;
-        queue.plays += u16::from(slot.kind != Kind::Internal);
+        queue.plays += u16::from(slot.kind.is_of_play());
         true
     }
 
@@ -214,7 +229,7 @@ impl Pool {
             queue.tail = NONE;
         }
         queue.len -= 1;
-        queue.plays -= u16::from(slot.kind != Kind::Internal);
+        queue.plays -= u16::from(slot.kind.is_of_play());
         self.release(index, index, 1);
         Some(slot)
     }
@@ -231,7 +246,7 @@ impl Pool {
         while at != first {
             let Some(slot) = self.get(at) else { break };
             kept += 1;
-            kept_plays += u16::from(slot.kind != Kind::Internal);
+            kept_plays += u16::from(slot.kind.is_of_play());
             (last, at) = (at, slot.next);
         }
         if let Some(slot) = self.get_mut(last) {

@@ -3,6 +3,7 @@
 //! The controller takes a buffered frame when all frames before it have arrived. At most [`REORDER_WINDOW`] are buffered.
 
 use crate::batch::BATCH_BYTES;
+use crate::message::Mark;
 use crate::tick::Tick;
 
 /// Most frames buffered: those that follow the next in order.
@@ -12,7 +13,7 @@ pub const REORDER_WINDOW: usize = 8;
 #[derive(Debug)]
 pub(super) struct Frame {
     pub(super) seq: u16,
-    pub(super) onset: bool,
+    pub(super) mark: Option<Mark>,
     pub(super) base: Tick,
     pub(super) batch: heapless::Vec<u8, BATCH_BYTES>,
 }
@@ -26,14 +27,14 @@ impl ReorderBuffer {
     }
 
     /// Buffers a frame if it is one of the [`REORDER_WINDOW`] frames after `next` and not buffered yet.
-    pub(super) fn insert(&mut self, next: u16, seq: u16, onset: bool, base: Tick, batch: &[u8]) {
+    pub(super) fn insert(&mut self, next: u16, seq: u16, mark: Option<Mark>, base: Tick, batch: &[u8]) {
         let ahead = usize::from(seq.wrapping_sub(next));
         if !(1..=REORDER_WINDOW).contains(&ahead) || self.0.iter().any(|frame| frame.seq == seq) {
             return;
         }
         if let Ok(batch) = heapless::Vec::from_slice(batch) {
             // There is room: each of the `REORDER_WINDOW` numbers is buffered at most once.
-            let _ = self.0.push(Frame { seq, onset, base, batch });
+            let _ = self.0.push(Frame { seq, mark, base, batch });
         }
     }
 

@@ -7,17 +7,17 @@ use crate::controller::pool::{Kind, Slot};
 use crate::controller::reports::RESERVE;
 use crate::controller::{Controller, FARTHEST, NEVER, newer};
 use crate::limits::{self, Refusal};
-use crate::message::{Report, State};
+use crate::message::{Mark, MarkKind, Report, State};
 use crate::stroke::{Direction, Stroke};
 use crate::tick::Tick;
 
 impl Controller {
     /// Takes a frame of the ordered stream if it is next in order, else buffers it for [`Self::follow`].
-    pub(super) fn stream(&mut self, seq: u16, onset: bool, base: Tick, batch: &[u8], strokes: &Batch) {
+    pub(super) fn stream(&mut self, seq: u16, mark: Option<Mark>, base: Tick, batch: &[u8], strokes: &Batch) {
         if seq != self.next_seq {
-            self.reorder.insert(self.next_seq, seq, onset, base, batch);
-        } else if self.has_room(onset) {
-            self.strokes(seq, onset, base, strokes);
+            self.reorder.insert(self.next_seq, seq, mark, base, batch);
+        } else if self.has_room(mark) {
+            self.strokes(seq, mark, base, strokes);
         }
     }
 
@@ -25,34 +25,40 @@ impl Controller {
     pub(super) fn follow(&mut self) -> bool {
         let Some(frame) = self.reorder.take(self.next_seq) else { return false };
         // Without room the frame is forgotten; the host sends it again.
-        if self.has_room(frame.onset)
+        if self.has_room(frame.mark)
             && let Some(strokes) = unpack(frame.base, &frame.batch)
         {
-            self.strokes(frame.seq, frame.onset, frame.base, &strokes);
+            self.strokes(frame.seq, frame.mark, frame.base, &strokes);
             self.pending.status = true;
         }
         true
     }
 
-    /// Whether there is room for a frame's reports and its onset.
-    fn has_room(&self, onset: bool) -> bool {
-        self.reports.free() > RESERVE && (!onset || !self.onsets.is_full())
+    /// Whether there is room for a frame's reports and its mark.
+    fn has_room(&self, mark: Option<Mark>) -> bool {
+        let reports = RESERVE + usize::from(mark.is_some());
+        self.reports.free() > reports && (mark.is_none() || !self.marks.is_full())
     }
 
     /// Takes the next frame of the ordered stream.
-    fn strokes(&mut self, seq: u16, onset: bool, base: Tick, strokes: &Batch) {
+    fn strokes(&mut self, seq: u16, mark: Option<Mark>, base: Tick, strokes: &Batch) {
         self.next_seq = seq.wrapping_add(1);
         // The frame may have been repeated before its buffered copy was taken.
         let _ = self.reorder.take(seq);
         let rendered = self.rendered.wire();
-        if onset && self.state == State::Armed {
+        if let Some(mark) = mark
+            && self.state == State::Armed
+        {
             // No stroke begins before the base.
-            if base < self.rendered {
+            if base >= self.rendered {
+                // The caller has checked that there is room.
+                let _ = self.marks.push_back((base, mark.trigger));
+            } else {
                 self.report(Report::OnsetRefused { seq, rendered });
-                return;
+                if mark.kind == MarkKind::Play {
+                    return;
+                }
             }
-            // The caller has checked that there is room.
-            let _ = self.onsets.push_back(base);
         }
         let (mut late, mut refused, mut reason) = (0u64, 0u64, None);
         for (i, stroke) in strokes.iter().enumerate() {
@@ -78,6 +84,9 @@ impl Controller {
             return Err(Refusal::NotArmed);
         }
         limits::check(stroke)?;
+        if stroke.down_pulses > stroke.up_pulses && !self.pushing.is_allowed() {
+            return Err(Refusal::Pushing);
+        }
         if stroke.up < self.rendered {
             return Ok(false);
         }

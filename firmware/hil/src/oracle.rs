@@ -8,7 +8,7 @@ use crate::log::{Log, Train};
 use crate::tap::{Event, Tap};
 use firmware_protocol::batch::Amendment;
 use firmware_protocol::limits::within_correction;
-use firmware_protocol::message::{Cause, Cut, Op, Report};
+use firmware_protocol::message::{Cause, Cut, LowerStop, Op, Report};
 use firmware_protocol::stroke::{Direction, MOTORS, Stroke};
 use firmware_protocol::tick::Tick;
 
@@ -64,13 +64,28 @@ struct Live {
     /// The number of the event that brought it.
     order: usize,
     frame: (u16, u16),
+    /// It seeks the lower stop.
+    seeks: bool,
     alive: bool,
+}
+
+impl Live {
+    /// Outstanding return pulses after `up` up pulses and `down` down pulses.
+    fn outstanding(&self, up: u16, down: u16) -> u16 {
+        if up < self.stroke.up_pulses {
+            up + self.planned[1].saturating_sub(self.planned[0])
+        } else {
+            self.stroke.down_pulses - down
+        }
+    }
 }
 
 #[derive(Debug, Default)]
 struct Oracle {
     live: Vec<Live>,
     outstanding: [u16; MOTORS],
+    /// Pulses of the seek that the last command asks for.
+    seek: u16,
     /// The last epoch that the device has reported.
     epoch: u16,
     opened: usize,
@@ -103,6 +118,11 @@ impl Oracle {
             Event::Opened(_) => self.opened = order,
             Event::Control(_, op) => {
                 self.controls.push((order, *op));
+                self.seek = match *op {
+                    Op::Arm { lower_stop: Some(LowerStop { seek, .. }), .. } => seek,
+                    Op::Seek { pulses } => pulses,
+                    _ => 0,
+                };
                 if matches!(op, Op::Arm { assume_rest: true, .. }) {
                     self.outstanding = [0; MOTORS];
                 }
@@ -112,6 +132,7 @@ impl Oracle {
                 planned: [stroke.up_pulses, stroke.down_pulses],
                 order,
                 frame: (batch.epoch, batch.seq),
+                seeks: false,
                 alive: true,
             })),
             Event::Amend(items) => items.iter().for_each(|item| self.amend(item)),
@@ -206,26 +227,30 @@ impl Oracle {
     fn cut_and_return(&mut self, at: Tick, limit: usize) -> u32 {
         let mut outstanding = 0;
         for live in self.live.iter_mut().filter(|live| live.alive && live.order < limit) {
+            let returns = live.outstanding((at - live.stroke.up).min(u16::MAX.into()) as u16, 0);
             let stroke = &mut live.stroke;
             if stroke.up >= at {
                 live.alive = false;
             } else if at < stroke.up + u64::from(stroke.up_pulses) {
                 stroke.up_pulses = (at - stroke.up) as u16;
-                (stroke.down, stroke.down_pulses) = (at, stroke.up_pulses);
+                (stroke.down, stroke.down_pulses) = (at, returns);
                 outstanding += u32::from(stroke.down_pulses);
             } else if at < stroke.end() {
                 outstanding += u32::from(stroke.down_pulses) - (at - stroke.down) as u32;
                 stroke.down = if at < stroke.down { at } else { stroke.down };
             }
         }
-        // The next arm plays the return pulses that an e-stop left outstanding, and reports it as a cut.
+        // The next arm plays the return pulses that an e-stop left outstanding, and reports it as a cut; or it seeks the stop.
+        let seek = std::mem::take(&mut self.seek);
         for motor in 0..MOTORS {
-            let pulses = std::mem::take(&mut self.outstanding[motor]);
+            let left = std::mem::take(&mut self.outstanding[motor]);
+            let pulses = if seek > 0 { seek } else { left };
             if pulses > 0 {
                 let stroke =
                     Stroke { motor: motor as u8, up: at, up_pulses: 0, down: at, down_pulses: pulses };
                 let planned = [0, pulses];
-                self.live.push(Live { stroke, planned, order: 0, frame: (0, u16::MAX), alive: true });
+                let (frame, seeks) = ((0, u16::MAX), seek > 0);
+                self.live.push(Live { stroke, planned, order: 0, frame, seeks, alive: true });
                 outstanding += u32::from(pulses);
             }
         }
@@ -247,9 +272,9 @@ impl Oracle {
             }
             let (up, down) =
                 ((at - stroke.up).min(stroke.up_pulses.into()) as u16, (at - stroke.down) as u16);
-            let outstanding = if up < stroke.up_pulses { up } else { stroke.down_pulses - down };
-            self.outstanding[usize::from(stroke.motor)] += outstanding;
-            (stroke.up_pulses, stroke.down_pulses) = (up, down);
+            let motor = usize::from(stroke.motor);
+            self.outstanding[motor] += if live.seeks { 0 } else { live.outstanding(up, down) };
+            (live.stroke.up_pulses, live.stroke.down_pulses) = (up, down);
         }
         self.outstanding.iter().map(|&outstanding| u32::from(outstanding)).sum()
     }

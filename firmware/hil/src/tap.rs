@@ -5,7 +5,7 @@
 
 use firmware_protocol::batch::{Amendment, Amendments, Strokes};
 use firmware_protocol::frame::{self, Decoder};
-use firmware_protocol::message::{DeviceHello, DeviceMessage, HostMessage, Op, Report, Status};
+use firmware_protocol::message::{DeviceHello, DeviceMessage, HostMessage, Mark, Op, Report, Status};
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::{Tick, WireTick};
 
@@ -17,7 +17,7 @@ pub struct Batch {
     /// Its number within the epoch.
     pub seq: u16,
     /// Whether it begins a play at `base`.
-    pub onset: bool,
+    pub mark: Option<Mark>,
     /// The tick from which its strokes count.
     pub base: Tick,
     /// Its strokes.
@@ -141,7 +141,7 @@ impl Tap {
             HostMessage::Strokes { epoch, .. } if self.epoch.is_some_and(|present| present != epoch) => {
                 return;
             }
-            HostMessage::Strokes { epoch, seq, onset, base, batch, .. } => {
+            HostMessage::Strokes { epoch, seq, mark, base, batch, .. } => {
                 // Numbers repeat after 65 536 frames.
                 if self.seen.len() > 64 {
                     self.seen.remove(0);
@@ -152,7 +152,7 @@ impl Tap {
                 Event::Batch(Batch {
                     epoch,
                     seq,
-                    onset,
+                    mark,
                     base,
                     strokes: Strokes::new(base, batch).flatten().collect(),
                 })

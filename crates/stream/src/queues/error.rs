@@ -96,5 +96,8 @@ pub fn refusal_text(refusal: Refusal) -> &'static str {
             "a pin is further off than it may be moved since it was armed; `meissner disarm`, `meissner arm` and again"
         }
         Refusal::Malformed => "it could not read it",
+        Refusal::Pushing => {
+            "it would push too often against the lower stop, or there is none; see `stop_pulses_per_s`"
+        }
     }
 }

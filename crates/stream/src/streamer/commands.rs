@@ -227,7 +227,7 @@ impl Streamer {
             self.control.assume_rest();
         }
         let host_timeout = ms_in_ticks(self.settings.lease_ms).round() as u32;
-        Ok(Some(Op::Arm { assume_rest, host_timeout, limits: self.settings.limits }))
+        Ok(Some(Op::Arm { assume_rest, host_timeout, limits: self.settings.limits, lower_stop: None }))
     }
 
     /// Applies the settings configured last.

@@ -10,7 +10,7 @@ use crate::queues::{At, Emit, End};
 use crate::settings::batch_ticks;
 use crate::streamer::Streamer;
 use crate::time::HostInstant;
-use firmware_protocol::message::State;
+use firmware_protocol::message::{State, Trigger};
 use firmware_protocol::tick::Tick;
 use meissner_api::LateCause;
 use meissner_array::units::{duration_to_ticks, ms_in_ticks};
@@ -121,7 +121,7 @@ impl Streamer {
         let wire = self.session.as_ref().map_or(0, |session| session.traffic().bytes_out);
         self.plays[index].offer(onset, wire);
         if let Some(session) = &mut self.session {
-            session.begin(onset);
+            session.begin(onset, Some(Trigger::PULSE));
         }
     }
 

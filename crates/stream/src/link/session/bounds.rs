@@ -28,8 +28,8 @@ const OVERTAKEN: u64 = TICKS_PER_S;
 const LONGEST_RETURN: u64 = TICKS_PER_S;
 /// Between two statuses at most so much counts as spent in a return: the host did not see the rest.
 const RETURN_SEEN: u64 = 100 * TICKS_PER_MS;
-/// Onsets whose reports may be on their way: as many as there are reports.
-const ONSETS: usize = REPORTS;
+/// Marks whose reports may be on their way: as many as there are reports.
+const MARKS: usize = REPORTS;
 /// Most pulses of a stroke, which are counted when it ends.
 const STROKE_PULSES: u64 = MAX_UP_PULSES as u64 + MAX_DOWN_PULSES as u64;
 
@@ -53,10 +53,12 @@ pub(super) struct Known {
     /// Sent since the last command whose epoch a status named: one that arms, one that resets.
     arms: bool,
     resets: bool,
+    /// The same: one that seeks the lower stop.
+    seeks: bool,
     /// Ticks of a return that the statuses show.
     returning: u64,
-    /// Onsets sent that may still be reported.
-    onsets: VecDeque<Tick>,
+    /// Marks sent that may still be reported.
+    marks: VecDeque<Tick>,
 }
 
 /// What a status says.
@@ -84,8 +86,9 @@ impl Known {
             report_read_by: Tick(0),
             arms: false,
             resets: false,
+            seeks: false,
             returning: 0,
-            onsets: VecDeque::with_capacity(ONSETS),
+            marks: VecDeque::with_capacity(MARKS),
         }
     }
 
@@ -93,14 +96,18 @@ impl Known {
     pub(super) fn command(&mut self, op: &Op) {
         self.arms |= matches!(op, Op::Arm { .. });
         self.resets |= matches!(op, Op::Reset);
+        self.seeks |= match op {
+            Op::Arm { lower_stop, .. } => lower_stop.is_some_and(|stop| stop.seek > 0),
+            op => matches!(op, Op::Seek { .. }),
+        };
     }
 
-    /// The first frame of a play leaves.
-    pub(super) fn onset_sent(&mut self, onset: Tick) {
-        if self.onsets.len() == ONSETS {
-            self.onsets.pop_front();
+    /// A frame with a mark leaves.
+    pub(super) fn mark_sent(&mut self, mark: Tick) {
+        if self.marks.len() == MARKS {
+            self.marks.pop_front();
         }
-        self.onsets.push_back(onset);
+        self.marks.push_back(mark);
     }
 
     /// The handshake is done; `by`: the device's clock is not beyond this.
@@ -120,6 +127,8 @@ impl Known {
         self.epoch = status.epoch;
         if status.epoch == current {
             (self.arms, self.resets) = (false, false);
+            // The position is known when the seek is over, unless it was cut.
+            self.seeks &= status.state == State::Returning;
         }
     }
 
@@ -127,8 +136,8 @@ impl Known {
     pub(super) fn report(&mut self, report: &Report, onset: Tick, by: Tick) {
         self.report_read_by = by;
         if let Report::Onset { counters, .. } = report {
-            let at = self.onsets.iter().position(|&sent| sent == onset);
-            at.and_then(|at| self.onsets.remove(at));
+            let at = self.marks.iter().position(|&sent| sent == onset);
+            at.and_then(|at| self.marks.remove(at));
             self.reported = *counters;
         }
     }
@@ -137,6 +146,7 @@ impl Known {
     fn may_become(&self, now: &Status) -> bool {
         let begins_epoch = now.epoch != self.epoch;
         let (arms, resets) = (self.arms && begins_epoch, self.resets && begins_epoch);
+        let seeks = self.seeks && begins_epoch;
         // At the handshake an armed device returns its pins.
         let (before, cause) = self
             .status
@@ -146,6 +156,7 @@ impl Known {
             (State::Disarmed | State::Returning, State::Disarmed) | (State::Returning, State::Returning) => {
                 true
             }
+            (State::Returning, State::Armed) if seeks => true,
             (State::Returning, State::Armed) => arms || matches!(cause, Cause::Stop | Cause::Request),
             (State::Disarmed, _) => arms,
             (State::Faulted, State::Disarmed) => resets,
@@ -236,7 +247,7 @@ impl Session {
         }
         if let Some((before, _)) = &known.status
             && before.position_known != status.position_known
-            && !(known.arms && status.position_known)
+            && !(known.seeks || (known.arms && status.position_known))
         {
             return Err(Contradiction::State);
         }
@@ -256,7 +267,12 @@ impl Session {
         };
         let fits = match (control.op, status.refusal) {
             (_, None) => true,
-            (Op::Arm { .. }, Some(why)) => matches!(why, Refusal::State | Refusal::PositionUnknown),
+            (Op::Arm { .. }, Some(why)) => {
+                matches!(why, Refusal::State | Refusal::PositionUnknown | Refusal::Pushing | Refusal::Travel)
+            }
+            (Op::Seek { .. }, Some(why)) => {
+                matches!(why, Refusal::State | Refusal::Pushing | Refusal::Travel)
+            }
             (Op::Move { .. }, Some(why)) => matches!(
                 why,
                 Refusal::State
@@ -306,6 +322,11 @@ impl Session {
         self.window.iter().find(sent).filter(|_| unjudged).ok_or(Contradiction::Report)
     }
 
+    /// Whether a refused mark is an item's: the strokes of its frame are judged one by one.
+    pub(super) fn is_item(&self, seq: u16) -> bool {
+        self.sent_frame(seq).is_ok_and(|frame| !frame.is_onset())
+    }
+
     /// Reads a report; returns its tick, widened. `stale`: a verdict of an epoch that is over.
     pub(super) fn read_report(
         &self,
@@ -333,12 +354,12 @@ impl Session {
             Report::OnsetRefused { seq, rendered } => {
                 let frame = self.sent_frame(seq)?;
                 let rendered = self.tick_within(now, rendered, self.known.horizon)?;
-                let fits = frame.onset && frame.strokes.base() < rendered;
+                let fits = frame.mark.is_some() && frame.strokes.base() < rendered;
                 if fits { Ok(rendered) } else { Err(Contradiction::Report) }
             }
             Report::Onset { tick, counters } => {
                 let tick = self.tick_within(now, tick, 0)?;
-                if !self.known.onsets.contains(&tick) {
+                if !self.known.marks.contains(&tick) {
                     return Err(Contradiction::Report);
                 }
                 if !grows(&self.known.reported, &counters) {
@@ -351,7 +372,7 @@ impl Session {
                 if fits { self.tick_within(now, at, self.known.horizon) } else { Err(Contradiction::Report) }
             }
             Report::Refused { motor, up, reason } => {
-                let limit = matches!(reason, Refusal::MotorOnTime | Refusal::RailOnTime);
+                let limit = matches!(reason, Refusal::MotorOnTime | Refusal::RailOnTime | Refusal::Pushing);
                 let fits = usize::from(motor) < MOTORS && limit;
                 if fits { self.tick_within(now, up, self.known.horizon) } else { Err(Contradiction::Report) }
             }

@@ -169,7 +169,7 @@ pub enum Event {
     },
     /// The device accepted the first frame of a play.
     OnsetAccepted,
-    /// The onset of a play has passed.
+    /// The onset of a play or of a later item has passed, and its trigger was given.
     Onset {
         /// When.
         tick: Tick,

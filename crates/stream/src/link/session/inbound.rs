@@ -208,6 +208,8 @@ impl Session {
                     self.retired.verdicts.push_back(report);
                 }
             }
+            // The streamer learns of a mark when it has passed.
+            Report::OnsetRefused { seq, .. } if self.is_item(seq) => {}
             Report::Verdict { .. } | Report::OnsetRefused { .. } => self.verdicts.push_back(report),
             Report::Onset { counters, .. } => emit(Event::Onset { tick, counters }),
             Report::Cut(cut) => emit(Event::Cut { cut, at: tick }),
@@ -249,7 +251,7 @@ impl Session {
                 emit(Event::OnsetRefused { rendered: rendered.near(tick) });
                 continue;
             }
-            if batch.onset {
+            if batch.is_onset() {
                 emit(Event::OnsetAccepted);
             }
             verdicts(&batch, report, tick, now)

@@ -161,17 +161,17 @@ impl Session {
         if !next.retransmitted && unacknowledged > 0 && unacknowledged + MAX_FRAME > self.window_bytes {
             return None;
         }
-        let (seq, onset, base) = (next.seq, next.onset, next.strokes.base().wire());
+        let (seq, mark, base) = (next.seq, next.mark, next.strokes.base().wire());
         let batch = next.strokes.bytes();
-        let len = encoded(&HostMessage::Strokes { epoch, seq, seen, onset, base, batch }, out);
+        let len = encoded(&HostMessage::Strokes { epoch, seq, seen, mark, base, batch }, out);
         self.traffic.retransmitted += u64::from(next.retransmitted);
         next.due = false;
         next.len = len;
         let first = next.first_sent.is_none();
         next.first_sent = next.first_sent.or(Some(now));
         next.last_sent = now;
-        if first && onset {
-            self.known.onset_sent(next.strokes.base());
+        if first && mark.is_some() {
+            self.known.mark_sent(next.strokes.base());
         }
         Some(len)
     }
@@ -214,7 +214,7 @@ impl Session {
         }
         let (epoch, batch) = (self.first_epoch.wrapping_sub(1), strokes.bytes());
         let base = Tick(0).wire();
-        encoded(&HostMessage::Strokes { epoch, seq: 0, seen: self.seen, onset: false, base, batch }, out)
+        encoded(&HostMessage::Strokes { epoch, seq: 0, seen: self.seen, mark: None, base, batch }, out)
     }
 
     /// Ends the session if the device has not answered for too long, or withholds an answer or a report.

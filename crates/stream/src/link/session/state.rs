@@ -10,7 +10,7 @@ use crate::time::HostInstant;
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
 use firmware_protocol::controller::{REORDER_WINDOW, REPORTS};
 use firmware_protocol::frame::{Decoder, MAX_FRAME};
-use firmware_protocol::message::{Op, Report};
+use firmware_protocol::message::{Mark, MarkKind, Op, Report, Trigger};
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
 use std::collections::VecDeque;
@@ -33,7 +33,7 @@ const STATUS_EVERY: Duration = Duration::from_millis(1);
 #[derive(Debug)]
 pub(super) struct Batch {
     pub(super) seq: u16,
-    pub(super) onset: bool,
+    pub(super) mark: Option<Mark>,
     pub(super) strokes: Packer<BATCH_BYTES>,
     /// Its bytes on the wire, once sent.
     pub(super) len: usize,
@@ -47,6 +47,11 @@ pub(super) struct Batch {
 }
 
 impl Batch {
+    /// Whether it is the first frame of a play.
+    pub(super) fn is_onset(&self) -> bool {
+        self.mark.is_some_and(|mark| mark.kind == MarkKind::Play)
+    }
+
     /// Whether one more stroke leaves the frame within this length.
     fn has_space(&self, longest: usize) -> bool {
         longest == MAX_FRAME
@@ -391,16 +396,23 @@ impl Session {
 
     /// Begins a play: the next strokes go into a frame of their own, which the device takes whole or not at all.
     /// Once that frame is sealed, nothing can be pushed until the device answers it.
-    pub fn begin(&mut self, onset: Tick) {
+    pub fn begin(&mut self, onset: Tick, trigger: Option<Trigger>) {
         self.seal();
-        self.open_batch = Some(self.batch(onset, true));
+        self.open_batch = Some(self.batch(onset, Some(Mark { kind: MarkKind::Play, trigger })));
     }
 
-    fn batch(&self, base: Tick, onset: bool) -> Batch {
+    /// Marks the onset of a later item of a play: the next strokes go into a frame of their own. The device reports the mark
+    /// when it has passed.
+    pub fn mark(&mut self, onset: Tick, trigger: Option<Trigger>) {
+        self.seal();
+        self.open_batch = Some(self.batch(onset, Some(Mark { kind: MarkKind::Item, trigger })));
+    }
+
+    fn batch(&self, base: Tick, mark: Option<Mark>) -> Batch {
         let strokes = Packer::new(base);
         Batch {
             seq: self.next_seq,
-            onset,
+            mark,
             strokes,
             len: 0,
             first_sent: None,
@@ -425,7 +437,7 @@ impl Session {
         self.phase == Phase::Open
             && self.control.is_none()
             && self.window.len() < WINDOW
-            && !self.window.back().is_some_and(|batch| batch.onset)
+            && !self.window.back().is_some_and(Batch::is_onset)
     }
 
     /// Takes a stroke that does not begin before the last one; `false` if it must wait for credits, the window or an
@@ -445,19 +457,19 @@ impl Session {
         // A frame that waits takes more strokes: on a link with slow answers frames get longer, not more.
         if let Some(last) = self.window.back_mut()
             && last.first_sent.is_none()
-            && !last.onset
+            && last.mark.is_none()
             && last.has_space(longest)
             && last.strokes.stroke(stroke).is_ok()
         {
             return true;
         }
-        let mut batch = self.batch(stroke.up, false);
+        let mut batch = self.batch(stroke.up, None);
         let packed = batch.strokes.stroke(stroke).is_ok();
         self.open_batch = Some(batch);
         packed
     }
 
-    /// Ends the open frame, so that it can be sent. While it waits, it takes more strokes, unless it is an onset's.
+    /// Ends the open frame, so that it can be sent. While it waits, it takes more strokes, unless it has a mark.
     pub fn seal(&mut self) {
         if let Some(batch) = self.open_batch.take() {
             self.next_seq = self.next_seq.wrapping_add(1);
