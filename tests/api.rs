@@ -1,7 +1,7 @@
 //! The local API of a real daemon: commands, receipts, events, errors, and the end.
 
 use crate::harness::{Daemon, TIMEOUT, assert_accounts, began, ended, next, problem, refusal};
-use meissner_api::{Event, MAX_BODY, PlayState, Prediction};
+use meissner_api::{Event, MAX_BODY, PlayState, Prediction, Status};
 use meissner_client::{Client, Events};
 use rustix::process::Signal;
 use serde_json::{Value, json};
@@ -147,6 +147,66 @@ fn an_onset_can_be_asked_for_by_tick_and_by_delay() {
         refusal(client.post("/v1/play", &json!({"pattern": "edge-45", "at_tick": tick, "boot": 0}))),
         ("stale-boot".into(), 409)
     );
+}
+
+#[test]
+fn one_sample_of_the_status_pairs_the_clocks() {
+    let daemon = Daemon::start();
+    let mut client = daemon.armed();
+    let wall_ns = || u64::try_from(std::time::UNIX_EPOCH.elapsed().unwrap().as_nanos()).unwrap();
+    let before_ns = wall_ns();
+    let status: Status = client.get("/v1/status").unwrap();
+    let clock = status.clock.unwrap();
+    assert!((before_ns..=wall_ns()).contains(&clock.wall_ns));
+    assert_eq!((clock.tick_hz, Some(clock.tick)), (85_000, status.tick));
+    assert_eq!(Some(clock.uncertainty_us), status.clock_uncertainty_us);
+    // Another sample lies on the same line.
+    let later: Status = client.get("/v1/status").unwrap();
+    let later = later.clock.unwrap();
+    let ticks = (later.monotonic_ns - clock.monotonic_ns) as f64 * 85e-6;
+    let error_us = ((later.tick - clock.tick) as f64 - ticks).abs() / 0.085;
+    assert!(error_us < clock.uncertainty_us + later.uncertainty_us + 12.0, "{clock:?} {later:?}");
+    let mut events = client.events().unwrap();
+    let at_monotonic_ns = later.monotonic_ns + 500_000_000;
+    play(&mut client, &json!({"pattern": "edge-45", "seconds": 0.2, "at_monotonic_ns": at_monotonic_ns}));
+    let onset = ended(&mut events).onset.unwrap();
+    assert_eq!(onset.requested_tick, onset.actual_tick);
+    let error_ns = onset.monotonic_ns.abs_diff(at_monotonic_ns);
+    assert!(
+        (error_ns as f64) < 1e3 * later.uncertainty_us + (onset.uncertainty_ns + 6_000) as f64,
+        "{onset:?}"
+    );
+    assert_eq!(
+        refusal(client.post("/v1/play", &json!({"pattern": "edge-45", "at_monotonic_ns": at_monotonic_ns}))),
+        ("too-soon".into(), 409)
+    );
+}
+
+#[test]
+fn a_receipt_is_waited_for() {
+    let daemon = Daemon::start();
+    let mut client = daemon.armed();
+    let wait = |client: &mut Client, id, seconds: &str| {
+        client.get_within::<Value>(TIMEOUT, &format!("/v1/plays/{id}?wait={seconds}"))
+    };
+    let first = play(&mut client, &json!({"pattern": "edge-45", "seconds": 0.2}));
+    let second = play(&mut client, &json!({"pattern": "pin-60"}));
+    // Other clients are answered meanwhile.
+    let waiting = thread::spawn({
+        let mut client = daemon.client();
+        move || wait(&mut client, second, "10").unwrap()
+    });
+    assert_eq!(wait(&mut client, first, "10").unwrap()["state"], "done");
+    assert_eq!(wait(&mut client, first, "60").unwrap()["state"], "done", "it is over");
+    let running = wait(&mut client, second, "0.01").unwrap();
+    assert!(running["state"] == "queued" || running["state"] == "running", "{running}");
+    let _: Status = client.post("/v1/stop", &json!({})).unwrap();
+    assert_eq!(waiting.join().unwrap()["state"], "stopped");
+    for (id, seconds) in [(first, "61"), (first, "-1"), (first, "soon"), (first, "nan"), (first, "1&then=2")]
+    {
+        assert_eq!(refusal(wait(&mut client, id, seconds)), ("bad-request".into(), 400), "{seconds}");
+    }
+    assert_eq!(refusal(wait(&mut client, 99, "1")), ("not-found".into(), 404));
 }
 
 #[test]

@@ -178,6 +178,30 @@ fn event_streams_leave_places_for_commands() {
 }
 
 #[test]
+fn clients_that_wait_for_plays_leave_places_for_commands_and_give_them_back() {
+    let daemon = Daemon::start();
+    let mut client = daemon.armed();
+    let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60"})).unwrap();
+    let wait = || {
+        let mut stream = UnixStream::connect(daemon.socket()).unwrap();
+        stream.write_all(b"GET /v1/plays/last?wait=60 HTTP/1.1\r\nhost: x\r\n\r\n").unwrap();
+        stream
+    };
+    let mut waiting: Vec<_> = (0..MAX_CLIENTS * 3 / 4).map(|_| wait()).collect();
+    let answer = |client: &mut Client| client.get::<Value>("/v1/plays/last?wait=0.001");
+    wait_until(|| {
+        // This client takes one of the places for a moment.
+        waiting.push(wait());
+        answer(&mut client).is_err()
+    });
+    assert_eq!(refusal(answer(&mut client)), ("too-many-clients".into(), 503));
+    let _: Status = client.get("/v1/status").unwrap();
+    // They hang up long before their time.
+    drop(waiting);
+    wait_until(|| answer(&mut client).is_ok());
+}
+
+#[test]
 fn with_few_descriptors_there_are_fewer_clients_and_emergency_stops_work() {
     let mut shell = process::Command::new("sh");
     shell.args(["-c", "ulimit -n 64; exec \"$0\" \"$@\"", crate::harness::PROGRAM]);

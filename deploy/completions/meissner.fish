@@ -59,7 +59,7 @@ complete -c meissner -n "__fish_meissner_using_subcommand daemon" -l socket -d '
 complete -c meissner -n "__fish_meissner_using_subcommand daemon" -l check-config -d 'Check the configuration and end; exit 1 if it is not valid'
 complete -c meissner -n "__fish_meissner_using_subcommand daemon" -s h -l help -d 'Print help'
 complete -c meissner -n "__fish_meissner_using_subcommand play" -l seconds -d 'Play for S seconds: truncate or loop the pattern' -r
-complete -c meissner -n "__fish_meissner_using_subcommand play" -l at -d 'Begin at TICK of the device\'s clock, or MS milliseconds after the request' -r
+complete -c meissner -n "__fish_meissner_using_subcommand play" -l at -d 'Begin at TICK of the device\'s clock, MS milliseconds after the request, or at NS nanoseconds of CLOCK_MONOTONIC' -r
 complete -c meissner -n "__fish_meissner_using_subcommand play" -l late -d 'Choose what happens to late strokes' -r -f -a "drop\t'Drop them whole and go on'
 abort\t'End the play'"
 complete -c meissner -n "__fish_meissner_using_subcommand play" -l socket -d 'Connect to the daemon at PATH [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F

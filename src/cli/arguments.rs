@@ -53,11 +53,29 @@ pub(super) fn measured(text: &str) -> Result<f64, &'static str> {
 pub(super) enum Onset {
     Tick(u64),
     AfterMs(f64),
+    MonotonicNs(u64),
+}
+
+impl Onset {
+    /// The keys `at_tick`, `at_ms` and `at_monotonic_ns` of a request.
+    pub(super) const fn keys(at: Option<Self>) -> (Option<u64>, Option<f64>, Option<u64>) {
+        match at {
+            None => (None, None, None),
+            Some(Self::Tick(tick)) => (Some(tick), None, None),
+            Some(Self::AfterMs(ms)) => (None, Some(ms), None),
+            Some(Self::MonotonicNs(ns)) => (None, None, Some(ns)),
+        }
+    }
 }
 
 impl FromStr for Onset {
     type Err = &'static str;
     fn from_str(text: &str) -> Result<Self, Self::Err> {
+        if let Some(ns) = text.strip_prefix('@') {
+            let ns = ns.parse().map(Self::MonotonicNs);
+            return ns
+                .map_err(|_| "after the @ there must be nanoseconds of CLOCK_MONOTONIC, a whole number");
+        }
         match text.strip_prefix('+') {
             Some(ms) => positive(ms)
                 .map(Self::AfterMs)
@@ -65,7 +83,7 @@ impl FromStr for Onset {
             None => text
                 .parse()
                 .map(Self::Tick)
-                .map_err(|_| "must be a tick (a whole number), or + and milliseconds"),
+                .map_err(|_| "must be a tick (a whole number), + and milliseconds, or @ and nanoseconds"),
         }
     }
 }
@@ -83,10 +101,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_onset_is_a_tick_or_a_delay() {
+    fn an_onset_is_a_tick_a_delay_or_an_instant() {
         assert_eq!("4294967296".parse(), Ok(Onset::Tick(1 << 32)));
         assert_eq!("+12.5".parse(), Ok(Onset::AfterMs(12.5)));
-        for text in ["soon", "+", "-3", "+-3", "+nan", "+inf"] {
+        assert_eq!("@75793647058823".parse(), Ok(Onset::MonotonicNs(75_793_647_058_823)));
+        for text in ["soon", "+", "-3", "+-3", "+nan", "+inf", "@", "@-3", "@1.5"] {
             assert!(text.parse::<Onset>().is_err(), "{text}");
         }
     }

@@ -37,8 +37,8 @@ pub(super) struct Play {
     /// Play for S seconds: truncate or loop the pattern
     #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = positive)]
     seconds: Option<f64>,
-    /// Begin at TICK of the device's clock, or MS milliseconds after the request
-    #[arg(long, value_name = "TICK|+MS")]
+    /// Begin at TICK of the device's clock, MS milliseconds after the request, or at NS nanoseconds of CLOCK_MONOTONIC
+    #[arg(long, value_name = "TICK|+MS|@NS")]
     at: Option<Onset>,
     /// Choose what happens to late strokes
     #[arg(long, default_value = "drop", value_parser = choice::<LatePolicy>(&[("drop", "Drop them whole and go on"), ("abort", "End the play")]))]
@@ -151,16 +151,13 @@ fn print_state(options: &ClientOptions, status: &Status) -> Result<ExitCode> {
 
 pub(super) fn play(play: &Play) -> Result<ExitCode> {
     let mut client = play.options.client()?;
-    let (at_tick, at_ms) = match play.at {
-        None => (None, None),
-        Some(Onset::Tick(tick)) => (Some(tick), None),
-        Some(Onset::AfterMs(ms)) => (None, Some(ms)),
-    };
+    let (at_tick, at_ms, at_monotonic_ns) = Onset::keys(play.at);
     let request = PlayRequest {
         pattern: play.name.clone(),
         seconds: play.seconds,
         at_tick,
         at_ms,
+        at_monotonic_ns,
         boot: None,
         late: play.late,
         replace: play.replace,

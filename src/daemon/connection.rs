@@ -8,11 +8,12 @@
 use super::acceptor::{malformed, response};
 use futures_util::task::AtomicWaker;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::net::{Shutdown, shutdown};
 use std::future::Future;
 use std::io::{self, ErrorKind};
 use std::pin::Pin;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Weak};
 use std::task::{Context, Poll, ready};
 use std::time::{Duration, Instant};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
@@ -23,6 +24,8 @@ use tokio::time::{Sleep, sleep};
 const UNREAD: Duration = Duration::from_secs(60);
 /// How long a client that does not read keeps its place when others need it.
 const BLOCKED: Duration = Duration::from_secs(1);
+/// How often a request that waits looks whether its client is still there.
+const LOOK_EVERY: Duration = Duration::from_secs(1);
 
 /// How active a client is. The server reads it to choose whom to disconnect.
 #[derive(Debug)]
@@ -39,13 +42,23 @@ pub(super) struct Activity {
     /// The connection ends when nothing that the client has sent is left to read.
     evicted: AtomicBool,
     task: AtomicWaker,
+    /// Gone with the connection.
+    stream: Weak<UnixStream>,
 }
 
 impl Activity {
-    fn new() -> Self {
+    fn new(stream: &Arc<UnixStream>) -> Self {
         let (moved_ms, blocked, busy, streaming, evicted) = Default::default();
         let (begun, task) = (Instant::now(), AtomicWaker::new());
-        Self { begun, moved_ms, blocked, busy, streaming, evicted, task }
+        Self { begun, moved_ms, blocked, busy, streaming, evicted, task, stream: Arc::downgrade(stream) }
+    }
+
+    /// Resolves when the client has closed the whole connection. hyper does not look while a request is answered, because a client
+    /// may close its half.
+    pub(super) async fn hung_up(&self) {
+        while self.stream.upgrade().is_some_and(|stream| !is_closed(&stream)) {
+            sleep(LOOK_EVERY).await;
+        }
     }
 
     fn moved(&self) {
@@ -81,7 +94,7 @@ impl Activity {
 /// See the module.
 #[derive(Debug)]
 pub(super) struct Connection {
-    stream: UnixStream,
+    stream: Arc<UnixStream>,
     /// Read by the acceptor, and not yet by hyper.
     head: Vec<u8>,
     /// An error in place of hyper's, and how much of it is written.
@@ -93,13 +106,14 @@ pub(super) struct Connection {
 
 impl Connection {
     pub(super) fn new(stream: UnixStream, head: Vec<u8>) -> (Self, Arc<Activity>) {
-        let activity = Arc::new(Activity::new());
+        let stream = Arc::new(stream);
+        let activity = Arc::new(Activity::new(&stream));
         (Self { stream, head, error: None, activity: Arc::clone(&activity), unread: None }, activity)
     }
 
     /// Writes to the socket; fails if the client has not read for too long.
     fn write(&mut self, context: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
-        match Pin::new(&mut self.stream).poll_write(context, bytes) {
+        match poll_write(&self.stream, context, bytes) {
             Poll::Ready(written) => {
                 self.activity.moved();
                 self.activity.blocked.store(false, Ordering::Relaxed);
@@ -135,6 +149,32 @@ impl Connection {
             }
         }
         Poll::Ready(Ok(()))
+    }
+}
+
+/// Reads without waiting.
+fn poll_read(
+    stream: &UnixStream,
+    context: &mut Context<'_>,
+    buffer: &mut ReadBuf<'_>,
+) -> Poll<io::Result<()>> {
+    loop {
+        ready!(stream.poll_read_ready(context))?;
+        match stream.try_read(buffer.initialize_unfilled()) {
+            Err(error) if error.kind() == ErrorKind::WouldBlock => {}
+            read => return Poll::Ready(read.map(|len| buffer.advance(len))),
+        }
+    }
+}
+
+/// Writes without waiting.
+fn poll_write(stream: &UnixStream, context: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
+    loop {
+        ready!(stream.poll_write_ready(context))?;
+        match stream.try_write(bytes) {
+            Err(error) if error.kind() == ErrorKind::WouldBlock => {}
+            written => return Poll::Ready(written),
+        }
     }
 }
 
@@ -182,7 +222,7 @@ impl AsyncRead for Connection {
         }
         let before = buffer.filled().len();
         self.activity.task.register(context.waker());
-        match Pin::new(&mut self.stream).poll_read(context, buffer) {
+        match poll_read(&self.stream, context, buffer) {
             Poll::Ready(read) => read?,
             // The runtime may not know yet that bytes have come.
             Poll::Pending if self.activity.is_evicted() && events(&self.stream).is_empty() => {
@@ -219,13 +259,12 @@ impl AsyncWrite for Connection {
     }
 
     fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
-        ready!(self.write_error(context))?;
-        Pin::new(&mut self.stream).poll_flush(context)
+        self.write_error(context)
     }
 
     fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
         ready!(self.write_error(context))?;
-        Pin::new(&mut self.stream).poll_shutdown(context)
+        Poll::Ready(shutdown(&*self.stream, Shutdown::Write).map_err(io::Error::from))
     }
 }
 
@@ -268,6 +307,25 @@ mod tests {
             assert!(lazy());
             activity.evict();
             assert!(connection.write_all(&flood).await.is_err());
+        });
+    }
+
+    #[test]
+    fn a_request_that_waits_notices_that_its_client_is_gone() {
+        crate::daemon::runtime().unwrap().block_on(async {
+            tokio::time::pause();
+            let (client, connection, activity) = pair(b"");
+            let gone = async |activity: &Activity| {
+                tokio::time::timeout(Duration::from_secs(10), activity.hung_up()).await.is_ok()
+            };
+            assert!(!gone(&activity).await);
+            client.shutdown(std::net::Shutdown::Write).unwrap();
+            assert!(!gone(&activity).await, "it has sent its request and waits for the answer");
+            drop(client);
+            assert!(gone(&activity).await);
+            let (_client, other, activity) = pair(b"");
+            drop((connection, other));
+            assert!(gone(&activity).await);
         });
     }
 

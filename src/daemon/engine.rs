@@ -41,6 +41,8 @@ pub(super) struct Engine {
     first_device_known: watch::Sender<bool>,
     /// Something has changed that no event of the streamer reports.
     pub(super) changed: Notify,
+    /// A play has ended.
+    pub(super) play_ended: Notify,
     /// Another version of the program is installed, and the daemon is idle.
     pub(super) replaced: Notify,
     /// What the system granted the streamer.
@@ -72,6 +74,7 @@ impl Engine {
             wanted,
             first_device_known: watch::channel(false).0,
             changed: Notify::new(),
+            play_ended: Notify::new(),
             replaced: Notify::new(),
             realtime: Realtime::default(),
             socket: PathBuf::new(),

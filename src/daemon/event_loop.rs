@@ -82,6 +82,7 @@ impl Engine {
                     Some(Event::Ended { receipt }) => {
                         due.retain(|due| due.play != receipt.id);
                         due.push(Due::after(MEASURED_AFTER, receipt.id));
+                        self.play_ended.notify_waiters();
                     }
                     _ => {}
                 }

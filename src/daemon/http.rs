@@ -8,6 +8,7 @@
 
 use super::acceptor::{Bounds, Counts};
 use super::body;
+use super::connection::Activity;
 use super::engine::{Engine, TIMEOUT};
 use super::estop::{GUARD, Origin};
 use super::metrics;
@@ -28,16 +29,17 @@ use axum::routing::{MethodFilter, MethodRouter, on};
 use axum::{Json, Router};
 use futures_util::stream::{self, StreamExt};
 use meissner_api::{
-    ArmRequest, CalibrateRequest, CalibrationReport, Code, Event, ImportedPattern, MAX_BODY, PlayAccepted,
-    PlayRequest, Problem, REFERENCE, Receipt, ResetRequest, Route, Status, parse_empty,
+    ArmRequest, CalibrateRequest, CalibrationReport, Code, Event, ImportedPattern, MAX_BODY, MAX_WAIT_S,
+    PlayAccepted, PlayRequest, Problem, REFERENCE, Receipt, ResetRequest, Route, Status, parse_empty,
 };
 use meissner_stream::queues::Command;
 use serde_json::json;
 use std::convert::Infallible;
+use std::pin::pin;
 use std::sync::{Arc, LazyLock, Mutex, PoisonError};
 use std::time::Duration;
 use tokio::sync::broadcast::error::RecvError;
-use tokio::sync::{Semaphore, SemaphorePermit};
+use tokio::sync::{Semaphore, SemaphorePermit, TryAcquireError};
 
 /// How long homing may take: six rounds for 24 pins that start at one end of their travel.
 const HOME_TIMEOUT: Duration = Duration::from_secs(25);
@@ -96,13 +98,13 @@ pub(super) struct App {
     engine: Arc<Engine>,
     store: SharedStore,
     counts: Arc<Counts>,
-    /// A permit for each event stream.
-    event_streams: Arc<Semaphore>,
+    /// A permit for each event stream, and for each request that waits for the end of a play.
+    waiting: Arc<Semaphore>,
 }
 
 impl App {
     pub(super) fn new(engine: Arc<Engine>, store: SharedStore, bounds: &Bounds, counts: Arc<Counts>) -> Self {
-        Self { engine, store, counts, event_streams: Arc::new(Semaphore::new(bounds.event_streams)) }
+        Self { engine, store, counts, waiting: Arc::new(Semaphore::new(bounds.waiting)) }
     }
 }
 
@@ -375,9 +377,50 @@ async fn import(
     logged.result(result)
 }
 
-async fn receipt(State(app): State<App>, id: Result<Path<String>, PathRejection>) -> Answer<Json<Receipt>> {
-    let id = path(id)?;
-    let state = app.engine.lock();
+async fn receipt(
+    State(app): State<App>,
+    Extension(activity): Extension<Arc<Activity>>,
+    uri: Uri,
+    id: Result<Path<String>, PathRejection>,
+) -> Answer<Json<Receipt>> {
+    let wait = wait(&uri)?;
+    let receipt = find_receipt(&app.engine, &path(id)?)?;
+    let Some(wait) = wait.filter(|_| !receipt.state.is_over()) else { return Ok(Json(receipt)) };
+    let _permit = app.waiting.try_acquire().map_err(many_waiting)?;
+    let id = receipt.id.to_string();
+    let ended = async {
+        loop {
+            let mut notified = pin!(app.engine.play_ended.notified());
+            // From here on no end is missed.
+            notified.as_mut().enable();
+            let receipt = find_receipt(&app.engine, &id)?;
+            if receipt.state.is_over() {
+                return Ok(Json(receipt));
+            }
+            notified.await;
+        }
+    };
+    tokio::select! {
+        receipt = ended => receipt,
+        () = tokio::time::sleep(wait) => Ok(Json(find_receipt(&app.engine, &id)?)),
+        () = activity.hung_up() => Ok(Json(receipt)),
+    }
+}
+
+/// How long a request wants to wait, by its query.
+fn wait(uri: &Uri) -> Answer<Option<Duration>> {
+    let Some(query) = uri.query().filter(|query| !query.is_empty()) else { return Ok(None) };
+    let seconds = query.strip_prefix("wait=").and_then(|seconds| seconds.parse().ok());
+    let seconds = seconds.filter(|seconds| (0.0..=MAX_WAIT_S).contains(seconds)).ok_or_else(|| {
+        let detail = format!("the query `{query}`: must be `wait=` and seconds, 0 to {MAX_WAIT_S}");
+        Problem::new(Code::BadRequest, detail)
+    })?;
+    Ok(Some(Duration::from_secs_f64(seconds)))
+}
+
+/// The receipt of a play by its id or `last`.
+fn find_receipt(engine: &Engine, id: &str) -> Answer<Receipt> {
+    let state = engine.lock();
     let receipts = &state.plays.receipts;
     let found = match id.parse() {
         Ok(id) => receipts.receipt(id),
@@ -395,15 +438,17 @@ async fn receipt(State(app): State<App>, id: Result<Path<String>, PathRejection>
         };
         Problem::new(Code::NotFound, detail)
     };
-    Ok(Json(found.cloned().ok_or_else(none)?))
+    Ok(found.cloned().ok_or_else(none)?)
+}
+
+fn many_waiting(_: TryAcquireError) -> Problem {
+    let detail =
+        "too many clients wait for plays or listen to events: close one; the other places are for commands";
+    Problem::new(Code::TooManyClients, detail)
 }
 
 async fn events(State(app): State<App>) -> Answer<Response> {
-    let many = |_| {
-        let detail = "too many event streams are open: close one; the other places are for commands";
-        Problem::new(Code::TooManyClients, detail)
-    };
-    let permit = Arc::clone(&app.event_streams).try_acquire_owned().map_err(many)?;
+    let permit = Arc::clone(&app.waiting).try_acquire_owned().map_err(many_waiting)?;
     let gone = || Problem::new(Code::ShuttingDown, "the daemon is ending: start it again");
     let (now, receiver) = app.engine.subscribe().ok_or_else(gone)?;
     // The permit is held as long as the stream.

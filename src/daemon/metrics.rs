@@ -128,7 +128,9 @@ pub(super) fn text(receipts: &Receipts, clients: &Counts) -> String {
     );
     let line = snapshot.and_then(|at| at.line_bytes_per_s).map_or(f64::NAN, f64::from);
     text.gauge("line_bytes_per_second", "Measured capacity of the line to the device.", &line);
-    let uncertainty = snapshot.map_or(f64::NAN, |at| at.clock_uncertainty_us);
+    let uncertainty = snapshot
+        .and_then(|at| Some(at.clock?.uncertainty(at.at).as_nanos() as f64 / 1000.0))
+        .unwrap_or(f64::NAN);
     text.gauge("clock_uncertainty_us", "Uncertainty of the estimate of the device's clock.", &uncertainty);
     let lead = snapshot.map_or(f64::NAN, |at| at.lead_ms);
     text.gauge("lead_ms", "How far ahead of now strokes are sent.", &lead);

@@ -12,7 +12,7 @@
 //! - `log_lines`, `request_log`, `status`: text and data for the log, the session record and clients.
 //! - `play`, `calibrate`, `connector`: begin plays, calibrate, open devices.
 //! - `service`, `event_loop`: the service manager; the streamer's events.
-//! - `body`, `http`, `reload`, `connection`, `server`, `hosted`: clients, configuration, and daemons inside this process.
+//! - `body`, `connection`, `http`, `reload`, `server`, `hosted`: clients, configuration, and daemons inside this process.
 //!
 //! Invariant: before the daemon ends, it returns the pins, switches the motors off and removes its socket.
 

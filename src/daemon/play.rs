@@ -14,6 +14,7 @@ use firmware_protocol::tick::Tick;
 use meissner_api::{Code, PlayRequest, Problem};
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_stream::queues::{At, Command, Play};
+use meissner_stream::time::HostInstant;
 use meissner_stream::{Bandwidth, Settings};
 
 /// A play that still needs an id.
@@ -40,11 +41,7 @@ impl PreparedPlay {
         }
         // A long pattern has a hundred thousand strokes: other commands must not wait while they are counted.
         let (bandwidth, strokes) = computing(move || (Bandwidth::of(&strokes, &settings), strokes)).await?;
-        let at = match (request.at_tick, request.at_ms) {
-            (Some(tick), _) => At::Tick(Tick(tick)),
-            (None, Some(ms)) => At::After(nanoseconds(ms)),
-            (None, None) => At::Next,
-        };
+        let at = onset(request.at_tick, request.at_ms, request.at_monotonic_ns);
         let PlayRequest { seconds, late, replace, open_loop, .. } = *request;
         let play = Play { id: 0, strokes, at, late, replace, open_loop, bandwidth };
         Ok(Self { play, stored, seconds })
@@ -99,6 +96,16 @@ impl Engine {
             }
             _ => Ok(()),
         }
+    }
+}
+
+/// The onset that a request asks for, by one of its keys at most.
+fn onset(tick: Option<u64>, ms: Option<f64>, monotonic_ns: Option<u64>) -> At {
+    match (tick, ms, monotonic_ns) {
+        (Some(tick), ..) => At::Tick(Tick(tick)),
+        (_, Some(ms), _) => At::After(nanoseconds(ms)),
+        (.., Some(ns)) => At::Monotonic(HostInstant::from_ns(ns)),
+        (None, None, None) => At::Next,
     }
 }
 

@@ -6,7 +6,7 @@
 //!
 //! Invariant: a client occupies one place and its own buffers; between two of its requests the server takes one of each other client.
 
-use super::acceptor::{Accepted, Bounds, Counts, Handover, IDLE, SILENT, refuse, response, too_many_clients};
+use super::acceptor::{Accepted, Bounds, Counts, Handover, IDLE, refuse, response, too_many_clients};
 use super::connection::{Activity, Connection};
 use super::engine::Engine;
 use super::request_log::LoggedRequest;
@@ -31,6 +31,8 @@ use tracing::{debug, warn};
 
 /// What hyper holds of a client in each direction, bytes: a request's head fits.
 const BUFFER: usize = 32 << 10;
+/// How long a client may be idle between two requests: as long as a break between two blocks of an experiment.
+const KEPT_IDLE: Duration = Duration::from_secs(600);
 /// How long requests may take that run at the end.
 const DRAIN: Duration = Duration::from_secs(1);
 /// How often the log says that clients were refused or disconnected.
@@ -168,6 +170,7 @@ async fn serve_client(
         let (router, activity) = (router.clone(), Arc::clone(&activity));
         activity.busy.store(true, Ordering::Relaxed);
         request.extensions_mut().insert(peer);
+        request.extensions_mut().insert(Arc::clone(&activity));
         let number = ordered.swap(0, Ordering::Relaxed);
         if number > 0 {
             request.extensions_mut().insert(Ordered(number));
@@ -186,7 +189,7 @@ async fn serve_client(
     });
     let mut http = http1::Builder::new();
     // A client that has sent its request may close its half of the connection.
-    http.half_close(true).max_buf_size(BUFFER).timer(TokioTimer::new()).header_read_timeout(SILENT);
+    http.half_close(true).max_buf_size(BUFFER).timer(TokioTimer::new()).header_read_timeout(KEPT_IDLE);
     let mut connection = pin!(http.serve_connection(TokioIo::new(connection), service));
     let ended = tokio::select! {
         ended = connection.as_mut() => ended,
@@ -204,4 +207,40 @@ async fn serve_client(
 async fn closed(closing: &mut watch::Receiver<bool>) {
     // An error means that the sender is gone: the daemon has ended.
     let _ = closing.wait_for(|closing| *closing).await;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tokio::io::{AsyncReadExt, AsyncWriteExt};
+
+    /// In virtual time.
+    #[test]
+    fn an_idle_client_is_kept_for_ten_minutes() {
+        crate::daemon::runtime().unwrap().block_on(async {
+            tokio::time::pause();
+            let (mut client, stream) = UnixStream::pair().unwrap();
+            let (connection, activity) = Connection::new(stream, Vec::new());
+            let (_close, closing) = watch::channel(false);
+            let router = Router::new().route("/", axum::routing::get(async || "answer"));
+            let peer = Peer { pid: 1, uid: 0 };
+            tokio::spawn(serve_client(connection, activity, peer, None, router, closing));
+            let mut text = Vec::new();
+            // The second request ends another break.
+            for breaks in 1..3 {
+                client.write_all(b"GET / HTTP/1.1\r\nhost: x\r\n\r\n").await.unwrap();
+                while !text.ends_with(b"answer") {
+                    client.read_buf(&mut text).await.unwrap();
+                }
+                text.clear();
+                let begun = tokio::time::Instant::now();
+                if breaks == 1 {
+                    tokio::time::sleep(KEPT_IDLE - Duration::from_secs(1)).await;
+                } else {
+                    assert_eq!(client.read_buf(&mut text).await.unwrap(), 0);
+                    assert!(begun.elapsed().abs_diff(KEPT_IDLE) < Duration::from_secs(1));
+                }
+            }
+        });
+    }
 }

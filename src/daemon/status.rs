@@ -4,7 +4,8 @@
 
 use super::engine::Engine;
 use crate::receipts::DeviceState;
-use meissner_api::{MotorStatus, QueuedPlay, Status};
+use firmware_protocol::tick::TICK_HZ;
+use meissner_api::{ClockSample, MotorStatus, QueuedPlay, Status};
 use meissner_stream::time::HostInstant;
 use std::fmt::Write as _;
 
@@ -14,7 +15,8 @@ impl Engine {
         let daemon = self.lock();
         let receipts = &daemon.plays.receipts;
         let DeviceState { state, cause, position } = receipts.device_state();
-        let clock = receipts.clock(HostInstant::now());
+        let (now, wall_ns) = HostInstant::now_with_wall();
+        let clock = receipts.clock(now);
         let snapshot = receipts.snapshot();
         let used = daemon.calibration.in_use().map(|stored| &stored.calibration);
         let is_calibrated = |motor: u8| used.is_some_and(|calibration| calibration.motor(motor).is_some());
@@ -37,6 +39,13 @@ impl Engine {
                 .collect(),
             tick: clock.map(|(tick, _)| tick.0),
             clock_uncertainty_us: clock.map(|(_, uncertainty_us)| uncertainty_us),
+            clock: clock.map(|(tick, uncertainty_us)| ClockSample {
+                tick: tick.0,
+                tick_hz: TICK_HZ,
+                monotonic_ns: now.as_ns(),
+                wall_ns,
+                uncertainty_us,
+            }),
             lead_ms: snapshot.map_or(daemon.settings.current.lead_ms, |snapshot| snapshot.lead_ms),
             lease_ms: snapshot.map_or(daemon.settings.current.lease_ms, |snapshot| snapshot.lease_ms),
             line_bytes_per_s: snapshot.filter(|at| at.connected).and_then(|at| at.line_bytes_per_s),

@@ -23,7 +23,7 @@ use meissner_api::{
     BurstCounts, DeviceInfo, Event, LateCounts, LateStroke, LinkTraffic, MAX_LISTED, NO_DEVICE, PlayState,
     PredictedResponse, Prediction, PulseCounts, Receipt, RefusedStroke, RunningPlay,
 };
-use meissner_array::units::{duration_to_ticks, ns_to_ms};
+use meissner_array::units::ns_to_ms;
 use meissner_stream::cause_text;
 use meissner_stream::queues::Onset;
 use meissner_stream::queues::{Outcome, Snapshot, StreamEvent, refusal_text};
@@ -32,8 +32,6 @@ use std::collections::VecDeque;
 
 /// Receipts kept of ended plays, at most.
 pub const KEPT: usize = 1000;
-/// Relative frequency error of a crystal: adds to the clock's uncertainty since the last snapshot.
-const DRIFT: f64 = 100e-6;
 
 /// Sums since the daemon's start.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -229,14 +227,13 @@ impl Receipts {
         &self.totals
     }
 
-    /// The device's clock at `now` and its uncertainty, µs: the last estimate, extrapolated at the nominal rate, since an idle
-    /// streamer publishes none.
+    /// The device's clock at `now` and its uncertainty, µs: by the last snapshot's estimate, since an idle streamer publishes
+    /// one a second.
     #[must_use]
     pub fn clock(&self, now: HostInstant) -> Option<(Tick, f64)> {
         let snapshot = self.snapshot.as_ref().filter(|snapshot| snapshot.connected)?;
-        let since = now.since(snapshot.at);
-        let uncertainty_us = snapshot.clock_uncertainty_us + since.as_secs_f64() * 1e6 * DRIFT;
-        Some((Tick(snapshot.tick.0.saturating_add(duration_to_ticks(since))), uncertainty_us))
+        let clock = snapshot.clock?;
+        Some((clock.tick_at(now), clock.uncertainty(now).as_nanos() as f64 / 1000.0))
     }
 
     /// The device's state as the API names it.

@@ -8,7 +8,7 @@ use meissner_api::{LateCause, LatePolicy};
 use meissner_array::pattern::Pattern;
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_stream::Bandwidth;
-use meissner_stream::link::{BadFrames, Contradictions};
+use meissner_stream::link::{BadFrames, Clock, Contradictions};
 use meissner_stream::queues::{At, End, Onset, Play};
 
 fn hello() -> DeviceHello {
@@ -32,14 +32,16 @@ fn hello() -> DeviceHello {
 }
 
 fn snapshot(connected: bool, state: State, play: Option<(u64, f64)>) -> Snapshot {
+    let (at, mut clock) = (HostInstant::from_ns(1_000_000_000), Clock::default());
+    clock.round_trip(at, Tick(1000), at);
     Snapshot {
-        at: HostInstant::from_ns(1_000_000_000),
+        at,
         connected,
         state,
         cause: Cause::Request,
         position_known: true,
         tick: Tick(1000),
-        clock_uncertainty_us: 10.0,
+        clock: clock.estimate(),
         play,
         lead_ms: 100.0,
         lease_ms: 300.0,
@@ -192,7 +194,8 @@ fn the_clock_is_carried_on_between_snapshots() {
     receipts.apply(&StreamEvent::Snapshot(snapshot(true, State::Armed, None)));
     let (tick, uncertainty_us) = receipts.clock(HostInstant::from_ns(3_000_000_000)).unwrap();
     assert_eq!(tick, Tick(1000 + 170_000));
-    assert!((uncertainty_us - 210.0).abs() < 1e-6);
+    // Half a tick, and 100 ppm of two seconds, since no drift is measured.
+    assert!((uncertainty_us - 205.882).abs() < 1e-3, "{uncertainty_us}");
     receipts.apply(&StreamEvent::Snapshot(snapshot(false, State::Armed, None)));
     assert!(receipts.clock(HostInstant::from_ns(0)).is_none());
 }

@@ -66,7 +66,16 @@ fn operation(out: &mut String, document: &Value, route: Route) {
     put!(out, "\n### {} {}\n", method.to_uppercase(), operation.path);
     put!(out, "{}. {}", operation.summary, operation.description);
     for parameter in described["parameters"].as_array().into_iter().flatten() {
-        put!(out, "\n`{{{}}}`: {}.", text(&parameter["name"]), text(&parameter["description"]));
+        let (name, about) = (text(&parameter["name"]), text(&parameter["description"]));
+        match parameter["in"].as_str() {
+            Some("query") => put!(
+                out,
+                "\n`?{name}=`, {} to {}: {about}.",
+                parameter["schema"]["minimum"],
+                parameter["schema"]["maximum"]
+            ),
+            _ => put!(out, "\n`{{{name}}}`: {about}."),
+        }
     }
     if let Some(body) = described["requestBody"].as_object() {
         let optional = if body["required"] == true { "" } else { ", may be empty" };

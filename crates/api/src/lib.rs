@@ -43,11 +43,13 @@ pub use receipt::{
     PlayState, PredictedResponse, Prediction, PulseCounts, Rates, Receipt, RefusedStroke,
 };
 pub use request::{
-    ArmRequest, CalibrateRequest, LatePolicy, MAX_AT_MS, MAX_BODY, PlayRequest, ResetRequest, parse_empty,
+    ArmRequest, CalibrateRequest, LatePolicy, MAX_AT_MS, MAX_BODY, MAX_WAIT_S, PlayRequest, ResetRequest,
+    parse_empty,
 };
 pub use route::{Method, Route};
 pub use status::{
-    DeviceInfo, ErrorSource, MotorStatus, NO_DEVICE, PlayAccepted, QueuedPlay, Realtime, RunningPlay, Status,
+    ClockSample, DeviceInfo, ErrorSource, MotorStatus, NO_DEVICE, PlayAccepted, QueuedPlay, Realtime,
+    RunningPlay, Status,
 };
 
 /// Clients connected at the same time, at most.

@@ -38,7 +38,7 @@ const PATTERN: &str = "format = 1\nname = \"two-pins\"\nduration_s = 1.0\n\n[[dr
 
 const ABOUT: &str = "HTTP/1.1 over the daemon's Unix socket: `$MEISSNER_SOCKET`, else `$XDG_RUNTIME_DIR/meissner.sock`, else \
                      `/run/meissner/meissner.sock`. At most 64 clients are connected at the same time; the daemon closes a connection \
-                     that sends nothing for 30 s. Who may use the socket may use the whole API. The body of a command has at \
+                     that sends nothing for 10 minutes, or earlier if another client needs its place. Who may use the socket may use the whole API. The body of a command has at \
                      most 16 KiB. A key that is null counts as absent; an unknown key is an error. Every error, also of an unknown \
                      address (`not-found`) or method (`method-not-allowed`), is `application/problem+json` with a stable `code`. \
                      Times: `_s` is seconds, `_ms` milliseconds, a tick 1/85000 s on the device's clock.";
@@ -100,6 +100,15 @@ fn described(route: Route, operation: &Operation, example: &dyn Fn(&str) -> Valu
         out["parameters"] = json!([
             {"name": name, "in": "path", "required": true, "description": text, "schema": {"type": "string"}}
         ]);
+    }
+    if let Some((name, most, text)) = operation.query {
+        let schema = json!({"type": "number", "minimum": 0, "maximum": most});
+        let query =
+            json!({"name": name, "in": "query", "required": false, "description": text, "schema": schema});
+        match out["parameters"].as_array_mut() {
+            Some(parameters) => parameters.push(query),
+            None => out["parameters"] = json!([query]),
+        }
     }
     let body = match operation.body {
         Body::None => None,

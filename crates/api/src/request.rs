@@ -25,13 +25,17 @@ pub struct PlayRequest {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0.0, maximum = 1e8)]
     pub seconds: Option<f64>,
-    /// Onset on the device's clock, ticks of 1/85000 s. Excludes `at_ms`.
+    /// Onset on the device's clock, ticks of 1/85000 s. Excludes `at_ms` and `at_monotonic_ns`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub at_tick: Option<u64>,
-    /// Delay from the request to the onset, ms. Excludes `at_tick`.
+    /// Delay from the request to the onset, ms. Excludes `at_tick` and `at_monotonic_ns`.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0.0, maximum = 3_600_000.0)]
     pub at_ms: Option<f64>,
+    /// Onset on the host's `CLOCK_MONOTONIC`, ns. The daemon takes the nearest tick by its estimate of the device's clock when it
+    /// accepts the play; the receipt shows that tick as the requested one. Excludes `at_tick` and `at_ms`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub at_monotonic_ns: Option<u64>,
     /// The boot that `at_tick` belongs to, as `device.boot` in the status. The daemon refuses another one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub boot: Option<u32>,
@@ -57,6 +61,9 @@ pub enum LatePolicy {
     Abort,
 }
 
+/// How long `GET /v1/plays/{id}` may wait for the end of the play, s.
+pub const MAX_WAIT_S: f64 = 60.0;
+
 /// `at_ms` at most, ms: an hour.
 pub const MAX_AT_MS: f64 = 3_600_000.0;
 
@@ -67,15 +74,24 @@ impl PlayRequest {
     /// A `bad-request` that names the key.
     pub fn parse(body: &[u8]) -> Result<Self, Problem> {
         let request: Self = read(body)?;
-        if request.at_ms.is_some() && request.at_tick.is_some() {
-            return Err(bad("`at_tick` and `at_ms` exclude each other: leave one out"));
-        }
-        if let Some(ms) = request.at_ms {
-            let good = (0.0..=MAX_AT_MS).contains(&ms);
-            document::in_range("at_ms", ms, good, "0 to 3600000 ms, an hour").map_err(problem)?;
-        }
+        check_onset(request.at_tick, request.at_ms, request.at_monotonic_ns)?;
         Ok(request)
     }
+}
+
+/// Refuses more than one onset, and one out of range.
+fn check_onset(tick: Option<u64>, ms: Option<f64>, monotonic_ns: Option<u64>) -> Result<(), Problem> {
+    let keys =
+        [("at_tick", tick.is_some()), ("at_ms", ms.is_some()), ("at_monotonic_ns", monotonic_ns.is_some())];
+    let mut given = keys.iter().filter(|(_, given)| *given).map(|(key, _)| key);
+    if let (Some(first), Some(second)) = (given.next(), given.next()) {
+        return Err(bad(format!("`{first}` and `{second}` exclude each other: leave one out")));
+    }
+    if let Some(ms) = ms {
+        let good = (0.0..=MAX_AT_MS).contains(&ms);
+        document::in_range("at_ms", ms, good, "0 to 3600000 ms, an hour").map_err(problem)?;
+    }
+    Ok(())
 }
 
 /// How to arm.
@@ -234,7 +250,8 @@ mod tests {
             ),
             (r#"{"pattern":"a","replace":1}"#, "`replace` is integer `1`: must be true or false"),
             (r#"{"pattern":"a","at_ms":-1}"#, "`at_ms` is -1: must be 0 to 3600000 ms"),
-            (r#"{"pattern":"a","at_ms":1,"at_tick":1}"#, "exclude"),
+            (r#"{"pattern":"a","at_ms":1,"at_tick":1}"#, "`at_tick` and `at_ms` exclude each other"),
+            (r#"{"pattern":"a","at_ms":1,"at_monotonic_ns":1}"#, "`at_ms` and `at_monotonic_ns` exclude"),
             (
                 "[]",
                 "the body is not a JSON object: is sequence: must be a table of keys and values; see docs/",
@@ -258,7 +275,17 @@ mod tests {
         for text in ["x\n2026 INFO estop by ada\r\u{1b}[2J\u{9b}\u{2028}\u{202e}\u{7f}", &"x".repeat(5000)] {
             let text = serde_json::to_string(text).unwrap();
             let long = text.len() > 5000;
-            let keys = ["pattern", "seconds", "at_tick", "at_ms", "boot", "late", "replace", "open_loop"];
+            let keys = [
+                "pattern",
+                "seconds",
+                "at_tick",
+                "at_ms",
+                "at_monotonic_ns",
+                "boot",
+                "late",
+                "replace",
+                "open_loop",
+            ];
             let values = keys.iter().flat_map(|key| {
                 ["TEXT", "[TEXT]", "{TEXT: TEXT}"].map(|value| format!("{{\"{key}\": {value}}}"))
             });

@@ -4,6 +4,7 @@
 //! document from [`Route::operation`]. So the router and the document cannot name different routes.
 
 use crate::problem::Code;
+use crate::request::MAX_WAIT_S;
 
 /// The routes, in the order of the API reference.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -78,6 +79,8 @@ pub struct Operation {
     pub description: &'static str,
     /// What the path's variable part means.
     pub parameter: Option<&'static str>,
+    /// What its query parameter means, and the parameter's name and greatest value: a number, 0 or more.
+    pub query: Option<(&'static str, f64, &'static str)>,
     /// What it takes.
     pub body: Body,
     /// HTTP statuses of success, each with its meaning.
@@ -251,8 +254,15 @@ impl Route {
             },
             Self::Receipt => Operation {
                 summary: "Show the result of a play",
-                description: "The daemon keeps every play that waits or runs, and the last 1000 that have ended.",
+                description: "The daemon keeps every play that waits or runs, and the last 1000 that have ended. With `wait` it \
+                              answers when the play has ended, or after that time with the receipt as it is then. At most \
+                              48 clients wait or listen to events, so that commands find places.",
                 parameter: Some("The play's id, or `last`"),
+                query: Some((
+                    "wait",
+                    MAX_WAIT_S,
+                    "How long to wait for the play's end, s; without it the daemon answers at once",
+                )),
                 answer: Answer::Json("Receipt"),
                 errors: &[&[Code::BadRequest, Code::NotFound], ANY],
                 ..Operation::get("/v1/plays/{id}")
@@ -343,6 +353,7 @@ impl Operation {
             summary: "",
             description: "",
             parameter: None,
+            query: None,
             body: Body::None,
             statuses: OK,
             answer: STATUS,

@@ -101,6 +101,23 @@ pub struct MotorStatus {
     pub calibrated: bool,
 }
 
+/// The clocks of device and host at one instant.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct ClockSample {
+    /// The device's clock, ticks of 1/85000 s since the device's start.
+    pub tick: u64,
+    /// Nominal rate of the device's clock, Hz.
+    #[schema(minimum = 85000)]
+    pub tick_hz: u32,
+    /// The host's `CLOCK_MONOTONIC`, ns.
+    pub monotonic_ns: u64,
+    /// The host's wall clock, Unix time, ns.
+    pub wall_ns: u64,
+    /// Uncertainty of `tick` against `monotonic_ns`, µs.
+    #[schema(minimum = 0.0)]
+    pub uncertainty_us: f64,
+}
+
 /// How the daemon and its device stand.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[schema(examples(json!({
@@ -111,7 +128,12 @@ pub struct MotorStatus {
     "wanted": "mock", "missing": null,
     "play": {"id": 7, "pattern": "edge-45", "played_s": 0.52},
     "queued": [{"id": 8, "pattern": "pin-60"}],
-    "tick": 6442450944_u64, "clock_uncertainty_us": 9.6, "lead_ms": 100.0, "lease_ms": 300.0,
+    "tick": 6442450944_u64, "clock_uncertainty_us": 9.6,
+    "clock": {
+        "tick": 6442450944_u64, "tick_hz": 85000, "monotonic_ns": 75793540741176_u64, "wall_ns": 1767225600000000000_u64,
+        "uncertainty_us": 9.6
+    },
+    "lead_ms": 100.0, "lease_ms": 300.0,
     "line_bytes_per_s": 1000000,
     "contradictions": 0,
     "motors": [{"rest_error_um": 0.4, "source": "telemetry", "calibrated": false}],
@@ -148,6 +170,10 @@ pub struct Status {
     /// Uncertainty of `tick`, µs; null without a device.
     #[schema(required, minimum = 0.0)]
     pub clock_uncertainty_us: Option<f64>,
+    /// The clocks of device and host at the instant of `tick`; null without a device, or from an older daemon.
+    #[serde(default)]
+    #[schema(required)]
+    pub clock: Option<ClockSample>,
     /// How far ahead the daemon sends strokes, ms: the configured lead; during a play the lead that is reached.
     pub lead_ms: f64,
     /// Host watchdog timeout, ms: the device stops when the daemon is silent for longer.

@@ -1,13 +1,11 @@
 //! Calls that wait for their answer: [`Client`].
 
-use crate::connection::{connect, hung_up, read_all, request};
+use crate::connection::{Connection, connect, hung_up, read_all, request};
 use crate::endpoint::Endpoint;
 use crate::error::ClientError;
 use crate::events::Events;
-use http_body_util::Full;
 use hyper::Method;
 use hyper::body::Bytes;
-use hyper::client::conn::http1::SendRequest;
 use meissner_api::Problem;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -25,7 +23,7 @@ pub const HOME_TIMEOUT: Duration = Duration::from_secs(30);
 pub struct Client {
     endpoint: Endpoint,
     runtime: Runtime,
-    sender: Option<SendRequest<Full<Bytes>>>,
+    connection: Option<Connection>,
 }
 
 impl Client {
@@ -43,7 +41,7 @@ impl Client {
     /// [`ClientError::Runtime`].
     pub fn at(endpoint: Endpoint) -> Result<Self, ClientError> {
         let runtime = Builder::new_current_thread().enable_all().build().map_err(ClientError::Runtime)?;
-        Ok(Self { endpoint, runtime, sender: None })
+        Ok(Self { endpoint, runtime, connection: None })
     }
 
     /// Sends a `GET` and reads the JSON answer.
@@ -51,7 +49,19 @@ impl Client {
     /// # Errors
     /// See [`ClientError`].
     pub fn get<T: DeserializeOwned>(&mut self, path: &str) -> Result<T, ClientError> {
-        self.call(Method::GET, path, Bytes::new(), ANSWER_TIMEOUT)
+        self.get_within(ANSWER_TIMEOUT, path)
+    }
+
+    /// [`Self::get`] with another timeout: for `/v1/plays/ID?wait=S`, which answers after up to S seconds.
+    ///
+    /// # Errors
+    /// See [`ClientError`].
+    pub fn get_within<T: DeserializeOwned>(
+        &mut self,
+        timeout: Duration,
+        path: &str,
+    ) -> Result<T, ClientError> {
+        self.call(Method::GET, path, Bytes::new(), timeout)
     }
 
     /// Sends a `POST` with a JSON body and reads the JSON answer.
@@ -91,9 +101,9 @@ impl Client {
         body: Bytes,
         timeout: Duration,
     ) -> Result<T, ClientError> {
-        let idle = self.sender.is_some();
+        let idle = self.connection.is_some();
         let mut answer = self.exchange(&method, path, &body, timeout);
-        // The daemon closes a connection that was idle for 30 s. A `GET` changes nothing, so it is sent again.
+        // The daemon may have closed the idle connection just now. A `GET` changes nothing, so it is sent again.
         if idle && method == Method::GET && matches!(answer, Err(ClientError::HungUp { .. })) {
             answer = self.exchange(&method, path, &body, timeout);
         }
@@ -105,6 +115,12 @@ impl Client {
             .map_or_else(|error| self.bad_answer(&error), Into::into))
     }
 
+    /// Whether a connection is open, and the daemon has not closed it.
+    #[cfg(test)]
+    pub(crate) fn is_connected(&self) -> bool {
+        self.connection.as_ref().is_some_and(Connection::is_open)
+    }
+
     /// Sends one request; returns whether it succeeded, and the answer's body.
     fn exchange(
         &mut self,
@@ -113,18 +129,18 @@ impl Client {
         body: &Bytes,
         timeout: Duration,
     ) -> Result<(bool, Bytes), ClientError> {
-        let Self { endpoint, runtime, sender } = self;
+        let Self { endpoint, runtime, connection } = self;
         let answer = runtime.block_on(async {
             let exchange = async {
-                // Nothing was sent on a connection that the daemon has closed while it was idle.
-                if sender.as_mut().is_none_or(|sender| sender.is_closed()) {
+                // The daemon closes a connection that was idle for 10 minutes, or that another client needs.
+                if !connection.as_ref().is_some_and(Connection::is_open) {
                     let (found, socket) = connect(endpoint).await?;
-                    *sender = Some(found);
+                    *connection = Some(found);
                     // Later calls go to the same daemon, even if another one starts.
                     *endpoint = Endpoint::at(&socket);
                 }
                 let socket = &endpoint.socket;
-                let Some(sender) = sender.as_mut() else { return Err(hung_up(socket, None)) };
+                let Some(Connection { sender, .. }) = connection else { return Err(hung_up(socket, None)) };
                 sender.ready().await.map_err(|source| hung_up(socket, Some(source)))?;
                 let request = request(method.clone(), path, body.clone());
                 let response = sender.send_request(request).await;
@@ -134,7 +150,7 @@ impl Client {
             answer.unwrap_or_else(|_| Err(ClientError::Timeout { socket: endpoint.socket.clone(), timeout }))
         });
         if answer.is_err() {
-            self.sender = None;
+            self.connection = None;
         }
         answer
     }
@@ -150,7 +166,7 @@ impl Client {
     pub fn events(&self) -> Result<Events, ClientError> {
         let runtime = Builder::new_current_thread().enable_all().build().map_err(ClientError::Runtime)?;
         let (socket, response) = runtime.block_on(async {
-            let (mut sender, socket) = connect(&self.endpoint).await?;
+            let (Connection { mut sender, .. }, socket) = connect(&self.endpoint).await?;
             let request = request(Method::GET, "/v1/events", Bytes::new());
             let slow = |_| Err(ClientError::Timeout { socket: socket.clone(), timeout: ANSWER_TIMEOUT });
             let response = async {

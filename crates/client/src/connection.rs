@@ -10,7 +10,9 @@ use hyper::client::conn::http1::{SendRequest, handshake};
 use hyper::header::{CONTENT_TYPE, HOST};
 use hyper::{Method, Request, Response};
 use hyper_util::rt::TokioIo;
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use std::io;
+use std::os::fd::{AsFd, OwnedFd};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 use tokio::net::UnixStream;
@@ -20,8 +22,26 @@ const FULL: Duration = Duration::from_millis(2);
 /// Size of an answer, or of one event, at most, bytes.
 pub(crate) const MAX_ANSWER: usize = 16 << 20;
 
+/// An open connection.
+#[derive(Debug)]
+pub(crate) struct Connection {
+    pub(crate) sender: SendRequest<Full<Bytes>>,
+    stream: OwnedFd,
+}
+
+impl Connection {
+    /// Whether a request can be sent: the daemon has not closed the connection while it was idle. hyper learns that only after the
+    /// request is written, when nobody knows whether it was carried out.
+    pub(crate) fn is_open(&self) -> bool {
+        let mut fds = [PollFd::new(&self.stream, PollFlags::IN)];
+        let now = Timespec { tv_sec: 0, tv_nsec: 0 };
+        // Between an answer and the next request there is nothing to read but the end.
+        !self.sender.is_closed() && poll(&mut fds, Some(&now)) == Ok(0)
+    }
+}
+
 /// Connects to the first socket at which a daemon listens, and says which one that is.
-pub(crate) async fn connect(endpoint: &Endpoint) -> Result<(SendRequest<Full<Bytes>>, PathBuf), ClientError> {
+pub(crate) async fn connect(endpoint: &Endpoint) -> Result<(Connection, PathBuf), ClientError> {
     let mut socket = &endpoint.socket;
     let mut stream = connect_to(socket).await;
     if let (Err(error), Some(other)) = (&stream, &endpoint.fallback)
@@ -42,11 +62,15 @@ pub(crate) async fn connect(endpoint: &Endpoint) -> Result<(SendRequest<Full<Byt
             _ => ClientError::Connect { socket, source },
         }
     })?;
+    let descriptor = stream
+        .as_fd()
+        .try_clone_to_owned()
+        .map_err(|source| ClientError::Connect { socket: socket.clone(), source })?;
     let (sender, connection) =
         handshake(TokioIo::new(stream)).await.map_err(|source| hung_up(socket, Some(source)))?;
     // The requests report its errors.
     tokio::spawn(connection);
-    Ok((sender, socket.clone()))
+    Ok((Connection { sender, stream: descriptor }, socket.clone()))
 }
 
 /// Connects. While the daemon's queue of connections is full it tries again, for as long as an answer may take.

@@ -98,6 +98,52 @@ fn a_connection_that_was_closed_while_idle_is_reopened() {
     brief.join().unwrap();
 }
 
+/// A daemon that answers each connection's first request and then closes it. Returns the method of each request.
+fn brief_daemon(listener: std::os::unix::net::UnixListener, answers: &[&[u8]]) -> Vec<String> {
+    use std::io::{Read, Write};
+    let serve = |answer: &&[u8]| {
+        let (mut stream, _) = listener.accept().unwrap();
+        let mut head = [0; 1024];
+        let len = stream.read(&mut head).unwrap();
+        stream.write_all(answer).unwrap();
+        String::from_utf8_lossy(&head[..len]).split(' ').next().unwrap().to_owned()
+    };
+    answers.iter().map(serve).collect()
+}
+
+#[test]
+fn a_post_takes_a_fresh_connection_if_the_idle_one_was_closed() {
+    let dir = tempfile::tempdir().unwrap();
+    let socket = dir.path().join("brief.sock");
+    let listener = std::os::unix::net::UnixListener::bind(&socket).unwrap();
+    let answer = b"HTTP/1.1 200 OK\r\ncontent-length: 1\r\n\r\n7".as_slice();
+    let brief = std::thread::spawn(move || brief_daemon(listener, &[answer; 3]));
+    let mut client = Client::new(&socket).unwrap();
+    for _ in 0..3 {
+        assert_eq!(client.post::<u8>("/v1/stop", &()).unwrap(), 7);
+        // By now the daemon has closed the connection.
+        let until = std::time::Instant::now() + Duration::from_secs(10);
+        while client.is_connected() && std::time::Instant::now() < until {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+    assert_eq!(brief.join().unwrap(), ["POST"; 3]);
+}
+
+#[test]
+fn a_post_that_may_have_been_carried_out_is_not_repeated() {
+    let dir = tempfile::tempdir().unwrap();
+    let socket = dir.path().join("rude.sock");
+    let listener = std::os::unix::net::UnixListener::bind(&socket).unwrap();
+    let answer = b"HTTP/1.1 200 OK\r\ncontent-length: 1\r\n\r\n7".as_slice();
+    let rude = std::thread::spawn(move || brief_daemon(listener, &[b"", answer]));
+    let mut client = Client::new(&socket).unwrap();
+    let error = client.post::<u8>("/v1/stop", &()).unwrap_err();
+    assert!(matches!(error, ClientError::HungUp { .. }), "{error:?}");
+    assert_eq!(client.get::<u8>("/v1/status").unwrap(), 7);
+    assert_eq!(rude.join().unwrap(), ["POST", "GET"]);
+}
+
 #[test]
 fn a_name_cannot_lead_to_another_address() {
     assert_eq!(escape("edge-45"), "edge-45");

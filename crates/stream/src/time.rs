@@ -25,6 +25,23 @@ impl HostInstant {
         Self(time.tv_sec.cast_unsigned() * 1_000_000_000 + time.tv_nsec.cast_unsigned())
     }
 
+    /// Reads this clock and the wall clock (Unix time, ns) at one instant. The wall clock is read between two readings of this one;
+    /// of three tries the fastest counts, so an interruption does not come between them.
+    #[must_use]
+    pub fn now_with_wall() -> (Self, u64) {
+        let read = |_| {
+            let before = Self::now();
+            let wall = rustix::time::clock_gettime(ClockId::Realtime);
+            let took = Self::now().since(before);
+            // A clock before 1970 shows as 1970.
+            let seconds = u64::try_from(wall.tv_sec).unwrap_or_default();
+            (took, before + took / 2, seconds * 1_000_000_000 + wall.tv_nsec.cast_unsigned())
+        };
+        let (_, at, wall_ns) =
+            [0, 1, 2].map(read).into_iter().min_by_key(|(took, ..)| *took).unwrap_or_default();
+        (at, wall_ns)
+    }
+
     /// Nanoseconds since the clock's zero.
     #[must_use]
     pub const fn as_ns(self) -> u64 {
@@ -86,5 +103,15 @@ mod tests {
         let due = HostInstant::now() + Duration::from_millis(1);
         due.sleep_until();
         assert!(HostInstant::now() > early);
+    }
+
+    #[test]
+    fn both_clocks_of_the_host_are_read_at_one_instant() {
+        let unix = || std::time::UNIX_EPOCH.elapsed().unwrap().as_nanos();
+        let before = (HostInstant::now(), unix());
+        let (at, wall_ns) = HostInstant::now_with_wall();
+        let after = (HostInstant::now(), unix());
+        assert!(before.0 <= at && at <= after.0);
+        assert!((before.1..=after.1).contains(&wall_ns.into()));
     }
 }

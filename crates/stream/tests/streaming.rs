@@ -5,6 +5,7 @@
 use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::limits::OnTimeLimits;
 use firmware_protocol::message::State;
+use firmware_protocol::stroke::Lines;
 use firmware_protocol::tick::Tick;
 use meissner_api::{LateCause, LatePolicy};
 use meissner_array::pattern::{Drive, Pattern};
@@ -288,6 +289,35 @@ fn an_onset_asked_for_is_kept_to_the_tick_or_refused() {
     let began = |event: &StreamEvent| matches!(event, StreamEvent::PlayStarted { id: 1, onset } if onset.actual == at);
     assert!(events.iter().any(began), "{events:?}");
     assert_eq!(rig::answer(&events, soon), Some(Err(CommandError::TooSoon)));
+}
+
+#[test]
+fn an_onset_on_the_hosts_clock_becomes_the_nearest_tick() {
+    let mut rig = Rig::armed(Line::default(), 11);
+    let now = rig.now();
+    let start = |rig: &mut Rig, at| {
+        rig.start_with(&rig::pattern("pin-60"), Some(0.2), |play| play.at = At::Monotonic(at))
+    };
+    // The device's clock began at this instant, so an onset is known without the streamer's estimate.
+    let tick_of = |at: HostInstant| Tick::BOOT + (at.as_ns() - 1_000_000_000 + 5_882) * 85 / 1_000_000;
+    let at = now + Duration::from_nanos(500_000_123);
+    start(&mut rig, at);
+    let refused = [now + MS, now.before(MS), now + 7_000_000 * MS, now + MS * 520];
+    let refused = refused.map(|at| start(&mut rig, at));
+    rig.run_ms(2000);
+    let events = rig.take_events();
+    let [soon, past, far, within] = refused.map(|ticket| rig::answer(&events, ticket).unwrap().unwrap_err());
+    let why = [CommandError::TooSoon, CommandError::TooSoon, CommandError::TooFar, CommandError::Overlaps];
+    assert_eq!([soon, past, far, within], why);
+    let onset = rig::into_outcomes(events)[0].onset.unwrap();
+    assert_eq!(onset.requested, onset.actual);
+    // The line of the simulation delays one way more than the other.
+    let error_ns = onset.actual.since(tick_of(at)).abs() as f64 / 85e-6;
+    assert!(error_ns < 6_000.0 + onset.uncertainty_ns as f64, "{onset:?}");
+    assert!(onset.at.ns_since(at).abs() < 6_000.0 + onset.uncertainty_ns as f64, "{onset:?}");
+    let trace = rig.mock.take_trace();
+    let first = trace.iter().find(|(_, run)| run.lines != Lines::OFF).unwrap().0;
+    assert_eq!(first, onset.actual, "what the line shows");
 }
 
 #[test]

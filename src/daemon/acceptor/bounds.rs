@@ -12,8 +12,8 @@ const RESERVED: u64 = 40;
 pub(in crate::daemon) struct Bounds {
     /// Clients of the API.
     pub(in crate::daemon) clients: usize,
-    /// Event streams among them: the other places are free for commands.
-    pub(in crate::daemon) event_streams: usize,
+    /// Event streams, and requests that wait for plays, among them: the other places are free for commands.
+    pub(in crate::daemon) waiting: usize,
     /// Connections whose first line is not complete; the newest ones displace the oldest.
     pub(super) silent: usize,
     /// Emergency stops at the same time on each socket, and clients for which the server makes room.
@@ -26,7 +26,7 @@ impl Bounds {
     const USUAL: Self = Self::new(MAX_CLIENTS, 192, 64);
 
     const fn new(clients: usize, silent: usize, estops: usize) -> Self {
-        Self { clients, event_streams: clients * 3 / 4, silent, estops }
+        Self { clients, waiting: clients * 3 / 4, silent, estops }
     }
 
     /// The bounds of this process. Raises its limit of descriptors as far as that is needed and allowed.
@@ -78,7 +78,7 @@ mod tests {
         for descriptors in 54..1024 {
             let bounds = Bounds::within(descriptors);
             assert!(bounds.descriptors() + RESERVED <= descriptors, "{descriptors}: {bounds:?}");
-            assert!(bounds.clients >= 4 && bounds.estops >= 2 && bounds.event_streams < bounds.clients);
+            assert!(bounds.clients >= 4 && bounds.estops >= 2 && bounds.waiting < bounds.clients);
         }
     }
 }

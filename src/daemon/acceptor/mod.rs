@@ -43,7 +43,7 @@ use tokio::sync::{mpsc, oneshot};
 use waiting::{Silent, Stopping};
 
 /// How long a client may take to send the first line of its request.
-pub(super) const SILENT: Duration = Duration::from_secs(30);
+const SILENT: Duration = Duration::from_secs(30);
 /// How long a client without a request keeps its place when others need it.
 pub(super) const IDLE: Duration = Duration::from_secs(5);
 /// How long an emergency stop may take: its byte, and its answer.

@@ -32,9 +32,9 @@ struct Sample {
     tick: Tick,
 }
 
-/// A line through a point: ticks = `tick` + `phase` + `rate`·(t - `at`).
+/// The clock as it is estimated now: ticks = `tick` + `phase` + `rate`·(t - `at`).
 #[derive(Clone, Copy, Debug)]
-struct Fit {
+pub struct ClockEstimate {
     at: HostInstant,
     tick: Tick,
     phase: f64,
@@ -53,7 +53,7 @@ struct Fit {
 pub struct Clock {
     samples: [Option<Sample>; SAMPLES],
     next: usize,
-    fit: Option<Fit>,
+    fit: Option<ClockEstimate>,
 }
 
 impl Default for Clock {
@@ -103,38 +103,74 @@ impl Clock {
         // With a fitted rate use the whole line; without, the newest good point.
         let phase = if measured { mean_k - rate * mean_t } else { 0.5 };
         let error_ns = shortest + 0.5 / NOMINAL;
-        self.fit =
-            Some(Fit { at: origin.at, tick: origin.tick, phase, rate, measured, error_ns, rate_error });
+        let (at, tick) = (origin.at, origin.tick);
+        self.fit = Some(ClockEstimate { at, tick, phase, rate, measured, error_ns, rate_error });
+    }
+
+    /// The present estimate; `None` before the first round trip.
+    #[must_use]
+    pub const fn estimate(&self) -> Option<ClockEstimate> {
+        self.fit
     }
 
     /// The device's tick at a host instant; `None` before the first round trip.
     #[must_use]
     pub fn tick_at(&self, at: HostInstant) -> Option<Tick> {
-        let fit = self.fit?;
-        let ticks = fit.phase + fit.rate * at.ns_since(fit.at);
-        Some(Tick(fit.tick.0.saturating_add_signed(ticks.floor() as i64)))
+        Some(self.fit?.tick_at(at))
     }
 
     /// When a device tick begins on the host's clock.
     #[must_use]
     pub fn instant_of(&self, tick: Tick) -> Option<HostInstant> {
-        let fit = self.fit?;
-        let ns = (tick.since(fit.tick) as f64 - fit.phase) / fit.rate;
-        Some(HostInstant::from_ns(fit.at.as_ns().saturating_add_signed(ns.round() as i64)))
+        Some(self.fit?.instant_of(tick))
     }
 
     /// The bound of the estimate's error at a host instant.
     #[must_use]
     pub fn uncertainty(&self, at: HostInstant) -> Option<Duration> {
-        let fit = self.fit?;
-        let ns = fit.error_ns + fit.rate_error * at.ns_since(fit.at).abs();
-        Some(Duration::from_nanos(ns as u64))
+        Some(self.fit?.uncertainty(at))
     }
 
     /// The device's rate against nominal, ppm; `None` until measured.
     #[must_use]
     pub fn drift_ppm(&self) -> Option<f64> {
         self.fit.filter(|fit| fit.measured).map(|fit| (fit.rate / NOMINAL - 1.0) * 1e6)
+    }
+}
+
+impl ClockEstimate {
+    /// The device's tick at a host instant.
+    #[must_use]
+    pub fn tick_at(&self, at: HostInstant) -> Tick {
+        self.after(self.ticks_to(at).floor())
+    }
+
+    /// The tick whose beginning is nearest to a host instant.
+    #[must_use]
+    pub fn nearest_tick(&self, at: HostInstant) -> Tick {
+        self.after(self.ticks_to(at).round())
+    }
+
+    /// When a device tick begins on the host's clock.
+    #[must_use]
+    pub fn instant_of(&self, tick: Tick) -> HostInstant {
+        let ns = (tick.since(self.tick) as f64 - self.phase) / self.rate;
+        HostInstant::from_ns(self.at.as_ns().saturating_add_signed(ns.round() as i64))
+    }
+
+    /// The bound of the estimate's error at a host instant.
+    #[must_use]
+    pub fn uncertainty(&self, at: HostInstant) -> Duration {
+        let ns = self.error_ns + self.rate_error * at.ns_since(self.at).abs();
+        Duration::from_nanos(ns as u64)
+    }
+
+    fn ticks_to(&self, at: HostInstant) -> f64 {
+        self.phase + self.rate * at.ns_since(self.at)
+    }
+
+    fn after(&self, ticks: f64) -> Tick {
+        Tick(self.tick.0.saturating_add_signed(ticks as i64))
     }
 }
 
@@ -188,6 +224,10 @@ mod tests {
         for tick in [Tick::BOOT + 85, Tick(1 << 32), Tick((1 << 32) + 12_345)] {
             let at = clock.instant_of(tick).unwrap();
             assert!(clock.tick_at(at + Duration::from_micros(6)).unwrap().since(tick).abs() <= 1);
+            // A tick lasts 11.8 us.
+            let nearest = |at| clock.estimate().unwrap().nearest_tick(at);
+            let near = Duration::from_nanos(5_500);
+            assert_eq!([nearest(at), nearest(at + near), nearest(at.before(near))], [tick; 3]);
         }
     }
 }

@@ -11,7 +11,7 @@
 mod clock;
 mod session;
 
-pub use clock::Clock;
+pub use clock::{Clock, ClockEstimate};
 pub use session::{
     BadFrames, Budget, Contradiction, Contradictions, Event, LineRate, LostReason, RoundTrip, Session,
     Traffic, Verdict,

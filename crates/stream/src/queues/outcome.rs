@@ -2,7 +2,7 @@
 //!
 //! The streamer fills them; the daemon turns them into the API's types.
 
-use crate::link::{BadFrames, Contradictions};
+use crate::link::{BadFrames, ClockEstimate, Contradictions};
 use crate::queues::play::Play;
 use crate::time::HostInstant;
 use firmware_protocol::message::{Cause, State};
@@ -96,8 +96,8 @@ pub struct Snapshot {
     pub position_known: bool,
     /// The device's clock, estimated for `at`.
     pub tick: Tick,
-    /// Its uncertainty, µs.
-    pub clock_uncertainty_us: f64,
+    /// The estimate of that clock; `None` before the first answer.
+    pub clock: Option<ClockEstimate>,
     /// The running play's id and how long it has played, s.
     pub play: Option<(u64, f64)>,
     /// The lead reached, ms: less than set if the device's credits do not allow more.

@@ -1,6 +1,7 @@
 //! A play as the daemon hands it to the streamer.
 
 use crate::bandwidth::Bandwidth;
+use crate::time::HostInstant;
 use firmware_protocol::tick::Tick;
 use meissner_api::LatePolicy;
 use meissner_array::strokes::Strokes;
@@ -12,6 +13,8 @@ pub enum At {
     Next,
     /// At this tick of the device's present boot.
     Tick(Tick),
+    /// At the tick nearest to this instant of the host's clock, by the estimate when the streamer takes the command.
+    Monotonic(HostInstant),
     /// So many nanoseconds after the streamer takes the command.
     After(u64),
 }

@@ -170,6 +170,10 @@ impl Streamer {
         let requested = match play.at {
             At::Next => return Ok((None, margin)),
             At::Tick(tick) => tick,
+            At::Monotonic(at) if duration_to_ticks(at.since(now)) > FARTHEST => {
+                return Err(CommandError::TooFar);
+            }
+            At::Monotonic(at) => session.clock().estimate().ok_or(CommandError::NoDevice)?.nearest_tick(at),
             At::After(ns) => session
                 .clock()
                 .tick_at(now + Duration::from_nanos(ns))

@@ -297,9 +297,7 @@ impl Streamer {
             },
             position_known: status.is_some_and(|status| status.position_known),
             tick,
-            clock_uncertainty_us: open
-                .and_then(|session| session.clock().uncertainty(now))
-                .map_or(f64::INFINITY, |uncertainty| uncertainty.as_nanos() as f64 / 1000.0),
+            clock: open.and_then(|session| session.clock().estimate()),
             play: running.map(played),
             lead_ms: if self.short_of_credits && running.is_some() { lead } else { self.settings.lead_ms },
             lease_ms: self.settings.lease_ms,
