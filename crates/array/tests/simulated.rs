@@ -3,8 +3,10 @@
 use firmware_protocol::stroke::{Burst, Direction, Lines, Stroke};
 use firmware_protocol::tick::Tick;
 use meissner_array::pattern::Drive;
-use meissner_array::simulated::{RestStats, SPARE_SAMPLES, SimulatedMotors, SimulatedMotorsConfig};
-use meissner_array::strokes::{StrokeOptions, Strokes, StrokesError};
+use meissner_array::simulated::{
+    LowerStop, Pin, RestStats, SPARE_SAMPLES, SimulatedMotors, SimulatedMotorsConfig,
+};
+use meissner_array::strokes::{StrokeOptions, Strokes, StrokesError, Surplus};
 use meissner_array::units::UM_PER_PULSE;
 use meissner_test_support::patterns;
 use meissner_test_support::statistics::{mean, rms, sd};
@@ -200,6 +202,67 @@ fn a_pin_stays_at_its_end_stop_and_leaves_it_at_once() {
         rest.count == 1 && (rest.max_abs_um - 10.05).abs() < 1e-12 && (rest.rms_um() - 10.05).abs() < 1e-12
     );
     assert_eq!(motors.take_rest_stats()[5], RestStats::default());
+}
+
+#[test]
+fn a_pin_stays_on_its_lower_stop_does_not_bounce_and_leaves_it_with_the_first_pulse() {
+    let config = SimulatedMotorsConfig { lower_stop: LowerStop::AtRest, ..SimulatedMotorsConfig::ideal() };
+    let mut motors = SimulatedMotors::new(config, Tick::BOOT).unwrap();
+    pulse(&mut motors, Direction::Down, 500);
+    assert_eq!((motors.position_um(5), motors.pushed_pulses(5), motors.pushed_pulses(6)), (0.0, 500, 0));
+    pulse(&mut motors, Direction::Up, 1);
+    assert!((motors.position_um(5) - UM_PER_PULSE).abs() < 1e-12);
+    pulse(&mut motors, Direction::Up, 99);
+    // 100 pulses up are undone by 100 down; the stop takes 30 more.
+    let mut lowest = f64::INFINITY;
+    for _ in 0..130 {
+        pulse(&mut motors, Direction::Down, 1);
+        lowest = lowest.min(motors.position_um(5));
+    }
+    assert!(
+        lowest.abs() < 1e-9 && (motors.pushed_pulses(5) - 530) <= 1,
+        "{lowest} {}",
+        motors.pushed_pulses(5)
+    );
+    // The shaft still follows with the moving average: the clipped command, not the pulses.
+    assert!(motors.displacement_um(5) > 1.0);
+    motors.advance(Lines::OFF, 366);
+    assert!(motors.displacement_um(5).abs() < 1e-9);
+    // The stop above is where it was.
+    pulse(&mut motors, Direction::Up, 5000);
+    assert!((motors.position_um(5) - config.end_stop_um).abs() < 1e-9);
+}
+
+#[test]
+fn the_stop_takes_the_surplus_in_any_pieces() {
+    let config = SimulatedMotorsConfig {
+        lower_stop: LowerStop::AtRest,
+        telemetry_hz: 0,
+        ..SimulatedMotorsConfig::default()
+    };
+    let surplus = StrokeOptions { surplus: Surplus::Fixed(15.0), ..StrokeOptions::lasting(2.0) };
+    let pattern = patterns::pattern("test", None, vec![drive(5, 60.0, 80.0)]);
+    let mut pin = Pin::new(&config, 5);
+    let (mut whole, mut pieces) = (
+        SimulatedMotors::new(config, Tick::BOOT).unwrap(),
+        SimulatedMotors::new(config, Tick::BOOT).unwrap(),
+    );
+    let mut strokes = Strokes::new(&pattern, &surplus).unwrap();
+    strokes.begin(Tick::BOOT);
+    for burst in strokes.flat_map(|stroke| stroke.unwrap().bursts()) {
+        pin.play(burst);
+        for motors in [&mut whole, &mut pieces] {
+            motors.advance(Lines::OFF, burst.start - motors.now());
+        }
+        pulse(&mut whole, burst.direction, burst.pulses.into());
+        (0..burst.pulses).for_each(|_| pulse(&mut pieces, burst.direction, 1));
+        assert!(pin.position_um(burst.end()) > -1e-9);
+    }
+    let seen = |motors: &SimulatedMotors| (motors.position_um(5).to_bits(), motors.pushed_pulses(5));
+    assert_eq!(seen(&whole), seen(&pieces));
+    assert_eq!(pin.pushed_pulses(), whole.pushed_pulses(5));
+    // About the surplus of 111 pulses per stroke, less what scatter and the first burst leave.
+    assert!((10_000..16_000).contains(&pin.pushed_pulses()), "{}", pin.pushed_pulses());
 }
 
 #[test]

@@ -8,6 +8,19 @@ pub const MAX_TELEMETRY_HZ: u32 = 10_000;
 /// The longest telemetry delay, ms.
 pub const MAX_TELEMETRY_AGE_MS: u32 = 1_000;
 
+/// What holds a pin at rest from below.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LowerStop {
+    /// Nothing: a pin may sink below rest, down to its end stop.
+    #[default]
+    None,
+    /// A plate at rest: a pin cannot go below 0. We assume that the friction contact of shaft and pin slips, so that the motor
+    /// runs on while the pin stays; that the pin does not bounce; and that it leaves the stop with the first pulse up. The
+    /// pulses do no harm, but they are counted ([`Pin::pushed_pulses`](super::Pin::pushed_pulses)).
+    AtRest,
+}
+
 /// How the simulated motors differ from ideal ones, and their telemetry.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -22,6 +35,9 @@ pub struct SimulatedMotorsConfig {
     pub transient_gain: f64,
     /// Distance of the end stops from rest, µm. Our choice: no data sheet was found.
     pub end_stop_um: f64,
+    /// What holds the pins at rest from below. A stop clips the commanded position; the pin follows the clipped position
+    /// with the moving average of any other motion.
+    pub lower_stop: LowerStop,
     /// Telemetry samples per second; 0: no telemetry.
     pub telemetry_hz: u32,
     /// Age of a sample when it is delivered, ms.
@@ -36,6 +52,7 @@ impl Default for SimulatedMotorsConfig {
             asymmetry_sd: 0.02,
             transient_gain: TRANSIENT_GAIN,
             end_stop_um: 500.0,
+            lower_stop: LowerStop::None,
             telemetry_hz: 1000,
             telemetry_age_ms: 1,
         }
@@ -49,13 +66,18 @@ impl SimulatedMotorsConfig {
         Self { gain_sd: 0.0, asymmetry_sd: 0.0, transient_gain: 1.0, ..Self::default() }
     }
 
-    /// The settings that identify the array; telemetry is left out.
+    /// The settings that identify the array; telemetry is left out. Arrays without a lower stop have the identity that they had
+    /// before there were stops, so that their calibrations stay valid.
     #[must_use]
     pub fn identity(&self) -> String {
-        let Self { seed, gain_sd, asymmetry_sd, transient_gain, end_stop_um, .. } = self;
+        let Self { seed, gain_sd, asymmetry_sd, transient_gain, end_stop_um, lower_stop, .. } = self;
+        let stop = match lower_stop {
+            LowerStop::None => "",
+            LowerStop::AtRest => ", lower_stop at_rest",
+        };
         format!(
             "seed {seed}, gain_sd {gain_sd}, asymmetry_sd {asymmetry_sd}, transient_gain {transient_gain}, end_stop_um \
-             {end_stop_um}"
+             {end_stop_um}{stop}"
         )
     }
 
@@ -89,4 +111,20 @@ pub struct SimulatedMotorsError {
     pub found: f64,
     /// Its largest allowed value.
     pub most: f64,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_lower_stop_makes_another_array_and_none_the_same() {
+        let stop =
+            SimulatedMotorsConfig { lower_stop: LowerStop::AtRest, ..SimulatedMotorsConfig::default() };
+        let none = SimulatedMotorsConfig::default().identity();
+        assert!(
+            none.ends_with("end_stop_um 500") && stop.identity() == format!("{none}, lower_stop at_rest")
+        );
+        assert_eq!(serde_json::to_value(stop).unwrap()["lower_stop"], "at_rest");
+    }
 }

@@ -3,7 +3,7 @@
 //! The simulation sees lines, as real motors do, and finds the bursts in them. The real travel of a burst is its ideal
 //! travel times a random gain. The key of that number is the seed, motor, start tick and direction, so one burst more or
 //! less changes no other. Shafts are integrated exactly and times are ticks, so a month later it is as exact as at
-//! the start.
+//! the start. A [`LowerStop`] holds the pins at rest from below, if the settings have one.
 //!
 //! [`SimulatedMotors::advance`] lets time pass, one segment of constant lines per call. Where nothing moves, a month costs
 //! no more than the samples that are kept of it. Samples are taken at multiples of the telemetry period after the start.
@@ -16,7 +16,9 @@ mod config;
 mod pin;
 mod rest;
 
-pub use config::{MAX_TELEMETRY_AGE_MS, MAX_TELEMETRY_HZ, SimulatedMotorsConfig, SimulatedMotorsError};
+pub use config::{
+    LowerStop, MAX_TELEMETRY_AGE_MS, MAX_TELEMETRY_HZ, SimulatedMotorsConfig, SimulatedMotorsError,
+};
 pub use pin::Pin;
 pub use rest::RestStats;
 
@@ -123,6 +125,15 @@ impl SimulatedMotors {
     #[must_use]
     pub fn position_um(&self, motor: u8) -> f64 {
         self.pins[usize::from(motor)].shaft.position_um(self.now.into())
+    }
+
+    /// Pulses that pushed a pin against its lower stop.
+    ///
+    /// # Panics
+    /// If there is no such motor.
+    #[must_use]
+    pub fn pushed_pulses(&self, motor: u8) -> u64 {
+        self.pins[usize::from(motor)].pushed_pulses()
     }
 
     /// The oldest sample that is due, if any. After each `advance`, call this until it returns none.

@@ -1,11 +1,11 @@
-//! One simulated pin: its shaft, the gain of the current burst, and its end stops.
+//! One simulated pin: its shaft, the gain of the current burst, its end stops and its lower stop.
 //!
-//! The gain and the distance to the end stop are fixed at the first pulse of a burst, so the result does not depend on the
+//! The gain and the distance to the stop ahead are fixed at the first pulse of a burst, so the result does not depend on the
 //! number of pieces in which the burst is then played.
 //!
-//! Invariant: a gain is never negative, and the position never passes an end stop by more than rounding.
+//! Invariant: a gain is never negative, and the position never passes a stop by more than rounding.
 
-use super::config::SimulatedMotorsConfig;
+use super::config::{LowerStop, SimulatedMotorsConfig};
 use super::rest::RestStats;
 use crate::motor::{Ramp, Shaft, TRANSIENT_REST_TICKS};
 use crate::random;
@@ -39,16 +39,18 @@ pub struct Pin {
     last_end: Option<Tick>,
     /// The current burst, or the last one.
     burst: Burst,
+    /// Pulses that pushed against the lower stop.
+    pushed: u64,
 }
 
-/// The rest of a burst before the end stop.
+/// The rest of a burst before the stop ahead.
 #[derive(Clone, Copy, Debug)]
 struct Burst {
     direction: Direction,
     gain: f64,
     /// Pulses that reach their full travel.
     free: u64,
-    /// The gain of the next pulse, which reaches the end stop. After it the pin does not move.
+    /// The gain of the next pulse, which reaches the stop. After it the pin does not move.
     last_gain: f64,
 }
 
@@ -64,6 +66,7 @@ impl Pin {
             asymmetry: config.asymmetry_sd * random::normal([config.seed, motor, 0, ASYMMETRY_KEY]),
             last_end: None,
             burst: Burst { direction: Direction::Up, gain: 0.0, free: 0, last_gain: 0.0 },
+            pushed: 0,
         }
     }
 
@@ -93,6 +96,12 @@ impl Pin {
         self.shaft.position_um(at.into())
     }
 
+    /// Pulses that pushed the pin against its lower stop: those that it met the stop in, and all later ones of their bursts.
+    #[must_use]
+    pub const fn pushed_pulses(&self) -> u64 {
+        self.pushed
+    }
+
     /// Begins a burst at its first pulse.
     #[expect(
         clippy::cast_possible_truncation,
@@ -113,8 +122,12 @@ impl Pin {
             Direction::Down => (-1.0, -self.shaft.position_um(now.into())),
         };
         let gain = ((mean + scatter) * (1.0 + sign * self.asymmetry / 2.0)).max(0.0);
-        // Pulses at this gain up to the end stop ahead. Without gain there is no limit.
-        let room = ((config.end_stop_um - position) / UM_PER_PULSE).max(0.0);
+        let stop_um = match (direction, config.lower_stop) {
+            (Direction::Down, LowerStop::AtRest) => 0.0,
+            _ => config.end_stop_um,
+        };
+        // Pulses at this gain up to the stop ahead. Without gain there is no limit.
+        let room = ((stop_um - position) / UM_PER_PULSE).max(0.0);
         let free = (room / gain) as u64;
         let last_gain = (room - free as f64 * gain).max(0.0);
         self.burst = Burst { direction, gain, free, last_gain };
@@ -124,13 +137,16 @@ impl Pin {
     pub(super) fn run(&mut self, now: Tick, ticks: u64) {
         let Burst { direction, gain, free, last_gain } = self.burst;
         let full = ticks.min(free);
-        // If 14 hours of pulses do not reach an end stop, the gain is 0.
+        // If 14 hours of pulses do not reach a stop, the gain is 0.
         let ramp_ticks = u32::try_from(full).unwrap_or(u32::MAX);
         self.shaft.push(Ramp::new(now, ramp_ticks, direction, gain));
         self.burst.free -= full;
         if full < ticks && last_gain > 0.0 {
             self.shaft.push(Ramp::new(now + full, 1, direction, last_gain));
             self.burst.last_gain = 0.0;
+        }
+        if direction == Direction::Down && self.config.lower_stop == LowerStop::AtRest {
+            self.pushed += ticks - full;
         }
     }
 
