@@ -6,8 +6,10 @@
 //!
 //! Invariant: every value of a [`Config`] that was read is within the ranges written here; an unknown key is an error.
 
+use crate::exposure::ParticipantLimits;
 use crate::session_record::Location;
 use firmware_protocol::limits::OnTimeLimits;
+use meissner_array::pattern::AMPLITUDE_UM;
 use meissner_array::simulated::{SimulatedMotorsConfig, SimulatedMotorsError};
 use meissner_client::default_socket;
 use meissner_input::document::{self, DocumentError, Table, from_toml, in_range};
@@ -19,11 +21,12 @@ use serde::Deserialize;
 use std::env;
 use std::fs::{File, OpenOptions};
 use std::io::{self, Read};
+use std::ops::RangeInclusive;
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
 /// The range of the lead, ms.
-pub const LEAD_MS: std::ops::RangeInclusive<f64> = 5.0..=1000.0;
+pub const LEAD_MS: RangeInclusive<f64> = 5.0..=1000.0;
 /// The host watchdog timeout exceeds the lead at least by this, ms.
 pub const MIN_LEASE_OVER_LEAD_MS: f64 = 50.0;
 /// The longest host watchdog timeout that a controller takes, ms.
@@ -32,6 +35,12 @@ pub const MAX_LEASE_MS: f64 = 10_000.0;
 pub const LOGBOOK_DAYS: u32 = 400;
 /// The longest time they can be kept, days.
 const MAX_LOGBOOK_DAYS: u32 = 36_500;
+/// The range of a participant's largest amplitude, um: as a pattern's.
+const LIMIT_UM: RangeInclusive<f64> = 1.0..=*AMPLITUDE_UM.end();
+/// The range of a participant's times, s: up to a day.
+const LIMIT_S: RangeInclusive<f64> = 0.1..=86_400.0;
+/// The range of a pause, s.
+const PAUSE_S: RangeInclusive<f64> = 0.1..=3600.0;
 /// The most bytes of a configuration file.
 const MAX_BYTES: u64 = 1 << 20;
 
@@ -48,6 +57,8 @@ pub struct Config {
     pub calibration: Option<PathBuf>,
     /// Where the session record is kept, and for how long; `None`: there is no session record.
     pub logbook: Option<Location>,
+    /// What a participant may be exposed to.
+    pub participant: ParticipantLimits,
     /// The settings of the streamer.
     pub settings: Settings,
     /// The simulated array.
@@ -73,6 +84,7 @@ impl Default for Config {
             calibration: beside(&default_patterns()),
             patterns: default_patterns(),
             logbook: keep(None, LOGBOOK_DAYS),
+            participant: ParticipantLimits::default(),
             settings: Settings::default(),
             mock: SimulatedMotorsConfig::default(),
         }
@@ -150,8 +162,42 @@ struct RawConfig {
     lease_ms: Option<f64>,
     drift_warning_um: Option<f64>,
     end_stop_um: Option<f64>,
+    participant: Option<Table<RawParticipant>>,
     limits: Option<Table<RawLimits>>,
     mock: Option<Table<SimulatedMotorsConfig>>,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawParticipant {
+    max_amplitude_um: Option<f64>,
+    max_continuous_s: Option<f64>,
+    pause_s: Option<f64>,
+    max_day_s: Option<f64>,
+}
+
+impl RawParticipant {
+    fn check(self) -> Result<ParticipantLimits, KeyError> {
+        let default = ParticipantLimits::default();
+        let limit = |key: &str, found: Option<f64>, default: f64, range: RangeInclusive<f64>, unit: &str| {
+            let found = found.unwrap_or(default);
+            let text = format!("{} to {} {unit}", range.start(), range.end());
+            in_range(&format!("participant.{key}"), found, range.contains(&found), text).map(|()| found)
+        };
+        let seconds = |key, found, default| limit(key, found, default, LIMIT_S, "s");
+        Ok(ParticipantLimits {
+            max_amplitude_um: limit(
+                "max_amplitude_um",
+                self.max_amplitude_um,
+                default.max_amplitude_um,
+                LIMIT_UM,
+                "um",
+            )?,
+            max_continuous_s: seconds("max_continuous_s", self.max_continuous_s, default.max_continuous_s)?,
+            pause_s: limit("pause_s", self.pause_s, default.pause_s, PAUSE_S, "s")?,
+            max_day_s: seconds("max_day_s", self.max_day_s, default.max_day_s)?,
+        })
+    }
 }
 
 #[derive(Default, Deserialize)]
@@ -239,6 +285,8 @@ impl RawConfig {
         };
         let motor = limit("limits.motor_pulses_per_s", limits.motor_pulses_per_s, none.motor)?;
         let rail = limit("limits.rail_pulses_per_s", limits.rail_pulses_per_s, none.rail)?;
+        let Table(participant) = self.participant.unwrap_or(Table(RawParticipant::default()));
+        let participant = participant.check()?;
         let Table(mock) = self.mock.unwrap_or(Table(SimulatedMotorsConfig::default()));
         if let Err(SimulatedMotorsError { key, found, most }) = mock.check() {
             in_range(&format!("mock.{key}"), found, false, format!("0 to {most}"))?;
@@ -256,6 +304,7 @@ impl RawConfig {
             calibration: self.calibration.or_else(|| beside(&patterns)),
             patterns,
             logbook: keep(self.logbook_dir, logbook_days),
+            participant,
             settings: Settings { lead_ms, lease_ms, limits, drift_warning_um, end_stop_um },
             mock,
         })
@@ -345,6 +394,15 @@ mod tests {
             config.mock,
             SimulatedMotorsConfig { seed: 3, gain_sd: 0.0, ..SimulatedMotorsConfig::default() }
         );
+        let text =
+            "[participant]\nmax_amplitude_um = 90\nmax_continuous_s = 60\npause_s = 5\nmax_day_s = 1800\n";
+        let limits = ParticipantLimits {
+            max_amplitude_um: 90.0,
+            max_continuous_s: 60.0,
+            pause_s: 5.0,
+            max_day_s: 1800.0,
+        };
+        assert_eq!(parse(text).unwrap().participant, limits);
         assert_eq!(parse("lead_ms = 50").unwrap().settings.lease_ms, 250.0);
     }
 
@@ -363,6 +421,17 @@ mod tests {
             ("end_stop_um = -1", "`end_stop_um` is -1: must be 0 to 10000 um"),
             ("lease_ms = 149", "`lease_ms` is 149: must be 150 to"),
             ("limits.rail_pulses_per_s = 0", "`limits.rail_pulses_per_s` is 0"),
+            (
+                "[participant]\nmax_amplitude = 3",
+                "m.toml:2: `participant`: unknown key `max_amplitude`: did you mean `max_amplitude_um`?",
+            ),
+            (
+                "participant.max_amplitude_um = 401",
+                "`participant.max_amplitude_um` is 401: must be 1 to 400 um",
+            ),
+            ("participant.max_day_s = 0", "`participant.max_day_s` is 0: must be 0.1 to 86400 s"),
+            ("participant.max_continuous_s = inf", "`participant.max_continuous_s` is inf"),
+            ("participant.pause_s = -1", "`participant.pause_s` is -1: must be 0.1 to 3600 s"),
             ("limits = 3", "m.toml:1: `limits` is integer `3`: must be a table"),
             ("\nmock = []", "m.toml:2: `mock` is sequence: must be a table"),
             ("lead_ms = \"5\"", "m.toml:1: `lead_ms` is string \"5\": must be a number"),

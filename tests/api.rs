@@ -91,14 +91,14 @@ fn a_play_has_events_and_a_receipt() {
 fn plays_queue_and_the_queue_is_bounded() {
     let daemon = Daemon::start();
     let mut client = daemon.armed();
-    let long = json!({"pattern": "edge-45", "seconds": 60.0});
+    let long = json!({"pattern": "edge-45", "seconds": 30.0});
     let running = play(&mut client, &long);
     let waiting: Vec<u64> = (0..16).map(|_| play(&mut client, &long)).collect();
     assert_eq!(refusal(client.post("/v1/play", &long)), ("queue-full".into(), 429));
     let receipt: Value = client.get(&format!("/v1/plays/{}", waiting[15])).unwrap();
     assert!(receipt["state"] == "queued" && receipt["bursts"].is_null());
     let mut events = client.events().unwrap();
-    let instead = play(&mut client, &json!({"pattern": "pin-60", "replace": true}));
+    let instead = play(&mut client, &json!({"pattern": "pin-60", "endless": true, "replace": true}));
     wait_for(&mut events, |event| matches!(event, Event::Began { id, .. } if *id == instead));
     for id in waiting.into_iter().chain([running]) {
         let receipt: Value = client.get(&format!("/v1/plays/{id}")).unwrap();

@@ -86,7 +86,7 @@ fn a_second_daemon_names_the_first() {
 fn a_killed_daemons_socket_is_taken_over() {
     let mut killed = Daemon::on("pty");
     let _client = killed.armed();
-    printed(killed.meissner().args(["play", "wave"]));
+    printed(killed.meissner().args(["play", "wave", "--endless"]));
     killed.signal(Signal::KILL);
     assert!(!killed.wait().success());
     assert!(killed.socket().exists());

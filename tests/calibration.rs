@@ -82,7 +82,7 @@ fn a_calibration_that_is_stopped_stores_nothing() {
     let daemon = Daemon::start();
     let mut client = daemon.armed();
     let mut events = client.events().unwrap();
-    let play: Value = client.post("/v1/play", &json!({"pattern": "pin-60"})).unwrap();
+    let play: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "endless": true})).unwrap();
     assert_eq!(refusal(client.post("/v1/calibrate", &json!({}))), ("playing".into(), 409));
     let _: Value = client.post("/v1/stop", &json!({})).unwrap();
     assert_eq!(ended(&mut events).id, play["id"]);

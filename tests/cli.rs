@@ -35,11 +35,11 @@ fn play_wait_prints_a_summary() {
     );
     let receipt = document(daemon.meissner().args(["receipt", "--json"]));
     assert_accounts(&receipt);
-    let played = document(daemon.meissner().args(["play", "pin-60", "--at", "+1", "--json"]));
+    let played = document(daemon.meissner().args(["play", "pin-60", "--endless", "--at", "+1", "--json"]));
     assert_eq!(played["id"], 1 + receipt["id"].as_u64().unwrap(), "refused plays take no id");
     printed(daemon.meissner().arg("stop"));
     assert!(printed(daemon.meissner().arg("estop")).starts_with("faulted"));
-    assert!(complaint(daemon.meissner().args(["play", "pin-60"])).contains("meissner reset"));
+    assert!(complaint(daemon.meissner().args(["play", "pin-60", "--endless"])).contains("meissner reset"));
     assert!(printed(daemon.meissner().arg("reset")).starts_with("disarmed"));
     let status = document(daemon.meissner().args(["status", "--json"]));
     assert_eq!(status["state"], "disarmed");
@@ -52,7 +52,13 @@ fn a_cut_play_exits_with_1() {
     let waiting = std::thread::spawn({
         let mut command = daemon.meissner();
         move || {
-            command.args(["play", "pin-60", "--wait", "--json"]).assert().code(1).get_output().stdout.clone()
+            command
+                .args(["play", "pin-60", "--endless", "--wait", "--json"])
+                .assert()
+                .code(1)
+                .get_output()
+                .stdout
+                .clone()
         }
     });
     wait_until(|| !client.get::<Value>("/v1/status").unwrap()["play"].is_null());
@@ -75,7 +81,7 @@ fn a_full_or_closed_log_stops_nothing() {
     for stderr in [closed, full] {
         let mut daemon = Daemon::logging_to(stderr);
         daemon.armed();
-        printed(daemon.meissner().args(["play", "wave"]));
+        printed(daemon.meissner().args(["play", "wave", "--endless"]));
         printed(daemon.meissner().arg("stop"));
         assert!(printed(daemon.meissner().arg("estop")).starts_with("faulted"));
         printed(daemon.meissner().arg("reset"));
@@ -99,7 +105,7 @@ fn a_closed_terminal_ends_the_daemon_like_sigterm() {
     let mut daemon = Daemon::by(command);
     daemon.wait_for_device();
     daemon.armed();
-    printed(daemon.meissner().args(["play", "wave"]));
+    printed(daemon.meissner().args(["play", "wave", "--endless"]));
     drop(screen);
     assert!(daemon.wait().success() && !daemon.socket().exists(), "{}", daemon.log());
     assert!(daemon.log().contains("SIGHUP: ending"));
@@ -108,7 +114,7 @@ fn a_closed_terminal_ends_the_daemon_like_sigterm() {
 /// `play --wait` of an endless pattern, after its first line.
 fn waiting(daemon: &Daemon) -> (std::process::Child, BufReader<std::process::ChildStdout>) {
     let mut child = std::process::Command::new(PROGRAM)
-        .args(["play", "pin-60", "--wait"])
+        .args(["play", "pin-60", "--endless", "--wait"])
         .env("MEISSNER_SOCKET", daemon.socket())
         .stdout(std::process::Stdio::piped())
         .stderr(std::process::Stdio::piped())

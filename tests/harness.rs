@@ -22,6 +22,10 @@ pub(crate) const TIMEOUT: Duration = Duration::from_secs(20);
 /// The configuration of a daemon that a stall of a busy machine must not disarm.
 pub(crate) const PATIENT: &str = "lease_ms = 5000\n";
 
+/// The highest limits of a participant: for tests of what has nothing to do with one.
+pub(crate) const NOBODY: &str =
+    "[participant]\nmax_amplitude_um = 400\nmax_continuous_s = 86400\nmax_day_s = 86400\n";
+
 /// The program under test.
 pub(crate) const PROGRAM: &str = env!("CARGO_BIN_EXE_meissner");
 

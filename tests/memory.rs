@@ -1,4 +1,4 @@
-use crate::harness::{Daemon, problem};
+use crate::harness::{Daemon, NOBODY, PATIENT, problem};
 use meissner::daemon::MEMORY_BOUND;
 use meissner_api::MAX_CLIENTS;
 use serde_json::{Value, json};
@@ -71,7 +71,7 @@ fn files_that_would_fill_the_memory_are_refused_and_leave_nothing() {
 
 #[test]
 fn a_full_queue_of_the_longest_pattern_takes_little_memory() {
-    let daemon = Daemon::start();
+    let daemon = Daemon::with("mock", &format!("{PATIENT}{NOBODY}"));
     let mut client = daemon.armed();
     let before = peak_kb(&daemon);
     let _: Value = client.put("/v1/patterns/longest", longest("longest")).unwrap();

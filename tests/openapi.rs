@@ -269,6 +269,7 @@ fn a_daemon_s_answers_fit_the_document() {
     // Everything is refused first: the motors are disarmed.
     refused(Route::Play, client.post("/v1/play", &json!({"pattern": "edge-45"})));
     refused(Route::Play, client.post("/v1/play", &json!({"pattern": "none"})));
+    refused(Route::Play, client.post("/v1/play", &json!({"pattern": "wave"})));
     refused(Route::Calibrate, client.post("/v1/calibrate", &json!({"repetitions": 0})));
     refused(Route::Calibration, client.get("/v1/calibration"));
     refused(Route::Home, client.post("/v1/home", &json!({})));

@@ -31,7 +31,7 @@ fn a_session_over_a_terminal_plays_and_accounts() {
     let receipt = document(daemon.meissner().args(["receipt", "--json"]));
     assert_eq!(receipt["state"], "done", "{receipt}");
     assert_accounts(&receipt);
-    printed(daemon.meissner().args(["play", "wave"]));
+    printed(daemon.meissner().args(["play", "wave", "--endless"]));
     assert!(daemon.end().success() && !daemon.socket().exists());
 }
 
@@ -95,7 +95,7 @@ fn a_board_that_is_plugged_in_again_is_found_and_disarmed() {
     symlink(first.path(), &name).unwrap();
     let daemon = Daemon::on(&format!("serial:{}", name.display()));
     let mut client = daemon.armed();
-    let _: serde_json::Value = client.post("/v1/play", &json!({"pattern": "wave"})).unwrap();
+    let _: serde_json::Value = client.post("/v1/play", &json!({"pattern": "wave", "endless": true})).unwrap();
     let until = |wanted: &dyn Fn(&Status) -> bool| {
         wait_until(|| wanted(&daemon.client().get("/v1/status").unwrap()));
     };
@@ -112,7 +112,7 @@ fn a_board_that_is_plugged_in_again_is_found_and_disarmed() {
     symlink(second.path(), &name).unwrap();
     until(&|status| status.is_connected() && status.state == "disarmed");
     assert!(daemon.log().matches("not there").count() <= 1, "once per reason: {}", daemon.log());
-    let refused = complaint(daemon.meissner().args(["play", "wave"]));
+    let refused = complaint(daemon.meissner().args(["play", "wave", "--endless"]));
     assert!(refused.contains("disarmed"), "{refused}");
     let mut wall = second.into_mock().unwrap();
     assert!(wall.mock().take_trace().iter().all(|(_, run)| run.lines == OFF));

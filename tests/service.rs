@@ -84,7 +84,7 @@ fn a_service_manager_gets_ready_status_and_stopping() {
     assert!(status.is_connected(), "the first command finds a device");
     daemon.armed();
     manager.wait_for(|text| text.starts_with("STATUS=armed") && text.contains("mock, simulated"));
-    printed(daemon.meissner().args(["play", "wave"]));
+    printed(daemon.meissner().args(["play", "wave", "--endless"]));
     manager.wait_for(|text| text.contains("plays wave (play 1)"));
     printed(daemon.meissner().arg("stop"));
     manager.wait_for(|text| text.starts_with("STATUS=armed") && !text.contains("plays"));

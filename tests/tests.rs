@@ -33,6 +33,8 @@ mod memory;
 mod openapi;
 /// `optimise`: files and documents, budgets, interruptions, mistakes.
 mod optimise;
+/// Limits for participants: amplitude, vibration without a pause and per day, plays without end.
+mod participant;
 /// Predicted responses to simulated plays: with position control and without, cut, and unmeasured.
 mod played;
 /// Kills at any moment, full disks and read-only directories; the session record.

@@ -106,8 +106,10 @@ fn plays(client: &mut Client) -> Result<Vec<f64>, Box<dyn Error>> {
 fn stops(client: &mut Client) -> Result<Vec<f64>, Box<dyn Error>> {
     let mut us = Vec::new();
     while us.len() < STOPS {
-        let _: Value =
-            client.post("/v1/play", &PlayRequest { pattern: "wave".to_owned(), ..PlayRequest::default() })?;
+        let _: Value = client.post(
+            "/v1/play",
+            &PlayRequest { pattern: "wave".to_owned(), endless: true, ..PlayRequest::default() },
+        )?;
         thread::sleep(Duration::from_millis(20));
         let begun = Instant::now();
         let _: Status = client.post("/v1/estop", &json!({}))?;

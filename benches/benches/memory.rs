@@ -20,6 +20,9 @@ use std::thread;
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
+/// Plays fill the queue for hours: no participant feels them.
+const NOBODY: &str = "[participant]\nmax_continuous_s = 86400\nmax_day_s = 86400\n";
+
 /// A load: returns what must stay open while the memory is read.
 type Load = fn(&Daemon) -> Result<Kept, Box<dyn Error>>;
 
@@ -92,7 +95,7 @@ impl Daemon {
         let patterns = dir.path().join("patterns");
         fs::create_dir(&patterns)?;
         let config = dir.path().join("meissner.toml");
-        fs::write(&config, format!("patterns_dir = {patterns:?}\nlease_ms = 5000\n"))?;
+        fs::write(&config, format!("patterns_dir = {patterns:?}\nlease_ms = 5000\n{NOBODY}"))?;
         let child = Command::new(&program)
             .args(["daemon", "--device", "mock", "--config"])
             .arg(config)

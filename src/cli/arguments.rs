@@ -48,6 +48,12 @@ pub(super) fn measured(text: &str) -> Result<f64, &'static str> {
     number.ok_or("must be a number, 0.1 to 3600")
 }
 
+/// A part of a day, h.
+pub(super) fn hours(text: &str) -> Result<f64, &'static str> {
+    let number = text.parse().ok().filter(|number| (0.0..=24.0).contains(number));
+    number.ok_or("must be a number, 0 to 24")
+}
+
 /// When a play begins.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Onset {

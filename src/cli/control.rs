@@ -37,6 +37,9 @@ pub(super) struct Play {
     /// Play for S seconds: truncate or loop the pattern
     #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = positive)]
     seconds: Option<f64>,
+    /// Allow a play without end, until `meissner stop` or a participant's limit
+    #[arg(long)]
+    endless: bool,
     /// Begin at TICK of the device's clock, MS milliseconds after the request, or at NS nanoseconds of CLOCK_MONOTONIC
     #[arg(long, value_name = "TICK|+MS|@NS")]
     at: Option<Onset>,
@@ -159,6 +162,7 @@ pub(super) fn play(play: &Play) -> Result<ExitCode> {
         at_ms,
         at_monotonic_ns,
         boot: None,
+        endless: play.endless,
         late: play.late,
         replace: play.replace,
         open_loop: play.open_loop,

@@ -10,6 +10,7 @@ use super::progress::Progress;
 use super::{control, text};
 use crate::config::{Config, PatternsDir};
 use crate::daemon::{Daemon, Hosted};
+use crate::exposure::ParticipantLimits;
 use crate::receipts::{PlayedPattern, end_text};
 use crate::store::Store;
 use anyhow::{Context, Result, bail};
@@ -90,6 +91,8 @@ pub(super) fn run(seconds: f64, open_loop: bool, json: bool) -> Result<ExitCode>
         patterns: PatternsDir::None,
         calibration: None,
         logbook: None,
+        // Nobody touches simulated pins.
+        participant: ParticipantLimits::NONE,
         ..Config::default()
     };
     let hosted = Daemon::start(&config)?.host()?;

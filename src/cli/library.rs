@@ -9,8 +9,10 @@ use super::{files, text};
 use anyhow::{Result, bail};
 use meissner_api::ImportedPattern;
 use meissner_array::motor::SteadyState;
+use meissner_array::motor::hand_vibration::{daily_exposure_m_s2, weighted_acceleration_m_s2};
 use meissner_array::pattern::{MAX_FILE_BYTES, Pattern};
 use meissner_client::escape;
+use serde::Serialize;
 use serde_json::Value;
 use std::path::Path;
 use std::process::ExitCode;
@@ -68,14 +70,32 @@ pub(super) fn import(options: &ClientOptions, file: &Path) -> Result<ExitCode> {
     })
 }
 
-pub(super) fn motor(frequency_hz: f64, amplitude_um: f64, json: bool) -> Result<ExitCode> {
+/// What `motor` shows of a drive.
+#[derive(Serialize)]
+struct MotorReport {
+    #[serde(flatten)]
+    steady: SteadyState,
+    /// Weighted as ISO 5349-1 weights the vibration of tools.
+    weighted_acceleration_m_s2: f64,
+    hours: f64,
+    /// A(8) of so many hours a day.
+    daily_exposure_m_s2: f64,
+}
+
+pub(super) fn motor(frequency_hz: f64, amplitude_um: f64, hours: f64, json: bool) -> Result<ExitCode> {
     let steady = SteadyState::of(frequency_hz, amplitude_um)?;
+    let weighted = weighted_acceleration_m_s2(frequency_hz, amplitude_um)?;
+    let daily = daily_exposure_m_s2(weighted, hours);
     let saturated = if steady.saturated { ", saturated: a period is too short for more" } else { "" };
-    give(json, &steady, || {
+    let report =
+        MotorReport { steady, weighted_acceleration_m_s2: weighted, hours, daily_exposure_m_s2: daily };
+    give(json, &report, || {
         text::pairs(&[
             ("peak to peak", format!("{:.2} um (ideal)", steady.peak_to_peak_um)),
             ("as played", format!("{:.2} um", steady.played_peak_to_peak_um)),
             ("pulses", format!("{} each way{saturated}", steady.pulses)),
+            ("acceleration", format!("{weighted:.2} m/s2, weighted as of a tool (ISO 5349-1)")),
+            ("A(8)", format!("{daily:.2} m/s2 for {hours} h a day; see docs/explanation/participants.md")),
         ])
     })
 }

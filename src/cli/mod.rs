@@ -26,7 +26,7 @@ use crate::config::Source;
 use crate::daemon::{self, Daemon, DaemonError, Exit, Signals};
 use crate::log;
 use anyhow::{Result, anyhow};
-use arguments::{ClientOptions, Output, measured, positive};
+use arguments::{ClientOptions, Output, hours, measured, positive};
 use clap::{CommandFactory, Parser, Subcommand};
 use meissner_stream::device::Spec;
 use output::{is_broken_pipe, say};
@@ -135,7 +135,7 @@ enum Command {
         #[command(flatten)]
         options: ClientOptions,
     },
-    /// Compute the steady state of a drive by the motor model
+    /// Compute the steady state of a drive by the motor model, and its daily exposure
     Motor {
         /// Drive with F Hz
         #[arg(long, value_name = "F", allow_negative_numbers = true)]
@@ -143,6 +143,9 @@ enum Command {
         /// Drive with A um, peak to peak
         #[arg(long, value_name = "A", allow_negative_numbers = true)]
         amplitude_um: f64,
+        /// Compute the daily exposure of H hours, 0 to 24
+        #[arg(long, value_name = "H", default_value_t = 2.0, allow_negative_numbers = true, value_parser = hours)]
+        hours: f64,
         #[command(flatten)]
         output: Output,
     },
@@ -216,8 +219,8 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Status { watch, options } => watch::status(&options, watch),
         Command::Events(options) => watch::events(&options),
         Command::Receipt { id, options } => watch::receipt(&options, id),
-        Command::Motor { frequency_hz, amplitude_um, output } => {
-            library::motor(frequency_hz, amplitude_um, output.json)
+        Command::Motor { frequency_hz, amplitude_um, hours, output } => {
+            library::motor(frequency_hz, amplitude_um, hours, output.json)
         }
         Command::Simulate(asked) => simulate::run(&asked),
         Command::Optimise(asked) => optimise::run(&asked),

@@ -5,7 +5,9 @@
 use crate::receipts::{HOST_TIMEOUT, end_text};
 use comfy_table::presets::{NOTHING, UTF8_FULL};
 use comfy_table::{CellAlignment, Table};
-use meissner_api::{BurstCounts, Event, NO_DEVICE, PredictedResponse, Prediction, Receipt, Status};
+use meissner_api::{
+    BurstCounts, Event, NO_DEVICE, ParticipantStatus, PredictedResponse, Prediction, Receipt, Status,
+};
 use meissner_array::geometry::{COLUMNS, ROWS};
 use meissner_array::pattern::Drive;
 use meissner_report::figures::segments;
@@ -148,6 +150,9 @@ pub(super) fn status(status: &Status) -> String {
         let count = status.motors.iter().filter(|motor| motor.calibrated).count();
         lines.push(("calibrated", format!("{count} of {} motors, {date}", status.motors.len())));
     }
+    if let Some(limits) = &status.participant {
+        lines.extend(participant(limits));
+    }
     if let (Some(tick), Some(uncertainty_us)) = (status.tick, status.clock_uncertainty_us) {
         lines.push(("clock", format!("synchronised to +-{uncertainty_us:.1} us, at tick {tick}")));
     }
@@ -165,6 +170,17 @@ pub(super) fn status(status: &Status) -> String {
     }
     lines.push(("lead", format!("{} ms, host watchdog timeout {} ms", status.lead_ms, status.lease_ms)));
     pairs(&lines)
+}
+
+/// A participant's limits, and what is used.
+fn participant(limits: &ParticipantStatus) -> [(&'static str, String); 2] {
+    let ParticipantStatus { continuous_used_s, max_continuous_s, day_used_s, max_day_s, .. } = limits;
+    let whose = limits.participant.as_ref().map_or_else(String::new, |name| format!("{name}: "));
+    let used = format!(
+        "{whose}{continuous_used_s:.1} of {max_continuous_s} s without a pause of {} s, {day_used_s:.1} of {max_day_s} s today",
+        limits.pause_s
+    );
+    [("vibration", used), ("amplitude", format!("at most {} um", limits.max_amplitude_um))]
 }
 
 /// An event on one line.

@@ -9,7 +9,7 @@
 use super::estop::{EStops, Origin};
 use super::names::Names;
 use super::state::{
-    ActiveSettings, Calibration, Commands, Connection, Plays, Publisher, Reply, State, frame,
+    ActiveSettings, Calibration, Commands, Connection, Exposure, Plays, Publisher, Reply, State, frame,
 };
 use crate::receipts::refusal;
 use crate::session_record::{Peer, SessionRecord};
@@ -68,6 +68,7 @@ impl Engine {
             calibration: Calibration::new(calibration),
             connection: Connection::default(),
             publisher: Publisher::new(SessionRecord::none()),
+            exposure: Exposure::default(),
             settings: ActiveSettings::new(settings),
         };
         Self {

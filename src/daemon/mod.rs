@@ -51,7 +51,8 @@ pub use runtime::runtime;
 pub use signals::{Action, Signals};
 pub use socket::SocketError;
 
-use crate::config::{Config, Source};
+use crate::config::{Config, Source, read_regular};
+use crate::exposure::{self, Account};
 use crate::session_record::{Note, SessionRecord};
 use acceptor::{Acceptor, Bounds, Counts};
 use engine::Engine;
@@ -63,9 +64,10 @@ use predictor::Predictor;
 use server::Server;
 use service::{Manager, Notification, StatusReporter};
 use socket::Bound;
-use state::ConnectorMessage;
+use state::{ConnectorMessage, Exposure};
 use std::io;
 use std::os::unix::net::UnixListener;
+use std::path::Path;
 use std::sync::Arc;
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
@@ -127,6 +129,11 @@ impl Daemon {
             .map_err(system("session record's thread"))?;
         let (version, pid) = (env!("CARGO_PKG_VERSION"), std::process::id());
         record.add(Note::DaemonStarted { version, pid, wanted });
+        let mut account = Account::new(config.participant);
+        if let Some(location) = &config.logbook {
+            restore(&mut account, &location.dir.join(exposure::FILE));
+        }
+        engine.lock().exposure = Exposure::new(account);
         let engine = Arc::new(engine.with(record, realtime, bound.socket().to_owned()));
         engine.load_calibration(None);
         let connector = connector::spawn(config.device.clone(), config.mock, Arc::clone(&engine))
@@ -230,6 +237,20 @@ impl Daemon {
             let _ = closed.await;
         }
         result
+    }
+}
+
+/// Takes the day's exposure from the file; without one, or if it cannot be read, the day begins at 0.
+fn restore(account: &mut Account, file: &Path) {
+    let read = match read_regular(file, exposure::MAX_FILE) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return,
+        read => read.and_then(|text| Ok(account.restore(&text)?)),
+    };
+    if let Err(error) = read {
+        warn!(
+            "{}: {error}: today's vibration is not known and counts from 0; remove the file, and keep to the day's limit yourself",
+            file.display()
+        );
     }
 }
 

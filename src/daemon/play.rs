@@ -8,14 +8,17 @@
 use super::engine::{Engine, TIMEOUT, answer};
 use super::runtime::computing;
 use super::state::{NewPlay, Reply, State};
+use crate::exposure::Vibration;
 use crate::session_record::Peer;
 use crate::store::Stored;
 use firmware_protocol::tick::Tick;
 use meissner_api::{Code, PlayRequest, Problem};
 use meissner_array::strokes::{StrokeOptions, Strokes};
+use meissner_array::units::ticks_to_seconds;
 use meissner_stream::queues::{At, Command, Play};
 use meissner_stream::time::HostInstant;
 use meissner_stream::{Bandwidth, Settings};
+use std::sync::Arc;
 
 /// A play that still needs an id.
 #[derive(Debug)]
@@ -23,6 +26,7 @@ pub(super) struct PreparedPlay {
     play: Play,
     stored: Stored,
     seconds: Option<f64>,
+    vibration: Vibration,
 }
 
 impl PreparedPlay {
@@ -40,11 +44,16 @@ impl PreparedPlay {
             return Err(Problem::new(Code::BadRequest, detail));
         }
         // A long pattern has a hundred thousand strokes: other commands must not wait while they are counted.
-        let (bandwidth, strokes) = computing(move || (Bandwidth::of(&strokes, &settings), strokes)).await?;
+        let pattern = Arc::clone(&stored.pattern);
+        let (bandwidth, vibration, strokes) = computing(move || {
+            let end_s = strokes.end().map(ticks_to_seconds);
+            (Bandwidth::of(&strokes, &settings), Vibration::of(&pattern, end_s), strokes)
+        })
+        .await?;
         let at = onset(request.at_tick, request.at_ms, request.at_monotonic_ns);
         let PlayRequest { seconds, late, replace, open_loop, .. } = *request;
         let play = Play { id: 0, strokes, at, late, replace, open_loop, bandwidth };
-        Ok(Self { play, stored, seconds })
+        Ok(Self { play, stored, seconds, vibration })
     }
 }
 
@@ -56,7 +65,7 @@ impl State {
                           docs/reference/session-record.md";
             return Err(Problem::new(Code::TooManyPlays, detail));
         }
-        let PreparedPlay { play, stored, seconds } = prepared;
+        let PreparedPlay { play, stored, seconds, .. } = prepared;
         let id = self.plays.add(NewPlay { stored, seconds, client });
         let sent = self.send(Command::Play(Box::new(Play { id, ..play })), Some(id));
         if sent.is_err() {
@@ -81,7 +90,11 @@ impl Engine {
             let mut state = self.lock();
             state.forget_unanswered();
             state.check_not_calibrating()?;
-            state.begin(prepared, client)?
+            let vibration = prepared.vibration.clone();
+            state.check_exposure(request, &prepared.stored.pattern, &vibration)?;
+            let (id, reply) = state.begin(prepared, client)?;
+            state.exposure.add(id, vibration);
+            (id, reply)
         };
         answer(reply, TIMEOUT).await.map(|()| id)
     }
@@ -137,7 +150,8 @@ mod tests {
         let engine = engine.with(record.clone(), Realtime::default(), PathBuf::new());
         let stored = Store::new(None, false).unwrap().library("pin-60").unwrap().clone();
         let mut play = || {
-            let request = PlayRequest { pattern: "pin-60".to_owned(), ..PlayRequest::default() };
+            let request =
+                PlayRequest { pattern: "pin-60".to_owned(), endless: true, ..PlayRequest::default() };
             let played = engine.play(&request, stored.clone(), Peer { pid: 1, uid: 0 });
             let problem = runtime().unwrap().block_on(played).unwrap_err();
             (problem.code, port.pop().is_some())

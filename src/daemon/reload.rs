@@ -1,6 +1,6 @@
 //! Reads the configuration again while the daemon runs.
 //!
-//! - The patterns' directory and the session record change at once.
+//! - The patterns' directory, the participant's limits and the session record change at once.
 //! - The streamer's settings change at the next `arm`.
 //! - A calibration is stored in its new place at once, and read there at the next connection.
 //! - The device, the socket and the mock change when the daemon is restarted.
@@ -82,6 +82,11 @@ fn apply(
              `end_stop_um` = {end_stop_um}, `motor_pulses_per_s` = {}, `rail_pulses_per_s` = {}",
             limits.motor, limits.rail
         ));
+    }
+    if new.participant != running.participant {
+        engine.lock().exposure.set_limits(new.participant);
+        running.participant = new.participant;
+        applied.push("[participant] at once".to_owned());
     }
     if new.calibration != running.calibration {
         engine.set_calibration_file(new.calibration.clone());

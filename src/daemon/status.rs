@@ -3,6 +3,7 @@
 //! Invariant: a status is read under one lock, so its parts belong together.
 
 use super::engine::Engine;
+use crate::exposure::Now;
 use crate::receipts::DeviceState;
 use firmware_protocol::tick::TICK_HZ;
 use meissner_api::{ClockSample, MotorStatus, QueuedPlay, Status};
@@ -56,6 +57,7 @@ impl Engine {
             calibrated: used.map(|calibration| {
                 calibration.provenance().date.clone().unwrap_or_else(|| "without a date".to_owned())
             }),
+            participant: Some(daemon.exposure.status(Now::read())),
             realtime: Some(self.realtime),
             logbook_problem: daemon.publisher.session_record.problem(),
             socket: self.socket.display().to_string(),

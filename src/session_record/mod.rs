@@ -49,6 +49,8 @@ enum Message {
     },
     /// Write the following entries there.
     Move(Location),
+    /// Replace the file of exposures.
+    Exposure(String),
     /// Entries are left out: say so after [`REPORT_AFTER`].
     LeftOut,
 }
@@ -197,6 +199,13 @@ impl SessionRecord {
         }
     }
 
+    /// Replaces the file of exposures in the record's directory. If many entries wait, the next one replaces it.
+    pub fn save_exposure(&self, text: String) {
+        if let Some(queue) = self.lock().as_mut().filter(|queue| queue.messages.len() < queue.room) {
+            let _ = queue.messages.try_send(Message::Exposure(text));
+        }
+    }
+
     /// Whether it has room for more plays: entries about plays are never left out, so the daemon refuses plays while it has none.
     #[must_use]
     pub fn takes_plays(&self) -> bool {
@@ -247,6 +256,7 @@ fn write_all(
         };
         match message {
             Ok(Message::Move(location)) => writer.move_to(location),
+            Ok(Message::Exposure(text)) => writer.save_exposure(&text),
             Ok(Message::LeftOut) => report = Some(Instant::now() + REPORT_AFTER),
             Ok(Message::Entry { stamp, missed, mut entry }) => {
                 entry.name_users(|uid| name(users, uid, &mut slow));

@@ -22,8 +22,6 @@ use std::time::Duration;
 
 /// The list: a line for each file, with its date and the count of days on its last day of writing.
 pub(super) const LIST: &str = "days";
-/// The next list, until it is durable.
-const NEXT: &str = "days.new";
 /// The most bytes of a list: a century.
 const MAX_LIST: u64 = 1 << 20;
 /// Files of earlier days were written with a clock that was never set. Their age is unknown, so they stay.
@@ -111,13 +109,18 @@ fn read(dir: &Path) -> io::Result<Files> {
 /// Replaces the list whole, and makes it durable.
 fn write(dir: &Path, files: &Files) -> io::Result<()> {
     let text: String = files.iter().map(|(day, count)| format!("{day} {count}\n")).collect();
-    let (next, list) = (dir.join(NEXT), dir.join(LIST));
+    replace(dir, &dir.join(LIST), text.as_bytes())
+}
+
+/// Replaces a file of the directory whole, and makes it durable.
+pub(super) fn replace(dir: &Path, path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let next = path.with_extension("new");
     let mut options = OpenOptions::new();
     options.write(true).create(true).truncate(true).mode(0o640);
     let mut file = options.custom_flags(OFlags::NOFOLLOW.bits().cast_signed()).open(&next)?;
-    file.write_all(text.as_bytes())?;
+    file.write_all(bytes)?;
     file.sync_data()?;
-    fs::rename(next, list)?;
+    fs::rename(next, path)?;
     File::open(dir)?.sync_all()
 }
 
@@ -287,7 +290,7 @@ mod tests {
         .unwrap();
         assert!(write(6) && name(date(2026, 3, 3)).exists());
         // Without a list nothing is removed.
-        fs::create_dir(dir.path().join(NEXT)).unwrap();
+        fs::create_dir(dir.path().join("days.new")).unwrap();
         assert!(!write(50) && name(date(2026, 3, 3)).exists());
     }
 

@@ -8,7 +8,8 @@
 use super::days;
 use super::entry::{Entry, Note};
 use super::json;
-use super::removal::Removal;
+use super::removal::{self, Removal};
+use crate::exposure;
 use jiff::civil::Date;
 use jiff::tz::TimeZone;
 use jiff::{Timestamp, Zoned};
@@ -183,6 +184,17 @@ impl Writer {
                 self.missing += 1;
                 self.fail(&failure);
             }
+        }
+    }
+
+    /// Replaces the file of exposures, if the record is open: then no other daemon writes here.
+    pub(super) fn save_exposure(&mut self, text: &str) {
+        if self.open.is_none() {
+            return;
+        }
+        let path = self.location.dir.join(exposure::FILE);
+        if let Err(source) = removal::replace(&self.location.dir, &path, text.as_bytes()) {
+            self.fail(&Failure { path, source });
         }
     }
 

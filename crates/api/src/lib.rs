@@ -48,8 +48,8 @@ pub use request::{
 };
 pub use route::{Method, Route};
 pub use status::{
-    ClockSample, DeviceInfo, ErrorSource, MotorStatus, NO_DEVICE, PlayAccepted, QueuedPlay, Realtime,
-    RunningPlay, Status,
+    ClockSample, DeviceInfo, ErrorSource, MotorStatus, NO_DEVICE, ParticipantStatus, PlayAccepted,
+    QueuedPlay, Realtime, RunningPlay, Status,
 };
 
 /// Clients connected at the same time, at most.

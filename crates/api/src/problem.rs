@@ -49,6 +49,8 @@ pub enum Code {
     QueueFull,
     /// The session record has no room for more plays at this rate.
     TooManyPlays,
+    /// A limit of `[participant]` does not allow the play, or not now.
+    ParticipantLimit,
     /// The play in front has no end.
     BehindEndless,
     /// The requested onset is too close or has passed.
@@ -81,7 +83,7 @@ pub enum Code {
 
 impl Code {
     /// Every code, in the order of the API reference: by HTTP status.
-    pub const ALL: [Self; 30] = [
+    pub const ALL: [Self; 31] = [
         Self::BadRequest,
         Self::NotFound,
         Self::MethodNotAllowed,
@@ -94,6 +96,7 @@ impl Code {
         Self::Playing,
         Self::NoPositionEstimate,
         Self::NotHome,
+        Self::ParticipantLimit,
         Self::BehindEndless,
         Self::TooSoon,
         Self::Overlaps,
@@ -134,6 +137,7 @@ impl Code {
             Self::NoPositionEstimate => ("nothing-to-go-by", 409, "Nothing tells where the pins are"),
             Self::QueueFull => ("queue-full", 429, "Too many plays are queued"),
             Self::TooManyPlays => ("too-many-plays", 429, "Too many plays for the session record"),
+            Self::ParticipantLimit => ("participant-limit", 409, "A participant's limit does not allow it"),
             Self::BehindEndless => ("behind-endless", 409, "The play in front has no end"),
             Self::TooSoon => ("too-soon", 409, "The onset cannot be kept"),
             Self::Overlaps => ("overlaps", 409, "The onset lies within a queued play"),
@@ -199,7 +203,7 @@ mod tests {
         names.sort_unstable();
         names.dedup();
         // The last variant of the enum: a variant that is not in `ALL` would raise this number.
-        assert_eq!((names.len(), Code::ALL.len()), (30, Code::NoTelemetry as usize + 1));
+        assert_eq!((names.len(), Code::ALL.len()), (31, Code::NoTelemetry as usize + 1));
         assert!(Code::ALL.is_sorted_by_key(|code| code.parts().1));
     }
 

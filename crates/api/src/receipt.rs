@@ -12,7 +12,7 @@ use utoipa::ToSchema;
 pub const MAX_LISTED: usize = 100;
 
 /// Where a play stands: `queued`, `running`, or ended as `done` (it came to its end), `stopped` (by a stop, replace, disarm,
-/// e-stop or lost link) or `aborted` (by late strokes, or because its onset could not be kept).
+/// e-stop, lost link or participant's limit) or `aborted` (by late strokes, or because its onset could not be kept).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum PlayState {
@@ -22,7 +22,7 @@ pub enum PlayState {
     Running,
     /// The play has come to its end.
     Done,
-    /// A stop, replace, disarm, e-stop or lost link ended the play.
+    /// A stop, replace, disarm, e-stop, lost link or participant's limit ended the play.
     Stopped,
     /// Late strokes ended the play, or its onset could not be kept.
     Aborted,

@@ -39,6 +39,9 @@ pub struct PlayRequest {
     /// The boot that `at_tick` belongs to, as `device.boot` in the status. The daemon refuses another one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub boot: Option<u32>,
+    /// Whether the play may be without end: without it the daemon refuses a pattern without end that has no `seconds`.
+    #[serde(default, deserialize_with = "null_as_default")]
+    pub endless: bool,
     /// What to do when strokes come late: `drop` them (the default) or `abort` the play.
     #[serde(default, deserialize_with = "null_as_default")]
     pub late: LatePolicy,
@@ -282,6 +285,7 @@ mod tests {
                 "at_ms",
                 "at_monotonic_ns",
                 "boot",
+                "endless",
                 "late",
                 "replace",
                 "open_loop",

@@ -170,6 +170,7 @@ impl Route {
                         Code::NotFound,
                         Code::BadPattern,
                         Code::StaleBoot,
+                        Code::ParticipantLimit,
                         Code::BehindEndless,
                         Code::TooSoon,
                         Code::Overlaps,

@@ -118,6 +118,39 @@ pub struct ClockSample {
     pub uncertainty_us: f64,
 }
 
+/// The limits for the person who feels the pins, what is used and what is left. Vibration is time in which at least one drive moves
+/// a pin.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct ParticipantStatus {
+    /// Whose vibration is counted: the running session's participant; null without one: everybody's together.
+    #[schema(required)]
+    pub participant: Option<String>,
+    /// Largest amplitude of a drive, µm, peak to peak.
+    #[schema(minimum = 1.0, maximum = 400.0)]
+    pub max_amplitude_um: f64,
+    /// Longest vibration without a pause, s.
+    #[schema(minimum = 0.1, maximum = 86400.0)]
+    pub max_continuous_s: f64,
+    /// Time without vibration that makes a pause, s.
+    #[schema(minimum = 0.1, maximum = 3600.0)]
+    pub pause_s: f64,
+    /// Vibration since the last pause, s.
+    #[schema(minimum = 0.0)]
+    pub continuous_used_s: f64,
+    /// Vibration that is left before a pause, s.
+    #[schema(minimum = 0.0)]
+    pub continuous_left_s: f64,
+    /// Longest vibration in a local calendar day, s.
+    #[schema(minimum = 0.1, maximum = 86400.0)]
+    pub max_day_s: f64,
+    /// Vibration today, s.
+    #[schema(minimum = 0.0)]
+    pub day_used_s: f64,
+    /// Vibration that is left today, s.
+    #[schema(minimum = 0.0)]
+    pub day_left_s: f64,
+}
+
 /// How the daemon and its device stand.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[schema(examples(json!({
@@ -137,7 +170,12 @@ pub struct ClockSample {
     "line_bytes_per_s": 1000000,
     "contradictions": 0,
     "motors": [{"rest_error_um": 0.4, "source": "telemetry", "calibrated": false}],
-    "calibrated": null, "realtime": {"fifo": true, "mlock": true}, "logbook_problem": null,
+    "calibrated": null,
+    "participant": {
+        "participant": null, "max_amplitude_um": 200.0, "max_continuous_s": 600.0, "pause_s": 10.0,
+        "continuous_used_s": 12.5, "continuous_left_s": 587.5, "max_day_s": 7200.0, "day_used_s": 900.0, "day_left_s": 6300.0
+    },
+    "realtime": {"fifo": true, "mlock": true}, "logbook_problem": null,
     "socket": "/run/meissner/meissner.sock", "version": "0.1.0", "pid": 1234
 })))]
 pub struct Status {
@@ -194,6 +232,10 @@ pub struct Status {
     #[serde(default)]
     #[schema(required)]
     pub calibrated: Option<String>,
+    /// The participant's limits, and what is used and left; null from an older daemon.
+    #[serde(default)]
+    #[schema(required)]
+    pub participant: Option<ParticipantStatus>,
     /// The daemon's real-time rights; null from an older daemon.
     #[serde(default)]
     #[schema(required)]

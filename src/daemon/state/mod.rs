@@ -1,4 +1,4 @@
-//! The daemon's state: six parts with one job each, behind the engine's one lock.
+//! The daemon's state: seven parts with one job each, behind the engine's one lock.
 //!
 //! - [`Commands`]: commands to the streamer, and the calls that wait for their answers.
 //! - [`Plays`]: receipts, the clients of plays, and measured bursts.
@@ -6,6 +6,7 @@
 //! - [`Connection`]: the connected device, or why there is none.
 //! - [`Publisher`]: events to listeners and to the session record.
 //! - [`ActiveSettings`]: the streamer's settings, now and after the next `arm`.
+//! - [`Exposure`]: the participant's vibration, and the limits for it.
 //!
 //! A part uses no other part; a rule that concerns several is a method of [`State`]. There is one lock because such rules hold
 //! across parts: a play is in the receipts before the streamer reports anything about it, and events are published in the order of the
@@ -16,6 +17,7 @@
 mod calibration;
 mod commands;
 mod connection;
+mod exposure;
 mod plays;
 mod publisher;
 mod settings;
@@ -23,6 +25,7 @@ mod settings;
 pub(super) use calibration::Calibration;
 pub(super) use commands::{Commands, Reply};
 pub(super) use connection::{Connection, ConnectorMessage};
+pub(super) use exposure::Exposure;
 pub(super) use plays::{NewPlay, Plays};
 pub(super) use publisher::{Publisher, frame};
 pub(super) use settings::ActiveSettings;
@@ -42,6 +45,7 @@ pub(super) struct State {
     pub(super) connection: Connection,
     pub(super) publisher: Publisher,
     pub(super) settings: ActiveSettings,
+    pub(super) exposure: Exposure,
 }
 
 impl State {
@@ -59,7 +63,8 @@ impl State {
     }
 
     /// Applies an event of the streamer. Returns the API's event, and whether the log needs it.
-    pub(super) fn apply(&mut self, streamed: StreamEvent) -> (Option<Event>, bool) {
+    pub(super) fn apply(&mut self, mut streamed: StreamEvent) -> (Option<Event>, bool) {
+        self.follow_exposure(&mut streamed);
         let event = match &streamed {
             StreamEvent::Answer { ticket, result } => {
                 let play = self.commands.answer(*ticket, *result);
@@ -108,6 +113,7 @@ impl State {
     pub(super) fn settle_play(&mut self, id: u64, accepted: bool) -> Option<Event> {
         if !accepted {
             self.calibration.cancel(id);
+            self.exposure.forget(id);
         }
         self.plays.settle(id, accepted)
     }
@@ -116,6 +122,7 @@ impl State {
     pub(super) fn forget_unanswered(&mut self) {
         for id in self.commands.forget_unanswered(HostInstant::now()) {
             self.calibration.cancel(id);
+            self.exposure.forget(id);
             self.plays.forget(id);
         }
     }

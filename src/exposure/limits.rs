@@ -1,0 +1,48 @@
+//! What a participant may be exposed to: the configuration table `[participant]`.
+//!
+//! `docs/explanation/participants.md` gives the reason for each default. Invariant: only the configuration changes a limit.
+
+/// See the module.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ParticipantLimits {
+    /// Amplitude of a drive, µm peak to peak.
+    pub max_amplitude_um: f64,
+    /// Vibration without a pause, s.
+    pub max_continuous_s: f64,
+    /// Time without vibration that makes a pause, s.
+    pub pause_s: f64,
+    /// Vibration in a local calendar day, s.
+    pub max_day_s: f64,
+}
+
+impl Default for ParticipantLimits {
+    fn default() -> Self {
+        Self { max_amplitude_um: 200.0, max_continuous_s: 600.0, pause_s: 10.0, max_day_s: 7200.0 }
+    }
+}
+
+impl ParticipantLimits {
+    /// For a device that nobody touches: the ends of the ranges.
+    pub const NONE: Self =
+        Self { max_amplitude_um: 400.0, max_continuous_s: 86_400.0, pause_s: 10.0, max_day_s: 86_400.0 };
+}
+
+/// A limit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Limit {
+    /// Vibration without a pause.
+    Continuous,
+    /// Vibration per day.
+    Day,
+}
+
+impl Limit {
+    /// Its key in the configuration.
+    #[must_use]
+    pub const fn key(self) -> &'static str {
+        match self {
+            Self::Continuous => "max_continuous_s",
+            Self::Day => "max_day_s",
+        }
+    }
+}

@@ -1,0 +1,130 @@
+//! When a play vibrates: the spans of its pattern in which at least one drive moves a pin.
+//!
+//! Invariant: spans are in order, do not touch, and lie within one repeat of the pattern.
+
+use meissner_array::pattern::Pattern;
+
+/// The vibration of a play, in seconds from its onset.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Vibration {
+    /// From and to, s; the last may have no end.
+    spans: Vec<(f64, f64)>,
+    /// How long a repeat lasts, s, if the pattern repeats.
+    repeat_s: Option<f64>,
+    /// When the play ends, s; `None`: never.
+    end_s: Option<f64>,
+}
+
+impl Vibration {
+    /// The vibration of a play of `pattern` that ends after `end_s`.
+    #[must_use]
+    pub fn of(pattern: &Pattern, end_s: Option<f64>) -> Self {
+        let moving = pattern.drives().iter().filter(|drive| drive.wave().is_ok_and(|wave| wave.moves()));
+        let end = pattern.duration_s().unwrap_or(f64::INFINITY);
+        let mut drives: Vec<(f64, f64)> =
+            moving.map(|drive| (drive.start_s.unwrap_or(0.0), drive.stop_s.unwrap_or(end))).collect();
+        drives.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mut spans: Vec<(f64, f64)> = Vec::new();
+        for (start, stop) in drives {
+            match spans.last_mut() {
+                Some(last) if start <= last.1 => last.1 = last.1.max(stop),
+                _ => spans.push((start, stop)),
+            }
+        }
+        Self { spans, repeat_s: pattern.duration_s(), end_s }
+    }
+
+    /// How long it has vibrated, s, when it has played for `played_s`.
+    #[must_use]
+    pub fn until(&self, played_s: f64) -> f64 {
+        let played_s = self.end_s.map_or(played_s, |end| end.min(played_s)).max(0.0);
+        if !played_s.is_finite() {
+            return 0.0;
+        }
+        let (repeats, rest) = match self.repeat_s {
+            Some(repeat_s) if repeat_s > 0.0 => {
+                let repeats = (played_s / repeat_s).floor();
+                (repeats, played_s - repeats * repeat_s)
+            }
+            _ => (0.0, played_s),
+        };
+        let within = |until: f64| -> f64 {
+            self.spans.iter().map(|&(start, stop)| (stop.min(until) - start).max(0.0)).sum()
+        };
+        let whole = if repeats > 0.0 { repeats * within(f64::INFINITY) } else { 0.0 };
+        whole + within(rest)
+    }
+
+    /// How long it vibrates in all, s; `None`: without end.
+    #[must_use]
+    pub fn total(&self) -> Option<f64> {
+        self.end_s.map(|end| self.until(end))
+    }
+
+    /// Whether the play has no end.
+    #[must_use]
+    pub const fn is_endless(&self) -> bool {
+        self.end_s.is_none()
+    }
+
+    /// How long it vibrates at most without a pause of `pause_s`, s; infinite if it has no end and no such pause.
+    #[must_use]
+    pub fn longest(&self, pause_s: f64) -> f64 {
+        let end = self.end_s.unwrap_or(f64::INFINITY);
+        // Two repeats show every pause, also the one between the end and the beginning.
+        let second = self.repeat_s.filter(|repeat_s| *repeat_s < end);
+        let again = second.into_iter().flat_map(|by| self.spans.iter().map(move |&(a, b)| (a + by, b + by)));
+        let (mut longest, mut run, mut last, mut paused) = (0.0_f64, 0.0_f64, None, false);
+        for (start, stop) in self.spans.iter().copied().chain(again) {
+            let (start, stop) = (start.min(end), stop.min(end));
+            if last.is_some_and(|last| start - last >= pause_s) {
+                (run, paused) = (0.0, true);
+            }
+            run += stop - start;
+            (longest, last) = (longest.max(run), Some(stop));
+        }
+        if paused || second.is_none() { longest } else { self.total().unwrap_or(f64::INFINITY) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use meissner_array::pattern::Drive;
+
+    fn pattern(duration_s: Option<f64>, drives: &[(Option<f64>, Option<f64>)]) -> Pattern {
+        let drive = |(motor, &(start_s, stop_s)): (usize, &(Option<f64>, Option<f64>))| Drive {
+            motor: motor as u8,
+            frequency_hz: 60.0,
+            amplitude_um: 80.0,
+            phase: 0.0,
+            start_s,
+            stop_s,
+        };
+        let drives = drives.iter().enumerate().map(drive).collect();
+        Pattern::new("test", duration_s, drives, toml::Table::new()).unwrap()
+    }
+
+    #[test]
+    fn drives_that_overlap_count_once_and_gaps_do_not_count() {
+        let spans = [(None, Some(1.0)), (Some(0.5), Some(1.5)), (Some(3.0), None)];
+        let play = Vibration::of(&pattern(Some(4.0), &spans), Some(9.0));
+        for (played, vibrated) in [(0.0, 0.0), (1.0, 1.0), (2.0, 1.5), (4.0, 2.5), (9.0, 6.0), (99.0, 6.0)] {
+            assert_eq!(play.until(played), vibrated, "{played}");
+        }
+        assert_eq!(play.total(), Some(6.0));
+        // The second repeat begins as the first ends: 3 to 4, and 4 to 5.5.
+        assert_eq!(play.longest(1.0), 2.5);
+        assert_eq!(play.longest(2.0), 6.0, "no pause is so long");
+    }
+
+    #[test]
+    fn a_play_without_end_vibrates_for_ever_unless_its_drives_stop() {
+        let endless = Vibration::of(&pattern(None, &[(None, None)]), None);
+        assert_eq!((endless.total(), endless.until(100.0)), (None, 100.0));
+        assert_eq!(endless.longest(1.0), f64::INFINITY);
+        assert_eq!(Vibration::of(&pattern(Some(2.0), &[]), Some(60.0)).total(), Some(0.0), "silent");
+        let twice = Vibration::of(&pattern(None, &[(None, Some(1.0)), (Some(20.0), Some(22.0))]), Some(22.0));
+        assert_eq!((twice.total(), twice.longest(10.0)), (Some(3.0), 2.0));
+    }
+}

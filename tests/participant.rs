@@ -1,0 +1,152 @@
+//! Limits for participants: amplitude, vibration without a pause and per day, plays without end.
+
+use crate::harness::{
+    Daemon, PATIENT, complaint, document, ended, printed, problem, refusal, wait_until, write_pattern,
+};
+use meissner_api::{PlayState, Status};
+use rustix::process::Signal;
+use serde_json::{Value, json};
+use std::fs;
+
+/// Half a second of vibration without a pause, and a second per day, on a daemon that keeps a session record.
+const SHORT: &str =
+    "[participant]\nmax_amplitude_um = 80\nmax_continuous_s = 0.5\npause_s = 0.3\nmax_day_s = 1\n";
+
+fn limited(config: &str) -> Daemon {
+    let daemon = Daemon::with("mock", &format!("{PATIENT}{config}"));
+    daemon.armed();
+    daemon
+}
+
+#[test]
+fn a_play_without_end_needs_a_flag() {
+    let daemon = limited("");
+    let line = complaint(daemon.meissner().args(["play", "wave"]));
+    assert!(
+        line.contains("`wave` has no end: add `seconds` (--seconds S), or") && line.contains("(--endless)"),
+        "{line}"
+    );
+    assert_eq!(
+        refusal(daemon.client().post("/v1/play", &json!({"pattern": "wave"}))),
+        ("participant-limit".into(), 409)
+    );
+    printed(daemon.meissner().args(["play", "wave", "--endless"]));
+    printed(daemon.meissner().args(["play", "wave", "--endless", "--replace"]));
+    printed(daemon.meissner().arg("stop"));
+    printed(daemon.meissner().args(["play", "wave", "--seconds", "0.1", "--endless", "--wait"]));
+}
+
+#[test]
+fn a_pattern_above_the_amplitude_is_refused() {
+    let daemon = limited(SHORT);
+    let drive = "duration_s = 0.1\n[[drive]]\nmotor = 3\nfrequency_hz = 60\namplitude_um = 81\n";
+    write_pattern(&daemon.path("patterns/strong.toml"), "strong", drive);
+    let refused = problem(daemon.client().post("/v1/play", &json!({"pattern": "strong"})));
+    let says = "`participant.max_amplitude_um` is 80 um, and `strong` asks for 81 um";
+    assert!(refused.code == "participant-limit" && refused.detail.starts_with(says), "{refused:?}");
+    let _: Value = daemon.client().post("/v1/play", &json!({"pattern": "edge-45", "seconds": 0.1})).unwrap();
+}
+
+#[test]
+fn a_play_without_end_is_stopped_at_the_limit_and_the_queue_with_it() {
+    let daemon = limited(SHORT);
+    let mut client = daemon.client();
+    let mut events = client.events().unwrap();
+    let id = client.post::<Value>("/v1/play", &json!({"pattern": "pin-60", "endless": true})).unwrap()["id"]
+        .clone();
+    let receipt = ended(&mut events);
+    assert_eq!((receipt.id, receipt.state), (id.as_u64().unwrap(), PlayState::Stopped));
+    assert_eq!(receipt.cause.as_deref(), Some("participant-limit"));
+    let status: Status = client.get("/v1/status").unwrap();
+    let limits = status.participant.unwrap();
+    assert!(limits.day_used_s >= 0.5 && limits.day_left_s == 1.0 - limits.day_used_s, "{limits:?}");
+    assert!(printed(daemon.meissner().arg("status")).contains(" of 1 s today"));
+    // More than what is left of the day.
+    let refused =
+        problem(client.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.5, "at_ms": 500})));
+    assert!(
+        refused.detail.contains("`participant.max_day_s` allows 1 s") && refused.detail.contains("tomorrow"),
+        "{refused:?}"
+    );
+    // A finite play in what is left begins after a pause, and is whole.
+    wait_until(|| client.get::<Status>("/v1/status").unwrap().participant.unwrap().continuous_used_s == 0.0);
+    let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.1})).unwrap();
+    assert_eq!(ended(&mut events).state, PlayState::Done);
+}
+
+/// Two clients have one finger: limits hold for both together, and for the queue.
+#[test]
+fn the_limits_hold_for_all_clients_together() {
+    let daemon = limited("[participant]\nmax_continuous_s = 2\n");
+    let (mut one, mut other) = (daemon.client(), daemon.client());
+    let _: Value = one.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 1.5})).unwrap();
+    let refused = problem(other.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 1.5})));
+    assert!(
+        refused.detail.contains("the play vibrates for 1.5 s; play again after a pause of 10 s"),
+        "{refused:?}"
+    );
+    let _: Value =
+        other.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 1.5, "replace": true})).unwrap();
+    let _: Status = other.post("/v1/stop", &json!({})).unwrap();
+}
+
+#[test]
+fn a_restart_and_a_kill_keep_the_days_sum() {
+    let dir = crate::harness::directory();
+    let config = format!("{PATIENT}logbook_dir = {:?}\n{SHORT}", dir.path().join("logbook"));
+    let start = || {
+        let log = fs::File::create(dir.path().join("log")).unwrap();
+        let command = std::process::Command::new(crate::harness::PROGRAM);
+        let mut daemon = Daemon::launch(std::sync::Arc::clone(&dir), "mock", &config, log, command);
+        daemon.wait_for_device();
+        daemon
+    };
+    let used = |daemon: &Daemon| {
+        document(daemon.meissner().args(["status", "--json"]))["participant"]["day_used_s"].as_f64().unwrap()
+    };
+    let mut daemon = start();
+    daemon.armed();
+    printed(daemon.meissner().args(["play", "pin-60", "--seconds", "0.4", "--wait"]));
+    assert!(daemon.end().success());
+    drop(daemon);
+    let mut daemon = start();
+    assert!((0.399..0.41).contains(&used(&daemon)), "{}", used(&daemon));
+    daemon.armed();
+    printed(daemon.meissner().args(["play", "pin-60", "--seconds", "0.4", "--wait"]));
+    let file = dir.path().join("logbook/exposure.json");
+    wait_until(|| fs::read_to_string(&file).is_ok_and(|text| text.contains("0.8")));
+    daemon.signal(Signal::KILL);
+    daemon.wait();
+    drop(daemon);
+    let mut daemon = start();
+    let refused = {
+        daemon.armed();
+        complaint(daemon.meissner().args(["play", "pin-60", "--seconds", "0.4"]))
+    };
+    assert!(
+        refused.contains("`participant.max_day_s` allows 1 s of vibration in a day: 0.2 s are left"),
+        "{refused}"
+    );
+    // A file that cannot be read locks nobody out, and the log says what that means.
+    assert!(daemon.end().success());
+    drop(daemon);
+    fs::write(&file, "{\"date\":").unwrap();
+    let daemon = start();
+    daemon.wait_for_log("today's vibration is not known and counts from 0");
+    assert_eq!(used(&daemon), 0.0);
+}
+
+#[test]
+fn a_reload_changes_the_limits_at_once() {
+    let mut command = std::process::Command::new("sh");
+    // Without a terminal, SIGHUP means reload.
+    command.args(["-c", "trap '' HUP; exec \"$0\" \"$@\"", crate::harness::PROGRAM]);
+    let mut daemon = Daemon::by(command);
+    daemon.wait_for_device();
+    daemon.armed();
+    daemon.write_config(&format!("{PATIENT}{SHORT}"));
+    daemon.signal(Signal::HUP);
+    daemon.wait_for_log("[participant] at once");
+    let refused = complaint(daemon.meissner().args(["play", "edge-45", "--seconds", "0.6"]));
+    assert!(refused.contains("`participant.max_continuous_s` allows 0.5 s"), "{refused}");
+}
