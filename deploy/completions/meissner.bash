@@ -745,7 +745,7 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__motor)
-            opts="-h --frequency-hz --amplitude-um --json --help"
+            opts="-h --frequency-hz --amplitude-um --hours --json --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -756,6 +756,10 @@ _meissner() {
                     return 0
                     ;;
                 --amplitude-um)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --hours)
                     COMPREPLY=($(compgen -f "${cur}"))
                     return 0
                     ;;
@@ -805,7 +809,7 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__play)
-            opts="-h --seconds --at --late --replace --open-loop --wait --socket --json --help"
+            opts="-h --seconds --endless --at --late --replace --open-loop --wait --socket --json --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0

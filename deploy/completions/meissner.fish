@@ -42,7 +42,7 @@ complete -c meissner -n "__fish_meissner_needs_command" -f -a "import" -d 'Store
 complete -c meissner -n "__fish_meissner_needs_command" -f -a "status" -d 'Show the state of the daemon, its device and its queue'
 complete -c meissner -n "__fish_meissner_needs_command" -f -a "events" -d 'Print events as they happen; with --json one document per line'
 complete -c meissner -n "__fish_meissner_needs_command" -f -a "receipt" -d 'Show the result of a play'
-complete -c meissner -n "__fish_meissner_needs_command" -f -a "motor" -d 'Compute the steady state of a drive by the motor model'
+complete -c meissner -n "__fish_meissner_needs_command" -f -a "motor" -d 'Compute the steady state of a drive by the motor model, and its daily exposure'
 complete -c meissner -n "__fish_meissner_needs_command" -f -a "simulate" -d 'Simulate afferent spikes for a scene'
 complete -c meissner -n "__fish_meissner_needs_command" -f -a "optimise" -d 'Find a pattern for a target shape'
 complete -c meissner -n "__fish_meissner_needs_command" -f -a "tradeoff" -d 'Compare simulation methods on this machine, leads of the streamer, or position control'
@@ -63,6 +63,7 @@ complete -c meissner -n "__fish_meissner_using_subcommand play" -l at -d 'Begin 
 complete -c meissner -n "__fish_meissner_using_subcommand play" -l late -d 'Choose what happens to late strokes' -r -f -a "drop\t'Drop them whole and go on'
 abort\t'End the play'"
 complete -c meissner -n "__fish_meissner_using_subcommand play" -l socket -d 'Connect to the daemon at PATH [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
+complete -c meissner -n "__fish_meissner_using_subcommand play" -l endless -d 'Allow a play without end, until `meissner stop` or a participant\'s limit'
 complete -c meissner -n "__fish_meissner_using_subcommand play" -l replace -d 'Stop the running play and clear the queue first'
 complete -c meissner -n "__fish_meissner_using_subcommand play" -l open-loop -d 'Play without corrections from telemetry'
 complete -c meissner -n "__fish_meissner_using_subcommand play" -l wait -d 'Wait for the end and print the receipt; exit 1 if not all was played. Ctrl-C ends the waiting (exit 130), not the play'
@@ -116,6 +117,7 @@ complete -c meissner -n "__fish_meissner_using_subcommand receipt" -l json -d 'P
 complete -c meissner -n "__fish_meissner_using_subcommand receipt" -s h -l help -d 'Print help'
 complete -c meissner -n "__fish_meissner_using_subcommand motor" -l frequency-hz -d 'Drive with F Hz' -r
 complete -c meissner -n "__fish_meissner_using_subcommand motor" -l amplitude-um -d 'Drive with A um, peak to peak' -r
+complete -c meissner -n "__fish_meissner_using_subcommand motor" -l hours -d 'Compute the daily exposure of H hours, 0 to 24' -r
 complete -c meissner -n "__fish_meissner_using_subcommand motor" -l json -d 'Print one JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand motor" -s h -l help -d 'Print help'
 complete -c meissner -n "__fish_meissner_using_subcommand simulate" -l method -d 'Choose the method [default: stepped if a step, integrator or precision is given, else exact]' -r -f -a "exact\t'Go from event to event, without a step'
@@ -168,7 +170,7 @@ complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_s
 complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play stop estop reset arm disarm home calibrate list show import status events receipt motor simulate optimise tradeoff report doctor help" -f -a "status" -d 'Show the state of the daemon, its device and its queue'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play stop estop reset arm disarm home calibrate list show import status events receipt motor simulate optimise tradeoff report doctor help" -f -a "events" -d 'Print events as they happen; with --json one document per line'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play stop estop reset arm disarm home calibrate list show import status events receipt motor simulate optimise tradeoff report doctor help" -f -a "receipt" -d 'Show the result of a play'
-complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play stop estop reset arm disarm home calibrate list show import status events receipt motor simulate optimise tradeoff report doctor help" -f -a "motor" -d 'Compute the steady state of a drive by the motor model'
+complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play stop estop reset arm disarm home calibrate list show import status events receipt motor simulate optimise tradeoff report doctor help" -f -a "motor" -d 'Compute the steady state of a drive by the motor model, and its daily exposure'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play stop estop reset arm disarm home calibrate list show import status events receipt motor simulate optimise tradeoff report doctor help" -f -a "simulate" -d 'Simulate afferent spikes for a scene'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play stop estop reset arm disarm home calibrate list show import status events receipt motor simulate optimise tradeoff report doctor help" -f -a "optimise" -d 'Find a pattern for a target shape'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play stop estop reset arm disarm home calibrate list show import status events receipt motor simulate optimise tradeoff report doctor help" -f -a "tradeoff" -d 'Compare simulation methods on this machine, leads of the streamer, or position control'
