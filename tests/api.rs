@@ -190,7 +190,7 @@ fn a_receipt_is_waited_for() {
         client.get_within::<Value>(TIMEOUT, &format!("/v1/plays/{id}?wait={seconds}"))
     };
     let first = play(&mut client, &json!({"pattern": "edge-45", "seconds": 0.2}));
-    let second = play(&mut client, &json!({"pattern": "pin-60"}));
+    let second = play(&mut client, &json!({"pattern": "pin-60", "endless": true}));
     // Other clients are answered meanwhile.
     let waiting = thread::spawn({
         let mut client = daemon.client();
