@@ -181,7 +181,7 @@ fn event_streams_leave_places_for_commands() {
 fn clients_that_wait_for_plays_leave_places_for_commands_and_give_them_back() {
     let daemon = Daemon::start();
     let mut client = daemon.armed();
-    let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60"})).unwrap();
+    let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "endless": true})).unwrap();
     let wait = || {
         let mut stream = UnixStream::connect(daemon.socket()).unwrap();
         stream.write_all(b"GET /v1/plays/last?wait=60 HTTP/1.1\r\nhost: x\r\n\r\n").unwrap();

@@ -244,7 +244,7 @@ impl Daemon {
 fn restore(account: &mut Account, file: &Path) {
     let read = match read_regular(file, exposure::MAX_FILE) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return,
-        read => read.and_then(|text| Ok(account.restore(&text)?)),
+        read => read.and_then(|text| account.restore(&text)),
     };
     if let Err(error) = read {
         warn!(

@@ -87,7 +87,8 @@ fn the_day_s_sum_survives_a_restart_and_ends_with_the_day() {
     for (id, from) in [(1, 0.0), (2, 20.0), (3, 40.0)] {
         assert_eq!(run(&mut account, id, play(Some(9.0)), from, 9.0), None);
     }
-    let mut again = super::tests::account();
+    let limits = *account.limits();
+    let mut again = Account::new(limits);
     again.restore(account.text().unwrap().as_bytes()).unwrap();
     let refused = again.check(at(60.0), &play(Some(4.0)), false, false).unwrap_err();
     assert_eq!((refused.limit, refused.used_s.round()), (Limit::Day, 27.0));
