@@ -2,8 +2,9 @@
 
 use crate::harness::{Daemon, complaint, document, ended, meissner, next, printed, problem, refusal};
 use meissner_api::Event;
+use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_client::Events;
-use meissner_stream::calibrate::Calibration;
+use meissner_stream::calibrate::{Calibration, PlayedPlan, Sensor, simulated_recording};
 use serde_json::{Value, json};
 use std::fs;
 
@@ -110,6 +111,60 @@ fn a_bad_file_is_reported_once_and_not_used() {
     assert_eq!(problem(client.get("/v1/calibration")).code, "not-found");
     assert_eq!(refusal(client.post("/v1/calibrate", &json!({"motor": 24}))), ("bad-request".into(), 400));
     assert_eq!(refusal(client.post("/v1/calibrate", &json!({"moter": 2}))), ("bad-request".into(), 400));
+}
+
+/// A board without telemetry: the plan is played and written, the laser's recording fitted, the gains stored and used.
+#[test]
+fn a_laser_calibrates_a_device_without_telemetry() {
+    let config = format!("lease_ms = 5000\nlead_ms = 1000\n[mock]\n{STEADY}telemetry_hz = 0\n");
+    let daemon = Daemon::with("mock", &config);
+    daemon.armed();
+    let complains = |arguments: &str| complaint(daemon.meissner().args(arguments.split(' ')));
+    assert!(complains("calibrate --plan").contains("--motor is missing: name the one motor"));
+    let arguments = "calibrate --plan --motor 5 --pulses 7,70,140 --repetitions 1 -o plan.json".split(' ');
+    let text = printed(daemon.meissner().args(arguments));
+    assert!(text.contains("60 of motor 5 in 8 s, all played") && text.contains("--plan plan.json"), "{text}");
+    let plan = PlayedPlan::parse(&fs::read_to_string(daemon.path("plan.json")).unwrap()).unwrap();
+    let status: Value = daemon.client().get("/v1/status").unwrap();
+    assert_eq!(status["device_identity"], plan.identity());
+    let receipt: Value = daemon.client().get("/v1/plays/last").unwrap();
+    assert!(plan.bursts()[0].tick >= receipt["onset"]["actual_tick"].as_u64().unwrap(), "{receipt}");
+
+    let motors =
+        SimulatedMotorsConfig { gain_sd: 0.01, asymmetry_sd: 0.05, ..SimulatedMotorsConfig::default() };
+    let recording = simulated_recording(&plan, &motors, &Sensor { reversed: true, ..Sensor::default() });
+    fs::write(daemon.path("laser.csv"), &recording).unwrap();
+    let bad = recording.lines().take(20).collect::<Vec<_>>().join("\n");
+    fs::write(daemon.path("bad.csv"), bad).unwrap();
+    let line = complains("calibrate --from bad.csv --plan plan.json");
+    assert!(line.contains("bad.csv: has 19 samples: must be at least 100"), "{line}");
+    assert!(complains("calibrate --from laser.csv").contains("calibration-plan.json"));
+    let text = printed(
+        daemon.meissner().args("calibrate --from laser.csv --plan plan.json --plot fit.svg".split(' ')),
+    );
+    assert!(text.contains("gain up") && text.contains("it counts downwards"), "{text}");
+    assert!(fs::read_to_string(daemon.path("fit.svg")).unwrap().starts_with("<svg"));
+    let report: Value = daemon.client().get("/v1/calibration").unwrap();
+    assert_eq!((&report["used"], &report["provenance"]["telemetry"]), (&true.into(), &"laser".into()));
+    let asymmetry = 0.05 * meissner_array::random::normal([0, 5, 0, 2]);
+    let off = report["motors"][0]["gain_up"].as_f64().unwrap() - 1.0 - asymmetry / 2.0;
+    assert!(off.abs() < 0.02, "{report}");
+    let status: Value = daemon.client().get("/v1/status").unwrap();
+    assert_eq!(status["motors"][5]["calibrated"], true);
+
+    // Into a file, without a daemon; and from there to the daemon by the API.
+    let mut away = meissner();
+    away.args("calibrate --from laser.csv --plan plan.json --time-unit s -o copy.toml --json".split(' '));
+    let fitted = document(away.current_dir(daemon.path("")));
+    assert!(fitted["gain_up"]["sd"].as_f64().unwrap() < 0.01 && fitted["file"] == "copy.toml", "{fitted}");
+    let copy = fs::read_to_string(daemon.path("copy.toml")).unwrap();
+    let stored: Value = daemon.client().put("/v1/calibration", copy.clone()).unwrap();
+    assert_eq!(stored["toml"], copy);
+    let other = copy.replace("seed 0", "seed 1");
+    let problem = problem(daemon.client().put::<Value>("/v1/calibration", other));
+    assert!(problem.code == "bad-request" && problem.detail.contains("connect the device that was measured"));
+    let refused = refusal(daemon.client().put::<Value>("/v1/calibration", "format = 1".to_owned()));
+    assert_eq!(refused, ("bad-request".into(), 400));
 }
 
 #[test]

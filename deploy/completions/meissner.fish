@@ -35,7 +35,7 @@ complete -c meissner -n "__fish_meissner_needs_command" -f -a "reset" -d 'Leave 
 complete -c meissner -n "__fish_meissner_needs_command" -f -a "arm" -d 'Enable the motors'
 complete -c meissner -n "__fish_meissner_needs_command" -f -a "disarm" -d 'Return the pins and switch the motors off'
 complete -c meissner -n "__fish_meissner_needs_command" -f -a "home" -d 'Move the pins to their rest position, between plays'
-complete -c meissner -n "__fish_meissner_needs_command" -f -a "calibrate" -d 'Measure the gains of the motors and store them: play bursts for a minute, open loop, with armed motors'
+complete -c meissner -n "__fish_meissner_needs_command" -f -a "calibrate" -d 'Measure the gains of the motors and store them: by telemetry, in a minute of bursts, or with a laser (--plan, then --from)'
 complete -c meissner -n "__fish_meissner_needs_command" -f -a "list" -d 'List all patterns'
 complete -c meissner -n "__fish_meissner_needs_command" -f -a "show" -d 'Show the motors, drives and warnings of a pattern'
 complete -c meissner -n "__fish_meissner_needs_command" -f -a "import" -d 'Store a pattern file with the daemon, under the name in it'
@@ -92,7 +92,12 @@ complete -c meissner -n "__fish_meissner_using_subcommand home" -s h -l help -d 
 complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -l motor -d 'Calibrate one motor, 0 to 23 [default: all]' -r
 complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -l repetitions -d 'Play each number of pulses N times; with the default numbers each time takes half a minute [default: 2]' -r
 complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -l pulses -d 'Play bursts of these numbers of pulses, 7 to 200, 3 s each [default: 14,28,42,56,70,84,98,112,126,140]' -r
-complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -s o -l out -d 'Write the calibration to FILE, too' -r -F
+complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -s o -l out -d 'Write the calibration to FILE, too; with --from, add it to FILE and do not ask a daemon' -r -F
+complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -l plan -d 'For a laser, without telemetry: play the bursts of --motor and write them with their ticks to PLAN; with --from, read them from PLAN [default: calibration-plan.json]' -r -F
+complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -l from -d 'Fit the motor of the plan to a laser\'s recording: a CSV file of time and displacement, by any clock' -r -F
+complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -l time-unit -d 'Read the recording\'s time in this unit: s, ms or us [default: the header\'s, else s]' -r
+complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -l displacement-unit -d 'Read the recording\'s displacement in this unit: m, mm, um or nm [default: the header\'s, else um]' -r
+complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -l plot -d 'Draw the recording, the fit and the residuals to FILE (SVG)' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -l socket -d 'Connect to the daemon at PATH [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -l json -d 'Print one JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand calibrate" -s h -l help -d 'Print help'
@@ -163,7 +168,7 @@ complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_s
 complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play stop estop reset arm disarm home calibrate list show import status events receipt motor simulate optimise tradeoff report doctor help" -f -a "arm" -d 'Enable the motors'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play stop estop reset arm disarm home calibrate list show import status events receipt motor simulate optimise tradeoff report doctor help" -f -a "disarm" -d 'Return the pins and switch the motors off'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play stop estop reset arm disarm home calibrate list show import status events receipt motor simulate optimise tradeoff report doctor help" -f -a "home" -d 'Move the pins to their rest position, between plays'
-complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play stop estop reset arm disarm home calibrate list show import status events receipt motor simulate optimise tradeoff report doctor help" -f -a "calibrate" -d 'Measure the gains of the motors and store them: play bursts for a minute, open loop, with armed motors'
+complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play stop estop reset arm disarm home calibrate list show import status events receipt motor simulate optimise tradeoff report doctor help" -f -a "calibrate" -d 'Measure the gains of the motors and store them: by telemetry, in a minute of bursts, or with a laser (--plan, then --from)'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play stop estop reset arm disarm home calibrate list show import status events receipt motor simulate optimise tradeoff report doctor help" -f -a "list" -d 'List all patterns'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play stop estop reset arm disarm home calibrate list show import status events receipt motor simulate optimise tradeoff report doctor help" -f -a "show" -d 'Show the motors, drives and warnings of a pattern'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play stop estop reset arm disarm home calibrate list show import status events receipt motor simulate optimise tradeoff report doctor help" -f -a "import" -d 'Store a pattern file with the daemon, under the name in it'

@@ -1,19 +1,21 @@
 //! `calibrate`: asks the daemon to measure how far each pin really moves, and shows the result.
 //!
-//! The daemon plays, fits and stores; the command waits. It checks that it can write to `-o` before the minute of playing.
+//! The daemon plays, fits and stores; the command waits. It checks that it can write to `-o` before the minute of playing. With
+//! `--plan` or `--from` a laser measures: see `laser`.
 //!
 //! Invariant: it exits with 0 only if the calibration of every requested motor was stored.
 
 use super::arguments::ClientOptions;
 use super::output::give;
 use super::progress::Progress;
-use super::{control, files, text};
+use super::{control, files, laser, text};
 use crate::receipts::calibration_plan;
 use anyhow::{Result, bail};
 use clap::Args;
 use meissner_api::Event;
 use meissner_api::{CalibrateRequest, CalibratedMotor, CalibrationReport, PlayAccepted};
 use meissner_client::Events;
+use meissner_stream::calibrate::{LengthUnit, TimeUnit, Units};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::atomic::Ordering;
@@ -33,17 +35,50 @@ pub(super) struct Calibrate {
     /// Play bursts of these numbers of pulses, 7 to 200, 3 s each [default: 14,28,42,56,70,84,98,112,126,140]
     #[arg(long, value_name = "N,N,...", value_delimiter = ',')]
     pulses: Option<Vec<u16>>,
-    /// Write the calibration to FILE, too
+    /// Write the calibration to FILE, too; with --from, add it to FILE and do not ask a daemon
     #[arg(short, long, value_name = "FILE")]
     out: Option<PathBuf>,
+    /// For a laser, without telemetry: play the bursts of --motor and write them with their ticks to PLAN; with --from,
+    /// read them from PLAN [default: calibration-plan.json]
+    #[arg(long, value_name = "PLAN", num_args = 0..=1, default_missing_value = laser::DEFAULT_PLAN)]
+    plan: Option<PathBuf>,
+    /// Fit the motor of the plan to a laser's recording: a CSV file of time and displacement, by any clock
+    #[arg(long, value_name = "CSV", conflicts_with_all = ["motor", "repetitions", "pulses"])]
+    from: Option<PathBuf>,
+    /// Read the recording's time in this unit: s, ms or us [default: the header's, else s]
+    #[arg(long, value_name = "UNIT", requires = "from")]
+    time_unit: Option<TimeUnit>,
+    /// Read the recording's displacement in this unit: m, mm, um or nm [default: the header's, else um]
+    #[arg(long, value_name = "UNIT", requires = "from")]
+    displacement_unit: Option<LengthUnit>,
+    /// Draw the recording, the fit and the residuals to FILE (SVG)
+    #[arg(long, value_name = "FILE", requires = "from")]
+    plot: Option<PathBuf>,
     #[command(flatten)]
     options: ClientOptions,
 }
 
 pub(super) fn run(asked: &Calibrate) -> Result<ExitCode> {
+    let plan = asked.plan.as_deref();
+    if let Some(recording) = &asked.from {
+        let Calibrate { time_unit, displacement_unit, .. } = *asked;
+        return laser::fit(&laser::Fit {
+            recording,
+            plan: plan.unwrap_or(Path::new(laser::DEFAULT_PLAN)),
+            units: Units { time: time_unit, displacement: displacement_unit },
+            plot: asked.plot.as_deref(),
+            out: asked.out.as_deref(),
+            options: &asked.options,
+        });
+    }
+    if let Some(plan) = plan {
+        let Calibrate { motor, repetitions, ref pulses, .. } = *asked;
+        let request = CalibrateRequest { motor, pulses: pulses.clone(), repetitions, laser: true };
+        return laser::play(&request, asked.out.as_deref().unwrap_or(plan), &asked.options);
+    }
     let out = asked.out.as_deref().map(files::beside).transpose()?;
     let Calibrate { motor, repetitions, ref pulses, .. } = *asked;
-    let request = CalibrateRequest { motor, pulses: pulses.clone(), repetitions };
+    let request = CalibrateRequest { motor, pulses: pulses.clone(), repetitions, laser: false };
     let plan = calibration_plan(&request)?;
     let mut client = asked.options.client()?;
     let mut events = client.events()?;

@@ -12,6 +12,7 @@ mod control;
 mod demo;
 mod doctor;
 mod files;
+mod laser;
 mod library;
 mod optimise;
 mod output;
@@ -100,7 +101,7 @@ enum Command {
     Disarm(ClientOptions),
     /// Move the pins to their rest position, between plays
     Home(ClientOptions),
-    /// Measure the gains of the motors and store them: play bursts for a minute, open loop, with armed motors
+    /// Measure the gains of the motors and store them: by telemetry, in a minute of bursts, or with a laser (--plan, then --from)
     Calibrate(calibrate::Calibrate),
     /// List all patterns
     List(ClientOptions),

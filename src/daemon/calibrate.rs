@@ -8,15 +8,22 @@ use super::calibration::{CalibrationRun, StoredCalibration, read, report, with_o
 use super::engine::{Engine, TIMEOUT, answer};
 use super::play::PreparedPlay;
 use super::predictor::Predictor;
+use super::runtime::blocking;
 use crate::receipts::refusal;
 use crate::session_record::Peer;
 use crate::store::Stored;
 use meissner_api::{CalibrationReport, Code, Event, PlayRequest, Problem};
+use meissner_input::message::quote;
 use meissner_stream::calibrate::{Calibration, Plan};
 use meissner_stream::queues::CommandError;
 use std::path::PathBuf;
 use std::sync::Arc;
 use tracing::{info, warn};
+
+fn no_file() -> Problem {
+    let detail = "there is no file for the calibration: set `calibration` in the daemon's configuration";
+    Problem::new(Code::Store, detail)
+}
 
 impl Engine {
     /// Reads the stored calibration for a device (`None`: no device is connected). Logs a new problem with it.
@@ -51,12 +58,10 @@ impl Engine {
         self.lock().calibration.file = file;
     }
 
-    /// Begins a plan's play, open loop, and waits until the streamer accepts it.
-    pub(super) async fn calibrate(&self, plan: Plan, client: Peer) -> Result<u64, Problem> {
-        if self.lock().calibration.file.is_none() {
-            let detail =
-                "there is no file for the calibration: set `calibration` in the daemon's configuration";
-            return Err(Problem::new(Code::Store, detail));
+    /// Begins a plan's play, open loop, and waits until the streamer accepts it. With `laser` nothing is measured here.
+    pub(super) async fn calibrate(&self, plan: Plan, laser: bool, client: Peer) -> Result<u64, Problem> {
+        if !laser && self.lock().calibration.file.is_none() {
+            return Err(no_file());
         }
         let stored = Stored::made(plan.pattern());
         let pattern = stored.pattern.name().to_owned();
@@ -68,18 +73,58 @@ impl Engine {
             state.forget_unanswered();
             state.check_not_calibrating()?;
             let device = state.plays.receipts.device().ok_or_else(|| refusal(CommandError::NoDevice))?;
-            if !device.telemetry {
-                let detail = "the device has no telemetry: calibrate on one that measures where its pins are";
+            if !laser && !device.telemetry {
+                let detail =
+                    "the device has no telemetry: calibrate with a laser, `meissner calibrate --plan`";
                 return Err(Problem::new(Code::NoTelemetry, detail));
             }
             if !state.plays.receipts.is_idle() {
                 return Err(refusal(CommandError::Playing));
             }
             let (id, reply) = state.begin(play, client)?;
-            state.calibration.running = Some(CalibrationRun::new(id, plan));
+            if !laser {
+                state.calibration.running = Some(CalibrationRun::new(id, plan));
+            }
             (id, reply)
         };
         answer(reply, TIMEOUT).await.map(|()| id)
+    }
+
+    /// Stores a calibration that was measured elsewhere, and uses it.
+    pub(super) async fn import_calibration(&self, new: Calibration) -> Result<CalibrationReport, Problem> {
+        let (file, all) = {
+            let state = self.lock();
+            if state.plays.receipts.device().is_none() {
+                return Err(refusal(CommandError::NoDevice));
+            }
+            if state.calibration.running.is_some() || !state.plays.receipts.is_idle() {
+                return Err(refusal(CommandError::Playing));
+            }
+            let (found, device) = (&new.provenance().identity, &state.calibration.identity);
+            if found != device {
+                let (found, device) = (quote(found), quote(device));
+                let detail = format!(
+                    "`provenance.identity` is {found}, but the connected device is {device}: connect the device that was measured"
+                );
+                return Err(Problem::new(Code::BadRequest, detail));
+            }
+            let file = state.calibration.file.clone().ok_or_else(no_file)?;
+            (file, with_other_motors(new, state.calibration.stored.as_ref().ok()))
+        };
+        let stored = StoredCalibration { calibration: Arc::new(all), unused: None };
+        let calibration = Arc::clone(&stored.calibration);
+        blocking(move || write(&file, &calibration))
+            .await?
+            .map_err(|problem| Problem::new(Code::Store, problem))?;
+        let mut state = self.lock();
+        let sent = state.commands.set_gains(stored.calibration.gains());
+        state.calibration.gains_set = true;
+        state.calibration.stored = Ok(stored);
+        let report = report(state.calibration.file.as_ref(), &state.calibration.stored);
+        drop(state);
+        self.changed.notify_one();
+        let busy = "it is stored, but too many commands wait: the daemon uses it from the next connection on";
+        sent.map_err(|_| Problem::new(Code::Busy, busy)).and(report)
     }
 
     /// `GET /v1/calibration`.

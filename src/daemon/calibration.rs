@@ -81,7 +81,7 @@ impl CalibrationRun {
 }
 
 /// UTC, to the second.
-fn utc_now() -> String {
+pub(crate) fn utc_now() -> String {
     Timestamp::now().strftime("%FT%TZ").to_string()
 }
 
@@ -116,14 +116,10 @@ pub(super) fn read(file: Option<&Path>, identity: Option<&str>) -> Result<Stored
 
 /// Adds the other motors of an older calibration of the same device.
 pub(super) fn with_other_motors(new: Calibration, old: Option<&StoredCalibration>) -> Calibration {
-    let old = old.map(|old| &old.calibration);
-    let Some(old) = old.filter(|old| old.provenance().identity == new.provenance().identity) else {
-        return new;
-    };
-    let others = old.motors().iter().filter(|fit| new.motor(fit.motor).is_none());
-    let motors: Vec<MotorFit> = new.motors().iter().chain(others).copied().collect();
-    // Both are valid calibrations.
-    Calibration::new(motors, new.provenance().clone()).unwrap_or(new)
+    match old {
+        Some(old) => new.with_other_motors(&old.calibration),
+        None => new,
+    }
 }
 
 /// Replaces the file.

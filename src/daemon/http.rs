@@ -32,6 +32,7 @@ use meissner_api::{
     ArmRequest, CalibrateRequest, CalibrationReport, Code, Event, ImportedPattern, MAX_BODY, MAX_WAIT_S,
     PlayAccepted, PlayRequest, Problem, REFERENCE, Receipt, ResetRequest, Route, Status, parse_empty,
 };
+use meissner_stream::calibrate::{Calibration, MAX_BYTES as MAX_CALIBRATION};
 use meissner_stream::queues::Command;
 use serde_json::json;
 use std::convert::Infallible;
@@ -157,6 +158,7 @@ fn handler(route: Route) -> MethodRouter<App> {
         Route::Import => on(method, import),
         Route::Calibrate => on(method, calibrate),
         Route::Calibration => on(method, calibration),
+        Route::StoreCalibration => on(method, store_calibration),
         Route::Metrics => on(method, metrics_text),
         Route::OpenApi => on(method, openapi),
     }
@@ -223,7 +225,7 @@ async fn calibrate(
     let result = async {
         let request = CalibrateRequest::parse(&body::read_command(body).await?)?;
         logged.set_arguments(&request);
-        let id = app.engine.calibrate(calibration_plan(&request)?, peer).await?;
+        let id = app.engine.calibrate(calibration_plan(&request)?, request.laser, peer).await?;
         logged.set_play(id);
         Ok((StatusCode::ACCEPTED, Json(PlayAccepted { id })))
     }
@@ -233,6 +235,26 @@ async fn calibrate(
 
 async fn calibration(State(app): State<App>) -> Answer<Json<CalibrationReport>> {
     Ok(Json(app.engine.calibration()?))
+}
+
+async fn store_calibration(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+    body: Body,
+) -> Answer<Json<CalibrationReport>> {
+    let mut logged = LoggedRequest::new(&app.engine, "store-calibration", peer);
+    let result = async {
+        let bad = |detail: String| Problem::new(Code::BadRequest, detail);
+        let text = String::from_utf8(body::read(body, MAX_CALIBRATION).await?)
+            .map_err(|_| bad("not UTF-8 text: send the calibration as TOML in UTF-8".to_owned()))?;
+        let new = computing(move || Calibration::parse(&text, "calibration")).await?;
+        let new = new.map_err(|error| bad(error.to_string()))?;
+        let motors: Vec<u8> = new.motors().iter().map(|fit| fit.motor).collect();
+        logged.set_arguments(&json!({"motors": motors, "telemetry": new.provenance().telemetry}));
+        Ok::<_, ErrorResponse>(Json(app.engine.import_calibration(new).await?))
+    }
+    .await;
+    logged.result(result)
 }
 
 /// Carries out a command that takes no arguments.

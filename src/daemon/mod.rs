@@ -44,6 +44,7 @@ mod socket;
 mod state;
 mod status;
 
+pub(crate) use calibration::utc_now;
 pub use check::check;
 pub use error::DaemonError;
 pub use hosted::Hosted;

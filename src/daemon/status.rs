@@ -31,6 +31,7 @@ impl Engine {
             cause: cause.to_owned(),
             position: position.to_owned(),
             device: receipts.device(),
+            device_identity: daemon.calibration.identity.clone(),
             requested_device: self.wanted.clone(),
             no_device_reason: daemon.connection.missing.clone(),
             play: receipts.running(),

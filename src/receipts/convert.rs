@@ -3,7 +3,7 @@
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{DeviceHello, State};
 use meissner_api::{CalibrateRequest, Code, DeviceInfo, Problem};
-use meissner_stream::calibrate::Plan;
+use meissner_stream::calibrate::{Plan, laser_plan};
 use meissner_stream::queues::CommandError;
 
 /// The controller's state as the API names it.
@@ -75,11 +75,20 @@ pub fn refusal(refused: CommandError) -> Problem {
 /// # Errors
 /// A `bad-request` that says what is wrong.
 pub fn calibration_plan(request: &CalibrateRequest) -> Result<Plan, Problem> {
-    let default = Plan::default();
-    let pulses = request.pulses.as_deref().unwrap_or(default.pulses());
-    let repetitions = request.repetitions.unwrap_or(default.repetitions());
-    Plan::new(request.motor, pulses, repetitions)
-        .map_err(|error| Problem::new(Code::BadRequest, error.to_string()))
+    let pulses = request.pulses.as_deref();
+    let plan = match (request.laser, request.motor) {
+        (true, Some(motor)) => laser_plan(motor, pulses, request.repetitions),
+        (true, None) => {
+            let detail = "`motor` is missing: name the one motor whose pin the laser measures";
+            return Err(Problem::new(Code::BadRequest, detail));
+        }
+        (false, motor) => {
+            let default = Plan::default();
+            let repetitions = request.repetitions.unwrap_or(default.repetitions());
+            Plan::new(motor, pulses.unwrap_or(default.pulses()), repetitions)
+        }
+    };
+    plan.map_err(|error| Problem::new(Code::BadRequest, error.to_string()))
 }
 
 #[cfg(test)]

@@ -36,6 +36,14 @@ struct Schemas;
 const PATTERN: &str = "format = 1\nname = \"two-pins\"\nduration_s = 1.0\n\n[[drive]]\nmotor = 9\nfrequency_hz = 60.0\n\
                        amplitude_um = 40.0\nstop_s = 0.5\n";
 
+/// A calibration file.
+const CALIBRATION: &str = "format = 1\n\n[[motor]]\nmotor = 3\nup = { gain = 1.05, slope_um_per_pulse = 0.1425, \
+                           slope_se_um_per_pulse = 0.0015, offset_um = 0.02, relative_sd = 0.1, blocks = 36 }\n\
+                           down = { gain = 0.98, slope_um_per_pulse = 0.133, slope_se_um_per_pulse = 0.0015, \
+                           offset_um = -0.01, relative_sd = 0.1, blocks = 36 }\n\n[provenance]\ndevice = \"serial\"\n\
+                           firmware = \"0.1.0\"\nidentity = \"E6614C311B4A2F2C\"\ntelemetry = \"laser\"\n\
+                           pulses = [7, 70]\nrepetitions = 1\ngroups = 2\num_per_pulse = 0.1357142857142857\n";
+
 const ABOUT: &str = "HTTP/1.1 over the daemon's Unix socket: `$MEISSNER_SOCKET`, else `$XDG_RUNTIME_DIR/meissner.sock`, else \
                      `/run/meissner/meissner.sock`. At most 64 clients are connected at the same time; the daemon closes a connection \
                      that sends nothing for 10 minutes, or earlier if another client needs its place. Who may use the socket may use the whole API. The body of a command has at \
@@ -120,6 +128,9 @@ fn described(route: Route, operation: &Operation, example: &dyn Fn(&str) -> Valu
         Body::OptionalJson(schema) => Some((json_of(schema), false)),
         Body::Toml => {
             Some((json!({"application/toml": {"schema": {"type": "string"}, "example": PATTERN}}), true))
+        }
+        Body::Calibration => {
+            Some((json!({"application/toml": {"schema": {"type": "string"}, "example": CALIBRATION}}), true))
         }
     };
     if let Some((content, required)) = body {

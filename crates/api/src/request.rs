@@ -154,6 +154,10 @@ pub struct CalibrateRequest {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 1, maximum = 50)]
     pub repetitions: Option<u16>,
+    /// Whether a laser measures: the daemon plays the bursts of the one `motor`, measures and stores nothing, and needs no
+    /// telemetry. Without `pulses` and `repetitions` they are 7, 35, 42, ... 91 and 5.
+    #[serde(default, deserialize_with = "null_as_default")]
+    pub laser: bool,
 }
 
 fn pulses_schema() -> Schema {

@@ -25,6 +25,7 @@ pub enum Route {
     Import,
     Calibrate,
     Calibration,
+    StoreCalibration,
     Metrics,
     OpenApi,
 }
@@ -51,6 +52,8 @@ pub enum Body {
     OptionalJson(&'static str),
     /// A pattern file.
     Toml,
+    /// A calibration file.
+    Calibration,
 }
 
 /// What a route answers with on success.
@@ -121,7 +124,7 @@ const STATUS: Answer = Answer::Json("Status");
 
 impl Route {
     /// Every route.
-    pub const ALL: [Self; 17] = [
+    pub const ALL: [Self; 18] = [
         Self::Play,
         Self::Stop,
         Self::EStop,
@@ -137,6 +140,7 @@ impl Route {
         Self::Import,
         Self::Calibrate,
         Self::Calibration,
+        Self::StoreCalibration,
         Self::Metrics,
         Self::OpenApi,
     ];
@@ -308,7 +312,8 @@ impl Route {
             Self::Calibrate => Operation {
                 summary: "Measure the gains of the motors",
                 description: "The daemon queues a play of bursts of several lengths, open loop, for about a minute. The event \
-                              `calibrated` reports whether it has stored the gains. No other play is taken meanwhile.",
+                              `calibrated` reports whether it has stored the gains. No other play is taken meanwhile. With \
+                              `laser` it is a play like any other, and `PUT /v1/calibration` stores the gains.",
                 body: Body::OptionalJson("CalibrateRequest"),
                 statuses: ACCEPTED,
                 answer: Answer::Json("PlayAccepted"),
@@ -320,6 +325,16 @@ impl Route {
                 description: "The daemon uses a calibration only for the device it was measured on.",
                 answer: Answer::Json("CalibrationReport"),
                 errors: &[&[Code::NotFound], ANY],
+                ..Operation::get("/v1/calibration")
+            },
+            Self::StoreCalibration => Operation {
+                method: Method::Put,
+                summary: "Store gains that were measured elsewhere, as with a laser",
+                description: "The body is a calibration file of the connected device, of at most 64 KiB. The daemon replaces the \
+                              motors in it, keeps the others, and uses the gains at once. No play may be queued.",
+                body: Body::Calibration,
+                answer: Answer::Json("CalibrationReport"),
+                errors: &[BODY, &[Code::Playing, Code::NoDevice, Code::Store, Code::Busy], ANY],
                 ..Operation::get("/v1/calibration")
             },
             Self::Metrics => Operation {

@@ -158,6 +158,7 @@ pub struct ParticipantStatus {
     "device": {
         "kind": "mock", "firmware": "0.1.0", "build": "6d656973", "boot": 305419896, "simulated": true, "telemetry": true
     },
+    "device_identity": "seed 0, gain_sd 0.1, asymmetry_sd 0.02, transient_gain 0.8, end_stop_um 500",
     "wanted": "mock", "missing": null,
     "play": {"id": 7, "pattern": "edge-45", "played_s": 0.52},
     "queued": [{"id": 8, "pattern": "pin-60"}],
@@ -189,6 +190,11 @@ pub struct Status {
     /// The connected device; null without one.
     #[schema(required)]
     pub device: Option<DeviceInfo>,
+    /// Which device a calibration belongs to: a board's serial number, or a simulated array's seed and settings; empty before
+    /// a device is opened.
+    #[serde(default)]
+    #[schema(required)]
+    pub device_identity: String,
     /// The device the daemon looks for, as `--device` names it.
     #[serde(default, rename = "wanted")]
     #[schema(required)]

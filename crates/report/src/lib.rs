@@ -8,6 +8,7 @@
 //! - `lead`: [`lead_tradeoff`] compares leads of the streamer under recorded stalls; [`plot_lead`] draws it.
 //! - `control`: [`control_tradeoff`] measures rest errors under position control against the least possible;
 //!   [`plot_control`] draws it.
+//! - `laser`: [`plot_laser`] draws a recording of a pin beside the motor's fit.
 //! - `chart` draws lines and points on axes, `sixty_hertz` is the standard scene, `progress` and `statistics` are small
 //!   helpers of all parts.
 //!
@@ -27,6 +28,7 @@
 mod chart;
 mod control;
 pub mod figures;
+mod laser;
 mod lead;
 mod methods;
 mod progress;
@@ -38,6 +40,7 @@ pub use control::{
     Bias, ControlGrid, ControlRow, ControlSummary, ControlTradeoff, Verdict, Wire, WireRow, Worst,
     control_tradeoff, plot_control,
 };
+pub use laser::plot_laser;
 pub use lead::{
     LEADS_MS, LeadRow, LeadTradeoff, MAX_TRACE_BYTES, STALLS, Summary, Trace, TraceError, lead_tradeoff,
     plot_lead,

@@ -5,6 +5,8 @@
 mod calibrate;
 mod capacity;
 mod closed_loop;
+/// Calibration from a laser's recording.
+mod laser;
 /// A device that lies: undamaged messages that cannot be true.
 mod lies;
 /// A line that loses bytes.

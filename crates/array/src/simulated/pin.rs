@@ -102,6 +102,12 @@ impl Pin {
         self.pushed
     }
 
+    /// The displacement, µm: what an ideal sensor shows.
+    #[must_use]
+    pub fn displacement_um(&self, at: Tick) -> f64 {
+        self.shaft.displacement_um(at.into())
+    }
+
     /// Begins a burst at its first pulse.
     #[expect(
         clippy::cast_possible_truncation,

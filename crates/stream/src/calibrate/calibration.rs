@@ -125,6 +125,18 @@ impl Calibration {
         &self.provenance
     }
 
+    /// This calibration with the other motors of an older one of the same device. Another device's is left out.
+    #[must_use]
+    pub fn with_other_motors(self, old: &Self) -> Self {
+        if old.provenance.identity != self.provenance.identity {
+            return self;
+        }
+        let others = old.motors.iter().filter(|fit| self.motor(fit.motor).is_none());
+        let mut motors: Vec<MotorFit> = self.motors.iter().chain(others).copied().collect();
+        motors.sort_by_key(|fit| fit.motor);
+        Self { motors, provenance: self.provenance }
+    }
+
     /// The gains for position control; an uncalibrated motor gets the default.
     #[must_use]
     pub fn gains(&self) -> [Gains; MOTORS] {

@@ -7,6 +7,7 @@
 //! 3. `fit`: a [`Fit`] is a straight line through the travels of a motor and direction; its slope over the model's is the
 //!    gain. [`fit`](fn@fit) fits all motors.
 //! 4. `calibration`: a [`Calibration`] holds the fits and how they were made; `file` reads and writes it as TOML.
+//! 5. `laser` measures travels on a device without telemetry: from the recording of a displacement sensor.
 //!
 //! Nothing here corrects a stroke, opens a device or reads a clock.
 //!
@@ -15,11 +16,18 @@
 mod calibration;
 mod file;
 mod fit;
+mod laser;
 mod plan;
 mod travel;
 
 pub use calibration::{Calibration, CalibrationError, FORMAT, MAX_BYTES, Problem};
 pub use fit::{Fit, FitError, FitProblem, GAIN_RANGE, MAX_SLOPE_SE, MIN_BURSTS, MotorFit, fit};
+pub use laser::{
+    Figure, LASER, LASER_PULSES, LASER_REPETITIONS, LaserError, LaserFit, LengthUnit, MAX_CLOCK_PPM,
+    MAX_PLAN_BYTES, MAX_RECORDING_BYTES, MAX_SAMPLES, MAX_SECONDS, PlanFileError, PlayedBurst, PlayedOn,
+    PlayedPlan, Recording, RecordingError, Sensor, TimeUnit, TracePoint, Units, Way, fit_recording,
+    laser_plan, simulated_recording,
+};
 pub use plan::{
     DEFAULT_PULSES, DEFAULT_REPETITIONS, GROUP_S, MAX_GROUPS, PULSES_RANGE, Plan, PlanError, PlannedBurst,
     STROKES_PER_GROUP,

@@ -1,0 +1,236 @@
+//! Calibration with a laser: gains of one motor from a recording of its pin, on a device without telemetry.
+//!
+//! 1. `played`: a [`PlayedPlan`] lists the bursts of a plan that was played, each with its tick.
+//! 2. `recording`: a [`Recording`] is what a displacement sensor saw of the pin: a CSV file of time and displacement.
+//! 3. `align`: the bursts in the recording tell when the plan began by the sensor's clock, and how fast that clock runs.
+//! 4. `travels`: the motor model gives each burst's travel, the drift and the noise of the sensor.
+//! 5. [`fit_recording`] does 3 and 4 and fits the motor's gains as every calibration does.
+//!
+//! `simulated` makes the recording that a laser would make of a simulated motor. Nothing here opens a file.
+//!
+//! Invariant: a recording that does not follow the plan's bursts gives no gains.
+
+mod align;
+mod played;
+mod recording;
+mod simulated;
+mod travels;
+
+pub use played::{MAX_PLAN_BYTES, PlanFileError, PlayedBurst, PlayedOn, PlayedPlan, Way};
+pub use recording::{
+    LengthUnit, MAX_RECORDING_BYTES, MAX_SAMPLES, MAX_SECONDS, Recording, RecordingError, TimeUnit, Units,
+};
+pub use simulated::{Sensor, simulated_recording};
+
+use crate::calibrate::calibration::{Calibration, CalibrationError};
+use crate::calibrate::fit::{FitError, MotorFit, fit};
+use crate::calibrate::laser::align::Alignment;
+use crate::calibrate::laser::travels::Measured;
+use crate::calibrate::plan::{Plan, PlanError};
+use firmware_protocol::stroke::Direction;
+use serde::Serialize;
+
+/// What the provenance of a calibration calls a laser.
+pub const LASER: &str = "laser";
+
+/// Default numbers of pulses. The short burst makes the offset of the line certain, which makes its slope more certain: the
+/// error is 1.3 times that of a line through the origin. The others are near the paper's 70: longer ones move the pin
+/// further from rest and make nothing more certain, because scatter is a share of the travel.
+pub const LASER_PULSES: [u16; 10] = [7, 35, 42, 49, 56, 63, 70, 77, 84, 91];
+/// Default rounds: two and a half minutes, which give gains to 0.6 %, one standard error, at 10 % scatter.
+pub const LASER_REPETITIONS: u16 = 5;
+
+/// The share of a plan's measured bursts that a recording must cover.
+const LEAST_COVERED: f64 = 0.5;
+/// The correlation of steps and plan below which the recording is of something else. A motor with 10 % scatter has 0.995, with
+/// 45 % 0.91; the
+/// same bursts in another order have 0.85.
+const LEAST_CORRELATION: f64 = 0.9;
+/// The largest clock error of the sensor, ppm: twenty times that of a bad quartz.
+pub const MAX_CLOCK_PPM: f64 = 1000.0;
+/// The largest plausible scatter of a motor, as for telemetry.
+const MOST_SCATTER: f64 = 0.35;
+
+/// The plan for one motor and a laser, with these numbers of pulses and repetitions or the defaults.
+///
+/// # Errors
+/// As [`Plan::new`].
+pub fn laser_plan(motor: u8, pulses: Option<&[u16]>, repetitions: Option<u16>) -> Result<Plan, PlanError> {
+    Plan::new(Some(motor), pulses.unwrap_or(&LASER_PULSES), repetitions.unwrap_or(LASER_REPETITIONS))
+}
+
+/// A recording that gives no calibration.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages say it")]
+pub enum LaserError {
+    #[error(
+        "one sample each {:.1} ms is too slow to see a burst: record at {:.0} samples per second or more",
+        .step_s * 1000.0, 1.0 / align::SLOWEST_S
+    )]
+    TooSlow { step_s: f64 },
+    #[error(
+        "the sensor is clipped at {um:.2} um, in {runs} places: set its range so that the whole travel fits, and record again"
+    )]
+    Clipped { um: f64, runs: usize },
+    #[error(
+        "the pin moves by {um:.3} um where the bursts would move it by {expected_um:.1} um: check that the sensor points at \
+         motor {motor}'s pin, and the unit of the displacement"
+    )]
+    Still { motor: u8, um: f64, expected_um: f64 },
+    #[error(
+        "the recording does not follow the plan's bursts (correlation {correlation:.2}, {LEAST_CORRELATION} is needed): check \
+         that it was made during this plan, of motor {motor}'s pin, and the unit of the time"
+    )]
+    Unrelated { motor: u8, correlation: f64 },
+    #[error(
+        "it covers {covered} of {planned} bursts: record from before the first burst until after the last"
+    )]
+    TooFew { covered: usize, planned: usize },
+    #[error(
+        "the sensor's clock differs by {ppm:.0} ppm from the device's, which is more than {MAX_CLOCK_PPM}: check the unit \
+         of the time and the sampling rate"
+    )]
+    Clock { ppm: f64 },
+    #[error(
+        "bursts {} scatter by {:.0} %, which no motor does (at most {:.0} %): check that nothing touches the pin or the \
+         sensor, and record again", if *.up { "upwards" } else { "downwards" }, .scatter * 100.0, MOST_SCATTER * 100.0
+    )]
+    Scatter { up: bool, scatter: f64 },
+    #[error(transparent)]
+    Fit(#[from] FitError),
+    #[error("no burst that counts was measured: record the whole plan")]
+    Nothing,
+}
+
+/// A figure and its standard deviation.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Figure {
+    /// The estimate.
+    pub value: f64,
+    /// One standard deviation of the estimate.
+    pub sd: f64,
+}
+
+/// What a recording says about a motor and about the sensor.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct LaserFit {
+    /// The motor, 0..24.
+    pub motor: u8,
+    /// Travel per pulse upwards over the model's.
+    pub gain_up: Figure,
+    /// Travel per pulse downwards over the model's.
+    pub gain_down: Figure,
+    /// Standard deviation of single bursts upwards, as a share of their travel, without the sensor's noise.
+    pub scatter_up: Figure,
+    /// The same downwards.
+    pub scatter_down: Figure,
+    /// Drift of the sensor, µm/s.
+    pub drift_um_per_s: Figure,
+    /// Noise of a sample, one standard deviation, µm.
+    pub noise_um: f64,
+    /// Whether the sensor counts downwards; the fit turned it round.
+    pub reversed: bool,
+    /// By how much the sensor's clock runs faster than the device's, ppm.
+    pub clock_error_ppm: Figure,
+    /// When the first burst began, by the sensor's clock, s.
+    pub first_burst_s: Figure,
+    /// How far the pin ended above its place before the first burst, µm; none if the recording lacks one of the two.
+    pub pin_shift_um: Option<f64>,
+    /// Correlation of the measured steps with the plan's.
+    pub correlation: f64,
+    /// Samples of the recording.
+    pub samples: usize,
+    /// Bursts that the recording covers.
+    pub bursts_covered: usize,
+    /// Bursts of the plan.
+    pub bursts_planned: usize,
+    /// The fit as a calibration holds it.
+    #[serde(skip)]
+    pub fit: MotorFit,
+    /// Measured and fitted displacement, for the plot.
+    #[serde(skip)]
+    pub trace: Vec<TracePoint>,
+}
+
+/// A sample beside its fit. The sensor's offset, drift and sign are taken out.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TracePoint {
+    /// Time since the first burst, s, by the device's clock.
+    pub seconds: f64,
+    /// Measured displacement, µm, upwards.
+    pub measured_um: f64,
+    /// The motor model's displacement with the fitted travels, µm.
+    pub fitted_um: f64,
+}
+
+impl LaserFit {
+    /// The calibration of this motor on the plan's device.
+    ///
+    /// # Errors
+    /// If a text of the plan is too long for the file.
+    pub fn calibration(&self, played: &PlayedPlan) -> Result<Calibration, CalibrationError> {
+        Calibration::new(vec![self.fit], played.provenance())
+    }
+}
+
+/// Fits the motor of a plan that was played to a recording of its pin.
+///
+/// # Errors
+/// The first thing that is wrong with the recording.
+pub fn fit_recording(played: &PlayedPlan, recording: &Recording) -> Result<LaserFit, LaserError> {
+    let motor = played.motor();
+    let step_s = recording.median_step_s();
+    if step_s > align::SLOWEST_S {
+        return Err(LaserError::TooSlow { step_s });
+    }
+    if let Some((um, runs)) = recording.clipped() {
+        return Err(LaserError::Clipped { um, runs });
+    }
+    let alignment = Alignment::of(played, recording)?;
+    let measured = Measured::of(played, recording, &alignment);
+    let planned = played.bursts().len();
+    let covered = measured.travels.len();
+    if (covered as f64) < LEAST_COVERED * planned as f64 {
+        return Err(LaserError::TooFew { covered, planned });
+    }
+    let fits = fit(&measured.travels)?;
+    let [mut found] = fits[..] else { return Err(LaserError::Nothing) };
+    let without_noise = |direction: Direction| {
+        let fit = found.of(direction);
+        let noise = measured.relative_variance(direction);
+        let scatter = (fit.relative_sd.powi(2) - noise).max(0.0).sqrt();
+        // The standard deviation of a standard deviation; the line takes two degrees of freedom.
+        let sd = fit.relative_sd / (2.0 * (fit.bursts as f64 - 2.0)).sqrt();
+        Figure { value: scatter, sd }
+    };
+    let [scatter_up, scatter_down] = [Direction::Up, Direction::Down].map(without_noise);
+    for (up, scatter) in [(true, scatter_up), (false, scatter_down)] {
+        if scatter.value > MOST_SCATTER {
+            return Err(LaserError::Scatter { up, scatter: scatter.value });
+        }
+    }
+    (found.up.relative_sd, found.down.relative_sd) = (scatter_up.value, scatter_down.value);
+    let gain = |direction: Direction| {
+        let fit = found.of(direction);
+        Figure { value: fit.gain(), sd: fit.slope_se_um_per_pulse / fit.slope_um_per_pulse * fit.gain() }
+    };
+    Ok(LaserFit {
+        motor,
+        gain_up: gain(Direction::Up),
+        gain_down: gain(Direction::Down),
+        scatter_up,
+        scatter_down,
+        drift_um_per_s: measured.drift_um_per_s,
+        noise_um: measured.noise_um,
+        reversed: alignment.sign < 0.0,
+        clock_error_ppm: alignment.clock_error_ppm(),
+        first_burst_s: alignment.first_burst_s(),
+        pin_shift_um: measured.pin_shift_um,
+        correlation: alignment.correlation,
+        samples: recording.samples().len(),
+        bursts_covered: covered,
+        bursts_planned: planned,
+        fit: found,
+        trace: measured.trace,
+    })
+}

@@ -1,0 +1,219 @@
+//! The document of a plan that was played: every burst with its tick, as `calibrate --plan` writes it, JSON.
+//!
+//! Invariant: the bursts of a [`PlayedPlan`] are in order and do not overlap; the pin rests before each of them.
+
+use crate::calibrate::laser::LASER;
+use crate::calibrate::plan::{MAX_GROUPS, Plan, PlanError, STROKES_PER_GROUP};
+use firmware_protocol::stroke::{Burst, Direction, MOTORS};
+use firmware_protocol::tick::Tick;
+use meissner_api::Provenance;
+use meissner_array::motor::WINDOW_TICKS;
+use serde::{Deserialize, Serialize};
+
+/// Bytes of a plan's file at most: the longest plan takes less.
+pub const MAX_PLAN_BYTES: usize = 1 << 20;
+/// The version of the document.
+const FORMAT: u8 = 1;
+/// Bursts at most.
+const MAX_BURSTS: usize = 2 * MAX_GROUPS * (1 + STROKES_PER_GROUP);
+
+/// A document that is not a plan.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages say it")]
+pub enum PlanFileError {
+    #[error("not a plan that `meissner calibrate --plan` writes: {0}")]
+    Json(String),
+    #[error("`format` is {found}: this version reads format {FORMAT}")]
+    Format { found: u8 },
+    #[error("`motor` is {found}: must be 0 to {}", MOTORS - 1)]
+    Motor { found: u8 },
+    #[error("`pulses`: {0}")]
+    Plan(#[from] PlanError),
+    #[error("`bursts` has {found}: must be 2 to {MAX_BURSTS}")]
+    Count { found: usize },
+    #[error("`bursts[{index}]` begins before the pin rests after the one before it: do not edit the plan")]
+    Order { index: usize },
+}
+
+/// A burst that was played.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlayedBurst {
+    /// The tick of its first pulse, on the device's clock.
+    pub tick: u64,
+    /// `up` or `down`.
+    pub direction: Way,
+    /// Its pulses, one per tick.
+    pub pulses: u16,
+    /// Whether it belongs to a group's first stroke, which no fit uses.
+    pub warm_up: bool,
+}
+
+/// The direction of a burst.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Way {
+    /// Towards the finger.
+    Up,
+    /// Away from the finger.
+    Down,
+}
+
+impl PlayedBurst {
+    /// The burst.
+    #[must_use]
+    pub const fn burst(&self) -> Burst {
+        let direction = match self.direction {
+            Way::Up => Direction::Up,
+            Way::Down => Direction::Down,
+        };
+        Burst { start: Tick(self.tick), direction, pulses: self.pulses }
+    }
+
+    /// When the pin rests again.
+    pub(super) fn rests_at(&self) -> Tick {
+        self.burst().end() + WINDOW_TICKS
+    }
+}
+
+/// A plan that was played for a laser.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlayedPlan {
+    format: u8,
+    motor: u8,
+    pulses: Vec<u16>,
+    repetitions: u16,
+    /// The kind of device, for example `serial`.
+    device: String,
+    /// Its firmware: version and build.
+    firmware: String,
+    /// Which device: a board's serial number.
+    identity: String,
+    /// The boot that the ticks belong to.
+    boot: u32,
+    /// When the plan began, UTC.
+    date: String,
+    bursts: Vec<PlayedBurst>,
+}
+
+/// The device that played a plan.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PlayedOn {
+    /// The kind of device, for example `serial`.
+    pub device: String,
+    /// Its firmware: version and build.
+    pub firmware: String,
+    /// Which device: a board's serial number, or a simulated array's seed and settings.
+    pub identity: String,
+    /// The boot that the ticks belong to.
+    pub boot: u32,
+    /// When the plan began, UTC.
+    pub date: String,
+}
+
+impl PlayedPlan {
+    /// The document of a plan for one motor that was played completely from `onset` on; of a plan for all, that of `motor`.
+    #[must_use]
+    pub fn new(plan: &Plan, motor: u8, onset: Tick, on: PlayedOn) -> Self {
+        let PlayedOn { device, firmware, identity, boot, date } = on;
+        let bursts = plan.bursts(onset).filter(|planned| planned.motor == motor).map(|planned| PlayedBurst {
+            tick: planned.burst.start.0,
+            direction: if planned.burst.direction == Direction::Up { Way::Up } else { Way::Down },
+            pulses: planned.burst.pulses,
+            warm_up: planned.warm_up,
+        });
+        Self {
+            format: FORMAT,
+            motor,
+            pulses: plan.pulses().to_vec(),
+            repetitions: plan.repetitions(),
+            device,
+            firmware,
+            identity,
+            boot,
+            date,
+            bursts: bursts.collect(),
+        }
+    }
+
+    /// Reads the document.
+    ///
+    /// # Errors
+    /// The first thing that is wrong, in one line.
+    pub fn parse(text: &str) -> Result<Self, PlanFileError> {
+        let read: Self =
+            serde_json::from_str(text).map_err(|error| PlanFileError::Json(error.to_string()))?;
+        let Self { format, motor, ref pulses, repetitions, ref bursts, .. } = read;
+        if format != FORMAT {
+            return Err(PlanFileError::Format { found: format });
+        }
+        if usize::from(motor) >= MOTORS {
+            return Err(PlanFileError::Motor { found: motor });
+        }
+        Plan::new(Some(motor), pulses, repetitions)?;
+        if !(2..=MAX_BURSTS).contains(&bursts.len()) {
+            return Err(PlanFileError::Count { found: bursts.len() });
+        }
+        let far = |burst: &PlayedBurst| burst.tick > u64::MAX / 4;
+        if let Some(n) = bursts.iter().position(far) {
+            return Err(PlanFileError::Order { index: n });
+        }
+        if let Some(n) = bursts.windows(2).position(|two| two[1].burst().start <= two[0].rests_at()) {
+            return Err(PlanFileError::Order { index: n + 1 });
+        }
+        Ok(read)
+    }
+
+    /// The text of the document: a burst on each line.
+    #[must_use]
+    pub fn to_json(&self) -> String {
+        let whole = serde_json::to_string(self).unwrap_or_default();
+        whole.replace("\"bursts\":[", "\"bursts\":[\n").replace("},{", "},\n{") + "\n"
+    }
+
+    /// The motor, 0..24.
+    #[must_use]
+    pub const fn motor(&self) -> u8 {
+        self.motor
+    }
+
+    /// The bursts, in order.
+    #[must_use]
+    pub fn bursts(&self) -> &[PlayedBurst] {
+        &self.bursts
+    }
+
+    /// Which device played it.
+    #[must_use]
+    pub fn identity(&self) -> &str {
+        &self.identity
+    }
+
+    /// How long it is from the first burst to the pin's last rest, s.
+    #[must_use]
+    pub fn duration_s(&self) -> f64 {
+        self.bursts.last().map_or(0.0, |last| self.seconds(last.rests_at()))
+    }
+
+    /// Time since the first burst, s.
+    pub(super) fn seconds(&self, tick: Tick) -> f64 {
+        let first = self.bursts.first().map_or(0, |first| first.tick);
+        meissner_array::units::ticks_to_seconds(tick.0.saturating_sub(first))
+    }
+
+    /// The provenance of a calibration by this plan and a laser.
+    pub(super) fn provenance(&self) -> Provenance {
+        Provenance {
+            device: self.device.clone(),
+            firmware: self.firmware.clone(),
+            identity: self.identity.clone(),
+            telemetry: LASER.to_owned(),
+            pulses: self.pulses.clone(),
+            repetitions: self.repetitions,
+            groups: self.pulses.len() as u64 * u64::from(self.repetitions),
+            um_per_pulse: meissner_array::units::UM_PER_PULSE,
+            date: Some(self.date.clone()),
+        }
+    }
+}
