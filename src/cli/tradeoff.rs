@@ -1,8 +1,10 @@
 //! `tradeoff`: compares methods and settings by measurement. It needs no daemon.
 //!
 //! Without a flag it compares simulation methods on a scene, time against error; with `--stream`, leads of the streamer
-//! under recorded stalls; with `--loop`, rest errors of position control with their bound. `meissner_report` measures and
-//! recommends; this module prints. Each comparison is a member of the argument group `what` and a variant of [`What`].
+//! under recorded stalls; with `--loop`, rest errors of position control with their bound; with `--stop`, rest errors above a
+//! lower stop with their theory ([`stop`]). `meissner_report` measures and recommends; this module prints. Each comparison is a member of the argument group `what` and a variant of [`What`].
+
+mod stop;
 
 use super::arguments::Output;
 use super::output::give;
@@ -13,7 +15,7 @@ use clap::Args;
 use meissner_design::YARDSTICK;
 use meissner_report::{
     self, Bias, ControlGrid, ControlRow, ControlTradeoff, LEADS_MS, LeadRow, LeadTradeoff, MAX_TRACE_BYTES,
-    STALLS, Trace, Verdict, WireRow, Worst,
+    STALLS, StopGrid, Trace, Verdict, WireRow, Worst,
 };
 use meissner_skin::Scene;
 use meissner_stream::queues::End;
@@ -32,9 +34,12 @@ pub(super) struct MethodTradeoff {
     /// Compare position control, not methods: rest errors and amplitudes with their bounds, at all settings (minutes)
     #[arg(long = "loop", group = "what")]
     closed_loop: bool,
+    /// Compare surpluses of down bursts above a lower stop, not methods: rest errors with their theory (half a minute)
+    #[arg(long, group = "what")]
+    stop: bool,
     /// Use the stalls in FILE, recorded with the example `record_stalls` (with --stream)
     // clap does not report a missing `--stream` where it would conflict: the conflicts are listed too.
-    #[arg(long, value_name = "FILE", requires = "stream", conflicts_with_all = ["scene", "closed_loop"])]
+    #[arg(long, value_name = "FILE", requires = "stream", conflicts_with_all = ["scene", "closed_loop", "stop"])]
     trace: Option<PathBuf>,
     /// Draw the comparison into FILE (SVG)
     #[arg(long, value_name = "FILE")]
@@ -51,13 +56,16 @@ enum What<'a> {
     Leads(Option<&'a Path>),
     /// Position control, at all settings.
     Loop,
+    /// Surpluses above a lower stop, at all settings.
+    Stop,
 }
 
 impl MethodTradeoff {
     fn what(&self) -> What<'_> {
-        match (self.stream, self.closed_loop) {
-            (true, _) => What::Leads(self.trace.as_deref()),
-            (_, true) => What::Loop,
+        match (self.stream, self.closed_loop, self.stop) {
+            (true, ..) => What::Leads(self.trace.as_deref()),
+            (_, true, _) => What::Loop,
+            (.., true) => What::Stop,
             _ => What::Methods(self.scene.as_deref()),
         }
     }
@@ -90,6 +98,11 @@ pub(super) fn run(asked: &MethodTradeoff) -> Result<ExitCode> {
                 Ok(progress::metered(|at| meissner_report::control_tradeoff(&ControlGrid::default(), at))?)
             };
             answer(asked, measure, meissner_report::plot_control, loop_table)
+        }
+        What::Stop => {
+            let measure =
+                || Ok(progress::metered(|at| meissner_report::stop_tradeoff(&StopGrid::default(), at))?);
+            answer(asked, measure, meissner_report::plot_stop, stop::table)
         }
     }
 }

@@ -46,6 +46,28 @@ pub struct Spread {
     pub asymmetry: f64,
 }
 
+/// Standard deviations above the mean that none of 24 independent Gaussian values exceeds, with a probability of 95 %.
+///
+/// `Φ(x)^24 = 0.95`. An array is as good as its worst pin, so a surplus that suits an average motor would fail on every array.
+pub const WORST_OF_24: f64 = 2.858;
+
+impl Spread {
+    /// The spread of motors that are not calibrated: the asymmetry that none of the 24 exceeds ([`WORST_OF_24`]).
+    #[must_use]
+    pub const fn uncalibrated(scatter: f64, asymmetry_sd: f64) -> Self {
+        Self { scatter, asymmetry: WORST_OF_24 * asymmetry_sd }
+    }
+
+    /// The spread of a motor whose gains up and down were measured, each with a standard deviation: its asymmetry, and as many
+    /// standard deviations of that as for [`Self::uncalibrated`], because the error of the measurement is what is not known.
+    #[must_use]
+    pub fn measured(scatter: f64, gains: [f64; 2], sds: [f64; 2]) -> Self {
+        let mean = f64::midpoint(gains[0], gains[1]);
+        let sd = libm::hypot(sds[0], sds[1]);
+        Self { scatter, asymmetry: (gains[0] - gains[1] + WORST_OF_24 * sd) / mean }
+    }
+}
+
 /// The rest error of one motor from stroke to stroke.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ReflectedWalk {
@@ -62,6 +84,19 @@ impl ReflectedWalk {
         let up = amplitude_um * (1.0 + spread.asymmetry / 2.0);
         let down = (amplitude_um + surplus_um) * (1.0 - spread.asymmetry / 2.0);
         Self { mean_um: up - down, sd_um: spread.scatter * libm::hypot(up, down) }
+    }
+
+    /// The walk of steps with this mean and this standard deviation, µm.
+    #[must_use]
+    pub const fn of_steps(mean_um: f64, sd_um: f64) -> Self {
+        Self { mean_um, sd_um }
+    }
+
+    /// Strokes after which what is left of the beginning has fallen to a share of 1/e: 2/δ², as for Brownian motion with drift
+    /// (its spectral gap is δ²/2). Infinite if the rest error grows without limit.
+    #[must_use]
+    pub fn settling_strokes(&self) -> f64 {
+        self.delta().map_or(f64::INFINITY, |delta| 2.0 / (delta * delta))
     }
 
     /// Mean of a step, µm; negative: towards the stop.
@@ -288,6 +323,9 @@ mod tests {
     fn a_walk_from_rest_grows_to_the_stationary_one_or_without_limit() {
         let settled = ReflectedWalk::new(80.0, 8.0, PAPER);
         let after = settled.rms_after_um(300);
+        // What is left after five settling times: less than a percent.
+        let five = (5.0 * settled.settling_strokes()) as usize;
+        assert!((after[five] / settled.rms_um() - 1.0).abs() < 0.01, "{five}");
         assert!(after.windows(2).all(|pair| pair[0] < pair[1] + 1e-9));
         assert!((after[299] / settled.rms_um() - 1.0).abs() < 1e-3, "{} {}", after[299], settled.rms_um());
         // Without drift the reflected walk is distributed as the modulus of the free one, but for the overshoot.
@@ -323,6 +361,17 @@ mod tests {
         }
         assert_eq!(surplus_um(80.0, Spread { scatter: 0.0, asymmetry: 0.0 }, 1.0), Some(0.0));
         assert_eq!(surplus_um(80.0, Spread { scatter: 0.5, asymmetry: 0.0 }, 1e-6), None);
+    }
+
+    #[test]
+    fn the_worst_of_24_motors_is_within_its_bound_on_19_arrays_of_20() {
+        assert!((libm::pow(1.0 - above(WORST_OF_24), 24.0) - 0.95).abs() < 1e-4);
+        let spread = Spread::uncalibrated(0.1, 0.02);
+        assert_eq!(spread, Spread { scatter: 0.1, asymmetry: 0.05716 });
+        let known = Spread::measured(0.08, [1.02, 0.98], [0.0, 0.0]);
+        assert!((known.asymmetry - 0.04).abs() < 1e-12);
+        let vague = Spread::measured(0.08, [1.02, 0.98], [0.003, 0.004]);
+        assert!((vague.asymmetry - 0.04 - 0.005 * WORST_OF_24).abs() < 1e-12);
     }
 
     /// Bisection finds the smallest only if more surplus never makes it worse.

@@ -9,6 +9,7 @@
 //! - `control`: [`control_tradeoff`] measures rest errors under position control against the least possible;
 //!   [`plot_control`] draws it.
 //! - `laser`: [`plot_laser`] draws a recording of a pin beside the motor's fit.
+//! - `stop`: [`stop_tradeoff`] measures rest errors above a lower stop against the theory; [`plot_stop`] draws it.
 //! - `chart` draws lines and points on axes, `sixty_hertz` is the standard scene, `progress` and `statistics` are small
 //!   helpers of all parts.
 //!
@@ -34,6 +35,7 @@ mod methods;
 mod progress;
 mod sixty_hertz;
 mod statistics;
+mod stop;
 
 pub use chart::PlotError;
 pub use control::{
@@ -50,3 +52,7 @@ pub use methods::{
     matching, plot, reasons, tradeoff,
 };
 pub use sixty_hertz::SIXTY_HERTZ;
+pub use stop::{
+    Contrasts, StopCell, StopCount, StopError, StopGrid, StopReason, StopRow, StopSurplus, StopTradeoff,
+    plot_stop, stop_tradeoff,
+};

@@ -9,7 +9,7 @@
 //!
 //! Invariant: the down burst of an excursion has as many pulses as the up burst, and the surplus; the two do not overlap.
 
-use super::model::{MAX_AMPLITUDE_UM, MAX_FREQUENCY_HZ, MotorError};
+use super::model::{MAX_AMPLITUDE_UM, MAX_FREQUENCY_HZ, MotorError, TRANSIENT_GAIN, TRANSIENT_REST_TICKS};
 use super::shaft::Ramp;
 use crate::units::UM_PER_PULSE;
 use firmware_protocol::limits;
@@ -133,6 +133,13 @@ impl SquareWave {
     #[must_use]
     pub fn pulses(&self) -> u32 {
         u32::try_from(self.half_period_ticks()).map_or(self.pulses, |room| room.min(self.pulses))
+    }
+
+    /// The mean gain of its bursts after the first: below about 1 Hz each begins after half a second of rest, and falls short.
+    #[must_use]
+    pub fn mean_gain(&self) -> f64 {
+        let rest = self.half_period_ticks().saturating_sub(self.pulses().into());
+        if rest >= TRANSIENT_REST_TICKS { TRANSIENT_GAIN } else { 1.0 }
     }
 
     /// Half a period in ticks, rounded down. The added billionth keeps half periods whole that are whole but for the

@@ -38,7 +38,8 @@ impl DriveStrokes {
     /// As [`Self::of`].
     pub fn with(drive: &Drive, options: &StrokeOptions) -> Result<Self, MotorError> {
         let wave = SquareWave::new(drive.frequency_hz, drive.amplitude_um * options.scale, drive.phase)?;
-        let surplus = |pulses| options.surplus.pulses(drive.motor, pulses);
+        let gain = wave.mean_gain();
+        let surplus = |pulses| options.surplus.pulses(drive.motor, pulses, gain);
         Ok(Self::playing(drive, wave.with_surplus(surplus)))
     }
 

@@ -167,7 +167,7 @@ mod tests {
         let good = one_pin().next().unwrap().unwrap();
         let refused = |stroke| one_pin().check(stroke, 0).unwrap_err();
         assert!(matches!(refused(Stroke { motor: 24, ..good }), StrokesError::Limit { .. }));
-        assert!(matches!(refused(Stroke { down_pulses: 588, ..good }), StrokesError::Unbalanced { .. }));
+        assert!(matches!(refused(Stroke { down_pulses: 590, ..good }), StrokesError::Unbalanced { .. }));
         assert!(matches!(one_pin().check(good, 1), Err(StrokesError::Unbalanced { .. })));
         let mut strokes = one_pin();
         strokes.check(good, 0).unwrap();

@@ -87,27 +87,34 @@ impl StrokeOptions {
 }
 
 impl Surplus {
-    /// The surplus that a motor's strokes of this amplitude need, µm. Where no surplus up to the amplitude keeps the rest error
+    /// The surplus that a motor's strokes of this amplitude need, µm, if bursts have their full travel. Where no surplus up to the amplitude keeps the rest error
     /// within its bound, it is the amplitude.
     ///
     /// # Panics
     /// If there is no such motor.
     #[must_use]
     pub fn um(&self, motor: u8, amplitude_um: f64) -> f64 {
+        self.um_at_gain(motor, amplitude_um, 1.0)
+    }
+
+    /// [`Self::um`] where bursts travel `gain` of it on average. Their scatter is that of full bursts.
+    fn um_at_gain(&self, motor: u8, amplitude_um: f64, gain: f64) -> f64 {
         match self {
             Self::None => 0.0,
             Self::Fixed(um) => *um,
             Self::Auto(auto) => {
-                let spread = auto.spread[usize::from(motor)];
-                surplus_um(amplitude_um, spread, auto.rest_error_um).unwrap_or(amplitude_um)
+                let Spread { scatter, asymmetry } = auto.spread[usize::from(motor)];
+                let spread = Spread { scatter: scatter / gain, asymmetry };
+                surplus_um(gain * amplitude_um, spread, auto.rest_error_um)
+                    .map_or(amplitude_um, |played_um| played_um / gain)
             }
         }
     }
 
-    /// [`Self::um`] in whole pulses, rounded up, for bursts of so many pulses.
+    /// [`Self::um`] in whole pulses, rounded up, for bursts of so many pulses with this mean gain.
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "the cast saturates")]
-    pub(super) fn pulses(&self, motor: u8, pulses: u32) -> u32 {
-        let um = self.um(motor, f64::from(pulses) * UM_PER_PULSE);
+    pub(super) fn pulses(&self, motor: u8, pulses: u32, gain: f64) -> u32 {
+        let um = self.um_at_gain(motor, f64::from(pulses) * UM_PER_PULSE, gain);
         // The billionth keeps whole pulses whole that are whole but for the rounding of `f64`.
         (um / UM_PER_PULSE - 1e-9).ceil() as u32
     }

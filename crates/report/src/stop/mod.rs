@@ -1,0 +1,18 @@
+//! Rest without a sensor: the rest error of pins above a lower stop, simulated and by the theory, over a grid of settings.
+//!
+//! [`stop_tradeoff`] plays every cell of a [`StopGrid`] (`grid`) on simulated motors with a lower stop. Each cell gives a
+//! [`StopRow`] (`row`): the rest error beside that of [`ReflectedWalk`](meissner_array::reflected_walk::ReflectedWalk), and why
+//! they differ where they do; the amplitude reached; and the predicted response to an edge, with and without the stop
+//! (`response`). `plot` draws.
+
+mod grid;
+mod plot;
+mod response;
+mod row;
+mod tradeoff;
+
+pub use grid::{StopCell, StopGrid, StopSurplus};
+pub use plot::plot_stop;
+pub use response::Contrasts;
+pub use row::{StopReason, StopRow};
+pub use tradeoff::{StopCount, StopError, StopTradeoff, stop_tradeoff};

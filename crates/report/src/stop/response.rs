@@ -1,0 +1,97 @@
+//! The predicted response to an edge as played by simulated motors.
+//!
+//! The pattern is the shipped edge at 45 degrees, with the frequency and the amplitude of the cell.
+//!
+//! Invariant: the designed response is that of the drives without surplus, on ideal motors.
+
+use crate::stop::grid::StopCell;
+use crate::stop::tradeoff::StopError;
+use firmware_protocol::tick::Tick;
+use meissner_array::motor::Ramp;
+use meissner_array::pattern::{Drive, Pattern};
+use meissner_array::simulated::{Pin, SimulatedMotorsConfig};
+use meissner_array::strokes::{DriveStrokes, StrokeOptions};
+use meissner_array::units::seconds_to_ticks;
+use meissner_design::{Play, Rates, YARDSTICK, predict_response};
+use serde::Serialize;
+
+/// The shipped pattern for the target [`YARDSTICK`].
+const EDGE: &str = include_str!("../../../../patterns/edge-45.toml");
+
+/// Mean rate of the afferents on the edge minus that of the others, impulses/s.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Contrasts {
+    /// As designed: ideal motors, no surplus.
+    pub designed: f64,
+    /// As played above a lower stop with the cell's surplus.
+    pub with_stop: f64,
+    /// As played in open loop without stop and surplus.
+    pub without_stop: f64,
+}
+
+/// The shipped edge with the frequency and amplitude of a cell.
+pub(super) fn edge(cell: &StopCell) -> Pattern {
+    let edge = Pattern::parse(EDGE, YARDSTICK).expect("a test reads the shipped pattern");
+    let StopCell { frequency_hz, amplitude_um, .. } = *cell;
+    let drive = |drive: &Drive| Drive { frequency_hz, amplitude_um, ..*drive };
+    let drives = edge.drives().iter().map(drive).collect();
+    Pattern::new(YARDSTICK, None, drives, edge.provenance().clone())
+        .expect("cells are within a pattern's range")
+}
+
+/// Designed and played contrast of a pattern on these motors.
+pub(super) fn contrasts(
+    pattern: &Pattern,
+    options: &StrokeOptions,
+    motors: &SimulatedMotorsConfig,
+    seconds: f64,
+) -> Result<[f64; 2], StopError> {
+    let end = seconds_to_ticks(seconds);
+    let mut ramps = Vec::new();
+    for drive in pattern.drives() {
+        let mut pin = Pin::new(motors, drive.motor.into());
+        let strokes = DriveStrokes::with(drive, options)?.take_while(|stroke| stroke.up < end);
+        for burst in strokes.flat_map(|stroke| stroke.stroke(drive.motor, Tick(0)).bursts()) {
+            let before = (pin.position_um(burst.start), pin.pushed_pulses());
+            pin.play(burst);
+            // Pulses against the stop move nothing.
+            let moving = u64::from(burst.pulses) - (pin.pushed_pulses() - before.1);
+            let travel_um = pin.position_um(burst.end()) - before.0;
+            let moving = u32::try_from(moving).expect("at most the pulses of a burst").max(1);
+            ramps.push((drive.motor, Ramp::travelled(burst.start, moving, travel_um)));
+        }
+    }
+    let play = Play { pattern, seconds: Some(seconds), onset: Tick(0), observed_s: seconds };
+    let response = predict_response(&play, ramps)?;
+    let contrast = |rates: Rates| rates.contrast.unwrap_or_default();
+    Ok([contrast(response.designed_hz), contrast(response.played_hz)])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::stop::grid::StopSurplus;
+
+    #[test]
+    fn ideal_motors_give_the_designed_response_with_and_without_a_stop() {
+        let cell = StopCell {
+            frequency_hz: 60.0,
+            amplitude_um: 40.0,
+            scatter: 0.0,
+            asymmetry_sd: 0.0,
+            surplus: StopSurplus::Um(0.0),
+        };
+        let ideal = SimulatedMotorsConfig { telemetry_hz: 0, ..SimulatedMotorsConfig::ideal() };
+        let [designed, played] = contrasts(&edge(&cell), &cell.options(1.0), &ideal, 0.5).unwrap();
+        assert!(designed > 50.0 && designed == played, "{designed} {played}");
+        // The stop takes the surplus of an ideal motor whole: nothing changes but a pulse that meets the stop.
+        let stop =
+            SimulatedMotorsConfig { lower_stop: meissner_array::simulated::LowerStop::AtRest, ..ideal };
+        let surplus = StopCell { surplus: StopSurplus::Um(10.0), ..cell };
+        let [_, with_stop] = contrasts(&edge(&cell), &surplus.options(1.0), &stop, 0.5).unwrap();
+        assert!((with_stop - designed).abs() < 0.02 * designed, "{with_stop} {designed}");
+        // Without a stop the same surplus walks the pins down.
+        let [_, sunk] = contrasts(&edge(&cell), &surplus.options(1.0), &ideal, 0.5).unwrap();
+        assert!(sunk.is_finite());
+    }
+}
