@@ -1001,7 +1001,7 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__tradeoff)
-            opts="-h --stream --loop --trace --plot --json --help"
+            opts="-h --stream --loop --stop --trace --plot --json --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0

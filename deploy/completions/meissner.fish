@@ -149,6 +149,7 @@ complete -c meissner -n "__fish_meissner_using_subcommand tradeoff" -l trace -d 
 complete -c meissner -n "__fish_meissner_using_subcommand tradeoff" -l plot -d 'Draw the comparison into FILE (SVG)' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand tradeoff" -l stream -d 'Compare leads of the streamer, not methods: late bursts, onsets and bytes, in virtual time under recorded stalls'
 complete -c meissner -n "__fish_meissner_using_subcommand tradeoff" -l loop -d 'Compare position control, not methods: rest errors and amplitudes with their bounds, at all settings (minutes)'
+complete -c meissner -n "__fish_meissner_using_subcommand tradeoff" -l stop -d 'Compare surpluses of down bursts above a lower stop, not methods: rest errors with their theory (half a minute)'
 complete -c meissner -n "__fish_meissner_using_subcommand tradeoff" -l json -d 'Print one JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand tradeoff" -s h -l help -d 'Print help'
 complete -c meissner -n "__fish_meissner_using_subcommand report" -l out -d 'Write to directory DIR; make it if it does not exist' -r -F
