@@ -33,6 +33,8 @@ pub const MIN_LEASE_OVER_LEAD_MS: f64 = 50.0;
 pub const MAX_LEASE_MS: f64 = 10_000.0;
 /// How long files of the session record are kept by default, days: a year of experiments, and time to write about them.
 pub const LOGBOOK_DAYS: u32 = 400;
+/// The default of `session_silence_s`: an experiment that pauses between blocks still polls, and a dead one holds nobody up for long.
+const SESSION_SILENCE_S: f64 = 120.0;
 /// The longest time they can be kept, days.
 const MAX_LOGBOOK_DAYS: u32 = 36_500;
 /// The range of a participant's largest amplitude, um: as a pattern's.
@@ -57,6 +59,8 @@ pub struct Config {
     pub calibration: Option<PathBuf>,
     /// Where the session record is kept, and for how long; `None`: there is no session record.
     pub logbook: Option<Location>,
+    /// How long the owner of an exclusive session may be silent before others may act, s.
+    pub session_silence_s: f64,
     /// What a participant may be exposed to.
     pub participant: ParticipantLimits,
     /// The settings of the streamer.
@@ -84,6 +88,7 @@ impl Default for Config {
             calibration: beside(&default_patterns()),
             patterns: default_patterns(),
             logbook: keep(None, LOGBOOK_DAYS),
+            session_silence_s: SESSION_SILENCE_S,
             participant: ParticipantLimits::default(),
             settings: Settings::default(),
             mock: SimulatedMotorsConfig::default(),
@@ -100,6 +105,8 @@ pub struct Source {
     pub device: Option<Spec>,
     /// Replaces the `socket` of the file.
     pub socket: Option<PathBuf>,
+    /// Keep no session record.
+    pub no_record: bool,
 }
 
 impl Source {
@@ -114,6 +121,9 @@ impl Source {
         }
         if let Some(socket) = &self.socket {
             config.socket.clone_from(socket);
+        }
+        if self.no_record {
+            config.logbook = None;
         }
         Ok(config)
     }
@@ -162,6 +172,7 @@ struct RawConfig {
     lease_ms: Option<f64>,
     drift_warning_um: Option<f64>,
     end_stop_um: Option<f64>,
+    session_silence_s: Option<f64>,
     participant: Option<Table<RawParticipant>>,
     limits: Option<Table<RawLimits>>,
     mock: Option<Table<SimulatedMotorsConfig>>,
@@ -173,6 +184,7 @@ struct RawParticipant {
     max_amplitude_um: Option<f64>,
     max_continuous_s: Option<f64>,
     pause_s: Option<f64>,
+    max_session_s: Option<f64>,
     max_day_s: Option<f64>,
 }
 
@@ -195,6 +207,7 @@ impl RawParticipant {
             )?,
             max_continuous_s: seconds("max_continuous_s", self.max_continuous_s, default.max_continuous_s)?,
             pause_s: limit("pause_s", self.pause_s, default.pause_s, PAUSE_S, "s")?,
+            max_session_s: seconds("max_session_s", self.max_session_s, default.max_session_s)?,
             max_day_s: seconds("max_day_s", self.max_day_s, default.max_day_s)?,
         })
     }
@@ -285,6 +298,9 @@ impl RawConfig {
         };
         let motor = limit("limits.motor_pulses_per_s", limits.motor_pulses_per_s, none.motor)?;
         let rail = limit("limits.rail_pulses_per_s", limits.rail_pulses_per_s, none.rail)?;
+        let session_silence_s = self.session_silence_s.unwrap_or(SESSION_SILENCE_S);
+        let good = (0.1..=3600.0).contains(&session_silence_s);
+        in_range("session_silence_s", session_silence_s, good, "0.1 to 3600 s")?;
         let Table(participant) = self.participant.unwrap_or(Table(RawParticipant::default()));
         let participant = participant.check()?;
         let Table(mock) = self.mock.unwrap_or(Table(SimulatedMotorsConfig::default()));
@@ -304,6 +320,7 @@ impl RawConfig {
             calibration: self.calibration.or_else(|| beside(&patterns)),
             patterns,
             logbook: keep(self.logbook_dir, logbook_days),
+            session_silence_s,
             participant,
             settings: Settings { lead_ms, lease_ms, limits, drift_warning_um, end_stop_um },
             mock,
@@ -341,10 +358,16 @@ fn default_patterns() -> PatternsDir {
         .map_or(PatternsDir::None, PatternsDir::Default)
 }
 
-/// Where the session record is kept. By default the service keeps one and a daemon that a user starts does not.
+/// Where the session record is kept: by default in the service's state directory, else in the user's.
 fn keep(dir: Option<PathBuf>, days: u32) -> Option<Location> {
-    let dir = dir.or_else(|| state_dir().map(|dir| dir.join("logbook")))?;
-    (days > 0).then_some(Location { dir, days })
+    let user = || {
+        let state =
+            variable("XDG_STATE_HOME").or_else(|| variable("HOME").map(|dir| dir.join(".local/state")));
+        state.map(|dir| (dir.join("meissner/logbook"), true))
+    };
+    let known = dir.or_else(|| state_dir().map(|dir| dir.join("logbook"))).map(|dir| (dir, false));
+    let (dir, make_parents) = known.or_else(user)?;
+    (days > 0).then_some(Location { dir, days, make_parents })
 }
 
 /// The default file of the calibration: beside the site's own patterns.
@@ -380,9 +403,12 @@ mod tests {
         let kept = parse("logbook_dir = \"/l\"\nlogbook_days = 0").unwrap();
         assert_eq!(kept.logbook, None);
         let kept = parse("logbook_dir = \"/l\"\nlogbook_days = 30").unwrap();
-        assert_eq!(kept.logbook, Some(Location { dir: "/l".into(), days: 30 }));
+        assert_eq!(kept.logbook, Some(Location { dir: "/l".into(), days: 30, make_parents: false }));
         let kept = parse("logbook_dir = \"/l\"").unwrap();
-        assert_eq!(kept.logbook, Some(Location { dir: "/l".into(), days: LOGBOOK_DAYS }));
+        assert_eq!(
+            kept.logbook,
+            Some(Location { dir: "/l".into(), days: LOGBOOK_DAYS, make_parents: false })
+        );
         let limits = OnTimeLimits { motor: 40_000, rail: 90_000 };
         assert_eq!(
             config.settings,
@@ -394,12 +420,12 @@ mod tests {
             config.mock,
             SimulatedMotorsConfig { seed: 3, gain_sd: 0.0, ..SimulatedMotorsConfig::default() }
         );
-        let text =
-            "[participant]\nmax_amplitude_um = 90\nmax_continuous_s = 60\npause_s = 5\nmax_day_s = 1800\n";
+        let text = "[participant]\nmax_amplitude_um = 90\nmax_continuous_s = 60\npause_s = 5\nmax_session_s = 900\nmax_day_s = 1800\n";
         let limits = ParticipantLimits {
             max_amplitude_um: 90.0,
             max_continuous_s: 60.0,
             pause_s: 5.0,
+            max_session_s: 900.0,
             max_day_s: 1800.0,
         };
         assert_eq!(parse(text).unwrap().participant, limits);
@@ -432,6 +458,7 @@ mod tests {
             ("participant.max_day_s = 0", "`participant.max_day_s` is 0: must be 0.1 to 86400 s"),
             ("participant.max_continuous_s = inf", "`participant.max_continuous_s` is inf"),
             ("participant.pause_s = -1", "`participant.pause_s` is -1: must be 0.1 to 3600 s"),
+            ("session_silence_s = 0", "`session_silence_s` is 0: must be 0.1 to 3600 s"),
             ("limits = 3", "m.toml:1: `limits` is integer `3`: must be a table"),
             ("\nmock = []", "m.toml:2: `mock` is sequence: must be a table"),
             ("lead_ms = \"5\"", "m.toml:1: `lead_ms` is string \"5\": must be a number"),

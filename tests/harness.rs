@@ -103,6 +103,7 @@ impl Daemon {
             .env("MEISSNER_SOCKET", dir.path().join("m.sock"))
             .env_remove("RUST_LOG")
             .env_remove("STATE_DIRECTORY")
+            .env("XDG_STATE_HOME", dir.path().join("state"))
             .stdout(Stdio::null())
             .stderr(stderr)
             .spawn()
@@ -155,7 +156,8 @@ impl Daemon {
     /// The command line, connected to this daemon.
     pub(crate) fn meissner(&self) -> Command {
         let mut command = meissner();
-        command.env("MEISSNER_SOCKET", self.socket()).current_dir(self.dir.path());
+        command.env("MEISSNER_SOCKET", self.socket()).env("XDG_RUNTIME_DIR", self.dir.path());
+        command.current_dir(self.dir.path());
         command
     }
 
@@ -228,6 +230,8 @@ impl Drop for Daemon {
 pub(crate) fn meissner() -> Command {
     let mut command = Command::new(PROGRAM);
     command.env_remove("RUST_LOG").env("MEISSNER_SOCKET", "/nonexistent/m.sock").timeout(TIMEOUT);
+    // A daemon that a test starts by mistake writes nowhere.
+    command.env("XDG_STATE_HOME", "/nonexistent").env_remove("MEISSNER_SESSION_TOKEN");
     command
 }
 

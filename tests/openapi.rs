@@ -11,8 +11,8 @@ use crate::harness::{Daemon, assert_up_to_date, next, problem};
 use meissner_api::route::{Answer, Body};
 use meissner_api::{
     ArmRequest, CalibrateRequest, CalibrationReport, Code, Event, ImportedPattern, Method, PatternDetails,
-    PatternList, PlayAccepted, PlayRequest, Problem, REFERENCE, Receipt, ResetRequest, Route, Status,
-    openapi,
+    PatternList, PlayAccepted, PlayRequest, Problem, REFERENCE, Receipt, ResetRequest, Route, Session,
+    SessionList, SessionRequest, SessionStarted, Status, openapi,
 };
 use schema::check;
 use serde::de::DeserializeOwned;
@@ -142,6 +142,10 @@ fn every_route_has_examples_that_parse() {
         "PatternDetails" => parses::<PatternDetails>(example),
         "ImportedPattern" => parses::<ImportedPattern>(example),
         "CalibrationReport" => parses::<CalibrationReport>(example),
+        "SessionRequest" => drop(SessionRequest::parse(example.to_string().as_bytes()).unwrap()),
+        "SessionStarted" => parses::<SessionStarted>(example),
+        "Session" => parses::<Session>(example),
+        "SessionList" => parses::<SessionList>(example),
         other => panic!("{other} has no example that is tested"),
     };
     let shown = |content: &Value| {
@@ -178,7 +182,7 @@ fn every_route_has_examples_that_parse() {
         assert_eq!(event.name(), name);
         names.insert(name);
     }
-    assert_eq!(names.len(), 15);
+    assert_eq!(names.len(), 18);
 }
 
 #[test]
@@ -289,6 +293,18 @@ fn a_daemon_s_answers_fit_the_document() {
     fits(Route::Import, &client.put("/v1/patterns/mine", mine.to_owned()).unwrap());
     fits(Route::Pattern, &client.get("/v1/patterns/mine").unwrap());
     let mut events = client.events().unwrap();
+    let started: Value =
+        client.post("/v1/sessions", &json!({"participant": "P07", "exclusive": true})).unwrap();
+    fits(Route::SessionStart, &started);
+    refused(Route::Stop, client.post("/v1/stop", &json!({})));
+    refused(Route::SessionStart, client.post("/v1/sessions", &json!({"participant": "P08"})));
+    fits(Route::Sessions, &client.get("/v1/sessions").unwrap());
+    fits(Route::SessionShow, &client.get("/v1/sessions/running").unwrap());
+    refused(Route::SessionShow, client.get("/v1/sessions/none"));
+    fits(Route::Status, &client.get("/v1/status").unwrap());
+    client.set_token(started["token"].as_str().map(str::to_owned));
+    fits(Route::SessionEnd, &client.post("/v1/sessions/running/end", &json!({})).unwrap());
+    fits(Route::Sessions, &client.get("/v1/sessions").unwrap());
     fits(Route::Arm, &client.post("/v1/arm", &json!({"assume_rest": true})).unwrap());
     fits(Route::Play, &client.post("/v1/play", &json!({"pattern": "edge-45", "seconds": 0.3})).unwrap());
     fits(Route::Status, &client.get("/v1/status").unwrap());

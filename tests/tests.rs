@@ -45,3 +45,5 @@ mod pty;
 mod report;
 /// The daemon as a service: notifications, watchdog, socket activation, reload, and a newer program.
 mod service;
+/// Sessions: one at a time, exclusive ones, their owner's silence, the record of them, and disks that fail.
+mod sessions;

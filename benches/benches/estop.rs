@@ -112,7 +112,13 @@ fn run() -> Result<(), Box<dyn Error>> {
     std::fs::write(&config, format!("patterns_dir = {:?}\nlease_ms = 5000\n", dir.path()))?;
     let mut command = place.command();
     command
-        .args(["daemon", "--device", &format!("serial:{}", board.path().display()), "--config"])
+        .args([
+            "daemon",
+            "--no-record",
+            "--device",
+            &format!("serial:{}", board.path().display()),
+            "--config",
+        ])
         .arg(&config);
     let daemon = Process(command.spawn()?);
     wait_for_device(&place.socket)?;

@@ -97,7 +97,7 @@ impl Daemon {
         let config = dir.path().join("meissner.toml");
         fs::write(&config, format!("patterns_dir = {patterns:?}\nlease_ms = 5000\n{NOBODY}"))?;
         let child = Command::new(&program)
-            .args(["daemon", "--device", "mock", "--config"])
+            .args(["daemon", "--no-record", "--device", "mock", "--config"])
             .arg(config)
             .arg("--socket")
             .arg(dir.path().join("m.sock"))

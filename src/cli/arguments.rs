@@ -1,5 +1,6 @@
 //! Arguments that several commands share, and the types of their values.
 
+use super::token;
 use anyhow::Result;
 use clap::Args;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
@@ -27,8 +28,11 @@ pub(super) struct Output {
 }
 
 impl ClientOptions {
+    /// A client; the owner's, if this terminal has started a session.
     pub(super) fn client(&self) -> Result<Client> {
-        Ok(Client::at(self.endpoint())?)
+        let mut client = Client::at(self.endpoint())?;
+        client.set_token(token::find());
+        Ok(client)
     }
 
     pub(super) fn endpoint(&self) -> Endpoint {
@@ -46,6 +50,12 @@ pub(super) fn positive(text: &str) -> Result<f64, &'static str> {
 pub(super) fn measured(text: &str) -> Result<f64, &'static str> {
     let number = text.parse().ok().filter(|number| (0.1..=3600.0).contains(number));
     number.ok_or("must be a number, 0.1 to 3600")
+}
+
+/// A label.
+pub(super) fn label(text: &str) -> Result<(String, String), &'static str> {
+    let (key, value) = text.split_once('=').ok_or("must be KEY=VALUE")?;
+    Ok((key.to_owned(), value.to_owned()))
 }
 
 /// A part of a day, h.

@@ -5,7 +5,7 @@
 //!
 //! Invariant: no request is sent twice, except an e-stop.
 
-use super::arguments::{ClientOptions, Onset, choice, positive};
+use super::arguments::{ClientOptions, Onset, choice, label, positive};
 use super::output::{give, say};
 use super::progress::Progress;
 use super::text;
@@ -52,6 +52,15 @@ pub(super) struct Play {
     /// Play without corrections from telemetry
     #[arg(long)]
     open_loop: bool,
+    /// Refuse the play unless the session with this id runs
+    #[arg(long, value_name = "ID")]
+    session: Option<String>,
+    /// Record the play as trial N
+    #[arg(long, value_name = "N")]
+    trial: Option<u64>,
+    /// Record the play with a label; up to 16 of them
+    #[arg(long = "label", value_name = "KEY=VALUE", value_parser = label)]
+    labels: Vec<(String, String)>,
     /// Wait for the end and print the receipt; exit 1 if not all was played. Ctrl-C ends the waiting (exit 130), not the play
     #[arg(long)]
     wait: bool,
@@ -166,6 +175,9 @@ pub(super) fn play(play: &Play) -> Result<ExitCode> {
         late: play.late,
         replace: play.replace,
         open_loop: play.open_loop,
+        session: play.session.clone(),
+        trial: play.trial,
+        labels: play.labels.iter().cloned().collect(),
     };
     let json = play.options.output.json;
     if !play.wait {

@@ -18,8 +18,10 @@ mod optimise;
 mod output;
 mod progress;
 mod report;
+mod session;
 mod simulate;
 mod text;
+mod token;
 mod tradeoff;
 mod watch;
 
@@ -74,6 +76,9 @@ enum Command {
         /// $XDG_RUNTIME_DIR/meissner.sock, else /run/meissner/meissner.sock]
         #[arg(long, value_name = "PATH")]
         socket: Option<PathBuf>,
+        /// Keep no session record
+        #[arg(long)]
+        no_record: bool,
     },
     /// Play a pattern after the queued ones
     Play(control::Play),
@@ -136,6 +141,9 @@ enum Command {
         #[command(flatten)]
         options: ClientOptions,
     },
+    /// Start, end and show sessions: plays of one participant that are recorded together
+    #[command(subcommand)]
+    Session(session::Session),
     /// Compute the steady state of a drive by the motor model, and its daily exposure
     Motor {
         /// Drive with F Hz
@@ -202,8 +210,8 @@ pub fn main() -> ExitCode {
 fn run(command: Command) -> Result<ExitCode> {
     match command {
         Command::Demo { seconds, open_loop, output } => demo::run(seconds, open_loop, output.json),
-        Command::Daemon { config, check_config: check, device, socket } => {
-            let source = Source { file: config, device, socket };
+        Command::Daemon { config, check_config: check, device, socket, no_record } => {
+            let source = Source { file: config, device, socket, no_record };
             if check { check_config(&source) } else { serve(source) }
         }
         Command::Play(play) => control::play(&play),
@@ -220,6 +228,7 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Status { watch, options } => watch::status(&options, watch),
         Command::Events(options) => watch::events(&options),
         Command::Receipt { id, options } => watch::receipt(&options, id),
+        Command::Session(asked) => session::run(&asked),
         Command::Motor { frequency_hz, amplitude_um, hours, output } => {
             library::motor(frequency_hz, amplitude_um, hours, output.json)
         }

@@ -6,7 +6,7 @@ use crate::receipts::{HOST_TIMEOUT, end_text};
 use comfy_table::presets::{NOTHING, UTF8_FULL};
 use comfy_table::{CellAlignment, Table};
 use meissner_api::{
-    BurstCounts, Event, NO_DEVICE, ParticipantStatus, PredictedResponse, Prediction, Receipt, Status,
+    BurstCounts, Event, NO_DEVICE, ParticipantStatus, PredictedResponse, Prediction, Receipt, Session, Status,
 };
 use meissner_array::geometry::{COLUMNS, ROWS};
 use meissner_array::pattern::Drive;
@@ -150,6 +150,10 @@ pub(super) fn status(status: &Status) -> String {
         let count = status.motors.iter().filter(|motor| motor.calibrated).count();
         lines.push(("calibrated", format!("{count} of {} motors, {date}", status.motors.len())));
     }
+    if let Some(session) = &status.session {
+        let closed = if session.is_closed_to_others() { ", exclusive" } else { "" };
+        lines.push(("session", format!("{}{closed}", session_name(session))));
+    }
     if let Some(limits) = &status.participant {
         lines.extend(participant(limits));
     }
@@ -176,11 +180,51 @@ pub(super) fn status(status: &Status) -> String {
 fn participant(limits: &ParticipantStatus) -> [(&'static str, String); 2] {
     let ParticipantStatus { continuous_used_s, max_continuous_s, day_used_s, max_day_s, .. } = limits;
     let whose = limits.participant.as_ref().map_or_else(String::new, |name| format!("{name}: "));
+    let session = limits.session_used_s.map_or_else(String::new, |used_s| {
+        format!("{used_s:.1} of {} s in the session, ", limits.max_session_s)
+    });
     let used = format!(
-        "{whose}{continuous_used_s:.1} of {max_continuous_s} s without a pause of {} s, {day_used_s:.1} of {max_day_s} s today",
+        "{whose}{continuous_used_s:.1} of {max_continuous_s} s without a pause of {} s, {session}{day_used_s:.1} of {max_day_s} s \
+         today",
         limits.pause_s
     );
     [("vibration", used), ("amplitude", format!("at most {} um", limits.max_amplitude_um))]
+}
+
+/// A session's id and participant.
+fn session_name(session: &Session) -> String {
+    format!("{} with {}", session.id, session.participant)
+}
+
+/// A session in full.
+pub(super) fn session(session: &Session) -> String {
+    let Session { experiment, labels, seed, ended, reason, .. } = session;
+    let mut lines = vec![("session", session.id.clone()), ("participant", session.participant.clone())];
+    lines.extend(experiment.iter().map(|experiment| ("experiment", experiment.clone())));
+    lines.extend(labels.iter().map(|(key, value)| ("label", format!("{key}={value}"))));
+    lines.extend(seed.iter().map(|seed| ("seed", seed.to_string())));
+    let by = session.owner.as_ref().map_or_else(String::new, |owner| format!(" by {owner}"));
+    lines.push(("began", format!("{}{by}", session.started)));
+    lines.push((
+        "ended",
+        match (ended, reason.as_deref()) {
+            (Some(ended), reason) => format!("{ended} ({})", reason.unwrap_or("request")),
+            (None, None) => "it runs".to_owned(),
+            (None, Some(_)) => "not known: the daemon was killed".to_owned(),
+        },
+    ));
+    if session.exclusive {
+        lines.push((
+            "exclusive",
+            match session.release_in_s {
+                Some(left) => format!("yes; open to others if its owner is silent for {left:.0} s more"),
+                None if session.released => "was open to others at last: its owner was silent".to_owned(),
+                None => "yes".to_owned(),
+            },
+        ));
+    }
+    lines.push(("plays", format!("{}, {:.1} s of vibration", session.plays, session.vibration_s)));
+    pairs(&lines)
 }
 
 /// An event on one line.
@@ -221,6 +265,11 @@ pub(super) fn event(event: &Event) -> String {
                 "drifted: pins may be {um:.0} um off; `meissner home` between plays, or level them by hand"
             )
         }
+        Event::SessionStarted { session } => format!("session: {} began", session_name(session)),
+        Event::SessionReleased { session } => {
+            format!("session: {session} is open to others, its owner was silent")
+        }
+        Event::SessionEnded { session } => format!("session: {} ended", session_name(session)),
         Event::Lost { events } => format!("lost: {events} events of the streamer"),
         Event::Lagged { events } => format!("lagged: this client missed {events} events"),
     }

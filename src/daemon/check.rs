@@ -15,7 +15,7 @@ use std::path::Path;
 /// The first problem that would keep the daemon from starting.
 pub fn check(config: &Config) -> Result<Store, DaemonError> {
     socket::check(&config.socket)?;
-    if let Some(Location { dir, .. }) = &config.logbook {
+    if let Some(Location { dir, make_parents: false, .. }) = &config.logbook {
         let parent = dir.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
         if !dir.is_dir() && (dir.exists() || !parent.is_dir()) {
             return Err(DaemonError::SessionRecord { dir: dir.clone() });

@@ -9,7 +9,8 @@
 use super::estop::{EStops, Origin};
 use super::names::Names;
 use super::state::{
-    ActiveSettings, Calibration, Commands, Connection, Exposure, Plays, Publisher, Reply, State, frame,
+    ActiveSettings, Calibration, Commands, Connection, Exposure, Plays, Publisher, Reply, Sessions, State,
+    frame,
 };
 use crate::receipts::refusal;
 use crate::session_record::{Peer, SessionRecord};
@@ -69,6 +70,7 @@ impl Engine {
             connection: Connection::default(),
             publisher: Publisher::new(SessionRecord::none()),
             exposure: Exposure::default(),
+            sessions: Sessions::default(),
             settings: ActiveSettings::new(settings),
         };
         Self {

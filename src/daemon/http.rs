@@ -15,6 +15,7 @@ use super::metrics;
 use super::request_log::LoggedRequest;
 use super::runtime::{blocking, computing};
 use super::server::Ordered;
+use super::sessions;
 use super::state::frame;
 use crate::receipts::{KEPT, calibration_plan};
 use crate::session_record::Peer;
@@ -24,6 +25,7 @@ use axum::extract::rejection::PathRejection;
 use axum::extract::{Extension, Path, State};
 use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
 use axum::http::{Method, StatusCode, Uri};
+use axum::middleware::from_fn_with_state;
 use axum::response::{IntoResponse, Response};
 use axum::routing::{MethodFilter, MethodRouter, on};
 use axum::{Json, Router};
@@ -96,7 +98,7 @@ impl IntoResponse for ErrorResponse {
 /// The state of the handlers.
 #[derive(Clone, Debug)]
 pub(super) struct App {
-    engine: Arc<Engine>,
+    pub(super) engine: Arc<Engine>,
     store: SharedStore,
     counts: Arc<Counts>,
     /// A permit for each event stream, and for each request that waits for the end of a play.
@@ -127,12 +129,13 @@ impl SharedStore {
     }
 }
 
-type Answer<T> = Result<T, ErrorResponse>;
+pub(super) type Answer<T> = Result<T, ErrorResponse>;
 
 pub(super) fn router(app: App) -> Router {
-    let routes = Route::ALL
-        .into_iter()
-        .fold(Router::new(), |router, route| router.route(route.path(), handler(route)));
+    let routes = Route::ALL.into_iter().fold(Router::new(), |router, route| {
+        let guard = from_fn_with_state((app.clone(), route), sessions::guard);
+        router.route(route.path(), handler(route).route_layer(guard))
+    });
     routes.fallback(no_route).method_not_allowed_fallback(no_method).with_state(app)
 }
 
@@ -158,7 +161,14 @@ fn handler(route: Route) -> MethodRouter<App> {
         Route::Import => on(method, import),
         Route::Calibrate => on(method, calibrate),
         Route::Calibration => on(method, calibration),
+<<<<<<< HEAD
         Route::StoreCalibration => on(method, store_calibration),
+=======
+        Route::SessionStart => on(method, sessions::start),
+        Route::Sessions => on(method, sessions::list),
+        Route::SessionShow => on(method, sessions::show),
+        Route::SessionEnd => on(method, sessions::end),
+>>>>>>> 4bf8c48 (Sessions: participants, trials and labels, exclusive ones with a token; a session record by default)
         Route::Metrics => on(method, metrics_text),
         Route::OpenApi => on(method, openapi),
     }
@@ -180,7 +190,7 @@ async fn no_method(method: Method, uri: Uri) -> ErrorResponse {
     ))
 }
 
-fn path<T>(path: Result<Path<T>, PathRejection>) -> Answer<T> {
+pub(super) fn path<T>(path: Result<Path<T>, PathRejection>) -> Answer<T> {
     let bad =
         |error: PathRejection| Problem::new(Code::BadRequest, format!("the address: {}", error.body_text()));
     Ok(path.map(|Path(part)| part).map_err(bad)?)
@@ -204,7 +214,9 @@ async fn play(
 ) -> Answer<(StatusCode, Json<PlayAccepted>)> {
     let mut logged = LoggedRequest::new(&app.engine, "play", peer);
     let result = async {
-        let request = PlayRequest::parse(&body::read_command(body).await?)?;
+        let mut request = PlayRequest::parse(&body::read_command(body).await?)?;
+        logged.set_arguments(&request);
+        request.session = app.engine.lock().session_of_play(request.session.as_deref())?;
         logged.set_arguments(&request);
         let (stored, _place) = find(&app.store, &request.pattern).await?;
         let id = app.engine.play(&request, stored, peer).await?;

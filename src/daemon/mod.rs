@@ -39,6 +39,7 @@ mod request_log;
 mod runtime;
 mod server;
 mod service;
+mod sessions;
 mod signals;
 mod socket;
 mod state;
@@ -135,6 +136,7 @@ impl Daemon {
             restore(&mut account, &location.dir.join(exposure::FILE));
         }
         engine.lock().exposure = Exposure::new(account);
+        engine.lock().sessions.set_silence(Duration::from_secs_f64(config.session_silence_s));
         let engine = Arc::new(engine.with(record, realtime, bound.socket().to_owned()));
         engine.load_calibration(None);
         let connector = connector::spawn(config.device.clone(), config.mock, Arc::clone(&engine))
@@ -220,7 +222,11 @@ impl Daemon {
             }
         }
         watchdog.abort();
-        engine.lock().publisher.close();
+        {
+            let mut state = engine.lock();
+            state.close_session("daemon-ended");
+            state.publisher.close();
+        }
         drop(acceptor.take());
         // An error means that the server has ended already.
         let _ = close.send(true);

@@ -7,7 +7,7 @@
 
 use super::engine::{Engine, TIMEOUT, answer};
 use super::runtime::computing;
-use super::state::{NewPlay, Reply, State};
+use super::state::{NewPlay, Reply, State, Trial};
 use crate::exposure::Vibration;
 use crate::session_record::Peer;
 use crate::store::Stored;
@@ -27,6 +27,7 @@ pub(super) struct PreparedPlay {
     stored: Stored,
     seconds: Option<f64>,
     vibration: Vibration,
+    trial: Trial,
 }
 
 impl PreparedPlay {
@@ -53,7 +54,9 @@ impl PreparedPlay {
         let at = onset(request.at_tick, request.at_ms, request.at_monotonic_ns);
         let PlayRequest { seconds, late, replace, open_loop, .. } = *request;
         let play = Play { id: 0, strokes, at, late, replace, open_loop, bandwidth };
-        Ok(Self { play, stored, seconds, vibration })
+        let trial =
+            Trial { session: request.session.clone(), number: request.trial, labels: request.labels.clone() };
+        Ok(Self { play, stored, seconds, vibration, trial })
     }
 }
 
@@ -65,8 +68,8 @@ impl State {
                           docs/reference/session-record.md";
             return Err(Problem::new(Code::TooManyPlays, detail));
         }
-        let PreparedPlay { play, stored, seconds, .. } = prepared;
-        let id = self.plays.add(NewPlay { stored, seconds, client });
+        let PreparedPlay { play, stored, seconds, trial, .. } = prepared;
+        let id = self.plays.add(NewPlay { stored, seconds, trial, client });
         let sent = self.send(Command::Play(Box::new(Play { id, ..play })), Some(id));
         if sent.is_err() {
             self.settle_play(id, false);
@@ -91,12 +94,18 @@ impl Engine {
             state.forget_unanswered();
             state.check_not_calibrating()?;
             let vibration = prepared.vibration.clone();
+            if state.session_of_play(request.session.as_deref())? != request.session {
+                let detail = "a session has begun meanwhile: send the play again";
+                return Err(Problem::new(Code::SessionRunning, detail));
+            }
             state.check_exposure(request, &prepared.stored.pattern, &vibration)?;
             let (id, reply) = state.begin(prepared, client)?;
             state.exposure.add(id, vibration);
             (id, reply)
         };
-        answer(reply, TIMEOUT).await.map(|()| id)
+        answer(reply, TIMEOUT).await?;
+        self.lock().sessions.count_play(request.session.as_deref());
+        Ok(id)
     }
 
     fn check_boot(&self, asked: Option<u32>) -> Result<(), Problem> {
@@ -142,8 +151,10 @@ mod tests {
     #[test]
     fn a_play_is_refused_while_the_session_record_has_no_room_for_it() {
         let dir = tempfile::tempdir().unwrap();
-        let record =
-            SessionRecord::start(Some(Location { dir: dir.path().join("logbook"), days: 1 }), Arc::default());
+        let record = SessionRecord::start(
+            Some(Location { dir: dir.path().join("logbook"), days: 1, make_parents: false }),
+            Arc::default(),
+        );
         let record = record.unwrap();
         let (mut port, commands, _events) = queues().unwrap();
         let engine = Engine::new(commands, Settings::default(), "mock".to_owned(), None);

@@ -83,6 +83,11 @@ fn apply(
             limits.motor, limits.rail
         ));
     }
+    if new.session_silence_s != running.session_silence_s {
+        engine.lock().sessions.set_silence(Duration::from_secs_f64(new.session_silence_s));
+        running.session_silence_s = new.session_silence_s;
+        applied.push("`session_silence_s` at once".to_owned());
+    }
     if new.participant != running.participant {
         engine.lock().exposure.set_limits(new.participant);
         running.participant = new.participant;

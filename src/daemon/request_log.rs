@@ -95,7 +95,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let (_port, commands, _events) = queues().unwrap();
         let folder = dir.path().join("logbook");
-        let location = Location { dir: folder.clone(), days: 1 };
+        let location = Location { dir: folder.clone(), days: 1, make_parents: false };
         let record = SessionRecord::start(Some(location), Arc::default()).unwrap();
         let engine = Engine::new(commands, Settings::default(), "mock".to_owned(), None);
         let engine = Arc::new(engine.with(record.clone(), Realtime::default(), PathBuf::new()));

@@ -58,6 +58,7 @@ impl Engine {
             calibrated: used.map(|calibration| {
                 calibration.provenance().date.clone().unwrap_or_else(|| "without a date".to_owned())
             }),
+            session: daemon.session(),
             participant: Some(daemon.exposure.status(Now::read())),
             realtime: Some(self.realtime),
             logbook_problem: daemon.publisher.session_record.problem(),

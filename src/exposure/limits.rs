@@ -11,20 +11,33 @@ pub struct ParticipantLimits {
     pub max_continuous_s: f64,
     /// Time without vibration that makes a pause, s.
     pub pause_s: f64,
+    /// Vibration in a session, s.
+    pub max_session_s: f64,
     /// Vibration in a local calendar day, s.
     pub max_day_s: f64,
 }
 
 impl Default for ParticipantLimits {
     fn default() -> Self {
-        Self { max_amplitude_um: 200.0, max_continuous_s: 600.0, pause_s: 10.0, max_day_s: 7200.0 }
+        Self {
+            max_amplitude_um: 200.0,
+            max_continuous_s: 600.0,
+            pause_s: 10.0,
+            max_session_s: 3600.0,
+            max_day_s: 7200.0,
+        }
     }
 }
 
 impl ParticipantLimits {
     /// For a device that nobody touches: the ends of the ranges.
-    pub const NONE: Self =
-        Self { max_amplitude_um: 400.0, max_continuous_s: 86_400.0, pause_s: 10.0, max_day_s: 86_400.0 };
+    pub const NONE: Self = Self {
+        max_amplitude_um: 400.0,
+        max_continuous_s: 86_400.0,
+        pause_s: 10.0,
+        max_session_s: 86_400.0,
+        max_day_s: 86_400.0,
+    };
 }
 
 /// A limit.
@@ -32,6 +45,8 @@ impl ParticipantLimits {
 pub enum Limit {
     /// Vibration without a pause.
     Continuous,
+    /// Vibration per session.
+    Session,
     /// Vibration per day.
     Day,
 }
@@ -42,6 +57,7 @@ impl Limit {
     pub const fn key(self) -> &'static str {
         match self {
             Self::Continuous => "max_continuous_s",
+            Self::Session => "max_session_s",
             Self::Day => "max_day_s",
         }
     }

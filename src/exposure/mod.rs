@@ -76,10 +76,12 @@ impl Exceeded {
         let again = match limit {
             _ if play_s.is_some_and(|play_s| play_s > *most_s) => "play for less time".to_owned(),
             Limit::Continuous => format!("play again after a pause of {pause_s} s without vibration"),
+            Limit::Session => "end the session, and go on in a new one".to_owned(),
             Limit::Day => "play again tomorrow, from 00:00 on".to_owned(),
         };
         let what = match limit {
             Limit::Continuous => "vibration without a pause",
+            Limit::Session => "vibration in a session",
             Limit::Day => "vibration in a day",
         };
         format!(
@@ -104,6 +106,8 @@ pub struct Account {
     limits: ParticipantLimits,
     /// Whose plays are counted; `None`: nobody is named.
     participant: Option<String>,
+    /// Vibration of the session, s; `None`: no session runs.
+    session_s: Option<f64>,
     date: Option<Date>,
     /// Vibration of the day, s, by participant.
     days: BTreeMap<Option<String>, f64>,
@@ -188,11 +192,19 @@ impl Account {
     pub fn check(&self, now: Now, play: &Vibration, instead: bool, later: bool) -> Result<(), Exceeded> {
         let waiting = |live: &Live| live.vibration.total().map_or(0.0, |total| total - live.counted_s);
         let kept_s: f64 = if instead { 0.0 } else { self.live.values().map(waiting).sum() };
-        let ParticipantLimits { max_continuous_s, pause_s, max_day_s, .. } = self.limits;
+        let ParticipantLimits { max_continuous_s, pause_s, max_session_s, max_day_s, .. } = self.limits;
         let continuous_s = if later { 0.0 } else { self.continuous_s(now.at) + kept_s };
+        let in_session_s = play.total().filter(|_| self.session_s.is_some());
         let longest_s = Some(play.longest(pause_s)).filter(|longest| longest.is_finite());
         for (limit, most_s, used_s, play_s) in [
             (Limit::Continuous, max_continuous_s, continuous_s, longest_s),
+            // Without a session, only the day has a sum.
+            (
+                Limit::Session,
+                max_session_s,
+                self.session_s.map_or(0.0, |used_s| used_s + kept_s),
+                in_session_s,
+            ),
             (Limit::Day, max_day_s, self.day_s(now.date) + kept_s, play.total()),
         ] {
             if used_s + play_s.unwrap_or(LEAST_S) > most_s + ROUNDING_S {
@@ -232,11 +244,13 @@ impl Account {
             let full = self.days.len() >= PEOPLE && !self.days.contains_key(&self.participant);
             let whose = self.participant.clone().filter(|_| !full);
             *self.days.entry(whose).or_default() += new_s;
+            self.session_s = self.session_s.map(|used_s| used_s + new_s);
         }
         let passed = |used_s: f64, most_s: f64| used_s > most_s + ROUNDING_S;
-        let ParticipantLimits { max_continuous_s, max_day_s, .. } = self.limits;
+        let ParticipantLimits { max_continuous_s, max_session_s, max_day_s, .. } = self.limits;
         [
             (Limit::Continuous, passed(self.continuous_s, max_continuous_s)),
+            (Limit::Session, self.session_s.is_some_and(|used_s| passed(used_s, max_session_s))),
             (Limit::Day, passed(self.day_s(now.date), max_day_s)),
         ]
         .into_iter()
@@ -249,6 +263,23 @@ impl Account {
         self.live.remove(&id);
     }
 
+    /// A session of this participant has begun.
+    pub fn start_session(&mut self, participant: &str) {
+        (self.participant, self.session_s) = (Some(participant.to_owned()), Some(0.0));
+    }
+
+    /// The session has ended. Returns how long it vibrated, s.
+    pub fn end_session(&mut self) -> f64 {
+        self.participant = None;
+        self.session_s.take().unwrap_or(0.0)
+    }
+
+    /// How long the running session has vibrated, s.
+    #[must_use]
+    pub fn session_s(&self) -> f64 {
+        self.session_s.unwrap_or(0.0)
+    }
+
     /// The plays that run and wait.
     pub fn live(&self) -> impl Iterator<Item = u64> {
         self.live.keys().copied()
@@ -257,7 +288,8 @@ impl Account {
     /// Limits, and what is used and left.
     #[must_use]
     pub fn status(&self, now: Now) -> ParticipantStatus {
-        let ParticipantLimits { max_amplitude_um, max_continuous_s, pause_s, max_day_s } = self.limits;
+        let ParticipantLimits { max_amplitude_um, max_continuous_s, pause_s, max_session_s, max_day_s } =
+            self.limits;
         let (continuous_used_s, day_used_s) = (self.continuous_s(now.at), self.day_s(now.date));
         ParticipantStatus {
             participant: self.participant.clone(),
@@ -266,6 +298,9 @@ impl Account {
             pause_s,
             continuous_used_s,
             continuous_left_s: (max_continuous_s - continuous_used_s).max(0.0),
+            max_session_s,
+            session_used_s: self.session_s,
+            session_left_s: self.session_s.map(|used_s| (max_session_s - used_s).max(0.0)),
             max_day_s,
             day_used_s,
             day_left_s: (max_day_s - day_used_s).max(0.0),

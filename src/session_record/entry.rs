@@ -243,6 +243,9 @@ impl Entry {
                 | Event::Began { .. }
                 | Event::Ended { .. }
                 | Event::PredictedResponse { .. }
+                | Event::SessionStarted { .. }
+                | Event::SessionReleased { .. }
+                | Event::SessionEnded { .. }
                 | Event::Calibrated { .. } => (Kind::Play, None, event.name()),
                 _ => daemon(event.name()),
             },

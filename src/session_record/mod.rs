@@ -13,6 +13,7 @@ mod budget;
 mod days;
 mod entry;
 mod json;
+pub mod reader;
 mod removal;
 mod users;
 mod writer;
@@ -20,13 +21,14 @@ mod writer;
 pub use budget::BYTES_PER_DAY;
 pub use entry::{CommandEntry, Entry, Note, Peer};
 pub use users::Users;
-pub use writer::{Location, SYNC_AFTER};
+pub use writer::{Location, SYNC_AFTER, local_time};
 
 use budget::{Budget, REPORT_AFTER};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use entry::Kind;
 use meissner_stream::time::HostInstant;
 use std::io;
+use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -51,6 +53,8 @@ enum Message {
     Move(Location),
     /// Replace the file of exposures.
     Exposure(String),
+    /// Drop this when all before it is written.
+    Written(Sender<()>),
     /// Entries are left out: say so after [`REPORT_AFTER`].
     LeftOut,
 }
@@ -59,6 +63,8 @@ enum Message {
 #[derive(Debug)]
 struct Queue {
     messages: Sender<Message>,
+    /// Where the record is kept.
+    dir: PathBuf,
     /// Entries that may wait unless they are about plays or e-stops. The rest of the queue is for those.
     room: usize,
     budget: Budget,
@@ -78,14 +84,14 @@ impl Queue {
     ) -> io::Result<Self> {
         let (messages, queue) = bounded(room);
         let (alive, ended) = bounded::<()>(0);
-        let problem = writer.problem();
+        let (problem, dir) = (writer.problem(), writer.dir().to_owned());
         let work = move || {
             write_all(writer, &queue, &users, &owner);
             drop(alive);
         };
         thread::Builder::new().name("session record".into()).spawn(work)?;
         let budget = Budget::new(HostInstant::now());
-        Ok(Self { messages, room: room.div_ceil(2), budget, missed: 0, ended, problem })
+        Ok(Self { messages, dir, room: room.div_ceil(2), budget, missed: 0, ended, problem })
     }
 
     fn add(&mut self, entry: Entry, bytes: u64) {
@@ -168,9 +174,15 @@ impl SessionRecord {
         };
         let messages = self.lock().as_ref().map(|queue| queue.messages.clone());
         match messages {
-            Some(messages) => messages
-                .send_timeout(Message::Move(location), timeout)
-                .map_err(|_| io::ErrorKind::TimedOut.into()),
+            Some(messages) => {
+                let dir = location.dir.clone();
+                let sent = messages.send_timeout(Message::Move(location), timeout);
+                sent.map_err(|_| io::Error::from(io::ErrorKind::TimedOut))?;
+                if let Some(queue) = self.lock().as_mut() {
+                    queue.dir = dir;
+                }
+                Ok(())
+            }
             None => {
                 let owner = Arc::downgrade(&self.queue);
                 *self.lock() = Some(Queue::open(Writer::new(location), users, WAITING, owner)?);
@@ -196,6 +208,22 @@ impl SessionRecord {
         let bytes = entry.bytes();
         if let Some(queue) = self.lock().as_mut() {
             queue.add(entry, bytes);
+        }
+    }
+
+    /// Where it is kept; none: nothing is recorded.
+    #[must_use]
+    pub fn dir(&self) -> Option<PathBuf> {
+        self.lock().as_ref().map(|queue| queue.dir.clone())
+    }
+
+    /// Waits until the entries added so far are in their files, or the disk has not taken them; `timeout` at most.
+    pub fn wait_until_written(&self, timeout: Duration) {
+        let until = Instant::now() + timeout;
+        let (waiting, written) = bounded::<()>(0);
+        let messages = self.lock().as_ref().map(|queue| queue.messages.clone());
+        if messages.is_some_and(|messages| messages.send_deadline(Message::Written(waiting), until).is_ok()) {
+            let _ = written.recv_deadline(until);
         }
     }
 
@@ -257,6 +285,7 @@ fn write_all(
         match message {
             Ok(Message::Move(location)) => writer.move_to(location),
             Ok(Message::Exposure(text)) => writer.save_exposure(&text),
+            Ok(Message::Written(waiting)) => drop(waiting),
             Ok(Message::LeftOut) => report = Some(Instant::now() + REPORT_AFTER),
             Ok(Message::Entry { stamp, missed, mut entry }) => {
                 entry.name_users(|uid| name(users, uid, &mut slow));

@@ -37,7 +37,7 @@ const SMALL: Disk = Disk {
 };
 
 fn location(dir: &Path, days: u32) -> Location {
-    Location { dir: dir.join("logbook"), days }
+    Location { dir: dir.join("logbook"), days, make_parents: false }
 }
 
 fn writer(dir: &Path, disk: Disk) -> Writer {

@@ -31,6 +31,15 @@ pub const SYNC_AFTER: Duration = Duration::from_millis(500);
 /// Time between tries on a disk that failed.
 const RETRY_AFTER: Duration = Duration::from_secs(1);
 
+/// The form of times: local, with the offset from UTC.
+const TIME: &str = "%Y-%m-%dT%H:%M:%S%.6f%:z";
+
+/// The time now, as lines have it.
+#[must_use]
+pub fn local_time() -> String {
+    Zoned::now().strftime(TIME).to_string()
+}
+
 /// When an entry was added, by both clocks.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Stamp {
@@ -47,10 +56,12 @@ impl Stamp {
 /// Where the session record is kept, and for how long.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Location {
-    /// The directory. It is made if it is missing; its parent is not.
+    /// The directory. It is made if it is missing.
     pub dir: PathBuf,
     /// Days of writing after which a file is removed.
     pub days: u32,
+    /// Whether to make the directories above it, too.
+    pub make_parents: bool,
 }
 
 /// The disk's operations; tests replace them.
@@ -159,6 +170,11 @@ impl Writer {
         *self.problem.lock().unwrap_or_else(PoisonError::into_inner) = problem;
     }
 
+    /// Where lines are written.
+    pub(super) fn dir(&self) -> &Path {
+        &self.location.dir
+    }
+
     /// When [`Self::sync`] is due.
     pub(super) const fn due(&self) -> Option<Instant> {
         self.due
@@ -263,7 +279,7 @@ impl Writer {
     fn list_day(&mut self, stamp: Stamp) {
         let Some(open) = self.open.as_mut().filter(|open| !open.listed) else { return };
         open.listed = true;
-        let Location { dir, days } = &self.location;
+        let Location { dir, days, .. } = &self.location;
         if let Err(error) = self.removal.written(dir, open.day, stamp.monotonic, *days) {
             warn!("{}: old files cannot be removed: {error}; remove them by hand", dir.display());
         }
@@ -271,7 +287,7 @@ impl Writer {
 
     fn append(&mut self, time: &Zoned, stamp: Stamp, entry: &Entry) -> Result<(), Failure> {
         let Some(open) = &mut self.open else { return Ok(()) };
-        let time = time.strftime("%Y-%m-%dT%H:%M:%S%.6f%:z").to_string();
+        let time = time.strftime(TIME).to_string();
         let line = Line { time, monotonic_ns: stamp.monotonic.as_ns(), entry };
         let mut bytes = Vec::new();
         let bytes = json::write(&mut bytes, &line).map(|()| {
@@ -308,7 +324,11 @@ impl Writer {
         }
         self.sync();
         self.open = None;
-        let (open, cut) = open(&self.location.dir, day)?;
+        let (dir, make_parents) = (&self.location.dir, self.location.make_parents);
+        if let Some(parent) = dir.parent().filter(|_| make_parents) {
+            DirBuilder::new().recursive(true).mode(0o700).create(parent).map_err(at(parent))?;
+        }
+        let (open, cut) = open(dir, day)?;
         if cut > 0 {
             // Its content is lost; the next line counts it.
             self.missing += 1;

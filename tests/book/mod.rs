@@ -40,7 +40,7 @@ fn the_example_configuration_is_the_default() {
     assert_eq!(config.device, Spec::Auto);
     assert_eq!(config.calibration, Some(PathBuf::from("/var/lib/meissner/calibration.toml")));
     let (dir, days) = (PathBuf::from("/var/lib/meissner/logbook"), LOGBOOK_DAYS);
-    assert_eq!(config.logbook, Some(Location { dir, days }));
+    assert_eq!(config.logbook, Some(Location { dir, days, make_parents: false }));
     config.logbook.clone_from(&default.logbook);
     (config.patterns, config.socket) = (default.patterns.clone(), default.socket.clone());
     config.calibration.clone_from(&default.calibration);

@@ -100,6 +100,8 @@ fn run(page: &Page, script: &str) {
         .env("TMPDIR", &temporary)
         .env("MEISSNER_SOCKET", dir.path().join("m.sock"))
         .env("XDG_DATA_HOME", dir.path())
+        .env("XDG_STATE_HOME", dir.path().join("state"))
+        .env("XDG_RUNTIME_DIR", dir.path())
         .env_remove("STATE_DIRECTORY")
         .output()
         .unwrap();

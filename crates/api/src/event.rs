@@ -6,6 +6,7 @@
 //! Invariant: [`Event::name`] is the `event` key of its JSON.
 
 use crate::receipt::{LateStroke, OnsetRecord, Prediction, PredictionKeys, Receipt, RefusedStroke};
+use crate::session::Session;
 use crate::status::{DeviceInfo, RunningPlay};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -181,6 +182,37 @@ pub enum Event {
         #[schema(minimum = 0.0)]
         um: f32,
     },
+    /// A session has begun.
+    #[schema(examples(json!({
+        "event": "session-started", "session": {
+            "id": "20261122T083000Z-9f3c", "participant": "P07", "experiment": "edges", "labels": {}, "seed": 42,
+            "exclusive": true, "owner": "ada", "started": "2026-11-22T09:30:00.123456+01:00", "ended": null, "reason": null,
+            "plays": 0, "vibration_s": 0.0, "released": false, "release_in_s": 120.0
+        }
+    })))]
+    SessionStarted {
+        /// The session.
+        session: Box<Session>,
+    },
+    /// The owner of an exclusive session was silent for too long: others may act. The session goes on.
+    #[schema(examples(json!({"event": "session-released", "session": "20261122T083000Z-9f3c"})))]
+    SessionReleased {
+        /// The session's id.
+        session: String,
+    },
+    /// A session has ended.
+    #[schema(examples(json!({
+        "event": "session-ended", "session": {
+            "id": "20261122T083000Z-9f3c", "participant": "P07", "experiment": "edges", "labels": {}, "seed": 42,
+            "exclusive": true, "owner": "ada", "started": "2026-11-22T09:30:00.123456+01:00",
+            "ended": "2026-11-22T10:30:00.123456+01:00", "reason": "request", "plays": 12, "vibration_s": 24.0,
+            "released": false, "release_in_s": null
+        }
+    })))]
+    SessionEnded {
+        /// The session.
+        session: Box<Session>,
+    },
     /// The daemon was too slow for its streamer: events are missing. The receipts' counts are right.
     #[schema(examples(json!({"event": "lost", "notices": 3})))]
     Lost {
@@ -214,6 +246,9 @@ impl Event {
             Self::Ended { .. } => "ended",
             Self::PredictedResponse { .. } => "felt",
             Self::Calibrated { .. } => "calibrated",
+            Self::SessionStarted { .. } => "session-started",
+            Self::SessionReleased { .. } => "session-released",
+            Self::SessionEnded { .. } => "session-ended",
             Self::Lost { .. } => "lost",
             Self::Lagged { .. } => "lagged",
         }

@@ -5,6 +5,7 @@
 //!
 //! - [`route`]: every route with its method, body, answer and error codes. The daemon builds its router from this table.
 //! - [`request`]: the bodies a client sends; [`PlayRequest::parse`] and its like name the key that is wrong.
+//! - [`session`]: whose plays are recorded together, and who owns the display meanwhile.
 //! - [`status`], [`receipt`], [`pattern`], [`calibration`]: what the daemon answers.
 //! - [`event`]: what the daemon reports as it happens.
 //! - [`problem`]: errors, as `application/problem+json`.
@@ -32,6 +33,7 @@ pub mod problem;
 pub mod receipt;
 pub mod request;
 pub mod route;
+pub mod session;
 pub mod status;
 
 pub use calibration::{CalibratedMotor, CalibrationReport, Provenance};
@@ -47,6 +49,7 @@ pub use request::{
     parse_empty,
 };
 pub use route::{Method, Route};
+pub use session::{Labels, Session, SessionList, SessionRequest, SessionStarted};
 pub use status::{
     ClockSample, DeviceInfo, ErrorSource, MotorStatus, NO_DEVICE, ParticipantStatus, PlayAccepted,
     QueuedPlay, Realtime, RunningPlay, Status,

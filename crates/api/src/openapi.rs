@@ -7,7 +7,8 @@ use crate::problem::{Code, Problem};
 use crate::route::{Answer, Body, Method, Operation, Route};
 use crate::{
     ArmRequest, CalibrateRequest, CalibrationReport, Event, ImportedPattern, PatternDetails, PatternList,
-    PlayAccepted, PlayRequest, Receipt, ResetRequest, Status,
+    PlayAccepted, PlayRequest, Receipt, ResetRequest, Session, SessionList, SessionRequest, SessionStarted,
+    Status,
 };
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
@@ -28,6 +29,10 @@ use utoipa::OpenApi;
     PlayRequest,
     Problem,
     Receipt,
+    Session,
+    SessionList,
+    SessionRequest,
+    SessionStarted,
     Status,
 )))]
 struct Schemas;

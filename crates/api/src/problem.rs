@@ -51,6 +51,10 @@ pub enum Code {
     TooManyPlays,
     /// A limit of `[participant]` does not allow the play, or not now.
     ParticipantLimit,
+    /// A session's owner alone may do that.
+    SessionExclusive,
+    /// Another session runs, or none.
+    SessionRunning,
     /// The play in front has no end.
     BehindEndless,
     /// The requested onset is too close or has passed.
@@ -83,7 +87,7 @@ pub enum Code {
 
 impl Code {
     /// Every code, in the order of the API reference: by HTTP status.
-    pub const ALL: [Self; 31] = [
+    pub const ALL: [Self; 33] = [
         Self::BadRequest,
         Self::NotFound,
         Self::MethodNotAllowed,
@@ -97,6 +101,8 @@ impl Code {
         Self::NoPositionEstimate,
         Self::NotHome,
         Self::ParticipantLimit,
+        Self::SessionExclusive,
+        Self::SessionRunning,
         Self::BehindEndless,
         Self::TooSoon,
         Self::Overlaps,
@@ -138,6 +144,8 @@ impl Code {
             Self::QueueFull => ("queue-full", 429, "Too many plays are queued"),
             Self::TooManyPlays => ("too-many-plays", 429, "Too many plays for the session record"),
             Self::ParticipantLimit => ("participant-limit", 409, "A participant's limit does not allow it"),
+            Self::SessionExclusive => ("session-exclusive", 409, "Only the session's owner may do that"),
+            Self::SessionRunning => ("session-running", 409, "Another session runs, or none"),
             Self::BehindEndless => ("behind-endless", 409, "The play in front has no end"),
             Self::TooSoon => ("too-soon", 409, "The onset cannot be kept"),
             Self::Overlaps => ("overlaps", 409, "The onset lies within a queued play"),
@@ -203,7 +211,7 @@ mod tests {
         names.sort_unstable();
         names.dedup();
         // The last variant of the enum: a variant that is not in `ALL` would raise this number.
-        assert_eq!((names.len(), Code::ALL.len()), (31, Code::NoTelemetry as usize + 1));
+        assert_eq!((names.len(), Code::ALL.len()), (33, Code::NoTelemetry as usize + 1));
         assert!(Code::ALL.is_sorted_by_key(|code| code.parts().1));
     }
 

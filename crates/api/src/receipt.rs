@@ -6,6 +6,7 @@
 //! Invariant: in the receipt of an ended play, `planned = played + late + dropped + refused`, as the streamer counted.
 
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use utoipa::ToSchema;
 
 /// Strokes listed one by one in a receipt, at most: late ones and refused ones each.
@@ -276,7 +277,8 @@ impl LinkTraffic {
 #[schema(examples(json!({
     "id": 7, "pattern": "edge-45",
     "pattern_sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08",
-    "seconds": 2.0, "state": "done", "cause": null,
+    "seconds": 2.0, "session": "20261122T083000Z-9f3c", "trial": 12, "labels": {"condition": "a"},
+    "state": "done", "cause": null,
     "onset": {
         "requested_tick": 6442460000_u64, "actual_tick": 6442460000_u64, "monotonic_ns": 75793647058823_u64,
         "uncertainty_ns": 9600
@@ -317,6 +319,18 @@ pub struct Receipt {
     /// Requested duration, s; null: as long as the pattern lasts.
     #[schema(required, minimum = 0.0, maximum = 1e8)]
     pub seconds: Option<f64>,
+    /// The session that the play belongs to; null without one.
+    #[serde(default)]
+    #[schema(required)]
+    pub session: Option<String>,
+    /// The trial's number; null if none was given.
+    #[serde(default)]
+    #[schema(required, minimum = 0)]
+    pub trial: Option<u64>,
+    /// The trial's labels.
+    #[serde(default)]
+    #[schema(required)]
+    pub labels: BTreeMap<String, String>,
     /// Where the play stands.
     pub state: PlayState,
     /// Why the play ended; null if it is not over or came to its end.
@@ -360,6 +374,9 @@ impl Receipt {
             pattern: pattern.to_owned(),
             pattern_sha256: pattern_sha256.to_owned(),
             seconds,
+            session: None,
+            trial: None,
+            labels: BTreeMap::new(),
             state: PlayState::Queued,
             cause: None,
             onset: None,

@@ -4,9 +4,11 @@
 //! counts as absent. An error is one line that names the key; for an unknown key it offers the nearest known one.
 
 use crate::problem::{Code, Problem, REFERENCE};
+use crate::session::check_labels;
 use meissner_input::document::{self, CommonProblem, KeyError, Table, Wanted};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer, Serialize};
+use std::collections::BTreeMap;
 use std::convert::Infallible;
 use utoipa::ToSchema;
 use utoipa::openapi::schema::{ArrayBuilder, ObjectBuilder, Schema, Type};
@@ -51,6 +53,16 @@ pub struct PlayRequest {
     /// Whether to play without corrections from telemetry.
     #[serde(default, deserialize_with = "null_as_default")]
     pub open_loop: bool,
+    /// The session that the play belongs to. Without it the running one, if any; the daemon refuses another one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub session: Option<String>,
+    /// The trial's number.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(minimum = 0)]
+    pub trial: Option<u64>,
+    /// Up to 16 labels of the trial, of 1 to 100 characters.
+    #[serde(default, deserialize_with = "null_as_default", skip_serializing_if = "BTreeMap::is_empty")]
+    pub labels: BTreeMap<String, String>,
 }
 
 /// What to do when strokes come late: `drop` them and go on, or `abort` the play, return the pins to rest and disarm.
@@ -78,6 +90,7 @@ impl PlayRequest {
     pub fn parse(body: &[u8]) -> Result<Self, Problem> {
         let request: Self = read(body)?;
         check_onset(request.at_tick, request.at_ms, request.at_monotonic_ns)?;
+        check_labels(&request.labels)?;
         Ok(request)
     }
 }
@@ -193,8 +206,12 @@ fn read_or_default<T: DeserializeOwned + Default>(body: &[u8]) -> Result<T, Prob
     if body.is_empty() { Ok(T::default()) } else { read(body) }
 }
 
-fn read<T: DeserializeOwned>(body: &[u8]) -> Result<T, Problem> {
-    const WANTED: Wanted = |key| if key == "pattern" { "the name of a pattern" } else { "it" };
+pub(crate) fn read<T: DeserializeOwned>(body: &[u8]) -> Result<T, Problem> {
+    const WANTED: Wanted = |key| match key {
+        "pattern" => "the name of a pattern",
+        "participant" => "a pseudonym",
+        _ => "it",
+    };
     let text =
         std::str::from_utf8(body).map_err(|_| bad("the body is not UTF-8 text: send JSON in UTF-8"))?;
     document::from_json(text, WANTED).map(|Table(request)| request).map_err(problem)
@@ -219,7 +236,7 @@ fn bad(detail: impl AsRef<str>) -> Problem {
     Problem::new(Code::BadRequest, detail)
 }
 
-fn null_as_default<'de, D: Deserializer<'de>, T: Deserialize<'de> + Default>(
+pub(crate) fn null_as_default<'de, D: Deserializer<'de>, T: Deserialize<'de> + Default>(
     source: D,
 ) -> Result<T, D::Error> {
     Option::deserialize(source).map(Option::unwrap_or_default)

@@ -25,7 +25,14 @@ pub enum Route {
     Import,
     Calibrate,
     Calibration,
+<<<<<<< HEAD
     StoreCalibration,
+=======
+    SessionStart,
+    Sessions,
+    SessionShow,
+    SessionEnd,
+>>>>>>> 4bf8c48 (Sessions: participants, trials and labels, exclusive ones with a token; a session record by default)
     Metrics,
     OpenApi,
 }
@@ -102,8 +109,8 @@ impl Operation {
 
 /// Every connection may be one too many.
 const ANY: &[Code] = &[Code::TooManyClients];
-/// Every body may be malformed, too large or too slow.
-const BODY: &[Code] = &[Code::BadRequest, Code::TooLarge, Code::Slow];
+/// Every body may be malformed, too large or too slow, or come from a client that may not act during an exclusive session.
+const BODY: &[Code] = &[Code::BadRequest, Code::TooLarge, Code::Slow, Code::SessionExclusive];
 /// Every command goes through the daemon's command queue to the device.
 const COMMAND: &[Code] = &[Code::NoDevice, Code::Timeout, Code::Busy, Code::ShuttingDown];
 /// Plays and calibrations are queued by the same rules.
@@ -124,7 +131,11 @@ const STATUS: Answer = Answer::Json("Status");
 
 impl Route {
     /// Every route.
+<<<<<<< HEAD
     pub const ALL: [Self; 18] = [
+=======
+    pub const ALL: [Self; 21] = [
+>>>>>>> 4bf8c48 (Sessions: participants, trials and labels, exclusive ones with a token; a session record by default)
         Self::Play,
         Self::Stop,
         Self::EStop,
@@ -140,7 +151,14 @@ impl Route {
         Self::Import,
         Self::Calibrate,
         Self::Calibration,
+<<<<<<< HEAD
         Self::StoreCalibration,
+=======
+        Self::SessionStart,
+        Self::Sessions,
+        Self::SessionShow,
+        Self::SessionEnd,
+>>>>>>> 4bf8c48 (Sessions: participants, trials and labels, exclusive ones with a token; a session record by default)
         Self::Metrics,
         Self::OpenApi,
     ];
@@ -155,6 +173,25 @@ impl Route {
     #[must_use]
     pub const fn path(self) -> &'static str {
         self.operation().path
+    }
+
+    /// The name of its command in the log and the session record.
+    #[must_use]
+    pub const fn command(self) -> &'static str {
+        match self {
+            Self::Play => "play",
+            Self::Stop => "stop",
+            Self::EStop => "estop",
+            Self::Reset => "reset",
+            Self::Arm => "arm",
+            Self::Disarm => "disarm",
+            Self::Home => "home",
+            Self::Import => "import",
+            Self::Calibrate => "calibrate",
+            Self::SessionStart => "session-start",
+            Self::SessionEnd => "session-end",
+            _ => "read",
+        }
     }
 
     /// The route in words.
@@ -175,6 +212,7 @@ impl Route {
                         Code::BadPattern,
                         Code::StaleBoot,
                         Code::ParticipantLimit,
+                        Code::SessionRunning,
                         Code::BehindEndless,
                         Code::TooSoon,
                         Code::Overlaps,
@@ -327,6 +365,7 @@ impl Route {
                 errors: &[&[Code::NotFound], ANY],
                 ..Operation::get("/v1/calibration")
             },
+<<<<<<< HEAD
             Self::StoreCalibration => Operation {
                 method: Method::Put,
                 summary: "Store gains that were measured elsewhere, as with a laser",
@@ -336,6 +375,53 @@ impl Route {
                 answer: Answer::Json("CalibrationReport"),
                 errors: &[BODY, &[Code::Playing, Code::NoDevice, Code::Store, Code::Busy], ANY],
                 ..Operation::get("/v1/calibration")
+=======
+            Self::SessionStart => Operation {
+                summary: "Start a session",
+                description: "One session runs at a time, and every play meanwhile belongs to it. A client that sends \
+                              `Authorization: Bearer TOKEN` with the answer's token is the owner. During an exclusive session every \
+                              other client may only read and order emergency stops. If the owner sends nothing for \
+                              `session_silence_s` of the configuration, others may act; the session goes on.",
+                body: Body::Json("SessionRequest"),
+                statuses: &[(201, "Started")],
+                answer: Answer::Json("SessionStarted"),
+                errors: &[
+                    BODY,
+                    &[
+                        Code::Playing,
+                        Code::SessionRunning,
+                        Code::TooManyPlays,
+                        Code::ShuttingDown,
+                        Code::Store,
+                    ],
+                    ANY,
+                ],
+                ..Operation::post("/v1/sessions")
+            },
+            Self::Sessions => Operation {
+                summary: "List the recorded sessions",
+                description: "The daemon reads the session record, the oldest first: at most the newest 10000. Lines that it cannot \
+                              read are counted and named.",
+                answer: Answer::Json("SessionList"),
+                errors: &[&[Code::Store], ANY],
+                ..Operation::get("/v1/sessions")
+            },
+            Self::SessionShow => Operation {
+                summary: "Show a session",
+                description: "The running one from memory, and ended ones from the session record.",
+                parameter: Some("The session's id, or `running`"),
+                answer: Answer::Json("Session"),
+                errors: &[&[Code::BadRequest, Code::NotFound, Code::Store], ANY],
+                ..Operation::get("/v1/sessions/{id}")
+            },
+            Self::SessionEnd => Operation {
+                summary: "End a session",
+                description: "The daemon refuses it while a play waits or runs.",
+                parameter: Some("The session's id, or `running`"),
+                answer: Answer::Json("Session"),
+                errors: &[BODY, &[Code::NotFound, Code::Playing], ANY],
+                ..Operation::post("/v1/sessions/{id}/end")
+>>>>>>> 4bf8c48 (Sessions: participants, trials and labels, exclusive ones with a token; a session record by default)
             },
             Self::Metrics => Operation {
                 summary: "Show counters and gauges for Prometheus",

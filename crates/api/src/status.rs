@@ -2,6 +2,7 @@
 //!
 //! `GET /v1/status` and every command but `play` and `calibrate` answer with a [`Status`].
 
+use crate::session::Session;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -140,6 +141,15 @@ pub struct ParticipantStatus {
     /// Vibration that is left before a pause, s.
     #[schema(minimum = 0.0)]
     pub continuous_left_s: f64,
+    /// Longest vibration in a session, s.
+    #[schema(minimum = 0.1, maximum = 86400.0)]
+    pub max_session_s: f64,
+    /// Vibration in the running session, s; null without one.
+    #[schema(required, minimum = 0.0)]
+    pub session_used_s: Option<f64>,
+    /// Vibration that is left in the running session, s; null without one.
+    #[schema(required, minimum = 0.0)]
+    pub session_left_s: Option<f64>,
     /// Longest vibration in a local calendar day, s.
     #[schema(minimum = 0.1, maximum = 86400.0)]
     pub max_day_s: f64,
@@ -172,9 +182,11 @@ pub struct ParticipantStatus {
     "contradictions": 0,
     "motors": [{"rest_error_um": 0.4, "source": "telemetry", "calibrated": false}],
     "calibrated": null,
+    "session": null,
     "participant": {
         "participant": null, "max_amplitude_um": 200.0, "max_continuous_s": 600.0, "pause_s": 10.0,
-        "continuous_used_s": 12.5, "continuous_left_s": 587.5, "max_day_s": 7200.0, "day_used_s": 900.0, "day_left_s": 6300.0
+        "continuous_used_s": 12.5, "continuous_left_s": 587.5, "max_session_s": 3600.0,
+        "session_used_s": null, "session_left_s": null, "max_day_s": 7200.0, "day_used_s": 900.0, "day_left_s": 6300.0
     },
     "realtime": {"fifo": true, "mlock": true}, "logbook_problem": null,
     "socket": "/run/meissner/meissner.sock", "version": "0.1.0", "pid": 1234
@@ -238,6 +250,10 @@ pub struct Status {
     #[serde(default)]
     #[schema(required)]
     pub calibrated: Option<String>,
+    /// The running session; null without one.
+    #[serde(default)]
+    #[schema(required)]
+    pub session: Option<Session>,
     /// The participant's limits, and what is used and left; null from an older daemon.
     #[serde(default)]
     #[schema(required)]

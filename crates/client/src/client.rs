@@ -24,6 +24,7 @@ pub struct Client {
     endpoint: Endpoint,
     runtime: Runtime,
     connection: Option<Connection>,
+    token: Option<String>,
 }
 
 impl Client {
@@ -41,7 +42,12 @@ impl Client {
     /// [`ClientError::Runtime`].
     pub fn at(endpoint: Endpoint) -> Result<Self, ClientError> {
         let runtime = Builder::new_current_thread().enable_all().build().map_err(ClientError::Runtime)?;
-        Ok(Self { endpoint, runtime, connection: None })
+        Ok(Self { endpoint, runtime, connection: None, token: None })
+    }
+
+    /// Sends this token of a session with every request, or none. It shows the daemon that the session's owner is there.
+    pub fn set_token(&mut self, token: Option<String>) {
+        self.token = token;
     }
 
     /// Sends a `GET` and reads the JSON answer.
@@ -129,7 +135,7 @@ impl Client {
         body: &Bytes,
         timeout: Duration,
     ) -> Result<(bool, Bytes), ClientError> {
-        let Self { endpoint, runtime, connection } = self;
+        let Self { endpoint, runtime, connection, token } = self;
         let answer = runtime.block_on(async {
             let exchange = async {
                 // The daemon closes a connection that was idle for 10 minutes, or that another client needs.
@@ -142,7 +148,7 @@ impl Client {
                 let socket = &endpoint.socket;
                 let Some(Connection { sender, .. }) = connection else { return Err(hung_up(socket, None)) };
                 sender.ready().await.map_err(|source| hung_up(socket, Some(source)))?;
-                let request = request(method.clone(), path, body.clone());
+                let request = request(method.clone(), path, body.clone(), token.as_deref());
                 let response = sender.send_request(request).await;
                 read_all(socket, response.map_err(|source| hung_up(socket, Some(source)))?).await
             };
@@ -167,7 +173,7 @@ impl Client {
         let runtime = Builder::new_current_thread().enable_all().build().map_err(ClientError::Runtime)?;
         let (socket, response) = runtime.block_on(async {
             let (Connection { mut sender, .. }, socket) = connect(&self.endpoint).await?;
-            let request = request(Method::GET, "/v1/events", Bytes::new());
+            let request = request(Method::GET, "/v1/events", Bytes::new(), self.token.as_deref());
             let slow = |_| Err(ClientError::Timeout { socket: socket.clone(), timeout: ANSWER_TIMEOUT });
             let response = async {
                 let response = sender.send_request(request).await;

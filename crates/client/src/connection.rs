@@ -7,7 +7,7 @@ use crate::error::ClientError;
 use http_body_util::{BodyExt, Full, Limited};
 use hyper::body::{Bytes, Incoming};
 use hyper::client::conn::http1::{SendRequest, handshake};
-use hyper::header::{CONTENT_TYPE, HOST};
+use hyper::header::{AUTHORIZATION, CONTENT_TYPE, HOST, HeaderValue};
 use hyper::{Method, Request, Response};
 use hyper_util::rt::TokioIo;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -95,9 +95,14 @@ pub(crate) fn hung_up(socket: &Path, source: Option<hyper::Error>) -> ClientErro
     ClientError::HungUp { socket: socket.to_owned(), source }
 }
 
-pub(crate) fn request(method: Method, path: &str, body: Bytes) -> Request<Full<Bytes>> {
+pub(crate) fn request(method: Method, path: &str, body: Bytes, token: Option<&str>) -> Request<Full<Bytes>> {
     let request = Request::builder().method(method).uri(path).header(HOST, "localhost");
     let request = request.header(CONTENT_TYPE, "application/json");
+    let token = token.and_then(|token| HeaderValue::from_str(&format!("Bearer {token}")).ok());
+    let request = match token {
+        Some(token) => request.header(AUTHORIZATION, token),
+        None => request,
+    };
     request.body(Full::new(body)).expect("paths are made of checked parts")
 }
 

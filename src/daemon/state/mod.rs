@@ -1,4 +1,4 @@
-//! The daemon's state: seven parts with one job each, behind the engine's one lock.
+//! The daemon's state: eight parts with one job each, behind the engine's one lock.
 //!
 //! - [`Commands`]: commands to the streamer, and the calls that wait for their answers.
 //! - [`Plays`]: receipts, the clients of plays, and measured bursts.
@@ -7,6 +7,7 @@
 //! - [`Publisher`]: events to listeners and to the session record.
 //! - [`ActiveSettings`]: the streamer's settings, now and after the next `arm`.
 //! - [`Exposure`]: the participant's vibration, and the limits for it.
+//! - [`Sessions`]: the running session, and who may act meanwhile.
 //!
 //! A part uses no other part; a rule that concerns several is a method of [`State`]. There is one lock because such rules hold
 //! across parts: a play is in the receipts before the streamer reports anything about it, and events are published in the order of the
@@ -20,14 +21,16 @@ mod connection;
 mod exposure;
 mod plays;
 mod publisher;
+mod session;
 mod settings;
 
 pub(super) use calibration::Calibration;
 pub(super) use commands::{Commands, Reply};
 pub(super) use connection::{Connection, ConnectorMessage};
 pub(super) use exposure::Exposure;
-pub(super) use plays::{NewPlay, Plays};
+pub(super) use plays::{NewPlay, Plays, Trial};
 pub(super) use publisher::{Publisher, frame};
+pub(super) use session::{Sessions, no_session};
 pub(super) use settings::ActiveSettings;
 
 use crate::receipts::{NoPrediction, refusal, state_name};
@@ -46,6 +49,7 @@ pub(super) struct State {
     pub(super) publisher: Publisher,
     pub(super) settings: ActiveSettings,
     pub(super) exposure: Exposure,
+    pub(super) sessions: Sessions,
 }
 
 impl State {
@@ -141,6 +145,9 @@ impl State {
     pub(super) fn is_idle(&self) -> bool {
         let state = self.plays.receipts.device_state().state;
         let off = state == NO_DEVICE || state == state_name(DeviceState::Disarmed);
-        off && self.plays.receipts.is_idle() && self.calibration.running.is_none() && self.commands.is_idle()
+        off && !self.sessions.is_running()
+            && self.plays.receipts.is_idle()
+            && self.calibration.running.is_none()
+            && self.commands.is_idle()
     }
 }

@@ -7,7 +7,7 @@ use crate::daemon::predictor::MeasuredPlay;
 use crate::receipts::{MeasuredBursts, PlayedPattern, Receipts};
 use crate::session_record::Peer;
 use crate::store::Stored;
-use meissner_api::{Event, Receipt};
+use meissner_api::{Event, Labels, Receipt};
 use meissner_array::pattern::Pattern;
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -17,7 +17,16 @@ use std::sync::Arc;
 pub(in crate::daemon) struct NewPlay {
     pub(in crate::daemon) stored: Stored,
     pub(in crate::daemon) seconds: Option<f64>,
+    pub(in crate::daemon) trial: Trial,
     pub(in crate::daemon) client: Peer,
+}
+
+/// What a play belongs to.
+#[derive(Debug)]
+pub(in crate::daemon) struct Trial {
+    pub(in crate::daemon) session: Option<String>,
+    pub(in crate::daemon) number: Option<u64>,
+    pub(in crate::daemon) labels: Labels,
 }
 
 /// See the module.
@@ -35,11 +44,13 @@ pub(in crate::daemon) struct Plays {
 impl Plays {
     /// Gives a play an id and a receipt.
     pub(in crate::daemon) fn add(&mut self, play: NewPlay) -> u64 {
-        let NewPlay { stored: Stored { pattern, sha256, .. }, seconds, client } = play;
+        let NewPlay { stored: Stored { pattern, sha256, .. }, seconds, trial, client } = play;
         let telemetry = self.receipts.device().is_some_and(|device| device.telemetry);
         self.last_id += 1;
         let id = self.last_id;
-        self.receipts.add(Receipt::new(id, pattern.name(), &sha256, seconds));
+        let Trial { session, number, labels } = trial;
+        let receipt = Receipt::new(id, pattern.name(), &sha256, seconds);
+        self.receipts.add(Receipt { session, trial: number, labels, ..receipt });
         self.clients.insert(id, client);
         self.unpredicted.insert(id, (pattern, telemetry));
         id

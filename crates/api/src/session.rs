@@ -1,0 +1,203 @@
+//! Sessions: whose plays are recorded together, and whether one client owns the display meanwhile.
+//!
+//! [`SessionRequest`] starts a session, and [`SessionStarted`] answers with its id and the owner's token. The client sends the
+//! token as `Authorization: Bearer TOKEN`. One session runs at a time; every play meanwhile belongs to it.
+//!
+//! Invariant: names and labels have no control characters, and at most the characters stated here.
+
+use crate::problem::{Code, Problem};
+use crate::request::read;
+use meissner_input::message::{is_plain, quote};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use utoipa::ToSchema;
+
+/// Characters of a name, a label's key and a label's value, at most.
+pub const MAX_NAME: usize = 100;
+/// Labels of a session, and of a trial, at most.
+pub const MAX_LABELS: usize = 16;
+
+/// Free labels.
+pub type Labels = BTreeMap<String, String>;
+
+/// Who takes part in which experiment, and whether one client owns the display.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(examples(json!({
+    "participant": "P07", "experiment": "edges", "labels": {"block": "2"}, "seed": 42, "exclusive": true
+})))]
+pub struct SessionRequest {
+    /// A pseudonym, 1 to 100 characters. Limits for participants are counted by it.
+    #[schema(min_length = 1, max_length = 100)]
+    pub participant: String,
+    /// The experiment, 1 to 100 characters.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(min_length = 1, max_length = 100)]
+    pub experiment: Option<String>,
+    /// Up to 16 labels of 1 to 100 characters.
+    #[serde(default, deserialize_with = "crate::request::null_as_default")]
+    pub labels: BTreeMap<String, String>,
+    /// The seed of the experiment's random numbers. The daemon only records it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub seed: Option<u64>,
+    /// Whether only this session's owner may change anything. Others may read and order emergency stops.
+    #[serde(default, deserialize_with = "crate::request::null_as_default")]
+    pub exclusive: bool,
+}
+
+impl SessionRequest {
+    /// Reads a body.
+    ///
+    /// # Errors
+    /// A `bad-request` that names the key.
+    pub fn parse(body: &[u8]) -> Result<Self, Problem> {
+        let request: Self = read(body)?;
+        check_text("participant", &request.participant)?;
+        if let Some(experiment) = &request.experiment {
+            check_text("experiment", experiment)?;
+        }
+        check_labels(&request.labels)?;
+        Ok(request)
+    }
+}
+
+/// Checks the labels of a session or trial.
+pub(crate) fn check_labels(labels: &Labels) -> Result<(), Problem> {
+    if labels.len() > MAX_LABELS {
+        let detail = format!("`labels` has {} labels: at most {MAX_LABELS} are kept", labels.len());
+        return Err(Problem::new(Code::BadRequest, detail));
+    }
+    labels.iter().try_for_each(|(key, value)| {
+        check_text("labels", key)?;
+        check_text("labels", value)
+    })
+}
+
+/// A session that has begun.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[schema(examples(json!({
+    "id": "20261122T083000Z-9f3c", "token": "b1946ac92492d2347c6235b4d2611184", "record_problem": null
+})))]
+pub struct SessionStarted {
+    /// The session's id: begins with its start in UTC, so ids sort by time.
+    pub id: String,
+    /// The owner's secret for `Authorization: Bearer TOKEN`. Every request with it shows that the owner is there.
+    pub token: String,
+    /// Why the daemon does not record the session now; null if it does.
+    #[schema(required)]
+    pub record_problem: Option<String>,
+}
+
+/// A session, as it stands or as it was.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+#[schema(examples(json!({
+    "id": "20261122T083000Z-9f3c", "participant": "P07", "experiment": "edges", "labels": {"block": "2"}, "seed": 42,
+    "exclusive": true, "owner": "ada", "started": "2026-11-22T09:30:00.123456+01:00", "ended": null, "reason": null,
+    "plays": 12, "vibration_s": 24.0, "released": false, "release_in_s": 97.5
+})))]
+pub struct Session {
+    /// The session's id.
+    pub id: String,
+    /// The participant's pseudonym.
+    pub participant: String,
+    /// The experiment; null if none was named.
+    #[schema(required)]
+    pub experiment: Option<String>,
+    /// The session's labels.
+    #[serde(default)]
+    #[schema(required)]
+    pub labels: BTreeMap<String, String>,
+    /// The seed that was recorded; null if there was none.
+    #[schema(required, minimum = 0)]
+    pub seed: Option<u64>,
+    /// Whether the session began as an exclusive one.
+    pub exclusive: bool,
+    /// The user who started it; null: not known.
+    #[schema(required)]
+    pub owner: Option<String>,
+    /// When it began, local time with the offset from UTC.
+    pub started: String,
+    /// When it ended; null while it runs, or if the record does not tell.
+    #[schema(required)]
+    pub ended: Option<String>,
+    /// Why it ended: `request`, `daemon-ended`, or `unknown` (the daemon was killed); null while it runs.
+    #[schema(required)]
+    pub reason: Option<String>,
+    /// Plays that were accepted.
+    #[schema(minimum = 0)]
+    pub plays: u64,
+    /// Vibration in the session, s.
+    #[schema(minimum = 0.0)]
+    pub vibration_s: f64,
+    /// Whether an exclusive session's owner was silent for so long that others may act.
+    #[serde(default)]
+    #[schema(required)]
+    pub released: bool,
+    /// When others may act unless the owner sends a request, s from now; null: they may, or the session is over.
+    #[serde(default)]
+    #[schema(required, minimum = 0.0)]
+    pub release_in_s: Option<f64>,
+}
+
+impl Session {
+    /// Whether only the owner may change anything now.
+    #[must_use]
+    pub const fn is_closed_to_others(&self) -> bool {
+        self.exclusive && !self.released && self.reason.is_none()
+    }
+}
+
+/// The recorded sessions, the oldest first.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+#[schema(examples(json!({"sessions": [], "unreadable": 1, "problems": ["/var/lib/meissner/logbook/2026-11-20.jsonl:17: not a line of JSON"]})))]
+pub struct SessionList {
+    /// The sessions.
+    pub sessions: Vec<Session>,
+    /// Lines and files of the record that cannot be read.
+    #[schema(minimum = 0)]
+    pub unreadable: u64,
+    /// The first 100 of them, one line each.
+    #[schema(max_items = 100)]
+    pub problems: Vec<String>,
+}
+
+/// Checks a name, or a part of a label.
+pub(crate) fn check_text(key: &str, text: &str) -> Result<(), Problem> {
+    if (1..=MAX_NAME).contains(&text.chars().count()) && text.chars().all(is_plain) {
+        return Ok(());
+    }
+    let detail = format!(
+        "`{key}` is {}: must be 1 to {MAX_NAME} characters, without line breaks and the like",
+        quote(text)
+    );
+    Err(Problem::new(Code::BadRequest, detail))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_and_labels_are_bounded() {
+        let read = |text: &str| SessionRequest::parse(text.as_bytes());
+        let good = read(r#"{"participant":"P07","labels":{"block":"2"},"seed":3,"exclusive":null}"#).unwrap();
+        assert_eq!((good.labels["block"].as_str(), good.seed, good.exclusive), ("2", Some(3), false));
+        for (text, says) in [
+            (r#"{"experiment":"e"}"#.to_owned(), "`participant` is missing"),
+            (r#"{"participant":""}"#.to_owned(), "`participant` is ``: must be 1 to 100 characters"),
+            (r#"{"participant":"a\nb"}"#.to_owned(), "must be 1 to 100 characters, without line breaks"),
+            (format!(r#"{{"participant":"{}"}}"#, "x".repeat(101)), "must be 1 to 100 characters"),
+            (r#"{"participant":"P","labels":{"":"2"}}"#.to_owned(), "`labels` is ``"),
+            (r#"{"participant":"P","label":{}}"#.to_owned(), "did you mean `labels`?"),
+        ] {
+            let problem = read(&text).unwrap_err();
+            assert!(
+                problem.detail.contains(says) && problem.code == "bad-request",
+                "{text}: {}",
+                problem.detail
+            );
+        }
+        let many: Labels = (0..17).map(|n| (n.to_string(), String::from("x"))).collect();
+        assert!(check_labels(&many).unwrap_err().detail.contains("17 labels"));
+    }
+}

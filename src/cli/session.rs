@@ -1,0 +1,148 @@
+//! `session`: starts, ends and shows sessions.
+//!
+//! `start` keeps the owner's token for the commands of this terminal ([`token`]); `end` forgets it. If the token cannot be kept, `start`
+//! ends the session again.
+
+use super::arguments::{ClientOptions, label};
+use super::output::give;
+use super::{text, token};
+use anyhow::Result;
+use clap::Subcommand;
+use meissner_api::{self as api, SessionList, SessionRequest, SessionStarted};
+use meissner_client::escape;
+use serde_json::json;
+use std::io::{self, Write};
+use std::process::ExitCode;
+
+#[derive(Debug, Subcommand)]
+pub(super) enum Session {
+    /// Start a session; plays belong to it until it ends
+    Start {
+        /// Name the participant by this pseudonym
+        #[arg(long, value_name = "P")]
+        participant: String,
+        /// Name the experiment
+        #[arg(long, value_name = "E")]
+        experiment: Option<String>,
+        /// Record a label; up to 16 of them
+        #[arg(long = "label", value_name = "KEY=VALUE", value_parser = label)]
+        labels: Vec<(String, String)>,
+        /// Record the seed of the experiment's random numbers
+        #[arg(long, value_name = "N")]
+        seed: Option<u64>,
+        /// Keep others from everything but reading and emergency stops
+        #[arg(long)]
+        exclusive: bool,
+        #[command(flatten)]
+        options: ClientOptions,
+    },
+    /// End the running session
+    End {
+        /// End it only if it has this id
+        id: Option<String>,
+        #[command(flatten)]
+        options: ClientOptions,
+    },
+    /// List the recorded sessions, the oldest first
+    List(ClientOptions),
+    /// Show a session
+    Show {
+        /// Show the session with this id [default: the running one]
+        id: Option<String>,
+        #[command(flatten)]
+        options: ClientOptions,
+    },
+}
+
+pub(super) fn run(asked: &Session) -> Result<ExitCode> {
+    match asked {
+        Session::Start { participant, experiment, labels, seed, exclusive, options } => {
+            let request = SessionRequest {
+                participant: participant.clone(),
+                experiment: experiment.clone(),
+                labels: labels.iter().cloned().collect(),
+                seed: *seed,
+                exclusive: *exclusive,
+            };
+            start(options, &request)
+        }
+        Session::End { id, options } => end(options, id.as_deref()),
+        Session::List(options) => list(options),
+        Session::Show { id, options } => {
+            let session: api::Session = options.client()?.get(&path(id.as_deref()))?;
+            give(options.output.json, &session, || text::session(&session))
+        }
+    }
+}
+
+fn path(id: Option<&str>) -> String {
+    format!("/v1/sessions/{}", id.map_or_else(|| "running".to_owned(), escape))
+}
+
+fn start(options: &ClientOptions, request: &SessionRequest) -> Result<ExitCode> {
+    let mut client = options.client()?;
+    let started: SessionStarted = client.post("/v1/sessions", request)?;
+    let kept = token::keep(&started.token).inspect_err(|_| {
+        client.set_token(Some(started.token.clone()));
+        // Nobody could own it. If this fails, too, its owner is silent and others may act soon.
+        let _ = client.post::<api::Session>(&format!("{}/end", path(Some(&started.id))), &json!({}));
+    })?;
+    if let Some(problem) = &started.record_problem {
+        // If stderr is closed, there is no one to tell.
+        let _ = writeln!(io::stderr(), "warning: {problem}");
+    }
+    give(options.output.json, &started, || {
+        text::pairs(&[
+            ("session", format!("{} with {}", started.id, request.participant)),
+            (
+                "owner",
+                format!(
+                    "the commands of this terminal; for others set {} from {}",
+                    token::VARIABLE,
+                    kept.display()
+                ),
+            ),
+        ])
+    })
+}
+
+fn end(options: &ClientOptions, id: Option<&str>) -> Result<ExitCode> {
+    let ended: api::Session = options.client()?.post(&format!("{}/end", path(id)), &json!({}))?;
+    token::forget();
+    give(options.output.json, &ended, || text::session(&ended))
+}
+
+fn list(options: &ClientOptions) -> Result<ExitCode> {
+    let list: SessionList = options.client()?.get("/v1/sessions")?;
+    warn_unreadable(list.unreadable, &list.problems);
+    give(options.output.json, &list, || {
+        let row = |session: &api::Session| {
+            let stands = session.reason.clone().unwrap_or_else(|| "runs".to_owned());
+            vec![
+                session.id.clone(),
+                session.participant.clone(),
+                session.experiment.clone().unwrap_or_else(|| "-".to_owned()),
+                session.plays.to_string(),
+                stands,
+            ]
+        };
+        match list.sessions.is_empty() {
+            true => "no session is recorded".to_owned(),
+            false => {
+                let head = ["session", "participant", "experiment", "plays", "ended"];
+                text::columns(&head, list.sessions.iter().map(row))
+            }
+        }
+    })
+}
+
+/// Says on stderr which parts of the record cannot be read.
+fn warn_unreadable(count: u64, problems: &[String]) {
+    for problem in problems {
+        // If stderr is closed, there is no one to tell.
+        let _ = writeln!(io::stderr(), "warning: {problem}");
+    }
+    if let more @ 1.. = count.saturating_sub(problems.len() as u64) {
+        let _ = writeln!(io::stderr(), "warning: {more} more lines of the session record cannot be read");
+    }
+}

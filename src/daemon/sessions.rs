@@ -1,0 +1,154 @@
+//! Sessions over HTTP: the handlers, who may send which request, and the release of an exclusive session.
+//!
+//! [`guard`] runs before every handler that changes something. The token travels as `Authorization: Bearer TOKEN`.
+//!
+//! Invariant: a request that the guard refuses changes nothing; it is recorded like any refused command.
+
+use super::body;
+use super::engine::Engine;
+use super::http::{Answer, App, ErrorResponse, path};
+use super::request_log::LoggedRequest;
+use super::runtime::blocking;
+use super::state::no_session;
+use crate::session_record::{Peer, reader};
+use axum::Json;
+use axum::body::Body;
+use axum::extract::rejection::PathRejection;
+use axum::extract::{Extension, Path, Request, State};
+use axum::http::header::AUTHORIZATION;
+use axum::http::{HeaderMap, StatusCode};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+use meissner_api::{
+    Code, Method, Problem, Route, Session, SessionList, SessionRequest, SessionStarted, parse_empty,
+};
+use std::sync::Arc;
+use std::time::Duration;
+
+/// How long a reader of the record waits until the newest entries are written.
+const WRITTEN: Duration = Duration::from_secs(1);
+
+fn token(headers: &HeaderMap) -> Option<&str> {
+    headers.get(AUTHORIZATION)?.to_str().ok()?.strip_prefix("Bearer ")
+}
+
+/// Notes that the owner is there; refuses what only the owner may do.
+pub(super) async fn guard(
+    State((app, route)): State<(App, Route)>,
+    Extension(peer): Extension<Peer>,
+    request: Request,
+    next: Next,
+) -> Response {
+    let checked = {
+        let mut state = app.engine.lock();
+        let token = token(request.headers());
+        if route.method() == Method::Get || route == Route::EStop {
+            state.sessions.hear(token);
+            Ok(())
+        } else {
+            state.sessions.check_owner(token)
+        }
+    };
+    match checked {
+        Ok(()) => next.run(request).await,
+        Err(problem) => {
+            let logged = LoggedRequest::new(&app.engine, route.command(), peer);
+            let refused: Answer<()> = logged.result(Err(ErrorResponse::from(problem)));
+            refused.into_response()
+        }
+    }
+}
+
+pub(super) async fn start(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+    body: Body,
+) -> Answer<(StatusCode, Json<SessionStarted>)> {
+    let mut logged = LoggedRequest::new(&app.engine, "session-start", peer);
+    let result = async {
+        let request = SessionRequest::parse(&body::read_command(body).await?)?;
+        logged.set_arguments(&request);
+        let exclusive = request.exclusive;
+        let owner = app.engine.names.users.known(peer.uid).flatten();
+        let started = app.engine.lock().start_session(request, owner)?;
+        if exclusive {
+            tokio::spawn(release_in_time(Arc::clone(&app.engine), started.id.clone()));
+        }
+        Ok((StatusCode::CREATED, Json(started)))
+    }
+    .await;
+    logged.result(result)
+}
+
+/// Opens the session to others when its owner has been silent for too long, again and again until it ends.
+async fn release_in_time(engine: Arc<Engine>, id: String) {
+    loop {
+        let Some(left) = engine.lock().sessions.until_release(&id) else { return };
+        if left.is_zero() {
+            engine.lock().release_session(&id);
+            // The owner may come back, and be silent again.
+            tokio::time::sleep(Duration::from_secs(1)).await;
+        } else {
+            tokio::time::sleep(left).await;
+        }
+    }
+}
+
+pub(super) async fn end(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+    id: Result<Path<String>, PathRejection>,
+    body: Body,
+) -> Answer<Json<Session>> {
+    let logged = LoggedRequest::new(&app.engine, "session-end", peer);
+    let result = async {
+        let id = path(id)?;
+        parse_empty(&body::read_command(body).await?)?;
+        let ended = app.engine.lock().end_session(&id)?;
+        // A newer program may wait for the end.
+        app.engine.changed.notify_one();
+        Ok(Json(ended))
+    }
+    .await;
+    logged.result(result)
+}
+
+pub(super) async fn list(State(app): State<App>) -> Answer<Json<SessionList>> {
+    let running = app.engine.lock().session();
+    let record = app.engine.session_record();
+    let mut list = match record.dir() {
+        None => SessionList::default(),
+        Some(dir) => {
+            blocking(move || {
+                record.wait_until_written(WRITTEN);
+                reader::sessions(&dir)
+            })
+            .await??
+        }
+    };
+    if let Some(running) = running {
+        list.sessions.retain(|session| session.id != running.id);
+        list.sessions.push(running);
+    }
+    Ok(Json(list))
+}
+
+pub(super) async fn show(
+    State(app): State<App>,
+    id: Result<Path<String>, PathRejection>,
+) -> Answer<Json<Session>> {
+    let id = path(id)?;
+    let running = app.engine.lock().session();
+    if let Some(running) = running.filter(|running| id == running.id || id == "running") {
+        return Ok(Json(running));
+    }
+    let Json(list) = list(State(app)).await?;
+    let found = list.sessions.into_iter().find(|session| session.id == id);
+    Ok(Json(found.ok_or_else(|| no_session(&id))?))
+}
+
+impl From<reader::RecordError> for ErrorResponse {
+    fn from(error: reader::RecordError) -> Self {
+        Self(Problem::new(Code::Store, error.to_string()))
+    }
+}

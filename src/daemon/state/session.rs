@@ -1,0 +1,229 @@
+//! The running session: whose plays are recorded, and who may act meanwhile.
+//!
+//! A client is the owner if it sends the session's token. An exclusive session keeps every other client from changing anything, until
+//! its owner has been silent for [`Sessions::silence`]. Emergency stops never come here.
+//!
+//! Invariant: at most one session runs; it begins and ends while no play runs or waits, unless the daemon ends.
+
+use super::State;
+use crate::session_record::local_time;
+use jiff::Timestamp;
+use meissner_api::{Code, Event, Problem, Session, SessionRequest, SessionStarted};
+use meissner_stream::time::HostInstant;
+use rustix::rand::{GetRandomFlags, getrandom};
+use std::time::Duration;
+
+/// The running session.
+#[derive(Debug)]
+struct Running {
+    session: Session,
+    token: String,
+    /// When a request with the token came last.
+    heard: HostInstant,
+}
+
+/// See the module.
+#[derive(Debug, Default)]
+pub(in crate::daemon) struct Sessions {
+    running: Option<Running>,
+    /// How long an owner may be silent.
+    silence: Duration,
+}
+
+impl Sessions {
+    pub(in crate::daemon) const fn set_silence(&mut self, silence: Duration) {
+        self.silence = silence;
+    }
+
+    /// A request with this token came: if it is the owner's, the owner is there. An owner that comes back after its silence is the
+    /// owner again.
+    pub(in crate::daemon) fn hear(&mut self, token: Option<&str>) -> bool {
+        let running = self.running.as_mut().filter(|running| token == Some(&running.token));
+        running.is_some_and(|running| {
+            (running.heard, running.session.released) = (HostInstant::now(), false);
+            true
+        })
+    }
+
+    /// Refuses a change by a client that does not own the exclusive session.
+    pub(in crate::daemon) fn check_owner(&mut self, token: Option<&str>) -> Result<(), Problem> {
+        if self.hear(token) {
+            return Ok(());
+        }
+        let Some(running) = &self.running else { return Ok(()) };
+        let left = self.silence.saturating_sub(HostInstant::now().since(running.heard));
+        let Session { id, participant, owner, started, .. } = &running.session;
+        // The timer may be late.
+        if !running.session.is_closed_to_others() || left.is_zero() {
+            return Ok(());
+        }
+        let by = owner.as_ref().map_or_else(String::new, |owner| format!(" by {owner}"));
+        let detail = format!(
+            "session {id} with participant `{participant}` is exclusive since {started}{by}: only its owner may do that; others may \
+             read and order emergency stops, and may act once the owner has been silent for {:.0} s more",
+            left.as_secs_f64().ceil()
+        );
+        Err(Problem::new(Code::SessionExclusive, detail))
+    }
+
+    /// A play of the running session was accepted.
+    pub(in crate::daemon) fn count_play(&mut self, session: Option<&str>) {
+        if let Some(running) = self.running.as_mut().filter(|running| session == Some(&running.session.id)) {
+            running.session.plays += 1;
+        }
+    }
+
+    /// Whether a session runs.
+    pub(in crate::daemon) const fn is_running(&self) -> bool {
+        self.running.is_some()
+    }
+
+    /// How long to wait until the owner has been silent for too long; none if that is over or changes nothing.
+    pub(in crate::daemon) fn until_release(&self, id: &str) -> Option<Duration> {
+        let running = self.running.as_ref().filter(|running| running.session.id == id)?;
+        Some(self.silence.saturating_sub(HostInstant::now().since(running.heard)))
+    }
+}
+
+impl State {
+    /// Starts a session. `owner`: the user's name.
+    pub(in crate::daemon) fn start_session(
+        &mut self,
+        request: SessionRequest,
+        owner: Option<String>,
+    ) -> Result<SessionStarted, Problem> {
+        if self.commands.is_closing() {
+            return Err(Problem::new(Code::ShuttingDown, "the daemon is ending: start it again"));
+        }
+        if let Some(Running { session, .. }) = &self.sessions.running {
+            let detail = format!(
+                "session {} with participant `{}` runs since {}: end it first with `meissner session end`",
+                session.id, session.participant, session.started
+            );
+            return Err(Problem::new(Code::SessionRunning, detail));
+        }
+        self.check_nothing_plays()?;
+        if !self.publisher.session_record.takes_plays() {
+            let detail = "the session record has no room for more at this rate: try again later";
+            return Err(Problem::new(Code::TooManyPlays, detail));
+        }
+        let no_numbers = || Problem::new(Code::Store, "the system gives no random numbers for the token");
+        let (token, unique) =
+            (random_hex::<16>().ok_or_else(no_numbers)?, random_hex::<3>().ok_or_else(no_numbers)?);
+        let SessionRequest { participant, experiment, labels, seed, exclusive } = request;
+        let session = Session {
+            id: format!("{}-{unique}", Timestamp::now().strftime("%Y%m%dT%H%M%SZ")),
+            participant,
+            experiment,
+            labels,
+            seed,
+            exclusive,
+            owner,
+            started: local_time(),
+            ..Session::default()
+        };
+        let started = SessionStarted {
+            id: session.id.clone(),
+            token: token.clone(),
+            record_problem: self.publisher.session_record.problem(),
+        };
+        self.exposure.start_session(&session.participant);
+        self.sessions.running = Some(Running { session, token, heard: HostInstant::now() });
+        if let Some(session) = self.session().map(Box::new) {
+            self.publish(&Event::SessionStarted { session });
+        }
+        Ok(started)
+    }
+
+    /// Ends the running session, which a client named by its id or as `running`.
+    pub(in crate::daemon) fn end_session(&mut self, id: &str) -> Result<Session, Problem> {
+        self.check_session(id)?;
+        self.check_nothing_plays()?;
+        self.close_session("request").ok_or_else(|| no_session(id))
+    }
+
+    /// Ends the running session, whatever plays.
+    pub(in crate::daemon) fn close_session(&mut self, reason: &str) -> Option<Session> {
+        let mut session = self.session()?;
+        session.vibration_s = self.exposure.end_session();
+        (session.ended, session.reason) = (Some(local_time()), Some(reason.to_owned()));
+        session.release_in_s = None;
+        self.sessions.running = None;
+        self.publish(&Event::SessionEnded { session: Box::new(session.clone()) });
+        Some(session)
+    }
+
+    /// Opens an exclusive session to others, if its owner has been silent for too long.
+    pub(in crate::daemon) fn release_session(&mut self, id: &str) {
+        let silent = self.sessions.until_release(id).is_some_and(|left| left.is_zero());
+        let running =
+            self.sessions.running.as_mut().filter(|running| silent && running.session.is_closed_to_others());
+        if let Some(running) = running {
+            running.session.released = true;
+            self.publish(&Event::SessionReleased { session: id.to_owned() });
+        }
+    }
+
+    /// The running session.
+    pub(in crate::daemon) fn session(&self) -> Option<Session> {
+        let Running { session, .. } = self.sessions.running.as_ref()?;
+        let left = self.sessions.until_release(&session.id).filter(|_| session.is_closed_to_others());
+        Some(Session {
+            vibration_s: self.exposure.session_s(),
+            release_in_s: left.map(|left| left.as_secs_f64()),
+            ..session.clone()
+        })
+    }
+
+    /// The session of a play that names this one, or none.
+    pub(in crate::daemon) fn session_of_play(&self, asked: Option<&str>) -> Result<Option<String>, Problem> {
+        let running = self.sessions.running.as_ref().map(|running| running.session.id.clone());
+        match (asked, &running) {
+            (Some(asked), Some(running)) if asked != running => {
+                let detail =
+                    format!("`session` is not the running one, {running}: name that, or leave the key out");
+                Err(Problem::new(Code::SessionRunning, detail))
+            }
+            (Some(_), None) => {
+                let detail =
+                    "no session runs: start one with `meissner session start`, or leave out `session`";
+                Err(Problem::new(Code::SessionRunning, detail))
+            }
+            _ => Ok(running),
+        }
+    }
+
+    fn check_session(&self, id: &str) -> Result<(), Problem> {
+        let running = self.sessions.running.as_ref().map(|running| running.session.id.as_str());
+        if running.is_some_and(|running| id == "running" || id == running) {
+            Ok(())
+        } else {
+            Err(no_session(id))
+        }
+    }
+
+    fn check_nothing_plays(&self) -> Result<(), Problem> {
+        if self.plays.receipts.is_idle() {
+            return Ok(());
+        }
+        Err(Problem::new(Code::Playing, "a play runs or waits: wait for its end, or stop it first"))
+    }
+}
+
+/// The problem that no such session runs.
+pub(in crate::daemon) fn no_session(id: &str) -> Problem {
+    let detail = if id == "running" {
+        "no session runs: `meissner session list` shows the recorded ones".to_owned()
+    } else {
+        let id: String = id.chars().take(100).collect();
+        format!("session {id} does not run: `meissner session list` shows all")
+    };
+    Problem::new(Code::NotFound, detail)
+}
+
+/// Random bytes in hexadecimal.
+fn random_hex<const BYTES: usize>() -> Option<String> {
+    let mut bytes = [0; BYTES];
+    let got = getrandom(&mut bytes, GetRandomFlags::empty()).ok()?;
+    (got == BYTES).then(|| bytes.iter().map(|byte| format!("{byte:02x}")).collect())
+}

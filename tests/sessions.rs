@@ -1,0 +1,328 @@
+//! Sessions: one at a time, exclusive ones, their owner's silence, the record of them, and disks that fail.
+
+use crate::harness::{
+    Daemon, PATIENT, PROGRAM, TIMEOUT, complaint, document, ended, next, printed, problem, refusal,
+};
+use meissner_api::{Event, PlayState, Session, SessionList, SessionStarted, Status};
+use meissner_client::Client;
+use rustix::process::{Pid, Signal, kill_process};
+use serde_json::{Value, json};
+use std::fs;
+use std::os::unix::fs::PermissionsExt;
+use std::process::{Command, Stdio};
+
+fn start(client: &mut Client, participant: &str, exclusive: bool) -> SessionStarted {
+    let request = json!({
+        "participant": participant, "experiment": "edges", "labels": {"block": "2"}, "seed": 7, "exclusive": exclusive
+    });
+    client.post("/v1/sessions", &request).unwrap()
+}
+
+/// A client that owns a session.
+fn owner(daemon: &Daemon, participant: &str, exclusive: bool) -> (Client, SessionStarted) {
+    let mut client = daemon.armed();
+    let started = start(&mut client, participant, exclusive);
+    client.set_token(Some(started.token.clone()));
+    (client, started)
+}
+
+#[test]
+fn a_play_carries_its_session_trial_and_labels() {
+    let daemon = Daemon::start();
+    let (mut client, started) = owner(&daemon, "P07", false);
+    let mut events = client.events().unwrap();
+    let play = json!({"pattern": "pin-60", "seconds": 0.2, "trial": 3, "labels": {"condition": "a"}});
+    let _: Value = client.post("/v1/play", &play).unwrap();
+    let receipt = ended(&mut events);
+    assert_eq!((receipt.session.as_deref(), receipt.trial), (Some(&*started.id), Some(3)));
+    assert_eq!(receipt.labels["condition"], "a");
+    // Everybody's plays belong to it; a play for another session is refused.
+    let _: Value = daemon.client().post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.1})).unwrap();
+    assert_eq!(ended(&mut events).session, Some(started.id.clone()));
+    let other = json!({"pattern": "pin-60", "seconds": 0.1, "session": "20260101T000000Z-000000"});
+    assert_eq!(refusal(client.post("/v1/play", &other)), ("session-running".into(), 409));
+    let long = json!({"pattern": "pin-60", "seconds": 9, "session": started.id});
+    let _: Value = client.post("/v1/play", &long).unwrap();
+    assert_eq!(refusal(client.post("/v1/sessions/running/end", &json!({}))), ("playing".into(), 409));
+    let _: Status = client.post("/v1/stop", &json!({})).unwrap();
+    ended(&mut events);
+    let session: Session = client.post(&format!("/v1/sessions/{}/end", started.id), &json!({})).unwrap();
+    assert_eq!((session.plays, session.reason.as_deref()), (3, Some("request")));
+    assert!(session.vibration_s >= 0.3 && session.ended.is_some(), "{session:?}");
+    let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.1})).unwrap();
+    assert_eq!(ended(&mut events).session, None);
+    // As recorded: with the same values.
+    let recorded: Session = client.get(&format!("/v1/sessions/{}", started.id)).unwrap();
+    assert_eq!(recorded, session);
+    assert_eq!(problem(client.get("/v1/sessions/running")).code, "not-found");
+}
+
+#[test]
+fn two_clients_fight_for_a_session() {
+    let daemon = Daemon::start();
+    let (mut mine, started) = owner(&daemon, "P07", true);
+    let mut other = daemon.client();
+    for (path, body) in [
+        ("/v1/sessions", json!({"participant": "P08"})),
+        ("/v1/play", json!({"pattern": "pin-60", "seconds": 0.1})),
+        ("/v1/stop", json!({})),
+        ("/v1/disarm", json!({})),
+        ("/v1/arm", json!({"assume_rest": true})),
+        ("/v1/reset", json!({"force": true})),
+        ("/v1/home", json!({})),
+        ("/v1/calibrate", json!({})),
+        ("/v1/sessions/running/end", json!({})),
+    ] {
+        let refused = problem(other.post(path, &body));
+        assert_eq!((refused.code.as_str(), refused.status), ("session-exclusive", 409), "{path}");
+        let says = format!("session {} with participant `P07` is exclusive since 20", started.id);
+        assert!(
+            refused.detail.starts_with(&says) && refused.detail.contains(" s more"),
+            "{}",
+            refused.detail
+        );
+    }
+    assert_eq!(problem(other.put("/v1/patterns/mine", String::new())).code, "session-exclusive");
+    // A wrong token is none.
+    other.set_token(Some("0".repeat(32)));
+    assert_eq!(problem(other.post("/v1/stop", &json!({}))).code, "session-exclusive");
+    // Others read; the owner acts, from any connection.
+    let status: Status = other.get("/v1/status").unwrap();
+    let session = status.session.unwrap();
+    assert!(session.is_closed_to_others() && session.release_in_s.is_some_and(|left| left > 60.0));
+    let _: Status = mine.post("/v1/stop", &json!({})).unwrap();
+    let mut again = daemon.client();
+    again.set_token(Some(started.token.clone()));
+    let _: Value = again.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 30})).unwrap();
+    // An emergency stop is everybody's.
+    let stopped: Status = other.post("/v1/estop", &json!({})).unwrap();
+    assert_eq!(stopped.cause, "estop");
+    let _: Status = mine.post("/v1/reset", &json!({"force": true})).unwrap();
+    assert_eq!(
+        refusal(mine.post("/v1/sessions", &json!({"participant": "P09"}))),
+        ("session-running".into(), 409)
+    );
+    let _: Session = mine.post("/v1/sessions/running/end", &json!({})).unwrap();
+    let _: Status = other.post("/v1/disarm", &json!({})).unwrap();
+    start(&mut other, "P08", true);
+}
+
+/// The play goes on as ordered; others act after the stated silence, and the owner may come back.
+#[test]
+fn an_owner_that_dies_in_mid_play_locks_nobody_out() {
+    let daemon = Daemon::with("mock", &format!("{PATIENT}session_silence_s = 0.5\n"));
+    let (mut mine, started) = owner(&daemon, "P07", true);
+    let mut events = daemon.client().events().unwrap();
+    let mut program = Command::new(PROGRAM)
+        .args(["play", "pin-60", "--seconds", "1.5", "--wait"])
+        .env("MEISSNER_SOCKET", daemon.socket())
+        .env("MEISSNER_SESSION_TOKEN", &started.token)
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let id = crate::harness::began(&mut events);
+    kill_process(Pid::from_child(&program), Signal::KILL).unwrap();
+    program.wait().unwrap();
+    let mut other = daemon.client();
+    assert_eq!(problem(other.post("/v1/stop", &json!({}))).code, "session-exclusive");
+    next(&mut events, |event| match event {
+        Event::SessionReleased { session } => Some(assert_eq!(session, started.id)),
+        Event::Ended { .. } => panic!("the owner was silent for 0.5 s before the play's end"),
+        _ => None,
+    });
+    let status: Status = other.get("/v1/status").unwrap();
+    assert!(status.play.is_some_and(|play| play.id == id) && status.session.unwrap().released);
+    let receipt = ended(&mut events);
+    assert_eq!((receipt.id, receipt.state), (id, PlayState::Done));
+    let _: Value = other.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.1})).unwrap();
+    assert_eq!(ended(&mut events).session, Some(started.id.clone()));
+    // The owner's next request closes it again.
+    let back: Status = mine.get("/v1/status").unwrap();
+    assert!(back.session.unwrap().is_closed_to_others());
+    assert_eq!(problem(other.post("/v1/stop", &json!({}))).code, "session-exclusive");
+    next(&mut events, |event| matches!(event, Event::SessionReleased { .. }).then_some(()));
+    let ended: Session = other.post("/v1/sessions/running/end", &json!({})).unwrap();
+    assert_eq!((ended.id, ended.reason.as_deref()), (started.id, Some("request")));
+}
+
+#[test]
+fn the_command_line_owns_what_its_terminal_has_started() {
+    let daemon = Daemon::start();
+    daemon.armed();
+    let started = document(daemon.meissner().args([
+        "session",
+        "start",
+        "--participant",
+        "P07",
+        "--experiment",
+        "edges",
+        "--label",
+        "block=2",
+        "--seed",
+        "9",
+        "--exclusive",
+        "--json",
+    ]));
+    let files: Vec<_> =
+        fs::read_dir(daemon.path("meissner")).unwrap().map(|file| file.unwrap().path()).collect();
+    assert_eq!(files.len(), 1, "{files:?}");
+    assert_eq!(fs::metadata(&files[0]).unwrap().permissions().mode() & 0o777, 0o600);
+    printed(daemon.meissner().args([
+        "play",
+        "pin-60",
+        "--seconds",
+        "0.1",
+        "--trial",
+        "1",
+        "--label",
+        "c=a",
+        "--wait",
+    ]));
+    // Another terminal finds another file, or none.
+    let elsewhere = |command: &mut assert_cmd::Command| {
+        complaint(command.env("XDG_RUNTIME_DIR", daemon.path("elsewhere")))
+    };
+    let line = elsewhere(daemon.meissner().args(["play", "pin-60", "--seconds", "0.1"]));
+    assert!(line.contains("is exclusive since") && line.contains("only its owner may do that"), "{line}");
+    assert!(elsewhere(daemon.meissner().args(["session", "end"])).contains("is exclusive"));
+    let token = started["token"].as_str().unwrap();
+    printed(
+        daemon
+            .meissner()
+            .env("XDG_RUNTIME_DIR", daemon.path("elsewhere"))
+            .env("MEISSNER_SESSION_TOKEN", token)
+            .arg("stop"),
+    );
+    assert!(printed(daemon.meissner().arg("status")).contains(" with P07, exclusive"));
+    let shown = printed(daemon.meissner().args(["session", "show"]));
+    for part in
+        ["participant  P07", "experiment   edges", "block=2", "seed         9", "1, 0.1 s of vibration"]
+    {
+        assert!(shown.contains(part), "{part}: {shown}");
+    }
+    printed(daemon.meissner().args(["session", "end", started["id"].as_str().unwrap()]));
+    assert!(!files[0].exists());
+    let listed = printed(daemon.meissner().args(["session", "list"]));
+    assert!(listed.contains("P07") && listed.contains("request"), "{listed}");
+    assert!(complaint(daemon.meissner().args(["session", "end"])).contains("no session runs"));
+    let line = complaint(daemon.meissner().args(["session", "start", "--participant", ""]));
+    assert!(line.contains("`participant`"), "{line}");
+}
+
+#[test]
+fn a_session_ends_with_its_daemon_and_the_record_says_how() {
+    let dir = crate::harness::directory();
+    let launch = || {
+        let log = fs::File::create(dir.path().join("log")).unwrap();
+        let mut daemon =
+            Daemon::launch(std::sync::Arc::clone(&dir), "mock", PATIENT, log, Command::new(PROGRAM));
+        daemon.wait_for_device();
+        daemon
+    };
+    let mut ids = Vec::new();
+    for signal in [Signal::TERM, Signal::KILL] {
+        let mut daemon = launch();
+        let (mut client, started) = owner(&daemon, "P07", true);
+        let mut events = client.events().unwrap();
+        let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.1})).unwrap();
+        ended(&mut events);
+        let _: SessionList = client.get("/v1/sessions").unwrap();
+        ids.push(started.id);
+        daemon.signal(signal);
+        daemon.wait();
+    }
+    let daemon = launch();
+    let folder = dir.path().join("state/meissner/logbook");
+    let file = fs::read_dir(&folder)
+        .unwrap()
+        .map(|file| file.unwrap().path())
+        .find(|file| file.extension().is_some_and(|extension| extension == "jsonl"))
+        .unwrap();
+    // Lines that cannot be read, and a file that is none.
+    let text = fs::read_to_string(&file).unwrap();
+    fs::write(folder.join("2026-01-02.jsonl"), format!("no line\n{text}{{\"torn")).unwrap();
+    fs::create_dir(folder.join("2026-01-03.jsonl")).unwrap();
+    let list: SessionList = daemon.client().get("/v1/sessions").unwrap();
+    let ended: Vec<_> =
+        list.sessions.iter().map(|session| (session.id.clone(), session.reason.clone().unwrap())).collect();
+    assert_eq!(ended, [(ids[0].clone(), "daemon-ended".to_owned()), (ids[1].clone(), "unknown".to_owned())]);
+    assert_eq!(list.sessions.iter().map(|session| session.plays).max(), Some(1));
+    assert_eq!(list.unreadable, 3, "{:?}", list.problems);
+    assert!(list.problems[0].ends_with("2026-01-02.jsonl:1: not a line of JSON"), "{:?}", list.problems);
+    assert!(list.problems[2].contains("2026-01-03.jsonl: is not a regular file"), "{:?}", list.problems);
+    // Nobody is locked out.
+    start(&mut daemon.client(), "P08", true);
+}
+
+/// The disk takes nothing: the session goes on, and a line says what is missing.
+#[test]
+fn a_session_survives_a_disk_that_takes_nothing() {
+    let daemon = Daemon::with("mock", &format!("{PATIENT}logbook_dir = \"/sys/kernel/logbook\"\n"));
+    let (mut client, started) = owner(&daemon, "P07", true);
+    let why = started.record_problem.unwrap();
+    assert!(why.starts_with("the session record cannot be written: /sys/kernel/logbook"), "{why}");
+    let mut events = client.events().unwrap();
+    let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.1})).unwrap();
+    assert_eq!(ended(&mut events).state, PlayState::Done);
+    let list: SessionList = client.get("/v1/sessions").unwrap();
+    assert_eq!(list.sessions.len(), 1, "the running one");
+    let status: Status = client.get("/v1/status").unwrap();
+    assert!(status.logbook_problem.is_some());
+    let session: Session = client.post("/v1/sessions/running/end", &json!({})).unwrap();
+    assert_eq!(session.plays, 1);
+    assert!(events.next(Some(TIMEOUT)).unwrap().is_some());
+}
+
+#[test]
+fn a_daemon_that_keeps_no_record_has_sessions_too() {
+    let daemon = Daemon::by({
+        let mut command = Command::new("sh");
+        command.args(["-c", "exec \"$0\" \"$@\" --no-record", PROGRAM]).stdin(Stdio::null());
+        command
+    });
+    let mut daemon = daemon;
+    daemon.wait_for_device();
+    let (mut client, _) = owner(&daemon, "P07", false);
+    let _: Session = client.post("/v1/sessions/running/end", &json!({})).unwrap();
+    let list: SessionList = client.get("/v1/sessions").unwrap();
+    assert_eq!(list, SessionList::default());
+    assert!(!daemon.path("state").exists());
+}
+
+#[test]
+fn a_session_has_a_limit_of_its_own_and_participants_have_their_days() {
+    let limits = "[participant]\nmax_session_s = 0.5\nmax_day_s = 0.8\n";
+    let daemon = Daemon::with("mock", &format!("{PATIENT}{limits}"));
+    let (mut client, _) = owner(&daemon, "P07", false);
+    let mut events = client.events().unwrap();
+    let mut play = |client: &mut Client, seconds: f64| {
+        let answer = client.post::<Value>("/v1/play", &json!({"pattern": "pin-60", "seconds": seconds}));
+        if answer.is_ok() {
+            ended(&mut events);
+        }
+        answer
+    };
+    play(&mut client, 0.4).unwrap();
+    let refused = problem(play(&mut client, 0.2));
+    let says = "`participant.max_session_s` allows 0.5 s of vibration in a session: 0.1 s are left";
+    assert!(
+        refused.detail.starts_with(says) && refused.detail.contains("in a new one"),
+        "{}",
+        refused.detail
+    );
+    let status: Status = client.get("/v1/status").unwrap();
+    let limits = status.participant.unwrap();
+    assert_eq!(limits.participant.as_deref(), Some("P07"));
+    assert!((limits.session_used_s.unwrap() - 0.4).abs() < 1e-3, "{limits:?}");
+    let next = |client: &mut Client, participant| {
+        let _: Session = client.post("/v1/sessions/running/end", &json!({})).unwrap();
+        start(client, participant, false);
+    };
+    next(&mut client, "P07");
+    play(&mut client, 0.3).unwrap();
+    let refused = problem(play(&mut client, 0.15));
+    assert!(refused.detail.starts_with("`participant.max_day_s` allows 0.8 s"), "{}", refused.detail);
+    next(&mut client, "P08");
+    play(&mut client, 0.4).unwrap();
+}
