@@ -110,8 +110,8 @@ fn a_daemon_without_a_device_says_which_one_it_wants() {
         ("serial:/nonexistent/tty", Some(missing))
     );
     let text = printed(daemon.meissner().arg("status"));
-    assert!(text.contains("state     no device\n"), "{text}");
-    assert!(text.contains(&format!("device    none: {missing}\n")), "{text}");
+    assert!(text.contains("state      no device\n"), "{text}");
+    assert!(text.contains(&format!("device     none: {missing}\n")), "{text}");
     let output = daemon
         .meissner()
         .args(["doctor", "--json", "--seconds", "0.5"])

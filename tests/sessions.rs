@@ -127,7 +127,10 @@ fn an_owner_that_dies_in_mid_play_locks_nobody_out() {
     let mut other = daemon.client();
     assert_eq!(problem(other.post("/v1/stop", &json!({}))).code, "session-exclusive");
     next(&mut events, |event| match event {
-        Event::SessionReleased { session } => Some(assert_eq!(session, started.id)),
+        Event::SessionReleased { session } => {
+            assert_eq!(session, started.id);
+            Some(())
+        }
         Event::Ended { .. } => panic!("the owner was silent for 0.5 s before the play's end"),
         _ => None,
     });

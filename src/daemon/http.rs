@@ -161,14 +161,11 @@ fn handler(route: Route) -> MethodRouter<App> {
         Route::Import => on(method, import),
         Route::Calibrate => on(method, calibrate),
         Route::Calibration => on(method, calibration),
-<<<<<<< HEAD
         Route::StoreCalibration => on(method, store_calibration),
-=======
         Route::SessionStart => on(method, sessions::start),
         Route::Sessions => on(method, sessions::list),
         Route::SessionShow => on(method, sessions::show),
         Route::SessionEnd => on(method, sessions::end),
->>>>>>> 4bf8c48 (Sessions: participants, trials and labels, exclusive ones with a token; a session record by default)
         Route::Metrics => on(method, metrics_text),
         Route::OpenApi => on(method, openapi),
     }

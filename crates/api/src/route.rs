@@ -25,14 +25,11 @@ pub enum Route {
     Import,
     Calibrate,
     Calibration,
-<<<<<<< HEAD
     StoreCalibration,
-=======
     SessionStart,
     Sessions,
     SessionShow,
     SessionEnd,
->>>>>>> 4bf8c48 (Sessions: participants, trials and labels, exclusive ones with a token; a session record by default)
     Metrics,
     OpenApi,
 }
@@ -131,11 +128,7 @@ const STATUS: Answer = Answer::Json("Status");
 
 impl Route {
     /// Every route.
-<<<<<<< HEAD
-    pub const ALL: [Self; 18] = [
-=======
-    pub const ALL: [Self; 21] = [
->>>>>>> 4bf8c48 (Sessions: participants, trials and labels, exclusive ones with a token; a session record by default)
+    pub const ALL: [Self; 22] = [
         Self::Play,
         Self::Stop,
         Self::EStop,
@@ -151,14 +144,11 @@ impl Route {
         Self::Import,
         Self::Calibrate,
         Self::Calibration,
-<<<<<<< HEAD
         Self::StoreCalibration,
-=======
         Self::SessionStart,
         Self::Sessions,
         Self::SessionShow,
         Self::SessionEnd,
->>>>>>> 4bf8c48 (Sessions: participants, trials and labels, exclusive ones with a token; a session record by default)
         Self::Metrics,
         Self::OpenApi,
     ];
@@ -188,6 +178,7 @@ impl Route {
             Self::Home => "home",
             Self::Import => "import",
             Self::Calibrate => "calibrate",
+            Self::StoreCalibration => "store-calibration",
             Self::SessionStart => "session-start",
             Self::SessionEnd => "session-end",
             _ => "read",
@@ -365,7 +356,6 @@ impl Route {
                 errors: &[&[Code::NotFound], ANY],
                 ..Operation::get("/v1/calibration")
             },
-<<<<<<< HEAD
             Self::StoreCalibration => Operation {
                 method: Method::Put,
                 summary: "Store gains that were measured elsewhere, as with a laser",
@@ -375,7 +365,7 @@ impl Route {
                 answer: Answer::Json("CalibrationReport"),
                 errors: &[BODY, &[Code::Playing, Code::NoDevice, Code::Store, Code::Busy], ANY],
                 ..Operation::get("/v1/calibration")
-=======
+            },
             Self::SessionStart => Operation {
                 summary: "Start a session",
                 description: "One session runs at a time, and every play meanwhile belongs to it. A client that sends \
@@ -421,7 +411,6 @@ impl Route {
                 answer: Answer::Json("Session"),
                 errors: &[BODY, &[Code::NotFound, Code::Playing], ANY],
                 ..Operation::post("/v1/sessions/{id}/end")
->>>>>>> 4bf8c48 (Sessions: participants, trials and labels, exclusive ones with a token; a session record by default)
             },
             Self::Metrics => Operation {
                 summary: "Show counters and gauges for Prometheus",
