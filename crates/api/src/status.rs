@@ -75,7 +75,7 @@ pub struct Realtime {
 }
 
 /// Where the estimate of a rest error comes from: `telemetry` measured it, `dead-reckoning` computed it from the bursts that were
-/// played, `none`: there is no estimate.
+/// played, `lower-stop`: the pin comes down to a stop after each stroke, `none`: there is no estimate.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum ErrorSource {
@@ -86,15 +86,17 @@ pub enum ErrorSource {
     Telemetry,
     /// Dead reckoning: computed from the bursts that were played.
     DeadReckoning,
+    /// The pin comes down to a lower stop after each stroke.
+    LowerStop,
 }
 
 /// The state of one motor.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct MotorStatus {
-    /// Estimated offset of the pin from rest, µm, positive upwards. By dead reckoning: one standard deviation, at most the
-    /// distance of the end stops.
+    /// Estimated offset of the pin from rest, µm, positive upwards. By the lower stop: root mean square to expect. By dead
+    /// reckoning: one standard deviation, at most the distance of the end stops.
     pub rest_error_um: f32,
-    /// Where the estimate comes from: `none`, `telemetry` or `dead-reckoning`.
+    /// Where the estimate comes from: `none`, `telemetry`, `dead-reckoning` or `lower-stop`.
     pub source: ErrorSource,
     /// Whether the calibration in use holds gains of this motor.
     #[serde(default)]

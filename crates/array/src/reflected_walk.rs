@@ -160,6 +160,18 @@ impl ReflectedWalk {
         second[1..].iter().map(|square| square.sqrt()).collect()
     }
 
+    /// Mean and variance of the rest error after one more stroke, from those before it, µm and µm². Takes the free sum as normal,
+    /// so that it needs no history: the stationary rms of repeated calls is within 15 % of [`Self::rms_um`].
+    #[must_use]
+    pub fn after(&self, [mean, variance]: [f64; 2]) -> [f64; 2] {
+        let (mean, sd) = (mean + self.mean_um, libm::hypot(variance.sqrt(), self.sd_um));
+        if sd == 0.0 {
+            return [mean.max(0.0), 0.0];
+        }
+        let [first, second] = positive_part(-mean / sd);
+        [sd * first, sd * sd * (second - first * first)]
+    }
+
     /// -mean / sd of a step; none: the walk has no stationary distribution.
     fn delta(&self) -> Option<f64> {
         (self.mean_um < 0.0).then(|| -self.mean_um / self.sd_um)

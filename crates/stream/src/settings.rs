@@ -1,7 +1,11 @@
 //! The settings of the streamer, and the length of a batch that follows from them.
 
-use firmware_protocol::limits::OnTimeLimits;
-use meissner_array::units::ms_in_ticks;
+use crate::control::Gains;
+use firmware_protocol::limits::{MAX_PUSHES_PER_S, MAX_SEEK, OnTimeLimits};
+use firmware_protocol::stroke::MOTORS;
+use meissner_array::reflected_walk::Spread;
+use meissner_array::strokes::{AutoSurplus, Surplus};
+use meissner_array::units::{UM_PER_PULSE, ms_in_ticks};
 
 /// The streamer's settings.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -16,6 +20,54 @@ pub struct Settings {
     pub drift_warning_um: f32,
     /// Distance of the end stops from rest, µm: dead reckoning finds no pin farther off.
     pub end_stop_um: f32,
+    /// The array's lower stop, if it has one.
+    pub lower_stop: Option<LowerStopSettings>,
+}
+
+/// How plays use a lower stop at rest: a plate below which no pin can go.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LowerStopSettings {
+    /// How much longer a down burst is than its up burst, µm; `None`: as much as `rest_error_um` needs.
+    pub surplus_um: Option<f64>,
+    /// Root mean square of the rest error that is allowed, of the worst motor, µm.
+    pub rest_error_um: f64,
+    /// Most pulses in a sliding second that a motor may push against the stop.
+    pub pulses_per_s: u32,
+}
+
+impl Default for LowerStopSettings {
+    fn default() -> Self {
+        Self { surplus_um: None, rest_error_um: REST_ERROR_UM, pulses_per_s: MAX_PUSHES_PER_S }
+    }
+}
+
+/// Rest error that the surplus allows by default, µm: less than position control reaches with telemetry at 10 % scatter (8 µm).
+pub const REST_ERROR_UM: f64 = 5.0;
+/// Asymmetry against which the surplus of a motor without calibration is computed: two and a half standard deviations of the
+/// 2 % that we assume. Of 160 motors one is beyond.
+const WORST_ASYMMETRY: f64 = 0.05;
+/// A seek of the stop goes this many times as far as from end stop to rest: the first burst after rest reaches 80 %, and a
+/// weak motor less.
+const SEEK_MARGIN: f64 = 2.0;
+
+impl LowerStopSettings {
+    /// The surplus of plays on motors with these gains.
+    #[must_use]
+    pub fn surplus(&self, gains: &[Gains; MOTORS]) -> Surplus {
+        if let Some(um) = self.surplus_um {
+            return Surplus::Fixed(um);
+        }
+        let spread = gains.each_ref().map(|gains| {
+            let asymmetry = if *gains == Gains::default() {
+                WORST_ASYMMETRY
+            } else {
+                let [up, down] = gains.mean;
+                2.0 * (up - down) / (up + down) + 2.5 * gains.sd[0].hypot(gains.sd[1])
+            };
+            Spread { scatter: gains.scatter, asymmetry }
+        });
+        Surplus::Auto(Box::new(AutoSurplus { spread, rest_error_um: self.rest_error_um }))
+    }
 }
 
 /// Distance of the end stops from rest without configuration, µm. Our choice, as for the simulated array: no data sheet was
@@ -35,7 +87,16 @@ impl Settings {
             limits: OnTimeLimits::NONE,
             drift_warning_um: 100.0,
             end_stop_um: END_STOP_UM,
+            lower_stop: None,
         }
+    }
+
+    /// Pulses that take every pin to the lower stop, from wherever it is.
+    #[must_use]
+    pub fn seek_pulses(&self) -> u16 {
+        let pulses = SEEK_MARGIN * f64::from(self.end_stop_um) / UM_PER_PULSE;
+        // The cast saturates.
+        (pulses.ceil() as u16).clamp(1, MAX_SEEK)
     }
 
     /// The half of the lead that is for stalls of the PC, ms. The other half is for the line.

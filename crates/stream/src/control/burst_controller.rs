@@ -15,6 +15,12 @@
 //! the estimator gets the count that was really sent.
 //!
 //! The rest error is then the sum of the errors of the last N bursts: the bound of any loop with this delay.
+//!
+//! # With a lower stop
+//! A down burst with a surplus ends at the stop, whatever scatter added up before. The controller leaves it as planned and
+//! corrects up bursts only, from where telemetry shows the pin: the stop sets the rest position, the loop the amplitude. Nothing
+//! tells when a pin reaches the stop, so samples of that time are not used. Without telemetry, `landing` follows the mean and the
+//! variance of the rest error from stroke to stroke ([`ReflectedWalk::after`]).
 
 use super::estimator::{Estimator, Gains, Travel, after_rest, gain_index, sign};
 use super::telemetry_monitor::{Plausibility, TelemetryMonitor};
@@ -24,6 +30,7 @@ use firmware_protocol::stroke::{Burst, Direction, Stroke};
 use firmware_protocol::tick::Tick;
 use meissner_api::SensorFault;
 use meissner_array::motor::HalfTick;
+use meissner_array::reflected_walk::{ReflectedWalk, Spread};
 use meissner_array::units::{TICKS_PER_MS, TICKS_PER_S, UM_PER_PULSE};
 use std::collections::VecDeque;
 
@@ -90,6 +97,10 @@ pub(crate) struct BurstController {
     anchored: bool,
     /// The last move: from this position, µm, by this expected shift, µm.
     move_from: Option<(f64, f64)>,
+    /// The array has a lower stop.
+    lower_stop: bool,
+    /// With a lower stop: mean and variance of the rest error, µm and µm².
+    landing: [f64; 2],
     /// Dead reckoning since the last sample: variance by scatter, µm², and summed amplitudes, which asymmetry multiplies, µm.
     scattered: f64,
     reckoned_travel_um: f64,
@@ -121,9 +132,16 @@ impl BurstController {
             monitor: TelemetryMonitor::default(),
             anchored: false,
             move_from: None,
+            lower_stop: false,
+            landing: [0.0; 2],
             scattered: 0.0,
             reckoned_travel_um: 0.0,
         }
+    }
+
+    /// Whether the array has a lower stop.
+    pub(crate) fn set_lower_stop(&mut self, lower_stop: bool) {
+        self.lower_stop = lower_stop;
     }
 
     /// Tracks a stroke sent; its play ends at `until`. Strokes come in order.
@@ -194,15 +212,21 @@ impl BurstController {
             .map_or(0.0, |first| self.estimator.scatter() * f64::from(first.planned[0]) * UM_PER_PULSE);
         self.queue.clear();
         (self.begun, self.finalised, self.pending) = (0, 0, [0; 2]);
-        self.estimator.rest_at(rest_um, self.estimator.variance() + 2.0 * unsure * unsure);
-        self.scattered += 2.0 * unsure * unsure;
+        if self.lower_stop {
+            // The return ends at the stop, too.
+            let [mean, variance] = self.landing;
+            self.estimator.rest_at(mean, variance);
+        } else {
+            self.estimator.rest_at(rest_um, self.estimator.variance() + 2.0 * unsure * unsure);
+            self.scattered += 2.0 * unsure * unsure;
+        }
         (self.anchored, self.move_from) = (false, None);
     }
 
     /// The operator says that the pin is at rest.
     pub(crate) fn assume_rest(&mut self) {
         self.estimator.rest_at(0.0, 1.0);
-        (self.scattered, self.reckoned_travel_um) = (0.0, 0.0);
+        (self.scattered, self.reckoned_travel_um, self.landing) = (0.0, 0.0, [0.0; 2]);
     }
 
     /// Clears a sensor fault, and forgets what the faulty telemetry taught.
@@ -259,8 +283,14 @@ impl BurstController {
     fn finalise(&mut self) {
         let (at, half) = (self.finalised / 2, self.finalised % 2);
         let burst = self.queue[at].burst(half);
-        let tenths = if after_rest(self.finalised_end(), burst.start) < 1.0 { 8 } else { 10 };
-        let counted = i64::from(burst.pulses) * tenths;
+        let counted = if half == 1 && self.lower_stop {
+            // It takes the pin down from wherever it is, and no further.
+            let pulses = self.position_um() / (UM_PER_PULSE * self.estimator.gain(Direction::Down));
+            (10.0 * pulses).round() as i64
+        } else {
+            let tenths = if after_rest(self.finalised_end(), burst.start) < 1.0 { 8 } else { 10 };
+            i64::from(burst.pulses) * tenths
+        };
         self.queue[at].counted[half] = counted;
         self.pending[half] += counted;
         self.finalised += 1;
@@ -314,11 +344,17 @@ impl BurstController {
                 self.monitor.corrected(limited_um.map(f64::from), rest_um.into());
             }
             self.estimator.forget(HalfTick::from(burst.start), &mut over);
-            if let Some(travel) = self.estimator.begin(burst) {
+            let merged = if half == 1 && self.lower_stop {
+                self.landing = self.walk(&next.planned).after(self.landing);
+                self.estimator.begin_stopped(burst, self.landing)
+            } else {
+                self.estimator.begin(burst)
+            };
+            if let Some(travel) = merged {
                 over(travel);
             }
             self.begun += 1;
-            if half == 1 {
+            if half == 1 && !self.lower_stop {
                 let um = f64::from(next.planned[0]) * UM_PER_PULSE;
                 self.scattered += 2.0 * (self.estimator.scatter() * um).powi(2);
                 self.reckoned_travel_um += um;
@@ -337,7 +373,7 @@ impl BurstController {
 
     /// Takes a sample of the displacement, µm, after [`Self::advance`] to its tick. Calls `over` with each burst measured.
     pub(crate) fn telemetry(&mut self, tick: Tick, um: f64, mut over: impl FnMut(Travel)) {
-        if self.monitor.fault().is_some() {
+        if self.monitor.fault().is_some() || self.estimator.is_stopping(tick) {
             return;
         }
         if !self.anchored {
@@ -398,6 +434,23 @@ impl BurstController {
         (self.scattered + drift * drift).sqrt()
     }
 
+    /// The rest error of strokes with these planned counts, from one to the next.
+    fn walk(&self, planned: &[u16; 2]) -> ReflectedWalk {
+        let [up, down] = planned.map(|pulses| f64::from(pulses) * UM_PER_PULSE);
+        let asymmetry = if self.is_calibrated() {
+            2.0 * (self.gains.mean[0] - self.gains.mean[1]) / (self.gains.mean[0] + self.gains.mean[1])
+        } else {
+            ASYMMETRY
+        };
+        ReflectedWalk::new(up, down - up, Spread { scatter: self.gains.scatter, asymmetry })
+    }
+
+    /// With a lower stop: root mean square of the rest error to expect, µm.
+    pub(crate) fn landing_rms_um(&self) -> Option<f64> {
+        let [mean, variance] = self.landing;
+        self.lower_stop.then(|| (mean * mean + variance).sqrt())
+    }
+
     /// The count that takes the next burst to its planned end point; if a limit cuts it, also the correction made, µm.
     ///
     /// No stroke yet to be queued begins before `free`. `may_lengthen` allows more pulses than planned.
@@ -416,6 +469,7 @@ impl BurstController {
         let gain = self.estimator.gain(burst.direction) * after_rest(self.finalised_end(), burst.start);
         let position = self.position_um() / UM_PER_PULSE;
         let (way, most) = match burst.direction {
+            Direction::Up if self.lower_stop => (f64::from(planned[0]) - position, up_most),
             Direction::Up => {
                 let down = f64::from(down_most) * self.estimator.gain(Direction::Down);
                 let top = down / (1.0 + HEADROOM * self.estimator.scatter());
@@ -459,8 +513,8 @@ impl BurstController {
             let measured = fresh && self.anchored && self.monitor.allows_correction(now);
             // Calibrated gains correct without telemetry too, all but the scatter.
             let reckoned = !fresh && self.is_calibrated() && self.monitor.fault().is_none();
-            if (measured || reckoned) && queued.closed_loop && queued.accepted && burst.start >= now + SEND_BY
-            {
+            let corrects = queued.closed_loop && !(half == 1 && self.lower_stop);
+            if (measured || reckoned) && corrects && queued.accepted && burst.start >= now + SEND_BY {
                 let (pulses, limited_um) = self.target_pulses(&free, may_lengthen);
                 let limited_um = limited_um.map(|um| um as f32);
                 let correction = Correction { limited_um, rest_um: self.rest_um() as f32 };

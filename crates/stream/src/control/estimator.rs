@@ -42,6 +42,8 @@ const GAIN_WANDER: f64 = 2e-4;
 const SAMPLE_VARIANCE: f64 = 0.01 * 0.01 / 12.0 + 0.01 * 0.01;
 /// Random walk of the position per sample, µm².
 const POSITION_WANDER: f64 = 1e-6;
+/// Least variance of where a pin lands at the lower stop, µm²: the model's own error.
+const LEAST_LANDING: f64 = 0.25;
 /// Variance of a position that telemetry has not shown yet, µm².
 const NOWHERE: f64 = 500.0 * 500.0;
 
@@ -93,6 +95,8 @@ pub(crate) struct Travel {
     pub(super) gain: f64,
     /// It came after half a second of rest: a transient.
     pub(super) rested: bool,
+    /// The lower stop ended it.
+    pub(super) stopped: bool,
 }
 
 impl Travel {
@@ -119,6 +123,8 @@ struct WindowedBurst {
     ideal: f64,
     mean: f64,
     rested: bool,
+    /// The lower stop ends its travel, so it shows nothing of the motor.
+    stopped: bool,
     /// At its beginning: the expected travel, the gain's variance, the travel's variance.
     expected: f64,
     gain_variance: f64,
@@ -268,10 +274,42 @@ impl Estimator {
             um_per_tick: f64::from(burst.pulses).recip(),
         };
         let expected = self.mean[new];
-        let windowed = WindowedBurst { burst, ramp, ideal, mean, rested, expected, gain_variance, variance };
+        let stopped = false;
+        let windowed =
+            WindowedBurst { burst, ramp, ideal, mean, rested, stopped, expected, gain_variance, variance };
         // Cannot fail: there is room now.
         let _ = self.window.push(windowed);
         over
+    }
+
+    /// Adds a down burst that drives the pin against the lower stop, where it lands with this mean, µm, and variance, µm².
+    /// Returns the oldest burst if it had to make room.
+    pub(super) fn begin_stopped(&mut self, burst: Burst, [mean, variance]: [f64; 2]) -> Option<Travel> {
+        let over = self.begin(burst);
+        let (new, before) = (self.states() - 1, self.states() - 1);
+        // The travel takes back whatever the position was: their sum is where the pin lands.
+        let others = || (0..before).filter(|state| !GAINS.contains(state));
+        self.mean[new] = mean - others().map(|state| self.mean[state]).sum::<f64>();
+        let mut back = [0.0; STATES];
+        for (state, back) in back[..before].iter_mut().enumerate() {
+            *back = -others().map(|other| self.covariance[other][state]).sum::<f64>();
+        }
+        let of_position: f64 = others().map(|state| -back[state]).sum();
+        for (state, &back) in back[..before].iter().enumerate() {
+            (self.covariance[new][state], self.covariance[state][new]) = (back, back);
+        }
+        self.covariance[new][new] = of_position + variance.max(LEAST_LANDING);
+        if let Some(windowed) = self.window.last_mut() {
+            windowed.stopped = true;
+        }
+        over
+    }
+
+    /// Whether a burst that the lower stop ends is under way at `tick`, or the moving average still shows its motion. When it
+    /// stops, nothing tells: samples show no more than that it lands.
+    pub(super) fn is_stopping(&self, tick: Tick) -> bool {
+        let at = HalfTick::from(tick);
+        self.window.iter().any(|it| it.stopped && HalfTick::from(it.burst.end()).0 + WINDOW_HALF_TICKS > at.0)
     }
 
     /// Compares a sample, µm, with the prediction.
@@ -352,12 +390,13 @@ impl Estimator {
             sd_um: variance.max(0.0).sqrt(),
             gain: travel / windowed.mean,
             rested: windowed.rested,
+            stopped: windowed.stopped,
         }
     }
 
     /// Learns the scatter: the share of a burst's innovation that is not the gain's, as far as telemetry shows it.
     fn learn(&mut self, windowed: &WindowedBurst, travel: f64, variance: f64) {
-        if windowed.rested {
+        if windowed.rested || windowed.stopped {
             return;
         }
         let now = self.scatter * self.scatter;

@@ -69,6 +69,7 @@ impl PositionControl {
     pub(super) fn configure(&mut self, settings: &Settings) {
         self.limited = settings.limits != OnTimeLimits::NONE;
         self.end_stop_um = settings.end_stop_um;
+        self.motors.iter_mut().for_each(|motor| motor.set_lower_stop(settings.lower_stop.is_some()));
     }
 
     /// The device has flushed the queue and returns pins: telemetry means nothing until they are at rest.
@@ -269,15 +270,17 @@ impl PositionControl {
         self.last_sample.is_some_and(|sampled| now - sampled <= TICKS_PER_S)
     }
 
-    /// Estimated rest error of each shaft, µm, and its source. By dead reckoning: one standard deviation, and at most the
-    /// distance of the end stops, because no shaft can be farther off.
+    /// Estimated rest error of each shaft, µm, and its source. By the lower stop: root mean square. By dead reckoning: one standard
+    /// deviation, and at most the distance of the end stops, because no shaft can be farther off.
     pub(super) fn rest_error_um(&self, now: Tick) -> [(f32, ErrorSource); MOTORS] {
         let fresh = self.has_recent_telemetry(now);
         self.motors.each_ref().map(|motor| {
-            match (fresh && motor.fault().is_none(), motor.dead_reckoning_sd_um()) {
-                (true, _) => (motor.rest_um() as f32, ErrorSource::Telemetry),
-                (false, 0.0) => (motor.rest_um() as f32, ErrorSource::None),
-                (false, reckoned) => ((reckoned as f32).min(self.end_stop_um), ErrorSource::DeadReckoning),
+            let measured = fresh && motor.fault().is_none();
+            match (measured, motor.landing_rms_um(), motor.dead_reckoning_sd_um()) {
+                (true, _, _) => (motor.rest_um() as f32, ErrorSource::Telemetry),
+                (false, Some(landing), _) => (landing as f32, ErrorSource::LowerStop),
+                (false, None, 0.0) => (motor.rest_um() as f32, ErrorSource::None),
+                (false, None, sd) => ((sd as f32).min(self.end_stop_um), ErrorSource::DeadReckoning),
             }
         })
     }

@@ -135,6 +135,9 @@ impl TelemetryMonitor {
 
     /// A burst was measured; the motor's calibrated gain is `nominal`.
     pub(super) fn travel(&mut self, travel: &Travel, nominal: f64, estimator: &Estimator) {
+        if travel.stopped {
+            return;
+        }
         if travel.sd_um < MEASURED * travel.um_ideal() {
             let deviation = (travel.gain - nominal) / GAIN_SD;
             let square = (deviation * deviation).min(GAIN_MOST);

@@ -9,7 +9,7 @@ use crate::queues::{
 };
 use crate::streamer::{ANSWER_WITHIN, MAX_PENDING_OPS, OpResult, PendingOp, Streamer, answer, cuts_play};
 use crate::time::HostInstant;
-use firmware_protocol::message::{Cause, Op, State};
+use firmware_protocol::message::{Cause, LowerStop, Op, State};
 use firmware_protocol::tick::Tick;
 use meissner_array::units::{duration_to_ticks, ms_in_ticks};
 use std::time::Duration;
@@ -48,7 +48,8 @@ impl Streamer {
                 return;
             }
             Command::Reset { estops_seen } => self.reset(estops_seen),
-            Command::Arm { assume_rest } => self.arm(assume_rest),
+            Command::Arm { assume_rest } => self.arm(now, assume_rest),
+            Command::Home if self.settings.lower_stop.is_some() => self.home_by_stop(now),
             Command::Home => match self.home(ticket) {
                 // The answer comes when the pins are home.
                 Ok(_) => return,
@@ -214,7 +215,7 @@ impl Streamer {
         Ok(Some(Op::Disarm(Cause::Request)))
     }
 
-    fn arm(&mut self, assume_rest: bool) -> OpResult {
+    fn arm(&mut self, now: HostInstant, assume_rest: bool) -> OpResult {
         self.ready()?;
         // An operation begins a new epoch: do not send one between a play and its strokes for nothing.
         match self.state() {
@@ -231,7 +232,11 @@ impl Streamer {
             self.control.assume_rest();
         }
         let host_timeout = ms_in_ticks(self.settings.lease_ms).round() as u32;
-        Ok(Some(Op::Arm { assume_rest, host_timeout, limits: self.settings.limits, lower_stop: None }))
+        let lower_stop = self.settings.lower_stop.map(|stop| {
+            let seek = if self.needs_seek(now) { self.seek_pulses(now) } else { 0 };
+            LowerStop { pulses_per_s: stop.pulses_per_s, seek }
+        });
+        Ok(Some(Op::Arm { assume_rest, host_timeout, limits: self.settings.limits, lower_stop }))
     }
 
     /// Applies the settings configured last.
@@ -248,6 +253,7 @@ impl Streamer {
         self.wants_armed = false;
         self.cut_all(End::Stopped, "estop");
         self.end_homing(Err(CommandError::Returning), emit);
+        self.end_seek(Err(CommandError::Faulted), emit);
         self.snapshot_due = now;
         let waits = self.pending_ops.front().is_some_and(|first| first.op == Op::EStop);
         while self.pending_ops.len() > usize::from(waits) {

@@ -5,6 +5,7 @@
 use crate::active::{Active, FIRST_MARGIN, Phase};
 use crate::link::{Event, LostReason, Verdict};
 use crate::queues::{CommandError, Emit, End, Onset, StreamEvent};
+use crate::streamer::homing::seeks;
 use crate::streamer::{IDLE_PING, Streamer, answer, cause_text, cuts_play};
 use crate::time::HostInstant;
 use firmware_protocol::message::{Cause, Counters, DeviceHello, Op, State, Status};
@@ -51,13 +52,21 @@ impl Streamer {
             Event::Control(result) => {
                 self.in_flight = false;
                 if let Some(done) = self.pending_ops.pop_front() {
-                    if result.is_err() && !matches!(done.op, Op::Move { .. }) {
+                    if result.is_err() && !matches!(done.op, Op::Move { .. } | Op::Seek { .. }) {
                         self.wants_armed = false;
                         self.cut_all(End::Stopped, "the device refused the command before it");
                     }
                     // The client must see the new state when it gets the answer.
                     emit.event(StreamEvent::Snapshot(self.snapshot(now)));
-                    answer(done.ticket, result.map_err(CommandError::Device), emit);
+                    if result.is_ok() && seeks(&done.op) {
+                        self.control.assume_rest();
+                        // The answer comes when the pins are at the stop.
+                        self.end_seek(Err(CommandError::Returning), emit);
+                        self.seek_ticket = Some(done.ticket);
+                        self.settle_seek(emit);
+                    } else {
+                        answer(done.ticket, result.map_err(CommandError::Device), emit);
+                    }
                     if cuts_play(&done.op) {
                         self.control.cut();
                     }
@@ -116,6 +125,7 @@ impl Streamer {
         if self.resets_own_e_stop && !self.latched && self.no_op_pending() {
             self.queue_op(now, 0, Op::Reset, emit);
         }
+        self.settle_seek(emit);
         if status.state == State::Armed && !self.in_flight {
             self.control.at_rest(tick);
         }

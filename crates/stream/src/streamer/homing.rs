@@ -4,7 +4,8 @@
 //! own. With telemetry it repeats until every pin is within [`NEAR_UM`] or after [`ROUNDS`] rounds: each move scatters
 //! by a tenth of its travel. The first move is small: if telemetry does not show it as expected, that is a sensor
 //! fault, and the motor is not moved again. Without telemetry a calibrated motor moves once, by the offset that its
-//! gains predict; the scatter stays. A motor without either does not move.
+//! gains predict; the scatter stays. A motor without either does not move. On an array with a lower stop none of this is needed:
+//! one seek drives all pins down to the stop ([`Streamer::home_by_stop`]).
 //!
 //! Invariant: the answer is an error unless every pin is home.
 
@@ -17,6 +18,7 @@ use firmware_protocol::stroke::{Direction, MOTORS};
 use firmware_protocol::tick::Tick;
 use meissner_array::motor::WINDOW_TICKS;
 use meissner_array::units::{TICKS_PER_MS, TICKS_PER_S, UM_PER_PULSE};
+use std::time::Duration;
 
 /// A pin this near to rest is not moved, µm; one this near at the end counts as home.
 const NEAR_UM: f64 = 0.5;
@@ -29,6 +31,17 @@ const ROUNDS: u8 = 6;
 const SETTLED: u64 = WINDOW_TICKS + 2 * TICKS_PER_MS;
 /// How long to wait for telemetry after a round, ticks.
 const SILENT: u64 = TICKS_PER_S / 2;
+
+/// Arming again within this time does not seek again: it costs pulses against the stop, which are limited.
+const SEEK_EVERY: Duration = Duration::from_secs(1);
+
+/// Whether an operation seeks the lower stop.
+pub(super) fn seeks(op: &Op) -> bool {
+    match op {
+        Op::Arm { lower_stop, .. } => lower_stop.is_some_and(|stop| stop.seek > 0),
+        op => matches!(op, Op::Seek { .. }),
+    }
+}
 
 impl Streamer {
     /// Starts homing.
@@ -54,6 +67,50 @@ impl Streamer {
             until: tick,
         });
         Ok(None)
+    }
+
+    /// Homes all pins by driving them down to the lower stop.
+    pub(super) fn home_by_stop(&mut self, now: HostInstant) -> OpResult {
+        self.takes_plays()?;
+        if self.state() != State::Armed || !self.no_op_pending() {
+            return Err(CommandError::Returning);
+        }
+        if !self.plays.is_empty() {
+            return Err(CommandError::Playing);
+        }
+        Ok(Some(Op::Seek { pulses: self.seek_pulses(now) }))
+    }
+
+    /// Whether arming has to seek the lower stop: nothing tells where pins are, or something may have moved them.
+    pub(super) fn needs_seek(&self, now: HostInstant) -> bool {
+        let is_known = self.status.is_some_and(|(status, _)| status.position_known);
+        !is_known || self.last_seek.is_none_or(|last| now.since(last) >= SEEK_EVERY)
+    }
+
+    /// The pulses of a seek that is about to be sent.
+    pub(super) fn seek_pulses(&mut self, now: HostInstant) -> u16 {
+        self.last_seek = Some(now);
+        self.settings.seek_pulses()
+    }
+
+    /// Answers the request that waits for a seek, if there is one.
+    pub(super) fn end_seek(&mut self, result: Result<(), CommandError>, emit: &mut dyn Emit) {
+        if let Some(ticket) = self.seek_ticket.take() {
+            answer(ticket, result, emit);
+        }
+    }
+
+    /// Answers the request that waits for a seek once it is over.
+    pub(super) fn settle_seek(&mut self, emit: &mut dyn Emit) {
+        match self.status {
+            Some((status, _)) if status.state == State::Armed && status.position_known => {
+                self.end_seek(Ok(()), emit);
+            }
+            Some((status, _)) if status.state != State::Returning => {
+                self.end_seek(Err(CommandError::Returning), emit);
+            }
+            _ => {}
+        }
     }
 
     /// The device has answered a move, possibly of a homing that has ended.

@@ -100,6 +100,10 @@ pub struct Streamer {
     /// The next stroke waits for credits.
     pub(super) short_of_credits: bool,
     homing: Option<Homing>,
+    /// The request that waits for a seek of the lower stop.
+    seek_ticket: Option<u64>,
+    /// When the last seek was sent.
+    last_seek: Option<HostInstant>,
     /// The last move, if it went up: motor, pulses, its end.
     last_move: Option<(u8, u16, Tick)>,
     /// Motors whose sensor fault is reported.
@@ -136,6 +140,8 @@ impl Streamer {
             fed_until: Tick(0),
             short_of_credits: false,
             homing: None,
+            seek_ticket: None,
+            last_seek: None,
             last_move: None,
             reported_faults: [false; MOTORS],
             reported_drift: false,
@@ -173,6 +179,7 @@ impl Streamer {
             answer(waiting.ticket, Err(CommandError::NoDevice), emit);
         }
         self.end_homing(Err(CommandError::NoDevice), emit);
+        self.end_seek(Err(CommandError::NoDevice), emit);
         self.in_flight = false;
         self.status = None;
         self.control.cut();

@@ -5,7 +5,7 @@ use crate::pins::{ENABLE, LED, Pins, TRIGGER, pin_of};
 use crate::tap::Batch;
 use crate::time::{MS, TICK};
 use firmware_protocol::limits::OnTimeLimits;
-use firmware_protocol::message::{Counters, Report};
+use firmware_protocol::message::{Mark, MarkKind, Trigger, Counters, Report};
 use firmware_protocol::stroke::Stroke;
 
 const ORIGIN: u64 = 7_777;
