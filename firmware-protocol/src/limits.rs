@@ -15,9 +15,9 @@ pub const MAX_DOWN_PULSES: u16 = MAX_UP_PULSES + correction(MAX_UP_PULSES);
 pub const MAX_TRAVEL: u16 = 3_000;
 /// Most pulses of a seek of the lower stop. The paper's motors need 7 400 for 1 mm, twice the travel of our simulated ones.
 pub const MAX_SEEK: u16 = 17_000;
-/// Most pulses per sliding second that a motor may push against a lower stop: a fifth of all. Our choice, room for a seek and a
-/// play with the longest surplus; no data on wear were found.
-pub const MAX_PUSHES_PER_S: u32 = 17_000;
+/// Most pulses per sliding second that a motor may push against a lower stop: three tenths of all. Our choice, room for two seeks
+/// and a play; no data on wear were found.
+pub const MAX_PUSHES_PER_S: u32 = 25_500;
 /// Motors that share a 30 V supply (a rail).
 pub const MOTORS_PER_RAIL: usize = 6;
 /// Rails of the array.
@@ -221,7 +221,8 @@ impl OnTime {
 
 /// Counts the pulses that a motor pushes against a lower stop: the surplus of its strokes, and seeks.
 ///
-/// It counts a surplus as planned, from the stroke's first pulse until a second after its last, played or not.
+/// It counts a surplus as planned, from the stroke's first pulse until a second after its last; of a seek that was cut, what was
+/// played.
 #[derive(Debug)]
 pub struct Pushing {
     /// 0: there is no stop.
@@ -267,9 +268,9 @@ impl Pushing {
         Ok(())
     }
 
-    /// Ends a surplus at `now`.
-    pub fn end(&mut self, now: Tick, motor: usize, pulses: u32) {
-        self.pulses.end(now, motor, pulses, pulses);
+    /// Ends at `now` a surplus of `pulses`, of which `played` count on.
+    pub fn end(&mut self, now: Tick, motor: usize, pulses: u32, played: u32) {
+        self.pulses.end(now, motor, pulses, played);
     }
 }
 

@@ -203,6 +203,6 @@ fn pushes_are_limited_in_every_sliding_second() {
     // However much a host asks for.
     let mut bench = bench(FIRMWARE, stop(u32::MAX, MAX_SEEK));
     bench.settle();
-    bench.control(Op::Seek { pulses: 100 });
+    bench.control(Op::Seek { pulses: 8_501 });
     assert_eq!(bench.status().refusal, Some(Refusal::Pushing));
 }

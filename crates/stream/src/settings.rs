@@ -5,7 +5,8 @@ use firmware_protocol::limits::{MAX_PUSHES_PER_S, MAX_SEEK, OnTimeLimits};
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::reflected_walk::Spread;
 use meissner_array::strokes::{AutoSurplus, Surplus};
-use meissner_array::units::{UM_PER_PULSE, ms_in_ticks};
+use meissner_array::units::{UM_PER_PULSE, ms_in_ticks, ticks_to_seconds};
+use std::time::Duration;
 
 /// The streamer's settings.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -42,7 +43,7 @@ impl Default for LowerStopSettings {
 }
 
 /// Rest error that the surplus allows by default, µm: less than position control reaches with telemetry at 10 % scatter (8 µm).
-pub const REST_ERROR_UM: f64 = 5.0;
+const REST_ERROR_UM: f64 = 5.0;
 /// Asymmetry against which the surplus of a motor without calibration is computed: two and a half standard deviations of the
 /// 2 % that we assume. Of 160 motors one is beyond.
 const WORST_ASYMMETRY: f64 = 0.05;
@@ -51,9 +52,7 @@ const WORST_ASYMMETRY: f64 = 0.05;
 const SEEK_MARGIN: f64 = 2.0;
 
 impl LowerStopSettings {
-    /// The surplus of plays on motors with these gains.
-    #[must_use]
-    pub fn surplus(&self, gains: &[Gains; MOTORS]) -> Surplus {
+    fn surplus(&self, gains: &[Gains; MOTORS]) -> Surplus {
         if let Some(um) = self.surplus_um {
             return Surplus::Fixed(um);
         }
@@ -91,12 +90,25 @@ impl Settings {
         }
     }
 
+    /// The surplus of plays on motors with these gains: none without a lower stop.
+    #[must_use]
+    pub fn surplus(&self, gains: &[Gains; MOTORS]) -> Surplus {
+        self.lower_stop.map_or(Surplus::None, |stop| stop.surplus(gains))
+    }
+
     /// Pulses that take every pin to the lower stop, from wherever it is.
     #[must_use]
     pub fn seek_pulses(&self) -> u16 {
         let pulses = SEEK_MARGIN * f64::from(self.end_stop_um) / UM_PER_PULSE;
         // The cast saturates.
         (pulses.ceil() as u16).clamp(1, MAX_SEEK)
+    }
+
+    /// How long arming takes to seek the lower stop.
+    #[must_use]
+    pub fn seek_time(&self) -> Duration {
+        let pulses = self.lower_stop.map_or(0, |_| self.seek_pulses());
+        Duration::from_secs_f64(ticks_to_seconds(pulses.into()))
     }
 
     /// The half of the lead that is for stalls of the PC, ms. The other half is for the line.

@@ -6,6 +6,7 @@
 //! Invariant: deterministic. The same seed, commands and stalls give the same bytes.
 
 use crate::bandwidth::Bandwidth;
+use crate::control::Gains;
 use crate::device::mock::Mock;
 use crate::link::LineRate;
 use crate::queues::{At, Command, Emit, MeasuredBurst, Outcome, Play, Request, StreamEvent};
@@ -14,6 +15,7 @@ use crate::streamer::Streamer;
 use crate::time::HostInstant;
 use firmware_protocol::frame::{self, Decoder, MAX_FRAME};
 use firmware_protocol::message::DeviceMessage;
+use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
 use meissner_api::LatePolicy;
 use meissner_array::pattern::Pattern;
@@ -365,14 +367,16 @@ pub fn simulate_play(
     settings: Settings,
     open_loop: bool,
 ) -> Result<SimulatedPlay, SimulationError> {
-    let strokes = Strokes::new(pattern, &StrokeOptions::lasting(seconds))?;
+    let surplus = settings.surplus(&[Gains::default(); MOTORS]);
+    let strokes = Strokes::new(pattern, &StrokeOptions { surplus, ..StrokeOptions::lasting(seconds) })?;
     let name = || pattern.name().to_owned();
     let end = strokes.end().ok_or_else(|| SimulationError::Endless(name()))?;
     let mut simulation = Simulation::new(motors, settings, Line::default(), motors.seed)?;
     simulation.take_measured_bursts();
     simulation.run(Duration::from_millis(100));
-    simulation.send(Command::Arm { assume_rest: true });
-    simulation.run(Duration::from_millis(20));
+    simulation.send(Command::Arm { assume_rest: settings.lower_stop.is_none() });
+    // With a lower stop this seeks it.
+    simulation.run(Duration::from_millis(20) + settings.seek_time());
     let bandwidth = Bandwidth::of(&strokes, &settings);
     let play =
         Play { id: 1, strokes, at: At::Next, late: LatePolicy::Drop, replace: false, open_loop, bandwidth };

@@ -9,6 +9,7 @@ mod closed_loop;
 mod laser;
 /// A device that lies: undamaged messages that cannot be true.
 mod lies;
+mod lower_stop;
 /// A line that loses bytes.
 mod noise;
 mod on_time;

@@ -59,7 +59,9 @@ impl Controller {
                 if let Some(charged) = slot.charged {
                     let played = u32::from(up) + u32::from(down);
                     self.on_time.end(self.rendered, motor, charged, played);
-                    self.pushing.end(self.rendered, motor, slot.surplus().into());
+                    let surplus = slot.surplus();
+                    let pushed = if slot.kind == Kind::Seek { down } else { surplus };
+                    self.pushing.end(self.rendered, motor, surplus.into(), pushed.into());
                 }
                 self.travel[motor] -= slot.shift_undone(at).cast_signed();
                 let begun = slot.begun(at);
@@ -141,7 +143,8 @@ impl Controller {
                 let Some(slot) = self.pool.pop(motor) else { break };
                 if let Some(charged) = slot.charged {
                     self.on_time.end(self.rendered, motor, charged, slot.stroke.pulses());
-                    self.pushing.end(self.rendered, motor, slot.surplus().into());
+                    let surplus = slot.surplus().into();
+                    self.pushing.end(self.rendered, motor, surplus, surplus);
                 }
                 if slot.kind != Kind::Play {
                     continue;

@@ -140,7 +140,7 @@ impl Controller {
             }
             if let Some(charged) = slot.charged.take() {
                 self.on_time.end(now, motor, charged, stroke.pulses());
-                self.pushing.end(now, motor, slot.surplus().into());
+                self.pushing.end(now, motor, slot.surplus().into(), slot.surplus().into());
             }
             self.pool.advance(motor);
         };

@@ -9,9 +9,9 @@ use firmware_protocol::tick::Tick;
 use meissner_api::LatePolicy;
 use meissner_array::pattern::Pattern;
 use meissner_array::simulated::SimulatedMotorsConfig;
-use meissner_array::strokes::{StrokeOptions, Strokes};
+use meissner_array::strokes::{StrokeOptions, Strokes, Surplus};
 use meissner_stream::queues::{At, Command, CommandError, Outcome, Play, Snapshot, StreamEvent};
-use meissner_stream::{Bandwidth, Line, Settings, Simulation};
+use meissner_stream::{Bandwidth, Gains, Line, Settings, Simulation};
 
 use std::ops::{Deref, DerefMut};
 use std::time::Duration;
@@ -120,6 +120,7 @@ pub fn shipped() -> Vec<Pattern> {
 
 pub struct Rig {
     simulation: Simulation,
+    surplus: Surplus,
     plays: u64,
 }
 
@@ -144,14 +145,20 @@ impl Rig {
     /// A rig with these simulated motors, whose end stops it knows; records no lines.
     pub fn of(motors: &SimulatedMotorsConfig, seed: u64) -> Self {
         let settings = Settings { end_stop_um: motors.end_stop_um as f32, ..Settings::default() };
-        Self { simulation: Simulation::new(motors, settings, Line::default(), seed).unwrap(), plays: 0 }
+        Self::with_motors(settings, motors, seed)
+    }
+
+    /// A rig with these settings and simulated motors; plays have the surplus of uncalibrated motors. Records no lines.
+    pub fn with_motors(settings: Settings, motors: &SimulatedMotorsConfig, seed: u64) -> Self {
+        let simulation = Simulation::new(motors, settings, Line::default(), seed).unwrap();
+        Self { simulation, surplus: settings.surplus(&[Gains::default(); MOTORS]), plays: 0 }
     }
 
     pub fn with(settings: Settings, line: Line, seed: u64) -> Self {
         let mut simulation =
             Simulation::new(&SimulatedMotorsConfig::default(), settings, line, seed).unwrap();
         simulation.mock.record();
-        Self { simulation, plays: 0 }
+        Self { simulation, surplus: Surplus::None, plays: 0 }
     }
 
     /// An armed rig.
@@ -208,7 +215,8 @@ impl Rig {
     /// A play in open loop, with the next id.
     pub fn play(&mut self, pattern: &Pattern, seconds: Option<f64>) -> Play {
         self.plays += 1;
-        play(self.plays, pattern, seconds)
+        let options = StrokeOptions { surplus: self.surplus.clone(), ..StrokeOptions::lasting(seconds) };
+        play_of(self.plays, Strokes::new(pattern, &options).unwrap())
     }
 
     /// Plays open loop to the end and compares every tick of every line with the compiled strokes.
@@ -231,7 +239,10 @@ impl Rig {
 
 /// A play in open loop.
 pub fn play(id: u64, pattern: &Pattern, seconds: Option<f64>) -> Play {
-    let strokes = Strokes::new(pattern, &StrokeOptions::lasting(seconds)).unwrap();
+    play_of(id, Strokes::new(pattern, &StrokeOptions::lasting(seconds)).unwrap())
+}
+
+fn play_of(id: u64, strokes: Strokes) -> Play {
     let bandwidth = Bandwidth::of(&strokes, &Settings::default());
     Play { id, strokes, at: At::Next, late: LatePolicy::Drop, replace: false, open_loop: true, bandwidth }
 }

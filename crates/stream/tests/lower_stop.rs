@@ -1,0 +1,156 @@
+//! Arrays with a lower stop: pins that rest without a sensor, seeks, and position control beside the stop.
+
+use firmware_protocol::message::State;
+use firmware_protocol::stroke::MOTORS;
+use meissner_api::ErrorSource;
+use meissner_array::pattern::{Drive, Pattern};
+use meissner_array::simulated::{LowerStop, SimulatedMotorsConfig};
+use meissner_stream::queues::{Command, CommandError, StreamEvent};
+use meissner_stream::{LowerStopSettings, Settings};
+use meissner_test_support::patterns::{drive, pattern};
+use meissner_test_support::rig::{self, Rig, answer, last_snapshot};
+use meissner_test_support::statistics::rms;
+
+fn with_stop() -> Settings {
+    Settings { lower_stop: Some(LowerStopSettings::default()), ..Settings::default() }
+}
+
+fn motors(telemetry_hz: u32, seed: u64) -> SimulatedMotorsConfig {
+    SimulatedMotorsConfig {
+        telemetry_hz,
+        seed,
+        lower_stop: LowerStop::AtRest,
+        ..SimulatedMotorsConfig::default()
+    }
+}
+
+fn all_motors(frequency_hz: f64, duration_s: f64) -> Pattern {
+    let one = |motor| Drive { phase: f64::from(motor) / 24.0, ..drive(motor, frequency_hz, 80.0) };
+    pattern("all", Some(duration_s), (0..MOTORS as u8).map(one))
+}
+
+/// A rig that has just armed by a seek: nothing was known of the pins.
+fn armed(telemetry_hz: u32, seed: u64) -> Rig {
+    let mut rig = Rig::with_motors(with_stop(), &motors(telemetry_hz, seed), seed);
+    rig.run_ms(500);
+    let ticket = rig.send(Command::Arm { assume_rest: false });
+    rig.run_ms(30);
+    let events = rig.take_events();
+    assert_eq!(answer(&events, ticket), None, "the seek takes longer");
+    assert_eq!(last_snapshot(&events).state, State::Returning);
+    rig.run_ms(100);
+    let events = rig.take_events();
+    assert_eq!(answer(&events, ticket), Some(Ok(())));
+    assert!(last_snapshot(&events).position_known);
+    assert!(rig.rest_rms_um() < 1e-9);
+    rig
+}
+
+/// Plays, and returns the root mean square of the true rest error, over all motors and of the worst.
+fn play(rig: &mut Rig, pattern: &Pattern, ms: u64) -> (f64, f64) {
+    rig.start_closed(pattern, None);
+    rig.run_ms(ms);
+    let events = rig.take_events();
+    let outcome = rig::outcomes(&events)[0];
+    assert_eq!(outcome.bursts.played, outcome.bursts.planned);
+    let faults = events.iter().filter(|event| matches!(event, StreamEvent::SensorFault { .. }));
+    assert_eq!(faults.count(), 0);
+    let ends = (0..MOTORS as u8).map(|motor| rig.mock.position_um(motor).abs());
+    (rig.mock.true_positions().rest().rms_um(), ends.fold(0.0, f64::max))
+}
+
+#[test]
+fn without_telemetry_a_minute_of_all_motors_stays_at_rest() {
+    for seed in 0..3 {
+        let mut rig = armed(0, seed);
+        let (rms_um, _) = play(&mut rig, &all_motors(60.0, 60.0), 61_000);
+        let snapshot = last_snapshot_now(&mut rig);
+        assert_eq!(snapshot.source, [ErrorSource::LowerStop; MOTORS]);
+        let estimate = rms(snapshot.rest_error_um.iter().map(|&um| f64::from(um)));
+        println!("seed {seed}: rest {rms_um:.2} um rms, estimate {estimate:.2} um");
+        assert!(rms_um < 5.0, "{rms_um} um");
+        assert!((0.6..1.7).contains(&(estimate / rms_um)), "estimate {estimate} um, really {rms_um} um");
+    }
+}
+
+fn last_snapshot_now(rig: &mut Rig) -> meissner_stream::queues::Snapshot {
+    rig.run_ms(1_100);
+    last_snapshot(&rig.take_events())
+}
+
+#[test]
+fn forty_trials_of_two_intervals_end_at_rest() {
+    let mut rig = armed(0, 4);
+    // 18 strokes.
+    let interval = all_motors(62.5, 18.0 / 62.5 + 0.017);
+    for _ in 0..80 {
+        let (_, farthest) = play(&mut rig, &interval, 800);
+        assert!(farthest < 40.0, "{farthest} um");
+    }
+    let rms_um = rig.mock.true_positions().rest().rms_um();
+    println!("rest {rms_um:.2} um rms over 80 intervals, {:.2} um at the end", rig.rest_rms_um());
+    assert!(rms_um < 5.0 && rig.rest_rms_um() < 5.0, "{rms_um} um");
+}
+
+#[test]
+fn with_telemetry_the_stop_and_the_loop_work_together() {
+    let mut alone = Rig::of(&SimulatedMotorsConfig { seed: 2, ..SimulatedMotorsConfig::default() }, 2);
+    alone.arm();
+    let (alone, _) = play(&mut alone, &all_motors(60.0, 30.0), 31_000);
+    let (blind, _) = play(&mut armed(0, 2), &all_motors(60.0, 30.0), 31_000);
+    let (both, _) = play(&mut armed(1000, 2), &all_motors(60.0, 30.0), 31_000);
+    println!("rest {alone:.2} um rms by the loop, {blind:.2} by the stop, {both:.2} by both");
+    assert!(both < blind && both < alone);
+}
+
+#[test]
+fn home_seeks_the_stop_and_knows_where_pins_are() {
+    let mut rig = armed(0, 3);
+    play(&mut rig, &all_motors(60.0, 1.0), 2_000);
+    let home = rig.send(Command::Home);
+    rig.run_ms(50);
+    assert_eq!(answer(&rig.take_events(), home), None);
+    rig.run_ms(100);
+    assert_eq!(answer(&rig.take_events(), home), Some(Ok(())));
+    assert!(rig.rest_rms_um() < 1e-9);
+    assert_eq!(last_snapshot_now(&mut rig).rest_error_um, [0.0; MOTORS]);
+    // During a play it is refused.
+    rig.start(&all_motors(60.0, 1.0), None);
+    rig.run_ms(100);
+    let home = rig.send(Command::Home);
+    rig.run_ms(50);
+    assert_eq!(answer(&rig.take_events(), home), Some(Err(CommandError::Playing)));
+}
+
+#[test]
+fn an_emergency_stop_in_a_seek_is_answered_and_the_next_arm_seeks_again() {
+    let mut rig = Rig::with_motors(with_stop(), &motors(0, 5), 5);
+    rig.run_ms(500);
+    let arm = rig.send(Command::Arm { assume_rest: false });
+    rig.run_ms(40);
+    let estop = rig.send(Command::EStop);
+    rig.run_ms(50);
+    let events = rig.take_events();
+    assert_eq!(
+        (answer(&events, arm), answer(&events, estop)),
+        (Some(Err(CommandError::Faulted)), Some(Ok(())))
+    );
+    assert!(!last_snapshot(&events).position_known);
+    rig.send(Command::Reset { estops_seen: u64::MAX });
+    rig.run_ms(50);
+    // Also without a pause.
+    let arm = rig.send(Command::Arm { assume_rest: false });
+    rig.run_ms(150);
+    let events = rig.take_events();
+    assert_eq!(answer(&events, arm), Some(Ok(())));
+    assert!(last_snapshot(&events).position_known);
+    // Arming again and again does not push again and again.
+    for _ in 0..5 {
+        rig.send(Command::Disarm);
+        rig.run_ms(20);
+        let arm = rig.send(Command::Arm { assume_rest: false });
+        rig.run_ms(30);
+        assert_eq!(answer(&rig.take_events(), arm), Some(Ok(())));
+    }
+    play(&mut rig, &all_motors(60.0, 1.0), 2_000);
+}
