@@ -6,11 +6,14 @@
 //!
 //! Invariant: every value of a [`Config`] that was read is within the ranges written here; an unknown key is an error.
 
+mod array;
+
 use crate::exposure::ParticipantLimits;
 use crate::session_record::Location;
+use array::RawArray;
 use firmware_protocol::limits::OnTimeLimits;
 use meissner_array::pattern::AMPLITUDE_UM;
-use meissner_array::simulated::{SimulatedMotorsConfig, SimulatedMotorsError};
+use meissner_array::simulated::{LowerStop, SimulatedMotorsConfig, SimulatedMotorsError};
 use meissner_client::default_socket;
 use meissner_input::document::{self, DocumentError, Table, from_toml, in_range};
 use meissner_input::message::quote;
@@ -155,6 +158,8 @@ pub enum Problem {
     EmptyPath,
     #[error("holds a control character: name a path without one")]
     ControlCharacter,
+    #[error("is {found}: must be a number of um, or \"auto\"")]
+    Surplus { found: String },
 }
 
 type KeyError = document::KeyError<Problem>;
@@ -174,6 +179,7 @@ struct RawConfig {
     end_stop_um: Option<f64>,
     session_silence_s: Option<f64>,
     participant: Option<Table<RawParticipant>>,
+    array: Option<Table<RawArray>>,
     limits: Option<Table<RawLimits>>,
     mock: Option<Table<SimulatedMotorsConfig>>,
 }
@@ -218,6 +224,7 @@ impl RawParticipant {
 struct RawLimits {
     motor_pulses_per_s: Option<u32>,
     rail_pulses_per_s: Option<u32>,
+    stop_pulses_per_s: Option<u32>,
 }
 
 impl Config {
@@ -303,7 +310,7 @@ impl RawConfig {
         in_range("session_silence_s", session_silence_s, good, "0.1 to 3600 s")?;
         let Table(participant) = self.participant.unwrap_or(Table(RawParticipant::default()));
         let participant = participant.check()?;
-        let Table(mock) = self.mock.unwrap_or(Table(SimulatedMotorsConfig::default()));
+        let Table(mut mock) = self.mock.unwrap_or(Table(SimulatedMotorsConfig::default()));
         if let Err(SimulatedMotorsError { key, found, most }) = mock.check() {
             in_range(&format!("mock.{key}"), found, false, format!("0 to {most}"))?;
         }
@@ -311,8 +318,17 @@ impl RawConfig {
         let end_stop_um = self.end_stop_um.unwrap_or(mock.end_stop_um);
         let good = (0.0..=10_000.0).contains(&end_stop_um);
         in_range("end_stop_um", end_stop_um, good, "0 to 10000 um")?;
+        let stop_pulses_per_s = limits.stop_pulses_per_s;
         let limits = OnTimeLimits { motor, rail };
         let end_stop_um = end_stop_um as f32;
+        let settings =
+            Settings { lead_ms, lease_ms, limits, drift_warning_um, end_stop_um, lower_stop: None };
+        let Table(array) = self.array.unwrap_or(Table(RawArray::default()));
+        let lower_stop = array.check(stop_pulses_per_s, &settings)?;
+        if lower_stop.is_some() {
+            // The simulated array is like the site's.
+            mock.lower_stop = LowerStop::AtRest;
+        }
         let patterns = self.patterns_dir.map_or_else(default_patterns, PatternsDir::Configured);
         Ok(Config {
             device,
@@ -322,7 +338,7 @@ impl RawConfig {
             logbook: keep(self.logbook_dir, logbook_days),
             session_silence_s,
             participant,
-            settings: Settings { lead_ms, lease_ms, limits, drift_warning_um, end_stop_um },
+            settings: Settings { lower_stop, ..settings },
             mock,
         })
     }
@@ -379,6 +395,7 @@ fn beside(patterns: &PatternsDir) -> Option<PathBuf> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use meissner_stream::LowerStopSettings;
 
     fn parse(text: &str) -> Result<Config, String> {
         Config::parse(text, Path::new("m.toml")).map_err(|error| error.to_string())
@@ -412,8 +429,22 @@ mod tests {
         let limits = OnTimeLimits { motor: 40_000, rail: 90_000 };
         assert_eq!(
             config.settings,
-            Settings { lead_ms: 50.0, lease_ms: 100.0, limits, drift_warning_um: 30.0, end_stop_um: 250.0 }
+            Settings {
+                lead_ms: 50.0,
+                lease_ms: 100.0,
+                limits,
+                drift_warning_um: 30.0,
+                end_stop_um: 250.0,
+                lower_stop: None
+            }
         );
+        let stop = "array = {lower_stop = \"at_rest\", surplus_um = 12.5, rest_error_um = 4}\nlimits.stop_pulses_per_s = 9000";
+        let with_stop = parse(stop).unwrap();
+        let lower_stop = LowerStopSettings { surplus_um: Some(12.5), rest_error_um: 4.0, pulses_per_s: 9000 };
+        assert_eq!(with_stop.settings.lower_stop, Some(lower_stop));
+        assert_eq!(with_stop.mock.lower_stop, LowerStop::AtRest);
+        let auto = parse("[array]\nlower_stop = \"at_rest\"\nsurplus_um = \"auto\"").unwrap();
+        assert_eq!(auto.settings.lower_stop, Some(LowerStopSettings::default()));
         // Without it, the simulated array's.
         assert_eq!(parse("mock.end_stop_um = 90").unwrap().settings.end_stop_um, 90.0);
         assert_eq!(
@@ -471,6 +502,20 @@ mod tests {
             ("logbook_dir = \"\"", "m.toml:1: `logbook_dir` is empty"),
             ("logbook_days = 36501", "`logbook_days` is 36501: must be 0 to 36500 days"),
             ("logbook_days = -1", "integer `-1`: must be a whole number, 0 to 4294967295"),
+            ("array.lower_stop = \"below\"", "unknown variant `below`"),
+            (
+                "array.surplus_um = \"much\"",
+                "`array.surplus_um` is `much`: must be a number of um, or \"auto\"",
+            ),
+            ("array.surplus_um = 0", "`array.surplus_um` is 0: must be 1 to 120 um, or \"auto\""),
+            ("array.surplus_um = []", "must be a number, or \"auto\""),
+            ("array.rest_error_um = 0", "`array.rest_error_um` is 0: must be 0.5 to 100 um"),
+            ("limits.stop_pulses_per_s = 0", "`limits.stop_pulses_per_s` is 0"),
+            (
+                "array.lower_stop = \"at_rest\"\nlimits.stop_pulses_per_s = 7000",
+                "m.toml:2: `limits.stop_pulses_per_s` is 7000: must be 7369 to 25500 pulses/s",
+            ),
+            ("end_stop_um = 2000\narray.lower_stop = \"at_rest\"", "`end_stop_um` is 2000: must be at most"),
             ("mock.gain_sd = -1.0", "m.toml:1: `mock.gain_sd` is -1: must be 0 to 1"),
             ("device = \"uart\"", "m.toml:1: `device` is `uart`: not one of"),
             ("device = 3", "m.toml:1: `device` is integer `3`: must be a string"),

@@ -376,3 +376,21 @@ fn the_demo_plays_an_edge_and_accounts_for_it() {
     );
     assert!(report["realtime"]["fifo"].is_boolean() && report["realtime"]["mlock"].is_boolean());
 }
+
+#[test]
+fn the_sensorless_demo_rests_without_telemetry() {
+    let output = meissner().args(["demo", "--sensorless", "--seconds", "2", "--json"]).output().unwrap();
+    let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_accounts(&report);
+    let figure = |pointer: &str| report.pointer(pointer).and_then(Value::as_f64);
+    let rest = figure("/rest_true_rms_um").unwrap();
+    assert!(rest > 0.0 && rest <= 5.0, "{report}");
+    assert_eq!(figure("/rest_error_um/lower_stop_rms"), Some(rest));
+    assert_eq!((figure("/rest_error_um/closed_loop_rms"), &report["sensorless"]), (None, &true.into()));
+    let expected = figure("/rest_error_um/expected_rms").unwrap();
+    assert!((0.5..2.0).contains(&(expected / rest)), "{report}");
+    assert!(figure("/rest_error_um/open_loop_rms").unwrap() > 5.0 * rest, "{report}");
+    let contrast = |key: &str| figure(&format!("/felt/{key}/contrast")).unwrap();
+    assert!(contrast("lower_stop_hz") > 0.95 * contrast("designed_hz"), "{report}");
+    assert!(figure("/surplus_um").unwrap() > 5.0, "{report}");
+}

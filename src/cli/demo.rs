@@ -1,7 +1,8 @@
 //! `demo`: runs a daemon with simulated motors in this process and plays a shipped edge as a client of its socket.
 //!
 //! The play takes the whole data path: socket, store, streamer, link, controller, motors. The true pin positions come from
-//! the simulation. For comparison, the same array plays in virtual time without position control.
+//! the simulation. For comparison, the same array plays in virtual time without position control. With `--sensorless` the array has
+//! no telemetry but a lower stop, as a board's may; then the comparison is the same array without the stop.
 //!
 //! Invariant: it exits with 0 only if every planned burst was played.
 
@@ -14,14 +15,16 @@ use crate::exposure::ParticipantLimits;
 use crate::receipts::{PlayedPattern, end_text};
 use crate::store::Store;
 use anyhow::{Context, Result, bail};
+use firmware_protocol::stroke::MOTORS;
 use meissner_api::{
-    ArmRequest, BurstCounts, LinkTraffic, PlayAccepted, PlayRequest, PulseCounts, Rates, Realtime, Receipt,
-    Status,
+    ArmRequest, BurstCounts, LinkTraffic, PlayAccepted, PlayRequest, PredictedResponse, PulseCounts, Rates,
+    Realtime, Receipt, Status,
 };
 use meissner_array::pattern::Pattern;
+use meissner_array::simulated::{LowerStop, SimulatedMotorsConfig};
 use meissner_client::{Client, Events};
 use meissner_stream::device::Spec;
-use meissner_stream::{SimulatedPlay, simulate_play};
+use meissner_stream::{Gains, LowerStopSettings, SimulatedPlay, simulate_play};
 use serde::Serialize;
 use std::collections::HashSet;
 use std::process::ExitCode;
@@ -46,6 +49,12 @@ struct Report {
     wire: WireReport,
     onset_latency_ms: Option<f64>,
     lead_ms: f64,
+    /// Whether the array had a lower stop and no telemetry.
+    sensorless: bool,
+    /// How much longer down bursts were than up bursts, µm: the largest of all drives.
+    surplus_um: f64,
+    /// True rest error of the simulated pins, root mean square, µm.
+    rest_true_rms_um: f64,
     rest_error_um: RestReport,
     #[serde(rename = "felt")]
     response: ResponseReport,
@@ -63,8 +72,12 @@ struct WireReport {
 #[derive(Debug, Serialize)]
 struct RestReport {
     open_loop_rms: f64,
-    /// Null with `--open-loop`.
+    /// Null with `--open-loop` and `--sensorless`.
     closed_loop_rms: Option<f64>,
+    /// Null without `--sensorless`.
+    lower_stop_rms: Option<f64>,
+    /// What the daemon expects without a sensor; null without `--sensorless`.
+    expected_rms: Option<f64>,
     max: f64,
 }
 
@@ -74,18 +87,20 @@ struct ResponseReport {
     seconds: Option<f64>,
     target: Option<String>,
     designed_hz: Option<Rates>,
-    /// As played; null with `--open-loop`.
+    /// As played; null with `--open-loop` and `--sensorless`.
     closed_loop_hz: Option<Rates>,
+    /// As such an array plays it in virtual time, where telemetry measures it; null without `--sensorless`.
+    lower_stop_hz: Option<Rates>,
     open_loop_hz: Option<Rates>,
     /// Why the play has no prediction.
     unknown: Option<String>,
 }
 
-pub(super) fn run(seconds: f64, open_loop: bool, json: bool) -> Result<ExitCode> {
+pub(super) fn run(seconds: f64, open_loop: bool, sensorless: bool, json: bool) -> Result<ExitCode> {
     let begun = Instant::now();
     let dir =
         tempfile::tempdir().context("no temporary directory: set TMPDIR to one that can be written to")?;
-    let config = Config {
+    let mut config = Config {
         device: Spec::Mock,
         socket: dir.path().join("demo.sock"),
         patterns: PatternsDir::None,
@@ -95,9 +110,13 @@ pub(super) fn run(seconds: f64, open_loop: bool, json: bool) -> Result<ExitCode>
         participant: ParticipantLimits::NONE,
         ..Config::default()
     };
+    if sensorless {
+        config.settings.lower_stop = Some(LowerStopSettings::default());
+        (config.mock.lower_stop, config.mock.telemetry_hz) = (LowerStop::AtRest, 0);
+    }
     let hosted = Daemon::start(&config)?.host()?;
     let mut client = Client::new(&config.socket)?;
-    let status = connected(&mut client)?;
+    connected(&mut client)?;
     let request = PlayRequest {
         pattern: PATTERN.to_owned(),
         seconds: Some(seconds),
@@ -105,21 +124,24 @@ pub(super) fn run(seconds: f64, open_loop: bool, json: bool) -> Result<ExitCode>
         ..PlayRequest::default()
     };
     let mut events = client.events()?;
+    // Simulated pins begin at rest; with a lower stop arming seeks it.
+    let _: Status =
+        client.post("/v1/arm", &ArmRequest { assume_rest: !sensorless, ..ArmRequest::default() })?;
     let receipt = play(&mut client, &mut events, &request, json)?;
     let receipt = control::with_prediction(&mut client, &mut events, receipt, PREDICTION_TIMEOUT);
-    let report = report(&config, &hosted, &status, &request, &receipt, begun)?;
+    let report = report(&config, &hosted, &mut client, &request, &receipt, begun)?;
     hosted.stop()?;
     give(json, &report, || summary(&report))?;
     Ok(if receipt.all_played() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-/// The daemon's status once the mock has answered.
-fn connected(client: &mut Client) -> Result<Status> {
+/// Waits until the mock has answered.
+fn connected(client: &mut Client) -> Result<()> {
     let begun = Instant::now();
     loop {
         let status: Status = client.get("/v1/status")?;
         if status.is_connected() {
-            return Ok(status);
+            return Ok(());
         }
         if begun.elapsed() > TIMEOUT {
             bail!("internal error: the simulated device does not answer");
@@ -129,34 +151,58 @@ fn connected(client: &mut Client) -> Result<Status> {
 }
 
 fn play(client: &mut Client, events: &mut Events, request: &PlayRequest, json: bool) -> Result<Receipt> {
-    // Simulated pins begin at rest.
-    let _: Status = client.post("/v1/arm", &ArmRequest { assume_rest: true })?;
     let PlayAccepted { id } = client.post("/v1/play", request)?;
     let mut progress = Progress::new(request.seconds, json);
     control::follow(client, events, id, &mut progress)
 }
 
-/// The predicted responses to the play, and to the same play without position control.
-fn response_report(
+/// A play of the same pattern in virtual time.
+struct Comparison {
+    rest_rms_um: f64,
+    bytes_per_burst: Option<f64>,
+    response: Option<PredictedResponse>,
+}
+
+/// Plays the pattern in virtual time in open loop, on an array with telemetry, which shows what was played.
+fn compare(
+    config: &Config,
     request: &PlayRequest,
-    receipt: &Receipt,
     pattern: &Pattern,
-    open: &SimulatedPlay,
-) -> ResponseReport {
-    let open = open.outcome.onset.and_then(|onset| {
+    lower_stop: bool,
+) -> Result<Comparison> {
+    let (mut mock, mut settings) = (config.mock, config.settings);
+    mock.telemetry_hz = SimulatedMotorsConfig::default().telemetry_hz;
+    if !lower_stop {
+        (mock.lower_stop, settings.lower_stop) = (LowerStop::None, None);
+    }
+    let SimulatedPlay { rest, outcome, measured_bursts } =
+        simulate_play(pattern, request.seconds, &mock, settings, true)?;
+    let response = outcome.onset.and_then(|onset| {
         let onset = onset.actual;
         let played =
             PlayedPattern { pattern, seconds: request.seconds, onset, cut: false, unplayed: HashSet::new() };
-        played.response(&open.measured_bursts).ok()
+        played.response(&measured_bursts).ok()
     });
+    let traffic = LinkTraffic::new(outcome.wire_bytes, outcome.bursts.planned);
+    Ok(Comparison { rest_rms_um: rest.rms_um(), bytes_per_burst: traffic.bytes_per_burst, response })
+}
+
+/// The predicted responses to the play, and to plays in virtual time.
+fn response_report(
+    request: &PlayRequest,
+    receipt: &Receipt,
+    open: Option<PredictedResponse>,
+    stopped: Option<PredictedResponse>,
+) -> ResponseReport {
     let played = receipt.prediction.response.as_ref();
-    let any = played.or(open.as_ref());
+    let any = played.or(stopped.as_ref()).or(open.as_ref());
     ResponseReport {
         seconds: any.map(|response| response.seconds),
         target: any.and_then(|response| response.target.clone()),
         designed_hz: any.map(|response| response.designed_hz),
         closed_loop_hz: played.filter(|_| !request.open_loop).map(|response| response.played_hz),
-        open_loop_hz: open.as_ref().map(|open| open.played_hz),
+        lower_stop_hz: stopped.map(|stopped| stopped.played_hz),
+        open_loop_hz: open.map(|open| open.played_hz),
         unknown: receipt.prediction.unknown.clone(),
     }
 }
@@ -164,19 +210,26 @@ fn response_report(
 fn report(
     config: &Config,
     hosted: &Hosted,
-    status: &Status,
+    client: &mut Client,
     request: &PlayRequest,
     receipt: &Receipt,
     begun: Instant,
 ) -> Result<Report> {
     let truth = hosted.true_positions().context("internal error: the mock has no pins")?.rest();
     let pattern = Store::new(None, false)?.get(PATTERN)?.pattern;
-    let seconds = request.seconds.unwrap_or_default();
-    let open = simulate_play(&pattern, request.seconds, &config.mock, config.settings, true)?;
+    let sensorless = config.settings.lower_stop.is_some();
+    let open = compare(config, request, &pattern, false)?;
+    let stopped = if sensorless { Some(compare(config, request, &pattern, true)?) } else { None };
+    let status: Status = client.get("/v1/status")?;
     let wire = receipt.wire.unwrap_or(LinkTraffic::new(0, 0));
+    let surplus = config.settings.surplus(&[Gains::default(); MOTORS]);
+    let drives = pattern.drives().iter();
+    let expected = status.motors.iter().filter(|motor| motor.rest_error_um > 0.0);
+    let squares: Vec<f64> = expected.map(|motor| f64::from(motor.rest_error_um).powi(2)).collect();
+    let mean = squares.iter().sum::<f64>() / squares.len().max(1) as f64;
     Ok(Report {
         pattern: receipt.pattern.clone(),
-        seconds,
+        seconds: request.seconds.unwrap_or_default(),
         device: status.device.as_ref().map(|device| device.kind.clone()).unwrap_or_default(),
         state: receipt.state.name(),
         cause: receipt.cause.clone(),
@@ -185,17 +238,21 @@ fn report(
         wire: WireReport {
             bytes_to_device: wire.bytes_to_device,
             bytes_per_burst: wire.bytes_per_burst,
-            bytes_per_burst_open_loop: LinkTraffic::new(open.outcome.wire_bytes, open.outcome.bursts.planned)
-                .bytes_per_burst,
+            bytes_per_burst_open_loop: open.bytes_per_burst,
         },
         onset_latency_ms: receipt.onset_latency_ms,
         lead_ms: status.lead_ms,
+        sensorless,
+        surplus_um: drives.map(|drive| surplus.um(drive.motor, drive.amplitude_um)).fold(0.0, f64::max),
+        rest_true_rms_um: truth.rms_um(),
         rest_error_um: RestReport {
-            open_loop_rms: open.rest.rms_um(),
-            closed_loop_rms: (!request.open_loop).then(|| truth.rms_um()),
+            open_loop_rms: open.rest_rms_um,
+            closed_loop_rms: (!request.open_loop && !sensorless).then(|| truth.rms_um()),
+            lower_stop_rms: sensorless.then(|| truth.rms_um()),
+            expected_rms: sensorless.then(|| mean.sqrt()),
             max: truth.max_abs_um,
         },
-        response: response_report(request, receipt, &pattern, &open),
+        response: response_report(request, receipt, open.response, stopped.and_then(|it| it.response)),
         realtime: hosted.realtime(),
         duration_s: begun.elapsed().as_secs_f64(),
     })
@@ -237,21 +294,32 @@ fn summary(report: &Report) -> String {
         ),
         (
             "rest error",
-            format!(
-                "{} um RMS, {:.2} um without feedback; {} {:.2} um",
-                text::number(rest_error_um.closed_loop_rms, 2),
-                rest_error_um.open_loop_rms,
-                text::LARGEST_OFFSET,
-                rest_error_um.max
-            ),
+            match (rest_error_um.lower_stop_rms, rest_error_um.expected_rms) {
+                (Some(really), Some(expected)) => format!(
+                    "{really:.2} um RMS of the simulated pins (expected without a sensor: {expected:.2}), {:.0} um without the \
+                     stop; {} {:.2} um; surplus {:.1} um",
+                    rest_error_um.open_loop_rms,
+                    text::LARGEST_OFFSET,
+                    rest_error_um.max,
+                    report.surplus_um
+                ),
+                _ => format!(
+                    "{} um RMS, {:.2} um without feedback; {} {:.2} um",
+                    text::number(rest_error_um.closed_loop_rms, 2),
+                    rest_error_um.open_loop_rms,
+                    text::LARGEST_OFFSET,
+                    rest_error_um.max
+                ),
+            },
         ),
         (
             text::PREDICTED,
             format!(
-                "on-target minus off-target {} impulses/s (designed: {}), {} without feedback",
-                contrast(response.closed_loop_hz),
+                "on-target minus off-target {} impulses/s (designed: {}), {} without {}",
+                contrast(response.lower_stop_hz.or(response.closed_loop_hz)),
                 contrast(response.designed_hz),
-                contrast(response.open_loop_hz)
+                contrast(response.open_loop_hz),
+                if report.sensorless { "the stop" } else { "feedback" }
             ),
         ),
         ("real time", format!("SCHED_FIFO {}, memory locked {}", yes(realtime.fifo), yes(realtime.mlock))),

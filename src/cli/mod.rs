@@ -57,6 +57,9 @@ enum Command {
         /// Play without corrections from telemetry
         #[arg(long)]
         open_loop: bool,
+        /// Simulate an array without telemetry that has a lower stop, as a board may
+        #[arg(long, conflicts_with = "open_loop")]
+        sensorless: bool,
         #[command(flatten)]
         output: Output,
     },
@@ -209,7 +212,9 @@ pub fn main() -> ExitCode {
 
 fn run(command: Command) -> Result<ExitCode> {
     match command {
-        Command::Demo { seconds, open_loop, output } => demo::run(seconds, open_loop, output.json),
+        Command::Demo { seconds, open_loop, sensorless, output } => {
+            demo::run(seconds, open_loop, sensorless, output.json)
+        }
         Command::Daemon { config, check_config: check, device, socket, no_record } => {
             let source = Source { file: config, device, socket, no_record };
             if check { check_config(&source) } else { serve(source) }

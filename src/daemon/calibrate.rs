@@ -13,6 +13,7 @@ use crate::receipts::refusal;
 use crate::session_record::Peer;
 use crate::store::Stored;
 use meissner_api::{CalibrationReport, Code, Event, PlayRequest, Problem};
+use meissner_array::strokes::Surplus;
 use meissner_input::message::quote;
 use meissner_stream::calibrate::{Calibration, Plan};
 use meissner_stream::queues::CommandError;
@@ -67,7 +68,11 @@ impl Engine {
         let pattern = stored.pattern.name().to_owned();
         let request = PlayRequest { pattern, open_loop: true, ..PlayRequest::default() };
         let settings = self.lock().settings.current;
-        let play = PreparedPlay::new(&request, stored, settings).await?;
+        if settings.lower_stop.is_some() {
+            let detail = "down bursts end at the lower stop, so their gain cannot be measured: calibrate without the stop";
+            return Err(Problem::new(Code::LowerStop, detail));
+        }
+        let play = PreparedPlay::new(&request, stored, settings, Surplus::None).await?;
         let (id, reply) = {
             let mut state = self.lock();
             state.forget_unanswered();

@@ -13,7 +13,7 @@ use crate::session_record::Peer;
 use crate::store::Stored;
 use firmware_protocol::tick::Tick;
 use meissner_api::{Code, PlayRequest, Problem};
-use meissner_array::strokes::{StrokeOptions, Strokes};
+use meissner_array::strokes::{StrokeOptions, Strokes, Surplus};
 use meissner_array::units::ticks_to_seconds;
 use meissner_stream::queues::{At, Command, Play};
 use meissner_stream::time::HostInstant;
@@ -36,8 +36,10 @@ impl PreparedPlay {
         request: &PlayRequest,
         stored: Stored,
         settings: Settings,
+        surplus: Surplus,
     ) -> Result<Self, Problem> {
-        let strokes = Strokes::new(&stored.pattern, &StrokeOptions::lasting(request.seconds))
+        let options = StrokeOptions { surplus, ..StrokeOptions::lasting(request.seconds) };
+        let strokes = Strokes::new(&stored.pattern, &options)
             .map_err(|error| Problem::new(Code::BadRequest, format!("`seconds`: {error}")))?;
         // The results of this play and the next, at the same tick, could not be told apart.
         if strokes.end() == Some(0) {
@@ -87,8 +89,11 @@ impl Engine {
         client: Peer,
     ) -> Result<u64, Problem> {
         self.check_boot(request.boot)?;
-        let settings = self.lock().settings.current;
-        let prepared = PreparedPlay::new(request, stored, settings).await?;
+        let (settings, surplus) = {
+            let state = self.lock();
+            (state.settings.current, state.surplus())
+        };
+        let prepared = PreparedPlay::new(request, stored, settings, surplus).await?;
         let (id, reply) = {
             let mut state = self.lock();
             state.forget_unanswered();

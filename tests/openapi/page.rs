@@ -153,7 +153,7 @@ fn errors(out: &mut String) {
         "\n## Errors\n\nEvery error is a [Problem](#problem). Its `type` is `urn:meissner:problem:CODE`.\n"
     );
     put!(out, "| code | status | meaning | routes |\n|---|---|---|---|");
-    for code in Code::ALL {
+    for &code in Code::ALL {
         let (name, status, title) = code.parts();
         let gives = |route: &&Route| route.operation().errors().any(|given| given == code);
         let routes: Vec<_> = Route::ALL.iter().filter(gives).collect();

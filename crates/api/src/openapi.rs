@@ -62,7 +62,7 @@ pub fn document() -> Value {
     // Schemas are plain data: they can always be written.
     let mut schemas = serde_json::to_value(Schemas::openapi().components).unwrap_or_default();
     schemas["schemas"]["Problem"]["properties"]["code"]["enum"] =
-        Code::ALL.map(|code| code.parts().0).to_vec().into();
+        Code::ALL.iter().map(|code| code.parts().0).collect::<Vec<_>>().into();
     let example = |schema: &str| schemas["schemas"][schema]["examples"][0].clone();
     let mut paths: BTreeMap<&str, Map<String, Value>> = BTreeMap::new();
     for route in Route::ALL {

@@ -81,13 +81,15 @@ pub enum Code {
     ShuttingDown,
     /// The daemon cannot read or write its files.
     Store,
+    /// Down bursts end at the lower stop, so telemetry cannot show their gain: calibrate without the stop.
+    LowerStop,
     /// The device does not measure where its pins are.
     NoTelemetry,
 }
 
 impl Code {
     /// Every code, in the order of the API reference: by HTTP status.
-    pub const ALL: [Self; 33] = [
+    pub const ALL: &[Self] = &[
         Self::BadRequest,
         Self::NotFound,
         Self::MethodNotAllowed,
@@ -110,6 +112,7 @@ impl Code {
         Self::StaleBoot,
         Self::PositionUnknown,
         Self::DeviceRefused,
+        Self::LowerStop,
         Self::NoTelemetry,
         Self::TooLarge,
         Self::BadPattern,
@@ -158,6 +161,7 @@ impl Code {
             Self::Busy => ("busy", 503, "Too many commands wait"),
             Self::TooManyClients => ("too-many-clients", 503, "Too many clients"),
             Self::ShuttingDown => ("shutting-down", 503, "The daemon shuts down"),
+            Self::LowerStop => ("lower-stop", 409, "The array has a lower stop"),
             Self::NoTelemetry => ("no-telemetry", 409, "The device has no telemetry"),
             Self::Store => ("store", 500, "The daemon cannot use its files"),
         }
@@ -211,7 +215,7 @@ mod tests {
         names.sort_unstable();
         names.dedup();
         // The last variant of the enum: a variant that is not in `ALL` would raise this number.
-        assert_eq!((names.len(), Code::ALL.len()), (33, Code::NoTelemetry as usize + 1));
+        assert_eq!((names.len(), Code::ALL.len()), (Code::ALL.len(), Code::NoTelemetry as usize + 1));
         assert!(Code::ALL.is_sorted_by_key(|code| code.parts().1));
     }
 

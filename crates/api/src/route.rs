@@ -346,7 +346,7 @@ impl Route {
                 body: Body::OptionalJson("CalibrateRequest"),
                 statuses: ACCEPTED,
                 answer: Answer::Json("PlayAccepted"),
-                errors: &[BODY, &[Code::NoTelemetry], QUEUE, COMMAND, ANY],
+                errors: &[BODY, &[Code::NoTelemetry, Code::LowerStop], QUEUE, COMMAND, ANY],
                 ..Operation::post("/v1/calibrate")
             },
             Self::Calibration => Operation {

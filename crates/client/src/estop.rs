@@ -43,7 +43,7 @@ pub fn estop(socket: &Path) -> Result<(), ClientError> {
     match line.as_deref().map(|line| line.split_once(": ").unwrap_or((line, ""))) {
         Some((STOPPED, _)) => Ok(()),
         Some((name, detail))
-            if let Some(code) = Code::ALL.into_iter().find(|code| code.parts().0 == name) =>
+            if let Some(code) = Code::ALL.iter().copied().find(|code| code.parts().0 == name) =>
         {
             Err(Problem::new(code, detail).into())
         }

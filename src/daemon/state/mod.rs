@@ -35,7 +35,10 @@ pub(super) use settings::ActiveSettings;
 
 use crate::receipts::{NoPrediction, refusal, state_name};
 use firmware_protocol::message::State as DeviceState;
+use firmware_protocol::stroke::MOTORS;
 use meissner_api::{Event, NO_DEVICE, PredictedResponse, Problem};
+use meissner_array::strokes::Surplus;
+use meissner_stream::Gains;
 use meissner_stream::queues::{Command, CommandError, StreamEvent};
 use meissner_stream::time::HostInstant;
 
@@ -129,6 +132,12 @@ impl State {
             self.exposure.forget(id);
             self.plays.forget(id);
         }
+    }
+
+    /// The surplus of plays: by the calibration in use, if there is one.
+    pub(super) fn surplus(&self) -> Surplus {
+        let gains = self.calibration.in_use().map(|stored| stored.calibration.gains());
+        self.settings.current.surplus(&gains.unwrap_or([Gains::default(); MOTORS]))
     }
 
     /// Refuses a play during a calibration.

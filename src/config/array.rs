@@ -1,0 +1,72 @@
+//! The table `[array]`: what the site's array has that the controller cannot know.
+//!
+//! Invariant: with a lower stop, a seek of it stays within the limit on pushing.
+
+use super::KeyError;
+use super::Problem;
+use firmware_protocol::limits::{MAX_PUSHES_PER_S, MAX_SEEK};
+use meissner_array::simulated::LowerStop;
+use meissner_input::document::in_range;
+use meissner_input::message::quote;
+use meissner_stream::{LowerStopSettings, Settings};
+use serde::Deserialize;
+
+/// Largest fixed surplus, µm, and the range of the rest error, µm.
+const MAX_SURPLUS_UM: f64 = 120.0;
+const REST_ERROR_UM: std::ops::RangeInclusive<f64> = 0.5..=100.0;
+/// What `surplus_um` may say instead of a number.
+const AUTO: &str = "auto";
+
+#[derive(Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct RawArray {
+    lower_stop: Option<LowerStop>,
+    surplus_um: Option<RawSurplus>,
+    rest_error_um: Option<f64>,
+}
+
+#[derive(Deserialize)]
+#[serde(untagged, expecting = "must be a number, or \"auto\"")]
+enum RawSurplus {
+    Um(f64),
+    Word(String),
+}
+
+impl RawArray {
+    /// The settings of the lower stop, if there is one; `pulses_per_s` is the limit on pushing.
+    pub(super) fn check(
+        self,
+        pulses_per_s: Option<u32>,
+        settings: &Settings,
+    ) -> Result<Option<LowerStopSettings>, KeyError> {
+        let default = LowerStopSettings::default();
+        let surplus_um = match self.surplus_um {
+            None => None,
+            Some(RawSurplus::Word(word)) if word == AUTO => None,
+            Some(RawSurplus::Word(word)) => {
+                return Err(KeyError::key("array.surplus_um", Problem::Surplus { found: quote(&word) }));
+            }
+            Some(RawSurplus::Um(um)) => {
+                let good = (1.0..=MAX_SURPLUS_UM).contains(&um);
+                let range = format!("1 to {MAX_SURPLUS_UM} um, or \"auto\"");
+                in_range("array.surplus_um", um, good, range)?;
+                Some(um)
+            }
+        };
+        let rest_error_um = self.rest_error_um.unwrap_or(default.rest_error_um);
+        let range = format!("{} to {} um", REST_ERROR_UM.start(), REST_ERROR_UM.end());
+        in_range("array.rest_error_um", rest_error_um, REST_ERROR_UM.contains(&rest_error_um), range)?;
+        let found = pulses_per_s.unwrap_or(MAX_PUSHES_PER_S);
+        let has_stop = self.lower_stop == Some(LowerStop::AtRest);
+        let least = if has_stop { settings.seek_pulses().into() } else { 1 };
+        let good = (least..=MAX_PUSHES_PER_S).contains(&found);
+        let range = format!("{least} to {MAX_PUSHES_PER_S} pulses/s: a seek of the lower stop takes {least}");
+        in_range("limits.stop_pulses_per_s", found.into(), good, range)?;
+        if has_stop && settings.seek_pulses() == MAX_SEEK {
+            let range = "at most 1150 um with a lower stop, which is sought from twice as far";
+            in_range("end_stop_um", settings.end_stop_um.into(), false, range)?;
+        }
+        let stop = LowerStopSettings { surplus_um, rest_error_um, pulses_per_s: found };
+        Ok(has_stop.then_some(stop))
+    }
+}
