@@ -4,6 +4,7 @@ use firmware_protocol::tick::TICK_HZ;
 use meissner::receipts::{NoPrediction, PlayedPattern};
 use meissner_array::pattern::Pattern;
 use meissner_array::simulated::SimulatedMotorsConfig;
+use meissner_array::strokes::StrokeOptions;
 use meissner_design::{MOST_OBSERVED_S, Play, predict_response};
 use meissner_stream::{Settings, SimulatedPlay, simulate_play};
 use meissner_test_support::played::by_simulated_motors;
@@ -16,7 +17,13 @@ fn played(pattern: &Pattern, seconds: f64, motors: &SimulatedMotorsConfig, open_
 
 fn measured_play<'p>(pattern: &'p Pattern, seconds: f64, played: &SimulatedPlay) -> PlayedPattern<'p> {
     let onset = played.outcome.onset.unwrap().actual;
-    PlayedPattern { pattern, seconds: Some(seconds), onset, cut: false, unplayed: HashSet::new() }
+    PlayedPattern {
+        pattern,
+        options: StrokeOptions::lasting(seconds),
+        onset,
+        cut: false,
+        unplayed: HashSet::new(),
+    }
 }
 
 /// A minute of a shipped edge. In open loop, pins drift to their end stops and go on vibrating there. Afferents respond to

@@ -325,7 +325,7 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__demo)
-            opts="-h --seconds --open-loop --json --help"
+            opts="-h --seconds --open-loop --sensorless --json --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0

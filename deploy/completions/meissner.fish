@@ -52,6 +52,7 @@ complete -c meissner -n "__fish_meissner_needs_command" -f -a "doctor" -d 'Check
 complete -c meissner -n "__fish_meissner_needs_command" -f -a "help" -d 'Print this message or the help of the given subcommand(s)'
 complete -c meissner -n "__fish_meissner_using_subcommand demo" -l seconds -d 'Play for S seconds' -r
 complete -c meissner -n "__fish_meissner_using_subcommand demo" -l open-loop -d 'Play without corrections from telemetry'
+complete -c meissner -n "__fish_meissner_using_subcommand demo" -l sensorless -d 'Simulate an array without telemetry that has a lower stop, as a board may'
 complete -c meissner -n "__fish_meissner_using_subcommand demo" -l json -d 'Print one JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand demo" -s h -l help -d 'Print help'
 complete -c meissner -n "__fish_meissner_using_subcommand daemon" -l config -d 'Read the configuration from file F (TOML)' -r -F

@@ -22,6 +22,7 @@ use meissner_api::{
 };
 use meissner_array::pattern::Pattern;
 use meissner_array::simulated::{LowerStop, SimulatedMotorsConfig};
+use meissner_array::strokes::StrokeOptions;
 use meissner_client::{Client, Events};
 use meissner_stream::device::Spec;
 use meissner_stream::{Gains, LowerStopSettings, SimulatedPlay, simulate_play};
@@ -179,8 +180,9 @@ fn compare(
         simulate_play(pattern, request.seconds, &mock, settings, true)?;
     let response = outcome.onset.and_then(|onset| {
         let onset = onset.actual;
-        let played =
-            PlayedPattern { pattern, seconds: request.seconds, onset, cut: false, unplayed: HashSet::new() };
+        let surplus = settings.surplus(&[Gains::default(); MOTORS]);
+        let options = StrokeOptions { surplus, ..StrokeOptions::lasting(request.seconds) };
+        let played = PlayedPattern { pattern, options, onset, cut: false, unplayed: HashSet::new() };
         played.response(&measured_bursts).ok()
     });
     let traffic = LinkTraffic::new(outcome.wire_bytes, outcome.bursts.planned);

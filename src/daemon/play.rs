@@ -25,7 +25,7 @@ use std::sync::Arc;
 pub(super) struct PreparedPlay {
     play: Play,
     stored: Stored,
-    seconds: Option<f64>,
+    options: StrokeOptions,
     vibration: Vibration,
     trial: Trial,
 }
@@ -54,11 +54,11 @@ impl PreparedPlay {
         })
         .await?;
         let at = onset(request.at_tick, request.at_ms, request.at_monotonic_ns);
-        let PlayRequest { seconds, late, replace, open_loop, .. } = *request;
+        let PlayRequest { late, replace, open_loop, .. } = *request;
         let play = Play { id: 0, strokes, at, late, replace, open_loop, bandwidth };
         let trial =
             Trial { session: request.session.clone(), number: request.trial, labels: request.labels.clone() };
-        Ok(Self { play, stored, seconds, vibration, trial })
+        Ok(Self { play, stored, options, vibration, trial })
     }
 }
 
@@ -70,8 +70,8 @@ impl State {
                           docs/reference/session-record.md";
             return Err(Problem::new(Code::TooManyPlays, detail));
         }
-        let PreparedPlay { play, stored, seconds, trial, .. } = prepared;
-        let id = self.plays.add(NewPlay { stored, seconds, trial, client });
+        let PreparedPlay { play, stored, options, trial, .. } = prepared;
+        let id = self.plays.add(NewPlay { stored, options, trial, client });
         let sent = self.send(Command::Play(Box::new(Play { id, ..play })), Some(id));
         if sent.is_err() {
             self.settle_play(id, false);

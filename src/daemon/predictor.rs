@@ -12,6 +12,7 @@
 use crate::receipts::{NoPrediction, PlayedPattern};
 use meissner_api::{PredictedResponse, Receipt};
 use meissner_array::pattern::Pattern;
+use meissner_array::strokes::StrokeOptions;
 use meissner_stream::queues::MeasuredBurst;
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 use std::sync::Arc;
@@ -29,6 +30,7 @@ const NICE: i32 = 10;
 #[derive(Debug)]
 pub(super) struct MeasuredPlay {
     pub(super) pattern: Arc<Pattern>,
+    pub(super) options: StrokeOptions,
     pub(super) receipt: Receipt,
     /// Whether its device measures bursts at all.
     pub(super) telemetry: bool,
@@ -37,7 +39,7 @@ pub(super) struct MeasuredPlay {
 
 impl MeasuredPlay {
     fn response(&self) -> Result<PredictedResponse, NoPrediction> {
-        PlayedPattern::of(&self.receipt, &self.pattern)?.response(&self.bursts)
+        PlayedPattern::of(&self.receipt, &self.pattern, self.options.clone())?.response(&self.bursts)
     }
 }
 

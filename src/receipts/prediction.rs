@@ -62,8 +62,8 @@ pub enum NoPrediction {
 pub struct PlayedPattern<'p> {
     /// Its pattern.
     pub pattern: &'p Pattern,
-    /// The requested duration, s.
-    pub seconds: Option<f64>,
+    /// How it became strokes.
+    pub options: StrokeOptions,
     /// Its onset.
     pub onset: Tick,
     /// It was stopped or aborted.
@@ -77,13 +77,13 @@ impl<'p> PlayedPattern<'p> {
     ///
     /// # Errors
     /// If it never began.
-    pub fn of(receipt: &Receipt, pattern: &'p Pattern) -> Result<Self, NoPrediction> {
+    pub fn of(receipt: &Receipt, pattern: &'p Pattern, options: StrokeOptions) -> Result<Self, NoPrediction> {
         let onset = receipt.onset.ok_or(NoPrediction::NotBegun)?;
         let late = receipt.lateness.strokes.iter().map(|stroke| (stroke.motor, Tick(stroke.tick)));
         let refused = receipt.refusals.iter().map(|stroke| (stroke.motor, Tick(stroke.tick)));
         Ok(Self {
             pattern,
-            seconds: receipt.seconds,
+            options,
             onset: Tick(onset.actual_tick),
             cut: matches!(receipt.state, PlayState::Stopped | PlayState::Aborted),
             unplayed: late.chain(refused).collect(),
@@ -102,7 +102,7 @@ impl<'p> PlayedPattern<'p> {
     /// # Errors
     /// Why there is no prediction.
     pub fn response(&self, bursts: &[MeasuredBurst]) -> Result<PredictedResponse, NoPrediction> {
-        let mut strokes = Strokes::new(self.pattern, &StrokeOptions::lasting(self.seconds))?;
+        let mut strokes = Strokes::new(self.pattern, &self.options)?;
         let mut until = strokes.end().map_or(self.until(), |end| self.until().min(self.onset + end));
         strokes.begin(self.onset);
         let measured: HashMap<(u8, Tick), &MeasuredBurst> = bursts
@@ -141,7 +141,7 @@ impl<'p> PlayedPattern<'p> {
             return Err(NoPrediction::Unmeasured { missing, bursts: planned });
         }
         let observed_s = ticks_to_seconds(until - self.onset);
-        let Self { pattern, seconds, onset, .. } = *self;
+        let (pattern, seconds, onset) = (self.pattern, self.options.seconds, self.onset);
         let predicted = meissner_design::predict_response(
             &meissner_design::Play { pattern, seconds, onset, observed_s },
             ramps,

@@ -9,6 +9,7 @@ use crate::session_record::Peer;
 use crate::store::Stored;
 use meissner_api::{Event, Labels, Receipt};
 use meissner_array::pattern::Pattern;
+use meissner_array::strokes::StrokeOptions;
 use std::collections::HashMap;
 use std::sync::Arc;
 
@@ -16,7 +17,7 @@ use std::sync::Arc;
 #[derive(Debug)]
 pub(in crate::daemon) struct NewPlay {
     pub(in crate::daemon) stored: Stored,
-    pub(in crate::daemon) seconds: Option<f64>,
+    pub(in crate::daemon) options: StrokeOptions,
     pub(in crate::daemon) trial: Trial,
     pub(in crate::daemon) client: Peer,
 }
@@ -34,8 +35,8 @@ pub(in crate::daemon) struct Trial {
 pub(in crate::daemon) struct Plays {
     pub(in crate::daemon) receipts: Receipts,
     pub(in crate::daemon) measured: MeasuredBursts,
-    /// Plays without a prediction: the pattern, and whether the device measures bursts.
-    unpredicted: HashMap<u64, (Arc<Pattern>, bool)>,
+    /// Plays without a prediction: the pattern, how it became strokes, and whether the device measures bursts.
+    unpredicted: HashMap<u64, (Arc<Pattern>, StrokeOptions, bool)>,
     /// The clients of the plays that are not over.
     clients: HashMap<u64, Peer>,
     last_id: u64,
@@ -44,15 +45,15 @@ pub(in crate::daemon) struct Plays {
 impl Plays {
     /// Gives a play an id and a receipt.
     pub(in crate::daemon) fn add(&mut self, play: NewPlay) -> u64 {
-        let NewPlay { stored: Stored { pattern, sha256, .. }, seconds, trial, client } = play;
+        let NewPlay { stored: Stored { pattern, sha256, .. }, options, trial, client } = play;
         let telemetry = self.receipts.device().is_some_and(|device| device.telemetry);
         self.last_id += 1;
         let id = self.last_id;
         let Trial { session, number, labels } = trial;
-        let receipt = Receipt::new(id, pattern.name(), &sha256, seconds);
+        let receipt = Receipt::new(id, pattern.name(), &sha256, options.seconds);
         self.receipts.add(Receipt { session, trial: number, labels, ..receipt });
         self.clients.insert(id, client);
-        self.unpredicted.insert(id, (pattern, telemetry));
+        self.unpredicted.insert(id, (pattern, options, telemetry));
         id
     }
 
@@ -87,11 +88,11 @@ impl Plays {
 
     /// A play with its measured bursts, once.
     pub(in crate::daemon) fn take_measured(&mut self, id: u64) -> Option<MeasuredPlay> {
-        let (pattern, telemetry) = self.unpredicted.remove(&id)?;
+        let (pattern, options, telemetry) = self.unpredicted.remove(&id)?;
         let receipt = self.receipts.receipt(id)?.clone();
-        let played = PlayedPattern::of(&receipt, &pattern);
+        let played = PlayedPattern::of(&receipt, &pattern, options.clone());
         let bursts = played.map(|play| self.measured.within(play.onset, play.until()).copied().collect());
         let bursts = bursts.unwrap_or_default();
-        Some(MeasuredPlay { pattern, receipt, telemetry, bursts })
+        Some(MeasuredPlay { pattern, options, receipt, telemetry, bursts })
     }
 }
