@@ -8,6 +8,7 @@
 //! Invariant: a [`PredictedResponse`] is about bursts of which at most one in a hundred is unmeasured.
 
 use firmware_protocol::limits::MAX_DOWN_PULSES;
+use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use meissner_api::{PlayState, PredictedResponse, Rates, Receipt};
 use meissner_array::motor::{Ramp, WINDOW_TICKS};
@@ -129,8 +130,11 @@ impl<'p> PlayedPattern<'p> {
             for burst in stroke.bursts().into_iter().filter(|burst| burst.start < until) {
                 planned += 1;
                 match measured.get(&(stroke.motor, burst.start)) {
-                    Some(&&MeasuredBurst { start, pulses, travel_um, .. }) => {
-                        ramps.push((stroke.motor, Ramp::travelled(start, pulses.into(), travel_um.into())));
+                    Some(&&MeasuredBurst { start, pulses, travel_um, direction, .. }) => {
+                        let stops = direction == Direction::Down && stroke.down_pulses > stroke.up_pulses;
+                        let most = if stops { pulses_to_stop(travel_um) } else { pulses };
+                        let ticks = pulses.min(most).into();
+                        ramps.push((stroke.motor, Ramp::travelled(start, ticks, travel_um.into())));
                     }
                     None => missing += 1,
                 }
@@ -161,6 +165,12 @@ impl<'p> PlayedPattern<'p> {
             unmeasured: missing,
         })
     }
+}
+
+/// The pulses that a motor takes for this travel: then the lower stop ends it, and it slips for the rest of the burst.
+fn pulses_to_stop(travel_um: f32) -> u16 {
+    // The cast saturates.
+    (f64::from(travel_um.abs()) / UM_PER_PULSE).round().max(1.0) as u16
 }
 
 /// Whether telemetry has measured the burst: if not, the streamer reports its own estimate, with a large deviation.
