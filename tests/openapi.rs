@@ -12,7 +12,7 @@ use meissner_api::route::{Answer, Body};
 use meissner_api::{
     ArmRequest, CalibrateRequest, CalibrationReport, Code, Event, ImportedPattern, Method, PatternDetails,
     PatternList, PlayAccepted, PlayRequest, Problem, REFERENCE, Receipt, ResetRequest, Route, Session,
-    SessionList, SessionRequest, SessionStarted, Status, openapi,
+    SessionList, SessionPlays, SessionRequest, SessionStarted, Status, openapi,
 };
 use schema::check;
 use serde::de::DeserializeOwned;
@@ -145,6 +145,7 @@ fn every_route_has_examples_that_parse() {
         "SessionRequest" => drop(SessionRequest::parse(example.to_string().as_bytes()).unwrap()),
         "SessionStarted" => parses::<SessionStarted>(example),
         "Session" => parses::<Session>(example),
+        "SessionPlays" => parses::<SessionPlays>(example),
         "SessionList" => parses::<SessionList>(example),
         other => panic!("{other} has no example that is tested"),
     };
@@ -303,6 +304,9 @@ fn a_daemon_s_answers_fit_the_document() {
     refused(Route::SessionShow, client.get("/v1/sessions/none"));
     fits(Route::Status, &client.get("/v1/status").unwrap());
     client.set_token(started["token"].as_str().map(str::to_owned));
+    let id = started["id"].as_str().unwrap();
+    fits(Route::SessionPlays, &client.get(&format!("/v1/sessions/{id}/plays")).unwrap());
+    refused(Route::SessionPlays, client.get(&format!("/v1/sessions/{id}/plays?from=-1")));
     fits(Route::SessionEnd, &client.post("/v1/sessions/running/end", &json!({})).unwrap());
     fits(Route::Sessions, &client.get("/v1/sessions").unwrap());
     fits(Route::Arm, &client.post("/v1/arm", &json!({"assume_rest": true})).unwrap());

@@ -258,6 +258,99 @@ fn a_session_ends_with_its_daemon_and_the_record_says_how() {
     start(&mut daemon.client(), "P08", true);
 }
 
+#[test]
+fn an_export_has_one_row_per_play() {
+    let daemon = Daemon::start();
+    let (mut client, started) = owner(&daemon, "P07", false);
+    let mut events = client.events().unwrap();
+    let mut receipts = Vec::new();
+    for (trial, label) in [(1, "a"), (2, "b, \"c\"")] {
+        let play =
+            json!({"pattern": "pin-60", "seconds": 0.1, "trial": trial, "labels": {"condition": label}});
+        let _: Value = client.post("/v1/play", &play).unwrap();
+        receipts.push(ended(&mut events));
+    }
+    let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "endless": true})).unwrap();
+    crate::harness::began(&mut events);
+    let _: Status = client.post("/v1/stop", &json!({})).unwrap();
+    receipts.push(ended(&mut events));
+    let _: Session = client.post("/v1/sessions/running/end", &json!({})).unwrap();
+    // Not of the session.
+    let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.1})).unwrap();
+    ended(&mut events);
+    let file = daemon.path("session.csv");
+    printed(daemon.meissner().args(["session", "export", &started.id, "-o"]).arg(&file));
+    let text = fs::read_to_string(&file).unwrap();
+    assert_eq!(text, printed(daemon.meissner().args(["session", "export", &started.id])));
+    let mut table = csv::Reader::from_reader(text.as_bytes());
+    let head = table.headers().unwrap().clone();
+    let rows: Vec<_> = table.records().map(Result::unwrap).collect();
+    assert_eq!(rows.len(), receipts.len(), "{text}");
+    for (row, receipt) in rows.iter().zip(&receipts) {
+        let of = |name: &str| row[head.iter().position(|column| column == name).unwrap()].to_owned();
+        let (onset, bursts) = (receipt.onset.unwrap(), receipt.bursts.unwrap());
+        assert_eq!(
+            (of("session"), of("participant"), of("seed")),
+            (started.id.clone(), "P07".into(), "7".into())
+        );
+        assert_eq!((of("session_labels"), of("play")), ("block=2".into(), receipt.id.to_string()));
+        assert_eq!(of("trial"), receipt.trial.map_or_else(String::new, |trial| trial.to_string()));
+        let label =
+            receipt.labels.get("condition").map_or_else(String::new, |label| format!("condition={label}"));
+        assert_eq!((of("labels"), of("pattern_sha256")), (label, receipt.pattern_sha256.clone()));
+        assert_eq!(
+            (of("onset_tick"), of("onset_monotonic_ns")),
+            (onset.actual_tick.to_string(), onset.monotonic_ns.to_string())
+        );
+        assert_eq!(
+            (of("bursts_planned"), of("bursts_played")),
+            (bursts.planned.to_string(), bursts.played.to_string())
+        );
+        assert_eq!(
+            (of("state"), of("cause")),
+            (receipt.state.name().into(), receipt.cause.clone().unwrap_or_default())
+        );
+        assert!(of("reported_after_s").parse::<f64>().unwrap() < 20.0 && !of("session_ended").is_empty());
+    }
+    // The line that tells of a play's end is lost: the play stays, and the damage is named.
+    let folder = daemon.path("state/meissner/logbook");
+    let day = fs::read_dir(&folder).unwrap().map(|file| file.unwrap().path());
+    let day =
+        day.into_iter().find(|file| file.extension().is_some_and(|extension| extension == "jsonl")).unwrap();
+    let text = fs::read_to_string(&day).unwrap();
+    let damaged: String = text
+        .lines()
+        .map(|line| {
+            if line.contains("\"event\":\"ended\"") && line.contains("\"id\":2,") { "{\"tor\n" } else { line }
+        })
+        .map(|line| format!("{}\n", line.trim_end()))
+        .collect();
+    fs::write(&day, damaged).unwrap();
+    let output = daemon
+        .meissner()
+        .args(["session", "export", &started.id, "--json"])
+        .assert()
+        .success()
+        .get_output()
+        .clone();
+    let exported: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let states: Vec<_> =
+        exported["plays"].as_array().unwrap().iter().map(|play| (&play["play"], &play["state"])).collect();
+    assert_eq!(
+        states,
+        [(&json!(1), &json!("done")), (&json!(3), &json!("stopped")), (&json!(2), &json!("unknown"))]
+    );
+    let warning = String::from_utf8(output.stderr).unwrap();
+    assert!(
+        exported["unreadable"] == 1 && warning.contains(".jsonl:") && warning.contains("not a line of JSON"),
+        "{warning}"
+    );
+    assert!(
+        complaint(daemon.meissner().args(["session", "export", "20200101T000000Z-000000"]))
+            .contains("does not run")
+    );
+}
+
 /// The disk takes nothing: the session goes on, and a line says what is missing.
 #[test]
 fn a_session_survives_a_disk_that_takes_nothing() {

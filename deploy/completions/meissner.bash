@@ -163,6 +163,9 @@ _meissner() {
             meissner__subcmd__help__subcmd__session,end)
                 cmd="meissner__subcmd__help__subcmd__session__subcmd__end"
                 ;;
+            meissner__subcmd__help__subcmd__session,export)
+                cmd="meissner__subcmd__help__subcmd__session__subcmd__export"
+                ;;
             meissner__subcmd__help__subcmd__session,list)
                 cmd="meissner__subcmd__help__subcmd__session__subcmd__list"
                 ;;
@@ -174,6 +177,9 @@ _meissner() {
                 ;;
             meissner__subcmd__session,end)
                 cmd="meissner__subcmd__session__subcmd__end"
+                ;;
+            meissner__subcmd__session,export)
+                cmd="meissner__subcmd__session__subcmd__export"
                 ;;
             meissner__subcmd__session,help)
                 cmd="meissner__subcmd__session__subcmd__help"
@@ -189,6 +195,9 @@ _meissner() {
                 ;;
             meissner__subcmd__session__subcmd__help,end)
                 cmd="meissner__subcmd__session__subcmd__help__subcmd__end"
+                ;;
+            meissner__subcmd__session__subcmd__help,export)
+                cmd="meissner__subcmd__session__subcmd__help__subcmd__export"
                 ;;
             meissner__subcmd__session__subcmd__help,help)
                 cmd="meissner__subcmd__session__subcmd__help__subcmd__help"
@@ -689,7 +698,7 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__help__subcmd__session)
-            opts="start end list show"
+            opts="start end list export show"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -703,6 +712,20 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__help__subcmd__session__subcmd__end)
+            opts=""
+            if [[ ${cur} == -* || ${COMP_CWORD} -eq 4 ]] ; then
+                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+                return 0
+            fi
+            case "${prev}" in
+                *)
+                    COMPREPLY=()
+                    ;;
+            esac
+            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+            return 0
+            ;;
+        meissner__subcmd__help__subcmd__session__subcmd__export)
             opts=""
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 4 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
@@ -1043,7 +1066,7 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__session)
-            opts="-h --help start end list show help"
+            opts="-h --help start end list export show help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -1074,8 +1097,34 @@ _meissner() {
             COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
             return 0
             ;;
+        meissner__subcmd__session__subcmd__export)
+            opts="-o -h --output --socket --json --help"
+            if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
+                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+                return 0
+            fi
+            case "${prev}" in
+                --output)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                -o)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --socket)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                *)
+                    COMPREPLY=()
+                    ;;
+            esac
+            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+            return 0
+            ;;
         meissner__subcmd__session__subcmd__help)
-            opts="start end list show help"
+            opts="start end list export show help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -1089,6 +1138,20 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__session__subcmd__help__subcmd__end)
+            opts=""
+            if [[ ${cur} == -* || ${COMP_CWORD} -eq 4 ]] ; then
+                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+                return 0
+            fi
+            case "${prev}" in
+                *)
+                    COMPREPLY=()
+                    ;;
+            esac
+            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+            return 0
+            ;;
+        meissner__subcmd__session__subcmd__help__subcmd__export)
             opts=""
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 4 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )

@@ -126,12 +126,13 @@ complete -c meissner -n "__fish_meissner_using_subcommand events" -s h -l help -
 complete -c meissner -n "__fish_meissner_using_subcommand receipt" -l socket -d 'Connect to the daemon at PATH [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand receipt" -l json -d 'Print one JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand receipt" -s h -l help -d 'Print help'
-complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list show help" -s h -l help -d 'Print help'
-complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list show help" -f -a "start" -d 'Start a session; plays belong to it until it ends'
-complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list show help" -f -a "end" -d 'End the running session'
-complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list show help" -f -a "list" -d 'List the recorded sessions, the oldest first'
-complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list show help" -f -a "show" -d 'Show a session'
-complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list show help" -f -a "help" -d 'Print this message or the help of the given subcommand(s)'
+complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list export show help" -s h -l help -d 'Print help'
+complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list export show help" -f -a "start" -d 'Start a session; plays belong to it until it ends'
+complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list export show help" -f -a "end" -d 'End the running session'
+complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list export show help" -f -a "list" -d 'List the recorded sessions, the oldest first'
+complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list export show help" -f -a "export" -d 'Export the recorded plays of a session as CSV, one row per play; with --json as one document'
+complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list export show help" -f -a "show" -d 'Show a session'
+complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list export show help" -f -a "help" -d 'Print this message or the help of the given subcommand(s)'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from start" -l participant -d 'Name the participant by this pseudonym' -r
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from start" -l experiment -d 'Name the experiment' -r
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from start" -l label -d 'Record a label; up to 16 of them' -r
@@ -146,12 +147,17 @@ complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_se
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from list" -l socket -d 'Connect to the daemon at PATH [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from list" -l json -d 'Print one JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from list" -s h -l help -d 'Print help'
+complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from export" -s o -l output -d 'Write to FILE [default: stdout]' -r -F
+complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from export" -l socket -d 'Connect to the daemon at PATH [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
+complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from export" -l json -d 'Print one JSON document on stdout and nothing else'
+complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from export" -s h -l help -d 'Print help'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from show" -l socket -d 'Connect to the daemon at PATH [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from show" -l json -d 'Print one JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from show" -s h -l help -d 'Print help'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from help" -f -a "start" -d 'Start a session; plays belong to it until it ends'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from help" -f -a "end" -d 'End the running session'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from help" -f -a "list" -d 'List the recorded sessions, the oldest first'
+complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from help" -f -a "export" -d 'Export the recorded plays of a session as CSV, one row per play; with --json as one document'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from help" -f -a "show" -d 'Show a session'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from help" -f -a "help" -d 'Print this message or the help of the given subcommand(s)'
 complete -c meissner -n "__fish_meissner_using_subcommand motor" -l frequency-hz -d 'Drive with F Hz' -r
@@ -221,4 +227,5 @@ complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_s
 complete -c meissner -n "__fish_meissner_using_subcommand help; and __fish_seen_subcommand_from session" -f -a "start" -d 'Start a session; plays belong to it until it ends'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and __fish_seen_subcommand_from session" -f -a "end" -d 'End the running session'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and __fish_seen_subcommand_from session" -f -a "list" -d 'List the recorded sessions, the oldest first'
+complete -c meissner -n "__fish_meissner_using_subcommand help; and __fish_seen_subcommand_from session" -f -a "export" -d 'Export the recorded plays of a session as CSV, one row per play; with --json as one document'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and __fish_seen_subcommand_from session" -f -a "show" -d 'Show a session'

@@ -11,6 +11,7 @@ mod calibrate;
 mod control;
 mod demo;
 mod doctor;
+mod export;
 mod files;
 mod laser;
 mod library;

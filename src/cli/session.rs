@@ -1,17 +1,18 @@
-//! `session`: starts, ends and shows sessions.
+//! `session`: starts, ends and shows sessions; [`export`] writes their plays.
 //!
 //! `start` keeps the owner's token for the commands of this terminal ([`token`]); `end` forgets it. If the token cannot be kept, `start`
 //! ends the session again.
 
 use super::arguments::{ClientOptions, label};
 use super::output::give;
-use super::{text, token};
+use super::{export, text, token};
 use anyhow::Result;
 use clap::Subcommand;
 use meissner_api::{self as api, SessionList, SessionRequest, SessionStarted};
 use meissner_client::escape;
 use serde_json::json;
 use std::io::{self, Write};
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 #[derive(Debug, Subcommand)]
@@ -45,6 +46,16 @@ pub(super) enum Session {
     },
     /// List the recorded sessions, the oldest first
     List(ClientOptions),
+    /// Export the recorded plays of a session as CSV, one row per play; with --json as one document
+    Export {
+        /// Export the session with this id
+        id: String,
+        /// Write to FILE [default: stdout]
+        #[arg(short, long, value_name = "FILE")]
+        output: Option<PathBuf>,
+        #[command(flatten)]
+        options: ClientOptions,
+    },
     /// Show a session
     Show {
         /// Show the session with this id [default: the running one]
@@ -68,6 +79,7 @@ pub(super) fn run(asked: &Session) -> Result<ExitCode> {
         }
         Session::End { id, options } => end(options, id.as_deref()),
         Session::List(options) => list(options),
+        Session::Export { id, output, options } => export::run(options, id, output.as_deref()),
         Session::Show { id, options } => {
             let session: api::Session = options.client()?.get(&path(id.as_deref()))?;
             give(options.output.json, &session, || text::session(&session))
@@ -137,7 +149,7 @@ fn list(options: &ClientOptions) -> Result<ExitCode> {
 }
 
 /// Says on stderr which parts of the record cannot be read.
-fn warn_unreadable(count: u64, problems: &[String]) {
+pub(super) fn warn_unreadable(count: u64, problems: &[String]) {
     for problem in problems {
         // If stderr is closed, there is no one to tell.
         let _ = writeln!(io::stderr(), "warning: {problem}");

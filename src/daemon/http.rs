@@ -165,6 +165,7 @@ fn handler(route: Route) -> MethodRouter<App> {
         Route::SessionStart => on(method, sessions::start),
         Route::Sessions => on(method, sessions::list),
         Route::SessionShow => on(method, sessions::show),
+        Route::SessionPlays => on(method, sessions::plays),
         Route::SessionEnd => on(method, sessions::end),
         Route::Metrics => on(method, metrics_text),
         Route::OpenApi => on(method, openapi),

@@ -16,11 +16,12 @@ use axum::body::Body;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Extension, Path, Request, State};
 use axum::http::header::AUTHORIZATION;
-use axum::http::{HeaderMap, StatusCode};
+use axum::http::{HeaderMap, StatusCode, Uri};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use meissner_api::{
-    Code, Method, Problem, Route, Session, SessionList, SessionRequest, SessionStarted, parse_empty,
+    Code, Method, Problem, Route, Session, SessionList, SessionPlays, SessionRequest, SessionStarted,
+    parse_empty,
 };
 use std::sync::Arc;
 use std::time::Duration;
@@ -145,6 +146,36 @@ pub(super) async fn show(
     let Json(list) = list(State(app)).await?;
     let found = list.sessions.into_iter().find(|session| session.id == id);
     Ok(Json(found.ok_or_else(|| no_session(&id))?))
+}
+
+pub(super) async fn plays(
+    State(app): State<App>,
+    uri: Uri,
+    id: Result<Path<String>, PathRejection>,
+) -> Answer<Json<SessionPlays>> {
+    let from = from(uri.query())?;
+    let record = app.engine.session_record();
+    let Json(session) = show(State(app), id).await?;
+    let Some(dir) = record.dir() else {
+        let detail =
+            "this daemon keeps no session record: start it without --no-record, and see `logbook_days`";
+        return Err(Problem::new(Code::NotFound, detail).into());
+    };
+    let plays = blocking(move || {
+        record.wait_until_written(WRITTEN);
+        reader::plays(&dir, session, from)
+    });
+    Ok(Json(plays.await??))
+}
+
+/// The query `from=N`.
+fn from(query: Option<&str>) -> Result<usize, Problem> {
+    let Some(query) = query else { return Ok(0) };
+    let number = query.strip_prefix("from=").and_then(|number| number.parse().ok());
+    number.filter(|number| *number <= 1_000_000_000).ok_or_else(|| {
+        let detail = "the address: after the question mark there must be `from=` and a number of plays, 0 to 1000000000";
+        Problem::new(Code::BadRequest, detail)
+    })
 }
 
 impl From<reader::RecordError> for ErrorResponse {

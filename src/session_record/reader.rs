@@ -1,4 +1,4 @@
-//! Reads the session record: which sessions there were.
+//! Reads the session record: which sessions there were, and their plays.
 //!
 //! It reads whole days line by line and parses only lines that matter. A line or file that cannot be read is counted and named, and
 //! reading goes on.
@@ -7,9 +7,11 @@
 
 use super::days;
 use jiff::civil::Date;
-use meissner_api::{MAX_LISTED, Session, SessionList};
+use jiff::{Timestamp, ToSpan};
+use meissner_api::{MAX_LISTED, MAX_ROWS, Receipt, RecordedPlay, Session, SessionList, SessionPlays};
 use rustix::fs::OFlags;
 use serde_json::Value;
+use std::collections::{BTreeMap, VecDeque};
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufRead, BufReader};
 use std::os::unix::fs::OpenOptionsExt;
@@ -168,4 +170,122 @@ pub fn sessions(dir: &Path) -> Result<SessionList, RecordError> {
     })?;
     abandon(&mut sessions);
     Ok(SessionList { sessions, unreadable: unreadable.count, problems: unreadable.lines })
+}
+
+/// Ended plays whose command may still follow: far more than are ever under way.
+const UNDER_WAY: usize = 64;
+
+/// The plays of a session from number `from` on, at most [`MAX_ROWS`], in the order of their ends. A play whose end is missing comes
+/// last, with the state `unknown`.
+///
+/// # Errors
+/// If the record's directory cannot be read.
+pub fn plays(dir: &Path, session: Session, from: usize) -> Result<SessionPlays, RecordError> {
+    // A session's id begins with its date in UTC; files have local dates.
+    let day = session.id.get(..8).and_then(|day| Date::strptime("%Y%m%d", day).ok());
+    let day = day.and_then(|day| day.checked_sub(1.day()).ok());
+    let mut rows = Rows { from, ..Rows::default() };
+    let (mut open, mut ended) = (BTreeMap::<u64, RecordedPlay>::new(), VecDeque::new());
+    let unreadable = each_line(dir, day, |line| {
+        if !has(line, &session.id) {
+            return true;
+        }
+        let Ok(mut entry) = serde_json::from_slice::<Value>(line) else { return false };
+        match entry["event"].as_str() {
+            Some("command") if entry["command"] == "play" && entry["asked"]["session"] == *session.id => {
+                let play = asked(&entry);
+                if let Some(play) = play.filter(|play| !ended.contains(&play.play)) {
+                    open.insert(play.play, play);
+                }
+            }
+            Some("ended") => {
+                let Ok(receipt) = serde_json::from_value::<Receipt>(entry["receipt"].take()) else {
+                    return false;
+                };
+                if receipt.session.as_ref() == Some(&session.id) {
+                    open.remove(&receipt.id);
+                    ended.push_back(receipt.id);
+                    if ended.len() > UNDER_WAY {
+                        ended.pop_front();
+                    }
+                    rows.add(played(&entry, receipt));
+                }
+            }
+            _ => {}
+        }
+        true
+    })?;
+    // The running daemon may still play them.
+    if session.reason.is_some() {
+        open.into_values().for_each(|play| rows.add(play));
+    }
+    let more = rows.seen > rows.from + rows.plays.len();
+    Ok(SessionPlays {
+        session,
+        plays: rows.plays,
+        more,
+        unreadable: unreadable.count,
+        problems: unreadable.lines,
+    })
+}
+
+/// The rows of an answer.
+#[derive(Default)]
+struct Rows {
+    from: usize,
+    seen: usize,
+    plays: Vec<RecordedPlay>,
+}
+
+impl Rows {
+    fn add(&mut self, play: RecordedPlay) {
+        if self.seen >= self.from && self.plays.len() < MAX_ROWS {
+            self.plays.push(play);
+        }
+        self.seen += 1;
+    }
+}
+
+/// A play as its command was recorded.
+fn asked(entry: &Value) -> Option<RecordedPlay> {
+    let asked = &entry["asked"];
+    Some(RecordedPlay {
+        play: entry["play"].as_u64()?,
+        user: entry["user"].as_str().map(str::to_owned),
+        trial: asked["trial"].as_u64(),
+        labels: serde_json::from_value(asked["labels"].clone()).unwrap_or_default(),
+        pattern: asked["pattern"].as_str()?.to_owned(),
+        seconds: asked["seconds"].as_f64(),
+        state: "unknown".to_owned(),
+        ..RecordedPlay::default()
+    })
+}
+
+/// A play as its end was recorded.
+fn played(entry: &Value, receipt: Receipt) -> RecordedPlay {
+    let onset = receipt.onset;
+    let after_ns = onset.and_then(|onset| entry["monotonic_ns"].as_u64()?.checked_sub(onset.monotonic_ns));
+    let wall = entry["time"].as_str().and_then(|time| time.parse::<Timestamp>().ok());
+    let wall_ns = wall.and_then(|wall| i64::try_from(wall.as_nanosecond()).ok());
+    let errors = receipt.rest_error_um.iter().flatten();
+    RecordedPlay {
+        play: receipt.id,
+        user: entry["user"].as_str().map(str::to_owned),
+        trial: receipt.trial,
+        labels: receipt.labels,
+        pattern: receipt.pattern,
+        pattern_sha256: Some(receipt.pattern_sha256),
+        seconds: receipt.seconds,
+        state: receipt.state.name().to_owned(),
+        cause: receipt.cause,
+        onset_tick: onset.map(|onset| onset.actual_tick),
+        onset_monotonic_ns: onset.map(|onset| onset.monotonic_ns),
+        onset_uncertainty_ns: onset.map(|onset| onset.uncertainty_ns),
+        onset_wall_ns: wall_ns.zip(after_ns).and_then(|(wall, after)| wall.checked_sub_unsigned(after)),
+        reported_after_s: after_ns.map(|after| after as f64 / 1e9),
+        bursts: receipt.bursts,
+        pulses: receipt.pulses,
+        worst_late_ms: Some(receipt.lateness.counts.worst_ms),
+        rest_error_max_um: errors.map(|error| error.abs()).reduce(f32::max),
+    }
 }

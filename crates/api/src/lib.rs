@@ -49,7 +49,9 @@ pub use request::{
     parse_empty,
 };
 pub use route::{Method, Route};
-pub use session::{Labels, Session, SessionList, SessionRequest, SessionStarted};
+pub use session::{
+    Labels, MAX_ROWS, RecordedPlay, Session, SessionList, SessionPlays, SessionRequest, SessionStarted,
+};
 pub use status::{
     ClockSample, DeviceInfo, ErrorSource, MotorStatus, NO_DEVICE, ParticipantStatus, PlayAccepted,
     QueuedPlay, Realtime, RunningPlay, Status,

@@ -7,8 +7,8 @@ use crate::problem::{Code, Problem};
 use crate::route::{Answer, Body, Method, Operation, Route};
 use crate::{
     ArmRequest, CalibrateRequest, CalibrationReport, Event, ImportedPattern, PatternDetails, PatternList,
-    PlayAccepted, PlayRequest, Receipt, ResetRequest, Session, SessionList, SessionRequest, SessionStarted,
-    Status,
+    PlayAccepted, PlayRequest, Receipt, ResetRequest, Session, SessionList, SessionPlays, SessionRequest,
+    SessionStarted, Status,
 };
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
@@ -31,6 +31,7 @@ use utoipa::OpenApi;
     Receipt,
     Session,
     SessionList,
+    SessionPlays,
     SessionRequest,
     SessionStarted,
     Status,

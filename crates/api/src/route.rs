@@ -29,6 +29,7 @@ pub enum Route {
     SessionStart,
     Sessions,
     SessionShow,
+    SessionPlays,
     SessionEnd,
     Metrics,
     OpenApi,
@@ -128,7 +129,7 @@ const STATUS: Answer = Answer::Json("Status");
 
 impl Route {
     /// Every route.
-    pub const ALL: [Self; 22] = [
+    pub const ALL: [Self; 23] = [
         Self::Play,
         Self::Stop,
         Self::EStop,
@@ -148,6 +149,7 @@ impl Route {
         Self::SessionStart,
         Self::Sessions,
         Self::SessionShow,
+        Self::SessionPlays,
         Self::SessionEnd,
         Self::Metrics,
         Self::OpenApi,
@@ -403,6 +405,15 @@ impl Route {
                 answer: Answer::Json("Session"),
                 errors: &[&[Code::BadRequest, Code::NotFound, Code::Store], ANY],
                 ..Operation::get("/v1/sessions/{id}")
+            },
+            Self::SessionPlays => Operation {
+                summary: "Show the recorded plays of a session",
+                description: "The daemon reads the session record. An answer has at most 3000 plays; `from` leaves out the first.",
+                parameter: Some("The session's id"),
+                query: Some(("from", 1e9, "How many plays to leave out; without it none")),
+                answer: Answer::Json("SessionPlays"),
+                errors: &[&[Code::BadRequest, Code::NotFound, Code::Store], ANY],
+                ..Operation::get("/v1/sessions/{id}/plays")
             },
             Self::SessionEnd => Operation {
                 summary: "End a session",

@@ -6,6 +6,7 @@
 //! Invariant: names and labels have no control characters, and at most the characters stated here.
 
 use crate::problem::{Code, Problem};
+use crate::receipt::{BurstCounts, PulseCounts};
 use crate::request::read;
 use meissner_input::message::{is_plain, quote};
 use serde::{Deserialize, Serialize};
@@ -153,6 +154,99 @@ impl Session {
 pub struct SessionList {
     /// The sessions.
     pub sessions: Vec<Session>,
+    /// Lines and files of the record that cannot be read.
+    #[schema(minimum = 0)]
+    pub unreadable: u64,
+    /// The first 100 of them, one line each.
+    #[schema(max_items = 100)]
+    pub problems: Vec<String>,
+}
+
+/// Rows of a session's plays in one answer, at most: with the longest labels they fit into 16 MiB.
+pub const MAX_ROWS: usize = 3000;
+
+/// A recorded play of a session.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct RecordedPlay {
+    /// The play's id: its number since the daemon's start.
+    #[schema(minimum = 1)]
+    pub play: u64,
+    /// The user who ordered it; null: not known.
+    #[schema(required)]
+    pub user: Option<String>,
+    /// The trial's number; null if none was given.
+    #[schema(required, minimum = 0)]
+    pub trial: Option<u64>,
+    /// The trial's labels.
+    pub labels: BTreeMap<String, String>,
+    /// The pattern's name.
+    pub pattern: String,
+    /// SHA-256 of the pattern's file, in hexadecimal; null if the play's end is missing.
+    #[schema(required)]
+    pub pattern_sha256: Option<String>,
+    /// Requested duration, s; null: as long as the pattern lasts.
+    #[schema(required, minimum = 0.0)]
+    pub seconds: Option<f64>,
+    /// `done`, `stopped` or `aborted`; `unknown` if its end is missing from the record.
+    pub state: String,
+    /// Why it ended; null if it is done or that is not known.
+    #[schema(required)]
+    pub cause: Option<String>,
+    /// The tick at which the play began, ticks of 1/85000 s; null if it never began.
+    #[schema(required, minimum = 0)]
+    pub onset_tick: Option<u64>,
+    /// The onset on the host's `CLOCK_MONOTONIC`, ns.
+    #[schema(required, minimum = 0)]
+    pub onset_monotonic_ns: Option<u64>,
+    /// Uncertainty of the onset on the host's clock, ns.
+    #[schema(required, minimum = 0)]
+    pub onset_uncertainty_ns: Option<u64>,
+    /// The onset on the host's wall clock as of the record's line, Unix time, ns.
+    #[schema(required, minimum = 0)]
+    pub onset_wall_ns: Option<i64>,
+    /// Time from the onset to the report of the end, s: some 10 ms more than the play.
+    #[schema(required, minimum = 0.0)]
+    pub reported_after_s: Option<f64>,
+    /// What happened to the bursts; null if the end is missing.
+    #[schema(required)]
+    pub bursts: Option<BurstCounts>,
+    /// The pulses; null if the end is missing.
+    #[schema(required)]
+    pub pulses: Option<PulseCounts>,
+    /// By how much the latest stroke came late, ms; 0 if none did.
+    #[schema(required, minimum = 0.0)]
+    pub worst_late_ms: Option<f64>,
+    /// Largest estimated offset of a pin from rest at the end, µm.
+    #[schema(required, minimum = 0.0)]
+    pub rest_error_max_um: Option<f32>,
+}
+
+/// A session and its recorded plays, in the order of their ends.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+#[schema(examples(json!({
+    "session": {
+        "id": "20261122T083000Z-9f3c", "participant": "P07", "experiment": "edges", "labels": {}, "seed": 42, "exclusive": true,
+        "owner": "ada", "started": "2026-11-22T09:30:00.123456+01:00", "ended": null, "reason": null, "plays": 1,
+        "vibration_s": 2.0, "released": false, "release_in_s": null
+    },
+    "plays": [{
+        "play": 7, "user": "ada", "trial": 12, "labels": {"condition": "a"}, "pattern": "edge-45",
+        "pattern_sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08", "seconds": 2.0, "state": "done",
+        "cause": null, "onset_tick": 6442460000_u64, "onset_monotonic_ns": 75793647058823_u64, "onset_uncertainty_ns": 9600,
+        "onset_wall_ns": 1795336200123456000_u64, "reported_after_s": 2.01,
+        "bursts": {"planned": 1240, "played": 1240, "late": 0, "dropped": 0, "refused": 0, "amended": 1221},
+        "pulses": {"planned": 86800, "played": 86790}, "worst_late_ms": 0.0, "rest_error_max_um": 0.4
+    }],
+    "more": false, "unreadable": 0, "problems": []
+})))]
+pub struct SessionPlays {
+    /// The session.
+    pub session: Session,
+    /// Its plays from number `from` on, counted from 0.
+    #[schema(max_items = 3000)]
+    pub plays: Vec<RecordedPlay>,
+    /// Whether there are more plays: ask again, `from` the next one.
+    pub more: bool,
     /// Lines and files of the record that cannot be read.
     #[schema(minimum = 0)]
     pub unreadable: u64,

@@ -1,0 +1,153 @@
+//! `session export`: the recorded plays of a session as CSV, one row per play, or as one JSON document.
+//!
+//! The columns stand in `docs/reference/session-export.md`. A file is replaced whole, and only once everything was read.
+//!
+//! Invariant: columns are only added, at the end; a value that is not known is an empty field.
+
+use super::arguments::ClientOptions;
+use super::output::say;
+use super::session::warn_unreadable;
+use anyhow::{Context, Result};
+use csv::Writer;
+use meissner_api::{Labels, RecordedPlay, Session, SessionPlays};
+use meissner_client::{Client, escape};
+use std::fs;
+use std::path::Path;
+use std::process::ExitCode;
+use std::time::Duration;
+
+/// How long the daemon may read its record for an answer.
+const TIMEOUT: Duration = Duration::from_secs(60);
+
+/// The columns.
+pub(super) const COLUMNS: [&str; 31] = [
+    "session",
+    "participant",
+    "experiment",
+    "seed",
+    "session_labels",
+    "trial",
+    "labels",
+    "play",
+    "user",
+    "pattern",
+    "pattern_sha256",
+    "seconds",
+    "state",
+    "cause",
+    "onset_tick",
+    "onset_monotonic_ns",
+    "onset_uncertainty_ns",
+    "onset_wall_ns",
+    "reported_after_s",
+    "bursts_planned",
+    "bursts_played",
+    "bursts_late",
+    "bursts_dropped",
+    "bursts_refused",
+    "bursts_amended",
+    "pulses_planned",
+    "pulses_played",
+    "worst_late_ms",
+    "rest_error_max_um",
+    "session_started",
+    "session_ended",
+];
+
+pub(super) fn run(options: &ClientOptions, id: &str, output: Option<&Path>) -> Result<ExitCode> {
+    let exported = read(&mut options.client()?, id)?;
+    warn_unreadable(exported.unreadable, &exported.problems);
+    let text = if options.output.json { serde_json::to_string(&exported)? + "\n" } else { table(&exported)? };
+    match output {
+        None => say(text.trim_end_matches('\n'))?,
+        Some(path) => {
+            let beside = path.parent().filter(|dir| !dir.as_os_str().is_empty()).unwrap_or(Path::new("."));
+            let write = || {
+                let mut file = tempfile::NamedTempFile::new_in(beside)?;
+                std::io::Write::write_all(&mut file, text.as_bytes())?;
+                // A temporary file is for its user alone; a table is for whom the user's mask allows.
+                let mode = fs::Permissions::from(std::os::unix::fs::PermissionsExt::from_mode(0o644));
+                file.as_file().set_permissions(mode)?;
+                file.persist(path)?;
+                Ok::<_, std::io::Error>(())
+            };
+            write().with_context(|| {
+                format!("{}: cannot be written; name another file with -o", path.display())
+            })?;
+        }
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// All plays of a session, answer by answer.
+fn read(client: &mut Client, id: &str) -> Result<SessionPlays> {
+    let mut all: Option<SessionPlays> = None;
+    loop {
+        let from = all.as_ref().map_or(0, |all| all.plays.len());
+        let path = format!("/v1/sessions/{}/plays?from={from}", escape(id));
+        let next: SessionPlays = client.get_within(TIMEOUT, &path)?;
+        let more = next.more && !next.plays.is_empty();
+        match &mut all {
+            None => all = Some(next),
+            Some(all) => {
+                all.more = next.more;
+                all.plays.extend(next.plays);
+            }
+        }
+        if let Some(all) = all.take_if(|_| !more) {
+            return Ok(all);
+        }
+    }
+}
+
+fn table(exported: &SessionPlays) -> Result<String> {
+    let mut csv = Writer::from_writer(Vec::new());
+    csv.write_record(COLUMNS)?;
+    for play in &exported.plays {
+        csv.write_record(row(&exported.session, play))?;
+    }
+    Ok(String::from_utf8(csv.into_inner()?)?)
+}
+
+fn row(session: &Session, play: &RecordedPlay) -> [String; COLUMNS.len()] {
+    fn field(value: Option<impl ToString>) -> String {
+        value.map_or_else(String::new, |value| value.to_string())
+    }
+    let labels = |labels: &Labels| {
+        labels.iter().map(|(key, value)| format!("{key}={value}")).collect::<Vec<_>>().join(";")
+    };
+    let (bursts, pulses) = (play.bursts, play.pulses);
+    [
+        session.id.clone(),
+        session.participant.clone(),
+        field(session.experiment.as_ref()),
+        field(session.seed),
+        labels(&session.labels),
+        field(play.trial),
+        labels(&play.labels),
+        play.play.to_string(),
+        field(play.user.as_ref()),
+        play.pattern.clone(),
+        field(play.pattern_sha256.as_ref()),
+        field(play.seconds),
+        play.state.clone(),
+        field(play.cause.as_ref()),
+        field(play.onset_tick),
+        field(play.onset_monotonic_ns),
+        field(play.onset_uncertainty_ns),
+        field(play.onset_wall_ns),
+        field(play.reported_after_s),
+        field(bursts.map(|bursts| bursts.planned)),
+        field(bursts.map(|bursts| bursts.played)),
+        field(bursts.map(|bursts| bursts.late)),
+        field(bursts.map(|bursts| bursts.dropped)),
+        field(bursts.map(|bursts| bursts.refused)),
+        field(bursts.map(|bursts| bursts.amended)),
+        field(pulses.map(|pulses| pulses.planned)),
+        field(pulses.map(|pulses| pulses.played)),
+        field(play.worst_late_ms),
+        field(play.rest_error_max_um),
+        session.started.clone(),
+        field(session.ended.as_ref()),
+    ]
+}
