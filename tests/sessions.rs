@@ -347,7 +347,7 @@ fn an_export_has_one_row_per_play() {
     );
     assert!(
         complaint(daemon.meissner().args(["session", "export", "20200101T000000Z-000000"]))
-            .contains("does not run")
+            .contains("is recorded")
     );
 }
 

@@ -11,7 +11,6 @@ use anyhow::{Context, Result};
 use csv::Writer;
 use meissner_api::{Labels, RecordedPlay, Session, SessionPlays};
 use meissner_client::{Client, escape};
-use std::fs;
 use std::path::Path;
 use std::process::ExitCode;
 use std::time::Duration;
@@ -65,9 +64,7 @@ pub(super) fn run(options: &ClientOptions, id: &str, output: Option<&Path>) -> R
             let write = || {
                 let mut file = tempfile::NamedTempFile::new_in(beside)?;
                 std::io::Write::write_all(&mut file, text.as_bytes())?;
-                // A temporary file is for its user alone; a table is for whom the user's mask allows.
-                let mode = fs::Permissions::from(std::os::unix::fs::PermissionsExt::from_mode(0o644));
-                file.as_file().set_permissions(mode)?;
+                // It stays readable for its user alone: it tells about a person.
                 file.persist(path)?;
                 Ok::<_, std::io::Error>(())
             };

@@ -145,7 +145,12 @@ pub(super) async fn show(
     }
     let Json(list) = list(State(app)).await?;
     let found = list.sessions.into_iter().find(|session| session.id == id);
-    Ok(Json(found.ok_or_else(|| no_session(&id))?))
+    let none = || {
+        let id: String = id.chars().take(100).collect();
+        let detail = format!("no session {id} is recorded: `meissner session list` shows all");
+        if id == "running" { no_session(&id) } else { Problem::new(Code::NotFound, detail) }
+    };
+    Ok(Json(found.ok_or_else(none)?))
 }
 
 pub(super) async fn plays(
