@@ -4,6 +4,7 @@
 
 mod estop;
 mod load;
+mod lower_stop;
 mod patterns;
 mod play;
 mod scenarios;

@@ -5,7 +5,7 @@ use crate::pins::{ENABLE, LED, Pins, TRIGGER, pin_of};
 use crate::tap::Batch;
 use crate::time::{MS, TICK};
 use firmware_protocol::limits::OnTimeLimits;
-use firmware_protocol::message::{Mark, MarkKind, Trigger, Counters, Report};
+use firmware_protocol::message::{Counters, Mark, MarkKind, Report, Trigger};
 use firmware_protocol::stroke::Stroke;
 
 const ORIGIN: u64 = 7_777;
@@ -37,7 +37,8 @@ fn strokes() -> Vec<Stroke> {
 
 fn tap() -> Tap {
     let onset = Tick::BOOT + 20_000;
-    let op = Op::Arm { assume_rest: true, host_timeout: 25_500, limits: OnTimeLimits::NONE, lower_stop: None };
+    let op =
+        Op::Arm { assume_rest: true, host_timeout: 25_500, limits: OnTimeLimits::NONE, lower_stop: None };
     let mark = Mark { kind: MarkKind::Play, trigger: Some(Trigger::PULSE) };
     let batch = Batch { epoch: 2, seq: 0, mark: Some(mark), base: onset, strokes: strokes() };
     let mut tap = Tap::default();
