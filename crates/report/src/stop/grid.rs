@@ -75,7 +75,7 @@ impl Default for StopGrid {
             scatters: vec![0.05, 0.1, 0.2],
             asymmetry_sds: vec![0.0, 0.02, 0.05],
             surpluses: fixed.into_iter().chain([StopSurplus::Auto]).collect(),
-            rest_error_um: 4.0,
+            rest_error_um: 5.0,
             arrays: 2,
             strokes: 1500,
             settling: 300,
