@@ -176,6 +176,7 @@ struct RawConfig {
     lead_ms: Option<f64>,
     lease_ms: Option<f64>,
     drift_warning_um: Option<f64>,
+    drift_limit_um: Option<f64>,
     end_stop_um: Option<f64>,
     session_silence_s: Option<f64>,
     participant: Option<Table<RawParticipant>>,
@@ -296,6 +297,10 @@ impl RawConfig {
         let good = (1.0..=10_000.0).contains(&drift_warning_um);
         in_range("drift_warning_um", drift_warning_um, good, "1 to 10000 um")?;
         let drift_warning_um = drift_warning_um as f32;
+        let drift_limit_um = self.drift_limit_um.unwrap_or(Settings::default().drift_limit_um.into());
+        let good = (1.0..=10_000.0).contains(&drift_limit_um);
+        in_range("drift_limit_um", drift_limit_um, good, "1 to 10000 um")?;
+        let drift_limit_um = drift_limit_um as f32;
         let Table(limits) = self.limits.unwrap_or(Table(RawLimits::default()));
         let none = OnTimeLimits::NONE;
         let limit = |key: &str, found: Option<u32>, most: u32| {
@@ -321,8 +326,15 @@ impl RawConfig {
         let stop_pulses_per_s = limits.stop_pulses_per_s;
         let limits = OnTimeLimits { motor, rail };
         let end_stop_um = end_stop_um as f32;
-        let settings =
-            Settings { lead_ms, lease_ms, limits, drift_warning_um, end_stop_um, lower_stop: None };
+        let settings = Settings {
+            lead_ms,
+            lease_ms,
+            limits,
+            drift_warning_um,
+            drift_limit_um,
+            end_stop_um,
+            lower_stop: None,
+        };
         let Table(array) = self.array.unwrap_or(Table(RawArray::default()));
         let lower_stop = array.check(stop_pulses_per_s, &settings)?;
         if lower_stop.is_some() {
@@ -410,7 +422,7 @@ mod tests {
     #[test]
     fn every_key_is_read() {
         let text = "device = \"pty\"\nsocket = \"/s\"\npatterns_dir = \"/s/p\"\nlead_ms = 50\nlease_ms = 100.0\ndrift_warning_um = 30\n\
-                    end_stop_um = 250\n\
+                    drift_limit_um = 60\nend_stop_um = 250\n\
                     [limits]\nmotor_pulses_per_s = 40000\nrail_pulses_per_s = 90000\n[mock]\nseed = 3\ngain_sd = 0.0\n";
         let config = parse(text).unwrap();
         assert_eq!((config.device, config.socket), (Spec::Pty, "/s".into()));
@@ -434,6 +446,7 @@ mod tests {
                 lease_ms: 100.0,
                 limits,
                 drift_warning_um: 30.0,
+                drift_limit_um: 60.0,
                 end_stop_um: 250.0,
                 lower_stop: None
             }

@@ -19,6 +19,8 @@ mod cli;
 mod client_limits;
 /// `tradeoff --loop`: a corner of its grid within the limits, the same bytes on any cores, its document and plot.
 mod control_tradeoff;
+/// Drift without telemetry: plays at the limit, and the level check of `assume_rest`.
+mod drift;
 /// `report`: figures against the models, the page, places that cannot be written to.
 mod figures;
 /// A real daemon in a directory of its own, and helpers for the other tests.

@@ -232,12 +232,16 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__arm)
-            opts="-h --assume-rest --socket --json --help"
+            opts="-h --assume-rest --checked --socket --json --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
             fi
             case "${prev}" in
+                --checked)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
                 --socket)
                     COMPREPLY=($(compgen -f "${cur}"))
                     return 0

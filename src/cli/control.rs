@@ -17,7 +17,7 @@ use meissner_api::{
 };
 use meissner_client::{Client, ClientError, Events, HOME_TIMEOUT, escape};
 use serde_json::{Value, json};
-use std::io::{self, Write};
+use std::io::{self, BufRead, IsTerminal, Read, Write};
 use std::path::Path;
 use std::process::{self, ExitCode};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -146,15 +146,42 @@ pub(super) fn reset(options: &ClientOptions, force: bool) -> Result<ExitCode> {
 
 pub(super) fn home(options: &ClientOptions) -> Result<ExitCode> {
     let status: Status = options.client()?.post_within(HOME_TIMEOUT, "/v1/home", &json!({}))?;
-    print_state(options, &status)
+    give(options.output.json, &status, || match text::drift(&status) {
+        Some(drift) => format!("{}; drift: {drift}", text::state(&status)),
+        None => text::state(&status),
+    })
 }
 
-pub(super) fn arm(options: &ClientOptions, assume_rest: bool) -> Result<ExitCode> {
-    let status: Status = options.client()?.post("/v1/arm", &ArmRequest { assume_rest })?;
+pub(super) fn arm(options: &ClientOptions, assume_rest: bool, checked: Option<String>) -> Result<ExitCode> {
+    let mut client = options.client()?;
+    let asked = ArmRequest { assume_rest, checked };
+    let status = match client.post("/v1/arm", &asked) {
+        // Nothing was armed. On a terminal a person can look.
+        Err(ClientError::Problem(problem))
+            if problem.code == Code::LevelNotChecked.parts().0 && io::stdin().is_terminal() =>
+        {
+            let checked = Some(ask_level(&problem.detail)?);
+            client.post("/v1/arm", &ArmRequest { assume_rest, checked })
+        }
+        answer => answer,
+    };
+    let status: Status = status?;
     if !matches!(status.state.as_str(), "armed" | "returning") {
         bail!("not armed: {} ({}); see `meissner status` and the daemon's log", status.state, status.cause);
     }
     print_state(options, &status)
+}
+
+/// Asks the person at the terminal whether the pins are level; returns the name of the user.
+fn ask_level(why: &str) -> Result<String> {
+    write!(io::stderr(), "{why}\nAre all pins level? Look at them. [yes/no] ")?;
+    let mut answer = String::new();
+    io::stdin().lock().take(100).read_line(&mut answer)?;
+    if !matches!(answer.trim(), "yes" | "y") {
+        bail!("not armed: level the pins first, then arm again");
+    }
+    let user = nix::unistd::User::from_uid(nix::unistd::getuid()).ok().flatten();
+    Ok(user.map_or_else(|| format!("uid {}", nix::unistd::getuid()), |user| user.name))
 }
 
 fn print_state(options: &ClientOptions, status: &Status) -> Result<ExitCode> {

@@ -103,6 +103,9 @@ enum Command {
         /// State that all pins are at rest: look at them first
         #[arg(long)]
         assume_rest: bool,
+        /// Say who has looked at the pins and found them level: needed after they may have drifted; on a terminal the command asks
+        #[arg(long, value_name = "NAME", requires = "assume_rest")]
+        checked: Option<String>,
         #[command(flatten)]
         options: ClientOptions,
     },
@@ -224,7 +227,7 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Stop(options) => control::command(&options, "stop"),
         Command::Estop(options) => control::estop(&options),
         Command::Reset { force, options } => control::reset(&options, force),
-        Command::Arm { assume_rest, options } => control::arm(&options, assume_rest),
+        Command::Arm { assume_rest, checked, options } => control::arm(&options, assume_rest, checked),
         Command::Disarm(options) => control::command(&options, "disarm"),
         Command::Home(options) => control::home(&options),
         Command::Calibrate(asked) => calibrate::run(&asked),

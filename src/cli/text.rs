@@ -6,7 +6,8 @@ use crate::receipts::{HOST_TIMEOUT, end_text};
 use comfy_table::presets::{NOTHING, UTF8_FULL};
 use comfy_table::{CellAlignment, Table};
 use meissner_api::{
-    BurstCounts, Event, NO_DEVICE, ParticipantStatus, PredictedResponse, Prediction, Receipt, Session, Status,
+    BurstCounts, ErrorSource, Event, NO_DEVICE, ParticipantStatus, PredictedResponse, Prediction, Receipt,
+    Session, Status,
 };
 use meissner_array::geometry::{COLUMNS, ROWS};
 use meissner_array::pattern::Drive;
@@ -118,6 +119,16 @@ pub(super) fn state(status: &Status) -> String {
     }
 }
 
+/// How far pins may be from rest by dead reckoning: the largest estimate, and of how many motors there is one.
+pub(super) fn drift(status: &Status) -> Option<String> {
+    let reckoned = || status.motors.iter().filter(|motor| motor.source == ErrorSource::DeadReckoning);
+    let um = reckoned().map(|motor| motor.rest_error_um).reduce(f32::max)?;
+    let (count, all) = (reckoned().count(), status.motors.len());
+    let limit_um = status.drift_limit_um;
+    let full = if um > limit_um { ": no play drives such a pin until it is home or level" } else { "" };
+    Some(format!("up to {um:.0} um from rest (estimated), {count} of {all} pins; limit {limit_um} um{full}"))
+}
+
 pub(super) fn status(status: &Status) -> String {
     let none = || match &status.no_device_reason {
         Some(missing) => format!("none: {missing}"),
@@ -143,6 +154,7 @@ pub(super) fn status(status: &Status) -> String {
     if status.device.as_ref().is_some_and(|device| !device.telemetry) {
         lines.push(("telemetry", format!("{NO_TELEMETRY}; {SHORT_PLAYS}")));
     }
+    lines.extend(drift(status).map(|drift| ("drift", drift)));
     if let Some(problem) = &status.logbook_problem {
         lines.push(("session record", problem.clone()));
     }

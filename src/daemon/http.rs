@@ -339,7 +339,13 @@ async fn arm(State(app): State<App>, Extension(peer): Extension<Peer>, body: Bod
         let request = ArmRequest::parse(&body::read_command(body).await?)?;
         logged.set_arguments(&request);
         if request.assume_rest {
-            logged.set_title("arm, assuming rest,".to_owned());
+            logged.set_title(match &request.checked {
+                Some(name) => format!("arm, assuming rest, pins checked by {name:?},"),
+                None => "arm, assuming rest,".to_owned(),
+            });
+            if request.checked.is_none() {
+                app.engine.check_level()?;
+            }
         }
         carry_out(&app, Command::Arm { assume_rest: request.assume_rest }, TIMEOUT).await
     }

@@ -34,6 +34,9 @@ pub fn device_info(kind: &str, hello: &DeviceHello) -> DeviceInfo {
 /// The API's cause of a state or an end after the host watchdog timed out.
 pub const HOST_TIMEOUT: &str = "lease";
 
+/// The cause of a play's end when a pin that it drives may be too far from rest.
+pub(super) const DRIFT_LIMIT: &str = meissner_stream::DRIFT_LIMIT;
+
 /// How a play ended, in words: its state and cause.
 #[must_use]
 pub fn end_text(state: &str, cause: Option<&str>) -> String {
@@ -41,6 +44,9 @@ pub fn end_text(state: &str, cause: Option<&str>) -> String {
         None => state.to_owned(),
         Some(HOST_TIMEOUT) => {
             format!("{state}: the PC was silent for longer than the host watchdog timeout")
+        }
+        Some(DRIFT_LIMIT) => {
+            format!("{state}: a pin may be farther from rest than `drift_limit_um`; see `meissner status`")
         }
         Some(cause) => format!("{state} ({cause})"),
     }
@@ -50,6 +56,7 @@ pub fn end_text(state: &str, cause: Option<&str>) -> String {
 #[must_use]
 pub fn refusal(refused: CommandError) -> Problem {
     let code = match refused {
+        CommandError::DriftLimit { .. } => Code::DriftLimit,
         CommandError::NoDevice => Code::NoDevice,
         CommandError::Disarmed => Code::Disarmed,
         CommandError::Faulted => Code::Faulted,

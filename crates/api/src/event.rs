@@ -178,7 +178,7 @@ pub enum Event {
     /// Without telemetry, pins may have drifted beyond the configured `drift_warning_um`: home them.
     #[schema(examples(json!({"event": "drifted", "um": 21.5})))]
     Drifted {
-        /// Largest expected offset from rest of all motors, one standard deviation, µm.
+        /// Largest expected offset from rest of all motors, root mean square, µm.
         #[schema(minimum = 0.0)]
         um: f32,
     },

@@ -85,6 +85,11 @@ pub enum Code {
     LowerStop,
     /// The device does not measure where its pins are.
     NoTelemetry,
+    /// Without telemetry and lower stop, a pin that the play drives may be farther from rest than `drift_limit_um`: bring the
+    /// pins home, or level them by hand.
+    DriftLimit,
+    /// Pins have drifted since they were last known to be level: say in `checked` who has looked at them.
+    LevelNotChecked,
 }
 
 impl Code {
@@ -114,6 +119,8 @@ impl Code {
         Self::DeviceRefused,
         Self::LowerStop,
         Self::NoTelemetry,
+        Self::DriftLimit,
+        Self::LevelNotChecked,
         Self::TooLarge,
         Self::BadPattern,
         Self::QueueFull,
@@ -162,6 +169,8 @@ impl Code {
             Self::TooManyClients => ("too-many-clients", 503, "Too many clients"),
             Self::ShuttingDown => ("shutting-down", 503, "The daemon shuts down"),
             Self::LowerStop => ("lower-stop", 409, "The array has a lower stop"),
+            Self::DriftLimit => ("drift-limit", 409, "Pins may be too far from rest"),
+            Self::LevelNotChecked => ("level-not-checked", 409, "Nobody has checked that the pins are level"),
             Self::NoTelemetry => ("no-telemetry", 409, "The device has no telemetry"),
             Self::Store => ("store", 500, "The daemon cannot use its files"),
         }
@@ -215,7 +224,7 @@ mod tests {
         names.sort_unstable();
         names.dedup();
         // The last variant of the enum: a variant that is not in `ALL` would raise this number.
-        assert_eq!((names.len(), Code::ALL.len()), (Code::ALL.len(), Code::NoTelemetry as usize + 1));
+        assert_eq!((names.len(), Code::ALL.len()), (Code::ALL.len(), Code::LevelNotChecked as usize + 1));
         assert!(Code::ALL.is_sorted_by_key(|code| code.parts().1));
     }
 

@@ -111,14 +111,22 @@ fn check_onset(tick: Option<u64>, ms: Option<f64>, monotonic_ns: Option<u64>) ->
 }
 
 /// How to arm.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
-#[schema(examples(json!({"assume_rest": true})))]
+#[schema(examples(json!({"assume_rest": true, "checked": "Ada"})))]
 pub struct ArmRequest {
     /// Whether to take every pin as at rest: only after somebody has levelled them.
     #[serde(default, deserialize_with = "null_as_default")]
     pub assume_rest: bool,
+    /// Who has looked at the pins and found them level, in 1 to 100 characters. The log and the session record keep it.
+    /// `assume_rest` needs it once pins may have drifted.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(min_length = 1, max_length = 100)]
+    pub checked: Option<String>,
 }
+
+/// Characters of `checked` at most.
+const MAX_NAME: usize = 100;
 
 impl ArmRequest {
     /// Reads a body; an empty one gives the defaults.
@@ -126,7 +134,16 @@ impl ArmRequest {
     /// # Errors
     /// A `bad-request` that names the key.
     pub fn parse(body: &[u8]) -> Result<Self, Problem> {
-        read_or_default(body)
+        let request: Self = read_or_default(body)?;
+        match &request.checked {
+            Some(_) if !request.assume_rest => {
+                Err(bad("`checked` goes with `assume_rest`: leave it out, or add \"assume_rest\": true"))
+            }
+            Some(name) if name.trim().is_empty() || name.chars().count() > MAX_NAME => {
+                Err(bad("`checked` must name who has looked at the pins, in 1 to 100 characters"))
+            }
+            _ => Ok(request),
+        }
     }
 }
 
@@ -349,6 +366,14 @@ mod tests {
         assert!(parse_empty(b"null").unwrap_err().detail.contains("not a JSON object"));
         assert!(ArmRequest::parse(b"").is_ok_and(|arm| !arm.assume_rest));
         assert!(ArmRequest::parse(br#"{"assume_rest":true}"#).unwrap().assume_rest);
+        let checked = |text: &str| ArmRequest::parse(text.as_bytes()).map_err(|problem| problem.detail);
+        let ada = checked(r#"{"assume_rest":true,"checked":"Ada"}"#).unwrap();
+        assert_eq!(ada.checked.as_deref(), Some("Ada"));
+        assert!(checked(r#"{"checked":"Ada"}"#).unwrap_err().contains("goes with `assume_rest`"));
+        for name in ["", " ", &"x".repeat(101)] {
+            let text = format!(r#"{{"assume_rest":true,"checked":"{name}"}}"#);
+            assert!(checked(&text).unwrap_err().contains("in 1 to 100 characters"), "{name}");
+        }
         assert!(ArmRequest::parse(br#"{"assume_rset":true}"#).unwrap_err().detail.contains("`assume_rest`"));
         let motor = CalibrateRequest::parse(br#"{"motor":256}"#).unwrap_err();
         assert_eq!(motor.detail, "`motor` is integer `256`: must be a whole number, 0 to 255");

@@ -113,6 +113,7 @@ const BODY: &[Code] = &[Code::BadRequest, Code::TooLarge, Code::Slow, Code::Sess
 const COMMAND: &[Code] = &[Code::NoDevice, Code::Timeout, Code::Busy, Code::ShuttingDown];
 /// Plays and calibrations are queued by the same rules.
 const QUEUE: &[Code] = &[
+    Code::DriftLimit,
     Code::Disarmed,
     Code::Faulted,
     Code::Returning,
@@ -246,11 +247,20 @@ impl Route {
             },
             Self::Arm => Operation {
                 summary: "Enable the motors",
-                description: "With `assume_rest` the device takes every pin as at rest; without it, it must know where the pins are.",
+                description: "With `assume_rest` the device takes every pin as at rest; without it, it must know where the pins are. If a \
+                              pin may have drifted by more than 20 µm, `assume_rest` needs `checked`: who has looked at the \
+                              pins.",
                 body: Body::OptionalJson("ArmRequest"),
                 errors: &[
                     BODY,
-                    &[Code::Faulted, Code::Returning, Code::PositionUnknown, Code::DeviceRefused],
+                    &[
+                        Code::Faulted,
+                        Code::Returning,
+                        Code::Playing,
+                        Code::PositionUnknown,
+                        Code::LevelNotChecked,
+                        Code::DeviceRefused,
+                    ],
                     COMMAND,
                     ANY,
                 ],

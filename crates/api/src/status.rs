@@ -93,8 +93,8 @@ pub enum ErrorSource {
 /// The state of one motor.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct MotorStatus {
-    /// Estimated offset of the pin from rest, µm, positive upwards. By the lower stop: root mean square to expect. By dead
-    /// reckoning: one standard deviation, at most the distance of the end stops.
+    /// Estimated offset of the pin from rest, µm, positive upwards. By the lower stop and by dead reckoning: root mean square to
+    /// expect; by dead reckoning at most the distance of the end stops.
     pub rest_error_um: f32,
     /// Where the estimate comes from: `none`, `telemetry`, `dead-reckoning` or `lower-stop`.
     pub source: ErrorSource,
@@ -181,7 +181,7 @@ pub struct ParticipantStatus {
     },
     "lead_ms": 100.0, "lease_ms": 300.0,
     "line_bytes_per_s": 1000000,
-    "contradictions": 0,
+    "drift_limit_um": 150.0, "contradictions": 0,
     "motors": [{"rest_error_um": 0.4, "source": "telemetry", "calibrated": false}],
     "calibrated": null,
     "session": null,
@@ -245,6 +245,10 @@ pub struct Status {
     #[serde(default)]
     #[schema(required)]
     pub contradictions: u64,
+    /// Estimate by dead reckoning above which no play drives a pin, µm (configuration key `drift_limit_um`).
+    #[serde(default)]
+    #[schema(required, minimum = 0.0)]
+    pub drift_limit_um: f32,
     /// The motors, by number; empty until a device has connected.
     #[schema(max_items = 24)]
     pub motors: Vec<MotorStatus>,

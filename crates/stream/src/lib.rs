@@ -62,5 +62,5 @@ pub use control::{Gains, rest_bound_um};
 pub use motor_run::{MotorRun, Period};
 pub use settings::{LowerStopSettings, Settings};
 pub use simulation::{Line, SimulatedPlay, Simulation, SimulationError, simulate_play};
-pub use streamer::{ANOTHER_DEVICE, Streamer, cause_text};
+pub use streamer::{ANOTHER_DEVICE, DRIFT_LIMIT, Streamer, cause_text};
 pub use thread::{request_realtime, spawn};

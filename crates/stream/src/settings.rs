@@ -17,8 +17,10 @@ pub struct Settings {
     pub lease_ms: f64,
     /// A site's on-time limits.
     pub limits: OnTimeLimits,
-    /// Error of dead reckoning, one standard deviation, above which the streamer warns, µm.
+    /// Error of dead reckoning, root mean square, above which the streamer warns, µm.
     pub drift_warning_um: f32,
+    /// Error of dead reckoning, root mean square, above which no play drives a pin, µm.
+    pub drift_limit_um: f32,
     /// Distance of the end stops from rest, µm: dead reckoning finds no pin farther off.
     pub end_stop_um: f32,
     /// The array's lower stop, if it has one.
@@ -85,6 +87,7 @@ impl Settings {
             lease_ms,
             limits: OnTimeLimits::NONE,
             drift_warning_um: 100.0,
+            drift_limit_um: 150.0,
             end_stop_um: END_STOP_UM,
             lower_stop: None,
         }

@@ -5,6 +5,8 @@
 mod calibrate;
 mod capacity;
 mod closed_loop;
+/// Drift without telemetry: estimate, limit, what calibration and `home` do about it.
+mod drift;
 /// Calibration from a laser's recording.
 mod laser;
 /// A device that lies: undamaged messages that cannot be true.

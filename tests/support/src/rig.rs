@@ -142,9 +142,13 @@ impl Rig {
         Self::with(Settings::default(), line, seed)
     }
 
-    /// A rig with these simulated motors, whose end stops it knows; records no lines.
+    /// A rig with these simulated motors, whose end stops it knows; records no lines. Pins may drift as far as they do.
     pub fn of(motors: &SimulatedMotorsConfig, seed: u64) -> Self {
-        let settings = Settings { end_stop_um: motors.end_stop_um as f32, ..Settings::default() };
+        let settings = Settings {
+            end_stop_um: motors.end_stop_um as f32,
+            drift_limit_um: f32::INFINITY,
+            ..Settings::default()
+        };
         Self::with_motors(settings, motors, seed)
     }
 
@@ -154,7 +158,9 @@ impl Rig {
         Self { simulation, surplus: settings.surplus(&[Gains::default(); MOTORS]), plays: 0 }
     }
 
+    /// A rig that records lines. Pins may drift as far as they do: a bad line or sensor is not to end plays.
     pub fn with(settings: Settings, line: Line, seed: u64) -> Self {
+        let settings = Settings { drift_limit_um: f32::INFINITY, ..settings };
         let mut simulation =
             Simulation::new(&SimulatedMotorsConfig::default(), settings, line, seed).unwrap();
         simulation.mock.record();

@@ -86,6 +86,11 @@ impl Strokes {
         self.end
     }
 
+    /// The motors that they drive.
+    pub fn motors(&self) -> impl Iterator<Item = u8> {
+        self.lanes.iter().map(Lane::motor)
+    }
+
     /// When the next stroke of `motor` goes up; `None` if there is none.
     #[must_use]
     pub fn next_up(&self, motor: u8) -> Option<Tick> {

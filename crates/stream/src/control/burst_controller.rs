@@ -104,6 +104,8 @@ pub(crate) struct BurstController {
     /// Dead reckoning since the last sample: variance by scatter, µm², and summed amplitudes, which asymmetry multiplies, µm.
     scattered: f64,
     reckoned_travel_um: f64,
+    /// Travel up and down since the last sample, of whole strokes and moves at a gain of 1, µm: new gains apply to it, too.
+    reckoned_um: [f64; 2],
 }
 
 impl BurstController {
@@ -136,6 +138,7 @@ impl BurstController {
             landing: [0.0; 2],
             scattered: 0.0,
             reckoned_travel_um: 0.0,
+            reckoned_um: [0.0; 2],
         }
     }
 
@@ -226,7 +229,20 @@ impl BurstController {
     /// The operator says that the pin is at rest.
     pub(crate) fn assume_rest(&mut self) {
         self.estimator.rest_at(0.0, 1.0);
-        (self.scattered, self.reckoned_travel_um, self.landing) = (0.0, 0.0, [0.0; 2]);
+        self.landing = [0.0; 2];
+        self.forget_reckoned();
+    }
+
+    /// The pin may be anywhere up to `um` from rest, one standard deviation.
+    pub(crate) fn lose_rest(&mut self, um: f64) {
+        self.estimator.rest_at(0.0, um * um);
+        self.forget_reckoned();
+        self.scattered = um * um;
+    }
+
+    /// What was reckoned is over: something has shown where the pin is.
+    fn forget_reckoned(&mut self) {
+        (self.scattered, self.reckoned_travel_um, self.reckoned_um) = (0.0, 0.0, [0.0; 2]);
     }
 
     /// Clears a sensor fault, and forgets what the faulty telemetry taught.
@@ -237,26 +253,39 @@ impl BurstController {
         self.monitor = TelemetryMonitor::default();
     }
 
-    /// Uses the gains of a calibration.
+    /// Uses the gains of a calibration, also for what was reckoned so far: the offset that they explain is known from now on,
+    /// and less is uncertain. The bursts have scattered as they have.
     pub(crate) fn set_gains(&mut self, gains: &Gains) {
+        let before = [Direction::Up, Direction::Down].map(|direction| self.estimator.gain(direction));
         self.gains = *gains;
         self.estimator.relearn(gains);
+        let explained = [Direction::Up, Direction::Down].into_iter().zip(before).zip(self.reckoned_um);
+        let explained = explained.map(|((direction, before), um)| {
+            sign(direction) * (self.estimator.gain(direction) - before) * um
+        });
+        self.estimator.shift(explained.sum());
     }
 
-    /// A move between plays shifts the rest position.
-    pub(crate) fn moved(&mut self, direction: Direction, pulses: u16) {
-        let um = f64::from(pulses) * UM_PER_PULSE * self.estimator.gain(direction);
+    /// Mean gain of a move that begins at `start`: less after half a second of rest.
+    pub(crate) fn move_gain(&self, direction: Direction, start: Tick) -> f64 {
+        self.estimator.gain(direction) * after_rest(self.estimator.last_end(), start)
+    }
+
+    /// A move between plays, which begins at `start`, shifts the rest position.
+    pub(crate) fn moved(&mut self, direction: Direction, pulses: u16, start: Tick) {
+        let rest = after_rest(self.estimator.last_end(), start);
+        let um = f64::from(pulses) * UM_PER_PULSE * self.move_gain(direction, start);
+        self.estimator.moved(start + u64::from(pulses));
         let (shift, scatter) = (sign(direction) * um, self.estimator.scatter() * um);
         let before = self.estimator.position_um();
         self.move_from = self.anchored.then_some((before, shift));
         self.estimator.rest_at(before + shift, self.estimator.variance() + scatter * scatter);
-        self.scattered += scatter * scatter;
+        // A move is one way: what its gain is not known by counts whole.
+        let ideal_um = rest * f64::from(pulses) * UM_PER_PULSE;
+        let unsure = self.gains.sd[gain_index(direction)] * ideal_um;
+        self.scattered += scatter * scatter + unsure * unsure;
+        self.reckoned_um[gain_index(direction)] += ideal_um;
         self.anchored = false;
-    }
-
-    /// Mean gain in a direction.
-    pub(crate) fn gain(&self, direction: Direction) -> f64 {
-        self.estimator.gain(direction)
     }
 
     /// Whether its gains come from a calibration.
@@ -358,6 +387,9 @@ impl BurstController {
                 let um = f64::from(next.planned[0]) * UM_PER_PULSE;
                 self.scattered += 2.0 * (self.estimator.scatter() * um).powi(2);
                 self.reckoned_travel_um += um;
+                for (reckoned_um, counted) in self.reckoned_um.iter_mut().zip(counted) {
+                    *reckoned_um += counted as f64 / 10.0 * UM_PER_PULSE;
+                }
             }
         }
         while self.begun >= 2
@@ -401,7 +433,7 @@ impl BurstController {
             monitor.travel(&travel, gains.mean[gain_index(travel.burst.direction)], &self.estimator);
             over(travel);
         }
-        (self.scattered, self.reckoned_travel_um) = (0.0, 0.0);
+        self.forget_reckoned();
         if self.monitor.fault().is_some() {
             // Forget what the faulty telemetry taught.
             self.estimator.relearn(&self.gains);
@@ -428,8 +460,17 @@ impl BurstController {
         self.position_um() - half
     }
 
+    /// Distance from rest to expect by dead reckoning, root mean square, µm: the expected offset and what is uncertain. 0 if
+    /// nothing was reckoned since the last sample.
+    pub(crate) fn dead_reckoning_um(&self) -> f64 {
+        match self.dead_reckoning_sd_um() {
+            0.0 => 0.0,
+            sd => sd.hypot(self.rest_um()),
+        }
+    }
+
     /// Error of the rest position since the last sample, one standard deviation, µm.
-    pub(crate) fn dead_reckoning_sd_um(&self) -> f64 {
+    fn dead_reckoning_sd_um(&self) -> f64 {
         let drift = ASYMMETRY.min(self.estimator.asymmetry_sd()) * self.reckoned_travel_um;
         (self.scattered + drift * drift).sqrt()
     }

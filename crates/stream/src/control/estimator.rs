@@ -219,6 +219,11 @@ impl Estimator {
         self.mean[POSITION] + self.mean[3..self.states()].iter().sum::<f64>()
     }
 
+    /// A move ends at `tick`.
+    pub(super) fn moved(&mut self, tick: Tick) {
+        self.last_end = self.last_end.max(Some(tick));
+    }
+
     /// When the last burst ends that has begun.
     pub(super) fn last_end(&self) -> Option<Tick> {
         self.last_end
@@ -241,6 +246,11 @@ impl Estimator {
             self.covariance[state][POSITION] = 0.0;
         }
         self.covariance[POSITION][POSITION] = variance;
+    }
+
+    /// Moves the position by so much, µm: its past is known better.
+    pub(super) fn shift(&mut self, um: f64) {
+        self.mean[POSITION] += um;
     }
 
     /// The position is unknown: the next sample sets it.

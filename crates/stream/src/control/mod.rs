@@ -28,6 +28,9 @@ use meissner_api::SensorFault;
 use meissner_array::motor::WINDOW_TICKS;
 use meissner_array::units::TICKS_PER_S;
 
+/// Without telemetry a stroke counts as played so long after it begins, ticks: the device's verdict has come by then.
+const REPORTED: u64 = TICKS_PER_S / 20;
+
 /// The position control of all motors.
 #[derive(Debug)]
 pub(super) struct PositionControl {
@@ -41,6 +44,8 @@ pub(super) struct PositionControl {
     limited: bool,
     /// Distance of the end stops from rest, µm.
     end_stop_um: f32,
+    /// The device sends telemetry: a sample may still be on its way.
+    telemetry: bool,
     /// The tick of the device's last counters.
     counters_at: Tick,
     /// Bursts and pulses of strokes played and removed since the device's last counters.
@@ -54,6 +59,7 @@ impl PositionControl {
         let mut control = Self {
             limited: false,
             end_stop_um: settings.end_stop_um,
+            telemetry: true,
             counters_at: Tick(0),
             motors: std::array::from_fn(|_| BurstController::new(&Gains::default())),
             last_sample: None,
@@ -87,6 +93,33 @@ impl PositionControl {
     /// At `tick` the device takes strokes: after a cut the pins have stopped, and telemetry shows where.
     pub(super) fn at_rest(&mut self, tick: Tick) {
         self.valid_from = self.valid_from.or(Some(tick + WINDOW_TICKS));
+    }
+
+    /// A device was connected, which sends telemetry or not.
+    pub(super) fn connected(&mut self, telemetry: bool) {
+        self.telemetry = telemetry;
+    }
+
+    /// Nothing is known of the pins: they may be as far off as the end stops.
+    pub(super) fn lose_rest(&mut self) {
+        let um = f64::from(self.end_stop_um);
+        self.motors.iter_mut().for_each(|motor| motor.lose_rest(um));
+    }
+
+    /// Without telemetry: counts what was played up to `tick`, so that the estimates are those of now.
+    pub(super) fn reckon_to(&mut self, tick: Tick) {
+        if !self.telemetry {
+            self.advance_to(tick);
+        }
+    }
+
+    /// Takes all strokes up to `tick` as played, without waiting for reports.
+    fn advance_to(&mut self, tick: Tick) {
+        let (uncounted, heard) = (&mut self.uncounted, self.counters_at);
+        for motor in &mut self.motors {
+            motor.advance(tick, None, |_| (), |stroke| count(uncounted, heard, stroke));
+        }
+        self.advanced_to = self.advanced_to.max(tick);
     }
 
     /// The operator says that all pins are at rest.
@@ -127,15 +160,15 @@ impl PositionControl {
         self.motors.get(usize::from(motor)).is_some_and(|motor| motor.fault().is_some())
     }
 
-    /// Mean gain of a motor.
-    pub(super) fn gain(&self, motor: u8, direction: Direction) -> f64 {
-        self.motors.get(usize::from(motor)).map_or(1.0, |motor| motor.gain(direction))
+    /// Mean gain of a motor's move that begins at `start`.
+    pub(super) fn move_gain(&self, motor: u8, direction: Direction, start: Tick) -> f64 {
+        self.motors.get(usize::from(motor)).map_or(1.0, |motor| motor.move_gain(direction, start))
     }
 
-    /// A move of a pin ends at `until`.
-    pub(super) fn moved(&mut self, motor: u8, direction: Direction, pulses: u16, until: Tick) {
+    /// A move of a pin begins at `start` and is over and visible at `until`.
+    pub(super) fn moved(&mut self, motor: u8, direction: Direction, pulses: u16, start: Tick, until: Tick) {
         if let Some(motor) = self.motor(motor) {
-            motor.moved(direction, pulses);
+            motor.moved(direction, pulses, start);
         }
         self.valid_from = Some(until);
     }
@@ -145,11 +178,12 @@ impl PositionControl {
         self.last_sample.is_some_and(|sampled| sampled >= tick)
     }
 
-    /// The largest error by dead reckoning, one standard deviation, µm.
-    pub(super) fn dead_reckoning_sd_um(&self, now: Tick) -> f32 {
-        let all = self.rest_error_um(now).into_iter();
-        let reckoned = all.filter(|(_, source)| *source == ErrorSource::DeadReckoning);
-        reckoned.map(|(um, _)| um).fold(0.0, f32::max)
+    /// The largest error by dead reckoning of these motors, root mean square, µm.
+    pub(super) fn dead_reckoning_um(&self, now: Tick, motors: impl Iterator<Item = u8>) -> f32 {
+        let all = self.rest_error_um(now);
+        let of = motors.filter_map(|motor| all.get(usize::from(motor)));
+        let reckoned = of.filter(|(_, source)| *source == ErrorSource::DeadReckoning);
+        reckoned.map(|&(um, _)| um).fold(0.0, f32::max)
     }
 
     fn motor(&mut self, motor: u8) -> Option<&mut BurstController> {
@@ -237,12 +271,8 @@ impl PositionControl {
     ) {
         let fresh = self.last_sample.is_some_and(|sampled| now - sampled <= LONGEST_AGE);
         if !fresh {
-            let (uncounted, heard) = (&mut self.uncounted, self.counters_at);
-            let past = Tick(now.0.saturating_sub(LONGEST_AGE));
-            for motor in &mut self.motors {
-                motor.advance(past, None, |_| (), |stroke| count(uncounted, heard, stroke));
-            }
-            self.advanced_to = past;
+            let late = if self.telemetry { LONGEST_AGE } else { REPORTED };
+            self.advance_to(Tick(now.0.saturating_sub(late)));
         }
         let mut next = self.motors.iter().filter_map(BurstController::next);
         if next.all(|next| next > now + FINALISE_AT) {
@@ -270,17 +300,17 @@ impl PositionControl {
         self.last_sample.is_some_and(|sampled| now - sampled <= TICKS_PER_S)
     }
 
-    /// Estimated rest error of each shaft, µm, and its source. By the lower stop: root mean square. By dead reckoning: one standard
-    /// deviation, and at most the distance of the end stops, because no shaft can be farther off.
+    /// Estimated rest error of each shaft, µm, and its source. By the lower stop and by dead reckoning: root
+    /// mean square to expect; by dead reckoning at most the distance of the end stops, because no shaft can be farther off.
     pub(super) fn rest_error_um(&self, now: Tick) -> [(f32, ErrorSource); MOTORS] {
         let fresh = self.has_recent_telemetry(now);
         self.motors.each_ref().map(|motor| {
             let measured = fresh && motor.fault().is_none();
-            match (measured, motor.landing_rms_um(), motor.dead_reckoning_sd_um()) {
+            match (measured, motor.landing_rms_um(), motor.dead_reckoning_um()) {
                 (true, _, _) => (motor.rest_um() as f32, ErrorSource::Telemetry),
                 (false, Some(landing), _) => (landing as f32, ErrorSource::LowerStop),
                 (false, None, 0.0) => (motor.rest_um() as f32, ErrorSource::None),
-                (false, None, sd) => ((sd as f32).min(self.end_stop_um), ErrorSource::DeadReckoning),
+                (false, None, um) => ((um as f32).min(self.end_stop_um), ErrorSource::DeadReckoning),
             }
         })
     }

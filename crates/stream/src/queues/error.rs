@@ -13,6 +13,17 @@ pub enum CommandError {
     /// No device is connected.
     #[error("no device is connected: plug it in, or see `meissner status`")]
     NoDevice,
+    /// Without telemetry and stop, a pin that the play drives may be too far from rest.
+    #[error(
+        "pins may be {um} um from rest, which is more than drift_limit_um = {limit_um}: run `meissner home` if the motors are \
+         calibrated, or level the pins by hand, then `meissner arm --assume-rest --checked NAME`"
+    )]
+    DriftLimit {
+        /// The largest estimate of a motor that the play drives.
+        um: u32,
+        /// The limit.
+        limit_um: u32,
+    },
     /// The controller is not armed.
     #[error("the motors are disarmed: run `meissner arm` first")]
     Disarmed,

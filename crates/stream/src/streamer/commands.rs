@@ -167,6 +167,7 @@ impl Streamer {
         if last.is_some_and(|last| last.play.strokes.end().is_none()) {
             return Err(CommandError::BehindEndless);
         }
+        self.check_drift(tick, play)?;
         let margin = self.margin(session, play)?;
         let requested = match play.at {
             At::Next => return Ok((None, margin)),
@@ -199,6 +200,16 @@ impl Streamer {
         Ok((Some(requested), margin))
     }
 
+    /// Refuses a play of pins that may be too far from rest.
+    fn check_drift(&self, tick: Tick, play: &Play) -> Result<(), CommandError> {
+        let (um, limit_um) =
+            (self.control.dead_reckoning_um(tick, play.strokes.motors()), self.settings.drift_limit_um);
+        if um <= limit_um {
+            return Ok(());
+        }
+        Err(CommandError::DriftLimit { um: um.round() as u32, limit_um: limit_um.round() as u32 })
+    }
+
     fn stop(&mut self) -> OpResult {
         self.ready()?;
         if self.pending_ops.len() == MAX_PENDING_OPS {
@@ -219,7 +230,15 @@ impl Streamer {
         self.ready()?;
         // An operation begins a new epoch: do not send one between a play and its strokes for nothing.
         match self.state() {
-            State::Armed if self.wants_armed => return Ok(None),
+            State::Armed if self.wants_armed => {
+                if assume_rest {
+                    if !self.plays.is_empty() || self.homing.is_some() {
+                        return Err(CommandError::Playing);
+                    }
+                    self.control.assume_rest();
+                }
+                return Ok(None);
+            }
             State::Armed | State::Returning if !self.wants_armed => return Err(CommandError::Returning),
             State::Returning => return Ok(None),
             _ if self.wants_armed => return Err(CommandError::Returning),

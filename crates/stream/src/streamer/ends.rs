@@ -71,6 +71,9 @@ impl Streamer {
                 break;
             };
             let wire = session.traffic().bytes_out;
+            // The estimates are those of the play's end: of bursts of the next play nothing counts yet.
+            let end = if first.cut.is_some() { None } else { first.end() };
+            self.control.reckon_to(end.map_or(tick, |end| end.max(first.last_end)));
             let rest_um = self.control.rest_error_um(tick).map(|(um, _)| um);
             let Some(active) = self.plays.pop_front() else { break };
             let (id, outcome) = active.close(Some(next_counters.unwrap_or(after)), wire, rest_um);

@@ -37,6 +37,8 @@ impl Streamer {
         match event {
             Event::Opened(hello) => {
                 self.telemetry = hello.features & DeviceHello::TELEMETRY != 0;
+                self.control.connected(self.telemetry);
+                self.boot = Some(hello.boot);
                 emit.event(StreamEvent::Connected(hello));
                 if self.latched {
                     self.queue_op(now, 0, Op::EStop, emit);
@@ -68,7 +70,7 @@ impl Streamer {
                         answer(done.ticket, result.map_err(CommandError::Device), emit);
                     }
                     if cuts_play(&done.op) {
-                        self.control.cut();
+                        self.cut_control(now);
                     }
                     self.moved(now, done.op, result.map_err(CommandError::Device), emit);
                     // The device may have disarmed in the meantime.
@@ -96,7 +98,7 @@ impl Streamer {
                 }
                 // The report of a stop does not concern strokes sent after the device answered the stop.
                 if self.state() != State::Armed || self.control.is_idle() {
-                    self.control.cut();
+                    self.cut_control(now);
                 }
                 self.undo_move(now);
                 self.snapshot_due = now;
@@ -120,6 +122,9 @@ impl Streamer {
 
     fn status(&mut self, now: HostInstant, status: Status, tick: Tick, emit: &mut dyn Emit) {
         let before = self.status.replace((status, tick)).map(|(status, _)| status);
+        if before.is_none() {
+            self.check_past(&status);
+        }
         self.control.counters_heard(tick);
         self.resets_own_e_stop &= (status.state, status.cause) == (State::Faulted, Cause::EStop);
         if self.resets_own_e_stop && !self.latched && self.no_op_pending() {
@@ -147,9 +152,26 @@ impl Streamer {
         if !armed && self.pending_ops.is_empty() {
             self.wants_armed = false;
             self.cut_all(End::Stopped, cause_text(status.cause));
-            self.control.cut();
+            self.cut_control(now);
             self.end_homing(Err(CommandError::Disarmed), emit);
         }
+    }
+
+    /// A device that knows where its pins are has moved them. If that was not this streamer's doing, nothing tells how far they
+    /// have drifted since.
+    fn check_past(&mut self, status: &Status) {
+        if !self.telemetry && status.position_known && self.reckoned_boot != self.boot {
+            self.control.lose_rest();
+        }
+        self.reckoned_boot = self.boot;
+    }
+
+    /// The device has flushed its queue: counts what was played until now.
+    fn cut_control(&mut self, now: HostInstant) {
+        if let Some(tick) = self.tick_at(now) {
+            self.control.reckon_to(tick);
+        }
+        self.control.cut();
     }
 
     /// The play that a stroke with this up tick belongs to.

@@ -122,9 +122,10 @@ impl Streamer {
         emit: &mut dyn Emit,
     ) {
         let Op::Move { motor, direction, pulses } = op else { return };
-        let over = self.tick_at(now).unwrap_or_default() + u64::from(pulses) + SETTLED;
+        let start = self.tick_at(now).unwrap_or_default();
+        let over = start + u64::from(pulses) + SETTLED;
         if result.is_ok() {
-            self.control.moved(motor, direction, pulses, over);
+            self.control.moved(motor, direction, pulses, start, over);
             self.last_move = Some((motor, pulses, over)).filter(|_| direction == Direction::Up);
         }
         let Some(homing) = &mut self.homing else { return };
@@ -142,7 +143,7 @@ impl Streamer {
     pub(super) fn undo_move(&mut self, now: HostInstant) {
         let tick = self.tick_at(now).unwrap_or_default();
         if let Some((motor, pulses, over)) = self.last_move.take().filter(|&(_, _, over)| tick < over) {
-            self.control.moved(motor, Direction::Down, pulses, over + u64::from(pulses));
+            self.control.moved(motor, Direction::Down, pulses, tick, over + u64::from(pulses));
         }
     }
 
@@ -170,7 +171,7 @@ impl Streamer {
                 let direction = if um > 0.0 { Direction::Down } else { Direction::Up };
                 let most = if measured && homing.round == 0 { FIRST_UM } else { f64::INFINITY };
                 let pulses = (um.abs().min(most)
-                    / (UM_PER_PULSE * self.control.gain(homing.motor, direction)))
+                    / (UM_PER_PULSE * self.control.move_gain(homing.motor, direction, tick)))
                 .round();
                 let pulses = pulses.clamp(1.0, MAX_TRAVEL.into()) as u16;
                 homing.moving = true;

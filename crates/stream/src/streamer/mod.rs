@@ -65,6 +65,8 @@ struct Homing {
     until: Tick,
 }
 
+/// The cause of a play's end when a pin that it drives may be too far from rest.
+pub const DRIFT_LIMIT: &str = "drift-limit";
 /// The reason of a disconnect when another device takes its place.
 pub const ANOTHER_DEVICE: &str = "another device was opened";
 
@@ -86,6 +88,9 @@ pub struct Streamer {
     resets_own_e_stop: bool,
     /// The device sends telemetry.
     telemetry: bool,
+    /// The device's boot, and the boot that the estimates of positions belong to.
+    boot: Option<u32>,
+    reckoned_boot: Option<u32>,
     /// Operations for the device, oldest first.
     pending_ops: VecDeque<PendingOp>,
     /// The first pending operation is sent and not answered.
@@ -131,6 +136,8 @@ impl Streamer {
             last_estop: 0,
             resets_own_e_stop: false,
             telemetry: false,
+            boot: None,
+            reckoned_boot: None,
             pending_ops: VecDeque::with_capacity(MAX_PENDING_OPS),
             in_flight: false,
             wants_armed: false,
@@ -161,18 +168,20 @@ impl Streamer {
 
     /// The device is gone: ends all plays with the counts known.
     pub fn disconnect(&mut self, now: HostInstant, cause: &'static str, emit: &mut dyn Emit) {
+        let lost = self.tick_at(now);
         let Some(session) = self.session.take() else { return };
         self.disconnect_reason = Some(cause);
         self.wants_armed = false;
         self.cut_all(End::Stopped, cause);
         let counters = self.status.map(|(status, tick)| {
-            let lost = session.clock().tick_at(now).unwrap_or(tick);
+            let lost = lost.unwrap_or(tick);
             let (bursts, pulses) = self.control.played_since_counters(tick, lost);
             let counters = status.counters;
             Counters { played: counters.played + bursts, pulses: counters.pulses + pulses, ..counters }
         });
         let wire = session.traffic().bytes_out;
         let tick = self.status.map_or(Tick(0), |(_, tick)| tick);
+        self.control.reckon_to(lost.unwrap_or(tick));
         let rest_um = self.control.rest_error_um(tick).map(|(um, _)| um);
         self.close_all(counters, wire, rest_um, emit);
         while let Some(waiting) = self.pending_ops.pop_front() {
@@ -234,6 +243,7 @@ impl Streamer {
             self.step_homing(now, tick, emit);
             self.feed(now, tick, emit);
             self.correct(tick);
+            self.end_drifted(now, tick, emit);
             self.finish(tick, emit);
         } else if self.session.is_none() {
             self.close_all(None, 0, [0.0; MOTORS], emit);
@@ -262,6 +272,19 @@ impl Streamer {
         self.control.correct(tick, free, |item| session.amend(item));
     }
 
+    /// Ends all plays if one that runs drives a pin that may be too far from rest. The motors stay armed.
+    fn end_drifted(&mut self, now: HostInstant, tick: Tick, emit: &mut dyn Emit) {
+        let limit_um = self.settings.drift_limit_um;
+        let is_over = |active: &Active| {
+            let runs = active.cut.is_none() && active.onset.is_some_and(|onset| onset <= tick);
+            runs && self.control.dead_reckoning_um(tick, active.play.strokes.motors()) > limit_um
+        };
+        if self.no_op_pending() && self.plays.iter().any(is_over) {
+            self.cut_all(End::Stopped, DRIFT_LIMIT);
+            self.queue_op(now, 0, Op::Stop, emit);
+        }
+    }
+
     /// Reports new sensor faults and drift.
     fn report_warnings(&mut self, now: HostInstant, emit: &mut dyn Emit) {
         for ((reported, fault), motor) in self.reported_faults.iter_mut().zip(self.control.faults()).zip(0..)
@@ -271,7 +294,8 @@ impl Streamer {
             }
             *reported = fault.is_some();
         }
-        let um = self.control.dead_reckoning_sd_um(self.tick_at(now).unwrap_or_default());
+        let tick = self.tick_at(now).unwrap_or_default();
+        let um = self.control.dead_reckoning_um(tick, 0..MOTORS as u8);
         let drifted = um > self.settings.drift_warning_um;
         if drifted && !self.reported_drift {
             emit.event(StreamEvent::DriftWarning { um });

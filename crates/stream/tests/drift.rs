@@ -1,0 +1,217 @@
+//! Drift without telemetry and stop: the estimate is true, grows with each play, and limits them; calibration and `home` change it
+//! by what they know.
+
+use firmware_protocol::message::State;
+use firmware_protocol::stroke::MOTORS;
+use meissner_api::ErrorSource;
+use meissner_array::pattern::Pattern;
+use meissner_array::random::normal;
+use meissner_array::simulated::SimulatedMotorsConfig;
+use meissner_stream::queues::{Command, CommandError, End, Snapshot};
+use meissner_stream::{Gains, Settings};
+use meissner_test_support::patterns::{drive, pattern};
+use meissner_test_support::rig::{Rig, answer, last_snapshot, outcomes};
+use meissner_test_support::statistics::rms;
+
+fn blind(seed: u64) -> SimulatedMotorsConfig {
+    SimulatedMotorsConfig { seed, telemetry_hz: 0, end_stop_um: 10_000.0, ..SimulatedMotorsConfig::default() }
+}
+
+/// An armed rig without telemetry; pins may drift as far as `limit_um`.
+fn rig(config: &SimulatedMotorsConfig, limit_um: f32) -> Rig {
+    let mut rig = Rig::of(config, config.seed);
+    let settings =
+        Settings { end_stop_um: config.end_stop_um as f32, drift_limit_um: limit_um, ..Settings::default() };
+    rig.send(Command::Configure(settings));
+    rig.arm();
+    rig
+}
+
+/// A trial of a two-alternative forced choice: 18 strokes at 62.5 Hz and 80 µm, all pins.
+fn trial() -> Pattern {
+    pattern("trial", Some(18.0 / 62.5), (0..MOTORS as u8).map(|motor| drive(motor, 62.5, 80.0)))
+}
+
+/// How and why a play ended.
+type Ended = (End, Option<&'static str>);
+
+/// Plays a trial and waits for two seconds, as a person takes for an answer.
+fn play_trial(rig: &mut Rig) -> (Option<Result<(), CommandError>>, Snapshot, Vec<Ended>) {
+    let ticket = rig.start(&trial(), None);
+    rig.run_ms(2000);
+    let events = rig.take_events();
+    let ends = outcomes(&events).iter().map(|outcome| (outcome.end, outcome.cause)).collect();
+    (answer(&events, ticket), last_snapshot(&events), ends)
+}
+
+/// The gains of a motor as a calibration that knows them to half a per cent would have them.
+fn true_gains(config: &SimulatedMotorsConfig) -> [Gains; MOTORS] {
+    std::array::from_fn(|motor| {
+        let asymmetry = config.asymmetry_sd * normal([config.seed, motor as u64, 0, 2]);
+        Gains { mean: [1.0 + asymmetry / 2.0, 1.0 - asymmetry / 2.0], sd: [0.005; 2], scatter: 0.1 }
+    })
+}
+
+fn positions(rig: &Rig) -> impl Iterator<Item = f64> {
+    (0..MOTORS as u8).map(|motor| rig.mock.position_um(motor))
+}
+
+fn estimates(rig: &mut Rig) -> [f64; MOTORS] {
+    rig.run_ms(1100);
+    let snapshot = last_snapshot(&rig.take_events());
+    assert_eq!(snapshot.source, [ErrorSource::DeadReckoning; MOTORS]);
+    snapshot.rest_error_um.map(f64::from)
+}
+
+/// Of 40 trials without telemetry and stop, the daemon plays three whole ones; the fourth ends at the limit, and the fifth is
+/// refused, each with the reason.
+#[test]
+fn forty_trials_without_telemetry_are_refused_at_the_limit_with_the_reason() {
+    for seed in 0..3 {
+        let config = SimulatedMotorsConfig { end_stop_um: 500.0, ..blind(seed) };
+        let mut rig = rig(&config, Settings::default().drift_limit_um);
+        let (mut whole, mut cut, mut refused, mut last_um) = (0, 0, 0, 0.0);
+        for _ in 0..40 {
+            let (answer, snapshot, ends) = play_trial(&mut rig);
+            match answer {
+                Some(Ok(())) => match ends[..] {
+                    [(End::Done, None)] => whole += 1,
+                    [(End::Stopped, Some("drift-limit"))] => cut += 1,
+                    _ => panic!("{ends:?}"),
+                },
+                Some(Err(refusal @ CommandError::DriftLimit { um, limit_um: 150 })) => {
+                    refused += 1;
+                    assert_eq!(um, snapshot.rest_error_um[0].round() as u32);
+                    let line = refusal.to_string();
+                    assert!(
+                        line.starts_with("pins may be 15") && line.contains("drift_limit_um = 150"),
+                        "{line}"
+                    );
+                    assert!(line.contains("`meissner home`") && line.contains("--checked NAME"), "{line}");
+                }
+                other => panic!("{other:?}"),
+            }
+            assert_eq!(snapshot.state, State::Armed);
+            assert!(snapshot.rest_error_um[0] >= last_um, "it never shrinks by itself");
+            last_um = snapshot.rest_error_um[0];
+        }
+        println!("seed {seed}: {whole} whole trials, {cut} cut, {refused} refused, at {last_um:.0} um");
+        assert_eq!((whole, cut, refused), (3, 1, 36));
+        // No pin is much farther than that; without the limit they would be: the worst of 24 is two or three deviations off.
+        assert!(positions(&rig).all(|um| um.abs() < 4.0 * 150.0));
+        // A play of pins that rest where they were may begin, once somebody has levelled them.
+        rig.send(Command::Disarm);
+        rig.run_ms(200);
+        rig.arm();
+        assert_eq!(play_trial(&mut rig).2, [(End::Done, None)]);
+    }
+}
+
+/// The estimate is the true root mean square over motors and arrays, within a quarter.
+#[test]
+fn the_estimate_is_the_true_root_mean_square_of_many_pins() {
+    for trials in [1, 4, 12] {
+        let (mut estimated, mut real) = (Vec::new(), Vec::new());
+        for seed in 0..8 {
+            let mut rig = rig(&blind(seed), f32::INFINITY);
+            for _ in 0..trials {
+                play_trial(&mut rig);
+            }
+            real.extend(positions(&rig));
+            estimated.extend(estimates(&mut rig));
+        }
+        let (estimated, real) = (rms(estimated), rms(real));
+        println!("{trials} trials: estimate {estimated:.1} um, truth {real:.1} um");
+        assert!((0.8..1.25).contains(&(estimated / real)), "{trials}: {estimated} {real}");
+    }
+}
+
+/// A calibration explains the drift so far: what is uncertain shrinks to scatter and the gains' own errors. `home` then moves
+/// the pins back by what is explained, and no further.
+#[test]
+fn a_calibration_and_home_change_the_estimate_by_what_they_know() {
+    let (mut before, mut explained, mut after, mut real, mut real_after) =
+        (vec![], vec![], vec![], vec![], vec![]);
+    for seed in 0..6 {
+        let config = blind(seed);
+        let mut rig = rig(&config, f32::INFINITY);
+        (0..2).for_each(|_| drop(play_trial(&mut rig)));
+        before.extend(estimates(&mut rig));
+        rig.send(Command::SetGains(Box::new(true_gains(&config))));
+        explained.extend(estimates(&mut rig));
+        real.extend(positions(&rig));
+        let ticket = rig.send(Command::Home);
+        rig.run_ms(3000);
+        assert_eq!(answer(&rig.take_events(), ticket), Some(Ok(())));
+        after.extend(estimates(&mut rig));
+        real_after.extend(positions(&rig));
+    }
+    let spread =
+        |um: &[f64]| um.iter().copied().fold(0.0, f64::max) - um.iter().copied().fold(f64::MAX, f64::min);
+    println!(
+        "before {:.1}, with gains {:.1} (spread {:.0}), true {:.1}; after home {:.1}, true {:.1} um",
+        rms(before.iter().copied()),
+        rms(explained.iter().copied()),
+        spread(&explained),
+        rms(real.iter().copied()),
+        rms(after.iter().copied()),
+        rms(real_after.iter().copied())
+    );
+    // Without gains all motors have one estimate, by 2 % asymmetry; with gains each has its own, and it is true.
+    assert!(spread(&before) < 1.0 && spread(&explained) > 100.0);
+    let ratio = rms(explained.iter().copied()) / rms(real.iter().copied());
+    assert!((0.8..1.25).contains(&ratio), "{ratio}");
+    // Home removes what is explained. The scatter stays.
+    let ratio = rms(after.iter().copied()) / rms(real_after.iter().copied());
+    assert!((0.8..1.25).contains(&ratio), "{ratio}");
+    assert!(rms(after.iter().copied()) < 0.8 * rms(explained.iter().copied()));
+    assert!(after.iter().all(|um| *um > 60.0), "the scatter of 72 bursts of 80 um is 68 um: {after:?}");
+}
+
+/// Neither a disarm nor an arm forgets the drift. A streamer that has not seen it knows nothing of the pins' places.
+#[test]
+fn the_estimate_outlives_disarming_and_unplugging() {
+    let mut rig = rig(&SimulatedMotorsConfig { end_stop_um: 500.0, ..blind(1) }, 150.0);
+    play_trial(&mut rig);
+    let um = estimates(&mut rig)[0];
+    assert!(um > 40.0, "{um}");
+    rig.send(Command::Disarm);
+    rig.run_ms(200);
+    let ticket = rig.send(Command::Arm { assume_rest: false });
+    assert_eq!(estimates(&mut rig)[0], um);
+    assert_eq!(answer(&rig.take_events(), ticket), None, "the answer came before");
+    rig.unplug();
+    rig.run_ms(500);
+    rig.connect();
+    assert!((estimates(&mut rig)[0] - um).abs() < 1e-3);
+    // Another host process: the device knows where its pins are, and nobody knows how far they have drifted.
+    let mut streamer = meissner_stream::Streamer::new(Settings::default());
+    rig.unplug();
+    std::mem::swap(&mut rig.streamer, &mut streamer);
+    rig.connect();
+    assert_eq!(estimates(&mut rig)[0], 500.0);
+    let ticket = rig.send(Command::Arm { assume_rest: false });
+    rig.run_ms(200);
+    assert_eq!(answer(&rig.take_events(), ticket), Some(Ok(())));
+    assert_eq!(play_trial(&mut rig).0, Some(Err(CommandError::DriftLimit { um: 500, limit_um: 150 })));
+    // On an armed device, too, a person may say that the pins are level.
+    let ticket = rig.send(Command::Arm { assume_rest: true });
+    rig.run_ms(200);
+    assert_eq!(answer(&rig.take_events(), ticket), Some(Ok(())));
+    assert_eq!(play_trial(&mut rig).2, [(End::Done, None)]);
+}
+
+/// A play that is cut counts as far as it was played.
+#[test]
+fn the_estimate_of_a_stopped_play_counts_what_was_played() {
+    let endless = pattern("all", None, (0..MOTORS as u8).map(|motor| drive(motor, 60.0, 80.0)));
+    let mut whole = rig(&blind(3), f32::INFINITY);
+    whole.start(&endless, Some(1.0));
+    let mut stopped = rig(&blind(3), f32::INFINITY);
+    stopped.start(&endless, None);
+    whole.run_ms(1003);
+    stopped.run_ms(1003);
+    stopped.send(Command::Stop);
+    let (whole, stopped) = (estimates(&mut whole)[0], estimates(&mut stopped)[0]);
+    assert!((stopped / whole - 1.0).abs() < 0.05, "{whole} {stopped}");
+}

@@ -1,0 +1,55 @@
+//! Drift without telemetry: `status`, plays that end or are refused at the limit, and the level check of `assume_rest`.
+
+use crate::harness::{Daemon, PATIENT, complaint, ended, printed, refusal};
+use serde_json::{Value, json};
+use std::fs;
+
+const BLIND: &str = "drift_limit_um = 60\n[mock]\ntelemetry_hz = 0\n";
+
+#[test]
+fn a_drifting_array_ends_plays_refuses_them_and_asks_for_a_check() {
+    let dir = tempfile::tempdir().unwrap();
+    let logbook = dir.path().join("logbook");
+    let daemon = Daemon::with("mock", &format!("{PATIENT}logbook_dir = {logbook:?}\n{BLIND}"));
+    let mut client = daemon.armed();
+    assert!(!printed(daemon.meissner().arg("status")).contains("\ndrift "));
+    let mut events = client.events().unwrap();
+    let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 10.0})).unwrap();
+    let receipt = ended(&mut events);
+    assert_eq!((receipt.state.name(), receipt.cause.as_deref()), ("stopped", Some("drift-limit")));
+    let text = printed(daemon.meissner().arg("receipt"));
+    assert!(text.contains("a pin may be farther from rest than `drift_limit_um`"), "{text}");
+    let status: Value = client.get("/v1/status").unwrap();
+    assert_eq!((&status["state"], &status["drift_limit_um"]), (&"armed".into(), &60.0.into()));
+    let um =
+        status["motors"].as_array().unwrap().iter().map(|motor| motor["rest_error_um"].as_f64().unwrap());
+    assert!(um.fold(0.0, f64::max) > 60.0, "{status}");
+    let text = printed(daemon.meissner().arg("status"));
+    assert!(text.contains("um from rest (estimated), 1 of 24 pins; limit 60 um: no play drives"), "{text}");
+
+    let play = json!({"pattern": "pin-60", "seconds": 0.1});
+    assert_eq!(refusal(client.post("/v1/play", &play)), ("drift-limit".into(), 409));
+    let line = complaint(daemon.meissner().args(["play", "pin-60", "--seconds", "0.1"]));
+    assert!(line.contains("more than drift_limit_um = 60") && line.contains("--checked NAME"), "{line}");
+    // Disarming forgets nothing, and a script cannot state that the pins are level.
+    let _: Value = client.post("/v1/disarm", &json!({})).unwrap();
+    let assumed = json!({"assume_rest": true});
+    assert_eq!(refusal(client.post("/v1/arm", &assumed)), ("level-not-checked".into(), 409));
+    let line = complaint(daemon.meissner().args(["arm", "--assume-rest"]));
+    assert!(line.contains("look at them, level them, and say who did"), "{line}");
+    let _: Value = client.post("/v1/arm", &json!({})).unwrap();
+    assert_eq!(refusal(client.post("/v1/play", &play)), ("drift-limit".into(), 409));
+    // Somebody has looked, also while the motors are armed.
+    assert!(
+        printed(daemon.meissner().args("arm --assume-rest --checked Ada".split(' '))).starts_with("armed")
+    );
+    let _: Value = client.post("/v1/play", &play).unwrap();
+    assert_eq!(ended(&mut events).state.name(), "done");
+    assert!(daemon.log().contains("arm, assuming rest, pins checked by \"Ada\""), "{}", daemon.log());
+    drop(daemon);
+    let recorded: String = fs::read_dir(&logbook)
+        .unwrap()
+        .filter_map(|file| fs::read_to_string(file.unwrap().path()).ok())
+        .collect();
+    assert!(recorded.contains("\"checked\":\"Ada\""), "{recorded}");
+}
