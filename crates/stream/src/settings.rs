@@ -1,6 +1,6 @@
 //! The settings of the streamer, and the length of a batch that follows from them.
 
-use crate::control::Gains;
+use crate::control::{ASYMMETRY, Gains};
 use firmware_protocol::limits::{MAX_PUSHES_PER_S, MAX_SEEK, OnTimeLimits};
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::reflected_walk::Spread;
@@ -46,9 +46,6 @@ impl Default for LowerStopSettings {
 
 /// Rest error that the surplus allows by default, µm: less than position control reaches with telemetry at 10 % scatter (8 µm).
 const REST_ERROR_UM: f64 = 5.0;
-/// Asymmetry against which the surplus of a motor without calibration is computed: two and a half standard deviations of the
-/// 2 % that we assume. Of 160 motors one is beyond.
-const WORST_ASYMMETRY: f64 = 0.05;
 /// A seek of the stop goes this many times as far as from end stop to rest: the first burst after rest reaches 80 %, and a
 /// weak motor less.
 const SEEK_MARGIN: f64 = 2.0;
@@ -59,13 +56,11 @@ impl LowerStopSettings {
             return Surplus::Fixed(um);
         }
         let spread = gains.each_ref().map(|gains| {
-            let asymmetry = if *gains == Gains::default() {
-                WORST_ASYMMETRY
+            if *gains == Gains::default() {
+                Spread::uncalibrated(gains.scatter, ASYMMETRY)
             } else {
-                let [up, down] = gains.mean;
-                2.0 * (up - down) / (up + down) + 2.5 * gains.sd[0].hypot(gains.sd[1])
-            };
-            Spread { scatter: gains.scatter, asymmetry }
+                Spread::measured(gains.scatter, gains.mean, gains.sd)
+            }
         });
         Surplus::Auto(Box::new(AutoSurplus { spread, rest_error_um: self.rest_error_um }))
     }

@@ -46,8 +46,8 @@ pub(crate) const LONGEST_AGE: u64 = TICKS_PER_S * 5 / 4;
 const PAST: usize = 400;
 /// Without room to lengthen the down burst, the top is lowered by so many standard deviations of the scatter.
 const HEADROOM: f64 = 0.5;
-/// Asymmetry of the gains up and down without calibration, one standard deviation; for dead reckoning.
-const ASYMMETRY: f64 = 0.02;
+/// Asymmetry of the gains up and down without calibration, one standard deviation.
+pub(crate) const ASYMMETRY: f64 = 0.02;
 
 /// A stroke sent to the device and not over yet.
 #[derive(Clone, Copy, Debug)]

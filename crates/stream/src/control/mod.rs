@@ -14,6 +14,7 @@ mod burst_controller;
 mod estimator;
 mod telemetry_monitor;
 
+pub(crate) use burst_controller::ASYMMETRY;
 pub(super) use burst_controller::{BurstController, FINALISE_AT, LONGEST_AGE};
 pub use estimator::{Gains, MeasuredBurst};
 
