@@ -74,7 +74,8 @@ impl Engine {
                 }
                 let (event, is_new) = self.lock().apply(streamed);
                 match &event {
-                    Some(Event::Connected { .. }) => self.set_first_device_known(),
+                    // Without a clock the status does not call it connected yet.
+                    Some(Event::State { tick, .. }) if *tick > 0 => self.set_first_device_known(),
                     // Measured bursts are kept for little more than a minute: the prediction of a long play begins before its end.
                     Some(Event::Began { id, .. }) => {
                         due.push(Due::after(Duration::from_secs_f64(MOST_OBSERVED_S) + MEASURED_AFTER, *id));

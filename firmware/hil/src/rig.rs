@@ -37,9 +37,9 @@ pub enum RigError {
 }
 
 /// How a rig is set up.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub struct RigOptions {
-    /// The streamer's settings.
+    /// The streamer's settings. By default drift limits no play: a chip has no sensor.
     pub settings: Settings,
     /// The USB function the host uses.
     pub function: Function,
@@ -47,6 +47,13 @@ pub struct RigOptions {
     pub faults: Faults,
     /// Seed of the line's faults and the session numbers.
     pub seed: u64,
+}
+
+impl Default for RigOptions {
+    fn default() -> Self {
+        let settings = Settings { drift_limit_um: f32::INFINITY, ..Settings::default() };
+        Self { settings, function: Function::default(), faults: Faults::default(), seed: 0 }
+    }
 }
 
 /// A host and a device.
