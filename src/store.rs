@@ -10,10 +10,12 @@
 mod in_use;
 
 use crate::config::open_regular;
+use crate::receipts::Order;
 use in_use::InUse;
 use include_dir::{Dir, include_dir};
-use meissner_api::{MAX_LISTED, PatternList, PatternSummary};
+use meissner_api::{MAX_LISTED, PatternList, PatternSummary, ReachedDrive};
 use meissner_array::pattern::{MAX_FILE_BYTES, Pattern, PatternError, is_name};
+use meissner_array::strokes::StrokeOptions;
 use meissner_input::message::quote;
 use serde::Serialize;
 use sha2::{Digest, Sha256};
@@ -21,7 +23,7 @@ use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 static LIBRARY: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/patterns");
 
@@ -53,10 +55,30 @@ pub enum StoreError {
         inside: String,
     },
     /// The library is read-only.
-    #[error("`{name}` is part of the library and cannot be overwritten: choose another name")]
+    #[error("`{name}` is part of the library and cannot be {change}: choose another name")]
     InLibrary {
         /// Its name.
         name: String,
+        /// What was to be done with it.
+        change: &'static str,
+    },
+    /// A pattern of that name is stored.
+    #[error(
+        "`{name}` is stored already (sha256 {sha256}): `--replace`, or `?replace=true`, stores the new one in its place"
+    )]
+    Exists {
+        /// Its name.
+        name: String,
+        /// SHA-256 of its file.
+        sha256: String,
+    },
+    /// A pattern of which no play has a stroke.
+    #[error("{}: the pattern has no stroke, so nothing would be played: {}", quote(.name), .why)]
+    Empty {
+        /// Its name.
+        name: String,
+        /// What to change.
+        why: String,
     },
     /// A file that is not UTF-8 text.
     #[error("{}: not UTF-8 text: write patterns as TOML in UTF-8", .path.display())]
@@ -94,6 +116,7 @@ pub struct Stored {
     /// Whether it is part of the library.
     pub library: bool,
     json: Arc<OnceLock<Arc<[u8]>>>,
+    run: Arc<OnceLock<Order>>,
 }
 
 /// A pattern in full, with the keys of [`PatternDetails`](meissner_api::PatternDetails).
@@ -102,6 +125,8 @@ struct Details<'a> {
     pattern: &'a Pattern,
     sha256: &'a str,
     library: bool,
+    compiled_ms: Option<f64>,
+    drives: &'a [ReachedDrive],
     warnings: Vec<String>,
 }
 
@@ -112,6 +137,17 @@ pub struct Store {
     in_use: InUse,
     dir: Option<PathBuf>,
     make_dir: bool,
+    /// Held while a file is replaced or removed, so that the answer names the file that was there.
+    writing: Mutex<()>,
+}
+
+/// A pattern that was stored.
+#[derive(Debug)]
+pub struct Put {
+    /// The pattern.
+    pub stored: Stored,
+    /// SHA-256 of the file that it replaced.
+    pub replaced: Option<String>,
 }
 
 impl Store {
@@ -130,7 +166,7 @@ impl Store {
                 library.insert(stored.pattern.name().to_owned(), stored);
             }
         }
-        Ok(Self { library, in_use: InUse::default(), dir, make_dir })
+        Ok(Self { library, in_use: InUse::default(), dir, make_dir, writing: Mutex::default() })
     }
 
     /// Checks that the directory can be read.
@@ -205,25 +241,48 @@ impl Store {
         list
     }
 
-    /// Stores a pattern under its name, in place of an older one of that name. Returns whether the name is new.
+    /// Stores a pattern under its name; in place of an older one of that name only with `replace`.
     ///
     /// # Errors
-    /// If the text is no pattern of that name, the name belongs to the library, or the file cannot be written.
-    pub fn put(&self, name: &str, text: &str) -> Result<(Stored, bool), StoreError> {
+    /// If the text is no pattern of that name, the pattern is empty, the name belongs to the library or is taken, or the file
+    /// cannot be written.
+    pub fn put(&self, name: &str, text: &str, replace: bool) -> Result<Put, StoreError> {
         if self.library.contains_key(name) {
-            return Err(StoreError::InLibrary { name: name.to_owned() });
+            return Err(StoreError::InLibrary { name: name.to_owned(), change: "overwritten" });
         }
         let stored = self.parse(text.as_bytes(), Path::new(&format!("{name}.toml")))?;
         let stored = named(name, stored)?;
+        if let Some(why) = stored.run().empty() {
+            return Err(StoreError::Empty { name: name.to_owned(), why: why.to_owned() });
+        }
         let (Some(dir), Some(path)) = (&self.dir, self.path(name)) else {
             return Err(StoreError::NoDirectory);
         };
-        let new = !path.exists();
+        let _writing = self.writing.lock().unwrap_or_else(PoisonError::into_inner);
         if self.make_dir {
             fs::create_dir_all(dir).map_err(|source| StoreError::Io { path: dir.clone(), source })?;
         }
-        replace(dir, &path, text.as_bytes()).map_err(|source| StoreError::Io { path, source })?;
-        Ok((stored, new))
+        let replaced = present(&path)?;
+        if let Some(sha256) = replaced.clone().filter(|_| !replace) {
+            return Err(StoreError::Exists { name: name.to_owned(), sha256 });
+        }
+        self::replace(dir, &path, text.as_bytes()).map_err(|source| StoreError::Io { path, source })?;
+        Ok(Put { stored, replaced })
+    }
+
+    /// Removes a pattern of the directory; returns the SHA-256 of its file. Plays that are queued or run hold the pattern.
+    ///
+    /// # Errors
+    /// If there is none, it belongs to the library, or the file cannot be removed.
+    pub fn remove(&self, name: &str) -> Result<String, StoreError> {
+        if self.library.contains_key(name) {
+            return Err(StoreError::InLibrary { name: name.to_owned(), change: "removed" });
+        }
+        let (Some(dir), Some(path)) = (&self.dir, self.path(name)) else { return Err(self.unknown(name)) };
+        let _writing = self.writing.lock().unwrap_or_else(PoisonError::into_inner);
+        let sha256 = present(&path)?.ok_or_else(|| self.unknown(name))?;
+        let removed = fs::remove_file(&path).and_then(|()| File::open(dir)?.sync_all());
+        removed.map(|()| sha256).map_err(|source| StoreError::Io { path, source })
     }
 
     /// The file of a pattern; `None` if the name is not valid, so that no path leads out of the directory.
@@ -275,14 +334,14 @@ impl Stored {
     }
 
     fn new(pattern: Arc<Pattern>, sha256: String, library: bool) -> Self {
-        Self { pattern, sha256, library, json: Arc::default() }
+        Self { pattern, sha256, library, json: Arc::default(), run: Arc::default() }
     }
 
-    /// One line for each thing that may not be meant, up to [`MAX_LISTED`].
+    /// What one run of the pattern comes to.
     #[must_use]
-    pub fn warnings(&self) -> Vec<String> {
-        let lines = self.pattern.warnings().iter().map(ToString::to_string).collect();
-        first(lines, "drives are saturated")
+    pub fn run(&self) -> &Order {
+        // The default options are within their ranges.
+        self.run.get_or_init(|| Order::of(&self.pattern, &StrokeOptions::default()).unwrap_or_default())
     }
 
     /// [`PatternDetails`](meissner_api::PatternDetails) as JSON: made once, in milliseconds for a long pattern.
@@ -290,7 +349,15 @@ impl Stored {
     pub fn json(&self) -> Arc<[u8]> {
         let made = self.json.get_or_init(|| {
             let Self { pattern, sha256, library, .. } = self;
-            let details = Details { pattern, sha256, library: *library, warnings: self.warnings() };
+            let Order { compiled_ms, drives, .. } = self.run();
+            let details = Details {
+                pattern,
+                sha256,
+                library: *library,
+                compiled_ms: *compiled_ms,
+                drives,
+                warnings: self.run().listed_warnings(),
+            };
             // A checked pattern can be written.
             serde_json::to_vec(&details).unwrap_or_default().into()
         });
@@ -304,12 +371,17 @@ impl Stored {
     }
 
     fn entry(&self) -> PatternSummary {
+        let Order { compiled_ms, drives, .. } = self.run();
+        let reached = || drives.iter().map(|drive| drive.reached_um);
         PatternSummary {
             name: self.pattern.name().to_owned(),
             library: self.library,
             duration_s: self.pattern.duration_s(),
             drives: self.pattern.drives().len(),
             sha256: self.sha256.clone(),
+            compiled_ms: *compiled_ms,
+            reached_min_um: reached().reduce(f64::min),
+            reached_max_um: reached().reduce(f64::max),
         }
     }
 }
@@ -328,7 +400,11 @@ fn parse(bytes: &[u8], path: &Path) -> Result<Pattern, StoreError> {
 
 /// SHA-256 in hexadecimal.
 fn hash(bytes: &[u8]) -> String {
-    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
+    hexadecimal(&Sha256::digest(bytes))
+}
+
+fn hexadecimal(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// The first [`MAX_LISTED`] lines, and how many more there are.
@@ -351,6 +427,16 @@ fn read(path: &Path) -> Result<Vec<u8>, StoreError> {
     read().map_err(|source| StoreError::Io { path: path.to_owned(), source })
 }
 
+/// SHA-256 of the file, if there is one.
+fn present(path: &Path) -> Result<Option<String>, StoreError> {
+    let mut hasher = Sha256::new();
+    match open_regular(path).and_then(|mut file| io::copy(&mut file, &mut hasher)) {
+        Ok(_) => Ok(Some(hexadecimal(&hasher.finalize()))),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(source) => Err(StoreError::Io { path: path.to_owned(), source }),
+    }
+}
+
 /// Replaces a file by writing beside it and renaming, so that a crash leaves the old file or the new one.
 pub(crate) fn replace(dir: &Path, path: &Path, bytes: &[u8]) -> io::Result<()> {
     use std::os::unix::fs::PermissionsExt;
@@ -363,150 +449,4 @@ pub(crate) fn replace(dir: &Path, path: &Path, bytes: &[u8]) -> io::Result<()> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use meissner_api::PatternDetails;
-
-    const TEXT: &str = "format = 1\nname = \"my-edge\"\nduration_s = 1.0\n";
-
-    fn store() -> (tempfile::TempDir, Store) {
-        let dir = tempfile::tempdir().unwrap();
-        let store = Store::new(Some(dir.path().to_owned()), false).unwrap();
-        (dir, store)
-    }
-
-    #[test]
-    fn what_is_put_is_there_and_can_be_replaced() {
-        let (dir, store) = store();
-        let (stored, new) = store.put("my-edge", TEXT).unwrap();
-        assert!(new && stored.sha256.len() == 64);
-        assert_eq!(store.get("my-edge").unwrap().sha256, stored.sha256);
-        let (other, new) = store.put("my-edge", &format!("# changed\n{TEXT}")).unwrap();
-        assert!(!new && other.sha256 != stored.sha256);
-        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1, "no temporary file is left");
-    }
-
-    #[test]
-    fn a_file_dropped_in_by_hand_shows_up_and_a_bad_one_is_a_line() {
-        let (dir, store) = store();
-        fs::write(dir.path().join("my-edge.toml"), TEXT).unwrap();
-        fs::write(dir.path().join("other.toml"), TEXT).unwrap();
-        fs::write(dir.path().join("bad.toml"), "format = 1\nnane = \"bad\"\n").unwrap();
-        fs::create_dir(dir.path().join("folder.toml")).unwrap();
-        fs::write(dir.path().join("Upper.toml"), TEXT).unwrap();
-        fs::write(dir.path().join("binary.toml"), [0xff, 0xfe]).unwrap();
-        let list = store.list();
-        assert!(list.patterns.iter().any(|entry| entry.name == "my-edge" && !entry.library));
-        assert_eq!(list.errors.len(), 5, "{:?}", list.errors);
-        assert!(list.errors.iter().all(|line| !line.contains('\n')));
-        assert!(list.errors.iter().any(|line| line.contains("bad.toml:2") && line.contains("`name`")));
-    }
-
-    #[test]
-    fn all_who_hold_a_pattern_share_it_and_it_goes_with_the_last() {
-        let (dir, store) = store();
-        let (put, _) = store.put("my-edge", TEXT).unwrap();
-        let [first, second] = [(); 2].map(|()| store.get("my-edge").unwrap());
-        assert!([&put, &first].iter().all(|held| Arc::ptr_eq(&held.pattern, &second.pattern)));
-        fs::write(dir.path().join("my-edge.toml"), format!("# changed\n{TEXT}")).unwrap();
-        let changed = store.get("my-edge").unwrap();
-        assert!(!Arc::ptr_eq(&changed.pattern, &first.pattern) && changed.sha256 != first.sha256);
-        drop((put, first, second));
-        store.get("my-edge").unwrap();
-        store.put("other", &TEXT.replace("my-edge", "other")).unwrap();
-        assert_eq!((store.in_use.len(), Arc::strong_count(&changed.pattern)), (2, 1));
-        let library = store.get("edge-45").unwrap();
-        assert!(Arc::ptr_eq(&library.json(), &store.get("edge-45").unwrap().made_json().unwrap()));
-    }
-
-    #[test]
-    fn the_json_of_a_pattern_is_bounded_and_is_its_details() {
-        let (_dir, store) = store();
-        let drive = |number: usize| {
-            let (motor, start_s) = (number % 24, (number / 24) as f64 + 0.123_456_789_012);
-            format!(
-                "[[drive]]\nmotor = {motor}\nfrequency_hz = 123.456789012345\namplitude_um = 399.123456789\n\
-                 phase = 0.0123456789\nstart_s = {start_s}\nstop_s = {}\n",
-                start_s + 0.5
-            )
-        };
-        let text = format!("{TEXT}[provenance]\ntext = \"{}\"\n", "\\u0001".repeat(1 << 16));
-        let text = text.replace("1.0", "1000.0").replace("my-edge", "long");
-        let drives: String = (0..4096).map(drive).collect();
-        let text = text.replace("[prov", &format!("{drives}[prov"));
-        let (stored, _) = store.put("long", &text).unwrap();
-        let json = stored.json();
-        assert!(json.len() < 2 << 20, "{} bytes", json.len());
-        let details: PatternDetails = serde_json::from_slice(&json).unwrap();
-        assert_eq!(details.pattern, serde_json::to_value(&*stored.pattern).unwrap());
-        assert_eq!((details.sha256, details.library), (stored.sha256, false));
-        assert_eq!(
-            (details.warnings.len(), &*details.warnings[100]),
-            (101, "3996 more drives are saturated")
-        );
-    }
-
-    #[test]
-    fn an_unknown_name_offers_the_nearest_and_no_name_leads_out() {
-        let (dir, store) = store();
-        fs::write(dir.path().join("my-edge.toml"), TEXT).unwrap();
-        let line = store.get("my-egde").unwrap_err().to_string();
-        assert!(line.contains("did you mean `my-edge`"), "{line}");
-        assert!(line.ends_with("`? `meissner list` shows all"), "{line}");
-        let line = store.get("0").unwrap_err().to_string();
-        assert_eq!(line, "no pattern is called `0`; `meissner list` shows all");
-        for name in ["../my-edge", "", "a/b", "my-edge.toml", "\n", &"x".repeat(100_000)] {
-            let line = store.get(name).unwrap_err();
-            assert!(matches!(line, StoreError::Unknown { .. }));
-            assert!(!line.to_string().contains('\n') && line.to_string().len() < 400);
-        }
-        assert!(matches!(store.put("../x", TEXT), Err(StoreError::Name { .. })));
-    }
-
-    #[test]
-    fn what_is_no_pattern_of_that_name_is_not_stored() {
-        let (dir, store) = store();
-        assert!(matches!(store.put("edge", TEXT), Err(StoreError::Name { .. })));
-        let error = store.put("edge", "name = 3").unwrap_err();
-        assert!(error.to_string().starts_with("edge.toml:"), "{error}");
-        let large = "#".repeat(MAX_FILE_BYTES + 1);
-        assert!(store.put("edge", &large).unwrap_err().to_string().contains("too many"));
-        fs::write(dir.path().join("edge.toml"), &large).unwrap();
-        assert!(store.get("edge").unwrap_err().to_string().contains("too many"));
-        fs::remove_file(dir.path().join("edge.toml")).unwrap();
-        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 0);
-    }
-
-    #[test]
-    fn a_directory_that_cannot_be_read_is_a_line() {
-        let file = tempfile::NamedTempFile::new().unwrap();
-        let store = Store::new(Some(file.path().to_owned()), false).unwrap();
-        assert!(store.check_dir().unwrap_err().to_string().contains(&file.path().display().to_string()));
-        assert_eq!(store.list().errors.len(), 1);
-        assert!(matches!(store.put("my-edge", TEXT), Err(StoreError::Io { .. })));
-        assert!(matches!(
-            Store::new(None, false).unwrap().put("my-edge", TEXT),
-            Err(StoreError::NoDirectory)
-        ));
-    }
-
-    #[test]
-    fn a_directory_of_our_own_is_made_when_it_is_needed() {
-        let outer = tempfile::tempdir().unwrap();
-        let dir = outer.path().join("a/b");
-        assert_eq!(Store::new(Some(dir.clone()), false).unwrap().list().errors.len(), 1);
-        let store = Store::new(Some(dir.clone()), true).unwrap();
-        assert!(store.check_dir().is_ok() && store.list().errors.is_empty() && !dir.exists());
-        store.put("my-edge", TEXT).unwrap();
-        assert!(store.get("my-edge").is_ok());
-    }
-
-    #[test]
-    fn the_library_is_read_only() {
-        let (_dir, store) = store();
-        for name in store.library.keys() {
-            assert!(matches!(store.put(name, TEXT), Err(StoreError::InLibrary { .. })));
-            assert!(store.get(name).unwrap().library);
-        }
-    }
-}
+mod tests;

@@ -149,6 +149,8 @@ fn ctrl_c_on_a_play_prints_that_it_goes_on() {
     assert!(!client.get::<Value>("/v1/status").unwrap()["play"].is_null());
 }
 
+const DRIVE: &str = "duration_s = 0.3\n[[drive]]\nmotor = 9\nfrequency_hz = 60.0\namplitude_um = 80.0\n";
+
 #[test]
 fn patterns_are_listed_shown_and_imported() {
     let daemon = Daemon::start();
@@ -156,11 +158,33 @@ fn patterns_are_listed_shown_and_imported() {
     assert!(printed(daemon.meissner().args(["show", "pin-60"])).contains("60.0 Hz"));
     let sweep = printed(daemon.meissner().args(["show", "sweep"]));
     assert!(sweep.contains("fingertip, 0 to 0.25 s\n") && sweep.contains("and 2 more segments"), "{sweep}");
-    write_pattern(&daemon.path("f.toml"), "mine", "");
+    write_pattern(&daemon.path("f.toml"), "mine", DRIVE);
     let imported = document(daemon.meissner().args(["import", "f.toml", "--json"]));
     assert_eq!(imported["name"], "mine");
     let shown = document(daemon.meissner().args(["show", "mine", "--json"]));
     assert_eq!(shown["sha256"], imported["sha256"]);
+    // What it reaches, in JSON and text.
+    let reached_um = shown["drives"][0]["reached_um"].as_f64().unwrap();
+    let (reached, whole) =
+        (format!("{reached_um:.1}"), format!("{:.1}", shown["compiled_ms"].as_f64().unwrap()));
+    let text = printed(daemon.meissner().args(["show", "mine"]));
+    assert!(
+        text.contains(&format!("0.3 s ({whole} ms in whole strokes)")) && text.contains(&reached),
+        "{text}"
+    );
+    let list = printed(daemon.meissner().arg("list"));
+    let row = list.lines().find(|line| line.starts_with("mine ")).unwrap();
+    assert!(row.contains(&reached) && row.contains(&whole), "{row}");
+    // The name is taken.
+    let sha256 = imported["sha256"].as_str().unwrap();
+    let line = complaint(daemon.meissner().args(["import", "f.toml"]));
+    assert!(line.contains(sha256) && line.contains("--replace"), "{line}");
+    write_pattern(&daemon.path("f.toml"), "mine", &DRIVE.replace("80.0", "40.0"));
+    let text = printed(daemon.meissner().args(["import", "f.toml", "--replace"]));
+    assert!(text.contains(&format!("replaced the one with sha256 {sha256}")), "{text}");
+    assert!(printed(daemon.meissner().args(["remove", "mine"])).starts_with("removed mine (sha256 "));
+    assert!(complaint(daemon.meissner().args(["show", "mine"])).contains("no pattern is called"));
+    assert!(complaint(daemon.meissner().args(["remove", "edge-45"])).contains("part of the library"));
 }
 
 #[test]

@@ -11,8 +11,8 @@ use crate::harness::{Daemon, assert_up_to_date, next, problem};
 use meissner_api::route::{Answer, Body};
 use meissner_api::{
     ArmRequest, CalibrateRequest, CalibrationReport, Code, Event, ImportedPattern, Method, PatternDetails,
-    PatternList, PlayAccepted, PlayRequest, Problem, REFERENCE, Receipt, ResetRequest, Route, Session,
-    SessionList, SessionPlays, SessionRequest, SessionStarted, Status, openapi,
+    PatternList, PlayAccepted, PlayRequest, Problem, REFERENCE, Receipt, RemovedPattern, ResetRequest, Route,
+    Session, SessionList, SessionPlays, SessionRequest, SessionStarted, Status, openapi,
 };
 use schema::check;
 use serde::de::DeserializeOwned;
@@ -43,7 +43,7 @@ fn walk(schema: &Value, way: &str, see: &mut dyn FnMut(&Value, &str)) {
 #[test]
 fn every_key_has_a_description_and_every_number_its_unit_and_range() {
     // Offsets and differences may be negative; a lead that is reached may be.
-    const SIGNED: [&str; 4] = ["rest_error_um", "contrast", "lead_ms", "items"];
+    const SIGNED: [&str; 6] = ["rest_error_um", "onset_um", "offset_um", "contrast", "lead_ms", "items"];
     const UNITS: [(&str, &str); 9] = [
         ("_s", ", s"),
         ("_ms", ", ms"),
@@ -141,6 +141,7 @@ fn every_route_has_examples_that_parse() {
         "PatternList" => parses::<PatternList>(example),
         "PatternDetails" => parses::<PatternDetails>(example),
         "ImportedPattern" => parses::<ImportedPattern>(example),
+        "RemovedPattern" => parses::<RemovedPattern>(example),
         "CalibrationReport" => parses::<CalibrationReport>(example),
         "SessionRequest" => drop(SessionRequest::parse(example.to_string().as_bytes()).unwrap()),
         "SessionStarted" => parses::<SessionStarted>(example),
@@ -282,6 +283,8 @@ fn a_daemon_s_answers_fit_the_document() {
     refused(Route::Receipt, client.get("/v1/plays/last"));
     refused(Route::Import, client.put("/v1/patterns/edge-45", String::new()));
     refused(Route::Pattern, client.get("/v1/patterns/none"));
+    refused(Route::Remove, client.delete("/v1/patterns/none"));
+    refused(Route::Remove, client.delete("/v1/patterns/edge-45"));
     for route in [Route::Status, Route::Patterns] {
         assert_eq!(route.method(), Method::Get);
         fits(route, &client.get(route.path()).unwrap());
@@ -293,6 +296,10 @@ fn a_daemon_s_answers_fit_the_document() {
     let mine = "format = 1\nname = \"mine\"\nduration_s = 1\n[[drive]]\nmotor = 3\nfrequency_hz = 300\namplitude_um = 80\nstart_s = 0.5\n";
     fits(Route::Import, &client.put("/v1/patterns/mine", mine.to_owned()).unwrap());
     fits(Route::Pattern, &client.get("/v1/patterns/mine").unwrap());
+    refused(Route::Import, client.put("/v1/patterns/mine", mine.to_owned()));
+    refused(Route::Import, client.put("/v1/patterns/mine?replace=maybe", mine.to_owned()));
+    fits(Route::Import, &client.put("/v1/patterns/mine?replace=true", mine.to_owned()).unwrap());
+    fits(Route::Remove, &client.delete("/v1/patterns/mine").unwrap());
     let mut events = client.events().unwrap();
     let started: Value =
         client.post("/v1/sessions", &json!({"participant": "P07", "exclusive": true})).unwrap();

@@ -33,7 +33,7 @@ fn a_play_without_end_needs_a_flag() {
     printed(daemon.meissner().args(["play", "wave", "--endless"]));
     printed(daemon.meissner().args(["play", "wave", "--endless", "--replace"]));
     printed(daemon.meissner().arg("stop"));
-    printed(daemon.meissner().args(["play", "wave", "--seconds", "0.1", "--endless", "--wait"]));
+    printed(daemon.meissner().args(["play", "wave", "--seconds", "0.3", "--endless", "--wait"]));
 }
 
 #[test]

@@ -50,8 +50,8 @@ fn an_edge_keeps_nearly_its_designed_contrast_with_and_without_position_control(
     assert!(designed > 150.0 && (with / designed - 1.0).abs() < 0.03, "{designed} {with}");
     assert!((without / designed - 1.0).abs() < 0.1, "{designed} {without}");
     // The estimator knows no end stops: it reports a little too much travel for bursts that meet one.
-    let play =
-        Play { pattern: &edge, seconds: Some(MOST_OBSERVED_S), onset: open.2, observed_s: MOST_OBSERVED_S };
+    let options = StrokeOptions::lasting(MOST_OBSERVED_S);
+    let play = Play { pattern: &edge, options, onset: open.2, observed_s: MOST_OBSERVED_S };
     let truth = contrast(
         predict_response(&play, by_simulated_motors(motors, &play, u16::MAX)).unwrap().played_hz.contrast,
     );

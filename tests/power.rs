@@ -76,7 +76,8 @@ fn lines(folder: &Path) -> Vec<Value> {
 
 fn text(name: &str, version: u32, padding: usize) -> String {
     let padding = "x".repeat(padding);
-    format!("format = 1\nname = \"{name}\"\nduration_s = 1.0\n# version {version}\n# {padding}\n")
+    let drive = "[[drive]]\nmotor = 9\nfrequency_hz = 60.0\namplitude_um = 40.0\n";
+    format!("format = 1\nname = \"{name}\"\nduration_s = 1.0\n{drive}# version {version}\n# {padding}\n")
 }
 
 /// Uploads until the daemon is killed, `rounds` times, and checks the files each time. Returns the number of acknowledged uploads,
@@ -106,7 +107,9 @@ fn kill_again_and_again(seed: u64, rounds: u32) -> (usize, usize) {
                 let name = format!("p{}", random.next_u64() % 4);
                 let text = text(&name, version, (random.next_u64() % 20_000) as usize);
                 on_its_way = Some((name.clone(), text.clone()));
-                match client.put::<ImportedPattern>(&format!("/v1/patterns/{name}"), text.clone()) {
+                match client
+                    .put::<ImportedPattern>(&format!("/v1/patterns/{name}?replace=true"), text.clone())
+                {
                     Ok(imported) => {
                         acknowledged.push((Instant::now(), imported.sha256));
                         stored.insert(name, text);
@@ -175,7 +178,7 @@ fn survives(daemon: &mut Daemon, why: &str) {
         status["logbook_problem"].as_str().is_some_and(|says| says.contains("cannot be written")),
         "{status}"
     );
-    let refused = problem(client.put::<Value>("/v1/patterns/mine", text("mine", 2, 5000)));
+    let refused = problem(client.put::<Value>("/v1/patterns/mine?replace=true", text("mine", 2, 5000)));
     assert_eq!(refused.code, "store");
     assert!(refused.detail.contains(why), "{}", refused.detail);
     assert!(daemon.end().success());
@@ -212,7 +215,7 @@ fn a_full_disk_stops_no_play_and_damages_no_file() {
     drop(daemon);
     // With room again, everything is as it was, and whole.
     let mut daemon = start(&dir, "");
-    let _: Value = armed(&mut daemon).put("/v1/patterns/mine", text("mine", 2, 5000)).unwrap();
+    let _: Value = armed(&mut daemon).put("/v1/patterns/mine?replace=true", text("mine", 2, 5000)).unwrap();
     assert!(daemon.end().success());
     let lines = lines(&logbook);
     assert!(lines.iter().any(|line| line["command"] == "import" && line["answer"] == "ok"));

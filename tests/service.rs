@@ -185,12 +185,12 @@ fn a_reload_applies_what_can_change_and_names_the_rest() {
     let line = reload("lead_ms = 50\nlease_ms = 4000\n");
     assert!(line.contains("`lead_ms`") && line.contains("from the next `arm` on"), "{line}");
     // An answered command comes after the one that carried the settings.
-    printed(daemon.meissner().args(["play", "wave", "--seconds", "0.1", "--wait"]));
+    printed(daemon.meissner().args(["play", "wave", "--seconds", "0.3", "--wait"]));
     assert_eq!((status().lead_ms, status().lease_ms), (100.0, 5000.0), "armed with these");
     printed(daemon.meissner().arg("disarm"));
     daemon.armed();
     assert_eq!((status().lead_ms, status().lease_ms), (50.0, 4000.0));
-    printed(daemon.meissner().args(["play", "wave", "--seconds", "0.1", "--wait"]));
+    printed(daemon.meissner().args(["play", "wave", "--seconds", "0.3", "--wait"]));
 
     let line = reload("lead_ms = 4\n");
     assert!(line.contains("`lead_ms` is 4") && line.contains("stays as it was"), "{line}");
@@ -203,7 +203,11 @@ fn a_reload_applies_what_can_change_and_names_the_rest() {
     daemon.signal(Signal::HUP);
     daemon.wait_for_log("`patterns_dir`: ");
     let file = daemon.path("mine.toml");
-    std::fs::write(&file, "format = 1\nname = \"mine\"\nduration_s = 1.0\n").unwrap();
+    std::fs::write(
+        &file,
+        "format = 1\nname = \"mine\"\n[[drive]]\nmotor = 9\nfrequency_hz = 60.0\namplitude_um = 40.0\n",
+    )
+    .unwrap();
     printed(daemon.meissner().arg("import").arg(&file));
     assert!(daemon.path("patterns/mine.toml").exists(), "the old directory is still in use");
     std::fs::create_dir(&other).unwrap();

@@ -49,3 +49,5 @@ mod report;
 mod service;
 /// Sessions: one at a time, exclusive ones, their owner's silence, the record of them, and disks that fail.
 mod sessions;
+/// Stimuli that are what was asked: empty, weak, whole strokes, replaced, removed; receipts of plays that were cut.
+mod stimuli;

@@ -153,7 +153,8 @@ fn minute_played(criterion: &mut Criterion) {
             })
         });
         let bursts: Vec<_> = bursts.collect();
-        let play = Play { pattern: &pattern, seconds: Some(60.0), onset: Tick(0), observed_s: 60.0 };
+        let options = StrokeOptions::lasting(60.0);
+        let play = Play { pattern: &pattern, options, onset: Tick(0), observed_s: 60.0 };
         let found = predict_response(&play, bursts.iter().copied()).expect("a minute can be felt");
         println!("{name}: {} bursts, {:?}, {:?}", bursts.len(), found.designed_hz, found.played_hz);
         group.bench_function(format!("{name}/1_core"), |bencher| {

@@ -64,6 +64,9 @@ _meissner() {
             meissner,receipt)
                 cmd="meissner__subcmd__receipt"
                 ;;
+            meissner,remove)
+                cmd="meissner__subcmd__remove"
+                ;;
             meissner,report)
                 cmd="meissner__subcmd__report"
                 ;;
@@ -135,6 +138,9 @@ _meissner() {
                 ;;
             meissner__subcmd__help,receipt)
                 cmd="meissner__subcmd__help__subcmd__receipt"
+                ;;
+            meissner__subcmd__help,remove)
+                cmd="meissner__subcmd__help__subcmd__remove"
                 ;;
             meissner__subcmd__help,report)
                 cmd="meissner__subcmd__help__subcmd__report"
@@ -218,7 +224,7 @@ _meissner() {
 
     case "${cmd}" in
         meissner)
-            opts="-h -V --help --version demo daemon play stop estop reset arm disarm home calibrate list show import status events receipt session motor simulate optimise tradeoff report doctor help"
+            opts="-h -V --help --version demo daemon play stop estop reset arm disarm home calibrate list show import remove status events receipt session motor simulate optimise tradeoff report doctor help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 1 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -436,7 +442,7 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__help)
-            opts="demo daemon play stop estop reset arm disarm home calibrate list show import status events receipt session motor simulate optimise tradeoff report doctor help"
+            opts="demo daemon play stop estop reset arm disarm home calibrate list show import remove status events receipt session motor simulate optimise tradeoff report doctor help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -673,6 +679,20 @@ _meissner() {
             COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
             return 0
             ;;
+        meissner__subcmd__help__subcmd__remove)
+            opts=""
+            if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
+                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+                return 0
+            fi
+            case "${prev}" in
+                *)
+                    COMPREPLY=()
+                    ;;
+            esac
+            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+            return 0
+            ;;
         meissner__subcmd__help__subcmd__report)
             opts=""
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
@@ -874,7 +894,7 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__import)
-            opts="-h --socket --json --help"
+            opts="-h --replace --socket --json --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -974,7 +994,7 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__play)
-            opts="-h --seconds --endless --at --late --replace --open-loop --session --trial --label --wait --socket --json --help"
+            opts="-h --seconds --endless --at --fit --late --replace --open-loop --session --trial --label --wait --socket --json --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -986,6 +1006,10 @@ _meissner() {
                     ;;
                 --at)
                     COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --fit)
+                    COMPREPLY=($(compgen -W "whole cover" -- "${cur}"))
                     return 0
                     ;;
                 --late)
@@ -1016,6 +1040,24 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__receipt)
+            opts="-h --socket --json --help"
+            if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
+                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+                return 0
+            fi
+            case "${prev}" in
+                --socket)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                *)
+                    COMPREPLY=()
+                    ;;
+            esac
+            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+            return 0
+            ;;
+        meissner__subcmd__remove)
             opts="-h --socket --json --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )

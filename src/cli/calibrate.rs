@@ -83,7 +83,7 @@ pub(super) fn run(asked: &Calibrate) -> Result<ExitCode> {
     let mut client = asked.options.client()?;
     let mut events = client.events()?;
     let over = control::leave_on_interrupt()?;
-    let PlayAccepted { id } = client.post("/v1/calibrate", &request)?;
+    let PlayAccepted { id, .. } = client.post("/v1/calibrate", &request)?;
     let json = asked.options.output.json;
     let mut progress = Progress::new(Some(plan.duration_s()), json);
     control::follow(&mut client, &mut events, id, &mut progress)?;

@@ -13,7 +13,7 @@ use crate::daemon;
 use anyhow::{Result, bail};
 use clap::Args;
 use meissner_api::{
-    ArmRequest, Code, Event, LatePolicy, PlayAccepted, PlayRequest, Receipt, ResetRequest, Status,
+    ArmRequest, Code, Event, Fit, LatePolicy, PlayAccepted, PlayRequest, Receipt, ResetRequest, Status,
 };
 use meissner_client::{Client, ClientError, Events, HOME_TIMEOUT, escape};
 use serde_json::{Value, json};
@@ -43,6 +43,9 @@ pub(super) struct Play {
     /// Begin at TICK of the device's clock, MS milliseconds after the request, or at NS nanoseconds of CLOCK_MONOTONIC
     #[arg(long, value_name = "TICK|+MS|@NS")]
     at: Option<Onset>,
+    /// Choose which strokes are played at the end
+    #[arg(long, default_value = "whole", value_parser = choice::<Fit>(&[("whole", "Those that have ended by then: a little shorter than asked for"), ("cover", "Those that begin before: a little longer")]))]
+    fit: Fit,
     /// Choose what happens to late strokes
     #[arg(long, default_value = "drop", value_parser = choice::<LatePolicy>(&[("drop", "Drop them whole and go on"), ("abort", "End the play")]))]
     late: LatePolicy,
@@ -199,6 +202,7 @@ pub(super) fn play(play: &Play) -> Result<ExitCode> {
         at_monotonic_ns,
         boot: None,
         endless: play.endless,
+        fit: play.fit,
         late: play.late,
         replace: play.replace,
         open_loop: play.open_loop,
@@ -209,11 +213,11 @@ pub(super) fn play(play: &Play) -> Result<ExitCode> {
     let json = play.options.output.json;
     if !play.wait {
         let played: PlayAccepted = client.post("/v1/play", &request)?;
-        return give(json, &played, || format!("play {}: {}", played.id, play.name));
+        return give(json, &played, || text::accepted(&played, &play.name));
     }
     let mut events = client.events()?;
     let over = leave_on_interrupt()?;
-    let PlayAccepted { id } = client.post("/v1/play", &request)?;
+    let PlayAccepted { id, .. } = client.post("/v1/play", &request)?;
     let mut progress = Progress::new(length(&mut client, &request)?, json);
     let receipt = follow(&mut client, &mut events, id, &mut progress)?;
     over.store(true, Ordering::Relaxed);

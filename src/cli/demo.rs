@@ -17,8 +17,8 @@ use crate::store::Store;
 use anyhow::{Context, Result, bail};
 use firmware_protocol::stroke::MOTORS;
 use meissner_api::{
-    ArmRequest, BurstCounts, LinkTraffic, PlayAccepted, PlayRequest, PredictedResponse, PulseCounts, Rates,
-    Realtime, Receipt, Status,
+    ArmRequest, BurstCounts, DurationRecord, LinkTraffic, OrderedCounts, PlayAccepted, PlayRequest,
+    PredictedResponse, PulseCounts, Rates, Realtime, Receipt, Status,
 };
 use meissner_array::pattern::Pattern;
 use meissner_array::simulated::{LowerStop, SimulatedMotorsConfig};
@@ -45,6 +45,9 @@ struct Report {
     device: String,
     state: &'static str,
     cause: Option<String>,
+    cut_after_ms: Option<f64>,
+    duration_ms: DurationRecord,
+    ordered: Option<OrderedCounts>,
     bursts: BurstCounts,
     pulses: PulseCounts,
     wire: WireReport,
@@ -151,7 +154,7 @@ fn connected(client: &mut Client) -> Result<()> {
 }
 
 fn play(client: &mut Client, events: &mut Events, request: &PlayRequest, json: bool) -> Result<Receipt> {
-    let PlayAccepted { id } = client.post("/v1/play", request)?;
+    let PlayAccepted { id, .. } = client.post("/v1/play", request)?;
     let mut progress = Progress::new(request.seconds, json);
     control::follow(client, events, id, &mut progress)
 }
@@ -234,6 +237,9 @@ fn report(
         device: status.device.as_ref().map(|device| device.kind.clone()).unwrap_or_default(),
         state: receipt.state.name(),
         cause: receipt.cause.clone(),
+        cut_after_ms: receipt.cut_after_ms,
+        duration_ms: receipt.duration_ms,
+        ordered: receipt.ordered,
         bursts: receipt.bursts.unwrap_or_default(),
         pulses: receipt.pulses.unwrap_or_default(),
         wire: WireReport {
@@ -271,11 +277,12 @@ fn summary(report: &Report) -> String {
                 report.pattern,
                 report.seconds,
                 report.device,
-                end_text(report.state, report.cause.as_deref())
+                end_text(report.state, report.cause.as_deref(), report.cut_after_ms)
             ),
         ),
-        ("bursts", text::burst_counts(bursts)),
-        ("pulses", format!("{} planned, {} played", pulses.planned, pulses.played)),
+        ("duration", text::duration(&report.duration_ms)),
+        ("bursts", text::burst_counts(report.ordered.as_ref(), bursts)),
+        ("pulses", text::pulse_counts(report.ordered.as_ref(), pulses)),
         (
             "wire",
             format!(

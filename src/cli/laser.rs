@@ -38,7 +38,7 @@ pub(super) fn play(request: &CalibrateRequest, out: &Path, options: &ClientOptio
     let before: Status = client.get("/v1/status")?;
     let mut events = client.events()?;
     let over = control::leave_on_interrupt()?;
-    let PlayAccepted { id } = client.post("/v1/calibrate", request)?;
+    let PlayAccepted { id, .. } = client.post("/v1/calibrate", request)?;
     let mut progress = Progress::new(Some(plan.duration_s()), options.output.json);
     let receipt = control::follow(&mut client, &mut events, id, &mut progress)?;
     over.store(true, Ordering::Relaxed);

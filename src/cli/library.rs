@@ -1,4 +1,4 @@
-//! Commands about patterns and motors: list, show, import, motor.
+//! Commands about patterns and motors: list, show, import, remove, motor.
 //!
 //! `import` checks the file before it sends it, so that errors name the file and line; the daemon checks again. `motor`
 //! needs no daemon.
@@ -7,7 +7,7 @@ use super::arguments::ClientOptions;
 use super::output::give;
 use super::{files, text};
 use anyhow::{Result, bail};
-use meissner_api::ImportedPattern;
+use meissner_api::{ImportedPattern, RemovedPattern};
 use meissner_array::motor::SteadyState;
 use meissner_array::motor::hand_vibration::{daily_exposure_m_s2, weighted_acceleration_m_s2};
 use meissner_array::pattern::{MAX_FILE_BYTES, Pattern};
@@ -28,18 +28,27 @@ pub(super) fn list(options: &ClientOptions) -> Result<ExitCode> {
         vec![
             entry["name"].as_str().unwrap_or_default().to_owned(),
             duration,
+            text::number(entry["compiled_ms"].as_f64(), 1),
             entry["drives"].to_string(),
+            reached(entry),
             from.into(),
         ]
     };
     give(options.output.json, &list, || {
         let rows = list["patterns"].as_array().unwrap_or(&none).iter().map(row);
-        let mut text = text::columns(&["name", "length", "drives", "from"], rows);
+        let mut text =
+            text::columns(&["name", "length", "whole_strokes_ms", "drives", "reached_um", "from"], rows);
         for line in list["errors"].as_array().unwrap_or(&none) {
             text += &format!("\nnot listed: {}", line.as_str().unwrap_or_default());
         }
         text
     })
+}
+
+/// The amplitudes that the drives of a listed pattern reach, from the smallest to the largest.
+fn reached(entry: &Value) -> String {
+    let [least, most] = ["reached_min_um", "reached_max_um"].map(|key| text::number(entry[key].as_f64(), 1));
+    if least == most { least } else { format!("{least} to {most}") }
 }
 
 pub(super) fn show(options: &ClientOptions, name: &str) -> Result<ExitCode> {
@@ -57,17 +66,26 @@ pub(super) fn read(file: &Path) -> Result<(Pattern, String)> {
     Ok((Pattern::parse(&text, &file.to_string_lossy())?, text))
 }
 
-pub(super) fn import(options: &ClientOptions, file: &Path) -> Result<ExitCode> {
+pub(super) fn import(options: &ClientOptions, file: &Path, replace: bool) -> Result<ExitCode> {
     let (pattern, text) = read(file)?;
+    let query = if replace { "?replace=true" } else { "" };
     let imported: ImportedPattern =
-        options.client()?.put(&format!("/v1/patterns/{}", escape(pattern.name())), text)?;
+        options.client()?.put(&format!("/v1/patterns/{}{query}", escape(pattern.name())), text)?;
     give(options.output.json, &imported, || {
         let mut text = format!("imported {} (sha256 {})", imported.name, imported.sha256);
+        if let Some(replaced) = &imported.replaced_sha256 {
+            text += &format!("\nreplaced the one with sha256 {replaced}");
+        }
         for warning in &imported.warnings {
             text += &format!("\nwarning: {warning}");
         }
         text
     })
+}
+
+pub(super) fn remove(options: &ClientOptions, name: &str) -> Result<ExitCode> {
+    let removed: RemovedPattern = options.client()?.delete(&format!("/v1/patterns/{}", escape(name)))?;
+    give(options.output.json, &removed, || format!("removed {} (sha256 {})", removed.name, removed.sha256))
 }
 
 /// What `motor` shows of a drive.

@@ -128,6 +128,16 @@ enum Command {
     Import {
         /// Read the pattern from this file (TOML)
         file: PathBuf,
+        /// Replace a stored pattern of that name
+        #[arg(long)]
+        replace: bool,
+        #[command(flatten)]
+        options: ClientOptions,
+    },
+    /// Remove a pattern from the daemon's pattern directory
+    Remove {
+        /// Remove the pattern of this name
+        name: String,
         #[command(flatten)]
         options: ClientOptions,
     },
@@ -233,7 +243,8 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Calibrate(asked) => calibrate::run(&asked),
         Command::List(options) => library::list(&options),
         Command::Show { name, options } => library::show(&options, &name),
-        Command::Import { file, options } => library::import(&options, &file),
+        Command::Import { file, replace, options } => library::import(&options, &file, replace),
+        Command::Remove { name, options } => library::remove(&options, &name),
         Command::Status { watch, options } => watch::status(&options, watch),
         Command::Events(options) => watch::events(&options),
         Command::Receipt { id, options } => watch::receipt(&options, id),

@@ -1,14 +1,17 @@
-//! Receipts, status, events and patterns as text.
+//! Status, events and patterns as text; `receipt` has receipts.
 //!
 //! Every number is one of the JSON's. Invariant: no line depends on the terminal; units are ASCII (`um`, `us`).
+
+mod receipt;
+
+pub(super) use receipt::{
+    LARGEST_OFFSET, PREDICTED, accepted, burst_counts, duration, pulse_counts, receipt,
+};
 
 use crate::receipts::{HOST_TIMEOUT, end_text};
 use comfy_table::presets::{NOTHING, UTF8_FULL};
 use comfy_table::{CellAlignment, Table};
-use meissner_api::{
-    BurstCounts, ErrorSource, Event, NO_DEVICE, ParticipantStatus, PredictedResponse, Prediction, Receipt,
-    Session, Status,
-};
+use meissner_api::{ErrorSource, Event, NO_DEVICE, ParticipantStatus, Receipt, Session, Status};
 use meissner_array::geometry::{COLUMNS, ROWS};
 use meissner_array::pattern::Drive;
 use meissner_report::figures::segments;
@@ -38,71 +41,6 @@ pub(super) fn columns(head: &[&str], rows: impl IntoIterator<Item = Vec<String>>
 /// A number with so many digits after the point; `-` if there is none.
 pub(super) fn number(number: Option<f64>, digits: usize) -> String {
     number.map_or_else(|| "-".to_owned(), |number| format!("{number:.digits$}"))
-}
-
-pub(super) fn receipt(receipt: &Receipt) -> String {
-    let mut lines = vec![
-        ("play", format!("{} of {}", receipt.id, receipt.pattern)),
-        ("state", end_text(receipt.state.name(), receipt.cause.as_deref())),
-    ];
-    if let (Some(onset), Some(ms)) = (&receipt.onset, receipt.onset_latency_ms) {
-        lines.push(("onset", format!("tick {}, {ms:.2} ms after the request", onset.actual_tick)));
-    }
-    if let Some(bursts) = &receipt.bursts {
-        lines.push(("bursts", burst_counts(bursts)));
-    }
-    if let Some(pulses) = &receipt.pulses {
-        lines.push(("pulses", format!("{} planned, {} played", pulses.planned, pulses.played)));
-    }
-    let late = &receipt.lateness.counts;
-    if late.host + late.link + late.device > 0 {
-        let text = format!(
-            "{} by the host, {} by the link, {} by the device; by {:.1} ms at most",
-            late.host, late.link, late.device, late.worst_ms
-        );
-        lines.push(("late strokes", text));
-    }
-    if let Some(wire) = &receipt.wire {
-        let per_burst =
-            wire.bytes_per_burst.map_or_else(String::new, |bytes| format!(", {bytes:.2} per burst"));
-        lines.push(("wire", format!("{} bytes to the device{per_burst}", wire.bytes_to_device)));
-    }
-    if let Some(errors) = &receipt.rest_error_um {
-        let worst = errors.iter().fold(0.0_f32, |worst, error| worst.max(error.abs()));
-        lines.push(("rest error", format!("{LARGEST_OFFSET} {worst:.2} um (estimated)")));
-    }
-    lines.extend(predicted(&receipt.prediction).map(|text| (PREDICTED, text)));
-    pairs(&lines)
-}
-
-pub(super) const PREDICTED: &str = "predicted RA response";
-pub(super) const LARGEST_OFFSET: &str = "largest offset from rest, driven pins:";
-
-pub(super) fn burst_counts(bursts: &BurstCounts) -> String {
-    let BurstCounts { planned, played, late, dropped, refused, amended } = bursts;
-    format!(
-        "{planned} planned: {played} played, {late} late, {dropped} dropped, {refused} refused; {amended} corrected by \
-         feedback"
-    )
-}
-
-/// The predicted response, if there is one or a reason why there is none: the contrast of a pattern with a target, else the
-/// mean rate.
-fn predicted(prediction: &Prediction) -> Option<String> {
-    let Some(PredictedResponse { seconds, played_hz, designed_hz, unmeasured, .. }) = &prediction.response
-    else {
-        return prediction.unknown.as_ref().map(|why| format!("not known: {why}"));
-    };
-    let (what, played, designed) = match (played_hz.contrast, designed_hz.contrast) {
-        (Some(played), Some(designed)) => ("on-target minus off-target", played, designed),
-        _ => ("mean rate", played_hz.all, designed_hz.all),
-    };
-    let missing = match unmeasured {
-        0 => String::new(),
-        count => format!("; {count} bursts not measured"),
-    };
-    let seconds = (seconds * 1000.0).round() / 1000.0;
-    Some(format!("{what} {played:.1} impulses/s (designed: {designed:.1}), over {seconds} s{missing}"))
 }
 
 /// What the lack of telemetry means, and what to do.
@@ -257,10 +195,11 @@ pub(super) fn event(event: &Event) -> String {
         }
         Event::Refused { id, stroke } => format!("refused: {id}, motor {}, {}", stroke.motor, stroke.reason),
         Event::Ended { receipt } => {
-            format!("ended: {} {}", receipt.id, end_text(receipt.state.name(), receipt.cause.as_deref()))
+            let Receipt { id, state, cause, cut_after_ms, .. } = &**receipt;
+            format!("ended: {id} {}", end_text(state.name(), cause.as_deref(), *cut_after_ms))
         }
         Event::PredictedResponse { id, prediction } => {
-            format!("{PREDICTED}: {id}, {}", predicted(prediction).unwrap_or_default())
+            format!("{PREDICTED}: {id}, {}", receipt::predicted(prediction).unwrap_or_default())
         }
         Event::Calibrated { id, motors, problem: None } => {
             format!("calibrated: {} motors by play {id}", motors.len())
@@ -299,7 +238,9 @@ pub(super) fn pattern(shown: &Value) -> String {
     let duration_s = pattern["duration_s"].as_f64();
     // Writing to a string does not fail.
     let duration = duration_s.map_or_else(|| "endless".to_owned(), |seconds| format!("{seconds} s"));
-    let _ = writeln!(text, ", {duration}, {} drives", drives.len());
+    let whole = shown["compiled_ms"].as_f64();
+    let whole = whole.map_or_else(String::new, |ms| format!(" ({ms:.1} ms in whole strokes)"));
+    let _ = writeln!(text, ", {duration}{whole}, {} drives", drives.len());
     let parsed: Vec<Drive> = drives.iter().filter_map(drive).collect();
     let segments = segments(&parsed, duration_s);
     for segment in segments.iter().take(MAPS) {
@@ -313,9 +254,16 @@ pub(super) fn pattern(shown: &Value) -> String {
     if let more @ 1.. = segments.len().saturating_sub(MAPS) {
         let _ = writeln!(text, "and {more} more segments, see below");
     }
-    let head = ["motor", "frequency_hz", "amplitude_um", "phase", "start_s", "stop_s"];
-    let row = |drive: &Value| head.iter().map(|key| figure(&drive[*key])).collect::<Vec<_>>();
-    text.push_str(&columns(&head, drives.iter().map(row)));
+    let head = ["motor", "frequency_hz", "amplitude_um", "reached_um", "phase", "start_s", "stop_s"];
+    let row = |(at, drive): (usize, &Value)| {
+        let reached = &shown["drives"][at]["reached_um"];
+        let cell = |key: &&str| match *key {
+            "reached_um" => number(reached.as_f64(), 1),
+            key => figure(&drive[key]),
+        };
+        head.iter().map(cell).collect::<Vec<_>>()
+    };
+    text.push_str(&columns(&head, drives.iter().enumerate().map(row)));
     for warning in shown["warnings"].as_array().unwrap_or(&none) {
         let _ = write!(text, "\nwarning: {}", warning.as_str().unwrap_or_default());
     }
@@ -390,11 +338,5 @@ mod tests {
         assert_eq!(text.matches("fingertip").count(), 4);
         // Six drives, and nothing after them.
         assert!(text.contains("and 3 more segments, see below"), "{text}");
-    }
-
-    #[test]
-    fn a_receipt_that_has_not_begun_shows_no_figures() {
-        let text = receipt(&Receipt::new(3, "edge-45", "", None));
-        assert_eq!(text, "play   3 of edge-45\nstate  queued");
     }
 }

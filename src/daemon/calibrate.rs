@@ -12,7 +12,7 @@ use super::runtime::blocking;
 use crate::receipts::refusal;
 use crate::session_record::Peer;
 use crate::store::Stored;
-use meissner_api::{CalibrationReport, Code, Event, PlayRequest, Problem};
+use meissner_api::{CalibrationReport, Code, Event, PlayAccepted, PlayRequest, Problem};
 use meissner_array::strokes::Surplus;
 use meissner_input::message::quote;
 use meissner_stream::calibrate::{Calibration, Plan};
@@ -60,7 +60,12 @@ impl Engine {
     }
 
     /// Begins a plan's play, open loop, and waits until the streamer accepts it. With `laser` nothing is measured here.
-    pub(super) async fn calibrate(&self, plan: Plan, laser: bool, client: Peer) -> Result<u64, Problem> {
+    pub(super) async fn calibrate(
+        &self,
+        plan: Plan,
+        laser: bool,
+        client: Peer,
+    ) -> Result<PlayAccepted, Problem> {
         if !laser && self.lock().calibration.file.is_none() {
             return Err(no_file());
         }
@@ -73,7 +78,7 @@ impl Engine {
             return Err(Problem::new(Code::LowerStop, detail));
         }
         let play = PreparedPlay::new(&request, stored, settings, Surplus::None).await?;
-        let (id, reply) = {
+        let (accepted, reply) = {
             let mut state = self.lock();
             state.forget_unanswered();
             state.check_not_calibrating()?;
@@ -86,13 +91,13 @@ impl Engine {
             if !state.plays.receipts.is_idle() {
                 return Err(refusal(CommandError::Playing));
             }
-            let (id, reply) = state.begin(play, client)?;
+            let (accepted, reply) = state.begin(play, client)?;
             if !laser {
-                state.calibration.running = Some(CalibrationRun::new(id, plan));
+                state.calibration.running = Some(CalibrationRun::new(accepted.id, plan));
             }
-            (id, reply)
+            (accepted, reply)
         };
-        answer(reply, TIMEOUT).await.map(|()| id)
+        answer(reply, TIMEOUT).await.map(|()| accepted)
     }
 
     /// Stores a calibration that was measured elsewhere, and uses it.

@@ -7,6 +7,7 @@
 use super::engine::Engine;
 use super::predictor::Predictor;
 use super::service::StatusReporter;
+use crate::receipts::counts_until;
 use meissner_api::Event;
 use meissner_design::MOST_OBSERVED_S;
 use meissner_stream::queues::{EventQueue, StreamEvent};
@@ -72,6 +73,7 @@ impl Engine {
                 if matches!(streamed, StreamEvent::ThreadEnded) {
                     return Ok(());
                 }
+                self.count_endless(&streamed);
                 let (event, is_new) = self.lock().apply(streamed);
                 match &event {
                     // Without a clock the status does not call it connected yet.
@@ -104,6 +106,14 @@ impl Engine {
             }
             due.retain(|due| due.at > now);
         }
+    }
+
+    /// Counts what an endless play had been ordered to play by its end, outside of the lock.
+    fn count_endless(&self, streamed: &StreamEvent) {
+        let StreamEvent::PlayEnded { id, outcome } = streamed else { return };
+        let Some((pattern, options)) = self.lock().plays.endless(*id) else { return };
+        let counts = counts_until(&pattern, &options, outcome.cut_after.unwrap_or(0));
+        self.lock().plays.receipts.set_ordered(*id, counts);
     }
 
     /// Starts the prediction of a play, once; or the fit, if the play was a calibration.

@@ -19,7 +19,7 @@ use super::sessions;
 use super::state::frame;
 use crate::receipts::{KEPT, calibration_plan};
 use crate::session_record::Peer;
-use crate::store::{Store, StoreError, Stored};
+use crate::store::{Put, Store, StoreError, Stored};
 use axum::body::{Body, Bytes};
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Extension, Path, State};
@@ -32,7 +32,8 @@ use axum::{Json, Router};
 use futures_util::stream::{self, StreamExt};
 use meissner_api::{
     ArmRequest, CalibrateRequest, CalibrationReport, Code, Event, ImportedPattern, MAX_BODY, MAX_WAIT_S,
-    PlayAccepted, PlayRequest, Problem, REFERENCE, Receipt, ResetRequest, Route, Status, parse_empty,
+    PlayAccepted, PlayRequest, Problem, REFERENCE, Receipt, RemovedPattern, ResetRequest, Route, Status,
+    parse_empty,
 };
 use meissner_stream::calibrate::{Calibration, MAX_BYTES as MAX_CALIBRATION};
 use meissner_stream::queues::Command;
@@ -78,7 +79,8 @@ impl From<StoreError> for ErrorResponse {
         let code = match &error {
             StoreError::Unknown { .. } => Code::NotFound,
             StoreError::Pattern(_) | StoreError::Name { .. } | StoreError::NotText { .. } => Code::BadPattern,
-            StoreError::InLibrary { .. } => Code::Exists,
+            StoreError::Empty { .. } => Code::Empty,
+            StoreError::InLibrary { .. } | StoreError::Exists { .. } => Code::Exists,
             StoreError::NoDirectory | StoreError::Io { .. } => Code::Store,
         };
         Self(Problem::new(code, error.to_string()))
@@ -144,6 +146,7 @@ fn handler(route: Route) -> MethodRouter<App> {
         meissner_api::Method::Get => MethodFilter::GET,
         meissner_api::Method::Post => MethodFilter::POST,
         meissner_api::Method::Put => MethodFilter::PUT,
+        meissner_api::Method::Delete => MethodFilter::DELETE,
     };
     match route {
         Route::Play => on(method, play),
@@ -159,6 +162,7 @@ fn handler(route: Route) -> MethodRouter<App> {
         Route::Patterns => on(method, list),
         Route::Pattern => on(method, show),
         Route::Import => on(method, import),
+        Route::Remove => on(method, remove),
         Route::Calibrate => on(method, calibrate),
         Route::Calibration => on(method, calibration),
         Route::StoreCalibration => on(method, store_calibration),
@@ -217,9 +221,9 @@ async fn play(
         request.session = app.engine.lock().session_of_play(request.session.as_deref())?;
         logged.set_arguments(&request);
         let (stored, _place) = find(&app.store, &request.pattern).await?;
-        let id = app.engine.play(&request, stored, peer).await?;
-        logged.set_play(id);
-        Ok((StatusCode::ACCEPTED, Json(PlayAccepted { id })))
+        let accepted = app.engine.play(&request, stored, peer).await?;
+        logged.set_play(accepted.id);
+        Ok((StatusCode::ACCEPTED, Json(accepted)))
     }
     .await;
     logged.result(result)
@@ -235,9 +239,9 @@ async fn calibrate(
     let result = async {
         let request = CalibrateRequest::parse(&body::read_command(body).await?)?;
         logged.set_arguments(&request);
-        let id = app.engine.calibrate(calibration_plan(&request)?, request.laser, peer).await?;
-        logged.set_play(id);
-        Ok((StatusCode::ACCEPTED, Json(PlayAccepted { id })))
+        let accepted = app.engine.calibrate(calibration_plan(&request)?, request.laser, peer).await?;
+        logged.set_play(accepted.id);
+        Ok((StatusCode::ACCEPTED, Json(accepted)))
     }
     .await;
     logged.result(result)
@@ -393,6 +397,7 @@ async fn import(
     State(app): State<App>,
     Extension(peer): Extension<Peer>,
     name: Result<Path<String>, PathRejection>,
+    uri: Uri,
     body: Body,
 ) -> Answer<(StatusCode, Json<ImportedPattern>)> {
     let mut logged = LoggedRequest::new(&app.engine, "import", peer);
@@ -400,16 +405,60 @@ async fn import(
         let name = path(name)?;
         let shown: String = name.chars().take(100).collect();
         logged.set_title(format!("import of {shown:?}"));
-        logged.set_arguments(&json!({"name": shown}));
-        let busy = |_| Problem::new(Code::Busy, "too many imports are in work: try again in a moment");
-        let _place = tokio::time::timeout(IMPORT_TIMEOUT, IMPORTS.acquire()).await.map_err(busy)?;
+        let replace = replaces(&uri)?;
+        logged.set_arguments(&json!({"name": shown, "replace": replace}));
+        let _place = import_place().await?;
         let text = String::from_utf8(body::read(body, MAX_BODY).await?)
             .map_err(|_| Problem::new(Code::BadPattern, "not UTF-8 text: write patterns as TOML in UTF-8"))?;
-        let (stored, new) = blocking(move || app.store.get().put(&name, &text)).await??;
-        logged.set_arguments(&json!({"name": shown, "sha256": stored.sha256}));
-        let status = if new { StatusCode::CREATED } else { StatusCode::OK };
-        let (name, warnings) = (stored.pattern.name().to_owned(), stored.warnings());
-        Ok((status, Json(ImportedPattern { name, sha256: stored.sha256, warnings })))
+        let put = blocking(move || app.store.get().put(&name, &text, replace)).await??;
+        let Put { stored, replaced: replaced_sha256 } = put;
+        let sha256 = stored.sha256.clone();
+        let done =
+            json!({"name": shown, "replace": replace, "sha256": sha256, "replaced_sha256": replaced_sha256});
+        logged.set_arguments(&done);
+        let status = if replaced_sha256.is_none() { StatusCode::CREATED } else { StatusCode::OK };
+        let (name, warnings) = (stored.pattern.name().to_owned(), stored.run().listed_warnings());
+        Ok((status, Json(ImportedPattern { name, sha256, replaced_sha256, warnings })))
+    }
+    .await;
+    logged.result(result)
+}
+
+/// A place among [`IMPORTS`].
+async fn import_place() -> Result<SemaphorePermit<'static>, Problem> {
+    let busy = || Problem::new(Code::Busy, "too many imports are in work: try again in a moment");
+    let place = tokio::time::timeout(IMPORT_TIMEOUT, IMPORTS.acquire()).await;
+    place.ok().and_then(Result::ok).ok_or_else(busy)
+}
+
+/// Whether an import may replace a pattern, by its query.
+fn replaces(uri: &Uri) -> Result<bool, Problem> {
+    match uri.query().unwrap_or_default() {
+        "" | "replace=false" => Ok(false),
+        "replace=true" => Ok(true),
+        query => {
+            let detail = format!("the query `{query}`: must be `replace=true` or `replace=false`");
+            Err(Problem::new(Code::BadRequest, detail))
+        }
+    }
+}
+
+async fn remove(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+    name: Result<Path<String>, PathRejection>,
+) -> Answer<Json<RemovedPattern>> {
+    let mut logged = LoggedRequest::new(&app.engine, "remove", peer);
+    let result = async {
+        let name = path(name)?;
+        let shown: String = name.chars().take(100).collect();
+        logged.set_title(format!("removal of {shown:?}"));
+        logged.set_arguments(&json!({"name": shown}));
+        let _place = import_place().await?;
+        let asked = name.clone();
+        let sha256 = blocking(move || app.store.get().remove(&asked)).await??;
+        logged.set_arguments(&json!({"name": shown, "sha256": sha256}));
+        Ok(Json(RemovedPattern { name, sha256 }))
     }
     .await;
     logged.result(result)

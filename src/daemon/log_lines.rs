@@ -69,7 +69,7 @@ impl Engine {
 
 /// The outcome of a play that has just ended, in words.
 fn outcome(receipt: &Receipt, now: HostInstant, wall: &Zoned) -> String {
-    let mut text = end_text(receipt.state.name(), receipt.cause.as_deref());
+    let mut text = end_text(receipt.state.name(), receipt.cause.as_deref(), receipt.cut_after_ms);
     let Some(onset) = receipt.onset else { return text + ", it did not begin" };
     let began = HostInstant::from_ns(onset.monotonic_ns);
     let (since, until) = (now.since(began), began.since(now));

@@ -9,10 +9,11 @@ use super::engine::{Engine, TIMEOUT, answer};
 use super::runtime::computing;
 use super::state::{NewPlay, Reply, State, Trial};
 use crate::exposure::Vibration;
+use crate::receipts::{Order, counts, fit};
 use crate::session_record::Peer;
 use crate::store::Stored;
 use firmware_protocol::tick::Tick;
-use meissner_api::{Code, PlayRequest, Problem};
+use meissner_api::{Code, OrderedCounts, PlayAccepted, PlayRequest, Problem};
 use meissner_array::strokes::{StrokeOptions, Strokes, Surplus};
 use meissner_array::units::ticks_to_seconds;
 use meissner_stream::queues::{At, Command, Play};
@@ -26,6 +27,8 @@ pub(super) struct PreparedPlay {
     play: Play,
     stored: Stored,
     options: StrokeOptions,
+    order: Order,
+    counts: Option<OrderedCounts>,
     vibration: Vibration,
     trial: Trial,
 }
@@ -38,19 +41,22 @@ impl PreparedPlay {
         settings: Settings,
         surplus: Surplus,
     ) -> Result<Self, Problem> {
-        let options = StrokeOptions { surplus, ..StrokeOptions::lasting(request.seconds) };
-        let strokes = Strokes::new(&stored.pattern, &options)
-            .map_err(|error| Problem::new(Code::BadRequest, format!("`seconds`: {error}")))?;
-        // The results of this play and the next, at the same tick, could not be told apart.
-        if strokes.end() == Some(0) {
-            let detail = "`seconds`: less than a tick of 1/85000 s, so nothing would be played: ask for more";
-            return Err(Problem::new(Code::BadRequest, detail));
+        let options =
+            StrokeOptions { surplus, fit: fit(request.fit), ..StrokeOptions::lasting(request.seconds) };
+        let bad = |error| Problem::new(Code::BadRequest, format!("`seconds`: {error}"));
+        let strokes = Strokes::new(&stored.pattern, &options).map_err(bad)?;
+        let order = Order::of(&stored.pattern, &options).map_err(bad)?;
+        // Nor could the results of this play and the next, at the same tick, be told apart.
+        if let Some(why) = order.empty() {
+            let name = stored.pattern.name();
+            return Err(Problem::new(Code::Empty, format!("`{name}`: no stroke would be played: {why}")));
         }
         // A long pattern has a hundred thousand strokes: other commands must not wait while they are counted.
-        let pattern = Arc::clone(&stored.pattern);
-        let (bandwidth, vibration, strokes) = computing(move || {
+        let (pattern, counted) = (Arc::clone(&stored.pattern), options.clone());
+        let (bandwidth, vibration, counts, strokes) = computing(move || {
             let end_s = strokes.end().map(ticks_to_seconds);
-            (Bandwidth::of(&strokes, &settings), Vibration::of(&pattern, end_s), strokes)
+            let vibration = Vibration::of(&pattern, end_s);
+            (Bandwidth::of(&strokes, &settings), vibration, counts(&pattern, &counted), strokes)
         })
         .await?;
         let at = onset(request.at_tick, request.at_ms, request.at_monotonic_ns);
@@ -58,43 +64,49 @@ impl PreparedPlay {
         let play = Play { id: 0, strokes, at, late, replace, open_loop, bandwidth };
         let trial =
             Trial { session: request.session.clone(), number: request.trial, labels: request.labels.clone() };
-        Ok(Self { play, stored, options, vibration, trial })
+        Ok(Self { play, stored, options, order, counts, vibration, trial })
     }
 }
 
 impl State {
-    /// Gives a play its id and receipt, and sends it to the streamer. Returns the id and where the answer arrives.
-    pub(super) fn begin(&mut self, prepared: PreparedPlay, client: Peer) -> Result<(u64, Reply), Problem> {
+    /// Gives a play its id and receipt, and sends it to the streamer. Returns the client's answer, and where the
+    /// streamer's arrives.
+    pub(super) fn begin(
+        &mut self,
+        prepared: PreparedPlay,
+        client: Peer,
+    ) -> Result<(PlayAccepted, Reply), Problem> {
         if !self.publisher.session_record.takes_plays() {
             let detail = "the session record keeps every play and has no room for more at this rate: play less often; see \
                           docs/reference/session-record.md";
             return Err(Problem::new(Code::TooManyPlays, detail));
         }
-        let PreparedPlay { play, stored, options, trial, .. } = prepared;
-        let id = self.plays.add(NewPlay { stored, options, trial, client });
+        let PreparedPlay { play, stored, options, order, counts, trial, .. } = prepared;
+        let Order { ordered_ms, compiled_ms, .. } = order;
+        let id = self.plays.add(NewPlay { stored, options, order, counts, trial, client });
         let sent = self.send(Command::Play(Box::new(Play { id, ..play })), Some(id));
         if sent.is_err() {
             self.settle_play(id, false);
         }
-        Ok((id, sent?))
+        Ok((PlayAccepted { id, ordered_ms, compiled_ms }, sent?))
     }
 }
 
 impl Engine {
-    /// Begins a play and waits until the streamer accepts it. Returns its id.
+    /// Begins a play and waits until the streamer accepts it.
     pub(super) async fn play(
         &self,
         request: &PlayRequest,
         stored: Stored,
         client: Peer,
-    ) -> Result<u64, Problem> {
+    ) -> Result<PlayAccepted, Problem> {
         self.check_boot(request.boot)?;
         let (settings, surplus) = {
             let state = self.lock();
             (state.settings.current, state.surplus())
         };
         let prepared = PreparedPlay::new(request, stored, settings, surplus).await?;
-        let (id, reply) = {
+        let (accepted, reply) = {
             let mut state = self.lock();
             state.forget_unanswered();
             state.check_not_calibrating()?;
@@ -104,13 +116,13 @@ impl Engine {
                 return Err(Problem::new(Code::SessionRunning, detail));
             }
             state.check_exposure(request, &prepared.stored.pattern, &vibration)?;
-            let (id, reply) = state.begin(prepared, client)?;
-            state.exposure.add(id, vibration);
-            (id, reply)
+            let (accepted, reply) = state.begin(prepared, client)?;
+            state.exposure.add(accepted.id, vibration);
+            (accepted, reply)
         };
         answer(reply, TIMEOUT).await?;
         self.lock().sessions.count_play(request.session.as_deref());
-        Ok(id)
+        Ok(accepted)
     }
 
     fn check_boot(&self, asked: Option<u32>) -> Result<(), Problem> {

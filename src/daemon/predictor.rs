@@ -30,6 +30,7 @@ const NICE: i32 = 10;
 #[derive(Debug)]
 pub(super) struct MeasuredPlay {
     pub(super) pattern: Arc<Pattern>,
+    /// How the play differs from it.
     pub(super) options: StrokeOptions,
     pub(super) receipt: Receipt,
     /// Whether its device measures bursts at all.

@@ -3,6 +3,7 @@
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{DeviceHello, State};
 use meissner_api::{CalibrateRequest, Code, DeviceInfo, Problem};
+use meissner_array::strokes::Fit;
 use meissner_stream::calibrate::{Plan, laser_plan};
 use meissner_stream::queues::CommandError;
 
@@ -37,18 +38,39 @@ pub const HOST_TIMEOUT: &str = "lease";
 /// The cause of a play's end when a pin that it drives may be too far from rest.
 pub(super) const DRIFT_LIMIT: &str = meissner_stream::DRIFT_LIMIT;
 
-/// How a play ended, in words: its state and cause.
+/// What the API calls a fit.
 #[must_use]
-pub fn end_text(state: &str, cause: Option<&str>) -> String {
+pub const fn fit_name(fit: Fit) -> meissner_api::Fit {
+    match fit {
+        Fit::Whole => meissner_api::Fit::Whole,
+        Fit::Cover => meissner_api::Fit::Cover,
+    }
+}
+
+/// The fit that a request asks for.
+#[must_use]
+pub const fn fit(asked: meissner_api::Fit) -> Fit {
+    match asked {
+        meissner_api::Fit::Whole => Fit::Whole,
+        meissner_api::Fit::Cover => Fit::Cover,
+    }
+}
+
+/// How a play ended, in words: its state, its cause, and how long after the onset it was cut.
+#[must_use]
+pub fn end_text(state: &str, cause: Option<&str>, cut_after_ms: Option<f64>) -> String {
+    let cut = cut_after_ms.map_or_else(String::new, |ms| format!(", cut {ms:.1} ms after the onset"));
     match cause {
         None => state.to_owned(),
         Some(HOST_TIMEOUT) => {
-            format!("{state}: the PC was silent for longer than the host watchdog timeout")
+            format!("{state}: the PC was silent for longer than the host watchdog timeout{cut}")
         }
         Some(DRIFT_LIMIT) => {
-            format!("{state}: a pin may be farther from rest than `drift_limit_um`; see `meissner status`")
+            format!(
+                "{state}: a pin may be farther from rest than `drift_limit_um`; see `meissner status`{cut}"
+            )
         }
-        Some(cause) => format!("{state} ({cause})"),
+        Some(cause) => format!("{state} ({cause}){cut}"),
     }
 }
 
@@ -104,9 +126,17 @@ mod tests {
 
     #[test]
     fn an_end_names_its_cause() {
-        assert_eq!(end_text("done", None), "done");
-        assert_eq!(end_text("stopped", Some("estop")), "stopped (estop)");
-        assert!(end_text("stopped", Some(HOST_TIMEOUT)).starts_with("stopped: the PC was silent"));
+        assert_eq!(end_text("done", None, None), "done");
+        assert_eq!(end_text("stopped", Some("estop"), None), "stopped (estop)");
+        assert_eq!(
+            end_text("stopped", Some("stop"), Some(812.34)),
+            "stopped (stop), cut 812.3 ms after the onset"
+        );
+        let silent = end_text("stopped", Some(HOST_TIMEOUT), Some(1200.0));
+        assert!(
+            silent.starts_with("stopped: the PC was silent")
+                && silent.ends_with("cut 1200.0 ms after the onset")
+        );
     }
 
     #[test]

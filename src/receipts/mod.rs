@@ -11,19 +11,24 @@
 
 mod convert;
 mod measured_bursts;
+mod order;
 mod prediction;
 
-pub use convert::{HOST_TIMEOUT, calibration_plan, device_info, end_text, refusal, state_name};
+pub use convert::{
+    HOST_TIMEOUT, calibration_plan, device_info, end_text, fit, fit_name, refusal, state_name,
+};
 pub use measured_bursts::{KEPT_S, MeasuredBursts};
+pub use order::{Order, counts, counts_until};
 pub use prediction::{NoPrediction, PlayedPattern};
 
 use firmware_protocol::message::{DeviceHello, State};
 use firmware_protocol::tick::Tick;
 use meissner_api::{
-    BurstCounts, DeviceInfo, Event, LateCounts, LateStroke, LinkTraffic, MAX_LISTED, NO_DEVICE, PlayState,
-    PredictedResponse, Prediction, PulseCounts, Receipt, RefusedStroke, RunningPlay,
+    BurstCounts, DeviceInfo, Event, LateCounts, LateStroke, LinkTraffic, MAX_LISTED, MotorRestError,
+    NO_DEVICE, OrderedCounts, PlayState, PredictedResponse, Prediction, PulseCounts, Receipt, RefusedStroke,
+    RunningPlay,
 };
-use meissner_array::units::ns_to_ms;
+use meissner_array::units::{ns_to_ms, ticks_to_ms};
 use meissner_stream::cause_text;
 use meissner_stream::queues::Onset;
 use meissner_stream::queues::{Outcome, Snapshot, StreamEvent, refusal_text};
@@ -172,6 +177,13 @@ impl Receipts {
         Some(Event::Ended { receipt: Box::new(receipt) })
     }
 
+    /// Sets what an endless play has counted by its end.
+    pub fn set_ordered(&mut self, id: u64, counts: Option<OrderedCounts>) {
+        if let Some(receipt) = self.live_mut(id) {
+            receipt.ordered = counts;
+        }
+    }
+
     /// Puts a predicted response, or why there is none, into its play's receipt.
     pub fn set_prediction(
         &mut self,
@@ -294,7 +306,23 @@ fn complete(receipt: &mut Receipt, outcome: &Outcome) {
     receipt.pulses = Some(outcome.pulses);
     receipt.lateness.counts = outcome.lateness;
     receipt.wire = Some(LinkTraffic::new(outcome.wire_bytes, outcome.bursts.planned));
-    receipt.rest_error_um = Some(outcome.rest_error_um.to_vec());
+    receipt.offset = outcome.offset.map(Into::into);
+    receipt.cut_after_ms = outcome.cut_after.map(ticks_to_ms);
+    receipt.duration_ms.played =
+        outcome.offset.zip(outcome.onset).map(|(offset, onset)| ticks_to_ms(offset.tick - onset.actual));
+    let (onset, end) = (&outcome.rest_at_onset, &outcome.rest_at_end);
+    receipt.rest_error_um = Some(end.um.to_vec());
+    let driven = (0..).zip(end.um).zip(end.source);
+    let driven =
+        driven.filter(|((motor, _), _)| outcome.play.strokes.motors().any(|driven| driven == *motor));
+    let rest_errors = driven.map(|((motor, offset_um), offset_source)| MotorRestError {
+        motor,
+        onset_um: onset.map(|onset| onset.um[usize::from(motor)]),
+        onset_source: onset.map(|onset| onset.source[usize::from(motor)]),
+        offset_um,
+        offset_source,
+    });
+    receipt.rest_errors = Some(rest_errors.collect());
 }
 
 impl Totals {

@@ -13,7 +13,7 @@ use firmware_protocol::tick::Tick;
 use meissner_api::{PlayState, PredictedResponse, Rates, Receipt};
 use meissner_array::motor::{Ramp, WINDOW_TICKS};
 use meissner_array::pattern::Pattern;
-use meissner_array::strokes::{StrokeOptions, Strokes, StrokesError};
+use meissner_array::strokes::{StrokeOptions, Strokes, StrokesError, Surplus};
 use meissner_array::units::{UM_PER_PULSE, seconds_to_ticks, ticks_to_seconds};
 use meissner_design::{MOST_OBSERVED_S, PredictionError};
 use meissner_stream::queues::MeasuredBurst;
@@ -145,9 +145,11 @@ impl<'p> PlayedPattern<'p> {
             return Err(NoPrediction::Unmeasured { missing, bursts: planned });
         }
         let observed_s = ticks_to_seconds(until - self.onset);
-        let (pattern, seconds, onset) = (self.pattern, self.options.seconds, self.onset);
+        let (pattern, onset) = (self.pattern, self.onset);
+        // As designed there is no surplus.
+        let options = StrokeOptions { surplus: Surplus::None, ..self.options.clone() };
         let predicted = meissner_design::predict_response(
-            &meissner_design::Play { pattern, seconds, onset, observed_s },
+            &meissner_design::Play { pattern, options, onset, observed_s },
             ramps,
         )?;
         let meissner_design::PredictedResponse { seconds, target, population_seed, designed_hz, played_hz } =

@@ -4,12 +4,12 @@ use super::*;
 use firmware_protocol::limits::{OnTimeLimits, Refusal};
 use firmware_protocol::message::Cause;
 use firmware_protocol::stroke::MOTORS;
-use meissner_api::{LateCause, LatePolicy};
+use meissner_api::{ErrorSource, LateCause, LatePolicy};
 use meissner_array::pattern::Pattern;
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_stream::Bandwidth;
 use meissner_stream::link::{BadFrames, Clock, Contradictions};
-use meissner_stream::queues::{At, End, Onset, Play};
+use meissner_stream::queues::{At, End, Offset, Onset, Play};
 
 fn hello() -> DeviceHello {
     DeviceHello {
@@ -46,7 +46,7 @@ fn snapshot(connected: bool, state: State, play: Option<(u64, f64)>) -> Snapshot
         lead_ms: 100.0,
         lease_ms: 300.0,
         rest_error_um: [0.0; MOTORS],
-        source: [meissner_api::ErrorSource::None; MOTORS],
+        source: [ErrorSource::None; MOTORS],
         line_bytes_per_s: None,
         bytes_out: 0,
         bytes_in: 0,
@@ -88,7 +88,10 @@ fn ended(id: u64, end: End) -> StreamEvent {
         pulses: PulseCounts { planned: 100, played: 60 },
         lateness: LateCounts { host: 1, ..LateCounts::default() },
         wire_bytes: 55,
-        rest_error_um: [0.5; MOTORS],
+        offset: Some(Offset { tick: Tick(10_500), at: HostInstant::from_ns(100), uncertainty_ns: 9 }),
+        cut_after: (end != End::Done).then_some(8_500),
+        rest_at_onset: Some([(0.25, ErrorSource::Telemetry); MOTORS].into()),
+        rest_at_end: [(0.5, ErrorSource::DeadReckoning); MOTORS].into(),
         play: Box::new(play),
     };
     StreamEvent::PlayEnded { id, outcome }

@@ -32,7 +32,7 @@ impl Rate {
     }
 }
 
-/// Plays, with their receipts: a session of 80 000 plays at once, and three plays a second for ever.
+/// Plays, with their receipts: a session of 27 000 plays of an edge at once, and one a second for ever.
 const PLAYS: Rate = Rate { burst: 128 << 20, per_s: 4 << 10 };
 /// E-stops: 4 000 at once, and one a second.
 const ESTOPS: Rate = Rate { burst: 1 << 20, per_s: 256 };
@@ -196,7 +196,8 @@ mod tests {
     use super::*;
     use crate::session_record::{CommandEntry, Peer};
     use meissner_api::{
-        BurstCounts, Event, LateCause, LateStroke, MAX_LISTED, OnsetRecord, Receipt, RefusedStroke,
+        BurstCounts, ErrorSource, Event, LateCause, LateStroke, MAX_DRIVES_LISTED, MAX_LISTED,
+        MAX_WARNINGS_LISTED, MotorRestError, OnsetRecord, ReachedDrive, Receipt, RefusedStroke,
     };
     use serde_json::{Value, json};
 
@@ -335,6 +336,26 @@ mod tests {
         let reason = "x".repeat(64);
         receipt.refusals = vec![RefusedStroke { motor, tick, reason }; MAX_LISTED];
         receipt.rest_error_um = Some(vec![0.123_456_79; 24]);
+        let um = Some(0.123_456_79);
+        let source = ErrorSource::DeadReckoning;
+        let error = MotorRestError {
+            motor,
+            onset_um: um,
+            onset_source: Some(source),
+            offset_um: 0.123_456_79,
+            offset_source: source,
+        };
+        receipt.rest_errors = Some(vec![error; 24]);
+        let drive = ReachedDrive {
+            drive: 4096,
+            motor,
+            ordered_um: 399.999,
+            reached_um: 399.999,
+            surplus_um: 119.999,
+            strokes: Some(u64::MAX),
+        };
+        receipt.drives = vec![drive; MAX_DRIVES_LISTED];
+        receipt.warnings = vec!["x".repeat(160); MAX_WARNINGS_LISTED + 1];
         let bytes: u64 = play(1, receipt).iter().map(Entry::bytes).sum();
         // The running play, 32 that wait, and one that begins.
         assert!(34 * bytes < IN_FLIGHT, "{bytes}");

@@ -68,6 +68,9 @@ fn operation(out: &mut String, document: &Value, route: Route) {
     for parameter in described["parameters"].as_array().into_iter().flatten() {
         let (name, about) = (text(&parameter["name"]), text(&parameter["description"]));
         match parameter["in"].as_str() {
+            Some("query") if parameter["schema"]["type"] == "boolean" => {
+                put!(out, "\n`?{name}=true`: {about}.");
+            }
             Some("query") => put!(
                 out,
                 "\n`?{name}=`, {} to {}: {about}.",

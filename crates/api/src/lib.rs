@@ -38,15 +38,18 @@ pub mod status;
 
 pub use calibration::{CalibratedMotor, CalibrationReport, Provenance};
 pub use event::{Event, SensorFault};
-pub use pattern::{ImportedPattern, PatternDetails, PatternList, PatternSummary};
+pub use pattern::{
+    ImportedPattern, PatternDetails, PatternList, PatternSummary, ReachedDrive, RemovedPattern,
+};
 pub use problem::{Code, MAX_DETAIL, Problem, REFERENCE};
 pub use receipt::{
-    BurstCounts, LateCause, LateCounts, LateStroke, LatenessRecord, LinkTraffic, MAX_LISTED, OnsetRecord,
-    PlayState, PredictedResponse, Prediction, PulseCounts, Rates, Receipt, RefusedStroke,
+    BurstCounts, DurationRecord, LateCause, LateCounts, LateStroke, LatenessRecord, LinkTraffic,
+    MAX_DRIVES_LISTED, MAX_LISTED, MAX_WARNINGS_LISTED, MotorRestError, OffsetRecord, OnsetRecord,
+    OrderedCounts, PlayState, PredictedResponse, Prediction, PulseCounts, Rates, Receipt, RefusedStroke,
 };
 pub use request::{
-    ArmRequest, CalibrateRequest, LatePolicy, MAX_AT_MS, MAX_BODY, MAX_WAIT_S, PlayRequest, ResetRequest,
-    parse_empty,
+    ArmRequest, CalibrateRequest, Fit, LatePolicy, MAX_AT_MS, MAX_BODY, MAX_WAIT_S, PlayRequest,
+    ResetRequest, parse_empty,
 };
 pub use route::{Method, Route};
 pub use session::{

@@ -4,11 +4,11 @@
 //! the types' doc comments, so those give units and meaning; examples stand beside the types.
 
 use crate::problem::{Code, Problem};
-use crate::route::{Answer, Body, Method, Operation, Route};
+use crate::route::{Answer, Body, Method, Operation, Query, Route};
 use crate::{
     ArmRequest, CalibrateRequest, CalibrationReport, Event, ImportedPattern, PatternDetails, PatternList,
-    PlayAccepted, PlayRequest, Receipt, ResetRequest, Session, SessionList, SessionPlays, SessionRequest,
-    SessionStarted, Status,
+    PlayAccepted, PlayRequest, Receipt, RemovedPattern, ResetRequest, Session, SessionList, SessionPlays,
+    SessionRequest, SessionStarted, Status,
 };
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
@@ -29,6 +29,7 @@ use utoipa::OpenApi;
     PlayRequest,
     Problem,
     Receipt,
+    RemovedPattern,
     Session,
     SessionList,
     SessionPlays,
@@ -94,6 +95,7 @@ pub const fn method_name(method: Method) -> &'static str {
         Method::Get => "get",
         Method::Post => "post",
         Method::Put => "put",
+        Method::Delete => "delete",
     }
 }
 
@@ -115,13 +117,18 @@ fn described(route: Route, operation: &Operation, example: &dyn Fn(&str) -> Valu
             {"name": name, "in": "path", "required": true, "description": text, "schema": {"type": "string"}}
         ]);
     }
-    if let Some((name, most, text)) = operation.query {
-        let schema = json!({"type": "number", "minimum": 0, "maximum": most});
-        let query =
+    if let Some(query) = operation.query {
+        let (name, text, schema) = match query {
+            Query::Number { name, most, about } => {
+                (name, about, json!({"type": "number", "minimum": 0, "maximum": most}))
+            }
+            Query::Flag { name, about } => (name, about, json!({"type": "boolean", "default": false})),
+        };
+        let parameter =
             json!({"name": name, "in": "query", "required": false, "description": text, "schema": schema});
         match out["parameters"].as_array_mut() {
-            Some(parameters) => parameters.push(query),
-            None => out["parameters"] = json!([query]),
+            Some(parameters) => parameters.push(parameter),
+            None => out["parameters"] = json!([parameter]),
         }
     }
     let body = match operation.body {

@@ -22,6 +22,42 @@ pub struct PatternSummary {
     pub drives: usize,
     /// SHA-256 of the pattern's file, in hexadecimal.
     pub sha256: String,
+    /// When the last whole stroke of one run ends, ms; null: the pattern has no end, or no stroke.
+    #[serde(default)]
+    #[schema(required, minimum = 0.0)]
+    pub compiled_ms: Option<f64>,
+    /// The smallest amplitude that a drive reaches, peak to peak, µm; null without drives.
+    #[serde(default)]
+    #[schema(required, minimum = 0.0)]
+    pub reached_min_um: Option<f64>,
+    /// The largest amplitude that a drive reaches, peak to peak, µm; null without drives.
+    #[serde(default)]
+    #[schema(required, minimum = 0.0)]
+    pub reached_max_um: Option<f64>,
+}
+
+/// The amplitude of a drive, as ordered and as an ideal motor reaches it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct ReachedDrive {
+    /// The drive's place in the pattern, from 1.
+    #[schema(minimum = 1, maximum = 4096)]
+    pub drive: usize,
+    /// The motor's number, 4 × row + column.
+    #[schema(minimum = 0, maximum = 23)]
+    pub motor: u8,
+    /// Amplitude as ordered, peak to peak, µm.
+    #[schema(minimum = 0.0)]
+    pub ordered_um: f64,
+    /// Amplitude that an ideal motor reaches in the steady state, peak to peak, µm: in whole pulses, as many as fit, smoothed by
+    /// the motor over 4.3 ms. 0: the drive gives no stroke.
+    #[schema(minimum = 0.0)]
+    pub reached_um: f64,
+    /// By how much its down bursts are longer than its up bursts, µm; a lower stop takes that.
+    #[schema(minimum = 0.0)]
+    pub surplus_um: f64,
+    /// Number of its strokes; null: without end.
+    #[schema(required)]
+    pub strokes: Option<u64>,
 }
 
 /// Every pattern the daemon can play.
@@ -29,7 +65,8 @@ pub struct PatternSummary {
 #[schema(examples(json!({
     "patterns": [{
         "name": "edge-45", "library": true, "duration_s": null, "drives": 12,
-        "sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
+        "sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08",
+        "compiled_ms": null, "reached_min_um": 69.2, "reached_max_um": 69.2
     }],
     "errors": ["/var/lib/meissner/patterns/draft.toml:2: unknown key `nane`: did you mean `name`?"]
 })))]
@@ -49,6 +86,10 @@ pub struct PatternList {
     },
     "sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08",
     "library": false,
+    "compiled_ms": 495.1,
+    "drives": [
+        {"drive": 1, "motor": 9, "ordered_um": 40.0, "reached_um": 39.9, "surplus_um": 0.0, "strokes": 30}
+    ],
     "warnings": []
 })))]
 pub struct PatternDetails {
@@ -59,7 +100,15 @@ pub struct PatternDetails {
     pub sha256: String,
     /// Whether the pattern belongs to the built-in library.
     pub library: bool,
-    /// One line for each thing that may not be meant, for example a saturated drive: the first 100, and how many more.
+    /// When the last whole stroke of one run ends, ms; null: the pattern has no end, or no stroke.
+    #[serde(default)]
+    #[schema(required, minimum = 0.0)]
+    pub compiled_ms: Option<f64>,
+    /// What each drive reaches in one run.
+    #[serde(default)]
+    #[schema(required, max_items = 4096)]
+    pub drives: Vec<ReachedDrive>,
+    /// One line for each thing that may not be meant, for example a drive that does not reach its amplitude: the first 100, and how many more.
     pub warnings: Vec<String>,
 }
 
@@ -113,6 +162,7 @@ pub struct PatternDrive {
 #[schema(examples(json!({
     "name": "two-pins",
     "sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08",
+    "replaced_sha256": null,
     "warnings": []
 })))]
 pub struct ImportedPattern {
@@ -120,6 +170,22 @@ pub struct ImportedPattern {
     pub name: String,
     /// SHA-256 of the bytes that were sent, in hexadecimal.
     pub sha256: String,
-    /// One line for each thing that may not be meant, for example a saturated drive: the first 100, and how many more.
+    /// SHA-256 of the file that this one has replaced, in hexadecimal; null if the name was new.
+    #[serde(default)]
+    #[schema(required)]
+    pub replaced_sha256: Option<String>,
+    /// One line for each thing that may not be meant, for example a drive that does not reach its amplitude: the first 100, and how many more.
     pub warnings: Vec<String>,
+}
+
+/// A pattern that was removed.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[schema(examples(json!({
+    "name": "two-pins", "sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
+})))]
+pub struct RemovedPattern {
+    /// The pattern's name.
+    pub name: String,
+    /// SHA-256 of the file that was removed, in hexadecimal.
+    pub sha256: String,
 }

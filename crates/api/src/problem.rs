@@ -21,11 +21,13 @@ pub enum Code {
     BadRequest,
     /// The text is not a valid pattern, or not one of this name.
     BadPattern,
+    /// The pattern, or the play of it, has no stroke.
+    Empty,
     /// There is no such route, pattern, play or calibration.
     NotFound,
     /// The route exists, but not with this HTTP method.
     MethodNotAllowed,
-    /// The name belongs to the built-in library.
+    /// The name belongs to the built-in library, or another pattern has it.
     Exists,
     /// The body is larger than the route allows.
     TooLarge,
@@ -123,6 +125,7 @@ impl Code {
         Self::LevelNotChecked,
         Self::TooLarge,
         Self::BadPattern,
+        Self::Empty,
         Self::QueueFull,
         Self::TooManyPlays,
         Self::Store,
@@ -139,6 +142,7 @@ impl Code {
         match self {
             Self::BadRequest => ("bad-request", 400, "The request cannot be read"),
             Self::BadPattern => ("bad-pattern", 422, "Not a valid pattern"),
+            Self::Empty => ("empty", 422, "Nothing would be played"),
             Self::NotFound => ("not-found", 404, "There is no such thing"),
             Self::MethodNotAllowed => ("method-not-allowed", 405, "The route does not take this method"),
             Self::Exists => ("exists", 409, "The name is taken"),

@@ -5,12 +5,20 @@
 //!
 //! Invariant: in the receipt of an ended play, `planned = played + late + dropped + refused`, as the streamer counted.
 
+use crate::pattern::ReachedDrive;
+use crate::request::Fit;
+use crate::status::ErrorSource;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use utoipa::ToSchema;
 
 /// Strokes listed one by one in a receipt, at most: late ones and refused ones each.
 pub const MAX_LISTED: usize = 100;
+
+/// Drives listed in a receipt, at most: one of every motor.
+pub const MAX_DRIVES_LISTED: usize = 24;
+/// Warnings listed in a receipt, at most; one more line counts the others.
+pub const MAX_WARNINGS_LISTED: usize = 8;
 
 /// Where a play stands: `queued`, `running`, or ended as `done` (it came to its end), `stopped` (by a stop, replace, disarm,
 /// e-stop, lost link or participant's limit) or `aborted` (by late strokes, or because its onset could not be kept).
@@ -60,6 +68,60 @@ pub struct OnsetRecord {
     pub monotonic_ns: u64,
     /// Uncertainty of `monotonic_ns`, ns.
     pub uncertainty_ns: u64,
+}
+
+/// When the last pulse of a play was over, on the device's clock and on the host's. After a cut: with the return of the pins.
+/// Corrections count as sent: if the line lost the last one, the tick is off by its pulses.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct OffsetRecord {
+    /// The first tick after the last pulse, ticks of 1/85000 s.
+    pub tick: u64,
+    /// The same instant on the host's `CLOCK_MONOTONIC`, ns.
+    pub monotonic_ns: u64,
+    /// Uncertainty of `monotonic_ns`, ns.
+    pub uncertainty_ns: u64,
+}
+
+/// What pattern and order say for the whole play, without corrections. Of an endless play that has ended: up to its end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct OrderedCounts {
+    /// Number of bursts; a stroke has two.
+    pub bursts: u64,
+    /// Number of their pulses; null if it would take too long to count: over two minutes of 24 saturated drives at 300 Hz.
+    #[schema(required)]
+    pub pulses: Option<u64>,
+}
+
+/// Durations of a play, ms. A drive plays whole strokes, so a play lasts a little shorter or longer than ordered.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct DurationRecord {
+    /// As ordered, by the request or else by the pattern, ms; null: without end.
+    #[schema(required, minimum = 0.0)]
+    pub ordered: Option<f64>,
+    /// As compiled, to the end of the last whole stroke, ms; null: without end.
+    #[schema(required, minimum = 0.0)]
+    pub compiled: Option<f64>,
+    /// As played, from the onset to the offset, ms; null until the play is over, or without an offset.
+    #[schema(required, minimum = 0.0)]
+    pub played: Option<f64>,
+}
+
+/// The estimated rest errors of a driven motor. By dead reckoning: one standard deviation, at most the distance of the end stops.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct MotorRestError {
+    /// The motor's number, 4 × row + column.
+    #[schema(minimum = 0, maximum = 23)]
+    pub motor: u8,
+    /// At the play's onset, µm; null if it never began.
+    #[schema(required)]
+    pub onset_um: Option<f32>,
+    /// Where `onset_um` comes from; null if the play never began.
+    #[schema(required)]
+    pub onset_source: Option<ErrorSource>,
+    /// At the play's offset, µm.
+    pub offset_um: f32,
+    /// Where `offset_um` comes from.
+    pub offset_source: ErrorSource,
 }
 
 /// A stroke that came too late.
@@ -277,13 +339,21 @@ impl LinkTraffic {
 #[schema(examples(json!({
     "id": 7, "pattern": "edge-45",
     "pattern_sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08",
-    "seconds": 2.0, "session": "20261122T083000Z-9f3c", "trial": 12, "labels": {"condition": "a"},
+    "seconds": 2.0, "fit": "whole", "session": "20261122T083000Z-9f3c", "trial": 12, "labels": {"condition": "a"},
     "state": "done", "cause": null,
     "onset": {
         "requested_tick": 6442460000_u64, "actual_tick": 6442460000_u64, "monotonic_ns": 75793647058823_u64,
         "uncertainty_ns": 9600
     },
     "onset_latency_ms": 106.3,
+    "offset": {"tick": 6442629900_u64, "monotonic_ns": 75795645882352_u64, "uncertainty_ns": 9600},
+    "cut_after_ms": null,
+    "duration_ms": {"ordered": 2000.0, "compiled": 1998.8, "played": 1998.8},
+    "ordered": {"bursts": 1240, "pulses": 86800},
+    "drives": [
+        {"drive": 1, "motor": 9, "ordered_um": 80.0, "reached_um": 69.2, "surplus_um": 0.0, "strokes": 119}
+    ],
+    "warnings": [],
     "bursts": {"planned": 1240, "played": 1238, "late": 2, "dropped": 0, "refused": 0, "amended": 1221},
     "pulses": {"planned": 86800, "played": 86660},
     "lateness": {
@@ -293,6 +363,9 @@ impl LinkTraffic {
     "refusals": [],
     "wire": {"bytes_to_device": 14260, "bytes_per_burst": 11.5},
     "rest_error_um": [0.4, -0.2],
+    "rest_errors": [{
+        "motor": 9, "onset_um": 0.1, "onset_source": "telemetry", "offset_um": 0.4, "offset_source": "telemetry"
+    }],
     "predicted_response": {
         "seconds": 2.0, "target": "edge-45", "population_seed": 0,
         "designed_hz": {"all": 40.1, "on": 200.0, "off": 9.5, "contrast": 190.5},
@@ -319,6 +392,10 @@ pub struct Receipt {
     /// Requested duration, s; null: as long as the pattern lasts.
     #[schema(required, minimum = 0.0, maximum = 1e8)]
     pub seconds: Option<f64>,
+    /// Which strokes were to be played at the end.
+    #[serde(default)]
+    #[schema(required)]
+    pub fit: Fit,
     /// The session that the play belongs to; null without one.
     #[serde(default)]
     #[schema(required)]
@@ -342,6 +419,33 @@ pub struct Receipt {
     /// Time from the request to the onset, ms; null before the onset.
     #[schema(required, minimum = 0.0)]
     pub onset_latency_ms: Option<f64>,
+    /// When the last pulse was over, with the return of a play that was cut; null until the play is over, if nothing was played,
+    /// or if the link was lost before the device reported it.
+    #[serde(default)]
+    #[schema(required)]
+    pub offset: Option<OffsetRecord>,
+    /// Time from the onset to the cut that ended the play, ms; null if the play came to its end or never began. If the link was
+    /// lost: until the daemon noticed.
+    #[serde(default)]
+    #[schema(required, minimum = 0.0)]
+    pub cut_after_ms: Option<f64>,
+    /// How long the play was to last, and lasted.
+    #[serde(default)]
+    #[schema(required)]
+    pub duration_ms: DurationRecord,
+    /// What pattern and order say; null for an endless play that is not over.
+    #[serde(default)]
+    #[schema(required)]
+    pub ordered: Option<OrderedCounts>,
+    /// What the drives reach: the first 24.
+    #[serde(default)]
+    #[schema(required, max_items = 24)]
+    pub drives: Vec<ReachedDrive>,
+    /// One line for each thing that may not be meant, for example a drive that does not reach its amplitude: the first 8, and how
+    /// many more.
+    #[serde(default)]
+    #[schema(required, max_items = 9)]
+    pub warnings: Vec<String>,
     /// What happened to the bursts; null until the play is over.
     #[schema(required)]
     pub bursts: Option<BurstCounts>,
@@ -359,6 +463,10 @@ pub struct Receipt {
     /// Estimated offset of each pin from rest at the end, µm, by motor, as in the status; null until the play is over.
     #[schema(required, max_items = 24)]
     pub rest_error_um: Option<Vec<f32>>,
+    /// The rest errors of the driven motors at onset and offset; null until the play is over.
+    #[serde(default)]
+    #[schema(required, max_items = 24)]
+    pub rest_errors: Option<Vec<MotorRestError>>,
     /// The predicted afferent response to the play's first minute; unknown until some time after the play's end.
     #[serde(flatten)]
     #[schema(value_type = PredictionKeys)]
@@ -374,6 +482,7 @@ impl Receipt {
             pattern: pattern.to_owned(),
             pattern_sha256: pattern_sha256.to_owned(),
             seconds,
+            fit: Fit::default(),
             session: None,
             trial: None,
             labels: BTreeMap::new(),
@@ -381,12 +490,19 @@ impl Receipt {
             cause: None,
             onset: None,
             onset_latency_ms: None,
+            offset: None,
+            cut_after_ms: None,
+            duration_ms: DurationRecord::default(),
+            ordered: None,
+            drives: Vec::new(),
+            warnings: Vec::new(),
             bursts: None,
             pulses: None,
             lateness: LatenessRecord::default(),
             refusals: Vec::new(),
             wire: None,
             rest_error_um: None,
+            rest_errors: None,
             prediction: Prediction::default(),
         }
     }

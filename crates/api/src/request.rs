@@ -44,6 +44,9 @@ pub struct PlayRequest {
     /// Whether the play may be without end: without it the daemon refuses a pattern without end that has no `seconds`.
     #[serde(default, deserialize_with = "null_as_default")]
     pub endless: bool,
+    /// Which strokes to play at the end: those that are `whole` by then (the default), or all that begin before, to `cover` it.
+    #[serde(default, deserialize_with = "null_as_default")]
+    pub fit: Fit,
     /// What to do when strokes come late: `drop` them (the default) or `abort` the play.
     #[serde(default, deserialize_with = "null_as_default")]
     pub late: LatePolicy,
@@ -63,6 +66,18 @@ pub struct PlayRequest {
     /// Up to 16 labels of the trial, of 1 to 100 characters.
     #[serde(default, deserialize_with = "null_as_default", skip_serializing_if = "BTreeMap::is_empty")]
     pub labels: BTreeMap<String, String>,
+}
+
+/// Which strokes a play has at its end: those that have ended by then (`whole`), or those that begin before (`cover`), which it then
+/// plays to their end.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Fit {
+    /// Strokes that have ended by the end of the play: it is a little shorter than ordered.
+    #[default]
+    Whole,
+    /// Strokes that begin before the end of the play: it is a little longer than ordered.
+    Cover,
 }
 
 /// What to do when strokes come late: `drop` them and go on, or `abort` the play, return the pins to rest and disarm.
@@ -324,6 +339,7 @@ mod tests {
                 "at_monotonic_ns",
                 "boot",
                 "endless",
+                "fit",
                 "late",
                 "replace",
                 "open_loop",

@@ -23,6 +23,7 @@ pub enum Route {
     Patterns,
     Pattern,
     Import,
+    Remove,
     Calibrate,
     Calibration,
     StoreCalibration,
@@ -42,6 +43,7 @@ pub enum Method {
     Get,
     Post,
     Put,
+    Delete,
 }
 
 /// What a route takes.
@@ -74,6 +76,27 @@ pub enum Answer {
     OpenApi,
 }
 
+/// A query parameter of a route.
+#[derive(Clone, Copy, Debug)]
+pub enum Query {
+    /// A number, 0 or more.
+    Number {
+        /// The parameter's name.
+        name: &'static str,
+        /// The greatest value.
+        most: f64,
+        /// What it means.
+        about: &'static str,
+    },
+    /// `true`, or by default `false`.
+    Flag {
+        /// The parameter's name.
+        name: &'static str,
+        /// What it means.
+        about: &'static str,
+    },
+}
+
 /// A route in words, for the API reference.
 #[derive(Clone, Copy, Debug)]
 pub struct Operation {
@@ -87,8 +110,8 @@ pub struct Operation {
     pub description: &'static str,
     /// What the path's variable part means.
     pub parameter: Option<&'static str>,
-    /// What its query parameter means, and the parameter's name and greatest value: a number, 0 or more.
-    pub query: Option<(&'static str, f64, &'static str)>,
+    /// Its query parameter.
+    pub query: Option<Query>,
     /// What it takes.
     pub body: Body,
     /// HTTP statuses of success, each with its meaning.
@@ -130,7 +153,7 @@ const STATUS: Answer = Answer::Json("Status");
 
 impl Route {
     /// Every route.
-    pub const ALL: [Self; 23] = [
+    pub const ALL: [Self; 24] = [
         Self::Play,
         Self::Stop,
         Self::EStop,
@@ -144,6 +167,7 @@ impl Route {
         Self::Patterns,
         Self::Pattern,
         Self::Import,
+        Self::Remove,
         Self::Calibrate,
         Self::Calibration,
         Self::StoreCalibration,
@@ -204,6 +228,7 @@ impl Route {
                     &[
                         Code::NotFound,
                         Code::BadPattern,
+                        Code::Empty,
                         Code::StaleBoot,
                         Code::ParticipantLimit,
                         Code::SessionRunning,
@@ -304,11 +329,11 @@ impl Route {
                               answers when the play has ended, or after that time with the receipt as it is then. At most \
                               48 clients wait or listen to events, so that commands find places.",
                 parameter: Some("The play's id, or `last`"),
-                query: Some((
-                    "wait",
-                    MAX_WAIT_S,
-                    "How long to wait for the play's end, s; without it the daemon answers at once",
-                )),
+                query: Some(Query::Number {
+                    name: "wait",
+                    most: MAX_WAIT_S,
+                    about: "How long to wait for the play's end, s; without it the daemon answers at once",
+                }),
                 answer: Answer::Json("Receipt"),
                 errors: &[&[Code::BadRequest, Code::NotFound], ANY],
                 ..Operation::get("/v1/plays/{id}")
@@ -340,14 +365,29 @@ impl Route {
             Self::Import => Operation {
                 method: Method::Put,
                 summary: "Store a pattern",
-                description: "The daemon checks the file and writes it to its pattern directory, in place of an older one of that name. \
-                              The file must bear the name of the address, and has at most 1 MiB. Four imports are in work at a \
-                              time; further ones wait, for 10 s at most.",
+                description: "The daemon checks the file and writes it to its pattern directory. With `?replace=true` it replaces an \
+                              older one of that name, and tells its SHA-256; without, it refuses (`exists`). The file must bear the \
+                              name of the address, have a stroke, and at most 1 MiB. Four imports are in work at a time; further \
+                              ones wait, for 10 s at most.",
                 parameter: Some("The pattern's name"),
+                query: Some(Query::Flag {
+                    name: "replace",
+                    about: "Whether to replace a pattern of that name; without it the daemon does not",
+                }),
                 body: Body::Toml,
                 statuses: &[(201, "Stored under a new name"), (200, "Stored in place of an older pattern")],
                 answer: Answer::Json("ImportedPattern"),
-                errors: &[BODY, &[Code::BadPattern, Code::Exists, Code::Store, Code::Busy], ANY],
+                errors: &[BODY, &[Code::BadPattern, Code::Empty, Code::Exists, Code::Store, Code::Busy], ANY],
+                ..Operation::get("/v1/patterns/{name}")
+            },
+            Self::Remove => Operation {
+                method: Method::Delete,
+                summary: "Remove a pattern",
+                description: "The daemon removes the file from its pattern directory. Patterns of the library stay. A play of the pattern \
+                              that is queued or runs goes on.",
+                parameter: Some("The pattern's name"),
+                answer: Answer::Json("RemovedPattern"),
+                errors: &[&[Code::BadRequest, Code::NotFound, Code::Exists, Code::Store, Code::Busy], ANY],
                 ..Operation::get("/v1/patterns/{name}")
             },
             Self::Calibrate => Operation {
@@ -420,7 +460,11 @@ impl Route {
                 summary: "Show the recorded plays of a session",
                 description: "The daemon reads the session record. An answer has at most 3000 plays; `from` leaves out the first.",
                 parameter: Some("The session's id"),
-                query: Some(("from", 1e9, "How many plays to leave out; without it none")),
+                query: Some(Query::Number {
+                    name: "from",
+                    most: 1e9,
+                    about: "How many plays to leave out; without it none",
+                }),
                 answer: Answer::Json("SessionPlays"),
                 errors: &[&[Code::BadRequest, Code::NotFound, Code::Store], ANY],
                 ..Operation::get("/v1/sessions/{id}/plays")

@@ -47,12 +47,20 @@ pub struct RunningPlay {
 }
 
 /// A play or calibration that the daemon has queued.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[schema(examples(json!({"id": 7})))]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[schema(examples(json!({"id": 7, "ordered_ms": 300.0, "compiled_ms": 298.6})))]
 pub struct PlayAccepted {
     /// The play's id; its receipt is at `/v1/plays/ID`.
     #[schema(minimum = 1)]
     pub id: u64,
+    /// Duration as ordered, by the request or else by the pattern, ms; null: without end.
+    #[serde(default)]
+    #[schema(required, minimum = 0.0)]
+    pub ordered_ms: Option<f64>,
+    /// Duration as compiled, to the end of the last whole stroke, ms; null: without end.
+    #[serde(default)]
+    #[schema(required, minimum = 0.0)]
+    pub compiled_ms: Option<f64>,
 }
 
 /// A play that waits in the queue.
@@ -88,6 +96,19 @@ pub enum ErrorSource {
     DeadReckoning,
     /// The pin comes down to a lower stop after each stroke.
     LowerStop,
+}
+
+impl ErrorSource {
+    /// The source's name in the JSON.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::Telemetry => "telemetry",
+            Self::DeadReckoning => "dead-reckoning",
+            Self::LowerStop => "lower-stop",
+        }
+    }
 }
 
 /// The state of one motor.

@@ -6,7 +6,9 @@ use firmware_protocol::tick::Tick;
 use meissner_array::motor::SquareWave;
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::reflected_walk::Spread;
-use meissner_array::strokes::{AutoSurplus, Fit, StrokeOptions, Strokes, StrokesError, Surplus, reached};
+use meissner_array::strokes::{
+    AutoSurplus, Fit, Ordered, StrokeOptions, Strokes, StrokesError, Surplus, ordered, reached,
+};
 use meissner_array::units::UM_PER_PULSE;
 use meissner_test_support::patterns::{self, drive};
 use proptest::prelude::*;
@@ -152,9 +154,15 @@ proptest! {
         let reached = reached(&pattern, &options).unwrap();
         for motor in 0..24 {
             let drives = pattern.drives().iter().zip(&reached).filter(|(drive, _)| drive.motor == motor);
-            let count: u64 = drives.map(|(_, reached)| reached.strokes.unwrap()).sum();
+            let count: u64 = drives.clone().map(|(_, reached)| reached.strokes.unwrap()).sum();
             prop_assert_eq!(count, strokes.iter().filter(|stroke| stroke.motor == motor).count() as u64);
+            let over = drives.filter_map(|(_, reached)| reached.over).max();
+            let last = strokes.iter().filter(|stroke| stroke.motor == motor).map(|stroke| stroke.end().0).max();
+            prop_assert_eq!(over, last);
         }
+        let pulses = strokes.iter().map(|stroke| u64::from(stroke.pulses())).sum();
+        let counted = Ordered { strokes: strokes.len() as u64, pulses: Some(pulses) };
+        prop_assert_eq!(ordered(&pattern, &options, 1 << 20).unwrap(), Some(counted));
     }
 
     #[test]
@@ -233,6 +241,22 @@ fn seconds_truncate_and_a_stroke_is_whole_or_absent() {
 }
 
 #[test]
+fn a_play_of_years_is_counted_at_once_unless_it_is_saturated() {
+    let counted =
+        |pattern: &Pattern, seconds| ordered(pattern, &StrokeOptions::lasting(seconds), 1 << 20).unwrap();
+    let steady = pattern(Some(0.5), (0..24).map(|motor| drive(motor, 60.0, 80.0)).collect());
+    let strokes = 24 * 60 * 100_000_000;
+    assert_eq!(counted(&steady, Some(1e8)), Some(Ordered { strokes, pulses: Some(strokes * 2 * 589) }));
+    assert_eq!(counted(&pattern(None, vec![drive(0, 60.0, 80.0)]), None), None);
+    let saturated = pattern(None, vec![drive(0, 300.0, 80.0)]);
+    // 141 pulses fit into half of every period, and one more into some.
+    let minute = counted(&saturated, Some(60.0)).unwrap();
+    let pulses = minute.pulses.unwrap();
+    assert!(minute.strokes == 18_000 && pulses > 18_000 * 2 * 141 && pulses < 18_000 * 2 * 142, "{minute:?}");
+    assert_eq!(counted(&saturated, Some(1e6)), Some(Ordered { strokes: 300_000_000, pulses: None }));
+}
+
+#[test]
 fn a_play_may_cover_its_end_with_whole_strokes() {
     // "300 ms" at 60 Hz and 80 um: the last stroke begins at 300 ms - 16.7 ms, and ends at 298.6 ms.
     let cover = |pattern: &Pattern, seconds: Option<f64>| {
@@ -257,6 +281,11 @@ fn a_play_may_cover_its_end_with_whole_strokes() {
         (0, (1, 12_750 + 4_250 + 589, Some(1)))
     );
     assert_eq!(cover(&slow, Some(0.0)), (0, 0, Some(0)));
+    // If the last repeat has no stroke, the last one of all is in an earlier repeat.
+    let late = pattern(Some(0.2), vec![Drive { start_s: Some(0.1), ..drive(0, 60.0, 80.0) }]);
+    let over = reached(&late, &StrokeOptions::lasting(0.45)).unwrap()[0].over.unwrap();
+    assert_eq!(over, all(&late, Some(0.45)).last().unwrap().end().0);
+    assert!(over < 34_000);
     // A drive that must have stopped stops.
     let stops = pattern(None, vec![Drive { stop_s: Some(0.05), ..drive(0, 10.0, 80.0) }]);
     assert_eq!(cover(&stops, None), (0, 4_250, Some(0)));

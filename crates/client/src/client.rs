@@ -100,6 +100,14 @@ impl Client {
         self.call(Method::PUT, path, text.into(), ANSWER_TIMEOUT)
     }
 
+    /// Sends a `DELETE` and reads the JSON answer.
+    ///
+    /// # Errors
+    /// See [`ClientError`].
+    pub fn delete<T: DeserializeOwned>(&mut self, path: &str) -> Result<T, ClientError> {
+        self.call(Method::DELETE, path, Bytes::new(), ANSWER_TIMEOUT)
+    }
+
     fn call<T: DeserializeOwned>(
         &mut self,
         method: Method,

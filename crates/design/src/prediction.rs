@@ -25,12 +25,12 @@ use serde::{Deserialize, Serialize};
 pub const MOST_OBSERVED_S: f64 = 60.0;
 
 /// A play, and the time for which it was observed.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Play<'p> {
     /// Its pattern.
     pub pattern: &'p Pattern,
-    /// The requested duration, s, as for [`Strokes::new`].
-    pub seconds: Option<f64>,
+    /// How the play differs from it.
+    pub options: StrokeOptions,
     /// Its first tick.
     pub onset: Tick,
     /// The time from the onset for which its bursts are known, s. At most the requested duration counts.
@@ -97,8 +97,9 @@ pub fn predict_response(
     play: &Play<'_>,
     bursts: impl IntoIterator<Item = (u8, Ramp)>,
 ) -> Result<PredictedResponse, PredictionError> {
-    let &Play { pattern, seconds, onset, observed_s } = play;
-    let strokes = Strokes::new(pattern, &StrokeOptions::lasting(seconds))?;
+    let Play { pattern, options, onset, observed_s } = play;
+    let (&onset, &observed_s) = (onset, observed_s);
+    let strokes = Strokes::new(pattern, options)?;
     let lasts_s = strokes.end().map_or(f64::INFINITY, ticks_to_seconds);
     let observed_s = observed_s.min(lasts_s).min(MOST_OBSERVED_S);
     // `min` would have turned NaN into a minute.

@@ -130,13 +130,12 @@ fn pattern(name: &str) -> Pattern {
 }
 
 fn play(pattern: &Pattern, seconds: f64) -> Play<'_> {
-    Play { pattern, seconds: Some(seconds), onset: ONSET, observed_s: seconds }
+    Play { pattern, options: StrokeOptions::lasting(seconds), onset: ONSET, observed_s: seconds }
 }
 
 /// The bursts of the pattern, from the onset.
 fn designed(play: &Play<'_>) -> Vec<(u8, Ramp)> {
-    let strokes =
-        Strokes::new(play.pattern, &StrokeOptions::lasting(play.seconds)).unwrap().map(Result::unwrap);
+    let strokes = Strokes::new(play.pattern, &play.options).unwrap().map(Result::unwrap);
     let ramp =
         |Burst { start, direction, pulses }| Ramp::new(play.onset + start.0, pulses.into(), direction, 1.0);
     strokes.flat_map(|stroke| stroke.bursts().map(|burst| (stroke.motor, ramp(burst)))).collect()
@@ -232,7 +231,7 @@ fn only_the_observed_time_counts() {
     let pattern = pattern("edge-45");
     let play = play(&pattern, 1.0);
     for nothing in [0.0, -1.0, f64::NAN] {
-        let found = predict_response(&Play { observed_s: nothing, ..play }, []);
+        let found = predict_response(&Play { observed_s: nothing, ..play.clone() }, []);
         assert!(matches!(found, Err(PredictionError::Nothing { .. })), "{nothing}: {found:?}");
     }
     // No burst was played.
@@ -245,8 +244,8 @@ fn only_the_observed_time_counts() {
     let found = predict_response(&play, bursts).unwrap();
     assert_eq!(found.played_hz, found.designed_hz);
     // Longer than requested, and longer than a minute.
-    assert_eq!(predict_response(&Play { observed_s: 9.0, ..play }, []).unwrap().seconds, 1.0);
-    let long = Play { seconds: Some(70.0), observed_s: 65.0, ..play };
+    assert_eq!(predict_response(&Play { observed_s: 9.0, ..play.clone() }, []).unwrap().seconds, 1.0);
+    let long = Play { options: StrokeOptions::lasting(70.0), observed_s: 65.0, ..play };
     assert_eq!(predict_response(&long, []).unwrap().seconds, 60.0);
 }
 

@@ -5,10 +5,11 @@
 //! Invariant: `planned = played + late + dropped + refused`. The device reports each late and each refused stroke, and counts
 //! the bursts played between the play's onset and its end. The rest was dropped.
 
-use crate::queues::{At, End, Onset, Outcome, Play};
+use crate::control::Cutting;
+use crate::queues::{At, End, Offset, Onset, Outcome, Play, RestErrors};
 use crate::time::HostInstant;
 use firmware_protocol::message::Counters;
-use firmware_protocol::stroke::{MOTORS, Stroke};
+use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_api::{BurstCounts, LateCause, LateCounts, PulseCounts};
 use std::time::Duration;
@@ -48,13 +49,31 @@ pub(super) struct Active {
     pub(super) cut: Option<(End, &'static str)>,
     /// The device's counters at the onset, once it has passed.
     pub(super) counters_at_onset: Option<Counters>,
+    /// When the device cut it, once it has reported that, and when its last pulse was over.
+    pub(super) cut_at: Option<(Cutting, Option<Tick>)>,
     actual_onset: Option<Onset>,
+    rest_at_onset: Option<RestErrors>,
     planned_strokes: u64,
     planned_pulses: u64,
     late_strokes: u64,
     refused_strokes: u64,
     lateness: LateCounts,
     wire_from: u64,
+}
+
+/// What is known of a play at its end.
+#[derive(Debug)]
+pub(super) struct Ending {
+    /// The device's counters after the play; `None` if there are none.
+    pub(super) after: Option<Counters>,
+    /// Bytes sent to the device so far.
+    pub(super) wire: u64,
+    /// When the last pulse was over.
+    pub(super) offset: Option<Offset>,
+    /// When it was cut, if it was.
+    pub(super) cut: Option<Tick>,
+    /// The rest errors.
+    pub(super) rest: RestErrors,
 }
 
 /// The first onset is tried this far ahead: the render horizon, the link and a wake-up.
@@ -79,7 +98,9 @@ impl Active {
             last_end: Tick(0),
             cut: None,
             counters_at_onset: None,
+            cut_at: None,
             actual_onset: None,
+            rest_at_onset: None,
             planned_strokes: 0,
             planned_pulses: 0,
             late_strokes: 0,
@@ -103,6 +124,11 @@ impl Active {
     /// The first tick after the play, if it has an end and an onset.
     pub(super) fn end(&self) -> Option<Tick> {
         Some(self.onset? + self.play.strokes.end()?)
+    }
+
+    /// The end of the play, for those to which its strokes matter; the last tick of all if it has no end.
+    pub(super) fn until(&self) -> Tick {
+        self.end().unwrap_or(Tick(u64::MAX))
     }
 
     /// The earliest tick at which a stroke of `motor` that is not sent yet may begin.
@@ -147,23 +173,20 @@ impl Active {
         self.refused_strokes += 1;
     }
 
-    /// The onset has passed.
-    pub(super) fn began(&mut self, onset: Onset, counters: Counters) {
+    /// The onset has passed, with these rest errors.
+    pub(super) fn began(&mut self, onset: Onset, counters: Counters, rest: RestErrors) {
         self.counters_at_onset = Some(counters);
         self.actual_onset = Some(onset);
+        self.rest_at_onset = Some(rest);
     }
 
     pub(super) fn started(&self) -> Option<Onset> {
         self.actual_onset
     }
 
-    /// Closes the account with the device's counters after the play; `None` if there are none.
-    pub(super) fn close(
-        self,
-        after: Option<Counters>,
-        wire: u64,
-        rest_error_um: [f32; MOTORS],
-    ) -> (u64, Outcome) {
+    /// Closes the account with what is known at its end.
+    pub(super) fn close(self, ending: Ending) -> (u64, Outcome) {
+        let Ending { after, wire, offset, cut, rest } = ending;
         let since = |now: fn(&Counters) -> u64| match (&after, &self.counters_at_onset) {
             (Some(after), Some(counters_at_onset)) => now(after).saturating_sub(now(counters_at_onset)),
             _ => 0,
@@ -185,11 +208,14 @@ impl Active {
             end,
             cause,
             onset: self.actual_onset,
+            offset,
+            cut_after: cut.zip(self.actual_onset).map(|(at, onset)| at - onset.actual),
             bursts,
             pulses: PulseCounts { planned: self.planned_pulses, played: since(|counters| counters.pulses) },
             lateness: self.lateness,
             wire_bytes: if self.onset.is_some() { wire.saturating_sub(self.wire_from) } else { 0 },
-            rest_error_um,
+            rest_at_onset: self.rest_at_onset,
+            rest_at_end: rest,
             play: self.play,
         };
         (outcome.play.id, outcome)

@@ -131,7 +131,7 @@ impl MotorRun {
         while now < end {
             now = now + WAKE_UP;
             while let Some(stroke) = next.filter(|stroke| stroke.up < now + lead.max(2 * FINALISE_AT)) {
-                controller.sent(&stroke, self.closed, end);
+                controller.sent(&stroke, self.closed, end, |_, _| ());
                 controller.accepted(stroke.up);
                 motor.queue.push_back((stroke, stroke.up_pulses));
                 next = strokes.next();
@@ -151,7 +151,7 @@ impl MotorRun {
             }
             while let Some((tick, y)) = samples.front().copied().filter(|(tick, _)| *tick + age <= now) {
                 samples.pop_front();
-                controller.advance(tick, Some(tick), |_| (), |_| ());
+                controller.advance(tick, Some(tick), |_| (), |_, _| ());
                 controller.telemetry(tick, f64::from(y) * 0.01, |_| ());
                 sampled = tick;
             }

@@ -7,6 +7,8 @@ mod capacity;
 mod closed_loop;
 /// Drift without telemetry: estimate, limit, what calibration and `home` do about it.
 mod drift;
+/// What a play's account says of its end: offset, cut, rest errors.
+mod endings;
 /// Calibration from a laser's recording.
 mod laser;
 /// A device that lies: undamaged messages that cannot be true.

@@ -4,10 +4,10 @@
 //! response is not predicted.
 
 use crate::daemon::predictor::MeasuredPlay;
-use crate::receipts::{MeasuredBursts, PlayedPattern, Receipts};
+use crate::receipts::{MeasuredBursts, Order, PlayedPattern, Receipts, fit_name};
 use crate::session_record::Peer;
 use crate::store::Stored;
-use meissner_api::{Event, Labels, Receipt};
+use meissner_api::{Event, Labels, OrderedCounts, Receipt};
 use meissner_array::pattern::Pattern;
 use meissner_array::strokes::StrokeOptions;
 use std::collections::HashMap;
@@ -17,7 +17,11 @@ use std::sync::Arc;
 #[derive(Debug)]
 pub(in crate::daemon) struct NewPlay {
     pub(in crate::daemon) stored: Stored,
+    /// How it differs from its pattern.
     pub(in crate::daemon) options: StrokeOptions,
+    pub(in crate::daemon) order: Order,
+    /// What it counts; `None` if it has no end.
+    pub(in crate::daemon) counts: Option<OrderedCounts>,
     pub(in crate::daemon) trial: Trial,
     pub(in crate::daemon) client: Peer,
 }
@@ -30,13 +34,22 @@ pub(in crate::daemon) struct Trial {
     pub(in crate::daemon) labels: Labels,
 }
 
+/// What is kept of a play for its prediction.
+#[derive(Debug)]
+struct Unpredicted {
+    pattern: Arc<Pattern>,
+    options: StrokeOptions,
+    /// The device measures bursts.
+    telemetry: bool,
+}
+
 /// See the module.
 #[derive(Debug, Default)]
 pub(in crate::daemon) struct Plays {
     pub(in crate::daemon) receipts: Receipts,
     pub(in crate::daemon) measured: MeasuredBursts,
-    /// Plays without a prediction: the pattern, how it became strokes, and whether the device measures bursts.
-    unpredicted: HashMap<u64, (Arc<Pattern>, StrokeOptions, bool)>,
+    /// Plays without a prediction.
+    unpredicted: HashMap<u64, Unpredicted>,
     /// The clients of the plays that are not over.
     clients: HashMap<u64, Peer>,
     last_id: u64,
@@ -45,15 +58,17 @@ pub(in crate::daemon) struct Plays {
 impl Plays {
     /// Gives a play an id and a receipt.
     pub(in crate::daemon) fn add(&mut self, play: NewPlay) -> u64 {
-        let NewPlay { stored: Stored { pattern, sha256, .. }, options, trial, client } = play;
+        let NewPlay { stored: Stored { pattern, sha256, .. }, options, order, counts, trial, client } = play;
         let telemetry = self.receipts.device().is_some_and(|device| device.telemetry);
         self.last_id += 1;
         let id = self.last_id;
         let Trial { session, number, labels } = trial;
         let receipt = Receipt::new(id, pattern.name(), &sha256, options.seconds);
-        self.receipts.add(Receipt { session, trial: number, labels, ..receipt });
+        let mut receipt = Receipt { session, trial: number, labels, ..receipt };
+        order.enter(&mut receipt, fit_name(options.fit), counts);
+        self.receipts.add(receipt);
         self.clients.insert(id, client);
-        self.unpredicted.insert(id, (pattern, options, telemetry));
+        self.unpredicted.insert(id, Unpredicted { pattern, options, telemetry });
         id
     }
 
@@ -86,9 +101,16 @@ impl Plays {
         self.clients.remove(&id)
     }
 
+    /// An endless play that is not over: its pattern and options.
+    pub(in crate::daemon) fn endless(&self, id: u64) -> Option<(Arc<Pattern>, StrokeOptions)> {
+        self.receipts.receipt(id).filter(|receipt| receipt.ordered.is_none())?;
+        let Unpredicted { pattern, options, .. } = self.unpredicted.get(&id)?;
+        Some((Arc::clone(pattern), options.clone()))
+    }
+
     /// A play with its measured bursts, once.
     pub(in crate::daemon) fn take_measured(&mut self, id: u64) -> Option<MeasuredPlay> {
-        let (pattern, options, telemetry) = self.unpredicted.remove(&id)?;
+        let Unpredicted { pattern, options, telemetry } = self.unpredicted.remove(&id)?;
         let receipt = self.receipts.receipt(id)?.clone();
         let played = PlayedPattern::of(&receipt, &pattern, options.clone());
         let bursts = played.map(|play| self.measured.within(play.onset, play.until()).copied().collect());

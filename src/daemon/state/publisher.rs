@@ -3,7 +3,7 @@
 //! An event is written once, as the bytes of its server-sent event; all listeners share them.
 //!
 //! Bounds: a listener may be [`EVENTS`] behind, then it gets [`Event::Lagged`]. The events that wait take at most 25 MB: the
-//! receipt of a play has at most 24 KiB.
+//! receipt of a play has at most 32 KiB.
 
 use crate::session_record::{Entry, Peer, SessionRecord};
 use axum::body::Bytes;
@@ -61,8 +61,10 @@ impl Publisher {
 mod tests {
     use super::*;
     use meissner_api::{
-        BurstCounts, LateCause, LateCounts, LateStroke, LatenessRecord, LinkTraffic, MAX_LISTED, OnsetRecord,
-        PlayState, PredictedResponse, Prediction, PulseCounts, Rates, Receipt, RefusedStroke,
+        BurstCounts, DurationRecord, ErrorSource, LateCause, LateCounts, LateStroke, LatenessRecord,
+        LinkTraffic, MAX_DRIVES_LISTED, MAX_LISTED, MAX_WARNINGS_LISTED, MotorRestError, OffsetRecord,
+        OnsetRecord, OrderedCounts, PlayState, PredictedResponse, Prediction, PulseCounts, Rates,
+        ReachedDrive, Receipt, RefusedStroke,
     };
 
     #[test]
@@ -116,10 +118,40 @@ mod tests {
             refusals: vec![refused; MAX_LISTED],
             wire: Some(LinkTraffic { bytes_to_device: most, bytes_per_burst: Some(number) }),
             rest_error_um: Some(vec![number as f32; 24]),
+            offset: Some(OffsetRecord { tick: most, monotonic_ns: most, uncertainty_ns: most }),
+            cut_after_ms: Some(number),
+            duration_ms: DurationRecord {
+                ordered: Some(number),
+                compiled: Some(number),
+                played: Some(number),
+            },
+            ordered: Some(OrderedCounts { bursts: most, pulses: Some(most) }),
+            rest_errors: Some(vec![
+                MotorRestError {
+                    motor: 23,
+                    onset_um: Some(number as f32),
+                    onset_source: Some(ErrorSource::DeadReckoning),
+                    offset_um: number as f32,
+                    offset_source: ErrorSource::DeadReckoning,
+                };
+                24
+            ]),
+            drives: vec![
+                ReachedDrive {
+                    drive: 4096,
+                    motor: 23,
+                    ordered_um: 399.999,
+                    reached_um: 399.999,
+                    surplus_um: 119.999,
+                    strokes: Some(most),
+                };
+                MAX_DRIVES_LISTED
+            ],
+            warnings: vec!["x".repeat(160); MAX_WARNINGS_LISTED + 1],
             prediction: Prediction { response: Some(response), unknown: None },
             ..Receipt::new(most, &"x".repeat(64), &"0".repeat(64), Some(number))
         };
         let frame = frame(&Event::Ended { receipt: Box::new(receipt) });
-        assert!((20 << 10..24 << 10).contains(&frame.len()), "{} bytes", frame.len());
+        assert!((28 << 10..32 << 10).contains(&frame.len()), "{} bytes", frame.len());
     }
 }

@@ -3,7 +3,7 @@
 use firmware_protocol::stroke::{Burst, Lines};
 use meissner_array::motor::Ramp;
 use meissner_array::simulated::{SimulatedMotors, SimulatedMotorsConfig};
-use meissner_array::strokes::{StrokeOptions, Strokes};
+use meissner_array::strokes::Strokes;
 use meissner_design::Play;
 
 /// The bursts of simulated motors without control, with their motors. Each has the travel from its pin's position before
@@ -13,7 +13,7 @@ pub fn by_simulated_motors(
     play: &Play<'_>,
     most_ticks: u16,
 ) -> Vec<(u8, Ramp)> {
-    let mut strokes = Strokes::new(play.pattern, &StrokeOptions::lasting(play.seconds)).unwrap();
+    let mut strokes = Strokes::new(play.pattern, &play.options).unwrap();
     strokes.begin(play.onset);
     let bursts = strokes.flat_map(|stroke| {
         let stroke = stroke.unwrap();

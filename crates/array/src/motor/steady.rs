@@ -33,6 +33,15 @@ pub struct SteadyState {
 }
 
 impl SteadyState {
+    /// Displacement of a drive of `amplitude_um`, peak to peak, µm, before anything is rounded to pulses and ticks.
+    ///
+    /// # Errors
+    /// The first argument that is out of range.
+    pub fn ideal_um(frequency_hz: f64, amplitude_um: f64) -> Result<f64, MotorError> {
+        SquareWave::new(frequency_hz, amplitude_um, 0.0)?;
+        Ok(ideal(frequency_hz, amplitude_um))
+    }
+
     /// The steady state of a drive of `amplitude_um` peak to peak.
     ///
     /// # Errors

@@ -16,11 +16,13 @@ mod lane;
 mod options;
 mod reached;
 mod repeat;
+mod shortfall;
 
 pub use drive::DriveStrokes;
 pub use error::StrokesError;
 pub use options::{AutoSurplus, Fit, StrokeOptions, Surplus};
-pub use reached::{Reached, reached};
+pub use reached::{Ordered, Reached, ordered, reached};
+pub use shortfall::{DriveAmplitude, LEAST_SHARE, LEAST_UM, Shortfall, amplitudes};
 
 use crate::pattern::Pattern;
 use crate::units::seconds_to_ticks;
@@ -51,7 +53,7 @@ impl Strokes {
     /// If an option is outside its range.
     pub fn new(pattern: &Pattern, options: &StrokeOptions) -> Result<Self, StrokesError> {
         options.check()?;
-        let end = end(pattern, options.seconds);
+        let end = ordered_end(pattern, options.seconds);
         let lanes = (0..MOTORS as u8)
             .map(|motor| Lane::of(motor, pattern, end, options))
             .filter_map(Result::transpose);
@@ -142,8 +144,9 @@ impl Iterator for Strokes {
     }
 }
 
-/// The end of a play as asked for, in ticks; `None`: without end.
-fn end(pattern: &Pattern, seconds: Option<f64>) -> Option<u64> {
+/// The end of a play as asked for, by its duration, the pattern's, or the last drive's, in ticks; `None`: without end.
+#[must_use]
+pub fn ordered_end(pattern: &Pattern, seconds: Option<f64>) -> Option<u64> {
     let mut stops = pattern.drives().iter().map(|drive| drive.stop_s);
     let last_stop = stops.try_fold(0.0, |last: f64, stop| stop.map(|stop| last.max(stop)));
     seconds.or(pattern.duration_s()).or(last_stop).map(seconds_to_ticks)

@@ -1,6 +1,8 @@
-//! What each drive of a pattern reaches in a play: its amplitude, its surplus, and how many strokes it plays.
+//! What each drive of a pattern reaches in a play: its amplitude, its surplus, how many strokes it plays, and until when; and what
+//! the whole play counts.
 //!
-//! Strokes are counted by their numbers, so the time does not depend on how long the play is.
+//! Strokes are counted by their numbers, so the time does not depend on how long the play is. The pulses of a saturated drive
+//! are not: their number changes from stroke to stroke, and [`ordered`] walks so many of them as it may.
 //!
 //! Invariant: the counts are those of the strokes that [`Strokes`](super::Strokes) returns.
 
@@ -21,6 +23,77 @@ pub struct Reached {
     pub surplus_um: f64,
     /// Strokes that it plays; `None`: without end.
     pub strokes: Option<u64>,
+    /// When the last of them has ended, ticks from the onset; `None`: without end, or without strokes.
+    pub over: Option<u64>,
+}
+
+/// What a play counts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Ordered {
+    /// Strokes of all drives.
+    pub strokes: u64,
+    /// Pulses of their bursts; `None` if too many strokes would have to be walked.
+    pub pulses: Option<u64>,
+}
+
+/// What a play of a pattern counts; `None` if it has no end. Walks at most `walked` strokes of saturated drives, all drives
+/// together: a million takes 30 ms.
+///
+/// # Errors
+/// If an option is outside its range.
+pub fn ordered(
+    pattern: &Pattern,
+    options: &StrokeOptions,
+    walked: u64,
+) -> Result<Option<Ordered>, StrokesError> {
+    let mut ordered = Ordered { strokes: 0, pulses: Some(0) };
+    let mut budget = walked;
+    for played in played(pattern, options)? {
+        let Some(parts) = played.parts else { return Ok(None) };
+        for Part { repeats, strokes, .. } in parts {
+            ordered.strokes += repeats * strokes;
+            let pulses = if repeats == 0 { Some(0) } else { played.strokes.pulses_of(strokes, &mut budget) };
+            ordered.pulses = ordered.pulses.zip(pulses).map(|(sum, pulses)| sum + repeats * pulses);
+        }
+    }
+    Ok(Some(ordered))
+}
+
+/// The strokes of a drive in a play.
+struct Played {
+    strokes: DriveStrokes,
+    /// The repeats, in three kinds; `None`: without end.
+    parts: Option<[Part; 3]>,
+}
+
+/// Repeats in which a drive plays the same number of strokes.
+#[derive(Clone, Copy, Default)]
+struct Part {
+    repeats: u64,
+    /// Strokes in each.
+    strokes: u64,
+    /// When the last of them begins.
+    last: u64,
+}
+
+/// The strokes of each drive, in the order of the pattern.
+fn played(pattern: &Pattern, options: &StrokeOptions) -> Result<Vec<Played>, StrokesError> {
+    options.check()?;
+    let end = super::ordered_end(pattern, options.seconds);
+    let drives = pattern.drives().iter().map(|drive| {
+        let strokes = DriveStrokes::with(drive, options)
+            .map_err(|source| StrokesError::Drive { motor: drive.motor, source })?;
+        let parts = if strokes.clone().next().is_none() {
+            Some([Part::default(); 3])
+        } else if let Some(end) = end {
+            Some(parts(&strokes, pattern.duration_s(), end, options.fit))
+        } else {
+            let only = || Part { repeats: 1, strokes: strokes.begun_before(NEVER), last: 0 };
+            drive.stop_s.map(|_| [Part::default(), Part::default(), only()])
+        };
+        Ok(Played { strokes, parts })
+    });
+    drives.collect()
 }
 
 /// What each drive of a pattern reaches, in the order of the pattern.
@@ -28,41 +101,58 @@ pub struct Reached {
 /// # Errors
 /// If an option is outside its range.
 pub fn reached(pattern: &Pattern, options: &StrokeOptions) -> Result<Vec<Reached>, StrokesError> {
-    options.check()?;
-    let end = super::end(pattern, options.seconds);
-    let drives = pattern.drives().iter().map(|drive| {
-        let strokes = DriveStrokes::with(drive, options)
-            .map_err(|source| StrokesError::Drive { motor: drive.motor, source })?;
-        let count = if strokes.clone().next().is_none() {
-            Some(0)
-        } else {
-            end.map(|end| count(&strokes, pattern.duration_s(), end, options.fit))
-                .or_else(|| drive.stop_s.map(|_| strokes.begun_before(NEVER)))
-        };
+    let drives = played(pattern, options)?.into_iter().map(|Played { strokes, parts }| {
         let first = strokes.number(0);
         let um = |pulses| f64::from(pulses) * UM_PER_PULSE;
         let (amplitude_um, surplus_um) =
             if first.pulses > 0 { (um(first.pulses), um(first.surplus)) } else { (0.0, 0.0) };
-        Ok(Reached { amplitude_um, surplus_um, strokes: count })
+        let count = parts.map(|parts| parts.iter().map(|part| part.repeats * part.strokes).sum());
+        let with_strokes = parts.into_iter().flatten().filter(|part| part.repeats > 0 && part.strokes > 0);
+        let over = with_strokes.map(|part| part.last + strokes.number(part.strokes - 1).end()).max();
+        Reached { amplitude_um, surplus_um, strokes: count, over }
     });
-    drives.collect()
+    Ok(drives.collect())
 }
 
-/// The strokes of a drive in a play that ends at `end`. Whole repeats last so many ticks or one more.
+/// The strokes of a drive in a play that ends at `end`: in whole repeats that last so many ticks, in those that last one more,
+/// and in the last repeat.
 #[expect(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
     reason = "the cast is the floor of a checked duration"
 )]
-fn count(strokes: &DriveStrokes, duration_s: Option<f64>, end: u64, fit: Fit) -> u64 {
+fn parts(strokes: &DriveStrokes, duration_s: Option<f64>, end: u64, fit: Fit) -> [Part; 3] {
     let last = Repeat::last(duration_s, end);
     let short = duration_s.map_or(0, |duration_s| seconds_in_ticks(duration_s) as u64);
-    let longer = last.start.saturating_sub(last.number * short).min(last.number);
+    let longer_before =
+        |number: u64| Repeat::of(number, duration_s).start.saturating_sub(number * short).min(number);
+    let longer = longer_before(last.number);
     let in_repeat = |ticks| strokes.shifted(0, ticks).begun_before(NEVER);
     let in_last = match fit {
         Fit::Whole => in_repeat(last.end.min(end) - last.start.min(end)),
         Fit::Cover => strokes.begun_before(end - last.start.min(end)),
     };
-    let whole = |repeats: u64, ticks| if repeats > 0 { repeats * in_repeat(ticks) } else { 0 };
-    whole(last.number - longer, short) + whole(longer, short + 1) + in_last
+    let whole = |repeats: u64, ticks: u64, is_one: &dyn Fn(u64) -> bool| {
+        if repeats == 0 {
+            return Part::default();
+        }
+        let number = last_repeat(last.number, is_one);
+        Part { repeats, strokes: in_repeat(ticks), last: Repeat::of(number, duration_s).start }
+    };
+    [
+        // Up to repeat `number` fewer repeats are of this kind than before the last one, until the last of the kind.
+        whole(last.number - longer, short, &|number| number - longer_before(number) < last.number - longer),
+        whole(longer, short + 1, &|number| longer_before(number) < longer),
+        Part { repeats: 1, strokes: in_last, last: last.start },
+    ]
+}
+
+/// The last repeat before `end` for which a condition holds that holds for the first, and no more once it does not.
+fn last_repeat(end: u64, holds: &dyn Fn(u64) -> bool) -> u64 {
+    let (mut one, mut none) = (0, end);
+    while one + 1 < none {
+        let middle = u64::midpoint(one, none);
+        if holds(middle) { one = middle } else { none = middle }
+    }
+    one
 }

@@ -61,7 +61,8 @@ pub(super) fn contrasts(
             ramps.push((drive.motor, Ramp::travelled(burst.start, moving, travel_um)));
         }
     }
-    let play = Play { pattern, seconds: Some(seconds), onset: Tick(0), observed_s: seconds };
+    let designed = StrokeOptions::lasting(seconds);
+    let play = Play { pattern, options: designed, onset: Tick(0), observed_s: seconds };
     let response = predict_response(&play, ramps)?;
     let contrast = |rates: Rates| rates.contrast.unwrap_or_default();
     Ok([contrast(response.designed_hz), contrast(response.played_hz)])

@@ -44,6 +44,8 @@ pub(crate) const FINALISE_EARLY: u64 = FINALISE_AT + TICKS_PER_MS * 2;
 pub(crate) const LONGEST_AGE: u64 = TICKS_PER_S * 5 / 4;
 /// Strokes of one motor that may begin in [`LONGEST_AGE`], at 300 Hz.
 const PAST: usize = 400;
+/// Strokes that a motor remembers after a cut: those that began until the device said when it cut. It says so within milliseconds.
+const CUT: usize = 8;
 /// Without room to lengthen the down burst, the top is lowered by so many standard deviations of the scatter.
 const HEADROOM: f64 = 0.5;
 /// Asymmetry of the gains up and down without calibration, one standard deviation.
@@ -74,7 +76,40 @@ struct Correction {
     rest_um: f32,
 }
 
+/// When the device cut what it played, and whether it then returned the pins.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Cutting {
+    /// The first tick in which nothing of the queue was played.
+    pub(crate) at: Tick,
+    /// Whether the pins return from then on; after an e-stop or a fault they stay where they are.
+    pub(crate) returns: bool,
+}
+
+/// Too many strokes began between the cut and the report of it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Forgotten;
+
 impl Queued {
+    /// When its last pulse is over, if the device cut it after it had begun. A return takes the pulses that an up burst has
+    /// played, and its surplus, or the rest of the down burst.
+    fn over_at(&self, cut: Cutting) -> Tick {
+        let Cutting { at, returns } = cut;
+        let [up, down] = self.stroke.bursts();
+        let whole = self.stroke.end();
+        if whole <= at {
+            whole
+        } else if at < up.end() {
+            let surplus = self.planned[1].saturating_sub(self.planned[0]);
+            if returns { at + (at - up.start) + u64::from(surplus) } else { at }
+        } else if at < down.start {
+            if returns { at + u64::from(down.pulses) } else { up.end() }
+        } else if returns {
+            whole
+        } else {
+            at
+        }
+    }
+
     fn burst(&self, half: usize) -> Burst {
         self.stroke.bursts()[half]
     }
@@ -84,6 +119,8 @@ impl Queued {
 #[derive(Debug)]
 pub(crate) struct BurstController {
     queue: VecDeque<Queued>,
+    /// The last strokes that had begun when the queue was last cut.
+    cut: heapless::Deque<Queued, CUT>,
     /// How many bursts at the front of `queue` the estimator knows as begun.
     begun: usize,
     /// How many bursts at the front of `queue` have a final count.
@@ -126,6 +163,7 @@ impl BurstController {
         queue.clear();
         Self {
             queue,
+            cut: heapless::Deque::new(),
             begun: 0,
             finalised: 0,
             pending: [0; 2],
@@ -147,13 +185,19 @@ impl BurstController {
         self.lower_stop = lower_stop;
     }
 
-    /// Tracks a stroke sent; its play ends at `until`. Strokes come in order.
-    pub(crate) fn sent(&mut self, stroke: &Stroke, closed_loop: bool, until: Tick) {
+    /// Tracks a stroke sent; its play ends at `until`. Strokes come in order. Calls `gone` as [`Self::advance`] does.
+    pub(crate) fn sent(
+        &mut self,
+        stroke: &Stroke,
+        closed_loop: bool,
+        until: Tick,
+        gone: impl FnMut(&Stroke, Tick),
+    ) {
         // Without telemetry past strokes leave the queue here: it is as bounded as the device's pool.
         if self.queue.len() == self.queue.capacity()
             && let Some(first) = self.queue.front()
         {
-            self.advance(first.stroke.end() + 1, None, |_| (), |_| ());
+            self.advance(first.stroke.end() + 1, None, |_| (), gone);
         }
         let planned = [stroke.up_pulses, stroke.down_pulses];
         let (counted, accepted, corrections) = ([0; 2], false, [None; 2]);
@@ -174,10 +218,11 @@ impl BurstController {
 
     /// The device will not play the stroke.
     pub(crate) fn withdrawn(&mut self, up: Tick) {
+        self.cut.retain(|queued| queued.stroke.up != up);
         let Some(at) = self.find(up) else { return };
         if self.begun > 2 * at {
             // The estimator took it as played: the position is unknown until the next sample.
-            self.queue[at].closed_loop = false;
+            (self.queue[at].closed_loop, self.queue[at].accepted) = (false, false);
             self.estimator.lose_position();
             return;
         }
@@ -205,6 +250,19 @@ impl BurstController {
         }
     }
 
+    /// Remembers the last strokes that have begun by `tick`, when the device has cut them or shortly after.
+    pub(crate) fn remember(&mut self, tick: Tick) {
+        if self.queue.is_empty() {
+            return;
+        }
+        self.cut.clear();
+        let begun = self.queue.iter().filter(|queued| queued.stroke.up < tick);
+        for queued in begun.rev().take(CUT) {
+            // Cannot fail: there is room for as many.
+            let _ = self.cut.push_front(*queued);
+        }
+    }
+
     /// The device has flushed the queue and returns the pin.
     pub(crate) fn cut(&mut self) {
         let rest_um = self.rest_um();
@@ -224,6 +282,27 @@ impl BurstController {
             self.scattered += 2.0 * unsure * unsure;
         }
         (self.anchored, self.move_from) = (false, None);
+    }
+
+    /// When the last pulse is over of the strokes that began at `from` or later and before `until`, and that the device has not
+    /// played whole when it cut at `cut`, if it did; `returns`: it then plays their outstanding return pulses. [`Strokes`
+    /// that have left the queue](Self::advance) are not among them. `Err`: too many strokes began after that cut.
+    pub(crate) fn over_at(
+        &self,
+        from: Tick,
+        until: Tick,
+        cut: Option<Cutting>,
+    ) -> Result<Option<Tick>, Forgotten> {
+        let at = cut.map_or(Tick(u64::MAX), |cut| cut.at);
+        if self.cut.is_full() && self.cut.front().is_some_and(|first| first.stroke.up >= at.max(from)) {
+            return Err(Forgotten);
+        }
+        let queued = self.queue.iter().filter(|queued| queued.accepted || cut.is_some());
+        let played = self.cut.iter().chain(queued).filter(|queued| {
+            let up = queued.stroke.up;
+            up >= from && up < until.min(at)
+        });
+        Ok(played.map(|queued| cut.map_or(queued.stroke.end(), |cut| queued.over_at(cut))).max())
     }
 
     /// The operator says that the pin is at rest.
@@ -339,13 +418,13 @@ impl BurstController {
     /// The device has reported which strokes before `known_to` it refused. At a stroke without a verdict, or that begins
     /// later, it stops and returns false. With `None` it waits for no report: it removes a stroke without a verdict, and
     /// takes the others as played. Calls `over` with each burst that has left the moving average, and `gone` with each
-    /// stroke removed as played.
+    /// stroke removed as played and the end of its play.
     pub(crate) fn advance(
         &mut self,
         tick: Tick,
         known_to: Option<Tick>,
         mut over: impl FnMut(Travel),
-        mut gone: impl FnMut(&Stroke),
+        mut gone: impl FnMut(&Stroke, Tick),
     ) -> bool {
         let mut known = true;
         while let Some(next) = self.queue.get(self.begun / 2).copied() {
@@ -395,7 +474,7 @@ impl BurstController {
         while self.begun >= 2
             && let Some(first) = self.queue.front().filter(|first| first.stroke.end() <= tick)
         {
-            gone(&first.stroke);
+            gone(&first.stroke, first.until);
             self.queue.pop_front();
             self.begun -= 2;
             self.finalised -= 2;

@@ -15,7 +15,7 @@ mod estimator;
 mod telemetry_monitor;
 
 pub(crate) use burst_controller::ASYMMETRY;
-pub(super) use burst_controller::{BurstController, FINALISE_AT, LONGEST_AGE};
+pub(super) use burst_controller::{BurstController, Cutting, FINALISE_AT, LONGEST_AGE};
 pub use estimator::{Gains, MeasuredBurst};
 
 use crate::settings::Settings;
@@ -47,10 +47,8 @@ pub(super) struct PositionControl {
     end_stop_um: f32,
     /// The device sends telemetry: a sample may still be on its way.
     telemetry: bool,
-    /// The tick of the device's last counters.
-    counters_at: Tick,
-    /// Bursts and pulses of strokes played and removed since the device's last counters.
-    uncounted: (u64, u64),
+    /// Strokes played and removed.
+    account: Account,
     /// Earlier samples still show motion from before the last cut; `None`: pins are not at rest yet.
     valid_from: Option<Tick>,
 }
@@ -61,11 +59,10 @@ impl PositionControl {
             limited: false,
             end_stop_um: settings.end_stop_um,
             telemetry: true,
-            counters_at: Tick(0),
+            account: Account::default(),
             motors: std::array::from_fn(|_| BurstController::new(&Gains::default())),
             last_sample: None,
             advanced_to: Tick(0),
-            uncounted: (0, 0),
             valid_from: None,
         };
         control.configure(settings);
@@ -79,8 +76,16 @@ impl PositionControl {
         self.motors.iter_mut().for_each(|motor| motor.set_lower_stop(settings.lower_stop.is_some()));
     }
 
-    /// The device has flushed the queue and returns pins: telemetry means nothing until they are at rest.
-    pub(super) fn cut(&mut self) {
+    /// The device has flushed the queue, and has begun nothing after `begun_by`; it returns pins: telemetry means nothing until
+    /// they are at rest. What it played counts up to `now`.
+    pub(super) fn cut(&mut self, begun_by: Tick, now: Option<Tick>) {
+        self.motors.iter_mut().for_each(|motor| motor.remember(begun_by));
+        // The strokes that are remembered may have been cut: their planned ends do not count.
+        let over = self.account.over.clone();
+        if let Some(now) = now {
+            self.reckon_to(now);
+        }
+        self.account.over = over;
         self.motors.iter_mut().for_each(BurstController::cut);
         (self.last_sample, self.advanced_to) = (None, Tick(0));
         self.valid_from = None;
@@ -116,9 +121,9 @@ impl PositionControl {
 
     /// Takes all strokes up to `tick` as played, without waiting for reports.
     fn advance_to(&mut self, tick: Tick) {
-        let (uncounted, heard) = (&mut self.uncounted, self.counters_at);
+        let account = &mut self.account;
         for motor in &mut self.motors {
-            motor.advance(tick, None, |_| (), |stroke| count(uncounted, heard, stroke));
+            motor.advance(tick, None, |_| (), |stroke, until| account.gone(stroke, until));
         }
         self.advanced_to = self.advanced_to.max(tick);
     }
@@ -193,9 +198,26 @@ impl PositionControl {
 
     /// A stroke was sent to the device; its play ends at `until`.
     pub(super) fn sent(&mut self, stroke: &Stroke, closed_loop: bool, until: Tick) {
-        if let Some(motor) = self.motor(stroke.motor) {
-            motor.sent(stroke, closed_loop, until);
+        let Self { motors, account, .. } = self;
+        if let Some(motor) = motors.get_mut(usize::from(stroke.motor)) {
+            motor.sent(stroke, closed_loop, until, |stroke, until| account.gone(stroke, until));
         }
+    }
+
+    /// When the last pulse was over that was played of a play from `onset` to `until`, which the device has cut, or not; `None`
+    /// if nothing was played, or if too much time has passed to know. Corrections count as sent.
+    pub(super) fn over_at(&self, onset: Tick, until: Tick, cut: Option<Cutting>) -> Option<Tick> {
+        let gone = self.account.over.iter().find(|(of, _)| *of == until).map(|(_, over)| *over);
+        if gone.is_some_and(|over| cut.is_some_and(|cut| over > cut.at)) {
+            return None;
+        }
+        self.motors
+            .iter()
+            .try_fold(gone.filter(|&over| over > onset), |last, motor| {
+                motor.over_at(onset, until, cut).map(|over| last.max(over))
+            })
+            .ok()
+            .flatten()
     }
 
     /// The device has accepted a stroke.
@@ -219,7 +241,7 @@ impl PositionControl {
 
     /// The device has reported its counters at `tick`.
     pub(super) fn counters_heard(&mut self, tick: Tick) {
-        (self.counters_at, self.uncounted) = (tick, (0, 0));
+        (self.account.counters_at, self.account.uncounted) = (tick, (0, 0));
     }
 
     /// Bursts and pulses played after the counters of tick `heard`, if the link was lost at `lost`: the device finishes
@@ -227,7 +249,7 @@ impl PositionControl {
     pub(super) fn played_since_counters(&self, heard: Tick, lost: Tick) -> (u64, u64) {
         let queued = self.motors.iter().flat_map(BurstController::in_device);
         let played = queued.filter(|stroke| stroke.end() > heard && stroke.up < lost);
-        played.fold(self.uncounted, |(bursts, pulses), stroke| {
+        played.fold(self.account.uncounted, |(bursts, pulses), stroke| {
             (bursts + 2, pulses + u64::from(stroke.pulses()))
         })
     }
@@ -250,10 +272,10 @@ impl PositionControl {
         self.last_sample = Some(tick);
         let known_to = Some(if self.limited { known_to } else { tick });
         let mut known = true;
-        let (uncounted, heard) = (&mut self.uncounted, self.counters_at);
+        let account = &mut self.account;
         for ((motor, &y), index) in self.motors.iter_mut().zip(y).zip(0..) {
             let mut over = |travel: estimator::Travel| over(travel.of(index));
-            if motor.advance(tick, known_to, &mut over, |stroke| count(uncounted, heard, stroke)) {
+            if motor.advance(tick, known_to, &mut over, |stroke, until| account.gone(stroke, until)) {
                 motor.telemetry(tick, f64::from(y) * 0.01, &mut over);
             } else {
                 known = false;
@@ -317,10 +339,36 @@ impl PositionControl {
     }
 }
 
-/// Counts a stroke that leaves the queue, unless the device's counters include it.
-fn count(uncounted: &mut (u64, u64), heard: Tick, stroke: &Stroke) {
-    if stroke.end() > heard {
-        uncounted.0 += 2;
-        uncounted.1 += u64::from(stroke.pulses());
+/// Plays whose strokes may leave the queue before the play is closed: more than the streamer holds.
+const PLAYS: usize = 64;
+
+/// The account of strokes that were played and have left the queue.
+#[derive(Debug, Default)]
+struct Account {
+    /// The tick of the device's last counters.
+    counters_at: Tick,
+    /// Bursts and pulses since then.
+    uncounted: (u64, u64),
+    /// Of each play, by its end: the end of its last stroke. The oldest makes room.
+    over: heapless::Deque<(Tick, Tick), PLAYS>,
+}
+
+impl Account {
+    /// Adds a stroke of the play that ends at `until`.
+    fn gone(&mut self, stroke: &Stroke, until: Tick) {
+        if stroke.end() > self.counters_at {
+            self.uncounted.0 += 2;
+            self.uncounted.1 += u64::from(stroke.pulses());
+        }
+        match self.over.iter_mut().find(|(of, _)| *of == until) {
+            Some((_, over)) => *over = stroke.end().max(*over),
+            None => {
+                if self.over.is_full() {
+                    self.over.pop_front();
+                }
+                // Cannot fail: there is room now.
+                let _ = self.over.push_back((until, stroke.end()));
+            }
+        }
     }
 }

@@ -26,7 +26,7 @@ pub use crate::control::MeasuredBurst;
 pub use error::{CommandError, MAX_QUEUED_PLAYS, refusal_text};
 pub use estop::{ESTOP_TICKETS, EStopSwitch};
 pub use message::{Command, Emit, Request, StreamEvent};
-pub use outcome::{End, Onset, Outcome, Snapshot};
+pub use outcome::{End, Offset, Onset, Outcome, RestErrors, Snapshot};
 pub use play::{At, Play};
 
 /// Most requests that wait.

@@ -8,7 +8,7 @@ use crate::time::HostInstant;
 use firmware_protocol::message::{Cause, State};
 use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
-use meissner_api::{BurstCounts, ErrorSource, LateCounts, OnsetRecord, PlayState, PulseCounts};
+use meissner_api::{BurstCounts, ErrorSource, LateCounts, OffsetRecord, OnsetRecord, PlayState, PulseCounts};
 
 /// How a play ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -58,6 +58,38 @@ impl From<Onset> for OnsetRecord {
     }
 }
 
+/// When the last pulse of a play was over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Offset {
+    /// The first tick after it, with the return of a play that was cut.
+    pub tick: Tick,
+    /// The same on `CLOCK_MONOTONIC`.
+    pub at: HostInstant,
+    /// Its uncertainty, ns.
+    pub uncertainty_ns: u64,
+}
+
+impl From<Offset> for OffsetRecord {
+    fn from(offset: Offset) -> Self {
+        Self { tick: offset.tick.0, monotonic_ns: offset.at.as_ns(), uncertainty_ns: offset.uncertainty_ns }
+    }
+}
+
+/// The estimated rest errors of all motors at one instant.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RestErrors {
+    /// Of each motor, µm.
+    pub um: [f32; MOTORS],
+    /// Where the estimates come from.
+    pub source: [ErrorSource; MOTORS],
+}
+
+impl From<[(f32, ErrorSource); MOTORS]> for RestErrors {
+    fn from(errors: [(f32, ErrorSource); MOTORS]) -> Self {
+        Self { um: errors.map(|(um, _)| um), source: errors.map(|(_, source)| source) }
+    }
+}
+
 /// A finished play.
 #[derive(Debug)]
 pub struct Outcome {
@@ -67,6 +99,10 @@ pub struct Outcome {
     pub cause: Option<&'static str>,
     /// When it began; `None`: never.
     pub onset: Option<Onset>,
+    /// When its last pulse was over; `None`: nothing was played, or the link was lost before the device reported it.
+    pub offset: Option<Offset>,
+    /// From the onset to the cut that ended it, ticks; `None` if nothing cut it. If the link was lost: until the host noticed.
+    pub cut_after: Option<u64>,
     /// Its bursts.
     pub bursts: BurstCounts,
     /// Its pulses.
@@ -75,8 +111,10 @@ pub struct Outcome {
     pub lateness: LateCounts,
     /// Bytes sent to the device while it ran, all overhead included.
     pub wire_bytes: u64,
-    /// Estimated rest error of each motor at the end, µm.
-    pub rest_error_um: [f32; MOTORS],
+    /// The rest errors at its onset; `None` if it never began.
+    pub rest_at_onset: Option<RestErrors>,
+    /// The rest errors at its end.
+    pub rest_at_end: RestErrors,
     /// The play itself, to be dropped outside the thread.
     pub play: Box<Play>,
 }

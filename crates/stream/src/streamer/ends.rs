@@ -2,13 +2,12 @@
 //!
 //! Invariant: the account of a play closes with device counters that include all of this play and nothing of the next.
 
-use crate::active::Phase;
-use crate::link::Contradiction;
-use crate::queues::{CommandError, Emit, End, StreamEvent};
+use crate::active::{Ending, Phase};
+use crate::link::{Clock, Contradiction, Session};
+use crate::queues::{CommandError, Emit, End, Offset, StreamEvent};
 use crate::streamer::{ANSWER_WITHIN, Streamer, answer};
 use crate::time::HostInstant;
 use firmware_protocol::message::{Counters, State};
-use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
 use meissner_array::units::TICKS_PER_S;
 
@@ -23,17 +22,23 @@ impl Streamer {
         }
     }
 
-    /// Ends all plays with the counters known.
+    /// Ends all plays with the counters known. Without a report of a cut, they count as cut when the link was `lost`.
     pub(super) fn close_all(
         &mut self,
         after: Option<Counters>,
-        wire: u64,
-        rest_um: [f32; MOTORS],
+        link: Option<(&Session, Tick)>,
         emit: &mut dyn Emit,
     ) {
+        let lost = link.map(|(_, lost)| lost);
+        let wire = link.map_or(0, |(session, _)| session.traffic().bytes_out);
+        let rest = self.control.rest_error_um(lost.unwrap_or_default()).into();
         while let Some(active) = self.plays.pop_front() {
-            let until = self.plays.iter().find_map(|next| next.counters_at_onset).or(after);
-            let (id, outcome) = active.close(until, wire, rest_um);
+            let after = self.plays.iter().find_map(|next| next.counters_at_onset).or(after);
+            let over = active.cut_at.and_then(|(_, over)| over);
+            let offset = over.zip(link).map(|(tick, (session, _))| offset(session.clock(), tick));
+            let lost = lost.filter(|&lost| active.until() > lost);
+            let cut = active.cut_at.map(|(cut, _)| cut.at).or(lost);
+            let (id, outcome) = active.close(Ending { after, wire, offset, cut, rest });
             emit.event(StreamEvent::PlayEnded { id, outcome });
         }
     }
@@ -74,9 +79,19 @@ impl Streamer {
             // The estimates are those of the play's end: of bursts of the next play nothing counts yet.
             let end = if first.cut.is_some() { None } else { first.end() };
             self.control.reckon_to(end.map_or(tick, |end| end.max(first.last_end)));
-            let rest_um = self.control.rest_error_um(tick).map(|(um, _)| um);
             let Some(active) = self.plays.pop_front() else { break };
-            let (id, outcome) = active.close(Some(next_counters.unwrap_or(after)), wire, rest_um);
+            let over = match (active.cut_at, active.started()) {
+                (Some((_, over)), _) => over,
+                (None, Some(onset)) => self.control.over_at(onset.actual, active.until(), None),
+                (None, None) => None,
+            };
+            // Not yet: the device has lost the report of a cut.
+            let over = over.filter(|&over| over <= tick);
+            let cut = active.cut_at.map(|(cut, _)| cut.at);
+            let rest = self.control.rest_error_um(tick).into();
+            let offset = over.map(|over| offset(session.clock(), over));
+            let after = Some(next_counters.unwrap_or(after));
+            let (id, outcome) = active.close(Ending { after, wire, offset, cut, rest });
             emit.event(StreamEvent::PlayEnded { id, outcome });
         }
         let over = self.plays.front().is_some_and(|first| {
@@ -104,4 +119,10 @@ impl Streamer {
             answer(ticket, if off { Ok(()) } else { Err(CommandError::Timeout) }, emit);
         }
     }
+}
+
+/// The end of the last pulse, by the device's clock as it is known now.
+fn offset(clock: &Clock, tick: Tick) -> Offset {
+    let at = clock.instant_of(tick).unwrap_or_default();
+    Offset { tick, at, uncertainty_ns: clock.uncertainty(at).unwrap_or_default().as_nanos() as u64 }
 }

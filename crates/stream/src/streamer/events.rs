@@ -3,11 +3,13 @@
 //! [`Streamer::receive`] passes bytes to the link session, whose events are handled here.
 
 use crate::active::{Active, FIRST_MARGIN, Phase};
+use crate::control::Cutting;
 use crate::link::{Event, LostReason, Verdict};
 use crate::queues::{CommandError, Emit, End, Onset, StreamEvent};
 use crate::streamer::homing::seeks;
 use crate::streamer::{IDLE_PING, Streamer, answer, cause_text, cuts_play};
 use crate::time::HostInstant;
+use firmware_protocol::controller::HORIZON;
 use firmware_protocol::message::{Cause, Counters, DeviceHello, Op, State, Status};
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
@@ -91,7 +93,8 @@ impl Streamer {
                 }
             }
             Event::Onset { tick, counters } => self.onset(tick, counters, emit),
-            Event::Cut { cut, .. } => {
+            Event::Cut { cut, at } => {
+                self.cut_at(Cutting { at, returns: cut.returns });
                 // A report from before the device was armed again does not concern the present play.
                 if !matches!(cut.cause, Cause::Stop | Cause::Request) && self.state() != State::Armed {
                     self.cut_all(End::Stopped, cause_text(cut.cause));
@@ -116,6 +119,26 @@ impl Streamer {
                 if let (false, Some(session)) = (known, &mut self.session) {
                     session.request_status();
                 }
+            }
+        }
+    }
+
+    /// The device has flushed its queue, at most the render horizon after its last status: counts what was played until now.
+    fn cut_control(&mut self, now: HostInstant) {
+        let now = self.tick_at(now);
+        let reported = self.status.map(|(_, tick)| tick + u64::from(HORIZON));
+        self.control.cut(reported.or(now).unwrap_or_default(), now);
+    }
+
+    /// The device has cut the plays that had begun. It may report the onset of the last one later: it cuts up to the render
+    /// horizon ahead.
+    fn cut_at(&mut self, cut: Cutting) {
+        let sent = |active: &&mut Active| active.phase != Phase::Waiting && active.cut_at.is_none();
+        for active in self.plays.iter_mut().filter(sent) {
+            let Some(onset) = active.onset.filter(|&onset| onset < cut.at) else { continue };
+            if active.end().is_none_or(|end| end > cut.at) {
+                let over = self.control.over_at(onset, active.until(), Some(cut));
+                active.cut_at = Some((cut, over));
             }
         }
     }
@@ -164,14 +187,6 @@ impl Streamer {
             self.control.lose_rest();
         }
         self.reckoned_boot = self.boot;
-    }
-
-    /// The device has flushed its queue: counts what was played until now.
-    fn cut_control(&mut self, now: HostInstant) {
-        if let Some(tick) = self.tick_at(now) {
-            self.control.reckon_to(tick);
-        }
-        self.control.cut();
     }
 
     /// The play that a stroke with this up tick belongs to.
@@ -263,7 +278,8 @@ impl Streamer {
             uncertainty_ns: clock.uncertainty(at).unwrap_or_default().as_nanos() as u64,
             latency_ns: at.since(active.issued_at).as_nanos() as u64,
         };
-        active.began(onset, counters);
+        self.control.reckon_to(tick);
+        active.began(onset, counters, self.control.rest_error_um(tick).into());
         emit.event(StreamEvent::PlayStarted { id: active.play.id, onset });
     }
 }

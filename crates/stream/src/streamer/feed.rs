@@ -173,8 +173,7 @@ impl Streamer {
                 self.fed_until = stroke.up;
                 return Fed::Blocked;
             }
-            let until = active.end().unwrap_or(Tick(u64::MAX));
-            self.control.sent(&stroke, !active.play.open_loop, until);
+            self.control.sent(&stroke, !active.play.open_loop, active.until());
             active.plan(&stroke);
             active.undecided += 1;
             active.next = None;

@@ -179,11 +179,9 @@ impl Streamer {
             let counters = status.counters;
             Counters { played: counters.played + bursts, pulses: counters.pulses + pulses, ..counters }
         });
-        let wire = session.traffic().bytes_out;
-        let tick = self.status.map_or(Tick(0), |(_, tick)| tick);
-        self.control.reckon_to(lost.unwrap_or(tick));
-        let rest_um = self.control.rest_error_um(tick).map(|(um, _)| um);
-        self.close_all(counters, wire, rest_um, emit);
+        let lost = lost.or(self.status.map(|(_, tick)| tick)).unwrap_or_default();
+        self.control.reckon_to(lost);
+        self.close_all(counters, Some((&session, lost)), emit);
         while let Some(waiting) = self.pending_ops.pop_front() {
             answer(waiting.ticket, Err(CommandError::NoDevice), emit);
         }
@@ -191,7 +189,7 @@ impl Streamer {
         self.end_seek(Err(CommandError::NoDevice), emit);
         self.in_flight = false;
         self.status = None;
-        self.control.cut();
+        self.control.cut(lost, None);
         (self.fed_until, self.short_of_credits) = (Tick(0), false);
         if let Some((ticket, _)) = self.closing.take() {
             self.closed = true;
@@ -246,7 +244,7 @@ impl Streamer {
             self.end_drifted(now, tick, emit);
             self.finish(tick, emit);
         } else if self.session.is_none() {
-            self.close_all(None, 0, [0.0; MOTORS], emit);
+            self.close_all(None, None, emit);
         }
         self.close(now, emit);
         let connected = self.is_connected();

@@ -1,0 +1,260 @@
+//! What a play's account says of its end, against the lines: offset, cut, and rest errors.
+//!
+//! Each test plays in virtual time and looks for the last pulse on the recorded lines.
+
+use firmware_protocol::controller::Run;
+use firmware_protocol::tick::Tick;
+use meissner_api::ErrorSource;
+use meissner_array::pattern::Pattern;
+use meissner_array::simulated::SimulatedMotorsConfig;
+use meissner_array::units::duration_to_ticks;
+use meissner_stream::Line;
+use meissner_stream::queues::{At, Command, End, Outcome};
+use meissner_test_support::patterns::{drive, pattern};
+use meissner_test_support::rig::{self, Rig, bad_line};
+use std::time::Duration;
+
+const MS: Duration = Duration::from_millis(1);
+
+/// The first tick after the last pulse before `until`.
+fn last_pulse_end(trace: &[(Tick, Run)], until: Tick) -> Tick {
+    let pulses = trace.iter().filter(|(start, run)| *start < until && run.lines != rig::OFF);
+    pulses.map(|(start, run)| *start + u64::from(run.ticks)).max().unwrap()
+}
+
+/// Asserts that the offset is the end of the last pulse on the lines, on both clocks.
+fn assert_offset(rig: &mut Rig, outcome: &Outcome, what: &str) {
+    assert_eq!(offset_after_lines(rig, outcome, what), 0, "{what}: {outcome:?}");
+}
+
+/// By how many ticks the offset comes after the last pulse on the lines.
+fn offset_after_lines(rig: &mut Rig, outcome: &Outcome, what: &str) -> i64 {
+    let trace = rig.mock.take_trace();
+    let found = outcome.offset.unwrap_or_else(|| panic!("{what}: no offset: {outcome:?}"));
+    let onset = outcome.onset.unwrap();
+    let (host, device) = (found.at.since(onset.at), found.tick - onset.actual);
+    let uncertainty = Duration::from_nanos(onset.uncertainty_ns + found.uncertainty_ns);
+    assert!(
+        duration_to_ticks(host).abs_diff(device) <= duration_to_ticks(uncertainty),
+        "{what}: {outcome:?}"
+    );
+    found.tick.since(last_pulse_end(&trace, Tick(u64::MAX)))
+}
+
+/// Drives of different frequencies, one of them saturated, on motors that end at different ticks.
+fn mixed(duration_s: Option<f64>) -> Pattern {
+    pattern("mixed", duration_s, [drive(2, 60.0, 80.0), drive(7, 37.3, 200.0), drive(19, 300.0, 80.0)])
+}
+
+#[test]
+fn the_offset_of_a_whole_play_is_the_end_of_its_last_pulse() {
+    for line in [Line::default(), bad_line()] {
+        let mut rig = Rig::armed(Line::default(), 1);
+        rig.set_line(line);
+        for ms in [40, 287, 300, 1234] {
+            rig.mock.take_trace();
+            rig.start(&mixed(None), Some(f64::from(ms) / 1000.0));
+            rig.run_ms(2000);
+            let outcome = rig.outcomes().remove(0);
+            assert_eq!((outcome.end, outcome.cut_after), (End::Done, None));
+            assert_offset(&mut rig, &outcome, &format!("{ms} ms"));
+        }
+    }
+}
+
+/// Feedback changes the length of the last burst.
+#[test]
+fn the_offset_of_a_corrected_play_includes_the_correction() {
+    let mut rig = Rig::armed(Line::default(), 2);
+    for ms in (300..340).step_by(5) {
+        rig.mock.take_trace();
+        rig.start_closed(&mixed(None), Some(f64::from(ms) / 1000.0));
+        rig.run_ms(700);
+        let outcome = rig.outcomes().remove(0);
+        assert!(outcome.bursts.amended > 0);
+        assert_offset(&mut rig, &outcome, &format!("{ms} ms"));
+    }
+}
+
+#[test]
+fn the_offset_of_a_stopped_play_includes_the_return() {
+    for command in [|| Command::Stop, || Command::Disarm] as [fn() -> Command; 2] {
+        for phase in 0..40u32 {
+            let mut rig = Rig::armed(Line::default(), 3);
+            rig.start_closed(&mixed(Some(5.0)), None);
+            rig.run(400 * MS + phase * MS / 2);
+            rig.mock.take_trace();
+            rig.send(command());
+            rig.run_ms(100);
+            let outcome = rig.outcomes().remove(0);
+            assert_eq!(outcome.end, End::Stopped);
+            assert_offset(&mut rig, &outcome, &format!("phase {phase}"));
+            let (cut, onset) = (outcome.cut_after.unwrap(), outcome.onset.unwrap().actual);
+            let over = outcome.offset.unwrap().tick - onset;
+            assert!(cut <= over + 2_000 && over <= cut + 2_000, "{cut} and {over}");
+        }
+    }
+}
+
+/// The device cuts up to 64 ticks ahead, so it may report an onset after the cut.
+#[test]
+fn a_play_that_is_stopped_as_it_begins_knows_its_cut() {
+    let (mut began, mut played) = (0, 0);
+    for step in 0..24u32 {
+        let mut rig = Rig::armed(Line::default(), 12);
+        let at = rig.mock.now() + 42_500;
+        rig.start_with(&mixed(None), Some(1.0), |play| play.at = At::Tick(at));
+        rig.run(494 * MS + step * MS / 2);
+        rig.mock.take_trace();
+        rig.send(Command::Stop);
+        rig.run_ms(100);
+        let outcome = rig.outcomes().remove(0);
+        assert_eq!(outcome.cut_after.is_some(), outcome.onset.is_some(), "step {step}: {outcome:?}");
+        began += u32::from(outcome.onset.is_some());
+        if outcome.bursts.played > 0 {
+            played += 1;
+            assert_offset(&mut rig, &outcome, &format!("step {step}"));
+        }
+    }
+    assert!(began > 5 && began < 24 && played > 5, "{began} began, {played} played");
+}
+
+/// The tick in which the lines go off counts as played, as in the pulse counts.
+#[test]
+fn after_an_e_stop_the_offset_is_when_the_lines_went_off() {
+    for phase in 0..40u32 {
+        let mut rig = Rig::armed(Line::default(), 5);
+        rig.start(&mixed(None), None);
+        rig.run(400 * MS + phase * MS / 2);
+        rig.send(Command::EStop);
+        rig.run_ms(100);
+        let outcome = rig.outcomes().remove(0);
+        assert_eq!((outcome.end, outcome.cause), (End::Stopped, Some("estop")));
+        let after = offset_after_lines(&mut rig, &outcome, "e-stop");
+        assert!((0..=1).contains(&after), "phase {phase}: {after} ticks after the lines");
+    }
+}
+
+#[test]
+fn a_play_whose_last_strokes_are_late_ends_with_the_last_one_played() {
+    let mut rig = Rig::armed(Line::default(), 6);
+    rig.start(&mixed(None), Some(1.0));
+    rig.run_ms(850);
+    rig.stall(190 * MS);
+    rig.run_ms(1000);
+    let outcome = rig.outcomes().remove(0);
+    assert!(outcome.end == End::Done && outcome.bursts.late > 0, "{outcome:?}");
+    assert_offset(&mut rig, &outcome, "late");
+}
+
+#[test]
+fn plays_without_a_gap_have_offsets_of_their_own_whatever_the_host_misses() {
+    for stall in [0, 60, 180] {
+        let mut rig = Rig::armed(Line::default(), 7);
+        for _ in 0..8 {
+            rig.start(&mixed(None), Some(0.05));
+        }
+        rig.run_ms(120);
+        rig.stall(stall * MS);
+        rig.run_ms(1500);
+        let (outcomes, trace) = (rig.outcomes(), rig.mock.take_trace());
+        assert_eq!(outcomes.len(), 8);
+        for (index, outcome) in outcomes.iter().enumerate().filter(|(_, outcome)| outcome.bursts.played > 0) {
+            let end = outcome.onset.unwrap().actual + 4_250;
+            let found = outcome.offset.unwrap().tick;
+            assert_eq!(found, last_pulse_end(&trace, end), "play {index} of a stall of {stall} ms");
+        }
+        assert!(outcomes.iter().filter(|outcome| outcome.offset.is_none()).all(|o| o.bursts.played == 0));
+    }
+}
+
+/// The device returned the pins when the host had been silent for 300 ms; all sent strokes were over by then.
+#[test]
+fn a_silent_host_learns_after_how_long_the_play_was_cut() {
+    let mut rig = Rig::armed(Line::default(), 8);
+    rig.start(&mixed(None), Some(3.0));
+    rig.run_ms(1000);
+    let silent = rig.now();
+    rig.stall(700 * MS);
+    rig.run_ms(1000);
+    let outcome = rig.outcomes().remove(0);
+    assert_eq!((outcome.end, outcome.cause), (End::Stopped, Some("lease")));
+    assert_offset(&mut rig, &outcome, "lease");
+    let heard = duration_to_ticks(silent.since(outcome.onset.unwrap().at));
+    let cut = outcome.cut_after.unwrap();
+    assert!(
+        cut.abs_diff(heard + 25_500) < 25 * 85,
+        "{cut} after the onset, {heard} when the host fell silent"
+    );
+}
+
+#[test]
+fn a_lost_link_leaves_the_offset_unknown_and_says_when_it_was_lost() {
+    let mut rig = Rig::armed(Line::default(), 9);
+    rig.start(&mixed(None), None);
+    rig.run_ms(503);
+    let lost = rig.now();
+    rig.unplug();
+    rig.run_ms(100);
+    let outcome = rig.outcomes().remove(0);
+    assert_eq!((outcome.end, outcome.offset), (End::Stopped, None));
+    let after = duration_to_ticks(lost.since(outcome.onset.unwrap().at));
+    assert!(outcome.cut_after.unwrap().abs_diff(after) <= 3, "{outcome:?}");
+}
+
+#[test]
+fn a_play_that_never_began_has_no_offset_and_no_cut() {
+    let mut rig = Rig::armed(Line::default(), 10);
+    rig.start(&mixed(None), Some(1.0));
+    rig.start(&mixed(None), Some(1.0));
+    rig.run_ms(300);
+    rig.send(Command::Stop);
+    rig.run_ms(100);
+    let outcomes = rig.outcomes();
+    assert!(outcomes[0].cut_after.is_some() && outcomes[0].rest_at_onset.is_some());
+    let never = &outcomes[1];
+    assert_eq!((never.onset, never.offset, never.cut_after), (None, None, None));
+    assert!(never.rest_at_onset.is_none());
+}
+
+/// Forty trials of 300 ms without telemetry: each receipt knows all strokes before its end, and so the next onset.
+#[test]
+fn without_telemetry_the_rest_error_at_the_end_counts_every_stroke_so_far() {
+    let motors =
+        SimulatedMotorsConfig { telemetry_hz: 0, end_stop_um: 10_000.0, ..SimulatedMotorsConfig::default() };
+    let stopped = |stop_ms: Option<u64>| {
+        let mut rig = Rig::of(&motors, 11);
+        rig.arm();
+        let mut last = 0.0;
+        for trial in 0..40 {
+            rig.start(&mixed(None), Some(0.3));
+            match stop_ms {
+                Some(ms) => {
+                    rig.run_ms(ms);
+                    rig.send(Command::Stop);
+                    rig.run_ms(500 - ms);
+                }
+                None => rig.run_ms(500),
+            }
+            let outcome = rig.outcomes().remove(0);
+            let [onset, end] = [outcome.rest_at_onset.unwrap(), outcome.rest_at_end]
+                .map(|rest| (rest.um[2], rest.source[2]));
+            assert_eq!(end.1, ErrorSource::DeadReckoning);
+            assert!(end.0 > onset.0 && onset.0 >= last, "trial {trial}: {onset:?} to {end:?}, before {last}");
+            last = end.0;
+        }
+        // Nothing is left to be counted later.
+        rig.run_ms(3000);
+        let events = rig.take_events();
+        let settled = rig::last_snapshot(&events).rest_error_um[2];
+        assert!((settled - last).abs() < 0.01 * settled, "{last} um at the last end, {settled} um later");
+        last
+    };
+    let whole = stopped(None);
+    // 17 strokes of 80 um a trial scatter by 10 % each way, and drift by 2 % of their sum at most.
+    let strokes = 40.0 * 17.0_f32;
+    let (scatter, drift) = (80.0 * 0.1 * (2.0 * strokes).sqrt(), 0.02 * 80.0 * strokes);
+    let expected = scatter.hypot(drift);
+    assert!((0.9..1.1).contains(&(whole / expected)), "{whole} um, expected {expected}");
+    assert!(stopped(Some(200)) > 0.5 * whole);
+}

@@ -1,0 +1,310 @@
+//! Receipts as text: what was ordered, what was played, and how well.
+//!
+//! Invariant: every number is one of the receipt's JSON, rounded.
+
+use super::pairs;
+use crate::receipts::end_text;
+use meissner_api::{
+    BurstCounts, DurationRecord, ErrorSource, MotorRestError, OrderedCounts, PlayAccepted, PredictedResponse,
+    Prediction, PulseCounts, ReachedDrive, Receipt,
+};
+
+pub(in crate::cli) fn receipt(receipt: &Receipt) -> String {
+    let mut lines = vec![
+        ("play", format!("{} of {}", receipt.id, receipt.pattern)),
+        ("state", end_text(receipt.state.name(), receipt.cause.as_deref(), receipt.cut_after_ms)),
+    ];
+    if let (Some(onset), Some(ms)) = (&receipt.onset, receipt.onset_latency_ms) {
+        lines.push(("onset", format!("tick {}, {ms:.2} ms after the request", onset.actual_tick)));
+    }
+    if let Some(offset) = &receipt.offset {
+        lines.push(("offset", format!("tick {}", offset.tick)));
+    }
+    if receipt.duration_ms != DurationRecord::default() {
+        lines.push(("duration", duration(&receipt.duration_ms)));
+    }
+    if !receipt.drives.is_empty() {
+        lines.push(("amplitude", amplitudes(&receipt.drives)));
+    }
+    if let Some(bursts) = &receipt.bursts {
+        lines.push(("bursts", burst_counts(receipt.ordered.as_ref(), bursts)));
+    }
+    if let Some(pulses) = &receipt.pulses {
+        lines.push(("pulses", pulse_counts(receipt.ordered.as_ref(), pulses)));
+    }
+    let late = &receipt.lateness.counts;
+    if late.host + late.link + late.device > 0 {
+        let text = format!(
+            "{} by the host, {} by the link, {} by the device; by {:.1} ms at most",
+            late.host, late.link, late.device, late.worst_ms
+        );
+        lines.push(("late strokes", text));
+    }
+    if let Some(wire) = &receipt.wire {
+        let per_burst =
+            wire.bytes_per_burst.map_or_else(String::new, |bytes| format!(", {bytes:.2} per burst"));
+        lines.push(("wire", format!("{} bytes to the device{per_burst}", wire.bytes_to_device)));
+    }
+    if let Some(errors) = &receipt.rest_errors {
+        lines.extend(rest_error(errors).map(|text| ("rest error", text)));
+    } else if let Some(errors) = &receipt.rest_error_um {
+        // An older daemon does not say which pins were driven.
+        let worst = errors.iter().fold(0.0_f32, |worst, error| worst.max(error.abs()));
+        lines.push(("rest error", format!("largest offset from rest: {worst:.2} um (estimated)")));
+    }
+    lines.extend(predicted(&receipt.prediction).map(|text| (PREDICTED, text)));
+    lines.extend(receipt.warnings.iter().map(|warning| ("warning", warning.clone())));
+    pairs(&lines)
+}
+
+/// The largest rest errors of driven pins, at onset and end, and where each comes from.
+fn rest_error(errors: &[MotorRestError]) -> Option<String> {
+    let worst = |of: &dyn Fn(&MotorRestError) -> Option<(f32, ErrorSource)>| {
+        errors.iter().filter_map(of).max_by(|a, b| a.0.abs().total_cmp(&b.0.abs()))
+    };
+    let text = |(um, source): (f32, ErrorSource)| format!("{um:.2} um ({})", source.name());
+    let onset = worst(&|error| error.onset_um.zip(error.onset_source));
+    let end = worst(&|error| Some((error.offset_um, error.offset_source)))?;
+    let onset = onset.map_or_else(String::new, |onset| format!("{} at the onset, ", text(onset)));
+    Some(format!("{LARGEST_OFFSET} {onset}{} at the end", text(end)))
+}
+
+/// A duration as ordered, in whole strokes, and as played.
+pub(in crate::cli) fn duration(duration: &DurationRecord) -> String {
+    let ms = |ms: Option<f64>| ms.map_or_else(|| "endless".to_owned(), |ms| format!("{ms:.1} ms"));
+    let DurationRecord { ordered, compiled, played } = duration;
+    let played = played.map_or_else(String::new, |played| format!(", {played:.1} ms played"));
+    format!("{} ordered, {} in whole strokes{played}", ms(*ordered), ms(*compiled))
+}
+
+/// The amplitudes of drives, those that are alike together.
+fn amplitudes(drives: &[ReachedDrive]) -> String {
+    let mut kinds: Vec<(String, usize)> = Vec::new();
+    for ReachedDrive { ordered_um, reached_um, surplus_um, .. } in drives {
+        let surplus = if *surplus_um > 0.0 { format!(", surplus {surplus_um:.1} um") } else { String::new() };
+        let kind = format!("{reached_um:.1} of {ordered_um:.1} um reached{surplus}");
+        match kinds.iter_mut().find(|(known, _)| *known == kind) {
+            Some((_, count)) => *count += 1,
+            None => kinds.push((kind, 1)),
+        }
+    }
+    let shown = kinds.iter().take(KINDS).map(|(kind, count)| match count {
+        1 => kind.clone(),
+        count => format!("{kind} by {count} drives"),
+    });
+    let more = kinds.len().saturating_sub(KINDS);
+    let more = (more > 0).then(|| format!("and {more} more, see --json"));
+    shown.chain(more).collect::<Vec<_>>().join("; ")
+}
+
+/// Kinds of amplitudes that are shown.
+const KINDS: usize = 4;
+
+pub(in crate::cli) const PREDICTED: &str = "predicted RA response";
+pub(in crate::cli) const LARGEST_OFFSET: &str = "largest offset from rest, driven pins:";
+
+pub(in crate::cli) fn burst_counts(ordered: Option<&OrderedCounts>, bursts: &BurstCounts) -> String {
+    let BurstCounts { planned, played, late, dropped, refused, amended } = bursts;
+    let ordered = ordered.map_or_else(String::new, |ordered| format!("{} ordered, ", ordered.bursts));
+    format!(
+        "{ordered}{planned} planned: {played} played, {late} late, {dropped} dropped, {refused} refused; {amended} \
+         corrected by feedback"
+    )
+}
+
+pub(in crate::cli) fn pulse_counts(ordered: Option<&OrderedCounts>, pulses: &PulseCounts) -> String {
+    let ordered = ordered.and_then(|ordered| ordered.pulses);
+    let ordered = ordered.map_or_else(String::new, |ordered| format!("{ordered} ordered, "));
+    format!("{ordered}{} planned, {} played", pulses.planned, pulses.played)
+}
+
+/// The predicted response, if there is one or a reason why there is none: the contrast of a pattern with a target, else the
+/// mean rate.
+pub(in crate::cli) fn predicted(prediction: &Prediction) -> Option<String> {
+    let Some(PredictedResponse { seconds, played_hz, designed_hz, unmeasured, .. }) = &prediction.response
+    else {
+        return prediction.unknown.as_ref().map(|why| format!("not known: {why}"));
+    };
+    let (what, played, designed) = match (played_hz.contrast, designed_hz.contrast) {
+        (Some(played), Some(designed)) => ("on-target minus off-target", played, designed),
+        _ => ("mean rate", played_hz.all, designed_hz.all),
+    };
+    let missing = match unmeasured {
+        0 => String::new(),
+        count => format!("; {count} bursts not measured"),
+    };
+    let seconds = (seconds * 1000.0).round() / 1000.0;
+    Some(format!("{what} {played:.1} impulses/s (designed: {designed:.1}), over {seconds} s{missing}"))
+}
+
+/// A play that was queued, and what whole strokes make of its duration.
+pub(in crate::cli) fn accepted(accepted: &PlayAccepted, pattern: &str) -> String {
+    let PlayAccepted { id, ordered_ms, compiled_ms, .. } = accepted;
+    let duration = DurationRecord { ordered: *ordered_ms, compiled: *compiled_ms, played: None };
+    // An older daemon says nothing; of an endless play there is nothing to say.
+    let told = ordered_ms.map_or_else(String::new, |_| format!(", {}", self::duration(&duration)));
+    format!("play {id}: {pattern}{told}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use meissner_api::{LateCounts, LinkTraffic, OffsetRecord, OnsetRecord, PlayState, Rates};
+    use serde_json::Value;
+
+    #[test]
+    fn a_receipt_that_has_not_begun_shows_no_figures() {
+        let text = receipt(&Receipt::new(3, "edge-45", "", None));
+        assert_eq!(text, "play   3 of edge-45\nstate  queued");
+    }
+
+    /// A receipt in which every number is another one.
+    fn full() -> Receipt {
+        let mut receipt = Receipt::new(41, "edge", "00ff", Some(2.3));
+        receipt.state = PlayState::Stopped;
+        receipt.cause = Some("lease".to_owned());
+        receipt.cut_after_ms = Some(1203.47);
+        receipt.onset = Some(OnsetRecord {
+            requested_tick: 6_442_460_000,
+            actual_tick: 6_442_460_001,
+            monotonic_ns: 75_793_647_058_823,
+            uncertainty_ns: 9_600,
+        });
+        receipt.onset_latency_ms = Some(106.32);
+        receipt.offset = Some(OffsetRecord {
+            tick: 6_442_562_300,
+            monotonic_ns: 75_794_850_588_235,
+            uncertainty_ns: 9_700,
+        });
+        receipt.duration_ms =
+            DurationRecord { ordered: Some(2300.0), compiled: Some(2298.71), played: Some(1203.52) };
+        receipt.ordered = Some(OrderedCounts { bursts: 1380, pulses: Some(96_600) });
+        receipt.bursts =
+            Some(BurstCounts { planned: 720, played: 715, late: 2, dropped: 1, refused: 3, amended: 688 });
+        receipt.pulses = Some(PulseCounts { planned: 50_410, played: 49_800 });
+        let counts = LateCounts { host: 4, link: 5, device: 6, worst_ms: 1.84 };
+        receipt.lateness.counts = counts;
+        receipt.wire = Some(LinkTraffic::new(14_260, 720));
+        receipt.rest_error_um = Some(vec![17.3; 24]);
+        let drive = |drive, reached_um, surplus_um| ReachedDrive {
+            drive,
+            motor: 9,
+            ordered_um: 80.0,
+            reached_um,
+            surplus_um,
+            strokes: Some(118),
+        };
+        receipt.drives = vec![drive(1, 69.24, 0.0), drive(2, 69.24, 0.0), drive(3, 61.78, 4.31)];
+        let error = |onset_um, offset_um| MotorRestError {
+            motor: 9,
+            onset_um: Some(onset_um),
+            onset_source: Some(ErrorSource::Telemetry),
+            offset_um,
+            offset_source: ErrorSource::DeadReckoning,
+        };
+        receipt.rest_errors = Some(vec![error(0.12, -3.27), error(-0.38, 1.5)]);
+        let rates = |contrast| Rates { all: 40.1, on: None, off: None, contrast: Some(contrast) };
+        receipt.prediction.response = Some(PredictedResponse {
+            seconds: 1.19,
+            target: Some("edge".to_owned()),
+            population_seed: 0,
+            designed_hz: rates(190.52),
+            played_hz: rates(187.43),
+            unmeasured: 7,
+        });
+        receipt.warnings = vec!["drive 3 (motor 9) reaches 61.8 of 80 um".to_owned()];
+        receipt
+    }
+
+    fn numbers_of(value: &Value, into: &mut Vec<f64>) {
+        match value {
+            Value::Number(number) => into.extend(number.as_f64()),
+            Value::Array(items) => items.iter().for_each(|item| numbers_of(item, into)),
+            Value::Object(keys) => keys.values().for_each(|value| numbers_of(value, into)),
+            _ => {}
+        }
+    }
+
+    #[test]
+    fn each_number_of_the_text_is_the_jsons_and_each_figure_of_the_json_is_in_the_text() {
+        let receipt = full();
+        let (text, json) = (super::receipt(&receipt), serde_json::to_value(&receipt).unwrap());
+        let mut numbers = Vec::new();
+        numbers_of(&json, &mut numbers);
+        // The drives that are alike.
+        numbers.push(2.0);
+        let is_number = |part: &&str| part.parse::<f64>().is_ok();
+        let parts = |line: &str| -> Vec<String> {
+            let split = line.split(|c: char| !c.is_ascii_digit() && !matches!(c, '.' | '-'));
+            split.map(|part| part.trim_matches('.')).filter(is_number).map(str::to_owned).collect()
+        };
+        for line in text.lines() {
+            for shown in parts(line) {
+                let digits = shown.split_once('.').map_or(0, |(_, digits)| digits.len());
+                let is_shown = |number: &f64| format!("{number:.digits$}") == shown;
+                assert!(numbers.iter().any(is_shown), "{shown} is not in the JSON: {line}");
+            }
+        }
+        for (figure, digits) in [
+            ("/id", 0),
+            ("/cut_after_ms", 1),
+            ("/onset/actual_tick", 0),
+            ("/onset_latency_ms", 2),
+            ("/offset/tick", 0),
+            ("/duration_ms/ordered", 1),
+            ("/duration_ms/compiled", 1),
+            ("/duration_ms/played", 1),
+            ("/ordered/bursts", 0),
+            ("/ordered/pulses", 0),
+            ("/bursts/planned", 0),
+            ("/bursts/played", 0),
+            ("/bursts/late", 0),
+            ("/bursts/dropped", 0),
+            ("/bursts/refused", 0),
+            ("/bursts/amended", 0),
+            ("/pulses/planned", 0),
+            ("/pulses/played", 0),
+            ("/lateness/host", 0),
+            ("/lateness/link", 0),
+            ("/lateness/device", 0),
+            ("/lateness/worst_ms", 1),
+            ("/wire/bytes_to_device", 0),
+            ("/wire/bytes_per_burst", 2),
+            ("/drives/0/ordered_um", 1),
+            ("/drives/0/reached_um", 1),
+            ("/drives/2/reached_um", 1),
+            ("/drives/2/surplus_um", 1),
+            ("/rest_errors/1/onset_um", 2),
+            ("/rest_errors/0/offset_um", 2),
+            ("/predicted_response/seconds", 2),
+            ("/predicted_response/played_hz/contrast", 1),
+            ("/predicted_response/designed_hz/contrast", 1),
+            ("/predicted_response/unmeasured", 0),
+        ] {
+            let value = json.pointer(figure).and_then(Value::as_f64).unwrap();
+            let shown = format!("{value:.digits$}");
+            let is_in = text.lines().flat_map(parts).any(|part| part == shown);
+            assert!(is_in, "{figure}, {shown}, is not in the text:\n{text}");
+        }
+        for word in ["stopped: the PC was silent", "dead-reckoning", "telemetry", "by 2 drives", "warning"] {
+            assert!(text.contains(word), "{word}:\n{text}");
+        }
+        // The largest error of driven pins, not of all.
+        assert!(!text.contains("17.3"), "{text}");
+    }
+
+    #[test]
+    fn amplitudes_of_many_kinds_are_cut() {
+        let drive = |drive: u8| ReachedDrive {
+            drive: drive.into(),
+            motor: drive,
+            ordered_um: 10.0 * f64::from(drive),
+            reached_um: 9.5 * f64::from(drive),
+            surplus_um: 0.0,
+            strokes: None,
+        };
+        let text = amplitudes(&(1..=6).map(drive).collect::<Vec<_>>());
+        assert!(text.starts_with("9.5 of 10.0 um reached; 19.0 of 20.0 um reached; "), "{text}");
+        assert!(text.ends_with("38.0 of 40.0 um reached; and 2 more, see --json"), "{text}");
+    }
+}

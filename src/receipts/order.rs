@@ -1,0 +1,117 @@
+//! What a play was ordered to do, and what whole strokes make of it: durations, counts, amplitudes, warnings.
+//!
+//! [`Order::of`] reads a pattern with the options of a play; the store does so for one run of a pattern.
+//!
+//! Invariant: it is computed from the strokes that are played, without walking them.
+
+use meissner_api::{
+    DurationRecord, Fit, MAX_DRIVES_LISTED, MAX_LISTED, MAX_WARNINGS_LISTED, OrderedCounts, ReachedDrive,
+    Receipt,
+};
+use meissner_array::pattern::Pattern;
+use meissner_array::strokes::{self, DriveAmplitude, StrokeOptions, StrokesError, amplitudes};
+use meissner_array::units::{ticks_to_ms, ticks_to_seconds};
+use std::collections::BTreeMap;
+
+/// See the module.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Order {
+    /// Duration as ordered, ms; `None`: without end.
+    pub ordered_ms: Option<f64>,
+    /// Duration to the end of the last whole stroke, ms; `None`: without end.
+    pub compiled_ms: Option<f64>,
+    /// What the drives reach.
+    pub drives: Vec<ReachedDrive>,
+    /// One line for each drive that may not do what is meant.
+    pub warnings: Vec<String>,
+}
+
+impl Order {
+    /// The order to play a pattern with these options.
+    ///
+    /// # Errors
+    /// If an option is outside its range.
+    pub fn of(pattern: &Pattern, options: &StrokeOptions) -> Result<Self, StrokesError> {
+        let found = amplitudes(pattern, options)?;
+        let ends = found.iter().all(|drive| drive.reached.strokes.is_some());
+        let over = found.iter().filter_map(|drive| drive.reached.over).max();
+        Ok(Self {
+            ordered_ms: strokes::ordered_end(pattern, options.seconds).map(ticks_to_ms),
+            compiled_ms: ends.then(|| ticks_to_ms(over.unwrap_or(0))),
+            drives: found.iter().map(reached).collect(),
+            warnings: warnings(pattern, &found),
+        })
+    }
+
+    /// Why nothing would be played; `None` if there is a stroke.
+    #[must_use]
+    pub fn empty(&self) -> Option<&str> {
+        let moves = self.drives.iter().any(|drive| drive.strokes != Some(0));
+        let why = self.warnings.first().map_or("every drive is off: give one an amplitude", String::as_str);
+        (!moves).then_some(why)
+    }
+
+    /// The first [`MAX_LISTED`] warnings, and how many more there are.
+    #[must_use]
+    pub fn listed_warnings(&self) -> Vec<String> {
+        first(&self.warnings, MAX_LISTED)
+    }
+
+    /// Puts the order into the receipt of its play.
+    pub fn enter(&self, receipt: &mut Receipt, fit: Fit, counts: Option<OrderedCounts>) {
+        let Self { ordered_ms, compiled_ms, drives, warnings } = self;
+        receipt.fit = fit;
+        receipt.duration_ms = DurationRecord { ordered: *ordered_ms, compiled: *compiled_ms, played: None };
+        receipt.ordered = counts;
+        receipt.drives = drives.iter().take(MAX_DRIVES_LISTED).copied().collect();
+        receipt.warnings = first(warnings, MAX_WARNINGS_LISTED);
+    }
+}
+
+/// Strokes of saturated drives that are walked when a play begins: 24 motors at 300 Hz for two minutes, in 30 ms.
+const WALKED: u64 = 1 << 20;
+/// The same when an endless play ends, where other clients wait for the event loop.
+const WALKED_AT_END: u64 = 1 << 14;
+
+/// What a play counts; `None` if it has no end. May take 30 ms.
+#[must_use]
+pub fn counts(pattern: &Pattern, options: &StrokeOptions) -> Option<OrderedCounts> {
+    counted(pattern, options, WALKED)
+}
+
+/// What an endless play counts of its first `ticks`: the strokes that begin in them.
+#[must_use]
+pub fn counts_until(pattern: &Pattern, options: &StrokeOptions, ticks: u64) -> Option<OrderedCounts> {
+    let seconds = Some(ticks_to_seconds(ticks));
+    let options = StrokeOptions { seconds, fit: strokes::Fit::Cover, ..options.clone() };
+    counted(pattern, &options, WALKED_AT_END)
+}
+
+fn counted(pattern: &Pattern, options: &StrokeOptions, walked: u64) -> Option<OrderedCounts> {
+    let ordered = strokes::ordered(pattern, options, walked).ok()??;
+    Some(OrderedCounts { bursts: 2 * ordered.strokes, pulses: ordered.pulses })
+}
+
+fn reached(found: &DriveAmplitude) -> ReachedDrive {
+    let DriveAmplitude { drive, settings, reached, .. } = *found;
+    // A receipt is kept for years, and the model is not better than this.
+    let [ordered_um, reached_um, surplus_um] =
+        [found.ordered_um, found.reached_um, reached.surplus_um].map(|um| (um * 1000.0).round() / 1000.0);
+    let (motor, strokes) = (settings.motor, reached.strokes);
+    ReachedDrive { drive, motor, ordered_um, reached_um, surplus_um, strokes }
+}
+
+/// A line for each drive: its shortfall, or else that it is saturated.
+fn warnings(pattern: &Pattern, found: &[DriveAmplitude]) -> Vec<String> {
+    let saturated = pattern.warnings().into_iter().map(|warning| (warning.drive, warning.to_string()));
+    let mut lines: BTreeMap<usize, String> = saturated.collect();
+    let short = found.iter().filter(|drive| drive.shortfall().is_some());
+    lines.extend(short.map(|drive| (drive.drive, drive.to_string())));
+    lines.into_values().collect()
+}
+
+fn first(lines: &[String], most: usize) -> Vec<String> {
+    let more = lines.len().saturating_sub(most);
+    let more = (more > 0).then(|| format!("{more} more drives may not do what is meant"));
+    lines.iter().take(most).cloned().chain(more).collect()
+}
