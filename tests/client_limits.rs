@@ -159,7 +159,7 @@ fn a_listener_that_does_not_read_delays_nothing() {
     let _unread: Vec<_> = (0..8).map(|_| client.events().unwrap()).collect();
     let mut events = client.events().unwrap();
     for _ in 0..50 {
-        let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.01})).unwrap();
+        let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.02})).unwrap();
         ended(&mut events);
     }
     client.get::<Value>("/v1/status").unwrap();
