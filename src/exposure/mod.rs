@@ -1,13 +1,13 @@
 //! Vibration exposure: how long pins have vibrated under a finger, against the limits of `[participant]`.
 //!
-//! [`Account::check`] decides before a play whether it fits; [`Account::began`], [`Account::played`] and [`Account::ended`] follow
+//! [`Account::check`] decides before a play whether it fits; `began`, `played` and `ended` follow
 //! the plays, and report a limit that a running play has passed. The daemon then stops it. [`Account::text`] is the file that keeps
 //! the day's sum across restarts ([`FILE`]); the session record's thread writes it. Nothing here reads a clock.
 //!
 //! Vibration time is the time in which at least one drive of the running play moves a pin ([`Vibration`]). A pause is
 //! [`ParticipantLimits::pause_s`] without vibration.
 //!
-//! Bounds: [`PEOPLE`] sums per day. Invariant: time that has been counted is never taken back within its day.
+//! Bounds: `PEOPLE` sums per day. Invariant: time that has been counted is never taken back within its day.
 
 mod limits;
 mod vibration;

@@ -3,7 +3,7 @@
 //! It reads whole days line by line and parses only lines that matter. A line or file that cannot be read is counted and named, and
 //! reading goes on.
 //!
-//! Bounds: one line of [`MAX_LINE`] in memory, [`MAX_SESSIONS`], and [`MAX_LISTED`] named problems.
+//! Bounds: one line of `MAX_LINE` in memory, `MAX_SESSIONS`, and `MAX_LISTED` named problems.
 
 use super::days;
 use jiff::civil::Date;

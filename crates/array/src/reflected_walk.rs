@@ -11,7 +11,7 @@
 //!
 //! For Gaussian X with a negative mean, Spitzer's identity gives the stationary distribution: its k-th cumulant is the sum
 //! over n of `mean(max(0, X(1) + … + X(n))^k) / n`. Only δ = -mean(X) / sd(X) matters, in units of sd(X). For δ below
-//! [`SERIES_BELOW`] the sums are the power series of Janssen & van Leeuwaarden, "On Lerch's transcendent and the Gaussian
+//! `SERIES_BELOW` the sums are the power series of Janssen & van Leeuwaarden, "On Lerch's transcendent and the Gaussian
 //! random walk", Ann. Appl. Probab. 17 (2007), theorems 1 to 3; above it they have few terms.
 //!
 //! The theory knows no gain below 0, no burst that falls short after rest and no whole pulses.

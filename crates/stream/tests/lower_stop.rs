@@ -91,7 +91,7 @@ fn forty_trials_of_two_intervals_end_at_rest() {
     }
     let rms_um = rig.mock.true_positions().rest().rms_um();
     // At one instant one pin of 24 may be far off, so all strokes count, and the ends of all intervals.
-    let at_ends = rms(ends.into_iter());
+    let at_ends = rms(ends);
     println!("rest {rms_um:.2} um rms over 80 intervals, {at_ends:.2} um at their ends");
     assert!(rms_um < 5.0 && at_ends < 5.0, "{rms_um} um, {at_ends} um");
 }
