@@ -36,7 +36,7 @@ pub const MIN_LEASE_OVER_LEAD_MS: f64 = 50.0;
 pub const MAX_LEASE_MS: f64 = 10_000.0;
 /// How long files of the session record are kept by default, days: a year of experiments, and time to write about them.
 pub const LOGBOOK_DAYS: u32 = 400;
-/// The default of `session_silence_s`: an experiment that pauses between blocks still polls, and a dead one holds nobody up for long.
+/// The default of `session_silence_s`: an experiment that pauses between blocks still polls, and a dead one soon lets others act.
 const SESSION_SILENCE_S: f64 = 120.0;
 /// The longest time they can be kept, days.
 const MAX_LOGBOOK_DAYS: u32 = 36_500;

@@ -127,7 +127,7 @@ fn a_restart_and_a_kill_keep_the_days_sum() {
         refused.contains("`participant.max_day_s` allows 1 s of vibration in a day: 0.2 s are left"),
         "{refused}"
     );
-    // A file that cannot be read locks nobody out, and the log says what that means.
+    // Plays go on after a file that cannot be read, and the log says what that means.
     assert!(daemon.end().success());
     drop(daemon);
     fs::write(&file, "{\"date\":").unwrap();

@@ -254,7 +254,7 @@ fn a_session_ends_with_its_daemon_and_the_record_says_how() {
     assert_eq!(list.unreadable, 3, "{:?}", list.problems);
     assert!(list.problems[0].ends_with("2026-01-02.jsonl:1: not a line of JSON"), "{:?}", list.problems);
     assert!(list.problems[2].contains("2026-01-03.jsonl: is not a regular file"), "{:?}", list.problems);
-    // Nobody is locked out.
+    // A new session can begin.
     start(&mut daemon.client(), "P08", true);
 }
 

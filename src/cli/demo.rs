@@ -22,7 +22,6 @@ use meissner_api::{
 };
 use meissner_array::pattern::Pattern;
 use meissner_array::simulated::{LowerStop, SimulatedMotorsConfig};
-use meissner_array::strokes::StrokeOptions;
 use meissner_client::{Client, Events};
 use meissner_stream::device::Spec;
 use meissner_stream::{Gains, LowerStopSettings, SimulatedPlay, simulate_play};
@@ -110,7 +109,7 @@ pub(super) fn run(seconds: f64, open_loop: bool, sensorless: bool, json: bool) -
         patterns: PatternsDir::None,
         calibration: None,
         logbook: None,
-        // Nobody touches simulated pins.
+        // No finger lies on simulated pins.
         participant: ParticipantLimits::NONE,
         ..Config::default()
     };
@@ -178,12 +177,10 @@ fn compare(
     if !lower_stop {
         (mock.lower_stop, settings.lower_stop) = (LowerStop::None, None);
     }
-    let SimulatedPlay { rest, outcome, measured_bursts } =
+    let SimulatedPlay { rest, options, outcome, measured_bursts } =
         simulate_play(pattern, request.seconds, &mock, settings, true)?;
     let response = outcome.onset.and_then(|onset| {
         let onset = onset.actual;
-        let surplus = settings.surplus(&[Gains::default(); MOTORS]);
-        let options = StrokeOptions { surplus, ..StrokeOptions::lasting(request.seconds) };
         let played = PlayedPattern { pattern, options, onset, cut: false, unplayed: HashSet::new() };
         played.response(&measured_bursts).ok()
     });

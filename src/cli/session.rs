@@ -96,7 +96,7 @@ fn start(options: &ClientOptions, request: &SessionRequest) -> Result<ExitCode> 
     let started: SessionStarted = client.post("/v1/sessions", request)?;
     let kept = token::keep(&started.token).inspect_err(|_| {
         client.set_token(Some(started.token.clone()));
-        // Nobody could own it. If this fails, too, its owner is silent and others may act soon.
+        // Without the token it has no owner. If this fails, too, the silence opens it to others soon.
         let _ = client.post::<api::Session>(&format!("{}/end", path(Some(&started.id))), &json!({}));
     })?;
     if let Some(problem) = &started.record_problem {

@@ -11,7 +11,7 @@ use meissner_stream::time::HostInstant;
 use std::fmt::Write as _;
 
 /// Without a check, pins may be taken as at rest up to this estimate, root mean square, µm. Our choice: one stroke of 80 µm after
-/// a rest leaves 20 µm, 16 µm by its transient and 11 µm by its scatter. Whoever has played more must look.
+/// a rest leaves 20 µm, 16 µm by its transient and 11 µm by its scatter. After more play a person must look.
 const LEVEL_CHECK_UM: f32 = 20.0;
 
 impl Engine {

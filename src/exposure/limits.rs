@@ -30,7 +30,7 @@ impl Default for ParticipantLimits {
 }
 
 impl ParticipantLimits {
-    /// For a device that nobody touches: the ends of the ranges.
+    /// For simulated pins: the ends of the ranges.
     pub const NONE: Self = Self {
         max_amplitude_um: 400.0,
         max_continuous_s: 86_400.0,

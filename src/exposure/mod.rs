@@ -104,7 +104,7 @@ struct Live {
 #[derive(Debug, Default)]
 pub struct Account {
     limits: ParticipantLimits,
-    /// Whose plays are counted; `None`: nobody is named.
+    /// The participant of the running session; `None`: there is none.
     participant: Option<String>,
     /// Vibration of the session, s; `None`: no session runs.
     session_s: Option<f64>,
@@ -174,9 +174,15 @@ impl Account {
         serde_json::to_string(&file).ok().map(|text| text + "\n")
     }
 
+    /// Under whose name the day's vibration is counted: once there are [`PEOPLE`] names, further ones share the sum without one.
+    fn counted_for(&self) -> &Option<String> {
+        let full = self.days.len() >= PEOPLE && !self.days.contains_key(&self.participant);
+        if full { &None } else { &self.participant }
+    }
+
     fn day_s(&self, date: Date) -> f64 {
         let today = self.date == Some(date);
-        self.days.get(&self.participant).copied().filter(|_| today).unwrap_or(0.0)
+        self.days.get(self.counted_for()).copied().filter(|_| today).unwrap_or(0.0)
     }
 
     fn continuous_s(&self, at: HostInstant) -> f64 {
@@ -241,9 +247,8 @@ impl Account {
             if self.date != Some(now.date) {
                 (self.date, self.days) = (Some(now.date), BTreeMap::new());
             }
-            let full = self.days.len() >= PEOPLE && !self.days.contains_key(&self.participant);
-            let whose = self.participant.clone().filter(|_| !full);
-            *self.days.entry(whose).or_default() += new_s;
+            let name = self.counted_for().clone();
+            *self.days.entry(name).or_default() += new_s;
             self.session_s = self.session_s.map(|used_s| used_s + new_s);
         }
         let passed = |used_s: f64, most_s: f64| used_s > most_s + ROUNDING_S;

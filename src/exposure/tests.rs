@@ -1,3 +1,5 @@
+//! Tests of the exposure account: what counts, what is left, and what survives a restart.
+
 use super::*;
 use jiff::civil::date;
 use meissner_array::pattern::{Drive, Pattern};
@@ -104,4 +106,24 @@ fn the_day_s_sum_survives_a_restart_and_ends_with_the_day() {
     assert_eq!((status.day_used_s.round(), status.day_left_s.round()), (27.0, 3.0));
     assert_eq!(again.status(tomorrow).day_used_s, 0.0);
     assert!(account.restore(b"{").is_err() && account.day_s(date(2026, 11, 22)) > 0.0, "a torn file");
+}
+
+/// Beyond the bound of names, the day's limit holds for the sum that further participants share.
+#[test]
+fn the_day_has_a_limit_for_the_thousand_and_first_participant_too() {
+    let mut account = account();
+    for person in 0..=PEOPLE {
+        account.start_session(&format!("P{person}"));
+        run(&mut account, 1, play(Some(1.0)), 100.0 * person as f64, 1.0);
+        account.end_session();
+    }
+    account.start_session("late");
+    let from = 1e6;
+    let passed =
+        (0..4).find_map(|block| run(&mut account, 1, play(None), from + 100.0 * f64::from(block), 9.0));
+    assert_eq!(passed.map(|(_, limit)| limit), Some(Limit::Day));
+    assert_eq!(
+        account.check(at(from + 1000.0), &play(Some(1.0)), false, false).unwrap_err().limit,
+        Limit::Day
+    );
 }

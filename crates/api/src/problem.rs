@@ -174,7 +174,7 @@ impl Code {
             Self::ShuttingDown => ("shutting-down", 503, "The daemon shuts down"),
             Self::LowerStop => ("lower-stop", 409, "The array has a lower stop"),
             Self::DriftLimit => ("drift-limit", 409, "Pins may be too far from rest"),
-            Self::LevelNotChecked => ("level-not-checked", 409, "Nobody has checked that the pins are level"),
+            Self::LevelNotChecked => ("level-not-checked", 409, "The level of the pins was not checked"),
             Self::NoTelemetry => ("no-telemetry", 409, "The device has no telemetry"),
             Self::Store => ("store", 500, "The daemon cannot use its files"),
         }

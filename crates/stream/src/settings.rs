@@ -56,10 +56,10 @@ impl LowerStopSettings {
             return Surplus::Fixed(um);
         }
         let spread = gains.each_ref().map(|gains| {
-            if *gains == Gains::default() {
-                Spread::uncalibrated(gains.scatter, ASYMMETRY)
-            } else {
+            if gains.are_calibrated() {
                 Spread::measured(gains.scatter, gains.mean, gains.sd)
+            } else {
+                Spread::uncalibrated(gains.scatter, ASYMMETRY)
             }
         });
         Surplus::Auto(Box::new(AutoSurplus { spread, rest_error_um: self.rest_error_um }))

@@ -333,6 +333,8 @@ impl Simulation {
 pub struct SimulatedPlay {
     /// True rest errors of the pins.
     pub rest: RestStats,
+    /// How the pattern became strokes.
+    pub options: StrokeOptions,
     /// The play's outcome.
     pub outcome: Outcome,
     /// Its bursts as telemetry measured them.
@@ -368,7 +370,8 @@ pub fn simulate_play(
     open_loop: bool,
 ) -> Result<SimulatedPlay, SimulationError> {
     let surplus = settings.surplus(&[Gains::default(); MOTORS]);
-    let strokes = Strokes::new(pattern, &StrokeOptions { surplus, ..StrokeOptions::lasting(seconds) })?;
+    let options = StrokeOptions { surplus, ..StrokeOptions::lasting(seconds) };
+    let strokes = Strokes::new(pattern, &options)?;
     let name = || pattern.name().to_owned();
     let end = strokes.end().ok_or_else(|| SimulationError::Endless(name()))?;
     let mut simulation = Simulation::new(motors, settings, Line::default(), motors.seed)?;
@@ -387,5 +390,5 @@ pub fn simulate_play(
     // Telemetry still has to measure the last bursts.
     simulation.run(MEASURED_WITHIN + Duration::from_millis(motors.telemetry_age_ms.into()));
     let measured_bursts = simulation.take_measured_bursts();
-    Ok(SimulatedPlay { rest: simulation.mock.true_positions().rest(), outcome, measured_bursts })
+    Ok(SimulatedPlay { options, rest: simulation.mock.true_positions().rest(), outcome, measured_bursts })
 }

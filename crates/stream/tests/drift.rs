@@ -184,7 +184,7 @@ fn the_estimate_outlives_disarming_and_unplugging() {
     rig.run_ms(500);
     rig.connect();
     assert!((estimates(&mut rig)[0] - um).abs() < 1e-3);
-    // Another host process: the device knows where its pins are, and nobody knows how far they have drifted.
+    // Another host process: the device knows where its pins are, but the host does not know their drift.
     let mut streamer = meissner_stream::Streamer::new(Settings::default());
     rig.unplug();
     std::mem::swap(&mut rig.streamer, &mut streamer);

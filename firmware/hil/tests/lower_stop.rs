@@ -1,8 +1,8 @@
 //! An array with a lower stop and without telemetry, as a board has none: the chip's pulses drive simulated pins with a stop.
 
+use crate::play::job_of;
 use firmware_protocol::message::State;
 use firmware_protocol::stroke::{Burst, Direction, MOTORS};
-use meissner_api::LatePolicy;
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::simulated::{LowerStop, Pin, SimulatedMotorsConfig};
 use meissner_array::strokes::{StrokeOptions, Strokes};
@@ -12,8 +12,8 @@ use meissner_hil::judge::Judged;
 use meissner_hil::log::Log;
 use meissner_hil::rig::{Rig, RigOptions};
 use meissner_hil::time::MS;
-use meissner_stream::queues::{At, Command, Play, StreamEvent};
-use meissner_stream::{Bandwidth, Gains, LowerStopSettings, Settings};
+use meissner_stream::queues::{Command, StreamEvent};
+use meissner_stream::{Gains, LowerStopSettings, Settings};
 
 fn settings() -> Settings {
     Settings { lower_stop: Some(LowerStopSettings::default()), ..Settings::default() }
@@ -86,17 +86,7 @@ fn rest_um(log: &Log) -> f64 {
 fn ten_seconds_of_all_motors_rest_without_a_sensor() {
     let mut rig = started();
     arm(&mut rig);
-    let strokes = all_motors(10.0);
-    let play = Play {
-        id: 1,
-        strokes,
-        at: At::Next,
-        late: LatePolicy::Drop,
-        replace: false,
-        open_loop: false,
-        bandwidth: Bandwidth::default(),
-    };
-    rig.order(Command::Play(Box::new(play)));
+    rig.order(job_of(all_motors(10.0)));
     rig.run_to_end(1, 12_000).unwrap();
     let (judged, notices) = judged(rig);
     let outcome = notices.into_iter().find_map(|notice| match notice {

@@ -60,7 +60,11 @@ pub(crate) fn armed(options: ChipOptions) -> Rig {
 }
 
 pub(crate) fn job(pattern: &Pattern, seconds: f64) -> Command {
-    let strokes = Strokes::new(pattern, &StrokeOptions::lasting(seconds)).unwrap();
+    job_of(Strokes::new(pattern, &StrokeOptions::lasting(seconds)).unwrap())
+}
+
+/// An order to play these strokes in open loop, as play 1.
+pub(crate) fn job_of(strokes: Strokes) -> Command {
     let (at, late) = (At::Next, LatePolicy::Drop);
     Command::Play(Box::new(meissner_stream::queues::Play {
         id: 1,

@@ -18,15 +18,16 @@
 //!
 //! # With a lower stop
 //! A down burst with a surplus ends at the stop, whatever scatter added up before. The controller leaves it as planned and
-//! corrects up bursts only, from where telemetry shows the pin: the stop sets the rest position, the loop the amplitude. Nothing
-//! tells when a pin reaches the stop, so samples of that time are not used. Without telemetry, `landing` follows the mean and the
+//! corrects up bursts only, from where telemetry shows the pin: the stop sets the rest position, the loop the amplitude. No
+//! signal shows when a pin reaches the stop, so samples of that time are not used. Without telemetry, `landing` follows the mean and the
 //! variance of the rest error from stroke to stroke ([`ReflectedWalk::after`]).
 
 use super::estimator::{Estimator, Gains, Travel, after_rest, gain_index, sign};
+use super::queued::{Correction, Cutting, Forgotten, Queued};
 use super::telemetry_monitor::{Plausibility, TelemetryMonitor};
 use firmware_protocol::controller::POOL;
 use firmware_protocol::limits::{MAX_DOWN_PULSES, MAX_UP_PULSES, correction};
-use firmware_protocol::stroke::{Burst, Direction, Stroke};
+use firmware_protocol::stroke::{Direction, Stroke};
 use firmware_protocol::tick::Tick;
 use meissner_api::SensorFault;
 use meissner_array::motor::HalfTick;
@@ -50,70 +51,6 @@ const CUT: usize = 8;
 const HEADROOM: f64 = 0.5;
 /// Asymmetry of the gains up and down without calibration, one standard deviation.
 pub(crate) const ASYMMETRY: f64 = 0.02;
-
-/// A stroke sent to the device and not over yet.
-#[derive(Clone, Copy, Debug)]
-struct Queued {
-    stroke: Stroke,
-    /// Pulses planned, up and down.
-    planned: [u16; 2],
-    /// Tenths of pulses that it adds to `pending`, once finalised.
-    counted: [i64; 2],
-    accepted: bool,
-    closed_loop: bool,
-    /// For the telemetry monitor: the corrections of its bursts, which count once the device has played them.
-    corrections: [Option<Correction>; 2],
-    /// The end of its play: no correction may cross it.
-    until: Tick,
-}
-
-/// A correction as the telemetry monitor judges it. Small: there is one for each of many thousands of queued bursts.
-#[derive(Clone, Copy, Debug)]
-struct Correction {
-    /// By how much, if a limit cut it, µm.
-    limited_um: Option<f32>,
-    /// The estimated rest position at that time, µm.
-    rest_um: f32,
-}
-
-/// When the device cut what it played, and whether it then returned the pins.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Cutting {
-    /// The first tick in which nothing of the queue was played.
-    pub(crate) at: Tick,
-    /// Whether the pins return from then on; after an e-stop or a fault they stay where they are.
-    pub(crate) returns: bool,
-}
-
-/// Too many strokes began between the cut and the report of it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Forgotten;
-
-impl Queued {
-    /// When its last pulse is over, if the device cut it after it had begun. A return takes the pulses that an up burst has
-    /// played, and its surplus, or the rest of the down burst.
-    fn over_at(&self, cut: Cutting) -> Tick {
-        let Cutting { at, returns } = cut;
-        let [up, down] = self.stroke.bursts();
-        let whole = self.stroke.end();
-        if whole <= at {
-            whole
-        } else if at < up.end() {
-            let surplus = self.planned[1].saturating_sub(self.planned[0]);
-            if returns { at + (at - up.start) + u64::from(surplus) } else { at }
-        } else if at < down.start {
-            if returns { at + u64::from(down.pulses) } else { up.end() }
-        } else if returns {
-            whole
-        } else {
-            at
-        }
-    }
-
-    fn burst(&self, half: usize) -> Burst {
-        self.stroke.bursts()[half]
-    }
-}
 
 /// The controller of one motor.
 #[derive(Debug)]
@@ -369,7 +306,7 @@ impl BurstController {
 
     /// Whether its gains come from a calibration.
     pub(crate) fn is_calibrated(&self) -> bool {
-        self.gains != Gains::default()
+        self.gains.are_calibrated()
     }
 
     /// Whether plausible telemetry has shown where the shaft is.
@@ -557,12 +494,13 @@ impl BurstController {
     /// The rest error of strokes with these planned counts, from one to the next.
     fn walk(&self, planned: &[u16; 2]) -> ReflectedWalk {
         let [up, down] = planned.map(|pulses| f64::from(pulses) * UM_PER_PULSE);
-        let asymmetry = if self.is_calibrated() {
-            2.0 * (self.gains.mean[0] - self.gains.mean[1]) / (self.gains.mean[0] + self.gains.mean[1])
+        let Gains { mean, scatter, .. } = self.gains;
+        let spread = if self.is_calibrated() {
+            Spread::measured(scatter, mean, [0.0; 2])
         } else {
-            ASYMMETRY
+            Spread { scatter, asymmetry: ASYMMETRY }
         };
-        ReflectedWalk::new(up, down - up, Spread { scatter: self.gains.scatter, asymmetry })
+        ReflectedWalk::new(up, down - up, spread)
     }
 
     /// With a lower stop: root mean square of the rest error to expect, µm.

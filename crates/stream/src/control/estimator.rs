@@ -65,6 +65,13 @@ impl Default for Gains {
     }
 }
 
+impl Gains {
+    /// Whether they come from a calibration.
+    pub(crate) fn are_calibrated(&self) -> bool {
+        *self != Self::default()
+    }
+}
+
 /// A burst as telemetry has measured it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeasuredBurst {
@@ -315,8 +322,8 @@ impl Estimator {
         over
     }
 
-    /// Whether a burst that the lower stop ends is under way at `tick`, or the moving average still shows its motion. When it
-    /// stops, nothing tells: samples show no more than that it lands.
+    /// Whether a burst that the lower stop ends is under way at `tick`, or the moving average still shows its motion. No
+    /// signal shows when the pin stops, so such samples fit no ramp.
     pub(super) fn is_stopping(&self, tick: Tick) -> bool {
         let at = HalfTick::from(tick);
         self.window.iter().any(|it| it.stopped && HalfTick::from(it.burst.end()).0 + WINDOW_HALF_TICKS > at.0)

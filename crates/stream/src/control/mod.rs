@@ -12,11 +12,13 @@
 mod bound;
 mod burst_controller;
 mod estimator;
+mod queued;
 mod telemetry_monitor;
 
 pub(crate) use burst_controller::ASYMMETRY;
-pub(super) use burst_controller::{BurstController, Cutting, FINALISE_AT, LONGEST_AGE};
+pub(super) use burst_controller::{BurstController, FINALISE_AT, LONGEST_AGE};
 pub use estimator::{Gains, MeasuredBurst};
+pub(super) use queued::Cutting;
 
 use crate::settings::Settings;
 pub use bound::rest_bound_um;
