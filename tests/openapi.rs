@@ -12,7 +12,7 @@ use meissner_api::route::{Answer, Body};
 use meissner_api::{
     ArmRequest, CalibrateRequest, CalibrationReport, Code, Event, ImportedPattern, Method, PatternDetails,
     PatternList, PlayAccepted, PlayRequest, Problem, REFERENCE, Receipt, RemovedPattern, ResetRequest, Route,
-    Session, SessionList, SessionPlays, SessionRequest, SessionStarted, Status, openapi,
+    SequenceRequest, Session, SessionList, SessionPlays, SessionRequest, SessionStarted, Status, openapi,
 };
 use schema::check;
 use serde::de::DeserializeOwned;
@@ -108,6 +108,8 @@ fn ranges_are_those_that_the_daemon_checks() {
     assert_eq!(drive("stop_s"), (0.0, MAX_SECONDS));
     assert_eq!(range(&property("PlayRequest", "seconds")), (0.0, MAX_SECONDS));
     assert_eq!(range(&property("PlayRequest", "at_ms")), (0.0, meissner_api::MAX_AT_MS));
+    assert_eq!(property("SequenceRequest", "items")["maxItems"], meissner_api::MAX_SEQUENCE_ITEMS);
+    assert_eq!(meissner_api::MAX_SEQUENCE_ITEMS, meissner_array::strokes::MAX_ITEMS);
     assert_eq!(property("PatternFile", "drive")["maxItems"], MAX_DRIVES);
     let pulses = property("CalibrateRequest", "pulses");
     assert_eq!(range(&pulses["items"]), ((*PULSES_RANGE.start()).into(), (*PULSES_RANGE.end()).into()));
@@ -130,6 +132,7 @@ fn every_route_has_examples_that_parse() {
     let parse = |schema: &str, example: &Value| match schema {
         "ResetRequest" => drop(ResetRequest::parse(example.to_string().as_bytes()).unwrap()),
         "ArmRequest" => drop(ArmRequest::parse(example.to_string().as_bytes()).unwrap()),
+        "SequenceRequest" => drop(SequenceRequest::parse(example.to_string().as_bytes()).unwrap()),
         "PlayRequest" => drop(PlayRequest::parse(example.to_string().as_bytes()).unwrap()),
         "CalibrateRequest" => {
             let request = CalibrateRequest::parse(example.to_string().as_bytes()).unwrap();

@@ -45,6 +45,8 @@ mod power;
 mod pty;
 /// `simulate` and `tradeoff`: documents, mistakes, the comparison of methods and its plot; the shipped scenes.
 mod report;
+/// Sequences: all or nothing, one receipt, scale and triggers; the command.
+mod sequences;
 /// The daemon as a service: notifications, watchdog, socket activation, reload, and a newer program.
 mod service;
 /// Sessions: one at a time, exclusive ones, their owner's silence, the record of them, and disks that fail.

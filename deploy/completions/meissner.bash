@@ -73,6 +73,9 @@ _meissner() {
             meissner,reset)
                 cmd="meissner__subcmd__reset"
                 ;;
+            meissner,sequence)
+                cmd="meissner__subcmd__sequence"
+                ;;
             meissner,session)
                 cmd="meissner__subcmd__session"
                 ;;
@@ -147,6 +150,9 @@ _meissner() {
                 ;;
             meissner__subcmd__help,reset)
                 cmd="meissner__subcmd__help__subcmd__reset"
+                ;;
+            meissner__subcmd__help,sequence)
+                cmd="meissner__subcmd__help__subcmd__sequence"
                 ;;
             meissner__subcmd__help,session)
                 cmd="meissner__subcmd__help__subcmd__session"
@@ -224,7 +230,7 @@ _meissner() {
 
     case "${cmd}" in
         meissner)
-            opts="-h -V --help --version demo daemon play stop estop reset arm disarm home calibrate list show import remove status events receipt session motor simulate optimise tradeoff report doctor help"
+            opts="-h -V --help --version demo daemon play sequence stop estop reset arm disarm home calibrate list show import remove status events receipt session motor simulate optimise tradeoff report doctor help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 1 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -442,7 +448,7 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__help)
-            opts="demo daemon play stop estop reset arm disarm home calibrate list show import remove status events receipt session motor simulate optimise tradeoff report doctor help"
+            opts="demo daemon play sequence stop estop reset arm disarm home calibrate list show import remove status events receipt session motor simulate optimise tradeoff report doctor help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -708,6 +714,20 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__help__subcmd__reset)
+            opts=""
+            if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
+                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+                return 0
+            fi
+            case "${prev}" in
+                *)
+                    COMPREPLY=()
+                    ;;
+            esac
+            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+            return 0
+            ;;
+        meissner__subcmd__help__subcmd__sequence)
             opts=""
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
@@ -994,7 +1014,7 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__play)
-            opts="-h --seconds --endless --at --fit --late --replace --open-loop --session --trial --label --wait --socket --json --help"
+            opts="-h --seconds --endless --at --fit --late --replace --open-loop --session --trial --label --scale --code --trigger-ms --no-trigger --wait --socket --json --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -1025,6 +1045,18 @@ _meissner() {
                     return 0
                     ;;
                 --label)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --scale)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --code)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --trigger-ms)
                     COMPREPLY=($(compgen -f "${cur}"))
                     return 0
                     ;;
@@ -1100,6 +1132,28 @@ _meissner() {
                 return 0
             fi
             case "${prev}" in
+                --socket)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                *)
+                    COMPREPLY=()
+                    ;;
+            esac
+            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+            return 0
+            ;;
+        meissner__subcmd__sequence)
+            opts="-h --at --replace --wait --socket --json --help"
+            if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
+                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+                return 0
+            fi
+            case "${prev}" in
+                --at)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
                 --socket)
                     COMPREPLY=($(compgen -f "${cur}"))
                     return 0

@@ -14,6 +14,7 @@ use anyhow::{Result, bail};
 use clap::Args;
 use meissner_api::{
     ArmRequest, Code, Event, Fit, LatePolicy, PlayAccepted, PlayRequest, Receipt, ResetRequest, Status,
+    TriggerRequest, TriggerShape,
 };
 use meissner_client::{Client, ClientError, Events, HOME_TIMEOUT, escape};
 use serde_json::{Value, json};
@@ -64,11 +65,39 @@ pub(super) struct Play {
     /// Record the play with a label; up to 16 of them
     #[arg(long = "label", value_name = "KEY=VALUE", value_parser = label)]
     labels: Vec<(String, String)>,
+    /// Multiply the amplitude of every drive by X, 0 to 1
+    #[arg(long, value_name = "X", allow_negative_numbers = true, value_parser = positive)]
+    scale: Option<f64>,
+    #[command(flatten)]
+    trigger: TriggerOptions,
     /// Wait for the end and print the receipt; exit 1 if not all was played. Ctrl-C ends the waiting (exit 130), not the play
     #[arg(long)]
     wait: bool,
     #[command(flatten)]
     options: ClientOptions,
+}
+
+/// What the trigger output gives at the onset; without an option one pulse of 10 ms.
+#[derive(Debug, Args)]
+struct TriggerOptions {
+    /// Give the code N, 1 to 255, on the trigger output instead of one pulse
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..))]
+    code: Option<u8>,
+    /// Make the trigger's pulse, or each of a code's ten cells, MS milliseconds wide
+    #[arg(long, value_name = "MS", allow_negative_numbers = true, value_parser = positive)]
+    trigger_ms: Option<f64>,
+    /// Give nothing on the trigger output
+    #[arg(long, conflicts_with_all = ["code", "trigger_ms"])]
+    no_trigger: bool,
+}
+
+impl TriggerOptions {
+    fn request(&self) -> Option<TriggerRequest> {
+        let Self { code, trigger_ms: width_ms, no_trigger } = *self;
+        let shape = TriggerShape { width_ms, code };
+        let asked = shape != TriggerShape::default();
+        if no_trigger { Some(TriggerRequest::Off) } else { asked.then_some(TriggerRequest::On(shape)) }
+    }
 }
 
 pub(super) fn command(options: &ClientOptions, name: &str) -> Result<ExitCode> {
@@ -209,6 +238,8 @@ pub(super) fn play(play: &Play) -> Result<ExitCode> {
         session: play.session.clone(),
         trial: play.trial,
         labels: play.labels.iter().cloned().collect(),
+        scale: play.scale,
+        trigger: play.trigger.request(),
     };
     let json = play.options.output.json;
     if !play.wait {

@@ -19,6 +19,7 @@ mod optimise;
 mod output;
 mod progress;
 mod report;
+mod sequence;
 mod session;
 mod simulate;
 mod text;
@@ -86,6 +87,8 @@ enum Command {
     },
     /// Play a pattern after the queued ones
     Play(control::Play),
+    /// Play a sequence of patterns with exact times, as one play
+    Sequence(sequence::Sequence),
     /// End the running play and clear the queue; the motors stay armed
     Stop(ClientOptions),
     /// Turn all lines off at once; they stay off until `reset`
@@ -234,6 +237,7 @@ fn run(command: Command) -> Result<ExitCode> {
             if check { check_config(&source) } else { serve(source) }
         }
         Command::Play(play) => control::play(&play),
+        Command::Sequence(asked) => sequence::run(&asked),
         Command::Stop(options) => control::command(&options, "stop"),
         Command::Estop(options) => control::estop(&options),
         Command::Reset { force, options } => control::reset(&options, force),

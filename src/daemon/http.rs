@@ -32,8 +32,8 @@ use axum::{Json, Router};
 use futures_util::stream::{self, StreamExt};
 use meissner_api::{
     ArmRequest, CalibrateRequest, CalibrationReport, Code, Event, ImportedPattern, MAX_BODY, MAX_WAIT_S,
-    PlayAccepted, PlayRequest, Problem, REFERENCE, Receipt, RemovedPattern, ResetRequest, Route, Status,
-    parse_empty,
+    PlayAccepted, PlayRequest, Problem, REFERENCE, Receipt, RemovedPattern, ResetRequest, Route,
+    SequenceRequest, Status, parse_empty,
 };
 use meissner_stream::calibrate::{Calibration, MAX_BYTES as MAX_CALIBRATION};
 use meissner_stream::queues::Command;
@@ -150,6 +150,7 @@ fn handler(route: Route) -> MethodRouter<App> {
     };
     match route {
         Route::Play => on(method, play),
+        Route::Sequence => on(method, sequence),
         Route::Stop => on(method, stop),
         Route::EStop => on(method, estop),
         Route::Reset => on(method, reset),
@@ -222,6 +223,33 @@ async fn play(
         logged.set_arguments(&request);
         let (stored, _place) = find(&app.store, &request.pattern).await?;
         let accepted = app.engine.play(&request, stored, peer).await?;
+        logged.set_play(accepted.id);
+        Ok((StatusCode::ACCEPTED, Json(accepted)))
+    }
+    .await;
+    logged.result(result)
+}
+
+/// Parsed on a thread of its own: its body is as large as a file. It takes a place of the imports, whose files are as large.
+async fn sequence(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+    body: Body,
+) -> Answer<(StatusCode, Json<PlayAccepted>)> {
+    let mut logged = LoggedRequest::new(&app.engine, "sequence", peer);
+    let result = async {
+        let busy = |_| Problem::new(Code::Busy, "too many files are in work: try again in a moment");
+        let _place = tokio::time::timeout(IMPORT_TIMEOUT, IMPORTS.acquire()).await.map_err(busy)?;
+        let body = body::read(body, MAX_BODY).await?;
+        let mut request = computing(move || SequenceRequest::parse(&body)).await??;
+        request.session = app.engine.lock().session_of_play(request.session.as_deref())?;
+        let SequenceRequest { items, name, at_tick, at_ms, at_monotonic_ns, .. } = &request;
+        let items = items.len();
+        logged.set_arguments(&json!({
+            "name": name, "items": items, "at_tick": at_tick, "at_ms": at_ms, "at_monotonic_ns": at_monotonic_ns
+        }));
+        let find = async |name: String| find(&app.store, &name).await.map_err(|ErrorResponse(problem)| problem);
+        let accepted = app.engine.sequence(&request, peer, find).await?;
         logged.set_play(accepted.id);
         Ok((StatusCode::ACCEPTED, Json(accepted)))
     }

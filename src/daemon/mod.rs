@@ -10,7 +10,7 @@
 //! - `estop`, `state`, `engine`: emergency stops; the daemon's state behind one lock, and commands to the streamer.
 //! - `acceptor`: connections up to their first bytes, on a thread of its own.
 //! - `log_lines`, `request_log`, `status`: text and data for the log, the session record and clients.
-//! - `play`, `calibrate`, `connector`: begin plays, calibrate, open devices.
+//! - `play`, `sequence`, `calibrate`, `connector`: begin plays, calibrate, open devices.
 //! - `service`, `event_loop`: the service manager; the streamer's events.
 //! - `body`, `connection`, `http`, `reload`, `server`, `hosted`: clients, configuration, and daemons inside this process.
 //!
@@ -37,6 +37,7 @@ mod predictor;
 mod reload;
 mod request_log;
 mod runtime;
+mod sequence;
 mod server;
 mod service;
 mod sessions;

@@ -7,16 +7,17 @@
 
 use super::engine::{Engine, TIMEOUT, answer};
 use super::runtime::computing;
-use super::state::{NewPlay, Reply, State, Trial};
+use super::state::{NewPlay, Plays, Reply, State, Trial};
 use crate::exposure::Vibration;
 use crate::receipts::{Order, counts, fit};
 use crate::session_record::Peer;
 use crate::store::Stored;
+use firmware_protocol::message::Trigger;
 use firmware_protocol::tick::Tick;
-use meissner_api::{Code, OrderedCounts, PlayAccepted, PlayRequest, Problem};
+use meissner_api::{Code, OrderedCounts, PlayAccepted, PlayRequest, Problem, TriggerRequest, TriggerShape};
 use meissner_array::strokes::{StrokeOptions, Strokes, Surplus};
-use meissner_array::units::ticks_to_seconds;
-use meissner_stream::queues::{At, Command, Play};
+use meissner_array::units::{ms_in_ticks, ticks_to_seconds};
+use meissner_stream::queues::{At, Command, Item, Play};
 use meissner_stream::time::HostInstant;
 use meissner_stream::{Bandwidth, Settings};
 use std::sync::Arc;
@@ -41,8 +42,13 @@ impl PreparedPlay {
         settings: Settings,
         surplus: Surplus,
     ) -> Result<Self, Problem> {
-        let options =
-            StrokeOptions { surplus, fit: fit(request.fit), ..StrokeOptions::lasting(request.seconds) };
+        let scale = request.scale.unwrap_or(1.0);
+        let options = StrokeOptions {
+            surplus,
+            fit: fit(request.fit),
+            scale,
+            ..StrokeOptions::lasting(request.seconds)
+        };
         let bad = |error| Problem::new(Code::BadRequest, format!("`seconds`: {error}"));
         let strokes = Strokes::new(&stored.pattern, &options).map_err(bad)?;
         let order = Order::of(&stored.pattern, &options).map_err(bad)?;
@@ -61,7 +67,8 @@ impl PreparedPlay {
         .await?;
         let at = onset(request.at_tick, request.at_ms, request.at_monotonic_ns);
         let PlayRequest { late, replace, open_loop, .. } = *request;
-        let play = Play { id: 0, strokes, at, late, replace, open_loop, bandwidth };
+        let items = vec![Item::new(trigger(request.trigger))];
+        let play = Play { id: 0, strokes, items, at, late, replace, open_loop, bandwidth };
         let trial =
             Trial { session: request.session.clone(), number: request.trial, labels: request.labels.clone() };
         Ok(Self { play, stored, options, order, counts, vibration, trial })
@@ -76,19 +83,30 @@ impl State {
         prepared: PreparedPlay,
         client: Peer,
     ) -> Result<(PlayAccepted, Reply), Problem> {
+        let PreparedPlay { play, stored, options, order, counts, trial, .. } = prepared;
+        let Order { ordered_ms, compiled_ms, .. } = order;
+        let new = NewPlay { stored, options, order, counts, trial, client };
+        let (id, reply) = self.send_play(play, |plays| plays.add(new))?;
+        Ok((PlayAccepted { id, ordered_ms, compiled_ms }, reply))
+    }
+
+    /// Sends a play under the id that `add` gives it with a receipt. Returns the id and where the answer arrives.
+    pub(super) fn send_play(
+        &mut self,
+        play: Play,
+        add: impl FnOnce(&mut Plays) -> u64,
+    ) -> Result<(u64, Reply), Problem> {
         if !self.publisher.session_record.takes_plays() {
             let detail = "the session record keeps every play and has no room for more at this rate: play less often; see \
                           docs/reference/session-record.md";
             return Err(Problem::new(Code::TooManyPlays, detail));
         }
-        let PreparedPlay { play, stored, options, order, counts, trial, .. } = prepared;
-        let Order { ordered_ms, compiled_ms, .. } = order;
-        let id = self.plays.add(NewPlay { stored, options, order, counts, trial, client });
+        let id = add(&mut self.plays);
         let sent = self.send(Command::Play(Box::new(Play { id, ..play })), Some(id));
         if sent.is_err() {
             self.settle_play(id, false);
         }
-        Ok((PlayAccepted { id, ordered_ms, compiled_ms }, sent?))
+        Ok((id, sent?))
     }
 }
 
@@ -125,7 +143,7 @@ impl Engine {
         Ok(accepted)
     }
 
-    fn check_boot(&self, asked: Option<u32>) -> Result<(), Problem> {
+    pub(super) fn check_boot(&self, asked: Option<u32>) -> Result<(), Problem> {
         let now = self.lock().plays.receipts.device().map(|device| device.boot);
         match (asked, now) {
             (Some(asked), Some(now)) if asked != now => {
@@ -139,13 +157,25 @@ impl Engine {
 }
 
 /// The onset that a request asks for, by one of its keys at most.
-fn onset(tick: Option<u64>, ms: Option<f64>, monotonic_ns: Option<u64>) -> At {
+pub(super) fn onset(tick: Option<u64>, ms: Option<f64>, monotonic_ns: Option<u64>) -> At {
     match (tick, ms, monotonic_ns) {
         (Some(tick), ..) => At::Tick(Tick(tick)),
         (_, Some(ms), _) => At::After(nanoseconds(ms)),
         (.., Some(ns)) => At::Monotonic(HostInstant::from_ns(ns)),
         (None, None, None) => At::Next,
     }
+}
+
+/// What the trigger output gives for a request.
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked: half a second at most")]
+pub(super) fn trigger(request: Option<TriggerRequest>) -> Option<Trigger> {
+    let shape = match request {
+        Some(TriggerRequest::Off) => return None,
+        Some(TriggerRequest::On(shape)) => shape,
+        None => TriggerShape::default(),
+    };
+    let width = ms_in_ticks(shape.width_ms()).round() as u16;
+    Some(Trigger { width, code: shape.code.unwrap_or(0) })
 }
 
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked: 0 to an hour")]

@@ -69,7 +69,7 @@ impl Drop for LoggedRequest {
             (None, _) => "the client hung up before the answer".to_owned(),
         };
         // A play has a line at its end; refused plays may come by the thousand.
-        if self.entry.command == "play" {
+        if matches!(self.entry.command, "play" | "sequence") {
             debug!(pid, uid, play_id = self.entry.play, "{title} by {client}: {answer}");
         } else {
             info!(pid, uid, "{title} by {client}: {answer}");

@@ -34,6 +34,20 @@ impl Vibration {
         Self { spans, repeat_s: pattern.duration_s(), end_s }
     }
 
+    /// The vibration of a sequence: an item counts from its onset to its end, which are in order, s.
+    #[must_use]
+    pub fn of_spans(items: impl IntoIterator<Item = (f64, f64)>) -> Self {
+        let mut spans: Vec<(f64, f64)> = Vec::new();
+        for (start, stop) in items {
+            match spans.last_mut() {
+                Some(last) if start <= last.1 => last.1 = last.1.max(stop),
+                _ => spans.push((start, stop)),
+            }
+        }
+        let end_s = spans.last().map_or(0.0, |last| last.1);
+        Self { spans, repeat_s: None, end_s: Some(end_s) }
+    }
+
     /// How long it has vibrated, s, when it has played for `played_s`.
     #[must_use]
     pub fn until(&self, played_s: f64) -> f64 {
@@ -116,6 +130,14 @@ mod tests {
         // The second repeat begins as the first ends: 3 to 4, and 4 to 5.5.
         assert_eq!(play.longest(1.0), 2.5);
         assert_eq!(play.longest(2.0), 6.0, "no pause is so long");
+    }
+
+    #[test]
+    fn a_sequence_vibrates_in_its_items() {
+        let sequence = Vibration::of_spans([(0.5, 1.0), (1.0, 2.0), (5.0, 6.0)]);
+        assert_eq!((sequence.total(), sequence.until(1.5), sequence.until(3.0)), (Some(2.5), 1.0, 1.5));
+        assert_eq!((sequence.longest(3.0), sequence.longest(4.0)), (1.5, 2.5));
+        assert!(!sequence.is_endless());
     }
 
     #[test]

@@ -10,6 +10,7 @@
 //! kept; the streamer bounds them.
 
 mod convert;
+mod items;
 mod measured_bursts;
 mod order;
 mod prediction;
@@ -17,6 +18,7 @@ mod prediction;
 pub use convert::{
     HOST_TIMEOUT, calibration_plan, device_info, end_text, fit, fit_name, refusal, state_name,
 };
+pub use items::PlannedItem;
 pub use measured_bursts::{KEPT_S, MeasuredBursts};
 pub use order::{Order, counts, counts_until};
 pub use prediction::{NoPrediction, PlayedPattern};
@@ -33,10 +35,14 @@ use meissner_stream::cause_text;
 use meissner_stream::queues::Onset;
 use meissner_stream::queues::{Outcome, Snapshot, StreamEvent, refusal_text};
 use meissner_stream::time::HostInstant;
-use std::collections::VecDeque;
+use std::collections::{HashMap, VecDeque};
+use std::sync::Arc;
 
 /// Receipts kept of ended plays, at most.
 pub const KEPT: usize = 1000;
+
+/// Items of sequences in these receipts, at most: older receipts give way. They take 7 MB.
+pub const KEPT_ITEMS: usize = 1 << 15;
 
 /// Sums since the daemon's start.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -79,6 +85,8 @@ pub struct Receipts {
     /// Queued and running, in order of acceptance.
     live: Vec<Receipt>,
     finished: VecDeque<Receipt>,
+    /// What was planned of the items of sequences that are not over.
+    planned: HashMap<u64, Arc<[PlannedItem]>>,
     totals: Totals,
 }
 
@@ -88,11 +96,19 @@ impl Receipts {
         self.sent.push(receipt);
     }
 
+    /// Sets what is planned of the items of a sequence that was added.
+    pub fn plan(&mut self, id: u64, items: Arc<[PlannedItem]>) {
+        self.planned.insert(id, items);
+    }
+
     /// The streamer accepted a play, or not.
     pub fn settle(&mut self, id: u64, accepted: bool) -> Option<Event> {
         let at = self.sent.iter().position(|receipt| receipt.id == id)?;
         let receipt = self.sent.remove(at);
         let event = Event::Queued { id, pattern: receipt.pattern.clone(), seconds: receipt.seconds };
+        if !accepted {
+            self.planned.remove(&id);
+        }
         accepted.then(|| self.live.push(receipt))?;
         Some(event)
     }
@@ -170,11 +186,17 @@ impl Receipts {
         let mut receipt = self.live.remove(at);
         complete(&mut receipt, outcome);
         self.totals.add(outcome);
-        if self.finished.len() == KEPT {
-            self.finished.pop_front();
+        let event = Event::Ended { receipt: Box::new(receipt.clone()) };
+        // An event is short: the receipt alone has the items.
+        receipt.items = self.planned.remove(&id).map(|planned| items::records(&planned, &outcome.play.items));
+        let count = |receipt: &Receipt| receipt.items.as_ref().map_or(0, |items| items.len());
+        let mut kept = count(&receipt) + self.finished.iter().map(count).sum::<usize>();
+        while self.finished.len() >= KEPT || kept > KEPT_ITEMS {
+            let Some(oldest) = self.finished.pop_front() else { break };
+            kept -= count(&oldest);
         }
-        self.finished.push_back(receipt.clone());
-        Some(Event::Ended { receipt: Box::new(receipt) })
+        self.finished.push_back(receipt);
+        Some(event)
     }
 
     /// Sets what an endless play has counted by its end.
@@ -304,6 +326,7 @@ fn complete(receipt: &mut Receipt, outcome: &Outcome) {
     receipt.cause = outcome.cause.map(str::to_owned);
     receipt.bursts = Some(outcome.bursts);
     receipt.pulses = Some(outcome.pulses);
+    receipt.trigger = outcome.play.items.first().and_then(items::trigger);
     receipt.lateness.counts = outcome.lateness;
     receipt.wire = Some(LinkTraffic::new(outcome.wire_bytes, outcome.bursts.planned));
     receipt.offset = outcome.offset.map(Into::into);

@@ -47,6 +47,9 @@ pub enum NoPrediction {
         /// All bursts.
         bursts: u64,
     },
+    /// A sequence has many patterns, and a prediction is about one.
+    #[error("a sequence has many patterns, and a prediction is about one")]
+    Sequence,
     /// Too many plays ended at once.
     #[error("too many plays waited for their prediction")]
     Busy,

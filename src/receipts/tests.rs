@@ -9,7 +9,7 @@ use meissner_array::pattern::Pattern;
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_stream::Bandwidth;
 use meissner_stream::link::{BadFrames, Clock, Contradictions};
-use meissner_stream::queues::{At, End, Offset, Onset, Play};
+use meissner_stream::queues::{At, End, Item, Offset, Onset, Play};
 
 fn hello() -> DeviceHello {
     DeviceHello {
@@ -74,6 +74,7 @@ fn ended(id: u64, end: End) -> StreamEvent {
     let play = Play {
         id,
         strokes,
+        items: vec![Item::default()],
         at: At::Next,
         late: LatePolicy::Drop,
         replace: false,

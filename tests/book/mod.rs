@@ -10,6 +10,7 @@ mod run;
 use meissner::config::{Config, LOGBOOK_DAYS, PatternsDir};
 use meissner::session_record::Location;
 use meissner_api::Receipt;
+use meissner_api::SequenceRequest;
 use meissner_array::pattern::Pattern;
 use meissner_design::Target;
 use meissner_skin::Scene;
@@ -53,6 +54,8 @@ fn read_toml(text: &str, place: &str) -> Result<&'static str, String> {
     let word = |error: &dyn std::fmt::Display| error.to_string();
     if has("[[drive]]") {
         Pattern::parse(text, place).map(|_| "pattern").map_err(|error| word(&error))
+    } else if has("[[items]]") {
+        SequenceRequest::parse_file(text).map(|_| "sequence").map_err(|error| word(&error))
     } else if has("shape =") {
         Target::read(text, place).map(|_| "target").map_err(|error| word(&error))
     } else if has("[[motor]]") {
@@ -85,7 +88,7 @@ fn every_toml_and_json_snippet_is_good() {
             }
         }
     }
-    let all = BTreeSet::from(["pattern", "target", "calibration", "scene", "configuration"]);
+    let all = BTreeSet::from(["pattern", "target", "calibration", "scene", "sequence", "configuration"]);
     assert_eq!(kinds, all, "the book has an example of each kind of file");
 }
 

@@ -6,6 +6,7 @@
 //! - [`route`]: every route with its method, body, answer and error codes. The daemon builds its router from this table.
 //! - [`request`]: the bodies a client sends; [`PlayRequest::parse`] and its like name the key that is wrong.
 //! - [`session`]: whose plays are recorded together, and who owns the display meanwhile.
+//! - [`sequence`], [`trigger`]: sequences of patterns, and the trigger output, in requests and in receipts.
 //! - [`status`], [`receipt`], [`pattern`], [`calibration`]: what the daemon answers.
 //! - [`event`]: what the daemon reports as it happens.
 //! - [`problem`]: errors, as `application/problem+json`.
@@ -33,8 +34,10 @@ pub mod problem;
 pub mod receipt;
 pub mod request;
 pub mod route;
+pub mod sequence;
 pub mod session;
 pub mod status;
+pub mod trigger;
 
 pub use calibration::{CalibratedMotor, CalibrationReport, Provenance};
 pub use event::{Event, SensorFault};
@@ -52,6 +55,7 @@ pub use request::{
     ResetRequest, parse_empty,
 };
 pub use route::{Method, Route};
+pub use sequence::{InstantRecord, ItemRecord, ItemState, MAX_SEQUENCE_ITEMS, SequenceItem, SequenceRequest};
 pub use session::{
     Labels, MAX_ROWS, RecordedPlay, Session, SessionList, SessionPlays, SessionRequest, SessionStarted,
 };
@@ -59,6 +63,7 @@ pub use status::{
     ClockSample, DeviceInfo, ErrorSource, MotorStatus, NO_DEVICE, ParticipantStatus, PlayAccepted,
     QueuedPlay, Realtime, RunningPlay, Status,
 };
+pub use trigger::{TriggerRecord, TriggerRequest, TriggerShape};
 
 /// Clients connected at the same time, at most.
 pub const MAX_CLIENTS: usize = 64;

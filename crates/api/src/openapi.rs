@@ -7,8 +7,8 @@ use crate::problem::{Code, Problem};
 use crate::route::{Answer, Body, Method, Operation, Query, Route};
 use crate::{
     ArmRequest, CalibrateRequest, CalibrationReport, Event, ImportedPattern, PatternDetails, PatternList,
-    PlayAccepted, PlayRequest, Receipt, RemovedPattern, ResetRequest, Session, SessionList, SessionPlays,
-    SessionRequest, SessionStarted, Status,
+    PlayAccepted, PlayRequest, Receipt, RemovedPattern, ResetRequest, SequenceRequest, Session, SessionList,
+    SessionPlays, SessionRequest, SessionStarted, Status,
 };
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
@@ -35,6 +35,7 @@ use utoipa::OpenApi;
     SessionPlays,
     SessionRequest,
     SessionStarted,
+    SequenceRequest,
     Status,
 )))]
 struct Schemas;

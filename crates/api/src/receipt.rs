@@ -7,9 +7,12 @@
 
 use crate::pattern::ReachedDrive;
 use crate::request::Fit;
+use crate::sequence::ItemRecord;
 use crate::status::ErrorSource;
+use crate::trigger::TriggerRecord;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use utoipa::ToSchema;
 
 /// Strokes listed one by one in a receipt, at most: late ones and refused ones each.
@@ -339,8 +342,8 @@ impl LinkTraffic {
 #[schema(examples(json!({
     "id": 7, "pattern": "edge-45",
     "pattern_sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08",
-    "seconds": 2.0, "fit": "whole", "session": "20261122T083000Z-9f3c", "trial": 12, "labels": {"condition": "a"},
-    "state": "done", "cause": null,
+    "seconds": 2.0, "scale": 1.0, "fit": "whole", "session": "20261122T083000Z-9f3c", "trial": 12,
+    "labels": {"condition": "a"}, "state": "done", "cause": null,
     "onset": {
         "requested_tick": 6442460000_u64, "actual_tick": 6442460000_u64, "monotonic_ns": 75793647058823_u64,
         "uncertainty_ns": 9600
@@ -361,6 +364,8 @@ impl LinkTraffic {
         "strokes": [{"motor": 3, "tick": 6442470000_u64, "late_ms": 1.8, "cause": "host"}]
     },
     "refusals": [],
+    "trigger": {"tick": 6442460000_u64, "width_ms": 10.0, "code": null},
+    "items": null,
     "wire": {"bytes_to_device": 14260, "bytes_per_burst": 11.5},
     "rest_error_um": [0.4, -0.2],
     "rest_errors": [{
@@ -408,6 +413,10 @@ pub struct Receipt {
     #[serde(default)]
     #[schema(required)]
     pub labels: BTreeMap<String, String>,
+    /// The factor of the amplitudes; null for a sequence, whose items have one each.
+    #[serde(default)]
+    #[schema(required, minimum = 0.0, maximum = 1.0)]
+    pub scale: Option<f64>,
     /// Where the play stands.
     pub state: PlayState,
     /// Why the play ended; null if it is not over or came to its end.
@@ -457,6 +466,14 @@ pub struct Receipt {
     /// The refused strokes so far: the first 100.
     #[schema(max_items = 100)]
     pub refusals: Vec<RefusedStroke>,
+    /// What the trigger output gave at the onset; null: nothing, or not yet.
+    #[serde(default)]
+    #[schema(required)]
+    pub trigger: Option<TriggerRecord>,
+    /// The items of a sequence; null until it is over, for other plays, and in the event `ended`.
+    #[serde(default)]
+    #[schema(required, value_type = Option<Vec<ItemRecord>>, max_items = 4096)]
+    pub items: Option<Arc<[ItemRecord]>>,
     /// What was sent to the device; null until the play is over.
     #[schema(required)]
     pub wire: Option<LinkTraffic>,
@@ -486,6 +503,7 @@ impl Receipt {
             session: None,
             trial: None,
             labels: BTreeMap::new(),
+            scale: None,
             state: PlayState::Queued,
             cause: None,
             onset: None,
@@ -500,6 +518,8 @@ impl Receipt {
             pulses: None,
             lateness: LatenessRecord::default(),
             refusals: Vec::new(),
+            trigger: None,
+            items: None,
             wire: None,
             rest_error_um: None,
             rest_errors: None,

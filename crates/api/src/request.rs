@@ -4,7 +4,9 @@
 //! counts as absent. An error is one line that names the key; for an unknown key it offers the nearest known one.
 
 use crate::problem::{Code, Problem, REFERENCE};
+use crate::sequence::{check_scale, check_trigger};
 use crate::session::check_labels;
+use crate::trigger::{self, TriggerRequest};
 use meissner_input::document::{self, CommonProblem, KeyError, Table, Wanted};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer, Serialize};
@@ -27,6 +29,10 @@ pub struct PlayRequest {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0.0, maximum = 1e8)]
     pub seconds: Option<f64>,
+    /// Multiplies the amplitude of every drive; without it 1.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(minimum = 0.0, maximum = 1.0)]
+    pub scale: Option<f64>,
     /// Onset on the device's clock, ticks of 1/85000 s. Excludes `at_ms` and `at_monotonic_ns`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub at_tick: Option<u64>,
@@ -66,6 +72,10 @@ pub struct PlayRequest {
     /// Up to 16 labels of the trial, of 1 to 100 characters.
     #[serde(default, deserialize_with = "null_as_default", skip_serializing_if = "BTreeMap::is_empty")]
     pub labels: BTreeMap<String, String>,
+    /// What the trigger output gives at the onset; without it one pulse of 10 ms.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(schema_with = trigger::schema)]
+    pub trigger: Option<TriggerRequest>,
 }
 
 /// Which strokes a play has at its end: those that have ended by then (`whole`), or those that begin before (`cover`), which it then
@@ -106,12 +116,17 @@ impl PlayRequest {
         let request: Self = read(body)?;
         check_onset(request.at_tick, request.at_ms, request.at_monotonic_ns)?;
         check_labels(&request.labels)?;
+        check_scale(request.scale).and_then(|()| check_trigger(request.trigger)).map_err(bad)?;
         Ok(request)
     }
 }
 
 /// Refuses more than one onset, and one out of range.
-fn check_onset(tick: Option<u64>, ms: Option<f64>, monotonic_ns: Option<u64>) -> Result<(), Problem> {
+pub(crate) fn check_onset(
+    tick: Option<u64>,
+    ms: Option<f64>,
+    monotonic_ns: Option<u64>,
+) -> Result<(), Problem> {
     let keys =
         [("at_tick", tick.is_some()), ("at_ms", ms.is_some()), ("at_monotonic_ns", monotonic_ns.is_some())];
     let mut given = keys.iter().filter(|(_, given)| *given).map(|(key, _)| key);
@@ -250,7 +265,7 @@ pub(crate) fn read<T: DeserializeOwned>(body: &[u8]) -> Result<T, Problem> {
 }
 
 /// A fault of a body; one of the whole body gets a pointer to the API reference.
-fn problem(fault: KeyError<Infallible>) -> Problem {
+pub(crate) fn problem(fault: KeyError<Infallible>) -> Problem {
     let is_key = matches!(
         fault.problem,
         document::Problem::Common(CommonProblem::UnknownKey { .. } | CommonProblem::NoKeys { .. })
@@ -264,7 +279,7 @@ fn problem(fault: KeyError<Infallible>) -> Problem {
     })
 }
 
-fn bad(detail: impl AsRef<str>) -> Problem {
+pub(crate) fn bad(detail: impl AsRef<str>) -> Problem {
     Problem::new(Code::BadRequest, detail)
 }
 
@@ -307,6 +322,8 @@ mod tests {
             (r#"{"pattern":"a","replace":1}"#, "`replace` is integer `1`: must be true or false"),
             (r#"{"pattern":"a","at_ms":-1}"#, "`at_ms` is -1: must be 0 to 3600000 ms"),
             (r#"{"pattern":"a","at_ms":1,"at_tick":1}"#, "`at_tick` and `at_ms` exclude each other"),
+            (r#"{"pattern":"a","scale":-0.1}"#, "`scale` is -0.1: must be 0 to 1"),
+            (r#"{"pattern":"a","trigger":{"code":0}}"#, "`trigger`: `code` must be 1 to 255"),
             (r#"{"pattern":"a","at_ms":1,"at_monotonic_ns":1}"#, "`at_ms` and `at_monotonic_ns` exclude"),
             (
                 "[]",
@@ -343,6 +360,8 @@ mod tests {
                 "late",
                 "replace",
                 "open_loop",
+                "scale",
+                "trigger",
             ];
             let values = keys.iter().flat_map(|key| {
                 ["TEXT", "[TEXT]", "{TEXT: TEXT}"].map(|value| format!("{{\"{key}\": {value}}}"))

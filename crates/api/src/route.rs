@@ -11,6 +11,7 @@ use crate::request::MAX_WAIT_S;
 #[expect(missing_docs, reason = "`operation` describes each")]
 pub enum Route {
     Play,
+    Sequence,
     Stop,
     EStop,
     Reset,
@@ -153,8 +154,9 @@ const STATUS: Answer = Answer::Json("Status");
 
 impl Route {
     /// Every route.
-    pub const ALL: [Self; 24] = [
+    pub const ALL: [Self; 25] = [
         Self::Play,
+        Self::Sequence,
         Self::Stop,
         Self::EStop,
         Self::Reset,
@@ -197,6 +199,7 @@ impl Route {
     pub const fn command(self) -> &'static str {
         match self {
             Self::Play => "play",
+            Self::Sequence => "sequence",
             Self::Stop => "stop",
             Self::EStop => "estop",
             Self::Reset => "reset",
@@ -241,6 +244,35 @@ impl Route {
                     ANY,
                 ],
                 ..Operation::post("/v1/play")
+            },
+            Self::Sequence => Operation {
+                summary: "Queue a sequence of patterns as one play",
+                description: "All of it is accepted or refused: every pattern exists, every item has a stroke and an end, no item \
+                              begins before the end of the one before it or within 5 ms of its onset, and no trigger ends \
+                              another. The body has at most 1 MiB and 4096 items; the patterns that it names have at most 4096 \
+                              drives together, counted once for each scale. One receipt has the onset and offset of every \
+                              item. A stop or `replace` ends the whole sequence.",
+                body: Body::Json("SequenceRequest"),
+                statuses: ACCEPTED,
+                answer: Answer::Json("PlayAccepted"),
+                errors: &[
+                    BODY,
+                    &[
+                        Code::NotFound,
+                        Code::BadPattern,
+                        Code::StaleBoot,
+                        Code::BehindEndless,
+                        Code::TooSoon,
+                        Code::Overlaps,
+                        Code::Empty,
+                        Code::SessionRunning,
+                        Code::ParticipantLimit,
+                    ],
+                    QUEUE,
+                    COMMAND,
+                    ANY,
+                ],
+                ..Operation::post("/v1/sequence")
             },
             Self::Stop => Operation {
                 summary: "Stop the running play and clear the queue",

@@ -6,9 +6,10 @@
 //! the bursts played between the play's onset and its end. The rest was dropped.
 
 use crate::control::Cutting;
-use crate::queues::{At, End, Offset, Onset, Outcome, Play, RestErrors};
+use crate::link::ClockEstimate;
+use crate::queues::{At, End, Item, Offset, Onset, Outcome, Play, RestErrors, Stamp};
 use crate::time::HostInstant;
-use firmware_protocol::message::Counters;
+use firmware_protocol::message::{Counters, Trigger};
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_api::{BurstCounts, LateCause, LateCounts, PulseCounts};
@@ -41,6 +42,12 @@ pub(super) struct Active {
     pub(super) margin: Duration,
     /// The next stroke to send.
     pub(super) next: Option<Stroke>,
+    /// The item whose strokes are being sent.
+    sending: usize,
+    /// The first item that is not known to have ended.
+    ending: usize,
+    /// The device has reported when it cut the play.
+    cut_reported: bool,
     /// Strokes sent without a verdict.
     pub(super) undecided: u64,
     /// The end of the last stroke sent.
@@ -94,6 +101,9 @@ impl Active {
             requested,
             margin,
             next: None,
+            sending: 0,
+            ending: 0,
+            cut_reported: false,
             undecided: 0,
             last_end: Tick(0),
             cut: None,
@@ -117,6 +127,10 @@ impl Active {
         self.requested = self.requested.or(Some(onset));
         self.play.strokes.begin(onset);
         (self.next, self.undecided, self.last_end) = (None, 0, onset);
+        (self.sending, self.ending) = (0, 0);
+        for (item, onset) in self.play.items.iter_mut().zip(self.play.strokes.onsets()) {
+            *item = Item { onset, last_end: onset, ..Item::new(item.trigger) };
+        }
         (self.planned_strokes, self.planned_pulses) = (0, 0);
         self.wire_from = wire;
     }
@@ -138,6 +152,70 @@ impl Active {
         up.or_else(|| self.end()).unwrap_or(self.last_end)
     }
 
+    /// What the trigger output gives at the play's onset.
+    pub(super) fn trigger(&self) -> Option<Trigger> {
+        // A pause may come before the first item, which then has a mark of its own.
+        let begins = self.play.items.first().filter(|item| Some(item.onset) == self.onset);
+        begins.and_then(|item| item.trigger)
+    }
+
+    /// Goes on to the strokes of the next item; returns its trigger.
+    pub(super) fn send_next_item(&mut self) -> Option<Trigger> {
+        self.play.strokes.next_item();
+        self.sending = self.play.strokes.item();
+        self.play.items.get(self.sending).and_then(|item| item.trigger)
+    }
+
+    /// How many onsets of items are sent and have not come at `tick`; counts no further than `most`.
+    pub(super) fn onsets_ahead(&self, tick: Tick, most: usize) -> usize {
+        let sent = self.play.items.iter().take(self.sending + 1).rev().take(most);
+        sent.take_while(|item| item.onset >= tick).count()
+    }
+
+    /// The item that a stroke with this up tick belongs to.
+    fn item_at(&mut self, up: Tick) -> Option<&mut Item> {
+        let after = self.play.items.partition_point(|item| item.onset <= up);
+        self.play.items.get_mut(after.saturating_sub(1))
+    }
+
+    /// The device has reported an onset, perhaps that of an item of this play.
+    pub(super) fn reported(&mut self, onset: Stamp) {
+        let found = self.play.items.binary_search_by_key(&onset.tick, |item| item.onset);
+        if let Some(item) =
+            found.ok().filter(|_| self.onset.is_some()).and_then(|at| self.play.items.get_mut(at))
+        {
+            item.began = Some(onset);
+        }
+    }
+
+    /// Notes the ends of items that have come at `tick`, unless the play is cut.
+    pub(super) fn note_ends(&mut self, tick: Tick, clock: &ClockEstimate) {
+        if self.cut.is_none() {
+            self.note_ends_until(tick, clock);
+        }
+    }
+
+    /// The device has cut the play at `tick`.
+    pub(super) fn was_cut(&mut self, tick: Tick, clock: &ClockEstimate) {
+        if self.cut.is_some() && !std::mem::replace(&mut self.cut_reported, true) {
+            self.note_ends_until(tick, clock);
+        }
+    }
+
+    fn note_ends_until(&mut self, tick: Tick, clock: &ClockEstimate) {
+        let begun = self.play.items.get(self.sending).is_some_and(|item| item.first_up.is_some());
+        let all = begun && self.next.is_none() && self.play.strokes.next_onset().is_some();
+        let sent = match self.phase {
+            Phase::Streamed => self.play.items.len(),
+            _ => self.sending + usize::from(all),
+        };
+        let items = self.play.items.iter_mut().take(sent).skip(self.ending);
+        for item in items.take_while(|item| item.last_end <= tick) {
+            item.ended = Some(Stamp::new(item.last_end, clock));
+            self.ending += 1;
+        }
+    }
+
     /// Whether the client asked for an onset.
     pub(super) fn is_fixed(&self) -> bool {
         self.play.at != At::Next
@@ -148,11 +226,18 @@ impl Active {
         self.planned_strokes += 1;
         self.planned_pulses += u64::from(stroke.up_pulses) + u64::from(stroke.down_pulses);
         self.last_end = self.last_end.max(stroke.end());
+        if let Some(item) = self.play.items.get_mut(self.sending) {
+            item.first_up.get_or_insert(stroke.up);
+            item.last_end = item.last_end.max(stroke.end());
+        }
     }
 
     /// Counts a late stroke; returns the counts so far.
-    pub(super) fn late(&mut self, late_ms: f64, cause: LateCause) -> LateCounts {
+    pub(super) fn late(&mut self, up: Tick, late_ms: f64, cause: LateCause) -> LateCounts {
         self.late_strokes += 1;
+        if let Some(item) = self.item_at(up) {
+            item.late += 1;
+        }
         self.lateness.worst_ms = self.lateness.worst_ms.max(late_ms);
         match cause {
             LateCause::Host => self.lateness.host += 1,
@@ -169,8 +254,11 @@ impl Active {
         self.lateness.worst_ms = late_ms;
     }
 
-    pub(super) fn refused(&mut self) {
+    pub(super) fn refused(&mut self, up: Tick) {
         self.refused_strokes += 1;
+        if let Some(item) = self.item_at(up) {
+            item.refused += 1;
+        }
     }
 
     /// The onset has passed, with these rest errors.

@@ -24,6 +24,8 @@ use std::time::Duration;
 const COUNTED_S: u64 = 60;
 /// Most overhead of a frame of strokes.
 const FRAME_BYTES: usize = 24;
+/// Most bytes that the mark of an item adds to its frame.
+const MARK_BYTES: usize = 6;
 /// Most bytes of an amendment message without items (header, first up tick), and of an item: up tick within 12 s, count.
 const AMEND_FRAME_BYTES: usize = 21;
 const AMEND_BYTES: usize = 6;
@@ -58,6 +60,12 @@ pub struct Bandwidth {
 }
 
 impl Bandwidth {
+    /// Enough for both: for the parts of a play whose peaks do not come together.
+    #[must_use]
+    pub fn max(self, other: Self) -> Self {
+        Self { open: self.open.max(other.open), closed: self.closed.max(other.closed) }
+    }
+
     /// The bandwidth of `strokes` with these settings. Takes milliseconds: do not call it in the streamer's thread.
     #[must_use]
     pub fn of(strokes: &Strokes, settings: &Settings) -> Self {
@@ -69,8 +77,18 @@ impl Bandwidth {
         let mut slots = Vec::new();
         let mut frame = Packer::<BATCH_BYTES>::new(Tick(0));
         let mut framed = u64::MAX;
-        let strokes = strokes.map_while(Result::ok);
-        for stroke in strokes.take_while(|stroke| stroke.up.0 < COUNTED_S * TICKS_PER_S) {
+        loop {
+            if let Some(onset) = strokes.next_onset().filter(|onset| onset.0 < COUNTED_S * TICKS_PER_S) {
+                // Each item begins with a frame of its own.
+                bytes.add(onset.0, FRAME_BYTES + MARK_BYTES);
+                (frame, framed) = (Packer::new(onset), onset.0 / batch);
+                full = Packer::new(onset);
+                strokes.next_item();
+            }
+            let Some(Ok(stroke)) = strokes.next() else { break };
+            if stroke.up.0 >= COUNTED_S * TICKS_PER_S {
+                break;
+            }
             let (at, before) = (stroke.up.0, frame.bytes().len());
             if framed == at / batch && frame.stroke(&stroke).is_ok() {
                 bytes.add(at, frame.bytes().len() - before);
@@ -162,6 +180,11 @@ impl Sums {
 }
 
 impl Requirement {
+    /// The higher peak of both, with this one's beginning.
+    fn max(self, other: Self) -> Self {
+        Self { rate: self.rate.max(other.rate), frames: self.frames.max(other.frames), ..self }
+    }
+
     /// How long before its onset a play must be sent over a line of `rate` bytes per second.
     #[must_use]
     pub fn ahead(&self, rate: u32) -> Duration {

@@ -9,7 +9,7 @@ use crate::bandwidth::Bandwidth;
 use crate::control::Gains;
 use crate::device::mock::Mock;
 use crate::link::LineRate;
-use crate::queues::{At, Command, Emit, MeasuredBurst, Outcome, Play, Request, StreamEvent};
+use crate::queues::{At, Command, Emit, Item, MeasuredBurst, Outcome, Play, Request, StreamEvent};
 use crate::settings::Settings;
 use crate::streamer::Streamer;
 use crate::time::HostInstant;
@@ -381,8 +381,16 @@ pub fn simulate_play(
     // With a lower stop this seeks it.
     simulation.run(Duration::from_millis(20) + settings.seek_time());
     let bandwidth = Bandwidth::of(&strokes, &settings);
-    let play =
-        Play { id: 1, strokes, at: At::Next, late: LatePolicy::Drop, replace: false, open_loop, bandwidth };
+    let play = Play {
+        id: 1,
+        strokes,
+        items: vec![Item::default()],
+        at: At::Next,
+        late: LatePolicy::Drop,
+        replace: false,
+        open_loop,
+        bandwidth,
+    };
     simulation.send(Command::Play(Box::new(play)));
     let length = Duration::from_secs_f64(ticks_to_seconds(end));
     let outcome = simulation.run_to_end(1, length + Duration::from_secs(2));

@@ -19,6 +19,8 @@ mod noise;
 mod on_time;
 mod position_control;
 mod races;
+/// Sequences: many patterns at exact ticks, and the trigger output.
+mod sequences;
 /// A session and a controller over a line that loses: one verdict per stroke.
 mod session;
 mod streaming;

@@ -12,7 +12,7 @@ use meissner_hil::rig::{Rig, RigOptions};
 use meissner_hil::scenario::compiled;
 use meissner_hil::time::{Grid, MS};
 use meissner_stream::Bandwidth;
-use meissner_stream::queues::{At, Command, Outcome, StreamEvent};
+use meissner_stream::queues::{At, Command, Item, Outcome, StreamEvent};
 
 pub(crate) struct Play {
     pub(crate) pattern: Pattern,
@@ -69,6 +69,7 @@ pub(crate) fn job_of(strokes: Strokes) -> Command {
     Command::Play(Box::new(meissner_stream::queues::Play {
         id: 1,
         strokes,
+        items: vec![Item::default()],
         at,
         late,
         replace: false,

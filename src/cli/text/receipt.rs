@@ -5,8 +5,8 @@
 use super::pairs;
 use crate::receipts::end_text;
 use meissner_api::{
-    BurstCounts, DurationRecord, ErrorSource, MotorRestError, OrderedCounts, PlayAccepted, PredictedResponse,
-    Prediction, PulseCounts, ReachedDrive, Receipt,
+    BurstCounts, DurationRecord, ErrorSource, ItemState, MotorRestError, OrderedCounts, PlayAccepted,
+    PredictedResponse, Prediction, PulseCounts, ReachedDrive, Receipt,
 };
 
 pub(in crate::cli) fn receipt(receipt: &Receipt) -> String {
@@ -39,6 +39,20 @@ pub(in crate::cli) fn receipt(receipt: &Receipt) -> String {
             late.host, late.link, late.device, late.worst_ms
         );
         lines.push(("late strokes", text));
+    }
+    if let Some(items) = &receipt.items {
+        let count = |state| items.iter().filter(|item| item.state == state).count();
+        let [played, incomplete, cut, not_begun] =
+            [ItemState::Played, ItemState::Incomplete, ItemState::Cut, ItemState::NotBegun].map(count);
+        let text = format!(
+            "{}: {played} played, {incomplete} incomplete, {cut} cut, {not_begun} not begun; --json lists each",
+            items.len()
+        );
+        lines.push(("items", text));
+    }
+    if let Some(trigger) = &receipt.trigger {
+        let code = trigger.code.map_or_else(|| "pulse".to_owned(), |code| format!("code {code}"));
+        lines.push(("trigger", format!("{code} of {:.2} ms at tick {}", trigger.width_ms, trigger.tick)));
     }
     if let Some(wire) = &receipt.wire {
         let per_burst =

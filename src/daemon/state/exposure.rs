@@ -60,6 +60,10 @@ impl DerefMut for Exposure {
     }
 }
 
+fn exceeded(detail: String) -> Problem {
+    Problem::new(Code::ParticipantLimit, detail)
+}
+
 impl State {
     /// Refuses a play that a participant's limit does not allow, or not now.
     pub(in crate::daemon) fn check_exposure(
@@ -68,27 +72,41 @@ impl State {
         pattern: &Pattern,
         vibration: &Vibration,
     ) -> Result<(), Problem> {
-        let refused = |detail: String| Problem::new(Code::ParticipantLimit, detail);
-        let most_um = self.exposure.account.limits().max_amplitude_um;
-        let amplitudes = pattern.drives().iter().map(|drive| drive.amplitude_um);
-        let largest_um = amplitudes.fold(0.0, f64::max);
-        if largest_um > most_um {
-            return Err(refused(format!(
-                "`participant.max_amplitude_um` is {most_um} um, and `{}` asks for {largest_um} um: play a weaker pattern, or raise \
-                 the limit in the daemon's configuration",
-                request.pattern
-            )));
-        }
+        let scale = request.scale.unwrap_or(1.0);
+        let amplitudes = pattern.drives().iter().map(|drive| drive.amplitude_um * scale);
+        self.check_amplitude(&request.pattern, amplitudes.fold(0.0, f64::max))?;
         if vibration.is_endless() && !request.endless {
-            return Err(refused(format!(
+            return Err(exceeded(format!(
                 "`{}` has no end: add `seconds` (--seconds S), or allow a play without end with `endless` (--endless)",
                 request.pattern
             )));
         }
         let onsets = [request.at_tick.is_some(), request.at_ms.is_some(), request.at_monotonic_ns.is_some()];
         let later = onsets.contains(&true);
-        let fits = self.exposure.account.check(Now::read(), vibration, request.replace, later);
-        fits.map_err(|exceeded| refused(exceeded.text()))
+        self.check_vibration(vibration, request.replace, later)
+    }
+
+    /// Refuses an amplitude that is too large for a participant.
+    pub(in crate::daemon) fn check_amplitude(&self, pattern: &str, largest_um: f64) -> Result<(), Problem> {
+        let most_um = self.exposure.account.limits().max_amplitude_um;
+        if largest_um > most_um {
+            return Err(exceeded(format!(
+                "`participant.max_amplitude_um` is {most_um} um, and `{pattern}` asks for {largest_um} um: play a weaker pattern, or \
+                 raise the limit in the daemon's configuration"
+            )));
+        }
+        Ok(())
+    }
+
+    /// Refuses vibration that does not fit behind the plays that run and wait, or `instead` of them.
+    pub(in crate::daemon) fn check_vibration(
+        &self,
+        vibration: &Vibration,
+        instead: bool,
+        later: bool,
+    ) -> Result<(), Problem> {
+        let fits = self.exposure.account.check(Now::read(), vibration, instead, later);
+        fits.map_err(|why| exceeded(why.text()))
     }
 
     /// Counts the vibration that an event reports. Stops a play that passes a limit, and names the limit as the cause of its end.

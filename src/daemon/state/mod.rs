@@ -28,7 +28,7 @@ pub(super) use calibration::Calibration;
 pub(super) use commands::{Commands, Reply};
 pub(super) use connection::{Connection, ConnectorMessage};
 pub(super) use exposure::Exposure;
-pub(super) use plays::{NewPlay, Plays, Trial};
+pub(super) use plays::{NewPlay, NewSequence, Plays, Trial};
 pub(super) use publisher::{Publisher, frame};
 pub(super) use session::{Sessions, no_session};
 pub(super) use settings::ActiveSettings;

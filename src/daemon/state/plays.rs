@@ -4,10 +4,10 @@
 //! response is not predicted.
 
 use crate::daemon::predictor::MeasuredPlay;
-use crate::receipts::{MeasuredBursts, Order, PlayedPattern, Receipts, fit_name};
+use crate::receipts::{MeasuredBursts, NoPrediction, Order, PlannedItem, PlayedPattern, Receipts, fit_name};
 use crate::session_record::Peer;
 use crate::store::Stored;
-use meissner_api::{Event, Labels, OrderedCounts, Receipt};
+use meissner_api::{Event, Fit, Labels, OrderedCounts, Receipt};
 use meissner_array::pattern::Pattern;
 use meissner_array::strokes::StrokeOptions;
 use std::collections::HashMap;
@@ -32,6 +32,18 @@ pub(in crate::daemon) struct Trial {
     pub(in crate::daemon) session: Option<String>,
     pub(in crate::daemon) number: Option<u64>,
     pub(in crate::daemon) labels: Labels,
+}
+
+/// A sequence that is about to be sent to the streamer.
+#[derive(Debug)]
+pub(in crate::daemon) struct NewSequence {
+    pub(in crate::daemon) name: String,
+    pub(in crate::daemon) sha256: String,
+    pub(in crate::daemon) order: Order,
+    pub(in crate::daemon) counts: Option<OrderedCounts>,
+    pub(in crate::daemon) items: Arc<[PlannedItem]>,
+    pub(in crate::daemon) trial: Trial,
+    pub(in crate::daemon) client: Peer,
 }
 
 /// What is kept of a play for its prediction.
@@ -64,11 +76,28 @@ impl Plays {
         let id = self.last_id;
         let Trial { session, number, labels } = trial;
         let receipt = Receipt::new(id, pattern.name(), &sha256, options.seconds);
-        let mut receipt = Receipt { session, trial: number, labels, ..receipt };
+        let mut receipt = Receipt { session, trial: number, labels, scale: Some(options.scale), ..receipt };
         order.enter(&mut receipt, fit_name(options.fit), counts);
         self.receipts.add(receipt);
         self.clients.insert(id, client);
         self.unpredicted.insert(id, Unpredicted { pattern, options, telemetry });
+        id
+    }
+
+    /// Gives a sequence an id and a receipt.
+    pub(in crate::daemon) fn add_sequence(&mut self, sequence: NewSequence) -> u64 {
+        let NewSequence { name, sha256, order, counts, items, trial, client } = sequence;
+        let Trial { session, number, labels } = trial;
+        self.last_id += 1;
+        let id = self.last_id;
+        let seconds = order.ordered_ms.map(|ms| ms / 1e3);
+        let receipt = Receipt::new(id, &name, &sha256, seconds);
+        let mut receipt = Receipt { session, trial: number, labels, ..receipt };
+        order.enter(&mut receipt, Fit::Whole, counts);
+        receipt.prediction.unknown = Some(NoPrediction::Sequence.to_string());
+        self.receipts.add(receipt);
+        self.receipts.plan(id, items);
+        self.clients.insert(id, client);
         id
     }
 

@@ -10,7 +10,7 @@ use meissner_api::LatePolicy;
 use meissner_array::pattern::Pattern;
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_array::strokes::{StrokeOptions, Strokes, Surplus};
-use meissner_stream::queues::{At, Command, CommandError, Outcome, Play, Snapshot, StreamEvent};
+use meissner_stream::queues::{At, Command, CommandError, Item, Outcome, Play, Snapshot, StreamEvent};
 use meissner_stream::{Bandwidth, Gains, Line, Settings, Simulation};
 
 use std::ops::{Deref, DerefMut};
@@ -250,7 +250,16 @@ pub fn play(id: u64, pattern: &Pattern, seconds: Option<f64>) -> Play {
 
 fn play_of(id: u64, strokes: Strokes) -> Play {
     let bandwidth = Bandwidth::of(&strokes, &Settings::default());
-    Play { id, strokes, at: At::Next, late: LatePolicy::Drop, replace: false, open_loop: true, bandwidth }
+    Play {
+        id,
+        strokes,
+        items: vec![Item::default()],
+        at: At::Next,
+        late: LatePolicy::Drop,
+        replace: false,
+        open_loop: true,
+        bandwidth,
+    }
 }
 
 /// Asserts that each line is as the strokes plan it in every tick, and off elsewhere.

@@ -32,6 +32,8 @@ pub(super) struct Lane {
     /// Clones share them: a count of a play's bytes takes a clone.
     segments: Arc<[Segment]>,
     duration_s: Option<f64>,
+    /// Which strokes are played at the end.
+    fit: Fit,
     /// The end of the play.
     end: u64,
     /// The last repeat of a play that covers its end ([`Fit::Cover`]).
@@ -65,11 +67,10 @@ impl Segment {
 }
 
 impl Lane {
-    /// A motor's lane through a pattern that ends at `end`; none if the motor never moves.
+    /// A motor's lane through a pattern; none if the motor never moves.
     pub(super) fn of(
         motor: u8,
         pattern: &Pattern,
-        end: Option<u64>,
         options: &StrokeOptions,
     ) -> Result<Option<Self>, StrokesError> {
         let duration_s = pattern.duration_s();
@@ -85,8 +86,9 @@ impl Lane {
             strokes: first.strokes.clone(),
             segments: segments.into(),
             duration_s,
-            end: end.unwrap_or(NEVER),
-            covered: end.filter(|_| options.fit == Fit::Cover).map(|end| Repeat::last(duration_s, end)),
+            fit: options.fit,
+            end: NEVER,
+            covered: None,
             repeat: Repeat::of(0, duration_s),
             segment: 0,
             next: Excursion { up: 0, down: 0, pulses: 0, surplus: 0 },
@@ -97,8 +99,9 @@ impl Lane {
         self.motor
     }
 
-    /// Goes back to the beginning; returns when the first stroke goes up.
-    pub(super) fn begin(&mut self) -> u64 {
+    /// Goes back to the beginning of a play that ends at `end`; returns when the first stroke goes up.
+    pub(super) fn begin(&mut self, end: u64) -> u64 {
+        (self.end, self.covered) = (end, self.last_repeat(end));
         self.repeat = Repeat::of(0, self.duration_s);
         self.walk(0);
         self.advance()
@@ -116,12 +119,16 @@ impl Lane {
         self.strokes.surplus(up_pulses)
     }
 
-    /// When the last stroke has ended, if the play covers its end.
-    pub(super) fn covers_until(&self) -> Option<u64> {
-        let last = self.covered?;
+    fn last_repeat(&self, end: u64) -> Option<Repeat> {
+        (self.fit == Fit::Cover && end != NEVER).then(|| Repeat::last(self.duration_s, end))
+    }
+
+    /// When the last stroke has ended of a play that ends at `end`, if it covers its end.
+    pub(super) fn covers_until(&self, end: u64) -> Option<u64> {
+        let last = self.last_repeat(end)?;
         let ends = self.segments.iter().filter_map(|segment| {
             let strokes = segment.strokes.shifted(last.start, NEVER);
-            let last = strokes.begun_before(self.end).checked_sub(1)?;
+            let last = strokes.begun_before(end).checked_sub(1)?;
             Some(strokes.number(last).end())
         });
         ends.max()
@@ -189,7 +196,7 @@ mod tests {
         };
         let drives = (0..MAX_DRIVES).map(drive).collect();
         let pattern = Pattern::new("long", Some(1e4), drives, Table::new()).unwrap();
-        let lane = Lane::of(5, &pattern, None, &StrokeOptions::default()).unwrap().unwrap();
+        let lane = Lane::of(5, &pattern, &StrokeOptions::default()).unwrap().unwrap();
         assert_eq!((lane.segments.len(), size_of_val(&*lane.segments)), (4096, 1 << 18));
         assert!(Arc::ptr_eq(&lane.clone().segments, &lane.segments) && size_of::<Lane>() <= 256);
     }

@@ -5,6 +5,7 @@
 //! [`SquareWave`](crate::motor::SquareWave), computed from their number in pattern time, so a stroke is as exact after a
 //! month as in the first second. Nothing is allocated after [`Strokes::new`]. A stroke exists only if its down burst has ended by
 //! the `stop_s` of its drive, by the end of the repeat, and by the end of the play ([`Fit`] says what a play may do at its end).
+//! A [`Sequence`] makes strokes of many items, each a pattern at an exact tick after the onset, with pauses between them.
 //! [`reached`] says what each drive of a pattern reaches, without walking its strokes.
 //!
 //! Invariant: strokes of a motor do not overlap, each returns its pin to rest, or by its surplus against the lower stop, and
@@ -16,34 +17,56 @@ mod lane;
 mod options;
 mod reached;
 mod repeat;
+mod run;
+mod sequence;
 mod shortfall;
 
 pub use drive::DriveStrokes;
 pub use error::StrokesError;
 pub use options::{AutoSurplus, Fit, StrokeOptions, Surplus};
 pub use reached::{Ordered, Reached, ordered, reached};
+pub use sequence::{
+    CompiledItem, MAX_ITEMS, MAX_SEQUENCE_DRIVES, MIN_ITEM_INTERVAL, Sequence, SequenceError, Start,
+};
 pub use shortfall::{DriveAmplitude, LEAST_SHARE, LEAST_UM, Shortfall, amplitudes};
 
 use crate::pattern::Pattern;
 use crate::units::seconds_to_ticks;
-use drive::NEVER;
 use firmware_protocol::limits;
 use firmware_protocol::stroke::{MOTORS, Stroke};
 use firmware_protocol::tick::Tick;
-use lane::Lane;
+use run::Run;
+use std::sync::Arc;
 
-/// The strokes of a pattern, in order of (up tick, motor). After an error the iterator ends.
+/// The strokes of a pattern or a sequence, in order of (up tick, motor). After an error the iterator ends.
 #[derive(Clone, Debug)]
 pub struct Strokes {
-    lanes: Vec<Lane>,
-    /// When the next stroke of each lane goes up, in pattern time; [`NEVER`] if there is none.
-    ups: [u64; MOTORS],
+    /// The compiled patterns.
+    runs: Vec<Run>,
+    /// The items, in order of time; at least one.
+    items: Arc<[Item]>,
+    /// The present one, or the first one before it has begun.
+    item: usize,
+    /// The first item has not begun: a pause comes before it.
+    pausing: bool,
     end: Option<u64>,
     onset: Tick,
     /// Up tick and motor of the last stroke that was returned.
     last: (Tick, u8),
     /// Until when each motor is busy.
     busy: [Tick; MOTORS],
+    /// The motors that any pattern drives: the streamer asks at every step.
+    driven: [bool; MOTORS],
+}
+
+/// A pattern's place within the strokes, ticks from the onset.
+#[derive(Clone, Copy, Debug)]
+struct Item {
+    start: u64,
+    /// The end that was asked for; [`drive::NEVER`] without end.
+    end: u64,
+    /// Its compiled pattern.
+    run: usize,
 }
 
 impl Strokes {
@@ -52,33 +75,74 @@ impl Strokes {
     /// # Errors
     /// If an option is outside its range.
     pub fn new(pattern: &Pattern, options: &StrokeOptions) -> Result<Self, StrokesError> {
-        options.check()?;
+        let run = Run::of(pattern, options)?;
         let end = ordered_end(pattern, options.seconds);
-        let lanes = (0..MOTORS as u8)
-            .map(|motor| Lane::of(motor, pattern, end, options))
-            .filter_map(Result::transpose);
-        let lanes = lanes.collect::<Result<Vec<_>, _>>()?;
-        let covered = lanes.iter().filter_map(Lane::covers_until).max();
-        let mut strokes = Self {
-            lanes,
-            ups: [NEVER; MOTORS],
-            end: end.max(covered),
-            onset: Tick(0),
-            last: (Tick(0), 0),
-            busy: [Tick(0); MOTORS],
-        };
+        let covered = end.and_then(|end| run.covers_until(end));
+        let item = Item { start: 0, end: end.unwrap_or(drive::NEVER), run: 0 };
+        Ok(Self::of(vec![run], [item].into(), end.max(covered)))
+    }
+
+    fn of(runs: Vec<Run>, items: Arc<[Item]>, end: Option<u64>) -> Self {
+        let (item, onset, last, busy) = (0, Tick(0), (Tick(0), 0), [Tick(0); MOTORS]);
+        let drives = |motor| runs.iter().any(|run| run.drives(motor as u8));
+        let driven = std::array::from_fn(drives);
+        let mut strokes = Self { runs, items, item, pausing: false, end, onset, last, busy, driven };
         strokes.begin(Tick(0));
-        Ok(strokes)
+        strokes
     }
 
     /// Begins, or begins again, with pattern time 0 at `onset`.
     pub fn begin(&mut self, onset: Tick) {
-        for (lane, up) in self.lanes.iter_mut().zip(&mut self.ups) {
-            *up = lane.begin();
-        }
         self.onset = onset;
         self.last = (onset, 0);
         self.busy = [onset; MOTORS];
+        self.begin_item(0);
+        self.pausing = self.items[0].start > 0;
+    }
+
+    fn begin_item(&mut self, item: usize) {
+        (self.item, self.pausing) = (item, false);
+        let Item { start, end, run } = self.items[item];
+        self.runs[run].begin(end - start);
+    }
+
+    /// How many items there are; one for a pattern.
+    #[must_use]
+    pub fn items(&self) -> usize {
+        self.items.len()
+    }
+
+    /// When each item begins.
+    pub fn onsets(&self) -> impl ExactSizeIterator<Item = Tick> {
+        self.items.iter().map(|item| self.onset + item.start)
+    }
+
+    /// The number of the present item.
+    #[must_use]
+    pub const fn item(&self) -> usize {
+        self.item
+    }
+
+    /// When the next item begins, if every stroke of the present one was returned and another one follows.
+    #[must_use]
+    pub fn next_onset(&self) -> Option<Tick> {
+        let next = self.items.get(self.next_number())?;
+        (self.pausing || self.present().is_over()).then(|| self.onset + next.start)
+    }
+
+    /// Goes on to the next item, if [`Self::next_onset`] has one. The iterator does so by itself, too.
+    pub fn next_item(&mut self) {
+        if self.next_onset().is_some() {
+            self.begin_item(self.next_number());
+        }
+    }
+
+    fn next_number(&self) -> usize {
+        self.item + usize::from(!self.pausing)
+    }
+
+    fn present(&self) -> &Run {
+        &self.runs[self.items[self.item].run]
     }
 
     /// The end of the play, in ticks from the onset; `None`: without end. With [`Fit::Cover`] this is the later of the end that was
@@ -88,16 +152,19 @@ impl Strokes {
         self.end
     }
 
-    /// The motors that they drive.
+    /// The motors that they drive, in order.
     pub fn motors(&self) -> impl Iterator<Item = u8> {
-        self.lanes.iter().map(Lane::motor)
+        (0..).zip(&self.driven).filter(|(_, driven)| **driven).map(|(motor, _)| motor)
     }
 
-    /// When the next stroke of `motor` goes up; `None` if there is none.
+    /// A tick before which no stroke of `motor` that was not returned goes up: that of its next stroke, or the onset of the next
+    /// item; `None` if there is none.
     #[must_use]
     pub fn next_up(&self, motor: u8) -> Option<Tick> {
-        let lane = self.lanes.iter().position(|lane| lane.motor() == motor)?;
-        (self.ups[lane] != NEVER).then(|| self.onset + self.ups[lane])
+        let start = self.items[self.item].start;
+        let up = self.present().next_up(motor).filter(|_| !self.pausing).map(|up| start + up);
+        let next_item = || self.items.get(self.next_number()).map(|next| next.start);
+        up.or_else(next_item).map(|up| self.onset + up)
     }
 
     /// Checks a stroke of a drive with this surplus.
@@ -122,34 +189,39 @@ impl Iterator for Strokes {
 
     #[inline]
     fn next(&mut self) -> Option<Self::Item> {
-        // Lanes are in order of motor, so of equal ticks the first has the lower motor.
-        let (mut first, mut earliest) = (0, NEVER);
-        for (index, &up) in self.ups[..self.lanes.len()].iter().enumerate() {
-            if up < earliest {
-                (first, earliest) = (index, up);
-            }
+        while self.next_onset().is_some() {
+            self.next_item();
         }
-        if earliest == NEVER {
-            return None;
-        }
-        let lane = &mut self.lanes[first];
-        let stroke = lane.stroke(self.onset);
-        let surplus = lane.surplus(stroke.up_pulses);
-        self.ups[first] = lane.advance();
+        let Item { start, run, .. } = self.items[self.item];
+        let (stroke, surplus) = self.runs[run].next(self.onset + start)?;
         let checked = self.check(stroke, surplus);
         if checked.is_err() {
-            self.ups = [NEVER; MOTORS];
+            self.end_here();
         }
         Some(checked)
+    }
+}
+
+impl Strokes {
+    /// No stroke follows.
+    fn end_here(&mut self) {
+        self.item = self.items.len() - 1;
+        let run = self.items[self.item].run;
+        self.runs[run].end_here();
     }
 }
 
 /// The end of a play as asked for, by its duration, the pattern's, or the last drive's, in ticks; `None`: without end.
 #[must_use]
 pub fn ordered_end(pattern: &Pattern, seconds: Option<f64>) -> Option<u64> {
+    seconds.or_else(|| lasts_s(pattern)).map(seconds_to_ticks)
+}
+
+/// How long a pattern lasts, s; `None`: without end.
+fn lasts_s(pattern: &Pattern) -> Option<f64> {
     let mut stops = pattern.drives().iter().map(|drive| drive.stop_s);
     let last_stop = stops.try_fold(0.0, |last: f64, stop| stop.map(|stop| last.max(stop)));
-    seconds.or(pattern.duration_s()).or(last_stop).map(seconds_to_ticks)
+    pattern.duration_s().or(last_stop)
 }
 
 #[cfg(test)]

@@ -27,7 +27,7 @@ pub use error::{CommandError, MAX_QUEUED_PLAYS, refusal_text};
 pub use estop::{ESTOP_TICKETS, EStopSwitch};
 pub use message::{Command, Emit, Request, StreamEvent};
 pub use outcome::{End, Offset, Onset, Outcome, RestErrors, Snapshot};
-pub use play::{At, Play};
+pub use play::{At, Item, Play, Stamp};
 
 /// Most requests that wait.
 const COMMANDS: usize = 64;

@@ -1,7 +1,11 @@
-//! A play as the daemon hands it to the streamer.
+//! A play as the daemon hands it to the streamer, and what became of each of its items.
+//!
+//! Invariant: a play has as many [`Item`]s as its strokes. The streamer fills them without an allocation.
 
 use crate::bandwidth::Bandwidth;
+use crate::link::ClockEstimate;
 use crate::time::HostInstant;
+use firmware_protocol::message::Trigger;
 use firmware_protocol::tick::Tick;
 use meissner_api::LatePolicy;
 use meissner_array::strokes::Strokes;
@@ -19,13 +23,70 @@ pub enum At {
     After(u64),
 }
 
-/// A compiled pattern, ready to be played.
+/// A device tick, and when it came on the host's clock.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Stamp {
+    /// The tick.
+    pub tick: Tick,
+    /// The same on `CLOCK_MONOTONIC`.
+    pub at: HostInstant,
+    /// Its uncertainty, ns.
+    pub uncertainty_ns: u64,
+}
+
+impl Stamp {
+    pub(crate) fn new(tick: Tick, clock: &ClockEstimate) -> Self {
+        let at = clock.instant_of(tick);
+        Self { tick, at, uncertainty_ns: clock.uncertainty(at).as_nanos() as u64 }
+    }
+}
+
+/// An item of a play: one pattern of a sequence, or the pattern of a play of one. What the daemon asks for, and the account that
+/// the streamer keeps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Item {
+    /// What the trigger output gives at the onset; `None`: nothing.
+    pub trigger: Option<Trigger>,
+    /// Its onset, once the play has one.
+    pub(crate) onset: Tick,
+    /// The end of its last stroke sent.
+    pub(crate) last_end: Tick,
+    /// The onset, once the device has reported it: the trigger was given at this tick.
+    pub began: Option<Stamp>,
+    /// The end of its last stroke, once that has come; `None` if the play was cut before.
+    pub ended: Option<Stamp>,
+    /// Start of its first stroke.
+    pub first_up: Option<Tick>,
+    /// Strokes that came too late.
+    pub late: u32,
+    /// Strokes that the device refused.
+    pub refused: u32,
+}
+
+impl Item {
+    /// An item with this trigger.
+    #[must_use]
+    pub const fn new(trigger: Option<Trigger>) -> Self {
+        let (onset, last_end, began, ended, first_up) = (Tick(0), Tick(0), None, None, None);
+        Self { trigger, onset, last_end, began, ended, first_up, late: 0, refused: 0 }
+    }
+}
+
+impl Default for Item {
+    fn default() -> Self {
+        Self::new(Some(Trigger::PULSE))
+    }
+}
+
+/// A compiled pattern or sequence, ready to be played.
 #[derive(Debug)]
 pub struct Play {
     /// Identifies the play in events.
     pub id: u64,
     /// Its strokes.
     pub strokes: Strokes,
+    /// Its items.
+    pub items: Vec<Item>,
     /// When it begins.
     pub at: At,
     /// What to do when strokes are late.

@@ -5,7 +5,7 @@
 use crate::active::{Active, FIRST_MARGIN, Phase};
 use crate::control::Cutting;
 use crate::link::{Event, LostReason, Verdict};
-use crate::queues::{CommandError, Emit, End, Onset, StreamEvent};
+use crate::queues::{CommandError, Emit, End, Onset, Stamp, StreamEvent};
 use crate::streamer::homing::seeks;
 use crate::streamer::{IDLE_PING, Streamer, answer, cause_text, cuts_play};
 use crate::time::HostInstant;
@@ -99,6 +99,9 @@ impl Streamer {
                 if !matches!(cut.cause, Cause::Stop | Cause::Request) && self.state() != State::Armed {
                     self.cut_all(End::Stopped, cause_text(cut.cause));
                 }
+                if let Some(clock) = self.session.as_ref().and_then(|session| session.clock().estimate()) {
+                    self.plays.iter_mut().for_each(|active| active.was_cut(at, &clock));
+                }
                 // The report of a stop does not concern strokes sent after the device answered the stop.
                 if self.state() != State::Armed || self.control.is_idle() {
                     self.cut_control(now);
@@ -109,7 +112,7 @@ impl Streamer {
             Event::StrokeRefused { motor, up, reason } => {
                 self.control.withdrawn(motor, up);
                 if let Some(active) = self.owner(up) {
-                    active.refused();
+                    active.refused(up);
                     let id = active.play.id;
                     emit.event(StreamEvent::StrokeRefused { id, motor, up, reason });
                 }
@@ -216,7 +219,7 @@ impl Streamer {
         match verdict {
             Verdict::Accepted => {}
             Verdict::Refused(reason) => {
-                active.refused();
+                active.refused(up);
                 emit.event(StreamEvent::StrokeRefused { id, motor, up, reason });
             }
             Verdict::Late { rendered, .. } => self.late(now, stroke, rendered, cause, emit),
@@ -234,7 +237,7 @@ impl Streamer {
     ) {
         let late_ms = ticks_to_ms(free - stroke.up);
         let Some(active) = self.owner(stroke.up) else { return };
-        let counts = active.late(late_ms, cause);
+        let counts = active.late(stroke.up, late_ms, cause);
         let (id, policy, cut) = (active.play.id, active.play.late, active.cut.is_some());
         let (motor, up) = (stroke.motor, stroke.up);
         emit.event(StreamEvent::StrokeLate { id, motor, up, late_ms, cause, counts });
@@ -267,16 +270,19 @@ impl Streamer {
     }
 
     fn onset(&mut self, tick: Tick, counters: Counters, emit: &mut dyn Emit) {
-        let Some(session) = &self.session else { return };
-        let clock = session.clock();
+        let clock = self.session.as_ref().and_then(|session| session.clock().estimate());
+        let Some(stamp) = clock.map(|clock| Stamp::new(tick, &clock)) else { return };
+        // An item's concerns its own account, a play's the whole.
+        for active in &mut self.plays {
+            active.reported(stamp);
+        }
         let Some(active) = self.plays.iter_mut().find(|active| active.onset == Some(tick)) else { return };
-        let at = clock.instant_of(tick).unwrap_or_default();
         let onset = Onset {
             requested: active.requested.unwrap_or(tick),
             actual: tick,
-            at,
-            uncertainty_ns: clock.uncertainty(at).unwrap_or_default().as_nanos() as u64,
-            latency_ns: at.since(active.issued_at).as_nanos() as u64,
+            at: stamp.at,
+            uncertainty_ns: stamp.uncertainty_ns,
+            latency_ns: stamp.at.since(active.issued_at).as_nanos() as u64,
         };
         self.control.reckon_to(tick);
         active.began(onset, counters, self.control.rest_error_um(tick).into());

@@ -10,7 +10,7 @@ use crate::queues::{At, Emit, End};
 use crate::settings::batch_ticks;
 use crate::streamer::Streamer;
 use crate::time::HostInstant;
-use firmware_protocol::message::{State, Trigger};
+use firmware_protocol::message::State;
 use firmware_protocol::tick::Tick;
 use meissner_api::LateCause;
 use meissner_array::units::{duration_to_ticks, ms_in_ticks};
@@ -18,6 +18,9 @@ use std::time::Duration;
 
 /// The host polls a full device this often. Its strokes last longer, and keep-alives may be seconds apart.
 const CREDITS_EVERY: Duration = Duration::from_millis(50);
+
+/// Onsets of items that are sent ahead of their time, at most: the device keeps 8, and takes no frame beyond them.
+const MAX_ONSETS: usize = 7;
 
 /// The result of sending strokes.
 enum Fed {
@@ -119,9 +122,10 @@ impl Streamer {
     /// Starts to stream a play at `onset`.
     fn start(&mut self, index: usize, onset: Tick) {
         let wire = self.session.as_ref().map_or(0, |session| session.traffic().bytes_out);
-        self.plays[index].offer(onset, wire);
+        let active = &mut self.plays[index];
+        active.offer(onset, wire);
         if let Some(session) = &mut self.session {
-            session.begin(onset, Some(Trigger::PULSE));
+            session.begin(onset, active.trigger());
         }
     }
 
@@ -138,6 +142,22 @@ impl Streamer {
             let (Some(session), Some(active)) = (&mut self.session, self.plays.get_mut(index)) else {
                 return Fed::Blocked;
             };
+            // A later item begins with a frame of its own, before its first stroke is due.
+            if active.next.is_none()
+                && let Some(onset) = active.play.strokes.next_onset()
+            {
+                if onset >= horizon {
+                    (self.fed_until, self.short_of_credits) = (horizon, false);
+                    return Fed::Horizon;
+                }
+                let accepted = active.phase == Phase::Streaming;
+                if !accepted || !session.has_room() || active.onsets_ahead(tick, MAX_ONSETS) == MAX_ONSETS {
+                    self.fed_until = onset;
+                    return Fed::Blocked;
+                }
+                session.mark(onset, active.send_next_item());
+                continue;
+            }
             if active.next.is_none() {
                 active.next = match active.play.strokes.next() {
                     None => {

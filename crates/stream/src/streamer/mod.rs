@@ -242,6 +242,9 @@ impl Streamer {
             self.feed(now, tick, emit);
             self.correct(tick);
             self.end_drifted(now, tick, emit);
+            if let Some(clock) = self.session.as_ref().and_then(|session| session.clock().estimate()) {
+                self.plays.iter_mut().for_each(|active| active.note_ends(tick, &clock));
+            }
             self.finish(tick, emit);
         } else if self.session.is_none() {
             self.close_all(None, None, emit);

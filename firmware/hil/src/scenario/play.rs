@@ -13,7 +13,7 @@ use firmware_protocol::stroke::{Direction, Stroke};
 use firmware_protocol::tick::Tick;
 use meissner_api::LatePolicy;
 use meissner_array::strokes::{StrokeOptions, Strokes};
-use meissner_stream::queues::{At, Command, Play, StreamEvent};
+use meissner_stream::queues::{At, Command, Item, Play, StreamEvent};
 use meissner_stream::{Bandwidth, cause_text};
 
 /// Most ms from a boot to the handshake.
@@ -95,6 +95,7 @@ impl Runner<'_> {
                 Command::Play(Box::new(Play {
                     id,
                     strokes,
+                    items: vec![Item::default()],
                     at,
                     late,
                     replace: false,

@@ -1,0 +1,79 @@
+//! A compiled pattern: one lane per motor, merged in order of time.
+//!
+//! Invariant: [`Run::begin`] goes back to the beginning without an allocation, so one run serves every item of its pattern.
+
+use super::drive::NEVER;
+use super::error::StrokesError;
+use super::lane::Lane;
+use super::options::StrokeOptions;
+use crate::pattern::Pattern;
+use firmware_protocol::stroke::{MOTORS, Stroke};
+use firmware_protocol::tick::Tick;
+
+/// See the module.
+#[derive(Clone, Debug)]
+pub(super) struct Run {
+    lanes: Vec<Lane>,
+    /// When the next stroke of each lane goes up, in pattern time; [`NEVER`] if there is none.
+    ups: [u64; MOTORS],
+}
+
+impl Run {
+    /// Compiles a pattern; nothing follows before [`Self::begin`].
+    pub(super) fn of(pattern: &Pattern, options: &StrokeOptions) -> Result<Self, StrokesError> {
+        options.check()?;
+        let lanes =
+            (0..MOTORS as u8).map(|motor| Lane::of(motor, pattern, options)).filter_map(Result::transpose);
+        Ok(Self { lanes: lanes.collect::<Result<_, _>>()?, ups: [NEVER; MOTORS] })
+    }
+
+    /// Begins, or begins again, a play that ends at `end`, in pattern time.
+    pub(super) fn begin(&mut self, end: u64) {
+        for (lane, up) in self.lanes.iter_mut().zip(&mut self.ups) {
+            *up = lane.begin(end);
+        }
+    }
+
+    /// When the last stroke has ended of a play that ends at `end` and covers its end.
+    pub(super) fn covers_until(&self, end: u64) -> Option<u64> {
+        self.lanes.iter().filter_map(|lane| lane.covers_until(end)).max()
+    }
+
+    pub(super) fn is_over(&self) -> bool {
+        self.ups[..self.lanes.len()].iter().all(|&up| up == NEVER)
+    }
+
+    pub(super) fn drives(&self, motor: u8) -> bool {
+        self.lanes.iter().any(|lane| lane.motor() == motor)
+    }
+
+    pub(super) fn end_here(&mut self) {
+        self.ups = [NEVER; MOTORS];
+    }
+
+    /// When the next stroke of `motor` goes up, in pattern time.
+    pub(super) fn next_up(&self, motor: u8) -> Option<u64> {
+        let lane = self.lanes.iter().position(|lane| lane.motor() == motor)?;
+        Some(self.ups[lane]).filter(|&up| up != NEVER)
+    }
+
+    /// The next stroke of a play that began at `onset`, and the surplus of its down burst.
+    #[inline]
+    pub(super) fn next(&mut self, onset: Tick) -> Option<(Stroke, u16)> {
+        // Lanes are in order of motor, so of equal ticks the first has the lower motor.
+        let (mut first, mut earliest) = (0, NEVER);
+        for (index, &up) in self.ups[..self.lanes.len()].iter().enumerate() {
+            if up < earliest {
+                (first, earliest) = (index, up);
+            }
+        }
+        if earliest == NEVER {
+            return None;
+        }
+        let lane = &mut self.lanes[first];
+        let stroke = lane.stroke(onset);
+        let surplus = lane.surplus(stroke.up_pulses);
+        self.ups[first] = lane.advance();
+        Some((stroke, surplus))
+    }
+}

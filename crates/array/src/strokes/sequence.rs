@@ -1,0 +1,323 @@
+//! Many patterns one after the other, at exact ticks: the strokes of a sequence.
+//!
+//! [`Sequence::compile`] compiles a pattern once for all items that play it; [`Sequence::add`] places an item; [`Sequence::strokes`]
+//! makes one [`Strokes`] of all. Times are whole nanoseconds from the sequence's onset. Each sum of durations and pauses becomes a
+//! tick once, [`ticks`], so that no rounding error adds up.
+//!
+//! Invariant: items are in order of time, do not overlap, and each has a stroke.
+
+use super::drive::NEVER;
+use super::error::StrokesError;
+use super::options::StrokeOptions;
+use super::run::Run;
+use super::{Item, Strokes, lasts_s};
+use crate::pattern::{MAX_DRIVES, MAX_SECONDS, Pattern};
+use crate::units::{TICKS_PER_MS, ticks_to_seconds};
+
+/// Items of a sequence, at most: an hour of trials of less than a second.
+pub const MAX_ITEMS: usize = 4096;
+/// Drives of the patterns that a sequence compiles, at most: as many as one pattern may have. A pattern counts once for each scale
+/// and fit that it is played with.
+pub const MAX_SEQUENCE_DRIVES: usize = MAX_DRIVES;
+/// Ticks from the onset of an item to the next, at least: 5 ms. A device keeps at most 8 onsets that have not come.
+pub const MIN_ITEM_INTERVAL: u64 = 5 * TICKS_PER_MS;
+/// The longest sequence, ns.
+const LONGEST_NS: u64 = MAX_SECONDS as u64 * NS_PER_S;
+const NS_PER_S: u64 = 1_000_000_000;
+
+/// When an item begins.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Start {
+    /// So long after the end of the item before it, or after the sequence's onset, ms.
+    Gap(f64),
+    /// So long after the sequence's onset, ms.
+    At(f64),
+}
+
+/// A pattern that [`Sequence::compile`] has compiled.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CompiledItem(usize);
+
+/// Why a sequence cannot take a pattern or an item.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum SequenceError {
+    /// The pattern or an option is no good.
+    #[error(transparent)]
+    Strokes(#[from] StrokesError),
+    /// More than [`MAX_ITEMS`].
+    #[error("a sequence has at most {MAX_ITEMS} items: divide it")]
+    TooManyItems,
+    /// More than [`MAX_SEQUENCE_DRIVES`].
+    #[error(
+        "the patterns of a sequence have at most {MAX_SEQUENCE_DRIVES} drives together, counted once for each scale and fit: \
+         divide the sequence"
+    )]
+    TooManyDrives,
+    /// A time is negative, not a number or too long.
+    #[error("{ms} ms: must be 0 ms or more, and the sequence at most {MAX_SECONDS} s long")]
+    Time {
+        /// The time that was refused.
+        ms: f64,
+    },
+    /// The pattern has no end, and no duration was given.
+    #[error("its pattern has no end: say how many `seconds`")]
+    Endless,
+    /// No stroke fits.
+    #[error("no stroke fits: give it more `seconds`, or another `scale`")]
+    Empty,
+    /// It begins before the end of the one before.
+    #[error("it begins {:.3} ms before the item before it has ended: begin it later", ticks_to_seconds(*.ticks) * 1e3)]
+    Overlaps {
+        /// How much earlier, ticks.
+        ticks: u64,
+    },
+    /// It begins too soon after the onset of the one before.
+    #[error("it begins less than 5 ms after the onset of the item before it: begin it later")]
+    TooClose,
+}
+
+/// See the module.
+#[derive(Debug, Default)]
+pub struct Sequence {
+    runs: Vec<Run>,
+    /// How long the patterns last, s; `None`: without end.
+    lasting: Vec<Option<f64>>,
+    items: Vec<Item>,
+    drives: usize,
+    /// The end of the last item, ns and ticks from the onset.
+    end_ns: u64,
+    end: u64,
+}
+
+impl Sequence {
+    /// Compiles a pattern with a scale, a fit and a surplus. Its items have their own durations.
+    ///
+    /// # Errors
+    /// [`SequenceError::Strokes`], [`SequenceError::TooManyDrives`].
+    pub fn compile(
+        &mut self,
+        pattern: &Pattern,
+        options: &StrokeOptions,
+    ) -> Result<CompiledItem, SequenceError> {
+        self.drives += pattern.drives().len();
+        if self.drives > MAX_SEQUENCE_DRIVES {
+            return Err(SequenceError::TooManyDrives);
+        }
+        self.runs.push(Run::of(pattern, options)?);
+        self.lasting.push(lasts_s(pattern));
+        Ok(CompiledItem(self.runs.len() - 1))
+    }
+
+    /// Adds an item, which lasts for `seconds`, or as long as its pattern.
+    ///
+    /// # Errors
+    /// What is wrong with it. The sequence is as before.
+    pub fn add(
+        &mut self,
+        compiled: CompiledItem,
+        seconds: Option<f64>,
+        start: Start,
+    ) -> Result<(), SequenceError> {
+        if self.items.len() == MAX_ITEMS {
+            return Err(SequenceError::TooManyItems);
+        }
+        let (Start::Gap(ms) | Start::At(ms)) = start;
+        let after = if matches!(start, Start::Gap(_)) { self.end_ns } else { 0 };
+        let start_ns = after.checked_add(ns(ms)?).filter(|&ns| ns <= LONGEST_NS);
+        let start_ns = start_ns.ok_or(SequenceError::Time { ms })?;
+        let start = ticks(start_ns);
+        if let Some(before) = self.items.last() {
+            if start < self.end {
+                return Err(SequenceError::Overlaps { ticks: self.end - start });
+            }
+            if start - before.start < MIN_ITEM_INTERVAL {
+                return Err(SequenceError::TooClose);
+            }
+        }
+        let CompiledItem(run) = compiled;
+        let seconds = seconds.or(self.lasting[run]).ok_or(SequenceError::Endless)?;
+        let ms = seconds * 1e3;
+        let mut end_ns = start_ns.checked_add(ns(ms)?).filter(|&ns| ns <= LONGEST_NS);
+        let end = ticks(end_ns.ok_or(SequenceError::Time { ms })?);
+        let strokes = &mut self.runs[run];
+        strokes.begin(end - start);
+        if strokes.is_over() {
+            return Err(SequenceError::Empty);
+        }
+        let covered = strokes.covers_until(end - start).map_or(0, |covered| start + covered);
+        if covered > end {
+            end_ns = Some(first_ns(covered));
+        }
+        self.items.push(Item { start, end, run });
+        (self.end_ns, self.end) = (end_ns.unwrap_or(LONGEST_NS), end.max(covered));
+        Ok(())
+    }
+
+    /// When each item begins and ends, ticks from the onset.
+    pub fn spans(&self) -> impl ExactSizeIterator<Item = (u64, u64)> {
+        self.items.iter().map(|item| (item.start, item.end))
+    }
+
+    /// The strokes of all items; `None` without items.
+    #[must_use]
+    pub fn strokes(self) -> Option<Strokes> {
+        (!self.items.is_empty()).then(|| Strokes::of(self.runs, self.items.into(), Some(self.end)))
+    }
+}
+
+/// A time in whole nanoseconds.
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked")]
+fn ns(ms: f64) -> Result<u64, SequenceError> {
+    let good = (0.0..=MAX_SECONDS * 1e3).contains(&ms);
+    if good { Ok((ms * 1e6).round() as u64) } else { Err(SequenceError::Time { ms }) }
+}
+
+/// The tick nearest to a time from the onset, halves up: `floor(ns * 85 / 1000000 + 1/2)`, in whole numbers.
+fn ticks(ns: u64) -> u64 {
+    (ns * TICKS_PER_MS + 500_000) / 1_000_000
+}
+
+/// The first nanosecond whose nearest tick is not before this one.
+fn first_ns(tick: u64) -> u64 {
+    (tick * 1_000_000).saturating_sub(500_000).div_ceil(TICKS_PER_MS)
+}
+
+const _: () = assert!(LONGEST_NS < NEVER / TICKS_PER_MS / 2);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pattern::Drive;
+    use crate::strokes::Fit;
+    use firmware_protocol::tick::Tick;
+    use proptest::prelude::*;
+
+    fn pattern(name: &str, motor: u8, frequency_hz: f64, duration_s: Option<f64>) -> Pattern {
+        let drive =
+            Drive { motor, frequency_hz, amplitude_um: 20.0, phase: 0.0, start_s: None, stop_s: None };
+        Pattern::new(name, duration_s, vec![drive], toml::Table::new()).unwrap()
+    }
+
+    #[test]
+    fn each_sum_of_times_becomes_a_tick_once() {
+        let mut sequence = Sequence::default();
+        let tap = pattern("tap", 5, 100.0, Some(0.0333));
+        let tap = sequence.compile(&tap, &StrokeOptions::default()).unwrap();
+        // 0.1 ms are 8.5 ticks: rounded one by one, 1 000 of them would be 500 ticks too long.
+        for _ in 0..1000 {
+            sequence.add(tap, None, Start::Gap(50.1)).unwrap();
+        }
+        sequence.add(tap, None, Start::At(100_000.0)).unwrap();
+        let strokes = sequence.strokes().unwrap();
+        assert_eq!(strokes.end(), Some(85 * 100_000 + 2831));
+        for (item, onset) in strokes.onsets().take(1000).enumerate() {
+            let tenths_of_ms = 501 + item as u64 * (501 + 333);
+            assert_eq!(onset.0, (tenths_of_ms * 85 + 5) / 10, "item {item}");
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_played_is_refused_and_changes_nothing() {
+        let mut sequence = Sequence::default();
+        let options = StrokeOptions::default();
+        let [tap, endless, slow] =
+            [("tap", 100.0, Some(0.1)), ("endless", 100.0, None), ("slow", 0.1, Some(1.0))]
+                .map(|(name, hz, s)| sequence.compile(&pattern(name, 5, hz, s), &options).unwrap());
+        sequence.add(tap, None, Start::Gap(0.0)).unwrap();
+        let mut refused = |item, seconds, start| sequence.add(item, seconds, start).unwrap_err();
+        assert_eq!(refused(endless, None, Start::Gap(0.0)), SequenceError::Endless);
+        assert_eq!(refused(slow, None, Start::Gap(0.0)), SequenceError::Empty);
+        assert_eq!(refused(tap, Some(0.0), Start::Gap(0.0)), SequenceError::Empty);
+        assert_eq!(refused(tap, None, Start::At(99.9)), SequenceError::Overlaps { ticks: 8 });
+        assert_eq!(refused(tap, None, Start::Gap(-1.0)), SequenceError::Time { ms: -1.0 });
+        assert!(matches!(refused(tap, None, Start::Gap(f64::NAN)), SequenceError::Time { .. }));
+        assert!(matches!(refused(tap, Some(2e8), Start::Gap(0.0)), SequenceError::Time { .. }));
+        assert!(matches!(refused(tap, Some(1e8), Start::Gap(0.0)), SequenceError::Time { .. }));
+        let short = sequence.compile(&pattern("short", 5, 300.0, Some(0.004)), &options).unwrap();
+        sequence.add(short, None, Start::Gap(0.0)).unwrap();
+        assert_eq!(sequence.add(tap, None, Start::Gap(0.0)), Err(SequenceError::TooClose));
+        let drive = |n: usize| Drive {
+            motor: 5,
+            frequency_hz: 60.0,
+            amplitude_um: 80.0,
+            phase: 0.0,
+            start_s: Some(n as f64),
+            stop_s: Some(n as f64 + 1.0),
+        };
+        let long = Pattern::new("long", None, (0..MAX_DRIVES).map(drive).collect(), toml::Table::new());
+        assert_eq!(sequence.compile(&long.unwrap(), &options), Err(SequenceError::TooManyDrives));
+        assert_eq!(sequence.strokes().unwrap().items(), 2);
+        assert!(Sequence::default().strokes().is_none());
+    }
+
+    #[test]
+    fn a_sequence_has_a_bounded_number_of_items_and_takes_little_memory() {
+        let mut sequence = Sequence::default();
+        let tap = sequence.compile(&pattern("tap", 5, 100.0, Some(0.01)), &StrokeOptions::default()).unwrap();
+        for _ in 0..MAX_ITEMS {
+            sequence.add(tap, None, Start::Gap(0.0)).unwrap();
+        }
+        assert_eq!(sequence.add(tap, None, Start::Gap(0.0)), Err(SequenceError::TooManyItems));
+        // A drive of its own lane, its segment, and a run for it: 3 MB for as many as a sequence may have.
+        assert!(size_of::<Run>() + size_of::<super::super::lane::Lane>() + 64 <= 600);
+        assert_eq!(size_of::<Item>() * MAX_ITEMS, 96 << 10);
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+
+        /// Items are played as their patterns alone, at their onsets; the streamer's way from item to item gives the same.
+        #[test]
+        fn the_strokes_are_those_of_the_patterns_one_after_the_other(
+            items in prop::collection::vec((0usize..3, 0.02f64..0.5, 0.0f64..100.0, prop::bool::ANY), 1..12),
+            onset in 0u64..1 << 40,
+        ) {
+            let patterns = [
+                pattern("a", 5, 61.7, None),
+                pattern("b", 6, 100.0, Some(0.07)),
+                Pattern::new("c", None, vec![
+                    pattern("x", 5, 90.0, None).drives()[0],
+                    Drive { phase: 0.3, ..pattern("y", 7, 33.0, None).drives()[0] },
+                ], toml::Table::new()).unwrap(),
+            ];
+            let mut sequence = Sequence::default();
+            let options = [Fit::Whole, Fit::Cover].map(|fit| StrokeOptions { fit, ..StrokeOptions::default() });
+            let compiled = patterns.each_ref().map(|pattern| {
+                options.each_ref().map(|options| sequence.compile(pattern, options).unwrap())
+            });
+            let mut placed = Vec::new();
+            for (which, seconds, gap_ms, covers) in items {
+                let compiled = compiled[which][usize::from(covers)];
+                if sequence.add(compiled, Some(seconds), Start::Gap(gap_ms)).is_ok() {
+                    let Item { start, end, .. } = sequence.items[sequence.items.len() - 1];
+                    let seconds = ticks_to_seconds(end - start);
+                    let options = StrokeOptions { seconds: Some(seconds), ..options[usize::from(covers)].clone() };
+                    let mut alone = Strokes::new(&patterns[which], &options).unwrap();
+                    alone.begin(Tick(onset + start));
+                    placed.push((Tick(onset + start), alone.end().unwrap(), alone.map(Result::unwrap).collect::<Vec<_>>()));
+                }
+            }
+            prop_assume!(!placed.is_empty());
+            let mut strokes = sequence.strokes().unwrap();
+            strokes.begin(Tick(onset));
+            let (start, lasts, _) = placed.last().unwrap();
+            prop_assert_eq!(strokes.end(), Some(*start + *lasts - Tick(onset)));
+            prop_assert_eq!(strokes.onsets().collect::<Vec<_>>(), placed.iter().map(|at| at.0).collect::<Vec<_>>());
+            let wanted: Vec<_> = placed.iter().flat_map(|at| at.2.clone()).collect();
+            prop_assert_eq!(strokes.clone().map(Result::unwrap).collect::<Vec<_>>(), wanted);
+            if strokes.next_onset() == Some(placed[0].0) {
+                strokes.next_item();
+            }
+            for (item, (_, _, wanted)) in placed.iter().enumerate() {
+                for stroke in wanted {
+                    prop_assert_eq!(strokes.next_onset(), None);
+                    prop_assert!((0..8).all(|motor| strokes.next_up(motor).is_none_or(|up| up <= stroke.up || motor != stroke.motor)));
+                    prop_assert_eq!(strokes.next().unwrap().unwrap(), *stroke);
+                }
+                prop_assert_eq!(strokes.next_onset(), placed.get(item + 1).map(|at| at.0));
+                strokes.next_item();
+            }
+            prop_assert!(strokes.next().is_none());
+        }
+    }
+}

@@ -1,0 +1,220 @@
+//! Sequences in virtual time: what the lines and the trigger output show is what the account of each item says.
+
+use firmware_protocol::controller::Run;
+use firmware_protocol::message::Trigger;
+use firmware_protocol::stroke::Lines;
+use firmware_protocol::tick::Tick;
+use meissner_api::LatePolicy;
+use meissner_array::pattern::{Drive, Pattern};
+use meissner_array::strokes::{Sequence, Start, StrokeOptions};
+use meissner_stream::queues::{At, Command, End, Item, Outcome, Play};
+use meissner_stream::{Bandwidth, Line, Settings};
+use meissner_test_support::patterns::{self, drive};
+use meissner_test_support::rig::{self, Rig, bad_line};
+use std::time::Duration;
+
+const MS: Duration = Duration::from_millis(1);
+
+/// A sequence of patterns, each with its duration, pause before it, and trigger.
+fn sequence<'p>(items: impl IntoIterator<Item = (&'p Pattern, f64, f64, Option<Trigger>)>) -> Play {
+    let (mut sequence, mut triggers) = (Sequence::default(), Vec::new());
+    let mut compiled: Vec<(&Pattern, _)> = Vec::new();
+    for (pattern, seconds, gap_ms, trigger) in items {
+        let known = compiled.iter().find(|(of, _)| std::ptr::eq(*of, pattern)).map(|(_, item)| *item);
+        let item = known.unwrap_or_else(|| {
+            let item = sequence.compile(pattern, &StrokeOptions::default()).unwrap();
+            compiled.push((pattern, item));
+            item
+        });
+        sequence.add(item, Some(seconds), Start::Gap(gap_ms)).unwrap();
+        triggers.push(Item::new(trigger));
+    }
+    let strokes = sequence.strokes().unwrap();
+    let bandwidth = Bandwidth::of(&strokes, &Settings::default());
+    let (at, late) = (At::Next, LatePolicy::Drop);
+    Play { id: 1, strokes, items: triggers, at, late, replace: false, open_loop: true, bandwidth }
+}
+
+fn play(rig: &mut Rig, play: Play, at_most: Duration) -> Outcome {
+    rig.mock.take_trace();
+    rig.send(Command::Play(Box::new(play)));
+    let outcome = rig.run_to_end(1, at_most).expect("it ends");
+    rig::assert_closed(&outcome);
+    assert_eq!(rig.contradictions(), 0, "a true device was doubted");
+    outcome
+}
+
+/// When the trigger output goes high and low.
+fn edges(trace: &[(Tick, Run)]) -> Vec<(Tick, bool)> {
+    let mut high = false;
+    let changes = trace.iter().filter(|(_, run)| std::mem::replace(&mut high, run.trigger) != run.trigger);
+    changes.map(|(at, run)| (*at, run.trigger)).collect()
+}
+
+/// The codes on the trigger output, each with the tick of its start cell: as a decoder without other knowledge reads them.
+fn decode(trace: &[(Tick, Run)], cell: u64) -> Vec<(Tick, u8)> {
+    let edges = edges(trace);
+    let level = |at: Tick| {
+        let before = edges.partition_point(|(edge, _)| *edge <= at);
+        before > 0 && edges[before - 1].1
+    };
+    let mut codes = Vec::new();
+    let mut free = Tick(0);
+    for &(start, high) in &edges {
+        if high && start >= free {
+            let bit = |k: u64| u8::from(level(start + cell * (k + 1) + cell / 2)) << k;
+            codes.push((start, (0..8).map(bit).sum()));
+            free = start + 10 * cell;
+        }
+    }
+    codes
+}
+
+/// The first and last tick of each train of pulses that is at least so long after the one before it.
+fn trains(trace: &[(Tick, Run)], pause: u64) -> Vec<(Tick, Tick)> {
+    let mut trains: Vec<(Tick, Tick)> = Vec::new();
+    for (at, run) in trace.iter().filter(|(_, run)| run.lines != Lines::OFF) {
+        let end = *at + u64::from(run.ticks);
+        match trains.last_mut().filter(|last| *at < last.1 + pause) {
+            Some(last) => last.1 = end,
+            None => trains.push((*at, end)),
+        }
+    }
+    trains
+}
+
+/// Strokes of 5 ms.
+fn tap(motor: u8) -> Pattern {
+    patterns::pattern("tap", None, [drive(motor, 200.0, 4.0)])
+}
+
+#[test]
+fn a_thousand_pauses_are_exact_to_the_tick() {
+    let taps = [tap(5), tap(9)];
+    let gap_ms = |item: usize| 10.1 + 0.7 * (item % 37) as f64;
+    let code = |item: usize| Some(Trigger { width: 17, code: 1 + (item % 255) as u8 });
+    let items = (0..=1000).map(|item| (&taps[item % 2], 0.02, gap_ms(item), code(item)));
+    let mut rig = Rig::armed(Line::default(), 1);
+    let outcome = play(&mut rig, sequence(items), Duration::from_secs(60));
+    assert_eq!((outcome.end, outcome.cause), (End::Done, None));
+    assert_eq!(outcome.bursts.played, outcome.bursts.planned);
+    let trace = rig.mock.take_trace();
+    let trains = trains(&trace, 600);
+    assert_eq!(trains.len(), 1001);
+    // Tenths of a millisecond from the play's onset, in whole numbers: a sum becomes a tick once.
+    let onset = outcome.onset.unwrap().actual;
+    let mut tenths = 0;
+    let mut intervals = Vec::new();
+    for (item, (shown, account)) in trains.iter().zip(&outcome.play.items).enumerate() {
+        tenths += 101 + 7 * (item as u64 % 37);
+        let planned = onset + (tenths * 85 + 5) / 10;
+        let began = account.began.expect("the device has reported it");
+        let ended = account.ended.unwrap();
+        assert_eq!((shown.0, shown.1), (began.tick, ended.tick), "item {item}");
+        assert_eq!((planned, account.first_up), (began.tick, Some(began.tick)), "item {item}");
+        assert_eq!((account.late, account.refused), (0, 0));
+        let host = began.at.ns_since(outcome.onset.unwrap().at);
+        let ticks = (began.tick - onset) as f64 / 85e-6;
+        assert!((host - ticks).abs() < 2.0 * began.uncertainty_ns as f64 + 20_000.0, "item {item}");
+        intervals.push(began.tick - onset);
+        tenths += 200;
+    }
+    assert!(intervals.windows(2).all(|pair| pair[1] - pair[0] >= 85 * 30));
+    let codes: Vec<_> =
+        trains.iter().zip(0..).map(|(shown, item)| (shown.0, code(item).unwrap().code)).collect();
+    assert_eq!(decode(&trace, 17), codes);
+    println!("{} pauses, {} codes: every tick as planned", trains.len() - 1, codes.len());
+}
+
+#[test]
+fn a_bad_line_and_the_shortest_items_change_nothing() {
+    let taps =
+        [tap(5), tap(9), patterns::pattern("late", None, [Drive { phase: 0.4, ..drive(3, 100.0, 20.0) }])];
+    for (seed, line) in [(2, Line::default()), (3, bad_line())] {
+        // Items of 5 ms without a pause, and some with.
+        let items = (0..400).map(|item| {
+            let gap_ms = if item % 50 == 49 { 300.0 } else { 0.0 };
+            let trigger = (item % 3 == 0).then_some(Trigger { width: 85, code: 0 });
+            let which = if item % 50 == 10 { 2 } else { item % 2 };
+            (&taps[which], if which == 2 { 0.05 } else { 0.005 }, gap_ms, trigger)
+        });
+        let made = sequence(items);
+        let mut compiled = made.strokes.clone();
+        let mut rig = Rig::armed(line, seed);
+        let outcome = play(&mut rig, made, Duration::from_secs(30));
+        assert_eq!((outcome.end, outcome.bursts.played), (End::Done, outcome.bursts.planned), "{outcome:?}");
+        compiled.begin(outcome.onset.unwrap().actual);
+        let onsets: Vec<Tick> = compiled.onsets().collect();
+        let strokes: Vec<_> = compiled.map(Result::unwrap).collect();
+        let trace = rig.mock.take_trace();
+        rig::assert_lines(&trace, &strokes);
+        let accounts = &outcome.play.items;
+        assert!(accounts.iter().all(|item| item.ended.is_some() && item.late + item.refused == 0));
+        assert_eq!(accounts.iter().map(|item| item.began.unwrap().tick).collect::<Vec<_>>(), onsets);
+        let rising: Vec<_> = edges(&trace).into_iter().filter(|edge| edge.1).map(|edge| edge.0).collect();
+        let wanted: Vec<_> = onsets.iter().copied().step_by(3).collect();
+        assert_eq!(rising, wanted, "a trigger at each onset that asks for one");
+        // A pattern whose first stroke comes after its onset.
+        assert!(accounts[10].first_up.unwrap() > accounts[10].began.unwrap().tick);
+    }
+}
+
+#[test]
+fn the_account_of_a_sequence_that_was_cut_says_which_items_were_played() {
+    let tap = tap(5);
+    let made = |open_loop| Play { open_loop, ..sequence((0..20).map(|_| (&tap, 0.1, 100.0, None))) };
+    for (command, open_loop) in [(Command::Stop, true), (Command::Disarm, false), (Command::EStop, true)] {
+        let mut rig = Rig::armed(Line::default(), 4);
+        rig.mock.take_trace();
+        rig.send(Command::Play(Box::new(made(open_loop))));
+        // In the fifth item: it begins at 0.9 s.
+        rig.run_ms(950);
+        rig.send(command);
+        let outcome = rig.run_to_end(1, 1000 * MS).unwrap();
+        assert_eq!(outcome.end, End::Stopped);
+        rig::assert_closed(&outcome);
+        let items = &outcome.play.items;
+        let begun = items.iter().filter(|item| item.began.is_some()).count();
+        let ended = items.iter().filter(|item| item.ended.is_some()).count();
+        assert_eq!((begun, ended), (5, 4), "{items:?}");
+        let trace = rig.mock.take_trace();
+        let shown = trains(&trace, 2000);
+        assert_eq!(shown.len(), 5);
+        for (shown, item) in shown.iter().zip(&items[..4]) {
+            assert_eq!(shown.0, item.began.unwrap().tick);
+            // A corrected burst may be longer than planned.
+            let ended = item.ended.unwrap().tick;
+            assert!(if open_loop { shown.1 == ended } else { shown.1.since(ended).abs() < 20 });
+        }
+        assert!(edges(&trace).is_empty(), "no trigger was asked for");
+    }
+}
+
+#[test]
+fn a_play_waits_for_the_end_of_a_sequence_and_one_is_cut_in_a_pause() {
+    let tap = tap(5);
+    let mut rig = Rig::armed(Line::default(), 5);
+    let made = sequence((0..3).map(|_| (&tap, 0.05, 400.0, Some(Trigger::PULSE))));
+    let end = made.strokes.end().unwrap();
+    rig.send(Command::Play(Box::new(made)));
+    let next = rig.play(&rig::pattern("pin-60"), Some(0.1));
+    rig.send(Command::Play(Box::new(Play { id: 2, ..next })));
+    rig.run_ms(3000);
+    let outcomes = rig.outcomes();
+    let [first, second] = &outcomes[..] else { panic!("{outcomes:?}") };
+    assert_eq!((first.end, second.end), (End::Done, End::Done));
+    assert_eq!(second.onset.unwrap().actual, first.onset.unwrap().actual + end);
+    let made = sequence((0..3).map(|_| (&tap, 0.05, 400.0, Some(Trigger::PULSE))));
+    rig.send(Command::Play(Box::new(Play { id: 3, ..made })));
+    // The second pause.
+    rig.run_ms(600);
+    rig.send(Command::Stop);
+    rig.run_ms(500);
+    let outcome = rig.outcomes().remove(0);
+    assert_eq!(
+        (outcome.end, outcome.bursts.dropped),
+        (End::Stopped, outcome.bursts.planned - outcome.bursts.played)
+    );
+    let ended: Vec<bool> = outcome.play.items.iter().map(|item| item.ended.is_some()).collect();
+    assert_eq!(ended, [true, false, false]);
+}

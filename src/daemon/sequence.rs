@@ -1,0 +1,279 @@
+//! Begins sequences: compiles the patterns of a request one by one, and sends all items as one play.
+//!
+//! [`PreparedSequence::new`] finds and compiles each pattern once for each scale, and drops it again: a sequence holds strokes, not
+//! patterns. [`Engine::sequence`] sends it as [`Engine::play`] sends a play.
+//!
+//! Invariant: a sequence is accepted as a whole or refused, with the number of the item that is wrong.
+
+use super::engine::{Engine, TIMEOUT, answer};
+use super::play::{onset, trigger};
+use super::runtime::computing;
+use super::state::{NewSequence, State, Trial};
+use crate::exposure::Vibration;
+use crate::receipts::{Order, PlannedItem};
+use crate::session_record::Peer;
+use crate::store::Stored;
+use firmware_protocol::tick::Tick;
+use meissner_api::{Code, OrderedCounts, PlayAccepted, Problem, SequenceItem, SequenceRequest};
+use meissner_array::strokes::{
+    CompiledItem, Sequence, SequenceError, Start, StrokeOptions, Strokes, Surplus,
+};
+use meissner_array::units::{ticks_to_ms, ticks_to_seconds};
+use meissner_stream::queues::{Item, Play};
+use meissner_stream::{Bandwidth, Settings};
+use sha2::{Digest, Sha256};
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
+use std::future::Future;
+use std::sync::Arc;
+
+/// What a sequence is called that has no name.
+const NAME: &str = "sequence";
+/// The part of an item that counts for its bandwidth, s.
+const COUNTED_S: f64 = 60.0;
+/// Strokes that are counted for the receipt; of a longer sequence it has no counts.
+const COUNTED: usize = 1 << 20;
+
+/// A sequence that still needs an id.
+#[derive(Debug)]
+pub(super) struct PreparedSequence {
+    play: Play,
+    new: NewSequence,
+    vibration: Vibration,
+    /// The largest amplitude, µm, and its pattern.
+    largest: (f64, String),
+}
+
+/// A pattern of a sequence while it is prepared.
+struct Used {
+    sha256: Arc<str>,
+    name: Arc<str>,
+    /// Its strokes by scale.
+    compiled: HashMap<u64, CompiledItem>,
+}
+
+/// What becomes of the request step by step.
+struct Preparing {
+    sequence: Sequence,
+    bandwidth: Bandwidth,
+    warnings: Vec<String>,
+    largest: (f64, String),
+    surplus: Surplus,
+}
+
+impl PreparedSequence {
+    /// Compiles a request; `find` finds a pattern, which is dropped before the next.
+    pub(super) async fn new<P, F: Future<Output = Result<(Stored, P), Problem>>>(
+        request: &SequenceRequest,
+        client: Peer,
+        settings: Settings,
+        surplus: Surplus,
+        find: impl Fn(String) -> F,
+    ) -> Result<Self, Problem> {
+        let mut preparing = Preparing {
+            sequence: Sequence::default(),
+            bandwidth: Bandwidth::default(),
+            warnings: Vec::new(),
+            largest: (0.0, String::new()),
+            surplus,
+        };
+        let mut used: HashMap<&str, Used> = HashMap::new();
+        let mut planned = Vec::with_capacity(request.items.len());
+        for (number, item) in request.items.iter().enumerate() {
+            let at = |problem: Problem| Problem {
+                detail: format!("`items[{number}]`: {}", problem.detail),
+                ..problem
+            };
+            if !used.contains_key(&*item.pattern) {
+                let (stored, _place) = find(item.pattern.clone()).await.map_err(at)?;
+                let items: Vec<SequenceItem> =
+                    request.items.iter().filter(|other| other.pattern == item.pattern).cloned().collect();
+                let (sha256, name) = (stored.sha256.as_str().into(), item.pattern.as_str().into());
+                let (back, compiled) = computing(move || {
+                    let compiled = preparing.compile(&stored, &items, &settings);
+                    (preparing, compiled)
+                })
+                .await?;
+                preparing = back;
+                let compiled = compiled.map_err(|error| at(refused(&error)))?;
+                used.insert(&item.pattern, Used { sha256, name, compiled });
+            }
+            let (Some(Used { sha256, name, compiled }), scale) = (used.get(&*item.pattern), scale(item))
+            else {
+                continue;
+            };
+            let start = match (item.gap_ms, item.start_ms) {
+                (_, Some(ms)) => Start::At(ms),
+                (gap_ms, None) => Start::Gap(gap_ms.unwrap_or(0.0)),
+            };
+            let Some(&compiled) = compiled.get(&scale.to_bits()) else { continue };
+            preparing.sequence.add(compiled, item.seconds, start).map_err(|error| at(refused(&error)))?;
+            planned.push(PlannedItem { pattern: Arc::clone(name), sha256: Arc::clone(sha256), scale });
+        }
+        let Preparing { sequence, bandwidth, warnings, largest, .. } = preparing;
+        let items: Vec<Item> = request.items.iter().map(|item| Item::new(trigger(item.trigger))).collect();
+        let spans: Vec<(f64, f64)> =
+            sequence.spans().map(|(start, end)| (ticks_to_seconds(start), ticks_to_seconds(end))).collect();
+        // A checked request has an item.
+        let strokes = sequence
+            .strokes()
+            .ok_or_else(|| Problem::new(Code::BadRequest, "`items` is empty: add an item"))?;
+        check_triggers(&strokes, &items)?;
+        let (bandwidth, counts, strokes) = computing(move || {
+            let counts = counts(&strokes);
+            (Bandwidth::of(&strokes, &settings).max(bandwidth), counts, strokes)
+        })
+        .await?;
+        let length_ms = strokes.end().map(ticks_to_ms);
+        let vibration = Vibration::of_spans(spans);
+        let at = onset(request.at_tick, request.at_ms, request.at_monotonic_ns);
+        let SequenceRequest { late, replace, open_loop, .. } = *request;
+        let play = Play { id: 0, strokes, items, at, late, replace, open_loop, bandwidth };
+        let new = NewSequence {
+            name: request.name.clone().unwrap_or_else(|| NAME.to_owned()),
+            sha256: sha256(&request.items),
+            order: Order { ordered_ms: length_ms, compiled_ms: length_ms, drives: Vec::new(), warnings },
+            counts,
+            items: planned.into(),
+            trial: Trial {
+                session: request.session.clone(),
+                number: request.trial,
+                labels: request.labels.clone(),
+            },
+            client,
+        };
+        Ok(Self { play, new, vibration, largest })
+    }
+}
+
+impl Preparing {
+    fn options(&self, scale: f64, seconds: Option<f64>) -> StrokeOptions {
+        StrokeOptions { scale, surplus: self.surplus.clone(), ..StrokeOptions::lasting(seconds) }
+    }
+
+    /// Compiles a pattern for each scale of the items that play it.
+    fn compile(
+        &mut self,
+        stored: &Stored,
+        items: &[SequenceItem],
+        settings: &Settings,
+    ) -> Result<HashMap<u64, CompiledItem>, SequenceError> {
+        let (name, pattern) = (stored.pattern.name(), &*stored.pattern);
+        let mut compiled = HashMap::new();
+        for scale in items.iter().map(scale) {
+            let options = self.options(scale, None);
+            if let Entry::Vacant(new) = compiled.entry(scale.to_bits()) {
+                new.insert(self.sequence.compile(pattern, &options)?);
+            }
+        }
+        let most = items.iter().map(scale).fold(0.0, f64::max);
+        let amplitudes = pattern.drives().iter().map(|drive| drive.amplitude_um * most);
+        let largest_um = amplitudes.fold(0.0, f64::max);
+        if largest_um > self.largest.0 {
+            self.largest = (largest_um, name.to_owned());
+        }
+        // The longest item at the largest amplitude; items of other patterns do not play meanwhile.
+        let lasting = |item: &SequenceItem| item.seconds.or(pattern.duration_s()).unwrap_or(COUNTED_S);
+        let longest_s = items.iter().map(lasting).fold(0.0, f64::max).min(COUNTED_S);
+        let options = self.options(most, Some(longest_s));
+        self.bandwidth = Bandwidth::of(&Strokes::new(pattern, &options)?, settings).max(self.bandwidth);
+        let order = Order::of(pattern, &options)?;
+        self.warnings.extend(order.listed_warnings().iter().map(|warning| format!("`{name}`: {warning}")));
+        Ok(compiled)
+    }
+}
+
+fn scale(item: &SequenceItem) -> f64 {
+    item.scale.unwrap_or(1.0)
+}
+
+fn refused(error: &SequenceError) -> Problem {
+    let code = if *error == SequenceError::Empty { Code::Empty } else { Code::BadRequest };
+    Problem::new(code, error.to_string())
+}
+
+/// Refuses a trigger that would still be on its way when the next one begins.
+fn check_triggers(strokes: &Strokes, items: &[Item]) -> Result<(), Problem> {
+    let mut strokes = strokes.clone();
+    strokes.begin(Tick(0));
+    let mut before: Option<(usize, u64)> = None;
+    for (number, (onset, item)) in strokes.onsets().zip(items).enumerate() {
+        let Some(trigger) = item.trigger else { continue };
+        if let Some((earlier, end)) = before
+            && onset.0 <= end
+        {
+            let over_ms = ticks_to_ms(end - onset.0 + 1);
+            let detail = format!(
+                "`items[{earlier}]`: its trigger lasts {over_ms:.2} ms too long for that of `items[{number}]`: give it a smaller \
+                 `width_ms`, or one of both `\"trigger\": false`"
+            );
+            return Err(Problem::new(Code::BadRequest, detail));
+        }
+        let cells = if trigger.code > 0 { 10 } else { 1 };
+        before = Some((number, onset.0 + cells * u64::from(trigger.width)));
+    }
+    Ok(())
+}
+
+/// Bursts and pulses; `None` of a sequence that would take too long to count.
+fn counts(strokes: &Strokes) -> Option<OrderedCounts> {
+    let (mut bursts, mut pulses) = (0, 0);
+    for stroke in strokes.clone().map_while(Result::ok) {
+        (bursts, pulses) = (bursts + 2, pulses + u64::from(stroke.pulses()));
+        if bursts > 2 * COUNTED as u64 {
+            return None;
+        }
+    }
+    Some(OrderedCounts { bursts, pulses: Some(pulses) })
+}
+
+/// What tells sequences of one name apart: the SHA-256 of the items as JSON.
+fn sha256(items: &[SequenceItem]) -> String {
+    // Parsed items can be written.
+    let json = serde_json::to_vec(items).unwrap_or_default();
+    Sha256::digest(json).iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+impl State {
+    fn check_sequence(&self, request: &SequenceRequest, prepared: &PreparedSequence) -> Result<(), Problem> {
+        let (largest_um, pattern) = &prepared.largest;
+        self.check_amplitude(pattern, *largest_um)?;
+        let later = request.at_tick.is_some() || request.at_ms.is_some() || request.at_monotonic_ns.is_some();
+        self.check_vibration(&prepared.vibration, request.replace, later)
+    }
+}
+
+impl Engine {
+    /// Begins a sequence and waits until the streamer accepts it.
+    pub(super) async fn sequence<P, F: Future<Output = Result<(Stored, P), Problem>>>(
+        &self,
+        request: &SequenceRequest,
+        client: Peer,
+        find: impl Fn(String) -> F,
+    ) -> Result<PlayAccepted, Problem> {
+        self.check_boot(request.boot)?;
+        let (settings, surplus) = {
+            let state = self.lock();
+            (state.settings.current, state.surplus())
+        };
+        let prepared = PreparedSequence::new(request, client, settings, surplus, find).await?;
+        let (accepted, reply) = {
+            let mut state = self.lock();
+            state.forget_unanswered();
+            state.check_not_calibrating()?;
+            if state.session_of_play(request.session.as_deref())? != request.session {
+                let detail = "a session has begun meanwhile: send the sequence again";
+                return Err(Problem::new(Code::SessionRunning, detail));
+            }
+            state.check_sequence(request, &prepared)?;
+            let PreparedSequence { play, new, vibration, .. } = prepared;
+            let (ordered_ms, compiled_ms) = (new.order.ordered_ms, new.order.compiled_ms);
+            let (id, reply) = state.send_play(play, |plays| plays.add_sequence(new))?;
+            state.exposure.add(id, vibration);
+            (PlayAccepted { id, ordered_ms, compiled_ms }, reply)
+        };
+        answer(reply, TIMEOUT).await?;
+        self.lock().sessions.count_play(request.session.as_deref());
+        Ok(accepted)
+    }
+}

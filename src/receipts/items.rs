@@ -1,0 +1,58 @@
+//! The items of a sequence: their records, from what was planned and the streamer's account.
+//!
+//! Invariant: a record says `played` only if the device has reported the item's onset, its end has come, and no stroke was late or
+//! refused.
+
+use meissner_api::{InstantRecord, ItemRecord, ItemState, TriggerRecord};
+use meissner_array::units::ticks_to_ms;
+use meissner_stream::queues::{Item, Stamp};
+use std::sync::Arc;
+
+/// What was planned of an item.
+#[derive(Clone, Debug)]
+pub struct PlannedItem {
+    /// The pattern's name.
+    pub pattern: Arc<str>,
+    /// SHA-256 of its file.
+    pub sha256: Arc<str>,
+    /// The factor of its amplitudes.
+    pub scale: f64,
+}
+
+/// The records of all items.
+pub(super) fn records(planned: &[PlannedItem], items: &[Item]) -> Arc<[ItemRecord]> {
+    planned.iter().zip(items).map(|(planned, item)| record(planned, item)).collect()
+}
+
+fn record(planned: &PlannedItem, item: &Item) -> ItemRecord {
+    let state = match (item.began, item.ended) {
+        (Some(_), Some(_)) if item.late == 0 && item.refused == 0 => ItemState::Played,
+        (_, Some(_)) => ItemState::Incomplete,
+        (Some(_), None) => ItemState::Cut,
+        (None, None) => ItemState::NotBegun,
+    };
+    ItemRecord {
+        pattern: Arc::clone(&planned.pattern),
+        pattern_sha256: Arc::clone(&planned.sha256),
+        scale: planned.scale,
+        state,
+        onset: item.began.map(instant),
+        first_pulse_tick: item.first_up.filter(|_| state != ItemState::NotBegun).map(|tick| tick.0),
+        offset: item.ended.map(instant),
+        trigger: trigger(item),
+        late_strokes: item.late,
+        refused_strokes: item.refused,
+    }
+}
+
+fn instant(stamp: Stamp) -> InstantRecord {
+    let Stamp { tick, at, uncertainty_ns } = stamp;
+    InstantRecord { tick: tick.0, monotonic_ns: at.as_ns(), uncertainty_ns }
+}
+
+/// What the trigger output gave at an item's onset, once the device has reported that.
+pub(super) fn trigger(item: &Item) -> Option<TriggerRecord> {
+    let (tick, trigger) = (item.began?.tick.0, item.trigger?);
+    let code = (trigger.code > 0).then_some(trigger.code);
+    Some(TriggerRecord { tick, width_ms: ticks_to_ms(trigger.width.into()), code })
+}
