@@ -27,6 +27,8 @@ mod figures;
 mod harness;
 /// `tradeoff --stream`: the lead under recorded stalls, traces that are refused, its document and plot.
 mod lead;
+/// Arrays with a lower stop: arming seeks it, and plays stay within the limit on pushing.
+mod lower_stop;
 /// The manual pages and completions in `deploy` are up to date.
 mod manual;
 /// The daemon's memory: files that would fill it, a full queue of the longest pattern, the stated bound.

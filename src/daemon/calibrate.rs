@@ -72,7 +72,7 @@ impl Engine {
         let stored = Stored::made(plan.pattern());
         let pattern = stored.pattern.name().to_owned();
         let request = PlayRequest { pattern, open_loop: true, ..PlayRequest::default() };
-        let settings = self.lock().settings.current;
+        let settings = self.lock().settings;
         if settings.lower_stop.is_some() {
             let detail = "down bursts end at the lower stop, so their gain cannot be measured: calibrate without the stop";
             return Err(Problem::new(Code::LowerStop, detail));

@@ -9,8 +9,7 @@
 use super::estop::{EStops, Origin};
 use super::names::Names;
 use super::state::{
-    ActiveSettings, Calibration, Commands, Connection, Exposure, Plays, Publisher, Reply, Sessions, State,
-    frame,
+    Calibration, Commands, Connection, Exposure, Plays, Publisher, Reply, Sessions, State, frame,
 };
 use crate::receipts::refusal;
 use crate::session_record::{Peer, SessionRecord};
@@ -26,8 +25,9 @@ use std::time::Duration;
 use tokio::sync::{Notify, broadcast, watch};
 use tracing::{error, warn};
 
-/// How long the streamer may take to answer.
-pub(super) const TIMEOUT: Duration = Duration::from_secs(1);
+/// How long to wait for the streamer's answer. The streamer itself gives up after 1 s, and its word counts: a client must not read of
+/// a timeout while the motors are being armed.
+pub(super) const TIMEOUT: Duration = Duration::from_millis(1250);
 /// How long clients wait for the first device.
 const FIRST_DEVICE: Duration = Duration::from_millis(500);
 /// At shutdown the streamer itself waits for the device for a second.
@@ -71,7 +71,7 @@ impl Engine {
             publisher: Publisher::new(SessionRecord::none()),
             exposure: Exposure::default(),
             sessions: Sessions::default(),
-            settings: ActiveSettings::new(settings),
+            settings,
         };
         Self {
             wanted,
@@ -129,6 +129,11 @@ impl Engine {
         answer(reply, timeout).await
     }
 
+    /// How long to wait for an answer that may come after a seek of the lower stop.
+    pub(super) fn seek_timeout(&self) -> Duration {
+        TIMEOUT + self.lock().settings.seek_time()
+    }
+
     /// Orders an emergency stop and waits for the device's answer.
     pub(super) async fn estop(&self, origin: Origin) -> Result<(), Problem> {
         self.estop_answer(self.estops.request(origin)).await
@@ -158,11 +163,7 @@ impl Engine {
 
     /// Uses these settings, from the next `arm` on if motors are armed; gives the command back if too many wait.
     pub(super) fn configure(&self, settings: Settings) -> Result<(), Command> {
-        let mut state = self.lock();
-        state.commands.send_unanswered(Command::Configure(settings))?;
-        let is_armed = state.is_armed();
-        state.settings.set(settings, is_armed);
-        Ok(())
+        self.lock().commands.send_unanswered(Command::Configure(settings))
     }
 
     /// Refuses further commands; has the streamer return the pins and switch the motors off.

@@ -379,7 +379,8 @@ async fn arm(State(app): State<App>, Extension(peer): Extension<Peer>, body: Bod
                 app.engine.check_level()?;
             }
         }
-        carry_out(&app, Command::Arm { assume_rest: request.assume_rest }, TIMEOUT).await
+        let timeout = app.engine.seek_timeout();
+        carry_out(&app, Command::Arm { assume_rest: request.assume_rest }, timeout).await
     }
     .await;
     logged.result(result)

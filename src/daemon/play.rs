@@ -1,7 +1,7 @@
 //! Begins plays: prepares a request without the lock, then sends it under the lock.
 //!
 //! [`PreparedPlay::new`] compiles the pattern and evaluates its bandwidth; [`State::begin`] gives the play an id and a receipt and
-//! sends it. This module refuses invalid requests; the streamer refuses plays that the device cannot take.
+//! sends it. This module refuses invalid requests, and plays that push a lower stop too much; the streamer refuses plays that the device cannot take.
 //!
 //! Invariant: a play is in the receipts before the streamer reports anything about it; the id of a refused play goes to the next.
 
@@ -19,13 +19,15 @@ use meissner_array::strokes::{StrokeOptions, Strokes, Surplus};
 use meissner_array::units::{ms_in_ticks, ticks_to_seconds};
 use meissner_stream::queues::{At, Command, Item, Play};
 use meissner_stream::time::HostInstant;
-use meissner_stream::{Bandwidth, Settings};
+use meissner_stream::{Bandwidth, Overpush, Settings, find_overpush};
 use std::sync::Arc;
 
 /// A play that still needs an id.
 #[derive(Debug)]
 pub(super) struct PreparedPlay {
     play: Play,
+    /// It is compiled for these.
+    settings: Settings,
     stored: Stored,
     options: StrokeOptions,
     order: Order,
@@ -59,19 +61,21 @@ impl PreparedPlay {
         }
         // A long pattern has a hundred thousand strokes: other commands must not wait while they are counted.
         let (pattern, counted) = (Arc::clone(&stored.pattern), options.clone());
-        let (bandwidth, vibration, counts, strokes) = computing(move || {
+        let (pushed, bandwidth, vibration, counts, strokes) = computing(move || {
             let end_s = strokes.end().map(ticks_to_seconds);
             let vibration = Vibration::of(&pattern, end_s);
-            (Bandwidth::of(&strokes, &settings), vibration, counts(&pattern, &counted), strokes)
+            let bandwidth = Bandwidth::of(&strokes, &settings);
+            (check_pushing(&strokes, &settings), bandwidth, vibration, counts(&pattern, &counted), strokes)
         })
         .await?;
+        pushed?;
         let at = onset(request.at_tick, request.at_ms, request.at_monotonic_ns);
         let PlayRequest { late, replace, open_loop, .. } = *request;
         let items = vec![Item::new(trigger(request.trigger))];
         let play = Play { id: 0, strokes, items, at, late, replace, open_loop, bandwidth };
         let trial =
             Trial { session: request.session.clone(), number: request.trial, labels: request.labels.clone() };
-        Ok(Self { play, stored, options, order, counts, vibration, trial })
+        Ok(Self { play, settings, stored, options, order, counts, vibration, trial })
     }
 }
 
@@ -83,23 +87,31 @@ impl State {
         prepared: PreparedPlay,
         client: Peer,
     ) -> Result<(PlayAccepted, Reply), Problem> {
-        let PreparedPlay { play, stored, options, order, counts, trial, .. } = prepared;
+        let PreparedPlay { play, settings, stored, options, order, counts, trial, .. } = prepared;
         let Order { ordered_ms, compiled_ms, .. } = order;
         let new = NewPlay { stored, options, order, counts, trial, client };
-        let (id, reply) = self.send_play(play, |plays| plays.add(new))?;
+        let (id, reply) = self.send_play(play, &settings, |plays| plays.add(new))?;
         Ok((PlayAccepted { id, ordered_ms, compiled_ms }, reply))
     }
 
-    /// Sends a play under the id that `add` gives it with a receipt. Returns the id and where the answer arrives.
+    /// Sends a play that was compiled for `compiled_for` under the id that `add` gives it with a receipt. Returns the id and where
+    /// the answer arrives.
     pub(super) fn send_play(
         &mut self,
         play: Play,
+        compiled_for: &Settings,
         add: impl FnOnce(&mut Plays) -> u64,
     ) -> Result<(u64, Reply), Problem> {
         if !self.publisher.session_record.takes_plays() {
             let detail = "the session record keeps every play and has no room for more at this rate: play less often; see \
                           docs/reference/session-record.md";
             return Err(Problem::new(Code::TooManyPlays, detail));
+        }
+        if self.settings != *compiled_for {
+            return Err(Problem::new(
+                Code::Busy,
+                "the configuration has changed meanwhile: send the play again",
+            ));
         }
         let id = add(&mut self.plays);
         let sent = self.send(Command::Play(Box::new(Play { id, ..play })), Some(id));
@@ -121,7 +133,7 @@ impl Engine {
         self.check_boot(request.boot)?;
         let (settings, surplus) = {
             let state = self.lock();
-            (state.settings.current, state.surplus())
+            (state.settings, state.surplus())
         };
         let prepared = PreparedPlay::new(request, stored, settings, surplus).await?;
         let (accepted, reply) = {
@@ -154,6 +166,17 @@ impl Engine {
             _ => Ok(()),
         }
     }
+}
+
+/// Refuses a play that would push the lower stop more than the controller allows.
+pub(super) fn check_pushing(strokes: &Strokes, settings: &Settings) -> Result<(), Problem> {
+    let Some(limit) = settings.lower_stop.map(|stop| stop.pulses_per_s) else { return Ok(()) };
+    let Some(Overpush { motor, at_s }) = find_overpush(strokes, limit) else { return Ok(()) };
+    let detail = format!(
+        "motor {motor} would push the lower stop with more than {limit} pulses per second, from {at_s:.2} s on: play at a lower \
+         frequency, or configure a smaller `surplus_um` or a larger `limits.stop_pulses_per_s`"
+    );
+    Err(Problem::new(Code::PushLimit, detail))
 }
 
 /// The onset that a request asks for, by one of its keys at most.

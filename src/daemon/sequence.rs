@@ -6,7 +6,7 @@
 //! Invariant: a sequence is accepted as a whole or refused, with the number of the item that is wrong.
 
 use super::engine::{Engine, TIMEOUT, answer};
-use super::play::{onset, trigger};
+use super::play::{check_pushing, onset, trigger};
 use super::runtime::computing;
 use super::state::{NewSequence, State, Trial};
 use crate::exposure::Vibration;
@@ -38,6 +38,8 @@ const COUNTED: usize = 1 << 20;
 #[derive(Debug)]
 pub(super) struct PreparedSequence {
     play: Play,
+    /// It is compiled for these.
+    settings: Settings,
     new: NewSequence,
     vibration: Vibration,
     /// The largest amplitude, µm, and its pattern.
@@ -119,11 +121,12 @@ impl PreparedSequence {
             .strokes()
             .ok_or_else(|| Problem::new(Code::BadRequest, "`items` is empty: add an item"))?;
         check_triggers(&strokes, &items)?;
-        let (bandwidth, counts, strokes) = computing(move || {
-            let counts = counts(&strokes);
-            (Bandwidth::of(&strokes, &settings).max(bandwidth), counts, strokes)
+        let (pushed, bandwidth, counts, strokes) = computing(move || {
+            let bandwidth = Bandwidth::of(&strokes, &settings).max(bandwidth);
+            (check_pushing(&strokes, &settings), bandwidth, counts(&strokes), strokes)
         })
         .await?;
+        pushed?;
         let length_ms = strokes.end().map(ticks_to_ms);
         let vibration = Vibration::of_spans(spans);
         let at = onset(request.at_tick, request.at_ms, request.at_monotonic_ns);
@@ -142,7 +145,7 @@ impl PreparedSequence {
             },
             client,
         };
-        Ok(Self { play, new, vibration, largest })
+        Ok(Self { play, settings, new, vibration, largest })
     }
 }
 
@@ -254,7 +257,7 @@ impl Engine {
         self.check_boot(request.boot)?;
         let (settings, surplus) = {
             let state = self.lock();
-            (state.settings.current, state.surplus())
+            (state.settings, state.surplus())
         };
         let prepared = PreparedSequence::new(request, client, settings, surplus, find).await?;
         let (accepted, reply) = {
@@ -266,9 +269,9 @@ impl Engine {
                 return Err(Problem::new(Code::SessionRunning, detail));
             }
             state.check_sequence(request, &prepared)?;
-            let PreparedSequence { play, new, vibration, .. } = prepared;
+            let PreparedSequence { play, settings, new, vibration, .. } = prepared;
             let (ordered_ms, compiled_ms) = (new.order.ordered_ms, new.order.compiled_ms);
-            let (id, reply) = state.send_play(play, |plays| plays.add_sequence(new))?;
+            let (id, reply) = state.send_play(play, &settings, |plays| plays.add_sequence(new))?;
             state.exposure.add(id, vibration);
             (PlayAccepted { id, ordered_ms, compiled_ms }, reply)
         };

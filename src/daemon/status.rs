@@ -69,10 +69,10 @@ impl Engine {
                 wall_ns,
                 uncertainty_us,
             }),
-            lead_ms: snapshot.map_or(daemon.settings.current.lead_ms, |snapshot| snapshot.lead_ms),
-            lease_ms: snapshot.map_or(daemon.settings.current.lease_ms, |snapshot| snapshot.lease_ms),
+            lead_ms: snapshot.map_or(daemon.settings.lead_ms, |snapshot| snapshot.lead_ms),
+            lease_ms: daemon.settings.lease_ms,
             line_bytes_per_s: snapshot.filter(|at| at.connected).and_then(|at| at.line_bytes_per_s),
-            drift_limit_um: daemon.settings.current.drift_limit_um,
+            drift_limit_um: daemon.settings.drift_limit_um,
             contradictions: snapshot.map_or(0, |at| at.contradictions.total()),
             motors: snapshot
                 .map(|at| at.rest_error_um.iter().zip(&at.source).zip(0..).map(motor).collect())

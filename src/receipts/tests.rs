@@ -7,9 +7,9 @@ use firmware_protocol::stroke::MOTORS;
 use meissner_api::{ErrorSource, LateCause, LatePolicy};
 use meissner_array::pattern::Pattern;
 use meissner_array::strokes::{StrokeOptions, Strokes};
-use meissner_stream::Bandwidth;
 use meissner_stream::link::{BadFrames, Clock, Contradictions};
 use meissner_stream::queues::{At, End, Item, Offset, Onset, Play};
+use meissner_stream::{Bandwidth, Settings};
 
 fn hello() -> DeviceHello {
     DeviceHello {
@@ -44,7 +44,7 @@ fn snapshot(connected: bool, state: State, play: Option<(u64, f64)>) -> Snapshot
         clock: clock.estimate(),
         play,
         lead_ms: 100.0,
-        lease_ms: 300.0,
+        settings: Settings::default(),
         rest_error_um: [0.0; MOTORS],
         source: [ErrorSource::None; MOTORS],
         line_bytes_per_s: None,

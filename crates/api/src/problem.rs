@@ -85,6 +85,8 @@ pub enum Code {
     Store,
     /// Down bursts end at the lower stop, so telemetry cannot show their gain: calibrate without the stop.
     LowerStop,
+    /// A motor would push the lower stop with more pulses per second than `limits.stop_pulses_per_s`.
+    PushLimit,
     /// The device does not measure where its pins are.
     NoTelemetry,
     /// Without telemetry and lower stop, a pin that the play drives may be farther from rest than `drift_limit_um`: bring the
@@ -120,6 +122,7 @@ impl Code {
         Self::PositionUnknown,
         Self::DeviceRefused,
         Self::LowerStop,
+        Self::PushLimit,
         Self::NoTelemetry,
         Self::DriftLimit,
         Self::LevelNotChecked,
@@ -173,6 +176,7 @@ impl Code {
             Self::TooManyClients => ("too-many-clients", 503, "Too many clients"),
             Self::ShuttingDown => ("shutting-down", 503, "The daemon shuts down"),
             Self::LowerStop => ("lower-stop", 409, "The array has a lower stop"),
+            Self::PushLimit => ("push-limit", 409, "A play would push the lower stop too much"),
             Self::DriftLimit => ("drift-limit", 409, "Pins may be too far from rest"),
             Self::LevelNotChecked => ("level-not-checked", 409, "The level of the pins was not checked"),
             Self::NoTelemetry => ("no-telemetry", 409, "The device has no telemetry"),

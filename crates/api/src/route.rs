@@ -138,6 +138,7 @@ const COMMAND: &[Code] = &[Code::NoDevice, Code::Timeout, Code::Busy, Code::Shut
 /// Plays and calibrations are queued by the same rules.
 const QUEUE: &[Code] = &[
     Code::DriftLimit,
+    Code::PushLimit,
     Code::Disarmed,
     Code::Faulted,
     Code::Returning,

@@ -13,7 +13,7 @@ use std::path::Path;
 use std::time::Duration;
 use tokio::runtime::{Builder, Runtime};
 
-/// How long the client waits for an answer. The daemon waits for its device for 1 s.
+/// How long the client waits for an answer. The daemon waits for its device for 1.5 s at most.
 pub const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
 /// How long to wait for `POST /v1/home`. The daemon waits for the pins for 25 s.
 pub const HOME_TIMEOUT: Duration = Duration::from_secs(30);

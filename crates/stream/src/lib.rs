@@ -12,7 +12,8 @@
 //! 7. Back the same way: acknowledgements, verdicts, counters and telemetry reach the streamer, which reports
 //!    [`queues::StreamEvent`]s through the [`queues::EventQueue`].
 //!
-//! Beside the path: [`simulate_play`] and [`Simulation`] (`simulation`) run the same streamer against the mock in virtual
+//! Beside the path: [`find_overpush`] (`pushing`) tests a play against the limit on pushing a lower stop;
+//! [`simulate_play`] and [`Simulation`] (`simulation`) run the same streamer against the mock in virtual
 //! time; [`MotorRun`] (`motor_run`) simulates the position control of one motor without a link; [`calibrate`] measures
 //! gains; [`diagnostics`] tests a link.
 //!
@@ -50,6 +51,7 @@ pub mod device;
 pub mod diagnostics;
 pub mod link;
 mod motor_run;
+mod pushing;
 pub mod queues;
 mod settings;
 mod simulation;
@@ -60,6 +62,7 @@ pub mod time;
 pub use bandwidth::{Bandwidth, Requirement};
 pub use control::{Gains, rest_bound_um};
 pub use motor_run::{MotorRun, Period};
+pub use pushing::{Overpush, find_overpush};
 pub use settings::{LowerStopSettings, Settings};
 pub use simulation::{Line, SimulatedPlay, Simulation, SimulationError, simulate_play};
 pub use streamer::{ANOTHER_DEVICE, DRIFT_LIMIT, Streamer, cause_text};

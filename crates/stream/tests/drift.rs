@@ -7,7 +7,7 @@ use meissner_api::ErrorSource;
 use meissner_array::pattern::Pattern;
 use meissner_array::random::normal;
 use meissner_array::simulated::SimulatedMotorsConfig;
-use meissner_stream::queues::{Command, CommandError, End, Snapshot};
+use meissner_stream::queues::{Command, CommandError, End, Snapshot, StreamEvent};
 use meissner_stream::{Gains, Settings};
 use meissner_test_support::patterns::{drive, pattern};
 use meissner_test_support::rig::{Rig, answer, last_snapshot, outcomes};
@@ -25,6 +25,30 @@ fn rig(config: &SimulatedMotorsConfig, limit_um: f32) -> Rig {
     rig.send(Command::Configure(settings));
     rig.arm();
     rig
+}
+
+#[test]
+fn the_snapshot_has_the_settings_in_use() {
+    let mut rig = rig(&blind(1), 150.0);
+    rig.run_ms(1100);
+    let new = Settings { drift_limit_um: 77.0, ..last_snapshot(&rig.take_events()).settings };
+    let drift_limit_um = |rig: &mut Rig| {
+        rig.run_ms(1100);
+        last_snapshot(&rig.take_events()).settings.drift_limit_um
+    };
+    rig.send(Command::Configure(new));
+    assert_eq!(drift_limit_um(&mut rig), 150.0, "an armed device keeps its settings");
+    rig.send(Command::Disarm);
+    assert_eq!(drift_limit_um(&mut rig), 150.0);
+    let ticket = rig.send(Command::Arm { assume_rest: true });
+    rig.run_ms(20);
+    let events = rig.take_events();
+    let known =
+        events.iter().position(|event| matches!(event, StreamEvent::Snapshot(at) if at.settings == new));
+    let answered = events
+        .iter()
+        .position(|event| matches!(event, StreamEvent::Answer { ticket: of, .. } if *of == ticket));
+    assert!(known.is_some() && known < answered, "a client that has armed must not read the old ones");
 }
 
 /// A trial of a two-alternative forced choice: 18 strokes at 62.5 Hz and 80 µm, all pins.

@@ -1,11 +1,10 @@
-//! The daemon's state: eight parts with one job each, behind the engine's one lock.
+//! The daemon's state: seven parts with one job each, behind the engine's one lock.
 //!
 //! - [`Commands`]: commands to the streamer, and the calls that wait for their answers.
 //! - [`Plays`]: receipts, the clients of plays, and measured bursts.
 //! - [`Calibration`]: the stored calibration, and a calibration that is being measured.
 //! - [`Connection`]: the connected device, or why there is none.
 //! - [`Publisher`]: events to listeners and to the session record.
-//! - [`ActiveSettings`]: the streamer's settings, now and after the next `arm`.
 //! - [`Exposure`]: the participant's vibration, and the limits for it.
 //! - [`Sessions`]: the running session, and who may act meanwhile.
 //!
@@ -22,7 +21,6 @@ mod exposure;
 mod plays;
 mod publisher;
 mod session;
-mod settings;
 
 pub(super) use calibration::Calibration;
 pub(super) use commands::{Commands, Reply};
@@ -31,16 +29,15 @@ pub(super) use exposure::Exposure;
 pub(super) use plays::{NewPlay, NewSequence, Plays, Trial};
 pub(super) use publisher::{Publisher, frame};
 pub(super) use session::{Sessions, no_session};
-pub(super) use settings::ActiveSettings;
 
 use crate::receipts::{NoPrediction, refusal, state_name};
 use firmware_protocol::message::State as DeviceState;
 use firmware_protocol::stroke::MOTORS;
 use meissner_api::{Event, NO_DEVICE, PredictedResponse, Problem};
 use meissner_array::strokes::Surplus;
-use meissner_stream::Gains;
 use meissner_stream::queues::{Command, CommandError, StreamEvent};
 use meissner_stream::time::HostInstant;
+use meissner_stream::{Gains, Settings};
 
 /// See the module.
 #[derive(Debug)]
@@ -50,7 +47,8 @@ pub(super) struct State {
     pub(super) calibration: Calibration,
     pub(super) connection: Connection,
     pub(super) publisher: Publisher,
-    pub(super) settings: ActiveSettings,
+    /// The streamer's settings, as it reported them last.
+    pub(super) settings: Settings,
     pub(super) exposure: Exposure,
     pub(super) sessions: Sessions,
 }
@@ -62,15 +60,15 @@ impl State {
         self.forget_unanswered();
         if matches!(command, Command::Arm { .. }) {
             self.connection.armed_once = true;
-            if !self.is_armed() {
-                self.settings.advance();
-            }
         }
         self.commands.send(command, play)
     }
 
     /// Applies an event of the streamer. Returns the API's event, and whether the log needs it.
     pub(super) fn apply(&mut self, mut streamed: StreamEvent) -> (Option<Event>, bool) {
+        if let StreamEvent::Snapshot(snapshot) = &streamed {
+            self.settings = snapshot.settings;
+        }
         self.follow_exposure(&mut streamed);
         let event = match &streamed {
             StreamEvent::Answer { ticket, result } => {
@@ -137,17 +135,12 @@ impl State {
     /// The surplus of plays: by the calibration in use, if there is one.
     pub(super) fn surplus(&self) -> Surplus {
         let gains = self.calibration.in_use().map(|stored| stored.calibration.gains());
-        self.settings.current.surplus(&gains.unwrap_or([Gains::default(); MOTORS]))
+        self.settings.surplus(&gains.unwrap_or([Gains::default(); MOTORS]))
     }
 
     /// Refuses a play during a calibration.
     pub(super) fn check_not_calibrating(&self) -> Result<(), Problem> {
         if self.calibration.running.is_some() { Err(refusal(CommandError::Playing)) } else { Ok(()) }
-    }
-
-    pub(super) fn is_armed(&self) -> bool {
-        let state = self.plays.receipts.device_state().state;
-        state == state_name(DeviceState::Armed) || state == state_name(DeviceState::Returning)
     }
 
     /// Whether nothing is played, waits or is armed, and no command is on its way.

@@ -4,6 +4,7 @@
 
 use crate::link::{BadFrames, ClockEstimate, Contradictions};
 use crate::queues::play::Play;
+use crate::settings::Settings;
 use crate::time::HostInstant;
 use firmware_protocol::message::{Cause, State};
 use firmware_protocol::stroke::MOTORS;
@@ -140,8 +141,8 @@ pub struct Snapshot {
     pub play: Option<(u64, f64)>,
     /// The lead reached, ms: less than set if the device's credits do not allow more.
     pub lead_ms: f64,
-    /// The host watchdog timeout in use, ms.
-    pub lease_ms: f64,
+    /// The settings in use.
+    pub settings: Settings,
     /// Estimated rest error per motor, µm.
     pub rest_error_um: [f32; MOTORS],
     /// Where the estimates come from.

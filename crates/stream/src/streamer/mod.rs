@@ -332,7 +332,7 @@ impl Streamer {
             clock: open.and_then(|session| session.clock().estimate()),
             play: running.map(played),
             lead_ms: if self.short_of_credits && running.is_some() { lead } else { self.settings.lead_ms },
-            lease_ms: self.settings.lease_ms,
+            settings: self.settings,
             rest_error_um: rest.map(|(um, _)| um),
             source: rest.map(|(_, source)| source),
             line_bytes_per_s: self.session.as_ref().and_then(Session::capacity),

@@ -1,0 +1,93 @@
+//! Whether a play stays within the limit on pushing a lower stop, from its compiled strokes.
+//!
+//! It counts with the controller's own count, so that a play that passes has no stroke refused for it. A seek in the second before
+//! counts on the device too; the receipt tells when strokes were refused for both together.
+
+use firmware_protocol::limits::Pushing;
+use firmware_protocol::stroke::MOTORS;
+use firmware_protocol::tick::Tick;
+use meissner_array::strokes::Strokes;
+use meissner_array::units::{TICKS_PER_S, ticks_to_seconds};
+
+/// Length of a play that counts, s: after a minute few plays do anything new.
+const COUNTED_S: u64 = 60;
+
+/// A stroke that pushes too much.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Overpush {
+    /// Its motor, 0 to 23.
+    pub motor: u8,
+    /// When it begins, s from the onset.
+    pub at_s: f64,
+}
+
+/// The first stroke of the first minute that pushes more than `pulses_per_s` against a lower stop; `None`: all stay below.
+/// Takes milliseconds: do not call it in the streamer's thread.
+#[must_use]
+pub fn find_overpush(strokes: &Strokes, pulses_per_s: u32) -> Option<Overpush> {
+    let mut strokes = strokes.clone();
+    strokes.begin(Tick(0));
+    let mut pushing = Pushing::new(Tick(0));
+    pushing.set_limit(pulses_per_s);
+    // The end and surplus of each motor's last stroke.
+    let mut running = [None::<(Tick, u32)>; MOTORS];
+    for stroke in strokes.map_while(Result::ok).take_while(|stroke| stroke.up.0 < COUNTED_S * TICKS_PER_S) {
+        let motor = usize::from(stroke.motor);
+        let mut ended: Vec<(Tick, usize, u32)> = Vec::new();
+        for (motor, stroke_of) in running.iter_mut().enumerate() {
+            if let Some((end, surplus)) = stroke_of.take_if(|(end, _)| *end <= stroke.up) {
+                ended.push((end, motor, surplus));
+            }
+        }
+        // The count needs its ticks in order.
+        ended.sort_unstable();
+        for (end, motor, surplus) in ended {
+            pushing.end(end, motor, surplus, surplus);
+        }
+        let surplus = u32::from(stroke.down_pulses.saturating_sub(stroke.up_pulses));
+        if surplus > 0 && pushing.begin(stroke.up, motor, surplus).is_err() {
+            return Some(Overpush { motor: stroke.motor, at_s: ticks_to_seconds(stroke.up.0) });
+        }
+        running[motor] = Some((stroke.end(), surplus));
+    }
+    None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use meissner_array::pattern::{Drive, Pattern};
+    use meissner_array::strokes::{StrokeOptions, Surplus};
+
+    /// 50 strokes per second of the motors 3 and 7, each with 74 surplus pulses.
+    fn strokes() -> Strokes {
+        let drive = |motor, phase| Drive {
+            motor,
+            frequency_hz: 50.0,
+            amplitude_um: 40.0,
+            phase,
+            start_s: None,
+            stop_s: None,
+        };
+        let pattern = Pattern::new("p", None, vec![drive(3, 0.0), drive(7, 0.5)], toml::Table::new());
+        let options = StrokeOptions { surplus: Surplus::Fixed(10.0), ..StrokeOptions::lasting(Some(3.0)) };
+        Strokes::new(&pattern.unwrap(), &options).unwrap()
+    }
+
+    #[test]
+    fn the_first_stroke_above_the_limit_is_found() {
+        let mut all = strokes();
+        all.begin(Tick(0));
+        let surplus: Vec<u32> = all
+            .map(|stroke| stroke.unwrap())
+            .map(|stroke| u32::from(stroke.down_pulses - stroke.up_pulses))
+            .collect();
+        assert!(surplus.len() >= 299 && surplus.iter().all(|pulses| *pulses == surplus[0]), "{surplus:?}");
+        // A stroke counts until a second after its end: one more than those of a second, and a bucket of the count.
+        let per_second = 51 * surplus[0];
+        assert_eq!(find_overpush(&strokes(), per_second + surplus[0]), None);
+        let found = find_overpush(&strokes(), 10 * surplus[0]).unwrap();
+        assert_eq!(found.motor, 3, "the eleventh stroke of the motor that begins first");
+        assert!((found.at_s - 0.2).abs() < 1e-4, "{found:?}");
+    }
+}

@@ -1,0 +1,41 @@
+//! A daemon whose array has a lower stop: arming seeks it, and plays stay within the limit on pushing.
+
+use crate::harness::{Daemon, PATIENT, printed, problem};
+use meissner_api::Status;
+use rustix::process::Signal;
+use serde_json::{Value, json};
+
+/// A simulated array without telemetry, with a lower stop and this surplus, µm.
+fn with_stop(surplus_um: f64) -> String {
+    format!(
+        "{PATIENT}[array]\nlower_stop = \"at_rest\"\nsurplus_um = {surplus_um}\n[mock]\nlower_stop = \"at_rest\"\n\
+         telemetry_hz = 0\n"
+    )
+}
+
+#[test]
+fn a_play_that_pushes_too_much_is_refused_before_it_begins() {
+    let daemon = Daemon::with("mock", &with_stop(15.0));
+    let mut client = daemon.client();
+    let status: Status = client.post("/v1/arm", &json!({})).unwrap();
+    assert_eq!(status.state, "armed", "a seek makes the positions known");
+    // 60 Hz: 111 pulses of surplus per stroke, 6 700 per second.
+    let play = json!({"pattern": "pin-60", "seconds": 1.0});
+    let _: Value = client.post("/v1/play", &play).unwrap();
+
+    // The limit of a reload holds from the next `arm` on.
+    daemon.write_config(&format!("{}[limits]\nstop_pulses_per_s = 9300\n", with_stop(30.0)));
+    daemon.signal(Signal::HUP);
+    daemon.wait_for_log("was read again");
+    let _: Value = client.post("/v1/play", &play).unwrap();
+    printed(daemon.meissner().arg("stop"));
+    printed(daemon.meissner().arg("disarm"));
+    printed(daemon.meissner().arg("arm"));
+    let refused = problem(client.post("/v1/play", &play));
+    assert_eq!(refused.code, "push-limit");
+    let says = "would push the lower stop with more than 9300 pulses per second, from 0.";
+    assert!(refused.detail.contains(says), "{refused:?}");
+    let items = json!({"items": [{"pattern": "pin-60", "seconds": 1.0}]});
+    assert_eq!(problem(client.post("/v1/sequence", &items)).code, "push-limit");
+    assert_eq!(problem(client.get("/v1/plays/3")).code, "not-found", "no play was accepted");
+}
