@@ -8,7 +8,9 @@ use meissner_client::Client;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 use std::fs;
+use std::io::{Read, Write};
 use std::os::unix::fs::PermissionsExt;
+use std::os::unix::net::UnixStream;
 use std::process::{Command, Stdio};
 
 fn start(client: &mut Client, participant: &str, exclusive: bool) -> SessionStarted {
@@ -105,6 +107,38 @@ fn two_clients_fight_for_a_session() {
     let _: Session = mine.post("/v1/sessions/running/end", &json!({})).unwrap();
     let _: Status = other.post("/v1/disarm", &json!({})).unwrap();
     start(&mut other, "P08", true);
+}
+
+/// A request that came before the session began is refused if its body comes after.
+#[test]
+fn a_session_that_begins_during_a_body_counts() {
+    let daemon = Daemon::start();
+    let mut mine = daemon.armed();
+    let mut late: Vec<_> = [("POST", "/v1/stop"), ("PUT", "/v1/patterns/mine"), ("POST", "/v1/disarm")]
+        .into_iter()
+        .map(|(method, path)| {
+            let mut stream = UnixStream::connect(daemon.socket()).unwrap();
+            stream.set_read_timeout(Some(TIMEOUT)).unwrap();
+            let head = format!(
+                "{method} {path} HTTP/1.1\r\nhost: x\r\nconnection: close\r\nexpect: 100-continue\r\ncontent-length: 2\r\n\r\n"
+            );
+            stream.write_all(head.as_bytes()).unwrap();
+            // The daemon reads the body: the guard has let the request pass.
+            let mut line = [0; 25];
+            stream.read_exact(&mut line).unwrap();
+            assert_eq!(&line, b"HTTP/1.1 100 Continue\r\n\r\n");
+            stream
+        })
+        .collect();
+    start(&mut mine, "P07", true);
+    for stream in &mut late {
+        stream.write_all(b"{}").unwrap();
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).unwrap();
+        assert!(answer.starts_with("HTTP/1.1 409 ") && answer.contains("session-exclusive"), "{answer}");
+    }
+    let status: Status = mine.get("/v1/status").unwrap();
+    assert_eq!(status.state, "armed");
 }
 
 /// The play goes on as ordered; others act after the stated silence, and the owner may come back.

@@ -9,6 +9,7 @@ use super::engine::{Engine, TIMEOUT, answer};
 use super::play::PreparedPlay;
 use super::predictor::Predictor;
 use super::runtime::blocking;
+use super::state::State;
 use crate::receipts::refusal;
 use crate::session_record::Peer;
 use crate::store::Stored;
@@ -18,7 +19,7 @@ use meissner_input::message::quote;
 use meissner_stream::calibrate::{Calibration, Plan};
 use meissner_stream::queues::CommandError;
 use std::path::PathBuf;
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError};
 use tracing::{info, warn};
 
 fn no_file() -> Problem {
@@ -29,6 +30,8 @@ fn no_file() -> Problem {
 impl Engine {
     /// Reads the stored calibration for a device (`None`: no device is connected). Logs a new problem with it.
     pub(super) fn load_calibration(&self, identity: Option<&str>) {
+        // Not between the reading and the writing of an import.
+        let _one = self.calibration_file.lock().unwrap_or_else(PoisonError::into_inner);
         let file = self.lock().calibration.file.clone();
         let (found, bad) = match read(file.as_deref(), identity) {
             Ok(stored) => (Ok(stored), false),
@@ -101,40 +104,63 @@ impl Engine {
     }
 
     /// Stores a calibration that was measured elsewhere, and uses it.
-    pub(super) async fn import_calibration(&self, new: Calibration) -> Result<CalibrationReport, Problem> {
+    pub(super) async fn import_calibration(
+        self: &Arc<Self>,
+        new: Calibration,
+    ) -> Result<CalibrationReport, Problem> {
+        self.lock().check_asker()?;
+        let engine = Arc::clone(self);
+        let used = blocking(move || {
+            engine.add_calibration(new, |state| {
+                if state.plays.receipts.device().is_none() {
+                    return Err(refusal(CommandError::NoDevice));
+                }
+                if state.calibration.running.is_some() || !state.plays.receipts.is_idle() {
+                    return Err(refusal(CommandError::Playing));
+                }
+                Ok(())
+            })
+        });
+        let used = used.await?;
+        self.changed.notify_one();
+        used.and_then(|()| self.calibration())
+    }
+
+    /// Adds a calibration of the connected device to the stored one, in the file and in use. One at a time: each keeps the motors of
+    /// the one before it. Waits for the disk.
+    fn add_calibration(
+        &self,
+        new: Calibration,
+        check: impl FnOnce(&State) -> Result<(), Problem>,
+    ) -> Result<(), Problem> {
+        let _one = self.calibration_file.lock().unwrap_or_else(PoisonError::into_inner);
+        let same_device = |state: &State, new: &Calibration| {
+            let (found, device) = (&new.provenance().identity, &state.calibration.identity);
+            if found == device {
+                return Ok(());
+            }
+            let (found, device) = (quote(found), quote(device));
+            let detail = format!(
+                "`provenance.identity` is {found}, but the connected device is {device}: connect the device that was measured"
+            );
+            Err(Problem::new(Code::BadRequest, detail))
+        };
         let (file, all) = {
             let state = self.lock();
-            if state.plays.receipts.device().is_none() {
-                return Err(refusal(CommandError::NoDevice));
-            }
-            if state.calibration.running.is_some() || !state.plays.receipts.is_idle() {
-                return Err(refusal(CommandError::Playing));
-            }
-            let (found, device) = (&new.provenance().identity, &state.calibration.identity);
-            if found != device {
-                let (found, device) = (quote(found), quote(device));
-                let detail = format!(
-                    "`provenance.identity` is {found}, but the connected device is {device}: connect the device that was measured"
-                );
-                return Err(Problem::new(Code::BadRequest, detail));
-            }
+            check(&state)?;
+            same_device(&state, &new)?;
             let file = state.calibration.file.clone().ok_or_else(no_file)?;
-            (file, with_other_motors(new, state.calibration.stored.as_ref().ok()))
+            (file, Arc::new(with_other_motors(new, state.calibration.stored.as_ref().ok())))
         };
-        let stored = StoredCalibration { calibration: Arc::new(all), unused: None };
-        let calibration = Arc::clone(&stored.calibration);
-        blocking(move || write(&file, &calibration))
-            .await?
-            .map_err(|problem| Problem::new(Code::Store, problem))?;
+        write(&file, &all).map_err(|problem| Problem::new(Code::Store, problem))?;
         let mut state = self.lock();
-        let sent = state.commands.set_gains(stored.calibration.gains());
+        // Another device may have come meanwhile: it reads the file itself, after this.
+        same_device(&state, &all)?;
+        let sent = state.commands.set_gains(all.gains());
         state.calibration.gains_set = true;
-        state.calibration.stored = Ok(stored);
-        let report = report(state.calibration.file.as_ref(), &state.calibration.stored);
-        drop(state);
-        self.changed.notify_one();
+        state.calibration.stored = Ok(StoredCalibration { calibration: all, unused: None });
         let busy = "it is stored, but too many commands wait: the daemon uses it from the next connection on";
-        sent.map_err(|_| Problem::new(Code::Busy, busy)).and(report)
+        sent.map_err(|_| Problem::new(Code::Busy, busy))
     }
 
     /// `GET /v1/calibration`.
@@ -164,31 +190,62 @@ impl Engine {
     /// Stores a calibration, uses it and publishes the result, or publishes why there is none.
     fn store_calibration(&self, id: u64, fitted: Result<Calibration, String>) {
         let motors = fitted.iter().flat_map(|new| new.motors().iter().map(|fit| fit.motor)).collect();
-        let stored = fitted.and_then(|new| {
-            let (file, all) = {
-                let state = self.lock();
-                let file = state.calibration.file.clone().ok_or("there is no file for it")?;
-                (file, with_other_motors(new, state.calibration.stored.as_ref().ok()))
-            };
-            write(&file, &all)?;
-            Ok(StoredCalibration { calibration: Arc::new(all), unused: None })
-        });
+        let added =
+            fitted.and_then(|new| self.add_calibration(new, |_| Ok(())).map_err(|problem| problem.detail));
         let mut state = self.lock();
         state.calibration.running = None;
-        let problem = match stored {
-            Ok(stored) => {
-                let sent = state.commands.set_gains(stored.calibration.gains());
-                state.calibration.gains_set = true;
-                state.calibration.stored = Ok(stored);
-                let busy = "it is stored, but too many commands wait: the daemon uses it from the next connection on";
-                sent.err().map(|_| busy.to_owned())
-            }
-            Err(problem) => Some(problem),
-        };
+        let problem = added.err();
         let event = Event::Calibrated { id, motors, problem };
         state.publish(&event);
         drop(state);
         self.log(&event);
         self.changed.notify_one();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use meissner_stream::Settings;
+    use meissner_stream::calibrate::{Fit, MotorFit};
+    use meissner_stream::queues::queues;
+    use std::fs;
+    use std::thread;
+
+    /// Each import adds a motor; none is lost, neither in the file nor in use.
+    #[test]
+    fn imports_at_once_do_not_mix() {
+        const MOTORS: u8 = 8;
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("calibration.toml");
+        let (mut port, commands, _events) = queues().unwrap();
+        let engine = Engine::new(commands, Settings::default(), "mock".to_owned(), Some(file.clone()));
+        let of = |motor| {
+            let provenance = meissner_stream::calibrate::laser_plan(motor, None, None)
+                .unwrap()
+                .provenance("mock", "1", "", "laser");
+            let fit = Fit {
+                slope_um_per_pulse: 0.14,
+                slope_se_um_per_pulse: 0.001,
+                offset_um: 0.0,
+                relative_sd: 0.05,
+                bursts: 70,
+            };
+            Calibration::new(vec![MotorFit { motor, up: fit, down: fit }], provenance).unwrap()
+        };
+        thread::scope(|scope| {
+            for motor in 0..MOTORS {
+                let (engine, new) = (&engine, of(motor));
+                scope.spawn(move || engine.add_calibration(new, |_| Ok(())).unwrap());
+            }
+        });
+        let motors =
+            |calibration: &Calibration| calibration.motors().iter().map(|fit| fit.motor).collect::<Vec<_>>();
+        let all: Vec<u8> = (0..MOTORS).collect();
+        let used = engine.lock().calibration.stored.clone().unwrap().calibration;
+        assert_eq!(motors(&used), all);
+        let kept = Calibration::parse(&fs::read_to_string(file).unwrap(), "file").unwrap();
+        assert_eq!(motors(&kept), all);
+        assert_eq!(std::iter::from_fn(|| port.pop()).count(), usize::from(MOTORS), "gains were set");
     }
 }

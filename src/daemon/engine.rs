@@ -14,7 +14,7 @@ use super::state::{
 use crate::receipts::refusal;
 use crate::session_record::{Peer, SessionRecord};
 use axum::body::Bytes;
-use meissner_api::{Problem, Realtime};
+use meissner_api::{Code, Problem, Realtime};
 use meissner_stream::Settings;
 use meissner_stream::device::mock::TruePositions;
 use meissner_stream::queues::{Command, CommandError, CommandQueue};
@@ -52,6 +52,8 @@ pub(super) struct Engine {
     pub(super) socket: PathBuf,
     pub(super) names: Names,
     pub(super) estops: Arc<EStops>,
+    /// Held while the file of the calibration and the calibration in use change.
+    pub(super) calibration_file: Mutex<()>,
     state: Mutex<State>,
 }
 
@@ -83,6 +85,7 @@ impl Engine {
             socket: PathBuf::new(),
             names: Names::default(),
             estops,
+            calibration_file: Mutex::default(),
             state: Mutex::new(state),
         }
     }
@@ -197,8 +200,13 @@ impl Engine {
 pub(super) async fn answer(reply: Reply, timeout: Duration) -> Result<(), Problem> {
     match tokio::time::timeout(timeout, reply).await {
         Ok(Ok(result)) => result.map_err(refusal),
+        Ok(Err(_)) => {
+            let detail = "the daemon has ended before the device answered: the command may or may not be carried out; look at the \
+                          pins, and start the daemon again";
+            Err(Problem::new(Code::ShuttingDown, detail))
+        }
         // The ticket stays, so that a late answer still reaches the receipts.
-        Ok(Err(_)) | Err(_) => Err(refusal(CommandError::Timeout)),
+        Err(_) => Err(refusal(CommandError::Timeout)),
     }
 }
 
@@ -206,6 +214,23 @@ pub(super) async fn answer(reply: Reply, timeout: Duration) -> Result<(), Proble
 mod tests {
     use super::*;
     use meissner_stream::queues::{Emit, StreamEvent, queues};
+
+    /// The streamer does not end in time: who waits learns it at once, not after its own patience.
+    #[test]
+    fn calls_that_wait_at_the_end_are_answered() {
+        let (_port, commands, _events) = queues().unwrap();
+        let engine = Engine::new(commands, Settings::default(), "mock".to_owned(), None);
+        let home = engine.send(Command::Home).unwrap();
+        let number = engine.estops.request(Origin::UNKNOWN);
+        let stop = engine.lock().commands.wait_for_estop(number);
+        engine.lock().commands.abandon();
+        let answers = crate::daemon::runtime().unwrap().block_on(async {
+            // Far longer than the test may take.
+            let long = Duration::from_secs(3600);
+            [answer(home, long).await.unwrap_err(), answer(stop, long).await.unwrap_err()]
+        });
+        assert!(answers.iter().all(|problem| problem.code == "shutting-down"), "{answers:?}");
+    }
 
     #[test]
     fn a_full_queue_takes_emergency_stops_and_answers_each() {

@@ -222,6 +222,7 @@ impl Daemon {
                 warn!("the streamer did not end in time");
             }
         }
+        engine.lock().commands.abandon();
         watchdog.abort();
         {
             let mut state = engine.lock();

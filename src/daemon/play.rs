@@ -151,7 +151,6 @@ impl Engine {
             (accepted, reply)
         };
         answer(reply, TIMEOUT).await?;
-        self.lock().sessions.count_play(request.session.as_deref());
         Ok(accepted)
     }
 
@@ -212,11 +211,33 @@ mod tests {
     use crate::daemon::runtime;
     use crate::session_record::{Location, SessionRecord};
     use crate::store::Store;
-    use meissner_api::Realtime;
-    use meissner_stream::queues::queues;
+    use meissner_api::{Realtime, SessionRequest};
+    use meissner_stream::queues::{Emit, StreamEvent, queues};
     use std::path::PathBuf;
     use std::sync::Arc;
     use std::time::Duration;
+
+    /// The client has given up, but the play is played: the session counts it.
+    #[test]
+    fn a_session_counts_a_play_whose_answer_comes_late() {
+        let (mut port, commands, mut events) = queues().unwrap();
+        let engine = Engine::new(commands, Settings::default(), "mock".to_owned(), None);
+        let session = SessionRequest { participant: "P07".to_owned(), ..SessionRequest::default() };
+        let id = engine.lock().start_session(session, None).unwrap().id;
+        let stored = Store::new(None, false).unwrap().library("pin-60").unwrap().clone();
+        let request = PlayRequest {
+            pattern: "pin-60".to_owned(),
+            endless: true,
+            session: Some(id),
+            ..PlayRequest::default()
+        };
+        let played = engine.play(&request, stored, Peer { pid: 1, uid: 0 });
+        assert_eq!(runtime().unwrap().block_on(played).unwrap_err().code, "timeout");
+        let ticket = port.pop().unwrap().ticket;
+        port.event(StreamEvent::Answer { ticket, result: Ok(()) });
+        engine.lock().apply(events.pop().unwrap());
+        assert_eq!(engine.lock().session().unwrap().plays, 1);
+    }
 
     #[test]
     fn a_play_is_refused_while_the_session_record_has_no_room_for_it() {

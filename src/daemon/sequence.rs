@@ -276,7 +276,6 @@ impl Engine {
             (PlayAccepted { id, ordered_ms, compiled_ms }, reply)
         };
         answer(reply, TIMEOUT).await?;
-        self.lock().sessions.count_play(request.session.as_deref());
         Ok(accepted)
     }
 }

@@ -1,6 +1,7 @@
 //! Sessions over HTTP: the handlers, who may send which request, and the release of an exclusive session.
 //!
-//! [`guard`] runs before every handler that changes something. The token travels as `Authorization: Bearer TOKEN`.
+//! [`guard`] runs before every handler that changes something, and the state checks again when the change is made, since a session
+//! may begin while a body arrives. The token travels as `Authorization: Bearer TOKEN`.
 //!
 //! Invariant: a request that the guard refuses changes nothing; it is recorded like any refused command.
 
@@ -9,7 +10,7 @@ use super::engine::Engine;
 use super::http::{Answer, App, ErrorResponse, path};
 use super::request_log::LoggedRequest;
 use super::runtime::blocking;
-use super::state::no_session;
+use super::state::{asked_by, no_session};
 use crate::session_record::{Peer, reader};
 use axum::Json;
 use axum::body::Body;
@@ -51,7 +52,7 @@ pub(super) async fn guard(
         }
     };
     match checked {
-        Ok(()) => next.run(request).await,
+        Ok(()) => asked_by(token(request.headers()).map(str::to_owned), next.run(request)).await,
         Err(problem) => {
             let logged = LoggedRequest::new(&app.engine, route.command(), peer);
             let refused: Answer<()> = logged.result(Err(ErrorResponse::from(problem)));

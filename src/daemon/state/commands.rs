@@ -122,6 +122,12 @@ impl Commands {
         lost.filter_map(|(_, ticket)| ticket.play).collect()
     }
 
+    /// Gives up every call that waits: the streamer has ended, or did not end in time.
+    pub(in crate::daemon) fn abandon(&mut self) {
+        self.waiting.clear();
+        self.waiting_estops.clear();
+    }
+
     /// Whether every command was answered.
     pub(super) fn is_idle(&self) -> bool {
         self.waiting.is_empty()

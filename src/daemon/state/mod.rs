@@ -28,7 +28,7 @@ pub(super) use connection::{Connection, ConnectorMessage};
 pub(super) use exposure::Exposure;
 pub(super) use plays::{NewPlay, NewSequence, Plays, Trial};
 pub(super) use publisher::{Publisher, frame};
-pub(super) use session::{Sessions, no_session};
+pub(super) use session::{Sessions, asked_by, no_session};
 
 use crate::receipts::{NoPrediction, refusal, state_name};
 use firmware_protocol::message::State as DeviceState;
@@ -56,6 +56,7 @@ pub(super) struct State {
 impl State {
     /// Sends a command, for the play of that id if it is about one.
     pub(super) fn send(&mut self, command: Command, play: Option<u64>) -> Result<Reply, Problem> {
+        self.check_asker()?;
         self.commands.accepts(&command)?;
         self.forget_unanswered();
         if matches!(command, Command::Arm { .. }) {
@@ -120,7 +121,13 @@ impl State {
             self.calibration.cancel(id);
             self.exposure.forget(id);
         }
-        self.plays.settle(id, accepted)
+        let event = self.plays.settle(id, accepted);
+        if accepted {
+            // Here, not where the client is answered: the answer may come after its patience.
+            let session = self.plays.receipts.receipt(id).and_then(|receipt| receipt.session.as_deref());
+            self.sessions.count_play(session);
+        }
+        event
     }
 
     /// Gives up calls whose answers were lost, and their plays.

@@ -11,7 +11,21 @@ use jiff::Timestamp;
 use meissner_api::{Code, Event, Problem, Session, SessionRequest, SessionStarted};
 use meissner_stream::time::HostInstant;
 use rustix::rand::{GetRandomFlags, getrandom};
+use std::future::Future;
 use std::time::Duration;
+
+tokio::task_local! {
+    /// The token of the request that this task carries out, if it has one.
+    static ASKER: Option<String>;
+}
+
+/// Carries out a request that changes something, for a client with this token: [`State::check_asker`] then knows it.
+pub(in crate::daemon) fn asked_by<T>(
+    token: Option<String>,
+    work: impl Future<Output = T>,
+) -> impl Future<Output = T> {
+    ASKER.scope(token, work)
+}
 
 /// The running session.
 #[derive(Debug)]
@@ -86,6 +100,13 @@ impl Sessions {
 }
 
 impl State {
+    /// Refuses a change by a client that does not own the exclusive session: it may have begun since the request came, while the
+    /// client sent its body. Outside of a request the daemon itself acts, which may do anything.
+    pub(in crate::daemon) fn check_asker(&mut self) -> Result<(), Problem> {
+        let checked = ASKER.try_with(|token| self.sessions.check_owner(token.as_deref()));
+        checked.unwrap_or(Ok(()))
+    }
+
     /// Starts a session. `owner`: the user's name.
     pub(in crate::daemon) fn start_session(
         &mut self,
@@ -137,6 +158,7 @@ impl State {
 
     /// Ends the running session, which a client named by its id or as `running`.
     pub(in crate::daemon) fn end_session(&mut self, id: &str) -> Result<Session, Problem> {
+        self.check_asker()?;
         self.check_session(id)?;
         self.check_nothing_plays()?;
         self.close_session("request").ok_or_else(|| no_session(id))
