@@ -96,7 +96,7 @@ complete -c meissner -n "__fish_meissner_using_subcommand estop" -l socket -d 'C
 complete -c meissner -n "__fish_meissner_using_subcommand estop" -l json -d 'Print one JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand estop" -s h -l help -d 'Print help'
 complete -c meissner -n "__fish_meissner_using_subcommand reset" -l socket -d 'Connect to the daemon at PATH [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
-complete -c meissner -n "__fish_meissner_using_subcommand reset" -l force -d 'Reset although another client has ordered an emergency stop within the last 2 s'
+complete -c meissner -n "__fish_meissner_using_subcommand reset" -l force -d 'Reset although another terminal has ordered an emergency stop since the last reset'
 complete -c meissner -n "__fish_meissner_using_subcommand reset" -l json -d 'Print one JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand reset" -s h -l help -d 'Print help'
 complete -c meissner -n "__fish_meissner_using_subcommand arm" -l checked -d 'Say who has looked at the pins and found them level: needed after they may have drifted; on a terminal the command asks' -r

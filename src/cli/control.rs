@@ -172,8 +172,18 @@ pub(super) fn estop(options: &ClientOptions) -> Result<ExitCode> {
 }
 
 pub(super) fn reset(options: &ClientOptions, force: bool) -> Result<ExitCode> {
-    let status: Status = options.client()?.post("/v1/reset", &ResetRequest { force })?;
-    print_state(options, &status)
+    let mut client = options.client()?;
+    let status = match client.post("/v1/reset", &ResetRequest { force }) {
+        // On a terminal a person can decide.
+        Err(ClientError::Problem(problem))
+            if problem.code == Code::RecentEStop.parts().0 && io::stdin().is_terminal() =>
+        {
+            ask(&problem.detail, "Is it safe to reset? [yes/no] ", "not reset: find out why first")?;
+            client.post("/v1/reset", &ResetRequest { force: true })
+        }
+        answer => answer,
+    };
+    print_state(options, &status?)
 }
 
 pub(super) fn home(options: &ClientOptions) -> Result<ExitCode> {
@@ -206,14 +216,24 @@ pub(super) fn arm(options: &ClientOptions, assume_rest: bool, checked: Option<St
 
 /// Asks the person at the terminal whether the pins are level; returns the name of the user.
 fn ask_level(why: &str) -> Result<String> {
-    write!(io::stderr(), "{why}\nAre all pins level? Look at them. [yes/no] ")?;
+    ask(
+        why,
+        "Are all pins level? Look at them. [yes/no] ",
+        "not armed: level the pins first, then arm again",
+    )?;
+    let user = nix::unistd::User::from_uid(nix::unistd::getuid()).ok().flatten();
+    Ok(user.map_or_else(|| format!("uid {}", nix::unistd::getuid()), |user| user.name))
+}
+
+/// Asks the person at the terminal; without a yes the command fails.
+fn ask(why: &str, question: &str, otherwise: &str) -> Result<()> {
+    write!(io::stderr(), "{why}\n{question}")?;
     let mut answer = String::new();
     io::stdin().lock().take(100).read_line(&mut answer)?;
     if !matches!(answer.trim(), "yes" | "y") {
-        bail!("not armed: level the pins first, then arm again");
+        bail!("{otherwise}");
     }
-    let user = nix::unistd::User::from_uid(nix::unistd::getuid()).ok().flatten();
-    Ok(user.map_or_else(|| format!("uid {}", nix::unistd::getuid()), |user| user.name))
+    Ok(())
 }
 
 fn print_state(options: &ClientOptions, status: &Status) -> Result<ExitCode> {

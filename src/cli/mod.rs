@@ -95,7 +95,7 @@ enum Command {
     Estop(ClientOptions),
     /// Leave an emergency stop or a fault; the motors are disarmed
     Reset {
-        /// Reset although another client has ordered an emergency stop within the last 2 s
+        /// Reset although another terminal has ordered an emergency stop since the last reset
         #[arg(long)]
         force: bool,
         #[command(flatten)]

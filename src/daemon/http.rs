@@ -10,7 +10,7 @@ use super::acceptor::{Bounds, Counts};
 use super::body;
 use super::connection::Activity;
 use super::engine::{Engine, TIMEOUT};
-use super::estop::{GUARD, Origin};
+use super::estop::Origin;
 use super::metrics;
 use super::request_log::LoggedRequest;
 use super::runtime::{blocking, computing};
@@ -348,18 +348,18 @@ async fn reset(State(app): State<App>, Extension(peer): Extension<Peer>, body: B
         let ResetRequest { force } = ResetRequest::parse(&body::read_command(body).await?)?;
         // Before the check: the streamer refuses the reset if an emergency stop comes between the two.
         let estops_seen = app.engine.estops.switch.newest();
+        let guard = app.engine.estops.guard();
         logged.set_arguments(&ResetRequest { force });
         if force {
             logged.set_title("reset, forced,".to_owned());
-        } else if let Some(ago) = app.engine.estops.recent_by_another(Origin::of(peer)) {
-            let detail = format!(
-                "another client ordered an emergency stop {:.1} s ago: find out why, then reset after {} s, or with `force`",
-                ago.as_secs_f64(),
-                GUARD.as_secs()
-            );
+        } else if guard.has_another(Origin::of(peer)) {
+            let detail = "since the last reset another terminal or program has ordered an emergency stop: find out why; then a \
+                          person may reset with `meissner reset --force`, or \"force\": true";
             return Err(Problem::new(Code::RecentEStop, detail).into());
         }
-        carry_out(&app, Command::Reset { estops_seen }, TIMEOUT).await
+        let status = carry_out(&app, Command::Reset { estops_seen }, TIMEOUT).await?;
+        app.engine.estops.reset(guard);
+        Ok(status)
     }
     .await;
     logged.result(result)
@@ -439,6 +439,7 @@ async fn import(
         let _place = import_place().await?;
         let text = String::from_utf8(body::read(body, MAX_BODY).await?)
             .map_err(|_| Problem::new(Code::BadPattern, "not UTF-8 text: write patterns as TOML in UTF-8"))?;
+        app.engine.lock().check_asker()?;
         let put = blocking(move || app.store.get().put(&name, &text, replace)).await??;
         let Put { stored, replaced: replaced_sha256 } = put;
         let sha256 = stored.sha256.clone();
@@ -485,6 +486,7 @@ async fn remove(
         logged.set_arguments(&json!({"name": shown}));
         let _place = import_place().await?;
         let asked = name.clone();
+        app.engine.lock().check_asker()?;
         let sha256 = blocking(move || app.store.get().remove(&asked)).await??;
         logged.set_arguments(&json!({"name": shown, "sha256": sha256}));
         Ok(Json(RemovedPattern { name, sha256 }))

@@ -153,7 +153,7 @@ impl Code {
             Self::Slow => ("slow-request", 408, "The request took too long to arrive"),
             Self::Disarmed => ("disarmed", 409, "The motors are disarmed"),
             Self::Faulted => ("faulted", 409, "An emergency stop or fault is latched"),
-            Self::RecentEStop => ("recent-estop", 409, "Another client has just ordered an emergency stop"),
+            Self::RecentEStop => ("recent-estop", 409, "Another terminal has ordered an emergency stop"),
             Self::Returning => ("returning", 409, "The device returns pins to rest"),
             Self::Playing => ("playing", 409, "A play is queued or running"),
             Self::NotHome => ("not-home", 409, "Not all pins are at rest"),

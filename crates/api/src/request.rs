@@ -182,7 +182,8 @@ impl ArmRequest {
 #[serde(deny_unknown_fields)]
 #[schema(examples(json!({"force": true})))]
 pub struct ResetRequest {
-    /// Whether to reset although another client has ordered an emergency stop within the last 2 s.
+    /// Whether to reset although another terminal or program has ordered an emergency stop since the last reset. A person decides
+    /// that.
     #[serde(default, deserialize_with = "null_as_default")]
     pub force: bool,
 }

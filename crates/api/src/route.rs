@@ -292,8 +292,8 @@ impl Route {
             },
             Self::Reset => Operation {
                 summary: "Clear a latched emergency stop or fault",
-                description: "The motors stay disarmed. Within 2 s of an emergency stop only its own client may reset; others need \
-                              `force`. A client is a process, or the commands of one terminal session.",
+                description: "The motors stay disarmed. If another terminal has ordered an emergency stop since the last reset, a person \
+                              must confirm with `force`. A client is a process, or the commands of one terminal session.",
                 body: Body::OptionalJson("ResetRequest"),
                 errors: &[
                     BODY,

@@ -74,7 +74,7 @@ fn an_emergency_stop_needs_no_server_no_runtime_and_no_lock() {
         answer(&mut port, Ok(()));
     }
     drop((held, acceptor));
-    assert!(engine.estops.recent_by_another(Origin::UNKNOWN).is_some());
+    assert!(engine.estops.guard().has_another(Origin::UNKNOWN));
     let handed_over: Vec<_> = std::iter::from_fn(|| handovers.try_recv().ok()).collect();
     let clients = handed_over.iter().filter(|it| matches!(it, Handover::Client(_))).count();
     assert_eq!(clients, bounds.clients + 2 * bounds.estops, "as many as there are places");
