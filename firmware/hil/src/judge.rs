@@ -58,11 +58,11 @@ pub enum Finding {
     NotLow { since: u64, pulse: u64 },
     /// A line that stays high.
     Static { line: usize, since: u64 },
-    /// The trigger did not rise in the tick of an onset.
+    /// The trigger did not rise at an onset, or in a cell of its code.
     NoTrigger { onset: Tick },
-    /// The trigger rose without an onset.
+    /// The trigger rose where it should be low.
     Trigger { tick: Tick, late: u64 },
-    /// The trigger has the wrong length.
+    /// A trigger, or a cell of its code, has the wrong length.
     TriggerLength { tick: Tick, cycles: u64 },
     /// The drivers were on while disarmed.
     Enabled { from: u64, to: u64, quiet_from: u64, quiet_to: u64 },

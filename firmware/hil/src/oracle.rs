@@ -8,7 +8,7 @@ use crate::log::{Log, Train};
 use crate::tap::{Event, Tap};
 use firmware_protocol::batch::Amendment;
 use firmware_protocol::limits::within_correction;
-use firmware_protocol::message::{Cause, Cut, LowerStop, Op, Report};
+use firmware_protocol::message::{Cause, Cut, LowerStop, Op, Report, Trigger};
 use firmware_protocol::stroke::{Direction, MOTORS, Stroke};
 use firmware_protocol::tick::Tick;
 
@@ -51,6 +51,8 @@ pub struct Expected {
     pub soft: Vec<Soft>,
     /// Onsets of the plays that have begun.
     pub onsets: Vec<Tick>,
+    /// What the trigger output gives, by the tick at which it begins.
+    pub triggers: Vec<(Tick, Trigger)>,
     /// The cuts, in order.
     pub cuts: Vec<CutAt>,
     /// Contradictions between the device's reports.
@@ -164,6 +166,7 @@ impl Oracle {
                 let tick = tap.tick(tick);
                 if !self.out.onsets.contains(&tick) {
                     self.out.onsets.push(tick);
+                    self.out.triggers.extend(tap.trigger_at(tick).map(|trigger| (tick, trigger)));
                 }
             }
             Report::Refused { motor, up, .. } => {

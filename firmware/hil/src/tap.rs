@@ -5,7 +5,9 @@
 
 use firmware_protocol::batch::{Amendment, Amendments, Strokes};
 use firmware_protocol::frame::{self, Decoder};
-use firmware_protocol::message::{DeviceHello, DeviceMessage, HostMessage, Mark, Op, Report, Status};
+use firmware_protocol::message::{
+    DeviceHello, DeviceMessage, HostMessage, Mark, Op, Report, Status, Trigger,
+};
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::{Tick, WireTick};
 
@@ -97,6 +99,15 @@ impl Tap {
     #[must_use]
     pub fn epoch(&self) -> u16 {
         self.epoch.unwrap_or(0)
+    }
+
+    /// What the host wanted of the trigger output at this onset.
+    #[must_use]
+    pub fn trigger_at(&self, onset: Tick) -> Option<Trigger> {
+        self.events.iter().rev().find_map(|(_, event)| match event {
+            Event::Batch(batch) if batch.base == onset => batch.mark?.trigger,
+            _ => None,
+        })
     }
 
     /// The device's last status.

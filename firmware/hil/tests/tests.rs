@@ -8,3 +8,4 @@ mod lower_stop;
 mod patterns;
 mod play;
 mod scenarios;
+mod sequence;

@@ -6,15 +6,13 @@ use crate::oracle::{Expected, HORIZON, Soft};
 use crate::pins::{PinTrain, Pins};
 use crate::tap::Event;
 use crate::time::{Grid, MS, TICK};
-use firmware_protocol::message::{Op, State};
+use firmware_protocol::message::{Op, State, Trigger};
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 
 /// High for 20 % of a tick, and for 80 %.
 const UP: u64 = TICK / 5;
 const DOWN: u64 = TICK / 5 * 4;
-/// Length of the trigger, in ticks.
-const TRIGGER: u64 = 850 * TICK;
 /// Most time from a status that says disarmed to the supply being off.
 const ENABLE_OFF: u64 = (64 + 16) * TICK;
 /// Most time by which the LED may follow the supply.
@@ -124,25 +122,50 @@ fn pulses(
 }
 
 fn trigger(pins: &Pins, expected: &Expected, grid: Grid, findings: &mut Vec<Finding>) {
-    let rises: Vec<_> = pins.trigger.iter().map(|high| (grid.tick(high.from), high)).collect();
-    for &onset in &expected.onsets {
-        // It is still high from the onset before.
-        let cycle = grid.cycle(onset);
-        let high = pins.trigger.iter().any(|high| high.from < cycle && cycle < high.to);
-        if !high && !rises.iter().any(|((tick, _), _)| *tick == onset) {
-            findings.push(Finding::NoTrigger { onset });
+    let was_cut =
+        |from: Tick, to: Tick| expected.cuts.iter().any(|cut| from <= cut.at && cut.at <= to + HORIZON);
+    let wanted = highs(&expected.triggers);
+    let shown: Vec<_> = pins.trigger.iter().map(|high| (grid.tick(high.from), high)).collect();
+    for &High { begun, from, .. } in &wanted {
+        if !shown.iter().any(|((tick, _), _)| *tick == from) && !was_cut(begun, from) {
+            findings.push(Finding::NoTrigger { onset: from });
         }
     }
-    for ((tick, late), high) in rises {
-        if !expected.onsets.contains(&tick) {
+    for ((tick, late), high) in shown {
+        let Some(wanted) = wanted.iter().find(|wanted| wanted.from == tick && late == 0) else {
             findings.push(Finding::Trigger { tick, late });
-        }
+            continue;
+        };
         let cycles = high.to - high.from;
-        let end = grid.tick(high.to).0;
-        let cut = expected.cuts.iter().any(|cut| tick <= cut.at && cut.at <= end + HORIZON);
-        let again = expected.onsets.iter().any(|&onset| tick < onset && onset <= end);
-        if cycles != TRIGGER && high.to != u64::MAX && !cut && !again {
+        let whole = cycles == (wanted.to - wanted.from) * TICK;
+        if !whole && high.to != u64::MAX && !was_cut(wanted.begun, grid.tick(high.to).0) {
             findings.push(Finding::TriggerLength { tick, cycles });
         }
     }
+}
+
+/// An interval in which the trigger output is high, of the trigger that began at `begun`.
+struct High {
+    begun: Tick,
+    from: Tick,
+    to: Tick,
+}
+
+/// When triggers are high: cell by cell as the specification says, until the next trigger begins.
+fn highs(triggers: &[(Tick, Trigger)]) -> Vec<High> {
+    let mut highs: Vec<High> = Vec::new();
+    for (at, &(begun, trigger)) in triggers.iter().enumerate() {
+        let next = triggers.get(at + 1).map_or(Tick(u64::MAX), |next| next.0);
+        let cells = 1 | u16::from(trigger.code) << 1;
+        for cell in (0..9u64).filter(|cell| cells >> cell & 1 == 1) {
+            let width = u64::from(trigger.width);
+            let (from, to) = (begun + cell * width, (begun + (cell + 1) * width).min(next));
+            match highs.last_mut() {
+                _ if from >= to => {}
+                Some(last) if last.to == from => last.to = to,
+                _ => highs.push(High { begun, from, to }),
+            }
+        }
+    }
+    highs
 }

@@ -22,6 +22,7 @@ enum Bug {
     OffGrid,
     NoTrigger,
     TriggerLate,
+    TriggerShort,
     Disabled,
     StaysOn,
     Led,
@@ -83,7 +84,8 @@ fn pins(bug: Bug) -> Pins {
         high(pin_of(5), onset + 50 * TICK, 300);
     }
     if bug != Bug::NoTrigger {
-        high(TRIGGER, onset + if bug == Bug::TriggerLate { TICK } else { 0 }, 10 * MS);
+        let late = if bug == Bug::TriggerLate { TICK } else { 0 };
+        high(TRIGGER, onset + late, if bug == Bug::TriggerShort { 9 * MS } else { 10 * MS });
     }
     let from = match bug {
         Bug::StaysOn => 50 * MS,
@@ -120,7 +122,7 @@ fn clean_pins_pass() {
 #[test]
 fn each_flaw_is_found_and_named() {
     type Named = fn(&Finding) -> bool;
-    let flaws: [(Bug, Named); 11] = [
+    let flaws: [(Bug, Named); 12] = [
         (Bug::Swapped, |finding| matches!(finding, Finding::Differs { line: 0 | 1, .. })),
         (Bug::Late, |finding| matches!(finding, Finding::Differs { line: 1, .. })),
         (Bug::Width, |finding| matches!(finding, Finding::Differs { line: 0, .. })),
@@ -129,6 +131,7 @@ fn each_flaw_is_found_and_named() {
         (Bug::OffGrid, |finding| matches!(finding, Finding::OffGrid { line: 0, late: 60, .. })),
         (Bug::NoTrigger, |finding| matches!(finding, Finding::NoTrigger { .. })),
         (Bug::TriggerLate, |finding| matches!(finding, Finding::Trigger { late: 0, .. })),
+        (Bug::TriggerShort, |finding| matches!(finding, Finding::TriggerLength { .. })),
         (Bug::Disabled, |finding| matches!(finding, Finding::NotEnabled { line: 0, .. })),
         (Bug::StaysOn, |finding| matches!(finding, Finding::Enabled { .. })),
         (Bug::Led, |finding| matches!(finding, Finding::Led)),
