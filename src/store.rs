@@ -43,6 +43,17 @@ pub enum StoreError {
         /// The nearest names there are.
         nearest: Vec<String>,
     },
+    /// No text of that name has this SHA-256.
+    #[error(
+        "{}: no text with the SHA-256 {sha256} is kept: the stored pattern is another one or gone, and the session record has \
+         none; import the pattern as it was", quote(.name)
+    )]
+    OtherText {
+        /// The requested name.
+        name: String,
+        /// The requested SHA-256.
+        sha256: String,
+    },
     /// A pattern that does not parse.
     #[error(transparent)]
     Pattern(#[from] PatternError),
@@ -115,6 +126,8 @@ pub struct Stored {
     pub sha256: String,
     /// Whether it is part of the library.
     pub library: bool,
+    /// Its file.
+    pub text: Arc<[u8]>,
     json: Arc<OnceLock<Arc<[u8]>>>,
     run: Arc<OnceLock<Order>>,
 }
@@ -162,7 +175,7 @@ impl Store {
             if path.extension().is_some_and(|extension| extension == "toml") {
                 let contents = file.contents();
                 let pattern = Arc::new(parse(contents, path)?);
-                let stored = Stored::new(pattern, hash(contents), true);
+                let stored = Stored::new(pattern, contents, true);
                 library.insert(stored.pattern.name().to_owned(), stored);
             }
         }
@@ -201,11 +214,30 @@ impl Store {
         }
     }
 
+    /// The pattern of that name whose file has this SHA-256: the stored one, or else that of the text that `kept` finds.
+    ///
+    /// # Errors
+    /// [`StoreError::OtherText`] if neither is it.
+    pub fn get_text(
+        &self,
+        name: &str,
+        sha256: &str,
+        kept: impl FnOnce() -> io::Result<Vec<u8>>,
+    ) -> Result<Stored, StoreError> {
+        if let Some(stored) = self.get(name).ok().filter(|stored| stored.sha256 == sha256) {
+            return Ok(stored);
+        }
+        let other = || StoreError::OtherText { name: name.to_owned(), sha256: sha256.to_owned() };
+        let text = kept().map_err(|_| other())?;
+        let stored = self.parse(&text, Path::new(&format!("{sha256}.toml")))?;
+        if stored.sha256 == sha256 { named(name, stored) } else { Err(other()) }
+    }
+
     /// The pattern in a file of the directory.
     fn parse(&self, bytes: &[u8], path: &Path) -> Result<Stored, StoreError> {
         let sha256 = hash(bytes);
         let pattern = self.in_use.get(&sha256, || parse(bytes, path))?;
-        Ok(Stored::new(pattern, sha256, false))
+        Ok(Stored::new(pattern, bytes, false))
     }
 
     /// All patterns, and a line for each file that cannot be read as one, up to [`MAX_LISTED`].
@@ -329,12 +361,19 @@ impl Stored {
     /// A pattern that is not from the store.
     #[must_use]
     pub fn made(pattern: Pattern) -> Self {
-        let sha256 = hash(pattern.to_toml().as_bytes());
-        Self::new(Arc::new(pattern), sha256, false)
+        let text = pattern.to_toml();
+        Self::new(Arc::new(pattern), text.as_bytes(), false)
     }
 
-    fn new(pattern: Arc<Pattern>, sha256: String, library: bool) -> Self {
-        Self { pattern, sha256, library, json: Arc::default(), run: Arc::default() }
+    fn new(pattern: Arc<Pattern>, text: &[u8], library: bool) -> Self {
+        Self {
+            pattern,
+            sha256: hash(text),
+            library,
+            text: text.into(),
+            json: Arc::default(),
+            run: Arc::default(),
+        }
     }
 
     /// What one run of the pattern comes to.

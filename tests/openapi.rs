@@ -187,7 +187,7 @@ fn every_route_has_examples_that_parse() {
         assert_eq!(event.name(), name);
         names.insert(name);
     }
-    assert_eq!(names.len(), 18);
+    assert_eq!(names.len(), 19);
 }
 
 #[test]

@@ -385,6 +385,88 @@ fn an_export_has_one_row_per_play() {
     );
 }
 
+/// Each stimulus has a row; events and record have every item that began.
+#[test]
+fn an_export_has_a_row_for_each_item_of_a_sequence() {
+    let daemon = Daemon::start();
+    let (mut client, started) = owner(&daemon, "P07", false);
+    let mut events = client.events().unwrap();
+    let item = json!({"pattern": "pin-60", "seconds": 0.02, "gap_ms": 10, "scale": 0.5, "trigger": {"code": 9, "width_ms": 1}});
+    let items = vec![item; 40];
+    let sequence = json!({"items": items, "trial": 4, "labels": {"block": "1"}, "name": "taps"});
+    let _: Value = client.post("/v1/sequence", &sequence).unwrap();
+    let mut told = Vec::new();
+    let receipt = next_ended(&mut events, |event| {
+        if let Event::Items { first, items, session, .. } = event {
+            assert_eq!((first, session.as_deref()), (told.len(), Some(&*started.id)));
+            told.extend(items);
+        }
+    });
+    let whole: meissner_api::Receipt = client.get(&format!("/v1/plays/{}", receipt.id)).unwrap();
+    let records = whole.items.clone().unwrap();
+    assert_eq!(told, *records);
+    // One that is stopped: the items that began.
+    let _: Value = client.post("/v1/sequence", &sequence).unwrap();
+    crate::harness::began(&mut events);
+    let _: Status = client.post("/v1/stop", &json!({})).unwrap();
+    let mut begun = 0;
+    next_ended(&mut events, |event| {
+        if let Event::Items { items, .. } = event {
+            begun += items.len();
+        }
+    });
+    assert!(begun < 40);
+    let _: Session = client.post("/v1/sessions/running/end", &json!({})).unwrap();
+    let text = printed(daemon.meissner().args(["session", "export", &started.id]));
+    let mut table = csv::Reader::from_reader(text.as_bytes());
+    let head = table.headers().unwrap().clone();
+    let rows: Vec<_> = table.records().map(Result::unwrap).collect();
+    assert_eq!(rows.len(), 40 + begun.max(1), "{text}");
+    for (number, (row, record)) in rows.iter().zip(records.iter()).enumerate() {
+        let of = |name: &str| row[head.iter().position(|column| column == name).unwrap()].to_owned();
+        let (onset, offset) = (record.onset.unwrap(), record.offset.unwrap());
+        let tick = onset.tick.to_string();
+        assert_eq!(
+            (of("item"), of("pattern"), of("trial")),
+            (number.to_string(), "pin-60".into(), "4".into())
+        );
+        assert_eq!(
+            (of("onset_tick"), of("trigger_tick"), of("trigger_code")),
+            (tick.clone(), tick, "9".into())
+        );
+        assert_eq!((of("offset_tick"), of("state")), (offset.tick.to_string(), "played".into()));
+        assert_eq!(
+            (of("scale"), of("ordered_ms"), of("labels")),
+            ("0.5".into(), "20".into(), "block=1".into())
+        );
+        let [ordered, reached, played] =
+            ["ordered_um", "reached_um", "played_ms"].map(|name| of(name).parse::<f64>().unwrap());
+        assert!(ordered > 0.0 && reached > 0.8 * ordered && played > 10.0 && played <= 20.0, "{text}");
+        let wall: i64 = of("onset_wall_ns").parse().unwrap();
+        let first: i64 =
+            rows[0][head.iter().position(|column| column == "onset_wall_ns").unwrap()].parse().unwrap();
+        assert!((wall - first - 30_000_000 * number as i64).abs() < 1_000_000);
+    }
+    let exported = document(daemon.meissner().args(["session", "export", &started.id, "--json"]));
+    assert_eq!(
+        (&exported["plays"][0]["items"], &exported["plays"][0]["pattern"]),
+        (&json!(40), &json!("taps"))
+    );
+    assert_eq!((&exported["plays"][1]["item"], &exported["lost"]), (&json!(0), &json!(0)));
+    // What the mock's handshake told.
+    assert!(exported["plays"][1]["boot"].is_u64() && exported["plays"][1]["pattern_kept"] == true);
+}
+
+/// The next receipt; `see` gets the events before it.
+fn next_ended(events: &mut meissner_client::Events, mut see: impl FnMut(Event)) -> meissner_api::Receipt {
+    loop {
+        match events.next(Some(TIMEOUT)).unwrap().unwrap() {
+            Event::Ended { receipt } => return *receipt,
+            event => see(event),
+        }
+    }
+}
+
 /// The disk takes nothing: the session goes on, and a line says what is missing.
 #[test]
 fn a_session_survives_a_disk_that_takes_nothing() {

@@ -149,7 +149,7 @@ complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fis
 complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list export show help" -f -a "start" -d 'Start a session; plays belong to it until it ends'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list export show help" -f -a "end" -d 'End the running session'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list export show help" -f -a "list" -d 'List the recorded sessions, the oldest first'
-complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list export show help" -f -a "export" -d 'Export the recorded plays of a session as CSV, one row per play; with --json as one document'
+complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list export show help" -f -a "export" -d 'Export the recorded plays of a session as CSV, one row per stimulus; with --json as one document'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list export show help" -f -a "show" -d 'Show a session'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list export show help" -f -a "help" -d 'Print this message or the help of the given subcommand(s)'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from start" -l participant -d 'Name the participant by this pseudonym' -r
@@ -176,7 +176,7 @@ complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_se
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from help" -f -a "start" -d 'Start a session; plays belong to it until it ends'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from help" -f -a "end" -d 'End the running session'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from help" -f -a "list" -d 'List the recorded sessions, the oldest first'
-complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from help" -f -a "export" -d 'Export the recorded plays of a session as CSV, one row per play; with --json as one document'
+complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from help" -f -a "export" -d 'Export the recorded plays of a session as CSV, one row per stimulus; with --json as one document'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from help" -f -a "show" -d 'Show a session'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from help" -f -a "help" -d 'Print this message or the help of the given subcommand(s)'
 complete -c meissner -n "__fish_meissner_using_subcommand motor" -l frequency-hz -d 'Drive with F Hz' -r
@@ -248,5 +248,5 @@ complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_s
 complete -c meissner -n "__fish_meissner_using_subcommand help; and __fish_seen_subcommand_from session" -f -a "start" -d 'Start a session; plays belong to it until it ends'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and __fish_seen_subcommand_from session" -f -a "end" -d 'End the running session'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and __fish_seen_subcommand_from session" -f -a "list" -d 'List the recorded sessions, the oldest first'
-complete -c meissner -n "__fish_meissner_using_subcommand help; and __fish_seen_subcommand_from session" -f -a "export" -d 'Export the recorded plays of a session as CSV, one row per play; with --json as one document'
+complete -c meissner -n "__fish_meissner_using_subcommand help; and __fish_seen_subcommand_from session" -f -a "export" -d 'Export the recorded plays of a session as CSV, one row per stimulus; with --json as one document'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and __fish_seen_subcommand_from session" -f -a "show" -d 'Show a session'

@@ -245,6 +245,7 @@ pub(super) fn play(play: &Play) -> Result<ExitCode> {
     let (at_tick, at_ms, at_monotonic_ns) = Onset::keys(play.at);
     let request = PlayRequest {
         pattern: play.name.clone(),
+        pattern_sha256: None,
         seconds: play.seconds,
         at_tick,
         at_ms,

@@ -1,4 +1,6 @@
-//! `session export`: the recorded plays of a session as CSV, one row per play, or as one JSON document.
+//! `session export`: the recorded plays of a session as CSV, one row per stimulus, or as one JSON document.
+//!
+//! A stimulus is a play, or an item of a sequence. The JSON also has a row for each sequence as a whole.
 //!
 //! The columns stand in `docs/reference/session-export.md`. A file is replaced whole, and only once everything was read.
 //!
@@ -9,17 +11,18 @@ use super::output::say;
 use super::session::warn_unreadable;
 use anyhow::{Context, Result};
 use csv::Writer;
-use meissner_api::{Labels, RecordedPlay, Session, SessionPlays};
+use meissner_api::{Fit, Labels, RecordedPlay, Session, SessionPlays};
 use meissner_client::{Client, escape};
+use std::io::Write as _;
 use std::path::Path;
 use std::process::ExitCode;
 use std::time::Duration;
 
 /// How long the daemon may read its record for an answer.
-const TIMEOUT: Duration = Duration::from_secs(60);
+pub(super) const TIMEOUT: Duration = Duration::from_secs(60);
 
 /// The columns.
-pub(super) const COLUMNS: [&str; 31] = [
+pub(super) const COLUMNS: [&str; 46] = [
     "session",
     "participant",
     "experiment",
@@ -51,11 +54,26 @@ pub(super) const COLUMNS: [&str; 31] = [
     "rest_error_max_um",
     "session_started",
     "session_ended",
+    "item",
+    "scale",
+    "ordered_um",
+    "reached_um",
+    "ordered_ms",
+    "played_ms",
+    "cut_after_ms",
+    "offset_tick",
+    "offset_monotonic_ns",
+    "trigger_tick",
+    "trigger_code",
+    "trigger_ms",
+    "late_strokes",
+    "refused_strokes",
+    "fit",
 ];
 
 pub(super) fn run(options: &ClientOptions, id: &str, output: Option<&Path>) -> Result<ExitCode> {
     let exported = read(&mut options.client()?, id)?;
-    warn_unreadable(exported.unreadable, &exported.problems);
+    warn_incomplete(&exported);
     let text = if options.output.json { serde_json::to_string(&exported)? + "\n" } else { table(&exported)? };
     match output {
         None => say(text.trim_end_matches('\n'))?,
@@ -74,6 +92,18 @@ pub(super) fn run(options: &ClientOptions, id: &str, output: Option<&Path>) -> R
         }
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// Says on stderr what is missing.
+pub(super) fn warn_incomplete(exported: &SessionPlays) {
+    warn_unreadable(exported.unreadable, &exported.problems);
+    if let lost @ 1.. = exported.lost {
+        // If stderr is closed, there is no one to tell.
+        let _ = writeln!(
+            std::io::stderr(),
+            "warning: the record lost {lost} entries during the session, because the disk or the queue was full: plays may be missing"
+        );
+    }
 }
 
 /// All plays of a session, answer by answer.
@@ -100,7 +130,8 @@ fn read(client: &mut Client, id: &str) -> Result<SessionPlays> {
 fn table(exported: &SessionPlays) -> Result<String> {
     let mut csv = Writer::from_writer(Vec::new());
     csv.write_record(COLUMNS)?;
-    for play in &exported.plays {
+    // A sequence as a whole is no stimulus; without items, its row says that it was ordered.
+    for play in exported.plays.iter().filter(|play| play.items == 0) {
         csv.write_record(row(&exported.session, play))?;
     }
     Ok(String::from_utf8(csv.into_inner()?)?)
@@ -146,5 +177,24 @@ fn row(session: &Session, play: &RecordedPlay) -> [String; COLUMNS.len()] {
         field(play.rest_error_max_um),
         session.started.clone(),
         field(session.ended.as_ref()),
+        field(play.item),
+        field(play.scale),
+        field(play.ordered_um),
+        field(play.reached_um),
+        field(play.ordered_ms),
+        field(play.played_ms),
+        field(play.cut_after_ms),
+        field(play.offset_tick),
+        field(play.offset_monotonic_ns),
+        field(play.trigger.map(|trigger| trigger.tick)),
+        field(play.trigger.and_then(|trigger| trigger.code)),
+        field(play.trigger.map(|trigger| trigger.width_ms)),
+        field(play.late_strokes),
+        field(play.refused_strokes),
+        match play.fit {
+            Fit::Whole => "whole",
+            Fit::Cover => "cover",
+        }
+        .to_owned(),
     ]
 }

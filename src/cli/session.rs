@@ -46,7 +46,7 @@ pub(super) enum Session {
     },
     /// List the recorded sessions, the oldest first
     List(ClientOptions),
-    /// Export the recorded plays of a session as CSV, one row per play; with --json as one document
+    /// Export the recorded plays of a session as CSV, one row per stimulus; with --json as one document
     Export {
         /// Export the session with this id
         id: String,

@@ -11,7 +11,7 @@ pub(super) use receipt::{
 use crate::receipts::{HOST_TIMEOUT, end_text};
 use comfy_table::presets::{NOTHING, UTF8_FULL};
 use comfy_table::{CellAlignment, Table};
-use meissner_api::{ErrorSource, Event, NO_DEVICE, ParticipantStatus, Receipt, Session, Status};
+use meissner_api::{ErrorSource, Event, ItemState, NO_DEVICE, ParticipantStatus, Receipt, Session, Status};
 use meissner_array::geometry::{COLUMNS, ROWS};
 use meissner_array::pattern::Drive;
 use meissner_report::figures::segments;
@@ -194,6 +194,10 @@ pub(super) fn event(event: &Event) -> String {
             format!("late: {id}, motor {}, by {:.1} ms, {:?}", stroke.motor, stroke.late_ms, stroke.cause)
         }
         Event::Refused { id, stroke } => format!("refused: {id}, motor {}, {}", stroke.motor, stroke.reason),
+        Event::Items { id, first, items, .. } => {
+            let played = items.iter().filter(|item| item.state == ItemState::Played).count();
+            format!("items: {id}, {first} to {}: {played} played", first + items.len().saturating_sub(1))
+        }
         Event::Ended { receipt } => {
             let Receipt { id, state, cause, cut_after_ms, .. } = &**receipt;
             format!("ended: {id} {}", end_text(state.name(), cause.as_deref(), *cut_after_ms))

@@ -18,7 +18,7 @@ use super::server::Ordered;
 use super::sessions;
 use super::state::frame;
 use crate::receipts::{KEPT, calibration_plan};
-use crate::session_record::Peer;
+use crate::session_record::{self, Peer};
 use crate::store::{Put, Store, StoreError, Stored};
 use axum::body::{Body, Bytes};
 use axum::extract::rejection::PathRejection;
@@ -77,7 +77,7 @@ impl From<Problem> for ErrorResponse {
 impl From<StoreError> for ErrorResponse {
     fn from(error: StoreError) -> Self {
         let code = match &error {
-            StoreError::Unknown { .. } => Code::NotFound,
+            StoreError::Unknown { .. } | StoreError::OtherText { .. } => Code::NotFound,
             StoreError::Pattern(_) | StoreError::Name { .. } | StoreError::NotText { .. } => Code::BadPattern,
             StoreError::Empty { .. } => Code::Empty,
             StoreError::InLibrary { .. } | StoreError::Exists { .. } => Code::Exists,
@@ -101,7 +101,7 @@ impl IntoResponse for ErrorResponse {
 #[derive(Clone, Debug)]
 pub(super) struct App {
     pub(super) engine: Arc<Engine>,
-    store: SharedStore,
+    pub(super) store: SharedStore,
     counts: Arc<Counts>,
     /// A permit for each event stream, and for each request that waits for the end of a play.
     waiting: Arc<Semaphore>,
@@ -122,7 +122,7 @@ impl SharedStore {
         Self(Arc::new(Mutex::new(Arc::new(store))))
     }
 
-    fn get(&self) -> Arc<Store> {
+    pub(super) fn get(&self) -> Arc<Store> {
         Arc::clone(&self.0.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
@@ -199,15 +199,29 @@ pub(super) fn path<T>(path: Result<Path<T>, PathRejection>) -> Answer<T> {
     Ok(path.map(|Path(part)| part).map_err(bad)?)
 }
 
-/// A pattern, and its place among [`PATTERNS`]: those of the library need none, they are in memory anyway.
-async fn find(store: &SharedStore, name: &str) -> Answer<(Stored, Option<SemaphorePermit<'static>>)> {
-    let store = store.get();
-    if let Some(stored) = store.library(name) {
+/// A pattern, and its place among [`PATTERNS`]: those of the library need none, they are in memory anyway. With `sha256` it is the
+/// pattern of that text: the stored one, or the one that the session record keeps.
+async fn find(
+    app: &App,
+    name: &str,
+    sha256: Option<&str>,
+) -> Answer<(Stored, Option<SemaphorePermit<'static>>)> {
+    let store = app.store.get();
+    let is_it = |stored: &&Stored| sha256.is_none_or(|sha256| sha256 == stored.sha256);
+    if let Some(stored) = store.library(name).filter(is_it) {
         return Ok((stored.clone(), None));
     }
     let place = PATTERNS.acquire().await.ok();
-    let name = name.to_owned();
-    Ok((blocking(move || store.get(&name)).await??, place))
+    let (name, sha256) = (name.to_owned(), sha256.map(str::to_owned));
+    let record = app.engine.session_record().dir();
+    let read = move || match sha256 {
+        None => store.get(&name),
+        Some(sha256) => store.get_text(&name, &sha256, || {
+            let dir = record.ok_or(std::io::ErrorKind::NotFound)?;
+            session_record::read_text(&dir, &sha256)
+        }),
+    };
+    Ok((blocking(read).await??, place))
 }
 
 async fn play(
@@ -221,7 +235,7 @@ async fn play(
         logged.set_arguments(&request);
         request.session = app.engine.lock().session_of_play(request.session.as_deref())?;
         logged.set_arguments(&request);
-        let (stored, _place) = find(&app.store, &request.pattern).await?;
+        let (stored, _place) = find(&app, &request.pattern, request.pattern_sha256.as_deref()).await?;
         let accepted = app.engine.play(&request, stored, peer).await?;
         logged.set_play(accepted.id);
         Ok((StatusCode::ACCEPTED, Json(accepted)))
@@ -248,7 +262,12 @@ async fn sequence(
         logged.set_arguments(&json!({
             "name": name, "items": items, "at_tick": at_tick, "at_ms": at_ms, "at_monotonic_ns": at_monotonic_ns
         }));
-        let find = async |name: String| find(&app.store, &name).await.map_err(|ErrorResponse(problem)| problem);
+        let find = async |name: String, sha256: Option<String>| {
+            let found = find(&app, &name, sha256.as_deref()).await.map_err(|ErrorResponse(problem)| problem)?;
+            // Here, because it is dropped before the sequence is accepted.
+            app.engine.session_record().keep_text(&found.0.sha256, &found.0.text);
+            Ok(found)
+        };
         let accepted = app.engine.sequence(&request, peer, find).await?;
         logged.set_play(accepted.id);
         Ok((StatusCode::ACCEPTED, Json(accepted)))
@@ -410,7 +429,7 @@ async fn list(State(app): State<App>) -> Answer<Response> {
 }
 
 async fn show(State(app): State<App>, name: Result<Path<String>, PathRejection>) -> Answer<Response> {
-    let (stored, _place) = find(&app.store, &path(name)?).await?;
+    let (stored, _place) = find(&app, &path(name)?, None).await?;
     let json = match stored.made_json() {
         Some(made) => made,
         None => computing(move || stored.json()).await?,

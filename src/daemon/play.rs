@@ -7,7 +7,7 @@
 
 use super::engine::{Engine, TIMEOUT, answer};
 use super::runtime::computing;
-use super::state::{NewPlay, Plays, Reply, State, Trial};
+use super::state::{NewPlay, Plays, Reply, State, Trial, Way};
 use crate::exposure::Vibration;
 use crate::receipts::{Order, counts, fit};
 use crate::session_record::Peer;
@@ -89,7 +89,8 @@ impl State {
     ) -> Result<(PlayAccepted, Reply), Problem> {
         let PreparedPlay { play, settings, stored, options, order, counts, trial, .. } = prepared;
         let Order { ordered_ms, compiled_ms, .. } = order;
-        let new = NewPlay { stored, options, order, counts, trial, client };
+        let way = Way { late: play.late, open_loop: play.open_loop };
+        let new = NewPlay { stored, options, order, counts, way, trial, client };
         let (id, reply) = self.send_play(play, &settings, |plays| plays.add(new))?;
         Ok((PlayAccepted { id, ordered_ms, compiled_ms }, reply))
     }
@@ -135,6 +136,7 @@ impl Engine {
             let state = self.lock();
             (state.settings, state.surplus())
         };
+        let (sha256, text) = (stored.sha256.clone(), Arc::clone(&stored.text));
         let prepared = PreparedPlay::new(request, stored, settings, surplus).await?;
         let (accepted, reply) = {
             let mut state = self.lock();
@@ -150,6 +152,7 @@ impl Engine {
             state.exposure.add(accepted.id, vibration);
             (accepted, reply)
         };
+        self.session_record().keep_text(&sha256, &text);
         answer(reply, TIMEOUT).await?;
         Ok(accepted)
     }

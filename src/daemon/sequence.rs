@@ -8,7 +8,7 @@
 use super::engine::{Engine, TIMEOUT, answer};
 use super::play::{check_pushing, onset, trigger};
 use super::runtime::computing;
-use super::state::{NewSequence, State, Trial};
+use super::state::{NewSequence, State, Trial, Way};
 use crate::exposure::Vibration;
 use crate::receipts::{Order, PlannedItem};
 use crate::session_record::Peer;
@@ -50,8 +50,8 @@ pub(super) struct PreparedSequence {
 struct Used {
     sha256: Arc<str>,
     name: Arc<str>,
-    /// Its strokes by scale.
-    compiled: HashMap<u64, CompiledItem>,
+    /// Its strokes and its largest amplitude, as ordered and as reached, µm, by scale.
+    compiled: HashMap<u64, (CompiledItem, [f64; 2])>,
 }
 
 /// What becomes of the request step by step.
@@ -70,7 +70,7 @@ impl PreparedSequence {
         client: Peer,
         settings: Settings,
         surplus: Surplus,
-        find: impl Fn(String) -> F,
+        find: impl Fn(String, Option<String>) -> F,
     ) -> Result<Self, Problem> {
         let mut preparing = Preparing {
             sequence: Sequence::default(),
@@ -79,17 +79,19 @@ impl PreparedSequence {
             largest: (0.0, String::new()),
             surplus,
         };
-        let mut used: HashMap<&str, Used> = HashMap::new();
+        let mut used: HashMap<(&str, Option<&str>), Used> = HashMap::new();
         let mut planned = Vec::with_capacity(request.items.len());
         for (number, item) in request.items.iter().enumerate() {
             let at = |problem: Problem| Problem {
                 detail: format!("`items[{number}]`: {}", problem.detail),
                 ..problem
             };
-            if !used.contains_key(&*item.pattern) {
-                let (stored, _place) = find(item.pattern.clone()).await.map_err(at)?;
-                let items: Vec<SequenceItem> =
-                    request.items.iter().filter(|other| other.pattern == item.pattern).cloned().collect();
+            let text = text(item);
+            if !used.contains_key(&text) {
+                let found = find(item.pattern.clone(), item.pattern_sha256.clone()).await;
+                let (stored, _place) = found.map_err(at)?;
+                let same = request.items.iter().filter(|other| self::text(other) == text);
+                let items: Vec<SequenceItem> = same.cloned().collect();
                 let (sha256, name) = (stored.sha256.as_str().into(), item.pattern.as_str().into());
                 let (back, compiled) = computing(move || {
                     let compiled = preparing.compile(&stored, &items, &settings);
@@ -98,22 +100,25 @@ impl PreparedSequence {
                 .await?;
                 preparing = back;
                 let compiled = compiled.map_err(|error| at(refused(&error)))?;
-                used.insert(&item.pattern, Used { sha256, name, compiled });
+                used.insert(text, Used { sha256, name, compiled });
             }
-            let (Some(Used { sha256, name, compiled }), scale) = (used.get(&*item.pattern), scale(item))
-            else {
+            let (Some(Used { sha256, name, compiled }), scale) = (used.get(&text), scale(item)) else {
                 continue;
             };
             let start = match (item.gap_ms, item.start_ms) {
                 (_, Some(ms)) => Start::At(ms),
                 (gap_ms, None) => Start::Gap(gap_ms.unwrap_or(0.0)),
             };
-            let Some(&compiled) = compiled.get(&scale.to_bits()) else { continue };
+            let Some(&(compiled, amplitude_um)) = compiled.get(&scale.to_bits()) else { continue };
             preparing.sequence.add(compiled, item.seconds, start).map_err(|error| at(refused(&error)))?;
-            planned.push(PlannedItem { pattern: Arc::clone(name), sha256: Arc::clone(sha256), scale });
+            let (pattern, sha256) = (Arc::clone(name), Arc::clone(sha256));
+            planned.push(PlannedItem { pattern, sha256, scale, amplitude_um, span: (0, 0) });
         }
         let Preparing { sequence, bandwidth, warnings, largest, .. } = preparing;
         let items: Vec<Item> = request.items.iter().map(|item| Item::new(trigger(item.trigger))).collect();
+        for (item, span) in planned.iter_mut().zip(sequence.spans()) {
+            item.span = span;
+        }
         let spans: Vec<(f64, f64)> =
             sequence.spans().map(|(start, end)| (ticks_to_seconds(start), ticks_to_seconds(end))).collect();
         // A checked request has an item.
@@ -138,6 +143,7 @@ impl PreparedSequence {
             order: Order { ordered_ms: length_ms, compiled_ms: length_ms, drives: Vec::new(), warnings },
             counts,
             items: planned.into(),
+            way: Way { late, open_loop },
             trial: Trial {
                 session: request.session.clone(),
                 number: request.trial,
@@ -160,13 +166,14 @@ impl Preparing {
         stored: &Stored,
         items: &[SequenceItem],
         settings: &Settings,
-    ) -> Result<HashMap<u64, CompiledItem>, SequenceError> {
+    ) -> Result<HashMap<u64, (CompiledItem, [f64; 2])>, SequenceError> {
         let (name, pattern) = (stored.pattern.name(), &*stored.pattern);
         let mut compiled = HashMap::new();
         for scale in items.iter().map(scale) {
             let options = self.options(scale, None);
             if let Entry::Vacant(new) = compiled.entry(scale.to_bits()) {
-                new.insert(self.sequence.compile(pattern, &options)?);
+                let amplitude_um = Order::of(pattern, &options)?.largest_um();
+                new.insert((self.sequence.compile(pattern, &options)?, amplitude_um));
             }
         }
         let most = items.iter().map(scale).fold(0.0, f64::max);
@@ -184,6 +191,11 @@ impl Preparing {
         self.warnings.extend(order.listed_warnings().iter().map(|warning| format!("`{name}`: {warning}")));
         Ok(compiled)
     }
+}
+
+/// What tells the texts of items apart.
+fn text(item: &SequenceItem) -> (&str, Option<&str>) {
+    (&item.pattern, item.pattern_sha256.as_deref())
 }
 
 fn scale(item: &SequenceItem) -> f64 {
@@ -252,7 +264,7 @@ impl Engine {
         &self,
         request: &SequenceRequest,
         client: Peer,
-        find: impl Fn(String) -> F,
+        find: impl Fn(String, Option<String>) -> F,
     ) -> Result<PlayAccepted, Problem> {
         self.check_boot(request.boot)?;
         let (settings, surplus) = {

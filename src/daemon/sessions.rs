@@ -11,7 +11,8 @@ use super::http::{Answer, App, ErrorResponse, path};
 use super::request_log::LoggedRequest;
 use super::runtime::blocking;
 use super::state::{asked_by, no_session};
-use crate::session_record::{Peer, reader};
+use crate::session_record::{Peer, keeps_text, reader};
+use crate::store::Store;
 use axum::Json;
 use axum::body::Body;
 use axum::extract::rejection::PathRejection;
@@ -21,9 +22,11 @@ use axum::http::{HeaderMap, StatusCode, Uri};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use meissner_api::{
-    Code, Method, Problem, Route, Session, SessionList, SessionPlays, SessionRequest, SessionStarted,
-    parse_empty,
+    Code, Method, Problem, RecordedPlay, Route, Session, SessionList, SessionPlays, SessionRequest,
+    SessionStarted, parse_empty,
 };
+use std::collections::HashMap;
+use std::path::Path as FilePath;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -160,7 +163,7 @@ pub(super) async fn plays(
     id: Result<Path<String>, PathRejection>,
 ) -> Answer<Json<SessionPlays>> {
     let from = from(uri.query())?;
-    let record = app.engine.session_record();
+    let (record, store) = (app.engine.session_record(), app.store.get());
     let Json(session) = show(State(app), id).await?;
     let Some(dir) = record.dir() else {
         let detail =
@@ -169,9 +172,26 @@ pub(super) async fn plays(
     };
     let plays = blocking(move || {
         record.wait_until_written(WRITTEN);
-        reader::plays(&dir, session, from)
+        let mut plays = reader::plays(&dir, session, from)?;
+        mark_kept(&mut plays.plays, &store, &dir);
+        Ok::<_, reader::RecordError>(plays)
     });
     Ok(Json(plays.await??))
+}
+
+/// Marks the plays whose pattern's text is stored, or kept in the record.
+fn mark_kept(plays: &mut [RecordedPlay], store: &Store, record: &FilePath) {
+    let mut known = HashMap::<String, bool>::new();
+    for play in plays {
+        let Some(sha256) = play.pattern_sha256.clone().filter(|_| play.items == 0) else {
+            play.pattern_kept = play.items > 0;
+            continue;
+        };
+        play.pattern_kept = *known.entry(sha256).or_insert_with_key(|sha256| {
+            keeps_text(record, sha256)
+                || store.get(&play.pattern).is_ok_and(|stored| stored.sha256 == *sha256)
+        });
+    }
 }
 
 /// The query `from=N`.

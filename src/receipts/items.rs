@@ -17,6 +17,10 @@ pub struct PlannedItem {
     pub sha256: Arc<str>,
     /// The factor of its amplitudes.
     pub scale: f64,
+    /// The largest amplitude of its drives, as ordered and as reached, µm.
+    pub amplitude_um: [f64; 2],
+    /// When it begins and ends, ticks from the sequence's onset.
+    pub span: (u64, u64),
 }
 
 /// The records of all items.
@@ -35,6 +39,10 @@ fn record(planned: &PlannedItem, item: &Item) -> ItemRecord {
         pattern: Arc::clone(&planned.pattern),
         pattern_sha256: Arc::clone(&planned.sha256),
         scale: planned.scale,
+        ordered_um: planned.amplitude_um[0],
+        reached_um: planned.amplitude_um[1],
+        planned_onset_ticks: planned.span.0,
+        ordered_ms: ticks_to_ms(planned.span.1 - planned.span.0),
         state,
         onset: item.began.map(instant),
         first_pulse_tick: item.first_up.filter(|_| state != ItemState::NotBegun).map(|tick| tick.0),

@@ -20,7 +20,7 @@ pub use convert::{
 };
 pub use items::PlannedItem;
 pub use measured_bursts::{KEPT_S, MeasuredBursts};
-pub use order::{Order, counts, counts_until};
+pub use order::{Order, counts, counts_until, largest_um};
 pub use prediction::{NoPrediction, PlayedPattern};
 
 use firmware_protocol::message::{DeviceHello, State};

@@ -51,6 +51,12 @@ impl Order {
         (!moves).then_some(why)
     }
 
+    /// The largest amplitude of the drives, as ordered and as reached, µm.
+    #[must_use]
+    pub fn largest_um(&self) -> [f64; 2] {
+        largest_um(&self.drives)
+    }
+
     /// The first [`MAX_LISTED`] warnings, and how many more there are.
     #[must_use]
     pub fn listed_warnings(&self) -> Vec<String> {
@@ -66,6 +72,13 @@ impl Order {
         receipt.drives = drives.iter().take(MAX_DRIVES_LISTED).copied().collect();
         receipt.warnings = first(warnings, MAX_WARNINGS_LISTED);
     }
+}
+
+/// The largest amplitude of drives, as ordered and as reached, µm.
+#[must_use]
+pub fn largest_um(drives: &[ReachedDrive]) -> [f64; 2] {
+    let most = |of: fn(&ReachedDrive) -> f64| drives.iter().map(of).fold(0.0, f64::max);
+    [most(|drive| drive.ordered_um), most(|drive| drive.reached_um)]
 }
 
 /// Strokes of saturated drives that are walked when a play begins: 24 motors at 300 Hz for two minutes, in 30 ms.

@@ -50,8 +50,8 @@ const ROWS: usize = 32;
 pub(super) const MAX_ENTRY: u64 = 8 << 10;
 /// How long left-out entries are counted before an entry says so.
 pub(super) const REPORT_AFTER: Duration = Duration::from_secs(60);
-/// Queued plays that may end after their reserve is empty, with the longest receipts.
-const IN_FLIGHT: u64 = 2 << 20;
+/// Queued plays that may end after their reserve is empty, with the longest receipts and all items of one sequence.
+const IN_FLIGHT: u64 = 6 << 20;
 
 /// The most bytes that a running daemon writes in a day.
 pub const BYTES_PER_DAY: u64 = PLAYS.per_day()
@@ -146,6 +146,12 @@ impl Budget {
         taken
     }
 
+    /// The text of a pattern counts as an entry about a play.
+    pub(super) fn take_text(&mut self, bytes: u64, now: HostInstant) {
+        self.plays.refill(now);
+        self.plays.take(bytes);
+    }
+
     /// Whether the reserve for plays has room.
     pub(super) fn takes_plays(&mut self, now: HostInstant) -> bool {
         self.plays.refill(now);
@@ -196,8 +202,9 @@ mod tests {
     use super::*;
     use crate::session_record::{CommandEntry, Peer};
     use meissner_api::{
-        BurstCounts, ErrorSource, Event, LateCause, LateStroke, MAX_DRIVES_LISTED, MAX_LISTED,
-        MAX_WARNINGS_LISTED, MotorRestError, OnsetRecord, ReachedDrive, Receipt, RefusedStroke,
+        BurstCounts, ErrorSource, Event, InstantRecord, ItemRecord, ItemState, LateCause, LateStroke,
+        MAX_DRIVES_LISTED, MAX_ITEMS_LISTED, MAX_LISTED, MAX_SEQUENCE_ITEMS, MAX_WARNINGS_LISTED,
+        MotorRestError, OnsetRecord, ReachedDrive, Receipt, RefusedStroke, TriggerRecord,
     };
     use serde_json::{Value, json};
 
@@ -357,8 +364,35 @@ mod tests {
         receipt.drives = vec![drive; MAX_DRIVES_LISTED];
         receipt.warnings = vec!["x".repeat(160); MAX_WARNINGS_LISTED + 1];
         let bytes: u64 = play(1, receipt).iter().map(Entry::bytes).sum();
-        // The running play, 32 that wait, and one that begins.
-        assert!(34 * bytes < IN_FLIGHT, "{bytes}");
+        let instant = InstantRecord { tick: u64::MAX, monotonic_ns: u64::MAX, uncertainty_ns: u64::MAX };
+        let item = ItemRecord {
+            pattern: "x".repeat(64).into(),
+            pattern_sha256: "0".repeat(64).into(),
+            scale: 0.123_456_789_012_345_6,
+            ordered_um: 399.999,
+            reached_um: 399.999,
+            planned_onset_ticks: u64::MAX,
+            ordered_ms: 12_345_678_901.234_56,
+            state: ItemState::Incomplete,
+            onset: Some(instant),
+            first_pulse_tick: Some(u64::MAX),
+            offset: Some(instant),
+            trigger: Some(TriggerRecord { tick: u64::MAX, width_ms: 123.456_789_012_345_6, code: Some(255) }),
+            late_strokes: u32::MAX,
+            refused_strokes: u32::MAX,
+        };
+        let items = Event::Items {
+            id: u64::MAX,
+            session: Some("x".repeat(100)),
+            first: usize::MAX,
+            items: vec![item; MAX_ITEMS_LISTED],
+        };
+        let items = Entry::of(&items, None).unwrap();
+        // As large as a receipt, for the events that wait for listeners.
+        assert!(matches!(items.kind().0, Kind::Play) && items.bytes() < 32 << 10, "{}", items.bytes());
+        let items = items.bytes() * (MAX_SEQUENCE_ITEMS / MAX_ITEMS_LISTED) as u64;
+        // The running play, 32 that wait, and one that begins; the items of the one that runs.
+        assert!(34 * bytes + items < IN_FLIGHT, "{bytes}, {items}");
     }
 
     #[test]

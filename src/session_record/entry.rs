@@ -241,6 +241,7 @@ impl Entry {
             Self::Event { event, .. } => match **event {
                 Event::Queued { .. }
                 | Event::Began { .. }
+                | Event::Items { .. }
                 | Event::Ended { .. }
                 | Event::PredictedResponse { .. }
                 | Event::SessionStarted { .. }

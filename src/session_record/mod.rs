@@ -15,11 +15,13 @@ mod entry;
 mod json;
 pub mod reader;
 mod removal;
+mod texts;
 mod users;
 mod writer;
 
 pub use budget::BYTES_PER_DAY;
 pub use entry::{CommandEntry, Entry, Note, Peer};
+pub use texts::{keeps_text, read_text};
 pub use users::Users;
 pub use writer::{Location, SYNC_AFTER, local_time};
 
@@ -32,6 +34,7 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::thread;
 use std::time::{Duration, Instant};
+use texts::Texts;
 use tracing::warn;
 use writer::{Stamp, Writer};
 
@@ -53,6 +56,8 @@ enum Message {
     Move(Location),
     /// Replace the file of exposures.
     Exposure(String),
+    /// Keep a pattern's text under its SHA-256.
+    Text(String, Arc<[u8]>),
     /// Drop this when all before it is written.
     Written(Sender<()>),
     /// Entries are left out: say so after [`REPORT_AFTER`].
@@ -68,6 +73,7 @@ struct Queue {
     /// Entries that may wait unless they are about plays or e-stops. The rest of the queue is for those.
     room: usize,
     budget: Budget,
+    texts: Arc<Texts>,
     missed: u64,
     /// Disconnected when the thread has ended.
     ended: Receiver<()>,
@@ -85,13 +91,15 @@ impl Queue {
         let (messages, queue) = bounded(room);
         let (alive, ended) = bounded::<()>(0);
         let (problem, dir) = (writer.problem(), writer.dir().to_owned());
+        let texts = Arc::new(Texts::default());
+        let kept = Arc::clone(&texts);
         let work = move || {
-            write_all(writer, &queue, &users, &owner);
+            write_all(writer, &queue, &users, &kept, &owner);
             drop(alive);
         };
         thread::Builder::new().name("session record".into()).spawn(work)?;
         let budget = Budget::new(HostInstant::now());
-        Ok(Self { messages, dir, room: room.div_ceil(2), budget, missed: 0, ended, problem })
+        Ok(Self { messages, dir, room: room.div_ceil(2), budget, texts, missed: 0, ended, problem })
     }
 
     fn add(&mut self, entry: Entry, bytes: u64) {
@@ -103,6 +111,18 @@ impl Queue {
             // The queue is full: this entry is one of the missing ones, and the next one tries again.
             self.budget.reported();
             self.missed += 1;
+        }
+    }
+
+    fn keep_text(&mut self, sha256: &str, text: &Arc<[u8]>) {
+        let now = HostInstant::now();
+        let has_room = self.messages.len() < self.room && self.budget.takes_plays(now);
+        if !has_room || !self.texts.take(sha256, text.len()) {
+            return;
+        }
+        self.budget.take_text(text.len() as u64, now);
+        if self.messages.try_send(Message::Text(sha256.to_owned(), Arc::clone(text))).is_err() {
+            self.texts.done(text.len(), None);
         }
     }
 
@@ -211,6 +231,13 @@ impl SessionRecord {
         }
     }
 
+    /// Keeps the text of a pattern that is played, once, for [`read_text`]. Never waits for the disk.
+    pub fn keep_text(&self, sha256: &str, text: &Arc<[u8]>) {
+        if let Some(queue) = self.lock().as_mut() {
+            queue.keep_text(sha256, text);
+        }
+    }
+
     /// Where it is kept; none: nothing is recorded.
     #[must_use]
     pub fn dir(&self) -> Option<PathBuf> {
@@ -272,6 +299,7 @@ fn write_all(
     mut writer: Writer,
     queue: &Receiver<Message>,
     users: &Arc<Users>,
+    texts: &Texts,
     owner: &Weak<Mutex<Option<Queue>>>,
 ) {
     let mut slow = false;
@@ -283,7 +311,14 @@ fn write_all(
             Some(at) => queue.recv_deadline(at),
         };
         match message {
-            Ok(Message::Move(location)) => writer.move_to(location),
+            Ok(Message::Move(location)) => {
+                writer.move_to(location);
+                texts.forget();
+            }
+            Ok(Message::Text(sha256, text)) => {
+                let kept = writer.keep_text(&sha256, &text);
+                texts.done(text.len(), kept.then_some(sha256));
+            }
             Ok(Message::Exposure(text)) => writer.save_exposure(&text),
             Ok(Message::Written(waiting)) => drop(waiting),
             Ok(Message::LeftOut) => report = Some(Instant::now() + REPORT_AFTER),

@@ -6,9 +6,14 @@
 //! Bounds: one line of `MAX_LINE` in memory, `MAX_SESSIONS`, and `MAX_LISTED` named problems.
 
 use super::days;
+use crate::receipts::largest_um;
 use jiff::civil::Date;
 use jiff::{Timestamp, ToSpan};
-use meissner_api::{MAX_LISTED, MAX_ROWS, Receipt, RecordedPlay, Session, SessionList, SessionPlays};
+use meissner_api::{
+    ItemRecord, ItemState, MAX_LISTED, MAX_ROWS, MAX_SEQUENCE_ITEMS, Receipt, RecordedPlay, Session,
+    SessionList, SessionPlays,
+};
+use meissner_array::units::ticks_to_ms;
 use rustix::fs::OFlags;
 use serde_json::Value;
 use std::collections::{BTreeMap, VecDeque};
@@ -70,7 +75,7 @@ fn read_line(file: &mut impl BufRead, line: &mut Vec<u8>) -> io::Result<Option<b
     }
 }
 
-fn open(path: &Path) -> io::Result<BufReader<File>> {
+pub(super) fn open(path: &Path) -> io::Result<BufReader<File>> {
     let flags = (OFlags::NOFOLLOW | OFlags::NONBLOCK).bits().cast_signed();
     let file = OpenOptions::new().read(true).custom_flags(flags).open(path)?;
     if !file.metadata()?.is_file() {
@@ -175,8 +180,8 @@ pub fn sessions(dir: &Path) -> Result<SessionList, RecordError> {
 /// Ended plays whose command may still follow: far more than are ever under way.
 const UNDER_WAY: usize = 64;
 
-/// The plays of a session from number `from` on, at most [`MAX_ROWS`], in the order of their ends. A play whose end is missing comes
-/// last, with the state `unknown`.
+/// The plays of a session from number `from` on, at most [`MAX_ROWS`], in the order of their ends; each sequence is followed by its
+/// items. A play whose end is missing comes last, with the state `unknown`.
 ///
 /// # Errors
 /// If the record's directory cannot be read.
@@ -186,17 +191,43 @@ pub fn plays(dir: &Path, session: Session, from: usize) -> Result<SessionPlays, 
     let day = day.and_then(|day| day.checked_sub(1.day()).ok());
     let mut rows = Rows { from, ..Rows::default() };
     let (mut open, mut ended) = (BTreeMap::<u64, RecordedPlay>::new(), VecDeque::new());
+    let (mut boot, mut lost, mut stage) = (None, 0, Stage::Before);
+    let mut items: (u64, Vec<ItemRecord>) = (0, Vec::new());
     let unreadable = each_line(dir, day, |line| {
-        if !has(line, &session.id) {
+        let is_own = has(line, &session.id);
+        if is_own && has(line, "\"event\":\"session-ended\"") {
+            stage = Stage::After;
+        } else if is_own && stage == Stage::Before {
+            stage = Stage::Within;
+        }
+        let is = |event: &str| has(line, &format!("\"event\":\"{event}\""));
+        if !is_own && !(is("connected") || stage == Stage::Within && is("lost")) {
             return true;
         }
         let Ok(mut entry) = serde_json::from_slice::<Value>(line) else { return false };
         match entry["event"].as_str() {
+            Some("connected") => {
+                boot = entry["device"]["boot"].as_u64().and_then(|boot| u32::try_from(boot).ok());
+            }
+            Some("lost") => lost += entry["entries"].as_u64().unwrap_or(1),
             Some("command") if entry["command"] == "play" && entry["asked"]["session"] == *session.id => {
                 let play = asked(&entry);
                 if let Some(play) = play.filter(|play| !ended.contains(&play.play)) {
                     open.insert(play.play, play);
                 }
+            }
+            Some("items") if entry["session"] == *session.id => {
+                let Some((id, part)) = entry["id"]
+                    .as_u64()
+                    .zip(serde_json::from_value::<Vec<ItemRecord>>(entry["items"].take()).ok())
+                else {
+                    return false;
+                };
+                if items.0 != id {
+                    items = (id, Vec::new());
+                }
+                let room = MAX_SEQUENCE_ITEMS.saturating_sub(items.1.len());
+                items.1.extend(part.into_iter().take(room));
             }
             Some("ended") => {
                 let Ok(receipt) = serde_json::from_value::<Receipt>(entry["receipt"].take()) else {
@@ -208,7 +239,13 @@ pub fn plays(dir: &Path, session: Session, from: usize) -> Result<SessionPlays, 
                     if ended.len() > UNDER_WAY {
                         ended.pop_front();
                     }
-                    rows.add(played(&entry, receipt));
+                    let (of, items) = std::mem::take(&mut items);
+                    let items = if of == receipt.id { items } else { Vec::new() };
+                    let whole = RecordedPlay { boot, items: items.len() as u64, ..played(&entry, receipt) };
+                    let parts: Vec<_> =
+                        (0..).zip(&items).map(|(number, item)| part(&whole, number, item)).collect();
+                    rows.add(whole);
+                    parts.into_iter().for_each(|part| rows.add(part));
                 }
             }
             _ => {}
@@ -224,9 +261,18 @@ pub fn plays(dir: &Path, session: Session, from: usize) -> Result<SessionPlays, 
         session,
         plays: rows.plays,
         more,
+        lost,
         unreadable: unreadable.count,
         problems: unreadable.lines,
     })
+}
+
+/// Where a line stands among those of a session.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stage {
+    Before,
+    Within,
+    After,
 }
 
 /// The rows of an answer.
@@ -268,6 +314,9 @@ fn played(entry: &Value, receipt: Receipt) -> RecordedPlay {
     let wall = entry["time"].as_str().and_then(|time| time.parse::<Timestamp>().ok());
     let wall_ns = wall.and_then(|wall| i64::try_from(wall.as_nanosecond()).ok());
     let errors = receipt.rest_error_um.iter().flatten();
+    let [ordered_um, reached_um] =
+        largest_um(&receipt.drives).map(|um| (!receipt.drives.is_empty()).then_some(um));
+    let late = receipt.lateness.counts;
     RecordedPlay {
         play: receipt.id,
         user: entry["user"].as_str().map(str::to_owned),
@@ -285,7 +334,68 @@ fn played(entry: &Value, receipt: Receipt) -> RecordedPlay {
         reported_after_s: after_ns.map(|after| after as f64 / 1e9),
         bursts: receipt.bursts,
         pulses: receipt.pulses,
-        worst_late_ms: Some(receipt.lateness.counts.worst_ms),
+        worst_late_ms: Some(late.worst_ms),
         rest_error_max_um: errors.map(|error| error.abs()).reduce(f32::max),
+        item: None,
+        items: 0,
+        ordered_um,
+        reached_um,
+        scale: receipt.scale,
+        fit: receipt.fit,
+        late_policy: receipt.late_policy,
+        open_loop: receipt.open_loop,
+        ordered_ms: receipt.duration_ms.ordered,
+        played_ms: receipt.duration_ms.played,
+        cut_after_ms: receipt.cut_after_ms,
+        offset_tick: receipt.offset.map(|offset| offset.tick),
+        offset_monotonic_ns: receipt.offset.map(|offset| offset.monotonic_ns),
+        trigger: receipt.trigger,
+        ordered: receipt.ordered,
+        planned_onset_ticks: None,
+        late_strokes: Some(late.host + late.link + late.device),
+        refused_strokes: None,
+        boot: None,
+        pattern_kept: false,
+    }
+}
+
+/// An item of a sequence. What is not counted by item stays with the whole.
+fn part(whole: &RecordedPlay, number: u64, item: &ItemRecord) -> RecordedPlay {
+    let (onset, offset) = (item.onset, item.offset);
+    let later_ns = onset.zip(whole.onset_monotonic_ns).and_then(|(onset, whole)| {
+        i64::try_from(onset.monotonic_ns).ok()?.checked_sub(i64::try_from(whole).ok()?)
+    });
+    let played = onset.zip(offset).and_then(|(onset, offset)| offset.tick.checked_sub(onset.tick));
+    RecordedPlay {
+        pattern: item.pattern.to_string(),
+        pattern_sha256: Some(item.pattern_sha256.to_string()),
+        seconds: Some(item.ordered_ms / 1e3),
+        state: item.state.name().to_owned(),
+        cause: whole.cause.clone().filter(|_| item.state == ItemState::Cut),
+        onset_tick: onset.map(|onset| onset.tick),
+        onset_monotonic_ns: onset.map(|onset| onset.monotonic_ns),
+        onset_uncertainty_ns: onset.map(|onset| onset.uncertainty_ns),
+        onset_wall_ns: whole.onset_wall_ns.zip(later_ns).and_then(|(wall, later)| wall.checked_add(later)),
+        reported_after_s: None,
+        bursts: None,
+        pulses: None,
+        worst_late_ms: None,
+        rest_error_max_um: None,
+        item: Some(number),
+        items: 0,
+        ordered_um: Some(item.ordered_um),
+        reached_um: Some(item.reached_um),
+        scale: Some(item.scale),
+        ordered_ms: Some(item.ordered_ms),
+        played_ms: played.map(ticks_to_ms),
+        cut_after_ms: None,
+        offset_tick: offset.map(|offset| offset.tick),
+        offset_monotonic_ns: offset.map(|offset| offset.monotonic_ns),
+        trigger: item.trigger,
+        ordered: None,
+        planned_onset_ticks: Some(item.planned_onset_ticks),
+        late_strokes: Some(item.late_strokes.into()),
+        refused_strokes: Some(item.refused_strokes.into()),
+        ..whole.clone()
     }
 }

@@ -9,6 +9,7 @@ use super::days;
 use super::entry::{Entry, Note};
 use super::json;
 use super::removal::{self, Removal};
+use super::texts;
 use crate::exposure;
 use jiff::civil::Date;
 use jiff::tz::TimeZone;
@@ -211,6 +212,20 @@ impl Writer {
         let path = self.location.dir.join(exposure::FILE);
         if let Err(source) = removal::replace(&self.location.dir, &path, text.as_bytes()) {
             self.fail(&Failure { path, source });
+        }
+    }
+
+    /// Keeps the text of a pattern, if the record is open. Returns whether it is kept.
+    pub(super) fn keep_text(&mut self, sha256: &str, text: &[u8]) -> bool {
+        if self.open.is_none() {
+            return false;
+        }
+        match texts::keep(&self.location.dir, sha256, text) {
+            Ok(()) => true,
+            Err((path, source)) => {
+                self.fail(&Failure { path, source });
+                false
+            }
         }
     }
 

@@ -6,6 +6,7 @@
 //! Invariant: [`Event::name`] is the `event` key of its JSON.
 
 use crate::receipt::{LateStroke, OnsetRecord, Prediction, PredictionKeys, Receipt, RefusedStroke};
+use crate::sequence::ItemRecord;
 use crate::session::Session;
 use crate::status::{DeviceInfo, RunningPlay};
 use serde::{Deserialize, Serialize};
@@ -126,6 +127,31 @@ pub enum Event {
         #[serde(flatten)]
         stroke: RefusedStroke,
     },
+    /// What became of the items of a sequence: up to 32 of them in one event, those that have begun, right before its event `ended`.
+    #[schema(examples(json!({
+        "event": "items", "id": 7, "session": null, "first": 0, "items": [{
+            "pattern": "edge-45", "pattern_sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08",
+            "scale": 1.0, "ordered_um": 80.0, "reached_um": 69.2, "planned_onset_ticks": 0, "ordered_ms": 500.0,
+            "state": "played",
+            "onset": {"tick": 6442460000_u64, "monotonic_ns": 75793647058823_u64, "uncertainty_ns": 9600},
+            "first_pulse_tick": 6442460000_u64,
+            "offset": {"tick": 6442502400_u64, "monotonic_ns": 75794145882352_u64, "uncertainty_ns": 9600},
+            "trigger": {"tick": 6442460000_u64, "width_ms": 4.0, "code": 1}, "late_strokes": 0, "refused_strokes": 0
+        }]
+    })))]
+    Items {
+        /// The play's id.
+        id: u64,
+        /// The session that it belongs to; null without one.
+        #[schema(required)]
+        session: Option<String>,
+        /// The number of the first one here, from 0.
+        #[schema(minimum = 0)]
+        first: usize,
+        /// The items.
+        #[schema(max_items = 32)]
+        items: Vec<ItemRecord>,
+    },
     /// A play has ended.
     Ended {
         /// The play's result.
@@ -228,6 +254,9 @@ pub enum Event {
     },
 }
 
+/// Items of a sequence in one event, at most.
+pub const MAX_ITEMS_LISTED: usize = 32;
+
 impl Event {
     /// The name under which the daemon sends it.
     #[must_use]
@@ -243,6 +272,7 @@ impl Event {
             Self::SensorFault { .. } => "doubted",
             Self::Contradiction { .. } => "contradiction",
             Self::Drifted { .. } => "drifted",
+            Self::Items { .. } => "items",
             Self::Ended { .. } => "ended",
             Self::PredictedResponse { .. } => "felt",
             Self::Calibrated { .. } => "calibrated",

@@ -26,6 +26,9 @@
 //! # Ok::<(), meissner_api::Problem>(())
 //! ```
 
+// The examples of the longest schemas.
+#![recursion_limit = "256"]
+
 pub mod calibration;
 pub mod event;
 pub mod openapi;
@@ -40,7 +43,7 @@ pub mod status;
 pub mod trigger;
 
 pub use calibration::{CalibratedMotor, CalibrationReport, Provenance};
-pub use event::{Event, SensorFault};
+pub use event::{Event, MAX_ITEMS_LISTED, SensorFault};
 pub use pattern::{
     ImportedPattern, PatternDetails, PatternList, PatternSummary, ReachedDrive, RemovedPattern,
 };

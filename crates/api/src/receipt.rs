@@ -6,7 +6,7 @@
 //! Invariant: in the receipt of an ended play, `planned = played + late + dropped + refused`, as the streamer counted.
 
 use crate::pattern::ReachedDrive;
-use crate::request::Fit;
+use crate::request::{Fit, LatePolicy};
 use crate::sequence::ItemRecord;
 use crate::status::ErrorSource;
 use crate::trigger::TriggerRecord;
@@ -343,7 +343,7 @@ impl LinkTraffic {
     "id": 7, "pattern": "edge-45",
     "pattern_sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08",
     "seconds": 2.0, "scale": 1.0, "fit": "whole", "session": "20261122T083000Z-9f3c", "trial": 12,
-    "labels": {"condition": "a"}, "state": "done", "cause": null,
+    "labels": {"condition": "a"}, "late_policy": "drop", "open_loop": false, "state": "done", "cause": null,
     "onset": {
         "requested_tick": 6442460000_u64, "actual_tick": 6442460000_u64, "monotonic_ns": 75793647058823_u64,
         "uncertainty_ns": 9600
@@ -417,6 +417,14 @@ pub struct Receipt {
     #[serde(default)]
     #[schema(required, minimum = 0.0, maximum = 1.0)]
     pub scale: Option<f64>,
+    /// What was to happen to late strokes.
+    #[serde(default)]
+    #[schema(required)]
+    pub late_policy: LatePolicy,
+    /// Whether it was to play without corrections from telemetry.
+    #[serde(default)]
+    #[schema(required)]
+    pub open_loop: bool,
     /// Where the play stands.
     pub state: PlayState,
     /// Why the play ended; null if it is not over or came to its end.
@@ -470,7 +478,7 @@ pub struct Receipt {
     #[serde(default)]
     #[schema(required)]
     pub trigger: Option<TriggerRecord>,
-    /// The items of a sequence; null until it is over, for other plays, and in the event `ended`.
+    /// The items of a sequence; null until it is over, for other plays, and in the event `ended`: events `items` come before it.
     #[serde(default)]
     #[schema(required, value_type = Option<Vec<ItemRecord>>, max_items = 4096)]
     pub items: Option<Arc<[ItemRecord]>>,
@@ -504,6 +512,8 @@ impl Receipt {
             trial: None,
             labels: BTreeMap::new(),
             scale: None,
+            late_policy: LatePolicy::default(),
+            open_loop: false,
             state: PlayState::Queued,
             cause: None,
             onset: None,

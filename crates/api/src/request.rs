@@ -4,7 +4,7 @@
 //! counts as absent. An error is one line that names the key; for an unknown key it offers the nearest known one.
 
 use crate::problem::{Code, Problem, REFERENCE};
-use crate::sequence::{check_scale, check_trigger};
+use crate::sequence::{check_scale, check_sha256, check_trigger};
 use crate::session::check_labels;
 use crate::trigger::{self, TriggerRequest};
 use meissner_input::document::{self, CommonProblem, KeyError, Table, Wanted};
@@ -25,6 +25,11 @@ pub const MAX_BODY: usize = 1 << 20;
 pub struct PlayRequest {
     /// The pattern's name.
     pub pattern: String,
+    /// Play the text with this SHA-256 (hexadecimal): the stored pattern, or else the text that the session record keeps. Without
+    /// either the daemon refuses. Without the key: the stored pattern.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(min_length = 64, max_length = 64)]
+    pub pattern_sha256: Option<String>,
     /// Duration, s: truncates the pattern, or repeats it if it is finite. Without it the pattern plays once, or without end.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0.0, maximum = 1e8)]
@@ -116,6 +121,7 @@ impl PlayRequest {
         let request: Self = read(body)?;
         check_onset(request.at_tick, request.at_ms, request.at_monotonic_ns)?;
         check_labels(&request.labels)?;
+        check_sha256(request.pattern_sha256.as_deref()).map_err(bad)?;
         check_scale(request.scale).and_then(|()| check_trigger(request.trigger)).map_err(bad)?;
         Ok(request)
     }
@@ -323,6 +329,7 @@ mod tests {
             (r#"{"pattern":"a","replace":1}"#, "`replace` is integer `1`: must be true or false"),
             (r#"{"pattern":"a","at_ms":-1}"#, "`at_ms` is -1: must be 0 to 3600000 ms"),
             (r#"{"pattern":"a","at_ms":1,"at_tick":1}"#, "`at_tick` and `at_ms` exclude each other"),
+            (r#"{"pattern":"a","pattern_sha256":"9F"}"#, "`pattern_sha256` must be 64 of 0-9 and a-f"),
             (r#"{"pattern":"a","scale":-0.1}"#, "`scale` is -0.1: must be 0 to 1"),
             (r#"{"pattern":"a","trigger":{"code":0}}"#, "`trigger`: `code` must be 1 to 255"),
             (r#"{"pattern":"a","at_ms":1,"at_monotonic_ns":1}"#, "`at_ms` and `at_monotonic_ns` exclude"),

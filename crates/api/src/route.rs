@@ -491,7 +491,7 @@ impl Route {
             },
             Self::SessionPlays => Operation {
                 summary: "Show the recorded plays of a session",
-                description: "The daemon reads the session record. An answer has at most 3000 plays; `from` leaves out the first.",
+                description: "The daemon reads the session record. An answer has at most 2000 rows; `from` leaves out the first.",
                 parameter: Some("The session's id"),
                 query: Some(Query::Number {
                     name: "from",

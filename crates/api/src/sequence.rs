@@ -80,6 +80,11 @@ pub struct SequenceRequest {
 pub struct SequenceItem {
     /// The pattern's name.
     pub pattern: String,
+    /// Play the text with this SHA-256 (hexadecimal): the stored pattern, or else the text that the session record keeps. Without
+    /// either the daemon refuses. Without the key: the stored pattern.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(min_length = 64, max_length = 64)]
+    pub pattern_sha256: Option<String>,
     /// Duration, s: truncates the pattern, or repeats it if it is finite. A pattern without end needs it.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 0.0, maximum = 1e8)]
@@ -150,9 +155,17 @@ impl SequenceItem {
         if self.gap_ms.is_some() && self.start_ms.is_some() {
             return Err("`gap_ms` and `start_ms` exclude each other: leave one out".to_owned());
         }
+        check_sha256(self.pattern_sha256.as_deref()).map_err(str::to_owned)?;
         check_scale(self.scale)?;
         check_trigger(self.trigger)
     }
+}
+
+/// Refuses what is no SHA-256.
+pub(crate) fn check_sha256(sha256: Option<&str>) -> Result<(), &'static str> {
+    let digit = |b: u8| matches!(b, b'0'..=b'9' | b'a'..=b'f');
+    let good = sha256.is_none_or(|sha256| sha256.len() == 64 && sha256.bytes().all(digit));
+    if good { Ok(()) } else { Err("`pattern_sha256` must be 64 of 0-9 and a-f") }
 }
 
 /// Refuses a scale out of range.
@@ -213,6 +226,19 @@ pub enum ItemState {
     NotBegun,
 }
 
+impl ItemState {
+    /// The state's name in the JSON.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Played => "played",
+            Self::Incomplete => "incomplete",
+            Self::Cut => "cut",
+            Self::NotBegun => "not-begun",
+        }
+    }
+}
+
 /// A device tick, and when it came on the host's clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct InstantRecord {
@@ -236,6 +262,22 @@ pub struct ItemRecord {
     /// The factor of the amplitudes.
     #[schema(minimum = 0.0, maximum = 1.0)]
     pub scale: f64,
+    /// The largest amplitude of its drives as ordered, µm.
+    #[serde(default)]
+    #[schema(required, minimum = 0.0)]
+    pub ordered_um: f64,
+    /// The largest amplitude that they reach in whole pulses, µm.
+    #[serde(default)]
+    #[schema(required, minimum = 0.0)]
+    pub reached_um: f64,
+    /// When it was to begin, ticks of 1/85000 s from the sequence's onset.
+    #[serde(default)]
+    #[schema(required)]
+    pub planned_onset_ticks: u64,
+    /// How long it was to last, ms: a whole number of ticks.
+    #[serde(default)]
+    #[schema(required, minimum = 0.0)]
+    pub ordered_ms: f64,
     /// What became of it.
     pub state: ItemState,
     /// The item's onset, as the device reported it; null if it has not begun, or if the device learned of it too late.

@@ -6,8 +6,9 @@
 //! Invariant: names and labels have no control characters, and at most the characters stated here.
 
 use crate::problem::{Code, Problem};
-use crate::receipt::{BurstCounts, PulseCounts};
-use crate::request::read;
+use crate::receipt::{BurstCounts, OrderedCounts, PulseCounts};
+use crate::request::{Fit, LatePolicy, read};
+use crate::trigger::TriggerRecord;
 use meissner_input::message::{is_plain, quote};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -162,10 +163,11 @@ pub struct SessionList {
     pub problems: Vec<String>,
 }
 
-/// Rows of a session's plays in one answer, at most: with the longest labels they fit into 16 MiB.
-pub const MAX_ROWS: usize = 3000;
+/// Rows of a session's plays in one answer, at most, items of sequences included: with the longest labels they fit into 16 MiB.
+pub const MAX_ROWS: usize = 2000;
 
-/// A recorded play of a session.
+/// A recorded play of a session, or an item of a sequence. A sequence has a row as a whole, with what the items have not; its items
+/// follow.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct RecordedPlay {
     /// The play's id: its number since the daemon's start.
@@ -219,6 +221,87 @@ pub struct RecordedPlay {
     /// Largest estimated offset of a pin from rest at the end, µm.
     #[schema(required, minimum = 0.0)]
     pub rest_error_max_um: Option<f32>,
+    /// The item's number in its sequence, from 0; null of a play as a whole.
+    #[serde(default)]
+    #[schema(required, minimum = 0)]
+    pub item: Option<u64>,
+    /// Of a sequence as a whole: how many rows of items follow. Otherwise 0.
+    #[serde(default)]
+    #[schema(required, minimum = 0)]
+    pub items: u64,
+    /// The largest amplitude of its drives as ordered, µm; null if that is not recorded.
+    #[serde(default)]
+    #[schema(required, minimum = 0.0)]
+    pub ordered_um: Option<f64>,
+    /// The largest amplitude that they reach in whole pulses, µm.
+    #[serde(default)]
+    #[schema(required, minimum = 0.0)]
+    pub reached_um: Option<f64>,
+    /// The factor of the amplitudes; null of a sequence as a whole.
+    #[serde(default)]
+    #[schema(required, minimum = 0.0, maximum = 1.0)]
+    pub scale: Option<f64>,
+    /// Which strokes were to be played at the end.
+    #[serde(default)]
+    #[schema(required)]
+    pub fit: Fit,
+    /// What was to happen to late strokes.
+    #[serde(default)]
+    #[schema(required)]
+    pub late_policy: LatePolicy,
+    /// Whether it was to play without corrections from telemetry.
+    #[serde(default)]
+    #[schema(required)]
+    pub open_loop: bool,
+    /// Duration as ordered, ms; null: without end, or not recorded.
+    #[serde(default)]
+    #[schema(required, minimum = 0.0)]
+    pub ordered_ms: Option<f64>,
+    /// Duration as played, from onset to offset, ms.
+    #[serde(default)]
+    #[schema(required, minimum = 0.0)]
+    pub played_ms: Option<f64>,
+    /// Time from the onset to the cut that ended the play, ms; null if it was not cut.
+    #[serde(default)]
+    #[schema(required, minimum = 0.0)]
+    pub cut_after_ms: Option<f64>,
+    /// When the last pulse was over, ticks of 1/85000 s.
+    #[serde(default)]
+    #[schema(required, minimum = 0)]
+    pub offset_tick: Option<u64>,
+    /// The same on the host's `CLOCK_MONOTONIC`, ns.
+    #[serde(default)]
+    #[schema(required, minimum = 0)]
+    pub offset_monotonic_ns: Option<u64>,
+    /// What the trigger output gave at the onset; null: nothing.
+    #[serde(default)]
+    #[schema(required)]
+    pub trigger: Option<TriggerRecord>,
+    /// What pattern and order say; null of an item, or if it was not counted.
+    #[serde(default)]
+    #[schema(required)]
+    pub ordered: Option<OrderedCounts>,
+    /// When the item was to begin, ticks of 1/85000 s from the sequence's onset; null of a play as a whole.
+    #[serde(default)]
+    #[schema(required, minimum = 0)]
+    pub planned_onset_ticks: Option<u64>,
+    /// Number of strokes that came late; null if the end is missing.
+    #[serde(default)]
+    #[schema(required, minimum = 0)]
+    pub late_strokes: Option<u64>,
+    /// Number of the item's strokes that the device refused; null of a play as a whole, which counts bursts.
+    #[serde(default)]
+    #[schema(required, minimum = 0)]
+    pub refused_strokes: Option<u64>,
+    /// The boot of the device whose ticks these are; null if the record does not tell.
+    #[serde(default)]
+    #[schema(required, minimum = 0)]
+    pub boot: Option<u32>,
+    /// Whether the daemon has the pattern's text still, stored or in the session record, so that it can play it again. Of a sequence as
+    /// a whole: true.
+    #[serde(default)]
+    #[schema(required)]
+    pub pattern_kept: bool,
 }
 
 /// A session and its recorded plays, in the order of their ends.
@@ -235,18 +318,27 @@ pub struct RecordedPlay {
         "cause": null, "onset_tick": 6442460000_u64, "onset_monotonic_ns": 75793647058823_u64, "onset_uncertainty_ns": 9600,
         "onset_wall_ns": 1795336200123456000_u64, "reported_after_s": 2.01,
         "bursts": {"planned": 1240, "played": 1240, "late": 0, "dropped": 0, "refused": 0, "amended": 1221},
-        "pulses": {"planned": 86800, "played": 86790}, "worst_late_ms": 0.0, "rest_error_max_um": 0.4
+        "pulses": {"planned": 86800, "played": 86790}, "worst_late_ms": 0.0, "rest_error_max_um": 0.4,
+        "item": null, "items": 0, "ordered_um": 80.0, "reached_um": 69.2, "scale": 1.0, "fit": "whole", "late_policy": "drop",
+        "open_loop": false, "ordered_ms": 2000.0, "played_ms": 1998.8, "cut_after_ms": null, "offset_tick": 6442629900_u64,
+        "offset_monotonic_ns": 75795645882352_u64, "trigger": {"tick": 6442460000_u64, "width_ms": 10.0, "code": null},
+        "ordered": {"bursts": 1240, "pulses": 86800}, "planned_onset_ticks": null, "late_strokes": 0, "refused_strokes": null,
+        "boot": 305419896, "pattern_kept": true
     }],
-    "more": false, "unreadable": 0, "problems": []
+    "more": false, "lost": 0, "unreadable": 0, "problems": []
 })))]
 pub struct SessionPlays {
     /// The session.
     pub session: Session,
-    /// Its plays from number `from` on, counted from 0.
-    #[schema(max_items = 3000)]
+    /// Its rows from number `from` on, counted from 0: plays, each sequence followed by its items.
+    #[schema(max_items = 2000)]
     pub plays: Vec<RecordedPlay>,
     /// Whether there are more plays: ask again, `from` the next one.
     pub more: bool,
+    /// Entries that the record lost during the session, because the disk or the queue was full: plays may be among them.
+    #[serde(default)]
+    #[schema(required, minimum = 0)]
+    pub lost: u64,
     /// Lines and files of the record that cannot be read.
     #[schema(minimum = 0)]
     pub unreadable: u64,

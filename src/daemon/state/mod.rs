@@ -26,14 +26,14 @@ pub(super) use calibration::Calibration;
 pub(super) use commands::{Commands, Reply};
 pub(super) use connection::{Connection, ConnectorMessage};
 pub(super) use exposure::Exposure;
-pub(super) use plays::{NewPlay, NewSequence, Plays, Trial};
+pub(super) use plays::{NewPlay, NewSequence, Plays, Trial, Way};
 pub(super) use publisher::{Publisher, frame};
 pub(super) use session::{Sessions, asked_by, no_session};
 
 use crate::receipts::{NoPrediction, refusal, state_name};
 use firmware_protocol::message::State as DeviceState;
 use firmware_protocol::stroke::MOTORS;
-use meissner_api::{Event, NO_DEVICE, PredictedResponse, Problem};
+use meissner_api::{Event, ItemState, MAX_ITEMS_LISTED, NO_DEVICE, PredictedResponse, Problem};
 use meissner_array::strokes::Surplus;
 use meissner_stream::queues::{Command, CommandError, StreamEvent};
 use meissner_stream::time::HostInstant;
@@ -89,6 +89,7 @@ impl State {
             other => self.plays.receipts.apply(other),
         };
         if let Some(event) = &event {
+            self.publish_items(event);
             self.publish(event);
         }
         if let StreamEvent::Disconnected { device, .. } = streamed {
@@ -97,6 +98,19 @@ impl State {
         // When it ends, the daemon itself closes the device.
         let expected = self.commands.is_closing() && matches!(event, Some(Event::Disconnected { .. }));
         (event, !expected)
+    }
+
+    /// Publishes the items of a sequence that has ended, as far as they have begun.
+    fn publish_items(&self, event: &Event) {
+        let Event::Ended { receipt: ended } = event else { return };
+        let receipt = self.plays.receipts.receipt(ended.id);
+        let Some(items) = receipt.and_then(|receipt| receipt.items.clone()) else { return };
+        let begun = items.iter().rposition(|item| item.state != ItemState::NotBegun).map_or(0, |at| at + 1);
+        for (part, items) in items[..begun].chunks(MAX_ITEMS_LISTED).enumerate() {
+            let (first, items) = (part * MAX_ITEMS_LISTED, items.to_vec());
+            let items = Event::Items { id: ended.id, session: ended.session.clone(), first, items };
+            self.publisher.publish(&items, None);
+        }
     }
 
     /// Publishes an event, in the session record with the user who ordered the play.

@@ -7,7 +7,7 @@ use crate::daemon::predictor::MeasuredPlay;
 use crate::receipts::{MeasuredBursts, NoPrediction, Order, PlannedItem, PlayedPattern, Receipts, fit_name};
 use crate::session_record::Peer;
 use crate::store::Stored;
-use meissner_api::{Event, Fit, Labels, OrderedCounts, Receipt};
+use meissner_api::{Event, Fit, Labels, LatePolicy, OrderedCounts, Receipt};
 use meissner_array::pattern::Pattern;
 use meissner_array::strokes::StrokeOptions;
 use std::collections::HashMap;
@@ -22,8 +22,16 @@ pub(in crate::daemon) struct NewPlay {
     pub(in crate::daemon) order: Order,
     /// What it counts; `None` if it has no end.
     pub(in crate::daemon) counts: Option<OrderedCounts>,
+    pub(in crate::daemon) way: Way,
     pub(in crate::daemon) trial: Trial,
     pub(in crate::daemon) client: Peer,
+}
+
+/// How a play is played.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::daemon) struct Way {
+    pub(in crate::daemon) late: LatePolicy,
+    pub(in crate::daemon) open_loop: bool,
 }
 
 /// What a play belongs to.
@@ -42,6 +50,7 @@ pub(in crate::daemon) struct NewSequence {
     pub(in crate::daemon) order: Order,
     pub(in crate::daemon) counts: Option<OrderedCounts>,
     pub(in crate::daemon) items: Arc<[PlannedItem]>,
+    pub(in crate::daemon) way: Way,
     pub(in crate::daemon) trial: Trial,
     pub(in crate::daemon) client: Peer,
 }
@@ -70,13 +79,17 @@ pub(in crate::daemon) struct Plays {
 impl Plays {
     /// Gives a play an id and a receipt.
     pub(in crate::daemon) fn add(&mut self, play: NewPlay) -> u64 {
-        let NewPlay { stored: Stored { pattern, sha256, .. }, options, order, counts, trial, client } = play;
+        let NewPlay { stored: Stored { pattern, sha256, .. }, options, order, counts, way, trial, client } =
+            play;
         let telemetry = self.receipts.device().is_some_and(|device| device.telemetry);
         self.last_id += 1;
         let id = self.last_id;
         let Trial { session, number, labels } = trial;
         let receipt = Receipt::new(id, pattern.name(), &sha256, options.seconds);
-        let mut receipt = Receipt { session, trial: number, labels, scale: Some(options.scale), ..receipt };
+        let scale = Some(options.scale);
+        let Way { late: late_policy, open_loop } = way;
+        let mut receipt =
+            Receipt { session, trial: number, labels, scale, late_policy, open_loop, ..receipt };
         order.enter(&mut receipt, fit_name(options.fit), counts);
         self.receipts.add(receipt);
         self.clients.insert(id, client);
@@ -86,13 +99,14 @@ impl Plays {
 
     /// Gives a sequence an id and a receipt.
     pub(in crate::daemon) fn add_sequence(&mut self, sequence: NewSequence) -> u64 {
-        let NewSequence { name, sha256, order, counts, items, trial, client } = sequence;
+        let NewSequence { name, sha256, order, counts, items, way, trial, client } = sequence;
         let Trial { session, number, labels } = trial;
         self.last_id += 1;
         let id = self.last_id;
         let seconds = order.ordered_ms.map(|ms| ms / 1e3);
         let receipt = Receipt::new(id, &name, &sha256, seconds);
-        let mut receipt = Receipt { session, trial: number, labels, ..receipt };
+        let Way { late: late_policy, open_loop } = way;
+        let mut receipt = Receipt { session, trial: number, labels, late_policy, open_loop, ..receipt };
         order.enter(&mut receipt, Fit::Whole, counts);
         receipt.prediction.unknown = Some(NoPrediction::Sequence.to_string());
         self.receipts.add(receipt);
