@@ -87,7 +87,7 @@ impl PreparedSequence {
                 ..problem
             };
             let text = text(item);
-            if !used.contains_key(&text) {
+            if let Entry::Vacant(new) = used.entry(text) {
                 let found = find(item.pattern.clone(), item.pattern_sha256.clone()).await;
                 let (stored, _place) = found.map_err(at)?;
                 let same = request.items.iter().filter(|other| self::text(other) == text);
@@ -100,7 +100,7 @@ impl PreparedSequence {
                 .await?;
                 preparing = back;
                 let compiled = compiled.map_err(|error| at(refused(&error)))?;
-                used.insert(text, Used { sha256, name, compiled });
+                new.insert(Used { sha256, name, compiled });
             }
             let (Some(Used { sha256, name, compiled }), scale) = (used.get(&text), scale(item)) else {
                 continue;

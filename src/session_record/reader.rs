@@ -201,7 +201,8 @@ pub fn plays(dir: &Path, session: Session, from: usize) -> Result<SessionPlays, 
             stage = Stage::Within;
         }
         let is = |event: &str| has(line, &format!("\"event\":\"{event}\""));
-        if !is_own && !(is("connected") || stage == Stage::Within && is("lost")) {
+        let matters = is_own || is("connected") || stage == Stage::Within && is("lost");
+        if !matters {
             return true;
         }
         let Ok(mut entry) = serde_json::from_slice::<Value>(line) else { return false };
