@@ -1,0 +1,117 @@
+//! Hands each message of the host to the part of the controller that handles it.
+//!
+//! Invariant: a command is carried out once, in the epoch that it begins; strokes and amendments of another epoch change nothing.
+
+use crate::batch::{Amendments, Batch, unpack};
+use crate::controller::{Controller, newer};
+use crate::limits::Refusal;
+use crate::message::{Cause, HostMessage, Op, State};
+
+impl Controller {
+    /// Takes a message of the host.
+    pub(super) fn handle(&mut self, message: HostMessage<'_>) {
+        if let HostMessage::Hello { session } = message {
+            self.open(session);
+            return;
+        }
+        if self.session.is_none() {
+            self.pending.no_session = true;
+            return;
+        }
+        let mut strokes = Batch::new();
+        if let HostMessage::Strokes { base, batch, .. } = message {
+            let Some(read) = unpack(base.near(self.now), batch) else {
+                self.counters.bad_frames += 1;
+                return;
+            };
+            strokes = read;
+        }
+        self.last_heard = self.now;
+        self.pending.status = true;
+        match message {
+            HostMessage::Hello { .. } => {}
+            HostMessage::Ping { token, seen } => {
+                self.token = token;
+                self.reports.seen(seen, self.now);
+            }
+            HostMessage::Control { epoch, seen, op } => {
+                self.reports.seen(seen, self.now);
+                self.control(epoch, op);
+            }
+            HostMessage::Strokes { epoch, seq, seen, mark, base, batch } => {
+                self.reports.seen(seen, self.now);
+                if epoch == self.epoch {
+                    self.stream(seq, mark, base.near(self.now), batch, &strokes);
+                }
+            }
+            HostMessage::Amend { epoch, generation, base, items } => {
+                if epoch != self.epoch {
+                    return;
+                }
+                for item in Amendments::new(base.near(self.now), items) {
+                    if item.ok().and_then(|item| self.amend(generation, &item)).is_none() {
+                        self.counters.amendments_ignored += 1;
+                    }
+                }
+            }
+        }
+    }
+
+    /// Opens a session, unless it is open already.
+    pub(super) fn open(&mut self, session: u32) {
+        self.pending.hello = true;
+        self.last_heard = self.now;
+        if self.session == Some(session) {
+            return;
+        }
+        self.disarm(Cause::NewHost);
+        self.session = Some(session);
+        self.epoch = self.epoch.wrapping_add(1);
+        self.next_seq = 0;
+        self.reorder.clear();
+        self.refusal = None;
+        self.reports.clear();
+        self.marks.clear();
+    }
+
+    /// Carries out a command if its epoch is new.
+    pub(super) fn control(&mut self, epoch: u16, op: Op) {
+        if newer(epoch, self.epoch) {
+            self.epoch = epoch;
+            self.next_seq = 0;
+            self.reorder.clear();
+            self.refusal = self.perform(op).err();
+        }
+    }
+
+    fn perform(&mut self, op: Op) -> Result<(), Refusal> {
+        match op {
+            Op::Arm { assume_rest, host_timeout, limits, lower_stop } => {
+                self.arm(assume_rest, host_timeout, limits, lower_stop)
+            }
+            Op::Disarm(cause) => {
+                self.disarm(cause);
+                Ok(())
+            }
+            Op::Stop => {
+                if self.state == State::Armed {
+                    self.cut(Cause::Stop, State::Armed);
+                }
+                Ok(())
+            }
+            Op::EStop => {
+                self.off(Cause::EStop);
+                Ok(())
+            }
+            Op::Reset => {
+                if self.state == State::Faulted {
+                    (self.state, self.cause) = (State::Disarmed, Cause::Request);
+                }
+                Ok(())
+            }
+            Op::Move { motor, direction, pulses } => self.shift(motor, direction, pulses),
+            Op::Seek { pulses } if self.state == State::Armed && self.pool.is_empty() => self.seek(pulses),
+            Op::Seek { .. } => Err(Refusal::State),
+        }
+    }
+}
