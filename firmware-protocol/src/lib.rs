@@ -120,7 +120,7 @@
 //! | `Status`: `next_seq`, `out_of_order` | not before the last one; frames that were sent | contradiction `stream` |
 //! | `Status`: `credits` | at most `pool` | contradiction `credits` |
 //! | `Status`: `reports` | does not shrink; at most `pool` + 32 beyond the last one read, not before it | contradiction `reports` |
-//! | `Status`: `state`, `cause`, `position_known` | arms and leaves faults only after a command; returns for at most 1 s; learns positions after `arm` or a seek, and forgets them in a seek only | contradiction `state` |
+//! | `Status`: `state`, `cause`, `position_known` | arms and leaves faults only after a command; returns for at most 1 s; learns positions after `arm` or a seek, and forgets them in a seek only; a seek may be under way at the handshake | contradiction `state` |
 //! | `Status`: `outstanding` | at most 24 · 65 535 | contradiction `state` |
 //! | counters of statuses and onsets | do not shrink; at most 2^62; `played` and `pulses` grow by at most a pulse per tick and line, and a stroke | contradiction `counters` |
 //! | `Report`: `number` | the next one | ignored: the device repeats what is missing |
@@ -149,13 +149,13 @@
 //! burst leaves the up pulses played outstanding, and its surplus. A stroke that is cut later leaves the rest of its down burst
 //! outstanding.
 //! A *return* begins at the rendered end: it cuts the running strokes, flushes the queue and at once plays the outstanding
-//! return pulses, then the lines are off. On-time limits do not apply to it.
+//! return pulses, then the lines are off. No limit on on-time or pushing refuses it, but it counts.
 //!
 //! | event | what the controller does |
 //! |---|---|
 //! | power-up, panic, watchdog reset, core fault | turns all lines off; disarmed with that cause, position unknown: it refuses `arm` without `assume_rest` |
 //! | `arm` | only from disarmed: plays the outstanding return pulses first and reports them (`Cut`), or seeks the lower stop. It refuses strokes unless armed |
-//! | seek | with a lower stop, in `arm` or while armed and idle: drives all pins down by as many pulses as asked and reports them (`Cut`); then their position is known and no return pulses are outstanding |
+//! | seek | with a lower stop, in `arm` or while armed and idle: drives all pins down by as many pulses as asked and reports them (`Cut`); then their position is known and no return pulses are outstanding. It refuses a seek that may not reach the stop |
 //! | stop | returns, stays armed |
 //! | disarm, shutdown, abort, host silent, link lost, another session | returns, then disarms |
 //! | e-stop, own fault | turns lines off after the tick being played; latches; keeps the outstanding return pulses per pin. `reset` leads to disarmed |
@@ -171,10 +171,17 @@
 //! take the pin lower each time. A down burst is never planned shorter than its up burst: a stroke leaves no pin higher than it
 //! was. Corrections count from the planned counts, as without a stop.
 //!
-//! A seek needs no known position. It is a return that is longer than the whole travel: a stop, a silent host or a lost link do
-//! not cut it short, and on-time limits do not refuse it, but it counts. An e-stop cuts it, and then the position is unknown.
-//! To bound wear and heat, no motor may push more than `pulses_per_s` pulses in a sliding second against the stop, surplus and
-//! seeks together, and never more than [`limits::MAX_PUSHES_PER_S`].
+//! A seek must reach the stop, because it ends all accounts of where pins are. A pin is above rest by the net pulses of its moves
+//! and its outstanding return pulses. The controller refuses (`Travel`) a seek shorter than [`limits::least_seek`] of the highest
+//! pin: half as many pulses again, at most [`limits::WHOLE_TRAVEL`]. Where the position is unknown, a seek takes at least
+//! `WHOLE_TRAVEL`. A seek is a return: a stop, a silent host or a lost link do not cut it short, and on-time limits do not
+//! refuse it, but it counts. An e-stop cuts it, and then the position is unknown.
+//!
+//! A move down takes a pin to the stop and no further: its travel ends at 0, and the pulses left push.
+//!
+//! To bound wear and heat, no motor may push more than `pulses_per_s` pulses in a sliding second against the stop, and never more
+//! than [`limits::MAX_PUSHES_PER_S`]: surplus, seeks and moves together. A surplus that an e-stop leaves outstanding counts when it
+//! is returned.
 //!
 //! # Limits
 //! The controller enforces [`limits`] whatever the host asks: up pulses per stroke, balance of its bursts, size of

@@ -13,6 +13,9 @@ pub const MAX_UP_PULSES: u16 = 3_000;
 pub const MAX_DOWN_PULSES: u16 = MAX_UP_PULSES + correction(MAX_UP_PULSES);
 /// Most net pulses by which moves may shift a pin from where it was at rest.
 pub const MAX_TRAVEL: u16 = 3_000;
+/// As far as moves and a stroke can take a pin from the lower stop, pulses: more than twice the useful travel of the paper's motors.
+/// A seek of so many pulses is always enough.
+pub const WHOLE_TRAVEL: u16 = MAX_TRAVEL + MAX_DOWN_PULSES;
 /// Most pulses of a seek of the lower stop. The paper's motors need 7 400 for 1 mm, twice the travel of our simulated ones.
 pub const MAX_SEEK: u16 = 17_000;
 /// Most pulses per sliding second that a motor may push against a lower stop: three tenths of all. Our choice, room for two seeks
@@ -37,6 +40,13 @@ pub const fn correction(planned: u16) -> u16 {
 #[must_use]
 pub const fn within_correction(planned: u16, count: u16) -> bool {
     count.abs_diff(planned) <= correction(planned)
+}
+
+/// Least pulses of a seek of a pin that is `above` pulses above the lower stop: half as many again, because a motor's first burst
+/// after half a second of rest travels 80 %, and its bursts scatter by 10 %; at most [`WHOLE_TRAVEL`].
+#[must_use]
+pub const fn least_seek(above: u16) -> u16 {
+    if above < WHOLE_TRAVEL / 3 * 2 { above + above / 2 + 1 } else { WHOLE_TRAVEL }
 }
 
 /// Why a stroke or a command was refused.
@@ -66,7 +76,7 @@ pub enum Refusal {
     PositionUnknown,
     /// The state does not allow the command (arm while armed or faulted, move while strokes are queued).
     State,
-    /// The move goes beyond [`MAX_TRAVEL`].
+    /// The move goes beyond [`MAX_TRAVEL`]; the seek is longer than [`MAX_SEEK`], or too short to reach the lower stop.
     Travel,
     /// The batch could not be read.
     Malformed,
@@ -221,8 +231,8 @@ impl OnTime {
 
 /// Counts the pulses that a motor pushes against a lower stop: the surplus of its strokes, and seeks.
 ///
-/// It counts a surplus as planned, from the stroke's first pulse until a second after its last; of a seek that was cut, what was
-/// played.
+/// It counts a surplus as planned, from the stroke's first pulse until a second after its last. Of what an e-stop cuts it counts the
+/// pulses played; those left count when they are returned.
 #[derive(Debug)]
 pub struct Pushing {
     /// 0: there is no stop.
@@ -261,11 +271,17 @@ impl Pushing {
     /// [`Refusal::Pushing`] if it would break the limit; then nothing is counted.
     pub fn begin(&mut self, now: Tick, motor: usize, pulses: u32) -> Result<(), Refusal> {
         let charged = &mut self.pulses.charged(now)[motor];
-        if *charged + pulses > self.limit {
+        // What pushes nothing breaks no limit, also one that was lowered.
+        if pulses > 0 && *charged + pulses > self.limit {
             return Err(Refusal::Pushing);
         }
         *charged += pulses;
         Ok(())
+    }
+
+    /// Counts pulses that no limit may refuse.
+    pub fn count(&mut self, now: Tick, motor: usize, pulses: u32) {
+        self.pulses.charged(now)[motor] += pulses;
     }
 
     /// Ends at `now` a surplus of `pulses`, of which `played` count on.
@@ -304,6 +320,16 @@ mod tests {
             let exact = u32::from(planned) * 3 / 10;
             assert_eq!(u32::from(correction(planned)), exact.max(1));
         }
+    }
+
+    #[test]
+    fn a_seek_goes_beyond_the_pin_and_at_most_the_whole_travel() {
+        for above in 0..=u16::MAX {
+            let least = least_seek(above);
+            let enough = u32::from(least) > u32::from(above) * 3 / 2;
+            assert!(least == WHOLE_TRAVEL || (enough && least < WHOLE_TRAVEL), "{above}: {least}");
+        }
+        assert_eq!((least_seek(0), least_seek(100), least_seek(WHOLE_TRAVEL)), (1, 151, WHOLE_TRAVEL));
     }
 
     proptest! {

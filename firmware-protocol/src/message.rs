@@ -127,7 +127,7 @@ pub enum Op {
     },
     /// Drive all pins down to the lower stop by so many pulses: the position is known then. Only while armed with nothing queued.
     Seek {
-        /// At most [`crate::limits::MAX_SEEK`].
+        /// At least [`crate::limits::least_seek`], at most [`crate::limits::MAX_SEEK`].
         pulses: u16,
     },
 }

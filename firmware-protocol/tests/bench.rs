@@ -324,6 +324,14 @@ impl Bench {
         self.pulses(motor).map(|(_, direction)| if direction == Direction::Up { 1 } else { -1 }).sum()
     }
 
+    /// Height of a pin above a lower stop that it began at, in pulses.
+    pub(crate) fn above_stop(&self, motor: u8) -> u64 {
+        self.pulses(motor).fold(0, |above, (_, way)| match way {
+            Direction::Up => above + 1,
+            Direction::Down => above.saturating_sub(1),
+        })
+    }
+
     /// Pulses on all lines so far.
     pub(crate) fn total(&self) -> u64 {
         self.log.iter().map(|(_, lines)| u64::from((lines.up | lines.down).count_ones())).sum()

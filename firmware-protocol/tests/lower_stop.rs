@@ -2,7 +2,9 @@
 
 use crate::bench::{Bench, FIRMWARE, SHELLS, Shell, burst, stroke};
 use crate::strokes::verdict;
-use firmware_protocol::limits::{MAX_PUSHES_PER_S, MAX_SEEK, OnTimeLimits, Refusal};
+use firmware_protocol::limits::{
+    MAX_PUSHES_PER_S, MAX_SEEK, OnTimeLimits, Refusal, WHOLE_TRAVEL, least_seek,
+};
 use firmware_protocol::message::{Cause, LowerStop, Op, Report, State};
 use firmware_protocol::stroke::{Direction, MOTORS, Stroke};
 use firmware_protocol::tick::TICK_HZ;
@@ -48,7 +50,7 @@ fn without_a_stop_no_stroke_may_push_and_none_may_leave_its_pin_higher() {
 #[test]
 fn arming_seeks_the_stop_and_then_knows_the_position() {
     for shell in SHELLS {
-        let mut bench = bench(shell, stop(MAX_PUSHES_PER_S, 500));
+        let mut bench = bench(shell, stop(MAX_PUSHES_PER_S, WHOLE_TRAVEL));
         bench.is(State::Returning, Cause::Request);
         assert!(!bench.status().position_known);
         bench.run(100);
@@ -60,7 +62,7 @@ fn arming_seeks_the_stop_and_then_knows_the_position() {
         assert!(bench.status().position_known);
         for motor in 0..MOTORS as u8 {
             let [down] = bench.bursts(motor)[..] else { panic!("{:?}", bench.bursts(motor)) };
-            assert_eq!((down.direction, down.pulses), (Direction::Down, 500));
+            assert_eq!((down.direction, down.pulses), (Direction::Down, WHOLE_TRAVEL));
         }
         // Not part of a play.
         assert_eq!((bench.device.counters().played, bench.device.counters().pulses), (0, 0));
@@ -87,12 +89,12 @@ fn arming_seeks_the_stop_and_then_knows_the_position() {
 fn only_an_emergency_stop_cuts_a_seek_and_then_the_position_is_unknown() {
     for shell in SHELLS {
         for op in [Op::Stop, Op::Disarm(Cause::Request)] {
-            let mut bench = bench(shell, stop(MAX_PUSHES_PER_S, 500));
+            let mut bench = bench(shell, stop(MAX_PUSHES_PER_S, WHOLE_TRAVEL));
             bench.run(200);
             bench.control(op);
             bench.settle();
             let state = if op == Op::Stop { State::Armed } else { State::Disarmed };
-            assert_eq!((bench.device.state(), bench.bursts(3)[0].pulses), (state, 500), "{op:?}");
+            assert_eq!((bench.device.state(), bench.bursts(3)[0].pulses), (state, WHOLE_TRAVEL), "{op:?}");
             assert!(bench.status().position_known);
         }
         // A silent host.
@@ -103,11 +105,11 @@ fn only_an_emergency_stop_cuts_a_seek_and_then_the_position_is_unknown() {
             assume_rest: false,
             host_timeout: 150,
             limits,
-            lower_stop: stop(MAX_PUSHES_PER_S, 500),
+            lower_stop: stop(MAX_PUSHES_PER_S, WHOLE_TRAVEL),
         });
-        silent.run(700);
+        silent.run(u64::from(WHOLE_TRAVEL) + 200);
         silent.is(State::Disarmed, Cause::HostTimeout);
-        assert_eq!(silent.bursts(3)[0].pulses, 500);
+        assert_eq!(silent.bursts(3)[0].pulses, WHOLE_TRAVEL);
 
         let mut bench = Bench::armed(shell);
         bench.control(Op::Seek { pulses: 500 });
@@ -119,7 +121,7 @@ fn only_an_emergency_stop_cuts_a_seek_and_then_the_position_is_unknown() {
         bench.control(Op::Reset);
         bench.arm(false);
         assert_eq!(bench.status().refusal, Some(Refusal::PositionUnknown));
-        bench.control(arm(false, stop(MAX_PUSHES_PER_S, 500)));
+        bench.control(arm(false, stop(MAX_PUSHES_PER_S, WHOLE_TRAVEL)));
         bench.settle();
         bench.is(State::Armed, Cause::Request);
         assert!(bench.status().position_known);
@@ -205,4 +207,135 @@ fn pushes_are_limited_in_every_sliding_second() {
     bench.settle();
     bench.control(Op::Seek { pulses: 8_501 });
     assert_eq!(bench.status().refusal, Some(Refusal::Pushing));
+}
+
+/// A host's bug must not make pins count as at rest that are not.
+#[test]
+fn a_seek_that_may_not_reach_the_stop_is_refused_and_changes_nothing() {
+    for shell in SHELLS {
+        // Nothing tells where pins are: the whole travel.
+        let mut bench = bench(shell, stop(MAX_PUSHES_PER_S, WHOLE_TRAVEL - 1));
+        assert_eq!(bench.status().refusal, Some(Refusal::Travel));
+        bench.is(State::Disarmed, Cause::Boot);
+        assert!(!bench.status().position_known);
+        bench.control(arm(false, stop(MAX_PUSHES_PER_S, WHOLE_TRAVEL)));
+        assert_eq!(bench.status().refusal, None);
+        bench.settle();
+
+        // As far as moves have raised a pin, and half as far again.
+        bench.control(Op::Move { motor: 5, direction: Direction::Up, pulses: 400 });
+        bench.run(500);
+        bench.control(Op::Seek { pulses: 600 });
+        assert_eq!((bench.status().refusal, least_seek(400)), (Some(Refusal::Travel), 601));
+        // The account is as before: the pin may rise by the rest of its travel, and not more.
+        bench.control(Op::Move { motor: 5, direction: Direction::Up, pulses: 2_601 });
+        assert_eq!(bench.status().refusal, Some(Refusal::Travel));
+
+        // And the outstanding return pulses after an e-stop, of whichever motor has most.
+        let one = stroke(5, bench.now + 100, 200, 10, 260);
+        bench.strokes(&[one]);
+        bench.run_to(one.down.0 - 5);
+        bench.control(Op::EStop);
+        bench.control(Op::Reset);
+        assert_eq!(bench.device.outstanding(5), 260);
+        let least = least_seek(660);
+        bench.control(arm(false, stop(MAX_PUSHES_PER_S, least - 1)));
+        assert_eq!(bench.status().refusal, Some(Refusal::Travel));
+        bench.is(State::Disarmed, Cause::Request);
+        assert_eq!((bench.device.outstanding(5), bench.status().position_known), (260, true));
+        bench.control(arm(false, stop(MAX_PUSHES_PER_S, least)));
+        assert_eq!(bench.status().refusal, None);
+        bench.settle();
+        assert_eq!(bench.outstanding(), 0);
+        bench.control(Op::Move { motor: 5, direction: Direction::Up, pulses: 3_000 });
+        assert_eq!(bench.status().refusal, None);
+    }
+}
+
+#[test]
+fn a_pin_that_a_move_drives_against_the_stop_goes_no_further() {
+    for shell in SHELLS {
+        let shift = |direction, pulses| Op::Move { motor: 5, direction, pulses };
+        let mut bench = bench(shell, stop(500, 0));
+        bench.control(shift(Direction::Up, 100));
+        bench.run(200);
+        // 100 of these take the pin to the stop, 400 push.
+        bench.control(shift(Direction::Down, 500));
+        assert_eq!(bench.status().refusal, None);
+        bench.run(600);
+        bench.control(shift(Direction::Down, 101));
+        assert_eq!(bench.status().refusal, Some(Refusal::Pushing));
+        bench.control(shift(Direction::Down, 100));
+        assert_eq!(bench.status().refusal, None);
+        bench.run(200);
+        // The pin is at the stop, not below it: it may rise by its travel.
+        bench.control(shift(Direction::Up, 3_001));
+        assert_eq!(bench.status().refusal, Some(Refusal::Travel));
+        bench.control(shift(Direction::Up, 3_000));
+        assert_eq!(bench.status().refusal, None);
+
+        // An e-stop counts what was pushed.
+        let mut bench = self::bench(shell, stop(500, 0));
+        bench.control(shift(Direction::Down, 500));
+        bench.run(200);
+        bench.control(Op::EStop);
+        bench.control(Op::Reset);
+        bench.run(u64::from(TICK_HZ) + 2_000);
+        let left = bench.device.outstanding(5);
+        bench.control(arm(false, stop(500, 0)));
+        bench.settle();
+        // They push when they are returned.
+        bench.control(shift(Direction::Down, 500 - left + 1));
+        assert_eq!(bench.status().refusal, Some(Refusal::Pushing), "{left}");
+        bench.control(shift(Direction::Down, 500 - left));
+        assert_eq!(bench.status().refusal, None);
+    }
+}
+
+#[test]
+fn the_surplus_of_a_return_counts_when_it_is_played() {
+    for shell in SHELLS {
+        // Cut by an e-stop in its up burst, and in its down burst with some of the surplus left.
+        for (cut, surplus) in [(12, 6), (30 + 23, 3)] {
+            let mut bench = bench(shell, stop(14, 0));
+            let one = stroke(3, bench.now + 100, 20, 10, 26);
+            bench.strokes(&[one]);
+            bench.run_to(one.up.0 + cut - 1);
+            bench.control(Op::EStop);
+            bench.control(Op::Reset);
+            // What was pushed before the e-stop counts no more when the return begins.
+            bench.run(u64::from(TICK_HZ) + 2_000);
+            let left = u32::from(bench.device.outstanding(3)).min(6);
+            assert!(left.abs_diff(surplus) <= 1, "{left} {shell:?}");
+            bench.control(arm(false, stop(14, 0)));
+            bench.settle();
+            let room = u16::try_from(14 - left).unwrap();
+            bench.strokes(&[stroke(3, bench.now + 100, 60, 5, 60 + room)]);
+            bench.run(400);
+            assert_eq!(bench.device.counters().refused, 0, "{shell:?}");
+            bench.strokes(&[stroke(3, bench.now + 100, 20, 5, 21)]);
+            bench.run(300);
+            assert!(matches!(
+                bench.last_report(),
+                Report::Refused { motor: 3, reason: Refusal::Pushing, .. }
+            ));
+        }
+    }
+}
+
+/// Pushes of before an arm without a stop do not refuse strokes that push nothing.
+#[test]
+fn an_array_without_a_stop_plays_right_after_one_with_a_stop() {
+    for shell in SHELLS {
+        let mut bench = bench(shell, stop(MAX_PUSHES_PER_S, WHOLE_TRAVEL));
+        bench.settle();
+        bench.control(Op::Disarm(Cause::Request));
+        bench.settle();
+        bench.control(arm(false, None));
+        bench.strokes(&[stroke(1, bench.now + 100, 10, 5, 10)]);
+        bench.run(300);
+        assert_eq!((bench.device.counters().played, bench.device.counters().refused), (2, 0));
+        bench.control(Op::Move { motor: 1, direction: Direction::Up, pulses: 10 });
+        assert_eq!(bench.status().refusal, None);
+    }
 }

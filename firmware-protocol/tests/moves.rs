@@ -1,6 +1,6 @@
 //! Moves and their travel, and on-time limits of strokes, moves and amendments.
 
-use crate::bench::{Bench, SHELLS, arm, stroke};
+use crate::bench::{Bench, HOST_TIMEOUT, SHELLS, Shell, arm, stroke};
 use Direction::{Down, Up};
 use firmware_protocol::controller::POOL;
 use firmware_protocol::limits::{OnTimeLimits, Refusal};
@@ -12,10 +12,23 @@ fn shift(motor: u8, direction: Direction, pulses: u16) -> Op {
     Op::Move { motor, direction, pulses }
 }
 
+/// Arms an array that has no lower stop.
+fn arm_without_stop(bench: &mut Bench, assume_rest: bool) {
+    let limits = OnTimeLimits::NONE;
+    bench.control(Op::Arm { assume_rest, host_timeout: HOST_TIMEOUT, limits, lower_stop: None });
+}
+
+fn without_stop(shell: Shell) -> Bench {
+    let mut bench = Bench::new(shell);
+    bench.hello(1);
+    arm_without_stop(&mut bench, true);
+    bench
+}
+
 #[test]
 fn moves_shift_a_pin_within_its_travel() {
     for shell in SHELLS {
-        let mut bench = Bench::armed(shell);
+        let mut bench = without_stop(shell);
         let ask = |bench: &mut Bench, direction, pulses, refusal| {
             let before = bench.net(2);
             bench.control(shift(2, direction, pulses));
@@ -53,7 +66,7 @@ fn the_travel_of_a_cut_move_counts_as_far_as_it_went() {
         for (direction, limit) in [(Up, 3_000), (Down, -3_000)] {
             for stop in (0..120).step_by(7) {
                 for estop in (0..90).step_by(9).map(Some).chain([None]) {
-                    let mut bench = Bench::armed(shell);
+                    let mut bench = without_stop(shell);
                     bench.control(shift(2, direction, 40));
                     bench.run(stop);
                     bench.control(Op::Stop);
@@ -61,7 +74,7 @@ fn the_travel_of_a_cut_move_counts_as_far_as_it_went() {
                         bench.run(estop);
                         bench.control(Op::EStop);
                         bench.control(Op::Reset);
-                        bench.arm(false);
+                        arm_without_stop(&mut bench, false);
                     }
                     bench.settle();
                     bench.is(State::Armed, if estop.is_some() { Cause::Request } else { Cause::Stop });

@@ -1,15 +1,16 @@
 //! Random requests, faults and noise in any order: every pulse belongs to a stroke, and every pulse is counted.
 
-use crate::bench::{Bench, FIRMWARE, MOCK, Shell, TIGHT, arm, frame, pack, stroke};
+use crate::bench::{Bench, FIRMWARE, HOST_TIMEOUT, MOCK, STOP, Shell, TIGHT, arm, frame, pack, stroke};
 use firmware_protocol::controller::POOL;
-use firmware_protocol::limits::{MAX_DOWN_PULSES, MAX_TRAVEL, OnTimeLimits};
+use firmware_protocol::limits::{MAX_DOWN_PULSES, MAX_TRAVEL, OnTimeLimits, WHOLE_TRAVEL};
 use firmware_protocol::message::{
-    Cause, DeviceMessage, HostMessage, Mark, MarkKind, Op as Command, State, Trigger,
+    Cause, DeviceMessage, HostMessage, LowerStop, Mark, MarkKind, Op as Command, State, Trigger,
 };
 use firmware_protocol::stroke::{Direction, MOTORS, Stroke};
 use firmware_protocol::tick::{Tick, WireTick};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
+use std::cell::Cell;
 
 #[derive(Clone, Copy, Debug)]
 struct Sent {
@@ -39,6 +40,11 @@ enum Op {
     Move {
         motor: u8,
         direction: Direction,
+        pulses: u16,
+    },
+    /// Asks for a seek, in an `arm` or by itself, and waits for its end.
+    Seek {
+        arm: bool,
         pulses: u16,
     },
     /// From this many ticks after the rendered end, or before it.
@@ -135,6 +141,16 @@ fn wild() -> impl Strategy<Value = Op> {
     ]
 }
 
+fn with_seeks() -> impl Strategy<Value = Op> {
+    let direction = prop::sample::select(vec![Direction::Up, Direction::Up, Direction::Down]);
+    let pulses = prop_oneof![3 => 1u16..700, 1 => 600u16..=WHOLE_TRAVEL];
+    prop_oneof![
+        20 => tame(true),
+        4 => (0u8..24, direction, 1u16..700).prop_map(|(motor, direction, pulses)| Op::Move { motor, direction, pulses }),
+        6 => (any::<bool>(), pulses).prop_map(|(arm, pulses)| Op::Seek { arm, pulses }),
+    ]
+}
+
 /// A bench, and counts kept beside it.
 struct World {
     bench: Bench,
@@ -145,6 +161,8 @@ struct World {
     /// Pulses of returns after an e-stop, and whether one is being played.
     own: u64,
     arming: bool,
+    /// Seeks that came to their end.
+    sought: u32,
 }
 
 impl World {
@@ -158,6 +176,7 @@ impl World {
             refused_in_frames: 0,
             own: 0,
             arming: false,
+            sought: 0,
         }
     }
 
@@ -219,6 +238,21 @@ impl World {
             Op::Reset => bench.control(Command::Reset),
             Op::Move { motor, direction, pulses } => {
                 bench.control(Command::Move { motor, direction, pulses });
+            }
+            Op::Seek { arm, pulses } => {
+                let lower_stop = Some(LowerStop { seek: pulses, ..STOP });
+                let limits = OnTimeLimits::NONE;
+                let whole =
+                    Command::Arm { assume_rest: false, host_timeout: HOST_TIMEOUT, limits, lower_stop };
+                let idle = bench.device.state() != State::Returning;
+                bench.control(if arm { whole } else { Command::Seek { pulses } });
+                if idle && bench.device.state() == State::Returning {
+                    bench.settle();
+                    self.sought += 1;
+                    for motor in 0..MOTORS as u8 {
+                        assert_eq!(bench.above_stop(motor), 0, "motor {motor} after {pulses} pulses");
+                    }
+                }
             }
             Op::Strokes { mark, from, strokes } => {
                 let base = bench.device.rendered().0.wrapping_add_signed(from.into());
@@ -315,6 +349,21 @@ fn config(cases: u32) -> ProptestConfig {
         rng_seed: RngSeed::Fixed(85_000),
         ..ProptestConfig::default()
     }
+}
+
+/// Whatever was played, moved, cut or stopped before: after a seek that is not refused all pins are at the stop.
+#[test]
+fn every_seek_reaches_the_stop() {
+    let sought = Cell::new(0);
+    proptest!(config(400), |(shell in shells(), ops in prop::collection::vec(with_seeks(), 1..60))| {
+        let mut world = World::new(shell);
+        for op in ops {
+            world.apply(op);
+        }
+        sought.set(sought.get() + world.sought);
+        world.end(true);
+    });
+    assert!(sought.get() > 200, "{} seeks", sought.get());
 }
 
 proptest! {

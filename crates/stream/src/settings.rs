@@ -1,7 +1,7 @@
 //! The settings of the streamer, and the length of a batch that follows from them.
 
 use crate::control::{ASYMMETRY, Gains};
-use firmware_protocol::limits::{MAX_PUSHES_PER_S, MAX_SEEK, OnTimeLimits};
+use firmware_protocol::limits::{MAX_PUSHES_PER_S, MAX_SEEK, OnTimeLimits, WHOLE_TRAVEL};
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::reflected_walk::Spread;
 use meissner_array::strokes::{AutoSurplus, Surplus};
@@ -94,12 +94,13 @@ impl Settings {
         self.lower_stop.map_or(Surplus::None, |stop| stop.surplus(gains))
     }
 
-    /// Pulses that take every pin to the lower stop, from wherever it is.
+    /// Pulses that take every pin to the lower stop, from wherever it is. The controller refuses no seek as too short that has
+    /// [`WHOLE_TRAVEL`].
     #[must_use]
     pub fn seek_pulses(&self) -> u16 {
         let pulses = SEEK_MARGIN * f64::from(self.end_stop_um) / UM_PER_PULSE;
         // The cast saturates.
-        (pulses.ceil() as u16).clamp(1, MAX_SEEK)
+        (pulses.ceil() as u16).clamp(WHOLE_TRAVEL, MAX_SEEK)
     }
 
     /// How long arming takes to seek the lower stop.
@@ -129,4 +130,18 @@ const LONGEST_BATCH_MS: f64 = 12.5;
 /// Length of a batch of strokes, ticks.
 pub(crate) fn batch_ticks(settings: &Settings) -> u64 {
     ms_in_ticks((settings.lead_ms / 4.0).min(LONGEST_BATCH_MS)) as u64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_seek_is_too_short_for_the_controller() {
+        for (end_stop_um, pulses) in
+            [(0.0, WHOLE_TRAVEL), (90.0, WHOLE_TRAVEL), (500.0, 7_369), (5_000.0, MAX_SEEK)]
+        {
+            assert_eq!(Settings { end_stop_um, ..Settings::default() }.seek_pulses(), pulses);
+        }
+    }
 }

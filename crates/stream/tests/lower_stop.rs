@@ -158,3 +158,22 @@ fn an_emergency_stop_in_a_seek_is_answered_and_the_next_arm_seeks_again() {
     }
     play(&mut rig, &all_motors(60.0, 1.0), 2_000);
 }
+
+/// The daemon was restarted, or the cable was out for a moment.
+#[test]
+fn a_session_that_begins_in_mid_seek_trusts_the_device() {
+    for wait_ms in [5, 30, 60] {
+        let mut rig = Rig::with_motors(with_stop(), &motors(0, 6), 6);
+        rig.run_ms(500);
+        rig.send(Command::Arm { assume_rest: false });
+        rig.run_ms(wait_ms);
+        rig.connect();
+        rig.run_ms(500);
+        let snapshot = last_snapshot(&rig.take_events());
+        assert_eq!((rig.contradictions(), snapshot.state), (0, State::Disarmed), "{wait_ms} ms");
+        assert!(snapshot.position_known);
+        let arm = rig.send(Command::Arm { assume_rest: false });
+        rig.run_ms(150);
+        assert_eq!(answer(&rig.take_events(), arm), Some(Ok(())));
+    }
+}

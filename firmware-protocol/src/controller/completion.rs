@@ -56,17 +56,22 @@ impl Controller {
             self.counters.dropped += 2 * u64::from(strokes);
             while let Some(slot) = self.pool.pop(motor) {
                 let [up, down] = slot.played_before(at);
+                let (surplus, pushed) = (slot.surplus(), slot.pushed_before(at));
                 if let Some(charged) = slot.charged {
                     let played = u32::from(up) + u32::from(down);
                     self.on_time.end(self.rendered, motor, charged, played);
-                    let surplus = slot.surplus();
-                    let pushed = if slot.kind == Kind::Seek { down } else { surplus };
                     self.pushing.end(self.rendered, motor, surplus.into(), pushed.into());
                 }
                 self.travel[motor] -= slot.shift_undone(at).cast_signed();
                 let begun = slot.begun(at);
-                if begun && slot.kind != Kind::Seek {
-                    self.outstanding[motor] = self.outstanding[motor].saturating_add(slot.outstanding_at(at));
+                if begun && matches!(slot.kind, Kind::Play | Kind::Internal) {
+                    let left = [
+                        (&mut self.outstanding, slot.outstanding_at(at)),
+                        (&mut self.outstanding_pushes, surplus - pushed),
+                    ];
+                    for (sums, pulses) in left {
+                        sums[motor] = sums[motor].saturating_add(pulses);
+                    }
                 }
                 if slot.kind == Kind::Play {
                     let bursts = u64::from(begun) + u64::from(begun && slot.stroke.down < at);

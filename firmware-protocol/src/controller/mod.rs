@@ -102,6 +102,8 @@ pub struct Controller {
     /// All pins are being driven down to the lower stop.
     seeks: bool,
     outstanding: [u16; MOTORS],
+    /// How many of them push against the lower stop.
+    outstanding_pushes: [u16; MOTORS],
     /// Net pulses of moves since the pins were last at rest.
     travel: [i16; MOTORS],
     host_timeout: u32,
@@ -163,6 +165,7 @@ impl Controller {
             position_known: false,
             seeks: false,
             outstanding: [0; MOTORS],
+            outstanding_pushes: [0; MOTORS],
             travel: [0; MOTORS],
             host_timeout: MAX_HOST_TIMEOUT,
             last_heard: now,

@@ -4,7 +4,7 @@
 
 use crate::controller::pool::{Kind, Slot};
 use crate::controller::{Controller, MAX_HOST_TIMEOUT};
-use crate::limits::{MAX_SEEK, MAX_TRAVEL, OnTimeLimits, Refusal};
+use crate::limits::{MAX_SEEK, MAX_TRAVEL, OnTimeLimits, Refusal, WHOLE_TRAVEL, least_seek};
 use crate::message::{Cause, LowerStop, State};
 use crate::stroke::{Direction, MOTORS, Stroke};
 
@@ -26,8 +26,7 @@ impl Controller {
             self.seek(seek)?;
         } else if assume_rest {
             self.position_known = true;
-            self.outstanding = [0; MOTORS];
-            self.travel = [0; MOTORS];
+            self.forget_heights();
         }
         if !self.position_known && !self.seeks {
             return Err(Refusal::PositionUnknown);
@@ -43,8 +42,10 @@ impl Controller {
         if outstanding > 0 {
             for motor in 0..MOTORS {
                 let pulses = core::mem::take(&mut self.outstanding[motor]);
+                let pushes = core::mem::take(&mut self.outstanding_pushes[motor]);
                 if pulses > 0 {
-                    self.queue_internal(Kind::Internal, motor as u8, Direction::Down, pulses, None);
+                    self.count_internal(motor, pulses, pushes);
+                    self.queue_internal(Kind::Internal, motor as u8, Direction::Down, pulses, pushes);
                 }
             }
             (self.state, self.then) = (State::Returning, State::Armed);
@@ -53,15 +54,21 @@ impl Controller {
         Ok(())
     }
 
-    /// Queues a burst at the rendered end that belongs to no play. The queue is empty, so there is a slot.
-    fn queue_internal(
-        &mut self,
-        kind: Kind,
-        motor: u8,
-        direction: Direction,
-        pulses: u16,
-        charged: Option<u32>,
-    ) {
+    /// All pins are at rest.
+    fn forget_heights(&mut self) {
+        (self.outstanding, self.outstanding_pushes) = ([0; MOTORS], [0; MOTORS]);
+        self.travel = [0; MOTORS];
+    }
+
+    /// Counts a burst that no limit refuses: a return or a seek.
+    fn count_internal(&mut self, motor: usize, pulses: u16, pushes: u16) {
+        self.on_time.count(self.rendered, motor, pulses.into());
+        self.pushing.count(self.rendered, motor, pushes.into());
+    }
+
+    /// Queues a burst at the rendered end that belongs to no play and was counted; `pushes` of its pulses are against the lower
+    /// stop. The queue is empty, so there is a slot.
+    fn queue_internal(&mut self, kind: Kind, motor: u8, direction: Direction, pulses: u16, pushes: u16) {
         let at = self.rendered;
         let stroke = match direction {
             Direction::Up => {
@@ -69,32 +76,49 @@ impl Controller {
             }
             Direction::Down => Stroke { motor, up: at, up_pulses: 0, down: at, down_pulses: pulses },
         };
-        self.queue(Slot { charged, ..Slot::new(stroke, kind) });
+        let planned = [pulses.saturating_sub(pushes), stroke.down_pulses];
+        self.queue(Slot { charged: Some(pulses.into()), planned, ..Slot::new(stroke, kind) });
     }
 
-    /// Shifts the rest position of a pin by one burst.
+    /// Shifts the rest position of a pin by one burst. At a lower stop a pin goes no further down: the pulses left push.
     pub(super) fn shift(&mut self, motor: u8, direction: Direction, pulses: u16) -> Result<(), Refusal> {
         if self.state != State::Armed || !self.pool.is_empty() {
             return Err(Refusal::State);
         }
+        let has_stop = self.pushing.is_allowed();
         let travel = self.travel.get_mut(usize::from(motor)).ok_or(Refusal::Motor)?;
         let signed = if direction == Direction::Up { i32::from(pulses) } else { -i32::from(pulses) };
-        let sum = i32::from(*travel) + signed;
+        // Below rest only if there was no stop before.
+        let from = if has_stop { (*travel).max(0) } else { *travel };
+        let sum = i32::from(from) + signed;
         if sum.unsigned_abs() > MAX_TRAVEL.into() {
             return Err(Refusal::Travel);
         }
         if pulses > 0 {
-            let charge = u32::from(pulses);
-            self.on_time.begin(self.rendered, motor.into(), charge)?;
-            *travel = sum as i16;
-            self.queue_internal(Kind::Internal, motor, direction, pulses, Some(charge));
+            let (charge, index) = (u32::from(pulses), usize::from(motor));
+            // At most the pulses of the move.
+            let pushes = if has_stop { (-sum).max(0) as u16 } else { 0 };
+            self.on_time.begin(self.rendered, index, charge)?;
+            self.pushing
+                .begin(self.rendered, index, pushes.into())
+                .inspect_err(|_| self.on_time.end(self.rendered, index, charge, 0))?;
+            *travel = sum as i16 + pushes.cast_signed();
+            self.queue_internal(Kind::Internal, motor, direction, pulses, pushes);
         }
         Ok(())
     }
 
+    /// Pulses by which the highest pin is above rest, by what moves and cut strokes have left.
+    fn height(&self) -> u16 {
+        let heights = self.outstanding.iter().zip(self.travel);
+        let heights = heights.map(|(&outstanding, travel)| outstanding.saturating_add_signed(travel));
+        heights.max().unwrap_or(0)
+    }
+
     /// Drives all pins down to the lower stop. Once they are there, the position is known and no return pulses are outstanding.
     pub(super) fn seek(&mut self, pulses: u16) -> Result<(), Refusal> {
-        if pulses == 0 || pulses > MAX_SEEK {
+        let least = if self.position_known { least_seek(self.height()) } else { WHOLE_TRAVEL };
+        if !(least..=MAX_SEEK).contains(&pulses) {
             return Err(Refusal::Travel);
         }
         let charge = u32::from(pulses);
@@ -102,12 +126,10 @@ impl Controller {
             return Err(Refusal::Pushing);
         }
         (self.position_known, self.seeks) = (false, true);
-        (self.outstanding, self.travel) = ([0; MOTORS], [0; MOTORS]);
+        self.forget_heights();
         for motor in 0..MOTORS {
-            // Like a return, a seek breaks no on-time limit, but counts.
-            self.on_time.count(self.rendered, motor, charge);
-            self.pushing.begin(self.rendered, motor, charge)?;
-            self.queue_internal(Kind::Seek, motor as u8, Direction::Down, pulses, Some(charge));
+            self.count_internal(motor, pulses, pulses);
+            self.queue_internal(Kind::Seek, motor as u8, Direction::Down, pulses, pulses);
         }
         (self.state, self.then, self.cause) = (State::Returning, State::Armed, Cause::Request);
         self.report_cut(Cause::Request, true, 0, MOTORS as u32 * charge, self.rendered);

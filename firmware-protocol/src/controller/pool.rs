@@ -39,7 +39,8 @@ impl Kind {
 pub(super) struct Slot {
     /// The stroke as it will be played.
     pub(super) stroke: Stroke,
-    /// Up and down pulses as sent in the batch: the reference for corrections.
+    /// Up and down pulses as sent in the batch: the reference for corrections. Of a motion that belongs to no play, the pulses
+    /// up to the lower stop, and all.
     pub(super) planned: [u16; 2],
     /// Generation of the amendment in force, per burst.
     pub(super) generation: [Option<u16>; 2],
@@ -86,7 +87,13 @@ impl Slot {
 
     /// Planned pulses against the lower stop.
     pub(super) fn surplus(&self) -> u16 {
-        if self.kind == Kind::Internal { 0 } else { self.planned[1].saturating_sub(self.planned[0]) }
+        self.planned[1].saturating_sub(self.planned[0])
+    }
+
+    /// How many of them lie before `tick`: they are the last of the down burst.
+    pub(super) fn pushed_before(&self, tick: Tick) -> u16 {
+        let free = self.stroke.down_pulses.saturating_sub(self.surplus());
+        self.played_before(tick)[1].saturating_sub(free)
     }
 
     /// Up and down pulses before `tick`.

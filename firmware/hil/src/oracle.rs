@@ -7,8 +7,8 @@
 use crate::log::{Log, Train};
 use crate::tap::{Event, Tap};
 use firmware_protocol::batch::Amendment;
-use firmware_protocol::limits::within_correction;
-use firmware_protocol::message::{Cause, Cut, LowerStop, Op, Report, Trigger};
+use firmware_protocol::limits::{WHOLE_TRAVEL, least_seek, within_correction};
+use firmware_protocol::message::{Cause, Cut, LowerStop, Op, Report, State, Trigger};
 use firmware_protocol::stroke::{Direction, MOTORS, Stroke};
 use firmware_protocol::tick::Tick;
 
@@ -88,8 +88,11 @@ struct Oracle {
     outstanding: [u16; MOTORS],
     /// Pulses of the seek that the last command asks for.
     seek: u16,
-    /// The last epoch that the device has reported.
+    /// Whether the device knew the positions when it last rested.
+    position_known: bool,
+    /// The last epoch that the device has reported, and that of the last command.
     epoch: u16,
+    asked: u16,
     opened: usize,
     /// The last command and its event.
     controls: Vec<(usize, Op)>,
@@ -118,8 +121,9 @@ impl Oracle {
     fn take(&mut self, tap: &Tap, order: usize, event: &Event) {
         match event {
             Event::Opened(_) => self.opened = order,
-            Event::Control(_, op) => {
+            Event::Control(epoch, op) => {
                 self.controls.push((order, *op));
+                self.asked = *epoch;
                 self.seek = match *op {
                     Op::Arm { lower_stop: Some(LowerStop { seek, .. }), .. } => seek,
                     Op::Seek { pulses } => pulses,
@@ -143,7 +147,16 @@ impl Oracle {
                     self.cut(tap, &cut, self.opened);
                 }
             }
-            Event::Status(status, _) => self.epoch = status.epoch,
+            Event::Status(status, _) => {
+                self.epoch = status.epoch;
+                // A seek that the device refuses is none.
+                if status.refusal.is_some() && status.epoch == self.asked {
+                    self.seek = 0;
+                }
+                if status.state != State::Returning {
+                    self.position_known = status.position_known;
+                }
+            }
             Event::Report(report) => self.report(tap, order, report),
             Event::NoSession => {}
         }
@@ -245,6 +258,15 @@ impl Oracle {
         }
         // The next arm plays the return pulses that an e-stop left outstanding, and reports it as a cut; or it seeks the stop.
         let seek = std::mem::take(&mut self.seek);
+        // The scenarios move no pins.
+        let height = self.outstanding.iter().copied().max().unwrap_or(0);
+        let least = if self.position_known { least_seek(height) } else { WHOLE_TRAVEL };
+        if seek > 0 && seek < least {
+            let text = format!(
+                "the device seeks with {seek} pulses, where {least} are needed to reach the lower stop"
+            );
+            self.out.contradictions.push(text);
+        }
         for motor in 0..MOTORS {
             let left = std::mem::take(&mut self.outstanding[motor]);
             let pulses = if seek > 0 { seek } else { left };
@@ -292,5 +314,29 @@ impl Oracle {
             })
         });
         Log::of(trains.collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use firmware_protocol::limits::OnTimeLimits;
+
+    /// A device that carries out a seek which it must refuse is found out.
+    #[test]
+    fn a_seek_that_is_too_short_contradicts_the_specification() {
+        for (seek, wrong) in [(WHOLE_TRAVEL - 1, 1), (WHOLE_TRAVEL, 0)] {
+            let lower_stop = Some(LowerStop { pulses_per_s: 25_500, seek });
+            let arm =
+                Op::Arm { assume_rest: false, host_timeout: 25_500, limits: OnTimeLimits::NONE, lower_stop };
+            let outstanding = MOTORS as u32 * u32::from(seek);
+            let at = (Tick::BOOT + 1_000).wire();
+            let cut = Cut { cause: Cause::Request, at, returns: true, flushed: 0, outstanding };
+            let mut tap = Tap::default();
+            tap.events = vec![(0, Event::Control(1, arm)), (0, Event::Report(Report::Cut(cut)))];
+            let expected = expect(&tap, None);
+            assert_eq!(expected.contradictions.len(), wrong, "{:?}", expected.contradictions);
+            assert!(expected.log.lines.iter().all(|trains| trains[0].pulses == u64::from(seek)));
+        }
     }
 }

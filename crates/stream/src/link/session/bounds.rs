@@ -11,7 +11,7 @@ use crate::link::session::contradiction::Contradiction;
 use crate::link::session::state::{Batch, Session};
 use crate::time::HostInstant;
 use firmware_protocol::controller::{REORDER_WINDOW, REPORTS};
-use firmware_protocol::limits::{MAX_DOWN_PULSES, MAX_UP_PULSES, Refusal};
+use firmware_protocol::limits::{MAX_DOWN_PULSES, MAX_SEEK, MAX_UP_PULSES, Refusal};
 use firmware_protocol::message::{Cause, Counters, Cut, DeviceHello, Op, Report, State, Status};
 use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::{Tick, WireTick};
@@ -24,8 +24,9 @@ const LATEST_CLOCK: Tick = Tick(1 << 56);
 const CLOCK_SLACK: u64 = 3 * TICKS_PER_MS;
 /// A status that another overtook is no older than this; lines delay by milliseconds.
 const OVERTAKEN: u64 = TICKS_PER_S;
-/// A return takes at most one burst, 6000 pulses.
+/// A return takes at most one burst. The longest is a seek; a second leaves room for the statuses around it.
 const LONGEST_RETURN: u64 = TICKS_PER_S;
+const _: () = assert!((MAX_SEEK as u64) < LONGEST_RETURN / 2 && MAX_DOWN_PULSES < MAX_SEEK);
 /// Between two statuses at most so much counts as spent in a return: the host did not see the rest.
 const RETURN_SEEN: u64 = 100 * TICKS_PER_MS;
 /// Marks whose reports may be on their way: as many as there are reports.
@@ -86,7 +87,8 @@ impl Known {
             report_read_by: Tick(0),
             arms: false,
             resets: false,
-            seeks: false,
+            // One that another session began may be under way.
+            seeks: true,
             returning: 0,
             marks: VecDeque::with_capacity(MARKS),
         }
@@ -280,6 +282,7 @@ impl Session {
                     | Refusal::Travel
                     | Refusal::MotorOnTime
                     | Refusal::RailOnTime
+                    | Refusal::Pushing
             ),
             _ => false,
         };
