@@ -45,6 +45,8 @@ mod played;
 mod power;
 /// A whole session through a pseudo-terminal and the serial transport; the daemon ended and killed in mid-play.
 mod pty;
+/// `session replay`: the same orders at the same gaps, the recorded texts, what differs, what is refused.
+mod replay;
 /// `simulate` and `tradeoff`: documents, mistakes, the comparison of methods and its plot; the shipped scenes.
 mod report;
 /// Sequences: all or nothing, one receipt, scale and triggers; the command.

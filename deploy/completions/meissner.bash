@@ -181,6 +181,9 @@ _meissner() {
             meissner__subcmd__help__subcmd__session,list)
                 cmd="meissner__subcmd__help__subcmd__session__subcmd__list"
                 ;;
+            meissner__subcmd__help__subcmd__session,replay)
+                cmd="meissner__subcmd__help__subcmd__session__subcmd__replay"
+                ;;
             meissner__subcmd__help__subcmd__session,show)
                 cmd="meissner__subcmd__help__subcmd__session__subcmd__show"
                 ;;
@@ -199,6 +202,9 @@ _meissner() {
             meissner__subcmd__session,list)
                 cmd="meissner__subcmd__session__subcmd__list"
                 ;;
+            meissner__subcmd__session,replay)
+                cmd="meissner__subcmd__session__subcmd__replay"
+                ;;
             meissner__subcmd__session,show)
                 cmd="meissner__subcmd__session__subcmd__show"
                 ;;
@@ -216,6 +222,9 @@ _meissner() {
                 ;;
             meissner__subcmd__session__subcmd__help,list)
                 cmd="meissner__subcmd__session__subcmd__help__subcmd__list"
+                ;;
+            meissner__subcmd__session__subcmd__help,replay)
+                cmd="meissner__subcmd__session__subcmd__help__subcmd__replay"
                 ;;
             meissner__subcmd__session__subcmd__help,show)
                 cmd="meissner__subcmd__session__subcmd__help__subcmd__show"
@@ -742,7 +751,7 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__help__subcmd__session)
-            opts="start end list export show"
+            opts="start end list export replay show"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -784,6 +793,20 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__help__subcmd__session__subcmd__list)
+            opts=""
+            if [[ ${cur} == -* || ${COMP_CWORD} -eq 4 ]] ; then
+                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+                return 0
+            fi
+            case "${prev}" in
+                *)
+                    COMPREPLY=()
+                    ;;
+            esac
+            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+            return 0
+            ;;
+        meissner__subcmd__help__subcmd__session__subcmd__replay)
             opts=""
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 4 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
@@ -1166,7 +1189,7 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__session)
-            opts="-h --help start end list export show help"
+            opts="-h --help start end list export replay show help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -1224,7 +1247,7 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__session__subcmd__help)
-            opts="start end list export show help"
+            opts="start end list export replay show help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -1293,6 +1316,20 @@ _meissner() {
             COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
             return 0
             ;;
+        meissner__subcmd__session__subcmd__help__subcmd__replay)
+            opts=""
+            if [[ ${cur} == -* || ${COMP_CWORD} -eq 4 ]] ; then
+                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+                return 0
+            fi
+            case "${prev}" in
+                *)
+                    COMPREPLY=()
+                    ;;
+            esac
+            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+            return 0
+            ;;
         meissner__subcmd__session__subcmd__help__subcmd__show)
             opts=""
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 4 ]] ; then
@@ -1328,6 +1365,40 @@ _meissner() {
                 return 0
             fi
             case "${prev}" in
+                --socket)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                *)
+                    COMPREPLY=()
+                    ;;
+            esac
+            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+            return 0
+            ;;
+        meissner__subcmd__session__subcmd__replay)
+            opts="-h --from --to --play --dry-run --rest-tolerance-um --socket --json --help"
+            if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
+                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+                return 0
+            fi
+            case "${prev}" in
+                --from)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --to)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --play)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --rest-tolerance-um)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
                 --socket)
                     COMPREPLY=($(compgen -f "${cur}"))
                     return 0

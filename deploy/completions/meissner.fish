@@ -44,7 +44,7 @@ complete -c meissner -n "__fish_meissner_needs_command" -f -a "remove" -d 'Remov
 complete -c meissner -n "__fish_meissner_needs_command" -f -a "status" -d 'Show the state of the daemon, its device and its queue'
 complete -c meissner -n "__fish_meissner_needs_command" -f -a "events" -d 'Print events as they happen; with --json one document per line'
 complete -c meissner -n "__fish_meissner_needs_command" -f -a "receipt" -d 'Show the result of a play'
-complete -c meissner -n "__fish_meissner_needs_command" -f -a "session" -d 'Start, end and show sessions: plays of one participant that are recorded together'
+complete -c meissner -n "__fish_meissner_needs_command" -f -a "session" -d 'Start, end, show, export and replay sessions: plays of one participant that are recorded together'
 complete -c meissner -n "__fish_meissner_needs_command" -f -a "motor" -d 'Compute the steady state of a drive by the motor model, and its daily exposure'
 complete -c meissner -n "__fish_meissner_needs_command" -f -a "simulate" -d 'Simulate afferent spikes for a scene'
 complete -c meissner -n "__fish_meissner_needs_command" -f -a "optimise" -d 'Find a pattern for a target shape'
@@ -145,13 +145,14 @@ complete -c meissner -n "__fish_meissner_using_subcommand events" -s h -l help -
 complete -c meissner -n "__fish_meissner_using_subcommand receipt" -l socket -d 'Connect to the daemon at PATH [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand receipt" -l json -d 'Print one JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand receipt" -s h -l help -d 'Print help'
-complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list export show help" -s h -l help -d 'Print help'
-complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list export show help" -f -a "start" -d 'Start a session; plays belong to it until it ends'
-complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list export show help" -f -a "end" -d 'End the running session'
-complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list export show help" -f -a "list" -d 'List the recorded sessions, the oldest first'
-complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list export show help" -f -a "export" -d 'Export the recorded plays of a session as CSV, one row per stimulus; with --json as one document'
-complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list export show help" -f -a "show" -d 'Show a session'
-complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list export show help" -f -a "help" -d 'Print this message or the help of the given subcommand(s)'
+complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list export replay show help" -s h -l help -d 'Print help'
+complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list export replay show help" -f -a "start" -d 'Start a session; plays belong to it until it ends'
+complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list export replay show help" -f -a "end" -d 'End the running session'
+complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list export replay show help" -f -a "list" -d 'List the recorded sessions, the oldest first'
+complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list export replay show help" -f -a "export" -d 'Export the recorded plays of a session as CSV, one row per stimulus; with --json as one document'
+complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list export replay show help" -f -a "replay" -d 'Play a recorded session again with the same gaps, and compare the receipts; exit 1 if something differs'
+complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list export replay show help" -f -a "show" -d 'Show a session'
+complete -c meissner -n "__fish_meissner_using_subcommand session; and not __fish_seen_subcommand_from start end list export replay show help" -f -a "help" -d 'Print this message or the help of the given subcommand(s)'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from start" -l participant -d 'Name the participant by this pseudonym' -r
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from start" -l experiment -d 'Name the experiment' -r
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from start" -l label -d 'Record a label; up to 16 of them' -r
@@ -170,6 +171,14 @@ complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_se
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from export" -l socket -d 'Connect to the daemon at PATH [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from export" -l json -d 'Print one JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from export" -s h -l help -d 'Print help'
+complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from replay" -l from -d 'Begin with this play, by its number in the export' -r
+complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from replay" -l to -d 'End with this play' -r
+complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from replay" -l play -d 'Play this one alone' -r
+complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from replay" -l rest-tolerance-um -d 'Report a rest error as different if it is more than UM um larger than the recorded one' -r
+complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from replay" -l socket -d 'Connect to the daemon at PATH [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
+complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from replay" -l dry-run -d 'Print what would be played, and play nothing'
+complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from replay" -l json -d 'Print one JSON document on stdout and nothing else'
+complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from replay" -s h -l help -d 'Print help'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from show" -l socket -d 'Connect to the daemon at PATH [default: $MEISSNER_SOCKET, else the first of $XDG_RUNTIME_DIR/meissner.sock and /run/meissner/meissner.sock at which a daemon listens]' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from show" -l json -d 'Print one JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from show" -s h -l help -d 'Print help'
@@ -177,6 +186,7 @@ complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_se
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from help" -f -a "end" -d 'End the running session'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from help" -f -a "list" -d 'List the recorded sessions, the oldest first'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from help" -f -a "export" -d 'Export the recorded plays of a session as CSV, one row per stimulus; with --json as one document'
+complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from help" -f -a "replay" -d 'Play a recorded session again with the same gaps, and compare the receipts; exit 1 if something differs'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from help" -f -a "show" -d 'Show a session'
 complete -c meissner -n "__fish_meissner_using_subcommand session; and __fish_seen_subcommand_from help" -f -a "help" -d 'Print this message or the help of the given subcommand(s)'
 complete -c meissner -n "__fish_meissner_using_subcommand motor" -l frequency-hz -d 'Drive with F Hz' -r
@@ -237,7 +247,7 @@ complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_s
 complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play sequence stop estop reset arm disarm home calibrate list show import remove status events receipt session motor simulate optimise tradeoff report doctor help" -f -a "status" -d 'Show the state of the daemon, its device and its queue'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play sequence stop estop reset arm disarm home calibrate list show import remove status events receipt session motor simulate optimise tradeoff report doctor help" -f -a "events" -d 'Print events as they happen; with --json one document per line'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play sequence stop estop reset arm disarm home calibrate list show import remove status events receipt session motor simulate optimise tradeoff report doctor help" -f -a "receipt" -d 'Show the result of a play'
-complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play sequence stop estop reset arm disarm home calibrate list show import remove status events receipt session motor simulate optimise tradeoff report doctor help" -f -a "session" -d 'Start, end and show sessions: plays of one participant that are recorded together'
+complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play sequence stop estop reset arm disarm home calibrate list show import remove status events receipt session motor simulate optimise tradeoff report doctor help" -f -a "session" -d 'Start, end, show, export and replay sessions: plays of one participant that are recorded together'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play sequence stop estop reset arm disarm home calibrate list show import remove status events receipt session motor simulate optimise tradeoff report doctor help" -f -a "motor" -d 'Compute the steady state of a drive by the motor model, and its daily exposure'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play sequence stop estop reset arm disarm home calibrate list show import remove status events receipt session motor simulate optimise tradeoff report doctor help" -f -a "simulate" -d 'Simulate afferent spikes for a scene'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and not __fish_seen_subcommand_from demo daemon play sequence stop estop reset arm disarm home calibrate list show import remove status events receipt session motor simulate optimise tradeoff report doctor help" -f -a "optimise" -d 'Find a pattern for a target shape'
@@ -249,4 +259,5 @@ complete -c meissner -n "__fish_meissner_using_subcommand help; and __fish_seen_
 complete -c meissner -n "__fish_meissner_using_subcommand help; and __fish_seen_subcommand_from session" -f -a "end" -d 'End the running session'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and __fish_seen_subcommand_from session" -f -a "list" -d 'List the recorded sessions, the oldest first'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and __fish_seen_subcommand_from session" -f -a "export" -d 'Export the recorded plays of a session as CSV, one row per stimulus; with --json as one document'
+complete -c meissner -n "__fish_meissner_using_subcommand help; and __fish_seen_subcommand_from session" -f -a "replay" -d 'Play a recorded session again with the same gaps, and compare the receipts; exit 1 if something differs'
 complete -c meissner -n "__fish_meissner_using_subcommand help; and __fish_seen_subcommand_from session" -f -a "show" -d 'Show a session'

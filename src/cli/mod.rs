@@ -18,6 +18,7 @@ mod library;
 mod optimise;
 mod output;
 mod progress;
+mod replay;
 mod report;
 mod sequence;
 mod session;
@@ -161,7 +162,7 @@ enum Command {
         #[command(flatten)]
         options: ClientOptions,
     },
-    /// Start, end and show sessions: plays of one participant that are recorded together
+    /// Start, end, show, export and replay sessions: plays of one participant that are recorded together
     #[command(subcommand)]
     Session(session::Session),
     /// Compute the steady state of a drive by the motor model, and its daily exposure

@@ -1,11 +1,11 @@
-//! `session`: starts, ends and shows sessions; [`export`] writes their plays.
+//! `session`: starts, ends and shows sessions; [`export`] writes their plays, [`replay`] plays them again.
 //!
 //! `start` keeps the owner's token for the commands of this terminal ([`token`]); `end` forgets it. If the token cannot be kept, `start`
 //! ends the session again.
 
 use super::arguments::{ClientOptions, label};
 use super::output::give;
-use super::{export, text, token};
+use super::{export, replay, text, token};
 use anyhow::Result;
 use clap::Subcommand;
 use meissner_api::{self as api, SessionList, SessionRequest, SessionStarted};
@@ -56,6 +56,8 @@ pub(super) enum Session {
         #[command(flatten)]
         options: ClientOptions,
     },
+    /// Play a recorded session again with the same gaps, and compare the receipts; exit 1 if something differs
+    Replay(replay::Replay),
     /// Show a session
     Show {
         /// Show the session with this id [default: the running one]
@@ -80,6 +82,7 @@ pub(super) fn run(asked: &Session) -> Result<ExitCode> {
         Session::End { id, options } => end(options, id.as_deref()),
         Session::List(options) => list(options),
         Session::Export { id, output, options } => export::run(options, id, output.as_deref()),
+        Session::Replay(asked) => replay::run(asked),
         Session::Show { id, options } => {
             let session: api::Session = options.client()?.get(&path(id.as_deref()))?;
             give(options.output.json, &session, || text::session(&session))

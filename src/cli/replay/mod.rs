@@ -1,0 +1,449 @@
+//! `session replay`: plays a recorded session again, with the recorded gaps to the tick, and compares the receipts.
+//!
+//! A thread reads the record page by page. [`plan`] makes orders of the rows, twice: first of all to see that everything can be
+//! played, then to play it. Each order has its onset as a tick; it is sent some seconds ahead. [`compare`] compares each receipt
+//! when its play is over.
+//!
+//! Bounds: three pages of rows, and [`MOST_AHEAD`] orders on their way, however long the session and its gaps are.
+//!
+//! Invariant: nothing is played unless every selected play that began can be played; an interrupt stops the display.
+
+mod compare;
+mod plan;
+
+use super::arguments::{ClientOptions, positive};
+use super::control::on_interrupt;
+use super::export::TIMEOUT;
+use super::output::{give, say, say_json};
+use super::session::warn_unreadable;
+use super::text;
+use anyhow::{Context, Result, anyhow, bail};
+use clap::Args;
+use compare::{MAX_LISTED, Onset, Skipped, Summary, compare};
+use meissner_api::{Code, PlayAccepted, Receipt, RecordedPlay, SessionPlays, Status};
+use meissner_array::units::{TICKS_PER_MS, ticks_to_ms, ticks_to_seconds};
+use meissner_client::{Client, ClientError, escape};
+use plan::{Order, Planner, Recorded, Skip, Step};
+use serde_json::{Value, json};
+use std::collections::VecDeque;
+use std::io::{self, Write};
+use std::process::{self, ExitCode};
+use std::sync::mpsc::{Receiver, sync_channel};
+use std::thread;
+use std::time::Duration;
+
+/// Time from the last check to the first onset, ticks: 1 s.
+const START_AFTER: u64 = 1000 * TICKS_PER_MS;
+/// How long before its onset an order is sent, ticks: 5 s, so that a stall of this process delays nothing.
+const AHEAD: u64 = 5000 * TICKS_PER_MS;
+/// Orders on their way: the daemon queues 16 behind the running play.
+const MOST_AHEAD: usize = 12;
+/// How long to wait for a receipt at a time.
+const WAIT_S: f64 = 1.0;
+
+#[derive(Debug, Args)]
+pub(super) struct Replay {
+    /// Play the session with this id again
+    id: String,
+    /// Begin with this play, by its number in the export
+    #[arg(long, value_name = "PLAY")]
+    from: Option<u64>,
+    /// End with this play
+    #[arg(long, value_name = "PLAY")]
+    to: Option<u64>,
+    /// Play this one alone
+    #[arg(long, value_name = "PLAY", conflicts_with_all = ["from", "to"])]
+    play: Option<u64>,
+    /// Print what would be played, and play nothing
+    #[arg(long)]
+    dry_run: bool,
+    /// Report a rest error as different if it is more than UM um larger than the recorded one
+    #[arg(long, value_name = "UM", default_value_t = 20.0, allow_negative_numbers = true, value_parser = positive)]
+    rest_tolerance_um: f64,
+    #[command(flatten)]
+    options: ClientOptions,
+}
+
+pub(super) fn run(asked: &Replay) -> Result<ExitCode> {
+    let mut client = asked.options.client()?;
+    let session: meissner_api::Session = client.get(&format!("/v1/sessions/{}", escape(&asked.id)))?;
+    if session.reason.is_none() {
+        bail!("session {} still runs: end it first, then play it again", session.id);
+    }
+    if asked.dry_run {
+        return dry_run(asked, &session.id);
+    }
+    let plays = check(asked, &session.id)?;
+    let mut player = Player::new(client, plays, &session.id, asked)?;
+    stop_on_interrupt(&asked.options)?;
+    let played = player.play(plan_all(asked, &session.id)?);
+    let Player { mut summary, .. } = player;
+    if let Err(error) = played {
+        summary.ended_early = Some(error.to_string());
+    }
+    let same = summary.is_same();
+    give(asked.options.output.json, &summary, || summary_text(&summary))?;
+    Ok(if same { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// A play with its plan.
+type Planned = (Recorded, Result<Step, Skip>);
+
+/// The selected plays of a session with their plans, one after the other.
+fn plan_all(asked: &Replay, id: &str) -> Result<impl Iterator<Item = Result<Planned>>> {
+    let selected = |play: u64| match asked.play {
+        Some(only) => play == only,
+        None => asked.from.is_none_or(|from| play >= from) && asked.to.is_none_or(|to| play <= to),
+    };
+    let mut planner = Planner::default();
+    Ok(Rows::read(asked, id)?
+        .filter(move |row| row.as_ref().map_or(true, |row| selected(row.play.play)))
+        .map(move |row| {
+            let row = row?;
+            let planned = planner.plan(row.clone());
+            Ok((row, planned))
+        }))
+}
+
+/// Refuses what cannot be played, before anything is. Returns the number of plays.
+fn check(asked: &Replay, id: &str) -> Result<u64> {
+    let (mut plays, mut playable) = (0, false);
+    for row in plan_all(asked, id)? {
+        let (recorded, planned) = row?;
+        plays += 1;
+        if let Err(skip @ Skip::NoText { .. }) = planned {
+            bail!("play {}: {skip}", recorded.play.play);
+        }
+        playable |= planned.is_ok();
+    }
+    if !playable {
+        bail!(
+            "session {id}: no play of it can be played again; `meissner session export {id}` shows what is recorded"
+        );
+    }
+    Ok(plays)
+}
+
+/// The plays of a session, read ahead by a thread of its own.
+struct Rows {
+    pages: Receiver<Result<SessionPlays, ClientError>>,
+    rows: VecDeque<RecordedPlay>,
+    /// What the record lacks was told.
+    told: bool,
+}
+
+impl Rows {
+    fn read(asked: &Replay, id: &str) -> Result<Self> {
+        let (mut client, path) =
+            (asked.options.client()?, format!("/v1/sessions/{}/plays?from=", escape(id)));
+        let (sender, pages) = sync_channel(1);
+        let work = move || {
+            let mut from = 0;
+            loop {
+                let page: Result<SessionPlays, _> = client.get_within(TIMEOUT, &format!("{path}{from}"));
+                let more = page.as_ref().is_ok_and(|page| page.more && !page.plays.is_empty());
+                from += page.as_ref().map_or(0, |page| page.plays.len());
+                // An error means that nobody reads on.
+                if sender.send(page).is_err() || !more {
+                    return;
+                }
+            }
+        };
+        thread::Builder::new().name("record".into()).spawn(work)?;
+        Ok(Self { pages, rows: VecDeque::new(), told: false })
+    }
+
+    fn row(&mut self) -> Result<Option<RecordedPlay>> {
+        while self.rows.is_empty() {
+            let Ok(page) = self.pages.recv() else { return Ok(None) };
+            let page = page?;
+            if !std::mem::replace(&mut self.told, true) {
+                warn_unreadable(page.unreadable, &page.problems);
+                if page.lost > 0 {
+                    // If stderr is closed, there is no one to tell.
+                    let _ = writeln!(
+                        io::stderr(),
+                        "warning: the record lost {} entries during the session: plays may be missing",
+                        page.lost
+                    );
+                }
+            }
+            self.rows = page.plays.into();
+        }
+        Ok(self.rows.pop_front())
+    }
+}
+
+impl Iterator for Rows {
+    type Item = Result<Recorded>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let play = match self.row() {
+            Ok(row) => row?,
+            Err(error) => return Some(Err(error)),
+        };
+        let mut items = Vec::new();
+        for _ in 0..play.items {
+            match self.row() {
+                Ok(Some(item)) => items.push(item),
+                Ok(None) => break,
+                Err(error) => return Some(Err(error)),
+            }
+        }
+        Some(Ok(Recorded { play, items }))
+    }
+}
+
+/// Prints the plan.
+fn dry_run(asked: &Replay, id: &str) -> Result<ExitCode> {
+    let json = asked.options.output.json;
+    let (mut steps, mut plays, mut skipped, mut missing, mut end) = (Vec::new(), 0u64, 0u64, 0u64, 0);
+    for row in plan_all(asked, id)? {
+        let (recorded, planned) = row?;
+        let play = &recorded.play;
+        plays += 1;
+        let about = match &planned {
+            Ok(step) => step.note.clone().unwrap_or_default(),
+            Err(why) => format!("not played: {why}"),
+        };
+        missing += u64::from(matches!(planned, Err(Skip::NoText { .. })));
+        skipped += u64::from(planned.is_err());
+        let start = planned.as_ref().ok().map(|step| step.start);
+        end = end.max(start.unwrap_or(0));
+        if json && steps.len() < MAX_LISTED {
+            steps.push(json!({
+                "play": play.play, "pattern": play.pattern, "pattern_sha256": play.pattern_sha256,
+                "start_ticks": start, "ordered_ms": play.ordered_ms, "scale": play.scale, "trial": play.trial,
+                "items": play.items, "note": about
+            }));
+        } else if !json {
+            let start =
+                start.map_or_else(|| "-".to_owned(), |start| format!("{:.6} s", ticks_to_seconds(start)));
+            let lasts = play.ordered_ms.map_or_else(String::new, |ms| format!(", {:.3} s", ms / 1e3));
+            let items = if play.items > 0 { format!(", {} items", play.items) } else { String::new() };
+            let about = if about.is_empty() { about } else { format!("; {about}") };
+            say(&format!("{start:>16}  play {} {}{lasts}{items}{about}", play.play, play.pattern))?;
+        }
+    }
+    let document = json!({
+        "session": id, "plays": plays, "not_played": skipped, "texts_missing": missing,
+        "last_onset_s": ticks_to_seconds(end), "steps": steps
+    });
+    if json {
+        say_json(&document)?;
+    } else {
+        say(&format!(
+            "{plays} plays, {skipped} of them not played; the last onset is at {:.3} s",
+            ticks_to_seconds(end)
+        ))?;
+    }
+    Ok(if missing == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// A step whose orders are on their way.
+struct UnderWay {
+    step: Step,
+    ids: Vec<u64>,
+}
+
+/// Plays the steps and compares their receipts.
+struct Player {
+    client: Client,
+    json: bool,
+    tolerance_um: f32,
+    /// The tick of the first onset, and the boot it belongs to.
+    base: Option<(u64, u32)>,
+    under_way: VecDeque<UnderWay>,
+    /// The onset of the last step that was compared.
+    last: Option<Onset>,
+    summary: Summary,
+}
+
+impl Player {
+    fn new(mut client: Client, plays: u64, session: &str, asked: &Replay) -> Result<Self> {
+        let status: Status = client.get("/v1/status")?;
+        if status.state != "armed" {
+            bail!("the device is {} ({}): `meissner arm` first", status.state, status.cause);
+        }
+        if status.play.is_some() || !status.queued.is_empty() {
+            bail!("a play runs or waits: wait for its end, or `meissner stop`");
+        }
+        Ok(Self {
+            client,
+            json: asked.options.output.json,
+            tolerance_um: asked.rest_tolerance_um as f32,
+            base: None,
+            under_way: VecDeque::new(),
+            last: None,
+            summary: Summary { session: session.to_owned(), plays, ..Summary::default() },
+        })
+    }
+
+    /// Plays all steps. Ends at the first that is refused, after the plays that are on their way.
+    fn play(&mut self, steps: impl Iterator<Item = Result<Planned>>) -> Result<()> {
+        let mut played = Ok(());
+        for row in steps {
+            played = row.and_then(|(recorded, planned)| match planned {
+                Ok(step) => self.order(step),
+                Err(why) => self.skip(recorded.play.play, &why),
+            });
+            if played.is_err() {
+                break;
+            }
+        }
+        while !self.under_way.is_empty() {
+            self.follow_oldest()?;
+        }
+        played
+    }
+
+    fn skip(&mut self, play: u64, why: &impl ToString) -> Result<()> {
+        let skipped = Skipped { play, why: why.to_string() };
+        self.tell(&format!("play {play}: not played: {}", skipped.why))?;
+        self.summary.skip(skipped);
+        Ok(())
+    }
+
+    /// A line on stdout, unless a document is to be printed.
+    fn tell(&self, line: &str) -> Result<()> {
+        if self.json { Ok(()) } else { say(line) }
+    }
+
+    /// Waits until a step is due, and sends its orders.
+    fn order(&mut self, step: Step) -> Result<()> {
+        let (base, boot) = match self.base {
+            Some(base) => base,
+            None => {
+                let (now, boot) = self.now()?;
+                *self.base.insert((now + START_AFTER, boot))
+            }
+        };
+        while self.under_way.len() >= MOST_AHEAD || self.now()?.0 + AHEAD < base + step.start {
+            match self.under_way.is_empty() {
+                true => thread::sleep(Duration::from_secs_f64(WAIT_S / 4.0)),
+                false => self.follow_oldest()?,
+            }
+        }
+        if let Some(note) = &step.note {
+            self.tell(&format!("play {}: {note}", step.recorded.play.play))?;
+        }
+        let mut ids = Vec::new();
+        for (start, order) in &step.orders {
+            let at_tick = Some(base + step.start + start);
+            loop {
+                match self.send(order, at_tick, boot) {
+                    Ok(id) => break ids.push(id),
+                    Err(ClientError::Problem(problem))
+                        if problem.code == Code::QueueFull.parts().0 && !self.under_way.is_empty() =>
+                    {
+                        self.follow_oldest()?;
+                    }
+                    // So little was left of it that nothing fits.
+                    Err(ClientError::Problem(problem))
+                        if problem.code == Code::Empty.parts().0 && !step.is_whole =>
+                    {
+                        return self
+                            .skip(step.recorded.play.play, &"it was cut before its first stroke was over");
+                    }
+                    Err(error) => return Err(anyhow!("play {}: {error}", step.recorded.play.play)),
+                }
+            }
+        }
+        self.under_way.push_back(UnderWay { step, ids });
+        Ok(())
+    }
+
+    fn send(&mut self, order: &Order, at_tick: Option<u64>, boot: u32) -> Result<u64, ClientError> {
+        let boot = Some(boot);
+        let accepted: PlayAccepted = match order {
+            Order::Play(request) => {
+                let mut request = request.clone();
+                (request.at_tick, request.boot) = (at_tick, boot);
+                self.client.post("/v1/play", &request)?
+            }
+            Order::Sequence(request) => {
+                let mut request = request.clone();
+                (request.at_tick, request.boot) = (at_tick, boot);
+                self.client.post_within(super::sequence::TIMEOUT, "/v1/sequence", &request)?
+            }
+        };
+        Ok(accepted.id)
+    }
+
+    /// The device's clock.
+    fn now(&mut self) -> Result<(u64, u32)> {
+        let status: Status = self.client.get("/v1/status")?;
+        let device = status.device.as_ref().map(|device| device.boot);
+        status.clock.map(|clock| clock.tick).zip(device).context("the device is gone: see `meissner status`")
+    }
+
+    /// Waits for the end of the oldest step for [`WAIT_S`]; compares it if it is over.
+    fn follow_oldest(&mut self) -> Result<()> {
+        let Some(UnderWay { ids, .. }) = self.under_way.front() else { return Ok(()) };
+        let mut receipts = Vec::new();
+        for id in ids {
+            let within = Duration::from_secs_f64(WAIT_S) + TIMEOUT;
+            let receipt: Receipt =
+                self.client.get_within(within, &format!("/v1/plays/{id}?wait={WAIT_S}"))?;
+            if !receipt.state.is_over() {
+                return Ok(());
+            }
+            receipts.push(receipt);
+        }
+        let Some(UnderWay { step, .. }) = self.under_way.pop_front() else { return Ok(()) };
+        let first = receipts.first().and_then(|receipt| receipt.onset);
+        let late = step.orders.first().map_or(0, |(start, _)| *start);
+        let now = first
+            .map(|onset| Onset { planned: step.start, replayed: onset.actual_tick.saturating_sub(late) });
+        let differences = compare(&step, &receipts, (self.last, now), self.tolerance_um);
+        if let Some((last, now)) = self.last.zip(now) {
+            let error = (now.replayed - last.replayed).abs_diff(now.planned - last.planned);
+            self.summary.gap_error_max_ticks = self.summary.gap_error_max_ticks.max(error);
+        }
+        self.last = now.or(self.last);
+        if let Some(differing) = self.summary.add(&step, &receipts, differences) {
+            self.tell(&differing.line())?;
+        }
+        Ok(())
+    }
+}
+
+/// Stops the display at Ctrl-C and ends this process: a replay that nobody follows must not go on.
+fn stop_on_interrupt(options: &ClientOptions) -> Result<()> {
+    let mut client = options.client()?;
+    on_interrupt(move || {
+        let stopped: Result<Value, _> = client.post("/v1/stop", &json!({}));
+        let said = match stopped {
+            Ok(_) => "the replay has ended, and its play was stopped".to_owned(),
+            Err(error) => format!("the replay has ended, but its play was not stopped: {error}"),
+        };
+        // If stderr is closed, there is no one to tell.
+        let _ = writeln!(io::stderr(), "{said}");
+        process::exit(130);
+    })
+}
+
+fn summary_text(summary: &Summary) -> String {
+    let Summary { plays, replayed, skipped, differing, .. } = summary;
+    let mut lines = vec![
+        ("session", summary.session.clone()),
+        ("replayed", format!("{replayed} of {plays} plays, {skipped} not played")),
+        ("as recorded", format!("{}, {differing} differ", replayed - differing)),
+        (
+            "gaps",
+            match summary.gap_error_max_ticks {
+                0 => "as recorded, to the tick".to_owned(),
+                ticks => format!("off by {ticks} ticks at most, {:.3} ms", ticks_to_ms(ticks)),
+            },
+        ),
+        (
+            "largest rest error",
+            format!(
+                "{:.1} um, recorded {:.1} um",
+                summary.rest_error_replayed_max_um, summary.rest_error_recorded_max_um
+            ),
+        ),
+    ];
+    lines.extend(summary.ended_early.iter().map(|why| ("ended early", why.clone())));
+    text::pairs(&lines)
+}
