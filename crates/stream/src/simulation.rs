@@ -133,6 +133,8 @@ pub struct Simulation {
     /// The device.
     pub mock: Mock,
     now: HostInstant,
+    /// When the device was switched on.
+    booted: HostInstant,
     to_device: Direction,
     to_host: Direction,
     liar: Option<Liar>,
@@ -159,7 +161,7 @@ impl Emit for EventLog {
     }
 }
 
-/// The host's time at the device's boot.
+/// The host's time at the first boot of the device.
 const STARTED: HostInstant = HostInstant::from_ns(1_000_000_000);
 
 impl Simulation {
@@ -181,6 +183,7 @@ impl Simulation {
             streamer: Streamer::new(settings),
             mock: Mock::new(*motors, seed as u32)?,
             now: STARTED,
+            booted: STARTED,
             to_device: direction(0x5eed, line),
             to_host: direction(0xfeed, Line { bytes_per_s: 0, ..line }),
             liar: None,
@@ -203,6 +206,17 @@ impl Simulation {
         self.to_device.frames.clear();
         self.to_host.frames.clear();
         self.streamer.disconnect(self.now, "unplugged", &mut self.events);
+    }
+
+    /// Replaces the device by one that has just been switched on, with another boot id: its clock begins again.
+    ///
+    /// # Errors
+    /// If the settings of the simulated motors are out of range.
+    pub fn restart(&mut self, motors: &SimulatedMotorsConfig, boot: u32) -> Result<(), SimulatedMotorsError> {
+        self.unplug();
+        (self.mock, self.booted) = (Mock::new(*motors, boot)?, self.now);
+        self.connect();
+        Ok(())
     }
 
     /// Changes the line.
@@ -267,7 +281,7 @@ impl Simulation {
     fn device(&mut self) {
         let bytes = self.to_device.arrived(self.now);
         self.mock.write(&bytes);
-        self.mock.run(Tick::BOOT + duration_to_ticks(self.now.since(STARTED)));
+        self.mock.run(Tick::BOOT + duration_to_ticks(self.now.since(self.booted)));
         let mut bytes = [0; 4096];
         loop {
             let len = self.mock.read(&mut bytes);

@@ -7,7 +7,7 @@ use firmware_protocol::tick::Tick;
 use meissner_api::ErrorSource;
 use meissner_array::pattern::Pattern;
 use meissner_array::simulated::SimulatedMotorsConfig;
-use meissner_array::units::duration_to_ticks;
+use meissner_array::units::{duration_to_ticks, ticks_to_seconds};
 use meissner_stream::Line;
 use meissner_stream::queues::{At, Command, End, Outcome};
 use meissner_test_support::patterns::{drive, pattern};
@@ -257,4 +257,23 @@ fn without_telemetry_the_rest_error_at_the_end_counts_every_stroke_so_far() {
     let expected = scatter.hypot(drift);
     assert!((0.9..1.1).contains(&(whole / expected)), "{whole} um, expected {expected}");
     assert!(stopped(Some(200)) > 0.5 * whole);
+}
+
+/// Each boot counts ticks from the same number on: what ended late in one boot lies beyond all that the next one plays.
+#[test]
+fn plays_without_end_have_an_offset_after_a_restart_of_the_board() {
+    let motors = SimulatedMotorsConfig { telemetry_hz: 0, ..SimulatedMotorsConfig::default() };
+    let mut rig = Rig::of(&motors, 3);
+    for (boot, seconds) in [(4, 5), (5, 1)] {
+        rig.restart(&motors, boot).unwrap();
+        rig.arm();
+        rig.start(&pattern("all", None, vec![drive(3, 60.0, 80.0)]), None);
+        rig.run_ms(1_000 * seconds);
+        rig.send(Command::Stop);
+        rig.run_ms(200);
+        let outcome = rig.outcomes().pop().expect("it ended");
+        let played =
+            ticks_to_seconds(outcome.offset.expect("an offset").tick - outcome.onset.unwrap().actual);
+        assert!((played - seconds as f64).abs() < 0.05, "{played} s of {seconds}");
+    }
 }

@@ -6,7 +6,7 @@ use meissner_api::ErrorSource;
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::simulated::{LowerStop, SimulatedMotorsConfig};
 use meissner_stream::queues::{Command, CommandError, StreamEvent};
-use meissner_stream::{LowerStopSettings, Settings};
+use meissner_stream::{LowerStopSettings, Settings, Streamer};
 use meissner_test_support::patterns::{drive, pattern};
 use meissner_test_support::rig::{self, Rig, answer, last_snapshot};
 use meissner_test_support::statistics::rms;
@@ -176,4 +176,103 @@ fn a_session_that_begins_in_mid_seek_trusts_the_device() {
         rig.run_ms(150);
         assert_eq!(answer(&rig.take_events(), arm), Some(Ok(())));
     }
+}
+
+#[test]
+fn no_play_is_taken_while_pins_go_home() {
+    // By a seek, before and after the device has begun it.
+    for wait_ms in [0, 50] {
+        let mut rig = armed(0, 7);
+        rig.send(Command::Home);
+        rig.run_ms(wait_ms);
+        let early = rig.start(&all_motors(60.0, 0.1), None);
+        rig.run_ms(200);
+        let late = rig.start(&all_motors(60.0, 0.1), None);
+        rig.run_ms(300);
+        let events = rig.take_events();
+        let answers = (answer(&events, early), answer(&events, late));
+        assert_eq!(answers, (Some(Err(CommandError::Returning)), Some(Ok(()))), "{wait_ms} ms");
+    }
+    // By moves.
+    let mut rig = Rig::of(&SimulatedMotorsConfig { seed: 7, ..SimulatedMotorsConfig::default() }, 7);
+    rig.arm();
+    rig.start(&all_motors(60.0, 3.0), None);
+    rig.run_ms(4_000);
+    rig.send(Command::Home);
+    rig.run_ms(5);
+    let play = rig.start(&all_motors(60.0, 0.1), None);
+    assert_eq!(answer(&rig.take_events(), play), Some(Err(CommandError::Returning)));
+    // A play behind an `arm` waits for its seek.
+    let mut rig = Rig::with_motors(with_stop(), &motors(0, 7), 7);
+    rig.run_ms(500);
+    rig.send(Command::Arm { assume_rest: false });
+    rig.run_ms(50);
+    let play = rig.start(&all_motors(60.0, 0.1), None);
+    rig.run_ms(500);
+    assert_eq!(answer(&rig.take_events(), play), Some(Ok(())));
+}
+
+#[test]
+fn pins_are_at_rest_when_a_seek_is_over_and_not_before() {
+    let mut rig = armed(0, 8);
+    play(&mut rig, &all_motors(60.0, 2.0), 3_000);
+    let before = last_snapshot_now(&mut rig).rest_error_um;
+    assert!(before.iter().all(|&um| um > 0.5), "{before:?}");
+    rig.send(Command::Home);
+    rig.run_ms(50);
+    let during = last_snapshot(&rig.take_events());
+    assert_eq!((during.state, during.rest_error_um), (State::Returning, before));
+    // An e-stop leaves pins somewhere on the way.
+    rig.send(Command::EStop);
+    rig.run_ms(300);
+    let after = last_snapshot_now(&mut rig);
+    assert_eq!((after.state, after.rest_error_um), (State::Faulted, before));
+    rig.send(Command::Reset { estops_seen: u64::MAX });
+    rig.run_ms(50);
+    rig.send(Command::Arm { assume_rest: false });
+    rig.run_ms(200);
+    assert_eq!(last_snapshot(&rig.take_events()).rest_error_um, [0.0; MOTORS]);
+}
+
+#[test]
+fn a_seek_that_was_not_carried_out_does_not_save_the_next_one() {
+    let mut rig = armed(0, 9);
+    play(&mut rig, &all_motors(60.0, 1.0), 2_000);
+    // The e-stop overtakes it before it is sent.
+    let home = rig.send(Command::Home);
+    rig.send(Command::EStop);
+    rig.run_ms(50);
+    assert_eq!(answer(&rig.take_events(), home), Some(Err(CommandError::Faulted)));
+    rig.send(Command::Reset { estops_seen: u64::MAX });
+    rig.run_ms(50);
+    rig.send(Command::Arm { assume_rest: false });
+    rig.run_ms(30);
+    assert_eq!(last_snapshot(&rig.take_events()).state, State::Returning, "it seeks");
+}
+
+/// Another program has moved the pins, and this one knows nothing of it.
+#[test]
+fn a_new_daemon_does_not_take_pins_for_resting_that_it_has_not_seen() {
+    let mut rig = armed(0, 10);
+    play(&mut rig, &all_motors(60.0, 1.0), 2_000);
+    rig.streamer = Streamer::new(with_stop());
+    rig.connect();
+    let snapshot = last_snapshot_now(&mut rig);
+    assert!(snapshot.position_known, "by the device");
+    assert_eq!(
+        (snapshot.rest_error_um, snapshot.source),
+        ([500.0; MOTORS], [ErrorSource::LowerStop; MOTORS])
+    );
+}
+
+/// While the line was cut, another program may have moved the pins.
+#[test]
+fn a_seek_before_the_line_was_cut_does_not_save_the_next_one() {
+    let mut rig = armed(0, 11);
+    rig.unplug();
+    rig.connect();
+    rig.run_ms(100);
+    rig.send(Command::Arm { assume_rest: false });
+    rig.run_ms(30);
+    assert_eq!(last_snapshot(&rig.take_events()).state, State::Returning, "it seeks");
 }

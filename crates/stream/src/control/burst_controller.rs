@@ -252,6 +252,7 @@ impl BurstController {
     /// The pin may be anywhere up to `um` from rest, one standard deviation.
     pub(crate) fn lose_rest(&mut self, um: f64) {
         self.estimator.rest_at(0.0, um * um);
+        self.landing = [0.0, um * um];
         self.forget_reckoned();
         self.scattered = um * um;
     }
@@ -287,15 +288,20 @@ impl BurstController {
         self.estimator.gain(direction) * after_rest(self.estimator.last_end(), start)
     }
 
-    /// A move between plays, which begins at `start`, shifts the rest position.
+    /// A move between plays, which begins at `start`, shifts the rest position: down to a lower stop and no further.
     pub(crate) fn moved(&mut self, direction: Direction, pulses: u16, start: Tick) {
         let rest = after_rest(self.estimator.last_end(), start);
         let um = f64::from(pulses) * UM_PER_PULSE * self.move_gain(direction, start);
         self.estimator.moved(start + u64::from(pulses));
         let (shift, scatter) = (sign(direction) * um, self.estimator.scatter() * um);
         let before = self.estimator.position_um();
-        self.move_from = self.anchored.then_some((before, shift));
-        self.estimator.rest_at(before + shift, self.estimator.variance() + scatter * scatter);
+        let (mut after, variance) = (before + shift, self.estimator.variance() + scatter * scatter);
+        if self.lower_stop {
+            after = after.max(0.0);
+            self.landing = [after, variance];
+        }
+        self.move_from = self.anchored.then_some((before, after - before));
+        self.estimator.rest_at(after, variance);
         // A move is one way: what its gain is not known by counts whole.
         let ideal_um = rest * f64::from(pulses) * UM_PER_PULSE;
         let unsure = self.gains.sd[gain_index(direction)] * ideal_um;

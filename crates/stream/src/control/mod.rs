@@ -103,9 +103,10 @@ impl PositionControl {
         self.valid_from = self.valid_from.or(Some(tick + WINDOW_TICKS));
     }
 
-    /// A device was connected, which sends telemetry or not.
+    /// A device was connected, which sends telemetry or not. Its clock may have begun again.
     pub(super) fn connected(&mut self, telemetry: bool) {
         self.telemetry = telemetry;
+        self.account = Account::default();
     }
 
     /// Nothing is known of the pins: they may be as far off as the end stops.

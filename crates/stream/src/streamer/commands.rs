@@ -49,7 +49,7 @@ impl Streamer {
             }
             Command::Reset { estops_seen } => self.reset(estops_seen),
             Command::Arm { assume_rest } => self.arm(now, assume_rest),
-            Command::Home if self.settings.lower_stop.is_some() => self.home_by_stop(now),
+            Command::Home if self.settings.lower_stop.is_some() => self.home_by_stop(),
             Command::Home => match self.home(ticket) {
                 // The answer comes when the pins are home.
                 Ok(_) => return,
@@ -152,7 +152,7 @@ impl Streamer {
     /// Decides whether a play can be queued; returns the onset it asks for and its first margin.
     fn place(&self, now: HostInstant, play: &Play) -> Result<(Option<Tick>, Duration), CommandError> {
         self.takes_plays()?;
-        if self.homing.is_some() {
+        if self.is_homing() {
             return Err(CommandError::Returning);
         }
         let (Some(session), Some(tick)) = (&self.session, self.tick_at(now)) else {
@@ -252,7 +252,7 @@ impl Streamer {
         }
         let host_timeout = ms_in_ticks(self.settings.lease_ms).round() as u32;
         let lower_stop = self.settings.lower_stop.map(|stop| {
-            let seek = if self.needs_seek(now) { self.seek_pulses(now) } else { 0 };
+            let seek = if self.needs_seek(now) { self.settings.seek_pulses() } else { 0 };
             LowerStop { pulses_per_s: stop.pulses_per_s, seek }
         });
         Ok(Some(Op::Arm { assume_rest, host_timeout, limits: self.settings.limits, lower_stop }))

@@ -63,11 +63,9 @@ impl Streamer {
                     // The client must see the new state when it gets the answer.
                     emit.event(StreamEvent::Snapshot(self.snapshot(now)));
                     if result.is_ok() && seeks(&done.op) {
-                        self.control.assume_rest();
                         // The answer comes when the pins are at the stop.
-                        self.end_seek(Err(CommandError::Returning), emit);
-                        self.seek_ticket = Some(done.ticket);
-                        self.settle_seek(emit);
+                        self.begin_seek(done.ticket, &done.op, emit);
+                        self.settle_seek(now, emit);
                     } else {
                         answer(done.ticket, result.map_err(CommandError::Device), emit);
                     }
@@ -156,7 +154,7 @@ impl Streamer {
         if self.resets_own_e_stop && !self.latched && self.no_op_pending() {
             self.queue_op(now, 0, Op::Reset, emit);
         }
-        self.settle_seek(emit);
+        self.settle_seek(now, emit);
         if status.state == State::Armed && !self.in_flight {
             self.control.at_rest(tick);
         }

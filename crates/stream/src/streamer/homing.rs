@@ -35,6 +35,15 @@ const SILENT: u64 = TICKS_PER_S / 2;
 /// Arming again within this time does not seek again: it costs pulses against the stop, which are limited.
 const SEEK_EVERY: Duration = Duration::from_secs(1);
 
+/// A seek of the lower stop that the device has begun.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Seek {
+    /// The request that waits for its end.
+    pub(super) ticket: u64,
+    /// It brings pins home; otherwise it is part of an `arm`, which plays may follow.
+    pub(super) homes: bool,
+}
+
 /// Whether an operation seeks the lower stop.
 pub(super) fn seeks(op: &Op) -> bool {
     match op {
@@ -70,7 +79,7 @@ impl Streamer {
     }
 
     /// Homes all pins by driving them down to the lower stop.
-    pub(super) fn home_by_stop(&mut self, now: HostInstant) -> OpResult {
+    pub(super) fn home_by_stop(&self) -> OpResult {
         self.takes_plays()?;
         if self.state() != State::Armed || !self.no_op_pending() {
             return Err(CommandError::Returning);
@@ -78,7 +87,13 @@ impl Streamer {
         if !self.plays.is_empty() {
             return Err(CommandError::Playing);
         }
-        Ok(Some(Op::Seek { pulses: self.seek_pulses(now) }))
+        Ok(Some(Op::Seek { pulses: self.settings.seek_pulses() }))
+    }
+
+    /// Whether pins are on their way home, or about to be.
+    pub(super) fn is_homing(&self) -> bool {
+        let asked = self.pending_ops.iter().any(|pending| matches!(pending.op, Op::Seek { .. }));
+        asked || self.homing.is_some() || self.seek.is_some_and(|seek| seek.homes)
     }
 
     /// Whether arming has to seek the lower stop: nothing tells where pins are, or something may have moved them.
@@ -87,30 +102,33 @@ impl Streamer {
         !is_known || self.last_seek.is_none_or(|last| now.since(last) >= SEEK_EVERY)
     }
 
-    /// The pulses of a seek that is about to be sent.
-    pub(super) fn seek_pulses(&mut self, now: HostInstant) -> u16 {
-        self.last_seek = Some(now);
-        self.settings.seek_pulses()
+    /// The device has begun the seek that `op` asks for.
+    pub(super) fn begin_seek(&mut self, ticket: u64, op: &Op, emit: &mut dyn Emit) {
+        self.end_seek(Err(CommandError::Returning), emit);
+        self.seek = Some(Seek { ticket, homes: matches!(op, Op::Seek { .. }) });
     }
 
     /// Answers the request that waits for a seek, if there is one.
     pub(super) fn end_seek(&mut self, result: Result<(), CommandError>, emit: &mut dyn Emit) {
-        if let Some(ticket) = self.seek_ticket.take() {
-            answer(ticket, result, emit);
+        if let Some(seek) = self.seek.take() {
+            answer(seek.ticket, result, emit);
         }
     }
 
-    /// Answers the request that waits for a seek once it is over.
-    pub(super) fn settle_seek(&mut self, emit: &mut dyn Emit) {
-        match self.status {
-            Some((status, _)) if status.state == State::Armed && status.position_known => {
-                self.end_seek(Ok(()), emit);
-            }
-            Some((status, _)) if status.state != State::Returning => {
-                self.end_seek(Err(CommandError::Returning), emit);
-            }
-            _ => {}
+    /// Once a seek is over, pins are at rest; answers the request that waits for it.
+    pub(super) fn settle_seek(&mut self, now: HostInstant, emit: &mut dyn Emit) {
+        let Some((status, _)) = self.status.filter(|(status, _)| status.state != State::Returning) else {
+            return;
+        };
+        if self.seek.is_none() {
+            return;
         }
+        if status.position_known {
+            self.last_seek = Some(now);
+            self.control.assume_rest();
+        }
+        let armed = status.position_known && status.state == State::Armed;
+        self.end_seek(if armed { Ok(()) } else { Err(CommandError::Returning) }, emit);
     }
 
     /// The device has answered a move, possibly of a homing that has ended.

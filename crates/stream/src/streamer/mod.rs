@@ -23,6 +23,7 @@ use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::message::{Cause, Counters, Op, State, Status};
 use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
+use homing::Seek;
 use meissner_array::units::{ticks_to_ms, ticks_to_seconds};
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -105,9 +106,9 @@ pub struct Streamer {
     /// The next stroke waits for credits.
     pub(super) short_of_credits: bool,
     homing: Option<Homing>,
-    /// The request that waits for a seek of the lower stop.
-    seek_ticket: Option<u64>,
-    /// When the last seek was sent.
+    /// A seek of the lower stop under way.
+    seek: Option<Seek>,
+    /// When the last seek of this connection was over.
     last_seek: Option<HostInstant>,
     /// The last move, if it went up: motor, pulses, its end.
     last_move: Option<(u8, u16, Tick)>,
@@ -147,7 +148,7 @@ impl Streamer {
             fed_until: Tick(0),
             short_of_credits: false,
             homing: None,
-            seek_ticket: None,
+            seek: None,
             last_seek: None,
             last_move: None,
             reported_faults: [false; MOTORS],
@@ -187,6 +188,7 @@ impl Streamer {
         }
         self.end_homing(Err(CommandError::NoDevice), emit);
         self.end_seek(Err(CommandError::NoDevice), emit);
+        self.last_seek = None;
         self.in_flight = false;
         self.status = None;
         self.control.cut(lost, None);
