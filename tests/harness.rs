@@ -3,7 +3,7 @@
 use assert_cmd::Command;
 use meissner_api::{Event, Problem, Receipt, Status};
 use meissner_client::{Client, ClientError, Events};
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::{Pid, Resource, Rlimit, Signal, getrlimit, kill_process, prlimit};
 use serde_json::{Value, json};
 use std::env;
 use std::fs::{self, File};
@@ -173,6 +173,14 @@ impl Daemon {
 
     pub(crate) fn signal(&self, signal: Signal) {
         kill_process(Pid::from_child(&self.child), signal).unwrap();
+    }
+
+    /// Lets none of its files grow beyond so many bytes, as on a full disk; `None`: as large as before.
+    pub(crate) fn limit_files(&self, bytes: Option<u64>) {
+        let pid = Some(Pid::from_child(&self.child));
+        // The hard limit stays, so this needs no rights.
+        let maximum = getrlimit(Resource::Fsize).maximum;
+        prlimit(pid, Resource::Fsize, Rlimit { current: bytes.or(maximum), maximum }).unwrap();
     }
 
     /// Waits until it has ended.

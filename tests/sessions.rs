@@ -486,6 +486,63 @@ fn a_session_survives_a_disk_that_takes_nothing() {
     assert!(events.next(Some(TIMEOUT)).unwrap().is_some());
 }
 
+/// The disk gets full in mid-session, and has room again. The system refuses the bytes in the middle of a line.
+#[test]
+fn a_session_tells_what_a_full_disk_took() {
+    let daemon = Daemon::start();
+    let (mut client, started) = owner(&daemon, "P07", false);
+    let mut events = client.events().unwrap();
+    let mut play = |client: &mut Client| {
+        let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.05})).unwrap();
+        let receipt = ended(&mut events);
+        assert_eq!(receipt.state, PlayState::Done, "playing goes on");
+        receipt.id
+    };
+    let problem = |client: &mut Client| client.get::<Status>("/v1/status").unwrap().logbook_problem;
+    let first = play(&mut client);
+    // The list waits until all is written.
+    let _: SessionList = client.get("/v1/sessions").unwrap();
+    let folder = daemon.path("state/meissner/logbook");
+    let files = fs::read_dir(folder).unwrap().map(|file| file.unwrap().path());
+    let day = files.into_iter().find(|file| file.extension().is_some_and(|end| end == "jsonl")).unwrap();
+    let length = fs::metadata(&day).unwrap().len();
+    daemon.limit_files(Some(length + 100));
+    let lost = play(&mut client);
+    crate::harness::wait_until(|| problem(&mut client).is_some());
+    let why = problem(&mut client).unwrap();
+    assert!(why.starts_with("the session record cannot be written: ") && why.contains(".jsonl: "), "{why}");
+    assert_eq!(fs::metadata(&day).unwrap().len(), length, "the part of a line was cut back");
+    daemon.limit_files(None);
+    crate::harness::wait_until(|| {
+        play(&mut client);
+        problem(&mut client).is_none()
+    });
+    let last = play(&mut client);
+    let _: Session = client.post("/v1/sessions/running/end", &json!({})).unwrap();
+    let log = daemon.wait_for_log("is written again; ");
+    assert_eq!(log.matches("the session record cannot be written").count(), 1, "one line: {log}");
+    // Every line is whole, and the gap is in its place.
+    let text = fs::read_to_string(&day).unwrap();
+    let lines: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let gap = lines.iter().find(|line| line["event"] == "lost").unwrap()["entries"].as_u64().unwrap();
+    assert!(gap >= 4, "command, queued, began and ended of a play");
+    let output = daemon
+        .meissner()
+        .args(["session", "export", &started.id, "--json"])
+        .assert()
+        .success()
+        .get_output()
+        .clone();
+    let exported: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let ids: Vec<_> =
+        exported["plays"].as_array().unwrap().iter().map(|play| play["play"].as_u64().unwrap()).collect();
+    assert!(ids.contains(&first) && ids.contains(&last) && !ids.contains(&lost), "{ids:?}");
+    assert_eq!((&exported["lost"], &exported["unreadable"]), (&json!(gap), &json!(0)));
+    assert_eq!(exported["session"]["plays"], last, "the session counts every play");
+    let warning = String::from_utf8(output.stderr).unwrap();
+    assert!(warning.contains(&format!("the record lost {gap} entries during the session")), "{warning}");
+}
+
 #[test]
 fn a_daemon_that_keeps_no_record_has_sessions_too() {
     let daemon = Daemon::by({

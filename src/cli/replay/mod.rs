@@ -58,7 +58,7 @@ pub(super) struct Replay {
     #[arg(long)]
     dry_run: bool,
     /// Report a rest error as different if it is more than UM um larger than the recorded one
-    #[arg(long, value_name = "UM", default_value_t = 20.0, allow_negative_numbers = true, value_parser = positive)]
+    #[arg(long, value_name = "UM", default_value_t = 50.0, allow_negative_numbers = true, value_parser = positive)]
     rest_tolerance_um: f64,
     #[command(flatten)]
     options: ClientOptions,
