@@ -1,5 +1,7 @@
 //! The burst controller of one motor: tracks the bursts sent and decides the pulse count of each.
 //!
+//! `correct` decides the counts, `rest` says where the pin rests between plays and without telemetry.
+//!
 //! [`BurstController::correct`] finalises the count of a burst shortly before it begins. The [`Estimator`] predicts where the
 //! shaft will be then; the new count leads from there to the target: the top of the stroke after the up burst, 0 after
 //! the down burst. The control is dead-beat: it corrects the whole known error at once. Where strokes fill their
@@ -22,36 +24,29 @@
 //! signal shows when a pin reaches the stop, so samples of that time are not used. Without telemetry, `landing` follows the mean and the
 //! variance of the rest error from stroke to stroke ([`ReflectedWalk::after`]).
 
-use super::estimator::{Estimator, Gains, Travel, after_rest, gain_index, sign};
+mod correct;
+mod rest;
+
+pub(crate) use correct::FINALISE_AT;
+pub(crate) use rest::ASYMMETRY;
+
+use super::estimator::{Estimator, Gains, Travel, gain_index};
 use super::queued::{Correction, Cutting, Forgotten, Queued};
 use super::telemetry_monitor::{Plausibility, TelemetryMonitor};
 use firmware_protocol::controller::POOL;
-use firmware_protocol::limits::{MAX_DOWN_PULSES, MAX_UP_PULSES, correction};
-use firmware_protocol::stroke::{Direction, Stroke};
+use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_api::SensorFault;
 use meissner_array::motor::HalfTick;
-use meissner_array::reflected_walk::{ReflectedWalk, Spread};
-use meissner_array::units::{TICKS_PER_MS, TICKS_PER_S, UM_PER_PULSE};
+use meissner_array::units::{TICKS_PER_S, UM_PER_PULSE};
 use std::collections::VecDeque;
 
-/// A correction leaves at least this long before its burst, ticks: later uses fresher telemetry, but must not be late.
-pub(super) const SEND_BY: u64 = TICKS_PER_MS * 3 / 2;
-/// A burst is finalised this long before it begins, ticks: one wake-up of 1 ms fits before [`SEND_BY`], with 0.5 ms to spare.
-pub(crate) const FINALISE_AT: u64 = SEND_BY + TICKS_PER_MS * 3 / 2;
-/// If a correction leaves anyway, those due within 2 ms leave with it: a frame costs as many bytes as three corrections.
-pub(crate) const FINALISE_EARLY: u64 = FINALISE_AT + TICKS_PER_MS * 2;
 /// The controller neither uses nor waits for telemetry older than this, ticks.
 pub(crate) const LONGEST_AGE: u64 = TICKS_PER_S * 5 / 4;
 /// Strokes of one motor that may begin in [`LONGEST_AGE`], at 300 Hz.
 const PAST: usize = 400;
 /// Strokes that a motor remembers after a cut: those that began until the device said when it cut. It says so within milliseconds.
 const CUT: usize = 8;
-/// Without room to lengthen the down burst, the top is lowered by so many standard deviations of the scatter.
-const HEADROOM: f64 = 0.5;
-/// Asymmetry of the gains up and down without calibration, one standard deviation.
-pub(crate) const ASYMMETRY: f64 = 0.02;
-
 /// The controller of one motor.
 #[derive(Debug)]
 pub(crate) struct BurstController {
@@ -200,27 +195,6 @@ impl BurstController {
         }
     }
 
-    /// The device has flushed the queue and returns the pin.
-    pub(crate) fn cut(&mut self) {
-        let rest_um = self.rest_um();
-        // A cut stroke scatters like any other.
-        let unsure = self
-            .queue
-            .front()
-            .map_or(0.0, |first| self.estimator.scatter() * f64::from(first.planned[0]) * UM_PER_PULSE);
-        self.queue.clear();
-        (self.begun, self.finalised, self.pending) = (0, 0, [0; 2]);
-        if self.lower_stop {
-            // The return ends at the stop, too.
-            let [mean, variance] = self.landing;
-            self.estimator.rest_at(mean, variance);
-        } else {
-            self.estimator.rest_at(rest_um, self.estimator.variance() + 2.0 * unsure * unsure);
-            self.scattered += 2.0 * unsure * unsure;
-        }
-        (self.anchored, self.move_from) = (false, None);
-    }
-
     /// When the last pulse is over of the strokes that began at `from` or later and before `until`, and that the device has not
     /// played whole when it cut at `cut`, if it did; `returns`: it then plays their outstanding return pulses. [`Strokes`
     /// that have left the queue](Self::advance) are not among them. `Err`: too many strokes began after that cut.
@@ -242,72 +216,12 @@ impl BurstController {
         Ok(played.map(|queued| cut.map_or(queued.stroke.end(), |cut| queued.over_at(cut))).max())
     }
 
-    /// The operator says that the pin is at rest.
-    pub(crate) fn assume_rest(&mut self) {
-        self.estimator.rest_at(0.0, 1.0);
-        self.landing = [0.0; 2];
-        self.forget_reckoned();
-    }
-
-    /// The pin may be anywhere up to `um` from rest, one standard deviation.
-    pub(crate) fn lose_rest(&mut self, um: f64) {
-        self.estimator.rest_at(0.0, um * um);
-        self.landing = [0.0, um * um];
-        self.forget_reckoned();
-        self.scattered = um * um;
-    }
-
-    /// What was reckoned is over: something has shown where the pin is.
-    fn forget_reckoned(&mut self) {
-        (self.scattered, self.reckoned_travel_um, self.reckoned_um) = (0.0, 0.0, [0.0; 2]);
-    }
-
     /// Clears a sensor fault, and forgets what the faulty telemetry taught.
     pub(crate) fn clear_faults(&mut self) {
         if self.monitor.fault().is_some() {
             self.estimator.relearn(&self.gains);
         }
         self.monitor = TelemetryMonitor::default();
-    }
-
-    /// Uses the gains of a calibration, also for what was reckoned so far: the offset that they explain is known from now on,
-    /// and less is uncertain. The bursts have scattered as they have.
-    pub(crate) fn set_gains(&mut self, gains: &Gains) {
-        let before = [Direction::Up, Direction::Down].map(|direction| self.estimator.gain(direction));
-        self.gains = *gains;
-        self.estimator.relearn(gains);
-        let explained = [Direction::Up, Direction::Down].into_iter().zip(before).zip(self.reckoned_um);
-        let explained = explained.map(|((direction, before), um)| {
-            sign(direction) * (self.estimator.gain(direction) - before) * um
-        });
-        self.estimator.shift(explained.sum());
-    }
-
-    /// Mean gain of a move that begins at `start`: less after half a second of rest.
-    pub(crate) fn move_gain(&self, direction: Direction, start: Tick) -> f64 {
-        self.estimator.gain(direction) * after_rest(self.estimator.last_end(), start)
-    }
-
-    /// A move between plays, which begins at `start`, shifts the rest position: down to a lower stop and no further.
-    pub(crate) fn moved(&mut self, direction: Direction, pulses: u16, start: Tick) {
-        let rest = after_rest(self.estimator.last_end(), start);
-        let um = f64::from(pulses) * UM_PER_PULSE * self.move_gain(direction, start);
-        self.estimator.moved(start + u64::from(pulses));
-        let (shift, scatter) = (sign(direction) * um, self.estimator.scatter() * um);
-        let before = self.estimator.position_um();
-        let (mut after, variance) = (before + shift, self.estimator.variance() + scatter * scatter);
-        if self.lower_stop {
-            after = after.max(0.0);
-            self.landing = [after, variance];
-        }
-        self.move_from = self.anchored.then_some((before, after - before));
-        self.estimator.rest_at(after, variance);
-        // A move is one way: what its gain is not known by counts whole.
-        let ideal_um = rest * f64::from(pulses) * UM_PER_PULSE;
-        let unsure = self.gains.sd[gain_index(direction)] * ideal_um;
-        self.scattered += scatter * scatter + unsure * unsure;
-        self.reckoned_um[gain_index(direction)] += ideal_um;
-        self.anchored = false;
     }
 
     /// Whether its gains come from a calibration.
@@ -328,32 +242,6 @@ impl BurstController {
     /// Strokes that the device has accepted.
     pub(crate) fn in_device(&self) -> impl Iterator<Item = Stroke> {
         self.queue.iter().filter(|queued| queued.accepted).map(|queued| queued.stroke)
-    }
-
-    /// Marks the next burst's count as final.
-    fn finalise(&mut self) {
-        let (at, half) = (self.finalised / 2, self.finalised % 2);
-        let burst = self.queue[at].burst(half);
-        let counted = if half == 1 && self.lower_stop {
-            // It takes the pin down from wherever it is, and no further.
-            let pulses = self.position_um() / (UM_PER_PULSE * self.estimator.gain(Direction::Down));
-            (10.0 * pulses).round() as i64
-        } else {
-            let tenths = if after_rest(self.finalised_end(), burst.start) < 1.0 { 8 } else { 10 };
-            i64::from(burst.pulses) * tenths
-        };
-        self.queue[at].counted[half] = counted;
-        self.pending[half] += counted;
-        self.finalised += 1;
-    }
-
-    /// When the last finalised burst ends that the device has not refused.
-    fn finalised_end(&self) -> Option<Tick> {
-        if self.finalised == self.begun {
-            return self.estimator.last_end();
-        }
-        let last = self.finalised - 1;
-        Some(self.queue[last / 2].burst(last % 2).end())
     }
 
     /// Advances to `tick`: takes bursts that have begun as played, and removes strokes that are over.
@@ -459,139 +347,6 @@ impl BurstController {
         if self.monitor.fault().is_some() {
             // Forget what the faulty telemetry taught.
             self.estimator.relearn(&self.gains);
-        }
-    }
-
-    /// Expected position after all finalised bursts, µm.
-    fn position_um(&self) -> f64 {
-        let pending = |direction| {
-            let tenths = self.pending[gain_index(direction)] as f64;
-            sign(direction) * tenths / 10.0 * UM_PER_PULSE * self.estimator.gain(direction)
-        };
-        self.estimator.position_um() + pending(Direction::Up) + pending(Direction::Down)
-    }
-
-    /// Expected rest position, µm: leaves out an up burst whose down burst is not finalised.
-    pub(crate) fn rest_um(&self) -> f64 {
-        let half = if self.finalised % 2 == 1 {
-            let up = self.queue[self.finalised / 2].counted[0] as f64 / 10.0;
-            up * UM_PER_PULSE * self.estimator.gain(Direction::Up)
-        } else {
-            0.0
-        };
-        self.position_um() - half
-    }
-
-    /// Distance from rest to expect by dead reckoning, root mean square, µm: the expected offset and what is uncertain. 0 if
-    /// nothing was reckoned since the last sample.
-    pub(crate) fn dead_reckoning_um(&self) -> f64 {
-        match self.dead_reckoning_sd_um() {
-            0.0 => 0.0,
-            sd => sd.hypot(self.rest_um()),
-        }
-    }
-
-    /// Error of the rest position since the last sample, one standard deviation, µm.
-    fn dead_reckoning_sd_um(&self) -> f64 {
-        let drift = ASYMMETRY.min(self.estimator.asymmetry_sd()) * self.reckoned_travel_um;
-        (self.scattered + drift * drift).sqrt()
-    }
-
-    /// The rest error of strokes with these planned counts, from one to the next.
-    fn walk(&self, planned: &[u16; 2]) -> ReflectedWalk {
-        let [up, down] = planned.map(|pulses| f64::from(pulses) * UM_PER_PULSE);
-        let Gains { mean, scatter, .. } = self.gains;
-        let spread = if self.is_calibrated() {
-            Spread::measured(scatter, mean, [0.0; 2])
-        } else {
-            Spread { scatter, asymmetry: ASYMMETRY }
-        };
-        ReflectedWalk::new(up, down - up, spread)
-    }
-
-    /// With a lower stop: root mean square of the rest error to expect, µm.
-    pub(crate) fn landing_rms_um(&self) -> Option<f64> {
-        let [mean, variance] = self.landing;
-        self.lower_stop.then(|| (mean * mean + variance).sqrt())
-    }
-
-    /// The count that takes the next burst to its planned end point; if a limit cuts it, also the correction made, µm.
-    ///
-    /// No stroke yet to be queued begins before `free`. `may_lengthen` allows more pulses than planned.
-    fn target_pulses(&self, free: impl Fn() -> Tick, may_lengthen: bool) -> (u16, Option<f64>) {
-        let (at, half) = (self.finalised / 2, self.finalised % 2);
-        let Queued { stroke, planned, until, .. } = self.queue[at];
-        let next = self.queue.get(at + 1).map_or_else(free, |next| next.stroke.up).min(until);
-        let most = |half: usize, room: u64, limit: u16| {
-            let more = if may_lengthen { correction(planned[half]) } else { 0 };
-            let most = planned[half].saturating_add(more).min(limit);
-            most.min(u16::try_from(room).unwrap_or(u16::MAX))
-        };
-        let up_most = most(0, stroke.down - stroke.up, MAX_UP_PULSES);
-        let down_most = most(1, next - stroke.down, MAX_DOWN_PULSES).max(planned[1]);
-        let burst = stroke.bursts()[half];
-        let gain = self.estimator.gain(burst.direction) * after_rest(self.finalised_end(), burst.start);
-        let position = self.position_um() / UM_PER_PULSE;
-        let (way, most) = match burst.direction {
-            Direction::Up if self.lower_stop => (f64::from(planned[0]) - position, up_most),
-            Direction::Up => {
-                let down = f64::from(down_most) * self.estimator.gain(Direction::Down);
-                let top = down / (1.0 + HEADROOM * self.estimator.scatter());
-                (top.min(planned[0].into()) - position, up_most)
-            }
-            Direction::Down => (position, down_most),
-        };
-        let least = planned[half].saturating_sub(correction(planned[half])).max(1);
-        let ideal = (way / gain).round().clamp(0.0, 65_535.0) as u16;
-        let count = ideal.min(most).max(least);
-        let more = f64::from(count) - f64::from(planned[half]);
-        (count, (count != ideal).then_some(sign(burst.direction) * more * gain * UM_PER_PULSE))
-    }
-
-    /// When the next burst begins whose count is not final.
-    pub(crate) fn next(&self) -> Option<Tick> {
-        self.queue.get(self.finalised / 2).map(|queued| queued.burst(self.finalised % 2).start)
-    }
-
-    /// Finalises the counts of bursts that are due, and of one that begins within [`FINALISE_EARLY`].
-    ///
-    /// Calls `amend` with each change (the stroke's up tick, direction, count); it returns whether the change was sent. No
-    /// stroke yet to be queued begins before `free`. `fresh`: telemetry is recent. `may_lengthen` allows more pulses than
-    /// planned.
-    pub(crate) fn correct(
-        &mut self,
-        now: Tick,
-        free: impl Fn() -> Tick,
-        fresh: bool,
-        may_lengthen: bool,
-        mut amend: impl FnMut(Tick, Direction, u16) -> bool,
-    ) {
-        let mut within = FINALISE_EARLY;
-        while let Some(queued) = self.queue.get(self.finalised / 2).copied() {
-            let half = self.finalised % 2;
-            let burst = queued.burst(half);
-            if burst.start > now + within {
-                break;
-            }
-            within = FINALISE_AT;
-            let measured = fresh && self.anchored && self.monitor.allows_correction(now);
-            // Calibrated gains correct without telemetry too, all but the scatter.
-            let reckoned = !fresh && self.is_calibrated() && self.monitor.fault().is_none();
-            let corrects = queued.closed_loop && !(half == 1 && self.lower_stop);
-            if (measured || reckoned) && corrects && queued.accepted && burst.start >= now + SEND_BY {
-                let (pulses, limited_um) = self.target_pulses(&free, may_lengthen);
-                let limited_um = limited_um.map(|um| um as f32);
-                let correction = Correction { limited_um, rest_um: self.rest_um() as f32 };
-                self.queue[self.finalised / 2].corrections[half] = Some(correction);
-                if pulses != burst.pulses && amend(queued.stroke.up, burst.direction, pulses) {
-                    let stroke = &mut self.queue[self.finalised / 2].stroke;
-                    match burst.direction {
-                        Direction::Up => stroke.up_pulses = pulses,
-                        Direction::Down => stroke.down_pulses = pulses,
-                    }
-                }
-            }
-            self.finalise();
         }
     }
 }

@@ -1,0 +1,176 @@
+//! Where the pin rests: what cuts, moves, gains and the operator change, and how far off it may be without telemetry.
+//!
+//! Invariant: with a lower stop no pin is taken for lower than rest.
+
+use super::BurstController;
+use crate::control::estimator::{Gains, after_rest, gain_index, sign};
+use firmware_protocol::stroke::Direction;
+use firmware_protocol::tick::Tick;
+use meissner_array::reflected_walk::{ReflectedWalk, Spread};
+use meissner_array::units::UM_PER_PULSE;
+
+/// Asymmetry of the gains up and down without calibration, one standard deviation.
+pub(crate) const ASYMMETRY: f64 = 0.02;
+
+impl BurstController {
+    /// The device has flushed the queue and returns the pin.
+    pub(crate) fn cut(&mut self) {
+        let rest_um = self.rest_um();
+        // A cut stroke scatters like any other.
+        let unsure = self
+            .queue
+            .front()
+            .map_or(0.0, |first| self.estimator.scatter() * f64::from(first.planned[0]) * UM_PER_PULSE);
+        self.queue.clear();
+        (self.begun, self.finalised, self.pending) = (0, 0, [0; 2]);
+        if self.lower_stop {
+            // The return ends at the stop, too.
+            let [mean, variance] = self.landing;
+            self.estimator.rest_at(mean, variance);
+        } else {
+            self.estimator.rest_at(rest_um, self.estimator.variance() + 2.0 * unsure * unsure);
+            self.scattered += 2.0 * unsure * unsure;
+        }
+        (self.anchored, self.move_from) = (false, None);
+    }
+
+    /// The operator says that the pin is at rest.
+    pub(crate) fn assume_rest(&mut self) {
+        self.estimator.rest_at(0.0, 1.0);
+        self.landing = [0.0; 2];
+        self.forget_reckoned();
+    }
+
+    /// The pin may be anywhere up to `um` from rest, one standard deviation.
+    pub(crate) fn lose_rest(&mut self, um: f64) {
+        self.estimator.rest_at(0.0, um * um);
+        self.landing = [0.0, um * um];
+        self.forget_reckoned();
+        self.scattered = um * um;
+    }
+
+    /// What was reckoned is over: something has shown where the pin is.
+    pub(super) fn forget_reckoned(&mut self) {
+        (self.scattered, self.reckoned_travel_um, self.reckoned_um) = (0.0, 0.0, [0.0; 2]);
+    }
+
+    /// Uses the gains of a calibration, also for what was reckoned so far: the offset that they explain is known from now on,
+    /// and less is uncertain. The bursts have scattered as they have.
+    pub(crate) fn set_gains(&mut self, gains: &Gains) {
+        let before = [Direction::Up, Direction::Down].map(|direction| self.estimator.gain(direction));
+        self.gains = *gains;
+        self.estimator.relearn(gains);
+        let explained = [Direction::Up, Direction::Down].into_iter().zip(before).zip(self.reckoned_um);
+        let explained = explained.map(|((direction, before), um)| {
+            sign(direction) * (self.estimator.gain(direction) - before) * um
+        });
+        self.estimator.shift(explained.sum());
+    }
+
+    /// Mean gain of a move that begins at `start`: less after half a second of rest.
+    pub(crate) fn move_gain(&self, direction: Direction, start: Tick) -> f64 {
+        self.estimator.gain(direction) * after_rest(self.estimator.last_end(), start)
+    }
+
+    /// A move between plays, which begins at `start`, shifts the rest position: down to a lower stop and no further.
+    pub(crate) fn moved(&mut self, direction: Direction, pulses: u16, start: Tick) {
+        let rest = after_rest(self.estimator.last_end(), start);
+        let um = f64::from(pulses) * UM_PER_PULSE * self.move_gain(direction, start);
+        self.estimator.moved(start + u64::from(pulses));
+        let (shift, scatter) = (sign(direction) * um, self.estimator.scatter() * um);
+        let before = self.estimator.position_um();
+        let (mut after, variance) = (before + shift, self.estimator.variance() + scatter * scatter);
+        if self.lower_stop {
+            after = after.max(0.0);
+            self.landing = [after, variance];
+        }
+        self.move_from = self.anchored.then_some((before, after - before));
+        self.estimator.rest_at(after, variance);
+        // A move is one way: what its gain is not known by counts whole.
+        let ideal_um = rest * f64::from(pulses) * UM_PER_PULSE;
+        let unsure = self.gains.sd[gain_index(direction)] * ideal_um;
+        self.scattered += scatter * scatter + unsure * unsure;
+        self.reckoned_um[gain_index(direction)] += ideal_um;
+        self.anchored = false;
+    }
+
+    /// Expected position after all finalised bursts, µm.
+    pub(super) fn position_um(&self) -> f64 {
+        let pending = |direction| {
+            let tenths = self.pending[gain_index(direction)] as f64;
+            sign(direction) * tenths / 10.0 * UM_PER_PULSE * self.estimator.gain(direction)
+        };
+        self.estimator.position_um() + pending(Direction::Up) + pending(Direction::Down)
+    }
+
+    /// Expected rest position, µm: leaves out an up burst whose down burst is not finalised.
+    pub(crate) fn rest_um(&self) -> f64 {
+        let half = if self.finalised % 2 == 1 {
+            let up = self.queue[self.finalised / 2].counted[0] as f64 / 10.0;
+            up * UM_PER_PULSE * self.estimator.gain(Direction::Up)
+        } else {
+            0.0
+        };
+        self.position_um() - half
+    }
+
+    /// Distance from rest to expect by dead reckoning, root mean square, µm: the expected offset and what is uncertain. 0 if
+    /// nothing was reckoned since the last sample.
+    pub(crate) fn dead_reckoning_um(&self) -> f64 {
+        match self.dead_reckoning_sd_um() {
+            0.0 => 0.0,
+            sd => sd.hypot(self.rest_um()),
+        }
+    }
+
+    /// Error of the rest position since the last sample, one standard deviation, µm.
+    fn dead_reckoning_sd_um(&self) -> f64 {
+        let drift = ASYMMETRY.min(self.estimator.asymmetry_sd()) * self.reckoned_travel_um;
+        (self.scattered + drift * drift).sqrt()
+    }
+
+    /// The rest error of strokes with these planned counts, from one to the next.
+    pub(super) fn walk(&self, planned: &[u16; 2]) -> ReflectedWalk {
+        let [up, down] = planned.map(|pulses| f64::from(pulses) * UM_PER_PULSE);
+        let Gains { mean, scatter, .. } = self.gains;
+        let spread = if self.is_calibrated() {
+            Spread::measured(scatter, mean, [0.0; 2])
+        } else {
+            Spread { scatter, asymmetry: ASYMMETRY }
+        };
+        ReflectedWalk::new(up, down - up, spread)
+    }
+
+    /// With a lower stop: root mean square of the rest error to expect, µm.
+    pub(crate) fn landing_rms_um(&self) -> Option<f64> {
+        let [mean, variance] = self.landing;
+        self.lower_stop.then(|| (mean * mean + variance).sqrt())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_move_down_ends_at_the_lower_stop() {
+        let second = |n: u64| Tick(n * 85_000);
+        for lower_stop in [false, true] {
+            let mut pin = BurstController::new(&Gains::default());
+            pin.set_lower_stop(lower_stop);
+            pin.assume_rest();
+            pin.moved(Direction::Up, 100, second(1));
+            let up_um = pin.rest_um();
+            assert!((10.0..12.0).contains(&up_um), "{up_um} um");
+            // Twice as far down: the stop takes what is too much.
+            pin.moved(Direction::Down, 200, second(2));
+            let expected_um = if lower_stop { 0.0 } else { -up_um };
+            assert!((pin.rest_um() - expected_um).abs() < 1e-9, "{} um", pin.rest_um());
+            pin.moved(Direction::Up, 100, second(3));
+            assert!((pin.rest_um() - expected_um - up_um).abs() < 1e-9, "{} um", pin.rest_um());
+            let estimate_um =
+                if lower_stop { pin.landing_rms_um().unwrap() } else { pin.dead_reckoning_um() };
+            assert!(estimate_um >= pin.rest_um(), "{estimate_um} um");
+        }
+    }
+}
