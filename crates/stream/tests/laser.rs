@@ -252,8 +252,50 @@ fn a_bad_plan_is_refused_in_one_line() {
         let line = PlayedPlan::parse(&good.replace(from, to)).unwrap_err().to_string();
         assert!(line.starts_with(says) && !line.contains('\n'), "{line}");
     }
+    // Of a plan for all motors, too.
+    let all = Plan::new(None, &[14, 70, 140], 1).unwrap();
+    for motor in [0, 23] {
+        let played = played_plan(&all, motor, Tick(500));
+        assert_eq!(PlayedPlan::parse(&played.to_json()), Ok(played));
+    }
     let mut bursts: Vec<&str> = good.lines().collect();
     bursts.swap(4, 5);
     let line = PlayedPlan::parse(&bursts.join("\n")).unwrap_err().to_string();
-    assert!(line.contains("begins before the pin rests"), "{line}");
+    assert!(line.contains("is not as planned"), "{line}");
+    // Each field of a burst that differs from the plan, the first and the last burst, and one burst more or less.
+    let value: serde_json::Value = serde_json::from_str(&good).unwrap();
+    let last = value["bursts"].as_array().unwrap().len() - 1;
+    let edit = |index: usize, key: &str, to: serde_json::Value| {
+        let mut edited = value.clone();
+        edited["bursts"][index][key] = to;
+        PlayedPlan::parse(&edited.to_string()).unwrap_err().to_string()
+    };
+    let burst = &value["bursts"][last];
+    let (tick, pulses) = (burst["tick"].as_u64().unwrap(), burst["pulses"].as_u64().unwrap());
+    for (index, key, to) in [
+        (0, "pulses", 0.into()),
+        (last, "pulses", 0.into()),
+        (last, "pulses", (pulses + 1).into()),
+        (last, "tick", (tick + 1).into()),
+        (last, "tick", u64::MAX.into()),
+        (last, "direction", "up".into()),
+        (last, "warm_up", (!burst["warm_up"].as_bool().unwrap()).into()),
+    ] {
+        let line = edit(index, key, to);
+        assert!(line.starts_with(&format!("`bursts[{index}]` is not as planned")), "{key}: {line}");
+    }
+    // All ticks count from the first.
+    assert!(edit(0, "tick", 0.into()).starts_with("`bursts[1]` is not as planned"));
+    for more in [false, true] {
+        let mut edited = value.clone();
+        let bursts = edited["bursts"].as_array_mut().unwrap();
+        if more {
+            bursts.push(burst.clone());
+        } else {
+            bursts.pop();
+        }
+        let found = bursts.len();
+        let line = PlayedPlan::parse(&edited.to_string()).unwrap_err().to_string();
+        assert_eq!(line, format!("`bursts` has {found}: the plan has {}; do not edit it", last + 1));
+    }
 }

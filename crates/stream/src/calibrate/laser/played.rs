@@ -1,9 +1,10 @@
 //! The document of a plan that was played: every burst with its tick, as `calibrate --plan` writes it, JSON.
 //!
-//! Invariant: the bursts of a [`PlayedPlan`] are in order and do not overlap; the pin rests before each of them.
+//! Invariant: the bursts of a [`PlayedPlan`] are those of its plan, from some tick on. So they are in order, and the pin rests
+//! before each of them.
 
 use crate::calibrate::laser::LASER;
-use crate::calibrate::plan::{MAX_GROUPS, Plan, PlanError, STROKES_PER_GROUP};
+use crate::calibrate::plan::{Plan, PlanError, PlannedBurst};
 use firmware_protocol::stroke::{Burst, Direction, MOTORS};
 use firmware_protocol::tick::Tick;
 use meissner_api::Provenance;
@@ -14,8 +15,9 @@ use serde::{Deserialize, Serialize};
 pub const MAX_PLAN_BYTES: usize = 1 << 20;
 /// The version of the document.
 const FORMAT: u8 = 1;
-/// Bursts at most.
-const MAX_BURSTS: usize = 2 * MAX_GROUPS * (1 + STROKES_PER_GROUP);
+
+/// No device runs for so long; arithmetic on ticks has room above it.
+const LATEST: u64 = u64::MAX / 4;
 
 /// A document that is not a plan.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -29,10 +31,10 @@ pub enum PlanFileError {
     Motor { found: u8 },
     #[error("`pulses`: {0}")]
     Plan(#[from] PlanError),
-    #[error("`bursts` has {found}: must be 2 to {MAX_BURSTS}")]
-    Count { found: usize },
-    #[error("`bursts[{index}]` begins before the pin rests after the one before it: do not edit the plan")]
-    Order { index: usize },
+    #[error("`bursts` has {found}: the plan has {planned}; do not edit it")]
+    Count { found: usize, planned: usize },
+    #[error("`bursts[{index}]` is not as planned by `pulses` and `repetitions`: do not edit the plan")]
+    Burst { index: usize },
 }
 
 /// A burst that was played.
@@ -57,6 +59,14 @@ pub enum Way {
     Up,
     /// Away from the finger.
     Down,
+}
+
+impl From<PlannedBurst> for PlayedBurst {
+    fn from(planned: PlannedBurst) -> Self {
+        let direction = if planned.burst.direction == Direction::Up { Way::Up } else { Way::Down };
+        let (tick, pulses) = (planned.burst.start.0, planned.burst.pulses);
+        Self { tick, direction, pulses, warm_up: planned.warm_up }
+    }
 }
 
 impl PlayedBurst {
@@ -117,12 +127,7 @@ impl PlayedPlan {
     #[must_use]
     pub fn new(plan: &Plan, motor: u8, onset: Tick, on: PlayedOn) -> Self {
         let PlayedOn { device, firmware, identity, boot, date } = on;
-        let bursts = plan.bursts(onset).filter(|planned| planned.motor == motor).map(|planned| PlayedBurst {
-            tick: planned.burst.start.0,
-            direction: if planned.burst.direction == Direction::Up { Way::Up } else { Way::Down },
-            pulses: planned.burst.pulses,
-            warm_up: planned.warm_up,
-        });
+        let bursts = plan.bursts(onset).filter(|planned| planned.motor == motor).map(PlayedBurst::from);
         Self {
             format: FORMAT,
             motor,
@@ -151,18 +156,22 @@ impl PlayedPlan {
         if usize::from(motor) >= MOTORS {
             return Err(PlanFileError::Motor { found: motor });
         }
-        Plan::new(Some(motor), pulses, repetitions)?;
-        if !(2..=MAX_BURSTS).contains(&bursts.len()) {
-            return Err(PlanFileError::Count { found: bursts.len() });
+        let plan = Plan::new(Some(motor), pulses, repetitions)?;
+        let planned: Vec<PlayedBurst> = plan.bursts(Tick(0)).map(PlayedBurst::from).collect();
+        if bursts.len() != planned.len() {
+            return Err(PlanFileError::Count { found: bursts.len(), planned: planned.len() });
         }
-        let far = |burst: &PlayedBurst| burst.tick > u64::MAX / 4;
-        if let Some(n) = bursts.iter().position(far) {
-            return Err(PlanFileError::Order { index: n });
+        let first = |bursts: &[PlayedBurst]| bursts.first().map_or(0, |first| first.tick);
+        let (began, zero) = (first(bursts), first(&planned));
+        let differs = |(found, planned): (&PlayedBurst, &PlayedBurst)| {
+            let tick = began.checked_add(planned.tick - zero);
+            tick.filter(|&tick| tick <= LATEST) != Some(found.tick)
+                || PlayedBurst { tick: found.tick, ..*planned } != *found
+        };
+        match bursts.iter().zip(&planned).position(differs) {
+            Some(index) => Err(PlanFileError::Burst { index }),
+            None => Ok(read),
         }
-        if let Some(n) = bursts.windows(2).position(|two| two[1].burst().start <= two[0].rests_at()) {
-            return Err(PlanFileError::Order { index: n + 1 });
-        }
-        Ok(read)
     }
 
     /// The text of the document: a burst on each line.
