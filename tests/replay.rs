@@ -1,11 +1,14 @@
 //! `session replay` with a real daemon: the same orders at the same gaps, the recorded texts, what differs, what is refused.
 
-use crate::harness::{Daemon, complaint, document, printed, write_pattern};
+use crate::harness::{Daemon, PROGRAM, complaint, document, printed, write_pattern};
 use meissner_api::{Receipt, Session, SessionStarted, Status};
 use meissner_client::Client;
+use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 use std::fs;
+use std::io::Read;
 use std::path::PathBuf;
+use std::process::{self, Stdio};
 
 const DRIVE: &str = "duration_s = 0.2\n[[drive]]\nmotor = 9\nfrequency_hz = 60.0\namplitude_um = 40.0\n";
 
@@ -130,24 +133,56 @@ fn a_session_is_played_again_with_the_same_gaps() {
     );
 }
 
+/// Changes the lines of the record that tell of a play's end.
+fn change_end(daemon: &Daemon, play: u64, from: &str, to: &str) {
+    let files = fs::read_dir(record(daemon)).unwrap().map(|file| file.unwrap().path());
+    let day = files.into_iter().find(|file| file.extension().is_some_and(|end| end == "jsonl")).unwrap();
+    let text = fs::read_to_string(&day).unwrap();
+    let is_end = |line: &str| {
+        line.contains("\"event\":\"ended\"") && line.contains(&format!("\"receipt\":{{\"id\":{play},"))
+    };
+    let lines = text.lines().map(|line| if is_end(line) { line.replace(from, to) } else { line.to_owned() });
+    fs::write(&day, lines.collect::<Vec<_>>().join("\n") + "\n").unwrap();
+}
+
+/// Nothing waits in the daemon meanwhile, and an interrupt ends it all.
+#[test]
+fn a_gap_of_minutes_is_waited_for_and_can_be_interrupted() {
+    let daemon = Daemon::start();
+    let (id, receipts) = recorded(&daemon);
+    let [first, second] = [onset(&receipts[0]), onset(&receipts[1])];
+    let later = first + 600 * 85_000 + 1;
+    change_end(&daemon, 2, &format!("\"actual_tick\":{second}"), &format!("\"actual_tick\":{later}"));
+    let chosen = ["session", "replay", &id, "--to", "2"];
+    let plan = printed(daemon.meissner().args(chosen).arg("--dry-run"));
+    assert!(plan.contains("600.000012 s  play 2 mine"), "{plan}");
+    let mut replay = process::Command::new(PROGRAM)
+        .args(chosen)
+        .env("MEISSNER_SOCKET", daemon.socket())
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut client = daemon.client();
+    crate::harness::wait_until(|| {
+        client.get::<Receipt>("/v1/plays/7").is_ok_and(|receipt| receipt.state.is_over())
+    });
+    let status: Status = client.get("/v1/status").unwrap();
+    assert!(status.play.is_none() && status.queued.is_empty());
+    kill_process(Pid::from_child(&replay), Signal::INT).unwrap();
+    let ended = replay.wait().unwrap();
+    let mut said = String::new();
+    replay.stderr.take().unwrap().read_to_string(&mut said).unwrap();
+    assert!(ended.code() == Some(130) && said.contains("its play was stopped"), "{ended} {said}");
+}
+
 #[test]
 fn a_replay_that_differs_says_where_and_fails() {
     let daemon = Daemon::start();
     let (id, receipts) = recorded(&daemon);
-    // As if the recorded plays had been others.
-    let folder = record(&daemon);
-    let files = fs::read_dir(&folder).unwrap().map(|file| file.unwrap().path());
-    let day = files.into_iter().find(|file| file.extension().is_some_and(|end| end == "jsonl")).unwrap();
+    // As if the recorded play had been another.
     let planned = receipts[0].bursts.unwrap().planned;
-    let text = fs::read_to_string(&day).unwrap();
-    let changed: Vec<String> = text
-        .lines()
-        .map(|line| match line.contains("\"event\":\"ended\"") && line.contains("\"receipt\":{\"id\":1,") {
-            true => line.replace(&format!("\"planned\":{planned},\"played\""), "\"planned\":1000,\"played\""),
-            false => line.to_owned(),
-        })
-        .collect();
-    fs::write(&day, changed.join("\n") + "\n").unwrap();
+    change_end(&daemon, 1, &format!("\"planned\":{planned},\"played\""), "\"planned\":1000,\"played\"");
     let output = daemon
         .meissner()
         .args(["session", "replay", &id, "--to", "2", "--rest-tolerance-um", "1000"])
@@ -160,7 +195,7 @@ fn a_replay_that_differs_says_where_and_fails() {
     assert!(text.contains("1, 1 differ"), "{text}");
     // A limit holds for a replay, too: it ends with the reason.
     daemon.write_config("lease_ms = 5000\n[participant]\nmax_amplitude_um = 30\n");
-    daemon.signal(rustix::process::Signal::HUP);
+    daemon.signal(Signal::HUP);
     daemon.wait_for_log("participant");
     let output =
         daemon.meissner().args(["session", "replay", &id, "--json"]).assert().code(1).get_output().clone();

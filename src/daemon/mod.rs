@@ -12,7 +12,7 @@
 //! - `log_lines`, `request_log`, `status`: text and data for the log, the session record and clients.
 //! - `play`, `sequence`, `calibrate`, `connector`: begin plays, calibrate, open devices.
 //! - `service`, `event_loop`: the service manager; the streamer's events.
-//! - `body`, `connection`, `http`, `reload`, `server`, `hosted`: clients, configuration, and daemons inside this process.
+//! - `body`, `connection`, `http`, `patterns`, `sessions`, `reload`, `server`, `hosted`: clients, configuration, and daemons inside this process.
 //!
 //! Invariant: before the daemon ends, it returns the pins, switches the motors off and removes its socket.
 
@@ -32,6 +32,7 @@ mod http;
 mod log_lines;
 mod metrics;
 mod names;
+mod patterns;
 mod play;
 mod predictor;
 mod reload;
@@ -60,9 +61,10 @@ use crate::session_record::{Note, SessionRecord};
 use acceptor::{Acceptor, Bounds, Counts};
 use engine::Engine;
 use error::system;
-use http::{App, SharedStore};
+use http::App;
 use meissner_api::Realtime;
 use meissner_stream::queues::EventQueue;
+use patterns::SharedStore;
 use predictor::Predictor;
 use server::Server;
 use service::{Manager, Notification, StatusReporter};

@@ -10,7 +10,7 @@
 use super::check::check;
 use super::engine::Engine;
 use super::error::{DaemonError, system};
-use super::http::SharedStore;
+use super::patterns::SharedStore;
 use super::service::{Manager, Notification};
 use crate::config::{Config, Source};
 use crate::session_record::Note;

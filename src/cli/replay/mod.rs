@@ -1,6 +1,6 @@
 //! `session replay`: plays a recorded session again, with the recorded gaps to the tick, and compares the receipts.
 //!
-//! A thread reads the record page by page. [`plan`] makes orders of the rows, twice: first of all to see that everything can be
+//! [`rows`] reads the record page by page, on a thread of its own. [`plan`] makes orders of the rows, twice: first of all to see that everything can be
 //! played, then to play it. Each order has its onset as a tick; it is sent some seconds ahead. [`compare`] compares each receipt
 //! when its play is over.
 //!
@@ -10,25 +10,25 @@
 
 mod compare;
 mod plan;
+mod rows;
 
 use super::arguments::{ClientOptions, positive};
 use super::control::on_interrupt;
 use super::export::TIMEOUT;
 use super::output::{give, say, say_json};
-use super::session::warn_unreadable;
 use super::text;
 use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
 use compare::{MAX_LISTED, Onset, Skipped, Summary, compare};
-use meissner_api::{Code, PlayAccepted, Receipt, RecordedPlay, SessionPlays, Status};
+use meissner_api::{Code, PlayAccepted, Receipt, Status};
 use meissner_array::units::{TICKS_PER_MS, ticks_to_ms, ticks_to_seconds};
 use meissner_client::{Client, ClientError, escape};
 use plan::{Order, Planner, Recorded, Skip, Step};
+use rows::Rows;
 use serde_json::{Value, json};
 use std::collections::VecDeque;
 use std::io::{self, Write};
 use std::process::{self, ExitCode};
-use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread;
 use std::time::Duration;
 
@@ -96,7 +96,7 @@ fn plan_all(asked: &Replay, id: &str) -> Result<impl Iterator<Item = Result<Plan
         None => asked.from.is_none_or(|from| play >= from) && asked.to.is_none_or(|to| play <= to),
     };
     let mut planner = Planner::default();
-    Ok(Rows::read(asked, id)?
+    Ok(Rows::read(asked.options.client()?, id)?
         .filter(move |row| row.as_ref().map_or(true, |row| selected(row.play.play)))
         .map(move |row| {
             let row = row?;
@@ -122,76 +122,6 @@ fn check(asked: &Replay, id: &str) -> Result<u64> {
         );
     }
     Ok(plays)
-}
-
-/// The plays of a session, read ahead by a thread of its own.
-struct Rows {
-    pages: Receiver<Result<SessionPlays, ClientError>>,
-    rows: VecDeque<RecordedPlay>,
-    /// What the record lacks was told.
-    told: bool,
-}
-
-impl Rows {
-    fn read(asked: &Replay, id: &str) -> Result<Self> {
-        let (mut client, path) =
-            (asked.options.client()?, format!("/v1/sessions/{}/plays?from=", escape(id)));
-        let (sender, pages) = sync_channel(1);
-        let work = move || {
-            let mut from = 0;
-            loop {
-                let page: Result<SessionPlays, _> = client.get_within(TIMEOUT, &format!("{path}{from}"));
-                let more = page.as_ref().is_ok_and(|page| page.more && !page.plays.is_empty());
-                from += page.as_ref().map_or(0, |page| page.plays.len());
-                // An error means that nobody reads on.
-                if sender.send(page).is_err() || !more {
-                    return;
-                }
-            }
-        };
-        thread::Builder::new().name("record".into()).spawn(work)?;
-        Ok(Self { pages, rows: VecDeque::new(), told: false })
-    }
-
-    fn row(&mut self) -> Result<Option<RecordedPlay>> {
-        while self.rows.is_empty() {
-            let Ok(page) = self.pages.recv() else { return Ok(None) };
-            let page = page?;
-            if !std::mem::replace(&mut self.told, true) {
-                warn_unreadable(page.unreadable, &page.problems);
-                if page.lost > 0 {
-                    // If stderr is closed, there is no one to tell.
-                    let _ = writeln!(
-                        io::stderr(),
-                        "warning: the record lost {} entries during the session: plays may be missing",
-                        page.lost
-                    );
-                }
-            }
-            self.rows = page.plays.into();
-        }
-        Ok(self.rows.pop_front())
-    }
-}
-
-impl Iterator for Rows {
-    type Item = Result<Recorded>;
-
-    fn next(&mut self) -> Option<Self::Item> {
-        let play = match self.row() {
-            Ok(row) => row?,
-            Err(error) => return Some(Err(error)),
-        };
-        let mut items = Vec::new();
-        for _ in 0..play.items {
-            match self.row() {
-                Ok(Some(item)) => items.push(item),
-                Ok(None) => break,
-                Err(error) => return Some(Err(error)),
-            }
-        }
-        Some(Ok(Recorded { play, items }))
-    }
 }
 
 /// Prints the plan.

@@ -1,0 +1,182 @@
+//! Patterns over HTTP: finds those that are to be played, lists, shows, imports and removes them.
+//!
+//! [`find`] also gives plays and sequences their patterns. Work that touches the disk runs on a blocking thread.
+//!
+//! Bounds: requests hold four patterns of the directory and four files at a time; further requests wait.
+
+use super::body;
+use super::http::{Answer, App, ErrorResponse, path};
+use super::request_log::LoggedRequest;
+use super::runtime::{blocking, computing};
+use crate::session_record::{self, Peer};
+use crate::store::{Put, Store, StoreError, Stored};
+use axum::Json;
+use axum::body::{Body, Bytes};
+use axum::extract::rejection::PathRejection;
+use axum::extract::{Extension, Path, State};
+use axum::http::header::CONTENT_TYPE;
+use axum::http::{StatusCode, Uri};
+use axum::response::{IntoResponse, Response};
+use meissner_api::{Code, ImportedPattern, MAX_BODY, Problem, RemovedPattern};
+use serde_json::json;
+use std::io;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+use tokio::sync::{Semaphore, SemaphorePermit};
+
+/// Imports in work, from the first byte of the body: each holds a file, and further ones wait.
+static IMPORTS: Semaphore = Semaphore::const_new(4);
+/// How long an import waits for the others.
+const IMPORT_TIMEOUT: Duration = Duration::from_secs(10);
+/// Patterns of the directory that requests hold, until a play has begun or the answer is made; further requests wait.
+static PATTERNS: Semaphore = Semaphore::const_new(4);
+/// The pattern store in use; a reload may replace it.
+#[derive(Clone, Debug)]
+pub(super) struct SharedStore(Arc<Mutex<Arc<Store>>>);
+
+impl SharedStore {
+    pub(super) fn new(store: Store) -> Self {
+        Self(Arc::new(Mutex::new(Arc::new(store))))
+    }
+
+    pub(super) fn get(&self) -> Arc<Store> {
+        Arc::clone(&self.0.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    pub(super) fn replace(&self, store: Store) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(store);
+    }
+}
+
+impl From<StoreError> for ErrorResponse {
+    fn from(error: StoreError) -> Self {
+        let code = match &error {
+            StoreError::Unknown { .. } | StoreError::OtherText { .. } => Code::NotFound,
+            StoreError::Pattern(_) | StoreError::Name { .. } | StoreError::NotText { .. } => Code::BadPattern,
+            StoreError::Empty { .. } => Code::Empty,
+            StoreError::InLibrary { .. } | StoreError::Exists { .. } => Code::Exists,
+            StoreError::NoDirectory | StoreError::Io { .. } => Code::Store,
+        };
+        Self(Problem::new(code, error.to_string()))
+    }
+}
+
+/// A pattern, and its place among [`PATTERNS`]: those of the library need none, they are in memory anyway. With `sha256` it is the
+/// pattern of that text: the stored one, or the one that the session record keeps.
+pub(super) async fn find(
+    app: &App,
+    name: &str,
+    sha256: Option<&str>,
+) -> Answer<(Stored, Option<SemaphorePermit<'static>>)> {
+    let store = app.store.get();
+    let is_it = |stored: &&Stored| sha256.is_none_or(|sha256| sha256 == stored.sha256);
+    if let Some(stored) = store.library(name).filter(is_it) {
+        return Ok((stored.clone(), None));
+    }
+    let place = PATTERNS.acquire().await.ok();
+    let (name, sha256) = (name.to_owned(), sha256.map(str::to_owned));
+    let record = app.engine.session_record().dir();
+    let read = move || match sha256 {
+        None => store.get(&name),
+        Some(sha256) => store.get_text(&name, &sha256, || {
+            let dir = record.ok_or(io::ErrorKind::NotFound)?;
+            session_record::read_text(&dir, &sha256)
+        }),
+    };
+    Ok((blocking(read).await??, place))
+}
+
+pub(super) async fn list(State(app): State<App>) -> Answer<Response> {
+    let _place = PATTERNS.acquire().await;
+    let list = blocking(move || serde_json::to_vec(&app.store.get().list()).unwrap_or_default()).await?;
+    Ok(json_response(list.into()))
+}
+
+pub(super) async fn show(
+    State(app): State<App>,
+    name: Result<Path<String>, PathRejection>,
+) -> Answer<Response> {
+    let (stored, _place) = find(&app, &path(name)?, None).await?;
+    let json = match stored.made_json() {
+        Some(made) => made,
+        None => computing(move || stored.json()).await?,
+    };
+    Ok(json_response(Bytes::from_owner(json)))
+}
+
+fn json_response(json: Bytes) -> Response {
+    ([(CONTENT_TYPE, "application/json")], json).into_response()
+}
+
+pub(super) async fn import(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+    name: Result<Path<String>, PathRejection>,
+    uri: Uri,
+    body: Body,
+) -> Answer<(StatusCode, Json<ImportedPattern>)> {
+    let mut logged = LoggedRequest::new(&app.engine, "import", peer);
+    let result = async {
+        let name = path(name)?;
+        let shown: String = name.chars().take(100).collect();
+        logged.set_title(format!("import of {shown:?}"));
+        let replace = replaces(&uri)?;
+        logged.set_arguments(&json!({"name": shown, "replace": replace}));
+        let _place = import_place().await?;
+        let text = String::from_utf8(body::read(body, MAX_BODY).await?)
+            .map_err(|_| Problem::new(Code::BadPattern, "not UTF-8 text: write patterns as TOML in UTF-8"))?;
+        app.engine.lock().check_asker()?;
+        let put = blocking(move || app.store.get().put(&name, &text, replace)).await??;
+        let Put { stored, replaced: replaced_sha256 } = put;
+        let sha256 = stored.sha256.clone();
+        let done =
+            json!({"name": shown, "replace": replace, "sha256": sha256, "replaced_sha256": replaced_sha256});
+        logged.set_arguments(&done);
+        let status = if replaced_sha256.is_none() { StatusCode::CREATED } else { StatusCode::OK };
+        let (name, warnings) = (stored.pattern.name().to_owned(), stored.run().listed_warnings());
+        Ok((status, Json(ImportedPattern { name, sha256, replaced_sha256, warnings })))
+    }
+    .await;
+    logged.result(result)
+}
+
+/// A place among [`IMPORTS`].
+pub(super) async fn import_place() -> Result<SemaphorePermit<'static>, Problem> {
+    let busy = || Problem::new(Code::Busy, "too many files are in work: try again in a moment");
+    let place = tokio::time::timeout(IMPORT_TIMEOUT, IMPORTS.acquire()).await;
+    place.ok().and_then(Result::ok).ok_or_else(busy)
+}
+
+/// Whether an import may replace a pattern, by its query.
+fn replaces(uri: &Uri) -> Result<bool, Problem> {
+    match uri.query().unwrap_or_default() {
+        "" | "replace=false" => Ok(false),
+        "replace=true" => Ok(true),
+        query => {
+            let detail = format!("the query `{query}`: must be `replace=true` or `replace=false`");
+            Err(Problem::new(Code::BadRequest, detail))
+        }
+    }
+}
+
+pub(super) async fn remove(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+    name: Result<Path<String>, PathRejection>,
+) -> Answer<Json<RemovedPattern>> {
+    let mut logged = LoggedRequest::new(&app.engine, "remove", peer);
+    let result = async {
+        let name = path(name)?;
+        let shown: String = name.chars().take(100).collect();
+        logged.set_title(format!("removal of {shown:?}"));
+        logged.set_arguments(&json!({"name": shown}));
+        let _place = import_place().await?;
+        let asked = name.clone();
+        app.engine.lock().check_asker()?;
+        let sha256 = blocking(move || app.store.get().remove(&asked)).await??;
+        logged.set_arguments(&json!({"name": shown, "sha256": sha256}));
+        Ok(Json(RemovedPattern { name, sha256 }))
+    }
+    .await;
+    logged.result(result)
+}
