@@ -10,6 +10,8 @@ mod plot;
 mod response;
 mod row;
 mod tradeoff;
+#[cfg(test)]
+mod trials;
 
 pub use grid::{StopCell, StopGrid, StopSurplus};
 pub use plot::plot_stop;

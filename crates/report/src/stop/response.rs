@@ -46,12 +46,23 @@ pub(super) fn contrasts(
     motors: &SimulatedMotorsConfig,
     seconds: f64,
 ) -> Result<[f64; 2], StopError> {
+    contrasts_of(pattern, options, |motor| Pin::new(motors, motor.into()), Tick(0), seconds)
+}
+
+/// The same of pins that may have played before; the pattern begins at `onset`.
+pub(super) fn contrasts_of(
+    pattern: &Pattern,
+    options: &StrokeOptions,
+    mut pin: impl FnMut(u8) -> Pin,
+    onset: Tick,
+    seconds: f64,
+) -> Result<[f64; 2], StopError> {
     let end = seconds_to_ticks(seconds);
     let mut ramps = Vec::new();
     for drive in pattern.drives() {
-        let mut pin = Pin::new(motors, drive.motor.into());
+        let mut pin = pin(drive.motor);
         let strokes = DriveStrokes::with(drive, options)?.take_while(|stroke| stroke.up < end);
-        for burst in strokes.flat_map(|stroke| stroke.stroke(drive.motor, Tick(0)).bursts()) {
+        for burst in strokes.flat_map(|stroke| stroke.stroke(drive.motor, onset).bursts()) {
             let before = (pin.position_um(burst.start), pin.pushed_pulses());
             pin.play(burst);
             // Pulses against the stop move nothing.
@@ -62,7 +73,7 @@ pub(super) fn contrasts(
         }
     }
     let designed = StrokeOptions::lasting(seconds);
-    let play = Play { pattern, options: designed, onset: Tick(0), observed_s: seconds };
+    let play = Play { pattern, options: designed, onset, observed_s: seconds };
     let response = predict_response(&play, ramps)?;
     let contrast = |rates: Rates| rates.contrast.unwrap_or_default();
     Ok([contrast(response.designed_hz), contrast(response.played_hz)])
