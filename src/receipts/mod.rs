@@ -41,7 +41,7 @@ use std::sync::Arc;
 /// Receipts kept of ended plays, at most.
 pub const KEPT: usize = 1000;
 
-/// Items of sequences in these receipts, at most: older receipts give way. They take 7 MB.
+/// Items of sequences in these receipts, at most: older receipts give way. They take 8 MB.
 pub const KEPT_ITEMS: usize = 1 << 15;
 
 /// Sums since the daemon's start.
