@@ -120,7 +120,7 @@
 //! | `Status`: `next_seq`, `out_of_order` | not before the last one; frames that were sent | contradiction `stream` |
 //! | `Status`: `credits` | at most `pool` | contradiction `credits` |
 //! | `Status`: `reports` | does not shrink; at most `pool` + 32 beyond the last one read, not before it | contradiction `reports` |
-//! | `Status`: `state`, `cause`, `position_known` | arms and leaves faults only after a command; returns for at most 1 s; learns positions after `arm` or a seek, and forgets them in a seek only; a seek may be under way at the handshake | contradiction `state` |
+//! | `Status`: `state`, `cause`, `position_known` | arms and leaves faults only after a command; returns for at most 1 s; learns positions after `arm` or a seek, and forgets them in a seek or with the cause `Output` only; a seek may be under way at the handshake | contradiction `state` |
 //! | `Status`: `outstanding` | at most 24 · 65 535 | contradiction `state` |
 //! | counters of statuses and onsets | do not shrink; at most 2^62; `played` and `pulses` grow by at most a pulse per tick and line, and a stroke | contradiction `counters` |
 //! | `Report`: `number` | the next one | ignored: the device repeats what is missing |
@@ -159,6 +159,7 @@
 //! | stop | returns, stays armed |
 //! | disarm, shutdown, abort, host silent, link lost, another session | returns, then disarms |
 //! | e-stop, own fault | turns lines off after the tick being played; latches; keeps the outstanding return pulses per pin. `reset` leads to disarmed |
+//! | outputs do not follow (PIO, DMA) | as its own fault, with the cause `Output`: counts nothing from the last block on that was seen to be played, and the position is unknown. Only a restart ends it |
 //! | late stroke | drops the whole stroke and reports it; it never plays late |
 //! | no valid frame for `host_timeout` ticks while armed or returning | as if the host had asked for disarm, with the cause `HostTimeout`. `arm` sets the time; the maximum is 10 s |
 //!

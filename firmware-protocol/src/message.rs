@@ -181,6 +181,8 @@ pub enum Cause {
     Panic,
     /// The firmware hung and its watchdog restarted it.
     Watchdog,
+    /// The outputs stopped following what was rendered. The position is unknown, and only a restart of the device helps.
+    Output,
 }
 
 /// From the device to the host.

@@ -192,6 +192,10 @@ fn from_the_device() {
             "0602028104ff04fe7f020aac02058008050309010f01a6020304050607080959d98a8d00",
         ),
         (
+            status(State::Faulted, Cause::Output, None),
+            "0602028104ff04fe7f020aac0205800805030c010f01a602030405060708094a6aa59000",
+        ),
+        (
             status(State::Faulted, Cause::Panic, Some(Refusal::Malformed)),
             "0602028104ff0ffe7f02010dac0205800805030a010f01a60203040506070809969c083900",
         ),

@@ -65,7 +65,7 @@ export class Bench {
     const { board } = this;
     const { host } = board;
     // The verb is the key that is not an argument of another verb, at any place.
-    const verb = Object.keys(request).find((key) => !['until', 'hex', 'bytes'].includes(key));
+    const verb = Object.keys(request).find((key) => !['until', 'hex', 'bytes', 'to'].includes(key));
     const value = request[verb];
     switch (verb) {
       case 'run':
@@ -89,6 +89,9 @@ export class Bench {
         board.memory(value, bytes.length).set(bytes);
         return {};
       }
+      case 'register':
+        board.bus.write32(value, request.to);
+        return {};
       case 'read':
         return { hex: Buffer.from(board.memory(value, request.bytes)).toString('hex') };
       case 'stats':

@@ -79,6 +79,7 @@ impl Shell {
         // One action at a time: meanwhile blocks may have become due.
         loop {
             self.take_e_stop();
+            self.take_failure();
             self.hold();
             self.render();
             let followed = self.controller.poll(wave::now());
@@ -110,6 +111,15 @@ impl Shell {
         if let Some(epoch) = estop::pending() {
             self.controller.e_stop(wave::now(), epoch);
             estop::done();
+        }
+    }
+
+    /// Tells the controller that PIO or DMA have failed. The pads are forced low already, and stay so.
+    fn take_failure(&mut self) {
+        if let Some(followed) = wave::failed()
+            && self.controller.state() != State::Faulted
+        {
+            self.controller.output_failed(followed);
         }
     }
 

@@ -5,6 +5,8 @@
 //! without the CPU: words that are not rendered in time are zero, and zero is all outputs low. The shell decides what to
 //! render, and when that is too late.
 //!
+//! `SysTick` supervises PIO and DMA in each block ([`follows`]): if they do not play what they must, it forces the pads low.
+//!
 //! Invariant: [`now`] is the tick on the pins, even while interrupts are delayed. An e-stop freezes it ([`freeze_low`]) until
 //! the controller knows of the e-stop.
 
@@ -60,6 +62,10 @@ static ZERO: AtomicU32 = AtomicU32::new(0);
 static BLOCKS: [AtomicU32; 2] = [const { AtomicU32::new(0) }; 2];
 /// Whether all outputs are forced low.
 static FORCED: AtomicBool = AtomicBool::new(false);
+/// Whether PIO, DMA or their clock have failed. Stays until the chip restarts.
+static FAILED: AtomicBool = AtomicBool::new(false);
+/// The blocks that had begun when the waveform was last seen to follow, low half.
+static FOLLOWED: AtomicU32 = AtomicU32::new(0);
 /// Whether the controller's clock is frozen at `FROZEN_AT`, until the controller knows of an e-stop.
 static FROZEN: AtomicBool = AtomicBool::new(false);
 static FROZEN_AT: [AtomicU32; 2] = [const { AtomicU32::new(0) }; 2];
@@ -135,6 +141,7 @@ pub(crate) fn start(syst: &mut SYST) {
     });
     pac::DMA.multi_chan_trigger().write(|w| w.0 = 1 << FEED);
 
+    pac::PIO0.fdebug().write_value(pac::pio::regs::Fdebug(STALLED));
     syst.set_clock_source(SystClkSource::Core);
     syst.set_reload(BLOCK_CYCLES - 1);
     syst.clear_current();
@@ -159,7 +166,41 @@ fn SysTick() {
     if low == 0 {
         BLOCKS[1].store(BLOCKS[1].load(SeqCst).wrapping_add(1), SeqCst);
     }
+    if !FAILED.load(SeqCst) {
+        if follows(low) {
+            FOLLOWED.store(low, SeqCst);
+        } else {
+            FAILED.store(true, SeqCst);
+            force_low();
+        }
+    }
     wake::shell();
+}
+
+/// Words by which the DMA is ahead of the block that begins when [`SysTick`] looks: 8 in the FIFO, one in the shift register,
+/// one in transfer, and those of the ticks by which an interrupt may be delayed.
+const AHEAD_WORDS: core::ops::RangeInclusive<u32> = 6..=22;
+/// State machine 0 has found its FIFO empty.
+const STALLED: u32 = 1 << 24;
+
+/// Whether PIO and DMA play the block that has just begun: the DMA is where it must be, and the PIO is on, never had to wait
+/// for a word and runs at its rate.
+fn follows(blocks: u32) -> bool {
+    let words = pac::DMA.ch(FEED).read_addr().read().wrapping_sub(RING.0.get() as u32) / 4;
+    let ahead = words.wrapping_sub(blocks.wrapping_mul(BLOCK * WORDS as u32)) % (RING_TICKS * WORDS) as u32;
+    AHEAD_WORDS.contains(&ahead)
+        && pac::PIO0.fdebug().read().0 & STALLED == 0
+        && pac::PIO0.sm(0).clkdiv().read().0 == u32::from(PIO_DIVIDER) << 16
+        && pac::PIO0.ctrl().read().sm_enable() & 1 == 1
+}
+
+/// If the waveform has failed: the first tick that may not have been on the pins.
+pub(crate) fn failed() -> Option<Tick> {
+    FAILED.load(SeqCst).then(|| {
+        let (begun, followed) = (join(&BLOCKS), FOLLOWED.load(SeqCst));
+        let since = (begun as u32).wrapping_sub(followed);
+        Tick::BOOT + (begun - u64::from(since)) * u64::from(BLOCK)
+    })
 }
 
 /// The tick on the pins, or the tick of an e-stop that the controller does not know of yet.
@@ -260,11 +301,11 @@ pub(crate) fn unfreeze() {
     FROZEN.store(false, SeqCst);
 }
 
-/// Lets the outputs follow the waveform again, unless an e-stop came meanwhile.
+/// Lets the outputs follow the waveform again, unless an e-stop came meanwhile or the waveform has failed.
 pub(crate) fn release() {
     // An e-stop's interrupt must not come in between: some pins would be released after it.
     critical_section::with(|_| {
-        if FORCED.load(SeqCst) && !FROZEN.load(SeqCst) {
+        if FORCED.load(SeqCst) && !FROZEN.load(SeqCst) && !FAILED.load(SeqCst) {
             for control in &CONTROLS {
                 // SAFETY: as in `force_low`.
                 unsafe { (*control as *mut u32).write_volatile(PIO_FUNCTION.into()) };

@@ -218,7 +218,7 @@ pub struct Status {
     /// `disarmed`, `armed`, `returning` (pins return to rest), `faulted` or `no-device`.
     pub state: String,
     /// Why the device is in this state: `boot`, `request`, `stop`, `shutdown`, `abort`, `estop`, `lease` (the host watchdog
-    /// ran out), `link-lost`, `new-host`, `starved`, `panic`, `watchdog` or `no-device`.
+    /// ran out), `link-lost`, `new-host`, `starved`, `panic`, `watchdog`, `output` (PIO or DMA failed) or `no-device`.
     pub cause: String,
     /// Whether the device knows where its pins are: `known` or `unknown`.
     pub position: String,

@@ -43,10 +43,14 @@ impl Controller {
 
     /// Turns all lines off after the tick being played, for an e-stop or a fault.
     pub(super) fn off(&mut self, cause: Cause) {
+        self.off_from(cause, (self.now + 1).min(self.rendered));
+    }
+
+    /// Turns all lines off; nothing from `at` on was played.
+    pub(super) fn off_from(&mut self, cause: Cause, at: Tick) {
         if self.state == State::Faulted {
             return;
         }
-        let at = (self.now + 1).min(self.rendered);
         self.settle_strokes(at);
         let mut flushed = 0;
         for motor in 0..MOTORS {

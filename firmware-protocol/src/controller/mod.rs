@@ -299,6 +299,14 @@ impl Controller {
         self.off(cause);
     }
 
+    /// Turns all lines off and latches, because they have stopped following what is rendered. `followed` is the first tick
+    /// that may not have been on the pins: from it on, strokes that have not ended count as not played. The position is
+    /// unknown then.
+    pub fn output_failed(&mut self, followed: Tick) {
+        self.off_from(Cause::Output, followed.min(self.now + 1).min(self.rendered));
+        self.position_known = false;
+    }
+
     /// Displacements of all pins in 0.01 µm, sampled at `tick`. Sent while armed; replaces a sample that is not sent yet.
     pub fn telemetry(&mut self, tick: Tick, y: [i32; MOTORS]) {
         if self.session.is_some() && matches!(self.state, State::Armed | State::Returning) {

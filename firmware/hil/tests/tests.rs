@@ -9,3 +9,4 @@ mod patterns;
 mod play;
 mod scenarios;
 mod sequence;
+mod supervision;

@@ -401,5 +401,6 @@ pub fn cause_text(cause: Cause) -> &'static str {
         Cause::Starved => "starved",
         Cause::Panic => "panic",
         Cause::Watchdog => "watchdog",
+        Cause::Output => "output",
     }
 }

@@ -186,6 +186,14 @@ impl ChipBench {
         Ok(self.last.memory.iter().take(8).rev().fold(0, |sum, &byte| sum << 8 | u64::from(byte)))
     }
 
+    /// Writes a peripheral's register, as a core gone astray would.
+    ///
+    /// # Errors
+    /// If the emulator is gone or has nothing at this address.
+    pub fn register(&mut self, address: u32, to: u32) -> Result<(), BenchError> {
+        self.ask(&serde_json::json!({ "register": address, "to": to }))
+    }
+
     fn ask(&mut self, request: &serde_json::Value) -> Result<(), BenchError> {
         writeln!(self.to, "{request}").and_then(|()| self.to.flush()).map_err(AnswerError::from)?;
         let mut answer = Answer::read(&mut self.from)?;

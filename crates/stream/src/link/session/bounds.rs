@@ -249,7 +249,7 @@ impl Session {
         }
         if let Some((before, _)) = &known.status
             && before.position_known != status.position_known
-            && !(known.seeks || (known.arms && status.position_known))
+            && !(known.seeks || (known.arms && status.position_known) || status.cause == Cause::Output)
         {
             return Err(Contradiction::State);
         }

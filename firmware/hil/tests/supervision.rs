@@ -1,0 +1,74 @@
+//! PIO and DMA that fail while the core lives: the pads are undriven soon, the fault has its cause, and the receipt is true.
+
+use crate::play::{armed, job};
+use firmware_protocol::controller::BLOCK;
+use firmware_protocol::message::{Cause, State};
+use meissner_hil::bench::chip::ChipOptions;
+use meissner_hil::scenario::pattern;
+use meissner_hil::time::{MS, TICK};
+use meissner_stream::queues::{Command, StreamEvent};
+
+/// Most ticks from the failure to the pads being undriven: the end of the block, and what may delay an interrupt.
+const WITHIN: u64 = BLOCK as u64 + 2;
+/// Pulses that may be counted too many: of strokes that end within the block of the failure and the time until it is seen.
+const TOO_MANY: u64 = 24 * WITHIN;
+/// Failures of each kind, at phases of the block.
+const TRIES: u64 = 3;
+
+/// A failure: registers and what is written to them.
+type Failure = (&'static str, &'static [(u32, u32)]);
+const FAILURES: [Failure; 5] = [
+    ("DMA aborted", &[(0x5000_0444, 3)]),
+    ("DMA channel off", &[(0x5000_0010, 0)]),
+    ("PIO disabled", &[(0x5020_0000, 0)]),
+    ("PIO at twice its rate", &[(0x5020_00c8, 30 << 16)]),
+    ("PIO slower by a sixtieth", &[(0x5020_00c8, 61 << 16)]),
+];
+
+fn fail((name, writes): Failure, phase: u64) -> u64 {
+    let mut rig = armed(ChipOptions::new(1));
+    rig.order(job(&pattern("full-load").unwrap(), 1.0));
+    rig.run_to(rig.now() + 40 * MS + phase * TICK * u64::from(BLOCK) / TRIES + phase * 431).unwrap();
+    let failed = rig.now();
+    for &(address, to) in writes {
+        rig.chip().unwrap().register(address, to).unwrap();
+    }
+    rig.run_to(failed + 20 * MS).unwrap();
+    let chip = rig.chip().unwrap();
+    assert!(chip.pins.still_high().is_none(), "{name}: a line is high");
+    let off = chip.pins.enable.last().unwrap().to;
+    let low = chip.pins.low_since(u64::MAX).unwrap().max(off);
+    assert!(low != u64::MAX && low <= failed + WITHIN * TICK, "{name}: undriven {low}, failed {failed}");
+    let status = rig.tap().status().unwrap();
+    assert_eq!((status.state, status.cause), (State::Faulted, Cause::Output), "{name}");
+    assert!(!status.position_known, "{name}");
+    // A reset does not help: the pads stay low.
+    rig.order(Command::Reset { estops_seen: u64::MAX });
+    rig.run_to(rig.now() + 20 * MS).unwrap();
+    assert_eq!(rig.tap().status().unwrap().state, State::Faulted, "{name}");
+    let chip = rig.chip().unwrap();
+    assert_eq!(chip.pins.enable.last().unwrap().to, off, "{name}: enabled again");
+    let on_pins: u64 = chip.pins.lines.iter().flatten().map(|train| train.pulses).sum();
+    let played = rig.notices.iter().find_map(|notice| match notice {
+        StreamEvent::PlayEnded { outcome, .. } => Some((outcome.pulses.played, outcome.bursts)),
+        _ => None,
+    });
+    let (pulses, bursts) = played.unwrap();
+    assert!(pulses > 0 && pulses <= on_pins + TOO_MANY, "{name}: {pulses} counted, {on_pins} on the pins");
+    assert!(bursts.played < bursts.planned && bursts.dropped > 0, "{name}: {bursts:?}");
+    assert!(rig.notices.iter().all(|notice| !matches!(notice, StreamEvent::Contradiction(_))), "{name}");
+    low.saturating_sub(failed)
+}
+
+#[test]
+fn outputs_that_do_not_follow_are_forced_low_with_a_cause() {
+    for failure in FAILURES {
+        let cycles: Vec<_> = (0..TRIES).map(|phase| fail(failure, phase)).collect();
+        let most = cycles.iter().max().unwrap();
+        println!(
+            "{}: pads undriven after at most {most} cycles, {:.2} ms",
+            failure.0,
+            *most as f64 / MS as f64
+        );
+    }
+}
