@@ -318,6 +318,8 @@ optimise dot --setting off
 optimise dot --seed -1
 simulate
 simulate x --method quick
+simulate x --model skin
+simulate x --csv --json
 simulate x --method exact --step-us 5
 simulate x --method exact --precision f32
 simulate x --max-rate-error 1 --method exact

@@ -46,6 +46,7 @@ fn the_exact_method_is_the_default_and_its_document_complete() {
     let mut keys: Vec<_> = found.as_object().unwrap().keys().collect();
     keys.sort_unstable();
     let mut wanted = [
+        "model",
         "method",
         "step_us",
         "integrator",
@@ -93,6 +94,61 @@ fn a_step_an_integrator_or_a_precision_means_stepped() {
     assert_eq!(how(&["--precision", "f64", "--step-us", "7"]), how_it_is(7, "propagator", "f64"));
 }
 
+/// The second model: two classes beside one pin, moved by a formula.
+const PRESSED: &str = r#"
+model = "afferents"
+duration_s = 0.8
+pins = [{ x_mm = 0, y_mm = 0, frequency_hz = 40, amplitude_um = 200 }]
+afferents = [{ class = "PC", row = 0, x_mm = 1.0, y_mm = 0.0 }, { class = "SA1", row = 3, x_mm = 0.2, y_mm = 0.0 }]
+"#;
+
+#[test]
+fn the_second_model_answers_with_spikes_classes_and_contact() {
+    let (_dir, file) = scene(PRESSED);
+    let found = document(meissner().arg("simulate").arg(&file).arg("--json"));
+    assert_eq!((&found["model"], &found["step_us"]), (&json!("afferents"), &json!(200)));
+    let spikes: Vec<Vec<f64>> = serde_json::from_value(found["spikes_s"].clone()).unwrap();
+    assert!(spikes.len() == 2 && spikes.iter().all(|spikes| spikes.len() > 5), "{spikes:?}");
+    let rates = numbers(&found["rates_hz"]);
+    assert!(rates.iter().zip(&spikes).all(|(hz, spikes)| (hz * 0.8 - spikes.len() as f64).abs() < 1e-9));
+    assert_eq!(found["afferents"][1], json!({"class": "SA1", "row": 3, "x_mm": 0.2, "y_mm": 0.0}));
+    assert_eq!(found["classes"][0]["class"], "SA1");
+    assert_eq!(found["lost_contact_s"], json!([0.0]));
+    let rates_only = document(meissner().arg("simulate").arg(&file).args(["--json", "--rates-only"]));
+    assert!(rates_only.get("spikes_s").is_none() && rates_only["rates_hz"] == found["rates_hz"]);
+
+    let text = printed(meissner().arg("simulate").arg(&file));
+    for part in ["model      afferents", "steps of 200 us", "all pins, all the time", "mean impulses/s"] {
+        assert!(text.contains(part), "{part}: {text}");
+    }
+    let table = printed(meissner().arg("simulate").arg(&file).arg("--csv"));
+    let rows: Vec<_> = table.lines().collect();
+    assert_eq!(rows[0], "afferent,class,row,x_mm,y_mm,spikes,rate_hz");
+    assert_eq!(rows[1], format!("0,PC,0,1.0,0.0,{},{:?}", spikes[0].len(), rates[0]));
+    assert_eq!(rows.len(), 3);
+
+    let refused = meissner().arg("simulate").arg(&file).args(["--step-us", "100"]).output().unwrap();
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(String::from_utf8(refused.stderr).unwrap().contains("has steps of 200 us and no other method"));
+    let line = complaint(meissner().arg("tradeoff").arg(&file));
+    assert!(line.contains("`model` is afferents: this command knows the model membrane alone"), "{line}");
+}
+
+#[test]
+fn a_scene_of_motors_is_simulated_by_the_model_of_the_command() {
+    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/sixty-hertz.toml");
+    let of_model = |model| {
+        document(meissner().arg("simulate").arg(&shipped).args(["--rates-only", "--json", "--model", model]))
+    };
+    let (membrane, afferents) = (of_model("membrane"), of_model("afferents"));
+    assert_eq!(numbers(&membrane["rates_hz"]).len(), 306);
+    let classes = &afferents["classes"];
+    assert_eq!([0, 1, 2].map(|class| classes[class]["afferents"].as_u64().unwrap()), [200, 306, 60]);
+    assert_eq!(classes[2]["per_cm2"], json!([25.0, 10.5]));
+    let table = printed(meissner().arg("simulate").arg(&shipped).args(["--rates-only", "--csv"]));
+    assert!(table.lines().nth(1).unwrap().starts_with("0,RA,,"), "{table}");
+}
+
 #[test]
 fn rates_without_spikes_are_the_same_rates() {
     for arguments in [&["--rates-only"][..], &["--rates-only", "--step-us", "100"]] {
@@ -119,7 +175,14 @@ fn an_allowed_error_chooses_a_method_and_names_it() {
 fn without_json_the_command_prints_a_summary() {
     let (_dir, file) = scene(SMALL);
     let text = printed(meissner().arg("simulate").arg(&file));
-    for part in ["afferents  3, for 0.1 s", "method     exact", "rate       mean", "motors at rest", "22"] {
+    for part in [
+        "model      membrane",
+        "afferents  3, for 0.1 s",
+        "method     exact",
+        "rate       mean",
+        "motors at rest",
+        "22",
+    ] {
         assert!(text.contains(part), "{part}: {text}");
     }
     let empty = "duration_s = 0\nreceptors = []\n";

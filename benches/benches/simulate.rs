@@ -12,8 +12,9 @@ use meissner_array::random::normal;
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_design::{Play, predict_response};
 use meissner_skin::afferent::Position;
+use meissner_skin::fingertip;
 use meissner_skin::{
-    Evaluator, Integrator, Method, Options, Precision, SEARCH_MIN_WEIGHT, Scene, Stepping, simulate,
+    Evaluator, Integrator, Keep, Method, Options, Precision, SEARCH_MIN_WEIGHT, Scene, Stepping, simulate,
 };
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::hint::black_box;
@@ -50,6 +51,40 @@ fn whole(criterion: &mut Criterion) {
             group.bench_function(format!("{name}/{cores}_core"), |bencher| {
                 pool.install(|| {
                     bencher.iter(|| simulate(black_box(&scene), &Options::spikes(method), &|_| ()));
+                });
+            });
+        }
+    }
+    group.finish();
+}
+
+/// The second model on the standard second: 306 RA, 200 SA1 and 60 PC afferents with noise under 24 pins.
+fn afferents(criterion: &mut Criterion) {
+    let scene =
+        fingertip::Scene::of_motors(&scene(), fingertip::PREINDENT_MM, fingertip::population(0), true)
+            .expect("the standard second is a scene of both models");
+    let silent = fingertip::Scene::of_motors(
+        &self::scene().with_drives(Vec::new()).expect("no drives"),
+        fingertip::PREINDENT_MM,
+        fingertip::population(0),
+        false,
+    )
+    .expect("pins at rest are a scene, too");
+    let answer = fingertip::simulate(&scene, Keep::Spikes, &|_| ()).expect("the scene can be simulated");
+    let mean = |class| answer.mean_hz(&scene, class).unwrap_or(0.0);
+    let [sa1, ra, pc] = fingertip::Class::ALL.map(mean);
+    println!(
+        "afferents: {} spikes, SA1 {sa1:.1}, RA {ra:.1}, PC {pc:.1} impulses/s",
+        answer.counts.iter().sum::<u64>()
+    );
+    let mut group = criterion.benchmark_group("afferents");
+    group.measurement_time(Duration::from_secs(5));
+    for cores in [1, 2] {
+        let pool = threads(cores);
+        for (name, scene) in [("second", &scene), ("at_rest", &silent)] {
+            group.bench_function(format!("{name}/{cores}_core"), |bencher| {
+                pool.install(|| {
+                    bencher.iter(|| fingertip::simulate(black_box(scene), Keep::Spikes, &|_| ()))
                 });
             });
         }
@@ -164,5 +199,5 @@ fn minute_played(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, whole, nothing_to_skip, changed, minute_played);
+criterion_group!(benches, whole, afferents, nothing_to_skip, changed, minute_played);
 criterion_main!(benches);

@@ -26,12 +26,20 @@ pub fn normal(key: [u64; 4]) -> f64 {
 #[must_use]
 #[expect(clippy::cast_precision_loss, reason = "53 bits fit")]
 pub fn uniform(key: [u64; 4]) -> [f64; 2] {
+    let [first, second, ..] = words(key);
+    [first, second].map(|bits| (bits >> 11) as f64 * (f64::EPSILON / 2.0))
+}
+
+/// Four words of random bits that belong to `key`, for example the seed of a faster generator. The other functions use them,
+/// too: to use several, use different keys.
+#[must_use]
+pub fn words(key: [u64; 4]) -> [u64; 4] {
     let mut seed = [0; 32];
     for (bytes, word) in seed.chunks_exact_mut(8).zip(key) {
         bytes.copy_from_slice(&word.to_le_bytes());
     }
     let mut bits = ChaCha8Rng::from_seed(seed);
-    [bits.next_u64(), bits.next_u64()].map(|bits| (bits >> 11) as f64 * (f64::EPSILON / 2.0))
+    std::array::from_fn(|_| bits.next_u64())
 }
 
 /// A stream of standard normal deviates: the n-th depends on the key and on n alone.

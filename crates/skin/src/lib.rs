@@ -1,5 +1,4 @@
-//! The skin model: where the rapidly adapting (RA) afferents of a fingertip lie, and which spikes they send when
-//! pins move.
+//! The skin model: where the afferents of a fingertip lie, and which spikes they send when pins move.
 //!
 //! An afferent is a nerve fibre with its receptors; its spikes are what the model computes. The data path:
 //!
@@ -19,6 +18,9 @@
 //! cheapest method for an allowed error, and [`simulate_ramps`] takes the bursts that motors really made ([`Ramps`])
 //! in place of drives.
 //!
+//! [`fingertip`] is a second model with modules of its own: skin mechanics, and SA1, RA and PC afferents. An [`AnyScene`]
+//! is a scene of either model.
+//!
 //! Both methods draw the same noise, so they can be compared spike by spike. Work is skipped only where the answer is
 //! known without it ([`Skipped`]): motors at rest, afferents out of reach or provably silent, a state that repeats
 //! itself (`cycle`).
@@ -28,12 +30,12 @@
 //!
 //! The crate opens no file and reads no clock.
 //!
-//! # What the model leaves out
+//! # What the first model leaves out
 //!
 //! - There is no low-pass filter before the membrane. Above about 50 Hz the model is more sensitive than recorded
 //!   afferents are (Freeman & Johnson 1982).
 //! - The skin has no mechanics: a receptive field is a sum of Gaussians.
-//! - There are no SA and no PC afferents, as in the paper.
+//! - There are no SA1 and no PC afferents, as in the paper.
 //! - Rectification, depth of hyperexcitability and reset are our reading of the literature.
 //!
 //! # Example
@@ -68,6 +70,7 @@
 //!   variability, and population responses mapped with a probe array", *Journal of Neurophysiology* 81, 2701-2710, 1999.
 
 pub mod afferent;
+pub mod fingertip;
 
 mod blocks;
 mod breakpoints;
@@ -101,6 +104,7 @@ pub use method::{
     Stepping,
 };
 pub use ramps::{Ramps, RampsError, simulate_ramps};
-pub use scene::{MAX_ALPHA_PER_UM, MAX_JSON_BYTES, MAX_TOML_BYTES, Problem, RawAfferent, Scene, SceneError};
+pub use scene::{AnyScene, MAX_ALPHA_PER_UM, MAX_JSON_BYTES, MAX_TOML_BYTES, ModelName, Problem};
+pub use scene::{RawAfferent, Scene, SceneError};
 pub use scene::{TwoNames, as_written, check_model, one_name};
 pub use simulation::{Answer, simulate};

@@ -9,6 +9,8 @@ mod convergence;
 mod evaluator;
 /// Extreme scenes, by every method: each has one right answer.
 mod extremes;
+/// The second model: reference spikes, scene files, independence, extremes.
+mod fingertip;
 /// Motors with gains.
 mod gains;
 /// The same bits with any threads, order of afferents, blocks, and with and without skipping.

@@ -15,4 +15,5 @@ pub use model::{
     AfferentModel, HYPEREXCITABILITY_DEPTH, HYPEREXCITABILITY_S, MIN_THRESHOLD, MIN_WEIGHT, NOISE_LIMIT_SD,
     POPULATION_NOISE_SD, Position, REFRACTORY_S, Rectify, SIGMA_MM, TAU_S, weight,
 };
+pub(crate) use population::scattered;
 pub use population::{LOWER_PER_CM2, PAD_LENGTH_MM, PAD_WIDTH_MM, UPPER_PER_CM2, population};

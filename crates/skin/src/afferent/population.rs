@@ -25,9 +25,14 @@ const POSITION_WORD: u64 = 3;
 /// The positions of 306 afferents: 238 in the upper half, then 68 in the lower.
 #[must_use]
 pub fn population(seed: u64) -> Vec<Position> {
-    let (upper, lower) = (count(UPPER_PER_CM2), count(LOWER_PER_CM2));
+    scattered(seed, [UPPER_PER_CM2, LOWER_PER_CM2], POSITION_WORD)
+}
+
+/// Positions of as many afferents as the upper and the lower half have, per cm². `word` keeps the draws apart.
+pub(crate) fn scattered(seed: u64, per_cm2: [f64; 2], word: u64) -> Vec<Position> {
+    let [upper, lower] = per_cm2.map(count);
     let position = |number| {
-        let [area, turns] = random::uniform([seed, number, 0, POSITION_WORD]);
+        let [area, turns] = random::uniform([seed, number, 0, word]);
         // With the root, equal areas of the ellipse are equally likely.
         let (radius, angle) = (area.sqrt(), PI * turns);
         let x_mm = PAD_WIDTH_MM / 2.0 * radius * libm::cos(angle);

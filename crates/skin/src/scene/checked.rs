@@ -111,6 +111,21 @@ impl Scene {
         Self { drives: Vec::new(), gains, ..self.clone() }
     }
 
+    /// The scene without its afferents.
+    pub(crate) fn without_afferents(&self) -> Self {
+        Self { afferents: Arc::default(), ..self.clone() }
+    }
+
+    /// A scene of drives alone.
+    pub(crate) fn without_afferents_from(
+        duration_s: f64,
+        seed: u64,
+        drives: Vec<Drive>,
+        model: AfferentModel,
+    ) -> Result<Self, KeyError> {
+        Self { duration_s, seed, drives, afferents: Arc::default(), model, gains: NO_GAINS }.checked()
+    }
+
     /// The gain of each motor's travel.
     pub(crate) const fn gains(&self) -> &[f64; MOTORS] {
         &self.gains

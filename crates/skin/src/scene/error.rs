@@ -33,6 +33,26 @@ pub enum Problem {
         "motor {motor} is still driven by drives[{other}]: stop that by {start_s} s, or start this one later"
     )]
     Overlap { motor: u8, other: usize, start_s: f64 },
+    #[error("is afferents: this command knows the model membrane alone; `meissner simulate` knows both")]
+    MembraneOnly,
+    #[error("holds parameters of the model membrane: leave it out, or take that model (--model membrane)")]
+    MembraneKey,
+    #[error(
+        "`pins` and `drives` are both there: keep `pins` (each moves by a formula) or `drives` (motors move them)"
+    )]
+    PinsAndDrives,
+    #[error("belongs to `pins`: with `drives` the pins have been pressed in before the scene; leave it out")]
+    PinsOnly,
+    #[error("is {row}: {class} afferents have the rows 0 to {most}")]
+    Row { row: u64, class: &'static str, most: usize },
+    #[error("there are {pins} pins: must be at most {}", crate::fingertip::MAX_PINS)]
+    ManyPins { pins: usize },
+    #[error(
+        "lies within a radius, 0.5 mm, of pins[{first}]: their loads cannot be told apart; move one of them"
+    )]
+    SamePlace { first: usize },
+    #[error("stand so close that their loads cannot be told apart: leave some out, or move them apart")]
+    Crowded,
 }
 
 /// A problem whose place in the file is not complete yet.

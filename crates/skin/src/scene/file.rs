@@ -8,8 +8,9 @@
 use super::afferent::RawAfferent;
 use super::checked::{MOTOR_RANGE, NO_GAINS, Scene};
 use super::error::{KeyError, Problem, SceneError};
-use super::names::{as_written, one_name};
+use super::names::{ModelName, as_written, one_name};
 use crate::afferent::{self, Position};
+use crate::fingertip;
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::pattern::Drive;
 use meissner_input::document::{Table, from_json, from_toml};
@@ -32,11 +33,50 @@ impl Scene {
     /// # Errors
     /// The first thing that is wrong with it, in one line.
     pub fn read(text: &str, file: &str) -> Result<Self, SceneError> {
-        read(text, file).map_err(|fault| fault.in_file(Some(file)))
+        match AnyScene::read(text, file, None)? {
+            AnyScene::Membrane(scene) => Ok(scene),
+            AnyScene::Afferents(_) => Err(KeyError::key("model", Problem::MembraneOnly).in_file(Some(file))),
+        }
     }
 }
 
-fn read(text: &str, file: &str) -> Result<Scene, KeyError> {
+/// A scene of either model.
+#[derive(Clone, Debug, PartialEq)]
+#[expect(clippy::large_enum_variant, reason = "there is one per simulation")]
+pub enum AnyScene {
+    /// Of the first model, RA afferents with a leaky membrane.
+    Membrane(Scene),
+    /// Of the second model: skin mechanics, and SA1, RA and PC afferents.
+    Afferents(fingertip::Scene),
+}
+
+impl AnyScene {
+    /// Reads a scene file of either model, as [`Scene::read`] does. The key `model` says which, unless `model` does;
+    /// without both it is the membrane.
+    ///
+    /// # Errors
+    /// The first thing that is wrong with it, in one line.
+    pub fn read(text: &str, file: &str, model: Option<ModelName>) -> Result<Self, SceneError> {
+        read(text, file, model).map_err(|fault| fault.in_file(Some(file)))
+    }
+
+    /// Duration, s.
+    #[must_use]
+    pub const fn duration_s(&self) -> f64 {
+        match self {
+            Self::Membrane(scene) => scene.duration_s(),
+            Self::Afferents(scene) => scene.duration_s(),
+        }
+    }
+}
+
+/// The key that says how to read the others.
+#[derive(Deserialize)]
+struct OfModel {
+    model: Option<ModelName>,
+}
+
+fn read(text: &str, file: &str, model: Option<ModelName>) -> Result<AnyScene, KeyError> {
     let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     let ends_in =
         |ending| std::path::Path::new(file).extension().is_some_and(|e| e.eq_ignore_ascii_case(ending));
@@ -48,8 +88,22 @@ fn read(text: &str, file: &str) -> Result<Scene, KeyError> {
     if text.len() > most {
         return Err(KeyError::whole(None, Problem::TooLarge { bytes: text.len(), language, most, advice }));
     }
+    let of_file = || -> Result<_, KeyError> {
+        // Most scenes do not name a model, and a second reading of a million afferents takes its time.
+        if !text.contains("model") {
+            return Ok(None);
+        }
+        let Table(OfModel { model }) = if json { from_json(text, wanted) } else { from_toml(text, wanted) }?;
+        Ok(model)
+    };
+    let model = model.map_or_else(of_file, |model| Ok(Some(model)))?;
+    if model == Some(ModelName::Afferents) {
+        let Table(raw) = if json { from_json(text, wanted) } else { from_toml(text, wanted) }?;
+        let scene = fingertip::read(raw).map_err(|fault| if json { fault } else { fault.in_text(text) })?;
+        return Ok(AnyScene::Afferents(scene));
+    }
     let Table(raw): Table<RawScene> = if json { from_json(text, wanted) } else { from_toml(text, wanted) }?;
-    raw.checked_scene()
+    raw.checked_scene().map(AnyScene::Membrane)
 }
 
 fn wanted(key: &str) -> &'static str {
@@ -65,6 +119,8 @@ fn wanted(key: &str) -> &'static str {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RawScene {
+    #[serde(rename = "model")]
+    _model: Option<ModelName>,
     duration_s: f64,
     #[serde(default)]
     seed: u64,
@@ -85,7 +141,7 @@ struct RawScene {
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct RawDrive {
+pub(crate) struct RawDrive {
     #[serde(deserialize_with = "motor")]
     motor: u8,
     frequency_hz: f64,
@@ -98,9 +154,16 @@ struct RawDrive {
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct RawPopulation {
+pub(crate) struct RawPopulation {
     #[serde(default)]
-    seed: u64,
+    pub(crate) seed: u64,
+}
+
+impl From<RawDrive> for Drive {
+    fn from(raw: RawDrive) -> Self {
+        let RawDrive { motor, frequency_hz, amplitude_um, phase, start_s, stop_s } = raw;
+        Self { motor, frequency_hz, amplitude_um, phase, start_s, stop_s }
+    }
 }
 
 impl RawScene {
@@ -117,14 +180,10 @@ impl RawScene {
             (None, None) => return Err(own(Problem::NoAfferents)),
             (Some(_), Some(_)) => return Err(own(Problem::TwoPopulations { afferents: list })),
         };
-        let drive = |Table(raw): Table<RawDrive>| {
-            let RawDrive { motor, frequency_hz, amplitude_um, phase, start_s, stop_s } = raw;
-            Drive { motor, frequency_hz, amplitude_um, phase, start_s, stop_s }
-        };
         let scene = Scene {
             duration_s: self.duration_s,
             seed: self.seed,
-            drives: self.drives.into_iter().map(drive).collect(),
+            drives: self.drives.into_iter().map(|Table(raw)| raw.into()).collect(),
             afferents: Arc::new(afferents),
             gains: NO_GAINS,
             model: afferent.map_or_else(RawAfferent::default, |Table(raw)| raw).model(noise_sd),

@@ -18,5 +18,6 @@ pub use afferent::{MAX_ALPHA_PER_UM, RawAfferent, check_model};
 pub(crate) use checked::MAX_GAIN;
 pub use checked::Scene;
 pub use error::{Problem, SceneError};
-pub use file::{MAX_JSON_BYTES, MAX_TOML_BYTES};
-pub use names::{TwoNames, as_written, one_name};
+pub use file::{AnyScene, MAX_JSON_BYTES, MAX_TOML_BYTES};
+pub(crate) use file::{RawDrive, RawPopulation};
+pub use names::{ModelName, TwoNames, as_written, one_name};

@@ -42,7 +42,7 @@ fn scene(seed: u64) -> Scene {
 }
 
 /// The vector widths of this processor, without the scalar one.
-fn widths() -> Vec<Arch> {
+pub(crate) fn widths() -> Vec<Arch> {
     #[cfg(target_arch = "x86_64")]
     let widths = [pulp::x86::V3::try_new().map(Arch::V3), pulp::x86::V4::try_new().map(Arch::V4)];
     #[cfg(not(target_arch = "x86_64"))]

@@ -1,16 +1,22 @@
-//! `simulate`: simulates the afferents of a scene. It needs no daemon.
+//! `simulate`: simulates the afferents of a scene, by the model it names. It needs no daemon.
+//!
+//! The first model is here, the second in `afferents`.
 //!
 //! Invariant: a scene that is too large is not read into memory.
 
-use super::arguments::{Output, choice};
-use super::output::give;
-use super::{files, progress, text};
+mod afferents;
+
+use crate::cli::arguments::{Output, choice};
+use crate::cli::output::give;
+use crate::cli::{files, progress, text};
 use anyhow::{Result, anyhow};
 use clap::error::ErrorKind;
 use clap::{Args, ValueEnum};
 use meissner_report::{Count, MethodLabel, Reason};
+use meissner_skin::afferent::Position;
 use meissner_skin::{
-    Answer, Integrator, Keep, MAX_JSON_BYTES, Method, Options, Precision, Scene, Stepping, choose, simulate,
+    Answer, AnyScene, Integrator, Keep, MAX_JSON_BYTES, Method, ModelName, Options, Precision, Scene,
+    Stepping, choose, simulate,
 };
 use serde::Serialize;
 use std::io::{self, Read, Write};
@@ -25,6 +31,9 @@ const STEP_US: u32 = 200;
 pub(super) struct Simulate {
     /// Simulate this scene: a TOML or JSON file, or - for stdin
     scene: PathBuf,
+    /// Choose the model of skin and afferents [default: the scene's key `model`, else membrane]
+    #[arg(long, value_parser = choice::<ModelName>(&[("membrane", "RA afferents with a leaky membrane, Gaussian receptive fields"), ("afferents", "Skin under flat pins, and SA1, RA and PC afferents as recorded; steps of 200 us")]))]
+    model: Option<ModelName>,
     /// Choose the method [default: stepped if a step, integrator or precision is given, else exact]
     #[arg(long, value_enum)]
     method: Option<Name>,
@@ -48,6 +57,9 @@ pub(super) struct Simulate {
     /// Count spikes without keeping their times
     #[arg(long)]
     rates_only: bool,
+    /// Print one row per afferent: its class, place, spikes and rate
+    #[arg(long, conflicts_with = "json")]
+    csv: bool,
     #[command(flatten)]
     output: Output,
 }
@@ -63,6 +75,7 @@ enum Name {
 /// The document of `simulate --json`.
 #[derive(Debug, Serialize)]
 struct Document<'a> {
+    model: ModelName,
     #[serde(flatten)]
     how: MethodLabel,
     chosen: Option<Chosen>,
@@ -83,7 +96,10 @@ struct Chosen {
 
 pub(super) fn run(asked: &Simulate) -> Result<ExitCode> {
     let stepping = stepping(asked)?;
-    let scene = read(&asked.scene)?;
+    let scene = match read_any(&asked.scene, asked.model)? {
+        AnyScene::Membrane(scene) => scene,
+        AnyScene::Afferents(scene) => return afferents::run(asked, &scene),
+    };
     let begun = Instant::now();
     let (method, chosen) = match asked.max_rate_error {
         None => (stepping.map_or(Method::Exact, Method::Stepped), None),
@@ -106,7 +122,13 @@ pub(super) fn run(asked: &Simulate) -> Result<ExitCode> {
     let keep = if asked.rates_only { Keep::Rates } else { Keep::Spikes };
     let options = Options { keep, ..Options::spikes(method) };
     let answer = progress::metered(|at| simulate(&scene, &options, at))?;
+    if asked.csv {
+        let rates = answer.rates_hz(&scene);
+        let afferents = scene.afferents().iter().map(|&at| ("RA", None, at));
+        return print_csv(afferents, &answer.counts, &rates);
+    }
     let document = Document {
+        model: ModelName::Membrane,
         how,
         chosen,
         spikes_s: answer.spikes_s.as_deref(),
@@ -132,16 +154,45 @@ fn stepping(asked: &Simulate) -> Result<Option<Stepping>, clap::Error> {
     Ok(stepped.then_some(Stepping { step_us, integrator, precision }))
 }
 
-/// Reads a scene from a file, or from stdin.
+/// Reads a scene of the first model from a file, or from stdin.
 pub(super) fn read(file: &Path) -> Result<Scene> {
+    let (text, name) = text_of(file)?;
+    Ok(Scene::read(&text, &name)?)
+}
+
+/// Reads a scene of either model.
+fn read_any(file: &Path, model: Option<ModelName>) -> Result<AnyScene> {
+    let (text, name) = text_of(file)?;
+    Ok(AnyScene::read(&text, &name, model)?)
+}
+
+/// The text of a scene and its name in errors.
+fn text_of(file: &Path) -> Result<(String, String)> {
     if file != Path::new("-") {
         let text = files::text(file, MAX_JSON_BYTES as u64, "scene")?;
-        return Ok(Scene::read(&text, &file.to_string_lossy())?);
+        return Ok((text, file.to_string_lossy().into_owned()));
     }
     let mut text = String::new();
     let read = io::stdin().lock().take(MAX_JSON_BYTES as u64 + 1).read_to_string(&mut text);
     read.map_err(|error| anyhow!("stdin: cannot be read; pipe a scene in UTF-8 ({error})"))?;
-    Ok(Scene::read(&text, "stdin")?)
+    Ok((text, "stdin".to_owned()))
+}
+
+/// Prints a row per afferent, in the scene's order. An afferent is its class, its row of parameters and its place.
+fn print_csv(
+    afferents: impl Iterator<Item = (&'static str, Option<u8>, Position)>,
+    counts: &[u64],
+    rates_hz: &[f64],
+) -> Result<ExitCode> {
+    let mut table = csv::Writer::from_writer(Vec::new());
+    table.write_record(["afferent", "class", "row", "x_mm", "y_mm", "spikes", "rate_hz"])?;
+    for (number, ((class, row, at), (count, rate_hz))) in
+        afferents.zip(counts.iter().zip(rates_hz)).enumerate()
+    {
+        table.serialize((number, class, row, at.x_mm, at.y_mm, count, rate_hz))?;
+    }
+    let text = String::from_utf8(table.into_inner()?)?;
+    give(false, &(), || text.trim_end().to_owned())
 }
 
 fn summary(scene: &Scene, answer: &Answer, document: &Document<'_>) -> String {
@@ -155,6 +206,7 @@ fn summary(scene: &Scene, answer: &Answer, document: &Document<'_>) -> String {
         format!("mean {mean:.1} impulses/s, {least:.1} to {most:.1}")
     };
     let mut lines = vec![
+        ("model", document.model.name().to_owned()),
         ("afferents", format!("{}, for {} s", rates.len(), scene.duration_s())),
         ("method", document.how.to_string()),
         ("spikes", answer.counts.iter().sum::<u64>().to_string()),

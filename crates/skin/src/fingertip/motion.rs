@@ -1,0 +1,116 @@
+//! The indentation of every pin, sample by sample.
+//!
+//! Pins move as sines of a formula, or as the motors of an array do. A motor's samples are exact: a sample is 34 half ticks,
+//! and the mean velocity over it comes from the breakpoints in closed form.
+//!
+//! Invariant: a pin's indentation at a sample does not depend on how many samples are asked for at a time.
+
+use super::scene::{Pins, Scene, SinePin};
+use super::{SAMPLE_US, SAMPLES_PER_S};
+use crate::method::{Integrator, Method, Precision, Stepping};
+use crate::sampler::Sampler;
+use crate::track::{Tracks, of_scene};
+use firmware_protocol::stroke::MOTORS;
+use meissner_array::motor::WINDOW_HALF_TICKS;
+use meissner_array::units::{HALF_TICKS_PER_S, UM_PER_PULSE};
+use std::f64::consts::TAU;
+
+/// The mean velocity over a sample.
+const MEANS: Method = Method::Stepped(Stepping {
+    step_us: SAMPLE_US,
+    integrator: Integrator::Propagator,
+    precision: Precision::F64,
+});
+/// From the mean D over a sample, half pulses, to the way of a pin, mm: D/W in half pulses per half tick.
+const MM_PER_MEAN: f64 =
+    1e-3 * UM_PER_PULSE / 2.0 / WINDOW_HALF_TICKS as f64 * (HALF_TICKS_PER_S / SAMPLES_PER_S);
+
+/// The pins of a scene, from its beginning on.
+pub(super) struct Motion<'s> {
+    preindent_mm: f64,
+    moved_by: MovedBy<'s>,
+    next: u64,
+}
+
+enum MovedBy<'s> {
+    Sines { pins: &'s [SinePin], ramp_s: f64, begin_s: f64 },
+    Motors(Vec<Motor<'s>>),
+}
+
+struct Motor<'s> {
+    sampler: Option<Sampler<'s>>,
+    gain: f64,
+    /// Above its rest, mm without the gain.
+    at_mm: f64,
+    samples: Vec<f64>,
+}
+
+/// The tracks of a scene whose pins are motors.
+pub(super) fn tracks(scene: &Scene) -> Tracks {
+    match scene.pins() {
+        Pins::Sines { .. } => Tracks::default(),
+        Pins::Motors(motors) => of_scene(motors, MEANS),
+    }
+}
+
+impl<'s> Motion<'s> {
+    pub(super) fn new(scene: &'s Scene, tracks: &'s Tracks) -> Self {
+        let moved_by = match scene.pins() {
+            Pins::Sines { pins, ramp_s, begin_s } => {
+                MovedBy::Sines { pins, ramp_s: *ramp_s, begin_s: *begin_s }
+            }
+            Pins::Motors(motors) => MovedBy::Motors(
+                (0..MOTORS)
+                    .map(|motor| {
+                        let track = tracks[motor].as_deref();
+                        let sampler = track.and_then(|track| Sampler::new(track.breakpoints(), MEANS));
+                        Motor { sampler, gain: motors.gains()[motor], at_mm: 0.0, samples: Vec::new() }
+                    })
+                    .collect(),
+            ),
+        };
+        Self { preindent_mm: scene.preindent_mm(), moved_by, next: 0 }
+    }
+
+    /// Appends the indentations of the next samples, mm, to each pin's column.
+    pub(super) fn extend(&mut self, samples: usize, columns: &mut [Vec<f64>]) {
+        let first = self.next;
+        self.next += samples as u64;
+        let preindent_mm = self.preindent_mm;
+        match &mut self.moved_by {
+            MovedBy::Sines { pins, ramp_s, begin_s } => {
+                for (pin, column) in pins.iter().zip(columns) {
+                    column.extend((first..first + samples as u64).map(|number| {
+                        let time_s = number as f64 / SAMPLES_PER_S;
+                        let pressed = if time_s < *ramp_s { time_s / *ramp_s } else { 1.0 };
+                        preindent_mm * pressed + pin.displacement_mm(time_s - *begin_s)
+                    }));
+                }
+            }
+            MovedBy::Motors(motors) => {
+                for (motor, column) in motors.iter_mut().zip(columns) {
+                    let Some(sampler) = &mut motor.sampler else {
+                        column.resize(column.len() + samples, preindent_mm);
+                        continue;
+                    };
+                    sampler.fill(first, samples, &mut motor.samples);
+                    for mean in &motor.samples[..samples] {
+                        column.push(preindent_mm + motor.gain * motor.at_mm);
+                        motor.at_mm += mean * MM_PER_MEAN;
+                    }
+                }
+            }
+        }
+    }
+}
+
+impl SinePin {
+    /// Above the indentation by the finger, mm, so long after the vibration has begun.
+    fn displacement_mm(&self, since_s: f64) -> f64 {
+        if since_s < 0.0 || self.amplitude_um == 0.0 {
+            return 0.0;
+        }
+        let phase = |cycles: f64| libm::cos(TAU * cycles);
+        self.amplitude_um / 2000.0 * (phase(self.phase) - phase(self.frequency_hz * since_s + self.phase))
+    }
+}
