@@ -1481,12 +1481,16 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__simulate)
-            opts="-h --method --step-us --integrator --precision --max-rate-error --rates-only --json --help"
+            opts="-h --model --method --step-us --integrator --precision --max-rate-error --rates-only --csv --json --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
             fi
             case "${prev}" in
+                --model)
+                    COMPREPLY=($(compgen -W "membrane afferents" -- "${cur}"))
+                    return 0
+                    ;;
                 --method)
                     COMPREPLY=($(compgen -W "exact stepped" -- "${cur}"))
                     return 0

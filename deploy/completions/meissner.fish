@@ -194,6 +194,8 @@ complete -c meissner -n "__fish_meissner_using_subcommand motor" -l amplitude-um
 complete -c meissner -n "__fish_meissner_using_subcommand motor" -l hours -d 'Compute the daily exposure of H hours, 0 to 24' -r
 complete -c meissner -n "__fish_meissner_using_subcommand motor" -l json -d 'Print one JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand motor" -s h -l help -d 'Print help'
+complete -c meissner -n "__fish_meissner_using_subcommand simulate" -l model -d 'Choose the model of skin and afferents [default: the scene\'s key `model`, else membrane]' -r -f -a "membrane\t'RA afferents with a leaky membrane, Gaussian receptive fields'
+afferents\t'Skin under flat pins, and SA1, RA and PC afferents as recorded; steps of 200 us'"
 complete -c meissner -n "__fish_meissner_using_subcommand simulate" -l method -d 'Choose the method [default: stepped if a step, integrator or precision is given, else exact]' -r -f -a "exact\t'Go from event to event, without a step'
 stepped\t'Go by a fixed step'"
 complete -c meissner -n "__fish_meissner_using_subcommand simulate" -l step-us -d 'Take steps of N us [default: 200]' -r
@@ -203,6 +205,7 @@ complete -c meissner -n "__fish_meissner_using_subcommand simulate" -l precision
 f64\t'Double precision'"
 complete -c meissner -n "__fish_meissner_using_subcommand simulate" -l max-rate-error -d 'Use the fastest method whose rates err by at most X impulses/s, RMS over afferents' -r
 complete -c meissner -n "__fish_meissner_using_subcommand simulate" -l rates-only -d 'Count spikes without keeping their times'
+complete -c meissner -n "__fish_meissner_using_subcommand simulate" -l csv -d 'Print one row per afferent: its class, place, spikes and rate'
 complete -c meissner -n "__fish_meissner_using_subcommand simulate" -l json -d 'Print one JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand simulate" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c meissner -n "__fish_meissner_using_subcommand optimise" -s o -l out -d 'Write the pattern to PATTERN and name it after the file [default: stdout]' -r -F

@@ -13,7 +13,7 @@ use meissner_api::Receipt;
 use meissner_api::SequenceRequest;
 use meissner_array::pattern::Pattern;
 use meissner_design::Target;
-use meissner_skin::Scene;
+use meissner_skin::{AnyScene, Scene};
 use meissner_stream::calibrate::Calibration;
 use meissner_stream::device::Spec;
 use pages::{Page, book, documents, read, root};
@@ -60,8 +60,8 @@ fn read_toml(text: &str, place: &str) -> Result<&'static str, String> {
         Target::read(text, place).map(|_| "target").map_err(|error| word(&error))
     } else if has("[[motor]]") {
         Calibration::parse(text, place).map(|_| "calibration").map_err(|error| word(&error))
-    } else if has("[[drives]]") {
-        Scene::read(text, place).map(|_| "scene").map_err(|error| word(&error))
+    } else if has("[[drives]]") || has("model =") {
+        AnyScene::read(text, place, None).map(|_| "scene").map_err(|error| word(&error))
     } else {
         Config::parse(text, Path::new(place)).map(|_| "configuration").map_err(|error| word(&error))
     }
