@@ -151,7 +151,7 @@ mod tests {
     use meissner_array::geometry;
 
     fn array() -> Vec<Place> {
-        (0..24).map(|motor| geometry::position_mm(motor)).map(|[x_mm, y_mm]| Place { x_mm, y_mm }).collect()
+        (0..24).map(geometry::position_mm).map(|[x_mm, y_mm]| Place { x_mm, y_mm }).collect()
     }
 
     fn loads(places: &[Place], indentations_mm: &[f64]) -> Vec<f64> {

@@ -123,7 +123,12 @@ pub(crate) fn read(raw: RawScene) -> Result<Scene, KeyError> {
             }
             let drives = drives.unwrap_or_default().into_iter().map(|Table(raw)| raw.into()).collect();
             let model = AfferentModel::default_for(Rectify::default(), 0.0);
-            Pins::Motors(MembraneScene::without_afferents_from(raw.duration_s, raw.seed, drives, model)?)
+            Pins::Motors(Box::new(MembraneScene::without_afferents_from(
+                raw.duration_s,
+                raw.seed,
+                drives,
+                model,
+            )?))
         }
     };
     let scene = Scene {

@@ -243,16 +243,16 @@ impl WithSimd for Run<'_> {
             for lane in (0..group.lanes.len()).step_by(S::F64_LANES) {
                 match (group.held.is_some(), group.limited) {
                     (false, false) => {
-                        group.steps::<S, false, false>(simd, lane, first, samples, block.keep, &mut inputs)
+                        group.steps::<S, false, false>(simd, lane, first, samples, block.keep, &mut inputs);
                     }
                     (false, true) => {
-                        group.steps::<S, false, true>(simd, lane, first, samples, block.keep, &mut inputs)
+                        group.steps::<S, false, true>(simd, lane, first, samples, block.keep, &mut inputs);
                     }
                     (true, false) => {
-                        group.steps::<S, true, false>(simd, lane, first, samples, block.keep, &mut inputs)
+                        group.steps::<S, true, false>(simd, lane, first, samples, block.keep, &mut inputs);
                     }
                     (true, true) => {
-                        group.steps::<S, true, true>(simd, lane, first, samples, block.keep, &mut inputs)
+                        group.steps::<S, true, true>(simd, lane, first, samples, block.keep, &mut inputs);
                     }
                 }
             }

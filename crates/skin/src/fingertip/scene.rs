@@ -58,7 +58,7 @@ pub(super) enum Pins {
     /// They are pressed in during `ramp_s`, and vibrate by a formula from `begin_s` on.
     Sines { pins: Vec<SinePin>, ramp_s: f64, begin_s: f64 },
     /// All pins of the array, pressed in for long. The motors of a scene without afferents move them.
-    Motors(MembraneScene),
+    Motors(Box<MembraneScene>),
 }
 
 /// A pin that moves by a formula: from the beginning on it stands higher than pressed in by
@@ -94,7 +94,7 @@ impl Scene {
             seed: motors.seed(),
             preindent_mm,
             noise,
-            pins: Pins::Motors(motors.without_afferents()),
+            pins: Pins::Motors(Box::new(motors.without_afferents())),
             afferents: Arc::new(afferents),
             population: false,
         }
