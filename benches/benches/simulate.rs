@@ -84,7 +84,7 @@ fn afferents(criterion: &mut Criterion) {
         for (name, scene) in [("second", &scene), ("at_rest", &silent)] {
             group.bench_function(format!("{name}/{cores}_core"), |bencher| {
                 pool.install(|| {
-                    bencher.iter(|| fingertip::simulate(black_box(scene), Keep::Spikes, &|_| ()))
+                    bencher.iter(|| fingertip::simulate(black_box(scene), Keep::Spikes, &|_| ()));
                 });
             });
         }
