@@ -28,8 +28,8 @@ fn the_document_is_complete_and_its_pattern_is_the_file() {
     assert_eq!(found["pattern"], text);
     let mut keys: Vec<_> = found.as_object().unwrap().keys().map(String::as_str).collect();
     keys.sort_unstable();
-    let wanted = "auc cost_hz ended evaluations file off_hz on_hz pattern populations pulses_per_s receptor_s robust \
-                  robustness seed setting target wall_s warnings";
+    let wanted = "auc baselines cost_hz ended evaluations file objective off_hz on_hz pattern populations pulses_per_s \
+                  receptor_s robust robustness seed setting target value wall_s warnings";
     assert_eq!(keys, wanted.split_whitespace().collect::<Vec<_>>());
     assert_eq!(
         (&found["ended"], &found["setting"], &found["seed"]),
@@ -51,9 +51,47 @@ fn the_document_is_complete_and_its_pattern_is_the_file() {
     let output = meissner().args(["optimise", "dot", "--budget", "60"]).output().unwrap();
     let (out, err) = (String::from_utf8(output.stdout).unwrap(), String::from_utf8(output.stderr).unwrap());
     assert_eq!(out, text.replace("\"my-dot\"", "\"dot\""));
-    for word in ["contrast", "held out", "gain", "1 mm off", "afferents", "drive", "the budget is used up"] {
+    for word in [
+        "contrast",
+        "naive-reach: contrast",
+        "objective",
+        "held out",
+        "gain",
+        "1 mm off",
+        "afferents",
+        "drive",
+        "the budget is used up",
+    ] {
         assert!(err.contains(word), "{word}: {err}");
     }
+}
+
+#[test]
+fn an_objective_is_compared_with_the_naive_rules() {
+    let run = |objective: &str| {
+        document(meissner().args([
+            "optimise",
+            "two-dots",
+            "--budget",
+            "30",
+            "--objective",
+            objective,
+            "--json",
+        ]))
+    };
+    let found = run("off-rms-twice");
+    assert_eq!(found["objective"], "off-rms-twice");
+    let rules: Vec<_> = found["baselines"].as_array().unwrap().iter().map(|of| of["rule"].clone()).collect();
+    assert_eq!(rules, ["reach", "pitch"]);
+    for naive in found["baselines"].as_array().unwrap() {
+        assert!(found["value"].as_f64() >= naive["value"].as_f64(), "{naive}");
+    }
+    assert!(found["pattern"].as_str().unwrap().contains("objective = \"off-rms-twice\""));
+    // The paper's search begins at a random point; thirty evaluations are not enough for it, and the summary tells.
+    let output = meissner().args(["optimise", "two-dots", "--budget", "30"]).output().unwrap();
+    let summary = String::from_utf8(output.stderr).unwrap();
+    assert!(summary.contains("the rule naive-reach needs no search and reaches as much"), "{summary}");
+    assert!(!String::from_utf8(output.stdout).unwrap().contains("objective"));
 }
 
 #[test]

@@ -12,8 +12,8 @@ mod baselines;
 use baselines::{METHODS, Method};
 use criterion::{Criterion, criterion_group, criterion_main};
 use meissner_design::{
-    Brief, Fidelity, Found, Limit, Objective, Point, Score, Setting, Space, Spent, Target, YARDSTICK, search,
-    shipped,
+    Brief, Fidelity, Found, Goal, Limit, Objective, Point, Score, Setting, Space, Spent, Target, YARDSTICK,
+    search, shipped,
 };
 use rayon::ThreadPoolBuilder;
 use rayon::prelude::*;
@@ -49,6 +49,7 @@ impl<'j> Command<'j> {
 
     fn brief(&self) -> Brief<'_> {
         Brief {
+            goal: Goal::Contrast,
             target: self.target,
             frame: &self.target.frames()[0],
             populations: &self.seed,
@@ -73,7 +74,7 @@ impl<'j> Command<'j> {
     fn exact_hz(&self, point: Point) -> f64 {
         let Brief { target, frame, populations, .. } = self.brief();
         let of_noise = |&noise: &u64| {
-            let objective = Objective::new(target, frame, populations, noise, Fidelity::FULL);
+            let objective = Objective::new(Goal::Contrast, target, frame, populations, noise, Fidelity::FULL);
             objective.at(point).expect("the method can").score().cost_hz()
         };
         mean(&NOISE_SEEDS.each_ref().map(of_noise))

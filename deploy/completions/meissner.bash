@@ -999,7 +999,7 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__optimise)
-            opts="-o -h --out --seed --setting --budget --robust --resume --json --help"
+            opts="-o -h --out --seed --setting --objective --budget --robust --resume --json --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -1019,6 +1019,10 @@ _meissner() {
                     ;;
                 --setting)
                     COMPREPLY=($(compgen -W "default always_on" -- "${cur}"))
+                    return 0
+                    ;;
+                --objective)
+                    COMPREPLY=($(compgen -W "contrast off-rms off-rms-twice near-off auc correlation rivals" -- "${cur}"))
                     return 0
                     ;;
                 --budget)
@@ -1555,7 +1559,7 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__tradeoff)
-            opts="-h --stream --loop --stop --trace --plot --json --help"
+            opts="-h --stream --loop --stop --objectives --trace --plot --json --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0

@@ -212,6 +212,13 @@ complete -c meissner -n "__fish_meissner_using_subcommand optimise" -s o -l out 
 complete -c meissner -n "__fish_meissner_using_subcommand optimise" -l seed -d 'Seed the search with N' -r
 complete -c meissner -n "__fish_meissner_using_subcommand optimise" -l setting -d 'Choose the search space' -r -f -a "default\t'Motors may be off; 5 to 150 Hz'
 always_on\t'All motors vibrate, as in the paper; 5 to 300 Hz'"
+complete -c meissner -n "__fish_meissner_using_subcommand optimise" -l objective -d 'Choose what to maximise: ON afferents lie within reach of the target, OFF are all others' -r -f -a "contrast\t'Mean rate of ON minus mean rate of OFF, as in the paper'
+off-rms\t'Mean of ON minus RMS of OFF: keeps dots apart, with --robust'
+off-rms-twice\t'Mean of ON minus twice the RMS of OFF: stricter'
+near-off\t'As contrast; OFF afferents near the target weigh more'
+auc\t'Chance that an ON afferent fires faster than an OFF one'
+correlation\t'Correlation of the rates with the ON set'
+rivals\t'Distance from the most similar shape, in SD of the counts'"
 complete -c meissner -n "__fish_meissner_using_subcommand optimise" -l budget -d 'Stop after about N evaluations (per frame of a moving target; or N,N,... for each), or N seconds in all (Ns) [default: until nothing improves]' -r
 complete -c meissner -n "__fish_meissner_using_subcommand optimise" -l resume -d 'Begin with the pattern in file PATTERN and improve it' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand optimise" -l robust -d 'Maximise the mean over eight populations of afferents, not one population'
@@ -222,6 +229,7 @@ complete -c meissner -n "__fish_meissner_using_subcommand tradeoff" -l plot -d '
 complete -c meissner -n "__fish_meissner_using_subcommand tradeoff" -l stream -d 'Compare leads of the streamer, not methods: late bursts, onsets and bytes, in virtual time under recorded stalls'
 complete -c meissner -n "__fish_meissner_using_subcommand tradeoff" -l loop -d 'Compare position control, not methods: rest errors and amplitudes with their bounds, at all settings (minutes)'
 complete -c meissner -n "__fish_meissner_using_subcommand tradeoff" -l stop -d 'Compare surpluses of down bursts above a lower stop, not methods: rest errors with their theory (half a minute)'
+complete -c meissner -n "__fish_meissner_using_subcommand tradeoff" -l objectives -d 'Compare what a search maximises, not methods: patterns by each objective and by naive rules (minutes)'
 complete -c meissner -n "__fish_meissner_using_subcommand tradeoff" -l json -d 'Print one JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand tradeoff" -s h -l help -d 'Print help'
 complete -c meissner -n "__fish_meissner_using_subcommand report" -l out -d 'Write to directory DIR; make it if it does not exist' -r -F

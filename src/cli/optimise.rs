@@ -15,8 +15,8 @@ use anyhow::{Result, anyhow, bail};
 use clap::Args;
 use meissner_array::pattern;
 use meissner_design::{
-    Budget, Ended, MAX_BYTES, Made, Request, Robustness, Setting, Target, Verdict, make, populations,
-    shipped, shipped_names,
+    Baseline, Budget, Ended, Goal, MAX_BYTES, Made, Request, Robustness, Setting, Target, Verdict, make,
+    populations, shipped, shipped_names,
 };
 use meissner_input::message::nearest;
 use serde::Serialize;
@@ -43,6 +43,9 @@ pub(super) struct Optimise {
     /// Choose the search space
     #[arg(long, default_value = "default", value_parser = choice::<Setting>(&[("default", "Motors may be off; 5 to 150 Hz"), ("always_on", "All motors vibrate, as in the paper; 5 to 300 Hz")]))]
     setting: Setting,
+    /// Choose what to maximise: ON afferents lie within reach of the target, OFF are all others
+    #[arg(long, value_name = "NAME", default_value = "contrast", value_parser = choice::<Goal>(&[("contrast", "Mean rate of ON minus mean rate of OFF, as in the paper"), ("off-rms", "Mean of ON minus RMS of OFF: keeps dots apart, with --robust"), ("off-rms-twice", "Mean of ON minus twice the RMS of OFF: stricter"), ("near-off", "As contrast; OFF afferents near the target weigh more"), ("auc", "Chance that an ON afferent fires faster than an OFF one"), ("correlation", "Correlation of the rates with the ON set"), ("rivals", "Distance from the most similar shape, in SD of the counts")]))]
+    objective: Goal,
     /// Stop after about N evaluations (per frame of a moving target; or N,N,... for each), or N seconds in all (Ns)
     /// [default: until nothing improves]
     #[arg(long, value_name = "N|Ns")]
@@ -81,6 +84,7 @@ struct Document<'a> {
     /// The file, if one was written.
     file: Option<String>,
     setting: Setting,
+    objective: Goal,
     seed: u64,
     robust: bool,
     /// Seeds of the populations it was made for.
@@ -91,6 +95,10 @@ struct Document<'a> {
     ended: &'static str,
     #[serde(flatten)]
     verdict: Verdict,
+    /// The value of the objective.
+    value: f64,
+    /// What the naive rules reach in the same conditions.
+    baselines: &'a [Baseline],
     pulses_per_s: f64,
     robustness: &'a Robustness,
     warnings: Vec<String>,
@@ -107,6 +115,7 @@ pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
     }
     let start = asked.resume.as_deref().map(library::read).transpose()?;
     let request = Request {
+        goal: asked.objective,
         setting: asked.setting,
         seed: asked.seed,
         robust: asked.robust,
@@ -144,6 +153,7 @@ pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
         target: target.name(),
         file: asked.file.as_ref().map(|file| file.to_string_lossy().into_owned()),
         setting: asked.setting,
+        objective: asked.objective,
         seed: asked.seed,
         robust: asked.robust,
         populations: populations(&target, asked.robust),
@@ -155,6 +165,8 @@ pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
             Ended::Interrupted => "interrupted",
         },
         verdict: made.verdict,
+        value: made.value,
+        baselines: &made.baselines,
         pulses_per_s: made.pulses_per_s,
         robustness: &made.robustness,
         warnings: target.warnings(),
@@ -206,6 +218,19 @@ fn name(file: &Path) -> Result<String> {
     })
 }
 
+/// The figures of the naive rules.
+fn naive(document: &Document<'_>) -> String {
+    let of = |baseline: &Baseline| {
+        let Verdict { cost_hz, auc, .. } = baseline.verdict;
+        let own = match document.objective {
+            Goal::Contrast => String::new(),
+            goal => format!(", {} {:.3}", goal.name(), baseline.value),
+        };
+        format!("{}: contrast {cost_hz:.1}, AUC {auc:.3}{own}", baseline.rule.name())
+    };
+    document.baselines.iter().map(of).collect::<Vec<_>>().join("; ")
+}
+
 fn summary(target: &Target, document: &Document<'_>, made: &Made) -> String {
     let range = |costs: &[f64]| {
         let mean = costs.iter().sum::<f64>() / costs.len().max(1) as f64;
@@ -247,6 +272,13 @@ fn summary(target: &Target, document: &Document<'_>, made: &Made) -> String {
             ),
         ),
         (
+            "objective",
+            format!("{} {:.3} {}", document.objective.name(), document.value, document.objective.unit())
+                .trim_end()
+                .to_owned(),
+        ),
+        ("naive", naive(document)),
+        (
             "held out",
             if held_out_hz.is_empty() {
                 "-".to_owned()
@@ -259,6 +291,13 @@ fn summary(target: &Target, document: &Document<'_>, made: &Made) -> String {
         ("afferents", format!("{half_hz:.1} half, {full_hz:.1} full, {signed_hz:.1} signed")),
         ("drive", format!("{:.0} pulses/s", document.pulses_per_s)),
     ];
+    if let Some(better) = document.baselines.iter().find(|of| of.value >= document.value) {
+        let name = better.rule.name();
+        lines.push((
+            "note",
+            format!("the rule {name} needs no search and reaches as much: play that, or search longer"),
+        ));
+    }
     if document.verdict.cost_hz <= 0.0 {
         let why = if target.amplitude_um() == 0.0 {
             "at 0 um no pin moves"

@@ -2,14 +2,16 @@
 //!
 //! Without a flag it compares simulation methods on a scene, time against error; with `--stream`, leads of the streamer
 //! under recorded stalls; with `--loop`, rest errors of position control with their bound; with `--stop`, rest errors above a
-//! lower stop with their theory ([`stop`]). `meissner_report` measures and recommends; this module prints. Each comparison is a member of the argument group `what` and a variant of [`What`].
+//! lower stop with their theory ([`stop`]); with `--objectives`, what a search maximises ([`objectives`]). `meissner_report` measures and recommends; this module prints. Each comparison is a member of the argument group `what` and a variant of [`What`].
 
+mod objectives;
 mod stop;
 
 use super::arguments::Output;
 use super::output::give;
 use super::text::number;
 use super::{files, progress, simulate, text};
+use crate::store::Store;
 use anyhow::Result;
 use clap::Args;
 use meissner_design::YARDSTICK;
@@ -37,9 +39,12 @@ pub(super) struct MethodTradeoff {
     /// Compare surpluses of down bursts above a lower stop, not methods: rest errors with their theory (half a minute)
     #[arg(long, group = "what")]
     stop: bool,
+    /// Compare what a search maximises, not methods: patterns by each objective and by naive rules (minutes)
+    #[arg(long, group = "what", conflicts_with = "plot")]
+    objectives: bool,
     /// Use the stalls in FILE, recorded with the example `record_stalls` (with --stream)
     // clap does not report a missing `--stream` where it would conflict: the conflicts are listed too.
-    #[arg(long, value_name = "FILE", requires = "stream", conflicts_with_all = ["scene", "closed_loop", "stop"])]
+    #[arg(long, value_name = "FILE", requires = "stream", conflicts_with_all = ["scene", "closed_loop", "stop", "objectives"])]
     trace: Option<PathBuf>,
     /// Draw the comparison into FILE (SVG)
     #[arg(long, value_name = "FILE")]
@@ -47,6 +52,9 @@ pub(super) struct MethodTradeoff {
     #[command(flatten)]
     output: Output,
 }
+
+/// Evaluations of each search of `--objectives`: about as far as further work still pays.
+const EVALUATIONS: u64 = 1000;
 
 /// What to compare.
 enum What<'a> {
@@ -58,14 +66,17 @@ enum What<'a> {
     Loop,
     /// Surpluses above a lower stop, at all settings.
     Stop,
+    /// What a search maximises.
+    Objectives,
 }
 
 impl MethodTradeoff {
     fn what(&self) -> What<'_> {
-        match (self.stream, self.closed_loop, self.stop) {
+        match (self.stream, self.closed_loop, self.stop, self.objectives) {
             (true, ..) => What::Leads(self.trace.as_deref()),
-            (_, true, _) => What::Loop,
-            (.., true) => What::Stop,
+            (_, true, ..) => What::Loop,
+            (_, _, true, _) => What::Stop,
+            (.., true) => What::Objectives,
             _ => What::Methods(self.scene.as_deref()),
         }
     }
@@ -103,6 +114,13 @@ pub(super) fn run(asked: &MethodTradeoff) -> Result<ExitCode> {
             let measure =
                 || Ok(progress::metered(|at| meissner_report::stop_tradeoff(&StopGrid::default(), at))?);
             answer(asked, measure, meissner_report::plot_stop, stop::table)
+        }
+        What::Objectives => {
+            let store = Store::new(None, false)?;
+            let library = |name: &str| store.library(name).map(|stored| stored.pattern.drives().to_vec());
+            let found =
+                progress::metered(|at| meissner_report::objective_tradeoff(EVALUATIONS, &library, at))?;
+            give(asked.output.json, &found, || objectives::table(&found).join("\n"))
         }
     }
 }

@@ -122,7 +122,7 @@ fn ours(brief: &Brief<'_>, start: Point, most: f64) -> Point {
 }
 
 fn objective(brief: &Brief<'_>, fidelity: Fidelity) -> Objective {
-    Objective::new(brief.target, brief.frame, brief.populations, brief.noise_seed, fidelity)
+    Objective::new(brief.goal, brief.target, brief.frame, brief.populations, brief.noise_seed, fidelity)
 }
 
 /// A point simulated as a whole.

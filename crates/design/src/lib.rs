@@ -21,14 +21,14 @@
 //! caller ends depends on when that happens.
 //!
 //! ```
-//! use meissner_design::{Brief, Conditions, Limit, Setting, judge, search, shipped};
+//! use meissner_design::{Brief, Conditions, Goal, Limit, Setting, judge, search, shipped};
 //! use std::ops::ControlFlow;
 //!
 //! let target = shipped("dot").unwrap();
 //! let space = Setting::Default.space();
 //! let start = space.random(0);
 //! let brief =
-//!     Brief { target: &target, frame: &target.frames()[0], populations: &[0], noise_seed: 0, space, seed: 0 };
+//!     Brief { goal: Goal::Contrast, target: &target, frame: &target.frames()[0], populations: &[0], noise_seed: 0, space, seed: 0 };
 //! let found = search(&brief, start, Limit::Evaluations(50), &mut |_, _| ControlFlow::Continue(()))?;
 //!
 //! let drives = found.point.drives(target.amplitude_um(), None, None);
@@ -38,24 +38,30 @@
 //! ```
 
 mod braille;
+mod goal;
 mod judge;
 mod make;
 mod moves;
+mod naive;
 mod objective;
 mod partition;
 mod point;
 mod prediction;
+mod quality;
 mod search;
 mod shape;
 mod shipped;
 mod target;
 
+pub use goal::{GOALS, Goal, neighbours, rivals};
 pub use judge::{Conditions, HELD_OUT, Robustness, STEADY_S, judge, pulses_per_s, robustness};
-pub use make::{Budget, Made, MakeError, Progress, ROBUST_POPULATIONS, Request, make, populations};
+pub use make::{Baseline, Budget, Made, MakeError, Progress, ROBUST_POPULATIONS, Request, make, populations};
+pub use naive::Rule;
 pub use objective::{Fidelity, Incumbent, Objective, Score, Tried};
 pub use partition::{Partition, Verdict};
 pub use point::{Point, Setting, Space, Vibration};
 pub use prediction::{MOST_OBSERVED_S, Play, PredictedResponse, PredictionError, Rates, predict_response};
+pub use quality::{Quality, name_targets, quality};
 pub use search::{Brief, Ended, Found, Limit, Spent, Step, resume, search};
 pub use shape::Shape;
 pub use shipped::{YARDSTICK, shipped, shipped_names};

@@ -1,15 +1,18 @@
 //! From a target to a pattern and its provenance.
 //!
 //! [`make()`] searches once for a target at rest. For a moving target it searches frame by frame, each from the result of
-//! the frame before. The drives of all frames are one pattern. It is judged exactly, also in conditions that it was not
+//! the frame before. The search for the paper's goal begins at a random point, as in the paper; for every other goal it begins at the
+//! better naive rule, so that its result is no worse than that. The drives of all frames are one pattern. It is judged exactly, also in conditions that it was not
 //! made for. Its provenance holds all that is needed to make the same bytes again: the target, the setting, the seed,
 //! the number of evaluations and, if there was one, the start.
 //!
 //! Invariant: a request with the evaluations of the provenance makes the same bytes again, on any number of threads. So
 //! does the request itself, unless a clock or the caller ended it.
 
+use crate::goal::Goal;
 use crate::judge::{Conditions, Robustness, judge, pulses_per_s, robustness};
-use crate::objective::Score;
+use crate::naive::Rule;
+use crate::objective::{Fidelity, Objective, Score};
 use crate::partition::Verdict;
 use crate::point::{Point, Setting, Space};
 use crate::search::{Brief, Ended, Found, Limit, Spent, resume, search};
@@ -17,6 +20,7 @@ use crate::target::{DEFINITION, Frame, Target};
 use meissner_array::pattern::{Drive, Pattern, PatternError};
 use meissner_array::strokes::StrokesError;
 use meissner_skin::MethodError;
+use serde::Serialize;
 use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
 use toml::{Table, Value};
@@ -42,11 +46,13 @@ pub enum Budget {
 /// How to make a pattern.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Request {
+    /// What the search maximises.
+    pub goal: Goal,
     /// The search space.
     pub setting: Setting,
     /// Seed of the search.
     pub seed: u64,
-    /// Whether the objective is the mean over [`ROBUST_POPULATIONS`].
+    /// Whether the search maximises the mean over [`ROBUST_POPULATIONS`].
     pub robust: bool,
     /// How long to search.
     pub budget: Budget,
@@ -67,6 +73,18 @@ pub struct Progress {
     pub score: Score,
 }
 
+/// What a naive rule reaches in the conditions that a pattern was made for.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Baseline {
+    /// The rule.
+    pub rule: Rule,
+    /// The value of the goal; for a moving target the mean over frames.
+    pub value: f64,
+    /// Its verdict.
+    #[serde(flatten)]
+    pub verdict: Verdict,
+}
+
 /// A pattern, with the searches and figures behind it.
 #[derive(Clone, Debug)]
 pub struct Made {
@@ -76,6 +94,10 @@ pub struct Made {
     pub found: Vec<Found>,
     /// The verdict on the populations that it was made for.
     pub verdict: Verdict,
+    /// The value of the goal on them; for a moving target the mean over frames.
+    pub value: f64,
+    /// The naive rules, each with its own figures.
+    pub baselines: Vec<Baseline>,
     /// The contrast in other conditions.
     pub robustness: Robustness,
     /// The mean over its duration.
@@ -136,11 +158,13 @@ pub fn make(
     let space = request.setting.space();
     let begun = Instant::now();
     let frames = target.frames();
+    let naive = Rule::ALL.map(|rule| rule.drives(target));
     let (mut found, mut drives) = (Vec::<Found>::new(), Vec::new());
     let mut starts = request.start.as_ref().map(|_| Vec::new());
     let mut interrupted = false;
     for (number, frame) in frames.iter().enumerate() {
         let brief = Brief {
+            goal: request.goal,
             target,
             frame,
             populations: &populations,
@@ -161,18 +185,31 @@ pub fn make(
         }
         let this = match start.or(before) {
             Some(start) => resume(&brief, start, limit, &mut report)?,
-            None => search(&brief, space.random(request.seed), limit, &mut report)?,
+            None if request.goal == Goal::Contrast => {
+                search(&brief, space.random(request.seed), limit, &mut report)?
+            }
+            None => resume(&brief, better_rule(&brief, &naive)?, limit, &mut report)?,
         };
         interrupted |= this.ended == Ended::Interrupted;
         drives.extend(this.point.drives(target.amplitude_um(), frame.start_s, frame.stop_s));
         found.push(this);
     }
+    let value = |drives: &[Drive]| value(target, request.goal, &populations, &space, drives);
+    let made_value = value(&drives)?;
+    let naive_values = naive.each_ref().map(|drives| value(drives));
     let made_for = Conditions::plain(populations, noise_seed);
-    let verdict = judge(target, &drives, &made_for)?;
-    let verdict = verdict.expect("a checked target has ON and OFF afferents");
+    let verdict = |drives: &[Drive]| -> Result<Verdict, MethodError> {
+        Ok(judge(target, drives, &made_for)?.expect("a checked target has ON and OFF afferents"))
+    };
+    let mut baselines = Vec::new();
+    for ((rule, drives), value) in Rule::ALL.into_iter().zip(&naive).zip(naive_values) {
+        baselines.push(Baseline { rule, value: value?, verdict: verdict(drives)? });
+    }
+    let (value, verdict) = (made_value, verdict(&drives)?);
     let robustness = robustness(target, &drives, &made_for)?;
     let pattern = Pattern::new(name, Some(target.duration_s()), drives.clone(), Table::new())?;
-    let mut made = Made { pulses_per_s: pulses_per_s(&pattern)?, pattern, found, verdict, robustness };
+    let pulses_per_s = pulses_per_s(&pattern)?;
+    let mut made = Made { pattern, found, verdict, value, baselines, robustness, pulses_per_s };
     made.pattern = Pattern::new(
         name,
         Some(target.duration_s()),
@@ -198,6 +235,33 @@ impl Budget {
     }
 }
 
+/// The rule of which the goal's value is higher.
+fn better_rule(brief: &Brief<'_>, rules: &[Vec<Drive>; 2]) -> Result<Point, MethodError> {
+    let Brief { goal, target, frame, populations, noise_seed, .. } = *brief;
+    let objective = Objective::new(goal, target, frame, populations, noise_seed, Fidelity::FULL);
+    let [reach, pitch] = rules.each_ref().map(|drives| point_at(drives, frame, &brief.space));
+    let value = |point: Point| Ok(objective.at(point)?.score().value);
+    Ok(if value(pitch)? > value(reach)? { pitch } else { reach })
+}
+
+/// The value of a goal for the drives of all frames: the mean over frames, each simulated alone.
+fn value(
+    target: &Target,
+    goal: Goal,
+    populations: &[u64],
+    space: &Space,
+    drives: &[Drive],
+) -> Result<f64, MethodError> {
+    let frames = target.frames();
+    let mut sum = 0.0;
+    for frame in frames {
+        let seed = target.population_seed();
+        let objective = Objective::new(goal, target, frame, populations, seed, Fidelity::FULL);
+        sum += objective.at(point_at(drives, frame, space))?.score().value;
+    }
+    Ok(sum / frames.len() as f64)
+}
+
 /// The point of some drives in the middle of a frame.
 fn point_at(start: &[Drive], frame: &Frame, space: &Space) -> Point {
     let middle_s =
@@ -214,6 +278,13 @@ fn provenance(target: &Target, request: &Request, made: &Made, starts: Option<&[
     put("target", target.name().into());
     put("method", "subgradient".into());
     put("model", MODEL.into());
+    // Patterns of the paper's goal keep the bytes that they had before there were others.
+    if request.goal != Goal::Contrast {
+        put("objective", request.goal.name().into());
+        put("value", made.value.into());
+        let baseline = |of: &Baseline| (of.rule.name().to_owned(), Value::from(of.value));
+        put("baselines", Value::Table(made.baselines.iter().map(baseline).collect()));
+    }
     put("setting", Value::try_from(request.setting).expect("a string"));
     put("seed", whole(request.seed));
     put("robust", request.robust.into());

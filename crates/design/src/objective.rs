@@ -1,12 +1,12 @@
-//! The objective: the contrast of a point, by simulation, and that of nearby points for less work.
+//! The objective: the value of a [`Goal`] at a point, by simulation, and at nearby points for less work.
 //!
-//! The afferents of all populations are one scene, each with its own noise, so the contrast is a mean over populations.
-//! Every point meets the same afferents and the same noise: two contrasts differ only by what the motors do. Spikes are
-//! counted in whole numbers and summed first, so that no order changes the contrast.
+//! The afferents of all populations are one scene, each with its own noise; the value is a mean over populations.
+//! Every point meets the same afferents and the same noise: two values differ only by what the motors do. Spikes are
+//! counted in whole numbers and summed first.
 //!
 //! Invariant: the score of an [`Incumbent`] is that of its point, however it was reached.
 
-use crate::partition::Partition;
+use crate::goal::{Goal, Population};
 use crate::point::Point;
 use crate::target::{Frame, Target};
 use meissner_array::pattern::Drive;
@@ -16,7 +16,7 @@ use meissner_skin::{
 };
 use rayon::prelude::*;
 
-/// How accurately a contrast is simulated: a search begins with less.
+/// How accurately a value is simulated: a search begins with less.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fidelity {
     /// Duration of the simulation, s.
@@ -46,17 +46,19 @@ pub struct Score {
     pub on_hz: f64,
     /// Of the OFF afferents.
     pub off_hz: f64,
+    /// The value of the goal; higher is better.
+    pub value: f64,
 }
 
 impl Score {
-    /// The contrast; higher is better.
+    /// The contrast.
     #[must_use]
     pub fn cost_hz(self) -> f64 {
         self.on_hz - self.off_hz
     }
 }
 
-/// What a search maximises: the contrast of a frame, as a function of the point.
+/// What a search maximises: the value of a goal for a frame, as a function of the point.
 #[derive(Clone, Debug)]
 pub struct Objective {
     /// The afferents; no drives.
@@ -65,35 +67,33 @@ pub struct Objective {
     amplitude_um: f64,
     /// The times at which a point is played: once without end, or again and again for the frame's duration.
     times: Vec<(Option<f64>, Option<f64>)>,
-    /// The population of each afferent, and whether it is ON.
-    kinds: Vec<(usize, bool)>,
-    /// The numbers of OFF and ON afferents of each population.
-    counts: Vec<[usize; 2]>,
+    goal: Goal,
+    /// One after the other, in the order of the scene's afferents.
+    populations: Vec<Population>,
 }
 
 impl Objective {
-    /// The contrast of a frame over the populations of some seeds; those without ON or OFF afferents are left out.
-    /// `noise_seed` seeds the threshold noise. A frame that ends is repeated, so the contrast counts the strokes that its
+    /// A goal for a frame, over the populations of some seeds; those without ON or OFF afferents are left out.
+    /// `noise_seed` seeds the threshold noise. A frame that ends is repeated, so the value counts the strokes that its
     /// end leaves out.
     ///
     /// # Panics
     /// If no scene can have the fidelity's duration.
     #[must_use]
     pub fn new(
+        goal: Goal,
         target: &Target,
         frame: &Frame,
         populations: &[u64],
         noise_seed: u64,
         fidelity: Fidelity,
     ) -> Self {
-        let (mut afferents, mut kinds, mut counts) = (Vec::<Position>::new(), Vec::new(), Vec::new());
+        let (mut afferents, mut kept) = (Vec::<Position>::new(), Vec::new());
         for &seed in populations {
-            let population = afferent::population(seed);
-            let partition = Partition::of(&frame.shape, target.reach_mm(), &population);
-            if partition.has_both() {
-                kinds.extend(partition.on().iter().map(|&on| (counts.len(), on)));
-                counts.push([partition.off_count(), partition.on_count()]);
-                afferents.extend(population);
+            let positions = afferent::population(seed);
+            if let Some(population) = Population::new(goal, &frame.shape, target.reach_mm(), &positions) {
+                kept.push(population);
+                afferents.extend(positions);
             }
         }
         let scene = Scene::new(fidelity.duration_s, noise_seed, Vec::new(), afferents, *target.model());
@@ -107,7 +107,7 @@ impl Objective {
             }
         };
         let (options, amplitude_um) = (fidelity.options(), target.amplitude_um());
-        Self { scene, options, amplitude_um, times, kinds, counts }
+        Self { scene, options, amplitude_um, times, goal, populations: kept }
     }
 
     /// Simulates a point with all afferents.
@@ -124,7 +124,7 @@ impl Objective {
     /// The number of afferents in all populations.
     #[must_use]
     pub fn afferents(&self) -> usize {
-        self.kinds.len()
+        self.scene.afferents().len()
     }
 
     /// Duration of the simulation, s.
@@ -138,16 +138,25 @@ impl Objective {
         self.times.iter().flat_map(played).collect()
     }
 
-    fn score(&self, counts: &[u64]) -> Score {
-        let mut spikes = vec![[0_u64; 2]; self.counts.len()];
-        for (&(population, on), count) in self.kinds.iter().zip(counts) {
-            spikes[population][usize::from(on)] += count;
+    fn score(&self, mut counts: &[u64]) -> Score {
+        let mut sum = Score::default();
+        let duration_s = self.duration_s();
+        for population in &self.populations {
+            let partition = population.partition();
+            let (own, rest) = counts.split_at(partition.on().len());
+            counts = rest;
+            let [off, on] = population.sums(own);
+            sum.on_hz += on as f64 / partition.on_count() as f64;
+            sum.off_hz += off as f64 / partition.off_count() as f64;
+            if self.goal != Goal::Contrast {
+                sum.value += population.value(self.goal, own, duration_s);
+            }
         }
-        let mean = |on: usize| {
-            let rates = spikes.iter().zip(&self.counts).map(|(spikes, of)| spikes[on] as f64 / of[on] as f64);
-            rates.sum::<f64>() / (self.counts.len().max(1) as f64 * self.duration_s())
-        };
-        Score { on_hz: mean(1), off_hz: mean(0) }
+        let count = self.populations.len().max(1) as f64;
+        let (on_hz, off_hz) = (sum.on_hz / (count * duration_s), sum.off_hz / (count * duration_s));
+        // The contrast of the means: a mean of contrasts would differ by rounding.
+        let value = if self.goal == Goal::Contrast { on_hz - off_hz } else { sum.value / count };
+        Score { on_hz, off_hz, value }
     }
 }
 

@@ -20,6 +20,7 @@
 //!
 //! Invariant: the result depends on the brief, the start and the number of evaluations, not on threads or clocks.
 
+use crate::goal::Goal;
 use crate::moves;
 use crate::objective::{Fidelity, Incumbent, Objective, Score, Tried};
 use crate::point::{Point, Space};
@@ -34,11 +35,13 @@ use std::time::Instant;
 /// The task of a search.
 #[derive(Clone, Debug)]
 pub struct Brief<'b> {
+    /// What it maximises.
+    pub goal: Goal,
     /// The target: its reach, amplitude and afferent model.
     pub target: &'b Target,
     /// One of its frames.
     pub frame: &'b Frame,
-    /// Seeds of the populations over which the contrast is the mean.
+    /// Seeds of the populations over which the value is the mean.
     pub populations: &'b [u64],
     /// Seed of the threshold noise.
     pub noise_seed: u64,
@@ -190,7 +193,7 @@ fn begin(
         (run.pass, run.best) = (pass, Some(score));
         // Not of a neighbouring seed, which another search may use.
         let start = brief.space.random(brief.seed ^ (u64::from(pass) << 56));
-        if let Some(better) = run.pass(start, &DESCENT, score.cost_hz())? {
+        if let Some(better) = run.pass(start, &DESCENT, score.value)? {
             (point, score) = better;
         }
     }
@@ -218,36 +221,36 @@ struct StageState<'s> {
 }
 
 impl Run<'_> {
-    /// One pass from a start. None if its result is not above `cost_hz`, or if it ended before that is known.
+    /// One pass from a start. None if its result is not above `least`, or if it ended before that is known.
     fn pass(
         &mut self,
         start: Point,
         descent: &[Stage],
-        cost_hz: f64,
+        least: f64,
     ) -> Result<Option<(Point, Score)>, MethodError> {
-        let mut here = (start, Score { on_hz: cost_hz, off_hz: 0.0 });
+        let mut here = (start, Score { value: least, ..Score::default() });
         for stage in descent {
             if self.over() {
                 return Ok((self.pass == 0).then_some(here));
             }
             here = self.stage(stage, here.0)?;
         }
-        if !descent.is_empty() && here.1.cost_hz() <= cost_hz - HOPELESS * cost_hz.abs() {
+        if !descent.is_empty() && here.1.value <= least - HOPELESS * least.abs() {
             return Ok(None);
         }
         while !self.over() {
-            let before = here.1.cost_hz();
+            let before = here.1.value;
             here = self.stage(&POLISH, here.0)?;
-            if here.1.cost_hz() <= before {
+            if here.1.value <= before {
                 break;
             }
         }
-        Ok(Some(here).filter(|(_, score)| self.pass == 0 || score.cost_hz() > cost_hz))
+        Ok(Some(here).filter(|(_, score)| self.pass == 0 || score.value > least))
     }
 
     fn stage(&mut self, stage: &Stage, point: Point) -> Result<(Point, Score), MethodError> {
-        let Brief { target, frame, populations, noise_seed, .. } = *self.brief;
-        let objective = Objective::new(target, frame, populations, noise_seed, stage.fidelity);
+        let Brief { goal, target, frame, populations, noise_seed, .. } = *self.brief;
+        let objective = Objective::new(goal, target, frame, populations, noise_seed, stage.fidelity);
         let mut state = StageState { incumbent: objective.at(point)?, seen: HashSet::from([point]) };
         self.spend(objective.afferents(), &objective);
         self.record(&state);
@@ -298,11 +301,11 @@ impl Run<'_> {
         let new = points.into_iter().filter(|point| state.seen.insert(*point)).collect();
         let tried = state.incumbent.try_all(new);
         tried.iter().for_each(|tried| self.spend(tried.afferents, state.incumbent.objective()));
-        let cost_hz = |tried: &Tried| tried.score.cost_hz();
+        let value = |tried: &Tried| tried.score.value;
         // The first of equals, so that threads do not matter.
         let best =
-            tried.into_iter().reduce(|best, next| if cost_hz(&next) > cost_hz(&best) { next } else { best });
-        if let Some(best) = best.filter(|best| cost_hz(best) > state.incumbent.score().cost_hz()) {
+            tried.into_iter().reduce(|best, next| if value(&next) > value(&best) { next } else { best });
+        if let Some(best) = best.filter(|best| value(best) > state.incumbent.score().value) {
             state.incumbent.move_to(best);
             self.record(state);
         }
@@ -342,7 +345,7 @@ impl Run<'_> {
         let here = state.incumbent.score();
         // Scores of a coarser stage do not compare with the best.
         let comparable = state.incumbent.objective().duration_s() >= FINE.duration_s;
-        let best = self.best.filter(|best| !comparable || best.cost_hz() > here.cost_hz());
+        let best = self.best.filter(|best| !comparable || best.value > here.value);
         if (self.watch)(self.spent, best.unwrap_or(here)).is_break() {
             self.ended.get_or_insert(Ended::Interrupted);
         }

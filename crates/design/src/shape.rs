@@ -116,6 +116,14 @@ impl Shape {
         extent.min(most)
     }
 
+    /// The mean of the points that place the shape; the array's middle for a grating.
+    pub(crate) fn middle_mm(&self) -> [f64; 2] {
+        let points = self.points();
+        let mean =
+            |axis: usize| points.iter().map(|point| point[axis]).sum::<f64>() / points.len().max(1) as f64;
+        [mean(0), mean(1)]
+    }
+
     /// The points that place the shape; a grating has none.
     pub(crate) fn points(&self) -> &[[f64; 2]] {
         match self {

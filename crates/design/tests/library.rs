@@ -1,6 +1,6 @@
 use meissner_array::pattern::Pattern;
 use meissner_design::{
-    Budget, Conditions, Request, Setting, Target, judge, make, populations, pulses_per_s, robustness,
+    Budget, Conditions, Goal, Request, Setting, Target, judge, make, populations, pulses_per_s, robustness,
     shipped, shipped_names,
 };
 use rayon::ThreadPoolBuilder;
@@ -26,6 +26,7 @@ fn request(pattern: &Pattern) -> Request {
     let whole = |value: &toml::Value| value.as_integer().unwrap().try_into().unwrap();
     assert_eq!(provenance["setting"].as_str(), Some("default"));
     Request {
+        goal: Goal::Contrast,
         setting: Setting::Default,
         seed: whole(&provenance["seed"]),
         robust: provenance["robust"].as_bool().unwrap(),

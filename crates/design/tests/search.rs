@@ -4,8 +4,8 @@
 
 use meissner_array::geometry;
 use meissner_design::{
-    Brief, Ended, Fidelity, Found, Limit, Objective, Partition, Point, Score, Setting, Shape, Space, Spent,
-    Step, Target, Vibration, YARDSTICK, resume, search, shipped,
+    Brief, Ended, Fidelity, Found, Goal, Limit, Objective, Partition, Point, Score, Setting, Shape, Space,
+    Spent, Step, Target, Vibration, YARDSTICK, resume, search, shipped,
 };
 use meissner_skin::afferent::{self, Position};
 use meissner_skin::{Method, Options, Scene, simulate};
@@ -31,7 +31,15 @@ fn yardstick() -> Target {
 fn brief<'b>(target: &'b Target, space: &Space, seed: &'b u64) -> Brief<'b> {
     let frame = &target.frames()[0];
     let populations = std::slice::from_ref(seed);
-    Brief { target, frame, populations, noise_seed: 0, space: space.clone(), seed: *seed }
+    Brief {
+        goal: Goal::Contrast,
+        target,
+        frame,
+        populations,
+        noise_seed: 0,
+        space: space.clone(),
+        seed: *seed,
+    }
 }
 
 fn go_on(_: Spent, _: Score) -> ControlFlow<()> {
@@ -48,7 +56,11 @@ fn found(target: &Target, space: &Space, seed: u64, start: Point, limit: Limit) 
 fn exact_hz(target: &Target, seed: u64, point: Point) -> f64 {
     let frame = &target.frames()[0];
     let of_noise = |noise| {
-        Objective::new(target, frame, &[seed], noise, Fidelity::FULL).at(point).unwrap().score().cost_hz()
+        Objective::new(Goal::Contrast, target, frame, &[seed], noise, Fidelity::FULL)
+            .at(point)
+            .unwrap()
+            .score()
+            .cost_hz()
     };
     [101, 102].map(of_noise).iter().sum::<f64>() / 2.0
 }
@@ -86,7 +98,7 @@ fn motors_near_the_edge_come_to_the_afferents_best_frequency() {
 /// Three sweeps over the motors with 24 frequencies each, and their work in afferent-seconds.
 fn by_coordinates(target: &Target, seed: u64, start: Point, space: &Space) -> (Point, f64) {
     let fidelity = Fidelity { duration_s: 1.0, step_us: Some(100), min_weight: 1e-3 };
-    let objective = Objective::new(target, &target.frames()[0], &[seed], 0, fidelity);
+    let objective = Objective::new(Goal::Contrast, target, &target.frames()[0], &[seed], 0, fidelity);
     let mut incumbent = objective.at(start).unwrap();
     let mut afferent_s = objective.afferents() as f64;
     for motor in (0..3).flat_map(|_| 0..MOTORS) {
@@ -260,7 +272,7 @@ fn a_search_in_which_no_afferent_fires_ends() {
 fn a_search_leaves_the_null_and_a_ridge() {
     let target = yardstick();
     let space = Space { phases: false, ..Setting::AlwaysOn.space() };
-    let objective = Objective::new(&target, &target.frames()[0], &[0], 0, COARSE);
+    let objective = Objective::new(Goal::Contrast, &target, &target.frames()[0], &[0], 0, COARSE);
     let size = |decihertz: &u16| objective.at(everywhere(*decihertz)).unwrap().score();
     let silent = (2300..2360).find(|decihertz| size(decihertz) == Score::default()).unwrap();
     for start in [silent, 600] {
@@ -314,7 +326,7 @@ fn the_best_of_all_passes_is_found_and_a_resumed_search_is_no_worse() {
     assert_eq!(found.point, best(&found));
     let limit = Limit::Evaluations(MOST);
     let again = resume(&brief(&target, &space, &0), found.point, limit, &mut go_on).unwrap();
-    let objective = Objective::new(&target, &target.frames()[0], &[0], 0, FINE);
+    let objective = Objective::new(Goal::Contrast, &target, &target.frames()[0], &[0], 0, FINE);
     let fine = |found: &Found| objective.at(found.point).unwrap().score().cost_hz();
     assert!(fine(&again) >= fine(&found));
 }
@@ -368,7 +380,7 @@ proptest! {
         populations in prop::collection::vec(0_u64..100, 1..3),
     ) {
         let target = yardstick();
-        let objective = Objective::new(&target, &target.frames()[0], &populations, 1, COARSE);
+        let objective = Objective::new(Goal::Contrast, &target, &target.frames()[0], &populations, 1, COARSE);
         let mut incumbent = objective.at(points.pop().unwrap()).unwrap();
         // One more point, which differs in a single motor.
         let mut near = *incumbent.point();
@@ -391,7 +403,7 @@ proptest! {
         let target = yardstick();
         let frame = &target.frames()[0];
         let fidelity = Fidelity { duration_s: 0.2, ..Fidelity::FULL };
-        let score = Objective::new(&target, frame, &populations, noise_seed, fidelity).at(point).unwrap().score();
+        let score = Objective::new(Goal::Contrast, &target, frame, &populations, noise_seed, fidelity).at(point).unwrap().score();
         // All populations in one scene: each afferent has its own noise.
         let places: Vec<Vec<Position>> = populations.iter().map(|&seed| afferent::population(seed)).collect();
         let drives = point.drives(target.amplitude_um(), None, None);

@@ -3,6 +3,8 @@
 
 /// The library's patterns: made again byte for byte, with the figures that they state.
 mod library;
+/// What a search maximises: dots that stay apart, the naive rules, targets told apart.
+mod objectives;
 /// The predicted response to bursts that do not travel as designed.
 mod prediction;
 /// The search: the paper's frequencies, its work against a coordinate search's, threads, limits, flat objectives, its space.

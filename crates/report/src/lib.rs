@@ -9,6 +9,7 @@
 //! - `control`: [`control_tradeoff`] measures rest errors under position control against the least possible;
 //!   [`plot_control`] draws it.
 //! - `laser`: [`plot_laser`] draws a recording of a pin beside the motor's fit.
+//! - `objectives`: [`objective_tradeoff`] compares what a search maximises, beside the naive rules.
 //! - `stop`: [`stop_tradeoff`] measures rest errors above a lower stop against the theory; [`plot_stop`] draws it.
 //! - `chart` draws lines and points on axes, `sixty_hertz` is the standard scene, `progress` and `statistics` are small
 //!   helpers of all parts.
@@ -32,6 +33,7 @@ pub mod figures;
 mod laser;
 mod lead;
 mod methods;
+mod objectives;
 mod progress;
 mod sixty_hertz;
 mod statistics;
@@ -51,6 +53,7 @@ pub use methods::{
     Count, Difference, LeftOut, MATCH_S, MOST_STEPS, MethodLabel, MethodTradeoff, Reason, Row, STEPS_US,
     matching, plot, reasons, tradeoff,
 };
+pub use objectives::{ObjectiveCell, ObjectiveRow, ObjectiveTradeoff, objective_tradeoff};
 pub use sixty_hertz::SIXTY_HERTZ;
 pub use stop::{
     Contrasts, StopCell, StopCount, StopError, StopGrid, StopReason, StopRow, StopSurplus, StopTradeoff,

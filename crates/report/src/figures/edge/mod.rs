@@ -245,7 +245,7 @@ fn rates_csv(afferents: &[Position], before: &FrameRates<'_>, after: &FrameRates
 fn cost_csv(records: &[Record], end: u64) -> String {
     let last = records.last().map(|last| Record { evaluations: end, ..*last });
     let row = |Record { evaluations, score, near_hz, .. }: Record| {
-        let Score { on_hz, off_hz } = score;
+        let Score { on_hz, off_hz, .. } = score;
         format!("{evaluations},{:.4},{on_hz:.4},{off_hz:.4},{near_hz}", score.cost_hz())
     };
     csv("evaluations,cost_hz,on_hz,off_hz,near_median_hz", records.iter().copied().chain(last).map(row))

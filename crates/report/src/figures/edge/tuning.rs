@@ -4,7 +4,7 @@ use crate::figures::error::FiguresError;
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::geometry;
 use meissner_design::{
-    Brief, Fidelity, Found, Limit, Objective, Point, Score, Setting, Step, Target, Vibration, search,
+    Brief, Fidelity, Found, Goal, Limit, Objective, Point, Score, Setting, Step, Target, Vibration, search,
 };
 use meissner_skin::afferent::Position;
 use rayon::prelude::*;
@@ -51,6 +51,7 @@ pub(super) fn near_hz(point: &Point, motors: &[u8]) -> f64 {
 
 pub(super) fn found(target: &Target, limit: Limit) -> Result<Found, FiguresError> {
     let brief = Brief {
+        goal: Goal::Contrast,
         target,
         frame: &target.frames()[0],
         populations: &[target.population_seed()],
@@ -63,7 +64,14 @@ pub(super) fn found(target: &Target, limit: Limit) -> Result<Found, FiguresError
 }
 
 pub(super) fn exact_objective(target: &Target) -> Objective {
-    Objective::new(target, &target.frames()[0], &[target.population_seed()], SEED, Fidelity::FULL)
+    Objective::new(
+        Goal::Contrast,
+        target,
+        &target.frames()[0],
+        &[target.population_seed()],
+        SEED,
+        Fidelity::FULL,
+    )
 }
 
 /// The start, and the points of a trace that are better than all before them, by exact simulation.

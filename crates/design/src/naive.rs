@@ -1,0 +1,63 @@
+//! Rules of thumb that need no search: the baselines of every pattern.
+//!
+//! All pins near the shape vibrate at 60 Hz, in phase. A search that is not better than them has found nothing.
+
+use crate::target::Target;
+use firmware_protocol::stroke::MOTORS;
+use meissner_array::geometry::{PITCH_MM, position_mm};
+use meissner_array::pattern::Drive;
+use meissner_skin::afferent::Position;
+use serde::Serialize;
+
+/// The frequency of the rules, Hz: RA afferents answer every cycle from 10 to 80 Hz, and a pin of 80 µm reaches its amplitude.
+const FREQUENCY_HZ: f64 = 60.0;
+
+/// Which pins are near.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Rule {
+    /// Those within the target's reach of the shape.
+    Reach,
+    /// Those within the pitch of the pins, 2.9 mm.
+    Pitch,
+}
+
+impl Rule {
+    /// Both rules.
+    pub const ALL: [Self; 2] = [Self::Reach, Self::Pitch];
+
+    /// Its name in tables.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Reach => "naive-reach",
+            Self::Pitch => "naive-pitch",
+        }
+    }
+
+    /// The drives for a target, frame by frame; none if no pin is near.
+    #[must_use]
+    pub fn drives(self, target: &Target) -> Vec<Drive> {
+        let within_mm = match self {
+            Self::Reach => target.reach_mm(),
+            Self::Pitch => PITCH_MM,
+        };
+        let in_frame = |frame: &crate::Frame| {
+            let near = (0..MOTORS as u8).filter(|&motor| {
+                let [x_mm, y_mm] = position_mm(motor);
+                frame.shape.distance_mm(Position { x_mm, y_mm }) <= within_mm
+            });
+            let (start_s, stop_s) = (frame.start_s, frame.stop_s);
+            let drive = |motor| Drive {
+                motor,
+                frequency_hz: FREQUENCY_HZ,
+                amplitude_um: target.amplitude_um(),
+                phase: 0.0,
+                start_s,
+                stop_s,
+            };
+            near.map(drive).collect::<Vec<_>>()
+        };
+        target.frames().iter().flat_map(in_frame).collect()
+    }
+}

@@ -1,0 +1,65 @@
+use meissner_design::{
+    Budget, Ended, GOALS, Goal, Made, Request, Rule, Target, make, name_targets, quality, shipped,
+};
+use std::ops::ControlFlow::Continue;
+
+const FINGERS: [u64; 3] = [2001, 2002, 2003];
+
+fn made(target: &Target, goal: Goal, evaluations: u64) -> Made {
+    let budget = Budget::Evaluations(vec![evaluations]);
+    let request = Request { goal, robust: true, budget, ..Request::default() };
+    make(target, "made", &request, &mut |_| Continue(())).unwrap()
+}
+
+#[test]
+fn two_dots_stay_apart_for_the_rms_of_off_and_merge_for_the_papers_contrast() {
+    let target = shipped("two-dots").unwrap();
+    let gap = |drives: &[_]| quality(&target, drives, &FINGERS).unwrap().unwrap().gap.unwrap();
+    let papers = meissner_test_support::rig::pattern("two-dots");
+    assert!(gap(papers.drives()) > 0.5, "{}", gap(papers.drives()));
+    let apart = made(&target, Goal::OffRms, 400);
+    assert!(gap(apart.pattern.drives()) <= 0.2, "{}", gap(apart.pattern.drives()));
+    let provenance = apart.pattern.provenance();
+    assert_eq!(provenance["objective"].as_str(), Some("off-rms"));
+    assert_eq!(provenance["value"].as_float(), Some(apart.value));
+    assert_eq!(provenance["baselines"]["naive-reach"].as_float(), Some(apart.baselines[0].value));
+    let again = made(&target, Goal::OffRms, 400);
+    assert_eq!(apart.pattern.to_toml(), again.pattern.to_toml());
+}
+
+#[test]
+fn a_search_is_no_worse_than_the_naive_rules_on_its_own_goal() {
+    let target = shipped("edge-45").unwrap();
+    for goal in GOALS.into_iter().filter(|goal| *goal != Goal::Contrast) {
+        let made = made(&target, goal, 60);
+        assert_eq!(made.ended(), Ended::Limit);
+        for naive in &made.baselines {
+            assert!(made.value >= naive.value, "{goal:?}: {} {naive:?}", made.value);
+        }
+    }
+}
+
+#[test]
+fn naive_rules_take_the_pins_near_the_shape() {
+    let dots = shipped("two-dots").unwrap();
+    let motors = |rule: Rule| rule.drives(&dots).iter().map(|drive| drive.motor).collect::<Vec<_>>();
+    assert_eq!(motors(Rule::Reach), [5, 7]);
+    assert!(motors(Rule::Pitch).len() > 2 && [5, 7].iter().all(|pin| motors(Rule::Pitch).contains(pin)));
+    // Each frame has its own pins and times.
+    let moving = shipped("moving-edge").unwrap();
+    let drives = Rule::Reach.drives(&moving);
+    for frame in moving.frames() {
+        assert!(drives.iter().any(|drive| drive.start_s == frame.start_s && drive.stop_s == frame.stop_s));
+    }
+}
+
+#[test]
+fn targets_are_told_apart_by_their_patterns() {
+    let targets: Vec<Target> = ["disc", "edge-45", "two-dots"].map(|name| shipped(name).unwrap()).into();
+    let patterns: Vec<_> = targets.iter().map(|target| Rule::Reach.drives(target)).collect();
+    let named = name_targets(&targets, &patterns, &FINGERS).unwrap();
+    assert_eq!(named, [[0; 3], [1; 3], [2; 3]]);
+    // No pin moves: all are alike.
+    let still = name_targets(&targets, &[vec![], vec![], vec![]], &FINGERS).unwrap();
+    assert!(still.iter().flatten().all(|of| *of == still[0][0]));
+}
