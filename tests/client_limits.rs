@@ -147,7 +147,14 @@ fn another_terminal_resets_an_emergency_stop_by_force_alone() {
     other("estop");
     let _: Status = client.post("/v1/estop", &json!({})).unwrap();
     assert_eq!(refusal(client.post("/v1/reset", &json!({}))), ("recent-estop".into(), 409));
-    let _: Status = client.post("/v1/reset", &json!({"force": true})).unwrap();
+    // A person has decided about the stops so far; another terminal stops while they answer.
+    let seen = client.get::<Status>("/v1/status").unwrap().estops;
+    assert_eq!(seen, 4);
+    other("estop");
+    let late = json!({"force": true, "estops_seen": seen});
+    assert_eq!(refusal(client.post("/v1/reset", &late)), ("recent-estop".into(), 409));
+    assert!(is_faulted(&mut client));
+    let _: Status = client.post("/v1/reset", &json!({"force": true, "estops_seen": seen + 1})).unwrap();
     // Its own.
     let _: Status = client.post("/v1/estop", &json!({})).unwrap();
     let _: Status = client.post("/v1/reset", &json!({})).unwrap();

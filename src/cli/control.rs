@@ -173,13 +173,15 @@ pub(super) fn estop(options: &ClientOptions) -> Result<ExitCode> {
 
 pub(super) fn reset(options: &ClientOptions, force: bool) -> Result<ExitCode> {
     let mut client = options.client()?;
-    let status = match client.post("/v1/reset", &ResetRequest { force }) {
+    let status = match client.post("/v1/reset", &ResetRequest { force, estops_seen: None }) {
         // On a terminal a person can decide.
         Err(ClientError::Problem(problem))
             if problem.code == Code::RecentEStop.parts().0 && io::stdin().is_terminal() =>
         {
+            // The person decides about the stops so far: one that comes while they read is another matter.
+            let Status { estops, .. } = client.get("/v1/status")?;
             ask(&problem.detail, "Is it safe to reset? [yes/no] ", "not reset: find out why first")?;
-            client.post("/v1/reset", &ResetRequest { force: true })
+            client.post("/v1/reset", &ResetRequest { force: true, estops_seen: Some(estops) })
         }
         answer => answer,
     };

@@ -62,6 +62,11 @@ impl Origin {
     }
 
     fn is_same(self, other: Self) -> bool {
+        let has_session = |of: Self| of.terminal & PARENT == 0;
+        if has_session(self) && has_session(other) {
+            // A later program may have the number of an earlier process.
+            return self.terminal == other.terminal;
+        }
         let is_parent = |of: Self, pid: u32| of.terminal == PARENT | pid;
         let is_kin = is_parent(self, other.pid) || is_parent(other, self.pid);
         let (known, same) = (self.terminal != UNKNOWN, self.terminal == other.terminal);
@@ -191,6 +196,7 @@ mod tests {
         }
         estops.reset(estops.guard());
         assert!(!estops.guard().has_another(script));
+        assert!(!at(10, 10).is_same(at(10, 20)), "the number of a process that has ended");
         estops.request(person);
         assert!(estops.guard().has_another(script) && !estops.guard().has_another(person));
     }

@@ -300,11 +300,16 @@ async fn estop(
 async fn reset(State(app): State<App>, Extension(peer): Extension<Peer>, body: Body) -> Answer<Json<Status>> {
     let mut logged = LoggedRequest::new(&app.engine, "reset", peer);
     let result = async {
-        let ResetRequest { force } = ResetRequest::parse(&body::read_command(body).await?)?;
+        let request = ResetRequest::parse(&body::read_command(body).await?)?;
+        let force = request.force;
         // Before the check: the streamer refuses the reset if an emergency stop comes between the two.
         let estops_seen = app.engine.estops.switch.newest();
         let guard = app.engine.estops.guard();
-        logged.set_arguments(&ResetRequest { force });
+        logged.set_arguments(&request);
+        if request.estops_seen.is_some_and(|seen| seen < estops_seen) {
+            let detail = "an emergency stop came after those that this reset knows of: find out why, then reset again";
+            return Err(Problem::new(Code::RecentEStop, detail).into());
+        }
         if force {
             logged.set_title("reset, forced,".to_owned());
         } else if guard.has_another(Origin::of(peer)) {

@@ -79,19 +79,19 @@ impl PreparedSequence {
             largest: (0.0, String::new()),
             surplus,
         };
+        let mut by_text: HashMap<_, Vec<SequenceItem>> = HashMap::new();
+        for item in &request.items {
+            by_text.entry(text(item)).or_default().push(item.clone());
+        }
         let mut used: HashMap<(&str, Option<&str>), Used> = HashMap::new();
-        let mut planned = Vec::with_capacity(request.items.len());
+        let (mut planned, mut placed) = (Vec::new(), Vec::new());
         for (number, item) in request.items.iter().enumerate() {
-            let at = |problem: Problem| Problem {
-                detail: format!("`items[{number}]`: {}", problem.detail),
-                ..problem
-            };
+            let at = |problem| at_item(number, problem);
             let text = text(item);
             if let Entry::Vacant(new) = used.entry(text) {
                 let found = find(item.pattern.clone(), item.pattern_sha256.clone()).await;
                 let (stored, _place) = found.map_err(at)?;
-                let same = request.items.iter().filter(|other| self::text(other) == text);
-                let items: Vec<SequenceItem> = same.cloned().collect();
+                let items = by_text.remove(&text).unwrap_or_default();
                 let (sha256, name) = (stored.sha256.as_str().into(), item.pattern.as_str().into());
                 let (back, compiled) = computing(move || {
                     let compiled = preparing.compile(&stored, &items, &settings);
@@ -110,10 +110,21 @@ impl PreparedSequence {
                 (gap_ms, None) => Start::Gap(gap_ms.unwrap_or(0.0)),
             };
             let Some(&(compiled, amplitude_um)) = compiled.get(&scale.to_bits()) else { continue };
-            preparing.sequence.add(compiled, item.seconds, start).map_err(|error| at(refused(&error)))?;
+            placed.push((compiled, item.seconds, start));
             let (pattern, sha256) = (Arc::clone(name), Arc::clone(sha256));
             planned.push(PlannedItem { pattern, sha256, scale, amplitude_um, span: (0, 0) });
         }
+        // Patterns with many drives take a while for each item.
+        let (preparing, added) = computing(move || {
+            let mut items = placed.into_iter().enumerate();
+            let added = items.try_for_each(|(number, (compiled, seconds, start))| {
+                let added = preparing.sequence.add(compiled, seconds, start);
+                added.map_err(|error| at_item(number, refused(&error)))
+            });
+            (preparing, added)
+        })
+        .await?;
+        added?;
         let Preparing { sequence, bandwidth, warnings, largest, .. } = preparing;
         let items: Vec<Item> = request.items.iter().map(|item| Item::new(trigger(item.trigger))).collect();
         for (item, span) in planned.iter_mut().zip(sequence.spans()) {
@@ -191,6 +202,11 @@ impl Preparing {
         self.warnings.extend(order.listed_warnings().iter().map(|warning| format!("`{name}`: {warning}")));
         Ok(compiled)
     }
+}
+
+/// The problem of an item.
+fn at_item(number: usize, problem: Problem) -> Problem {
+    Problem { detail: format!("`items[{number}]`: {}", problem.detail), ..problem }
 }
 
 /// What tells the texts of items apart.

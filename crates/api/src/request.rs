@@ -192,6 +192,9 @@ pub struct ResetRequest {
     /// that.
     #[serde(default, deserialize_with = "null_as_default")]
     pub force: bool,
+    /// The emergency stops that this decision knows of, as `estops` in the status. The daemon refuses the reset if one came later.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub estops_seen: Option<u64>,
 }
 
 impl ResetRequest {

@@ -187,7 +187,7 @@ pub struct ParticipantStatus {
 /// How the daemon and its device stand.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[schema(examples(json!({
-    "state": "armed", "cause": "request", "position": "known",
+    "state": "armed", "cause": "request", "estops": 0, "position": "known",
     "device": {
         "kind": "mock", "firmware": "0.1.0", "build": "6d656973", "boot": 305419896, "simulated": true, "telemetry": true
     },
@@ -220,6 +220,10 @@ pub struct Status {
     /// Why the device is in this state: `boot`, `request`, `stop`, `shutdown`, `abort`, `estop`, `lease` (the host watchdog
     /// ran out), `link-lost`, `new-host`, `starved`, `panic`, `watchdog`, `output` (PIO or DMA failed) or `no-device`.
     pub cause: String,
+    /// Emergency stops that were ordered since the daemon began.
+    #[serde(default)]
+    #[schema(required)]
+    pub estops: u64,
     /// Whether the device knows where its pins are: `known` or `unknown`.
     pub position: String,
     /// The connected device; null without one.

@@ -2,8 +2,8 @@
 //!
 //! An event is written once, as the bytes of its server-sent event; all listeners share them.
 //!
-//! Bounds: a listener may be [`EVENTS`] behind, then it gets [`Event::Lagged`]. The events that wait take at most 25 MB: the
-//! receipt of a play has at most 32 KiB.
+//! Bounds: a listener may be [`EVENTS`] behind, then it gets [`Event::Lagged`]. The events that wait take at most 34 MB: the
+//! receipt of a play has at most 32 KiB, and so have 32 items of a sequence.
 
 use crate::session_record::{Entry, Peer, SessionRecord};
 use axum::body::Bytes;
