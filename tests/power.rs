@@ -159,10 +159,20 @@ fn kill_again_and_again(seed: u64, rounds: u32) -> (usize, usize) {
 
 #[test]
 fn a_kill_at_any_moment_leaves_whole_patterns_and_whole_lines() {
-    // Eight at a time: they mostly sleep.
-    let lanes: Vec<_> = (0..8).map(|seed| thread::spawn(move || kill_again_and_again(seed, 25))).collect();
-    let counts: Vec<_> = lanes.into_iter().map(|lane| lane.join().unwrap()).collect();
-    let (all, long_before) = counts.iter().fold((0, 0), |sum, of| (sum.0 + of.0, sum.1 + of.1));
+    let (mut all, mut long_before) = (0, 0);
+    // A busy machine acknowledges few uploads more than a second before a kill: then it takes more rounds.
+    for more in 0..4 {
+        // Eight at a time: they mostly sleep.
+        let seeds = 8 * more..8 * (more + 1);
+        let lanes: Vec<_> = seeds.map(|seed| thread::spawn(move || kill_again_and_again(seed, 25))).collect();
+        for lane in lanes {
+            let counts = lane.join().unwrap();
+            (all, long_before) = (all + counts.0, long_before + counts.1);
+        }
+        if all > 200 && long_before > 20 {
+            break;
+        }
+    }
     eprintln!("{all} uploads were acknowledged, {long_before} of them more than a second before the kill");
     assert!(all > 200 && long_before > 20, "too few to tell: {all}, {long_before}");
 }
