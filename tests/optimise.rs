@@ -54,7 +54,6 @@ fn the_document_is_complete_and_its_pattern_is_the_file() {
     for word in [
         "contrast",
         "naive-reach: contrast",
-        "objective",
         "held out",
         "gain",
         "1 mm off",

@@ -271,12 +271,6 @@ fn summary(target: &Target, document: &Document<'_>, made: &Made) -> String {
                 document.verdict.auc
             ),
         ),
-        (
-            "objective",
-            format!("{} {:.3} {}", document.objective.name(), document.value, document.objective.unit())
-                .trim_end()
-                .to_owned(),
-        ),
         ("naive", naive(document)),
         (
             "held out",
@@ -291,6 +285,11 @@ fn summary(target: &Target, document: &Document<'_>, made: &Made) -> String {
         ("afferents", format!("{half_hz:.1} half, {full_hz:.1} full, {signed_hz:.1} signed")),
         ("drive", format!("{:.0} pulses/s", document.pulses_per_s)),
     ];
+    if document.objective != Goal::Contrast {
+        let Document { objective, value, .. } = document;
+        let value = format!("{} {value:.3} {}", objective.name(), objective.unit());
+        lines.insert(3, ("objective", value.trim_end().to_owned()));
+    }
     if let Some(better) = document.baselines.iter().find(|of| of.value >= document.value) {
         let name = better.rule.name();
         lines.push((
