@@ -78,6 +78,10 @@ fn a_sequence_is_accepted_as_a_whole_or_refused() {
         let refused = problem(client.post("/v1/sequence", &json!({"items": [good, bad, good]})));
         assert!(refused.code == code && refused.detail.contains(says), "{refused:?}");
     }
+    // A refused sequence costs the session record no text. The list waits until all is written.
+    let texts = daemon.path("state/meissner/logbook/patterns");
+    let _: Value = client.get("/v1/sessions").unwrap();
+    assert!(!texts.exists());
     let coded = json!({"pattern": "pin-60", "seconds": 0.1, "trigger": {"code": 1, "width_ms": 20}});
     let refused = problem(client.post("/v1/sequence", &json!({"items": [coded, good]})));
     assert!(refused.detail.contains("its trigger lasts"), "{refused:?}");

@@ -181,6 +181,16 @@ async fn play(
     logged.result(result)
 }
 
+/// What the session record keeps of a request: the number of its items, since their ends tell the rest.
+fn asked_of_sequence(request: &SequenceRequest) -> serde_json::Value {
+    let SequenceRequest { items, name, at_tick, at_ms, at_monotonic_ns, session, trial, labels, .. } =
+        request;
+    json!({
+        "name": name, "items": items.len(), "at_tick": at_tick, "at_ms": at_ms, "at_monotonic_ns": at_monotonic_ns,
+        "session": session, "trial": trial, "labels": labels
+    })
+}
+
 /// Parsed on a thread of its own: its body is as large as a file. It takes a place of the imports, whose files are as large.
 async fn sequence(
     State(app): State<App>,
@@ -193,16 +203,9 @@ async fn sequence(
         let body = body::read(body, MAX_BODY).await?;
         let mut request = computing(move || SequenceRequest::parse(&body)).await??;
         request.session = app.engine.lock().session_of_play(request.session.as_deref())?;
-        let SequenceRequest { items, name, at_tick, at_ms, at_monotonic_ns, .. } = &request;
-        let items = items.len();
-        logged.set_arguments(&json!({
-            "name": name, "items": items, "at_tick": at_tick, "at_ms": at_ms, "at_monotonic_ns": at_monotonic_ns
-        }));
+        logged.set_arguments(&asked_of_sequence(&request));
         let find = async |name: String, sha256: Option<String>| {
-            let found = find(&app, &name, sha256.as_deref()).await.map_err(|ErrorResponse(problem)| problem)?;
-            // Here, because it is dropped before the sequence is accepted.
-            app.engine.session_record().keep_text(&found.0.sha256, &found.0.text);
-            Ok(found)
+            find(&app, &name, sha256.as_deref()).await.map_err(|ErrorResponse(problem)| problem)
         };
         let accepted = app.engine.sequence(&request, peer, find).await?;
         logged.set_play(accepted.id);

@@ -1,7 +1,7 @@
 //! Begins sequences: compiles the patterns of a request one by one, and sends all items as one play.
 //!
 //! [`PreparedSequence::new`] finds and compiles each pattern once for each scale, and drops it again: a sequence holds strokes, not
-//! patterns. [`Engine::sequence`] sends it as [`Engine::play`] sends a play.
+//! patterns, and some texts for the session record until it is accepted. [`Engine::sequence`] sends it as [`Engine::play`] sends a play.
 //!
 //! Invariant: a sequence is accepted as a whole or refused, with the number of the item that is wrong.
 
@@ -33,6 +33,8 @@ const NAME: &str = "sequence";
 const COUNTED_S: f64 = 60.0;
 /// Strokes that are counted for the receipt; of a longer sequence it has no counts.
 const COUNTED: usize = 1 << 20;
+/// Bytes of texts that a sequence holds for the session record, at most. Those beyond are kept with a later play.
+const MAX_TEXTS: usize = 4 << 20;
 
 /// A sequence that still needs an id.
 #[derive(Debug)]
@@ -44,6 +46,8 @@ pub(super) struct PreparedSequence {
     vibration: Vibration,
     /// The largest amplitude, µm, and its pattern.
     largest: (f64, String),
+    /// Texts of its patterns by their SHA-256, for the session record.
+    texts: Vec<(String, Arc<[u8]>)>,
 }
 
 /// A pattern of a sequence while it is prepared.
@@ -85,6 +89,7 @@ impl PreparedSequence {
         }
         let mut used: HashMap<(&str, Option<&str>), Used> = HashMap::new();
         let (mut planned, mut placed) = (Vec::new(), Vec::new());
+        let (mut texts, mut held) = (Vec::new(), 0);
         for (number, item) in request.items.iter().enumerate() {
             let at = |problem| at_item(number, problem);
             let text = text(item);
@@ -93,6 +98,10 @@ impl PreparedSequence {
                 let (stored, _place) = found.map_err(at)?;
                 let items = by_text.remove(&text).unwrap_or_default();
                 let (sha256, name) = (stored.sha256.as_str().into(), item.pattern.as_str().into());
+                if held + stored.text.len() <= MAX_TEXTS {
+                    held += stored.text.len();
+                    texts.push((stored.sha256.clone(), Arc::clone(&stored.text)));
+                }
                 let (back, compiled) = computing(move || {
                     let compiled = preparing.compile(&stored, &items, &settings);
                     (preparing, compiled)
@@ -162,7 +171,7 @@ impl PreparedSequence {
             },
             client,
         };
-        Ok(Self { play, settings, new, vibration, largest })
+        Ok(Self { play, settings, new, vibration, largest, texts })
     }
 }
 
@@ -288,7 +297,7 @@ impl Engine {
             (state.settings, state.surplus())
         };
         let prepared = PreparedSequence::new(request, client, settings, surplus, find).await?;
-        let (accepted, reply) = {
+        let (accepted, reply, texts) = {
             let mut state = self.lock();
             state.forget_unanswered();
             state.check_not_calibrating()?;
@@ -297,12 +306,15 @@ impl Engine {
                 return Err(Problem::new(Code::SessionRunning, detail));
             }
             state.check_sequence(request, &prepared)?;
-            let PreparedSequence { play, settings, new, vibration, .. } = prepared;
+            let PreparedSequence { play, settings, new, vibration, texts, .. } = prepared;
             let (ordered_ms, compiled_ms) = (new.order.ordered_ms, new.order.compiled_ms);
             let (id, reply) = state.send_play(play, &settings, |plays| plays.add_sequence(new))?;
             state.exposure.add(id, vibration);
-            (PlayAccepted { id, ordered_ms, compiled_ms }, reply)
+            (PlayAccepted { id, ordered_ms, compiled_ms }, reply, texts)
         };
+        for (sha256, text) in texts {
+            self.session_record().keep_text(&sha256, &text);
+        }
         answer(reply, TIMEOUT).await?;
         Ok(accepted)
     }

@@ -98,13 +98,18 @@ impl Receipts {
 
     /// Sets what is planned of the items of a sequence that was added.
     pub fn plan(&mut self, id: u64, items: Arc<[PlannedItem]>) {
+        if let Some(receipt) = self.sent.iter_mut().find(|receipt| receipt.id == id) {
+            receipt.items_planned = Some(items.len() as u64);
+        }
         self.planned.insert(id, items);
     }
 
     /// The streamer accepted a play, or not.
     pub fn settle(&mut self, id: u64, accepted: bool) -> Option<Event> {
         let at = self.sent.iter().position(|receipt| receipt.id == id)?;
-        let receipt = self.sent.remove(at);
+        let mut receipt = self.sent.remove(at);
+        // A play ends with the connection that took it.
+        receipt.boot = self.hello.map(|hello| hello.boot);
         let event = Event::Queued { id, pattern: receipt.pattern.clone(), seconds: receipt.seconds };
         if !accepted {
             self.planned.remove(&id);

@@ -192,7 +192,7 @@ pub fn plays(dir: &Path, session: Session, from: usize) -> Result<SessionPlays, 
     let mut rows = Rows { from, ..Rows::default() };
     let (mut open, mut ended) = (BTreeMap::<u64, RecordedPlay>::new(), VecDeque::new());
     let (mut boot, mut lost, mut stage) = (None, 0, Stage::Before);
-    let mut items: (u64, Vec<ItemRecord>) = (0, Vec::new());
+    let mut items: (u64, Vec<(u64, ItemRecord)>) = (0, Vec::new());
     let unreadable = each_line(dir, day, |line| {
         let is_own = has(line, &session.id);
         if is_own && has(line, "\"event\":\"session-ended\"") {
@@ -211,24 +211,25 @@ pub fn plays(dir: &Path, session: Session, from: usize) -> Result<SessionPlays, 
                 boot = entry["device"]["boot"].as_u64().and_then(|boot| u32::try_from(boot).ok());
             }
             Some("lost") => lost += entry["entries"].as_u64().unwrap_or(1),
-            Some("command") if entry["command"] == "play" && entry["asked"]["session"] == *session.id => {
+            Some("command")
+                if matches!(entry["command"].as_str(), Some("play" | "sequence"))
+                    && entry["asked"]["session"] == *session.id =>
+            {
                 let play = asked(&entry);
                 if let Some(play) = play.filter(|play| !ended.contains(&play.play)) {
                     open.insert(play.play, play);
                 }
             }
             Some("items") if entry["session"] == *session.id => {
-                let Some((id, part)) = entry["id"]
-                    .as_u64()
-                    .zip(serde_json::from_value::<Vec<ItemRecord>>(entry["items"].take()).ok())
-                else {
-                    return false;
-                };
+                let (id, first) = (entry["id"].as_u64(), entry["first"].as_u64());
+                let part = serde_json::from_value::<Vec<ItemRecord>>(entry["items"].take());
+                let (Some(id), Some(first), Ok(part)) = (id, first, part) else { return false };
                 if items.0 != id {
                     items = (id, Vec::new());
                 }
+                // Lines before it may be lost: its items keep their numbers.
                 let room = MAX_SEQUENCE_ITEMS.saturating_sub(items.1.len());
-                items.1.extend(part.into_iter().take(room));
+                items.1.extend((first..).zip(part).take(room));
             }
             Some("ended") => {
                 let Ok(receipt) = serde_json::from_value::<Receipt>(entry["receipt"].take()) else {
@@ -242,9 +243,11 @@ pub fn plays(dir: &Path, session: Session, from: usize) -> Result<SessionPlays, 
                     }
                     let (of, items) = std::mem::take(&mut items);
                     let items = if of == receipt.id { items } else { Vec::new() };
+                    // Older daemons told the boot only when the device connected.
+                    let boot = receipt.boot.or(boot);
                     let whole = RecordedPlay { boot, items: items.len() as u64, ..played(&entry, receipt) };
                     let parts: Vec<_> =
-                        (0..).zip(&items).map(|(number, item)| part(&whole, number, item)).collect();
+                        items.iter().map(|(number, item)| part(&whole, *number, item)).collect();
                     rows.add(whole);
                     parts.into_iter().for_each(|part| rows.add(part));
                 }
@@ -293,7 +296,10 @@ impl Rows {
     }
 }
 
-/// A play as its command was recorded.
+/// The name of a sequence without one, as in its receipt.
+const UNNAMED: &str = "sequence";
+
+/// A play, or a sequence as a whole, as its command was recorded.
 fn asked(entry: &Value) -> Option<RecordedPlay> {
     let asked = &entry["asked"];
     Some(RecordedPlay {
@@ -301,7 +307,7 @@ fn asked(entry: &Value) -> Option<RecordedPlay> {
         user: entry["user"].as_str().map(str::to_owned),
         trial: asked["trial"].as_u64(),
         labels: serde_json::from_value(asked["labels"].clone()).unwrap_or_default(),
-        pattern: asked["pattern"].as_str()?.to_owned(),
+        pattern: asked["pattern"].as_str().or(asked["name"].as_str()).unwrap_or(UNNAMED).to_owned(),
         seconds: asked["seconds"].as_f64(),
         state: "unknown".to_owned(),
         ..RecordedPlay::default()
@@ -339,6 +345,7 @@ fn played(entry: &Value, receipt: Receipt) -> RecordedPlay {
         rest_error_max_um: errors.map(|error| error.abs()).reduce(f32::max),
         item: None,
         items: 0,
+        items_planned: receipt.items_planned,
         ordered_um,
         reached_um,
         scale: receipt.scale,
@@ -384,6 +391,7 @@ fn part(whole: &RecordedPlay, number: u64, item: &ItemRecord) -> RecordedPlay {
         rest_error_max_um: None,
         item: Some(number),
         items: 0,
+        items_planned: None,
         ordered_um: Some(item.ordered_um),
         reached_um: Some(item.reached_um),
         scale: Some(item.scale),

@@ -404,3 +404,58 @@ fn a_flood_is_counted_and_plays_and_e_stops_stay() {
     let times: Vec<_> = lines.iter().map(|line| line["monotonic_ns"].as_u64().unwrap()).collect();
     assert!(times.is_sorted());
 }
+
+/// The record of a session as lines, as a daemon writes them.
+fn session_of(lines: &[Value]) -> (tempfile::TempDir, meissner_api::Session) {
+    let dir = tempfile::tempdir().unwrap();
+    let session = json!({
+        "id": "20261122T083000Z-9f3c", "participant": "P07", "experiment": null, "labels": {}, "seed": null, "exclusive": false,
+        "owner": null, "started": "2026-11-22T09:30:00+01:00", "ended": null, "reason": "unknown", "plays": 1, "vibration_s": 0.0
+    });
+    let mut text = format!("{}\n", json!({"event": "session-started", "session": session}));
+    for line in lines {
+        text += &format!("{line}\n");
+    }
+    fs::write(dir.path().join("2026-11-22.jsonl"), text).unwrap();
+    (dir, serde_json::from_value(session).unwrap())
+}
+
+#[test]
+fn a_sequence_whose_end_is_missing_has_a_row() {
+    let id = "20261122T083000Z-9f3c";
+    let command = |play: u64, name: Value| {
+        let asked = json!({"name": name, "items": 40, "session": id, "trial": 4, "labels": {"block": "1"}});
+        json!({"event": "command", "command": "sequence", "user": "ada", "asked": asked, "play": play, "answer": "ok"})
+    };
+    let mut refused = command(3, Value::Null);
+    refused.as_object_mut().unwrap().remove("play");
+    let (dir, session) = session_of(&[command(1, json!("taps")), command(2, Value::Null), refused]);
+    let rows = reader::plays(dir.path(), session, 0).unwrap().plays;
+    let told: Vec<_> = rows.iter().map(|row| (row.play, &*row.pattern, &*row.state, row.trial)).collect();
+    assert_eq!(told, [(1, "taps", "unknown", Some(4)), (2, "sequence", "unknown", Some(4))]);
+    assert_eq!(rows[0].labels["block"], "1");
+}
+
+#[test]
+fn items_keep_their_numbers_if_lines_are_lost_and_a_play_tells_its_boot() {
+    let item = |tick: u64| {
+        json!({
+            "pattern": "pin-60", "pattern_sha256": "0", "scale": 1.0, "ordered_um": 80.0, "reached_um": 69.2,
+            "planned_onset_ticks": tick, "ordered_ms": 20.0, "state": "played", "onset": null, "first_pulse_tick": null,
+            "offset": null, "trigger": null, "late_strokes": 0, "refused_strokes": 0
+        })
+    };
+    let mut receipt = Receipt::new(1, "taps", "0", None);
+    receipt.session = Some("20261122T083000Z-9f3c".to_owned());
+    (receipt.items_planned, receipt.boot) = (Some(4), Some(7));
+    let part = |first: u64| {
+        let items = [item(first * 850), item((first + 1) * 850)];
+        json!({"event": "items", "id": 1, "session": receipt.session, "first": first, "items": items})
+    };
+    // The first line of items is lost.
+    let (dir, session) = session_of(&[part(2), json!({"event": "ended", "receipt": receipt})]);
+    let rows = reader::plays(dir.path(), session, 0).unwrap().plays;
+    assert_eq!((rows[0].items, rows[0].items_planned, rows[0].boot), (2, Some(4), Some(7)));
+    let told: Vec<_> = rows[1..].iter().map(|row| (row.item, row.planned_onset_ticks, row.boot)).collect();
+    assert_eq!(told, [(Some(2), Some(1700), Some(7)), (Some(3), Some(2550), Some(7))]);
+}

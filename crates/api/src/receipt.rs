@@ -365,7 +365,7 @@ impl LinkTraffic {
     },
     "refusals": [],
     "trigger": {"tick": 6442460000_u64, "width_ms": 10.0, "code": null},
-    "items": null,
+    "boot": 305419896, "items_planned": null, "items": null,
     "wire": {"bytes_to_device": 14260, "bytes_per_burst": 11.5},
     "rest_error_um": [0.4, -0.2],
     "rest_errors": [{
@@ -478,6 +478,14 @@ pub struct Receipt {
     #[serde(default)]
     #[schema(required)]
     pub trigger: Option<TriggerRecord>,
+    /// The boot of the device that took the play: ticks of two plays of one boot are on one clock. Null: the daemon does not know it.
+    #[serde(default)]
+    #[schema(required, minimum = 0)]
+    pub boot: Option<u32>,
+    /// How many items the sequence was to play; null for other plays.
+    #[serde(default)]
+    #[schema(required, minimum = 1, maximum = 4096)]
+    pub items_planned: Option<u64>,
     /// The items of a sequence; null until it is over, for other plays, and in the event `ended`: events `items` come before it.
     #[serde(default)]
     #[schema(required, value_type = Option<Vec<ItemRecord>>, max_items = 4096)]
@@ -529,6 +537,8 @@ impl Receipt {
             lateness: LatenessRecord::default(),
             refusals: Vec::new(),
             trigger: None,
+            boot: None,
+            items_planned: None,
             items: None,
             wire: None,
             rest_error_um: None,

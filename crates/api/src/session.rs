@@ -229,6 +229,11 @@ pub struct RecordedPlay {
     #[serde(default)]
     #[schema(required, minimum = 0)]
     pub items: u64,
+    /// Of a sequence as a whole: how many items it was to play. Rows of items that never began, or whose lines the record lost, are
+    /// missing. Null of other plays, and of those that an older daemon recorded.
+    #[serde(default)]
+    #[schema(required, minimum = 1, maximum = 4096)]
+    pub items_planned: Option<u64>,
     /// The largest amplitude of its drives as ordered, µm; null if that is not recorded.
     #[serde(default)]
     #[schema(required, minimum = 0.0)]
@@ -319,7 +324,7 @@ pub struct RecordedPlay {
         "onset_wall_ns": 1795336200123456000_u64, "reported_after_s": 2.01,
         "bursts": {"planned": 1240, "played": 1240, "late": 0, "dropped": 0, "refused": 0, "amended": 1221},
         "pulses": {"planned": 86800, "played": 86790}, "worst_late_ms": 0.0, "rest_error_max_um": 0.4,
-        "item": null, "items": 0, "ordered_um": 80.0, "reached_um": 69.2, "scale": 1.0, "fit": "whole", "late_policy": "drop",
+        "item": null, "items": 0, "items_planned": null, "ordered_um": 80.0, "reached_um": 69.2, "scale": 1.0, "fit": "whole", "late_policy": "drop",
         "open_loop": false, "ordered_ms": 2000.0, "played_ms": 1998.8, "cut_after_ms": null, "offset_tick": 6442629900_u64,
         "offset_monotonic_ns": 75795645882352_u64, "trigger": {"tick": 6442460000_u64, "width_ms": 10.0, "code": null},
         "ordered": {"bursts": 1240, "pulses": 86800}, "planned_onset_ticks": null, "late_strokes": 0, "refused_strokes": null,
