@@ -1,7 +1,7 @@
 //! `session replay` with a real daemon: the same orders at the same gaps, the recorded texts, what differs, what is refused.
 
-use crate::harness::{Daemon, PROGRAM, complaint, document, printed, write_pattern};
-use meissner_api::{Receipt, Session, SessionStarted, Status};
+use crate::harness::{Daemon, PROGRAM, TIMEOUT, complaint, document, printed, write_pattern};
+use meissner_api::{PlayState, Receipt, Session, SessionStarted, Status};
 use meissner_client::Client;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
@@ -15,7 +15,7 @@ const DRIVE: &str = "duration_s = 0.2\n[[drive]]\nmotor = 9\nfrequency_hz = 60.0
 /// Plays this and returns its receipt.
 fn played(client: &mut Client, route: &str, request: &Value) -> Receipt {
     let id = client.post::<Value>(route, request).unwrap()["id"].as_u64().unwrap();
-    client.get_within(crate::harness::TIMEOUT, &format!("/v1/plays/{id}?wait=20")).unwrap()
+    client.get_within(TIMEOUT, &format!("/v1/plays/{id}?wait=20")).unwrap()
 }
 
 /// A session with every kind of play: plays, two back to back, a sequence, one that is cut, and a pattern that changes afterwards.
@@ -45,7 +45,7 @@ fn recorded(daemon: &Daemon) -> (String, Vec<Receipt>) {
         status.play.is_some_and(|play| play.played_s > 0.2)
     });
     let _: Status = client.post("/v1/stop", &json!({})).unwrap();
-    receipts.push(client.get_within(crate::harness::TIMEOUT, &format!("{path}?wait=20")).unwrap());
+    receipts.push(client.get_within(TIMEOUT, &format!("{path}?wait=20")).unwrap());
     let _: Session = client.post("/v1/sessions/running/end", &json!({})).unwrap();
     write_pattern(&daemon.path("patterns/mine.toml"), "mine", &DRIVE.replace("40.0", "20.0"));
     (started.id, receipts)
@@ -145,6 +145,25 @@ fn change_end(daemon: &Daemon, play: u64, from: &str, to: &str) {
     fs::write(&day, lines.collect::<Vec<_>>().join("\n") + "\n").unwrap();
 }
 
+/// What was left out was not played as recorded.
+#[test]
+fn a_replay_that_leaves_a_play_out_fails() {
+    let daemon = Daemon::start();
+    let (id, _) = recorded(&daemon);
+    // The end of play 1 is lost.
+    change_end(&daemon, 1, "\"event\":\"ended\"", "\"event\":\"gone\"");
+    let output = daemon
+        .meissner()
+        .args(["session", "replay", &id, "--to", "2", "--json", "--rest-tolerance-um", "1000"])
+        .assert()
+        .code(1)
+        .get_output()
+        .clone();
+    let summary: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let told = ["replayed", "skipped", "never_began", "differing"].map(|key| summary[key].as_u64().unwrap());
+    assert_eq!(told, [1, 1, 0, 0], "{summary}");
+}
+
 /// Nothing waits in the daemon meanwhile, and an interrupt ends it all.
 #[test]
 fn a_gap_of_minutes_is_waited_for_and_can_be_interrupted() {
@@ -174,6 +193,47 @@ fn a_gap_of_minutes_is_waited_for_and_can_be_interrupted() {
     let mut said = String::new();
     replay.stderr.take().unwrap().read_to_string(&mut said).unwrap();
     assert!(ended.code() == Some(130) && said.contains("its play was stopped"), "{ended} {said}");
+}
+
+/// Three plays without gaps, each of 2 s: their replay has all of them on their way at once.
+fn back_to_back(daemon: &Daemon) -> String {
+    let mut client = daemon.armed();
+    let started: SessionStarted = client.post("/v1/sessions", &json!({"participant": "P07"})).unwrap();
+    let play = json!({"pattern": "pin-60", "seconds": 2.0});
+    let _: Value = client.post("/v1/play", &play).unwrap();
+    let _: Value = client.post("/v1/play", &play).unwrap();
+    assert!(played(&mut client, "/v1/play", &play).all_played());
+    let _: Session = client.post("/v1/sessions/running/end", &json!({})).unwrap();
+    started.id
+}
+
+#[test]
+fn a_replay_that_ends_early_leaves_no_play_behind() {
+    let daemon = Daemon::start();
+    let id = back_to_back(&daemon);
+    let mut client = daemon.client();
+    let spawn = || {
+        let mut replay = process::Command::new(PROGRAM);
+        replay.args(["session", "replay", &id]).env("MEISSNER_SOCKET", daemon.socket());
+        replay.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap()
+    };
+    let mut last = || -> Receipt { client.get_within(TIMEOUT, "/v1/plays/last?wait=20").unwrap() };
+    let mut watcher = daemon.client();
+    for (signal, code) in [(Signal::INT, 130), (Signal::TERM, 143), (Signal::HUP, 129)] {
+        let mut replay = spawn();
+        crate::harness::wait_until(|| {
+            watcher.get::<Status>("/v1/status").is_ok_and(|status| status.queued.len() == 2)
+        });
+        kill_process(Pid::from_child(&replay), signal).unwrap();
+        assert_eq!(replay.wait().unwrap().code(), Some(code));
+        assert_eq!(last().state, PlayState::Stopped, "{signal:?}");
+    }
+    // The first play differs, and nobody reads that: the others must not go on.
+    change_end(&daemon, 1, "\"reached_um\":", "\"reached_um\":9");
+    let mut replay = spawn();
+    drop(replay.stdout.take());
+    assert_eq!(replay.wait().unwrap().code(), Some(1));
+    assert_eq!(last().state, PlayState::Stopped);
 }
 
 #[test]

@@ -298,11 +298,26 @@ pub(super) fn leave_on_interrupt() -> Result<Arc<AtomicBool>> {
 
 /// Calls `work` at every Ctrl-C from now on, on a thread of its own.
 pub(super) fn on_interrupt(mut work: impl FnMut() + Send + 'static) -> Result<()> {
+    on_signals([SignalKind::interrupt()], move |_| work())
+}
+
+/// Calls `work` with the number of each of these signals from now on, on a thread of its own.
+pub(super) fn on_signals<const N: usize>(
+    kinds: [SignalKind; N],
+    mut work: impl FnMut(i32) + Send + 'static,
+) -> Result<()> {
     let runtime = daemon::runtime()?;
-    let mut interrupts = runtime.block_on(async { signal(SignalKind::interrupt()) })?;
+    let (sender, mut signals) = tokio::sync::mpsc::channel(N);
+    for kind in kinds {
+        let mut source = runtime.block_on(async { signal(kind) })?;
+        let sender = sender.clone();
+        runtime.spawn(async move {
+            while source.recv().await.is_some() && sender.send(kind.as_raw_value()).await.is_ok() {}
+        });
+    }
     thread::Builder::new().name("interrupt".into()).spawn(move || {
-        while runtime.block_on(interrupts.recv()).is_some() {
-            work();
+        while let Some(number) = runtime.block_on(signals.recv()) {
+            work(number);
         }
     })?;
     Ok(())

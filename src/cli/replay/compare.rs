@@ -6,7 +6,7 @@
 
 use super::plan::{Step, has_ended};
 use crate::receipts::largest_um;
-use meissner_api::{ItemRecord, ItemState, Receipt};
+use meissner_api::{ItemRecord, ItemState, Receipt, TriggerRecord};
 use serde::Serialize;
 
 /// Plays in a list of the summary, at most.
@@ -47,10 +47,15 @@ pub(super) struct Summary {
     /// Plays that were to be replayed.
     pub(super) plays: u64,
     pub(super) replayed: u64,
+    /// Plays that were not played again.
     pub(super) skipped: u64,
+    /// Those of them that had not begun in the record either.
+    pub(super) never_began: u64,
     pub(super) differing: u64,
     /// By how much a gap between two onsets differs, at most, ticks.
     pub(super) gap_error_max_ticks: u64,
+    /// Gaps that the record does not tell to the tick: they are by the host's clock.
+    pub(super) gaps_by_host_clock: u64,
     /// The largest rest error of a play, µm.
     pub(super) rest_error_recorded_max_um: f32,
     pub(super) rest_error_replayed_max_um: f32,
@@ -71,12 +76,13 @@ pub(super) struct Onset {
 impl Summary {
     /// Whether everything was played as recorded.
     pub(super) fn is_same(&self) -> bool {
-        self.differing == 0 && self.ended_early.is_none()
+        self.differing == 0 && self.skipped == self.never_began && self.ended_early.is_none()
     }
 
-    /// Adds a skipped play.
-    pub(super) fn skip(&mut self, skipped: Skipped) {
+    /// Adds a skipped play. `never_began`: it had not begun in the record either.
+    pub(super) fn skip(&mut self, skipped: Skipped, never_began: bool) {
         self.skipped += 1;
+        self.never_began += u64::from(never_began);
         if self.skips.len() < MAX_LISTED {
             self.skips.push(skipped);
         }
@@ -91,6 +97,7 @@ impl Summary {
     ) -> Option<Differing> {
         let play = &step.recorded.play;
         self.replayed += 1;
+        self.gaps_by_host_clock += u64::from(!step.is_exact);
         let recorded = play.rest_error_max_um.unwrap_or(0.0);
         self.rest_error_recorded_max_um = self.rest_error_recorded_max_um.max(recorded);
         self.rest_error_replayed_max_um =
@@ -158,9 +165,23 @@ pub(super) fn compare(
         differ("bursts planned", recorded, replayed);
         let (recorded, replayed) = count(|bursts| bursts.played);
         differ("bursts played", recorded, replayed);
+        let (recorded, replayed) = count(|bursts| bursts.refused);
+        differ("bursts refused", recorded, replayed);
+        let late = |receipt: &Receipt| {
+            let late = receipt.lateness.counts;
+            late.host + late.link + late.device
+        };
+        let recorded = play.late_strokes.map(|n| n.to_string());
+        differ("late strokes", recorded, Some(receipts.iter().map(late).sum::<u64>().to_string()));
         let ordered = receipts.iter().map(|receipt| receipt.ordered?.pulses).sum::<Option<u64>>();
         let recorded = play.ordered.and_then(|ordered| ordered.pulses);
         differ("pulses ordered", recorded.map(|n| n.to_string()), ordered.map(|n| n.to_string()));
+    }
+    if let (0, Some(onset), [Receipt { onset: Some(other), trigger, .. }]) =
+        (play.items, play.onset_tick, receipts)
+    {
+        let replayed = output(*trigger, other.actual_tick);
+        differ("trigger", Some(output(play.trigger, onset)), Some(replayed));
     }
     let um = |um: f64| format!("{um:.1} um");
     if let (Some(recorded), [receipt]) = (play.reached_um, receipts) {
@@ -180,6 +201,14 @@ pub(super) fn compare(
     found
 }
 
+/// What the trigger output gave, and when after the onset.
+fn output(trigger: Option<TriggerRecord>, onset: u64) -> String {
+    let Some(TriggerRecord { tick, width_ms, code }) = trigger else { return "none".to_owned() };
+    let code = code.map_or_else(String::new, |code| format!(" code {code}"));
+    let after = i128::from(tick) - i128::from(onset);
+    format!("{width_ms} ms{code} at {after} ticks")
+}
+
 /// Compares the items of a sequence; tells the first that differs, and how many do.
 fn compare_items(
     step: &Step,
@@ -197,18 +226,36 @@ fn compare_items(
         })
         .collect();
     let recorded: Vec<_> = step.recorded.items.iter().filter(|item| has_ended(item)).collect();
-    differ("items", Some(recorded.len().to_string()), Some(replayed.len().to_string()));
+    // Those whose lines the record lost, too.
+    let planned = step.recorded.play.items_planned.filter(|_| step.is_whole);
+    let count = planned.unwrap_or(recorded.len() as u64);
+    differ("items", Some(count.to_string()), Some(replayed.len().to_string()));
     let (mut first, mut count) = (None, 0u64);
     for (item, (other, tick)) in recorded.iter().zip(replayed) {
         let of_item = |what: &str| format!("{what} of item {}", item.item.unwrap_or(0));
         let planned = item.planned_onset_ticks.unwrap_or(0);
         let reached_um = item.reached_um.unwrap_or(other.reached_um);
-        let difference = if item.state == "played" && other.state != ItemState::Played {
+        let outputs = item
+            .onset_tick
+            .zip(other.onset)
+            .map(|(onset, at)| (output(item.trigger, onset), output(other.trigger, at.tick)));
+        let failed = |late: u64, refused: u64| format!("{late} late, {refused} refused");
+        let recorded_failed = failed(item.late_strokes.unwrap_or(0), item.refused_strokes.unwrap_or(0));
+        let replayed_failed = failed(other.late_strokes.into(), other.refused_strokes.into());
+        let sha256 = item.pattern_sha256.as_deref().unwrap_or_default();
+        let difference = if sha256 != &*other.pattern_sha256 {
+            Some((of_item("pattern"), sha256.to_owned(), other.pattern_sha256.to_string()))
+        } else if item.state == "played" && other.state != ItemState::Played {
             Some((of_item("state"), item.state.clone(), other.state.name().to_owned()))
         } else if planned != tick && other.onset.is_some() {
             Some((of_item("onset"), format!("{planned} ticks"), format!("{tick} ticks")))
         } else if (reached_um - other.reached_um).abs() > SAME_UM {
             Some((of_item("amplitude"), format!("{reached_um:.1} um"), format!("{:.1} um", other.reached_um)))
+        } else if let Some((recorded, replayed)) = outputs.filter(|(recorded, replayed)| recorded != replayed)
+        {
+            Some((of_item("trigger"), recorded, replayed))
+        } else if recorded_failed != replayed_failed {
+            Some((of_item("strokes"), recorded_failed, replayed_failed))
         } else {
             None
         };
@@ -229,14 +276,23 @@ mod tests {
     use meissner_api::{BurstCounts, InstantRecord, OnsetRecord, OrderedCounts, PlayState};
 
     fn receipt(onset: u64) -> Receipt {
-        let onset =
-            OnsetRecord { requested_tick: onset, actual_tick: onset, monotonic_ns: 1, uncertainty_ns: 1 };
+        let onset = Some(OnsetRecord {
+            requested_tick: onset,
+            actual_tick: onset,
+            monotonic_ns: 1,
+            uncertainty_ns: 1,
+        });
         Receipt {
             state: PlayState::Done,
-            onset: Some(onset),
+            onset,
             bursts: Some(BurstCounts { planned: 60, played: 60, ..BurstCounts::default() }),
             ordered: Some(OrderedCounts { bursts: 60, pulses: Some(4000) }),
             rest_error_um: Some(vec![1.0, -3.0]),
+            trigger: onset.map(|onset| TriggerRecord {
+                tick: onset.actual_tick,
+                width_ms: 4.0,
+                code: Some(7),
+            }),
             ..Receipt::new(9, "pin-60", &"0".repeat(64), Some(0.5))
         }
     }
@@ -283,12 +339,50 @@ mod tests {
     }
 
     #[test]
+    fn a_trigger_and_strokes_that_did_not_come_are_compared() {
+        let onsets = (at(100, 5_000_100), at(700, 5_000_700));
+        let mut recorded = step();
+        recorded.recorded.play.late_strokes = Some(0);
+        assert_eq!(compare(&recorded, &[receipt(5)], onsets, 20.0), []);
+        let mut other = receipt(5);
+        other.trigger = Some(TriggerRecord { tick: 6, width_ms: 4.0, code: Some(8) });
+        other.bursts = Some(BurstCounts { planned: 60, played: 60, refused: 4, ..BurstCounts::default() });
+        other.lateness.counts.link = 2;
+        let found = compare(&recorded, &[other.clone()], onsets, 20.0);
+        let found: Vec<_> =
+            found.iter().map(|d| (d.what, d.recorded.as_str(), d.replayed.as_str())).collect();
+        assert_eq!(
+            found,
+            [
+                ("bursts refused", "0", "4"),
+                ("late strokes", "0", "2"),
+                ("trigger", "4 ms code 7 at 0 ticks", "4 ms code 8 at 1 ticks")
+            ]
+        );
+        // Also one that was not given.
+        recorded.recorded.play.trigger = None;
+        other = Receipt { trigger: receipt(5).trigger, ..receipt(5) };
+        let found = compare(&recorded, &[other], onsets, 20.0);
+        assert_eq!((found[0].what, found[0].recorded.as_str()), ("trigger", "none"));
+    }
+
+    #[test]
+    fn only_a_play_that_had_not_begun_may_be_left_out() {
+        let skipped = || Skipped { play: 3, why: String::new() };
+        let mut summary = Summary::default();
+        summary.skip(skipped(), true);
+        assert!(summary.is_same());
+        summary.skip(skipped(), false);
+        assert!(!summary.is_same() && summary.skipped == 2);
+    }
+
+    #[test]
     fn items_are_compared_one_by_one_also_in_parts() {
         let step = Planner::default().plan(with_items(3, 1000, 4000, 850)).unwrap();
         assert_eq!(step.orders.len(), 2);
         let item = |tick: u64| ItemRecord {
             pattern: "pin-60".into(),
-            pattern_sha256: "0".into(),
+            pattern_sha256: "0".repeat(64).into(),
             scale: 1.0,
             ordered_um: 0.0,
             reached_um: 0.0,
@@ -298,7 +392,7 @@ mod tests {
             onset: Some(InstantRecord { tick, monotonic_ns: 1, uncertainty_ns: 1 }),
             first_pulse_tick: None,
             offset: None,
-            trigger: None,
+            trigger: Some(TriggerRecord { tick, width_ms: 4.0, code: Some(7) }),
             late_strokes: 0,
             refused_strokes: 0,
         };
@@ -309,6 +403,23 @@ mod tests {
         };
         let mut receipts = [of(0), of(1)];
         assert_eq!(compare(&step, &receipts, (None, at(0, 10_000)), 20.0), []);
+        let mut holed = step.clone();
+        holed.recorded.play.items_planned = Some(4001);
+        let found = compare(&holed, &receipts, (None, at(0, 10_000)), 20.0);
+        assert_eq!((found[0].what, found[0].recorded.as_str()), ("items", "4001"));
+        let changed = |change: fn(&mut ItemRecord)| {
+            let mut items = receipts[1].items.clone().unwrap().to_vec();
+            change(&mut items[5]);
+            let receipts =
+                [receipts[0].clone(), Receipt { items: Some(items.into()), ..receipts[1].clone() }];
+            compare(&step, &receipts, (None, at(0, 10_000)), 20.0).remove(0)
+        };
+        let other = changed(|item| item.pattern_sha256 = "1".into());
+        assert!(other.recorded.starts_with("pattern of item 2005 000") && other.replayed == "1");
+        let other = changed(|item| item.trigger = None);
+        assert_eq!(other.recorded, "trigger of item 2005 4 ms code 7 at 0 ticks");
+        let other = changed(|item| item.late_strokes = 2);
+        assert_eq!((other.what, other.replayed.as_str()), ("items:", "2 late, 0 refused"));
         let mut items = receipts[1].items.clone().unwrap().to_vec();
         items[7].onset.as_mut().unwrap().tick += 1;
         items[8].state = ItemState::Incomplete;

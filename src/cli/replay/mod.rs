@@ -6,20 +6,23 @@
 //!
 //! Bounds: three pages of rows, and [`MOST_AHEAD`] orders on their way, however long the session and its gaps are.
 //!
-//! Invariant: nothing is played unless every selected play that began can be played; an interrupt stops the display.
+//! Invariant: nothing is played unless the texts of all selected plays are kept; exit 0 means that every play that began was played
+//! as recorded; a signal or an error stops the display.
 
 mod compare;
+mod gate;
 mod plan;
 mod rows;
 
 use super::arguments::{ClientOptions, positive};
-use super::control::on_interrupt;
+use super::control::on_signals;
 use super::export::TIMEOUT;
 use super::output::{give, say, say_json};
 use super::text;
 use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
 use compare::{MAX_LISTED, Onset, Skipped, Summary, compare};
+use gate::Gate;
 use meissner_api::{Code, PlayAccepted, Receipt, Status};
 use meissner_array::units::{TICKS_PER_MS, ticks_to_ms, ticks_to_seconds};
 use meissner_client::{Client, ClientError, escape};
@@ -29,8 +32,10 @@ use serde_json::{Value, json};
 use std::collections::VecDeque;
 use std::io::{self, Write};
 use std::process::{self, ExitCode};
+use std::sync::Arc;
 use std::thread;
 use std::time::Duration;
+use tokio::signal::unix::SignalKind;
 
 /// Time from the last check to the first onset, ticks: 1 s.
 const START_AFTER: u64 = 1000 * TICKS_PER_MS;
@@ -75,12 +80,13 @@ pub(super) fn run(asked: &Replay) -> Result<ExitCode> {
     }
     let plays = check(asked, &session.id)?;
     let mut player = Player::new(client, plays, &session.id, asked)?;
-    stop_on_interrupt(&asked.options)?;
+    stop_on_signals(&asked.options, Arc::clone(&player.gate))?;
     let played = player.play(plan_all(asked, &session.id)?);
-    let Player { mut summary, .. } = player;
+    player.gate.wait_if_stopping();
     if let Err(error) = played {
-        summary.ended_early = Some(error.to_string());
+        player.summary.ended_early = Some(player.end_early(&error));
     }
+    let Player { summary, .. } = player;
     let same = summary.is_same();
     give(asked.options.output.json, &summary, || summary_text(&summary))?;
     Ok(if same { ExitCode::SUCCESS } else { ExitCode::FAILURE })
@@ -179,6 +185,7 @@ struct UnderWay {
 /// Plays the steps and compares their receipts.
 struct Player {
     client: Client,
+    gate: Arc<Gate>,
     json: bool,
     tolerance_um: f32,
     /// The tick of the first onset, and the boot it belongs to.
@@ -200,6 +207,7 @@ impl Player {
         }
         Ok(Self {
             client,
+            gate: Arc::default(),
             json: asked.options.output.json,
             tolerance_um: asked.rest_tolerance_um as f32,
             base: None,
@@ -215,7 +223,7 @@ impl Player {
         for row in steps {
             played = row.and_then(|(recorded, planned)| match planned {
                 Ok(step) => self.order(step),
-                Err(why) => self.skip(recorded.play.play, &why),
+                Err(why) => self.skip(recorded.play.play, &why, why == Skip::NeverBegan),
             });
             if played.is_err() {
                 break;
@@ -227,10 +235,10 @@ impl Player {
         played
     }
 
-    fn skip(&mut self, play: u64, why: &impl ToString) -> Result<()> {
+    fn skip(&mut self, play: u64, why: &impl ToString, never_began: bool) -> Result<()> {
         let skipped = Skipped { play, why: why.to_string() };
         self.tell(&format!("play {play}: not played: {}", skipped.why))?;
-        self.summary.skip(skipped);
+        self.summary.skip(skipped, never_began);
         Ok(())
     }
 
@@ -272,8 +280,8 @@ impl Player {
                     Err(ClientError::Problem(problem))
                         if problem.code == Code::Empty.parts().0 && !step.is_whole =>
                     {
-                        return self
-                            .skip(step.recorded.play.play, &"it was cut before its first stroke was over");
+                        let why = "it was cut before its first stroke was over";
+                        return self.skip(step.recorded.play.play, &why, false);
                     }
                     Err(error) => return Err(anyhow!("play {}: {error}", step.recorded.play.play)),
                 }
@@ -285,19 +293,35 @@ impl Player {
 
     fn send(&mut self, order: &Order, at_tick: Option<u64>, boot: u32) -> Result<u64, ClientError> {
         let boot = Some(boot);
-        let accepted: PlayAccepted = match order {
-            Order::Play(request) => {
-                let mut request = request.clone();
-                (request.at_tick, request.boot) = (at_tick, boot);
-                self.client.post("/v1/play", &request)?
+        let client = &mut self.client;
+        let sent = self.gate.order(|| -> Result<PlayAccepted, ClientError> {
+            match order {
+                Order::Play(request) => {
+                    let mut request = request.clone();
+                    (request.at_tick, request.boot) = (at_tick, boot);
+                    client.post("/v1/play", &request)
+                }
+                Order::Sequence(request) => {
+                    let mut request = request.clone();
+                    (request.at_tick, request.boot) = (at_tick, boot);
+                    client.post_within(super::sequence::TIMEOUT, "/v1/sequence", &request)
+                }
             }
-            Order::Sequence(request) => {
-                let mut request = request.clone();
-                (request.at_tick, request.boot) = (at_tick, boot);
-                self.client.post_within(super::sequence::TIMEOUT, "/v1/sequence", &request)?
-            }
-        };
-        Ok(accepted.id)
+        });
+        match sent {
+            Some(accepted) => Ok(accepted?.id),
+            None => Gate::wait_for_end(),
+        }
+    }
+
+    /// Stops what is still on its way after an error, and tells why the replay ended.
+    fn end_early(&mut self, error: &anyhow::Error) -> String {
+        let client = &mut self.client;
+        let stopped: Result<Value, _> = self.gate.stop(|| client.post("/v1/stop", &json!({})));
+        match stopped {
+            Ok(_) => error.to_string(),
+            Err(failed) => format!("{error}; its plays were not stopped: {failed}"),
+        }
     }
 
     /// The device's clock.
@@ -320,6 +344,7 @@ impl Player {
             }
             receipts.push(receipt);
         }
+        self.gate.wait_if_stopping();
         let Some(UnderWay { step, .. }) = self.under_way.pop_front() else { return Ok(()) };
         let first = receipts.first().and_then(|receipt| receipt.onset);
         let late = step.orders.first().map_or(0, |(start, _)| *start);
@@ -338,19 +363,31 @@ impl Player {
     }
 }
 
-/// Stops the display at Ctrl-C and ends this process: a replay that nobody follows must not go on.
-fn stop_on_interrupt(options: &ClientOptions) -> Result<()> {
+/// Stops the display at Ctrl-C, SIGTERM and SIGHUP, and ends this process: a replay that nobody follows must not go on.
+fn stop_on_signals(options: &ClientOptions, gate: Arc<Gate>) -> Result<()> {
     let mut client = options.client()?;
-    on_interrupt(move || {
-        let stopped: Result<Value, _> = client.post("/v1/stop", &json!({}));
+    let signals = [SignalKind::interrupt(), SignalKind::terminate(), SignalKind::hangup()];
+    on_signals(signals, move |number| {
+        let stopped: Result<Value, _> = gate.stop(|| client.post("/v1/stop", &json!({})));
         let said = match stopped {
             Ok(_) => "the replay has ended, and its play was stopped".to_owned(),
             Err(error) => format!("the replay has ended, but its play was not stopped: {error}"),
         };
         // If stderr is closed, there is no one to tell.
         let _ = writeln!(io::stderr(), "{said}");
-        process::exit(130);
+        process::exit(128 + number);
     })
+}
+
+fn gaps(summary: &Summary) -> String {
+    let error = match summary.gap_error_max_ticks {
+        0 => "as recorded, to the tick".to_owned(),
+        ticks => format!("off by {ticks} ticks at most, {:.3} ms", ticks_to_ms(ticks)),
+    };
+    match summary.gaps_by_host_clock {
+        0 => error,
+        inexact => format!("{error}, but {inexact} recorded by the host's clock only"),
+    }
 }
 
 fn summary_text(summary: &Summary) -> String {
@@ -359,13 +396,7 @@ fn summary_text(summary: &Summary) -> String {
         ("session", summary.session.clone()),
         ("replayed", format!("{replayed} of {plays} plays, {skipped} not played")),
         ("as recorded", format!("{}, {differing} differ", replayed - differing)),
-        (
-            "gaps",
-            match summary.gap_error_max_ticks {
-                0 => "as recorded, to the tick".to_owned(),
-                ticks => format!("off by {ticks} ticks at most, {:.3} ms", ticks_to_ms(ticks)),
-            },
-        ),
+        ("gaps", gaps(summary)),
         (
             "largest rest error",
             format!(

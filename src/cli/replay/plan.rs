@@ -5,7 +5,9 @@
 //!
 //! Invariant: a step orders what was recorded, at the recorded distance to the step before it.
 
-use meissner_api::{PlayRequest, RecordedPlay, SequenceItem, SequenceRequest, TriggerRequest, TriggerShape};
+use meissner_api::{
+    Fit, PlayRequest, RecordedPlay, SequenceItem, SequenceRequest, TriggerRequest, TriggerShape,
+};
 use meissner_array::units::{TICKS_PER_MS, ms_in_ticks, ns_to_ms, ticks_to_ms};
 
 /// Items in one order: with the SHA-256 of each they fit into a request.
@@ -31,6 +33,8 @@ pub(super) struct Step {
     pub(super) recorded: Recorded,
     /// Its onset, ticks from that of the first step.
     pub(super) start: u64,
+    /// Whether that is known to the tick; otherwise it is by the host's clock.
+    pub(super) is_exact: bool,
     /// The orders with their onsets, ticks from this step's: one, or several for a long sequence.
     pub(super) orders: Vec<(u64, Order)>,
     /// Whether the recorded play came to its end. Otherwise it is played as long as it lasted, and its counts are not compared.
@@ -46,7 +50,9 @@ pub(super) enum Skip {
     NoEnd,
     #[error("it never began")]
     NeverBegan,
-    #[error("its items are not recorded: an older daemon recorded it, or it was cut in its first item")]
+    #[error(
+        "its items are not recorded: an older daemon recorded it, the record lost them, or it was cut in its first item"
+    )]
     NoItems,
     #[error("the record does not tell how long it lasted")]
     NoDuration,
@@ -74,12 +80,14 @@ impl Planner {
         let onset = play.onset_tick.ok_or(Skip::NeverBegan)?;
         let is_whole = play.state == "done";
         let mut notes = Vec::new();
-        let orders = if play.scale.is_none() && (play.items > 0 || play.pattern_sha256.is_none()) {
+        let is_sequence = play.items_planned.is_some() || play.items > 0 || play.pattern_sha256.is_none();
+        let orders = if play.scale.is_none() && is_sequence {
             sequence(&recorded, &mut notes)?
         } else {
             vec![(0, Order::Play(Box::new(single(play, is_whole, &mut notes)?)))]
         };
-        let (start, exact) = match self.last {
+        let boots = self.last.map(|(_, boot, ..)| boot.zip(play.boot));
+        let (start, is_exact) = match self.last {
             None => (0, true),
             Some((start, boot, tick, _)) if boot == play.boot && tick <= onset => {
                 (start + onset - tick, true)
@@ -89,12 +97,17 @@ impl Planner {
                 (start + whole(ms_in_ticks(ns_to_ms(ns))), false)
             }
         };
-        if !exact {
-            notes.push("the device has restarted before it: the gap is by the host's clock".to_owned());
+        if !is_exact {
+            let why = match boots.flatten() {
+                Some((before, now)) if before != now => "the device has restarted before it",
+                Some(_) => "its tick is before that of the play before it",
+                None => "the record does not tell whether the device has restarted before it",
+            };
+            notes.push(format!("{why}: the gap is by the host's clock"));
         }
         self.last = Some((start, play.boot, onset, play.onset_monotonic_ns));
         let note = (!notes.is_empty()).then(|| notes.join("; "));
-        Ok(Step { recorded, start, orders, is_whole, note })
+        Ok(Step { recorded, start, is_exact, orders, is_whole, note })
     }
 }
 
@@ -133,7 +146,8 @@ fn single(play: &RecordedPlay, is_whole: bool, notes: &mut Vec<String>) -> Resul
         pattern_sha256: text(play)?,
         seconds,
         scale: play.scale,
-        fit: play.fit,
+        // `cover` would add the rest of the strokes that the cut ended.
+        fit: if is_whole { play.fit } else { Fit::Whole },
         late: play.late_policy,
         open_loop: play.open_loop,
         trial: play.trial,
@@ -147,6 +161,15 @@ fn single(play: &RecordedPlay, is_whole: bool, notes: &mut Vec<String>) -> Resul
 fn sequence(recorded: &Recorded, notes: &mut Vec<String>) -> Result<Vec<(u64, Order)>, Skip> {
     let Recorded { play, items } = recorded;
     let ended: Vec<&RecordedPlay> = items.iter().filter(|item| has_ended(item)).collect();
+    // The items of a sequence that was cut need not have begun.
+    let known = if play.state == "done" {
+        play.items_planned
+    } else {
+        items.last().and_then(|last| last.item).map(|last| last + 1)
+    };
+    if let lost @ 1.. = known.unwrap_or(0).saturating_sub(items.len() as u64) {
+        notes.push(format!("{lost} of its items are lost from the record: they are left out"));
+    }
     if let left_out @ 1.. = items.len() - ended.len() {
         notes.push(format!("{left_out} items that were cut are left out"));
     }
@@ -223,6 +246,7 @@ pub(super) mod tests {
             state: "played".to_owned(),
             planned_onset_ticks: Some(number * step),
             onset_tick: Some(onset + number * step),
+            trigger: Some(TriggerRecord { tick: onset + number * step, width_ms: 4.0, code: Some(7) }),
             scale: Some(1.0),
             seconds: Some(0.02),
             ..recorded.play.clone()
@@ -254,17 +278,25 @@ pub(super) mod tests {
         (restarted.play.boot, restarted.play.onset_monotonic_ns) =
             (Some(2), Some((later + 7) * 1_000_000 / 85 + 1_000_000_000));
         let restarted = planner.plan(restarted).unwrap();
-        assert_eq!(restarted.start, 600 * 85_000 + 8 + 85_000);
-        assert!(restarted.note.unwrap().contains("by the host's clock"));
+        assert_eq!((restarted.start, restarted.is_exact), (600 * 85_000 + 8 + 85_000, false));
+        let note = restarted.note.unwrap();
+        assert!(note.contains("has restarted") && note.contains("by the host's clock"), "{note}");
+        // An older daemon did not tell the boot with each play: nobody knows whether the device has restarted.
+        let mut unknown = play(8, 6);
+        (unknown.play.boot, unknown.play.onset_monotonic_ns) = (None, None);
+        let unknown = planner.plan(unknown).unwrap();
+        assert!(!unknown.is_exact && unknown.note.unwrap().contains("does not tell whether"));
     }
 
     #[test]
     fn a_play_that_was_cut_lasts_as_long_and_an_old_record_is_told() {
         let mut cut = play(3, 100);
         (cut.play.state, cut.play.cut_after_ms, cut.play.seconds) = ("stopped".to_owned(), Some(123.4), None);
+        cut.play.fit = Fit::Cover;
         let step = Planner::default().plan(cut).unwrap();
         let (_, Order::Play(request)) = &step.orders[0] else { panic!("{step:?}") };
         assert!(!step.is_whole && (request.seconds.unwrap() - 0.1234).abs() < 1e-12);
+        assert_eq!(request.fit, Fit::Whole, "no stroke of it may begin that the cut ended");
         let mut old = play(4, 100);
         old.play.pattern_kept = false;
         let told = Planner::default().plan(old).unwrap_err().to_string();
@@ -307,6 +339,20 @@ pub(super) mod tests {
             let wanted: Vec<_> = (0..items).map(|n| (n * step, n * step + 1_701)).collect();
             assert_eq!(spans, wanted);
         }
+        // Items whose lines are lost leave a hole.
+        let mut holed = with_items(3, 100, 5, 3_000);
+        holed.play.items_planned = Some(5);
+        holed.items.drain(0..2);
+        let planned = Planner::default().plan(holed.clone()).unwrap();
+        assert!(planned.note.unwrap().contains("2 of its items are lost"));
+        let (start, Order::Sequence(request)) = &planned.orders[0] else { panic!() };
+        assert_eq!(
+            (*start, request.items.len(), request.items[1].start_ms),
+            (6_000, 3, Some(ticks_to_ms(3_000)))
+        );
+        (holed.play.items, holed.play.state) = (0, "stopped".to_owned());
+        holed.items.clear();
+        assert_eq!(Planner::default().plan(holed).unwrap_err(), Skip::NoItems);
         // The cut item is left out; without any there is nothing to play.
         let mut cut = with_items(3, 100, 3, 3_000);
         cut.play.state = "stopped".to_owned();
