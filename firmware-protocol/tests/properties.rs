@@ -351,7 +351,7 @@ fn config(cases: u32) -> ProptestConfig {
     }
 }
 
-/// Whatever was played, moved, cut or stopped before: after a seek that is not refused all pins are at the stop.
+/// After a seek that is not refused all pins are at the stop, in every state of play, move, cut and stop before it.
 #[test]
 fn every_seek_reaches_the_stop() {
     let sought = Cell::new(0);

@@ -88,7 +88,7 @@ fn parent(pid: u32) -> Option<u32> {
     fields.split_ascii_whitespace().nth(1)?.parse().ok().filter(|parent| *parent != 0)
 }
 
-/// Whose the emergency stops since the last reset were: nobody's, one terminal's, or several terminals'. It changes with every
+/// Where the emergency stops since the last reset came from: there was none, one terminal, or several. It changes with every
 /// emergency stop, so that a reset can tell whether one came after its check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Guard(u64);

@@ -215,7 +215,7 @@ mod tests {
         assert!(Contact::new(&[at(0.0), at(0.6)]).is_some());
     }
 
-    /// A set of pins comes back: the answer is that of a fresh solution, whatever is kept.
+    /// A set of pins comes back: the answer is that of a fresh solution.
     #[test]
     fn what_is_kept_changes_nothing() {
         let places = array();

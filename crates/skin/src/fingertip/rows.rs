@@ -3,7 +3,7 @@
 //! Nine RA, four SA1 and four PC afferents of Dong et al. 2013 as used by Saal et al. 2017, in the order p0 to p11 of the
 //! page "Models" of the book. Their thirteenth parameter, a delay, is 0 here, as it is by default there.
 //!
-//! Invariant: nobody tunes these numbers; the reference spikes of the tests hold them.
+//! Invariant: the reference spikes of the tests hold these numbers.
 
 /// The number of parameters of a row.
 pub(super) const PARAMETERS: usize = 12;
