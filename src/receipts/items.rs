@@ -1,7 +1,7 @@
 //! The items of a sequence: their records, from what was planned and the streamer's account.
 //!
-//! Invariant: a record says `played` only if the device has reported the item's onset, its end has come, and no stroke was late or
-//! refused.
+//! Invariant: a record says `played` only if the device has reported the item's onset, accepted all its strokes and come to their
+//! end, and no stroke was late or refused.
 
 use meissner_api::{InstantRecord, ItemRecord, ItemState, TriggerRecord};
 use meissner_array::units::ticks_to_ms;
@@ -46,7 +46,7 @@ fn record(planned: &PlannedItem, item: &Item) -> ItemRecord {
         state,
         onset: item.began.map(instant),
         first_pulse_tick: item.first_up.filter(|_| state != ItemState::NotBegun).map(|tick| tick.0),
-        offset: item.ended.map(instant),
+        offset: item.ended.filter(|_| item.first_up.is_some()).map(instant),
         trigger: trigger(item),
         late_strokes: item.late,
         refused_strokes: item.refused,

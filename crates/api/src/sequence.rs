@@ -283,10 +283,12 @@ pub struct ItemRecord {
     /// The item's onset, as the device reported it; null if it has not begun, or if the device learned of it too late.
     #[schema(required)]
     pub onset: Option<InstantRecord>,
-    /// Start of its first pulse, ticks of 1/85000 s; later than the onset if no drive begins with a stroke. Null if none was sent.
+    /// Start of its first pulse, ticks of 1/85000 s; later than the onset if no drive begins with a stroke or the
+    /// first strokes were late or refused. Null if the device accepted none.
     #[schema(required)]
     pub first_pulse_tick: Option<u64>,
-    /// The end of its last pulse, as planned; corrections by feedback may shift it by some ticks. Null if it has not come.
+    /// The end of the last stroke that the device accepted, as planned; corrections by feedback may shift it by some ticks. Null if it
+    /// accepted none, or was cut before, or if the link was lost before it reported so far.
     #[schema(required)]
     pub offset: Option<InstantRecord>,
     /// What the trigger output gave at the onset; null: nothing.

@@ -3,9 +3,10 @@
 //! The streamer counts strokes planned, late and refused in [`Active`]; [`Active::close`] makes the [`Outcome`].
 //!
 //! Invariant: `planned = played + late + dropped + refused`. The device reports each late and each refused stroke, and counts
-//! the bursts played between the play's onset and its end. The rest was dropped.
+//! the bursts played between the play's onset and its end. The rest was dropped. An item has ended only once the device has accepted
+//! or rejected all its strokes and is known to have come to the end of the last.
 
-use crate::control::Cutting;
+use crate::control::{Cutting, Span};
 use crate::link::ClockEstimate;
 use crate::queues::{At, End, Item, Offset, Onset, Outcome, Play, RestErrors, Stamp};
 use crate::time::HostInstant;
@@ -188,29 +189,34 @@ impl Active {
         }
     }
 
-    /// Notes the ends of items that have come at `tick`, unless the play is cut.
-    pub(super) fn note_ends(&mut self, tick: Tick, clock: &ClockEstimate) {
-        if self.cut.is_none() {
-            self.note_ends_until(tick, clock);
+    /// Notes the ends of items, unless the play is cut: the device is known to have come to `known_to`.
+    pub(super) fn note_ends(&mut self, known_to: Tick, clock: &ClockEstimate) {
+        if self.cut.is_none() && !self.cut_reported {
+            self.note_ends_until(known_to, clock);
         }
     }
 
-    /// The device has cut the play at `tick`.
+    /// The device has reported a cut at `tick`. A report from before the onset concerns another play.
     pub(super) fn was_cut(&mut self, tick: Tick, clock: &ClockEstimate) {
-        if self.cut.is_some() && !std::mem::replace(&mut self.cut_reported, true) {
+        let concerned = self.onset.is_some_and(|onset| onset < tick);
+        if concerned && !std::mem::replace(&mut self.cut_reported, true) {
             self.note_ends_until(tick, clock);
+            let ended = self.play.items.iter_mut().take(self.ending);
+            for item in ended.rev().take_while(|item| item.last_end > tick) {
+                item.ended = None;
+            }
         }
     }
 
     fn note_ends_until(&mut self, tick: Tick, clock: &ClockEstimate) {
-        let begun = self.play.items.get(self.sending).is_some_and(|item| item.first_up.is_some());
+        let begun = self.play.items.get(self.sending).is_some_and(|item| item.planned > 0);
         let all = begun && self.next.is_none() && self.play.strokes.next_onset().is_some();
         let sent = match self.phase {
             Phase::Streamed => self.play.items.len(),
             _ => self.sending + usize::from(all),
         };
         let items = self.play.items.iter_mut().take(sent).skip(self.ending);
-        for item in items.take_while(|item| item.last_end <= tick) {
+        for item in items.take_while(|item| item.undecided == 0 && item.last_end <= tick) {
             item.ended = Some(Stamp::new(item.last_end, clock));
             self.ending += 1;
         }
@@ -222,14 +228,42 @@ impl Active {
     }
 
     /// Counts a stroke sent, or too late to be sent.
-    pub(super) fn plan(&mut self, stroke: &Stroke) {
+    pub(super) fn plan(&mut self, stroke: &Stroke, sent: bool) {
+        self.undecided += u64::from(sent);
         self.planned_strokes += 1;
         self.planned_pulses += u64::from(stroke.up_pulses) + u64::from(stroke.down_pulses);
         self.last_end = self.last_end.max(stroke.end());
         if let Some(item) = self.play.items.get_mut(self.sending) {
+            item.planned += 1;
+            item.undecided += u32::from(sent);
+        }
+    }
+
+    /// The device has accepted or rejected a stroke sent.
+    pub(super) fn decided(&mut self, stroke: &Stroke, accepted: bool) {
+        self.undecided = self.undecided.saturating_sub(1);
+        let Some(item) = self.item_at(stroke.up) else { return };
+        item.undecided = item.undecided.saturating_sub(1);
+        if accepted {
+            // Verdicts come in the order of the strokes.
             item.first_up.get_or_insert(stroke.up);
             item.last_end = item.last_end.max(stroke.end());
         }
+    }
+
+    /// The device has refused, as it began, a stroke that it had accepted. `others` gives the first start and the last end of the
+    /// other strokes of the item.
+    pub(super) fn refused_as_begun(&mut self, up: Tick, others: impl FnOnce(Span) -> [Option<Tick>; 2]) {
+        self.refused(up);
+        let play = self.until();
+        let after = self.play.items.partition_point(|item| item.onset <= up);
+        let until = self.play.items.get(after).map_or(play, |next| next.onset);
+        let Some(item) = self.play.items.get_mut(after.saturating_sub(1)) else { return };
+        let [first, last] = others(Span { from: item.onset, until: until.min(item.last_end), play });
+        if item.first_up == Some(up) {
+            item.first_up = first;
+        }
+        item.last_end = last.unwrap_or(item.onset);
     }
 
     /// Counts a late stroke; returns the counts so far.

@@ -1,6 +1,7 @@
 //! Sequences in virtual time: what the lines and the trigger output show is what the account of each item says.
 
 use firmware_protocol::controller::Run;
+use firmware_protocol::limits::OnTimeLimits;
 use firmware_protocol::message::Trigger;
 use firmware_protocol::stroke::Lines;
 use firmware_protocol::tick::Tick;
@@ -217,4 +218,78 @@ fn a_play_waits_for_the_end_of_a_sequence_and_one_is_cut_in_a_pause() {
     );
     let ended: Vec<bool> = outcome.play.items.iter().map(|item| item.ended.is_some()).collect();
     assert_eq!(ended, [true, false, false]);
+}
+
+/// Asserts that the account's first and last pulse of each item that has them are on the lines.
+fn assert_on_the_lines(rig: &mut Rig, items: &[Item], pause: u64) {
+    let trace = rig.mock.take_trace();
+    let shown = trains(&trace, pause);
+    assert_eq!(shown.len(), items.len(), "{shown:?} {items:?}");
+    for (shown, item) in shown.iter().zip(items) {
+        assert_eq!(
+            (item.first_up, item.ended.map(|ended| ended.tick)),
+            (Some(shown.0), Some(shown.1)),
+            "{item:?}"
+        );
+    }
+}
+
+/// The line is dead for longer than the host watchdog timeout: strokes that never reached the device were not played.
+#[test]
+fn an_item_whose_strokes_never_reached_the_device_has_not_ended() {
+    let tap = tap(5);
+    for (dead_at, items, ended) in [(200, 1, 0), (450, 2, 1)] {
+        let mut rig = Rig::armed(Line::default(), 6);
+        rig.mock.take_trace();
+        rig.send(Command::Play(Box::new(sequence((0..items).map(|_| (&tap, 0.4, 0.0, None))))));
+        rig.run_ms(dead_at);
+        rig.set_line(Line { loss: 1.0, ..Line::default() });
+        rig.run_ms(360);
+        rig.set_line(Line::default());
+        let outcome = rig.run_to_end(1, 3000 * MS).unwrap();
+        assert_eq!((outcome.end, outcome.cause), (End::Stopped, Some("lease")), "{outcome:?}");
+        rig::assert_closed(&outcome);
+        let last = trains(&rig.mock.take_trace(), 2000).last().unwrap().1;
+        let planned = outcome.onset.unwrap().actual + outcome.play.strokes.end().unwrap();
+        assert!(last + 85 * 50 < planned, "{last:?} {planned:?}");
+        let found = outcome.play.items.iter().filter(|item| item.ended.is_some()).count();
+        assert_eq!(found, ended, "{:?}", outcome.play.items);
+    }
+}
+
+/// The host sleeps for longer than the lead: what it cannot send in time is neither the first nor the last pulse of an item.
+#[test]
+fn late_strokes_are_neither_first_nor_last() {
+    let waits = patterns::pattern("waits", None, [Drive { start_s: Some(0.06), ..drive(5, 200.0, 4.0) }]);
+    for (gap_ms, stall_at, seconds) in [(50.0, 60, 0.3), (0.0, 150, 0.27)] {
+        let mut rig = Rig::armed(Line::default(), 7);
+        rig.mock.take_trace();
+        let made = sequence([(&tap(5), 0.1, 0.0, None), (&waits, seconds, gap_ms, None)]);
+        rig.send(Command::Play(Box::new(made)));
+        rig.run_ms(stall_at);
+        rig.stall(240 * MS);
+        let outcome = rig.run_to_end(1, 3000 * MS).unwrap();
+        assert_eq!(outcome.end, End::Done);
+        assert!(outcome.lateness.host > 0, "{outcome:?}");
+        let items = &outcome.play.items;
+        assert!(items[0].late == 0 && items[1].late > 0, "{items:?}");
+        assert_on_the_lines(&mut rig, &items[..], 85 * 30);
+    }
+}
+
+/// The device refuses strokes as they begin, because of an on-time limit.
+#[test]
+fn strokes_refused_as_they_begin_are_neither_first_nor_last() {
+    // 59 pulses in a stroke, 1 180 in 100 ms: the second item waits until those of the first no longer count.
+    let tap = tap(5);
+    let limits = OnTimeLimits { motor: 1_000, ..OnTimeLimits::NONE };
+    let mut rig = Rig::with(Settings { limits, ..Settings::default() }, Line::default(), 8);
+    rig.arm();
+    rig.mock.take_trace();
+    let items = [(&tap, 0.2, 0.0, None), (&tap, 0.6, 400.0, None)];
+    rig.send(Command::Play(Box::new(sequence(items))));
+    let outcome = rig.run_to_end(1, 3000 * MS).unwrap();
+    let items = &outcome.play.items;
+    assert!(items.iter().all(|item| item.refused > 0 && item.late == 0), "{items:?}");
+    assert_on_the_lines(&mut rig, items, 85 * 30);
 }

@@ -34,6 +34,15 @@ use meissner_array::units::TICKS_PER_S;
 /// Without telemetry a stroke counts as played so long after it begins, ticks: the device's verdict has come by then.
 const REPORTED: u64 = TICKS_PER_S / 20;
 
+/// Some of a play's strokes: those that begin at `from` or later and before `until`.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Span {
+    pub(super) from: Tick,
+    pub(super) until: Tick,
+    /// The end of the play.
+    pub(super) play: Tick,
+}
+
 /// The position control of all motors.
 #[derive(Debug)]
 pub(super) struct PositionControl {
@@ -221,6 +230,19 @@ impl PositionControl {
             })
             .ok()
             .flatten()
+    }
+
+    /// The first start of the strokes of `span` that the device has accepted and that are not known to be over, and the last end of
+    /// those and of the ones that are over.
+    pub(super) fn span(&self, span: Span) -> [Option<Tick>; 2] {
+        let Span { from, until, play } = span;
+        let queued = self.motors.iter().flat_map(BurstController::in_device);
+        let strokes = queued.filter(|stroke| stroke.up >= from && stroke.up < until);
+        let gone = self.account.over.iter().find(|(of, _)| *of == play).map(|(_, over)| *over);
+        let gone = gone.filter(|&over| over > from && over <= until);
+        strokes.fold([None, gone], |[first, last], stroke| {
+            [Some(first.map_or(stroke.up, |first: Tick| first.min(stroke.up))), last.max(Some(stroke.end()))]
+        })
     }
 
     /// The device has accepted a stroke.

@@ -49,13 +49,17 @@ pub struct Item {
     pub trigger: Option<Trigger>,
     /// Its onset, once the play has one.
     pub(crate) onset: Tick,
-    /// The end of its last stroke sent.
+    /// The end of its last stroke that the device has accepted.
     pub(crate) last_end: Tick,
+    /// Its strokes so far, sent or too late to be sent, and those without a verdict.
+    pub(crate) planned: u32,
+    pub(crate) undecided: u32,
     /// The onset, once the device has reported it: the trigger was given at this tick.
     pub began: Option<Stamp>,
-    /// The end of its last stroke, once that has come; `None` if the play was cut before.
+    /// The end of its last stroke that the device accepted (its onset without one), once the device is known to have come so far;
+    /// `None` if the play was cut before.
     pub ended: Option<Stamp>,
-    /// Start of its first stroke.
+    /// Start of its first stroke that the device accepted.
     pub first_up: Option<Tick>,
     /// Strokes that came too late.
     pub late: u32,
@@ -67,8 +71,18 @@ impl Item {
     /// An item with this trigger.
     #[must_use]
     pub const fn new(trigger: Option<Trigger>) -> Self {
-        let (onset, last_end, began, ended, first_up) = (Tick(0), Tick(0), None, None, None);
-        Self { trigger, onset, last_end, began, ended, first_up, late: 0, refused: 0 }
+        Self {
+            trigger,
+            onset: Tick(0),
+            last_end: Tick(0),
+            planned: 0,
+            undecided: 0,
+            began: None,
+            ended: None,
+            first_up: None,
+            late: 0,
+            refused: 0,
+        }
     }
 }
 

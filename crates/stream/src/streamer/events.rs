@@ -15,6 +15,7 @@ use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
 use meissner_api::{LateCause, LatePolicy};
 use meissner_array::units::{duration_to_ticks, ms_to_duration, ticks_to_ms};
+use std::collections::VecDeque;
 use std::time::Duration;
 
 /// A frame that left this long before its stroke was sent in time: if the stroke is late, the link was slow.
@@ -109,8 +110,9 @@ impl Streamer {
             }
             Event::StrokeRefused { motor, up, reason } => {
                 self.control.withdrawn(motor, up);
-                if let Some(active) = self.owner(up) {
-                    active.refused(up);
+                let Self { plays, control, .. } = self;
+                if let Some(active) = owner(plays, up) {
+                    active.refused_as_begun(up, |span| control.span(span));
                     let id = active.play.id;
                     emit.event(StreamEvent::StrokeRefused { id, motor, up, reason });
                 }
@@ -190,14 +192,6 @@ impl Streamer {
         self.reckoned_boot = self.boot;
     }
 
-    /// The play that a stroke with this up tick belongs to.
-    fn owner(&mut self, up: Tick) -> Option<&mut Active> {
-        self.plays
-            .iter_mut()
-            .rev()
-            .find(|active| active.phase != Phase::Waiting && active.onset.is_some_and(|onset| onset <= up))
-    }
-
     fn verdict(&mut self, now: HostInstant, stroke: &Stroke, verdict: Verdict, emit: &mut dyn Emit) {
         let in_time = duration_to_ticks(IN_TIME);
         let sent_tick = |sent| self.tick_at(sent).unwrap_or_default();
@@ -211,8 +205,8 @@ impl Streamer {
             Verdict::Accepted => self.control.accepted(motor, up),
             Verdict::Refused(_) | Verdict::Late { .. } => self.control.withdrawn(motor, up),
         }
-        let Some(active) = self.owner(up) else { return };
-        active.undecided = active.undecided.saturating_sub(1);
+        let Some(active) = owner(&mut self.plays, up) else { return };
+        active.decided(stroke, verdict == Verdict::Accepted);
         let id = active.play.id;
         match verdict {
             Verdict::Accepted => {}
@@ -234,7 +228,7 @@ impl Streamer {
         emit: &mut dyn Emit,
     ) {
         let late_ms = ticks_to_ms(free - stroke.up);
-        let Some(active) = self.owner(stroke.up) else { return };
+        let Some(active) = owner(&mut self.plays, stroke.up) else { return };
         let counts = active.late(stroke.up, late_ms, cause);
         let (id, policy, cut) = (active.play.id, active.play.late, active.cut.is_some());
         let (motor, up) = (stroke.motor, stroke.up);
@@ -286,4 +280,12 @@ impl Streamer {
         active.began(onset, counters, self.control.rest_error_um(tick).into());
         emit.event(StreamEvent::PlayStarted { id: active.play.id, onset });
     }
+}
+
+/// The play that a stroke with this up tick belongs to.
+fn owner(plays: &mut VecDeque<Active>, up: Tick) -> Option<&mut Active> {
+    plays
+        .iter_mut()
+        .rev()
+        .find(|active| active.phase != Phase::Waiting && active.onset.is_some_and(|onset| onset <= up))
 }

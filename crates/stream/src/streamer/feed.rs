@@ -177,7 +177,7 @@ impl Streamer {
             if stroke.up < tick && active.phase == Phase::Streaming {
                 // Too late: the device would only reject it.
                 let cause = if self.short_of_credits { LateCause::Device } else { LateCause::Host };
-                active.plan(&stroke);
+                active.plan(&stroke, false);
                 active.next = None;
                 self.late(now, &stroke, tick, cause, emit);
                 if self.plays[index].cut.is_some() {
@@ -194,8 +194,7 @@ impl Streamer {
                 return Fed::Blocked;
             }
             self.control.sent(&stroke, !active.play.open_loop, active.until());
-            active.plan(&stroke);
-            active.undecided += 1;
+            active.plan(&stroke, true);
             active.next = None;
         }
     }

@@ -244,8 +244,9 @@ impl Streamer {
             self.feed(now, tick, emit);
             self.correct(tick);
             self.end_drifted(now, tick, emit);
-            if let Some(clock) = self.session.as_ref().and_then(|session| session.clock().estimate()) {
-                self.plays.iter_mut().for_each(|active| active.note_ends(tick, &clock));
+            let known = self.session.as_ref().map(|session| (session.known_to(), session.clock().estimate()));
+            if let Some((known_to, Some(clock))) = known {
+                self.plays.iter_mut().for_each(|active| active.note_ends(known_to, &clock));
             }
             self.finish(tick, emit);
         } else if self.session.is_none() {
