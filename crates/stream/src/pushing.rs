@@ -1,7 +1,9 @@
 //! Whether a play stays within the limit on pushing a lower stop, from its compiled strokes.
 //!
-//! It counts with the controller's own count, so that a play that passes has no stroke refused for it. A seek in the second before
-//! counts on the device too; the receipt tells when strokes were refused for both together.
+//! It counts with the controller's own count, so that a play that passes has no stroke refused for its plan. A seek in the second
+//! before and corrections that shorten up bursts count on the device too; the receipt tells when strokes were refused for all together.
+//!
+//! Invariant: of a play with an end it counts [`MAX_STROKES`], of one without its first minute.
 
 use firmware_protocol::limits::Pushing;
 use firmware_protocol::stroke::MOTORS;
@@ -9,8 +11,10 @@ use firmware_protocol::tick::Tick;
 use meissner_array::strokes::Strokes;
 use meissner_array::units::{TICKS_PER_S, ticks_to_seconds};
 
-/// Length of a play that counts, s: after a minute few plays do anything new.
+/// Length of a play without end that counts, s: after a minute few plays do anything new.
 const COUNTED_S: u64 = 60;
+/// Strokes of a play that count, at most: 23 minutes of all motors at 60 Hz.
+const MAX_STROKES: usize = 2_000_000;
 
 /// A stroke that pushes too much.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -21,8 +25,8 @@ pub struct Overpush {
     pub at_s: f64,
 }
 
-/// The first stroke of the first minute that pushes more than `pulses_per_s` against a lower stop; `None`: all stay below.
-/// Takes milliseconds: do not call it in the streamer's thread.
+/// The first stroke that pushes more than `pulses_per_s` against a lower stop; `None`: all stay below. It looks at the first 2 000 000
+/// strokes, and at the first minute of a play without end. Its time grows with the strokes: do not call it in the streamer's thread.
 #[must_use]
 pub fn find_overpush(strokes: &Strokes, pulses_per_s: u32) -> Option<Overpush> {
     let mut strokes = strokes.clone();
@@ -31,9 +35,11 @@ pub fn find_overpush(strokes: &Strokes, pulses_per_s: u32) -> Option<Overpush> {
     pushing.set_limit(pulses_per_s);
     // The end and surplus of each motor's last stroke.
     let mut running = [None::<(Tick, u32)>; MOTORS];
-    for stroke in strokes.map_while(Result::ok).take_while(|stroke| stroke.up.0 < COUNTED_S * TICKS_PER_S) {
+    let until = strokes.end().unwrap_or(COUNTED_S * TICKS_PER_S);
+    let counted = strokes.map_while(Result::ok).take(MAX_STROKES).take_while(|stroke| stroke.up.0 < until);
+    let mut ended: Vec<(Tick, usize, u32)> = Vec::with_capacity(MOTORS);
+    for stroke in counted {
         let motor = usize::from(stroke.motor);
-        let mut ended: Vec<(Tick, usize, u32)> = Vec::new();
         for (motor, stroke_of) in running.iter_mut().enumerate() {
             if let Some((end, surplus)) = stroke_of.take_if(|(end, _)| *end <= stroke.up) {
                 ended.push((end, motor, surplus));
@@ -41,7 +47,7 @@ pub fn find_overpush(strokes: &Strokes, pulses_per_s: u32) -> Option<Overpush> {
         }
         // The count needs its ticks in order.
         ended.sort_unstable();
-        for (end, motor, surplus) in ended {
+        for (end, motor, surplus) in ended.drain(..) {
             pushing.end(end, motor, surplus, surplus);
         }
         let surplus = u32::from(stroke.down_pulses.saturating_sub(stroke.up_pulses));
@@ -72,6 +78,33 @@ mod tests {
         let pattern = Pattern::new("p", None, vec![drive(3, 0.0), drive(7, 0.5)], toml::Table::new());
         let options = StrokeOptions { surplus: Surplus::Fixed(10.0), ..StrokeOptions::lasting(Some(3.0)) };
         Strokes::new(&pattern.unwrap(), &options).unwrap()
+    }
+
+    /// A quiet pattern for `quiet_s`, and then one that pushes too much; `None`: without end.
+    fn loud_after(quiet_s: f64, lasts_s: Option<f64>) -> Strokes {
+        let drive = |motor, frequency_hz, start_s| Drive {
+            motor,
+            frequency_hz,
+            amplitude_um: 40.0,
+            phase: 0.0,
+            start_s,
+            stop_s: None,
+        };
+        let drives = vec![drive(3, 5.0, None), drive(7, 50.0, Some(quiet_s))];
+        let pattern = Pattern::new("p", None, drives, toml::Table::new()).unwrap();
+        let options = StrokeOptions { surplus: Surplus::Fixed(10.0), ..StrokeOptions::lasting(lasts_s) };
+        Strokes::new(&pattern, &options).unwrap()
+    }
+
+    #[test]
+    fn a_play_with_an_end_counts_as_a_whole_and_one_without_for_a_minute() {
+        let limit = 1_000;
+        for (lasts_s, found) in [(Some(3_600.0), true), (Some(3_500.0), false), (None, false)] {
+            let over = find_overpush(&loud_after(3_550.0, lasts_s), limit);
+            assert_eq!(over.map(|over| over.motor), found.then_some(7), "{lasts_s:?}");
+            assert!(over.is_none_or(|over| (3_550.0..3_551.0).contains(&over.at_s)), "{over:?}");
+        }
+        assert_eq!(find_overpush(&loud_after(50.0, None), limit).map(|over| over.motor), Some(7));
     }
 
     #[test]
