@@ -2,7 +2,7 @@
 //!
 //! [`Controller::render`] looks at a line only when it changes: the loop over all lines takes most of the chip's time.
 
-use crate::controller::pool::{Kind, charge};
+use crate::controller::pool::Kind;
 use crate::controller::{Controller, NEVER, Run};
 use crate::message::{Report, Trigger};
 use crate::stroke::{Line, Stroke};
@@ -117,13 +117,14 @@ impl Controller {
             let Some(slot) = self.pool.get_mut(index) else { break (Line::Off, NEVER) };
             let stroke = slot.stroke;
             if slot.kind == Kind::Play && slot.charged.is_none() && stroke.up <= now {
+                let surplus = slot.surplus().into();
                 let begun = self.on_time.begin(now, motor, stroke.pulses()).and_then(|()| {
-                    self.pushing.begin(now, motor, slot.pushes.into()).inspect_err(|_| {
+                    self.pushing.begin(now, motor, surplus).inspect_err(|_| {
                         self.on_time.end(now, motor, stroke.pulses(), 0);
                     })
                 });
                 match begun {
-                    Ok(()) => slot.charged = Some(charge(&stroke)),
+                    Ok(()) => slot.charged = Some(stroke.pulses()),
                     Err(reason) => {
                         slot.kind = Kind::Void;
                         slot.stroke = Stroke { up_pulses: 0, down: stroke.up, down_pulses: 0, ..stroke };
@@ -138,8 +139,8 @@ impl Controller {
                 break present;
             }
             if let Some(charged) = slot.charged.take() {
-                self.on_time.end(now, motor, charged.into(), stroke.pulses());
-                self.pushing.end(now, motor, slot.pushes.into(), slot.pushes.into());
+                self.on_time.end(now, motor, charged, stroke.pulses());
+                self.pushing.end(now, motor, slot.surplus().into(), slot.surplus().into());
             }
             self.pool.advance(motor);
         };
