@@ -1,7 +1,7 @@
 //! Whether a play stays within the limit on pushing a lower stop, from its compiled strokes.
 //!
 //! It counts with the controller's own count, so that a play that passes has no stroke refused for its plan. A seek in the second
-//! before and corrections that shorten up bursts count on the device too; the receipt tells when strokes were refused for all together.
+//! before counts on the device too; the receipt tells when strokes were refused for both together.
 //!
 //! Invariant: of a play with an end it counts [`MAX_STROKES`], of one without its first minute.
 
