@@ -28,6 +28,13 @@ fn owner(daemon: &Daemon, participant: &str, exclusive: bool) -> (Client, Sessio
     (client, started)
 }
 
+/// The exported session, and what the command says on stderr.
+fn exported(daemon: &Daemon, id: &str) -> (Value, String) {
+    let export = daemon.meissner().args(["session", "export", id, "--json"]).assert().success();
+    let output = export.get_output();
+    (serde_json::from_slice(&output.stdout).unwrap(), String::from_utf8(output.stderr.clone()).unwrap())
+}
+
 #[test]
 fn a_play_carries_its_session_trial_and_labels() {
     let daemon = Daemon::start();
@@ -360,21 +367,13 @@ fn an_export_has_one_row_per_play() {
         .map(|line| format!("{}\n", line.trim_end()))
         .collect();
     fs::write(&day, damaged).unwrap();
-    let output = daemon
-        .meissner()
-        .args(["session", "export", &started.id, "--json"])
-        .assert()
-        .success()
-        .get_output()
-        .clone();
-    let exported: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let (exported, warning) = exported(&daemon, &started.id);
     let states: Vec<_> =
         exported["plays"].as_array().unwrap().iter().map(|play| (&play["play"], &play["state"])).collect();
     assert_eq!(
         states,
         [(&json!(1), &json!("done")), (&json!(3), &json!("stopped")), (&json!(2), &json!("unknown"))]
     );
-    let warning = String::from_utf8(output.stderr).unwrap();
     assert!(
         exported["unreadable"] == 1 && warning.contains(".jsonl:") && warning.contains("not a line of JSON"),
         "{warning}"
@@ -526,20 +525,12 @@ fn a_session_tells_what_a_full_disk_took() {
     let lines: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     let gap = lines.iter().find(|line| line["event"] == "lost").unwrap()["entries"].as_u64().unwrap();
     assert!(gap >= 4, "command, queued, began and ended of a play");
-    let output = daemon
-        .meissner()
-        .args(["session", "export", &started.id, "--json"])
-        .assert()
-        .success()
-        .get_output()
-        .clone();
-    let exported: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let (exported, warning) = exported(&daemon, &started.id);
     let ids: Vec<_> =
         exported["plays"].as_array().unwrap().iter().map(|play| play["play"].as_u64().unwrap()).collect();
     assert!(ids.contains(&first) && ids.contains(&last) && !ids.contains(&lost), "{ids:?}");
     assert_eq!((&exported["lost"], &exported["unreadable"]), (&json!(gap), &json!(0)));
     assert_eq!(exported["session"]["plays"], last, "the session counts every play");
-    let warning = String::from_utf8(output.stderr).unwrap();
     assert!(warning.contains(&format!("the record lost {gap} entries during the session")), "{warning}");
 }
 

@@ -95,6 +95,16 @@ impl State {
         Ok((PlayAccepted { id, ordered_ms, compiled_ms }, reply))
     }
 
+    /// Refuses a play during a calibration, or of another session than the one that it was prepared for.
+    pub(super) fn check_before_play(&mut self, session: Option<&str>) -> Result<(), Problem> {
+        self.forget_unanswered();
+        self.check_not_calibrating()?;
+        if self.session_of_play(session)?.as_deref() == session {
+            return Ok(());
+        }
+        Err(Problem::new(Code::SessionRunning, "a session has begun meanwhile: send the play again"))
+    }
+
     /// Sends a play that was compiled for `compiled_for` under the id that `add` gives it with a receipt. Returns the id and where
     /// the answer arrives.
     pub(super) fn send_play(
@@ -140,14 +150,10 @@ impl Engine {
         let prepared = PreparedPlay::new(request, stored, settings, surplus).await?;
         let (accepted, reply) = {
             let mut state = self.lock();
-            state.forget_unanswered();
-            state.check_not_calibrating()?;
+            state.check_before_play(request.session.as_deref())?;
             let vibration = prepared.vibration.clone();
-            if state.session_of_play(request.session.as_deref())? != request.session {
-                let detail = "a session has begun meanwhile: send the play again";
-                return Err(Problem::new(Code::SessionRunning, detail));
-            }
-            state.check_exposure(request, &prepared.stored.pattern, &vibration)?;
+            let later = prepared.play.at != At::Next;
+            state.check_exposure(request, &prepared.stored.pattern, &vibration, later)?;
             let (accepted, reply) = state.begin(prepared, client)?;
             state.exposure.add(accepted.id, vibration);
             (accepted, reply)

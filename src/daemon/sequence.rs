@@ -12,16 +12,15 @@ use super::state::{NewSequence, State, Trial, Way};
 use crate::exposure::Vibration;
 use crate::receipts::{Order, PlannedItem};
 use crate::session_record::Peer;
-use crate::store::Stored;
+use crate::store::{Stored, hash};
 use firmware_protocol::tick::Tick;
 use meissner_api::{Code, OrderedCounts, PlayAccepted, Problem, SequenceItem, SequenceRequest};
 use meissner_array::strokes::{
     CompiledItem, Sequence, SequenceError, Start, StrokeOptions, Strokes, Surplus,
 };
 use meissner_array::units::{ticks_to_ms, ticks_to_seconds};
-use meissner_stream::queues::{Item, Play};
+use meissner_stream::queues::{At, Item, Play};
 use meissner_stream::{Bandwidth, Settings};
-use sha2::{Digest, Sha256};
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 use std::future::Future;
@@ -271,15 +270,14 @@ fn counts(strokes: &Strokes) -> Option<OrderedCounts> {
 fn sha256(items: &[SequenceItem]) -> String {
     // Parsed items can be written.
     let json = serde_json::to_vec(items).unwrap_or_default();
-    Sha256::digest(json).iter().map(|byte| format!("{byte:02x}")).collect()
+    hash(&json)
 }
 
 impl State {
     fn check_sequence(&self, request: &SequenceRequest, prepared: &PreparedSequence) -> Result<(), Problem> {
         let (largest_um, pattern) = &prepared.largest;
         self.check_amplitude(pattern, *largest_um)?;
-        let later = request.at_tick.is_some() || request.at_ms.is_some() || request.at_monotonic_ns.is_some();
-        self.check_vibration(&prepared.vibration, request.replace, later)
+        self.check_vibration(&prepared.vibration, request.replace, prepared.play.at != At::Next)
     }
 }
 
@@ -299,12 +297,7 @@ impl Engine {
         let prepared = PreparedSequence::new(request, client, settings, surplus, find).await?;
         let (accepted, reply, texts) = {
             let mut state = self.lock();
-            state.forget_unanswered();
-            state.check_not_calibrating()?;
-            if state.session_of_play(request.session.as_deref())? != request.session {
-                let detail = "a session has begun meanwhile: send the sequence again";
-                return Err(Problem::new(Code::SessionRunning, detail));
-            }
+            state.check_before_play(request.session.as_deref())?;
             state.check_sequence(request, &prepared)?;
             let PreparedSequence { play, settings, new, vibration, texts, .. } = prepared;
             let (ordered_ms, compiled_ms) = (new.order.ordered_ms, new.order.compiled_ms);

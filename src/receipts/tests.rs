@@ -4,12 +4,12 @@ use super::*;
 use firmware_protocol::limits::{OnTimeLimits, Refusal};
 use firmware_protocol::message::Cause;
 use firmware_protocol::stroke::MOTORS;
-use meissner_api::{ErrorSource, LateCause, LatePolicy};
+use meissner_api::{ErrorSource, LateCause};
 use meissner_array::pattern::Pattern;
 use meissner_array::strokes::{StrokeOptions, Strokes};
+use meissner_stream::Settings;
 use meissner_stream::link::{BadFrames, Clock, Contradictions};
-use meissner_stream::queues::{At, End, Item, Offset, Onset, Play};
-use meissner_stream::{Bandwidth, Settings};
+use meissner_stream::queues::{End, Offset, Onset, Play};
 
 fn hello() -> DeviceHello {
     DeviceHello {
@@ -71,16 +71,7 @@ fn onset() -> Onset {
 fn ended(id: u64, end: End) -> StreamEvent {
     let pattern = Pattern::new("nothing", Some(1.0), Vec::new(), toml::Table::new()).unwrap();
     let strokes = Strokes::new(&pattern, &StrokeOptions::default()).unwrap();
-    let play = Play {
-        id,
-        strokes,
-        items: vec![Item::default()],
-        at: At::Next,
-        late: LatePolicy::Drop,
-        replace: false,
-        open_loop: false,
-        bandwidth: Bandwidth::default(),
-    };
+    let play = Play::new(id, strokes);
     let outcome = Outcome {
         end,
         cause: (end != End::Done).then_some("stop"),

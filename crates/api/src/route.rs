@@ -135,6 +135,18 @@ const ANY: &[Code] = &[Code::TooManyClients];
 const BODY: &[Code] = &[Code::BadRequest, Code::TooLarge, Code::Slow, Code::SessionExclusive];
 /// Every command goes through the daemon's command queue to the device.
 const COMMAND: &[Code] = &[Code::NoDevice, Code::Timeout, Code::Busy, Code::ShuttingDown];
+/// Plays and sequences are patterns with an onset.
+const PLAY: &[Code] = &[
+    Code::NotFound,
+    Code::BadPattern,
+    Code::Empty,
+    Code::StaleBoot,
+    Code::ParticipantLimit,
+    Code::SessionRunning,
+    Code::BehindEndless,
+    Code::TooSoon,
+    Code::Overlaps,
+];
 /// Plays and calibrations are queued by the same rules.
 const QUEUE: &[Code] = &[
     Code::DriftLimit,
@@ -227,23 +239,7 @@ impl Route {
                 body: Body::Json("PlayRequest"),
                 statuses: ACCEPTED,
                 answer: Answer::Json("PlayAccepted"),
-                errors: &[
-                    BODY,
-                    &[
-                        Code::NotFound,
-                        Code::BadPattern,
-                        Code::Empty,
-                        Code::StaleBoot,
-                        Code::ParticipantLimit,
-                        Code::SessionRunning,
-                        Code::BehindEndless,
-                        Code::TooSoon,
-                        Code::Overlaps,
-                    ],
-                    QUEUE,
-                    COMMAND,
-                    ANY,
-                ],
+                errors: &[BODY, PLAY, QUEUE, COMMAND, ANY],
                 ..Operation::post("/v1/play")
             },
             Self::Sequence => Operation {
@@ -256,23 +252,7 @@ impl Route {
                 body: Body::Json("SequenceRequest"),
                 statuses: ACCEPTED,
                 answer: Answer::Json("PlayAccepted"),
-                errors: &[
-                    BODY,
-                    &[
-                        Code::NotFound,
-                        Code::BadPattern,
-                        Code::StaleBoot,
-                        Code::BehindEndless,
-                        Code::TooSoon,
-                        Code::Overlaps,
-                        Code::Empty,
-                        Code::SessionRunning,
-                        Code::ParticipantLimit,
-                    ],
-                    QUEUE,
-                    COMMAND,
-                    ANY,
-                ],
+                errors: &[BODY, PLAY, QUEUE, COMMAND, ANY],
                 ..Operation::post("/v1/sequence")
             },
             Self::Stop => Operation {

@@ -2,7 +2,7 @@
 //!
 //! [`make()`] searches once for a target at rest. For a moving target it searches frame by frame, each from the result of
 //! the frame before. The search for the paper's goal begins at a random point, as in the paper; for every other goal it begins at the
-//! better naive rule, so that its result is no worse than that. The drives of all frames are one pattern. It is judged exactly, also in conditions that it was not
+//! better naive rule, in each frame, or at the result of the frame before if that is better still. The drives of all frames are one pattern. It is judged exactly, also in conditions that it was not
 //! made for. Its provenance holds all that is needed to make the same bytes again: the target, the setting, the seed,
 //! the number of evaluations and, if there was one, the start.
 //!
@@ -183,18 +183,24 @@ pub fn make(
         if let Some((starts, start)) = starts.as_mut().zip(start) {
             starts.extend(start.drives(target.amplitude_um(), frame.start_s, frame.stop_s));
         }
-        let this = match start.or(before) {
-            Some(start) => resume(&brief, start, limit, &mut report)?,
-            None if request.goal == Goal::Contrast => {
-                search(&brief, space.random(request.seed), limit, &mut report)?
+        let start = match start {
+            None if request.goal != Goal::Contrast => {
+                let rules = naive.iter().map(|drives| point_at(drives, frame, &space));
+                Some(best(&brief, rules.chain(before))?)
             }
-            None => resume(&brief, better_rule(&brief, &naive)?, limit, &mut report)?,
+            start => start.or(before),
+        };
+        let this = match start {
+            Some(start) => resume(&brief, start, limit, &mut report)?,
+            None => search(&brief, space.random(request.seed), limit, &mut report)?,
         };
         interrupted |= this.ended == Ended::Interrupted;
         drives.extend(this.point.drives(target.amplitude_um(), frame.start_s, frame.stop_s));
         found.push(this);
     }
-    let value = |drives: &[Drive]| value(target, request.goal, &populations, &space, drives);
+    // The drives as they are: a naive rule leaves motors off, also where the search may not.
+    let played = Space { may_be_off: true, ..space.clone() };
+    let value = |drives: &[Drive]| value(target, request.goal, &populations, &played, drives);
     let made_value = value(&drives)?;
     let naive_values = naive.each_ref().map(|drives| value(drives));
     let made_for = Conditions::plain(populations, noise_seed);
@@ -235,13 +241,18 @@ impl Budget {
     }
 }
 
-/// The rule of which the goal's value is higher.
-fn better_rule(brief: &Brief<'_>, rules: &[Vec<Drive>; 2]) -> Result<Point, MethodError> {
+/// The point of which the goal's value is highest; the first of equals.
+fn best(brief: &Brief<'_>, points: impl Iterator<Item = Point>) -> Result<Point, MethodError> {
     let Brief { goal, target, frame, populations, noise_seed, .. } = *brief;
     let objective = Objective::new(goal, target, frame, populations, noise_seed, Fidelity::FULL);
-    let [reach, pitch] = rules.each_ref().map(|drives| point_at(drives, frame, &brief.space));
-    let value = |point: Point| Ok(objective.at(point)?.score().value);
-    Ok(if value(pitch)? > value(reach)? { pitch } else { reach })
+    let mut best: Option<(f64, Point)> = None;
+    for point in points {
+        let value = objective.at(point)?.score().value;
+        if best.is_none_or(|(highest, _)| value > highest) {
+            best = Some((value, point));
+        }
+    }
+    Ok(best.expect("there are rules").1)
 }
 
 /// The value of a goal for the drives of all frames: the mean over frames, each simulated alone.

@@ -1,5 +1,6 @@
 use meissner_design::{
-    Budget, Ended, GOALS, Goal, Made, Request, Rule, Target, make, name_targets, quality, shipped,
+    Baseline, Budget, Ended, GOALS, Goal, Made, Request, Rule, Setting, Target, make, name_targets, quality,
+    shipped,
 };
 use std::ops::ControlFlow::Continue;
 
@@ -36,6 +37,29 @@ fn a_search_is_no_worse_than_the_naive_rules_on_its_own_goal() {
         for naive in &made.baselines {
             assert!(made.value >= naive.value, "{goal:?}: {} {naive:?}", made.value);
         }
+    }
+}
+
+#[test]
+fn naive_rules_leave_motors_off_also_where_a_search_may_not() {
+    let target = shipped("two-dots").unwrap();
+    let baselines = |setting| -> Vec<Baseline> {
+        let budget = Budget::Evaluations(vec![1]);
+        let request = Request { goal: Goal::OffRms, setting, budget, ..Request::default() };
+        make(&target, "made", &request, &mut |_| Continue(())).unwrap().baselines
+    };
+    let naive = baselines(Setting::Default);
+    assert_eq!(naive, baselines(Setting::AlwaysOn));
+    assert!(naive[0].value > 100.0, "{naive:?}");
+}
+
+#[test]
+fn each_frame_of_a_moving_target_begins_no_worse_than_its_rules() {
+    let target = shipped("moving-edge").unwrap();
+    let made = made(&target, Goal::OffRms, 1);
+    assert_eq!(made.found.len(), target.frames().len());
+    for naive in &made.baselines {
+        assert!(made.value >= naive.value, "{} {naive:?}", made.value);
     }
 }
 

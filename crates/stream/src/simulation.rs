@@ -9,7 +9,7 @@ use crate::bandwidth::Bandwidth;
 use crate::control::Gains;
 use crate::device::mock::Mock;
 use crate::link::LineRate;
-use crate::queues::{At, Command, Emit, Item, MeasuredBurst, Outcome, Play, Request, StreamEvent};
+use crate::queues::{Command, Emit, MeasuredBurst, Outcome, Play, Request, StreamEvent};
 use crate::settings::Settings;
 use crate::streamer::Streamer;
 use crate::time::HostInstant;
@@ -17,7 +17,6 @@ use firmware_protocol::frame::{self, Decoder, MAX_FRAME};
 use firmware_protocol::message::DeviceMessage;
 use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
-use meissner_api::LatePolicy;
 use meissner_array::pattern::Pattern;
 use meissner_array::simulated::{RestStats, SimulatedMotorsConfig, SimulatedMotorsError};
 use meissner_array::strokes::{StrokeOptions, Strokes, StrokesError};
@@ -395,16 +394,7 @@ pub fn simulate_play(
     // With a lower stop this seeks it.
     simulation.run(Duration::from_millis(20) + settings.seek_time());
     let bandwidth = Bandwidth::of(&strokes, &settings);
-    let play = Play {
-        id: 1,
-        strokes,
-        items: vec![Item::default()],
-        at: At::Next,
-        late: LatePolicy::Drop,
-        replace: false,
-        open_loop,
-        bandwidth,
-    };
+    let play = Play { open_loop, bandwidth, ..Play::new(1, strokes) };
     simulation.send(Command::Play(Box::new(play)));
     let length = Duration::from_secs_f64(ticks_to_seconds(end));
     let outcome = simulation.run_to_end(1, length + Duration::from_secs(2));

@@ -5,10 +5,9 @@ use firmware_protocol::limits::OnTimeLimits;
 use firmware_protocol::message::Trigger;
 use firmware_protocol::stroke::Lines;
 use firmware_protocol::tick::Tick;
-use meissner_api::LatePolicy;
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::strokes::{Sequence, Start, StrokeOptions};
-use meissner_stream::queues::{At, Command, End, Item, Outcome, Play};
+use meissner_stream::queues::{Command, End, Item, Outcome, Play};
 use meissner_stream::{Bandwidth, Line, Settings};
 use meissner_test_support::patterns::{self, drive};
 use meissner_test_support::rig::{self, Rig, bad_line};
@@ -32,8 +31,7 @@ fn sequence<'p>(items: impl IntoIterator<Item = (&'p Pattern, f64, f64, Option<T
     }
     let strokes = sequence.strokes().unwrap();
     let bandwidth = Bandwidth::of(&strokes, &Settings::default());
-    let (at, late) = (At::Next, LatePolicy::Drop);
-    Play { id: 1, strokes, items: triggers, at, late, replace: false, open_loop: true, bandwidth }
+    Play { items: triggers, open_loop: true, bandwidth, ..Play::new(1, strokes) }
 }
 
 fn play(rig: &mut Rig, play: Play, at_most: Duration) -> Outcome {

@@ -2,7 +2,6 @@
 
 use firmware_protocol::controller::BLOCK;
 use firmware_protocol::tick::Tick;
-use meissner_api::LatePolicy;
 use meissner_array::pattern::Pattern;
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_hil::bench::Which;
@@ -11,8 +10,7 @@ use meissner_hil::judge::{Judged, differences};
 use meissner_hil::rig::{Rig, RigOptions};
 use meissner_hil::scenario::compiled;
 use meissner_hil::time::{Grid, MS};
-use meissner_stream::Bandwidth;
-use meissner_stream::queues::{At, Command, Item, Outcome, StreamEvent};
+use meissner_stream::queues::{Command, Outcome, StreamEvent};
 
 pub(crate) struct Play {
     pub(crate) pattern: Pattern,
@@ -65,17 +63,8 @@ pub(crate) fn job(pattern: &Pattern, seconds: f64) -> Command {
 
 /// An order to play these strokes in open loop, as play 1.
 pub(crate) fn job_of(strokes: Strokes) -> Command {
-    let (at, late) = (At::Next, LatePolicy::Drop);
-    Command::Play(Box::new(meissner_stream::queues::Play {
-        id: 1,
-        strokes,
-        items: vec![Item::default()],
-        at,
-        late,
-        replace: false,
-        open_loop: true,
-        bandwidth: Bandwidth::default(),
-    }))
+    let play = meissner_stream::queues::Play::new(1, strokes);
+    Command::Play(Box::new(meissner_stream::queues::Play { open_loop: true, ..play }))
 }
 
 pub(crate) fn play(play: &Play) -> Played {

@@ -3,15 +3,13 @@
 use crate::play::armed;
 use firmware_protocol::message::Trigger;
 use firmware_protocol::tick::Tick;
-use meissner_api::LatePolicy;
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::strokes::{Sequence, Start, StrokeOptions};
 use meissner_hil::bench::Played;
 use meissner_hil::bench::chip::ChipOptions;
 use meissner_hil::pins::High;
 use meissner_hil::time::{Grid, TICK};
-use meissner_stream::Bandwidth;
-use meissner_stream::queues::{At, Command, End, Item, Play, StreamEvent};
+use meissner_stream::queues::{Command, End, Item, Play, StreamEvent};
 
 const ITEMS: usize = 40;
 /// Ticks of a cell of a code.
@@ -38,8 +36,7 @@ fn taps() -> Play {
     }
     let items = (0..ITEMS).map(|item| Item::new(Some(Trigger { width: CELL, code: code(item) }))).collect();
     let strokes = sequence.strokes().unwrap();
-    let (at, late) = (At::Next, LatePolicy::Drop);
-    Play { id: 1, strokes, items, at, late, replace: false, open_loop: true, bandwidth: Bandwidth::default() }
+    Play { items, open_loop: true, ..Play::new(1, strokes) }
 }
 
 /// The codes on the trigger output, each with the tick of its start cell: as a decoder without other knowledge reads them.

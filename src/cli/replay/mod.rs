@@ -317,8 +317,7 @@ impl Player {
     /// Stops what is still on its way after an error, and tells why the replay ended.
     fn end_early(&mut self, error: &anyhow::Error) -> String {
         let client = &mut self.client;
-        let stopped: Result<Value, _> = self.gate.stop(|| client.post("/v1/stop", &json!({})));
-        match stopped {
+        match self.gate.stop(|| stop(client)) {
             Ok(_) => error.to_string(),
             Err(failed) => format!("{error}; its plays were not stopped: {failed}"),
         }
@@ -363,13 +362,17 @@ impl Player {
     }
 }
 
-/// Stops the display at Ctrl-C, SIGTERM and SIGHUP, and ends this process: a replay that nobody follows must not go on.
+/// Stops the display.
+fn stop(client: &mut Client) -> Result<Value, ClientError> {
+    client.post("/v1/stop", &json!({}))
+}
+
+/// Stops the display at Ctrl-C, SIGTERM and SIGHUP, and ends this process: a replay must not go on unattended.
 fn stop_on_signals(options: &ClientOptions, gate: Arc<Gate>) -> Result<()> {
     let mut client = options.client()?;
     let signals = [SignalKind::interrupt(), SignalKind::terminate(), SignalKind::hangup()];
     on_signals(signals, move |number| {
-        let stopped: Result<Value, _> = gate.stop(|| client.post("/v1/stop", &json!({})));
-        let said = match stopped {
+        let said = match gate.stop(|| stop(&mut client)) {
             Ok(_) => "the replay has ended, and its play was stopped".to_owned(),
             Err(error) => format!("the replay has ended, but its play was not stopped: {error}"),
         };

@@ -1,4 +1,4 @@
-//! The plan of a replay: what to order for each recorded play, and when. Pure: it reads rows and asks nobody.
+//! The plan of a replay: what to order for each recorded play, and when. Pure: it reads rows and does nothing else.
 //!
 //! [`Planner::plan`] takes the plays in order and gives a [`Step`] for each, or says why it cannot be played again. Times are
 //! ticks from the onset of the first play; within one boot of the device they are exact.
@@ -8,7 +8,7 @@
 use meissner_api::{
     Fit, PlayRequest, RecordedPlay, SequenceItem, SequenceRequest, TriggerRequest, TriggerShape,
 };
-use meissner_array::units::{TICKS_PER_MS, ms_in_ticks, ns_to_ms, ticks_to_ms};
+use meissner_array::units::{ms_in_ticks, ns_to_ms, ticks_to_ms};
 
 /// Items in one order: with the SHA-256 of each they fit into a request.
 const MAX_ITEMS: usize = 2000;
@@ -210,8 +210,6 @@ pub(super) fn has_ended(item: &RecordedPlay) -> bool {
     matches!(item.state.as_str(), "played" | "incomplete")
 }
 
-const _: () = assert!(TICKS_PER_MS == 85);
-
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
@@ -281,7 +279,7 @@ pub(super) mod tests {
         assert_eq!((restarted.start, restarted.is_exact), (600 * 85_000 + 8 + 85_000, false));
         let note = restarted.note.unwrap();
         assert!(note.contains("has restarted") && note.contains("by the host's clock"), "{note}");
-        // An older daemon did not tell the boot with each play: nobody knows whether the device has restarted.
+        // An older daemon did not tell the boot with each play: the device may have restarted.
         let mut unknown = play(8, 6);
         (unknown.play.boot, unknown.play.onset_monotonic_ns) = (None, None);
         let unknown = planner.plan(unknown).unwrap();

@@ -30,7 +30,7 @@ impl Rows {
                 let page: Result<SessionPlays, _> = client.get_within(TIMEOUT, &format!("{path}{from}"));
                 let more = page.as_ref().is_ok_and(|page| page.more && !page.plays.is_empty());
                 from += page.as_ref().map_or(0, |page| page.plays.len());
-                // An error means that nobody reads on.
+                // An error means that the replay has ended.
                 if sender.send(page).is_err() || !more {
                     return;
                 }

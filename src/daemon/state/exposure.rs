@@ -65,12 +65,13 @@ fn exceeded(detail: String) -> Problem {
 }
 
 impl State {
-    /// Refuses a play that a participant's limit does not allow, or not now.
+    /// Refuses a play that a participant's limit does not allow, or not now. `later`: it has an onset.
     pub(in crate::daemon) fn check_exposure(
         &self,
         request: &PlayRequest,
         pattern: &Pattern,
         vibration: &Vibration,
+        later: bool,
     ) -> Result<(), Problem> {
         let scale = request.scale.unwrap_or(1.0);
         let amplitudes = pattern.drives().iter().map(|drive| drive.amplitude_um * scale);
@@ -81,8 +82,6 @@ impl State {
                 request.pattern
             )));
         }
-        let onsets = [request.at_tick.is_some(), request.at_ms.is_some(), request.at_monotonic_ns.is_some()];
-        let later = onsets.contains(&true);
         self.check_vibration(vibration, request.replace, later)
     }
 

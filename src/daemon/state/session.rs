@@ -7,6 +7,7 @@
 
 use super::State;
 use crate::session_record::local_time;
+use crate::store::hexadecimal;
 use jiff::Timestamp;
 use meissner_api::{Code, Event, Problem, Session, SessionRequest, SessionStarted};
 use meissner_stream::time::HostInstant;
@@ -247,5 +248,5 @@ pub(in crate::daemon) fn no_session(id: &str) -> Problem {
 fn random_hex<const BYTES: usize>() -> Option<String> {
     let mut bytes = [0; BYTES];
     let got = getrandom(&mut bytes, GetRandomFlags::empty()).ok()?;
-    (got == BYTES).then(|| bytes.iter().map(|byte| format!("{byte:02x}")).collect())
+    (got == BYTES).then(|| hexadecimal(&bytes))
 }

@@ -6,11 +6,10 @@ use crate::statistics::rms;
 use firmware_protocol::controller::Run;
 use firmware_protocol::stroke::{Burst, Direction, Line as Pulse, Lines, MOTORS, Stroke};
 use firmware_protocol::tick::Tick;
-use meissner_api::LatePolicy;
 use meissner_array::pattern::Pattern;
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_array::strokes::{StrokeOptions, Strokes, Surplus};
-use meissner_stream::queues::{At, Command, CommandError, Item, Outcome, Play, Snapshot, StreamEvent};
+use meissner_stream::queues::{Command, CommandError, Outcome, Play, Snapshot, StreamEvent};
 use meissner_stream::{Bandwidth, Gains, Line, Settings, Simulation};
 
 use std::ops::{Deref, DerefMut};
@@ -250,16 +249,7 @@ pub fn play(id: u64, pattern: &Pattern, seconds: Option<f64>) -> Play {
 
 fn play_of(id: u64, strokes: Strokes) -> Play {
     let bandwidth = Bandwidth::of(&strokes, &Settings::default());
-    Play {
-        id,
-        strokes,
-        items: vec![Item::default()],
-        at: At::Next,
-        late: LatePolicy::Drop,
-        replace: false,
-        open_loop: true,
-        bandwidth,
-    }
+    Play { open_loop: true, bandwidth, ..Play::new(id, strokes) }
 }
 
 /// Asserts that each line is as the strokes plan it in every tick, and off elsewhere.

@@ -5,12 +5,12 @@
 
 use crate::lead::trace::{PERIOD, Stall, Trace};
 use crate::sixty_hertz;
-use meissner_api::{BurstCounts, LatePolicy};
+use meissner_api::BurstCounts;
 use meissner_array::pattern::Pattern;
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_array::strokes::{StrokeOptions, Strokes};
 use meissner_array::units::ns_to_ms;
-use meissner_stream::queues::{At, Command, End, Item, Play, StreamEvent};
+use meissner_stream::queues::{Command, End, Play, StreamEvent};
 use meissner_stream::time::HostInstant;
 use meissner_stream::{Bandwidth, Line, Settings, Simulation};
 use std::iter::Peekable;
@@ -83,16 +83,7 @@ impl<'t> Replay<'t> {
     fn play(&mut self, at: Duration, id: u64, strokes: &Strokes, bandwidth: Bandwidth, open_loop: bool) {
         self.advance(at);
         let strokes = strokes.clone();
-        let play = Play {
-            id,
-            strokes,
-            items: vec![Item::default()],
-            at: At::Next,
-            late: LatePolicy::Drop,
-            replace: false,
-            open_loop,
-            bandwidth,
-        };
+        let play = Play { open_loop, bandwidth, ..Play::new(id, strokes) };
         self.simulation.send_issued_at(self.begun + at, Command::Play(Box::new(play)));
         self.simulation.wake();
     }

@@ -112,3 +112,21 @@ pub struct Play {
     /// The bandwidth it requires; [`Bandwidth::default`] requires none.
     pub bandwidth: Bandwidth,
 }
+
+impl Play {
+    /// A play of one item as soon as possible, with corrections: late strokes are dropped, the trigger output gives a pulse, and the
+    /// line is not asked whether it carries the play.
+    #[must_use]
+    pub fn new(id: u64, strokes: Strokes) -> Self {
+        Self {
+            id,
+            strokes,
+            items: vec![Item::default()],
+            at: At::Next,
+            late: LatePolicy::Drop,
+            replace: false,
+            open_loop: false,
+            bandwidth: Bandwidth::default(),
+        }
+    }
+}

@@ -11,10 +11,9 @@ use firmware_protocol::frame::{MAX_FRAME, encode};
 use firmware_protocol::message::HostMessage;
 use firmware_protocol::stroke::{Direction, Stroke};
 use firmware_protocol::tick::Tick;
-use meissner_api::LatePolicy;
 use meissner_array::strokes::{StrokeOptions, Strokes};
-use meissner_stream::queues::{At, Command, Item, Play, StreamEvent};
-use meissner_stream::{Bandwidth, cause_text};
+use meissner_stream::queues::{At, Command, Play, StreamEvent};
+use meissner_stream::cause_text;
 
 /// Most ms from a boot to the handshake.
 const GREETING_MS: u64 = 3_000;
@@ -91,17 +90,7 @@ impl Runner<'_> {
                 }
                 let strokes = Strokes::new(&pattern(name)?, &StrokeOptions::lasting(*seconds))?;
                 let (id, at) = (self.ordered, At::Tick(tick(*onset_ms)));
-                let late = LatePolicy::Drop;
-                Command::Play(Box::new(Play {
-                    id,
-                    strokes,
-                    items: vec![Item::default()],
-                    at,
-                    late,
-                    replace: false,
-                    open_loop: true,
-                    bandwidth: Bandwidth::default(),
-                }))
+                Command::Play(Box::new(Play { at, open_loop: true, ..Play::new(id, strokes) }))
             }
             Act::Stop => Command::Stop,
             Act::Estop => Command::EStop,
