@@ -12,8 +12,8 @@ use firmware_protocol::message::HostMessage;
 use firmware_protocol::stroke::{Direction, Stroke};
 use firmware_protocol::tick::Tick;
 use meissner_array::strokes::{StrokeOptions, Strokes};
-use meissner_stream::queues::{At, Command, Play, StreamEvent};
 use meissner_stream::cause_text;
+use meissner_stream::queues::{At, Command, Play, StreamEvent};
 
 /// Most ms from a boot to the handshake.
 const GREETING_MS: u64 = 3_000;
