@@ -19,7 +19,8 @@
 //! in place of drives.
 //!
 //! [`fingertip`] is a second model with modules of its own: skin mechanics, and SA1, RA and PC afferents. An [`AnyScene`]
-//! is a scene of either model.
+//! is a scene of either model. A [`Finger`] of either model answers to drives and to ramps alike: it is the place to begin
+//! for whatever both models shall answer.
 //!
 //! Both methods draw the same noise, so they can be compared spike by spike. Work is skipped only where the answer is
 //! known without it ([`Skipped`]): motors at rest, afferents out of reach or provably silent, a state that repeats
@@ -79,6 +80,7 @@ mod cycle;
 mod engine;
 mod evaluator;
 mod exact;
+mod finger;
 mod member;
 mod membrane;
 mod method;
@@ -98,6 +100,7 @@ mod track;
 pub use choose::{Choice, choose};
 pub use engine::Skipped;
 pub use evaluator::{Candidate, Evaluator};
+pub use finger::{Finger, FingerError, Moved, SkinModel, Trial};
 pub use meissner_input::document::{CommonProblem, Place};
 pub use method::{
     Integrator, Keep, MAX_SPIKES, Method, MethodError, Options, Precision, SEARCH_MIN_WEIGHT, STEP_US,

@@ -9,11 +9,12 @@ use super::scene::{Pins, Scene, SinePin};
 use super::{SAMPLE_US, SAMPLES_PER_S};
 use crate::method::{Integrator, Method, Precision, Stepping};
 use crate::sampler::Sampler;
-use crate::track::{Tracks, of_scene};
+use crate::track::{Track, Tracks, of_scene};
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::motor::WINDOW_HALF_TICKS;
 use meissner_array::units::{HALF_TICKS_PER_S, UM_PER_PULSE};
 use std::f64::consts::TAU;
+use std::sync::Arc;
 
 /// The mean velocity over a sample.
 const MEANS: Method = Method::Stepped(Stepping {
@@ -50,24 +51,26 @@ pub(super) fn tracks(scene: &Scene) -> Tracks {
     match scene.pins() {
         Pins::Sines { .. } => Tracks::default(),
         Pins::Motors(motors) => of_scene(motors, MEANS),
+        Pins::Ramps(ramps) => ramps.tracks(&ramps.gains(), scene.duration_s()),
     }
 }
 
 impl<'s> Motion<'s> {
     pub(super) fn new(scene: &'s Scene, tracks: &'s Tracks) -> Self {
+        let motors = |gains: &[f64; MOTORS]| {
+            let motor = |(track, &gain): (&'s Option<Arc<Track>>, &f64)| {
+                let sampler = track.as_ref().and_then(|track| Sampler::new(track.breakpoints(), MEANS));
+                Motor { sampler, gain, at_mm: 0.0, samples: Vec::new() }
+            };
+            MovedBy::Motors(tracks.iter().zip(gains).map(motor).collect())
+        };
         let moved_by = match scene.pins() {
             Pins::Sines { pins, ramp_s, begin_s } => {
                 MovedBy::Sines { pins, ramp_s: *ramp_s, begin_s: *begin_s }
             }
-            Pins::Motors(motors) => MovedBy::Motors(
-                (0..MOTORS)
-                    .map(|motor| {
-                        let track = tracks[motor].as_deref();
-                        let sampler = track.and_then(|track| Sampler::new(track.breakpoints(), MEANS));
-                        Motor { sampler, gain: motors.gains()[motor], at_mm: 0.0, samples: Vec::new() }
-                    })
-                    .collect(),
-            ),
+            Pins::Motors(of) => motors(of.gains()),
+            // The fastest ramp's speed counts as full.
+            Pins::Ramps(ramps) => motors(&ramps.gains()),
         };
         Self { preindent_mm: scene.preindent_mm(), moved_by, next: 0 }
     }

@@ -7,6 +7,7 @@ use super::SAMPLES_PER_S;
 use super::afferent::Afferent;
 use super::contact::Contact;
 use crate::afferent::Position;
+use crate::ramps::Ramps;
 use crate::scene::{Problem, Scene as MembraneScene};
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::geometry;
@@ -59,6 +60,8 @@ pub(super) enum Pins {
     Sines { pins: Vec<SinePin>, ramp_s: f64, begin_s: f64 },
     /// All pins of the array, pressed in for long. The motors of a scene without afferents move them.
     Motors(Box<MembraneScene>),
+    /// All pins of the array, pressed in for long. The bursts that motors made move them.
+    Ramps(Box<Ramps>),
 }
 
 /// A pin that moves by a formula: from the beginning on it stands higher than pressed in by
@@ -100,6 +103,24 @@ impl Scene {
         }
         .checked()
         .map_err(|fault| fault.in_file(None))
+    }
+
+    /// A scene of the bursts that motors really made, for their first `duration_s`. `seed` is that of the noise.
+    ///
+    /// # Errors
+    /// The first thing that is wrong with it, by the key it would have in a file.
+    pub fn of_ramps(
+        ramps: &Ramps,
+        duration_s: f64,
+        seed: u64,
+        preindent_mm: f64,
+        afferents: Vec<Afferent>,
+        noise: bool,
+    ) -> Result<Self, document::DocumentError<Problem>> {
+        let (pins, afferents) = (Pins::Ramps(Box::new(ramps.clone())), Arc::new(afferents));
+        Self { duration_s, seed, preindent_mm, noise, pins, afferents, population: false }
+            .checked()
+            .map_err(|fault| fault.in_file(None))
     }
 
     /// Duration, s.
@@ -148,7 +169,7 @@ impl Scene {
             Pins::Sines { pins, .. } => {
                 pins.iter().map(|pin| Place { x_mm: pin.x_mm, y_mm: pin.y_mm }).collect()
             }
-            Pins::Motors(_) => (0..MOTORS as u8)
+            Pins::Motors(_) | Pins::Ramps(_) => (0..MOTORS as u8)
                 .map(geometry::position_mm)
                 .map(|[x_mm, y_mm]| Place { x_mm, y_mm })
                 .collect(),

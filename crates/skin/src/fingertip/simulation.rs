@@ -150,7 +150,7 @@ impl<'s> Loads<'s> {
     fn new(scene: &'s Scene, tracks: &'s Tracks, places: &[Place]) -> Self {
         let pins = places.len();
         let mut contact = Contact::new(places).expect("the pins of a checked scene are told apart");
-        let settled = matches!(scene.pins(), Pins::Motors(_)).then(|| {
+        let settled = (!matches!(scene.pins(), Pins::Sines { .. })).then(|| {
             let mut loads = vec![Vec::new(); pins];
             contact.loads(&vec![vec![scene.preindent_mm()]; pins], &mut loads);
             loads.into_iter().map(|load| load[0]).collect()
