@@ -417,6 +417,7 @@ impl Stored {
             library: self.library,
             duration_s: self.pattern.duration_s(),
             drives: self.pattern.drives().len(),
+            drives_moving: drives.iter().filter(|drive| drive.strokes != Some(0)).count(),
             sha256: self.sha256.clone(),
             compiled_ms: *compiled_ms,
             reached_min_um: reached().reduce(f64::min),

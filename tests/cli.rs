@@ -175,6 +175,29 @@ fn patterns_are_listed_shown_and_imported() {
     let list = printed(daemon.meissner().arg("list"));
     let row = list.lines().find(|line| line.starts_with("mine ")).unwrap();
     assert!(row.contains(&reached) && row.contains(&whole), "{row}");
+    // A drive whose frame is too short for a stroke never moves its pin: no map shows it, and it is not counted.
+    let short = "duration_s = 0.3\n[[drive]]\nmotor = 9\nfrequency_hz = 60.0\namplitude_um = 80.0\nstop_s = 0.012\n\
+                 [[drive]]\nmotor = 14\nfrequency_hz = 200.0\namplitude_um = 80.0\n";
+    write_pattern(&daemon.path("short.toml"), "short", short);
+    assert!(
+        printed(daemon.meissner().args(["import", "short.toml"]))
+            .contains("drive 1 (motor 9) gives no stroke")
+    );
+    let list = printed(daemon.meissner().arg("list"));
+    assert!(list.lines().any(|line| line.starts_with("short ") && line.contains("1 of 2 move")), "{list}");
+    let listed = document(daemon.meissner().args(["list", "--json"]));
+    let listed =
+        listed["patterns"].as_array().unwrap().iter().find(|entry| entry["name"] == "short").unwrap();
+    assert_eq!((&listed["drives"], &listed["drives_moving"]), (&2.into(), &1.into()));
+    let text = printed(daemon.meissner().args(["show", "short"]));
+    let (map, _) = text.split_once("motor").unwrap();
+    let shown = document(daemon.meissner().args(["show", "short", "--json"]));
+    let reached_um = shown["drives"][1]["reached_um"].as_f64().unwrap();
+    assert!(!map.contains("60.0 Hz") && map.contains("200.0 Hz"), "{text}");
+    assert!(
+        reached_um < 20.0 && map.contains(&format!("{reached_um:.1} um")) && !map.contains("80"),
+        "{text}"
+    );
     // The name is taken.
     let sha256 = imported["sha256"].as_str().unwrap();
     let line = complaint(daemon.meissner().args(["import", "f.toml"]));

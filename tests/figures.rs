@@ -26,7 +26,7 @@ static LIBRARY: LazyLock<Vec<Pattern>> = LazyLock::new(|| {
 /// The report of the library and of the patterns of these tests.
 static REPORT: LazyLock<Report> = LazyLock::new(|| {
     let library = LIBRARY.iter().cloned().map(|pattern| (pattern.name().to_owned(), pattern));
-    let own = [ODD, &still(), &moving(), "format = 1\nname = \"nothing\"", &many()]
+    let own = [ODD, &still(), &moving(), "format = 1\nname = \"nothing\"", &many(), SHORT]
         .map(|text| ("<odd & \"name\">.toml".to_owned(), Pattern::parse(text, "test.toml").unwrap()));
     let subjects = library.chain(own).map(|(argument, pattern)| Subject { pattern, argument });
     report(&subjects.collect::<Vec<_>>(), &|_| ()).unwrap()
@@ -402,7 +402,7 @@ fn text_of_a_pattern_file_cannot_break_the_page() {
         "<td>other fingers hz</td><td>181.5, 190.5, 170</td><td>180.7</td><td>170</td><td>190.5</td>",
         "<td>one mm off hz</td><td>150.1</td><td></td>",
         // A triangle of 141 pulses each way.
-        "<td>0</td><td>300</td><td>400</td><td>3.1",
+        "<td>0</td><td>300</td><td>400</td><td>3.069</td>",
         "<td>84600</td>",
     ] {
         assert!(section.contains(cells), "{cells}: {section}");
@@ -491,6 +491,24 @@ fn many() -> String {
         )
     };
     format!("format = 1\nname = \"many\"\n{}", (0..40).map(drive).collect::<String>())
+}
+
+/// Motor 9 has no time for a stroke, motor 10 has.
+const SHORT: &str = "format = 1\nname = \"short\"\nduration_s = 0.1\n[[drive]]\nmotor = 9\nfrequency_hz = 60\namplitude_um = 80\n\
+    stop_s = 0.012\n[[drive]]\nmotor = 10\nfrequency_hz = 200\namplitude_um = 80\nstop_s = 0.012\n";
+
+#[test]
+fn a_drive_without_a_stroke_is_off_on_the_map() {
+    let figures = figures_of("short");
+    assert_eq!((figures.drives, figures.drives_moving), (2, 1));
+    let svg = file("pattern-short-motors.svg");
+    assert!(svg.contains(">200 Hz<") && !svg.contains(">60 Hz<"), "{svg}");
+    let section = section_of("short");
+    assert!(section.contains("1 without a stroke"), "{section}");
+    assert!(
+        section.contains("<td>9</td><td>60</td><td>80</td><td>0</td><td>0</td><td>0</td><td>0</td>"),
+        "{section}"
+    );
 }
 
 #[test]

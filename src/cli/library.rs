@@ -29,7 +29,7 @@ pub(super) fn list(options: &ClientOptions) -> Result<ExitCode> {
             entry["name"].as_str().unwrap_or_default().to_owned(),
             duration,
             text::number(entry["compiled_ms"].as_f64(), 1),
-            entry["drives"].to_string(),
+            drives(entry),
             reached(entry),
             from.into(),
         ]
@@ -43,6 +43,12 @@ pub(super) fn list(options: &ClientOptions) -> Result<ExitCode> {
         }
         text
     })
+}
+
+/// The number of drives of a listed pattern, and how many of them give a stroke unless all do.
+fn drives(entry: &Value) -> String {
+    let [all, moving] = ["drives", "drives_moving"].map(|key| &entry[key]);
+    if moving.is_null() || moving == all { all.to_string() } else { format!("{moving} of {all} move") }
 }
 
 /// The amplitudes that the drives of a listed pattern reach, from the smallest to the largest.

@@ -245,8 +245,10 @@ pub(super) fn pattern(shown: &Value) -> String {
     let whole = shown["compiled_ms"].as_f64();
     let whole = whole.map_or_else(String::new, |ms| format!(" ({ms:.1} ms in whole strokes)"));
     let _ = writeln!(text, ", {duration}{whole}, {} drives", drives.len());
-    let parsed: Vec<Drive> = drives.iter().filter_map(drive).collect();
-    let segments = segments(&parsed, duration_s);
+    // The maps show what moves: each drive with the amplitude that it reaches, none without a stroke.
+    let moving: Vec<Drive> =
+        drives.iter().zip(0..).filter_map(|(file, at)| drive(file, &shown["drives"][at])).collect();
+    let segments = segments(&moving, duration_s);
     for segment in segments.iter().take(MAPS) {
         let when = match (segments.len(), segment.stop_s) {
             (1, _) => String::new(),
@@ -258,11 +260,14 @@ pub(super) fn pattern(shown: &Value) -> String {
     if let more @ 1.. = segments.len().saturating_sub(MAPS) {
         let _ = writeln!(text, "and {more} more segments, see below");
     }
-    let head = ["motor", "frequency_hz", "amplitude_um", "reached_um", "phase", "start_s", "stop_s"];
+    let head =
+        ["motor", "frequency_hz", "amplitude_um", "reached_um", "strokes", "phase", "start_s", "stop_s"];
     let row = |(at, drive): (usize, &Value)| {
-        let reached = &shown["drives"][at]["reached_um"];
+        let reached = &shown["drives"][at];
         let cell = |key: &&str| match *key {
-            "reached_um" => number(reached.as_f64(), 1),
+            "reached_um" => number(reached["reached_um"].as_f64(), 1),
+            "strokes" if reached["strokes"].is_null() => "endless".to_owned(),
+            "strokes" => reached["strokes"].to_string(),
             key => figure(&drive[key]),
         };
         head.iter().map(cell).collect::<Vec<_>>()
@@ -274,10 +279,10 @@ pub(super) fn pattern(shown: &Value) -> String {
     text
 }
 
-/// The array with each motor's drive in its cell; `.` is off.
+/// The array with each motor's frequency and reached amplitude in its cell; `.` does not move.
 fn map(drives: &[Drive]) -> String {
     let cell = |motor: u8| match drives.iter().find(|drive| drive.motor == motor) {
-        Some(drive) => format!("{motor}\n{:?} Hz\n{:?} um", drive.frequency_hz, drive.amplitude_um),
+        Some(drive) => format!("{motor}\n{:?} Hz\n{:.1} um", drive.frequency_hz, drive.amplitude_um),
         None => format!("{motor}\n.\n"),
     };
     let mut table = Table::new();
@@ -291,12 +296,16 @@ fn map(drives: &[Drive]) -> String {
     table.to_string()
 }
 
-/// Reads a drive from the daemon's JSON.
-fn drive(shown: &Value) -> Option<Drive> {
+/// Reads a drive from the daemon's JSON, with the amplitude that it reaches; none if it gives no stroke.
+fn drive(shown: &Value, reached: &Value) -> Option<Drive> {
+    if reached["strokes"] == 0 {
+        return None;
+    }
+    let reached_um = reached["reached_um"].as_f64();
     Some(Drive {
         motor: shown["motor"].as_u64()?.try_into().ok()?,
         frequency_hz: shown["frequency_hz"].as_f64()?,
-        amplitude_um: shown["amplitude_um"].as_f64()?,
+        amplitude_um: reached_um.or(shown["amplitude_um"].as_f64())?,
         phase: shown["phase"].as_f64()?,
         start_s: shown["start_s"].as_f64(),
         stop_s: shown["stop_s"].as_f64(),

@@ -59,7 +59,7 @@ pub use make::{Baseline, Budget, Made, MakeError, Progress, ROBUST_POPULATIONS, 
 pub use naive::Rule;
 pub use objective::{Fidelity, Incumbent, Objective, Score, Tried};
 pub use partition::{Partition, Verdict};
-pub use point::{Point, Setting, Space, Vibration};
+pub use point::{Point, Setting, Space, Vibration, Window};
 pub use prediction::{MOST_OBSERVED_S, Play, PredictedResponse, PredictionError, Rates, predict_response};
 pub use quality::{Quality, name_targets, quality};
 pub use search::{Brief, Ended, Found, Limit, Spent, Step, resume, search};

@@ -155,7 +155,7 @@ pub fn make(
     watch: &mut dyn FnMut(Progress) -> ControlFlow<()>,
 ) -> Result<Made, MakeError> {
     let (populations, noise_seed) = (populations(target, request.robust), target.population_seed());
-    let space = request.setting.space();
+    let space_of = |frame| request.setting.space().in_frame(frame, target.amplitude_um());
     let begun = Instant::now();
     let frames = target.frames();
     let naive = Rule::ALL.map(|rule| rule.drives(target));
@@ -163,6 +163,7 @@ pub fn make(
     let mut starts = request.start.as_ref().map(|_| Vec::new());
     let mut interrupted = false;
     for (number, frame) in frames.iter().enumerate() {
+        let space = space_of(frame);
         let brief = Brief {
             goal: request.goal,
             target,
@@ -178,7 +179,7 @@ pub fn make(
             request.budget.limit(number, frames.len(), begun)
         };
         let mut report = |spent, score| watch(Progress { frame: number, frames: frames.len(), spent, score });
-        let before = found.last().map(|found| found.point);
+        let before = found.last().map(|found| space.nearest(&found.point));
         let start = request.start.as_deref().map(|start| point_at(start, frame, &space));
         if let Some((starts, start)) = starts.as_mut().zip(start) {
             starts.extend(start.drives(target.amplitude_um(), frame.start_s, frame.stop_s));
@@ -199,7 +200,7 @@ pub fn make(
         found.push(this);
     }
     // The drives as they are: a naive rule leaves motors off, also where the search may not.
-    let played = Space { may_be_off: true, ..space.clone() };
+    let played = Space { may_be_off: true, ..request.setting.space() };
     let value = |drives: &[Drive]| value(target, request.goal, &populations, &played, drives);
     let made_value = value(&drives)?;
     let naive_values = naive.each_ref().map(|drives| value(drives));

@@ -22,12 +22,10 @@ pub(crate) fn of_motor(point: &Point, motor: usize, space: &Space, jitter: f64) 
     }
     found.extend((0..SPREAD).map(|number| {
         let share = (f64::from(number) + jitter) / f64::from(SPREAD);
-        Some(space.vibration(space.frequency_hz(share), phase))
+        space.motion(space.frequency_hz(share), phase)
     }));
     if let Some(vibration) = point.0[motor].filter(|_| space.phases) {
-        found.extend(
-            [-0.125, 0.125].map(|step| Some(space.vibration(vibration.frequency_hz(), phase + step))),
-        );
+        found.extend([-0.125, 0.125].map(|step| space.motion(vibration.frequency_hz(), phase + step)));
     }
     let mut around: Vec<(usize, Vibration)> = Vec::new();
     for neighbour in neighbours(motor) {
@@ -41,11 +39,11 @@ pub(crate) fn of_motor(point: &Point, motor: usize, space: &Space, jitter: f64) 
     let largest = around.iter().map(|(size, _)| *size).max().unwrap_or_default();
     for (size, vibration) in around {
         if !space.phases {
-            found.push(Some(space.vibration(vibration.frequency_hz(), phase)));
+            found.push(space.motion(vibration.frequency_hz(), phase));
         } else {
             let quarters = if size == largest { 4 } else { 1 };
             found.extend((0..quarters).map(|quarter| {
-                Some(space.vibration(vibration.frequency_hz(), vibration.phase() + 0.25 * f64::from(quarter)))
+                space.motion(vibration.frequency_hz(), vibration.phase() + 0.25 * f64::from(quarter))
             }));
         }
     }
@@ -73,7 +71,7 @@ pub(crate) fn of_unison(
         }
     }
     let at = |(hz, shift): (f64, f64)| {
-        point.with(motors, |vibration| vibration.map(|old| space.vibration(hz, old.phase() + shift)))
+        point.with(motors, |vibration| vibration.and_then(|old| space.motion(hz, old.phase() + shift)))
     };
     found.into_iter().map(at).collect()
 }

@@ -1,7 +1,9 @@
 //! Rules of thumb that need no search: the baselines of every pattern.
 //!
-//! All pins near the shape vibrate at 60 Hz, in phase. A search that is not better than them has found nothing.
+//! All pins near the shape vibrate at 60 Hz, in phase; in a frame too short for a stroke at 60 Hz, at the lowest frequency that gives
+//! one. A search that is not better than them has found nothing.
 
+use crate::point::Setting;
 use crate::target::Target;
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::geometry::{PITCH_MM, position_mm};
@@ -48,9 +50,10 @@ impl Rule {
                 frame.shape.distance_mm(Position { x_mm, y_mm }) <= within_mm
             });
             let (start_s, stop_s) = (frame.start_s, frame.stop_s);
+            let space = Setting::Default.space().in_frame(frame, target.amplitude_um());
             let drive = |motor| Drive {
                 motor,
-                frequency_hz: FREQUENCY_HZ,
+                frequency_hz: space.vibration(FREQUENCY_HZ, 0.0).frequency_hz(),
                 amplitude_um: target.amplitude_um(),
                 phase: 0.0,
                 start_s,

@@ -4,11 +4,16 @@
 //! compare equal. Motors of one frequency are in [unison](Point::unisons): their displacements add up on the skin or
 //! cancel; other motors beat.
 //!
+//! A frame of a moving target may be too short for one stroke of a slow drive. In the space of such a frame
+//! ([`Space::in_frame`]) a vibration without a stroke does not exist: the motor is off.
+//!
 //! Invariant: a point that a [`Space`] makes lies in it.
 
+use crate::target::Frame;
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::pattern::Drive;
 use meissner_array::random;
+use meissner_array::strokes::DriveStrokes;
 use serde::{Deserialize, Serialize};
 use std::ops::RangeInclusive;
 
@@ -26,7 +31,7 @@ pub struct Vibration {
 pub struct Point(pub [Option<Vibration>; MOTORS]);
 
 /// The points that a search may choose.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Space {
     /// Frequencies, tenths of a hertz.
     pub decihertz: RangeInclusive<u16>,
@@ -34,6 +39,27 @@ pub struct Space {
     pub may_be_off: bool,
     /// Whether phases may change. If not, a motor keeps its phase from the start, 0 if it starts off.
     pub phases: bool,
+    /// The frame in which a vibration must give a stroke; none for a target at rest.
+    pub window: Option<Window>,
+}
+
+/// The times and the amplitude of a frame's drives.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Window {
+    start_s: f64,
+    stop_s: f64,
+    amplitude_um: f64,
+}
+
+impl Window {
+    /// Whether a vibration gives a stroke in the frame.
+    fn has_stroke(&self, vibration: Vibration) -> bool {
+        let Self { start_s, stop_s, amplitude_um } = *self;
+        let (frequency_hz, phase) = (vibration.frequency_hz(), vibration.phase());
+        let (start_s, stop_s) = (Some(start_s), Some(stop_s));
+        let drive = Drive { motor: 0, frequency_hz, amplitude_um, phase, start_s, stop_s };
+        DriveStrokes::of(&drive).is_ok_and(|mut strokes| strokes.next().is_some())
+    }
 }
 
 /// A named [`Space`].
@@ -55,13 +81,55 @@ impl Setting {
     #[must_use]
     pub const fn space(self) -> Space {
         match self {
-            Self::Default => Space { decihertz: 50..=1500, may_be_off: true, phases: true },
-            Self::AlwaysOn => Space { decihertz: 50..=3000, may_be_off: false, phases: true },
+            Self::Default => Space { decihertz: 50..=1500, may_be_off: true, phases: true, window: None },
+            Self::AlwaysOn => Space { decihertz: 50..=3000, may_be_off: false, phases: true, window: None },
         }
     }
 }
 
 impl Space {
+    /// The space for a frame: only vibrations that give a stroke in it. The range of frequencies begins at the lowest that does at
+    /// phase 0. A frame without times, and an amplitude that gives no stroke at any frequency, change nothing.
+    #[must_use]
+    pub fn in_frame(self, frame: &Frame, amplitude_um: f64) -> Self {
+        let Some((start_s, stop_s)) = frame.start_s.zip(frame.stop_s) else { return self };
+        let space = Self { window: Some(Window { start_s, stop_s, amplitude_um }), ..self.clone() };
+        match space.lowest(*self.decihertz.start(), 0) {
+            Some(lowest) => Self { decihertz: lowest..=*self.decihertz.end(), ..space },
+            None => self,
+        }
+    }
+
+    /// The lowest frequency from here on that gives a stroke at a phase.
+    fn lowest(&self, from: u16, percent: u8) -> Option<u16> {
+        let has_stroke =
+            |decihertz| self.window.is_none_or(|window| window.has_stroke(Vibration { decihertz, percent }));
+        let last = *self.decihertz.end();
+        // Strokes of a higher frequency end earlier; rounding to ticks may change the order of two by a tenth of a hertz.
+        let (mut none, mut one) = (from, last);
+        if from > last || !has_stroke(last) {
+            return None;
+        }
+        while none < one {
+            let middle = u16::midpoint(none, one);
+            if has_stroke(middle) { one = middle } else { none = middle + 1 }
+        }
+        Some(one)
+    }
+
+    /// What a motor does at the space's nearest frequency, at a phase in cycles. If that gives no stroke in the space's frame, the
+    /// motor is off. Where it may not be off, it gets the lowest frequency above that gives one.
+    #[must_use]
+    pub fn motion(&self, frequency_hz: f64, phase: f64) -> Option<Vibration> {
+        let vibration = self.vibration(frequency_hz, phase);
+        if self.window.is_none_or(|window| window.has_stroke(vibration)) {
+            return Some(vibration);
+        }
+        let raised = || self.lowest(vibration.decihertz, vibration.percent);
+        (!self.may_be_off)
+            .then(|| Vibration { decihertz: raised().unwrap_or(*self.decihertz.end()), ..vibration })
+    }
+
     /// The vibration of the space's nearest frequency, at a phase in cycles; whole cycles are dropped.
     #[must_use]
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped")]
@@ -83,21 +151,27 @@ impl Space {
     pub fn random(&self, seed: u64) -> Point {
         Point(std::array::from_fn(|motor| {
             let [share, _] = random::uniform([seed, motor as u64, 0, START_WORD]);
-            Some(self.vibration(self.frequency_hz(share), 0.0))
+            self.motion(self.frequency_hz(share), 0.0)
         }))
     }
 
-    /// The point of some drives: the first drive of each motor. A motor without a drive is off if the space allows,
-    /// else at the highest frequency, which moves it least.
+    /// The point of some drives: the first drive of each motor. A motor without a drive, or whose drive gives no stroke in the space's
+    /// frame, is off if the space allows, else at the highest frequency, which moves it least.
     #[must_use]
     pub fn of_drives(&self, drives: &[Drive]) -> Point {
         Point(std::array::from_fn(|motor| {
             let of_motor = |drive: &&Drive| usize::from(drive.motor) == motor && drive.amplitude_um > 0.0;
-            let vibration =
-                drives.iter().find(of_motor).map(|drive| self.vibration(drive.frequency_hz, drive.phase));
+            let drive = drives.iter().find(of_motor);
+            let vibration = drive.and_then(|drive| self.motion(drive.frequency_hz, drive.phase));
             let fastest = || (!self.may_be_off).then(|| self.vibration(f64::INFINITY, 0.0));
             vibration.or_else(fastest)
         }))
+    }
+
+    /// A point of another space, as near as this one has it.
+    #[must_use]
+    pub fn nearest(&self, point: &Point) -> Point {
+        self.of_drives(&point.drives(1.0, None, None))
     }
 }
 

@@ -1,6 +1,8 @@
 //! The tests of this crate, one binary, a module per theme.
 #![expect(clippy::unwrap_used, reason = "a test that panics has failed")]
 
+/// Frames of moving targets that are too short for one stroke.
+mod frames;
 /// The library's patterns: made again byte for byte, with the figures that they state.
 mod library;
 /// What a search maximises: dots that stay apart, the naive rules, targets told apart.

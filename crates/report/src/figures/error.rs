@@ -3,6 +3,7 @@
 use crate::chart::PlotError;
 use meissner_array::motor::MotorError;
 use meissner_array::simulated::SimulatedMotorsError;
+use meissner_array::strokes::StrokesError;
 use meissner_design::TargetError;
 use meissner_skin::{MethodError, SceneError};
 use meissner_stream::calibrate::FitProblem;
@@ -15,6 +16,8 @@ pub enum FiguresError {
     Plot(#[from] PlotError),
     #[error("internal error: {0}")]
     Motor(#[from] MotorError),
+    #[error("internal error: {0}")]
+    Strokes(#[from] StrokesError),
     #[error("internal error: {0}")]
     Fit(#[from] FitProblem),
     #[error("internal error: {0}")]

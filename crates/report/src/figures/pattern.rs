@@ -15,6 +15,7 @@ use crate::figures::table::{csv, number, provenance, robustness, table};
 use crate::figures::target::{self, FrameRates, TargetFigures};
 use meissner_array::motor::{MotorError, SteadyState};
 use meissner_array::pattern::{Drive, Pattern};
+use meissner_array::strokes::{DriveAmplitude, StrokeOptions, amplitudes};
 use meissner_design::{Frame, Target, Verdict};
 use meissner_skin::afferent::{AfferentModel, POPULATION_NOISE_SD, Position, Rectify, population};
 use meissner_skin::{Keep, Method, Options, Scene, simulate};
@@ -50,6 +51,8 @@ pub struct PatternFigures {
     pub name: String,
     /// The number of its drives.
     pub drives: usize,
+    /// Those of them that give a stroke: the others never move their motor.
+    pub drives_moving: usize,
     /// The number of its segments.
     pub segments: usize,
     /// Pulses per second of all motors, in the segment with the most.
@@ -70,19 +73,24 @@ pub(super) fn section(
     progress: &(dyn Fn(f64) + Sync),
 ) -> Result<(Section, PatternFigures), FiguresError> {
     let pattern = &subject.pattern;
-    let segments = segments(pattern.drives(), pattern.duration_s());
+    let reached = amplitudes(pattern, &StrokeOptions::default())?;
+    let moving: Vec<Drive> =
+        reached.iter().filter(|drive| has_stroke(drive)).map(|drive| drive.settings).collect();
+    // A drive without a stroke does not move its motor.
+    let segments = segments(&moving, pattern.duration_s());
     let (shown, more) = segments.split_at(segments.len().min(MAPS));
-    let reached = Reached::of(pattern.drives())?;
+    let steady = Steady::of(pattern.drives())?;
     let target = Target::made_for(pattern);
     let response = Response::of(pattern, &segments, target.as_ref(), progress)?;
     let frames = target.as_ref().map(|target| response.frames(target)).unwrap_or_default();
     let figures = PatternFigures {
         name: pattern.name().to_owned(),
         drives: pattern.drives().len(),
+        drives_moving: moving.len(),
         segments: segments.len(),
         busiest_pulses_per_s: segments
             .iter()
-            .map(|segment| segment.drives.iter().map(|drive| reached.pulses_per_s(drive)).sum())
+            .map(|segment| segment.drives.iter().map(|drive| steady.pulses_per_s(drive)).sum())
             .fold(0.0, f64::max),
         watched_s: response.duration_s,
         mean_rate_hz: response.rates_hz.iter().sum::<f64>() / response.rates_hz.len() as f64,
@@ -136,7 +144,7 @@ pub(super) fn section(
     }
 
     if !pattern.drives().is_empty() {
-        section.table("Motors", &drives(pattern.drives(), &reached));
+        section.table("Motors", &drives(&reached, &steady));
     }
     if let Some(table) = robustness(pattern.provenance()) {
         section.table("Robustness (from the provenance)", &table);
@@ -155,8 +163,12 @@ fn summary(pattern: &Pattern, figures: &PatternFigures) -> String {
     };
     let most = if figures.segments == 1 { "" } else { " in the busiest segment" };
     let drives = if figures.drives == 1 { "drive" } else { "drives" };
+    let silent = match figures.drives - figures.drives_moving {
+        0 => String::new(),
+        silent => format!(" ({silent} without a stroke: their motors do not move)"),
+    };
     format!(
-        "{length}, {} {drives}{segments}; {} pulses/s in all{most}.",
+        "{length}, {} {drives}{silent}{segments}; {} pulses/s in all{most}.",
         figures.drives,
         number(figures.busiest_pulses_per_s)
     )
@@ -298,9 +310,9 @@ fn rates_csv(response: &Response, aim: Option<&Aim<'_>>) -> String {
 }
 
 /// The steady states of drives, computed once for each frequency and amplitude.
-struct Reached(HashMap<(u64, u64), SteadyState>);
+struct Steady(HashMap<(u64, u64), SteadyState>);
 
-impl Reached {
+impl Steady {
     fn of(drives: &[Drive]) -> Result<Self, MotorError> {
         let mut found = HashMap::new();
         for drive in drives {
@@ -315,10 +327,6 @@ impl Reached {
         (drive.frequency_hz.to_bits(), drive.amplitude_um.to_bits())
     }
 
-    fn um(&self, drive: &Drive) -> f64 {
-        self.0.get(&Self::key(drive)).map_or(f64::NAN, |steady| steady.played_peak_to_peak_um)
-    }
-
     /// Pulses up and down.
     fn pulses_per_s(&self, drive: &Drive) -> f64 {
         let pulses = self.0.get(&Self::key(drive)).map_or(0, |steady| steady.pulses);
@@ -326,25 +334,37 @@ impl Reached {
     }
 }
 
-fn drives(drives: &[Drive], reached: &Reached) -> String {
-    let mut head =
-        vec!["motor", "frequency, Hz", "amplitude, µm", "reached, µm", "phase, cycles", "pulses/s"];
-    let timed = drives.iter().any(|drive| drive.start_s.is_some() || drive.stop_s.is_some());
+/// Whether a drive gives a stroke in one run.
+fn has_stroke(drive: &DriveAmplitude) -> bool {
+    drive.reached.strokes != Some(0)
+}
+
+fn drives(drives: &[DriveAmplitude], steady: &Steady) -> String {
+    let mut head = vec![
+        "motor",
+        "frequency, Hz",
+        "amplitude, µm",
+        "reached, µm",
+        "phase, cycles",
+        "pulses/s",
+        "strokes",
+    ];
+    let timed =
+        drives.iter().any(|drive| drive.settings.start_s.is_some() || drive.settings.stop_s.is_some());
     if timed {
         head.extend(["from, s", "to, s"]);
     }
-    let mut drives: Vec<&Drive> = drives.iter().collect();
-    drives.sort_by(|a, b| a.motor.cmp(&b.motor).then(a.start().total_cmp(&b.start())));
-    let row = |drive: &&Drive| {
-        let figures = [
-            drive.frequency_hz,
-            drive.amplitude_um,
-            reached.um(drive),
-            drive.phase,
-            reached.pulses_per_s(drive),
-        ];
+    let mut drives: Vec<&DriveAmplitude> = drives.iter().collect();
+    drives.sort_by(|DriveAmplitude { settings: a, .. }, DriveAmplitude { settings: b, .. }| {
+        a.motor.cmp(&b.motor).then(a.start().total_cmp(&b.start()))
+    });
+    let row = |of: &&DriveAmplitude| {
+        let drive = &of.settings;
+        let pulses_per_s = if has_stroke(of) { steady.pulses_per_s(drive) } else { 0.0 };
+        let figures = [drive.frequency_hz, drive.amplitude_um, of.reached_um, drive.phase, pulses_per_s];
         let mut row = vec![drive.motor.to_string()];
         row.extend(figures.map(number));
+        row.push(of.reached.strokes.map_or("endless".to_owned(), |strokes| strokes.to_string()));
         if timed {
             row.push(number(drive.start()));
             row.push(drive.stop_s.map_or("-".to_owned(), number));
