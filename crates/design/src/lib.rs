@@ -61,7 +61,7 @@ pub use objective::{Fidelity, Incumbent, Objective, Score, Tried};
 pub use partition::{Partition, Verdict};
 pub use point::{Point, Setting, Space, Vibration, Window};
 pub use prediction::{MOST_OBSERVED_S, Play, PredictedResponse, PredictionError, Rates, predict_response};
-pub use quality::{Quality, name_targets, quality};
+pub use quality::{Named, OfClass, Quality, name_targets, quality, skin_model};
 pub use search::{Brief, Ended, Found, Limit, Spent, Step, resume, search};
 pub use shape::Shape;
 pub use shipped::{YARDSTICK, shipped, shipped_names};

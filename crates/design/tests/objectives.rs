@@ -2,6 +2,8 @@ use meissner_design::{
     Baseline, Budget, Ended, GOALS, Goal, Made, Request, Rule, Setting, Target, make, name_targets, quality,
     shipped,
 };
+use meissner_skin::ModelName;
+use meissner_skin::fingertip::Class;
 use std::ops::ControlFlow::Continue;
 
 const FINGERS: [u64; 3] = [2001, 2002, 2003];
@@ -15,7 +17,9 @@ fn made(target: &Target, goal: Goal, evaluations: u64) -> Made {
 #[test]
 fn two_dots_stay_apart_for_the_rms_of_off_and_merge_for_the_papers_contrast() {
     let target = shipped("two-dots").unwrap();
-    let gap = |drives: &[_]| quality(&target, drives, &FINGERS).unwrap().unwrap().gap.unwrap();
+    let gap = |drives: &[_]| {
+        quality(&target, drives, &FINGERS, ModelName::Membrane).unwrap()[0].quality.gap.unwrap()
+    };
     let papers = meissner_test_support::rig::pattern("two-dots");
     assert!(gap(papers.drives()) > 0.5, "{}", gap(papers.drives()));
     let apart = made(&target, Goal::OffRms, 400);
@@ -81,9 +85,14 @@ fn naive_rules_take_the_pins_near_the_shape() {
 fn targets_are_told_apart_by_their_patterns() {
     let targets: Vec<Target> = ["disc", "edge-45", "two-dots"].map(|name| shipped(name).unwrap()).into();
     let patterns: Vec<_> = targets.iter().map(|target| Rule::Reach.drives(target)).collect();
-    let named = name_targets(&targets, &patterns, &FINGERS).unwrap();
-    assert_eq!(named, [[0; 3], [1; 3], [2; 3]]);
+    for model in [ModelName::Membrane, ModelName::Afferents] {
+        let named = name_targets(&targets, &patterns, &FINGERS, model).unwrap();
+        let rapid = named.iter().find(|named| named.class == Class::Ra).unwrap();
+        assert_eq!(rapid.targets, [[0; 3], [1; 3], [2; 3]], "{model:?}");
+        assert_eq!(rapid.right(), (9, 9));
+        assert_eq!(named.len(), if model == ModelName::Membrane { 1 } else { 3 });
+    }
     // No pin moves: all are alike.
-    let still = name_targets(&targets, &[vec![], vec![], vec![]], &FINGERS).unwrap();
-    assert!(still.iter().flatten().all(|of| *of == still[0][0]));
+    let still = &name_targets(&targets, &[vec![], vec![], vec![]], &FINGERS, ModelName::Membrane).unwrap()[0];
+    assert!(still.targets.iter().flatten().all(|of| *of == still.targets[0][0]));
 }

@@ -53,7 +53,9 @@ pub use methods::{
     Count, Difference, LeftOut, MATCH_S, MOST_STEPS, MethodLabel, MethodTradeoff, Reason, Row, STEPS_US,
     matching, plot, reasons, tradeoff,
 };
-pub use objectives::{ObjectiveCell, ObjectiveRow, ObjectiveTradeoff, objective_tradeoff};
+pub use objectives::{
+    BelowNaive, CellOfClass, ClassRow, ObjectiveCell, ObjectiveRow, ObjectiveTradeoff, objective_tradeoff,
+};
 pub use sixty_hertz::SIXTY_HERTZ;
 pub use stop::{
     Contrasts, StopCell, StopCount, StopError, StopGrid, StopReason, StopRow, StopSurplus, StopTradeoff,

@@ -1,16 +1,19 @@
 //! What a search should maximise: patterns by every objective and by the naive rules, measured alike.
 //!
 //! [`objective_tradeoff`] makes a pattern for each shipped target at rest and each [`Goal`], and measures it on fingers that it was not
-//! made for, beside the naive rules and the shipped patterns. No figure of the table is what all searches maximise.
+//! made for, beside the naive rules and the shipped patterns. No figure of the table is what all searches maximise. The figures of the
+//! first model stand in the rows themselves; `classes` has those of both models, class by class.
 //!
 //! Invariant: the same budget gives the same figures, but for the times.
 
 use crate::progress::Parts;
 use meissner_array::pattern::Drive;
 use meissner_design::{
-    Budget, GOALS, Goal, MakeError, Quality, Request, Rule, Target, make, name_targets, quality, shipped,
-    shipped_names,
+    Budget, GOALS, Goal, MakeError, Named, OfClass, Quality, Request, Rule, Target, make, name_targets,
+    quality, shipped, shipped_names,
 };
+use meissner_skin::ModelName;
+use meissner_skin::fingertip::Class;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::ops::ControlFlow;
@@ -53,8 +56,44 @@ pub struct ObjectiveRow {
     pub below_naive: usize,
     /// Mean time of a search, s; none without a search.
     pub search_s: Option<f64>,
+    /// Both models, class by class.
+    pub classes: Vec<ClassRow>,
     /// Each target.
     pub targets: Vec<ObjectiveCell>,
+}
+
+/// What patterns say to a class of afferents of a model: means over the targets that have ON and OFF afferents of the class.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ClassRow {
+    /// The model.
+    pub model: ModelName,
+    /// The class.
+    pub class: Class,
+    /// Mean of ON minus OFF, impulses/s.
+    pub contrast_hz: f64,
+    /// Mean of (ON - OFF)/(ON + OFF).
+    pub normalised_contrast: f64,
+    /// Mean of the AUC.
+    pub auc: f64,
+    /// The largest gap between neighbouring dots, over the targets that have some.
+    pub largest_gap: f64,
+    /// Targets and fingers at which the pattern looks most like its own target.
+    pub named: usize,
+    /// All targets and fingers.
+    pub cases: usize,
+    /// Targets at which the rule `naive-reach` is better.
+    pub below_naive: BelowNaive,
+}
+
+/// Names of targets at which the rule `naive-reach` is better.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct BelowNaive {
+    /// In contrast.
+    pub contrast: Vec<String>,
+    /// In normalised contrast, by more than 0.02.
+    pub normalised_contrast: Vec<String>,
+    /// In AUC, by more than 0.02.
+    pub auc: Vec<String>,
 }
 
 /// A pattern for one target.
@@ -62,9 +101,21 @@ pub struct ObjectiveRow {
 pub struct ObjectiveCell {
     /// The target.
     pub target: String,
-    /// How well the pattern renders it.
+    /// How well the pattern renders it under the first model.
     #[serde(flatten)]
     pub quality: Quality,
+    /// Both models, class by class.
+    pub classes: Vec<CellOfClass>,
+}
+
+/// What a pattern says to a class of afferents of a model.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CellOfClass {
+    /// How well it renders its target.
+    #[serde(flatten)]
+    pub of: OfClass,
+    /// Fingers at which the pattern looks most like its own target.
+    pub named: usize,
 }
 
 /// Measures all objectives with searches of about `evaluations`, each over eight populations. `library` gives the drives of a
@@ -115,35 +166,120 @@ fn search(goal: Goal, target: &Target, evaluations: u64, parts: &Parts<'_>) -> R
     Ok(made.pattern.drives().to_vec())
 }
 
+/// By how much normalised contrast and AUC may be below those of the naive rule.
+const TOLERANCE: f64 = 0.02;
+/// Both models.
+const MODELS: [ModelName; 2] = [ModelName::Membrane, ModelName::Afferents];
+
 fn row(targets: &[Target], set: &Set, naive: Option<&ObjectiveRow>) -> Result<ObjectiveRow, MakeError> {
+    let mut named = Vec::new();
+    for model in MODELS {
+        named.extend(name_targets(targets, &set.drives, &FINGERS, model)?);
+    }
     let mut cells = Vec::new();
-    for (target, drives) in targets.iter().zip(&set.drives) {
-        if let Some(quality) = quality(target, drives, &FINGERS)? {
-            cells.push(ObjectiveCell { target: target.name().to_owned(), quality });
+    for (number, (target, drives)) in targets.iter().zip(&set.drives).enumerate() {
+        let mut classes = Vec::new();
+        for model in MODELS {
+            for of in quality(target, drives, &FINGERS, model)? {
+                let named = named.iter().find(|named| (named.model, named.class) == (of.model, of.class));
+                let right = |named: &Named| named.targets[number].iter().filter(|of| **of == number).count();
+                classes.push(CellOfClass { of, named: named.map_or(0, right) });
+            }
+        }
+        if let Some(first) = classes.first().filter(|cell| cell.of.model == ModelName::Membrane) {
+            let quality = first.of.quality;
+            cells.push(ObjectiveCell { target: target.name().to_owned(), quality, classes });
         }
     }
-    let named = name_targets(targets, &set.drives, &FINGERS)?;
-    let mean = |of: fn(&Quality) -> f64| {
-        cells.iter().map(|cell| of(&cell.quality)).sum::<f64>() / cells.len().max(1) as f64
-    };
-    let below = |naive: &ObjectiveRow| {
-        let pairs = cells.iter().zip(&naive.targets);
-        pairs.filter(|(own, naive)| own.quality.contrast_hz < naive.quality.contrast_hz).count()
-    };
+    let classes: Vec<ClassRow> = named.iter().map(|named| class_row(named, &cells, naive)).collect();
+    let first = classes.first().cloned().expect("the first model has a class");
     Ok(ObjectiveRow {
         name: set.name,
+        contrast_hz: first.contrast_hz,
+        normalised_contrast: first.normalised_contrast,
+        auc: first.auc,
+        largest_gap: first.largest_gap,
+        named: first.named,
+        cases: first.cases,
+        below_naive: first.below_naive.contrast.len(),
+        search_s: set.search_s,
+        classes,
+        targets: cells,
+    })
+}
+
+impl ObjectiveCell {
+    fn of(&self, model: ModelName, class: Class) -> Option<&Quality> {
+        let cell = self.classes.iter().find(|cell| (cell.of.model, cell.of.class) == (model, class));
+        cell.map(|cell| &cell.of.quality)
+    }
+}
+
+fn class_row(named: &Named, cells: &[ObjectiveCell], naive: Option<&ObjectiveRow>) -> ClassRow {
+    let Named { model, class, .. } = *named;
+    let own: Vec<(&str, &Quality)> =
+        cells.iter().filter_map(|cell| Some((cell.target.as_str(), cell.of(model, class)?))).collect();
+    let mean = |of: fn(&Quality) -> f64| {
+        own.iter().map(|(_, quality)| of(quality)).sum::<f64>() / own.len().max(1) as f64
+    };
+    let below = |of: fn(&Quality) -> f64, tolerance: f64| {
+        let worse = |(target, quality): &&(&str, &Quality)| {
+            let cell = naive.and_then(|naive| naive.targets.iter().find(|cell| cell.target == *target));
+            cell.and_then(|cell| cell.of(model, class))
+                .is_some_and(|naive| of(quality) < of(naive) - tolerance)
+        };
+        own.iter().filter(worse).map(|(target, _)| (*target).to_owned()).collect()
+    };
+    let (right, cases) = named.right();
+    ClassRow {
+        model,
+        class,
         contrast_hz: mean(|quality| quality.contrast_hz),
         normalised_contrast: mean(|quality| quality.normalised_contrast),
         auc: mean(|quality| quality.auc),
-        largest_gap: cells.iter().filter_map(|cell| cell.quality.gap).fold(0.0, f64::max),
-        named: named
-            .iter()
-            .enumerate()
-            .flat_map(|(own, named)| named.iter().filter(move |of| **of == own))
-            .count(),
-        cases: named.iter().map(Vec::len).sum(),
-        below_naive: naive.map_or(0, below),
-        search_s: set.search_s,
-        targets: cells,
-    })
+        largest_gap: own.iter().filter_map(|(_, quality)| quality.gap).fold(0.0, f64::max),
+        named: right,
+        cases,
+        below_naive: BelowNaive {
+            contrast: below(|quality| quality.contrast_hz, 0.0),
+            normalised_contrast: below(|quality| quality.normalised_contrast, TOLERANCE),
+            auc: below(|quality| quality.auc, TOLERANCE),
+        },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The rule `naive-pitch` moves more pins than `naive-reach`: more contrast under both models, and a blurred edge.
+    #[test]
+    fn rows_have_both_models_and_name_where_the_naive_rule_is_better() {
+        let targets: Vec<Target> = ["edge-45", "two-dots"].map(|name| shipped(name).unwrap()).into();
+        let set = |rule: Rule| {
+            let drives = targets.iter().map(|target| rule.drives(target)).collect();
+            Set { name: rule.name(), drives, search_s: None }
+        };
+        let naive = row(&targets, &set(Rule::Reach), None).unwrap();
+        let pitch = row(&targets, &set(Rule::Pitch), Some(&naive)).unwrap();
+        let names = |row: &ObjectiveRow| -> Vec<_> {
+            row.classes.iter().map(|of| (of.model.name(), of.class.name())).collect()
+        };
+        let all = [("membrane", "RA"), ("afferents", "SA1"), ("afferents", "RA"), ("afferents", "PC")];
+        assert_eq!((names(&naive), names(&pitch)), (all.to_vec(), all.to_vec()));
+        for row in [&naive, &pitch] {
+            let first = &row.classes[0];
+            assert_eq!((row.contrast_hz, row.named, row.cases), (first.contrast_hz, first.named, 10));
+            for cell in &row.targets {
+                assert_eq!(cell.quality, cell.classes[0].of.quality);
+                assert_eq!(cell.quality.gap.is_some(), cell.target == "two-dots");
+            }
+        }
+        assert!(naive.classes.iter().all(|of| of.below_naive == BelowNaive::default()));
+        for of in [&pitch.classes[0], &pitch.classes[2]] {
+            assert_eq!(of.below_naive.contrast, [""; 0], "{of:?}");
+            assert!(of.below_naive.normalised_contrast.contains(&"edge-45".to_owned()), "{of:?}");
+        }
+        assert!(naive.classes[2].largest_gap <= 0.2, "{naive:?}");
+    }
 }

@@ -1,7 +1,8 @@
-//! Prints the comparison of objectives.
+//! Prints the comparison of objectives: a table of the first model, one of both models class by class, and the targets at which a
+//! naive rule is better. `--json` has every target.
 
 use crate::cli::text::{columns, number};
-use meissner_report::{ObjectiveRow, ObjectiveTradeoff};
+use meissner_report::{ClassRow, ObjectiveRow, ObjectiveTradeoff};
 
 pub(super) fn table(tradeoff: &ObjectiveTradeoff) -> Vec<String> {
     let head =
@@ -29,5 +30,62 @@ pub(super) fn table(tradeoff: &ObjectiveTradeoff) -> Vec<String> {
             tradeoff.evaluations
         ),
         columns(&head, tradeoff.rows.iter().map(row)),
+        "Under both models, class by class. Below naive: targets at which the rule `naive-reach` has more contrast, or is better by \
+         more than 0.02 in normalised contrast or in AUC. `--json` has every target."
+            .to_owned(),
+        classes(&tradeoff.rows),
+        worse(&tradeoff.rows),
     ]
+}
+
+fn classes(rows: &[ObjectiveRow]) -> String {
+    let head = [
+        "patterns",
+        "model",
+        "class",
+        "contrast",
+        "normalised",
+        "AUC",
+        "largest gap",
+        "named",
+        "below naive: contrast",
+        "normalised",
+        "AUC",
+    ];
+    let row = |row: &ObjectiveRow, of: &ClassRow| {
+        vec![
+            row.name.to_owned(),
+            of.model.name().to_owned(),
+            of.class.name().to_owned(),
+            format!("{:.1}", of.contrast_hz),
+            format!("{:.2}", of.normalised_contrast),
+            format!("{:.2}", of.auc),
+            format!("{:.2}", of.largest_gap),
+            format!("{}/{}", of.named, of.cases),
+            of.below_naive.contrast.len().to_string(),
+            of.below_naive.normalised_contrast.len().to_string(),
+            of.below_naive.auc.len().to_string(),
+        ]
+    };
+    columns(&head, rows.iter().flat_map(|of| of.classes.iter().map(move |class| row(of, class))))
+}
+
+/// For RA afferents, the class that both models have: targets at which a set of patterns is worse than the naive rule in normalised
+/// contrast.
+fn worse(rows: &[ObjectiveRow]) -> String {
+    let mut lines = Vec::new();
+    for row in rows {
+        for of in row.classes.iter().filter(|of| of.class.name() == "RA") {
+            let targets = &of.below_naive.normalised_contrast;
+            if !targets.is_empty() {
+                lines.push(format!(
+                    "{}: normalised contrast below naive-reach by more than 0.02 under {}: {}.",
+                    row.name,
+                    of.model.name(),
+                    targets.join(", ")
+                ));
+            }
+        }
+    }
+    lines.join("\n")
 }
