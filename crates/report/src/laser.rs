@@ -6,7 +6,6 @@
 
 use crate::chart::{Axis, Chart, Dot, PlotError, Point, Scale, Series, stacked};
 use meissner_stream::calibrate::{LaserFit, TracePoint};
-use plotters::prelude::SeriesLabelPosition;
 
 /// Pairs of lowest and highest values of a long line.
 const MOST_POINTS: usize = 2000;
@@ -27,18 +26,18 @@ pub fn plot_laser(fit: &LaserFit) -> Result<String, PlotError> {
     let points = near.iter().map(|point| Point { x: point.seconds, y: point.measured_um, sd: 0.0 });
     let rings = Series { points: points.collect(), dot: Dot::Ring, ..Series::line("measured", Vec::new()) };
     let model = near.iter().map(|point| (point.seconds, point.fitted_um)).collect();
-    let noise = format!("Residuals: noise {:.3} um", fit.noise_um);
+    let noise = format!("Residuals: noise {:.3} µm", fit.noise_um);
     stacked(&[
         chart(
             &title,
-            "displacement, um",
+            "displacement, µm",
             vec![
                 Series::line("measured", envelope(all, measured)),
                 Series::line("fitted", envelope(all, fitted)),
             ],
         ),
-        chart("The highest stroke from near", "displacement, um", vec![rings, Series::line("fitted", model)]),
-        chart(&noise, "measured - fitted, um", vec![Series::line("residual", envelope(all, residual))]),
+        chart("The highest stroke from near", "displacement, µm", vec![rings, Series::line("fitted", model)]),
+        chart(&noise, "measured − fitted, µm", vec![Series::line("residual", envelope(all, residual))]),
     ])
 }
 
@@ -76,10 +75,9 @@ fn chart<'a>(title: &'a str, name: &'a str, series: Vec<Series>) -> Chart<'a> {
         if low < high { Scale::linear(low, high) } else { Scale::linear(0.0, 1.0) }
     };
     Chart {
-        title,
+        title: Some(title),
         x: Axis { name: "time since the first burst, s", scale: scale(|point| point.0) },
         y: Axis { name, scale: scale(|point| point.1) },
-        legend: SeriesLabelPosition::UpperRight,
         series,
     }
 }

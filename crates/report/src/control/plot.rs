@@ -1,4 +1,4 @@
-//! The rest error against the age and the rate of telemetry as SVG: bounds as lines, measurements as discs.
+//! The rest error against the age and the rate of telemetry as SVG: bounds as lines, measurements as points.
 //!
 //! Without room bursts are shorter than planned, so they scatter less than the bound assumes.
 //!
@@ -8,7 +8,6 @@ use crate::chart::{Axis, Chart, PlotError, Point, Scale, Series, stacked};
 use crate::control::row::ControlRow;
 use crate::control::summary::yardstick;
 use crate::control::tradeoff::ControlTradeoff;
-use plotters::prelude::SeriesLabelPosition;
 
 /// Draws rest errors against telemetry; returns the text of an SVG file.
 ///
@@ -19,18 +18,16 @@ pub fn plot_control(tradeoff: &ControlTradeoff) -> Result<String, PlotError> {
     let rates: Vec<_> = tradeoff.rates.iter().collect();
     stacked(&[
         chart(
-            "Rest error at 80 um and 10 % scatter against telemetry's age (lines: bound)",
+            "Rest error at 80 µm and 10 % scatter against telemetry's age (lines: bound)",
             "age of telemetry, ms",
             &ages,
             |row| row.run.age_ms,
-            SeriesLabelPosition::UpperLeft,
         ),
         chart(
-            "Rest error at 80 um and 10 % scatter against telemetry's rate (lines: bound)",
+            "Rest error at 80 µm and 10 % scatter against telemetry's rate (lines: bound)",
             "telemetry, samples per second",
             &rates,
             |row| row.run.telemetry_hz,
-            SeriesLabelPosition::UpperRight,
         ),
     ])
 }
@@ -41,7 +38,6 @@ fn chart<'a>(
     name: &'a str,
     rows: &[&ControlRow],
     x: impl Fn(&ControlRow) -> f64,
-    legend: SeriesLabelPosition,
 ) -> Chart<'a> {
     let mut frequencies: Vec<f64> = rows.iter().map(|row| row.run.frequency_hz).collect();
     frequencies.dedup();
@@ -54,10 +50,9 @@ fn chart<'a>(
     let series = frequencies.into_iter().map(series).collect();
     let errors = rows.iter().flat_map(|row| [row.rest_rms_um, row.bound_um]);
     Chart {
-        title,
+        title: Some(title),
         x: Axis { name, scale: scale(rows.iter().map(|row| x(row)), 1.0) },
-        y: Axis { name: "rest error, um RMS", scale: scale(errors, 1.2) },
-        legend,
+        y: Axis { name: "rest error, µm RMS", scale: scale(errors, 1.2) },
         series,
     }
 }

@@ -18,7 +18,6 @@ use meissner_array::geometry;
 use meissner_array::motor::{MotorError, SquareWave, SteadyState, WINDOW_HALF_TICKS, WINDOW_LENGTH_TICKS};
 use meissner_array::simulated::{SimulatedMotors, SimulatedMotorsConfig};
 use meissner_array::units::TICKS_PER_S;
-use plotters::chart::SeriesLabelPosition;
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -89,7 +88,7 @@ pub(super) fn section(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Ampli
          loop, end stops out of reach), from telemetry at {SAMPLES_HZ} Hz in steps of 0.01 µm after the transient; the \
          amplitude of a cycle is its top minus the mean of the bottoms beside it, at the model's instants. Where the \
          model moves by {WORTH_UM} µm or more, the ratio of measured to model is {} in the mean, and off by {} % at \
-         worst. Amplitudes below {LEAST_UM} µm are drawn there. The model's null at 232.6 Hz is that of a moving \
+         worst. Amplitudes below {LEAST_UM} µm lie in the strip below the break. The model's null at 232.6 Hz is that of a moving \
          average, not of a motor.",
         AMPLITUDES_UM.map(number).join(", "),
         WINDOW_S * 1000.0,
@@ -119,14 +118,16 @@ fn plot(rows: &[Row]) -> Result<String, FiguresError> {
         let line = line_hz.iter().map(|&hz| Ok((hz, SteadyState::of(hz, um)?.peak_to_peak_um)));
         let of_amplitude = rows.iter().filter(|row| row.amplitude_um == um);
         let point = |row: &Row| Point { x: row.frequency_hz, y: row.measured_um, sd: row.sd_um };
-        let line = Series::line(format!("{um} um"), line.collect::<Result<_, MotorError>>()?);
+        let line = Series::line(format!("{um} µm"), line.collect::<Result<_, MotorError>>()?);
         Ok(Series { points: of_amplitude.map(point).collect(), ..line })
     });
     let chart = Chart {
-        title: "Amplitude of a pin: model (lines) and simulated motors (points)",
+        title: None,
         x: Axis { name: "frequency, Hz", scale: Scale::logarithmic(1.0, 300.0) },
-        y: Axis { name: "amplitude, um peak to peak", scale: Scale::logarithmic(LEAST_UM, 500.0) },
-        legend: SeriesLabelPosition::UpperRight,
+        y: Axis {
+            name: "amplitude, µm peak to peak",
+            scale: Scale::logarithmic(LEAST_UM, 500.0).broken("below"),
+        },
         series: series.collect::<Result<_, MotorError>>()?,
     };
     Ok(draw(&chart)?)

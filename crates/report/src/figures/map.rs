@@ -1,7 +1,7 @@
-//! Maps: the array with the vibration of each motor, and the fingertip's pad with the rate of each afferent.
+//! Maps: the array with the vibration of each motor, the fingertip's pad with the rate of each afferent, and a small map of both.
 //!
-//! Both are seen from above the array, fingertip up. All panels of a map share one colour scale. A pad may show the shape
-//! of a target, with rings around the ON afferents.
+//! All are seen from above the array, fingertip up. All panels of a map share one colour scale. A pad may show the shape
+//! of a target, with rings around the ON afferents. Pins are coloured by the amplitude that they reach: a fast motor may hardly move.
 //!
 //! Invariant: every panel shows every motor, on or off.
 
@@ -15,6 +15,8 @@ use meissner_skin::afferent::{PAD_LENGTH_MM, PAD_WIDTH_MM, Position};
 
 const INK: &str = "#222222";
 const FAINT: &str = "#bbbbbb";
+/// Text on white that is less important; readable.
+const FADED: &str = "#6b6b6b";
 /// The colour of the target: not on the colour scale, and visible to red-green blind people.
 const AIMED: &str = "#d55e00";
 const NONE: &str = "none";
@@ -22,34 +24,51 @@ const NONE: &str = "none";
 pub(super) const FINGERTIP: &str = "fingertip";
 
 /// The distance of neighbouring motors, px.
-const PITCH: f64 = 72.0;
+const PITCH: f64 = 78.0;
 /// The radius of a motor's circle, px.
-const RADIUS: f64 = 31.0;
+const RADIUS: f64 = 35.0;
+/// Sizes of text, px: titles; frequencies; other numbers.
+const TITLE: u32 = 16;
+const LARGE: u32 = 12;
+const SMALL: u32 = 11;
 /// The height of a panel's title, px.
 const HEAD: f64 = 48.0;
 /// The most panels in a row.
 const ACROSS: usize = 4;
 /// Width with its text, and height, of a colour bar, px.
 const BAR: (f64, f64) = (110.0, 300.0);
-/// Frequencies at the ends of the logarithmic colour scale, Hz.
-const COLORED_HZ: (f64, f64) = (5.0, 300.0);
-
-/// The place of a frequency on the colour scale, 0 to 1.
-fn place(frequency_hz: f64) -> f64 {
-    let (low, high) = COLORED_HZ;
-    (frequency_hz / low).ln() / (high / low).ln()
-}
-
 /// The vibrations of the motors in a segment of time.
 #[derive(Clone, Debug)]
 pub(super) struct Panel<'a> {
     pub(super) title: String,
     /// At most one per motor.
-    pub(super) drives: &'a [Drive],
+    pub(super) pins: Vec<Pin<'a>>,
 }
 
-/// Draws the array in each panel: a circle per motor, coloured by frequency, with frequency and phase; off is hollow.
+/// A driven pin.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Pin<'a> {
+    pub(super) drive: &'a Drive,
+    /// The amplitude that it reaches, µm peak to peak; 0 if its drive gives no stroke.
+    pub(super) reached_um: f64,
+}
+
+impl Pin<'_> {
+    /// The place on a colour scale that ends at `top_um`, 0 to 1; none if the pin does not move.
+    fn share(&self, top_um: f64) -> Option<f64> {
+        (self.reached_um > 0.0).then(|| self.reached_um / top_um)
+    }
+}
+
+/// The end of the colour scale, µm: a multiple of 20, so that the marks are round.
+fn top_um<'a>(pins: impl Iterator<Item = &'a Pin<'a>>) -> f64 {
+    (pins.fold(0.0_f64, |highest, pin| highest.max(pin.reached_um)) / 20.0).ceil().max(1.0) * 20.0
+}
+
+/// Draws the array in each panel: a circle per motor, coloured by the amplitude reached, with its number, frequency, amplitude and
+/// phase. Motors that are off, and those that do not move, are hollow.
 pub(super) fn motors(panels: &[Panel<'_>]) -> String {
+    let top_um = top_um(panels.iter().flat_map(|panel| &panel.pins));
     let (width, height) = (PITCH * f64::from(COLUMNS) + 24.0, PITCH * f64::from(ROWS) + HEAD + 12.0);
     let across = panels.len().clamp(1, ACROSS);
     let down = panels.len().div_ceil(across);
@@ -57,34 +76,84 @@ pub(super) fn motors(panels: &[Panel<'_>]) -> String {
     let mut drawing = Drawing::new(size.0, size.1);
     for (index, panel) in panels.iter().enumerate() {
         let corner = (width * (index % across) as f64, height * (index / across) as f64);
-        drawing.words((corner.0 + width / 2.0, corner.1 + 28.0), 15, Anchor::Middle, INK, &panel.title);
+        drawing.words((corner.0 + width / 2.0, corner.1 + 28.0), TITLE, Anchor::Middle, INK, &panel.title);
         for motor in 0..MOTORS as u8 {
             let x = corner.0 + 12.0 + PITCH * (f64::from(geometry::column(motor)) + 0.5);
             let y = corner.1 + HEAD + PITCH * (f64::from(geometry::row(motor)) + 0.5);
-            let Some(drive) = panel.drives.iter().find(|drive| drive.motor == motor) else {
+            let Some(pin) = panel.pins.iter().find(|pin| pin.drive.motor == motor) else {
                 drawing.circle((x, y), RADIUS, Paint { fill: NONE, stroke: FAINT });
-                drawing.words((x, y + 4.0), 11, Anchor::Middle, FAINT, &motor.to_string());
+                drawing.words((x, y + 4.0), SMALL, Anchor::Middle, FADED, &motor.to_string());
                 continue;
             };
-            let share = place(drive.frequency_hz);
-            let ink = ink(share);
-            drawing.circle((x, y), RADIUS, Paint { fill: &color(share), stroke: INK });
-            drawing.words((x, y - 12.0), 9, Anchor::Middle, ink, &motor.to_string());
-            let hz = format!("{} Hz", number(drive.frequency_hz));
-            drawing.words((x, y + 3.0), 12, Anchor::Middle, ink, &hz);
-            drawing.words((x, y + 18.0), 11, Anchor::Middle, ink, &number(drive.phase));
+            let share = pin.share(top_um);
+            let (fill, ink) = share.map_or((NONE.to_owned(), FADED), |share| (color(share), ink(share)));
+            drawing.circle((x, y), RADIUS, Paint { fill: &fill, stroke: INK });
+            let hz = format!("{} Hz", number(pin.drive.frequency_hz));
+            let um = format!("{} µm", tenths(pin.reached_um));
+            drawing.words((x, y - 16.0), SMALL, Anchor::Middle, ink, &motor.to_string());
+            drawing.words((x, y - 2.0), LARGE, Anchor::Middle, ink, &hz);
+            drawing.words((x, y + 12.0), LARGE, Anchor::Middle, ink, &um);
+            drawing.words((x, y + 26.0), SMALL, Anchor::Middle, ink, &number(pin.drive.phase));
         }
     }
-    let marks = [5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 300.0].map(|hz: f64| (place(hz), number(hz)));
-    bar(&mut drawing, (size.0 - BAR.0 + 16.0, HEAD), "Hz", &marks);
+    let marks = [0.0, 0.25, 0.5, 0.75, 1.0].map(|share| (share, number(share * top_um)));
+    bar(&mut drawing, (size.0 - BAR.0 + 16.0, HEAD), "µm reached", &marks);
     drawing.finish()
+}
+
+/// A number with at most one decimal.
+fn tenths(of: f64) -> String {
+    number((of * 10.0).round() / 10.0)
+}
+
+/// Pixels per mm of a small map.
+const SMALL_PER_MM: f64 = 6.0;
+
+/// Draws a pattern small, for an overview: the pad, its pins coloured by the amplitude they reach, and the target's outline.
+pub(super) fn small(pins: &[Pin<'_>], outline: &[Vec<[f64; 2]>]) -> String {
+    let (top_um, margin) = (top_um(pins.iter()), 4.0);
+    let size = [PAD_WIDTH_MM, PAD_LENGTH_MM].map(|mm| mm * SMALL_PER_MM + 2.0 * margin);
+    let middle = (size[0] / 2.0, size[1] / 2.0);
+    let place = |[x_mm, y_mm]: [f64; 2]| (middle.0 + x_mm * SMALL_PER_MM, middle.1 - y_mm * SMALL_PER_MM);
+    let mut drawing = Drawing::new(size[0], size[1]);
+    let radii = (middle.0 - margin, middle.1 - margin);
+    drawing.ellipse(middle, radii, Paint { fill: "#f4f4f4", stroke: FAINT });
+    for motor in 0..MOTORS as u8 {
+        let pin = pins.iter().find(|pin| pin.drive.motor == motor);
+        let fill = pin.and_then(|pin| pin.share(top_um)).map_or_else(|| "#ffffff".to_owned(), color);
+        let at = place(geometry::position_mm(motor));
+        drawing.circle(at, 1.1 * SMALL_PER_MM, Paint { fill: &fill, stroke: FADED });
+    }
+    draw_outline(&mut drawing, outline, place, (1.5, 0.35 * SMALL_PER_MM));
+    drawing.finish()
+}
+
+/// Draws a target's outline: dots of this radius, and lines of this width, px. It is cut at the pad; the ends of lines on the pad's
+/// edge are rounded.
+fn draw_outline(
+    drawing: &mut Drawing,
+    outline: &[Vec<[f64; 2]>],
+    place: impl Fn([f64; 2]) -> (f64, f64),
+    (width, radius): (f64, f64),
+) {
+    let beyond = |&[x_mm, y_mm]: &[f64; 2]| {
+        x_mm.abs() > PAD_WIDTH_MM / 2.0 + 1e-6 || y_mm.abs() > PAD_LENGTH_MM / 2.0 + 1e-6
+    };
+    for line in outline.iter().flat_map(|line| line.split(beyond)) {
+        let line: Vec<(f64, f64)> = line.iter().copied().map(&place).collect();
+        match line[..] {
+            [] => {}
+            [at] => drawing.circle(at, radius, Paint { fill: AIMED, stroke: NONE }),
+            _ => drawing.line(&line, width, AIMED),
+        }
+    }
 }
 
 /// Draws a colour bar, its unit above it, and marks beside it.
 fn bar(drawing: &mut Drawing, (x, y): (f64, f64), unit: &str, marks: &[(f64, String)]) {
     const PIECES: u32 = 60;
     let height = BAR.1 / f64::from(PIECES);
-    drawing.words((x, y - 10.0), 12, Anchor::Start, INK, unit);
+    drawing.words((x, y - 10.0), LARGE, Anchor::Start, INK, unit);
     for piece in 0..PIECES {
         let share = (f64::from(piece) + 0.5) / f64::from(PIECES);
         let top = y + BAR.1 - height * f64::from(piece + 1);
@@ -92,7 +161,7 @@ fn bar(drawing: &mut Drawing, (x, y): (f64, f64), unit: &str, marks: &[(f64, Str
         drawing.rectangle((x, top), (18.0, height + 0.5), Paint { fill: &color(share), stroke: NONE });
     }
     for (share, mark) in marks {
-        drawing.words((x + 24.0, y + BAR.1 * (1.0 - share) + 4.0), 11, Anchor::Start, INK, mark);
+        drawing.words((x + 24.0, y + BAR.1 * (1.0 - share) + 4.0), SMALL, Anchor::Start, INK, mark);
     }
 }
 
@@ -149,10 +218,9 @@ pub(super) fn pads(pads: &[Pad<'_>]) -> String {
 impl Pad<'_> {
     fn draw(&self, drawing: &mut Drawing, middle: (f64, f64), per_mm: f64, top_hz: f64) {
         let place = |[x_mm, y_mm]: [f64; 2]| (middle.0 + x_mm * per_mm, middle.1 - y_mm * per_mm);
-        let half_mm @ [half_width, half_length] = [PAD_WIDTH_MM / 2.0, PAD_LENGTH_MM / 2.0];
         let [pin, dot, ring] = SIZES_MM.map(|mm| mm * per_mm);
-        drawing.words((middle.0, 28.0), 15, Anchor::Middle, INK, &self.title);
-        let [rx, ry] = half_mm.map(|mm| mm * per_mm);
+        drawing.words((middle.0, 28.0), TITLE, Anchor::Middle, INK, &self.title);
+        let [rx, ry] = [PAD_WIDTH_MM, PAD_LENGTH_MM].map(|mm| mm / 2.0 * per_mm);
         drawing.ellipse(middle, (rx, ry), Paint { fill: "#f4f4f4", stroke: INK });
         for motor in 0..MOTORS as u8 {
             drawing.circle(place(geometry::position_mm(motor)), pin, Paint { fill: NONE, stroke: FAINT });
@@ -166,17 +234,8 @@ impl Pad<'_> {
                 drawing.circle(at, ring, Paint { fill: NONE, stroke: AIMED });
             }
         }
-        // The outline of a disc is cut at the pad. The ends of lines on its edge are rounded.
-        let beyond =
-            |&[x_mm, y_mm]: &[f64; 2]| x_mm.abs() > half_width + 1e-6 || y_mm.abs() > half_length + 1e-6;
-        let outline = self.aim.iter().flat_map(|aim| &aim.outline);
-        for line in outline.flat_map(|line| line.split(beyond)) {
-            let line: Vec<(f64, f64)> = line.iter().copied().map(place).collect();
-            match line[..] {
-                [] => {}
-                [at] => drawing.circle(at, ring, Paint { fill: AIMED, stroke: NONE }),
-                _ => drawing.line(&line, 2.5, AIMED),
-            }
+        if let Some(aim) = &self.aim {
+            draw_outline(drawing, &aim.outline, place, (2.5, ring));
         }
     }
 }
@@ -188,13 +247,19 @@ mod tests {
     #[test]
     fn every_motor_is_on_the_map() {
         let (frequency_hz, amplitude_um, phase) = (60.0, 80.0, 0.25);
-        let drives = [Drive { motor: 9, frequency_hz, amplitude_um, phase, start_s: None, stop_s: None }];
-        let panel = |title: &str| Panel { title: title.to_owned(), drives: &drives };
-        let svg = motors(&[panel("before"), panel("<after>")]);
+        let drive = Drive { motor: 9, frequency_hz, amplitude_um, phase, start_s: None, stop_s: None };
+        let panel = |title: &str, reached_um| {
+            Panel { title: title.to_owned(), pins: vec![Pin { drive: &drive, reached_um }] }
+        };
+        let svg = motors(&[panel("before", 69.14), panel("<after>", 0.0)]);
         assert_eq!((svg.matches("<ellipse").count(), svg.matches(">60 Hz<").count()), (48, 2));
-        assert_eq!(svg.matches(r#"fill="none""#).count(), 46);
+        assert_eq!(svg.matches(r#"fill="none""#).count(), 47, "a pin that does not move is hollow");
+        assert!(svg.contains(">69.1 µm<") && svg.contains(">0 µm<"));
+        assert!(svg.contains(&format!(r#"fill="{}""#, color(69.14 / 80.0))));
         assert!(svg.contains(">0.25<") && svg.contains(">before<") && svg.contains(">&lt;after&gt;<"));
-        assert_eq!((place(5.0), place(300.0)), (0.0, 1.0));
+        let svg = small(&panel("", 80.0).pins, &[vec![[0.0, 0.0], [1.0, 0.0]], vec![[99.0, 0.0]]]);
+        assert_eq!((svg.matches("<ellipse").count(), svg.matches("<polyline").count()), (25, 1));
+        assert_eq!(svg.matches(&*color(1.0)).count(), 1);
     }
 
     /// The centres and fills of the ellipses of a drawing.

@@ -29,11 +29,21 @@ pub(super) struct Section {
     pub(super) html: String,
     /// The files that it names.
     pub(super) files: Vec<File>,
+    /// A small drawing for the page's overview: its file's name, and the text below it.
+    overview: Option<(String, String)>,
 }
 
 impl Section {
     pub(super) fn new(id: &str, title: &str) -> Self {
-        Self { id: id.to_owned(), title: title.to_owned(), html: String::new(), files: Vec::new() }
+        let (html, files) = Default::default();
+        Self { id: id.to_owned(), title: title.to_owned(), html, files, overview: None }
+    }
+
+    /// Puts the section into the page's overview, with a small drawing and words below it.
+    pub(super) fn overview(&mut self, name: &str, svg: String, words: &str) {
+        let name = format!("{name}.svg");
+        self.overview = Some((name.clone(), words.to_owned()));
+        self.files.push(File { name, text: svg });
     }
 
     /// Adds a paragraph; `words` are escaped.
@@ -44,6 +54,11 @@ impl Section {
     /// Adds a table with its heading.
     pub(super) fn table(&mut self, heading: &str, table: &str) {
         self.html += &format!("<h3>{}</h3>\n{table}", escape(heading));
+    }
+
+    /// Adds a table that is folded under its heading.
+    pub(super) fn folded(&mut self, heading: &str, table: &str) {
+        self.html += &format!("<details>\n<summary>{}</summary>\n{table}</details>\n", escape(heading));
     }
 
     /// Adds a drawing with its numbers if there are any, its caption, and the command that makes it.
@@ -77,7 +92,12 @@ img { max-width: 100%; height: auto; }
 figure { margin: 1rem 0; }
 figcaption { color: #444; font-size: 0.95rem; }
 table { border-collapse: collapse; margin: 0.5rem 0; }
-th, td { border: 1px solid #ccc; padding: 0.15rem 0.6rem; text-align: left; vertical-align: top; overflow-wrap: anywhere; }
+th, td { border: 1px solid #ccc; padding: 0.15rem 0.6rem; text-align: left; vertical-align: top; }
+td { overflow-wrap: anywhere; }
+td:first-child { overflow-wrap: normal; }
+summary { font-weight: bold; margin: 1rem 0; cursor: pointer; }
+.overview { display: grid; grid-template-columns: repeat(auto-fill, minmax(8rem, 1fr)); gap: 1rem; padding: 0; list-style: none; }
+.overview a { display: block; text-align: center; color: inherit; font-size: 0.9rem; }
 ";
 
 /// The page of these sections.
@@ -85,9 +105,11 @@ pub(super) fn page(sections: &[Section]) -> String {
     let mut html = format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\"/>\n<title>meissner: report</title>\n\
          <style>\n{STYLE}</style>\n</head>\n<body>\n<h1>meissner: report</h1>\n\
-         <p>Computed by meissner {}, from its models; nothing here was measured on hardware.</p>\n<ul>\n",
+         <p>Computed by meissner {}, from its models; nothing here was measured on hardware.</p>\n",
         env!("CARGO_PKG_VERSION")
     );
+    html += &overview(sections);
+    html.push_str("<ul>\n");
     for Section { id, title, .. } in sections {
         html += &format!("<li><a href=\"#{id}\">{}</a></li>\n", escape(title));
     }
@@ -96,4 +118,21 @@ pub(super) fn page(sections: &[Section]) -> String {
         html += &format!("<section id=\"{id}\">\n<h2>{}</h2>\n{body}</section>\n", escape(title));
     }
     html + "</body>\n</html>\n"
+}
+
+/// The small drawings of the sections that have one, each a link; empty without any.
+fn overview(sections: &[Section]) -> String {
+    let mut items = String::new();
+    for Section { id, title, overview, .. } in sections {
+        let Some((file, words)) = overview else { continue };
+        let (alt, words) = (escape(title), escape(words));
+        items += &format!("<li><a href=\"#{id}\"><img src=\"{file}\" alt=\"{alt}\"/><br/>{words}</a></li>\n");
+    }
+    if items.is_empty() {
+        return items;
+    }
+    format!(
+        "<h2>Overview</h2>\n<ul class=\"overview\">\n{items}</ul>\n<p>The pins of each pattern, brighter the farther they move \
+         (each on its own scale), and its target in orange.</p>\n"
+    )
 }

@@ -8,7 +8,7 @@
 //! Invariant: all that is shown is computed from the pattern or written in it.
 
 use crate::figures::error::FiguresError;
-use crate::figures::map::{Aim, FINGERTIP, Pad, Panel, motors, pads};
+use crate::figures::map::{Aim, FINGERTIP, Pad, Panel, Pin, motors, pads, small};
 use crate::figures::page::Section;
 use crate::figures::segments::{Segment, segments};
 use crate::figures::table::{csv, number, provenance, robustness, table};
@@ -110,10 +110,10 @@ pub(super) fn section(
         more => format!(" The first {MAPS} segments; {more} more are in the table."),
     };
     let caption = format!(
-        "The motors of {name}: number, frequency and phase (cycles), coloured by frequency; off is hollow. Seen from \
-         above, fingertip up.{left_out}"
+        "The motors of {name}: number, frequency, amplitude reached (peak to peak) and phase (cycles), coloured by that \
+         amplitude; off is hollow. Seen from above, fingertip up.{left_out}"
     );
-    section.figure(&format!("pattern-{name}-motors"), motors(&panels(shown)), None, &caption, &command);
+    section.figure(&format!("pattern-{name}-motors"), motors(&panels(shown, &reached)), None, &caption, &command);
 
     let of = target.as_ref().map_or_else(
         || format!("population and noise seed {SEED}, indentation only"),
@@ -150,8 +150,13 @@ pub(super) fn section(
         section.table("Robustness (from the provenance)", &table);
     }
     if let Some(table) = provenance(pattern.provenance()) {
-        section.table("Provenance", &table);
+        section.folded("Provenance", &table);
     }
+    let contrast = figures.target.as_ref().and_then(|target| target.frames.first());
+    let contrast = contrast.map_or_else(String::new, |frame| format!(": contrast {:.0}", frame.verdict.cost_hz));
+    let outline = frames.first().map(|rates| rates.frame.shape.outline()).unwrap_or_default();
+    let pins = segments.first().map(|segment| pins(segment, &reached)).unwrap_or_default();
+    section.overview(&format!("pattern-{name}-overview"), small(&pins, &outline), &format!("{name}{contrast}"));
     Ok((section, figures))
 }
 
@@ -179,13 +184,17 @@ fn run_s(segments: &[Segment]) -> f64 {
     segments.last().and_then(|last| last.stop_s).unwrap_or(f64::INFINITY)
 }
 
-fn panels(segments: &[Segment]) -> Vec<Panel<'_>> {
+fn pins<'s>(segment: &'s Segment, reached: &Reached) -> Vec<Pin<'s>> {
+    segment.drives.iter().map(|drive| Pin { drive, reached_um: reached.um(drive) }).collect()
+}
+
+fn panels<'s>(segments: &'s [Segment], reached: &Reached) -> Vec<Panel<'s>> {
     let title = |segment: &Segment| match (segments.len(), segment.stop_s) {
         (1, _) => FINGERTIP.to_owned(),
         (_, Some(stop_s)) => format!("{} to {} s", number(segment.start_s), number(stop_s)),
         (_, None) => format!("from {} s on", number(segment.start_s)),
     };
-    segments.iter().map(|segment| Panel { title: title(segment), drives: &segment.drives }).collect()
+    segments.iter().map(|segment| Panel { title: title(segment), pins: pins(segment, reached) }).collect()
 }
 
 /// The simulated response of a fingertip's afferents.

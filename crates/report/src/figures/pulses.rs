@@ -16,7 +16,6 @@ use firmware_protocol::tick::Tick;
 use meissner_array::simulated::{SimulatedMotors, SimulatedMotorsConfig};
 use meissner_array::units::{UM_PER_PULSE, ticks_to_seconds};
 use meissner_stream::calibrate::{BurstTravel, Fit, Plan, STROKES_PER_GROUP, travels_by_sensor};
-use plotters::chart::SeriesLabelPosition;
 use serde::Serialize;
 
 /// The motor whose bursts are drawn, as in the other figures.
@@ -154,15 +153,14 @@ fn plot(plan: &Plan, bursts: &[BurstTravel]) -> Result<String, FiguresError> {
     let highest = bursts.iter().map(|burst| burst.travel_um).fold(0.0, f64::max);
     let series = |name, points, dot| Series { points, dot, ..Series::line(name, Vec::new()) };
     let chart = Chart {
-        title: "Travel of a burst: model (line) and simulated motors",
+        title: None,
         x: Axis { name: "pulses", scale: Scale::linear(0.0, most) },
-        y: Axis { name: "travel, um", scale: Scale::linear(0.0, (highest / 5.0).ceil() * 5.0) },
-        legend: SeriesLabelPosition::UpperLeft,
+        y: Axis { name: "travel, µm", scale: Scale::linear(0.0, (highest / 5.0).ceil() * 5.0) },
         series: vec![
-            Series::line("model: 0.95/7 um per pulse", vec![(0.0, 0.0), (most, most * UM_PER_PULSE)]),
+            Series::line("model: 0.95/7 µm per pulse", vec![(0.0, 0.0), (most, most * UM_PER_PULSE)]),
             series("bursts", of(false).map(point).collect(), Dot::Ring),
             series("first stroke of a group", of(true).map(point).collect(), Dot::Square),
-            series("mean and standard deviation", plan.pulses().iter().map(mean).collect(), Dot::Disc),
+            series("mean and standard deviation", plan.pulses().iter().map(mean).collect(), Dot::Filled),
         ],
     };
     Ok(draw(&chart)?)

@@ -18,7 +18,6 @@ use meissner_array::pattern::{AMPLITUDE_UM, Drive};
 use meissner_array::units::UM_PER_PULSE;
 use meissner_skin::afferent::{AfferentModel, POPULATION_NOISE_SD, Position, Rectify};
 use meissner_skin::{Method, Options, Scene, simulate};
-use plotters::chart::SeriesLabelPosition;
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -122,9 +121,7 @@ pub(super) fn section(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Rate)
     );
     let caption = format!("Impulse rate against amplitude, for {} frequencies. {what}", FREQUENCIES_HZ.len());
     let drawn = plot(
-        "Rate against amplitude, under one pin",
-        Axis { name: "amplitude of the drive, um peak to peak", scale: Scale::linear(0.0, last_um) },
-        SeriesLabelPosition::LowerRight,
+        Axis { name: "amplitude of the drive, µm peak to peak", scale: Scale::linear(0.0, last_um) },
         &by_amplitude,
         |row| format!("{} Hz", row.frequency_hz),
         |row| row.amplitude_um,
@@ -153,11 +150,9 @@ pub(super) fn section(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Rate)
     let peaks = peaks.collect::<Vec<_>>().join("; ");
     let caption = format!("Impulse rate against frequency: {peaks}. {what}");
     let drawn = plot(
-        "Rate against frequency, under one pin",
         Axis { name: "frequency, Hz", scale: Scale::linear(0.0, 300.0) },
-        SeriesLabelPosition::UpperRight,
         &by_frequency,
-        |row| format!("{} um", row.amplitude_um),
+        |row| format!("{} µm", row.amplitude_um),
         |row| row.frequency_hz,
     )?;
     let row = |row: &Row| {
@@ -262,9 +257,7 @@ fn plateaus(plateaus: &[Plateau]) -> String {
 
 /// Draws the rates of each group, which `name` names, against `x`.
 fn plot(
-    title: &str,
     x: Axis<'_>,
-    legend: SeriesLabelPosition,
     rows: &[Row],
     name: impl Fn(&Row) -> String,
     place: impl Fn(&Row) -> f64,
@@ -274,7 +267,7 @@ fn plot(
         .map(|rows| Series::line(name(&rows[0]), rows.iter().map(|row| (place(row), row.rate_hz)).collect()));
     let highest = rows.iter().map(|row| row.rate_hz).fold(0.0, f64::max);
     let y = Axis { name: "rate, impulses/s", scale: Scale::fifties(0.0, highest) };
-    Ok(draw(&Chart { title, x, y, legend, series: series.collect() })?)
+    Ok(draw(&Chart { title: None, x, y, series: series.collect() })?)
 }
 
 #[cfg(test)]

@@ -4,7 +4,6 @@
 
 use crate::chart::{Axis, Chart, PlotError, Scale, Series, stacked};
 use crate::lead::tradeoff::{LeadRow, LeadTradeoff};
-use plotters::prelude::SeriesLabelPosition;
 
 /// The name of a series, and its value for a row.
 type Curve<'a> = (&'a str, &'a dyn Fn(&LeadRow) -> Option<f64>);
@@ -52,10 +51,9 @@ fn chart<'a>(tradeoff: &LeadTradeoff, title: &'a str, name: &'a str, curves: &[C
     // A single lead, or none, gives no range.
     let (from, to) = if from < to { (from, to) } else { (1.0, 1000.0) };
     Chart {
-        title,
+        title: Some(title),
         x: Axis { name: "lead, ms", scale: Scale::logarithmic(from, to) },
         y: Axis { name, scale: Scale::linear(0.0, if most > 0.0 { most * 1.1 } else { 1.0 }) },
-        legend: SeriesLabelPosition::UpperRight,
         series,
     }
 }

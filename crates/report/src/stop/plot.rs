@@ -1,4 +1,4 @@
-//! The rest error against the surplus as SVG: the theory as lines, the simulation as discs.
+//! The rest error against the surplus as SVG: the theory as lines, the simulation as points.
 //!
 //! Invariant: the same figures make the same bytes.
 
@@ -6,7 +6,6 @@ use crate::chart::{Axis, Chart, PlotError, Point, Scale, Series, stacked};
 use crate::stop::row::StopRow;
 use crate::stop::tradeoff::StopTradeoff;
 use meissner_array::reflected_walk::{ReflectedWalk, Spread};
-use plotters::prelude::SeriesLabelPosition;
 
 /// The charts are for this frequency and amplitude, if the grid has them.
 const FREQUENCY_HZ: f64 = 60.0;
@@ -26,7 +25,7 @@ pub fn plot_stop(tradeoff: &StopTradeoff) -> Result<String, PlotError> {
     asymmetries.dedup();
     let titles: Vec<String> = asymmetries
         .iter()
-        .map(|sd| format!("Rest error at 60 Hz, 80 um, asymmetry SD {sd} (discs: simulated; lines: theory, symmetric motor)"))
+        .map(|sd| format!("Rest error at 60 Hz, 80 µm, asymmetry SD {sd} (points: simulated; lines: theory, symmetric motor)"))
         .collect();
     let charts: Vec<Chart<'_>> =
         titles.iter().zip(asymmetries).map(|(title, sd)| chart(title, &tradeoff.rows, sd)).collect();
@@ -53,10 +52,9 @@ fn chart<'a>(title: &'a str, rows: &[StopRow], asymmetry_sd: f64) -> Chart<'a> {
         Series { points, ..Series::line(format!("scatter {scatter}"), line.collect()) }
     };
     Chart {
-        title,
-        x: Axis { name: "surplus of a down burst, um", scale: Scale::linear(0.0, MOST_UM) },
-        y: Axis { name: "rest error, um RMS", scale: Scale::logarithmic(0.1, 1000.0) },
-        legend: SeriesLabelPosition::UpperRight,
+        title: Some(title),
+        x: Axis { name: "surplus of a down burst, µm", scale: Scale::linear(0.0, MOST_UM) },
+        y: Axis { name: "rest error, µm RMS", scale: Scale::logarithmic(0.1, 1000.0).broken("below") },
         series: scatters.into_iter().map(series).collect(),
     }
 }

@@ -13,7 +13,6 @@ use crate::figures::table::{csv, number, table};
 use firmware_protocol::tick::TICK_HZ;
 use meissner_array::units::UM_PER_PULSE;
 use meissner_design::{Limit, Target, Vibration};
-use plotters::chart::SeriesLabelPosition;
 use serde::Serialize;
 
 /// The amplitudes, µm.
@@ -82,10 +81,9 @@ pub(super) fn plot(rows: &[ByAmplitude]) -> Result<String, FiguresError> {
     let most_um = rows.iter().fold(0.0_f64, |most, row| most.max(row.amplitude_um)) + 20.0;
     let highest = rows.iter().fold(PAPER_HZ, |highest, row| highest.max(row.near_hz));
     let chart = Chart {
-        title: "Frequency of the motors near the edge, after the search",
-        x: Axis { name: "amplitude of the drives, um peak to peak", scale: Scale::linear(0.0, most_um) },
+        title: None,
+        x: Axis { name: "amplitude of the drives, µm peak to peak", scale: Scale::linear(0.0, most_um) },
         y: Axis { name: "median frequency, Hz", scale: Scale::fifties(0.0, highest) },
-        legend: SeriesLabelPosition::LowerRight,
         series: vec![
             Series::marked("found", found),
             Series::line(format!("the paper: {PAPER_HZ} Hz"), vec![(0.0, PAPER_HZ), (most_um, PAPER_HZ)]),

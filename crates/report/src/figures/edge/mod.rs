@@ -14,7 +14,7 @@ pub use amplitudes::ByAmplitude;
 
 use crate::chart::{Axis, Chart, Point as Mark, Scale, Series, draw};
 use crate::figures::error::FiguresError;
-use crate::figures::map::{FINGERTIP, Pad, Panel, motors, pads};
+use crate::figures::map::{FINGERTIP, Pad, Panel, Pin, motors, pads};
 use crate::figures::page::Section;
 use crate::figures::table::{csv, number};
 use crate::figures::target::FrameRates;
@@ -23,7 +23,6 @@ use meissner_array::motor::SteadyState;
 use meissner_design::{Fidelity, Limit, Point, Score, Target, Verdict, YARDSTICK, shipped};
 use meissner_skin::afferent::{Position, population};
 use meissner_skin::{Method, Options, Scene, simulate};
-use plotters::chart::SeriesLabelPosition;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::sync::OnceLock;
@@ -125,8 +124,14 @@ fn make(progress: &(dyn Fn(f64) + Sync)) -> Result<(Section, Edge), FiguresError
     put("edge-target", pads(&[pad]), None, about_target(&target, &after, &near));
     let [drives_before, drives_after] =
         [&first.point, &last.point].map(|point| point.drives(target.amplitude_um(), None, None));
-    let panels = [("before", &drives_before), ("after", &drives_after)]
-        .map(|(title, drives)| Panel { title: title.to_owned(), drives });
+    let panels = [("before", &drives_before), ("after", &drives_after)].map(|(title, drives)| {
+        let pins = drives.iter().map(|drive| {
+            let reached_um = SteadyState::of(drive.frequency_hz, drive.amplitude_um)?.played_peak_to_peak_um;
+            Ok(Pin { drive, reached_um })
+        });
+        Ok(Panel { title: title.to_owned(), pins: pins.collect::<Result<_, FiguresError>>()? })
+    });
+    let panels = panels.into_iter().collect::<Result<Vec<_>, FiguresError>>()?;
     put("edge-frequencies", motors(&panels), None, about_frequencies(&target, &figures));
     let both = [("before", &before), ("after", &after)].map(|(title, rates)| Pad {
         title: title.to_owned(),
@@ -191,7 +196,7 @@ fn about_frequencies(target: &Target, figures: &Edge) -> String {
         |from| format!("near the 60 Hz of the paper and so from {from} evaluations on"),
     );
     format!(
-        "The motors, all of them at {} µm: at the random start of seed {SEED}, and after {} evaluations. The median \
+        "The motors, all of them driven at {} µm, coloured by the amplitude that they reach: at the random start of seed {SEED}, and after {} evaluations. The median \
          frequency of the {} motors within reach of the edge went from {} to {} Hz, {from}. The paper has the others at \
          higher or lower frequencies: {same} vibrate in unison with these, {slower} are slower and {faster} faster; the \
          faster ones move their pins by {} µm at most.",
@@ -267,10 +272,9 @@ fn cost_plot(records: &[Record], end: u64) -> Result<String, FiguresError> {
     let highest = line.iter().fold(0.0_f64, |highest, point| highest.max(point.1));
     let marked = format!("motors near the edge at {} to {} Hz", NEAR_PAPER_HZ.start(), NEAR_PAPER_HZ.end());
     let chart = Chart {
-        title: "Contrast of the best point so far",
+        title: None,
         x: Axis { name: "evaluations", scale: Scale::logarithmic(1.0, (end as f64).max(2.0)) },
         y: Axis { name: "contrast, impulses/s", scale: Scale::fifties(lowest, highest) },
-        legend: SeriesLabelPosition::LowerRight,
         series: vec![
             Series::line("best so far", line),
             Series { points: near_paper.map(mark).collect(), ..Series::line(marked, Vec::new()) },
