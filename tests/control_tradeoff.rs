@@ -115,7 +115,7 @@ fn the_same_grid_makes_the_same_bytes_on_any_number_of_cores() {
     let found = measured(&grid);
     assert_eq!(text(&found), text(&one.install(|| measured(&grid))));
     let drawn = plot_control(&found).unwrap();
-    for label in ["rest error, um RMS", "age of telemetry, ms", "samples per second", "60 Hz", "300 Hz"] {
+    for label in ["rest error, µm RMS", "age of telemetry, ms", "samples per second", "60 Hz", "300 Hz"] {
         assert!(drawn.contains(label), "{label}");
     }
     assert!(found.recommendation.contains("um at 20 ms)"), "{}", found.recommendation);

@@ -112,12 +112,24 @@ fn assert_page(page: &str, files: &[(&str, &str)]) {
     assert_eq!(page.matches("<figure>").count(), page.matches("<figcaption>").count());
 }
 
+/// The drawing library writes the sizes of charts with one decimal.
+#[test]
+fn text_in_drawings_has_eleven_pixels_at_least() {
+    for drawing in REPORT.files.iter().filter(|file| file.name.ends_with(".svg")) {
+        let sizes = drawing.text.split("font-size=\"").skip(1).map(|text| text.split('"').next().unwrap());
+        for size in sizes {
+            assert!((11.0..=16.2).contains(&size.parse::<f64>().unwrap()), "{}: {size}", drawing.name);
+        }
+        assert!(!drawing.text.contains(" um"), "{}", drawing.name);
+    }
+}
+
 #[test]
 fn the_page_is_well_formed_and_has_a_section_for_every_pattern() {
     let Report { page, files, .. } = &*REPORT;
     assert_page(page, &files.iter().map(|file| (&*file.name, &*file.text)).collect::<Vec<_>>());
     for pattern in LIBRARY.iter().map(|pattern| figures_of(pattern.name())) {
-        for part in ["motors.svg", "rates.svg", "rates.csv"] {
+        for part in ["motors.svg", "rates.svg", "rates.csv", "overview.svg"] {
             file(&format!("pattern-{}-{part}", pattern.name));
         }
         assert!(page.contains(&format!("<h2>Pattern {}</h2>", pattern.name)));
@@ -126,7 +138,11 @@ fn the_page_is_well_formed_and_has_a_section_for_every_pattern() {
         let moves = |target: &TargetFigures| target.frames.iter().any(|frame| frame.start_s.is_some());
         let moves = pattern.target.as_ref().is_some_and(moves);
         assert_eq!(page.matches(&command).count(), 2 + usize::from(moves), "{command}");
+        let link =
+            format!("<li><a href=\"#pattern-{0}\"><img src=\"pattern-{0}-overview.svg\"", pattern.name);
+        assert!(page.find(&link) < page.find("<section"), "the page begins with the overview");
     }
+    assert!(section_of("edge-45").contains("<details>\n<summary>Provenance</summary>\n<table>"));
     assert!(LIBRARY.len() >= 20);
     let sweep = file("pattern-sweep-motors.svg");
     assert_eq!((sweep.matches("<ellipse").count(), sweep.matches(">60 Hz<").count()), (6 * 24, 24));
@@ -169,8 +185,8 @@ fn the_displacement_follows_the_pulses_as_in_the_paper() {
     }
 
     let svg = file("pulses.svg");
-    // Every block, ten means, and one of each in the legend.
-    assert_eq!(svg.matches("<circle").count(), 360 + 10 + 1);
+    // Every block, and one in the legend. The ten means are polygons.
+    assert_eq!(svg.matches("<circle").count(), 360 + 1);
     assert!(svg.matches("<rect").count() > 40);
     let places =
         ["pulses", "amplitude", "rate", "edge"].map(|id| page.find(&format!("<section id=\"{id}\">")));
@@ -201,7 +217,11 @@ fn the_amplitude_is_the_model_s_and_simulated_motors_scatter_around_it() {
         "{figures:?}"
     );
     let svg = file("amplitude.svg");
-    assert!(svg.matches("<circle").count() >= figures.points);
+    // Discs are the markers of the first of the amplitudes alone.
+    let markers = ["<circle", "<polygon"].map(|shape| svg.matches(shape).count());
+    assert_eq!(markers.iter().sum::<usize>(), figures.points + AMPLITUDES_UM.len());
+    assert_eq!(markers[0], figures.points / AMPLITUDES_UM.len() + 1);
+    assert!(svg.contains("below") && svg.contains("µm peak to peak"));
 }
 
 /// The rate of one receptor under a pin, mean of many.

@@ -33,7 +33,8 @@ pub(super) fn place(
         let [from, to] = [ends[0], ends[1]];
         let (dx, dy) = (to.0 - from.0, to.1 - from.1);
         let pieces = (dx.abs().max(dy.abs()) / EVERY).max(1);
-        taken.extend((0..=pieces).map(|n| square((from.0 + dx * n / pieces, from.1 + dy * n / pieces), LINE)));
+        taken
+            .extend((0..=pieces).map(|n| square((from.0 + dx * n / pieces, from.1 + dy * n / pieces), LINE)));
     }
     let mut free = |&((x, y), text): &((i32, i32), &str)| {
         let width = CHARACTER.0 * i32::try_from(text.chars().count()).unwrap_or(i32::MAX / 16);
@@ -42,10 +43,20 @@ pub(super) fn place(
             let [left, right] = [x - MARKER - far - width, x + MARKER + far];
             let [above, below] = [y - MARKER - far - height, y + MARKER + far];
             let (middle, level) = (x - width / 2, y - height / 2);
-            [(right, level), (middle, above), (middle, below), (left, level), (right, above), (left, above), (right, below), (left, below)]
+            [
+                (right, level),
+                (middle, above),
+                (middle, below),
+                (left, level),
+                (right, above),
+                (left, above),
+                (right, below),
+                (left, below),
+            ]
         });
         let places = candidates.map(|(left, top)| [left, top, left + width, top + height]);
-        let inside = |at: &Place| at[0] >= area[0] && at[1] >= area[1] && at[2] <= area[2] && at[3] <= area[3];
+        let inside =
+            |at: &Place| at[0] >= area[0] && at[1] >= area[1] && at[2] <= area[2] && at[3] <= area[3];
         let found = places.into_iter().find(|at| inside(at) && !taken.iter().any(|other| overlap(at, other)));
         taken.extend(found);
         found
@@ -68,7 +79,9 @@ mod tests {
         let found: Vec<Place> = places.iter().flatten().copied().collect();
         for (index, one) in found.iter().enumerate() {
             assert!(found[index + 1..].iter().all(|other| !overlap(one, other)));
-            assert!(points.iter().all(|&(x, y)| !(one[0]..one[2]).contains(&x) || !(one[1]..one[3]).contains(&y)));
+            assert!(
+                points.iter().all(|&(x, y)| !(one[0]..one[2]).contains(&x) || !(one[1]..one[3]).contains(&y))
+            );
             assert!(one[0] >= 0 && one[2] <= 200 && one[3] <= 200);
         }
         assert!(places[16].is_some_and(|at| at[2] < 198));

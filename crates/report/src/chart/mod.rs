@@ -177,7 +177,8 @@ fn axes_and_series<'a>(chart: &Chart<'_>, area: &Area<'a>, whole: &Area<'a>, leg
     for (look, series) in looks().zip(&chart.series) {
         look.draw_line(whole, series.line.iter().map(|&(x, y)| pixel(x, y)).collect())?;
         for &Point { x, y, sd } in series.points.iter().filter(|point| point.sd > 0.0) {
-            whole.draw(&PathElement::new([pixel(x, y - sd), pixel(x, y + sd)], look.color.stroke_width(1)))?;
+            whole
+                .draw(&PathElement::new([pixel(x, y - sd), pixel(x, y + sd)], look.color.stroke_width(1)))?;
         }
     }
     // Markers last: no line covers one.
@@ -259,9 +260,10 @@ impl Look {
         let corners = |of: &[(i32, i32)]| of.iter().map(|(x, y)| (at.0 + x, at.1 + y)).collect::<Vec<_>>();
         match (dot, self.marker) {
             (Dot::Ring, _) => whole.draw(&Circle::new(at, 3, self.color.stroke_width(1))),
-            (Dot::Square, _) => {
-                whole.draw(&Rectangle::new([(at.0 - 3, at.1 - 3), (at.0 + 3, at.1 + 3)], self.color.stroke_width(1)))
-            }
+            (Dot::Square, _) => whole.draw(&Rectangle::new(
+                [(at.0 - 3, at.1 - 3), (at.0 + 3, at.1 + 3)],
+                self.color.stroke_width(1),
+            )),
             (Dot::Filled, []) => whole.draw(&Circle::new(at, 4, self.color.filled())),
             (Dot::Filled, marker) => whole.draw(&Polygon::new(corners(marker), self.color.filled())),
         }

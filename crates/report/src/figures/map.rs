@@ -49,15 +49,8 @@ pub(super) struct Panel<'a> {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Pin<'a> {
     pub(super) drive: &'a Drive,
-    /// The amplitude that it reaches, µm peak to peak; 0 if its drive gives no stroke.
+    /// The amplitude that it reaches, µm peak to peak.
     pub(super) reached_um: f64,
-}
-
-impl Pin<'_> {
-    /// The place on a colour scale that ends at `top_um`, 0 to 1; none if the pin does not move.
-    fn share(&self, top_um: f64) -> Option<f64> {
-        (self.reached_um > 0.0).then(|| self.reached_um / top_um)
-    }
 }
 
 /// The end of the colour scale, µm: a multiple of 20, so that the marks are round.
@@ -66,7 +59,7 @@ fn top_um<'a>(pins: impl Iterator<Item = &'a Pin<'a>>) -> f64 {
 }
 
 /// Draws the array in each panel: a circle per motor, coloured by the amplitude reached, with its number, frequency, amplitude and
-/// phase. Motors that are off, and those that do not move, are hollow.
+/// phase; off is hollow.
 pub(super) fn motors(panels: &[Panel<'_>]) -> String {
     let top_um = top_um(panels.iter().flat_map(|panel| &panel.pins));
     let (width, height) = (PITCH * f64::from(COLUMNS) + 24.0, PITCH * f64::from(ROWS) + HEAD + 12.0);
@@ -85,9 +78,9 @@ pub(super) fn motors(panels: &[Panel<'_>]) -> String {
                 drawing.words((x, y + 4.0), SMALL, Anchor::Middle, FADED, &motor.to_string());
                 continue;
             };
-            let share = pin.share(top_um);
-            let (fill, ink) = share.map_or((NONE.to_owned(), FADED), |share| (color(share), ink(share)));
-            drawing.circle((x, y), RADIUS, Paint { fill: &fill, stroke: INK });
+            let share = pin.reached_um / top_um;
+            let ink = ink(share);
+            drawing.circle((x, y), RADIUS, Paint { fill: &color(share), stroke: INK });
             let hz = format!("{} Hz", number(pin.drive.frequency_hz));
             let um = format!("{} µm", tenths(pin.reached_um));
             drawing.words((x, y - 16.0), SMALL, Anchor::Middle, ink, &motor.to_string());
@@ -120,7 +113,7 @@ pub(super) fn small(pins: &[Pin<'_>], outline: &[Vec<[f64; 2]>]) -> String {
     drawing.ellipse(middle, radii, Paint { fill: "#f4f4f4", stroke: FAINT });
     for motor in 0..MOTORS as u8 {
         let pin = pins.iter().find(|pin| pin.drive.motor == motor);
-        let fill = pin.and_then(|pin| pin.share(top_um)).map_or_else(|| "#ffffff".to_owned(), color);
+        let fill = pin.map_or_else(|| "#ffffff".to_owned(), |pin| color(pin.reached_um / top_um));
         let at = place(geometry::position_mm(motor));
         drawing.circle(at, 1.1 * SMALL_PER_MM, Paint { fill: &fill, stroke: FADED });
     }
@@ -248,12 +241,13 @@ mod tests {
     fn every_motor_is_on_the_map() {
         let (frequency_hz, amplitude_um, phase) = (60.0, 80.0, 0.25);
         let drive = Drive { motor: 9, frequency_hz, amplitude_um, phase, start_s: None, stop_s: None };
-        let panel = |title: &str, reached_um| {
-            Panel { title: title.to_owned(), pins: vec![Pin { drive: &drive, reached_um }] }
+        let panel = |title: &str, reached_um| Panel {
+            title: title.to_owned(),
+            pins: vec![Pin { drive: &drive, reached_um }],
         };
         let svg = motors(&[panel("before", 69.14), panel("<after>", 0.0)]);
         assert_eq!((svg.matches("<ellipse").count(), svg.matches(">60 Hz<").count()), (48, 2));
-        assert_eq!(svg.matches(r#"fill="none""#).count(), 47, "a pin that does not move is hollow");
+        assert_eq!(svg.matches(r#"fill="none""#).count(), 46);
         assert!(svg.contains(">69.1 µm<") && svg.contains(">0 µm<"));
         assert!(svg.contains(&format!(r#"fill="{}""#, color(69.14 / 80.0))));
         assert!(svg.contains(">0.25<") && svg.contains(">before<") && svg.contains(">&lt;after&gt;<"));

@@ -113,7 +113,13 @@ pub(super) fn section(
         "The motors of {name}: number, frequency, amplitude reached (peak to peak) and phase (cycles), coloured by that \
          amplitude; off is hollow. Seen from above, fingertip up.{left_out}"
     );
-    section.figure(&format!("pattern-{name}-motors"), motors(&panels(shown, &reached)), None, &caption, &command);
+    section.figure(
+        &format!("pattern-{name}-motors"),
+        motors(&panels(shown, &reached)),
+        None,
+        &caption,
+        &command,
+    );
 
     let of = target.as_ref().map_or_else(
         || format!("population and noise seed {SEED}, indentation only"),
@@ -153,10 +159,15 @@ pub(super) fn section(
         section.folded("Provenance", &table);
     }
     let contrast = figures.target.as_ref().and_then(|target| target.frames.first());
-    let contrast = contrast.map_or_else(String::new, |frame| format!(": contrast {:.0}", frame.verdict.cost_hz));
+    let contrast =
+        contrast.map_or_else(String::new, |frame| format!(": contrast {:.0}", frame.verdict.cost_hz));
     let outline = frames.first().map(|rates| rates.frame.shape.outline()).unwrap_or_default();
     let pins = segments.first().map(|segment| pins(segment, &reached)).unwrap_or_default();
-    section.overview(&format!("pattern-{name}-overview"), small(&pins, &outline), &format!("{name}{contrast}"));
+    section.overview(
+        &format!("pattern-{name}-overview"),
+        small(&pins, &outline),
+        &format!("{name}{contrast}"),
+    );
     Ok((section, figures))
 }
 
@@ -184,11 +195,12 @@ fn run_s(segments: &[Segment]) -> f64 {
     segments.last().and_then(|last| last.stop_s).unwrap_or(f64::INFINITY)
 }
 
-fn pins<'s>(segment: &'s Segment, reached: &Reached) -> Vec<Pin<'s>> {
-    segment.drives.iter().map(|drive| Pin { drive, reached_um: reached.um(drive) }).collect()
+fn pins<'s>(segment: &'s Segment, reached: &[DriveAmplitude]) -> Vec<Pin<'s>> {
+    let of = |drive: &Drive| reached.iter().find(|of| of.settings == *drive).map_or(0.0, |of| of.reached_um);
+    segment.drives.iter().map(|drive| Pin { drive, reached_um: of(drive) }).collect()
 }
 
-fn panels<'s>(segments: &'s [Segment], reached: &Reached) -> Vec<Panel<'s>> {
+fn panels<'s>(segments: &'s [Segment], reached: &[DriveAmplitude]) -> Vec<Panel<'s>> {
     let title = |segment: &Segment| match (segments.len(), segment.stop_s) {
         (1, _) => FINGERTIP.to_owned(),
         (_, Some(stop_s)) => format!("{} to {} s", number(segment.start_s), number(stop_s)),

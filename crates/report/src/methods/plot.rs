@@ -21,10 +21,7 @@ pub fn plot(tradeoff: &MethodTradeoff) -> Result<String, PlotError> {
     draw(&Chart {
         title: Some("Simulation: time against error, labelled with the step"),
         x: Axis { name: "time, µs per afferent and second", scale: Scale::logarithmic(left, right) },
-        y: Axis {
-            name: "rate error, impulses/s RMS",
-            scale: Scale::logarithmic(bottom, top).broken("0"),
-        },
+        y: Axis { name: "rate error, impulses/s RMS", scale: Scale::logarithmic(bottom, top).broken("0") },
         series,
     })
 }
@@ -38,7 +35,8 @@ fn series(rows: &[Row]) -> Vec<Series> {
         };
         let Some((time, error)) = row.time_and_error() else { continue };
         let name = format!("{integrator} {precision}");
-        let one = Series { labels: vec![format!("{step_us} µs")], ..Series::marked(name, vec![(time, error)]) };
+        let one =
+            Series { labels: vec![format!("{step_us} µs")], ..Series::marked(name, vec![(time, error)]) };
         match found.iter_mut().find(|series| series.name == one.name) {
             Some(series) => {
                 series.line.extend(one.line);
