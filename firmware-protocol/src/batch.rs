@@ -18,8 +18,7 @@
 use crate::stroke::{Direction, Stroke};
 use crate::tick::Tick;
 
-/// Most strokes in a batch: as many as the chip can take between two blocks of lines, and at most the 64 bits of a
-/// verdict's mask.
+/// Most strokes in a batch; a verdict's mask has 64 bits. The chip unpacks them between two blocks of lines.
 pub const MAX_BATCH: usize = 32;
 /// The strokes of a frame.
 pub(crate) type Batch = heapless::Vec<Stroke, MAX_BATCH>;
@@ -174,16 +173,35 @@ impl Unpacker<'_> {
         Ok(byte)
     }
 
+    /// Inlined for the usual one and two bytes: a frame has a hundred of these.
+    #[inline(always)]
     fn varint(&mut self) -> Result<u32, Malformed> {
-        let mut value = 0u64;
-        for shift in [0, 7, 14, 21, 28] {
+        match *self.bytes {
+            [low @ 0..0x80, ref rest @ ..] => {
+                self.bytes = rest;
+                Ok(low.into())
+            }
+            [low, high @ 0..0x80, ref rest @ ..] => {
+                self.bytes = rest;
+                Ok(u32::from(low & 0x7f) | u32::from(high) << 7)
+            }
+            _ => self.long_varint(),
+        }
+    }
+
+    /// In 32 bits: the chip's core shifts 64 bits in a call.
+    #[inline(never)]
+    fn long_varint(&mut self) -> Result<u32, Malformed> {
+        let mut value = 0;
+        for shift in [0, 7, 14, 21] {
             let byte = self.byte()?;
-            value |= u64::from(byte & 0x7f) << shift;
+            value |= u32::from(byte & 0x7f) << shift;
             if byte & 0x80 == 0 {
-                return u32::try_from(value).map_err(|_| Malformed);
+                return Ok(value);
             }
         }
-        Err(Malformed)
+        let last = self.byte()?;
+        if last > 0x0f { Err(Malformed) } else { Ok(value | u32::from(last) << 28) }
     }
 
     fn pulses(&mut self) -> Result<u16, Malformed> {
@@ -256,6 +274,16 @@ impl<'a> Amendments<'a> {
         Self(Unpacker { bytes, at: base })
     }
 
+    /// The bytes that are not read yet.
+    pub(crate) fn rest(&self) -> &'a [u8] {
+        self.0.bytes
+    }
+
+    /// The tick from which the next item counts.
+    pub(crate) fn at(&self) -> Tick {
+        self.0.at
+    }
+
     fn read(&mut self) -> Result<Amendment, Malformed> {
         let head = self.0.byte()?;
         let up = Tick(self.0.at.0.wrapping_add_signed(unzigzag(self.0.varint()?).into()));
@@ -279,13 +307,17 @@ impl Iterator for Amendments<'_> {
     }
 }
 
-/// The strokes of `batch`, counted from `base`; `None` if it cannot be read to its end.
-pub(crate) fn unpack(base: Tick, batch: &[u8]) -> Option<Batch> {
-    let mut all = Batch::new();
-    for stroke in Strokes::new(base, batch) {
-        all.push(stroke.ok()?).ok()?;
+/// Reads the strokes of `batch`, counted from `base`, into `strokes`. Returns `false` if it cannot be read to its end.
+pub(crate) fn unpack(base: Tick, batch: &[u8], strokes: &mut Batch) -> bool {
+    strokes.clear();
+    let mut packed = Strokes::new(base, batch);
+    while !packed.rest.bytes.is_empty() {
+        let Ok(stroke) = packed.read() else { return false };
+        if strokes.push(stroke).is_err() {
+            return false;
+        }
     }
-    Some(all)
+    true
 }
 
 #[cfg(test)]

@@ -119,6 +119,9 @@ pub fn check(stroke: &Stroke) -> Result<(), Refusal> {
         return Err(Refusal::Bursts);
     }
     // A stroke may push its pin against a lower stop, but not leave it higher than it was.
+    if stroke.down_pulses == stroke.up_pulses {
+        return Ok(());
+    }
     if stroke.down_pulses < stroke.up_pulses || !within_correction(stroke.up_pulses, stroke.down_pulses) {
         return Err(Refusal::Unbalanced);
     }
@@ -153,6 +156,14 @@ impl SlidingSecond {
 
     /// Pulses begun, from their first until a second after the last.
     fn charged(&mut self, now: Tick) -> &mut [u32; MOTORS] {
+        if self.next <= now {
+            self.next_buckets(now);
+        }
+        &mut self.charged
+    }
+
+    #[inline(never)]
+    fn next_buckets(&mut self, now: Tick) {
         // After a long pause, one round over the buckets clears all.
         self.next = self.next.max(Tick(now.0.saturating_sub(BUCKET * BUCKETS as u64)));
         while self.next <= now {
@@ -163,7 +174,6 @@ impl SlidingSecond {
                 *charged = charged.saturating_sub(u32::from(core::mem::take(ended)));
             }
         }
-        &mut self.charged
     }
 
     /// Ends at `now` what was charged with `charged` pulses, of which `played` were played.
@@ -270,9 +280,12 @@ impl Pushing {
     /// # Errors
     /// [`Refusal::Pushing`] if it would break the limit; then nothing is counted.
     pub fn begin(&mut self, now: Tick, motor: usize, pulses: u32) -> Result<(), Refusal> {
-        let charged = &mut self.pulses.charged(now)[motor];
         // What pushes nothing breaks no limit, also one that was lowered.
-        if pulses > 0 && *charged + pulses > self.limit {
+        if pulses == 0 {
+            return Ok(());
+        }
+        let charged = &mut self.pulses.charged(now)[motor];
+        if *charged + pulses > self.limit {
             return Err(Refusal::Pushing);
         }
         *charged += pulses;
@@ -286,7 +299,9 @@ impl Pushing {
 
     /// Ends at `now` a surplus of `pulses`, of which `played` count on.
     pub fn end(&mut self, now: Tick, motor: usize, pulses: u32, played: u32) {
-        self.pulses.end(now, motor, pulses, played);
+        if pulses > 0 || played > 0 {
+            self.pulses.end(now, motor, pulses, played);
+        }
     }
 }
 

@@ -6,6 +6,7 @@
 import { parseArgs } from 'node:util';
 import fs from 'node:fs';
 import { Board } from './board.mjs';
+import { Profile } from './profile.mjs';
 
 /** One run of a board: carries out requests, and collects what the board sends between two answers. */
 export class Bench {
@@ -94,6 +95,8 @@ export class Bench {
         return {};
       case 'read':
         return { hex: Buffer.from(board.memory(value, request.bytes)).toString('hex') };
+      case 'profile':
+        return this.profile(!!value);
       case 'stats':
         return { stats: this.stats() };
       default:
@@ -109,6 +112,12 @@ export class Bench {
     if (!there) this.board.run(cycles);
     this.until = null;
     return {};
+  }
+  profile(on) {
+    const { core, symbols } = this.board;
+    const profile = core.profile?.result();
+    core.profile = on ? new Profile(symbols) : null;
+    return { profile };
   }
   stats() {
     const { board } = this;

@@ -39,6 +39,8 @@ struct Shell {
     active: usize,
     /// Look for another host's hello on the other pipes.
     watches: [Watch; usb::PIPES],
+    /// The packet being read, its pipe, and how much of it is read.
+    packet: Option<(usize, usb::Packet, usize)>,
     /// The frame being sent.
     frame: [u8; MAX_FRAME],
 }
@@ -53,6 +55,7 @@ pub(crate) fn start(identity: Identity, cause: Cause, ports: usb::Ports) {
         ports,
         active: 0,
         watches: [const { Watch::new() }; usb::PIPES],
+        packet: None,
         frame: [0; MAX_FRAME],
     };
     // SAFETY: the interrupt is not enabled yet, and nothing else uses it.
@@ -76,15 +79,15 @@ fn SWI_IRQ_0() {
 
 impl Shell {
     fn turn(&mut self) {
-        // One action at a time: meanwhile blocks may have become due.
+        // One piece of work at a time: meanwhile a block may have become due.
         loop {
             self.take_e_stop();
             self.take_failure();
             self.hold();
             self.render();
-            let followed = self.controller.poll(wave::now());
+            let advanced = self.controller.advance(wave::now());
             estop::set_epoch(self.controller.epoch());
-            if !(followed || self.take_lost() || self.send() || self.take_packet()) {
+            if !(advanced || self.take_lost() || self.send() || self.take_frame()) {
                 break;
             }
         }
@@ -124,6 +127,7 @@ impl Shell {
     }
 
     /// Renders each block that fits the horizon.
+    #[inline(never)]
     fn render(&mut self) {
         let now = wave::now();
         if self.controller.rendered() <= now + wave::FETCHED {
@@ -165,10 +169,17 @@ impl Shell {
         }
     }
 
-    /// Passes the next packet to the controller. Returns `false` if there is none.
-    fn take_packet(&mut self) -> bool {
-        let Some((pipe, packet)) = self.ports.take() else { return false };
+    /// Has the controller read the next frame, or the rest of a packet. Returns `false` if there is no packet.
+    #[inline(never)]
+    fn take_frame(&mut self) -> bool {
         let now = wave::now();
+        let (pipe, packet, at) = match self.packet.take() {
+            Some(packet) => packet,
+            None => {
+                let Some((pipe, packet)) = self.ports.take() else { return false };
+                (pipe, packet, 0)
+            }
+        };
         if pipe != self.active {
             // Ignore stray bytes on the other pipe; a hello there is another host.
             let Some(Urgent::Hello(session)) = self.watches[pipe].look(packet.bytes()) else { return true };
@@ -179,11 +190,17 @@ impl Shell {
             // The hello may have begun in an earlier packet. If it is all in this one, what follows is a repetition.
             self.controller.open_session(now, session);
         }
-        self.controller.receive(now, packet.bytes());
+        let mut rest = &packet.bytes()[at..];
+        self.controller.read(now, &mut rest);
+        if !rest.is_empty() {
+            let read = packet.bytes().len() - rest.len();
+            self.packet = Some((pipe, packet, read));
+        }
         true
     }
 
     /// Sends the next frame if there is one, and room for it.
+    #[inline(never)]
     fn send(&mut self) -> bool {
         if !self.ports.has_room(self.active) {
             return false;

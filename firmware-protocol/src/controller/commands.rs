@@ -2,13 +2,13 @@
 //!
 //! Invariant: a command is carried out once, in the epoch that it begins; strokes and amendments of another epoch change nothing.
 
-use crate::batch::{Amendments, Batch, unpack};
+use crate::batch::unpack;
 use crate::controller::{Controller, newer};
 use crate::limits::Refusal;
 use crate::message::{Cause, HostMessage, Op, State};
 
 impl Controller {
-    /// Takes a message of the host.
+    /// Handles a message of the host, except for the strokes or amendments in it: they are taken next.
     pub(super) fn handle(&mut self, message: HostMessage<'_>) {
         if let HostMessage::Hello { session } = message {
             self.open(session);
@@ -18,16 +18,15 @@ impl Controller {
             self.pending.no_session = true;
             return;
         }
-        let mut strokes = Batch::new();
-        if let HostMessage::Strokes { base, batch, .. } = message {
-            let Some(read) = unpack(base.near(self.now), batch) else {
-                self.counters.bad_frames += 1;
-                return;
-            };
-            strokes = read;
+        if let HostMessage::Strokes { base, batch, .. } = message
+            && !unpack(base.near(self.now), batch, &mut self.taking.strokes)
+        {
+            self.counters.bad_frames += 1;
+            return;
         }
         self.last_heard = self.now;
         self.pending.status = true;
+        self.taking.epoch = self.epoch;
         match message {
             HostMessage::Hello { .. } => {}
             HostMessage::Ping { token, seen } => {
@@ -41,17 +40,12 @@ impl Controller {
             HostMessage::Strokes { epoch, seq, seen, mark, base, batch } => {
                 self.reports.seen(seen, self.now);
                 if epoch == self.epoch {
-                    self.stream(seq, mark, base.near(self.now), batch, &strokes);
+                    self.stream(seq, mark, base.near(self.now), batch);
                 }
             }
             HostMessage::Amend { epoch, generation, base, items } => {
-                if epoch != self.epoch {
-                    return;
-                }
-                for item in Amendments::new(base.near(self.now), items) {
-                    if item.ok().and_then(|item| self.amend(generation, &item)).is_none() {
-                        self.counters.amendments_ignored += 1;
-                    }
+                if epoch == self.epoch {
+                    self.taking.amend(generation, base.near(self.now), items);
                 }
             }
         }

@@ -2,7 +2,7 @@
 //!
 //! Every slot leaves the pool here, counted once as played or dropped.
 
-use crate::controller::lines::TriggerOutput;
+use crate::controller::lines::{TriggerOutput, Window};
 use crate::controller::pool::Kind;
 use crate::controller::{Controller, NEVER};
 use crate::message::{Cause, Cut, Report, State};
@@ -86,7 +86,7 @@ impl Controller {
                 }
             }
         }
-        (self.waiting, self.next_change) = (0, NEVER);
+        (self.waiting, self.window) = (0, Window::before(self.rendered));
         self.trigger_output = TriggerOutput::LOW;
         // A seek that was not finished leaves the position unknown.
         self.seeks = false;
@@ -141,31 +141,33 @@ impl Controller {
         if now < self.next_end {
             return;
         }
-        self.next_end = NEVER;
+        // A stroke that is still being rendered ends no sooner than the rendered end.
+        let all = now >= self.rendered;
+        self.next_end = if all { NEVER } else { self.rendered };
         for motor in 0..MOTORS {
-            while let Some(head) = self.pool.head(motor) {
-                let end = head.stroke.end();
+            while all || !self.pool.is_rendering_head(motor) {
+                let Some(slot) = self.pool.head(motor) else { break };
+                let end = slot.stroke.end();
                 if end > now {
                     self.next_end = self.next_end.min(end);
                     break;
                 }
-                let Some(slot) = self.pool.pop(motor) else { break };
                 if let Some(charged) = slot.charged {
                     self.on_time.end(self.rendered, motor, charged, slot.stroke.pulses());
                     let surplus = slot.surplus().into();
                     self.pushing.end(self.rendered, motor, surplus, surplus);
                 }
-                if slot.kind != Kind::Play {
-                    continue;
+                if slot.kind == Kind::Play {
+                    let played = [slot.stroke.up_pulses, slot.stroke.down_pulses];
+                    self.counters.played += 2;
+                    self.counters.pulses += u64::from(played[0]) + u64::from(played[1]);
+                    if !slot.cut {
+                        let changed = played.iter().zip(slot.planned);
+                        let changed = changed.filter(|&(&played, planned)| played != planned);
+                        self.counters.amended += changed.count() as u64;
+                    }
                 }
-                let played = [slot.stroke.up_pulses, slot.stroke.down_pulses];
-                self.counters.played += 2;
-                self.counters.pulses += u64::from(played[0]) + u64::from(played[1]);
-                if !slot.cut {
-                    let changed =
-                        played.iter().zip(slot.planned).filter(|&(&played, planned)| played != planned);
-                    self.counters.amended += changed.count() as u64;
-                }
+                self.pool.drop_head(motor);
             }
         }
     }

@@ -1,12 +1,61 @@
 //! Renders the lines from the slots.
 //!
-//! [`Controller::render`] looks at a line only when it changes: the loop over all lines takes most of the chip's time.
+//! [`Controller::render`] looks at a line only when it changes, and computes in 32 bits where it can: it takes most of the chip's time.
 
 use crate::controller::pool::Kind;
-use crate::controller::{Controller, NEVER, Run};
+use crate::controller::{BLOCK, Controller, NEVER, Run};
 use crate::message::{Report, Trigger};
 use crate::stroke::{Line, Stroke};
 use crate::tick::Tick;
+
+/// The lines that may change in the next ticks, tick by tick, so that rendering a block looks at all lines only once. Ticks are
+/// low halves.
+#[derive(Debug)]
+pub(super) struct Window {
+    /// The first tick.
+    begin: u32,
+    /// The lines that may change in each tick.
+    lines: [u32; BLOCK as usize],
+    /// Bit i: lines may change in tick i.
+    some: u32,
+}
+
+impl Window {
+    /// A window that has to be opened before the next tick is rendered.
+    pub(super) const CLOSED: Self = Self { begin: 0, lines: [0; BLOCK as usize], some: 0 };
+
+    /// A window that ends at `now`.
+    pub(super) const fn before(now: Tick) -> Self {
+        Self { begin: (now.0 as u32).wrapping_sub(BLOCK), ..Self::CLOSED }
+    }
+
+    /// The line of `bit` changes at `tick`. Nothing to do if that lies outside.
+    fn add(&mut self, bit: u32, tick: u32) {
+        let at = tick.wrapping_sub(self.begin);
+        if let Some(lines) = self.lines.get_mut(at as usize) {
+            *lines |= bit;
+            self.some |= 1 << at;
+        }
+    }
+
+    /// Removes the lines of the tick `now`.
+    fn take(&mut self, now: u32) -> u32 {
+        let at = now.wrapping_sub(self.begin);
+        self.some &= !(1 << (at % BLOCK));
+        self.lines.get_mut(at as usize).map_or(0, core::mem::take)
+    }
+
+    /// Ticks from `now` in which no line changes, at least 1, within the window.
+    fn quiet(&self, now: u32) -> u32 {
+        let at = now.wrapping_sub(self.begin) % BLOCK;
+        let (mut ticks, mut later) = (1, self.some >> at >> 1);
+        while later & 1 == 0 && at + ticks < BLOCK {
+            later >>= 1;
+            ticks += 1;
+        }
+        ticks
+    }
+}
 
 /// The trigger output: the cells of a pulse or a code, one after the other.
 #[derive(Debug)]
@@ -48,41 +97,47 @@ impl Controller {
             // Do not bring lines to a tick that is not rendered: it can still be amended.
             return Run { lines: self.lines, trigger: false, ticks: 0 };
         }
-        let (trigger, mut change) = self.trigger();
-        if self.next_change <= self.rendered {
-            let now = self.rendered.0 as u32;
-            let (mut due, mut nearest) = (0u32, i32::MAX);
-            for (motor, change) in self.changes.iter().enumerate() {
-                let ahead = change.wrapping_sub(now).cast_signed();
-                if self.waiting >> motor & 1 == 0 {
-                    continue;
-                }
-                if ahead <= 0 {
-                    due |= 1 << motor;
-                } else if ahead < nearest {
-                    nearest = ahead;
-                }
-            }
-            let mut motor = 0;
-            while due >> motor != 0 {
-                if due >> motor & 1 == 1
-                    && let Some(until) = self.step(motor)
-                {
-                    nearest = nearest.min((until - self.rendered) as i32);
-                }
-                motor += 1;
-            }
-            let none = self.waiting == 0;
-            self.next_change = if none { NEVER } else { self.rendered + u64::from(nearest.cast_unsigned()) };
+        let (trigger, change) = self.trigger();
+        let now = self.rendered.0 as u32;
+        if now.wrapping_sub(self.window.begin) >= BLOCK {
+            self.open_window(now);
         }
-        change = change.min(self.next_change);
-        let ticks = (change - self.rendered).min(max.into());
+        let mut due = self.window.take(now);
+        let mut motor = 0;
+        while due != 0 {
+            if due & 1 == 1 {
+                self.step(motor);
+            }
+            due >>= 1;
+            motor += 1;
+        }
+        let ticks = self.window.quiet(now).min(max);
+        let ticks = (change - self.rendered).min(ticks.into());
         self.rendered = self.rendered + ticks;
         Run { lines: self.lines, trigger, ticks: ticks as u32 }
     }
 
+    /// Moves the window to the rendered end.
+    #[inline(never)]
+    fn open_window(&mut self, now: u32) {
+        self.window = Window { begin: now, ..Window::CLOSED };
+        let (mut waiting, mut bit) = (self.waiting, 1);
+        for change in &self.changes {
+            if waiting & 1 == 1 {
+                // What should have changed before changes now.
+                let ahead = change.wrapping_sub(now).cast_signed().max(0).cast_unsigned();
+                self.window.add(bit, now.wrapping_add(ahead));
+            }
+            waiting >>= 1;
+            bit <<= 1;
+        }
+    }
+
     /// Whether the trigger is high at the rendered end, and the tick until which it stays so.
     fn trigger(&mut self) -> (bool, Tick) {
+        if self.marks.is_empty() && self.trigger_output.cells == 0 {
+            return (false, NEVER);
+        }
         let now = self.rendered;
         let mut next = NEVER;
         for &(mark, trigger) in &self.marks {
@@ -101,60 +156,63 @@ impl Controller {
     /// Has the line of `motor` looked at no later than when `tick` is rendered.
     pub(super) fn change_by(&mut self, motor: usize, tick: Tick) {
         let bit = 1 << motor;
-        let low = tick.0 as u32;
+        let low = tick.max(self.rendered).0 as u32;
         if self.waiting & bit == 0 || self.changes[motor].wrapping_sub(low).cast_signed() > 0 {
             self.changes[motor] = low;
         }
         self.waiting |= bit;
-        self.next_change = self.next_change.min(tick);
+        self.window.add(bit, low);
     }
 
-    /// Sets one line to what its slots give for the rendered end. Returns when it changes next.
-    fn step(&mut self, motor: usize) -> Option<Tick> {
+    /// Sets one line to what its slots give for the rendered end.
+    #[inline(never)]
+    fn step(&mut self, motor: usize) {
         let now = self.rendered;
-        let (line, until) = loop {
+        let present = loop {
             let index = self.pool.queues[motor].cursor;
-            let Some(slot) = self.pool.get_mut(index) else { break (Line::Off, NEVER) };
-            let stroke = slot.stroke;
-            if slot.kind == Kind::Play && slot.charged.is_none() && stroke.up <= now {
-                let surplus = slot.surplus().into();
-                let begun = self.on_time.begin(now, motor, stroke.pulses()).and_then(|()| {
+            let Some(slot) = self.pool.get_mut(index) else { break None };
+            if slot.kind == Kind::Play && slot.charged.is_none() && slot.stroke.up <= now {
+                let (pulses, surplus) = (slot.stroke.pulses(), slot.surplus().into());
+                let begun = self.on_time.begin(now, motor, pulses).and_then(|()| {
                     self.pushing.begin(now, motor, surplus).inspect_err(|_| {
-                        self.on_time.end(now, motor, stroke.pulses(), 0);
+                        self.on_time.end(now, motor, pulses, 0);
                     })
                 });
                 match begun {
-                    Ok(()) => slot.charged = Some(stroke.pulses()),
+                    Ok(()) => slot.charged = Some(pulses),
                     Err(reason) => {
+                        let up = slot.stroke.up;
                         slot.kind = Kind::Void;
-                        slot.stroke = Stroke { up_pulses: 0, down: stroke.up, down_pulses: 0, ..stroke };
-                        self.next_end = self.next_end.min(stroke.up);
+                        slot.stroke = Stroke { up_pulses: 0, down: up, down_pulses: 0, ..slot.stroke };
+                        self.next_end = self.next_end.min(up);
                         self.counters.refused += 2;
-                        self.report(Report::Refused { motor: motor as u8, up: stroke.up.wire(), reason });
+                        self.report(Report::Refused { motor: motor as u8, up: up.wire(), reason });
                         continue;
                     }
                 }
             }
             if let Some(present) = slot.at(now) {
-                break present;
+                break Some(present);
             }
             if let Some(charged) = slot.charged.take() {
-                self.on_time.end(now, motor, charged, stroke.pulses());
-                self.pushing.end(now, motor, slot.surplus().into(), slot.surplus().into());
+                self.on_time.end(now, motor, charged, slot.stroke.pulses());
+                let surplus = slot.surplus().into();
+                self.pushing.end(now, motor, surplus, surplus);
             }
             self.pool.advance(motor);
         };
         let bit = 1 << motor;
         self.lines.up &= !bit;
         self.lines.down &= !bit;
+        let Some((line, ticks)) = present else {
+            self.waiting &= !bit;
+            return;
+        };
         if let Line::Pulse(direction) = line {
             *self.lines.mask_mut(direction) |= bit;
         }
-        self.changes[motor] = until.0 as u32;
-        if until == NEVER {
-            self.waiting &= !bit;
-            return None;
-        }
-        Some(until)
+        let change = (now.0 as u32).wrapping_add(ticks);
+        self.changes[motor] = change;
+        self.window.add(bit, change);
     }
 }

@@ -16,19 +16,21 @@ mod pool;
 mod reorder;
 mod reports;
 mod stream;
+mod taking;
 
 use crate::frame::{self, Decoder, FrameError, MAX_FRAME};
 use crate::limits::{self, OnTime, OnTimeLimits, Pushing, Refusal};
 use crate::message::{Cause, Counters, Cut, DeviceHello, DeviceMessage, Op, Report, State, Status, Trigger};
 use crate::stroke::{Lines, MOTORS};
 use crate::tick::{TICK_HZ, Tick, WireTick};
-use lines::TriggerOutput;
+use lines::{TriggerOutput, Window};
 pub use pool::POOL;
 use pool::{Pool, Slot};
 pub use reorder::REORDER_WINDOW;
 use reorder::ReorderBuffer;
 pub use reports::REPORTS;
 use reports::Reports;
+use taking::Taking;
 
 /// Most ticks rendered ahead. A stroke that begins before the rendered end is late.
 pub const HORIZON: u32 = 64;
@@ -90,6 +92,7 @@ pub struct Controller {
     refusal: Option<Refusal>,
     next_seq: u16,
     reorder: ReorderBuffer,
+    taking: Taking,
     pending: Pending,
     reports: Reports,
     last_cut: Option<Cut>,
@@ -122,8 +125,7 @@ pub struct Controller {
     /// the loop over all lines takes most of the chip's time.
     changes: [u32; MOTORS],
     waiting: u32,
-    /// No line changes before this tick.
-    next_change: Tick,
+    window: Window,
     /// No stroke ends before this tick.
     next_end: Tick,
     /// End of what was rendered before an e-stop.
@@ -156,6 +158,7 @@ impl Controller {
             refusal: None,
             next_seq: 0,
             reorder: ReorderBuffer::new(),
+            taking: Taking::NOTHING,
             pending: Pending::NONE,
             reports: Reports::new(),
             last_cut: None,
@@ -180,7 +183,7 @@ impl Controller {
             lines: Lines::OFF,
             changes: [0; MOTORS],
             waiting: 0,
-            next_change: NEVER,
+            window: Window::before(now),
             next_end: NEVER,
             off_until: now,
         }
@@ -252,27 +255,45 @@ impl Controller {
     /// Takes bytes from the host, in any chunks.
     pub fn receive(&mut self, now: Tick, mut bytes: &[u8]) {
         self.pass(now);
-        while let Some(body) = self.decoder.next(&mut bytes) {
-            // The message must not borrow from the decoder.
-            let mut copy = [0; MAX_FRAME];
-            let body = body.map(|body| {
-                let copy = &mut copy[..body.len()];
-                copy.copy_from_slice(body);
-                &*copy
-            });
-            match frame::read(body) {
-                Ok(message) => self.handle(message),
-                Err(FrameError::Version(_)) => self.pending.hello = true,
-                Err(_) => self.counters.bad_frames += 1,
-            }
+        while self.next_frame(&mut bytes) {
+            while self.take() {}
         }
+    }
+
+    /// Decodes bytes up to the end of the next frame, and removes them from `bytes`. Returns whether there was one. Then call
+    /// [`Self::advance`] until it returns `false`. So a shell that has lines to render has to do only a piece at a time.
+    pub fn read(&mut self, now: Tick, bytes: &mut &[u8]) -> bool {
+        self.pass(now);
+        while self.take() {}
+        self.next_frame(bytes)
+    }
+
+    /// Decodes the next frame of `bytes`, if they end one.
+    fn next_frame(&mut self, bytes: &mut &[u8]) -> bool {
+        match self.decoder.next(bytes) {
+            None => return false,
+            Some(Ok(body)) => self.taking.keep(body),
+            Some(Err(FrameError::Version(_))) => self.pending.hello = true,
+            Some(Err(_)) => self.counters.bad_frames += 1,
+        }
+        true
     }
 
     /// Lets time pass: books what was played before `now` and checks the host timeout. Then takes one buffered frame if it
     /// is next in order, and returns whether it did. Call it at least once per block.
     pub fn poll(&mut self, now: Tick) -> bool {
         self.pass(now);
-        self.follow()
+        while self.take() {}
+        let followed = self.follow();
+        while self.take() {}
+        followed
+    }
+
+    /// Like [`Self::poll`], but does only a piece of what is left to do with the frame read last or with the buffered ones.
+    /// Returns whether it did one.
+    pub fn advance(&mut self, now: Tick) -> bool {
+        self.pass(now);
+        self.take() || self.follow()
     }
 
     fn pass(&mut self, now: Tick) {

@@ -58,20 +58,21 @@ impl Slot {
         Self { stroke, planned, generation: [None; 2], kind, charged: None, cut: false, next: NONE }
     }
 
-    /// The state of the line at `tick` and the tick until which it lasts; `None` after the stroke.
-    pub(super) fn at(&self, tick: Tick) -> Option<(Line, Tick)> {
-        let [up, down] = self.stroke.bursts();
-        if tick < up.start {
-            Some((Line::Off, up.start))
-        } else if tick < up.end() {
-            Some((Line::Pulse(Direction::Up), up.end()))
-        } else if tick < down.start {
-            Some((Line::Off, down.start))
-        } else if tick < down.end() {
-            Some((Line::Pulse(Direction::Down), down.end()))
-        } else {
-            None
-        }
+    /// The state of the line at `tick` and the ticks that it lasts; `None` after the stroke. The stroke lies within 2^31 ticks, so
+    /// distances have 32 bits: the chip's core needs a call for many operations on 64.
+    pub(super) fn at(&self, tick: Tick) -> Option<(Line, u32)> {
+        let Stroke { up, up_pulses, down, down_pulses, .. } = self.stroke;
+        let now = tick.0 as u32;
+        let up = (up.0 as u32).wrapping_sub(now).cast_signed();
+        let down = (down.0 as u32).wrapping_sub(now).cast_signed();
+        let phases = [
+            (Line::Off, up),
+            (Line::Pulse(Direction::Up), up.wrapping_add(up_pulses.into())),
+            (Line::Off, down),
+            (Line::Pulse(Direction::Down), down.wrapping_add(down_pulses.into())),
+        ];
+        let present = phases.into_iter().find(|&(_, end)| end > 0);
+        present.map(|(line, end)| (line, end.cast_unsigned()))
     }
 
     /// Whether some of the stroke lies before `tick`. Return pulses count from the moment they are queued.
@@ -187,6 +188,12 @@ impl Pool {
         self.get(self.queues[motor].head)
     }
 
+    /// Whether the oldest slot of `motor` is the one that is being rendered.
+    pub(super) fn is_rendering_head(&self, motor: usize) -> bool {
+        let queue = &self.queues[motor];
+        queue.head == queue.cursor
+    }
+
     /// End of the last stroke of `motor`.
     pub(super) fn end(&self, motor: usize) -> Option<Tick> {
         self.get(self.queues[motor].tail).map(|slot| slot.stroke.end())
@@ -225,20 +232,26 @@ impl Pool {
 
     /// Returns the oldest slot of `motor` to the pool.
     pub(super) fn pop(&mut self, motor: usize) -> Option<Slot> {
+        let slot = *self.head(motor)?;
+        self.drop_head(motor);
+        Some(slot)
+    }
+
+    /// Like [`Self::pop`], without a copy of the slot.
+    pub(super) fn drop_head(&mut self, motor: usize) {
         let index = self.queues[motor].head;
-        let slot = *self.get(index)?;
+        let Some(&Slot { next, kind, .. }) = self.get(index) else { return };
         let queue = &mut self.queues[motor];
-        queue.head = slot.next;
+        queue.head = next;
         if queue.cursor == index {
-            queue.cursor = slot.next;
+            queue.cursor = next;
         }
         if queue.tail == index {
             queue.tail = NONE;
         }
         queue.len -= 1;
-        queue.plays -= u16::from(slot.kind.is_of_play());
+        queue.plays -= u16::from(kind.is_of_play());
         self.release(index, index, 1);
-        Some(slot)
     }
 
     /// Returns to the pool what `motor` has not begun: all slots behind the cursor, and the cursor's own unless

@@ -1,34 +1,37 @@
 //! Accepts the ordered stream of strokes, and amendments of queued strokes.
 //!
-//! [`Controller::stream`] takes frames in order and buffers the others; [`Controller::amend`] changes one burst.
+//! [`Controller::stream`] prepares frames in order and buffers the others; [`Controller::take`] takes them.
 
-use crate::batch::{Amendment, Batch, unpack};
+use crate::batch::{Amendment, unpack};
 use crate::controller::pool::{Kind, Slot};
+use crate::controller::reorder::Frame;
 use crate::controller::reports::RESERVE;
+use crate::controller::taking::Next;
 use crate::controller::{Controller, FARTHEST, NEVER, newer};
 use crate::limits::{self, Refusal};
-use crate::message::{Mark, MarkKind, Report, State};
+use crate::message::{Mark, State};
 use crate::stroke::{Direction, Stroke};
 use crate::tick::Tick;
 
 impl Controller {
-    /// Takes a frame of the ordered stream if it is next in order, else buffers it for [`Self::follow`].
-    pub(super) fn stream(&mut self, seq: u16, mark: Option<Mark>, base: Tick, batch: &[u8], strokes: &Batch) {
+    /// Prepares a frame of the ordered stream, whose strokes are unpacked, if it is next in order. Else buffers it for
+    /// [`Self::follow`].
+    pub(super) fn stream(&mut self, seq: u16, mark: Option<Mark>, base: Tick, batch: &[u8]) {
         if seq != self.next_seq {
             self.reorder.insert(self.next_seq, seq, mark, base, batch);
         } else if self.has_room(mark) {
-            self.strokes(seq, mark, base, strokes);
+            self.taking.next = Some(Next { seq, mark, base });
         }
     }
 
-    /// Takes one buffered frame if it is next in order. One at a time, because the shell has lines to render.
+    /// Prepares one buffered frame if it is next in order.
     pub(super) fn follow(&mut self) -> bool {
         let Some(frame) = self.reorder.take(self.next_seq) else { return false };
         // Without room the frame is forgotten; the host sends it again.
-        if self.has_room(frame.mark)
-            && let Some(strokes) = unpack(frame.base, &frame.batch)
-        {
-            self.strokes(frame.seq, frame.mark, frame.base, &strokes);
+        if self.has_room(frame.mark) && unpack(frame.base, &frame.batch, &mut self.taking.strokes) {
+            let Frame { seq, mark, base, .. } = frame;
+            self.taking.next = Some(Next { seq, mark, base });
+            self.taking.epoch = self.epoch;
             self.pending.status = true;
         }
         true
@@ -40,46 +43,8 @@ impl Controller {
         self.reports.free() > reports && (mark.is_none() || !self.marks.is_full())
     }
 
-    /// Takes the next frame of the ordered stream.
-    fn strokes(&mut self, seq: u16, mark: Option<Mark>, base: Tick, strokes: &Batch) {
-        self.next_seq = seq.wrapping_add(1);
-        // The frame may have been repeated before its buffered copy was taken.
-        let _ = self.reorder.take(seq);
-        let rendered = self.rendered.wire();
-        if let Some(mark) = mark
-            && self.state == State::Armed
-        {
-            // No stroke begins before the base.
-            if base >= self.rendered {
-                // The caller has checked that there is room.
-                let _ = self.marks.push_back((base, mark.trigger));
-            } else {
-                self.report(Report::OnsetRefused { seq, rendered });
-                if mark.kind == MarkKind::Play {
-                    return;
-                }
-            }
-        }
-        let (mut late, mut refused, mut reason) = (0u64, 0u64, None);
-        for (i, stroke) in strokes.iter().enumerate() {
-            match self.accept(stroke) {
-                Ok(true) => {}
-                Ok(false) => late |= 1 << i,
-                Err(refusal) => {
-                    refused |= 1 << i;
-                    reason = reason.or(Some(refusal));
-                }
-            }
-        }
-        self.counters.late += 2 * u64::from(late.count_ones());
-        self.counters.refused += 2 * u64::from(refused.count_ones());
-        if late | refused != 0 {
-            self.report(Report::Verdict { seq, late, refused, reason, rendered });
-        }
-    }
-
     /// Queues a stroke. `Ok(false)` if it is late.
-    fn accept(&mut self, stroke: &Stroke) -> Result<bool, Refusal> {
+    pub(super) fn accept(&mut self, stroke: &Stroke) -> Result<bool, Refusal> {
         if self.state != State::Armed {
             return Err(Refusal::NotArmed);
         }

@@ -5,8 +5,10 @@
 mod estop;
 mod load;
 mod lower_stop;
+mod margin;
 mod patterns;
 mod play;
+mod random;
 mod scenarios;
 mod sequence;
 mod supervision;

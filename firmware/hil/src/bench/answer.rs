@@ -33,6 +33,17 @@ struct Head {
     asleep: u64,
     #[serde(default)]
     hex: Option<String>,
+    #[serde(default)]
+    profile: Option<Profile>,
+}
+
+/// Where the core's cycles went.
+#[derive(Clone, Debug, Default, Deserialize)]
+pub struct Profile {
+    /// Addresses of instructions, and the cycles spent in each.
+    pub instructions: Vec<(u32, u64)>,
+    /// Functions by their symbols, and the cycles of the longest call of each, with the interrupts in between.
+    pub longest: Vec<(String, u64)>,
 }
 
 /// A whole answer.
@@ -58,6 +69,8 @@ pub struct Answer {
     pub asleep: u64,
     /// The memory asked for.
     pub memory: Vec<u8>,
+    /// The profile asked for.
+    pub profile: Option<Profile>,
 }
 
 /// Why there is no answer.
@@ -109,6 +122,7 @@ impl Answer {
             instructions: head.instructions,
             asleep: head.asleep,
             memory: unhex(&hex).ok_or(AnswerError::Hex(hex))?,
+            profile: head.profile,
         })
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! This module passes on and records. The process ends with the bench.
 
-use crate::bench::answer::{Answer, AnswerError, hex};
+use crate::bench::answer::{Answer, AnswerError, Profile, hex};
 use crate::bench::{BenchError, CpuEvent, Function, Heard};
 use crate::pins::Pins;
 use firmware_protocol::urgent::{Urgent, Watch};
@@ -184,6 +184,23 @@ impl ChipBench {
     pub fn read(&mut self, symbol: &str, bytes: usize) -> Result<u64, BenchError> {
         self.ask(&serde_json::json!({ "read": symbol, "bytes": bytes }))?;
         Ok(self.last.memory.iter().take(8).rev().fold(0, |sum, &byte| sum << 8 | u64::from(byte)))
+    }
+
+    /// Begins to count the core's cycles, or ends it. Returns what was counted since the last call.
+    ///
+    /// # Errors
+    /// If the emulator is gone.
+    pub fn profile(&mut self, on: bool) -> Result<Profile, BenchError> {
+        self.ask(&serde_json::json!({ "profile": on }))?;
+        Ok(self.last.profile.take().unwrap_or_default())
+    }
+
+    /// Writes the firmware's memory at a symbol.
+    ///
+    /// # Errors
+    /// If the emulator is gone or knows no such symbol.
+    pub fn poke(&mut self, symbol: &str, bytes: &[u8]) -> Result<(), BenchError> {
+        self.ask(&serde_json::json!({ "poke": symbol, "hex": hex(bytes) }))
     }
 
     /// Writes a peripheral's register, as a core gone astray would.

@@ -1,0 +1,198 @@
+//! What is decoded and not taken yet of the newest frame: its body, then its strokes or amendments.
+//!
+//! To take a long frame whole would leave the chip no time to render lines. So it is taken in pieces ([`Controller::take`]).
+//! There is one place: a frame is decoded only when the one before is taken.
+
+use crate::batch::{Amendments, BATCH_BYTES, Batch};
+use crate::controller::pool::POOL;
+use crate::controller::{BLOCK, Controller};
+use crate::frame::{self, MAX_FRAME};
+use crate::limits::Refusal;
+use crate::message::{Mark, MarkKind, Report, State};
+use crate::tick::Tick;
+
+/// Most strokes taken at a time.
+const STROKES: usize = 8;
+/// Most amendments taken at a time: each searches the queue of its motor.
+const AMENDMENTS: usize = 4;
+/// Ticks by which the rendered end may move on while a frame of more than [`STROKES`] strokes is taken.
+const WHILE_TAKING: u64 = 2 * BLOCK as u64;
+
+/// The head of the next frame of the ordered stream.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Next {
+    pub(super) seq: u16,
+    pub(super) mark: Option<Mark>,
+    pub(super) base: Tick,
+}
+
+#[derive(Debug)]
+pub(super) struct Taking {
+    body: [u8; MAX_FRAME],
+    /// Length of the body that is not read yet.
+    len: usize,
+    /// The epoch in which it was read. A command may begin another before all is taken.
+    pub(super) epoch: u16,
+    /// The frame whose strokes are to be taken; its mark is not.
+    pub(super) next: Option<Next>,
+    /// In place, because they are long to copy.
+    pub(super) strokes: Batch,
+    /// The frame whose strokes are being taken.
+    seq: Option<u16>,
+    /// Number of strokes taken.
+    taken: usize,
+    /// Bits of the strokes that were late, and refused.
+    late: u64,
+    refused: u64,
+    /// Why the first of those was refused.
+    reason: Option<Refusal>,
+    generation: u16,
+    amendments: heapless::Vec<u8, BATCH_BYTES>,
+    /// Bytes of them that are taken, and the tick from which the next one counts.
+    amended: usize,
+    at: Tick,
+}
+
+impl Taking {
+    pub(super) const NOTHING: Self = Self {
+        body: [0; MAX_FRAME],
+        len: 0,
+        epoch: 0,
+        next: None,
+        strokes: Batch::new(),
+        seq: None,
+        taken: 0,
+        late: 0,
+        refused: 0,
+        reason: None,
+        generation: 0,
+        amendments: heapless::Vec::new(),
+        amended: 0,
+        at: Tick(0),
+    };
+
+    /// Keeps the body of a frame.
+    pub(super) fn keep(&mut self, body: &[u8]) {
+        if let Some(place) = self.body.get_mut(..body.len()) {
+            place.copy_from_slice(body);
+            self.len = body.len();
+        }
+    }
+
+    /// Keeps the amendments of a message.
+    pub(super) fn amend(&mut self, generation: u16, base: Tick, items: &[u8]) {
+        // No message has room for more bytes.
+        self.amendments = heapless::Vec::from_slice(items).unwrap_or_default();
+        (self.generation, self.amended, self.at) = (generation, 0, base);
+    }
+}
+
+impl Controller {
+    /// Takes a piece of the frame that was decoded last. Returns `false` if nothing is left of it.
+    pub(super) fn take(&mut self) -> bool {
+        if self.taking.len > 0 {
+            self.take_message();
+            return true;
+        }
+        // An e-stop may have begun an epoch since, ahead of the bytes before it.
+        if self.taking.epoch != self.epoch {
+            (self.taking.next, self.taking.seq) = (None, None);
+            self.taking.amendments.clear();
+        }
+        if let Some(next) = self.taking.next.take() {
+            self.take_mark(next);
+            return true;
+        }
+        if let Some(seq) = self.taking.seq {
+            self.take_strokes(seq);
+            return true;
+        }
+        self.take_amendments()
+    }
+
+    fn take_message(&mut self) {
+        let body = self.taking.body;
+        let len = core::mem::take(&mut self.taking.len);
+        match frame::read(Ok(&body[..len])) {
+            Ok(message) => self.handle(message),
+            Err(_) => self.counters.bad_frames += 1,
+        }
+    }
+
+    /// Takes the head of the next frame of the ordered stream.
+    fn take_mark(&mut self, Next { seq, mark, base }: Next) {
+        self.next_seq = seq.wrapping_add(1);
+        // The frame may have been repeated before its buffered copy was taken.
+        let _ = self.reorder.take(seq);
+        if let Some(mark) = mark
+            && self.state == State::Armed
+        {
+            // All of a play's first frame must be in time, and lines may be rendered while it is taken.
+            let whole = mark.kind == MarkKind::Play && !self.takes_at_once();
+            let rendered = self.rendered + if whole { WHILE_TAKING } else { 0 };
+            // No stroke begins before the base.
+            if base >= rendered {
+                // There was room when the frame was read.
+                let _ = self.marks.push_back((base, mark.trigger));
+            } else {
+                self.report(Report::OnsetRefused { seq, rendered: rendered.wire() });
+                if mark.kind == MarkKind::Play {
+                    return;
+                }
+            }
+        }
+        let taking = &mut self.taking;
+        (taking.seq, taking.taken) = (Some(seq), 0);
+        (taking.late, taking.refused, taking.reason) = (0, 0, None);
+        if self.takes_at_once() {
+            self.take_strokes(seq);
+        }
+    }
+
+    /// Whether all strokes of the frame are taken at once: there are few, or the lines are quiet.
+    fn takes_at_once(&self) -> bool {
+        self.taking.strokes.len() <= STROKES || self.pool.is_empty()
+    }
+
+    fn take_strokes(&mut self, seq: u16) {
+        let most = if self.takes_at_once() { POOL } else { STROKES };
+        for _ in 0..most {
+            let at = self.taking.taken;
+            let Some(&stroke) = self.taking.strokes.get(at) else { break };
+            match self.accept(&stroke) {
+                Ok(true) => {}
+                Ok(false) => self.taking.late |= 1 << at,
+                Err(refusal) => {
+                    self.taking.refused |= 1 << at;
+                    self.taking.reason = self.taking.reason.or(Some(refusal));
+                }
+            }
+            self.taking.taken += 1;
+        }
+        if self.taking.taken < self.taking.strokes.len() {
+            return;
+        }
+        let &Taking { late, refused, reason, .. } = &self.taking;
+        self.taking.seq = None;
+        if late | refused != 0 {
+            self.counters.late += 2 * u64::from(late.count_ones());
+            self.counters.refused += 2 * u64::from(refused.count_ones());
+            let rendered = self.rendered.wire();
+            self.report(Report::Verdict { seq, late, refused, reason, rendered });
+        }
+    }
+
+    fn take_amendments(&mut self) -> bool {
+        for taken in 0..AMENDMENTS {
+            let Taking { generation, amendments, amended, at, .. } = &mut self.taking;
+            let mut items = Amendments::new(*at, amendments.get(*amended..).unwrap_or_default());
+            let Some(item) = items.next() else { return taken > 0 };
+            (*amended, *at) = (amendments.len() - items.rest().len(), items.at());
+            let generation = *generation;
+            if item.ok().and_then(|item| self.amend(generation, &item)).is_none() {
+                self.counters.amendments_ignored += 1;
+            }
+        }
+        true
+    }
+}

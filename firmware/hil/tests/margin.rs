@@ -1,0 +1,129 @@
+//! The time that rendering has left, over random patterns: with line noise, floods and e-stops, on a core a tenth slower.
+//!
+//! The example `margin` runs the same over more patterns.
+
+use crate::play::{armed, job};
+use crate::random::pattern;
+use firmware_protocol::controller::{BLOCK, HORIZON};
+use firmware_protocol::frame::{MAX_FRAME, encode};
+use firmware_protocol::message::{Cause, HostMessage, State};
+use meissner_hil::bench::chip::ChipOptions;
+use meissner_hil::rig::{Faults, Rig};
+use meissner_hil::time::MS;
+use meissner_stream::queues::{Command, StreamEvent};
+
+/// Patterns per condition in a test.
+#[cfg(test)]
+const PATTERNS: u64 = 8;
+/// Seconds of each.
+const SECONDS: f64 = 0.12;
+/// Ticks from the moment at which a block can be rendered to the fetch of its first word.
+const TIME: u64 = (HORIZON - BLOCK - 3) as u64;
+
+/// What goes on besides the play.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Beside {
+    Nothing,
+    /// Frames lost, damaged and repeated.
+    Noise,
+    /// 44 kB/s of valid pings between the host's frames.
+    Pings,
+    /// An e-stop in the middle, then reset and `arm`.
+    EStops,
+}
+
+/// Two pings.
+fn pings() -> Vec<u8> {
+    let mut frame = [0; MAX_FRAME];
+    let len = encode(&HostMessage::Ping { token: 0, seen: 0 }, &mut frame).unwrap();
+    frame[..len].iter().copied().cycle().take(2 * len).collect()
+}
+
+/// Plays pattern `number` and returns the least time left, in ticks.
+fn least(rig: &mut Rig, number: u64, beside: Beside) -> u64 {
+    rig.chip().unwrap().poke("SLACK_MIN", &HORIZON.to_le_bytes()).unwrap();
+    rig.notices.clear();
+    rig.order(job(&pattern(number), SECONDS));
+    let end = rig.now() + ((SECONDS + 0.1) * 1000.0) as u64 * MS;
+    let e_stop = rig.now() + (30 + number * 37 % 60) * MS + number * 7_919 % MS;
+    let mut stopped = beside != Beside::EStops;
+    while rig.now() < end {
+        if beside == Beside::Pings {
+            rig.raw(&pings());
+        }
+        if !stopped && rig.now() >= e_stop {
+            stopped = true;
+            rig.order(Command::EStop);
+        }
+        rig.run_to(rig.now() + MS / 2).unwrap();
+    }
+    let status = rig.tap().status().unwrap();
+    let left = rig.chip().unwrap().read("SLACK_MIN", 4).unwrap();
+    if beside == Beside::EStops {
+        assert_eq!((status.state, status.cause), (State::Faulted, Cause::EStop), "pattern {number}");
+        rig.order(Command::Reset { estops_seen: u64::MAX });
+        rig.run_to(rig.now() + 10 * MS).unwrap();
+        rig.order(Command::Arm { assume_rest: false });
+        // The return of all pins.
+        rig.run_to(rig.now() + 60 * MS).unwrap();
+    } else {
+        assert_eq!(status.state, State::Armed, "pattern {number}: {:?}, {left} ticks left", status.cause);
+        let ended = rig.notices.iter().find_map(|notice| match notice {
+            StreamEvent::PlayEnded { outcome, .. } => Some(outcome.bursts),
+            _ => None,
+        });
+        let bursts = ended.unwrap_or_else(|| panic!("pattern {number} has not ended"));
+        // Frames that are sent again or wait behind pings may come late; none is lost.
+        let late = if matches!(beside, Beside::Noise | Beside::Pings) { bursts.late } else { 0 };
+        assert!(
+            bursts.planned > 0 && bursts.played + late == bursts.planned,
+            "pattern {number}: {bursts:?}"
+        );
+    }
+    left
+}
+
+/// Plays so many patterns, prints the least time left and returns whether it is half of all.
+pub(crate) fn sweep(slow: f64, beside: Beside, patterns: std::ops::Range<u64>) -> bool {
+    let mut rig = armed(ChipOptions { slow, ..ChipOptions::new(1) });
+    if beside == Beside::Noise {
+        rig.set_faults(Faults { loss: 0.02, repeat: 0.05, corrupt: 0.02 });
+    }
+    let mut left: Vec<_> = patterns.map(|number| (least(&mut rig, number, beside), number)).collect();
+    left.sort_unstable();
+    let ((least, number), (median, _)) = (left[0], left[left.len() / 2]);
+    println!(
+        "core at {:.0} %, {beside:?}: of {TIME} ticks, {least} are left at least (pattern {number}) and {median} in the median of \
+         {} patterns",
+        100.0 / slow,
+        left.len(),
+    );
+    let (boots, _) = rig.finish();
+    assert_eq!(boots.len(), 1, "the chip has restarted");
+    2 * least >= TIME
+}
+
+#[test]
+fn half_of_the_time_is_left() {
+    assert!(sweep(1.0, Beside::Nothing, 0..PATTERNS));
+}
+
+#[test]
+fn half_of_the_time_is_left_to_a_core_a_tenth_slower() {
+    assert!(sweep(1.1, Beside::Nothing, 0..PATTERNS));
+}
+
+#[test]
+fn half_of_the_time_is_left_on_a_noisy_line() {
+    assert!(sweep(1.1, Beside::Noise, 0..PATTERNS));
+}
+
+#[test]
+fn half_of_the_time_is_left_under_a_flood_of_pings() {
+    assert!(sweep(1.1, Beside::Pings, 0..PATTERNS));
+}
+
+#[test]
+fn half_of_the_time_is_left_around_e_stops() {
+    assert!(sweep(1.1, Beside::EStops, 0..PATTERNS));
+}
