@@ -142,7 +142,7 @@
 //! # What the controller does
 //! It renders lines at most [`controller::HORIZON`] ticks ahead, in blocks of [`controller::BLOCK`]. A stroke is *late* if
 //! it begins before the rendered end. A firmware looks for e-stops in the bytes as they arrive ([`urgent`]), before it reads
-//! the bytes that came earlier. Where hosts can connect over several lines, a `Hello` on another line takes over, and the
+//! the bytes that came earlier, and in SETUP packets of USB ([`urgent::e_stop_request`]). Where hosts can connect over several lines, a `Hello` on another line takes over, and the
 //! first line counts as lost.
 //!
 //! *Outstanding return pulses* are the down pulses that a pin still needs to be back at rest. A stroke that is cut in its up

@@ -1,11 +1,36 @@
-//! Finds an e-stop or a host's hello in a byte stream before the stream is read in order.
+//! Finds an e-stop before what came earlier is read: in a byte stream, or in a USB control request.
 //!
 //! A firmware gives each packet to [`Watch::look`] in its USB interrupt, before it queues the packet. So an e-stop takes
 //! effect while the device still reads earlier frames. Version, CRC and message are checked as in any frame. A frame
 //! that is missed here is still read in order later.
+//!
+//! Behind a flood, packets wait in the device. So a device on USB also takes an e-stop by a control request on endpoint 0
+//! ([`e_stop_request`]), which waits for nothing else: it looks at it in the interrupt of the SETUP packet.
 
 use crate::frame::{self, MAX_SHORT, decode_cobs};
 use crate::message::{HostMessage, Op};
+
+/// The vendor request of an e-stop (`bRequest`).
+const E_STOP_REQUEST: u8 = b'E';
+/// Host to device, vendor, recipient device (`bmRequestType`): no driver that holds an interface stands in its way.
+const TO_DEVICE: u8 = 0x40;
+
+/// The SETUP packet of an e-stop that begins `epoch`: it has no data. The host sends it besides the frame, which the device then
+/// takes for a repetition. A device that does not know it answers with STALL.
+#[must_use]
+pub const fn e_stop_request(epoch: u16) -> [u8; 8] {
+    let [low, high] = epoch.to_le_bytes();
+    [TO_DEVICE, E_STOP_REQUEST, low, high, 0, 0, 0, 0]
+}
+
+/// The epoch of the e-stop in a SETUP packet, if it is one.
+#[must_use]
+pub const fn e_stop_requested(setup: [u8; 8]) -> Option<u16> {
+    match setup {
+        [TO_DEVICE, E_STOP_REQUEST, low, high, 0, 0, 0, 0] => Some(u16::from_le_bytes([low, high])),
+        _ => None,
+    }
+}
 
 /// An urgent message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -33,41 +58,86 @@ impl Watch {
 
     /// Takes the next bytes of the stream and returns the last urgent message that ends in them. It does not look at the
     /// bytes after an e-stop, to save time.
-    pub fn look(&mut self, bytes: &[u8]) -> Option<Urgent> {
-        // Written for few cycles per byte: an interrupt may bring 64 bytes.
-        let (mut seen, mut len) = (None, self.len);
-        for (at, &byte) in bytes.iter().enumerate() {
-            if byte == 0 {
-                if let Some(frame) = self.frame.get_mut(..len) {
-                    seen = urgent(frame).or(seen);
-                    if matches!(seen, Some(Urgent::EStop(_))) {
-                        // The bytes left may begin a frame; mark it as too long.
-                        len = if at + 1 == bytes.len() { 0 } else { MAX_SHORT + 1 };
-                        break;
-                    }
+    pub fn look(&mut self, mut bytes: &[u8]) -> Option<Urgent> {
+        let mut seen = None;
+        // An interrupt may bring 64 bytes: this looks for delimiters only, and at frames only that may be urgent.
+        while let Some(at) = delimiter(bytes) {
+            let (end, rest) = bytes.split_at(at);
+            bytes = rest.get(1..).unwrap_or_default();
+            if self.len == 0 && !may_be_urgent(end) {
+                continue;
+            }
+            self.keep(end);
+            let len = core::mem::take(&mut self.len);
+            if let Some(message) = self.frame.get_mut(..len).and_then(urgent) {
+                seen = Some(message);
+                if matches!(message, Urgent::EStop(_)) {
+                    // The bytes left may begin a frame; mark it as too long.
+                    self.len = if bytes.is_empty() { 0 } else { MAX_SHORT + 1 };
+                    return seen;
                 }
-                len = 0;
-            } else {
-                if let Some(place) = self.frame.get_mut(len) {
-                    *place = byte;
-                }
-                len += 1;
             }
         }
-        self.len = len.min(MAX_SHORT + 1);
+        self.keep(bytes);
         seen
+    }
+
+    /// Keeps bytes of a frame. Of one that gets too long it keeps only that.
+    fn keep(&mut self, bytes: &[u8]) {
+        let len = (self.len + bytes.len()).min(MAX_SHORT + 1);
+        if let Some(place) = self.frame.get_mut(self.len..len) {
+            place.copy_from_slice(&bytes[..place.len()]);
+        }
+        self.len = len;
+    }
+}
+
+/// The position of the first zero. Four bytes at a time: the loop takes most of an interrupt's time.
+#[inline(never)]
+fn delimiter(bytes: &[u8]) -> Option<usize> {
+    let mut at = 0;
+    while let Some(&[a, b, c, d]) = bytes.get(at..at + 4).and_then(|four| four.first_chunk()) {
+        if a == 0 {
+            return Some(at);
+        }
+        if b == 0 {
+            return Some(at + 1);
+        }
+        if c == 0 {
+            return Some(at + 2);
+        }
+        if d == 0 {
+            return Some(at + 3);
+        }
+        at += 4;
+    }
+    while let Some(&byte) = bytes.get(at) {
+        if byte == 0 {
+            return Some(at);
+        }
+        at += 1;
+    }
+    None
+}
+
+/// Whether an encoded frame may be a `Hello` (0) or a `Control` (2): by its length, version and variant. COBS makes a zero
+/// of the variant to the end of the block that its first byte begins.
+fn may_be_urgent(frame: &[u8]) -> bool {
+    match *frame {
+        [code, frame::PROTOCOL, variant, ..] if frame.len() <= MAX_SHORT => {
+            code == 2 || (code > 2 && variant == 2)
+        }
+        _ => false,
     }
 }
 
 /// Not inlined: the loop over the bytes needs the registers.
 #[inline(never)]
 fn urgent(frame: &mut [u8]) -> Option<Urgent> {
-    let message = decode_cobs(frame)?;
-    // Skip the CRC of what is neither `Hello` nor `Control`.
-    if !matches!(message.get(1), Some(0 | 2)) {
+    if !may_be_urgent(frame) {
         return None;
     }
-    match frame::read(frame::body(message)) {
+    match frame::read(frame::body(decode_cobs(frame)?)) {
         Ok(HostMessage::Control { epoch, op: Op::EStop, .. }) => Some(Urgent::EStop(epoch)),
         Ok(HostMessage::Hello { session }) => Some(Urgent::Hello(session)),
         _ => None,
@@ -118,6 +188,16 @@ mod tests {
                 prop_assert_eq!(watch.look(&stream), Some(want));
                 prop_assert_eq!(watch.look(&urgent[3..]), None);
             }
+        }
+
+        #[test]
+        fn a_setup_packet_is_an_e_stop_only_as_a_whole(epoch: u16, at in 0usize..8, bit in 0u8..8) {
+            let setup = e_stop_request(epoch);
+            prop_assert_eq!(e_stop_requested(setup), Some(epoch));
+            let mut other = setup;
+            other[at] ^= 1 << bit;
+            let changed = u16::from_le_bytes([other[2], other[3]]);
+            prop_assert_eq!(e_stop_requested(other), matches!(at, 2 | 3).then_some(changed));
         }
 
         #[test]

@@ -19,6 +19,7 @@ export class Bench {
       if (this.until === pipe) board.stop();
     };
     host.onOut = (pipe, bytes) => this.packets.push([pipe, board.clock.cycle, bytes]);
+    host.onSetup = () => this.packets.push(['control', board.clock.cycle, 8]);
     host.onConfigured = () => this.until === 'configured' && board.stop();
   }
   clear() {
@@ -76,6 +77,12 @@ export class Bench {
         if (!host.plugged) throw new Error('unplugged');
         host.send(verb, bytesOf(value));
         return {};
+      case 'control': {
+        const setup = bytesOf(value);
+        if (setup.length !== 8 || setup[0] & 0x80 || setup[6] || setup[7]) throw new Error('control: a SETUP packet of 8 bytes to the device, without data');
+        host.program(setup);
+        return {};
+      }
       case 'dtr':
         host.setDtr(!!value);
         return {};

@@ -52,6 +52,7 @@ export class UsbHost {
     this.out = { cdc: new Outbox(), bulk: new Outbox() };
     this.onIn = () => {}; // (pipe, bytes)
     this.onOut = () => {}; // (pipe, bytes): a data packet has been accepted
+    this.onSetup = () => {}; // (): the device has taken the SETUP packet of a request from `control`
     this.onConfigured = () => {};
     this.toggleErrors = 0;
     this.configured = false;
@@ -158,6 +159,12 @@ export class UsbHost {
     this.controls.push({ setup, data, done, phase: 'setup', got: [], sent: 0, length: setup[6] | (setup[7] << 8), data1: true });
     this.nextControl();
   }
+  /** A program's control request without data, from its SETUP packet. A device that is not configured gets none. */
+  program(setup) {
+    if (!this.configured) return;
+    this.controls.push({ setup, data: null, done: () => {}, phase: 'setup', got: [], sent: 0, length: 0, data1: true, own: true });
+    this.nextControl();
+  }
   nextControl() {
     this.control ??= this.controls.shift() ?? null;
     this.pump();
@@ -251,6 +258,7 @@ export class UsbHost {
   }
   setupDone(c) {
     this.device.setup(c.setup);
+    if (c.own) this.onSetup();
     c.phase = c.data ? 'out' : c.length ? 'in' : 'statusIn';
   }
   controlPacket(c, out) {

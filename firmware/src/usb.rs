@@ -19,10 +19,11 @@ use embassy_rp::{Peri, bind_interrupts, pac};
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::signal::Signal;
 use embassy_usb::class::cdc_acm::{CdcAcmClass, ControlChanged, Receiver, Sender, State};
+use embassy_usb::control::{OutResponse, Recipient, Request, RequestType};
 use embassy_usb::driver::{Endpoint as _, EndpointError, EndpointIn, EndpointOut};
 use embassy_usb::{Builder, Config, Handler};
 use firmware_protocol::frame::MAX_FRAME;
-use firmware_protocol::urgent::{Urgent, Watch};
+use firmware_protocol::urgent::{Urgent, Watch, e_stop_requested};
 use heapless::spsc::{Consumer, Producer, Queue};
 use static_cell::StaticCell;
 
@@ -111,7 +112,7 @@ pub(crate) fn set_active(pipe: usize) {
     ACTIVE.store(pipe as u32, SeqCst);
 }
 
-/// Looks for an e-stop in each packet, before embassy handles it.
+/// Looks for an e-stop in each SETUP packet and each packet of the pipes, before embassy handles it.
 struct Peek;
 
 struct Watches(UnsafeCell<[Watch; PIPES]>);
@@ -121,8 +122,24 @@ static WATCHES: Watches = Watches(UnsafeCell::new([const { Watch::new() }; PIPES
 /// Number of each pipe's OUT endpoint.
 static ENDPOINTS: [AtomicU32; PIPES] = [const { AtomicU32::new(0) }; PIPES];
 
+/// The last SETUP packet: the first bytes of the USB memory.
+fn setup() -> [u8; 8] {
+    let words = pac::USB_DPRAM.as_ptr().cast::<u32>();
+    // SAFETY: this memory is always there, and the packet stays until a task below this interrupt has handled the request.
+    let [low, high] = [0, 1].map(|at| unsafe { words.wrapping_add(at).read_volatile() }.to_le_bytes());
+    let [a, b, c, d] = low;
+    let [e, f, g, h] = high;
+    [a, b, c, d, e, f, g, h]
+}
+
 impl OnInterrupt<USBCTRL_IRQ> for Peek {
     unsafe fn on_interrupt() {
+        // First: it takes the same time whatever the pipes bring.
+        if pac::USB.ints().read().setup_req()
+            && let Some(epoch) = e_stop_requested(setup())
+        {
+            estop::found(epoch);
+        }
         let full = pac::USB.buff_status().read();
         for (pipe, endpoint) in ENDPOINTS.iter().enumerate() {
             let endpoint = endpoint.load(SeqCst) as usize;
@@ -145,10 +162,18 @@ impl OnInterrupt<USBCTRL_IRQ> for Peek {
     }
 }
 
-/// Reports a lost bus to the shell.
+/// Reports a lost bus to the shell, and accepts the request of an e-stop: [`Peek`] has carried it out.
 struct Bus;
 
 impl Handler for Bus {
+    fn control_out(&mut self, request: Request, _: &[u8]) -> Option<OutResponse> {
+        let Request { request_type, recipient, request, value, index, length, .. } = request;
+        let [low, high] = value.to_le_bytes();
+        let vendor =
+            (request_type, recipient, index, length) == (RequestType::Vendor, Recipient::Device, 0, 0);
+        let setup = [0x40, request, low, high, 0, 0, 0, 0];
+        (vendor && e_stop_requested(setup).is_some()).then_some(OutResponse::Accepted)
+    }
     fn enabled(&mut self, _: bool) {
         lose(ALL);
     }

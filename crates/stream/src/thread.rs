@@ -140,6 +140,10 @@ impl Loop {
 
     fn write(&mut self, now: HostInstant) -> io::Result<bool> {
         let Self { queues, streamer, device: Some(device), .. } = self else { return Ok(false) };
+        // Ahead of a frame that waits for room.
+        if let Some(epoch) = streamer.take_e_stop() {
+            device.e_stop(epoch);
+        }
         let mut wrote = false;
         loop {
             if self.unsent.is_empty() {

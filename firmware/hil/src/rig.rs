@@ -66,6 +66,10 @@ pub struct Rig {
     function: Function,
     now: u64,
     line: FaultyLine,
+    /// Whether the host asks for e-stops by control requests, too.
+    pub requests_e_stops: bool,
+    /// The epoch of an e-stop to ask for.
+    e_stop: Option<u16>,
     to_host: Vec<u8>,
     /// Whether the host opens a device that is plugged in.
     hot_plug: bool,
@@ -96,6 +100,8 @@ impl Rig {
             function: options.function,
             now: 0,
             line: FaultyLine::new(options.faults, options.seed),
+            requests_e_stops: true,
+            e_stop: None,
             to_host: Vec::new(),
             hot_plug: true,
             connected: false,
@@ -217,6 +223,9 @@ impl Rig {
     }
 
     fn step(&mut self, to: u64) -> Result<(), RigError> {
+        if let Some(epoch) = self.e_stop.take() {
+            self.bench.e_stop(epoch)?;
+        }
         let bytes = self.line.take();
         self.bench.write(self.function, &bytes)?;
         let heard = self.bench.run(to)?;
@@ -252,6 +261,8 @@ impl Rig {
             self.streamer.receive(now, chunk, emit);
         }
         self.streamer.step(now, emit);
+        let e_stop = self.streamer.take_e_stop().filter(|_| self.requests_e_stops);
+        self.e_stop = e_stop.or(self.e_stop);
         let mut frame = [0; MAX_FRAME];
         loop {
             let len = self.streamer.transmit(now, &mut frame, emit);

@@ -75,10 +75,7 @@ fn least(rig: &mut Rig, number: u64, beside: Beside) -> u64 {
         let bursts = ended.unwrap_or_else(|| panic!("pattern {number} has not ended"));
         // Frames that are sent again or wait behind pings may come late; none is lost.
         let late = if matches!(beside, Beside::Noise | Beside::Pings) { bursts.late } else { 0 };
-        assert!(
-            bursts.planned > 0 && bursts.played + late == bursts.planned,
-            "pattern {number}: {bursts:?}"
-        );
+        assert!(bursts.planned > 0 && bursts.played + late == bursts.planned, "pattern {number}: {bursts:?}");
     }
     left
 }

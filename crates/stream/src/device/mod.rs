@@ -201,6 +201,15 @@ impl Device {
         }
     }
 
+    /// Asks a board on USB for an e-stop past the bytes that wait, if it can. Its frame must be written as well. Never blocks.
+    pub fn e_stop(&mut self, epoch: u16) {
+        match self {
+            Self::Mock(_) | Self::Pty(..) => {}
+            Self::Serial(port) => port.e_stop(epoch),
+            Self::Usb(port) => port.e_stop(epoch),
+        }
+    }
+
     /// Where the simulated pins really are; `None` for a board.
     #[must_use]
     pub fn true_positions(&self) -> Option<Arc<TruePositions>> {

@@ -4,6 +4,7 @@
 
 use crate::device::error::DeviceError;
 use crate::device::find;
+use crate::device::usb::EStopLine;
 use crate::link::LineRate;
 use rustix::fd::{AsFd, BorrowedFd, FromRawFd, IntoRawFd, OwnedFd};
 use rustix::fs::{Mode, OFlags, fcntl_getfl, fcntl_setfl, open};
@@ -33,6 +34,8 @@ pub struct SerialPort {
     path: PathBuf,
     rate: LineRate,
     serial: Option<String>,
+    /// To the board behind it, if it is one and this user may open it.
+    e_stop: Option<EStopLine>,
 }
 
 impl SerialPort {
@@ -69,7 +72,8 @@ impl SerialPort {
         let uart = !NO_UART.iter().any(|start| name.to_string_lossy().starts_with(start));
         let rate = if uart { LineRate(BAUD / BITS_PER_BYTE) } else { LineRate::USB_FULL_SPEED };
         let serial = find::serial_of(path, &find::ports());
-        Ok(Self { fd, path: owned, rate, serial })
+        let e_stop = serial.as_deref().filter(|_| !uart).and_then(EStopLine::beside);
+        Ok(Self { fd, path: owned, rate, serial, e_stop })
     }
 
     /// Its path, as it was opened.
@@ -82,6 +86,12 @@ impl SerialPort {
     #[must_use]
     pub fn serial(&self) -> Option<&str> {
         self.serial.as_deref()
+    }
+
+    pub(super) fn e_stop(&self, epoch: u16) {
+        if let Some(line) = &self.e_stop {
+            line.request(epoch);
+        }
     }
 
     /// Its nominal rate.

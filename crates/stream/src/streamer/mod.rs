@@ -357,6 +357,12 @@ impl Streamer {
         len
     }
 
+    /// The epoch of an e-stop that has become due, once. Pass it to [`crate::device::Device::e_stop`]; the frame follows.
+    #[must_use]
+    pub fn take_e_stop(&mut self) -> Option<u16> {
+        self.session.as_mut()?.take_e_stop()
+    }
+
     /// When to call [`Self::step`] next, if nothing happens before.
     #[must_use]
     pub fn wake_at(&self, now: HostInstant) -> HostInstant {

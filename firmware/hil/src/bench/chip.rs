@@ -56,6 +56,8 @@ pub struct ChipBench {
     e_stops: VecDeque<u64>,
     /// Cycles at which the chip took the packets in which e-stops end.
     pub e_stopped: Vec<u64>,
+    /// Cycles at which the chip took SETUP packets of [`Self::control`].
+    pub requested: Vec<u64>,
 }
 
 impl ChipBench {
@@ -94,6 +96,7 @@ impl ChipBench {
             watch: Watch::new(),
             e_stops: VecDeque::new(),
             e_stopped: Vec::new(),
+            requested: Vec::new(),
         })
     }
 
@@ -151,6 +154,14 @@ impl ChipBench {
     pub fn run(&mut self, to: u64) -> Result<(), BenchError> {
         let cycles = to.saturating_sub(self.last.cycle);
         if cycles == 0 { Ok(()) } else { self.ask(&serde_json::json!({ "run": cycles, "until": null })) }
+    }
+
+    /// Sends a control request without data, besides what waits in the pipes.
+    ///
+    /// # Errors
+    /// If the emulator is gone or refuses.
+    pub fn control(&mut self, setup: [u8; 8]) -> Result<(), BenchError> {
+        self.ask(&serde_json::json!({ "control": hex(&setup) }))
     }
 
     /// Opens or closes the tty.
@@ -217,7 +228,11 @@ impl ChipBench {
         for (cycle, levels) in answer.levels.drain(..) {
             self.pins.change(cycle, levels);
         }
-        for (_, cycle, bytes) in answer.packets.drain(..) {
+        for (pipe, cycle, bytes) in answer.packets.drain(..) {
+            if pipe == "control" {
+                self.requested.push(cycle);
+                continue;
+            }
             self.taken += bytes;
             while self.e_stops.front().is_some_and(|&end| end <= self.taken) {
                 self.e_stops.pop_front();

@@ -8,6 +8,7 @@ pub mod mock;
 
 use crate::pins::Pins;
 use chip::{ChipBench, ChipOptions};
+use firmware_protocol::urgent::e_stop_request;
 use mock::MockBench;
 use std::path::PathBuf;
 
@@ -167,6 +168,17 @@ impl Bench {
                 chip.run(to)?;
                 Ok(chip.take_heard())
             }
+        }
+    }
+
+    /// Asks for an e-stop past the bytes that wait. The mock has no control requests; it takes the frame.
+    ///
+    /// # Errors
+    /// As for [`Self::write`].
+    pub fn e_stop(&mut self, epoch: u16) -> Result<(), BenchError> {
+        match self {
+            Self::Mock(_) => Ok(()),
+            Self::Chip(chip) => chip.control(e_stop_request(epoch)),
         }
     }
 

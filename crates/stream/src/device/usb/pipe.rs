@@ -71,8 +71,7 @@ pub(super) struct Pipe {
 }
 
 impl Pipe {
-    pub(super) fn spawn(handle: DeviceHandle<Context>, interface: Interface) -> io::Result<Self> {
-        let handle = Arc::new(handle);
+    pub(super) fn spawn(handle: Arc<DeviceHandle<Context>>, interface: Interface) -> io::Result<Self> {
         let flags = EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK;
         let shared = Arc::new(Shared {
             unsent: AtomicUsize::new(0),

@@ -75,6 +75,8 @@ pub(super) struct Control {
     pub(super) op: Op,
     pub(super) first_sent: Option<HostInstant>,
     pub(super) sent: Option<HostInstant>,
+    /// It is an e-stop that [`Session::take_e_stop`] has not returned yet.
+    pub(super) is_new_e_stop: bool,
 }
 
 /// What a status says about strokes once all the reports that it counts are read.
@@ -384,7 +386,7 @@ impl Session {
             std::mem::swap(&mut self.verdicts, &mut self.retired.verdicts);
             self.retired.after = self.stale;
         }
-        self.control = Some(Control { op, first_sent: None, sent: None });
+        self.control = Some(Control { op, first_sent: None, sent: None, is_new_e_stop: op == Op::EStop });
         self.window.clear();
         self.open_batch = None;
         self.verdicts.clear();
@@ -392,6 +394,14 @@ impl Session {
         let marks = [Some(&mut self.concluded), self.waiting.as_mut(), Some(&mut self.latest)];
         marks.into_iter().flatten().for_each(|mark| mark.next_seq = 0);
         self.amendments = Packer::new(Tick(0));
+    }
+
+    /// The epoch of an e-stop that has become due, once: for a device that takes it past the bytes that wait
+    /// ([`crate::device::Device::e_stop`]). Its frame is sent as well.
+    #[must_use]
+    pub fn take_e_stop(&mut self) -> Option<u16> {
+        let control = self.control.as_mut().filter(|_| self.phase == Phase::Open)?;
+        std::mem::take(&mut control.is_new_e_stop).then_some(self.epoch)
     }
 
     /// Begins a play: the next strokes go into a frame of their own, which the device takes whole or not at all.
