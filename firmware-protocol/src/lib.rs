@@ -170,7 +170,7 @@
 //! one ([`message::LowerStop`]). With a stop, the down burst of a stroke may be longer than its up burst by a *surplus*, so
 //! that scatter and asymmetry cannot add up. Without one, the controller refuses such a stroke (`Pushing`), because it would
 //! take the pin lower each time. A down burst is never planned shorter than its up burst: a stroke leaves no pin higher than it
-//! was. Corrections count from the planned counts, as without a stop.
+//! was. Corrections count from the planned counts, as without a stop, but with one none makes a down burst longer than planned.
 //!
 //! A seek must reach the stop, because it ends all accounts of where pins are. A pin is above rest by the net pulses of its moves
 //! and its outstanding return pulses. The controller refuses (`Travel`) a seek shorter than [`limits::least_seek`] of the highest
@@ -181,8 +181,8 @@
 //! A move down takes a pin to the stop and no further: its travel ends at 0, and the pulses left push.
 //!
 //! To bound wear and heat, no motor may push more than `pulses_per_s` pulses in a sliding second against the stop, and never more
-//! than [`limits::MAX_PUSHES_PER_S`]: surplus, seeks and moves together. A surplus that an e-stop leaves outstanding counts when it
-//! is returned.
+//! than [`limits::MAX_PUSHES_PER_S`]: surplus, seeks and moves together. An up burst that an amendment makes shorter
+//! leaves more pulses to push, and they count. A surplus that an e-stop leaves outstanding counts when it is returned.
 //!
 //! # Limits
 //! The controller enforces [`limits`] whatever the host asks: up pulses per stroke, balance of its bursts, size of

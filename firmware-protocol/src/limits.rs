@@ -241,7 +241,8 @@ impl OnTime {
 
 /// Counts the pulses that a motor pushes against a lower stop: the surplus of its strokes, and seeks.
 ///
-/// It counts a surplus as planned, from the stroke's first pulse until a second after its last. Of what an e-stop cuts it counts the
+/// It counts the pulses by which the down burst is longer than the up burst, from the stroke's first pulse until a second after its
+/// last; an up burst amended to be longer counts as planned. Of what an e-stop cuts it counts the
 /// pulses played; those left count when they are returned.
 #[derive(Debug)]
 pub struct Pushing {

@@ -14,7 +14,7 @@ struct Amended {
 
 impl Amended {
     fn new() -> Self {
-        let mut bench = Bench::armed(FIRMWARE);
+        let mut bench = Bench::armed_without_stop(FIRMWARE);
         let first = stroke(1, bench.now + 200, 20, 10, 20);
         bench.strokes(&[first, stroke(1, first.end().0 + 8, 20, 5, 20)]);
         Self { bench, first }
@@ -80,7 +80,7 @@ fn an_amendment_is_taken_until_its_burst_is_rendered() {
 
 #[test]
 fn an_amendment_needs_room() {
-    let mut bench = Bench::armed(FIRMWARE);
+    let mut bench = Bench::armed_without_stop(FIRMWARE);
     let first = stroke(1, bench.now + 200, 20, 2, 20);
     bench.strokes(&[first, stroke(1, first.end().0 + 3, 20, 0, 20)]);
     for (generation, direction, pulses) in [(1, Up, 23), (2, Up, 22), (3, Down, 24), (4, Down, 23)] {

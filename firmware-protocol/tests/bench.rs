@@ -119,6 +119,18 @@ impl Bench {
         bench
     }
 
+    /// As [`Self::armed`], on an array without a lower stop: there an amendment may lengthen a down burst.
+    pub(crate) fn armed_without_stop(shell: Shell) -> Self {
+        Self::without_stop(Self::new(shell), HOST_TIMEOUT, OnTimeLimits::NONE)
+    }
+
+    pub(crate) fn without_stop(mut bench: Self, host_timeout: u32, limits: OnTimeLimits) -> Self {
+        bench.hello(1);
+        bench.control(Op::Arm { assume_rest: true, host_timeout, limits, lower_stop: None });
+        assert_eq!(bench.device.state(), State::Armed);
+        bench
+    }
+
     fn fill(&mut self, to: u64) {
         while self.device.rendered().0 < to {
             let run = self.device.render((to - self.device.rendered().0) as u32);
@@ -243,10 +255,7 @@ impl Bench {
     }
 
     pub(crate) fn limited(shell: Shell, motor: u32, rail: u32) -> Self {
-        let mut bench = Self::new(shell);
-        bench.hello(1);
-        bench.control(arm(true, 10 * TICK_HZ, OnTimeLimits { motor, rail }));
-        bench
+        Self::without_stop(Self::new(shell), 10 * TICK_HZ, OnTimeLimits { motor, rail })
     }
 
     /// Sends the next frame of the stream.

@@ -173,6 +173,85 @@ fn a_correction_counts_from_the_planned_down_burst() {
 }
 
 #[test]
+fn an_amendment_lengthens_no_down_burst_against_the_stop() {
+    for shell in SHELLS {
+        for (lower_stop, taken) in [(stop(100, 0), false), (None, true)] {
+            let mut bench = bench(shell, lower_stop);
+            let one = stroke(2, bench.now + 300, 20, 100, 20);
+            bench.strokes(&[one]);
+            bench.amend(1, &one, Direction::Down, 21);
+            bench.run(700);
+            let ignored = bench.device.counters().amendments_ignored;
+            assert_eq!((bench.bursts(2)[1].pulses, ignored), if taken { (21, 0) } else { (20, 1) });
+        }
+    }
+}
+
+#[test]
+fn pushes_that_an_amendment_adds_count_against_the_limit() {
+    let second = u64::from(TICK_HZ);
+    for shell in SHELLS {
+        // A host asks for up to 900 pushes more in a stroke that is planned with one.
+        for (up_pulses, plays) in [(2_972, true), (2_970, false), (2_100, false)] {
+            let mut bench = bench(shell, stop(30, 0));
+            let one = stroke(3, bench.now + 300, 3_000, 100, 3_001);
+            bench.strokes(&[one]);
+            bench.amend(1, &one, Direction::Up, up_pulses);
+            bench.amend(2, &one, Direction::Down, 3_900);
+            bench.run(8_000);
+            let played = if plays { vec![up_pulses, 3_001] } else { vec![] };
+            let found: Vec<u16> = bench.bursts(3).iter().map(|burst| burst.pulses).collect();
+            assert_eq!(found, played, "{shell:?}");
+            let up = one.up.wire();
+            let refused = Report::Refused { motor: 3, up, reason: Refusal::Pushing };
+            assert_eq!(bench.reports().contains(&refused), !plays, "{shell:?}");
+            // 29 pulses count for a second, then none does: the count has no rest.
+            for (wait, taken) in [(10, !plays), (second + 3_000, true)] {
+                bench.run(wait);
+                let next = stroke(3, bench.now + 100, 20, 5, 22);
+                let before = bench.device.counters().played;
+                bench.strokes(&[next]);
+                bench.run(300);
+                assert_eq!(bench.device.counters().played - before, if taken { 2 } else { 0 });
+            }
+        }
+        // A longer up burst does not make room for other pushes: a return would still push by the surplus.
+        let mut bench = bench(shell, stop(6, 0));
+        let one = stroke(3, bench.now + 300, 20, 10, 26);
+        bench.strokes(&[one, stroke(3, one.end().0 + 10, 20, 5, 21)]);
+        bench.amend(1, &one, Direction::Up, 26);
+        bench.run(600);
+        assert_eq!(bench.bursts(3).len(), 2, "{shell:?}");
+    }
+}
+
+/// A stroke amended to push more, and cut before it does, must leave nothing counted for ever.
+#[test]
+fn the_count_of_an_amended_stroke_that_an_e_stop_cuts_is_right() {
+    for shell in SHELLS {
+        for cut in [12, 110, 130] {
+            let mut bench = bench(shell, stop(40, 0));
+            let one = stroke(3, bench.now + 300, 100, 10, 110);
+            bench.strokes(&[one]);
+            bench.amend(1, &one, Direction::Up, 80);
+            bench.run_to(one.up.0 + cut);
+            bench.control(Op::EStop);
+            bench.control(Op::Reset);
+            bench.run(u64::from(TICK_HZ) + 2_000);
+            bench.control(arm(false, stop(40, 0)));
+            bench.settle();
+            bench.run(u64::from(TICK_HZ) + 2_000);
+            bench.strokes(&[stroke(3, bench.now + 100, 140, 5, 180)]);
+            bench.run(500);
+            assert_eq!(bench.device.counters().refused, 0, "{cut} {shell:?}");
+            bench.strokes(&[stroke(3, bench.now + 100, 20, 5, 21)]);
+            bench.run(300);
+            assert_eq!(bench.device.counters().refused, 2, "{cut} {shell:?}");
+        }
+    }
+}
+
+#[test]
 fn pushes_are_limited_in_every_sliding_second() {
     for shell in SHELLS {
         let mut bench = bench(shell, stop(14, 0));

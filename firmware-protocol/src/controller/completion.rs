@@ -60,18 +60,19 @@ impl Controller {
             self.counters.dropped += 2 * u64::from(strokes);
             while let Some(slot) = self.pool.pop(motor) {
                 let [up, down] = slot.played_before(at);
-                let (surplus, pushed) = (slot.surplus(), slot.pushed_before(at));
+                let (pushes, pushed) = (slot.pushes, slot.pushed_before(at));
                 if let Some(charged) = slot.charged {
                     let played = u32::from(up) + u32::from(down);
-                    self.on_time.end(self.rendered, motor, charged, played);
-                    self.pushing.end(self.rendered, motor, surplus.into(), pushed.into());
+                    self.on_time.end(self.rendered, motor, charged.into(), played);
+                    self.pushing.end(self.rendered, motor, pushes.into(), pushed.into());
                 }
                 self.travel[motor] -= slot.shift_undone(at).cast_signed();
                 let begun = slot.begun(at);
                 if begun && matches!(slot.kind, Kind::Play | Kind::Internal) {
+                    let outstanding = slot.outstanding_at(at);
                     let left = [
-                        (&mut self.outstanding, slot.outstanding_at(at)),
-                        (&mut self.outstanding_pushes, surplus - pushed),
+                        (&mut self.outstanding, outstanding),
+                        (&mut self.outstanding_pushes, (pushes - pushed).min(outstanding)),
                     ];
                     for (sums, pulses) in left {
                         sums[motor] = sums[motor].saturating_add(pulses);
@@ -153,9 +154,9 @@ impl Controller {
                     break;
                 }
                 if let Some(charged) = slot.charged {
-                    self.on_time.end(self.rendered, motor, charged, slot.stroke.pulses());
-                    let surplus = slot.surplus().into();
-                    self.pushing.end(self.rendered, motor, surplus, surplus);
+                    self.on_time.end(self.rendered, motor, charged.into(), slot.stroke.pulses());
+                    let pushes = slot.pushes.into();
+                    self.pushing.end(self.rendered, motor, pushes, pushes);
                 }
                 if slot.kind == Kind::Play {
                     let played = [slot.stroke.up_pulses, slot.stroke.down_pulses];

@@ -2,7 +2,7 @@
 //!
 //! [`Controller::render`] looks at a line only when it changes, and computes in 32 bits where it can: it takes most of the chip's time.
 
-use crate::controller::pool::Kind;
+use crate::controller::pool::{Kind, charge};
 use crate::controller::{BLOCK, Controller, NEVER, Run};
 use crate::message::{Report, Trigger};
 use crate::stroke::{Line, Stroke};
@@ -172,14 +172,14 @@ impl Controller {
             let index = self.pool.queues[motor].cursor;
             let Some(slot) = self.pool.get_mut(index) else { break None };
             if slot.kind == Kind::Play && slot.charged.is_none() && slot.stroke.up <= now {
-                let (pulses, surplus) = (slot.stroke.pulses(), slot.surplus().into());
+                let pulses = slot.stroke.pulses();
                 let begun = self.on_time.begin(now, motor, pulses).and_then(|()| {
-                    self.pushing.begin(now, motor, surplus).inspect_err(|_| {
+                    self.pushing.begin(now, motor, slot.pushes.into()).inspect_err(|_| {
                         self.on_time.end(now, motor, pulses, 0);
                     })
                 });
                 match begun {
-                    Ok(()) => slot.charged = Some(pulses),
+                    Ok(()) => slot.charged = Some(charge(&slot.stroke)),
                     Err(reason) => {
                         let up = slot.stroke.up;
                         slot.kind = Kind::Void;
@@ -195,9 +195,8 @@ impl Controller {
                 break Some(present);
             }
             if let Some(charged) = slot.charged.take() {
-                self.on_time.end(now, motor, charged, slot.stroke.pulses());
-                let surplus = slot.surplus().into();
-                self.pushing.end(now, motor, surplus, surplus);
+                self.on_time.end(now, motor, charged.into(), slot.stroke.pulses());
+                self.pushing.end(now, motor, slot.pushes.into(), slot.pushes.into());
             }
             self.pool.advance(motor);
         };

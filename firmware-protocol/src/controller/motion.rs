@@ -77,7 +77,7 @@ impl Controller {
             Direction::Down => Stroke { motor, up: at, up_pulses: 0, down: at, down_pulses: pulses },
         };
         let planned = [pulses.saturating_sub(pushes), stroke.down_pulses];
-        self.queue(Slot { charged: Some(pulses.into()), planned, ..Slot::new(stroke, kind) });
+        self.queue(Slot { charged: Some(pulses), planned, pushes, ..Slot::new(stroke, kind) });
     }
 
     /// Shifts the rest position of a pin by one burst. At a lower stop a pin goes no further down: the pulses left push.

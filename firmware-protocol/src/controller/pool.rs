@@ -45,8 +45,10 @@ pub(super) struct Slot {
     /// Generation of the amendment in force, per burst.
     pub(super) generation: [Option<u16>; 2],
     pub(super) kind: Kind,
+    /// Most pulses of the down burst that push against a lower stop: the last ones. An amendment raises them.
+    pub(super) pushes: u16,
     /// Once the stroke has begun, the pulses counted for the on-time limits.
-    pub(super) charged: Option<u32>,
+    pub(super) charged: Option<u16>,
     /// A return has cut the stroke.
     pub(super) cut: bool,
     pub(super) next: u16,
@@ -55,7 +57,8 @@ pub(super) struct Slot {
 impl Slot {
     pub(super) const fn new(stroke: Stroke, kind: Kind) -> Self {
         let planned = [stroke.up_pulses, stroke.down_pulses];
-        Self { stroke, planned, generation: [None; 2], kind, charged: None, cut: false, next: NONE }
+        let pushes = planned[1].saturating_sub(planned[0]);
+        Self { stroke, planned, generation: [None; 2], kind, pushes, charged: None, cut: false, next: NONE }
     }
 
     /// The state of the line at `tick` and the ticks that it lasts; `None` after the stroke. The stroke lies within 2^31 ticks, so
@@ -86,14 +89,20 @@ impl Slot {
         if undone { self.stroke.up_pulses } else { 0 }
     }
 
-    /// Planned pulses against the lower stop.
+    /// Planned pulses against the lower stop: a return plays them, too.
     pub(super) fn surplus(&self) -> u16 {
         self.planned[1].saturating_sub(self.planned[0])
     }
 
-    /// How many of them lie before `tick`: they are the last of the down burst.
+    /// Sets the up pulses of an array with a lower stop. A shorter up burst leaves more of the down burst to push; a longer one does
+    /// not lower the count, because a return may still push by the surplus.
+    pub(super) fn raise_pushes(&mut self, up_pulses: u16) {
+        self.pushes = self.planned[1].saturating_sub(up_pulses.min(self.planned[0]));
+    }
+
+    /// How many of [`Self::pushes`] lie before `tick`.
     pub(super) fn pushed_before(&self, tick: Tick) -> u16 {
-        let free = self.stroke.down_pulses.saturating_sub(self.surplus());
+        let free = self.stroke.down_pulses.saturating_sub(self.pushes);
         self.played_before(tick)[1].saturating_sub(free)
     }
 
@@ -126,6 +135,11 @@ impl Slot {
         let [up, down] = self.played_before(tick);
         if up < self.stroke.up_pulses { up + self.surplus() } else { self.stroke.down_pulses - down }
     }
+}
+
+/// Pulses of a stroke, as the on-time limits count them. The limits keep the sum far below `u16::MAX`.
+pub(super) fn charge(stroke: &Stroke) -> u16 {
+    stroke.up_pulses.saturating_add(stroke.down_pulses)
 }
 
 /// A motor's list.

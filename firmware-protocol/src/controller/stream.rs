@@ -3,7 +3,7 @@
 //! [`Controller::stream`] prepares frames in order and buffers the others; [`Controller::take`] takes them.
 
 use crate::batch::{Amendment, unpack};
-use crate::controller::pool::{Kind, Slot};
+use crate::controller::pool::{Kind, Slot, charge};
 use crate::controller::reorder::Frame;
 use crate::controller::reports::RESERVE;
 use crate::controller::taking::Next;
@@ -71,6 +71,7 @@ impl Controller {
         let slot = self.pool.get(index)?;
         let room_after = self.pool.get(slot.next).map_or(NEVER, |next| next.stroke.up);
         let rendered = self.rendered;
+        let has_stop = self.pushing.is_allowed();
         let slot = self.pool.get_mut(index)?;
         let half = usize::from(item.direction == Direction::Down);
         let burst = slot.stroke.bursts()[half];
@@ -78,7 +79,8 @@ impl Controller {
         let newest = slot.generation[half].is_none_or(|old| newer(generation, old));
         let fits = limits::within_correction(slot.planned[half], item.pulses)
             && burst.start + u64::from(item.pulses) <= room
-            && (1..=[limits::MAX_UP_PULSES, limits::MAX_DOWN_PULSES][half]).contains(&item.pulses);
+            && (1..=[limits::MAX_UP_PULSES, limits::MAX_DOWN_PULSES][half]).contains(&item.pulses)
+            && (half == 0 || !has_stop || item.pulses <= slot.planned[1]);
         if self.state != State::Armed || slot.kind != Kind::Play || burst.start < rendered || !newest || !fits
         {
             return None;
@@ -89,13 +91,17 @@ impl Controller {
             Direction::Down => stroke.down_pulses = item.pulses,
         }
         if let Some(charged) = &mut slot.charged
-            && stroke.pulses() > *charged
+            && stroke.pulses() > u32::from(*charged)
         {
-            self.on_time.begin(rendered, item.motor.into(), stroke.pulses() - *charged).ok()?;
-            *charged = stroke.pulses();
+            self.on_time.begin(rendered, item.motor.into(), stroke.pulses() - u32::from(*charged)).ok()?;
+            *charged = charge(&stroke);
         }
         slot.generation[half] = Some(generation);
         slot.stroke = stroke;
+        if has_stop && half == 0 {
+            // The up burst is not rendered, so the stroke is not counted yet.
+            slot.raise_pushes(item.pulses);
+        }
         self.next_end = self.next_end.min(stroke.end());
         Some(())
     }

@@ -88,6 +88,8 @@ struct Oracle {
     outstanding: [u16; MOTORS],
     /// Pulses of the seek that the last command asks for.
     seek: u16,
+    /// The last arm named a lower stop.
+    has_stop: bool,
     /// Whether the device knew the positions when it last rested.
     position_known: bool,
     /// The last epoch that the device has reported, and that of the last command.
@@ -129,6 +131,9 @@ impl Oracle {
                     Op::Seek { pulses } => pulses,
                     _ => 0,
                 };
+                if let Op::Arm { lower_stop, .. } = op {
+                    self.has_stop = lower_stop.is_some_and(|stop| stop.pulses_per_s > 0);
+                }
                 if matches!(op, Op::Arm { assume_rest: true, .. }) {
                     self.outstanding = [0; MOTORS];
                 }
@@ -215,7 +220,10 @@ impl Oracle {
         let half = usize::from(item.direction == Direction::Down);
         let room = if half == 0 { live.stroke.down } else { room_after };
         let start = live.stroke.bursts()[half].start;
-        if within_correction(live.planned[half], item.pulses) && start + u64::from(item.pulses) <= room {
+        let pushes = half == 1 && self.has_stop && item.pulses > live.planned[1];
+        let fits =
+            within_correction(live.planned[half], item.pulses) && start + u64::from(item.pulses) <= room;
+        if fits && !pushes {
             let stroke = &mut live.stroke;
             *(if half == 0 { &mut stroke.up_pulses } else { &mut stroke.down_pulses }) = item.pulses;
         }
@@ -321,6 +329,24 @@ impl Oracle {
 mod tests {
     use super::*;
     use firmware_protocol::limits::OnTimeLimits;
+
+    /// A device that pushes more than was planned differs from what is expected.
+    #[test]
+    fn an_amendment_lengthens_a_down_burst_only_without_a_stop() {
+        let stroke =
+            Stroke { motor: 3, up: Tick::BOOT + 500, up_pulses: 20, down: Tick::BOOT + 600, down_pulses: 20 };
+        let stop = LowerStop { pulses_per_s: 25_500, seek: 0 };
+        for (lower_stop, down_pulses) in [(Some(stop), 20), (None, 26)] {
+            let mut oracle = Oracle::default();
+            let arm =
+                Op::Arm { assume_rest: true, host_timeout: 25_500, limits: OnTimeLimits::NONE, lower_stop };
+            oracle.take(&Tap::default(), 0, &Event::Control(1, arm));
+            let planned = [stroke.up_pulses, stroke.down_pulses];
+            oracle.live.push(Live { stroke, planned, order: 1, frame: (1, 0), seeks: false, alive: true });
+            oracle.amend(&Amendment { motor: 3, up: stroke.up, direction: Direction::Down, pulses: 26 });
+            assert_eq!(oracle.live[0].stroke, Stroke { down_pulses, ..stroke });
+        }
+    }
 
     /// A device that carries out a seek which it must refuse is found out.
     #[test]
