@@ -15,7 +15,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
 /// Most cycles from the request's SETUP packet to all lines low, whatever else is on the line.
-pub(crate) const BY_REQUEST: u64 = TICK / 4;
+pub(crate) const BY_REQUEST: u64 = TICK / 2;
 /// Most cycles from the packet in which the frame ends, if it is in it alone.
 #[cfg(test)]
 const BY_FRAME: u64 = TICK;
@@ -147,11 +147,11 @@ fn lines_are_low_within_two_pulse_periods_of_a_frame_anywhere_in_a_packet() {
 }
 
 #[test]
-fn lines_are_low_within_a_quarter_of_a_pulse_period_of_a_request() {
+fn lines_are_low_within_half_a_pulse_period_of_a_request() {
     assert!(sweep("full-load", Traffic::Quiet, Way::Request, TRIES, 4) <= BY_REQUEST);
 }
 
 #[test]
-fn lines_are_low_within_a_quarter_of_a_pulse_period_of_a_request_behind_a_flood() {
+fn lines_are_low_within_half_a_pulse_period_of_a_request_behind_a_flood() {
     assert!(sweep("full-load", Traffic::Flood(120_000), Way::Request, TRIES, 5) <= BY_REQUEST);
 }
