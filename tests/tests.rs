@@ -19,6 +19,8 @@ mod cli;
 mod client_limits;
 /// `tradeoff --loop`: a corner of its grid within the limits, the same bytes on any cores, its document and plot.
 mod control_tradeoff;
+/// `discriminate` and `validate`: documents, files, mistakes; verdicts that follow from numbers.
+mod discriminate;
 /// Drift without telemetry: plays at the limit, and the level check of `assume_rest`.
 mod drift;
 /// `report`: figures against the models, the page, places that cannot be written to.

@@ -31,6 +31,9 @@ _meissner() {
             meissner,disarm)
                 cmd="meissner__subcmd__disarm"
                 ;;
+            meissner,discriminate)
+                cmd="meissner__subcmd__discriminate"
+                ;;
             meissner,doctor)
                 cmd="meissner__subcmd__doctor"
                 ;;
@@ -94,6 +97,9 @@ _meissner() {
             meissner,tradeoff)
                 cmd="meissner__subcmd__tradeoff"
                 ;;
+            meissner,validate)
+                cmd="meissner__subcmd__validate"
+                ;;
             meissner__subcmd__help,arm)
                 cmd="meissner__subcmd__help__subcmd__arm"
                 ;;
@@ -108,6 +114,9 @@ _meissner() {
                 ;;
             meissner__subcmd__help,disarm)
                 cmd="meissner__subcmd__help__subcmd__disarm"
+                ;;
+            meissner__subcmd__help,discriminate)
+                cmd="meissner__subcmd__help__subcmd__discriminate"
                 ;;
             meissner__subcmd__help,doctor)
                 cmd="meissner__subcmd__help__subcmd__doctor"
@@ -171,6 +180,9 @@ _meissner() {
                 ;;
             meissner__subcmd__help,tradeoff)
                 cmd="meissner__subcmd__help__subcmd__tradeoff"
+                ;;
+            meissner__subcmd__help,validate)
+                cmd="meissner__subcmd__help__subcmd__validate"
                 ;;
             meissner__subcmd__help__subcmd__session,end)
                 cmd="meissner__subcmd__help__subcmd__session__subcmd__end"
@@ -239,7 +251,7 @@ _meissner() {
 
     case "${cmd}" in
         meissner)
-            opts="-h -V --help --version demo daemon play sequence stop estop reset arm disarm home calibrate list show import remove status events receipt session motor simulate optimise tradeoff report doctor help"
+            opts="-h -V --help --version demo daemon play sequence stop estop reset arm disarm home calibrate list show import remove status events receipt session motor simulate optimise tradeoff discriminate validate report doctor help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 1 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -394,6 +406,64 @@ _meissner() {
             COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
             return 0
             ;;
+        meissner__subcmd__discriminate)
+            opts="-h --matrix --model --trials --fingers --seconds --resolution-ms --efficiency --efficiency-source --measured-percent --seed --csv --plot --json --help"
+            if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
+                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+                return 0
+            fi
+            case "${prev}" in
+                --model)
+                    COMPREPLY=($(compgen -W "membrane afferents" -- "${cur}"))
+                    return 0
+                    ;;
+                --trials)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --fingers)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --seconds)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --resolution-ms)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --efficiency)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --efficiency-source)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --measured-percent)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --seed)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --csv)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --plot)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                *)
+                    COMPREPLY=()
+                    ;;
+            esac
+            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+            return 0
+            ;;
         meissner__subcmd__doctor)
             opts="-h --device --seconds --socket --json --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
@@ -457,7 +527,7 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__help)
-            opts="demo daemon play sequence stop estop reset arm disarm home calibrate list show import remove status events receipt session motor simulate optimise tradeoff report doctor help"
+            opts="demo daemon play sequence stop estop reset arm disarm home calibrate list show import remove status events receipt session motor simulate optimise tradeoff discriminate validate report doctor help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -527,6 +597,20 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__help__subcmd__disarm)
+            opts=""
+            if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
+                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+                return 0
+            fi
+            case "${prev}" in
+                *)
+                    COMPREPLY=()
+                    ;;
+            esac
+            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+            return 0
+            ;;
+        meissner__subcmd__help__subcmd__discriminate)
             opts=""
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
@@ -905,6 +989,20 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__help__subcmd__tradeoff)
+            opts=""
+            if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
+                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+                return 0
+            fi
+            case "${prev}" in
+                *)
+                    COMPREPLY=()
+                    ;;
+            esac
+            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+            return 0
+            ;;
+        meissner__subcmd__help__subcmd__validate)
             opts=""
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
@@ -1573,6 +1671,20 @@ _meissner() {
                     COMPREPLY=($(compgen -f "${cur}"))
                     return 0
                     ;;
+                *)
+                    COMPREPLY=()
+                    ;;
+            esac
+            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+            return 0
+            ;;
+        meissner__subcmd__validate)
+            opts="-h --json --help"
+            if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
+                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+                return 0
+            fi
+            case "${prev}" in
                 *)
                     COMPREPLY=()
                     ;;

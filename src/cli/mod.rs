@@ -10,6 +10,7 @@ mod arguments;
 mod calibrate;
 mod control;
 mod demo;
+mod discriminate;
 mod doctor;
 mod export;
 mod files;
@@ -26,6 +27,7 @@ mod simulate;
 mod text;
 mod token;
 mod tradeoff;
+mod validate;
 mod watch;
 
 use crate::config::Source;
@@ -186,6 +188,10 @@ enum Command {
     /// Compare simulation methods on this machine, leads of the streamer, or position control
     #[command(name = "tradeoff")]
     MethodTradeoff(tradeoff::MethodTradeoff),
+    /// Predict whether a finger can tell patterns apart: d', per cent correct, confusion matrix
+    Discriminate(discriminate::Discriminate),
+    /// Compare both models of skin and afferents with published figures
+    Validate(validate::Validate),
     /// Draw figures of the models and of patterns, as SVG and CSV, and a page that shows them
     Report(report::Report),
     /// Check what could keep this machine or its device from playing; exit 0 only if nothing does
@@ -260,6 +266,8 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Simulate(asked) => simulate::run(&asked),
         Command::Optimise(asked) => optimise::run(&asked),
         Command::MethodTradeoff(asked) => tradeoff::run(&asked),
+        Command::Discriminate(asked) => discriminate::run(&asked),
+        Command::Validate(asked) => validate::run(&asked),
         Command::Report(asked) => report::run(&asked),
         Command::Doctor { device, seconds, options } => {
             doctor::run(device, Duration::from_secs_f64(seconds), &options)

@@ -16,6 +16,8 @@
 //! 8. `judge`: [`judge()`] simulates a pattern exactly; [`robustness()`] does so in other conditions.
 //! 9. `make`: [`make()`] searches frame by frame, judges the result and writes the pattern.
 //! 10. `prediction`: [`predict_response()`] compares the bursts of a play with those of its pattern.
+//! 11. `discriminate`: [`discriminate()`] says how well an ideal observer of the spikes tells two patterns apart, [`confusion()`] which
+//!     of a set it names.
 //!
 //! Invariant: results depend on the request alone, bit for bit on every machine. Only a search that a clock or its
 //! caller ends depends on when that happens.
@@ -38,6 +40,7 @@
 //! ```
 
 mod braille;
+mod discriminate;
 mod goal;
 mod judge;
 mod make;
@@ -53,6 +56,10 @@ mod shape;
 mod shipped;
 mod target;
 
+pub use discriminate::{
+    ClassReadings, Confusion, LEAST_TRIALS, MOST_COUNTS, MOST_TRIALS, Plan, Reading, Responses, Sensitivity,
+    confusion, correct_of_two, discriminate, efficiency, sensitivity,
+};
 pub use goal::{GOALS, Goal, neighbours, rivals};
 pub use judge::{Conditions, HELD_OUT, Robustness, STEADY_S, judge, pulses_per_s, robustness};
 pub use make::{Baseline, Budget, Made, MakeError, Progress, ROBUST_POPULATIONS, Request, make, populations};

@@ -11,6 +11,7 @@
 //! - `laser`: [`plot_laser`] draws a recording of a pin beside the motor's fit.
 //! - `objectives`: [`objective_tradeoff`] compares what a search maximises, beside the naive rules.
 //! - `stop`: [`stop_tradeoff`] measures rest errors above a lower stop against the theory; [`plot_stop`] draws it.
+//! - `validate`: [`validate()`] compares both models of the skin with published figures.
 //! - `chart` draws lines and points on axes, `sixty_hertz` is the standard scene, `progress` and `statistics` are small
 //!   helpers of all parts.
 //!
@@ -38,6 +39,7 @@ mod progress;
 mod sixty_hertz;
 mod statistics;
 mod stop;
+mod validate;
 
 pub use chart::PlotError;
 pub use control::{
@@ -61,3 +63,4 @@ pub use stop::{
     Contrasts, StopCell, StopCount, StopError, StopGrid, StopReason, StopRow, StopSurplus, StopTradeoff,
     plot_stop, stop_tradeoff,
 };
+pub use validate::{Case, Curve, Finding, Published, Validation, ValidationVerdict, validate};

@@ -2,12 +2,13 @@
 //!
 //! [`report`] makes it. Each part makes a section and its key figures: `pulses`, `amplitude`, `rate` and `edge` repeat
 //! the figures and remarks of the paper, `pattern` shows a pattern. A section has drawings (`chart`, `map`), their numbers
-//! as CSV, tables (`table`) and text; `page` joins the sections. The caller writes the files.
+//! as CSV, tables (`table`) and text; `page` joins the sections. The caller writes the files. `confusion` draws a confusion matrix.
 //!
 //! Invariant: the same patterns give the same bytes. No time, machine or directory is in them.
 
 mod amplitude;
 mod color;
+mod confusion;
 mod edge;
 mod error;
 mod map;
@@ -21,6 +22,7 @@ mod table;
 mod target;
 
 pub use amplitude::{AMPLITUDES_UM, Amplitude};
+pub use confusion::{confusion_csv, plot_confusion};
 pub use edge::{ByAmplitude, Edge, Others};
 pub use error::FiguresError;
 pub use page::{File, INDEX};

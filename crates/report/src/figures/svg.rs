@@ -86,6 +86,18 @@ impl Drawing {
         ));
     }
 
+    /// Words that run upwards.
+    pub(super) fn turned(&mut self, (x, y): (f64, f64), size: u32, anchor: Anchor, color: &str, words: &str) {
+        let anchor = match anchor {
+            Anchor::Start => "start",
+            Anchor::Middle => "middle",
+        };
+        let words = escape(words);
+        self.element(&format!(
+            r#"<text x="{x:.2}" y="{y:.2}" font-size="{size}" text-anchor="{anchor}" fill="{color}" transform="rotate(-90 {x:.2} {y:.2})">{words}</text>"#
+        ));
+    }
+
     fn element(&mut self, element: &str) {
         self.elements.push_str(element);
         self.elements.push('\n');

@@ -1,0 +1,248 @@
+//! Can a finger tell one pattern from another? An ideal observer of simulated spikes.
+//!
+//! 1. [`Responses::of`] simulates trials of a pattern on a finger: one noise for each trial, the same pattern and finger.
+//! 2. `observer` estimates the [`Sensitivity`] d′ of an ideal observer of counts, and the share of correct answers that follows.
+//! 3. [`discriminate`] compares two patterns: by counts, by times in bins, and by the total count alone, per class and in all; the
+//!    mean over fingers.
+//! 4. `confusion`: [`confusion`] gives the answers of an observer that names one of several patterns.
+//!
+//! What varies between trials is the noise of the models. The observer knows finger and patterns, and when an interval begins. So it
+//! is far better than any person: an efficiency says by how much.
+//!
+//! Invariant: the result depends on the patterns, their order, and the [`Plan`] alone.
+//!
+//! # Sources
+//!
+//! - Green & Swets 1966: D. M. Green and J. A. Swets, *Signal Detection Theory and Psychophysics*, Wiley, 1966: d′, two intervals.
+//! - Tanner & Birdsall 1958: W. P. Tanner and T. G. Birdsall, "Definitions of d′ and η as psychophysical measures", *Journal of the
+//!   Acoustical Society of America* 30, 922-928, 1958: efficiency.
+//! - Walther et al. 2016: A. Walther, H. Nili, N. Ejaz, A. Alink, N. Kriegeskorte and J. Diedrichsen, "Reliability of dissimilarity
+//!   measures for multi-voxel pattern analysis", *NeuroImage* 137, 188-200, 2016: cross-validated distances.
+
+mod confusion;
+mod observer;
+
+pub use confusion::{Confusion, confusion};
+pub use observer::{LEAST_TRIALS, Sensitivity, correct_of_two, efficiency, sensitivity};
+
+use meissner_array::pattern::{Drive, Pattern};
+use meissner_array::random;
+use meissner_skin::fingertip::Class;
+use meissner_skin::{Finger, FingerError, SkinModel, Trial};
+use observer::Trials;
+use rayon::prelude::*;
+use serde::Serialize;
+
+/// The most trials of a pattern on a finger.
+pub const MOST_TRIALS: usize = 1000;
+/// The most counts of a trial: afferents times bins.
+pub const MOST_COUNTS: usize = 1_000_000;
+/// Keeps the seeds of the noise apart from others.
+const NOISE_WORD: u64 = 12;
+
+/// How to compare patterns.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Plan {
+    /// The model.
+    pub model: SkinModel,
+    /// Trials of each pattern on each finger: [`LEAST_TRIALS`] to [`MOST_TRIALS`].
+    pub trials: usize,
+    /// Seeds of the fingers; at least one.
+    pub fingers: Vec<u64>,
+    /// Duration of an interval, s. A shorter pattern is followed by rest, a longer one is cut.
+    pub seconds: f64,
+    /// Width of a bin of the times, ms.
+    pub resolution_ms: f64,
+    /// Seed of the noise.
+    pub seed: u64,
+    /// The efficiency of the observer: 1 is ideal.
+    pub efficiency: f64,
+}
+
+impl Plan {
+    /// Bins of an afferent's times.
+    #[must_use]
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "saturates; bounded where it is checked"
+    )]
+    pub fn bins(&self) -> usize {
+        ((self.seconds * 1000.0 / self.resolution_ms - 1e-9).ceil() as usize).max(1)
+    }
+
+    /// Says what is wrong with it, and what to do.
+    ///
+    /// # Errors
+    /// If a number is out of its range.
+    pub fn check(&self) -> Result<(), String> {
+        if !(LEAST_TRIALS..=MOST_TRIALS).contains(&self.trials) {
+            return Err(format!("{} trials: must be {LEAST_TRIALS} to {MOST_TRIALS}", self.trials));
+        }
+        if self.fingers.is_empty() {
+            return Err("no finger: must be 1 or more".to_owned());
+        }
+        if !(0.001..=20.0).contains(&self.seconds) {
+            return Err(format!("{} s: must be 0.001 to 20", self.seconds));
+        }
+        if !(self.resolution_ms > 0.0 && self.resolution_ms.is_finite()) {
+            return Err(format!("a resolution of {} ms: must be above 0", self.resolution_ms));
+        }
+        let counts = 1000 * self.bins();
+        if counts > MOST_COUNTS {
+            return Err(format!(
+                "{} bins of time: must be at most {}; take a longer resolution or a shorter interval",
+                self.bins(),
+                MOST_COUNTS / 1000
+            ));
+        }
+        if !(self.efficiency > 0.0 && self.efficiency <= 1.0) {
+            return Err(format!("an efficiency of {}: must be above 0, at most 1", self.efficiency));
+        }
+        Ok(())
+    }
+}
+
+/// Trials of one pattern on one finger.
+#[derive(Clone, Debug)]
+pub struct Responses {
+    /// Spikes per afferent.
+    counts: Trials,
+    /// Spikes per afferent and bin, afferent by afferent.
+    times: Trials,
+}
+
+impl Responses {
+    /// Simulates a pattern. `number` is its place among the patterns: it keys the noise, so that no two patterns share any.
+    ///
+    /// # Errors
+    /// If the pattern cannot be simulated.
+    pub fn of(pattern: &Pattern, number: u64, finger: &Finger, plan: &Plan) -> Result<Self, FingerError> {
+        let stop_s = |drive: &Drive| drive.stop_s.or(pattern.duration_s());
+        let drives: Vec<Drive> =
+            pattern.drives().iter().map(|drive| Drive { stop_s: stop_s(drive), ..*drive }).collect();
+        let bins = plan.bins();
+        let trial = |trial: usize| {
+            let [seed, ..] = random::words([plan.seed, number, trial as u64, NOISE_WORD]);
+            // Files hold seeds of 63 bits.
+            let spikes_s = finger.spikes_s(&Trial::of_drives(&drives, plan.seconds, seed >> 1))?;
+            let counts =
+                spikes_s.iter().map(|train| u16::try_from(train.len()).unwrap_or(u16::MAX)).collect();
+            let mut times = vec![0_u16; spikes_s.len() * bins];
+            for (train, bins_of) in spikes_s.iter().zip(times.chunks_mut(bins)) {
+                for at_s in train {
+                    let bin = ((at_s * 1000.0 / plan.resolution_ms) as usize).min(bins - 1);
+                    bins_of[bin] = bins_of[bin].saturating_add(1);
+                }
+            }
+            Ok((counts, times))
+        };
+        let trials: Result<Vec<_>, FingerError> = (0..plan.trials).into_par_iter().map(trial).collect();
+        let (counts, times) = trials?.into_iter().unzip();
+        Ok(Self { counts, times })
+    }
+
+    /// The sum of the counts of some afferents, as one count.
+    fn totals(&self, which: &[u32]) -> Trials {
+        let total = |trial: &Vec<u16>| -> u64 { which.iter().map(|&of| u64::from(trial[of as usize])).sum() };
+        self.counts.iter().map(|trial| vec![u16::try_from(total(trial)).unwrap_or(u16::MAX)]).collect()
+    }
+}
+
+/// What an observer of some afferents makes of two patterns: means over fingers.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Reading {
+    /// The sensitivity of an ideal observer.
+    pub d_prime: f64,
+    /// The standard error of that mean, from the trials.
+    pub d_prime_se: f64,
+    /// The standard deviation of d′ over fingers; 0 with one finger.
+    pub d_prime_sd_fingers: f64,
+    /// Correct answers of two intervals, per cent, at the plan's efficiency.
+    pub correct_percent: f64,
+    /// The same at d′ less and more one standard error.
+    pub correct_percent_range: [f64; 2],
+}
+
+/// What observers of a class of afferents, or of all, make of two patterns.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ClassReadings {
+    /// The class; none: all afferents.
+    pub class: Option<Class>,
+    /// Afferents of a finger.
+    pub afferents: usize,
+    /// By each afferent's number of spikes.
+    pub counts: Reading,
+    /// By each afferent's spikes in bins of time, each bin taken as independent, or by the counts where these tell more: regular
+    /// firing makes bins depend on each other. A lower bound for the ideal observer.
+    pub times: Reading,
+    /// By the number of all spikes together: the baseline.
+    pub total: Reading,
+}
+
+/// Compares two patterns: per class, then by all afferents. `progress` gets the share that is done.
+///
+/// # Errors
+/// If a pattern cannot be simulated.
+///
+/// # Panics
+/// If the plan was not checked.
+pub fn discriminate(
+    patterns: [&Pattern; 2],
+    plan: &Plan,
+    progress: &(dyn Fn(f64) + Sync),
+) -> Result<Vec<ClassReadings>, FingerError> {
+    let mut found: Vec<(Option<Class>, usize, [Vec<Sensitivity>; 3])> = Vec::new();
+    for (number, &seed) in plan.fingers.iter().enumerate() {
+        let finger = Finger::new(plan.model, seed);
+        let [one, other] = [0, 1].map(|at| Responses::of(patterns[at], at as u64, &finger, plan));
+        let (one, other) = (one?, other?);
+        for (index, (class, which)) in groups(&finger).into_iter().enumerate() {
+            let bins = plan.bins() as u32;
+            let in_bins: Vec<u32> = which.iter().flat_map(|of| of * bins..(of + 1) * bins).collect();
+            let counts = sensitivity(&one.counts, &other.counts, &which, 1);
+            let times = sensitivity(&one.times, &other.times, &in_bins, plan.bins());
+            // Who reads times can count.
+            let times = if times.d_prime < counts.d_prime { counts } else { times };
+            let readings = [counts, times, sensitivity(&one.totals(&which), &other.totals(&which), &[0], 1)];
+            if number == 0 {
+                found.push((class, which.len(), Default::default()));
+            }
+            found[index].2.iter_mut().zip(readings).for_each(|(all, reading)| all.push(reading));
+        }
+        progress((number + 1) as f64 / plan.fingers.len() as f64);
+    }
+    let of_class = |(class, afferents, readings): (Option<Class>, usize, [Vec<Sensitivity>; 3])| {
+        let [counts, times, total] = readings.map(|of| Reading::of(&of, plan.efficiency));
+        ClassReadings { class, afferents, counts, times, total }
+    };
+    Ok(found.into_iter().map(of_class).collect())
+}
+
+/// The afferents of each class, and all if there are several.
+fn groups(finger: &Finger) -> Vec<(Option<Class>, Vec<u32>)> {
+    let classes = finger.model().classes();
+    let of_class = |&class: &Class| (Some(class), finger.of_class(class).map(|of| of as u32).collect());
+    let all = || (None, (0..finger.afferents().len() as u32).collect());
+    classes.iter().map(of_class).chain((classes.len() > 1).then(all)).collect()
+}
+
+impl Reading {
+    fn of(fingers: &[Sensitivity], efficiency: f64) -> Self {
+        let n = fingers.len() as f64;
+        let mean = |of: &dyn Fn(&Sensitivity) -> f64| fingers.iter().map(of).sum::<f64>() / n;
+        let d_prime = mean(&|of| of.d_prime);
+        let away = mean(&|of| (of.d_prime - d_prime).powi(2)) * n;
+        let correct = |by: f64| mean(&|of| 100.0 * correct_of_two(of.d_prime + by * of.se, efficiency));
+        Self {
+            d_prime,
+            d_prime_se: (mean(&|of| of.se * of.se) / n).sqrt(),
+            d_prime_sd_fingers: if fingers.len() > 1 { (away / (n - 1.0)).sqrt() } else { 0.0 },
+            correct_percent: correct(0.0),
+            correct_percent_range: [correct(-1.0), correct(1.0)],
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;
