@@ -28,13 +28,20 @@ fn the_document_is_complete_and_its_pattern_is_the_file() {
     assert_eq!(found["pattern"], text);
     let mut keys: Vec<_> = found.as_object().unwrap().keys().map(String::as_str).collect();
     keys.sort_unstable();
-    let wanted = "auc baselines cost_hz ended evaluations file objective off_hz on_hz pattern populations pulses_per_s \
+    let wanted = "auc baselines cost_hz ended evaluations file model models objective off_hz on_hz pattern populations pulses_per_s \
                   receptor_s robust robustness seed setting target value wall_s warnings";
     assert_eq!(keys, wanted.split_whitespace().collect::<Vec<_>>());
     assert_eq!(
         (&found["ended"], &found["setting"], &found["seed"]),
         (&json!("budget"), &json!("default"), &json!(0))
     );
+    assert_eq!(found["model"], "membrane");
+    let models = found["models"].as_array().unwrap();
+    assert_eq!((&models[0]["model"], &models[1]["model"]), (&json!("membrane"), &json!("afferents")));
+    assert_eq!(models[0]["cost_hz"], found["cost_hz"]);
+    assert_eq!(models[0]["baselines"][0]["cost_hz"], found["baselines"][0]["cost_hz"]);
+    assert_eq!(models[1]["baselines"][1]["rule"], "pitch");
+    assert!(models[1]["on_hz"].as_f64().unwrap() > 0.0);
     // The pattern is called as its file; its figures are the document's.
     let pattern = parsed(&file);
     assert_eq!((pattern.name(), pattern.duration_s()), ("my-dot", Some(5.0)));
@@ -54,6 +61,7 @@ fn the_document_is_complete_and_its_pattern_is_the_file() {
     for word in [
         "contrast",
         "naive-reach: contrast",
+        "afferents: contrast",
         "held out",
         "gain",
         "1 mm off",

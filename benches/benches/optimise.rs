@@ -15,6 +15,7 @@ use meissner_design::{
     Brief, Fidelity, Found, Goal, Limit, Objective, Point, Score, Setting, Space, Spent, Target, YARDSTICK,
     search, shipped,
 };
+use meissner_skin::ModelName;
 use rayon::ThreadPoolBuilder;
 use rayon::prelude::*;
 use std::hint::black_box;
@@ -49,6 +50,7 @@ impl<'j> Command<'j> {
 
     fn brief(&self) -> Brief<'_> {
         Brief {
+            model: ModelName::Membrane,
             goal: Goal::Contrast,
             target: self.target,
             frame: &self.target.frames()[0],

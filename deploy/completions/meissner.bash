@@ -1097,7 +1097,7 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__optimise)
-            opts="-o -h --out --seed --setting --objective --budget --robust --resume --json --help"
+            opts="-o -h --out --seed --setting --objective --model --budget --robust --resume --json --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -1121,6 +1121,10 @@ _meissner() {
                     ;;
                 --objective)
                     COMPREPLY=($(compgen -W "contrast off-rms off-rms-twice near-off auc correlation rivals" -- "${cur}"))
+                    return 0
+                    ;;
+                --model)
+                    COMPREPLY=($(compgen -W "membrane afferents" -- "${cur}"))
                     return 0
                     ;;
                 --budget)

@@ -221,6 +221,8 @@ near-off\t'As contrast; OFF afferents near the target weigh more'
 auc\t'Chance that an ON afferent fires faster than an OFF one'
 correlation\t'Correlation of the rates with the ON set'
 rivals\t'Distance from the most similar shape, in SD of the counts'"
+complete -c meissner -n "__fish_meissner_using_subcommand optimise" -l model -d 'Choose the model whose RA afferents are ON or OFF' -r -f -a "membrane\t'RA afferents with a leaky membrane, as in the paper'
+afferents\t'Skin mechanics, and RA afferents as recorded'"
 complete -c meissner -n "__fish_meissner_using_subcommand optimise" -l budget -d 'Stop after about N evaluations (per frame of a moving target; or N,N,... for each), or N seconds in all (Ns) [default: until nothing improves]' -r
 complete -c meissner -n "__fish_meissner_using_subcommand optimise" -l resume -d 'Begin with the pattern in file PATTERN and improve it' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand optimise" -l robust -d 'Maximise the mean over eight populations of afferents, not one population'

@@ -15,10 +15,11 @@ use anyhow::{Result, anyhow, bail};
 use clap::Args;
 use meissner_array::pattern;
 use meissner_design::{
-    Baseline, Budget, Ended, Goal, MAX_BYTES, Made, Request, Robustness, Setting, Target, Verdict, make,
-    populations, shipped, shipped_names,
+    Baseline, Budget, ByModel, Ended, Goal, MAX_BYTES, Made, Request, Robustness, Setting, Target, Verdict,
+    make, populations, shipped, shipped_names,
 };
 use meissner_input::message::nearest;
+use meissner_skin::ModelName;
 use serde::Serialize;
 use std::fs;
 use std::io::{self, Write};
@@ -46,6 +47,9 @@ pub(super) struct Optimise {
     /// Choose what to maximise: ON afferents lie within reach of the target, OFF are all others
     #[arg(long, value_name = "NAME", default_value = "contrast", value_parser = choice::<Goal>(&[("contrast", "Mean rate of ON minus mean rate of OFF, as in the paper"), ("off-rms", "Mean of ON minus RMS of OFF: keeps dots apart, with --robust"), ("off-rms-twice", "Mean of ON minus twice the RMS of OFF: stricter"), ("near-off", "As contrast; OFF afferents near the target weigh more"), ("auc", "Chance that an ON afferent fires faster than an OFF one"), ("correlation", "Correlation of the rates with the ON set"), ("rivals", "Distance from the most similar shape, in SD of the counts")]))]
     objective: Goal,
+    /// Choose the model whose RA afferents are ON or OFF
+    #[arg(long, value_name = "MODEL", default_value = "membrane", value_parser = choice::<ModelName>(&[("membrane", "RA afferents with a leaky membrane, as in the paper"), ("afferents", "Skin mechanics, and RA afferents as recorded")]))]
+    model: ModelName,
     /// Stop after about N evaluations (per frame of a moving target; or N,N,... for each), or N seconds in all (Ns)
     /// [default: until nothing improves]
     #[arg(long, value_name = "N|Ns")]
@@ -84,6 +88,7 @@ struct Document<'a> {
     /// The file, if one was written.
     file: Option<String>,
     setting: Setting,
+    model: ModelName,
     objective: Goal,
     seed: u64,
     robust: bool,
@@ -99,6 +104,8 @@ struct Document<'a> {
     value: f64,
     /// What the naive rules reach in the same conditions.
     baselines: &'a [Baseline],
+    /// The pattern and the naive rules under both models, by RA afferents, in the same conditions.
+    models: &'a [ByModel],
     pulses_per_s: f64,
     robustness: &'a Robustness,
     warnings: Vec<String>,
@@ -115,6 +122,7 @@ pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
     }
     let start = asked.resume.as_deref().map(library::read).transpose()?;
     let request = Request {
+        model: asked.model,
         goal: asked.objective,
         setting: asked.setting,
         seed: asked.seed,
@@ -153,6 +161,7 @@ pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
         target: target.name(),
         file: asked.file.as_ref().map(|file| file.to_string_lossy().into_owned()),
         setting: asked.setting,
+        model: asked.model,
         objective: asked.objective,
         seed: asked.seed,
         robust: asked.robust,
@@ -167,6 +176,7 @@ pub(super) fn run(asked: &Optimise) -> Result<ExitCode> {
         verdict: made.verdict,
         value: made.value,
         baselines: &made.baselines,
+        models: &made.models,
         pulses_per_s: made.pulses_per_s,
         robustness: &made.robustness,
         warnings: target.warnings(),
@@ -231,6 +241,16 @@ fn naive(document: &Document<'_>) -> String {
     document.baselines.iter().map(of).collect::<Vec<_>>().join("; ")
 }
 
+/// The pattern and the naive rules under a model.
+fn under(document: &Document<'_>, model: ModelName) -> String {
+    let Some(of) = document.models.iter().find(|of| of.model == model) else { return String::new() };
+    let figures = |of: &Verdict| format!("contrast {:.1}, AUC {:.3}", of.cost_hz, of.auc);
+    let rules = of.baselines.iter().map(|of| format!("{}: {}", of.rule.name(), figures(&of.verdict)));
+    let all: Vec<String> =
+        [format!("{}: {}", model.name(), figures(&of.verdict))].into_iter().chain(rules).collect();
+    all.join("; ")
+}
+
 fn summary(target: &Target, document: &Document<'_>, made: &Made) -> String {
     let range = |costs: &[f64]| {
         let mean = costs.iter().sum::<f64>() / costs.len().max(1) as f64;
@@ -246,6 +266,10 @@ fn summary(target: &Target, document: &Document<'_>, made: &Made) -> String {
         Ended::Interrupted => "interrupted; this is the best so far",
     };
     let evaluations: u64 = document.evaluations.iter().sum();
+    let other = match document.model {
+        ModelName::Membrane => ModelName::Afferents,
+        ModelName::Afferents => ModelName::Membrane,
+    };
     let of =
         |seeds: usize| if seeds == 1 { "1 population".to_owned() } else { format!("{seeds} populations") };
     let mut lines = vec![
@@ -272,6 +296,7 @@ fn summary(target: &Target, document: &Document<'_>, made: &Made) -> String {
             ),
         ),
         ("naive", naive(document)),
+        ("other model", under(document, other)),
         (
             "held out",
             if held_out_hz.is_empty() {

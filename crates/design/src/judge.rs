@@ -7,12 +7,13 @@
 //! [`Fidelity::FULL`](crate::Fidelity::FULL), for the same populations and noise.
 
 use crate::partition::{Partition, Verdict};
+use crate::quality::played;
 use crate::target::{LONGEST_S, Target};
-use firmware_protocol::stroke::MOTORS;
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::strokes::{StrokeOptions, Strokes, StrokesError};
-use meissner_skin::afferent::{self, AfferentModel, Position, Rectify};
-use meissner_skin::{MAX_ALPHA_PER_UM, Method, MethodError, Options, Scene, simulate};
+use meissner_skin::afferent::{AfferentModel, Position, Rectify};
+use meissner_skin::fingertip::{Afferent, Class};
+use meissner_skin::{Finger, MAX_ALPHA_PER_UM, MethodError, ModelName, SkinModel, Trial};
 use serde::Serialize;
 use std::f64::consts::FRAC_1_SQRT_2;
 
@@ -30,11 +31,13 @@ const SHIFT_MM: f64 = 1.0;
 /// The afferents and motors that a pattern is judged with.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Conditions {
+    /// The model: its RA afferents judge.
+    pub model: ModelName,
     /// Seeds of the populations. The verdict is the mean over those that have ON and OFF afferents.
     pub populations: Vec<u64>,
     /// Seed of the threshold noise.
     pub noise_seed: u64,
-    /// The rectification in place of the target's; the sensitivity is scaled to it.
+    /// The rectification in place of the target's; the sensitivity is scaled to it. It is one of the first model, which then judges.
     pub rectify: Option<Rectify>,
     /// Gain of all motors.
     pub gain: f64,
@@ -62,10 +65,17 @@ pub struct Robustness {
 }
 
 impl Conditions {
-    /// The conditions that a pattern is made for: its populations and noise.
+    /// The conditions that a pattern is made for: its populations and noise, under the first model.
     #[must_use]
     pub const fn plain(populations: Vec<u64>, noise_seed: u64) -> Self {
-        Self { populations, noise_seed, rectify: None, gain: 1.0, shift_mm: [0.0; 2] }
+        Self {
+            model: ModelName::Membrane,
+            populations,
+            noise_seed,
+            rectify: None,
+            gain: 1.0,
+            shift_mm: [0.0; 2],
+        }
     }
 }
 
@@ -80,43 +90,43 @@ pub fn judge(
     conditions: &Conditions,
 ) -> Result<Option<Verdict>, MethodError> {
     let frames = target.frames();
-    let mut fingers: Vec<(Vec<Position>, Vec<Partition>)> = Vec::new();
+    let skin = match (conditions.model, conditions.rectify) {
+        (ModelName::Afferents, None) => SkinModel::AFFERENTS,
+        (_, rectify) => SkinModel::Membrane(model(target.model(), rectify)),
+    };
+    let mut fingers: Vec<(Vec<Afferent>, Vec<Partition>)> = Vec::new();
     for &seed in &conditions.populations {
-        let afferents = afferent::population(seed);
-        let partition = |shape| Partition::of(shape, target.reach_mm(), &afferents);
+        let afferents = Finger::new(skin, seed).only(Class::Ra);
+        let places: Vec<Position> = afferents.afferents().iter().map(|afferent| afferent.at).collect();
+        let partition = |shape| Partition::of(shape, target.reach_mm(), &places);
         let partitions: Vec<_> = frames.iter().map(|frame| partition(&frame.shape)).collect();
         if partitions.iter().all(Partition::has_both) {
-            let [x, y] = conditions.shift_mm;
-            let shifted = afferents.iter().map(|at| Position { x_mm: at.x_mm + x, y_mm: at.y_mm + y });
-            fingers.push((shifted.collect(), partitions));
+            fingers.push((afferents.shifted(conditions.shift_mm).afferents().to_vec(), partitions));
         }
     }
     if fingers.is_empty() {
         return Ok(None);
     }
-    let model = model(target.model(), conditions.rectify);
-    let (duration_s, options, at_a_time) = if target.moves() {
-        // Every spike is kept: one population at a time bounds the memory.
-        (target.duration_s(), Options::spikes(Method::Exact), 1)
-    } else {
-        (STEADY_S, Options::rates(Method::Exact), fingers.len())
-    };
+    // Every spike of a moving target is kept: one population at a time bounds the memory.
+    let (duration_s, at_a_time) =
+        if target.moves() { (target.duration_s(), 1) } else { (STEADY_S, fingers.len()) };
     let (mut on_hz, mut off_hz, mut auc) = (0.0, 0.0, 0.0);
     for (number, fingers) in fingers.chunks(at_a_time).enumerate() {
         let afferents = fingers.iter().flat_map(|(afferents, _)| afferents.iter().copied()).collect();
         let noise_seed = conditions.noise_seed.wrapping_add(number as u64);
-        let scene = Scene::new(duration_s, noise_seed, drives.to_vec(), afferents, model)
-            .and_then(|scene| scene.with_gains(&[conditions.gain; MOTORS]))
-            .expect("a target's afferents and a pattern's drives make a scene");
-        let answer = simulate(&scene, &options, &|_| ())?;
-        let whole_hz = answer.rates_hz(&scene);
+        let finger = Finger::of_afferents(skin, afferents);
+        let trial = Trial { gain: conditions.gain, ..Trial::of_drives(drives, duration_s, noise_seed) };
+        let spikes_s = if target.moves() { Some(played(finger.spikes_s(&trial))?) } else { None };
+        let whole_hz: Vec<f64> = match &spikes_s {
+            Some(_) => Vec::new(),
+            None => played(finger.counts(&trial))?.iter().map(|&count| count as f64 / duration_s).collect(),
+        };
         let mut first = 0;
         for (afferents, partitions) in fingers {
             let own = first..first + afferents.len();
             first = own.end;
             for (frame, partition) in frames.iter().zip(partitions) {
-                let in_frame =
-                    answer.spikes_s.as_ref().and_then(|spikes_s| frame.rates_hz(&spikes_s[own.clone()]));
+                let in_frame = spikes_s.as_ref().and_then(|spikes_s| frame.rates_hz(&spikes_s[own.clone()]));
                 let rates_hz = in_frame.unwrap_or_else(|| whole_hz[own.clone()].to_vec());
                 let verdict =
                     partition.verdict(&rates_hz).expect("populations without ON or OFF were left out");
@@ -149,7 +159,8 @@ pub fn robustness(
     let mut held_out_hz = Vec::new();
     for number in 0..HELD_OUT {
         let seed = target.population_seed().wrapping_add(HELD_OUT_FROM + number);
-        if let Some(verdict) = judge(target, drives, &Conditions::plain(vec![seed], seed))? {
+        let plain = Conditions::plain(vec![seed], seed);
+        if let Some(verdict) = judge(target, drives, &Conditions { model: made_for.model, ..plain })? {
             held_out_hz.push(verdict.cost_hz);
         }
     }

@@ -24,13 +24,14 @@
 //!
 //! ```
 //! use meissner_design::{Brief, Conditions, Goal, Limit, Setting, judge, search, shipped};
+//! use meissner_skin::ModelName;
 //! use std::ops::ControlFlow;
 //!
 //! let target = shipped("dot").unwrap();
 //! let space = Setting::Default.space();
 //! let start = space.random(0);
 //! let brief =
-//!     Brief { goal: Goal::Contrast, target: &target, frame: &target.frames()[0], populations: &[0], noise_seed: 0, space, seed: 0 };
+//!     Brief { model: ModelName::Membrane, goal: Goal::Contrast, target: &target, frame: &target.frames()[0], populations: &[0], noise_seed: 0, space, seed: 0 };
 //! let found = search(&brief, start, Limit::Evaluations(50), &mut |_, _| ControlFlow::Continue(()))?;
 //!
 //! let drives = found.point.drives(target.amplitude_um(), None, None);
@@ -62,7 +63,10 @@ pub use discriminate::{
 };
 pub use goal::{GOALS, Goal, neighbours, rivals};
 pub use judge::{Conditions, HELD_OUT, Robustness, STEADY_S, judge, pulses_per_s, robustness};
-pub use make::{Baseline, Budget, Made, MakeError, Progress, ROBUST_POPULATIONS, Request, make, populations};
+pub use make::{
+    Baseline, Budget, ByModel, Made, MakeError, Progress, ROBUST_POPULATIONS, Request, RuleVerdict, make,
+    populations,
+};
 pub use naive::Rule;
 pub use objective::{Fidelity, Incumbent, Objective, Score, Tried};
 pub use partition::{Partition, Verdict};

@@ -19,7 +19,7 @@ use crate::search::{Brief, Ended, Found, Limit, Spent, resume, search};
 use crate::target::{DEFINITION, Frame, Target};
 use meissner_array::pattern::{Drive, Pattern, PatternError};
 use meissner_array::strokes::StrokesError;
-use meissner_skin::MethodError;
+use meissner_skin::{MethodError, ModelName};
 use serde::Serialize;
 use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
@@ -46,6 +46,8 @@ pub enum Budget {
 /// How to make a pattern.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Request {
+    /// The model that predicts rates: its RA afferents are ON or OFF.
+    pub model: ModelName,
     /// What the search maximises.
     pub goal: Goal,
     /// The search space.
@@ -85,6 +87,28 @@ pub struct Baseline {
     pub verdict: Verdict,
 }
 
+/// What a pattern and the naive rules reach under a model, in the conditions that the pattern was made for.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ByModel {
+    /// The model.
+    pub model: ModelName,
+    /// The verdict on the pattern.
+    #[serde(flatten)]
+    pub verdict: Verdict,
+    /// The verdicts on the naive rules.
+    pub baselines: Vec<RuleVerdict>,
+}
+
+/// The verdict on a naive rule.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct RuleVerdict {
+    /// The rule.
+    pub rule: Rule,
+    /// Its verdict.
+    #[serde(flatten)]
+    pub verdict: Verdict,
+}
+
 /// A pattern, with the searches and figures behind it.
 #[derive(Clone, Debug)]
 pub struct Made {
@@ -98,6 +122,8 @@ pub struct Made {
     pub value: f64,
     /// The naive rules, each with its own figures.
     pub baselines: Vec<Baseline>,
+    /// Pattern and naive rules under both models.
+    pub models: Vec<ByModel>,
     /// The contrast in other conditions.
     pub robustness: Robustness,
     /// The mean over its duration.
@@ -116,6 +142,23 @@ pub enum MakeError {
     /// A bug of ours.
     #[error("internal error: {0}")]
     Strokes(#[from] StrokesError),
+}
+
+impl Request {
+    /// Whether the model and the goal are the paper's.
+    fn is_the_papers(&self) -> bool {
+        self.model == ModelName::Membrane && self.goal == Goal::Contrast
+    }
+}
+
+impl ByModel {
+    /// The model's name, and the contrasts of the pattern and the naive rules.
+    fn contrasts(&self) -> (String, Value) {
+        let rules =
+            self.baselines.iter().map(|of| (of.rule.name().to_owned(), Value::from(of.verdict.cost_hz)));
+        let own = ("pattern".to_owned(), Value::from(self.verdict.cost_hz));
+        (self.model.name().to_owned(), Value::Table([own].into_iter().chain(rules).collect()))
+    }
 }
 
 impl Made {
@@ -165,6 +208,7 @@ pub fn make(
     for (number, frame) in frames.iter().enumerate() {
         let space = space_of(frame);
         let brief = Brief {
+            model: request.model,
             goal: request.goal,
             target,
             frame,
@@ -185,7 +229,7 @@ pub fn make(
             starts.extend(start.drives(target.amplitude_um(), frame.start_s, frame.stop_s));
         }
         let start = match start {
-            None if request.goal != Goal::Contrast => {
+            None if !request.is_the_papers() => {
                 let rules = naive.iter().map(|drives| point_at(drives, frame, &space));
                 Some(best(&brief, rules.chain(before))?)
             }
@@ -201,22 +245,32 @@ pub fn make(
     }
     // The drives as they are: a naive rule leaves motors off, also where the search may not.
     let played = Space { may_be_off: true, ..request.setting.space() };
-    let value = |drives: &[Drive]| value(target, request.goal, &populations, &played, drives);
+    let value = |drives: &[Drive]| value(target, request, &populations, &played, drives);
     let made_value = value(&drives)?;
     let naive_values = naive.each_ref().map(|drives| value(drives));
-    let made_for = Conditions::plain(populations, noise_seed);
-    let verdict = |drives: &[Drive]| -> Result<Verdict, MethodError> {
-        Ok(judge(target, drives, &made_for)?.expect("a checked target has ON and OFF afferents"))
+    let made_for = Conditions { model: request.model, ..Conditions::plain(populations, noise_seed) };
+    let verdict = |model: ModelName, drives: &[Drive]| -> Result<Verdict, MethodError> {
+        let conditions = Conditions { model, ..made_for.clone() };
+        Ok(judge(target, drives, &conditions)?.expect("a checked target has ON and OFF afferents"))
     };
-    let mut baselines = Vec::new();
-    for ((rule, drives), value) in Rule::ALL.into_iter().zip(&naive).zip(naive_values) {
-        baselines.push(Baseline { rule, value: value?, verdict: verdict(drives)? });
+    let mut models = Vec::new();
+    for model in [ModelName::Membrane, ModelName::Afferents] {
+        let mut baselines = Vec::new();
+        for (rule, drives) in Rule::ALL.into_iter().zip(&naive) {
+            baselines.push(RuleVerdict { rule, verdict: verdict(model, drives)? });
+        }
+        models.push(ByModel { model, verdict: verdict(model, &drives)?, baselines });
     }
-    let (value, verdict) = (made_value, verdict(&drives)?);
+    let own = models.iter().find(|of| of.model == request.model).expect("there are both models");
+    let mut baselines = Vec::new();
+    for (of, value) in own.baselines.iter().zip(naive_values) {
+        baselines.push(Baseline { rule: of.rule, value: value?, verdict: of.verdict });
+    }
+    let (value, verdict) = (made_value, own.verdict);
     let robustness = robustness(target, &drives, &made_for)?;
     let pattern = Pattern::new(name, Some(target.duration_s()), drives.clone(), Table::new())?;
     let pulses_per_s = pulses_per_s(&pattern)?;
-    let mut made = Made { pattern, found, verdict, value, baselines, robustness, pulses_per_s };
+    let mut made = Made { pattern, found, verdict, value, baselines, models, robustness, pulses_per_s };
     made.pattern = Pattern::new(
         name,
         Some(target.duration_s()),
@@ -244,8 +298,8 @@ impl Budget {
 
 /// The point of which the goal's value is highest; the first of equals.
 fn best(brief: &Brief<'_>, points: impl Iterator<Item = Point>) -> Result<Point, MethodError> {
-    let Brief { goal, target, frame, populations, noise_seed, .. } = *brief;
-    let objective = Objective::new(goal, target, frame, populations, noise_seed, Fidelity::FULL);
+    let Brief { model, goal, target, frame, populations, noise_seed, .. } = *brief;
+    let objective = Objective::under(model, goal, target, frame, populations, noise_seed, Fidelity::FULL);
     let mut best: Option<(f64, Point)> = None;
     for point in points {
         let value = objective.at(point)?.score().value;
@@ -259,7 +313,7 @@ fn best(brief: &Brief<'_>, points: impl Iterator<Item = Point>) -> Result<Point,
 /// The value of a goal for the drives of all frames: the mean over frames, each simulated alone.
 fn value(
     target: &Target,
-    goal: Goal,
+    request: &Request,
     populations: &[u64],
     space: &Space,
     drives: &[Drive],
@@ -268,7 +322,8 @@ fn value(
     let mut sum = 0.0;
     for frame in frames {
         let seed = target.population_seed();
-        let objective = Objective::new(goal, target, frame, populations, seed, Fidelity::FULL);
+        let Request { model, goal, .. } = *request;
+        let objective = Objective::under(model, goal, target, frame, populations, seed, Fidelity::FULL);
         sum += objective.at(point_at(drives, frame, space))?.score().value;
     }
     Ok(sum / frames.len() as f64)
@@ -290,12 +345,16 @@ fn provenance(target: &Target, request: &Request, made: &Made, starts: Option<&[
     put("target", target.name().into());
     put("method", "subgradient".into());
     put("model", MODEL.into());
-    // Patterns of the paper's goal keep the bytes that they had before there were others.
-    if request.goal != Goal::Contrast {
+    // Patterns of the paper's goal and model keep the bytes that they had before there were others.
+    if request.model != ModelName::Membrane {
+        put("skin_model", request.model.name().into());
+    }
+    if !request.is_the_papers() {
         put("objective", request.goal.name().into());
         put("value", made.value.into());
         let baseline = |of: &Baseline| (of.rule.name().to_owned(), Value::from(of.value));
         put("baselines", Value::Table(made.baselines.iter().map(baseline).collect()));
+        put("contrast_by_model", Value::Table(made.models.iter().map(ByModel::contrasts).collect()));
     }
     put("setting", Value::try_from(request.setting).expect("a string"));
     put("seed", whole(request.seed));

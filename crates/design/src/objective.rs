@@ -4,6 +4,8 @@
 //! Every point meets the same afferents and the same noise: two values differ only by what the motors do. Spikes are
 //! counted in whole numbers and summed first.
 //!
+//! Under the second model the afferents are its RA afferents, at the same places as those of the first.
+//!
 //! Invariant: the score of an [`Incumbent`] is that of its point, however it was reached.
 
 use crate::goal::{Goal, Population};
@@ -11,19 +13,23 @@ use crate::point::Point;
 use crate::target::{Frame, Target};
 use meissner_array::pattern::Drive;
 use meissner_skin::afferent::{self, MIN_WEIGHT, Position};
+use meissner_skin::fingertip::{self, Class};
 use meissner_skin::{
-    Candidate, Evaluator, Integrator, Method, MethodError, Options, Precision, Scene, Stepping,
+    Candidate, Evaluator, Integrator, Keep, Method, MethodError, ModelName, Options, Precision, Scene,
+    Stepping,
 };
 use rayon::prelude::*;
+
+const EVERY_DRIVE: &str = "a scene can have every drive of a space";
 
 /// How accurately a value is simulated: a search begins with less.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fidelity {
     /// Duration of the simulation, s.
     pub duration_s: f64,
-    /// The step of the propagator; none simulates exactly.
+    /// The step of the propagator; none simulates exactly. The second model has its own step.
     pub step_us: Option<u32>,
-    /// Weights below this count as 0.
+    /// Weights below this count as 0. In the second model all count.
     pub min_weight: f64,
 }
 
@@ -58,12 +64,20 @@ impl Score {
     }
 }
 
+/// The afferents of all populations, in a model.
+#[derive(Clone, Debug)]
+enum Afferents {
+    /// A scene without drives.
+    Membrane(Box<Scene>, Options),
+    /// A scene of the second model, without drives.
+    Second(Box<fingertip::Scene>),
+}
+
 /// What a search maximises: the value of a goal for a frame, as a function of the point.
 #[derive(Clone, Debug)]
 pub struct Objective {
-    /// The afferents; no drives.
-    scene: Scene,
-    options: Options,
+    afferents: Afferents,
+    duration_s: f64,
     amplitude_um: f64,
     /// The times at which a point is played: once without end, or again and again for the frame's duration.
     times: Vec<(Option<f64>, Option<f64>)>,
@@ -73,7 +87,7 @@ pub struct Objective {
 }
 
 impl Objective {
-    /// A goal for a frame, over the populations of some seeds; those without ON or OFF afferents are left out.
+    /// A goal for a frame under the first model, over the populations of some seeds; those without ON or OFF afferents are left out.
     /// `noise_seed` seeds the threshold noise. A frame that ends is repeated, so the value counts the strokes that its
     /// end leaves out.
     ///
@@ -88,16 +102,50 @@ impl Objective {
         noise_seed: u64,
         fidelity: Fidelity,
     ) -> Self {
-        let (mut afferents, mut kept) = (Vec::<Position>::new(), Vec::new());
+        Self::under(ModelName::Membrane, goal, target, frame, populations, noise_seed, fidelity)
+    }
+
+    /// The same under either model.
+    ///
+    /// # Panics
+    /// If no scene can have the fidelity's duration.
+    #[must_use]
+    pub fn under(
+        model: ModelName,
+        goal: Goal,
+        target: &Target,
+        frame: &Frame,
+        populations: &[u64],
+        noise_seed: u64,
+        fidelity: Fidelity,
+    ) -> Self {
+        let (mut seeds, mut kept) = (Vec::new(), Vec::new());
         for &seed in populations {
             let positions = afferent::population(seed);
             if let Some(population) = Population::new(goal, &frame.shape, target.reach_mm(), &positions) {
                 kept.push(population);
-                afferents.extend(positions);
+                seeds.push(seed);
             }
         }
-        let scene = Scene::new(fidelity.duration_s, noise_seed, Vec::new(), afferents, *target.model());
-        let scene = scene.expect("the parts of a checked target make a scene");
+        let duration_s = fidelity.duration_s;
+        let afferents = match model {
+            ModelName::Membrane => {
+                let afferents: Vec<Position> =
+                    seeds.iter().flat_map(|&seed| afferent::population(seed)).collect();
+                let scene = Scene::new(duration_s, noise_seed, Vec::new(), afferents, *target.model());
+                let scene = scene.expect("the parts of a checked target make a scene");
+                Afferents::Membrane(Box::new(scene), fidelity.options())
+            }
+            ModelName::Afferents => {
+                let all = seeds.iter().flat_map(|&seed| fingertip::population(seed));
+                let rapid = all.filter(|afferent| afferent.class == Class::Ra).collect();
+                let motors = Scene::new(duration_s, noise_seed, Vec::new(), Vec::new(), *target.model());
+                let scene = motors.and_then(|motors| {
+                    fingertip::Scene::of_motors(&motors, fingertip::PREINDENT_MM, rapid, true)
+                });
+                Afferents::Second(Box::new(scene.expect("populations make a scene")))
+            }
+        };
         let times = match frame.start_s.zip(frame.stop_s) {
             None => vec![(None, None)],
             Some((start_s, stop_s)) => {
@@ -106,8 +154,8 @@ impl Objective {
                 numbers.map(|number| (Some(begins(number)), Some(begins(number + 1)))).collect()
             }
         };
-        let (options, amplitude_um) = (fidelity.options(), target.amplitude_um());
-        Self { scene, options, amplitude_um, times, goal, populations: kept }
+        let amplitude_um = target.amplitude_um();
+        Self { afferents, duration_s, amplitude_um, times, goal, populations: kept }
     }
 
     /// Simulates a point with all afferents.
@@ -115,22 +163,40 @@ impl Objective {
     /// # Errors
     /// If the method cannot simulate the target's afferents.
     pub fn at(&self, point: Point) -> Result<Incumbent<'_>, MethodError> {
-        let scene = self.scene.with_drives(self.drives(&point));
-        let scene = scene.expect("a scene can have every drive of a space");
-        let evaluator = Evaluator::new(scene, self.options)?;
-        Ok(Incumbent { objective: self, point, score: self.score(evaluator.counts()), evaluator })
+        let drives = self.drives(&point);
+        let (score, evaluator) = match &self.afferents {
+            Afferents::Membrane(scene, options) => {
+                let evaluator = Evaluator::new(scene.with_drives(drives).expect(EVERY_DRIVE), *options)?;
+                (self.score(evaluator.counts()), Some(Box::new(evaluator)))
+            }
+            Afferents::Second(_) => (self.score(&self.counts(drives).0), None),
+        };
+        Ok(Incumbent { objective: self, point, score, evaluator })
     }
 
     /// The number of afferents in all populations.
     #[must_use]
     pub fn afferents(&self) -> usize {
-        self.scene.afferents().len()
+        match &self.afferents {
+            Afferents::Membrane(scene, _) => scene.afferents().len(),
+            Afferents::Second(scene) => scene.afferents().len(),
+        }
     }
 
     /// Duration of the simulation, s.
     #[must_use]
     pub const fn duration_s(&self) -> f64 {
-        self.scene.duration_s()
+        self.duration_s
+    }
+
+    /// The counts of the second model for some drives, and the number of afferents.
+    fn counts(&self, drives: Vec<Drive>) -> (Vec<u64>, usize) {
+        let Afferents::Second(scene) = &self.afferents else {
+            unreachable!("the first model has an evaluator")
+        };
+        let scene = scene.with_drives(drives).expect(EVERY_DRIVE);
+        let answer = fingertip::simulate(&scene, Keep::Rates, &|_| ());
+        (answer.expect("no spikes are kept, so there are never too many").counts, scene.afferents().len())
     }
 
     fn drives(&self, point: &Point) -> Vec<Drive> {
@@ -166,7 +232,8 @@ pub struct Incumbent<'o> {
     objective: &'o Objective,
     point: Point,
     score: Score,
-    evaluator: Evaluator,
+    /// None in the second model, where every pin moves the skin under all others: nothing of an answer holds for another point.
+    evaluator: Option<Box<Evaluator>>,
 }
 
 /// Another point, with its score.
@@ -178,7 +245,8 @@ pub struct Tried {
     pub score: Score,
     /// The number of afferents that were simulated for it.
     pub afferents: usize,
-    candidate: Candidate,
+    /// None in the second model.
+    candidate: Option<Box<Candidate>>,
 }
 
 impl<'o> Incumbent<'o> {
@@ -204,12 +272,14 @@ impl<'o> Incumbent<'o> {
     #[must_use]
     pub fn try_all(&self, points: Vec<Point>) -> Vec<Tried> {
         let tried = |point: Point| {
-            let candidate = self
-                .evaluator
-                .evaluate(&self.objective.drives(&point))
-                .expect("a scene can have every drive of a space");
+            let drives = self.objective.drives(&point);
+            let Some(evaluator) = &self.evaluator else {
+                let (counts, afferents) = self.objective.counts(drives);
+                return Tried { point, score: self.objective.score(&counts), afferents, candidate: None };
+            };
+            let candidate = evaluator.evaluate(&drives).expect(EVERY_DRIVE);
             let score = self.objective.score(&candidate.counts());
-            Tried { point, score, afferents: candidate.simulated(), candidate }
+            Tried { point, score, afferents: candidate.simulated(), candidate: Some(Box::new(candidate)) }
         };
         points.into_par_iter().map(tried).collect()
     }
@@ -217,6 +287,8 @@ impl<'o> Incumbent<'o> {
     /// Makes a tried point the incumbent.
     pub fn move_to(&mut self, tried: Tried) {
         (self.point, self.score) = (tried.point, tried.score);
-        self.evaluator.accept(tried.candidate);
+        if let Some((evaluator, candidate)) = self.evaluator.as_mut().zip(tried.candidate) {
+            evaluator.accept(*candidate);
+        }
     }
 }

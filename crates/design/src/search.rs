@@ -27,7 +27,7 @@ use crate::point::{Point, Space};
 use crate::target::{Frame, Target};
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::random;
-use meissner_skin::{MethodError, SEARCH_MIN_WEIGHT};
+use meissner_skin::{MethodError, ModelName, SEARCH_MIN_WEIGHT};
 use std::collections::HashSet;
 use std::ops::ControlFlow;
 use std::time::Instant;
@@ -35,6 +35,8 @@ use std::time::Instant;
 /// The task of a search.
 #[derive(Clone, Debug)]
 pub struct Brief<'b> {
+    /// The model that predicts rates.
+    pub model: ModelName,
     /// What it maximises.
     pub goal: Goal,
     /// The target: its reach, amplitude and afferent model.
@@ -249,8 +251,8 @@ impl Run<'_> {
     }
 
     fn stage(&mut self, stage: &Stage, point: Point) -> Result<(Point, Score), MethodError> {
-        let Brief { goal, target, frame, populations, noise_seed, .. } = *self.brief;
-        let objective = Objective::new(goal, target, frame, populations, noise_seed, stage.fidelity);
+        let Brief { model, goal, target, frame, populations, noise_seed, .. } = *self.brief;
+        let objective = Objective::under(model, goal, target, frame, populations, noise_seed, stage.fidelity);
         let mut state = StageState { incumbent: objective.at(point)?, seen: HashSet::from([point]) };
         self.spend(objective.afferents(), &objective);
         self.record(&state);

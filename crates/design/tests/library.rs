@@ -3,6 +3,7 @@ use meissner_design::{
     Budget, Conditions, Goal, Request, Setting, Target, judge, make, populations, pulses_per_s, robustness,
     shipped, shipped_names,
 };
+use meissner_skin::ModelName;
 use rayon::ThreadPoolBuilder;
 use std::fs;
 use std::ops::ControlFlow::Continue;
@@ -26,6 +27,7 @@ fn request(pattern: &Pattern) -> Request {
     let whole = |value: &toml::Value| value.as_integer().unwrap().try_into().unwrap();
     assert_eq!(provenance["setting"].as_str(), Some("default"));
     Request {
+        model: ModelName::Membrane,
         goal: Goal::Contrast,
         setting: Setting::Default,
         seed: whole(&provenance["seed"]),

@@ -96,3 +96,26 @@ fn targets_are_told_apart_by_their_patterns() {
     let still = &name_targets(&targets, &[vec![], vec![], vec![]], &FINGERS, ModelName::Membrane).unwrap()[0];
     assert!(still.targets.iter().flatten().all(|of| *of == still.targets[0][0]));
 }
+
+/// The score under the second model is the verdict of `judge` under it, and a search is no worse than where it begins.
+#[test]
+fn a_search_under_the_second_model_is_judged_by_it_and_shows_both() {
+    let target = shipped("dot").unwrap();
+    let budget = Budget::Evaluations(vec![12]);
+    let request = Request { model: ModelName::Afferents, goal: Goal::Contrast, budget, ..Request::default() };
+    let made = make(&target, "made", &request, &mut |_| Continue(())).unwrap();
+    assert_eq!(made.value, made.verdict.cost_hz);
+    assert!(made.baselines.iter().all(|of| made.value >= of.value), "{:?}", made.baselines);
+    let names: Vec<_> = made.models.iter().map(|of| of.model).collect();
+    assert_eq!(names, [ModelName::Membrane, ModelName::Afferents]);
+    assert_eq!(made.models[1].verdict, made.verdict);
+    // The first model fires several times per cycle, the second once at most.
+    assert!(made.models[0].verdict.on_hz > 2.0 * made.models[1].verdict.on_hz, "{:?}", made.models);
+    let provenance = made.pattern.provenance();
+    assert_eq!(provenance["skin_model"].as_str(), Some("afferents"));
+    let shown = &provenance["contrast_by_model"]["membrane"];
+    assert_eq!(shown["pattern"].as_float(), Some(made.models[0].verdict.cost_hz));
+    assert_eq!(shown["naive-reach"].as_float(), Some(made.models[0].baselines[0].verdict.cost_hz));
+    let again = make(&target, "made", &request, &mut |_| Continue(())).unwrap();
+    assert_eq!(again.pattern.to_toml(), made.pattern.to_toml());
+}

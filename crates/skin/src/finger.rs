@@ -134,6 +134,13 @@ impl Finger {
         Self { model, afferents }
     }
 
+    /// The finger with the afferents of one class alone.
+    #[must_use]
+    pub fn only(mut self, class: Class) -> Self {
+        self.afferents.retain(|afferent| afferent.class == class);
+        self
+    }
+
     /// The finger shifted on the array.
     #[must_use]
     pub fn shifted(mut self, [x_mm, y_mm]: [f64; 2]) -> Self {

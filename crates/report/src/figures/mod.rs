@@ -7,6 +7,7 @@
 //! Invariant: the same patterns give the same bytes. No time, machine or directory is in them.
 
 mod amplitude;
+mod baselines;
 mod color;
 mod confusion;
 mod edge;
@@ -22,6 +23,7 @@ mod table;
 mod target;
 
 pub use amplitude::{AMPLITUDES_UM, Amplitude};
+pub use baselines::Compared;
 pub use confusion::{confusion_csv, plot_confusion};
 pub use edge::{ByAmplitude, Edge, Others};
 pub use error::FiguresError;

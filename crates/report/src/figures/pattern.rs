@@ -7,6 +7,7 @@
 //!
 //! Invariant: all that is shown is computed from the pattern or written in it.
 
+use crate::figures::baselines;
 use crate::figures::error::FiguresError;
 use crate::figures::map::{Aim, FINGERTIP, Pad, Panel, Pin, motors, pads, small};
 use crate::figures::page::Section;
@@ -83,6 +84,10 @@ pub(super) fn section(
     let target = Target::made_for(pattern);
     let response = Response::of(pattern, &segments, target.as_ref(), progress)?;
     let frames = target.as_ref().map(|target| response.frames(target)).unwrap_or_default();
+    let compared = match &target {
+        Some(target) => baselines::compare(target, pattern.drives())?,
+        None => Vec::new(),
+    };
     let figures = PatternFigures {
         name: pattern.name().to_owned(),
         drives: pattern.drives().len(),
@@ -98,6 +103,7 @@ pub(super) fn section(
         target: target.as_ref().map(|target| TargetFigures {
             name: target.name().to_owned(),
             frames: frames.iter().map(FrameRates::figures).collect(),
+            compared: compared.clone(),
         }),
     };
 
@@ -147,6 +153,9 @@ pub(super) fn section(
     section.figure(&format!("pattern-{name}-rates"), pads(&[pad]), Some(numbers), &caption, &command);
     if let (Some(target), None) = (&target, still) {
         frame_figure(&mut section, &response, target, &frames, (name, &command));
+    }
+    if !compared.is_empty() {
+        section.table("Beside rules of thumb that need no search", &baselines::rows(&compared));
     }
 
     if !pattern.drives().is_empty() {

@@ -4,6 +4,7 @@
 //!
 //! Invariant: a verdict depends on the rates and the places of the afferents, on nothing else in the provenance.
 
+use crate::figures::baselines::Compared;
 use crate::figures::map::Aim;
 use meissner_design::{Frame, Partition, Target, Verdict};
 use meissner_skin::afferent::Position;
@@ -19,6 +20,8 @@ pub struct TargetFigures {
     pub name: String,
     /// The frames that were simulated whole; a target at rest has one.
     pub frames: Vec<FrameFigures>,
+    /// The pattern beside the naive rules, under both models.
+    pub compared: Vec<Compared>,
 }
 
 /// A frame and its verdict.

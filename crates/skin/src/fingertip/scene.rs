@@ -11,6 +11,7 @@ use crate::ramps::Ramps;
 use crate::scene::{Problem, Scene as MembraneScene};
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::geometry;
+use meissner_array::pattern::Drive;
 use meissner_input::document::{self, in_range};
 use std::sync::Arc;
 
@@ -103,6 +104,18 @@ impl Scene {
         }
         .checked()
         .map_err(|fault| fault.in_file(None))
+    }
+
+    /// The scene with other drives, for motors of the array. Only they are checked, and the afferents are shared.
+    ///
+    /// # Errors
+    /// The first thing that is wrong with them, by the key it would have in a file.
+    ///
+    /// # Panics
+    /// If something else moves the pins.
+    pub fn with_drives(&self, drives: Vec<Drive>) -> Result<Self, document::DocumentError<Problem>> {
+        let Pins::Motors(motors) = &self.pins else { panic!("the pins of this scene have no drives") };
+        Ok(Self { pins: Pins::Motors(Box::new(motors.with_drives(drives)?)), ..self.clone() })
     }
 
     /// A scene of the bursts that motors really made, for their first `duration_s`. `seed` is that of the noise.

@@ -6,6 +6,7 @@ use meissner_array::geometry;
 use meissner_design::{
     Brief, Fidelity, Found, Goal, Limit, Objective, Point, Score, Setting, Step, Target, Vibration, search,
 };
+use meissner_skin::ModelName;
 use meissner_skin::afferent::Position;
 use rayon::prelude::*;
 use std::ops::{ControlFlow, RangeInclusive};
@@ -51,6 +52,7 @@ pub(super) fn near_hz(point: &Point, motors: &[u8]) -> f64 {
 
 pub(super) fn found(target: &Target, limit: Limit) -> Result<Found, FiguresError> {
     let brief = Brief {
+        model: ModelName::Membrane,
         goal: Goal::Contrast,
         target,
         frame: &target.frames()[0],
