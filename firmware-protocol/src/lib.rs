@@ -141,15 +141,24 @@
 //!
 //! # What the controller does
 //! It renders lines at most [`controller::HORIZON`] ticks ahead, in blocks of [`controller::BLOCK`]. A stroke is *late* if
-//! it begins before the rendered end. A firmware looks for e-stops in the bytes as they arrive ([`urgent`]), before it reads
-//! the bytes that came earlier, and in SETUP packets of USB ([`urgent::e_stop_request`]). Where hosts can connect over several lines, a `Hello` on another line takes over, and the
+//! it begins before the rendered end, or before the drivers are ready.
+//!
+//! It enables the drivers around bursts only, because an enabled driver without pulses has DC on its piezo. They are on from
+//! [`controller::DRIVER_LEAD`] before the first pulse of any line to [`controller::DRIVER_TAIL`] after the last, and off in each
+//! pause of all lines that is longer than both. They are *ready* once they have been on for the lead. So while they are off, a
+//! stroke is late unless it begins a lead after the rendered end, and a return begins by as much later. `horizon` in the
+//! handshake is the sum of both. A stroke that a limit refuses when it is to begin has had its lead: then the drivers are on
+//! without a pulse, for longer if more such strokes follow.
+//!
+//! A firmware looks for e-stops in the bytes as they arrive ([`urgent`]), before it reads the bytes that came earlier, and in
+//! SETUP packets of USB ([`urgent::e_stop_request`]). Where hosts can connect over several lines, a `Hello` on another line takes over, and the
 //! first line counts as lost.
 //!
 //! *Outstanding return pulses* are the down pulses that a pin still needs to be back at rest. A stroke that is cut in its up
 //! burst leaves the up pulses played outstanding, and its surplus. A stroke that is cut later leaves the rest of its down burst
 //! outstanding.
-//! A *return* begins at the rendered end: it cuts the running strokes, flushes the queue and at once plays the outstanding
-//! return pulses, then the lines are off. No limit on on-time or pushing refuses it, but it counts.
+//! A *return* cuts the running strokes at the rendered end, flushes the queue and plays the outstanding return pulses as soon as
+//! the drivers are ready, which they are during a burst; then the lines are off. No limit on on-time or pushing refuses it, but it counts.
 //!
 //! | event | what the controller does |
 //! |---|---|

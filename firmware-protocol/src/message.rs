@@ -227,7 +227,7 @@ pub struct DeviceHello {
     pub tick_hz: u32,
     /// Stroke slots.
     pub pool: u16,
-    /// Most ticks rendered ahead.
+    /// A stroke that begins this many ticks from now, or later, is never late: the render horizon and the drivers' lead.
     pub horizon: u8,
     /// Most up pulses of a stroke.
     pub max_up_pulses: u16,

@@ -154,7 +154,7 @@ fn no_amendment_exceeds_the_limits_of_a_stroke() {
 #[test]
 fn rendering_nothing_changes_nothing() {
     let mut bench = Bench::armed(FIRMWARE);
-    let first = stroke(1, bench.device.rendered().0, 20, 10, 20);
+    let first = stroke(1, bench.device.ready().0, 20, 10, 20);
     bench.strokes(&[first]);
     assert_eq!(bench.device.render(0).ticks, 0);
     bench.amend(1, &first, Up, 14);

@@ -1,10 +1,12 @@
 //! A shell around the controller, as thin as the firmware's, that records every pulse.
 //!
 //! It renders in blocks and holds the lines low while `forced_off`. Only [`Bench::tick`] moves time. An event reaches the
-//! controller in the tick `now`, whose lines are already out (except in [`MOCK`]).
+//! controller in the tick `now`, whose lines are already out (except in [`MOCK`]). In each tick it checks the driver enable.
 
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
-use firmware_protocol::controller::{BLOCK, Controller, HORIZON, Identity, REORDER_WINDOW};
+use firmware_protocol::controller::{
+    BLOCK, Controller, DRIVER_LEAD, DRIVER_TAIL, HORIZON, Identity, REORDER_WINDOW, Run,
+};
 use firmware_protocol::frame::{Decoder, MAX_FRAME, encode};
 use firmware_protocol::limits::{MAX_PUSHES_PER_S, OnTimeLimits};
 use firmware_protocol::message::{
@@ -36,6 +38,9 @@ pub(crate) const ONSET: Mark = Mark { kind: MarkKind::Play, trigger: Some(Trigge
 /// The lower stop that [`arm`] names.
 pub(crate) const STOP: LowerStop = LowerStop { pulses_per_s: MAX_PUSHES_PER_S, seek: 0 };
 
+/// Ticks from now to [`Bench::soon`].
+pub(crate) const SOON: u64 = (HORIZON + DRIVER_LEAD) as u64 + 5;
+
 /// The host watchdog timeout that [`Bench::arm`] sets.
 pub(crate) const HOST_TIMEOUT: u32 = 2 * TICK_HZ;
 
@@ -44,10 +49,16 @@ pub(crate) struct Bench {
     pub(crate) now: u64,
     start: u64,
     shell: Shell,
-    ahead: VecDeque<(Lines, bool)>,
+    /// Runs of one tick, and whether a limit refused a stroke that was to begin in it.
+    ahead: VecDeque<(Run, bool)>,
     log: Vec<(u64, Lines)>,
     /// Ticks in which the trigger was high.
     pub(crate) triggered: Vec<u64>,
+    /// Ticks for which the drivers have been enabled, and those without a pulse.
+    enabled: u32,
+    enabled_idle: u32,
+    /// Ticks in which the drivers were enabled.
+    pub(crate) enabled_ticks: u64,
     decoder: Decoder,
     /// All messages that the device has sent.
     pub(crate) inbox: Vec<DeviceMessage>,
@@ -96,6 +107,9 @@ impl Bench {
             ahead: VecDeque::new(),
             log: Vec::new(),
             triggered: Vec::new(),
+            enabled: 0,
+            enabled_idle: 0,
+            enabled_ticks: 0,
             decoder: Decoder::default(),
             inbox: Vec::new(),
             epoch: 0,
@@ -108,6 +122,11 @@ impl Bench {
             bench.play();
         }
         bench
+    }
+
+    /// A tick at which a stroke that is sent now can begin, in every shell, whether the drivers are on or not.
+    pub(crate) fn soon(&self) -> u64 {
+        self.now + SOON
     }
 
     /// An armed bench with every pin at rest.
@@ -133,18 +152,22 @@ impl Bench {
 
     fn fill(&mut self, to: u64) {
         while self.device.rendered().0 < to {
+            let refused = self.device.counters().refused;
             let run = self.device.render((to - self.device.rendered().0) as u32);
+            let refuses = self.device.counters().refused > refused;
             assert!(run.ticks > 0, "rendering makes progress");
-            self.ahead.extend((0..run.ticks).map(|_| (run.lines, run.trigger)));
+            self.ahead.extend((0..run.ticks).map(|_| (Run { ticks: 1, ..run }, refuses)));
         }
         assert!(self.device.rendered() - Tick(self.now) <= u64::from(HORIZON));
     }
 
     /// Puts out the lines of the tick `now`.
     fn play(&mut self) {
-        let rendered = self.ahead.pop_front().expect("a rendered tick");
+        let (rendered, refuses) = self.ahead.pop_front().expect("a rendered tick");
         let forced = self.device.forced_off(Tick(self.now));
-        let (lines, trigger) = if forced { (Lines::OFF, false) } else { rendered };
+        let off = Run { lines: Lines::OFF, trigger: false, drivers: false, ticks: 1 };
+        let Run { lines, trigger, drivers, .. } = if forced { off } else { rendered };
+        self.check_drivers(lines != Lines::OFF, drivers, refuses);
         if trigger {
             self.triggered.push(self.now);
         }
@@ -153,6 +176,26 @@ impl Bench {
         if lines != Lines::OFF {
             self.log.push((self.now, lines));
         }
+    }
+
+    /// No pulse comes before the drivers' lead, and they are not enabled for longer than lead and tail without one,
+    /// except where a limit refuses a stroke in the tick in which it was to begin.
+    fn check_drivers(&mut self, pulse: bool, enabled: bool, refuses: bool) {
+        let at = self.now;
+        if !enabled {
+            assert!(!pulse, "a pulse with the drivers off at {at}");
+            (self.enabled, self.enabled_idle) = (0, 0);
+            return;
+        }
+        self.enabled += 1;
+        self.enabled_ticks += 1;
+        self.enabled_idle = if pulse || refuses { 0 } else { self.enabled_idle + 1 };
+        assert!(
+            !pulse || self.enabled > DRIVER_LEAD,
+            "a pulse {} ticks after the enable at {at}",
+            self.enabled - 1
+        );
+        assert!(self.enabled_idle <= DRIVER_LEAD + DRIVER_TAIL, "drivers enabled without a pulse at {at}");
     }
 
     /// Lets one tick pass.
@@ -217,6 +260,10 @@ impl Bench {
 
     pub(crate) fn bytes(&mut self, bytes: &[u8]) {
         self.device.receive(Tick(self.now), bytes);
+        if self.device.state() == State::Faulted {
+            // A shell forces the drivers off at once.
+            (self.enabled, self.enabled_idle) = (0, 0);
+        }
         self.drain();
     }
 

@@ -37,7 +37,7 @@ fn phases(stroke: &Stroke) -> std::ops::Range<u64> {
 /// Queues a stroke of 7 up pulses, held for 6 ticks, and `down` down pulses, 100 ticks from now, and one much later.
 fn queued(shell: Shell, down: u16) -> (Bench, Stroke) {
     let mut bench = Bench::armed(shell);
-    let stroke = stroke(3, bench.now + 100, 7, 6, down);
+    let stroke = stroke(3, bench.soon(), 7, 6, down);
     let later = Stroke { up: stroke.up + 5_000, down: stroke.down + 5_000, ..stroke };
     bench.strokes(&[stroke, later]);
     (bench, stroke)
@@ -127,7 +127,7 @@ fn a_host_silent_at_every_phase_returns_and_disarms() {
             bench.hello(1);
             let host_timeout = u32::try_from(expires - bench.now).unwrap();
             bench.control(arm(true, host_timeout, OnTimeLimits::NONE));
-            let stroke = stroke(3, bench.now + 100, 7, 6, 7);
+            let stroke = stroke(3, bench.soon(), 7, 6, 7);
             bench.strokes(&[stroke]);
             bench.run_to(expires);
             bench.is(State::Armed, Cause::Request);
@@ -212,7 +212,7 @@ fn an_e_stop_or_a_fault_at_every_phase_ends_with_its_tick_and_keeps_the_return_p
                         (outstanding, outstanding as u32)
                     );
                     assert!(bench.status().position_known);
-                    let from = bench.device.rendered().0;
+                    let from = bench.device.ready().0;
                     bench.arm(false);
                     assert_eq!(
                         bench.device.state(),
@@ -265,7 +265,7 @@ fn an_e_stop_at_every_phase_of_a_return_leaves_the_rest_outstanding() {
 fn return_pulses_survive_any_number_of_e_stops_while_they_are_played() {
     for shell in SHELLS {
         let mut bench = Bench::armed(shell);
-        bench.strokes(&[stroke(5, bench.now + 100, 50, 50, 50)]);
+        bench.strokes(&[stroke(5, bench.soon(), 50, 50, 50)]);
         bench.run(170);
         bench.control(Op::EStop);
         let mut rounds = 0;
@@ -273,7 +273,7 @@ fn return_pulses_survive_any_number_of_e_stops_while_they_are_played() {
             assert_eq!(bench.net(5), bench.outstanding() as i64);
             bench.control(Op::Reset);
             bench.arm(false);
-            bench.run(70);
+            bench.run_to(bench.soon());
             bench.control(Op::EStop);
             rounds += 1;
         }
@@ -287,7 +287,7 @@ fn an_e_stop_with_100_ms_of_24_motors_queued_turns_all_lines_off_after_its_tick(
     for shell in SHELLS {
         for event in [150u64, 300, 999, 1_500, 2_345, 8_000] {
             let mut bench = Bench::armed(shell);
-            let start = bench.now + 100;
+            let start = bench.soon();
             let mut strokes: Vec<Stroke> = (0..MOTORS as u8)
                 .flat_map(|motor| (0..6).map(move |k| (motor, k)))
                 .map(|(motor, k)| stroke(motor, start + 59 * u64::from(motor) + 1_417 * k, 147, 561, 147))
@@ -320,7 +320,7 @@ fn an_e_stop_with_100_ms_of_24_motors_queued_turns_all_lines_off_after_its_tick(
 #[test]
 fn a_stop_of_24_motors_takes_at_most_one_burst_and_stays_armed() {
     let mut bench = Bench::armed(FIRMWARE);
-    let start = bench.now + 100;
+    let start = bench.soon();
     for motor in 0..MOTORS as u8 {
         bench.strokes(&[stroke(motor, start + 20 * u64::from(motor), 147, 300, 147)]);
     }
@@ -333,7 +333,7 @@ fn a_stop_of_24_motors_takes_at_most_one_burst_and_stays_armed() {
     assert!(bench.last_pulse().is_some_and(|last| last < at + 147));
     assert!((0..MOTORS as u8).all(|motor| bench.net(motor) == 0 && bench.pulses(motor).count() > 0));
     // It takes strokes at once.
-    let next = stroke(0, bench.now + 100, 5, 5, 5);
+    let next = stroke(0, bench.soon(), 5, 5, 5);
     bench.strokes(&[next]);
     bench.run(200);
     assert_eq!(bench.bursts(0)[2..], next.bursts());
@@ -343,7 +343,7 @@ fn a_stop_of_24_motors_takes_at_most_one_burst_and_stays_armed() {
 fn a_pin_held_for_more_than_16_bits_of_ticks_is_returned_or_outstanding() {
     for (event, down) in [(Op::Stop, true), (Op::EStop, false)] {
         let mut bench = Bench::armed(FIRMWARE);
-        let held = stroke(3, bench.now + 100, 50, 100_000, 50);
+        let held = stroke(3, bench.soon(), 50, 100_000, 50);
         bench.strokes(&[held]);
         bench.run(70_000);
         bench.control(event);
@@ -357,7 +357,7 @@ fn a_pin_held_for_more_than_16_bits_of_ticks_is_returned_or_outstanding() {
 #[test]
 fn ticks_rendered_before_an_e_stop_stay_off_through_reset_and_arm() {
     let mut bench = Bench::armed(FIRMWARE);
-    let cut = stroke(3, bench.now + 64, 200, 5, 200);
+    let cut = stroke(3, bench.soon(), 200, 5, 200);
     bench.strokes(&[cut]);
     bench.run_to(cut.up.0 + 10);
     bench.control(Op::EStop);
@@ -366,14 +366,15 @@ fn ticks_rendered_before_an_e_stop_stay_off_through_reset_and_arm() {
     let from = bench.device.rendered().0;
     assert!(from > bench.now + 1 && bench.device.forced_off(Tick(from - 1)));
     assert!(!bench.device.forced_off(Tick(from)));
+    let back = bench.device.ready().0;
     bench.settle();
-    assert_eq!(bench.bursts(3), [burst(cut.up.0, Up, 11), burst(from, Down, 11)]);
+    assert_eq!(bench.bursts(3), [burst(cut.up.0, Up, 11), burst(back, Down, 11)]);
 }
 
 #[test]
 fn a_starved_shell_counts_as_played_up_to_the_rendered_end() {
     let mut bench = Bench::armed(FIRMWARE);
-    let starved = stroke(3, bench.now + 100, 200, 50, 200);
+    let starved = stroke(3, bench.soon(), 200, 50, 200);
     bench.strokes(&[starved]);
     bench.run(80);
     let rendered = bench.device.rendered();
@@ -387,7 +388,7 @@ fn a_starved_shell_counts_as_played_up_to_the_rendered_end() {
 #[test]
 fn an_e_stop_seen_before_its_frame_takes_effect_once_and_at_once() {
     let mut bench = Bench::armed(FIRMWARE);
-    let first = stroke(1, bench.now + 100, 200, 5, 200);
+    let first = stroke(1, bench.soon(), 200, 5, 200);
     bench.onset(first.up.0, &[first]);
     bench.run_to(first.up.0 + 50);
     let epoch = bench.epoch.wrapping_add(1);

@@ -144,7 +144,7 @@ fn the_sequence_and_the_epoch_wrap() {
         bench.frame(None, bench.now, &[]);
         bench.inbox.drain(..bench.inbox.len() - 1);
     }
-    let next = stroke(1, bench.now + 100, 7, 6, 7);
+    let next = stroke(1, bench.soon(), 7, 6, 7);
     let stale = strokes(&bench, bench.epoch, 2, &[next]);
     bench.bytes(&stale);
     bench.bytes(&strokes(&bench, bench.epoch, 13, &[next]));
@@ -230,7 +230,7 @@ fn a_full_ring_takes_no_strokes_and_loses_the_newest_report() {
     bench.ping(1);
     assert_eq!(bench.seen, REPORTS as u16);
     assert_eq!(bench.reports().len(), REPORTS);
-    let next = stroke(1, bench.now + 100, 7, 6, 7);
+    let next = stroke(1, bench.soon(), 7, 6, 7);
     bench.strokes(&[next]);
     bench.run(200);
     assert_eq!(bench.bursts(1), next.bursts());
@@ -239,7 +239,7 @@ fn a_full_ring_takes_no_strokes_and_loses_the_newest_report() {
 #[test]
 fn the_numbers_of_reports_wrap() {
     let mut bench = Bench::armed(FIRMWARE);
-    let bad = stroke(24, bench.now + 100, 7, 6, 7);
+    let bad = stroke(24, bench.soon(), 7, 6, 7);
     for round in 1..65_536u32 + 40 {
         bench.strokes(&[bad]);
         assert_eq!((u32::from(bench.seen), bench.status().reports), (round % 65_536, bench.seen));
@@ -255,7 +255,7 @@ fn before_a_hello_every_frame_is_answered_with_no_session_and_does_nothing() {
         frame(&HostMessage::Ping { token: 1, seen: 0 }),
         control(1, crate::bench::arm(true, 85_000, OnTimeLimits::NONE)),
         control(2, Op::EStop),
-        strokes(&bench, 0, 0, &[stroke(1, bench.now + 100, 7, 6, 7)]),
+        strokes(&bench, 0, 0, &[stroke(1, bench.soon(), 7, 6, 7)]),
         frame(&HostMessage::Amend { epoch: 0, generation: 1, base: Tick(0).wire(), items: &[] }),
     ];
     for bytes in &frames {
@@ -266,7 +266,7 @@ fn before_a_hello_every_frame_is_answered_with_no_session_and_does_nothing() {
     bench.is(State::Disarmed, Cause::Boot);
     // The same after a lost link.
     let mut bench = Bench::armed(FIRMWARE);
-    bench.strokes(&[stroke(1, bench.now + 70, 90, 6, 90)]);
+    bench.strokes(&[stroke(1, bench.soon(), 90, 6, 90)]);
     bench.run(80);
     bench.device.link_lost(Tick(bench.now));
     bench.inbox.clear();
@@ -280,9 +280,9 @@ fn before_a_hello_every_frame_is_answered_with_no_session_and_does_nothing() {
 #[test]
 fn the_same_session_again_changes_nothing_and_skips_no_report() {
     let mut bench = Bench::armed(FIRMWARE);
-    let next = stroke(1, bench.now + 100, 7, 6, 7);
+    let next = stroke(1, bench.soon(), 7, 6, 7);
     bench.strokes(&[next]);
-    bench.strokes(&[stroke(24, bench.now + 100, 7, 6, 7)]);
+    bench.strokes(&[stroke(24, bench.soon(), 7, 6, 7)]);
     let epoch = bench.epoch;
     bench.hello(1);
     let Some(DeviceMessage::Hello(hello)) = bench.inbox.last().copied() else { panic!("a hello") };

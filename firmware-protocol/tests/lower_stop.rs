@@ -30,13 +30,12 @@ fn without_a_stop_no_stroke_may_push_and_none_may_leave_its_pin_higher() {
     for shell in SHELLS {
         for (lower_stop, pushed) in [(None, Err(Refusal::Pushing)), (stop(100, 0), Ok(13))] {
             let mut bench = bench(shell, lower_stop);
-            let (balanced, longer) =
-                (stroke(1, bench.now + 100, 10, 5, 10), stroke(2, bench.now + 100, 10, 5, 13));
+            let (balanced, longer) = (stroke(1, bench.soon(), 10, 5, 10), stroke(2, bench.soon(), 10, 5, 13));
             bench.strokes(&[balanced, longer]);
             if let Err(refusal) = pushed {
                 assert_eq!(verdict(&bench), (0, 2, Some(refusal)));
             }
-            bench.strokes(&[stroke(3, bench.now + 100, 10, 5, 9)]);
+            bench.strokes(&[stroke(3, bench.soon(), 10, 5, 9)]);
             assert_eq!(verdict(&bench), (0, 1, Some(Refusal::Unbalanced)));
             bench.run(300);
             let played = bench.bursts(2).get(1).map(|down| down.pulses);
@@ -134,7 +133,7 @@ fn a_cut_stroke_returns_with_its_surplus() {
         for (cut, down) in [(5, None), (12, None), (25, Some(26))] {
             for op in [Op::Stop, Op::EStop] {
                 let mut bench = bench(shell, stop(100, 0));
-                let one = stroke(2, bench.now + 100, 20, 10, 26);
+                let one = stroke(2, bench.soon(), 20, 10, 26);
                 bench.strokes(&[one]);
                 bench.run_to(one.up.0 + cut);
                 bench.control(op);
@@ -256,7 +255,7 @@ fn pushes_are_limited_in_every_sliding_second() {
     for shell in SHELLS {
         let mut bench = bench(shell, stop(14, 0));
         let second = u64::from(TICK_HZ);
-        let from = bench.now + 100;
+        let from = bench.soon();
         let strokes: Vec<Stroke> = (0..4).map(|k| stroke(3, from + 100 * k, 20, 5, 26)).collect();
         bench.strokes(&strokes);
         // Other motors count for themselves, and strokes without a surplus do not count.
@@ -277,7 +276,7 @@ fn pushes_are_limited_in_every_sliding_second() {
         bench.control(Op::Seek { pulses: 9 });
         assert_eq!(bench.status().refusal, None);
         bench.settle();
-        bench.strokes(&[stroke(5, bench.now + 100, 20, 5, 26)]);
+        bench.strokes(&[stroke(5, bench.soon(), 20, 5, 26)]);
         bench.run(500);
         assert!(matches!(bench.last_report(), Report::Refused { motor: 5, reason: Refusal::Pushing, .. }));
     }
@@ -303,7 +302,7 @@ fn a_seek_that_may_not_reach_the_stop_is_refused_and_changes_nothing() {
 
         // As far as moves have raised a pin, and half as far again.
         bench.control(Op::Move { motor: 5, direction: Direction::Up, pulses: 400 });
-        bench.run(500);
+        bench.run(600);
         bench.control(Op::Seek { pulses: 600 });
         assert_eq!((bench.status().refusal, least_seek(400)), (Some(Refusal::Travel), 601));
         // The account is as before: the pin may rise by the rest of its travel, and not more.
@@ -311,7 +310,7 @@ fn a_seek_that_may_not_reach_the_stop_is_refused_and_changes_nothing() {
         assert_eq!(bench.status().refusal, Some(Refusal::Travel));
 
         // And the outstanding return pulses after an e-stop, of whichever motor has most.
-        let one = stroke(5, bench.now + 100, 200, 10, 260);
+        let one = stroke(5, bench.soon(), 200, 10, 260);
         bench.strokes(&[one]);
         bench.run_to(one.down.0 - 5);
         bench.control(Op::EStop);
@@ -337,16 +336,16 @@ fn a_pin_that_a_move_drives_against_the_stop_goes_no_further() {
         let shift = |direction, pulses| Op::Move { motor: 5, direction, pulses };
         let mut bench = bench(shell, stop(500, 0));
         bench.control(shift(Direction::Up, 100));
-        bench.run(200);
+        bench.run(300);
         // 100 of these take the pin to the stop, 400 push.
         bench.control(shift(Direction::Down, 500));
         assert_eq!(bench.status().refusal, None);
-        bench.run(600);
+        bench.run(700);
         bench.control(shift(Direction::Down, 101));
         assert_eq!(bench.status().refusal, Some(Refusal::Pushing));
         bench.control(shift(Direction::Down, 100));
         assert_eq!(bench.status().refusal, None);
-        bench.run(200);
+        bench.run(300);
         // The pin is at the stop, not below it: it may rise by its travel.
         bench.control(shift(Direction::Up, 3_001));
         assert_eq!(bench.status().refusal, Some(Refusal::Travel));
@@ -377,7 +376,7 @@ fn the_surplus_of_a_return_counts_when_it_is_played() {
         // Cut by an e-stop in its up burst, and in its down burst with some of the surplus left.
         for (cut, surplus) in [(12, 6), (30 + 23, 3)] {
             let mut bench = bench(shell, stop(14, 0));
-            let one = stroke(3, bench.now + 100, 20, 10, 26);
+            let one = stroke(3, bench.soon(), 20, 10, 26);
             bench.strokes(&[one]);
             bench.run_to(one.up.0 + cut - 1);
             bench.control(Op::EStop);
@@ -389,10 +388,10 @@ fn the_surplus_of_a_return_counts_when_it_is_played() {
             bench.control(arm(false, stop(14, 0)));
             bench.settle();
             let room = u16::try_from(14 - left).unwrap();
-            bench.strokes(&[stroke(3, bench.now + 100, 60, 5, 60 + room)]);
+            bench.strokes(&[stroke(3, bench.soon(), 60, 5, 60 + room)]);
             bench.run(400);
             assert_eq!(bench.device.counters().refused, 0, "{shell:?}");
-            bench.strokes(&[stroke(3, bench.now + 100, 20, 5, 21)]);
+            bench.strokes(&[stroke(3, bench.soon(), 20, 5, 21)]);
             bench.run(300);
             assert!(matches!(
                 bench.last_report(),
@@ -411,7 +410,7 @@ fn an_array_without_a_stop_plays_right_after_one_with_a_stop() {
         bench.control(Op::Disarm(Cause::Request));
         bench.settle();
         bench.control(arm(false, None));
-        bench.strokes(&[stroke(1, bench.now + 100, 10, 5, 10)]);
+        bench.strokes(&[stroke(1, bench.soon(), 10, 5, 10)]);
         bench.run(300);
         assert_eq!((bench.device.counters().played, bench.device.counters().refused), (2, 0));
         bench.control(Op::Move { motor: 1, direction: Direction::Up, pulses: 10 });

@@ -1,6 +1,6 @@
 //! Moves and their travel, and on-time limits of strokes, moves and amendments.
 
-use crate::bench::{Bench, HOST_TIMEOUT, SHELLS, Shell, arm, stroke};
+use crate::bench::{Bench, HOST_TIMEOUT, SHELLS, SOON, Shell, arm, stroke};
 use Direction::{Down, Up};
 use firmware_protocol::controller::POOL;
 use firmware_protocol::limits::{OnTimeLimits, Refusal};
@@ -33,7 +33,7 @@ fn moves_shift_a_pin_within_its_travel() {
             let before = bench.net(2);
             bench.control(shift(2, direction, pulses));
             assert_eq!(bench.status().refusal, refusal);
-            bench.run(u64::from(pulses) + 100);
+            bench.run(u64::from(pulses) + SOON);
             let moved = if refusal.is_some() { 0 } else { i64::from(pulses) };
             assert_eq!(bench.net(2) - before, if direction == Up { moved } else { -moved });
         };
@@ -64,7 +64,7 @@ fn moves_shift_a_pin_within_its_travel() {
 fn the_travel_of_a_cut_move_counts_as_far_as_it_went() {
     for shell in SHELLS {
         for (direction, limit) in [(Up, 3_000), (Down, -3_000)] {
-            for stop in (0..120).step_by(7) {
+            for stop in (0..160).step_by(7) {
                 for estop in (0..90).step_by(9).map(Some).chain([None]) {
                     let mut bench = without_stop(shell);
                     bench.control(shift(2, direction, 40));
@@ -95,7 +95,7 @@ fn an_on_time_limit_refuses_strokes_when_they_begin_and_is_named() {
         for (motor, rail, reason) in [(30, 510_000, Refusal::MotorOnTime), (85_000, 30, Refusal::RailOnTime)]
         {
             let mut bench = Bench::limited(shell, motor, rail);
-            let strokes: Vec<_> = (0..3).map(|k| stroke(3, bench.now + 100 + 50 * k, 7, 6, 7)).collect();
+            let strokes: Vec<_> = (0..3).map(|k| stroke(3, bench.soon() + 50 * k, 7, 6, 7)).collect();
             bench.strokes(&strokes);
             // The next rail is counted by itself.
             bench.strokes(&[stroke(6, bench.now + 300, 7, 6, 7)]);
@@ -119,14 +119,14 @@ fn every_pulse_counts_once_against_on_time() {
         // One stroke per 1.1 s, with as many pulses as the limit: none is refused.
         let mut bench = Bench::limited(shell, 14, 600);
         for _ in 0..5 {
-            bench.strokes(&[stroke(3, bench.now + 100, 7, 6, 7)]);
+            bench.strokes(&[stroke(3, bench.soon(), 7, 6, 7)]);
             bench.run(93_500);
         }
         assert_eq!((bench.device.counters().played, bench.device.counters().refused), (10, 0));
 
         // A stroke rendered to its end and cut by an e-stop is removed from the count once.
         let mut bench = Bench::limited(shell, 28, 600);
-        let first = stroke(3, bench.now + 100, 7, 6, 7);
+        let first = stroke(3, bench.soon(), 7, 6, 7);
         bench.strokes(&[first]);
         bench.run_to(first.end().0 - 1);
         bench.control(Op::EStop);
@@ -135,7 +135,7 @@ fn every_pulse_counts_once_against_on_time() {
         // The second stroke still counts when the first no longer does; the fourth breaks the limit.
         let second = u64::from(TICK_HZ);
         for at in [80_000, second + 5_000, second + 10_000] {
-            bench.run_to(first.up.0 + at - 100);
+            bench.run_to(first.up.0 + at - SOON);
             bench.strokes(&[stroke(3, first.up.0 + at, 7, 6, 7)]);
         }
         bench.run(500);
@@ -160,7 +160,7 @@ fn moves_and_amendments_of_begun_strokes_count_against_on_time() {
         bench.run(200);
         assert_eq!(bench.net(2), 0);
 
-        let begun = stroke(3, bench.now + 100, 9, 200, 9);
+        let begun = stroke(3, bench.soon(), 9, 200, 9);
         bench.strokes(&[begun]);
         bench.run(120);
         bench.amend(1, &begun, Down, 11);
@@ -173,7 +173,7 @@ fn moves_and_amendments_of_begun_strokes_count_against_on_time() {
         assert_eq!(bench.bursts(3)[1].pulses, 11);
 
         let mut bench = Bench::limited(shell, 19, 600);
-        let begun = stroke(3, bench.now + 100, 9, 200, 9);
+        let begun = stroke(3, bench.soon(), 9, 200, 9);
         bench.strokes(&[begun]);
         bench.run(120);
         bench.amend(1, &begun, Down, 10);
@@ -194,7 +194,7 @@ fn no_report_of_a_refused_stroke_is_lost() {
         let mut refused = Vec::new();
         for round in 0..44 {
             // The first stroke of each motor uses up its on-time. The last round finds 16 credits.
-            let next: Vec<_> = (0..24).map(|motor| stroke(motor, bench.now + 100, 7, 6, 7)).collect();
+            let next: Vec<_> = (0..24).map(|motor| stroke(motor, bench.soon(), 7, 6, 7)).collect();
             bench.strokes(&next);
             bench.run(130);
             let taken = if round < 43 { 24 } else { POOL - refused.len() };

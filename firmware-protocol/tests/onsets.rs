@@ -12,17 +12,17 @@ fn an_onset_is_all_or_nothing_and_reported_when_it_has_passed() {
     for shell in SHELLS {
         let mut bench = Bench::armed(shell);
         bench.run(50);
-        let rendered = bench.device.rendered();
+        let ready = bench.device.ready();
         // The strokes are in time, the onset is not.
-        let strokes = [stroke(1, rendered.0 + 10, 9, 5, 9), stroke(2, rendered.0 + 20, 9, 5, 9)];
-        bench.onset(rendered.0 - 1, &strokes);
-        assert_eq!(bench.reports(), [Report::OnsetRefused { seq: 0, rendered: rendered.wire() }]);
+        let strokes = [stroke(1, ready.0 + 10, 9, 5, 9), stroke(2, ready.0 + 20, 9, 5, 9)];
+        bench.onset(ready.0 - 1, &strokes);
+        assert_eq!(bench.reports(), [Report::OnsetRefused { seq: 0, rendered: ready.wire() }]);
         assert_eq!((bench.status().next_seq, bench.status().credits), (1, POOL as u16));
-        // At the rendered end it is in time. A stroke refused for another reason does not hold up the others.
-        let bad = stroke(30, rendered.0 + 12, 9, 5, 9);
-        bench.onset(rendered.0, &[strokes[0], bad, strokes[1]]);
+        // When the drivers are ready it is in time. A stroke refused for another reason does not hold up the others.
+        let bad = stroke(30, ready.0 + 12, 9, 5, 9);
+        bench.onset(ready.0, &[strokes[0], bad, strokes[1]]);
         assert_eq!(verdict(&bench), (0, 2, Some(Refusal::Motor)));
-        let later = rendered + 60;
+        let later = ready + 60;
         bench.onset(later.0, &[]);
         bench.run(300);
         let onsets: Vec<_> = bench
@@ -33,7 +33,7 @@ fn an_onset_is_all_or_nothing_and_reported_when_it_has_passed() {
                 _ => None,
             })
             .collect();
-        assert_eq!(onsets, [(rendered.wire(), 0, 0), (later.wire(), 4, 36)]);
+        assert_eq!(onsets, [(ready.wire(), 0, 0), (later.wire(), 4, 36)]);
         assert_eq!(
             (bench.bursts(1), bench.bursts(2)),
             (strokes[0].bursts().into(), strokes[1].bursts().into())
@@ -47,7 +47,7 @@ fn the_trigger_rises_with_each_onset_and_stays_for_10_ms() {
     let ms_10 = u64::from(Trigger::PULSE.width);
     for shell in SHELLS {
         let mut bench = Bench::armed(shell);
-        let base = bench.now + 100;
+        let base = bench.soon();
         // The third comes while the trigger is high from the second: one long pulse.
         let onsets = [base, base + 2_000, base + 2_500, base + 5_000];
         for onset in onsets {
@@ -66,7 +66,7 @@ fn the_trigger_rises_with_each_onset_and_stays_for_10_ms() {
         // A trigger that an e-stop ends does not continue after a reset.
         bench.control(Op::Reset);
         bench.arm(true);
-        let onset = bench.now + 100;
+        let onset = bench.soon();
         bench.onset(onset, &[]);
         bench.run_to(onset + 200);
         bench.control(Op::EStop);
@@ -118,7 +118,7 @@ fn onsets_flushed_by_a_cut_are_not_reported() {
 fn an_e_stop_in_the_tick_before_an_onset_leaves_it_unplayed_and_unreported() {
     for shell in SHELLS {
         let mut bench = Bench::armed(shell);
-        let first = stroke(1, bench.now + 100, 9, 5, 9);
+        let first = stroke(1, bench.soon(), 9, 5, 9);
         bench.onset(first.up.0, &[first]);
         bench.run(99);
         bench.control(Op::EStop);
@@ -132,11 +132,11 @@ fn an_e_stop_in_the_tick_before_an_onset_leaves_it_unplayed_and_unreported() {
 fn at_most_eight_onsets_wait() {
     let mut bench = Bench::armed(FIRMWARE);
     for k in 0..9 {
-        bench.onset(bench.now + 100 + k, &[]);
+        bench.onset(bench.soon() + k, &[]);
     }
     assert_eq!(bench.status().next_seq, 8);
-    bench.run(102);
-    bench.onset(bench.now + 100, &[]);
+    bench.run_to(bench.soon() + 2);
+    bench.onset(bench.soon(), &[]);
     assert_eq!(bench.status().next_seq, 9);
 }
 
@@ -145,12 +145,12 @@ fn a_late_mark_of_an_item_is_refused_alone() {
     for shell in SHELLS {
         let mut bench = Bench::armed(shell);
         bench.run(50);
-        let rendered = bench.device.rendered();
-        let strokes = [stroke(1, rendered.0 - 1, 9, 5, 9), stroke(2, rendered.0 + 20, 9, 5, 9)];
+        let ready = bench.device.ready();
+        let strokes = [stroke(1, ready.0 - 1, 9, 5, 9), stroke(2, ready.0 + 20, 9, 5, 9)];
         let item = Mark { kind: MarkKind::Item, trigger: Some(Trigger::PULSE) };
-        bench.frame(Some(item), rendered.0 - 1, pack(rendered.0 - 1, &strokes).bytes());
+        bench.frame(Some(item), ready.0 - 1, pack(ready.0 - 1, &strokes).bytes());
         bench.run(2_000);
-        let rendered = rendered.wire();
+        let rendered = ready.wire();
         assert_eq!(
             bench.reports(),
             [
@@ -167,7 +167,7 @@ fn a_late_mark_of_an_item_is_refused_alone() {
 fn the_trigger_gives_each_code_as_a_serial_frame() {
     for shell in SHELLS {
         let mut bench = Bench::armed(shell);
-        let mut onset = bench.now + 100;
+        let mut onset = bench.soon();
         for (width, code) in [(1, 1), (0, 85), (7, 0b1011_0010), (850, 255), (85, 128), (300, 0)] {
             let cell = u64::from(width).max(1);
             let kind = if code % 2 == 0 { MarkKind::Item } else { MarkKind::Play };
@@ -177,7 +177,7 @@ fn the_trigger_gives_each_code_as_a_serial_frame() {
             let cells = (0..10u64).filter(|&k| k == 0 || (k <= 8 && code >> (k - 1) & 1 == 1));
             let high: Vec<u64> = cells.flat_map(|k| (0..cell).map(move |i| onset + k * cell + i)).collect();
             assert_eq!(bench.triggered, high, "width {width}, code {code}, {shell:?}");
-            onset = bench.now + 100;
+            onset = bench.soon();
         }
         // A play without a trigger is reported, and the output stays low.
         bench.triggered.clear();

@@ -12,8 +12,9 @@ type Made = (&'static str, fn(Shell) -> Bench);
 /// An armed bench in the middle of a stroke.
 fn with_pin_up(shell: Shell) -> Bench {
     let mut bench = Bench::armed(shell);
-    bench.strokes(&[stroke(3, bench.now + 64, 90, 5, 90)]);
-    bench.run(90);
+    let up = bench.soon();
+    bench.strokes(&[stroke(3, up, 90, 5, 90)]);
+    bench.run_to(up + 26);
     bench
 }
 
@@ -163,8 +164,9 @@ fn after_power_up_the_position_is_unknown_even_through_a_fault() {
 #[test]
 fn assuming_rest_clears_outstanding_return_pulses() {
     let mut bench = Bench::armed(FIRMWARE);
-    bench.strokes(&[stroke(3, bench.now + 100, 20, 5, 20)]);
-    bench.run(110);
+    let up = bench.soon();
+    bench.strokes(&[stroke(3, up, 20, 5, 20)]);
+    bench.run_to(up + 10);
     bench.control(Op::EStop);
     bench.control(Op::Reset);
     assert_eq!((bench.outstanding(), bench.device.outstanding(24)), (11, 0));
@@ -177,7 +179,7 @@ fn assuming_rest_clears_outstanding_return_pulses() {
 #[test]
 fn a_session_opened_by_a_shell_is_like_any_other() {
     let mut bench = Bench::armed(FIRMWARE);
-    let stroke = stroke(1, bench.now + 100, 200, 50, 200);
+    let stroke = stroke(1, bench.soon(), 200, 50, 200);
     bench.onset(stroke.up.0, &[stroke]);
     bench.run_to(stroke.up.0 + 50);
     bench.device.open_session(Tick(bench.now), 77);
@@ -227,7 +229,7 @@ fn the_clock_may_start_anywhere_and_go_backward() {
         let mut bench = Bench::starting_at(FIRMWARE, Tick(start));
         bench.hello(1);
         bench.arm(true);
-        let first = stroke(1, bench.now + 100, 20, 10, 20);
+        let first = stroke(1, bench.soon(), 20, 10, 20);
         bench.strokes(&[first]);
         // Bytes with an older time of arrival.
         bench.run(50);

@@ -1,6 +1,6 @@
 //! Which strokes the controller accepts, and that it plays them as sent.
 
-use crate::bench::{Bench, FIRMWARE, SHELLS, stroke};
+use crate::bench::{Bench, FIRMWARE, SHELLS, SOON, stroke};
 use firmware_protocol::controller::POOL;
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::Report;
@@ -15,19 +15,19 @@ pub(crate) fn verdict(bench: &Bench) -> (u64, u64, Option<Refusal>) {
 }
 
 #[test]
-fn a_stroke_is_late_one_tick_before_the_rendered_end_and_then_dropped_whole() {
+fn a_stroke_is_late_one_tick_before_the_drivers_are_ready_and_then_dropped_whole() {
     for shell in SHELLS {
         for offset in 0..40 {
             let mut bench = Bench::armed(shell);
             bench.run(offset);
-            let rendered = bench.device.rendered();
-            let (late, just) = (stroke(1, rendered.0 - 1, 9, 500, 9), stroke(2, rendered.0, 9, 500, 9));
+            let ready = bench.device.ready();
+            let (late, just) = (stroke(1, ready.0 - 1, 9, 500, 9), stroke(2, ready.0, 9, 500, 9));
             bench.strokes(&[late, just]);
             bench.run(800);
             assert_eq!((bench.bursts(1), bench.bursts(2)), (vec![], just.bursts().to_vec()));
             assert_eq!(
                 bench.reports(),
-                [Report::Verdict { seq: 0, late: 1, refused: 0, reason: None, rendered: rendered.wire() }]
+                [Report::Verdict { seq: 0, late: 1, refused: 0, reason: None, rendered: ready.wire() }]
             );
             assert_eq!((bench.device.counters().late, bench.device.counters().played), (2, 2));
         }
@@ -36,7 +36,7 @@ fn a_stroke_is_late_one_tick_before_the_rendered_end_and_then_dropped_whole() {
 
 #[test]
 fn a_verdict_gives_the_reason_of_each_refusal() {
-    let first = |bench: &Bench| stroke(1, bench.now + 100, 10, 10, 10);
+    let first = |bench: &Bench| stroke(1, bench.soon(), 10, 10, 10);
     type Case = (&'static str, fn(&Stroke) -> Stroke, Option<Refusal>);
     let cases: [Case; 10] = [
         ("after it", |s| Stroke { up: s.end(), down: s.end() + 10, ..*s }, None),
@@ -51,10 +51,10 @@ fn a_verdict_gives_the_reason_of_each_refusal() {
         ),
         ("unbalanced", |s| Stroke { motor: 2, down_pulses: 14, ..*s }, Some(Refusal::Unbalanced)),
         ("no down", |s| Stroke { motor: 2, up_pulses: 1, down_pulses: 0, ..*s }, Some(Refusal::Unbalanced)),
-        ("far", |s| Stroke { motor: 2, down: Tick(s.up.0 - 100 + (1 << 30)), ..*s }, None),
+        ("far", |s| Stroke { motor: 2, down: Tick(s.up.0 - SOON + (1 << 30)), ..*s }, None),
         (
             "too far",
-            |s| Stroke { motor: 2, down: Tick(s.up.0 - 99 + (1 << 30)), ..*s },
+            |s| Stroke { motor: 2, down: Tick(s.up.0 - SOON + 1 + (1 << 30)), ..*s },
             Some(Refusal::TooFar),
         ),
     ];
@@ -106,7 +106,7 @@ fn strokes_without_a_pause_between_them_are_played_as_sent() {
         let mut end = 0;
         // Each as soon as possible, sent just before, during or after the one before.
         for k in 0..60 {
-            let next = stroke(1, end.max(bench.device.rendered().0), 3, k % 2, 3);
+            let next = stroke(1, end.max(bench.device.ready().0), 3, k % 2, 3);
             bench.strokes(&[next]);
             sent.push(next);
             end = next.end().0;
@@ -123,7 +123,7 @@ fn a_line_is_low_between_two_strokes_wherever_the_second_arrives() {
     for shell in SHELLS {
         for delay in 0..70 {
             let mut bench = Bench::armed(shell);
-            let first = stroke(1, bench.now + 70, 3, 3, 3);
+            let first = stroke(1, bench.soon(), 3, 3, 3);
             bench.strokes(&[first]);
             bench.run_to(first.end().0 - 66 + delay);
             let second = stroke(1, bench.now + 1_000, 3, 3, 3);

@@ -10,12 +10,14 @@ pub(crate) const LINES: [u8; MOTORS] =
     [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 26];
 /// Rises with the first tick of a play, for example for an EEG amplifier.
 pub(crate) const TRIGGER: u8 = 27;
-/// Enables the LT3572 drivers: high only while armed or returning.
+/// Enables the bridges of all LT3572 drivers: high only around bursts.
 pub(crate) const ENABLE: u8 = 28;
-/// The Pico's LED: lit while the drivers are enabled.
+/// The Pico's LED: lit while armed or returning.
 const LED: u8 = 25;
-/// Outputs that are high while the drivers are enabled.
-pub(crate) const ENABLED: u32 = 1 << ENABLE | 1 << LED;
+/// The bit of the drivers' enable.
+pub(crate) const ENABLED: u32 = 1 << ENABLE;
+/// The bit of the LED.
+pub(crate) const ARMED: u32 = 1 << LED;
 /// The bit of the trigger.
 pub(crate) const TRIGGERED: u32 = 1 << TRIGGER;
 /// All outputs, in the order in which they are forced low: the drivers' supply first.

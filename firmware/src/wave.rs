@@ -10,7 +10,7 @@
 //! Invariant: [`now`] is the tick on the pins, even while interrupts are delayed. An e-stop freezes it ([`freeze_low`]) until
 //! the controller knows of the e-stop.
 
-use crate::board::{self, ENABLED, OUTPUTS, TRIGGERED};
+use crate::board::{self, ARMED, ENABLED, OUTPUTS, TRIGGERED};
 use crate::wake;
 use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering::SeqCst};
@@ -238,10 +238,11 @@ fn join([low, high]: &[AtomicU32; 2]) -> u64 {
     u64::from(high.load(SeqCst)) << 32 | u64::from(low.load(SeqCst))
 }
 
-/// Puts the run that begins at `tick` into the ring.
-pub(crate) fn write(tick: Tick, run: &Run, enabled: bool) {
+/// Puts the run that begins at `tick` into the ring. Unless `armed`, the drivers are off.
+pub(crate) fn write(tick: Tick, run: &Run, armed: bool) {
     let (up, down) = (board::gpios(run.lines.up), board::gpios(run.lines.down));
-    let held = if enabled { ENABLED } else { 0 } | if run.trigger { TRIGGERED } else { 0 };
+    let drivers = if run.drivers { ARMED | ENABLED } else { ARMED };
+    let held = if armed { drivers } else { 0 } | if run.trigger { TRIGGERED } else { 0 };
     let words = [held | up | down, held | down, held, held];
     let first = (tick.0 - Tick::BOOT.0) as usize % RING_TICKS;
     for at in first..first + run.ticks as usize {

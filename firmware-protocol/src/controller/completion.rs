@@ -2,6 +2,7 @@
 //!
 //! Every slot leaves the pool here, counted once as played or dropped.
 
+use crate::controller::drivers::Drivers;
 use crate::controller::lines::{TriggerOutput, Window};
 use crate::controller::pool::Kind;
 use crate::controller::{Controller, NEVER};
@@ -18,9 +19,10 @@ impl Controller {
         }
     }
 
-    /// Cuts running strokes at the rendered end, flushes the queue and plays the outstanding return pulses.
+    /// Cuts running strokes at the rendered end, flushes the queue and plays the outstanding return pulses as soon as the
+    /// drivers are ready.
     pub(super) fn cut(&mut self, cause: Cause, then: State) {
-        let at = self.rendered;
+        let (at, ready) = (self.rendered, self.ready());
         let (mut flushed, mut outstanding) = (0, 0);
         for motor in 0..MOTORS {
             let index = self.pool.queues[motor].cursor;
@@ -28,7 +30,7 @@ impl Controller {
             self.travel[motor] -= slot.shift_undone(at).cast_signed();
             let begun = slot.begun(at);
             if begun {
-                outstanding += u32::from(slot.cut_at(at));
+                outstanding += u32::from(slot.cut_at(at, ready));
             }
             let strokes = self.pool.flush(motor, begun);
             flushed += strokes;
@@ -88,7 +90,7 @@ impl Controller {
             }
         }
         (self.waiting, self.window) = (0, Window::before(self.rendered));
-        self.trigger_output = TriggerOutput::LOW;
+        (self.trigger_output, self.drivers) = (TriggerOutput::LOW, Drivers::OFF);
         // A seek that was not finished leaves the position unknown.
         self.seeks = false;
         self.lines = Lines::OFF;

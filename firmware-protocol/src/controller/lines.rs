@@ -91,11 +91,11 @@ impl TriggerOutput {
 }
 
 impl Controller {
-    /// Renders the lines from the rendered end on, for `max` ticks or until a line changes.
+    /// Renders the outputs from the rendered end on, for `max` ticks or until one changes.
     pub fn render(&mut self, max: u32) -> Run {
         if max == 0 {
             // Do not bring lines to a tick that is not rendered: it can still be amended.
-            return Run { lines: self.lines, trigger: false, ticks: 0 };
+            return Run { lines: self.lines, trigger: false, drivers: false, ticks: 0 };
         }
         let (trigger, change) = self.trigger();
         let now = self.rendered.0 as u32;
@@ -113,8 +113,9 @@ impl Controller {
         }
         let ticks = self.window.quiet(now).min(max);
         let ticks = (change - self.rendered).min(ticks.into());
+        let (drivers, ticks) = self.enable_drivers(ticks);
         self.rendered = self.rendered + ticks;
-        Run { lines: self.lines, trigger, ticks: ticks as u32 }
+        Run { lines: self.lines, trigger, drivers, ticks: ticks as u32 }
     }
 
     /// Moves the window to the rendered end.

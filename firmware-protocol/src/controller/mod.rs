@@ -10,6 +10,7 @@
 
 mod commands;
 mod completion;
+mod drivers;
 mod lines;
 mod motion;
 mod pool;
@@ -23,6 +24,8 @@ use crate::limits::{self, OnTime, OnTimeLimits, Pushing, Refusal};
 use crate::message::{Cause, Counters, Cut, DeviceHello, DeviceMessage, Op, Report, State, Status, Trigger};
 use crate::stroke::{Lines, MOTORS};
 use crate::tick::{TICK_HZ, Tick, WireTick};
+use drivers::Drivers;
+pub use drivers::{DRIVER_LEAD, DRIVER_TAIL};
 use lines::{TriggerOutput, Window};
 pub use pool::POOL;
 use pool::{Pool, Slot};
@@ -32,7 +35,8 @@ pub use reports::REPORTS;
 use reports::Reports;
 use taking::Taking;
 
-/// Most ticks rendered ahead. A stroke that begins before the rendered end is late.
+/// Most ticks rendered ahead. A stroke that begins before the rendered end is late. While the drivers are off, so is one that
+/// begins less than [`DRIVER_LEAD`] after it.
 pub const HORIZON: u32 = 64;
 /// Ticks of a block. Shells render a block, aligned to [`Tick::BOOT`], as soon as it fits the horizon, so that all shells
 /// cut at the same ticks.
@@ -57,13 +61,15 @@ pub struct Identity {
     pub features: u32,
 }
 
-/// Consecutive ticks in which no line changes.
+/// Consecutive ticks in which no output changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Run {
     /// The lines in each of these ticks.
     pub lines: Lines,
     /// The trigger output, which a [`Trigger`] drives from a mark on.
     pub trigger: bool,
+    /// Whether the drivers are enabled.
+    pub drivers: bool,
     /// Number of ticks.
     pub ticks: u32,
 }
@@ -117,6 +123,7 @@ pub struct Controller {
     pool: Pool,
     marks: heapless::Deque<(Tick, Option<Trigger>), MAX_MARKS>,
     trigger_output: TriggerOutput,
+    drivers: Drivers,
     on_time: OnTime,
     pushing: Pushing,
     rendered: Tick,
@@ -177,6 +184,7 @@ impl Controller {
             pool: Pool::new(),
             marks: heapless::Deque::new(),
             trigger_output: TriggerOutput::LOW,
+            drivers: Drivers::OFF,
             on_time: OnTime::new(now),
             pushing: Pushing::new(now),
             rendered: now,
@@ -369,7 +377,7 @@ impl Controller {
             motors: MOTORS as u8,
             tick_hz: TICK_HZ,
             pool: POOL as u16,
-            horizon: HORIZON as u8,
+            horizon: (HORIZON + DRIVER_LEAD) as u8,
             max_up_pulses: limits::MAX_UP_PULSES,
             limits: OnTimeLimits::NONE,
             features: self.identity.features,

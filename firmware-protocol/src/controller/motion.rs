@@ -1,6 +1,6 @@
 //! Motion that belongs to no play: the return at arming, moves of a pin, and seeks of the lower stop.
 //!
-//! Invariant: it begins at the rendered end, while no stroke of a play is queued.
+//! Invariant: it begins at the rendered end or when the drivers are ready, while no stroke of a play is queued.
 
 use crate::controller::pool::{Kind, Slot};
 use crate::controller::{Controller, MAX_HOST_TIMEOUT};
@@ -66,10 +66,10 @@ impl Controller {
         self.pushing.count(self.rendered, motor, pushes.into());
     }
 
-    /// Queues a burst at the rendered end that belongs to no play and was counted; `pushes` of its pulses are against the lower
+    /// Queues a burst at [`Controller::ready`] that belongs to no play and was counted; `pushes` of its pulses are against the lower
     /// stop. The queue is empty, so there is a slot.
     fn queue_internal(&mut self, kind: Kind, motor: u8, direction: Direction, pulses: u16, pushes: u16) {
-        let at = self.rendered;
+        let at = self.ready();
         let stroke = match direction {
             Direction::Up => {
                 Stroke { motor, up: at, up_pulses: pulses, down: at + u64::from(pulses), down_pulses: 0 }

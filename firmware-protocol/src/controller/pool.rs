@@ -114,8 +114,9 @@ impl Slot {
         })
     }
 
-    /// Rewrites a stroke that has begun: from `tick` on it plays only its outstanding return pulses. Returns their number.
-    pub(super) fn cut_at(&mut self, tick: Tick) -> u16 {
+    /// Rewrites a stroke that has begun: from `tick` on it plays only its outstanding return pulses, from `ready` on. Returns
+    /// their number.
+    pub(super) fn cut_at(&mut self, tick: Tick, ready: Tick) -> u16 {
         let outstanding = self.outstanding_at(tick);
         let stroke = &mut self.stroke;
         if tick < stroke.up + u64::from(stroke.up_pulses) {
@@ -123,7 +124,7 @@ impl Slot {
             stroke.up_pulses = (tick - stroke.up) as u16;
         }
         if tick < stroke.down {
-            (stroke.down, stroke.down_pulses) = (tick, outstanding);
+            (stroke.down, stroke.down_pulses) = (ready, outstanding);
             self.cut = true;
         }
         outstanding

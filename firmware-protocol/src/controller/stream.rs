@@ -52,7 +52,7 @@ impl Controller {
         if stroke.down_pulses > stroke.up_pulses && !self.pushing.is_allowed() {
             return Err(Refusal::Pushing);
         }
-        if stroke.up < self.rendered {
+        if stroke.up < self.ready() {
             return Ok(false);
         }
         if stroke.down.since(self.now) > FARTHEST {

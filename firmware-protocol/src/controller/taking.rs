@@ -5,7 +5,7 @@
 
 use crate::batch::{Amendments, BATCH_BYTES, Batch};
 use crate::controller::pool::POOL;
-use crate::controller::{BLOCK, Controller};
+use crate::controller::{BLOCK, Controller, DRIVER_LEAD};
 use crate::frame::{self, MAX_FRAME};
 use crate::limits::Refusal;
 use crate::message::{Mark, MarkKind, Report, State};
@@ -127,15 +127,16 @@ impl Controller {
         if let Some(mark) = mark
             && self.state == State::Armed
         {
-            // All of a play's first frame must be in time, and lines may be rendered while it is taken.
+            // All of a play's first frame must be in time, and while it is taken lines may be rendered and drivers go off.
             let whole = mark.kind == MarkKind::Play && !self.takes_at_once();
-            let rendered = self.rendered + if whole { WHILE_TAKING } else { 0 };
+            let latest = self.rendered + u64::from(DRIVER_LEAD) + WHILE_TAKING;
+            let ready = if whole { latest } else { self.ready() };
             // No stroke begins before the base.
-            if base >= rendered {
+            if base >= ready {
                 // There was room when the frame was read.
                 let _ = self.marks.push_back((base, mark.trigger));
             } else {
-                self.report(Report::OnsetRefused { seq, rendered: rendered.wire() });
+                self.report(Report::OnsetRefused { seq, rendered: ready.wire() });
                 if mark.kind == MarkKind::Play {
                     return;
                 }
@@ -177,7 +178,7 @@ impl Controller {
         if late | refused != 0 {
             self.counters.late += 2 * u64::from(late.count_ones());
             self.counters.refused += 2 * u64::from(refused.count_ones());
-            let rendered = self.rendered.wire();
+            let rendered = self.ready().wire();
             self.report(Report::Verdict { seq, late, refused, reason, rendered });
         }
     }

@@ -2,6 +2,7 @@
 //!
 //! The chip's first pulse gives the grid of ticks; everything after it must fit that grid.
 
+mod drivers;
 mod pins;
 
 use crate::bench::Played;
@@ -64,11 +65,15 @@ pub enum Finding {
     Trigger { tick: Tick, late: u64 },
     /// A trigger, or a cell of its code, has the wrong length.
     TriggerLength { tick: Tick, cycles: u64 },
-    /// The drivers were on while disarmed.
+    /// The drivers or the LED were on while disarmed.
     Enabled { from: u64, to: u64, quiet_from: u64, quiet_to: u64 },
     /// A pulse while the drivers were off.
     NotEnabled { line: usize, cycle: u64 },
-    /// The LED differs from the drivers' supply.
+    /// The first pulse after the drivers' enable came too early.
+    Lead { enabled: u64, pulse: u64 },
+    /// The drivers were enabled for too long without a pulse on any line.
+    Idle { from: u64, to: u64 },
+    /// The drivers were enabled while the LED was off.
     Led,
     /// A pin rose that is not an output.
     Stray { pin: usize, cycle: u64 },
@@ -112,7 +117,13 @@ impl fmt::Display for Finding {
             Self::NotEnabled { line, cycle } => {
                 write!(out, "line {line}: a pulse at cycle {cycle} with the drivers off")
             }
-            Self::Led => out.write_str("the LED does not show what the drivers' supply does"),
+            Self::Lead { enabled, pulse } => {
+                write!(out, "drivers enabled at cycle {enabled}, and a pulse at {pulse}: the lead is missing")
+            }
+            Self::Idle { from, to } => {
+                write!(out, "drivers enabled without a pulse on any line in cycles {from}..{to}")
+            }
+            Self::Led => out.write_str("the drivers are enabled while the LED is off"),
             Self::Stray { pin, cycle } => write!(out, "GP{pin} rises at cycle {cycle}"),
             Self::Clock { off } => {
                 write!(out, "the pins are {off} cycles behind the clock that the device tells")
@@ -157,6 +168,7 @@ impl Boot {
                 (log, expected, grid)
             }
         };
+        self.judge_drivers(&log, grid, &mut findings);
         compare(&log, &expected, &mut findings);
         self.judge_quiet(&log, &expected.onsets, grid, &mut findings);
         findings.extend(expected.contradictions.iter().cloned().map(Finding::Contradiction));

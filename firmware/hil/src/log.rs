@@ -48,11 +48,13 @@ impl fmt::Debug for Train {
     }
 }
 
-/// The trains of every line.
+/// The trains of every line, and when the drivers were enabled.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Log {
     /// Per motor.
     pub lines: [Vec<Train>; MOTORS],
+    /// First ticks with the drivers enabled, and the first ticks after them. Empty where only lines are kept.
+    pub drivers: Vec<(Tick, Tick)>,
 }
 
 impl Log {
@@ -70,9 +72,15 @@ impl Log {
         }
     }
 
-    /// Appends the recording of the mock's lines.
+    /// Appends the recording of the mock's lines and drivers.
     pub fn extend(&mut self, trace: &[(Tick, Run)]) {
         for &(start, run) in trace {
+            let end = start + u64::from(run.ticks);
+            match self.drivers.last_mut() {
+                _ if !run.drivers => {}
+                Some(last) if last.1 == start => last.1 = end,
+                _ => self.drivers.push((start, end)),
+            }
             if run.lines.up | run.lines.down == 0 {
                 continue;
             }
@@ -95,19 +103,19 @@ impl Log {
         log
     }
 
-    /// The part in `from..to`.
+    /// The lines in `from..to`.
     #[must_use]
     pub fn within(&self, from: Tick, to: Tick) -> Self {
         let cut = |line: &Vec<Train>| line.iter().filter_map(|train| train.within(from, to)).collect();
-        Self { lines: self.lines.each_ref().map(cut) }
+        Self { lines: self.lines.each_ref().map(cut), ..Self::default() }
     }
 
-    /// The log without the part in `from..to`.
+    /// The lines without the part in `from..to`.
     #[must_use]
     pub fn without(&self, from: Tick, to: Tick) -> Self {
         let sides = |train: &Train| [train.within(Tick(0), from), train.within(to, Tick(u64::MAX))];
         let cut = |line: &Vec<Train>| line.iter().flat_map(sides).flatten().collect();
-        Self { lines: self.lines.each_ref().map(cut) }
+        Self { lines: self.lines.each_ref().map(cut), ..Self::default() }
     }
 
     /// Whether every pulse is also in `other`.

@@ -7,6 +7,7 @@
 use crate::log::{Log, Train};
 use crate::tap::{Event, Tap};
 use firmware_protocol::batch::Amendment;
+use firmware_protocol::controller::{DRIVER_LEAD, DRIVER_TAIL};
 use firmware_protocol::limits::{WHOLE_TRAVEL, least_seek, within_correction};
 use firmware_protocol::message::{Cause, Cut, LowerStop, Op, Report, State, Trigger};
 use firmware_protocol::stroke::{Direction, MOTORS, Stroke};
@@ -249,6 +250,7 @@ impl Oracle {
     }
 
     fn cut_and_return(&mut self, at: Tick, limit: usize) -> u32 {
+        let ready = self.ready(at);
         let mut outstanding = 0;
         for live in self.live.iter_mut().filter(|live| live.alive && live.order < limit) {
             let returns = live.outstanding((at - live.stroke.up).min(u16::MAX.into()) as u16, 0);
@@ -257,11 +259,11 @@ impl Oracle {
                 live.alive = false;
             } else if at < stroke.up + u64::from(stroke.up_pulses) {
                 stroke.up_pulses = (at - stroke.up) as u16;
-                (stroke.down, stroke.down_pulses) = (at, returns);
+                (stroke.down, stroke.down_pulses) = (ready, returns);
                 outstanding += u32::from(stroke.down_pulses);
             } else if at < stroke.end() {
                 outstanding += u32::from(stroke.down_pulses) - (at - stroke.down) as u32;
-                stroke.down = if at < stroke.down { at } else { stroke.down };
+                stroke.down = if at < stroke.down { ready } else { stroke.down };
             }
         }
         // The next arm plays the return pulses that an e-stop left outstanding, and reports it as a cut; or it seeks the stop.
@@ -280,7 +282,7 @@ impl Oracle {
             let pulses = if seek > 0 { seek } else { left };
             if pulses > 0 {
                 let stroke =
-                    Stroke { motor: motor as u8, up: at, up_pulses: 0, down: at, down_pulses: pulses };
+                    Stroke { motor: motor as u8, up: ready, up_pulses: 0, down: ready, down_pulses: pulses };
                 let planned = [0, pulses];
                 let (frame, seeks) = ((0, u16::MAX), seek > 0);
                 self.live.push(Live { stroke, planned, order: 0, frame, seeks, alive: true });
@@ -288,6 +290,30 @@ impl Oracle {
             }
         }
         outstanding
+    }
+
+    /// The first tick, from `at` on, in which the drivers have been enabled for their lead: they are on from the lead before a
+    /// burst to the tail after it.
+    fn ready(&self, at: Tick) -> Tick {
+        let strokes = self.live.iter().filter(|live| live.alive).map(|live| live.stroke);
+        let bursts = strokes.flat_map(|stroke| stroke.bursts()).filter(|burst| burst.pulses > 0);
+        let lead = u64::from(DRIVER_LEAD);
+        let mut on: Vec<_> = bursts
+            .map(|burst| (Tick(burst.start.0 - lead), burst.end() + u64::from(DRIVER_TAIL)))
+            .filter(|&(from, _)| from < at)
+            .collect();
+        on.sort_unstable();
+        let mut last: Option<(Tick, Tick)> = None;
+        for (from, to) in on {
+            last = match last {
+                Some((since, until)) if from <= until => Some((since, until.max(to))),
+                _ => Some((from, to)),
+            };
+        }
+        match last {
+            Some((since, until)) if until >= at => at.max(since + lead),
+            _ => at + lead,
+        }
     }
 
     fn force(&mut self, at: Tick, limit: usize) -> u32 {

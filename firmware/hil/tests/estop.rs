@@ -97,9 +97,9 @@ fn latency(rig: &mut Rig, name: &str, traffic: Traffic, way: Way, random: &mut C
         }
     };
     let low = chip.pins.low_since(u64::MAX).unwrap();
-    // High until the e-stop, even between pulses.
-    let off = chip.pins.enable.last().unwrap().to;
-    assert!(from < off && off < from + 100 * MS, "{name}: drivers off at {off}, packet at {from}");
+    // High until the e-stop, even between bursts. The drivers' enable is forced low before it.
+    let off = chip.pins.led.last().unwrap().to;
+    assert!(from < off && off < from + 100 * MS, "{name}: LED off at {off}, packet at {from}");
     assert!(chip.pins.still_high().is_none(), "{name}: lines go on long after the e-stop was sent");
     rig.order(Command::Reset { estops_seen: u64::MAX });
     rig.run_to(rig.now() + 10 * MS).unwrap();

@@ -233,15 +233,17 @@ impl Mock {
         // Forcing may end within a block, so check every tick; only a fault keeps it until bytes come.
         let most = if forced && self.controller.state() != State::Faulted { 1 } else { max };
         let ticks = u64::from(front.ticks).min(most) as u32;
-        let (lines, trigger) = if forced { (Lines::OFF, false) } else { (front.lines, front.trigger) };
+        let off = Run { lines: Lines::OFF, trigger: false, drivers: false, ticks };
+        let run = if forced { off } else { Run { ticks, ..*front } };
         front.ticks -= ticks;
         if front.ticks == 0 {
             self.ahead.pop_front();
         }
         if let Some(trace) = &mut self.trace {
-            trace.push((self.now, Run { lines, trigger, ticks }));
+            trace.push((self.now, run));
         }
-        self.motors.advance(lines, ticks.into());
+        // A line does nothing while its driver is off.
+        self.motors.advance(if run.drivers { run.lines } else { Lines::OFF }, ticks.into());
         self.now = self.now + u64::from(ticks);
     }
 

@@ -1,9 +1,9 @@
-//! Checks the chip's pins to the cycle: widths, the grid, trigger, supply and LED.
+//! Checks the chip's pins to the cycle: widths, the grid, trigger, driver enable and LED.
 
 use crate::judge::{Boot, Finding};
 use crate::log::{Log, Train};
 use crate::oracle::{Expected, HORIZON, Soft};
-use crate::pins::{PinTrain, Pins};
+use crate::pins::{High, PinTrain, Pins};
 use crate::tap::Event;
 use crate::time::{Grid, MS, TICK};
 use firmware_protocol::message::{Op, State, Trigger};
@@ -15,7 +15,7 @@ const UP: u64 = TICK / 5;
 const DOWN: u64 = TICK / 5 * 4;
 /// Most time from a status that says disarmed to the supply being off.
 const ENABLE_OFF: u64 = (64 + 16) * TICK;
-/// Most time by which the LED may follow the supply.
+/// Most time by which the LED may differ from the drivers' enable.
 const LED_SLACK: u64 = TICK;
 /// Most difference between the clock read from the link and that of the pins: transfer, processing and a step of the bench.
 const CLOCK: std::ops::RangeInclusive<i64> = -(2 * MS as i64)..=(TICK as i64);
@@ -39,7 +39,7 @@ impl Boot {
         starts.sort_by_key(|(_, train)| train.cycle);
         for (line, train) in starts {
             pulses(line, train, grid, &expected.soft, &mut log, findings);
-            let on = |high: &&crate::pins::High| high.from <= train.cycle && train.end() <= high.to;
+            let on = |high: &&High| high.from <= train.cycle && train.end() <= high.to;
             if !pins.enable.iter().any(|high| on(&high)) && !is_soft(&expected.soft, grid.tick(train.end()).0)
             {
                 findings.push(Finding::NotEnabled { line, cycle: train.cycle });
@@ -56,7 +56,7 @@ impl Boot {
         log
     }
 
-    /// Intervals in which the supply must be off: from the device's status to the next command to arm.
+    /// Intervals in which drivers and LED must be off: from the device's status to the next command to arm.
     fn off_times(&self, grid: Grid) -> Vec<(u64, u64)> {
         let (mut times, mut from, mut epoch) = (Vec::new(), Some(self.from), None);
         for (cycle, event) in &self.tap.events {
@@ -83,12 +83,16 @@ impl Boot {
 
     fn enable(&self, pins: &Pins, grid: Grid, findings: &mut Vec<Finding>) {
         for (quiet_from, quiet_to) in self.off_times(grid).into_iter().filter(|(from, to)| from < to) {
-            let on = pins.enable.iter().find(|high| high.from < quiet_to && high.to > quiet_from);
+            let mut highs = pins.enable.iter().chain(&pins.led);
+            let on = highs.find(|high| high.from < quiet_to && high.to > quiet_from);
             findings.extend(on.map(|on| Finding::Enabled { from: on.from, to: on.to, quiet_from, quiet_to }));
         }
-        let near = |a: u64, b: u64| a.abs_diff(b) <= LED_SLACK;
-        let same = pins.enable.iter().zip(&pins.led).all(|(a, b)| near(a.from, b.from) && near(a.to, b.to));
-        if !same || pins.enable.len() != pins.led.len() {
+        let lit = |high: &High| {
+            pins.led
+                .iter()
+                .any(|led| led.from <= high.from + LED_SLACK && high.to <= led.to.saturating_add(LED_SLACK))
+        };
+        if !pins.enable.iter().all(lit) {
             findings.push(Finding::Led);
         }
     }
@@ -126,7 +130,7 @@ fn trigger(pins: &Pins, expected: &Expected, grid: Grid, findings: &mut Vec<Find
         |from: Tick, to: Tick| expected.cuts.iter().any(|cut| from <= cut.at && cut.at <= to + HORIZON);
     let wanted = highs(&expected.triggers);
     let shown: Vec<_> = pins.trigger.iter().map(|high| (grid.tick(high.from), high)).collect();
-    for &High { begun, from, .. } in &wanted {
+    for &Cell { begun, from, .. } in &wanted {
         if !shown.iter().any(|((tick, _), _)| *tick == from) && !was_cut(begun, from) {
             findings.push(Finding::NoTrigger { onset: from });
         }
@@ -145,15 +149,15 @@ fn trigger(pins: &Pins, expected: &Expected, grid: Grid, findings: &mut Vec<Find
 }
 
 /// An interval in which the trigger output is high, of the trigger that began at `begun`.
-struct High {
+struct Cell {
     begun: Tick,
     from: Tick,
     to: Tick,
 }
 
 /// When triggers are high: cell by cell as the specification says, until the next trigger begins.
-fn highs(triggers: &[(Tick, Trigger)]) -> Vec<High> {
-    let mut highs: Vec<High> = Vec::new();
+fn highs(triggers: &[(Tick, Trigger)]) -> Vec<Cell> {
+    let mut highs: Vec<Cell> = Vec::new();
     for (at, &(begun, trigger)) in triggers.iter().enumerate() {
         let next = triggers.get(at + 1).map_or(Tick(u64::MAX), |next| next.0);
         let cells = 1 | u16::from(trigger.code) << 1;
@@ -163,7 +167,7 @@ fn highs(triggers: &[(Tick, Trigger)]) -> Vec<High> {
             match highs.last_mut() {
                 _ if from >= to => {}
                 Some(last) if last.to == from => last.to = to,
-                _ => highs.push(High { begun, from, to }),
+                _ => highs.push(Cell { begun, from, to }),
             }
         }
     }

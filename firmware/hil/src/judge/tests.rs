@@ -26,6 +26,8 @@ enum Bug {
     Disabled,
     StaysOn,
     Led,
+    NoLead,
+    EnabledWhileIdle,
 }
 
 fn strokes() -> Vec<Stroke> {
@@ -87,13 +89,24 @@ fn pins(bug: Bug) -> Pins {
         let late = if bug == Bug::TriggerLate { TICK } else { 0 };
         high(TRIGGER, onset + late, if bug == Bug::TriggerShort { 9 * MS } else { 10 * MS });
     }
-    let from = match bug {
+    // From 43 ticks before each burst to 2 after it: the pause from 42 to 100 is longer than both.
+    let enabled: &[(i64, i64)] = match bug {
+        Bug::StaysOn => &[(-15_000, -14_960), (-43, 44), (57, 137)],
+        Bug::Disabled => &[(10, 44), (57, 137)],
+        Bug::NoLead => &[(-43, 44), (58, 137)],
+        Bug::EnabledWhileIdle => &[(-43, 137)],
+        _ => &[(-43, 44), (57, 137)],
+    };
+    for &(from, to) in enabled {
+        let at = |ticks: i64| onset.strict_add_signed(ticks * TICK as i64);
+        high(ENABLE, at(from), at(to) - at(from));
+    }
+    let led = match bug {
         Bug::StaysOn => 50 * MS,
-        Bug::Disabled => onset + 10 * TICK,
+        Bug::Led => onset,
         _ => 110 * MS,
     };
-    high(ENABLE, from, 400 * MS);
-    high(LED, from + if bug == Bug::Led { 10 * MS } else { 0 }, 400 * MS);
+    high(LED, led, 400 * MS);
     edges.sort_unstable();
     let (mut pins, mut levels) = (Pins::default(), 0);
     let mut edges = edges.into_iter().peekable();
@@ -122,7 +135,7 @@ fn clean_pins_pass() {
 #[test]
 fn each_flaw_is_found_and_named() {
     type Named = fn(&Finding) -> bool;
-    let flaws: [(Bug, Named); 12] = [
+    let flaws: [(Bug, Named); 14] = [
         (Bug::Swapped, |finding| matches!(finding, Finding::Differs { line: 0 | 1, .. })),
         (Bug::Late, |finding| matches!(finding, Finding::Differs { line: 1, .. })),
         (Bug::Width, |finding| matches!(finding, Finding::Differs { line: 0, .. })),
@@ -135,6 +148,8 @@ fn each_flaw_is_found_and_named() {
         (Bug::Disabled, |finding| matches!(finding, Finding::NotEnabled { line: 0, .. })),
         (Bug::StaysOn, |finding| matches!(finding, Finding::Enabled { .. })),
         (Bug::Led, |finding| matches!(finding, Finding::Led)),
+        (Bug::NoLead, |finding| matches!(finding, Finding::Lead { .. })),
+        (Bug::EnabledWhileIdle, |finding| matches!(finding, Finding::Idle { .. })),
     ];
     for (bug, named) in flaws {
         let findings = judged(bug).findings;

@@ -1,0 +1,68 @@
+//! Enables the drivers around bursts only: an enabled driver whose line is low leaves 30 V of DC across its piezo.
+//!
+//! While a line has pulses this costs next to nothing. On quiet lines it looks for the next burst, which is known in time because
+//! no burst begins earlier than [`Controller::ready`] says.
+//!
+//! Invariant: while the drivers are enabled, some line has a pulse, had its last one less than [`DRIVER_TAIL`] ticks ago, or
+//! has its next burst within [`DRIVER_LEAD`] ticks. A stroke that a limit refuses when it is to begin counts as a burst here.
+
+use crate::controller::Controller;
+use crate::tick::Tick;
+
+/// Ticks from the drivers' enable to the first pulse: 0.5 ms. The 30 V supplies stay on, so only the bridges and their bias
+/// start up in this time. Nobody has measured what they need: see the firmware's page on wiring.
+pub const DRIVER_LEAD: u32 = 43;
+/// Ticks for which the drivers stay enabled after the tick of the last pulse, so that its falling edge is driven.
+pub const DRIVER_TAIL: u32 = 2;
+
+/// The driver enable at the rendered end.
+#[derive(Debug)]
+pub(super) struct Drivers {
+    /// Since when they are enabled without a break.
+    since: Option<Tick>,
+    /// The end of the tail of the last pulses rendered.
+    tail_end: Tick,
+}
+
+impl Drivers {
+    pub(super) const OFF: Self = Self { since: None, tail_end: Tick(0) };
+}
+
+impl Controller {
+    /// Whether the drivers are enabled at the rendered end, and for how many of the next `ticks`, in which no line changes, it
+    /// stays so.
+    pub(super) fn enable_drivers(&mut self, ticks: u64) -> (bool, u64) {
+        let (now, lead) = (self.rendered, u64::from(DRIVER_LEAD));
+        let ticks = if self.lines.up | self.lines.down != 0 {
+            self.drivers.tail_end = now + ticks + u64::from(DRIVER_TAIL);
+            ticks
+        } else {
+            let next = self.next_burst();
+            if next <= lead {
+                ticks
+            } else if now < self.drivers.tail_end {
+                ticks.min(self.drivers.tail_end - now)
+            } else {
+                self.drivers.since = None;
+                return (false, ticks.min(next - lead));
+            }
+        };
+        self.drivers.since = self.drivers.since.or(Some(now));
+        (true, ticks)
+    }
+
+    /// Ticks from the rendered end to the next burst, while all lines are quiet.
+    fn next_burst(&self) -> u64 {
+        let now = self.rendered.0 as u32;
+        let waiting = self.changes.iter().enumerate().filter(|&(motor, _)| self.waiting >> motor & 1 == 1);
+        waiting.map(|(_, change)| change.wrapping_sub(now)).min().map_or(u64::MAX, u64::from)
+    }
+
+    /// The first tick at which a burst may begin that is queued now: the rendered end, or later if the drivers must start up
+    /// first.
+    #[must_use]
+    pub fn ready(&self) -> Tick {
+        let enabled = self.drivers.since.unwrap_or(self.rendered);
+        self.rendered.max(enabled + u64::from(DRIVER_LEAD))
+    }
+}
