@@ -207,7 +207,7 @@ fn pushes_that_an_amendment_adds_count_against_the_limit() {
             // 29 pulses count for a second, then none does: the count has no rest.
             for (wait, taken) in [(10, !plays), (second + 3_000, true)] {
                 bench.run(wait);
-                let next = stroke(3, bench.now + 100, 20, 5, 22);
+                let next = stroke(3, bench.soon(), 20, 5, 22);
                 let before = bench.device.counters().played;
                 bench.strokes(&[next]);
                 bench.run(300);
@@ -240,10 +240,10 @@ fn the_count_of_an_amended_stroke_that_an_e_stop_cuts_is_right() {
             bench.control(arm(false, stop(40, 0)));
             bench.settle();
             bench.run(u64::from(TICK_HZ) + 2_000);
-            bench.strokes(&[stroke(3, bench.now + 100, 140, 5, 180)]);
+            bench.strokes(&[stroke(3, bench.soon(), 140, 5, 180)]);
             bench.run(500);
             assert_eq!(bench.device.counters().refused, 0, "{cut} {shell:?}");
-            bench.strokes(&[stroke(3, bench.now + 100, 20, 5, 21)]);
+            bench.strokes(&[stroke(3, bench.soon(), 20, 5, 21)]);
             bench.run(300);
             assert_eq!(bench.device.counters().refused, 2, "{cut} {shell:?}");
         }
