@@ -85,7 +85,7 @@ fn subjects(asked: &[String]) -> Result<Vec<Subject>> {
 }
 
 fn summary(out: &Path, document: &Document<'_>) -> String {
-    let Figures { pulses, amplitude, rate, edge, patterns } = document.figures;
+    let Figures { pulses, amplitude, rate, acuity, edge, patterns } = document.figures;
     let mut lines = vec![
         ("page", out.join(INDEX).to_string_lossy().escape_debug().to_string()),
         ("files", document.files.len().to_string()),
@@ -120,6 +120,13 @@ fn summary(out: &Path, document: &Document<'_>) -> String {
             peak.frequency_hz, peak.amplitude_um, peak.rate_hz
         );
         lines.push(("", line));
+    }
+    let least = |of: Option<f64>| text::number(of, 1);
+    for of in &acuity.thresholds {
+        let (deg, mm) = (least(of.orientation_deg), least(of.two_point_mm));
+        let line =
+            format!("efficiency {}: a line turned by {deg} degrees, two dots {mm} mm apart", of.efficiency);
+        lines.push(("told apart", line));
     }
     let line = format!(
         "{}: the contrast goes from {:.1} to {:.1} impulses/s, the motors near it to {} Hz",

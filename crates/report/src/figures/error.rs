@@ -5,7 +5,7 @@ use meissner_array::motor::MotorError;
 use meissner_array::simulated::SimulatedMotorsError;
 use meissner_array::strokes::StrokesError;
 use meissner_design::TargetError;
-use meissner_skin::{MethodError, SceneError};
+use meissner_skin::{FingerError, MethodError, SceneError};
 use meissner_stream::calibrate::FitProblem;
 
 /// A figure that could not be made: a bug of ours, because patterns have been checked.
@@ -26,6 +26,8 @@ pub enum FiguresError {
     Scene(#[from] SceneError),
     #[error("internal error: {0}")]
     Method(#[from] MethodError),
+    #[error("internal error: {0}")]
+    Finger(#[from] FingerError),
     #[error("internal error: {0}")]
     Target(#[from] TargetError),
 }

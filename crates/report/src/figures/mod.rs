@@ -6,6 +6,7 @@
 //!
 //! Invariant: the same patterns give the same bytes. No time, machine or directory is in them.
 
+mod acuity;
 mod amplitude;
 mod baselines;
 mod color;
@@ -22,6 +23,7 @@ mod svg;
 mod table;
 mod target;
 
+pub use acuity::{Acuity, AcuityStep, AcuityThreshold, EFFICIENCIES};
 pub use amplitude::{AMPLITUDES_UM, Amplitude};
 pub use baselines::Compared;
 pub use confusion::{confusion_csv, plot_confusion};
@@ -56,6 +58,8 @@ pub struct Figures {
     pub amplitude: Amplitude,
     /// Rate against amplitude and frequency.
     pub rate: Rate,
+    /// Predicted thresholds of the display.
+    pub acuity: Acuity,
     /// An optimised edge.
     pub edge: Edge,
     /// The patterns, in the order given.
@@ -70,7 +74,8 @@ pub fn report(subjects: &[Subject], progress: &(dyn Fn(f64) + Sync)) -> Result<R
     // The share of each part in the time on a common machine.
     const AMPLITUDE: f64 = 0.05;
     const RATE: f64 = 0.05;
-    const EDGE: f64 = 0.8;
+    const ACUITY: f64 = 0.1;
+    const EDGE: f64 = 0.7;
     let (mut sections, mut patterns) = (Vec::new(), Vec::new());
     let (section, pulses) = pulses::section()?;
     sections.push(section);
@@ -78,16 +83,20 @@ pub fn report(subjects: &[Subject], progress: &(dyn Fn(f64) + Sync)) -> Result<R
     sections.push(section);
     let (section, rate) = rate::section(&|part| progress(AMPLITUDE + RATE * part))?;
     sections.push(section);
-    let (section, edge) = edge::section(&|part| progress(AMPLITUDE + RATE + EDGE * part))?;
+    let before = AMPLITUDE + RATE;
+    let (section, acuity) = acuity::section(&|part| progress(before + ACUITY * part))?;
     sections.push(section);
-    let each = (1.0 - AMPLITUDE - RATE - EDGE) / subjects.len().max(1) as f64;
+    let before = before + ACUITY;
+    let (section, edge) = edge::section(&|part| progress(before + EDGE * part))?;
+    sections.push(section);
+    let each = (1.0 - before - EDGE) / subjects.len().max(1) as f64;
     for (index, subject) in subjects.iter().enumerate() {
-        let done = |part| progress(AMPLITUDE + RATE + EDGE + each * (index as f64 + part));
+        let done = |part| progress(before + EDGE + each * (index as f64 + part));
         let (section, figures) = pattern::section(subject, &done)?;
         sections.push(section);
         patterns.push(figures);
     }
     let page = page::page(&sections);
     let files = sections.into_iter().flat_map(|section| section.files).collect();
-    Ok(Report { files, page, figures: Figures { pulses, amplitude, rate, edge, patterns } })
+    Ok(Report { files, page, figures: Figures { pulses, amplitude, rate, acuity, edge, patterns } })
 }
