@@ -34,7 +34,9 @@ fn the_efficiency_has_a_source_and_follows_from_a_measurement() {
     assert!(text.contains("efficiency 0.001 (pilot, 3 people)") && text.contains("8 trials"), "{text}");
     assert!(text.contains("People who are 75 % correct have an efficiency of "), "{text}");
     let plain = printed(meissner().args(["discriminate", "pin-60", "wave"]).args(QUICK));
-    assert!(plain.contains("no person is as good"), "{plain}");
+    assert!(plain.contains("no person is as good") && !plain.contains("note:"), "{plain}");
+    let cut = printed(meissner().args(["discriminate", "pin-60", "rotating-edge"]).args(QUICK));
+    assert!(cut.contains("note: only the first 0.2 s of rotating-edge are compared"), "{cut}");
 }
 
 #[test]

@@ -140,7 +140,10 @@ fn the_page_is_well_formed_and_has_a_section_for_every_pattern() {
         assert_eq!(page.matches(&command).count(), 2 + usize::from(moves), "{command}");
         let link =
             format!("<li><a href=\"#pattern-{0}\"><img src=\"pattern-{0}-overview.svg\"", pattern.name);
-        assert!(page.find(&link) < page.find("<section"), "the page begins with the overview");
+        assert!(
+            page.find(&link).unwrap() < page.find("<section").unwrap(),
+            "the page begins with the overview"
+        );
     }
     assert!(section_of("edge-45").contains("<details>\n<summary>Provenance</summary>\n<table>"));
     assert!(LIBRARY.len() >= 20);

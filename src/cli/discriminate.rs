@@ -24,7 +24,7 @@ const MOST: usize = 32;
 /// The most fingers.
 const MOST_FINGERS: u64 = 100;
 /// The efficiency without a source: that of the observer itself.
-const IDEAL: &str = "ideal observer: no person is as good";
+const IDEAL: &str = "that of the observer: no person is as good";
 
 #[derive(Debug, Args)]
 pub(super) struct Discriminate {
@@ -82,6 +82,8 @@ struct How {
     seed: u64,
     efficiency: f64,
     efficiency_source: String,
+    /// Patterns that last longer than an interval: their ends are not compared.
+    cut_patterns: Vec<String>,
 }
 
 #[derive(Debug, Serialize)]
@@ -126,7 +128,7 @@ pub(super) fn run(asked: &Discriminate) -> Result<ExitCode> {
         seed: asked.seed,
         efficiency: asked.efficiency,
     };
-    plan.check().map_err(|problem| anyhow!("discriminate: {problem}"))?;
+    plan.check(asked.patterns.len()).map_err(|problem| anyhow!("discriminate: {problem}"))?;
     if asked.measured_percent.is_some_and(|percent| !(percent > 50.0 && percent < 100.0)) {
         bail!("--measured-percent: must be above 50 and below 100");
     }
@@ -155,8 +157,19 @@ pub(super) fn run(asked: &Discriminate) -> Result<ExitCode> {
         seed,
         efficiency,
         efficiency_source: source,
+        cut_patterns: patterns
+            .iter()
+            .filter(|pattern| is_cut(pattern, seconds))
+            .map(|of| of.name().to_owned())
+            .collect(),
     };
     if asked.matrix { matrix(asked, &plan, &how, &patterns) } else { pair(asked, &plan, &how, &patterns) }
+}
+
+/// Whether a pattern changes or ends after this time.
+fn is_cut(pattern: &Pattern, seconds: f64) -> bool {
+    let ends = pattern.drives().iter().flat_map(|drive| [drive.start_s, drive.stop_s]).flatten();
+    ends.chain(pattern.duration_s()).any(|at_s| at_s > seconds)
 }
 
 /// The patterns of these names or files.
@@ -204,8 +217,10 @@ fn pair(asked: &Discriminate, plan: &Plan, how: &How, patterns: &[Pattern]) -> R
             names[1],
             conditions(how),
             text::columns(&head, classes.iter().map(row)),
-            "d' is that of an ideal observer, with its standard error from the trials. By times: counts in bins of the resolution. By \
-             total: the number of all spikes together, the baseline. Per cent correct is at the stated efficiency, 50 by chance."
+            "d' with its standard error from the trials. By counts: the ideal observer of each afferent's count. By times: counts in \
+             bins of the resolution, a lower bound that rises with the trials. By total: the number of all spikes together, the \
+             baseline. Per cent correct is at the stated efficiency, 50 by chance; an efficiency holds for the column it was \
+             measured for."
         );
         if let Some(of) = &measured {
             text += &format!(
@@ -229,10 +244,27 @@ fn scientific(number: Option<f64>) -> String {
 }
 
 fn conditions(how: &How) -> String {
-    let How { model, trials, fingers, seconds, resolution_ms, efficiency, efficiency_source, .. } = how;
+    let How {
+        model,
+        trials,
+        fingers,
+        seconds,
+        resolution_ms,
+        efficiency,
+        efficiency_source,
+        cut_patterns,
+        ..
+    } = how;
+    let cut = match cut_patterns.len() {
+        0 => String::new(),
+        _ => format!(
+            "\nnote: only the first {seconds} s of {} are compared: see --seconds",
+            cut_patterns.join(", ")
+        ),
+    };
     format!(
         "model {}, {trials} trials of each pattern on each of {} fingers, {seconds} s, bins of {resolution_ms} ms, efficiency \
-         {efficiency} ({efficiency_source})",
+         {efficiency} ({efficiency_source}){cut}",
         model.name(),
         fingers.len()
     )

@@ -58,8 +58,8 @@ mod shipped;
 mod target;
 
 pub use discriminate::{
-    ClassReadings, Confusion, LEAST_TRIALS, MOST_COUNTS, MOST_TRIALS, Plan, Reading, Responses, Sensitivity,
-    confusion, correct_of_two, discriminate, efficiency, sensitivity,
+    ClassReadings, Confusion, LEAST_TRIALS, MOST_TRIALS, Plan, Reading, Sensitivity, confusion,
+    correct_of_two, discriminate, efficiency, independent, linear,
 };
 pub use goal::{GOALS, Goal, neighbours, rivals};
 pub use judge::{Conditions, HELD_OUT, Robustness, STEADY_S, judge, pulses_per_s, robustness};

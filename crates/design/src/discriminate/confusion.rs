@@ -2,11 +2,12 @@
 //!
 //! Each pair of patterns has a sensitivity d′ (`observer`). Responses to pattern i scatter by 1 about a point, in every direction, and
 //! the points of two patterns lie √η·d′ apart; the observer names the nearest point. So the shares follow from the distances
-//! alone, by drawing responses.
+//! alone, by drawing responses. Estimated distances may fit no points: classical scaling finds the nearest ones that exist
+//! (Torgerson 1952).
 //!
 //! Invariant: each row of a [`Confusion`] sums to 100 %.
 
-use super::observer::{Sensitivity, sensitivity};
+use super::observer::{Sensitivity, independent};
 use super::{Plan, Responses};
 use meissner_array::pattern::Pattern;
 use meissner_array::random::Normals;
@@ -16,6 +17,9 @@ use std::cmp::Ordering;
 
 /// Responses that are drawn of each pattern on each finger.
 const DRAWS: u32 = 4000;
+/// Points are this far apart at most: 1 response in 700 is nearer to the wrong one. The error of a larger distance would move points
+/// that are near each other.
+const FAR: f64 = 6.0;
 /// Streams of the draws.
 const FIRST_STREAM: u64 = 1 << 40;
 
@@ -26,7 +30,7 @@ pub struct Confusion {
     pub names: Vec<String>,
     /// Row: the pattern that is played; column: the pattern that is named; per cent.
     pub percent: Vec<Vec<f64>>,
-    /// Sensitivity d′ of an ideal observer for each pair.
+    /// Sensitivity d′ for each pair, at an efficiency of 1.
     pub d_prime: Vec<Vec<f64>>,
     /// Correct answers, per cent: the mean of the diagonal.
     pub correct_percent: f64,
@@ -58,12 +62,12 @@ pub fn confusion(
         let which: Vec<u32> = (0..finger.afferents().len() as u32).collect();
         let mut responses = Vec::new();
         for (number, pattern) in patterns.iter().enumerate() {
-            responses.push(Responses::of(pattern, number as u64, &finger, plan)?);
+            responses.push(Responses::of(pattern, number, (&finger, seed), plan, false)?);
             progress((index * n + number + 1) as f64 / work);
         }
         let totals: Vec<_> = responses.iter().map(|of| of.totals(&which)).collect();
-        let counts = pairs(n, |a, b| sensitivity(&responses[a].counts, &responses[b].counts, &which, 1));
-        let total = pairs(n, |a, b| sensitivity(&totals[a], &totals[b], &[0], 1));
+        let counts = pairs(n, |a, b| independent(&responses[a].counts, &responses[b].counts, &which));
+        let total = pairs(n, |a, b| independent(&totals[a], &totals[b], &[0]));
         let named = [&counts, &total].map(|distances| named(distances, plan.efficiency, plan.seed ^ seed));
         all.push((counts, named));
     }
@@ -104,8 +108,8 @@ fn pairs(n: usize, of: impl Fn(usize, usize) -> Sensitivity) -> Vec<Vec<f64>> {
 fn named(distances: &[Vec<f64>], efficiency: f64, seed: u64) -> Vec<Vec<f64>> {
     let n = distances.len();
     let scaled = |a: usize, b: usize| {
-        let d_prime = distances[a][b].max(0.0);
-        d_prime * d_prime * efficiency
+        let distance = (distances[a][b] * efficiency.sqrt()).min(FAR);
+        distance * distance.abs()
     };
     let points = points(n, scaled);
     let row = |played: usize| {
@@ -129,25 +133,45 @@ fn named(distances: &[Vec<f64>], efficiency: f64, seed: u64) -> Vec<Vec<f64>> {
     (0..n).map(row).collect()
 }
 
-/// Points whose squared distances are these: the first at the origin, the others by Cholesky's decomposition of their products. Where
-/// noise has made the distances impossible, a direction is left out.
+/// Points whose squared distances come nearest to these: classical scaling. Directions in which they would be negative are left out.
 fn points(n: usize, square: impl Fn(usize, usize) -> f64) -> Vec<Vec<f64>> {
-    let mut points = vec![vec![0.0; n]; n];
-    for row in 1..n {
-        for column in 1..=row {
-            let product = (square(row, 0) + square(column, 0) - square(row, column)) / 2.0;
-            let known: f64 = (1..column).map(|at| points[row][at] * points[column][at]).sum();
-            let rest = product - known;
-            points[row][column] = if row == column {
-                rest.max(0.0).sqrt()
-            } else if points[column][column] > 1e-9 {
-                rest / points[column][column]
-            } else {
-                0.0
-            };
+    let mean_of = |row: usize| (0..n).map(|column| square(row, column)).sum::<f64>() / n as f64;
+    let means: Vec<f64> = (0..n).map(mean_of).collect();
+    let mean = means.iter().sum::<f64>() / n as f64;
+    let product = |row: usize, column: usize| (means[row] + means[column] - mean - square(row, column)) / 2.0;
+    let products = (0..n).map(|row| (0..n).map(|column| product(row, column)).collect()).collect();
+    let (values, vectors) = eigen(products);
+    let point =
+        |row: &Vec<f64>| row.iter().zip(&values).map(|(at, value)| at * value.max(0.0).sqrt()).collect();
+    vectors.iter().map(point).collect()
+}
+
+/// The eigenvalues of a symmetric matrix, and its eigenvectors as columns, by Jacobi's rotations.
+fn eigen(mut matrix: Vec<Vec<f64>>) -> (Vec<f64>, Vec<Vec<f64>>) {
+    /// Rounds over all pairs; they converge after a few.
+    const ROUNDS: usize = 50;
+    let n = matrix.len();
+    let mut vectors: Vec<Vec<f64>> =
+        (0..n).map(|row| (0..n).map(|column| f64::from(u8::from(row == column))).collect()).collect();
+    for (p, q) in (0..ROUNDS).flat_map(|_| (0..n).flat_map(move |q| (0..q).map(move |p| (p, q)))) {
+        if matrix[p][q] == 0.0 {
+            continue;
         }
+        let half = (matrix[q][q] - matrix[p][p]) / (2.0 * matrix[p][q]);
+        let tangent = half.signum() / (half.abs() + half.hypot(1.0));
+        let cosine = 1.0 / tangent.hypot(1.0);
+        let sine = tangent * cosine;
+        let rotate = |row: &mut Vec<f64>| {
+            (row[p], row[q]) = (cosine * row[p] - sine * row[q], sine * row[p] + cosine * row[q]);
+        };
+        matrix.iter_mut().for_each(rotate);
+        for column in 0..n {
+            let (a, b) = (matrix[p][column], matrix[q][column]);
+            (matrix[p][column], matrix[q][column]) = (cosine * a - sine * b, sine * a + cosine * b);
+        }
+        vectors.iter_mut().for_each(rotate);
     }
-    points
+    ((0..n).map(|at| matrix[at][at]).collect(), vectors)
 }
 
 #[cfg(test)]
@@ -170,6 +194,36 @@ mod tests {
         }
     }
 
+    /// Distances that noise has made impossible: the points are near them, in any order of the patterns.
+    #[test]
+    fn impossible_distances_give_the_nearest_points_in_any_order() {
+        let wanted = |a: usize, b: usize| -> f64 {
+            match (a.min(b), a.max(b)) {
+                (a, b) if a == b => 0.0,
+                (0, 1) => 0.05,
+                (0, 2) => 1.0,
+                _ => 1.5,
+            }
+        };
+        let mut seen = Vec::new();
+        for order in [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]] {
+            let points = points(3, |a, b| wanted(order[a], order[b]).powi(2));
+            let mut distances = [[0.0; 3]; 3];
+            for a in 0..3 {
+                for b in 0..3 {
+                    let square: f64 = points[a].iter().zip(&points[b]).map(|(x, y)| (x - y) * (x - y)).sum();
+                    distances[order[a]][order[b]] = square.sqrt();
+                    assert!((square.sqrt() - wanted(order[a], order[b])).abs() < 0.4, "{order:?} {a} {b}");
+                }
+            }
+            seen.push(distances);
+        }
+        for distances in &seen {
+            let all = distances.iter().flatten().zip(seen[0].iter().flatten());
+            assert!(all.into_iter().all(|(one, first)| (one - first).abs() < 1e-6), "{seen:?}");
+        }
+    }
+
     /// Two patterns d' apart: the border lies half-way, so the share of correct names is Φ(d'/2).
     #[test]
     fn shares_of_two_are_those_in_closed_form() {
@@ -187,7 +241,7 @@ mod tests {
     fn equal_patterns_share_their_names_and_far_ones_do_not() {
         let far = vec![vec![0.0, 0.0, 50.0], vec![0.0, 0.0, 50.0], vec![50.0, 50.0, 0.0]];
         let found = named(&far, 1.0, 2);
-        assert!((found[0][0] - 50.0).abs() < 1e-9 && (found[0][1] - 50.0).abs() < 1e-9, "{found:?}");
-        assert!((found[2][2] - 100.0).abs() < 1e-9, "{found:?}");
+        assert!((found[0][0] - 50.0).abs() < 0.5 && (found[0][1] - 50.0).abs() < 0.5, "{found:?}");
+        assert!(found[2][2] > 99.5, "{found:?}");
     }
 }

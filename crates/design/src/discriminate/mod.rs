@@ -1,7 +1,7 @@
-//! Can a finger tell one pattern from another? An ideal observer of simulated spikes.
+//! Can a finger tell one pattern from another? Observers of simulated spikes.
 //!
 //! 1. [`Responses::of`] simulates trials of a pattern on a finger: one noise for each trial, the same pattern and finger.
-//! 2. `observer` estimates the [`Sensitivity`] d′ of an ideal observer of counts, and the share of correct answers that follows.
+//! 2. `observer` estimates the [`Sensitivity`] d′ of observers of counts, and the share of correct answers that follows.
 //! 3. [`discriminate`] compares two patterns: by counts, by times in bins, and by the total count alone, per class and in all; the
 //!    mean over fingers.
 //! 4. `confusion`: [`confusion`] gives the answers of an observer that names one of several patterns.
@@ -23,7 +23,7 @@ mod confusion;
 mod observer;
 
 pub use confusion::{Confusion, confusion};
-pub use observer::{LEAST_TRIALS, Sensitivity, correct_of_two, efficiency, sensitivity};
+pub use observer::{LEAST_TRIALS, Sensitivity, correct_of_two, efficiency, independent, linear};
 
 use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::random;
@@ -35,8 +35,10 @@ use serde::Serialize;
 
 /// The most trials of a pattern on a finger.
 pub const MOST_TRIALS: usize = 1000;
-/// The most counts of a trial: afferents times bins.
-pub const MOST_COUNTS: usize = 1_000_000;
+/// The most bins of all trials of a pattern on a finger: 566 afferents of two patterns take 226 MB.
+pub(crate) const MOST_BINS: usize = 100_000;
+/// The most time that is simulated, s: half an hour on one core.
+pub(crate) const MOST_SIMULATED_S: f64 = 100_000.0;
 /// Keeps the seeds of the noise apart from others.
 const NOISE_WORD: u64 = 12;
 
@@ -71,11 +73,11 @@ impl Plan {
         ((self.seconds * 1000.0 / self.resolution_ms - 1e-9).ceil() as usize).max(1)
     }
 
-    /// Says what is wrong with it, and what to do.
+    /// Says what is wrong with it for so many patterns, and what to do.
     ///
     /// # Errors
-    /// If a number is out of its range.
-    pub fn check(&self) -> Result<(), String> {
+    /// If a number is out of its range, or the work is too much.
+    pub fn check(&self, patterns: usize) -> Result<(), String> {
         if !(LEAST_TRIALS..=MOST_TRIALS).contains(&self.trials) {
             return Err(format!("{} trials: must be {LEAST_TRIALS} to {MOST_TRIALS}", self.trials));
         }
@@ -88,12 +90,18 @@ impl Plan {
         if !(self.resolution_ms > 0.0 && self.resolution_ms.is_finite()) {
             return Err(format!("a resolution of {} ms: must be above 0", self.resolution_ms));
         }
-        let counts = 1000 * self.bins();
-        if counts > MOST_COUNTS {
+        if self.bins() > MOST_BINS / self.trials {
             return Err(format!(
-                "{} bins of time: must be at most {}; take a longer resolution or a shorter interval",
+                "{} bins of time in {} trials: must be at most {MOST_BINS} in all; take a longer resolution, a shorter interval or \
+                 fewer trials",
                 self.bins(),
-                MOST_COUNTS / 1000
+                self.trials
+            ));
+        }
+        let simulated_s = (patterns * self.trials * self.fingers.len()) as f64 * self.seconds;
+        if simulated_s > MOST_SIMULATED_S {
+            return Err(format!(
+                "{simulated_s} s to simulate: must be at most {MOST_SIMULATED_S}; take fewer patterns, trials or fingers"
             ));
         }
         if !(self.efficiency > 0.0 && self.efficiency <= 1.0) {
@@ -103,32 +111,36 @@ impl Plan {
     }
 }
 
-/// Trials of one pattern on one finger.
+/// Trials of one pattern on one finger: what an observer may read.
 #[derive(Clone, Debug)]
-pub struct Responses {
+struct Responses {
     /// Spikes per afferent.
-    counts: Trials,
-    /// Spikes per afferent and bin, afferent by afferent.
-    times: Trials,
+    counts: Trials<u32>,
+    /// Spikes per afferent and bin, afferent by afferent; empty if they are not wanted.
+    times: Trials<u16>,
 }
 
 impl Responses {
-    /// Simulates a pattern. `number` is its place among the patterns: it keys the noise, so that no two patterns share any.
-    ///
-    /// # Errors
-    /// If the pattern cannot be simulated.
-    pub fn of(pattern: &Pattern, number: u64, finger: &Finger, plan: &Plan) -> Result<Self, FingerError> {
+    /// Simulates a pattern on the finger of a seed. `number` is its place among the patterns: with the finger's seed it keys the noise,
+    /// so that no two patterns and no two fingers share any.
+    fn of(
+        pattern: &Pattern,
+        number: usize,
+        (finger, seed): (&Finger, u64),
+        plan: &Plan,
+        with_times: bool,
+    ) -> Result<Self, FingerError> {
         let stop_s = |drive: &Drive| drive.stop_s.or(pattern.duration_s());
         let drives: Vec<Drive> =
             pattern.drives().iter().map(|drive| Drive { stop_s: stop_s(drive), ..*drive }).collect();
         let bins = plan.bins();
         let trial = |trial: usize| {
-            let [seed, ..] = random::words([plan.seed, number, trial as u64, NOISE_WORD]);
+            let number = (number as u64) << 32 | trial as u64;
+            let [noise, ..] = random::words([plan.seed, number, seed, NOISE_WORD]);
             // Files hold seeds of 63 bits.
-            let spikes_s = finger.spikes_s(&Trial::of_drives(&drives, plan.seconds, seed >> 1))?;
-            let counts =
-                spikes_s.iter().map(|train| u16::try_from(train.len()).unwrap_or(u16::MAX)).collect();
-            let mut times = vec![0_u16; spikes_s.len() * bins];
+            let spikes_s = finger.spikes_s(&Trial::of_drives(&drives, plan.seconds, noise >> 1))?;
+            let counts = spikes_s.iter().map(|train| train.len() as u32).collect();
+            let mut times = vec![0_u16; if with_times { spikes_s.len() * bins } else { 0 }];
             for (train, bins_of) in spikes_s.iter().zip(times.chunks_mut(bins)) {
                 for at_s in train {
                     let bin = ((at_s * 1000.0 / plan.resolution_ms) as usize).min(bins - 1);
@@ -143,16 +155,16 @@ impl Responses {
     }
 
     /// The sum of the counts of some afferents, as one count.
-    fn totals(&self, which: &[u32]) -> Trials {
-        let total = |trial: &Vec<u16>| -> u64 { which.iter().map(|&of| u64::from(trial[of as usize])).sum() };
-        self.counts.iter().map(|trial| vec![u16::try_from(total(trial)).unwrap_or(u16::MAX)]).collect()
+    fn totals(&self, which: &[u32]) -> Trials<u32> {
+        let total = |trial: &Vec<u32>| vec![which.iter().map(|&of| trial[of as usize]).sum()];
+        self.counts.iter().map(total).collect()
     }
 }
 
 /// What an observer of some afferents makes of two patterns: means over fingers.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Reading {
-    /// The sensitivity of an ideal observer.
+    /// The observer's sensitivity, at an efficiency of 1.
     pub d_prime: f64,
     /// The standard error of that mean, from the trials.
     pub d_prime_se: f64,
@@ -171,10 +183,10 @@ pub struct ClassReadings {
     pub class: Option<Class>,
     /// Afferents of a finger.
     pub afferents: usize,
-    /// By each afferent's number of spikes.
+    /// By each afferent's number of spikes: the ideal observer, because the noise of afferents is independent.
     pub counts: Reading,
-    /// By each afferent's spikes in bins of time, each bin taken as independent, or by the counts where these tell more: regular
-    /// firing makes bins depend on each other. A lower bound for the ideal observer.
+    /// By each afferent's spikes in bins of time: a linear observer that learned its weights from the trials, a lower bound. With few
+    /// trials it may tell less than the counts.
     pub times: Reading,
     /// By the number of all spikes together: the baseline.
     pub total: Reading,
@@ -195,16 +207,16 @@ pub fn discriminate(
     let mut found: Vec<(Option<Class>, usize, [Vec<Sensitivity>; 3])> = Vec::new();
     for (number, &seed) in plan.fingers.iter().enumerate() {
         let finger = Finger::new(plan.model, seed);
-        let [one, other] = [0, 1].map(|at| Responses::of(patterns[at], at as u64, &finger, plan));
+        let [one, other] = [0, 1].map(|at| Responses::of(patterns[at], at, (&finger, seed), plan, true));
         let (one, other) = (one?, other?);
         for (index, (class, which)) in groups(&finger).into_iter().enumerate() {
             let bins = plan.bins() as u32;
             let in_bins: Vec<u32> = which.iter().flat_map(|of| of * bins..(of + 1) * bins).collect();
-            let counts = sensitivity(&one.counts, &other.counts, &which, 1);
-            let times = sensitivity(&one.times, &other.times, &in_bins, plan.bins());
-            // Who reads times can count.
-            let times = if times.d_prime < counts.d_prime { counts } else { times };
-            let readings = [counts, times, sensitivity(&one.totals(&which), &other.totals(&which), &[0], 1)];
+            let readings = [
+                independent(&one.counts, &other.counts, &which),
+                linear(&one.times, &other.times, &in_bins),
+                independent(&one.totals(&which), &other.totals(&which), &[0]),
+            ];
             if number == 0 {
                 found.push((class, which.len(), Default::default()));
             }
@@ -233,10 +245,11 @@ impl Reading {
         let mean = |of: &dyn Fn(&Sensitivity) -> f64| fingers.iter().map(of).sum::<f64>() / n;
         let d_prime = mean(&|of| of.d_prime);
         let away = mean(&|of| (of.d_prime - d_prime).powi(2)) * n;
-        let correct = |by: f64| mean(&|of| 100.0 * correct_of_two(of.d_prime + by * of.se, efficiency));
+        let d_prime_se = (mean(&|of| of.se * of.se) / n).sqrt();
+        let correct = |by: f64| mean(&|of| 100.0 * correct_of_two(of.d_prime + by * d_prime_se, efficiency));
         Self {
             d_prime,
-            d_prime_se: (mean(&|of| of.se * of.se) / n).sqrt(),
+            d_prime_se,
             d_prime_sd_fingers: if fingers.len() > 1 { (away / (n - 1.0)).sqrt() } else { 0.0 },
             correct_percent: correct(0.0),
             correct_percent_range: [correct(-1.0), correct(1.0)],

@@ -63,22 +63,12 @@ fn more_efficient_observers_are_right_more_often_and_results_come_again() {
     let patterns = [&pattern("a", &[9], 20.0), &pattern("b", &[9], 30.0)];
     let model = SkinModel::AFFERENTS;
     let found = discriminate(patterns, &plan(model), &|_| ()).unwrap();
-    assert_eq!(discriminate(patterns, &plan(model), &|_| ()).unwrap(), found);
+    let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    assert_eq!(one.install(|| discriminate(patterns, &plan(model), &|_| ())).unwrap(), found);
     let ideal = discriminate(patterns, &Plan { efficiency: 1.0, ..plan(model) }, &|_| ()).unwrap();
     for (of, ideal) in found.iter().zip(&ideal) {
         assert_eq!(of.counts.d_prime, ideal.counts.d_prime);
         assert!(of.counts.d_prime <= 0.0 || of.counts.correct_percent < ideal.counts.correct_percent);
-    }
-}
-
-/// Whoever reads the times of spikes can count them.
-#[test]
-fn times_say_no_less_than_counts() {
-    let patterns = [&pattern("a", &[9], 80.0), &pattern("b", &[10], 80.0)];
-    for model in models() {
-        for of in discriminate(patterns, &plan(model), &|_| ()).unwrap() {
-            assert!(of.times.d_prime >= of.counts.d_prime, "{model:?} {of:?}");
-        }
     }
 }
 
@@ -98,19 +88,18 @@ fn times_tell_what_counts_do_not() {
 
 #[test]
 fn a_set_is_named_by_counts_better_than_by_the_total() {
-    let patterns = [pattern("a", &[5], 80.0), pattern("b", &[5], 80.0), pattern("c", &[18], 80.0)];
-    let plan = Plan { efficiency: 0.05, ..plan(SkinModel::AFFERENTS) };
+    let patterns = [pattern("a", &[5], 80.0), pattern("b", &[10], 80.0), pattern("c", &[18], 80.0)];
+    let plan = Plan { efficiency: 0.005, ..plan(SkinModel::AFFERENTS) };
     let found = confusion(&patterns.each_ref(), &plan, &|_| ()).unwrap();
-    assert!((found.percent[0][0] - 50.0).abs() < 12.0 && found.percent[2][2] > 80.0, "{found:?}");
+    assert!((0..3).all(|at| found.percent[at][at] > 80.0 && found.d_prime[at][at] == 0.0), "{found:?}");
     assert!(found.correct_percent > found.chance_percent && found.correct_percent_se.is_some(), "{found:?}");
-    assert!(found.total_correct_percent < found.correct_percent, "{found:?}");
-    assert_eq!(found.d_prime[0][0], 0.0);
+    assert!(found.total_correct_percent < found.correct_percent - 10.0, "{found:?}");
 }
 
 #[test]
 fn a_plan_out_of_range_is_refused_in_one_line() {
     let good = plan(SkinModel::AFFERENTS);
-    assert!(good.check().is_ok() && good.bins() == 40);
+    assert!(good.check(2).is_ok() && good.bins() == 40);
     for bad in [
         Plan { trials: 7, ..good.clone() },
         Plan { trials: 1001, ..good.clone() },
@@ -118,10 +107,18 @@ fn a_plan_out_of_range_is_refused_in_one_line() {
         Plan { seconds: 0.0, ..good.clone() },
         Plan { resolution_ms: 0.0, ..good.clone() },
         Plan { resolution_ms: 0.1, seconds: 1.0, ..good.clone() },
+        Plan { resolution_ms: 1e-300, ..good.clone() },
+        Plan {
+            trials: 1000,
+            seconds: 20.0,
+            resolution_ms: 1000.0,
+            fingers: (0..3).collect(),
+            ..good.clone()
+        },
         Plan { efficiency: 0.0, ..good.clone() },
         Plan { efficiency: f64::NAN, ..good },
     ] {
-        let line = bad.check().unwrap_err();
+        let line = bad.check(2).unwrap_err();
         assert!(line.contains("must be") && !line.contains('\n'), "{line}");
     }
 }

@@ -113,7 +113,7 @@ pub(super) fn small(pins: &[Pin<'_>], outline: &[Vec<[f64; 2]>]) -> String {
     drawing.ellipse(middle, radii, Paint { fill: "#f4f4f4", stroke: FAINT });
     for motor in 0..MOTORS as u8 {
         let pin = pins.iter().find(|pin| pin.drive.motor == motor);
-        let fill = pin.map_or_else(|| "#ffffff".to_owned(), |pin| color(pin.reached_um / top_um));
+        let fill = pin.map_or_else(|| "#dddddd".to_owned(), |pin| color(pin.reached_um / top_um));
         let at = place(geometry::position_mm(motor));
         drawing.circle(at, 1.1 * SMALL_PER_MM, Paint { fill: &fill, stroke: FADED });
     }

@@ -132,7 +132,7 @@ fn overview(sections: &[Section]) -> String {
         return items;
     }
     format!(
-        "<h2>Overview</h2>\n<ul class=\"overview\">\n{items}</ul>\n<p>The pins of each pattern, brighter the farther they move \
-         (each on its own scale), and its target in orange.</p>\n"
+        "<h2>Overview</h2>\n<ul class=\"overview\">\n{items}</ul>\n<p>The pins of each pattern, of a moving one at its beginning: \
+         yellow moves farthest (each on its own scale), grey is off. Orange: the target. Contrasts are in impulses/s.</p>\n"
     )
 }
