@@ -165,9 +165,9 @@ fn eigen(mut matrix: Vec<Vec<f64>>) -> (Vec<f64>, Vec<Vec<f64>>) {
             (row[p], row[q]) = (cosine * row[p] - sine * row[q], sine * row[p] + cosine * row[q]);
         };
         matrix.iter_mut().for_each(rotate);
-        for column in 0..n {
-            let (a, b) = (matrix[p][column], matrix[q][column]);
-            (matrix[p][column], matrix[q][column]) = (cosine * a - sine * b, sine * a + cosine * b);
+        let (above, below) = matrix.split_at_mut(q);
+        for (a, b) in above[p].iter_mut().zip(&mut below[0]) {
+            (*a, *b) = (cosine * *a - sine * *b, sine * *a + cosine * *b);
         }
         vectors.iter_mut().for_each(rotate);
     }
