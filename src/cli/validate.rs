@@ -34,7 +34,7 @@ fn summary(found: &Validation) -> String {
     let head = ["case", "source", "published", "membrane", "afferents", "verdict"];
     let models = [ModelName::Membrane, ModelName::Afferents].map(|model| {
         let [agrees, of] = found.agreements(model);
-        format!("{} agrees in {agrees} of {of} cases", model.name())
+        format!("{} agrees in {agrees} of {of} cases that it was not made from", model.name())
     });
     format!(
         "Both models against published figures. Amplitudes are peak to peak; there is no noise; of several recorded afferents the \
@@ -47,14 +47,15 @@ fn summary(found: &Validation) -> String {
 /// The published figure, and in brackets what agrees with it.
 fn published(case: &Case) -> String {
     let unit = if case.unit.is_empty() { String::new() } else { format!(" {}", case.unit) };
-    match case.published {
+    let bound = match case.published {
         Published::About(value, factor) => {
             format!("{value}{unit} ({} to {})", three(value / factor), three(value * factor))
         }
         Published::Between(from, to) => format!("{from} to {to}{unit}"),
         Published::AtLeast(least) => format!("at least {least}{unit}"),
         Published::AtMost(most) => format!("at most {most}{unit}"),
-    }
+    };
+    case.published_words.map_or(bound.clone(), |words| format!("{words} ({bound})"))
 }
 
 fn value(finding: &Finding) -> String {
@@ -67,6 +68,7 @@ fn value(finding: &Finding) -> String {
 /// What is wrong with each model, or that it agrees.
 fn verdicts(case: &Case) -> String {
     let one = |name: ModelName, finding: &Finding| match finding.verdict {
+        _ if case.made_from == Some(name) => Some(format!("{} was made from it", name.name())),
         ValidationVerdict::Agrees => Some(format!("{} agrees", name.name())),
         ValidationVerdict::NotModelled => None,
         _ => Some(format!("{} {}", name.name(), finding.says)),

@@ -56,8 +56,12 @@ pub struct Case {
     pub source: &'static str,
     /// Its unit; amplitudes are peak to peak.
     pub unit: &'static str,
-    /// The published figure.
+    /// The published figure, or where only words are published a figure of ours.
     pub published: Published,
+    /// What is published, if it is no figure.
+    pub published_words: Option<&'static str>,
+    /// The model whose parameters come from this figure: that it agrees shows only that it was made right.
+    pub made_from: Option<ModelName>,
     /// The smallest number that agrees, if there is one.
     pub at_least: Option<f64>,
     /// The largest number that agrees, if there is one.
@@ -111,13 +115,15 @@ pub(super) struct Judged {
     pub(super) source: &'static str,
     pub(super) unit: &'static str,
     pub(super) published: Published,
+    pub(super) published_words: Option<&'static str>,
+    pub(super) made_from: Option<ModelName>,
     /// What a number below and one above the tolerance mean.
     pub(super) says: [&'static str; 2],
 }
 
 impl Judged {
     pub(super) fn with(self, [membrane, afferents]: [Option<f64>; 2], modelled: [bool; 2]) -> Case {
-        let Self { name, source, unit, published, says } = self;
+        let Self { name, source, unit, published, published_words, made_from, says } = self;
         let [at_least, at_most] = published.bounds();
         let finding = |value: Option<f64>, modelled: bool| {
             let verdict = if modelled { published.verdict(value) } else { ValidationVerdict::NotModelled };
@@ -130,20 +136,31 @@ impl Judged {
             Finding { value, verdict, says }
         };
         let (membrane, afferents) = (finding(membrane, modelled[0]), finding(afferents, modelled[1]));
-        Case { name, source, unit, published, at_least, at_most, membrane, afferents }
+        Case {
+            name,
+            source,
+            unit,
+            published,
+            published_words,
+            made_from,
+            at_least,
+            at_most,
+            membrane,
+            afferents,
+        }
     }
 }
 
 impl Validation {
-    /// In how many cases a model agrees, and of how many that it has.
+    /// In how many cases a model agrees, and of how many that it has and was not made from.
     #[must_use]
     pub fn agreements(&self, model: ModelName) -> [usize; 2] {
         let of = |case: &Case| match model {
             ModelName::Membrane => case.membrane.verdict,
             ModelName::Afferents => case.afferents.verdict,
         };
-        let count =
-            |holds: fn(ValidationVerdict) -> bool| self.cases.iter().filter(|case| holds(of(case))).count();
+        let cases = || self.cases.iter().filter(|case| case.made_from != Some(model));
+        let count = |holds: fn(ValidationVerdict) -> bool| cases().filter(|case| holds(of(case))).count();
         [
             count(|verdict| verdict == ValidationVerdict::Agrees),
             count(|verdict| verdict != ValidationVerdict::NotModelled),

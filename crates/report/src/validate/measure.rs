@@ -250,7 +250,7 @@ fn area_mm2(model: ModelName, class: Class, um: f64) -> f64 {
     median(&mut areas)
 }
 
-/// How much of the variance of y a straight line in x explains (R²); none with fewer than three points, or without variance.
+/// How much of the variance of y a rising straight line in x explains (R²); none with fewer than three points, or if y does not rise.
 fn explained(points: &[[f64; 2]]) -> Option<f64> {
     let n = points.len() as f64;
     let mean = |of: usize| points.iter().map(|point| point[of]).sum::<f64>() / n;
@@ -260,7 +260,7 @@ fn explained(points: &[[f64; 2]]) -> Option<f64> {
         points.iter().map(|point| (point[a] - means[a]) * (point[b] - means[b])).sum::<f64>()
     };
     let (xx, xy, yy) = (sum(0, 0), sum(0, 1), sum(1, 1));
-    (points.len() > 2 && xx > 0.0 && yy > 0.0).then(|| xy * xy / (xx * yy))
+    (points.len() > 2 && xy > 0.0 && yy > 0.0).then(|| xy * xy / (xx * yy))
 }
 
 /// The share of the reference spikes that come at their sample, of all spikes of either side.
@@ -327,7 +327,9 @@ mod tests {
         assert_eq!(median_or_never(vec![Some(1.0), None, None]), None);
         assert_eq!(median_or_never(vec![Some(1.0), Some(2.0), None]), Some(2.0));
         assert!((explained(&[[0.0, 1.0], [1.0, 3.0], [2.0, 5.0]]).unwrap() - 1.0).abs() < 1e-12);
-        assert!(explained(&[[0.0, 0.0], [1.0, 1.0], [2.0, 0.0]]).unwrap() < 1e-12);
-        assert_eq!(explained(&[[0.0, 1.0], [1.0, 1.0], [2.0, 1.0]]), None);
+        assert!(explained(&[[0.0, 0.0], [1.0, 2.0], [2.0, 0.1]]).unwrap() < 0.01);
+        for no_rise in [[1.0, 1.0, 1.0], [5.0, 3.0, 1.0]] {
+            assert_eq!(explained(&[[0.0, no_rise[0]], [1.0, no_rise[1]], [2.0, no_rise[2]]]), None);
+        }
     }
 }
