@@ -151,8 +151,10 @@
 //! without a pulse, for longer if more such strokes follow.
 //!
 //! A firmware looks for e-stops in the bytes as they arrive ([`urgent`]), before it reads the bytes that came earlier, and in
-//! SETUP packets of USB ([`urgent::e_stop_request`]). Where hosts can connect over several lines, a `Hello` on another line takes over, and the
-//! first line counts as lost.
+//! SETUP packets of USB ([`urgent::e_stop_request`]). An e-stop that was new when it was found latches, even if the link is lost
+//! or another session opened before the controller carries it out. Any program that may open the USB device can stop the lines by
+//! a request. Without a session a request needs no new epoch: it latches, too, and the next host resets it.
+//! Where hosts can connect over several lines, a `Hello` on another line takes over, and the first line counts as lost.
 //!
 //! *Outstanding return pulses* are the down pulses that a pin still needs to be back at rest. A stroke that is cut in its up
 //! burst leaves the up pulses played outstanding, and its surplus. A stroke that is cut later leaves the rest of its down burst

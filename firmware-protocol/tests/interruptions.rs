@@ -392,10 +392,6 @@ fn an_e_stop_seen_before_its_frame_takes_effect_once_and_at_once() {
     bench.onset(first.up.0, &[first]);
     bench.run_to(first.up.0 + 50);
     let epoch = bench.epoch.wrapping_add(1);
-    // An e-stop of the present epoch does nothing.
-    bench.device.e_stop(Tick(bench.now), bench.epoch);
-    bench.is(State::Armed, Cause::Request);
-    assert_eq!(bench.device.epoch(), Some(bench.epoch));
     bench.device.e_stop(Tick(bench.now), epoch);
     bench.is(State::Faulted, Cause::EStop);
     let at = bench.now;
@@ -409,8 +405,39 @@ fn an_e_stop_seen_before_its_frame_takes_effect_once_and_at_once() {
     assert_eq!(i64::from(bench.device.outstanding(1)), bench.net(1));
     bench.control(Op::Reset);
     bench.is(State::Disarmed, Cause::Request);
+}
 
+#[test]
+fn an_e_stop_latches_although_its_session_has_ended() {
+    for shell in SHELLS {
+        // The link is lost, or another host opens a session, between the shell's finding and the controller's e-stop.
+        let ends: [fn(&mut Bench); 2] = [
+            |bench| bench.device.link_lost(Tick(bench.now)),
+            |bench| bench.device.open_session(Tick(bench.now), 2),
+        ];
+        for end in ends {
+            let mut bench = Bench::armed(shell);
+            let first = stroke(1, bench.now + 100, 200, 5, 200);
+            bench.strokes(&[first]);
+            bench.run_to(first.up.0 + 50);
+            let epoch = bench.epoch.wrapping_add(1);
+            end(&mut bench);
+            assert_eq!(bench.device.state(), State::Returning);
+            bench.device.e_stop(Tick(bench.now), epoch);
+            bench.is(State::Faulted, Cause::EStop);
+            let at = bench.now;
+            bench.run(2_000);
+            assert!(bench.last_pulse() <= Some(at), "the return goes on");
+            assert_eq!(i64::from(bench.device.outstanding(1)), bench.net(1));
+            // The next host finds the latch.
+            bench.hello(3);
+            bench.ping(1);
+            assert_eq!((bench.status().state, bench.status().cause), (State::Faulted, Cause::EStop));
+        }
+    }
+    // So does one before any session.
     let mut alone = Bench::new(FIRMWARE);
     alone.device.e_stop(Tick(alone.now), 1);
-    assert_eq!((alone.device.epoch(), alone.device.state()), (None, State::Disarmed));
+    assert_eq!(alone.device.epoch(), None);
+    alone.is(State::Faulted, Cause::EStop);
 }

@@ -1,7 +1,8 @@
 //! Passes an e-stop from the USB interrupt to the shell, past the packets that wait before it.
 //!
-//! The interrupt calls [`found`], which forces the lines low at once. The shell learns of it by [`pending`], has the controller
-//! carry it out and calls [`done`]. Between the two the controller's clock stands still, so it books the right pulses.
+//! The interrupt calls [`found`] or [`requested`], which force the lines low at once. The shell learns of it by [`pending`], has
+//! the controller carry it out and calls [`done`]. Between the two the controller's clock stands still, so it books the right pulses.
+//! Invariant: once the lines are forced low, the controller turns them off and latches, whatever became of the session.
 
 use crate::{wake, wave};
 use core::sync::atomic::{AtomicU32, Ordering::SeqCst};
@@ -18,10 +19,26 @@ pub(crate) fn set_epoch(epoch: Option<u16>) {
     EPOCH.store(epoch.map_or(0, |epoch| SOME | u32::from(epoch)), SeqCst);
 }
 
-/// Forces the lines low if this e-stop of the active host is new. From the USB interrupt.
+/// Forces the lines low if this e-stop in a frame of the active host is new. From the USB interrupt.
 pub(crate) fn found(epoch: u16) {
     let present = EPOCH.load(SeqCst);
-    if present & SOME != 0 && newer(epoch, present as u16) && PENDING.load(SeqCst) == 0 {
+    if present & SOME != 0 && newer(epoch, present as u16) {
+        stop(epoch);
+    }
+}
+
+/// Forces the lines low if this e-stop in a control request is new: without a session each is. From the USB interrupt, or with
+/// interrupts off.
+pub(crate) fn requested(epoch: u16) {
+    let present = EPOCH.load(SeqCst);
+    if present & SOME == 0 || newer(epoch, present as u16) {
+        stop(epoch);
+    }
+}
+
+#[inline(always)]
+fn stop(epoch: u16) {
+    if PENDING.load(SeqCst) == 0 {
         wave::freeze_low();
         PENDING.store(SOME | u32::from(epoch), SeqCst);
         wake::shell();

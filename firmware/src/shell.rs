@@ -113,6 +113,8 @@ impl Shell {
     fn take_e_stop(&mut self) {
         if let Some(epoch) = estop::pending() {
             self.controller.e_stop(wave::now(), epoch);
+            // First: its repetition is not a new e-stop.
+            estop::set_epoch(self.controller.epoch());
             estop::done();
         }
     }

@@ -138,7 +138,7 @@ impl OnInterrupt<USBCTRL_IRQ> for Peek {
         if pac::USB.ints().read().setup_req()
             && let Some(epoch) = e_stop_requested(setup())
         {
-            estop::found(epoch);
+            estop::requested(epoch);
         }
         let full = pac::USB.buff_status().read();
         for (pipe, endpoint) in ENDPOINTS.iter().enumerate() {
@@ -162,7 +162,7 @@ impl OnInterrupt<USBCTRL_IRQ> for Peek {
     }
 }
 
-/// Reports a lost bus to the shell, and accepts the request of an e-stop: [`Peek`] has carried it out.
+/// Reports a lost bus to the shell, and accepts the request of an e-stop.
 struct Bus;
 
 impl Handler for Bus {
@@ -172,7 +172,10 @@ impl Handler for Bus {
         let vendor =
             (request_type, recipient, index, length) == (RequestType::Vendor, Recipient::Device, 0, 0);
         let setup = [0x40, request, low, high, 0, 0, 0, 0];
-        (vendor && e_stop_requested(setup).is_some()).then_some(OutResponse::Accepted)
+        let epoch = e_stop_requested(setup).filter(|_| vendor)?;
+        // For a SETUP packet that came after [`Peek`] had looked and before embassy did. After [`Peek`] it is a repetition.
+        critical_section::with(|_| estop::requested(epoch));
+        Some(OutResponse::Accepted)
     }
     fn enabled(&mut self, _: bool) {
         lose(ALL);

@@ -245,13 +245,15 @@ impl Controller {
         self.session.map(|_| self.epoch)
     }
 
-    /// Carries out an e-stop that the shell has found in the incoming bytes ([`crate::urgent`]), ahead of the bytes before
-    /// it. The frame itself is a repetition when it is received later.
+    /// Carries out an e-stop that the shell has found ([`crate::urgent`]), ahead of the bytes before it. The frame itself is a
+    /// repetition when it is received later. The shell has compared the e-stop with [`Self::epoch`] when it found it. The link may
+    /// have been lost since, or another session opened: the lines go off all the same.
     pub fn e_stop(&mut self, now: Tick, epoch: u16) {
         self.pass(now);
         if self.session.is_some() {
             self.control(epoch, Op::EStop);
         }
+        self.off(Cause::EStop);
     }
 
     /// Opens a session for a host whose `Hello` the shell has found ([`crate::urgent`]), perhaps over several packets.
