@@ -49,6 +49,8 @@ pub(crate) struct Bench {
     pub(crate) now: u64,
     start: u64,
     shell: Shell,
+    /// As the firmware: a piece of a frame in each block, and lines rendered in between.
+    pub(crate) in_pieces: bool,
     /// Runs of one tick, and whether a limit refused a stroke that was to begin in it.
     ahead: VecDeque<(Run, bool)>,
     log: Vec<(u64, Lines)>,
@@ -104,6 +106,7 @@ impl Bench {
             now: start.0,
             start: start.0,
             shell,
+            in_pieces: false,
             ahead: VecDeque::new(),
             log: Vec::new(),
             triggered: Vec::new(),
@@ -206,7 +209,11 @@ impl Bench {
         }
         self.now += 1;
         if (self.now - self.start).is_multiple_of(self.shell.block) {
-            self.device.poll(Tick(self.now));
+            if self.in_pieces {
+                self.device.advance(Tick(self.now));
+            } else {
+                self.device.poll(Tick(self.now));
+            }
             self.fill(self.now + self.shell.ahead);
             self.drain();
         }
@@ -258,8 +265,14 @@ impl Bench {
         }
     }
 
-    pub(crate) fn bytes(&mut self, bytes: &[u8]) {
-        self.device.receive(Tick(self.now), bytes);
+    pub(crate) fn bytes(&mut self, mut bytes: &[u8]) {
+        if self.in_pieces {
+            while !bytes.is_empty() {
+                self.device.read(Tick(self.now), &mut bytes);
+            }
+        } else {
+            self.device.receive(Tick(self.now), bytes);
+        }
         if self.device.state() == State::Faulted {
             // A shell forces the drivers off at once.
             (self.enabled, self.enabled_idle) = (0, 0);

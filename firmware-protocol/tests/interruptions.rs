@@ -417,7 +417,7 @@ fn an_e_stop_latches_although_its_session_has_ended() {
         ];
         for end in ends {
             let mut bench = Bench::armed(shell);
-            let first = stroke(1, bench.now + 100, 200, 5, 200);
+            let first = stroke(1, bench.soon(), 200, 5, 200);
             bench.strokes(&[first]);
             bench.run_to(first.up.0 + 50);
             let epoch = bench.epoch.wrapping_add(1);

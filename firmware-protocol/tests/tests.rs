@@ -11,6 +11,8 @@ mod link;
 mod lower_stop;
 mod moves;
 mod onsets;
+/// Frames taken in pieces, with events in between.
+mod pieces;
 /// Random requests and faults in any order.
 mod properties;
 mod states;

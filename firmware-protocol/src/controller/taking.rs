@@ -1,11 +1,12 @@
 //! What is decoded and not taken yet of the newest frame: its body, then its strokes or amendments.
 //!
-//! To take a long frame whole would leave the chip no time to render lines. So it is taken in pieces ([`Controller::take`]).
+//! To take a long frame whole leaves the chip little time to render lines. So it is taken in pieces ([`Controller::take`]).
 //! There is one place: a frame is decoded only when the one before is taken.
+//!
+//! Invariant: a play's first frame is judged and taken in one piece, so that it is taken whole or not at all.
 
-use crate::batch::{Amendments, BATCH_BYTES, Batch};
-use crate::controller::pool::POOL;
-use crate::controller::{BLOCK, Controller, DRIVER_LEAD};
+use crate::batch::{Amendments, BATCH_BYTES, Batch, MAX_BATCH};
+use crate::controller::Controller;
 use crate::frame::{self, MAX_FRAME};
 use crate::limits::Refusal;
 use crate::message::{Mark, MarkKind, Report, State};
@@ -15,8 +16,6 @@ use crate::tick::Tick;
 const STROKES: usize = 8;
 /// Most amendments taken at a time: each searches the queue of its motor.
 const AMENDMENTS: usize = 4;
-/// Ticks by which the rendered end may move on while a frame of more than [`STROKES`] strokes is taken.
-const WHILE_TAKING: u64 = 2 * BLOCK as u64;
 
 /// The head of the next frame of the ordered stream.
 #[derive(Clone, Copy, Debug)]
@@ -43,6 +42,8 @@ pub(super) struct Taking {
     taken: usize,
     /// Bits of the strokes that were late, and refused.
     late: u64,
+    /// When the first late one could have begun at the earliest.
+    missed: Option<Tick>,
     refused: u64,
     /// Why the first of those was refused.
     reason: Option<Refusal>,
@@ -63,6 +64,7 @@ impl Taking {
         seq: None,
         taken: 0,
         late: 0,
+        missed: None,
         refused: 0,
         reason: None,
         generation: 0,
@@ -104,7 +106,7 @@ impl Controller {
             return true;
         }
         if let Some(seq) = self.taking.seq {
-            self.take_strokes(seq);
+            self.take_strokes(seq, STROKES);
             return true;
         }
         self.take_amendments()
@@ -127,11 +129,8 @@ impl Controller {
         if let Some(mark) = mark
             && self.state == State::Armed
         {
-            // All of a play's first frame must be in time, and while it is taken lines may be rendered and drivers go off.
-            let whole = mark.kind == MarkKind::Play && !self.takes_at_once();
-            let latest = self.rendered + u64::from(DRIVER_LEAD) + WHILE_TAKING;
-            let ready = if whole { latest } else { self.ready() };
             // No stroke begins before the base.
+            let ready = self.ready();
             if base >= ready {
                 // There was room when the frame was read.
                 let _ = self.marks.push_back((base, mark.trigger));
@@ -144,26 +143,30 @@ impl Controller {
         }
         let taking = &mut self.taking;
         (taking.seq, taking.taken) = (Some(seq), 0);
-        (taking.late, taking.refused, taking.reason) = (0, 0, None);
-        if self.takes_at_once() {
-            self.take_strokes(seq);
+        (taking.late, taking.missed, taking.refused, taking.reason) = (0, None, 0, None);
+        // Between pieces lines are rendered, and a stroke that was in time may become late.
+        let begins_play = mark.is_some_and(|mark| mark.kind == MarkKind::Play);
+        let is_short = self.taking.strokes.len() <= STROKES || self.pool.is_empty();
+        if begins_play || is_short {
+            self.take_strokes(seq, MAX_BATCH);
         }
     }
 
-    /// Whether all strokes of the frame are taken at once: there are few, or the lines are quiet.
-    fn takes_at_once(&self) -> bool {
-        self.taking.strokes.len() <= STROKES || self.pool.is_empty()
-    }
-
-    fn take_strokes(&mut self, seq: u16) {
-        let most = if self.takes_at_once() { POOL } else { STROKES };
+    /// Takes at most `most` strokes. Each is counted at once, because an e-stop may end the frame between two pieces.
+    fn take_strokes(&mut self, seq: u16, most: usize) {
         for _ in 0..most {
             let at = self.taking.taken;
             let Some(&stroke) = self.taking.strokes.get(at) else { break };
             match self.accept(&stroke) {
                 Ok(true) => {}
-                Ok(false) => self.taking.late |= 1 << at,
+                Ok(false) => {
+                    self.counters.late += 2;
+                    self.taking.late |= 1 << at;
+                    let ready = self.ready();
+                    self.taking.missed.get_or_insert(ready);
+                }
                 Err(refusal) => {
+                    self.counters.refused += 2;
                     self.taking.refused |= 1 << at;
                     self.taking.reason = self.taking.reason.or(Some(refusal));
                 }
@@ -173,12 +176,10 @@ impl Controller {
         if self.taking.taken < self.taking.strokes.len() {
             return;
         }
-        let &Taking { late, refused, reason, .. } = &self.taking;
+        let &Taking { late, missed, refused, reason, .. } = &self.taking;
         self.taking.seq = None;
         if late | refused != 0 {
-            self.counters.late += 2 * u64::from(late.count_ones());
-            self.counters.refused += 2 * u64::from(refused.count_ones());
-            let rendered = self.ready().wire();
+            let rendered = missed.unwrap_or(self.rendered).wire();
             self.report(Report::Verdict { seq, late, refused, reason, rendered });
         }
     }
