@@ -334,7 +334,8 @@ pub enum Report {
         refused: u64,
         /// Why the first of those was refused.
         reason: Option<Refusal>,
-        /// The first tick not rendered yet: the earliest possible start.
+        /// The earliest possible start when the device judged the first late stroke. Strokes of a long frame are judged one after the
+        /// other, so a later one may begin after this tick and be late.
         rendered: WireTick,
     },
     /// A mark was late. If it was a play's, nothing of its frame was taken.

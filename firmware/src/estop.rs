@@ -1,6 +1,6 @@
 //! Passes an e-stop from the USB interrupt to the shell, past the packets that wait before it.
 //!
-//! The interrupt calls [`found`] or [`requested`], which force the lines low at once. The shell learns of it by [`pending`], has
+//! The interrupt calls [`found`], which forces the lines low at once. The shell learns of it by [`pending`], has
 //! the controller carry it out and calls [`done`]. Between the two the controller's clock stands still, so it books the right pulses.
 //! Invariant: once the lines are forced low, the controller turns them off and latches, whatever became of the session.
 
@@ -19,26 +19,13 @@ pub(crate) fn set_epoch(epoch: Option<u16>) {
     EPOCH.store(epoch.map_or(0, |epoch| SOME | u32::from(epoch)), SeqCst);
 }
 
-/// Forces the lines low if this e-stop in a frame of the active host is new. From the USB interrupt.
-pub(crate) fn found(epoch: u16) {
+/// Forces the lines low if this e-stop is new. Without a session each is that `by_request` says to be a control request. From the
+/// USB interrupt, or with interrupts off.
+#[inline(never)]
+pub(crate) fn found(epoch: u16, by_request: bool) {
     let present = EPOCH.load(SeqCst);
-    if present & SOME != 0 && newer(epoch, present as u16) {
-        stop(epoch);
-    }
-}
-
-/// Forces the lines low if this e-stop in a control request is new: without a session each is. From the USB interrupt, or with
-/// interrupts off.
-pub(crate) fn requested(epoch: u16) {
-    let present = EPOCH.load(SeqCst);
-    if present & SOME == 0 || newer(epoch, present as u16) {
-        stop(epoch);
-    }
-}
-
-#[inline(always)]
-fn stop(epoch: u16) {
-    if PENDING.load(SeqCst) == 0 {
+    let new = if present & SOME != 0 { newer(epoch, present as u16) } else { by_request };
+    if new && PENDING.load(SeqCst) == 0 {
         wave::freeze_low();
         PENDING.store(SOME | u32::from(epoch), SeqCst);
         wake::shell();

@@ -138,7 +138,7 @@ impl OnInterrupt<USBCTRL_IRQ> for Peek {
         if pac::USB.ints().read().setup_req()
             && let Some(epoch) = e_stop_requested(setup())
         {
-            estop::requested(epoch);
+            estop::found(epoch, true);
         }
         let full = pac::USB.buff_status().read();
         for (pipe, endpoint) in ENDPOINTS.iter().enumerate() {
@@ -156,7 +156,7 @@ impl OnInterrupt<USBCTRL_IRQ> for Peek {
             if let Some(Urgent::EStop(epoch)) = watch.look(packet)
                 && pipe == ACTIVE.load(SeqCst) as usize
             {
-                estop::found(epoch);
+                estop::found(epoch, false);
             }
         }
     }
@@ -174,7 +174,7 @@ impl Handler for Bus {
         let setup = [0x40, request, low, high, 0, 0, 0, 0];
         let epoch = e_stop_requested(setup).filter(|_| vendor)?;
         // For a SETUP packet that came after [`Peek`] had looked and before embassy did. After [`Peek`] it is a repetition.
-        critical_section::with(|_| estop::requested(epoch));
+        critical_section::with(|_| estop::found(epoch, true));
         Some(OutResponse::Accepted)
     }
     fn enabled(&mut self, _: bool) {
