@@ -1,12 +1,12 @@
 //! The session against the controller over a line that loses frames: every stroke gets one verdict.
 
-use firmware_protocol::controller::{Controller, Identity};
+use firmware_protocol::controller::{Controller, Identity, newer};
 use firmware_protocol::frame::{MAX_FRAME, encode};
 use firmware_protocol::limits::OnTimeLimits;
-use firmware_protocol::message::{Cause, DeviceMessage, Op as Command};
+use firmware_protocol::message::{Cause, DeviceMessage, Op as Command, State};
 use firmware_protocol::stroke::Stroke;
 use firmware_protocol::tick::Tick;
-use meissner_stream::link::{BadFrames, Event, LineRate, Session, Verdict};
+use meissner_stream::link::{BadFrames, Contradiction, Event, LineRate, Session, Verdict};
 use meissner_stream::time::HostInstant;
 use proptest::prelude::*;
 use std::collections::VecDeque;
@@ -235,4 +235,31 @@ fn frames_that_cannot_be_read_are_counted_by_kind() {
     }
     let counted = BadFrames { too_long: 1, malformed: 1, crc: 2, unknown: 3 };
     assert_eq!(session.traffic().bad, counted);
+}
+
+#[test]
+fn each_e_stop_to_a_device_that_is_not_trusted_goes_by_request_too() {
+    let session = Session::new(7, LineRate(100_000), HostInstant::from_ns(0));
+    let mut pair =
+        Pair { session, device: Controller::new(Identity::default()), ticks: 0, events: Vec::new() };
+    for _ in 0..40 {
+        pair.exchange(0, 0);
+        pair.wait(170);
+    }
+    pair.session.distrust(Contradiction::Command, &mut |_| {});
+    let mut epochs = Vec::new();
+    for _ in 0..30 {
+        while let Some(epoch) = pair.session.take_e_stop() {
+            if pair.device.epoch().is_some_and(|present| newer(epoch, present)) {
+                pair.device.e_stop(Tick::BOOT + pair.ticks, epoch);
+            }
+            epochs.push(epoch);
+        }
+        // All frames are lost.
+        pair.exchange(u32::MAX, 0);
+        pair.wait(425);
+    }
+    assert_eq!(pair.device.state(), State::Faulted);
+    assert_eq!(epochs.len(), 20);
+    assert!(epochs.windows(2).all(|pair| pair[1].wrapping_sub(pair[0]) == 0x5555));
 }

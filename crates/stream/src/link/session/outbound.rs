@@ -87,6 +87,11 @@ impl Session {
         1 + encoded(&HostMessage::Hello { session: self.id }, &mut out[1..])
     }
 
+    /// The epoch of the e-stop of this number, from 1, to a device that is not trusted.
+    pub(super) fn last_epoch(&self, number: u16) -> u16 {
+        self.epoch.wrapping_add(1).wrapping_add(number.wrapping_mul(E_STOP_EPOCHS))
+    }
+
     /// The last frames to a device that is not trusted.
     fn next_e_stop(
         &mut self,
@@ -104,7 +109,10 @@ impl Session {
         }
         self.e_stops += 1;
         self.last_sent = Some(now);
-        let epoch = self.epoch.wrapping_add(1).wrapping_add(self.e_stops.wrapping_mul(E_STOP_EPOCHS));
+        let epoch = self.last_epoch(self.e_stops);
+        if self.e_stops > 1 {
+            self.new_e_stop = Some(epoch);
+        }
         encoded(&HostMessage::Control { epoch, seen: self.seen, op: Op::EStop }, out)
     }
 

@@ -75,8 +75,6 @@ pub(super) struct Control {
     pub(super) op: Op,
     pub(super) first_sent: Option<HostInstant>,
     pub(super) sent: Option<HostInstant>,
-    /// It is an e-stop that [`Session::take_e_stop`] has not returned yet.
-    pub(super) is_new_e_stop: bool,
 }
 
 /// What a status says about strokes once all the reports that it counts are read.
@@ -133,6 +131,8 @@ pub struct Session {
     /// The epoch the session began with.
     pub(super) first_epoch: u16,
     pub(super) control: Option<Control>,
+    /// The epoch of an e-stop that [`Session::take_e_stop`] has not returned yet.
+    pub(super) new_e_stop: Option<u16>,
     pub(super) window: VecDeque<Batch>,
     open_batch: Option<Batch>,
     pub(super) next_seq: u16,
@@ -202,6 +202,7 @@ impl Session {
             epoch: 0,
             first_epoch: 0,
             control: None,
+            new_e_stop: None,
             window: VecDeque::with_capacity(WINDOW + 1),
             open_batch: None,
             next_seq: 0,
@@ -351,6 +352,8 @@ impl Session {
             Phase::Open => {
                 self.phase = Phase::Closing(how);
                 self.control = None;
+                // Its frame may wait behind bytes that the device does not take.
+                self.new_e_stop = Some(self.last_epoch(1));
                 self.window.clear();
                 self.open_batch = None;
                 self.last_sent = None;
@@ -386,7 +389,8 @@ impl Session {
             std::mem::swap(&mut self.verdicts, &mut self.retired.verdicts);
             self.retired.after = self.stale;
         }
-        self.control = Some(Control { op, first_sent: None, sent: None, is_new_e_stop: op == Op::EStop });
+        self.control = Some(Control { op, first_sent: None, sent: None });
+        self.new_e_stop = (op == Op::EStop).then_some(self.epoch);
         self.window.clear();
         self.open_batch = None;
         self.verdicts.clear();
@@ -400,8 +404,10 @@ impl Session {
     /// ([`crate::device::Device::e_stop`]). Its frame is sent as well.
     #[must_use]
     pub fn take_e_stop(&mut self) -> Option<u16> {
-        let control = self.control.as_mut().filter(|_| self.phase == Phase::Open)?;
-        std::mem::take(&mut control.is_new_e_stop).then_some(self.epoch)
+        match self.phase {
+            Phase::Open | Phase::Closing(_) => self.new_e_stop.take(),
+            Phase::Opening | Phase::Over => None,
+        }
     }
 
     /// Begins a play: the next strokes go into a frame of their own, which the device takes whole or not at all.
