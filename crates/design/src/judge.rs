@@ -13,7 +13,7 @@ use meissner_array::pattern::{Drive, Pattern};
 use meissner_array::strokes::{StrokeOptions, Strokes, StrokesError};
 use meissner_skin::afferent::{AfferentModel, Position, Rectify};
 use meissner_skin::fingertip::{Afferent, Class};
-use meissner_skin::{Finger, MAX_ALPHA_PER_UM, MethodError, ModelName, SkinModel, Trial};
+use meissner_skin::{Finger, MAX_ALPHA_PER_UM, MethodError, ModelName, Moved, SkinModel, Trial};
 use serde::Serialize;
 use std::f64::consts::FRAC_1_SQRT_2;
 
@@ -115,7 +115,7 @@ pub fn judge(
         let afferents = fingers.iter().flat_map(|(afferents, _)| afferents.iter().copied()).collect();
         let noise_seed = conditions.noise_seed.wrapping_add(number as u64);
         let finger = Finger::of_afferents(skin, afferents);
-        let trial = Trial { gain: conditions.gain, ..Trial::of_drives(drives, duration_s, noise_seed) };
+        let trial = Trial { moved: Moved::Drives(drives, conditions.gain), duration_s, noise_seed };
         let spikes_s = if target.moves() { Some(played(finger.spikes_s(&trial))?) } else { None };
         let whole_hz: Vec<f64> = match &spikes_s {
             Some(_) => Vec::new(),

@@ -36,9 +36,9 @@ pub struct Finger {
 /// What moves the pins.
 #[derive(Clone, Copy, Debug)]
 pub enum Moved<'m> {
-    /// The drives of a pattern, as the motors play them.
-    Drives(&'m [Drive]),
-    /// The bursts that motors made.
+    /// The drives of a pattern, as motors of this gain play them: 1 is the model's.
+    Drives(&'m [Drive], f64),
+    /// The bursts that motors made, at the gains they had.
     Ramps(&'m Ramps),
 }
 
@@ -47,8 +47,6 @@ pub enum Moved<'m> {
 pub struct Trial<'m> {
     /// What moves the pins.
     pub moved: Moved<'m>,
-    /// The gain of all motors; ramps have their own, so for them it must be 1.
-    pub gain: f64,
     /// Duration, s.
     pub duration_s: f64,
     /// Seed of the noise. Trials of one seed have the same noise.
@@ -102,13 +100,13 @@ impl<'m> Trial<'m> {
     /// Drives for some time, on motors as modelled.
     #[must_use]
     pub const fn of_drives(drives: &'m [Drive], duration_s: f64, noise_seed: u64) -> Self {
-        Self { moved: Moved::Drives(drives), gain: 1.0, duration_s, noise_seed }
+        Self { moved: Moved::Drives(drives, 1.0), duration_s, noise_seed }
     }
 
     /// Bursts for some time.
     #[must_use]
     pub const fn of_ramps(ramps: &'m Ramps, duration_s: f64, noise_seed: u64) -> Self {
-        Self { moved: Moved::Ramps(ramps), gain: 1.0, duration_s, noise_seed }
+        Self { moved: Moved::Ramps(ramps), duration_s, noise_seed }
     }
 }
 
@@ -173,13 +171,13 @@ impl Finger {
     /// If no scene can have such drives or such a duration, or if there are too many spikes to keep.
     pub fn spikes_s(&self, trial: &Trial<'_>) -> Result<Vec<Vec<f64>>, FingerError> {
         match (&self.model, trial.moved) {
-            (SkinModel::Membrane(model), Moved::Drives(drives)) => {
-                let scene = self.motors(trial, drives, self.places(), *model)?;
+            (SkinModel::Membrane(model), Moved::Drives(drives, gain)) => {
+                let scene = self.motors(trial, (drives, gain), self.places(), *model)?;
                 let answer = simulate(&scene, &Options::spikes(Method::Exact), &|_| ())?;
                 Ok(answer.spikes_s.expect("spikes are kept"))
             }
             (SkinModel::Membrane(model), Moved::Ramps(ramps)) => {
-                let scene = self.motors(trial, &[], self.places(), *model)?;
+                let scene = self.motors(trial, (&[], 1.0), self.places(), *model)?;
                 let mut spikes_s = vec![Vec::new(); self.afferents.len()];
                 simulate_ramps(&scene, ramps, &mut |number, train| spikes_s[number as usize] = train)?;
                 Ok(spikes_s)
@@ -198,8 +196,8 @@ impl Finger {
     /// If no scene can have such drives or such a duration.
     pub fn counts(&self, trial: &Trial<'_>) -> Result<Vec<u64>, FingerError> {
         match (&self.model, trial.moved) {
-            (SkinModel::Membrane(model), Moved::Drives(drives)) => {
-                let scene = self.motors(trial, drives, self.places(), *model)?;
+            (SkinModel::Membrane(model), Moved::Drives(drives, gain)) => {
+                let scene = self.motors(trial, (drives, gain), self.places(), *model)?;
                 Ok(simulate(&scene, &Options::rates(Method::Exact), &|_| ())?.counts)
             }
             (SkinModel::Membrane(_), Moved::Ramps(_)) => {
@@ -219,12 +217,12 @@ impl Finger {
     fn motors(
         &self,
         trial: &Trial<'_>,
-        drives: &[Drive],
+        (drives, gain): (&[Drive], f64),
         places: Vec<Position>,
         model: AfferentModel,
     ) -> Result<Scene, SceneError> {
         Scene::new(trial.duration_s, trial.noise_seed, drives.to_vec(), places, model)?
-            .with_gains(&[trial.gain; MOTORS])
+            .with_gains(&[gain; MOTORS])
     }
 
     /// A scene of the second model.
@@ -232,9 +230,9 @@ impl Finger {
         let Trial { duration_s, noise_seed, .. } = *trial;
         let afferents = self.afferents.clone();
         match trial.moved {
-            Moved::Drives(drives) => {
+            Moved::Drives(drives, gain) => {
                 let unused = AfferentModel::default_for(afferent::Rectify::default(), 0.0);
-                let motors = self.motors(trial, drives, Vec::new(), unused)?;
+                let motors = self.motors(trial, (drives, gain), Vec::new(), unused)?;
                 fingertip::Scene::of_motors(&motors, preindent_mm, afferents, true)
             }
             Moved::Ramps(ramps) => {
@@ -299,7 +297,8 @@ mod tests {
             let total = |trial: &Trial<'_>| finger.counts(trial).unwrap().iter().sum::<u64>();
             let slow = ramps(&drives, 0.5);
             let slow = total(&Trial::of_ramps(&slow, 0.5, 4));
-            let gained = total(&Trial { gain: 0.5, ..Trial::of_drives(&drives, 0.5, 4) });
+            let gained =
+                total(&Trial { moved: Moved::Drives(&drives, 0.5), ..Trial::of_drives(&drives, 0.5, 4) });
             assert_eq!(slow, gained, "{model:?}");
             let whole = total(&Trial::of_drives(&drives, 0.5, 4));
             assert!(slow > 0 && 10 * slow < 9 * whole, "{model:?}: {slow} of {whole}");
