@@ -197,7 +197,7 @@ complete -c meissner -n "__fish_meissner_using_subcommand motor" -l hours -d 'Co
 complete -c meissner -n "__fish_meissner_using_subcommand motor" -l json -d 'Print one JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand motor" -s h -l help -d 'Print help'
 complete -c meissner -n "__fish_meissner_using_subcommand simulate" -l model -d 'Choose the model of skin and afferents [default: the scene\'s key `model`, else membrane]' -r -f -a "membrane\t'RA afferents with a leaky membrane, Gaussian receptive fields'
-afferents\t'Skin under flat pins, and SA1, RA and PC afferents as recorded; steps of 200 us'"
+afferents\t'Skin under flat pins, and SA1, RA and PC afferents fitted to recordings; steps of 200 us'"
 complete -c meissner -n "__fish_meissner_using_subcommand simulate" -l method -d 'Choose the method [default: stepped if a step, integrator or precision is given, else exact]' -r -f -a "exact\t'Go from event to event, without a step'
 stepped\t'Go by a fixed step'"
 complete -c meissner -n "__fish_meissner_using_subcommand simulate" -l step-us -d 'Take steps of N us [default: 200]' -r
@@ -222,7 +222,7 @@ auc\t'Chance that an ON afferent fires faster than an OFF one'
 correlation\t'Correlation of the rates with the ON set'
 rivals\t'Distance from the most similar shape, in SD of the counts'"
 complete -c meissner -n "__fish_meissner_using_subcommand optimise" -l model -d 'Choose the model whose RA afferents are ON or OFF' -r -f -a "membrane\t'RA afferents with a leaky membrane, as in the paper'
-afferents\t'Skin mechanics, and RA afferents as recorded'"
+afferents\t'Skin mechanics, and RA afferents fitted to recordings'"
 complete -c meissner -n "__fish_meissner_using_subcommand optimise" -l budget -d 'Stop after about N evaluations (per frame of a moving target; or N,N,... for each), or N seconds in all (Ns) [default: until nothing improves]' -r
 complete -c meissner -n "__fish_meissner_using_subcommand optimise" -l resume -d 'Begin with the pattern in file PATTERN and improve it' -r -F
 complete -c meissner -n "__fish_meissner_using_subcommand optimise" -l robust -d 'Maximise the mean over eight populations of afferents, not one population'
@@ -237,7 +237,7 @@ complete -c meissner -n "__fish_meissner_using_subcommand tradeoff" -l objective
 complete -c meissner -n "__fish_meissner_using_subcommand tradeoff" -l json -d 'Print one JSON document on stdout and nothing else'
 complete -c meissner -n "__fish_meissner_using_subcommand tradeoff" -s h -l help -d 'Print help'
 complete -c meissner -n "__fish_meissner_using_subcommand discriminate" -l model -d 'Choose the model of skin and afferents' -r -f -a "membrane\t'RA afferents with a leaky membrane, Gaussian receptive fields'
-afferents\t'Skin under flat pins, and SA1, RA and PC afferents as recorded'"
+afferents\t'Skin under flat pins, and SA1, RA and PC afferents fitted to recordings'"
 complete -c meissner -n "__fish_meissner_using_subcommand discriminate" -l trials -d 'Simulate N trials of each pattern on each finger, 8 to 1000' -r
 complete -c meissner -n "__fish_meissner_using_subcommand discriminate" -l fingers -d 'Take the mean over N fingers, 1 to 100' -r
 complete -c meissner -n "__fish_meissner_using_subcommand discriminate" -l seconds -d 'Let an interval last S seconds, 0.001 to 20' -r

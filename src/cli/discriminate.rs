@@ -35,7 +35,7 @@ pub(super) struct Discriminate {
     #[arg(long)]
     matrix: bool,
     /// Choose the model of skin and afferents
-    #[arg(long, default_value = "afferents", value_parser = choice::<ModelName>(&[("membrane", "RA afferents with a leaky membrane, Gaussian receptive fields"), ("afferents", "Skin under flat pins, and SA1, RA and PC afferents as recorded")]))]
+    #[arg(long, default_value = "afferents", value_parser = choice::<ModelName>(&[("membrane", "RA afferents with a leaky membrane, Gaussian receptive fields"), ("afferents", "Skin under flat pins, and SA1, RA and PC afferents fitted to recordings")]))]
     model: ModelName,
     /// Simulate N trials of each pattern on each finger, 8 to 1000
     #[arg(long, value_name = "N", default_value_t = 24)]

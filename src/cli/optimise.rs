@@ -48,7 +48,7 @@ pub(super) struct Optimise {
     #[arg(long, value_name = "NAME", default_value = "contrast", value_parser = choice::<Goal>(&[("contrast", "Mean rate of ON minus mean rate of OFF, as in the paper"), ("off-rms", "Mean of ON minus RMS of OFF: keeps dots apart, with --robust"), ("off-rms-twice", "Mean of ON minus twice the RMS of OFF: stricter"), ("near-off", "As contrast; OFF afferents near the target weigh more"), ("auc", "Chance that an ON afferent fires faster than an OFF one"), ("correlation", "Correlation of the rates with the ON set"), ("rivals", "Distance from the most similar shape, in SD of the counts")]))]
     objective: Goal,
     /// Choose the model whose RA afferents are ON or OFF
-    #[arg(long, value_name = "MODEL", default_value = "membrane", value_parser = choice::<ModelName>(&[("membrane", "RA afferents with a leaky membrane, as in the paper"), ("afferents", "Skin mechanics, and RA afferents as recorded")]))]
+    #[arg(long, value_name = "MODEL", default_value = "membrane", value_parser = choice::<ModelName>(&[("membrane", "RA afferents with a leaky membrane, as in the paper"), ("afferents", "Skin mechanics, and RA afferents fitted to recordings")]))]
     model: ModelName,
     /// Stop after about N evaluations (per frame of a moving target; or N,N,... for each), or N seconds in all (Ns)
     /// [default: until nothing improves]

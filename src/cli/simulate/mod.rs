@@ -32,7 +32,7 @@ pub(super) struct Simulate {
     /// Simulate this scene: a TOML or JSON file, or - for stdin
     scene: PathBuf,
     /// Choose the model of skin and afferents [default: the scene's key `model`, else membrane]
-    #[arg(long, value_parser = choice::<ModelName>(&[("membrane", "RA afferents with a leaky membrane, Gaussian receptive fields"), ("afferents", "Skin under flat pins, and SA1, RA and PC afferents as recorded; steps of 200 us")]))]
+    #[arg(long, value_parser = choice::<ModelName>(&[("membrane", "RA afferents with a leaky membrane, Gaussian receptive fields"), ("afferents", "Skin under flat pins, and SA1, RA and PC afferents fitted to recordings; steps of 200 us")]))]
     model: Option<ModelName>,
     /// Choose the method [default: stepped if a step, integrator or precision is given, else exact]
     #[arg(long, value_enum)]

@@ -1,4 +1,4 @@
-//! The second model, `afferents`: skin mechanics under flat pins, and SA1, RA and PC afferents as recorded.
+//! The second model, `afferents`: skin mechanics under flat pins, and SA1, RA and PC afferents fitted to recordings.
 //!
 //! The finger lies on the pins, pressed in by 0.5 mm. All pins press on the skin, the moving ones more and less. The data
 //! path:
