@@ -10,7 +10,7 @@ use crate::controller::Controller;
 use crate::tick::Tick;
 
 /// Ticks from the drivers' enable to the first pulse: 0.5 ms. The 30 V supplies stay on, so only the bridges and their bias
-/// start up in this time. Nobody has measured what they need: see the firmware's page on wiring.
+/// start up in this time. What they need has not been measured: see the firmware's page on wiring.
 pub const DRIVER_LEAD: u32 = 43;
 /// Ticks for which the drivers stay enabled after the tick of the last pulse, so that its falling edge is driven.
 pub const DRIVER_TAIL: u32 = 2;
