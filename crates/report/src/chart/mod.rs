@@ -175,7 +175,11 @@ fn axes_and_series<'a>(chart: &Chart<'_>, area: &Area<'a>, whole: &Area<'a>, leg
     }
     let pixel = |x: f64, y: f64| context.backend_coord(&(x, y));
     for (look, series) in looks().zip(&chart.series) {
-        look.draw_line(whole, series.line.iter().map(|&(x, y)| pixel(x, y)).collect())?;
+        // No line crosses the break.
+        let strip = |y: f64| chart.y.scale.is_below(y);
+        for part in series.line.chunk_by(|a, b| strip(a.1) == strip(b.1)) {
+            look.draw_line(whole, part.iter().map(|&(x, y)| pixel(x, y)).collect())?;
+        }
         for &Point { x, y, sd } in series.points.iter().filter(|point| point.sd > 0.0) {
             whole
                 .draw(&PathElement::new([pixel(x, y - sd), pixel(x, y + sd)], look.color.stroke_width(1)))?;

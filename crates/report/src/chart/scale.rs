@@ -49,9 +49,14 @@ impl Scale {
         Self { below: Some(below), ..self }
     }
 
+    /// Whether a value lies in the strip below the break.
+    pub(super) fn is_below(&self, value: f64) -> bool {
+        self.below.is_some() && value < self.from
+    }
+
     /// The share of the axis before a value, 0 to 1.
     pub(super) fn share(&self, value: f64) -> f64 {
-        if self.below.is_some() && value < self.from {
+        if self.is_below(value) {
             return STRIP;
         }
         let value = value.clamp(self.from, self.to);

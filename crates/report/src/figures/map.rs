@@ -33,8 +33,8 @@ const LARGE: u32 = 12;
 const SMALL: u32 = 11;
 /// The height of a panel's title, px.
 const HEAD: f64 = 48.0;
-/// The most panels in a row.
-const ACROSS: usize = 4;
+/// The most panels in a row: the page shows them without shrinking their text.
+const ACROSS: usize = 2;
 /// Width with its text, and height, of a colour bar, px.
 const BAR: (f64, f64) = (110.0, 300.0);
 /// The vibrations of the motors in a segment of time.
