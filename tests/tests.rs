@@ -23,7 +23,7 @@ mod control_tradeoff;
 mod discriminate;
 /// Drift without telemetry: plays at the limit, and the level check of `assume_rest`.
 mod drift;
-/// `report`: figures against the models, the page, places that cannot be written to.
+/// `report`: figures against the models, and the page.
 mod figures;
 /// A real daemon in a directory of its own, and helpers for the other tests.
 mod harness;
@@ -51,6 +51,8 @@ mod pty;
 mod replay;
 /// `simulate` and `tradeoff`: documents, mistakes, the comparison of methods and its plot; the shipped scenes.
 mod report;
+/// The command `report`: its files, the same bytes again, places that cannot be written to.
+mod report_command;
 /// Sequences: all or nothing, one receipt, scale and triggers; the command.
 mod sequences;
 /// The daemon as a service: notifications, watchdog, socket activation, reload, and a newer program.

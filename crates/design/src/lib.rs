@@ -59,7 +59,7 @@ mod target;
 
 pub use discriminate::{
     ClassReadings, Confusion, LEAST_TRIALS, MOST_TRIALS, Plan, Reading, Sensitivity, confusion,
-    correct_of_two, discriminate, efficiency, independent, linear,
+    correct_of_two, discriminate, efficiency,
 };
 pub use goal::{GOALS, Goal, neighbours, rivals};
 pub use judge::{Conditions, HELD_OUT, Robustness, STEADY_S, judge, pulses_per_s, robustness};

@@ -164,14 +164,14 @@ impl Objective {
     /// If the method cannot simulate the target's afferents.
     pub fn at(&self, point: Point) -> Result<Incumbent<'_>, MethodError> {
         let drives = self.drives(&point);
-        let (score, evaluator) = match &self.afferents {
+        let (score, simulated) = match &self.afferents {
             Afferents::Membrane(scene, options) => {
                 let evaluator = Evaluator::new(scene.with_drives(drives).expect(EVERY_DRIVE), *options)?;
-                (self.score(evaluator.counts()), Some(Box::new(evaluator)))
+                (self.score(evaluator.counts()), Simulated::Membrane(Box::new(evaluator)))
             }
-            Afferents::Second(_) => (self.score(&self.counts(drives).0), None),
+            Afferents::Second(scene) => (self.score(&counts(scene, drives)), Simulated::Second(scene)),
         };
-        Ok(Incumbent { objective: self, point, score, evaluator })
+        Ok(Incumbent { objective: self, point, score, simulated })
     }
 
     /// The number of afferents in all populations.
@@ -187,16 +187,6 @@ impl Objective {
     #[must_use]
     pub const fn duration_s(&self) -> f64 {
         self.duration_s
-    }
-
-    /// The counts of the second model for some drives, and the number of afferents.
-    fn counts(&self, drives: Vec<Drive>) -> (Vec<u64>, usize) {
-        let Afferents::Second(scene) = &self.afferents else {
-            unreachable!("the first model has an evaluator")
-        };
-        let scene = scene.with_drives(drives).expect(EVERY_DRIVE);
-        let answer = fingertip::simulate(&scene, Keep::Rates, &|_| ());
-        (answer.expect("no spikes are kept, so there are never too many").counts, scene.afferents().len())
     }
 
     fn drives(&self, point: &Point) -> Vec<Drive> {
@@ -226,14 +216,29 @@ impl Objective {
     }
 }
 
+/// The counts of the second model for some drives.
+fn counts(scene: &fingertip::Scene, drives: Vec<Drive>) -> Vec<u64> {
+    let scene = scene.with_drives(drives).expect(EVERY_DRIVE);
+    let answer = fingertip::simulate(&scene, Keep::Rates, &|_| ());
+    answer.expect("no spikes are kept, so there are never too many").counts
+}
+
+/// How points near an incumbent are simulated.
+#[derive(Clone, Debug)]
+enum Simulated<'o> {
+    /// What the incumbent's answer has in common with theirs is kept.
+    Membrane(Box<Evaluator>),
+    /// Each anew: every pin moves the skin under all others, so nothing of an answer holds for another point.
+    Second(&'o fingertip::Scene),
+}
+
 /// The point at which a search stands, with its score.
 #[derive(Clone, Debug)]
 pub struct Incumbent<'o> {
     objective: &'o Objective,
     point: Point,
     score: Score,
-    /// None in the second model, where every pin moves the skin under all others: nothing of an answer holds for another point.
-    evaluator: Option<Box<Evaluator>>,
+    simulated: Simulated<'o>,
 }
 
 /// Another point, with its score.
@@ -273,9 +278,13 @@ impl<'o> Incumbent<'o> {
     pub fn try_all(&self, points: Vec<Point>) -> Vec<Tried> {
         let tried = |point: Point| {
             let drives = self.objective.drives(&point);
-            let Some(evaluator) = &self.evaluator else {
-                let (counts, afferents) = self.objective.counts(drives);
-                return Tried { point, score: self.objective.score(&counts), afferents, candidate: None };
+            let evaluator = match &self.simulated {
+                Simulated::Membrane(evaluator) => evaluator,
+                Simulated::Second(scene) => {
+                    let (score, afferents) =
+                        (self.objective.score(&counts(scene, drives)), scene.afferents().len());
+                    return Tried { point, score, afferents, candidate: None };
+                }
             };
             let candidate = evaluator.evaluate(&drives).expect(EVERY_DRIVE);
             let score = self.objective.score(&candidate.counts());
@@ -287,7 +296,7 @@ impl<'o> Incumbent<'o> {
     /// Makes a tried point the incumbent.
     pub fn move_to(&mut self, tried: Tried) {
         (self.point, self.score) = (tried.point, tried.score);
-        if let Some((evaluator, candidate)) = self.evaluator.as_mut().zip(tried.candidate) {
+        if let (Simulated::Membrane(evaluator), Some(candidate)) = (&mut self.simulated, tried.candidate) {
             evaluator.accept(*candidate);
         }
     }

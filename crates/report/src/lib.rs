@@ -56,7 +56,8 @@ pub use methods::{
     matching, plot, reasons, tradeoff,
 };
 pub use objectives::{
-    BelowNaive, CellOfClass, ClassRow, ObjectiveCell, ObjectiveRow, ObjectiveTradeoff, objective_tradeoff,
+    BelowNaive, CellOfClass, ClassRow, ObjectiveCell, ObjectiveMeans, ObjectiveRow, ObjectiveTradeoff,
+    objective_tradeoff,
 };
 pub use sixty_hertz::SIXTY_HERTZ;
 pub use stop::{

@@ -7,6 +7,7 @@
 //! Invariant: the same budget gives the same figures, but for the times.
 
 use crate::progress::Parts;
+use crate::statistics::mean;
 use meissner_array::pattern::Drive;
 use meissner_design::{
     Budget, GOALS, Goal, MakeError, Named, OfClass, Quality, Request, Rule, Target, make, name_targets,
@@ -35,11 +36,9 @@ pub struct ObjectiveTradeoff {
     pub rows: Vec<ObjectiveRow>,
 }
 
-/// The patterns of one rule or objective.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct ObjectiveRow {
-    /// Name of the rule or objective.
-    pub name: &'static str,
+/// How well patterns render the targets that have ON and OFF afferents of a class, and name all.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct ObjectiveMeans {
     /// Mean over targets of ON minus OFF, impulses/s.
     pub contrast_hz: f64,
     /// Mean over targets of (ON - OFF)/(ON + OFF).
@@ -52,6 +51,16 @@ pub struct ObjectiveRow {
     pub named: usize,
     /// All targets and fingers.
     pub cases: usize,
+}
+
+/// The patterns of one rule or objective.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ObjectiveRow {
+    /// Name of the rule or objective.
+    pub name: &'static str,
+    /// By the RA afferents of the first model.
+    #[serde(flatten)]
+    pub means: ObjectiveMeans,
     /// Targets at which the contrast is below that of the rule `naive-reach`.
     pub below_naive: usize,
     /// Mean time of a search, s; none without a search.
@@ -62,25 +71,16 @@ pub struct ObjectiveRow {
     pub targets: Vec<ObjectiveCell>,
 }
 
-/// What patterns say to a class of afferents of a model: means over the targets that have ON and OFF afferents of the class.
+/// What patterns say to a class of afferents of a model.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ClassRow {
     /// The model.
     pub model: ModelName,
     /// The class.
     pub class: Class,
-    /// Mean of ON minus OFF, impulses/s.
-    pub contrast_hz: f64,
-    /// Mean of (ON - OFF)/(ON + OFF).
-    pub normalised_contrast: f64,
-    /// Mean of the AUC.
-    pub auc: f64,
-    /// The largest gap between neighbouring dots, over the targets that have some.
-    pub largest_gap: f64,
-    /// Targets and fingers at which the pattern looks most like its own target.
-    pub named: usize,
-    /// All targets and fingers.
-    pub cases: usize,
+    /// How well the patterns render the targets to it.
+    #[serde(flatten)]
+    pub means: ObjectiveMeans,
     /// Targets at which the rule `naive-reach` is better.
     pub below_naive: BelowNaive,
 }
@@ -192,15 +192,10 @@ fn row(targets: &[Target], set: &Set, naive: Option<&ObjectiveRow>) -> Result<Ob
         }
     }
     let classes: Vec<ClassRow> = named.iter().map(|named| class_row(named, &cells, naive)).collect();
-    let first = classes.first().cloned().expect("the first model has a class");
+    let first = classes.first().expect("the first model has a class");
     Ok(ObjectiveRow {
         name: set.name,
-        contrast_hz: first.contrast_hz,
-        normalised_contrast: first.normalised_contrast,
-        auc: first.auc,
-        largest_gap: first.largest_gap,
-        named: first.named,
-        cases: first.cases,
+        means: first.means,
         below_naive: first.below_naive.contrast.len(),
         search_s: set.search_s,
         classes,
@@ -219,9 +214,7 @@ fn class_row(named: &Named, cells: &[ObjectiveCell], naive: Option<&ObjectiveRow
     let Named { model, class, .. } = *named;
     let own: Vec<(&str, &Quality)> =
         cells.iter().filter_map(|cell| Some((cell.target.as_str(), cell.of(model, class)?))).collect();
-    let mean = |of: fn(&Quality) -> f64| {
-        own.iter().map(|(_, quality)| of(quality)).sum::<f64>() / own.len().max(1) as f64
-    };
+    let mean = |of: fn(&Quality) -> f64| mean(own.iter().map(|(_, quality)| of(quality)));
     let below = |of: fn(&Quality) -> f64, tolerance: f64| {
         let worse = |(target, quality): &&(&str, &Quality)| {
             let cell = naive.and_then(|naive| naive.targets.iter().find(|cell| cell.target == *target));
@@ -234,12 +227,14 @@ fn class_row(named: &Named, cells: &[ObjectiveCell], naive: Option<&ObjectiveRow
     ClassRow {
         model,
         class,
-        contrast_hz: mean(|quality| quality.contrast_hz),
-        normalised_contrast: mean(|quality| quality.normalised_contrast),
-        auc: mean(|quality| quality.auc),
-        largest_gap: own.iter().filter_map(|(_, quality)| quality.gap).fold(0.0, f64::max),
-        named: right,
-        cases,
+        means: ObjectiveMeans {
+            contrast_hz: mean(|quality| quality.contrast_hz),
+            normalised_contrast: mean(|quality| quality.normalised_contrast),
+            auc: mean(|quality| quality.auc),
+            largest_gap: own.iter().filter_map(|(_, quality)| quality.gap).fold(0.0, f64::max),
+            named: right,
+            cases,
+        },
         below_naive: BelowNaive {
             contrast: below(|quality| quality.contrast_hz, 0.0),
             normalised_contrast: below(|quality| quality.normalised_contrast, TOLERANCE),
@@ -269,7 +264,7 @@ mod tests {
         assert_eq!((names(&naive), names(&pitch)), (all.to_vec(), all.to_vec()));
         for row in [&naive, &pitch] {
             let first = &row.classes[0];
-            assert_eq!((row.contrast_hz, row.named, row.cases), (first.contrast_hz, first.named, 10));
+            assert_eq!((row.means, row.means.cases), (first.means, 10));
             for cell in &row.targets {
                 assert_eq!(cell.quality, cell.classes[0].of.quality);
                 assert_eq!(cell.quality.gap.is_some(), cell.target == "two-dots");
@@ -280,6 +275,6 @@ mod tests {
             assert_eq!(of.below_naive.contrast, [""; 0], "{of:?}");
             assert!(of.below_naive.normalised_contrast.contains(&"edge-45".to_owned()), "{of:?}");
         }
-        assert!(naive.classes[2].largest_gap <= 0.2, "{naive:?}");
+        assert!(naive.classes[2].means.largest_gap <= 0.2, "{naive:?}");
     }
 }

@@ -46,6 +46,18 @@ struct Pair {
 }
 
 impl Pair {
+    /// After the handshake, and some exchanges without a loss.
+    fn open() -> Self {
+        let session = Session::new(7, LineRate(100_000), HostInstant::from_ns(0));
+        let device = Controller::new(Identity::default());
+        let mut pair = Self { session, device, ticks: 0, events: Vec::new() };
+        for _ in 0..40 {
+            pair.exchange(0, 0);
+            pair.wait(170);
+        }
+        pair
+    }
+
     fn now(&self) -> HostInstant {
         HostInstant::from_ns(self.ticks * 1_000_000_000 / 85_000)
     }
@@ -115,13 +127,7 @@ fn a_report_of_the_epoch_before_the_last_is_not_taken_for_the_last_ones() {
 }
 
 fn run(ops: Vec<Op>) -> Result<(), TestCaseError> {
-    let session = Session::new(7, LineRate(100_000), HostInstant::from_ns(0));
-    let mut pair =
-        Pair { session, device: Controller::new(Identity::default()), ticks: 0, events: Vec::new() };
-    for _ in 0..40 {
-        pair.exchange(0, 0);
-        pair.wait(170);
-    }
+    let mut pair = Pair::open();
     prop_assert!(pair.session.is_open());
     let arm = Command::Arm {
         assume_rest: true,
@@ -239,13 +245,7 @@ fn frames_that_cannot_be_read_are_counted_by_kind() {
 
 #[test]
 fn each_e_stop_to_a_device_that_is_not_trusted_goes_by_request_too() {
-    let session = Session::new(7, LineRate(100_000), HostInstant::from_ns(0));
-    let mut pair =
-        Pair { session, device: Controller::new(Identity::default()), ticks: 0, events: Vec::new() };
-    for _ in 0..40 {
-        pair.exchange(0, 0);
-        pair.wait(170);
-    }
+    let mut pair = Pair::open();
     pair.session.distrust(Contradiction::Command, &mut |_| {});
     let mut epochs = Vec::new();
     for _ in 0..30 {

@@ -2,22 +2,16 @@
 //! naive rule is better. `--json` has every target.
 
 use crate::cli::text::{columns, number};
-use meissner_report::{ClassRow, ObjectiveRow, ObjectiveTradeoff};
+use meissner_report::{ClassRow, ObjectiveMeans, ObjectiveRow, ObjectiveTradeoff};
 
 pub(super) fn table(tradeoff: &ObjectiveTradeoff) -> Vec<String> {
     let head =
         ["patterns", "contrast", "normalised", "AUC", "largest gap", "named", "below naive", "search s"];
     let row = |row: &ObjectiveRow| {
-        vec![
-            row.name.to_owned(),
-            format!("{:.1}", row.contrast_hz),
-            format!("{:.2}", row.normalised_contrast),
-            format!("{:.2}", row.auc),
-            format!("{:.2}", row.largest_gap),
-            format!("{}/{}", row.named, row.cases),
-            format!("{}/{}", row.below_naive, row.targets.len()),
-            number(row.search_s, 1),
-        ]
+        let mut cells = vec![row.name.to_owned()];
+        cells.extend(means(&row.means));
+        cells.extend([format!("{}/{}", row.below_naive, row.targets.len()), number(row.search_s, 1)]);
+        cells
     };
     let targets = tradeoff.rows.first().map_or(0, |row| row.targets.len());
     vec![
@@ -38,6 +32,16 @@ pub(super) fn table(tradeoff: &ObjectiveTradeoff) -> Vec<String> {
     ]
 }
 
+fn means(of: &ObjectiveMeans) -> [String; 5] {
+    [
+        format!("{:.1}", of.contrast_hz),
+        format!("{:.2}", of.normalised_contrast),
+        format!("{:.2}", of.auc),
+        format!("{:.2}", of.largest_gap),
+        format!("{}/{}", of.named, of.cases),
+    ]
+}
+
 fn classes(rows: &[ObjectiveRow]) -> String {
     let head = [
         "patterns",
@@ -53,19 +57,12 @@ fn classes(rows: &[ObjectiveRow]) -> String {
         "AUC",
     ];
     let row = |row: &ObjectiveRow, of: &ClassRow| {
-        vec![
-            row.name.to_owned(),
-            of.model.name().to_owned(),
-            of.class.name().to_owned(),
-            format!("{:.1}", of.contrast_hz),
-            format!("{:.2}", of.normalised_contrast),
-            format!("{:.2}", of.auc),
-            format!("{:.2}", of.largest_gap),
-            format!("{}/{}", of.named, of.cases),
-            of.below_naive.contrast.len().to_string(),
-            of.below_naive.normalised_contrast.len().to_string(),
-            of.below_naive.auc.len().to_string(),
-        ]
+        let mut cells = vec![row.name.to_owned(), of.model.name().to_owned(), of.class.name().to_owned()];
+        cells.extend(means(&of.means));
+        let below = &of.below_naive;
+        cells
+            .extend([&below.contrast, &below.normalised_contrast, &below.auc].map(|of| of.len().to_string()));
+        cells
     };
     columns(&head, rows.iter().flat_map(|of| of.classes.iter().map(move |class| row(of, class))))
 }

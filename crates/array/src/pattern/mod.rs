@@ -82,6 +82,13 @@ impl Pattern {
         &self.drives
     }
 
+    /// Its drives, each with the pattern's end where it has none of its own: a stroke ends before either.
+    #[must_use]
+    pub fn drives_with_ends(&self) -> Vec<Drive> {
+        let with_end = |drive: &Drive| Drive { stop_s: drive.stop_s.or(self.duration_s), ..*drive };
+        self.drives.iter().map(with_end).collect()
+    }
+
     /// What made the pattern.
     #[must_use]
     pub const fn provenance(&self) -> &toml::Table {

@@ -8,7 +8,7 @@
 //! Invariant: each row of a [`Confusion`] sums to 100 %.
 
 use super::observer::{Sensitivity, independent};
-use super::{Plan, Responses};
+use super::{Plan, Responses, sd};
 use meissner_array::pattern::Pattern;
 use meissner_array::random::Normals;
 use meissner_skin::{Finger, FingerError};
@@ -80,13 +80,12 @@ pub fn confusion(
         (0..n).map(|own| all[finger].1[which][own][own]).sum::<f64>() / n as f64
     };
     let correct_percent = mean(&|finger| correct(finger, 0));
-    let squares = mean(&|finger| (correct(finger, 0) - correct_percent).powi(2)) * fingers;
     Ok(Confusion {
         names: patterns.iter().map(|pattern| pattern.name().to_owned()).collect(),
         percent: table(&|finger, row, column| all[finger].1[0][row][column]),
         d_prime: table(&|finger, row, column| all[finger].0[row][column]),
         correct_percent,
-        correct_percent_se: (all.len() > 1).then(|| (squares / (fingers - 1.0) / fingers).sqrt()),
+        correct_percent_se: sd((0..all.len()).map(|finger| correct(finger, 0))).map(|sd| sd / fingers.sqrt()),
         total_correct_percent: mean(&|finger| correct(finger, 1)),
         chance_percent: 100.0 / n as f64,
     })

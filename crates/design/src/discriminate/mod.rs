@@ -23,9 +23,10 @@ mod confusion;
 mod observer;
 
 pub use confusion::{Confusion, confusion};
-pub use observer::{LEAST_TRIALS, Sensitivity, correct_of_two, efficiency, independent, linear};
+pub use observer::{LEAST_TRIALS, Sensitivity, correct_of_two, efficiency};
+use observer::{independent, linear};
 
-use meissner_array::pattern::{Drive, Pattern};
+use meissner_array::pattern::Pattern;
 use meissner_array::random;
 use meissner_skin::fingertip::Class;
 use meissner_skin::{Finger, FingerError, SkinModel, Trial};
@@ -130,9 +131,7 @@ impl Responses {
         plan: &Plan,
         with_times: bool,
     ) -> Result<Self, FingerError> {
-        let stop_s = |drive: &Drive| drive.stop_s.or(pattern.duration_s());
-        let drives: Vec<Drive> =
-            pattern.drives().iter().map(|drive| Drive { stop_s: stop_s(drive), ..*drive }).collect();
+        let drives = pattern.drives_with_ends();
         let bins = plan.bins();
         let trial = |trial: usize| {
             let number = (number as u64) << 32 | trial as u64;
@@ -244,17 +243,24 @@ impl Reading {
         let n = fingers.len() as f64;
         let mean = |of: &dyn Fn(&Sensitivity) -> f64| fingers.iter().map(of).sum::<f64>() / n;
         let d_prime = mean(&|of| of.d_prime);
-        let away = mean(&|of| (of.d_prime - d_prime).powi(2)) * n;
         let d_prime_se = (mean(&|of| of.se * of.se) / n).sqrt();
         let correct = |by: f64| mean(&|of| 100.0 * correct_of_two(of.d_prime + by * d_prime_se, efficiency));
         Self {
             d_prime,
             d_prime_se,
-            d_prime_sd_fingers: if fingers.len() > 1 { (away / (n - 1.0)).sqrt() } else { 0.0 },
+            d_prime_sd_fingers: sd(fingers.iter().map(|of| of.d_prime)).unwrap_or(0.0),
             correct_percent: correct(0.0),
             correct_percent_range: [correct(-1.0), correct(1.0)],
         }
     }
+}
+
+/// The standard deviation of a sample; none of fewer than two numbers.
+fn sd(numbers: impl Iterator<Item = f64> + Clone) -> Option<f64> {
+    let n = numbers.clone().count() as f64;
+    let mean = numbers.clone().sum::<f64>() / n;
+    let squares: f64 = numbers.map(|number| (number - mean) * (number - mean)).sum();
+    (n > 1.0).then(|| (squares / (n - 1.0)).sqrt())
 }
 
 #[cfg(test)]

@@ -43,8 +43,11 @@ pub struct Sensitivity {
 ///
 /// # Panics
 /// If there are fewer than [`LEAST_TRIALS`], or not as many of both.
-#[must_use]
-pub fn independent<T: Copy + Into<f64>>(one: &[Vec<T>], other: &[Vec<T>], which: &[u32]) -> Sensitivity {
+pub(super) fn independent<T: Copy + Into<f64>>(
+    one: &[Vec<T>],
+    other: &[Vec<T>],
+    which: &[u32],
+) -> Sensitivity {
     let square = |left_out: Option<usize>| {
         let Tried { sums: [a, b], .. } = Tried::of(one, other, which, left_out);
         a.iter().zip(&b).map(|(a, b)| a - b).sum::<f64>() / a.len() as f64
@@ -64,8 +67,7 @@ pub fn independent<T: Copy + Into<f64>>(one: &[Vec<T>], other: &[Vec<T>], which:
 ///
 /// # Panics
 /// As for [`independent`].
-#[must_use]
-pub fn linear<T: Copy + Into<f64>>(one: &[Vec<T>], other: &[Vec<T>], which: &[u32]) -> Sensitivity {
+pub(super) fn linear<T: Copy + Into<f64>>(one: &[Vec<T>], other: &[Vec<T>], which: &[u32]) -> Sensitivity {
     let Tried { sums, rounding } = Tried::of(one, other, which, None);
     let n = sums[0].len();
     let (mut difference, mut squares) = (0.0, 0.0);

@@ -1,4 +1,7 @@
+//! Comparisons of whole patterns: of one with itself, of unlike ones, by times and by counts; plans that are refused.
+
 use super::*;
+use meissner_array::pattern::Drive;
 use meissner_skin::afferent::{AfferentModel, POPULATION_NOISE_SD, Rectify};
 
 fn pattern(name: &str, motors: &[u8], amplitude_um: f64) -> Pattern {

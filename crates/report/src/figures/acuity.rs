@@ -2,7 +2,7 @@
 //!
 //! Lines are turned and dots are parted; all pins within a pitch of the shape vibrate at 60 Hz in phase, with no search. An ideal observer
 //! of the second model's spikes tells each from the reference. A threshold is the smallest step from which on three answers of four are
-//! correct, for observers of several efficiencies: nobody has published that of a person at this display.
+//! correct, for observers of several efficiencies: that of a person at this display is not published.
 //!
 //! Invariant: a step that moves the same pins as the reference is not told from it.
 

@@ -243,10 +243,7 @@ impl Response {
             || AfferentModel::default_for(Rectify::Half, POPULATION_NOISE_SD),
             |target| *target.model(),
         );
-        // A stroke must end before the pattern does; in a scene, before its drive does.
-        let stop_s = |drive: &Drive| drive.stop_s.or(pattern.duration_s());
-        let drives = pattern.drives().iter().map(|drive| Drive { stop_s: stop_s(drive), ..*drive }).collect();
-        let scene = Scene::new(duration_s, seed, drives, population(seed), model)?;
+        let scene = Scene::new(duration_s, seed, pattern.drives_with_ends(), population(seed), model)?;
         let keep = if moves { Keep::Spikes } else { Keep::Rates };
         let answer = simulate(&scene, &Options { keep, ..Options::rates(Method::Exact) }, progress)?;
         let rates_hz = answer.rates_hz(&scene);

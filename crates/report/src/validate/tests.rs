@@ -1,3 +1,5 @@
+//! Verdicts against their numbers, and numbers that the book and another program give.
+
 use super::*;
 use meissner_skin::ModelName;
 use std::sync::LazyLock;
