@@ -1,0 +1,16 @@
+"""Search patterns by two objectives, predict the afferents' response, and play the better one."""
+
+import meissner
+
+with meissner.demo() as m:
+    found = {}
+    for objective in ("contrast", "off-rms"):
+        design = m.design("dot", objective=objective, budget=200, seed=1, name=f"dot-{objective}")
+        found[design.summary["cost_hz"]] = design
+        print(f"{design.name}: on-target minus off-target {design.summary['cost_hz']:.1f} impulses/s")
+    best = found[max(found)]
+    drives = m.pattern(best.name)["pattern"]["drive"]
+    moving = [drive for drive in drives if drive["amplitude_um"] > 0]
+    answer = m.simulate({"duration_s": 0.5, "population": {"seed": 0}, "drives": moving}, rates_only=True)
+    print(f"{len(answer.rates_hz)} afferents, the fastest {max(answer.rates_hz):.0f} impulses/s")
+    print(m.play(best.name, seconds=0.2).wait().state)

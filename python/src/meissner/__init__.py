@@ -1,0 +1,136 @@
+"""Client of meissner, the driver of a tactile display: plays with exact times, sessions, and experiments.
+
+    import meissner
+
+    with meissner.demo() as m:                # a simulated array; with a board: meissner.connect() and m.arm()
+        play = m.play("edge-45", seconds=0.3)
+        play.wait()
+        print(play.onset.monotonic, play.offset.monotonic)
+
+- `connect`, `connect_async`: a client of a daemon, on this machine or over the network.
+- `demo`: a daemon with the simulated array, and a client of it. `Daemon` is the daemon alone.
+- `simulate`, `design`: predicted spikes, and a search for patterns, by the installed program.
+- `experiment`: trial lists, staircases, QUEST+, and a log that survives a crash.
+- `errors`: one class for each code of the API.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING
+
+from ._bodies import SequenceItem
+from ._endpoint import Endpoint, endpoints
+from ._operations import Core, begin
+from ._sse import Event
+from .client import Client, Play, Session
+from .clocks import ClientClock, Instant
+from .errors import ApiError, MeissnerError, PlayStopped, Unreachable
+from .program import Daemon, Design, Simulation, design, simulate
+from .results import Item, Receipt, Status
+
+if TYPE_CHECKING:
+    from .aio import AsyncClient
+
+__all__ = [
+    "ApiError",
+    "Client",
+    "Daemon",
+    "Design",
+    "Event",
+    "Instant",
+    "Item",
+    "MeissnerError",
+    "Play",
+    "PlayStopped",
+    "Receipt",
+    "SequenceItem",
+    "Session",
+    "Simulation",
+    "Status",
+    "Unreachable",
+    "connect",
+    "connect_async",
+    "demo",
+    "design",
+    "simulate",
+]
+__version__ = "0.1.0"
+
+
+def _core(endpoint: Endpoint, token: str | None, reconnect: float) -> Core:
+    clock = ClientClock(same_machine=endpoint.same_machine)
+    return Core(endpoint, clock, token or os.environ.get("MEISSNER_TOKEN"), reconnect)
+
+
+def _nowhere(tried: list[Endpoint], errors: list[Unreachable]) -> Unreachable:
+    if len(errors) == 1:
+        return errors[0]
+    places = ", nor at ".join(endpoint.name for endpoint in tried)
+    return Unreachable(f"no daemon answers at {places}: start one with `meissner daemon`, or try `meissner.demo()`")
+
+
+def connect(
+    address: str | os.PathLike[str] | None = None, *, token: str | None = None, reconnect: float = 10.0
+) -> Client:
+    """Connect to a daemon.
+
+    `address` is the path of a Unix socket, or a URL such as `http://lab-pc:8765` with an access `token`. Without it:
+    `$MEISSNER_URL` (and `$MEISSNER_TOKEN`), `$MEISSNER_SOCKET`, or the usual sockets. `reconnect`: for how long to look
+    for a daemon that was there before, s.
+    """
+    tried, errors = endpoints(address), list[Unreachable]()
+    for endpoint in tried:
+        client = Client(_core(endpoint, token, 0.0))
+        try:
+            client.run(begin(client.core))
+        except Unreachable as error:
+            client.close()
+            errors.append(error)
+        except BaseException:
+            client.close()
+            raise
+        else:
+            client.core.reconnect = reconnect
+            return client
+    raise _nowhere(tried, errors)
+
+
+async def connect_async(
+    address: str | os.PathLike[str] | None = None, *, token: str | None = None, reconnect: float = 10.0
+) -> AsyncClient:
+    """Connect to a daemon, for asyncio. As `connect`."""
+    from .aio import AsyncClient
+
+    tried, errors = endpoints(address), list[Unreachable]()
+    for endpoint in tried:
+        client = AsyncClient(_core(endpoint, token, 0.0))
+        try:
+            await client.run(begin(client.core))
+        except Unreachable as error:
+            await client.close()
+            errors.append(error)
+        except BaseException:
+            await client.close()
+            raise
+        else:
+            client.core.reconnect = reconnect
+            return client
+    raise _nowhere(tried, errors)
+
+
+def demo(*, arm: bool = True, config: str = "") -> Client:
+    """Start a daemon with the simulated array, and connect to it. Both end with the client.
+
+    `arm`: whether to arm, as simulated pins are at rest. `config`: text for the daemon's configuration file.
+    """
+    daemon = Daemon(config)
+    try:
+        client = connect(daemon.socket)
+    except BaseException:
+        daemon.close()
+        raise
+    client.adopt(daemon)
+    if arm:
+        client.arm(assume_rest=True)
+    return client

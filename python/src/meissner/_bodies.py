@@ -1,0 +1,52 @@
+"""The bodies of requests for plays: what the client's arguments become.
+
+Times are seconds in Python and milliseconds in the API.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any, Literal, Union
+
+from .clocks import Instant
+
+At = Union[float, Instant, None]
+Trigger = Union[Mapping[str, Any], bool, int, None]
+Labels = Union[Mapping[str, Any], None]
+Late = Literal["drop", "abort", None]
+Fit = Literal["whole", "cover", None]
+SequenceItem = Union[str, Mapping[str, Any]]
+
+
+def trigger_of(trigger: Trigger) -> Any:
+    """A number is short for a code."""
+    if isinstance(trigger, bool) or trigger is None:
+        return trigger
+    return {"code": trigger} if isinstance(trigger, int) else dict(trigger)
+
+
+def texts(labels: Labels) -> dict[str, str] | None:
+    return None if labels is None else {str(key): str(value) for key, value in labels.items()}
+
+
+def sequence_items(
+    items: Iterable[SequenceItem], isi: float | None, soa: float | None, defaults: dict[str, Any]
+) -> list[dict[str, Any]]:
+    """The items as the daemon takes them: times in ms, from the item before or from the sequence's onset."""
+    if isi is not None and soa is not None:
+        raise ValueError("give `isi` (pause from an item's end) or `soa` (distance of onsets), not both")
+    made = []
+    for number, item in enumerate(items):
+        entry = {**defaults, **({"pattern": item} if isinstance(item, str) else item)}
+        for key in ("gap", "start"):
+            if key in entry:
+                entry[f"{key}_ms"] = entry.pop(key) * 1000
+        if "trigger" in entry:
+            entry["trigger"] = trigger_of(entry["trigger"])
+        if "gap_ms" not in entry and "start_ms" not in entry:
+            if soa is not None:
+                entry["start_ms"] = number * soa * 1000
+            elif isi is not None and number > 0:
+                entry["gap_ms"] = isi * 1000
+        made.append({key: value for key, value in entry.items() if value is not None})
+    return made

@@ -1,0 +1,82 @@
+"""Requests and answers without input or output: what every method of the client sends, and how it reads the answer.
+
+A method is a generator that yields `Request` or `Pause` and is given `Answer`. `client.py` runs it with a blocking
+connection, `aio.py` with an asynchronous one. So each method exists once.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Generator
+from dataclasses import dataclass, field
+from typing import Any, TypeVar, Union
+
+from .errors import ApiError, UnexpectedAnswer
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Request:
+    """What to send, and how."""
+
+    method: str
+    path: str
+    content: bytes | None = None
+    headers: dict[str, str] = field(default_factory=dict)
+    timeout: float = 10.0
+    """How long to wait for the answer, s."""
+    fresh: bool = False
+    """Whether to open a connection for this request alone, as an emergency stop does."""
+    repeatable: bool = False
+    """Whether it may be sent again although the daemon may have carried it out."""
+
+
+@dataclass(frozen=True)
+class Pause:
+    """Wait for so many seconds."""
+
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What came back, and when by the client's clock."""
+
+    status: int
+    body: bytes
+    sent_ns: int = 0
+    received_ns: int = 0
+
+    def json(self) -> Any:
+        """The answer's document; an error if the daemon refused the request."""
+        try:
+            document = json.loads(self.body)
+        except ValueError as error:
+            if self.status >= 400:
+                raise ApiError(f"HTTP status {self.status} without a reason", status=self.status) from error
+            raise UnexpectedAnswer(f"the answer is not JSON: {self.body[:60]!r}; is this a meissner daemon?") from error
+        if self.status >= 400:
+            raise ApiError.of(document if isinstance(document, dict) else {}, self.status)
+        return document
+
+
+Step = Union[Request, Pause]
+Op = Generator[Step, Answer, T]
+
+
+def authorisation(token: str | None, session_token: str | None) -> dict[str, str]:
+    """The headers of an access token (over the network) and of a session's token."""
+    access = {"Authorization": f"Bearer {token}"} if token else {}
+    return {**access, **({"Meissner-Session": session_token} if session_token else {})}
+
+
+def get(path: str, *, timeout: float = 10.0) -> Request:
+    """A request that changes nothing."""
+    return Request("GET", path, timeout=timeout, repeatable=True)
+
+
+def post(path: str, body: dict[str, Any] | None = None, *, timeout: float = 10.0) -> Request:
+    """A command. Keys that are None are left out."""
+    content = json.dumps({key: value for key, value in (body or {}).items() if value is not None})
+    return Request("POST", path, content.encode(), {"Content-Type": "application/json"}, timeout)

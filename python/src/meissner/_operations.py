@@ -1,0 +1,476 @@
+"""Every method of the client, once: what it sends, what it reads, and when it tries again.
+
+Each function is a generator, as `_http.py` explains. `Core` is what they share: endpoint, tokens, clock, and what the
+daemon said last.
+
+Invariants: a command is sent once, and only an emergency stop may go out twice; an instant is converted by `Core.clock` alone.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import os
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
+from urllib.parse import quote
+
+from . import _http, bids
+from ._bodies import At, Fit, Labels, Late, SequenceItem, Trigger, sequence_items, texts, trigger_of
+from ._endpoint import Endpoint
+from ._http import Answer, Op, Pause, Request
+from .clocks import NS, ClientClock, Instant
+from .errors import (
+    ApiError,
+    ConnectionLost,
+    DaemonRestarted,
+    DeviceTimeout,
+    Faulted,
+    MeissnerError,
+    NoDevice,
+    PlayStopped,
+    UnexpectedAnswer,
+    Unreachable,
+)
+from .results import Receipt, Status
+
+P = ParamSpec("P")
+T = TypeVar("T")
+_LONGEST_WAIT = 50.0
+_SYNC_SAMPLES = 8
+_SYNC_AGE_NS = NS
+"""How old the comparison of two PCs' clocks may be for an onset, ns."""
+
+
+@dataclass
+class Core:
+    """What the methods of one client share."""
+
+    endpoint: Endpoint
+    clock: ClientClock
+    token: str | None = None
+    reconnect: float = 10.0
+    """For how long to look for a daemon that was there before, s."""
+    session_token: str | None = None
+    tick_hz: int | None = None
+    daemon: tuple[int, str] | None = None
+    """Which daemon answered last: its process and version."""
+    has_armed: bool = False
+    """Whether this client has armed, so that it disarms at its end."""
+    synced_ns: int = field(default=-(1 << 62))
+    """When the clock got its last sample."""
+
+    @property
+    def headers(self) -> dict[str, str]:
+        """The headers of every request."""
+        return _http.authorisation(self.token, self.session_token)
+
+    def receipt(self, raw: dict[str, Any]) -> Receipt:
+        """A receipt with instants on this client's clocks."""
+        # Without a device at the last status there is no play with an onset, so the rate is not used.
+        return Receipt.of(raw, self.clock, self.tick_hz or 1)
+
+
+@dataclass(frozen=True)
+class Accepted:
+    """A play that the daemon has taken."""
+
+    id: int
+    pattern: str
+    ordered_s: float | None
+    """Duration as ordered, s; None: without end."""
+    daemon: tuple[int, str] | None
+
+
+def named_after(operation: Callable[..., Any], method: Callable[P, T]) -> Callable[P, T]:
+    """Gives a client's method the name, signature and documentation of its operation."""
+    return functools.update_wrapper(method, operation)
+
+
+def send(core: Core, request: Request) -> Op[Answer]:
+    """Sends a request, and again if the daemon cannot have carried it out or it changes nothing."""
+    begun, pause = core.clock.now_ns(), 0.05
+    while True:
+        try:
+            return (yield request)
+        except (Unreachable, ConnectionLost) as error:
+            is_safe = isinstance(error, Unreachable) or request.repeatable
+            if not is_safe or core.clock.now_ns() - begun > core.reconnect * NS:
+                raise
+        yield Pause(pause)
+        pause = min(2 * pause, 1.0)
+
+
+def _document(core: Core, request: Request) -> Op[Any]:
+    answer = yield from send(core, request)
+    return answer.json()
+
+
+def status(core: Core) -> Op[Status]:
+    """Ask how daemon and device stand. Each answer improves the clock's estimate."""
+    answer = yield from send(core, _http.get("/v1/status"))
+    return _take_status(core, answer)
+
+
+def _take_status(core: Core, answer: Answer) -> Status:
+    raw = answer.json()
+    if not isinstance(raw, dict) or "state" not in raw:
+        raise UnexpectedAnswer(f"{core.endpoint.name} does not answer as a meissner daemon: check the address")
+    core.daemon = (raw["pid"], raw["version"])
+    if raw["clock"] is not None:
+        core.clock.add(answer.sent_ns, answer.received_ns, raw["clock"]["monotonic_ns"])
+        core.tick_hz = raw["clock"]["tick_hz"]
+        core.synced_ns = answer.received_ns
+    return Status.of(raw)
+
+
+def begin(core: Core) -> Op[Status]:
+    """Meet the daemon, and compare the clocks. A device that has just been opened gets a moment to connect."""
+    state = yield from status(core)
+    for _ in range(20):
+        if state.raw["clock"] is not None or state.raw["missing"] is not None:
+            break
+        yield Pause(0.05)
+        state = yield from status(core)
+    yield from synchronise(core)
+    return state
+
+
+def synchronise(core: Core) -> Op[float]:
+    """Compare the clocks of client and daemon anew. Returns the uncertainty between them, s."""
+    for _ in range(_SYNC_SAMPLES):
+        yield from status(core)
+        if core.clock.is_shared:
+            break
+    if not core.clock.has_samples:
+        return float("inf")
+    return core.clock.to_host(core.clock.now_ns())[1] / NS
+
+
+def _command(core: Core, path: str, body: dict[str, Any] | None = None, timeout: float = 10.0) -> Op[Status]:
+    answer = yield from send(core, _http.post(path, body, timeout=timeout))
+    return _take_status(core, answer)
+
+
+def arm(core: Core, *, assume_rest: bool = False, checked: str | None = None) -> Op[Status]:
+    """Enable the motors. `assume_rest`: you have seen that all pins are at rest; `checked`: who has looked at them."""
+    before = core.has_armed
+    # Set first: if the answer is lost, the motors may be on.
+    core.has_armed = True
+    try:
+        return (yield from _command(core, "/v1/arm", {"assume_rest": assume_rest, "checked": checked}))
+    except ApiError as error:
+        # What the daemon refused has changed nothing; after a timeout the motors may be on.
+        core.has_armed = before or isinstance(error, DeviceTimeout)
+        raise
+
+
+def disarm(core: Core) -> Op[Status]:
+    """Stop, return the pins to rest and switch the motors off."""
+    state = yield from _command(core, "/v1/disarm")
+    core.has_armed = False
+    return state
+
+
+def stop(core: Core) -> Op[Status]:
+    """Stop the running play and clear the queue. The motors stay armed."""
+    return (yield from _command(core, "/v1/stop"))
+
+
+def estop(core: Core) -> Op[Status]:
+    """Switch all lines off at once and latch the fault. `reset()` clears it."""
+    request = Request("POST", "/v1/estop", b"{}", timeout=5.0, fresh=True, repeatable=True)
+    answer = yield from send(core, request)
+    return _take_status(core, answer)
+
+
+def reset(core: Core, *, force: bool = False) -> Op[Status]:
+    """Clear a latched emergency stop or fault. The motors stay disarmed."""
+    return (yield from _command(core, "/v1/reset", {"force": force or None}))
+
+
+def home(core: Core) -> Op[Status]:
+    """Move every pin to rest; takes up to 25 s."""
+    return (yield from _command(core, "/v1/home", timeout=40.0))
+
+
+def _onset(core: Core, at: At) -> Op[dict[str, Any]]:
+    """The keys of an onset: an instant of the device's clock, or of this process's `time.monotonic()`."""
+    if at is None:
+        return {}
+    if isinstance(at, Instant):
+        return {"at_tick": at.tick, "boot": at.boot}
+    if not core.clock.is_shared and core.clock.now_ns() - core.synced_ns > _SYNC_AGE_NS:
+        yield from status(core)
+    return {"at_monotonic_ns": core.clock.to_host(round(at * NS))[0]}
+
+
+def _accepted(core: Core, request: Request, pattern: str) -> Op[Accepted]:
+    raw = yield from _document(core, request)
+    ordered = raw["ordered_ms"]
+    return Accepted(raw["id"], pattern, None if ordered is None else ordered / 1000, core.daemon)
+
+
+def play(
+    core: Core,
+    pattern: str,
+    seconds: float | None = None,
+    *,
+    at: At = None,
+    scale: float | None = None,
+    trigger: Trigger = None,
+    trial: int | None = None,
+    labels: Labels = None,
+    late: Late = None,
+    fit: Fit = None,
+    replace: bool = False,
+    endless: bool = False,
+    open_loop: bool = False,
+) -> Op[Accepted]:
+    """Queue a play of a pattern.
+
+    `at` is the onset: an instant of this process's `time.monotonic()` such as `m.now() + 0.2`, or the `Instant` of an
+    earlier play, such as `play.onset.later(1.5)`, which is exact to the tick. Without it the play begins as soon as
+    it can. `scale` multiplies the amplitudes. `trigger`: a code from 1 to 255, or False for none.
+    """
+    body = {
+        "pattern": pattern,
+        "seconds": seconds,
+        "scale": scale,
+        "trigger": trigger_of(trigger),
+        "trial": trial,
+        "labels": texts(labels),
+        "late": late,
+        "fit": fit,
+        "replace": replace or None,
+        "endless": endless or None,
+        "open_loop": open_loop or None,
+        **(yield from _onset(core, at)),
+    }
+    return (yield from _accepted(core, _http.post("/v1/play", body), pattern))
+
+
+def sequence(
+    core: Core,
+    items: Iterable[SequenceItem],
+    *,
+    isi: float | None = None,
+    soa: float | None = None,
+    seconds: float | None = None,
+    scale: float | None = None,
+    at: At = None,
+    name: str | None = None,
+    trial: int | None = None,
+    labels: Labels = None,
+    late: Late = None,
+    replace: bool = False,
+    open_loop: bool = False,
+) -> Op[Accepted]:
+    """Queue patterns as one play with exact times.
+
+    An item is a pattern's name, or a dict with `pattern` and any of `seconds`, `scale`, `trigger`, `gap` (pause after the
+    item before, s) and `start` (from the sequence's onset, s). `isi` is the pause from one item's end to the next
+    onset, `soa` the distance of onsets, s. `seconds` and `scale` are for items that give none.
+    """
+    body = {
+        "items": sequence_items(items, isi, soa, {"seconds": seconds, "scale": scale}),
+        "name": name,
+        "trial": trial,
+        "labels": texts(labels),
+        "late": late,
+        "replace": replace or None,
+        "open_loop": open_loop or None,
+        **(yield from _onset(core, at)),
+    }
+    return (yield from _accepted(core, _http.post("/v1/sequence", body), name or "sequence"))
+
+
+def receipt(core: Core, play_id: int | str = "last") -> Op[Receipt]:
+    """Ask for what became of a play."""
+    raw = yield from _document(core, _http.get(f"/v1/plays/{play_id}"))
+    return core.receipt(raw)
+
+
+def checked(result: Receipt) -> Receipt:
+    """Refuses a play that did not come to its end."""
+    if result.state != "done":
+        raise PlayStopped(result)
+    return result
+
+
+def wait(core: Core, accepted: Accepted, timeout: float | None = None) -> Op[Receipt]:
+    """Wait until a play has ended, at most `timeout` s (then `TimeoutError`), and return its receipt."""
+    deadline = None if timeout is None else core.clock.now_ns() + round(timeout * NS)
+    while True:
+        left = _LONGEST_WAIT if deadline is None else (deadline - core.clock.now_ns()) / NS
+        seconds = max(0.0, min(left, _LONGEST_WAIT))
+        request = _http.get(f"/v1/plays/{accepted.id}?wait={seconds:.3f}", timeout=seconds + 10.0)
+        try:
+            raw = yield from _document(core, request)
+        except MeissnerError:
+            yield from _same_daemon(core, accepted)
+            raise
+        yield from _same_daemon(core, accepted)
+        result = core.receipt(raw)
+        if result.is_over:
+            return result
+        if deadline is not None and core.clock.now_ns() >= deadline:
+            raise TimeoutError(f"play {accepted.id} is {result.state} after {timeout} s: wait longer, or call `stop()`")
+
+
+def _same_daemon(core: Core, accepted: Accepted) -> Op[None]:
+    """Refuses a receipt of another daemon's play of that number. The answer also keeps the clock's estimate fresh."""
+    yield from status(core)
+    if accepted.daemon is not None and core.daemon != accepted.daemon:
+        raise DaemonRestarted(
+            f"the daemon was restarted after it took play {accepted.id}: arm again and repeat the trial; "
+            "the session record has what was played"
+        )
+
+
+def wait_until_idle(core: Core) -> Op[None]:
+    """Wait until no play runs or waits."""
+    while True:
+        state = yield from status(core)
+        if state.playing is None and not state.queued and state.state != "returning":
+            return
+        yield Pause(0.02)
+
+
+def patterns(core: Core) -> Op[list[dict[str, Any]]]:
+    """List the patterns."""
+    raw = yield from _document(core, _http.get("/v1/patterns"))
+    listed: list[dict[str, Any]] = raw["patterns"]
+    return listed
+
+
+def pattern(core: Core, name: str) -> Op[dict[str, Any]]:
+    """Show one pattern with its drives."""
+    raw: dict[str, Any] = yield from _document(core, _http.get(f"/v1/patterns/{quote(name, safe='')}"))
+    return raw
+
+
+def store_pattern(core: Core, name: str, toml: str | os.PathLike[str], *, replace: bool = False) -> Op[dict[str, Any]]:
+    """Store a pattern: its TOML text, or the path of its file."""
+    if isinstance(toml, os.PathLike):
+        with open(toml, encoding="utf-8") as file:
+            toml = file.read()
+    path = f"/v1/patterns/{quote(name, safe='')}" + ("?replace=true" if replace else "")
+    request = Request("PUT", path, toml.encode(), {"Content-Type": "application/toml"}, timeout=20.0)
+    raw: dict[str, Any] = yield from _document(core, request)
+    return raw
+
+
+def remove_pattern(core: Core, name: str) -> Op[None]:
+    """Remove a pattern that was stored."""
+    yield from _document(core, Request("DELETE", f"/v1/patterns/{quote(name, safe='')}"))
+
+
+def session_start(
+    core: Core,
+    participant: str,
+    *,
+    exclusive: bool = False,
+    experiment: str | None = None,
+    seed: int | None = None,
+    labels: Labels = None,
+) -> Op[dict[str, Any]]:
+    """Start a session; this client becomes its owner."""
+    body = {
+        "participant": participant,
+        "exclusive": exclusive,
+        "experiment": experiment,
+        "seed": seed,
+        "labels": texts(labels),
+    }
+    started: dict[str, Any] = yield from _document(core, _http.post("/v1/sessions", body))
+    core.session_token = started["token"]
+    return started
+
+
+def session_end(core: Core, session_id: str) -> Op[dict[str, Any]]:
+    """End a session."""
+    ended: dict[str, Any] = yield from _document(core, _http.post(f"/v1/sessions/{session_id}/end"))
+    core.session_token = None
+    return ended
+
+
+def session_leave(core: Core, session_id: str, failed: bool) -> Op[None]:
+    """End a session after its plays have ended; after an error stop them first."""
+    if failed:
+        # A latched fault refuses the stop, and has stopped already.
+        with contextlib.suppress(ApiError):
+            yield from _command(core, "/v1/stop")
+    yield from wait_until_idle(core)
+    yield from session_end(core, session_id)
+
+
+def sessions(core: Core) -> Op[list[dict[str, Any]]]:
+    """List the recorded sessions."""
+    raw = yield from _document(core, _http.get("/v1/sessions", timeout=60.0))
+    listed: list[dict[str, Any]] = raw["sessions"]
+    return listed
+
+
+def session_plays(core: Core, session_id: str) -> Op[dict[str, Any]]:
+    """The recorded plays of a session, all pages: keys `session`, `plays`, `lost`, `unreadable`, `problems`."""
+    plays: list[dict[str, Any]] = []
+    while True:
+        path = f"/v1/sessions/{session_id}/plays?from={len(plays)}"
+        page: dict[str, Any] = yield from _document(core, _http.get(path, timeout=60.0))
+        plays += page["plays"]
+        if not page["more"]:
+            return {**page, "plays": plays}
+
+
+def export_bids(
+    core: Core,
+    session_id: str,
+    root: str | os.PathLike[str],
+    *,
+    task: str | None = None,
+    zero: float | Instant | None = None,
+) -> Op[bids.Export]:
+    """Write a recorded session into a BIDS dataset: events, their sidecar, the patterns as stimuli.
+
+    `task` names the task, else the session's experiment does. `zero` is the instant from which onsets count, such as the
+    start of an EEG recording: of this process's `time.monotonic()`, or an `Instant`. Without it the first onset counts.
+    """
+    recorded = yield from session_plays(core, session_id)
+    stored_patterns = {}
+    for name in {row["pattern"] for row in bids.stimulus_rows(recorded["plays"])}:
+        try:
+            stored = yield from pattern(core, name)
+        except ApiError:
+            continue
+        stored_patterns[str(stored["sha256"])] = stored["pattern"]
+    used = {row["pattern_sha256"] for row in recorded["plays"]}
+    if isinstance(zero, Instant):
+        zero_host_ns: int | None = zero.host_ns
+    else:
+        zero_host_ns = None if zero is None else core.clock.to_host(round(zero * NS))[0]
+    return bids.write(
+        Path(root),
+        recorded,
+        {sha256: keys for sha256, keys in stored_patterns.items() if sha256 in used},
+        task=task,
+        zero_host_ns=zero_host_ns,
+        software=core.daemon,
+    )
+
+
+def leave(core: Core) -> Op[None]:
+    """Disarm at the end if this client has armed. A device that is off already is fine."""
+    if core.has_armed:
+        with contextlib.suppress(Faulted, NoDevice):
+            yield from disarm(core)
+        core.has_armed = False
+
+
+def heartbeat(core: Core) -> Op[float]:
+    """Show that the session's owner is there. Returns how soon to do so again, s."""
+    yield from status(core)
+    raw = yield from _document(core, _http.get("/v1/sessions/running"))
+    return max(0.05, min(30.0, (raw["release_in_s"] or 120.0) / 4))

@@ -1,0 +1,162 @@
+"""Connections by httpx, blocking and asynchronous: the only module that imports it, and only once a client connects.
+
+Both turn httpx's errors into `Unreachable` (the request was not sent) and `ConnectionLost` (the daemon may have acted).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import asynccontextmanager, contextmanager
+from typing import TYPE_CHECKING, Any
+
+from ._endpoint import Endpoint
+from ._http import Answer, Request
+from .errors import ConnectionLost, MeissnerError, Unreachable
+
+if TYPE_CHECKING:
+    import httpx
+
+Headers = Callable[[], dict[str, str]]
+Now = Callable[[], int]
+
+
+def _failure(error: Exception, endpoint: Endpoint) -> MeissnerError:
+    import httpx
+
+    reason = str(error) or type(error).__name__
+    if isinstance(error, (httpx.ConnectError, httpx.ConnectTimeout, httpx.PoolTimeout, httpx.UnsupportedProtocol)):
+        return Unreachable(f"no daemon answers at {endpoint.name} ({reason}): start one with `meissner daemon`")
+    return ConnectionLost(
+        f"the connection to {endpoint.name} ended before the answer came ({reason}): look at `status()` before you repeat"
+    )
+
+
+def _options(endpoint: Endpoint) -> dict[str, Any]:
+    # No proxies: a proxy of the environment cannot reach the lab's PC. Idle connections stay: httpx would close them
+    # after 5 s, and it notices by itself when the daemon has closed one.
+    return {"base_url": endpoint.url, "trust_env": False}
+
+
+def _connections(fresh: bool) -> dict[str, Any]:
+    import httpx
+
+    kept = 0 if fresh else 8
+    return {"limits": httpx.Limits(max_connections=32, max_keepalive_connections=kept, keepalive_expiry=None)}
+
+
+class BlockingTransport:
+    """Sends requests and waits for the answers. Threads may share one."""
+
+    def __init__(self, endpoint: Endpoint, headers: Headers, now_ns: Now) -> None:
+        self._endpoint, self._headers, self._now_ns = endpoint, headers, now_ns
+        self._client = self._open()
+
+    def _open(self, fresh: bool = False) -> httpx.Client:
+        import httpx
+
+        transport = httpx.HTTPTransport(uds=self._endpoint.socket, **_connections(fresh))
+        return httpx.Client(transport=transport, **_options(self._endpoint))
+
+    def perform(self, request: Request) -> Answer:
+        """Sends one request."""
+        if request.fresh:
+            with self._open(fresh=True) as client:
+                return self._send(client, request)
+        return self._send(self._client, request)
+
+    def _send(self, client: httpx.Client, request: Request) -> Answer:
+        import httpx
+
+        headers = {**self._headers(), **request.headers}
+        sent = self._now_ns()
+        try:
+            response = client.request(
+                request.method, request.path, content=request.content, headers=headers, timeout=request.timeout
+            )
+        except (httpx.HTTPError, httpx.InvalidURL, OSError) as error:
+            raise _failure(error, self._endpoint) from error
+        return Answer(response.status_code, response.content, sent, self._now_ns())
+
+    @contextmanager
+    def stream(self, path: str) -> Iterator[Iterator[bytes]]:
+        """Opens a stream on a connection of its own."""
+        import httpx
+
+        with self._open(fresh=True) as client:
+            try:
+                with client.stream(
+                    "GET", path, headers=self._headers(), timeout=httpx.Timeout(10.0, read=None)
+                ) as response:
+                    if response.status_code >= 400:
+                        Answer(response.status_code, response.read()).json()
+                    yield response.iter_raw()
+            except (httpx.HTTPError, OSError) as error:
+                raise _failure(error, self._endpoint) from error
+
+    def pause(self, seconds: float) -> None:
+        """Waits."""
+        time.sleep(seconds)
+
+    def close(self) -> None:
+        """Closes all connections."""
+        self._client.close()
+
+
+class AsyncTransport:
+    """The same for asyncio."""
+
+    def __init__(self, endpoint: Endpoint, headers: Headers, now_ns: Now) -> None:
+        self._endpoint, self._headers, self._now_ns = endpoint, headers, now_ns
+        self._client = self._open()
+
+    def _open(self, fresh: bool = False) -> httpx.AsyncClient:
+        import httpx
+
+        transport = httpx.AsyncHTTPTransport(uds=self._endpoint.socket, **_connections(fresh))
+        return httpx.AsyncClient(transport=transport, **_options(self._endpoint))
+
+    async def perform(self, request: Request) -> Answer:
+        """Sends one request."""
+        if request.fresh:
+            async with self._open(fresh=True) as client:
+                return await self._send(client, request)
+        return await self._send(self._client, request)
+
+    async def _send(self, client: httpx.AsyncClient, request: Request) -> Answer:
+        import httpx
+
+        headers = {**self._headers(), **request.headers}
+        sent = self._now_ns()
+        try:
+            response = await client.request(
+                request.method, request.path, content=request.content, headers=headers, timeout=request.timeout
+            )
+        except (httpx.HTTPError, httpx.InvalidURL, OSError) as error:
+            raise _failure(error, self._endpoint) from error
+        return Answer(response.status_code, response.content, sent, self._now_ns())
+
+    @asynccontextmanager
+    async def stream(self, path: str) -> AsyncIterator[AsyncIterator[bytes]]:
+        """Opens a stream on a connection of its own."""
+        import httpx
+
+        timeout = httpx.Timeout(10.0, read=None)
+        async with self._open(fresh=True) as client:
+            try:
+                async with client.stream("GET", path, headers=self._headers(), timeout=timeout) as response:
+                    if response.status_code >= 400:
+                        Answer(response.status_code, await response.aread()).json()
+                    yield response.aiter_raw()
+            except (httpx.HTTPError, OSError) as error:
+                raise _failure(error, self._endpoint) from error
+
+    async def pause(self, seconds: float) -> None:
+        """Waits."""
+        import asyncio
+
+        await asyncio.sleep(seconds)
+
+    async def close(self) -> None:
+        """Closes all connections."""
+        await self._client.aclose()

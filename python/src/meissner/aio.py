@@ -1,0 +1,249 @@
+"""The client for asyncio: `AsyncClient`, its plays and its sessions. The same methods as `client.py`, with `await`.
+
+async with await meissner.connect_async() as m:
+    play = await m.play("edge-45", seconds=0.3)
+    await play.wait()
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncGenerator, Awaitable, Callable, Generator
+from types import TracebackType
+from typing import Any, Concatenate, ParamSpec, TypeVar
+
+from . import _operations as ops
+from . import program
+from ._bodies import Labels
+from ._http import Answer, Op, Pause, Step
+from ._operations import Accepted, Core
+from ._plays import KnownPlay
+from ._sse import Event, EventParser
+from ._transport import AsyncTransport
+from .client import quietly
+from .clocks import NS
+from .errors import ConnectionLost, MeissnerError, Unreachable
+from .results import Receipt
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+def _awaiting(
+    operation: Callable[Concatenate[Core, P], Op[T]],
+) -> Callable[Concatenate[AsyncClient, P], Awaitable[T]]:
+    """A method that runs this operation."""
+
+    async def method(client: AsyncClient, /, *args: P.args, **kwargs: P.kwargs) -> T:
+        return await client.run(operation(client.core, *args, **kwargs))
+
+    return ops.named_after(operation, method)
+
+
+def _playing(
+    operation: Callable[Concatenate[Core, P], Op[Accepted]],
+) -> Callable[Concatenate[AsyncClient, P], Awaitable[AsyncPlay]]:
+    """A method that orders a play and returns it."""
+
+    async def method(client: AsyncClient, /, *args: P.args, **kwargs: P.kwargs) -> AsyncPlay:
+        return AsyncPlay(client, await client.run(operation(client.core, *args, **kwargs)))
+
+    return ops.named_after(operation, method)
+
+
+class AsyncPlay(KnownPlay):
+    """A play that the daemon has taken."""
+
+    def __init__(self, client: AsyncClient, accepted: Accepted) -> None:
+        super().__init__(accepted)
+        self._client = client
+
+    async def wait(self, timeout: float | None = None, *, check: bool = True) -> Receipt:
+        """Wait until the play has ended. As `Play.wait`."""
+        result = await self._client.run(ops.wait(self._client.core, self._accepted, timeout))
+        self._receipt = result
+        return ops.checked(result) if check else result
+
+    async def refresh(self) -> Receipt:
+        """Ask for the receipt as it is now."""
+        self._receipt = await self._client.run(ops.receipt(self._client.core, self.id))
+        return self._receipt
+
+
+class AsyncSession:
+    """A session that this client owns: it starts with `async with` or `await`, and ends with its block or `end()`."""
+
+    def __init__(self, client: AsyncClient, start: Op[dict[str, Any]]) -> None:
+        self._client, self._start = client, start
+        self._task: asyncio.Task[None] | None = None
+        self.id = ""
+        self.record_problem: str | None = None
+        self.heartbeat_problem: MeissnerError | None = None
+        """Why the last sign of life did not reach the daemon; None if it did."""
+
+    async def _begin(self) -> AsyncSession:
+        started = await self._client.run(self._start)
+        self.id, self.record_problem = started["id"], started["record_problem"]
+        self._task = asyncio.create_task(self._keep_alive())
+        return self
+
+    async def _keep_alive(self) -> None:
+        while True:
+            try:
+                pause = await self._client.run(ops.heartbeat(self._client.core))
+                self.heartbeat_problem = None
+            except MeissnerError as error:
+                self.heartbeat_problem, pause = error, 1.0
+            await asyncio.sleep(pause)
+
+    async def end(self) -> None:
+        """End the session, after its plays have ended."""
+        await self._leave(failed=False)
+
+    async def _leave(self, failed: bool) -> None:
+        if self._task is None:
+            return
+        try:
+            await self._client.run(ops.session_leave(self._client.core, self.id, failed))
+        finally:
+            await self.abandon()
+
+    async def abandon(self) -> None:
+        """Shows no more signs of life. The session goes on until somebody ends it."""
+        task, self._task = self._task, None
+        if task is not None:
+            task.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await task
+
+    def __await__(self) -> Generator[Any, None, AsyncSession]:
+        return self._begin().__await__()
+
+    async def __aenter__(self) -> AsyncSession:
+        return self if self._task else await self._begin()
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with quietly("the session could not be ended", kind is not None):
+            await self._leave(failed=kind is not None)
+
+
+class AsyncClient:
+    """A connection to a daemon. As a context manager it disarms, if it has armed, and closes."""
+
+    def __init__(self, core: Core) -> None:
+        """`connect_async()` makes clients."""
+        self.core = core
+        self._transport = AsyncTransport(core.endpoint, lambda: core.headers, core.clock.now_ns)
+        self._is_closed = False
+        self._session: AsyncSession | None = None
+
+    async def run(self, operation: Op[T]) -> T:
+        """Runs an operation of `_operations.py`."""
+        try:
+            step = next(operation)
+            while True:
+                try:
+                    answer = await self._perform(step)
+                except MeissnerError as error:
+                    step = operation.throw(error)
+                else:
+                    step = operation.send(answer)
+        except StopIteration as end:
+            result: T = end.value
+            return result
+
+    async def _perform(self, step: Step) -> Answer:
+        if isinstance(step, Pause):
+            await self._transport.pause(step.seconds)
+            return Answer(0, b"")
+        return await self._transport.perform(step)
+
+    def now(self) -> float:
+        """This process's `time.monotonic()`, s: the clock of `at` and of `onset.monotonic`."""
+        return self.core.clock.now_ns() / NS
+
+    status = _awaiting(ops.status)
+    synchronise = _awaiting(ops.synchronise)
+    arm = _awaiting(ops.arm)
+    disarm = _awaiting(ops.disarm)
+    stop = _awaiting(ops.stop)
+    estop = _awaiting(ops.estop)
+    reset = _awaiting(ops.reset)
+    home = _awaiting(ops.home)
+    play = _playing(ops.play)
+    sequence = _playing(ops.sequence)
+    receipt = _awaiting(ops.receipt)
+    wait_until_idle = _awaiting(ops.wait_until_idle)
+    patterns = _awaiting(ops.patterns)
+    pattern = _awaiting(ops.pattern)
+    store_pattern = _awaiting(ops.store_pattern)
+    remove_pattern = _awaiting(ops.remove_pattern)
+    sessions = _awaiting(ops.sessions)
+    session_plays = _awaiting(ops.session_plays)
+    export_bids = _awaiting(ops.export_bids)
+
+    def session(
+        self,
+        participant: str,
+        *,
+        exclusive: bool = False,
+        experiment: str | None = None,
+        seed: int | None = None,
+        labels: Labels = None,
+    ) -> AsyncSession:
+        """A session of this participant, for `async with` or `await`. As `Client.session`."""
+        operation = ops.session_start(
+            self.core, participant, exclusive=exclusive, experiment=experiment, seed=seed, labels=labels
+        )
+        self._session = AsyncSession(self, operation)
+        return self._session
+
+    async def events(self, *, reconnect: bool = True) -> AsyncGenerator[Event]:
+        """The daemon's events, from now on and without end. After a gap the event `reconnected` comes first."""
+        while True:
+            try:
+                async with self._transport.stream("/v1/events") as chunks:
+                    parser = EventParser()
+                    async for chunk in chunks:
+                        for event in parser.feed(chunk):
+                            yield event
+                raise ConnectionLost("the daemon has ended the stream of events")
+            except (Unreachable, ConnectionLost):
+                if not reconnect:
+                    raise
+            await self.status()
+            yield Event("reconnected", {})
+
+    async def simulate(self, scene: program.Scene, **options: Any) -> program.Simulation:
+        """Predict the spikes of afferents, in a thread. As `meissner.simulate`."""
+        return await asyncio.to_thread(program.simulate, scene, **options)
+
+    async def design(self, target: str, **options: Any) -> program.Design:
+        """Find a pattern for a target shape, in a thread, and store it in the daemon. As `meissner.design`."""
+        found = await asyncio.to_thread(program.design, target, **options)
+        await self.store_pattern(found.name, found.toml, replace=True)
+        return found
+
+    async def close(self) -> None:
+        """Disarm, if this client has armed, and close all connections."""
+        if self._is_closed:
+            return
+        self._is_closed = True
+        try:
+            await self.run(ops.leave(self.core))
+        finally:
+            if self._session is not None:
+                await self._session.abandon()
+            await self._transport.close()
+
+    async def __aenter__(self) -> AsyncClient:
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with quietly("the motors may be armed still", kind is not None):
+            await self.close()

@@ -1,0 +1,201 @@
+"""BIDS: writes a recorded session as `events.tsv` with its sidecar, the stimuli, and what a dataset needs around them.
+
+`Client.export_bids` uses it. The files follow BIDS 1.10 for behavioural data (`beh`): onsets in seconds, sorted, and every
+column described. Files of the dataset that are there already (description, README) stay as they are; the participant is added.
+
+Invariant: an export writes the same files for the same session, so that it may be repeated.
+"""
+
+from __future__ import annotations
+
+import json
+import platform
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from .errors import MeissnerError
+
+VERSION = "1.10.0"
+_HED = "Sensory-event, Tactile-presentation, Experimental-stimulus"
+_COLUMNS: dict[str, dict[str, Any]] = {
+    "onset": {"Description": "Onset of the stimulus, from the session's first onset or as asked for", "Units": "s"},
+    "duration": {"Description": "From the onset to the end of the last pulse", "Units": "s"},
+    "trial_type": {"Description": "Name of the vibration pattern"},
+    "stim_file": {"Description": "The pattern, below /stimuli; n/a if it has changed since"},
+    "trial": {"Description": "Number of the trial, as the experiment gave it"},
+    "labels": {"Description": "Labels of the trial, as the experiment gave them, key=value"},
+    "scale": {"Description": "Factor of the amplitudes"},
+    "amplitude": {"Description": "Largest amplitude that a drive reaches, peak to peak", "Units": "um"},
+    "state": {
+        "Description": "What became of the stimulus",
+        "Levels": {
+            "done": "played to its end",
+            "stopped": "stopped",
+            "aborted": "ended because strokes were late",
+            "unknown": "its end is missing from the record",
+            "played": "an item of a sequence, with every stroke",
+            "incomplete": "an item of a sequence, strokes of which were late or refused",
+            "cut": "an item of a sequence that ended within it",
+        },
+    },
+    "late_strokes": {"Description": "Number of strokes that came late and were left out"},
+    "trigger_code": {"Description": "Code of the trigger output; n/a: one pulse, or nothing"},
+    "onset_tick": {"Description": "Onset on the device's clock, ticks of 1/85000 s"},
+    "onset_uncertainty": {"Description": "Uncertainty of the onset against the recording PC's clock", "Units": "s"},
+    "play": {"Description": "Number of the play in the session record"},
+    "item": {"Description": "Number of the item in its sequence, from 0; n/a: a play of one pattern"},
+}
+
+
+@dataclass(frozen=True)
+class Export:
+    """What an export has written."""
+
+    events: Path
+    """The file of events."""
+    stimuli: dict[str, str]
+    """The patterns by SHA-256, and their files below `stimuli`."""
+    left_out: tuple[str, ...]
+    """What could not be exported, one line each."""
+
+
+def label(text: str) -> str:
+    """A BIDS label: letters and digits alone."""
+    made = re.sub(r"[^A-Za-z0-9]", "", text)
+    if not made:
+        raise MeissnerError(
+            f"`{text}` has no letter or digit: BIDS needs one, so name a `participant` or `task` that has"
+        )
+    return made
+
+
+def stimulus_rows(plays: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The rows that are stimuli: of a sequence its items, without those that never began; sorted by onset."""
+    rows = [play for play in plays if play["onset_tick"] is not None and play["items_planned"] is None]
+    return sorted(rows, key=lambda row: int(row["onset_monotonic_ns"]))
+
+
+def write(
+    root: Path,
+    recorded: Mapping[str, Any],
+    patterns: Mapping[str, dict[str, Any]],
+    *,
+    task: str | None,
+    zero_host_ns: int | None,
+    software: tuple[int, str] | None,
+) -> Export:
+    """Writes a session. `recorded` is as of `session_plays`, `patterns` holds the patterns' keys by SHA-256."""
+    session = recorded["session"]
+    rows = stimulus_rows(recorded["plays"])
+    task = label(task or session["experiment"] or "tactile")
+    names = f"sub-{label(session['participant'])}", f"ses-{label(session['id'])}"
+    folder = root / names[0] / names[1] / "beh"
+    folder.mkdir(parents=True, exist_ok=True)
+    (root / "stimuli").mkdir(exist_ok=True)
+    stimuli = {}
+    for sha256, keys in patterns.items():
+        stimuli[sha256] = f"{keys['name']}_{sha256[:8]}.toml"
+        (root / "stimuli" / stimuli[sha256]).write_text(pattern_toml(keys), encoding="utf-8")
+    zero = zero_host_ns if zero_host_ns is not None else (rows[0]["onset_monotonic_ns"] if rows else 0)
+    events = folder / f"{'_'.join(names)}_task-{task}_events.tsv"
+    _tsv(events, [_event(row, zero, stimuli) for row in rows])
+    _json(events.with_suffix(".json"), _sidecar(rows, software))
+    _dataset(root, names[0])
+    left_out = [*recorded["problems"]]
+    if recorded["lost"]:
+        left_out.append(f"the session record lost {recorded['lost']} entries during the session")
+    for row in rows:
+        line = f"the pattern {row['pattern']} has changed since: its stim_file is n/a"
+        if row["pattern_sha256"] not in stimuli and line not in left_out:
+            left_out.append(line)
+    return Export(events, stimuli, tuple(left_out))
+
+
+def _event(row: Mapping[str, Any], zero: int, stimuli: Mapping[str, str]) -> dict[str, Any]:
+    played, uncertainty = row["played_ms"], row["onset_uncertainty_ns"]
+    return {
+        "onset": f"{(row['onset_monotonic_ns'] - zero) / 1e9:.9f}",
+        "duration": None if played is None else f"{played / 1000:.6f}",
+        "trial_type": row["pattern"],
+        "stim_file": stimuli.get(row["pattern_sha256"] or ""),
+        "trial": row["trial"],
+        "labels": ";".join(f"{key}={value}" for key, value in sorted(row["labels"].items())) or None,
+        "scale": row["scale"],
+        "amplitude": row["reached_um"],
+        "state": row["state"],
+        "late_strokes": row["late_strokes"],
+        "trigger_code": row["trigger"] and row["trigger"]["code"],
+        "onset_tick": row["onset_tick"],
+        "onset_uncertainty": None if uncertainty is None else f"{uncertainty / 1e9:.9f}",
+        "play": row["play"],
+        "item": row["item"],
+    }
+
+
+def _sidecar(rows: list[dict[str, Any]], software: tuple[int, str] | None) -> dict[str, Any]:
+    columns = {name: dict(meaning) for name, meaning in _COLUMNS.items()}
+    kinds = sorted({row["pattern"] for row in rows})
+    columns["trial_type"]["Levels"] = {kind: f"the pattern {kind}" for kind in kinds}
+    columns["trial_type"]["HED"] = {kind: f"{_HED}, Label/{kind}" for kind in kinds}
+    presentation = {
+        "OperatingSystem": platform.platform(),
+        "SoftwareName": "meissner",
+        "SoftwareVersion": software[1] if software else "n/a",
+        "Code": "n/a",
+    }
+    return {**columns, "StimulusPresentation": presentation}
+
+
+def _dataset(root: Path, participant: str) -> None:
+    """What stands at the top of a dataset."""
+    description = root / "dataset_description.json"
+    if not description.exists():
+        made = {
+            "Name": "Tactile stimulation by meissner",
+            "BIDSVersion": VERSION,
+            "HEDVersion": "8.3.0",
+            "DatasetType": "raw",
+        }
+        _json(description, {**made, "Authors": ["n/a"], "License": "n/a"})
+    readme = root / "README.md"
+    if not readme.exists():
+        readme.write_text(
+            "# Tactile stimulation\n\nVibration patterns played under a fingertip by meissner. Each `events.tsv` has a row per stimulus, and its\n"
+            "sidecar describes the columns. `stimuli/` holds the patterns, as text files. Describe the experiment here.\n",
+            encoding="utf-8",
+        )
+    people = root / "participants.tsv"
+    known = people.read_text(encoding="utf-8").splitlines() if people.exists() else ["participant_id"]
+    if participant not in [line.split("\t")[0] for line in known[1:]]:
+        known.append("\t".join([participant, *["n/a"] * known[0].count("\t")]))
+        people.write_text("\n".join(known) + "\n", encoding="utf-8")
+
+
+def _json(file: Path, document: Mapping[str, Any]) -> None:
+    file.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+
+
+def _tsv(file: Path, rows: list[dict[str, Any]]) -> None:
+    lines = ["\t".join(_COLUMNS)]
+    for row in rows:
+        lines.append("\t".join(_cell(row[name]) for name in _COLUMNS))
+    file.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _cell(value: Any) -> str:
+    """A value as BIDS has it: no tabs or line ends, `n/a` if it is not known."""
+    return "n/a" if value is None or value == "" else re.sub(r"\s", " ", str(value))
+
+
+def pattern_toml(keys: Mapping[str, Any]) -> str:
+    """A pattern file of these keys, without its provenance."""
+    lines = ["format = 1", f"name = {json.dumps(keys['name'])}"]
+    if keys.get("duration_s") is not None:
+        lines.append(f"duration_s = {float(keys['duration_s'])!r}")
+    for drive in keys["drive"]:
+        lines.append("\n[[drive]]")
+        lines += [f"{key} = {value!r}" for key, value in drive.items() if value is not None]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,257 @@
+"""The blocking client: `Client`, its plays and its sessions.
+
+`meissner.connect()` makes one. `_operations.py` has what each method does.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import warnings
+from collections.abc import Callable, Generator
+from types import TracebackType
+from typing import Any, Concatenate, ParamSpec, TypeVar
+
+from . import _operations as ops
+from . import program
+from ._bodies import Labels
+from ._http import Answer, Op, Pause, Step
+from ._operations import Accepted, Core
+from ._plays import KnownPlay
+from ._sse import Event, EventParser
+from ._transport import BlockingTransport
+from .clocks import NS
+from .errors import ConnectionLost, MeissnerError, Unreachable
+from .results import Receipt
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+def _blocking(operation: Callable[Concatenate[Core, P], Op[T]]) -> Callable[Concatenate[Client, P], T]:
+    """A method that runs this operation and waits for its end."""
+
+    def method(client: Client, /, *args: P.args, **kwargs: P.kwargs) -> T:
+        return client.run(operation(client.core, *args, **kwargs))
+
+    return ops.named_after(operation, method)
+
+
+def _playing(operation: Callable[Concatenate[Core, P], Op[Accepted]]) -> Callable[Concatenate[Client, P], Play]:
+    """A method that orders a play and returns it."""
+
+    def method(client: Client, /, *args: P.args, **kwargs: P.kwargs) -> Play:
+        return Play(client, client.run(operation(client.core, *args, **kwargs)))
+
+    return ops.named_after(operation, method)
+
+
+class Play(KnownPlay):
+    """A play that the daemon has taken."""
+
+    def __init__(self, client: Client, accepted: Accepted) -> None:
+        super().__init__(accepted)
+        self._client = client
+
+    def wait(self, timeout: float | None = None, *, check: bool = True) -> Receipt:
+        """Wait until the play has ended, and return its receipt.
+
+        Raises `PlayStopped` if it was stopped or aborted, unless `check` is False, and `TimeoutError` after `timeout` s.
+        """
+        result = self._client.run(ops.wait(self._client.core, self._accepted, timeout))
+        self._receipt = result
+        return ops.checked(result) if check else result
+
+    def refresh(self) -> Receipt:
+        """Ask for the receipt as it is now."""
+        self._receipt = self._client.run(ops.receipt(self._client.core, self.id))
+        return self._receipt
+
+
+class Session:
+    """A running session that this client owns. As a context manager it ends with its block."""
+
+    def __init__(self, client: Client, started: dict[str, Any]) -> None:
+        self._client = client
+        self.id: str = started["id"]
+        self.record_problem: str | None = started["record_problem"]
+        self.heartbeat_problem: MeissnerError | None = None
+        """Why the last sign of life did not reach the daemon; None if it did."""
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._keep_alive, name="meissner-session", daemon=True)
+        self._thread.start()
+
+    def _keep_alive(self) -> None:
+        """Rest breaks are longer than an owner may be silent, so this thread shows that the owner is there."""
+        pause = 0.0
+        while not self._over.wait(pause):
+            try:
+                pause = self._client.run(ops.heartbeat(self._client.core))
+                self.heartbeat_problem = None
+            except MeissnerError as error:
+                self.heartbeat_problem, pause = error, 1.0
+
+    def end(self) -> None:
+        """End the session, after its plays have ended."""
+        self._leave(failed=False)
+
+    def _leave(self, failed: bool) -> None:
+        if self._over.is_set():
+            return
+        try:
+            self._client.run(ops.session_leave(self._client.core, self.id, failed))
+        finally:
+            self.abandon()
+
+    def abandon(self) -> None:
+        """Shows no more signs of life. The session goes on until somebody ends it."""
+        self._over.set()
+        self._thread.join()
+
+    def __enter__(self) -> Session:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with quietly("the session could not be ended", kind is not None):
+            self._leave(failed=kind is not None)
+
+
+@contextlib.contextmanager
+def quietly(what: str, failed: bool) -> Generator[None]:
+    """Turns an error into a warning if another error is on its way, so that it does not hide that one."""
+    try:
+        yield
+    except MeissnerError as error:
+        if not failed:
+            raise
+        warnings.warn(f"{what}: {error}", stacklevel=4)
+
+
+class Client:
+    """A connection to a daemon. As a context manager it disarms, if it has armed, and closes.
+
+    Threads may share a client.
+    """
+
+    def __init__(self, core: Core) -> None:
+        """`connect()` and `demo()` make clients."""
+        self.core = core
+        self._daemon: program.Daemon | None = None
+        self._session: Session | None = None
+        self._transport = BlockingTransport(core.endpoint, lambda: core.headers, core.clock.now_ns)
+        self._is_closed = False
+        program.at_exit(self)
+
+    def run(self, operation: Op[T]) -> T:
+        """Runs an operation of `_operations.py`."""
+        try:
+            step = next(operation)
+            while True:
+                try:
+                    answer = self._perform(step)
+                except MeissnerError as error:
+                    step = operation.throw(error)
+                else:
+                    step = operation.send(answer)
+        except StopIteration as end:
+            result: T = end.value
+            return result
+
+    def _perform(self, step: Step) -> Answer:
+        if isinstance(step, Pause):
+            self._transport.pause(step.seconds)
+            return Answer(0, b"")
+        return self._transport.perform(step)
+
+    def adopt(self, daemon: program.Daemon) -> None:
+        """Ends this daemon when the client is closed."""
+        self._daemon = daemon
+
+    def now(self) -> float:
+        """This process's `time.monotonic()`, s: the clock of `at` and of `onset.monotonic`."""
+        return self.core.clock.now_ns() / NS
+
+    status = _blocking(ops.status)
+    synchronise = _blocking(ops.synchronise)
+    arm = _blocking(ops.arm)
+    disarm = _blocking(ops.disarm)
+    stop = _blocking(ops.stop)
+    estop = _blocking(ops.estop)
+    reset = _blocking(ops.reset)
+    home = _blocking(ops.home)
+    play = _playing(ops.play)
+    sequence = _playing(ops.sequence)
+    receipt = _blocking(ops.receipt)
+    wait_until_idle = _blocking(ops.wait_until_idle)
+    patterns = _blocking(ops.patterns)
+    pattern = _blocking(ops.pattern)
+    store_pattern = _blocking(ops.store_pattern)
+    remove_pattern = _blocking(ops.remove_pattern)
+    sessions = _blocking(ops.sessions)
+    session_plays = _blocking(ops.session_plays)
+    export_bids = _blocking(ops.export_bids)
+
+    def session(
+        self,
+        participant: str,
+        *,
+        exclusive: bool = False,
+        experiment: str | None = None,
+        seed: int | None = None,
+        labels: Labels = None,
+    ) -> Session:
+        """Start a session of this participant. `exclusive`: nobody else may change anything, except to stop."""
+        operation = ops.session_start(
+            self.core, participant, exclusive=exclusive, experiment=experiment, seed=seed, labels=labels
+        )
+        self._session = Session(self, self.run(operation))
+        return self._session
+
+    def events(self, *, reconnect: bool = True) -> Generator[Event]:
+        """The daemon's events, from now on and without end. After a gap the event `reconnected` comes first."""
+        while True:
+            try:
+                with self._transport.stream("/v1/events") as chunks:
+                    parser = EventParser()
+                    for chunk in chunks:
+                        yield from parser.feed(chunk)
+                raise ConnectionLost("the daemon has ended the stream of events")
+            except (Unreachable, ConnectionLost):
+                if not reconnect:
+                    raise
+            self.status()
+            yield Event("reconnected", {})
+
+    simulate = staticmethod(program.simulate)
+
+    def design(self, target: str, **options: Any) -> program.Design:
+        """Find a pattern for a target shape, and store it in the daemon. `meissner.design` has the options."""
+        found = program.design(target, **options)
+        self.store_pattern(found.name, found.toml, replace=True)
+        return found
+
+    def close(self) -> None:
+        """Disarm, if this client has armed, and close all connections."""
+        if self._is_closed:
+            return
+        self._is_closed = True
+        program.closed(self)
+        try:
+            self.run(ops.leave(self.core))
+        finally:
+            if self._session is not None:
+                self._session.abandon()
+            self._transport.close()
+            if self._daemon is not None:
+                self._daemon.close()
+
+    def __enter__(self) -> Client:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with quietly("the motors may be armed still", kind is not None):
+            self.close()

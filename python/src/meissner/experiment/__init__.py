@@ -1,0 +1,35 @@
+"""Experiments: trial lists, adaptive procedures, and a log that survives a crash.
+
+    from meissner import experiment
+
+    with meissner.connect() as m, experiment.Log("P07.csv") as log:
+        m.arm()
+        for trial in log.remaining(experiment.two_afc(["edge-45"], repeats=40, seed=7)):
+            ...
+            log.add(trial, play, answer=answer)
+
+- `trials`, `constant_stimuli`, `two_afc`, `counterbalanced`: lists, random by seed.
+- `Staircase`, `QuestPlus`: the next level from the answers so far.
+- `Log`: a CSV file, each trial on the disk before the next one begins.
+- `SimulatedObserver`, `ask`: who answers.
+"""
+
+from .answers import SimulatedObserver, ask
+from .log import Log, LogError
+from .quest import QuestPlus
+from .staircase import Staircase
+from .trials import Trial, constant_stimuli, counterbalanced, trials, two_afc
+
+__all__ = [
+    "Log",
+    "LogError",
+    "QuestPlus",
+    "SimulatedObserver",
+    "Staircase",
+    "Trial",
+    "ask",
+    "constant_stimuli",
+    "counterbalanced",
+    "trials",
+    "two_afc",
+]

@@ -1,0 +1,39 @@
+"""Who answers: a person at the keyboard, or a simulated observer for tests and power calculations."""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Sequence
+
+
+def ask(question: str, choices: Sequence[str] = ("1", "2")) -> str:
+    """Asks at the terminal until one of the choices is typed."""
+    while True:
+        answer = input(f"{question} [{'/'.join(choices)}] ").strip()
+        if answer in choices:
+            return answer
+
+
+class SimulatedObserver:
+    """An observer with a Weibull psychometric function. At `threshold` 1 - 1/e of the trials are felt."""
+
+    def __init__(
+        self, threshold: float, *, slope: float = 2.0, guess: float = 0.5, lapse: float = 0.02, seed: int = 0
+    ) -> None:
+        """`guess`: the share of correct answers without a stimulus; `lapse`: the share of wrong ones with a strong one."""
+        self.threshold, self.slope, self.guess, self.lapse = threshold, slope, guess, lapse
+        self._chance = random.Random(seed)
+
+    def p_correct(self, level: float) -> float:
+        """The probability of a correct answer."""
+        return self.guess + (1 - self.guess - self.lapse) * -math.expm1(-((level / self.threshold) ** self.slope))
+
+    def is_correct(self, level: float) -> bool:
+        """One answer."""
+        return self._chance.random() < self.p_correct(level)
+
+    def level_of(self, p_correct: float) -> float:
+        """The level at which the share of correct answers is `p_correct`: what a procedure should find."""
+        share = (p_correct - self.guess) / (1 - self.guess - self.lapse)
+        return self.threshold * math.pow(-math.log1p(-share), 1 / self.slope)

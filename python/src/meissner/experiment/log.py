@@ -1,0 +1,152 @@
+"""A CSV file of trials that survives a crash.
+
+Each row is written with one call and flushed to the disk before `add` returns. So a crash loses at most the trial that is
+under way. A row without its line end is unfinished: `Log(..., resume=True)` cuts it off and goes on after the last trial.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, Protocol
+
+from .._plays import KnownPlay
+from ..clocks import Instant
+from ..errors import MeissnerError
+from .trials import Trial
+
+
+class LogError(MeissnerError):
+    """The log cannot be written as asked."""
+
+
+class _Played(Protocol):
+    @property
+    def onset(self) -> Instant | None: ...
+    @property
+    def offset(self) -> Instant | None: ...
+
+
+def play_columns(play: KnownPlay) -> dict[str, Any]:
+    """What the log keeps of a play: pattern, onset and offset on each clock, of a sequence for each item."""
+    receipt = play.receipt
+    columns: dict[str, Any] = {
+        "play": receipt.id,
+        "pattern": receipt.pattern,
+        "state": receipt.state,
+        "late": receipt.late,
+    }
+    columns |= _times(receipt, "")
+    for number, item in enumerate(receipt.items, 1):
+        columns |= {f"item{number}_pattern": item.pattern, f"item{number}_scale": item.scale}
+        columns |= _times(item, f"item{number}_")
+    return columns
+
+
+def _times(played: _Played, prefix: str) -> dict[str, Any]:
+    onset, offset = played.onset, played.offset
+    return {
+        f"{prefix}onset_tick": onset and onset.tick,
+        f"{prefix}onset_monotonic_ns": onset and onset.monotonic_ns,
+        f"{prefix}onset_wall_ns": onset and onset.wall_ns,
+        f"{prefix}onset_uncertainty_s": onset and f"{onset.monotonic_uncertainty:.9f}",
+        f"{prefix}offset_tick": offset and offset.tick,
+        f"{prefix}offset_monotonic_ns": offset and offset.monotonic_ns,
+    }
+
+
+class Log:
+    """A CSV file with a row per trial. The first row that is added names the columns."""
+
+    def __init__(self, path: str | os.PathLike[str], *, resume: bool = False) -> None:
+        """`resume`: go on with a file that is there. Without it the log refuses to touch one."""
+        self.path = Path(path)
+        self._columns: list[str] | None = None
+        self.rows: list[dict[str, str]] = []
+        """The rows, as text."""
+        flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | getattr(os, "O_BINARY", 0)
+        try:
+            self._file: int | None = os.open(self.path, flags if resume else flags | os.O_EXCL, 0o644)
+        except FileExistsError:
+            raise LogError(
+                f"{self.path} is there already: choose another name, or go on with it by `Log(..., resume=True)`"
+            ) from None
+        except OSError as error:
+            raise LogError(f"{self.path} cannot be opened: {error.strerror}") from error
+        if resume:
+            self._take_over(self._file)
+
+    def _take_over(self, file: int) -> None:
+        data = self.path.read_bytes()
+        whole = data[: _end_of_whole_rows(data)]
+        if len(whole) < len(data):
+            os.truncate(file if os.truncate in os.supports_fd else self.path, len(whole))
+        lines = list(csv.reader(io.StringIO(whole.decode("utf-8"), newline="")))
+        if lines:
+            self._columns = lines[0]
+            self.rows = [dict(zip(self._columns, line, strict=False)) for line in lines[1:]]
+
+    def remaining(self, trials: Iterable[Trial]) -> list[Trial]:
+        """The trials that have no row yet."""
+        finished = {row.get("trial") for row in self.rows}
+        return [trial for trial in trials if str(trial.number) not in finished]
+
+    def add(self, trial: Trial | int, play: KnownPlay | None = None, **columns: Any) -> None:
+        """Writes a trial: its number and factors, the play's times, and columns of your own. It is on the disk then."""
+        number, factors = (trial, {}) if isinstance(trial, int) else (trial.number, trial.factors)
+        row: dict[str, Any] = {"trial": number, **factors}
+        for name, value in [*(play_columns(play) if play else {}).items(), *columns.items()]:
+            if name in row:
+                raise LogError(f"the column `{name}` is there twice: give yours another name")
+            row[name] = value
+        if self._file is None:
+            raise LogError(f"{self.path} is closed: add trials inside its `with` block")
+        if self._columns is None:
+            self._columns = list(row)
+            self._write(self._file, [self._columns, list(row.values())])
+        else:
+            unknown = [name for name in row if name not in self._columns]
+            if unknown:
+                raise LogError(
+                    f"{self.path} has no column `{unknown[0]}`: the first row names the columns, fill all of them"
+                )
+            self._write(self._file, [[row.get(name) for name in self._columns]])
+        self.rows.append({name: _text(row.get(name)) for name in self._columns})
+
+    def _write(self, file: int, lines: list[list[Any]]) -> None:
+        buffer = io.StringIO(newline="")
+        csv.writer(buffer, lineterminator="\n").writerows([[_text(value) for value in line] for line in lines])
+        data = buffer.getvalue().encode("utf-8")
+        while data:
+            data = data[os.write(file, data) :]
+        os.fsync(file)
+
+    def close(self) -> None:
+        """Closes the file."""
+        if self._file is not None:
+            os.close(self._file)
+            self._file = None
+
+    def __enter__(self) -> Log:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _text(value: Any) -> str:
+    return "" if value is None else str(value)
+
+
+def _end_of_whole_rows(data: bytes) -> int:
+    """Where the last line end outside of quotes stands: a text may contain line ends, too."""
+    end, is_quoted = 0, False
+    for place, byte in enumerate(data):
+        if byte == ord('"'):
+            is_quoted = not is_quoted
+        elif byte == ord("\n") and not is_quoted:
+            end = place + 1
+    return end

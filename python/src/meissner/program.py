@@ -1,0 +1,252 @@
+"""The program `meissner` on this machine: a daemon with the simulated array, simulation of afferents, search for patterns.
+
+The daemon has no API for simulation and search yet, so `simulate` and `design` run the installed program. It is found by
+`$MEISSNER_PROGRAM`, else on the `PATH`. NumPy is used where it is installed.
+"""
+
+from __future__ import annotations
+
+import atexit
+import json
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol, Union
+
+from ._endpoint import has_unix_sockets
+from .errors import MeissnerError, ProgramError
+
+Scene = Union[str, "os.PathLike[str]", Mapping[str, Any]]
+
+
+class _Closes(Protocol):
+    def close(self) -> None: ...
+
+
+_open: dict[int, _Closes] = {}
+
+
+def at_exit(closes: _Closes) -> None:
+    """Closes this when Python ends, unless `closed` was called before: an armed client disarms, a daemon ends."""
+    _open[id(closes)] = closes
+
+
+def closed(closes: _Closes) -> None:
+    """Takes note that this is closed."""
+    _open.pop(id(closes), None)
+
+
+@atexit.register
+def _close_all() -> None:
+    # The newest first: a client before the daemon that it talks to.
+    for closes in reversed(list(_open.values())):
+        try:
+            closes.close()
+        except MeissnerError as error:
+            print(f"meissner: at the end of the program: {error}", file=sys.stderr)
+
+
+def find_program() -> str:
+    """The path of the program `meissner`."""
+    named = os.environ.get("MEISSNER_PROGRAM")
+    found = shutil.which(named or "meissner")
+    if found is None:
+        place = (
+            f"MEISSNER_PROGRAM is `{named}`, which cannot be run"
+            if named
+            else "the program `meissner` is not on the PATH"
+        )
+        raise ProgramError(f"{place}: install it with `cargo install --path .`, or set MEISSNER_PROGRAM to its path")
+    return found
+
+
+def _run(arguments: Sequence[str], stdin: str | None = None) -> Any:
+    """Runs a command with `--json` and reads its document."""
+    command = [find_program(), *arguments, "--json"]
+    ended = subprocess.run(command, input=stdin, capture_output=True, text=True, encoding="utf-8", check=False)
+    if ended.returncode != 0:
+        lines = ended.stderr.strip().splitlines() or [f"exit code {ended.returncode}"]
+        raise ProgramError(f"`meissner {arguments[0]}` failed: {lines[-1]}")
+    return json.loads(ended.stdout)
+
+
+def _array(values: Any) -> Any:
+    """A NumPy array, if NumPy is installed; else the list."""
+    try:
+        import numpy
+    except ImportError:
+        return values
+    return numpy.asarray(values, dtype=float)
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """Predicted spikes of a scene's afferents."""
+
+    spikes_s: list[Any]
+    """The times of each afferent's spikes, s: an array with NumPy, else a list. Empty lists with `rates_only`."""
+    rates_hz: Any
+    """The mean rate of each afferent, impulses/s: an array with NumPy, else a list."""
+    raw: dict[str, Any] = field(repr=False)
+    """The program's whole answer."""
+
+
+def simulate(scene: Scene, *, model: str | None = None, rates_only: bool = False) -> Simulation:
+    """Predict the spikes of a scene's afferents.
+
+    `scene` is the path of a scene file, or a dict with its keys: see `docs/reference/scene.md`. A dict may hold NumPy values.
+    `model`: `membrane` or `afferents`. Runs the installed program `meissner`; no daemon is needed.
+    """
+    arguments = ["simulate"]
+    if isinstance(scene, Mapping):
+        arguments.append("-")
+        text = json.dumps(scene, default=_plain)
+    else:
+        arguments.append(os.fspath(scene))
+        text = None
+    if model is not None:
+        arguments += ["--model", model]
+    if rates_only:
+        arguments.append("--rates-only")
+    raw = _run(arguments, text)
+    spikes = [_array(times) for times in raw.get("spikes_s") or []]
+    return Simulation(spikes, _array(raw["rates_hz"]), raw)
+
+
+def _plain(value: Any) -> Any:
+    """A NumPy number or array as JSON has it."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    raise TypeError(f"a scene cannot hold a {type(value).__name__}: use numbers, texts, lists and dicts")
+
+
+@dataclass(frozen=True)
+class Design:
+    """A pattern that a search has found."""
+
+    name: str
+    toml: str
+    """The pattern file."""
+    summary: dict[str, Any] = field(repr=False)
+    """What the search says: objective, rates, and what two rules of thumb reach (`baselines`)."""
+
+
+def design(
+    target: str,
+    *,
+    objective: str | None = None,
+    seed: int | None = None,
+    setting: str | None = None,
+    model: str | None = None,
+    budget: int | str | None = None,
+    robust: bool = False,
+    name: str | None = None,
+) -> Design:
+    """Find a pattern for a target shape: the name of a shipped target, or the path of a target file.
+
+    It runs `meissner optimise` on this machine, because the daemon has no API for searches yet. `budget` is a number of
+    evaluations or seconds as in `"20s"`; without it a search takes minutes. `name`: the pattern's; without it `TARGET-found`.
+    """
+    name = name or f"{Path(target).stem}-found"
+    options = {"objective": objective, "seed": seed, "setting": setting, "model": model, "budget": budget}
+    arguments = ["optimise", target]
+    for key, value in options.items():
+        if value is not None:
+            arguments += [f"--{key}", str(value)]
+    if robust:
+        arguments.append("--robust")
+    with tempfile.TemporaryDirectory(prefix="meissner-") as folder:
+        file = Path(folder) / f"{name}.toml"
+        summary = _run([*arguments, "-o", str(file)])
+        return Design(name, file.read_text(encoding="utf-8"), summary)
+
+
+_PATIENT = {"lead_ms": 1000, "lease_ms": 5000}
+"""A long lead and host watchdog timeout: a simulated array on a busy machine should outlast its stalls."""
+
+
+class Daemon:
+    """A daemon with the simulated array, for a script or a test. It keeps its files in a folder that goes with it."""
+
+    def __init__(self, config: str = "") -> None:
+        """Starts it. `config` is text for its configuration file, such as `session_silence_s = 5`."""
+        program = find_program()
+        if not has_unix_sockets():
+            raise ProgramError("the daemon runs on Linux only: connect to the URL of a PC where it runs")
+        self._folder = tempfile.TemporaryDirectory(prefix="meissner-")
+        folder = Path(self._folder.name)
+        self.socket = str(folder / "meissner.sock")
+        """The socket to connect to."""
+        (folder / "patterns").mkdir()
+        paths = f"patterns_dir = '{folder / 'patterns'}'\nlogbook_dir = '{folder / 'record'}'\n"
+        paths += f"calibration = '{folder / 'calibration.toml'}'\n"
+        patient = [f"{key} = {value}\n" for key, value in _PATIENT.items() if key not in config]
+        (folder / "meissner.toml").write_text("".join([paths, *patient, config]), encoding="utf-8")
+        self._log = folder / "log"
+        with self._log.open("wb") as log:
+            command = [
+                program,
+                "daemon",
+                "--device",
+                "mock",
+                "--socket",
+                self.socket,
+                "--config",
+                str(folder / "meissner.toml"),
+            ]
+            self._process = subprocess.Popen(command, stdout=log, stderr=log, stdin=subprocess.DEVNULL)
+        at_exit(self)
+        try:
+            self._wait_until_it_listens()
+        except BaseException:
+            self.close()
+            raise
+
+    def _wait_until_it_listens(self) -> None:
+        deadline = time.monotonic() + 30.0
+        while True:
+            self.check()
+            with socket.socket(socket.AF_UNIX) as trial:
+                try:
+                    trial.connect(self.socket)
+                    return
+                except OSError as error:
+                    if time.monotonic() > deadline:
+                        raise ProgramError(f"the daemon does not listen after 30 s: {error}") from error
+            time.sleep(0.01)
+
+    @property
+    def pid(self) -> int:
+        """Its process."""
+        return self._process.pid
+
+    def check(self) -> None:
+        """Raises an error if it has ended."""
+        if self._process.poll() is not None:
+            lines = self._log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+            raise ProgramError(f"the daemon has ended: {lines[-1] if lines else 'without a message'}")
+
+    def close(self) -> None:
+        """Ends it: pins returned, motors off."""
+        closed(self)
+        if self._process.poll() is None:
+            self._process.terminate()
+            try:
+                self._process.wait(10)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
+        self._folder.cleanup()
+
+    def __enter__(self) -> Daemon:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

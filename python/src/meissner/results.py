@@ -1,0 +1,113 @@
+"""What the daemon answers, as typed values. Each keeps the whole document in `raw`, with the keys of the API reference."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from .clocks import ClientClock, Instant
+
+
+@dataclass(frozen=True)
+class Status:
+    """How the daemon and its device stand."""
+
+    state: str
+    """`disarmed`, `armed`, `returning`, `faulted` or `no-device`."""
+    cause: str
+    position: str
+    """`known` or `unknown`."""
+    simulated: bool
+    """Whether the motors are simulated; False without a device."""
+    playing: int | None
+    """The running play's id."""
+    queued: tuple[int, ...]
+    """The ids of the plays that wait."""
+    raw: dict[str, Any] = field(repr=False)
+
+    @staticmethod
+    def of(raw: dict[str, Any]) -> Status:
+        """The status in a document."""
+        return Status(
+            state=raw["state"],
+            cause=raw["cause"],
+            position=raw["position"],
+            simulated=bool(raw["device"] and raw["device"]["simulated"]),
+            playing=raw["play"]["id"] if raw["play"] else None,
+            queued=tuple(play["id"] for play in raw["queued"]),
+            raw=raw,
+        )
+
+
+@dataclass(frozen=True)
+class Item:
+    """What became of an item of a sequence."""
+
+    pattern: str
+    state: str
+    """`played`, `incomplete`, `cut` or `not-begun`."""
+    onset: Instant | None
+    offset: Instant | None
+    scale: float
+    raw: dict[str, Any] = field(repr=False)
+
+
+@dataclass(frozen=True)
+class Receipt:
+    """What became of a play."""
+
+    id: int
+    pattern: str
+    state: str
+    """`queued`, `running`, `done`, `stopped` or `aborted`."""
+    cause: str | None
+    onset: Instant | None
+    offset: Instant | None
+    late: int
+    """Number of strokes that came too late; the device left them out."""
+    items: tuple[Item, ...]
+    """The items of a sequence; empty for other plays and until it is over."""
+    raw: dict[str, Any] = field(repr=False)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the play has ended."""
+        return self.state not in ("queued", "running")
+
+    @staticmethod
+    def of(raw: dict[str, Any], clock: ClientClock, tick_hz: int) -> Receipt:
+        """The receipt in a document, with instants by this clock."""
+
+        def instant(record: dict[str, Any] | None, tick: str = "tick") -> Instant | None:
+            if record is None:
+                return None
+            return clock.instant(
+                tick=record[tick],
+                boot=raw["boot"],
+                tick_hz=tick_hz,
+                host_ns=record["monotonic_ns"],
+                host_uncertainty_ns=record["uncertainty_ns"],
+            )
+
+        lateness = raw["lateness"]
+        return Receipt(
+            id=raw["id"],
+            pattern=raw["pattern"],
+            state=raw["state"],
+            cause=raw["cause"],
+            onset=instant(raw["onset"], "actual_tick"),
+            offset=instant(raw["offset"]),
+            late=lateness["host"] + lateness["link"] + lateness["device"],
+            items=tuple(
+                Item(
+                    pattern=item["pattern"],
+                    state=item["state"],
+                    onset=instant(item["onset"]),
+                    offset=instant(item["offset"]),
+                    scale=item["scale"],
+                    raw=item,
+                )
+                for item in raw["items"] or ()
+            ),
+            raw=raw,
+        )

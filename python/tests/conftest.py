@@ -1,0 +1,47 @@
+"""What tests share: a daemon with the simulated array, and a network between client and daemon.
+
+The program is found as `meissner.program.find_program` does: `MEISSNER_PROGRAM`, or the PATH.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+import meissner
+from network import Network
+
+
+@pytest.fixture(scope="session")
+def shared_daemon() -> Iterator[meissner.Daemon]:
+    with meissner.Daemon() as daemon:
+        yield daemon
+
+
+@pytest.fixture
+def daemon(shared_daemon: meissner.Daemon) -> Iterator[meissner.Daemon]:
+    """A daemon without plays, session or fault, disarmed."""
+    yield shared_daemon
+    with meissner.connect(shared_daemon.socket) as m:
+        state = m.status()
+        if state.state == "faulted":
+            m.reset(force=True)
+        m.disarm()
+        m.wait_until_idle()
+        assert state.raw["session"] is None, "a test has left its session"
+
+
+@pytest.fixture
+def m(daemon: meissner.Daemon) -> Iterator[meissner.Client]:
+    """An armed client."""
+    with meissner.connect(daemon.socket) as client:
+        client.arm(assume_rest=True, checked="a test")
+        yield client
+
+
+@pytest.fixture
+def network(daemon: meissner.Daemon) -> Iterator[Network]:
+    """A network between client and daemon that can be slow, or lose connections."""
+    with Network(daemon.socket) as network:
+        yield network

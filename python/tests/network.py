@@ -1,0 +1,90 @@
+"""A network for tests: a TCP port that passes bytes on to the daemon's socket, late or not at all.
+
+It counts requests, so that a test can see what was sent twice.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import random
+import threading
+from collections.abc import Coroutine
+from typing import Any
+
+
+class Network:
+    """Runs in a thread of its own."""
+
+    def __init__(self, socket: str) -> None:
+        self.socket = socket
+        self.jitter_s = 0.0
+        """Each piece of data is late by up to this long, in each direction."""
+        self.lose_answers = 0
+        """How many of the next answers are lost, with their connection."""
+        self.requests: list[str] = []
+        """The first line of each request."""
+        self.connections = 0
+        self._chance = random.Random(1)
+        self._writers: set[asyncio.StreamWriter] = set()
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
+
+    def __enter__(self) -> Network:
+        self._thread.start()
+        self._server = self._run(asyncio.start_server(self._serve, "127.0.0.1", 0))
+        self.url = f"http://127.0.0.1:{self._server.sockets[0].getsockname()[1]}"
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        async def end() -> None:
+            self._server.close()
+            self._cut()
+            tasks = asyncio.all_tasks() - {asyncio.current_task()}
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+
+        self._run(end())
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join()
+        self._loop.close()
+
+    def _run(self, work: Coroutine[Any, Any, Any]) -> Any:
+        return asyncio.run_coroutine_threadsafe(work, self._loop).result(10)
+
+    def _cut(self) -> None:
+        for writer in self._writers:
+            writer.close()
+
+    def cut(self) -> None:
+        """Closes all connections, as a daemon does with idle ones."""
+
+        async def cut() -> None:
+            self._cut()
+
+        self._run(cut())
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.connections += 1
+        with contextlib.suppress(OSError):
+            there = await asyncio.open_unix_connection(self.socket)
+            self._writers |= {writer, there[1]}
+            await asyncio.gather(self._pass(reader, there[1], False), self._pass(there[0], writer, True))
+        writer.close()
+
+    async def _pass(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, answers: bool) -> None:
+        with contextlib.suppress(OSError):
+            while data := await reader.read(65536):
+                if not answers and data.split(b" ")[0] in (b"GET", b"POST", b"PUT", b"DELETE"):
+                    self.requests.append(data.split(b"\r\n")[0].decode())
+                if answers and self.lose_answers:
+                    self.lose_answers -= 1
+                    break
+                await asyncio.sleep(self._chance.uniform(0, self.jitter_s))
+                writer.write(data)
+                await writer.drain()
+        for each in self._writers if answers and not writer.is_closing() else ():
+            if each is writer:
+                each.close()
+        writer.close()

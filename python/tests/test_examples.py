@@ -1,0 +1,135 @@
+"""Each example runs to its end, and the experiments find what they should."""
+
+from __future__ import annotations
+
+import csv
+import importlib.util
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import meissner
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+README = Path(__file__).parents[1] / "README.md"
+BOOK = Path(__file__).parents[2] / "docs" / "how-to" / "python.md"
+
+
+def run(name: str, folder: Path, **environment: str) -> str:
+    """Runs an example in a folder of its own, and returns what it prints."""
+    command = [sys.executable, str(EXAMPLES / name)]
+    ended = subprocess.run(
+        command, cwd=folder, env={**os.environ, **environment}, capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == 0, ended.stderr
+    return ended.stdout
+
+
+def test_every_example_is_run_here() -> None:
+    text = Path(__file__).read_text(encoding="utf-8")
+    assert [file.name for file in EXAMPLES.glob("*.py") if f'"{file.name}"' not in text] == []
+
+
+def test_first_play(tmp_path: Path) -> None:
+    assert re.search(r"onset [\d.]+ s, known to \d+ µs\noffset [\d.]+ s, tick \d+\n", run("first_play.py", tmp_path))
+
+
+def test_events(tmp_path: Path) -> None:
+    assert run("events.py", tmp_path).split() == ["state", "queued", "began", "ended"]
+
+
+def test_design_loop(tmp_path: Path) -> None:
+    assert run("design_loop.py", tmp_path).splitlines()[-1] == "done"
+
+
+def test_detection_threshold(tmp_path: Path) -> None:
+    """One staircase of 16 reversals scatters by a quarter; the mean of many is tried in test_experiment.py."""
+    lines = run("detection_threshold.py", tmp_path).splitlines()
+    assert len(lines) == 1 + bool(importlib.util.find_spec("questplus"))
+    for line in lines:
+        found, true = (float(value) for value in re.findall(r"0\.\d+", line))
+        assert found == pytest.approx(true, rel=0.5), line
+
+
+def rows(file: Path) -> list[dict[str, str]]:
+    with file.open(newline="", encoding="utf-8") as opened:
+        return list(csv.DictReader(opened))
+
+
+def test_two_afc_is_short_exact_and_complete(tmp_path: Path) -> None:
+    code = (EXAMPLES / "two_afc.py").read_text(encoding="utf-8").split('"""', 2)[2]
+    assert sum(bool(line.strip()) for line in code.splitlines()) <= 15
+    with meissner.Daemon() as daemon:
+        environment = {"MEISSNER_SOCKET": daemon.socket, "MEISSNER_ANSWERS": "simulated"}
+        run("two_afc.py", tmp_path, **environment)
+    trials = rows(tmp_path / "P07.csv")
+    assert [int(row["trial"]) for row in trials] == list(range(1, 41))
+    for row in trials:
+        assert int(row["item2_onset_tick"]) - int(row["item1_onset_tick"]) == 85_000 // 5
+        stronger = 1 if float(row["item1_scale"]) > float(row["item2_scale"]) else 2
+        assert (stronger, row["state"]) == (int(row["interval"]), "done")
+    correct = [int(row["correct"]) for row in trials]
+    assert 20 < sum(correct) <= 40
+
+
+def test_two_afc_killed_in_the_middle_loses_no_finished_trial(tmp_path: Path) -> None:
+    with meissner.Daemon("session_silence_s = 0.5\n") as daemon:
+        environment = {**os.environ, "MEISSNER_SOCKET": daemon.socket, "MEISSNER_ANSWERS": "simulated"}
+        experiment = subprocess.Popen([sys.executable, str(EXAMPLES / "two_afc.py")], cwd=tmp_path, env=environment)
+        with meissner.connect(daemon.socket) as watcher:
+            last = None
+            while last is None or last.id < 10 or not last.is_over:
+                assert experiment.poll() is None
+                try:
+                    last = watcher.receipt()
+                except meissner.errors.NotFound:
+                    time.sleep(0.01)
+            os.kill(experiment.pid, signal.SIGKILL)
+            experiment.wait()
+            # The answer to a play is in before the next play begins.
+            found = [int(row["trial"]) for row in rows(tmp_path / "P07.csv")]
+            assert found == list(range(1, len(found) + 1))
+            assert len(found) >= last.id - 1
+            # A killed program cannot disarm: after `session_silence_s` somebody else can.
+            deadline = time.monotonic() + 30
+            while time.monotonic() < deadline:
+                try:
+                    state = watcher.disarm()
+                    break
+                except meissner.ApiError:
+                    time.sleep(0.05)
+            assert state.state in ("returning", "disarmed")
+
+
+def blocks(file: Path, language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", file.read_text(encoding="utf-8"), re.DOTALL)
+
+
+def run_blocks(found: list[str], folder: Path, **environment: str) -> None:
+    """Runs these one after the other, each in a Python of its own."""
+    assert found
+    for number, block in enumerate(found):
+        (folder / f"block{number}.py").write_text(block, encoding="utf-8")
+        command = [sys.executable, f"block{number}.py"]
+        ended = subprocess.run(
+            command, cwd=folder, env={**os.environ, **environment}, capture_output=True, text=True, check=False
+        )
+        assert ended.returncode == 0, block + ended.stderr
+
+
+def test_the_readme_begins_with_a_play_in_five_lines(tmp_path: Path) -> None:
+    found = blocks(README, "python")
+    assert len([line for line in found[0].splitlines() if line.strip()]) <= 5
+    run_blocks(found, tmp_path)
+
+
+@pytest.mark.skipif(not BOOK.exists(), reason="the book is in the repository only")
+def test_the_page_of_the_book_runs(tmp_path: Path) -> None:
+    with meissner.Daemon() as daemon:
+        run_blocks(blocks(BOOK, "py"), tmp_path, MEISSNER_SOCKET=daemon.socket)

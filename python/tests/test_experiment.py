@@ -1,0 +1,249 @@
+"""Trial lists, procedures and the log."""
+
+from __future__ import annotations
+
+import collections
+import csv
+import itertools
+import os
+import signal
+import statistics
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import meissner
+from meissner.experiment import (
+    Log,
+    LogError,
+    QuestPlus,
+    SimulatedObserver,
+    Staircase,
+    Trial,
+    ask,
+    constant_stimuli,
+    counterbalanced,
+    trials,
+    two_afc,
+)
+
+
+def test_every_block_holds_every_combination_once() -> None:
+    made = trials(repeats=5, seed=1, hand=("left", "right"), level=[1, 2, 3])
+    assert [trial.number for trial in made] == list(range(1, 31))
+    orders = set()
+    for block in range(5):
+        part = [(trial["hand"], trial["level"]) for trial in made[6 * block : 6 * block + 6]]
+        assert sorted(part) == sorted(itertools.product(("left", "right"), (1, 2, 3)))
+        orders.add(tuple(part))
+    assert len(orders) > 1
+    assert made == trials(repeats=5, seed=1, hand=("left", "right"), level=[1, 2, 3])
+    assert made != trials(repeats=5, seed=2, hand=("left", "right"), level=[1, 2, 3])
+
+
+def test_a_seed_means_the_same_list_for_ever() -> None:
+    levels = [trial["level"] for trial in constant_stimuli([1, 2, 3, 4], repeats=2, seed=42)]
+    assert levels == [1, 4, 2, 3, 2, 1, 3, 4]
+
+
+def test_two_afc_has_the_target_in_each_interval_equally_often() -> None:
+    made = two_afc([0.1, 0.2], repeats=10, seed=3)
+    counts = collections.Counter((trial["level"], trial["interval"]) for trial in made)
+    assert set(counts.values()) == {5}
+    assert len(counts) == 4
+    for trial in made:
+        intervals = trial.intervals("target", "other")
+        assert sorted(intervals) == ["other", "target"]
+        assert intervals[trial["interval"] - 1] == "target"
+
+
+def test_bad_lists_are_refused() -> None:
+    with pytest.raises(ValueError, match="must be even"):
+        two_afc([1], repeats=3, seed=0)
+    with pytest.raises(ValueError, match="`repeats` is 0"):
+        trials(repeats=0, seed=0, level=[1])
+    with pytest.raises(ValueError, match="`hand` has no values"):
+        trials(seed=0, hand=[])
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 5, 6])
+def test_orders_are_balanced(count: int) -> None:
+    conditions = [f"c{number}" for number in range(count)]
+    people = count * (2 if count % 2 else 1)
+    orders = [counterbalanced(conditions, participant) for participant in range(people)]
+    places = collections.Counter((place, condition) for order in orders for place, condition in enumerate(order))
+    followers = collections.Counter(pair for order in orders for pair in itertools.pairwise(order))
+    assert set(places.values()) == {people // count}
+    assert len(places) == count * count
+    assert len(followers) == count * (count - 1)
+    assert len(set(followers.values())) == 1
+
+
+def run_staircase(seed: int, down: int) -> float:
+    observer = SimulatedObserver(0.2, slope=3, seed=seed)
+    stairs = Staircase(0.9, ratio=1.15, down=down, maximum=1.0, minimum=0.01, reversals=40, coarse=4)
+    while not stairs.done:
+        stairs.answer(observer.is_correct(stairs.level))
+    return stairs.threshold
+
+
+@pytest.mark.parametrize("down", [2, 3])
+def test_a_staircase_finds_its_point(down: int) -> None:
+    """Staircases are biased by the size of their steps: within 7 % of the point here, over 200 observers."""
+    true = SimulatedObserver(0.2, slope=3).level_of(0.5 ** (1 / down))
+    found = statistics.mean(run_staircase(seed, down) for seed in range(200))
+    assert found == pytest.approx(true, rel=0.07)
+
+
+def test_a_staircase_steps_and_turns() -> None:
+    stairs = Staircase(10, step=1, down=2, minimum=0, maximum=11, reversals=6, coarse=2)
+    levels = []
+    for correct in (True, True, True, True, False, True, True, False, False, False, True, True, False):
+        levels.append(stairs.level)
+        stairs.answer(correct)
+    assert levels == [10, 10, 8, 8, 6, 8, 8, 7, 8, 9, 10, 10, 9]
+    assert stairs.reversals == [6, 8, 7, 10, 9]
+    assert stairs.threshold == statistics.mean([10, 9])
+    assert not stairs.done
+    stairs.answer(True)
+    stairs.answer(True)
+    assert stairs.done
+    assert stairs.threshold == statistics.mean([7, 10, 9, 10])
+    assert len(stairs.answers) == 15
+    up = Staircase(11, step=1, down=1, maximum=11)
+    up.answer(False)
+    assert up.level == 11
+    with pytest.raises(ValueError, match="has 0 reversals"):
+        _ = up.threshold
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({}, "give either"),
+        ({"step": 1, "ratio": 2}, "give either"),
+        ({"ratio": 0.5}, "must be above 1"),
+        ({"step": 0}, "must be above 0"),
+        ({"step": 1, "down": 0}, "`down` is 0"),
+    ],
+)
+def test_bad_staircases_are_refused(options: dict[str, float], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Staircase(1.0, **options)  # type: ignore[arg-type]
+
+
+def test_quest_plus_finds_the_threshold() -> None:
+    pytest.importorskip("questplus")
+    levels = [0.03 * 1.3**step for step in range(14)]
+    found = []
+    for seed in range(2):
+        observer = SimulatedObserver(0.2, slope=3, seed=seed)
+        quest = QuestPlus(levels, thresholds=levels[::2], slopes=(3.0,))
+        for _ in range(40):
+            quest.answer(observer.is_correct(quest.level))
+        assert len(quest.answers) == 40
+        found.append(quest.threshold)
+    assert statistics.geometric_mean(found) == pytest.approx(0.2, rel=0.15)
+    with pytest.raises(ValueError, match="must be above 0"):
+        QuestPlus([0.0, 1.0])
+
+
+def test_without_quest_plus_the_message_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "questplus", None)
+    with pytest.raises(ImportError, match=r"pip install 'meissner\[quest\]'"):
+        QuestPlus([0.1, 0.2])
+
+
+def test_a_simulated_observer_answers_by_its_function() -> None:
+    observer = SimulatedObserver(0.2, slope=2, guess=0.5, lapse=0.02, seed=1)
+    assert observer.p_correct(0.0) == 0.5
+    assert observer.p_correct(10.0) == pytest.approx(0.98)
+    assert observer.p_correct(observer.level_of(0.75)) == pytest.approx(0.75)
+    share = statistics.mean(observer.is_correct(0.2) for _ in range(10_000))
+    assert share == pytest.approx(observer.p_correct(0.2), abs=0.02)
+
+
+def test_a_question_is_asked_until_it_is_answered(monkeypatch: pytest.MonkeyPatch) -> None:
+    typed = iter(["", "3", " 2 "])
+    monkeypatch.setattr("builtins.input", lambda question: next(typed))
+    assert ask("Which?") == "2"
+
+
+def test_a_log_has_the_plays_times(m: meissner.Client, tmp_path: Path) -> None:
+    trial = Trial(1, {"level": 0.5})
+    play = m.sequence(["pin-60", "pin-60"], seconds=0.05, soa=0.1)
+    play.wait()
+    with Log(tmp_path / "log.csv") as log:
+        log.add(trial, play, answer='a,\n"b"')
+        log.add(Trial(2, {"level": 0.7}), play)
+        with pytest.raises(LogError, match="no column `extra`"):
+            log.add(3, extra=1)
+        with pytest.raises(LogError, match="`level` is there twice"):
+            log.add(trial, level=1)
+    with (tmp_path / "log.csv").open(newline="", encoding="utf-8") as file:
+        first, second = csv.DictReader(file)
+    assert (first["trial"], first["level"], first["answer"]) == ("1", "0.5", 'a,\n"b"')
+    assert (second["trial"], second["answer"]) == ("2", "")
+    assert int(first["item2_onset_tick"]) - int(first["item1_onset_tick"]) == 8500
+    assert int(first["onset_monotonic_ns"]) == play.onset.monotonic_ns
+    assert float(first["onset_uncertainty_s"]) == pytest.approx(play.onset.monotonic_uncertainty, abs=1e-9)
+    assert [row["trial"] for row in log.rows] == ["1", "2"]
+    with pytest.raises(LogError, match="is closed"):
+        log.add(trial)
+
+
+def test_a_log_touches_no_file_that_is_there_unless_told_to(tmp_path: Path) -> None:
+    file = tmp_path / "log.csv"
+    file.write_text("kept")
+    with pytest.raises(LogError, match="resume=True"):
+        Log(file)
+    assert file.read_text() == "kept"
+    with pytest.raises(LogError, match="cannot be opened"):
+        Log(tmp_path / "none" / "log.csv")
+
+
+@pytest.mark.parametrize("rest", ["", "3,", '3,"unfinished\n', "3,no line end"])
+def test_a_log_goes_on_after_the_last_whole_row(tmp_path: Path, rest: str) -> None:
+    file = tmp_path / "log.csv"
+    whole = 'trial,answer\n1,"a\nb"\n2,c\n'
+    file.write_text(whole + rest)
+    with Log(file, resume=True) as log:
+        left = log.remaining(Trial(number, {}) for number in range(1, 5))
+        assert [trial.number for trial in left] == [3, 4]
+        assert log.rows[0] == {"trial": "1", "answer": "a\nb"}
+        log.add(3, answer="d")
+    assert file.read_text() == whole + "3,d\n"
+    with Log(tmp_path / "new.csv", resume=True) as log:
+        log.add(1)
+    assert (tmp_path / "new.csv").read_text() == "trial\n1\n"
+
+
+WRITER = """
+import sys
+from meissner.experiment import Log
+with Log(sys.argv[1]) as log:
+    for number in range(1, 100_000):
+        log.add(number, text="x" * 500)
+        print(number, flush=True)
+"""
+
+
+def test_a_kill_loses_no_finished_trial(tmp_path: Path) -> None:
+    file = tmp_path / "log.csv"
+    writer = subprocess.Popen([sys.executable, "-c", WRITER, str(file)], stdout=subprocess.PIPE, text=True)
+    assert writer.stdout
+    for line in writer.stdout:
+        if int(line) == 50:
+            os.kill(writer.pid, signal.SIGKILL)
+            break
+    rest = writer.stdout.read().split()
+    writer.stdout.close()
+    writer.wait()
+    finished = 50 + len(rest)
+    with Log(file, resume=True) as log:
+        numbers = [int(row["trial"]) for row in log.rows]
+    # The trial that was under way may be there, too.
+    assert numbers in (list(range(1, finished + 1)), list(range(1, finished + 2)))
+    assert all(row["text"] == "x" * 500 for row in log.rows)

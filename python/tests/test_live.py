@@ -1,0 +1,388 @@
+"""The blocking client against a real daemon with the simulated array."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import signal
+import socket
+import subprocess
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+import meissner
+from meissner import errors
+from meissner._endpoint import endpoints
+from meissner.program import find_program
+from network import Network
+
+HZ = 85_000
+PATTERN = """format = 1
+name = "two-pins"
+duration_s = 0.1
+[[drive]]
+motor = 9
+frequency_hz = 60.0
+amplitude_um = 40.0
+"""
+
+
+def test_a_play_has_its_times_on_every_clock(m: meissner.Client) -> None:
+    at, wall = m.now() + 0.5, time.time()
+    play = m.play("edge-45", seconds=0.3, at=at, scale=0.8, trigger=5, trial=3, labels={"block": 1})
+    assert repr(play) == f"<play {play.id}: edge-45, accepted>"
+    with pytest.raises(errors.NotKnownYet, match="no receipt yet"):
+        _ = play.onset
+    assert play.refresh().state in ("queued", "running")
+    with pytest.raises(errors.NotKnownYet, match="call `wait"):
+        _ = play.offset
+    receipt = play.wait(timeout=20)
+    onset, offset = play.onset, play.offset
+    # Half a tick, and what the daemon states about its device's clock.
+    assert abs(onset.monotonic - at) <= onset.monotonic_uncertainty + 0.5 / HZ
+    assert abs(onset.wall - wall - 0.5) < 60
+    assert 0 < onset.monotonic_uncertainty <= onset.wall_uncertainty
+    assert onset.tick_hz == HZ
+    assert offset.tick - onset.tick == round(receipt.raw["duration_ms"]["played"] * HZ / 1000)
+    assert receipt.raw["scale"] == 0.8
+    assert (receipt.raw["trial"], receipt.raw["labels"]) == (3, {"block": "1"})
+    assert receipt.raw["trigger"]["code"] == 5
+    assert play.ordered_s == 0.3
+    assert repr(play) == f"<play {play.id}: edge-45, done>"
+    assert m.receipt().id == play.id
+
+
+def test_a_play_after_an_instant_is_exact_to_the_tick(m: meissner.Client) -> None:
+    first = m.play("pin-60", 0.05)
+    first.wait()
+    second = m.play("pin-60", 0.05, at=first.onset.later(0.5))
+    second.wait()
+    assert second.onset.tick - first.onset.tick == HZ // 2
+    assert second.onset.boot == first.onset.boot
+
+
+def test_the_onsets_of_a_sequence_are_exact_to_the_tick(m: meissner.Client) -> None:
+    items: list[meissner.SequenceItem] = ["pin-60", {"pattern": "edge-45", "scale": 0.5, "trigger": 7}, "pin-60"]
+    play = m.sequence(items, seconds=0.05, isi=0.1, at=m.now() + 0.5, trial=1, labels={"a": "b"})
+    play.wait()
+    ticks = [item.onset.tick for item in play.items if item.onset]
+    assert [later - earlier for earlier, later in itertools.pairwise(ticks)] == [round(0.15 * HZ)] * 2
+    assert [item.state for item in play.items] == ["played"] * 3
+    assert [item.scale for item in play.items] == [1.0, 0.5, 1.0]
+    play = m.sequence(["pin-60", "pin-60"], seconds=0.05, soa=0.125, name="pair")
+    assert play.pattern == "pair"
+    play.wait()
+    ticks = [item.onset.tick for item in play.items if item.onset]
+    assert ticks[1] - ticks[0] == round(0.125 * HZ)
+    play = m.sequence([{"pattern": "pin-60", "gap": 0.01}, {"pattern": "pin-60", "start": 0.2}], seconds=0.05)
+    play.wait()
+    assert play.items[1].raw["planned_onset_ticks"] == round(0.2 * HZ)
+    with pytest.raises(ValueError, match="not both"):
+        m.sequence(["pin-60"], isi=1, soa=1)
+
+
+def test_waiting_ends(m: meissner.Client) -> None:
+    play = m.play("pin-60", endless=True)
+    with pytest.raises(TimeoutError, match="wait longer"):
+        play.wait(timeout=0.05)
+    m.stop()
+    with pytest.raises(errors.PlayStopped, match="was stopped: stop") as stopped:
+        play.wait()
+    assert stopped.value.receipt.cause == "stop"
+    assert play.wait(check=False).state == "stopped"
+
+
+def test_refusals_have_classes(m: meissner.Client) -> None:
+    with pytest.raises(errors.NotFound, match=r"no-such.*patterns\(\)"):
+        m.play("no-such")
+    with pytest.raises(errors.BadRequest, match="scale"):
+        m.play("pin-60", 0.1, scale=7)
+    with pytest.raises(errors.TooSoon):
+        m.play("pin-60", 0.1, at=m.now() - 1)
+    m.disarm()
+    with pytest.raises(errors.Disarmed, match=r"call `arm\(\)`"):
+        m.play("pin-60", 0.1)
+    with pytest.raises(meissner.ApiError):
+        m.home()
+
+
+def test_an_emergency_stop_latches(m: meissner.Client) -> None:
+    play = m.play("pin-60", endless=True)
+    assert m.estop().state == "faulted"
+    assert play.wait(check=False).cause == "estop"
+    with pytest.raises(errors.Faulted):
+        m.arm(assume_rest=True, checked="a test")
+    assert m.reset(force=True).state == "disarmed"
+    assert m.arm(assume_rest=True, checked="a test").state == "armed"
+
+
+def test_patterns_are_stored_and_removed(m: meissner.Client, tmp_path: Path) -> None:
+    assert "edge-45" in [pattern["name"] for pattern in m.patterns()]
+    file = tmp_path / "two-pins.toml"
+    file.write_text(PATTERN)
+    assert m.store_pattern("two-pins", file)["replaced_sha256"] is None
+    with pytest.raises(errors.Exists):
+        m.store_pattern("two-pins", PATTERN)
+    assert m.store_pattern("two-pins", PATTERN, replace=True)["replaced_sha256"]
+    assert m.pattern("two-pins")["pattern"]["drive"][0]["motor"] == 9
+    assert m.play("two-pins").wait().state == "done"
+    m.remove_pattern("two-pins")
+    with pytest.raises(errors.NotFound):
+        m.pattern("two-pins")
+
+
+def test_the_end_of_the_block_disarms(daemon: meissner.Daemon) -> None:
+    with meissner.connect(daemon.socket) as watcher:
+        with meissner.connect(daemon.socket) as m:
+            m.arm(assume_rest=True, checked="a test")
+            play = m.play("pin-60", endless=True)
+        assert watcher.status().state in ("disarmed", "returning")
+        watcher.wait_until_idle()
+        assert watcher.receipt(play.id).state == "stopped"
+        with pytest.raises(ZeroDivisionError), meissner.connect(daemon.socket) as m:
+            m.arm(assume_rest=True, checked="a test")
+            m.estop()
+            _ = 1 / 0
+        assert watcher.status().state == "faulted"
+        watcher.reset(force=True)
+        # A client that has not armed leaves the state alone.
+        with meissner.connect(daemon.socket) as armed:
+            armed.arm(assume_rest=True, checked="a test")
+            with meissner.connect(daemon.socket) as other:
+                other.status()
+            assert watcher.status().state == "armed"
+            armed.close()
+            armed.close()
+
+
+def test_a_session_belongs_to_its_owner(m: meissner.Client, daemon: meissner.Daemon) -> None:
+    with (
+        meissner.connect(daemon.socket) as other,
+        m.session("P07", exclusive=True, experiment="edges", seed=4, labels={"block": 2}) as session,
+    ):
+        play = m.play("pin-60", 0.1)
+        with pytest.raises(errors.SessionExclusive, match="P07"):
+            other.stop()
+        with pytest.raises(errors.SessionRunning):
+            m.session("P08")
+        # The block waits for this play before it ends the session.
+    assert play.refresh().state == "done"
+    assert play.receipt.raw["session"] == session.id
+    assert session.heartbeat_problem is None
+    recorded = m.session_plays(session.id)
+    assert [row["play"] for row in recorded["plays"]] == [play.id]
+    assert session.id in [each["id"] for each in m.sessions()]
+    with pytest.raises(ZeroDivisionError), m.session("P09"):
+        endless = m.play("pin-60", endless=True)
+        _ = 1 / 0
+    assert endless.wait(check=False).state == "stopped"
+    session = m.session("P10")
+    session.end()
+    session.end()
+
+
+def test_an_owner_in_a_rest_break_stays_the_owner() -> None:
+    """The daemon gives a session free after two seconds of silence; the break lasts more than twice as long."""
+    with meissner.demo(config="session_silence_s = 2\n") as m, meissner.connect(m.status().raw["socket"]) as other:
+        m.play("pin-60", 0.1).wait()
+        assert m.home().state == "armed"
+        released = threading.Event()
+
+        def listen() -> None:
+            for event in other.events(reconnect=False):
+                if event.name == "session-released":
+                    released.set()
+                if event.name == "session-ended":
+                    return
+
+        listener = threading.Thread(target=listen)
+        listener.start()
+        with m.session("P07", exclusive=True):
+            assert not released.wait(4.5)
+            with pytest.raises(errors.SessionExclusive):
+                other.disarm()
+            m.play("pin-60", 0.1).wait()
+        listener.join(10)
+        assert not listener.is_alive()
+
+
+def test_events_tell_what_happens(m: meissner.Client) -> None:
+    events = m.events()
+    assert next(events).name == "state"
+    play = m.play("pin-60", 0.05)
+    seen = []
+    for event in events:
+        if event.name in ("queued", "began", "ended"):
+            seen.append(event.name)
+        if event.name == "ended":
+            assert event["receipt"]["id"] == play.id
+            break
+    assert seen == ["queued", "began", "ended"]
+    events.close()
+
+
+def test_a_connection_that_has_died_in_a_break_is_made_again(network: Network) -> None:
+    with meissner.connect(network.url) as m:
+        m.arm(assume_rest=True, checked="a test")
+        network.cut()
+        time.sleep(0.05)
+        assert m.play("pin-60", 0.05).wait().state == "done"
+        events = m.events()
+        assert next(events).name == "state"
+        network.cut()
+        assert [next(events).name for _ in range(2)] == ["reconnected", "state"]
+        events = m.events(reconnect=False)
+        next(events)
+        network.cut()
+        with pytest.raises(errors.ConnectionLost):
+            for _ in events:
+                pass
+
+
+def test_a_command_is_sent_once_and_a_question_again(network: Network) -> None:
+    with meissner.connect(network.url) as m:
+        m.arm(assume_rest=True, checked="a test")
+        network.lose_answers = 1
+        assert m.status().state == "armed"
+        network.requests.clear()
+        network.lose_answers = 1
+        with pytest.raises(errors.ConnectionLost, match="before you repeat"):
+            m.play("pin-60", 0.05)
+        assert [line for line in network.requests if "POST" in line] == ["POST /v1/play HTTP/1.1"]
+        m.wait_until_idle()
+        network.requests.clear()
+        network.lose_answers = 1
+        assert m.estop().state == "faulted"
+        assert network.requests.count("POST /v1/estop HTTP/1.1") == 2
+
+
+def test_with_jitter_and_a_skewed_clock_no_onset_errs_by_more_than_stated(network: Network) -> None:
+    """The client's clock is another one: shifted by minutes, and 100 ppm fast. Both clocks are read on one machine."""
+    network.jitter_s = 0.02
+
+    def client_at(host_ns: int) -> int:
+        return host_ns + host_ns // 10_000 + 321_000_000_000
+
+    core = meissner._core(endpoints(network.url)[0], None, 10.0)
+    core.clock._monotonic_ns = lambda: client_at(time.monotonic_ns())
+    with meissner.Client(core) as m:
+        m.synchronise()
+        assert not core.clock.is_shared
+        m.arm(assume_rest=True, checked="a test")
+        plays = []
+        for _ in range(20):
+            at = m.now() + 0.3
+            play = m.play("pin-60", 0.02, at=at)
+            play.wait()
+            plays.append((at, play.onset))
+        ticks_ns = []
+        for at, onset in plays:
+            truth = client_at(onset.host_ns)
+            error = abs(onset.monotonic_ns - truth) / 1e9
+            assert error <= onset.monotonic_uncertainty
+            assert onset.monotonic_uncertainty < 0.025
+            assert abs(onset.monotonic - at) <= 0.025
+            ticks_ns.append((onset.host_ns - onset.tick * 1_000_000_000 / HZ, onset.host_uncertainty * 1e9))
+        # The simulated device counts exactly 85 000 ticks per second of the daemon's clock from an unknown instant on:
+        # one such instant must fit all onsets. The daemon's uncertainty is that of its shortest round trip to the device, and it
+        # takes round trips that waited 20 us longer, too: so each may err by some more than that on a busy machine.
+        low = max(start - width for start, width in ticks_ns)
+        high = min(start + width for start, width in ticks_ns)
+        assert low <= high + 200_000
+
+
+def test_a_daemon_that_was_restarted_is_noticed(tmp_path: Path) -> None:
+    with meissner.Daemon() as first, Network(first.socket) as network, meissner.connect(network.url) as m:
+        m.arm(assume_rest=True, checked="a test")
+        play = m.play("pin-60", 0.05)
+        play.wait()
+        with meissner.Daemon() as second:
+            network.socket = second.socket
+            network.cut()
+            with pytest.raises(errors.DaemonRestarted, match="arm again"):
+                play.wait()
+            assert m.status().raw["pid"] == second.pid
+            with meissner.connect(second.socket) as other:
+                other.arm(assume_rest=True, checked="a test")
+                repeated = other.play("pin-60", 0.05)
+                repeated.wait()
+            assert repeated.id == play.id
+            with pytest.raises(errors.DaemonRestarted):
+                play.wait()
+            m.core.has_armed = False
+
+
+def test_without_a_daemon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(errors.Unreachable, match="start one with `meissner daemon`"):
+        meissner.connect(tmp_path / "none.sock")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    for variable in ("MEISSNER_SOCKET", "MEISSNER_URL"):
+        monkeypatch.delenv(variable, raising=False)
+    monkeypatch.setattr("meissner._endpoint.SERVICE_SOCKET", str(tmp_path / "service.sock"))
+    with pytest.raises(errors.Unreachable, match=r"meissner\.sock, nor at .*service\.sock.*demo"):
+        meissner.connect()
+    monkeypatch.setenv("MEISSNER_SOCKET", str(tmp_path / "named.sock"))
+    with pytest.raises(errors.Unreachable, match=r"at .*named\.sock \("):
+        meissner.connect()
+    monkeypatch.setenv("MEISSNER_URL", "http://127.0.0.1:9")
+    with pytest.raises(errors.Unreachable, match=r"http://127\.0\.0\.1:9"):
+        meissner.connect()
+
+
+def test_a_daemon_that_goes_leaves_a_warning_and_no_wrong_error() -> None:
+    daemon = meissner.Daemon("session_silence_s = 0.5\n")
+    with pytest.raises(ZeroDivisionError), pytest.warns(UserWarning, match="may be armed still"):
+        with meissner.connect(daemon.socket, reconnect=0.1) as m:
+            m.arm(assume_rest=True, checked="a test")
+            session = m.session("P07")
+            os.kill(daemon.pid, signal.SIGKILL)
+            daemon._process.wait()
+            deadline = time.monotonic() + 10
+            while session.heartbeat_problem is None and time.monotonic() < deadline:
+                time.sleep(0.01)
+            assert session.heartbeat_problem is not None
+            _ = 1 / 0
+    with pytest.raises(errors.ProgramError, match="has ended"):
+        daemon.check()
+    daemon.close()
+
+
+def test_over_tcp_with_tokens() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        url = f"127.0.0.1:{free.getsockname()[1]}"
+    with meissner.Daemon(f'listen = "{url}"\nlisten_token = "always"\n') as daemon:
+
+        def token(role: str) -> str:
+            command = [
+                find_program(),
+                "token",
+                "create",
+                "--role",
+                role,
+                "--name",
+                role,
+                "--json",
+                "--socket",
+                daemon.socket,
+            ]
+            made = json.loads(subprocess.run(command, capture_output=True, check=True).stdout)
+            return str(made["token"])
+
+        with pytest.raises(errors.Unauthorized, match="token=") as refused:
+            meissner.connect(f"http://{url}")
+        assert refused.value.status == 401
+        with meissner.connect(f"http://{url}", token=token("observe")) as reader:
+            with pytest.raises(errors.Forbidden, match="operate"):
+                reader.arm()
+            with meissner.connect(f"http://{url}", token=token("operate")) as m:
+                assert m.core.clock.is_shared
+                m.arm(assume_rest=True)
+                with m.session("P07", exclusive=True):
+                    assert m.play("pin-60", 0.05).wait().state == "done"
+                    with meissner.connect(daemon.socket) as other, pytest.raises(errors.SessionExclusive):
+                        other.stop()
+                    assert m.estop().state == "faulted"

@@ -1,0 +1,90 @@
+"""The program on this machine: simulation, search, and a daemon of one's own."""
+
+from __future__ import annotations
+
+import builtins
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy
+import pytest
+
+import meissner
+from meissner import errors
+
+SCENE: dict[str, Any] = {
+    "duration_s": 0.1,
+    "afferents": [{"x_mm": -1.45, "y_mm": 1.45}],
+    "drives": [{"motor": 9, "frequency_hz": 60.0, "amplitude_um": 80.0}],
+}
+
+
+def test_spikes_are_arrays_with_numpy_and_lists_without(monkeypatch: pytest.MonkeyPatch) -> None:
+    with_numpy = meissner.simulate({**SCENE, "duration_s": numpy.float32(0.1)}, model="membrane")
+    assert isinstance(with_numpy.spikes_s[0], numpy.ndarray)
+    assert with_numpy.rates_hz[0] == len(with_numpy.spikes_s[0]) / numpy.float32(0.1).item() > 0
+    imported = builtins.__import__
+
+    def without_numpy(name: str, *rest: Any) -> Any:
+        if name == "numpy":
+            raise ImportError(name)
+        return imported(name, *rest)
+
+    monkeypatch.setattr(builtins, "__import__", without_numpy)
+    without = meissner.simulate(SCENE)
+    assert isinstance(without.spikes_s[0], list)
+    assert isinstance(without.rates_hz, list)
+    assert without.spikes_s[0] == pytest.approx(with_numpy.spikes_s[0].tolist())
+
+
+def test_a_scene_may_be_a_file(tmp_path: Path) -> None:
+    file = tmp_path / "scene.toml"
+    file.write_text(
+        "duration_s = 0.1\npopulation = { seed = 0 }\n[[drives]]\nmotor = 9\nfrequency_hz = 60.0\namplitude_um = 80.0\n"
+    )
+    answer = meissner.simulate(file, rates_only=True)
+    assert answer.rates_hz.shape == (306,)
+    assert answer.spikes_s == []
+
+
+def test_errors_say_what_is_wrong(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    with pytest.raises(errors.ProgramError, match=r"`meissner simulate` failed.*durtion_s"):
+        meissner.simulate({"durtion_s": 1})
+    with pytest.raises(TypeError, match="cannot hold a set"):
+        meissner.simulate({"duration_s": {1}})
+    with pytest.raises(errors.ProgramError, match=r"the daemon has ended.*sede"):
+        meissner.Daemon("[mock]\nsede = 1\n")
+    monkeypatch.setenv("MEISSNER_PROGRAM", str(tmp_path / "none"))
+    with pytest.raises(errors.ProgramError, match="which cannot be run"):
+        meissner.simulate(SCENE)
+    monkeypatch.delenv("MEISSNER_PROGRAM")
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(errors.ProgramError, match=r"is not on the PATH.*cargo install"):
+        meissner.demo()
+
+
+def test_a_search_finds_a_pattern_that_can_be_played(m: meissner.Client) -> None:
+    found = m.design("dot", objective="off-rms", budget=20, seed=3, setting="default", model="membrane", robust=True)
+    assert found.name == "dot-found"
+    assert (found.summary["objective"], found.summary["seed"], found.summary["robust"]) == ("off-rms", 3, True)
+    assert m.pattern("dot-found")["pattern"]["provenance"]["target"] == "dot"
+    assert m.simulate(SCENE, rates_only=True).rates_hz[0] > 0
+    m.remove_pattern("dot-found")
+
+
+def test_the_end_of_python_ends_the_daemon_and_disarms(daemon: meissner.Daemon) -> None:
+    """A script without `with`: its clients disarm, and its daemon ends."""
+    script = (
+        "import meissner, sys\n"
+        "m = meissner.connect(sys.argv[1]); m.arm(assume_rest=True, checked='a test'); m.play('pin-60', endless=True)\n"
+        "d = meissner.demo(); print(d.status().raw['pid'], d.status().raw['socket'])\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", script, daemon.socket], capture_output=True, text=True, check=True)
+    pid, socket = ended.stdout.split()
+    assert ended.stderr == ""
+    assert not Path("/proc", pid).exists()
+    assert not Path(socket).parent.exists()
+    with meissner.connect(daemon.socket) as watcher:
+        assert watcher.status().state in ("returning", "disarmed")
