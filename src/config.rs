@@ -7,9 +7,12 @@
 //! Invariant: every value of a [`Config`] that was read is within the ranges written here; an unknown key is an error.
 
 mod array;
+mod network;
 
 use crate::exposure::ParticipantLimits;
 use crate::session_record::Location;
+pub use network::Listen;
+
 use array::RawArray;
 use firmware_protocol::limits::OnTimeLimits;
 use meissner_array::pattern::AMPLITUDE_UM;
@@ -24,6 +27,7 @@ use serde::Deserialize;
 use std::env;
 use std::fs::{File, OpenOptions};
 use std::io::{self, Read};
+use std::net::SocketAddr;
 use std::ops::RangeInclusive;
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
@@ -46,6 +50,10 @@ const LIMIT_UM: RangeInclusive<f64> = 1.0..=*AMPLITUDE_UM.end();
 const LIMIT_S: RangeInclusive<f64> = 0.1..=86_400.0;
 /// The range of a pause, s.
 const PAUSE_S: RangeInclusive<f64> = 0.1..=3600.0;
+/// The name of the calibration's file.
+const CALIBRATION: &str = "calibration.toml";
+/// The name of the file of access tokens.
+const TOKENS: &str = "tokens.toml";
 /// The most bytes of a configuration file.
 const MAX_BYTES: u64 = 1 << 20;
 
@@ -56,6 +64,10 @@ pub struct Config {
     pub device: Spec,
     /// Where clients connect.
     pub socket: PathBuf,
+    /// Where clients connect that come over the network; `None`: nothing listens there.
+    pub listen: Option<Listen>,
+    /// The file of the access tokens; `None`: they end with the daemon.
+    pub tokens: Option<PathBuf>,
     /// The site's own patterns.
     pub patterns: PatternsDir,
     /// The file of the calibration; `None`: it is not stored.
@@ -88,7 +100,9 @@ impl Default for Config {
         Self {
             device: Spec::default(),
             socket: default_socket(),
-            calibration: beside(&default_patterns()),
+            listen: None,
+            tokens: beside(&default_patterns(), TOKENS),
+            calibration: beside(&default_patterns(), CALIBRATION),
             patterns: default_patterns(),
             logbook: keep(None, LOGBOOK_DAYS),
             session_silence_s: SESSION_SILENCE_S,
@@ -108,6 +122,8 @@ pub struct Source {
     pub device: Option<Spec>,
     /// Replaces the `socket` of the file.
     pub socket: Option<PathBuf>,
+    /// Replaces the `listen` of the file.
+    pub listen: Option<SocketAddr>,
     /// Keep no session record.
     pub no_record: bool,
 }
@@ -124,6 +140,10 @@ impl Source {
         }
         if let Some(socket) = &self.socket {
             config.socket.clone_from(socket);
+        }
+        if let Some(address) = self.listen {
+            config.listen =
+                Some(config.listen.take().map_or(Listen::at(address), |listen| Listen { address, ..listen }));
         }
         if self.no_record {
             config.logbook = None;
@@ -158,6 +178,12 @@ pub enum Problem {
     EmptyPath,
     #[error("holds a control character: name a path without one")]
     ControlCharacter,
+    #[error("is {found}: must be an address and a port, as \"127.0.0.1:8765\", or \"none\"")]
+    Listen { found: String },
+    #[error("is {found}: must be a host's name, without port and path")]
+    Host { found: String },
+    #[error("is {found}: must be \"remote\" or \"always\"")]
+    ListenToken { found: String },
     #[error("is {found}: must be a number of um, or \"auto\"")]
     Surplus { found: String },
 }
@@ -169,6 +195,10 @@ type KeyError = document::KeyError<Problem>;
 struct RawConfig {
     device: Option<String>,
     socket: Option<PathBuf>,
+    listen: Option<String>,
+    listen_hosts: Option<Vec<String>>,
+    listen_token: Option<String>,
+    tokens: Option<PathBuf>,
     patterns_dir: Option<PathBuf>,
     calibration: Option<PathBuf>,
     logbook_dir: Option<PathBuf>,
@@ -280,6 +310,8 @@ impl RawConfig {
             found.parse().map_err(|source| KeyError::key("device", problem(source)))
         })?;
         check_path("socket", self.socket.as_deref())?;
+        check_path("tokens", self.tokens.as_deref())?;
+        let listen = network::check(self.listen.as_deref(), self.listen_hosts, self.listen_token.as_deref())?;
         check_path("patterns_dir", self.patterns_dir.as_deref())?;
         check_path("calibration", self.calibration.as_deref())?;
         check_path("logbook_dir", self.logbook_dir.as_deref())?;
@@ -345,7 +377,9 @@ impl RawConfig {
         Ok(Config {
             device,
             socket: self.socket.unwrap_or_else(default_socket),
-            calibration: self.calibration.or_else(|| beside(&patterns)),
+            listen,
+            tokens: self.tokens.or_else(|| beside(&patterns, TOKENS)),
+            calibration: self.calibration.or_else(|| beside(&patterns, CALIBRATION)),
             patterns,
             logbook: keep(self.logbook_dir, logbook_days),
             session_silence_s,
@@ -398,10 +432,10 @@ fn keep(dir: Option<PathBuf>, days: u32) -> Option<Location> {
     (days > 0).then_some(Location { dir, days, make_parents })
 }
 
-/// The default file of the calibration: beside the site's own patterns.
-fn beside(patterns: &PatternsDir) -> Option<PathBuf> {
+/// The default place of a file that the daemon writes: beside the site's own patterns.
+fn beside(patterns: &PatternsDir, file: &str) -> Option<PathBuf> {
     let (PatternsDir::Configured(dir) | PatternsDir::Default(dir)) = patterns else { return None };
-    Some(dir.parent().unwrap_or(Path::new("")).join("calibration.toml"))
+    Some(dir.parent().unwrap_or(Path::new("")).join(file))
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! The pattern store: the library that is part of the program, and a directory of the site's own patterns.
+//! The pattern store: the library that is part of the program, with the patterns of the paper's setting (`patterns/paper`), and a directory of the site's own patterns.
 //!
 //! The store reads the directory at every request, so it finds a file that was put there by hand at once. [`Store::get`]
 //! reads one file, [`Store::list`] at most [`MAX_FILES`]. Callers that hold the same file share one pattern. Patterns of the library cannot be overwritten or shadowed.
@@ -170,7 +170,8 @@ impl Store {
     /// If a file of the library does not parse, which a test excludes.
     pub fn new(dir: Option<PathBuf>, make_dir: bool) -> Result<Self, StoreError> {
         let mut library = BTreeMap::new();
-        for file in LIBRARY.files() {
+        let papers = LIBRARY.dirs().flat_map(Dir::files);
+        for file in LIBRARY.files().chain(papers) {
             let path = file.path();
             if path.extension().is_some_and(|extension| extension == "toml") {
                 let contents = file.contents();
@@ -298,7 +299,7 @@ impl Store {
         if let Some(sha256) = replaced.clone().filter(|_| !replace) {
             return Err(StoreError::Exists { name: name.to_owned(), sha256 });
         }
-        self::replace(dir, &path, text.as_bytes()).map_err(|source| StoreError::Io { path, source })?;
+        self::replace(dir, &path, text.as_bytes(), MODE).map_err(|source| StoreError::Io { path, source })?;
         Ok(Put { stored, replaced })
     }
 
@@ -478,11 +479,14 @@ fn present(path: &Path) -> Result<Option<String>, StoreError> {
     }
 }
 
+/// The mode of files that everybody may read.
+pub(crate) const MODE: u32 = 0o644;
+
 /// Replaces a file by writing beside it and renaming, so that a crash leaves the old file or the new one.
-pub(crate) fn replace(dir: &Path, path: &Path, bytes: &[u8]) -> io::Result<()> {
+pub(crate) fn replace(dir: &Path, path: &Path, bytes: &[u8], mode: u32) -> io::Result<()> {
     use std::os::unix::fs::PermissionsExt;
     let mut file = tempfile::Builder::new().prefix(".import-").tempfile_in(dir)?;
-    file.as_file().set_permissions(fs::Permissions::from_mode(0o644))?;
+    file.as_file().set_permissions(fs::Permissions::from_mode(mode))?;
     file.write_all(bytes)?;
     file.as_file().sync_all()?;
     file.persist(path).map_err(|error| error.error)?;

@@ -231,7 +231,7 @@ fn every_error_is_a_problem() {
     let daemon = Daemon::start();
     let mut client = daemon.client();
     assert_eq!(problem(client.get("/v1/nothing")).code, "not-found");
-    assert_eq!(problem(client.get("/")).code, "not-found");
+    assert_eq!(problem(client.get("/nothing")).code, "not-found");
     assert_eq!(problem(client.get("/v1/patterns/%FF")).code, "bad-request");
     assert_eq!(problem(client.get("/v1/plays/soon")).code, "bad-request");
     assert_eq!(problem(client.get("/v1/plays/99")).code, "not-found");

@@ -50,12 +50,32 @@ fn the_doctor_measures_a_device() {
         // The figures depend on the machine; tests in virtual time check them.
         assert!(number("/throughput_bytes_per_s") > 0.0 && number("/drift/seconds") > 0.0, "{report}");
         assert!(number("/drift/ppm").is_finite() && number("/drift/uncertainty_ppm").is_finite(), "{report}");
-        assert!(measured["protocol"] == 2 && number("/pool") >= 1024.0, "{report}");
-        for what in ["SCHED_FIFO", "mlockall", "timers", "daemon", "device", "round trip", "line", "drift"] {
+        assert!(measured["protocol"] == 3 && number("/pool") >= 1024.0, "{report}");
+        for what in
+            ["SCHED_FIFO", "mlockall", "timers", "daemon", "device", "round trip", "line", "drift", "board"]
+        {
             let finding = finding(&report, what);
             assert_eq!(finding["level"] == "ok", finding["advice"] == "", "{finding}");
         }
     }
+}
+
+#[test]
+fn a_simulated_device_passes_no_self_test() {
+    let args = ["doctor", "--board", "--json", "--seconds", "0.5", "--device", "mock"];
+    let output = meissner().args(args).output().unwrap();
+    let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+    for what in ["lines", "waveform", "memory", "speed"] {
+        let finding = finding(&report, what);
+        assert!(finding["level"] == "warn" && finding["found"] == "not on this device", "{finding}");
+    }
+    assert_eq!(report["device"]["board"]["reset"], "program");
+    // A daemon that has the device would be disturbed.
+    let daemon = Daemon::start();
+    let output =
+        daemon.meissner().args(["doctor", "--board", "--json", "--seconds", "0.1"]).output().unwrap();
+    let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(finding(&report, "self-test")["level"], "fail");
 }
 
 #[test]

@@ -12,7 +12,8 @@ use meissner_api::route::{Answer, Body};
 use meissner_api::{
     ArmRequest, CalibrateRequest, CalibrationReport, Code, Event, ImportedPattern, Method, PatternDetails,
     PatternList, PlayAccepted, PlayRequest, Problem, REFERENCE, Receipt, RemovedPattern, ResetRequest, Route,
-    SequenceRequest, Session, SessionList, SessionPlays, SessionRequest, SessionStarted, Status, openapi,
+    SequenceRequest, Session, SessionList, SessionPlays, SessionRequest, SessionStarted, Status,
+    TokenCreated, TokenInfo, TokenList, TokenRequest, openapi,
 };
 use schema::check;
 use serde::de::DeserializeOwned;
@@ -151,6 +152,10 @@ fn every_route_has_examples_that_parse() {
         "Session" => parses::<Session>(example),
         "SessionPlays" => parses::<SessionPlays>(example),
         "SessionList" => parses::<SessionList>(example),
+        "TokenRequest" => drop(TokenRequest::parse(example.to_string().as_bytes()).unwrap()),
+        "TokenCreated" => parses::<TokenCreated>(example),
+        "TokenList" => parses::<TokenList>(example),
+        "TokenInfo" => parses::<TokenInfo>(example),
         other => panic!("{other} has no example that is tested"),
     };
     let shown = |content: &Value| {

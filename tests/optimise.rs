@@ -35,7 +35,7 @@ fn the_document_is_complete_and_its_pattern_is_the_file() {
         (&found["ended"], &found["setting"], &found["seed"]),
         (&json!("budget"), &json!("default"), &json!(0))
     );
-    assert_eq!(found["model"], "membrane");
+    assert_eq!((&found["model"], &found["objective"]), (&json!("both"), &json!("off-rms-twice")));
     let models = found["models"].as_array().unwrap();
     assert_eq!((&models[0]["model"], &models[1]["model"]), (&json!("membrane"), &json!("afferents")));
     assert_eq!(models[0]["cost_hz"], found["cost_hz"]);
@@ -95,7 +95,10 @@ fn an_objective_is_compared_with_the_naive_rules() {
     }
     assert!(found["pattern"].as_str().unwrap().contains("objective = \"off-rms-twice\""));
     // The paper's search begins at a random point; thirty evaluations are not enough for it, and the summary tells.
-    let output = meissner().args(["optimise", "two-dots", "--budget", "30"]).output().unwrap();
+    let output = meissner()
+        .args(["optimise", "two-dots", "--budget", "30", "--objective", "contrast"])
+        .output()
+        .unwrap();
     let summary = String::from_utf8(output.stderr).unwrap();
     assert!(summary.contains("the rule naive-reach needs no search and reaches as much"), "{summary}");
     assert!(!String::from_utf8(output.stdout).unwrap().contains("objective"));
@@ -156,7 +159,16 @@ fn ctrl_c_keeps_the_best_so_far() {
     fs::create_dir(again.parent().unwrap()).unwrap();
     let mut child = Command::cargo_bin("meissner")
         .unwrap()
-        .args(["optimise", "moving-edge", "--robust", "--setting", "always_on", "-o"])
+        .args([
+            "optimise",
+            "moving-edge",
+            "--robust",
+            "--setting",
+            "always_on",
+            "--objective",
+            "contrast",
+            "-o",
+        ])
         .arg(&file)
         .stdout(Stdio::null())
         .stderr(Stdio::piped())
@@ -170,9 +182,17 @@ fn ctrl_c_keeps_the_best_so_far() {
     let pattern = parsed(&file);
     let reached = evaluations(&pattern);
     assert!(reached.split(',').count() == 9 && reached.ends_with(",0"), "{reached}");
-    let arguments =
-        ["optimise", "moving-edge", "--robust", "--setting", "always_on", "--budget", &reached, "-o"];
-    printed(meissner().args(arguments).arg(&again));
+    let arguments = [
+        "optimise",
+        "moving-edge",
+        "--robust",
+        "--setting",
+        "always_on",
+        "--budget",
+        &reached,
+        "--objective",
+    ];
+    printed(meissner().args(arguments).args(["contrast", "-o"]).arg(&again));
     assert!(fs::read(&file).unwrap() == fs::read(&again).unwrap(), "{reached}");
 }
 

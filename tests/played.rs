@@ -30,7 +30,7 @@ fn measured_play<'p>(pattern: &'p Pattern, seconds: f64, played: &SimulatedPlay)
 /// velocity, so that costs little contrast, no more than the corrections of position control.
 #[test]
 fn an_edge_keeps_nearly_its_designed_contrast_with_and_without_position_control() {
-    let edge = pattern("edge-45");
+    let edge = pattern("edge-45-paper");
     let motors = SimulatedMotorsConfig::default();
     let [closed, open] = [false, true].map(|open_loop| {
         let played = played(&edge, MOST_OBSERVED_S, &motors, open_loop);
@@ -63,7 +63,7 @@ fn an_edge_keeps_nearly_its_designed_contrast_with_and_without_position_control(
 
 #[test]
 fn ideal_motors_give_the_designed_response() {
-    let edge = pattern("edge-45");
+    let edge = pattern("edge-45-paper");
     let played = played(&edge, 2.0, &SimulatedMotorsConfig::ideal(), true);
     let found = measured_play(&edge, 2.0, &played).response(&played.measured_bursts).unwrap();
     let [designed, played] = [found.designed_hz, found.played_hz].map(|rates| rates.contrast.unwrap());
@@ -73,7 +73,7 @@ fn ideal_motors_give_the_designed_response() {
 
 #[test]
 fn unmeasured_bursts_are_counted_and_too_many_prevent_a_prediction() {
-    let edge = pattern("edge-45");
+    let edge = pattern("edge-45-paper");
     let played = played(&edge, 2.0, &SimulatedMotorsConfig::default(), false);
     let bursts = played.outcome.bursts.played;
     let mut play = measured_play(&edge, 2.0, &played);
@@ -106,7 +106,7 @@ fn unmeasured_bursts_are_counted_and_too_many_prevent_a_prediction() {
 
 #[test]
 fn a_cut_play_counts_up_to_its_cut() {
-    let edge = pattern("edge-45");
+    let edge = pattern("edge-45-paper");
     let played = played(&edge, 2.0, &SimulatedMotorsConfig::default(), false);
     let mut play = measured_play(&edge, 60.0, &played);
     play.cut = true;

@@ -35,6 +35,8 @@ mod lower_stop;
 mod manual;
 /// The daemon's memory: files that would fill it, a full queue of the longest pattern, the stated bound.
 mod memory;
+/// The API over TCP: hosts, origins, tokens and roles, floods; without `listen` the daemon does not listen.
+mod network;
 /// The API reference: routes, answers and the book's copies agree with the OpenAPI document.
 mod openapi;
 /// `optimise`: files and documents, budgets, interruptions, mistakes.

@@ -309,7 +309,7 @@ fn streams(place: &Place, over: &AtomicBool) {
         let _ = stream.write_all(b"GET /v1/events HTTP/1.1\r\nhost: x\r\n\r\n");
         unread.push(stream);
     }
-    let body = json!({"pattern": "edge-45", "seconds": 0.02}).to_string();
+    let body = json!({"pattern": "edge-45-paper", "seconds": 0.02}).to_string();
     let plays = [post("/v1/arm", "POST", r#"{"assume_rest":true}"#), post("/v1/play", "POST", &body)];
     repeat(over, || {
         for request in &plays {

@@ -12,10 +12,9 @@ mod baselines;
 use baselines::{METHODS, Method};
 use criterion::{Criterion, criterion_group, criterion_main};
 use meissner_design::{
-    Brief, Fidelity, Found, Goal, Limit, Objective, Point, Score, Setting, Space, Spent, Target, YARDSTICK,
-    search, shipped,
+    Brief, Fidelity, Found, Goal, Limit, Models, Objective, Point, Score, Setting, Space, Spent, Target,
+    YARDSTICK, search, shipped,
 };
-use meissner_skin::ModelName;
 use rayon::ThreadPoolBuilder;
 use rayon::prelude::*;
 use std::hint::black_box;
@@ -50,7 +49,7 @@ impl<'j> Command<'j> {
 
     fn brief(&self) -> Brief<'_> {
         Brief {
-            model: ModelName::Membrane,
+            models: Models::Membrane,
             goal: Goal::Contrast,
             target: self.target,
             frame: &self.target.frames()[0],

@@ -175,7 +175,7 @@ fn minute_played(criterion: &mut Criterion) {
     group.sample_size(10).measurement_time(Duration::from_secs(10));
     let pool = threads(1);
     for (name, text) in [
-        ("edge-45", include_str!("../../patterns/edge-45.toml")),
+        ("edge-45-paper", include_str!("../../patterns/paper/edge-45-paper.toml")),
         ("all-in-phase", include_str!("../../patterns/all-in-phase.toml")),
     ] {
         let pattern = Pattern::parse(text, name).expect("it is shipped");

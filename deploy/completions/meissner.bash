@@ -94,6 +94,9 @@ _meissner() {
             meissner,stop)
                 cmd="meissner__subcmd__stop"
                 ;;
+            meissner,token)
+                cmd="meissner__subcmd__token"
+                ;;
             meissner,tradeoff)
                 cmd="meissner__subcmd__tradeoff"
                 ;;
@@ -178,6 +181,9 @@ _meissner() {
             meissner__subcmd__help,stop)
                 cmd="meissner__subcmd__help__subcmd__stop"
                 ;;
+            meissner__subcmd__help,token)
+                cmd="meissner__subcmd__help__subcmd__token"
+                ;;
             meissner__subcmd__help,tradeoff)
                 cmd="meissner__subcmd__help__subcmd__tradeoff"
                 ;;
@@ -201,6 +207,15 @@ _meissner() {
                 ;;
             meissner__subcmd__help__subcmd__session,start)
                 cmd="meissner__subcmd__help__subcmd__session__subcmd__start"
+                ;;
+            meissner__subcmd__help__subcmd__token,create)
+                cmd="meissner__subcmd__help__subcmd__token__subcmd__create"
+                ;;
+            meissner__subcmd__help__subcmd__token,list)
+                cmd="meissner__subcmd__help__subcmd__token__subcmd__list"
+                ;;
+            meissner__subcmd__help__subcmd__token,revoke)
+                cmd="meissner__subcmd__help__subcmd__token__subcmd__revoke"
                 ;;
             meissner__subcmd__session,end)
                 cmd="meissner__subcmd__session__subcmd__end"
@@ -244,6 +259,30 @@ _meissner() {
             meissner__subcmd__session__subcmd__help,start)
                 cmd="meissner__subcmd__session__subcmd__help__subcmd__start"
                 ;;
+            meissner__subcmd__token,create)
+                cmd="meissner__subcmd__token__subcmd__create"
+                ;;
+            meissner__subcmd__token,help)
+                cmd="meissner__subcmd__token__subcmd__help"
+                ;;
+            meissner__subcmd__token,list)
+                cmd="meissner__subcmd__token__subcmd__list"
+                ;;
+            meissner__subcmd__token,revoke)
+                cmd="meissner__subcmd__token__subcmd__revoke"
+                ;;
+            meissner__subcmd__token__subcmd__help,create)
+                cmd="meissner__subcmd__token__subcmd__help__subcmd__create"
+                ;;
+            meissner__subcmd__token__subcmd__help,help)
+                cmd="meissner__subcmd__token__subcmd__help__subcmd__help"
+                ;;
+            meissner__subcmd__token__subcmd__help,list)
+                cmd="meissner__subcmd__token__subcmd__help__subcmd__list"
+                ;;
+            meissner__subcmd__token__subcmd__help,revoke)
+                cmd="meissner__subcmd__token__subcmd__help__subcmd__revoke"
+                ;;
             *)
                 ;;
         esac
@@ -251,7 +290,7 @@ _meissner() {
 
     case "${cmd}" in
         meissner)
-            opts="-h -V --help --version demo daemon play sequence stop estop reset arm disarm home calibrate list show import remove status events receipt session motor simulate optimise tradeoff discriminate validate report doctor help"
+            opts="-h -V --help --version demo daemon play sequence stop estop reset arm disarm home calibrate list show import remove status events receipt session token motor simulate optimise tradeoff discriminate validate report doctor help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 1 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -345,7 +384,7 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__daemon)
-            opts="-h --config --check-config --device --socket --no-record --help"
+            opts="-h --config --check-config --device --socket --listen --no-record --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -360,6 +399,10 @@ _meissner() {
                     return 0
                     ;;
                 --socket)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --listen)
                     COMPREPLY=($(compgen -f "${cur}"))
                     return 0
                     ;;
@@ -465,7 +508,7 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__doctor)
-            opts="-h --device --seconds --socket --json --help"
+            opts="-h --device --board --seconds --socket --json --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -527,7 +570,7 @@ _meissner() {
             return 0
             ;;
         meissner__subcmd__help)
-            opts="demo daemon play sequence stop estop reset arm disarm home calibrate list show import remove status events receipt session motor simulate optimise tradeoff discriminate validate report doctor help"
+            opts="demo daemon play sequence stop estop reset arm disarm home calibrate list show import remove status events receipt session token motor simulate optimise tradeoff discriminate validate report doctor help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -988,6 +1031,62 @@ _meissner() {
             COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
             return 0
             ;;
+        meissner__subcmd__help__subcmd__token)
+            opts="create list revoke"
+            if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
+                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+                return 0
+            fi
+            case "${prev}" in
+                *)
+                    COMPREPLY=()
+                    ;;
+            esac
+            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+            return 0
+            ;;
+        meissner__subcmd__help__subcmd__token__subcmd__create)
+            opts=""
+            if [[ ${cur} == -* || ${COMP_CWORD} -eq 4 ]] ; then
+                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+                return 0
+            fi
+            case "${prev}" in
+                *)
+                    COMPREPLY=()
+                    ;;
+            esac
+            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+            return 0
+            ;;
+        meissner__subcmd__help__subcmd__token__subcmd__list)
+            opts=""
+            if [[ ${cur} == -* || ${COMP_CWORD} -eq 4 ]] ; then
+                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+                return 0
+            fi
+            case "${prev}" in
+                *)
+                    COMPREPLY=()
+                    ;;
+            esac
+            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+            return 0
+            ;;
+        meissner__subcmd__help__subcmd__token__subcmd__revoke)
+            opts=""
+            if [[ ${cur} == -* || ${COMP_CWORD} -eq 4 ]] ; then
+                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+                return 0
+            fi
+            case "${prev}" in
+                *)
+                    COMPREPLY=()
+                    ;;
+            esac
+            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+            return 0
+            ;;
         meissner__subcmd__help__subcmd__tradeoff)
             opts=""
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
@@ -1124,7 +1223,7 @@ _meissner() {
                     return 0
                     ;;
                 --model)
-                    COMPREPLY=($(compgen -W "membrane afferents" -- "${cur}"))
+                    COMPREPLY=($(compgen -W "both membrane afferents" -- "${cur}"))
                     return 0
                     ;;
                 --budget)
@@ -1645,6 +1744,152 @@ _meissner() {
         meissner__subcmd__stop)
             opts="-h --socket --json --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
+                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+                return 0
+            fi
+            case "${prev}" in
+                --socket)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                *)
+                    COMPREPLY=()
+                    ;;
+            esac
+            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+            return 0
+            ;;
+        meissner__subcmd__token)
+            opts="-h --help create list revoke help"
+            if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
+                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+                return 0
+            fi
+            case "${prev}" in
+                *)
+                    COMPREPLY=()
+                    ;;
+            esac
+            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+            return 0
+            ;;
+        meissner__subcmd__token__subcmd__create)
+            opts="-h --role --name --socket --json --help"
+            if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
+                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+                return 0
+            fi
+            case "${prev}" in
+                --role)
+                    COMPREPLY=($(compgen -W "observe operate" -- "${cur}"))
+                    return 0
+                    ;;
+                --name)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --socket)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                *)
+                    COMPREPLY=()
+                    ;;
+            esac
+            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+            return 0
+            ;;
+        meissner__subcmd__token__subcmd__help)
+            opts="create list revoke help"
+            if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
+                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+                return 0
+            fi
+            case "${prev}" in
+                *)
+                    COMPREPLY=()
+                    ;;
+            esac
+            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+            return 0
+            ;;
+        meissner__subcmd__token__subcmd__help__subcmd__create)
+            opts=""
+            if [[ ${cur} == -* || ${COMP_CWORD} -eq 4 ]] ; then
+                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+                return 0
+            fi
+            case "${prev}" in
+                *)
+                    COMPREPLY=()
+                    ;;
+            esac
+            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+            return 0
+            ;;
+        meissner__subcmd__token__subcmd__help__subcmd__help)
+            opts=""
+            if [[ ${cur} == -* || ${COMP_CWORD} -eq 4 ]] ; then
+                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+                return 0
+            fi
+            case "${prev}" in
+                *)
+                    COMPREPLY=()
+                    ;;
+            esac
+            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+            return 0
+            ;;
+        meissner__subcmd__token__subcmd__help__subcmd__list)
+            opts=""
+            if [[ ${cur} == -* || ${COMP_CWORD} -eq 4 ]] ; then
+                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+                return 0
+            fi
+            case "${prev}" in
+                *)
+                    COMPREPLY=()
+                    ;;
+            esac
+            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+            return 0
+            ;;
+        meissner__subcmd__token__subcmd__help__subcmd__revoke)
+            opts=""
+            if [[ ${cur} == -* || ${COMP_CWORD} -eq 4 ]] ; then
+                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+                return 0
+            fi
+            case "${prev}" in
+                *)
+                    COMPREPLY=()
+                    ;;
+            esac
+            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+            return 0
+            ;;
+        meissner__subcmd__token__subcmd__list)
+            opts="-h --socket --json --help"
+            if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
+                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+                return 0
+            fi
+            case "${prev}" in
+                --socket)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                *)
+                    COMPREPLY=()
+                    ;;
+            esac
+            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+            return 0
+            ;;
+        meissner__subcmd__token__subcmd__revoke)
+            opts="-h --socket --json --help"
+            if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
             fi

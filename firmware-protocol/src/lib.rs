@@ -7,6 +7,7 @@
 //! |---|---|
 //! | [`tick`], [`stroke`] | the unit of time, and what motors play |
 //! | [`batch`] | strokes and amendments, packed |
+//! | [`board`] | what a device says of itself: the board report, the self-test |
 //! | [`message`], [`frame`] | messages, and their bytes on the line |
 //! | [`urgent`] | finds an e-stop in incoming bytes before they are read in order |
 //! | [`controller`] | the device's behaviour: bytes and ticks in, line states and bytes out |
@@ -61,7 +62,7 @@
 //! # The ordered stream
 //! A `Strokes` frame carries at most [`batch::MAX_BATCH`] packed strokes. Frames are numbered from 0 in each epoch (`seq`).
 //! The device takes frames in order. It buffers the next 8 that arrive out of order and ignores repeated ones. It
-//! answers each valid frame with a `Status`: `next_seq` acknowledges all frames before it, `out_of_order` names those that
+//! answers each valid frame with a `Status`, except those that have an answer of their own (`Board`, `SelfTest`): `next_seq` acknowledges all frames before it, `out_of_order` names those that
 //! are buffered, and `credits` is the number of strokes that it can still queue. The host sends no more strokes than it has
 //! credits and no frame beyond those 8. It sends again what is neither acknowledged nor buffered (selective repeat).
 //! The device accepts, refuses or drops a stroke as a whole. A `Verdict` lists the strokes of a frame that were not
@@ -103,6 +104,16 @@
 //!
 //! `Telemetry` comes while the device is armed, if it has that feature. It is not repeated.
 //!
+//! `Board` asks for the device's counters: why it started, its stalls, recoveries and faults, and the least time it had left to
+//! render. That time is taken over *windows*. A request with a new number ends a window and begins the next; the answer, also to
+//! a repetition, has the window that ended. So windows follow each other without a gap, whatever the line loses. A host asks about
+//! once a second, and at the ends of plays. The answer is one short frame.
+//!
+//! `SelfTest` with a new number begins a self-test, if the device is disarmed. The device drives each line and the trigger high
+//! and low for some microseconds, one by one, and never the driver enable. It reads all of them back, tests free memory and measures its clock
+//! and its speed. Any `Control`, an e-stop, a fault, a lost link or another session ends the test, and before the device acts on
+//! it, all lines are low again. A device answers what it measured; the host judges.
+//!
 //! # Bounds of what a device says
 //! A frame with a right CRC may still be untrue: a fault of the firmware, its memory or its clock. The host checks every
 //! message against these bounds in one place, before it uses anything of it.
@@ -128,6 +139,10 @@
 //! | `Onset`: `tick` | a mark sent and not reported | contradiction `report` |
 //! | `Cut`: `flushed`, `outstanding` | at most `pool`; as in `Status` | contradiction `report` |
 //! | `Refused`: `motor`, `reason` | 0 to 23; an on-time limit or the limit on pushing | contradiction `report` |
+//! | `Board`: `window` | the newest request | ignored: an answer to one before |
+//! | `Board`: `slack`, `slack_since_boot` | at most `horizon`; the second does not grow, and is not above the first | contradiction `board` |
+//! | `Board`: counters; `reset`, `high_at_boot` | do not shrink in a session; do not change in it; outputs there are | contradiction `board` |
+//! | `SelfTest`: `run`; masks and pairs of outputs | the one asked for; outputs there are | ignored; contradiction `board` |
 //! | `Telemetry` | only with that feature; any displacement: the monitor of each motor judges it | contradiction `telemetry` |
 //! | answer to a `Control`, a report announced, the report of an onset | within 3 s; 3 s; 5 s after the play's end | the link closes |
 //!
@@ -205,6 +220,7 @@
 #![forbid(unsafe_code)]
 
 pub mod batch;
+pub mod board;
 pub mod controller;
 pub mod frame;
 pub mod limits;

@@ -4,6 +4,7 @@
 //! [`WireTick`]; integers are varints (postcard). The order of fields and variants is the wire format: `tests/golden.rs`
 //! keeps the bytes of this version.
 
+use crate::board::{Board, SelfTestState};
 use crate::limits::{OnTimeLimits, Refusal};
 use crate::stroke::{Direction, MOTORS};
 use crate::tick::{TICK_HZ, WireTick};
@@ -58,6 +59,16 @@ pub enum HostMessage<'a> {
         base: WireTick,
         /// Packed amendments (see [`crate::batch`]).
         items: &'a [u8],
+    },
+    /// Asks for a [`Board`] report. Repeated until answered.
+    Board {
+        /// A new number ends the time over which the report's `slack` is taken; the same number is a repetition.
+        window: u16,
+    },
+    /// Asks for a self-test, or how far it is. Repeated until it is over.
+    SelfTest {
+        /// A new number begins a test, unless the device is not disarmed; the same number asks.
+        run: u16,
     },
 }
 
@@ -207,6 +218,15 @@ pub enum DeviceMessage {
         tick: WireTick,
         /// Per motor, in 0.01 µm.
         y: [i32; MOTORS],
+    },
+    /// The answer to `HostMessage::Board`.
+    Board(Board),
+    /// The answer to `HostMessage::SelfTest`; also sent when the test is over.
+    SelfTest {
+        /// The number of the test.
+        run: u16,
+        /// How far it is.
+        state: SelfTestState,
     },
 }
 

@@ -1,7 +1,8 @@
-//! The bytes of version 2 on the wire. Never edit them: a changed byte is a new version.
+//! The bytes of version 3 on the wire. Never edit them: a changed byte is a new version.
 
 use crate::bench::{ONSET, frame, pack, stroke};
 use firmware_protocol::batch::{Amendment, BATCH_BYTES, Packer};
+use firmware_protocol::board::{Board, LineTest, RamTest, Reset, SelfTest, SelfTestState, WaveTest};
 use firmware_protocol::frame::{Decoder, FRAME_OVERHEAD, MAX_FRAME, PROTOCOL};
 use firmware_protocol::limits::{OnTimeLimits, Refusal};
 use firmware_protocol::message::{
@@ -65,6 +66,24 @@ const HELLO: DeviceHello = DeviceHello {
     last_cut: Some(CUT),
 };
 
+const BOARD: Board = Board {
+    window: 300,
+    reset: Reset::Watchdog,
+    uptime_s: 86_400,
+    slack: Some(26),
+    slack_since_boot: Some(25),
+    stalls: Some(1),
+    usb_recoveries: Some(2),
+    output_faults: 3,
+    high_at_boot: Some(1 << 25),
+};
+const TESTED: SelfTest = SelfTest {
+    lines: Some(LineTest { stuck_high: 1, stuck_low: 2, shorted: 12, pair: Some((2, 3)) }),
+    wave: Some(WaveTest { timer_us: 100_000, ticks: 8_500, words: 34_000 }),
+    ram: Some(RamTest { bytes: 65_536, bad: Some(0x2003_0000) }),
+    work_us: Some(158),
+};
+
 /// Checks that `message` is written as these bytes and read back from them.
 fn golden<'de, M: Serialize + Deserialize<'de> + PartialEq + Copy + Debug>(
     message: &M,
@@ -105,22 +124,22 @@ fn from_the_host() {
     let marked =
         |mark| HostMessage::Strokes { epoch: 7, seq: 1, seen: 1, mark: Some(mark), base, batch: &[] };
     let cases = [
-        (HostMessage::Hello { session: 0xdead_beef }, "02020aeffdb6f50dc4bbd20200"),
-        (HostMessage::Ping { token: 513, seen: 0 }, "050201810405ab77c58000"),
-        (control(arm(None)), "0602020790030b019cc701a09c0190bf0505d1ad364d00"),
+        (HostMessage::Hello { session: 0xdead_beef }, "02030aeffdb6f50d70b0a5a400"),
+        (HostMessage::Ping { token: 513, seen: 0 }, "0503018104051b5ea5bd00"),
+        (control(arm(None)), "0603020790030b019cc701a09c0190bf0505926690ca00"),
         (
             control(arm(Some(LowerStop { pulses_per_s: 17_000, seek: 7_400 }))),
-            "06020207900315019cc701a09c0190bf0501e88401e8394a2d24d100",
+            "06030207900315019cc701a09c0190bf0501e88401e8398a490cc600",
         ),
-        (control(Op::Seek { pulses: 7_400 }), "0d020207900306e83925fc01a300"),
-        (control(Op::Disarm(Cause::Shutdown)), "0c020207900301034a8c0fca00"),
-        (control(Op::Disarm(Cause::Abort)), "0c02020790030104e9196b5400"),
-        (control(Op::Stop), "0b0202079003026ee12d2300"),
-        (control(Op::EStop), "0b020207900303f8d12a5400"),
-        (control(Op::Reset), "0b0202079003045b444eca00"),
+        (control(Op::Seek { pulses: 7_400 }), "0d030207900306e839bbfcab6f00"),
+        (control(Op::Disarm(Cause::Shutdown)), "0c03020790030103fe87786c00"),
+        (control(Op::Disarm(Cause::Abort)), "0c030207900301045d121cf200"),
+        (control(Op::Stop), "0b030207900302cb3271e800"),
+        (control(Op::EStop), "0b0302079003035d02769f00"),
+        (control(Op::Reset), "0b030207900304fe97120100"),
         (
             control(Op::Move { motor: 5, direction: Direction::Down, pulses: 1_000 }),
-            "0f0202079003050501e80774642f5c00",
+            "0f0302079003050501e8074a0fedb300",
         ),
         (
             HostMessage::Strokes {
@@ -131,18 +150,20 @@ fn from_the_host() {
                 base,
                 batch: strokes.bytes(),
             },
-            "040203070301010401d206070df0edfe1340109301b104373bb1040604e58c06b8170601694d691c00",
+            "040303070301010401d206070df0edfe1340109301b104373bb1040604e58c06b8170601a15af7d300",
         ),
-        (marked(coded), "0f020307010101010155c80df0edfe05a67adac900"),
-        (marked(silent), "0702030701010101050df0edfe058f166d5000"),
+        (marked(coded), "0f030307010101010155c80df0edfe054ea1217000"),
+        (marked(silent), "0703030701010101050df0edfe050acffb8d00"),
         (
             HostMessage::Strokes { epoch: 7, seq: 65_535, seen: 1, mark: None, base, batch: &[] },
-            "08020307ffff0301050df0edfe0564be8ee400",
+            "08030307ffff0301050df0edfe05e167183900",
         ),
         (
             HostMessage::Amend { epoch: 7, generation: 1_000, base, items: items.bytes() },
-            "18020407e8070df0edfe09099216970137218f012e23b23300",
+            "18030407e8070df0edfe09099216970137218f0176a350e400",
         ),
+        (HostMessage::Board { window: 300 }, "090305ac02d02086d900"),
+        (HostMessage::SelfTest { run: 65_535 }, "0a0306ffff03344a5c1000"),
     ];
     for (message, hex) in cases {
         golden(&message, hex, &mut Vec::new());
@@ -154,50 +175,51 @@ fn from_the_device() {
     let report = |report| DeviceMessage::Report { number: 200, report };
     let rendered = Tick(BASE + 64).wire();
     let refused = |reason| report(Report::Refused { motor: 17, up: Tick(BASE).wire(), reason });
+    let test = |state| DeviceMessage::SelfTest { run: 300, state };
     let status = |state, cause, refusal| DeviceMessage::Status(Status { state, cause, refusal, ..STATUS });
     let mut y = [0; MOTORS];
     (y[0], y[1], y[22], y[23]) = (1, -1, 8_000, i32::MIN);
     let cases = [
         (
             DeviceMessage::Hello(HELLO),
-            "02020beffdb6f50d010203cafe19016318889805800840b817889805b0901f03b0b4e4fe0f010f01060102030401ac024d1e243fd700",
+            "02030beffdb6f50d010203cafe19016318889805800840b817889805b0901f03b0b4e4fe0f010f01060102030401ac024dc2c88eea00",
         ),
         (
             DeviceMessage::Hello(DeviceHello { last_cut: None, ..HELLO }),
-            "02020beffdb6f50d010203cafe19016318889805800840b817889805b0901f03b0b4e4fe0f0101057733266800",
+            "02030beffdb6f50d010203cafe19016318889805800840b817889805b0901f03b0b4e4fe0f010105de38af2600",
         ),
-        (DeviceMessage::NoSession, "070201eb40e80400"),
+        (DeviceMessage::NoSession, "070301aa71f31d00"),
         (
             DeviceMessage::Status(STATUS),
-            "0602028104ff04fe7f020aac02058008050101010f01a6020304050607080999cee73600",
+            "0603028104ff04fe7f020aac02058008050101010f01a60203040506070809912d870a00",
         ),
         (
             status(State::Disarmed, Cause::Boot, Some(Refusal::PositionUnknown)),
-            "0602028104ff0cfe7f02010aac02058008050102010f01a602030405060708093359d11600",
+            "0603028104ff0cfe7f02010aac02058008050102010f01a60203040506070809e2b1361800",
         ),
         (
             status(State::Returning, Cause::LinkLost, Some(Refusal::State)),
-            "0602028104ff0ffe7f02010bac02058008050207010f01a602030405060708095818161500",
+            "0603028104ff0ffe7f02010bac02058008050207010f01a6020304050607080989f0f11b00",
         ),
         (
             status(State::Returning, Cause::NewHost, Some(Refusal::Travel)),
-            "0602028104ff0ffe7f02010cac02058008050208010f01a60203040506070809354b815b00",
+            "0603028104ff0ffe7f02010cac02058008050208010f01a60203040506070809e4a3665500",
         ),
         (
             status(State::Faulted, Cause::EStop, None),
-            "0602028104ff04fe7f020aac02058008050305010f01a60203040506070809a260301700",
+            "0603028104ff04fe7f020aac02058008050305010f01a60203040506070809aa83502b00",
         ),
         (
             status(State::Faulted, Cause::Starved, None),
-            "0602028104ff04fe7f020aac02058008050309010f01a6020304050607080959d98a8d00",
+            "0603028104ff04fe7f020aac02058008050309010f01a60203040506070809513aeab100",
         ),
         (
             status(State::Faulted, Cause::Output, None),
-            "0602028104ff04fe7f020aac0205800805030c010f01a602030405060708094a6aa59000",
+            "0603028104ff04fe7f020aac0205800805030c010f01a602030405060708094289c5ac00",
         ),
         (
             status(State::Faulted, Cause::Panic, Some(Refusal::Malformed)),
-            "0602028104ff0ffe7f02010dac0205800805030a010f01a60203040506070809969c083900",
+            "0603028104ff0ffe7f02010dac0205800805030a010f01a602030405060708094774ef3700",
         ),
         (
             report(Report::Verdict {
@@ -207,32 +229,53 @@ fn from_the_device() {
                 reason: Some(Refusal::NotArmed),
                 rendered,
             }),
-            "050203c8010fac02018080808080808080800101094df0edfead9e618400",
+            "050303c8010fac02018080808080808080800101094df0edfe8afb440500",
         ),
-        (report(Report::OnsetRefused { seq: 1, rendered }), "0f0203c80101014df0edfe2788954a00"),
+        (report(Report::OnsetRefused { seq: 1, rendered }), "0f0303c80101014df0edfe19e357a500"),
         (
             report(Report::Onset { tick: rendered, counters: COUNTERS }),
-            "140203c801024df0edfe01a602030405060708090478bd6b00",
+            "180303c801024df0edfe01a6020304050607080958f85fbc00",
         ),
-        (report(Report::Cut(CUT)), "130203c80103060102030401ac024d143bb0f800"),
+        (report(Report::Cut(CUT)), "130303c80103060102030401ac024d62dabf6500"),
         (
             report(Report::Cut(Cut { cause: Cause::Stop, returns: false, ..CUT })),
-            "0b0203c80103020102030408ac024d7d0de01d00",
+            "0b0303c80103020102030408ac024d0becef8000",
         ),
-        (refused(Refusal::Motor), "100203c80104110df0edfe018d8a580900"),
-        (refused(Refusal::UpPulses), "100203c80104110df0edfe0237db519000"),
-        (refused(Refusal::Bursts), "100203c80104110df0edfe03a1eb56e700"),
-        (refused(Refusal::Unbalanced), "100203c80104110df0edfe04027e327900"),
-        (refused(Refusal::Overlap), "100203c80104110df0edfe05944e350e00"),
-        (refused(Refusal::TooFar), "100203c80104110df0edfe062e1f3c9700"),
-        (refused(Refusal::PoolFull), "100203c80104110df0edfe07b82f3be000"),
-        (refused(Refusal::MotorOnTime), "100203c80104110df0edfe082932847000"),
-        (refused(Refusal::Pushing), "100203c80104110df0edfe0e1c97e79900"),
-        (refused(Refusal::RailOnTime), "100203c80104110df0edfe09bf02830700"),
+        (refused(Refusal::Motor), "100303c80104110df0edfe014d55d6c800"),
+        (refused(Refusal::UpPulses), "100303c80104110df0edfe02f704df5100"),
+        (refused(Refusal::Bursts), "100303c80104110df0edfe036134d82600"),
+        (refused(Refusal::Unbalanced), "100303c80104110df0edfe04c2a1bcb800"),
+        (refused(Refusal::Overlap), "100303c80104110df0edfe055491bbcf00"),
+        (refused(Refusal::TooFar), "100303c80104110df0edfe06eec0b25600"),
+        (refused(Refusal::PoolFull), "100303c80104110df0edfe0778f0b52100"),
+        (refused(Refusal::MotorOnTime), "100303c80104110df0edfe08e9ed0ab100"),
+        (refused(Refusal::Pushing), "100303c80104110df0edfe0edc48695800"),
+        (refused(Refusal::RailOnTime), "100303c80104110df0edfe097fdd0dc600"),
         (
             DeviceMessage::Telemetry { tick: rendered, y },
-            "0902044df0edfe0201010101010101010101010101010101010101010c807dffffffff0f58e9393b00",
+            "0903044df0edfe0201010101010101010101010101010101010101010c807dffffffff0f90fea7f400",
         ),
+        (DeviceMessage::Board(BOARD), "1b0305ac020480a305011a0119010101020301808080104db73d4500"),
+        (
+            DeviceMessage::Board(Board {
+                reset: Reset::Program,
+                slack: None,
+                slack_since_boot: None,
+                stalls: None,
+                usb_recoveries: None,
+                high_at_boot: None,
+                ..BOARD
+            }),
+            "090305ac020680a3050101010203055443f9a300",
+        ),
+        (test(SelfTestState::Refused), "050306ac02059714bd4600"),
+        (test(SelfTestState::Running), "0a0306ac02010124ba3100"),
+        (test(SelfTestState::Ended), "0a0306ac0202bb75b3a800"),
+        (
+            test(SelfTestState::Done(TESTED)),
+            "270306ac02030101020c01020301a08d06b442d08902018080040180808c8002019e01d9ffc84f00",
+        ),
+        (test(SelfTestState::Done(SelfTest::default())), "060306ac0203010101052d43889300"),
     ];
     for (message, hex) in cases {
         golden(&message, hex, &mut Vec::new());
@@ -301,6 +344,13 @@ fn messages_fit() {
         report(Report::Cut(cut)),
         report(Report::Refused { motor: u8::MAX, up: tick, reason }),
         DeviceMessage::Telemetry { tick, y: [i32::MIN; MOTORS] },
+        DeviceMessage::Board(Board {
+            window: u16::MAX,
+            uptime_s: u32::MAX,
+            output_faults: u32::MAX,
+            ..BOARD
+        }),
+        DeviceMessage::SelfTest { run: u16::MAX, state: SelfTestState::Done(TESTED) },
     ];
     let longest = device.iter().map(|message| frame(message).len()).max();
     assert!(longest.is_some_and(|longest| longest <= MAX_FRAME), "{longest:?}");
@@ -337,5 +387,5 @@ fn a_steady_play_takes_less_than_six_bytes_per_burst() {
         batch: packer.bytes(),
     });
     assert!(frame.len() > FRAME_OVERHEAD && frame.len() as u64 <= 6 * 2 * k, "{} for {k}", frame.len());
-    assert_eq!(PROTOCOL, 2);
+    assert_eq!(PROTOCOL, 3);
 }

@@ -441,3 +441,18 @@ fn an_e_stop_latches_although_its_session_has_ended() {
     assert_eq!(alone.device.epoch(), None);
     alone.is(State::Faulted, Cause::EStop);
 }
+
+/// The clock is a little ahead of the lines, and so may be what the controller was told before an e-stop.
+#[test]
+fn an_e_stop_counts_the_pulses_by_its_own_tick() {
+    let (mut bench, stroke) = queued(FIRMWARE, 7);
+    bench.run_to(stroke.up.0 + 3);
+    bench.device.poll(Tick(bench.now + 1));
+    let epoch = bench.epoch.wrapping_add(1);
+    bench.device.e_stop(Tick(bench.now), epoch);
+    bench.is(State::Faulted, Cause::EStop);
+    // Those of the ticks before, and the one of its tick.
+    assert_eq!((bench.device.counters().pulses, bench.outstanding()), (4, 4));
+    bench.drain();
+    assert_eq!(bench.status().epoch, epoch);
+}

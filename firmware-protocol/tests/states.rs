@@ -251,3 +251,21 @@ fn the_clock_may_start_anywhere_and_go_backward() {
     bench.run(20);
     bench.is(State::Faulted, Cause::EStop);
 }
+
+/// The shell looks at the clock again before it sends.
+#[test]
+fn a_status_counts_the_strokes_that_have_ended_by_its_tick() {
+    let mut bench = Bench::armed(FIRMWARE);
+    let stroke = stroke(3, bench.soon(), 9, 5, 9);
+    bench.strokes(&[stroke]);
+    let end = stroke.end().0;
+    // The last tick before the end is booked, and the status is asked for. It is sent when the stroke has ended.
+    bench.run_to(end - 1);
+    bench.device.receive(Tick(end - 1), &frame(&HostMessage::Ping { token: 7, seen: bench.seen() }));
+    assert_eq!(bench.device.counters().played, 0);
+    bench.now = end;
+    bench.drain();
+    let status = bench.status();
+    assert_eq!((status.token, status.tick), (7, Tick(end).wire()));
+    assert_eq!((status.counters.played, status.counters.pulses), (2, 18));
+}

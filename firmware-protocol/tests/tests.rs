@@ -3,7 +3,9 @@
 mod amendments;
 /// A shell around the controller that plays it tick by tick and records the lines.
 mod bench;
-/// The bytes of version 2.
+/// Board reports and self-tests.
+mod board;
+/// The bytes of version 3.
 mod golden;
 mod interruptions;
 /// Sequence numbers, epochs, sessions and reports on a bad line.

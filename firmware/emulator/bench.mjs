@@ -1,5 +1,5 @@
 #!/usr/bin/env node
-// bench.mjs ELF [--seed N] [--slow F] [--serial HEX]: runs the emulated board on request. One JSON request per line on stdin, one
+// bench.mjs ELF [--seed N] [--slow F] [--serial HEX] [--revision R] [--pio-late N]: runs the emulated board on request. One JSON request per line on stdin, one
 // JSON answer per line on stdout, each followed by its binary tail (README.md has the table). Nothing advances between
 // requests, so a test decides what happens in which cycle. Needs no network and no real time.
 
@@ -87,16 +87,20 @@ export class Bench {
         host.setDtr(!!value);
         return {};
       case 'usb':
-        pick({ unplug: () => host.unplug(), plug: () => host.plug(), suspend: () => host.suspend(), resume: () => host.resume() }, value)();
+        pick({ unplug: () => host.unplug(), plug: () => host.plug(), suspend: () => host.suspend(), resume: () => host.resume(), hang: () => host.hang() }, value)();
         return {};
       case 'cpu':
-        pick({ die: () => board.die(), panic: () => board.panic(), hardfault: () => board.hardfault() }, value)();
+        pick({ die: () => board.die(), panic: () => board.panic(), hardfault: () => board.hardfault(), run: () => board.runPin() }, value)();
         return {};
       case 'poke': {
         const bytes = bytesOf(request.hex);
         board.memory(value, bytes.length).set(bytes);
         return {};
       }
+      case 'wiring':
+        board.wiring.set(value);
+        board.mcu.pins.update();
+        break;
       case 'register':
         board.bus.write32(value, request.to);
         return {};
@@ -160,11 +164,13 @@ export const BOARD_OPTIONS = {
   seed: { type: 'string', default: '1' },
   slow: { type: 'string', default: '1' },
   serial: { type: 'string' },
+  revision: { type: 'string', default: '2' },
+  'pio-late': { type: 'string', default: '0' },
 };
-export function boardOf(elf, { seed, slow, serial }) {
+export function boardOf(elf, { seed, slow, serial, revision, 'pio-late': pioLate }) {
   if (!elf) throw new Error('which ELF?');
   if (!(Number(slow) > 0)) throw new Error(`--slow ${slow}: a factor above 0, please`);
-  return new Board({ elf, seed: Number(seed), slow: Number(slow), ...(serial ? { serial } : {}) });
+  return new Board({ elf, seed: Number(seed), slow: Number(slow), revision: Number(revision), pioLate: Number(pioLate), ...(serial ? { serial } : {}) });
 }
 
 function writeAll(buffer) {

@@ -9,11 +9,11 @@ import { Core } from './core.mjs';
 import { Dma } from './dma.mjs';
 import { findByTail, readElf } from './elf.mjs';
 import { Ssi } from './flash.mjs';
-import { Pins, Recorder } from './pins.mjs';
+import { Pins, Recorder, Wiring } from './pins.mjs';
 import { Pio } from './pio.mjs';
 import { PrivatePeripherals } from './ppb.mjs';
 import { writeRom } from './rom.mjs';
-import { Memory, randomBits, Regulator, Resets, RingOscillator, Tick, Timer, Watchdog } from './system.mjs';
+import { ChipId, Crystal, Memory, randomBits, Regulator, Resets, RingOscillator, Tick, Timer, Watchdog } from './system.mjs';
 import { UsbDevice } from './usb-device.mjs';
 import { UsbHost } from './usb-host.mjs';
 
@@ -23,6 +23,9 @@ const FLASH = 0x10000000;
 const SRAM = 0x20000000;
 /** Where the ROM puts boot2 before it calls it: the end of SRAM5. */
 const BOOT2 = 0x20041f00;
+/** CHIP_RESET's flags: why the whole chip was reset last. A watchdog's reset leaves them. */
+const HAD_POR = 1 << 8;
+const HAD_RUN = 1 << 16;
 export const DEFAULT_SERIAL = 'e6614c775b8e3f2a';
 
 function crc32(bytes) {
@@ -35,14 +38,17 @@ function crc32(bytes) {
 }
 
 export class Board {
-  constructor({ elf = null, seed = 1, slow = 1, serial = DEFAULT_SERIAL } = {}) {
+  constructor({ elf = null, seed = 1, slow = 1, serial = DEFAULT_SERIAL, revision = 2, pioLate = 0 } = {}) {
     this.clock = new Clock(ROSC_HZ);
     this.recorder = new Recorder();
+    this.wiring = new Wiring();
     this.host = new UsbHost(this.clock);
     this.random = randomBits(seed);
     this.slow = slow;
+    this.revision = revision;
+    this.pioLate = pioLate;
     this.uniqueId = [...Buffer.from(serial, 'hex')];
-    this.kept = { scratch: new Uint32Array(8), reason: 0 };
+    this.kept = { scratch: new Uint32Array(8), reason: 0, chipReset: HAD_POR };
     this.past = { instructions: 0, asleep: 0 };
     this.resets = 0;
     this.resetWanted = false;
@@ -77,8 +83,8 @@ export class Board {
     this.bus.ppb = mcu.ppb = new PrivatePeripherals(this.core, this.clock);
     this.core.onResetRequest = () => this.wantReset();
     mcu.dma = new Dma(mcu, 'DMA');
-    mcu.pio = [new Pio(mcu, 'PIO0', 7, 0), new Pio(mcu, 'PIO1', 9, 1)];
-    mcu.pins = new Pins(mcu, this.clock, this.recorder);
+    mcu.pio = [new Pio(mcu, 'PIO0', 7, 0, this.pioLate), new Pio(mcu, 'PIO1', 9, 1, this.pioLate)];
+    mcu.pins = new Pins(mcu, this.clock, this.recorder, this.wiring);
     mcu.usbCtrl = new UsbDevice(mcu);
     const tick = new Tick(this.clock);
     const timer = new Timer(mcu, tick);
@@ -95,11 +101,13 @@ export class Board {
       [11, () => mcu.pio[1].reset()],
       [24, () => mcu.usbCtrl.reset()],
     ]));
+    at(0x40000000, new ChipId(mcu, this.revision));
     at(0x40018000, new Memory(mcu, 'IO_QSPI'));
+    at(0x40024000, new Crystal(mcu));
     at(0x40054000, timer);
     at(0x40058000, new Watchdog(mcu, tick, this.kept, () => this.wantReset()));
     at(0x40060000, new RingOscillator(mcu, this.random));
-    at(0x40064000, new Regulator(mcu));
+    at(0x40064000, new Regulator(mcu, this.kept));
     at(0x50000000, mcu.dma);
     at(0x50110000, mcu.usbCtrl);
     at(0x50200000, mcu.pio[0]);
@@ -170,6 +178,11 @@ export class Board {
     if (!handler) throw new Error('no symbol rust_begin_unwind in the ELF (stripped, or the panic handler was inlined)');
     this.core.r[0] = 0;
     this.core.jump(handler.address);
+  }
+  /** The RUN pin goes low for a moment: unlike a watchdog's reset, this clears SCRATCH and REASON. */
+  runPin() {
+    Object.assign(this.kept, { scratch: new Uint32Array(8), reason: 0, chipReset: HAD_RUN });
+    this.wantReset();
   }
   hardfault() {
     this.core.hardFault('forced by the bench');

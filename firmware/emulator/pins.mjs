@@ -1,6 +1,6 @@
 // The levels of the pads GP0..29: drivers, the overrides of IO_BANK0, pulls, and the record of every change.
 // rp2040js asks each pin in turn and records no times; here the levels are one word computed with masks.
-// No pin is driven from outside: an input has the level of its pull.
+// From outside only faults of the wiring act on the pins: see Wiring. Else an input has the level of its pull.
 
 const PINS = 30;
 const FUNCTION = { PWM: 4, SIO: 5, PIO0: 6, PIO1: 7 };
@@ -33,8 +33,30 @@ export class Recorder {
   }
 }
 
+/** Faults of the wiring, kept over chip resets: pads held high or low, and pairs that are connected. */
+export class Wiring {
+  constructor() {
+    this.high = this.low = 0;
+    this.shorts = [];
+  }
+  set({ high = 0, low = 0, shorts = [] }) {
+    Object.assign(this, { high, low, shorts: shorts.map(([a, b]) => (1 << a) | (1 << b)) });
+  }
+  /** The levels of pads that are driven so; of two connected outputs the low one wins. */
+  levels(value, drive, pullUp) {
+    let levels = (value & drive) | (pullUp & ~drive);
+    for (const both of this.shorts) {
+      if (!(drive & both)) continue;
+      const low = drive & both & ~value;
+      levels = low ? levels & ~both : levels | both;
+    }
+    return (levels | this.high) & ~this.low;
+  }
+}
+
 export class Pins {
-  constructor(mcu, clock, recorder) {
+  constructor(mcu, clock, recorder, wiring = new Wiring()) {
+    this.wiring = wiring;
     this.mcu = mcu;
     this.clock = clock;
     this.recorder = recorder;
@@ -106,6 +128,6 @@ export class Pins {
     }
     value = ((value ^ this.invert) & ~this.low) | this.high;
     drive = ((drive ^ this.enableInvert) & ~this.disable) | this.enable;
-    this.recorder.add(this.clock.cycle, ((value & drive) | (this.pullUp & ~drive)) >>> 0);
+    this.recorder.add(this.clock.cycle, this.wiring.levels(value, drive, this.pullUp) >>> 0);
   }
 }

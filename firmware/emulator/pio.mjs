@@ -66,7 +66,7 @@ class Machine extends StateMachine {
     this.realign();
   }
   start() {
-    this.at = this.rp2040.clock.cycle + 1;
+    this.at = this.rp2040.clock.cycle + 1 + this.pio.late;
     this.resting = this.outStalled = false;
   }
   /** Moves on to its next own clock tick after a wait. */
@@ -136,8 +136,10 @@ class Machine extends StateMachine {
 }
 
 export class Pio extends RPPIO {
-  constructor(rp2040, name, firstIrq, index) {
+  /** `late`: cycles by which the first clock of a machine comes later than here. */
+  constructor(rp2040, name, firstIrq, index, late = 0) {
     super(rp2040, name, firstIrq, index);
+    this.late = late;
     this.reset();
   }
   reset() {

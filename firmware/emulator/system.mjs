@@ -1,5 +1,5 @@
-// The small system peripherals that rp2040js lacks or gets wrong: tick, timer, watchdog, reset controller, ring oscillator
-// (random bits), voltage regulator. board.mjs carries out a watchdog's reset.
+// The small system peripherals that rp2040js lacks or gets wrong: tick, timer, watchdog, reset controller, crystal,
+// ring oscillator (random bits), voltage regulator. board.mjs carries out a watchdog's reset.
 // Times are whole ticks of the crystal's 12 MHz divided by WATCHDOG_TICK, so an alarm never fires before its microsecond.
 
 import { BasePeripheral } from 'rp2040js';
@@ -177,6 +177,27 @@ export class Resets extends BasePeripheral {
   }
 }
 
+/** The crystal oscillator: stable when STARTUP's count of 256 of its cycles is over. DORMANT is not modelled. */
+export class Crystal extends BasePeripheral {
+  constructor(rp2040) {
+    super(rp2040, 'XOSC');
+    this.clock = rp2040.clock;
+    this.words = new Map();
+    this.stableAt = Infinity;
+  }
+  readUint32(offset) {
+    if (offset !== 4) return this.words.get(offset) ?? 0;
+    return (this.stableAt < Infinity ? 0x1000 : 0) | (this.clock.nanos >= this.stableAt ? 1 << 31 : 0);
+  }
+  writeUint32(offset, v) {
+    this.words.set(offset, v);
+    if (offset !== 0) return;
+    const startup = this.words.get(0x0c) ?? 0xc4;
+    const counts = (startup & 0x3fff) * 256 * (startup & (1 << 20) ? 4 : 1);
+    this.stableAt = ((v >>> 12) & 0xfff) === 0xfab ? this.clock.nanos + (counts * 1e9) / CRYSTAL_HZ : Infinity;
+  }
+}
+
 /** Only RANDOMBIT has a behaviour. The sequence belongs to the board and continues over chip resets. */
 export class RingOscillator extends BasePeripheral {
   constructor(rp2040, random) {
@@ -194,11 +215,22 @@ export class RingOscillator extends BasePeripheral {
   }
 }
 
-/** Regulation is always good; HAD_POR is set as after power-up. */
+/** SYSINFO: CHIP_ID, with revision 1 for B0 and B1, 2 for B2. */
+export class ChipId extends BasePeripheral {
+  constructor(rp2040, revision) {
+    super(rp2040, 'SYSINFO');
+    this.revision = revision;
+  }
+  readUint32(offset) {
+    return offset === 0 ? ((this.revision << 28) | 0x0002927) >>> 0 : offset === 4 ? 2 : 0;
+  }
+}
+
+/** Regulation is always good; CHIP_RESET has the flags that the board keeps. */
 export class Regulator extends BasePeripheral {
-  constructor(rp2040) {
+  constructor(rp2040, { chipReset }) {
     super(rp2040, 'VREG_AND_CHIP_RESET');
-    this.words = new Map([[0, 0xb1], [4, 0x91], [8, 0x100]]);
+    this.words = new Map([[0, 0xb1], [4, 0x91], [8, chipReset]]);
   }
   readUint32(offset) {
     return (this.words.get(offset) ?? 0) | (offset === 0 ? 0x1000 : 0);

@@ -79,7 +79,7 @@ export class UsbHost {
       this.out.bulk.clear();
       this.wantsDtr = false;
     }
-    this.state = 'detached'; // detached, reset, enumerating, configured, suspended
+    this.state = 'detached'; // detached, reset, enumerating, configured, suspended, hung
     this.configured = false;
     this.pipes = {}; // name → { ep, out, size, data1 }
     this.dtr = false;
@@ -103,6 +103,13 @@ export class UsbHost {
     if (here && this.state === 'detached') this.after(DEBOUNCE_NS, () => this.reset());
     else if (!here && this.state !== 'detached') this.forget();
     else if (!here) this.stage.cancel();
+  }
+  /** The device's controller answers nothing any more, and sees nothing, until it is reset: what RP2040-E15 is like. */
+  hang() {
+    if (this.state !== 'configured') return;
+    this.state = 'hung';
+    for (const a of [this.bus, this.stage, this.sof, this.quiet]) a.cancel();
+    this.current = null;
   }
   unplug() {
     if (!this.plugged) return;
@@ -240,7 +247,7 @@ export class UsbHost {
   }
   /** Starts the next transaction that the device accepts, if the bus is free. */
   pump() {
-    if (this.current || !this.plugged || this.state === 'detached' || this.state === 'reset' || this.state === 'suspended') return;
+    if (this.current || !this.plugged || this.state === 'detached' || ['reset', 'suspended', 'hung'].includes(this.state)) return;
     const next = this.nextOnControl() ?? this.nextOnPipes();
     if (!next) return;
     this.current = next;

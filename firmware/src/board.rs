@@ -3,6 +3,7 @@
 //! One word holds all outputs: bit n is GPIO n. A word of zero is all outputs low. GPIO 23 and 24 belong to the Pico's
 //! supply; 25 is its LED.
 
+use firmware_protocol::board as protocol;
 use firmware_protocol::stroke::MOTORS;
 
 /// The GPIO of each line. Line m drives motor m.
@@ -59,6 +60,12 @@ static GPIOS: [[u32; 256]; 3] = {
     }
     table
 };
+
+/// The outputs, as the protocol's mask of outputs, of a word of GPIOs.
+pub(crate) fn outputs(gpios: u32) -> u32 {
+    let lines = LINES.iter().enumerate().fold(0, |mask, (line, gpio)| mask | (gpios >> gpio & 1) << line);
+    lines | (gpios >> TRIGGER & 1) << protocol::TRIGGER | (gpios >> ENABLE & 1) << protocol::ENABLE
+}
 
 /// The GPIOs of a mask of lines.
 pub(crate) fn gpios(lines: u32) -> u32 {

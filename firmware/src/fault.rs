@@ -2,7 +2,7 @@
 //!
 //! A reset makes all pins inputs with pull-downs. [`watchdog`] then tells why the chip restarted.
 
-use crate::{shell, wave};
+use crate::{beat, shell, wave};
 use core::panic::PanicInfo;
 use cortex_m_rt::exception;
 use embassy_rp::Peri;
@@ -14,7 +14,6 @@ use firmware_protocol::message::Cause;
 
 /// The watchdog restarts the chip after its shell or executor has hung for this time.
 const TIMEOUT: Duration = Duration::from_millis(100);
-const FEED_EVERY: Duration = Duration::from_millis(20);
 /// Written to a register that survives the watchdog's reset: the firmware stopped itself.
 const DIED: u32 = 0x6d65_6973;
 
@@ -32,7 +31,7 @@ pub(crate) fn watchdog(peripheral: Peri<'static, WATCHDOG>) -> (Watchdog, Cause)
     (watchdog, cause)
 }
 
-/// Feeds the watchdog while this task runs and the shell takes its turns.
+/// Beats, and feeds the watchdog while this task runs and the shell takes its turns.
 pub(crate) async fn feed(mut watchdog: Watchdog) -> ! {
     let mut before = shell::turns().wrapping_sub(1);
     loop {
@@ -41,7 +40,8 @@ pub(crate) async fn feed(mut watchdog: Watchdog) -> ! {
             watchdog.feed(TIMEOUT);
         }
         before = turns;
-        Timer::after(FEED_EVERY).await;
+        beat::executor_beats();
+        Timer::after(beat::EVERY).await;
     }
 }
 

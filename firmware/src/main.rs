@@ -5,18 +5,22 @@
 //!  USB tasks (usb) ─ packets ▶ shell (an interrupt): the controller ─ blocks ▶ ring (wave) ─ DMA ▶ PIO ▶ pins
 //!                  ◀─ frames ─                                                  │ cleared behind it
 //!  SysTick (wave): the tick count, wakes the shell at each block ◀──────────────┘
-//!  watchdog (fault): fed while shell and tasks live
+//!  watchdog (fault): fed while shell and tasks live; the shell looks whether the tasks do (beat), a task whether USB does (revive)
 //! ```
 //! Priorities: clock and USB interrupts above the shell, the shell above the tasks. Modules use only those below them:
-//! `fault`, `shell`, `usb`, `estop`, `wave`, `wake` and `board`. The documentation of `firmware_protocol` is the
+//! `fault`, `shell`, `self_test`, `usb`, `estop`, `revive`, `wave`, `wake`, `beat`, `counters` and `board`. The documentation of `firmware_protocol` is the
 //! specification; nothing here decides what a line does.
 
 #![no_std]
 #![no_main]
 
+mod beat;
 mod board;
+mod counters;
 mod estop;
 mod fault;
+mod revive;
+mod self_test;
 mod shell;
 mod usb;
 mod wake;
@@ -28,8 +32,11 @@ use embassy_futures::join::join;
 use embassy_rp::clocks::{ClockConfig, CoreVoltage, RoscRng};
 use embassy_rp::config::Config;
 use embassy_rp::flash::{Blocking, Flash};
+use embassy_rp::gpio::{Level, Output};
 use embassy_rp::interrupt;
 use embassy_rp::interrupt::{InterruptExt, Priority};
+use embassy_rp::pac;
+use embassy_time::Timer;
 use firmware_protocol::controller::Identity;
 use static_cell::StaticCell;
 
@@ -56,19 +63,35 @@ core::arch::global_asm!(
     "bx r0",
 );
 
+/// How long the crystal may take to start, in units of about 1 ms. A Pico's is specified to need one; the Pico SDK waits for
+/// six, so that a slow one starts, too. Meanwhile pull-downs hold the pins.
+const CRYSTAL_START: u32 = 6;
+/// RP2040-E5: earlier chips (B0 and B1, revision 1) may not come out of a USB reset beside other traffic. The known workaround
+/// takes GP15, which drives a motor.
+const LEAST_REVISION: u8 = 2;
+
 #[embassy_executor::main]
 async fn main(_spawner: Spawner) {
-    let clocks = ClockConfig::manual_pll(wave::CRYSTAL_HZ, wave::PLL, CoreVoltage::V1_10);
+    let mut clocks = ClockConfig::manual_pll(wave::CRYSTAL_HZ, wave::PLL, CoreVoltage::V1_10);
+    if let Some(crystal) = &mut clocks.xosc {
+        crystal.delay_multiplier = CRYSTAL_START;
+    }
     let chip = embassy_rp::init(Config::new(clocks));
+    if pac::SYSINFO.chip_id().read().revision() < LEAST_REVISION {
+        refuse(Output::new(chip.PIN_25, Level::Low)).await;
+    }
     let (watchdog, cause) = fault::watchdog(chip.WATCHDOG);
+    counters::started(cause);
+    counters::look_at_outputs();
     let mut core = cortex_m::Peripherals::take().expect("taken once");
     vectors_to_ram(&mut core.SCB);
 
     interrupt::TIMER_IRQ_0.set_priority(Priority::P3);
     interrupt::USBCTRL_IRQ.set_priority(Priority::P0);
 
-    let (usb, ports) = usb::new(chip.USB, serial_number(chip.FLASH));
-    shell::start(identity(), cause, ports);
+    let serial_number = serial_number(chip.FLASH);
+    let (usb, ports) = usb::new(chip.USB, serial_number);
+    shell::start(identity(serial_number), cause, ports);
     wave::start(&mut core.SYST);
     join(usb.run(), fault::feed(watchdog)).await;
 }
@@ -85,16 +108,38 @@ fn vectors_to_ram(scb: &mut SCB) {
     unsafe { scb.vtor.write(copy.0.as_ptr() as u32) };
 }
 
-fn identity() -> Identity {
+/// Blinks twice a second for ever: this chip is too old. No other output is driven, and USB stays off.
+async fn refuse(mut led: Output<'static>) -> ! {
+    loop {
+        led.toggle();
+        Timer::after_millis(250).await;
+    }
+}
+
+fn identity(serial_number: &str) -> Identity {
     let version =
         [env!("CARGO_PKG_VERSION_MAJOR"), env!("CARGO_PKG_VERSION_MINOR"), env!("CARGO_PKG_VERSION_PATCH")];
     let build: u32 = env!("BUILD_HASH").parse().unwrap_or(0);
     Identity {
         firmware: version.map(|part| part.parse().unwrap_or(0)),
         build: build.to_be_bytes(),
-        boot: RoscRng.next_u32(),
+        boot: boot_id(serial_number),
         features: 0,
     }
+}
+
+/// A number that differs at each start and on each board. A bit of the ring oscillator alone is biased and follows the one before,
+/// so this is a hash of many, and of the chip's number.
+fn boot_id(serial_number: &str) -> u32 {
+    let mut samples = [0; 1024];
+    RoscRng.fill_bytes(&mut samples);
+    // FNV-1a, then the last steps of MurmurHash3, so that each bit depends on all: not for security.
+    let bytes = serial_number.bytes().chain(samples);
+    let mut hash =
+        bytes.fold(0x811c_9dc5_u32, |hash, byte| (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193));
+    hash = (hash ^ hash >> 16).wrapping_mul(0x85eb_ca6b);
+    hash = (hash ^ hash >> 13).wrapping_mul(0xc2b2_ae35);
+    hash ^ hash >> 16
 }
 
 /// The chip's serial number, which is that of its flash: 16 hex digits.

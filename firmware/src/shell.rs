@@ -6,7 +6,8 @@
 //!
 //! Invariant: the lines do what the controller has booked. A block rendered too late is a fault, and the lines are forced low.
 
-use crate::{estop, usb, wave};
+use crate::self_test::Run as SelfTestRun;
+use crate::{beat, counters, estop, usb, wake, wave};
 use core::cell::UnsafeCell;
 use core::mem::MaybeUninit;
 use core::sync::atomic::{AtomicU32, Ordering::SeqCst};
@@ -18,10 +19,6 @@ use firmware_protocol::message::{Cause, State};
 use firmware_protocol::tick::Tick;
 use firmware_protocol::urgent::{Urgent, Watch};
 
-/// Least ticks between the end of a block's rendering and the fetch of its first word, while enabled. The bench reads it by
-/// this name.
-#[unsafe(no_mangle)]
-static SLACK_MIN: AtomicU32 = AtomicU32::new(HORIZON);
 /// Number of turns the shell has taken. The watchdog is fed only while it grows.
 static TURNS: AtomicU32 = AtomicU32::new(0);
 
@@ -43,6 +40,9 @@ struct Shell {
     packet: Option<(usize, usb::Packet, usize)>,
     /// The frame being sent.
     frame: [u8; MAX_FRAME],
+    executor: beat::Watch,
+    /// The self-test under way.
+    self_test: Option<SelfTestRun>,
 }
 
 /// Sets up the shell and enables its interrupt.
@@ -57,6 +57,8 @@ pub(crate) fn start(identity: Identity, cause: Cause, ports: usb::Ports) {
         watches: [const { Watch::new() }; usb::PIPES],
         packet: None,
         frame: [0; MAX_FRAME],
+        executor: beat::Watch::NEW,
+        self_test: None,
     };
     // SAFETY: the interrupt is not enabled yet, and nothing else uses it.
     unsafe { (*SHELL.0.get()).write(shell) };
@@ -83,6 +85,7 @@ impl Shell {
         loop {
             self.take_e_stop();
             self.take_failure();
+            self.take_stall();
             self.hold();
             self.render();
             let advanced = self.controller.advance(wave::now());
@@ -90,6 +93,20 @@ impl Shell {
             if !(advanced || self.take_lost() || self.send() || self.take_frame()) {
                 break;
             }
+        }
+        self.test();
+    }
+
+    /// Does a step of a self-test, if the controller wants one.
+    fn test(&mut self) {
+        if !self.controller.is_testing() {
+            self.self_test = None;
+            return;
+        }
+        if let Some(result) = self.self_test.get_or_insert_with(SelfTestRun::new).step() {
+            self.self_test = None;
+            self.controller.tested(result);
+            wake::shell();
         }
     }
 
@@ -128,6 +145,15 @@ impl Shell {
         }
     }
 
+    /// Returns the pins if the executor hangs: the host cannot be heard, and the watchdog will restart the chip.
+    fn take_stall(&mut self) {
+        let now = wave::now();
+        if self.executor.hangs(now) {
+            counters::stalled();
+            self.controller.link_lost(now);
+        }
+    }
+
     /// Renders each block that fits the horizon.
     #[inline(never)]
     fn render(&mut self) {
@@ -147,7 +173,8 @@ impl Shell {
             if enabled {
                 let now = wave::now();
                 let slack = (begin - (now + wave::FETCHED)) as u32;
-                SLACK_MIN.store(slack.min(SLACK_MIN.load(SeqCst)), SeqCst);
+                counters::rendered(slack);
+                self.controller.rendered_with(slack);
                 if slack == 0 {
                     // Some words may have been fetched before they were written.
                     self.starved(now);
@@ -206,6 +233,9 @@ impl Shell {
     fn send(&mut self) -> bool {
         if !self.ports.has_room(self.active) {
             return false;
+        }
+        if self.controller.wants_measures() {
+            self.controller.measured(counters::read());
         }
         let len = self.controller.transmit(wave::now(), &mut self.frame);
         if len > 0 {

@@ -6,11 +6,11 @@
 //! Bounds: [`PACKETS`] from the host, then the host waits; [`BYTES`] to the host, then the controller keeps its frames.
 
 use crate::board::{NAME, PRODUCT, VENDOR};
-use crate::{estop, wake};
+use crate::{beat, estop, revive, wake};
 use core::cell::UnsafeCell;
 use core::slice;
 use core::sync::atomic::{AtomicU32, Ordering::SeqCst};
-use embassy_futures::join::{join, join3};
+use embassy_futures::join::{join, join3, join4};
 use embassy_futures::yield_now;
 use embassy_rp::interrupt::typelevel::{Handler as OnInterrupt, USBCTRL_IRQ};
 use embassy_rp::peripherals::USB;
@@ -48,7 +48,7 @@ static ACTIVE: AtomicU32 = AtomicU32::new(SERIAL as u32);
 static READY: [Signal<CriticalSectionRawMutex, ()>; PIPES] = [const { Signal::new() }; PIPES];
 
 bind_interrupts!(struct Irqs {
-    USBCTRL_IRQ => Peek, InterruptHandler<USB>;
+    USBCTRL_IRQ => Peek, InterruptHandler<USB>, PeekAgain;
 });
 
 /// The bytes of a USB packet.
@@ -141,24 +141,67 @@ impl OnInterrupt<USBCTRL_IRQ> for Peek {
             estop::found(epoch, true);
         }
         let full = pac::USB.buff_status().read();
+        let mut waiting = 0;
         for (pipe, endpoint) in ENDPOINTS.iter().enumerate() {
             let endpoint = endpoint.load(SeqCst) as usize;
-            if endpoint == 0 || !full.ep_out(endpoint) {
+            if endpoint == 0 {
                 continue;
             }
-            let len = pac::USB_DPRAM.ep_out_buffer_control(endpoint).read().length(0);
-            let at = pac::USB_DPRAM.ep_out_control(endpoint - 1).read().buffer_address();
-            let start = pac::USB_DPRAM.as_ptr().cast::<u8>().wrapping_add(at.into());
-            // SAFETY: the packet stays in this memory until a task below this interrupt reads the endpoint.
-            let packet = unsafe { slice::from_raw_parts(start, usize::from(len).min(PACKET)) };
-            // SAFETY: see `Watches`.
-            let watch = unsafe { &mut (*WATCHES.0.get())[pipe] };
-            if let Some(Urgent::EStop(epoch)) = watch.look(packet)
-                && pipe == ACTIVE.load(SeqCst) as usize
-            {
-                estop::found(epoch, false);
+            if full.ep_out(endpoint) {
+                look(pipe, endpoint);
+            } else if is_waiting(endpoint) {
+                waiting |= 1 << pipe;
             }
         }
+        WAITING.store(waiting, SeqCst);
+    }
+}
+
+/// Looks into a packet that came after [`Peek`] had read which buffers are full, and before embassy's handler did: that has cleared
+/// its bit.
+struct PeekAgain;
+
+/// Bit p: pipe p was waiting for a packet when [`Peek`] had looked.
+static WAITING: AtomicU32 = AtomicU32::new(0);
+
+impl OnInterrupt<USBCTRL_IRQ> for PeekAgain {
+    unsafe fn on_interrupt() {
+        revive::interrupted();
+        let waiting = WAITING.load(SeqCst);
+        if waiting == 0 {
+            return;
+        }
+        for (pipe, endpoint) in ENDPOINTS.iter().enumerate() {
+            let endpoint = endpoint.load(SeqCst) as usize;
+            // If its bit is set, the packet came later still, and the next interrupt looks.
+            if waiting >> pipe & 1 == 1
+                && !is_waiting(endpoint)
+                && !pac::USB.buff_status().read().ep_out(endpoint)
+            {
+                look(pipe, endpoint);
+            }
+        }
+    }
+}
+
+/// Whether the endpoint has a buffer for the host's next packet.
+fn is_waiting(endpoint: usize) -> bool {
+    pac::USB_DPRAM.ep_out_buffer_control(endpoint).read().available(0)
+}
+
+/// Looks for an e-stop in the packet that has come for this pipe.
+fn look(pipe: usize, endpoint: usize) {
+    let len = pac::USB_DPRAM.ep_out_buffer_control(endpoint).read().length(0);
+    let at = pac::USB_DPRAM.ep_out_control(endpoint - 1).read().buffer_address();
+    let start = pac::USB_DPRAM.as_ptr().cast::<u8>().wrapping_add(at.into());
+    // SAFETY: the packet stays in this memory until a task below the USB interrupt reads the endpoint.
+    let packet = unsafe { slice::from_raw_parts(start, usize::from(len).min(PACKET)) };
+    // SAFETY: see `Watches`.
+    let watch = unsafe { &mut (*WATCHES.0.get())[pipe] };
+    if let Some(Urgent::EStop(epoch)) = watch.look(packet)
+        && pipe == ACTIVE.load(SeqCst) as usize
+    {
+        estop::found(epoch, false);
     }
 }
 
@@ -181,14 +224,18 @@ impl Handler for Bus {
         lose(ALL);
     }
     fn reset(&mut self) {
+        revive::set_configured(false);
+        revive::set_suspended(false);
         lose(ALL);
     }
     fn configured(&mut self, configured: bool) {
+        revive::set_configured(configured);
         if !configured {
             lose(ALL);
         }
     }
     fn suspended(&mut self, suspended: bool) {
+        revive::set_suspended(suspended);
         if suspended {
             lose(ALL);
         }
@@ -256,8 +303,9 @@ impl Usb {
         let Self { mut device, serial: (sender, receiver, control), bulk: (into, out), to_shell, from_shell } =
             self;
         let ([to_serial, to_bulk], [from_serial, from_bulk]) = (to_shell, from_shell);
-        join3(
+        join4(
             device.run(),
+            revive::supervise(|| lose(ALL)),
             join3(
                 inbound(SERIAL, receiver, to_serial),
                 outbound(SERIAL, sender, from_serial),
@@ -329,6 +377,8 @@ async fn inbound(pipe: usize, mut source: impl Source, mut shell: Producer<'stat
                 yield_now().await;
             }
             wake::shell();
+            // Packets that follow each other closely keep the task of the heartbeat waiting.
+            beat::executor_beats();
         }
         lose(pipe);
     }

@@ -178,8 +178,9 @@ fn SysTick() {
 }
 
 /// Words by which the DMA is ahead of the block that begins when [`SysTick`] looks: 8 in the FIFO, one in the shift register,
-/// one in transfer, and those of the ticks by which an interrupt may be delayed.
-const AHEAD_WORDS: core::ops::RangeInclusive<u32> = 6..=22;
+/// one in transfer, and those of the ticks by which this interrupt may be delayed: less than 4 by that of USB, which may have to
+/// look into a packet of each pipe, and 2 to spare.
+const AHEAD_WORDS: core::ops::RangeInclusive<u32> = 6..=34;
 /// State machine 0 has found its FIFO empty.
 const STALLED: u32 = 1 << 24;
 
@@ -205,7 +206,9 @@ pub(crate) fn failed() -> Option<Tick> {
 
 /// The tick on the pins, or the tick of an e-stop that the controller does not know of yet.
 pub(crate) fn now() -> Tick {
-    if FROZEN.load(SeqCst) { Tick(join(&FROZEN_AT)) } else { running() }
+    // First, because an e-stop may come while the clock is read: then what is read may be later than the tick at which it froze.
+    let running = running();
+    if FROZEN.load(SeqCst) { Tick(join(&FROZEN_AT)) } else { running }
 }
 
 /// The tick on the pins. From any context.
@@ -216,20 +219,15 @@ fn running() -> Tick {
         let left = SYST::get_current();
         // Nothing changed in between: the three values belong together.
         if pending == SCB::is_pendst_pending() && blocks == join(&BLOCKS) {
-            return tick(blocks + u64::from(pending), left, 0);
+            return tick(blocks + u64::from(pending), left);
         }
     }
 }
 
-/// The tick `ago` cycles (less than a block) before the time at which `blocks` had begun and the counter showed `left`.
-fn tick(blocks: u64, left: u32, ago: u32) -> Tick {
+/// The tick when `blocks` had begun and the counter showed `left`.
+fn tick(blocks: u64, left: u32) -> Tick {
     // The exception comes when the counter reaches 0, one cycle before it is reloaded.
     let cycles = if left == 0 { 0 } else { BLOCK_CYCLES - left };
-    let (blocks, cycles) = if cycles >= ago {
-        (blocks, cycles - ago)
-    } else {
-        (blocks.saturating_sub(1), cycles + BLOCK_CYCLES - ago)
-    };
     // cycles / 1500, exact below 24 000.
     Tick::BOOT + (blocks * u64::from(BLOCK) + u64::from((cycles * 11_185) >> 24))
 }
@@ -279,22 +277,42 @@ static CONTROLS: [usize; OUTPUTS.len()] = {
     registers
 };
 
-/// Cycles by which the clock is ahead of the pins after [`start`]: 66, measured in the emulator, and a margin.
-const AHEAD: u32 = 75;
-
-/// Forces all outputs low and freezes the controller's clock until [`unfreeze`]. From the USB interrupt, which `SysTick`
-/// does not preempt.
+/// Forces all outputs low and freezes the controller's clock until [`unfreeze`], at the tick that is on the pins. From the USB
+/// interrupt, which `SysTick` does not preempt.
 pub(crate) fn freeze_low() {
+    // First, because a tick may begin while the outputs are forced, one after the other.
+    let word = word_on_pins();
     force_low();
-    // No pulse of a later tick has begun, except within the time that forcing takes.
-    let left = SYST::get_current();
-    let pending = SCB::is_pendst_pending();
-    // Another block may have begun since.
-    let since = left != 0 && SYST::get_current() > left;
-    let at = tick((join(&BLOCKS) + u64::from(pending)).saturating_sub(since.into()), left, AHEAD);
+    let now = running();
+    // Pins and clock began some cycles after each other, and forcing took some: so the tick is this one or one of the last two.
+    let since = ((now.0 - Tick::BOOT.0) as u32).wrapping_sub(word / WORDS as u32) % RING_TICKS as u32;
+    // A DMA that has failed says nothing; the supervision finds that.
+    let at = if since <= MOST_SINCE { Tick(now.0 - u64::from(since)) } else { now };
     FROZEN_AT[0].store(at.0 as u32, SeqCst);
     FROZEN_AT[1].store((at.0 >> 32) as u32, SeqCst);
     FROZEN.store(true, SeqCst);
+}
+
+/// Most ticks by which the clock, read after the outputs were forced, is ahead of the pins.
+const MOST_SINCE: u32 = 2;
+
+/// The word of the ring that is on the pins, by what DMA and PIO have taken: it lies before the one in the shift register. The shift
+/// register is filled again at the PIO's next cycle: so long a new word counts as not there, with less than a fifth of a pulse.
+fn word_on_pins() -> u32 {
+    let taken = || {
+        let read = pac::DMA.ch(FEED).read_addr().read().wrapping_sub(RING.0.get() as u32) / 4;
+        read.wrapping_sub(u32::from(pac::PIO0.flevel().read().tx0()))
+    };
+    let mut words = taken();
+    // A word between the two is in neither for some cycles. Twice the same: there is none. It does not happen four times.
+    for _ in 0..4 {
+        let again = taken();
+        if again == words {
+            break;
+        }
+        words = again;
+    }
+    words.wrapping_sub(2) % (RING_TICKS * WORDS) as u32
 }
 
 /// Lets the controller's clock run again.
@@ -314,4 +332,32 @@ pub(crate) fn release() {
             FORCED.store(false, SeqCst);
         }
     });
+}
+
+/// The control register of an output's pad that follows the waveform.
+pub(crate) const PAD: u32 = PIO_FUNCTION as u32;
+
+/// Sets the control register of each output for the self-test, unless they are forced low. Returns whether it did.
+pub(crate) fn override_pads(of: impl Fn(u8) -> u32) -> bool {
+    // As in `release`: nothing may be undone that an e-stop has forced.
+    critical_section::with(|_| {
+        let free = !FORCED.load(SeqCst);
+        if free {
+            for (control, gpio) in CONTROLS.iter().zip(OUTPUTS) {
+                // SAFETY: as in `force_low`.
+                unsafe { (*control as *mut u32).write_volatile(of(gpio)) };
+            }
+        }
+        free
+    })
+}
+
+/// The word of the ring that the DMA fetches next.
+pub(crate) fn fetched() -> u32 {
+    pac::DMA.ch(FEED).read_addr().read().wrapping_sub(RING.0.get() as u32) / 4
+}
+
+/// Words that were fetched between two of [`fetched`], if they are less than the ring.
+pub(crate) fn words_between(from: u32, to: u32) -> u32 {
+    to.wrapping_sub(from) % (RING_TICKS * WORDS) as u32
 }

@@ -1,6 +1,6 @@
 //! Arguments that several commands share, and the types of their values.
 
-use super::token;
+use super::session_token;
 use anyhow::Result;
 use clap::Args;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
@@ -31,7 +31,7 @@ impl ClientOptions {
     /// A client; the owner's, if this terminal has started a session.
     pub(super) fn client(&self) -> Result<Client> {
         let mut client = Client::at(self.endpoint())?;
-        client.set_token(token::find());
+        client.set_token(session_token::find());
         Ok(client)
     }
 

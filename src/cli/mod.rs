@@ -23,6 +23,7 @@ mod replay;
 mod report;
 mod sequence;
 mod session;
+mod session_token;
 mod simulate;
 mod text;
 mod token;
@@ -39,6 +40,7 @@ use clap::{CommandFactory, Parser, Subcommand};
 use meissner_stream::device::Spec;
 use output::{is_broken_pipe, say};
 use std::io::{self, Write};
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
@@ -84,6 +86,9 @@ enum Command {
         /// $XDG_RUNTIME_DIR/meissner.sock, else /run/meissner/meissner.sock]
         #[arg(long, value_name = "PATH")]
         socket: Option<PathBuf>,
+        /// Serve the API over TCP, too, at ADDRESS, as 127.0.0.1:8765 [default: the configuration's, else not]
+        #[arg(long, value_name = "ADDRESS")]
+        listen: Option<SocketAddr>,
         /// Keep no session record
         #[arg(long)]
         no_record: bool,
@@ -167,6 +172,9 @@ enum Command {
     /// Start, end, show, export and replay sessions: plays of one participant that are recorded together
     #[command(subcommand)]
     Session(session::Session),
+    /// Create, list and revoke access tokens of clients that come over the network
+    #[command(subcommand)]
+    Token(token::Token),
     /// Compute the steady state of a drive by the motor model, and its daily exposure
     Motor {
         /// Drive with F Hz
@@ -199,6 +207,9 @@ enum Command {
         /// Check this device, named as for `daemon` [default: the daemon's, else the first board]
         #[arg(long, value_name = "DEVICE")]
         device: Option<Spec>,
+        /// Have the board test itself: lines, waveform, memory, speed. The drivers stay off
+        #[arg(long)]
+        board: bool,
         /// Measure wake-ups for S seconds, 0.1 to 3600: the longer, the rarer the stalls it sees
         #[arg(long, value_name = "S", default_value_t = 5.0, allow_negative_numbers = true, value_parser = measured)]
         seconds: f64,
@@ -239,8 +250,8 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Demo { seconds, open_loop, sensorless, output } => {
             demo::run(seconds, open_loop, sensorless, output.json)
         }
-        Command::Daemon { config, check_config: check, device, socket, no_record } => {
-            let source = Source { file: config, device, socket, no_record };
+        Command::Daemon { config, check_config: check, device, socket, listen, no_record } => {
+            let source = Source { file: config, device, socket, listen, no_record };
             if check { check_config(&source) } else { serve(source) }
         }
         Command::Play(play) => control::play(&play),
@@ -260,6 +271,7 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Events(options) => watch::events(&options),
         Command::Receipt { id, options } => watch::receipt(&options, id),
         Command::Session(asked) => session::run(&asked),
+        Command::Token(asked) => token::run(&asked),
         Command::Motor { frequency_hz, amplitude_um, hours, output } => {
             library::motor(frequency_hz, amplitude_um, hours, output.json)
         }
@@ -269,8 +281,8 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Discriminate(asked) => discriminate::run(&asked),
         Command::Validate(asked) => validate::run(&asked),
         Command::Report(asked) => report::run(&asked),
-        Command::Doctor { device, seconds, options } => {
-            doctor::run(device, Duration::from_secs_f64(seconds), &options)
+        Command::Doctor { device, board, seconds, options } => {
+            doctor::run(device, board, Duration::from_secs_f64(seconds), &options)
         }
     }
 }

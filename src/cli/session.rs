@@ -1,11 +1,11 @@
 //! `session`: starts, ends and shows sessions; [`export`] writes their plays, [`replay`] plays them again.
 //!
-//! `start` keeps the owner's token for the commands of this terminal ([`token`]); `end` forgets it. If the token cannot be kept, `start`
+//! `start` keeps the owner's token for the commands of this terminal ([`session_token`]); `end` forgets it. If the token cannot be kept, `start`
 //! ends the session again.
 
 use super::arguments::{ClientOptions, label};
 use super::output::give;
-use super::{export, replay, text, token};
+use super::{export, replay, session_token, text};
 use anyhow::Result;
 use clap::Subcommand;
 use meissner_api::{self as api, SessionList, SessionRequest, SessionStarted};
@@ -97,7 +97,7 @@ fn path(id: Option<&str>) -> String {
 fn start(options: &ClientOptions, request: &SessionRequest) -> Result<ExitCode> {
     let mut client = options.client()?;
     let started: SessionStarted = client.post("/v1/sessions", request)?;
-    let kept = token::keep(&started.token).inspect_err(|_| {
+    let kept = session_token::keep(&started.token).inspect_err(|_| {
         client.set_token(Some(started.token.clone()));
         // Without the token it has no owner. If this fails, too, the silence opens it to others soon.
         let _ = client.post::<api::Session>(&format!("{}/end", path(Some(&started.id))), &json!({}));
@@ -113,7 +113,7 @@ fn start(options: &ClientOptions, request: &SessionRequest) -> Result<ExitCode> 
                 "owner",
                 format!(
                     "the commands of this terminal; for others set {} from {}",
-                    token::VARIABLE,
+                    session_token::VARIABLE,
                     kept.display()
                 ),
             ),
@@ -123,7 +123,7 @@ fn start(options: &ClientOptions, request: &SessionRequest) -> Result<ExitCode> 
 
 fn end(options: &ClientOptions, id: Option<&str>) -> Result<ExitCode> {
     let ended: api::Session = options.client()?.post(&format!("{}/end", path(id)), &json!({}))?;
-    token::forget();
+    session_token::forget();
     give(options.output.json, &ended, || text::session(&ended))
 }
 

@@ -11,7 +11,9 @@ pub(super) use receipt::{
 use crate::receipts::{HOST_TIMEOUT, end_text};
 use comfy_table::presets::{NOTHING, UTF8_FULL};
 use comfy_table::{CellAlignment, Table};
-use meissner_api::{ErrorSource, Event, ItemState, NO_DEVICE, ParticipantStatus, Receipt, Session, Status};
+use meissner_api::{
+    BoardStatus, ErrorSource, Event, ItemState, NO_DEVICE, ParticipantStatus, Receipt, Session, Status,
+};
 use meissner_array::geometry::{COLUMNS, ROWS};
 use meissner_array::pattern::Drive;
 use meissner_report::figures::segments;
@@ -113,6 +115,9 @@ pub(super) fn status(status: &Status) -> String {
     if let Some(bytes) = status.line_bytes_per_s {
         lines.push(("line", format!("{:.1} kB/s", f64::from(bytes) / 1000.0)));
     }
+    if let Some(board) = &status.board {
+        lines.push(("board", self::board(board)));
+    }
     if status.contradictions > 0 {
         lines.push((
             "doubt",
@@ -124,6 +129,28 @@ pub(super) fn status(status: &Status) -> String {
     }
     lines.push(("lead", format!("{} ms, host watchdog timeout {} ms", status.lead_ms, status.lease_ms)));
     pairs(&lines)
+}
+
+/// A device's counters, without those that it does not measure.
+pub(super) fn board(board: &BoardStatus) -> String {
+    let up = match board.uptime_s {
+        s if s < 600 => format!("{s} s"),
+        s => format!("{} min", s / 60),
+    };
+    let faults = match board.output_faults {
+        0 => None,
+        count => Some(format!("{count} output faults")),
+    };
+    let high = board.high_at_boot.as_deref().filter(|high| !high.is_empty());
+    let parts = [
+        Some(format!("up for {up} since {}", board.reset)),
+        board.slack_ticks.map(|ticks| format!("least time to render {ticks} ticks")),
+        board.stalls.map(|count| format!("{count} stalls")),
+        board.usb_recoveries.map(|count| format!("{count} USB recoveries")),
+        faults,
+        high.map(|high| format!("outputs {high:?} were high at its start: run `meissner doctor --board`")),
+    ];
+    parts.into_iter().flatten().collect::<Vec<_>>().join(", ")
 }
 
 /// A participant's limits, and what is used.

@@ -1,61 +1,92 @@
-//! The token of the session that this terminal has started.
+//! `token`: creates, lists and revokes the access tokens of clients that come over the network.
 //!
-//! `session start` keeps it in a file of the user's runtime directory, named after the terminal session (as of `getsid`). So the
-//! commands of this terminal are the owner, and those of another terminal of the same user are not. `MEISSNER_SESSION_TOKEN`
-//! replaces the file.
-//!
-//! Invariant: only the user may read the file.
+//! `create` prints the token alone on stdout, so that a script can keep it; the daemon does not show it again.
 
-use anyhow::{Context, Result};
-use nix::unistd::getsid;
-use std::env;
-use std::fs::{self, DirBuilder, OpenOptions};
+use super::arguments::ClientOptions;
+use super::output::give;
+use super::text;
+use anyhow::Result;
+use clap::{Subcommand, ValueEnum};
+use meissner_api::{self as api, TokenCreated, TokenInfo, TokenList, TokenRequest};
+use meissner_client::escape;
 use std::io::{self, Write};
-use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
-use std::path::PathBuf;
+use std::process::ExitCode;
 
-/// The variable that replaces the file.
-pub(super) const VARIABLE: &str = "MEISSNER_SESSION_TOKEN";
-
-fn file() -> Option<PathBuf> {
-    let set = |name: &str| env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
-    let runtime = set("XDG_RUNTIME_DIR").or_else(|| set("HOME").map(|home| home.join(".local/state")))?;
-    let session = getsid(None).ok()?;
-    Some(runtime.join(format!("meissner/session-{session}.token")))
+#[derive(Debug, Subcommand)]
+pub(super) enum Token {
+    /// Create an access token and print it: the only time that it is shown
+    Create {
+        /// Let a client with the token read (observe) or do everything (operate)
+        #[arg(long, value_name = "ROLE")]
+        role: Role,
+        /// Name who or what uses the token
+        #[arg(long, value_name = "NAME")]
+        name: String,
+        #[command(flatten)]
+        options: ClientOptions,
+    },
+    /// List the access tokens, without their secrets
+    List(ClientOptions),
+    /// Revoke an access token; it is not valid from the next request on
+    Revoke {
+        /// Revoke the token with this id
+        id: String,
+        #[command(flatten)]
+        options: ClientOptions,
+    },
 }
 
-/// The token, if there is one.
-pub(super) fn find() -> Option<String> {
-    let token = env::var(VARIABLE).ok().or_else(|| fs::read_to_string(file()?).ok())?;
-    let token = token.trim();
-    // The daemon makes tokens of hexadecimal digits; a header cannot hold anything.
-    (!token.is_empty() && token.len() <= 64 && token.bytes().all(|b| b.is_ascii_alphanumeric()))
-        .then(|| token.to_owned())
+/// What a client with a token may do.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub(super) enum Role {
+    Observe,
+    Operate,
 }
 
-/// Keeps a token for the commands of this terminal. Returns where.
-pub(super) fn keep(token: &str) -> Result<PathBuf> {
-    let path =
-        file().context("neither XDG_RUNTIME_DIR nor HOME is set: no file can keep the session's token")?;
-    let dir = path.parent().unwrap_or(&path);
-    let write = || -> io::Result<()> {
-        DirBuilder::new().recursive(true).mode(0o700).create(dir)?;
-        let next = path.with_extension("new");
-        // An old file may have other rights.
-        match fs::remove_file(&next) {
-            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
-            _ => {}
+pub(super) fn run(asked: &Token) -> Result<ExitCode> {
+    match asked {
+        Token::Create { role, name, options } => {
+            let role = match role {
+                Role::Observe => api::Role::Observe,
+                Role::Operate => api::Role::Operate,
+            };
+            let request = TokenRequest { role, name: name.clone() };
+            let created: TokenCreated = options.client()?.post("/v1/tokens", &request)?;
+            if !options.output.json {
+                let TokenInfo { id, role, .. } = &created.info;
+                // If stderr is closed, there is no one to tell.
+                let _ = writeln!(
+                    io::stderr(),
+                    "token {id} ({}): keep it now, it is not shown again; revoke it with `meissner token revoke {id}`",
+                    role.name()
+                );
+            }
+            give(options.output.json, &created, || created.token.clone())
         }
-        let mut file = OpenOptions::new().write(true).create_new(true).mode(0o600).open(&next)?;
-        writeln!(file, "{token}")?;
-        fs::rename(next, &path)
-    };
-    write().with_context(|| format!("{}: the session's token cannot be kept", path.display()))?;
-    Ok(path)
-}
-
-/// Forgets the token.
-pub(super) fn forget() {
-    // Without a file there is nothing to forget.
-    let _ = file().map(fs::remove_file);
+        Token::List(options) => {
+            let list: TokenList = options.client()?.get("/v1/tokens")?;
+            give(options.output.json, &list, || {
+                let row = |token: &TokenInfo| {
+                    vec![
+                        token.id.clone(),
+                        token.role.name().to_owned(),
+                        token.created.clone(),
+                        token.name.clone(),
+                    ]
+                };
+                match list.tokens.is_empty() {
+                    true => "there is no access token".to_owned(),
+                    false => {
+                        text::columns(&["token", "role", "created", "name"], list.tokens.iter().map(row))
+                    }
+                }
+            })
+        }
+        Token::Revoke { id, options } => {
+            let revoked: TokenInfo = options.client()?.delete(&format!("/v1/tokens/{}", escape(id)))?;
+            give(options.output.json, &revoked, || {
+                format!("token {} ({}) is revoked", revoked.id, revoked.name)
+            })
+        }
+    }
 }

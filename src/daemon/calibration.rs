@@ -126,7 +126,8 @@ pub(super) fn with_other_motors(new: Calibration, old: Option<&StoredCalibration
 pub(super) fn write(file: &Path, calibration: &Calibration) -> Result<(), String> {
     let dir = file.parent().filter(|dir| !dir.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let written = fs::create_dir_all(dir);
-    let written = written.and_then(|()| store::replace(dir, file, calibration.to_toml().as_bytes()));
+    let written =
+        written.and_then(|()| store::replace(dir, file, calibration.to_toml().as_bytes(), store::MODE));
     written.map_err(|error| {
         format!(
             "{}: cannot be written: {error}; set `calibration` in the daemon's configuration",

@@ -8,6 +8,7 @@
 
 use super::estop::{EStops, Origin};
 use super::names::Names;
+use super::network::{Gate, TokenStore};
 use super::state::{
     Calibration, Commands, Connection, Exposure, Plays, Publisher, Reply, Sessions, State, frame,
 };
@@ -50,6 +51,8 @@ pub(super) struct Engine {
     pub(super) realtime: Realtime,
     /// Where the daemon listens.
     pub(super) socket: PathBuf,
+    /// Decides about requests over the network.
+    pub(super) gate: Arc<Gate>,
     pub(super) names: Names,
     pub(super) estops: Arc<EStops>,
     /// Held while the file of the calibration and the calibration in use change.
@@ -83,6 +86,7 @@ impl Engine {
             replaced: Notify::new(),
             realtime: Realtime::default(),
             socket: PathBuf::new(),
+            gate: Arc::new(Gate::new(None, None, Arc::new(TokenStore::open(None)))),
             names: Names::default(),
             estops,
             calibration_file: Mutex::default(),
@@ -94,6 +98,11 @@ impl Engine {
     pub(super) fn with(self, record: SessionRecord, realtime: Realtime, socket: PathBuf) -> Self {
         self.lock().publisher = Publisher::new(record);
         Self { realtime, socket, ..self }
+    }
+
+    /// With this gate for clients that come over the network.
+    pub(super) fn with_gate(self, gate: Gate) -> Self {
+        Self { gate: Arc::new(gate), ..self }
     }
 
     pub(super) fn lock(&self) -> MutexGuard<'_, State> {

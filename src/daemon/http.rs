@@ -12,6 +12,8 @@ use super::connection::Activity;
 use super::engine::{Engine, TIMEOUT};
 use super::estop::Origin;
 use super::metrics;
+use super::network;
+use super::page;
 use super::patterns::{self, SharedStore, find, import_place};
 use super::request_log::LoggedRequest;
 use super::runtime::computing;
@@ -42,7 +44,7 @@ use std::pin::pin;
 use std::sync::{Arc, LazyLock};
 use std::time::Duration;
 use tokio::sync::broadcast::error::RecvError;
-use tokio::sync::{Semaphore, TryAcquireError};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, TryAcquireError};
 
 /// How long homing may take: six rounds for 24 pins that start at one end of their travel.
 const HOME_TIMEOUT: Duration = Duration::from_secs(25);
@@ -85,11 +87,25 @@ pub(super) struct App {
     counts: Arc<Counts>,
     /// A permit for each event stream, and for each request that waits for the end of a play.
     waiting: Arc<Semaphore>,
+    /// One of these, too, for a client of the network.
+    waiting_network: Arc<Semaphore>,
 }
+
+/// A place among those that wait.
+type Waiting = (OwnedSemaphorePermit, Option<OwnedSemaphorePermit>);
 
 impl App {
     pub(super) fn new(engine: Arc<Engine>, store: SharedStore, bounds: &Bounds, counts: Arc<Counts>) -> Self {
-        Self { engine, store, counts, waiting: Arc::new(Semaphore::new(bounds.waiting)) }
+        let places = |most| Arc::new(Semaphore::new(most));
+        let (waiting, waiting_network) = (places(bounds.waiting), places(bounds.waiting_network));
+        Self { engine, store, counts, waiting, waiting_network }
+    }
+
+    /// A place for a client that waits.
+    fn wait(&self, peer: Peer) -> Result<Waiting, Problem> {
+        let take = |places: &Arc<Semaphore>| Arc::clone(places).try_acquire_owned().map_err(many_waiting);
+        let network = peer.network.map(|_| take(&self.waiting_network)).transpose()?;
+        Ok((take(&self.waiting)?, network))
     }
 }
 
@@ -100,7 +116,13 @@ pub(super) fn router(app: App) -> Router {
         let guard = from_fn_with_state((app.clone(), route), sessions::guard);
         router.route(route.path(), handler(route).route_layer(guard))
     });
-    routes.fallback(no_route).method_not_allowed_fallback(no_method).with_state(app)
+    let gate = from_fn_with_state(Arc::clone(&app.engine.gate), network::layer);
+    routes
+        .merge(page::routes())
+        .fallback(no_route)
+        .method_not_allowed_fallback(no_method)
+        .layer(gate)
+        .with_state(app)
 }
 
 fn handler(route: Route) -> MethodRouter<App> {
@@ -134,6 +156,9 @@ fn handler(route: Route) -> MethodRouter<App> {
         Route::SessionShow => on(method, sessions::show),
         Route::SessionPlays => on(method, sessions::plays),
         Route::SessionEnd => on(method, sessions::end),
+        Route::TokenCreate => on(method, network::routes::create),
+        Route::Tokens => on(method, network::routes::list),
+        Route::TokenRevoke => on(method, network::routes::revoke),
         Route::Metrics => on(method, metrics_text),
         Route::OpenApi => on(method, openapi),
     }
@@ -368,6 +393,7 @@ async fn status(State(app): State<App>) -> Json<Status> {
 
 async fn receipt(
     State(app): State<App>,
+    Extension(peer): Extension<Peer>,
     Extension(activity): Extension<Arc<Activity>>,
     uri: Uri,
     id: Result<Path<String>, PathRejection>,
@@ -375,7 +401,7 @@ async fn receipt(
     let wait = wait(&uri)?;
     let receipt = find_receipt(&app.engine, &path(id)?)?;
     let Some(wait) = wait.filter(|_| !receipt.state.is_over()) else { return Ok(Json(receipt)) };
-    let _permit = app.waiting.try_acquire().map_err(many_waiting)?;
+    let _place = app.wait(peer)?;
     let id = receipt.id.to_string();
     let ended = async {
         loop {
@@ -436,12 +462,12 @@ fn many_waiting(_: TryAcquireError) -> Problem {
     Problem::new(Code::TooManyClients, detail)
 }
 
-async fn events(State(app): State<App>) -> Answer<Response> {
-    let permit = Arc::clone(&app.waiting).try_acquire_owned().map_err(many_waiting)?;
+async fn events(State(app): State<App>, Extension(peer): Extension<Peer>) -> Answer<Response> {
+    let place = app.wait(peer)?;
     let gone = || Problem::new(Code::ShuttingDown, "the daemon is ending: start it again");
     let (now, receiver) = app.engine.subscribe().ok_or_else(gone)?;
-    // The permit is held as long as the stream.
-    let later = stream::unfold((receiver, permit), async |(mut receiver, permit)| {
+    // The place is held as long as the stream.
+    let later = stream::unfold((receiver, place), async |(mut receiver, place)| {
         let frame = match tokio::time::timeout(COMMENT_EVERY, receiver.recv()).await {
             Ok(Ok(event)) => event,
             Ok(Err(RecvError::Lagged(events))) => frame(&Event::Lagged { events }),
@@ -449,7 +475,7 @@ async fn events(State(app): State<App>) -> Answer<Response> {
             // A comment: writing it shows whether the client is still there.
             Err(_) => Bytes::from_static(b":\n\n"),
         };
-        Some((frame, (receiver, permit)))
+        Some((frame, (receiver, place)))
     });
     let all = stream::once(async { now }).chain(later).map(Ok::<_, Infallible>);
     let head = [(CONTENT_TYPE, "text/event-stream"), (CACHE_CONTROL, "no-cache")];

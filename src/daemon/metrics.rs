@@ -5,12 +5,22 @@
 //! Invariant: a published name keeps its meaning and unit.
 
 use super::acceptor::Counts;
-use crate::receipts::Receipts;
+use crate::receipts::{Receipts, reset_name};
+use firmware_protocol::board::{Board, Reset};
 use meissner_api::NO_DEVICE;
 use meissner_stream::link::Contradiction;
 use std::fmt::{Display, Write};
 use std::sync::atomic::{AtomicU64, Ordering};
 
+const RESETS: [Reset; 7] = [
+    Reset::Power,
+    Reset::RunPin,
+    Reset::Debugger,
+    Reset::Watchdog,
+    Reset::Panic,
+    Reset::Program,
+    Reset::Unknown,
+];
 const STATES: [&str; 5] = ["disarmed", "armed", "returning", "faulted", NO_DEVICE];
 
 struct Text(String);
@@ -126,6 +136,7 @@ pub(super) fn text(receipts: &Receipts, clients: &Counts) -> String {
         "Frames from the host that the device could not read; restarts when the device starts.",
         &of(|at| at.device_bad_frames),
     );
+    board(&mut text, snapshot.and_then(|at| at.board));
     let line = snapshot.and_then(|at| at.line_bytes_per_s).map_or(f64::NAN, f64::from);
     text.gauge("line_bytes_per_second", "Measured capacity of the line to the device.", &line);
     let uncertainty = snapshot
@@ -135,6 +146,37 @@ pub(super) fn text(receipts: &Receipts, clients: &Counts) -> String {
     let lead = snapshot.map_or(f64::NAN, |at| at.lead_ms);
     text.gauge("lead_ms", "How far ahead of now strokes are sent.", &lead);
     text.0
+}
+
+/// The device's counters. Those that it does not measure are not a number.
+fn board(text: &mut Text, board: Option<Board>) {
+    let labels = RESETS.map(|reset| format!("{{cause=\"{}\"}}", reset_name(reset)));
+    let is = RESETS.map(|reset| u8::from(board.is_some_and(|board| board.reset == reset)));
+    let resets =
+        std::array::from_fn::<_, { RESETS.len() }, _>(|i| (labels[i].as_str(), &is[i] as &dyn Display));
+    text.family("device_start", "gauge", "1 for why the device has started.", resets);
+    let of = |figure: fn(&Board) -> Option<u32>| board.as_ref().and_then(figure).map_or(f64::NAN, f64::from);
+    text.gauge("device_uptime_seconds", "Time since the device started.", &of(|at| Some(at.uptime_s)));
+    text.gauge(
+        "device_slack_ticks",
+        "Least time left to render since the device started.",
+        &of(|at| at.slack_since_boot.map(u32::from)),
+    );
+    text.counter(
+        "device_stalls_total",
+        "Times that the firmware's tasks stood still; restarts when the device starts.",
+        &of(|at| at.stalls),
+    );
+    text.counter(
+        "device_usb_recoveries_total",
+        "Times that the device set up its USB controller again; restarts when the device starts.",
+        &of(|at| at.usb_recoveries),
+    );
+    text.counter(
+        "device_output_faults_total",
+        "Times that the device's outputs failed; restarts when the device starts.",
+        &of(|at| Some(at.output_faults)),
+    );
 }
 
 #[cfg(test)]
@@ -148,6 +190,7 @@ mod tests {
         assert!(text.contains("meissner_bursts_total{fate=\"late\"} 0\n"));
         assert!(text.contains("meissner_bad_frames_total{kind=\"unknown\"} 0\n"));
         assert!(text.contains("meissner_contradictions_total{kind=\"clock\"} 0\n"));
+        assert!(text.contains("meissner_device_start{cause=\"watchdog\"} 0\n"));
         for line in text.lines() {
             let sample = line.starts_with("meissner_") && line.split(' ').count() == 2;
             assert!(sample || line.starts_with("# HELP ") || line.starts_with("# TYPE "), "{line}");

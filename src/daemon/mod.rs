@@ -8,10 +8,12 @@
 //! - `socket`, `error`, `signals`, `runtime`, `check`, `names`, `metrics`: the system around the daemon.
 //! - `calibration`, `predictor`: calibrations as files and fits; predicted responses.
 //! - `estop`, `state`, `engine`: emergency stops; the daemon's state behind one lock, and commands to the streamer.
+//! - `stream`, `network`: a connection's socket; clients that come over the network, and their tokens.
 //! - `acceptor`: connections up to their first bytes, on a thread of its own.
 //! - `log_lines`, `request_log`, `status`: text and data for the log, the session record and clients.
 //! - `play`, `sequence`, `calibrate`, `connector`: begin plays, calibrate, open devices.
 //! - `service`, `event_loop`: the service manager; the streamer's events.
+//! - `page`: the page in the browser.
 //! - `body`, `connection`, `http`, `patterns`, `sessions`, `reload`, `server`, `hosted`: clients, configuration, and daemons inside this process.
 //!
 //! Invariant: before the daemon ends, it returns the pins, switches the motors off and removes its socket.
@@ -32,6 +34,8 @@ mod http;
 mod log_lines;
 mod metrics;
 mod names;
+mod network;
+mod page;
 mod patterns;
 mod play;
 mod predictor;
@@ -46,6 +50,7 @@ mod signals;
 mod socket;
 mod state;
 mod status;
+mod stream;
 
 pub(crate) use calibration::utc_now;
 pub use check::check;
@@ -58,12 +63,13 @@ pub use socket::SocketError;
 use crate::config::{Config, Source, read_regular};
 use crate::exposure::{self, Account};
 use crate::session_record::{Note, SessionRecord};
-use acceptor::{Acceptor, Bounds, Counts};
+use acceptor::{Acceptor, Bounds, Counts, Sockets};
 use engine::Engine;
 use error::system;
 use http::App;
 use meissner_api::Realtime;
 use meissner_stream::queues::EventQueue;
+use network::{Gate, TokenStore};
 use patterns::SharedStore;
 use predictor::Predictor;
 use server::Server;
@@ -71,6 +77,7 @@ use service::{Manager, Notification, StatusReporter};
 use socket::Bound;
 use state::{ConnectorMessage, Exposure};
 use std::io;
+use std::net::TcpListener;
 use std::os::unix::net::UnixListener;
 use std::path::Path;
 use std::sync::Arc;
@@ -92,6 +99,8 @@ const STREAMER_TIMEOUT: Duration = Duration::from_millis(500);
 pub struct Daemon {
     config: Config,
     bound: Bound,
+    /// For clients that come over the network.
+    tcp: Option<TcpListener>,
     engine: Arc<Engine>,
     store: SharedStore,
     events: EventQueue,
@@ -118,6 +127,9 @@ impl Daemon {
     pub fn start(config: &Config) -> Result<Self, DaemonError> {
         let store = check::store(config)?;
         let bound = Bound::take_over(&config.socket)?.map_or_else(|| Bound::new(&config.socket), Ok)?;
+        let network::Bound { listener: tcp, listen, problem } = network::listen(config.listen.as_ref());
+        let tokens = Arc::new(TokenStore::open(config.tokens.clone()));
+        let gate = Gate::new(listen, problem, tokens);
         let (commands, events, realtime, streamer) =
             meissner_stream::spawn(config.settings).map_err(system("streamer's thread"))?;
         if !(realtime.fifo && realtime.mlock) {
@@ -140,13 +152,13 @@ impl Daemon {
         }
         engine.lock().exposure = Exposure::new(account);
         engine.lock().sessions.set_silence(Duration::from_secs_f64(config.session_silence_s));
-        let engine = Arc::new(engine.with(record, realtime, bound.socket().to_owned()));
+        let engine = Arc::new(engine.with(record, realtime, bound.socket().to_owned()).with_gate(gate));
         engine.load_calibration(None);
         let connector = connector::spawn(config.device.clone(), config.mock, Arc::clone(&engine))
             .map_err(system("connector's thread"))?;
         info!("listening on {}", bound.socket().display());
         let (config, store) = (config.clone(), SharedStore::new(store));
-        Ok(Self { config, bound, engine, store, events, predictor, realtime, streamer, connector })
+        Ok(Self { config, bound, tcp, engine, store, events, predictor, realtime, streamer, connector })
     }
 
     /// Runs it on a thread of its own, until it is stopped or a signal ends it.
@@ -171,13 +183,14 @@ impl Daemon {
     /// # Errors
     /// If the system fails, or the streamer ended by itself.
     pub async fn run(self, mut signals: Signals, source: Option<Source>) -> Result<Exit, DaemonError> {
-        let Self { config, bound, engine, store, events, predictor, streamer, connector, .. } = self;
+        let Self { config, bound, tcp, engine, store, events, predictor, streamer, connector, .. } = self;
         let api = bound.listener.try_clone().map_err(system("socket"))?;
         let estop =
             bound.estop.as_ref().map(UnixListener::try_clone).transpose().map_err(system("socket"))?;
+        let (sockets, gate) = (Sockets { api, estop, tcp }, Arc::clone(&engine.gate));
         let (bounds, counts) = (Bounds::of_process(), Arc::new(Counts::default()));
         let (acceptor, handovers, mut acceptor_ended) =
-            Acceptor::spawn(api, estop, Arc::clone(&engine.estops), bounds, Arc::clone(&counts))
+            Acceptor::spawn(sockets, Arc::clone(&engine.estops), gate, bounds, Arc::clone(&counts))
                 .map_err(system("acceptor's thread"))?;
         let mut acceptor = Some(acceptor);
         let manager = Manager::find().map_err(system("thread"))?;

@@ -2,7 +2,7 @@
 //!
 //! Nothing here waits for a look-up: a name that is not known yet is shown as its number.
 
-use crate::session_record::{Peer, Users};
+use crate::session_record::{NetworkPeer, Peer, Users};
 use jiff::tz::TimeZone;
 use std::sync::Arc;
 
@@ -30,8 +30,13 @@ impl Names {
         }
     }
 
-    /// A client: its user, their number and the process.
+    /// A client: its user, their number and the process; over the network its address and access token.
     pub(super) fn client(&self, peer: Peer) -> String {
+        match peer.network {
+            Some(NetworkPeer { address, token: Some(token) }) => return format!("{address} (token {token})"),
+            Some(NetworkPeer { address, token: None }) => return address.to_string(),
+            None => {}
+        }
         match self.users.known(peer.uid).flatten() {
             Some(name) => format!("{name} (uid {}, pid {})", peer.uid, peer.pid),
             None => format!("{} (pid {})", self.user(peer.uid), peer.pid),
@@ -42,12 +47,13 @@ impl Names {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::session_record::TokenId;
     use std::thread;
 
     #[test]
     fn a_client_is_named_as_far_as_its_user_is_known() {
         let names = Names::default();
-        let root = Peer { pid: 7, uid: 0 };
+        let root = Peer::local(7, 0);
         assert_eq!((names.client(root), names.user(0)), ("uid 0 (pid 7)".to_owned(), "uid 0".to_owned()));
         names.users.look_up(0);
         while names.users.known(0).is_none() {
@@ -57,6 +63,9 @@ mod tests {
             (names.client(root), names.user(0)),
             ("root (uid 0, pid 7)".to_owned(), "root".to_owned())
         );
-        assert_eq!(names.client(Peer { pid: -1, uid: u32::MAX }), "an unknown user (pid -1)");
+        assert_eq!(names.client(Peer::UNKNOWN), "an unknown user (pid -1)");
+        let at = |token| Peer::network(NetworkPeer { address: [192, 168, 1, 7].into(), token });
+        assert_eq!(names.client(at(None)), "192.168.1.7");
+        assert_eq!(names.client(at(Some(TokenId(0xab)))), "192.168.1.7 (token 000000ab)");
     }
 }

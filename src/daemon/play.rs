@@ -240,7 +240,7 @@ mod tests {
             session: Some(id),
             ..PlayRequest::default()
         };
-        let played = engine.play(&request, stored, Peer { pid: 1, uid: 0 });
+        let played = engine.play(&request, stored, Peer::local(1, 0));
         assert_eq!(runtime().unwrap().block_on(played).unwrap_err().code, "timeout");
         let ticket = port.pop().unwrap().ticket;
         port.event(StreamEvent::Answer { ticket, result: Ok(()) });
@@ -263,7 +263,7 @@ mod tests {
         let mut play = || {
             let request =
                 PlayRequest { pattern: "pin-60".to_owned(), endless: true, ..PlayRequest::default() };
-            let played = engine.play(&request, stored.clone(), Peer { pid: 1, uid: 0 });
+            let played = engine.play(&request, stored.clone(), Peer::local(1, 0));
             let problem = runtime().unwrap().block_on(played).unwrap_err();
             (problem.code, port.pop().is_some())
         };

@@ -3,7 +3,7 @@
 //! - The patterns' directory, the participant's limits and the session record change at once.
 //! - The streamer's settings change at the next `arm`.
 //! - A calibration is stored in its new place at once, and read there at the next connection.
-//! - The device, the socket and the mock change when the daemon is restarted.
+//! - The device, the sockets, the file of the tokens and the mock change when the daemon is restarted.
 //!
 //! Invariant: a configuration that the daemon would refuse at its start changes nothing.
 
@@ -114,6 +114,8 @@ fn apply(
     let fixed = [
         ("`device`", new.device != running.device),
         ("`socket`", new.socket != running.socket),
+        ("`listen`, `listen_hosts`, `listen_token`", new.listen != running.listen),
+        ("`tokens`", new.tokens != running.tokens),
         ("[mock]", new.mock != running.mock),
     ];
     let fixed: Vec<&str> = fixed.iter().filter(|(_, changed)| *changed).map(|(key, _)| *key).collect();

@@ -61,7 +61,7 @@ impl LoggedRequest {
 
 impl Drop for LoggedRequest {
     fn drop(&mut self) {
-        let Peer { pid, uid } = self.client;
+        let Peer { pid, uid, .. } = self.client;
         let (title, client) = (&self.title, self.engine.names.client(self.client));
         let answer = match (self.entry.detail(), &*self.entry.answer) {
             (Some(detail), code) => format!("refused ({code}): {detail}"),
@@ -99,7 +99,7 @@ mod tests {
         let record = SessionRecord::start(Some(location), Arc::default()).unwrap();
         let engine = Engine::new(commands, Settings::default(), "mock".to_owned(), None);
         let engine = Arc::new(engine.with(record.clone(), Realtime::default(), PathBuf::new()));
-        drop(LoggedRequest::new(&engine, "home", Peer { pid: 7, uid: 0 }));
+        drop(LoggedRequest::new(&engine, "home", Peer::local(7, 0)));
         record.close(Duration::from_secs(10));
         let mut files = fs::read_dir(folder).unwrap().map(|file| file.unwrap().path());
         let file = files.find(|file| file.extension().is_some()).unwrap();

@@ -23,7 +23,6 @@ use std::pin::pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
-use tokio::net::UnixStream;
 use tokio::sync::{mpsc, watch};
 use tokio::task::{AbortHandle, Id, JoinSet};
 use tower::ServiceExt;
@@ -54,8 +53,8 @@ pub(super) struct Server {
     estops: JoinSet<()>,
     /// The clients' tasks, and how active each is.
     tasks: HashMap<Id, (AbortHandle, Arc<Activity>)>,
-    /// The refusals and evictions that the log has, and when it was written last.
-    reported: (u64, u64),
+    /// The refusals, evictions and denials that the log has, and when it was written last.
+    reported: (u64, u64, u64),
     reported_at: Option<Instant>,
 }
 
@@ -94,15 +93,18 @@ impl Server {
 
     fn take(&mut self, accepted: Accepted, closing: &watch::Receiver<bool>) {
         let full = self.clients_now().count() + self.counts.silent() >= self.bounds.clients;
-        if full && !self.evict() && accepted.estop.is_none() {
+        // A client of the network displaces others of the network alone.
+        let is_network = accepted.stream.is_network();
+        let of_network = self.clients_now().filter(|activity| activity.is_network).count();
+        let full = full || is_network && of_network >= self.bounds.network;
+        if full && !self.evict(is_network) && accepted.estop.is_none() {
             self.counts.refused.fetch_add(1, Ordering::Relaxed);
             refuse(&accepted.stream, &response(&too_many_clients(self.bounds.clients)));
             return;
         }
         let Accepted { stream, head, peer, estop, place } = accepted;
         self.engine.names.users.look_up(peer.uid);
-        let Ok(stream) = UnixStream::from_std(stream) else { return };
-        let (connection, activity) = Connection::new(stream, head);
+        let Ok((connection, activity)) = Connection::new(stream, head) else { return };
         let (router, closing, watched) = (self.router.clone(), closing.clone(), Arc::clone(&activity));
         let handle = self.clients.spawn(async move {
             serve_client(connection, watched, peer, estop, router, closing).await;
@@ -111,9 +113,10 @@ impl Server {
         self.tasks.insert(handle.id(), (handle, activity));
     }
 
-    /// Ends the connection that has been idle or unread longest; returns whether there was one.
-    fn evict(&mut self) -> bool {
-        let lazy = self.clients_now().filter_map(|activity| Some((activity.lazy_for(IDLE)?, activity)));
+    /// Ends the connection, of the network alone if that is said, that has been idle or unread longest; returns whether there was one.
+    fn evict(&mut self, of_network: bool) -> bool {
+        let clients = self.clients_now().filter(|activity| activity.is_network || !of_network);
+        let lazy = clients.filter_map(|activity| Some((activity.lazy_for(IDLE)?, activity)));
         let Some((_, laziest)) = lazy.max_by_key(|(still, _)| *still) else { return false };
         laziest.evict();
         self.counts.evicted.fetch_add(1, Ordering::Relaxed);
@@ -142,16 +145,29 @@ impl Server {
     }
 
     fn report(&mut self) {
-        let now = (self.counts.refused.load(Ordering::Relaxed), self.counts.evicted.load(Ordering::Relaxed));
+        let now = (
+            self.counts.refused.load(Ordering::Relaxed),
+            self.counts.evicted.load(Ordering::Relaxed),
+            self.engine.gate.denied(),
+        );
         let lately = self.reported_at.is_some_and(|at| at.elapsed() < REPORT_EVERY);
         if now == self.reported || lately {
             return;
         }
         let (refused, evicted) = (now.0 - self.reported.0, now.1 - self.reported.1);
-        warn!(
-            refused,
-            evicted, "too many clients: {refused} were refused, {evicted} idle ones were disconnected"
-        );
+        if refused + evicted > 0 {
+            warn!(
+                refused,
+                evicted, "too many clients: {refused} were refused, {evicted} idle ones were disconnected"
+            );
+        }
+        let denied = now.2 - self.reported.2;
+        if denied > 0 {
+            warn!(
+                denied,
+                "{denied} requests over the network were refused: wrong token, role, host or origin"
+            );
+        }
         (self.reported, self.reported_at) = (now, Some(Instant::now()));
     }
 }
@@ -212,6 +228,7 @@ async fn closed(closing: &mut watch::Receiver<bool>) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::daemon::stream::Stream;
     use tokio::io::{AsyncReadExt, AsyncWriteExt};
 
     /// In virtual time.
@@ -219,11 +236,15 @@ mod tests {
     fn an_idle_client_is_kept_for_ten_minutes() {
         crate::daemon::runtime().unwrap().block_on(async {
             tokio::time::pause();
-            let (mut client, stream) = UnixStream::pair().unwrap();
-            let (connection, activity) = Connection::new(stream, Vec::new());
+            let (client, stream) = std::os::unix::net::UnixStream::pair().unwrap();
+            for end in [&client, &stream] {
+                end.set_nonblocking(true).unwrap();
+            }
+            let mut client = tokio::net::UnixStream::from_std(client).unwrap();
+            let (connection, activity) = Connection::new(Stream::unix(stream.into()), Vec::new()).unwrap();
             let (_close, closing) = watch::channel(false);
             let router = Router::new().route("/", axum::routing::get(async || "answer"));
-            let peer = Peer { pid: 1, uid: 0 };
+            let peer = Peer::local(1, 0);
             tokio::spawn(serve_client(connection, activity, peer, None, router, closing));
             let mut text = Vec::new();
             // The second request ends another break.

@@ -1,7 +1,8 @@
 //! Sessions over HTTP: the handlers, who may send which request, and the release of an exclusive session.
 //!
 //! [`guard`] runs before every handler that changes something, and the state checks again when the change is made, since a session
-//! may begin while a body arrives. The token travels as `Authorization: Bearer TOKEN`.
+//! may begin while a body arrives. The token travels as `Authorization: Bearer TOKEN`, or in the header `Meissner-Session` beside an
+//! access token.
 //!
 //! Invariant: a request that the guard refuses changes nothing; it is recorded like any refused command.
 
@@ -22,8 +23,8 @@ use axum::http::{HeaderMap, StatusCode, Uri};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use meissner_api::{
-    Code, Method, Problem, RecordedPlay, Route, Session, SessionList, SessionPlays, SessionRequest,
-    SessionStarted, parse_empty,
+    Code, Method, Problem, RecordedPlay, Route, SESSION_HEADER, Session, SessionList, SessionPlays,
+    SessionRequest, SessionStarted, TOKEN_PREFIX, parse_empty,
 };
 use std::collections::HashMap;
 use std::path::Path as FilePath;
@@ -34,10 +35,15 @@ use std::time::Duration;
 const WRITTEN: Duration = Duration::from_secs(1);
 
 fn token(headers: &HeaderMap) -> Option<&str> {
-    headers.get(AUTHORIZATION)?.to_str().ok()?.strip_prefix("Bearer ")
+    if let Some(token) = headers.get(SESSION_HEADER) {
+        return token.to_str().ok();
+    }
+    let token = headers.get(AUTHORIZATION)?.to_str().ok()?.strip_prefix("Bearer ")?;
+    (!token.starts_with(TOKEN_PREFIX)).then_some(token)
 }
 
-/// Notes that the owner is there; refuses what only the owner may do.
+/// Notes that the owner is there; refuses what only the owner may do. Everyone may order an emergency stop and revoke a token: its holder
+/// may be the owner.
 pub(super) async fn guard(
     State((app, route)): State<(App, Route)>,
     Extension(peer): Extension<Peer>,
@@ -47,7 +53,8 @@ pub(super) async fn guard(
     let checked = {
         let mut state = app.engine.lock();
         let token = token(request.headers());
-        if route.method() == Method::Get || route == Route::EStop {
+        let is_open = matches!(route, Route::EStop | Route::TokenCreate | Route::TokenRevoke);
+        if route.method() == Method::Get || is_open {
             state.sessions.hear(token);
             Ok(())
         } else {

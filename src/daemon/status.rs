@@ -4,7 +4,7 @@
 
 use super::engine::Engine;
 use crate::exposure::Now;
-use crate::receipts::DeviceState;
+use crate::receipts::{DeviceState, board_status};
 use firmware_protocol::tick::TICK_HZ;
 use meissner_api::{ClockSample, Code, ErrorSource, MotorStatus, Problem, QueuedPlay, Status};
 use meissner_stream::time::HostInstant;
@@ -74,6 +74,10 @@ impl Engine {
             lease_ms: daemon.settings.lease_ms,
             line_bytes_per_s: snapshot.filter(|at| at.connected).and_then(|at| at.line_bytes_per_s),
             drift_limit_um: daemon.settings.drift_limit_um,
+            board: snapshot
+                .filter(|at| at.connected)
+                .and_then(|at| at.board)
+                .map(|board| board_status(&board)),
             contradictions: snapshot.map_or(0, |at| at.contradictions.total()),
             motors: snapshot
                 .map(|at| at.rest_error_um.iter().zip(&at.source).zip(0..).map(motor).collect())
@@ -86,6 +90,7 @@ impl Engine {
             realtime: Some(self.realtime),
             logbook_problem: daemon.publisher.session_record.problem(),
             socket: self.socket.display().to_string(),
+            network: self.gate.status(),
             version: env!("CARGO_PKG_VERSION").to_owned(),
             pid: std::process::id(),
         }

@@ -1,9 +1,11 @@
 //! Converts the streamer's and the controller's types to the API's.
 
+use firmware_protocol::board::{Board, OUTPUTS, Reset};
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{DeviceHello, State};
-use meissner_api::{CalibrateRequest, Code, DeviceInfo, Problem};
+use meissner_api::{BoardRecord, BoardStatus, CalibrateRequest, Code, DeviceInfo, Problem};
 use meissner_array::strokes::Fit;
+use meissner_stream::PlayBoard;
 use meissner_stream::calibrate::{Plan, laser_plan};
 use meissner_stream::queues::CommandError;
 
@@ -30,6 +32,41 @@ pub fn device_info(kind: &str, hello: &DeviceHello) -> DeviceInfo {
         simulated: hello.features & DeviceHello::SIMULATED != 0,
         telemetry: hello.features & DeviceHello::TELEMETRY != 0,
     }
+}
+
+/// The device's counters as the API shows them.
+#[must_use]
+pub fn board_status(board: &Board) -> BoardStatus {
+    let high = |mask: u32| (0..OUTPUTS as u8).filter(|&output| mask >> output & 1 == 1).collect();
+    BoardStatus {
+        reset: reset_name(board.reset).to_owned(),
+        uptime_s: board.uptime_s,
+        slack_ticks: board.slack_since_boot,
+        stalls: board.stalls,
+        usb_recoveries: board.usb_recoveries,
+        output_faults: board.output_faults,
+        high_at_boot: board.high_at_boot.map(high),
+    }
+}
+
+/// The API's name of the reason of a device's start.
+#[must_use]
+pub const fn reset_name(reset: Reset) -> &'static str {
+    match reset {
+        Reset::Unknown => "unknown",
+        Reset::Power => "power",
+        Reset::RunPin => "run-pin",
+        Reset::Debugger => "debugger",
+        Reset::Watchdog => "watchdog",
+        Reset::Panic => "panic",
+        Reset::Program => "program",
+    }
+}
+
+/// What occurred on the device during a play.
+pub(super) const fn board_record(board: PlayBoard) -> BoardRecord {
+    let PlayBoard { slack, stalls, usb_recoveries, output_faults } = board;
+    BoardRecord { slack_ticks: slack, stalls, usb_recoveries, output_faults }
 }
 
 /// The API's cause of a state or an end after the host watchdog timed out.

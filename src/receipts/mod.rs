@@ -16,7 +16,8 @@ mod order;
 mod prediction;
 
 pub use convert::{
-    HOST_TIMEOUT, calibration_plan, device_info, end_text, fit, fit_name, refusal, state_name,
+    HOST_TIMEOUT, board_status, calibration_plan, device_info, end_text, fit, fit_name, refusal, reset_name,
+    state_name,
 };
 pub use items::PlannedItem;
 pub use measured_bursts::{KEPT_S, MeasuredBursts};
@@ -334,6 +335,7 @@ fn complete(receipt: &mut Receipt, outcome: &Outcome) {
     receipt.trigger = outcome.play.items.first().and_then(items::trigger);
     receipt.lateness.counts = outcome.lateness;
     receipt.wire = Some(LinkTraffic::new(outcome.wire_bytes, outcome.bursts.planned));
+    receipt.board = outcome.board.map(convert::board_record);
     receipt.offset = outcome.offset.map(Into::into);
     receipt.cut_after_ms = outcome.cut_after.map(ticks_to_ms);
     receipt.duration_ms.played =

@@ -7,9 +7,9 @@ use firmware_protocol::stroke::MOTORS;
 use meissner_api::{ErrorSource, LateCause};
 use meissner_array::pattern::Pattern;
 use meissner_array::strokes::{StrokeOptions, Strokes};
-use meissner_stream::Settings;
 use meissner_stream::link::{BadFrames, Clock, Contradictions};
 use meissner_stream::queues::{End, Offset, Onset, Play};
+use meissner_stream::{PlayBoard, Settings};
 
 fn hello() -> DeviceHello {
     DeviceHello {
@@ -53,6 +53,7 @@ fn snapshot(connected: bool, state: State, play: Option<(u64, f64)>) -> Snapshot
         retransmitted: 0,
         bad_frames: BadFrames::default(),
         contradictions: Contradictions::default(),
+        board: None,
         device_bad_frames: 0,
     }
 }
@@ -79,6 +80,7 @@ fn ended(id: u64, end: End) -> StreamEvent {
         bursts: BurstCounts { planned: 10, played: 6, late: 2, dropped: 2, refused: 0, amended: 1 },
         pulses: PulseCounts { planned: 100, played: 60 },
         lateness: LateCounts { host: 1, ..LateCounts::default() },
+        board: Some(PlayBoard { slack: Some(29), stalls: Some(1), usb_recoveries: None, output_faults: 0 }),
         wire_bytes: 55,
         offset: Some(Offset { tick: Tick(10_500), at: HostInstant::from_ns(100), uncertainty_ns: 9 }),
         cut_after: (end != End::Done).then_some(8_500),
@@ -121,6 +123,8 @@ fn a_play_goes_from_queued_to_its_receipt() {
     assert_eq!((receipt.state, receipt.cause.as_deref()), (PlayState::Stopped, Some("stop")));
     assert_eq!((receipt.lateness.strokes.len(), receipt.refusals.len()), (1, 1));
     assert_eq!(receipt.wire.unwrap().bytes_per_burst, Some(5.5));
+    let board = receipt.board.unwrap();
+    assert_eq!((board.slack_ticks, board.stalls, board.usb_recoveries), (Some(29), Some(1), None));
     assert_eq!(receipt.onset_latency_ms, Some(4.0));
     assert_eq!(receipts.last().unwrap().id, 2);
     assert!(receipts.running().is_none());

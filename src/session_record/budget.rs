@@ -209,7 +209,7 @@ mod tests {
     use serde_json::{Value, json};
 
     fn command(name: &'static str, uid: u32, asked: Value) -> CommandEntry {
-        let mut entry = CommandEntry::new(name, Peer { pid: 4_194_304, uid });
+        let mut entry = CommandEntry::new(name, Peer::local(4_194_304, uid));
         entry.set_arguments(asked);
         entry.answer = "ok".to_owned();
         entry
@@ -283,7 +283,7 @@ mod tests {
             Event::Ended { receipt: Box::new(receipt) },
         ];
         let [queued, began, ended] =
-            events.map(|event| Entry::of(&event, Some(Peer { pid: 7, uid: 1000 })).unwrap());
+            events.map(|event| Entry::of(&event, Some(Peer::local(7, 1000))).unwrap());
         [Note::Command(accepted).into(), queued, began, ended]
     }
 

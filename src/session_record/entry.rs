@@ -12,7 +12,8 @@ use meissner_api::{Event, MAX_DETAIL};
 use meissner_input::message;
 use serde::Serialize;
 use serde_json::Value;
-use std::io;
+use std::net::IpAddr;
+use std::{fmt, io};
 
 /// Characters kept of a text among a command's arguments: more than any name has.
 const MAX_TEXT: usize = 100;
@@ -28,6 +29,44 @@ pub struct Peer {
     pub pid: i32,
     /// Its user; the highest number: not known.
     pub uid: u32,
+    /// Set if it came over the network; then process and user are not known.
+    pub network: Option<NetworkPeer>,
+}
+
+/// A client that came over the network.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NetworkPeer {
+    /// Its address, or that of its proxy.
+    pub address: IpAddr,
+    /// The id of its access token, once that was checked.
+    pub token: Option<TokenId>,
+}
+
+/// The id of an access token. It says which one was used, and nothing of the token.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct TokenId(pub u32);
+
+impl fmt::Display for TokenId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:08x}", self.0)
+    }
+}
+
+impl Peer {
+    /// A client of which nothing is known.
+    pub const UNKNOWN: Self = Self::local(-1, u32::MAX);
+
+    /// A client of a Unix socket.
+    #[must_use]
+    pub const fn local(pid: i32, uid: u32) -> Self {
+        Self { pid, uid, network: None }
+    }
+
+    /// A client that came over the network.
+    #[must_use]
+    pub const fn network(network: NetworkPeer) -> Self {
+        Self { network: Some(network), ..Self::UNKNOWN }
+    }
 }
 
 /// A command and its answer.
@@ -41,6 +80,12 @@ pub struct CommandEntry {
     uid: Option<u32>,
     /// That user's name; null: not known.
     user: Option<String>,
+    /// The network address it came from; absent on a Unix socket.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    address: Option<IpAddr>,
+    /// The id of its access token; absent without one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    token: Option<String>,
     /// Its arguments, cut; null: none.
     asked: Value,
     /// The play it began.
@@ -62,6 +107,8 @@ impl CommandEntry {
             pid: (client.pid > 0).then_some(client.pid),
             uid: (client.uid != u32::MAX).then_some(client.uid),
             user: None,
+            address: client.network.map(|network| network.address),
+            token: client.network.and_then(|network| network.token).map(|token| token.to_string()),
             asked: Value::Null,
             play: None,
             answer: "hung-up".to_owned(),

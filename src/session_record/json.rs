@@ -60,7 +60,7 @@ mod tests {
     #[test]
     fn every_text_of_an_entry_is_plain_and_reads_back() {
         let odd = || ODD.to_owned();
-        let mut command = CommandEntry::new("play", Peer { pid: 1, uid: 0 });
+        let mut command = CommandEntry::new("play", Peer::local(1, 0));
         command.set_arguments(json!({"pattern": ODD, ODD: [ODD]}));
         command.answer = odd();
         let (simulated, telemetry) = (true, true);

@@ -20,7 +20,7 @@ mod users;
 mod writer;
 
 pub use budget::BYTES_PER_DAY;
-pub use entry::{CommandEntry, Entry, Note, Peer};
+pub use entry::{CommandEntry, Entry, NetworkPeer, Note, Peer, TokenId};
 pub use texts::{keeps_text, read_text};
 pub use users::Users;
 pub use writer::{Location, SYNC_AFTER, local_time};

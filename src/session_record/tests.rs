@@ -79,12 +79,12 @@ fn a_line_says_when_who_and_what() {
     let dir = tempfile::tempdir().unwrap();
     let users = Arc::new(Users::default());
     let log = SessionRecord::with(writer(dir.path(), REAL), users, WAITING).unwrap();
-    let mut command = CommandEntry::new("arm", Peer { pid: 12, uid: 0 });
+    let mut command = CommandEntry::new("arm", Peer::local(12, 0));
     command.set_arguments(json!({"assume_rest": true}));
     command.answer = "no-device".to_owned();
     log.add(started());
     log.add(Note::Command(command));
-    log.add(Note::Command(CommandEntry::new("stop", Peer { pid: -1, uid: u32::MAX })));
+    log.add(Note::Command(CommandEntry::new("stop", Peer::UNKNOWN)));
     let hello = DeviceInfo {
         kind: "mock".to_owned(),
         firmware: "1.0.0".to_owned(),
@@ -371,7 +371,7 @@ fn a_flood_is_counted_and_plays_and_e_stops_stay() {
     const FLOOD: u64 = 60_000;
     let dir = tempfile::tempdir().unwrap();
     let log = SessionRecord::with(writer(dir.path(), REAL), Arc::new(Users::default()), WAITING).unwrap();
-    let command = |name| CommandEntry::new(name, Peer { pid: 12, uid: 0 });
+    let command = |name| CommandEntry::new(name, Peer::local(12, 0));
     for round in 0..FLOOD {
         log.add(Note::Command(command("stop")));
         if round % 100 == 0 {

@@ -40,11 +40,13 @@ fn the_example_configuration_is_the_default() {
     assert_eq!(config.socket, PathBuf::from("/run/meissner/meissner.sock"));
     assert_eq!(config.device, Spec::Auto);
     assert_eq!(config.calibration, Some(PathBuf::from("/var/lib/meissner/calibration.toml")));
+    assert_eq!(config.tokens, Some(PathBuf::from("/var/lib/meissner/tokens.toml")));
     let (dir, days) = (PathBuf::from("/var/lib/meissner/logbook"), LOGBOOK_DAYS);
     assert_eq!(config.logbook, Some(Location { dir, days, make_parents: false }));
     config.logbook.clone_from(&default.logbook);
     (config.patterns, config.socket) = (default.patterns.clone(), default.socket.clone());
     config.calibration.clone_from(&default.calibration);
+    config.tokens.clone_from(&default.tokens);
     assert_eq!(config, default);
 }
 
@@ -96,7 +98,7 @@ fn every_toml_and_json_snippet_is_good() {
 fn every_code_block_names_its_language() {
     for page in book() {
         for block in page.blocks() {
-            let known = ["sh", "bash", "python", "toml", "json", "text"].contains(&block.language);
+            let known = ["sh", "bash", "python", "py", "toml", "json", "text"].contains(&block.language);
             assert!(known, "{}:{}: a block marked `{}`", page.name, block.line, block.language);
         }
     }

@@ -63,6 +63,7 @@ pub(super) fn documents() -> impl Iterator<Item = Page> {
         "docs/SUMMARY.md",
         "CHANGELOG.md",
         "deploy/README.md",
+        "python/README.md",
         "tests/install/README.md",
         "tests/realtime/README.md",
         "tests/usb/README.md",

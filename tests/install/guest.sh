@@ -57,7 +57,7 @@ play() {
     local try
     for try in 1 2 3; do
         arm "$1"
-        alice play edge-45 --seconds "$2" --wait >out.log 2>&1
+        alice play edge-45-paper --seconds "$2" --wait >out.log 2>&1
         sum=$(accounts) || fail "$1: burst counts do not add up: $(json receipt .bursts)"
         [[ $sum != done,* ]] || return 0
         echo "      once more: $sum ($(json receipt .cause))"
@@ -116,7 +116,7 @@ usermod -aG haptics alice
 sed -i 's/^lead_ms = .*/lead_ms = 300/; s/^lease_ms = .*/lease_ms = 9000/' /etc/meissner/meissner.toml
 systemctl restart meissner.service || fail "ready: restart"
 within 5 alice arm --assume-rest || fail "ready: arm: $(alice arm --assume-rest 2>&1)"
-alice play edge-45 --seconds 1 >out.log 2>&1 || fail "ready: play: $(line out.log)"
+alice play edge-45-paper --seconds 1 >out.log 2>&1 || fail "ready: play: $(line out.log)"
 to=$(now)
 took=$(ms "$(date -d "$(systemctl show --timestamp=us -P InactiveExitTimestamp meissner.service)" +%s.%N)" "$to")
 [ "${took% ms}" -le 1000 ] || wrong "ready: a play was taken $took after the start"
@@ -223,10 +223,33 @@ ok "bad: reload failed, the old one is kept: $why"
 cp -p kept.toml $conf
 systemctl reload meissner.service && within 3 lead_is 300 || fail "bad: a good one after it"
 
+part=network
+sed -i 's/^listen = .*/listen = "127.0.0.1:8765"/' $conf
+from=$(now)
+systemctl restart meissner.service || fail "forbidden: restart"
+why() { since "${from%.*}" | grep -m 1 'docs/how-to/network.md'; }
+within 5 why && why >why.log || fail "forbidden: the journal does not say why: $(since "${from%.*}" | tail -n 3)"
+alice status >/dev/null || fail "forbidden: the socket does not answer"
+ok "forbidden: the socket works; $(line why.log)"
+install -D -m 644 /usr/share/meissner/network.conf /etc/systemd/system/meissner.service.d/network.conf
+systemctl daemon-reload
+systemctl restart meissner.service || fail "allowed: restart: $(since "${from%.*}" | tail -n 3)"
+answer() {
+    exec 3<>/dev/tcp/127.0.0.1/8765 || return 1
+    printf 'GET /v1/status HTTP/1.1\r\nhost: localhost\r\nconnection: close\r\n\r\n' >&3
+    head -n 1 <&3
+    exec 3>&-
+}
+answer >out.log 2>&1 && grep -q ' 200 OK' out.log || fail "allowed: $(line out.log)"
+ok "allowed: GET /v1/status over TCP: $(tr -d '\r' <out.log)"
+rm -r /etc/systemd/system/meissner.service.d
+cp -p kept.toml $conf
+systemctl daemon-reload && systemctl restart meissner.service || fail "off again"
+
 part=upgrade
 was=$(pid)
 arm playing
-alice play edge-45 --seconds 6 --wait >player.log 2>&1 &
+alice play edge-45-paper --seconds 6 --wait >player.log 2>&1 &
 player=$!
 sleep 1
 dpkg -i /test/next.deb >out.log 2>&1 || fail "playing: $(line out.log)"
@@ -325,7 +348,7 @@ ok "socket: $(line out.log)"
 
 part=remove
 arm stop
-alice play edge-45 --seconds 30 >out.log 2>&1 || fail "stop: $(line out.log)"
+alice play edge-45-paper --seconds 30 >out.log 2>&1 || fail "stop: $(line out.log)"
 sleep 1
 from=$(now)
 systemctl stop meissner.service 2>/dev/null
@@ -336,7 +359,7 @@ ok "stop: in mid-play, $took; $(since "${from%.*}" | grep -vE 'SIGTERM|systemd|S
 mkdir -p /test/src/target/release && tar -C /test/src -xf /test/source.tar && cp /usr/bin/meissner /test/src/target/release/
 alice status >/dev/null 2>&1
 arm remove
-alice play edge-45 --seconds 30 >out.log 2>&1 || fail "remove: $(line out.log)"
+alice play edge-45-paper --seconds 30 >out.log 2>&1 || fail "remove: $(line out.log)"
 from=$(now)
 dpkg -r meissner >out.log 2>&1 || fail "remove: $(line out.log)"
 systemctl is-active --quiet meissner.service meissner.socket && fail "remove: it still runs"

@@ -162,7 +162,8 @@ fn errors(out: &mut String) {
         let routes: Vec<_> = Route::ALL.iter().filter(gives).collect();
         let routes = match routes.len() {
             0 => "any address".to_owned(),
-            many if many + 1 >= Route::ALL.len() => "every route but `/v1/estop`".to_owned(),
+            many if many == Route::ALL.len() => "every route".to_owned(),
+            many if many + 1 == Route::ALL.len() => "every route but `/v1/estop`".to_owned(),
             _ => {
                 let name = |route: &&Route| {
                     let operation = route.operation();

@@ -68,7 +68,7 @@ first() {
     local sum try
     for try in 1 2 3; do
         arm play
-        meissner play edge-45 --seconds 2 --wait >out.log 2>&1
+        meissner play edge-45-paper --seconds 2 --wait >out.log 2>&1
         sum=$(accounts) || fail "play: burst counts do not add up: $(json receipt .bursts)"
         [[ $sum != done,* ]] || break
         [ $try -lt 3 ] || fail "play: $sum ($(json receipt .cause))"
@@ -81,7 +81,7 @@ first() {
     lines=$(book | wc -l)
     for try in 1 2 3; do
         arm play
-        meissner play edge-45 --seconds 6 --wait >out.log 2>&1 &
+        meissner play edge-45-paper --seconds 6 --wait >out.log 2>&1 &
         sleep 2
         hour=$(date +%H:%M:%S)
         date -s "@$(($(date +%s) - 3600))" >/dev/null || fail "play: the clock cannot be set"
@@ -120,7 +120,7 @@ first() {
         meissner import pattern.toml >out.log 2>&1 || fail "cut: import: $(cat out.log)"
         echo "kept upload $n $(uptime_s)"
         state_is armed || arm cut
-        meissner play edge-45 --seconds 0.3 --wait >out.log 2>&1
+        meissner play edge-45-paper --seconds 0.3 --wait >out.log 2>&1
         echo "kept play $(json receipt .id) $(uptime_s)"
     done
     fail "cut: the power was not cut"

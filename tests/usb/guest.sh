@@ -64,7 +64,7 @@ play() {
     for try in 1 2 3; do
         arm "$1"
         code=0
-        meissner play edge-45 --seconds 2 --wait "${less[@]}" >out.log 2>&1 || code=$?
+        meissner play edge-45-paper --seconds 2 --wait "${less[@]}" >out.log 2>&1 || code=$?
         if grep -q 'the line carries' out.log; then
             echo "      once more, open loop: $(<out.log)"
             less=(--open-loop)
@@ -114,7 +114,7 @@ over() {
     within 20 has_device || fail "second: it disturbed the first: $(json status .state)"
 
     arm unplug
-    meissner play edge-45 --seconds 20 --open-loop >out.log 2>&1 || fail "unplug: $(cat out.log)"
+    meissner play edge-45-paper --seconds 20 --open-loop >out.log 2>&1 || fail "unplug: $(cat out.log)"
     sleep 1.5
     from=$(now)
     echo 'meissner: now' >/dev/kmsg

@@ -8,6 +8,7 @@
 //! - [`session`]: whose plays are recorded together, and who owns the display meanwhile.
 //! - [`sequence`], [`trigger`]: sequences of patterns, and the trigger output, in requests and in receipts.
 //! - [`status`], [`receipt`], [`pattern`], [`calibration`]: what the daemon answers.
+//! - [`token`]: access tokens of clients that come over the network.
 //! - [`event`]: what the daemon reports as it happens.
 //! - [`problem`]: errors, as `application/problem+json`.
 //! - [`openapi`]: the OpenAPI document of all of the above, served at `GET /v1/openapi.json`.
@@ -29,6 +30,7 @@
 // The examples of the longest schemas.
 #![recursion_limit = "256"]
 
+pub mod board;
 pub mod calibration;
 pub mod event;
 pub mod openapi;
@@ -40,8 +42,10 @@ pub mod route;
 pub mod sequence;
 pub mod session;
 pub mod status;
+pub mod token;
 pub mod trigger;
 
+pub use board::{BoardRecord, BoardStatus};
 pub use calibration::{CalibratedMotor, CalibrationReport, Provenance};
 pub use event::{Event, MAX_ITEMS_LISTED, SensorFault};
 pub use pattern::{
@@ -65,6 +69,10 @@ pub use session::{
 pub use status::{
     ClockSample, DeviceInfo, ErrorSource, MotorStatus, NO_DEVICE, ParticipantStatus, PlayAccepted,
     QueuedPlay, Realtime, RunningPlay, Status,
+};
+pub use token::{
+    MAX_TOKENS, NetworkStatus, PREFIX as TOKEN_PREFIX, Role, SESSION_HEADER, TokenCreated, TokenInfo,
+    TokenList, TokenRequest,
 };
 pub use trigger::{TriggerRecord, TriggerRequest, TriggerShape};
 

@@ -8,7 +8,7 @@ use crate::route::{Answer, Body, Method, Operation, Query, Route};
 use crate::{
     ArmRequest, CalibrateRequest, CalibrationReport, Event, ImportedPattern, PatternDetails, PatternList,
     PlayAccepted, PlayRequest, Receipt, RemovedPattern, ResetRequest, SequenceRequest, Session, SessionList,
-    SessionPlays, SessionRequest, SessionStarted, Status,
+    SessionPlays, SessionRequest, SessionStarted, Status, TokenCreated, TokenInfo, TokenList, TokenRequest,
 };
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
@@ -37,6 +37,10 @@ use utoipa::OpenApi;
     SessionStarted,
     SequenceRequest,
     Status,
+    TokenCreated,
+    TokenInfo,
+    TokenList,
+    TokenRequest,
 )))]
 struct Schemas;
 
@@ -54,7 +58,9 @@ const CALIBRATION: &str = "format = 1\n\n[[motor]]\nmotor = 3\nup = { gain = 1.0
 
 const ABOUT: &str = "HTTP/1.1 over the daemon's Unix socket: `$MEISSNER_SOCKET`, else `$XDG_RUNTIME_DIR/meissner.sock`, else \
                      `/run/meissner/meissner.sock`. At most 64 clients are connected at the same time; the daemon closes a connection \
-                     that sends nothing for 10 minutes, or earlier if another client needs its place. Who may use the socket may use the whole API. The body of a command has at \
+                     that sends nothing for 10 minutes, or earlier if another client needs its place. Who may use the socket may use the whole API. \
+                     With `listen` in the configuration the daemon serves the API over TCP, too; a request from another machine then \
+                     needs an access token (`unauthorized`, `forbidden`). The body of a command has at \
                      most 16 KiB. A key that is null counts as absent; an unknown key is an error. Every error, also of an unknown \
                      address (`not-found`) or method (`method-not-allowed`), is `application/problem+json` with a stable `code`. \
                      Times: `_s` is seconds, `_ms` milliseconds, a tick 1/85000 s on the device's clock.";

@@ -25,6 +25,10 @@ pub enum Code {
     Empty,
     /// There is no such route, pattern, play or calibration.
     NotFound,
+    /// A request over the network has no valid access token.
+    Unauthorized,
+    /// A request over the network comes from another site's page, or its token's role does not allow it.
+    Forbidden,
     /// The route exists, but not with this HTTP method.
     MethodNotAllowed,
     /// The name belongs to the built-in library, or another pattern has it.
@@ -100,6 +104,8 @@ impl Code {
     /// Every code, in the order of the API reference: by HTTP status.
     pub const ALL: &[Self] = &[
         Self::BadRequest,
+        Self::Unauthorized,
+        Self::Forbidden,
         Self::NotFound,
         Self::MethodNotAllowed,
         Self::Slow,
@@ -147,6 +153,8 @@ impl Code {
             Self::BadPattern => ("bad-pattern", 422, "Not a valid pattern"),
             Self::Empty => ("empty", 422, "Nothing would be played"),
             Self::NotFound => ("not-found", 404, "There is no such thing"),
+            Self::Unauthorized => ("unauthorized", 401, "An access token is needed"),
+            Self::Forbidden => ("forbidden", 403, "The request is not allowed over the network"),
             Self::MethodNotAllowed => ("method-not-allowed", 405, "The route does not take this method"),
             Self::Exists => ("exists", 409, "The name is taken"),
             Self::TooLarge => ("too-large", 413, "The request is too large"),

@@ -5,6 +5,7 @@
 //!
 //! Invariant: in the receipt of an ended play, `planned = played + late + dropped + refused`, as the streamer counted.
 
+use crate::board::BoardRecord;
 use crate::pattern::ReachedDrive;
 use crate::request::{Fit, LatePolicy};
 use crate::sequence::ItemRecord;
@@ -367,6 +368,7 @@ impl LinkTraffic {
     "trigger": {"tick": 6442460000_u64, "width_ms": 10.0, "code": null},
     "boot": 305419896, "items_planned": null, "items": null,
     "wire": {"bytes_to_device": 14260, "bytes_per_burst": 11.5},
+    "board": {"slack_ticks": 29, "stalls": 0, "usb_recoveries": 0, "output_faults": 0},
     "rest_error_um": [0.4, -0.2],
     "rest_errors": [{
         "motor": 9, "onset_um": 0.1, "onset_source": "telemetry", "offset_um": 0.4, "offset_source": "telemetry"
@@ -493,6 +495,10 @@ pub struct Receipt {
     /// What was sent to the device; null until the play is over.
     #[schema(required)]
     pub wire: Option<LinkTraffic>,
+    /// What occurred on the device meanwhile; null until the play is over, or if its reports do not cover the whole play.
+    #[serde(default)]
+    #[schema(required)]
+    pub board: Option<BoardRecord>,
     /// Estimated offset of each pin from rest at the end, µm, by motor, as in the status; null until the play is over.
     #[schema(required, max_items = 24)]
     pub rest_error_um: Option<Vec<f32>>,
@@ -541,6 +547,7 @@ impl Receipt {
             items_planned: None,
             items: None,
             wire: None,
+            board: None,
             rest_error_um: None,
             rest_errors: None,
             prediction: Prediction::default(),

@@ -33,6 +33,9 @@ pub enum Route {
     SessionShow,
     SessionPlays,
     SessionEnd,
+    TokenCreate,
+    Tokens,
+    TokenRevoke,
     Metrics,
     OpenApi,
 }
@@ -129,8 +132,8 @@ impl Operation {
     }
 }
 
-/// Every connection may be one too many.
-const ANY: &[Code] = &[Code::TooManyClients];
+/// Every connection may be one too many, and every request over the network may be refused.
+const ANY: &[Code] = &[Code::Unauthorized, Code::Forbidden, Code::TooManyClients];
 /// Every body may be malformed, too large or too slow, or come from a client that may not act during an exclusive session.
 const BODY: &[Code] = &[Code::BadRequest, Code::TooLarge, Code::Slow, Code::SessionExclusive];
 /// Every command goes through the daemon's command queue to the device.
@@ -167,7 +170,7 @@ const STATUS: Answer = Answer::Json("Status");
 
 impl Route {
     /// Every route.
-    pub const ALL: [Self; 25] = [
+    pub const ALL: [Self; 28] = [
         Self::Play,
         Self::Sequence,
         Self::Stop,
@@ -191,6 +194,9 @@ impl Route {
         Self::SessionShow,
         Self::SessionPlays,
         Self::SessionEnd,
+        Self::TokenCreate,
+        Self::Tokens,
+        Self::TokenRevoke,
         Self::Metrics,
         Self::OpenApi,
     ];
@@ -224,6 +230,8 @@ impl Route {
             Self::StoreCalibration => "store-calibration",
             Self::SessionStart => "session-start",
             Self::SessionEnd => "session-end",
+            Self::TokenCreate => "token-create",
+            Self::TokenRevoke => "token-revoke",
             _ => "read",
         }
     }
@@ -489,6 +497,32 @@ impl Route {
                 answer: Answer::Json("Session"),
                 errors: &[BODY, &[Code::NotFound, Code::Playing], ANY],
                 ..Operation::post("/v1/sessions/{id}/end")
+            },
+            Self::TokenCreate => Operation {
+                summary: "Create an access token for clients that come over the network",
+                description: "Only clients of the Unix socket may do this. The daemon keeps a hash and shows the token once. There are at \
+                              most 100 tokens. A network client sends it as `Authorization: Bearer TOKEN`, and the token of a session \
+                              in the header `Meissner-Session`.",
+                body: Body::Json("TokenRequest"),
+                statuses: &[(201, "Created")],
+                answer: Answer::Json("TokenCreated"),
+                errors: &[&[Code::BadRequest, Code::TooLarge, Code::Slow, Code::Exists, Code::Store], ANY],
+                ..Operation::post("/v1/tokens")
+            },
+            Self::Tokens => Operation {
+                summary: "List the access tokens",
+                description: "Without their secrets. Only clients of the Unix socket may do this.",
+                answer: Answer::Json("TokenList"),
+                ..Operation::get("/v1/tokens")
+            },
+            Self::TokenRevoke => Operation {
+                method: Method::Delete,
+                summary: "Revoke an access token",
+                description: "It is not valid from the next request on. Only clients of the Unix socket may do this.",
+                parameter: Some("The token's id"),
+                answer: Answer::Json("TokenInfo"),
+                errors: &[&[Code::BadRequest, Code::NotFound, Code::Store], ANY],
+                ..Operation::get("/v1/tokens/{id}")
             },
             Self::Metrics => Operation {
                 summary: "Show counters and gauges for Prometheus",

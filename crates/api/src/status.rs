@@ -2,7 +2,9 @@
 //!
 //! `GET /v1/status` and every command but `play` and `calibrate` answer with a [`Status`].
 
+use crate::board::BoardStatus;
 use crate::session::Session;
+use crate::token::NetworkStatus;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -203,6 +205,10 @@ pub struct ParticipantStatus {
     "lead_ms": 100.0, "lease_ms": 300.0,
     "line_bytes_per_s": 1000000,
     "drift_limit_um": 150.0, "contradictions": 0,
+    "board": {
+        "reset": "power", "uptime_s": 5400, "slack_ticks": 26, "stalls": 0, "usb_recoveries": 0, "output_faults": 0,
+        "high_at_boot": []
+    },
     "motors": [{"rest_error_um": 0.4, "source": "telemetry", "calibrated": false}],
     "calibrated": null,
     "session": null,
@@ -212,7 +218,7 @@ pub struct ParticipantStatus {
         "session_used_s": null, "session_left_s": null, "max_day_s": 7200.0, "day_used_s": 900.0, "day_left_s": 6300.0
     },
     "realtime": {"fifo": true, "mlock": true}, "logbook_problem": null,
-    "socket": "/run/meissner/meissner.sock", "version": "0.1.0", "pid": 1234
+    "socket": "/run/meissner/meissner.sock", "network": null, "version": "0.1.0", "pid": 1234
 })))]
 pub struct Status {
     /// `disarmed`, `armed`, `returning` (pins return to rest), `faulted` or `no-device`.
@@ -270,6 +276,10 @@ pub struct Status {
     #[serde(default)]
     #[schema(required)]
     pub contradictions: u64,
+    /// The device's counters; null until it has reported them.
+    #[serde(default)]
+    #[schema(required)]
+    pub board: Option<BoardStatus>,
     /// Estimate by dead reckoning above which no play drives a pin, µm (configuration key `drift_limit_um`).
     #[serde(default)]
     #[schema(required, minimum = 0.0)]
@@ -301,6 +311,10 @@ pub struct Status {
     #[serde(default)]
     #[schema(required)]
     pub socket: String,
+    /// Who can reach the daemon over the network; null: nothing listens there.
+    #[serde(default)]
+    #[schema(required)]
+    pub network: Option<NetworkStatus>,
     /// The daemon's version.
     pub version: String,
     /// The daemon's process id.

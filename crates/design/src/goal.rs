@@ -16,11 +16,11 @@ use serde::{Deserialize, Serialize};
 #[serde(rename_all = "kebab-case")]
 pub enum Goal {
     /// Mean rate of ON minus mean rate of OFF, impulses/s: the paper's.
-    #[default]
     Contrast,
     /// Mean rate of ON minus the root mean square of OFF, impulses/s: a few fast OFF afferents count.
     OffRms,
     /// Mean rate of ON minus twice the root mean square of OFF, impulses/s.
+    #[default]
     OffRmsTwice,
     /// Mean rate of ON minus a mean of OFF in which near afferents weigh more, impulses/s: half at 1.45 mm beyond the reach, a quarter
     /// at 2.9 mm.
@@ -62,6 +62,11 @@ impl Goal {
             Self::Correlation => "correlation",
             Self::Rivals => "rivals",
         }
+    }
+
+    /// Whether its values are rates, impulses/s.
+    pub(crate) const fn is_rate(self) -> bool {
+        matches!(self, Self::Contrast | Self::OffRms | Self::OffRmsTwice | Self::NearOff)
     }
 
     /// What its values are counted in.

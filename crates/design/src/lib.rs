@@ -11,7 +11,8 @@
 //! 3. `target`: reads and checks target files; cuts a moving target into [`Frame`]s.
 //! 4. `shipped`: the targets that are built in, among them the [`YARDSTICK`].
 //! 5. `point`: a [`Point`] says how each motor vibrates; a [`Space`] says what a search may choose.
-//! 6. `objective`: an [`Objective`] simulates the contrast of points. `moves`: the points to try next.
+//! 6. `objective`: an [`Objective`] simulates the contrast of points. `aim`: what a search climbs, under one model or both. `moves`: the
+//!    points to try next.
 //! 7. `search`: [`search()`] goes from a start to better points.
 //! 8. `judge`: [`judge()`] simulates a pattern exactly; [`robustness()`] does so in other conditions.
 //! 9. `make`: [`make()`] searches frame by frame, judges the result and writes the pattern.
@@ -23,15 +24,14 @@
 //! caller ends depends on when that happens.
 //!
 //! ```
-//! use meissner_design::{Brief, Conditions, Goal, Limit, Setting, judge, search, shipped};
-//! use meissner_skin::ModelName;
+//! use meissner_design::{Brief, Conditions, Goal, Limit, Models, Setting, judge, search, shipped};
 //! use std::ops::ControlFlow;
 //!
 //! let target = shipped("dot").unwrap();
 //! let space = Setting::Default.space();
 //! let start = space.random(0);
 //! let brief =
-//!     Brief { model: ModelName::Membrane, goal: Goal::Contrast, target: &target, frame: &target.frames()[0], populations: &[0], noise_seed: 0, space, seed: 0 };
+//!     Brief { models: Models::Membrane, goal: Goal::Contrast, target: &target, frame: &target.frames()[0], populations: &[0], noise_seed: 0, space, seed: 0 };
 //! let found = search(&brief, start, Limit::Evaluations(50), &mut |_, _| ControlFlow::Continue(()))?;
 //!
 //! let drives = found.point.drives(target.amplitude_um(), None, None);
@@ -40,6 +40,7 @@
 //! # Ok::<(), meissner_skin::MethodError>(())
 //! ```
 
+mod aim;
 mod braille;
 mod discriminate;
 mod goal;
@@ -57,6 +58,7 @@ mod shape;
 mod shipped;
 mod target;
 
+pub use aim::Models;
 pub use discriminate::{
     ClassReadings, Confusion, LEAST_TRIALS, MOST_TRIALS, Plan, Reading, Sensitivity, confusion,
     correct_of_two, discriminate, efficiency,

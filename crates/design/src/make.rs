@@ -9,10 +9,11 @@
 //! Invariant: a request with the evaluations of the provenance makes the same bytes again, on any number of threads. So
 //! does the request itself, unless a clock or the caller ended it.
 
+use crate::aim::{Aim, Models};
 use crate::goal::Goal;
 use crate::judge::{Conditions, Robustness, judge, pulses_per_s, robustness};
 use crate::naive::Rule;
-use crate::objective::{Fidelity, Objective, Score};
+use crate::objective::{Fidelity, Score};
 use crate::partition::Verdict;
 use crate::point::{Point, Setting, Space};
 use crate::search::{Brief, Ended, Found, Limit, Spent, resume, search};
@@ -46,8 +47,8 @@ pub enum Budget {
 /// How to make a pattern.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Request {
-    /// The model that predicts rates: its RA afferents are ON or OFF.
-    pub model: ModelName,
+    /// The models that predict rates: their RA afferents are ON or OFF.
+    pub models: Models,
     /// What the search maximises.
     pub goal: Goal,
     /// The search space.
@@ -147,7 +148,7 @@ pub enum MakeError {
 impl Request {
     /// Whether the model and the goal are the paper's.
     fn is_the_papers(&self) -> bool {
-        self.model == ModelName::Membrane && self.goal == Goal::Contrast
+        self.models == Models::Membrane && self.goal == Goal::Contrast
     }
 }
 
@@ -208,7 +209,7 @@ pub fn make(
     for (number, frame) in frames.iter().enumerate() {
         let space = space_of(frame);
         let brief = Brief {
-            model: request.model,
+            models: request.models,
             goal: request.goal,
             target,
             frame,
@@ -248,7 +249,7 @@ pub fn make(
     let value = |drives: &[Drive]| value(target, request, &populations, &played, drives);
     let made_value = value(&drives)?;
     let naive_values = naive.each_ref().map(|drives| value(drives));
-    let made_for = Conditions { model: request.model, ..Conditions::plain(populations, noise_seed) };
+    let made_for = Conditions { model: request.models.first(), ..Conditions::plain(populations, noise_seed) };
     let verdict = |model: ModelName, drives: &[Drive]| -> Result<Verdict, MethodError> {
         let conditions = Conditions { model, ..made_for.clone() };
         Ok(judge(target, drives, &conditions)?.expect("a checked target has ON and OFF afferents"))
@@ -261,7 +262,7 @@ pub fn make(
         }
         models.push(ByModel { model, verdict: verdict(model, &drives)?, baselines });
     }
-    let own = models.iter().find(|of| of.model == request.model).expect("there are both models");
+    let own = models.iter().find(|of| of.model == request.models.first()).expect("there are both models");
     let mut baselines = Vec::new();
     for (of, value) in own.baselines.iter().zip(naive_values) {
         baselines.push(Baseline { rule: of.rule, value: value?, verdict: of.verdict });
@@ -298,11 +299,10 @@ impl Budget {
 
 /// The point of which the goal's value is highest; the first of equals.
 fn best(brief: &Brief<'_>, points: impl Iterator<Item = Point>) -> Result<Point, MethodError> {
-    let Brief { model, goal, target, frame, populations, noise_seed, .. } = *brief;
-    let objective = Objective::under(model, goal, target, frame, populations, noise_seed, Fidelity::FULL);
+    let aim = brief.aim(Fidelity::FULL)?;
     let mut best: Option<(f64, Point)> = None;
     for point in points {
-        let value = objective.at(point)?.score().value;
+        let value = aim.at(point)?.score().value;
         if best.is_none_or(|(highest, _)| value > highest) {
             best = Some((value, point));
         }
@@ -322,9 +322,9 @@ fn value(
     let mut sum = 0.0;
     for frame in frames {
         let seed = target.population_seed();
-        let Request { model, goal, .. } = *request;
-        let objective = Objective::under(model, goal, target, frame, populations, seed, Fidelity::FULL);
-        sum += objective.at(point_at(drives, frame, space))?.score().value;
+        let Request { models, goal, .. } = *request;
+        let aim = Aim::new(models, goal, target, frame, populations, seed, Fidelity::FULL)?;
+        sum += aim.at(point_at(drives, frame, space))?.score().value;
     }
     Ok(sum / frames.len() as f64)
 }
@@ -346,8 +346,8 @@ fn provenance(target: &Target, request: &Request, made: &Made, starts: Option<&[
     put("method", "subgradient".into());
     put("model", MODEL.into());
     // Patterns of the paper's goal and model keep the bytes that they had before there were others.
-    if request.model != ModelName::Membrane {
-        put("skin_model", request.model.name().into());
+    if request.models != Models::Membrane {
+        put("skin_model", request.models.name().into());
     }
     if !request.is_the_papers() {
         put("objective", request.goal.name().into());

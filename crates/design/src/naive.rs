@@ -3,9 +3,8 @@
 //! All pins near the shape vibrate at 60 Hz, in phase; in a frame too short for a stroke at 60 Hz, at the lowest frequency that gives
 //! one. A search that is not better than them has found nothing.
 
-use crate::point::Setting;
-use crate::target::Target;
-use firmware_protocol::stroke::MOTORS;
+use crate::point::{Point, Setting};
+use crate::target::{Frame, Target};
 use meissner_array::geometry::{PITCH_MM, position_mm};
 use meissner_array::pattern::Drive;
 use meissner_skin::afferent::Position;
@@ -37,29 +36,26 @@ impl Rule {
         }
     }
 
-    /// The drives for a target, frame by frame; none if no pin is near.
+    /// What the motors do in a frame of a target.
     #[must_use]
-    pub fn drives(self, target: &Target) -> Vec<Drive> {
+    pub(crate) fn point(self, target: &Target, frame: &Frame) -> Point {
         let within_mm = match self {
             Self::Reach => target.reach_mm(),
             Self::Pitch => PITCH_MM,
         };
-        let in_frame = |frame: &crate::Frame| {
-            let near = (0..MOTORS as u8).filter(|&motor| {
-                let [x_mm, y_mm] = position_mm(motor);
-                frame.shape.distance_mm(Position { x_mm, y_mm }) <= within_mm
-            });
-            let (start_s, stop_s) = (frame.start_s, frame.stop_s);
-            let space = Setting::Default.space().in_frame(frame, target.amplitude_um());
-            let drive = |motor| Drive {
-                motor,
-                frequency_hz: space.vibration(FREQUENCY_HZ, 0.0).frequency_hz(),
-                amplitude_um: target.amplitude_um(),
-                phase: 0.0,
-                start_s,
-                stop_s,
-            };
-            near.map(drive).collect::<Vec<_>>()
+        let space = Setting::Default.space().in_frame(frame, target.amplitude_um());
+        Point(std::array::from_fn(|motor| {
+            let [x_mm, y_mm] = position_mm(motor as u8);
+            let near = frame.shape.distance_mm(Position { x_mm, y_mm }) <= within_mm;
+            near.then(|| space.vibration(FREQUENCY_HZ, 0.0))
+        }))
+    }
+
+    /// The drives for a target, frame by frame; none if no pin is near.
+    #[must_use]
+    pub fn drives(self, target: &Target) -> Vec<Drive> {
+        let in_frame = |frame: &Frame| {
+            self.point(target, frame).drives(target.amplitude_um(), frame.start_s, frame.stop_s)
         };
         target.frames().iter().flat_map(in_frame).collect()
     }

@@ -20,14 +20,15 @@
 //!
 //! Invariant: the result depends on the brief, the start and the number of evaluations, not on threads or clocks.
 
+use crate::aim::{self, Aim, Models, Standing};
 use crate::goal::Goal;
 use crate::moves;
-use crate::objective::{Fidelity, Incumbent, Objective, Score, Tried};
+use crate::objective::{Fidelity, Score};
 use crate::point::{Point, Space};
 use crate::target::{Frame, Target};
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::random;
-use meissner_skin::{MethodError, ModelName, SEARCH_MIN_WEIGHT};
+use meissner_skin::{MethodError, SEARCH_MIN_WEIGHT};
 use std::collections::HashSet;
 use std::ops::ControlFlow;
 use std::time::Instant;
@@ -35,8 +36,8 @@ use std::time::Instant;
 /// The task of a search.
 #[derive(Clone, Debug)]
 pub struct Brief<'b> {
-    /// The model that predicts rates.
-    pub model: ModelName,
+    /// The models that predict rates.
+    pub models: Models,
     /// What it maximises.
     pub goal: Goal,
     /// The target: its reach, amplitude and afferent model.
@@ -51,6 +52,22 @@ pub struct Brief<'b> {
     pub space: Space,
     /// Seed of the search's random numbers.
     pub seed: u64,
+}
+
+impl Brief<'_> {
+    /// What the search climbs at a fidelity.
+    pub(crate) fn aim(&self, fidelity: Fidelity) -> Result<Aim, MethodError> {
+        let Self { models, goal, target, frame, populations, noise_seed, .. } = *self;
+        Aim::new(models, goal, target, frame, populations, noise_seed, fidelity)
+    }
+
+    /// The number of random starts. Under both models there are none: the search improves the rule of thumb.
+    const fn restarts(&self) -> u8 {
+        match self.models {
+            Models::Both => 0,
+            Models::Membrane | Models::Afferents => RESTARTS,
+        }
+    }
 }
 
 /// When a search stops that has not converged. It is checked before each batch of moves.
@@ -144,7 +161,7 @@ const DESCENT: [Stage; 3] = [
 const POLISH: Stage = Stage { fidelity: FINE, rounds: &[Far, Near { radius: 0.05, halvings: 3 }] };
 /// A descent that ends further below the best than this share of it is not polished.
 const HOPELESS: f64 = 0.1;
-/// The number of starts besides the first.
+/// The number of starts besides the first, under one model.
 const RESTARTS: u8 = 4;
 
 /// Separates the search's random numbers from others of the same seed.
@@ -188,7 +205,7 @@ fn begin(
     let mut run = Run { brief, limit, watch, spent, trace, ended: None, drawn: 0, pass: 0, best: None };
     let first = run.pass(start, descent, f64::NEG_INFINITY)?;
     let (mut point, mut score) = first.unwrap_or((start, Score::default()));
-    for pass in 1..=RESTARTS {
+    for pass in 1..=brief.restarts() {
         if run.over() {
             break;
         }
@@ -218,7 +235,7 @@ struct Run<'r> {
 
 /// The state of a stage. No point is tried twice.
 struct StageState<'s> {
-    incumbent: Incumbent<'s>,
+    standing: Standing<'s>,
     seen: HashSet<Point>,
 }
 
@@ -251,10 +268,9 @@ impl Run<'_> {
     }
 
     fn stage(&mut self, stage: &Stage, point: Point) -> Result<(Point, Score), MethodError> {
-        let Brief { model, goal, target, frame, populations, noise_seed, .. } = *self.brief;
-        let objective = Objective::under(model, goal, target, frame, populations, noise_seed, stage.fidelity);
-        let mut state = StageState { incumbent: objective.at(point)?, seen: HashSet::from([point]) };
-        self.spend(objective.afferents(), &objective);
+        let aim = self.brief.aim(stage.fidelity)?;
+        let mut state = StageState { standing: aim.at(point)?, seen: HashSet::from([point]) };
+        self.spend(aim.afferents(), &aim);
         self.record(&state);
         self.report(&state);
         for &round in stage.rounds {
@@ -263,7 +279,7 @@ impl Run<'_> {
                 Near { radius, halvings } => self.near(&mut state, radius, halvings),
             }
         }
-        Ok((*state.incumbent.point(), state.incumbent.score()))
+        Ok((*state.standing.point(), state.standing.score()))
     }
 
     /// Every motor once, in random order.
@@ -275,7 +291,7 @@ impl Run<'_> {
         }
         for motor in order {
             let jitter = self.random();
-            self.improve(state, moves::of_motor(state.incumbent.point(), motor, &self.brief.space, jitter));
+            self.improve(state, moves::of_motor(state.standing.point(), motor, &self.brief.space, jitter));
         }
     }
 
@@ -286,9 +302,9 @@ impl Run<'_> {
             let next = |point: &Point, done: u32| {
                 point.unisons().into_iter().find(|motors| done >> motors[0] & 1 == 0)
             };
-            while let Some(motors) = next(state.incumbent.point(), done) {
+            while let Some(motors) = next(state.standing.point(), done) {
                 done |= 1 << motors[0];
-                let here = state.incumbent.point();
+                let here = state.standing.point();
                 self.improve(state, moves::of_unison(here, &motors, &self.brief.space, radius, halving == 0));
             }
             radius /= 2.0;
@@ -301,14 +317,14 @@ impl Run<'_> {
             return;
         }
         let new = points.into_iter().filter(|point| state.seen.insert(*point)).collect();
-        let tried = state.incumbent.try_all(new);
-        tried.iter().for_each(|tried| self.spend(tried.afferents, state.incumbent.objective()));
-        let value = |tried: &Tried| tried.score.value;
+        let tried = state.standing.try_all(new);
+        tried.iter().for_each(|tried| self.spend(tried.afferents, state.standing.aim()));
+        let value = |tried: &aim::Step| tried.score.value;
         // The first of equals, so that threads do not matter.
         let best =
             tried.into_iter().reduce(|best, next| if value(&next) > value(&best) { next } else { best });
-        if let Some(best) = best.filter(|best| value(best) > state.incumbent.score().value) {
-            state.incumbent.move_to(best);
+        if let Some(best) = best.filter(|best| value(best) > state.standing.score().value) {
+            state.standing.move_to(best);
             self.record(state);
         }
         self.report(state);
@@ -332,21 +348,21 @@ impl Run<'_> {
         random::uniform([self.brief.seed, self.drawn, 0, SEARCH_WORD])[0]
     }
 
-    fn spend(&mut self, afferents: usize, objective: &Objective) {
+    fn spend(&mut self, afferents: usize, aim: &Aim) {
         self.spent.evaluations += 1;
-        self.spent.afferent_s += afferents as f64 * objective.duration_s();
+        self.spent.afferent_s += afferents as f64 * aim.duration_s();
     }
 
     fn record(&mut self, state: &StageState<'_>) {
-        let (point, score) = (*state.incumbent.point(), state.incumbent.score());
-        let duration_s = state.incumbent.objective().duration_s();
+        let (point, score) = (*state.standing.point(), state.standing.score());
+        let duration_s = state.standing.aim().duration_s();
         self.trace.push(Step { spent: self.spent, point, score, duration_s, pass: self.pass });
     }
 
     fn report(&mut self, state: &StageState<'_>) {
-        let here = state.incumbent.score();
+        let here = state.standing.score();
         // Scores of a coarser stage do not compare with the best.
-        let comparable = state.incumbent.objective().duration_s() >= FINE.duration_s;
+        let comparable = state.standing.aim().duration_s() >= FINE.duration_s;
         let best = self.best.filter(|best| !comparable || best.value > here.value);
         if (self.watch)(self.spent, best.unwrap_or(here)).is_break() {
             self.ended.get_or_insert(Ended::Interrupted);

@@ -3,7 +3,8 @@
 use meissner_array::pattern::Drive;
 use meissner_array::strokes::{DriveStrokes, StrokeOptions, reached};
 use meissner_design::{
-    Budget, Fidelity, Frame, Goal, Made, Objective, Request, Rule, Setting, Target, Vibration, make, shipped,
+    Budget, Fidelity, Frame, Goal, Made, Models, Objective, Request, Rule, Setting, Target, Vibration, make,
+    shipped,
 };
 use std::ops::ControlFlow::Continue;
 
@@ -23,9 +24,9 @@ frames = 8
     Target::read(text, "fast.toml").unwrap()
 }
 
-fn made(goal: Goal, setting: Setting) -> Made {
+fn made(models: Models, goal: Goal, setting: Setting) -> Made {
     let budget = Budget::Evaluations(vec![120]);
-    let request = Request { goal, setting, seed: 3, budget, ..Request::default() };
+    let request = Request { models, goal, setting, seed: 3, budget, ..Request::default() };
     make(&fast(), "fast", &request, &mut |_| Continue(())).unwrap()
 }
 
@@ -35,15 +36,16 @@ fn has_stroke(drive: &Drive) -> bool {
 
 #[test]
 fn a_pattern_for_short_frames_has_no_drive_without_a_stroke() {
-    for (goal, setting) in [
-        (Goal::Contrast, Setting::Default),
-        (Goal::OffRms, Setting::Default),
-        (Goal::Contrast, Setting::AlwaysOn),
+    for (models, goal, setting) in [
+        (Models::Membrane, Goal::Contrast, Setting::Default),
+        (Models::Membrane, Goal::OffRms, Setting::Default),
+        (Models::Membrane, Goal::Contrast, Setting::AlwaysOn),
+        (Models::Both, Goal::OffRmsTwice, Setting::Default),
     ] {
-        let made = made(goal, setting);
+        let made = made(models, goal, setting);
         let found = reached(&made.pattern, &StrokeOptions::default()).unwrap();
         let silent = found.iter().filter(|drive| drive.strokes == Some(0)).count();
-        assert_eq!(silent, 0, "{goal:?} {setting:?}: of {} drives", found.len());
+        assert_eq!(silent, 0, "{models:?} {goal:?} {setting:?}: of {} drives", found.len());
         assert!(!found.is_empty());
         if setting == Setting::AlwaysOn {
             assert_eq!(found.len(), 24 * 8, "every motor moves in every frame");

@@ -1,7 +1,7 @@
 use meissner_array::pattern::Pattern;
 use meissner_design::{
-    Budget, Conditions, Goal, Request, Setting, Target, judge, make, populations, pulses_per_s, robustness,
-    shipped, shipped_names,
+    Budget, Conditions, Goal, Models, Request, Rule, Setting, Target, judge, make, populations, pulses_per_s,
+    quality, robustness, shipped, shipped_names,
 };
 use meissner_skin::ModelName;
 use rayon::ThreadPoolBuilder;
@@ -9,8 +9,15 @@ use std::fs;
 use std::ops::ControlFlow::Continue;
 use std::path::Path;
 
+/// Names of the patterns that were made from targets: the library's, and those of the paper's setting.
+fn names() -> Vec<String> {
+    let names = shipped_names();
+    names.iter().map(ToString::to_string).chain(names.iter().map(|name| format!("{name}-paper"))).collect()
+}
+
 fn file(name: &str) -> String {
-    let dir = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../patterns");
+    let folder = if name.ends_with("-paper") { "patterns/paper" } else { "patterns" };
+    let dir = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join(folder);
     fs::read_to_string(dir.join(format!("{name}.toml"))).unwrap()
 }
 
@@ -26,9 +33,19 @@ fn request(pattern: &Pattern) -> Request {
     let provenance = pattern.provenance();
     let whole = |value: &toml::Value| value.as_integer().unwrap().try_into().unwrap();
     assert_eq!(provenance["setting"].as_str(), Some("default"));
+    let (models, goal) = if pattern.name().ends_with("-paper") {
+        // The keys came with the other objectives and models.
+        assert!(!provenance.contains_key("skin_model") && !provenance.contains_key("objective"));
+        (Models::Membrane, Goal::Contrast)
+    } else {
+        let (models, goal) = (Models::default(), Goal::default());
+        assert_eq!(provenance["skin_model"].as_str(), Some(models.name()));
+        assert_eq!(provenance["objective"].as_str(), Some(goal.name()));
+        (models, goal)
+    };
     Request {
-        model: ModelName::Membrane,
-        goal: Goal::Contrast,
+        models,
+        goal,
         setting: Setting::Default,
         seed: whole(&provenance["seed"]),
         robust: provenance["robust"].as_bool().unwrap(),
@@ -41,23 +58,23 @@ fn request(pattern: &Pattern) -> Request {
 
 #[test]
 fn a_pattern_is_made_again_from_its_provenance_on_one_thread_and_on_two() {
-    let (pattern, target) = made("dot");
-    let text = file("dot");
-    for threads in [1, 2] {
-        let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        let again = pool.install(|| make(&target, "dot", &request(&pattern), &mut |_| Continue(())));
-        assert!(again.unwrap().pattern.to_toml() == text, "{threads} threads");
+    for name in ["dot", "dot-paper"] {
+        let (pattern, target) = made(name);
+        for threads in [1, 2] {
+            let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let again = pool.install(|| make(&target, name, &request(&pattern), &mut |_| Continue(())));
+            assert!(again.unwrap().pattern.to_toml() == file(name), "{name}, {threads} threads");
+        }
     }
 }
 
 #[test]
 fn every_target_has_a_pattern_with_the_right_figures() {
-    let names = shipped_names();
-    assert!(names.len() >= 16);
-    for name in names {
-        let (pattern, target) = made(name);
-        assert!(target == shipped(name).unwrap(), "{name}: made for another target");
-        assert_eq!(pattern.to_toml(), file(name));
+    assert!(names().len() >= 32);
+    for name in names() {
+        let (pattern, target) = made(&name);
+        assert!(target == shipped(target.name()).unwrap(), "{name}: made for another target");
+        assert_eq!(pattern.to_toml(), file(&name));
         let provenance = pattern.provenance();
         let stored = |key: &str| provenance[key].as_float().unwrap();
         assert!(request(&pattern).robust);
@@ -70,7 +87,33 @@ fn every_target_has_a_pattern_with_the_right_figures() {
         let mean = held_out.iter().map(|cost| cost.as_float().unwrap()).sum::<f64>() / held_out.len() as f64;
         assert_eq!(held_out.len(), 20, "{name}");
         assert!(mean >= 0.9 * found[0], "{name}: {mean} of {}", found[0]);
-        assert!(found[0] > 100.0 && found[3] > 0.75, "{name}: {found:?}");
+        assert!(found[0] > 70.0 && found[3] > 0.75, "{name}: {found:?}");
+    }
+}
+
+/// On the fingers that they were made for, patterns of the default objective are no worse than the rule of thumb under either model, and
+/// no spikes fire between neighbouring dots.
+#[test]
+fn the_library_is_no_worse_than_the_rule_of_thumb_under_either_model() {
+    for name in shipped_names() {
+        let (pattern, _) = made(name);
+        let provenance = pattern.provenance();
+        for model in ["membrane", "afferents"] {
+            let contrasts = &provenance["contrast_by_model"][model];
+            let [own, rule] = ["pattern", "naive-reach"].map(|key| contrasts[key].as_float().unwrap());
+            assert!(own >= 0.97 * rule, "{name} {model}: {own} of {rule}");
+        }
+        assert!(provenance["value"].as_float().unwrap() >= 0.0, "{name}");
+    }
+    for name in ["two-dots", "braille-b"] {
+        let (pattern, target) = made(name);
+        for model in [ModelName::Membrane, ModelName::Afferents] {
+            for of in quality(&target, pattern.drives(), &[2001], model).unwrap() {
+                let rule = &quality(&target, &Rule::Reach.drives(&target), &[2001], model).unwrap();
+                let rule = rule.iter().find(|rule| rule.class == of.class).unwrap();
+                assert!(of.quality.gap.unwrap() <= rule.quality.gap.unwrap().max(0.2), "{name} {of:?}");
+            }
+        }
     }
 }
 

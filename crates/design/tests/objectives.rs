@@ -1,6 +1,6 @@
 use meissner_design::{
-    Baseline, Budget, Ended, GOALS, Goal, Made, Request, Rule, Setting, Target, make, name_targets, quality,
-    shipped,
+    Baseline, Budget, Ended, GOALS, Goal, Made, Models, Request, Rule, Setting, Target, make, name_targets,
+    quality, shipped,
 };
 use meissner_skin::ModelName;
 use meissner_skin::fingertip::Class;
@@ -10,7 +10,7 @@ const FINGERS: [u64; 3] = [2001, 2002, 2003];
 
 fn made(target: &Target, goal: Goal, evaluations: u64) -> Made {
     let budget = Budget::Evaluations(vec![evaluations]);
-    let request = Request { goal, robust: true, budget, ..Request::default() };
+    let request = Request { models: Models::Membrane, goal, robust: true, budget, ..Request::default() };
     make(target, "made", &request, &mut |_| Continue(())).unwrap()
 }
 
@@ -20,7 +20,7 @@ fn two_dots_stay_apart_for_the_rms_of_off_and_merge_for_the_papers_contrast() {
     let gap = |drives: &[_]| {
         quality(&target, drives, &FINGERS, ModelName::Membrane).unwrap()[0].quality.gap.unwrap()
     };
-    let papers = meissner_test_support::rig::pattern("two-dots");
+    let papers = meissner_test_support::rig::pattern("two-dots-paper");
     assert!(gap(papers.drives()) > 0.5, "{}", gap(papers.drives()));
     let apart = made(&target, Goal::OffRms, 400);
     assert!(gap(apart.pattern.drives()) <= 0.2, "{}", gap(apart.pattern.drives()));
@@ -42,6 +42,16 @@ fn a_search_is_no_worse_than_the_naive_rules_on_its_own_goal() {
             assert!(made.value >= naive.value, "{goal:?}: {} {naive:?}", made.value);
         }
     }
+    // Under both models the value is the gain over the first rule, and the provenance names both.
+    let budget = Budget::Evaluations(vec![60]);
+    let request = Request { budget, ..Request::default() };
+    let made = make(&target, "made", &request, &mut |_| Continue(())).unwrap();
+    assert_eq!((request.models, request.goal), (Models::Both, Goal::OffRmsTwice));
+    assert_eq!(made.baselines[0].value, 0.0);
+    assert!(made.value >= 0.0 && made.baselines[1].value < 0.0, "{} {:?}", made.value, made.baselines);
+    let provenance = made.pattern.provenance();
+    assert_eq!(provenance["skin_model"].as_str(), Some("both"));
+    assert_eq!(provenance["objective"].as_str(), Some("off-rms-twice"));
 }
 
 #[test]
@@ -49,7 +59,8 @@ fn naive_rules_leave_motors_off_also_where_a_search_may_not() {
     let target = shipped("two-dots").unwrap();
     let baselines = |setting| -> Vec<Baseline> {
         let budget = Budget::Evaluations(vec![1]);
-        let request = Request { goal: Goal::OffRms, setting, budget, ..Request::default() };
+        let request =
+            Request { models: Models::Membrane, goal: Goal::OffRms, setting, budget, ..Request::default() };
         make(&target, "made", &request, &mut |_| Continue(())).unwrap().baselines
     };
     let naive = baselines(Setting::Default);
@@ -102,7 +113,7 @@ fn targets_are_told_apart_by_their_patterns() {
 fn a_search_under_the_second_model_is_judged_by_it_and_shows_both() {
     let target = shipped("dot").unwrap();
     let budget = Budget::Evaluations(vec![12]);
-    let request = Request { model: ModelName::Afferents, goal: Goal::Contrast, budget, ..Request::default() };
+    let request = Request { models: Models::Afferents, goal: Goal::Contrast, budget, ..Request::default() };
     let made = make(&target, "made", &request, &mut |_| Continue(())).unwrap();
     assert_eq!(made.value, made.verdict.cost_hz);
     assert!(made.baselines.iter().all(|of| made.value >= of.value), "{:?}", made.baselines);

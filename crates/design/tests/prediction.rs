@@ -228,7 +228,7 @@ fn without_a_target_only_the_mean_of_all_afferents_is_known() {
 
 #[test]
 fn only_the_observed_time_counts() {
-    let pattern = pattern("edge-45");
+    let pattern = pattern("edge-45-paper");
     let play = play(&pattern, 1.0);
     for nothing in [0.0, -1.0, f64::NAN] {
         let found = predict_response(&Play { observed_s: nothing, ..play.clone() }, []);
@@ -253,7 +253,7 @@ fn only_the_observed_time_counts() {
 /// contrast falls little.
 #[test]
 fn pins_that_drift_to_their_stops_in_a_minute_keep_nine_tenths_of_the_contrast() {
-    let pattern = pattern("edge-45");
+    let pattern = pattern("edge-45-paper");
     let minute = play(&pattern, 60.0);
     let bursts = by_simulated_motors(SimulatedMotorsConfig::default(), &minute, u16::MAX);
     assert!((farthest_um(&bursts) - 500.0).abs() < 1e-6, "{}", farthest_um(&bursts));
@@ -271,7 +271,7 @@ fn pins_that_drift_to_their_stops_in_a_minute_keep_nine_tenths_of_the_contrast()
 /// and an eighth if they cut the second half of a burst.
 #[test]
 fn a_burst_that_meets_a_distant_stop_may_count_as_a_slower_one() {
-    let pattern = pattern("edge-45");
+    let pattern = pattern("edge-45-paper");
     for (end_stop_um, seconds, too_low_hz) in
         [(500.0, 5.0, -0.5..0.5), (60.0, 2.0, 0.5..4.0), (30.0, 2.0, 10.0..30.0)]
     {
@@ -291,7 +291,7 @@ fn a_burst_that_meets_a_distant_stop_may_count_as_a_slower_one() {
 
 #[test]
 fn the_response_is_the_same_on_any_number_of_threads() {
-    for name in ["edge-45", "moving-edge"] {
+    for name in ["edge-45-paper", "moving-edge-paper"] {
         let pattern = pattern(name);
         let play = play(&pattern, 3.3);
         let bursts = by_simulated_motors(

@@ -4,11 +4,11 @@
 
 use meissner_array::geometry;
 use meissner_design::{
-    Brief, Ended, Fidelity, Found, Goal, Limit, Objective, Partition, Point, Score, Setting, Shape, Space,
-    Spent, Step, Target, Vibration, YARDSTICK, resume, search, shipped,
+    Brief, Ended, Fidelity, Found, Goal, Limit, Models, Objective, Partition, Point, Score, Setting, Shape,
+    Space, Spent, Step, Target, Vibration, YARDSTICK, resume, search, shipped,
 };
 use meissner_skin::afferent::{self, Position};
-use meissner_skin::{Method, ModelName, Options, Scene, simulate};
+use meissner_skin::{Method, Options, Scene, simulate};
 use proptest::prelude::*;
 use rayon::ThreadPoolBuilder;
 use std::ops::ControlFlow;
@@ -32,7 +32,7 @@ fn brief<'b>(target: &'b Target, space: &Space, seed: &'b u64) -> Brief<'b> {
     let frame = &target.frames()[0];
     let populations = std::slice::from_ref(seed);
     Brief {
-        model: ModelName::Membrane,
+        models: Models::Membrane,
         goal: Goal::Contrast,
         target,
         frame,

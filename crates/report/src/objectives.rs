@@ -10,8 +10,8 @@ use crate::progress::Parts;
 use crate::statistics::mean;
 use meissner_array::pattern::Drive;
 use meissner_design::{
-    Budget, GOALS, Goal, MakeError, Named, OfClass, Quality, Request, Rule, Target, make, name_targets,
-    quality, shipped, shipped_names,
+    Budget, GOALS, Goal, MakeError, Models, Named, OfClass, Quality, Request, Rule, Target, make,
+    name_targets, quality, shipped, shipped_names,
 };
 use meissner_skin::ModelName;
 use meissner_skin::fingertip::Class;
@@ -22,8 +22,8 @@ use std::time::Instant;
 
 /// Seeds of the fingers: no pattern is made for them.
 const FINGERS: [u64; 5] = [2001, 2002, 2003, 2004, 2005];
-/// Name of the row of shipped patterns.
-const SHIPPED: &str = "shipped";
+/// Rows of shipped patterns, and what follows the target in their names: those of the default objective, and the paper's.
+const SHIPPED: [(&str, &str); 2] = [("default", ""), ("paper", "-paper")];
 
 /// Patterns by every objective, measured alike.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -32,7 +32,7 @@ pub struct ObjectiveTradeoff {
     pub evaluations: u64,
     /// Seeds of the fingers.
     pub fingers: Vec<u64>,
-    /// Two naive rules, the shipped patterns, and the objectives.
+    /// Two naive rules, the shipped patterns of the default objective and of the paper's, and the objectives under the first model.
     pub rows: Vec<ObjectiveRow>,
 }
 
@@ -136,8 +136,10 @@ pub fn objective_tradeoff(
         let drives = targets.iter().map(|target| rule.drives(target)).collect();
         sets.push(Set { name: rule.name(), drives, search_s: None });
     }
-    let stored = |target: &Target| library(target.name()).unwrap_or_default();
-    sets.push(Set { name: SHIPPED, drives: targets.iter().map(stored).collect(), search_s: None });
+    for (name, suffix) in SHIPPED {
+        let stored = |target: &Target| library(&format!("{}{suffix}", target.name())).unwrap_or_default();
+        sets.push(Set { name, drives: targets.iter().map(stored).collect(), search_s: None });
+    }
     for goal in GOALS {
         let begun = Instant::now();
         let searched: Result<Vec<_>, _> =
@@ -160,7 +162,7 @@ struct Set {
 
 fn search(goal: Goal, target: &Target, evaluations: u64, parts: &Parts<'_>) -> Result<Vec<Drive>, MakeError> {
     let budget = Budget::Evaluations(vec![evaluations]);
-    let request = Request { goal, robust: true, budget, ..Request::default() };
+    let request = Request { models: Models::Membrane, goal, robust: true, budget, ..Request::default() };
     let made = make(target, target.name(), &request, &mut |_| ControlFlow::Continue(()))?;
     parts.done();
     Ok(made.pattern.drives().to_vec())

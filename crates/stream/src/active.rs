@@ -6,6 +6,7 @@
 //! the bursts played between the play's onset and its end. The rest was dropped. An item has ended only once the device has accepted
 //! or rejected all its strokes and is known to have come to the end of the last.
 
+use crate::board::BoardAccount;
 use crate::control::{Cutting, Span};
 use crate::link::ClockEstimate;
 use crate::queues::{At, End, Item, Offset, Onset, Outcome, Play, RestErrors, Stamp};
@@ -57,6 +58,8 @@ pub(super) struct Active {
     pub(super) cut: Option<(End, &'static str)>,
     /// The device's counters at the onset, once it has passed.
     pub(super) counters_at_onset: Option<Counters>,
+    /// What the board's reports say of it.
+    pub(super) board: BoardAccount,
     /// When the device cut it, once it has reported that, and when its last pulse was over.
     pub(super) cut_at: Option<(Cutting, Option<Tick>)>,
     actual_onset: Option<Onset>,
@@ -109,6 +112,7 @@ impl Active {
             last_end: Tick(0),
             cut: None,
             counters_at_onset: None,
+            board: BoardAccount::default(),
             cut_at: None,
             actual_onset: None,
             rest_at_onset: None,
@@ -335,6 +339,7 @@ impl Active {
             bursts,
             pulses: PulseCounts { planned: self.planned_pulses, played: since(|counters| counters.pulses) },
             lateness: self.lateness,
+            board: self.board.close(),
             wire_bytes: if self.onset.is_some() { wire.saturating_sub(self.wire_from) } else { 0 },
             rest_at_onset: self.rest_at_onset,
             rest_at_end: rest,

@@ -9,6 +9,7 @@
 use crate::device::Device;
 use crate::link::{Budget, Event, LostReason, RoundTrip, Session};
 use crate::time::HostInstant;
+use firmware_protocol::board::{Board, SelfTestState};
 use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::message::DeviceHello;
 use firmware_protocol::tick::TICK_HZ;
@@ -43,6 +44,10 @@ pub struct LinkReport {
     pub throughput_bytes_per_s: Option<u32>,
     /// Its clock's drift against the host's.
     pub drift: Drift,
+    /// Its board report.
+    pub board: Board,
+    /// How its self-test ended, if one was asked for.
+    pub self_test: Option<SelfTestState>,
 }
 
 /// Round trips of pings, µs.
@@ -102,11 +107,11 @@ impl LinkReportError {
     }
 }
 
-/// Measures the link of `device`; blocks for some seconds.
+/// Measures the link of `device`; blocks for some seconds. With `self_test`, the device then tests itself.
 ///
 /// # Errors
 /// If it is no board, goes away or answers too slowly.
-pub fn measure(device: &mut Device) -> Result<LinkReport, LinkReportError> {
+pub fn measure(device: &mut Device, self_test: bool) -> Result<LinkReport, LinkReportError> {
     let begun = HostInstant::now();
     let id = RandomState::new().hash_one(begun.as_ns()) as u32;
     let mut run = Measurement {
@@ -114,6 +119,8 @@ pub fn measure(device: &mut Device) -> Result<LinkReport, LinkReportError> {
         hello: None,
         lost: None,
         trips: Vec::new(),
+        board: None,
+        self_test: None,
     };
     let until = |run: &mut Measurement, device: &mut Device, done: &dyn Fn(&Measurement) -> bool| {
         while !done(run) {
@@ -134,12 +141,20 @@ pub fn measure(device: &mut Device) -> Result<LinkReport, LinkReportError> {
     })?;
     run.session.probe(PROBE);
     until(&mut run, device, &|run| run.session.is_probed())?;
+    until(&mut run, device, &|run| run.board.is_some())?;
+    if self_test {
+        run.session.ask_self_test();
+        until(&mut run, device, &|run| run.self_test.is_some())?;
+    }
+    let board = run.board.ok_or(LinkReportError::Lost(LostReason::NoAnswer))?;
     let hello = run.hello.ok_or(LinkReportError::Lost(LostReason::NoAnswer))?;
     Ok(LinkReport {
         hello,
         round_trip: round_trip(&run.trips),
         throughput_bytes_per_s: run.session.capacity(),
         drift: drift(&run.trips),
+        board,
+        self_test: run.self_test,
     })
 }
 
@@ -149,14 +164,18 @@ struct Measurement {
     hello: Option<DeviceHello>,
     lost: Option<LostReason>,
     trips: Vec<RoundTrip>,
+    board: Option<Board>,
+    self_test: Option<SelfTestState>,
 }
 
 impl Measurement {
     fn turn(&mut self, device: &mut Device, now: HostInstant) -> Result<(), LinkReportError> {
-        let Self { session, hello, lost, trips } = self;
+        let Self { session, hello, lost, trips, board, self_test } = self;
         let mut on_event = |event| match event {
             Event::Opened(who) => *hello = Some(who),
             Event::Lost(reason) => *lost = Some(reason),
+            Event::Board(report) => *board = Some(report),
+            Event::SelfTest(state) => *self_test = Some(state),
             _ => {}
         };
         let mut bytes = [0; 1024];

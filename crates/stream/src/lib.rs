@@ -45,6 +45,7 @@
 
 mod active;
 mod bandwidth;
+mod board;
 pub mod calibrate;
 mod control;
 pub mod device;
@@ -60,6 +61,7 @@ mod thread;
 pub mod time;
 
 pub use bandwidth::{Bandwidth, Requirement};
+pub use board::PlayBoard;
 pub use control::{Gains, rest_bound_um};
 pub use motor_run::{MotorRun, Period};
 pub use pushing::{Overpush, find_overpush};

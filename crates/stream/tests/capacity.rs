@@ -39,7 +39,7 @@ fn try_on(bytes_per_s: u32, pattern: &Pattern, open_loop: bool) -> Result<(), Co
 #[test]
 fn a_line_plays_up_to_its_capacity_and_refuses_more_with_numbers() {
     let patterns =
-        [rig::pattern("edge-45"), rig::pattern("all-in-phase"), all_at(33.3), all_at(210.0), bursts()];
+        [rig::pattern("edge-45-paper"), rig::pattern("all-in-phase"), all_at(33.3), all_at(210.0), bursts()];
     for (pattern, open_loop) in patterns.iter().flat_map(|pattern| [(pattern, true), (pattern, false)]) {
         let strokes = Strokes::new(pattern, &StrokeOptions::lasting(4.0)).unwrap();
         let bandwidth = Bandwidth::of(&strokes, &Settings::default());
@@ -91,7 +91,7 @@ fn on_a_link_that_jitters_a_play_is_in_time_or_refused_with_numbers() {
     const MS: Duration = Duration::from_millis(1);
     let mut refusals = Vec::new();
     let mut played = Vec::new();
-    let patterns = [rig::pattern("edge-45"), rig::pattern("all-in-phase")];
+    let patterns = [rig::pattern("edge-45-paper"), rig::pattern("all-in-phase")];
     let links = [(1, 2), (1, 6), (2, 10), (2, 16), (5, 20), (10, 40), (30, 30)];
     for ((delay, jitter), lead_ms) in links.into_iter().flat_map(|link| [(link, 100.0), (link, 1000.0)]) {
         for (pattern, seed) in patterns.iter().flat_map(|pattern| [(pattern, 1), (pattern, 2)]) {

@@ -142,7 +142,7 @@ fn strokes_refused_as_they_begin_do_not_mislead_position_control() {
     let rest = |open_loop| {
         let mut rig = Rig::with(settings, Line::default(), 24);
         rig.arm();
-        rig.start_with(&rig::pattern("edge-45"), Some(5.0), |play| play.open_loop = open_loop);
+        rig.start_with(&rig::pattern("edge-45-paper"), Some(5.0), |play| play.open_loop = open_loop);
         rig.run_ms(6000);
         assert!(rig.outcomes()[0].bursts.refused > 1000);
         rig.mock.true_positions().rest().rms_um()

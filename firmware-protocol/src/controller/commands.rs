@@ -25,10 +25,14 @@ impl Controller {
             return;
         }
         self.last_heard = self.now;
-        self.pending.status = true;
+        match message {
+            HostMessage::Board { window } => return self.reporting.ask(window),
+            HostMessage::SelfTest { run } => return self.ask_test(run),
+            _ => self.pending.status = true,
+        }
         self.taking.epoch = self.epoch;
         match message {
-            HostMessage::Hello { .. } => {}
+            HostMessage::Hello { .. } | HostMessage::Board { .. } | HostMessage::SelfTest { .. } => {}
             HostMessage::Ping { token, seen } => {
                 self.token = token;
                 self.reports.seen(seen, self.now);
@@ -65,6 +69,7 @@ impl Controller {
         self.reorder.clear();
         self.refusal = None;
         self.reports.clear();
+        self.reporting.forget_requests();
         self.marks.clear();
     }
 
@@ -72,6 +77,7 @@ impl Controller {
     pub(super) fn control(&mut self, epoch: u16, op: Op) {
         if newer(epoch, self.epoch) {
             self.epoch = epoch;
+            self.reporting.end_test();
             self.next_seq = 0;
             self.reorder.clear();
             self.refusal = self.perform(op).err();

@@ -53,6 +53,7 @@ impl Controller {
         if self.state == State::Faulted {
             return;
         }
+        self.reporting.off(cause);
         self.settle_strokes(at);
         let mut flushed = 0;
         for motor in 0..MOTORS {

@@ -8,6 +8,7 @@
 //! Invariant: the lines follow from the queued slots alone, and a slot changes only ahead of the rendered end. So the
 //! number of pulses played is known after any cut, flush or amendment.
 
+mod board;
 mod commands;
 mod completion;
 mod drivers;
@@ -24,6 +25,7 @@ use crate::limits::{self, OnTime, OnTimeLimits, Pushing, Refusal};
 use crate::message::{Cause, Counters, Cut, DeviceHello, DeviceMessage, Op, Report, State, Status, Trigger};
 use crate::stroke::{Lines, MOTORS};
 use crate::tick::{TICK_HZ, Tick, WireTick};
+use board::Reporting;
 use drivers::Drivers;
 pub use drivers::{DRIVER_LEAD, DRIVER_TAIL};
 use lines::{TriggerOutput, Window};
@@ -119,6 +121,9 @@ pub struct Controller {
     last_heard: Tick,
     now: Tick,
     counters: Counters,
+    /// The clock at the start.
+    started: Tick,
+    reporting: Reporting,
 
     pool: Pool,
     marks: heapless::Deque<(Tick, Option<Trigger>), MAX_MARKS>,
@@ -181,6 +186,8 @@ impl Controller {
             last_heard: now,
             now,
             counters: Counters::NONE,
+            started: now,
+            reporting: Reporting::NONE,
             pool: Pool::new(),
             marks: heapless::Deque::new(),
             trigger_output: TriggerOutput::LOW,
@@ -250,10 +257,11 @@ impl Controller {
     /// have been lost since, or another session opened: the lines go off all the same.
     pub fn e_stop(&mut self, now: Tick, epoch: u16) {
         self.pass(now);
+        // The shell's clock may have been read a moment ahead of the lines, for what came before: nothing after `now` was played.
+        self.off_from(Cause::EStop, (now + 1).min(self.rendered));
         if self.session.is_some() {
             self.control(epoch, Op::EStop);
         }
-        self.off(Cause::EStop);
     }
 
     /// Opens a session for a host whose `Hello` the shell has found ([`crate::urgent`]), perhaps over several packets.
@@ -321,6 +329,7 @@ impl Controller {
         self.disarm(Cause::LinkLost);
         self.session = None;
         self.pending = Pending::NONE;
+        self.reporting.forget_requests();
         self.decoder.reset();
     }
 
@@ -348,6 +357,10 @@ impl Controller {
     /// Writes the next frame to send into `out` and returns its length, or 0 if there is none.
     pub fn transmit(&mut self, now: Tick, out: &mut [u8; MAX_FRAME]) -> usize {
         self.now = self.now.max(now);
+        if self.pending.status {
+            // Strokes may have ended since the last pass: the status has this tick, so it counts them.
+            self.settle();
+        }
         let pending = &mut self.pending;
         let message = if core::mem::take(&mut pending.hello) {
             DeviceMessage::Hello(self.hello())
@@ -361,7 +374,9 @@ impl Controller {
             DeviceMessage::Status(status)
         } else if let Some((number, report)) = self.reports.next(self.now) {
             DeviceMessage::Report { number, report }
-        } else if let Some((tick, y)) = pending.telemetry.take() {
+        } else if let Some(answer) = self.next_answer() {
+            answer
+        } else if let Some((tick, y)) = self.pending.telemetry.take() {
             DeviceMessage::Telemetry { tick, y }
         } else {
             return 0;

@@ -164,7 +164,7 @@ impl Oracle {
                 }
             }
             Event::Report(report) => self.report(tap, order, report),
-            Event::NoSession => {}
+            Event::Board(_) | Event::SelfTest(..) | Event::NoSession => {}
         }
     }
 

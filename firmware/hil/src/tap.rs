@@ -4,6 +4,7 @@
 //! damages are included, because the host repeats them.
 
 use firmware_protocol::batch::{Amendment, Amendments, Strokes};
+use firmware_protocol::board::{Board, SelfTestState};
 use firmware_protocol::frame::{self, Decoder};
 use firmware_protocol::message::{
     DeviceHello, DeviceMessage, HostMessage, Mark, Op, Report, Status, Trigger,
@@ -43,6 +44,10 @@ pub enum Event {
     Status(Status, Tick),
     /// The device sent a report.
     Report(Report),
+    /// The device sent a board report.
+    Board(Board),
+    /// The device said how far a self-test is.
+    SelfTest(u16, SelfTestState),
     /// The device has no session.
     NoSession,
 }
@@ -141,7 +146,7 @@ impl Tap {
                 self.reported.clear();
                 Event::Opened(session)
             }
-            HostMessage::Ping { .. } => return,
+            HostMessage::Ping { .. } | HostMessage::Board { .. } | HostMessage::SelfTest { .. } => return,
             HostMessage::Control { epoch, .. } if self.epoch == Some(epoch) => return,
             HostMessage::Control { epoch, op, .. } => {
                 self.epoch = Some(epoch);
@@ -192,6 +197,8 @@ impl Tap {
                 self.reported.push(number);
                 Event::Report(report)
             }
+            DeviceMessage::Board(board) => Event::Board(board),
+            DeviceMessage::SelfTest { run, state } => Event::SelfTest(run, state),
             DeviceMessage::Telemetry { .. } => return,
         };
         self.events.push((cycle, event));

@@ -95,6 +95,7 @@ pub(crate) fn sweep(slow: f64, beside: Beside, patterns: std::ops::Range<u64>) -
         100.0 / slow,
         left.len(),
     );
+    assert_eq!(rig.chip().unwrap().read("STALLS", 4).unwrap(), 0, "the executor counts as hung");
     let (boots, _) = rig.finish();
     assert_eq!(boots.len(), 1, "the chip has restarted");
     2 * least >= TIME

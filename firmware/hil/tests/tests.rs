@@ -3,6 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "what cannot go on has failed")]
 
 mod estop;
+mod hangs;
 mod load;
 mod lower_stop;
 mod margin;
@@ -10,5 +11,7 @@ mod patterns;
 mod play;
 mod random;
 mod scenarios;
+mod self_test;
 mod sequence;
+mod start;
 mod supervision;

@@ -4,11 +4,11 @@
 //! device of a daemon. The device is closed again before the doctor prints anything.
 
 use super::finding::{Finding, Level};
-use super::port;
+use super::{port, self_test};
 use crate::cli::text;
-use crate::receipts::device_info;
+use crate::receipts::{board_status, device_info};
 use firmware_protocol::frame::PROTOCOL;
-use meissner_api::DeviceInfo;
+use meissner_api::{BoardStatus, DeviceInfo};
 use meissner_array::simulated::SimulatedMotorsConfig;
 use meissner_stream::Settings;
 use meissner_stream::device::{self, DeviceError, Spec};
@@ -46,10 +46,18 @@ pub(super) struct Examined {
     round_trip: RoundTripStats,
     throughput_bytes_per_s: Option<u32>,
     drift: Drift,
+    board: BoardStatus,
+    /// What the self-test measured; null if it was not asked for, or did not come to its end.
+    self_test: Option<self_test::Measured>,
 }
 
 /// Opens and measures a device, and adds what it found to `findings`; `None` if that failed.
-pub(super) fn examine(root: &Path, spec: &Spec, findings: &mut Vec<Finding>) -> Option<Examined> {
+pub(super) fn examine(
+    root: &Path,
+    spec: &Spec,
+    self_test: bool,
+    findings: &mut Vec<Finding>,
+) -> Option<Examined> {
     let mut device = match device::open(spec, &SimulatedMotorsConfig::default()) {
         Ok(device) => device,
         Err(error) => {
@@ -59,7 +67,7 @@ pub(super) fn examine(root: &Path, spec: &Spec, findings: &mut Vec<Finding>) -> 
         }
     };
     let (kind, serial_number) = (device.kind(), device.serial_number().map(str::to_owned));
-    let checked = diagnostics::measure(&mut device);
+    let checked = diagnostics::measure(&mut device, self_test);
     drop(device);
     // A program that had the port open before us reads bytes meant for us.
     if let Spec::Serial(path) = spec {
@@ -75,6 +83,10 @@ pub(super) fn examine(root: &Path, spec: &Spec, findings: &mut Vec<Finding>) -> 
     };
     let examined = examined(&kind, serial_number, &checked);
     findings.extend(judged(&examined));
+    findings.extend(self_test::of_report(&checked.board));
+    if let Some(state) = checked.self_test {
+        findings.extend(self_test::judged(state));
+    }
     Some(examined)
 }
 
@@ -103,6 +115,8 @@ fn examined(kind: &str, serial_number: Option<String>, checked: &LinkReport) -> 
         round_trip: checked.round_trip,
         throughput_bytes_per_s: checked.throughput_bytes_per_s,
         drift: checked.drift,
+        board: board_status(&checked.board),
+        self_test: checked.self_test.and_then(self_test::Measured::of),
     }
 }
 

@@ -8,8 +8,9 @@ use super::board;
 use super::finding::{Finding, Level};
 use super::rights::{self, Limits};
 use super::service::Units;
-use meissner_api::{DeviceInfo, Status};
+use meissner_api::{DeviceInfo, NetworkStatus, Status};
 use meissner_client::ClientError;
+use std::net::SocketAddr;
 use std::path::Path;
 
 /// A clock that is less certain makes `--at` useless.
@@ -61,6 +62,7 @@ pub(super) fn findings(
             "free space there, or let the daemon write there: see deploy/README.md, \"Configuration\"";
         findings.push(Finding::warn("logbook", problem.clone(), advice));
     }
+    findings.push(network(status.network.as_ref()));
     if !judged {
         return None;
     }
@@ -76,6 +78,41 @@ pub(super) fn findings(
         }
     }
     Some(status)
+}
+
+/// Who can reach the daemon.
+fn network(status: Option<&NetworkStatus>) -> Finding {
+    const WHAT: &str = "network";
+    let Some(status) = status else {
+        return Finding::ok(WHAT, "nothing listens: only users who may use the socket reach the daemon");
+    };
+    let NetworkStatus { address, loopback_without_token, observe_tokens, operate_tokens, denied, problem } =
+        status;
+    if let Some(problem) = problem {
+        return Finding::warn(
+            WHAT,
+            problem.clone(),
+            "the page and clients over the network cannot connect; the socket works",
+        );
+    }
+    let is_local = address.parse().is_ok_and(|address: SocketAddr| address.ip().is_loopback());
+    let tokens = format!("{operate_tokens} tokens to operate and {observe_tokens} to observe are valid");
+    let local = if *loopback_without_token { "every user of this machine may operate, " } else { "" };
+    let far = if is_local { "" } else { "other machines need a token, " };
+    let found = format!("http://{address}: {local}{far}{tokens}; {denied} requests were refused");
+    match (is_local, loopback_without_token) {
+        (false, _) => Finding::warn(
+            WHAT,
+            found,
+            "tokens travel unencrypted: let only machines reach it that you trust, or use a proxy with TLS or ssh: docs/how-to/network.md",
+        ),
+        (true, true) => Finding::warn(
+            WHAT,
+            found,
+            "if others use this machine, set `listen_token = \"always\"` in the configuration, and restart the daemon",
+        ),
+        (true, false) => Finding::ok(WHAT, found),
+    }
 }
 
 /// Judges the daemon's device by what the daemon reports.
@@ -109,6 +146,40 @@ mod tests {
     use super::*;
     use crate::cli::doctor::finding::fake;
     use std::path::PathBuf;
+
+    #[test]
+    fn the_doctor_says_who_can_reach_the_daemon() {
+        let line = |address: &str, loopback_without_token| {
+            fake::line(&network(Some(&NetworkStatus {
+                address: address.to_owned(),
+                loopback_without_token,
+                observe_tokens: 1,
+                operate_tokens: 2,
+                denied: 3,
+                problem: None,
+            })))
+        };
+        assert_eq!(fake::line(&network(None)).split(':').next(), Some("Ok network"));
+        let local = line("127.0.0.1:8765", true);
+        assert!(
+            local.starts_with(
+                "Warn network: http://127.0.0.1:8765: every user of this machine may operate, 2 tokens"
+            ),
+            "{local}"
+        );
+        assert!(local.contains("listen_token = \"always\""), "{local}");
+        assert!(
+            line("[::1]:8765", false)
+                .starts_with("Ok network: http://[::1]:8765: 2 tokens to operate and 1 to observe")
+        );
+        let far = line("0.0.0.0:8765", false);
+        assert!(
+            far.starts_with("Warn ")
+                && far.contains("other machines need a token")
+                && far.contains("unencrypted"),
+            "{far}"
+        );
+    }
 
     fn finding(error: ClientError) -> String {
         let mut found = Vec::new();

@@ -1,7 +1,8 @@
 //! `doctor`: checks what could keep this machine, its service, its daemon or its device from playing patterns in time.
 //!
 //! It first measures how late timers wake a thread, with nothing beside it. Then it checks [`host`], [`rights`], what is
-//! installed ([`service`]), the [`daemon`], [`port`]s, and the [`board`], unless a daemon has the board. It arms nothing,
+//! installed ([`service`]), the [`daemon`], [`port`]s, and the [`board`], unless a daemon has the board. On request the board tests
+//! itself ([`self_test`]). It arms nothing,
 //! moves nothing and repairs nothing.
 //!
 //! Invariant: every finding that is not `ok` says what to do; the verdict is `go` only if no finding says `FAIL`.
@@ -12,6 +13,7 @@ mod finding;
 mod host;
 mod port;
 mod rights;
+mod self_test;
 mod service;
 
 use super::arguments::ClientOptions;
@@ -39,8 +41,14 @@ struct Report {
     findings: Vec<Finding>,
 }
 
-/// `asked`: which device; without it, the daemon's, else the first board. `time`: how long to measure wake-ups.
-pub(super) fn run(asked: Option<Spec>, time: Duration, options: &ClientOptions) -> Result<ExitCode> {
+/// `asked`: which device; without it, the daemon's, else the first board. `self_test`: have the board test itself. `time`: how long to
+/// measure wake-ups.
+pub(super) fn run(
+    asked: Option<Spec>,
+    self_test: bool,
+    time: Duration,
+    options: &ClientOptions,
+) -> Result<ExitCode> {
     let root = Path::new("/");
     let (realtime, wake_up) = host::measure(time);
     let status: Result<Status, ClientError> = options.client()?.get("/v1/status");
@@ -59,9 +67,15 @@ pub(super) fn run(asked: Option<Spec>, time: Duration, options: &ClientOptions) 
     findings.extend(port::autosuspend(root));
     findings.extend(port::modem_manager(root));
     let device = match asked {
-        None if daemons.is_some() => None,
-        None => board::examine(root, &Spec::Board, &mut findings),
-        Some(spec) => board::examine(root, &spec, &mut findings),
+        None if daemons.is_some() => {
+            if self_test {
+                let advice = "stop the daemon (`systemctl stop meissner`, or end it) and run this again";
+                findings.push(Finding::fail("self-test", "a daemon has the board", advice));
+            }
+            None
+        }
+        None => board::examine(root, &Spec::Board, self_test, &mut findings),
+        Some(spec) => board::examine(root, &spec, self_test, &mut findings),
     };
     let simulated = match &device {
         Some(examined) => examined.simulated,

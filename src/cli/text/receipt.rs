@@ -5,8 +5,8 @@
 use super::pairs;
 use crate::receipts::end_text;
 use meissner_api::{
-    BurstCounts, DurationRecord, ErrorSource, ItemState, MotorRestError, OrderedCounts, PlayAccepted,
-    PredictedResponse, Prediction, PulseCounts, ReachedDrive, Receipt,
+    BoardRecord, BurstCounts, DurationRecord, ErrorSource, ItemState, MotorRestError, OrderedCounts,
+    PlayAccepted, PredictedResponse, Prediction, PulseCounts, ReachedDrive, Receipt,
 };
 
 pub(in crate::cli) fn receipt(receipt: &Receipt) -> String {
@@ -59,6 +59,9 @@ pub(in crate::cli) fn receipt(receipt: &Receipt) -> String {
             wire.bytes_per_burst.map_or_else(String::new, |bytes| format!(", {bytes:.2} per burst"));
         lines.push(("wire", format!("{} bytes to the device{per_burst}", wire.bytes_to_device)));
     }
+    if let Some(board) = receipt.board.and_then(board) {
+        lines.push(("board", board));
+    }
     if let Some(errors) = &receipt.rest_errors {
         lines.extend(rest_error(errors).map(|text| ("rest error", text)));
     } else if let Some(errors) = &receipt.rest_error_um {
@@ -69,6 +72,19 @@ pub(in crate::cli) fn receipt(receipt: &Receipt) -> String {
     lines.extend(predicted(&receipt.prediction).map(|text| (PREDICTED, text)));
     lines.extend(receipt.warnings.iter().map(|warning| ("warning", warning.clone())));
     pairs(&lines)
+}
+
+/// What occurred on the device, if it measures anything or something failed.
+fn board(board: BoardRecord) -> Option<String> {
+    let BoardRecord { slack_ticks, stalls, usb_recoveries, output_faults } = board;
+    let parts = [
+        slack_ticks.map(|ticks| format!("least time to render {ticks} ticks")),
+        stalls.map(|count| format!("{count} stalls")),
+        usb_recoveries.map(|count| format!("{count} USB recoveries")),
+        (output_faults > 0).then(|| format!("{output_faults} output faults")),
+    ];
+    let text = parts.into_iter().flatten().collect::<Vec<_>>().join(", ");
+    (!text.is_empty()).then_some(text)
 }
 
 /// The largest rest errors of driven pins, at onset and end, and where each comes from.

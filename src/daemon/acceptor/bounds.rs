@@ -12,21 +12,35 @@ const RESERVED: u64 = 40;
 pub(in crate::daemon) struct Bounds {
     /// Clients of the API.
     pub(in crate::daemon) clients: usize,
+    /// Network clients among them: the other places are for clients of the Unix socket.
+    pub(in crate::daemon) network: usize,
     /// Event streams, and requests that wait for plays, among them: the other places are free for commands.
     pub(in crate::daemon) waiting: usize,
-    /// Connections whose first line is not complete; the newest ones displace the oldest.
+    /// Of these, for clients of the network.
+    pub(in crate::daemon) waiting_network: usize,
+    /// Connections to the socket whose first line is not complete; the newest ones displace the oldest.
     pub(super) silent: usize,
+    /// The same over the network.
+    pub(super) silent_network: usize,
     /// Emergency stops at the same time on each socket, and clients for which the server makes room.
     pub(in crate::daemon) estops: usize,
 }
 
 impl Bounds {
-    /// Descriptors that the acceptor watches: with its own four.
-    pub(super) const MOST: usize = Self::USUAL.silent + Self::USUAL.estops + 6;
+    /// Descriptors that the acceptor watches: with its own five.
+    pub(super) const MOST: usize = Self::USUAL.silent + Self::USUAL.silent_network + Self::USUAL.estops + 7;
     const USUAL: Self = Self::new(MAX_CLIENTS, 192, 64);
 
     const fn new(clients: usize, silent: usize, estops: usize) -> Self {
-        Self { clients, waiting: clients * 3 / 4, silent, estops }
+        Self {
+            clients,
+            network: clients * 3 / 4,
+            waiting: clients * 3 / 4,
+            waiting_network: clients / 2,
+            silent,
+            silent_network: silent / 2,
+            estops,
+        }
     }
 
     /// The bounds of this process. Raises its limit of descriptors as far as that is needed and allowed.
@@ -59,12 +73,12 @@ impl Bounds {
             return Self::USUAL;
         }
         // Below this the daemon works, but may run out of descriptors: then connections to the API are closed first.
-        let part = (left / 7).max(2);
+        let part = (left / 8).max(2);
         Self::new((2 * part).min(MAX_CLIENTS), 2 * part, part)
     }
 
     const fn descriptors(&self) -> u64 {
-        (self.clients + self.silent + 3 * self.estops) as u64
+        (self.clients + self.silent + self.silent_network + 3 * self.estops) as u64
     }
 }
 
@@ -75,7 +89,7 @@ mod tests {
     #[test]
     fn connections_fit_into_the_descriptors() {
         assert_eq!(Bounds::within(1024), Bounds::USUAL);
-        for descriptors in 54..1024 {
+        for descriptors in 56..1024 {
             let bounds = Bounds::within(descriptors);
             assert!(bounds.descriptors() + RESERVED <= descriptors, "{descriptors}: {bounds:?}");
             assert!(bounds.clients >= 4 && bounds.estops >= 2 && bounds.waiting < bounds.clients);

@@ -1,4 +1,7 @@
-//! Recognises an emergency stop by the first line of an HTTP request.
+//! Recognises an emergency stop by the first line of an HTTP request, and over the network checks its headers.
+
+use crate::daemon::network::{Gate, Head};
+use crate::session_record::NetworkPeer;
 
 /// Length of a request line that is looked at, at most, bytes, with empty lines before it. The API's addresses are shorter.
 pub(super) const MAX_LINE: usize = 512;
@@ -18,6 +21,28 @@ pub(super) fn is_estop(all: &[u8]) -> Option<bool> {
         Some(end) => Some(path(&target[..end]) == b"/v1/estop"),
         None => (all.len() >= MAX_LINE).then_some(false),
     }
+}
+
+/// Headers of a request that the acceptor looks at, at most; the server takes requests with more.
+const MAX_HEADERS: usize = 64;
+
+/// Whether an emergency stop that begins with these bytes may be ordered for a network client; `None` if more bytes are needed. The server
+/// answers one that may not.
+pub(super) fn check(all: &[u8], client: NetworkPeer, gate: &Gate) -> Option<bool> {
+    let mut headers = [httparse::EMPTY_HEADER; MAX_HEADERS];
+    let mut request = httparse::Request::new(&mut headers);
+    match request.parse(all) {
+        Ok(httparse::Status::Partial) => return None,
+        Ok(httparse::Status::Complete(_)) => {}
+        Err(_) => return Some(false),
+    }
+    let path = request.path.unwrap_or_default();
+    let mut head = Head { method: request.method.unwrap_or_default(), path, ..Head::default() };
+    for header in &*request.headers {
+        head.add(header.name, header.value);
+    }
+    // The server decides about an address with a host in it.
+    Some(path.starts_with('/') && gate.check(client, &head).is_ok())
 }
 
 /// The path of a request's target, which may begin with a scheme and a host.

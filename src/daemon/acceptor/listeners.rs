@@ -1,17 +1,19 @@
-//! Accepts connections, and finds out who is at the other end.
+//! Accepts connections.
 
-use crate::session_record::Peer;
-use nix::sys::socket::{getsockopt, sockopt::PeerCredentials};
+use crate::daemon::stream::Stream;
 use rustix::event::{EventfdFlags, eventfd};
 use rustix::fd::OwnedFd;
 use rustix::io::Errno;
-use rustix::net::{SocketFlags, accept_with};
-use std::os::unix::net::{UnixListener, UnixStream};
+use rustix::net::{SocketFlags, accept_with, acceptfrom_with};
+use std::net::TcpListener;
+use std::os::unix::net::UnixListener;
 
 #[derive(Debug)]
 pub(super) struct Listeners {
     pub(super) api: UnixListener,
     pub(super) estop: Option<UnixListener>,
+    /// For network clients of the API.
+    pub(super) tcp: Option<TcpListener>,
     /// Closed to accept a connection when no descriptor is left.
     pub(super) spare: Option<OwnedFd>,
 }
@@ -20,15 +22,29 @@ pub(super) fn spare_descriptor() -> Option<OwnedFd> {
     eventfd(0, EventfdFlags::CLOEXEC).ok()
 }
 
-/// Accepts a connection, if one waits. Without a descriptor left it uses the spare one.
+/// Accepts a connection to a Unix socket, if one waits. Without a descriptor left it uses the spare one.
 ///
 /// # Errors
 /// The system cannot give the connection.
-pub(super) fn accept(
-    listener: &UnixListener,
+pub(super) fn accept(listener: &UnixListener, spare: &mut Option<OwnedFd>) -> Result<Option<Stream>, Errno> {
+    let flags = SocketFlags::NONBLOCK | SocketFlags::CLOEXEC;
+    Ok(with_spare(|| accept_with(listener, flags), spare)?.map(Stream::unix))
+}
+
+/// As [`accept`], over TCP. The client's address comes with the connection, so it is known also of a client that has gone.
+pub(super) fn accept_tcp(
+    listener: &TcpListener,
     spare: &mut Option<OwnedFd>,
-) -> Result<Option<UnixStream>, Errno> {
-    let accept = || accept_with(listener, SocketFlags::NONBLOCK | SocketFlags::CLOEXEC);
+) -> Result<Option<Stream>, Errno> {
+    let flags = SocketFlags::NONBLOCK | SocketFlags::CLOEXEC;
+    let accepted = with_spare(|| acceptfrom_with(listener, flags), spare)?;
+    Ok(accepted.and_then(|(fd, address)| Some(Stream::tcp(fd, address?.try_into().ok()?))))
+}
+
+fn with_spare<T>(
+    accept: impl Fn() -> Result<T, Errno>,
+    spare: &mut Option<OwnedFd>,
+) -> Result<Option<T>, Errno> {
     let mut accepted = accept();
     if matches!(accepted, Err(Errno::MFILE | Errno::NFILE)) && spare.take().is_some() {
         accepted = accept();
@@ -37,15 +53,17 @@ pub(super) fn accept(
         *spare = spare_descriptor();
     }
     match accepted {
-        Ok(stream) => Ok(Some(stream.into())),
-        // None waits, or the one that waited has gone.
-        Err(Errno::AGAIN | Errno::INTR | Errno::CONNABORTED) => Ok(None),
+        Ok(accepted) => Ok(Some(accepted)),
+        // None waits, or the one that waited has gone: Linux passes errors of the network on here.
+        Err(
+            Errno::AGAIN
+            | Errno::INTR
+            | Errno::CONNABORTED
+            | Errno::PROTO
+            | Errno::NETDOWN
+            | Errno::HOSTUNREACH
+            | Errno::NETUNREACH,
+        ) => Ok(None),
         Err(error) => Err(error),
     }
-}
-
-/// The process and user at the other end, from the kernel; pid -1 and the highest uid if unknown.
-pub(in crate::daemon) fn peer(stream: &UnixStream) -> Peer {
-    let unknown = Peer { pid: -1, uid: u32::MAX };
-    getsockopt(stream, PeerCredentials).map_or(unknown, |peer| Peer { pid: peer.pid(), uid: peer.uid() })
 }

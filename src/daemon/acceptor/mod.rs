@@ -4,7 +4,7 @@
 //! wait for the runtime, the engine's lock, the log or the disk. It arrives in two ways:
 //! - any byte on the socket for emergency stops; the answer is one line, then the connection is closed;
 //! - `POST /v1/estop` as the first request of a connection to the API's socket. The server answers it. (A later request of a connection
-//!   goes through the server alone.)
+//!   goes through the server alone.) Over the network the [`Gate`] must let it through.
 //!
 //! The thread orders an emergency stop that has arrived, also if its client is gone.
 //!
@@ -23,8 +23,10 @@ pub(super) use bounds::Bounds;
 pub(super) use refusal::{malformed, refuse, response};
 
 use super::estop::{EStops, Origin};
+use super::network::Gate;
+use super::stream::Stream;
 use crate::session_record::Peer;
-use listeners::{Listeners, accept, peer, spare_descriptor};
+use listeners::{Listeners, accept, accept_tcp, spare_descriptor};
 use meissner_api::{Code, Problem};
 use meissner_stream::device::priority;
 use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
@@ -33,7 +35,8 @@ use rustix::io::Errno;
 use rustix::net::listen;
 use std::collections::VecDeque;
 use std::io;
-use std::os::unix::net::{UnixListener, UnixStream};
+use std::net::TcpListener;
+use std::os::unix::net::UnixListener;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::task::Poll;
@@ -48,7 +51,7 @@ const SILENT: Duration = Duration::from_secs(30);
 pub(super) const IDLE: Duration = Duration::from_secs(5);
 /// How long an emergency stop may take: its byte, and its answer.
 const STOPPING: Duration = Duration::from_secs(5);
-/// What an emergency stop is told for which the server has no place.
+/// The answer to an emergency stop when no place is free.
 const ORDERED: &str =
     "the emergency stop was ordered, but too many clients wait: see `meissner status` for its result";
 /// See [`Window`]. Linux stops real-time threads that run for more than 95 % of a second.
@@ -63,7 +66,7 @@ const ROUND: usize = 32;
 /// A connection whose first bytes were read.
 #[derive(Debug)]
 pub(super) struct Accepted {
-    pub(super) stream: UnixStream,
+    pub(super) stream: Stream,
     /// The first bytes of its request.
     pub(super) head: Vec<u8>,
     pub(super) peer: Peer,
@@ -89,7 +92,9 @@ pub(super) enum Handover {
 pub(super) struct Counts {
     /// Connections that the server has.
     served: AtomicUsize,
-    /// Connections that have sent no request.
+    /// Those among them that came over the network.
+    network: AtomicUsize,
+    /// Connections to the socket that have sent no request.
     silent: AtomicUsize,
     /// Clients that got an error because too many were connected.
     pub(super) refused: AtomicU64,
@@ -98,7 +103,7 @@ pub(super) struct Counts {
 }
 
 impl Counts {
-    /// Connections that have sent no request.
+    /// Connections to the socket that have sent no request.
     pub(super) fn silent(&self) -> usize {
         self.silent.load(Ordering::Relaxed)
     }
@@ -106,19 +111,35 @@ impl Counts {
 
 /// A place among the connections that the server has.
 #[derive(Debug)]
-pub(super) struct Place(Arc<Counts>);
+pub(super) struct Place {
+    counts: Arc<Counts>,
+    is_network: bool,
+}
 
 impl Place {
-    fn new(counts: &Arc<Counts>) -> Self {
+    fn new(counts: &Arc<Counts>, is_network: bool) -> Self {
         counts.served.fetch_add(1, Ordering::Relaxed);
-        Self(Arc::clone(counts))
+        counts.network.fetch_add(is_network.into(), Ordering::Relaxed);
+        Self { counts: Arc::clone(counts), is_network }
     }
 }
 
 impl Drop for Place {
     fn drop(&mut self) {
-        self.0.served.fetch_sub(1, Ordering::Relaxed);
+        self.counts.served.fetch_sub(1, Ordering::Relaxed);
+        self.counts.network.fetch_sub(self.is_network.into(), Ordering::Relaxed);
     }
+}
+
+/// What the acceptor listens on.
+#[derive(Debug)]
+pub(super) struct Sockets {
+    /// The API's socket.
+    pub(super) api: UnixListener,
+    /// The socket for emergency stops.
+    pub(super) estop: Option<UnixListener>,
+    /// For network clients of the API.
+    pub(super) tcp: Option<TcpListener>,
 }
 
 /// The running thread. Dropping it ends it.
@@ -129,22 +150,24 @@ pub(super) struct Acceptor {
 }
 
 impl Acceptor {
-    /// Starts the thread on the API's socket and the one for emergency stops. The last receiver resolves when the thread has ended.
+    /// Starts the thread on these sockets. The last receiver resolves when the thread has ended.
     pub(super) fn spawn(
-        api: UnixListener,
-        estop: Option<UnixListener>,
+        Sockets { api, estop, tcp }: Sockets,
         estops: Arc<EStops>,
+        gate: Arc<Gate>,
         bounds: Bounds,
         counts: Arc<Counts>,
     ) -> io::Result<(Self, mpsc::Receiver<Handover>, oneshot::Receiver<()>)> {
         let (alive, ended) = oneshot::channel();
         // The kernel's queue is first come, first served: a flood must not fill it with more than an emergency stop can wait for.
         listen(&api, BACKLOG)?;
+        tcp.as_ref().map(|tcp| listen(tcp, BACKLOG)).transpose()?;
         let (sender, handovers) = mpsc::channel(bounds.clients + 3 * bounds.estops);
         let stop = Arc::new(eventfd(0, EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK)?);
         let work = Work {
-            listeners: Listeners { api, estop, spare: spare_descriptor() },
+            listeners: Listeners { api, estop, tcp, spare: spare_descriptor() },
             estops,
+            gate,
             bounds,
             counts,
             sender,
@@ -153,7 +176,8 @@ impl Acceptor {
                 response(&Problem::new(Code::TooManyClients, ORDERED)),
             ],
             window: Window::new(),
-            silent: VecDeque::with_capacity(bounds.silent + 1),
+            silent: [bounds.silent, bounds.silent_network].map(|most| VecDeque::with_capacity(most + 1)),
+            crowded: false,
             stopping: VecDeque::with_capacity(bounds.estops + 1),
         };
         let stopped = Arc::clone(&stop);
@@ -174,17 +198,31 @@ impl Drop for Acceptor {
     }
 }
 
+/// Where a client has connected. A flood of one side displaces none of the other.
+#[derive(Clone, Copy)]
+enum Side {
+    Socket,
+    Network,
+}
+
+impl Side {
+    const ALL: [Self; 2] = [Self::Socket, Self::Network];
+}
+
 struct Work {
     listeners: Listeners,
     estops: Arc<EStops>,
+    gate: Arc<Gate>,
     bounds: Bounds,
     counts: Arc<Counts>,
     sender: mpsc::Sender<Handover>,
     /// The answers to a client, and to an emergency stop, for which there is no place.
     refusals: [Vec<u8>; 2],
     window: Window,
-    /// Oldest first.
-    silent: VecDeque<Silent>,
+    /// Of each [`Side`], oldest first.
+    silent: [VecDeque<Silent>; 2],
+    /// A client was handed over although others wait for places.
+    crowded: bool,
     /// Oldest first.
     stopping: VecDeque<Stopping>,
 }
@@ -193,6 +231,7 @@ impl Work {
     fn run(mut self, stop: &OwnedFd) {
         // Without real-time rights an emergency stop competes with other programs: `meissner doctor` names the right.
         let _ = priority::fifo(priority::BELOW_STREAMER);
+        self.gate.tokens.prepare_thread();
         loop {
             let ready = self.wait(stop);
             if ready.stop {
@@ -211,10 +250,14 @@ impl Work {
                 if ready.api {
                     self.accept_clients();
                 }
+                if ready.tcp {
+                    self.accept_network();
+                }
+                self.make_room();
                 self.window.used += begun.elapsed();
             }
             self.close_late(Instant::now());
-            self.counts.silent.store(self.silent.len(), Ordering::Relaxed);
+            self.count_silent();
         }
     }
 
@@ -232,8 +275,10 @@ impl Work {
         let estop = self.listeners.estop.as_ref().map_or(stop.as_fd(), AsFd::as_fd);
         // Outside of the window the clients of the API wait.
         let api = if open { self.listeners.api.as_fd() } else { stop.as_fd() };
-        let own = [stop.as_fd(), self.estops.switch.as_fd(), api, estop];
-        let silent = self.silent.iter().take(if open { usize::MAX } else { 0 }).map(|it| it.stream.as_fd());
+        let tcp = self.listeners.tcp.as_ref().filter(|_| open).map_or(stop.as_fd(), AsFd::as_fd);
+        let own = [stop.as_fd(), self.estops.switch.as_fd(), api, estop, tcp];
+        let silent =
+            self.silent.iter().flatten().take(if open { usize::MAX } else { 0 }).map(|it| it.stream.as_fd());
         // A connection that waits for its answer is readable when its client has closed it: do not watch it.
         let stopping = self.stopping.iter().filter(|it| it.number.is_none()).map(|it| it.stream.as_fd());
         for fd in own.into_iter().chain(silent).chain(stopping) {
@@ -246,16 +291,22 @@ impl Work {
             fds.iter().map(|fd| !fd.revents().is_empty()).collect();
         drop(fds);
         if open {
-            for (it, &ready) in self.silent.iter_mut().zip(&is_ready[own.len()..]) {
+            for (it, &ready) in self.silent.iter_mut().flatten().zip(&is_ready[own.len()..]) {
                 it.ready = ready;
             }
         }
-        Ready { stop: is_ready[0], answers: is_ready[1], api: is_ready[2], estop: is_ready[3] }
+        Ready {
+            stop: is_ready[0],
+            answers: is_ready[1],
+            api: is_ready[2],
+            estop: is_ready[3],
+            tcp: is_ready[4],
+        }
     }
 
     /// When the oldest connection has taken too long.
     fn due(&self) -> Option<Instant> {
-        let silent = self.silent.front().map(|it| it.since + SILENT);
+        let silent = self.silent.iter().filter_map(|side| side.front()).map(|it| it.since + SILENT).min();
         let stopping = self.stopping.front().map(|it| it.since + STOPPING);
         silent.into_iter().chain(stopping).min()
     }
@@ -264,7 +315,7 @@ impl Work {
         for _ in 0..ROUND {
             let Some(listener) = &self.listeners.estop else { return };
             let accepted = accept(listener, &mut self.listeners.spare);
-            let Some(stream) = self.accepted(accepted) else { return };
+            let Some(stream) = self.accepted(accepted, Side::Socket) else { return };
             self.stopping.push_back(Stopping { stream, since: Instant::now(), number: None });
             if self.stopping.len() > self.bounds.estops {
                 // Bytes may have come meanwhile. Connections without one go first.
@@ -281,7 +332,7 @@ impl Work {
             let read = if it.number.is_none() { it.read(estops) } else { Ok(None) };
             if let Ok(Some(number)) = read {
                 // Without room it goes unrecorded; the emergency stops that took the room are recorded.
-                let _ = sender.try_send(Handover::EStop { peer: peer(&it.stream), number });
+                let _ = sender.try_send(Handover::EStop { peer: it.stream.peer(), number });
             }
             read.is_ok()
         });
@@ -295,33 +346,59 @@ impl Work {
     fn accept_clients(&mut self) {
         for _ in 0..ROUND {
             let accepted = accept(&self.listeners.api, &mut self.listeners.spare);
-            let Some(stream) = self.accepted(accepted) else { return };
-            if self.silent.len() >= self.bounds.silent {
-                self.evict_oldest();
-            }
-            let (head, since) = (heapless::Vec::new(), Instant::now());
-            self.silent.push_back(Silent { stream, head, since, ready: false });
-            self.read_silent(self.silent.len() - 1);
+            let Some(stream) = self.accepted(accepted, Side::Socket) else { return };
+            self.read_first(Side::Socket, stream);
         }
+    }
+
+    fn accept_network(&mut self) {
+        for _ in 0..ROUND {
+            let Some(listener) = &self.listeners.tcp else { return };
+            let accepted = accept_tcp(listener, &mut self.listeners.spare);
+            let Some(stream) = self.accepted(accepted, Side::Network) else { return };
+            self.read_first(Side::Network, stream);
+        }
+    }
+
+    /// Reads what a new client has sent already. It may displace the oldest one of its side.
+    fn read_first(&mut self, side: Side, stream: Stream) {
+        let most = match side {
+            Side::Socket => self.bounds.silent,
+            Side::Network => self.bounds.silent_network,
+        };
+        if self.silent(side).len() >= most {
+            self.evict_oldest(side);
+        }
+        let (peer, head, since) = (stream.peer(), heapless::Vec::new(), Instant::now());
+        self.silent(side).push_back(Silent { stream, peer, head, since, ready: false });
+        let newest = self.silent(side).len() - 1;
+        self.read_silent(side, newest);
+    }
+
+    fn silent(&mut self, side: Side) -> &mut VecDeque<Silent> {
+        &mut self.silent[side as usize]
     }
 
     /// Reads the connections that have sent something. One that moves up meanwhile has its turn in the next round.
     fn read_ready(&mut self) {
-        let mut at = 0;
-        while let Some(silent) = self.silent.get_mut(at) {
-            if !(std::mem::take(&mut silent.ready) && self.read_silent(at)) {
-                at += 1;
+        for side in Side::ALL {
+            let mut at = 0;
+            while let Some(silent) = self.silent(side).get_mut(at) {
+                if !(std::mem::take(&mut silent.ready) && self.read_silent(side, at)) {
+                    at += 1;
+                }
             }
         }
     }
 
     /// Reads what this connection has sent; hands it over or drops it if that is decided, and returns whether it was.
-    fn read_silent(&mut self, at: usize) -> bool {
-        let Some(read) = self.silent.get_mut(at).map(Silent::read) else { return false };
+    fn read_silent(&mut self, side: Side, at: usize) -> bool {
+        let gate = Arc::clone(&self.gate);
+        let Some(read) = self.silent(side).get_mut(at).map(|it| it.read(&gate)) else { return false };
         if read.is_pending() {
             return false;
         }
-        if let (Some(silent), Poll::Ready(Ok(is_estop))) = (self.silent.remove(at), read) {
+        if let (Some(silent), Poll::Ready(Ok(is_estop))) = (self.silent(side).remove(at), read) {
             self.hand_over(silent, is_estop);
         }
         true
@@ -329,22 +406,20 @@ impl Work {
 
     /// Orders an emergency stop, then passes the connection to the server.
     fn hand_over(&mut self, silent: Silent, is_estop: bool) {
-        let Silent { stream, head, .. } = silent;
-        let peer = peer(&stream);
+        let Silent { stream, head, peer, .. } = silent;
+        let is_network = stream.is_network();
         let estop = is_estop.then(|| self.estops.request(Origin::of(peer)));
+        self.count_silent();
         let Self { bounds, counts, .. } = self;
-        counts.silent.store(self.silent.len(), Ordering::Relaxed);
         let served = counts.served.load(Ordering::Relaxed);
         // The server disconnects idle clients for some of those beyond the bound. Emergency stops have further places.
-        let places = bounds.clients + if is_estop { 2 * bounds.estops } else { bounds.estops };
-        if served >= places {
+        let further = if is_estop { 2 * bounds.estops } else { bounds.estops };
+        let network_full = is_network && counts.network.load(Ordering::Relaxed) >= bounds.network + further;
+        if served >= bounds.clients + further || network_full {
             return self.refuse(&stream, is_estop);
         }
-        let crowded = served + self.silent.len() >= bounds.clients;
-        if crowded && self.silent.front().is_some_and(|it| it.since.elapsed() >= IDLE) {
-            self.evict_oldest();
-        }
-        let place = Place::new(&self.counts);
+        self.crowded |= served + counts.silent() >= bounds.clients;
+        let place = Place::new(&self.counts, is_network);
         let accepted = Accepted { stream, head: head.to_vec(), peer, estop, place };
         if let Err(back) = self.sender.try_send(Handover::Client(accepted))
             && let Handover::Client(Accepted { stream, .. }) = back.into_inner()
@@ -353,35 +428,50 @@ impl Work {
         }
     }
 
+    /// After a client has needed a place: drops the oldest connection of the socket if it has long been silent.
+    fn make_room(&mut self) {
+        let is_idle = |it: &Silent| it.since.elapsed() >= IDLE;
+        if std::mem::take(&mut self.crowded) && self.silent(Side::Socket).front().is_some_and(is_idle) {
+            self.evict_oldest(Side::Socket);
+        }
+    }
+
+    fn count_silent(&self) {
+        self.counts.silent.store(self.silent[Side::Socket as usize].len(), Ordering::Relaxed);
+    }
+
     /// The connection that was accepted, if there is one. Without a descriptor for it, makes room for the next round.
-    fn accepted(&mut self, accepted: Result<Option<UnixStream>, Errno>) -> Option<UnixStream> {
+    fn accepted(&mut self, accepted: Result<Option<Stream>, Errno>, side: Side) -> Option<Stream> {
         accepted.unwrap_or_else(|_| {
-            if self.silent.is_empty() {
+            // Clients of the network first.
+            let with_some = [Side::Network, side].into_iter().find(|side| !self.silent(*side).is_empty());
+            match with_some {
+                Some(side) => self.evict_oldest(side),
                 // Only others can close descriptors: do not use up the processor until then.
-                thread::sleep(Duration::from_millis(1));
-            } else {
-                self.evict_oldest();
+                None => thread::sleep(Duration::from_millis(1)),
             }
             None
         })
     }
 
-    /// Drops the oldest connection, unless its request has come by now.
-    fn evict_oldest(&mut self) {
-        if !self.read_silent(0) && self.silent.pop_front().is_some() {
+    /// Drops the oldest connection of a side, unless its request has come by now.
+    fn evict_oldest(&mut self, side: Side) {
+        if !self.read_silent(side, 0) && self.silent(side).pop_front().is_some() {
             self.counts.evicted.fetch_add(1, Ordering::Relaxed);
-            self.counts.silent.store(self.silent.len(), Ordering::Relaxed);
+            self.count_silent();
         }
     }
 
-    fn refuse(&self, stream: &UnixStream, is_estop: bool) {
+    fn refuse(&self, stream: &Stream, is_estop: bool) {
         self.counts.refused.fetch_add(1, Ordering::Relaxed);
         refuse(stream, &self.refusals[usize::from(is_estop)]);
     }
 
     fn close_late(&mut self, now: Instant) {
-        while self.silent.front().is_some_and(|it| now >= it.since + SILENT) {
-            self.evict_oldest();
+        for side in Side::ALL {
+            while self.silent(side).front().is_some_and(|it| now >= it.since + SILENT) {
+                self.evict_oldest(side);
+            }
         }
         while self.stopping.front().is_some_and(|it| now >= it.since + STOPPING) {
             self.stopping.pop_front();
@@ -403,7 +493,8 @@ impl Window {
     }
 
     fn end(&self) -> Instant {
-        self.begun + WINDOW
+        // Never less rest than work, also after a round that took longer than the window.
+        self.begun + WINDOW.max(2 * self.used)
     }
 
     /// Returns `now` if there is time left for clients.
@@ -421,6 +512,7 @@ struct Ready {
     answers: bool,
     api: bool,
     estop: bool,
+    tcp: bool,
 }
 
 /// The error for one client too many.

@@ -1,8 +1,8 @@
 //! Answers that need no HTTP server: an error as a complete HTTP response.
 
+use crate::daemon::stream::Stream;
 use meissner_api::{Code, Problem, REFERENCE};
 use std::io::{Read, Write};
-use std::os::unix::net::UnixStream;
 
 /// Bytes of a refused request that are read, at most.
 const MAX_DRAINED: usize = 64 << 10;
@@ -32,7 +32,7 @@ pub(in crate::daemon) fn malformed(status: u16) -> Option<Problem> {
 }
 
 /// Writes an error's [`response`] and drops what the client has sent: closed with unread bytes, the connection would lose the answer.
-pub(in crate::daemon) fn refuse(mut stream: &UnixStream, response: &[u8]) {
+pub(in crate::daemon) fn refuse(mut stream: &Stream, response: &[u8]) {
     let mut drained = 0;
     let mut bytes = [0; 4096];
     while let Ok(len @ 1..) = stream.read(&mut bytes) {

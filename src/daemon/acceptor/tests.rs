@@ -1,8 +1,9 @@
 //! The acceptor without a server: nothing takes its handovers, and the engine's lock is held.
 
-use super::{Acceptor, Bounds, Counts, Handover};
+use super::{Acceptor, Bounds, Counts, Handover, Sockets};
 use crate::daemon::engine::Engine;
 use crate::daemon::estop::Origin;
+use crate::daemon::network::{Gate, TokenStore};
 use meissner_client::estop;
 use meissner_stream::Settings;
 use meissner_stream::queues::{Command, CommandError, Emit, StreamEvent, ThreadQueues, queues};
@@ -32,6 +33,11 @@ fn listener(path: &std::path::Path) -> UnixListener {
     listener
 }
 
+/// A daemon that does not listen on the network.
+fn gate() -> Arc<Gate> {
+    Arc::new(Gate::new(None, None, Arc::new(TokenStore::open(None))))
+}
+
 #[test]
 fn an_emergency_stop_needs_no_server_no_runtime_and_no_lock() {
     let dir = tempfile::tempdir().unwrap();
@@ -39,10 +45,10 @@ fn an_emergency_stop_needs_no_server_no_runtime_and_no_lock() {
     let (mut port, commands, _events) = queues().unwrap();
     let engine = Engine::new(commands, Settings::default(), "mock".to_owned(), None);
     let (bounds, counts) = (Bounds::within(200), Arc::new(Counts::default()));
-    let listeners = (listener(&socket), Some(listener(&stop)));
+    let sockets = Sockets { api: listener(&socket), estop: Some(listener(&stop)), tcp: None };
     let estops = Arc::clone(&engine.estops);
     let (acceptor, mut handovers, _ended) =
-        Acceptor::spawn(listeners.0, listeners.1, estops, bounds, Arc::clone(&counts)).unwrap();
+        Acceptor::spawn(sockets, estops, gate(), bounds, Arc::clone(&counts)).unwrap();
     let held = engine.lock();
     // More requests than there are places: the rest get an error.
     let request = |target: &str| {
@@ -89,8 +95,9 @@ fn a_request_that_has_come_is_read_before_its_connection_is_dropped() {
     let engine = Engine::new(commands, Settings::default(), "mock".to_owned(), None);
     let (bounds, counts) = (Bounds::within(52), Arc::new(Counts::default()));
     let estops = Arc::clone(&engine.estops);
+    let sockets = Sockets { api: listener(&socket), estop: None, tcp: None };
     let (acceptor, mut handovers, mut ended) =
-        Acceptor::spawn(listener(&socket), None, estops, bounds, Arc::clone(&counts)).unwrap();
+        Acceptor::spawn(sockets, estops, gate(), bounds, Arc::clone(&counts)).unwrap();
     for round in 0..100 {
         // More than there are places for silent connections; some speak, in another order, and hang up.
         let mut streams: Vec<_> = (0..9).map(|_| UnixStream::connect(&socket).unwrap()).collect();

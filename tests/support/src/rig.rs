@@ -32,7 +32,8 @@ pub fn bad_line() -> Line {
 
 /// A pattern of the repository.
 pub fn pattern(name: &str) -> Pattern {
-    shipped().into_iter().find(|pattern| pattern.name() == name).unwrap()
+    let folder = if name.ends_with("-paper") { "paper" } else { "" };
+    patterns_in(folder).into_iter().find(|pattern| pattern.name() == name).unwrap()
 }
 
 pub fn outcomes(events: &[StreamEvent]) -> Vec<&Outcome> {
@@ -106,10 +107,16 @@ pub fn bursts_on_the_lines(trace: &[(Tick, Run)]) -> OnTheLines {
     sum
 }
 
-/// All patterns of the repository.
+/// The patterns of the repository's library, without those of the paper's setting.
 pub fn shipped() -> Vec<Pattern> {
-    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../patterns");
-    let mut files: Vec<_> = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
+    patterns_in("")
+}
+
+fn patterns_in(folder: &str) -> Vec<Pattern> {
+    let folder = std::path::Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../patterns")).join(folder);
+    let entries = std::fs::read_dir(folder).unwrap();
+    let mut files: Vec<_> =
+        entries.map(|entry| entry.unwrap().path()).filter(|path| path.is_file()).collect();
     files.sort();
     let read = |path: std::path::PathBuf| {
         Pattern::parse(&std::fs::read_to_string(&path).unwrap(), &path.to_string_lossy()).unwrap()

@@ -16,7 +16,7 @@ use meissner_design::{Play, Rates, YARDSTICK, predict_response};
 use serde::Serialize;
 
 /// The shipped pattern for the target [`YARDSTICK`].
-const EDGE: &str = include_str!("../../../../patterns/edge-45.toml");
+const EDGE: &str = include_str!("../../../../patterns/paper/edge-45-paper.toml");
 
 /// Mean rate of the afferents on the edge minus that of the others, impulses/s.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]

@@ -7,6 +7,7 @@
 //!
 //! Invariant: it reads no clock; the same seed and bytes in give the same bytes out.
 
+use firmware_protocol::board::{Measures, Reset, SelfTest};
 use firmware_protocol::controller::{BLOCK, Controller, HORIZON, Identity, Run};
 use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::message::{DeviceHello, State};
@@ -79,8 +80,11 @@ impl Mock {
         let telemetry = if motors.telemetry_hz > 0 { DeviceHello::TELEMETRY } else { 0 };
         let features = DeviceHello::SIMULATED | telemetry;
         let identity = Identity { firmware, build: *b"mock", boot, features };
+        let mut controller = Box::new(Controller::starting_at(identity, now));
+        // It renders in no time, and has no USB and no executor.
+        controller.measured(Measures { reset: Reset::Program, ..Measures::NONE });
         Ok(Self {
-            controller: Box::new(Controller::starting_at(identity, now)),
+            controller,
             motors: SimulatedMotors::new(motors, now)?,
             ahead: VecDeque::with_capacity(2 * HORIZON as usize),
             now,
@@ -248,6 +252,8 @@ impl Mock {
     }
 
     fn send(&mut self) {
+        // It has nothing of what a self-test checks.
+        self.controller.tested(SelfTest::default());
         let mut frame = [0; MAX_FRAME];
         while self.to_host.len() + MAX_FRAME <= BUFFER {
             let len = self.controller.transmit(self.now, &mut frame);

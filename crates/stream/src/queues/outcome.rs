@@ -2,10 +2,12 @@
 //!
 //! The streamer fills them; the daemon turns them into the API's types.
 
+use crate::board::PlayBoard;
 use crate::link::{BadFrames, ClockEstimate, Contradictions};
 use crate::queues::play::Play;
 use crate::settings::Settings;
 use crate::time::HostInstant;
+use firmware_protocol::board::Board;
 use firmware_protocol::message::{Cause, State};
 use firmware_protocol::stroke::MOTORS;
 use firmware_protocol::tick::Tick;
@@ -110,6 +112,8 @@ pub struct Outcome {
     pub pulses: PulseCounts,
     /// Its late strokes.
     pub lateness: LateCounts,
+    /// What occurred on the device meanwhile; `None` if its reports do not cover the whole play.
+    pub board: Option<PlayBoard>,
     /// Bytes sent to the device while it ran, all overhead included.
     pub wire_bytes: u64,
     /// The rest errors at its onset; `None` if it never began.
@@ -159,6 +163,8 @@ pub struct Snapshot {
     pub bad_frames: BadFrames,
     /// Undamaged messages from the device that cannot be true, since it was connected.
     pub contradictions: Contradictions,
+    /// The last board report since it was connected.
+    pub board: Option<Board>,
     /// Frames from the host that the device could not read since it was switched on.
     pub device_bad_frames: u64,
 }

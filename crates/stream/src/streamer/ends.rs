@@ -2,7 +2,7 @@
 //!
 //! Invariant: the account of a play closes with device counters that include all of this play and nothing of the next.
 
-use crate::active::{Ending, Phase};
+use crate::active::{Active, Ending, Phase};
 use crate::link::{Clock, Contradiction, Session};
 use crate::queues::{CommandError, Emit, End, Offset, StreamEvent};
 use crate::streamer::{ANSWER_WITHIN, Streamer, answer};
@@ -47,6 +47,11 @@ impl Streamer {
     pub(super) fn finish(&mut self, tick: Tick, emit: &mut dyn Emit) {
         let returning = self.state() == State::Returning;
         let Some(session) = &mut self.session else { return };
+        // In time for the answer to come with the last status.
+        let is_over = |first: &&mut Active| first.cut.is_none() && first.end().is_some_and(|end| tick >= end);
+        if let Some(first) = self.plays.front_mut().filter(is_over) {
+            first.board.ends(tick, || session.ask_board());
+        }
         while let Some(first) = self.plays.front() {
             // A play without strokes never starts: the counters at the next onset separate its neighbours.
             let later = || self.plays.iter().skip(1);
@@ -75,6 +80,10 @@ impl Streamer {
                 }
                 break;
             };
+            let Some(first) = self.plays.front_mut() else { break };
+            if first.phase != Phase::Waiting && !first.board.ends(tick, || session.ask_board()) {
+                break;
+            }
             let wire = session.traffic().bytes_out;
             // The estimates are those of the play's end: of bursts of the next play nothing counts yet.
             let end = if first.cut.is_some() { None } else { first.end() };

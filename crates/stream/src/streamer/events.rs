@@ -117,6 +117,12 @@ impl Streamer {
                     emit.event(StreamEvent::StrokeRefused { id, motor, up, reason });
                 }
             }
+            Event::Board(board) => {
+                self.board = Some(board);
+                self.plays.iter_mut().for_each(|active| active.board.heard(board));
+            }
+            // The streamer asks for none.
+            Event::SelfTest(_) => {}
             Event::Telemetry { tick, y, known_to } => {
                 let known = self.control.telemetry(tick, &y, known_to, |burst| emit.measured(burst));
                 if let (false, Some(session)) = (known, &mut self.session) {

@@ -125,6 +125,7 @@ impl Streamer {
         let active = &mut self.plays[index];
         active.offer(onset, wire);
         if let Some(session) = &mut self.session {
+            active.board.begins(session.ask_board(), self.board);
             session.begin(onset, active.trigger());
         }
     }

@@ -19,6 +19,7 @@ use crate::link::{Event, LineRate, Session};
 use crate::queues::{CommandError, Emit, End, MAX_QUEUED_PLAYS, Snapshot, StreamEvent};
 use crate::settings::Settings;
 use crate::time::HostInstant;
+use firmware_protocol::board::Board;
 use firmware_protocol::frame::MAX_FRAME;
 use firmware_protocol::message::{Cause, Counters, Op, State, Status};
 use firmware_protocol::stroke::MOTORS;
@@ -81,6 +82,8 @@ pub struct Streamer {
     events: VecDeque<Event>,
     /// The device's last status and its tick.
     status: Option<(Status, Tick)>,
+    /// Its last board report.
+    board: Option<Board>,
     /// An emergency stop is latched, also for a device that comes later.
     latched: bool,
     /// The number of the newest emergency stop.
@@ -133,6 +136,7 @@ impl Streamer {
             session: None,
             events: VecDeque::with_capacity(4096),
             status: None,
+            board: None,
             latched: false,
             last_estop: 0,
             resets_own_e_stop: false,
@@ -190,7 +194,7 @@ impl Streamer {
         self.end_seek(Err(CommandError::NoDevice), emit);
         self.last_seek = None;
         self.in_flight = false;
-        self.status = None;
+        (self.status, self.board) = (None, None);
         self.control.cut(lost, None);
         (self.fed_until, self.short_of_credits) = (Tick(0), false);
         if let Some((ticket, _)) = self.closing.take() {
@@ -344,6 +348,7 @@ impl Streamer {
             retransmitted: traffic.retransmitted,
             bad_frames: traffic.bad,
             contradictions: traffic.contradictions,
+            board: self.board,
             device_bad_frames: status.map_or(0, |status| status.counters.bad_frames),
         }
     }

@@ -20,6 +20,8 @@ pub struct ChipOptions {
     pub seed: u64,
     /// Factor by which the core is slower than the real one.
     pub slow: f64,
+    /// Further options of the emulator.
+    pub more: Vec<String>,
 }
 
 impl ChipOptions {
@@ -27,7 +29,7 @@ impl ChipOptions {
     #[must_use]
     pub fn new(seed: u64) -> Self {
         let built = "../target/thumbv6m-none-eabi/release/meissner-firmware";
-        Self { elf: from_env("MEISSNER_FIRMWARE_ELF", built), seed, slow: 1.0 }
+        Self { elf: from_env("MEISSNER_FIRMWARE_ELF", built), seed, slow: 1.0, more: Vec::new() }
     }
 }
 
@@ -77,6 +79,7 @@ impl ChipBench {
         let mut command = Command::new("node");
         command.arg(&emulator).arg(&options.elf);
         command.args(["--seed", &options.seed.to_string(), "--slow", &options.slow.to_string()]);
+        command.args(&options.more);
         let pipes = command.stdin(Stdio::piped()).stdout(Stdio::piped());
         let mut process = pipes.spawn().map_err(BenchError::NoNode)?;
         let (Some(to), Some(from)) = (process.stdin.take(), process.stdout.take()) else {
@@ -180,6 +183,14 @@ impl ChipBench {
         self.ask(&serde_json::json!({ "usb": if plugged { "plug" } else { "unplug" } }))
     }
 
+    /// Does something else to the bus, by the emulator's name for it: `suspend`, `resume`, `hang`.
+    ///
+    /// # Errors
+    /// If the emulator is gone or refuses.
+    pub fn bus(&mut self, event: &str) -> Result<(), BenchError> {
+        self.ask(&serde_json::json!({ "usb": event }))
+    }
+
     /// Makes the core fail.
     ///
     /// # Errors
@@ -220,6 +231,14 @@ impl ChipBench {
     /// If the emulator is gone or has nothing at this address.
     pub fn register(&mut self, address: u32, to: u32) -> Result<(), BenchError> {
         self.ask(&serde_json::json!({ "register": address, "to": to }))
+    }
+
+    /// Plants faults of the wiring, by GPIO: pads held high or low, and connected pairs.
+    ///
+    /// # Errors
+    /// If the emulator is gone.
+    pub fn wiring(&mut self, high: u32, low: u32, shorts: &[[u8; 2]]) -> Result<(), BenchError> {
+        self.ask(&serde_json::json!({ "wiring": { "high": high, "low": low, "shorts": shorts } }))
     }
 
     fn ask(&mut self, request: &serde_json::Value) -> Result<(), BenchError> {

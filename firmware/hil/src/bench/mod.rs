@@ -53,6 +53,8 @@ pub enum CpuEvent {
     Panic,
     /// A hard fault.
     Hardfault,
+    /// The RUN pin goes low for a moment.
+    Run,
 }
 
 /// Bytes from the device.

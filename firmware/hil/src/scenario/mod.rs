@@ -268,7 +268,8 @@ pub fn pattern(name: &str) -> Result<Pattern, ScenarioError> {
         };
         return Ok(Pattern::new(name, None, (0..24).map(drive).collect(), toml::Table::new())?);
     }
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../patterns/{name}.toml"));
+    let folder = if name.ends_with("-paper") { "patterns/paper" } else { "patterns" };
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../{folder}/{name}.toml"));
     let text = std::fs::read_to_string(&path).map_err(|error| ScenarioError::File(path.clone(), error))?;
     Ok(Pattern::parse(&text, name)?)
 }

@@ -4,9 +4,9 @@ use crate::figures::error::FiguresError;
 use firmware_protocol::stroke::MOTORS;
 use meissner_array::geometry;
 use meissner_design::{
-    Brief, Fidelity, Found, Goal, Limit, Objective, Point, Score, Setting, Step, Target, Vibration, search,
+    Brief, Fidelity, Found, Goal, Limit, Models, Objective, Point, Score, Setting, Step, Target, Vibration,
+    search,
 };
-use meissner_skin::ModelName;
 use meissner_skin::afferent::Position;
 use rayon::prelude::*;
 use std::ops::{ControlFlow, RangeInclusive};
@@ -52,7 +52,7 @@ pub(super) fn near_hz(point: &Point, motors: &[u8]) -> f64 {
 
 pub(super) fn found(target: &Target, limit: Limit) -> Result<Found, FiguresError> {
     let brief = Brief {
-        model: ModelName::Membrane,
+        models: Models::Membrane,
         goal: Goal::Contrast,
         target,
         frame: &target.frames()[0],

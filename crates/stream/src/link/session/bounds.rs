@@ -10,6 +10,7 @@
 use crate::link::session::contradiction::Contradiction;
 use crate::link::session::state::{Batch, Session};
 use crate::time::HostInstant;
+use firmware_protocol::board::{Board, OUTPUTS};
 use firmware_protocol::controller::{REORDER_WINDOW, REPORTS};
 use firmware_protocol::limits::{MAX_DOWN_PULSES, MAX_SEEK, MAX_UP_PULSES, Refusal};
 use firmware_protocol::message::{Cause, Counters, Cut, DeviceHello, Op, Report, State, Status};
@@ -142,6 +143,29 @@ impl Known {
             at.and_then(|at| self.marks.remove(at));
             self.reported = *counters;
         }
+    }
+
+    /// Whether a board report may follow the last one of this session.
+    pub(super) fn read_board(&self, board: &Board, before: Option<&Board>) -> Result<(), Contradiction> {
+        let within = |slack: Option<u8>| slack.is_none_or(|slack| u32::from(slack) <= self.horizon);
+        let outputs = board.high_at_boot.unwrap_or(0) >> OUTPUTS == 0;
+        let least =
+            board.slack.is_none_or(|slack| board.slack_since_boot.is_some_and(|least| least <= slack));
+        let follows = before.is_none_or(|before| {
+            // What has been measured once is measured from then on.
+            let shrinks = |now: Option<u8>, before: Option<u8>| {
+                before.is_none_or(|before| now.is_some_and(|now| now <= before))
+            };
+            before.reset == board.reset
+                && before.high_at_boot == board.high_at_boot
+                && before.uptime_s <= board.uptime_s
+                && before.stalls <= board.stalls
+                && before.usb_recoveries <= board.usb_recoveries
+                && before.output_faults <= board.output_faults
+                && shrinks(board.slack_since_boot, before.slack_since_boot)
+        });
+        let sane = within(board.slack) && within(board.slack_since_boot) && outputs && least && follows;
+        if sane { Ok(()) } else { Err(Contradiction::Board) }
     }
 
     /// Whether a status that says `now` may follow what is known.

@@ -26,11 +26,13 @@ pub enum Contradiction {
     Counters,
     /// It sends telemetry without having sensors.
     Telemetry,
+    /// Its board report changes what cannot change, or names outputs that there are not.
+    Board,
 }
 
 impl Contradiction {
     /// All kinds, in the order of their declaration.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 11] = [
         Self::Hello,
         Self::Clock,
         Self::Command,
@@ -41,6 +43,7 @@ impl Contradiction {
         Self::State,
         Self::Counters,
         Self::Telemetry,
+        Self::Board,
     ];
 
     /// Its name in metrics.
@@ -57,6 +60,7 @@ impl Contradiction {
             Self::State => "state",
             Self::Counters => "counters",
             Self::Telemetry => "telemetry",
+            Self::Board => "board",
         }
     }
 }

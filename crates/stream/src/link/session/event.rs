@@ -2,6 +2,7 @@
 
 use crate::link::session::contradiction::Contradiction;
 use crate::time::HostInstant;
+use firmware_protocol::board::{Board, SelfTestState};
 use firmware_protocol::limits::Refusal;
 use firmware_protocol::message::{Counters, Cut, DeviceHello, Status};
 use firmware_protocol::stroke::{MOTORS, Stroke};
@@ -136,6 +137,7 @@ impl LostReason {
                 Contradiction::Report => contradicts!("it reports about strokes that it was not sent"),
                 Contradiction::State => contradicts!("its state changes without a command"),
                 Contradiction::Counters => contradicts!("its counts of bursts shrink or jump"),
+                Contradiction::Board => contradicts!("its board report cannot be true"),
                 Contradiction::Telemetry => contradicts!("it sends telemetry without having sensors"),
             },
         }
@@ -192,6 +194,10 @@ pub enum Event {
         /// Why.
         reason: Refusal,
     },
+    /// How the device is, as it answered a request.
+    Board(Board),
+    /// A self-test is over, or was refused.
+    SelfTest(SelfTestState),
     /// Displacements in 0.01 µm.
     Telemetry {
         /// When they were sampled.

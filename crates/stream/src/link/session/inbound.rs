@@ -76,6 +76,8 @@ impl Session {
                     self.read_reports(now, emit)?;
                 }
             }
+            DeviceMessage::Board(board) => self.board(board, emit)?,
+            DeviceMessage::SelfTest { run, state } => self.self_test(run, state, emit)?,
             DeviceMessage::Telemetry { tick, y } => {
                 let (tick, known_to) = (self.read_telemetry(now, tick)?, self.known_to());
                 emit(Event::Telemetry { tick, y, known_to });

@@ -1,9 +1,11 @@
 //! One session with one device.
 //!
 //! The streamer pushes strokes, amendments and commands into a [`Session`] (`state`). `outbound` writes the frame that is due,
-//! `inbound` reads what the device says, within its `bounds`; the session reports both as [`Event`]s. `probe` measures the
+//! `inbound` reads what the device says, within its `bounds`; `board` asks how the
+//! device is; the session reports both as [`Event`]s. `probe` measures the
 //! line.
 
+mod board;
 mod bounds;
 mod contradiction;
 mod event;

@@ -137,6 +137,9 @@ impl Session {
         if let Some(len) = self.next_batch(now, out) {
             return len;
         }
+        if let Some(question) = self.next_question(now) {
+            return encoded(&question, out);
+        }
         match self.next_probe(now, out) {
             0 => self.next_ping(now, out),
             len => len,
@@ -291,6 +294,7 @@ impl Session {
                     control,
                     frames,
                     ping,
+                    self.question_due(now),
                     self.probe.due(now, self.is_open().then(|| self.last_ping + QUIET_TIMEOUT)),
                 ];
                 due.into_iter().flatten().min().unwrap_or(now)

@@ -1,6 +1,7 @@
 //! The state of a session, and the calls of the streamer.
 
 use crate::link::clock::Clock;
+use crate::link::session::board::Asking;
 use crate::link::session::bounds::Known;
 use crate::link::session::contradiction::Contradiction;
 use crate::link::session::event::{Event, LostReason};
@@ -160,6 +161,7 @@ pub struct Session {
     pub(super) verdicts: VecDeque<Report>,
     pub(super) retired: Retired,
 
+    pub(super) asking: Asking,
     pub(super) token: u16,
     /// The last ping that the device answered.
     pub(super) answered: u16,
@@ -224,6 +226,7 @@ impl Session {
                 verdicts: VecDeque::with_capacity(REPORTS),
                 after: 0,
             },
+            asking: Asking::new(now),
             token: 0,
             answered: 0,
             pinged: [(0, HostInstant::default()); PINGS],

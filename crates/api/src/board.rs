@@ -1,0 +1,49 @@
+//! What a device says of itself: its counters in the status, and what grew of them during a play.
+//!
+//! The daemon asks the device about once a second, and at the ends of plays. A figure that the device does not measure is null;
+//! the simulated array measures neither time nor USB.
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+/// The device's counters since it started, as it reported them last.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct BoardStatus {
+    /// Why the device started: `power` (or a supply that broke down for a moment), `run-pin`, `debugger`, `watchdog` (its firmware
+    /// hung), `panic` (its firmware stopped itself), `program` (a simulated device) or `unknown`.
+    pub reset: String,
+    /// Time since then, s.
+    pub uptime_s: u32,
+    /// Least time left to render since then, ticks of 1/85000 s; null: nothing was rendered while armed, or it is not measured. A board
+    /// has at most 45; at 0 it turns its lines off.
+    #[schema(required)]
+    pub slack_ticks: Option<u8>,
+    /// Times that the firmware's tasks stood still for too long; null: not measured.
+    #[schema(required)]
+    pub stalls: Option<u32>,
+    /// Times that the device set up its hung USB controller again; null: not measured.
+    #[schema(required)]
+    pub usb_recoveries: Option<u32>,
+    /// Times that its outputs failed and it turned its lines off (causes `starved` and `output`).
+    pub output_faults: u32,
+    /// Outputs that were high at its start, before anything drove them: motors by number, 24 for the trigger, 25 for the driver enable.
+    /// Null: not measured. A sound board has none.
+    #[schema(required, max_items = 26)]
+    pub high_at_boot: Option<Vec<u8>>,
+}
+
+/// What occurred on the device while a play ran: from the last report before it to the first one after.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct BoardRecord {
+    /// Least time left to render, ticks of 1/85000 s; null: not measured.
+    #[schema(required)]
+    pub slack_ticks: Option<u8>,
+    /// Times that the firmware's tasks stood still for too long; null: not measured.
+    #[schema(required)]
+    pub stalls: Option<u32>,
+    /// Times that the device set up its hung USB controller again; null: not measured.
+    #[schema(required)]
+    pub usb_recoveries: Option<u32>,
+    /// Times that its outputs failed.
+    pub output_faults: u32,
+}

@@ -1,0 +1,126 @@
+//! What a device's board reports say of one play.
+//!
+//! The streamer asks for a report when it offers a play ([`BoardAccount::begins`]) and when the play is over
+//! ([`BoardAccount::ends`]), and passes each answer on ([`BoardAccount::heard`]).
+//!
+//! Invariant: the account covers the whole play, from the last report before its onset to the first after its end, or is `None`.
+
+use firmware_protocol::board::Board;
+use firmware_protocol::tick::Tick;
+use meissner_array::units::TICKS_PER_MS;
+
+/// A receipt waits so long for the report after a play. Longer, and the line is broken.
+const WITHIN: u64 = 200 * TICKS_PER_MS;
+
+/// What occurred on the device while a play ran. `None`: the device does not measure it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct PlayBoard {
+    /// Least time left to render, ticks.
+    pub slack: Option<u8>,
+    /// Times that the executor stood still.
+    pub stalls: Option<u32>,
+    /// Times that the device set up its USB controller again.
+    pub usb_recoveries: Option<u32>,
+    /// Times that the outputs failed.
+    pub output_faults: u32,
+}
+
+/// See the module.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct BoardAccount {
+    /// The request whose answer covers the time just before the play.
+    from: u16,
+    before: Option<Board>,
+    /// The request whose answer covers the play's end, and when the streamer first saw that it is over.
+    until: Option<(u16, Tick)>,
+    after: Option<Board>,
+    slack: Option<u8>,
+}
+
+impl BoardAccount {
+    /// The play is offered; `from` was asked for now, and `last` is the last report.
+    pub(super) fn begins(&mut self, from: u16, last: Option<Board>) {
+        *self = Self { from, before: last, ..Self::default() };
+    }
+
+    /// The play is over at `tick`; `ask` asks for a report. Returns whether the account is complete, or will not be.
+    pub(super) fn ends(&mut self, tick: Tick, ask: impl FnOnce() -> u16) -> bool {
+        let (_, since) = *self.until.get_or_insert_with(|| (ask(), tick));
+        self.after.is_some() || tick >= since + WITHIN
+    }
+
+    /// A report has come.
+    pub(super) fn heard(&mut self, board: Board) {
+        if self.after.is_some() {
+            return;
+        }
+        let later = |than: u16| (1..u16::MAX / 2).contains(&board.window.wrapping_sub(than));
+        if later(self.from) {
+            self.slack = match (self.slack, board.slack) {
+                (Some(a), Some(b)) => Some(a.min(b)),
+                (a, b) => a.or(b),
+            };
+        } else {
+            self.before = Some(board);
+        }
+        if self.until.is_some_and(|(until, _)| board.window == until) {
+            self.after = Some(board);
+        }
+    }
+
+    /// The account, if it is complete.
+    pub(super) fn close(&self) -> Option<PlayBoard> {
+        let (before, after) = (self.before?, self.after?);
+        let grown = |now: Option<u32>, then: Option<u32>| Some(now?.saturating_sub(then?));
+        Some(PlayBoard {
+            slack: self.slack,
+            stalls: grown(after.stalls, before.stalls),
+            usb_recoveries: grown(after.usb_recoveries, before.usb_recoveries),
+            output_faults: after.output_faults.saturating_sub(before.output_faults),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use firmware_protocol::board::Reset;
+
+    fn report(window: u16, slack: Option<u8>, stalls: u32) -> Board {
+        Board {
+            window,
+            reset: Reset::Power,
+            uptime_s: 1,
+            slack,
+            slack_since_boot: slack,
+            stalls: Some(stalls),
+            usb_recoveries: None,
+            output_faults: 0,
+            high_at_boot: None,
+        }
+    }
+
+    #[test]
+    fn an_account_covers_the_play_and_no_more() {
+        let mut account = BoardAccount::default();
+        account.begins(u16::MAX, Some(report(u16::MAX - 1, Some(1), 1)));
+        account.heard(report(u16::MAX, Some(2), 3));
+        account.heard(report(0, Some(30), 4));
+        assert!(!account.ends(Tick(100), || 2));
+        account.heard(report(1, Some(28), 5));
+        assert!(!account.ends(Tick(101), || unreachable!("asked once")) && account.close().is_none());
+        account.heard(report(2, None, 6));
+        assert!(account.ends(Tick(102), || unreachable!("asked once")));
+        account.heard(report(3, Some(3), 9));
+        let closed = account.close().expect("a complete account");
+        assert_eq!((closed.slack, closed.stalls, closed.usb_recoveries), (Some(28), Some(3), None));
+    }
+
+    #[test]
+    fn a_receipt_does_not_wait_for_ever() {
+        let mut account = BoardAccount::default();
+        account.begins(4, None);
+        assert!(!account.ends(Tick(0), || 5) && !account.ends(Tick(WITHIN - 1), || 5));
+        assert!(account.ends(Tick(WITHIN), || 5) && account.close().is_none());
+    }
+}

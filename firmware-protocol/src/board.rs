@@ -1,0 +1,159 @@
+//! What a device says of itself on request: the [`Board`] report and the result of a [`SelfTest`].
+//!
+//! A host asks with `HostMessage::Board` about once a second, and with `HostMessage::SelfTest` for a test. A figure that
+//! the device does not have is `None`; it never stands for a value.
+
+use crate::batch::{BATCH_BYTES, Packer};
+use crate::frame::{self, MAX_FRAME};
+use crate::message::HostMessage;
+use crate::stroke::{MOTORS, Stroke};
+use crate::tick::Tick;
+use serde::{Deserialize, Serialize};
+
+/// Outputs in a mask of outputs: bit m is the line of motor m, then [`TRIGGER`] and [`ENABLE`].
+pub const OUTPUTS: usize = MOTORS + 2;
+/// The bit of the trigger in a mask of outputs.
+pub const TRIGGER: usize = MOTORS;
+/// The bit of the driver enable in a mask of outputs.
+pub const ENABLE: usize = MOTORS + 1;
+
+/// Why the device has started.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Reset {
+    /// The device does not know.
+    #[default]
+    Unknown,
+    /// Power came on, or the supply broke down for a moment: an RP2040 cannot tell the two apart.
+    Power,
+    /// The RUN pin was low.
+    RunPin,
+    /// A debugger restarted it.
+    Debugger,
+    /// Its watchdog restarted a firmware that hung.
+    Watchdog,
+    /// The firmware stopped itself after a panic or a fault of its core.
+    Panic,
+    /// A simulated device: a program began.
+    Program,
+}
+
+/// How the device has been since it started, and since the host asked before.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Board {
+    /// The number of the request that it answers.
+    pub window: u16,
+    /// Why it has started.
+    pub reset: Reset,
+    /// Time since then, s.
+    pub uptime_s: u32,
+    /// Least time left to render while armed, ticks, from the request before to this one; `None`: it rendered nothing, or
+    /// does not measure it.
+    pub slack: Option<u8>,
+    /// The same since it started.
+    pub slack_since_boot: Option<u8>,
+    /// Times that its executor stood still for too long.
+    pub stalls: Option<u32>,
+    /// Times that it set up a hung USB controller again.
+    pub usb_recoveries: Option<u32>,
+    /// Times that its outputs failed: lines ran out of rendered ticks, or PIO and DMA stopped following.
+    pub output_faults: u32,
+    /// Outputs that were high before anything drove them, as a mask.
+    pub high_at_boot: Option<u32>,
+}
+
+/// What a shell knows of its device and the controller does not.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Measures {
+    /// As in [`Board`].
+    pub reset: Reset,
+    /// As in [`Board`].
+    pub stalls: Option<u32>,
+    /// As in [`Board`].
+    pub usb_recoveries: Option<u32>,
+    /// As in [`Board`].
+    pub high_at_boot: Option<u32>,
+}
+
+impl Measures {
+    /// Nothing is known.
+    pub const NONE: Self =
+        Self { reset: Reset::Unknown, stalls: None, usb_recoveries: None, high_at_boot: None };
+}
+
+/// How far a self-test is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum SelfTestState {
+    /// The device refused it, because it is not disarmed.
+    Refused,
+    /// It runs.
+    Running,
+    /// A command, an e-stop or a lost link ended it.
+    Ended,
+    /// It is over, with this result.
+    Done(SelfTest),
+}
+
+/// What a self-test measured. The host judges it. `None`: the device does not have this check.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SelfTest {
+    /// The lines and the trigger, driven one by one with the drivers off.
+    pub lines: Option<LineTest>,
+    /// PIO and DMA against the system timer.
+    pub wave: Option<WaveTest>,
+    /// Patterns in free memory.
+    pub ram: Option<RamTest>,
+    /// Time to read the longest frame of [`longest_frame`], µs by the system timer: the longest of several tries.
+    pub work_us: Option<u32>,
+}
+
+/// Writes a full frame of the longest strokes, for a self-test to read; returns its length.
+#[must_use]
+pub fn longest_frame(out: &mut [u8; MAX_FRAME]) -> usize {
+    let mut strokes = Packer::<BATCH_BYTES>::new(Tick(0));
+    let mut at = 0;
+    loop {
+        // Numbers that change with each stroke, so that the packer cannot shorten them.
+        let (motor, up_pulses) = ((at * 7 % MOTORS as u64) as u8, 147 + (at % 2) as u16);
+        let up = Tick(59 * at);
+        if strokes.stroke(&Stroke { motor, up, up_pulses, down: up + 708, down_pulses: up_pulses }).is_err() {
+            break;
+        }
+        at += 1;
+    }
+    let (base, batch) = (strokes.base().wire(), strokes.bytes());
+    frame::encode(&HostMessage::Strokes { epoch: 0, seq: 0, seen: 0, mark: None, base, batch }, out)
+        .unwrap_or(0)
+}
+
+/// What each output did; the outputs are those of a mask of outputs. The driver enable is only read.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LineTest {
+    /// High although nothing drove them high.
+    pub stuck_high: u32,
+    /// Low although they were driven high.
+    pub stuck_low: u32,
+    /// High or low with another one.
+    pub shorted: u32,
+    /// The first such pair.
+    pub pair: Option<(u8, u8)>,
+}
+
+/// How fast the waveform ran.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct WaveTest {
+    /// Time by the system timer, µs.
+    pub timer_us: u32,
+    /// Ticks that the clock of the controller counted in that time.
+    pub ticks: u32,
+    /// Words that DMA and PIO took in that time; a tick has four.
+    pub words: u32,
+}
+
+/// What the memory kept.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RamTest {
+    /// Bytes tested.
+    pub bytes: u32,
+    /// The first address that did not keep what was written.
+    pub bad: Option<u32>,
+}

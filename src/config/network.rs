@@ -1,0 +1,87 @@
+//! The keys `listen`, `listen_hosts` and `listen_token`: clients that come over the network.
+
+use super::{KeyError, Problem};
+use meissner_input::message::quote;
+use std::net::SocketAddr;
+
+/// Where the daemon listens for clients that come over the network, and whom it lets in.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Listen {
+    /// Address and port.
+    pub address: SocketAddr,
+    /// Names by which clients may call this machine, besides its addresses and `localhost`.
+    pub hosts: Vec<String>,
+    /// Clients on this machine need a token, too.
+    pub always_token: bool,
+}
+
+impl Listen {
+    /// This address, with the defaults.
+    #[must_use]
+    pub const fn at(address: SocketAddr) -> Self {
+        Self { address, hosts: Vec::new(), always_token: false }
+    }
+}
+
+/// Reads the keys of the network.
+pub(super) fn check(
+    address: Option<&str>,
+    hosts: Option<Vec<String>>,
+    token: Option<&str>,
+) -> Result<Option<Listen>, KeyError> {
+    let found = address.unwrap_or("none");
+    let bad = |_| KeyError::key("listen", Problem::Listen { found: quote(found) });
+    let address = if found == "none" { None } else { Some(found.parse().map_err(bad)?) };
+    let hosts = hosts.unwrap_or_default();
+    let plain = |name: &str| {
+        let good = |byte: u8| byte.is_ascii_alphanumeric() || b"-._".contains(&byte);
+        (1..=253).contains(&name.len()) && name.bytes().all(good) && !name.ends_with('.')
+    };
+    if let Some(bad) = hosts.iter().find(|name| !plain(name)) {
+        return Err(KeyError::key("listen_hosts", Problem::Host { found: quote(bad) }));
+    }
+    let always_token = match token.unwrap_or("remote") {
+        "remote" => false,
+        "always" => true,
+        other => return Err(KeyError::key("listen_token", Problem::ListenToken { found: quote(other) })),
+    };
+    Ok(address.map(|address| Listen { address, hosts, always_token }))
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::config::Config;
+    use std::path::Path;
+
+    #[test]
+    fn the_network_is_off_unless_an_address_is_given() {
+        let parse = |text: &str| Config::parse(text, Path::new("m.toml")).map_err(|error| error.to_string());
+        for off in ["", "listen = \"none\"\nlisten_token = \"always\""] {
+            assert_eq!(parse(off).unwrap().listen, None);
+        }
+        let listen = parse("listen = \"[::1]:80\"\nlisten_hosts = [\"a.b\"]\nlisten_token = \"always\"")
+            .unwrap()
+            .listen
+            .unwrap();
+        assert_eq!(
+            (listen.address.to_string().as_str(), &*listen.hosts, listen.always_token),
+            ("[::1]:80", &["a.b".to_owned()][..], true)
+        );
+        for (bad, line) in [
+            (
+                "listen = \"8765\"",
+                "`listen` is `8765`: must be an address and a port, as \"127.0.0.1:8765\", or \"none\"",
+            ),
+            ("listen = \"localhost:8765\"", "`listen` is `localhost:8765`: must be an address and a port"),
+            (
+                "listen_hosts = [\"a.b:80\"]",
+                "`listen_hosts` is `a.b:80`: must be a host's name, without port and path",
+            ),
+            ("listen_hosts = [\"\"]", "`listen_hosts` is ``: must be a host's name"),
+            ("listen_token = \"never\"", "`listen_token` is `never`: must be \"remote\" or \"always\""),
+        ] {
+            let found = parse(bad).unwrap_err();
+            assert!(found.contains(line), "{found}");
+        }
+    }
+}

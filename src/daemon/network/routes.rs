@@ -1,0 +1,51 @@
+//! The routes of access tokens: create, list, revoke. The gate lets only clients of the Unix socket reach them.
+
+use crate::daemon::body;
+use crate::daemon::http::{Answer, App, path};
+use crate::daemon::request_log::LoggedRequest;
+use crate::daemon::runtime::blocking;
+use crate::session_record::Peer;
+use axum::Json;
+use axum::body::Body;
+use axum::extract::rejection::PathRejection;
+use axum::extract::{Extension, Path, State};
+use axum::http::StatusCode;
+use meissner_api::{TokenCreated, TokenInfo, TokenList, TokenRequest};
+use serde_json::json;
+
+pub(in crate::daemon) async fn create(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+    body: Body,
+) -> Answer<(StatusCode, Json<TokenCreated>)> {
+    let mut logged = LoggedRequest::new(&app.engine, "token-create", peer);
+    let result = async {
+        let request = TokenRequest::parse(&body::read_command(body).await?)?;
+        logged.set_arguments(&request);
+        let created = blocking(move || app.engine.gate.tokens.create(request.role, &request.name)).await??;
+        // Never the token itself.
+        logged.set_arguments(&created.info);
+        Ok((StatusCode::CREATED, Json(created)))
+    }
+    .await;
+    logged.result(result)
+}
+
+pub(in crate::daemon) async fn list(State(app): State<App>) -> Json<TokenList> {
+    Json(TokenList { tokens: app.engine.gate.tokens.list() })
+}
+
+pub(in crate::daemon) async fn revoke(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+    id: Result<Path<String>, PathRejection>,
+) -> Answer<Json<TokenInfo>> {
+    let mut logged = LoggedRequest::new(&app.engine, "token-revoke", peer);
+    let result = async {
+        let id: String = path(id)?.chars().take(100).collect();
+        logged.set_arguments(&json!({"id": id}));
+        Ok(Json(blocking(move || app.engine.gate.tokens.revoke(&id)).await??))
+    }
+    .await;
+    logged.result(result)
+}

@@ -1,0 +1,34 @@
+// The emergency stop. It needs no other part of the page, so that it works when the rest does not.
+
+import { headers } from "./api.js";
+
+const button = document.getElementById("estop");
+const note = document.getElementById("estop-note");
+const ANSWER_MS = 1500;
+
+async function stop() {
+  button.dataset.sent = "";
+  note.textContent = "Ordered …";
+  try {
+    const response = await fetch("/v1/estop", {
+      method: "POST",
+      headers: headers(),
+      keepalive: true,
+      priority: "high",
+      signal: AbortSignal.timeout(ANSWER_MS),
+    });
+    const body = await response.json().catch(() => ({}));
+    note.textContent = response.ok ? "All lines are off." : `NOT CONFIRMED: ${body.detail ?? response.statusText}`;
+    note.dataset.failed = String(!response.ok);
+  } catch {
+    note.dataset.failed = "true";
+    note.textContent = "NOT CONFIRMED: the daemon does not answer. Use the switch of the supply.";
+  }
+  setTimeout(() => delete button.dataset.sent, 300);
+}
+
+// On the press, not the release: a finger that slips off has pressed all the same.
+button.addEventListener("pointerdown", stop);
+button.addEventListener("keydown", (event) => {
+  if (event.key === "Enter" || event.key === " ") stop();
+});

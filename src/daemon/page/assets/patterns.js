@@ -1,0 +1,84 @@
+// The patterns: list, search, maps, play, queue.
+
+import { call } from "./api.js";
+import { thumbnail } from "./finger.js";
+
+const $ = (id) => document.getElementById(id);
+
+export class Patterns {
+  #list = [];
+  #details = new Map();
+  #report;
+  // Maps are fetched when they come into view, so that a long list costs little.
+  #view = new IntersectionObserver((entries) => entries.forEach((entry) => entry.isIntersecting && this.#draw(entry.target)));
+
+  constructor(report) {
+    this.#report = report;
+    $("search").addEventListener("input", () => this.#filter());
+  }
+
+  async load() {
+    const { patterns, errors } = await call("GET", "/v1/patterns");
+    this.#list = patterns;
+    this.#details.clear();
+    $("pattern-errors").textContent = errors.join(" · ");
+    this.#view.disconnect();
+    $("pattern-list").replaceChildren(...patterns.map((pattern) => this.#item(pattern)));
+    this.#filter();
+  }
+
+  // A pattern in full, fetched once.
+  details(name) {
+    if (!this.#details.has(name)) {
+      const fetched = call("GET", `/v1/patterns/${encodeURIComponent(name)}`);
+      this.#details.set(name, fetched);
+      fetched.catch(() => this.#details.delete(name));
+    }
+    return this.#details.get(name);
+  }
+
+  showQueue(status) {
+    const names = status.queued.map((play) => `${play.pattern} (play ${play.id})`);
+    const items = (names.length ? names : ["No play waits."]).map((text) => Object.assign(document.createElement("li"), { textContent: text }));
+    $("queue").replaceChildren(...items);
+  }
+
+  #item(pattern) {
+    const item = document.createElement("li");
+    item.dataset.name = pattern.name;
+    const text = document.createElement("div");
+    const length = pattern.duration_s === null ? "without end" : `${pattern.duration_s} s`;
+    const reached = pattern.reached_max_um === null ? "no pin moves" : `${pattern.drives_moving} drives, up to ${pattern.reached_max_um.toFixed(0)} µm`;
+    text.append(
+      Object.assign(document.createElement("strong"), { textContent: pattern.name }),
+      Object.assign(document.createElement("span"), { textContent: `${length}; ${reached}; ${pattern.library ? "library" : "site"}` }),
+    );
+    const map = Object.assign(document.createElement("div"), { className: "map" });
+    const play = Object.assign(document.createElement("button"), { textContent: "Play" });
+    play.setAttribute("aria-label", `Play ${pattern.name}`);
+    play.addEventListener("click", () => this.#play(pattern.name));
+    item.append(map, text, play);
+    this.#view.observe(item);
+    return item;
+  }
+
+  #draw(item) {
+    this.#view.unobserve(item);
+    this.details(item.dataset.name).then((details) => item.querySelector(".map").replaceChildren(thumbnail(details)), () => {});
+  }
+
+  #filter() {
+    const words = $("search").value.toLowerCase().split(/\s+/);
+    for (const item of $("pattern-list").children) item.hidden = !words.every((word) => item.dataset.name.includes(word));
+  }
+
+  async #play(name) {
+    if (!$("seconds").reportValidity() || !$("scale").reportValidity()) return;
+    try {
+      await call("POST", "/v1/play", { pattern: name, seconds: $("seconds").valueAsNumber, scale: $("scale").valueAsNumber });
+      this.#report(null);
+    } catch (error) {
+      this.#report(error);
+    }
+  }
+}

@@ -1,0 +1,103 @@
+// What was played: the last receipt, the recorded sessions, the calibration.
+
+import { call } from "./api.js";
+import { facts } from "./control.js";
+
+const $ = (id) => document.getElementById(id);
+const ROWS = 2000;
+
+function element(name, text = "", more = {}) {
+  return Object.assign(document.createElement(name), { textContent: text, ...more });
+}
+
+export function showReceipt(receipt) {
+  // Of a play that runs there is nothing to count yet.
+  if (!receipt.bursts) return;
+  const { bursts, lateness, duration_ms: ms, predicted_response: response } = receipt;
+  const lost = bursts.late + bursts.dropped + bursts.refused;
+  $("receipt-summary").textContent = `Play ${receipt.id}, ${receipt.pattern}: ${receipt.state}${receipt.cause ? ` (${receipt.cause})` : ""}. `
+    + (lost ? `${lost} of ${bursts.planned} bursts were not played.` : `All ${bursts.planned} bursts were played.`);
+  const rest = receipt.rest_error_um?.length ? Math.max(...receipt.rest_error_um.map(Math.abs)) : null;
+  const worst = lateness.worst_ms ?? 0;
+  const hz = (value) => `${value.toFixed(1)} impulses/s`;
+  facts($("receipt-facts"), [
+    ["Bursts played, late, dropped, refused", `${bursts.played}, ${bursts.late}, ${bursts.dropped}, ${bursts.refused}`],
+    ["Corrected by feedback", bursts.amended],
+    ["Largest lateness", `${worst.toFixed(2)} ms`],
+    ["Duration played, ordered", `${ms.played?.toFixed(1) ?? "-"} ms, ${ms.ordered?.toFixed(1) ?? "without end"} ms`],
+    ["Largest offset from rest at the end", rest === null ? "not known" : `${rest.toFixed(1)} µm`],
+    ["Predicted RA response, on-target minus off-target", response?.played_hz
+      ? `${hz(response.played_hz.contrast)} (designed: ${hz(response.designed_hz.contrast)})`
+      : receipt.predicted_response_unknown ?? "not ready"],
+  ]);
+  $("receipt-more").hidden = false;
+  $("receipt-json").textContent = JSON.stringify(receipt, null, 1);
+}
+
+let sessions = [];
+
+export async function loadSessions() {
+  ({ sessions } = await call("GET", "/v1/sessions"));
+  listSessions();
+}
+
+function listSessions() {
+  const words = $("record-filter").value.toLowerCase().split(/\s+/);
+  const about = (session) => `${session.participant} ${session.experiment ?? ""} ${session.started}`.toLowerCase();
+  const found = sessions.filter((session) => words.every((word) => about(session).includes(word))).reverse();
+  $("sessions").tBodies[0].replaceChildren(...found.slice(0, 200).map((session) => {
+    const row = document.createElement("tr");
+    const save = element("button", "JSON");
+    save.setAttribute("aria-label", `Download session of ${session.participant}, ${session.started}`);
+    save.addEventListener("click", () => download(session).catch((error) => (save.textContent = error.message)));
+    const cells = [session.started.slice(0, 19).replace("T", " "), session.participant, session.experiment ?? "", session.plays, session.reason ?? "runs"];
+    row.append(...cells.map((text) => element("td", String(text))), document.createElement("td"));
+    row.lastChild.append(save);
+    return row;
+  }));
+}
+
+async function download(session) {
+  const plays = [];
+  for (;;) {
+    const part = await call("GET", `/v1/sessions/${encodeURIComponent(session.id)}/plays?from=${plays.length}`);
+    plays.push(...part.plays);
+    if (part.plays.length < ROWS) break;
+  }
+  const text = JSON.stringify({ session, plays }, null, 1);
+  const url = URL.createObjectURL(new Blob([text], { type: "application/json" }));
+  element("a", "", { href: url, download: `session-${session.id}.json` }).click();
+  setTimeout(() => URL.revokeObjectURL(url), 10000);
+}
+
+export async function loadCalibration() {
+  let report;
+  try {
+    report = await call("GET", "/v1/calibration");
+  } catch (error) {
+    if (error.code !== "not-found") throw error;
+    $("calibration-note").textContent = "Nothing was calibrated yet: `meissner calibrate` measures the gains of the motors.";
+    $("calibration-plot").replaceChildren();
+    return;
+  }
+  const when = report.provenance.date ?? "without a date";
+  $("calibration-note").textContent = `Gains of ${report.motors.length} motors, ${when}; ${report.used ? "in use" : `not in use: ${report.unused}`}. Bars: up and down, 1 is the model's motor.`;
+  const rows = report.motors.map((motor) => {
+    const row = element("tr");
+    row.append(element("th", String(motor.motor), { scope: "row" }), bar(motor.gain_up, motor.gain_up_se), bar(motor.gain_down, motor.gain_down_se));
+    return row;
+  });
+  const head = element("tr");
+  head.append(...["Motor", "Gain up", "Gain down"].map((text) => element("th", text, { scope: "col" })));
+  const table = element("table");
+  table.append(head, ...rows);
+  $("calibration-plot").replaceChildren(table);
+}
+
+function bar(gain, error) {
+  const cell = element("td");
+  cell.append(element("meter", "", { min: 0, max: 2, value: gain }), element("span", ` ${gain.toFixed(3)} ± ${error.toFixed(3)}`));
+  return cell;
+}
+
+$("record-filter").addEventListener("input", listSessions);

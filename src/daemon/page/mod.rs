@@ -1,0 +1,104 @@
+//! The page in the browser: files inside of the program, served at `/` and below `/page/`.
+//!
+//! The page is plain HTML, CSS and JavaScript modules without a build step. It uses the API alone (`assets/api.js`), so everything that it
+//! does is in the OpenAPI document. `assets/estop.js` is the emergency stop and depends on nothing else of the page.
+//!
+//! Invariant: the page loads nothing from elsewhere, and its policy forbids it to.
+
+use super::http::App;
+use axum::Router;
+use axum::http::HeaderName;
+use axum::http::header::{
+    CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, REFERRER_POLICY, X_CONTENT_TYPE_OPTIONS,
+};
+use axum::routing::get;
+
+/// The policy: scripts, styles and requests of this daemon alone; no frame around it.
+const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; base-uri 'none'; \
+                      form-action 'none'; frame-ancestors 'none'";
+const SCRIPT: &str = "text/javascript; charset=utf-8";
+
+/// Address, media type and text of every file.
+const FILES: [(&str, &str, &str); 10] = [
+    ("/", "text/html; charset=utf-8", include_str!("assets/index.html")),
+    ("/page/page.css", "text/css; charset=utf-8", include_str!("assets/page.css")),
+    ("/page/icon.svg", "image/svg+xml", include_str!("assets/icon.svg")),
+    ("/page/api.js", SCRIPT, include_str!("assets/api.js")),
+    ("/page/estop.js", SCRIPT, include_str!("assets/estop.js")),
+    ("/page/app.js", SCRIPT, include_str!("assets/app.js")),
+    ("/page/control.js", SCRIPT, include_str!("assets/control.js")),
+    ("/page/finger.js", SCRIPT, include_str!("assets/finger.js")),
+    ("/page/patterns.js", SCRIPT, include_str!("assets/patterns.js")),
+    ("/page/record.js", SCRIPT, include_str!("assets/record.js")),
+];
+
+/// Whether a request is for a file of the page. These hold nothing secret: a client needs no token for them.
+pub(super) fn is_file(method: &str, path: &str) -> bool {
+    matches!(method, "GET" | "HEAD") && FILES.iter().any(|(known, ..)| *known == path)
+}
+
+/// The routes of the page.
+pub(super) fn routes() -> Router<App> {
+    FILES.into_iter().fold(Router::new(), |router, (path, kind, text)| {
+        let head: [(HeaderName, &str); 5] = [
+            (CONTENT_TYPE, kind),
+            (CONTENT_SECURITY_POLICY, POLICY),
+            (X_CONTENT_TYPE_OPTIONS, "nosniff"),
+            (REFERRER_POLICY, "no-referrer"),
+            // A newer daemon has newer files.
+            (CACHE_CONTROL, "no-cache"),
+        ];
+        router.route(path, get(async move || (head, text)))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Uncompressed, bytes.
+    const MOST: usize = 300_000;
+
+    #[test]
+    fn the_page_is_small_and_loads_nothing_from_elsewhere() {
+        assert!(FILES.iter().map(|(.., text)| text.len()).sum::<usize>() <= MOST);
+        for (path, _, text) in FILES {
+            for scheme in ["http://", "https://", "//cdn"] {
+                let foreign =
+                    text.match_indices(scheme).find(|(at, _)| !text[*at..].starts_with("http://www.w3.org/"));
+                assert_eq!(foreign, None, "{path}");
+            }
+            assert!(
+                !text.contains("innerHTML") && !text.contains("eval("),
+                "{path}: text of others is never code"
+            );
+            assert!(
+                !text.contains(" style=") && !text.contains(" onclick="),
+                "{path}: the policy forbids it"
+            );
+        }
+    }
+
+    #[test]
+    fn every_file_that_the_page_names_is_served() {
+        let files: Vec<&str> = FILES.iter().map(|(path, ..)| *path).collect();
+        for (path, _, text) in FILES {
+            for part in text.split(['"', '\'']) {
+                let named = part
+                    .strip_prefix("./")
+                    .filter(|_| path.ends_with(".js"))
+                    .map(|name| format!("/page/{name}"));
+                let named = named.or_else(|| part.strip_prefix("page/").map(|name| format!("/page/{name}")));
+                assert!(named.is_none_or(|named| files.contains(&named.as_str())), "{path} names {part}");
+            }
+        }
+    }
+
+    #[test]
+    fn files_alone_need_no_token() {
+        assert!(is_file("GET", "/") && is_file("HEAD", "/page/app.js"));
+        assert!(
+            !is_file("POST", "/") && !is_file("GET", "/v1/status") && !is_file("GET", "/page/../v1/status")
+        );
+    }
+}

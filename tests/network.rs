@@ -1,0 +1,321 @@
+//! The API over TCP: hosts, origins, tokens and roles, floods; without `listen` the daemon does not listen.
+
+use crate::harness::{Daemon, PATIENT, TIMEOUT, refusal, wait_until};
+use meissner_api::{MAX_CLIENTS, SessionStarted, Status, TokenCreated};
+use serde_json::{Value, json};
+use std::fs;
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::panic::catch_unwind;
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+
+/// A daemon that listens on a free port of this machine.
+fn listening(more: &str) -> Daemon {
+    Daemon::with("mock", &format!("{PATIENT}listen = \"127.0.0.1:0\"\n{more}"))
+}
+
+fn address(daemon: &Daemon) -> String {
+    let status: Status = daemon.client().get("/v1/status").unwrap();
+    status.network.unwrap().address
+}
+
+fn connect(address: &str) -> TcpStream {
+    let stream = TcpStream::connect(address).unwrap();
+    stream.set_read_timeout(Some(TIMEOUT)).unwrap();
+    stream
+}
+
+/// Sends a request with these further headers on a new connection, and reads the answer.
+fn ask(address: &str, line: &str, headers: &str) -> String {
+    let host =
+        if headers.to_lowercase().contains("host:") { String::new() } else { format!("host: {address}\r\n") };
+    raw(address, &format!("{line} HTTP/1.1\r\n{host}{headers}connection: close\r\n\r\n"))
+}
+
+fn raw(address: &str, text: &str) -> String {
+    let mut stream = connect(address);
+    stream.write_all(text.as_bytes()).unwrap();
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    answer
+}
+
+fn bearer(token: &TokenCreated) -> String {
+    format!("authorization: Bearer {}\r\n", token.token)
+}
+
+fn create(daemon: &Daemon, role: &str) -> TokenCreated {
+    daemon.client().post("/v1/tokens", &json!({"role": role, "name": "a test"})).unwrap()
+}
+
+fn state(daemon: &Daemon) -> String {
+    daemon.client().get::<Status>("/v1/status").unwrap().state
+}
+
+#[track_caller]
+fn assert_answers(answer: &str, status: u16, code: &str) {
+    let is_code = answer.contains(&format!("\"code\":\"{code}\"")) || code.is_empty();
+    assert!(answer.starts_with(&format!("HTTP/1.1 {status} ")) && is_code, "{answer}");
+}
+
+/// The inodes of a process's TCP sockets that listen.
+fn tcp_listeners(pid: u32) -> usize {
+    let lines = |file: &str| fs::read_to_string(file).unwrap_or_default();
+    let tables = lines("/proc/net/tcp") + &lines("/proc/net/tcp6");
+    let listens = |line: &&str| line.split_whitespace().nth(3) == Some("0A");
+    let inodes: Vec<_> =
+        tables.lines().filter(listens).filter_map(|line| line.split_whitespace().nth(9)).collect();
+    let links = fs::read_dir(Path::new("/proc").join(pid.to_string()).join("fd")).unwrap();
+    let link = |entry: fs::DirEntry| fs::read_link(entry.path()).unwrap_or_default().display().to_string();
+    let is_listener = |link: String| inodes.iter().any(|inode| link == format!("socket:[{inode}]"));
+    links.filter_map(Result::ok).map(link).filter(|link| is_listener(link.clone())).count()
+}
+
+#[test]
+fn without_the_key_nothing_listens() {
+    for (daemon, listeners) in [(Daemon::start(), 0), (listening(""), 1)] {
+        let status: Status = daemon.client().get("/v1/status").unwrap();
+        assert_eq!(
+            (tcp_listeners(status.pid), usize::from(status.network.is_some())),
+            (listeners, listeners)
+        );
+    }
+}
+
+#[test]
+fn this_machine_does_everything_over_tcp_and_the_record_says_who() {
+    let daemon = listening("");
+    let address = address(&daemon);
+    assert_answers(&ask(&address, "GET /v1/status", ""), 200, "");
+    assert_answers(&ask(&address, "GET /nowhere", ""), 404, "not-found");
+    daemon.armed();
+    // The acceptor orders the first request of a connection, and the server a later one.
+    assert_answers(&ask(&address, "POST /v1/estop", &format!("origin: http://{address}\r\n")), 200, "");
+    assert_eq!(state(&daemon), "faulted");
+    let body = "{\"force\": true}";
+    let reset =
+        format!("POST /v1/reset HTTP/1.1\r\nhost: localhost\r\ncontent-length: {}\r\n\r\n{body}", body.len());
+    let estop = "POST /v1/estop HTTP/1.1\r\nhost: localhost\r\nconnection: close\r\n\r\n";
+    let both = raw(&address, &(reset + estop));
+    assert!(both.matches("HTTP/1.1 200 ").count() == 2, "{both}");
+    assert_eq!(state(&daemon), "faulted");
+    let record = |at: &Path| fs::read_to_string(at).unwrap();
+    let dir = daemon.path("state/meissner/logbook");
+    let all = || fs::read_dir(&dir).unwrap().map(|entry| record(&entry.unwrap().path())).collect::<String>();
+    wait_until(|| all().matches("\"command\":\"estop\"").count() == 2);
+    let lines = all();
+    let estop = lines.lines().find(|line| line.contains("\"command\":\"estop\"")).unwrap();
+    let entry: Value = serde_json::from_str(estop).unwrap();
+    assert_eq!(
+        (&entry["address"], &entry["pid"], &entry["uid"]),
+        (&json!("127.0.0.1"), &Value::Null, &Value::Null)
+    );
+    assert!(daemon.log().contains("estop by 127.0.0.1: done"), "{}", daemon.log());
+}
+
+#[test]
+fn a_page_of_another_site_moves_and_reads_nothing() {
+    let daemon = listening("");
+    let address = address(&daemon);
+    daemon.armed();
+    for headers in [
+        "origin: http://evil.example\r\n",
+        "origin: null\r\n",
+        "origin: http://localhost:1\r\n",
+        "sec-fetch-site: cross-site\r\n",
+        "host: evil.example\r\norigin: http://evil.example\r\n",
+        "host: localhost.evil.example\r\n",
+    ] {
+        for line in [
+            "POST /v1/estop",
+            "POST /v1/play",
+            "POST /v1/disarm",
+            "GET /v1/events",
+            "GET /v1/status",
+            "GET /nowhere",
+        ] {
+            assert_answers(&ask(&address, line, headers), 403, "forbidden");
+        }
+    }
+    for text in [
+        // Two hosts, in either form.
+        format!(
+            "POST /v1/estop HTTP/1.1\r\nhost: {address}\r\nhost: evil.example\r\nconnection: close\r\n\r\n"
+        ),
+        format!("POST http://evil.example/v1/estop HTTP/1.1\r\nhost: {address}\r\nconnection: close\r\n\r\n"),
+        // A request line that is broken.
+        format!("POST /v1/estop\r\n HTTP/1.1\r\nhost: {address}\r\nconnection: close\r\n\r\n"),
+    ] {
+        assert_answers(&raw(&address, &text), 400, "bad-request");
+    }
+    assert_answers(&ask(&address, "GET /v1/patterns/..%2f..%2fetc%2fpasswd", ""), 404, "not-found");
+    assert_answers(&ask(&address, "GET /v1/patterns/x%0d%0aset-cookie:%20a=b", ""), 404, "not-found");
+    assert_eq!(state(&daemon), "armed");
+    let status: Status = daemon.client().get("/v1/status").unwrap();
+    assert_eq!((status.estops, status.network.unwrap().denied), (0, 38));
+}
+
+#[test]
+fn a_token_is_needed_where_the_configuration_says_so() {
+    let daemon = listening("listen_token = \"always\"\n");
+    let address = address(&daemon);
+    let [observe, operate] = ["observe", "operate"].map(|role| create(&daemon, role));
+    daemon.armed();
+    assert_answers(&ask(&address, "GET /v1/status", ""), 401, "unauthorized");
+    assert_answers(&ask(&address, "POST /v1/estop", ""), 401, "unauthorized");
+    assert_answers(&ask(&address, "POST /v1/estop", "authorization: Bearer mst_0\r\n"), 401, "unauthorized");
+    let query = format!("GET /v1/status?token={}", operate.token);
+    assert_answers(&ask(&address, &query, ""), 401, "unauthorized");
+    assert_answers(&ask(&address, "GET /v1/status", &bearer(&observe)), 200, "");
+    assert_answers(&ask(&address, "POST /v1/estop", &bearer(&observe)), 403, "forbidden");
+    assert_answers(&ask(&address, "POST /v1/tokens", &bearer(&operate)), 403, "forbidden");
+    assert_eq!(state(&daemon), "armed");
+    assert_answers(&ask(&address, "POST /v1/estop", &bearer(&operate)), 200, "");
+    assert_eq!(state(&daemon), "faulted");
+    let id = &operate.info.id;
+    wait_until(|| daemon.log().contains(&format!("estop by 127.0.0.1 (token {id}): done")));
+
+    let list = daemon.meissner().args(["token", "list"]).output().unwrap();
+    let list = String::from_utf8(list.stdout).unwrap();
+    assert!(list.contains(id) && list.contains("operate") && !list.contains(&operate.token), "{list}");
+    daemon.meissner().args(["token", "revoke", id]).assert().success();
+    assert_answers(&ask(&address, "GET /v1/status", &bearer(&operate)), 401, "unauthorized");
+    let again = daemon.meissner().args(["token", "revoke", id]).assert().failure();
+    let line = String::from_utf8(again.get_output().stderr.clone()).unwrap();
+    assert!(line.contains(&format!("there is no token {id}: see `meissner token list`")), "{line}");
+    let log = daemon.log();
+    assert!(![&observe, &operate].iter().any(|token| log.contains(&token.token)), "{log}");
+    let made =
+        daemon.meissner().args(["token", "create", "--role", "operate", "--name", "x"]).assert().success();
+    let token = String::from_utf8(made.get_output().stdout.clone()).unwrap();
+    let header = format!("authorization: Bearer {}\r\n", token.trim());
+    assert_answers(&ask(&address, "GET /v1/status", &header), 200, "");
+    // A wrong method is refused behind the gate alone.
+    assert_answers(&ask(&address, "PUT /v1/status", ""), 401, "unauthorized");
+    let answer = ask(&address, "GET /v1/status", "");
+    assert!(answer.contains("www-authenticate: Bearer\r\n") && answer.contains("nosniff"), "{answer}");
+}
+
+#[test]
+fn a_sessions_owner_cannot_keep_a_token_from_being_revoked() {
+    let daemon = listening("");
+    let address = address(&daemon);
+    let operate = create(&daemon, "operate");
+    let body = "{\"participant\": \"P07\", \"exclusive\": true}";
+    let head =
+        format!("POST /v1/sessions HTTP/1.1\r\nhost: {address}\r\nconnection: close\r\n{}", bearer(&operate));
+    let started = raw(&address, &format!("{head}content-length: {}\r\n\r\n{body}", body.len()));
+    assert_answers(&started, 201, "");
+    assert_eq!(
+        refusal(daemon.client().post::<Value>("/v1/arm", &json!({"assume_rest": true}))).0,
+        "session-exclusive"
+    );
+    daemon.meissner().args(["token", "revoke", &operate.info.id]).assert().success();
+    assert_answers(
+        &ask(&address, "GET /v1/status", &(bearer(&operate) + "via: 1.1 x\r\n")),
+        401,
+        "unauthorized",
+    );
+}
+
+#[test]
+fn a_page_of_another_site_gets_nothing_through_a_forwarded_socket() {
+    let daemon = Daemon::start();
+    daemon.armed();
+    for header in ["origin: http://evil.example", "sec-fetch-site: cross-site", "host: evil.example:9000"] {
+        let host = if header.starts_with("host") { "" } else { "host: localhost:9000\r\n" };
+        let text = format!("POST /v1/disarm HTTP/1.1\r\n{host}{header}\r\nconnection: close\r\n\r\n");
+        assert_answers(&daemon.raw(text.as_bytes()), 403, "forbidden");
+    }
+    assert_eq!(state(&daemon), "armed");
+}
+
+#[test]
+fn with_a_port_that_is_taken_the_socket_works() {
+    let first = listening("");
+    let second = Daemon::with("mock", &format!("{PATIENT}listen = \"{}\"\n", address(&first)));
+    let status: Status = second.client().get("/v1/status").unwrap();
+    let problem = status.network.unwrap().problem.unwrap();
+    assert!(problem.contains("in use") && problem.contains("choose an address of this machine"), "{problem}");
+    assert!(second.log().contains(&problem), "{}", second.log());
+}
+
+#[test]
+fn a_sessions_owner_shows_both_tokens() {
+    let daemon = listening("");
+    let address = address(&daemon);
+    let operate = create(&daemon, "operate");
+    let session: SessionStarted =
+        daemon.client().post("/v1/sessions", &json!({"participant": "P07", "exclusive": true})).unwrap();
+    assert_eq!(
+        refusal(daemon.client().post::<Value>("/v1/arm", &json!({"assume_rest": true}))).0,
+        "session-exclusive"
+    );
+    let arm = |headers: &str| {
+        let body = "{\"assume_rest\": true}";
+        let head = format!("POST /v1/arm HTTP/1.1\r\nhost: {address}\r\nconnection: close\r\n{headers}");
+        raw(&address, &format!("{head}content-length: {}\r\n\r\n{body}", body.len()))
+    };
+    assert_answers(&arm(&bearer(&operate)), 409, "session-exclusive");
+    assert_answers(&arm(&(bearer(&operate) + &format!("meissner-session: {}\r\n", session.token))), 200, "");
+}
+
+#[test]
+fn clients_of_the_network_leave_places_to_those_of_the_socket_and_to_emergency_stops() {
+    let daemon = listening("");
+    let address = address(&daemon);
+    let status = format!("GET /v1/status HTTP/1.1\r\nhost: {address}\r\n\r\n");
+    let mut held: Vec<TcpStream> = Vec::new();
+    let first = |stream: &mut TcpStream| {
+        stream.write_all(status.as_bytes()).unwrap();
+        let mut bytes = [0; 12];
+        stream.read_exact(&mut bytes).unwrap();
+        String::from_utf8(bytes.to_vec()).unwrap()
+    };
+    let mut refused = 0;
+    for _ in 0..MAX_CLIENTS {
+        let mut stream = connect(&address);
+        refused += usize::from(first(&mut stream) == "HTTP/1.1 503");
+        held.push(stream);
+    }
+    assert_eq!(refused, MAX_CLIENTS / 4);
+    let mut local: Vec<_> = (0..MAX_CLIENTS / 4 - 1).map(|_| daemon.client()).collect();
+    for client in &mut local {
+        client.get::<Value>("/v1/status").unwrap();
+    }
+    // Connections that say nothing, and headers that never end.
+    let silent: Vec<_> = (0..150).map(|_| connect(&address)).collect();
+    let slow: Vec<_> = (0..50)
+        .map(|_| {
+            let mut stream = connect(&address);
+            stream.write_all(b"POST /v1/estop HTTP/1.1\r\nx: ").unwrap();
+            stream
+        })
+        .collect();
+    drop(local);
+    let over = AtomicBool::new(false);
+    let result = thread::scope(|scope| {
+        for _ in 0..2 {
+            scope.spawn(|| {
+                while !over.load(Ordering::Relaxed) {
+                    let _ = TcpStream::connect(&address);
+                }
+            });
+        }
+        // A panic here must end the flood, too.
+        let result = catch_unwind(|| {
+            for _ in 0..50 {
+                assert_answers(&ask(&address, "POST /v1/estop", ""), 200, "");
+                // A new client of the socket each time.
+                daemon.client().get::<Value>("/v1/status").unwrap();
+            }
+        });
+        over.store(true, Ordering::Relaxed);
+        result
+    });
+    result.unwrap();
+    drop((silent, slow));
+    assert_eq!(daemon.client().get::<Status>("/v1/status").unwrap().estops, 50);
+}

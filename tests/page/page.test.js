@@ -1,0 +1,221 @@
+// The daemon's page in a real browser, against a real daemon with the simulated array. `run` installs what it needs.
+//
+// MEISSNER_PROGRAM: the program. CHROMIUM: the browser. No test asserts on real time; the time limits only end a test that hangs.
+
+import assert from "node:assert/strict";
+import { spawn } from "node:child_process";
+import { mkdtempSync, mkdirSync, readFileSync, rmSync, writeFileSync } from "node:fs";
+import { createRequire } from "node:module";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
+import { after, before, test } from "node:test";
+import puppeteer from "puppeteer-core";
+
+const PROGRAM = process.env.MEISSNER_PROGRAM;
+const AXE = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
+const WAIT = { timeout: 20000, polling: 50 };
+
+let browser;
+const daemons = [];
+
+class Daemon {
+  constructor(config = "") {
+    this.dir = mkdtempSync(join(tmpdir(), "meissner-page-"));
+    mkdirSync(join(this.dir, "patterns"));
+    this.config = config;
+    this.port = 0;
+    daemons.push(this);
+  }
+
+  async start() {
+    const socket = join(this.dir, "m.sock");
+    const text = `lease_ms = 9000\nsocket = "${socket}"\npatterns_dir = "${this.dir}/patterns"\nlisten = "127.0.0.1:${this.port}"\n${this.config}`;
+    writeFileSync(join(this.dir, "m.toml"), text);
+    const env = { ...process.env, XDG_STATE_HOME: this.dir, MEISSNER_SOCKET: socket };
+    this.child = spawn(PROGRAM, ["daemon", "--device", "mock", "--config", join(this.dir, "m.toml")], { env, stdio: ["ignore", "ignore", "pipe"] });
+    this.log = "";
+    this.env = env;
+    await new Promise((done, fail) => {
+      this.child.once("exit", () => fail(new Error(this.log)));
+      this.child.stderr.on("data", (data) => {
+        this.log += data;
+        const found = /listening on (http:\/\/127\.0\.0\.1:(\d+))/.exec(this.log);
+        if (found && this.log.includes("device connected")) {
+          [, this.url, this.port] = found;
+          done();
+        }
+      });
+    });
+    return this;
+  }
+
+  async end() {
+    if (this.child?.exitCode !== null) return;
+    const ended = new Promise((done) => this.child.once("exit", done));
+    this.child.kill("SIGTERM");
+    await ended;
+  }
+
+  async status() {
+    return (await fetch(`${this.url}/v1/status`)).json();
+  }
+
+  async run(...args) {
+    const child = spawn(PROGRAM, args, { env: this.env, stdio: ["ignore", "pipe", "inherit"] });
+    let out = "";
+    child.stdout.on("data", (data) => (out += data));
+    assert.equal(await new Promise((done) => child.once("exit", done)), 0);
+    return out.trim();
+  }
+}
+
+// A window of the page, and what its console complains about.
+async function open(daemon, width = 1400, height = 1000) {
+  const context = await browser.createBrowserContext();
+  const page = await context.newPage();
+  page.complaints = [];
+  page.on("console", (message) => message.type() === "error" && page.complaints.push(message.text()));
+  page.on("pageerror", (error) => page.complaints.push(String(error)));
+  await page.setViewport({ width, height });
+  await page.goto(daemon.url);
+  return page;
+}
+
+const text = (page, id) => page.$eval(`#${id}`, (element) => element.textContent);
+const shows = (page, id, part) =>
+  page.waitForFunction((id, part) => document.getElementById(id).textContent.includes(part), WAIT, id, part);
+
+async function arm(page) {
+  await shows(page, "state-text", "Disarmed");
+  await page.waitForSelector("#arm:not([disabled])");
+  await page.click("#arm");
+  if (await page.$eval("#arm-rest", (label) => !label.hidden)) {
+    await page.click("#arm-checked");
+    await page.type("#arm-name", "a test");
+  }
+  await page.click("#arm-yes");
+  await shows(page, "state-text", "Armed");
+}
+
+before(async () => {
+  browser = await puppeteer.launch({ executablePath: process.env.CHROMIUM, args: ["--no-sandbox", "--disable-gpu"] });
+});
+after(async () => {
+  await browser?.close();
+  for (const daemon of daemons) {
+    await daemon.end();
+    rmSync(daemon.dir, { recursive: true, force: true });
+  }
+});
+
+test("a person arms, plays, stops in an emergency, and resets", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await arm(page);
+  await page.$eval("#seconds", (input) => (input.value = "600"));
+  await page.type("#search", "edge-45");
+  await page.waitForSelector('li[data-name="edge-45"]:not([hidden]) .thumbnail');
+  const found = await page.$$eval("#pattern-list li:not([hidden])", (items) => items.map((item) => item.dataset.name));
+  assert.deepEqual(found, ["edge-45", "edge-45-paper"]);
+  await page.click('li[data-name="edge-45"] button');
+  await shows(page, "state-text", "Playing edge-45");
+  const moving = (await (await fetch(`${daemon.url}/v1/patterns/edge-45`)).json()).drives.map((drive) => drive.motor);
+  const drawn = () => page.$$eval(".finger .hand", (hands) => hands.flatMap((hand, i) => (hand.getAttribute("visibility") === "visible" ? [i] : [])));
+  await page.waitForFunction(() => document.querySelector('.finger .hand[visibility="visible"]'), WAIT);
+  assert.deepEqual(await drawn(), [...new Set(moving)].sort((a, b) => a - b));
+  await page.click("#estop");
+  await shows(page, "estop-note", "All lines are off.");
+  assert.deepEqual([(await daemon.status()).state, (await daemon.status()).estops], ["faulted", 1]);
+  await shows(page, "state-text", "Stopped: estop");
+  await shows(page, "receipt-summary", "edge-45: stopped (estop)");
+  await page.waitForSelector("#reset:not([disabled])");
+  await page.click("#reset");
+  // The dialog leaves the emergency stop within reach.
+  await page.click("#estop");
+  await page.waitForFunction(() => document.getElementById("estop-note").textContent.includes("All lines"), WAIT);
+  await page.click('#reset-dialog button[value="reset"]');
+  await shows(page, "alert", "an emergency stop came after those that this reset knows of");
+  await page.waitForFunction(() => document.getElementById("facts").textContent.includes("start2"), WAIT);
+  await page.click("#reset");
+  await page.click('#reset-dialog button[value="reset"]');
+  await shows(page, "state-text", "Disarmed");
+  assert.deepEqual(page.complaints.filter((line) => !line.includes("409") && !line.includes("404")), []);
+});
+
+test("the keyboard alone orders an emergency stop", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await arm(page);
+  await page.reload();
+  await shows(page, "state-text", "Armed");
+  await page.keyboard.press("Tab");
+  assert.equal(await page.evaluate(() => document.activeElement.id), "estop");
+  await page.keyboard.press("Enter");
+  await shows(page, "estop-note", "All lines are off.");
+  assert.equal((await daemon.status()).state, "faulted");
+});
+
+test("an emergency stop that the daemon does not confirm says so", async () => {
+  const daemon = await new Daemon().start();
+  const page = await open(daemon);
+  await arm(page);
+  await daemon.end();
+  await shows(page, "state-text", "Not connected");
+  await page.click("#estop");
+  await shows(page, "estop-note", "NOT CONFIRMED");
+  // The page comes back with the daemon.
+  await daemon.start();
+  await shows(page, "state-text", "Disarmed");
+  assert.equal(await page.$eval("#alert", (alert) => alert.hidden), true);
+});
+
+test("two windows see the same, and each may stop", async () => {
+  const daemon = await new Daemon().start();
+  const [one, other] = [await open(daemon), await open(daemon, 390, 844)];
+  await arm(one);
+  await shows(other, "state-text", "Armed");
+  await other.click("#estop");
+  await shows(one, "state-text", "Stopped: estop");
+});
+
+test("a token is asked for, kept for the window, and sent in no address", async () => {
+  const daemon = await new Daemon('listen_token = "always"\n').start();
+  const page = await open(daemon);
+  const addresses = [];
+  page.on("request", (request) => addresses.push(request.url()));
+  await page.waitForSelector("#sign-in:not([hidden])");
+  const token = await daemon.run("token", "create", "--role", "observe", "--name", "page");
+  await page.type("#token", token);
+  await page.click("#sign-in-form button");
+  await shows(page, "state-text", "Disarmed");
+  await page.reload();
+  await shows(page, "state-text", "Disarmed");
+  assert.equal(await page.$eval("#sign-in", (section) => section.hidden), true);
+  // This token may only read.
+  await page.click("#estop");
+  await shows(page, "estop-note", "NOT CONFIRMED: the token may only read");
+  assert.equal((await page.evaluate(() => document.body.textContent)).includes(token), false);
+  assert.ok(addresses.length > 5 && addresses.every((address) => !address.includes(token)));
+});
+
+for (const scheme of ["light", "dark"]) {
+  test(`the ${scheme} page has no fault that axe finds, and fits from 360 to 3840 px`, async () => {
+    const daemon = await new Daemon().start();
+    const page = await open(daemon, 360, 640);
+    await page.emulateMediaFeatures([{ name: "prefers-color-scheme", value: scheme }, { name: "prefers-reduced-motion", value: "reduce" }]);
+    await shows(page, "state-text", "Disarmed");
+    await page.waitForSelector("#pattern-list li");
+    await page.$eval("#pattern-list li", (item) => item.scrollIntoView());
+    await page.waitForSelector(".thumbnail");
+    for (const width of [360, 768, 1400, 3840]) {
+      await page.setViewport({ width, height: 800 });
+      const [scroll, client] = await page.evaluate(() => [document.documentElement.scrollWidth, document.documentElement.clientWidth]);
+      assert.ok(scroll <= client, `${width} px: the page is ${scroll} px wide`);
+      const box = await page.$eval("#estop", (button) => button.getBoundingClientRect().toJSON());
+      assert.ok(box.top >= 0 && box.bottom <= 800 && box.height >= 44, `${width} px: the emergency stop is in sight`);
+      await page.evaluate(AXE);
+      const { violations } = await page.evaluate(() => axe.run(document, { runOnly: ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa"] }));
+      assert.deepEqual(violations.map((of) => `${of.id}: ${of.nodes.map((node) => node.html).join(" | ")}`), []);
+    }
+  });
+}
