@@ -17,10 +17,10 @@ for target in targets/*.toml; do
     target/release/meissner optimise "$target" --robust ${paper:+--objective contrast --model membrane} -o "$out/$name.toml" --json | python3 -c '
 import json, sys
 made = json.load(sys.stdin)
-naive = made["models"]
+first, second = made["models"]
 print("%-16s value %7.3f contrast %6.1f (naive %6.1f) and %5.1f (%5.1f) under the second model, held out %6.1f  %5d evaluations %5.1f s" % (
-    made["target"], made["value"], naive[0]["cost_hz"], naive[0]["baselines"][0]["cost_hz"], naive[1]["cost_hz"],
-    naive[1]["baselines"][0]["cost_hz"], sum(made["robustness"]["held_out_hz"]) / len(made["robustness"]["held_out_hz"]),
+    made["target"], made["value"], first["cost_hz"], first["baselines"][0]["cost_hz"], second["cost_hz"],
+    second["baselines"][0]["cost_hz"], sum(made["robustness"]["held_out_hz"]) / len(made["robustness"]["held_out_hz"]),
     sum(made["evaluations"]), made["wall_s"]))'
 done
 echo "the whole library: $((SECONDS - begun)) s"

@@ -2,7 +2,8 @@
 
     MEISSNER_PROGRAM=target/release/meissner python benchmarks/onsets.py [PLAYS]
 
-The client's clock is shifted, and 100 ppm fast, so the truth is known: it is that function of the daemon's clock.
+Over TCP the client's clock is shifted, and 100 ppm fast: the truth is that function of the daemon's clock. Over the
+socket both read one clock, so the mapping cannot err, and the run tests only the daemon's own uncertainty.
 The simulated device counts exactly 85 000 ticks per second of the daemon's clock, from an unknown instant on. One such
 instant must fit all onsets within the uncertainties.
 """

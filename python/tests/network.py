@@ -84,7 +84,4 @@ class Network:
                 await asyncio.sleep(self._chance.uniform(0, self.jitter_s))
                 writer.write(data)
                 await writer.drain()
-        for each in self._writers if answers and not writer.is_closing() else ():
-            if each is writer:
-                each.close()
         writer.close()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import random
-from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -168,7 +167,9 @@ def test_what_is_not_known_is_said() -> None:
 
 
 def test_a_later_instant_is_exact_in_ticks_and_less_certain_in_time() -> None:
-    now: Callable[[], int] = lambda: 5 * NS  # noqa: E731
+    def now() -> int:
+        return 5 * NS
+
     clock = ClientClock(same_machine=True, monotonic_ns=now, wall_ns=now)
     clock.add(5 * NS, 5 * NS, 5 * NS)
     onset = clock.instant(tick=1000, boot=7, tick_hz=HZ, host_ns=5 * NS, host_uncertainty_ns=10_000)

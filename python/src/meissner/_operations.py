@@ -3,7 +3,7 @@
 Each function is a generator, as `_http.py` explains. `Core` is what they share: endpoint, tokens, clock, and what the
 daemon said last.
 
-Invariants: a command is sent once, and only an emergency stop may go out twice; an instant is converted by `Core.clock` alone.
+Invariants: a command is sent once, and only an emergency stop is repeated; `Core.clock` alone converts instants.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import contextlib
 import functools
 import os
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 from urllib.parse import quote
@@ -59,7 +59,7 @@ class Core:
     """Which daemon answered last: its process and version."""
     has_armed: bool = False
     """Whether this client has armed, so that it disarms at its end."""
-    synced_ns: int = field(default=-(1 << 62))
+    synced_ns: int = -(1 << 62)
     """When the clock got its last sample."""
 
     @property
@@ -368,7 +368,7 @@ def remove_pattern(core: Core, name: str) -> Op[None]:
     yield from _document(core, Request("DELETE", f"/v1/patterns/{quote(name, safe='')}"))
 
 
-def session_start(
+def session(
     core: Core,
     participant: str,
     *,
@@ -377,7 +377,7 @@ def session_start(
     seed: int | None = None,
     labels: Labels = None,
 ) -> Op[dict[str, Any]]:
-    """Start a session; this client becomes its owner."""
+    """Start a session that this client owns. `exclusive`: others may change nothing, but everybody may `estop()`."""
     body = {
         "participant": participant,
         "exclusive": exclusive,
@@ -402,7 +402,7 @@ def session_leave(core: Core, session_id: str, failed: bool) -> Op[None]:
     if failed:
         # A latched fault refuses the stop, and has stopped already.
         with contextlib.suppress(ApiError):
-            yield from _command(core, "/v1/stop")
+            yield from stop(core)
     yield from wait_until_idle(core)
     yield from session_end(core, session_id)
 

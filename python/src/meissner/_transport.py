@@ -33,14 +33,14 @@ def _failure(error: Exception, endpoint: Endpoint) -> MeissnerError:
 
 
 def _options(endpoint: Endpoint) -> dict[str, Any]:
-    # No proxies: a proxy of the environment cannot reach the lab's PC. Idle connections stay: httpx would close them
-    # after 5 s, and it notices by itself when the daemon has closed one.
+    # No proxies: a proxy of the environment cannot reach the lab's PC.
     return {"base_url": endpoint.url, "trust_env": False}
 
 
 def _connections(fresh: bool) -> dict[str, Any]:
     import httpx
 
+    # Idle connections stay: httpx would close them after 5 s, and it notices by itself when the daemon has closed one.
     kept = 0 if fresh else 8
     return {"limits": httpx.Limits(max_connections=32, max_keepalive_connections=kept, keepalive_expiry=None)}
 

@@ -15,7 +15,6 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from . import _operations as ops
 from . import program
-from ._bodies import Labels
 from ._http import Answer, Op, Pause, Step
 from ._operations import Accepted, Core
 from ._plays import KnownPlay
@@ -48,6 +47,18 @@ def _playing(
 
     async def method(client: AsyncClient, /, *args: P.args, **kwargs: P.kwargs) -> AsyncPlay:
         return AsyncPlay(client, await client.run(operation(client.core, *args, **kwargs)))
+
+    return ops.named_after(operation, method)
+
+
+def _opening(
+    operation: Callable[Concatenate[Core, P], Op[dict[str, Any]]],
+) -> Callable[Concatenate[AsyncClient, P], AsyncSession]:
+    """A method that returns a session, which starts with `async with` or `await`."""
+
+    def method(client: AsyncClient, /, *args: P.args, **kwargs: P.kwargs) -> AsyncSession:
+        client._session = AsyncSession(client, operation(client.core, *args, **kwargs))
+        return client._session
 
     return ops.named_after(operation, method)
 
@@ -175,6 +186,7 @@ class AsyncClient:
     home = _awaiting(ops.home)
     play = _playing(ops.play)
     sequence = _playing(ops.sequence)
+    session = _opening(ops.session)
     receipt = _awaiting(ops.receipt)
     wait_until_idle = _awaiting(ops.wait_until_idle)
     patterns = _awaiting(ops.patterns)
@@ -184,22 +196,6 @@ class AsyncClient:
     sessions = _awaiting(ops.sessions)
     session_plays = _awaiting(ops.session_plays)
     export_bids = _awaiting(ops.export_bids)
-
-    def session(
-        self,
-        participant: str,
-        *,
-        exclusive: bool = False,
-        experiment: str | None = None,
-        seed: int | None = None,
-        labels: Labels = None,
-    ) -> AsyncSession:
-        """A session of this participant, for `async with` or `await`. As `Client.session`."""
-        operation = ops.session_start(
-            self.core, participant, exclusive=exclusive, experiment=experiment, seed=seed, labels=labels
-        )
-        self._session = AsyncSession(self, operation)
-        return self._session
 
     async def events(self, *, reconnect: bool = True) -> AsyncGenerator[Event]:
         """The daemon's events, from now on and without end. After a gap the event `reconnected` comes first."""

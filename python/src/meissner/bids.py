@@ -158,8 +158,10 @@ def _dataset(root: Path, participant: str) -> None:
             "BIDSVersion": VERSION,
             "HEDVersion": "8.3.0",
             "DatasetType": "raw",
+            "Authors": ["n/a"],
+            "License": "n/a",
         }
-        _json(description, {**made, "Authors": ["n/a"], "License": "n/a"})
+        _json(description, made)
     readme = root / "README.md"
     if not readme.exists():
         readme.write_text(

@@ -14,7 +14,6 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from . import _operations as ops
 from . import program
-from ._bodies import Labels
 from ._http import Answer, Op, Pause, Step
 from ._operations import Accepted, Core
 from ._plays import KnownPlay
@@ -42,6 +41,18 @@ def _playing(operation: Callable[Concatenate[Core, P], Op[Accepted]]) -> Callabl
 
     def method(client: Client, /, *args: P.args, **kwargs: P.kwargs) -> Play:
         return Play(client, client.run(operation(client.core, *args, **kwargs)))
+
+    return ops.named_after(operation, method)
+
+
+def _opening(
+    operation: Callable[Concatenate[Core, P], Op[dict[str, Any]]],
+) -> Callable[Concatenate[Client, P], Session]:
+    """A method that starts a session and returns it."""
+
+    def method(client: Client, /, *args: P.args, **kwargs: P.kwargs) -> Session:
+        client._session = Session(client, client.run(operation(client.core, *args, **kwargs)))
+        return client._session
 
     return ops.named_after(operation, method)
 
@@ -183,6 +194,7 @@ class Client:
     home = _blocking(ops.home)
     play = _playing(ops.play)
     sequence = _playing(ops.sequence)
+    session = _opening(ops.session)
     receipt = _blocking(ops.receipt)
     wait_until_idle = _blocking(ops.wait_until_idle)
     patterns = _blocking(ops.patterns)
@@ -192,22 +204,6 @@ class Client:
     sessions = _blocking(ops.sessions)
     session_plays = _blocking(ops.session_plays)
     export_bids = _blocking(ops.export_bids)
-
-    def session(
-        self,
-        participant: str,
-        *,
-        exclusive: bool = False,
-        experiment: str | None = None,
-        seed: int | None = None,
-        labels: Labels = None,
-    ) -> Session:
-        """Start a session of this participant. `exclusive`: nobody else may change anything, except to stop."""
-        operation = ops.session_start(
-            self.core, participant, exclusive=exclusive, experiment=experiment, seed=seed, labels=labels
-        )
-        self._session = Session(self, self.run(operation))
-        return self._session
 
     def events(self, *, reconnect: bool = True) -> Generator[Event]:
         """The daemon's events, from now on and without end. After a gap the event `reconnected` comes first."""

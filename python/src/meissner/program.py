@@ -151,8 +151,9 @@ def design(
 ) -> Design:
     """Find a pattern for a target shape: the name of a shipped target, or the path of a target file.
 
-    It runs `meissner optimise` on this machine, because the daemon has no API for searches yet. `budget` is a number of
-    evaluations or seconds as in `"20s"`; without it a search takes minutes. `name`: the pattern's; without it `TARGET-found`.
+    It runs `meissner optimise` on this machine, because the daemon has no API for searches yet. `objective`, `setting` and
+    `model` are as there. `budget` is a number of evaluations or seconds as in `"20s"`; without it the search goes on until
+    nothing improves. `name`: the pattern's; without it `TARGET-found`.
     """
     name = name or f"{Path(target).stem}-found"
     options = {"objective": objective, "seed": seed, "setting": setting, "model": model, "budget": budget}

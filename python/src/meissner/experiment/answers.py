@@ -16,12 +16,12 @@ def ask(question: str, choices: Sequence[str] = ("1", "2")) -> str:
 
 
 class SimulatedObserver:
-    """An observer with a Weibull psychometric function. At `threshold` 1 - 1/e of the trials are felt."""
+    """An observer with a Weibull psychometric function. Without lapses it detects 1 - 1/e of stimuli at `threshold`."""
 
     def __init__(
         self, threshold: float, *, slope: float = 2.0, guess: float = 0.5, lapse: float = 0.02, seed: int = 0
     ) -> None:
-        """`guess`: the share of correct answers without a stimulus; `lapse`: the share of wrong ones with a strong one."""
+        """`guess`: share of correct answers without a stimulus; `lapse`: share of wrong answers to a strong stimulus."""
         self.threshold, self.slope, self.guess, self.lapse = threshold, slope, guess, lapse
         self._chance = random.Random(seed)
 

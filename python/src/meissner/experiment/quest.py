@@ -51,14 +51,17 @@ class QuestPlus:
     @property
     def level(self) -> float:
         """The level to present next."""
-        chosen = float(self._quest.next_intensity)
-        return self._levels[min(self._levels, key=lambda log: abs(log - chosen))]
+        return self._levels[self._nearest(float(self._quest.next_intensity))]
+
+    def _nearest(self, intensity: float) -> float:
+        """The logarithm of the level that lies nearest: `questplus` takes only the values that it was given."""
+        return min(self._levels, key=lambda log: abs(log - intensity))
 
     def answer(self, correct: bool, *, level: float | None = None) -> None:
         """Takes the answer to a level: the one that was proposed, if none is given."""
         presented = self.level if level is None else level
         self.answers.append((presented, bool(correct)))
-        intensity = min(self._levels, key=lambda log: abs(log - math.log10(presented)))
+        intensity = self._nearest(math.log10(presented))
         self._quest.update(intensity=intensity, response="correct" if correct else "wrong")
 
     @property

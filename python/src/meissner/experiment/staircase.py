@@ -38,7 +38,7 @@ class Staircase:
             raise ValueError(f"`step` is {step}: must be above 0")
         if down < 1 or not 0 <= coarse < reversals:
             raise ValueError(
-                f"`down` is {down}, `coarse` {coarse}, `reversals` {reversals}: must be 1 <=, 0 <= coarse < reversals"
+                f"`down` is {down}, `coarse` {coarse}, `reversals` {reversals}: need 1 <= `down`, 0 <= `coarse` < `reversals`"
             )
         self._is_log = ratio is not None
         self._step = math.log(ratio) if ratio is not None else step or 0.0
