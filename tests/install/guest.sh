@@ -170,15 +170,16 @@ sleep 1
 used=$(used_ms "$was")
 sleep 10
 used=$(awk -v from="$used" -v to="$(used_ms "$was")" 'BEGIN { printf "%.1f", to - from }')
-memory=$(awk '/VmRSS/ { print $2 }' "/proc/$was/status")
+memory=$(awk '/RssAnon|RssShmem/ { kb += $2 } END { print kb }' "/proc/$was/status")
 sleep 2
 [ "$(pid) $(unit NRestarts)" = "$was $restarts" ] || fail "slow: a client that sends half a request caused a restart"
 ok "slow: a client that sent half a request 13 s ago changes nothing"
 kill $slow
 part=idle
-# Half a percent of a processor, and 30 MB.
-awk -v ms="$used" -v kb="$memory" 'BEGIN { exit ms > 50 || kb > 30000 }' || fail "cpu: $used ms in 10 s, $memory kB resident"
-ok "cpu: $used ms in 10 s, $memory kB resident"
+# Half a percent of a processor, and 15 MB besides the program's own pages, of which a build for tests has many more. The
+# benchmark `memory` measures all of a release: 30 MB.
+awk -v ms="$used" -v kb="$memory" 'BEGIN { exit ms > 50 || kb > 15000 }' || fail "cpu: $used ms in 10 s, $memory kB of data"
+ok "cpu: $used ms in 10 s, $memory kB of data"
 part=watchdog
 from=$(now)
 kill -STOP "$was"
