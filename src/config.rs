@@ -9,10 +9,11 @@
 mod array;
 mod network;
 
-use crate::exposure::ParticipantLimits;
-use crate::session_record::Location;
 pub use network::Listen;
 
+use crate::exposure::ParticipantLimits;
+use crate::file::read_regular;
+use crate::session_record::Location;
 use array::RawArray;
 use firmware_protocol::limits::OnTimeLimits;
 use meissner_array::pattern::AMPLITUDE_UM;
@@ -22,14 +23,11 @@ use meissner_input::document::{self, DocumentError, Table, from_toml, in_range};
 use meissner_input::message::quote;
 use meissner_stream::Settings;
 use meissner_stream::device::{Spec, SpecError};
-use rustix::fs::OFlags;
 use serde::Deserialize;
 use std::env;
-use std::fs::{File, OpenOptions};
-use std::io::{self, Read};
+use std::io;
 use std::net::SocketAddr;
 use std::ops::RangeInclusive;
-use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
 /// The range of the lead, ms.
@@ -134,16 +132,14 @@ impl Source {
     /// # Errors
     /// As [`Config::read`].
     pub fn read(&self) -> Result<Config, ConfigError> {
-        let mut config = self.file.as_deref().map_or_else(|| Ok(Config::default()), Config::read)?;
+        let file = self.file.as_deref();
+        let text = file.map_or_else(|| Ok(String::new()), read_text)?;
+        let mut config = parse(&text, file.unwrap_or(Path::new("")), self.listen)?;
         if let Some(device) = &self.device {
             config.device = device.clone();
         }
         if let Some(socket) = &self.socket {
             config.socket.clone_from(socket);
-        }
-        if let Some(address) = self.listen {
-            config.listen =
-                Some(config.listen.take().map_or(Listen::at(address), |listen| Listen { address, ..listen }));
         }
         if self.no_record {
             config.logbook = None;
@@ -264,10 +260,7 @@ impl Config {
     /// # Errors
     /// The first problem, in one line.
     pub fn read(file: &Path) -> Result<Self, ConfigError> {
-        let wrong = |source| ConfigError::Read { file: file.to_owned(), source };
-        let bytes = read_regular(file, MAX_BYTES).map_err(wrong)?;
-        let text = String::from_utf8(bytes).map_err(|_| wrong(io::Error::other("not UTF-8 text")))?;
-        Self::parse(&text, file)
+        parse(&read_text(file)?, file, None)
     }
 
     /// Reads the text of a configuration; `file` is its name in errors.
@@ -275,32 +268,8 @@ impl Config {
     /// # Errors
     /// The first problem, in one line.
     pub fn parse(text: &str, file: &Path) -> Result<Self, ConfigError> {
-        // Every key may be left out.
-        let wanted = |_: &str| "it";
-        let config = from_toml(text, wanted).and_then(|Table(raw): Table<RawConfig>| raw.check());
-        Ok(config
-            .map_err(|fault: KeyError| fault.in_text(text).in_file(Some(&file.display().to_string())))?)
+        parse(text, file, None)
     }
-}
-
-/// Opens a file for reading. Refuses a pipe or a device without waiting for it.
-pub(crate) fn open_regular(path: &Path) -> io::Result<File> {
-    let mut options = OpenOptions::new();
-    let file = options.read(true).custom_flags(OFlags::NONBLOCK.bits().cast_signed()).open(path)?;
-    if !file.metadata()?.is_file() {
-        return Err(io::Error::other("is not a regular file"));
-    }
-    Ok(file)
-}
-
-/// The bytes of a regular file, refused if there are more than `most`.
-pub(crate) fn read_regular(path: &Path, most: u64) -> io::Result<Vec<u8>> {
-    let mut bytes = Vec::new();
-    open_regular(path)?.take(most + 1).read_to_end(&mut bytes)?;
-    if bytes.len() as u64 > most {
-        return Err(io::Error::other(format!("more than {most} bytes")));
-    }
-    Ok(bytes)
 }
 
 impl RawConfig {
@@ -438,149 +407,22 @@ fn beside(patterns: &PatternsDir, file: &str) -> Option<PathBuf> {
     Some(dir.parent().unwrap_or(Path::new("")).join(file))
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use meissner_stream::LowerStopSettings;
-
-    fn parse(text: &str) -> Result<Config, String> {
-        Config::parse(text, Path::new("m.toml")).map_err(|error| error.to_string())
-    }
-
-    #[test]
-    fn an_empty_file_is_the_default() {
-        assert_eq!(parse("").unwrap(), Config::default());
-        assert_eq!(Config::default().settings.lease_ms, 300.0);
-    }
-
-    #[test]
-    fn every_key_is_read() {
-        let text = "device = \"pty\"\nsocket = \"/s\"\npatterns_dir = \"/s/p\"\nlead_ms = 50\nlease_ms = 100.0\ndrift_warning_um = 30\n\
-                    drift_limit_um = 60\nend_stop_um = 250\n\
-                    [limits]\nmotor_pulses_per_s = 40000\nrail_pulses_per_s = 90000\n[mock]\nseed = 3\ngain_sd = 0.0\n";
-        let config = parse(text).unwrap();
-        assert_eq!((config.device, config.socket), (Spec::Pty, "/s".into()));
-        assert_eq!(config.patterns, PatternsDir::Configured("/s/p".into()));
-        assert_eq!(config.calibration, Some("/s/calibration.toml".into()));
-        assert_eq!(parse("calibration = \"/c\"").unwrap().calibration, Some("/c".into()));
-        let kept = parse("logbook_dir = \"/l\"\nlogbook_days = 0").unwrap();
-        assert_eq!(kept.logbook, None);
-        let kept = parse("logbook_dir = \"/l\"\nlogbook_days = 30").unwrap();
-        assert_eq!(kept.logbook, Some(Location { dir: "/l".into(), days: 30, make_parents: false }));
-        let kept = parse("logbook_dir = \"/l\"").unwrap();
-        assert_eq!(
-            kept.logbook,
-            Some(Location { dir: "/l".into(), days: LOGBOOK_DAYS, make_parents: false })
-        );
-        let limits = OnTimeLimits { motor: 40_000, rail: 90_000 };
-        assert_eq!(
-            config.settings,
-            Settings {
-                lead_ms: 50.0,
-                lease_ms: 100.0,
-                limits,
-                drift_warning_um: 30.0,
-                drift_limit_um: 60.0,
-                end_stop_um: 250.0,
-                lower_stop: None
-            }
-        );
-        let stop = "array = {lower_stop = \"at_rest\", surplus_um = 12.5, rest_error_um = 4}\nlimits.stop_pulses_per_s = 9000";
-        let with_stop = parse(stop).unwrap();
-        let lower_stop = LowerStopSettings { surplus_um: Some(12.5), rest_error_um: 4.0, pulses_per_s: 9000 };
-        assert_eq!(with_stop.settings.lower_stop, Some(lower_stop));
-        assert_eq!(with_stop.mock.lower_stop, LowerStop::AtRest);
-        let auto = parse("[array]\nlower_stop = \"at_rest\"\nsurplus_um = \"auto\"").unwrap();
-        assert_eq!(auto.settings.lower_stop, Some(LowerStopSettings::default()));
-        // Without it, the simulated array's.
-        assert_eq!(parse("mock.end_stop_um = 90").unwrap().settings.end_stop_um, 90.0);
-        assert_eq!(
-            config.mock,
-            SimulatedMotorsConfig { seed: 3, gain_sd: 0.0, ..SimulatedMotorsConfig::default() }
-        );
-        let text = "[participant]\nmax_amplitude_um = 90\nmax_continuous_s = 60\npause_s = 5\nmax_session_s = 900\nmax_day_s = 1800\n";
-        let limits = ParticipantLimits {
-            max_amplitude_um: 90.0,
-            max_continuous_s: 60.0,
-            pause_s: 5.0,
-            max_session_s: 900.0,
-            max_day_s: 1800.0,
-        };
-        assert_eq!(parse(text).unwrap().participant, limits);
-        assert_eq!(parse("lead_ms = 50").unwrap().settings.lease_ms, 250.0);
-    }
-
-    #[test]
-    fn an_error_is_one_line_with_its_place() {
-        for (text, says) in [
-            ("\nlaed_ms = 5", "m.toml:2: unknown key `laed_ms`: did you mean `lead_ms`?"),
-            ("[mock]\nsede = 1", "m.toml:2: `mock`: unknown key `sede`: did you mean `seed`?"),
-            (
-                "[limits]\n\nmotor = 1",
-                "m.toml:3: `limits`: unknown key `motor`: did you mean `motor_pulses_per_s`?",
-            ),
-            ("lead_ms = 4", "m.toml:1: `lead_ms` is 4: must be 5 to 1000 ms"),
-            ("lead_ms = nan", "`lead_ms` is NaN"),
-            ("drift_warning_um = 0.5", "`drift_warning_um` is 0.5: must be 1 to 10000 um"),
-            ("end_stop_um = -1", "`end_stop_um` is -1: must be 0 to 10000 um"),
-            ("lease_ms = 149", "`lease_ms` is 149: must be 150 to"),
-            ("limits.rail_pulses_per_s = 0", "`limits.rail_pulses_per_s` is 0"),
-            (
-                "[participant]\nmax_amplitude = 3",
-                "m.toml:2: `participant`: unknown key `max_amplitude`: did you mean `max_amplitude_um`?",
-            ),
-            (
-                "participant.max_amplitude_um = 401",
-                "`participant.max_amplitude_um` is 401: must be 1 to 400 um",
-            ),
-            ("participant.max_day_s = 0", "`participant.max_day_s` is 0: must be 0.1 to 86400 s"),
-            ("participant.max_continuous_s = inf", "`participant.max_continuous_s` is inf"),
-            ("participant.pause_s = -1", "`participant.pause_s` is -1: must be 0.1 to 3600 s"),
-            ("session_silence_s = 0", "`session_silence_s` is 0: must be 0.1 to 3600 s"),
-            ("limits = 3", "m.toml:1: `limits` is integer `3`: must be a table"),
-            ("\nmock = []", "m.toml:2: `mock` is sequence: must be a table"),
-            ("lead_ms = \"5\"", "m.toml:1: `lead_ms` is string \"5\": must be a number"),
-            ("limits.motor_pulses_per_s = -1", "integer `-1`: must be a whole number, 0 to 4294967295"),
-            ("mock.seed = -1", "`mock.seed` is integer `-1`: must be a whole number, 0 or more"),
-            ("socket = 1", "must be a path in quotes"),
-            ("patterns_dir = \"\"", "m.toml:1: `patterns_dir` is empty"),
-            ("socket = \"\"", "m.toml:1: `socket` is empty"),
-            ("calibration = \"\"", "m.toml:1: `calibration` is empty"),
-            ("logbook_dir = \"\"", "m.toml:1: `logbook_dir` is empty"),
-            ("logbook_days = 36501", "`logbook_days` is 36501: must be 0 to 36500 days"),
-            ("logbook_days = -1", "integer `-1`: must be a whole number, 0 to 4294967295"),
-            ("array.lower_stop = \"below\"", "unknown variant `below`"),
-            (
-                "array.surplus_um = \"much\"",
-                "`array.surplus_um` is `much`: must be a number of um, or \"auto\"",
-            ),
-            ("array.surplus_um = 0", "`array.surplus_um` is 0: must be 1 to 120 um, or \"auto\""),
-            ("array.surplus_um = []", "must be a number, or \"auto\""),
-            ("array.rest_error_um = 0", "`array.rest_error_um` is 0: must be 0.5 to 100 um"),
-            ("limits.stop_pulses_per_s = 0", "`limits.stop_pulses_per_s` is 0"),
-            (
-                "array.lower_stop = \"at_rest\"\nlimits.stop_pulses_per_s = 7000",
-                "m.toml:2: `limits.stop_pulses_per_s` is 7000: must be 7369 to 25500 pulses/s",
-            ),
-            ("end_stop_um = 2000\narray.lower_stop = \"at_rest\"", "`end_stop_um` is 2000: must be at most"),
-            ("mock.gain_sd = -1.0", "m.toml:1: `mock.gain_sd` is -1: must be 0 to 1"),
-            ("device = \"uart\"", "m.toml:1: `device` is `uart`: not one of"),
-            ("device = 3", "m.toml:1: `device` is integer `3`: must be a string"),
-            ("lead_ms = ", "m.toml:1: not TOML: "),
-        ] {
-            let line = parse(text).unwrap_err();
-            assert!(line.contains(says) && !line.contains('\n'), "{text}: {line}");
-        }
-        for (file, says) in [
-            ("/dev/zero", "is not a regular file"),
-            ("/", "is not a regular file"),
-            ("/proc/self/exe", "more than"),
-        ] {
-            let line = Config::read(Path::new(file)).unwrap_err().to_string();
-            assert!(line.contains(says) && !line.contains('\n'), "{line}");
-        }
-        assert!(
-            Config::read(Path::new("/nonexistent/m.toml")).unwrap_err().to_string().contains("/nonexistent")
-        );
-    }
+fn read_text(file: &Path) -> Result<String, ConfigError> {
+    let wrong = |source| ConfigError::Read { file: file.to_owned(), source };
+    let bytes = read_regular(file, MAX_BYTES).map_err(wrong)?;
+    String::from_utf8(bytes).map_err(|_| wrong(io::Error::other("not UTF-8 text")))
 }
+
+/// Reads the text of a configuration; `listen` replaces its address. The keys beside it count for either address.
+fn parse(text: &str, file: &Path, listen: Option<SocketAddr>) -> Result<Config, ConfigError> {
+    // Every key may be left out.
+    let wanted = |_: &str| "it";
+    let config = from_toml(text, wanted).and_then(|Table(mut raw): Table<RawConfig>| {
+        raw.listen = listen.map(|address| address.to_string()).or(raw.listen);
+        raw.check()
+    });
+    Ok(config.map_err(|fault: KeyError| fault.in_text(text).in_file(Some(&file.display().to_string())))?)
+}
+
+#[cfg(test)]
+mod tests;

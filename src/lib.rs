@@ -41,8 +41,8 @@
 //! # Modules
 //!
 //! `docs/explanation/architecture.md` says which file to open for which change.
-//! The modules of this crate use one another in this order: [`log`](mod@log), [`exposure`], [`session_record`], [`receipts`],
-//! [`store`], [`config`], [`daemon`], [`cli`]. Tests run streamer, link, controller and simulated motors in virtual time
+//! The modules of this crate use one another in this order: [`log`](mod@log), `file`, [`exposure`], [`session_record`],
+//! [`receipts`], [`store`], [`config`], [`daemon`], [`cli`]. Tests run streamer, link, controller and simulated motors in virtual time
 //! ([`meissner_stream::Simulation`]): the same code without a clock.
 //!
 //! # Example
@@ -61,6 +61,7 @@ pub mod cli;
 pub mod config;
 pub mod daemon;
 pub mod exposure;
+mod file;
 pub mod log;
 pub mod receipts;
 pub mod session_record;

@@ -1,4 +1,5 @@
-//! The pattern store: the library that is part of the program, with the patterns of the paper's setting (`patterns/paper`), and a directory of the site's own patterns.
+//! The pattern store: the library that is part of the program, and a directory of the site's own patterns. The library has the patterns of
+//! `patterns`, and those of the paper's setting in `patterns/paper`.
 //!
 //! The store reads the directory at every request, so it finds a file that was put there by hand at once. [`Store::get`]
 //! reads one file, [`Store::list`] at most [`MAX_FILES`]. Callers that hold the same file share one pattern. Patterns of the library cannot be overwritten or shadowed.
@@ -9,7 +10,7 @@
 
 mod in_use;
 
-use crate::config::open_regular;
+use crate::file::{self, open_regular};
 use crate::receipts::Order;
 use in_use::InUse;
 use include_dir::{Dir, include_dir};
@@ -21,7 +22,7 @@ use serde::Serialize;
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::fs::{self, File};
-use std::io::{self, Read, Write};
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
@@ -170,8 +171,8 @@ impl Store {
     /// If a file of the library does not parse, which a test excludes.
     pub fn new(dir: Option<PathBuf>, make_dir: bool) -> Result<Self, StoreError> {
         let mut library = BTreeMap::new();
-        let papers = LIBRARY.dirs().flat_map(Dir::files);
-        for file in LIBRARY.files().chain(papers) {
+        let paper = LIBRARY.dirs().flat_map(Dir::files);
+        for file in LIBRARY.files().chain(paper) {
             let path = file.path();
             if path.extension().is_some_and(|extension| extension == "toml") {
                 let contents = file.contents();
@@ -299,7 +300,8 @@ impl Store {
         if let Some(sha256) = replaced.clone().filter(|_| !replace) {
             return Err(StoreError::Exists { name: name.to_owned(), sha256 });
         }
-        self::replace(dir, &path, text.as_bytes(), MODE).map_err(|source| StoreError::Io { path, source })?;
+        file::replace(&path, text.as_bytes(), file::READABLE_BY_ALL)
+            .map_err(|source| StoreError::Io { path, source })?;
         Ok(Put { stored, replaced })
     }
 
@@ -477,20 +479,6 @@ fn present(path: &Path) -> Result<Option<String>, StoreError> {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
         Err(source) => Err(StoreError::Io { path: path.to_owned(), source }),
     }
-}
-
-/// The mode of files that everybody may read.
-pub(crate) const MODE: u32 = 0o644;
-
-/// Replaces a file by writing beside it and renaming, so that a crash leaves the old file or the new one.
-pub(crate) fn replace(dir: &Path, path: &Path, bytes: &[u8], mode: u32) -> io::Result<()> {
-    use std::os::unix::fs::PermissionsExt;
-    let mut file = tempfile::Builder::new().prefix(".import-").tempfile_in(dir)?;
-    file.as_file().set_permissions(fs::Permissions::from_mode(mode))?;
-    file.write_all(bytes)?;
-    file.as_file().sync_all()?;
-    file.persist(path).map_err(|error| error.error)?;
-    File::open(dir)?.sync_all()
 }
 
 #[cfg(test)]

@@ -21,7 +21,7 @@ fn start(client: &mut Client, participant: &str, exclusive: bool) -> SessionStar
 }
 
 /// A client that owns a session.
-fn owner(daemon: &Daemon, participant: &str, exclusive: bool) -> (Client, SessionStarted) {
+pub(crate) fn owner(daemon: &Daemon, participant: &str, exclusive: bool) -> (Client, SessionStarted) {
     let mut client = daemon.armed();
     let started = start(&mut client, participant, exclusive);
     client.set_token(Some(started.token.clone()));
@@ -29,7 +29,7 @@ fn owner(daemon: &Daemon, participant: &str, exclusive: bool) -> (Client, Sessio
 }
 
 /// The exported session, and what the command says on stderr.
-fn exported(daemon: &Daemon, id: &str) -> (Value, String) {
+pub(crate) fn exported(daemon: &Daemon, id: &str) -> (Value, String) {
     let export = daemon.meissner().args(["session", "export", id, "--json"]).assert().success();
     let output = export.get_output();
     (serde_json::from_slice(&output.stdout).unwrap(), String::from_utf8(output.stderr.clone()).unwrap())
@@ -297,173 +297,6 @@ fn a_session_ends_with_its_daemon_and_the_record_says_how() {
     assert!(list.problems[2].contains("2026-01-03.jsonl: is not a regular file"), "{:?}", list.problems);
     // A new session can begin.
     start(&mut daemon.client(), "P08", true);
-}
-
-#[test]
-fn an_export_has_one_row_per_play() {
-    let daemon = Daemon::start();
-    let (mut client, started) = owner(&daemon, "P07", false);
-    let mut events = client.events().unwrap();
-    let mut receipts = Vec::new();
-    for (trial, label) in [(1, "a"), (2, "b, \"c\"")] {
-        let play =
-            json!({"pattern": "pin-60", "seconds": 0.1, "trial": trial, "labels": {"condition": label}});
-        let _: Value = client.post("/v1/play", &play).unwrap();
-        receipts.push(ended(&mut events));
-    }
-    let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "endless": true})).unwrap();
-    crate::harness::began(&mut events);
-    let _: Status = client.post("/v1/stop", &json!({})).unwrap();
-    receipts.push(ended(&mut events));
-    let _: Session = client.post("/v1/sessions/running/end", &json!({})).unwrap();
-    // Not of the session.
-    let _: Value = client.post("/v1/play", &json!({"pattern": "pin-60", "seconds": 0.1})).unwrap();
-    ended(&mut events);
-    let file = daemon.path("session.csv");
-    printed(daemon.meissner().args(["session", "export", &started.id, "-o"]).arg(&file));
-    let text = fs::read_to_string(&file).unwrap();
-    assert_eq!(text, printed(daemon.meissner().args(["session", "export", &started.id])));
-    let mut table = csv::Reader::from_reader(text.as_bytes());
-    let head = table.headers().unwrap().clone();
-    let rows: Vec<_> = table.records().map(Result::unwrap).collect();
-    assert_eq!(rows.len(), receipts.len(), "{text}");
-    for (row, receipt) in rows.iter().zip(&receipts) {
-        let of = |name: &str| row[head.iter().position(|column| column == name).unwrap()].to_owned();
-        let (onset, bursts) = (receipt.onset.unwrap(), receipt.bursts.unwrap());
-        assert_eq!(
-            (of("session"), of("participant"), of("seed")),
-            (started.id.clone(), "P07".into(), "7".into())
-        );
-        assert_eq!((of("session_labels"), of("play")), ("block=2".into(), receipt.id.to_string()));
-        assert_eq!(of("trial"), receipt.trial.map_or_else(String::new, |trial| trial.to_string()));
-        let label =
-            receipt.labels.get("condition").map_or_else(String::new, |label| format!("condition={label}"));
-        assert_eq!((of("labels"), of("pattern_sha256")), (label, receipt.pattern_sha256.clone()));
-        assert_eq!(
-            (of("onset_tick"), of("onset_monotonic_ns")),
-            (onset.actual_tick.to_string(), onset.monotonic_ns.to_string())
-        );
-        assert_eq!(
-            (of("bursts_planned"), of("bursts_played")),
-            (bursts.planned.to_string(), bursts.played.to_string())
-        );
-        assert_eq!(
-            (of("state"), of("cause")),
-            (receipt.state.name().into(), receipt.cause.clone().unwrap_or_default())
-        );
-        assert!(of("reported_after_s").parse::<f64>().unwrap() < 20.0 && !of("session_ended").is_empty());
-    }
-    // The line that tells of a play's end is lost: the play stays, and the damage is named.
-    let folder = daemon.path("state/meissner/logbook");
-    let day = fs::read_dir(&folder).unwrap().map(|file| file.unwrap().path());
-    let day =
-        day.into_iter().find(|file| file.extension().is_some_and(|extension| extension == "jsonl")).unwrap();
-    let text = fs::read_to_string(&day).unwrap();
-    let damaged: String = text
-        .lines()
-        .map(|line| {
-            if line.contains("\"event\":\"ended\"") && line.contains("\"id\":2,") { "{\"tor\n" } else { line }
-        })
-        .map(|line| format!("{}\n", line.trim_end()))
-        .collect();
-    fs::write(&day, damaged).unwrap();
-    let (exported, warning) = exported(&daemon, &started.id);
-    let states: Vec<_> =
-        exported["plays"].as_array().unwrap().iter().map(|play| (&play["play"], &play["state"])).collect();
-    assert_eq!(
-        states,
-        [(&json!(1), &json!("done")), (&json!(3), &json!("stopped")), (&json!(2), &json!("unknown"))]
-    );
-    assert!(
-        exported["unreadable"] == 1 && warning.contains(".jsonl:") && warning.contains("not a line of JSON"),
-        "{warning}"
-    );
-    assert!(
-        complaint(daemon.meissner().args(["session", "export", "20200101T000000Z-000000"]))
-            .contains("is recorded")
-    );
-}
-
-/// Each stimulus has a row; events and record have every item that began.
-#[test]
-fn an_export_has_a_row_for_each_item_of_a_sequence() {
-    let daemon = Daemon::start();
-    let (mut client, started) = owner(&daemon, "P07", false);
-    let mut events = client.events().unwrap();
-    let item = json!({"pattern": "pin-60", "seconds": 0.02, "gap_ms": 10, "scale": 0.5, "trigger": {"code": 9, "width_ms": 1}});
-    let items = vec![item; 40];
-    let sequence = json!({"items": items, "trial": 4, "labels": {"block": "1"}, "name": "taps"});
-    let _: Value = client.post("/v1/sequence", &sequence).unwrap();
-    let mut told = Vec::new();
-    let receipt = next_ended(&mut events, |event| {
-        if let Event::Items { first, items, session, .. } = event {
-            assert_eq!((first, session.as_deref()), (told.len(), Some(&*started.id)));
-            told.extend(items);
-        }
-    });
-    let whole: meissner_api::Receipt = client.get(&format!("/v1/plays/{}", receipt.id)).unwrap();
-    let records = whole.items.clone().unwrap();
-    assert_eq!(told, *records);
-    // One that is stopped: the items that began.
-    let _: Value = client.post("/v1/sequence", &sequence).unwrap();
-    crate::harness::began(&mut events);
-    let _: Status = client.post("/v1/stop", &json!({})).unwrap();
-    let mut begun = 0;
-    next_ended(&mut events, |event| {
-        if let Event::Items { items, .. } = event {
-            begun += items.len();
-        }
-    });
-    assert!(begun < 40);
-    let _: Session = client.post("/v1/sessions/running/end", &json!({})).unwrap();
-    let text = printed(daemon.meissner().args(["session", "export", &started.id]));
-    let mut table = csv::Reader::from_reader(text.as_bytes());
-    let head = table.headers().unwrap().clone();
-    let rows: Vec<_> = table.records().map(Result::unwrap).collect();
-    assert_eq!(rows.len(), 40 + begun.max(1), "{text}");
-    for (number, (row, record)) in rows.iter().zip(records.iter()).enumerate() {
-        let of = |name: &str| row[head.iter().position(|column| column == name).unwrap()].to_owned();
-        let (onset, offset) = (record.onset.unwrap(), record.offset.unwrap());
-        let tick = onset.tick.to_string();
-        assert_eq!(
-            (of("item"), of("pattern"), of("trial")),
-            (number.to_string(), "pin-60".into(), "4".into())
-        );
-        assert_eq!(
-            (of("onset_tick"), of("trigger_tick"), of("trigger_code")),
-            (tick.clone(), tick, "9".into())
-        );
-        assert_eq!((of("offset_tick"), of("state")), (offset.tick.to_string(), "played".into()));
-        assert_eq!(
-            (of("scale"), of("ordered_ms"), of("labels")),
-            ("0.5".into(), "20".into(), "block=1".into())
-        );
-        let [ordered, reached, played] =
-            ["ordered_um", "reached_um", "played_ms"].map(|name| of(name).parse::<f64>().unwrap());
-        assert!(ordered > 0.0 && reached > 0.8 * ordered && played > 10.0 && played <= 20.0, "{text}");
-        let wall: i64 = of("onset_wall_ns").parse().unwrap();
-        let first: i64 =
-            rows[0][head.iter().position(|column| column == "onset_wall_ns").unwrap()].parse().unwrap();
-        assert!((wall - first - 30_000_000 * number as i64).abs() < 1_000_000);
-    }
-    let exported = document(daemon.meissner().args(["session", "export", &started.id, "--json"]));
-    assert_eq!(
-        (&exported["plays"][0]["items"], &exported["plays"][0]["pattern"]),
-        (&json!(40), &json!("taps"))
-    );
-    assert_eq!((&exported["plays"][1]["item"], &exported["lost"]), (&json!(0), &json!(0)));
-    // What the mock's handshake told.
-    assert!(exported["plays"][1]["boot"].is_u64() && exported["plays"][1]["pattern_kept"] == true);
-}
-
-/// The next receipt; `see` gets the events before it.
-fn next_ended(events: &mut meissner_client::Events, mut see: impl FnMut(Event)) -> meissner_api::Receipt {
-    loop {
-        match events.next(Some(TIMEOUT)).unwrap().unwrap() {
-            Event::Ended { receipt } => return *receipt,
-            event => see(event),
-        }
-    }
 }
 
 /// The disk takes nothing: the session goes on, and a line says what is missing.

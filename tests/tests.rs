@@ -23,6 +23,8 @@ mod control_tradeoff;
 mod discriminate;
 /// Drift without telemetry: plays at the limit, and the level check of `assume_rest`.
 mod drift;
+/// `session export`: a row for each play and each item of a sequence; a damaged record.
+mod export;
 /// `report`: figures against the models, and the page.
 mod figures;
 /// A real daemon in a directory of its own, and helpers for the other tests.

@@ -37,7 +37,7 @@ pub enum Reset {
     Program,
 }
 
-/// How the device has been since it started, and since the host asked before.
+/// What the device counted since it started, and in the window that a request ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Board {
     /// The number of the request that it answers.
@@ -46,8 +46,8 @@ pub struct Board {
     pub reset: Reset,
     /// Time since then, s.
     pub uptime_s: u32,
-    /// Least time left to render while armed, ticks, from the request before to this one; `None`: it rendered nothing, or
-    /// does not measure it.
+    /// Least time left to render while armed, ticks, from the request before to this one; `None`: the device rendered
+    /// nothing, or does not measure it.
     pub slack: Option<u8>,
     /// The same since it started.
     pub slack_since_boot: Option<u8>,
@@ -61,7 +61,7 @@ pub struct Board {
     pub high_at_boot: Option<u32>,
 }
 
-/// What a shell knows of its device and the controller does not.
+/// The figures of a [`Board`] report that the shell measures, not the controller.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Measures {
     /// As in [`Board`].
@@ -75,7 +75,7 @@ pub struct Measures {
 }
 
 impl Measures {
-    /// Nothing is known.
+    /// The shell measures nothing.
     pub const NONE: Self =
         Self { reset: Reset::Unknown, stalls: None, usb_recoveries: None, high_at_boot: None };
 }
@@ -85,7 +85,7 @@ impl Measures {
 pub enum SelfTestState {
     /// The device refused it, because it is not disarmed.
     Refused,
-    /// It runs.
+    /// It is under way.
     Running,
     /// A command, an e-stop or a lost link ended it.
     Ended,
@@ -104,25 +104,6 @@ pub struct SelfTest {
     pub ram: Option<RamTest>,
     /// Time to read the longest frame of [`longest_frame`], µs by the system timer: the longest of several tries.
     pub work_us: Option<u32>,
-}
-
-/// Writes a full frame of the longest strokes, for a self-test to read; returns its length.
-#[must_use]
-pub fn longest_frame(out: &mut [u8; MAX_FRAME]) -> usize {
-    let mut strokes = Packer::<BATCH_BYTES>::new(Tick(0));
-    let mut at = 0;
-    loop {
-        // Numbers that change with each stroke, so that the packer cannot shorten them.
-        let (motor, up_pulses) = ((at * 7 % MOTORS as u64) as u8, 147 + (at % 2) as u16);
-        let up = Tick(59 * at);
-        if strokes.stroke(&Stroke { motor, up, up_pulses, down: up + 708, down_pulses: up_pulses }).is_err() {
-            break;
-        }
-        at += 1;
-    }
-    let (base, batch) = (strokes.base().wire(), strokes.bytes());
-    frame::encode(&HostMessage::Strokes { epoch: 0, seq: 0, seen: 0, mark: None, base, batch }, out)
-        .unwrap_or(0)
 }
 
 /// What each output did; the outputs are those of a mask of outputs. The driver enable is only read.
@@ -156,4 +137,23 @@ pub struct RamTest {
     pub bytes: u32,
     /// The first address that did not keep what was written.
     pub bad: Option<u32>,
+}
+
+/// Writes a full frame of the longest strokes, for a self-test to read; returns its length.
+#[must_use]
+pub fn longest_frame(out: &mut [u8; MAX_FRAME]) -> usize {
+    let mut strokes = Packer::<BATCH_BYTES>::new(Tick(0));
+    let mut at = 0;
+    loop {
+        // Numbers that change with each stroke, so that the packer cannot shorten them.
+        let (motor, up_pulses) = ((at * 7 % MOTORS as u64) as u8, 147 + (at % 2) as u16);
+        let up = Tick(59 * at);
+        if strokes.stroke(&Stroke { motor, up, up_pulses, down: up + 708, down_pulses: up_pulses }).is_err() {
+            break;
+        }
+        at += 1;
+    }
+    let (base, batch) = (strokes.base().wire(), strokes.bytes());
+    frame::encode(&HostMessage::Strokes { epoch: 0, seq: 0, seen: 0, mark: None, base, batch }, out)
+        .unwrap_or(0)
 }

@@ -62,9 +62,10 @@
 //! # The ordered stream
 //! A `Strokes` frame carries at most [`batch::MAX_BATCH`] packed strokes. Frames are numbered from 0 in each epoch (`seq`).
 //! The device takes frames in order. It buffers the next 8 that arrive out of order and ignores repeated ones. It
-//! answers each valid frame with a `Status`, except those that have an answer of their own (`Board`, `SelfTest`): `next_seq` acknowledges all frames before it, `out_of_order` names those that
-//! are buffered, and `credits` is the number of strokes that it can still queue. The host sends no more strokes than it has
-//! credits and no frame beyond those 8. It sends again what is neither acknowledged nor buffered (selective repeat).
+//! answers each valid frame with a `Status`, except `Board` and `SelfTest`, which have an answer of their own. In a `Status`
+//! `next_seq` acknowledges all frames before it, `out_of_order` names those that are buffered, and `credits` is the number of
+//! strokes that the device can still queue. The host sends no more strokes than it has credits and no frame beyond those 8. It
+//! sends again what is neither acknowledged nor buffered (selective repeat).
 //! The device accepts, refuses or drops a stroke as a whole. A `Verdict` lists the strokes of a frame that were not
 //! accepted; a frame without a verdict was accepted as sent.
 //!
@@ -107,12 +108,12 @@
 //! `Board` asks for the device's counters: why it started, its stalls, recoveries and faults, and the least time it had left to
 //! render. That time is taken over *windows*. A request with a new number ends a window and begins the next; the answer, also to
 //! a repetition, has the window that ended. So windows follow each other without a gap, whatever the line loses. A host asks about
-//! once a second, and at the ends of plays. The answer is one short frame.
+//! once a second, when it offers a play and when a play is over. The answer is one short frame.
 //!
 //! `SelfTest` with a new number begins a self-test, if the device is disarmed. The device drives each line and the trigger high
-//! and low for some microseconds, one by one, and never the driver enable. It reads all of them back, tests free memory and measures its clock
-//! and its speed. Any `Control`, an e-stop, a fault, a lost link or another session ends the test, and before the device acts on
-//! it, all lines are low again. A device answers what it measured; the host judges.
+//! and low for some microseconds, one by one, and never the driver enable. It reads all of them back, tests free memory and
+//! measures its clock and its speed. Any `Control`, an e-stop, a fault, a lost link or another session ends the test, and before
+//! the device acts on it, all lines are low again. The device answers what it measured; the host judges.
 //!
 //! # Bounds of what a device says
 //! A frame with a right CRC may still be untrue: a fault of the firmware, its memory or its clock. The host checks every

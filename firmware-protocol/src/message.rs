@@ -67,7 +67,7 @@ pub enum HostMessage<'a> {
     },
     /// Asks for a self-test, or how far it is. Repeated until it is over.
     SelfTest {
-        /// A new number begins a test, unless the device is not disarmed; the same number asks.
+        /// A new number begins a test if the device is disarmed; the same number asks how far it is.
         run: u16,
     },
 }

@@ -99,7 +99,7 @@ fn a_self_test_is_for_a_disarmed_device_and_once_per_number() {
     assert_eq!(bench.ask_test(3), SelfTestState::Refused, "the lines are forced low");
 }
 
-/// Whatever the host does besides asking.
+/// Commands, e-stops, faults, a lost link and another host.
 #[test]
 fn what_matters_more_ends_a_self_test() {
     type Act = fn(&mut Bench);

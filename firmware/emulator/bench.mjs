@@ -1,7 +1,7 @@
 #!/usr/bin/env node
-// bench.mjs ELF [--seed N] [--slow F] [--serial HEX] [--revision R] [--pio-late N]: runs the emulated board on request. One JSON request per line on stdin, one
-// JSON answer per line on stdout, each followed by its binary tail (README.md has the table). Nothing advances between
-// requests, so a test decides what happens in which cycle. Needs no network and no real time.
+// bench.mjs ELF [--seed N] [--slow F] [--serial HEX] [--revision R] [--pio-late N]: runs the emulated board on request.
+// One JSON request per line on stdin, one JSON answer per line on stdout, each followed by its binary tail (README.md has the
+// table). Nothing advances between requests, so a test decides what happens in which cycle. Needs no network and no real time.
 
 import { parseArgs } from 'node:util';
 import fs from 'node:fs';
@@ -100,7 +100,7 @@ export class Bench {
       case 'wiring':
         board.wiring.set(value);
         board.mcu.pins.update();
-        break;
+        return {};
       case 'register':
         board.bus.write32(value, request.to);
         return {};

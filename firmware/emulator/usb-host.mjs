@@ -247,7 +247,7 @@ export class UsbHost {
   }
   /** Starts the next transaction that the device accepts, if the bus is free. */
   pump() {
-    if (this.current || !this.plugged || this.state === 'detached' || ['reset', 'suspended', 'hung'].includes(this.state)) return;
+    if (this.current || !this.plugged || ['detached', 'reset', 'suspended', 'hung'].includes(this.state)) return;
     const next = this.nextOnControl() ?? this.nextOnPipes();
     if (!next) return;
     this.current = next;

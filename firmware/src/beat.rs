@@ -1,4 +1,4 @@
-//! The executor's heartbeat: tasks count it, and the shell looks whether it goes on.
+//! The executor's heartbeat: tasks count beats, and the shell checks that they go on.
 //!
 //! A hung executor moves no packets. The shell, an interrupt above it, still plays; so it returns the pins in time before the
 //! watchdog restarts the chip.

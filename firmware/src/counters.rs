@@ -1,6 +1,6 @@
 //! What the firmware counts about its own board since it started, and why it started.
 //!
-//! The modules that notice something count it here; [`read`] gives all of it at once, from any context. The bench reads the
+//! Other modules count here what they notice; [`read`] gives all of it at once, from any context. The bench reads the
 //! counters by their names.
 
 use crate::board;
@@ -29,7 +29,7 @@ const RESETS: [Reset; 6] =
 /// Outputs that were high before anything drove them.
 static HIGH_AT_BOOT: AtomicU32 = AtomicU32::new(0);
 
-/// The counters now, besides the slack, of which the controller keeps more.
+/// The counters now, without the slack: the controller keeps that, window by window.
 pub(crate) fn read() -> Measures {
     let reset = RESETS.get(RESET.load(SeqCst) as usize).copied();
     Measures {
@@ -56,22 +56,22 @@ pub(crate) fn started(cause: Cause) {
     RESET.store(number as u32, SeqCst);
 }
 
-/// Looks which outputs are high. Called once, before anything drives them.
+/// Keeps which outputs are high. Called once, before anything drives them.
 pub(crate) fn look_at_outputs() {
     HIGH_AT_BOOT.store(board::outputs(pac::SIO.gpio_in(0).read()), SeqCst);
 }
 
-/// A block was rendered so many ticks before its first word is fetched. Only the shell calls it.
+/// Keeps the slack of a block: the ticks from the end of its rendering to the fetch of its first word. Only the shell calls it.
 pub(crate) fn rendered(slack: u32) {
     SLACK_MIN.store(slack.min(SLACK_MIN.load(SeqCst)), SeqCst);
 }
 
-/// The executor hangs. Only the shell calls it.
+/// Counts a hang of the executor. Only the shell calls it.
 pub(crate) fn stalled() {
     STALLS.store(STALLS.load(SeqCst).wrapping_add(1), SeqCst);
 }
 
-/// A hung USB controller is set up again. Only the task that does it calls this.
+/// Counts that a hung USB controller is set up again. Only the task that does it calls this.
 pub(crate) fn usb_recovered() {
     USB_RECOVERIES.store(USB_RECOVERIES.load(SeqCst).wrapping_add(1), SeqCst);
 }

@@ -5,11 +5,12 @@
 //!  USB tasks (usb) ─ packets ▶ shell (an interrupt): the controller ─ blocks ▶ ring (wave) ─ DMA ▶ PIO ▶ pins
 //!                  ◀─ frames ─                                                  │ cleared behind it
 //!  SysTick (wave): the tick count, wakes the shell at each block ◀──────────────┘
-//!  watchdog (fault): fed while shell and tasks live; the shell looks whether the tasks do (beat), a task whether USB does (revive)
+//!  watchdog (fault): fed while shell and tasks live
+//!  hangs: the shell finds one of the tasks (beat), a task finds one of the USB controller (revive)
 //! ```
 //! Priorities: clock and USB interrupts above the shell, the shell above the tasks. Modules use only those below them:
-//! `fault`, `shell`, `self_test`, `usb`, `estop`, `revive`, `wave`, `wake`, `beat`, `counters` and `board`. The documentation of `firmware_protocol` is the
-//! specification; nothing here decides what a line does.
+//! `fault`, `shell`, `self_test`, `usb`, `estop`, `revive`, `wave`, `wake`, `beat`, `counters` and `board`. The documentation of
+//! `firmware_protocol` is the specification; nothing here decides what a line does.
 
 #![no_std]
 #![no_main]
@@ -128,8 +129,8 @@ fn identity(serial_number: &str) -> Identity {
     }
 }
 
-/// A number that differs at each start and on each board. A bit of the ring oscillator alone is biased and follows the one before,
-/// so this is a hash of many, and of the chip's number.
+/// A number that differs at each start and on each board. A bit of the ring oscillator is biased and depends on the one before,
+/// so this is a hash of many bits and of the serial number.
 fn boot_id(serial_number: &str) -> u32 {
     let mut samples = [0; 1024];
     RoscRng.fill_bytes(&mut samples);

@@ -1,9 +1,10 @@
 //! Finds a USB controller that hangs, and sets it up again.
 //!
-//! By erratum RP2040-E15 a bus error in an IN transfer may hang the controller; only a reset of the peripheral ends that, and embassy's
-//! driver has no workaround. A host begins a frame in each millisecond. So a configured device that is not suspended and sees no frame and no
-//! packet for [`SILENT`] hangs. [`supervise`] then takes it off the bus, resets it and connects it again; the host enumerates it as
-//! after a re-plug. The link counts as lost as soon as the hang is seen, so the pins return.
+//! By erratum RP2040-E15 a bus error in an IN transfer may hang the controller; only a reset of the peripheral ends that, and
+//! embassy's driver has no workaround. A host begins a frame in each millisecond. So the controller hangs if
+//! the device is configured and not suspended, and sees no frame and no packet for [`SILENT`] looks. [`supervise`] then takes it
+//! off the bus, resets it and connects it again; the host enumerates it as after a re-plug. The link counts as lost as soon as
+//! the hang is seen, so the pins return.
 
 use crate::counters;
 use core::array;
@@ -13,7 +14,7 @@ use embassy_rp::interrupt::InterruptExt;
 use embassy_rp::pac;
 use embassy_time::{Duration, Timer};
 
-/// Between two looks.
+/// Time between two looks.
 const EVERY: Duration = Duration::from_millis(10);
 /// Looks without a sign of life: 100 ms. A host that resumes a suspended bus sends no frame for up to 43 ms.
 const SILENT: u32 = 10;
@@ -40,7 +41,7 @@ pub(crate) fn interrupted() {
     INTERRUPTS.store(INTERRUPTS.load(SeqCst).wrapping_add(1), SeqCst);
 }
 
-/// Looks for ever. `lost` is called when the controller hangs.
+/// Looks for ever, and calls `lost` when the controller hangs.
 pub(crate) async fn supervise(lost: impl Fn()) -> ! {
     let (mut before, mut silent) = ((0, 0), 0);
     loop {

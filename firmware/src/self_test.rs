@@ -1,7 +1,7 @@
 //! The self-test of the board: lines, waveform, memory and speed, while the drivers are off.
 //!
 //! The shell calls [`Run::step`] once a turn while the controller wants a test. A step takes some microseconds, and in between
-//! everything goes on. Only within a step of the lines do pads differ from the waveform.
+//! everything else goes on. Only within a step of the lines do pads differ from the waveform.
 //!
 //! Invariant: the driver enable stays driven low. An e-stop that comes within a step forces all outputs low, and the step
 //! changes nothing after it ([`wave::override_pads`]).
@@ -91,15 +91,14 @@ impl Run {
     /// nothing forced the outputs low meanwhile.
     fn line(&mut self, driven: usize) -> bool {
         let gpio = LINES.get(driven).copied().unwrap_or(TRIGGER);
-        let all = (1 << protocol::OUTPUTS) - 1;
         let one = 1 << driven;
-        let rest = |gpio| if gpio == ENABLE { LOW } else { UNDRIVEN };
+        let rest = |at: u8| if at == ENABLE { LOW } else { UNDRIVEN };
         let levels = |state: &dyn Fn(u8) -> u32| {
             let done = wave::override_pads(state);
             cortex_m::asm::delay(SETTLE);
-            done.then(|| board::outputs(pac::SIO.gpio_in(0).read()) & all)
+            done.then(|| board::outputs(pac::SIO.gpio_in(0).read()))
         };
-        let undriven = levels(&|gpio| rest(gpio));
+        let undriven = levels(&rest);
         let high = levels(&|at| if at == gpio { HIGH } else { rest(at) });
         let low = levels(&|_| LOW);
         wave::override_pads(|_| wave::PAD);

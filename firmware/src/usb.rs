@@ -157,8 +157,8 @@ impl OnInterrupt<USBCTRL_IRQ> for Peek {
     }
 }
 
-/// Looks into a packet that came after [`Peek`] had read which buffers are full, and before embassy's handler did: that has cleared
-/// its bit.
+/// Looks into a packet that came after [`Peek`] had read which buffers are full, but before embassy's handler did: that handler
+/// has cleared its bit.
 struct PeekAgain;
 
 /// Bit p: pipe p was waiting for a packet when [`Peek`] had looked.

@@ -187,12 +187,23 @@ const STALLED: u32 = 1 << 24;
 /// Whether PIO and DMA play the block that has just begun: the DMA is where it must be, and the PIO is on, never had to wait
 /// for a word and runs at its rate.
 fn follows(blocks: u32) -> bool {
-    let words = pac::DMA.ch(FEED).read_addr().read().wrapping_sub(RING.0.get() as u32) / 4;
-    let ahead = words.wrapping_sub(blocks.wrapping_mul(BLOCK * WORDS as u32)) % (RING_TICKS * WORDS) as u32;
+    let ahead = words_between(blocks.wrapping_mul(BLOCK * WORDS as u32), fetched());
     AHEAD_WORDS.contains(&ahead)
         && pac::PIO0.fdebug().read().0 & STALLED == 0
         && pac::PIO0.sm(0).clkdiv().read().0 == u32::from(PIO_DIVIDER) << 16
         && pac::PIO0.ctrl().read().sm_enable() & 1 == 1
+}
+
+/// The word of the ring that the DMA fetches next.
+#[inline(always)]
+pub(crate) fn fetched() -> u32 {
+    pac::DMA.ch(FEED).read_addr().read().wrapping_sub(RING.0.get() as u32) / 4
+}
+
+/// Words of the ring from one place to another, if they are fewer than the ring has.
+#[inline(always)]
+pub(crate) fn words_between(from: u32, to: u32) -> u32 {
+    to.wrapping_sub(from) % (RING_TICKS * WORDS) as u32
 }
 
 /// If the waveform has failed: the first tick that may not have been on the pins.
@@ -206,7 +217,7 @@ pub(crate) fn failed() -> Option<Tick> {
 
 /// The tick on the pins, or the tick of an e-stop that the controller does not know of yet.
 pub(crate) fn now() -> Tick {
-    // First, because an e-stop may come while the clock is read: then what is read may be later than the tick at which it froze.
+    // The clock is read first: an e-stop may come meanwhile, and the clock is then later than the tick at which it froze.
     let running = running();
     if FROZEN.load(SeqCst) { Tick(join(&FROZEN_AT)) } else { running }
 }
@@ -280,13 +291,13 @@ static CONTROLS: [usize; OUTPUTS.len()] = {
 /// Forces all outputs low and freezes the controller's clock until [`unfreeze`], at the tick that is on the pins. From the USB
 /// interrupt, which `SysTick` does not preempt.
 pub(crate) fn freeze_low() {
-    // First, because a tick may begin while the outputs are forced, one after the other.
+    // The word is read first: a tick may begin while the outputs are forced, one after the other.
     let word = word_on_pins();
     force_low();
     let now = running();
     // Pins and clock began some cycles after each other, and forcing took some: so the tick is this one or one of the last two.
     let since = ((now.0 - Tick::BOOT.0) as u32).wrapping_sub(word / WORDS as u32) % RING_TICKS as u32;
-    // A DMA that has failed says nothing; the supervision finds that.
+    // The place of a DMA that has failed means nothing; the supervision finds that failure.
     let at = if since <= MOST_SINCE { Tick(now.0 - u64::from(since)) } else { now };
     FROZEN_AT[0].store(at.0 as u32, SeqCst);
     FROZEN_AT[1].store((at.0 >> 32) as u32, SeqCst);
@@ -296,15 +307,14 @@ pub(crate) fn freeze_low() {
 /// Most ticks by which the clock, read after the outputs were forced, is ahead of the pins.
 const MOST_SINCE: u32 = 2;
 
-/// The word of the ring that is on the pins, by what DMA and PIO have taken: it lies before the one in the shift register. The shift
-/// register is filled again at the PIO's next cycle: so long a new word counts as not there, with less than a fifth of a pulse.
+/// The word of the ring that is on the pins, by what DMA and PIO have taken: it lies before the one in the shift register. The
+/// shift register is filled again only at the PIO's next cycle. Until then a new word counts as not there: less than a fifth of a
+/// pulse.
 fn word_on_pins() -> u32 {
-    let taken = || {
-        let read = pac::DMA.ch(FEED).read_addr().read().wrapping_sub(RING.0.get() as u32) / 4;
-        read.wrapping_sub(u32::from(pac::PIO0.flevel().read().tx0()))
-    };
+    let taken = || fetched().wrapping_sub(u32::from(pac::PIO0.flevel().read().tx0()));
     let mut words = taken();
-    // A word between the two is in neither for some cycles. Twice the same: there is none. It does not happen four times.
+    // For some cycles a word on its way from DMA to PIO counts in neither. Two equal readings show that there is none; four
+    // readings do not all differ.
     for _ in 0..4 {
         let again = taken();
         if again == words {
@@ -350,14 +360,4 @@ pub(crate) fn override_pads(of: impl Fn(u8) -> u32) -> bool {
         }
         free
     })
-}
-
-/// The word of the ring that the DMA fetches next.
-pub(crate) fn fetched() -> u32 {
-    pac::DMA.ch(FEED).read_addr().read().wrapping_sub(RING.0.get() as u32) / 4
-}
-
-/// Words that were fetched between two of [`fetched`], if they are less than the ring.
-pub(crate) fn words_between(from: u32, to: u32) -> u32 {
-    to.wrapping_sub(from) % (RING_TICKS * WORDS) as u32
 }

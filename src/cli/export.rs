@@ -9,6 +9,7 @@
 use super::arguments::ClientOptions;
 use super::output::say;
 use super::session::warn_unreadable;
+use crate::file::dir_of;
 use anyhow::{Context, Result};
 use csv::Writer;
 use meissner_api::{Fit, Labels, RecordedPlay, Session, SessionPlays};
@@ -78,9 +79,8 @@ pub(super) fn run(options: &ClientOptions, id: &str, output: Option<&Path>) -> R
     match output {
         None => say(text.trim_end_matches('\n'))?,
         Some(path) => {
-            let beside = path.parent().filter(|dir| !dir.as_os_str().is_empty()).unwrap_or(Path::new("."));
             let write = || {
-                let mut file = tempfile::NamedTempFile::new_in(beside)?;
+                let mut file = tempfile::NamedTempFile::new_in(dir_of(path))?;
                 std::io::Write::write_all(&mut file, text.as_bytes())?;
                 // It stays readable for its user alone: it tells about a person.
                 file.persist(path)?;

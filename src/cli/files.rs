@@ -6,7 +6,7 @@
 //!
 //! Invariant: an existing file is replaced whole or not at all; a file that is too large is not read into memory.
 
-use crate::config;
+use crate::file::{dir_of, read_regular};
 use anyhow::{Result, anyhow, bail};
 use std::fs::{self, Permissions};
 use std::io::{self, Write};
@@ -35,7 +35,7 @@ pub(super) fn text(place: &Path, most: u64, kind: &str) -> Result<String> {
     {
         bail!("{at}: {} bytes are too many: a {kind} file has at most {most}", found.len());
     }
-    let bytes = config::read_regular(place, most)
+    let bytes = read_regular(place, most)
         .map_err(|error| anyhow!("{at}: cannot be read; name a {kind} file ({error})"))?;
     String::from_utf8(bytes).map_err(|_| anyhow!("{at}: not UTF-8 text: name a {kind} file in UTF-8"))
 }
@@ -45,8 +45,7 @@ pub(super) fn beside(place: &Path) -> Result<Beside> {
     if fs::symlink_metadata(place).is_ok_and(|found| !found.is_file()) {
         bail!("{}: is not a regular file: name a regular or a new file", shown(place));
     }
-    let dir = place.parent().filter(|dir| !dir.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let new = tempfile::Builder::new().permissions(Permissions::from_mode(0o666)).tempfile_in(dir);
+    let new = tempfile::Builder::new().permissions(Permissions::from_mode(0o666)).tempfile_in(dir_of(place));
     Ok(Beside { new: new.map_err(|error| cannot_write(place, &error))?, place: place.to_owned() })
 }
 

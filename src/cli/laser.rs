@@ -8,8 +8,8 @@ use super::arguments::ClientOptions;
 use super::output::give;
 use super::progress::Progress;
 use super::{control, files, text};
-use crate::config;
 use crate::daemon::utc_now;
+use crate::file::read_regular;
 use crate::receipts::calibration_plan;
 use anyhow::{Result, anyhow, bail};
 use firmware_protocol::tick::Tick;
@@ -95,7 +95,7 @@ pub(super) fn fit(asked: &Fit<'_>) -> Result<ExitCode> {
     let at = |file: &Path, error: &dyn std::fmt::Display| anyhow!("{}: {error}", files::shown(file));
     let plan = files::text(asked.plan, MAX_PLAN_BYTES as u64, "plan")?;
     let plan = PlayedPlan::parse(&plan).map_err(|error| at(asked.plan, &error))?;
-    let bytes = config::read_regular(asked.recording, MAX_RECORDING_BYTES as u64)
+    let bytes = read_regular(asked.recording, MAX_RECORDING_BYTES as u64)
         .map_err(|error| anyhow!("{}: {error}; name a CSV file", files::shown(asked.recording)))?;
     let plot = asked.plot.map(files::beside).transpose()?;
     let recording = Recording::read(&bytes, asked.units).map_err(|error| at(asked.recording, &error))?;

@@ -12,7 +12,8 @@ use crate::receipts::{HOST_TIMEOUT, end_text};
 use comfy_table::presets::{NOTHING, UTF8_FULL};
 use comfy_table::{CellAlignment, Table};
 use meissner_api::{
-    BoardStatus, ErrorSource, Event, ItemState, NO_DEVICE, ParticipantStatus, Receipt, Session, Status,
+    BoardRecord, BoardStatus, ErrorSource, Event, ItemState, NO_DEVICE, ParticipantStatus, Receipt, Session,
+    Status,
 };
 use meissner_array::geometry::{COLUMNS, ROWS};
 use meissner_array::pattern::Drive;
@@ -131,26 +132,31 @@ pub(super) fn status(status: &Status) -> String {
     pairs(&lines)
 }
 
-/// A device's counters, without those that it does not measure.
+/// A device's start and its counters.
 pub(super) fn board(board: &BoardStatus) -> String {
     let up = match board.uptime_s {
         s if s < 600 => format!("{s} s"),
         s => format!("{} min", s / 60),
     };
-    let faults = match board.output_faults {
-        0 => None,
-        count => Some(format!("{count} output faults")),
-    };
-    let high = board.high_at_boot.as_deref().filter(|high| !high.is_empty());
+    let BoardStatus { slack_ticks, stalls, usb_recoveries, output_faults, .. } = *board;
+    let mut parts = vec![format!("up for {up} since {}", board.reset)];
+    parts.extend(counters(BoardRecord { slack_ticks, stalls, usb_recoveries, output_faults }));
+    if let Some(high) = board.high_at_boot.as_deref().filter(|high| !high.is_empty()) {
+        parts.push(format!("outputs {high:?} were high at its start: run `meissner doctor --board`"));
+    }
+    parts.join(", ")
+}
+
+/// What a device counts: each figure that it measures, and output faults if there were any.
+fn counters(board: BoardRecord) -> impl Iterator<Item = String> {
+    let BoardRecord { slack_ticks, stalls, usb_recoveries, output_faults } = board;
     let parts = [
-        Some(format!("up for {up} since {}", board.reset)),
-        board.slack_ticks.map(|ticks| format!("least time to render {ticks} ticks")),
-        board.stalls.map(|count| format!("{count} stalls")),
-        board.usb_recoveries.map(|count| format!("{count} USB recoveries")),
-        faults,
-        high.map(|high| format!("outputs {high:?} were high at its start: run `meissner doctor --board`")),
+        slack_ticks.map(|ticks| format!("least time to render {ticks} ticks")),
+        stalls.map(|count| format!("{count} stalls")),
+        usb_recoveries.map(|count| format!("{count} USB recoveries")),
+        (output_faults > 0).then(|| format!("{output_faults} output faults")),
     ];
-    parts.into_iter().flatten().collect::<Vec<_>>().join(", ")
+    parts.into_iter().flatten()
 }
 
 /// A participant's limits, and what is used.

@@ -74,12 +74,10 @@ pub(super) fn run(asked: &Token) -> Result<ExitCode> {
                         token.name.clone(),
                     ]
                 };
-                match list.tokens.is_empty() {
-                    true => "there is no access token".to_owned(),
-                    false => {
-                        text::columns(&["token", "role", "created", "name"], list.tokens.iter().map(row))
-                    }
+                if list.tokens.is_empty() {
+                    return "there is no access token".to_owned();
                 }
+                text::columns(&["token", "role", "created", "name"], list.tokens.iter().map(row))
             })
         }
         Token::Revoke { id, options } => {

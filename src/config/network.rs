@@ -15,14 +15,6 @@ pub struct Listen {
     pub always_token: bool,
 }
 
-impl Listen {
-    /// This address, with the defaults.
-    #[must_use]
-    pub const fn at(address: SocketAddr) -> Self {
-        Self { address, hosts: Vec::new(), always_token: false }
-    }
-}
-
 /// Reads the keys of the network.
 pub(super) fn check(
     address: Option<&str>,
@@ -50,7 +42,7 @@ pub(super) fn check(
 
 #[cfg(test)]
 mod tests {
-    use crate::config::Config;
+    use crate::config::{Config, Source};
     use std::path::Path;
 
     #[test]
@@ -83,5 +75,24 @@ mod tests {
             let found = parse(bad).unwrap_err();
             assert!(found.contains(line), "{found}");
         }
+    }
+
+    #[test]
+    fn the_commands_address_keeps_the_files_other_keys() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("m.toml");
+        let address = "127.0.0.1:8765".parse().unwrap();
+        for off in ["", "listen = \"none\"\n", "listen = \"[::1]:80\"\n"] {
+            std::fs::write(&file, format!("{off}listen_hosts = [\"a.b\"]\nlisten_token = \"always\""))
+                .unwrap();
+            let source = Source { file: Some(file.clone()), listen: Some(address), ..Source::default() };
+            let listen = source.read().unwrap().listen.unwrap();
+            assert!(
+                listen.address == address && listen.always_token && listen.hosts == ["a.b"],
+                "{listen:?}"
+            );
+        }
+        let listen = Source { listen: Some(address), ..Source::default() }.read().unwrap().listen.unwrap();
+        assert!(listen.address == address && !listen.always_token && listen.hosts.is_empty(), "{listen:?}");
     }
 }

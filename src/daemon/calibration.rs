@@ -5,8 +5,7 @@
 //!
 //! Invariant: the file is replaced whole or not at all.
 
-use crate::config;
-use crate::store;
+use crate::file::{self, read_regular};
 use firmware_protocol::stroke::Direction;
 use firmware_protocol::tick::Tick;
 use jiff::Timestamp;
@@ -96,7 +95,7 @@ pub(super) struct StoredCalibration {
 pub(super) fn read(file: Option<&Path>, identity: Option<&str>) -> Result<StoredCalibration, (String, bool)> {
     let none = || (format!("nothing was calibrated yet: {ADVICE}"), false);
     let file = file.ok_or_else(none)?;
-    let bytes = match config::read_regular(file, MAX_BYTES as u64) {
+    let bytes = match read_regular(file, MAX_BYTES as u64) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Err(none()),
         bytes => {
             bytes.map_err(|error| (format!("{}: {error}; correct it, or {ADVICE}", file.display()), true))?
@@ -124,10 +123,9 @@ pub(super) fn with_other_motors(new: Calibration, old: Option<&StoredCalibration
 
 /// Replaces the file.
 pub(super) fn write(file: &Path, calibration: &Calibration) -> Result<(), String> {
-    let dir = file.parent().filter(|dir| !dir.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let written = fs::create_dir_all(dir);
+    let written = fs::create_dir_all(file::dir_of(file));
     let written =
-        written.and_then(|()| store::replace(dir, file, calibration.to_toml().as_bytes(), store::MODE));
+        written.and_then(|()| file::replace(file, calibration.to_toml().as_bytes(), file::READABLE_BY_ALL));
     written.map_err(|error| {
         format!(
             "{}: cannot be written: {error}; set `calibration` in the daemon's configuration",

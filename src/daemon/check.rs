@@ -5,9 +5,9 @@
 use super::error::DaemonError;
 use super::socket;
 use crate::config::{Config, PatternsDir};
+use crate::file::dir_of;
 use crate::session_record::Location;
 use crate::store::{Store, StoreError};
-use std::path::Path;
 
 /// Checks a configuration and opens its patterns.
 ///
@@ -15,11 +15,11 @@ use std::path::Path;
 /// The first problem that would keep the daemon from starting.
 pub fn check(config: &Config) -> Result<Store, DaemonError> {
     socket::check(&config.socket)?;
-    if let Some(Location { dir, make_parents: false, .. }) = &config.logbook {
-        let parent = dir.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        if !dir.is_dir() && (dir.exists() || !parent.is_dir()) {
-            return Err(DaemonError::SessionRecord { dir: dir.clone() });
-        }
+    if let Some(Location { dir, make_parents: false, .. }) = &config.logbook
+        && !dir.is_dir()
+        && (dir.exists() || !dir_of(dir).is_dir())
+    {
+        return Err(DaemonError::SessionRecord { dir: dir.clone() });
     }
     Ok(store(config)?)
 }

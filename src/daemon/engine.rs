@@ -86,7 +86,7 @@ impl Engine {
             replaced: Notify::new(),
             realtime: Realtime::default(),
             socket: PathBuf::new(),
-            gate: Arc::new(Gate::new(None, None, Arc::new(TokenStore::open(None)))),
+            gate: Arc::new(Gate::new(None, None, TokenStore::open(None))),
             names: Names::default(),
             estops,
             calibration_file: Mutex::default(),

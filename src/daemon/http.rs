@@ -87,11 +87,11 @@ pub(super) struct App {
     counts: Arc<Counts>,
     /// A permit for each event stream, and for each request that waits for the end of a play.
     waiting: Arc<Semaphore>,
-    /// One of these, too, for a client of the network.
+    /// A further permit that a network client needs, so that places stay free for clients of the Unix socket.
     waiting_network: Arc<Semaphore>,
 }
 
-/// A place among those that wait.
+/// The permits of a client that waits.
 type Waiting = (OwnedSemaphorePermit, Option<OwnedSemaphorePermit>);
 
 impl App {
@@ -101,8 +101,8 @@ impl App {
         Self { engine, store, counts, waiting, waiting_network }
     }
 
-    /// A place for a client that waits.
-    fn wait(&self, peer: Peer) -> Result<Waiting, Problem> {
+    /// Takes a place for a client that waits.
+    fn waiting_place(&self, peer: Peer) -> Result<Waiting, Problem> {
         let take = |places: &Arc<Semaphore>| Arc::clone(places).try_acquire_owned().map_err(many_waiting);
         let network = peer.network.map(|_| take(&self.waiting_network)).transpose()?;
         Ok((take(&self.waiting)?, network))
@@ -401,7 +401,7 @@ async fn receipt(
     let wait = wait(&uri)?;
     let receipt = find_receipt(&app.engine, &path(id)?)?;
     let Some(wait) = wait.filter(|_| !receipt.state.is_over()) else { return Ok(Json(receipt)) };
-    let _place = app.wait(peer)?;
+    let _place = app.waiting_place(peer)?;
     let id = receipt.id.to_string();
     let ended = async {
         loop {
@@ -463,7 +463,7 @@ fn many_waiting(_: TryAcquireError) -> Problem {
 }
 
 async fn events(State(app): State<App>, Extension(peer): Extension<Peer>) -> Answer<Response> {
-    let place = app.wait(peer)?;
+    let place = app.waiting_place(peer)?;
     let gone = || Problem::new(Code::ShuttingDown, "the daemon is ending: start it again");
     let (now, receiver) = app.engine.subscribe().ok_or_else(gone)?;
     // The place is held as long as the stream.

@@ -47,6 +47,24 @@ impl Text {
     fn gauge(&mut self, name: &str, help: &str, value: &dyn Display) {
         self.family(name, "gauge", help, [("", value)]);
     }
+
+    /// A gauge for each of these names: 1 for the present one.
+    fn states<const N: usize>(
+        &mut self,
+        name: &str,
+        help: &str,
+        label: &str,
+        names: [&str; N],
+        present: Option<&str>,
+    ) {
+        let values = names.map(|it| (format!("{{{label}=\"{it}\"}}"), u8::from(present == Some(it))));
+        self.family(
+            name,
+            "gauge",
+            help,
+            values.each_ref().map(|(labels, is)| (&**labels, is as &dyn Display)),
+        );
+    }
 }
 
 /// The whole text.
@@ -55,11 +73,7 @@ pub(super) fn text(receipts: &Receipts, clients: &Counts) -> String {
     let state = receipts.device_state().state;
     let snapshot = receipts.snapshot();
     let mut text = Text(String::with_capacity(4096));
-    let labels = STATES.map(|name| format!("{{state=\"{name}\"}}"));
-    let is = STATES.map(|name| u8::from(name == state));
-    let states =
-        std::array::from_fn::<_, { STATES.len() }, _>(|i| (labels[i].as_str(), &is[i] as &dyn Display));
-    text.family("state", "gauge", "1 for the present state.", states);
+    text.states("state", "1 for the present state.", "state", STATES, Some(state));
     let [done, stopped, aborted] = &totals.plays;
     let plays: [(_, &dyn Display); 3] =
         [("{end=\"done\"}", done), ("{end=\"stopped\"}", stopped), ("{end=\"aborted\"}", aborted)];
@@ -148,13 +162,16 @@ pub(super) fn text(receipts: &Receipts, clients: &Counts) -> String {
     text.0
 }
 
-/// The device's counters. Those that it does not measure are not a number.
+/// The device's counters. A figure that it does not measure is NaN.
 fn board(text: &mut Text, board: Option<Board>) {
-    let labels = RESETS.map(|reset| format!("{{cause=\"{}\"}}", reset_name(reset)));
-    let is = RESETS.map(|reset| u8::from(board.is_some_and(|board| board.reset == reset)));
-    let resets =
-        std::array::from_fn::<_, { RESETS.len() }, _>(|i| (labels[i].as_str(), &is[i] as &dyn Display));
-    text.family("device_start", "gauge", "1 for why the device has started.", resets);
+    let reset = board.map(|board| reset_name(board.reset));
+    text.states(
+        "device_start",
+        "1 for the cause of the device's last start.",
+        "cause",
+        RESETS.map(reset_name),
+        reset,
+    );
     let of = |figure: fn(&Board) -> Option<u32>| board.as_ref().and_then(figure).map_or(f64::NAN, f64::from);
     text.gauge("device_uptime_seconds", "Time since the device started.", &of(|at| Some(at.uptime_s)));
     text.gauge(

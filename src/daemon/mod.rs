@@ -60,8 +60,9 @@ pub use runtime::runtime;
 pub use signals::{Action, Signals};
 pub use socket::SocketError;
 
-use crate::config::{Config, Source, read_regular};
+use crate::config::{Config, Source};
 use crate::exposure::{self, Account};
+use crate::file::read_regular;
 use crate::session_record::{Note, SessionRecord};
 use acceptor::{Acceptor, Bounds, Counts, Sockets};
 use engine::Engine;
@@ -128,8 +129,7 @@ impl Daemon {
         let store = check::store(config)?;
         let bound = Bound::take_over(&config.socket)?.map_or_else(|| Bound::new(&config.socket), Ok)?;
         let network::Bound { listener: tcp, listen, problem } = network::listen(config.listen.as_ref());
-        let tokens = Arc::new(TokenStore::open(config.tokens.clone()));
-        let gate = Gate::new(listen, problem, tokens);
+        let gate = Gate::new(listen, problem, TokenStore::open(config.tokens.clone()));
         let (commands, events, realtime, streamer) =
             meissner_stream::spawn(config.settings).map_err(system("streamer's thread"))?;
         if !(realtime.fifo && realtime.mlock) {

@@ -54,7 +54,7 @@ pub(super) struct Server {
     /// The clients' tasks, and how active each is.
     tasks: HashMap<Id, (AbortHandle, Arc<Activity>)>,
     /// The refusals, evictions and denials that the log has, and when it was written last.
-    reported: (u64, u64, u64),
+    reported: [u64; 3],
     reported_at: Option<Instant>,
 }
 
@@ -93,7 +93,7 @@ impl Server {
 
     fn take(&mut self, accepted: Accepted, closing: &watch::Receiver<bool>) {
         let full = self.clients_now().count() + self.counts.silent() >= self.bounds.clients;
-        // A client of the network displaces others of the network alone.
+        // A network client displaces network clients alone.
         let is_network = accepted.stream.is_network();
         let of_network = self.clients_now().filter(|activity| activity.is_network).count();
         let full = full || is_network && of_network >= self.bounds.network;
@@ -113,9 +113,9 @@ impl Server {
         self.tasks.insert(handle.id(), (handle, activity));
     }
 
-    /// Ends the connection, of the network alone if that is said, that has been idle or unread longest; returns whether there was one.
-    fn evict(&mut self, of_network: bool) -> bool {
-        let clients = self.clients_now().filter(|activity| activity.is_network || !of_network);
+    /// Ends the connection that has been idle or unread longest, with `network_only` among network clients; returns whether there was one.
+    fn evict(&mut self, network_only: bool) -> bool {
+        let clients = self.clients_now().filter(|activity| activity.is_network || !network_only);
         let lazy = clients.filter_map(|activity| Some((activity.lazy_for(IDLE)?, activity)));
         let Some((_, laziest)) = lazy.max_by_key(|(still, _)| *still) else { return false };
         laziest.evict();
@@ -145,28 +145,24 @@ impl Server {
     }
 
     fn report(&mut self) {
-        let now = (
+        let now = [
             self.counts.refused.load(Ordering::Relaxed),
             self.counts.evicted.load(Ordering::Relaxed),
             self.engine.gate.denied(),
-        );
+        ];
         let lately = self.reported_at.is_some_and(|at| at.elapsed() < REPORT_EVERY);
         if now == self.reported || lately {
             return;
         }
-        let (refused, evicted) = (now.0 - self.reported.0, now.1 - self.reported.1);
+        let [refused, evicted, denied] = std::array::from_fn(|i| now[i] - self.reported[i]);
         if refused + evicted > 0 {
             warn!(
                 refused,
                 evicted, "too many clients: {refused} were refused, {evicted} idle ones were disconnected"
             );
         }
-        let denied = now.2 - self.reported.2;
         if denied > 0 {
-            warn!(
-                denied,
-                "{denied} requests over the network were refused: wrong token, role, host or origin"
-            );
+            warn!(denied, "{denied} requests were refused: wrong token, role, host or origin");
         }
         (self.reported, self.reported_at) = (now, Some(Instant::now()));
     }

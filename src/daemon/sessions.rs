@@ -42,8 +42,8 @@ fn token(headers: &HeaderMap) -> Option<&str> {
     (!token.starts_with(TOKEN_PREFIX)).then_some(token)
 }
 
-/// Notes that the owner is there; refuses what only the owner may do. Everyone may order an emergency stop and revoke a token: its holder
-/// may be the owner.
+/// Notes that the owner is there; refuses what only the owner may do. Everyone may order an emergency stop, and create and revoke access
+/// tokens: the owner may hold the token that is to be revoked.
 pub(super) async fn guard(
     State((app, route)): State<(App, Route)>,
     Extension(peer): Extension<Peer>,

@@ -37,7 +37,6 @@ pub fn device_info(kind: &str, hello: &DeviceHello) -> DeviceInfo {
 /// The device's counters as the API shows them.
 #[must_use]
 pub fn board_status(board: &Board) -> BoardStatus {
-    let high = |mask: u32| (0..OUTPUTS as u8).filter(|&output| mask >> output & 1 == 1).collect();
     BoardStatus {
         reset: reset_name(board.reset).to_owned(),
         uptime_s: board.uptime_s,
@@ -45,11 +44,17 @@ pub fn board_status(board: &Board) -> BoardStatus {
         stalls: board.stalls,
         usb_recoveries: board.usb_recoveries,
         output_faults: board.output_faults,
-        high_at_boot: board.high_at_boot.map(high),
+        high_at_boot: board.high_at_boot.map(outputs),
     }
 }
 
-/// The API's name of the reason of a device's start.
+/// The numbers of the outputs in a mask.
+#[must_use]
+pub fn outputs(mask: u32) -> Vec<u8> {
+    (0..OUTPUTS as u8).filter(|&output| mask >> output & 1 == 1).collect()
+}
+
+/// The API's name of the cause of a device's start.
 #[must_use]
 pub const fn reset_name(reset: Reset) -> &'static str {
     match reset {

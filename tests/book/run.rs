@@ -2,7 +2,8 @@
 //!
 //! The directory shows the repository's files, and the built program stands for `meissner`, for `cargo run --release --`
 //! and for nothing else: a bare `cargo test` does nothing. A TOML block whose first line is a file name in a comment is
-//! written to that file. `py` blocks need the Python package: `python/check` runs them. Without python3 or curl the blocks that need them are left out, and the test prints that.
+//! written to that file. `py` blocks need the Python package: `python/check` runs them. Without python3 or curl the test leaves out the
+//! blocks that need them, and prints that.
 //!
 //! Invariant: a page's shell stops at the first command that fails.
 

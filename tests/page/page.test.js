@@ -132,10 +132,10 @@ test("a person arms, plays, stops in an emergency, and resets", async () => {
   await page.click("#reset");
   // The dialog leaves the emergency stop within reach.
   await page.click("#estop");
-  await page.waitForFunction(() => document.getElementById("estop-note").textContent.includes("All lines"), WAIT);
+  await shows(page, "estop-note", "All lines are off.");
   await page.click('#reset-dialog button[value="reset"]');
   await shows(page, "alert", "an emergency stop came after those that this reset knows of");
-  await page.waitForFunction(() => document.getElementById("facts").textContent.includes("start2"), WAIT);
+  await shows(page, "facts", "Emergency stops since the start2");
   await page.click("#reset");
   await page.click('#reset-dialog button[value="reset"]');
   await shows(page, "state-text", "Disarmed");

@@ -1,4 +1,4 @@
-//! What a device says of itself: its counters in the status, and what grew of them during a play.
+//! The device's counters: since it started, in the status; during a play, in its receipt.
 //!
 //! The daemon asks the device about once a second, and at the ends of plays. A figure that the device does not measure is null;
 //! the simulated array measures neither time nor USB.

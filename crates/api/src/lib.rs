@@ -7,7 +7,7 @@
 //! - [`request`]: the bodies a client sends; [`PlayRequest::parse`] and its like name the key that is wrong.
 //! - [`session`]: whose plays are recorded together, and who owns the display meanwhile.
 //! - [`sequence`], [`trigger`]: sequences of patterns, and the trigger output, in requests and in receipts.
-//! - [`status`], [`receipt`], [`pattern`], [`calibration`]: what the daemon answers.
+//! - [`status`], [`receipt`], [`pattern`], [`calibration`]: what the daemon answers; [`board`]: the device's counters in the first two.
 //! - [`token`]: access tokens of clients that come over the network.
 //! - [`event`]: what the daemon reports as it happens.
 //! - [`problem`]: errors, as `application/problem+json`.

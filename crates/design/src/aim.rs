@@ -1,21 +1,21 @@
-//! What a search climbs: the value of a goal under one model, or the gain over a rule of thumb under both.
+//! What a search maximises: the value of a goal under one model, or the gain over a rule of thumb under both.
 //!
-//! [`Aim`] makes it for a [`Brief`](crate::Brief). Under one model it is that model's [`Objective`]. Under both the value is the gain over the rule
-//! [`Rule::Reach`], under the model in which it is less: the difference of the goals' values, over the rule's ON rate if they are rates.
-//! What a point falls short of the rule's contrast (in shares of its ON rate) or normalised contrast counts three times. So the rule has
-//! the value 0, and a point above 0 is better under both models and has hardly less contrast, normalised or not.
+//! [`Aim`] makes it for a [`Brief`](crate::Brief). Under one model it is that model's [`Objective`]. Under both the value is the
+//! gain over the rule [`Rule::Reach`], under the model in which it is less: the difference of the goals' values, over the rule's
+//! ON rate if they are rates. What a point falls short of the rule's contrast (in shares of its ON rate) or normalised contrast
+//! counts three times. So the rule has the value 0, and a point above 0 is better under both models and has hardly less contrast,
+//! normalised or not.
 //!
 //! Invariant: only points that are better under the first model are simulated under the second; the others cannot win.
 
 use crate::goal::Goal;
 use crate::naive::Rule;
-use crate::objective::{Fidelity, Incumbent, Objective, Score, Tried};
+use crate::objective::{Fidelity, Incumbent, Objective, Score, Task, Tried};
 use crate::point::Point;
-use crate::target::{Frame, Target};
 use meissner_skin::{MethodError, ModelName};
 use serde::{Deserialize, Serialize};
 
-/// The models that a search asks.
+/// The models under which a search scores points.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Models {
@@ -28,9 +28,9 @@ pub enum Models {
     Both,
 }
 
-/// How much it counts to fall short of the rule.
+/// Weight of what a point falls short of the rule.
 const BELOW: f64 = 3.0;
-/// A rule that moves no afferent has at least this rate, impulses/s.
+/// The rule's ON rate counts as at least this, impulses/s, so that nothing is divided by 0.
 const LEAST_RATE_HZ: f64 = 1.0;
 
 impl Models {
@@ -70,7 +70,7 @@ struct Versus {
 }
 
 impl Versus {
-    /// The gain over the rule under a model: 0 is the first.
+    /// The gain over the rule under a model: 0 is the first, 1 the second.
     fn gain(&self, model: usize, score: Score) -> f64 {
         let rule = self.rule[model];
         let on_hz = rule.on_hz.max(LEAST_RATE_HZ);
@@ -83,23 +83,15 @@ impl Versus {
 }
 
 impl Aim {
-    /// The aim for a frame over the populations of some seeds, as [`Objective::under`] takes them.
-    pub(crate) fn new(
-        models: Models,
-        goal: Goal,
-        target: &Target,
-        frame: &Frame,
-        populations: &[u64],
-        noise_seed: u64,
-        fidelity: Fidelity,
-    ) -> Result<Self, MethodError> {
-        let under = |model| Objective::under(model, goal, target, frame, populations, noise_seed, fidelity);
+    /// The aim for a task at a fidelity.
+    pub(crate) fn new(models: Models, task: Task<'_>, fidelity: Fidelity) -> Result<Self, MethodError> {
+        let under = |model| Objective::under(model, task, fidelity);
         let first = under(models.first());
         let versus = if models == Models::Both {
             let second = under(ModelName::Afferents);
-            let point = Rule::Reach.point(target, frame);
+            let point = Rule::Reach.point(task.target, task.frame);
             let rule = [first.at(point)?.score(), second.at(point)?.score()];
-            Some(Versus { goal, second, rule })
+            Some(Versus { goal: task.goal, second, rule })
         } else {
             None
         };
@@ -199,11 +191,13 @@ impl<'o> Standing<'o> {
 mod tests {
     use super::*;
     use crate::shipped::shipped;
+    use crate::target::Target;
 
     const SHORT: Fidelity = Fidelity { duration_s: 0.25, step_us: Some(500), min_weight: 1e-2 };
 
     fn aim(models: Models, target: &Target) -> Aim {
-        Aim::new(models, Goal::OffRmsTwice, target, &target.frames()[0], &[0], 0, SHORT).unwrap()
+        let (goal, frame) = (Goal::OffRmsTwice, &target.frames()[0]);
+        Aim::new(models, Task { goal, target, frame, populations: &[0], noise_seed: 0 }, SHORT).unwrap()
     }
 
     #[test]

@@ -11,8 +11,8 @@
 //! 3. `target`: reads and checks target files; cuts a moving target into [`Frame`]s.
 //! 4. `shipped`: the targets that are built in, among them the [`YARDSTICK`].
 //! 5. `point`: a [`Point`] says how each motor vibrates; a [`Space`] says what a search may choose.
-//! 6. `objective`: an [`Objective`] simulates the contrast of points. `aim`: what a search climbs, under one model or both. `moves`: the
-//!    points to try next.
+//! 6. `objective`: an [`Objective`] simulates the value of points under one model. `aim`: what a search maximises, under
+//!    one model or both. `moves`: the points to try next.
 //! 7. `search`: [`search()`] goes from a start to better points.
 //! 8. `judge`: [`judge()`] simulates a pattern exactly; [`robustness()`] does so in other conditions.
 //! 9. `make`: [`make()`] searches frame by frame, judges the result and writes the pattern.

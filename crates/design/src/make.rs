@@ -13,7 +13,7 @@ use crate::aim::{Aim, Models};
 use crate::goal::Goal;
 use crate::judge::{Conditions, Robustness, judge, pulses_per_s, robustness};
 use crate::naive::Rule;
-use crate::objective::{Fidelity, Score};
+use crate::objective::{Fidelity, Score, Task};
 use crate::partition::Verdict;
 use crate::point::{Point, Setting, Space};
 use crate::search::{Brief, Ended, Found, Limit, Spent, resume, search};
@@ -22,6 +22,7 @@ use meissner_array::pattern::{Drive, Pattern, PatternError};
 use meissner_array::strokes::StrokesError;
 use meissner_skin::{MethodError, ModelName};
 use serde::Serialize;
+use std::iter;
 use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
 use toml::{Table, Value};
@@ -203,7 +204,7 @@ pub fn make(
     let begun = Instant::now();
     let frames = target.frames();
     let naive = Rule::ALL.map(|rule| rule.drives(target));
-    let (mut found, mut drives) = (Vec::<Found>::new(), Vec::new());
+    let (mut found, mut drives) = (Vec::<Found>::new(), Vec::<Drive>::new());
     let mut starts = request.start.as_ref().map(|_| Vec::new());
     let mut interrupted = false;
     for (number, frame) in frames.iter().enumerate() {
@@ -246,9 +247,8 @@ pub fn make(
     }
     // The drives as they are: a naive rule leaves motors off, also where the search may not.
     let played = Space { may_be_off: true, ..request.setting.space() };
-    let value = |drives: &[Drive]| value(target, request, &populations, &played, drives);
-    let made_value = value(&drives)?;
-    let naive_values = naive.each_ref().map(|drives| value(drives));
+    let sets: Vec<&[Drive]> = iter::once(&drives).chain(&naive).map(Vec::as_slice).collect();
+    let values = goal_values(target, request, &populations, &played, &sets)?;
     let made_for = Conditions { model: request.models.first(), ..Conditions::plain(populations, noise_seed) };
     let verdict = |model: ModelName, drives: &[Drive]| -> Result<Verdict, MethodError> {
         let conditions = Conditions { model, ..made_for.clone() };
@@ -264,10 +264,10 @@ pub fn make(
     }
     let own = models.iter().find(|of| of.model == request.models.first()).expect("there are both models");
     let mut baselines = Vec::new();
-    for (of, value) in own.baselines.iter().zip(naive_values) {
-        baselines.push(Baseline { rule: of.rule, value: value?, verdict: of.verdict });
+    for (of, &value) in own.baselines.iter().zip(&values[1..]) {
+        baselines.push(Baseline { rule: of.rule, value, verdict: of.verdict });
     }
-    let (value, verdict) = (made_value, own.verdict);
+    let (value, verdict) = (values[0], own.verdict);
     let robustness = robustness(target, &drives, &made_for)?;
     let pattern = Pattern::new(name, Some(target.duration_s()), drives.clone(), Table::new())?;
     let pulses_per_s = pulses_per_s(&pattern)?;
@@ -310,23 +310,25 @@ fn best(brief: &Brief<'_>, points: impl Iterator<Item = Point>) -> Result<Point,
     Ok(best.expect("there are rules").1)
 }
 
-/// The value of a goal for the drives of all frames: the mean over frames, each simulated alone.
-fn value(
+/// The goal's value for each set of drives of all frames: the mean over frames, each simulated alone.
+fn goal_values(
     target: &Target,
     request: &Request,
     populations: &[u64],
     space: &Space,
-    drives: &[Drive],
-) -> Result<f64, MethodError> {
-    let frames = target.frames();
-    let mut sum = 0.0;
+    sets: &[&[Drive]],
+) -> Result<Vec<f64>, MethodError> {
+    let (frames, noise_seed) = (target.frames(), target.population_seed());
+    let Request { models, goal, .. } = *request;
+    let mut sums = vec![0.0; sets.len()];
     for frame in frames {
-        let seed = target.population_seed();
-        let Request { models, goal, .. } = *request;
-        let aim = Aim::new(models, goal, target, frame, populations, seed, Fidelity::FULL)?;
-        sum += aim.at(point_at(drives, frame, space))?.score().value;
+        let task = Task { goal, target, frame, populations, noise_seed };
+        let aim = Aim::new(models, task, Fidelity::FULL)?;
+        for (sum, drives) in sums.iter_mut().zip(sets) {
+            *sum += aim.at(point_at(drives, frame, space))?.score().value;
+        }
     }
-    Ok(sum / frames.len() as f64)
+    Ok(sums.into_iter().map(|sum| sum / frames.len() as f64).collect())
 }
 
 /// The point of some drives in the middle of a frame.

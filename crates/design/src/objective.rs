@@ -73,7 +73,7 @@ enum Afferents {
     Second(Box<fingertip::Scene>),
 }
 
-/// What a search maximises: the value of a goal for a frame, as a function of the point.
+/// The value of a goal for a frame under one model, as a function of the point.
 #[derive(Clone, Debug)]
 pub struct Objective {
     afferents: Afferents,
@@ -84,6 +84,16 @@ pub struct Objective {
     goal: Goal,
     /// One after the other, in the order of the scene's afferents.
     populations: Vec<Population>,
+}
+
+/// A goal for a frame, over the populations of some seeds. `noise_seed` seeds the threshold noise.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Task<'t> {
+    pub(crate) goal: Goal,
+    pub(crate) target: &'t Target,
+    pub(crate) frame: &'t Frame,
+    pub(crate) populations: &'t [u64],
+    pub(crate) noise_seed: u64,
 }
 
 impl Objective {
@@ -102,23 +112,16 @@ impl Objective {
         noise_seed: u64,
         fidelity: Fidelity,
     ) -> Self {
-        Self::under(ModelName::Membrane, goal, target, frame, populations, noise_seed, fidelity)
+        let task = Task { goal, target, frame, populations, noise_seed };
+        Self::under(ModelName::Membrane, task, fidelity)
     }
 
     /// The same under either model.
     ///
     /// # Panics
     /// If no scene can have the fidelity's duration.
-    #[must_use]
-    pub fn under(
-        model: ModelName,
-        goal: Goal,
-        target: &Target,
-        frame: &Frame,
-        populations: &[u64],
-        noise_seed: u64,
-        fidelity: Fidelity,
-    ) -> Self {
+    pub(crate) fn under(model: ModelName, task: Task<'_>, fidelity: Fidelity) -> Self {
+        let Task { goal, target, frame, populations, noise_seed } = task;
         let (mut seeds, mut kept) = (Vec::new(), Vec::new());
         for &seed in populations {
             let positions = afferent::population(seed);
@@ -232,7 +235,7 @@ enum Simulated<'o> {
     Second(&'o fingertip::Scene),
 }
 
-/// The point at which a search stands, with its score.
+/// A point with its score, from which nearby points are simulated for less work.
 #[derive(Clone, Debug)]
 pub struct Incumbent<'o> {
     objective: &'o Objective,
@@ -254,7 +257,7 @@ pub struct Tried {
     candidate: Option<Box<Candidate>>,
 }
 
-impl<'o> Incumbent<'o> {
+impl Incumbent<'_> {
     /// The point.
     #[must_use]
     pub const fn point(&self) -> &Point {
@@ -267,28 +270,23 @@ impl<'o> Incumbent<'o> {
         self.score
     }
 
-    /// The objective that scored it.
-    #[must_use]
-    pub const fn objective(&self) -> &'o Objective {
-        self.objective
-    }
-
-    /// Scores other points in parallel. Only the afferents that a changed motor reaches are simulated.
+    /// Scores other points in parallel. Under the first model only the afferents that a changed motor reaches are simulated.
     #[must_use]
     pub fn try_all(&self, points: Vec<Point>) -> Vec<Tried> {
         let tried = |point: Point| {
             let drives = self.objective.drives(&point);
-            let evaluator = match &self.simulated {
-                Simulated::Membrane(evaluator) => evaluator,
-                Simulated::Second(scene) => {
-                    let (score, afferents) =
-                        (self.objective.score(&counts(scene, drives)), scene.afferents().len());
-                    return Tried { point, score, afferents, candidate: None };
+            match &self.simulated {
+                Simulated::Membrane(evaluator) => {
+                    let candidate = evaluator.evaluate(&drives).expect(EVERY_DRIVE);
+                    let score = self.objective.score(&candidate.counts());
+                    let afferents = candidate.simulated();
+                    Tried { point, score, afferents, candidate: Some(Box::new(candidate)) }
                 }
-            };
-            let candidate = evaluator.evaluate(&drives).expect(EVERY_DRIVE);
-            let score = self.objective.score(&candidate.counts());
-            Tried { point, score, afferents: candidate.simulated(), candidate: Some(Box::new(candidate)) }
+                Simulated::Second(scene) => {
+                    let score = self.objective.score(&counts(scene, drives));
+                    Tried { point, score, afferents: scene.afferents().len(), candidate: None }
+                }
+            }
         };
         points.into_par_iter().map(tried).collect()
     }

@@ -23,7 +23,7 @@
 use crate::aim::{self, Aim, Models, Standing};
 use crate::goal::Goal;
 use crate::moves;
-use crate::objective::{Fidelity, Score};
+use crate::objective::{Fidelity, Score, Task};
 use crate::point::{Point, Space};
 use crate::target::{Frame, Target};
 use firmware_protocol::stroke::MOTORS;
@@ -55,10 +55,10 @@ pub struct Brief<'b> {
 }
 
 impl Brief<'_> {
-    /// What the search climbs at a fidelity.
+    /// What the search maximises, at a fidelity.
     pub(crate) fn aim(&self, fidelity: Fidelity) -> Result<Aim, MethodError> {
         let Self { models, goal, target, frame, populations, noise_seed, .. } = *self;
-        Aim::new(models, goal, target, frame, populations, noise_seed, fidelity)
+        Aim::new(models, Task { goal, target, frame, populations, noise_seed }, fidelity)
     }
 
     /// The number of random starts. Under both models there are none: the search improves the rule of thumb.

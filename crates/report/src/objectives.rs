@@ -36,7 +36,7 @@ pub struct ObjectiveTradeoff {
     pub rows: Vec<ObjectiveRow>,
 }
 
-/// How well patterns render the targets that have ON and OFF afferents of a class, and name all.
+/// How well patterns render the targets that have ON and OFF afferents of a class, and how often each looks most like its own target.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ObjectiveMeans {
     /// Mean over targets of ON minus OFF, impulses/s.

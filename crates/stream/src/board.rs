@@ -9,10 +9,10 @@ use firmware_protocol::board::Board;
 use firmware_protocol::tick::Tick;
 use meissner_array::units::TICKS_PER_MS;
 
-/// A receipt waits so long for the report after a play. Longer, and the line is broken.
+/// How long a receipt waits for the report after a play. If it takes longer, the line is broken.
 const WITHIN: u64 = 200 * TICKS_PER_MS;
 
-/// What occurred on the device while a play ran. `None`: the device does not measure it.
+/// What the device counted while a play ran. `None`: the device does not measure it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PlayBoard {
     /// Least time left to render, ticks.
@@ -25,12 +25,14 @@ pub struct PlayBoard {
     pub output_faults: u32,
 }
 
-/// See the module.
+/// The account of one play: see the module.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct BoardAccount {
     /// The request whose answer covers the time just before the play.
     from: u16,
     before: Option<Board>,
+    /// A later report has come: numbers of windows return after 65 536 of them, hours.
+    begun: bool,
     /// The request whose answer covers the play's end, and when the streamer first saw that it is over.
     until: Option<(u16, Tick)>,
     after: Option<Board>,
@@ -54,8 +56,8 @@ impl BoardAccount {
         if self.after.is_some() {
             return;
         }
-        let later = |than: u16| (1..u16::MAX / 2).contains(&board.window.wrapping_sub(than));
-        if later(self.from) {
+        self.begun |= (1..u16::MAX / 2).contains(&board.window.wrapping_sub(self.from));
+        if self.begun {
             self.slack = match (self.slack, board.slack) {
                 (Some(a), Some(b)) => Some(a.min(b)),
                 (a, b) => a.or(b),
@@ -114,6 +116,19 @@ mod tests {
         account.heard(report(3, Some(3), 9));
         let closed = account.close().expect("a complete account");
         assert_eq!((closed.slack, closed.stalls, closed.usb_recoveries), (Some(28), Some(3), None));
+    }
+
+    #[test]
+    fn an_account_covers_a_play_of_a_day() {
+        let mut account = BoardAccount::default();
+        account.begins(0, Some(report(0, None, 1)));
+        for second in 1..=86_400_u32 {
+            account.heard(report(second as u16, Some(if second == 1 { 20 } else { 30 }), 1 + second));
+        }
+        account.ends(Tick(1), || 86_401_u32 as u16);
+        account.heard(report(86_401_u32 as u16, Some(25), 90_000));
+        let closed = account.close().expect("a complete account");
+        assert_eq!((closed.slack, closed.stalls), (Some(20), Some(89_999)));
     }
 
     #[test]

@@ -5,7 +5,7 @@
 //!    [`Bandwidth`] it requires (`bandwidth`).
 //! 2. `thread` ([`spawn`]) runs the streamer in real time: it takes requests, moves bytes and sleeps until something is due.
 //! 3. `streamer` ([`Streamer`]) decides: it executes commands, chooses onsets and sends strokes ahead of time. `active` holds
-//!    the state and the account of one play.
+//!    the state and the account of one play; `board` holds what the device's board reports say of it.
 //! 4. `control` corrects bursts from telemetry shortly before they begin: position control, estimator, telemetry monitor.
 //! 5. [`link`] turns strokes, corrections and operations into frames, and keeps the clock of the device ([`time`]).
 //! 6. [`device`] carries the bytes: USB, a serial port, or the mock with simulated motors.

@@ -10,7 +10,7 @@ use crate::controller::Controller;
 use crate::message::{Cause, DeviceMessage, State};
 use crate::tick::TICK_HZ;
 
-/// What the requests have asked for, and what is to be answered.
+/// The newest requests, and the figures that answer them.
 #[derive(Debug)]
 pub(super) struct Reporting {
     /// The number of the newest request of this session, and of its newest self-test.
@@ -42,13 +42,13 @@ impl Reporting {
         measures: Measures::NONE,
     };
 
-    /// Another session begins, or the link was lost: its requests have numbers of their own.
+    /// Forgets the requests of a session that is over: those of the next have numbers of their own.
     pub(super) fn forget_requests(&mut self) {
         (self.window, self.run, self.board, self.test) = (None, None, false, false);
         self.end_test();
     }
 
-    /// Something that matters more ends the self-test.
+    /// Ends the self-test, because something else matters more.
     pub(super) fn end_test(&mut self) {
         if self.state == SelfTestState::Running {
             self.state = SelfTestState::Ended;
@@ -56,7 +56,7 @@ impl Reporting {
         }
     }
 
-    /// The outputs have failed, if this is why the lines go off.
+    /// Ends the self-test because the lines go off, and counts a fault of the outputs if that is the cause.
     pub(super) fn off(&mut self, cause: Cause) {
         self.end_test();
         if matches!(cause, Cause::Starved | Cause::Output) {
@@ -64,7 +64,7 @@ impl Reporting {
         }
     }
 
-    /// The board report is requested.
+    /// Takes a request for the board report. A new number ends the window.
     pub(super) fn ask(&mut self, window: u16) {
         if self.window.replace(window) != Some(window) {
             (self.ended, self.slack) = (self.slack, None);
@@ -78,7 +78,7 @@ fn least(a: Option<u8>, b: u8) -> Option<u8> {
 }
 
 impl Controller {
-    /// A block was rendered so many ticks before its first word is fetched, while the lines are enabled.
+    /// Takes the slack of a block that was rendered while the lines are enabled: the ticks until its first word is fetched.
     pub fn rendered_with(&mut self, slack: u32) {
         let slack = slack.min(u8::MAX.into()) as u8;
         self.reporting.slack = least(self.reporting.slack, slack);
@@ -91,7 +91,7 @@ impl Controller {
         self.reporting.board
     }
 
-    /// What the shell knows of the device.
+    /// Takes what the shell has measured.
     pub fn measured(&mut self, measures: Measures) {
         self.reporting.measures = measures;
     }
@@ -102,14 +102,14 @@ impl Controller {
         self.reporting.state == SelfTestState::Running
     }
 
-    /// The self-test is over.
+    /// Takes the result of the self-test.
     pub fn tested(&mut self, result: SelfTest) {
         if self.is_testing() {
             (self.reporting.state, self.reporting.test) = (SelfTestState::Done(result), true);
         }
     }
 
-    /// A self-test is requested.
+    /// Takes a request for a self-test. A new number begins one if the device is disarmed.
     pub(super) fn ask_test(&mut self, run: u16) {
         if self.reporting.run.replace(run) != Some(run) {
             let ready = self.state == State::Disarmed;

@@ -25,14 +25,13 @@ impl Controller {
             return;
         }
         self.last_heard = self.now;
-        match message {
-            HostMessage::Board { window } => return self.reporting.ask(window),
-            HostMessage::SelfTest { run } => return self.ask_test(run),
-            _ => self.pending.status = true,
-        }
+        // These two have an answer of their own.
+        self.pending.status |= !matches!(message, HostMessage::Board { .. } | HostMessage::SelfTest { .. });
         self.taking.epoch = self.epoch;
         match message {
-            HostMessage::Hello { .. } | HostMessage::Board { .. } | HostMessage::SelfTest { .. } => {}
+            HostMessage::Hello { .. } => {}
+            HostMessage::Board { window } => self.reporting.ask(window),
+            HostMessage::SelfTest { run } => self.ask_test(run),
             HostMessage::Ping { token, seen } => {
                 self.token = token;
                 self.reports.seen(seen, self.now);

@@ -1,6 +1,6 @@
 //! `estop [TRIES]`: the time from an e-stop's packet to all lines low, over so many tries (1000) of each kind.
 //!
-//! Exit 0 if the promises are kept: by the request in all cases, by the frame without a flood. Takes minutes.
+//! Exit 0 if the promises are kept. Takes minutes.
 
 #![expect(clippy::unwrap_used, reason = "what cannot go on has failed")]
 

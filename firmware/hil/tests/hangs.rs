@@ -1,4 +1,4 @@
-//! What hangs while the rest lives: interrupts, the executor, the USB controller. The lines are low in time, and what can go on goes on.
+//! Interrupts, the executor or the USB controller hang while the rest lives: the lines are low in time, and the rest goes on.
 
 use crate::play::{armed, job};
 use firmware_protocol::controller::{BLOCK, DRIVER_LEAD, HORIZON};
@@ -17,7 +17,7 @@ const RETURN: [u8; 2] = [0x70, 0x47];
 const RENDERED: u64 = HORIZON as u64;
 /// From the hang of the executor to the beginning of the return: 10 ms without a beat, the beat before, and the block.
 const EXECUTOR_SEEN: u64 = 12 * MS + (HORIZON + BLOCK) as u64 * TICK;
-/// The longest return: of 400 um at 0.14 um per pulse, after the drivers' lead.
+/// The longest return: 400 µm at 0.14 µm per pulse, after the drivers' lead.
 const RETURN_TAKES: u64 = (400 * 100 / 14 + DRIVER_LEAD as u64) * TICK;
 
 /// A rig in the middle of a play under full load.
@@ -35,6 +35,13 @@ fn low_after(rig: &mut Rig, from: u64) -> u64 {
     let off =
         [pins.enable.last().unwrap().to, pins.led.last().unwrap().to, pins.low_since(u64::MAX).unwrap()];
     off.into_iter().max().unwrap().saturating_sub(from).div_ceil(TICK)
+}
+
+/// Asserts that all outputs are low once the hang was seen, within `seen` cycles, and the pins have returned.
+fn assert_low_after_return(rig: &mut Rig, what: &str, from: u64, seen: u64) {
+    let ticks = low_after(rig, from);
+    println!("{what}: outputs low after {:.1} ms", (ticks * TICK) as f64 / MS as f64);
+    assert!(ticks * TICK <= seen + RETURN_TAKES, "{what}: {ticks} ticks");
 }
 
 /// The watchdog restarts the chip, which then answers again.
@@ -74,9 +81,7 @@ fn a_hung_executor_returns_the_pins_before_the_watchdog_restarts_the_chip() {
     rig.chip().unwrap().poke("executor_beats", &LOOP).unwrap();
     let from = rig.now();
     rig.run_to(from + 60 * MS).unwrap();
-    let ticks = low_after(&mut rig, from);
-    println!("executor: outputs low after {:.1} ms", (ticks * TICK) as f64 / MS as f64);
-    assert!(ticks * TICK <= EXECUTOR_SEEN + RETURN_TAKES, "{ticks} ticks");
+    assert_low_after_return(&mut rig, "executor", from, EXECUTOR_SEEN);
     let chip = rig.chip().unwrap();
     assert_eq!((chip.resets(), chip.read("STALLS", 4).unwrap()), (0, 1));
     // Whole pulses only, and every pin is back: a pulse down is four times as long as one up.
@@ -102,7 +107,7 @@ fn the_executor_is_not_taken_for_hung_under_a_flood() {
     assert_eq!((chip.resets(), chip.read("STALLS", 4).unwrap()), (0, 0));
 }
 
-/// Ticks from the hang of the USB controller to the beginning of the return: 100 ms without a frame, and the looks.
+/// From the hang of the USB controller to the beginning of the return: 100 ms without a frame, and the looks.
 const USB_SEEN: u64 = 115 * MS;
 
 #[test]
@@ -111,9 +116,7 @@ fn a_hung_usb_controller_is_set_up_again() {
     rig.chip().unwrap().bus("hang").unwrap();
     let from = rig.now();
     rig.run_to(from + 400 * MS).unwrap();
-    let ticks = low_after(&mut rig, from);
-    println!("USB: outputs low after {:.1} ms", (ticks * TICK) as f64 / MS as f64);
-    assert!(ticks * TICK <= USB_SEEN + RETURN_TAKES, "{ticks} ticks");
+    assert_low_after_return(&mut rig, "USB", from, USB_SEEN);
     let chip = rig.chip().unwrap();
     assert_eq!((chip.resets(), chip.read("USB_RECOVERIES", 4).unwrap()), (0, 1));
     assert!(chip.configured(), "the host has not found the device again");

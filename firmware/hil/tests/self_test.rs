@@ -1,7 +1,7 @@
-//! The self-test of the board: a sound chip passes, planted faults are found, and what matters more ends it.
+//! The self-test of the board: a sound chip passes, the test finds planted faults, and an e-stop or `arm` ends it.
 
 use crate::play::{armed, job};
-use firmware_protocol::board::{LineTest, Reset, SelfTest, SelfTestState};
+use firmware_protocol::board::{ENABLE, LineTest, Reset, SelfTest, SelfTestState, TRIGGER};
 use firmware_protocol::message::{HostMessage, State};
 use meissner_hil::bench::CpuEvent;
 use meissner_hil::bench::chip::ChipOptions;
@@ -11,10 +11,6 @@ use meissner_hil::scenario::pattern;
 use meissner_hil::tap::Event;
 use meissner_hil::time::{MS, TICK};
 use meissner_stream::queues::Command;
-
-/// The trigger and the driver enable in a mask of outputs.
-const TRIGGER: u32 = 24;
-const ENABLE: u32 = 25;
 
 /// The newest state of the self-test `run`.
 fn state(rig: &Rig, run: u16) -> Option<SelfTestState> {

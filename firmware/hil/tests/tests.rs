@@ -3,6 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "what cannot go on has failed")]
 
 mod estop;
+mod estop_races;
 mod hangs;
 mod load;
 mod lower_stop;

@@ -2,8 +2,7 @@
 //!
 //! It first measures how late timers wake a thread, with nothing beside it. Then it checks [`host`], [`rights`], what is
 //! installed ([`service`]), the [`daemon`], [`port`]s, and the [`board`], unless a daemon has the board. On request the board tests
-//! itself ([`self_test`]). It arms nothing,
-//! moves nothing and repairs nothing.
+//! itself ([`self_test`]). The doctor arms nothing, moves nothing and repairs nothing.
 //!
 //! Invariant: every finding that is not `ok` says what to do; the verdict is `go` only if no finding says `FAIL`.
 

@@ -4,23 +4,25 @@
 
 use super::finding::{Finding, Level};
 use crate::cli::text;
-use crate::receipts::board_status;
+use crate::receipts::{board_status, outputs};
 use firmware_protocol::board::{
-    Board, ENABLE, LineTest, OUTPUTS, RamTest, Reset, SelfTest, SelfTestState, TRIGGER, WaveTest,
+    Board, ENABLE, LineTest, RamTest, Reset, SelfTest, SelfTestState, TRIGGER, WaveTest,
 };
+use firmware_protocol::tick::TICK_HZ;
 use serde::Serialize;
 
 /// Words of the waveform in a tick.
 const WORDS: f64 = 4.0;
-/// Words by which DMA and clock may differ when they are read one after the other.
+/// Words by which the DMA may be ahead or behind: the board reads it and the clock one after the other.
 const READ_APART: f64 = 70.0;
-/// Both clocks come from one crystal, so a wrong setting shows as much more. A tick of the 8 500 that are counted is 118 ppm.
+/// Largest difference of tick clock and system timer. Both come from one crystal, so a wrong setting differs by much more; one of the 8 500
+/// ticks that are counted is 118 ppm.
 const SAME_CLOCK_PPM: f64 = 300.0;
 /// Time to read the longest frame in the emulated chip, µs (`cargo test self_test -- --nocapture` in `firmware/hil`).
 const WORK_US: f64 = 128.0;
-/// Of the 45 ticks before a block is fetched, the sum of the longest pieces of work takes so many in the emulated chip
-/// (`docs/explanation/board-timing.md`).
+/// Ticks in which the board can render a block before the DMA fetches its first word (`docs/explanation/board-timing.md`).
 const HORIZON_TICKS: f64 = 45.0;
+/// How many of these the longest pieces of work take together in the emulated chip (the same page).
 const WORST_CASE_TICKS: f64 = 20.0;
 
 /// A self-test's figures, as they came.
@@ -51,10 +53,6 @@ impl Measured {
     }
 }
 
-fn outputs(mask: u32) -> Vec<u8> {
-    (0..OUTPUTS as u8).filter(|&output| mask >> output & 1 == 1).collect()
-}
-
 /// The outputs of a mask, as a person finds them on the board.
 fn named(mask: u32) -> String {
     let name = |output: u8| match usize::from(output) {
@@ -66,7 +64,7 @@ fn named(mask: u32) -> String {
 }
 
 fn clock_ppm(wave: &WaveTest) -> f64 {
-    let ticks = f64::from(wave.timer_us) * 0.085;
+    let ticks = f64::from(wave.timer_us) * f64::from(TICK_HZ) / 1e6;
     (f64::from(wave.ticks) / ticks - 1.0) * 1e6
 }
 

@@ -2,7 +2,7 @@
 //!
 //! Invariant: every number is one of the receipt's JSON, rounded.
 
-use super::pairs;
+use super::{counters, pairs};
 use crate::receipts::end_text;
 use meissner_api::{
     BoardRecord, BurstCounts, DurationRecord, ErrorSource, ItemState, MotorRestError, OrderedCounts,
@@ -76,14 +76,7 @@ pub(in crate::cli) fn receipt(receipt: &Receipt) -> String {
 
 /// What occurred on the device, if it measures anything or something failed.
 fn board(board: BoardRecord) -> Option<String> {
-    let BoardRecord { slack_ticks, stalls, usb_recoveries, output_faults } = board;
-    let parts = [
-        slack_ticks.map(|ticks| format!("least time to render {ticks} ticks")),
-        stalls.map(|count| format!("{count} stalls")),
-        usb_recoveries.map(|count| format!("{count} USB recoveries")),
-        (output_faults > 0).then(|| format!("{output_faults} output faults")),
-    ];
-    let text = parts.into_iter().flatten().collect::<Vec<_>>().join(", ");
+    let text = counters(board).collect::<Vec<_>>().join(", ");
     (!text.is_empty()).then_some(text)
 }
 

@@ -16,11 +16,11 @@ pub(in crate::daemon) struct Bounds {
     pub(in crate::daemon) network: usize,
     /// Event streams, and requests that wait for plays, among them: the other places are free for commands.
     pub(in crate::daemon) waiting: usize,
-    /// Of these, for clients of the network.
+    /// How many of these network clients may be.
     pub(in crate::daemon) waiting_network: usize,
     /// Connections to the socket whose first line is not complete; the newest ones displace the oldest.
     pub(super) silent: usize,
-    /// The same over the network.
+    /// Connections of network clients whose first line, or an emergency stop's headers, are not complete.
     pub(super) silent_network: usize,
     /// Emergency stops at the same time on each socket, and clients for which the server makes room.
     pub(in crate::daemon) estops: usize,

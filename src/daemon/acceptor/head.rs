@@ -5,6 +5,8 @@ use crate::session_record::NetworkPeer;
 
 /// Length of a request line that is looked at, at most, bytes, with empty lines before it. The API's addresses are shorter.
 pub(super) const MAX_LINE: usize = 512;
+/// Headers of a request that the acceptor looks at, at most; the server takes requests with more.
+const MAX_HEADERS: usize = 64;
 
 /// Whether a request that begins with these bytes is an emergency stop; `None` if more bytes are needed.
 pub(super) fn is_estop(all: &[u8]) -> Option<bool> {
@@ -23,11 +25,8 @@ pub(super) fn is_estop(all: &[u8]) -> Option<bool> {
     }
 }
 
-/// Headers of a request that the acceptor looks at, at most; the server takes requests with more.
-const MAX_HEADERS: usize = 64;
-
-/// Whether an emergency stop that begins with these bytes may be ordered for a network client; `None` if more bytes are needed. The server
-/// answers one that may not.
+/// Whether the gate lets a network client order the emergency stop that begins with these bytes; `None` if more bytes are needed. If it
+/// does not, the server checks the request again and answers it.
 pub(super) fn check(all: &[u8], client: NetworkPeer, gate: &Gate) -> Option<bool> {
     let mut headers = [httparse::EMPTY_HEADER; MAX_HEADERS];
     let mut request = httparse::Request::new(&mut headers);
@@ -41,7 +40,7 @@ pub(super) fn check(all: &[u8], client: NetworkPeer, gate: &Gate) -> Option<bool
     for header in &*request.headers {
         head.add(header.name, header.value);
     }
-    // The server decides about an address with a host in it.
+    // The server alone compares a host in the address with the `Host` header.
     Some(path.starts_with('/') && gate.check(client, &head).is_ok())
 }
 

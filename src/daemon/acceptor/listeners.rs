@@ -8,16 +8,18 @@ use rustix::net::{SocketFlags, accept_with, acceptfrom_with};
 use std::net::TcpListener;
 use std::os::unix::net::UnixListener;
 
+/// What the acceptor listens on.
 #[derive(Debug)]
-pub(super) struct Listeners {
-    pub(super) api: UnixListener,
-    pub(super) estop: Option<UnixListener>,
+pub(in crate::daemon) struct Sockets {
+    /// The API's socket.
+    pub(in crate::daemon) api: UnixListener,
+    /// The socket for emergency stops.
+    pub(in crate::daemon) estop: Option<UnixListener>,
     /// For network clients of the API.
-    pub(super) tcp: Option<TcpListener>,
-    /// Closed to accept a connection when no descriptor is left.
-    pub(super) spare: Option<OwnedFd>,
+    pub(in crate::daemon) tcp: Option<TcpListener>,
 }
 
+/// A descriptor that is closed to accept a connection when none is left.
 pub(super) fn spare_descriptor() -> Option<OwnedFd> {
     eventfd(0, EventfdFlags::CLOEXEC).ok()
 }

@@ -18,15 +18,17 @@ mod head;
 mod listeners;
 mod refusal;
 mod waiting;
+mod window;
 
 pub(super) use bounds::Bounds;
+pub(super) use listeners::Sockets;
 pub(super) use refusal::{malformed, refuse, response};
 
 use super::estop::{EStops, Origin};
 use super::network::Gate;
 use super::stream::Stream;
 use crate::session_record::Peer;
-use listeners::{Listeners, accept, accept_tcp, spare_descriptor};
+use listeners::{accept, accept_tcp, spare_descriptor};
 use meissner_api::{Code, Problem};
 use meissner_stream::device::priority;
 use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
@@ -35,8 +37,6 @@ use rustix::io::Errno;
 use rustix::net::listen;
 use std::collections::VecDeque;
 use std::io;
-use std::net::TcpListener;
-use std::os::unix::net::UnixListener;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::task::Poll;
@@ -44,6 +44,7 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 use tokio::sync::{mpsc, oneshot};
 use waiting::{Silent, Stopping};
+use window::Window;
 
 /// How long a client may take to send the first line of its request.
 const SILENT: Duration = Duration::from_secs(30);
@@ -54,10 +55,6 @@ const STOPPING: Duration = Duration::from_secs(5);
 /// The answer to an emergency stop when no place is free.
 const ORDERED: &str =
     "the emergency stop was ordered, but too many clients wait: see `meissner status` for its result";
-/// See [`Window`]. Linux stops real-time threads that run for more than 95 % of a second.
-const WINDOW: Duration = Duration::from_millis(4);
-/// See [`Window`].
-const SHARE: Duration = Duration::from_millis(2);
 /// Connections to the API that wait in the kernel; further clients wait in `connect`.
 const BACKLOG: i32 = 64;
 /// Connections accepted per round: emergency stops that wait come next.
@@ -131,17 +128,6 @@ impl Drop for Place {
     }
 }
 
-/// What the acceptor listens on.
-#[derive(Debug)]
-pub(super) struct Sockets {
-    /// The API's socket.
-    pub(super) api: UnixListener,
-    /// The socket for emergency stops.
-    pub(super) estop: Option<UnixListener>,
-    /// For network clients of the API.
-    pub(super) tcp: Option<TcpListener>,
-}
-
 /// The running thread. Dropping it ends it.
 #[derive(Debug)]
 pub(super) struct Acceptor {
@@ -152,7 +138,7 @@ pub(super) struct Acceptor {
 impl Acceptor {
     /// Starts the thread on these sockets. The last receiver resolves when the thread has ended.
     pub(super) fn spawn(
-        Sockets { api, estop, tcp }: Sockets,
+        sockets: Sockets,
         estops: Arc<EStops>,
         gate: Arc<Gate>,
         bounds: Bounds,
@@ -160,12 +146,15 @@ impl Acceptor {
     ) -> io::Result<(Self, mpsc::Receiver<Handover>, oneshot::Receiver<()>)> {
         let (alive, ended) = oneshot::channel();
         // The kernel's queue is first come, first served: a flood must not fill it with more than an emergency stop can wait for.
-        listen(&api, BACKLOG)?;
-        tcp.as_ref().map(|tcp| listen(tcp, BACKLOG)).transpose()?;
+        listen(&sockets.api, BACKLOG)?;
+        if let Some(tcp) = &sockets.tcp {
+            listen(tcp, BACKLOG)?;
+        }
         let (sender, handovers) = mpsc::channel(bounds.clients + 3 * bounds.estops);
         let stop = Arc::new(eventfd(0, EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK)?);
         let work = Work {
-            listeners: Listeners { api, estop, tcp, spare: spare_descriptor() },
+            sockets,
+            spare: spare_descriptor(),
             estops,
             gate,
             bounds,
@@ -210,7 +199,9 @@ impl Side {
 }
 
 struct Work {
-    listeners: Listeners,
+    sockets: Sockets,
+    /// Closed to accept a connection when no descriptor is left.
+    spare: Option<OwnedFd>,
     estops: Arc<EStops>,
     gate: Arc<Gate>,
     bounds: Bounds,
@@ -272,13 +263,12 @@ impl Work {
         });
         // Not on the heap: its lock may be held by a thread that does not run.
         let mut fds = heapless::Vec::<_, { Bounds::MOST }>::new();
-        let estop = self.listeners.estop.as_ref().map_or(stop.as_fd(), AsFd::as_fd);
+        let estop = self.sockets.estop.as_ref().map_or(stop.as_fd(), AsFd::as_fd);
         // Outside of the window the clients of the API wait.
-        let api = if open { self.listeners.api.as_fd() } else { stop.as_fd() };
-        let tcp = self.listeners.tcp.as_ref().filter(|_| open).map_or(stop.as_fd(), AsFd::as_fd);
+        let api = if open { self.sockets.api.as_fd() } else { stop.as_fd() };
+        let tcp = self.sockets.tcp.as_ref().filter(|_| open).map_or(stop.as_fd(), AsFd::as_fd);
         let own = [stop.as_fd(), self.estops.switch.as_fd(), api, estop, tcp];
-        let silent =
-            self.silent.iter().flatten().take(if open { usize::MAX } else { 0 }).map(|it| it.stream.as_fd());
+        let silent = self.silent.iter().flatten().filter(|_| open).map(|it| it.stream.as_fd());
         // A connection that waits for its answer is readable when its client has closed it: do not watch it.
         let stopping = self.stopping.iter().filter(|it| it.number.is_none()).map(|it| it.stream.as_fd());
         for fd in own.into_iter().chain(silent).chain(stopping) {
@@ -313,8 +303,8 @@ impl Work {
 
     fn accept_estops(&mut self) {
         for _ in 0..ROUND {
-            let Some(listener) = &self.listeners.estop else { return };
-            let accepted = accept(listener, &mut self.listeners.spare);
+            let Some(listener) = &self.sockets.estop else { return };
+            let accepted = accept(listener, &mut self.spare);
             let Some(stream) = self.accepted(accepted, Side::Socket) else { return };
             self.stopping.push_back(Stopping { stream, since: Instant::now(), number: None });
             if self.stopping.len() > self.bounds.estops {
@@ -345,7 +335,7 @@ impl Work {
 
     fn accept_clients(&mut self) {
         for _ in 0..ROUND {
-            let accepted = accept(&self.listeners.api, &mut self.listeners.spare);
+            let accepted = accept(&self.sockets.api, &mut self.spare);
             let Some(stream) = self.accepted(accepted, Side::Socket) else { return };
             self.read_first(Side::Socket, stream);
         }
@@ -353,8 +343,8 @@ impl Work {
 
     fn accept_network(&mut self) {
         for _ in 0..ROUND {
-            let Some(listener) = &self.listeners.tcp else { return };
-            let accepted = accept_tcp(listener, &mut self.listeners.spare);
+            let Some(listener) = &self.sockets.tcp else { return };
+            let accepted = accept_tcp(listener, &mut self.spare);
             let Some(stream) = self.accepted(accepted, Side::Network) else { return };
             self.read_first(Side::Network, stream);
         }
@@ -476,33 +466,6 @@ impl Work {
         while self.stopping.front().is_some_and(|it| now >= it.since + STOPPING) {
             self.stopping.pop_front();
         }
-    }
-}
-
-/// The time for clients of the API: [`SHARE`] of each [`WINDOW`]. A flood of connections must not use up the processor time that
-/// the system leaves to real-time threads: the streamer needs it.
-#[derive(Debug)]
-struct Window {
-    begun: Instant,
-    used: Duration,
-}
-
-impl Window {
-    fn new() -> Self {
-        Self { begun: Instant::now(), used: Duration::ZERO }
-    }
-
-    fn end(&self) -> Instant {
-        // Never less rest than work, also after a round that took longer than the window.
-        self.begun + WINDOW.max(2 * self.used)
-    }
-
-    /// Returns `now` if there is time left for clients.
-    fn open(&mut self, now: Instant) -> Option<Instant> {
-        if now >= self.end() {
-            *self = Self { begun: now, used: Duration::ZERO };
-        }
-        (self.used < SHARE).then_some(now)
     }
 }
 

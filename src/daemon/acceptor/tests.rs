@@ -3,7 +3,6 @@
 use super::{Acceptor, Bounds, Counts, Handover, Sockets};
 use crate::daemon::engine::Engine;
 use crate::daemon::estop::Origin;
-use crate::daemon::network::{Gate, TokenStore};
 use meissner_client::estop;
 use meissner_stream::Settings;
 use meissner_stream::queues::{Command, CommandError, Emit, StreamEvent, ThreadQueues, queues};
@@ -33,11 +32,6 @@ fn listener(path: &std::path::Path) -> UnixListener {
     listener
 }
 
-/// A daemon that does not listen on the network.
-fn gate() -> Arc<Gate> {
-    Arc::new(Gate::new(None, None, Arc::new(TokenStore::open(None))))
-}
-
 #[test]
 fn an_emergency_stop_needs_no_server_no_runtime_and_no_lock() {
     let dir = tempfile::tempdir().unwrap();
@@ -46,9 +40,9 @@ fn an_emergency_stop_needs_no_server_no_runtime_and_no_lock() {
     let engine = Engine::new(commands, Settings::default(), "mock".to_owned(), None);
     let (bounds, counts) = (Bounds::within(200), Arc::new(Counts::default()));
     let sockets = Sockets { api: listener(&socket), estop: Some(listener(&stop)), tcp: None };
-    let estops = Arc::clone(&engine.estops);
+    let (estops, gate) = (Arc::clone(&engine.estops), Arc::clone(&engine.gate));
     let (acceptor, mut handovers, _ended) =
-        Acceptor::spawn(sockets, estops, gate(), bounds, Arc::clone(&counts)).unwrap();
+        Acceptor::spawn(sockets, estops, gate, bounds, Arc::clone(&counts)).unwrap();
     let held = engine.lock();
     // More requests than there are places: the rest get an error.
     let request = |target: &str| {
@@ -94,10 +88,10 @@ fn a_request_that_has_come_is_read_before_its_connection_is_dropped() {
     let (mut port, commands, _events) = queues().unwrap();
     let engine = Engine::new(commands, Settings::default(), "mock".to_owned(), None);
     let (bounds, counts) = (Bounds::within(52), Arc::new(Counts::default()));
-    let estops = Arc::clone(&engine.estops);
+    let (estops, gate) = (Arc::clone(&engine.estops), Arc::clone(&engine.gate));
     let sockets = Sockets { api: listener(&socket), estop: None, tcp: None };
     let (acceptor, mut handovers, mut ended) =
-        Acceptor::spawn(sockets, estops, gate(), bounds, Arc::clone(&counts)).unwrap();
+        Acceptor::spawn(sockets, estops, gate, bounds, Arc::clone(&counts)).unwrap();
     for round in 0..100 {
         // More than there are places for silent connections; some speak, in another order, and hang up.
         let mut streams: Vec<_> = (0..9).map(|_| UnixStream::connect(&socket).unwrap()).collect();

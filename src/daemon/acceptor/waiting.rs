@@ -16,7 +16,7 @@ use std::time::Instant;
 /// whether it is an emergency stop.
 const MAX_HEAD: usize = 2048;
 
-/// A connection to the API whose first line is not complete.
+/// A connection to the API that waits for the rest of its first line, or of the headers of a network client's emergency stop.
 #[derive(Debug)]
 pub(super) struct Silent {
     pub(super) stream: Stream,

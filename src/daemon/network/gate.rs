@@ -12,7 +12,6 @@ use crate::daemon::page;
 use crate::session_record::NetworkPeer;
 use meissner_api::{Code, NetworkStatus, Problem, Role};
 use std::net::{IpAddr, Ipv6Addr};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// What the gate looks at of a request. A header that occurs twice counts as malformed.
@@ -41,12 +40,16 @@ impl<'a> Head<'a> {
         if begins("x-forwarded") || of_proxies.into_iter().any(is) {
             self.forwarded = true;
         }
-        let place = match () {
-            () if is("host") => &mut self.host,
-            () if is("origin") => &mut self.origin,
-            () if is("sec-fetch-site") => &mut self.fetch_site,
-            () if is("authorization") => &mut self.authorization,
-            () => return,
+        let place = if is("host") {
+            &mut self.host
+        } else if is("origin") {
+            &mut self.origin
+        } else if is("sec-fetch-site") {
+            &mut self.fetch_site
+        } else if is("authorization") {
+            &mut self.authorization
+        } else {
+            return;
         };
         match std::str::from_utf8(value) {
             Ok(value) if place.is_none() => *place = Some(value),
@@ -54,7 +57,7 @@ impl<'a> Head<'a> {
         }
     }
 
-    /// The host in the request's address, if it has one, must be that of the header.
+    /// Takes the host in the request's address. The request is malformed if the header names another.
     pub(in crate::daemon) fn compare_authority(&mut self, authority: &str) {
         self.malformed |= !self.host.is_some_and(|host| host.eq_ignore_ascii_case(authority));
     }
@@ -94,7 +97,7 @@ pub(in crate::daemon) struct Gate {
     listen: Option<Listen>,
     /// Why the daemon does not listen there.
     problem: Option<String>,
-    pub(in crate::daemon) tokens: Arc<TokenStore>,
+    pub(in crate::daemon) tokens: TokenStore,
     denied: AtomicU64,
 }
 
@@ -103,7 +106,7 @@ impl Gate {
     pub(in crate::daemon) const fn new(
         listen: Option<Listen>,
         problem: Option<String>,
-        tokens: Arc<TokenStore>,
+        tokens: TokenStore,
     ) -> Self {
         Self { listen, problem, tokens, denied: AtomicU64::new(0) }
     }
@@ -175,8 +178,8 @@ impl Gate {
         }
     }
 
-    /// Decides about a request on the Unix socket. `ssh -L` makes the socket a port of another machine, where a browser may reach it; so a
-    /// page of another site is refused here, too. A name with a dot may have been made to point there.
+    /// Decides about a request on the Unix socket. `ssh -L` makes the socket a port of another machine, where a browser may reach it; so
+    /// the gate refuses pages of other sites here, too. A host name with a dot may have been made to point to that port.
     pub(in crate::daemon) fn check_local(&self, head: &Head<'_>) -> Result<(), Refusal> {
         let hosts = self.listen.as_ref().map_or(&[][..], |listen| &listen.hosts);
         let is_public = head.host.is_some_and(|host| host.contains('.') && !is_known(host, hosts));
@@ -248,7 +251,7 @@ mod tests {
     }
 
     fn gate(always_token: bool) -> (Gate, [String; 2]) {
-        let tokens = Arc::new(TokenStore::open(None));
+        let tokens = TokenStore::open(None);
         let of = |role| tokens.create(role, "a test").unwrap().token;
         let made = [of(Role::Observe), of(Role::Operate)];
         let address = "0.0.0.0:8765".parse().unwrap();

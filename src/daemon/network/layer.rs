@@ -9,11 +9,11 @@ use axum::http::header::{WWW_AUTHENTICATE, X_CONTENT_TYPE_OPTIONS};
 use axum::http::{HeaderName, HeaderValue, StatusCode};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
-use meissner_api::Problem;
+use meissner_api::{Code, Problem};
 use std::sync::Arc;
 use std::time::Duration;
 
-const CORP: HeaderName = HeaderName::from_static("cross-origin-resource-policy");
+const CROSS_ORIGIN_RESOURCE_POLICY: HeaderName = HeaderName::from_static("cross-origin-resource-policy");
 /// How long to wait for the body of a request that is refused.
 const BODY: Duration = Duration::from_millis(100);
 
@@ -23,7 +23,11 @@ pub(in crate::daemon) async fn layer(
     mut request: Request,
     next: Next,
 ) -> Response {
-    let peer = request.extensions().get::<Peer>().copied().unwrap_or(Peer::UNKNOWN);
+    let Some(&peer) = request.extensions().get::<Peer>() else {
+        // Every connection has one. A request without one must not pass as a client of the socket.
+        let unknown = Problem::new(Code::Forbidden, "the daemon does not know where this request comes from");
+        return ErrorResponse(unknown).into_response();
+    };
     let checked = {
         let mut head =
             Head { method: request.method().as_str(), path: request.uri().path(), ..Head::default() };
@@ -59,10 +63,10 @@ pub(in crate::daemon) async fn layer(
     response
 }
 
-/// Keeps pages of other sites from embedding an answer.
+/// Keeps pages of other sites from embedding an answer, and browsers from guessing its type.
 fn with_headers(mut response: Response) -> Response {
     let headers = response.headers_mut();
     headers.insert(X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
-    headers.insert(CORP, HeaderValue::from_static("same-origin"));
+    headers.insert(CROSS_ORIGIN_RESOURCE_POLICY, HeaderValue::from_static("same-origin"));
     response
 }

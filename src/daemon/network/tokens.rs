@@ -5,16 +5,15 @@
 //!
 //! Invariant: a file that cannot be read lets no token in, and is not overwritten.
 
-use crate::config::read_regular;
 use crate::daemon::calibration::utc_now;
+use crate::file::{self, read_regular};
 use crate::session_record::TokenId;
-use crate::store;
+use crate::store::hexadecimal;
 use arc_swap::ArcSwap;
 use meissner_api::{Code, MAX_TOKENS, Problem, Role, TOKEN_PREFIX, TokenCreated, TokenInfo};
 use rustix::rand::{GetRandomFlags, getrandom};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use std::fmt::Write;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -116,7 +115,7 @@ impl TokenStore {
         let (id, secret) = bytes.split_at(4);
         let (id, token) = (
             TokenId(u32::from_be_bytes(id.try_into().unwrap_or_default())),
-            format!("{TOKEN_PREFIX}{}", hex(secret)),
+            format!("{TOKEN_PREFIX}{}", hexadecimal(secret)),
         );
         let info = TokenInfo { id: id.to_string(), role, name: name.to_owned(), created: utc_now() };
         let sha256 = Sha256::digest(&token).into();
@@ -197,22 +196,13 @@ fn read(file: &Path) -> Result<Vec<Token>, String> {
 fn write(file: &Path, tokens: &[Token]) -> io::Result<()> {
     let row = |token: &Token| {
         let TokenInfo { id, role, name, created } = token.info.clone();
-        Row { id, role, name, created, sha256: hex(&token.sha256) }
+        Row { id, role, name, created, sha256: hexadecimal(&token.sha256) }
     };
     let document = Document { format: 1, tokens: tokens.iter().map(row).collect() };
     let text = toml::to_string(&document).map_err(io::Error::other)?;
     let text = format!("# Access tokens of meissner as SHA-256 hashes: see `meissner token`.\n{text}");
-    let dir = file.parent().filter(|dir| !dir.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    fs::create_dir_all(dir)?;
-    store::replace(dir, file, text.as_bytes(), 0o600)
-}
-
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().fold(String::new(), |mut text, byte| {
-        // Writing to a string does not fail.
-        let _ = write!(text, "{byte:02x}");
-        text
-    })
+    fs::create_dir_all(file::dir_of(file))?;
+    file::replace(file, text.as_bytes(), file::PRIVATE)
 }
 
 fn unhex(text: &str) -> Option<[u8; 32]> {

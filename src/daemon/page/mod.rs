@@ -1,16 +1,14 @@
 //! The page in the browser: files inside of the program, served at `/` and below `/page/`.
 //!
 //! The page is plain HTML, CSS and JavaScript modules without a build step. It uses the API alone (`assets/api.js`), so everything that it
-//! does is in the OpenAPI document. `assets/estop.js` is the emergency stop and depends on nothing else of the page.
+//! does is in the OpenAPI document. `assets/estop.js` is the emergency stop; it needs `assets/api.js` alone.
 //!
 //! Invariant: the page loads nothing from elsewhere, and its policy forbids it to.
 
 use super::http::App;
 use axum::Router;
 use axum::http::HeaderName;
-use axum::http::header::{
-    CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, REFERRER_POLICY, X_CONTENT_TYPE_OPTIONS,
-};
+use axum::http::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, REFERRER_POLICY};
 use axum::routing::get;
 
 /// The policy: scripts, styles and requests of this daemon alone; no frame around it.
@@ -40,10 +38,9 @@ pub(super) fn is_file(method: &str, path: &str) -> bool {
 /// The routes of the page.
 pub(super) fn routes() -> Router<App> {
     FILES.into_iter().fold(Router::new(), |router, (path, kind, text)| {
-        let head: [(HeaderName, &str); 5] = [
+        let head: [(HeaderName, &str); 4] = [
             (CONTENT_TYPE, kind),
             (CONTENT_SECURITY_POLICY, POLICY),
-            (X_CONTENT_TYPE_OPTIONS, "nosniff"),
             (REFERRER_POLICY, "no-referrer"),
             // A newer daemon has newer files.
             (CACHE_CONTROL, "no-cache"),

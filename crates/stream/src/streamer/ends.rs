@@ -47,7 +47,7 @@ impl Streamer {
     pub(super) fn finish(&mut self, tick: Tick, emit: &mut dyn Emit) {
         let returning = self.state() == State::Returning;
         let Some(session) = &mut self.session else { return };
-        // In time for the answer to come with the last status.
+        // Asks as soon as the play is over, so that the answer comes with the last status.
         let is_over = |first: &&mut Active| first.cut.is_none() && first.end().is_some_and(|end| tick >= end);
         if let Some(first) = self.plays.front_mut().filter(is_over) {
             first.board.ends(tick, || session.ask_board());

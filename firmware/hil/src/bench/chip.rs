@@ -180,7 +180,7 @@ impl ChipBench {
     /// # Errors
     /// If the emulator is gone or refuses.
     pub fn usb(&mut self, plugged: bool) -> Result<(), BenchError> {
-        self.ask(&serde_json::json!({ "usb": if plugged { "plug" } else { "unplug" } }))
+        self.bus(if plugged { "plug" } else { "unplug" })
     }
 
     /// Does something else to the bus, by the emulator's name for it: `suspend`, `resume`, `hang`.

@@ -1,4 +1,4 @@
-// Requests to the daemon, and its events. `call` and `listen` are all that other modules use.
+// Requests to the daemon, its events, and the access token that goes with both.
 
 const KEY = "meissner-token";
 const ANSWER_MS = 6000;

@@ -1,4 +1,4 @@
-// The emergency stop. It needs no other part of the page, so that it works when the rest does not.
+// The emergency stop. It needs `api.js` alone, so that it works when the rest of the page does not.
 
 import { headers } from "./api.js";
 

@@ -4,6 +4,7 @@ import { call } from "./api.js";
 import { facts } from "./control.js";
 
 const $ = (id) => document.getElementById(id);
+// Plays that an answer of the daemon has, at most.
 const ROWS = 2000;
 
 function element(name, text = "", more = {}) {

@@ -7,13 +7,13 @@ use crate::link::session::contradiction::Contradiction;
 use crate::link::session::event::Event;
 use crate::link::session::state::Session;
 use crate::time::HostInstant;
-use firmware_protocol::board::{Board, OUTPUTS, SelfTestState};
+use firmware_protocol::board::{Board, SelfTestState};
 use firmware_protocol::message::HostMessage;
 use std::time::Duration;
 
 /// Interval of the requests.
 const EVERY: Duration = Duration::from_secs(1);
-/// Interval of the questions how far a self-test is. The device says when it is over; this is for a lost answer.
+/// Interval at which the session asks how far a self-test is. The device says when it is over; this is for a lost answer.
 const ASK_TEST_EVERY: Duration = Duration::from_millis(50);
 
 /// What was asked, and the last answer.
@@ -23,7 +23,7 @@ pub(super) struct Asking {
     window: u16,
     sent: Option<HostInstant>,
     answered: bool,
-    /// A newer one is wanted once this one is answered.
+    /// Another request follows once this one is answered.
     again: bool,
     due: HostInstant,
     last: Option<Board>,
@@ -34,6 +34,12 @@ pub(super) struct Asking {
 impl Asking {
     pub(super) const fn new(now: HostInstant) -> Self {
         Self { window: 0, sent: None, answered: true, again: false, due: now, last: None, test: None }
+    }
+
+    fn begin(&mut self) -> u16 {
+        self.window = self.window.wrapping_add(1);
+        (self.sent, self.answered) = (None, false);
+        self.window
     }
 }
 
@@ -58,7 +64,7 @@ impl Session {
 
     /// The request that is due at `now`.
     pub(super) fn next_question(&mut self, now: HostInstant) -> Option<HostMessage<'static>> {
-        if !self.is_open() || !self.probe.is_over() || self.control.is_some() {
+        if !self.may_ask() {
             return None;
         }
         let retry = self.retry_after();
@@ -79,9 +85,14 @@ impl Session {
         Some(HostMessage::SelfTest { run: *run })
     }
 
-    /// When the next request is due, while the session is open.
+    /// Whether the line is free for requests: the probe is over, and no command waits for its answer.
+    fn may_ask(&self) -> bool {
+        self.is_open() && self.probe.is_over() && self.control.is_none()
+    }
+
+    /// When the next request is due, while the session may ask.
     pub(super) fn question_due(&self, now: HostInstant) -> Option<HostInstant> {
-        if !self.is_open() || !self.probe.is_over() || self.control.is_some() {
+        if !self.may_ask() {
             return None;
         }
         let Asking { answered, sent, due, test, .. } = &self.asking;
@@ -119,27 +130,11 @@ impl Session {
         if self.asking.test.is_none_or(|(asked, _)| asked != run) {
             return Ok(());
         }
-        if let SelfTestState::Done(result) = state
-            && let Some(lines) = result.lines
-        {
-            let outputs = lines.stuck_high | lines.stuck_low | lines.shorted;
-            let far = |at: u8| usize::from(at) >= OUTPUTS;
-            if outputs >> OUTPUTS != 0 || lines.pair.is_some_and(|(a, b)| far(a) || far(b)) {
-                return Err(Contradiction::Board);
-            }
-        }
+        Self::read_self_test(state)?;
         if state != SelfTestState::Running {
             self.asking.test = None;
             emit(Event::SelfTest(state));
         }
         Ok(())
-    }
-}
-
-impl Asking {
-    fn begin(&mut self) -> u16 {
-        self.window = self.window.wrapping_add(1);
-        (self.sent, self.answered) = (None, false);
-        self.window
     }
 }

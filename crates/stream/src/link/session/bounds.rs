@@ -10,7 +10,7 @@
 use crate::link::session::contradiction::Contradiction;
 use crate::link::session::state::{Batch, Session};
 use crate::time::HostInstant;
-use firmware_protocol::board::{Board, OUTPUTS};
+use firmware_protocol::board::{Board, OUTPUTS, SelfTestState};
 use firmware_protocol::controller::{REORDER_WINDOW, REPORTS};
 use firmware_protocol::limits::{MAX_DOWN_PULSES, MAX_SEEK, MAX_UP_PULSES, Refusal};
 use firmware_protocol::message::{Cause, Counters, Cut, DeviceHello, Op, Report, State, Status};
@@ -148,24 +148,22 @@ impl Known {
     /// Whether a board report may follow the last one of this session.
     pub(super) fn read_board(&self, board: &Board, before: Option<&Board>) -> Result<(), Contradiction> {
         let within = |slack: Option<u8>| slack.is_none_or(|slack| u32::from(slack) <= self.horizon);
-        let outputs = board.high_at_boot.unwrap_or(0) >> OUTPUTS == 0;
-        let least =
-            board.slack.is_none_or(|slack| board.slack_since_boot.is_some_and(|least| least <= slack));
+        let outputs_exist = board.high_at_boot.unwrap_or(0) >> OUTPUTS == 0;
+        // Slack that was measured bounds the least slack since the start, which is then measured, too.
+        let bounds_least = |slack: Option<u8>| {
+            slack.is_none_or(|slack| board.slack_since_boot.is_some_and(|least| least <= slack))
+        };
         let follows = before.is_none_or(|before| {
-            // What has been measured once is measured from then on.
-            let shrinks = |now: Option<u8>, before: Option<u8>| {
-                before.is_none_or(|before| now.is_some_and(|now| now <= before))
-            };
             before.reset == board.reset
                 && before.high_at_boot == board.high_at_boot
                 && before.uptime_s <= board.uptime_s
                 && before.stalls <= board.stalls
                 && before.usb_recoveries <= board.usb_recoveries
                 && before.output_faults <= board.output_faults
-                && shrinks(board.slack_since_boot, before.slack_since_boot)
+                && bounds_least(before.slack_since_boot)
         });
-        let sane = within(board.slack) && within(board.slack_since_boot) && outputs && least && follows;
-        if sane { Ok(()) } else { Err(Contradiction::Board) }
+        let slack = within(board.slack) && within(board.slack_since_boot) && bounds_least(board.slack);
+        if slack && outputs_exist && follows { Ok(()) } else { Err(Contradiction::Board) }
     }
 
     /// Whether a status that says `now` may follow what is known.
@@ -404,6 +402,17 @@ impl Session {
                 if fits { self.tick_within(now, up, self.known.horizon) } else { Err(Contradiction::Report) }
             }
         }
+    }
+
+    /// Whether the result of a self-test names only outputs that there are.
+    pub(super) fn read_self_test(state: SelfTestState) -> Result<(), Contradiction> {
+        let SelfTestState::Done(result) = state else { return Ok(()) };
+        let exist = result.lines.is_none_or(|lines| {
+            let outputs = lines.stuck_high | lines.stuck_low | lines.shorted;
+            let is_output = |at: u8| usize::from(at) < OUTPUTS;
+            outputs >> OUTPUTS == 0 && lines.pair.is_none_or(|(a, b)| is_output(a) && is_output(b))
+        });
+        if exist { Ok(()) } else { Err(Contradiction::Board) }
     }
 
     /// The tick of a telemetry sample, widened. Its displacements are for the telemetry monitors, motor by motor.

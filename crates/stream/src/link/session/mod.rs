@@ -1,9 +1,8 @@
 //! One session with one device.
 //!
 //! The streamer pushes strokes, amendments and commands into a [`Session`] (`state`). `outbound` writes the frame that is due,
-//! `inbound` reads what the device says, within its `bounds`; `board` asks how the
-//! device is; the session reports both as [`Event`]s. `probe` measures the
-//! line.
+//! `inbound` reads what the device says, within its `bounds`; the session reports both as [`Event`]s. `board` asks for the board
+//! report and the self-test. `probe` measures the line.
 
 mod board;
 mod bounds;
