@@ -18,7 +18,9 @@ import meissner
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 README = Path(__file__).parents[1] / "README.md"
-BOOK = Path(__file__).parents[2] / "docs" / "how-to" / "python.md"
+BOOK = Path(__file__).parents[2] / "docs" / "how-to"
+NEEDS = {"lsl.md": "pylsl"}
+"""What the blocks of a page need beside the package."""
 
 
 def run(name: str, folder: Path, **environment: str) -> str:
@@ -46,6 +48,12 @@ def test_events(tmp_path: Path) -> None:
 
 def test_design_loop(tmp_path: Path) -> None:
     assert run("design_loop.py", tmp_path).splitlines()[-1] == "done"
+
+
+def test_eeg_markers(tmp_path: Path) -> None:
+    pytest.importorskip("pylsl", reason="pylsl is not installed")
+    texts = [line.split(" at ")[0] for line in run("eeg_markers.py", tmp_path).splitlines()]
+    assert texts == ["onset/pin-60", "offset/pin-60", "onset/edge-45", "offset/edge-45"]
 
 
 def test_detection_threshold(tmp_path: Path) -> None:
@@ -130,6 +138,16 @@ def test_the_readme_begins_with_a_play_in_five_lines(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not BOOK.exists(), reason="the book is in the repository only")
-def test_the_page_of_the_book_runs(tmp_path: Path) -> None:
+@pytest.mark.parametrize("page", ["python.md", "lsl.md"])
+def test_a_page_of_the_book_runs(page: str, tmp_path: Path) -> None:
+    if page in NEEDS:
+        pytest.importorskip(NEEDS[page], reason=f"{NEEDS[page]} is not installed")
     with meissner.Daemon() as daemon:
-        run_blocks(blocks(BOOK, "py"), tmp_path, MEISSNER_SOCKET=daemon.socket)
+        run_blocks(blocks(BOOK / page, "py"), tmp_path, MEISSNER_SOCKET=daemon.socket)
+
+
+@pytest.mark.skipif(not BOOK.exists(), reason="the book is in the repository only")
+def test_every_page_with_blocks_is_run_here() -> None:
+    text = Path(__file__).read_text(encoding="utf-8")
+    pages = [page for page in BOOK.glob("*.md") if "```py\n" in page.read_text(encoding="utf-8")]
+    assert [page.name for page in pages if f'"{page.name}"' not in text] == []

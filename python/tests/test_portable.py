@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from network import Network
 
 SCRIPT = """
@@ -58,3 +60,12 @@ def test_the_import_is_light() -> None:
     code = "import sys, meissner; print([name for name in ('httpx', 'asyncio', 'numpy', 'questplus') if name in sys.modules])"
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert ended.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("name", ["LICENSE-APACHE", "LICENSE-MIT"])
+def test_the_package_has_the_licences_of_the_repository(name: str) -> None:
+    own = Path(__file__).parents[1] / name
+    repository = own.parents[1] / name
+    if not repository.exists():
+        pytest.skip("the package is not in the repository")
+    assert own.read_bytes() == repository.read_bytes()

@@ -98,7 +98,8 @@ fn every_toml_and_json_snippet_is_good() {
 fn every_code_block_names_its_language() {
     for page in book() {
         for block in page.blocks() {
-            let known = ["sh", "bash", "python", "py", "toml", "json", "text"].contains(&block.language);
+            let known =
+                ["sh", "bash", "python", "py", "matlab", "toml", "json", "text"].contains(&block.language);
             assert!(known, "{}:{}: a block marked `{}`", page.name, block.line, block.language);
         }
     }

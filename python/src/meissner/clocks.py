@@ -175,21 +175,21 @@ class ClientClock:
             host_ns = monotonic_ns - offset
         return host_ns, uncertainty
 
-    def _wall_offset(self) -> tuple[int, int]:
-        """The wall clock minus the client's clock, and the uncertainty of having read one after the other, ns."""
+    def other(self, read_ns: Callable[[], int]) -> tuple[int, int]:
+        """Another clock of this machine minus the client's clock, and the uncertainty of having read one after the other, ns."""
         best = (0, 1 << 62)
         for _ in range(3):
-            before, wall, after = self._monotonic_ns(), self._wall_ns(), self._monotonic_ns()
+            before, there, after = self._monotonic_ns(), read_ns(), self._monotonic_ns()
             width = after - before
             if width < best[1]:
-                best = (wall - (before + after) // 2, width)
+                best = (there - (before + after) // 2, width)
         return best[0], (best[1] + 1) // 2
 
     def instant(self, *, tick: int, boot: int | None, tick_hz: int, host_ns: int, host_uncertainty_ns: int) -> Instant:
         """An event that the daemon reported, on every clock."""
         monotonic_ns, uncertainty = self.to_client(host_ns)
         uncertainty += host_uncertainty_ns
-        wall_offset, wall_uncertainty = self._wall_offset()
+        wall_offset, wall_uncertainty = self.other(self._wall_ns)
         return Instant(
             tick=tick,
             boot=boot,

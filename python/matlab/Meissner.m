@@ -1,0 +1,431 @@
+classdef Meissner < handle
+  % Meissner  Client of meissner, the driver of a tactile display, for MATLAB and Octave.
+  %
+  %   m = Meissner('http://lab-pc:8765', 'token', 'mst_...');   % Psychtoolbox: also 'clock', @GetSecs
+  %   m.arm('assume_rest', true);                     % you state that all pins are at rest
+  %   play = m.play('edge-45', 'seconds', 0.3, 'at', m.now() + 0.5, 'scale', 0.8);
+  %   receipt = m.wait(play);                         % an error if the play was stopped
+  %   receipt.onset.time                              % on your clock, within +-receipt.onset.uncertainty s
+  %   m.close();                                      % disarms, if this client has armed
+  %
+  % Methods as in the Python package: status, synchronise, now, arm, disarm, stop, estop, reset, home, play, sequence, later,
+  % wait, receipt, patterns, pattern, store_pattern, session_start, session_end, close. Times are in seconds of the clock
+  % that 'clock' reads: GetSecs of Psychtoolbox, or by default the time since this object was made.
+  %
+  % The daemon must listen on TCP: see docs/how-to/network.md. MATLAB sends commands by webwrite. Octave's webwrite sends forms
+  % only, so Octave needs the program curl. An error has the identifier meissner:CODE with the API's code; MATLAB's webwrite and
+  % both webreads hide the code: then it is meissner:http.
+  %
+  % Invariant: a command is sent once; a time errs by at most its uncertainty, while the clocks differ in rate by less than 200 ppm.
+
+  properties (SetAccess = private)
+    url        % of the daemon
+    tick_hz = 85000
+  end
+
+  properties (Access = private)
+    token = ''
+    session_token = ''
+    clock
+    samples = zeros(0, 3)  % the daemon's clock, and the bounds of this clock minus the daemon's, s
+    has_armed = false
+  end
+
+  properties (Constant, Access = private)
+    MAX_SKEW = 200e-6      % largest difference in rate between two PCs' clocks
+    MAX_SAMPLES = 64
+    LONGEST_WAIT = 20      % of one question, s
+  end
+
+  methods
+    function self = Meissner(url, varargin)
+      asked = Meissner.options({'token', 'clock'}, varargin);
+      self.url = regexprep(url, '/$', '');
+      if isfield(asked, 'token'), self.token = asked.token; end
+      begun = tic();
+      self.clock = @() toc(begun);
+      if isfield(asked, 'clock'), self.clock = asked.clock; end
+      self.synchronise();
+    end
+
+    function delete(self)
+      self.close();
+    end
+
+    function close(self)
+      % Disarm, if this client has armed.
+      if self.has_armed
+        self.has_armed = false;
+        try
+          self.post('/v1/disarm', struct(), 10);
+        catch failure
+          % A device that is off already is fine.
+          state = self.status();
+          if ~any(strcmp(state.state, {'disarmed', 'faulted', 'no-device'})), rethrow(failure); end
+        end
+      end
+    end
+
+    function seconds = now(self)
+      % The clock of 'at' and of onset.time, s.
+      seconds = self.clock();
+    end
+
+    function state = status(self)
+      % Ask how daemon and device stand. Each answer improves the comparison of the clocks.
+      sent = self.now();
+      state = self.get('/v1/status', 10);
+      received = self.now();
+      if ~isstruct(state) || ~isfield(state, 'state')
+        error('meissner:unexpected', '%s does not answer as a meissner daemon: check the address', self.url);
+      end
+      if ~isempty(state.clock)
+        self.tick_hz = state.clock.tick_hz;
+        self.compare(sent, received, state.clock.monotonic_ns / 1e9);
+      end
+    end
+
+    function uncertainty = synchronise(self)
+      % Compare the clocks anew. Returns the uncertainty between them, s; Inf without a device.
+      for attempt = 1:8
+        self.status();
+      end
+      uncertainty = Inf;
+      if ~isempty(self.samples)
+        [~, uncertainty] = self.offset_at(self.samples(end, 1));
+      end
+    end
+
+    function state = arm(self, varargin)
+      % Enable the motors. 'assume_rest', true: you have seen that all pins are at rest; 'checked', NAME: who has looked.
+      before = self.has_armed;
+      self.has_armed = true;  % first: if the answer is lost, the motors may be on
+      try
+        state = self.post('/v1/arm', Meissner.options({'assume_rest', 'checked'}, varargin), 10);
+      catch failure
+        % What the daemon refused has changed nothing; else the motors may be on.
+        is_refused = ~any(strcmp(failure.identifier, {'meissner:http', 'meissner:timeout'}));
+        self.has_armed = before || ~is_refused;
+        rethrow(failure);
+      end
+    end
+
+    function state = disarm(self)
+      % Return the pins and switch the motors off.
+      state = self.post('/v1/disarm', struct(), 10);
+      self.has_armed = false;
+    end
+
+    function state = stop(self)
+      % End the running play and clear the queue.
+      state = self.post('/v1/stop', struct(), 10);
+    end
+
+    function state = estop(self)
+      % Turn all lines off at once.
+      state = self.post('/v1/estop', struct(), 10);
+    end
+
+    function state = reset(self, varargin)
+      % Leave an emergency stop or a fault. 'force', true: although another terminal has ordered the emergency stop.
+      state = self.post('/v1/reset', Meissner.options({'force'}, varargin), 10);
+    end
+
+    function state = home(self)
+      % Move every pin to rest; takes up to 25 s.
+      state = self.post('/v1/home', struct(), 40);
+    end
+
+    function play = play(self, pattern, varargin)
+      % Queue a play. Options: seconds, at, scale, trigger (a code, or false), trial, labels (a struct), late, fit, replace, endless,
+      % open_loop. 'at' is a time of now(), or an instant such as m.later(receipt.onset, 1.5), which is exact to the tick.
+      names = {'seconds', 'at', 'scale', 'trigger', 'trial', 'labels', 'late', 'fit', 'replace', 'endless', 'open_loop'};
+      body = Meissner.options(names, varargin);
+      body.pattern = pattern;
+      play = self.order('/v1/play', body, pattern);
+    end
+
+    function play = sequence(self, items, varargin)
+      % Queue patterns as one play with exact times. An item is a name, or a struct with pattern and any of seconds, scale, trigger,
+      % gap and start (s). Options: isi (pause from an item's end) or soa (distance of onsets), seconds and scale of items that give
+      % none, at, name, trial, labels, late, replace, open_loop.
+      names = {'isi', 'soa', 'seconds', 'scale', 'at', 'name', 'trial', 'labels', 'late', 'replace', 'open_loop'};
+      body = Meissner.options(names, varargin);
+      [made, body] = Meissner.items(items, body);
+      body.items = made;
+      name = 'sequence';
+      if isfield(body, 'name'), name = body.name; end
+      play = self.order('/v1/sequence', body, name);
+    end
+
+    function instant = later(self, instant, seconds)
+      % The instant some seconds later, at a whole tick. As 'at' of a play it makes the distance exact to the tick.
+      ticks = round(seconds * self.tick_hz);
+      instant.tick = instant.tick + ticks;
+      instant.time = instant.time + ticks / self.tick_hz;
+      instant.uncertainty = instant.uncertainty + abs(ticks) / self.tick_hz * self.MAX_SKEW;
+    end
+
+    function receipt = wait(self, play, timeout)
+      % Wait until a play has ended, and return its receipt; an error if it was stopped, or not over after timeout s.
+      if nargin < 3, timeout = Inf; end
+      begun = tic();
+      while true
+        left = max(0, min(self.LONGEST_WAIT, timeout - toc(begun)));
+        raw = self.get(sprintf('/v1/plays/%d?wait=%.3f', play.id, left), left + 10);
+        if ~any(strcmp(raw.state, {'queued', 'running'})), break, end
+        if toc(begun) >= timeout
+          error('meissner:timeout', 'play %d is %s after %g s: wait longer, or call stop', play.id, raw.state, timeout);
+        end
+      end
+      self.status();  % a fresh comparison of the clocks for the times
+      receipt = self.receipt_of(raw);
+      if ~strcmp(raw.state, 'done')
+        error('meissner:play_stopped', 'play %d (%s) was %s: %s; do not count the trial', play.id, raw.pattern, raw.state, raw.cause);
+      end
+    end
+
+    function receipt = receipt(self, id)
+      % What became of a play; without its id, of the last one.
+      name = 'last';
+      if nargin > 1, name = sprintf('%d', id); end
+      receipt = self.receipt_of(self.get(['/v1/plays/' name], 10));
+    end
+
+    function found = patterns(self)
+      % List the patterns.
+      answer = self.get('/v1/patterns', 10);
+      found = answer.patterns;
+    end
+
+    function found = pattern(self, name)
+      % Show one pattern with its drives.
+      found = self.get(['/v1/patterns/' name], 10);
+    end
+
+    function stored = store_pattern(self, name, toml, varargin)
+      % Store a pattern: its TOML text. 'replace', true: also if there is one of that name.
+      asked = Meissner.options({'replace'}, varargin);
+      query = '';
+      if isfield(asked, 'replace') && asked.replace, query = '?replace=true'; end
+      stored = jsondecode(self.send('PUT', ['/v1/patterns/' name query], toml, 'application/toml', 20));
+    end
+
+    function id = session_start(self, participant, varargin)
+      % Start a session. Options: exclusive, experiment, seed, labels. Nothing shows that its owner is there while you call nothing:
+      % in a rest break longer than the daemon's session_silence_s call status now and then.
+      body = Meissner.options({'exclusive', 'experiment', 'seed', 'labels'}, varargin);
+      body.participant = participant;
+      started = self.post('/v1/sessions', Meissner.with_texts(body), 10);
+      self.session_token = started.token;
+      id = started.id;
+    end
+
+    function session_end(self)
+      % End the session after its plays have ended.
+      while true
+        state = self.status();
+        if isempty(state.play) && isempty(state.queued) && ~strcmp(state.state, 'returning'), break, end
+        pause(0.02);
+      end
+      self.post('/v1/sessions/running/end', struct(), 10);
+      self.session_token = '';
+    end
+  end
+
+  methods (Access = private)
+    function compare(self, sent, received, host)
+      % Takes one answer: the daemon read its clock between the two readings of ours.
+      sample = [host, sent - host, received - host];
+      if ~isempty(self.samples)
+        [low, high] = self.bounds(host);
+        if sample(2) > high || sample(3) < low
+          self.samples = zeros(0, 3);  % a clock was set, or a PC slept
+        end
+      end
+      first = max(1, size(self.samples, 1) - self.MAX_SAMPLES + 2);
+      self.samples = [self.samples(first:end, :); sample];
+    end
+
+    function [low, high] = bounds(self, host)
+      widened = abs(host - self.samples(:, 1)) * self.MAX_SKEW;
+      low = max(self.samples(:, 2) - widened);
+      high = min(self.samples(:, 3) + widened);
+    end
+
+    function [offset, uncertainty] = offset_at(self, host)
+      % Our clock minus the daemon's at an instant of the daemon's clock.
+      if isempty(self.samples)
+        error('meissner:not_known_yet', 'no device was connected when the clocks were compared: connect one, then call status');
+      end
+      [low, high] = self.bounds(host);
+      offset = (low + high) / 2;
+      uncertainty = (high - low) / 2;
+    end
+
+    function play = order(self, path, body, name)
+      body = Meissner.with_texts(body);
+      numbers = '';
+      if isfield(body, 'at')
+        % Written by hand: jsonencode rounds numbers of more than 15 digits.
+        if isstruct(body.at)
+          numbers = sprintf('"at_tick":%.0f,"boot":%.0f', body.at.tick, body.at.boot);
+        else
+          host = body.at;
+          for attempt = 1:2
+            host = body.at - self.offset_at(host);
+          end
+          numbers = sprintf('"at_monotonic_ns":%.0f', host * 1e9);
+        end
+        body = rmfield(body, 'at');
+      end
+      if isfield(body, 'trigger') && isnumeric(body.trigger), body.trigger = struct('code', body.trigger); end
+      text = jsonencode(body);
+      if ~isempty(numbers), text = [text(1:end - 1) ',' numbers '}']; end
+      answer = jsondecode(self.send('POST', path, text, 'application/json', 20));
+      play = struct('id', answer.id, 'pattern', name, 'ordered_s', answer.ordered_ms / 1000);
+    end
+
+    function receipt = receipt_of(self, raw)
+      receipt = struct('id', raw.id, 'pattern', raw.pattern, 'state', raw.state, 'cause', raw.cause, 'onset', [], 'offset', [], ...
+        'late', raw.lateness.host + raw.lateness.link + raw.lateness.device, 'items', {{}}, 'raw', raw);
+      receipt.onset = self.instant(raw.onset, raw.boot, 'actual_tick');
+      receipt.offset = self.instant(raw.offset, raw.boot, 'tick');
+      for number = 1:numel(raw.items)
+        item = Meissner.element(raw.items, number);
+        receipt.items{number} = struct('pattern', item.pattern, 'state', item.state, 'scale', item.scale, ...
+          'onset', self.instant(item.onset, raw.boot, 'tick'), 'offset', self.instant(item.offset, raw.boot, 'tick'));
+      end
+    end
+
+    function made = instant(self, record, boot, tick)
+      % A moment of a play: the device's tick, and the time on our clock.
+      made = [];
+      if isempty(record), return, end
+      host = record.monotonic_ns / 1e9;
+      [offset, uncertainty] = self.offset_at(host);
+      made = struct('tick', record.(tick), 'boot', boot, 'time', host + offset, ...
+        'uncertainty', uncertainty + record.uncertainty_ns / 1e9, 'host', host);
+    end
+
+    function answer = get(self, path, timeout)
+      answer = jsondecode(self.send('GET', path, '', '', timeout));
+    end
+
+    function answer = post(self, path, body, timeout)
+      text = jsonencode(body);
+      if isempty(fieldnames(body)), text = '{}'; end
+      answer = jsondecode(self.send('POST', path, text, 'application/json', timeout));
+    end
+
+    function answer = send(self, method, path, body, type, timeout)
+      headers = {};
+      if ~isempty(self.token), headers(end + 1, :) = {'Authorization', ['Bearer ' self.token]}; end
+      if ~isempty(self.session_token), headers(end + 1, :) = {'Meissner-Session', self.session_token}; end
+      if ~strcmp(method, 'GET') && exist('OCTAVE_VERSION', 'builtin')
+        answer = Meissner.by_curl(method, [self.url path], body, [headers; {'Content-Type', type}], timeout);
+        return
+      end
+      asked = weboptions('ContentType', 'text', 'Timeout', ceil(timeout));
+      if ~isempty(headers), asked.HeaderFields = headers; end
+      try
+        if strcmp(method, 'GET')
+          answer = webread([self.url path], asked);
+        else
+          asked.MediaType = type;
+          asked.RequestMethod = lower(method);
+          answer = webwrite([self.url path], body, asked);
+        end
+      catch failure
+        error('meissner:http', '%s %s%s: %s', method, self.url, path, failure.message);
+      end
+    end
+  end
+
+  methods (Static, Access = private)
+    function asked = options(names, given)
+      % Names and values as a struct.
+      asked = struct();
+      for place = 1:2:numel(given)
+        if ~ischar(given{place}) || ~any(strcmp(given{place}, names)) || place == numel(given)
+          error('meissner:bad_option', 'options are names and values; the names are: %s', strjoin(names, ', '));
+        end
+        asked.(given{place}) = given{place + 1};
+      end
+    end
+
+    function body = with_texts(body)
+      % Labels are texts.
+      if ~isfield(body, 'labels'), return, end
+      for key = fieldnames(body.labels)'
+        value = body.labels.(key{1});
+        if ~ischar(value), body.labels.(key{1}) = num2str(value, 15); end
+      end
+    end
+
+    function [made, body] = items(items, body)
+      % Items as the daemon takes them: times in ms, from the item before or from the sequence's onset.
+      if isfield(body, 'isi') && isfield(body, 'soa')
+        error('meissner:bad_option', 'give isi (pause from an item''s end) or soa (distance of onsets), not both');
+      end
+      if ischar(items), items = {items}; end
+      made = cell(1, numel(items));
+      for number = 1:numel(items)
+        item = Meissner.element(items, number);
+        if ischar(item), item = struct('pattern', item); end
+        for key = {'seconds', 'scale'}
+          if isfield(body, key{1}) && ~isfield(item, key{1}), item.(key{1}) = body.(key{1}); end
+        end
+        for key = {'gap', 'start'}
+          if isfield(item, key{1})
+            item.([key{1} '_ms']) = 1000 * item.(key{1});
+            item = rmfield(item, key{1});
+          end
+        end
+        if isfield(item, 'trigger') && isnumeric(item.trigger), item.trigger = struct('code', item.trigger); end
+        if ~isfield(item, 'gap_ms') && ~isfield(item, 'start_ms')
+          if isfield(body, 'soa')
+            item.start_ms = 1000 * (number - 1) * body.soa;
+          elseif isfield(body, 'isi') && number > 1
+            item.gap_ms = 1000 * body.isi;
+          end
+        end
+        made{number} = item;
+      end
+      for key = {'isi', 'soa', 'seconds', 'scale'}
+        if isfield(body, key{1}), body = rmfield(body, key{1}); end
+      end
+    end
+
+    function one = element(many, number)
+      % jsondecode makes a cell of structs that differ, and an array of those that do not.
+      if iscell(many), one = many{number}; else, one = many(number); end
+    end
+
+    function answer = by_curl(method, url, body, headers, timeout)
+      % Octave alone. The request stands in a file that only this user may read, because of the tokens.
+      quoted = @(text) ['"' strrep(strrep(strrep(text, '\', '\\'), '"', '\"'), sprintf('\n'), '\n') '"'];
+      lines = {['url = ' quoted(url)], ['request = ' method], ['data-binary = ' quoted(body)], 'silent', 'show-error', ...
+        sprintf('max-time = %d', ceil(timeout)), 'write-out = "\n%{http_code}"'};
+      for row = 1:size(headers, 1)
+        lines{end + 1} = ['header = ' quoted([headers{row, 1} ': ' headers{row, 2}])];
+      end
+      place = tempname();
+      before = umask(77);
+      file = fopen(place, 'w');
+      umask(before);
+      fprintf(file, '%s\n', lines{:});
+      fclose(file);
+      [failed, text] = system(['curl --config "' place '" 2>&1']);
+      unlink(place);
+      if failed ~= 0
+        error('meissner:http', '%s %s: %s', method, url, strtrim(text));
+      end
+      [answer, code] = deal(text(1:end - 4), str2double(text(end - 2:end)));
+      if code >= 400
+        problem = jsondecode(answer);
+        error(['meissner:' strrep(problem.code, '-', '_')], '%s', problem.detail);
+      end
+    end
+  end
+end

@@ -1,0 +1,194 @@
+"""The bridge to LSL: true onsets on LSL's clock, telemetry, plays on incoming markers, the command."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+import uuid
+from typing import Any
+
+import pytest
+
+import meissner
+from meissner import lsl
+from meissner._endpoint import endpoints
+from network import Network
+
+pylsl = pytest.importorskip("pylsl", reason="pylsl or liblsl is not installed")
+HZ = 85_000
+# Tests run beside one another, and LSL knows streams by their names.
+NAME = f"meissner-{uuid.uuid4()}"
+
+
+def open_inlet(name: str) -> Any:
+    """Takes the stream's times as they were sent."""
+    found = pylsl.resolve_byprop("name", name, timeout=20)
+    assert found, f"no stream {name}"
+    inlet = pylsl.StreamInlet(found[0])
+    inlet.open_stream(timeout=20)
+    return inlet
+
+
+def pull(inlet: Any, count: int) -> list[tuple[str, float]]:
+    """The next markers."""
+    found = [inlet.pull_sample(timeout=20) for _ in range(count)]
+    assert all(sample for sample, _ in found), found
+    return [(sample[0], at) for sample, at in found]
+
+
+def check_times(received: list[tuple[str, float]], bridge: lsl.Bridge, instants: list[meissner.Instant]) -> None:
+    """On this machine LSL's clock is the daemon's, so `host_ns` is what the daemon knows of the truth."""
+    low, high = [], []
+    for (text, at), marker, instant in zip(received, bridge.markers, instants, strict=True):
+        assert (text, at) == (marker.text, marker.time)
+        assert abs(at - instant.host_ns / 1e9) <= marker.uncertainty
+        assert instant.host_uncertainty <= marker.uncertainty < 0.03
+        start = at - instant.tick / HZ
+        low.append(start - marker.uncertainty)
+        high.append(start + marker.uncertainty)
+    # The simulated device counts exactly 85 000 ticks per second, from one unknown instant on. The daemon may err by some µs more
+    # than it states on a busy machine.
+    assert max(low) <= min(high) + 200e-6
+
+
+def known(*instants: meissner.Instant | None) -> list[meissner.Instant]:
+    return [instant for instant in instants if instant is not None]
+
+
+def test_markers_bear_the_true_times(m: meissner.Client) -> None:
+    with lsl.Bridge(m, name=NAME, telemetry_hz=0) as bridge:
+        inlet = open_inlet(f"{NAME}-markers")
+        instants = []
+        for trial in range(5):
+            play = m.play("pin-60", 0.05, trial=trial)
+            play.wait()
+            instants += [play.onset, play.offset]
+        pair = m.sequence(["pin-60", "edge-45"], seconds=0.05, isi=0.1, name="pair")
+        pair.wait()
+        instants += known(pair.onset, *(item.onset for item in pair.items), pair.offset)
+        received = pull(inlet, len(instants))
+        texts = [text for text, _ in received]
+        assert texts == ["onset/pin-60", "offset/pin-60"] * 5 + [
+            "onset/pair",
+            "item/pin-60",
+            "item/edge-45",
+            "offset/pair",
+        ]
+        check_times(received, bridge, instants)
+        about = inlet.info()
+        assert (about.type(), about.channel_count(), about.nominal_srate()) == ("Markers", 1, 0.0)
+        assert about.source_id() == f"{NAME}/{m.status().raw['device_identity']}/markers"
+        description = about.desc()
+        assert description.child_value("manufacturer") == "meissner"
+        assert description.child_value("simulated") == "true"
+        channel = description.child("channels").child("channel")
+        assert (channel.child_value("label"), channel.child_value("type")) == ("marker", "Markers")
+        assert description.child("synchronization").child_value("can_drop_samples") == "false"
+        # The bridge ends right after the play: its last marker is sent all the same.
+        m.play("pin-60", 0.05).wait()
+    assert [marker.text for marker in bridge.markers[-2:]] == ["onset/pin-60", "offset/pin-60"]
+    assert m.status().state == "armed"
+
+
+def test_markers_over_a_slow_network_with_a_skewed_clock_err_by_less_than_they_state(network: Network) -> None:
+    def client_at(host_ns: int) -> int:
+        return host_ns + host_ns // 10_000 + 321_000_000_000
+
+    network.jitter_s = 0.02
+    core = meissner._core(endpoints(network.url)[0], None, 10.0)
+    core.clock._monotonic_ns = lambda: client_at(time.monotonic_ns())
+    with meissner.Client(core) as m:
+        m.synchronise()
+        m.arm(assume_rest=True, checked="a test")
+        with lsl.Bridge(m, name=f"{NAME}-far", telemetry_hz=0) as bridge:
+            inlet = open_inlet(f"{NAME}-far-markers")
+            plays = [m.play("pin-60", 0.05) for _ in range(4)]
+            for play in plays:
+                play.wait()
+            instants = [instant for play in plays for instant in (play.onset, play.offset)]
+            check_times(pull(inlet, len(instants)), bridge, instants)
+
+
+def test_telemetry_has_the_offset_of_each_pin(m: meissner.Client) -> None:
+    with lsl.Bridge(m, name=f"{NAME}-rest", telemetry_hz=50):
+        inlet = open_inlet(f"{NAME}-rest-telemetry")
+        play = m.play("pin-60", 0.1)
+        play.wait()
+        samples = [inlet.pull_sample(timeout=20) for _ in range(5)]
+        times = [at for _, at in samples]
+        assert all(len(sample) == 24 for sample, _ in samples)
+        assert times == sorted(times)
+        assert abs(times[-1] - pylsl.local_clock()) < 20
+        channel = inlet.info().desc().child("channels").child("channel")
+        assert (channel.child_value("label"), channel.child_value("unit")) == ("pin_0", "microns")
+
+
+def test_a_marker_orders_a_play(m: meissner.Client) -> None:
+    outlet = pylsl.StreamOutlet(pylsl.StreamInfo(f"{NAME}-in", "Markers", 1, 0.0, "string", f"{NAME}-in"))
+    lines: list[str] = []
+    trigger = lsl.Trigger(f"{NAME}-in", {"go": "pin-60", "bad": "no-such-pattern"}, seconds=0.05, delay=4.0)
+    with lsl.Bridge(m, name=f"{NAME}-out", telemetry_hz=0, trigger=trigger, report=lines.append) as bridge:
+        assert outlet.wait_for_consumers(20)
+        sent = pylsl.local_clock()
+        for text in ("other", "bad", "go"):
+            outlet.push_sample([text], sent)
+        inlet = open_inlet(f"{NAME}-out-markers")
+        (text, at), _ = pull(inlet, 2)
+        assert text == "onset/pin-60"
+        # Half a tick, the correction of LSL's clock on one machine, and what the daemon states.
+        assert abs(at - sent - 4.0) <= bridge.markers[0].uncertainty + 0.002
+        assert m.receipt().raw["id"] == bridge.markers[0].play
+    assert len(lines) == 1
+    assert lines[0].startswith("no play on the marker bad: ")
+
+
+def test_a_bridge_says_why_it_cannot_begin(daemon: meissner.Daemon) -> None:
+    with meissner.connect(daemon.socket) as m:
+        bridge = lsl.Bridge(m, name=f"{NAME}-none", telemetry_hz=0)
+        m.core.endpoint = endpoints("http://127.0.0.1:9")[0]
+        m.core.reconnect = 0.0
+        bridge._of = m.core
+        with pytest.raises(meissner.Unreachable), bridge:
+            pass
+        m.core.endpoint = endpoints(daemon.socket)[0]
+
+
+def test_the_command_bridges_until_ctrl_c(daemon: meissner.Daemon) -> None:
+    command = [sys.executable, "-m", "meissner._lsl_command", "--address", daemon.socket, "--name", f"{NAME}-command"]
+    bridge = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        assert bridge.stdout is not None
+        assert f"`{NAME}-command-markers`" in bridge.stdout.readline()
+        inlet = open_inlet(f"{NAME}-command-markers")
+        with meissner.connect(daemon.socket) as m:
+            m.arm(assume_rest=True, checked="a test")
+            play = m.play("pin-60", 0.05)
+            play.wait()
+            (text, at), _ = pull(inlet, 2)
+            assert text == "onset/pin-60"
+            assert abs(at - play.onset.host_ns / 1e9) < 1e-3
+        bridge.send_signal(signal.SIGINT)
+        _, complaint = bridge.communicate(timeout=60)
+        assert bridge.returncode == 0, complaint
+    finally:
+        bridge.kill()
+        bridge.wait()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [(["--listen", "x"], "belong together"), (["--address", "http://127.0.0.1:9"], "meissner-lsl: no daemon answers")],
+)
+def test_the_command_says_what_is_wrong(arguments: list[str], says: str) -> None:
+    command = [sys.executable, "-m", "meissner._lsl_command", *arguments]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ended.returncode != 0
+    assert says in ended.stderr
+
+
+def test_without_pylsl_the_remedy_is_told() -> None:
+    code = "import sys; sys.modules['pylsl'] = None; from meissner import lsl; lsl.needs_pylsl()"
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert "pip install 'meissner[lsl]'" in ended.stderr

@@ -1,0 +1,166 @@
+"""`Meissner.m` in Octave, over TCP. Without Octave these tests are left out."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import meissner
+from network import Network
+
+OCTAVE = shutil.which("octave-cli")
+MATLAB = Path(__file__).parents[1] / "matlab"
+pytestmark = pytest.mark.skipif(
+    OCTAVE is None or shutil.which("curl") is None, reason="Octave or curl is not installed"
+)
+
+
+def octave(script: str, folder: Path, network: Network) -> str:
+    """Runs a script, and returns what it prints."""
+    assert OCTAVE is not None
+    (folder / "script_of_the_test.m").write_text(script, encoding="utf-8")
+    ended = subprocess.run(
+        [OCTAVE, "--norc", "--quiet", "script_of_the_test.m"],
+        cwd=folder,
+        env={**os.environ, "MEISSNER_URL": network.url},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    return ended.stdout
+
+
+def begin(script: str) -> str:
+    """A client whose clock is the wall clock, which this test can read, too."""
+    return f"addpath('{MATLAB}');\nm = Meissner(getenv('MEISSNER_URL'), 'clock', @time);\n" + script
+
+
+PLAYS = """
+m.arm('assume_rest', true, 'checked', 'a test');
+answers = {};
+for number = 1:5
+  asked = m.now() + 1.5;
+  play = m.play('pin-60', 'seconds', 0.05, 'at', asked, 'scale', 0.5, 'trial', number, 'labels', struct('n', number), 'trigger', number);
+  r = m.wait(play);
+  answers{end + 1} = struct('id', r.id, 'state', r.state, 'asked', asked, 'onset', r.onset, 'offset', r.offset);
+end
+second = m.wait(m.play('pin-60', 'seconds', 0.05, 'at', m.later(r.onset, 3), 'trigger', false));
+m.close();
+state = m.status();
+out = struct('plays', {answers}, 'apart', second.onset.tick - r.onset.tick, 'trigger', second.raw.trigger, 'state', state.state);
+disp(jsonencode(out));
+"""
+
+
+def test_onsets_err_by_less_than_stated_and_are_exact_to_the_tick(
+    daemon: meissner.Daemon, network: Network, tmp_path: Path
+) -> None:
+    told: dict[str, Any] = json.loads(octave(begin(PLAYS), tmp_path, network))
+    assert (told["apart"], told["trigger"]) == (3 * 85_000, [])
+    assert told["state"] in ("returning", "disarmed")
+    with meissner.connect(daemon.socket) as m:
+        for number, play in enumerate(told["plays"], 1):
+            receipt = m.receipt(play["id"])
+            assert (receipt.raw["scale"], receipt.raw["trial"], receipt.raw["labels"]) == (
+                0.5,
+                number,
+                {"n": str(number)},
+            )
+            assert receipt.raw["trigger"]["code"] == number
+            for name, instant in (("onset", receipt.onset), ("offset", receipt.offset)):
+                assert instant is not None
+                assert play[name]["tick"] == instant.tick
+                # On this machine Octave's `time` is the wall clock of `instant.wall`.
+                error = abs(play[name]["time"] - instant.wall)
+                assert error <= play[name]["uncertainty"] + instant.wall_uncertainty, f"{error} s"
+                assert play[name]["uncertainty"] < 0.5
+            assert abs(play["onset"]["time"] - play["asked"]) <= 2 * play["onset"]["uncertainty"] + 0.5 / 85_000
+
+
+REST = """
+m.arm('assume_rest', true, 'checked', 'a test');
+id = m.session_start('P07', 'experiment', 'octave', 'exclusive', true, 'seed', 3);
+pair = m.sequence({'pin-60', struct('pattern', 'edge-45', 'scale', 0.5, 'trigger', 7), 'pin-60'}, 'seconds', 0.05, 'isi', 0.1, 'trial', 1);
+r = m.wait(pair);
+ticks = cellfun(@(item) item.onset.tick, r.items);
+m.session_end();
+toml = sprintf('format = 1\\nname = "from-octave"\\nduration_s = 0.1\\n[[drive]]\\nmotor = 9\\nfrequency_hz = 60.0\\namplitude_um = 40.0\\n');
+m.store_pattern('from-octave', toml, 'replace', true);
+shown = m.pattern('from-octave');
+names = cellfun(@(each) each.name, num2cell_or_cell(m.patterns()), 'UniformOutput', false);
+long = m.play('pin-60', 'endless', true);
+m.stop();
+told = {};
+tries = {@() m.wait(long), @() m.play('no-such'), @() m.play('pin-60', 'at', struct('tick', 1, 'boot', 1)), @() m.play('pin-60', 'second', 1), ...
+  @() m.sequence({'pin-60'}, 'isi', 1, 'soa', 1), @() m.receipt(999999)};
+for number = 1:numel(tries)
+  try
+    tries{number}();
+    told{end + 1} = 'no error';
+  catch failure
+    told{end + 1} = failure.identifier;
+  end
+end
+last = m.receipt();
+m.estop();
+faulted = m.status();
+m.reset('force', true);
+m.disarm();
+out = struct('session', id, 'steps', diff(ticks), 'states', {cellfun(@(item) item.state, r.items, 'UniformOutput', false)}, ...
+  'stored', shown.pattern.name, 'is_listed', any(strcmp(names, 'from-octave')), 'told', {told}, 'last', last.id == long.id, 'faulted', faulted.state);
+disp(jsonencode(out));
+"""
+
+
+def test_the_other_methods_do_what_they_do_in_python(daemon: meissner.Daemon, network: Network, tmp_path: Path) -> None:
+    (tmp_path / "num2cell_or_cell.m").write_text(
+        "function out = num2cell_or_cell(x)\nif iscell(x), out = x; else, out = num2cell(x); end\nend\n"
+    )
+    told: dict[str, Any] = json.loads(octave(begin(REST), tmp_path, network))
+    assert told["steps"] == [round(0.15 * 85_000)] * 2
+    assert told["states"] == ["played"] * 3
+    assert (told["stored"], told["is_listed"], told["last"], told["faulted"]) == ("from-octave", True, True, "faulted")
+    assert told["told"] == [
+        "meissner:play_stopped",
+        "meissner:not_found",
+        "meissner:stale_boot",
+        "meissner:bad_option",
+        "meissner:bad_option",
+        "meissner:http",
+    ]
+    with meissner.connect(daemon.socket) as m:
+        m.remove_pattern("from-octave")
+        session = m.session_plays(told["session"])["session"]
+        assert (session["participant"], session["experiment"], session["seed"]) == ("P07", "octave", 3)
+        assert session["exclusive"]
+        assert session["reason"] == "request"
+
+
+@pytest.mark.parametrize("example", ["first_play", "psychtoolbox"])
+def test_an_example_runs(example: str, network: Network, tmp_path: Path) -> None:
+    # Psychtoolbox is not installed: this stands for its clock.
+    (tmp_path / "GetSecs.m").write_text("function seconds = GetSecs()\nseconds = time() - 1.7e9;\nend\n")
+    lines = octave(f"addpath('{tmp_path}');\nrun('{MATLAB}/examples/{example}.m');\n", tmp_path, network).splitlines()
+    if example == "first_play":
+        assert re.fullmatch(r"onset [\d.]+ s, known to \d+ us", lines[0])
+    else:
+        for number, line in enumerate(lines, 1):
+            found = re.fullmatch(
+                rf"trial {number}: the edge began ([\d.]+) s after the flip, known to ([\d.]+) ms", line
+            )
+            assert found, line
+            assert abs(float(found[1]) - 1.5) <= float(found[2]) / 1000 + 1e-4
+    assert len(lines) == 2
+
+
+def test_every_example_is_run_here() -> None:
+    text = Path(__file__).read_text(encoding="utf-8")
+    assert [file.stem for file in (MATLAB / "examples").glob("*.m") if f'"{file.stem}"' not in text] == []
