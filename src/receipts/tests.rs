@@ -193,8 +193,8 @@ fn the_clock_is_carried_on_between_snapshots() {
     receipts.apply(&StreamEvent::Snapshot(snapshot(true, State::Armed, None)));
     let (tick, uncertainty_us) = receipts.clock(HostInstant::from_ns(3_000_000_000)).unwrap();
     assert_eq!(tick, Tick(1000 + 170_000));
-    // Half a tick, and 100 ppm of two seconds, since no drift is measured.
-    assert!((uncertainty_us - 205.882).abs() < 1e-3, "{uncertainty_us}");
+    // Half a tick, and 100 ppm of two seconds, since no drift is measured; rounded up to a nanosecond.
+    assert!((uncertainty_us - 205.883).abs() < 1e-9, "{uncertainty_us}");
     receipts.apply(&StreamEvent::Snapshot(snapshot(false, State::Armed, None)));
     assert!(receipts.clock(HostInstant::from_ns(0)).is_none());
 }
